@@ -1,0 +1,1 @@
+"""Everything that decides axes: fixed layouts, learning agents, their files and comparison."""

@@ -1,0 +1,20 @@
+"""surface_gym: a smart surface that steers parcels by friction, as a simulator and an environment."""
+
+from surface_gym import layouts
+from surface_gym.bases import Disc, Polygon, Rectangle
+from surface_gym.parcel import Parcel
+from surface_gym.simulation import simulate
+from surface_gym.surface import Surface
+from surface_gym.trajectory import Trajectory
+
+__version__ = "0.1.0"
+__all__ = [
+    "Disc",
+    "Parcel",
+    "Polygon",
+    "Rectangle",
+    "Surface",
+    "Trajectory",
+    "layouts",
+    "simulate",
+]

@@ -1,0 +1,189 @@
+"""Bases of a parcel: the area D = {F_lambda <= 0 for all lambda} of Section 3.2, in its own frame."""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surface_gym import checks
+
+
+class Base(Protocol):
+    """What the physics and the drawing ask of a base. All lengths are in the base's own frame."""
+
+    @property
+    def centroid(self) -> tuple[float, float]:
+        """[m] centre of the area."""
+
+    @property
+    def gyration(self) -> float:
+        """[m^2] inertia / mass about the centroid, of a load spread evenly over the area."""
+
+    @property
+    def reach(self) -> float:
+        """[m] from the centroid to the farthest point."""
+
+    @property
+    def edges(self) -> NDArray[np.float64]:
+        """(edges, 3) outward normals and distances [m] from the centroid; no rows for a disc."""
+
+    @property
+    def outline(self) -> NDArray[np.float64]:
+        """(points, 2) [m] the perimeter, anti-clockwise."""
+
+    def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        """F_lambda at points: (lambdas, ...), none positive inside."""
+
+
+def _edge_functions(
+    edges: NDArray[np.float64], centroid: tuple[float, float], x: ArrayLike, y: ArrayLike
+) -> NDArray[np.float64]:
+    dx = np.asarray(x, dtype=np.float64) - centroid[0]
+    dy = np.asarray(y, dtype=np.float64) - centroid[1]
+    return np.stack([nx * dx + ny * dy - distance for nx, ny, distance in edges])
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A box's base, b x h in the paper, centred on its frame's origin.
+
+    >>> Rectangle(0.25, 0.25).functions(0.0, 0.2).max() <= 0  # (0, 0.2) is outside
+    np.False_
+    """
+
+    length: float  # [m] b, along the base's x
+    width: float  # [m] h, along its y
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "length", checks.positive("length", self.length))
+        object.__setattr__(self, "width", checks.positive("width", self.width))
+
+    @property
+    def centroid(self) -> tuple[float, float]:
+        return (0.0, 0.0)
+
+    @property
+    def gyration(self) -> float:
+        return (self.length**2 + self.width**2) / 12.0  # Table 1
+
+    @property
+    def reach(self) -> float:
+        return math.hypot(self.length, self.width) / 2.0
+
+    @property
+    def edges(self) -> NDArray[np.float64]:
+        b, h = self.length / 2.0, self.width / 2.0
+        return np.array([[1.0, 0.0, b], [-1.0, 0.0, b], [0.0, 1.0, h], [0.0, -1.0, h]])
+
+    @property
+    def outline(self) -> NDArray[np.float64]:
+        b, h = self.length / 2.0, self.width / 2.0
+        return np.array([[-b, -h], [b, -h], [b, h], [-b, h]])
+
+    def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        return _edge_functions(self.edges, self.centroid, x, y)
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A round base, centred on its frame's origin."""
+
+    radius: float  # [m]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "radius", checks.positive("radius", self.radius))
+
+    @property
+    def centroid(self) -> tuple[float, float]:
+        return (0.0, 0.0)
+
+    @property
+    def gyration(self) -> float:
+        return self.radius**2 / 2.0
+
+    @property
+    def reach(self) -> float:
+        return self.radius
+
+    @property
+    def edges(self) -> NDArray[np.float64]:
+        return np.zeros((0, 3))
+
+    @property
+    def outline(self) -> NDArray[np.float64]:
+        angle = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+        return self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+    def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        distance = np.hypot(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+        return (distance - self.radius)[np.newaxis]
+
+
+@dataclass(frozen=True, eq=False)
+class Polygon:
+    """A convex base given by its vertices, in either sense of rotation.
+
+    Raises:
+        ValueError: fewer than three vertices, two in one place, or the polygon is not convex.
+    """
+
+    vertices: NDArray[np.float64]  # (vertices, 2) [m] in the base's frame
+
+    def __post_init__(self) -> None:
+        vertices = checks.array("vertices", self.vertices, (None, 2))
+        if len(vertices) < 3:
+            raise ValueError(f"vertices must be at least 3, got {len(vertices)}")
+        side = np.roll(vertices, -1, axis=0) - vertices
+        if (np.hypot(side[:, 0], side[:, 1]) == 0.0).any():
+            raise ValueError(f"vertices must differ from their neighbours, got {vertices.tolist()}")
+        after = np.roll(side, -1, axis=0)
+        turn = np.arctan2(
+            side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0], (side * after).sum(axis=1)
+        )
+        one_way = (turn >= 0.0).all() or (turn <= 0.0).all()
+        if not (one_way and abs(abs(turn.sum()) - 2.0 * np.pi) < 1e-6):
+            raise ValueError(f"vertices must form a convex polygon, got {vertices.tolist()}")
+        object.__setattr__(self, "vertices", vertices)
+
+    @property
+    def outline(self) -> NDArray[np.float64]:
+        x, y = self.vertices.T
+        anti_clockwise = np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0.0
+        return np.array(self.vertices if anti_clockwise else self.vertices[::-1])
+
+    def _triangles(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Twice the area of each triangle (first vertex, side), and the side's ends from there."""
+        start = self.outline - self.outline[0]
+        end = np.roll(start, -1, axis=0)
+        return start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0], start, end
+
+    @property
+    def centroid(self) -> tuple[float, float]:
+        area, start, end = self._triangles()
+        x, y = self.outline[0] + (area @ (start + end)) / (3.0 * area.sum())
+        return (float(x), float(y))
+
+    @property
+    def gyration(self) -> float:
+        area, start, end = self._triangles()
+        squares = (start**2 + start * end + end**2).sum(axis=1)
+        offset = np.array(self.centroid) - self.outline[0]
+        return float(area @ squares / (6.0 * area.sum()) - offset @ offset)
+
+    @property
+    def reach(self) -> float:
+        offset = self.vertices - np.array(self.centroid)
+        return float(np.hypot(offset[:, 0], offset[:, 1]).max())
+
+    @property
+    def edges(self) -> NDArray[np.float64]:
+        corner = self.outline - np.array(self.centroid)
+        side = np.roll(corner, -1, axis=0) - corner
+        normal = np.stack([side[:, 1], -side[:, 0]], axis=-1)
+        normal /= np.hypot(side[:, 0], side[:, 1])[:, np.newaxis]
+        return np.column_stack([normal, (normal * corner).sum(axis=1)])
+
+    def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        return _edge_functions(self.edges, self.centroid, x, y)

@@ -1,0 +1,76 @@
+"""Checks of arguments where they enter: each error names the argument, the value, what is allowed."""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def number(name: str, value: Any) -> float:
+    """A finite number, or an error."""
+    try:
+        result = float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be a finite number, got {value!r}") from None
+    if not math.isfinite(result):
+        raise ValueError(f"{name} must be a finite number, got {value!r}")
+    return result
+
+
+def positive(name: str, value: Any) -> float:
+    """A finite number above zero, or an error."""
+    result = number(name, value)
+    if result <= 0.0:
+        raise ValueError(f"{name} must be greater than 0, got {value!r}")
+    return result
+
+
+def not_negative(name: str, value: Any) -> float:
+    """A finite number of at least zero, or an error."""
+    result = number(name, value)
+    if result < 0.0:
+        raise ValueError(f"{name} must be at least 0, got {value!r}")
+    return result
+
+
+def within(name: str, value: Any, low: float, high: float) -> float:
+    """A finite number in [low, high], or an error."""
+    result = number(name, value)
+    if not low <= result <= high:
+        raise ValueError(f"{name} must be between {low:g} and {high:g}, got {value!r}")
+    return result
+
+
+def integer(name: str, value: Any, least: int) -> int:
+    """A whole number of at least `least`, or an error; True and 1.0 are not whole numbers."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+    return int(value)
+
+
+def one_of(name: str, value: Any, allowed: Iterable[Any]) -> Any:
+    """One of the allowed values, or an error that lists them."""
+    choices = tuple(allowed)
+    if not any(type(value) is type(choice) and value == choice for choice in choices):
+        raise ValueError(f"{name} must be one of {', '.join(map(repr, choices))}, got {value!r}")
+    return value
+
+
+def array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
+    """A read-only copy as finite float64 of a shape (None: any length), or an error."""
+    try:
+        result = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be an array of numbers, got {value!r}") from None
+    fits = result.ndim == len(shape) and all(
+        want is None or have == want for have, want in zip(result.shape, shape, strict=True)
+    )
+    if not fits:
+        wanted = ", ".join("any" if length is None else str(length) for length in shape)
+        raise ValueError(f"{name} must have the shape ({wanted}), got {result.shape}")
+    if not np.isfinite(result).all():
+        raise ValueError(f"{name} must be finite, got {result[~np.isfinite(result)][0]} in it")
+    result.setflags(write=False)
+    return result

@@ -1,0 +1,61 @@
+"""The paper's own step, to the letter: Eq. (2)-(4) with the rule of Figure 5b."""
+
+import math
+
+from surface_gym.dynamics.compiled import inlined
+from surface_gym.dynamics.types import Grid, Scratch
+
+STEEPNESS = 5000.0  # [s/m] k of Eq. (2), Section 6.1
+RESTART_SPEED = 1e-4  # [m/s] given to a parcel that stands or reverses, Figure 5b
+
+
+@inlined
+def _sign(value: float) -> float:
+    return (value > 0.0) * 1.0 - (value < 0.0) * 1.0
+
+
+@inlined
+def explicit_acceleration(
+    grid: Grid, gyration: float, scratch: Scratch, contacts: int, vx: float, vy: float, omega: float
+) -> tuple[float, float, float, float]:
+    """Acceleration (x, y, theta) by Eq. (2)-(4), with Figure 5b's rule where vx is not positive.
+
+    Returns:
+        The acceleration, and the vx it starts from, which the rule changes.
+    """
+    standing = vx <= 0.0
+    if standing:
+        vx = RESTART_SPEED
+    # The forces along the axes, which the rule may scale, and all others, per unit mass.
+    along_x = along_y = along_w = 0.0
+    other_x = other_y = other_w = 0.0
+    for i in range(contacts):
+        x = scratch.arm_x[i]
+        y = scratch.arm_y[i]
+        ux = vx - omega * y
+        uy = vy + omega * x
+        speed = math.sqrt(ux * ux + uy * uy)
+        smooth = scratch.normal[i] * math.tanh(STEEPNESS * speed)
+        if scratch.rotor[i]:
+            ax = scratch.axis_x[i]
+            ay = scratch.axis_y[i]
+            f_par = grid.mu_max * smooth * _sign(ax * ux + ay * uy)  # cos(alpha) = a . V / |V|
+            f_perp = grid.mu_min * smooth * _sign(ay * ux - ax * uy)  # sin(alpha)
+            along_x -= f_par * ax
+            along_y -= f_par * ay
+            along_w -= f_par * (x * ay - y * ax)
+            fx = -f_perp * ay
+            fy = f_perp * ax
+        else:
+            share = grid.mu_support * smooth / speed if speed > 0.0 else 0.0
+            fx = -share * ux
+            fy = -share * uy
+        other_x += fx
+        other_y += fy
+        other_w += x * fy - y * fx
+    other_x += grid.gravity_along
+    if standing and along_x + other_x <= 0.0:
+        # Gravity does not win: sum F_x + m g sin(gamma) = 0 sets the forces along the axes.
+        scale = -other_x / along_x if along_x != 0.0 else 0.0
+        return 0.0, scale * along_y + other_y, (scale * along_w + other_w) / gyration, 0.0
+    return along_x + other_x, along_y + other_y, (along_w + other_w) / gyration, vx

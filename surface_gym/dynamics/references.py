@@ -1,0 +1,90 @@
+"""Eq. (1) by general solvers: slow, and written apart from the dual, to hold it against.
+
+All take arms (n, 2) [m] from the centre of mass to the contacts, the normal load [m/s^2] per unit
+mass, and the point (2,) [m] where it acts, and return normal forces (n,) [m/s^2] and whether the
+set is degenerate (see `dual_normal_forces`).
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import osqp
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.optimize import nnls
+
+Array = NDArray[np.float64]
+Solver = Callable[[Array, float, Array], tuple[Array, bool]]
+
+_MISS = 1e-6  # [of the arms' scale] moment left over that makes a set degenerate
+
+
+def _balance(arms: Array, load: Array) -> tuple[Array, Array, float]:
+    """A_eq and b_eq of Eq. (1) with the load 1 and the arms' scale taken out."""
+    scale = max(float(np.abs(arms).max()), 1e-9)
+    matrix = np.vstack([np.ones(len(arms)), arms.T / scale])
+    return matrix, np.array([1.0, load[0] / scale, load[1] / scale]), scale
+
+
+def _is_degenerate(matrix: Array, target: Array, share: Array) -> bool:
+    centred = matrix[1:] - matrix[1:].mean(axis=1, keepdims=True)
+    flat = np.linalg.matrix_rank(centred, tol=1e-3 * np.linalg.norm(centred)) < 2
+    return bool(len(share) < 3 or flat or np.abs(matrix[1:] @ share - target[1:]).max() > _MISS)
+
+
+def scipy_normal_forces(arms: Array, weight: float, load: Array) -> tuple[Array, bool]:
+    """By SciPy's active-set `nnls`: the balance as heavy rows over the identity."""
+    matrix, target, _ = _balance(arms, load)
+    heavy = np.array([1e6, 1e4, 1e4])[:, np.newaxis]
+    system = np.vstack([heavy * matrix, np.eye(len(arms))])
+    share, _ = nnls(system, np.concatenate([heavy[:, 0] * target, np.zeros(len(arms))]))
+    degenerate = _is_degenerate(matrix, target, share)
+    return weight * share / share.sum(), degenerate
+
+
+def osqp_normal_forces(arms: Array, weight: float, load: Array) -> tuple[Array, bool]:
+    """By OSQP, to the letter of Eq. (1); where that is infeasible, moments as near as they come."""
+    matrix, target, _ = _balance(arms, load)
+    n = len(arms)
+    rows = sparse.csc_matrix(np.vstack([matrix, np.eye(n)]))
+    low = np.concatenate([target, np.zeros(n)])
+    high = np.concatenate([target, np.ones(n)])
+    share = _osqp(sparse.identity(n, format="csc"), np.zeros(n), rows, low, high)
+    if share is None or _is_degenerate(matrix, target, share):
+        moments = matrix[1:]
+        stiff = sparse.csc_matrix(np.triu(1e8 * moments.T @ moments + np.eye(n)))
+        rows = sparse.csc_matrix(np.vstack([matrix[:1], np.eye(n)]))
+        share = _osqp(
+            stiff,
+            -1e8 * moments.T @ target[1:],
+            rows,
+            np.delete(low, (1, 2)),
+            np.delete(high, (1, 2)),
+        )
+        if share is None:
+            raise RuntimeError(f"OSQP found no normal forces for the contacts {arms.tolist()}")
+    share = np.maximum(share, 0.0)
+    return weight * share / share.sum(), _is_degenerate(matrix, target, share)
+
+
+def _osqp(
+    cost: sparse.csc_matrix, linear: Array, rows: sparse.csc_matrix, low: Array, high: Array
+) -> Array | None:
+    problem = osqp.OSQP()
+    problem.setup(
+        cost,
+        linear,
+        rows,
+        low,
+        high,
+        verbose=False,
+        eps_abs=1e-9,
+        eps_rel=1e-9,
+        max_iter=20_000,
+        polishing=True,
+    )
+    result = problem.solve(raise_error=False)
+    return np.asarray(result.x) if result.info.status == "solved" else None
+
+
+SOLVERS: dict[str, Solver] = {"osqp": osqp_normal_forces, "scipy": scipy_normal_forces}

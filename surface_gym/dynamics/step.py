@@ -1,0 +1,115 @@
+"""One step of a parcel on a surface: what every caller of the physics calls."""
+
+from surface_gym.dynamics.compiled import compiled, inlined
+from surface_gym.dynamics.contacts import find_contacts
+from surface_gym.dynamics.explicit import explicit_acceleration
+from surface_gym.dynamics.friction import implicit_velocity
+from surface_gym.dynamics.normal_forces import dual_normal_forces
+from surface_gym.dynamics.types import (
+    AX,
+    AY,
+    OMEGA,
+    THETA,
+    VX,
+    VY,
+    Array,
+    Body,
+    Grid,
+    Scratch,
+    X,
+    Y,
+)
+
+# What a step reports. From OFF_SURFACE on, it left the state as it was.
+BALANCED, TIPPING, OFF_SURFACE, STOPPED = range(4)
+
+
+@inlined
+def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
+    """Where the load acts, from the centre of mass: b_eq of Eq. (1) over m g cos(gamma)."""
+    per_weight = body.com_height / grid.gravity_normal
+    return (grid.gravity_along - state[AX]) * per_weight, -state[AY] * per_weight
+
+
+@inlined
+def on_surface(grid: Grid, x: float, y: float) -> bool:
+    """Whether a point is over the grid, half a pitch around its outer elements included."""
+    rows, columns = grid.rotor.shape
+    right = 0.5 * grid.pitch * columns
+    up = 0.5 * grid.pitch * rows
+    margin = 0.5 * grid.pitch
+    return abs(x - grid.x0 + margin - right) <= right and abs(y - grid.y0 + margin - up) <= up
+
+
+@inlined
+def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: float) -> int:
+    """Contacts at the pose the parcel has `lead` seconds on; none if it is off the surface."""
+    x = state[X] + lead * state[VX]
+    y = state[Y] + lead * state[VY]
+    if not on_surface(grid, x, y):
+        return 0
+    return find_contacts(grid, body, x, y, state[THETA] + lead * state[OMEGA], scratch)
+
+
+@inlined
+def advance_implicit(
+    grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: int, dt: float
+) -> None:
+    """Move the state over one step, contacts and normal forces given in `scratch`."""
+    vx, vy, omega = implicit_velocity(
+        grid, body.gyration, scratch, contacts, dt, state[VX], state[VY], state[OMEGA]
+    )
+    half = 0.5 * dt
+    per_dt = 1.0 / dt
+    state[X] += half * (state[VX] + vx)
+    state[Y] += half * (state[VY] + vy)
+    state[THETA] += half * (state[OMEGA] + omega)
+    state[AX] = (vx - state[VX]) * per_dt
+    state[AY] = (vy - state[VY]) * per_dt
+    state[VX] = vx
+    state[VY] = vy
+    state[OMEGA] = omega
+
+
+@inlined
+def advance_explicit(
+    grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: int, dt: float
+) -> None:
+    """The paper's two integrations of Eq. (4): the velocity, then the position with it."""
+    ax, ay, aw, vx = explicit_acceleration(
+        grid, body.gyration, scratch, contacts, state[VX], state[VY], state[OMEGA]
+    )
+    state[VX] = vx + dt * ax
+    state[VY] += dt * ay
+    state[OMEGA] += dt * aw
+    state[X] += dt * state[VX]
+    state[Y] += dt * state[VY]
+    state[THETA] += dt * state[OMEGA]
+    state[AX] = ax
+    state[AY] = ay
+
+
+@compiled
+def step_implicit(grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float) -> int:
+    """One implicit step. The contacts are those of the pose half a step on."""
+    contacts = find_support(grid, body, state, scratch, 0.5 * dt)
+    if contacts == 0:
+        return OFF_SURFACE
+    load_x, load_y = load_point(grid, body, state)
+    tipping = dual_normal_forces(scratch, contacts, grid.gravity_normal, load_x, load_y, grid.pitch)
+    advance_implicit(grid, body, state, scratch, contacts, dt)
+    return TIPPING if tipping else BALANCED
+
+
+@compiled
+def step_explicit(grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float) -> int:
+    """One step of the paper's loop, Figure 5a, its stopping rule included."""
+    if state[VX] <= 0.0 and grid.gravity_along == 0.0:
+        return STOPPED
+    contacts = find_support(grid, body, state, scratch, 0.0)
+    if contacts == 0:
+        return OFF_SURFACE
+    load_x, load_y = load_point(grid, body, state)
+    tipping = dual_normal_forces(scratch, contacts, grid.gravity_normal, load_x, load_y, grid.pitch)
+    advance_explicit(grid, body, state, scratch, contacts, dt)
+    return TIPPING if tipping else BALANCED

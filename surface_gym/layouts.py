@@ -1,0 +1,93 @@
+"""The paper's pre-arranged layouts: a line of rotors amid supports, axes set once beforehand.
+
+The line is centred on y = 1 m, the elements' centres lie at 0.05, 0.15, ... m. It begins with
+lead-in columns at 90 deg (rolling along x), goes on with the columns that do the task and ends at
+90 deg again. Figure 6 shows the kinds; the row and lead-in counts, which the paper leaves out, are
+those that give its tables.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from surface_gym import checks
+from surface_gym.bases import Rectangle
+from surface_gym.parcel import Parcel
+from surface_gym.surface import Surface
+
+ROLLING = math.pi / 2  # [rad] axis of a module that lets a parcel roll along x
+LINE_Y = 1.0  # [m] middle of the line
+ROWS = 20  # of the whole surface
+
+# Rows of rotors and lead-in columns for each of the paper's boxes (Section 5.1, Figure 7 and 9).
+LINE_ROWS = {"S": 2, "B": 4}
+LEAD_IN = {"S": 3, "B": 5}
+
+
+def box(size: str) -> Parcel:
+    """The paper's "S" (0.25 m x 0.25 m) or "B" (0.45 m x 0.45 m) box, 10 kg, Table 1."""
+    side = {"S": 0.25, "B": 0.45}[checks.one_of("size", size, ("S", "B"))]
+    return Parcel(Rectangle(side, side))
+
+
+def start(size: str) -> tuple[float, float, float]:
+    """Pose (x, y, theta) [m, m, rad] at which the paper starts a box: x = b / 2, on the line."""
+    return (box(size).base.reach / math.sqrt(2.0), LINE_Y, 0.0)
+
+
+def line(
+    task_axis: Sequence[Sequence[float]], size: str = "S", columns: int = 40, tilt: float = 0.0
+) -> Surface:
+    """A line of rotors with the task's columns after the lead-in.
+
+    Args:
+        task_axis: (line rows or 1, task columns) [rad] their axes; one row stands for all.
+        size: "S" (two rows, 3 lead-in columns) or "B" (four rows, 5 lead-in columns).
+        columns: of the whole surface.
+        tilt: [rad] downhill towards +x.
+    """
+    checks.one_of("size", size, ("S", "B"))
+    task = checks.array("task_axis", task_axis, (None, None))
+    rows, lead_in = LINE_ROWS[size], LEAD_IN[size]
+    if task.shape[0] not in (1, rows):
+        raise ValueError(f"task_axis must have 1 or {rows} rows, got {task.shape[0]}")
+    checks.integer("columns", columns, least=lead_in + task.shape[1])
+    first = (ROWS - rows) // 2
+    axis = np.full((ROWS, columns), ROLLING)
+    axis[first : first + rows, lead_in : lead_in + task.shape[1]] = task
+    rotor = np.zeros((ROWS, columns), dtype=bool)
+    rotor[first : first + rows] = True
+    return Surface(axis=axis, rotor=rotor, tilt=tilt)
+
+
+def sorting(
+    size: str = "S", side: int = -1, task_columns: int = 30, columns: int = 40, tilt: float = 0.0
+) -> Surface:
+    """Figure 6a: axes at +45 deg sort to y < 0 (`side` -1), at -45 deg to y > 0 (`side` +1)."""
+    checks.one_of("side", side, (-1, 1))
+    checks.integer("task_columns", task_columns, least=1)
+    return line([[-side * math.pi / 4] * task_columns], size, columns, tilt)
+
+
+def slowing(
+    size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
+) -> Surface:
+    """Figure 6b and 6c: axes at `angle` [rad], its sign alternating from row to row."""
+    angle = checks.number("angle", angle)
+    checks.integer("task_columns", task_columns, least=1)
+    checks.one_of("size", size, ("S", "B"))
+    rows = [[angle if row % 2 else -angle] * task_columns for row in range(LINE_ROWS[size])]
+    return line(rows, size, columns, tilt)
+
+
+def stopping(
+    size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
+) -> Surface:
+    """Section 5.3: the slowing layout with one more column, at 0 deg."""
+    slow = slowing(size, angle, task_columns, columns, tilt)
+    lead_in, rows = LEAD_IN[size], LINE_ROWS[size]
+    first = (ROWS - rows) // 2
+    task = slow.axis[first : first + rows, lead_in : lead_in + task_columns + 1].copy()
+    task[:, -1] = 0.0
+    return line(task, size, columns, tilt)

@@ -1,0 +1,63 @@
+"""A parcel: a rigid body with a flat base."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from surface_gym import checks
+from surface_gym.bases import Base, Disc, Polygon, Rectangle
+from surface_gym.dynamics.types import Body
+
+
+@dataclass(frozen=True)
+class Parcel:
+    """A rigid parcel. Its pose is its base frame's; the defaults are those of Table 1.
+
+    Raises:
+        ValueError: a mass, height or inertia that is not allowed, a base of another kind, or a
+            centre of mass that is not over the base.
+
+    >>> Parcel(Rectangle(0.25, 0.25)).moment_of_inertia  # m (b^2 + h^2) / 12
+    0.10416666666666667
+    """
+
+    base: Base
+    mass: float = 10.0  # [kg]
+    com_height: float = 0.1  # [m] z_g, centre of mass above the base
+    inertia: float | None = None  # [kg m^2] about the vertical through the centre of mass
+    com_offset: tuple[float, float] = (0.0, 0.0)  # [m] centre of mass from the base's centroid
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.base, (Rectangle, Disc, Polygon)):
+            raise ValueError(f"base must be a Rectangle, a Disc or a Polygon, got {self.base!r}")
+        set_field = object.__setattr__
+        set_field(self, "mass", checks.positive("mass", self.mass))
+        set_field(self, "com_height", checks.not_negative("com_height", self.com_height))
+        if self.inertia is not None:
+            set_field(self, "inertia", checks.positive("inertia", self.inertia))
+        x, y = checks.array("com_offset", self.com_offset, (2,)).tolist()
+        set_field(self, "com_offset", (x, y))
+        if self.base.functions(*self.centre_of_mass).max() > 0.0:
+            raise ValueError(f"com_offset must keep the centre of mass over the base, got {(x, y)}")
+
+    @property
+    def centre_of_mass(self) -> tuple[float, float]:
+        """[m] its projection on the base, in the base's frame."""
+        x, y = self.base.centroid
+        return (x + self.com_offset[0], y + self.com_offset[1])
+
+    @property
+    def moment_of_inertia(self) -> float:
+        """[kg m^2] J; where none is given, that of a load spread evenly over the base."""
+        return self.mass * self.base.gyration if self.inertia is None else self.inertia
+
+    @cached_property
+    def body(self) -> Body:
+        """The parcel as the compiled physics reads it."""
+        return Body(
+            edges=self.base.edges,
+            radius=self.base.reach,
+            com_x=self.com_offset[0],
+            com_y=self.com_offset[1],
+            com_height=self.com_height,
+            gyration=self.base.gyration if self.inertia is None else self.inertia / self.mass,
+        )

@@ -1,0 +1,195 @@
+"""`simulate`: one parcel on one surface, from start to end."""
+
+import math
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surface_gym import checks
+from surface_gym.dynamics.memory import make_scratch
+from surface_gym.dynamics.run import run_explicit, run_implicit
+from surface_gym.dynamics.step import (
+    BALANCED,
+    OFF_SURFACE,
+    STOPPED,
+    TIPPING,
+    advance_explicit,
+    advance_implicit,
+    find_support,
+    load_point,
+)
+from surface_gym.dynamics.types import (
+    OMEGA,
+    STATE_SIZE,
+    THETA,
+    VX,
+    VY,
+    Array,
+    Body,
+    Grid,
+    Scratch,
+    X,
+    Y,
+)
+from surface_gym.parcel import Parcel
+from surface_gym.surface import Surface
+from surface_gym.trajectory import Trajectory
+
+METHODS = ("implicit", "explicit")
+NORMAL_FORCES = ("dual", "osqp", "scipy")
+_END = {OFF_SURFACE: "left the surface", STOPPED: "stopped"}
+
+
+def simulate(
+    surface: Surface,
+    parcel: Parcel,
+    pose: ArrayLike,
+    velocity: ArrayLike = (0.0, 0.0, 0.0),
+    duration: float = 1.0,
+    dt: float = 0.005,
+    method: Literal["implicit", "explicit"] = "implicit",
+    normal_forces: Literal["dual", "osqp", "scipy"] = "dual",
+) -> Trajectory:
+    """Move a parcel over a surface whose axes stay as they are.
+
+    Args:
+        surface: the surface.
+        parcel: the parcel.
+        pose: (x, y, theta) [m, m, rad] of the base's frame at the start.
+        velocity: (vx, vy, omega) [m/s, m/s, rad/s] of that frame at the start.
+        duration: [s] simulated; the last step is shortened to end there.
+        dt: [s] step.
+        method: "implicit", the convex step; or "explicit", the loop of Figure 5 with its stopping
+            and reverse-motion rules, made for motion towards +x.
+        normal_forces: what solves Eq. (1): the "dual", or "osqp" or "scipy" to hold it against.
+
+    Returns:
+        The trajectory. It ends early where the paper's rule stops the parcel, or where the centre
+        of mass passes the edge of the surface.
+
+    Raises:
+        ValueError: an argument is not allowed, or the start is off the surface.
+
+    >>> import surface_gym as sg
+    >>> parcel = sg.Parcel(sg.Rectangle(0.25, 0.25))
+    >>> trajectory = sg.simulate(sg.layouts.sorting(), parcel, (0.125, 1.0, 0.0), (1.5, 0.0, 0.0))
+    >>> trajectory.pose[-1].round(2)  # sorted to y < 0
+    array([ 0.97,  0.48, -0.23])
+    """
+    start = _start_state(
+        parcel, checks.array("pose", pose, (3,)), checks.array("velocity", velocity, (3,))
+    )
+    duration = checks.positive("duration", duration)
+    dt = checks.positive("dt", dt)
+    checks.one_of("method", method, METHODS)
+    checks.one_of("normal_forces", normal_forces, NORMAL_FORCES)
+    if method == "explicit" and surface.tilt < 0.0:
+        raise ValueError(f"tilt must be at least 0 for the explicit method, got {surface.tilt!r}")
+    grid, body = surface.grid, parcel.body
+    scratch = make_scratch(grid, body)
+    if find_support(grid, body, start, scratch, 0.0) == 0:
+        raise ValueError(f"pose must be on the surface, got {tuple(np.asarray(pose).tolist())}")
+
+    time = _times(duration, dt)
+    states = np.zeros((len(time), STATE_SIZE))
+    states[0] = start
+    reports = np.zeros(len(time), dtype=np.int64)
+    steps = _run(grid, body, states, reports, scratch, time, dt, method, normal_forces)
+    end = "duration" if steps == len(time) - 1 else _END[int(reports[steps + 1])]
+    done = slice(0, steps + 1)
+    pose_done, velocity_done = _base_motion(parcel, states[done])
+    return Trajectory(time[done], pose_done, velocity_done, reports[done] == TIPPING, end)
+
+
+def _times(duration: float, dt: float) -> NDArray[np.float64]:
+    """Ends of the steps; a last one that would be shorter than 1e-6 dt is none."""
+    whole = math.floor(duration / dt + 1e-6)
+    time = dt * np.arange(whole + 1)
+    return np.append(time, duration) if duration - time[-1] > 1e-6 * dt else time
+
+
+def _start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
+    """State vector of the centre of mass."""
+    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+    com_x, com_y = parcel.centre_of_mass
+    arm_x, arm_y = cosine * com_x - sine * com_y, sine * com_x + cosine * com_y
+    state = np.zeros(STATE_SIZE)
+    state[[X, Y, THETA]] = pose[0] + arm_x, pose[1] + arm_y, pose[2]
+    state[[VX, VY, OMEGA]] = (
+        velocity[0] - velocity[2] * arm_y,
+        velocity[1] + velocity[2] * arm_x,
+        velocity[2],
+    )
+    return state
+
+
+def _base_motion(parcel: Parcel, states: Array) -> tuple[Array, Array]:
+    """Pose and velocity of the base's frame, from the centre of mass's."""
+    pose, velocity = states[:, X : THETA + 1].copy(), states[:, VX : OMEGA + 1].copy()
+    com_x, com_y = parcel.centre_of_mass
+    if (com_x, com_y) != (0.0, 0.0):
+        cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+        arm_x, arm_y = cosine * com_x - sine * com_y, sine * com_x + cosine * com_y
+        pose[:, 0] -= arm_x
+        pose[:, 1] -= arm_y
+        velocity[:, 0] += velocity[:, 2] * arm_y
+        velocity[:, 1] -= velocity[:, 2] * arm_x
+    return pose, velocity
+
+
+def _run(
+    grid: Grid,
+    body: Body,
+    states: Array,
+    reports: NDArray[np.int64],
+    scratch: Scratch,
+    time: Array,
+    dt: float,
+    method: str,
+    normal_forces: str,
+) -> int:
+    """Fill states and reports; the number of steps done."""
+    whole = len(time) if time[-1] == dt * (len(time) - 1) else len(time) - 1
+    if normal_forces == "dual":
+        run = run_implicit if method == "implicit" else run_explicit
+        steps = int(run(grid, body, states[:whole], reports[:whole], scratch, dt))
+        if steps == whole - 1 and whole < len(time):
+            last = time[-1] - time[-2]
+            steps += int(run(grid, body, states[steps:], reports[steps:], scratch, last))
+        return steps
+    for k in range(1, len(time)):
+        states[k] = states[k - 1]
+        step = dt if k < whole else time[-1] - time[-2]
+        reports[k] = _reference_step(grid, body, states[k], scratch, step, method, normal_forces)
+        if reports[k] >= OFF_SURFACE:
+            return k - 1
+    return len(time) - 1
+
+
+def _reference_step(
+    grid: Grid,
+    body: Body,
+    state: Array,
+    scratch: Scratch,
+    dt: float,
+    method: str,
+    normal_forces: str,
+) -> int:
+    """The compiled step with Eq. (1) solved by a reference in the dual's place."""
+    from surface_gym.dynamics import references
+
+    solve = references.SOLVERS[normal_forces]
+    explicit = method == "explicit"
+    if explicit and state[VX] <= 0.0 and grid.gravity_along == 0.0:
+        return STOPPED
+    contacts = find_support(grid, body, state, scratch, 0.0 if explicit else 0.5 * dt)
+    if contacts == 0:
+        return OFF_SURFACE
+    arms = np.column_stack([scratch.arm_x[:contacts], scratch.arm_y[:contacts]])
+    load = np.array(load_point(grid, body, state))
+    normal, degenerate = solve(arms, grid.gravity_normal, load)
+    scratch.normal[:contacts] = normal
+    advance = advance_explicit if explicit else advance_implicit
+    advance(grid, body, state, scratch, contacts, dt)
+    return TIPPING if degenerate else BALANCED

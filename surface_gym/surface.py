@@ -1,0 +1,97 @@
+"""A smart surface: a grid of orientable rotors among low-friction supports."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym import checks
+from surface_gym.dynamics.types import GRAVITY, Grid
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Rotors and supports on a square grid, in a plane tilted downhill towards +x.
+
+    Along its axis a rotor drags (`mu_max`), across it rolls almost free (`mu_min`), Eq. (2).
+    The defaults are those of Table 1. The arrays are copied and read-only.
+
+    Raises:
+        ValueError: an array is empty, not finite, or its shape differs from the other's; `pitch`
+            is not positive, a friction coefficient negative, or the tilt not below 45 deg.
+
+    >>> import numpy as np
+    >>> surface = Surface(axis=np.full((20, 30), np.pi / 2), rotor=np.ones((20, 30), bool))
+    >>> surface.rows, surface.columns
+    (20, 30)
+    """
+
+    axis: NDArray[np.float64]  # (rows, columns) [rad] rotor axis from x, anti-clockwise
+    rotor: NDArray[np.bool_]  # (rows, columns) an orientable rotor, else a support
+    pitch: float = 0.1  # [m] between neighbours, in x and in y
+    origin: tuple[float, float] = (0.05, 0.05)  # [m] centre of element [0, 0]
+    mu_max: float = 0.5  # [-] friction along a rotor's axis
+    mu_min: float = 0.01  # [-] friction across it
+    mu_support: float = 0.005  # [-] friction of a support, against the motion
+    tilt: float = 0.0  # [rad] gamma, downhill towards +x
+
+    def __post_init__(self) -> None:
+        axis = checks.array("axis", self.axis, (None, None))
+        if axis.size == 0:
+            raise ValueError(f"axis must have at least one row and one column, got {axis.shape}")
+        rotor = np.array(self.rotor)
+        if rotor.dtype != np.bool_:
+            raise ValueError(f"rotor must be an array of booleans, got one of {rotor.dtype}")
+        if rotor.shape != axis.shape:
+            raise ValueError(f"rotor must have the shape of axis, {axis.shape}, got {rotor.shape}")
+        rotor.setflags(write=False)
+        x0, y0 = checks.array("origin", self.origin, (2,)).tolist()
+        set_field = object.__setattr__
+        set_field(self, "axis", axis)
+        set_field(self, "rotor", rotor)
+        set_field(self, "pitch", checks.positive("pitch", self.pitch))
+        set_field(self, "origin", (x0, y0))
+        for name in ("mu_max", "mu_min", "mu_support"):
+            set_field(self, name, checks.not_negative(name, getattr(self, name)))
+        tilt = checks.number("tilt", self.tilt)
+        if not abs(tilt) < math.pi / 4:
+            raise ValueError(f"tilt must be between -pi/4 and pi/4 (45 deg), got {self.tilt!r}")
+        set_field(self, "tilt", tilt)
+
+    @property
+    def rows(self) -> int:
+        """Number of elements across the line, in y."""
+        return int(self.axis.shape[0])
+
+    @property
+    def columns(self) -> int:
+        """Number of elements along the line, in x."""
+        return int(self.axis.shape[1])
+
+    @property
+    def x(self) -> NDArray[np.float64]:
+        """(columns,) [m] x of each column's centre."""
+        return self.origin[0] + self.pitch * np.arange(self.columns)
+
+    @property
+    def y(self) -> NDArray[np.float64]:
+        """(rows,) [m] y of each row's centre."""
+        return self.origin[1] + self.pitch * np.arange(self.rows)
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The surface as the compiled physics reads it."""
+        return Grid(
+            direction=np.stack([np.cos(self.axis), np.sin(self.axis)], axis=-1),
+            rotor=np.array(self.rotor),
+            x0=self.origin[0],
+            y0=self.origin[1],
+            pitch=self.pitch,
+            mu_max=self.mu_max,
+            mu_min=self.mu_min,
+            mu_support=self.mu_support,
+            gravity_along=GRAVITY * math.sin(self.tilt),
+            gravity_normal=GRAVITY * math.cos(self.tilt),
+        )
