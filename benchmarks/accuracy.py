@@ -26,7 +26,7 @@ class Scene:
 
 
 def draw_scene(rng: np.random.Generator) -> Scene:
-    """Every module's axis on its own, both boxes, tilts of 0-15 deg, spinning and sliding starts."""
+    """Every module's axis on its own, both boxes, tilts of 0-15 deg, sliding and spinning."""
     surface = sg.Surface(
         axis=rng.choice(AXES, size=(30, 60)),
         rotor=rng.random((30, 60)) < 0.8,

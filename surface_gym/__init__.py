@@ -1,4 +1,4 @@
-"""surface_gym: a smart surface that steers parcels by friction, as a simulator and an environment."""
+"""A smart surface that steers parcels by friction: the simulator and its environments."""
 
 from surface_gym import layouts
 from surface_gym.bases import Disc, Polygon, Rectangle

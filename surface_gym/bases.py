@@ -1,4 +1,4 @@
-"""Bases of a parcel: the area D = {F_lambda <= 0 for all lambda} of Section 3.2, in its own frame."""
+"""Bases of a parcel: the area D = {F_lambda <= 0} of Section 3.2, in its own frame."""
 
 import math
 from dataclasses import dataclass

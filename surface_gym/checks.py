@@ -1,4 +1,4 @@
-"""Checks of arguments where they enter: each error names the argument, the value, what is allowed."""
+"""Checks of arguments: each error names the argument, the value and what is allowed."""
 
 import math
 from collections.abc import Iterable

@@ -7,9 +7,9 @@ those that give its tables.
 """
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from surface_gym import checks
 from surface_gym.bases import Rectangle
@@ -36,9 +36,7 @@ def start(size: str) -> tuple[float, float, float]:
     return (box(size).base.reach / math.sqrt(2.0), LINE_Y, 0.0)
 
 
-def line(
-    task_axis: Sequence[Sequence[float]], size: str = "S", columns: int = 40, tilt: float = 0.0
-) -> Surface:
+def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float = 0.0) -> Surface:
     """A line of rotors with the task's columns after the lead-in.
 
     Args:

@@ -105,7 +105,7 @@ def simulate(
 def _times(duration: float, dt: float) -> NDArray[np.float64]:
     """Ends of the steps; a last one that would be shorter than 1e-6 dt is none."""
     whole = math.floor(duration / dt + 1e-6)
-    time = dt * np.arange(whole + 1)
+    time: Array = dt * np.arange(whole + 1, dtype=np.float64)
     return np.append(time, duration) if duration - time[-1] > 1e-6 * dt else time
 
 

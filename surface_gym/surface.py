@@ -73,12 +73,12 @@ class Surface:
     @property
     def x(self) -> NDArray[np.float64]:
         """(columns,) [m] x of each column's centre."""
-        return self.origin[0] + self.pitch * np.arange(self.columns)
+        return self.origin[0] + self.pitch * np.arange(self.columns, dtype=np.float64)
 
     @property
     def y(self) -> NDArray[np.float64]:
         """(rows,) [m] y of each row's centre."""
-        return self.origin[1] + self.pitch * np.arange(self.rows)
+        return self.origin[1] + self.pitch * np.arange(self.rows, dtype=np.float64)
 
     @cached_property
     def grid(self) -> Grid:

@@ -34,7 +34,7 @@ class _WholePackageCache(FunctionCache):
 # function is inlined into, which is what keeps `simulate`, the single and the vector env equal
 # to the bit. Nothing here allocates, so Numba's reference counts (_nrt) are left out as well:
 # they would cost more than the arithmetic.
-_OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
+_OPTIONS: Any = {"nogil": True, "error_model": "numpy", "_nrt": False}
 
 
 def compiled(function: Callable[..., Any]) -> Any:

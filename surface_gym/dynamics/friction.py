@@ -13,8 +13,8 @@ import math
 from surface_gym.dynamics.compiled import compiled, inlined
 from surface_gym.dynamics.types import Grid, Scratch
 
-# Phi is rounded (Huber) below this contact speed, a tenth of where the paper's tanh(5000 |V|) bends:
-# a parcel held on a slope creeps by less than this.
+# Phi is rounded (Huber) below this contact speed, a tenth of where the paper's tanh(5000 |V|)
+# bends: a parcel held on a slope creeps by less than this.
 ROUNDING = 1e-5  # [m/s]
 TOLERANCE = 1e-9  # [m/s] left of the optimality condition
 MAX_ITERATIONS = 100
