@@ -2,10 +2,15 @@
 
 from surface_gym import layouts
 from surface_gym.bases import Disc, Polygon, Rectangle
+from surface_gym.env import SmartSurfaceEnv
 from surface_gym.parcel import Parcel
+from surface_gym.registration import register
 from surface_gym.simulation import simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
+from surface_gym.vector_env import SmartSurfaceVectorEnv
+
+register()
 
 __version__ = "0.1.0"
 __all__ = [
@@ -13,6 +18,8 @@ __all__ = [
     "Parcel",
     "Polygon",
     "Rectangle",
+    "SmartSurfaceEnv",
+    "SmartSurfaceVectorEnv",
     "Surface",
     "Trajectory",
     "layouts",

@@ -77,7 +77,7 @@ def simulate(
     >>> trajectory.pose[-1].round(2)  # sorted to y < 0
     array([ 0.97,  0.48, -0.23])
     """
-    start = _start_state(
+    start = start_state(
         parcel, checks.array("pose", pose, (3,)), checks.array("velocity", velocity, (3,))
     )
     duration = checks.positive("duration", duration)
@@ -109,7 +109,7 @@ def _times(duration: float, dt: float) -> NDArray[np.float64]:
     return np.append(time, duration) if duration - time[-1] > 1e-6 * dt else time
 
 
-def _start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
+def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
     """State vector of the centre of mass."""
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     com_x, com_y = parcel.centre_of_mass

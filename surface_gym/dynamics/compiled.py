@@ -14,7 +14,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 def _source_digest() -> str:
     """Digest of every source file whose functions may be inlined into another's machine code."""
     digest = hashlib.sha256()
-    for folder in ("dynamics", "batch"):
+    for folder in ("dynamics", "lanes", "tasks", "batch"):
         for path in sorted((_PACKAGE / folder).glob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -24,7 +24,18 @@ _SOURCE_DIGEST = _source_digest()
 
 
 class _WholePackageCache(FunctionCache):
-    """Numba stamps a cached function with its own file only; callees in other files count too."""
+    """Numba's cache, with what it leaves out.
+
+    It stamps a function with its own file only, where callees in other files count too; and it
+    stumbles over a cache from before a class was moved, which holds nothing of use.
+    """
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except (ImportError, AttributeError):
+            self.flush()
+            return None
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         return (*super()._index_key(sig, codegen), _SOURCE_DIGEST)

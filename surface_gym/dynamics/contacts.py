@@ -29,11 +29,9 @@ def _turn_edges(body: Body, cosine: float, sine: float, bounds: Array) -> None:
 @inlined
 def _row_interval(body: Body, bounds: Array, dy: float) -> tuple[float, float]:
     """Ends of the base along the row at dy from the base's origin; the first exceeds if empty."""
-    high = body.radius + EDGE_TOLERANCE
+    reach = body.radius + EDGE_TOLERANCE
+    high = math.sqrt(max(0.0, reach * reach - dy * dy))
     low = -high
-    if body.edges.shape[0] == 0:
-        high = math.sqrt(max(0.0, high * high - dy * dy))
-        low = -high
     for k in range(body.edges.shape[0]):
         side = bounds[k, 2]
         bound = bounds[k, 0] + bounds[k, 1] * dy

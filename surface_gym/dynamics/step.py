@@ -89,16 +89,26 @@ def advance_explicit(
     state[AY] = ay
 
 
-@compiled
-def step_implicit(grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float) -> int:
-    """One implicit step. The contacts are those of the pose half a step on."""
+@inlined
+def take_step(grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float) -> tuple[int, int]:
+    """One implicit step: its report and how many contacts bore it, which `scratch` holds.
+
+    The contacts are those of the pose half a step on.
+    """
     contacts = find_support(grid, body, state, scratch, 0.5 * dt)
     if contacts == 0:
-        return OFF_SURFACE
+        return OFF_SURFACE, 0
     load_x, load_y = load_point(grid, body, state)
     tipping = dual_normal_forces(scratch, contacts, grid.gravity_normal, load_x, load_y, grid.pitch)
     advance_implicit(grid, body, state, scratch, contacts, dt)
-    return TIPPING if tipping else BALANCED
+    return (TIPPING if tipping else BALANCED), contacts
+
+
+@compiled
+def step_implicit(grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float) -> int:
+    """`take_step`, its report alone."""
+    report, _ = take_step(grid, body, state, scratch, dt)
+    return report
 
 
 @compiled

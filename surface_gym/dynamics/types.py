@@ -28,9 +28,9 @@ class Grid(NamedTuple):
 class Body(NamedTuple):
     """A parcel as the physics reads it. Mass cancels out of Eq. (1)-(4), so none is here."""
 
-    edges: Array  # (edges, 3) outward normal and distance: inside is n . p <= d; no rows for a disc
-    radius: float  # [m] of the circle around the base frame's origin that holds the base
-    com_x: float  # [m] centre of mass in the base frame
+    edges: Array  # (edges, 3) outward normal and distance from the centroid: inside is n . p <= d
+    radius: float  # [m] of the circle around the centroid that holds the base
+    com_x: float  # [m] centre of mass from the centroid, in the base frame
     com_y: float  # [m]
     com_height: float  # [m]
     gyration: float  # [m^2] inertia / mass

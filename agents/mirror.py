@@ -1,0 +1,70 @@
+"""Sorting to y < 0 is sorting to y > 0 seen in a mirror: what is learned for one does for both.
+
+The environment's Sort observation is mirrored already, so that the goal is y > 0; its last number
+is the asked side. The actions here are turned back into the world's.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+
+from surface_gym.actions import ActionKind
+
+SIDE = -1  # the observation's feature that holds the asked side
+
+
+def mirrored_orientations(orientations: tuple[float, ...]) -> NDArray[np.int64]:
+    """(choices,) index of each axis angle's mirror image, -angle, among the orientations [rad].
+
+    Raises:
+        ValueError: the mirror image of an angle is not on offer.
+    """
+    angles = np.array(orientations)
+    apart = np.abs(np.angle(np.exp(2j * (angles[:, np.newaxis] + angles)))) / 2.0
+    nearest = apart.argmin(axis=1)
+    if (apart[np.arange(len(angles)), nearest] > 1e-6).any():
+        raise ValueError(f"orientations must hold the mirror image of each, got {orientations}")
+    return nearest
+
+
+class ActionMirror:
+    """Turns actions chosen for y > 0 into those for y < 0.
+
+    Args:
+        kind: of the actions.
+        orientations: [rad] axis angles on offer.
+    """
+
+    def __init__(self, kind: ActionKind, orientations: tuple[float, ...]) -> None:
+        self._kind = kind
+        self._image = mirrored_orientations(orientations)
+
+    def __call__(self, actions: NDArray[np.int64], side: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Actions (lanes, ...) in the world, for the asked side (lanes,) of each lane."""
+        commands = self._kind.commands(actions, len(side))
+        image = self._kind.encode(self._image[self._kind.flip(commands)])
+        towards = (side > 0.0).reshape(-1, *[1] * (np.ndim(actions) - 1))
+        return np.where(towards, actions, image)
+
+
+class MirrorVecEnv(VecEnvWrapper):
+    """A VecEnv of Sort whose actions are those for y > 0 in every lane."""
+
+    def __init__(self, venv: VecEnv, mirror: ActionMirror) -> None:
+        super().__init__(venv)
+        self._mirror = mirror
+        self._side = np.ones(venv.num_envs, dtype=np.float32)
+
+    def reset(self) -> VecEnvObs:
+        observations = self.venv.reset()
+        self._side = observations[:, SIDE].copy()  # type: ignore[call-overload,index]
+        return observations
+
+    def step_async(self, actions: NDArray[np.int64]) -> None:
+        self.venv.step_async(self._mirror(actions, self._side))
+
+    def step_wait(self) -> VecEnvStepReturn:
+        observations, rewards, dones, infos = self.venv.step_wait()
+        self._side = observations[:, SIDE].copy()  # type: ignore[call-overload,index]
+        return observations, rewards, dones, infos

@@ -1,0 +1,86 @@
+"""Pictures of the sorting comparison."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon as Patch
+
+from agents.comparison import PARCELS, SIDES, SortRecord
+from surface_gym import plant
+from surface_gym.layouts import LINE_Y, box
+
+SHOWN_SPEEDS = (0.4, 0.6, 0.8, 1.2, 2.0)  # [m/s] one trajectory each
+_COLOURS = ("#440154", "#3b528b", "#21918c", "#5ec962", "#c9a227")
+
+
+def draw_trajectories(records: Sequence[SortRecord], file: Path) -> None:
+    """Trajectories to y > 0 by entry speed: a row of panels a controller, a column a parcel."""
+    controllers = list(dict.fromkeys(record.controller for record in records))
+    figure = Figure(figsize=(12.0, 3.4 * len(controllers)), layout="constrained")
+    panels = figure.subplots(
+        len(controllers), len(PARCELS), sharex=True, sharey=True, squeeze=False
+    )
+    for record in records:
+        panel = panels[controllers.index(record.controller), PARCELS.index(record.parcel)]
+        _draw_line(panel, record.parcel)
+        for speed, colour in zip(SHOWN_SPEEDS, _COLOURS, strict=True):
+            _draw_path(panel, record, speed, colour)
+        panel.set_title(
+            f"{record.controller}, {record.parcel}-box: sorts from {record.minimum_speed:.2f} m/s"
+        )
+    for panel in panels[-1]:
+        panel.set_xlabel("x [m]")
+    for panel in panels[:, 0]:
+        panel.set_ylabel("y [m]")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    figure.savefig(file, dpi=150)
+
+
+def _draw_line(panel: Axes, parcel: str) -> None:
+    """Rotors, supports and the zone that obeys."""
+    line = plant.line_for(box(parcel).base, None)
+    y, x = np.indices(line.rotor.shape) * plant.PITCH + plant.ORIGIN
+    first_row, rows, first, columns = line.zone
+    edge = plant.ORIGIN - plant.PITCH / 2.0
+    panel.axvspan(
+        edge + first * plant.PITCH,
+        edge + (first + columns) * plant.PITCH,
+        color="#eef2f7",
+        zorder=0,
+    )
+    panel.axhspan(
+        edge + first_row * plant.PITCH,
+        edge + (first_row + rows) * plant.PITCH,
+        color="#dde3ea",
+        zorder=0,
+    )
+    panel.plot(x[~line.rotor], y[~line.rotor], ".", color="#c3ccd6", markersize=1.5)
+    panel.plot(x[line.rotor], y[line.rotor], ".", color="#8795a5", markersize=4)
+    panel.set(xlim=(0.0, 2.2), ylim=(LINE_Y - 0.35, LINE_Y + 0.85), aspect="equal")
+
+
+def _draw_path(panel: Axes, record: SortRecord, speed: float, colour: str) -> None:
+    row = int(np.argmin(np.abs(record.speed - speed)))
+    start = row * len(SIDES) + SIDES.index(1)
+    path = record.path[start]
+    sorted_off = bool(record.success[row, SIDES.index(1)])
+    style: dict[str, Any] = {"color": colour, "linewidth": 1.6}
+    label = f"{speed:g} m/s"
+    panel.plot(path[:, 0], path[:, 1], label=label, linestyle="-" if sorted_off else ":", **style)
+    x, y, theta = path[-1]
+    outline = box(record.parcel).base.outline
+    turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
+    panel.add_patch(
+        Patch(
+            outline @ turn + (x, y),
+            fill=False,
+            edgecolor=colour,
+            linewidth=1.0,
+            linestyle="-" if sorted_off else ":",
+        )
+    )

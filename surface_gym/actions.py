@@ -1,0 +1,82 @@
+"""Kinds of action: their spaces, and what they say to the batch as commands."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from surface_gym import checks
+from surface_gym.batch.commands import HALVES, MODULES, MOST_LINE_ROWS
+
+KINDS = {"modules": MODULES, "halves": HALVES}
+
+
+@dataclass(frozen=True)
+class ActionKind:
+    """How an action sets the axes of a zone's modules.
+
+    Args:
+        name: "modules" or "halves".
+        choices: how many orientations are on offer.
+        columns: of the zone.
+
+    Raises:
+        ValueError: an unknown name.
+    """
+
+    name: str
+    choices: int
+    columns: int
+
+    def __post_init__(self) -> None:
+        checks.one_of("actions", self.name, KINDS)
+
+    @property
+    def number(self) -> int:
+        """Its place in `batch.commands`."""
+        return KINDS[self.name]
+
+    @property
+    def size(self) -> int:
+        """Numbers in a command."""
+        return {"modules": MOST_LINE_ROWS * self.columns, "halves": 2}[self.name]
+
+    def space(self) -> spaces.Space[Any]:
+        """What a policy chooses from."""
+        if self.name == "halves":
+            return spaces.Discrete(self.choices**2)
+        return spaces.MultiDiscrete(np.full(self.size, self.choices))
+
+    def commands(self, actions: Any, lanes: int) -> NDArray[np.int64]:
+        """Actions of all lanes as commands (lanes, size).
+
+        Raises:
+            ValueError: a wrong shape, not whole numbers, or out of range.
+        """
+        given = np.asarray(actions)
+        shape = (lanes,) if self.name == "halves" else (lanes, self.size)
+        most = self.choices**2 if self.name == "halves" else self.choices
+        if given.shape != shape:
+            raise ValueError(f"action must have the shape {shape[1:]} a lane, got {given.shape}")
+        if given.dtype.kind not in "iu":
+            raise ValueError(f"action must be whole numbers, got {given.dtype}: {actions!r}")
+        if given.min() < 0 or given.max() >= most:
+            raise ValueError(f"action must be between 0 and {most - 1}, got {actions!r}")
+        if self.name == "halves":
+            return np.stack(np.divmod(given, self.choices), axis=-1)
+        return given
+
+    def encode(self, commands: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Commands (lanes, size) as actions: the way back from `commands`."""
+        if self.name == "halves":
+            return commands[:, 0] * self.choices + commands[:, 1]
+        return commands
+
+    def flip(self, commands: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Commands (lanes, size) with the modules' places mirrored in y, choices as they are."""
+        if self.name == "halves":
+            return commands
+        grid = commands.reshape(-1, MOST_LINE_ROWS, self.columns)
+        return grid[:, ::-1].reshape(commands.shape)

@@ -1,0 +1,185 @@
+"""Sort: leave the line on the asked side, quickly."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from surface_gym import checks
+from surface_gym.dynamics.compiled import inlined
+from surface_gym.dynamics.types import GRAVITY
+from surface_gym.lanes.memory import (
+    COLUMNS,
+    FIRST_COLUMN,
+    HALF_LENGTH,
+    OFF_SURFACE,
+    PASSED,
+    ROWS,
+    RUNNING,
+    STALLED,
+    SUCCESS,
+    WRONG_SIDE,
+    Geometry,
+    Lanes,
+)
+from surface_gym.lanes.views import reach_along
+from surface_gym.layouts import LINE_Y, box
+from surface_gym.tasks.task import Feature, Start, parcel_option
+
+SIDE = 0  # column of `Lanes.goal`: +1 for y > 0, -1 for y < 0
+REACH = 0  # column of `Lanes.memory`: [m] the lateral reach at the last decision
+
+# The reward, term by term.
+TERMS = ("reach", "time", "success", "failure")
+REACH_REWARD = 2.0  # per metre of lateral reach gained
+REACH_ENOUGH = 0.6  # [m] reach beyond this earns nothing more
+TIME_REWARD = -0.3  # per second
+SUCCESS_REWARD = 1.0
+FAILURE_REWARD = -1.0
+
+# A parcel rolling along 45 deg axes loses speed at mu_min g / sqrt(2) along x and along y.
+ROLLING_LOSS = 0.01 * GRAVITY / math.sqrt(2.0)  # [m/s^2]
+STALL_SPEED = 1e-3  # [m/s] slower than this, friction has won on a flat surface
+HORIZON = 4.0  # [s] scale of the time observed
+
+FEATURES = (
+    Feature("lateral offset", -10.0, 10.0, "from the line's middle towards the asked side / 0.3 m"),
+    Feature("sine of theta", -1.0, 1.0, "positive if turned towards the asked side"),
+    Feature("cosine of theta", -1.0, 1.0, ""),
+    Feature("forward speed", -10.0, 10.0, "vx / 1 m/s - 1"),
+    Feature("lateral speed", -20.0, 20.0, "towards the asked side / 0.5 m/s"),
+    Feature("turning speed", -50.0, 50.0, "positive towards the asked side / 3 rad/s"),
+    Feature(
+        "size", -10.0, 100.0, "(half length - 0.175 m) / 0.05 m: -1 for the S-box, 1 for the B"
+    ),
+    Feature("clearance", -20.0, 20.0, "between the base and the line's rotors / 0.2 m"),
+    Feature("sine of phase x", -1.0, 1.0, "of the position within a pitch"),
+    Feature("cosine of phase x", -1.0, 1.0, ""),
+    Feature("sine of phase y", -1.0, 1.0, "towards the asked side"),
+    Feature("cosine of phase y", -1.0, 1.0, ""),
+    Feature("time", 0.0, 1000.0, "since the start / 4 s"),
+    Feature("distance into zone", -20.0, 20.0, "of the parcel's rear / 0.5 m"),
+    Feature("side", -1.0, 1.0, "the asked side: 1 for y > 0, -1 for y < 0"),
+)
+
+
+@dataclass(frozen=True)
+class Sort:
+    """Sort the parcel off the line to one side."""
+
+    slow_share: float = 0.5  # [-] of starts drawn from the low band, where sorting is hard
+    speeds: tuple[float, float] = (0.3, 2.7)  # [m/s] entry speed
+    slow_speeds: tuple[float, float] = (0.3, 1.1)  # [m/s] the low band
+
+    number = 0
+    features = FEATURES
+    terms = TERMS
+    options = ("speed", "parcel", "side")
+
+    def __post_init__(self) -> None:
+        checks.within("slow_share", self.slow_share, 0.0, 1.0)
+        for name in ("speeds", "slow_speeds"):
+            low, high = checks.array(name, getattr(self, name), (2,))
+            if not 0.0 < low <= high:
+                raise ValueError(f"{name} must be two rising positive speeds, got {(low, high)}")
+
+    def start(self, rng: np.random.Generator, options: dict[str, Any]) -> Start:
+        """Entry speed: a band by `slow_share`, uniform in it. Parcel and side: even odds."""
+        band, where, size, way = rng.random(4)
+        low, high = self.slow_speeds if band < self.slow_share else self.speeds
+        speed = low + (high - low) * where
+        parcel = box("S" if size < 0.5 else "B")
+        side = 1 if way < 0.5 else -1
+        if "speed" in options:
+            speed = checks.within("speed", options["speed"], 0.0, 5.0)
+        if "parcel" in options:
+            parcel = parcel_option(options["parcel"])
+        if "side" in options:
+            side = checks.one_of("side", options["side"], (1, -1))
+        half_length = float(-parcel.base.outline[:, 0].min())
+        return Start(parcel, (half_length, LINE_Y, 0.0), (speed, 0.0, 0.0), (float(side),))
+
+
+@inlined
+def _lateral_reach(y: float, vx: float, vy: float) -> float:
+    """[m] lateral offset the parcel can still get to, coasting: the offset, plus what the speed
+    it would keep on 45 deg axes covers against the rolling loss.
+    """
+    speed = max(0.0, 0.5 * (vx + vy) if vx > vy else vy)
+    return y + speed * speed / (2.0 * ROLLING_LOSS)
+
+
+@inlined
+def _score(lanes: Lanes, lane: int, geometry: Geometry) -> float:
+    side = lanes.goal[lane, SIDE]
+    truth = lanes.truth[lane]
+    y = side * (truth[1] - geometry.line_y)
+    return min(REACH_ENOUGH, _lateral_reach(y, truth[3], side * truth[4]))
+
+
+@inlined
+def begin(lanes: Lanes, lane: int, geometry: Geometry) -> None:
+    """Set the task's memory at a start."""
+    lanes.memory[lane, REACH] = _score(lanes, lane, geometry)
+
+
+@inlined
+def judge(
+    lanes: Lanes, lane: int, geometry: Geometry, period: float, on_rotors: bool, on_surface: bool
+) -> None:
+    """Write reward terms and outcome after a control period, from the true state."""
+    truth = lanes.truth[lane]
+    theta = truth[2]
+    zone_end = geometry.x0 + geometry.pitch * (
+        lanes.zone[lane, FIRST_COLUMN] + lanes.zone[lane, COLUMNS] - 0.5
+    )
+    speed = math.sqrt(truth[3] * truth[3] + truth[4] * truth[4])
+    outcome = RUNNING
+    if not on_surface:
+        outcome = OFF_SURFACE
+    elif not on_rotors:
+        towards = lanes.goal[lane, SIDE] * (truth[1] - geometry.line_y)
+        outcome = SUCCESS if towards > 0.0 else WRONG_SIDE
+    elif truth[0] - reach_along(lanes, lane, theta, -1.0, 0.0) > zone_end:
+        outcome = PASSED
+    elif speed + abs(truth[5]) * lanes.body[lane, HALF_LENGTH] < STALL_SPEED:
+        outcome = STALLED
+    reach = _score(lanes, lane, geometry)
+    terms = lanes.terms[lane]
+    terms[0] = REACH_REWARD * (reach - lanes.memory[lane, REACH])
+    terms[1] = TIME_REWARD * period
+    terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
+    terms[3] = FAILURE_REWARD if outcome > SUCCESS else 0.0
+    lanes.memory[lane, REACH] = reach
+    lanes.outcome[lane] = outcome
+
+
+@inlined
+def observe(lanes: Lanes, lane: int, geometry: Geometry) -> None:
+    """Write the observation from what the sensors say, mirrored so that the goal is y > 0."""
+    side = lanes.goal[lane, SIDE]
+    sensed = lanes.sensed[lane]
+    x, y, theta = sensed[0], sensed[1], sensed[2]
+    vx, vy, omega = sensed[3], sensed[4], sensed[5]
+    offset = side * (y - geometry.line_y)
+    turn = 2.0 * math.pi / geometry.pitch
+    half_line = 0.5 * geometry.pitch * (lanes.zone[lane, ROWS] - 1)
+    zone_start = geometry.x0 + geometry.pitch * (lanes.zone[lane, FIRST_COLUMN] - 0.5)
+    rear = x - reach_along(lanes, lane, theta, -1.0, 0.0)
+    see = lanes.observation[lane]
+    see[0] = offset / 0.3
+    see[1] = side * math.sin(theta)
+    see[2] = math.cos(theta)
+    see[3] = vx - 1.0
+    see[4] = side * vy / 0.5
+    see[5] = side * omega / 3.0
+    see[6] = (lanes.body[lane, HALF_LENGTH] - 0.175) / 0.05
+    see[7] = (offset - reach_along(lanes, lane, theta, 0.0, -side) - half_line) / 0.2
+    see[8] = math.sin(turn * (x - geometry.x0))
+    see[9] = math.cos(turn * (x - geometry.x0))
+    see[10] = math.sin(turn * offset)
+    see[11] = math.cos(turn * offset)
+    see[12] = lanes.clock[lane] / HORIZON
+    see[13] = (rear - zone_start) / 0.5
+    see[14] = side

@@ -1,0 +1,73 @@
+"""What every task has in common."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from surface_gym import checks
+from surface_gym.layouts import box
+from surface_gym.parcel import Parcel
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One number of an observation."""
+
+    name: str
+    low: float  # [-] it cannot be below
+    high: float  # [-] it cannot be above
+    meaning: str  # with the unit it is scaled by
+
+
+@dataclass(frozen=True)
+class Start:
+    """How an episode begins."""
+
+    parcel: Parcel
+    pose: tuple[float, float, float]  # [m, m, rad] of the base's frame
+    velocity: tuple[float, float, float]  # [m/s, m/s, rad/s]
+    goal: tuple[float, ...]  # the task's own, at most `lanes.memory.GOALS`
+
+
+class Task(Protocol):
+    """What the environment asks of a task. Its compiled half has the same name in the batch."""
+
+    @property
+    def number(self) -> int:
+        """Its place in `batch.judgement`."""
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """The observation."""
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """The reward's terms."""
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """What `reset(options=...)` may fix."""
+
+    def start(self, rng: np.random.Generator, options: dict[str, Any]) -> Start:
+        """Draw a start; an option takes the place of its draw."""
+
+
+def parcel_option(value: Any) -> Parcel:
+    """The parcel an option asks for: "S", "B" or a Parcel of one's own."""
+    if isinstance(value, Parcel):
+        return value
+    if value in ("S", "B"):
+        return box(value)
+    raise ValueError(f"parcel must be 'S', 'B' or a Parcel, got {value!r}")
+
+
+def check_options(options: dict[str, Any] | None, allowed: tuple[str, ...]) -> dict[str, Any]:
+    """The options, or an error that names the unknown one."""
+    if options is None:
+        return {}
+    if not isinstance(options, dict):
+        raise ValueError(f"options must be a dict or None, got {options!r}")
+    for name in options:
+        checks.one_of("options", name, allowed)
+    return options

@@ -1,0 +1,187 @@
+"""The native vector environment: many lanes in one batch."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from surface_gym import checks
+from surface_gym.lanes.memory import OUT_OF_TIME, OUTCOMES, RUNNING, SUCCESS
+from surface_gym.settings import ORIENTATIONS, Settings
+from surface_gym.tasks.task import Task, check_options
+
+Booleans = NDArray[np.bool_]
+Observations = NDArray[np.float32]
+
+_OUTCOME_NAMES = np.array(OUTCOMES, dtype=object)
+
+
+class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
+    """Lanes of `SmartSurfaceEnv`, moved together by compiled code; what `gym.make_vec` gives.
+
+    Lane i seeded s + i equals the single env seeded s + i to the bit. Arguments are those of
+    `SmartSurfaceEnv` and:
+
+    Args:
+        num_envs: number of lanes.
+        max_episode_steps: control periods after which a lane is truncated; None for no limit.
+        autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED.
+
+    `reset(options=...)` takes one dict for all lanes, or a sequence of one dict or None a lane.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 25}
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        task: str | Task = "sort",
+        actions: str = "modules",
+        control_period: float = 0.04,
+        zone: tuple[int, int] | None = None,
+        orientations: tuple[float, ...] = ORIENTATIONS,
+        render_mode: str | None = None,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    ) -> None:
+        self.num_envs = checks.integer("num_envs", num_envs, least=1)
+        if max_episode_steps is not None:
+            checks.integer("max_episode_steps", max_episode_steps, least=1)
+        if isinstance(autoreset_mode, str):
+            checks.one_of("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
+        self.render_mode = render_mode
+        self.settings = Settings(task, actions, control_period, zone, orientations)
+        self.single_observation_space = self.settings.observation_space()
+        self.single_action_space = self.settings.action_space()
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._task = self.settings.chosen_task
+        self._kind = self.settings.action_kind
+        self._batch = self.settings.make_batch(self.num_envs)
+        self._randoms: list[np.random.Generator | None] = [None] * self.num_envs
+        self._steps_left = np.zeros(self.num_envs, dtype=np.int64)
+        self._limit = np.iinfo(np.int64).max if max_episode_steps is None else max_episode_steps
+        self._started = False
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | Sequence[dict[str, Any] | None] | None = None,
+    ) -> tuple[Observations, dict[str, Any]]:
+        mask = np.ones(self.num_envs, dtype=np.bool_)
+        if isinstance(options, dict) and "reset_mask" in options:
+            mask = self._checked_mask(options["reset_mask"])
+            options = {name: value for name, value in options.items() if name != "reset_mask"}
+        elif not self._started and seed is None:
+            seed = int(np_random()[0].integers(2**31))
+        if not self._started and not mask.all():
+            raise gym.error.ResetNeeded(
+                "The first reset must be of every lane, without reset_mask."
+            )
+        seeds = self._seed_of_each(seed)
+        chosen = self._options_of_each(options)
+        for lane in np.nonzero(mask)[0].tolist():
+            if seeds[lane] is not None:
+                self._randoms[lane] = np_random(seeds[lane])[0]
+        for lane in np.nonzero(mask)[0].tolist():
+            self._reset_lane(lane, chosen[lane])
+        self._started = True
+        return self._batch.lanes.observation.copy(), self._infos(mask)
+
+    def step(
+        self, actions: Any
+    ) -> tuple[Observations, NDArray[np.float64], Booleans, Booleans, dict[str, Any]]:
+        if not self._started:
+            raise gym.error.ResetNeeded("Call reset before step.")
+        lanes = self._batch.lanes
+        ended = lanes.outcome != RUNNING
+        if self.autoreset_mode == AutoresetMode.DISABLED and ended.any():
+            raise gym.error.ResetNeeded(
+                f"Lanes {np.nonzero(ended)[0].tolist()} have ended: reset them with reset_mask."
+            )
+        self._batch.advance(self._kind.commands(actions, self.num_envs))
+        self._steps_left -= 1
+        lanes.outcome[(self._steps_left <= 0) & (lanes.outcome == RUNNING)] = OUT_OF_TIME
+        if ended.any():  # NEXT_STEP: this step is their reset
+            for lane in np.nonzero(ended)[0].tolist():
+                self._reset_lane(lane, {})
+        rewards = lanes.terms.sum(axis=1)
+        truncated = lanes.outcome == OUT_OF_TIME
+        terminated = lanes.outcome > OUT_OF_TIME
+        infos: dict[str, Any] = {}
+        over = truncated | terminated
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and over.any():
+            final = np.full(self.num_envs, None, dtype=object)
+            for lane in np.nonzero(over)[0].tolist():
+                final[lane] = lanes.observation[lane].copy()
+            infos = {
+                "final_obs": final,
+                "_final_obs": over.copy(),
+                "final_info": self._infos(over),
+                "_final_info": over.copy(),
+            }
+            for lane in np.nonzero(over)[0].tolist():
+                self._reset_lane(lane, {})
+        infos.update(self._infos(np.ones(self.num_envs, dtype=np.bool_)))
+        return lanes.observation.copy(), rewards, terminated, truncated, infos
+
+    def _reset_lane(self, lane: int, options: dict[str, Any]) -> None:
+        generator = self._randoms[lane]
+        if generator is None:
+            generator = self._randoms[lane] = np_random()[0]
+        self._batch.place(lane, self._task.start(generator, options))
+        self._steps_left[lane] = self._limit
+
+    def _infos(self, mask: Booleans) -> dict[str, Any]:
+        """Infos of the lanes in the mask, as Gymnasium lays them out: arrays and their masks."""
+        lanes = self._batch.lanes
+        terms = {name: lanes.terms[:, k].copy() for k, name in enumerate(self._task.terms)}
+        infos = {
+            "is_success": lanes.outcome == SUCCESS,
+            "outcome": _OUTCOME_NAMES[lanes.outcome],
+            "time": lanes.clock.copy(),
+            "pose": lanes.truth[:, :3].copy(),
+            "velocity": lanes.truth[:, 3:].copy(),
+            "reward_terms": {**terms, **{f"_{name}": mask.copy() for name in terms}},
+        }
+        return {**infos, **{f"_{name}": mask.copy() for name in infos}}
+
+    def _seed_of_each(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, (int, np.integer)):
+            return [int(seed) + lane for lane in range(self.num_envs)]
+        seeds = list(seed)
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed must be one number or {self.num_envs}, got {len(seeds)}")
+        return seeds
+
+    def _options_of_each(
+        self, options: dict[str, Any] | Sequence[dict[str, Any] | None] | None
+    ) -> list[dict[str, Any]]:
+        if options is None or isinstance(options, dict):
+            return [check_options(options, self._task.options)] * self.num_envs
+        if len(options) != self.num_envs:
+            raise ValueError(f"options must be one dict or {self.num_envs}, got {len(options)}")
+        return [check_options(choice, self._task.options) for choice in options]
+
+    def _checked_mask(self, mask: Any) -> Booleans:
+        if not (
+            isinstance(mask, np.ndarray)
+            and mask.dtype == np.bool_
+            and mask.shape == (self.num_envs,)
+            and mask.any()
+        ):
+            raise ValueError(
+                f"reset_mask must be a boolean array of shape ({self.num_envs},) "
+                f"with a True in it, got {mask!r}"
+            )
+        return mask
