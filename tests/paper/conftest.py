@@ -1,0 +1,9 @@
+import pytest
+
+from surface_gym.paper import Reproduction, reproduce
+
+
+@pytest.fixture(scope="session")
+def reproduction() -> Reproduction:
+    """Everything the paper tabulates, computed once for all tests of a worker."""
+    return reproduce()

@@ -1,0 +1,123 @@
+import json
+import subprocess
+import sys
+
+import pytest
+
+from surface_gym.paper import command
+
+FIGURES = ("figure7", "figure8", "figure10")
+
+
+@pytest.fixture
+def computed(monkeypatch, reproduction):
+    """The command with its numbers already computed."""
+    monkeypatch.setattr(command, "reproduce", lambda _track: reproduction)
+
+
+@pytest.fixture
+def forbidden(monkeypatch):
+    """The command with the work it must not begin."""
+
+    def reproduce(_track):
+        pytest.fail("worked before it looked whether the result can be written")
+
+    monkeypatch.setattr(command, "reproduce", reproduce)
+
+
+@pytest.mark.usefixtures("computed")
+def test_the_report_shows_every_table_and_count(reproduction, capsys):
+    command.main([])
+
+    out = capsys.readouterr().out
+    for table in reproduction.tables:
+        assert table.title in out
+    assert "38 of 40 at the paper's step" in out
+    assert "37 of 38 at the paper's step" in out
+    assert "S-box by tilt: 11 of 11, 11 of 11" in out
+    assert all(len(line) <= 80 for line in out.splitlines())
+
+
+@pytest.mark.usefixtures("computed")
+def test_json_holds_what_was_computed(reproduction, tmp_path):
+    file = tmp_path / "report.json"
+
+    command.main(["--json", str(file)])
+
+    report = json.loads(file.read_text("utf-8"))
+    assert list(report["tables"]) == [table.key for table in reproduction.tables]
+    for table in reproduction.tables:
+        written = report["tables"][table.key]
+        assert written["agree"]["paper_step"] == table.paper_step_agreeing
+        assert written["agree"]["converged"] == table.converged_agreeing
+        for cell, row in zip(table.cells, written["cells"], strict=True):
+            layout = isinstance(cell.paper_step, tuple)
+            assert row["paper_step"] == (list(cell.paper_step) if layout else cell.paper_step)
+            assert row["paper_step_agrees"] == cell.paper_step_agrees
+    rates = [case["converged"]["rate"] for case in report["sorting_rates"]["by_speed"]]
+    assert rates == [case.converged.rate for case in reproduction.sorted_by_speed]
+
+
+@pytest.mark.usefixtures("computed")
+def test_figures_are_drawn(tmp_path, capsys):
+    folder = tmp_path / "new" / "figures"
+
+    command.main(["--figures", str(folder)])
+
+    printed = capsys.readouterr().out
+    for name in FIGURES:
+        assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert (folder / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+        assert str(folder / f"{name}.png") in printed
+
+
+@pytest.mark.usefixtures("forbidden")
+@pytest.mark.parametrize("option", ["--json", "--figures"])
+def test_a_path_that_cannot_be_written_is_told_before_the_work(option, tmp_path):
+    file = tmp_path / "file"
+    file.touch()
+
+    with pytest.raises(SystemExit, match=r"cannot write .*below"):
+        command.main([option, str(file / "below")])
+
+
+@pytest.mark.usefixtures("forbidden")
+def test_a_folder_is_no_json_file(tmp_path):
+    with pytest.raises(SystemExit, match="cannot write"):
+        command.main(["--json", str(tmp_path)])
+
+
+@pytest.mark.usefixtures("forbidden")
+def test_an_unknown_option_is_refused(capsys):
+    with pytest.raises(SystemExit) as stop:
+        command.main(["--tables"])
+
+    assert stop.value.code == 2
+    assert "--tables" in capsys.readouterr().err
+
+
+def test_help_names_the_options(capsys):
+    with pytest.raises(SystemExit) as stop:
+        command.main(["--help"])
+
+    assert stop.value.code == 0
+    out = capsys.readouterr().out
+    assert "--figures DIR" in out
+    assert "--json FILE" in out
+
+
+@pytest.mark.parametrize("missing", ["matplotlib", "rich", "tyro"])
+def test_a_missing_library_is_told_in_one_line(missing, tmp_path):
+    program = (
+        f"import runpy, sys; sys.modules[{missing!r}] = None; "
+        f"sys.argv = ['paper', '--figures', {str(tmp_path)!r}]; "
+        "runpy.run_module('surface_gym.paper', run_name='__main__')"
+    )
+
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == [
+        f"python -m surface_gym.paper needs {missing}, which is not installed: "
+        'pip install "surface_gym[agents]"'
+    ]
