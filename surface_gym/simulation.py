@@ -7,6 +7,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
+from surface_gym.dynamics.entries import (
+    advance_explicit,
+    advance_implicit,
+    find_support,
+    load_point,
+)
 from surface_gym.dynamics.memory import make_scratch
 from surface_gym.dynamics.run import run_explicit, run_implicit
 from surface_gym.dynamics.step import (
@@ -14,10 +20,6 @@ from surface_gym.dynamics.step import (
     OFF_SURFACE,
     STOPPED,
     TIPPING,
-    advance_explicit,
-    advance_implicit,
-    find_support,
-    load_point,
 )
 from surface_gym.dynamics.types import (
     OMEGA,
@@ -188,7 +190,7 @@ def _reference_step(
         return OFF_SURFACE
     arms = np.column_stack([scratch.arm_x[:contacts], scratch.arm_y[:contacts]])
     load = np.array(load_point(grid, body, state))
-    normal, degenerate = solve(arms, grid.gravity_normal, load)
+    normal, degenerate = solve(arms, grid.gravity_normal, load, scratch.stiffness[:contacts])
     scratch.normal[:contacts] = normal
     advance = advance_explicit if explicit else advance_implicit
     advance(grid, body, state, scratch, contacts, dt)

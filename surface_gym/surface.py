@@ -36,6 +36,8 @@ class Surface:
     mu_min: float = 0.01  # [-] friction across it
     mu_support: float = 0.005  # [-] friction of a support, against the motion
     tilt: float = 0.0  # [rad] gamma, downhill towards +x
+    # (rows, columns) [-] how stiff an element is against the others; None: all the same, as Eq. (1)
+    stiffness: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         axis = checks.array("axis", self.axis, (None, None))
@@ -47,6 +49,11 @@ class Surface:
         if rotor.shape != axis.shape:
             raise ValueError(f"rotor must have the shape of axis, {axis.shape}, got {rotor.shape}")
         rotor.setflags(write=False)
+        if self.stiffness is not None:
+            stiffness = checks.array("stiffness", self.stiffness, axis.shape)
+            if stiffness.min() <= 0.0:
+                raise ValueError(f"stiffness must be greater than 0, got {stiffness.min()} in it")
+            object.__setattr__(self, "stiffness", stiffness)
         x0, y0 = checks.array("origin", self.origin, (2,)).tolist()
         set_field = object.__setattr__
         set_field(self, "axis", axis)
@@ -86,6 +93,7 @@ class Surface:
         return Grid(
             direction=np.stack([np.cos(self.axis), np.sin(self.axis)], axis=-1),
             rotor=np.array(self.rotor),
+            stiffness=np.ones(self.axis.shape) if self.stiffness is None else self.stiffness.copy(),
             x0=self.origin[0],
             y0=self.origin[1],
             pitch=self.pitch,

@@ -3,7 +3,7 @@
 from surface_gym.batch import judgement
 from surface_gym.batch.commands import obey
 from surface_gym.dynamics.compiled import compiled, inlined
-from surface_gym.dynamics.step import OFF_SURFACE, take_step
+from surface_gym.dynamics.step import OFF_SURFACE, step_implicit
 from surface_gym.dynamics.types import Array, Scratch
 from surface_gym.lanes.memory import RUNNING, Geometry, Lanes, Timing
 from surface_gym.lanes.views import body_of, grid_of, read_truth, scratch_of
@@ -54,7 +54,7 @@ def advance_lanes(
         on_surface = True
         on_rotors = True
         for _ in range(timing.steps):
-            report, contacts = take_step(grid, body, state, scratch, timing.dt)
+            report, contacts = step_implicit(grid, body, state, scratch, timing.dt)
             if report >= OFF_SURFACE:
                 on_surface = False
                 break

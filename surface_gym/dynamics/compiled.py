@@ -56,7 +56,9 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 
 def inlined(function: Callable[..., Any]) -> Any:
-    """Compile a function into each of its compiled callers, arrays and all kept in registers."""
-    dispatcher = njit(cache=True, forceinline=True, **_OPTIONS)(function)
-    dispatcher._cache = _WholePackageCache(function)
-    return dispatcher
+    """Compile a function into each of its compiled callers, arrays and all kept in registers.
+
+    It is not cached: what Numba loads from a cache it calls instead of inlining, which doubles
+    the time of a step. Python enters such functions by `dynamics.entries`.
+    """
+    return njit(forceinline=True, **_OPTIONS)(function)

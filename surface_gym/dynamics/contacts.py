@@ -81,5 +81,6 @@ def find_contacts(
             scratch.axis_x[contacts] = grid.direction[row, column, 0]
             scratch.axis_y[contacts] = grid.direction[row, column, 1]
             scratch.rotor[contacts] = grid.rotor[row, column]
+            scratch.stiffness[contacts] = grid.stiffness[row, column]
             contacts += 1
     return contacts

@@ -18,6 +18,7 @@ def make_scratch(grid: Grid, body: Body) -> Scratch:
         axis_x=np.zeros(capacity),
         axis_y=np.zeros(capacity),
         rotor=np.zeros(capacity, dtype=np.bool_),
+        stiffness=np.zeros(capacity),
         normal=np.zeros(capacity),
         edges=np.zeros(body.edges.shape),
         slide=np.zeros((capacity, 4)),

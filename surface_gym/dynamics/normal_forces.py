@@ -1,7 +1,8 @@
 """Normal forces, Eq. (1), by its dual: three unknowns however many contacts there are.
 
 The minimiser of |N|^2 under vertical and moment balance with N >= 0 is a pressure plane cut off
-at zero, N_i = max(0, c + cx x_i + cy y_i). The upper bound m g cos(gamma) of Eq. (1) follows from
+at zero, N_i = max(0, c + cx x_i + cy y_i). Elements of unequal stiffness k_i weigh the squares,
+sum N_i^2 / k_i, and then N_i = k_i max(0, c + cx x_i + cy y_i). The upper bound m g cos(gamma) of Eq. (1) follows from
 vertical balance and N >= 0, so it never binds on its own. Forces are per unit mass throughout.
 """
 
@@ -23,7 +24,7 @@ def dual_normal_forces(
     """Solve Eq. (1) into `scratch.normal` by a semismooth Newton on its dual.
 
     Args:
-        scratch: arms of the contacts in, normal forces out.
+        scratch: arms and stiffnesses of the contacts in, normal forces out.
         contacts: their number, at least one.
         weight: [m/s^2] normal load / mass.
         load_x: [m] where the load acts, from the centre of mass.
@@ -37,7 +38,7 @@ def dual_normal_forces(
     slack = SLACK * pitch * pitch
     for i in range(contacts):
         scratch.normal[i] = 1.0
-    # From the uniform pressure, which loads every contact, to the plane that balances the load on
+    # From a uniform pressure, which loads every contact, to the plane that balances the load on
     # the contacts now loaded, and again until that lifts or loads none.
     c, cx, cy = weight / contacts, 0.0, 0.0
     new_c, new_cx, new_cy = c, cx, cy
@@ -48,7 +49,7 @@ def dual_normal_forces(
         trial_c = c + step * (new_c - c)
         trial_cx = cx + step * (new_cx - cx)
         trial_cy = cy + step * (new_cy - cy)
-        # Sums of 1, x, y, x^2, x y and y^2 over the loaded contacts.
+        # Sums of k, k x, k y, k x^2, k x y and k y^2 over the loaded contacts.
         s = sx = sy = sxx = sxy = syy = 0.0
         changes = 0
         for i in range(contacts):
@@ -57,14 +58,17 @@ def dual_normal_forces(
             pressure = trial_c + trial_cx * x + trial_cy * y
             loaded = pressure > 0.0
             changes += loaded != (scratch.normal[i] > 0.0)
-            scratch.normal[i] = pressure if loaded else 0.0
+            k = scratch.stiffness[i]
+            scratch.normal[i] = k * pressure if loaded else 0.0
             if loaded:
-                s += 1.0
-                sx += x
-                sy += y
-                sxx += x * x
-                sxy += x * y
-                syy += y * y
+                kx = k * x
+                ky = k * y
+                s += k
+                sx += kx
+                sy += ky
+                sxx += kx * x
+                sxy += kx * y
+                syy += ky * y
         if step == 1.0 and changes == 0:
             break
         quadratic = (

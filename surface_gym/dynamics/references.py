@@ -1,7 +1,7 @@
 """Eq. (1) by general solvers: slow, and written apart from the dual, to hold it against.
 
 All take arms (n, 2) [m] from the centre of mass to the contacts, the normal load [m/s^2] per unit
-mass, and the point (2,) [m] where it acts, and return normal forces (n,) [m/s^2] and whether the
+mass, the point (2,) [m] where it acts, and the contacts' stiffnesses (n,) [-], and return normal forces (n,) [m/s^2] and whether the
 set is degenerate (see `dual_normal_forces`).
 """
 
@@ -14,7 +14,7 @@ from scipy import sparse
 from scipy.optimize import nnls
 
 Array = NDArray[np.float64]
-Solver = Callable[[Array, float, Array], tuple[Array, bool]]
+Solver = Callable[[Array, float, Array, Array], tuple[Array, bool]]
 
 _MISS = 1e-6  # [of the arms' scale] moment left over that makes a set degenerate
 
@@ -32,27 +32,34 @@ def _is_degenerate(matrix: Array, target: Array, share: Array) -> bool:
     return bool(len(share) < 3 or flat or np.abs(matrix[1:] @ share - target[1:]).max() > _MISS)
 
 
-def scipy_normal_forces(arms: Array, weight: float, load: Array) -> tuple[Array, bool]:
+def scipy_normal_forces(
+    arms: Array, weight: float, load: Array, stiffness: Array | None = None
+) -> tuple[Array, bool]:
     """By SciPy's active-set `nnls`: the balance as heavy rows over the identity."""
     matrix, target, _ = _balance(arms, load)
     heavy = np.array([1e6, 1e4, 1e4])[:, np.newaxis]
-    system = np.vstack([heavy * matrix, np.eye(len(arms))])
-    share, _ = nnls(system, np.concatenate([heavy[:, 0] * target, np.zeros(len(arms))]))
+    root = np.ones(len(arms)) if stiffness is None else np.sqrt(stiffness)
+    system = np.vstack([heavy * matrix * root, np.eye(len(arms))])
+    scaled, _ = nnls(system, np.concatenate([heavy[:, 0] * target, np.zeros(len(arms))]))
+    share = root * scaled
     degenerate = _is_degenerate(matrix, target, share)
     return weight * share / share.sum(), degenerate
 
 
-def osqp_normal_forces(arms: Array, weight: float, load: Array) -> tuple[Array, bool]:
+def osqp_normal_forces(
+    arms: Array, weight: float, load: Array, stiffness: Array | None = None
+) -> tuple[Array, bool]:
     """By OSQP, to the letter of Eq. (1); where that is infeasible, moments as near as they come."""
     matrix, target, _ = _balance(arms, load)
     n = len(arms)
     rows = sparse.csc_matrix(np.vstack([matrix, np.eye(n)]))
     low = np.concatenate([target, np.zeros(n)])
     high = np.concatenate([target, np.ones(n)])
-    share = _osqp(sparse.identity(n, format="csc"), np.zeros(n), rows, low, high)
+    cost = np.eye(n) if stiffness is None else np.diag(stiffness.mean() / stiffness)
+    share = _osqp(sparse.csc_matrix(cost), np.zeros(n), rows, low, high)
     if share is None or _is_degenerate(matrix, target, share):
         moments = matrix[1:]
-        stiff = sparse.csc_matrix(np.triu(1e8 * moments.T @ moments + np.eye(n)))
+        stiff = sparse.csc_matrix(np.triu(1e8 * moments.T @ moments + cost))
         rows = sparse.csc_matrix(np.vstack([matrix[:1], np.eye(n)]))
         share = _osqp(
             stiff,

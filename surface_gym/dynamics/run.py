@@ -20,7 +20,7 @@ def run_implicit(
     for k in range(1, states.shape[0]):
         for j in range(STATE_SIZE):
             states[k, j] = states[k - 1, j]
-        reports[k] = step_implicit(grid, body, states[k], scratch, dt)
+        reports[k], _ = step_implicit(grid, body, states[k], scratch, dt)
         if reports[k] >= OFF_SURFACE:
             return k - 1
     return states.shape[0] - 1
@@ -34,7 +34,7 @@ def run_explicit(
     for k in range(1, states.shape[0]):
         for j in range(STATE_SIZE):
             states[k, j] = states[k - 1, j]
-        reports[k] = step_explicit(grid, body, states[k], scratch, dt)
+        reports[k], _ = step_explicit(grid, body, states[k], scratch, dt)
         if reports[k] >= OFF_SURFACE:
             return k - 1
     return states.shape[0] - 1

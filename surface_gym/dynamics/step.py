@@ -1,6 +1,6 @@
 """One step of a parcel on a surface: what every caller of the physics calls."""
 
-from surface_gym.dynamics.compiled import compiled, inlined
+from surface_gym.dynamics.compiled import inlined
 from surface_gym.dynamics.contacts import find_contacts
 from surface_gym.dynamics.explicit import explicit_acceleration
 from surface_gym.dynamics.friction import implicit_velocity
@@ -90,7 +90,9 @@ def advance_explicit(
 
 
 @inlined
-def take_step(grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float) -> tuple[int, int]:
+def step_implicit(
+    grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
+) -> tuple[int, int]:
     """One implicit step: its report and how many contacts bore it, which `scratch` holds.
 
     The contacts are those of the pose half a step on.
@@ -104,22 +106,17 @@ def take_step(grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float)
     return (TIPPING if tipping else BALANCED), contacts
 
 
-@compiled
-def step_implicit(grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float) -> int:
-    """`take_step`, its report alone."""
-    report, _ = take_step(grid, body, state, scratch, dt)
-    return report
-
-
-@compiled
-def step_explicit(grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float) -> int:
+@inlined
+def step_explicit(
+    grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
+) -> tuple[int, int]:
     """One step of the paper's loop, Figure 5a, its stopping rule included."""
     if state[VX] <= 0.0 and grid.gravity_along == 0.0:
-        return STOPPED
+        return STOPPED, 0
     contacts = find_support(grid, body, state, scratch, 0.0)
     if contacts == 0:
-        return OFF_SURFACE
+        return OFF_SURFACE, 0
     load_x, load_y = load_point(grid, body, state)
     tipping = dual_normal_forces(scratch, contacts, grid.gravity_normal, load_x, load_y, grid.pitch)
     advance_explicit(grid, body, state, scratch, contacts, dt)
-    return TIPPING if tipping else BALANCED
+    return (TIPPING if tipping else BALANCED), contacts

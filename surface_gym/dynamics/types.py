@@ -15,6 +15,7 @@ class Grid(NamedTuple):
 
     direction: Array  # (rows, columns, 2) cosine and sine of each rotor axis
     rotor: NDArray[np.bool_]  # (rows, columns) a rotor, else a support
+    stiffness: Array  # (rows, columns) [-] of an element against the others; what Eq. (1) weighs by
     x0: float  # [m] centre of element [0, 0]
     y0: float  # [m]
     pitch: float  # [m]
@@ -44,6 +45,7 @@ class Scratch(NamedTuple):
     axis_x: Array  # (capacity,) cosine of the rotor axis under the contact
     axis_y: Array  # (capacity,) sine
     rotor: NDArray[np.bool_]  # (capacity,) a rotor, else a support
+    stiffness: Array  # (capacity,) [-]
     normal: Array  # (capacity,) [m/s^2] normal force / mass
     edges: Array  # (edges, 3) the base's edges as bounds on x along a row of the grid
     slide: Array  # (capacity, 4) a line search's contact velocities and their slopes

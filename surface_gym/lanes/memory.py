@@ -42,6 +42,7 @@ class Lanes(NamedTuple):
     clock: Array  # (lanes,) [s] since the start
     axis: Array  # (lanes, rows, columns, 2) cosine and sine of each rotor axis
     rotor: NDArray[np.bool_]  # (lanes, rows, columns)
+    stiffness: Array  # (lanes, rows, columns) [-]
     surface: Array  # (lanes, 5) friction coefficients [-], gravity along and normal [m/s^2]
     body: Array  # (lanes, 6) [m] radius, centre of mass x, y, height; gyration [m^2]; half length
     edges: Array  # (lanes, edges, 3) of the base, padded with edges that never bound
@@ -82,6 +83,7 @@ def make_lanes(
         clock=np.zeros(lanes),
         axis=np.zeros((lanes, rows, columns, 2)),
         rotor=np.zeros((lanes, rows, columns), dtype=np.bool_),
+        stiffness=np.ones((lanes, rows, columns)),
         surface=np.zeros((lanes, 5)),
         body=np.zeros((lanes, 6)),
         edges=np.zeros((lanes, edges, 3)),
@@ -104,6 +106,7 @@ def make_batch_scratch(threads: int, contacts: int, edges: int) -> Scratch:
         axis_x=np.zeros((threads, contacts)),
         axis_y=np.zeros((threads, contacts)),
         rotor=np.zeros((threads, contacts), dtype=np.bool_),
+        stiffness=np.zeros((threads, contacts)),
         normal=np.zeros((threads, contacts)),
         edges=np.zeros((threads, edges, 3)),
         slide=np.zeros((threads, contacts, 4)),

@@ -26,6 +26,7 @@ def grid_of(lanes: Lanes, lane: int, geometry: Geometry) -> Grid:
     return Grid(
         lanes.axis[lane],
         lanes.rotor[lane],
+        lanes.stiffness[lane],
         geometry.x0,
         geometry.y0,
         geometry.pitch,
@@ -59,6 +60,7 @@ def scratch_of(scratch: Scratch, thread: int) -> Scratch:
         scratch.axis_x[thread],
         scratch.axis_y[thread],
         scratch.rotor[thread],
+        scratch.stiffness[thread],
         scratch.normal[thread],
         scratch.edges[thread],
         scratch.slide[thread],

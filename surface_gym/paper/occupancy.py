@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from surface_gym import layouts
 from surface_gym.dynamics.compiled import compiled
-from surface_gym.dynamics.contacts import find_contacts
+from surface_gym.dynamics.entries import find_contacts
 from surface_gym.dynamics.memory import make_scratch
 from surface_gym.dynamics.types import Array, Body, Grid, Scratch
 from surface_gym.surface import Surface

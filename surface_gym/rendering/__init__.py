@@ -1,0 +1,25 @@
+"""Drawing: a `Scene` in, a picture out. Only this package imports pygame."""
+
+import os
+
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # standard output belongs to the caller
+
+from surface_gym.rendering.painter import Painter, draw
+from surface_gym.rendering.scene import ExitSide, ExitSpeed, Goal, Heading, Path, Scene, StopLine
+from surface_gym.rendering.tiles import TilePainter, draw_tiles
+from surface_gym.rendering.window import Window
+
+__all__ = [
+    "ExitSide",
+    "ExitSpeed",
+    "Goal",
+    "Heading",
+    "Painter",
+    "Path",
+    "Scene",
+    "StopLine",
+    "TilePainter",
+    "Window",
+    "draw",
+    "draw_tiles",
+]

@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+
+from surface_gym.rendering.palette import axis_colours
+
+FOUR = np.radians([0.0, 45.0, -45.0, 90.0])
+
+# What a dichromat sees of linear RGB: Vienot, Brettel and Mollon (1999), Color Res. Appl. 24:243.
+RGB_TO_LMS = np.array(
+    [[17.8824, 43.5161, 4.11935], [3.45565, 27.1554, 3.86714], [0.0299566, 0.184309, 1.46709]]
+)
+SEEN = {
+    "all colours": np.eye(3),
+    "no red": np.array([[0.0, 2.02344, -2.52581], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+    "no green": np.array([[1.0, 0.0, 0.0], [0.494207, 0.0, 1.24827], [0.0, 0.0, 1.0]]),
+}
+RGB_TO_XYZ = np.array(
+    [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+)
+
+
+def cielab(srgb, cones):
+    """CIELAB of colours as an eye with these cones sees them."""
+    part = np.asarray(srgb) / 255.0
+    linear = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
+    seen = linear @ (np.linalg.inv(RGB_TO_LMS) @ cones @ RGB_TO_LMS).T
+    xyz = np.clip(seen, 0.0, 1.0) @ RGB_TO_XYZ.T / RGB_TO_XYZ.sum(axis=1)
+    f = np.where(xyz > (6 / 29) ** 3, np.cbrt(xyz), xyz * (29 / 6) ** 2 / 3 + 4 / 29)
+    x, y, z = np.moveaxis(f, -1, 0)
+    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
+
+
+@pytest.mark.parametrize("eye", SEEN)
+def test_the_four_orientations_differ_clearly_to_every_eye(eye):
+    lab = cielab(axis_colours(FOUR), SEEN[eye])
+    apart = np.linalg.norm(lab[:, np.newaxis] - lab, axis=-1)[np.triu_indices(4, 1)]
+    assert apart.min() > 25.0  # 2.3 is a just noticeable difference
+
+
+def test_half_a_turn_is_the_same_orientation():
+    angles = np.linspace(-np.pi, np.pi, 50)
+    np.testing.assert_array_equal(axis_colours(angles), axis_colours(angles + np.pi))
+
+
+def test_colours_change_gradually_all_the_way_round():
+    colours = axis_colours(np.radians(np.arange(0, 181))).astype(int)
+    assert np.abs(np.diff(colours, axis=0)).max() <= 5
