@@ -1,4 +1,4 @@
-"""Inlined functions of the physics for callers in Python: the same source, compiled to stand alone."""
+"""Inlined functions of the physics for callers in Python: the same source, standing alone."""
 
 from surface_gym.dynamics import contacts, explicit, friction, normal_forces, step
 from surface_gym.dynamics.compiled import compiled

@@ -2,8 +2,9 @@
 
 The minimiser of |N|^2 under vertical and moment balance with N >= 0 is a pressure plane cut off
 at zero, N_i = max(0, c + cx x_i + cy y_i). Elements of unequal stiffness k_i weigh the squares,
-sum N_i^2 / k_i, and then N_i = k_i max(0, c + cx x_i + cy y_i). The upper bound m g cos(gamma) of Eq. (1) follows from
-vertical balance and N >= 0, so it never binds on its own. Forces are per unit mass throughout.
+sum N_i^2 / k_i, and then N_i = k_i max(0, c + cx x_i + cy y_i). The upper bound m g cos(gamma) of
+Eq. (1) follows from vertical balance and N >= 0, so it never binds on its own. Forces are per unit
+mass throughout.
 """
 
 from surface_gym.dynamics.compiled import inlined

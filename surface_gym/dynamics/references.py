@@ -1,8 +1,8 @@
 """Eq. (1) by general solvers: slow, and written apart from the dual, to hold it against.
 
 All take arms (n, 2) [m] from the centre of mass to the contacts, the normal load [m/s^2] per unit
-mass, the point (2,) [m] where it acts, and the contacts' stiffnesses (n,) [-], and return normal forces (n,) [m/s^2] and whether the
-set is degenerate (see `dual_normal_forces`).
+mass, the point (2,) [m] where it acts, and the contacts' stiffnesses (n,) [-]; and return normal
+forces (n,) [m/s^2] and whether the set is degenerate (see `dual_normal_forces`).
 """
 
 from collections.abc import Callable

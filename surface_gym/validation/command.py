@@ -1,0 +1,80 @@
+"""`python -m surface_gym.validation`."""
+
+import json as json_format
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from surface_gym import checks
+from surface_gym.validation import cases
+from surface_gym.validation.export import as_data
+from surface_gym.validation.report import show
+from surface_gym.validation.scene import load_mujoco
+from surface_gym.validation.study import carry_out
+
+
+@dataclass(frozen=True)
+class Options:
+    """Compare the analytic model with MuJoCo, as Section 6 of the paper does with Adams.
+
+    Prints Table 7 for Adams as printed and for MuJoCo, from which tilt the sort completes, how far
+    MuJoCo itself has converged, and how fast each method is. Takes about a minute on two cores.
+    """
+
+    figures: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Draw the content of Figures 12 to 16 into this folder, as PNG."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Write every number to this file."""
+    heights: bool = False
+    """Study supports that differ by micrometres in height, or in stiffness, as well."""
+    workers: int = os.cpu_count() or 1
+    """Processes that run at once."""
+    tilts: tuple[float, ...] = cases.TILTS
+    """Tilts of the sweep [deg], within Table 5's 5 to 15."""
+    seed: int = 0
+    """Of the drawn supports."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command; an error ends it with one line and status 2."""
+    options = tyro.cli(
+        Options,
+        prog="python -m surface_gym.validation",
+        args=arguments,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+    try:
+        compare(options)
+    except (ValueError, RuntimeError, OSError, ImportError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+def compare(options: Options) -> None:
+    """Check the options, run the comparison, print it and write the files asked for."""
+    checks.integer("workers", options.workers, least=1)
+    checks.integer("seed", options.seed, least=0)
+    if not options.tilts:
+        raise ValueError("tilts must be at least one, got none")
+    for tilt in options.tilts:
+        checks.within("tilts", tilt, 5.0, 15.0)
+    load_mujoco()
+    if options.figures is not None:
+        options.figures.mkdir(parents=True, exist_ok=True)
+        from surface_gym.validation.figures import draw_all
+    if options.json is not None:
+        options.json.open("a").close()  # fails now rather than after the runs
+    progress = Console(stderr=True)
+    study = carry_out(options.tilts, options.heights, options.workers, options.seed, progress)
+    show(study, Console())
+    if options.json is not None:
+        options.json.write_text(json_format.dumps(as_data(study), indent=2) + "\n", "utf-8")
+    if options.figures is not None:
+        for path in draw_all(study, options.figures):
+            print(path)

@@ -1,0 +1,99 @@
+"""The whole comparison: what runs, and what comes of it."""
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+
+from rich.console import Console
+
+from surface_gym.validation import convergence, speed, unevenness
+from surface_gym.validation.cases import EXPLICIT, IMPLICIT, LONG, PUSHED, Case, Run, run
+from surface_gym.validation.comparison import (
+    Errors,
+    Summary,
+    Target,
+    errors,
+    sorts_from,
+    targets,
+)
+from surface_gym.validation.parallel import run_all
+
+DRAWS = 20  # surfaces for each unevenness
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """MuJoCo beside the analytic model, as `python -m surface_gym.validation` reports it."""
+
+    sweep: tuple[Run, ...]  # a run a tilt
+    pushed: Run  # v0 = 0.9 m/s on the level
+    long: Run  # Figure 12c
+    convergence: tuple[convergence.Variant, ...]
+    speeds: tuple[speed.Speed, ...]
+    spreads: tuple[unevenness.Spread, ...]  # empty if not asked for
+
+    @property
+    def implicit(self) -> Errors:
+        """Of the tilts."""
+        return errors(self.sweep, lambda run: run.implicit)
+
+    @property
+    def explicit(self) -> Errors:
+        """Of the tilts."""
+        return errors(self.sweep, lambda run: run.explicit)
+
+    @property
+    def summaries(self) -> tuple[Summary, Summary]:
+        """Table 7 against `implicit` and against `explicit`."""
+        return (
+            self.implicit.summary(f"MuJoCo / implicit, {1e3 * IMPLICIT.dt:g} ms"),
+            self.explicit.summary(f"MuJoCo / explicit, {1e3 * EXPLICIT.dt:g} ms"),
+        )
+
+    @property
+    def targets(self) -> tuple[Target, ...]:
+        return targets(self.implicit, errors([self.pushed], lambda run: run.implicit))
+
+    @property
+    def sorts_from(self) -> dict[str, float | None]:
+        """[deg] the least tilt from which on the sort completes, by method."""
+        return {
+            "MuJoCo": sorts_from(self.sweep, lambda run: run.mujoco),
+            "implicit": sorts_from(self.sweep, lambda run: run.implicit),
+            "explicit": sorts_from(self.sweep, lambda run: run.explicit),
+        }
+
+
+def carry_out(
+    tilts: tuple[float, ...], with_unevenness: bool, workers: int, seed: int, console: Console
+) -> Study:
+    """Run the comparison in parallel, then the timing alone.
+
+    Args:
+        tilts: [deg] of the sweep.
+        with_unevenness: whether uneven supports are studied as well.
+        workers: processes.
+        seed: of the uneven supports.
+        console: where the progress is drawn.
+    """
+    cases = (*(Case(tilt) for tilt in tilts), PUSHED, LONG)
+    draws = unevenness.jobs(DRAWS, seed) if with_unevenness else ()
+    # Spawned, not forked: a fork copies the threads' locks of whatever is loaded here.
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as executor:
+        runs = run_all(executor, run, cases, "MuJoCo and the analytic model", console)
+        variants = run_all(
+            executor, convergence.end, convergence.JOBS, "MuJoCo's own convergence", console
+        )
+        ends = (
+            run_all(executor, unevenness.ends, draws, "uneven supports", console) if draws else []
+        )
+    with console.status("timing, one core"):
+        speeds = tuple(speed.measure(method) for method in speed.METHODS)
+    return Study(
+        sweep=tuple(runs[:-2]),
+        pushed=runs[-2],
+        long=runs[-1],
+        convergence=convergence.variants(variants),
+        speeds=speeds,
+        spreads=unevenness.spreads(draws, ends) if draws else (),
+    )

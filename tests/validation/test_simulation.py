@@ -1,0 +1,151 @@
+"""MuJoCo against the analytic model, and against itself."""
+
+import math
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym import validation
+from surface_gym.validation.cases import is_sorted
+from surface_gym.validation.comparison import errors
+from surface_gym.validation.simulation import static_sag
+
+START = (0.125, 1.0, 0.0)
+
+
+@pytest.fixture
+def _mujoco():
+    pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
+
+
+@pytest.mark.parametrize("name", ["tilted", "pushed"])
+def test_a_run_agrees_with_the_implicit_method(name, request):
+    error = errors([request.getfixturevalue(name)], lambda run: run.implicit)
+    assert (np.abs(error.absolute) < [5.0, 4.0, 2.5]).all()  # [mm, mm, deg]
+    assert (np.abs(error.percent) < [1.0, 2.5, 6.0]).all()
+
+
+def test_ten_degrees_completes_the_sort_as_in_the_paper(tilted):
+    assert is_sorted(tilted.case, tilted.mujoco)
+    start = replace(tilted.mujoco, pose=tilted.mujoco.pose[:1])
+    assert not is_sorted(tilted.case, start)
+
+
+def test_the_trajectory_is_that_of_simulate(pushed):
+    ours, theirs = pushed.mujoco, pushed.implicit
+    np.testing.assert_array_equal(ours.pose[0], theirs.pose[0])
+    np.testing.assert_array_equal(ours.velocity[0], theirs.velocity[0])
+    assert ours.time[-1] == pytest.approx(theirs.time[-1])
+    assert (ours.end, ours.tipping.any()) == (theirs.end, False)
+    speed = np.gradient(ours.pose, ours.time, axis=0)
+    np.testing.assert_allclose(ours.velocity[5:-5], speed[5:-5], atol=0.02)
+
+
+@pytest.mark.usefixtures("_mujoco")
+def test_a_mirrored_layout_mirrors_the_path():
+    parcel = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=5.48)
+    down, up = (
+        validation.simulate(
+            sg.layouts.sorting(side=side), parcel, START, (1.2, 0.0, 0.0), 0.4
+        ).pose[-1]
+        - START
+        for side in (-1, 1)
+    )
+    np.testing.assert_allclose(up, down * [1.0, -1.0, -1.0], atol=1e-6)
+    assert down[1] < -0.05
+
+
+@pytest.mark.usefixtures("_mujoco")
+@pytest.mark.parametrize(
+    ("one", "other", "tolerance"),
+    [
+        (sg.Rectangle(0.25, 0.2), sg.Polygon(sg.Rectangle(0.25, 0.2).outline), 1e-6),
+        (sg.Disc(0.14), sg.Polygon(sg.Disc(0.14).outline), 2e-3),
+    ],
+    ids=["box", "disc"],
+)
+def test_a_mesh_moves_as_the_shape_it_stands_for(one, other, tolerance):
+    ends = [
+        validation.simulate(
+            sg.layouts.sorting(), sg.Parcel(base, inertia=0.1), START, (1.0, 0.0, 0.0), 0.3
+        ).pose[-1]
+        for base in (one, other)
+    ]
+    np.testing.assert_allclose(ends[0], ends[1], atol=tolerance)
+
+
+@pytest.mark.usefixtures("_mujoco")
+def test_any_layout_and_parcel_agree_with_simulate():
+    rng = np.random.default_rng(3)
+    surface = sg.Surface(
+        axis=rng.uniform(-math.pi, math.pi, (20, 40)),
+        rotor=rng.random((20, 40)) < 0.7,
+        tilt=math.radians(6.0),
+    )
+    parcel = sg.Parcel(sg.Disc(0.22), mass=3.0, com_offset=(0.03, 0.01), com_height=0.05)
+    start, velocity = (0.6, 1.0, 7.0), (1.0, 0.2, 2.0)
+    light = validation.Recipe().lighter_rotors(1000.0)
+    ours = validation.simulate(surface, parcel, start, velocity, 0.4, light)
+    theirs = sg.simulate(surface, parcel, start, velocity, 0.4, 1e-3)
+    moved = theirs.pose[-1] - theirs.pose[0]
+    assert not theirs.tipping.any()
+    np.testing.assert_allclose(ours.pose[-1] - ours.pose[0], moved, rtol=0.01)
+
+
+@pytest.mark.usefixtures("_mujoco")
+def test_the_run_ends_where_the_surface_does():
+    surface = sg.layouts.sorting(columns=34)
+    parcel = sg.Parcel(sg.Rectangle(0.25, 0.25))
+    run = validation.simulate(surface, parcel, (3.2, 1.0, 0.0), (1.5, 0.0, 0.0), 0.5)
+    assert run.end == "left the surface"
+    assert run.tipping[-1]
+    assert run.pose[-1, 0] == pytest.approx(3.4, abs=1e-3)
+
+
+@pytest.mark.usefixtures("_mujoco")
+def test_the_last_step_is_shortened_to_the_duration():
+    parcel = sg.Parcel(sg.Disc(0.2))
+    run = validation.simulate(sg.layouts.sorting(), parcel, START, duration=0.00125)
+    assert len(run.time) == 14
+    assert run.time[-1] == pytest.approx(0.00125)
+
+
+@pytest.mark.parametrize(
+    ("tops", "stiffness", "sag"),
+    [
+        ([0.0, 0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 1.0], 1.0),  # four springs that carry 4
+        ([0.0, 0.0, 0.0, 0.0], [1.0, 2.0, 1.0, 4.0], 0.5),
+        ([1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0], 0.0),
+        ([0.0, 2.0, 0.0, 0.0], [1.0, 1.0, 1.0, 1.0], 0.5),  # 2.5 + 3 x 0.5 = 4
+        ([0.0, 0.0, 5.0, 0.0], [1.0, 1.0, 1.0, 1.0], -1.0),  # the highest carries all
+    ],
+)
+def test_the_base_sinks_until_the_springs_carry_it(tops, stiffness, sag):
+    assert static_sag(np.array(tops), np.array(stiffness), 4.0) == pytest.approx(sag)
+
+
+@pytest.mark.usefixtures("_mujoco")
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"pose": (9.0, 1.0, 0.0)}, "pose must be on the surface"),
+        ({"pose": (-0.1, 1.0, 0.0)}, "pose must be on the surface"),
+        ({"pose": (1.0, 1.0)}, "pose must have the shape"),
+        ({"velocity": (math.inf, 0.0, 0.0)}, "velocity must be finite"),
+        ({"duration": 0.0}, "duration must be greater than 0"),
+        ({"recipe": validation.Recipe(step=1e-3)}, "recipe.step must be at most 5.5e-04 s"),
+    ],
+)
+def test_what_is_not_allowed_is_refused(change, message):
+    arguments = {"pose": START, **change}
+    with pytest.raises(ValueError, match=message):
+        validation.simulate(sg.layouts.sorting(), sg.Parcel(sg.Rectangle(0.25, 0.25)), **arguments)
+
+
+def test_without_mujoco_the_error_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ImportError, match=r"pip install 'surface_gym\[validation\]'"):
+        validation.simulate(sg.layouts.sorting(), sg.Parcel(sg.Disc(0.1)), START)
