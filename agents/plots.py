@@ -43,9 +43,8 @@ def draw_trajectories(records: Sequence[SortRecord], file: Path) -> None:
 
 def _draw_line(panel: Axes, parcel: str) -> None:
     """Rotors, supports and the zone that obeys."""
-    line = plant.line_for(box(parcel).base, None)
-    y, x = np.indices(line.rotor.shape) * plant.PITCH + plant.ORIGIN
-    first_row, rows, first, columns = line.zone
+    rotor, (first_row, rows, first, columns) = plant.Line().site(box(parcel).base, None)
+    y, x = np.indices(rotor.shape) * plant.PITCH + plant.ORIGIN
     edge = plant.ORIGIN - plant.PITCH / 2.0
     panel.axvspan(
         edge + first * plant.PITCH,
@@ -59,8 +58,8 @@ def _draw_line(panel: Axes, parcel: str) -> None:
         color="#dde3ea",
         zorder=0,
     )
-    panel.plot(x[~line.rotor], y[~line.rotor], ".", color="#c3ccd6", markersize=1.5)
-    panel.plot(x[line.rotor], y[line.rotor], ".", color="#8795a5", markersize=4)
+    panel.plot(x[~rotor], y[~rotor], ".", color="#c3ccd6", markersize=1.5)
+    panel.plot(x[rotor], y[rotor], ".", color="#8795a5", markersize=4)
     panel.set(xlim=(0.0, 2.2), ylim=(LINE_Y - 0.35, LINE_Y + 0.85), aspect="equal")
 
 

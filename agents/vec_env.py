@@ -106,4 +106,4 @@ class SurfaceVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        return list(self.env.render() or [])  # type: ignore[arg-type]
+        return list(self.env.render() or [])

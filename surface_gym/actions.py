@@ -8,27 +8,23 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.batch.commands import HALVES, MODULES, MOST_LINE_ROWS
+from surface_gym.batch.commands import HALVES, MODULES, QUADRANTS, WINDOW, WINDOW_SIDE
 
-KINDS = {"modules": MODULES, "halves": HALVES}
+KINDS = {"modules": MODULES, "halves": HALVES, "quadrants": QUADRANTS, "window": WINDOW}
 
 
 @dataclass(frozen=True)
 class ActionKind:
     """How an action sets the axes of a zone's modules.
 
-    Args:
-        name: "modules" or "halves".
-        choices: how many orientations are on offer.
-        columns: of the zone.
-
     Raises:
         ValueError: an unknown name.
     """
 
-    name: str
-    choices: int
-    columns: int
+    name: str  # "modules", "halves", "quadrants" or "window"
+    choices: int  # orientations on offer
+    rows: int  # of the widest zone
+    columns: int  # of the zone
 
     def __post_init__(self) -> None:
         checks.one_of("actions", self.name, KINDS)
@@ -39,9 +35,24 @@ class ActionKind:
         return KINDS[self.name]
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Rows, from y < 0 to y > 0, and columns of the parts that a command sets."""
+        return {
+            "modules": (self.rows, self.columns),
+            "halves": (1, 2),
+            "quadrants": (2, 2),
+            "window": (WINDOW_SIDE, WINDOW_SIDE),
+        }[self.name]
+
+    @property
     def size(self) -> int:
         """Numbers in a command."""
-        return {"modules": MOST_LINE_ROWS * self.columns, "halves": 2}[self.name]
+        return self.shape[0] * self.shape[1]
+
+    @property
+    def window_size(self) -> int:
+        """Numbers that the kind adds to the observation: the window's occupancy."""
+        return self.size if self.name == "window" else 0
 
     def space(self) -> spaces.Space[Any]:
         """What a policy chooses from."""
@@ -75,8 +86,7 @@ class ActionKind:
         return commands
 
     def flip(self, commands: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Commands (lanes, size) with the modules' places mirrored in y, choices as they are."""
-        if self.name == "halves":
-            return commands
-        grid = commands.reshape(-1, MOST_LINE_ROWS, self.columns)
-        return grid[:, ::-1].reshape(commands.shape)
+        """Commands (lanes, size) with the parts' places mirrored in y, choices as they are."""
+        if self.name == "quadrants":
+            return commands[:, [1, 0, 3, 2]]
+        return commands.reshape(-1, *self.shape)[:, ::-1].reshape(commands.shape)

@@ -6,50 +6,71 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym import checks
+from surface_gym.actuators import Actuators
 from surface_gym.lanes.memory import OUTCOMES, RUNNING, SUCCESS
+from surface_gym.randomisation import Randomisation
+from surface_gym.sensors import Exact, Sensors
 from surface_gym.settings import ORIENTATIONS, Settings
 from surface_gym.tasks.task import Task, check_options
+
+RENDER_FPS = 25  # pictures a second at the default control period of 40 ms: real time
 
 
 class SmartSurfaceEnv(gym.Env[Any, Any]):
     """A smart surface under a parcel."""
 
-    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 25}
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": RENDER_FPS}
 
     def __init__(
         self,
         task: str | Task = "sort",
         actions: str = "modules",
+        sensors: Sensors = Exact(),
         control_period: float = 0.04,
         zone: tuple[int, int] | None = None,
         orientations: tuple[float, ...] = ORIENTATIONS,
+        actuators: Actuators = Actuators(),
+        randomisation: Randomisation = Randomisation(),
         render_mode: str | None = None,
     ) -> None:
-        self.settings = Settings(task, actions, control_period, zone, orientations)
+        self.settings = Settings(
+            task, actions, sensors, control_period, zone, orientations, actuators, randomisation
+        )
+        checks.one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.render_mode = render_mode
         self.observation_space = self.settings.observation_space()
         self.action_space = self.settings.action_space()
         self._task = self.settings.chosen_task
         self._kind = self.settings.action_kind
         self._batch = self.settings.make_batch(1)
+        self._lane = np.zeros(1, dtype=np.int64)
         self._started = False
+        self._trail: list[NDArray[np.float64]] = []
+        self._painter: Any = None
+        self._window: Any = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         options = check_options(options, self._task.options)
         super().reset(seed=seed)
-        self._batch.place(0, self._task.start(self.np_random, options))
+        start = self._task.start(self.np_random, options)
+        self._batch.place(0, start, self.np_random)
+        self._batch.begin(self._lane)
         self._started = True
+        self._trail.clear()
+        self._follow()
         return self._batch.lanes.observation[0].copy(), self._info()
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        lanes = self._batch.lanes
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before step.")
-        lanes = self._batch.lanes
         if lanes.outcome[0] != RUNNING:
             raise gym.error.ResetNeeded("The episode has ended: call reset before the next step.")
         self._batch.advance(self._kind.commands(np.asarray(action)[np.newaxis], 1))
+        self._follow()
         return (
             lanes.observation[0].copy(),
             float(lanes.terms[0].sum()),
@@ -57,6 +78,42 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
             False,
             self._info(),
         )
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The picture (height, width, 3) in "rgb_array" mode; None in "human" mode, and without."""
+        if self.render_mode != "rgb_array":
+            return None
+        return self._draw()
+
+    def close(self) -> None:
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def _follow(self) -> None:
+        """Keep what is drawn up to date."""
+        if self.render_mode is None:
+            return
+        self._trail.append(self._batch.lanes.truth[0, :2].copy())
+        if self.render_mode == "human":
+            from surface_gym.rendering import Window
+
+            if self._window is None:
+                self._window = Window(frame_rate=RENDER_FPS)
+            self._window.show(self._draw())
+
+    def _draw(self) -> NDArray[np.uint8]:
+        from surface_gym.picture import scene_of
+        from surface_gym.rendering import Painter
+
+        if not self._started:
+            raise gym.error.ResetNeeded("Call reset before render.")
+        if self._painter is None:
+            self._painter = Painter()
+        picture: NDArray[np.uint8] = self._painter.draw(
+            scene_of(self._batch, 0, np.array(self._trail))
+        )
+        return picture
 
     def _info(self) -> dict[str, Any]:
         lanes = self._batch.lanes

@@ -7,6 +7,7 @@ those that give its tables.
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +26,7 @@ LINE_ROWS = {"S": 2, "B": 4}
 LEAD_IN = {"S": 3, "B": 5}
 
 
+@lru_cache(maxsize=2)
 def box(size: str) -> Parcel:
     """The paper's "S" (0.25 m x 0.25 m) or "B" (0.45 m x 0.45 m) box, 10 kg, Table 1."""
     side = {"S": 0.25, "B": 0.45}[checks.one_of("size", size, ("S", "B"))]

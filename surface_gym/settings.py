@@ -1,18 +1,23 @@
 """What an environment is made with, checked once for both faces."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
-from surface_gym import checks, plant
+from surface_gym import checks
 from surface_gym.actions import ActionKind
+from surface_gym.actuators import Actuators
 from surface_gym.batch.batch import Batch
+from surface_gym.batch.commands import Acting
 from surface_gym.lanes.memory import Timing
+from surface_gym.randomisation import Randomisation
+from surface_gym.sensors import KINDS as SENSORS
+from surface_gym.sensors import Exact, Sensors
 from surface_gym.tasks import TASKS
-from surface_gym.tasks.task import Task
+from surface_gym.tasks.task import Feature, Task
 
 ORIENTATIONS = (0.0, math.pi / 4, -math.pi / 4, math.pi / 2)  # [rad] the paper's Figure 2b
 LONGEST_STEP = 0.005  # [s]
@@ -23,38 +28,57 @@ class Settings:
     """Arguments of an environment.
 
     Raises:
-        ValueError: an unknown task or kind of action, fewer than two orientations, a control
-            period that is not positive, or a zone outside the surface.
+        ValueError: an argument is not allowed; the message names it, what came and what may come.
     """
 
     task: str | Task = "sort"  # its name, or one with parameters of its own
     actions: str = "modules"  # kind of action
+    sensors: Sensors = Exact()  # what a controller gets to see
     control_period: float = 0.04  # [s] between decisions
-    zone: tuple[int, int] | None = None  # first and last column that obey; None: after the lead-in
-    orientations: tuple[float, ...] = field(default=ORIENTATIONS)  # [rad] axis angles on offer
+    zone: tuple[int, int] | None = None  # first and last column that obey; None: the plant's own
+    orientations: tuple[float, ...] = ORIENTATIONS  # [rad] axis angles on offer
+    actuators: Actuators = Actuators()
+    randomisation: Randomisation = Randomisation()
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
         if isinstance(self.task, str):
             set_field(self, "task", TASKS[checks.one_of("task", self.task, TASKS)]())
-        elif not isinstance(self.task, tuple(TASKS.values())):
-            raise ValueError(f"task must be one of {', '.join(TASKS)} or a Task, got {self.task!r}")
+        for name, kinds in (
+            ("task", tuple(TASKS.values())),
+            ("sensors", SENSORS),
+            ("actuators", (Actuators,)),
+            ("randomisation", (Randomisation,)),
+        ):
+            if not isinstance(getattr(self, name), kinds):
+                allowed = ", ".join(kind.__name__ for kind in kinds)
+                raise ValueError(f"{name} must be a {allowed}, got {getattr(self, name)!r}")
         angles = checks.array("orientations", np.asarray(self.orientations), (None,))
         if len(angles) < 2:
             raise ValueError(f"orientations must be at least 2, got {self.orientations!r}")
         set_field(self, "orientations", tuple(angles.tolist()))
         set_field(self, "control_period", checks.positive("control_period", self.control_period))
+        self._check_places()
+        _ = self.action_kind
+
+    def _check_places(self) -> None:
+        """The zone and the stuck modules lie on the surface."""
+        plant = self.chosen_task.plant
         if self.zone is not None:
-            if len(self.zone) != 2:
+            if not isinstance(self.zone, (tuple, list)) or len(self.zone) != 2:
                 raise ValueError(f"zone must be two columns, first and last, got {self.zone!r}")
             first = checks.integer("zone", self.zone[0], least=0)
             last = checks.integer("zone", self.zone[1], least=first)
-            if last >= plant.COLUMNS:
+            if last >= plant.columns:
+                most = plant.columns - 1
+                raise ValueError(f"zone must lie in the columns 0 to {most}, got {self.zone!r}")
+            object.__setattr__(self, "zone", (first, last))
+        for row, column in self.actuators.stuck:
+            if row >= plant.rows or column >= plant.columns:
                 raise ValueError(
-                    f"zone must lie within the columns 0 to {plant.COLUMNS - 1}, got {self.zone!r}"
+                    f"stuck must lie in {plant.rows} rows and {plant.columns} columns, "
+                    f"got {(row, column)}"
                 )
-            set_field(self, "zone", (first, last))
-        _ = self.action_kind
 
     @property
     def chosen_task(self) -> Task:
@@ -65,8 +89,9 @@ class Settings:
     @property
     def action_kind(self) -> ActionKind:
         """What an action is."""
-        first, last = self.zone if self.zone is not None else (1, plant.ZONE_COLUMNS)
-        return ActionKind(self.actions, len(self.orientations), last - first + 1)
+        plant = self.chosen_task.plant
+        columns = plant.zone_columns if self.zone is None else self.zone[1] - self.zone[0] + 1
+        return ActionKind(self.actions, len(self.orientations), plant.zone_rows, columns)
 
     @property
     def timing(self) -> Timing:
@@ -74,12 +99,21 @@ class Settings:
         steps = math.ceil(self.control_period / LONGEST_STEP - 1e-9)
         return Timing(self.control_period / steps, steps)
 
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """What one lane observes."""
+        kind = self.action_kind
+        window = tuple(
+            Feature(f"occupied {row}, {column}", 0.0, 1.0, "a module that obeys, under the parcel")
+            for row, column in np.ndindex(*kind.shape)
+        )
+        return self.chosen_task.features + (window if kind.window_size else ())
+
     def observation_space(self) -> spaces.Box:
         """The space of one lane's observation."""
-        features = self.chosen_task.features
         return spaces.Box(
-            np.array([feature.low for feature in features], dtype=np.float32),
-            np.array([feature.high for feature in features], dtype=np.float32),
+            np.array([feature.low for feature in self.features], dtype=np.float32),
+            np.array([feature.high for feature in self.features], dtype=np.float32),
         )
 
     def action_space(self) -> spaces.Space[Any]:
@@ -88,12 +122,23 @@ class Settings:
 
     def make_batch(self, lanes: int) -> Batch:
         """A batch of lanes with these settings."""
+        angles = np.array(self.orientations)
+        kind, timing = self.action_kind, self.timing
+        acting = Acting(
+            kind.number,
+            kind.rows,
+            np.stack([angles, np.cos(angles), np.sin(angles)], axis=-1),
+            self.actuators.axis_speed * timing.dt,
+        )
         return Batch(
             self.chosen_task,
-            self.action_kind.number,
-            self.action_kind.size,
-            np.array(self.orientations),
+            acting,
+            kind.size,
+            kind.window_size,
             lanes,
-            self.timing,
+            timing,
             self.zone,
+            self.sensors,
+            self.actuators,
+            self.randomisation,
         )

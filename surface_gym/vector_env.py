@@ -11,7 +11,10 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym.actuators import Actuators
 from surface_gym.lanes.memory import OUT_OF_TIME, OUTCOMES, RUNNING, SUCCESS
+from surface_gym.randomisation import Randomisation
+from surface_gym.sensors import Exact, Sensors
 from surface_gym.settings import ORIENTATIONS, Settings
 from surface_gym.tasks.task import Task, check_options
 
@@ -42,9 +45,12 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
         num_envs: int = 1,
         task: str | Task = "sort",
         actions: str = "modules",
+        sensors: Sensors = Exact(),
         control_period: float = 0.04,
         zone: tuple[int, int] | None = None,
         orientations: tuple[float, ...] = ORIENTATIONS,
+        actuators: Actuators = Actuators(),
+        randomisation: Randomisation = Randomisation(),
         render_mode: str | None = None,
         max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -56,8 +62,11 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
             checks.one_of("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
+        checks.one_of("render_mode", render_mode, (None, *type(self).metadata["render_modes"]))
         self.render_mode = render_mode
-        self.settings = Settings(task, actions, control_period, zone, orientations)
+        self.settings = Settings(
+            task, actions, sensors, control_period, zone, orientations, actuators, randomisation
+        )
         self.single_observation_space = self.settings.observation_space()
         self.single_action_space = self.settings.action_space()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -68,6 +77,9 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
         self._randoms: list[np.random.Generator | None] = [None] * self.num_envs
         self._steps_left = np.zeros(self.num_envs, dtype=np.int64)
         self._limit = np.iinfo(np.int64).max if max_episode_steps is None else max_episode_steps
+        self._no_options: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        self._trails: list[list[NDArray[np.float64]]] = [[] for _ in range(self.num_envs)]
+        self._painter: Any = None
         self._started = False
 
     def reset(
@@ -91,8 +103,7 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
         for lane in np.nonzero(mask)[0].tolist():
             if seeds[lane] is not None:
                 self._randoms[lane] = np_random(seeds[lane])[0]
-        for lane in np.nonzero(mask)[0].tolist():
-            self._reset_lane(lane, chosen[lane])
+        self._reset_lanes(mask, chosen)
         self._started = True
         return self._batch.lanes.observation.copy(), self._infos(mask)
 
@@ -109,10 +120,10 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
             )
         self._batch.advance(self._kind.commands(actions, self.num_envs))
         self._steps_left -= 1
+        self._follow(~ended)
         lanes.outcome[(self._steps_left <= 0) & (lanes.outcome == RUNNING)] = OUT_OF_TIME
         if ended.any():  # NEXT_STEP: this step is their reset
-            for lane in np.nonzero(ended)[0].tolist():
-                self._reset_lane(lane, {})
+            self._reset_lanes(ended, self._no_options)
         rewards = lanes.terms.sum(axis=1)
         truncated = lanes.outcome == OUT_OF_TIME
         terminated = lanes.outcome > OUT_OF_TIME
@@ -128,17 +139,50 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
                 "final_info": self._infos(over),
                 "_final_info": over.copy(),
             }
-            for lane in np.nonzero(over)[0].tolist():
-                self._reset_lane(lane, {})
+            self._reset_lanes(over, self._no_options)
         infos.update(self._infos(np.ones(self.num_envs, dtype=np.bool_)))
         return lanes.observation.copy(), rewards, terminated, truncated, infos
 
-    def _reset_lane(self, lane: int, options: dict[str, Any]) -> None:
-        generator = self._randoms[lane]
-        if generator is None:
-            generator = self._randoms[lane] = np_random()[0]
-        self._batch.place(lane, self._task.start(generator, options))
-        self._steps_left[lane] = self._limit
+    def _reset_lanes(self, mask: Booleans, options: list[dict[str, Any]]) -> None:
+        chosen = np.nonzero(mask)[0]
+        for lane in chosen.tolist():
+            generator = self._randoms[lane]
+            if generator is None:
+                generator = self._randoms[lane] = np_random()[0]
+            self._batch.place(lane, self._task.start(generator, options[lane]), generator)
+            self._trails[lane].clear()
+        self._batch.begin(chosen)
+        self._steps_left[chosen] = self._limit
+        self._follow(mask)
+
+    def _follow(self, mask: Booleans) -> None:
+        """Keep the trails of the lanes in the mask, which only drawing needs."""
+        if self.render_mode is not None:
+            for lane in np.nonzero(mask)[0].tolist():
+                self._trails[lane].append(self._batch.lanes.truth[lane, :2].copy())
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """One picture (height, width, 3) of all lanes, tiled; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        from surface_gym.picture import scene_of
+        from surface_gym.rendering import TilePainter
+
+        if not self._started:
+            raise gym.error.ResetNeeded("Call reset before render.")
+        if self._painter is None:
+            self._painter = TilePainter()
+        lanes = self._batch.lanes
+        scenes = [
+            scene_of(
+                self._batch,
+                lane,
+                np.array(self._trails[lane]),
+                f"lane {lane}  {lanes.clock[lane]:.2f} s",
+            )
+            for lane in range(self.num_envs)
+        ]
+        return (self._painter.draw(scenes),)
 
     def _infos(self, mask: Booleans) -> dict[str, Any]:
         """Infos of the lanes in the mask, as Gymnasium lays them out: arrays and their masks."""

@@ -1,54 +1,34 @@
 """A batch of lanes: starts are placed on it, commands move it."""
 
 import math
-from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from surface_gym import plant
-from surface_gym.batch.period import advance_lanes, begin_lane
+from surface_gym.actuators import Actuators
+from surface_gym.batch.commands import Acting
+from surface_gym.batch.period import Rules, advance_lanes, begin_lanes
+from surface_gym.batch.placement import NO_EDGE, Placement, placement_of
 from surface_gym.dynamics.types import GRAVITY, Array
-from surface_gym.lanes.memory import Integers, Lanes, Timing, make_batch_scratch, make_lanes
+from surface_gym.lanes.memory import (
+    NOISE_ROWS,
+    PATH_POINTS,
+    Integers,
+    Lanes,
+    Sizes,
+    Timing,
+    make_batch_scratch,
+    make_lanes,
+)
 from surface_gym.layouts import ROLLING
-from surface_gym.parcel import Parcel
-from surface_gym.simulation import start_state
+from surface_gym.plant import GEOMETRY
+from surface_gym.randomisation import Randomisation
+from surface_gym.sensors import Sensors
 from surface_gym.surface import Surface
 from surface_gym.tasks.task import Start, Task
 
-_NO_EDGE = (0.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges up
 _CONVEYOR = (math.cos(ROLLING), math.sin(ROLLING))
-
-
-@dataclass(frozen=True, eq=False)
-class _Placement:
-    """What a parcel brings to any lane it is placed on."""
-
-    rotor: NDArray[np.bool_]  # (rows, columns)
-    zone: tuple[int, int, int, int]  # first row, rows, first column, columns
-    body: Array  # (6,) as `Lanes.body`
-    edges: Array  # (edges, 3)
-    corners: Array  # (corners, 2) [m] from the centroid
-    contacts: int  # most elements that can lie under the base
-
-
-@lru_cache(maxsize=64)
-def _placement(parcel: Parcel, zone: tuple[int, int] | None) -> _Placement:
-    line = plant.line_for(parcel.base, zone)
-    body = parcel.body
-    outline = parcel.base.outline - np.array(parcel.base.centroid)
-    half_length = -float(outline[:, 0].min())
-    return _Placement(
-        rotor=line.rotor,
-        zone=line.zone,
-        body=np.array(
-            [body.radius, body.com_x, body.com_y, body.com_height, body.gyration, half_length]
-        ),
-        edges=body.edges,
-        corners=outline if len(body.edges) else np.zeros((1, 2)),
-        contacts=(math.floor(2.0 * body.radius / plant.PITCH) + 2) ** 2,
-    )
+_FEWEST_EDGES = 4
+_FEWEST_CONTACTS = 64
 
 
 class Batch:
@@ -56,94 +36,146 @@ class Batch:
 
     Args:
         task: what is asked.
-        action: number of the kind of action, of `batch.commands`.
-        command_size: numbers in a command of that kind.
-        orientations: (choices,) [rad] axis angles on offer.
+        acting: how commands turn axes.
+        command_size: numbers in a command.
+        window_size: numbers that a window adds to the observation.
         lanes: their number.
         timing: how a control period is cut into steps.
-        zone: first and last column that obey; None for those after the lead-in.
+        zone: first and last column that obey; None for the plant's own.
+        sensors: what a controller gets to see.
+        actuators: which modules are stuck.
+        randomisation: what differs from start to start.
     """
 
     def __init__(
         self,
         task: Task,
-        action: int,
+        acting: Acting,
         command_size: int,
-        orientations: Array,
+        window_size: int,
         lanes: int,
         timing: Timing,
         zone: tuple[int, int] | None,
+        sensors: Sensors,
+        actuators: Actuators,
+        randomisation: Randomisation,
     ) -> None:
         self.task = task
-        self.geometry = plant.geometry()
-        self._action = action
-        self._timing = timing
         self._zone = zone
-        self._directions = np.stack([np.cos(orientations), np.sin(orientations)], axis=-1)
-        self._command_size = command_size
-        self._make(lanes, edges=4, contacts=64)
-        nominal = Surface(axis=np.zeros((1, 1)), rotor=np.ones((1, 1), dtype=bool))
-        self._surface = (nominal.mu_max, nominal.mu_min, nominal.mu_support, 0.0, GRAVITY)
-
-    def _make(self, lanes: int, edges: int, contacts: int) -> None:
-        self.lanes: Lanes = make_lanes(
-            lanes,
-            plant.ROWS,
-            plant.COLUMNS,
-            edges,
-            self._command_size,
-            len(self.task.features),
-            len(self.task.terms),
+        self._actuators = actuators
+        self._randomisation = randomisation
+        self.rules = Rules(
+            task.number, len(task.features), GEOMETRY, timing, acting, sensors.sensing(timing.dt)
         )
-        self._scratch = make_batch_scratch(1, contacts, edges)
+        self._draws = sensors.draws(timing.dt, timing.steps)
+        sizes = Sizes(
+            lanes=lanes,
+            rows=task.plant.rows,
+            columns=task.plant.columns,
+            edges=_FEWEST_EDGES,
+            command=command_size,
+            observation=len(task.features) + window_size,
+            terms=len(task.terms),
+            turning=acting.turn != math.inf,
+        )
+        self.lanes: Lanes = make_lanes(sizes)
+        self._scratch = make_batch_scratch(1, _FEWEST_CONTACTS, _FEWEST_EDGES)
+        self._generators: list[np.random.Generator | None] = [None] * lanes
+        nominal = Surface(axis=np.zeros((1, 1)), rotor=np.ones((1, 1), dtype=bool))
+        self._friction = (nominal.mu_max, nominal.mu_min, nominal.mu_support)
 
-    def _make_room(self, placement: _Placement) -> None:
-        """Widen the memory for a base of more edges or contacts than any before it."""
-        edges = max(self.lanes.edges.shape[1], len(placement.edges), len(placement.corners))
-        contacts = max(self._scratch.normal.shape[1], placement.contacts)
-        if edges == self.lanes.edges.shape[1] and contacts == self._scratch.normal.shape[1]:
-            return
-        old = self.lanes
-        self._make(len(old.clock), edges, contacts)
-        more = edges - old.edges.shape[1]
-        wide = {
-            "edges": np.concatenate([old.edges, np.tile(_NO_EDGE, (len(old.clock), more, 1))], 1),
-            "corners": np.concatenate([old.corners, np.repeat(old.corners[:, :1], more, 1)], 1),
-        }
-        self.lanes = old._replace(**wide)
+    def place(self, lane: int, start: Start, generator: np.random.Generator) -> None:
+        """Put a start on a lane, every axis at 90 deg as the conveyor's; then `begin` it.
 
-    def place(self, lane: int, start: Start) -> None:
-        """Put a start on a lane: every axis at 90 deg, as the conveyor's."""
-        placement = _placement(start.parcel, self._zone)
+        The randomisation, the stuck modules and the sensors' noise are drawn from the generator,
+        in that order.
+        """
+        lanes = self.lanes
+        shape = (lanes.rotor.shape[1], lanes.rotor.shape[2])
+        start, friction, stiffness = self._randomisation.draw(generator, start, shape)
+        placement = placement_of(start.parcel, self.task.plant, self._zone)
         self._make_room(placement)
         lanes = self.lanes
-        lanes.state[lane] = start_state(
-            start.parcel, np.array(start.pose), np.array(start.velocity)
+        x, y, theta = start.pose
+        vx, vy, omega = start.velocity
+        cosine, sine = math.cos(theta), math.sin(theta)
+        com_x, com_y = start.parcel.centre_of_mass
+        arm_x, arm_y = cosine * com_x - sine * com_y, sine * com_x + cosine * com_y
+        lanes.state[lane] = (
+            x + arm_x,
+            y + arm_y,
+            theta,
+            vx - omega * arm_y,
+            vy + omega * arm_x,
+            omega,
+            0.0,
+            0.0,
         )
         lanes.axis[lane] = _CONVEYOR
+        lanes.angle[lane] = ROLLING
+        lanes.target[lane] = ROLLING
         lanes.rotor[lane] = placement.rotor
-        lanes.surface[lane] = self._surface
+        lanes.obeys[lane] = placement.obeys
+        self._draw_stuck(lane, generator)
+        lanes.stiffness[lane] = 1.0 if stiffness is None else stiffness
+        lanes.surface[lane] = (
+            *(mu * factor for mu, factor in zip(self._friction, friction, strict=True)),
+            GRAVITY * math.sin(start.tilt),
+            GRAVITY * math.cos(start.tilt),
+        )
         lanes.body[lane] = placement.body
-        lanes.edges[lane] = _NO_EDGE
+        lanes.edges[lane] = NO_EDGE
         lanes.edges[lane, : len(placement.edges)] = placement.edges
         lanes.corners[lane] = placement.corners[0]
         lanes.corners[lane, : len(placement.corners)] = placement.corners
         lanes.zone[lane] = placement.zone
         lanes.goal[lane, : len(start.goal)] = start.goal
-        begin_lane(self.task.number, lanes, lane, self.geometry)
+        if start.path is not None:
+            lanes.path[lane, :PATH_POINTS] = start.path
+        self._generators[lane] = generator
+        if self._draws:
+            self._draw_noise(lane)
+
+    def begin(self, chosen: Integers) -> None:
+        """Sense and observe the chosen lanes (count,), on which starts were placed."""
+        begin_lanes(self.rules, self.lanes, chosen)
 
     def advance(self, commands: Integers) -> None:
         """Move every lane that has not ended over one control period."""
         self.lanes.command[:] = commands
-        advance_lanes(
-            self.task.number,
-            self._action,
-            self.lanes,
-            0,
-            len(self.lanes.clock),
-            self.geometry,
-            self._timing,
-            self._directions,
-            self._scratch,
-            0,
-        )
+        if self._draws:
+            for lane in np.nonzero(self.lanes.noise_row + self._draws > NOISE_ROWS)[0].tolist():
+                self._draw_noise(lane)
+        advance_lanes(self.rules, self.lanes, 0, len(self.lanes.clock), self._scratch)
+
+    def _draw_stuck(self, lane: int, generator: np.random.Generator) -> None:
+        obeys = self.lanes.obeys[lane]
+        for row, column in self._actuators.stuck:
+            obeys[row, column] = False
+        if self._actuators.stuck_share:
+            obeys &= generator.random(obeys.shape) >= self._actuators.stuck_share
+
+    def _draw_noise(self, lane: int) -> None:
+        """Three standard normals and a uniform a row."""
+        generator = self._generators[lane]
+        assert generator is not None
+        noise = self.lanes.noise[lane]
+        noise[:, :3] = generator.standard_normal((NOISE_ROWS, 3))
+        noise[:, 3] = generator.random(NOISE_ROWS)
+        self.lanes.noise_row[lane] = 0
+
+    def _make_room(self, placement: Placement) -> None:
+        """Widen the memory for a base of more edges or contacts than any before it."""
+        old = self.lanes
+        have = old.edges.shape[1]
+        edges = max(have, len(placement.edges), len(placement.corners))
+        contacts = max(self._scratch.normal.shape[1], placement.contacts)
+        if edges > have:
+            more: Array = np.tile(NO_EDGE, (len(old.clock), edges - have, 1))
+            repeats = np.repeat(old.corners[:, :1], edges - have, axis=1)
+            self.lanes = old._replace(
+                edges=np.concatenate([old.edges, more], axis=1),
+                corners=np.concatenate([old.corners, repeats], axis=1),
+            )
+        if edges > have or contacts > self._scratch.normal.shape[1]:
+            self._scratch = make_batch_scratch(1, contacts, edges)

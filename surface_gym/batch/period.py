@@ -1,71 +1,93 @@
 """One control period of a lane: command, axes, physics, sensors, task. All faces call this."""
 
+import math
+from typing import NamedTuple
+
 from surface_gym.batch import judgement
-from surface_gym.batch.commands import obey
+from surface_gym.batch.commands import WINDOW, Acting, obey, show_window, turn_axes
 from surface_gym.dynamics.compiled import compiled, inlined
 from surface_gym.dynamics.step import OFF_SURFACE, step_implicit
-from surface_gym.dynamics.types import Array, Scratch
-from surface_gym.lanes.memory import RUNNING, Geometry, Lanes, Timing
+from surface_gym.dynamics.types import Scratch
+from surface_gym.lanes.memory import RUNNING, Geometry, Integers, Lanes, Timing
 from surface_gym.lanes.views import body_of, grid_of, read_truth, scratch_of
+from surface_gym.sensors import reading
+from surface_gym.sensors.sensor import Sensing
+
+
+class Rules(NamedTuple):
+    """What all lanes of a batch have in common."""
+
+    task: int  # its number
+    features: int  # that the task observes
+    geometry: Geometry
+    timing: Timing
+    acting: Acting
+    sensing: Sensing
 
 
 @inlined
-def _sense(lanes: Lanes, lane: int) -> None:
-    for k in range(6):
-        lanes.sensed[lane, k] = lanes.truth[lane, k]
+def _observe(rules: Rules, lanes: Lanes, lane: int) -> None:
+    reading.estimate(rules.sensing, lanes, lane, rules.timing.dt)
+    judgement.observe(rules.task, lanes, lane, rules.geometry)
+    if rules.acting.kind == WINDOW:
+        mirror = judgement.mirror(rules.task, lanes, lane)
+        show_window(lanes, lane, rules.geometry, rules.features, mirror)
 
 
 @compiled
-def begin_lane(task: int, lanes: Lanes, lane: int, geometry: Geometry) -> None:
-    """First sensing and observation after a start was placed on a lane."""
-    lanes.clock[lane] = 0.0
-    lanes.outcome[lane] = RUNNING
-    for k in range(lanes.terms.shape[1]):
-        lanes.terms[lane, k] = 0.0
-    read_truth(lanes, lane)
-    _sense(lanes, lane)
-    judgement.begin(task, lanes, lane, geometry)
-    judgement.observe(task, lanes, lane, geometry)
-
-
-@compiled
-def advance_lanes(
-    task: int,
-    action: int,
-    lanes: Lanes,
-    first: int,
-    last: int,
-    geometry: Geometry,
-    timing: Timing,
-    orientations: Array,
-    scratches: Scratch,
-    thread: int,
-) -> None:
-    """Move the lanes in [first, last) over one control period; those that have ended stay."""
-    scratch = scratch_of(scratches, thread)
-    for lane in range(first, last):
-        if lanes.outcome[lane] != RUNNING:
-            continue
-        obey(action, lanes, lane, geometry, orientations)
-        grid = grid_of(lanes, lane, geometry)
-        body = body_of(lanes, lane)
-        state = lanes.state[lane]
-        start = lanes.clock[lane]
-        on_surface = True
-        on_rotors = True
-        for _ in range(timing.steps):
-            report, contacts = step_implicit(grid, body, state, scratch, timing.dt)
-            if report >= OFF_SURFACE:
-                on_surface = False
-                break
-            lanes.clock[lane] += timing.dt
-            on_rotors = False
-            for i in range(contacts):
-                on_rotors = on_rotors or scratch.rotor[i]
-            if judgement.over(task, on_rotors):
-                break
+def begin_lanes(rules: Rules, lanes: Lanes, chosen: Integers) -> None:
+    """First sensing and observation of the chosen lanes (count,), on which starts were placed."""
+    for lane in chosen:
+        lanes.clock[lane] = 0.0
+        lanes.steps[lane] = 0
+        lanes.outcome[lane] = RUNNING
+        for k in range(lanes.terms.shape[1]):
+            lanes.terms[lane, k] = 0.0
         read_truth(lanes, lane)
-        _sense(lanes, lane)
-        period = lanes.clock[lane] - start
-        judgement.judge(task, lanes, lane, geometry, period, on_rotors, on_surface)
-        judgement.observe(task, lanes, lane, geometry)
+        reading.begin(rules.sensing, lanes, lane, rules.geometry, rules.timing.dt)
+        judgement.begin(rules.task, lanes, lane, rules.geometry)
+        _observe(rules, lanes, lane)
+
+
+@inlined
+def advance_lane(rules: Rules, lanes: Lanes, lane: int, scratch: Scratch) -> None:
+    """Move one lane over a control period; one that has ended stays."""
+    if lanes.outcome[lane] != RUNNING:
+        return
+    dt = rules.timing.dt
+    obey(rules.acting, lanes, lane, rules.geometry)
+    grid = grid_of(lanes, lane, rules.geometry)
+    body = body_of(lanes, lane)
+    state = lanes.state[lane]
+    start = lanes.clock[lane]
+    on_surface = True
+    on_rotors = True
+    for _ in range(rules.timing.steps):
+        if rules.acting.turn != math.inf:
+            turn_axes(rules.acting, lanes, lane)
+        report, contacts = step_implicit(grid, body, state, scratch, dt)
+        if report >= OFF_SURFACE:
+            on_surface = False
+            break
+        lanes.clock[lane] += dt
+        lanes.steps[lane] += 1
+        if reading.watches(rules.sensing):
+            read_truth(lanes, lane)
+            reading.look(rules.sensing, lanes, lane, rules.geometry, scratch, dt)
+        on_rotors = False
+        for i in range(contacts):
+            on_rotors = on_rotors or scratch.rotor[i]
+        if judgement.over(rules.task, lanes, lane, rules.geometry, on_rotors):
+            break
+    read_truth(lanes, lane)
+    period = lanes.clock[lane] - start
+    judgement.judge(rules.task, lanes, lane, rules.geometry, period, on_rotors, on_surface)
+    _observe(rules, lanes, lane)
+
+
+@compiled
+def advance_lanes(rules: Rules, lanes: Lanes, first: int, last: int, scratches: Scratch) -> None:
+    """Move the lanes in [first, last) over a control period, with the first thread's scratch."""
+    scratch = scratch_of(scratches, 0)
+    for lane in range(first, last):
+        advance_lane(rules, lanes, lane, scratch)

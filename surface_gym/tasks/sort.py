@@ -25,6 +25,7 @@ from surface_gym.lanes.memory import (
 )
 from surface_gym.lanes.views import reach_along
 from surface_gym.layouts import LINE_Y, box
+from surface_gym.plant import Line
 from surface_gym.tasks.task import Feature, Start, parcel_option
 
 SIDE = 0  # column of `Lanes.goal`: +1 for y > 0, -1 for y < 0
@@ -73,6 +74,7 @@ class Sort:
     slow_speeds: tuple[float, float] = (0.3, 1.1)  # [m/s] the low band
 
     number = 0
+    plant = Line()
     features = FEATURES
     terms = TERMS
     options = ("speed", "parcel", "side")
@@ -99,6 +101,16 @@ class Sort:
             side = checks.one_of("side", options["side"], (1, -1))
         half_length = float(-parcel.base.outline[:, 0].min())
         return Start(parcel, (half_length, LINE_Y, 0.0), (speed, 0.0, 0.0), (float(side),))
+
+    def readings(self, lanes: Lanes, lane: int) -> list[tuple[str, str]]:
+        """The asked side."""
+        return [("sort to", "y > 0" if lanes.goal[lane, SIDE] > 0.0 else "y < 0")]
+
+    def goal(self, lanes: Lanes, lane: int) -> Any:
+        """The exit side."""
+        from surface_gym.rendering import ExitSide
+
+        return ExitSide(int(lanes.goal[lane, SIDE]))
 
 
 @inlined

@@ -4,10 +4,13 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym.lanes.memory import Lanes
 from surface_gym.layouts import box
 from surface_gym.parcel import Parcel
+from surface_gym.plant import Plant
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,8 @@ class Start:
     pose: tuple[float, float, float]  # [m, m, rad] of the base's frame
     velocity: tuple[float, float, float]  # [m/s, m/s, rad/s]
     goal: tuple[float, ...]  # the task's own, at most `lanes.memory.GOALS`
+    tilt: float = 0.0  # [rad] of the surface
+    path: NDArray[np.float64] | None = None  # (PATH_POINTS,) [m] y of a path to follow
 
 
 class Task(Protocol):
@@ -36,6 +41,10 @@ class Task(Protocol):
     @property
     def number(self) -> int:
         """Its place in `batch.judgement`."""
+
+    @property
+    def plant(self) -> Plant:
+        """Where it happens."""
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -48,6 +57,12 @@ class Task(Protocol):
     @property
     def options(self) -> tuple[str, ...]:
         """What `reset(options=...)` may fix."""
+
+    def readings(self, lanes: Lanes, lane: int) -> list[tuple[str, str]]:
+        """The task's own numbers of a lane, as pairs of texts, for drawing."""
+
+    def goal(self, lanes: Lanes, lane: int) -> Any:
+        """What drawing shows of a lane's goal, one of `surface_gym.rendering`'s goals."""
 
     def start(self, rng: np.random.Generator, options: dict[str, Any]) -> Start:
         """Draw a start; an option takes the place of its draw."""

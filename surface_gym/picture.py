@@ -1,0 +1,70 @@
+"""From a batch's lane to the scene that is drawn; imports drawing, so import it to draw."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym.batch.batch import Batch
+from surface_gym.lanes.memory import GRAVITY_ALONG, OUTCOMES, RADIUS, RUNNING
+from surface_gym.plant import ORIGIN, PITCH
+from surface_gym.rendering import Scene
+
+_DISC = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+
+
+def scene_of(
+    batch: Batch, lane: int, trail: NDArray[np.float64], title: str | None = None
+) -> Scene:
+    """The scene of a lane.
+
+    Args:
+        batch: the lanes.
+        lane: which.
+        trail: (points, 2) [m] where the centre has been.
+        title: of the picture; the task's name by default.
+    """
+    lanes = batch.lanes
+    truth, sensed = lanes.truth[lane], lanes.sensed[lane]
+    apart = np.abs(truth[:3] - sensed[:3]).max() > 1e-9
+    outcome = int(lanes.outcome[lane])
+    readings: list[tuple[str, str]] = [
+        ("time", f"{lanes.clock[lane]:.2f} s"),
+        ("speed", f"{np.hypot(truth[3], truth[4]):.2f} m/s"),
+        ("heading", f"{np.degrees(truth[2]):+.1f}\N{DEGREE SIGN}"),
+        *batch.task.readings(lanes, lane),
+    ]
+    if outcome != RUNNING:
+        readings.append(("end", OUTCOMES[outcome]))
+    tilt = float(np.arcsin(min(1.0, lanes.surface[lane, GRAVITY_ALONG] / _gravity(batch, lane))))
+    name = type(batch.task).__name__
+    return Scene(
+        axis=np.arctan2(lanes.axis[lane, :, :, 1], lanes.axis[lane, :, :, 0]),
+        rotor=lanes.rotor[lane],
+        outline=_outline(batch, lane),
+        pose=tuple(truth[:3].tolist()),
+        pitch=PITCH,
+        origin=(ORIGIN, ORIGIN),
+        zone=tuple(lanes.zone[lane].tolist()),
+        trail=trail,
+        sensed_pose=tuple(sensed[:3].tolist()) if apart else None,
+        goal=batch.task.goal(lanes, lane),
+        tilt=tilt,
+        title=name if title is None else title,
+        readings=tuple(readings),
+    )
+
+
+def _gravity(batch: Batch, lane: int) -> float:
+    return float(np.hypot(*batch.lanes.surface[lane, 3:5]))
+
+
+def _outline(batch: Batch, lane: int) -> NDArray[np.float64]:
+    """(points, 2) [m] perimeter of the base from its centroid."""
+    corners: NDArray[Any] = batch.lanes.corners[lane]
+    if np.abs(corners).max() > 0.0:
+        keep = np.ones(len(corners), dtype=bool)
+        keep[1:] = (corners[1:] != corners[0]).any(axis=1)
+        return corners[keep]
+    radius = batch.lanes.body[lane, RADIUS]
+    return radius * np.stack([np.cos(_DISC), np.sin(_DISC)], axis=-1)

@@ -1,0 +1,90 @@
+"""What differs from episode to episode, each draw with its law."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym import checks
+from surface_gym.bases import Base, Disc, Polygon, Rectangle
+from surface_gym.parcel import Parcel
+from surface_gym.tasks.task import Start
+
+
+class Drawn(NamedTuple):
+    """A start and a surface as drawn."""
+
+    start: Start
+    friction: tuple[float, float, float]  # factors of mu_max, mu_min and mu_support
+    stiffness: NDArray[np.float64] | None  # (rows, columns) [-]; None: all the same
+
+
+@dataclass(frozen=True)
+class Randomisation:
+    """Spreads of what is not known of a parcel and a surface; nothing varies by default.
+
+    Mass alone changes nothing, since it cancels out of Eq. (1)-(4): what `mass` varies is the
+    load's mass at a given inertia, so how hard the parcel is to turn.
+    """
+
+    friction: float = 0.0  # [-] mu_max times uniform(1 - friction, 1 + friction)
+    rolling: float = 0.0  # [-] mu_min and mu_support, each times uniform(1 - rolling, 1 + rolling)
+    mass: float = 0.0  # [-] mass at the same inertia, times uniform(1 - mass, 1 + mass)
+    size: float = 0.0  # [-] base times uniform(1 - size, 1 + size)
+    com_offset: float = 0.0  # [-] x and y, uniform within this share of half the base's extent
+    stiffness: float = 0.0  # [-] log-normal spread of each element's, who bears how much
+    lateral: float = 0.0  # [m] normal spread of the start in y
+    heading: float = 0.0  # [rad] normal spread of the start's theta
+
+    def __post_init__(self) -> None:
+        for name in ("friction", "rolling", "mass", "size", "com_offset"):
+            if checks.within(name, getattr(self, name), 0.0, 1.0) == 1.0:
+                raise ValueError(f"{name} must be less than 1, got {getattr(self, name)!r}")
+        for name in ("stiffness", "lateral", "heading"):
+            checks.not_negative(name, getattr(self, name))
+
+    def draw(self, rng: np.random.Generator, start: Start, shape: tuple[int, int]) -> Drawn:
+        """Vary a start and the surface (rows, columns) under it; only what varies is drawn."""
+        friction = (
+            _factor(rng, self.friction),
+            _factor(rng, self.rolling),
+            _factor(rng, self.rolling),
+        )
+        parcel = start.parcel
+        if self.mass or self.size or self.com_offset:
+            parcel = self._draw_parcel(rng, parcel)
+        x, y, theta = start.pose
+        if self.lateral:
+            y += self.lateral * float(rng.standard_normal())
+        if self.heading:
+            theta += self.heading * float(rng.standard_normal())
+        stiffness = np.exp(self.stiffness * rng.standard_normal(shape)) if self.stiffness else None
+        return Drawn(replace(start, parcel=parcel, pose=(x, y, theta)), friction, stiffness)
+
+    def _draw_parcel(self, rng: np.random.Generator, parcel: Parcel) -> Parcel:
+        mass, size = _factor(rng, self.mass), _factor(rng, self.size)
+        base = _scaled(parcel.base, size)
+        half_x, half_y = np.ptp(base.outline, axis=0) / 2.0
+        way_x, way_y = self.com_offset * rng.uniform(-1.0, 1.0, 2)
+        x, y = parcel.com_offset
+        return replace(
+            parcel,
+            base=base,
+            mass=parcel.mass * mass,
+            inertia=parcel.moment_of_inertia * size**2,
+            com_offset=(size * x + half_x * way_x, size * y + half_y * way_y),
+        )
+
+
+def _factor(rng: np.random.Generator, spread: float) -> float:
+    return float(rng.uniform(1.0 - spread, 1.0 + spread)) if spread else 1.0
+
+
+def _scaled(base: Base, factor: float) -> Base:
+    if isinstance(base, Rectangle):
+        return Rectangle(base.length * factor, base.width * factor)
+    if isinstance(base, Disc):
+        return Disc(base.radius * factor)
+    assert isinstance(base, Polygon)
+    return Polygon(base.vertices * factor)
