@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -142,10 +142,16 @@ class Polygon:
         turn = np.arctan2(
             side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0], (side * after).sum(axis=1)
         )
-        one_way = (turn >= 0.0).all() or (turn <= 0.0).all()
-        if not (one_way and abs(abs(turn.sum()) - 2.0 * np.pi) < 1e-6):
+        # A vertex within a side turns by no more than round-off; none turns back.
+        one_way = (turn > -1e-9).all() or (turn < 1e-9).all()
+        turns_back = (np.abs(turn) > np.pi - 1e-9).any()
+        if turns_back or not (one_way and abs(abs(turn.sum()) - 2.0 * np.pi) < 1e-6):
             raise ValueError(f"vertices must form a convex polygon, got {vertices.tolist()}")
         object.__setattr__(self, "vertices", vertices)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy by the constructor, which makes the array read-only again."""
+        return (Polygon, (self.vertices,))
 
     @property
     def outline(self) -> NDArray[np.float64]:

@@ -1,6 +1,7 @@
 """Checks of arguments: each error names the argument, the value and what is allowed."""
 
 import math
+import numbers
 from collections.abc import Iterable
 from typing import Any
 
@@ -9,11 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def number(name: str, value: Any) -> float:
-    """A finite number, or an error."""
+    """A finite number, or an error; booleans and strings are not numbers."""
     try:
-        result = float(value)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be a finite number, got {value!r}") from None
+        is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        result = float(value) if is_number else math.nan
+    except OverflowError:
+        result = math.inf
     if not math.isfinite(result):
         raise ValueError(f"{name} must be a finite number, got {value!r}")
     return result
@@ -61,9 +63,12 @@ def one_of(name: str, value: Any, allowed: Iterable[Any]) -> Any:
 def array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """A read-only copy as finite float64 of a shape (None: any length), or an error."""
     try:
-        result = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+        given = np.asarray(value)
+    except ValueError:  # rows of different lengths
         raise ValueError(f"{name} must be an array of numbers, got {value!r}") from None
+    if given.dtype.kind not in "iuf":
+        raise ValueError(f"{name} must be an array of numbers, got {value!r}")
+    result = np.array(given, dtype=np.float64)
     fits = result.ndim == len(shape) and all(
         want is None or have == want for have, want in zip(result.shape, shape, strict=True)
     )

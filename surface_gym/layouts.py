@@ -87,6 +87,7 @@ def stopping(
     """Section 5.3: the slowing layout with one more column, at 0 deg."""
     slow = slowing(size, angle, task_columns, columns, tilt)
     lead_in, rows = LEAD_IN[size], LINE_ROWS[size]
+    checks.integer("columns", columns, least=lead_in + task_columns + 1)
     first = (ROWS - rows) // 2
     task = slow.axis[first : first + rows, lead_in : lead_in + task_columns + 1].copy()
     task[:, -1] = 0.0

@@ -16,8 +16,8 @@ class Parcel:
         ValueError: a mass, height or inertia that is not allowed, a base of another kind, or a
             centre of mass that is not over the base.
 
-    >>> Parcel(Rectangle(0.25, 0.25)).moment_of_inertia  # m (b^2 + h^2) / 12
-    0.10416666666666667
+    >>> round(Parcel(Rectangle(0.25, 0.25)).moment_of_inertia, 4)  # m (b^2 + h^2) / 12
+    0.1042
     """
 
     base: Base

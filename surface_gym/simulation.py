@@ -39,6 +39,7 @@ from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 
 METHODS = ("implicit", "explicit")
+MAX_STEPS = 100_000_000  # of one run; its trajectory already takes 15 GB
 NORMAL_FORCES = ("dual", "osqp", "scipy")
 _END = {OFF_SURFACE: "left the surface", STOPPED: "stopped"}
 
@@ -77,13 +78,19 @@ def simulate(
     >>> parcel = sg.Parcel(sg.Rectangle(0.25, 0.25))
     >>> trajectory = sg.simulate(sg.layouts.sorting(), parcel, (0.125, 1.0, 0.0), (1.5, 0.0, 0.0))
     >>> trajectory.pose[-1].round(2)  # sorted to y < 0
-    array([ 0.97,  0.48, -0.23])
+    array([ 0.97,  0.49, -0.23])
     """
+    if not isinstance(surface, Surface):
+        raise ValueError(f"surface must be a Surface, got {surface!r}")
+    if not isinstance(parcel, Parcel):
+        raise ValueError(f"parcel must be a Parcel, got {parcel!r}")
     start = start_state(
         parcel, checks.array("pose", pose, (3,)), checks.array("velocity", velocity, (3,))
     )
     duration = checks.positive("duration", duration)
     dt = checks.positive("dt", dt)
+    if duration / dt > MAX_STEPS:
+        raise ValueError(f"dt must be at least duration / {MAX_STEPS:_}, got {dt!r}")
     checks.one_of("method", method, METHODS)
     checks.one_of("normal_forces", normal_forces, NORMAL_FORCES)
     if method == "explicit" and surface.tilt < 0.0:

@@ -1,8 +1,9 @@
 """A smart surface: a grid of orientable rotors among low-friction supports."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,10 @@ class Surface:
         axis = checks.array("axis", self.axis, (None, None))
         if axis.size == 0:
             raise ValueError(f"axis must have at least one row and one column, got {axis.shape}")
-        rotor = np.array(self.rotor)
+        try:
+            rotor = np.array(self.rotor)
+        except ValueError:  # rows of different lengths
+            raise ValueError(f"rotor must be an array of booleans, got {self.rotor!r}") from None
         if rotor.dtype != np.bool_:
             raise ValueError(f"rotor must be an array of booleans, got one of {rotor.dtype}")
         if rotor.shape != axis.shape:
@@ -66,6 +70,10 @@ class Surface:
         if not abs(tilt) < math.pi / 4:
             raise ValueError(f"tilt must be between -pi/4 and pi/4 (45 deg), got {self.tilt!r}")
         set_field(self, "tilt", tilt)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy by the constructor, which makes the arrays read-only again."""
+        return (type(self), tuple(getattr(self, field.name) for field in fields(self)))
 
     @property
     def rows(self) -> int:

@@ -7,20 +7,85 @@ Eq. (1) follows from vertical balance and N >= 0, so it never binds on its own. 
 mass throughout.
 """
 
-from surface_gym.dynamics.compiled import inlined
+from surface_gym.dynamics.compiled import compiled, inlined
 from surface_gym.dynamics.types import Scratch
 
 MAX_ITERATIONS = 100
+MAX_SEARCHES = 100
 # The moment balance may miss by this times the plane's slope. That leaves a solution where none is
-# exact (the parcel tips), and moves an exact one by about 1e-9 of itself.
-SLACK = 1e-9  # [pitch^2]
+# exact (the parcel tips), and moves an exact one by about 1e-8 of itself.
+SLACK = 1e-8  # [pitch^2]
+COLLINEAR_SLACK = 1e-5  # [pitch^2] where the plane's slope across the line is arbitrary
+BALANCE_TOLERANCE = 1e-12  # [weight] left of the balance, and [weight * pitch] of the moments
 TIPPING_TOLERANCE = 1e-6  # [pitch] by which the load point may miss what the contacts can carry
 COLLINEAR_TOLERANCE = 1e-6  # [-] least product of the two spreads, over their sum squared
 
 
+@compiled
+def _minimise_along(
+    scratch: Scratch,
+    contacts: int,
+    c: float,
+    cx: float,
+    cy: float,
+    dc: float,
+    dx: float,
+    dy: float,
+    start: float,
+    end: float,
+    slack: float,
+) -> float:
+    """Step length in (0, 1) at the minimum of the dual along a change of the plane.
+
+    The slope increases and is linear between its kinks, where a contact is loaded or lifted:
+    bracket it between two neighbours and the secant is exact.
+
+    Args:
+        start: slope at 0, negative.
+        end: slope at 1, positive.
+        slack: [m^2] of the moment balance.
+    """
+    low, high = 0.0, 1.0
+    at_low, at_high = start, end
+    rate = slack * (dx * dx + dy * dy)
+    constant = start
+    for i in range(contacts):
+        pressure = c + cx * scratch.arm_x[i] + cy * scratch.arm_y[i]
+        change = dc + dx * scratch.arm_x[i] + dy * scratch.arm_y[i]
+        constant -= scratch.stiffness[i] * change * max(0.0, pressure)
+    for _ in range(MAX_SEARCHES):
+        # The kink nearest to the middle of the bracket.
+        middle = 0.5 * (low + high)
+        distance = 0.5 * (high - low) * (1.0 - 1e-9)
+        t = -1.0
+        for i in range(contacts):
+            pressure = c + cx * scratch.arm_x[i] + cy * scratch.arm_y[i]
+            change = dc + dx * scratch.arm_x[i] + dy * scratch.arm_y[i]
+            if change != 0.0 and abs(pressure / change + middle) < distance:
+                t = -pressure / change
+                distance = abs(t - middle)
+        if t < 0.0:
+            break
+        slope = constant + t * rate
+        for i in range(contacts):
+            pressure = c + cx * scratch.arm_x[i] + cy * scratch.arm_y[i]
+            change = dc + dx * scratch.arm_x[i] + dy * scratch.arm_y[i]
+            slope += scratch.stiffness[i] * change * max(0.0, pressure + t * change)
+        if slope < 0.0:
+            low, at_low = t, slope
+        else:
+            high, at_high = t, slope
+    return low - at_low * (high - low) / (at_high - at_low)
+
+
 @inlined
 def dual_normal_forces(
-    scratch: Scratch, contacts: int, weight: float, load_x: float, load_y: float, pitch: float
+    scratch: Scratch,
+    contacts: int,
+    weight: float,
+    load_x: float,
+    load_y: float,
+    pitch: float,
 ) -> bool:
     """Solve Eq. (1) into `scratch.normal` by a semismooth Newton on its dual.
 
@@ -42,14 +107,14 @@ def dual_normal_forces(
     # From a uniform pressure, which loads every contact, to the plane that balances the load on
     # the contacts now loaded, and again until that lifts or loads none.
     c, cx, cy = weight / contacts, 0.0, 0.0
-    new_c, new_cx, new_cy = c, cx, cy
-    value = 0.0
+    dc = dx = dy = 0.0
+    start = 0.0
     step = 0.0
     degenerate = contacts < 3
     for _ in range(MAX_ITERATIONS):
-        trial_c = c + step * (new_c - c)
-        trial_cx = cx + step * (new_cx - cx)
-        trial_cy = cy + step * (new_cy - cy)
+        trial_c = c + step * dc
+        trial_cx = cx + step * dx
+        trial_cy = cy + step * dy
         # Sums of k, k x, k y, k x^2, k x y and k y^2 over the loaded contacts.
         s = sx = sy = sxx = sxy = syy = 0.0
         changes = 0
@@ -72,18 +137,20 @@ def dual_normal_forces(
                 syy += ky * y
         if step == 1.0 and changes == 0:
             break
-        quadratic = (
-            s * trial_c * trial_c
-            + 2.0 * trial_c * (sx * trial_cx + sy * trial_cy)
-            + (sxx + slack) * trial_cx * trial_cx
-            + 2.0 * sxy * trial_cx * trial_cy
-            + (syy + slack) * trial_cy * trial_cy
-        )
-        trial_value = 0.5 * quadratic - weight * (trial_c + load_x * trial_cx + load_y * trial_cy)
-        if step > 0.0 and trial_value > value:
-            step *= 0.5
-            continue
-        value = trial_value
+        if step == 0.0:
+            slack *= s / contacts
+        # What is left of the balance: the gradient of the dual.
+        left = s * trial_c + sx * trial_cx + sy * trial_cy - weight
+        left_x = sx * trial_c + (sxx + slack) * trial_cx + sxy * trial_cy - weight * load_x
+        left_y = sy * trial_c + sxy * trial_cx + (syy + slack) * trial_cy - weight * load_y
+        missing = abs(left) * pitch + abs(left_x) + abs(left_y)
+        if step > 0.0 and missing < BALANCE_TOLERANCE * weight * pitch:
+            break
+        if step == 1.0:
+            end = left * dc + left_x * dx + left_y * dy
+            if end > -0.5 * start:
+                step = _minimise_along(scratch, contacts, c, cx, cy, dc, dx, dy, start, end, slack)
+                continue
         c, cx, cy = trial_c, trial_cx, trial_cy
         per_s = 1.0 / s
         mean_x = sx * per_s
@@ -93,6 +160,7 @@ def dual_normal_forces(
         vyy = syy - sy * mean_y
         if step == 0.0 and vxx * vyy - vxy * vxy <= COLLINEAR_TOLERANCE * (vxx + vyy) * (vxx + vyy):
             degenerate = True
+            slack *= COLLINEAR_SLACK / SLACK
         vxx += slack
         vyy += slack
         rx = weight * (load_x - mean_x)
@@ -100,7 +168,12 @@ def dual_normal_forces(
         inverse = 1.0 / (vxx * vyy - vxy * vxy)
         new_cx = (vyy * rx - vxy * ry) * inverse
         new_cy = (vxx * ry - vxy * rx) * inverse
-        new_c = weight * per_s - new_cx * mean_x - new_cy * mean_y
+        dc = weight * per_s - new_cx * mean_x - new_cy * mean_y - c
+        dx = new_cx - cx
+        dy = new_cy - cy
+        start = left * dc + left_x * dx + left_y * dy
+        if start >= 0.0:  # round-off is all that is left
+            break
         step = 1.0
     miss = slack * (abs(trial_cx) + abs(trial_cy))
     if miss > TIPPING_TOLERANCE * pitch * weight:

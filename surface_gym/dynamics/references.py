@@ -37,7 +37,7 @@ def scipy_normal_forces(
 ) -> tuple[Array, bool]:
     """By SciPy's active-set `nnls`: the balance as heavy rows over the identity."""
     matrix, target, _ = _balance(arms, load)
-    heavy = np.array([1e6, 1e4, 1e4])[:, np.newaxis]
+    heavy = np.array([1e9, 1e6, 1e6])[:, np.newaxis]
     root = np.ones(len(arms)) if stiffness is None else np.sqrt(stiffness)
     system = np.vstack([heavy * matrix * root, np.eye(len(arms))])
     scaled, _ = nnls(system, np.concatenate([heavy[:, 0] * target, np.zeros(len(arms))]))
@@ -57,7 +57,7 @@ def osqp_normal_forces(
     high = np.concatenate([target, np.ones(n)])
     cost = np.eye(n) if stiffness is None else np.diag(stiffness.mean() / stiffness)
     share = _osqp(sparse.csc_matrix(cost), np.zeros(n), rows, low, high)
-    if share is None or _is_degenerate(matrix, target, share):
+    if share is None or np.abs(matrix @ share - target).max() > _MISS:
         moments = matrix[1:]
         stiff = sparse.csc_matrix(np.triu(1e8 * moments.T @ moments + cost))
         rows = sparse.csc_matrix(np.vstack([matrix[:1], np.eye(n)]))
@@ -88,6 +88,7 @@ def _osqp(
         eps_abs=1e-9,
         eps_rel=1e-9,
         max_iter=20_000,
+        adaptive_rho_interval=25,  # at its default some sets never converge
         polishing=True,
     )
     result = problem.solve(raise_error=False)

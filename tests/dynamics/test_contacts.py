@@ -1,0 +1,129 @@
+"""Contacts against a scan of the whole grid by Section 3.2's F_lambda <= 0."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import surface_gym as sg
+from surface_gym.dynamics.contacts import EDGE_TOLERANCE
+from surface_gym.dynamics.entries import find_contacts
+from surface_gym.dynamics.memory import make_scratch
+from surface_gym.dynamics.types import Scratch
+from tests.strategies import COLUMNS, ROWS, bases, polygon_vertices
+
+Pose = tuple[float, float, float]
+
+SURFACE = sg.Surface(
+    axis=np.arange(ROWS * COLUMNS, dtype=float).reshape(ROWS, COLUMNS),
+    rotor=np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS) % 3 > 0,
+    stiffness=1.0 + np.arange(ROWS * COLUMNS, dtype=float).reshape(ROWS, COLUMNS),
+)
+
+
+def contacts_of(parcel: sg.Parcel, pose: Pose) -> tuple[Scratch, int, np.ndarray]:
+    """The contacts, their number, and their [row, column] in the grid."""
+    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+    com_x, com_y = parcel.centre_of_mass
+    x = pose[0] + cosine * com_x - sine * com_y
+    y = pose[1] + sine * com_x + cosine * com_y
+    scratch = make_scratch(SURFACE.grid, parcel.body)
+    count = find_contacts(SURFACE.grid, parcel.body, x, y, pose[2], scratch)
+    columns = (scratch.arm_x[:count] + x - SURFACE.origin[0]) / SURFACE.pitch
+    rows = (scratch.arm_y[:count] + y - SURFACE.origin[1]) / SURFACE.pitch
+    return scratch, count, np.column_stack([rows, columns])
+
+
+def scan(parcel: sg.Parcel, pose: Pose) -> np.ndarray:
+    """(ROWS, COLUMNS) the largest F_lambda at each element."""
+    x, y = np.meshgrid(SURFACE.x - pose[0], SURFACE.y - pose[1])
+    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+    return parcel.base.functions(cosine * x + sine * y, cosine * y - sine * x).max(axis=0)
+
+
+@given(
+    base=bases,
+    x=st.floats(-0.3, 2.3),
+    y=st.floats(-0.3, 1.9),
+    theta=st.one_of(st.floats(-10.0, 10.0), st.sampled_from([0.0, math.pi / 2, math.pi, 1e6])),
+)
+def test_contacts_are_the_elements_a_scan_finds(
+    base: sg.bases.Base, x: float, y: float, theta: float
+) -> None:
+    parcel = sg.Parcel(base)
+    _, _, places = contacts_of(parcel, (x, y, theta))
+    found = np.zeros((ROWS, COLUMNS), dtype=int)
+    for row, column in np.rint(places).astype(int):
+        found[row, column] += 1
+    largest = scan(parcel, (x, y, theta))
+    np.testing.assert_allclose(places, np.rint(places), atol=1e-9)
+    assert found.max(initial=0) <= 1
+    assert found[largest <= 0.0].all()
+    assert not found[largest > 1.01 * EDGE_TOLERANCE].any()
+
+
+@given(
+    x=st.floats(0.0, 2.0),
+    y=st.floats(0.0, 1.6),
+    theta=st.floats(-4.0, 4.0),
+    offset=st.floats(-0.05, 0.05),
+)
+def test_contacts_stay_where_they_are_when_the_mass_moves(
+    x: float, y: float, theta: float, offset: float
+) -> None:
+    base = sg.Rectangle(0.31, 0.27)
+    _, _, central = contacts_of(sg.Parcel(base), (x, y, theta))
+    _, _, shifted = contacts_of(sg.Parcel(base, com_offset=(offset, -offset)), (x, y, theta))
+    np.testing.assert_allclose(shifted, central, atol=1e-9)
+
+
+def test_each_contact_has_its_elements_axis_kind_and_stiffness() -> None:
+    scratch, count, places = contacts_of(sg.Parcel(sg.Disc(0.3)), (1.0, 0.8, 0.0))
+    rows, columns = np.rint(places).astype(int).T
+    assert count == len(places) > 20
+    np.testing.assert_array_equal(scratch.axis_x[:count], np.cos(SURFACE.axis[rows, columns]))
+    np.testing.assert_array_equal(scratch.axis_y[:count], np.sin(SURFACE.axis[rows, columns]))
+    np.testing.assert_array_equal(scratch.rotor[:count], SURFACE.rotor[rows, columns])
+    np.testing.assert_array_equal(scratch.stiffness[:count], SURFACE.stiffness[rows, columns])
+
+
+@pytest.mark.parametrize("quarter_turns", range(-4, 5))
+def test_an_element_on_the_perimeter_is_a_contact(quarter_turns: int) -> None:
+    # The paper's start: the S-box covers 0 ... 0.25 m, whose right side runs through x = 0.25.
+    pose = (0.125, 1.0, quarter_turns * math.pi / 2)
+    _, _, places = contacts_of(sg.layouts.box("S"), pose)
+    np.testing.assert_allclose(places, [[9, 0], [9, 1], [9, 2], [10, 0], [10, 1], [10, 2]])
+
+
+def test_the_corners_of_a_box_at_45_degrees_are_contacts() -> None:
+    diagonal = 0.4
+    box = sg.Parcel(sg.Rectangle(diagonal / math.sqrt(2.0), diagonal / math.sqrt(2.0)))
+    _, count, places = contacts_of(box, (1.05, 0.85, math.pi / 4))
+    assert count == 13  # |rows| + |columns| <= 2 around the middle
+    np.testing.assert_allclose(np.abs(places - [8, 10]).sum(axis=1).max(), 2.0)
+
+
+def test_both_senses_of_a_polygon_have_the_same_contacts() -> None:
+    vertices = polygon_vertices(5, 0.3, 0.7, 0.4)
+    pose = (0.9, 0.7, 1.0)
+    _, _, anti_clockwise = contacts_of(sg.Parcel(sg.Polygon(vertices)), pose)
+    _, _, clockwise = contacts_of(sg.Parcel(sg.Polygon(vertices[::-1])), pose)
+    assert len(anti_clockwise) > 10
+    np.testing.assert_allclose(clockwise, anti_clockwise, atol=1e-9)
+
+
+@pytest.mark.parametrize("pose", [(-1.0, 0.8, 0.3), (1.0, 5.0, 0.0), (1e6, -1e6, 2.0)])
+def test_a_parcel_beside_the_surface_has_no_contacts(pose: Pose) -> None:
+    assert contacts_of(sg.layouts.box("B"), pose)[1] == 0
+
+
+def test_a_parcel_larger_than_the_surface_touches_all_of_it() -> None:
+    assert contacts_of(sg.Parcel(sg.Rectangle(9.0, 8.0)), (1.0, 0.8, 0.5))[1] == ROWS * COLUMNS
+
+
+def test_a_parcel_smaller_than_the_pitch_touches_one_element_or_none() -> None:
+    parcel = sg.Parcel(sg.Disc(0.01))
+    assert contacts_of(parcel, (0.95, 0.75, 0.0))[1] == 1
+    assert contacts_of(parcel, (1.0, 0.8, 0.0))[1] == 0

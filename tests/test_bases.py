@@ -1,0 +1,140 @@
+"""Bases: Section 3.2's functions, and what the physics asks of an area, against sampling."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import surface_gym as sg
+from surface_gym.bases import Base
+from tests.strategies import bases, polygon_vertices, polygons
+
+
+def samples(base: Base, count: int = 400) -> np.ndarray:
+    """(2, points) of a fine grid over the area."""
+    x, y = base.centroid
+    side = np.linspace(-base.reach, base.reach, count)
+    points = np.stack(np.meshgrid(x + side, y + side)).reshape(2, -1)
+    return points[:, base.functions(*points).max(axis=0) <= 0.0]
+
+
+@given(base=bases)
+def test_centroid_and_gyration_are_those_of_the_area(base: Base) -> None:
+    points = samples(base)
+    assert points.shape[1] > 10_000
+    np.testing.assert_allclose(points.mean(axis=1), base.centroid, atol=0.005 * base.reach)
+    assert points.var(axis=1).sum() == pytest.approx(base.gyration, rel=0.01)
+
+
+@given(base=bases)
+def test_reach_is_the_distance_to_the_farthest_point_of_the_outline(base: Base) -> None:
+    offset = base.outline - base.centroid
+    assert np.hypot(*offset.T).max() == pytest.approx(base.reach, rel=1e-9)
+
+
+@given(base=bases)
+def test_the_outline_runs_anti_clockwise_along_the_zero_of_the_functions(base: Base) -> None:
+    largest = base.functions(*base.outline.T).max(axis=0)
+    np.testing.assert_allclose(largest, 0.0, atol=1e-12)
+    x, y = base.outline.T
+    assert np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0.0
+
+
+@given(base=bases, share=st.floats(0.0, 0.999), beyond=st.floats(1.001, 3.0))
+def test_functions_tell_inside_from_outside(base: Base, share: float, beyond: float) -> None:
+    offset = base.outline - base.centroid
+    inside, outside = (np.array(base.centroid) + scale * offset for scale in (share, beyond))
+    assert (base.functions(*inside.T).max(axis=0) <= 0.0).all()
+    assert (base.functions(*outside.T).max(axis=0) > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("base", "gyration", "reach"),
+    [
+        (sg.Rectangle(0.3, 0.4), 0.25 / 12.0, 0.25),
+        (sg.Disc(0.2), 0.02, 0.2),
+        (sg.Polygon([(0.0, 0.0), (0.3, 0.0), (0.3, 0.4), (0.0, 0.4)]), 0.25 / 12.0, 0.25),
+        # A right isosceles triangle of legs a: a^2 / 9 about its centroid.
+        (sg.Polygon([(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)]), 0.01, 0.1 * math.sqrt(5.0)),
+    ],
+)
+def test_known_areas(base: Base, gyration: float, reach: float) -> None:
+    assert base.gyration == pytest.approx(gyration)
+    assert base.reach == pytest.approx(reach)
+
+
+def test_a_box_drawn_as_a_polygon_is_the_same_box() -> None:
+    box = sg.Rectangle(0.3, 0.4)
+    polygon = sg.Polygon(box.outline)
+    assert polygon.centroid == pytest.approx((0.0, 0.0))
+    x, y = np.meshgrid(np.linspace(-0.3, 0.3, 50), np.linspace(-0.3, 0.3, 50))
+    np.testing.assert_allclose(
+        polygon.functions(x, y).max(axis=0), box.functions(x, y).max(axis=0), atol=1e-12
+    )
+
+
+@given(polygon=polygons())
+def test_the_sense_of_rotation_does_not_matter(polygon: sg.Polygon) -> None:
+    reverse = sg.Polygon(polygon.vertices[::-1])
+    assert reverse.centroid == pytest.approx(polygon.centroid)
+    assert reverse.gyration == pytest.approx(polygon.gyration)
+    assert reverse.reach == pytest.approx(polygon.reach)
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 20), np.linspace(-0.5, 0.5, 20))
+    np.testing.assert_allclose(
+        polygon.functions(x, y).max(axis=0), reverse.functions(x, y).max(axis=0), atol=1e-12
+    )
+
+
+@given(turn=st.floats(-4.0, 4.0), sides=st.integers(3, 8))
+def test_a_vertex_within_a_side_is_allowed(turn: float, sides: int) -> None:
+    corners = polygon_vertices(sides, 0.3, 0.8, turn)
+    middles = 0.5 * (corners + np.roll(corners, -1, axis=0))
+    more = sg.Polygon(np.stack([corners, middles], axis=1).reshape(-1, 2))
+    assert more.gyration == pytest.approx(sg.Polygon(corners).gyration)
+
+
+def test_a_polygon_keeps_a_read_only_copy() -> None:
+    vertices = polygon_vertices(4, 0.2, 1.0, 0.0)
+    polygon = sg.Polygon(vertices)
+    vertices[:] = 0.0
+    assert polygon.reach == pytest.approx(0.2)
+    with pytest.raises(ValueError, match="read-only"):
+        polygon.vertices[0] = 0.0
+
+
+PENTAGRAM = polygon_vertices(5, 0.3, 1.0, 0.0)[[0, 2, 4, 1, 3]]
+
+
+@pytest.mark.parametrize(
+    ("vertices", "message"),
+    [
+        ([(0, 0), (1, 0)], "vertices must be at least 3, got 2"),
+        ([(0, 0), (1, 0), (1, 0), (0, 1)], "vertices must differ from their neighbours"),
+        ([(0, 0), (1, 0), (0, 1), (0, 0)], "vertices must differ from their neighbours"),
+        ([(0, 0), (1, 0), (0.2, 0.2), (0, 1)], "vertices must form a convex polygon, got "),
+        ([(0, 0), (1, 1), (1, 0), (0, 1)], "vertices must form a convex polygon, got "),
+        (PENTAGRAM, "vertices must form a convex polygon, got "),
+        ([(0, 0), (1, 0), (0.5, 0)], "vertices must form a convex polygon, got "),
+        ([(0, 0), (1, 1), (0.5, 0.5)], "vertices must form a convex polygon, got "),
+        ([(0, 0), (1, 0), (2, 0), (1, 0)], "vertices must form a convex polygon, got "),
+        ([(0, 0), (1, 0), (np.nan, 1)], "vertices must be finite, got nan"),
+        ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], r"vertices must have the shape \(any, 2\)"),
+        (None, "vertices must "),
+        ("abc", "vertices must be an array of numbers"),
+    ],
+)
+def test_polygons_that_are_not_allowed(vertices: object, message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
+        sg.Polygon(vertices)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, None, "a", "0.2", True])
+def test_lengths_that_are_not_allowed(value: object) -> None:
+    with pytest.raises(ValueError, match=r"^length must be "):
+        sg.Rectangle(value, 0.2)
+    with pytest.raises(ValueError, match=r"^width must be "):
+        sg.Rectangle(0.2, value)
+    with pytest.raises(ValueError, match=r"^radius must be "):
+        sg.Disc(value)
