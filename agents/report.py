@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from agents.comparison import PARCELS, SPEEDS, SortRecord
@@ -45,11 +46,11 @@ def _caption() -> str:
 def print_table(records: Sequence[SortRecord], console: Console) -> None:
     """Show the comparison on screen."""
     header, rows = _rows(records)
-    table = Table(*header[:1], title="Sorting by entry speed", caption=_caption())
+    table = Table(escape(header[0]), title="Sorting by entry speed", caption=escape(_caption()))
     for name in header[1:]:
         table.add_column(name, justify="right")
     for number, row in enumerate(rows):
-        table.add_row(*row, end_section=number == len(rows) - 3)
+        table.add_row(*map(escape, row), end_section=number == len(rows) - 3)
     console.print(table)
 
 

@@ -1,6 +1,8 @@
 """A video of one sort."""
 
+import shutil
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import gymnasium as gym
@@ -21,12 +23,19 @@ def record_sort(
         orientations=settings.orientations,
         render_mode="rgb_array",
     )
+    with TemporaryDirectory() as films:
+        success = _record(env, controller, options, films)
+        (film,) = Path(films).glob("film/*.mp4")
+        shutil.move(film, folder / f"{name}.mp4")
+    return success
+
+
+def _record(
+    env: gym.Env[Any, Any], controller: Controller, options: dict[str, Any], films: str
+) -> bool:
+    """Film one episode into a folder of its own."""
     video = gym.wrappers.RecordVideo(
-        env,
-        str(folder),
-        episode_trigger=lambda episode: episode == 0,
-        name_prefix=name,
-        disable_logger=True,
+        env, str(Path(films) / "film"), episode_trigger=lambda _: True, disable_logger=True
     )
     observation, info = video.reset(seed=0, options=options)
     over = False
@@ -35,5 +44,4 @@ def record_sort(
         observation, _, terminated, truncated, info = video.step(action)
         over = terminated or truncated
     video.close()  # type: ignore[no-untyped-call]
-    (folder / f"{name}-episode-0.mp4").replace(folder / f"{name}.mp4")
     return bool(info["is_success"])

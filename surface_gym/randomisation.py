@@ -44,6 +44,11 @@ class Randomisation:
         for name in ("stiffness", "lateral", "heading"):
             checks.not_negative(name, getattr(self, name))
 
+    @property
+    def varies(self) -> bool:
+        """Whether there is anything to draw."""
+        return self != Randomisation()
+
     def draw(self, rng: np.random.Generator, start: Start, shape: tuple[int, int]) -> Drawn:
         """Vary a start and the surface (rows, columns) under it; only what varies is drawn."""
         friction = (
@@ -60,7 +65,7 @@ class Randomisation:
         if self.heading:
             theta += self.heading * float(rng.standard_normal())
         stiffness = np.exp(self.stiffness * rng.standard_normal(shape)) if self.stiffness else None
-        return Drawn(replace(start, parcel=parcel, pose=(x, y, theta)), friction, stiffness)
+        return Drawn(start._replace(parcel=parcel, pose=(x, y, theta)), friction, stiffness)
 
     def _draw_parcel(self, rng: np.random.Generator, parcel: Parcel) -> Parcel:
         mass, size = _factor(rng, self.mass), _factor(rng, self.size)

@@ -120,8 +120,8 @@ class Settings:
         """The space of one lane's action."""
         return self.action_kind.space()
 
-    def make_batch(self, lanes: int) -> Batch:
-        """A batch of lanes with these settings."""
+    def make_batch(self, lanes: int, threads: int = 1) -> Batch:
+        """A batch of lanes with these settings, moved on a number of threads."""
         angles = np.array(self.orientations)
         kind, timing = self.action_kind, self.timing
         acting = Acting(
@@ -141,4 +141,5 @@ class Settings:
             self.sensors,
             self.actuators,
             self.randomisation,
+            threads,
         )

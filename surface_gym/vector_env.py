@@ -33,6 +33,8 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
     Args:
         num_envs: number of lanes.
         max_episode_steps: control periods after which a lane is truncated; None for no limit.
+        threads: that share the lanes; results do not depend on their number. More than one start
+            Numba's thread pool, after which a process should not fork.
         autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED.
 
     `reset(options=...)` takes one dict for all lanes, or a sequence of one dict or None a lane.
@@ -53,6 +55,7 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
         randomisation: Randomisation = Randomisation(),
         render_mode: str | None = None,
         max_episode_steps: int | None = None,
+        threads: int = 1,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
         self.num_envs = checks.integer("num_envs", num_envs, least=1)
@@ -73,7 +76,9 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._task = self.settings.chosen_task
         self._kind = self.settings.action_kind
-        self._batch = self.settings.make_batch(self.num_envs)
+        self._batch = self.settings.make_batch(
+            self.num_envs, min(self.num_envs, checks.integer("threads", threads, least=1))
+        )
         self._randoms: list[np.random.Generator | None] = [None] * self.num_envs
         self._steps_left = np.zeros(self.num_envs, dtype=np.int64)
         self._limit = np.iinfo(np.int64).max if max_episode_steps is None else max_episode_steps

@@ -6,12 +6,12 @@ import numpy as np
 
 from surface_gym.actuators import Actuators
 from surface_gym.batch.commands import Acting
-from surface_gym.batch.period import Rules, advance_lanes, begin_lanes
+from surface_gym.batch.period import Rules, advance_lanes, advance_lanes_on_threads, begin_lanes
 from surface_gym.batch.placement import NO_EDGE, Placement, placement_of
 from surface_gym.dynamics.types import GRAVITY, Array
 from surface_gym.lanes.memory import (
     NOISE_ROWS,
-    PATH_POINTS,
+    Booleans,
     Integers,
     Lanes,
     Sizes,
@@ -19,16 +19,27 @@ from surface_gym.lanes.memory import (
     make_batch_scratch,
     make_lanes,
 )
-from surface_gym.layouts import ROLLING
+from surface_gym.parcel import Parcel
 from surface_gym.plant import GEOMETRY
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Sensors
 from surface_gym.surface import Surface
 from surface_gym.tasks.task import Start, Task
 
-_CONVEYOR = (math.cos(ROLLING), math.sin(ROLLING))
 _FEWEST_EDGES = 4
 _FEWEST_CONTACTS = 64
+
+
+def _state_of(start: Start) -> tuple[float, ...]:
+    """State vector of the centre of mass."""
+    x, y, theta = start.pose
+    vx, vy, omega = start.velocity
+    com_x, com_y = start.parcel.centre_of_mass
+    if (com_x, com_y) == (0.0, 0.0):
+        return (x, y, theta, vx, vy, omega, 0.0, 0.0)
+    cosine, sine = math.cos(theta), math.sin(theta)
+    arm_x, arm_y = cosine * com_x - sine * com_y, sine * com_x + cosine * com_y
+    return (x + arm_x, y + arm_y, theta, vx - omega * arm_y, vy + omega * arm_x, omega, 0.0, 0.0)
 
 
 class Batch:
@@ -45,6 +56,7 @@ class Batch:
         sensors: what a controller gets to see.
         actuators: which modules are stuck.
         randomisation: what differs from start to start.
+        threads: that share the lanes; results do not depend on their number.
     """
 
     def __init__(
@@ -59,11 +71,13 @@ class Batch:
         sensors: Sensors,
         actuators: Actuators,
         randomisation: Randomisation,
+        threads: int,
     ) -> None:
         self.task = task
         self._zone = zone
         self._actuators = actuators
         self._randomisation = randomisation
+        self._varies = randomisation.varies
         self.rules = Rules(
             task.number, len(task.features), GEOMETRY, timing, acting, sensors.sensing(timing.dt)
         )
@@ -79,7 +93,8 @@ class Batch:
             turning=acting.turn != math.inf,
         )
         self.lanes: Lanes = make_lanes(sizes)
-        self._scratch = make_batch_scratch(1, _FEWEST_CONTACTS, _FEWEST_EDGES)
+        self._scratch = make_batch_scratch(threads, _FEWEST_CONTACTS, _FEWEST_EDGES)
+        self._parcels: list[Parcel | None] = [None] * lanes
         self._generators: list[np.random.Generator | None] = [None] * lanes
         nominal = Surface(axis=np.zeros((1, 1)), rotor=np.ones((1, 1), dtype=bool))
         self._friction = (nominal.mu_max, nominal.mu_min, nominal.mu_support)
@@ -90,51 +105,54 @@ class Batch:
         The randomisation, the stuck modules and the sensors' noise are drawn from the generator,
         in that order.
         """
+        shape = (self.task.plant.rows, self.task.plant.columns)
+        friction, stiffness = (1.0, 1.0, 1.0), None
+        if self._varies:
+            start, friction, stiffness = self._randomisation.draw(generator, start, shape)
+        if self._parcels[lane] is not start.parcel:
+            self._place_parcel(lane, start.parcel)
         lanes = self.lanes
-        shape = (lanes.rotor.shape[1], lanes.rotor.shape[2])
-        start, friction, stiffness = self._randomisation.draw(generator, start, shape)
-        placement = placement_of(start.parcel, self.task.plant, self._zone)
-        self._make_room(placement)
-        lanes = self.lanes
-        x, y, theta = start.pose
-        vx, vy, omega = start.velocity
-        cosine, sine = math.cos(theta), math.sin(theta)
-        com_x, com_y = start.parcel.centre_of_mass
-        arm_x, arm_y = cosine * com_x - sine * com_y, sine * com_x + cosine * com_y
-        lanes.state[lane] = (
-            x + arm_x,
-            y + arm_y,
-            theta,
-            vx - omega * arm_y,
-            vy + omega * arm_x,
-            omega,
-            0.0,
-            0.0,
-        )
-        lanes.axis[lane] = _CONVEYOR
-        lanes.angle[lane] = ROLLING
-        lanes.target[lane] = ROLLING
-        lanes.rotor[lane] = placement.rotor
-        lanes.obeys[lane] = placement.obeys
-        self._draw_stuck(lane, generator)
-        lanes.stiffness[lane] = 1.0 if stiffness is None else stiffness
+        lanes.state[lane] = _state_of(start)
         lanes.surface[lane] = (
-            *(mu * factor for mu, factor in zip(self._friction, friction, strict=True)),
+            self._friction[0] * friction[0],
+            self._friction[1] * friction[1],
+            self._friction[2] * friction[2],
             GRAVITY * math.sin(start.tilt),
             GRAVITY * math.cos(start.tilt),
         )
+        lanes.goal[lane, : len(start.goal)] = start.goal
+        if start.path is not None:
+            lanes.path[lane] = start.path
+        if stiffness is not None:
+            lanes.stiffness[lane] = stiffness
+        if self._actuators.stuck_share:
+            working = generator.random(shape) >= self._actuators.stuck_share
+            lanes.obeys[lane] = self._obeys(start.parcel) & working
+        self._generators[lane] = generator
+        if self._draws:
+            self._draw_noise(lane)
+
+    def _place_parcel(self, lane: int, parcel: Parcel) -> None:
+        """Write what follows from the parcel and the plant, which the next start may share."""
+        placement = placement_of(parcel, self.task.plant, self._zone)
+        self._make_room(placement)
+        lanes = self.lanes
+        lanes.rotor[lane] = placement.rotor
+        lanes.obeys[lane] = self._obeys(parcel)
         lanes.body[lane] = placement.body
         lanes.edges[lane] = NO_EDGE
         lanes.edges[lane, : len(placement.edges)] = placement.edges
         lanes.corners[lane] = placement.corners[0]
         lanes.corners[lane, : len(placement.corners)] = placement.corners
         lanes.zone[lane] = placement.zone
-        lanes.goal[lane, : len(start.goal)] = start.goal
-        if start.path is not None:
-            lanes.path[lane, :PATH_POINTS] = start.path
-        self._generators[lane] = generator
-        if self._draws:
-            self._draw_noise(lane)
+        self._parcels[lane] = parcel
+
+    def _obeys(self, parcel: Parcel) -> Booleans:
+        """(rows, columns) rotors that obey, those known to be stuck left out."""
+        obeys = placement_of(parcel, self.task.plant, self._zone).obeys.copy()
+        for row, column in self._actuators.stuck:
+            obeys[row, column] = False
+        return obeys
 
     def begin(self, chosen: Integers) -> None:
         """Sense and observe the chosen lanes (count,), on which starts were placed."""
@@ -146,14 +164,10 @@ class Batch:
         if self._draws:
             for lane in np.nonzero(self.lanes.noise_row + self._draws > NOISE_ROWS)[0].tolist():
                 self._draw_noise(lane)
-        advance_lanes(self.rules, self.lanes, 0, len(self.lanes.clock), self._scratch)
-
-    def _draw_stuck(self, lane: int, generator: np.random.Generator) -> None:
-        obeys = self.lanes.obeys[lane]
-        for row, column in self._actuators.stuck:
-            obeys[row, column] = False
-        if self._actuators.stuck_share:
-            obeys &= generator.random(obeys.shape) >= self._actuators.stuck_share
+        if self._scratch.normal.shape[0] == 1:
+            advance_lanes(self.rules, self.lanes, self._scratch)
+        else:
+            advance_lanes_on_threads(*self.rules, self.lanes, self._scratch)
 
     def _draw_noise(self, lane: int) -> None:
         """Three standard normals and a uniform a row."""
@@ -178,4 +192,5 @@ class Batch:
                 corners=np.concatenate([old.corners, repeats], axis=1),
             )
         if edges > have or contacts > self._scratch.normal.shape[1]:
-            self._scratch = make_batch_scratch(1, contacts, edges)
+            threads = self._scratch.normal.shape[0]
+            self._scratch = make_batch_scratch(threads, contacts, edges)

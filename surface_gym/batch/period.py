@@ -3,15 +3,21 @@
 import math
 from typing import NamedTuple
 
+from numba import prange
+
 from surface_gym.batch import judgement
 from surface_gym.batch.commands import WINDOW, Acting, obey, show_window, turn_axes
-from surface_gym.dynamics.compiled import compiled, inlined
+from surface_gym.dynamics.compiled import compiled, compiled_for_threads, inlined
 from surface_gym.dynamics.step import OFF_SURFACE, step_implicit
 from surface_gym.dynamics.types import Scratch
 from surface_gym.lanes.memory import RUNNING, Geometry, Integers, Lanes, Timing
 from surface_gym.lanes.views import body_of, grid_of, read_truth, scratch_of
+from surface_gym.layouts import ROLLING
 from surface_gym.sensors import reading
 from surface_gym.sensors.sensor import Sensing
+
+_CONVEYOR_X = math.cos(ROLLING)
+_CONVEYOR_Y = math.sin(ROLLING)
 
 
 class Rules(NamedTuple):
@@ -36,8 +42,16 @@ def _observe(rules: Rules, lanes: Lanes, lane: int) -> None:
 
 @compiled
 def begin_lanes(rules: Rules, lanes: Lanes, chosen: Integers) -> None:
-    """First sensing and observation of the chosen lanes (count,), on which starts were placed."""
+    """Axes as the conveyor's, first sensing and observation of the chosen lanes (count,)."""
     for lane in chosen:
+        for row in range(lanes.axis.shape[1]):
+            for column in range(lanes.axis.shape[2]):
+                lanes.axis[lane, row, column, 0] = _CONVEYOR_X
+                lanes.axis[lane, row, column, 1] = _CONVEYOR_Y
+        for row in range(lanes.angle.shape[1]):
+            for column in range(lanes.angle.shape[2]):
+                lanes.angle[lane, row, column] = ROLLING
+                lanes.target[lane, row, column] = ROLLING
         lanes.clock[lane] = 0.0
         lanes.steps[lane] = 0
         lanes.outcome[lane] = RUNNING
@@ -86,8 +100,32 @@ def advance_lane(rules: Rules, lanes: Lanes, lane: int, scratch: Scratch) -> Non
 
 
 @compiled
-def advance_lanes(rules: Rules, lanes: Lanes, first: int, last: int, scratches: Scratch) -> None:
-    """Move the lanes in [first, last) over a control period, with the first thread's scratch."""
+def advance_lanes(rules: Rules, lanes: Lanes, scratches: Scratch) -> None:
+    """Move all lanes over a control period."""
     scratch = scratch_of(scratches, 0)
-    for lane in range(first, last):
+    for lane in range(lanes.clock.shape[0]):
         advance_lane(rules, lanes, lane, scratch)
+
+
+@compiled_for_threads
+def advance_lanes_on_threads(
+    task: int,
+    features: int,
+    geometry: Geometry,
+    timing: Timing,
+    acting: Acting,
+    sensing: Sensing,
+    lanes: Lanes,
+    scratches: Scratch,
+) -> None:
+    """`advance_lanes` on as many threads as there are scratches, each with lanes of its own.
+
+    The rules come one by one, since Numba hands no nested tuple to a thread.
+    """
+    count = lanes.clock.shape[0]
+    threads = scratches.normal.shape[0]
+    for thread in prange(threads):
+        rules = Rules(task, features, geometry, timing, acting, sensing)
+        scratch = scratch_of(scratches, thread)
+        for lane in range(thread * count // threads, (thread + 1) * count // threads):
+            advance_lane(rules, lanes, lane, scratch)

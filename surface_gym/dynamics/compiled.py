@@ -55,6 +55,13 @@ def compiled(function: Callable[..., Any]) -> Any:
     return dispatcher
 
 
+def compiled_for_threads(function: Callable[..., Any]) -> Any:
+    """Compile a function whose `prange` loop runs on Numba's threads; cached like `compiled`."""
+    dispatcher = njit(cache=True, parallel=True, **_OPTIONS)(function)
+    dispatcher._cache = _WholePackageCache(function)
+    return dispatcher
+
+
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a function into each of its compiled callers, arrays and all kept in registers.
 

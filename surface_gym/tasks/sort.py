@@ -26,7 +26,7 @@ from surface_gym.lanes.memory import (
 from surface_gym.lanes.views import reach_along
 from surface_gym.layouts import LINE_Y, box
 from surface_gym.plant import Line
-from surface_gym.tasks.task import Feature, Start, parcel_option
+from surface_gym.tasks.task import Feature, Start, parcel_option, rear_of
 
 SIDE = 0  # column of `Lanes.goal`: +1 for y > 0, -1 for y < 0
 REACH = 0  # column of `Lanes.memory`: [m] the lateral reach at the last decision
@@ -99,8 +99,7 @@ class Sort:
             parcel = parcel_option(options["parcel"])
         if "side" in options:
             side = checks.one_of("side", options["side"], (1, -1))
-        half_length = float(-parcel.base.outline[:, 0].min())
-        return Start(parcel, (half_length, LINE_Y, 0.0), (speed, 0.0, 0.0), (float(side),))
+        return Start(parcel, (rear_of(parcel), LINE_Y, 0.0), (speed, 0.0, 0.0), (float(side),))
 
     def readings(self, lanes: Lanes, lane: int) -> list[tuple[str, str]]:
         """The asked side."""

@@ -1,7 +1,8 @@
 """What every task has in common."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from functools import lru_cache
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +24,7 @@ class Feature:
     meaning: str  # with the unit it is scaled by
 
 
-@dataclass(frozen=True)
-class Start:
+class Start(NamedTuple):
     """How an episode begins."""
 
     parcel: Parcel
@@ -66,6 +66,12 @@ class Task(Protocol):
 
     def start(self, rng: np.random.Generator, options: dict[str, Any]) -> Start:
         """Draw a start; an option takes the place of its draw."""
+
+
+@lru_cache(maxsize=64)
+def rear_of(parcel: Parcel) -> float:
+    """[m] from the rear of a parcel to its base frame's origin: where it enters at x = 0."""
+    return -float(parcel.base.outline[:, 0].min())
 
 
 def parcel_option(value: Any) -> Parcel:
