@@ -10,20 +10,22 @@ from pathlib import Path
 import numpy as np
 import tyro
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
 
-from benchmarks import accuracy, physics
-from benchmarks.physics import Figure
-
-PARTS: dict[str, tuple[Callable[[], list[Figure]], ...]] = {
-    "physics": (physics.step_figures, physics.size_figures, physics.start_figures),
-}
+from benchmarks import accuracy, environments, physics
+from benchmarks.environments import BOX2D, ENVPOOL
+from benchmarks.figure import Figure
 
 
 @dataclass(frozen=True)
 class BenchmarkConfig:
-    """Measure cost and accuracy, on one core, warmed up."""
+    """Measure cost and accuracy, warmed up."""
 
+    physics: bool = True
+    """Cost of a step, of an import and of a first step."""
+    environments: bool = True
+    """Steps a second beside other packages."""
     scenes: int = 200
     """Random scenes of the accuracy table; 0 leaves it out."""
     seed: int = 0
@@ -32,10 +34,8 @@ class BenchmarkConfig:
     """File to write the figures to."""
 
 
-def _asked(figure: Figure) -> str:
-    if figure.most is not None:
-        return f"<= {figure.most:g}"
-    return f">= {figure.least:g}" if figure.least is not None else ""
+def _written(value: float) -> str:
+    return f"{value:,.0f}" if value >= 1000.0 else f"{value:.3g}"
 
 
 def main() -> None:
@@ -43,16 +43,21 @@ def main() -> None:
     config = tyro.cli(BenchmarkConfig)
     console = Console()
     figures: list[Figure] = []
-    with console.status("") as status:
-        for part in PARTS.values():
-            for measure in part:
-                status.update((measure.__doc__ or "").splitlines()[0])
-                figures += measure()
-    table = Table("figure", title=f"{platform.machine()}, {os.cpu_count()} cores, one used")
+    measures: list[Callable[[], list[Figure]]] = []
+    if config.physics:
+        measures += [physics.step_figures, physics.size_figures, physics.start_figures]
+    if config.environments:
+        measures.append(environments.environment_figures)
+        for package, found in (("gymnasium[box2d]", BOX2D), ("envpool", ENVPOOL)):
+            if not found:
+                console.print(f"left out, not installed: {package} (extra 'bench')", markup=False)
+    for measure in track(measures, "measuring", console=console, transient=True):
+        figures += measure()
+    table = Table("figure", title=f"{platform.machine()}, {os.cpu_count()} cores")
     for column in ("measured", "unit", "asked"):
         table.add_column(column, justify="right")
     for figure in figures:
-        table.add_row(figure.name, f"{figure.value:.3g}", figure.unit, _asked(figure))
+        table.add_row(figure.name, _written(figure.value), figure.unit, figure.asked)
     console.print(table)
     errors: dict[float, np.ndarray] = {}
     if config.scenes:

@@ -5,11 +5,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 
 import numpy as np
 
 import surface_gym as sg
+from benchmarks.figure import Figure
 from surface_gym.dynamics.memory import make_scratch
 from surface_gym.dynamics.run import run_implicit
 from surface_gym.dynamics.types import STATE_SIZE, VX, X, Y
@@ -23,17 +23,6 @@ MOST_IMPORT = 0.6  # [s]
 MOST_FIRST_STEP = 12.0  # [s] in an empty cache
 MOST_CACHED_STEP = 1.0  # [s]
 MOST_SIZE_RATIO = 1.10
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A measured figure beside the one asked for."""
-
-    name: str
-    value: float
-    unit: str
-    most: float | None = None  # asked for, at most
-    least: float | None = None  # asked for, at least
 
 
 def _step_time(
@@ -105,6 +94,7 @@ print(time.perf_counter() - begin)
     stepping = """
 import time
 import surface_gym as sg
+from benchmarks.figure import Figure
 scene = sg.layouts.sorting(), sg.layouts.box("S"), sg.layouts.start("S")
 begin = time.perf_counter()
 sg.simulate(*scene, velocity=(1.5, 0.0, 0.0), duration=0.005)

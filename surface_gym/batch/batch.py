@@ -93,6 +93,7 @@ class Batch:
             turning=acting.turn != math.inf,
         )
         self.lanes: Lanes = make_lanes(sizes)
+        self._contacts = _FEWEST_CONTACTS
         self._scratch = make_batch_scratch(threads, _FEWEST_CONTACTS, _FEWEST_EDGES)
         self._parcels: list[Parcel | None] = [None] * lanes
         self._generators: list[np.random.Generator | None] = [None] * lanes
@@ -183,7 +184,7 @@ class Batch:
         old = self.lanes
         have = old.edges.shape[1]
         edges = max(have, len(placement.edges), len(placement.corners))
-        contacts = max(self._scratch.normal.shape[1], placement.contacts)
+        contacts = max(self._contacts, placement.contacts)
         if edges > have:
             more: Array = np.tile(NO_EDGE, (len(old.clock), edges - have, 1))
             repeats = np.repeat(old.corners[:, :1], edges - have, axis=1)
@@ -191,6 +192,7 @@ class Batch:
                 edges=np.concatenate([old.edges, more], axis=1),
                 corners=np.concatenate([old.corners, repeats], axis=1),
             )
-        if edges > have or contacts > self._scratch.normal.shape[1]:
+        if edges > have or contacts > self._contacts:
             threads = self._scratch.normal.shape[0]
             self._scratch = make_batch_scratch(threads, contacts, edges)
+            self._contacts = contacts

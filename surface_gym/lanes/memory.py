@@ -147,15 +147,19 @@ def make_lanes(sizes: Sizes) -> Lanes:
 
 
 def make_batch_scratch(threads: int, contacts: int, edges: int) -> Scratch:
-    """Scratch of every thread in one; the first axis of each array is the thread."""
+    """Scratch of every thread in one; the first axis of each array is the thread.
+
+    Each thread's part is longer than it needs by a cache line, so that none shares one.
+    """
+    line = 64  # [bytes], at most 64 numbers of any kind
     return Scratch(
-        arm_x=np.zeros((threads, contacts)),
-        arm_y=np.zeros((threads, contacts)),
-        axis_x=np.zeros((threads, contacts)),
-        axis_y=np.zeros((threads, contacts)),
-        rotor=np.zeros((threads, contacts), dtype=np.bool_),
-        stiffness=np.zeros((threads, contacts)),
-        normal=np.zeros((threads, contacts)),
-        edges=np.zeros((threads, edges, 3)),
-        slide=np.zeros((threads, contacts, 4)),
+        arm_x=np.zeros((threads, contacts + line)),
+        arm_y=np.zeros((threads, contacts + line)),
+        axis_x=np.zeros((threads, contacts + line)),
+        axis_y=np.zeros((threads, contacts + line)),
+        rotor=np.zeros((threads, contacts + line), dtype=np.bool_),
+        stiffness=np.zeros((threads, contacts + line)),
+        normal=np.zeros((threads, contacts + line)),
+        edges=np.zeros((threads, edges + line, 3)),
+        slide=np.zeros((threads, contacts + line, 4)),
     )

@@ -24,7 +24,8 @@ from surface_gym.lanes.memory import (
     Lanes,
 )
 from surface_gym.lanes.views import reach_along
-from surface_gym.layouts import LINE_Y, box
+from surface_gym.layouts import LINE_Y
+from surface_gym.parcel import Parcel
 from surface_gym.plant import Line
 from surface_gym.tasks.task import Feature, Start, parcel_option, rear_of
 
@@ -72,6 +73,7 @@ class Sort:
     slow_share: float = 0.5  # [-] of starts drawn from the low band, where sorting is hard
     speeds: tuple[float, float] = (0.3, 2.7)  # [m/s] entry speed
     slow_speeds: tuple[float, float] = (0.3, 1.1)  # [m/s] the low band
+    parcels: tuple[str | Parcel, ...] = ("S", "B")  # to draw from
 
     number = 0
     plant = Line()
@@ -86,12 +88,17 @@ class Sort:
             if not 0.0 < low <= high:
                 raise ValueError(f"{name} must be two rising positive speeds, got {(low, high)}")
 
+        if not self.parcels:
+            raise ValueError(f"parcels must be at least one, got {self.parcels!r}")
+        chosen = tuple(parcel_option(parcel) for parcel in self.parcels)
+        object.__setattr__(self, "parcels", chosen)
+
     def start(self, rng: np.random.Generator, options: dict[str, Any]) -> Start:
-        """Entry speed: a band by `slow_share`, uniform in it. Parcel and side: even odds."""
+        """Entry speed: a band by `slow_share`, uniform in it. Parcel and side: equal odds."""
         band, where, size, way = rng.random(4)
         low, high = self.slow_speeds if band < self.slow_share else self.speeds
         speed = low + (high - low) * where
-        parcel = box("S" if size < 0.5 else "B")
+        parcel = parcel_option(self.parcels[int(size * len(self.parcels))])
         side = 1 if way < 0.5 else -1
         if "speed" in options:
             speed = checks.within("speed", options["speed"], 0.0, 5.0)
