@@ -35,7 +35,9 @@ def box(size: str) -> Parcel:
 
 def start(size: str) -> tuple[float, float, float]:
     """Pose (x, y, theta) [m, m, rad] at which the paper starts a box: x = b / 2, on the line."""
-    return (box(size).base.reach / math.sqrt(2.0), LINE_Y, 0.0)
+    base = box(size).base
+    assert isinstance(base, Rectangle)
+    return (base.length / 2.0, LINE_Y, 0.0)
 
 
 def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float = 0.0) -> Surface:
