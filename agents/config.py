@@ -13,7 +13,7 @@ class TrainConfig:
 
     seed: int = 0
     """Of the starts, the network and the sampling."""
-    steps: int = 1_000_000
+    steps: int = 3_000_000
     """Control periods to learn from, all lanes together."""
     actions: Literal["halves", "modules"] = "halves"
     """Kind of action: front and rear half of the modules under the parcel, or each on its own."""

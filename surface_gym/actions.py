@@ -66,7 +66,10 @@ class ActionKind:
         Raises:
             ValueError: a wrong shape, not whole numbers, or out of range.
         """
-        given = np.asarray(actions)
+        try:
+            given = np.asarray(actions)
+        except ValueError:  # parts of different lengths
+            raise ValueError(f"action must be an array, got {actions!r}") from None
         shape = (lanes,) if self.name == "halves" else (lanes, self.size)
         most = self.choices**2 if self.name == "halves" else self.choices
         if given.shape != shape:

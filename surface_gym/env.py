@@ -69,7 +69,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
             raise gym.error.ResetNeeded("Call reset before step.")
         if lanes.outcome[0] != RUNNING:
             raise gym.error.ResetNeeded("The episode has ended: call reset before the next step.")
-        self._batch.advance(self._kind.commands(np.asarray(action)[np.newaxis], 1))
+        self._batch.advance(self._kind.commands([action], 1))
         self._follow()
         return (
             lanes.observation[0].copy(),

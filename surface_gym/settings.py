@@ -53,7 +53,7 @@ class Settings:
             if not isinstance(getattr(self, name), kinds):
                 allowed = ", ".join(kind.__name__ for kind in kinds)
                 raise ValueError(f"{name} must be a {allowed}, got {getattr(self, name)!r}")
-        angles = checks.array("orientations", np.asarray(self.orientations), (None,))
+        angles = checks.array("orientations", self.orientations, (None,))
         if len(angles) < 2:
             raise ValueError(f"orientations must be at least 2, got {self.orientations!r}")
         set_field(self, "orientations", tuple(angles.tolist()))

@@ -78,7 +78,7 @@ def parcel_option(value: Any) -> Parcel:
     """The parcel an option asks for: "S", "B" or a Parcel of one's own."""
     if isinstance(value, Parcel):
         return value
-    if value in ("S", "B"):
+    if isinstance(value, str) and value in ("S", "B"):
         return box(value)
     raise ValueError(f"parcel must be 'S', 'B' or a Parcel, got {value!r}")
 
