@@ -48,6 +48,10 @@ class Painter:
         label_goal(canvas, field.view, scene, strips.small)
         return canvas_pixels(canvas)
 
+    def metres(self, pixel: tuple[float, float], scene: Scene) -> tuple[float, float]:
+        """[m] (x, y) on the surface of a place [px] in the picture of a scene."""
+        return self._field_of(scene).view.metres(pixel)
+
     def _field_of(self, scene: Scene) -> Field:
         margin = self._strips.margin
         cell = (self.width - 2 * margin) // scene.columns

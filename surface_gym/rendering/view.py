@@ -51,6 +51,12 @@ class View:
         y = self.top + self.cell * (self.rows - steps[..., 1])
         return np.stack([x, y], axis=-1)
 
+    def metres(self, pixel: tuple[float, float]) -> tuple[float, float]:
+        """[m] of a place in the picture: the way back from `pixels`."""
+        right = (pixel[0] - self.left) / self.cell - 0.5
+        up = self.rows - (pixel[1] - self.top) / self.cell - 0.5
+        return (self.origin[0] + self.pitch * right, self.origin[1] + self.pitch * up)
+
     @property
     def stroke(self) -> float:
         """[px] width of a line."""

@@ -1,0 +1,139 @@
+"""A surface to play with: `python -m surface_gym.play`.
+
+Press the mouse where the parcel is to start and drag: it leaves with the speed drawn, 1 m/s for
+half a metre. The keys 1 2 3 4 turn the axes of the zone to 0, 45, -45 and 90 deg: all of them, with
+Shift those ahead of the parcel's centre, with Ctrl those behind it. Tab turns the start by 15 deg,
+S and B choose the parcel, Space pauses, R starts again, Escape ends.
+"""
+
+import argparse
+import math
+import sys
+
+import numpy as np
+import pygame
+from numpy.typing import NDArray
+
+from surface_gym.batch.batch import Batch
+from surface_gym.picture import scene_of
+from surface_gym.rendering import Painter, Scene, Window
+from surface_gym.settings import Settings
+from surface_gym.tasks import TASKS
+from surface_gym.tasks.task import parcel_option
+
+FRAME_RATE = 25.0  # [1/s] real time at the control period of 40 ms
+DRAG_SPEED = 2.0  # [m/s] a metre dragged
+TURN = math.radians(15.0)
+AXIS_KEYS = (pygame.K_1, pygame.K_2, pygame.K_3, pygame.K_4)  # the default orientations
+CONVEYOR = 3  # the one that all modules begin with
+
+
+class Game:
+    """What is played, and what a player's events do to it.
+
+    Args:
+        task: name of the task whose surface and goal are shown.
+    """
+
+    def __init__(self, task: str) -> None:
+        settings = Settings(task, actions="halves")
+        self._rng = np.random.default_rng(0)
+        self._batch: Batch = settings.make_batch(1)
+        self._start = settings.chosen_task.start(self._rng, {})
+        self._command = np.full((1, 2), CONVEYOR)  # ahead of the parcel's centre, and behind
+        self._painter = Painter()
+        self._trail: list[NDArray[np.float64]] = []
+        self._pressed: tuple[float, float] | None = None  # [m] where the mouse went down
+        self._paused = False
+        self.over = False  # the player has left
+        self._restart()
+
+    def advance(self) -> None:
+        """Move on by a control period, unless paused, dragged or at the end."""
+        if not self._paused and self._pressed is None:
+            self._batch.advance(self._command)
+            self._trail.append(self._batch.lanes.truth[0, :2].copy())
+
+    def draw(self) -> NDArray[np.uint8]:
+        """The picture (height, width, 3) of now."""
+        return self._painter.draw(self._scene())
+
+    def take(self, event: pygame.event.Event) -> None:
+        """Do what an event asks for."""
+        if event.type == pygame.QUIT:
+            self.over = True
+        elif event.type == pygame.KEYDOWN:
+            self._take_key(event.key, event.mod)
+        elif event.type == pygame.MOUSEBUTTONDOWN:
+            self._pressed = self._painter.metres(event.pos, self._scene())
+            self._move_start((0.0, 0.0))
+        elif event.type == pygame.MOUSEMOTION and self._pressed is not None:
+            x, y = self._painter.metres(event.pos, self._scene())
+            self._move_start((x - self._pressed[0], y - self._pressed[1]))
+        elif event.type == pygame.MOUSEBUTTONUP:
+            self._pressed = None
+
+    def _take_key(self, key: int, held: int) -> None:
+        x, y, theta = self._start.pose
+        if key in AXIS_KEYS:
+            choice = AXIS_KEYS.index(key)
+            if not held & pygame.KMOD_CTRL:
+                self._command[0, 0] = choice
+            if not held & pygame.KMOD_SHIFT:
+                self._command[0, 1] = choice
+        elif key in (pygame.K_s, pygame.K_b):
+            parcel = parcel_option("S" if key == pygame.K_s else "B")
+            self._start = self._start._replace(parcel=parcel)
+            self._restart()
+        elif key == pygame.K_TAB:
+            self._start = self._start._replace(pose=(x, y, theta + TURN))
+            self._restart()
+        elif key == pygame.K_SPACE:
+            self._paused = not self._paused
+        elif key == pygame.K_r:
+            self._restart()
+        elif key == pygame.K_ESCAPE:
+            self.over = True
+
+    def _move_start(self, pull: tuple[float, float]) -> None:
+        """Start from where the mouse was pressed, with the speed of the pull [m]."""
+        assert self._pressed is not None
+        x, y = self._pressed
+        velocity = (DRAG_SPEED * pull[0], DRAG_SPEED * pull[1], 0.0)
+        self._start = self._start._replace(pose=(x, y, self._start.pose[2]), velocity=velocity)
+        self._restart()
+
+    def _restart(self) -> None:
+        self._batch.place(0, self._start, self._rng)
+        self._batch.begin(np.zeros(1, dtype=np.int64))
+        self._trail.clear()
+
+    def _scene(self) -> Scene:
+        return scene_of(self._batch, 0, np.array(self._trail).reshape(-1, 2))
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Play until the player leaves."""
+    parser = argparse.ArgumentParser(
+        prog="python -m surface_gym.play",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--task", choices=tuple(TASKS), default="sort", help="surface and goal")
+    game = Game(parser.parse_args(arguments).task)
+    window = Window("Smart surface", FRAME_RATE)
+    try:
+        window.show(game.draw())
+        while not (game.over or window.closed):
+            for event in pygame.event.get():
+                game.take(event)
+            game.advance()
+            window.show(game.draw())
+    except RuntimeError as error:
+        sys.exit(f"error: {error}")
+    finally:
+        window.close()
+
+
+if __name__ == "__main__":
+    main()
