@@ -39,11 +39,16 @@ class Parcel:
         if self.base.functions(*self.centre_of_mass).max() > 0.0:
             raise ValueError(f"com_offset must keep the centre of mass over the base, got {(x, y)}")
 
-    @property
+    @cached_property
     def centre_of_mass(self) -> tuple[float, float]:
         """[m] its projection on the base, in the base's frame."""
         x, y = self.base.centroid
         return (x + self.com_offset[0], y + self.com_offset[1])
+
+    @cached_property
+    def rear(self) -> float:
+        """[m] from the rearmost point of the base to its frame's origin, at theta = 0."""
+        return -float(self.base.outline[:, 0].min())
 
     @property
     def moment_of_inertia(self) -> float:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from surface_gym.actuators import Actuators
-from surface_gym.batch.commands import Acting
+from surface_gym.batch.commands import CONVEYOR, Acting
 from surface_gym.batch.period import Rules, advance_lanes, advance_lanes_on_threads, begin_lanes
 from surface_gym.batch.placement import NO_EDGE, Placement, placement_of
 from surface_gym.dynamics.types import GRAVITY, Array
@@ -95,6 +95,7 @@ class Batch:
         self.lanes: Lanes = make_lanes(sizes)
         self._contacts = _FEWEST_CONTACTS
         self._scratch = make_batch_scratch(threads, _FEWEST_CONTACTS, _FEWEST_EDGES)
+        self._tilts: list[float | None] = [None] * lanes
         self._parcels: list[Parcel | None] = [None] * lanes
         self._generators: list[np.random.Generator | None] = [None] * lanes
         nominal = Surface(axis=np.zeros((1, 1)), rotor=np.ones((1, 1), dtype=bool))
@@ -114,13 +115,15 @@ class Batch:
             self._place_parcel(lane, start.parcel)
         lanes = self.lanes
         lanes.state[lane] = _state_of(start)
-        lanes.surface[lane] = (
-            self._friction[0] * friction[0],
-            self._friction[1] * friction[1],
-            self._friction[2] * friction[2],
-            GRAVITY * math.sin(start.tilt),
-            GRAVITY * math.cos(start.tilt),
-        )
+        if self._varies or self._tilts[lane] != start.tilt:
+            lanes.surface[lane] = (
+                self._friction[0] * friction[0],
+                self._friction[1] * friction[1],
+                self._friction[2] * friction[2],
+                GRAVITY * math.sin(start.tilt),
+                GRAVITY * math.cos(start.tilt),
+            )
+            self._tilts[lane] = start.tilt
         lanes.goal[lane, : len(start.goal)] = start.goal
         if start.path is not None:
             lanes.path[lane] = start.path
@@ -138,6 +141,7 @@ class Batch:
         placement = placement_of(parcel, self.task.plant, self._zone)
         self._make_room(placement)
         lanes = self.lanes
+        lanes.axis[lane] = CONVEYOR
         lanes.rotor[lane] = placement.rotor
         lanes.obeys[lane] = self._obeys(parcel)
         lanes.body[lane] = placement.body

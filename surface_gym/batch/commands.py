@@ -10,9 +10,11 @@ from typing import NamedTuple
 from surface_gym.dynamics.compiled import inlined
 from surface_gym.dynamics.types import Array
 from surface_gym.lanes.memory import COLUMNS, FIRST_COLUMN, FIRST_ROW, ROWS, Geometry, Lanes
+from surface_gym.layouts import ROLLING
 
 MODULES, HALVES, QUADRANTS, WINDOW = range(4)
 WINDOW_SIDE = 5  # modules
+CONVEYOR = (math.cos(ROLLING), math.sin(ROLLING))  # cosine and sine of an axis that is not told
 
 
 class Acting(NamedTuple):
@@ -76,6 +78,19 @@ def obey(acting: Acting, lanes: Lanes, lane: int, geometry: Geometry) -> None:
                 lanes.axis[lane, row, column, 1] = acting.orientations[choice, 2]
             else:
                 lanes.target[lane, row, column] = acting.orientations[choice, 0]
+
+
+@inlined
+def straighten(acting: Acting, lanes: Lanes, lane: int) -> None:
+    """Set the axes of the lane's zone to the conveyor's, at once."""
+    zone = lanes.zone[lane]
+    for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
+        for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
+            lanes.axis[lane, row, column, 0] = CONVEYOR[0]
+            lanes.axis[lane, row, column, 1] = CONVEYOR[1]
+            if acting.turn != math.inf:
+                lanes.angle[lane, row, column] = ROLLING
+                lanes.target[lane, row, column] = ROLLING
 
 
 @inlined

@@ -6,18 +6,14 @@ from typing import NamedTuple
 from numba import prange
 
 from surface_gym.batch import judgement
-from surface_gym.batch.commands import WINDOW, Acting, obey, show_window, turn_axes
+from surface_gym.batch.commands import WINDOW, Acting, obey, show_window, straighten, turn_axes
 from surface_gym.dynamics.compiled import compiled, compiled_for_threads, inlined
 from surface_gym.dynamics.step import OFF_SURFACE, step_implicit
 from surface_gym.dynamics.types import Scratch
 from surface_gym.lanes.memory import RUNNING, Geometry, Integers, Lanes, Timing
 from surface_gym.lanes.views import body_of, grid_of, read_truth, scratch_of
-from surface_gym.layouts import ROLLING
 from surface_gym.sensors import reading
 from surface_gym.sensors.sensor import Sensing
-
-_CONVEYOR_X = math.cos(ROLLING)
-_CONVEYOR_Y = math.sin(ROLLING)
 
 
 class Rules(NamedTuple):
@@ -42,16 +38,9 @@ def _observe(rules: Rules, lanes: Lanes, lane: int) -> None:
 
 @compiled
 def begin_lanes(rules: Rules, lanes: Lanes, chosen: Integers) -> None:
-    """Axes as the conveyor's, first sensing and observation of the chosen lanes (count,)."""
+    """Axes of the zone as the conveyor's, first sensing and observation of chosen lanes (count,)."""
     for lane in chosen:
-        for row in range(lanes.axis.shape[1]):
-            for column in range(lanes.axis.shape[2]):
-                lanes.axis[lane, row, column, 0] = _CONVEYOR_X
-                lanes.axis[lane, row, column, 1] = _CONVEYOR_Y
-        for row in range(lanes.angle.shape[1]):
-            for column in range(lanes.angle.shape[2]):
-                lanes.angle[lane, row, column] = ROLLING
-                lanes.target[lane, row, column] = ROLLING
+        straighten(rules.acting, lanes, lane)
         lanes.clock[lane] = 0.0
         lanes.steps[lane] = 0
         lanes.outcome[lane] = RUNNING

@@ -27,7 +27,7 @@ from surface_gym.lanes.views import reach_along
 from surface_gym.layouts import LINE_Y
 from surface_gym.parcel import Parcel
 from surface_gym.plant import Line
-from surface_gym.tasks.task import Feature, Start, parcel_option, rear_of
+from surface_gym.tasks.task import Feature, Start, parcel_option
 
 SIDE = 0  # column of `Lanes.goal`: +1 for y > 0, -1 for y < 0
 REACH = 0  # column of `Lanes.memory`: [m] the lateral reach at the last decision
@@ -95,7 +95,7 @@ class Sort:
 
     def start(self, rng: np.random.Generator, options: dict[str, Any]) -> Start:
         """Entry speed: a band by `slow_share`, uniform in it. Parcel and side: equal odds."""
-        band, where, size, way = rng.random(4)
+        band, where, size, way = rng.random(4).tolist()
         low, high = self.slow_speeds if band < self.slow_share else self.speeds
         speed = low + (high - low) * where
         parcel = parcel_option(self.parcels[int(size * len(self.parcels))])
@@ -106,7 +106,7 @@ class Sort:
             parcel = parcel_option(options["parcel"])
         if "side" in options:
             side = checks.one_of("side", options["side"], (1, -1))
-        return Start(parcel, (rear_of(parcel), LINE_Y, 0.0), (speed, 0.0, 0.0), (float(side),))
+        return Start(parcel, (parcel.rear, LINE_Y, 0.0), (speed, 0.0, 0.0), (float(side),))
 
     def readings(self, lanes: Lanes, lane: int) -> list[tuple[str, str]]:
         """The asked side."""

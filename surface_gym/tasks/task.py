@@ -1,7 +1,6 @@
 """What every task has in common."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -66,12 +65,6 @@ class Task(Protocol):
 
     def start(self, rng: np.random.Generator, options: dict[str, Any]) -> Start:
         """Draw a start; an option takes the place of its draw."""
-
-
-@lru_cache(maxsize=64)
-def rear_of(parcel: Parcel) -> float:
-    """[m] from the rear of a parcel to its base frame's origin: where it enters at x = 0."""
-    return -float(parcel.base.outline[:, 0].min())
 
 
 def parcel_option(value: Any) -> Parcel:
