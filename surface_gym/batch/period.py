@@ -38,7 +38,7 @@ def _observe(rules: Rules, lanes: Lanes, lane: int) -> None:
 
 @compiled
 def begin_lanes(rules: Rules, lanes: Lanes, chosen: Integers) -> None:
-    """Axes of the zone as the conveyor's, first sensing and observation of chosen lanes (count,)."""
+    """Axes as the conveyor's, first sensing and observation of the chosen lanes (count,)."""
     for lane in chosen:
         straighten(rules.acting, lanes, lane)
         lanes.clock[lane] = 0.0
