@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.actuators import Actuators
-from surface_gym.lanes.memory import OUTCOMES, RUNNING, SUCCESS
+from surface_gym.lanes.memory import FIGURES, OUTCOMES, RUNNING, SUCCESS
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Exact, Sensors
 from surface_gym.settings import ORIENTATIONS, Settings
@@ -55,7 +55,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         options = check_options(options, self._task.options)
         super().reset(seed=seed)
-        start = self._task.start(self.np_random, options)
+        start = self._task.start(self.np_random, options, self.settings.zone)
         self._batch.place(0, start, self.np_random)
         self._batch.begin(self._lane)
         self._started = True
@@ -124,5 +124,9 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
             "time": float(lanes.clock[0]),
             "pose": lanes.truth[0, :3].copy(),
             "velocity": lanes.truth[0, 3:].copy(),
+            **{
+                name: float(lanes.memory[0, FIGURES + k])
+                for k, name in enumerate(self._task.figures)
+            },
             "reward_terms": dict(zip(self._task.terms, lanes.terms[0].tolist(), strict=True)),
         }

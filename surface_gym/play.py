@@ -39,7 +39,7 @@ class Game:
         settings = Settings(task, actions="halves")
         self._rng = np.random.default_rng(0)
         self._batch: Batch = settings.make_batch(1)
-        self._start = settings.chosen_task.start(self._rng, {})
+        self._start = settings.chosen_task.start(self._rng, {}, None)
         self._command = np.full((1, 2), CONVEYOR)  # ahead of the parcel's centre, and behind
         self._painter = Painter()
         self._trail: list[NDArray[np.float64]] = []

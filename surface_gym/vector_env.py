@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.actuators import Actuators
-from surface_gym.lanes.memory import OUT_OF_TIME, OUTCOMES, RUNNING, SUCCESS
+from surface_gym.lanes.memory import FIGURES, OUT_OF_TIME, OUTCOMES, RUNNING, SUCCESS
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Exact, Sensors
 from surface_gym.settings import ORIENTATIONS, Settings
@@ -154,7 +154,9 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
             generator = self._randoms[lane]
             if generator is None:
                 generator = self._randoms[lane] = np_random()[0]
-            self._batch.place(lane, self._task.start(generator, options[lane]), generator)
+            self._batch.place(
+                lane, self._task.start(generator, options[lane], self.settings.zone), generator
+            )
             self._trails[lane].clear()
         self._batch.begin(chosen)
         self._steps_left[chosen] = self._limit
@@ -199,6 +201,10 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
             "time": lanes.clock.copy(),
             "pose": lanes.truth[:, :3].copy(),
             "velocity": lanes.truth[:, 3:].copy(),
+            **{
+                name: lanes.memory[:, FIGURES + k].copy()
+                for k, name in enumerate(self._task.figures)
+            },
             "reward_terms": {**terms, **{f"_{name}": mask.copy() for name in terms}},
         }
         return {**infos, **{f"_{name}": mask.copy() for name in infos}}

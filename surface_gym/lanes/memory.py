@@ -29,6 +29,8 @@ OUTCOMES = (
     "off the surface",
     "off the line",
     "missed",
+    "off the path",
+    "passed the asked x",
 )
 (
     RUNNING,
@@ -40,10 +42,13 @@ OUTCOMES = (
     OFF_SURFACE,
     OFF_LINE,
     MISSED,
+    OFF_PATH,
+    OVERSHOT,
 ) = range(len(OUTCOMES))
 
 GOALS = 8  # columns of `Lanes.goal` and `Lanes.memory`; a task says what each holds
 MEMORIES = 8
+FIGURES = 4  # first column of `Lanes.memory` that holds the task's figures, in their order
 PATH_POINTS = 256  # of a path, evenly spaced in x
 FILTER_SIZE = 64  # numbers a sensor may keep
 FRAMES = 16  # that can be under way from a sensor at a time

@@ -27,15 +27,16 @@ from surface_gym.lanes.views import reach_along
 from surface_gym.layouts import LINE_Y
 from surface_gym.parcel import Parcel
 from surface_gym.plant import Line
-from surface_gym.tasks.task import Feature, Start, parcel_option
+from surface_gym.tasks.task import Feature, Start, parcel_option, parcels_to_draw
 
-SIDE = 0  # column of `Lanes.goal`: +1 for y > 0, -1 for y < 0
+SIDE = 0  # column of `Lanes.goal`: +1 for y > 0, -1 for y < 0, 0 for straight through
 REACH = 0  # column of `Lanes.memory`: [m] the lateral reach at the last decision
 
 # The reward, term by term.
 TERMS = ("reach", "time", "success", "failure")
 REACH_REWARD = 2.0  # per metre of lateral reach gained
 REACH_ENOUGH = 0.6  # [m] reach beyond this earns nothing more
+PASSING_REACH = 0.3  # [-] of x counts as reach where straight through is asked
 TIME_REWARD = -0.3  # per second
 SUCCESS_REWARD = 1.0
 FAILURE_REWARD = -1.0
@@ -62,7 +63,7 @@ FEATURES = (
     Feature("cosine of phase y", -1.0, 1.0, ""),
     Feature("time", 0.0, 1000.0, "since the start / 4 s"),
     Feature("distance into zone", -20.0, 20.0, "of the parcel's rear / 0.5 m"),
-    Feature("side", -1.0, 1.0, "the asked side: 1 for y > 0, -1 for y < 0"),
+    Feature("side", -1.0, 1.0, "asked: 1 for y > 0, -1 for y < 0, 0 for neither"),
 )
 
 
@@ -79,6 +80,7 @@ class Sort:
     plant = Line()
     features = FEATURES
     terms = TERMS
+    figures = ()
     options = ("speed", "parcel", "side")
 
     def __post_init__(self) -> None:
@@ -87,14 +89,19 @@ class Sort:
             low, high = checks.array(name, getattr(self, name), (2,))
             if not 0.0 < low <= high:
                 raise ValueError(f"{name} must be two rising positive speeds, got {(low, high)}")
+        object.__setattr__(self, "parcels", parcels_to_draw(self.parcels))
 
-        if not self.parcels:
-            raise ValueError(f"parcels must be at least one, got {self.parcels!r}")
-        chosen = tuple(parcel_option(parcel) for parcel in self.parcels)
-        object.__setattr__(self, "parcels", chosen)
+    def start(
+        self,
+        rng: np.random.Generator,
+        options: dict[str, Any],
+        zone: tuple[int, int] | None,
+    ) -> Start:
+        """Entry speed: a band by `slow_share`, uniform in it. Parcel and side: equal odds.
 
-    def start(self, rng: np.random.Generator, options: dict[str, Any]) -> Start:
-        """Entry speed: a band by `slow_share`, uniform in it. Parcel and side: equal odds."""
+        Straight through, side 0, is only an option.
+        """
+        del zone
         band, where, size, way = rng.random(4).tolist()
         low, high = self.slow_speeds if band < self.slow_share else self.speeds
         speed = low + (high - low) * where
@@ -105,18 +112,25 @@ class Sort:
         if "parcel" in options:
             parcel = parcel_option(options["parcel"])
         if "side" in options:
-            side = checks.one_of("side", options["side"], (1, -1))
+            side = checks.one_of("side", options["side"], (1, -1, 0))
         return Start(parcel, (parcel.rear, LINE_Y, 0.0), (speed, 0.0, 0.0), (float(side),))
 
     def readings(self, lanes: Lanes, lane: int) -> list[tuple[str, str]]:
         """The asked side."""
-        return [("sort to", "y > 0" if lanes.goal[lane, SIDE] > 0.0 else "y < 0")]
+        sides = {1: "y > 0", -1: "y < 0", 0: "straight on"}
+        return [("sort to", sides[int(lanes.goal[lane, SIDE])])]
 
     def goal(self, lanes: Lanes, lane: int) -> Any:
         """The exit side."""
         from surface_gym.rendering import ExitSide
 
         return ExitSide(int(lanes.goal[lane, SIDE]))
+
+
+@inlined
+def mirror_of(lanes: Lanes, lane: int) -> float:
+    """-1 where y is mirrored, so that what is seen is always a sort to y > 0, else 1."""
+    return -1.0 if lanes.goal[lane, SIDE] < 0.0 else 1.0
 
 
 @inlined
@@ -132,6 +146,8 @@ def _lateral_reach(y: float, vx: float, vy: float) -> float:
 def _score(lanes: Lanes, lane: int, geometry: Geometry) -> float:
     side = lanes.goal[lane, SIDE]
     truth = lanes.truth[lane]
+    if side == 0.0:
+        return PASSING_REACH * truth[0] - abs(truth[1] - geometry.line_y)
     y = side * (truth[1] - geometry.line_y)
     return min(REACH_ENOUGH, _lateral_reach(y, truth[3], side * truth[4]))
 
@@ -153,14 +169,15 @@ def judge(
         lanes.zone[lane, FIRST_COLUMN] + lanes.zone[lane, COLUMNS] - 0.5
     )
     speed = math.sqrt(truth[3] * truth[3] + truth[4] * truth[4])
+    side = lanes.goal[lane, SIDE]
     outcome = RUNNING
     if not on_surface:
         outcome = OFF_SURFACE
     elif not on_rotors:
-        towards = lanes.goal[lane, SIDE] * (truth[1] - geometry.line_y)
+        towards = side * (truth[1] - geometry.line_y)
         outcome = SUCCESS if towards > 0.0 else WRONG_SIDE
     elif truth[0] - reach_along(lanes, lane, theta, -1.0, 0.0) > zone_end:
-        outcome = PASSED
+        outcome = SUCCESS if side == 0.0 else PASSED
     elif speed + abs(truth[5]) * lanes.body[lane, HALF_LENGTH] < STALL_SPEED:
         outcome = STALLED
     reach = _score(lanes, lane, geometry)
@@ -176,7 +193,7 @@ def judge(
 @inlined
 def observe(lanes: Lanes, lane: int, geometry: Geometry) -> None:
     """Write the observation from what the sensors say, mirrored so that the goal is y > 0."""
-    side = lanes.goal[lane, SIDE]
+    side = mirror_of(lanes, lane)
     sensed = lanes.sensed[lane]
     x, y, theta = sensed[0], sensed[1], sensed[2]
     vx, vy, omega = sensed[3], sensed[4], sensed[5]
@@ -200,4 +217,4 @@ def observe(lanes: Lanes, lane: int, geometry: Geometry) -> None:
     see[11] = math.cos(turn * offset)
     see[12] = lanes.clock[lane] / HORIZON
     see[13] = (rear - zone_start) / 0.5
-    see[14] = side
+    see[14] = lanes.goal[lane, SIDE]

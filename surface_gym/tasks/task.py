@@ -54,6 +54,10 @@ class Task(Protocol):
         """The reward's terms."""
 
     @property
+    def figures(self) -> tuple[str, ...]:
+        """The task's own numbers in `info`: columns of `Lanes.memory` from `FIGURES` on."""
+
+    @property
     def options(self) -> tuple[str, ...]:
         """What `reset(options=...)` may fix."""
 
@@ -63,8 +67,19 @@ class Task(Protocol):
     def goal(self, lanes: Lanes, lane: int) -> Any:
         """What drawing shows of a lane's goal, one of `surface_gym.rendering`'s goals."""
 
-    def start(self, rng: np.random.Generator, options: dict[str, Any]) -> Start:
-        """Draw a start; an option takes the place of its draw."""
+    def start(
+        self,
+        rng: np.random.Generator,
+        options: dict[str, Any],
+        zone: tuple[int, int] | None,
+    ) -> Start:
+        """Draw a start; an option takes the place of its draw.
+
+        Args:
+            rng: to draw from.
+            options: what is fixed.
+            zone: first and last column that obey; None for the plant's own.
+        """
 
 
 def parcel_option(value: Any) -> Parcel:
@@ -74,6 +89,23 @@ def parcel_option(value: Any) -> Parcel:
     if isinstance(value, str) and value in ("S", "B"):
         return box(value)
     raise ValueError(f"parcel must be 'S', 'B' or a Parcel, got {value!r}")
+
+
+def parcels_to_draw(parcels: tuple[str | Parcel, ...]) -> tuple[Parcel, ...]:
+    """The parcels of a task, or an error that names them."""
+    if not parcels:
+        raise ValueError(f"parcels must be at least one, got {parcels!r}")
+    return tuple(parcel_option(parcel) for parcel in parcels)
+
+
+def rising(name: str, value: Any, low: float, high: float) -> tuple[float, float]:
+    """Two finite numbers in [low, high], the first not above the second, or an error."""
+    first, last = checks.array(name, value, (2,)).tolist()
+    if not low <= first <= last <= high:
+        raise ValueError(
+            f"{name} must be two rising numbers between {low:g} and {high:g}, got {value!r}"
+        )
+    return first, last
 
 
 def check_options(options: dict[str, Any] | None, allowed: tuple[str, ...]) -> dict[str, Any]:

@@ -1,0 +1,198 @@
+"""Paths y(x) to follow across a field."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from surface_gym import checks
+from surface_gym.layouts import LINE_Y
+
+Numbers = NDArray[np.float64]
+
+START, END = 0.4, 5.6  # [m] where a path begins and ends, where nothing else is said
+
+
+class Path(Protocol):
+    """A curve y(x) for x in [start, end]."""
+
+    @property
+    def start(self) -> float:
+        """[m] x of its first point."""
+
+    @property
+    def end(self) -> float:
+        """[m] x of its last point."""
+
+    def y(self, x: Numbers) -> Numbers:
+        """[m] y at each x."""
+
+
+def _check_range(start: float, end: float) -> None:
+    if not checks.number("start", start) < checks.number("end", end):
+        raise ValueError(f"start must lie before end, got {start!r} and {end!r}")
+
+
+@dataclass(frozen=True)
+class Sine:
+    """A sine wave about a straight line, upwards first if the amplitude is positive."""
+
+    amplitude: float = 0.15  # [m]
+    wavelength: float = 2.6  # [m]
+    start: float = START  # [m] x of a first crossing of the middle
+    end: float = END  # [m]
+    middle: float = LINE_Y  # [m] y
+
+    def __post_init__(self) -> None:
+        _check_range(self.start, self.end)
+        checks.number("amplitude", self.amplitude)
+        checks.positive("wavelength", self.wavelength)
+        checks.number("middle", self.middle)
+
+    def y(self, x: Numbers) -> Numbers:
+        phase = 2.0 * math.pi * (x - self.start) / self.wavelength
+        return self.middle + self.amplitude * np.sin(phase)
+
+
+@dataclass(frozen=True)
+class LaneChange:
+    """From one lane to another, with neither slope nor curvature at its two ends."""
+
+    offset: float = 0.4  # [m] of the second lane from the first
+    length: float = 1.5  # [m] of the change, along x
+    change: float = 2.0  # [m] x where it begins
+    start: float = START  # [m]
+    end: float = END  # [m]
+    middle: float = LINE_Y  # [m] y halfway between the lanes
+
+    def __post_init__(self) -> None:
+        _check_range(self.start, self.end)
+        checks.number("offset", self.offset)
+        checks.positive("length", self.length)
+        checks.number("change", self.change)
+        checks.number("middle", self.middle)
+
+    def y(self, x: Numbers) -> Numbers:
+        u = np.clip((x - self.change) / self.length, 0.0, 1.0)
+        done = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        return self.middle + self.offset * (done - 0.5)
+
+
+@dataclass(frozen=True)
+class _Through:
+    """A path through points given by rising x."""
+
+    points: tuple[tuple[float, float], ...]  # (points, 2) [m]; an array is taken as well
+
+    def __post_init__(self) -> None:
+        points = checks.array("points", self.points, (None, 2))
+        if len(points) < 2 or not (np.diff(points[:, 0]) > 0.0).all():
+            raise ValueError(f"points must be at least two of rising x, got {points.tolist()}")
+        object.__setattr__(self, "points", tuple(map(tuple, points.tolist())))
+
+    @property
+    def start(self) -> float:
+        return self.points[0][0]
+
+    @property
+    def end(self) -> float:
+        return self.points[-1][0]
+
+
+@dataclass(frozen=True)
+class Polyline(_Through):
+    """Straight from point to point."""
+
+    def y(self, x: Numbers) -> Numbers:
+        along, across = np.array(self.points).T
+        return np.interp(x, along, across)
+
+
+@dataclass(frozen=True)
+class Spline(_Through):
+    """The natural cubic spline through the points: no curvature at its two ends."""
+
+    def y(self, x: Numbers) -> Numbers:
+        along, across = np.array(self.points).T
+        curve: Numbers = CubicSpline(along, across, bc_type="natural")(x)
+        return curve
+
+
+def _random_sine(numbers: Numbers) -> Sine:
+    side = 1.0 if numbers[0] < 0.5 else -1.0
+    return Sine(side * (0.1 + 0.1 * numbers[1]), 1.8 + 1.4 * numbers[2])
+
+
+def _random_lane_change(numbers: Numbers) -> LaneChange:
+    side = 1.0 if numbers[0] < 0.5 else -1.0
+    return LaneChange(
+        side * (0.2 + 0.4 * numbers[1]), 1.0 + numbers[2], change=1.0 + 1.5 * numbers[3]
+    )
+
+
+def _random_polyline(numbers: Numbers) -> Polyline:
+    x, y = START, LINE_Y
+    points = [(x, y)]
+    for level, place in numbers.reshape(-1, 2):
+        lane = LINE_Y - 0.3 + 0.6 * place
+        ramp = x + 0.4 + 0.4 * level
+        if ramp + abs(lane - y) >= END:
+            break
+        points += [(ramp, y), (ramp + abs(lane - y), lane)]
+        x, y = points[-1]
+    return Polyline((*points, (END, y)))
+
+
+def _random_spline(numbers: Numbers) -> Spline:
+    y = LINE_Y - 0.2 + 0.4 * numbers[:6]
+    y[0] = LINE_Y
+    return Spline(tuple(zip(np.linspace(START, END, 6).tolist(), y.tolist(), strict=True)))
+
+
+_RANDOM: dict[str, Callable[[Numbers], Path]] = {
+    "sine": _random_sine,
+    "lane change": _random_lane_change,
+    "polyline": _random_polyline,
+    "spline": _random_spline,
+}
+KINDS = tuple(_RANDOM)
+DRAWS = 12  # numbers that a random path is made of
+
+
+def random_path(kind: str, numbers: Numbers) -> Path:
+    """A path of a kind from `DRAWS` numbers, uniform in [0, 1).
+
+    - "sine": amplitude 0.1 to 0.2 m, wavelength 1.8 to 3.2 m, upwards or downwards first.
+    - "lane change": by 0.2 to 0.6 m, within 1 to 2 m from x = 1 to 2.5 m on, to either side.
+    - "polyline": 0.4 to 0.8 m along the line, then at 45 deg to a lane within 0.3 m of the
+      middle, and so on.
+    - "spline": through six points, evenly spaced in x, within 0.2 m of the middle.
+    """
+    return _RANDOM[kind](numbers)
+
+
+_CLASSES = (Sine, LaneChange, Polyline, Spline)
+
+
+def path_option(value: Any) -> Path:
+    """The path an option asks for: one of this module's, or points (n, 2) [m] of a polyline.
+
+    Raises:
+        ValueError: it is neither.
+    """
+    if isinstance(value, _CLASSES):
+        return value
+    try:
+        return Polyline(value)
+    except ValueError as error:
+        names = ", ".join(kind.__name__ for kind in _CLASSES)
+        raise ValueError(f"path must be a {names} or points (n, 2): {error}") from None
+
+
+def sample(path: Path, points: int) -> Numbers:
+    """(points,) [m] y of the path, evenly spaced in x from its start to its end."""
+    return path.y(np.linspace(path.start, path.end, points))
