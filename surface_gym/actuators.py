@@ -23,6 +23,8 @@ class Actuators:
         if self.axis_speed != math.inf:
             checks.positive("axis_speed", self.axis_speed)
         checks.within("stuck_share", self.stuck_share, 0.0, 1.0)
+        if not isinstance(self.stuck, (tuple, list)):
+            raise ValueError(f"stuck must hold (row, column) pairs, got {self.stuck!r}")
         for module in self.stuck:
             if not (isinstance(module, tuple) and len(module) == 2):
                 raise ValueError(f"stuck must hold (row, column) pairs, got {module!r}")

@@ -32,7 +32,9 @@ class Randomisation:
     rolling: float = 0.0  # [-] mu_min and mu_support, each times uniform(1 - rolling, 1 + rolling)
     mass: float = 0.0  # [-] mass at the same inertia, times uniform(1 - mass, 1 + mass)
     size: float = 0.0  # [-] base times uniform(1 - size, 1 + size)
-    com_offset: float = 0.0  # [-] x and y, uniform within this share of half the base's extent
+    # [-] centre of mass, x and y uniform within this share of half the base's extent; drawn again
+    # where that is not over the base
+    com_offset: float = 0.0
     stiffness: float = 0.0  # [-] log-normal spread of each element's, who bears how much
     lateral: float = 0.0  # [m] normal spread of the start in y
     heading: float = 0.0  # [rad] normal spread of the start's theta
@@ -70,15 +72,20 @@ class Randomisation:
     def _draw_parcel(self, rng: np.random.Generator, parcel: Parcel) -> Parcel:
         mass, size = _factor(rng, self.mass), _factor(rng, self.size)
         base = _scaled(parcel.base, size)
-        half_x, half_y = np.ptp(base.outline, axis=0) / 2.0
-        way_x, way_y = self.com_offset * rng.uniform(-1.0, 1.0, 2)
-        x, y = parcel.com_offset
+        half = np.ptp(base.outline, axis=0) / 2.0
+        centre = np.array(base.centroid)
+        offset = size * np.array(parcel.com_offset)
+        while self.com_offset:
+            moved = offset + self.com_offset * half * rng.uniform(-1.0, 1.0, 2)
+            if base.functions(*(centre + moved)).max() <= 0.0:
+                offset = moved
+                break
         return replace(
             parcel,
             base=base,
             mass=parcel.mass * mass,
             inertia=parcel.moment_of_inertia * size**2,
-            com_offset=(size * x + half_x * way_x, size * y + half_y * way_y),
+            com_offset=tuple(offset.tolist()),
         )
 
 

@@ -16,7 +16,7 @@ from surface_gym.lanes.memory import FIGURES, OUT_OF_TIME, OUTCOMES, RUNNING, SU
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Exact, Sensors
 from surface_gym.settings import ORIENTATIONS, Settings
-from surface_gym.tasks.task import Task, check_options
+from surface_gym.tasks.task import Start, Task, check_options
 
 Booleans = NDArray[np.bool_]
 Observations = NDArray[np.float32]
@@ -61,8 +61,9 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
         self.num_envs = checks.integer("num_envs", num_envs, least=1)
         if max_episode_steps is not None:
             checks.integer("max_episode_steps", max_episode_steps, least=1)
-        if isinstance(autoreset_mode, str):
-            checks.one_of("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
+        modes = [mode.value for mode in AutoresetMode]
+        if not isinstance(autoreset_mode, AutoresetMode):
+            checks.one_of("autoreset_mode", autoreset_mode, modes)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         checks.one_of("render_mode", render_mode, (None, *type(self).metadata["render_modes"]))
@@ -105,10 +106,15 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
             )
         seeds = self._seed_of_each(seed)
         chosen = self._options_of_each(options)
+        before = list(self._randoms)
         for lane in np.nonzero(mask)[0].tolist():
             if seeds[lane] is not None:
                 self._randoms[lane] = np_random(seeds[lane])[0]
-        self._reset_lanes(mask, chosen)
+        try:
+            self._reset_lanes(mask, chosen)
+        except ValueError:
+            self._randoms = before
+            raise
         self._started = True
         return self._batch.lanes.observation.copy(), self._infos(mask)
 
@@ -126,11 +132,11 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
         self._batch.advance(self._kind.commands(actions, self.num_envs))
         self._steps_left -= 1
         self._follow(~ended)
-        lanes.outcome[(self._steps_left <= 0) & (lanes.outcome == RUNNING)] = OUT_OF_TIME
+        truncated = (self._steps_left <= 0) & ~ended
+        lanes.outcome[truncated & (lanes.outcome == RUNNING)] = OUT_OF_TIME
         if ended.any():  # NEXT_STEP: this step is their reset
             self._reset_lanes(ended, self._no_options)
         rewards = lanes.terms.sum(axis=1)
-        truncated = lanes.outcome == OUT_OF_TIME
         terminated = lanes.outcome > OUT_OF_TIME
         infos: dict[str, Any] = {}
         over = truncated | terminated
@@ -149,18 +155,26 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
         return lanes.observation.copy(), rewards, terminated, truncated, infos
 
     def _reset_lanes(self, mask: Booleans, options: list[dict[str, Any]]) -> None:
+        """Draw a start for each lane in the mask, and only then place them: a bad option of one
+        leaves all as they were.
+        """
         chosen = np.nonzero(mask)[0]
-        for lane in chosen.tolist():
-            generator = self._randoms[lane]
-            if generator is None:
-                generator = self._randoms[lane] = np_random()[0]
-            self._batch.place(
-                lane, self._task.start(generator, options[lane], self.settings.zone), generator
-            )
+        starts = [self._draw_start(lane, options[lane]) for lane in chosen.tolist()]
+        for lane, (generator, start) in zip(chosen.tolist(), starts, strict=True):
+            self._batch.place(lane, start, generator)
             self._trails[lane].clear()
         self._batch.begin(chosen)
         self._steps_left[chosen] = self._limit
         self._follow(mask)
+
+    def _draw_start(self, lane: int, options: dict[str, Any]) -> tuple[np.random.Generator, Start]:
+        generator = self._randoms[lane]
+        if generator is None:
+            generator = self._randoms[lane] = np_random()[0]
+        start = self._task.start(generator, options, self.settings.zone)
+        if "parcel" in options:
+            self._batch.check(start.parcel)
+        return generator, start
 
     def _follow(self, mask: Booleans) -> None:
         """Keep the trails of the lanes in the mask, which only drawing needs."""
@@ -214,18 +228,19 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
             return [None] * self.num_envs
         if isinstance(seed, (int, np.integer)):
             return [int(seed) + lane for lane in range(self.num_envs)]
-        seeds = list(seed)
-        if len(seeds) != self.num_envs:
-            raise ValueError(f"seed must be one number or {self.num_envs}, got {len(seeds)}")
-        return seeds
+        if not isinstance(seed, (Sequence, np.ndarray)) or len(seed) != self.num_envs:
+            raise ValueError(f"seed must be one number or {self.num_envs} of them, got {seed!r}")
+        return list(seed)
 
     def _options_of_each(
         self, options: dict[str, Any] | Sequence[dict[str, Any] | None] | None
     ) -> list[dict[str, Any]]:
         if options is None or isinstance(options, dict):
             return [check_options(options, self._task.options)] * self.num_envs
-        if len(options) != self.num_envs:
-            raise ValueError(f"options must be one dict or {self.num_envs}, got {len(options)}")
+        if not isinstance(options, Sequence) or len(options) != self.num_envs:
+            raise ValueError(
+                f"options must be a dict or {self.num_envs} of dict or None, got {options!r}"
+            )
         return [check_options(choice, self._task.options) for choice in options]
 
     def _checked_mask(self, mask: Any) -> Booleans:

@@ -11,6 +11,7 @@ from surface_gym.batch.placement import NO_EDGE, Placement, placement_of
 from surface_gym.dynamics.types import GRAVITY, Array
 from surface_gym.lanes.memory import (
     NOISE_ROWS,
+    RUNNING,
     Booleans,
     Integers,
     Lanes,
@@ -159,6 +160,10 @@ class Batch:
             obeys[row, column] = False
         return obeys
 
+    def check(self, parcel: Parcel) -> None:
+        """Raise what `place` would: a parcel that does not fit the plant is a ValueError."""
+        placement_of(parcel, self.task.plant, self._zone)
+
     def begin(self, chosen: Integers) -> None:
         """Sense and observe the chosen lanes (count,), on which starts were placed."""
         begin_lanes(self.rules, self.lanes, chosen)
@@ -167,7 +172,10 @@ class Batch:
         """Move every lane that has not ended over one control period."""
         self.lanes.command[:] = commands
         if self._draws:
-            for lane in np.nonzero(self.lanes.noise_row + self._draws > NOISE_ROWS)[0].tolist():
+            # Not for a lane that has ended: its next start must find the generator as a single
+            # env would.
+            short = self.lanes.noise_row + self._draws > NOISE_ROWS
+            for lane in np.nonzero(short & (self.lanes.outcome == RUNNING))[0].tolist():
                 self._draw_noise(lane)
         if self._scratch.normal.shape[0] == 1:
             advance_lanes(self.rules, self.lanes, self._scratch)

@@ -14,7 +14,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 def _source_digest() -> str:
     """Digest of every source file whose functions may be inlined into another's machine code."""
     digest = hashlib.sha256()
-    for folder in ("dynamics", "lanes", "tasks", "batch"):
+    for folder in ("dynamics", "lanes", "sensors", "tasks", "batch"):
         for path in sorted((_PACKAGE / folder).glob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()

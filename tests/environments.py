@@ -1,0 +1,106 @@
+"""The environments the tests loop over: every id, kind of action and kind of sensor."""
+
+import copy
+import pickle
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym import actions, sensors
+
+IDS = sorted(name for name in gym.registry if name.startswith("SmartSurface/"))
+ACTIONS = tuple(actions.KINDS)
+SENSORS = sensors.KINDS
+SORT = "SmartSurface/Sort-v0"
+
+every_id = pytest.mark.parametrize("env_id", IDS)
+every_kind_of_action = pytest.mark.parametrize("actions", ACTIONS)
+every_sensor = pytest.mark.parametrize("sensor", SENSORS, ids=lambda kind: kind.__name__)
+
+# Choices of the default orientations, by the angle of the axis.
+ROLL, MINUS_45, PLUS_45 = 3, 2, 1
+
+# Starts that every reset option of a task fixes together.
+OPTIONS: dict[str, dict[str, Any]] = {
+    "SmartSurface/Sort-v0": {"speed": 1.3, "parcel": "B", "side": -1},
+    "SmartSurface/Slow-v0": {"speed": 1.3, "parcel": "B", "ratio": 0.4},
+    "SmartSurface/Stop-v0": {"speed": 1.3, "parcel": "B", "position": 1.2},
+    "SmartSurface/Track-v0": {
+        "speed": 0.7,
+        "parcel": "B",
+        "path": ((0.5, 1.0), (2.0, 1.3), (4.0, 1.0)),
+        "tilt": 0.2,
+    },
+    "SmartSurface/Orient-v0": {"speed": 1.3, "parcel": "B", "angle": 0.5},
+}
+
+# Parcels of every kind of base.
+TRIANGLE = sg.Parcel(sg.Polygon([(0.0, 0.0), (0.4, 0.0), (0.1, 0.3)]), com_offset=(0.01, -0.01))
+HEPTAGON = sg.Parcel(
+    sg.Polygon(0.15 * np.stack([f(np.arange(7) * 2 * np.pi / 7) for f in (np.cos, np.sin)], -1))
+)
+PARCELS = {
+    "S": sg.layouts.box("S"),
+    "long": sg.Parcel(sg.Rectangle(0.5, 0.3), mass=2.0),
+    "disc": sg.Parcel(sg.Disc(0.16), com_height=0.2),
+    "triangle": TRIANGLE,
+    "heptagon": HEPTAGON,
+}
+
+
+def bare(env_id: str = SORT, **settings: Any) -> sg.SmartSurfaceEnv:
+    """The environment of an id without Gymnasium's wrappers, so without a time limit."""
+    return gym.make(env_id, disable_env_checker=True, **settings).unwrapped
+
+
+def same_choice(env: sg.SmartSurfaceEnv, choice: int) -> Any:
+    """The action that sets every module it reaches to one orientation."""
+    kind = env.settings.action_kind
+    return kind.encode(np.full((1, kind.size), choice))[0]
+
+
+Step = tuple[np.ndarray, float, bool, bool, dict[str, Any]]
+
+
+def steps(env: gym.Env, seed: int, episodes: int = 1, longest: int = 200) -> Iterator[Step]:
+    """Every step of some episodes of random actions."""
+    env.action_space.seed(seed)
+    env.reset(seed=seed)
+    for _ in range(episodes):
+        for _ in range(longest):
+            step = env.step(env.action_space.sample())
+            yield step
+            if step[2] or step[3]:
+                break
+        env.reset()
+
+
+def assert_same(first: Any, second: Any, place: str = "") -> None:
+    """Equal to the bit, types included: arrays, tuples and dicts of them."""
+    assert type(first) is type(second), place
+    if isinstance(first, dict):
+        assert list(first) == list(second), place
+        for name in first:
+            assert_same(first[name], second[name], f"{place}[{name!r}]")
+    elif isinstance(first, tuple):
+        assert len(first) == len(second), place
+        for number, (one, other) in enumerate(zip(first, second, strict=True)):
+            assert_same(one, other, f"{place}[{number}]")
+    elif isinstance(first, np.ndarray) and first.dtype == object:
+        assert_same(tuple(first), tuple(second), place)
+    elif isinstance(first, np.ndarray):
+        assert first.dtype == second.dtype, place
+        np.testing.assert_array_equal(first, second, place)
+    else:
+        assert first == second, place
+
+
+def by_pickle(value: Any) -> Any:
+    return pickle.loads(pickle.dumps(value))
+
+
+TWINS = [by_pickle, copy.deepcopy]

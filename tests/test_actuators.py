@@ -1,0 +1,263 @@
+"""How an axis obeys: it turns at a finite rate through the angles between, or is stuck."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym.actuators import Actuators
+from surface_gym.lanes.memory import RUNNING
+from surface_gym.plant import GEOMETRY
+from surface_gym.settings import Settings
+from surface_gym.tasks.task import Start
+from tests.environments import MINUS_45, PLUS_45, ROLL, SORT, assert_same, bare, same_choice, steps
+
+ZERO = 0  # the choice of the axis along x
+FLAT_BOX = sg.Parcel(sg.Rectangle(0.25, 0.25), com_height=0.0)  # nothing shifts its load
+
+
+class Bench:
+    """One lane whose axes can be looked at."""
+
+    def __init__(self, actions: str = "modules", **settings: Any) -> None:
+        self.settings = Settings(actions=actions, **settings)
+        self.batch = self.settings.make_batch(1)
+        self.place()
+
+    def place(self, speed: float = 0.0, parcel: sg.Parcel = FLAT_BOX, x: float = 0.6) -> None:
+        start = Start(parcel, (x, GEOMETRY.line_y, 0.0), (speed, 0.0, 0.0), (1.0,))
+        self.batch.place(0, start, np.random.default_rng(0))
+        self.batch.begin(np.zeros(1, dtype=np.int64))
+
+    def step(self, choice: int) -> None:
+        self.batch.lanes.outcome[0] = RUNNING  # whatever becomes of the parcel
+        self.batch.advance(np.full((1, self.settings.action_kind.size), choice))
+
+    @property
+    def angle(self) -> np.ndarray:
+        """(rows, columns) [rad] of each axis, in [0, pi)."""
+        cosine, sine = np.moveaxis(self.batch.lanes.axis[0], -1, 0)
+        return np.arctan2(sine, cosine) % np.pi
+
+    @property
+    def obeying(self) -> np.ndarray:
+        return self.batch.lanes.obeys[0]
+
+
+class TestAxisSpeed:
+    def test_infinite_turns_at_once(self) -> None:
+        bench = Bench()
+        for choice, degrees in ((MINUS_45, 135.0), (PLUS_45, 45.0), (ZERO, 0.0), (ROLL, 90.0)):
+            bench.step(choice)
+            np.testing.assert_allclose(np.degrees(bench.angle[bench.obeying]), degrees)
+            np.testing.assert_allclose(bench.angle[~bench.obeying], np.pi / 2)
+
+    @pytest.mark.parametrize(
+        ("choice", "rise", "turn"), [(PLUS_45, -1, 45.0), (MINUS_45, +1, 45.0), (ZERO, None, 90.0)]
+    )
+    @pytest.mark.parametrize("speed", [60.0, 100.0, 450.0])  # [deg/s]
+    def test_finite_takes_the_time_it_takes(
+        self, speed: float, choice: int, rise: int | None, turn: float
+    ) -> None:
+        """From the conveyor's 90 deg by the shorter way; either way to 0 deg is as short."""
+        bench = Bench(actuators=Actuators(axis_speed=math.radians(speed)), control_period=0.02)
+        for period in range(1, 120):
+            bench.step(choice)
+            turned = np.degrees(bench.angle[bench.obeying] - np.pi / 2)
+            assert np.ptp(turned) == 0.0
+            due = min(turn, speed * 0.02 * period)
+            if rise is None or due == 90.0:
+                turned = abs(turned)
+                rise_now = 1
+            else:
+                rise_now = rise
+            np.testing.assert_allclose(turned, rise_now * due, rtol=0, atol=1e-9)
+            if due == turn:
+                break
+        else:
+            pytest.fail("it never arrived")
+
+    def test_there_it_is_exactly_where_an_instant_axis_is(self) -> None:
+        slow, instant = Bench(actuators=Actuators(axis_speed=5.0)), Bench()
+        for bench in (slow, instant):
+            for _ in range(10):
+                bench.step(MINUS_45)
+        np.testing.assert_allclose(
+            slow.batch.lanes.axis, instant.batch.lanes.axis, rtol=0, atol=1e-15
+        )
+
+    def test_a_new_command_on_the_way_turns_it_from_where_it_is(self) -> None:
+        bench = Bench(actuators=Actuators(axis_speed=math.radians(500.0)))
+        bench.step(PLUS_45)  # 40 ms: 20 deg down
+        np.testing.assert_allclose(np.degrees(bench.angle[bench.obeying]), 70.0)
+        bench.step(MINUS_45)  # 65 deg up to 135 deg
+        np.testing.assert_allclose(np.degrees(bench.angle[bench.obeying]), 90.0)
+        for _ in range(3):
+            bench.step(MINUS_45)
+        np.testing.assert_allclose(np.degrees(bench.angle[bench.obeying]), 135.0)
+
+    def test_modules_outside_the_zone_stay(self) -> None:
+        bench = Bench(actuators=Actuators(axis_speed=3.0), zone=(6, 7))
+        for _ in range(20):
+            bench.step(ZERO)
+        assert bench.obeying.sum() == 4
+        np.testing.assert_allclose(bench.angle[bench.obeying] % np.pi, 0.0, atol=1e-12)
+        np.testing.assert_array_equal(bench.angle[~bench.obeying], np.pi / 2)
+
+    def test_a_start_finds_the_conveyor_again(self) -> None:
+        bench = Bench(actuators=Actuators(axis_speed=3.0))
+        for _ in range(5):
+            bench.step(ZERO)
+        bench.place()
+        np.testing.assert_array_equal(bench.angle, np.pi / 2)
+        bench.step(ROLL)
+        np.testing.assert_array_equal(bench.angle, np.pi / 2)
+
+    def test_a_turning_axis_acts_by_the_angle_it_has(self) -> None:
+        """Beside `simulate` one step at a time, on surfaces turned a step's angle further each."""
+        speed = math.radians(200.0)
+        bench = Bench(actuators=Actuators(axis_speed=speed))
+        bench.place(speed=1.0)
+        lanes = bench.batch.lanes
+        pose, velocity = lanes.truth[0, :3].copy(), lanes.truth[0, 3:].copy()
+        for number in range(1, 41):
+            turned = min(math.pi / 4, number * speed * 0.005)
+            axis = np.where(bench.obeying, math.pi / 2 + turned, math.pi / 2)
+            surface = sg.Surface(axis, lanes.rotor[0].copy())
+            run = sg.simulate(surface, FLAT_BOX, pose, velocity, duration=0.005)
+            pose, velocity = run.pose[-1], run.velocity[-1]
+            if number % 8 == 0:
+                bench.step(MINUS_45)
+                np.testing.assert_allclose(lanes.truth[0, :3], pose, rtol=0, atol=1e-10)
+        assert pose[1] > GEOMETRY.line_y + 0.01  # it did act
+
+    def test_the_faster_the_closer_to_instant(self) -> None:
+        def end(axis_speed: float) -> np.ndarray:
+            env = bare(actuators=Actuators(axis_speed=axis_speed))
+            env.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
+            for _ in range(12):
+                info = env.step(same_choice(env, MINUS_45))[4]
+            return info["pose"]
+
+        instant = end(math.inf)
+        apart = [np.abs(end(speed) - instant).max() for speed in (1.0, 3.0, 9.0, 1e6)]
+        assert apart[0] > apart[1] > apart[2] > apart[3]
+        assert apart[3] < 1e-12
+
+
+class TestStuck:
+    STUCK = ((9, 5), (10, 8))
+
+    @pytest.mark.parametrize("axis_speed", [math.inf, 20.0])
+    def test_given_modules_never_turn(self, axis_speed: float) -> None:
+        bench = Bench(actuators=Actuators(axis_speed=axis_speed, stuck=self.STUCK))
+        free = Bench(actuators=Actuators(axis_speed=axis_speed))
+        for choice in (PLUS_45, ZERO, MINUS_45, PLUS_45):
+            bench.step(choice)
+            free.step(choice)
+            stuck = np.zeros_like(bench.obeying)
+            for row, column in self.STUCK:
+                assert bench.angle[row, column] == np.pi / 2
+                stuck[row, column] = True
+            np.testing.assert_array_equal(bench.obeying, free.obeying & ~stuck)
+            np.testing.assert_array_equal(bench.angle[~stuck], free.angle[~stuck])
+
+    def test_they_drag_the_parcel_as_the_conveyor_does(self) -> None:
+        env = bare(actuators=Actuators(stuck=self.STUCK))
+        _, info = env.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
+        axis = np.array(sg.layouts.sorting("S", 1, task_columns=16, columns=30).axis)
+        for module in self.STUCK:
+            axis[module] = math.pi / 2
+        surface = sg.Surface(axis, sg.layouts.sorting("S", columns=30, task_columns=16).rotor)
+        box = sg.layouts.box("S")
+        run = sg.simulate(surface, box, info["pose"], (1.5, 0.0, 0.0), duration=0.4)
+        for period in range(1, 11):
+            info = env.step(same_choice(env, MINUS_45))[4]
+            np.testing.assert_array_equal(info["pose"], run.pose[8 * period])
+
+    @pytest.mark.parametrize("stuck", [((0, 0),), ((9, 0), (10, 29)), ((9, 5), (9, 5))])
+    def test_a_support_or_the_conveyor_may_be_stuck_too(self, stuck: Any) -> None:
+        env, twin = bare(actuators=Actuators(stuck=stuck)), bare()
+        first, second = steps(env, seed=0), steps(twin, seed=0)
+        if stuck == ((9, 5), (9, 5)):
+            twin = bare(actuators=Actuators(stuck=((9, 5),)))
+            second = steps(twin, seed=0)
+        for one, other in zip(first, second, strict=True):
+            assert_same(one, other)
+
+    @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+    def test_a_share_is_drawn_at_each_start(self, share: float) -> None:
+        settings = Settings(actuators=Actuators(stuck_share=share))
+        batch = settings.make_batch(1)
+        start = Start(FLAT_BOX, (0.6, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,))
+        rng = np.random.default_rng(0)
+        zone = Bench().obeying
+        drawn = []
+        for _ in range(500):
+            batch.place(0, start, rng)
+            assert not batch.lanes.obeys[0][~zone].any()
+            drawn.append(~batch.lanes.obeys[0][zone])
+        stuck = np.array(drawn)  # (starts, modules)
+        spread = math.sqrt(share * (1.0 - share))
+        assert stuck.mean() == pytest.approx(share, abs=4.0 * spread / math.sqrt(stuck.size))
+        np.testing.assert_allclose(stuck.mean(axis=0), share, atol=5.0 * spread / math.sqrt(500))
+        # Module by module on its own: the count in a start is binomial.
+        assert stuck.sum(axis=1).var() == pytest.approx(zone.sum() * spread**2, rel=0.3)
+
+    def test_all_stuck_is_the_conveyor(self) -> None:
+        env, conveyor = bare(actuators=Actuators(stuck_share=1.0)), bare()
+        for each in (env, conveyor):
+            each.reset(seed=0, options={"speed": 1.0, "parcel": "S", "side": 1})
+        terminated = False
+        while not terminated:
+            _, _, terminated, _, info = env.step(same_choice(env, MINUS_45))
+            wanted = conveyor.step(same_choice(conveyor, ROLL))[4]
+            assert_same(info["pose"], wanted["pose"])
+        assert info["outcome"] == "passed the zone"
+
+    def test_a_share_adds_to_those_given(self) -> None:
+        bench = Bench(actuators=Actuators(stuck=self.STUCK, stuck_share=0.3))
+        assert not any(bench.obeying[module] for module in self.STUCK)
+        assert 0 < bench.obeying.sum() < Bench().obeying.sum() - 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ({"axis_speed": 0.0}, "axis_speed"),
+        ({"axis_speed": -1.0}, "axis_speed"),
+        ({"axis_speed": -math.inf}, "axis_speed"),
+        ({"axis_speed": math.nan}, "axis_speed"),
+        ({"axis_speed": "fast"}, "axis_speed"),
+        ({"axis_speed": None}, "axis_speed"),
+        ({"stuck_share": -0.1}, "stuck_share"),
+        ({"stuck_share": 1.1}, "stuck_share"),
+        ({"stuck_share": math.nan}, "stuck_share"),
+        ({"stuck_share": True}, "stuck_share"),
+        ({"stuck": ((1, 2, 3),)}, "stuck"),
+        ({"stuck": ((1,),)}, "stuck"),
+        ({"stuck": (3, 5)}, "stuck"),
+        ({"stuck": 3}, "stuck"),
+        ({"stuck": None}, "stuck"),
+        ({"stuck": "all"}, "stuck"),
+        ({"stuck": ((-1, 2),)}, "stuck"),
+        ({"stuck": ((1.0, 2),)}, "stuck"),
+        ({"stuck": ((True, 2),)}, "stuck"),
+    ],
+)
+def test_bad_arguments_are_named(arguments: dict[str, Any], named: str) -> None:
+    with pytest.raises(ValueError, match=named):
+        Actuators(**arguments)
+
+
+def test_a_stuck_module_must_lie_on_the_surface() -> None:
+    Settings(actuators=Actuators(stuck=((19, 29),)))
+    for module in ((20, 0), (0, 30)):
+        with pytest.raises(ValueError, match=r"stuck must lie in 20 rows and 30 columns"):
+            Settings(actuators=Actuators(stuck=(module,)))
+
+
+def test_the_id_takes_them_too() -> None:
+    assert bare(SORT, actuators=Actuators(stuck_share=0.5)).settings.actuators.stuck_share == 0.5

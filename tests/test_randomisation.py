@@ -1,0 +1,206 @@
+"""What differs from episode to episode: bounds and laws of each draw."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import surface_gym as sg
+from surface_gym.randomisation import Drawn, Randomisation
+from surface_gym.tasks.task import Start
+from tests.environments import PARCELS, TRIANGLE, assert_same, bare, steps
+
+COUNT = 2000
+SHAPE = (20, 30)
+LOOSE = 1e-3  # a law is doubted below this p-value; the seeds are fixed
+
+BOX = sg.Parcel(sg.Rectangle(0.4, 0.2), mass=8.0)
+START = Start(BOX, (0.2, 1.0, 0.1), (1.0, 0.2, 0.3), (1.0,))
+
+
+def draws(start: Start = START, count: int = COUNT, **spreads: float) -> list[Drawn]:
+    rng = np.random.default_rng(0)
+    randomisation = Randomisation(**spreads)
+    return [randomisation.draw(rng, start, SHAPE) for _ in range(count)]
+
+
+def assert_uniform(values: Any, low: float, high: float) -> None:
+    values = np.array(values)
+    assert values.min() >= low
+    assert values.max() <= high
+    assert stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue > LOOSE
+
+
+def assert_normal(values: Any, mean: float, spread: float) -> None:
+    assert stats.kstest(np.array(values), stats.norm(mean, spread).cdf).pvalue > LOOSE
+
+
+def test_nothing_varies_by_default() -> None:
+    rng = np.random.default_rng(0)
+    before = rng.bit_generator.state
+    drawn = Randomisation().draw(rng, START, SHAPE)
+    assert drawn == Drawn(START, (1.0, 1.0, 1.0), None)
+    assert rng.bit_generator.state == before
+
+
+def test_friction_of_the_rotors() -> None:
+    drawn = draws(friction=0.2)
+    assert_uniform([each.friction[0] for each in drawn], 0.8, 1.2)
+    assert {each.friction[1:] for each in drawn} == {(1.0, 1.0)}
+    assert all(each.start == START and each.stiffness is None for each in drawn)
+
+
+def test_rolling_of_rotors_and_supports_each_on_its_own() -> None:
+    drawn = draws(rolling=0.5)
+    assert {each.friction[0] for each in drawn} == {1.0}
+    across, supports = np.array([each.friction[1:] for each in drawn]).T
+    assert_uniform(across, 0.5, 1.5)
+    assert_uniform(supports, 0.5, 1.5)
+    assert abs(np.corrcoef(across, supports)[0, 1]) < 0.1
+
+
+def test_mass_varies_how_hard_the_parcel_is_to_turn() -> None:
+    parcels = [each.start.parcel for each in draws(mass=0.3)]
+    assert_uniform([parcel.mass for parcel in parcels], 8.0 * 0.7, 8.0 * 1.3)
+    for parcel in parcels:
+        assert parcel.moment_of_inertia == pytest.approx(BOX.moment_of_inertia)
+        assert parcel.base == BOX.base
+        assert parcel.com_offset == (0.0, 0.0)
+
+
+def test_size_scales_the_base_and_what_lies_on_it() -> None:
+    heavy = sg.Parcel(BOX.base, mass=8.0, com_offset=(0.04, -0.02), inertia=0.5)
+    parcels = [each.start.parcel for each in draws(Start(heavy, *START_AT), size=0.25)]
+    lengths = np.array([parcel.base.length for parcel in parcels])
+    assert_uniform(lengths, 0.3, 0.5)
+    for parcel, factor in zip(parcels, lengths / 0.4, strict=True):
+        assert parcel.base.width == pytest.approx(0.2 * factor)
+        assert parcel.mass == 8.0
+        assert parcel.com_offset == pytest.approx((0.04 * factor, -0.02 * factor))
+        assert parcel.moment_of_inertia == pytest.approx(0.5 * factor**2)
+
+
+START_AT: tuple[Any, ...] = ((0.2, 1.0, 0.1), (1.0, 0.2, 0.3), (1.0,))
+
+
+@pytest.mark.parametrize("name", PARCELS)
+def test_size_keeps_the_shape_of_any_base(name: str) -> None:
+    parcel = PARCELS[name]
+    for each in draws(Start(parcel, *START_AT), count=20, size=0.2):
+        base = each.start.parcel.base
+        factor = base.reach / parcel.base.reach
+        assert 0.8 <= factor <= 1.2
+        np.testing.assert_allclose(base.outline, factor * parcel.base.outline)
+        assert base.gyration == pytest.approx(factor**2 * parcel.base.gyration)
+
+
+def test_centre_of_mass() -> None:
+    x, y = np.array([each.start.parcel.com_offset for each in draws(com_offset=0.3)]).T
+    assert_uniform(x, -0.3 * 0.2, 0.3 * 0.2)
+    assert_uniform(y, -0.3 * 0.1, 0.3 * 0.1)
+    assert abs(np.corrcoef(x, y)[0, 1]) < 0.1
+
+
+@pytest.mark.parametrize("name", PARCELS)
+@pytest.mark.parametrize("share", [0.3, 0.9])
+def test_centre_of_mass_stays_over_any_base(name: str, share: float) -> None:
+    for each in draws(Start(PARCELS[name], *START_AT), count=200, com_offset=share, size=0.1):
+        parcel = each.start.parcel
+        assert parcel.base.functions(*parcel.centre_of_mass).max() <= 0.0
+
+
+def test_stiffness_is_log_normal_element_by_element() -> None:
+    drawn = np.array([each.stiffness for each in draws(count=20, stiffness=0.4)])
+    assert drawn.shape == (20, *SHAPE)
+    assert_normal(np.log(drawn).ravel(), 0.0, 0.4)
+    assert len(np.unique(drawn)) == drawn.size
+
+
+def test_where_and_how_the_parcel_enters() -> None:
+    drawn = draws(lateral=0.02, heading=0.1)
+    x, y, theta = np.array([each.start.pose for each in drawn]).T
+    assert (x == 0.2).all()
+    assert_normal(y, 1.0, 0.02)
+    assert_normal(theta, 0.1, 0.1)
+    assert {each.start.velocity for each in drawn} == {START.velocity}
+
+
+def test_all_of_it_at_once_follows_from_the_generator() -> None:
+    spreads = {
+        "friction": 0.2, "rolling": 0.2, "mass": 0.2, "size": 0.2,
+        "com_offset": 0.2, "stiffness": 0.2, "lateral": 0.02, "heading": 0.1,
+    }  # fmt: skip
+    first, second = draws(count=20, **spreads), draws(count=20, **spreads)
+    for one, other in zip(first, second, strict=True):
+        assert one.start == other.start
+        assert one.friction == other.friction
+        np.testing.assert_array_equal(one.stiffness, other.stiffness)
+    assert len({each.friction for each in first}) == 20
+
+
+@pytest.mark.parametrize("name", ["friction", "rolling", "mass", "size", "com_offset"])
+@pytest.mark.parametrize("spread", [-0.1, 1.0, 1.5, math.nan, math.inf, True, "0.1", None])
+def test_bad_shares_are_named(name: str, spread: Any) -> None:
+    with pytest.raises(ValueError, match=name):
+        Randomisation(**{name: spread})
+
+
+@pytest.mark.parametrize("name", ["stiffness", "lateral", "heading"])
+@pytest.mark.parametrize("spread", [-0.1, math.nan, math.inf, True, "0.1", None])
+def test_bad_spreads_are_named(name: str, spread: Any) -> None:
+    with pytest.raises(ValueError, match=name):
+        Randomisation(**{name: spread})
+
+
+class TestInTheEnvironment:
+    @pytest.mark.parametrize(
+        "spreads",
+        [
+            {"friction": 0.3},
+            {"rolling": 0.9},
+            {"mass": 0.5},
+            {"size": 0.2},
+            {"com_offset": 0.2},
+            {"stiffness": 0.5},
+            {"lateral": 0.02},
+            {"heading": 0.1},
+        ],
+        ids=lambda spreads: next(iter(spreads)),
+    )
+    def test_each_changes_what_happens_and_the_seed_fixes_it(
+        self, spreads: dict[str, float]
+    ) -> None:
+        varied = Randomisation(**spreads)
+        runs = [
+            list(steps(bare(actions="quadrants", **settings), seed=4))
+            for settings in ({}, {"randomisation": varied}, {"randomisation": varied})
+        ]
+        plain, first, second = runs
+        assert_same(tuple(first), tuple(second))
+        last = min(len(plain), len(first)) - 1
+        assert (plain[last][4]["pose"] != first[last][4]["pose"]).any()
+
+    def test_friction_scales_the_rolling_loss(self) -> None:
+        """On the conveyor a parcel slows by mu_min g, which `rolling` varies."""
+        losses = []
+        env = bare(actions="halves", randomisation=Randomisation(rolling=0.5))
+        for seed in range(200):
+            _, start = env.reset(seed=seed, options={"speed": 1.0, "parcel": "S"})
+            for _ in range(3):
+                info = env.step(15)[4]
+            losses.append((start["velocity"][0] - info["velocity"][0]) / info["time"])
+        assert min(losses) > 0.5 * 0.005 * 9.81
+        assert max(losses) < 1.5 * 0.01 * 9.81
+        assert np.std(losses) > 0.1 * np.mean(losses)
+
+    def test_any_parcel_may_be_varied(self) -> None:
+        env = bare(
+            actions="halves",
+            randomisation=Randomisation(com_offset=0.8, size=0.1, mass=0.5, heading=1.0),
+        )
+        for parcel in (*PARCELS.values(), TRIANGLE):
+            for seed in range(20):
+                env.reset(seed=seed, options={"parcel": parcel})
+                env.step(0)
