@@ -1,9 +1,11 @@
 """A smart surface that steers parcels by friction: the simulator and its environments."""
 
-from surface_gym import layouts
+from surface_gym import layouts, sensors, tasks
+from surface_gym.actuators import Actuators
 from surface_gym.bases import Disc, Polygon, Rectangle
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.parcel import Parcel
+from surface_gym.randomisation import Randomisation
 from surface_gym.registration import register
 from surface_gym.simulation import simulate
 from surface_gym.surface import Surface
@@ -14,14 +16,18 @@ register()
 
 __version__ = "0.1.0"
 __all__ = [
+    "Actuators",
     "Disc",
     "Parcel",
     "Polygon",
+    "Randomisation",
     "Rectangle",
     "SmartSurfaceEnv",
     "SmartSurfaceVectorEnv",
     "Surface",
     "Trajectory",
     "layouts",
+    "sensors",
     "simulate",
+    "tasks",
 ]

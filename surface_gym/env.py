@@ -18,7 +18,78 @@ RENDER_FPS = 25  # pictures a second at the default control period of 40 ms: rea
 
 
 class SmartSurfaceEnv(gym.Env[Any, Any]):
-    """A smart surface under a parcel."""
+    """A smart surface under a parcel: actions turn the rotors' axes, sensors tell of the parcel.
+
+    A surface is a grid of modules with idle rotors. Along its axis a rotor drags (mu 0.5), across
+    it rolls almost free (mu 0.01). Nothing drives the parcel but its own speed or gravity on a
+    tilted surface, so that it can be steered only as long as it moves. SI units and radians; x runs
+    along the line, y across it, theta anti-clockwise.
+
+    ## Actions
+
+    Every control period an action chooses orientations for the modules that obey: the rotors of the
+    zone that are not stuck. Choices count the `orientations`, by default 0, 45, -45 and 90 deg. At
+    a start all axes are at 90 deg, rolling along x as a conveyor would; those outside the zone stay.
+
+    | `actions` | space | sets |
+    | --- | --- | --- |
+    | "modules" (default) | MultiDiscrete, zone rows x columns | every module's axis, row by row from y < 0 |
+    | "halves" | Discrete, choices squared | modules ahead of the parcel's centre (a // choices) and behind it (a % choices) |
+    | "quadrants" | MultiDiscrete, 4 | ahead left, ahead right, behind left, behind right; left is y > 0 |
+    | "window" | MultiDiscrete, 25 | the 5 x 5 modules around the parcel's centre, row by row from y < 0 |
+
+    "modules" has a number for each place of the widest line (4 rows); those without a rotor under
+    a narrower one are without effect. Ahead, behind, left, right and around are of the sensed pose.
+
+    ## Observation
+
+    The task's features, float32, built from what the sensors say: see the task's page. With
+    "window" 25 more follow, 1 for a module that obeys and is sensed to lie under the parcel.
+
+    ## Info
+
+    `is_success`, `outcome` (why the episode ended, or "running"), `time` [s], the true `pose`
+    (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid, `reward_terms` (named terms
+    whose sum is the reward), and the task's own figures.
+
+    ## End
+
+    Success and failure terminate an episode; running out of time truncates it.
+
+    ## Arguments
+
+    | argument | default | meaning |
+    | --- | --- | --- |
+    | `task` | set by the id | a task's name, or a task with parameters of its own |
+    | `actions` | "modules" | kind of action |
+    | `sensors` | `Exact()` | `Exact()`, `Camera(...)` or `Presence(...)` of `surface_gym.sensors` |
+    | `control_period` | 0.04 | [s] between decisions; cut into equal physics steps of at most 5 ms |
+    | `zone` | None | first and last column that obey; None: those after the lead-in |
+    | `orientations` | 0, pi/4, -pi/4, pi/2 | [rad] axis angles on offer, at least two |
+    | `actuators` | `Actuators()` | `axis_speed` [rad/s], `stuck` modules, `stuck_share` |
+    | `randomisation` | `Randomisation()` | spreads of friction, mass, size, load and start |
+    | `render_mode` | None | "rgb_array", without a display, or "human" |
+
+    `reset(options=...)` fixes a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's own
+    goal. An unknown option or a bad value is a ValueError that names it and leaves all as it was.
+
+    `gym.make_vec` gives the native vector env, whose lane i seeded s + i equals this env seeded
+    s + i to the bit.
+
+    >>> import gymnasium as gym, surface_gym
+    >>> env = gym.make("SmartSurface/Sort-v0", actions="halves")
+    >>> observation, info = env.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
+    >>> all_at_minus_45 = 2 * 4 + 2
+    >>> terminated = False
+    >>> while not terminated:
+    ...     observation, reward, terminated, truncated, info = env.step(all_at_minus_45)
+    >>> info["outcome"], round(info["time"], 3)
+    ('success', 0.51)
+
+    ## Version history
+
+    - v0: first version.
+    """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": RENDER_FPS}
 

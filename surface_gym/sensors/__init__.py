@@ -1,8 +1,11 @@
 """What a controller gets to see of the parcel: emulated sensors, each with its compiled half."""
 
+from surface_gym.sensors.camera import Camera
+from surface_gym.sensors.entry import Entry
 from surface_gym.sensors.exact import Exact
+from surface_gym.sensors.presence import Presence
 from surface_gym.sensors.sensor import Sensors
 
-KINDS = (Exact,)
+KINDS = (Exact, Camera, Presence)
 
-__all__ = ["KINDS", "Exact", "Sensors"]
+__all__ = ["KINDS", "Camera", "Entry", "Exact", "Presence", "Sensors"]

@@ -7,8 +7,10 @@ asks. Before each, `lanes.truth` holds the base's true pose and velocity.
 from surface_gym.dynamics.compiled import inlined
 from surface_gym.dynamics.types import Scratch
 from surface_gym.lanes.memory import Geometry, Lanes
-from surface_gym.sensors import exact
+from surface_gym.sensors import camera, exact, presence
+from surface_gym.sensors.camera import CAMERA
 from surface_gym.sensors.exact import EXACT
+from surface_gym.sensors.presence import PRESENCE
 from surface_gym.sensors.sensor import Sensing
 
 
@@ -21,6 +23,10 @@ def watches(sensing: Sensing) -> bool:
 @inlined
 def begin(sensing: Sensing, lanes: Lanes, lane: int, geometry: Geometry, dt: float) -> None:
     """Set the sensor's memory at a start."""
+    if sensing.number == CAMERA:
+        camera.begin(sensing.settings, lanes, lane)
+    elif sensing.number == PRESENCE:
+        presence.begin(sensing.settings, lanes, lane)
 
 
 @inlined
@@ -28,6 +34,10 @@ def look(
     sensing: Sensing, lanes: Lanes, lane: int, geometry: Geometry, scratch: Scratch, dt: float
 ) -> None:
     """Take in what a physics step brought; `lanes.steps` has been counted up."""
+    if sensing.number == CAMERA:
+        camera.look(sensing.settings, lanes, lane, dt)
+    elif sensing.number == PRESENCE:
+        presence.look(sensing.settings, lanes, lane, geometry, scratch, dt)
 
 
 @inlined
@@ -35,3 +45,7 @@ def estimate(sensing: Sensing, lanes: Lanes, lane: int, dt: float) -> None:
     """Write the estimate of pose and velocity into `lanes.sensed`."""
     if sensing.number == EXACT:
         exact.estimate(lanes, lane)
+    elif sensing.number == CAMERA:
+        camera.estimate(lanes, lane, dt)
+    elif sensing.number == PRESENCE:
+        presence.estimate(lanes, lane)

@@ -1,0 +1,52 @@
+"""Entry: what a controller knows of a parcel as it enters."""
+
+from dataclasses import dataclass
+
+from surface_gym import checks
+from surface_gym.dynamics.compiled import inlined
+from surface_gym.dynamics.types import Array
+from surface_gym.lanes.memory import Lanes
+
+ENTRY_SIZE = 4  # numbers of an Entry in a sensor's settings
+ENTRY_ROWS = 2  # of noise that a start uses
+
+
+@dataclass(frozen=True)
+class Entry:
+    """How well a controller knows pose and velocity of a parcel as it enters.
+
+    The conveyor before the surface has a known speed and its guides align the parcel, so that the
+    first estimate is the truth with Gaussian errors of these standard deviations.
+
+    Raises:
+        ValueError: a negative one.
+    """
+
+    position: float = 0.002  # [m] in x and in y
+    angle: float = 0.01  # [rad]
+    speed: float = 0.05  # [m/s] in vx and in vy
+    turning: float = 0.1  # [rad/s]
+
+    def __post_init__(self) -> None:
+        for name in ("position", "angle", "speed", "turning"):
+            checks.not_negative(name, getattr(self, name))
+
+    @property
+    def settings(self) -> tuple[float, float, float, float]:
+        """As compiled code reads it."""
+        return (self.position, self.angle, self.speed, self.turning)
+
+
+@inlined
+def enter(settings: Array, first: int, lanes: Lanes, lane: int, estimate: Array) -> None:
+    """Write what is known of pose and velocity at a start into `estimate` (6,).
+
+    The Entry is in `settings` from `first` on.
+    """
+    row = lanes.noise_row[lane]
+    lanes.noise_row[lane] = row + ENTRY_ROWS
+    for k in range(3):
+        pose_error = settings[first] if k < 2 else settings[first + 1]
+        velocity_error = settings[first + 2] if k < 2 else settings[first + 3]
+        estimate[k] = lanes.truth[lane, k] + pose_error * lanes.noise[lane, row, k]
+        estimate[3 + k] = lanes.truth[lane, 3 + k] + velocity_error * lanes.noise[lane, row + 1, k]

@@ -1,0 +1,183 @@
+"""An observer's estimate of state and covariance: predicted by the physics, corrected by a scalar.
+
+It lies in a lane's `filter`: first the state as the physics has it, then the covariance.
+"""
+
+from surface_gym.dynamics.compiled import inlined
+from surface_gym.dynamics.normal_forces import dual_normal_forces
+from surface_gym.dynamics.step import advance_implicit, find_support, load_point
+from surface_gym.dynamics.types import (
+    OMEGA,
+    STATE_SIZE,
+    THETA,
+    VX,
+    VY,
+    Array,
+    Body,
+    Grid,
+    Scratch,
+    X,
+    Y,
+)
+
+SIZE = 6  # of pose and velocity
+COVARIANCE = STATE_SIZE  # first column; row by row
+GAIN = COVARIANCE + SIZE * SIZE  # first column of a correction's own memory
+DECAY = GAIN + SIZE  # first column of a prediction's own memory, 3 x 3
+LAST = DECAY + 9
+
+STICTION_SPEED = 0.03  # [m/s] a rotor that slips along its axis by less than this holds the parcel
+
+
+@inlined
+def spread(kept: Array, settings: Array, first: int) -> None:
+    """Set the covariance to that of an Entry, in `settings` from `first` on."""
+    for k in range(SIZE * SIZE):
+        kept[COVARIANCE + k] = 0.0
+    for k in range(SIZE):
+        entry = (0 if k < 2 else 1) if k < 3 else (2 if k < 5 else 3)
+        kept[COVARIANCE + (SIZE + 1) * k] = settings[first + entry] ** 2
+
+
+@inlined
+def _damp(grid: Grid, body: Body, kept: Array, scratch: Scratch, contacts: int, dt: float) -> None:
+    """Write how a step damps errors in velocity, (M + dt S)^-1 M, into `kept` from DECAY on.
+
+    S is the friction's slope over the slip along each rotor's axis: steep where it holds.
+    """
+    xx, xy, yy, xt, yt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(contacts):
+        if not scratch.rotor[i]:
+            continue
+        ux, uy = scratch.axis_x[i], scratch.axis_y[i]
+        lever = uy * scratch.arm_x[i] - ux * scratch.arm_y[i]
+        slip = (ux * kept[VX] + uy * kept[VY] + lever * kept[OMEGA]) / STICTION_SPEED
+        shrunk = 1.0 + slip * slip
+        slope = dt * grid.mu_max * scratch.normal[i] / (STICTION_SPEED * shrunk * shrunk)
+        xx += slope * ux * ux
+        xy += slope * ux * uy
+        yy += slope * uy * uy
+        xt += slope * ux * lever
+        yt += slope * uy * lever
+        tt += slope * lever * lever
+    xx += 1.0
+    yy += 1.0
+    tt += body.gyration
+    c_xx = yy * tt - yt * yt
+    c_xy = xt * yt - xy * tt
+    c_xt = xy * yt - xt * yy
+    c_yy = xx * tt - xt * xt
+    c_yt = xy * xt - xx * yt
+    c_tt = xx * yy - xy * xy
+    per_determinant = 1.0 / (xx * c_xx + xy * c_xy + xt * c_xt)
+    kept[DECAY] = c_xx * per_determinant
+    kept[DECAY + 1] = c_xy * per_determinant
+    kept[DECAY + 2] = c_xt * per_determinant * body.gyration
+    kept[DECAY + 3] = c_xy * per_determinant
+    kept[DECAY + 4] = c_yy * per_determinant
+    kept[DECAY + 5] = c_yt * per_determinant * body.gyration
+    kept[DECAY + 6] = c_xt * per_determinant
+    kept[DECAY + 7] = c_yt * per_determinant
+    kept[DECAY + 8] = c_tt * per_determinant * body.gyration
+
+
+@inlined
+def _widen(kept: Array, dt: float, density: float, turn_density: float) -> None:
+    """Carry the covariance over a step, the velocity's errors damped as `_damp` wrote."""
+    half = COVARIANCE + 3  # the column of the first velocity
+    low = COVARIANCE + 3 * SIZE  # the row of the first velocity
+    for i in range(3):
+        for j in range(3):
+            kept[COVARIANCE + SIZE * i + j] += dt * (
+                kept[half + SIZE * i + j]
+                + kept[half + SIZE * j + i]
+                + dt * kept[low + SIZE * i + 3 + j]
+            )
+    for i in range(3):
+        row = half + SIZE * i
+        vx = kept[row] + dt * kept[low + SIZE * i + 3]
+        vy = kept[row + 1] + dt * kept[low + SIZE * i + 4]
+        omega = kept[row + 2] + dt * kept[low + SIZE * i + 5]
+        for j in range(3):
+            decay = DECAY + 3 * j
+            mixed = vx * kept[decay] + vy * kept[decay + 1] + omega * kept[decay + 2]
+            kept[row + j] = mixed
+            kept[low + SIZE * j + i] = mixed
+    for _ in range(2):  # D V, transposed, twice: D V D^T
+        for i in range(3):  # a column at a time
+            column = low + 3 + i
+            vx, vy, omega = kept[column], kept[column + SIZE], kept[column + 2 * SIZE]
+            for j in range(3):
+                decay = DECAY + 3 * j
+                kept[column + SIZE * j] = (
+                    vx * kept[decay] + vy * kept[decay + 1] + omega * kept[decay + 2]
+                )
+        for i in range(3):
+            for j in range(i):
+                upper, lower = low + SIZE * j + 3 + i, low + SIZE * i + 3 + j
+                kept[upper], kept[lower] = kept[lower], kept[upper]
+    kept[low + 3] += density * dt
+    kept[low + SIZE + 4] += density * dt
+    kept[low + 2 * SIZE + 5] += turn_density * dt
+
+
+@inlined
+def predict(
+    grid: Grid,
+    body: Body,
+    kept: Array,
+    scratch: Scratch,
+    dt: float,
+    density: float,
+    turn_density: float,
+) -> None:
+    """Move the estimate over one step by the physics, the stiffness of all elements the same.
+
+    Off the surface it moves on at its velocity.
+    """
+    contacts = find_support(grid, body, kept, scratch, 0.5 * dt)
+    for i in range(contacts):
+        scratch.stiffness[i] = 1.0
+    if contacts > 0:
+        load_x, load_y = load_point(grid, body, kept)
+        dual_normal_forces(scratch, contacts, grid.gravity_normal, load_x, load_y, grid.pitch)
+        advance_implicit(grid, body, kept, scratch, contacts, dt)
+    else:
+        kept[X] += dt * kept[VX]
+        kept[Y] += dt * kept[VY]
+        kept[THETA] += dt * kept[OMEGA]
+    _damp(grid, body, kept, scratch, contacts, dt)
+    _widen(kept, dt, density, turn_density)
+
+
+@inlined
+def measure(kept: Array, by_x: float, by_y: float, by_theta: float, lead: float) -> float:
+    """Variance of a function of the pose `lead` seconds ago, given by its derivatives.
+
+    Its covariance with the state is left in `kept` from GAIN on, for `correct`.
+    """
+    variance = 0.0
+    for i in range(SIZE):
+        row = COVARIANCE + SIZE * i
+        kept[GAIN + i] = (
+            by_x * (kept[row] - lead * kept[row + 3])
+            + by_y * (kept[row + 1] - lead * kept[row + 4])
+            + by_theta * (kept[row + 2] - lead * kept[row + 5])
+        )
+    variance = (
+        by_x * (kept[GAIN] - lead * kept[GAIN + 3])
+        + by_y * (kept[GAIN + 1] - lead * kept[GAIN + 4])
+        + by_theta * (kept[GAIN + 2] - lead * kept[GAIN + 5])
+    )
+    return variance
+
+
+@inlined
+def correct(kept: Array, shift: float, shrink: float) -> None:
+    """Move the estimate by `shift`, and lessen its covariance by `shrink`, along what `measure`
+    left: both a unit of it.
+    """
+    for i in range(SIZE):
+        kept[i] += shift * kept[GAIN + i]
+        for j in range(SIZE):
+            kept[COVARIANCE + SIZE * i + j] -= shrink * kept[GAIN + i] * kept[GAIN + j]
