@@ -44,7 +44,60 @@ FEATURES = (
 
 @dataclass(frozen=True)
 class Orient:
-    """Turn the parcel by an asked angle by the time its rear leaves the zone."""
+    """Turn the parcel by an asked angle by the time its rear leaves the zone.
+
+    A parcel enters a line of rotors amid supports at theta = 0 and is to leave the zone at an asked
+    theta, to 2 deg.
+
+    The surface is under-actuated: a module brakes along its axis and lets roll across it, but never
+    pushes. What turns the parcel is the difference between modules left and right of its centre,
+    and what that costs in speed, and in drift to the side, is gone. Turned, it covers other modules
+    than before.
+
+    ### Start
+
+    The rear at x = 0, on the line's middle, theta 0, no other speed than vx. Entry speed: uniform
+    in `speeds`. Asked angle: uniform in `angles`. Parcel: equal odds.
+
+    ### Goal and end
+
+    The episode ends with the physics step that takes the rearmost point of the base past the zone's
+    end. "success": theta is then within 2 deg of the asked angle; a full turn counts as one. Each
+    failure ends the episode as `terminated`:
+
+    - "missed": left the zone at another angle;
+    - "stalled": no point of the base moves faster than 1 mm/s before that;
+    - "off the line": no rotor is under the base any more;
+    - "off the surface": the centre of mass is past the surface's edge.
+
+    Running out of time is `truncated`.
+
+    ### Reward
+
+    | term | scale | meaning |
+    | --- | --- | --- |
+    | `turn` | 1 a radian | by which theta came nearer to the asked angle |
+    | `precision` | 1 | once, on leaving: exp(-abs(`angle_error`) / 1 deg) |
+    | `success` | 1 | once, at success |
+    | `failure` | -1 | once, at any failure |
+
+    ### Info
+
+    - `angle_error` [rad]: theta - the asked angle, at present; signed.
+
+    ### Example
+
+        >>> import gymnasium as gym, surface_gym
+        >>> env = gym.make("SmartSurface/Orient-v0", actions="halves")
+        >>> observation, info = env.reset(options={"speed": 1.5, "parcel": "S", "angle": 0.5})
+        >>> observation, reward, terminated, truncated, info = env.step(15)  # all axes at 90 deg
+        >>> info["outcome"], info["angle_error"]
+        ('running', -0.5)
+
+    ### Version history
+
+    - `v0`: first version.
+    """
 
     speeds: tuple[float, float] = (1.3, 1.7)  # [m/s] entry speed
     angles: tuple[float, float] = (-math.pi / 4, math.pi / 4)  # [rad] asked

@@ -49,7 +49,61 @@ FEATURES = (
 
 @dataclass(frozen=True)
 class Slow:
-    """Slow the parcel down to a ratio of its entry speed by the time its rear leaves the zone."""
+    """Slow the parcel down to a ratio of its entry speed by the time its rear leaves the zone.
+
+    A parcel enters a line of rotors amid supports; the zone's modules are to take just so much of
+    its speed that it leaves them at the asked share of what it came with.
+
+    The surface is under-actuated: a module brakes along its axis and lets roll across it, but never
+    pushes. Speed once taken never comes back, a parcel held unevenly turns or drifts off the line,
+    and how hard it is braked jumps as its edges cross the modules' centres.
+
+    ### Start
+
+    The rear at x = 0, on the line's middle, theta 0, no other speed than vx. Entry speed: uniform
+    in `speeds`. Parcel: equal odds. Asked ratio: uniform in `ratios`, though at most 0.98 of the
+    ratio that rolling all the way would leave, below which a slow parcel falls by itself.
+
+    ### Goal and end
+
+    The episode ends with the physics step that takes the rear past the zone's end. "success":
+    speed / entry speed is then within 0.01 of the asked ratio. Each failure ends the episode as
+    `terminated`:
+
+    - "missed": left the zone at another ratio;
+    - "stalled": no point of the base moves faster than 1 mm/s before that;
+    - "off the line": no rotor is under the base any more;
+    - "off the surface": the centre of mass is past the surface's edge.
+
+    Running out of time is `truncated`.
+
+    ### Reward
+
+    | term | scale | meaning |
+    | --- | --- | --- |
+    | `excess` | 1 per ratio | by which the excess shrank: how far the speed is, either way, from \
+that which rolling to the zone's end turns into the asked one, over the entry speed |
+    | `precision` | 1 | once, on leaving: exp(-abs(`ratio_error`) / 0.01) |
+    | `success` | 1 | once, at success |
+    | `failure` | -1 | once, at any failure |
+
+    ### Info
+
+    - `ratio_error` [-]: speed / entry speed - asked ratio, at present; signed.
+
+    ### Example
+
+        >>> import gymnasium as gym, surface_gym
+        >>> env = gym.make("SmartSurface/Slow-v0", actions="halves")
+        >>> observation, info = env.reset(options={"speed": 2.0, "parcel": "S", "ratio": 0.5})
+        >>> observation, reward, terminated, truncated, info = env.step(15)  # all axes at 90 deg
+        >>> info["outcome"], round(info["ratio_error"], 3)
+        ('running', 0.498)
+
+    ### Version history
+
+    - `v0`: first version.
+    """
 
     speeds: tuple[float, float] = (0.9, 2.7)  # [m/s] entry speed
     ratios: tuple[float, float] = (0.15, 0.8)  # [-] exit speed / entry speed

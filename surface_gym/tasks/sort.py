@@ -69,7 +69,62 @@ FEATURES = (
 
 @dataclass(frozen=True)
 class Sort:
-    """Sort the parcel off the line to one side."""
+    """Sort the parcel off the line to one side, quickly.
+
+    A parcel enters a line of rotors amid supports and is to leave it towards y > 0 or y < 0; asked
+    for neither, it is to roll through the zone and stay on the line.
+
+    The surface is under-actuated: a module brakes along its axis and lets roll across it, but never
+    pushes. Axes at -45 deg turn part of the speed towards y > 0, at +45 deg towards y < 0, and
+    friction spends it all the while: a slow parcel stalls before it is off the line.
+
+    ### Start
+
+    The rear at x = 0, on the line's middle, theta 0, no other speed than vx. Entry speed: from the
+    band `slow_speeds` with the probability `slow_share`, else from `speeds`, uniform in it. Parcel
+    and side, +1 (y > 0) or -1 (y < 0): equal odds. Side 0, straight through, is only an option.
+
+    ### Goal and end
+
+    "success": no rotor is under the base any more, and its centre is on the asked side of the
+    line's middle. For side 0: the rear is past the zone's end, with a rotor still under the base.
+    Each failure ends the episode as `terminated`:
+
+    - "wrong side": off the rotors, but not on the asked side (for side 0: off them at all);
+    - "passed the zone": the rear is past the zone's end (sides +1 and -1);
+    - "stalled": no point of the base moves faster than 1 mm/s;
+    - "off the surface": the centre of mass is past the surface's edge.
+
+    Running out of time is `truncated`, and is not a failure of the reward.
+
+    ### Reward
+
+    | term | scale | meaning |
+    | --- | --- | --- |
+    | `reach` | 2 a metre | gain of lateral reach: the offset to the asked side and what the present \
+speed would still cover coasting at 45 deg; beyond 0.6 m no more. For side 0, 0.3 x less the \
+distance from the line's middle takes its place |
+    | `time` | -0.3 a second | time that passed |
+    | `success` | 1 | once, at success |
+    | `failure` | -1 | once, at any failure |
+
+    ### Info
+
+    The task adds no figure of its own to what every environment reports.
+
+    ### Example
+
+        >>> import gymnasium as gym, surface_gym
+        >>> env = gym.make("SmartSurface/Sort-v0", actions="halves")
+        >>> observation, info = env.reset(options={"speed": 1.5, "parcel": "S", "side": 1})
+        >>> observation, reward, terminated, truncated, info = env.step(15)  # all axes at 90 deg
+        >>> info["outcome"], info["pose"].round(3).tolist()
+        ('running', [0.185, 1.0, 0.0])
+
+    ### Version history
+
+    - `v0`: first version.
+    """
 
     slow_share: float = 0.5  # [-] of starts drawn from the low band, where sorting is hard
     speeds: tuple[float, float] = (0.3, 2.7)  # [m/s] entry speed

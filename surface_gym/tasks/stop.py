@@ -56,7 +56,60 @@ FEATURES = (
 
 @dataclass(frozen=True)
 class Stop:
-    """Bring the parcel to rest with its centre at an asked x."""
+    """Bring the parcel to rest with its centre at an asked x.
+
+    A parcel enters a line of rotors amid supports and is to come to rest at a place, to 5 mm.
+
+    The surface is under-actuated: a module brakes along its axis and lets roll across it, but never
+    pushes. A parcel that has stopped short stays there, one that is past cannot be fetched back,
+    and the last millimetres hang on which modules the base still covers.
+
+    ### Start
+
+    The rear at x = 0, on the line's middle, theta 0, no other speed than vx. Entry speed: uniform
+    in `speeds`. Parcel: equal odds. Asked x: uniform over what can be reached for sure, from where
+    a parcel rests that brakes fully (0.5 g) once it is wholly in the zone, to where it is wholly in
+    the zone for the last time or has rolled 0.8 of the way it can. Where the first lies beyond the
+    second, as in a short zone, it is the second.
+
+    ### Goal and end
+
+    The parcel rests when no point of the base moves faster than 1 mm/s. "success": it rests with
+    its centre within 5 mm of the asked x. Each failure ends the episode as `terminated`:
+
+    - "missed": it rests elsewhere;
+    - "passed the asked x": its centre moves on more than 5 mm past it;
+    - "off the line": no rotor is under the base any more;
+    - "off the surface": the centre of mass is past the surface's edge.
+
+    Running out of time is `truncated`.
+
+    ### Reward
+
+    | term | scale | meaning |
+    | --- | --- | --- |
+    | `approach` | 1 a metre | by which the centre came nearer to the asked x |
+    | `precision` | 1 | once, at rest: exp(-abs(`stop_error`) / 2 mm) |
+    | `success` | 1 | once, at success |
+    | `failure` | -1 | once, at any failure |
+
+    ### Info
+
+    - `stop_error` [m]: x of the centre - the asked one, at present; signed.
+
+    ### Example
+
+        >>> import gymnasium as gym, surface_gym
+        >>> env = gym.make("SmartSurface/Stop-v0", actions="halves")
+        >>> observation, info = env.reset(options={"speed": 1.0, "parcel": "S", "position": 1.0})
+        >>> observation, reward, terminated, truncated, info = env.step(15)  # all axes at 90 deg
+        >>> info["outcome"], round(info["stop_error"], 3)
+        ('running', -0.835)
+
+    ### Version history
+
+    - `v0`: first version.
+    """
 
     speeds: tuple[float, float] = (0.5, 2.7)  # [m/s] entry speed
     parcels: tuple[str | Parcel, ...] = ("S", "B")  # to draw from

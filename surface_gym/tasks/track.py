@@ -73,7 +73,65 @@ FEATURES = (
 
 @dataclass(frozen=True)
 class Track:
-    """Follow a path with the centre of the base, at an asked speed, on a field tilted downhill."""
+    """Follow a path with the centre of the base, at an asked speed, on a field tilted downhill.
+
+    A field of rotors everywhere, tilted downhill towards +x; the path is a curve y(x) across it.
+
+    The surface is under-actuated: a module brakes along its axis and lets roll across it, but never
+    pushes. Gravity alone drives the parcel, and only downhill: to go across, its speed has to be
+    turned, and at little tilt there is none to waste.
+
+    ### Start
+
+    The centre on the path's first point, at the asked speed along the path, theta 0. Asked speed:
+    uniform in `speeds`; tilt: uniform in `tilts`. Parcel and kind of path: equal odds. The path, by
+    `surface_gym.tasks.paths.random_path`, from x = 0.4 m to 5.6 m: a sine wave, a change of lanes,
+    a polyline or a cubic spline. The option `path` takes one of the classes of that module, or
+    points (n, 2) [m] of a polyline; its slope may be 3 at most.
+
+    ### Goal and end
+
+    "success": the centre is past the path's last x. Each failure ends the episode as `terminated`:
+
+    - "off the path": the centre is 0.15 m or more off the path, square to it;
+    - "stalled": slower than 0.05 m/s;
+    - "off the surface": the centre of mass is past the surface's edge.
+
+    Running out of time is `truncated`.
+
+    ### Reward
+
+    All but the last two are paid a metre of x gained, so that time earns nothing.
+
+    | term | scale | meaning |
+    | --- | --- | --- |
+    | `distance` | 0.2 a metre | x gained |
+    | `precision` | 0.6 a metre | times exp(-abs(`cross_error`) / 5 mm) |
+    | `cross_error` | -20 a metre and metre | times abs(`cross_error`) |
+    | `speed_error` | -0.5 a metre and m/s | times how far the speed along the path is off the \
+asked one |
+    | `success` | 1 | once, at success |
+    | `failure` | -2 | once, at any failure |
+
+    ### Info
+
+    - `rms_error` [m]: root mean square of the error across the path over the time so far.
+    - `speed_error` [m/s]: that of the speed along the path against the asked one.
+    - `cross_error` [m]: the present error across the path, positive to its left.
+
+    ### Example
+
+        >>> import gymnasium as gym, surface_gym
+        >>> env = gym.make("SmartSurface/Track-v0", actions="window")
+        >>> start = {"path": [(0.5, 1.0), (5.0, 1.0)], "speed": 0.8, "tilt": 0.1, "parcel": "S"}
+        >>> observation, info = env.reset(options=start)
+        >>> info["pose"].tolist(), info["velocity"].tolist(), info["rms_error"]
+        ([0.5, 1.0, 0.0], [0.8, 0.0, 0.0], 0.0)
+
+    ### Version history
+
+    - `v0`: first version.
+    """
 
     speeds: tuple[float, float] = (0.6, 1.0)  # [m/s] asked
     tilts: tuple[float, float] = (0.0, math.radians(15.0))  # [rad]
