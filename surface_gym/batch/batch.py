@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from numba import config, get_num_threads, set_num_threads
 
 from surface_gym.actuators import Actuators
 from surface_gym.batch.commands import CONVEYOR, Acting
@@ -177,10 +178,15 @@ class Batch:
             short = self.lanes.noise_row + self._draws > NOISE_ROWS
             for lane in np.nonzero(short & (self.lanes.outcome == RUNNING))[0].tolist():
                 self._draw_noise(lane)
-        if self._scratch.normal.shape[0] == 1:
+        threads = self._scratch.normal.shape[0]
+        if threads == 1:
             advance_lanes(self.rules, self.lanes, self._scratch)
-        else:
-            advance_lanes_on_threads(*self.rules, self.lanes, self._scratch)
+            return
+        # Only as many threads as there is work for: the others would spin at its end.
+        others = get_num_threads()
+        set_num_threads(min(threads, config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
+        advance_lanes_on_threads(*self.rules, self.lanes, self._scratch)
+        set_num_threads(others)
 
     def _draw_noise(self, lane: int) -> None:
         """Three standard normals and a uniform a row."""

@@ -7,7 +7,6 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from surface_gym import checks
 from surface_gym.layouts import LINE_Y
@@ -117,6 +116,8 @@ class Spline(_Through):
     """The natural cubic spline through the points: no curvature at its two ends."""
 
     def y(self, x: Numbers) -> Numbers:
+        from scipy.interpolate import CubicSpline  # half of the package's import time
+
         along, across = np.array(self.points).T
         curve: Numbers = CubicSpline(along, across, bc_type="natural")(x)
         return curve
