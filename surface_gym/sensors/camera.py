@@ -151,7 +151,9 @@ def _take(settings: Array, lanes: Lanes, lane: int, place: int) -> None:
 
 
 @inlined
-def _gains(kept: Array, first: int, density: float, noise: float, time: float) -> tuple[float, float]:
+def _gains(
+    kept: Array, first: int, density: float, noise: float, time: float
+) -> tuple[float, float]:
     """Advance the covariance that starts in column `first` over a time [s] and a measurement.
 
     Returns:

@@ -156,7 +156,6 @@ def measure(kept: Array, by_x: float, by_y: float, by_theta: float, lead: float)
 
     Its covariance with the state is left in `kept` from GAIN on, for `correct`.
     """
-    variance = 0.0
     for i in range(SIZE):
         row = COVARIANCE + SIZE * i
         kept[GAIN + i] = (
@@ -164,12 +163,11 @@ def measure(kept: Array, by_x: float, by_y: float, by_theta: float, lead: float)
             + by_y * (kept[row + 1] - lead * kept[row + 4])
             + by_theta * (kept[row + 2] - lead * kept[row + 5])
         )
-    variance = (
+    return (
         by_x * (kept[GAIN] - lead * kept[GAIN + 3])
         + by_y * (kept[GAIN + 1] - lead * kept[GAIN + 4])
         + by_theta * (kept[GAIN + 2] - lead * kept[GAIN + 5])
     )
-    return variance
 
 
 @inlined

@@ -5,14 +5,29 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from surface_gym import checks
 from surface_gym.dynamics.compiled import inlined
 from surface_gym.dynamics.contacts import EDGE_TOLERANCE
-from surface_gym.dynamics.types import OMEGA, THETA, VX, VY, Array, Body, Grid, Scratch, X, Y
+from surface_gym.dynamics.types import (
+    AX,
+    AY,
+    OMEGA,
+    THETA,
+    VX,
+    VY,
+    Array,
+    Body,
+    Grid,
+    Scratch,
+    X,
+    Y,
+)
 from surface_gym.lanes.memory import (
     COM_HEIGHT,
     GRAVITY_ALONG,
     GRAVITY_NORMAL,
     GYRATION,
+    NOISE_ROWS,
     RADIUS,
     Geometry,
     Lanes,
@@ -24,120 +39,306 @@ from surface_gym.sensors.sensor import Sensing
 
 PRESENCE = 2
 
-(EVERY, DROP, MU_MAX, MU_MIN, MU_SUPPORT, ACCELERATION, TURN_ACCELERATION, TOLERANCE, ENTRY) = range(9)
-# Columns of `Lanes.filter` after the observer's: the pose at the last sample, and its step.
+# Columns of the settings; the Entry comes last.
+(
+    EVERY,  # physics steps from sample to sample
+    DROP,
+    MU_MAX,
+    MU_MIN,
+    MU_SUPPORT,
+    ACCELERATION,
+    TURN_ACCELERATION,
+    TOLERANCE,
+    ENTRY,
+) = range(9)
+# Columns of `Lanes.filter` after the observer's: the base's pose at the last sample, and its step.
+# The pattern of that sample is worked out again from the pose, instead of kept module by module.
 SAMPLED, STEP = LAST, LAST + 3
 
 
 @dataclass(frozen=True)
 class Presence:
-    sample_rate: float = 200.0
-    drop: float = 0.0
-    mu_max: float = 0.5
-    mu_min: float = 0.01
-    mu_support: float = 0.005
-    acceleration_density: float = 0.1
-    turn_density: float = 5.0
-    tolerance: float = 0.001
-    entry: Entry = field(default_factory=Entry)
+    """Sees which rotors the parcel covers, by an on/off sensor in each module; supports have none.
+
+    An observer makes pose and velocity of it. It moves its estimate by the same physics, with the
+    axes as they are and with nominal friction, the load over the base's centroid; and its
+    uncertainty as friction damps it. A module that switches says that the perimeter passed its
+    centre since the last sample; one whose state contradicts the estimate, that the perimeter lies
+    on its other side: each is one equation, as a Kalman filter takes it. Of a start, `entry` is
+    known.
+
+    Raises:
+        ValueError: a rate, density or tolerance that is not positive, a negative friction
+            coefficient, or a `drop` outside [0, 1).
+    """
+
+    sample_rate: float = 200.0  # [Hz] of all sensors together; at most one sample a physics step
+    drop: float = 0.0  # [-] probability of a sample to be lost
+    mu_max: float = 0.5  # [-] friction the observer assumes, as the surface's
+    mu_min: float = 0.01  # [-]
+    mu_support: float = 0.005  # [-]
+    acceleration_density: float = 0.1  # [m^2/s^3] of the physics' error, in x and in y
+    turn_density: float = 5.0  # [rad^2/s^3] of the physics' error in turning
+    tolerance: float = 0.001  # [m] of where a sensor switches
+    entry: Entry = field(default_factory=Entry)  # what is known of a parcel as it enters
+
+    def __post_init__(self) -> None:
+        for name in ("sample_rate", "acceleration_density", "turn_density", "tolerance"):
+            checks.positive(name, getattr(self, name))
+        for name in ("mu_max", "mu_min", "mu_support"):
+            checks.not_negative(name, getattr(self, name))
+        if checks.within("drop", self.drop, 0.0, 1.0) == 1.0:
+            raise ValueError(f"drop must be less than 1, got {self.drop!r}")
+        if not isinstance(self.entry, Entry):
+            raise ValueError(f"entry must be an Entry, got {self.entry!r}")
 
     def sample_steps(self, dt: float) -> int:
-        return round(1.0 / (self.sample_rate * dt))
+        """Physics steps of `dt` [s] from sample to sample.
+
+        Raises:
+            ValueError: samples come faster than physics steps.
+        """
+        steps = round(1.0 / (self.sample_rate * dt))
+        if steps == 0:
+            raise ValueError(
+                f"sample_rate must be at most one sample a physics step, {1.0 / dt:g} Hz, "
+                f"got {self.sample_rate!r}"
+            )
+        return steps
 
     def sensing(self, dt: float) -> Sensing:
+        """The sensor as compiled code reads it, for physics steps of `dt` [s]."""
         settings = np.zeros(ENTRY + ENTRY_SIZE)
-        settings[:ENTRY] = (self.sample_steps(dt), self.drop, self.mu_max, self.mu_min, self.mu_support,
-            self.acceleration_density, self.turn_density, self.tolerance)
+        settings[:ENTRY] = (
+            self.sample_steps(dt),
+            self.drop,
+            self.mu_max,
+            self.mu_min,
+            self.mu_support,
+            self.acceleration_density,
+            self.turn_density,
+            self.tolerance,
+        )
         settings[ENTRY:] = self.entry.settings
         return Sensing(PRESENCE, settings)
 
     def draws(self, dt: float, steps: int) -> int:
-        return math.ceil(steps / self.sample_steps(dt))
+        """One row of noise a sample.
+
+        Raises:
+            ValueError: a control period has more samples than noise is drawn ahead for.
+        """
+        samples = math.ceil(steps / self.sample_steps(dt))
+        if samples > NOISE_ROWS:
+            raise ValueError(
+                f"sample_rate must be at most {NOISE_ROWS} samples a control period, "
+                f"got {self.sample_rate!r} Hz in {steps * dt:g} s"
+            )
+        return samples
+
+
+@inlined
+def _keep_sample(lanes: Lanes, lane: int, step: int) -> None:
+    kept = lanes.filter[lane]
+    for k in range(3):
+        kept[SAMPLED + k] = lanes.truth[lane, k]
+    kept[STEP] = step
 
 
 @inlined
 def begin(settings: Array, lanes: Lanes, lane: int) -> None:
+    """Set the observer at a start, where the sensors are read for the first time."""
     kept = lanes.filter[lane]
     enter(settings, ENTRY, lanes, lane, kept)
-    kept[6] = 0.0
-    kept[7] = 0.0
+    kept[AX] = 0.0
+    kept[AY] = 0.0
     spread(kept, settings, ENTRY)
-    kept[SAMPLED] = lanes.truth[lane, 0]
-    kept[SAMPLED + 1] = lanes.truth[lane, 1]
-    kept[SAMPLED + 2] = lanes.truth[lane, 2]
-    kept[STEP] = 0.0
+    _keep_sample(lanes, lane, 0)
 
 
 @inlined
-def _switch(lanes: Lanes, lane: int, x: float, y: float, now: bool, interval: float, noise_scale: float, tolerance: float) -> None:
-    """A module at (x, y) switched within the last `interval`, on average `lead` ago."""
+def _predict(
+    settings: Array, lanes: Lanes, lane: int, geometry: Geometry, scratch: Scratch, dt: float
+) -> None:
+    """Move the estimate over a physics step."""
+    grid = Grid(
+        lanes.axis[lane],
+        lanes.rotor[lane],
+        lanes.stiffness[lane],
+        geometry.x0,
+        geometry.y0,
+        geometry.pitch,
+        settings[MU_MAX],
+        settings[MU_MIN],
+        settings[MU_SUPPORT],
+        lanes.surface[lane, GRAVITY_ALONG],
+        lanes.surface[lane, GRAVITY_NORMAL],
+    )
+    body = Body(
+        lanes.edges[lane],
+        lanes.body[lane, RADIUS],
+        0.0,
+        0.0,
+        lanes.body[lane, COM_HEIGHT],
+        lanes.body[lane, GYRATION],
+    )
+    predict(
+        grid,
+        body,
+        lanes.filter[lane],
+        scratch,
+        dt,
+        settings[ACCELERATION],
+        settings[TURN_ACCELERATION],
+    )
+
+
+@inlined
+def _take_switch(
+    lanes: Lanes,
+    lane: int,
+    x: float,
+    y: float,
+    covered: bool,
+    interval: float,
+    tolerance: float,
+    switches: int,
+) -> None:
+    """The perimeter passed the module at (x, y) within the last `interval` [s], as did others."""
     kept = lanes.filter[lane]
     lead = 0.5 * interval
     theta = kept[THETA] - lead * kept[OMEGA]
     dx = x - kept[X] + lead * kept[VX]
     dy = y - kept[Y] + lead * kept[VY]
-    # velocity of the module relative to the base, positive along outward normal when leaving
-    way = -1.0 if now else 1.0
-    ux = way * (-kept[VX] + kept[OMEGA] * dy)
-    uy = way * (-kept[VY] - kept[OMEGA] * dx)
+    # The module's velocity as the base sees it, turned to point outwards: it tells which edge
+    # passed.
+    outwards = -1.0 if covered else 1.0
+    ux = outwards * (-kept[VX] + kept[OMEGA] * dy)
+    uy = outwards * (-kept[VY] - kept[OMEGA] * dx)
     distance, nx, ny = outside(lanes, lane, dx, dy, math.cos(theta), math.sin(theta), ux, uy)
     lever = nx * dy - ny * dx
     speed = nx * kept[VX] + ny * kept[VY] - lever * kept[OMEGA]
-    noise = noise_scale * (speed * speed * interval * interval / 12.0 + tolerance * tolerance)
     variance = measure(kept, -nx, -ny, lever, lead)
-    if GATE > 0.0 and distance * distance > GATE * (variance + noise):
-        noise = distance * distance / GATE - variance
-    total = 1.0 / (variance + noise)
-    correct(kept, -distance * total, total)
+    when = speed * interval
+    unsure = switches * (when * when / 12.0 + tolerance * tolerance)
+    gain = 1.0 / (variance + unsure)
+    correct(kept, -distance * gain, gain)
 
 
 @inlined
-def _contradict(lanes: Lanes, lane: int, x: float, y: float, covered: bool, tolerance: float) -> None:
+def _take_contradiction(
+    lanes: Lanes, lane: int, x: float, y: float, covered: bool, tolerance: float
+) -> None:
+    """The perimeter lies on the other side of the module at (x, y) than the estimate has it.
+
+    It may lie anywhere there, so that the estimate is moved but gets no surer.
+    """
     kept = lanes.filter[lane]
-    theta = kept[THETA]
     dx = x - kept[X]
     dy = y - kept[Y]
-    distance, nx, ny = outside(lanes, lane, dx, dy, math.cos(theta), math.sin(theta), 0.0, 0.0)
-    wrong = distance if covered else -distance
-    if wrong <= tolerance:
+    cosine, sine = math.cos(kept[THETA]), math.sin(kept[THETA])
+    distance, nx, ny = outside(lanes, lane, dx, dy, cosine, sine, 0.0, 0.0)
+    if (distance if covered else -distance) <= tolerance:
         return
-    lever = nx * dy - ny * dx
-    variance = measure(kept, -nx, -ny, lever, 0.0)
-    if MODE == 0:
-        total = 1.0 / (variance + tolerance * tolerance)
-        correct(kept, -distance * total, total)
-    elif MODE == 1:
-        total = 1.0 / (2.0 * variance + tolerance * tolerance)
-        correct(kept, -distance * total, total)
-    elif MODE == 2:
-        s = math.sqrt(variance)
-        a = max(-5.0,-wrong / s)
-        cdf = 0.5 * math.erfc(-a / math.sqrt(2.0))
-        ratio = math.exp(-0.5 * a * a) / math.sqrt(2.0 * math.pi) / cdf
-        shift = -wrong - s * ratio + wrong
-        shrink = ratio * (a + ratio)
-        sign = 1.0 if covered else -1.0
-        correct(kept, sign * (-s * ratio) / variance, shrink / variance)
-    elif MODE == 3:
-        total = 1.0 / (variance + tolerance * tolerance)
-        correct(kept, -distance * total, 0.0)
-import os
-
-GATE = float(os.environ.get("GATE", "0"))
-INFLATE = int(os.environ.get("INFLATE", "1"))
-MODE = int(os.environ.get("MODE", "0"))
+    variance = measure(kept, -nx, -ny, nx * dy - ny * dx, 0.0)
+    correct(kept, -distance / (variance + tolerance * tolerance), 0.0)
 
 
 @inlined
-def look(settings: Array, lanes: Lanes, lane: int, geometry: Geometry, scratch: Scratch, dt: float) -> None:
-    kept = lanes.filter[lane]
-    grid = Grid(
-        lanes.axis[lane], lanes.rotor[lane], lanes.stiffness[lane], geometry.x0, geometry.y0, geometry.pitch,
-        settings[MU_MAX], settings[MU_MIN], settings[MU_SUPPORT],
-        lanes.surface[lane, GRAVITY_ALONG], lanes.surface[lane, GRAVITY_NORMAL],
+def _covered(
+    lanes: Lanes, lane: int, geometry: Geometry, row: int, pose: Array, other: Array
+) -> tuple[int, int, int, int, int, int]:
+    """Columns of a row that a base covers in one pose and in another.
+
+    Returns:
+        First and last column of the first pose, of the second, and of both together.
+    """
+    first, last = covered_columns(
+        lanes, lane, geometry, row, pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
     )
-    body = Body(lanes.edges[lane], lanes.body[lane, RADIUS], 0.0, 0.0, lanes.body[lane, COM_HEIGHT], lanes.body[lane, GYRATION])
-    predict(grid, body, kept, scratch, dt, settings[ACCELERATION], settings[TURN_ACCELERATION])
+    was_first, was_last = covered_columns(
+        lanes, lane, geometry, row, other[0], other[1], math.cos(other[2]), math.sin(other[2])
+    )
+    return first, last, was_first, was_last, min(first, was_first), max(last, was_last)
+
+
+@inlined
+def _rows(lanes: Lanes, lane: int, geometry: Geometry, y: float, other_y: float) -> tuple[int, int]:
+    """First and last row that a base can cover from either of two places."""
+    reach = lanes.body[lane, RADIUS] + EDGE_TOLERANCE
+    low = math.ceil((min(y, other_y) - reach - geometry.y0) / geometry.pitch)
+    high = math.floor((max(y, other_y) + reach - geometry.y0) / geometry.pitch)
+    return max(0, int(low)), min(lanes.rotor.shape[1] - 1, int(high))
+
+
+@inlined
+def _count_switches(lanes: Lanes, lane: int, geometry: Geometry, sampled: Array) -> int:
+    """How many modules switched since the last sample, which the pose `sampled` (3,) gave."""
+    truth = lanes.truth[lane]
+    first_row, last_row = _rows(lanes, lane, geometry, truth[1], sampled[1])
+    switches = 0
+    for row in range(first_row, last_row + 1):
+        first, last, was_first, was_last, low, high = _covered(
+            lanes, lane, geometry, row, truth, sampled
+        )
+        for column in range(low, high + 1):
+            differ = (first <= column <= last) != (was_first <= column <= was_last)
+            switches += lanes.rotor[lane, row, column] and differ
+    return switches
+
+
+@inlined
+def _take_switches(
+    settings: Array, lanes: Lanes, lane: int, geometry: Geometry, sampled: Array, interval: float
+) -> None:
+    """Correct the estimate by every module that switched within the last `interval` [s].
+
+    Switches of one sample share the error of the estimate they are judged by: together they weigh
+    as one.
+    """
+    truth = lanes.truth[lane]
+    switches = _count_switches(lanes, lane, geometry, sampled)
+    if switches == 0:
+        return
+    first_row, last_row = _rows(lanes, lane, geometry, truth[1], sampled[1])
+    for row in range(first_row, last_row + 1):
+        y = geometry.y0 + geometry.pitch * row
+        first, last, was_first, was_last, low, high = _covered(
+            lanes, lane, geometry, row, truth, sampled
+        )
+        for column in range(low, high + 1):
+            covered = first <= column <= last
+            if lanes.rotor[lane, row, column] and covered != (was_first <= column <= was_last):
+                x = geometry.x0 + geometry.pitch * column
+                _take_switch(lanes, lane, x, y, covered, interval, settings[TOLERANCE], switches)
+
+
+@inlined
+def _take_contradictions(settings: Array, lanes: Lanes, lane: int, geometry: Geometry) -> None:
+    """Correct the estimate by every module that it has covered and the sensor has not, or the
+    other way about.
+    """
+    truth = lanes.truth[lane]
+    estimate = lanes.filter[lane]
+    first_row, last_row = _rows(lanes, lane, geometry, truth[1], estimate[Y])
+    for row in range(first_row, last_row + 1):
+        y = geometry.y0 + geometry.pitch * row
+        first, last, has_first, has_last, low, high = _covered(
+            lanes, lane, geometry, row, truth, estimate
+        )
+        for column in range(low, high + 1):
+            covered = first <= column <= last
+            if lanes.rotor[lane, row, column] and covered != (has_first <= column <= has_last):
+                x = geometry.x0 + geometry.pitch * column
+                _take_contradiction(lanes, lane, x, y, covered, settings[TOLERANCE])
+
+
+@inlined
+def look(
+    settings: Array, lanes: Lanes, lane: int, geometry: Geometry, scratch: Scratch, dt: float
+) -> None:
+    """Move the estimate over a physics step, and correct it by a sample if one is due."""
+    _predict(settings, lanes, lane, geometry, scratch, dt)
     step = lanes.steps[lane]
     if step % int(settings[EVERY]) != 0:
         return
@@ -145,49 +346,15 @@ def look(settings: Array, lanes: Lanes, lane: int, geometry: Geometry, scratch: 
     lanes.noise_row[lane] = row + 1
     if lanes.noise[lane, row, 3] < settings[DROP]:
         return
+    kept = lanes.filter[lane]
     interval = dt * (step - kept[STEP])
-    truth = lanes.truth[lane]
-    was_x, was_y, was_theta = kept[SAMPLED], kept[SAMPLED+1], kept[SAMPLED+2]
-    reach = lanes.body[lane, RADIUS] + EDGE_TOLERANCE
-    per_pitch = 1.0 / geometry.pitch
-    low = math.ceil((min(truth[1], was_y, kept[Y]) - reach - geometry.y0) * per_pitch)
-    high = math.floor((max(truth[1], was_y, kept[Y]) + reach - geometry.y0) * per_pitch)
-    first_row = max(0, int(low))
-    last_row = min(lanes.rotor.shape[1] - 1, int(high))
-    cosine, sine = math.cos(truth[2]), math.sin(truth[2])
-    was_cosine, was_sine = math.cos(was_theta), math.sin(was_theta)
-    events = 0
-    for r in range(first_row, last_row + 1):
-        first, last = covered_columns(lanes, lane, geometry, r, truth[0], truth[1], cosine, sine)
-        was_first, was_last = covered_columns(lanes, lane, geometry, r, was_x, was_y, was_cosine, was_sine)
-        for c in range(min(first, was_first), max(last, was_last) + 1):
-            if lanes.rotor[lane, r, c] and (first <= c <= last) != (was_first <= c <= was_last):
-                events += 1
-    if events > 0:
-        for r in range(first_row, last_row + 1):
-            y = geometry.y0 + geometry.pitch * r
-            first, last = covered_columns(lanes, lane, geometry, r, truth[0], truth[1], cosine, sine)
-            was_first, was_last = covered_columns(lanes, lane, geometry, r, was_x, was_y, was_cosine, was_sine)
-            for c in range(min(first, was_first), max(last, was_last) + 1):
-                now = first <= c <= last
-                if lanes.rotor[lane, r, c] and now != (was_first <= c <= was_last):
-                    _switch(lanes, lane, geometry.x0 + geometry.pitch * c, y, now, interval, events if INFLATE else 1.0, settings[TOLERANCE])
-    mcosine, msine = math.cos(kept[THETA]), math.sin(kept[THETA])
-    for r in range(first_row, last_row + 1):
-        y = geometry.y0 + geometry.pitch * r
-        first, last = covered_columns(lanes, lane, geometry, r, truth[0], truth[1], cosine, sine)
-        m_first, m_last = covered_columns(lanes, lane, geometry, r, kept[X], kept[Y], mcosine, msine)
-        for c in range(min(first, m_first), max(last, m_last) + 1):
-            now = first <= c <= last
-            if lanes.rotor[lane, r, c] and now != (m_first <= c <= m_last):
-                _contradict(lanes, lane, geometry.x0 + geometry.pitch * c, y, now, settings[TOLERANCE])
-    kept[SAMPLED] = truth[0]
-    kept[SAMPLED + 1] = truth[1]
-    kept[SAMPLED + 2] = truth[2]
-    kept[STEP] = step
+    _take_switches(settings, lanes, lane, geometry, kept[SAMPLED : SAMPLED + 3], interval)
+    _take_contradictions(settings, lanes, lane, geometry)
+    _keep_sample(lanes, lane, step)
 
 
 @inlined
 def estimate(lanes: Lanes, lane: int) -> None:
+    """Write the observer's pose and velocity into `lanes.sensed`."""
     for k in range(6):
         lanes.sensed[lane, k] = lanes.filter[lane, k]
