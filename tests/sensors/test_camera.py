@@ -1,0 +1,119 @@
+"""The camera: frames, noise, latency, drops, and what the filter makes of them."""
+
+import copy
+import math
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym.sensors import Camera, Entry
+from surface_gym.settings import Settings
+from tests.sensors.runs import BRAKE, PLUS_45, ROLL, errors, rms
+
+SURE = Entry(position=0.0, angle=0.0, speed=0.0, turning=0.0)
+
+
+def test_without_noise_and_latency_it_shows_the_truth_at_frame_times() -> None:
+    sharp = Camera(frame_rate=25.0, latency=0.0, position_noise=1e-9, angle_noise=1e-9)
+    apart = np.abs(errors(sharp, PLUS_45, speed=1.5, parcel="S"))
+    assert apart[:, :3].max() < 1e-6  # a frame falls on every decision
+
+
+@pytest.mark.parametrize("late", [0, 1, 2, 5])
+def test_a_jump_is_seen_after_the_latency_and_not_before(late: int) -> None:
+    """The parcel is put elsewhere by hand; the filter then leaves its old course."""
+    period = 0.02
+    camera = Camera(
+        frame_rate=50.0, latency=late * period, position_noise=1e-4, angle_noise=1e-4, entry=SURE
+    )
+    batch = Settings(actions="halves", sensors=camera, control_period=period).make_batch(1)
+    task = batch.task
+    rng = np.random.default_rng(0)
+    start = task.start(rng, {"speed": 0.5, "parcel": "S", "side": 1}, None)
+    batch.place(0, start, rng)
+    batch.begin(np.zeros(1, dtype=np.int64))
+    roll = np.full((1, 2), ROLL)
+    for _ in range(8):
+        batch.advance(roll)
+    batch.lanes.state[0, 1] += 0.05
+    for periods in range(1, late + 2):
+        batch.advance(roll)
+        seen = batch.lanes.sensed[0, 1] - 1.0
+        # The first frame after the jump is that at the end of this period.
+        assert (abs(seen) > 0.02) == (periods > late), (periods, seen)
+
+
+def test_noise_has_its_law() -> None:
+    """So noisy an acceleration that the filter believes each frame: its error is the frame's."""
+    blunt = Camera(
+        frame_rate=25.0, latency=0.0, position_noise=0.004, angle_noise=0.02,
+        acceleration_density=1e6, turn_density=1e6,
+    )  # fmt: skip
+    found = errors(blunt, ROLL, lanes=64, speed=1.0, parcel="S")
+    assert len(found) > 1500
+    for column, spread in ((0, 0.004), (1, 0.004), (2, 0.02)):
+        assert found[:, column].std() == pytest.approx(spread, rel=0.08)
+        assert abs(found[:, column].mean()) < 4.0 * spread / math.sqrt(len(found))
+
+
+@pytest.mark.parametrize("drop", [0.0, 0.3, 0.7])
+def test_frames_are_lost_with_the_probability_asked(drop: float) -> None:
+    camera = Camera(frame_rate=50.0, latency=0.0, drop=drop)
+    env = sg.SmartSurfaceVectorEnv(64, actions="halves", sensors=camera)
+    env.reset(seed=0, options={"speed": 0.5, "parcel": "S"})
+    taken = []
+    for _ in range(20):
+        env.step(np.full(64, 15))
+        memory = env._batch.lanes
+        newest = (memory.steps // 4) % memory.frames.shape[1]
+        taken.append(memory.frames[np.arange(64), newest, 0])
+    assert np.mean(taken) == pytest.approx(1.0 - drop, abs=0.05)
+
+
+def test_the_default_camera_on_sorts_and_brakes() -> None:
+    sort = rms(errors(Camera(), PLUS_45, speed=1.5, parcel="S"))
+    assert (sort[:2] < 0.003).all()
+    assert sort[2] < math.radians(1.5)
+    assert (sort[3:5] < 0.15).all()
+    brake = rms(errors(Camera(), BRAKE, speed=1.5, parcel="B"))
+    assert brake[3] < 0.25  # of a speed that falls by 0.2 m/s a period
+
+
+def test_the_filter_beats_the_raw_frames() -> None:
+    found = rms(errors(Camera(position_noise=0.005), ROLL, speed=1.0, parcel="S"))
+    assert found[0] < 0.0047
+
+
+BAD: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"frame_rate": 0.0}, "frame_rate"),
+    ({"frame_rate": math.nan}, "frame_rate"),
+    ({"latency": -0.01}, "latency"),
+    ({"latency": 1.0}, "latency"),
+    ({"position_noise": -1e-3}, "position_noise"),
+    ({"angle_noise": -1e-3}, "angle_noise"),
+    ({"drop": 1.0}, "drop"),
+    ({"drop": -0.1}, "drop"),
+    ({"acceleration_density": 0.0}, "acceleration_density"),
+    ({"turn_density": -1.0}, "turn_density"),
+    ({"entry": None}, "entry"),
+)
+
+
+@pytest.mark.parametrize(("fields", "named"), BAD)
+def test_bad_fields_are_named(fields: dict[str, Any], named: str) -> None:
+    with pytest.raises(ValueError, match=named):
+        Camera(**fields)
+
+
+def test_frames_faster_than_physics_steps_are_refused_by_the_environment() -> None:
+    with pytest.raises(ValueError, match="frame_rate"):
+        sg.SmartSurfaceEnv(sensors=Camera(frame_rate=1000.0))
+
+
+def test_configs_compare_pickle_and_copy() -> None:
+    camera = Camera(drop=0.1)
+    assert camera == Camera(drop=0.1) != Camera()
+    assert pickle.loads(pickle.dumps(camera)) == camera == copy.deepcopy(camera)

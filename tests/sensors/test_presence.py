@@ -1,0 +1,96 @@
+"""Presence switches: what the observer makes of the covered pattern."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym.sensors import Entry, Presence
+from tests.sensors.runs import BRAKE, PLUS_45, ROLL, errors, rms
+
+DISC = sg.Parcel(sg.Disc(0.15))
+HEXAGON = sg.Parcel(
+    sg.Polygon(0.16 * np.stack([f(np.arange(6) * np.pi / 3) for f in (np.cos, np.sin)], -1))
+)
+
+
+@pytest.mark.parametrize("parcel", ["S", "B"])
+@pytest.mark.parametrize("speed", [0.8, 1.5, 2.5])
+@pytest.mark.parametrize("choice", [PLUS_45, BRAKE])
+def test_of_the_papers_boxes(parcel: str, speed: float, choice: int) -> None:
+    found = rms(errors(Presence(), choice, speed=speed, parcel=parcel))
+    assert (found[:2] < 0.006).all()
+    assert found[2] < math.radians(2.0)
+    assert (found[3:5] < 0.08).all()
+
+
+@pytest.mark.parametrize("parcel", [DISC, HEXAGON], ids=["disc", "hexagon"])
+def test_of_other_bases(parcel: sg.Parcel) -> None:
+    found = rms(errors(Presence(), PLUS_45, speed=1.5, parcel=parcel))
+    assert (found[:2] < 0.01).all()
+    assert (found[3:5] < 0.1).all()
+
+
+def test_an_unsure_entry_is_made_up_for() -> None:
+    """The switches correct a start that is known to a few centimetres only."""
+    vague = Presence(entry=Entry(position=0.02, angle=0.05, speed=0.2, turning=0.3))
+    env = sg.SmartSurfaceVectorEnv(32, actions="quadrants", sensors=vague)
+    env.reset(seed=0, options={"speed": 1.0, "parcel": "B", "side": 1})
+    memory = env._batch.lanes
+    start = rms(memory.sensed - memory.truth)
+    for _ in range(15):
+        env.step(np.full((32, 4), ROLL))
+    end = rms(memory.sensed - memory.truth)
+    assert end[0] < 0.4 * start[0]
+    assert end[3] < 0.4 * start[3]
+
+
+def test_nothing_is_seen_between_switches() -> None:
+    """Whatever the parcel does within a pitch: where no pattern changes, no estimate does."""
+
+    def sensed(shift: float) -> np.ndarray:
+        env = sg.SmartSurfaceEnv(actions="quadrants", sensors=Presence())
+        env.reset(seed=0, options={"speed": 0.3, "parcel": "S", "side": 1})
+        env._batch.lanes.state[0, 1] += shift  # 20 mm from the next module's centre
+        for _ in range(2):
+            env.step([ROLL] * 4)
+        return env._batch.lanes.sensed[0].copy()
+
+    np.testing.assert_array_equal(sensed(0.0), sensed(0.004))
+
+
+def test_wrong_friction_is_borne() -> None:
+    found = rms(errors(Presence(mu_max=0.4), BRAKE, speed=1.5, parcel="B"))
+    assert found[0] < 0.02
+
+
+BAD: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"sample_rate": 0.0}, "sample_rate"),
+    ({"drop": 1.0}, "drop"),
+    ({"mu_max": -0.1}, "mu_max"),
+    ({"mu_min": math.nan}, "mu_min"),
+    ({"mu_support": -1.0}, "mu_support"),
+    ({"acceleration_density": 0.0}, "acceleration_density"),
+    ({"turn_density": 0.0}, "turn_density"),
+    ({"tolerance": 0.0}, "tolerance"),
+    ({"entry": 3}, "entry"),
+)
+
+
+@pytest.mark.parametrize(("fields", "named"), BAD)
+def test_bad_fields_are_named(fields: dict[str, Any], named: str) -> None:
+    with pytest.raises(ValueError, match=named):
+        Presence(**fields)
+
+
+@pytest.mark.parametrize("name", ["position", "angle", "speed", "turning"])
+def test_a_bad_entry_is_named(name: str) -> None:
+    with pytest.raises(ValueError, match=name):
+        Entry(**{name: -0.1})
+
+
+def test_samples_faster_than_physics_steps_are_refused_by_the_environment() -> None:
+    with pytest.raises(ValueError, match="sample_rate"):
+        sg.SmartSurfaceEnv(sensors=Presence(sample_rate=5000.0))
