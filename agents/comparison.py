@@ -37,11 +37,11 @@ class SortRecord:
         return self.time.max(axis=1)
 
     @property
-    def minimum_speed(self) -> float:
-        """[m/s] the speed from which on every start is sorted; nan if the fastest is not."""
+    def minimum_speed(self) -> float | None:
+        """[m/s] the speed from which on every start is sorted; None if the fastest is not."""
         fails = np.nonzero(~self.success.all(axis=1))[0]
         first = 0 if len(fails) == 0 else int(fails[-1]) + 1
-        return float(self.speed[first]) if first < len(self.speed) else float("nan")
+        return float(self.speed[first]) if first < len(self.speed) else None
 
 
 def compare_sorting(

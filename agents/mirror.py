@@ -1,7 +1,7 @@
 """Sorting to y < 0 is sorting to y > 0 seen in a mirror: what is learned for one does for both.
 
-The environment's Sort observation is mirrored already, so that the goal is y > 0; its last number
-is the asked side. The actions here are turned back into the world's.
+The environment's Sort observation is mirrored already, so that the goal is y > 0; the last of its
+features is the asked side. The actions here are turned back into the world's.
 """
 
 import numpy as np
@@ -10,8 +10,9 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from surface_gym.actions import ActionKind
+from surface_gym.tasks.sort import FEATURES
 
-SIDE = -1  # the observation's feature that holds the asked side
+SIDE = len(FEATURES) - 1  # place of the asked side in the observation
 
 
 def mirrored_orientations(orientations: tuple[float, ...]) -> NDArray[np.int64]:

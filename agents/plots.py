@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon as Patch
 
 from agents.comparison import PARCELS, SIDES, SortRecord
+from agents.report import minimum_text
 from surface_gym import plant
 from surface_gym.layouts import LINE_Y, box
 
@@ -30,7 +31,7 @@ def draw_trajectories(records: Sequence[SortRecord], file: Path) -> None:
         for speed, colour in zip(SHOWN_SPEEDS, _COLOURS, strict=True):
             _draw_path(panel, record, speed, colour)
         panel.set_title(
-            f"{record.controller}, {record.parcel}-box: sorts from {record.minimum_speed:.2f} m/s"
+            f"{record.controller}, {record.parcel}-box; minimum {minimum_text(record)} m/s"
         )
     for panel in panels[-1]:
         panel.set_xlabel("x [m]")

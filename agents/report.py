@@ -22,6 +22,11 @@ def _cell(record: SortRecord, speed: float) -> str:
     return "fails" if not record.success[row].any() else "one side"
 
 
+def minimum_text(record: SortRecord) -> str:
+    """The minimum entry speed as text."""
+    return "none" if record.minimum_speed is None else f"{record.minimum_speed:.2f}"
+
+
 def _rows(records: Sequence[SortRecord]) -> tuple[list[str], list[list[str]]]:
     ordered = [record for parcel in PARCELS for record in records if record.parcel == parcel]
     header = [
@@ -31,7 +36,7 @@ def _rows(records: Sequence[SortRecord]) -> tuple[list[str], list[list[str]]]:
     rows = [
         [f"{speed:.1f}", *(_cell(record, speed) for record in ordered)] for speed in SHOWN_SPEEDS
     ]
-    rows.append(["minimum [m/s]", *(f"{record.minimum_speed:.2f}" for record in ordered)])
+    rows.append(["minimum [m/s]", *(minimum_text(record) for record in ordered)])
     rows.append(["success", *(f"{record.success_rate:.3f}" for record in ordered)])
     return header, rows
 

@@ -5,7 +5,7 @@ import gymnasium as gym
 from surface_gym.tasks import TASKS
 
 # Control periods of an episode at most: 4 to 12 s at 40 ms.
-MAX_EPISODE_STEPS = {"sort": 100, "slow": 100, "stop": 150, "track": 300, "orient": 100}
+MAX_EPISODE_STEPS = {"sort": 100, "slow": 100, "stop": 150, "track": 300, "orient": 200}
 
 
 def env_id(task: str) -> str:

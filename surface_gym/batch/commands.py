@@ -14,6 +14,7 @@ from surface_gym.layouts import ROLLING
 
 MODULES, HALVES, QUADRANTS, WINDOW = range(4)
 WINDOW_SIDE = 5  # modules
+_HALF = 0.5 + 1e-9  # midway between two rows, whatever the round-off
 CONVEYOR = (math.cos(ROLLING), math.sin(ROLLING))  # cosine and sine of an axis that is not told
 
 
@@ -27,9 +28,14 @@ class Acting(NamedTuple):
 
 
 @inlined
-def window_corner(lanes: Lanes, lane: int, geometry: Geometry) -> tuple[int, int]:
-    """Row and column of the window's first module; the parcel is sensed over its middle one."""
-    row = math.floor((lanes.sensed[lane, 1] - geometry.y0) / geometry.pitch + 0.5)
+def window_corner(lanes: Lanes, lane: int, geometry: Geometry, mirror: float) -> tuple[int, int]:
+    """Row and column of the window's first module; the parcel is sensed over its middle one.
+
+    Midway between two rows it is the one to the left, seen in the mirror if there is one: a
+    mirrored lane must have the mirrored window.
+    """
+    up = (lanes.sensed[lane, 1] - geometry.y0) / geometry.pitch
+    row = math.floor(up + _HALF) if mirror > 0.0 else math.ceil(up - _HALF)
     column = math.floor((lanes.sensed[lane, 0] - geometry.x0) / geometry.pitch + 0.5)
     return int(row) - WINDOW_SIDE // 2, int(column) - WINDOW_SIDE // 2
 
@@ -63,9 +69,9 @@ def _choice(
 
 
 @inlined
-def obey(acting: Acting, lanes: Lanes, lane: int, geometry: Geometry) -> None:
+def obey(acting: Acting, lanes: Lanes, lane: int, geometry: Geometry, mirror: float) -> None:
     """Turn the axes of the lane's zone as its command says, or set what they turn to."""
-    corner = window_corner(lanes, lane, geometry)
+    corner = window_corner(lanes, lane, geometry, mirror)
     zone = lanes.zone[lane]
     for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
         for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
@@ -118,7 +124,7 @@ def show_window(lanes: Lanes, lane: int, geometry: Geometry, first: int, mirror:
     """Write the window's occupancy into the observation from `first` on: 1 for each module that
     is sensed to lie under the parcel and obeys, its rows upside down if `mirror` is negative.
     """
-    corner_row, corner_column = window_corner(lanes, lane, geometry)
+    corner_row, corner_column = window_corner(lanes, lane, geometry, mirror)
     rows, columns = lanes.rotor.shape[1], lanes.rotor.shape[2]
     sensed = lanes.sensed[lane]
     cosine = math.cos(sensed[2])

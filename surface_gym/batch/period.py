@@ -58,7 +58,8 @@ def advance_lane(rules: Rules, lanes: Lanes, lane: int, scratch: Scratch) -> Non
     if lanes.outcome[lane] != RUNNING:
         return
     dt = rules.timing.dt
-    obey(rules.acting, lanes, lane, rules.geometry)
+    mirror = judgement.mirror(rules.task, lanes, lane)
+    obey(rules.acting, lanes, lane, rules.geometry, mirror)
     grid = grid_of(lanes, lane, rules.geometry)
     body = body_of(lanes, lane)
     state = lanes.state[lane]

@@ -85,7 +85,7 @@ class Slow:
 that which rolling to the zone's end turns into the asked one, over the entry speed |
     | `precision` | 1 | once, on leaving: exp(-abs(`ratio_error`) / 0.01) |
     | `success` | 1 | once, at success |
-    | `failure` | -1 | once, at any failure |
+    | `failure` | -1 | once, at any failure but "missed", so that leaving the zone always pays |
 
     ### Info
 
@@ -207,7 +207,7 @@ def judge(lanes: Lanes, lane: int, geometry: Geometry, on_rotors: bool, on_surfa
     terms[0] = EXCESS_REWARD * (lanes.memory[lane, EXCESS] - excess)
     terms[1] = PRECISION_REWARD * math.exp(-abs(error) / PRECISION_SCALE) if left else 0.0
     terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
-    terms[3] = FAILURE_REWARD if outcome > SUCCESS else 0.0
+    terms[3] = FAILURE_REWARD if outcome > SUCCESS and not left else 0.0
     lanes.memory[lane, EXCESS] = excess
     lanes.memory[lane, RATIO_ERROR] = error
     lanes.outcome[lane] = outcome

@@ -1,0 +1,129 @@
+"""The adapter for Stable-Baselines3: a test for every trap of its contract."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3.common.vec_env import VecMonitor
+
+import surface_gym as sg
+from agents.vec_env import SurfaceVecEnv
+
+LANES = 4
+ROLL = 15  # halves, all axes at 90 deg
+
+
+def make(limit: int | None = 12, **settings: object) -> SurfaceVecEnv:
+    return SurfaceVecEnv(
+        sg.SmartSurfaceVectorEnv(
+            LANES, actions="halves", max_episode_steps=limit, autoreset_mode="SameStep", **settings
+        )
+    )
+
+
+def test_only_same_step_is_taken() -> None:
+    with pytest.raises(ValueError, match="SAME_STEP"):
+        SurfaceVecEnv(sg.SmartSurfaceVectorEnv(LANES))
+
+
+def test_lanes_are_single_envs_and_their_ends_are_told() -> None:
+    """Also that terminal observations are copies: they are compared after the steps that follow."""
+    env = make()
+    env.seed(3)
+    observations = env.reset()
+    singles = [
+        gym.make("SmartSurface/Sort-v0", actions="halves", max_episode_steps=12)
+        for _ in range(LANES)
+    ]
+    for lane, single in enumerate(singles):
+        np.testing.assert_array_equal(single.reset(seed=3 + lane)[0], observations[lane])
+    rng = np.random.default_rng(0)
+    ends = []
+    for _ in range(60):
+        actions = rng.integers(0, 16, LANES)
+        observations, rewards, dones, infos = env.step(actions)
+        for lane, single in enumerate(singles):
+            seen, reward, terminated, truncated, info = single.step(actions[lane])
+            assert rewards[lane] == np.float32(reward)
+            assert dones[lane] == (terminated or truncated)
+            if dones[lane]:
+                ends.append((infos[lane], seen.copy(), terminated, truncated, info))
+                seen, _ = single.reset()
+            else:
+                assert infos[lane] == {}
+            np.testing.assert_array_equal(observations[lane], seen)
+    assert {end[3] and not end[2] for end in ends} == {True, False}
+    for told, seen, terminated, truncated, info in ends:
+        np.testing.assert_array_equal(told["terminal_observation"], seen)
+        assert told["TimeLimit.truncated"] == (truncated and not terminated)
+        assert told["is_success"] == info["is_success"]
+        assert told["outcome"] == info["outcome"] or told["TimeLimit.truncated"]
+
+
+def test_what_comes_back_is_fresh_and_writable() -> None:
+    env = make()
+    first = env.reset()
+    kept = first.copy()
+    first[:] = 7.0
+    observations, rewards, dones, _ = env.step(np.full(LANES, ROLL))
+    assert not (observations == 7.0).any()
+    for array in (observations, rewards, dones):
+        assert array.flags.writeable
+        array[:] = 1
+    again, *_ = env.step(np.full(LANES, ROLL))
+    assert again is not observations
+    assert not (again == 1.0).all()
+    assert not (again == kept).all()
+
+
+def test_seed_and_options_act_at_the_next_reset_alone() -> None:
+    env = make()
+    env.reset()
+    env.seed(5)
+    env.set_options([{"speed": 0.5 + lane} for lane in range(LANES)])
+    before = env.env._batch.lanes.truth.copy()
+    env.step(np.full(LANES, ROLL))
+    assert (np.abs(env.env._batch.lanes.truth[:, 3] - before[:, 3]) < 0.1).all()
+    env.reset()
+    np.testing.assert_array_equal(env.env._batch.lanes.truth[:, 3], [0.5, 1.5, 2.5, 3.5])
+    env.reset()
+    assert (env.env._batch.lanes.truth[:, 3] != [0.5, 1.5, 2.5, 3.5]).any()
+
+
+def test_indices_are_honoured() -> None:
+    env = make()
+    assert env.get_attr("num_envs") == [LANES] * LANES
+    assert env.get_attr("num_envs", indices=[0, 2]) == [LANES] * 2
+    assert env.get_attr("num_envs", indices=1) == [LANES]
+    assert env.env_is_wrapped(gym.Wrapper, indices=[1, 2]) == [False, False]
+    with pytest.raises(ValueError, match="indices"):
+        env.set_attr("render_mode", None, indices=[0])
+    with pytest.raises(AttributeError):
+        env.get_attr("no_such_thing")
+
+
+def test_render_mode_is_read_and_pictures_come() -> None:
+    assert make().render_mode is None
+    env = make(render_mode="rgb_array")
+    assert env.render_mode == "rgb_array"
+    env.reset()
+    (picture,) = env.get_images()
+    assert picture is not None
+    assert picture.dtype == np.uint8
+
+
+def test_episode_returns_are_the_monitors() -> None:
+    env = VecMonitor(make())
+    env.seed(0)
+    env.reset()
+    returns, lengths = np.zeros(LANES), np.zeros(LANES, dtype=int)
+    found = 0
+    for _ in range(40):
+        _, rewards, dones, infos = env.step(np.full(LANES, 10))
+        returns += rewards
+        lengths += 1
+        for lane in np.nonzero(dones)[0]:
+            found += 1
+            assert infos[lane]["episode"]["r"] == pytest.approx(returns[lane], abs=1e-5)
+            assert infos[lane]["episode"]["l"] == lengths[lane]
+            returns[lane] = lengths[lane] = 0
+    assert found > LANES
