@@ -1,0 +1,99 @@
+"""What the tests of tasks share: episodes played by hand, and starts made by hand."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+import surface_gym as sg
+from surface_gym.batch.batch import Batch
+from surface_gym.lanes.memory import OUTCOMES
+from surface_gym.settings import Settings
+from surface_gym.tasks.task import Start, Task
+from tests.environments import Step
+
+BRAKE = 0  # choice of the default orientations: the axis at 0 deg
+ROLLING_LOSS = 0.01 * 9.81  # [m/s^2] of a parcel that rolls, mu_min g of Table 1
+
+
+@dataclass(frozen=True)
+class Episode:
+    """An episode that was played until it ended."""
+
+    start: dict[str, Any]  # info of the reset
+    steps: list[Step]
+
+    @property
+    def end(self) -> dict[str, Any]:
+        """Info of the last step."""
+        return self.steps[-1][4]
+
+    @property
+    def infos(self) -> list[dict[str, Any]]:
+        """Info of every step."""
+        return [step[4] for step in self.steps]
+
+    def total(self, term: str) -> float:
+        """Sum of a reward term."""
+        return math.fsum(info["reward_terms"][term] for info in self.infos)
+
+
+def play(
+    env: gym.Env, options: dict[str, Any], action: Any = None, seed: int = 0, longest: int = 1000
+) -> Episode:
+    """One episode of the same action throughout; without one, of random actions."""
+    env.action_space.seed(seed)
+    _, info = env.reset(seed=seed, options=options)
+    done = []
+    for _ in range(longest):
+        done.append(env.step(env.action_space.sample() if action is None else action))
+        if done[-1][2] or done[-1][3]:
+            break
+    return Episode(info, done)
+
+
+def placed(task: Task, start: Start) -> Batch:
+    """A batch of one lane on which a start was put."""
+    batch = Settings(task=task).make_batch(1)
+    batch.place(0, start, np.random.default_rng(0))
+    batch.begin(np.zeros(1, dtype=np.int64))
+    return batch
+
+
+def features_of(batch: Batch) -> dict[str, float]:
+    """What the lane observes, by name."""
+    names = [feature.name for feature in batch.task.features]
+    return dict(zip(names, batch.lanes.observation[0].tolist(), strict=True))
+
+
+def advanced(batch: Batch, choice: int) -> tuple[str, dict[str, float]]:
+    """Outcome and reward terms after a control period with every axis alike."""
+    batch.advance(np.full((1, batch.lanes.command.shape[1]), choice))
+    terms = dict(zip(batch.task.terms, batch.lanes.terms[0].tolist(), strict=True))
+    return OUTCOMES[batch.lanes.outcome[0]], terms
+
+
+def draws(task: Task, count: int = 400, **options: Any) -> list[Start]:
+    """Starts from one generator."""
+    rng = np.random.default_rng(0)
+    return [task.start(rng, options, None) for _ in range(count)]
+
+
+def assert_uniform(values: Any, low: float, high: float) -> None:
+    """A few hundred values lie in [low, high], reach near both ends and halve it."""
+    values = np.asarray(values)
+    assert low <= values.min() <= low + 0.03 * (high - low)
+    assert high - 0.03 * (high - low) <= values.max() <= high
+    assert values.mean() == np.clip(
+        values.mean(), 0.55 * low + 0.45 * high, 0.45 * low + 0.55 * high
+    )
+
+
+def assert_equal_odds_of_the_boxes(starts: list[Start]) -> None:
+    """Either box comes up about as often, entering with its rear at x = 0 on the line's middle."""
+    sizes = [sg.layouts.box(size) for size in "SB"]
+    assert {start.parcel for start in starts} == set(sizes)
+    share = np.mean([start.parcel == sizes[0] for start in starts])
+    assert 0.42 < share < 0.58

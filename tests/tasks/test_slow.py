@@ -1,0 +1,165 @@
+"""Slow: starts, ends, reward and what is seen."""
+
+import math
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym.tasks import Slow
+from surface_gym.tasks.task import Start
+from tests.environments import PLUS_45, ROLL, bare, same_choice
+from tests.tasks import (
+    BRAKE,
+    ROLLING_LOSS,
+    assert_equal_odds_of_the_boxes,
+    assert_uniform,
+    draws,
+    features_of,
+    placed,
+    play,
+)
+
+SLOW = "SmartSurface/Slow-v0"
+BOX = sg.layouts.box("S")
+ZONE_START, ZONE_END = 0.3, 1.9  # [m] of the S-box
+
+
+def rolled(speed: float, way: float) -> float:
+    """[m/s] left of a speed after a way of rolling, by the work of friction."""
+    return math.sqrt(speed**2 - 2.0 * ROLLING_LOSS * way)
+
+
+def excess(info: dict, speed: float, ratio: float) -> float:
+    """[-] as the reward has it, for the S-box, from what is reported."""
+    x, _, theta = info["pose"]
+    half_extent = 0.125 * (abs(math.cos(theta)) + abs(math.sin(theta)))
+    to_go = max(0.0, ZONE_END - x + half_extent)
+    needed = math.sqrt((ratio * speed) ** 2 + 2.0 * ROLLING_LOSS * to_go)
+    return abs(math.hypot(*info["velocity"][:2]) - needed) / speed
+
+
+class TestStarts:
+    def test_obey_their_laws(self) -> None:
+        starts = draws(Slow())
+        assert_uniform([start.velocity[0] for start in starts], 0.9, 2.7)
+        assert_equal_odds_of_the_boxes(starts)
+        for start in starts:
+            ratio, speed = start.goal
+            assert start.velocity == (speed, 0.0, 0.0)
+            assert start.pose == (start.parcel.rear, 1.0, 0.0)
+            assert 0.15 <= ratio <= 0.8
+            end = ZONE_END if start.parcel is BOX else 2.1
+            assert ratio * speed < rolled(speed, end)
+
+    def test_ratios_are_uniform_where_rolling_allows_all(self) -> None:
+        assert_uniform([start.goal[0] for start in draws(Slow(), speed=2.0)], 0.15, 0.8)
+
+    def test_a_given_zone_decides_what_rolling_leaves(self) -> None:
+        rng = np.random.default_rng(0)
+        task, options = Slow(ratios=(0.1, 1.0)), {"speed": 1.0, "parcel": "S"}
+        ratios = [task.start(rng, options, (5, 6)).goal[0] for _ in range(400)]
+        assert_uniform(ratios, 0.1, 0.98 * rolled(1.0, 0.7))
+
+    @pytest.mark.parametrize("ratio", [-0.1, 1.1, math.nan, "half", None])
+    def test_bad_ratios(self, ratio: object) -> None:
+        with pytest.raises(ValueError, match="ratio"):
+            bare(SLOW).reset(options={"ratio": ratio})
+
+
+class TestEnds:
+    @pytest.mark.parametrize(
+        ("off", "outcome"),
+        [(0.0, "success"), (0.008, "success"), (-0.012, "missed"), (0.012, "missed")],
+    )
+    def test_rolling_leaves_what_friction_lets_it(self, off: float, outcome: str) -> None:
+        env = bare(SLOW)
+        options = {"speed": 2.0, "parcel": "S", "ratio": rolled(2.0, ZONE_END) / 2.0 + off}
+        episode = play(env, options, same_choice(env, ROLL))
+        assert episode.end["outcome"] == outcome
+        assert episode.end["ratio_error"] == pytest.approx(-off, abs=1e-3)
+        assert episode.total("success") == (outcome == "success")
+        assert episode.total("failure") == -1.0 * (outcome != "success")
+
+    def test_it_ends_with_the_physics_step_that_leaves(self) -> None:
+        env = bare(SLOW)
+        end = play(env, {"speed": 2.0, "parcel": "S", "ratio": 0.5}, same_choice(env, ROLL)).end
+        past = end["pose"][0] - 0.125 - ZONE_END
+        assert 0.0 < past <= 0.005 * end["velocity"][0]
+
+    @pytest.mark.parametrize(("choice", "outcome"), [(BRAKE, "stalled"), (PLUS_45, "off the line")])
+    def test_failures_before_it_leaves(self, choice: int, outcome: str) -> None:
+        env = bare(SLOW)
+        options = {"speed": 1.8, "parcel": "S", "ratio": 0.5}
+        episode = play(env, options, same_choice(env, choice))
+        assert episode.end["outcome"] == outcome
+        assert episode.total("precision") == 0.0
+
+    def test_off_the_surface(self) -> None:
+        env = bare(SLOW, zone=(20, 29))
+        options = {"speed": 2.0, "parcel": "S", "ratio": 0.5}
+        episode = play(env, options, same_choice(env, ROLL))
+        assert episode.end["outcome"] == "off the surface"
+        assert episode.end["pose"][0] > 3.0
+
+
+class TestReward:
+    @pytest.mark.parametrize("seed", range(4))
+    def test_excess_telescopes(self, seed: int) -> None:
+        options = {"speed": 1.7, "parcel": "S", "ratio": 0.4}
+        episode = play(bare(SLOW, actions="quadrants"), options, seed=seed)
+        shrunk = excess(episode.start, 1.7, 0.4) - excess(episode.end, 1.7, 0.4)
+        assert episode.total("excess") == pytest.approx(shrunk, abs=1e-9)
+
+    def test_rolling_keeps_the_excess(self) -> None:
+        """What it would roll out with does not change while it rolls, but for the step's error."""
+        env = bare(SLOW)
+        options = {"speed": 2.0, "parcel": "S", "ratio": 0.9}
+        episode = play(env, options, same_choice(env, ROLL))
+        assert episode.total("excess") == pytest.approx(0.0, abs=0.01)
+
+    def test_precision_falls_with_the_error(self) -> None:
+        env = bare(SLOW)
+        episode = play(env, {"speed": 2.0, "parcel": "S", "ratio": 0.93}, same_choice(env, ROLL))
+        error = np.hypot(*episode.end["velocity"][:2]) / 2.0 - 0.93
+        assert episode.end["ratio_error"] == pytest.approx(error, abs=1e-12)
+        assert episode.total("precision") == pytest.approx(math.exp(-abs(error) / 0.01))
+
+    def test_ratio_error_is_reported_all_along(self) -> None:
+        options = {"speed": 1.6, "parcel": "B", "ratio": 0.6}
+        episode = play(bare(SLOW, actions="quadrants"), options, seed=1)
+        for info in (episode.start, *episode.infos):
+            error = np.hypot(*info["velocity"][:2]) / 1.6 - 0.6
+            assert info["ratio_error"] == pytest.approx(error, abs=1e-12)
+
+
+class TestSeen:
+    @pytest.mark.parametrize("parcel", [BOX, sg.Parcel(sg.Disc(0.125))], ids=["box", "disc"])
+    def test_features_of_a_state(self, parcel: sg.Parcel) -> None:
+        x, y, theta, vx, vy, omega = 0.83, 0.96, 0.3, 1.4, -0.25, 0.6
+        start = Start(parcel, (x, y, theta), (vx, vy, omega), (0.4, 2.2))
+        square = parcel is BOX
+        half_extent = 0.125 * (math.cos(theta) + math.sin(theta)) if square else 0.125
+        to_go = ZONE_END - x + half_extent
+        over = math.hypot(vx, vy) - math.sqrt((0.4 * 2.2) ** 2 + 2.0 * ROLLING_LOSS * to_go)
+        turn = 2.0 * math.pi / 0.1
+        wanted = {
+            "lateral offset": -0.04 / 0.3,
+            "sine of theta": math.sin(theta),
+            "cosine of theta": math.cos(theta),
+            "forward speed": 0.4,
+            "lateral speed": -0.5,
+            "turning speed": 0.2,
+            "size": -1.0,
+            "sine of phase x": math.sin(turn * (x - 0.05)),
+            "cosine of phase x": math.cos(turn * (x - 0.05)),
+            "sine of phase y": math.sin(turn * (y - 1.0)),
+            "cosine of phase y": math.cos(turn * (y - 1.0)),
+            "front in zone": (x + half_extent - ZONE_START) / 0.5,
+            "rear to go": to_go / 0.5,
+            "entry speed": 0.7,
+            "asked ratio": 0.4,
+            "excess of speed": over / 0.2,
+            "fine excess": math.tanh(over / 0.02),
+        }
+        assert features_of(placed(Slow(), start)) == pytest.approx(wanted, abs=1e-6)

@@ -1,0 +1,171 @@
+"""Sort: starts, ends, reward and what is seen."""
+
+import math
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym.tasks import Sort
+from surface_gym.tasks.task import Start
+from tests.environments import MINUS_45, PLUS_45, ROLL, bare, same_choice, steps
+from tests.tasks import (
+    BRAKE,
+    Episode,
+    advanced,
+    assert_equal_odds_of_the_boxes,
+    assert_uniform,
+    draws,
+    features_of,
+    placed,
+    play,
+)
+
+BOX = sg.layouts.box("S")
+COASTING_LOSS = 0.01 * 9.81 / math.sqrt(2.0)  # [m/s^2] along x and y on 45 deg axes
+
+
+def lateral_reach(info: dict, side: int) -> float:
+    """[m] as the reward has it, from what is reported."""
+    y, vx, vy = side * (info["pose"][1] - 1.0), info["velocity"][0], side * info["velocity"][1]
+    shared = 0.5 * (vx + vy) if vx > vy else vy
+    return min(0.6, y + max(0.0, shared) ** 2 / (2.0 * COASTING_LOSS))
+
+
+class TestStarts:
+    def test_obey_their_laws(self) -> None:
+        starts = draws(Sort(), 600)
+        speed = np.array([start.velocity[0] for start in starts])
+        assert speed.min() >= 0.3
+        assert speed.max() <= 2.7
+        # Half of them from 0.3 to 1.1 m/s, and a third of the other half by chance.
+        assert np.mean(speed <= 1.1) == pytest.approx(2.0 / 3.0, abs=0.06)
+        assert np.mean([start.goal == (1.0,) for start in starts]) == pytest.approx(0.5, abs=0.06)
+        assert {start.goal for start in starts} == {(1.0,), (-1.0,)}
+        assert_equal_odds_of_the_boxes(starts)
+
+    @pytest.mark.parametrize(("share", "low", "high"), [(1.0, 0.4, 0.5), (0.0, 1.0, 2.0)])
+    def test_bands(self, share: float, low: float, high: float) -> None:
+        task = Sort(slow_share=share, speeds=(1.0, 2.0), slow_speeds=(0.4, 0.5))
+        assert_uniform([start.velocity[0] for start in draws(task)], low, high)
+
+    @pytest.mark.parametrize("side", [2, 0.0, 1.0, "left", None, True])
+    def test_bad_sides(self, side: object) -> None:
+        with pytest.raises(ValueError, match="side"):
+            bare().reset(options={"side": side})
+
+
+class TestEnds:
+    @pytest.mark.parametrize(
+        ("side", "choice", "outcome"),
+        [
+            (1, MINUS_45, "success"),
+            (-1, PLUS_45, "success"),
+            (1, PLUS_45, "wrong side"),
+            (-1, MINUS_45, "wrong side"),
+            (0, MINUS_45, "wrong side"),
+            (1, ROLL, "passed the zone"),
+            (-1, ROLL, "passed the zone"),
+            (0, ROLL, "success"),
+            (1, BRAKE, "stalled"),
+            (0, BRAKE, "stalled"),
+        ],
+    )
+    def test_by_choice(self, side: int, choice: int, outcome: str) -> None:
+        env = bare()
+        options = {"speed": 1.5, "side": side, "parcel": "S"}
+        episode = play(env, options, same_choice(env, choice))
+        assert episode.end["outcome"] == outcome
+        assert episode.total("success") == (outcome == "success")
+        assert episode.total("failure") == -1.0 * (outcome != "success")
+
+    def test_off_the_surface(self) -> None:
+        """A zone that reaches the edge: the centre is past it before the rear leaves the zone."""
+        env = bare(zone=(20, 29))
+        episode = play(env, {"speed": 2.0, "side": 1, "parcel": "S"}, same_choice(env, ROLL))
+        assert episode.end["outcome"] == "off the surface"
+        assert episode.end["pose"][0] > 3.0
+
+
+class TestReward:
+    @pytest.mark.parametrize("side", [1, -1])
+    @pytest.mark.parametrize("seed", range(3))
+    def test_reach_telescopes(self, side: int, seed: int) -> None:
+        episode = play(bare(actions="quadrants"), {"side": side}, seed=seed)
+        gained = lateral_reach(episode.end, side) - lateral_reach(episode.start, side)
+        assert episode.total("reach") == pytest.approx(2.0 * gained, abs=1e-9)
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_passing_telescopes(self, seed: int) -> None:
+        episode = play(bare(actions="quadrants"), {"side": 0}, seed=seed)
+
+        def score(info: dict) -> float:
+            return 0.3 * info["pose"][0] - abs(info["pose"][1] - 1.0)
+
+        gained = score(episode.end) - score(episode.start)
+        assert episode.total("reach") == pytest.approx(2.0 * gained, abs=1e-9)
+
+    def test_time_costs(self) -> None:
+        env = bare(actions="halves")
+        episode = play(env, {"side": 1, "speed": 1.5}, same_choice(env, MINUS_45))
+        assert episode.total("time") == pytest.approx(-0.3 * episode.end["time"], abs=1e-12)
+
+    def test_a_longer_reach_than_enough_earns_no_more(self) -> None:
+        fast = Start(BOX, (0.5, 1.0, 0.0), (2.5, 0.0, 0.0), (1.0,))
+        _, terms = advanced(placed(Sort(), fast), ROLL)
+        assert terms["reach"] == 0.0
+
+
+class TestSeen:
+    @pytest.mark.parametrize("side", [1, -1])
+    def test_features_of_a_state(self, side: int) -> None:
+        """All but x are given as seen from the asked side."""
+        x, y, theta, vx, vy, omega = 0.83, 0.04, 0.3, 1.4, 0.25, -0.6
+        start = Start(
+            BOX, (x, 1.0 + side * y, side * theta), (vx, side * vy, side * omega), (float(side),)
+        )
+        half_extent = 0.125 * (math.cos(theta) + math.sin(theta))  # of a turned square
+        turn = 2.0 * math.pi / 0.1
+        wanted = {
+            "lateral offset": y / 0.3,
+            "sine of theta": math.sin(theta),
+            "cosine of theta": math.cos(theta),
+            "forward speed": vx - 1.0,
+            "lateral speed": vy / 0.5,
+            "turning speed": omega / 3.0,
+            "size": -1.0,
+            "clearance": (y - half_extent - 0.05) / 0.2,
+            "sine of phase x": math.sin(turn * (x - 0.05)),
+            "cosine of phase x": math.cos(turn * (x - 0.05)),
+            "sine of phase y": math.sin(turn * y),
+            "cosine of phase y": math.cos(turn * y),
+            "time": 0.0,
+            "distance into zone": (x - half_extent - 0.3) / 0.5,
+            "side": side,
+        }
+        assert features_of(placed(Sort(), start)) == pytest.approx(wanted, abs=1e-6)
+
+    def test_time_is_seen(self) -> None:
+        env = bare()
+        for observation, *_, info in steps(env, seed=0):
+            assert observation[12] == pytest.approx(info["time"] / 4.0)
+
+    def test_mirrored_episodes_look_alike(self) -> None:
+        """Sorts to either side, +45 and -45 deg and the rows exchanged, differ in the side only."""
+        episodes: list[Episode] = []
+        kind = bare(actions="quadrants").settings.action_kind
+        mirrored = np.array([0, 2, 1, 3])
+        for side in (1, -1):
+            env = bare(actions="quadrants")
+            action = np.array([MINUS_45, ROLL, MINUS_45, BRAKE])
+            if side < 0:
+                action = mirrored[kind.flip(action[np.newaxis])[0]]
+            options = {"side": side, "speed": 1.5, "parcel": "B"}
+            episodes.append(play(env, options, action, longest=12))
+        for (seen, reward, *_), (other, other_reward, *_) in zip(
+            episodes[0].steps, episodes[1].steps, strict=True
+        ):
+            np.testing.assert_allclose(seen[:-1], other[:-1], rtol=0, atol=1e-5)
+            assert (seen[-1], other[-1]) == (1.0, -1.0)
+            assert reward == pytest.approx(other_reward, abs=1e-9)
+        assert abs(episodes[0].end["pose"][2]) > 0.01  # it did turn
