@@ -73,7 +73,7 @@ class Slow:
     - "missed": left the zone at another ratio;
     - "stalled": no point of the base moves faster than 1 mm/s before that;
     - "off the line": no rotor is under the base any more;
-    - "off the surface": the centre of mass is past the surface's edge.
+    - "off the surface": the centre of mass passes the edge of the surface.
 
     Running out of time is `truncated`.
 

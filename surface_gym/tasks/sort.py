@@ -93,7 +93,7 @@ class Sort:
     - "wrong side": off the rotors, but not on the asked side (for side 0: off them at all);
     - "passed the zone": the rear is past the zone's end (sides +1 and -1);
     - "stalled": no point of the base moves faster than 1 mm/s;
-    - "off the surface": the centre of mass is past the surface's edge.
+    - "off the surface": the centre of mass passes the edge of the surface.
 
     Running out of time is `truncated`, and is not a failure of the reward.
 

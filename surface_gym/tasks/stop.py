@@ -80,7 +80,7 @@ class Stop:
     - "missed": it rests elsewhere;
     - "passed the asked x": its centre moves on more than 5 mm past it;
     - "off the line": no rotor is under the base any more;
-    - "off the surface": the centre of mass is past the surface's edge.
+    - "off the surface": the centre of mass passes the edge of the surface.
 
     Running out of time is `truncated`.
 

@@ -39,12 +39,12 @@ HIGHEST_TILT = math.radians(30.0)  # [rad]
 
 # The reward, term by term. All but the last two are paid a metre of x, so that time earns nothing.
 TERMS = ("distance", "precision", "cross_error", "speed_error", "success", "failure")
-DISTANCE_REWARD = 0.2
-PRECISION_REWARD = 0.6  # on the path, falling with the error by
+DISTANCE_REWARD = 0.3
+PRECISION_REWARD = 1.0  # on the path, falling with the error by
 PRECISION_SCALE = 0.005  # [m] a factor e
-CROSS_REWARD = -20.0  # a metre of error
+CROSS_REWARD = -8.0  # a metre of error
 SPEED_REWARD = -0.5  # per m/s of error
-SUCCESS_REWARD = 1.0
+SUCCESS_REWARD = 2.0
 FAILURE_REWARD = -2.0
 
 AHEAD = (0.0, 0.1, 0.2, 0.35)  # [m] where the path's slope is seen
@@ -95,7 +95,7 @@ class Track:
 
     - "off the path": the centre is 0.15 m or more off the path, square to it;
     - "stalled": slower than 0.05 m/s;
-    - "off the surface": the centre of mass is past the surface's edge.
+    - "off the surface": the centre of mass passes the edge of the surface.
 
     Running out of time is `truncated`.
 
@@ -105,12 +105,12 @@ class Track:
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `distance` | 0.2 a metre | x gained |
-    | `precision` | 0.6 a metre | times exp(-abs(`cross_error`) / 5 mm) |
-    | `cross_error` | -20 a metre and metre | times abs(`cross_error`) |
+    | `distance` | 0.3 a metre | x gained |
+    | `precision` | 1 a metre | times exp(-abs(`cross_error`) / 5 mm) |
+    | `cross_error` | -8 a metre and metre | times abs(`cross_error`) |
     | `speed_error` | -0.5 a metre and m/s | times how far the speed along the path is off the \
 asked one |
-    | `success` | 1 | once, at success |
+    | `success` | 2 | once, at success |
     | `failure` | -2 | once, at any failure |
 
     ### Info

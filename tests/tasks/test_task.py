@@ -1,0 +1,163 @@
+"""What holds for every task alike."""
+
+import math
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym.lanes.memory import GOALS, OUTCOMES
+from surface_gym.tasks import TASKS, Orient, Slow, Sort, Stop, Track
+from surface_gym.tasks.task import check_options, parcel_option, rising
+from tests.environments import TRIANGLE, assert_same, bare
+from tests.tasks import play
+
+# For each task: options that fix a start, and the goal that they make.
+FIXED: dict[str, tuple[dict[str, Any], tuple[float, ...]]] = {
+    "sort": ({"speed": 1.3, "parcel": "B", "side": -1}, (-1.0,)),
+    "slow": ({"speed": 1.3, "parcel": "B", "ratio": 0.4}, (0.4, 1.3)),
+    "stop": ({"speed": 1.3, "parcel": "B", "position": 1.2}, (1.2,)),
+    "track": (
+        {"speed": 1.3, "parcel": "B", "path": [(0.5, 0.9), (3.05, 0.9)], "tilt": 0.1},
+        (1.3, 0.5, 0.01),
+    ),
+    "orient": ({"speed": 1.3, "parcel": "B", "angle": -0.4}, (-0.4,)),
+}
+BAD_ARGUMENTS = [
+    (Sort, {"slow_share": 1.1}, "slow_share"),
+    (Sort, {"speeds": (0.0, 1.0)}, "speeds"),
+    (Sort, {"slow_speeds": (1.0, 0.5)}, "slow_speeds"),
+    (Slow, {"speeds": (2.0, 1.0)}, "speeds"),
+    (Slow, {"ratios": (0.5, 1.5)}, "ratios"),
+    (Stop, {"speeds": (-1.0, 1.0)}, "speeds"),
+    (Stop, {"speeds": 1.0}, "speeds"),
+    (Track, {"speeds": (0.5, 6.0)}, "speeds"),
+    (Track, {"tilts": (0.0, 1.0)}, "tilts"),
+    (Track, {"kinds": ()}, "kinds"),
+    (Track, {"kinds": ("circle",)}, "kinds"),
+    (Orient, {"angles": (-4.0, 0.0)}, "angles"),
+    *((task, {"parcels": ()}, "parcels") for task in TASKS.values()),
+    *((task, {"parcels": ("M",)}, "parcel") for task in TASKS.values()),
+]
+
+every_task = pytest.mark.parametrize("name", TASKS)
+
+
+def env_id(name: str) -> str:
+    return f"SmartSurface/{name.capitalize()}-v0"
+
+
+class TestOptions:
+    @every_task
+    def test_fix_a_start_exactly(self, name: str) -> None:
+        task, (options, goal) = TASKS[name](), FIXED[name]
+        assert set(options) == set(task.options)
+        starts = [task.start(np.random.default_rng(seed), options, None) for seed in range(3)]
+        for start in starts:
+            assert start.goal == pytest.approx(goal, abs=1e-12)
+            assert start.parcel is sg.layouts.box("B")
+            assert start.velocity == (1.3, 0.0, 0.0)
+            assert start.pose == ((0.5, 0.9, 0.0) if name == "track" else (0.225, 1.0, 0.0))
+            assert start.tilt == options.get("tilt", 0.0)
+            assert len(start.goal) <= GOALS
+
+    @every_task
+    def test_one_leaves_the_other_draws_as_they_are(self, name: str) -> None:
+        task, (options, _) = TASKS[name](), FIXED[name]
+        free = task.start(np.random.default_rng(3), {}, None)
+        held = task.start(np.random.default_rng(3), {"parcel": options["parcel"]}, None)
+        assert held.velocity == free.velocity
+        assert held.tilt == free.tilt
+
+    @every_task
+    def test_unknown_ones_are_named(self, name: str) -> None:
+        with pytest.raises(ValueError, match=r"options must be one of .*'colour'"):
+            bare(env_id(name)).reset(options={"colour": 1})
+
+    @every_task
+    @pytest.mark.parametrize("speed", [-0.1, 5.1, math.nan, "fast", None, True])
+    def test_bad_speeds(self, name: str, speed: object) -> None:
+        with pytest.raises(ValueError, match="speed"):
+            bare(env_id(name)).reset(options={"speed": speed})
+
+    @every_task
+    @pytest.mark.parametrize("parcel", ["M", None, 3, sg.Rectangle(0.2, 0.2)])
+    def test_bad_parcels(self, name: str, parcel: object) -> None:
+        with pytest.raises(ValueError, match="parcel"):
+            bare(env_id(name)).reset(options={"parcel": parcel})
+
+    def test_helpers(self) -> None:
+        assert parcel_option(TRIANGLE) is TRIANGLE
+        assert parcel_option("S") is sg.layouts.box("S")
+        assert check_options(None, ("speed",)) == {}
+        assert rising("speeds", [1, 1], 0.0, 2.0) == (1.0, 1.0)
+        with pytest.raises(ValueError, match="speeds must be two rising numbers between 0 and 2"):
+            rising("speeds", (1.0, 2.1), 0.0, 2.0)
+
+
+class TestArguments:
+    @pytest.mark.parametrize(("task", "arguments", "named"), BAD_ARGUMENTS)
+    def test_bad_ones_are_named(self, task: type, arguments: dict, named: str) -> None:
+        with pytest.raises(ValueError, match=named):
+            task(**arguments)
+
+    @every_task
+    def test_parcels_of_ones_own_are_drawn(self, name: str) -> None:
+        task = TASKS[name](parcels=(TRIANGLE,))
+        rng = np.random.default_rng(0)
+        assert all(task.start(rng, {}, None).parcel is TRIANGLE for _ in range(5))
+
+
+class TestStarts:
+    @every_task
+    def test_a_seed_fixes_them(self, name: str) -> None:
+        task = TASKS[name]()
+
+        def start(seed: int) -> tuple:
+            return tuple(task.start(np.random.default_rng(seed), {}, None))
+
+        assert_same(start(5), start(5))
+        assert start(5)[2:4] != start(6)[2:4]
+
+
+class TestEpisodes:
+    @every_task
+    def test_outcomes_ends_sums_and_bounds(self, name: str) -> None:
+        env = bare(env_id(name), actions="halves")
+        seen = set()
+        for seed in range(12):
+            episode = play(env, {}, seed=seed)
+            for observation, reward, terminated, truncated, info in episode.steps:
+                assert observation in env.observation_space
+                assert reward == pytest.approx(math.fsum(info["reward_terms"].values()), abs=1e-12)
+                assert list(info["reward_terms"]) == list(TASKS[name].terms)
+                assert all(math.isfinite(info[figure]) for figure in TASKS[name].figures)
+                assert info["outcome"] in OUTCOMES
+                assert terminated == (info["outcome"] != "running")
+                assert info["is_success"] == (info["outcome"] == "success")
+                assert not truncated
+            failed = not episode.end["is_success"]
+            assert (episode.total("failure") < 0.0) == failed
+            assert (episode.total("success") == 1.0) == (not failed)
+            seen.add(episode.end["outcome"])
+        assert seen <= set(OUTCOMES) - {"running", "out of time"}
+
+    @every_task
+    def test_time_running_out_truncates(self, name: str) -> None:
+        env = gym.make(env_id(name), max_episode_steps=2)
+        episode = play(env, FIXED[name][0], np.full(env.action_space.shape, 3))
+        assert [step[2:4] for step in episode.steps] == [(False, False), (False, True)]
+        assert episode.end["outcome"] == "running"
+        assert episode.total("failure") == 0.0
+
+    @every_task
+    def test_the_page_names_every_term_and_figure(self, name: str) -> None:
+        page = TASKS[name].__doc__
+        for section in ("Start", "Goal and end", "Reward", "Info", "Version history"):
+            assert f"### {section}\n" in page
+        for term in TASKS[name].terms:
+            assert f"| `{term}` |" in page
+        for figure in TASKS[name].figures:
+            assert f"- `{figure}` [" in page
