@@ -128,7 +128,8 @@ class TestEpisodes:
         env = bare(env_id(name), actions="halves")
         seen = set()
         for seed in range(12):
-            episode = play(env, {}, seed=seed)
+            # By turns at random, where most stall, and rolling, where most get through.
+            episode = play(env, {}, 15 if seed % 2 else None, seed=seed)
             for observation, reward, terminated, truncated, info in episode.steps:
                 assert observation in env.observation_space
                 assert reward == pytest.approx(math.fsum(info["reward_terms"].values()), abs=1e-12)
@@ -138,11 +139,13 @@ class TestEpisodes:
                 assert terminated == (info["outcome"] != "running")
                 assert info["is_success"] == (info["outcome"] == "success")
                 assert not truncated
-            failed = not episode.end["is_success"]
-            assert (episode.total("failure") < 0.0) == failed
-            assert (episode.total("success") == 1.0) == (not failed)
-            seen.add(episode.end["outcome"])
+            outcome = episode.end["outcome"]
+            forgiven = name == "slow" and outcome == "missed"  # it did leave the zone
+            assert (episode.total("success") > 0.0) == (outcome == "success")
+            assert (episode.total("failure") < 0.0) == (outcome != "success" and not forgiven)
+            seen.add(outcome)
         assert seen <= set(OUTCOMES) - {"running", "out of time"}
+        assert len(seen) >= 2
 
     @every_task
     def test_time_running_out_truncates(self, name: str) -> None:
