@@ -65,7 +65,8 @@ def compiled_for_threads(function: Callable[..., Any]) -> Any:
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a function into each of its compiled callers, arrays and all kept in registers.
 
-    It is not cached: what Numba loads from a cache it calls instead of inlining, which doubles
-    the time of a step. Python enters such functions by `dynamics.entries`.
+    It needs no cache of its own, since its machine code is part of theirs. Called instead, it would
+    cost more to hand its tuples of arrays over than most such functions take. Python enters them by
+    `dynamics.entries`.
     """
     return njit(forceinline=True, **_OPTIONS)(function)
