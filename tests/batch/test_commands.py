@@ -1,0 +1,152 @@
+"""Which module follows which part of an action, told again in plain Python."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym.actions import KINDS
+from surface_gym.actuators import Actuators
+from surface_gym.batch.batch import Batch
+from surface_gym.plant import ORIGIN, PITCH
+from surface_gym.settings import ORIENTATIONS, Settings
+from surface_gym.tasks.sort import FEATURES
+from surface_gym.tasks.task import Start
+from tests.environments import ACTIONS, PARCELS
+
+POSES = [
+    (1.0, 1.0, 0.0),
+    (0.62, 1.03, 0.2),
+    (0.31, 0.96, -0.7),
+    (1.0, 1.12, 2.5),
+    (1.87, 0.91, 0.4),
+    (2.2, 1.0, 0.0),
+]  # [m, m, rad] before, in and behind the zone, left and right of the line's middle
+PARCEL = PARCELS["S"]
+
+
+def batch_at(
+    pose: tuple[float, float, float], parcel: sg.Parcel, side: float = 1.0, **settings: Any
+) -> Batch:
+    """One lane on which a parcel has just been put."""
+    batch = Settings(**settings).make_batch(1)
+    start = Start(parcel, pose, (0.5, 0.0, 0.0), (side,))
+    batch.place(0, start, np.random.default_rng(0))
+    batch.begin(np.zeros(1, dtype=np.int64))
+    return batch
+
+
+def whole_row(place: float) -> int:
+    """The nearest row; midway between two the upper one, whatever the round-off."""
+    return math.floor((place - ORIGIN) / PITCH + 0.5 + 1e-9)
+
+
+def part_of(actions: str, batch: Batch, row: int, column: int) -> int | None:
+    """The part of an action that a module of the zone follows, as `SmartSurfaceEnv` has it."""
+    x, y = batch.lanes.sensed[0, :2]
+    first_row, rows, first_column, columns = batch.lanes.zone[0]
+    ahead = ORIGIN + PITCH * column >= x
+    left = ORIGIN + PITCH * row >= y
+    if actions == "modules":  # row by row of the widest line, of which these are the middle ones
+        return int((row - first_row + (4 - rows) // 2) * columns + column - first_column)
+    if actions == "halves":
+        return 0 if ahead else 1
+    if actions == "quadrants":
+        return [(True, True), (True, False), (False, True), (False, False)].index((ahead, left))
+    down = row - whole_row(y) + 2
+    along = column - math.floor((x - ORIGIN) / PITCH + 0.5) + 2
+    return 5 * down + along if 0 <= down < 5 and 0 <= along < 5 else None
+
+
+@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize("size", ["S", "B"])
+@pytest.mark.parametrize("actions", ACTIONS)
+def test_each_module_follows_its_part(
+    actions: str, size: str, pose: tuple[float, float, float]
+) -> None:
+    batch = batch_at(pose, sg.layouts.box(size), actions=actions)
+    assert_follows(batch, np.random.default_rng(1).integers(0, 4, batch.lanes.command.shape))
+
+
+def assert_follows(batch: Batch, command: np.ndarray) -> None:
+    """Each module of the zone turns as its part of the command says, every other stays."""
+    actions = next(name for name, number in KINDS.items() if number == batch.rules.acting.kind)
+    wanted = np.full(batch.lanes.rotor.shape[1:], math.pi / 2)
+    for row, column in zip(*np.nonzero(batch.lanes.obeys[0]), strict=True):
+        part = part_of(actions, batch, int(row), int(column))
+        if part is not None:
+            wanted[row, column] = ORIENTATIONS[command[0, part]]
+    batch.advance(command)
+    cosine, sine = np.moveaxis(batch.lanes.axis[0], -1, 0)
+    np.testing.assert_allclose(cosine, np.cos(wanted), atol=1e-15)
+    np.testing.assert_allclose(sine, np.sin(wanted), atol=1e-15)
+
+
+@pytest.mark.parametrize("actions", ["halves", "quadrants", "window"])
+def test_around_the_parcel_is_where_it_is_sensed(actions: str) -> None:
+    """The modules turn around what the controller was told, not around the truth."""
+    batch = batch_at((1.0, 1.0, 0.0), PARCEL, actions=actions)
+    lanes = batch.lanes
+    lanes.sensed[0, :2] = 0.83, 1.07
+    assert_follows(batch, np.random.default_rng(2).integers(0, 3, lanes.command.shape))
+
+
+class TestOccupancy:
+    """What "window" adds to the observation."""
+
+    @staticmethod
+    def occupied(batch: Batch) -> np.ndarray:
+        """(5, 5) rows from y < 0 on."""
+        return batch.lanes.observation[0, len(FEATURES) :].reshape(5, 5)
+
+    @pytest.mark.parametrize("pose", POSES)
+    @pytest.mark.parametrize("name", PARCELS)
+    def test_is_of_modules_that_obey_under_the_parcel(
+        self, name: str, pose: tuple[float, float, float]
+    ) -> None:
+        parcel = PARCELS[name]
+        batch = batch_at(pose, parcel, actions="window", actuators=Actuators(stuck=((9, 9),)))
+        x, y, theta = batch.lanes.sensed[0, :3]
+        first_row = whole_row(y) - 2
+        first_column = math.floor((x - ORIGIN) / PITCH + 0.5) - 2
+        rows, columns = np.indices((5, 5))
+        dx = ORIGIN + PITCH * (columns + first_column) - x
+        dy = ORIGIN + PITCH * (rows + first_row) - y
+        cosine, sine = math.cos(theta), math.sin(theta)
+        centre_x, centre_y = parcel.base.centroid
+        functions = parcel.base.functions(
+            centre_x + cosine * dx + sine * dy, centre_y + cosine * dy - sine * dx
+        )
+        under = (functions <= 0.0).all(axis=0)
+        inside = (columns + first_column >= 0) & (columns + first_column < 30)
+        obeys = np.zeros((5, 5), dtype=bool)
+        obeys[inside] = batch.lanes.obeys[0][
+            (rows + first_row)[inside], (columns + first_column)[inside]
+        ]
+        np.testing.assert_array_equal(self.occupied(batch), under & obeys)
+
+    def test_counts_what_is_there(self) -> None:
+        """The S-box over the line of two rows: three columns of it, and none before the zone."""
+        on_the_line = batch_at((1.05, 1.0, 0.0), PARCEL, actions="window")
+        assert self.occupied(on_the_line).sum() == 6.0
+        entering = batch_at((0.125, 1.0, 0.0), PARCEL, actions="window")
+        assert self.occupied(entering).sum() == 0.0
+
+    def test_of_the_other_side_is_upside_down(self) -> None:
+        """Asked to y < 0 a parcel sees what it would see in the mirror."""
+        views = []
+        for side, pose in ((1.0, (0.9, 1.04, 0.3)), (-1.0, (0.9, 0.96, -0.3))):
+            batch = batch_at(pose, sg.layouts.box("B"), side, actions="window")
+            views.append(self.occupied(batch))
+        assert 0.0 < views[0].sum() < 25.0
+        np.testing.assert_array_equal(views[0], views[1])
+
+
+@pytest.mark.parametrize("change", [lambda lanes: lanes.angle, lambda lanes: lanes.target])
+def test_instant_axes_take_no_memory_to_turn(change: Callable[[Any], np.ndarray]) -> None:
+    assert change(Settings().make_batch(3).lanes).shape == (3, 1, 1)
+    slow = Settings(actuators=Actuators(axis_speed=1.0)).make_batch(3)
+    assert change(slow.lanes).shape == (3, 20, 30)
