@@ -45,7 +45,8 @@ class ActionMirror:
         """Actions (lanes, ...) in the world, for the asked side (lanes,) of each lane."""
         commands = self._kind.commands(actions, len(side))
         image = self._kind.encode(self._image[self._kind.flip(commands)])
-        towards = (side > 0.0).reshape(-1, *[1] * (np.ndim(actions) - 1))
+        # Straight through, side 0, is seen as it is.
+        towards = (side >= 0.0).reshape(-1, *[1] * (np.ndim(actions) - 1))
         return np.where(towards, actions, image)
 
 
