@@ -75,12 +75,13 @@ def advance_lane(rules: Rules, lanes: Lanes, lane: int, scratch: Scratch) -> Non
             break
         lanes.clock[lane] += dt
         lanes.steps[lane] += 1
-        if reading.watches(rules.sensing):
-            read_truth(lanes, lane)
-            reading.look(rules.sensing, lanes, lane, rules.geometry, scratch, dt)
         on_rotors = False
         for i in range(contacts):
             on_rotors = on_rotors or scratch.rotor[i]
+        # A sensor may predict by the physics, in the same scratch: it comes after.
+        if reading.watches(rules.sensing):
+            read_truth(lanes, lane)
+            reading.look(rules.sensing, lanes, lane, rules.geometry, scratch, dt)
         if judgement.over(rules.task, lanes, lane, rules.geometry, on_rotors):
             break
     read_truth(lanes, lane)

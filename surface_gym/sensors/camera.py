@@ -46,8 +46,8 @@ class Camera:
     acceleration disturbs. It knows when a frame was taken and predicts from the last one that
     arrived to the time of the decision. A start is known as `entry` says.
 
-    The densities stand for accelerations of 2 m/s^2 rms that change every 40 ms: friction gives at
-    most mu_max g = 4.9 m/s^2, and decisions change it. Turning has that at a radius of 0.1 m.
+    The densities stand for accelerations anywhere within mu_max g = 4.9 m/s^2 that change every
+    40 ms: about (mu_max g)^2 / 3 x 40 ms. Turning has that at a radius of 0.1 m.
 
     Raises:
         ValueError: a rate or density that is not positive, a negative latency or one of more than
