@@ -250,9 +250,10 @@ class TestLanes:
 
 class TestThreads:
     @pytest.mark.parametrize("threads", [2, 3, 8])
-    def test_their_number_does_not_matter(self, threads: int) -> None:
+    @every_id
+    def test_their_number_does_not_matter(self, env_id: str, threads: int) -> None:
         settings = {"actions": "quadrants", "sensors": SENSORS[-1](), **EVERYTHING_VARIES}
-        one, several = native(lanes=5, **settings), native(lanes=5, threads=threads, **settings)
+        one, several = (native(env_id, 5, threads=count, **settings) for count in (1, threads))
         for first, second in zip(
             rollout(one, slice(None)), rollout(several, slice(None)), strict=True
         ):

@@ -3,10 +3,12 @@
 import pickle
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from agents.policy import CARD, WEIGHTS, Policy, PolicyCard, load_policy, make_network, save_policy
+from surface_gym.actions import KINDS
 from surface_gym.settings import Settings
 
 THE_CARD = PolicyCard("SmartSurface/Sort-v0", "halves", 0.04, (8,))
@@ -28,6 +30,40 @@ def test_a_round_trip_predicts_the_same(tmp_path: Path) -> None:
     assert len(set(actions.tolist())) > 1
     assert after.predict(observations[0])[0] == actions[0]
     assert (after.env_id, after.env_kwargs) == (before.env_id, before.env_kwargs)
+
+
+@pytest.mark.parametrize("actions", KINDS)
+def test_it_takes_and_gives_what_its_environment_does(tmp_path: Path, actions: str) -> None:
+    settings = Settings(actions=actions)
+    card = PolicyCard("SmartSurface/Sort-v0", actions, 0.04, (8,))
+    save_policy(make_network(card, settings), card, tmp_path)
+    policy = load_policy(tmp_path)
+    env = gym.make(policy.env_id, **policy.env_kwargs)
+    observation, _ = env.reset(seed=0)
+    assert policy.predict(observation)[0] in env.action_space
+    vector = gym.make_vec(policy.env_id, num_envs=5, **policy.env_kwargs)
+    observations, _ = vector.reset(seed=0)
+    chosen, _ = policy.predict(observations)
+    assert chosen in vector.action_space
+    for lane, one in enumerate(observations):
+        np.testing.assert_array_equal(policy.predict(one)[0], chosen[lane])
+
+
+def test_any_damage_is_refused_or_without_effect_on_what_runs(folder: Path) -> None:
+    """Bytes changed at random: what still loads is a policy, all else a ValueError."""
+    whole = (folder / WEIGHTS).read_bytes()
+    rng = np.random.default_rng(0)
+    refused = 0
+    for _ in range(60):
+        damaged = bytearray(whole)
+        for place in rng.integers(0, len(whole), 3):
+            damaged[place] = rng.integers(256)
+        (folder / WEIGHTS).write_bytes(damaged)
+        try:
+            assert isinstance(load_policy(folder), Policy)
+        except ValueError:
+            refused += 1
+    assert refused > 0
 
 
 class _Trap:

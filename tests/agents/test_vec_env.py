@@ -3,6 +3,8 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from stable_baselines3 import PPO
+from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor
 
 import surface_gym as sg
@@ -127,3 +129,36 @@ def test_episode_returns_are_the_monitors() -> None:
             assert infos[lane]["episode"]["l"] == lengths[lane]
             returns[lane] = lengths[lane] = 0
     assert found > LANES
+
+
+def test_stable_baselines3_learns_on_it_and_evaluates_on_it() -> None:
+    model = PPO("MlpPolicy", make(), n_steps=8, batch_size=16, n_epochs=1, seed=0, device="cpu")
+    model.learn(64)
+    env = VecMonitor(make())
+    env.seed(0)
+    first = evaluate_policy(model, env, n_eval_episodes=6, return_episode_rewards=True)
+    env.seed(0)
+    assert evaluate_policy(model, env, 6, return_episode_rewards=True) == first
+    returns, lengths = first
+    assert len(returns) == 6
+    assert max(lengths) <= 12
+
+
+def test_attributes_and_methods_are_the_vector_envs() -> None:
+    env = make()
+    env.set_attr("note", "all lanes")
+    assert env.get_attr("note") == ["all lanes"] * LANES
+    assert env.has_attr("settings")
+    assert not env.has_attr("no_such_thing")
+    assert env.env_method("__str__", indices=[0, 1]) == [str(env.env)] * 2
+
+
+def test_a_reset_starts_returns_anew() -> None:
+    env = make(limit=3)
+    env.reset()
+    env.step(np.full(LANES, ROLL))
+    env.reset()
+    for _ in range(3):
+        _, _, dones, infos = env.step(np.full(LANES, ROLL))
+    assert dones.all()
+    assert [info["episode"]["l"] for info in infos] == [3] * LANES
