@@ -29,7 +29,7 @@ class Rules(NamedTuple):
 
 @inlined
 def _observe(rules: Rules, lanes: Lanes, lane: int) -> None:
-    reading.estimate(rules.sensing, lanes, lane, rules.timing.dt)
+    reading.estimate(rules.sensing, lanes, lane)
     judgement.observe(rules.task, lanes, lane, rules.geometry)
     if rules.acting.kind == WINDOW:
         mirror = judgement.mirror(rules.task, lanes, lane)
@@ -47,7 +47,7 @@ def begin_lanes(rules: Rules, lanes: Lanes, chosen: Integers) -> None:
         for k in range(lanes.terms.shape[1]):
             lanes.terms[lane, k] = 0.0
         read_truth(lanes, lane)
-        reading.begin(rules.sensing, lanes, lane, rules.geometry, rules.timing.dt)
+        reading.begin(rules.sensing, lanes, lane)
         judgement.begin(rules.task, lanes, lane, rules.geometry)
         _observe(rules, lanes, lane)
 

@@ -1,4 +1,4 @@
-"""Camera: late and noisy frames of the pose, and a Kalman filter that makes velocities of them."""
+"""Camera: late and noisy frames of the pose, and a Kalman filter that knows the physics."""
 
 import math
 from dataclasses import dataclass, field
@@ -7,9 +7,11 @@ import numpy as np
 
 from surface_gym import checks
 from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import Array
-from surface_gym.lanes.memory import FRAMES, NOISE_ROWS, Lanes
-from surface_gym.sensors.entry import ENTRY_SIZE, Entry, enter
+from surface_gym.dynamics.types import Array, Scratch
+from surface_gym.lanes.memory import FRAMES, NOISE_ROWS, Geometry, Lanes
+from surface_gym.sensors import observer
+from surface_gym.sensors.entry import ENTRY_SIZE, Entry
+from surface_gym.sensors.observer import GAIN, MODEL_SIZE, correct, measure
 from surface_gym.sensors.sensor import Sensing
 
 CAMERA = 1
@@ -22,16 +24,14 @@ MOST_LATE = 8  # frames; `Lanes.frames` holds them however the periods are round
     POSITION_NOISE,
     ANGLE_NOISE,
     DROP,
-    ACCELERATION,
-    TURN_ACCELERATION,
-    ENTRY,
-) = range(8)
+    MODEL,  # of the observer
+) = range(6)
+ENTRY = MODEL + MODEL_SIZE
 
-# Columns of `Lanes.filter` after the estimate: the covariance of position and velocity, which x
-# and y share, that of angle and turning speed, and the step of the frame they stand for.
-POSITION_COVARIANCE, ANGLE_COVARIANCE, STEP = 6, 9, 12
-# Columns of `Lanes.frames`: whether the frame was taken; the pose follows.
-TAKEN = 0
+# Columns of `Lanes.frames`: the physics step a frame was taken at, 0 for none; then by how much
+# its pose differs from what is estimated of that step.
+TAKEN, SURPRISE = 0, 1
+SHARPEST = 1e-9  # [m] and [rad] no frame is trusted further
 
 
 @dataclass(frozen=True)
@@ -42,16 +42,17 @@ class Camera:
     from the first step on that ends no sooner than `latency` after it. The angle is continuous:
     a turn beyond pi does not jump.
 
-    The estimate is a Kalman filter's: each coordinate moves at a constant velocity that white
-    acceleration disturbs. It knows when a frame was taken and predicts from the last one that
-    arrived to the time of the decision. A start is known as `entry` says.
+    The estimate is a Kalman filter's whose model is the physics itself: it moves on with the axes
+    as they are, nominal friction and the load over the base's centroid, its uncertainty damped as
+    friction damps it. A frame is compared with what was estimated of the time it was taken at. A
+    start is known as `entry` says.
 
-    The densities stand for accelerations anywhere within mu_max g = 4.9 m/s^2 that change every
-    40 ms: about (mu_max g)^2 / 3 x 40 ms. Turning has that at a radius of 0.1 m.
+    The densities stand for what the physics leaves out: friction that is not nominal, loads off
+    centre, elements that bear unequally.
 
     Raises:
         ValueError: a rate or density that is not positive, a negative latency or one of more than
-            8 frames, negative noise, or a `drop` outside [0, 1).
+            8 frames, negative noise or friction, or a `drop` outside [0, 1).
     """
 
     frame_rate: float = 50.0  # [Hz]
@@ -59,14 +60,17 @@ class Camera:
     position_noise: float = 0.001  # [m] standard deviation in x and in y
     angle_noise: float = math.radians(0.5)  # [rad] standard deviation
     drop: float = 0.0  # [-] probability of a frame to be lost
-    acceleration_density: float = 0.3  # [m^2/s^3] of the white acceleration, in x and in y
-    turn_density: float = 30.0  # [rad^2/s^3] of the white angular acceleration
+    mu_max: float = 0.5  # [-] friction the filter assumes, as the surface's
+    mu_min: float = 0.01  # [-]
+    mu_support: float = 0.005  # [-]
+    acceleration_density: float = 0.003  # [m^2/s^3] of the physics' error, in x and in y
+    turn_density: float = 0.3  # [rad^2/s^3] of the physics' error in turning
     entry: Entry = field(default_factory=Entry)  # what is known of a parcel as it enters
 
     def __post_init__(self) -> None:
         for name in ("frame_rate", "acceleration_density", "turn_density"):
             checks.positive(name, getattr(self, name))
-        for name in ("position_noise", "angle_noise"):
+        for name in ("position_noise", "angle_noise", "mu_max", "mu_min", "mu_support"):
             checks.not_negative(name, getattr(self, name))
         if checks.within("drop", self.drop, 0.0, 1.0) == 1.0:
             raise ValueError(f"drop must be less than 1, got {self.drop!r}")
@@ -100,6 +104,9 @@ class Camera:
             self.position_noise,
             self.angle_noise,
             self.drop,
+            self.mu_max,
+            self.mu_min,
+            self.mu_support,
             self.acceleration_density,
             self.turn_density,
         )
@@ -124,92 +131,65 @@ class Camera:
 @inlined
 def begin(settings: Array, lanes: Lanes, lane: int) -> None:
     """Set the filter at a start; frames from before it never arrive."""
-    kept = lanes.filter[lane]
-    enter(settings, ENTRY, lanes, lane, kept)
-    kept[POSITION_COVARIANCE] = settings[ENTRY] ** 2
-    kept[POSITION_COVARIANCE + 1] = 0.0
-    kept[POSITION_COVARIANCE + 2] = settings[ENTRY + 2] ** 2
-    kept[ANGLE_COVARIANCE] = settings[ENTRY + 1] ** 2
-    kept[ANGLE_COVARIANCE + 1] = 0.0
-    kept[ANGLE_COVARIANCE + 2] = settings[ENTRY + 3] ** 2
-    kept[STEP] = 0.0
+    observer.begin(settings, ENTRY, lanes, lane)
     for k in range(FRAMES):
         lanes.frames[lane, k, TAKEN] = 0.0
 
 
 @inlined
-def _take(settings: Array, lanes: Lanes, lane: int, place: int) -> None:
+def _take(settings: Array, lanes: Lanes, lane: int, step: int) -> None:
     """Take a frame, or lose it."""
     row = lanes.noise_row[lane]
     lanes.noise_row[lane] = row + 1
     noise = lanes.noise[lane, row]
-    frame = lanes.frames[lane, place]
-    frame[TAKEN] = 0.0 if noise[3] < settings[DROP] else 1.0
-    frame[1] = lanes.truth[lane, 0] + settings[POSITION_NOISE] * noise[0]
-    frame[2] = lanes.truth[lane, 1] + settings[POSITION_NOISE] * noise[1]
-    frame[3] = lanes.truth[lane, 2] + settings[ANGLE_NOISE] * noise[2]
-
-
-@inlined
-def _gains(
-    kept: Array, first: int, density: float, noise: float, time: float
-) -> tuple[float, float]:
-    """Advance the covariance that starts in column `first` over a time [s] and a measurement.
-
-    Returns:
-        What a measurement corrects of the place, and of the velocity, a unit of its surprise.
-    """
-    place, mixed, velocity = kept[first], kept[first + 1], kept[first + 2]
-    place += time * (2.0 * mixed + time * velocity) + density * time**3 / 3.0
-    mixed += time * velocity + 0.5 * density * time**2
-    velocity += density * time
-    per_surprise = 1.0 / (place + noise * noise)
-    gain_place = place * per_surprise
-    gain_velocity = mixed * per_surprise
-    kept[first] = place - gain_place * place
-    kept[first + 1] = mixed - gain_place * mixed
-    kept[first + 2] = velocity - gain_velocity * mixed
-    return gain_place, gain_velocity
-
-
-@inlined
-def _correct(settings: Array, lanes: Lanes, lane: int, frame: Array, step: int, dt: float) -> None:
-    """Bring the estimate to the time of a frame, and correct it by what the frame shows."""
-    kept = lanes.filter[lane]
-    time = dt * (step - kept[STEP])
-    kept[STEP] = step
-    place, velocity = _gains(
-        kept, POSITION_COVARIANCE, settings[ACCELERATION], settings[POSITION_NOISE], time
-    )
-    turn, turning = _gains(
-        kept, ANGLE_COVARIANCE, settings[TURN_ACCELERATION], settings[ANGLE_NOISE], time
-    )
+    frame = lanes.frames[lane, (step // int(settings[EVERY])) % FRAMES]
+    frame[TAKEN] = 0.0 if noise[3] < settings[DROP] else float(step)
     for k in range(3):
-        kept[k] += time * kept[3 + k]
-        surprise = frame[1 + k] - kept[k]
-        kept[k] += (place if k < 2 else turn) * surprise
-        kept[3 + k] += (velocity if k < 2 else turning) * surprise
+        spread = settings[POSITION_NOISE] if k < 2 else settings[ANGLE_NOISE]
+        seen = lanes.truth[lane, k] + spread * noise[k]
+        frame[SURPRISE + k] = seen - lanes.filter[lane, k]
 
 
 @inlined
-def look(settings: Array, lanes: Lanes, lane: int, dt: float) -> None:
-    """Take a frame if one is due, and use the one that arrives, which may be the same."""
+def _shift_frames(lanes: Lanes, lane: int, shift: float, dt: float) -> None:
+    """Bring the surprises of all frames up to date with a correction of `shift` times GAIN."""
+    gain = lanes.filter[lane, GAIN:]
+    for place in range(FRAMES):
+        frame = lanes.frames[lane, place]
+        lead = dt * (lanes.steps[lane] - frame[TAKEN])
+        for k in range(3):
+            frame[SURPRISE + k] -= shift * (gain[k] - lead * gain[3 + k])
+
+
+@inlined
+def _use(settings: Array, lanes: Lanes, lane: int, frame: Array, dt: float) -> None:
+    """Correct the estimate by what a frame shows, a coordinate at a time."""
+    kept = lanes.filter[lane]
+    lead = dt * (lanes.steps[lane] - frame[TAKEN])
+    for k in range(3):
+        noise = max(SHARPEST, settings[POSITION_NOISE] if k < 2 else settings[ANGLE_NOISE])
+        by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0
+        variance = measure(kept, by_x, by_y, 1.0 if k == 2 else 0.0, lead)
+        per_surprise = 1.0 / (variance + noise * noise)
+        shift = frame[SURPRISE + k] * per_surprise
+        correct(kept, shift, per_surprise)
+        _shift_frames(lanes, lane, shift, dt)
+
+
+@inlined
+def look(
+    settings: Array, lanes: Lanes, lane: int, geometry: Geometry, scratch: Scratch, dt: float
+) -> None:
+    """Move the estimate over a physics step; take a frame if one is due, and use the one that
+    arrives, which may be the same.
+    """
+    observer.predict(settings, MODEL, lanes, lane, geometry, scratch, dt)
     every = int(settings[EVERY])
     step = lanes.steps[lane]
     if step % every == 0:
-        _take(settings, lanes, lane, (step // every) % FRAMES)
+        _take(settings, lanes, lane, step)
     taken = step - int(settings[LAG])
     if taken > 0 and taken % every == 0:
         frame = lanes.frames[lane, (taken // every) % FRAMES]
         if frame[TAKEN] > 0.0:
-            _correct(settings, lanes, lane, frame, taken, dt)
-
-
-@inlined
-def estimate(lanes: Lanes, lane: int, dt: float) -> None:
-    """Predict from the last frame that arrived to now, into `lanes.sensed`."""
-    kept = lanes.filter[lane]
-    lead = dt * (lanes.steps[lane] - kept[STEP])
-    for k in range(3):
-        lanes.sensed[lane, k] = kept[k] + lead * kept[3 + k]
-        lanes.sensed[lane, 3 + k] = kept[3 + k]
+            _use(settings, lanes, lane, frame, dt)

@@ -7,6 +7,8 @@ from surface_gym.dynamics.compiled import inlined
 from surface_gym.dynamics.normal_forces import dual_normal_forces
 from surface_gym.dynamics.step import advance_implicit, find_support, load_point
 from surface_gym.dynamics.types import (
+    AX,
+    AY,
     OMEGA,
     STATE_SIZE,
     THETA,
@@ -19,6 +21,19 @@ from surface_gym.dynamics.types import (
     X,
     Y,
 )
+from surface_gym.lanes.memory import (
+    COM_HEIGHT,
+    GRAVITY_ALONG,
+    GRAVITY_NORMAL,
+    GYRATION,
+    MU_MAX,
+    MU_MIN,
+    MU_SUPPORT,
+    RADIUS,
+    Geometry,
+    Lanes,
+)
+from surface_gym.sensors.entry import enter
 
 SIZE = 6  # of pose and velocity
 COVARIANCE = STATE_SIZE  # first column; row by row
@@ -26,12 +41,22 @@ GAIN = COVARIANCE + SIZE * SIZE  # first column of a correction's own memory
 DECAY = GAIN + SIZE  # first column of a prediction's own memory, 3 x 3
 LAST = DECAY + 9
 
+# What the physics of a prediction assumes, in a sensor's settings from some column on, after the
+# friction coefficients as in `Lanes.surface`: the densities of the physics' error.
+DENSITY, TURN_DENSITY, MODEL_SIZE = range(MU_SUPPORT + 1, MU_SUPPORT + 4)
+
 STICTION_SPEED = 0.03  # [m/s] a rotor that slips along its axis by less than this holds the parcel
 
 
 @inlined
-def spread(kept: Array, settings: Array, first: int) -> None:
-    """Set the covariance to that of an Entry, in `settings` from `first` on."""
+def begin(settings: Array, first: int, lanes: Lanes, lane: int) -> None:
+    """Set a lane's estimate at a start to what is known of it, its covariance to that of the Entry,
+    which is in `settings` from `first` on.
+    """
+    kept = lanes.filter[lane]
+    enter(settings, first, lanes, lane, kept)
+    kept[AX] = 0.0
+    kept[AY] = 0.0
     for k in range(SIZE * SIZE):
         kept[COVARIANCE + k] = 0.0
     for k in range(SIZE):
@@ -123,18 +148,42 @@ def _widen(kept: Array, dt: float, density: float, turn_density: float) -> None:
 
 @inlined
 def predict(
-    grid: Grid,
-    body: Body,
-    kept: Array,
+    settings: Array,
+    first: int,
+    lanes: Lanes,
+    lane: int,
+    geometry: Geometry,
     scratch: Scratch,
     dt: float,
-    density: float,
-    turn_density: float,
 ) -> None:
-    """Move the estimate over one step by the physics, the stiffness of all elements the same.
+    """Move a lane's estimate over one step by the physics, the axes as they are, the stiffness of
+    all elements the same and the load over the base's centroid.
 
-    Off the surface it moves on at its velocity.
+    Friction and densities are in `settings` from `first` on. Off the surface the estimate moves on
+    at its velocity.
     """
+    kept = lanes.filter[lane]
+    grid = Grid(
+        lanes.axis[lane],
+        lanes.rotor[lane],
+        lanes.stiffness[lane],
+        geometry.x0,
+        geometry.y0,
+        geometry.pitch,
+        settings[first + MU_MAX],
+        settings[first + MU_MIN],
+        settings[first + MU_SUPPORT],
+        lanes.surface[lane, GRAVITY_ALONG],
+        lanes.surface[lane, GRAVITY_NORMAL],
+    )
+    body = Body(
+        lanes.edges[lane],
+        lanes.body[lane, RADIUS],
+        0.0,
+        0.0,
+        lanes.body[lane, COM_HEIGHT],
+        lanes.body[lane, GYRATION],
+    )
     contacts = find_support(grid, body, kept, scratch, 0.5 * dt)
     for i in range(contacts):
         scratch.stiffness[i] = 1.0
@@ -147,7 +196,7 @@ def predict(
         kept[Y] += dt * kept[VY]
         kept[THETA] += dt * kept[OMEGA]
     _damp(grid, body, kept, scratch, contacts, dt)
-    _widen(kept, dt, density, turn_density)
+    _widen(kept, dt, settings[first + DENSITY], settings[first + TURN_DENSITY])
 
 
 @inlined
@@ -179,3 +228,10 @@ def correct(kept: Array, shift: float, shrink: float) -> None:
         kept[i] += shift * kept[GAIN + i]
         for j in range(SIZE):
             kept[COVARIANCE + SIZE * i + j] -= shrink * kept[GAIN + i] * kept[GAIN + j]
+
+
+@inlined
+def estimate(lanes: Lanes, lane: int) -> None:
+    """Write the estimate of pose and velocity into `lanes.sensed`."""
+    for k in range(SIZE):
+        lanes.sensed[lane, k] = lanes.filter[lane, k]

@@ -9,31 +9,24 @@ from surface_gym import checks
 from surface_gym.dynamics.compiled import inlined
 from surface_gym.dynamics.contacts import EDGE_TOLERANCE
 from surface_gym.dynamics.types import (
-    AX,
-    AY,
     OMEGA,
     THETA,
     VX,
     VY,
     Array,
-    Body,
-    Grid,
     Scratch,
     X,
     Y,
 )
 from surface_gym.lanes.memory import (
-    COM_HEIGHT,
-    GRAVITY_ALONG,
-    GRAVITY_NORMAL,
-    GYRATION,
     NOISE_ROWS,
     RADIUS,
     Geometry,
     Lanes,
 )
-from surface_gym.sensors.entry import ENTRY_SIZE, Entry, enter
-from surface_gym.sensors.observer import LAST, correct, measure, predict, spread
+from surface_gym.sensors import observer
+from surface_gym.sensors.entry import ENTRY_SIZE, Entry
+from surface_gym.sensors.observer import LAST, MODEL_SIZE, correct, measure
 from surface_gym.sensors.outline import covered_columns, outside
 from surface_gym.sensors.sensor import Sensing
 
@@ -43,14 +36,10 @@ PRESENCE = 2
 (
     EVERY,  # physics steps from sample to sample
     DROP,
-    MU_MAX,
-    MU_MIN,
-    MU_SUPPORT,
-    ACCELERATION,
-    TURN_ACCELERATION,
     TOLERANCE,
-    ENTRY,
-) = range(9)
+    MODEL,  # of the observer
+) = range(4)
+ENTRY = MODEL + MODEL_SIZE
 # Columns of `Lanes.filter` after the observer's: the base's pose at the last sample, and its step.
 # The pattern of that sample is worked out again from the pose, instead of kept module by module.
 SAMPLED, STEP = LAST, LAST + 3
@@ -112,12 +101,12 @@ class Presence:
         settings[:ENTRY] = (
             self.sample_steps(dt),
             self.drop,
+            self.tolerance,
             self.mu_max,
             self.mu_min,
             self.mu_support,
             self.acceleration_density,
             self.turn_density,
-            self.tolerance,
         )
         settings[ENTRY:] = self.entry.settings
         return Sensing(PRESENCE, settings)
@@ -148,49 +137,8 @@ def _keep_sample(lanes: Lanes, lane: int, step: int) -> None:
 @inlined
 def begin(settings: Array, lanes: Lanes, lane: int) -> None:
     """Set the observer at a start, where the sensors are read for the first time."""
-    kept = lanes.filter[lane]
-    enter(settings, ENTRY, lanes, lane, kept)
-    kept[AX] = 0.0
-    kept[AY] = 0.0
-    spread(kept, settings, ENTRY)
+    observer.begin(settings, ENTRY, lanes, lane)
     _keep_sample(lanes, lane, 0)
-
-
-@inlined
-def _predict(
-    settings: Array, lanes: Lanes, lane: int, geometry: Geometry, scratch: Scratch, dt: float
-) -> None:
-    """Move the estimate over a physics step."""
-    grid = Grid(
-        lanes.axis[lane],
-        lanes.rotor[lane],
-        lanes.stiffness[lane],
-        geometry.x0,
-        geometry.y0,
-        geometry.pitch,
-        settings[MU_MAX],
-        settings[MU_MIN],
-        settings[MU_SUPPORT],
-        lanes.surface[lane, GRAVITY_ALONG],
-        lanes.surface[lane, GRAVITY_NORMAL],
-    )
-    body = Body(
-        lanes.edges[lane],
-        lanes.body[lane, RADIUS],
-        0.0,
-        0.0,
-        lanes.body[lane, COM_HEIGHT],
-        lanes.body[lane, GYRATION],
-    )
-    predict(
-        grid,
-        body,
-        lanes.filter[lane],
-        scratch,
-        dt,
-        settings[ACCELERATION],
-        settings[TURN_ACCELERATION],
-    )
 
 
 @inlined
@@ -338,7 +286,7 @@ def look(
     settings: Array, lanes: Lanes, lane: int, geometry: Geometry, scratch: Scratch, dt: float
 ) -> None:
     """Move the estimate over a physics step, and correct it by a sample if one is due."""
-    _predict(settings, lanes, lane, geometry, scratch, dt)
+    observer.predict(settings, MODEL, lanes, lane, geometry, scratch, dt)
     step = lanes.steps[lane]
     if step % int(settings[EVERY]) != 0:
         return
@@ -351,10 +299,3 @@ def look(
     _take_switches(settings, lanes, lane, geometry, kept[SAMPLED : SAMPLED + 3], interval)
     _take_contradictions(settings, lanes, lane, geometry)
     _keep_sample(lanes, lane, step)
-
-
-@inlined
-def estimate(lanes: Lanes, lane: int) -> None:
-    """Write the observer's pose and velocity into `lanes.sensed`."""
-    for k in range(6):
-        lanes.sensed[lane, k] = lanes.filter[lane, k]

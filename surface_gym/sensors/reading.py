@@ -7,7 +7,7 @@ asks. Before each, `lanes.truth` holds the base's true pose and velocity.
 from surface_gym.dynamics.compiled import inlined
 from surface_gym.dynamics.types import Scratch
 from surface_gym.lanes.memory import Geometry, Lanes
-from surface_gym.sensors import camera, exact, presence
+from surface_gym.sensors import camera, exact, observer, presence
 from surface_gym.sensors.camera import CAMERA
 from surface_gym.sensors.exact import EXACT
 from surface_gym.sensors.presence import PRESENCE
@@ -21,7 +21,7 @@ def watches(sensing: Sensing) -> bool:
 
 
 @inlined
-def begin(sensing: Sensing, lanes: Lanes, lane: int, geometry: Geometry, dt: float) -> None:
+def begin(sensing: Sensing, lanes: Lanes, lane: int) -> None:
     """Set the sensor's memory at a start."""
     if sensing.number == CAMERA:
         camera.begin(sensing.settings, lanes, lane)
@@ -35,17 +35,15 @@ def look(
 ) -> None:
     """Take in what a physics step brought; `lanes.steps` has been counted up."""
     if sensing.number == CAMERA:
-        camera.look(sensing.settings, lanes, lane, dt)
+        camera.look(sensing.settings, lanes, lane, geometry, scratch, dt)
     elif sensing.number == PRESENCE:
         presence.look(sensing.settings, lanes, lane, geometry, scratch, dt)
 
 
 @inlined
-def estimate(sensing: Sensing, lanes: Lanes, lane: int, dt: float) -> None:
+def estimate(sensing: Sensing, lanes: Lanes, lane: int) -> None:
     """Write the estimate of pose and velocity into `lanes.sensed`."""
     if sensing.number == EXACT:
         exact.estimate(lanes, lane)
-    elif sensing.number == CAMERA:
-        camera.estimate(lanes, lane, dt)
-    elif sensing.number == PRESENCE:
-        presence.estimate(lanes, lane)
+    elif sensing.number in (CAMERA, PRESENCE):
+        observer.estimate(lanes, lane)

@@ -27,8 +27,9 @@ def test_a_jump_is_seen_after_the_latency_and_not_before(late: int) -> None:
     """The parcel is put elsewhere by hand; the filter then leaves its old course."""
     period = 0.02
     camera = Camera(
-        frame_rate=50.0, latency=late * period, position_noise=1e-4, angle_noise=1e-4, entry=SURE
-    )
+        frame_rate=50.0, latency=late * period, position_noise=1e-4, angle_noise=1e-4, entry=SURE,
+        acceleration_density=10.0,
+    )  # fmt: skip
     batch = Settings(actions="halves", sensors=camera, control_period=period).make_batch(1)
     task = batch.task
     rng = np.random.default_rng(0)
@@ -43,7 +44,7 @@ def test_a_jump_is_seen_after_the_latency_and_not_before(late: int) -> None:
         batch.advance(roll)
         seen = batch.lanes.sensed[0, 1] - 1.0
         # The first frame after the jump is that at the end of this period.
-        assert (abs(seen) > 0.02) == (periods > late), (periods, seen)
+        assert (abs(seen) > 0.005) == (periods > late), (periods, seen)
 
 
 def test_noise_has_its_law() -> None:
@@ -69,17 +70,31 @@ def test_frames_are_lost_with_the_probability_asked(drop: float) -> None:
         env.step(np.full(64, 15))
         memory = env._batch.lanes
         newest = (memory.steps // 4) % memory.frames.shape[1]
-        taken.append(memory.frames[np.arange(64), newest, 0])
+        taken.append(memory.frames[np.arange(64), newest, 0] > 0)
     assert np.mean(taken) == pytest.approx(1.0 - drop, abs=0.05)
 
 
 def test_the_default_camera_on_sorts_and_brakes() -> None:
-    sort = rms(errors(Camera(), PLUS_45, speed=1.5, parcel="S"))
-    assert (sort[:2] < 0.003).all()
-    assert sort[2] < math.radians(1.5)
-    assert (sort[3:5] < 0.15).all()
-    brake = rms(errors(Camera(), BRAKE, speed=1.5, parcel="B"))
-    assert brake[3] < 0.25  # of a speed that falls by 0.2 m/s a period
+    for choice, parcel in ((PLUS_45, "S"), (BRAKE, "B")):
+        found = rms(errors(Camera(), choice, speed=1.5, parcel=parcel))
+        assert (found[:2] < 0.0015).all()
+        assert found[2] < math.radians(0.6)
+        assert (found[3:5] < 0.04).all()  # while braking takes 0.2 m/s a period
+
+
+def test_late_frames_do_no_harm_to_a_filter_that_knows_the_physics() -> None:
+    """Compared with what was estimated of their time, they say the same a little later."""
+    for latency in (0.0, 0.02, 0.08):
+        camera = Camera(latency=latency, position_noise=1e-4, angle_noise=1e-4, entry=SURE)
+        found = np.abs(errors(camera, PLUS_45, speed=1.5, parcel="S"))
+        assert found[:, :2].max() < 1e-3
+        assert found[:, 3:5].max() < 2e-2
+
+
+def test_friction_unlike_the_assumed_one_is_made_up_for_by_the_frames() -> None:
+    slippery = rms(errors(Camera(mu_max=0.3), BRAKE, speed=2.0, parcel="S"))
+    assert slippery[0] < 0.01
+    assert slippery[3] < 0.2
 
 
 def test_the_filter_beats_the_raw_frames() -> None:
@@ -94,6 +109,9 @@ BAD: tuple[tuple[dict[str, Any], str], ...] = (
     ({"latency": 1.0}, "latency"),
     ({"position_noise": -1e-3}, "position_noise"),
     ({"angle_noise": -1e-3}, "angle_noise"),
+    ({"mu_max": -0.5}, "mu_max"),
+    ({"mu_min": -0.01}, "mu_min"),
+    ({"mu_support": math.inf}, "mu_support"),
     ({"drop": 1.0}, "drop"),
     ({"drop": -0.1}, "drop"),
     ({"acceleration_density": 0.0}, "acceleration_density"),
