@@ -47,8 +47,8 @@ class Camera:
     friction damps it. A frame is compared with what was estimated of the time it was taken at. A
     start is known as `entry` says.
 
-    The densities stand for what the physics leaves out: friction that is not nominal, loads off
-    centre, elements that bear unequally.
+    `friction_error` stands for friction that is not nominal, the densities for what else the
+    physics leaves out: loads off centre, elements that bear unequally.
 
     Raises:
         ValueError: a rate or density that is not positive, a negative latency or one of more than
@@ -63,14 +63,17 @@ class Camera:
     mu_max: float = 0.5  # [-] friction the filter assumes, as the surface's
     mu_min: float = 0.01  # [-]
     mu_support: float = 0.005  # [-]
-    acceleration_density: float = 0.003  # [m^2/s^3] of the physics' error, in x and in y
-    turn_density: float = 0.3  # [rad^2/s^3] of the physics' error in turning
+    friction_error: float = 0.05  # [-] share by which what friction does may be off
+    acceleration_density: float = 0.0003  # [m^2/s^3] of the physics' other error, in x and in y
+    turn_density: float = 0.03  # [rad^2/s^3] of the physics' other error in turning
     entry: Entry = field(default_factory=Entry)  # what is known of a parcel as it enters
 
     def __post_init__(self) -> None:
         for name in ("frame_rate", "acceleration_density", "turn_density"):
             checks.positive(name, getattr(self, name))
-        for name in ("position_noise", "angle_noise", "mu_max", "mu_min", "mu_support"):
+        for name in (
+            "position_noise", "angle_noise", "mu_max", "mu_min", "mu_support", "friction_error",
+        ):  # fmt: skip
             checks.not_negative(name, getattr(self, name))
         if checks.within("drop", self.drop, 0.0, 1.0) == 1.0:
             raise ValueError(f"drop must be less than 1, got {self.drop!r}")
@@ -109,6 +112,7 @@ class Camera:
             self.mu_support,
             self.acceleration_density,
             self.turn_density,
+            self.friction_error,
         )
         settings[ENTRY:] = self.entry.settings
         return Sensing(CAMERA, settings)

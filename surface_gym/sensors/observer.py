@@ -42,9 +42,11 @@ DECAY = GAIN + SIZE  # first column of a prediction's own memory, 3 x 3
 LAST = DECAY + 9
 
 # What the physics of a prediction assumes, in a sensor's settings from some column on, after the
-# friction coefficients as in `Lanes.surface`: the densities of the physics' error.
-DENSITY, TURN_DENSITY, MODEL_SIZE = range(MU_SUPPORT + 1, MU_SUPPORT + 4)
+# friction coefficients as in `Lanes.surface`: the densities of the physics' error, and the share
+# of an acceleration by friction that it may be off.
+DENSITY, TURN_DENSITY, FRICTION_ERROR, MODEL_SIZE = range(MU_SUPPORT + 1, MU_SUPPORT + 5)
 
+FRICTION_ERROR_TIME = 0.04  # [s] for which friction errs alike, a control period
 STICTION_SPEED = 0.03  # [m/s] a rotor that slips along its axis by less than this holds the parcel
 
 
@@ -184,6 +186,7 @@ def predict(
         lanes.body[lane, COM_HEIGHT],
         lanes.body[lane, GYRATION],
     )
+    vx, vy, omega = kept[VX], kept[VY], kept[OMEGA]
     contacts = find_support(grid, body, kept, scratch, 0.5 * dt)
     for i in range(contacts):
         scratch.stiffness[i] = 1.0
@@ -196,7 +199,13 @@ def predict(
         kept[Y] += dt * kept[VY]
         kept[THETA] += dt * kept[OMEGA]
     _damp(grid, body, kept, scratch, contacts, dt)
-    _widen(kept, dt, settings[first + DENSITY], settings[first + TURN_DENSITY])
+    doubt = settings[first + FRICTION_ERROR] ** 2 * FRICTION_ERROR_TIME / (dt * dt)
+    _widen(
+        kept,
+        dt,
+        settings[first + DENSITY] + doubt * ((kept[VX] - vx) ** 2 + (kept[VY] - vy) ** 2),
+        settings[first + TURN_DENSITY] + doubt * (kept[OMEGA] - omega) ** 2,
+    )
 
 
 @inlined

@@ -66,6 +66,7 @@ class Presence:
     mu_max: float = 0.5  # [-] friction the observer assumes, as the surface's
     mu_min: float = 0.01  # [-]
     mu_support: float = 0.005  # [-]
+    friction_error: float = 0.0  # [-] share by which what friction does may be off
     acceleration_density: float = 0.1  # [m^2/s^3] of the physics' error, in x and in y
     turn_density: float = 5.0  # [rad^2/s^3] of the physics' error in turning
     tolerance: float = 0.001  # [m] of where a sensor switches
@@ -74,7 +75,7 @@ class Presence:
     def __post_init__(self) -> None:
         for name in ("sample_rate", "acceleration_density", "turn_density", "tolerance"):
             checks.positive(name, getattr(self, name))
-        for name in ("mu_max", "mu_min", "mu_support"):
+        for name in ("mu_max", "mu_min", "mu_support", "friction_error"):
             checks.not_negative(name, getattr(self, name))
         if checks.within("drop", self.drop, 0.0, 1.0) == 1.0:
             raise ValueError(f"drop must be less than 1, got {self.drop!r}")
@@ -107,6 +108,7 @@ class Presence:
             self.mu_support,
             self.acceleration_density,
             self.turn_density,
+            self.friction_error,
         )
         settings[ENTRY:] = self.entry.settings
         return Sensing(PRESENCE, settings)

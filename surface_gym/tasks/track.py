@@ -43,7 +43,7 @@ DISTANCE_REWARD = 0.3
 PRECISION_REWARD = 1.0  # on the path, falling with the error by
 PRECISION_SCALE = 0.005  # [m] a factor e
 CROSS_REWARD = -8.0  # a metre of error
-SPEED_REWARD = -0.5  # per m/s of error
+SPEED_REWARD = -2.0  # per m/s of error
 SUCCESS_REWARD = 2.0
 FAILURE_REWARD = -2.0
 
@@ -108,7 +108,7 @@ class Track:
     | `distance` | 0.3 a metre | x gained |
     | `precision` | 1 a metre | times exp(-abs(`cross_error`) / 5 mm) |
     | `cross_error` | -8 a metre and metre | times abs(`cross_error`) |
-    | `speed_error` | -0.5 a metre and m/s | times how far the speed along the path is off the \
+    | `speed_error` | -2 a metre and m/s | times how far the speed along the path is off the \
 asked one |
     | `success` | 2 | once, at success |
     | `failure` | -2 | once, at any failure |

@@ -112,6 +112,7 @@ BAD: tuple[tuple[dict[str, Any], str], ...] = (
     ({"mu_max": -0.5}, "mu_max"),
     ({"mu_min": -0.01}, "mu_min"),
     ({"mu_support": math.inf}, "mu_support"),
+    ({"friction_error": -0.1}, "friction_error"),
     ({"drop": 1.0}, "drop"),
     ({"drop": -0.1}, "drop"),
     ({"acceleration_density": 0.0}, "acceleration_density"),
