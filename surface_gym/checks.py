@@ -53,11 +53,12 @@ def integer(name: str, value: Any, least: int) -> int:
 
 
 def one_of(name: str, value: Any, allowed: Iterable[Any]) -> Any:
-    """One of the allowed values, or an error that lists them."""
+    """One of the allowed values, or an error that lists them; NumPy's scalars count as Python's."""
     choices = tuple(allowed)
-    if not any(type(value) is type(choice) and value == choice for choice in choices):
+    plain = value.item() if isinstance(value, np.generic) else value
+    if not any(type(plain) is type(choice) and plain == choice for choice in choices):
         raise ValueError(f"{name} must be one of {', '.join(map(repr, choices))}, got {value!r}")
-    return value
+    return plain
 
 
 def array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:

@@ -71,7 +71,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     | `render_mode` | None | "rgb_array", without a display, or "human" |
 
     `reset(options=...)` fixes a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's own
-    goal. An unknown option or a bad value is a ValueError that names it and leaves all as it was.
+    goal. An unknown option or a bad value is a ValueError that names it; the episode can go on.
 
     `gym.make_vec` gives the native vector env, whose lane i seeded s + i equals this env seeded
     s + i to the bit.

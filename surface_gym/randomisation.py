@@ -51,6 +51,10 @@ class Randomisation:
         """Whether there is anything to draw."""
         return self != Randomisation()
 
+    def largest(self, base: Base) -> Base:
+        """The base at the largest size that may be drawn."""
+        return _scaled(base, 1.0 + self.size)
+
     def draw(self, rng: np.random.Generator, start: Start, shape: tuple[int, int]) -> Drawn:
         """Vary a start and the surface (rows, columns) under it; only what varies is drawn."""
         friction = (

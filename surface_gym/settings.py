@@ -59,6 +59,7 @@ class Settings:
         set_field(self, "orientations", tuple(angles.tolist()))
         set_field(self, "control_period", checks.positive("control_period", self.control_period))
         self._check_places()
+        self._check_size()
         _ = self.action_kind
 
     def _check_places(self) -> None:
@@ -79,6 +80,17 @@ class Settings:
                     f"stuck must lie in {plant.rows} rows and {plant.columns} columns, "
                     f"got {(row, column)}"
                 )
+
+    def _check_size(self) -> None:
+        """Every parcel the task draws fits the plant at the largest size it may have."""
+        for parcel in self.chosen_task.parcels:
+            try:
+                self.chosen_task.plant.site(self.randomisation.largest(parcel.base), self.zone)
+            except ValueError as error:
+                raise ValueError(
+                    f"size must leave room for every parcel, got {self.randomisation.size!r}: "
+                    f"{error}"
+                ) from None
 
     @property
     def chosen_task(self) -> Task:

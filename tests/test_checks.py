@@ -57,6 +57,8 @@ def test_what_is_allowed_passes() -> None:
     assert checks.within("a", 1, 0, 1) == 1.0
     assert checks.integer("n", np.int32(4), 4) == 4
     assert checks.one_of("size", "S", ("S", "B")) == "S"
+    assert checks.one_of("size", np.str_("S"), ("S", "B")) == "S"
+    assert type(checks.one_of("side", np.int64(1), (1, -1))) is int
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.actuators import Actuators
+from surface_gym.randomisation import Randomisation
 from tests.environments import (
     ACTIONS,
     IDS,
@@ -92,13 +93,13 @@ class TestOptions:
         assert np.hypot(vx, vy) == pytest.approx(float(speed), rel=1e-15)  # along a path, if any
         assert omega == 0.0
 
-    @pytest.mark.parametrize("side", [1, -1])
+    @pytest.mark.parametrize("side", [1, -1, np.int64(1), np.int8(-1)])
     def test_side(self, side: int) -> None:
         for seed in range(4):
             observation, _ = bare().reset(seed=seed, options={"side": side})
             assert observation[-1] == side
 
-    @pytest.mark.parametrize("size", ["S", "B"])
+    @pytest.mark.parametrize("size", ["S", "B", np.str_("B")])
     def test_the_papers_boxes_enter_as_in_the_paper(self, size: str) -> None:
         env = bare()
         _, info = env.reset(seed=0, options={"parcel": size})
@@ -224,6 +225,7 @@ class TestBadArguments:
         ({"actuators": 0.5}, "actuators"),
         ({"actuators": Actuators}, "actuators"),
         ({"randomisation": 0.2}, "randomisation"),
+        ({"randomisation": Randomisation(size=0.4)}, "size"),
         ({"randomisation": {"friction": 0.2}}, "randomisation"),
         ({"render_mode": "ansi"}, "render_mode"),
         ({"render_mode": True}, "render_mode"),

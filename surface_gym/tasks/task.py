@@ -46,6 +46,10 @@ class Task(Protocol):
         """Where it happens."""
 
     @property
+    def parcels(self) -> Any:
+        """Those it draws from, each a Parcel."""
+
+    @property
     def features(self) -> tuple[Feature, ...]:
         """The observation."""
 
