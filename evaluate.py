@@ -1,36 +1,22 @@
-"""Compare a saved policy with the paper's fixed layout: `python evaluate.py --help`."""
+"""Compare every controller and agent on every task: `python evaluate.py --help`."""
 
 import sys
-from dataclasses import dataclass
-from pathlib import Path
 
 import tyro
 from rich.console import Console
 
-from agents.policy import load_policy
-from agents.run import report
-
-
-@dataclass(frozen=True)
-class EvaluateConfig:
-    """Compare a saved policy with the paper's fixed layout."""
-
-    run: Path
-    """Folder of a run, as `train.py` leaves it."""
-    out: Path | None = None
-    """Folder for table, plot and video; by default the run's `evaluation`."""
+from agents.evaluation.command import EvaluateConfig, evaluate
 
 
 def main() -> None:
-    """Load, compare."""
+    """Compare."""
     config = tyro.cli(EvaluateConfig)
     try:
-        policy = load_policy(config.run)
+        evaluate(config, Console())
     except ValueError as error:
         sys.exit(f"error: {error}")
-    folder = config.out or config.run / "evaluation"
-    folder.mkdir(parents=True, exist_ok=True)
-    report(policy, folder, Console())
+    except KeyboardInterrupt:
+        sys.exit("interrupted; --resume goes on with what is there")
 
 
 if __name__ == "__main__":

@@ -2,26 +2,22 @@
 
 import sys
 
-import tyro
 from rich.console import Console
 
-from agents.config import TrainConfig
-from agents.policy import save_policy
-from agents.run import make_run_folder, report
-from agents.training import train
+from agents.learning.command import open_run
+from agents.learning.finish import finish
+from agents.learning.seeds import train_seeds
 
 
 def main() -> None:
     """Train, save, compare."""
     console = Console()
     try:
-        config = tyro.cli(TrainConfig)
-        folder = make_run_folder(config)
+        config, folder = open_run(sys.argv[1:])
+        learned = train_seeds(config, folder, console)
     except ValueError as error:
         sys.exit(f"error: {error}")
-    policy, card, model = train(config, folder, console)
-    save_policy(model.policy, card, folder)
-    report(policy, folder, console)
+    finish(config, folder, learned, console)
 
 
 if __name__ == "__main__":

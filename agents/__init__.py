@@ -1,1 +1,13 @@
-"""Everything that decides axes: fixed layouts, learning agents, their files and comparison."""
+"""Everything that decides axes: fixed layouts, rules, a planner, agents that learn, their files and
+their comparison.
+
+`names()` lists the agents that come with the package, `load(name)` gives one to act:
+
+    >>> import agents
+    >>> "sort-ppo" in agents.names()
+    True
+"""
+
+from agents.library import load, names, seeds
+
+__all__ = ["load", "names", "seeds"]

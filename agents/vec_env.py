@@ -20,7 +20,8 @@ class SurfaceVecEnv(VecEnv):
     """A `SmartSurfaceVectorEnv` in SAME_STEP mode behind Stable-Baselines3's interface.
 
     Infos of a finished lane carry `terminal_observation`, `TimeLimit.truncated`, `is_success`,
-    `outcome` and `episode` (return, length), as `Monitor` gives them; those of others are empty.
+    `outcome`, `reward_terms` (their sums over the episode) and `episode` (return, length), as
+    `Monitor` gives them; those of others are empty.
     `seed` and `set_options` act at the next `reset`.
 
     Raises:
@@ -35,6 +36,7 @@ class SurfaceVecEnv(VecEnv):
         self._actions: NDArray[np.int64] | None = None
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, dtype=np.int64)
+        self._terms = np.zeros((len(env.settings.chosen_task.terms), env.num_envs))
 
     def reset(self) -> VecEnvObs:
         observations, _ = self.env.reset(seed=self._seeds, options=self._options)
@@ -43,6 +45,7 @@ class SurfaceVecEnv(VecEnv):
         self._reset_options()
         self._returns[:] = 0.0
         self._lengths[:] = 0
+        self._terms[:] = 0.0
         return observations
 
     def step_async(self, actions: NDArray[np.int64]) -> None:
@@ -53,6 +56,11 @@ class SurfaceVecEnv(VecEnv):
         dones = terminated | truncated
         self._returns += rewards
         self._lengths += 1
+        names = self.env.settings.chosen_task.terms
+        reset_terms = infos["reward_terms"]
+        paid = infos["final_info"]["reward_terms"] if dones.any() else reset_terms
+        for sums, name in zip(self._terms, names, strict=True):
+            sums += np.where(dones, paid[name], reset_terms[name])
         lane_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for lane in np.nonzero(dones)[0]:
             final = infos["final_info"]
@@ -61,6 +69,7 @@ class SurfaceVecEnv(VecEnv):
                 "TimeLimit.truncated": bool(truncated[lane] and not terminated[lane]),
                 "is_success": bool(final["is_success"][lane]),
                 "outcome": final["outcome"][lane],
+                "reward_terms": dict(zip(names, self._terms[:, lane].tolist(), strict=True)),
                 "episode": {
                     "r": float(self._returns[lane]),
                     "l": int(self._lengths[lane]),
@@ -69,6 +78,7 @@ class SurfaceVecEnv(VecEnv):
             }
         self._returns[dones] = 0.0
         self._lengths[dones] = 0
+        self._terms[:, dones] = 0.0
         return observations, rewards.astype(np.float32), dones, lane_infos
 
     def close(self) -> None:

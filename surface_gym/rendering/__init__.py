@@ -4,6 +4,7 @@ import os
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # standard output belongs to the caller
 
+from surface_gym.rendering.caption import with_caption
 from surface_gym.rendering.painter import Painter, draw
 from surface_gym.rendering.scene import ExitSide, ExitSpeed, Goal, Heading, Path, Scene, StopLine
 from surface_gym.rendering.tiles import TilePainter, draw_tiles
@@ -22,4 +23,5 @@ __all__ = [
     "Window",
     "draw",
     "draw_tiles",
+    "with_caption",
 ]

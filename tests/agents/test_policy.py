@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 
 from agents.policy import CARD, WEIGHTS, Policy, PolicyCard, load_policy, make_network, save_policy
-from surface_gym.actions import KINDS
-from surface_gym.settings import Settings
+from surface_gym.registration import env_id
+from surface_gym.tasks import TASKS
 
-THE_CARD = PolicyCard("SmartSurface/Sort-v0", "halves", 0.04, (8,))
+THE_CARD = PolicyCard("SmartSurface/Sort-v0", "ppo", "halves", 0.04, (8,))
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    save_policy(make_network(THE_CARD, Settings(actions="halves")), THE_CARD, tmp_path)
+    save_policy(make_network(THE_CARD), THE_CARD, tmp_path)
     return tmp_path
 
 
 def test_a_round_trip_predicts_the_same(tmp_path: Path) -> None:
-    network = make_network(THE_CARD, Settings(actions="halves"))
+    network = make_network(THE_CARD)
     save_policy(network, THE_CARD, tmp_path)
     before, after = Policy(network, THE_CARD), load_policy(tmp_path)
     observations = np.random.default_rng(0).normal(size=(50, 15)).astype(np.float32)
@@ -32,12 +32,18 @@ def test_a_round_trip_predicts_the_same(tmp_path: Path) -> None:
     assert (after.env_id, after.env_kwargs) == (before.env_id, before.env_kwargs)
 
 
-@pytest.mark.parametrize("actions", KINDS)
-def test_it_takes_and_gives_what_its_environment_does(tmp_path: Path, actions: str) -> None:
-    settings = Settings(actions=actions)
-    card = PolicyCard("SmartSurface/Sort-v0", actions, 0.04, (8,))
-    save_policy(make_network(card, settings), card, tmp_path)
+CARDS = [
+    PolicyCard(env_id(task), algo, actions, 0.04, (8,))
+    for task in TASKS
+    for algo, actions in (("ppo", "halves"), ("ppo", "quadrants"), ("dqn", "halves"))
+] + [PolicyCard(env_id("sort"), "ppo", actions, 0.04, (8,)) for actions in ("modules", "window")]
+
+
+@pytest.mark.parametrize("card", CARDS, ids=lambda card: f"{card.task} {card.algo} {card.actions}")
+def test_it_takes_and_gives_what_its_environment_does(tmp_path: Path, card: PolicyCard) -> None:
+    save_policy(make_network(card), card, tmp_path)
     policy = load_policy(tmp_path)
+    assert policy.card == card
     env = gym.make(policy.env_id, **policy.env_kwargs)
     observation, _ = env.reset(seed=0)
     assert policy.predict(observation)[0] in env.action_space
@@ -82,6 +88,11 @@ def test_a_pickle_is_refused_and_not_run(folder: Path) -> None:
     assert not mark.exists()
 
 
+WHOLE = (
+    "env_id: SmartSurface/Sort-v0\nalgo: ppo\nactions: halves\ncontrol_period: 0.04\nhidden: [8]"
+)
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -89,10 +100,12 @@ def test_a_pickle_is_refused_and_not_run(folder: Path) -> None:
         "[1, 2",
         "hidden: 3",
         "!!python/object/apply:os.system ['true']",
-        "env_id: Other-v0\nactions: halves\ncontrol_period: 0.04\nhidden: [8]",
-        "env_id: SmartSurface/Sort-v0\nactions: thirds\ncontrol_period: 0.04\nhidden: [8]",
-        "env_id: SmartSurface/Sort-v0\nactions: halves\ncontrol_period: 0.04\nhidden: [9]",
-        "env_id: SmartSurface/Sort-v0\nactions: halves\nhidden: [8]",
+        WHOLE.replace("SmartSurface/Sort-v0", "Other-v0"),
+        WHOLE.replace("ppo", "sac"),
+        WHOLE.replace("halves", "thirds"),
+        WHOLE.replace("[8]", "[9]"),
+        WHOLE.replace("control_period: 0.04\n", ""),
+        WHOLE + "\nmore: 1",
     ],
 )
 def test_a_foreign_card_is_refused(folder: Path, text: str) -> None:

@@ -1,0 +1,134 @@
+"""A controller over many starts at once, and how each episode went."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.controller import Controller
+from surface_gym.registration import env_id
+from surface_gym.settings import Settings
+from surface_gym.tasks import TASKS
+
+Numbers = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Episodes:
+    """One episode a start."""
+
+    success: NDArray[np.bool_]  # (starts,)
+    outcome: tuple[str, ...]  # (starts,) why it ended
+    time: Numbers  # (starts,) [s] until then
+    figures: dict[str, Numbers]  # the task's own, each (starts,)
+    pose: Numbers  # (periods + 1, starts, 3) [m, m, rad] true; nan after the end
+    velocity: Numbers  # (starts, 3) [m/s, m/s, rad/s] at the end
+    decision_time: float  # [s] a decision of one lane, on average
+
+    def path(self, start: int) -> Numbers:
+        """(periods + 1, 3) [m, m, rad] true poses of one episode, its last included."""
+        poses = self.pose[:, start]
+        return poses[~np.isnan(poses[:, 0])]
+
+
+def task_name(settings: Settings) -> str:
+    """The name of a settings' task."""
+    return next(name for name, kind in TASKS.items() if isinstance(settings.task, kind))
+
+
+def run_episodes(
+    controller: Controller, settings: Settings, starts: Sequence[dict[str, Any]], seed: int
+) -> Episodes:
+    """Run a controller on every start, a lane each.
+
+    Args:
+        controller: decides.
+        settings: of the environment; its time limit is the task's own.
+        starts: options of each start; what they leave open is drawn.
+        seed: lane i draws from `seed` + i.
+    """
+    count = len(starts)
+    name = env_id(task_name(settings))
+    env = gym.make_vec(
+        name,
+        num_envs=count,
+        autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
+        **arguments(settings),
+    )
+    observation, info = env.reset(seed=seed, options=list(starts))  # type: ignore[arg-type]
+    figures = settings.chosen_task.figures
+    kept: dict[str, Any] = {
+        key: np.zeros_like(info[key])
+        for key in ("is_success", "outcome", "time", "velocity", *figures)
+    }
+    poses = [info["pose"].copy()]
+    running = np.ones(count, dtype=np.bool_)
+    begun = np.ones(count, dtype=np.bool_)
+    state: Any = None
+    decisions, seconds = 0, 0.0
+    while running.any():
+        before = time.perf_counter()
+        action, state = controller.predict(observation, state, begun, deterministic=True)
+        seconds += time.perf_counter() - before
+        decisions += count
+        observation, _, terminated, truncated, info = env.step(action)
+        begun = terminated | truncated
+        ended = running & begun
+        pose = info["pose"].copy()
+        if begun.any():
+            final = info["final_info"]
+            pose[begun] = final["pose"][begun]
+            for key, values in kept.items():
+                values[ended] = final[key][ended]
+        pose[~running] = np.nan
+        poses.append(pose)
+        running &= ~begun
+    env.close()
+    return Episodes(
+        success=kept["is_success"],
+        outcome=tuple(kept["outcome"].tolist()),
+        time=kept["time"],
+        figures={name: kept[name] for name in figures},
+        pose=np.array(poses),
+        velocity=kept["velocity"],
+        decision_time=seconds / decisions,
+    )
+
+
+def run_apart(
+    controller: Controller, settings: Settings, starts: Sequence[dict[str, Any]], seed: int
+) -> Episodes:
+    """`run_episodes` a start at a time, to the same end: for a controller that is slow, and would
+    decide for lanes that have ended too.
+    """
+    runs = [run_episodes(controller, settings, [start], seed + k) for k, start in enumerate(starts)]
+    longest = max(len(run.pose) for run in runs)
+    pose = np.full((longest, len(runs), 3), np.nan)
+    for k, run in enumerate(runs):
+        pose[: len(run.pose), k] = run.pose[:, 0]
+    return Episodes(
+        success=np.concatenate([run.success for run in runs]),
+        outcome=tuple(outcome for run in runs for outcome in run.outcome),
+        time=np.concatenate([run.time for run in runs]),
+        figures={
+            name: np.concatenate([run.figures[name] for run in runs]) for name in runs[0].figures
+        },
+        pose=pose,
+        velocity=np.concatenate([run.velocity for run in runs]),
+        decision_time=float(np.mean([run.decision_time for run in runs])),
+    )
+
+
+def arguments(settings: Settings) -> dict[str, Any]:
+    """Settings as the arguments of `gym.make` and `gym.make_vec`."""
+    return {
+        name: getattr(settings, name)
+        for name in (
+            "task", "actions", "sensors", "control_period", "zone", "orientations", "actuators",
+            "randomisation",
+        )
+    }  # fmt: skip

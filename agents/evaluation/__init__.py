@@ -1,0 +1,1 @@
+"""The comparison behind `python evaluate.py`: who is compared, under what, and how it is told."""

@@ -1,0 +1,88 @@
+"""What `evaluate.py` does."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from agents.cores import usable_cores
+from agents.evaluation.contenders import Contender, contenders, rules, trained
+from agents.evaluation.report import compare_run, write_report
+from agents.evaluation.table import Summaries
+from agents.evaluation.work import FILE, compute_cells
+from agents.learning.folder import open_folder, parts
+from surface_gym import checks
+from surface_gym.tasks import TASKS
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """Compare fixed layouts, rules, a planner and the shipped agents on every task."""
+
+    out: Path = Path("runs/evaluation")
+    """Folder for tables, plots, films and report.html."""
+    tasks: tuple[str, ...] = tuple(TASKS)
+    """Of which to compare."""
+    run: Path | None = None
+    """Folder of a training run: compare its policies with the fixed layout instead."""
+    workers: int = usable_cores()
+    """Processes to share the work among; results do not depend on it."""
+    resume: bool = False
+    """Keep what the folder has already, and go on."""
+
+    def __post_init__(self) -> None:
+        for task in self.tasks:
+            checks.one_of("tasks", task, TASKS)
+        if not self.tasks:
+            raise ValueError(f"tasks must be at least one, got {self.tasks!r}")
+        checks.integer("workers", self.workers, least=1)
+
+
+def evaluate(config: EvaluateConfig, console: Console) -> None:
+    """Compare, and leave a folder with all that came of it.
+
+    Raises:
+        ValueError: the run holds no policy, or a damaged one.
+    """
+    if config.run is not None:
+        evaluate_run(config.run, config.workers, console)
+        return
+    config.out.mkdir(parents=True, exist_ok=True)
+    if not config.resume:
+        (config.out / FILE).unlink(missing_ok=True)
+    chosen = [contender for task in config.tasks for contender in contenders(task)]
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task("comparing", total=None)
+
+        def advance(done: int, total: int, latest: str) -> None:
+            progress.update(bar, completed=done, total=total, description=latest)
+
+        cells = compute_cells(chosen, config.workers, config.out, advance)
+        progress.update(bar, description="drawing")
+        write_report(
+            chosen, cells, config.out, console, lambda part: progress.update(bar, description=part)
+        )
+    console.print(f"everything is in {config.out}; open {config.out / 'report.html'}")
+
+
+def evaluate_run(run: Path, workers: int, console: Console) -> tuple[Contender, Summaries]:
+    """Compare the policies of a run with the fixed layout of its task, into the run's folder.
+
+    Returns:
+        The policies as they were compared, and the comparison.
+
+    Raises:
+        ValueError: the folder holds no run, or no policy, or a damaged one.
+    """
+    config = open_folder(run)
+    agent = trained({part.seed: folder for part, folder in parts(config, run)})
+    summaries = compare_run(rules(config.task)[0], agent, workers, run, console)
+    console.print(f"everything is in {run}")
+    return agent, summaries

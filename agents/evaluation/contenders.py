@@ -1,0 +1,119 @@
+"""Who is compared: fixed layouts, rules, the planner and the agents that come with the package."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from agents import library
+from agents.controller import Controller
+from agents.evaluation.conditions import Condition
+from agents.evaluation.trials import Trial
+from agents.rules import RULES
+from surface_gym.settings import Settings
+
+FIXED = "fixed layout"
+PLANNER = "planner"
+PLANNED = 40  # starts that the planner is tried on
+LABELS = {"ppo": "PPO", "dqn": "DQN", "modules": "PPO per module"}
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A controller of one task, in as many seeds as it was trained in."""
+
+    name: str
+    task: str
+    actions: str  # kind of action
+    control_period: float  # [s]
+    make: Callable[[Settings, int], Controller]  # for settings and a seed
+    seeds: tuple[int, ...] = (0,)
+    starts: int | None = None  # about how many it is tried on, one at a time; None: all at once
+    conditions: tuple[str, ...] | None = None  # names; None: all
+
+    def settings(self, trial: Trial, condition: Condition) -> Settings:
+        """Those of the environment it acts in."""
+        return Settings(
+            task=trial.task,
+            actions=self.actions,
+            control_period=self.control_period,
+            sensors=condition.sensors,
+            randomisation=condition.randomisation,
+            actuators=condition.actuators,
+        )
+
+
+def rules(task: str) -> list[Contender]:
+    """Those that do not learn and do not plan; the fixed layout first."""
+    chosen = [rule for rule in RULES if rule.task == task]
+    chosen.sort(key=lambda rule: rule.name != FIXED)
+    return [
+        Contender(rule.name, task, rule.actions, 0.04, partial(_ruled, rule.make))
+        for rule in chosen
+    ]
+
+
+def planner(task: str) -> Contender:
+    """The near-optimum, on fewer starts and with exact sensors only: it is slow."""
+    return Contender(PLANNER, task, "halves", 0.04, _planned, starts=PLANNED, conditions=("exact",))
+
+
+def shipped(task: str) -> list[Contender]:
+    """The agents that come with the package."""
+    found = []
+    for name in library.names():
+        of_task, _, how = name.partition("-")
+        if of_task == task:
+            card = library.load(name).card
+            found.append(
+                Contender(
+                    LABELS[how], task, card.actions, card.control_period,
+                    partial(_loaded, name), library.seeds(name),
+                )
+            )  # fmt: skip
+    return sorted(found, key=lambda contender: list(LABELS.values()).index(contender.name))
+
+
+def trained(folders: dict[int, Path]) -> Contender:
+    """The policies that a run left, a folder a seed.
+
+    Raises:
+        ValueError: a folder holds no policy, or a damaged one.
+    """
+    card = library.read(next(iter(folders.values()))).card
+    return Contender(
+        LABELS[card.algo], card.task, card.actions, card.control_period,
+        partial(_read, folders), tuple(folders),
+    )  # fmt: skip
+
+
+def contenders(task: str) -> list[Contender]:
+    """All of a task, those that know most last."""
+    return [*rules(task), *shipped(task), planner(task)]
+
+
+def only(contender: Contender, conditions: tuple[str, ...]) -> Contender:
+    """The same, under some conditions only."""
+    return replace(contender, conditions=conditions)
+
+
+def _ruled(make: Callable[[Settings], Controller], settings: Settings, seed: int) -> Controller:
+    del seed  # a rule has none
+    return make(settings)
+
+
+def _planned(settings: Settings, seed: int) -> Controller:
+    from agents.planner import Planner
+
+    del seed
+    return Planner(settings)
+
+
+def _loaded(name: str, settings: Settings, seed: int) -> Controller:
+    del settings
+    return library.load(name, seed)
+
+
+def _read(folders: dict[int, Path], settings: Settings, seed: int) -> Controller:
+    del settings
+    return library.read(folders[seed])

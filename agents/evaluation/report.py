@@ -1,0 +1,128 @@
+"""A comparison's folder: tables, plots, films and the page that holds them all."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from agents.evaluation.by_speed import speed_table
+from agents.evaluation.cell import Cell, play
+from agents.evaluation.contenders import FIXED, PLANNER, Contender, only
+from agents.evaluation.page import write_page
+from agents.evaluation.plots import draw_errors, draw_sorting, draw_success
+from agents.evaluation.showing import film_of
+from agents.evaluation.summary import summarise
+from agents.evaluation.table import (
+    Summaries,
+    Table,
+    make_table,
+    markdown,
+    print_table,
+    write_tables,
+)
+from agents.evaluation.trajectories import draw_trajectories
+from agents.evaluation.trials import make_trial
+from agents.evaluation.work import compute_cells
+
+Pictures = list[tuple[Path, str]]
+
+
+def write_report(
+    contenders: Sequence[Contender],
+    cells: Sequence[Cell],
+    folder: Path,
+    console: Console,
+    advance: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Write everything of a comparison into a folder, and show its tables.
+
+    Args:
+        contenders: who was compared.
+        cells: what came of it.
+        folder: to write into.
+        console: to show on.
+        advance: called with what is drawn next.
+    """
+    summaries = summarise(cells)
+    names = list(dict.fromkeys(contender.task for contender in contenders))
+    tables = [make_table(make_trial(name), summaries) for name in names]
+    pictures = {}
+    for name in names:
+        advance(f"drawing {name}")
+        pictures[name] = _draw(name, contenders, summaries, folder)
+    shown = list(tables)
+    if "sort" in names:
+        shown.insert(names.index("sort") + 1, _by_speed(summaries))
+    for table in shown:
+        print_table(table, console)
+    write_tables([make_trial(name) for name in names], shown, summaries, folder)
+    write_page(shown, pictures, folder / "report.html")
+
+
+def _by_speed(summaries: Summaries) -> Table:
+    return speed_table(
+        {
+            who: summary
+            for (task, who, condition), summary in summaries.items()
+            if (task, condition) == ("sort", "exact") and who != PLANNER
+        }
+    )
+
+
+def _draw(
+    name: str, contenders: Sequence[Contender], summaries: Summaries, folder: Path
+) -> Pictures:
+    """A task's plots and film."""
+    mine = [contender for contender in contenders if contender.task == name]
+    pictures: Pictures = []
+    success = folder / f"{name}-success.png"
+    draw_success(name, summaries, success)
+    pictures.append((success, "Success by condition, with 95 % intervals."))
+    if name == "sort":
+        times, paths = folder / "sort-times.png", folder / "sort-trajectories.png"
+        draw_sorting(summaries, times)
+        pictures.append(
+            (times, "Time to sort by entry speed; no line where a parcel is not sorted.")
+        )
+        draw_trajectories(
+            {each.name: play(each, each.seeds[0], "exact")[1] for each in rivals(mine)}, paths
+        )
+        pictures.append((paths, "Trajectories by entry speed; dotted where it is not sorted."))
+    else:
+        errors = folder / f"{name}-errors.png"
+        draw_errors(name, summaries, errors)
+        pictures.append((errors, "Share of starts by the size of the error, exact sensors."))
+    pictures.append(film_of(rivals(mine), folder))
+    return pictures
+
+
+def rivals(contenders: Sequence[Contender]) -> list[Contender]:
+    """The fixed layout and, of one task's other contenders, the first that learned or the last."""
+    fixed = [contender for contender in contenders if contender.name == FIXED]
+    others = [contender for contender in contenders if contender.name not in (FIXED, PLANNER)]
+    learned = [contender for contender in others if contender.name == "PPO"]
+    return [*fixed, *(learned or others[-1:])][:2]
+
+
+def compare_run(
+    fixed: Contender, trained: Contender, workers: int, folder: Path, console: Console
+) -> Summaries:
+    """Compare a run's policies with the fixed layout, the same byte for byte each time: table.md,
+    table.json, the trajectories of Sort, and a film.
+    """
+    both = [only(each, ("exact", "camera")) for each in (fixed, trained)]
+    summaries = summarise(compute_cells(both, workers))
+    trial = make_trial(trained.task)
+    tables = [make_table(trial, summaries, timed=False)]
+    if trained.task == "sort":
+        tables.append(_by_speed(summaries))
+        draw_trajectories(
+            {each.name: play(each, each.seeds[0], "exact")[1] for each in both},
+            folder / "trajectories.png",
+        )
+    for table in tables:
+        print_table(table, console)
+    (folder / "table.md").write_text("\n".join(map(markdown, tables)))
+    file, told = film_of(both, folder)
+    console.print(f"{file.name}: {told}")
+    return summaries

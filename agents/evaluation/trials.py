@@ -1,0 +1,77 @@
+"""The starts that controllers are compared on, by task."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from surface_gym.tasks import TASKS
+from surface_gym.tasks.task import Task
+from surface_gym.tasks.track import Track
+
+SEED = 20_261_121  # of every start's draws
+DRAWN = 500  # starts of a task that draws them
+
+SORT_SPEEDS = np.arange(30, 271, 2) / 100.0  # [m/s]
+SIDES = (1, -1)
+PARCELS = ("S", "B")
+ORIENT_ANGLES = tuple(math.radians(angle) for angle in (-45.0, -30.0, -15.0, 15.0, 30.0, 45.0))
+ORIENT_SPEEDS = np.linspace(1.3, 1.7, 41)  # [m/s]
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A task and the starts it is tried on."""
+
+    name: str
+    task: Task
+    starts: tuple[dict[str, Any], ...]  # options of each; what is left open is drawn
+    told: str  # the starts, in a sentence
+
+    def some(self, count: int) -> "Trial":
+        """About `count` of the starts, spread evenly."""
+        every = max(1, round(len(self.starts) / count))
+        chosen = self.starts[::every]
+        return Trial(self.name, self.task, chosen, f"{len(chosen)} of these: {self.told}")
+
+
+def _sort() -> tuple[list[dict[str, Any]], str]:
+    starts = [
+        {"speed": float(speed), "side": side, "parcel": parcel}
+        for parcel in PARCELS
+        for speed in SORT_SPEEDS
+        for side in SIDES
+    ]
+    return starts, "entry speeds 0.30 to 2.70 m/s in steps of 0.02 m/s, both sides, both boxes"
+
+
+def _orient() -> tuple[list[dict[str, Any]], str]:
+    starts = [
+        {"speed": float(speed), "angle": angle, "parcel": parcel}
+        for parcel in PARCELS
+        for speed in ORIENT_SPEEDS
+        for angle in ORIENT_ANGLES
+    ]
+    return starts, "by 15, 30 and 45 deg to either side, entry speeds 1.3 to 1.7 m/s, both boxes"
+
+
+def make_trial(name: str) -> Trial:
+    """The trial of a task."""
+    if name == "sort":
+        starts, told = _sort()
+    elif name == "orient":
+        starts, told = _orient()
+    else:
+        starts, told = [{}] * DRAWN, f"{DRAWN} starts drawn by the task's own law"
+    task: Task = TASKS[name]()
+    if name == "track":
+        task = Track(tilts=(math.radians(10.0), math.radians(15.0)), kinds=("sine",))
+        told = f"{DRAWN} drawn starts on sines, tilts 10 to 15 deg"
+    return Trial(name, task, tuple(starts), told)
+
+
+def trials(names: Sequence[str]) -> tuple[Trial, ...]:
+    """The trials of some tasks."""
+    return tuple(make_trial(name) for name in names)

@@ -1,0 +1,1 @@
+"""How agents learn: configuration, runs, checkpoints and the algorithms."""

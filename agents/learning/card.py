@@ -1,0 +1,78 @@
+"""An agent's card: the command that trains it, and what came of it."""
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from agents.evaluation.columns import COLUMNS
+from agents.evaluation.contenders import FIXED, Contender
+from agents.evaluation.table import Summaries, value_of
+from agents.learning.config import Config
+from agents.learning.hyperparams import defaults
+from agents.learning.training import Learned
+from agents.modules.training import ModulesLearned
+
+FILE = "card.yaml"
+
+
+def write_card(
+    command: str,
+    seeds: Sequence[int],
+    learned: Sequence[Learned | ModulesLearned],
+    summaries: Summaries,
+    agent: Contender,
+    folder: Path,
+) -> None:
+    """Write card.yaml into a run's folder.
+
+    Args:
+        command: that trains it.
+        seeds: trained.
+        learned: how each of them ended.
+        summaries: of the agent and the fixed layout.
+        agent: among them.
+        folder: of the run.
+    """
+    card = {
+        "command": command,
+        "seeds": list(seeds),
+        "steps": [each.steps for each in learned],
+        "seconds": [round(each.seconds) for each in learned],  # of each seed, on one core
+        "results": {
+            condition: _results(summaries, agent, condition) for condition in ("exact", "camera")
+        },
+    }
+    (folder / FILE).write_text(yaml.safe_dump(card, sort_keys=False))
+
+
+def command_of(config: Config) -> str:
+    """The command that trains the same again: what differs from the task's defaults."""
+    default = defaults(config.task, config.algo)
+    chosen = ["python", "train.py", "--task", config.task, "--algo", config.algo]
+    for field in fields(config):
+        value = getattr(config, field.name)
+        if field.name not in ("out", "name") and value != getattr(default, field.name):
+            values = value if isinstance(value, tuple) else (value,)
+            chosen += [f"--{field.name.replace('_', '-')}", *map(str, values)]
+    return shlex.join(chosen)
+
+
+def _results(summaries: Summaries, agent: Contender, condition: str) -> dict[str, Any]:
+    summary = summaries[agent.task, agent.name, condition]
+    fixed = summaries[agent.task, FIXED, condition]
+    low, high = summary.interval
+    figures = {
+        column.name: round(value_of(column, summary, fixed) / column.scale, 5)
+        for column in COLUMNS[agent.task]
+        if column.name != "decision_time"
+    }
+    return {
+        "success": round(summary.rate, 4),
+        "interval": [round(low, 4), round(high, 4)],
+        "success_of_each_seed": [round(float(each.mean()), 4) for each in summary.success],
+        **figures,
+    }

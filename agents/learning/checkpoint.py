@@ -1,0 +1,83 @@
+"""A run's state on disk, so that a run broken off goes on as if it had not been.
+
+Written whole or not at all. It holds tensors and plain values only: reading it runs no code.
+"""
+
+import os
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.buffers import ReplayBuffer
+
+from agents.learning.double_dqn import DoubleDQN
+from agents.learning.model import Model
+
+FILE = "checkpoint.pt"
+_COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")
+_REMEMBERED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+def save_checkpoint(model: Model, recent: list[dict[str, float]], folder: Path) -> None:
+    """Write networks, optimiser, counters, memory and the latest episodes into a folder."""
+    state: dict[str, Any] = {
+        "policy": model.policy.state_dict(),
+        "optimizer": model.policy.optimizer.state_dict(),
+        "counters": {name: getattr(model, name) for name in _COUNTERS},
+        "recent": recent,
+    }
+    if isinstance(model, DoubleDQN):
+        state["calls"] = model._n_calls
+        state["memory"] = _memory(model)
+    waiting = folder / f"{FILE}.new"
+    with waiting.open("wb") as file:
+        torch.save(state, file)
+        file.flush()
+        os.fsync(file.fileno())
+    waiting.replace(folder / FILE)
+
+
+def load_checkpoint(model: Model, folder: Path) -> list[dict[str, float]]:
+    """Bring a model made from the run's configuration to the checkpoint; the latest episodes.
+
+    Raises:
+        ValueError: the checkpoint is damaged, or of another configuration.
+    """
+    try:
+        state = torch.load(folder / FILE, map_location="cpu", weights_only=True)
+        model.policy.load_state_dict(state["policy"])
+        model.policy.optimizer.load_state_dict(state["optimizer"])
+        for name in _COUNTERS:
+            setattr(model, name, int(state["counters"][name]))
+        if isinstance(model, DoubleDQN):
+            model._n_calls = int(state["calls"])
+            _remember(model, state["memory"])
+        recent: list[dict[str, float]] = state["recent"]
+    except (
+        UnpicklingError, EOFError, OSError, AttributeError, KeyError, RuntimeError, TypeError,
+        ValueError,
+    ) as error:  # fmt: skip
+        raise ValueError(f"{folder / FILE} is damaged or of another run: {error}") from error
+    return recent
+
+
+def _buffer(model: DoubleDQN) -> ReplayBuffer:
+    assert model.replay_buffer is not None
+    return model.replay_buffer
+
+
+def _memory(model: DoubleDQN) -> dict[str, Any]:
+    buffer = _buffer(model)
+    filled = buffer.buffer_size if buffer.full else buffer.pos
+    arrays = {name: torch.from_numpy(getattr(buffer, name)[:filled]) for name in _REMEMBERED}
+    return {"pos": buffer.pos, "full": buffer.full, "arrays": arrays}
+
+
+def _remember(model: DoubleDQN, memory: dict[str, Any]) -> None:
+    buffer = _buffer(model)
+    buffer.pos, buffer.full = int(memory["pos"]), bool(memory["full"])
+    for name in _REMEMBERED:
+        values: np.ndarray[Any, Any] = memory["arrays"][name].numpy()
+        getattr(buffer, name)[: len(values)] = values

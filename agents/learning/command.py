@@ -1,0 +1,46 @@
+"""The command line of `train.py`: a new run's configuration, or an old run to go on with."""
+
+import argparse
+import inspect
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from agents.learning.config import CONFIGS, Config
+from agents.learning.folder import make_folder, open_folder
+from agents.learning.hyperparams import defaults
+from surface_gym.tasks import TASKS
+
+RESUME = "--resume DIR, alone, goes on with a run that was broken off, from its last checkpoint."
+
+
+def open_run(arguments: list[str]) -> tuple[Config, Path]:
+    """The configuration and the folder that the arguments ask for.
+
+    `--task` and `--algo` are read first: the defaults of all other flags are theirs.
+
+    Raises:
+        ValueError: a field is out of its range, or the folder cannot be used.
+    """
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    first.add_argument("--task", default="sort")
+    first.add_argument("--algo", default="ppo")
+    first.add_argument("--resume", type=Path)
+    chosen, _ = first.parse_known_args(arguments)
+    if chosen.resume is not None and len(arguments) > 2:
+        raise ValueError(f"--resume must stand alone, got {' '.join(arguments)}")
+    if chosen.resume is not None:
+        return open_folder(chosen.resume), chosen.resume
+    task = chosen.task if chosen.task in TASKS else "sort"
+    algo = chosen.algo if chosen.algo in CONFIGS else "ppo"
+    default = defaults(task, algo)
+    kind: type[Any] = type(default)
+    config = tyro.cli(
+        kind,
+        default=default,
+        args=arguments,
+        prog="train.py",
+        description=f"{inspect.getdoc(kind)}\n\n{RESUME}",
+    )
+    return config, make_folder(config)

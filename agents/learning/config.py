@@ -1,0 +1,147 @@
+"""What a training run is made of; every field is a flag of `train.py`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from surface_gym import checks
+from surface_gym.tasks import TASKS
+
+TaskName = Literal["sort", "slow", "stop", "track", "orient"]
+AlgoName = Literal["ppo", "dqn"]
+ActionName = Literal["halves", "quadrants", "window", "modules"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """What PPO and DQN have in common.
+
+    Raises:
+        ValueError: a field is out of its range; the message names it.
+    """
+
+    task: TaskName = "sort"
+    """What to learn."""
+    algo: AlgoName = "ppo"
+    """PPO, or DQN with double Q."""
+    seed: int = 0
+    """Of the starts, the network and the sampling; the first of `seeds`."""
+    seeds: int = 1
+    """Trained in parallel processes, and summed up."""
+    steps: int = 1_000_000
+    """Control periods to learn from, all lanes together."""
+    actions: ActionName = "halves"
+    """Kind of action, as the environment has it."""
+    control_period: float = 0.04
+    """[s] between decisions."""
+    lanes: int = 64
+    """Parcels at a time."""
+    camera_share: float = 0.5
+    """[-] of lanes seen by a camera, late and noisy, with varied friction; the others exact."""
+    friction: float = 0.2
+    """[-] spread of the friction in these lanes."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Units of the hidden layers, of policy and value alike."""
+    learning_rate: float = 1e-3
+    """At the start; it falls to 0 over the run."""
+    gamma: float = 0.99
+    """Discount a control period."""
+    checkpoint_every: int = 500_000
+    """Control periods from checkpoint to checkpoint, where all lanes start anew."""
+    out: Path = Path("runs")
+    """Folder that run folders are made in."""
+    name: str | None = None
+    """Of the run's folder; by default the task, the algorithm, the seed and the time."""
+
+    def __post_init__(self) -> None:
+        checks.one_of("task", self.task, TASKS)
+        checks.one_of("algo", self.algo, ("ppo", "dqn"))
+        checks.one_of("actions", self.actions, ("halves", "quadrants", "window", "modules"))
+        checks.integer("seed", self.seed, least=0)
+        for name in ("seeds", "steps", "lanes", "checkpoint_every"):
+            checks.integer(name, getattr(self, name), least=1)
+        checks.positive("control_period", self.control_period)
+        checks.positive("learning_rate", self.learning_rate)
+        for name in ("camera_share", "gamma"):
+            checks.within(name, getattr(self, name), 0.0, 1.0)
+        if checks.within("friction", self.friction, 0.0, 1.0) == 1.0:
+            raise ValueError(f"friction must be less than 1, got {self.friction!r}")
+        for units in self.hidden:
+            checks.integer("hidden", units, least=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOConfig(TrainConfig):
+    """Train PPO on a task, then compare it with the paper's fixed layout.
+
+    Defaults are the task's, from agents/hyperparams/ppo.yml.
+    """
+
+    n_steps: int = 64
+    """Control periods of each lane between updates."""
+    batch_size: int = 1024
+    """Of a gradient step."""
+    n_epochs: int = 5
+    """Passes over a rollout."""
+    gae_lambda: float = 0.95
+    """Of the generalised advantage estimate."""
+    ent_coef: float = 0.003
+    """Weight of the entropy bonus."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checks.one_of("algo", self.algo, ("ppo",))
+        for name in ("n_steps", "batch_size", "n_epochs"):
+            checks.integer(name, getattr(self, name), least=1)
+        if (self.lanes * self.n_steps) % self.batch_size:
+            raise ValueError(
+                f"batch_size must be a factor of lanes x n_steps, {self.lanes * self.n_steps}, "
+                f"got {self.batch_size!r}"
+            )
+        checks.within("gae_lambda", self.gae_lambda, 0.0, 1.0)
+        checks.not_negative("ent_coef", self.ent_coef)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DQNConfig(TrainConfig):
+    """Train DQN with double Q on a task, then compare it with the paper's fixed layout.
+
+    Defaults are the task's, from agents/hyperparams/dqn.yml.
+    """
+
+    algo: AlgoName = "dqn"
+    """PPO, or DQN with double Q."""
+    buffer_size: int = 500_000
+    """Control periods remembered."""
+    learning_starts: int = 5_000
+    """Control periods before the first gradient step."""
+    batch_size: int = 512
+    """Of a gradient step."""
+    n_steps: int = 3
+    """Control periods of reward summed before the network is asked for the rest."""
+    gradient_steps: int = 8
+    """After every control period of all lanes."""
+    tau: float = 0.005
+    """[-] share of the network that goes into its slow copy at an update."""
+    exploration_fraction: float = 0.15
+    """[-] of the run over which the share of random actions falls."""
+    exploration_final_eps: float = 0.02
+    """[-] share of random actions after that."""
+    max_grad_norm: float = 1.0
+    """Gradients longer than this are shortened."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checks.one_of("algo", self.algo, ("dqn",))
+        if self.actions != "halves":
+            raise ValueError(f"actions must be 'halves' for DQN, got {self.actions!r}")
+        for name in ("buffer_size", "batch_size", "n_steps", "gradient_steps"):
+            checks.integer(name, getattr(self, name), least=1)
+        checks.integer("learning_starts", self.learning_starts, least=0)
+        for name in ("tau", "exploration_fraction", "exploration_final_eps"):
+            checks.within(name, getattr(self, name), 0.0, 1.0)
+        checks.positive("max_grad_norm", self.max_grad_norm)
+
+
+CONFIGS: dict[str, type[PPOConfig] | type[DQNConfig]] = {"ppo": PPOConfig, "dqn": DQNConfig}
+Config = PPOConfig | DQNConfig

@@ -1,0 +1,23 @@
+"""What a run ends with: its policies beside the fixed layout, and a card."""
+
+from pathlib import Path
+
+from rich.console import Console
+
+from agents.cores import usable_cores
+from agents.evaluation.command import evaluate_run
+from agents.learning.card import command_of, write_card
+from agents.learning.config import Config
+from agents.learning.training import Learned
+
+
+def finish(config: Config, folder: Path, learned: list[Learned], console: Console) -> None:
+    """Compare what was learned with the fixed layout; a run broken off is only told of."""
+    if len(learned) < config.seeds or any(each.interrupted for each in learned):
+        console.print(
+            f"interrupted: {folder} holds what was learned so far; "
+            f"python train.py --resume {folder} goes on from the last checkpoint"
+        )
+        return
+    agent, summaries = evaluate_run(folder, min(config.seeds, usable_cores()), console)
+    write_card(command_of(config), agent.seeds, learned, summaries, agent, folder)

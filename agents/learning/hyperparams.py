@@ -1,0 +1,75 @@
+"""Hyper-parameters as data: YAML in rl-baselines3-zoo's schema, and the file of a run."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from agents.learning.config import CONFIGS, Config
+from surface_gym.registration import env_id
+
+FOLDER = Path(__file__).parents[1] / "hyperparams"
+_NAMES = {"n_envs": "lanes", "n_timesteps": "steps"}  # the zoo's names, and ours
+_LINEAR = "lin_"  # the zoo's mark of a learning rate that falls to 0
+
+
+def defaults(task: str, algo: str) -> Config:
+    """The configuration of a task and an algorithm as their YAML has it.
+
+    Raises:
+        ValueError: the file holds what is not understood.
+    """
+    file = FOLDER / f"{algo}.yml"
+    entry = yaml.safe_load(file.read_text())[env_id(task)]
+    known = {field.name for field in fields(CONFIGS[algo])}
+    chosen: dict[str, Any] = {"task": task, "algo": algo}
+    for name, value in entry.items():
+        if name == "policy" and value == "MlpPolicy":
+            continue
+        if name == "learning_rate" and isinstance(value, str) and value.startswith(_LINEAR):
+            chosen[name] = float(value.removeprefix(_LINEAR))
+        elif name == "policy_kwargs" and set(value) == {"net_arch"}:
+            chosen["hidden"] = tuple(value["net_arch"])
+        elif name == "env_kwargs" and set(value) <= {"actions", "control_period"}:
+            chosen.update(value)
+        elif name == "n_timesteps":
+            chosen["steps"] = int(value)
+        elif _NAMES.get(name, name) in known:
+            chosen[_NAMES.get(name, name)] = value
+        else:
+            raise ValueError(f"{file.name}: {name} must be a known setting, got {value!r}")
+    return CONFIGS[algo](**chosen)
+
+
+def write_config(config: Config, file: Path) -> None:
+    """Write all fields of a configuration as YAML."""
+    plain = {}
+    for field in fields(config):
+        value = getattr(config, field.name)
+        if isinstance(value, tuple):
+            value = list(value)
+        plain[field.name] = str(value) if isinstance(value, Path) else value
+    file.write_text(yaml.safe_dump(plain, sort_keys=False))
+
+
+def read_config(file: Path) -> Config:
+    """Read what `write_config` wrote.
+
+    Raises:
+        ValueError: there is no such file, or it holds no configuration.
+    """
+    if not file.is_file():
+        raise ValueError(f"{file.parent} holds no run: {file.name} is missing")
+    try:
+        plain = yaml.safe_load(file.read_text())
+        plain["hidden"] = tuple(plain["hidden"])
+        plain["out"] = Path(plain["out"])
+        return CONFIGS[plain["algo"]](**plain)
+    except (yaml.YAMLError, TypeError, KeyError, ValueError) as error:
+        raise ValueError(f"{file} holds no run's configuration: {error}") from error
+
+
+def of_seed(config: Config, seed: int) -> Config:
+    """The run of one seed out of several."""
+    return replace(config, seed=seed, seeds=1)

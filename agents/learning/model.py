@@ -1,0 +1,58 @@
+"""The learning algorithms as a configuration asks for them."""
+
+from collections.abc import Callable
+from functools import partial
+
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecEnv
+
+from agents.learning.categorical import EqualChoicesPolicy
+from agents.learning.config import Config, PPOConfig
+from agents.learning.double_dqn import DoubleDQN
+
+Model = PPO | DoubleDQN
+
+
+def _falling(first: float, left: float) -> float:
+    """Learning rate where the share `left` of the run lies ahead."""
+    return first * left
+
+
+def make_model(config: Config, env: VecEnv) -> Model:
+    """PPO or DQN, its weights drawn from the seed."""
+    learning_rate: Callable[[float], float] = partial(_falling, config.learning_rate)
+    if isinstance(config, PPOConfig):
+        return PPO(
+            EqualChoicesPolicy,
+            env,
+            n_steps=config.n_steps,
+            batch_size=config.batch_size,
+            n_epochs=config.n_epochs,
+            learning_rate=learning_rate,
+            gamma=config.gamma,
+            gae_lambda=config.gae_lambda,
+            ent_coef=config.ent_coef,
+            policy_kwargs={"net_arch": list(config.hidden)},
+            seed=config.seed,
+            device="cpu",
+        )
+    return DoubleDQN(
+        "MlpPolicy",
+        env,
+        learning_rate=learning_rate,
+        buffer_size=config.buffer_size,
+        learning_starts=config.learning_starts,
+        batch_size=config.batch_size,
+        n_steps=config.n_steps,
+        gradient_steps=config.gradient_steps,
+        train_freq=1,
+        tau=config.tau,
+        target_update_interval=config.lanes,  # in control periods: at every one of all lanes
+        gamma=config.gamma,
+        exploration_fraction=config.exploration_fraction,
+        exploration_final_eps=config.exploration_final_eps,
+        max_grad_norm=config.max_grad_norm,
+        policy_kwargs={"net_arch": list(config.hidden)},
+        seed=config.seed,
+        device="cpu",
+    )

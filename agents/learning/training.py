@@ -1,0 +1,116 @@
+"""One run: learning in legs, each begun anew, so that a run broken off can go on unchanged."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.utils import set_random_seed
+
+from agents.learning.checkpoint import FILE, load_checkpoint, save_checkpoint
+from agents.learning.config import Config
+from agents.learning.curve import Curve
+from agents.learning.double_dqn import DoubleDQN, cut_memory
+from agents.learning.model import Model, make_model
+from agents.learning.practice import make_practice
+from agents.policy import PolicyCard, save_policy
+from surface_gym.registration import env_id
+from surface_gym.settings import Settings
+
+CURVE_EVERY = 10_000  # control periods from row to row of the curve
+
+Progress = Callable[[int, float], None]  # control periods done, success of the latest episodes
+
+
+@dataclass(frozen=True)
+class Learned:
+    """How a run ended."""
+
+    steps: int  # control periods learned from
+    seconds: float  # it took, this time
+    interrupted: bool
+
+
+class _Legs(BaseCallback):
+    """Begins a leg every `checkpoint_every` control periods: saves a checkpoint, seeds everything
+    from the run's seed and the leg, and starts all lanes anew.
+
+    A run that goes on from a checkpoint does the same at the same place, and so comes to the same.
+    """
+
+    def __init__(self, config: Config, folder: Path, curve: Curve, progress: Progress) -> None:
+        super().__init__()
+        self._config = config
+        self._folder = folder
+        self._curve = curve
+        self._progress = progress
+        self._leg = -1
+        self._row = 0
+
+    def _on_training_start(self) -> None:
+        self._row = self.num_timesteps // CURVE_EVERY
+
+    def _on_rollout_start(self) -> None:
+        leg = self.model.num_timesteps // self._config.checkpoint_every
+        if leg == self._leg:
+            return
+        self._leg = leg
+        assert isinstance(self.model, Model)
+        save_checkpoint(self.model, list(self._curve.recent), self._folder)
+        seed = self._config.seed + 1_000_003 * leg
+        set_random_seed(seed)
+        self.model.action_space.seed(seed)
+        assert self.model.env is not None
+        self.model.env.seed(seed)
+        self.model._last_obs = self.model.env.reset()  # type: ignore[assignment]
+        self.model._last_episode_starts[:] = True  # type: ignore[index]
+        if isinstance(self.model, DoubleDQN):
+            cut_memory(self.model)
+
+    def _on_step(self) -> bool:
+        self._curve.take(self.locals["infos"])
+        return True
+
+    def _on_rollout_end(self) -> None:
+        if self.num_timesteps // CURVE_EVERY > self._row:
+            self._row = self.num_timesteps // CURVE_EVERY
+            self._curve.write(self.num_timesteps)
+            self._progress(self.num_timesteps, self._curve.success)
+
+
+def train(config: Config, folder: Path, progress: Progress = lambda *_: None) -> Learned:
+    """Learn as the configuration says and leave a policy in `folder`.
+
+    A checkpoint found there is gone on from. An interrupt keeps what was learned so far.
+
+    Raises:
+        ValueError: the checkpoint is damaged, or of another configuration.
+    """
+    torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
+    started = time.perf_counter()
+    model = make_model(config, make_practice(config))
+    recent = load_checkpoint(model, folder) if (folder / FILE).is_file() else []
+    terms = Settings(task=config.task).chosen_task.terms
+    curve = Curve(folder, terms, model.num_timesteps, recent)
+    model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
+    callback = _Legs(config, folder, curve, progress)
+    interrupted = False
+    try:
+        if model.num_timesteps < config.steps:
+            model.learn(config.steps - model.num_timesteps, callback, reset_num_timesteps=False)
+            save_checkpoint(model, list(curve.recent), folder)
+    except KeyboardInterrupt:
+        interrupted = True
+    curve.close()
+    save_policy(model.policy, card_of(config), folder)
+    return Learned(model.num_timesteps, time.perf_counter() - started, interrupted)
+
+
+def card_of(config: Config) -> PolicyCard:
+    """What the policy of a run is for."""
+    return PolicyCard(
+        env_id(config.task), config.algo, config.actions, config.control_period, config.hidden
+    )

@@ -1,0 +1,57 @@
+"""The agents that come with the package: some seeds of each, and a card."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from surface_gym import checks
+
+if TYPE_CHECKING:
+    from agents.modules.policy import ModulesPolicy
+    from agents.policy import Policy
+
+SHELF = Path(__file__).parent / "shipped"
+
+
+def names() -> tuple[str, ...]:
+    """Names of the agents on the shelf: the task and how it was learned, as "track-dqn"."""
+    return tuple(sorted(card.parent.name for card in SHELF.glob("*/card.yaml")))
+
+
+def seeds(name: str) -> tuple[int, ...]:
+    """The seeds an agent was trained with, one policy each.
+
+    Raises:
+        ValueError: no agent of that name.
+    """
+    folder = SHELF / checks.one_of("name", name, names())
+    return tuple(sorted(int(each.name.removeprefix("seed-")) for each in folder.glob("seed-*")))
+
+
+def load(name: str, seed: int | None = None) -> "Policy | ModulesPolicy":
+    """A trained policy: `predict`, `env_id` and `env_kwargs`. No code in its files is run.
+
+    Args:
+        name: one of `names()`.
+        seed: one of `seeds(name)`; None: the first.
+
+    Raises:
+        ValueError: no agent of that name, or not of that seed.
+    """
+    trained = seeds(name)
+    chosen = trained[0] if seed is None else checks.one_of("seed", seed, trained)
+    return read(SHELF / name / f"seed-{chosen}")
+
+
+def read(folder: Path) -> "Policy | ModulesPolicy":
+    """The policy that a run left in a folder, whatever learned it. No code in its files is run.
+
+    Raises:
+        ValueError: the folder holds no policy, or a damaged or foreign one.
+    """
+    # They bring PyTorch with them.
+    from agents.modules.policy import load_modules
+    from agents.policy import CARD, load_policy
+
+    card = folder / CARD
+    of_modules = card.is_file() and "algo: modules" in card.read_text(errors="replace").splitlines()
+    return load_modules(folder) if of_modules else load_policy(folder)

@@ -1,0 +1,73 @@
+"""The weights that all modules share, and the value of what a lane sees."""
+
+import math
+
+import torch
+from torch import nn
+
+from agents.mirror import SIDE
+from agents.modules.view import PLACE_SIZE, SHARED
+
+
+def _linear(inputs: int, outputs: int, gain: float = math.sqrt(2.0)) -> nn.Linear:
+    layer = nn.Linear(inputs, outputs)
+    nn.init.orthogonal_(layer.weight, gain)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
+class SharedNetwork(nn.Module):
+    """From what all modules of a lane see, and a module's own place, to its logits.
+
+    A module's place counts for nothing at first: modules learn to act together before they learn
+    to differ. Begun otherwise, they settle for the fixed layout.
+
+    Args:
+        choices: orientations on offer.
+        hidden: units of each of two hidden layers.
+    """
+
+    def __init__(self, choices: int, hidden: int) -> None:
+        super().__init__()
+        self._alike = _linear(len(SHARED), hidden)
+        self._apart = nn.Linear(PLACE_SIZE, hidden, bias=False)
+        nn.init.zeros_(self._apart.weight)
+        self._between = _linear(hidden, hidden)
+        self._logits = _linear(hidden, choices, 0.01)
+
+    def forward(
+        self, shared: torch.Tensor, lane: torch.Tensor, place: torch.Tensor
+    ) -> torch.Tensor:
+        """Log probabilities (modules, choices).
+
+        Args:
+            shared: (lanes, shared).
+            lane: (modules,) each module's.
+            place: (modules, PLACE_SIZE).
+        """
+        first = torch.tanh(self._alike(shared)[lane] + self._apart(place))
+        logits: torch.Tensor = self._logits(torch.tanh(self._between(first)))
+        return logits.log_softmax(dim=1)
+
+
+class ValueNetwork(nn.Module):
+    """What a lane's future is worth, by all that is observed of it but the side.
+
+    Args:
+        hidden: units of each of two hidden layers.
+    """
+
+    def __init__(self, hidden: int) -> None:
+        super().__init__()
+        self._layers = nn.Sequential(
+            _linear(SIDE, hidden),
+            nn.Tanh(),
+            _linear(hidden, hidden),
+            nn.Tanh(),
+            _linear(hidden, 1, 1.0),
+        )
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """(lanes,) of observations (lanes, features)."""
+        value: torch.Tensor = self._layers(observations[:, :SIDE])[:, 0]
+        return value

@@ -1,0 +1,180 @@
+"""What the planner looks for, by task: what a lane on its way may come to, what an end is worth.
+
+Costs, the lower the better. Weights were found by trying.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.planning.model import Model
+from surface_gym.dynamics.types import GRAVITY
+from surface_gym.lanes.memory import (
+    COLUMNS,
+    FIGURES,
+    FIRST_COLUMN,
+    HALF_LENGTH,
+    PATH_POINTS,
+    ROWS,
+    SUCCESS,
+    Lanes,
+)
+from surface_gym.layouts import LINE_Y, ROLLING
+from surface_gym.plant import ORIGIN, PITCH
+from surface_gym.registration import MAX_EPISODE_STEPS
+from surface_gym.tasks import orient, slow, sort, stop, track
+from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
+
+Numbers = NDArray[np.float64]
+
+FAILED = 1e3  # cost of a failure, beyond that of any success
+TURNING = 0.5 * GRAVITY / math.sqrt(2.0)  # [m/s^2] to the side, of 45 deg axes at mu_max = 0.5
+SETTLING = 0.05  # [s] a turning speed goes on for until it is taken back
+ARRIVAL = 3.2  # [s] in which Slow is to be over, of 4
+EXIT_SPEED = 0.1  # [m/s] Orient is to leave the zone with
+TURN_LOSS = 2.5  # [m/s^2] of a turn, times the half length: what a radian takes of v^2 / 2
+# Track: errors that are as bad as each other.
+CROSS_ERROR = 0.003  # [m] off the path
+SPEED_ERROR = 0.08  # [m/s] off the asked speed
+CROSS_SPEED = 0.09  # [m/s] across the path at the horizon
+
+
+@dataclass(frozen=True)
+class Aim:
+    """What a search prefers."""
+
+    way: Callable[[Lanes], Numbers]  # cost of lanes on their way
+    end: Callable[[Lanes], Numbers]  # cost of lanes that have ended, or are at the horizon
+    enough: float  # cost of an end that ends the search
+    horizon: int  # periods looked ahead
+    follow: int  # periods of a plan that are followed at most
+    share: int = 1  # of the planner's budget that a search gets: 1 in so many
+    # Two actions; each time to change from the first to the second for good is tried. Or None.
+    event: Callable[[Model], tuple[int, int] | None] = lambda _: None
+
+
+def _reach(lanes: Lanes) -> Numbers:
+    """[m] a box reaches along x, and along y, from its centre."""
+    theta = lanes.truth[:, 2]
+    reach: Numbers = lanes.body[:, HALF_LENGTH] * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
+    return reach
+
+
+def _rear_to_go(lanes: Lanes) -> Numbers:
+    """[m] from the rear to the zone's end, at least 0."""
+    after = lanes.zone[:, FIRST_COLUMN] + lanes.zone[:, COLUMNS]
+    end = ORIGIN + PITCH * (after - 0.5)
+    return np.maximum(0.0, end - lanes.truth[:, 0] + _reach(lanes))
+
+
+def _off_line(lanes: Lanes) -> Numbers:
+    """[m] from the line's middle."""
+    return np.abs(lanes.truth[:, 1] - LINE_Y)
+
+
+def _askew(lanes: Lanes) -> Numbers:
+    """How far from straight along the line."""
+    _, _, theta, _, vy, omega = lanes.truth.T
+    return _off_line(lanes) + np.abs(vy) + np.abs(theta) + SETTLING * np.abs(omega)
+
+
+def _failure(lanes: Lanes) -> Numbers:
+    return np.where(lanes.outcome == SUCCESS, 0.0, FAILED)
+
+
+def _time(lanes: Lanes) -> Numbers:
+    """[s] until the end."""
+    return _failure(lanes) + lanes.clock
+
+
+def _error(lanes: Lanes) -> Numbers:
+    """The task's first figure."""
+    return _failure(lanes) + np.abs(lanes.memory[:, FIGURES])
+
+
+def _sort_way(lanes: Lanes) -> Numbers:
+    """[s] until the parcel is off the line if all axes were at 45 deg from now on; and what it
+    lacks where it would come to rest before.
+    """
+    _, y, _, vx, vy, _ = lanes.truth.T
+    side = lanes.goal[:, sort.SIDE]
+    if side[0] == 0.0:
+        return _off_line(lanes) - 0.1 * lanes.truth[:, 0]
+    vy = side * vy
+    left = _reach(lanes) + 0.5 * PITCH * (lanes.zone[:, ROWS] - 1) - side * (y - LINE_Y)
+    left = np.maximum(0.0, left)
+    kept = np.maximum(0.0, np.where(vx > vy, 0.5 * (vx + vy), vy))
+    vy = np.clip(vy, 0.0, kept)
+    turning = (kept - vy) / TURNING
+    while_turning = 0.5 * (kept + vy) * turning
+    at_once = (np.sqrt(vy**2 + 2.0 * TURNING * left) - vy) / TURNING
+    square = kept**2 - 2.0 * sort.ROLLING_LOSS * np.maximum(0.0, left - while_turning)
+    later = turning + (kept - np.sqrt(np.maximum(0.0, square))) / sort.ROLLING_LOSS
+    return np.where(left < while_turning, at_once, later) + FAILED * np.maximum(0.0, -square)
+
+
+def _sort_event(model: Model) -> tuple[int, int] | None:
+    """The fixed layout and every event rule: 45 deg to the asked side from some time on."""
+    side = float(model.lanes.goal[0, sort.SIDE])
+    if side == 0.0:
+        return None
+    return model.uniform_action(ROLLING), model.uniform_action(-side * math.pi / 4.0)
+
+
+def _slow_way(lanes: Lanes) -> Numbers:
+    """[m/s] off what would roll out at the asked ratio, straight and in time."""
+    to_go = _rear_to_go(lanes)
+    speed = np.hypot(lanes.truth[:, 3], lanes.truth[:, 4])
+    asked = lanes.goal[:, slow.RATIO] * lanes.goal[:, slow.ENTRY_SPEED]
+    excess = speed - np.sqrt(asked**2 + 2.0 * ROLLING_LOSS * to_go)
+    late = np.maximum(0.0, lanes.clock + to_go / np.maximum(speed, 1e-3) - ARRIVAL)
+    return np.abs(excess) + 2.0 * late + _askew(lanes)
+
+
+def _stop_way(lanes: Lanes) -> Numbers:
+    """[m] that full braking ends short of the asked x; beyond it there is no way back."""
+    x, _, _, vx, _, _ = lanes.truth.T
+    short = lanes.goal[:, stop.POSITION] - x - vx**2 / (2.0 * BRAKING)
+    return np.where(short < 0.0, -10.0 * short, short) + 0.1 * _askew(lanes)
+
+
+def _orient_way(lanes: Lanes) -> Numbers:
+    """[rad] left to turn; with speed enough to turn it and to leave the zone, and on the line."""
+    _, _, theta, vx, vy, omega = lanes.truth.T
+    left = np.abs(lanes.goal[:, orient.ANGLE] - theta - SETTLING * omega)
+    spent = ROLLING_LOSS * _rear_to_go(lanes) + TURN_LOSS * lanes.body[:, HALF_LENGTH] * left
+    lack = np.maximum(0.0, np.sqrt(EXIT_SPEED**2 + 2.0 * spent) - vx)
+    return left + lack - 0.2 * vx + 0.2 * _off_line(lanes) + 0.06 * np.abs(vy)
+
+
+def _track_way(lanes: Lanes) -> Numbers:
+    """Mean squares of the errors so far, each over what is as bad, and where they lead."""
+    since = np.maximum(lanes.clock, 1e-9)
+    off = lanes.memory[:, track.SQUARED_ERROR] / since / CROSS_ERROR**2
+    pace = lanes.memory[:, track.SQUARED_SPEED_ERROR] / since / SPEED_ERROR**2
+    lost = np.where(lanes.outcome > SUCCESS, FAILED**2, 0.0)
+    return off + pace + (_speed_across(lanes) / CROSS_SPEED) ** 2 + lost
+
+
+def _speed_across(lanes: Lanes) -> Numbers:
+    """[m/s] across the path."""
+    x, _, _, vx, vy, _ = lanes.truth.T
+    # A search's lanes have their path in common.
+    first, step = lanes.goal[0, track.FIRST_X], lanes.goal[0, track.STEP_X]
+    piece = np.clip((x - first) / step, 0.0, PATH_POINTS - 2.0).astype(np.int64)
+    slope = np.diff(lanes.path[0])[piece] / step
+    across: Numbers = (vy - slope * vx) / np.sqrt(1.0 + slope**2)
+    return across
+
+
+_LIMIT = MAX_EPISODE_STEPS
+AIMS = {
+    "sort": Aim(_sort_way, _time, FAILED, _LIMIT["sort"], _LIMIT["sort"], event=_sort_event),
+    "slow": Aim(_slow_way, _error, 2e-4, _LIMIT["slow"], _LIMIT["slow"]),
+    "stop": Aim(_stop_way, _error, 2e-5, _LIMIT["stop"], _LIMIT["stop"]),
+    "orient": Aim(_orient_way, _error, 1e-3, _LIMIT["orient"], _LIMIT["orient"]),
+    "track": Aim(_track_way, _track_way, 0.0, horizon=8, follow=2, share=4),
+}

@@ -1,0 +1,78 @@
+"""The start that an observation shows: what the planner takes for the truth."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.sight import LineSight, PathSight, line_sight, path_sight
+from surface_gym.lanes.memory import PATH_POINTS
+from surface_gym.layouts import LINE_Y, box
+from surface_gym.parcel import Parcel
+from surface_gym.plant import ORIGIN, PITCH, Line
+from surface_gym.settings import Settings
+from surface_gym.tasks.line import zone_of
+from surface_gym.tasks.orient import Orient
+from surface_gym.tasks.slow import Slow
+from surface_gym.tasks.sort import Sort
+from surface_gym.tasks.stop import Stop
+from surface_gym.tasks.task import Start
+from surface_gym.tasks.track import AHEAD
+
+BETWEEN_BOXES = 0.175  # [m] half length, midway between the S-box's and the B-box's
+
+# On a field all places are alike but for that within a pitch: the parcel is put beside one module.
+_COLUMN, _ROW = 10, 10
+FIELD_ZONE = (6, 25)  # columns that a search may take a parcel over from there
+_PIECE = 0.007  # [m] along x, of the path as rebuilt
+_BEHIND = 60  # pieces of it behind the parcel
+
+
+def start_of(settings: Settings, observation: NDArray[np.float32]) -> Start:
+    """The start that an observation (features,) shows, the parcel one of the paper's boxes."""
+    seen = observation[np.newaxis]
+    if isinstance(settings.chosen_task.plant, Line):
+        return _on_line(settings, line_sight(settings, seen))
+    return _on_field(path_sight(settings, seen))
+
+
+def _box_of(half_length: float) -> Parcel:
+    return box("S" if half_length < BETWEEN_BOXES else "B")
+
+
+def _on_line(settings: Settings, see: LineSight) -> Start:
+    task = settings.chosen_task
+    assert isinstance(task, (Sort, Slow, Stop, Orient))
+    parcel = _box_of(float(see.half_length[0]))
+    x = zone_of(task.plant, parcel, settings.zone)[0] + float(see.into_zone[0])
+    pose = (x, LINE_Y + float(see.offset[0]), float(see.theta[0]))
+    velocity = (float(see.vx[0]), float(see.vy[0]), float(see.omega[0]))
+    if isinstance(task, Sort):
+        goal: tuple[float, ...] = (float(see.side[0]),)
+    elif isinstance(task, Slow):
+        goal = (float(see.ratio[0]), float(see.entry_speed[0]))
+    elif isinstance(task, Stop):
+        goal = (x + float(see.to_go[0]),)
+    else:
+        goal = (float(see.angle[0]),)
+    return Start(parcel, pose, velocity, goal)
+
+
+def _on_field(see: PathSight) -> Start:
+    x = ORIGIN + PITCH * _COLUMN + float(see.x_in_pitch[0])
+    y = ORIGIN + PITCH * _ROW + float(see.y_in_pitch[0])
+    # The centre is over the middle of a piece, beyond what is seen the path goes on straight.
+    from_centre = _PIECE * (np.arange(PATH_POINTS) - _BEHIND - 0.5)
+    slope = np.interp(from_centre[:-1] + 0.5 * _PIECE, AHEAD, see.slope[0])
+    path = np.concatenate([[0.0], np.cumsum(_PIECE * slope)])
+    on_path = y - float(see.cross_error[0]) * math.sqrt(1.0 + float(see.slope[0, 0]) ** 2)
+    path += on_path - 0.5 * (path[_BEHIND] + path[_BEHIND + 1])
+    vx, vy = see.velocity
+    return Start(
+        _box_of(float(see.half_length[0])),
+        (x, y, float(see.theta[0])),
+        (float(vx[0]), float(vy[0]), float(see.omega[0])),
+        (float(see.asked_speed[0]), x + float(from_centre[0]), _PIECE),
+        float(see.tilt[0]),
+        path,
+    )

@@ -1,0 +1,51 @@
+"""The orientations that rules speak of, among those on offer."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from surface_gym.settings import Settings
+
+_SAME = 1e-6  # [rad] axes closer than this are one
+
+
+def choice_of(settings: Settings, angle: float) -> int:
+    """The place of an axis angle [rad] among the orientations; an axis turned by pi is the same.
+
+    Raises:
+        ValueError: it is not among them.
+    """
+    angles = np.array(settings.orientations)
+    apart = np.abs(np.angle(np.exp(2j * (angles - angle)))) / 2.0
+    if apart.min() > _SAME:
+        raise ValueError(
+            f"orientations must hold {math.degrees(angle):g} deg, "
+            f"got {np.degrees(angles).tolist()} deg"
+        )
+    return int(apart.argmin())
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Choices by what they do to a parcel that moves along the line."""
+
+    roll: int  # 90 deg: it rolls on
+    brake: int  # 0 deg: it is braked
+    left: int  # -45 deg: it is led towards y > 0
+    right: int  # 45 deg: it is led towards y < 0
+
+
+def axes_of(settings: Settings) -> Axes:
+    """The four orientations of the paper's Figure 2b.
+
+    Raises:
+        ValueError: one of them is not on offer.
+    """
+    quarter = math.pi / 4.0
+    return Axes(
+        roll=choice_of(settings, 2.0 * quarter),
+        brake=choice_of(settings, 0.0),
+        left=choice_of(settings, -quarter),
+        right=choice_of(settings, quarter),
+    )

@@ -1,0 +1,25 @@
+"""Track by axes arranged once: every axis at 90 deg, since no path is known beforehand."""
+
+import numpy as np
+
+from agents.rules.axes import axes_of
+from agents.rules.lane_rule import Booleans, Commands, LaneRule, Memory, Observations
+from surface_gym.settings import Settings
+
+
+class Rolling(LaneRule):
+    """90 deg everywhere: the parcel rolls straight downhill.
+
+    A field arranged along a path would have to know the path, of which observations show the next
+    0.35 m: to arrange axes by that is to control.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings, ("track",))
+        self._roll = axes_of(settings).roll
+
+    def _decide(
+        self, observations: Observations, memory: Memory | None, fresh: Booleans
+    ) -> tuple[Commands, Memory | None]:
+        del memory, fresh
+        return np.full((len(observations), self._kind.size), self._roll), None

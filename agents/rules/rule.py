@@ -1,0 +1,17 @@
+"""A rule with what it is for."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from agents.controller import Controller
+from surface_gym.settings import Settings
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A controller that does not learn."""
+
+    name: str
+    task: str  # its name
+    actions: str  # the kind of action it is for
+    make: Callable[[Settings], Controller]

@@ -1,0 +1,66 @@
+"""The command line of train.py: defaults of the task, runs gone on with, refusals."""
+
+from pathlib import Path
+
+import pytest
+
+from agents.learning.command import open_run
+from agents.learning.config import DQNConfig, PPOConfig
+from agents.learning.hyperparams import defaults
+
+
+def test_defaults_are_those_of_task_and_algorithm(tmp_path: Path) -> None:
+    arguments = ["--task", "track", "--algo", "dqn", "--seed", "3", "--out", str(tmp_path)]
+    config, folder = open_run(arguments)
+    default = defaults("track", "dqn")
+    assert isinstance(config, DQNConfig)
+    assert (config.task, config.seed, config.steps) == ("track", 3, default.steps)
+    assert folder.parent == tmp_path
+    assert folder.name.startswith("track-dqn-seed3-")
+    assert (folder / "command.txt").read_text().startswith("python ")
+
+
+def test_a_run_is_gone_on_with_as_it_was_asked_for(tmp_path: Path) -> None:
+    config, folder = open_run(["--lanes", "32", "--out", str(tmp_path), "--name", "a"])
+    assert isinstance(config, PPOConfig)
+    assert open_run(["--resume", str(folder)]) == (config, folder)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--steps", "0"], "steps"),
+        (["--gamma", "2"], "gamma"),
+        (["--algo", "dqn", "--actions", "window"], "actions"),
+        (["--resume", "nowhere"], "nowhere"),
+        (["--resume", "nowhere", "--steps", "5"], "--resume must stand alone"),
+    ],
+)
+def test_refusals_name_what_is_wrong(
+    arguments: list[str],
+    named: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises((ValueError, SystemExit)) as raised:
+        open_run(arguments)
+    assert named in str(raised.value) + capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_is_not_written_over(tmp_path: Path) -> None:
+    arguments = ["--out", str(tmp_path), "--name", "a"]
+    open_run(arguments)
+    with pytest.raises(ValueError, match="--resume"):
+        open_run(arguments)
+
+
+@pytest.mark.parametrize("wrong", [["--task", "juggle"], ["--algo", "sac"], ["--hidden", "x"]])
+def test_unknown_choices_end_the_program(
+    wrong: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit):
+        open_run(wrong)

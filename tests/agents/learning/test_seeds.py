@@ -1,0 +1,40 @@
+"""Seeds trained in processes of their own come to what each comes to alone."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from rich.console import Console
+
+from agents.learning.config import PPOConfig
+from agents.learning.folder import parts
+from agents.learning.seeds import train_seeds
+from agents.learning.training import train
+from agents.policy import WEIGHTS
+
+SMALL = PPOConfig(
+    task="slow", seed=3, seeds=2, lanes=8, steps=2_000, n_steps=16, batch_size=64, n_epochs=1,
+    hidden=(8,),
+)  # fmt: skip
+
+
+def test_seeds_apart_are_seeds_alone(tmp_path: Path) -> None:
+    learned = train_seeds(SMALL, tmp_path, Console(quiet=True))
+    assert [each.steps >= 2_000 for each in learned] == [True, True]
+    assert [folder.name for _, folder in parts(SMALL, tmp_path)] == ["seed-3", "seed-4"]
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    train(replace(SMALL, seed=4, seeds=1), alone)
+    weights = {
+        name: torch.load(tmp_path / name / WEIGHTS) for name in ("alone", "seed-3", "seed-4")
+    }
+    for name, values in weights["alone"].items():
+        assert torch.equal(values, weights["seed-4"][name])
+    assert not all(
+        torch.equal(values, weights["seed-3"][name]) for name, values in weights["alone"].items()
+    )
+
+
+def test_one_seed_lies_in_the_runs_own_folder(tmp_path: Path) -> None:
+    one = replace(SMALL, seeds=1)
+    assert parts(one, tmp_path) == [(one, tmp_path)]

@@ -1,0 +1,87 @@
+"""Running rules over starts, one lane each, for the tests."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import surface_gym as sg
+from agents.controller import Controller
+from agents.rules import RULES
+from agents.rules.rule import Rule
+from surface_gym.settings import Settings
+from surface_gym.tasks.paths import Sine
+
+LIMIT = 300  # control periods, as many as the longest task has
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """First episodes of some lanes."""
+
+    success: np.ndarray  # (lanes,)
+    outcome: np.ndarray  # (lanes,)
+    time: np.ndarray  # (lanes,) [s]
+    pose: np.ndarray  # (lanes, 3) at the end
+    velocity: np.ndarray  # (lanes, 3) at the end
+    figures: dict[str, np.ndarray]  # the task's own, (lanes,) each
+
+
+def rule(task: str, name: str) -> Rule:
+    """The rule of a task with a name."""
+    (found,) = (rule for rule in RULES if (rule.task, rule.name) == (task, name))
+    return found
+
+
+def run(controller: Controller, settings: Settings, starts: list[dict[str, Any]]) -> Runs:
+    """One lane a start, each to the end of its episode."""
+    lanes = len(starts)
+    env = sg.SmartSurfaceVectorEnv(
+        lanes,
+        task=settings.task,
+        actions=settings.actions,
+        sensors=settings.sensors,
+        max_episode_steps=LIMIT,
+        autoreset_mode="SameStep",
+    )
+    observation, info = env.reset(seed=0, options=starts)
+    names = ("is_success", "outcome", "time", "pose", "velocity", *settings.chosen_task.figures)
+    ends = {name: info[name].copy() for name in names}
+    running, state, begun = np.ones(lanes, dtype=bool), None, np.ones(lanes, dtype=bool)
+    while running.any():
+        action, state = controller.predict(observation, state=state, episode_start=begun)
+        observation, _, terminated, truncated, info = env.step(action)
+        begun = terminated | truncated
+        for name in names:
+            ended = running & begun
+            if ended.any():
+                ends[name][ended] = info["final_info"][name][ended]
+        running &= ~begun
+    figures = {name: ends[name] for name in settings.chosen_task.figures}
+    return Runs(*(ends[name] for name in names[:5]), figures)
+
+
+def run_rule(task: str, name: str, starts: list[dict[str, Any]]) -> Runs:
+    """A rule, found by task and name, over some starts."""
+    chosen = rule(task, name)
+    settings = Settings(task=task, actions=chosen.actions)
+    return run(chosen.make(settings), settings, starts)
+
+
+def mirrored_starts(task: str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Starts and their mirror images in the line's middle, for the tasks that have such."""
+    shared = [
+        {"speed": speed, "parcel": parcel}
+        for speed in {"track": (0.7, 0.9)}.get(task, (1.4, 1.7))
+        for parcel in "SB"
+    ]
+    goals: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+        "sort": ({"side": 1}, {"side": -1}),
+        "orient": ({"angle": 0.4}, {"angle": -0.4}),
+        "track": (
+            {"path": Sine(0.12, 2.4, middle=1.03), "tilt": 0.23},
+            {"path": Sine(-0.12, 2.4, middle=0.97), "tilt": 0.23},
+        ),
+    }
+    first, second = goals[task]
+    return [{**start, **first} for start in shared], [{**start, **second} for start in shared]

@@ -1,0 +1,187 @@
+"""What every rule must do, whatever its task."""
+
+import math
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from agents.rules import RULES
+from agents.rules.event import EventRule
+from agents.rules.fixed import FixedLayout
+from agents.rules.rolling import Rolling
+from agents.rules.rule import Rule
+from surface_gym.actions import KINDS
+from surface_gym.layouts import LINE_Y
+from surface_gym.sensors import Camera
+from surface_gym.settings import Settings
+from tests.agents.rules.runs import mirrored_starts, run
+
+every_rule = pytest.mark.parametrize("rule", RULES, ids=lambda rule: f"{rule.task}: {rule.name}")
+
+
+def settings_of(rule: Rule, **others: Any) -> Settings:
+    return Settings(task=rule.task, actions=rule.actions, **others)
+
+
+def test_no_two_rules_of_a_task_share_a_name() -> None:
+    names = [(rule.task, rule.name) for rule in RULES]
+    assert len(set(names)) == len(names)
+    assert {task for task, _ in names} == {"sort", "slow", "stop", "track", "orient"}
+    for task in dict(names):
+        assert (task, "fixed layout") in names
+
+
+@every_rule
+@pytest.mark.parametrize("sensors", [sg.sensors.Exact(), Camera()], ids=["exact", "camera"])
+def test_it_acts_inside_the_action_space(rule: Rule, sensors: Any) -> None:
+    settings = settings_of(rule, sensors=sensors)
+    env = gym.make(
+        f"SmartSurface/{rule.task.capitalize()}-v0", actions=rule.actions, sensors=sensors
+    )
+    controller = rule.make(settings)
+    state = None
+    observation, _ = env.reset(seed=3)
+    for _ in range(40):
+        action, state = controller.predict(observation, state=state)
+        assert env.action_space.contains(action)
+        observation, _, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            observation, _ = env.reset()
+            state = None
+    env.close()
+
+
+@every_rule
+@pytest.mark.parametrize(
+    "others",
+    [
+        {"zone": (6, 15)},
+        {"control_period": 0.1},
+        {"orientations": tuple(math.pi / 2 - np.arange(8) * math.pi / 8)},
+    ],
+    ids=lambda others: next(iter(others)),
+)
+def test_it_acts_in_other_settings_too(rule: Rule, others: dict[str, Any]) -> None:
+    settings = settings_of(rule, **others)
+    env = sg.SmartSurfaceVectorEnv(6, task=rule.task, actions=rule.actions, **others)
+    controller, state = rule.make(settings), None
+    observations, _ = env.reset(seed=4)
+    begun = np.ones(6, dtype=bool)
+    for _ in range(25):
+        actions, state = controller.predict(observations, state=state, episode_start=begun)
+        assert env.action_space.contains(actions)
+        observations, _, terminated, truncated, _ = env.step(actions)
+        begun = terminated | truncated
+
+
+@pytest.mark.parametrize("actions", KINDS)
+@pytest.mark.parametrize(
+    ("task", "make"), [("sort", FixedLayout), ("sort", EventRule), ("track", Rolling)]
+)
+def test_what_sets_all_modules_alike_does_so_with_any_kind(
+    task: str, make: Any, actions: str
+) -> None:
+    settings = Settings(task=task, actions=actions)
+    env = sg.SmartSurfaceEnv(task=task, actions=actions)
+    observation, _ = env.reset(seed=0)
+    for _ in range(20):
+        action, state = make(settings).predict(observation)
+        assert state is None
+        assert env.action_space.contains(action)
+        (command,) = settings.action_kind.commands([action], 1)
+        assert len(set(command.tolist())) == 1
+        observation, _, terminated, _, _ = env.step(action)
+        if terminated:
+            break
+
+
+@every_rule
+def test_a_lane_alone_is_as_among_many(rule: Rule) -> None:
+    settings = settings_of(rule)
+    lanes = 6
+    env = sg.SmartSurfaceVectorEnv(
+        lanes, task=rule.task, actions=rule.actions, max_episode_steps=60, autoreset_mode="SameStep"
+    )
+    many, alone = rule.make(settings), rule.make(settings)
+    observations, _ = env.reset(seed=20)
+    state, states, begun = None, [None] * lanes, np.ones(lanes, dtype=bool)
+    for _ in range(80):
+        actions, state = many.predict(observations, state=state, episode_start=begun)
+        for lane in range(lanes):
+            # A lane by itself is told of a new episode by an empty state.
+            before = None if begun[lane] else states[lane]
+            action, states[lane] = alone.predict(observations[lane], state=before)
+            np.testing.assert_array_equal(action, actions[lane])
+        observations, _, terminated, truncated, _ = env.step(actions)
+        begun = terminated | truncated
+
+
+@every_rule
+def test_what_it_remembers_ends_with_the_episode(rule: Rule) -> None:
+    """Told that an episode has begun, it decides as it does with nothing to remember."""
+    controller = rule.make(settings_of(rule))
+    env = sg.SmartSurfaceVectorEnv(4, task=rule.task, actions=rule.actions)
+    observations, _ = env.reset(seed=1)
+    state = None
+    for _ in range(15):
+        actions, state = controller.predict(observations, state=state)
+        observations, *_ = env.step(actions)
+    others, _ = env.reset(seed=2)
+    without, _ = controller.predict(others)
+    begun = np.array([True, False, True, False])
+    with_old, _ = controller.predict(others, state=state, episode_start=begun)
+    np.testing.assert_array_equal(with_old[begun], without[begun])
+
+
+@pytest.mark.parametrize("task", ["slow", "stop", "orient"])
+def test_a_fixed_layout_stays_as_it_was_arranged(task: str) -> None:
+    (rule,) = (rule for rule in RULES if (rule.task, rule.name) == (task, "fixed layout"))
+    controller = rule.make(settings_of(rule))
+    env = sg.SmartSurfaceVectorEnv(4, task=task)
+    observations, _ = env.reset(seed=1)
+    arranged, state = controller.predict(observations)
+    assert len(np.unique(arranged, axis=0)) > 1
+    for _ in range(10):
+        observations, *_ = env.step(arranged)
+        actions, state = controller.predict(observations, state=state)
+        np.testing.assert_array_equal(actions, arranged)
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        rule
+        for rule in RULES
+        if rule.task in ("sort", "orient", "track") and rule.name != "sliding mode"
+    ],
+    ids=lambda rule: f"{rule.task}: {rule.name}",
+)
+def test_mirrored_starts_end_in_mirror_images(rule: Rule) -> None:
+    settings = settings_of(rule)
+    starts, images = mirrored_starts(rule.task)
+    here, there = (run(rule.make(settings), settings, some) for some in (starts, images))
+    assert here.outcome.tolist() == there.outcome.tolist()
+    image = np.stack([there.pose[:, 0], 2.0 * LINE_Y - there.pose[:, 1], -there.pose[:, 2]], -1)
+    np.testing.assert_allclose(here.pose, image, rtol=0, atol=1e-3)
+
+
+@every_rule
+def test_it_refuses_settings_it_is_not_made_for(rule: Rule) -> None:
+    other = "stop" if rule.task != "stop" else "slow"
+    with pytest.raises(ValueError, match="task"):
+        rule.make(Settings(task=other, actions=rule.actions))
+    with pytest.raises(ValueError, match="orientations"):
+        rule.make(settings_of(rule, orientations=(0.0, math.pi / 3)))
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [rule for rule in RULES if rule.make not in (FixedLayout, EventRule, Rolling)],
+    ids=lambda rule: f"{rule.task}: {rule.name}",
+)
+def test_a_rule_of_single_modules_refuses_other_kinds_of_action(rule: Rule) -> None:
+    with pytest.raises(ValueError, match="actions"):
+        rule.make(Settings(task=rule.task, actions="quadrants"))

@@ -1,0 +1,56 @@
+"""Episodes: those of a single environment stepped by hand, to the bit."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from agents.episodes import arguments, run_apart, run_episodes, task_name
+from agents.rules import RULES
+from surface_gym.registration import env_id
+from surface_gym.sensors import Camera
+from surface_gym.settings import Settings
+
+ONE_A_TASK = {rule.task: rule for rule in RULES}
+
+
+@pytest.mark.parametrize("rule", ONE_A_TASK.values(), ids=ONE_A_TASK)
+def test_they_are_a_single_environments(rule) -> None:  # type: ignore[no-untyped-def]
+    settings = Settings(task=rule.task, actions=rule.actions, sensors=Camera())
+    starts = [{"parcel": "S"}, {}, {"parcel": "B"}]
+    found = run_episodes(rule.make(settings), settings, starts, seed=30)
+    for k, start in enumerate(starts):
+        env = gym.make(env_id(rule.task), **arguments(settings))
+        observation, info = env.reset(seed=30 + k, options=start)
+        poses, over, state = [info["pose"]], False, None
+        controller = rule.make(settings)
+        while not over:
+            action, state = controller.predict(
+                observation[np.newaxis], state, np.array([len(poses) == 1])
+            )
+            observation, _, terminated, truncated, info = env.step(action[0])
+            poses.append(info["pose"])
+            over = terminated or truncated
+        np.testing.assert_array_equal(found.path(k), poses)
+        np.testing.assert_array_equal(found.velocity[k], info["velocity"])
+        assert found.success[k] == info["is_success"]
+        assert found.time[k] == info["time"]
+        assert found.outcome[k] in (info["outcome"], "out of time")
+        for name, values in found.figures.items():
+            assert values[k] == info[name]
+
+
+def test_apart_they_are_the_same() -> None:
+    settings = Settings(task="slow", actions="modules")
+    rule = ONE_A_TASK["slow"]
+    starts = [{"parcel": "S"}, {"parcel": "B"}, {}]
+    together = run_episodes(rule.make(settings), settings, starts, seed=3)
+    apart = run_apart(rule.make(settings), settings, starts, seed=3)
+    np.testing.assert_array_equal(together.pose, apart.pose)
+    np.testing.assert_array_equal(together.success, apart.success)
+    np.testing.assert_array_equal(together.figures["ratio_error"], apart.figures["ratio_error"])
+    assert together.outcome == apart.outcome
+
+
+@pytest.mark.parametrize("task", ONE_A_TASK)
+def test_a_settings_task_has_a_name(task: str) -> None:
+    assert task_name(Settings(task=task)) == task

@@ -1,0 +1,84 @@
+"""The agents that come with the package: each loads, acts and does what its card says."""
+
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import yaml
+
+import agents
+from agents.library import SHELF, read
+from surface_gym.tasks import TASKS
+
+
+def test_a_ppo_and_a_dqn_for_each_task_and_one_for_modules() -> None:
+    wanted = {f"{task}-{algo}" for task in TASKS for algo in ("ppo", "dqn")} | {"sort-modules"}
+    assert set(agents.names()) == wanted
+
+
+@pytest.mark.parametrize("name", agents.names())
+class TestEach:
+    def test_it_acts_in_its_environment(self, name: str) -> None:
+        assert len(agents.seeds(name)) >= 3
+        policy = agents.load(name)
+        env = gym.make(policy.env_id, **policy.env_kwargs)
+        observation, _ = env.reset(seed=0)
+        action, _ = policy.predict(observation, deterministic=True)
+        assert action in env.action_space
+        lanes = gym.make_vec(policy.env_id, num_envs=3, **policy.env_kwargs)
+        observations, _ = lanes.reset(seed=0)
+        assert policy.predict(observations)[0] in lanes.action_space
+
+    def test_seeds_differ(self, name: str) -> None:
+        first, second, *_ = (agents.load(name, seed) for seed in agents.seeds(name))
+        rng = np.random.default_rng(0)
+        shape = (256, *gym.make(first.env_id, **first.env_kwargs).observation_space.shape)
+        observations = rng.normal(size=shape).astype(np.float32)
+        assert (first.predict(observations)[0] != second.predict(observations)[0]).any()
+
+    def test_its_card_says_how_it_came_about(self, name: str) -> None:
+        card = yaml.safe_load((SHELF / name / "card.yaml").read_text())
+        assert card["command"].startswith("python ")
+        assert card["seeds"] == list(agents.seeds(name))
+        assert len(card["steps"]) == len(card["seconds"]) == len(card["seeds"])
+        for condition in ("exact", "camera"):
+            results = card["results"][condition]
+            assert results["interval"][0] <= results["success"] <= results["interval"][1]
+            assert np.mean(results["success_of_each_seed"]) == pytest.approx(
+                results["success"], abs=1e-3
+            )
+
+    def test_it_is_small(self, name: str) -> None:
+        size = sum(file.stat().st_size for file in (SHELF / name).rglob("*"))
+        assert size < 500_000
+
+
+def test_unknown_names_and_seeds_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="name must be one of"):
+        agents.load("juggle-ppo")
+    with pytest.raises(ValueError, match="seed must be one of"):
+        agents.load("sort-ppo", seed=99)
+    with pytest.raises(ValueError, match="holds no policy"):
+        read(tmp_path)
+    (tmp_path / "policy.yaml").write_text("algo: modules\n")
+    with pytest.raises(ValueError, match=r"policy\.pt is missing"):
+        read(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["sort-ppo", "stop-ppo", "track-ppo"])
+def test_a_few_starts_go_as_the_card_says(name: str) -> None:
+    """Under exact sensors the card promises nearly every start."""
+    policy = agents.load(name)
+    options = {"speed": 0.6, "parcel": "S"} if name == "sort-ppo" else {"parcel": "S"}
+    if name == "track-ppo":
+        options["tilt"] = 0.21
+    for seed in range(3):
+        env = gym.make(policy.env_id, **policy.env_kwargs)
+        observation, info = env.reset(seed=seed, options=options)
+        over = False
+        while not over:
+            action, _ = policy.predict(observation)
+            observation, _, terminated, truncated, info = env.step(action)
+            over = terminated or truncated
+        assert info["is_success"]
