@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as Screen
@@ -87,7 +88,7 @@ def _rate(summary: Summary | None, condition: Condition) -> str:
     if condition.name != "exact":
         return f"{summary.rate:.3f}"
     low, high = summary.interval
-    return f"{summary.rate:.3f} ({low:.3f} to {high:.3f})"
+    return f"{summary.rate:.3f} ({low:.3f}-{high:.3f})"
 
 
 def value_of(column: Column, summary: Summary, fixed: Summary) -> float:
@@ -105,13 +106,45 @@ def _text(column: Column, summary: Summary, fixed: Summary) -> str:
 
 
 def print_table(table: Table, console: Console) -> None:
-    """Show a table on screen."""
-    screen = Screen(title=table.task.capitalize(), caption=escape(table.told))
-    for number, name in enumerate(table.header):
-        screen.add_column(escape(name), justify="right" if number else "left")
-    for row in table.rows:
-        screen.add_row(*map(escape, row))
-    console.print(screen)
+    """Show a table on screen; where it is too wide, in parts that repeat the first column."""
+    parts = _parts(table, console.width)
+    for number, part in enumerate(parts):
+        last = number == len(parts) - 1
+        screen = Screen(
+            title=None if number else table.task.capitalize(),
+            caption=escape(table.told) if last else None,
+            box=SIMPLE,
+        )
+        for column in part:
+            screen.add_column(
+                escape(table.header[column]),
+                justify="right" if column else "left",
+                min_width=_width(table, column),
+            )
+        for row in table.rows:
+            screen.add_row(*(escape(row[column]) for column in part))
+        console.print(screen)
+
+
+def _width(table: Table, column: int) -> int:
+    """Letters that a column needs: a cell stands in one line, a heading may be broken."""
+    words = table.header[column].split()
+    return max(len(text) for text in (*words, *(row[column] for row in table.rows)))
+
+
+def _parts(table: Table, width: int) -> list[list[int]]:
+    """Columns that stand beside each other on a screen."""
+    apart = 3  # blanks about a column
+    parts = [[0]]
+    used = first = _width(table, 0) + 4
+    for column in range(1, len(table.header)):
+        needed = _width(table, column) + apart
+        if used + needed > width and len(parts[-1]) > 1:
+            parts.append([0])
+            used = first
+        parts[-1].append(column)
+        used += needed
+    return parts
 
 
 def markdown(table: Table) -> str:
