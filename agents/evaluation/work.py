@@ -41,13 +41,17 @@ def compute_cells(
     """
     todo = orders(contenders)
     wanted = [(who.task, who.name, condition, seed) for who, seed, condition in todo]
-    found = {cell.key: cell for cell in read_cells(folder)} if folder else {}
+    found = {}
+    if folder is not None:
+        found = {cell.key: cell for cell in read_cells(folder)}
+        # A line that was broken off must not spoil the next.
+        (folder / FILE).write_text("".join(map(_line, found.values())))
     left = [order for order, key in zip(todo, wanted, strict=True) if key not in found]
     for done, cell in enumerate(_computed(left, workers), len(todo) - len(left) + 1):
         found[cell.key] = cell
         if folder is not None:
             with (folder / FILE).open("a") as file:
-                file.write(json.dumps(cell.plain()) + "\n")
+                file.write(_line(cell))
         advance(done, len(todo), f"{cell.task}, {cell.contender}, {cell.condition}")
     order = {(who.task, who.name): k for k, who in enumerate(contenders)}
     places = {condition.name: k for k, condition in enumerate(CONDITIONS)}
@@ -69,6 +73,10 @@ def read_cells(folder: Path) -> list[Cell]:
         except (json.JSONDecodeError, TypeError):
             continue
     return cells
+
+
+def _line(cell: Cell) -> str:
+    return json.dumps(cell.plain()) + "\n"
 
 
 def _computed(left: Sequence[tuple[Contender, int, str]], workers: int) -> Iterator[Cell]:
