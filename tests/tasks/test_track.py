@@ -177,7 +177,7 @@ class TestReward:
             precision = gained * math.exp(-cross / 0.005)
             assert terms["precision"] == pytest.approx(precision, abs=1e-12)
             assert terms["cross_error"] == pytest.approx(-8.0 * gained * cross, abs=1e-12)
-            off = -0.5 * gained * abs(speed - 1.0)
+            off = -2.0 * gained * abs(speed - 1.0)
             assert terms["speed_error"] == pytest.approx(off, abs=1e-12)
 
     def test_distance_adds_up_to_the_way(self) -> None:
