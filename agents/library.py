@@ -7,7 +7,7 @@ from surface_gym import checks
 
 if TYPE_CHECKING:
     from agents.modules.policy import ModulesPolicy
-    from agents.policy import Policy
+    from agents.policies.policy import Policy
 
 SHELF = Path(__file__).parent / "shipped"
 
@@ -48,10 +48,6 @@ def read(folder: Path) -> "Policy | ModulesPolicy":
     Raises:
         ValueError: the folder holds no policy, or a damaged or foreign one.
     """
-    # They bring PyTorch with them.
-    from agents.modules.policy import load_modules
-    from agents.policy import CARD, load_policy
+    from agents.policies.files import load_policy  # which brings PyTorch with it
 
-    card = folder / CARD
-    of_modules = card.is_file() and "algo: modules" in card.read_text(errors="replace").splitlines()
-    return load_modules(folder) if of_modules else load_policy(folder)
+    return load_policy(folder)

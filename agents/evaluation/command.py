@@ -11,7 +11,6 @@ from agents.evaluation.contenders import Contender, contenders, rules, trained
 from agents.evaluation.report import compare_run, write_report
 from agents.evaluation.table import Summaries
 from agents.evaluation.work import FILE, compute_cells
-from agents.learning.folder import open_folder, parts
 from surface_gym import checks
 from surface_gym.tasks import TASKS
 
@@ -79,10 +78,15 @@ def evaluate_run(run: Path, workers: int, console: Console) -> tuple[Contender, 
         The policies as they were compared, and the comparison.
 
     Raises:
-        ValueError: the folder holds no run, or no policy, or a damaged one.
+        ValueError: the folder holds no policy, or a damaged one.
     """
-    config = open_folder(run)
-    agent = trained({part.seed: folder for part, folder in parts(config, run)})
-    summaries = compare_run(rules(config.task)[0], agent, workers, run, console)
+    agent = trained(_policies(run))
+    summaries = compare_run(rules(agent.task)[0], agent, workers, run, console)
     console.print(f"everything is in {run}")
     return agent, summaries
+
+
+def _policies(run: Path) -> dict[int, Path]:
+    """Folders of a run's policies by seed; that of a single one is the run's own."""
+    found = {int(each.name.removeprefix("seed-")): each for each in run.glob("seed-*")}
+    return dict(sorted(found.items())) or {0: run}

@@ -11,10 +11,9 @@ import yaml
 from agents.evaluation.columns import COLUMNS
 from agents.evaluation.contenders import FIXED, Contender
 from agents.evaluation.table import Summaries, value_of
-from agents.learning.config import Config
+from agents.learning.config import TrainConfig
 from agents.learning.hyperparams import defaults
-from agents.learning.training import Learned
-from agents.modules.training import ModulesLearned
+from agents.learning.legs import Learned
 
 FILE = "card.yaml"
 
@@ -22,7 +21,7 @@ FILE = "card.yaml"
 def write_card(
     command: str,
     seeds: Sequence[int],
-    learned: Sequence[Learned | ModulesLearned],
+    learned: Sequence[Learned],
     summaries: Summaries,
     agent: Contender,
     folder: Path,
@@ -49,7 +48,7 @@ def write_card(
     (folder / FILE).write_text(yaml.safe_dump(card, sort_keys=False))
 
 
-def command_of(config: Config) -> str:
+def command_of(config: TrainConfig) -> str:
     """The command that trains the same again: what differs from the task's defaults."""
     default = defaults(config.task, config.algo)
     chosen = ["python", "train.py", "--task", config.task, "--algo", config.algo]

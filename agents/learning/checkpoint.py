@@ -4,16 +4,19 @@ Written whole or not at all. It holds tensors and plain values only: reading it 
 """
 
 import os
+from collections.abc import Callable
 from pathlib import Path
-from pickle import UnpicklingError
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from stable_baselines3.common.buffers import ReplayBuffer
 
+from agents.damage import DAMAGE
 from agents.learning.double_dqn import DoubleDQN
 from agents.learning.model import Model
+
+Restored = TypeVar("Restored")
 
 FILE = "checkpoint.pt"
 _COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")
@@ -31,12 +34,7 @@ def save_checkpoint(model: Model, recent: list[dict[str, float]], folder: Path) 
     if isinstance(model, DoubleDQN):
         state["calls"] = model._n_calls
         state["memory"] = _memory(model)
-    waiting = folder / f"{FILE}.new"
-    with waiting.open("wb") as file:
-        torch.save(state, file)
-        file.flush()
-        os.fsync(file.fileno())
-    waiting.replace(folder / FILE)
+    write_state(state, folder)
 
 
 def load_checkpoint(model: Model, folder: Path) -> list[dict[str, float]]:
@@ -45,8 +43,8 @@ def load_checkpoint(model: Model, folder: Path) -> list[dict[str, float]]:
     Raises:
         ValueError: the checkpoint is damaged, or of another configuration.
     """
-    try:
-        state = torch.load(folder / FILE, map_location="cpu", weights_only=True)
+
+    def restore(state: dict[str, Any]) -> list[dict[str, float]]:
         model.policy.load_state_dict(state["policy"])
         model.policy.optimizer.load_state_dict(state["optimizer"])
         for name in _COUNTERS:
@@ -55,12 +53,31 @@ def load_checkpoint(model: Model, folder: Path) -> list[dict[str, float]]:
             model._n_calls = int(state["calls"])
             _remember(model, state["memory"])
         recent: list[dict[str, float]] = state["recent"]
-    except (
-        UnpicklingError, EOFError, OSError, AttributeError, KeyError, RuntimeError, TypeError,
-        ValueError,
-    ) as error:  # fmt: skip
+        return recent
+
+    return read_state(folder, restore)
+
+
+def write_state(state: dict[str, Any], folder: Path) -> None:
+    """Write tensors and plain values as a folder's checkpoint, whole or not at all."""
+    waiting = folder / f"{FILE}.new"
+    with waiting.open("wb") as file:
+        torch.save(state, file)
+        file.flush()
+        os.fsync(file.fileno())
+    waiting.replace(folder / FILE)
+
+
+def read_state(folder: Path, restore: Callable[[dict[str, Any]], Restored]) -> Restored:
+    """Hand what `write_state` wrote to `restore`, and its answer back.
+
+    Raises:
+        ValueError: the checkpoint is damaged, or `restore` could not make use of it.
+    """
+    try:
+        return restore(torch.load(folder / FILE, map_location="cpu", weights_only=True))
+    except DAMAGE as error:
         raise ValueError(f"{folder / FILE} is damaged or of another run: {error}") from error
-    return recent
 
 
 def _buffer(model: DoubleDQN) -> ReplayBuffer:

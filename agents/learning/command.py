@@ -7,7 +7,7 @@ from typing import Any
 
 import tyro
 
-from agents.learning.config import CONFIGS, Config
+from agents.learning.config import CONFIGS, TrainConfig
 from agents.learning.folder import make_folder, open_folder
 from agents.learning.hyperparams import defaults
 from surface_gym.tasks import TASKS
@@ -15,7 +15,7 @@ from surface_gym.tasks import TASKS
 RESUME = "--resume DIR, alone, goes on with a run that was broken off, from its last checkpoint."
 
 
-def open_run(arguments: list[str]) -> tuple[Config, Path]:
+def open_run(arguments: list[str]) -> tuple[TrainConfig, Path]:
     """The configuration and the folder that the arguments ask for.
 
     `--task` and `--algo` are read first: the defaults of all other flags are theirs.

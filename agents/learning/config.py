@@ -4,17 +4,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from agents.policy_card import PolicyCard
 from surface_gym import checks
+from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
 
 TaskName = Literal["sort", "slow", "stop", "track", "orient"]
-AlgoName = Literal["ppo", "dqn"]
+AlgoName = Literal["ppo", "dqn", "modules"]
 ActionName = Literal["halves", "quadrants", "window", "modules"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """What PPO and DQN have in common.
+    """What all algorithms have in common.
 
     Raises:
         ValueError: a field is out of its range; the message names it.
@@ -23,7 +25,7 @@ class TrainConfig:
     task: TaskName = "sort"
     """What to learn."""
     algo: AlgoName = "ppo"
-    """PPO, or DQN with double Q."""
+    """PPO, DQN with double Q, or (for Sort) PPO of modules that decide each for itself."""
     seed: int = 0
     """Of the starts, the network and the sampling; the first of `seeds`."""
     seeds: int = 1
@@ -55,7 +57,8 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         checks.one_of("task", self.task, TASKS)
-        checks.one_of("algo", self.algo, ("ppo", "dqn"))
+        named = [algo for algo, kind in CONFIGS.items() if kind is type(self)]
+        checks.one_of("algo", self.algo, named)
         checks.one_of("actions", self.actions, ("halves", "quadrants", "window", "modules"))
         checks.integer("seed", self.seed, least=0)
         for name in ("seeds", "steps", "lanes", "checkpoint_every"):
@@ -68,6 +71,8 @@ class TrainConfig:
             raise ValueError(f"friction must be less than 1, got {self.friction!r}")
         for units in self.hidden:
             checks.integer("hidden", units, least=1)
+        if not self.hidden:
+            raise ValueError("hidden must be at least one layer, got none")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +95,6 @@ class PPOConfig(TrainConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        checks.one_of("algo", self.algo, ("ppo",))
         for name in ("n_steps", "batch_size", "n_epochs"):
             checks.integer(name, getattr(self, name), least=1)
         if (self.lanes * self.n_steps) % self.batch_size:
@@ -110,7 +114,7 @@ class DQNConfig(TrainConfig):
     """
 
     algo: AlgoName = "dqn"
-    """PPO, or DQN with double Q."""
+    """PPO, DQN with double Q, or (for Sort) PPO of modules that decide each for itself."""
     buffer_size: int = 500_000
     """Control periods remembered."""
     learning_starts: int = 5_000
@@ -132,7 +136,6 @@ class DQNConfig(TrainConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        checks.one_of("algo", self.algo, ("dqn",))
         if self.actions != "halves":
             raise ValueError(f"actions must be 'halves' for DQN, got {self.actions!r}")
         for name in ("buffer_size", "batch_size", "n_steps", "gradient_steps"):
@@ -143,5 +146,41 @@ class DQNConfig(TrainConfig):
         checks.positive("max_grad_norm", self.max_grad_norm)
 
 
-CONFIGS: dict[str, type[PPOConfig] | type[DQNConfig]] = {"ppo": PPOConfig, "dqn": DQNConfig}
-Config = PPOConfig | DQNConfig
+@dataclass(frozen=True, kw_only=True)
+class ModulesConfig(PPOConfig):
+    """Train modules that decide each for itself to sort, by PPO with draws they share, then compare
+    them with the paper's fixed layout.
+
+    Defaults are from agents/hyperparams/modules.yml.
+    """
+
+    algo: AlgoName = "modules"
+    """PPO, DQN with double Q, or (for Sort) PPO of modules that decide each for itself."""
+    actions: ActionName = "modules"
+    """Kind of action, as the environment has it."""
+    parted: float = 0.3
+    """[-] probability that a line through the parcel parts its modules into two sides, each with a
+    draw of its own; otherwise all modules share one."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, only in (("task", "sort"), ("actions", "modules")):
+            if getattr(self, name) != only:
+                raise ValueError(
+                    f"{name} must be {only!r} for modules, got {getattr(self, name)!r}"
+                )
+        checks.within("parted", self.parted, 0.0, 1.0)
+
+
+def card_of(config: TrainConfig) -> PolicyCard:
+    """What the policy of a run is for."""
+    return PolicyCard(
+        env_id(config.task), config.algo, config.actions, config.control_period, config.hidden
+    )
+
+
+CONFIGS: dict[str, type[TrainConfig]] = {
+    "ppo": PPOConfig,
+    "dqn": DQNConfig,
+    "modules": ModulesConfig,
+}

@@ -9,6 +9,7 @@ import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
 FILE = "curve.csv"
+REWARD = "reward_"  # before the name of a reward term, which may be "success" as well
 RECENT_EPISODES = 1000
 
 
@@ -26,7 +27,7 @@ class Curve:
         self, folder: Path, terms: tuple[str, ...], steps: int, recent: list[dict[str, float]]
     ) -> None:
         self._file = folder / FILE
-        self._columns = ("steps", "success", "return", "length", *terms)
+        self._columns = ("steps", "success", "return", "length", *(REWARD + term for term in terms))
         self.recent: deque[dict[str, float]] = deque(recent, maxlen=RECENT_EPISODES)
         self._writer = SummaryWriter(str(folder / "tensorboard"), purge_step=steps or None)
         kept = [row for row in read_curve(folder) if row["steps"] <= steps] if steps else []
@@ -44,7 +45,7 @@ class Curve:
                         "success": float(info["is_success"]),
                         "return": info["episode"]["r"],
                         "length": float(info["episode"]["l"]),
-                        **info["reward_terms"],
+                        **{REWARD + term: paid for term, paid in info["reward_terms"].items()},
                     }
                 )
 
@@ -61,8 +62,9 @@ class Curve:
                 {"steps": _text(steps), **{name: _text(value) for name, value in row.items()}}
             )
         for name, value in row.items():
-            group = "rollout" if name in ("success", "return", "length") else "reward_terms"
-            self._writer.add_scalar(f"{group}/{name}", value, steps)
+            term = name.removeprefix(REWARD)
+            group = "rollout" if term == name else "reward_terms"
+            self._writer.add_scalar(f"{group}/{term}", value, steps)
 
     def close(self) -> None:
         """Flush what TensorBoard reads."""

@@ -7,11 +7,11 @@ from rich.console import Console
 from agents.cores import usable_cores
 from agents.evaluation.command import evaluate_run
 from agents.learning.card import command_of, write_card
-from agents.learning.config import Config
-from agents.learning.training import Learned
+from agents.learning.config import TrainConfig
+from agents.learning.legs import Learned
 
 
-def finish(config: Config, folder: Path, learned: list[Learned], console: Console) -> None:
+def finish(config: TrainConfig, folder: Path, learned: list[Learned], console: Console) -> None:
     """Compare what was learned with the fixed layout; a run broken off is only told of."""
     if len(learned) < config.seeds or any(each.interrupted for each in learned):
         console.print(
@@ -20,4 +20,5 @@ def finish(config: Config, folder: Path, learned: list[Learned], console: Consol
         )
         return
     agent, summaries = evaluate_run(folder, min(config.seeds, usable_cores()), console)
-    write_card(command_of(config), agent.seeds, learned, summaries, agent, folder)
+    seeds = range(config.seed, config.seed + config.seeds)
+    write_card(command_of(config), seeds, learned, summaries, agent, folder)

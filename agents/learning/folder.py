@@ -5,14 +5,14 @@ import sys
 from datetime import datetime
 from pathlib import Path
 
-from agents.learning.config import Config
+from agents.learning.config import TrainConfig
 from agents.learning.hyperparams import of_seed, read_config, write_config
 
 CONFIG = "config.yaml"
 COMMAND = "command.txt"
 
 
-def make_folder(config: Config) -> Path:
+def make_folder(config: TrainConfig) -> Path:
     """A new folder that holds the resolved configuration and the command.
 
     Raises:
@@ -32,7 +32,7 @@ def make_folder(config: Config) -> Path:
     return folder
 
 
-def open_folder(folder: Path) -> Config:
+def open_folder(folder: Path) -> TrainConfig:
     """The configuration of a run to go on with.
 
     Raises:
@@ -41,7 +41,7 @@ def open_folder(folder: Path) -> Config:
     return read_config(folder / CONFIG)
 
 
-def parts(config: Config, folder: Path) -> list[tuple[Config, Path]]:
+def parts(config: TrainConfig, folder: Path) -> list[tuple[TrainConfig, Path]]:
     """Each seed's configuration and folder, which is the run's own where there is only one."""
     if config.seeds == 1:
         return [(config, folder)]

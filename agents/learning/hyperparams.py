@@ -6,22 +6,26 @@ from typing import Any
 
 import yaml
 
-from agents.learning.config import CONFIGS, Config
+from agents.learning.config import CONFIGS, TrainConfig
+from surface_gym import checks
 from surface_gym.registration import env_id
+from surface_gym.tasks import TASKS
 
 FOLDER = Path(__file__).parents[1] / "hyperparams"
 _NAMES = {"n_envs": "lanes", "n_timesteps": "steps"}  # the zoo's names, and ours
 _LINEAR = "lin_"  # the zoo's mark of a learning rate that falls to 0
 
 
-def defaults(task: str, algo: str) -> Config:
+def defaults(task: str, algo: str) -> TrainConfig:
     """The configuration of a task and an algorithm as their YAML has it.
 
     Raises:
-        ValueError: the file holds what is not understood.
+        ValueError: the algorithm does not learn the task, or the file holds what is not understood.
     """
     file = FOLDER / f"{algo}.yml"
-    entry = yaml.safe_load(file.read_text())[env_id(task)]
+    of_tasks = yaml.safe_load(file.read_text())
+    learned = [name for name in TASKS if env_id(name) in of_tasks]
+    entry = of_tasks[env_id(checks.one_of("task", task, learned))]
     known = {field.name for field in fields(CONFIGS[algo])}
     chosen: dict[str, Any] = {"task": task, "algo": algo}
     for name, value in entry.items():
@@ -42,7 +46,7 @@ def defaults(task: str, algo: str) -> Config:
     return CONFIGS[algo](**chosen)
 
 
-def write_config(config: Config, file: Path) -> None:
+def write_config(config: TrainConfig, file: Path) -> None:
     """Write all fields of a configuration as YAML."""
     plain = {}
     for field in fields(config):
@@ -53,7 +57,7 @@ def write_config(config: Config, file: Path) -> None:
     file.write_text(yaml.safe_dump(plain, sort_keys=False))
 
 
-def read_config(file: Path) -> Config:
+def read_config(file: Path) -> TrainConfig:
     """Read what `write_config` wrote.
 
     Raises:
@@ -70,6 +74,6 @@ def read_config(file: Path) -> Config:
         raise ValueError(f"{file} holds no run's configuration: {error}") from error
 
 
-def of_seed(config: Config, seed: int) -> Config:
+def of_seed(config: TrainConfig, seed: int) -> TrainConfig:
     """The run of one seed out of several."""
     return replace(config, seed=seed, seeds=1)

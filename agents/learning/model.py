@@ -6,9 +6,9 @@ from functools import partial
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
-from agents.learning.categorical import EqualChoicesPolicy
-from agents.learning.config import Config, PPOConfig
+from agents.learning.config import DQNConfig, PPOConfig
 from agents.learning.double_dqn import DoubleDQN
+from agents.policies.categorical import EqualChoicesPolicy
 
 Model = PPO | DoubleDQN
 
@@ -18,7 +18,7 @@ def _falling(first: float, left: float) -> float:
     return first * left
 
 
-def make_model(config: Config, env: VecEnv) -> Model:
+def make_model(config: PPOConfig | DQNConfig, env: VecEnv) -> Model:
     """PPO or DQN, its weights drawn from the seed."""
     learning_rate: Callable[[float], float] = partial(_falling, config.learning_rate)
     if isinstance(config, PPOConfig):

@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env.base_vec_env import (
     VecEnvStepReturn,
 )
 
-from agents.learning.config import Config
+from agents.learning.config import TrainConfig
 from agents.mirror import ActionMirror, MirrorVecEnv
 from agents.vec_env import SurfaceVecEnv
 from surface_gym.randomisation import Randomisation
@@ -99,8 +99,17 @@ class SideBySide(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
 
-def make_practice(config: Config) -> VecEnv:
+def make_practice(config: TrainConfig) -> VecEnv:
     """The lanes a configuration asks for, mirrored where the task's observation is."""
+    env = make_lanes(config)
+    if config.task != "sort":
+        return env
+    settings = Settings(actions=config.actions, control_period=config.control_period)
+    return MirrorVecEnv(env, ActionMirror(settings.action_kind, settings.orientations))
+
+
+def make_lanes(config: TrainConfig) -> SideBySide:
+    """The lanes a configuration asks for, as they are."""
     by_camera = round(config.camera_share * config.lanes)
     parts = [
         _lanes(config, lanes, sensors, randomisation)
@@ -110,15 +119,11 @@ def make_practice(config: Config) -> VecEnv:
         )
         if lanes
     ]
-    env: VecEnv = SideBySide(parts)
-    if config.task == "sort":
-        settings = Settings(actions=config.actions, control_period=config.control_period)
-        env = MirrorVecEnv(env, ActionMirror(settings.action_kind, settings.orientations))
-    return env
+    return SideBySide(parts)
 
 
 def _lanes(
-    config: Config, lanes: int, sensors: Sensors, randomisation: Randomisation
+    config: TrainConfig, lanes: int, sensors: Sensors, randomisation: Randomisation
 ) -> SurfaceVecEnv:
     return SurfaceVecEnv(
         gym.make_vec(  # type: ignore[arg-type]

@@ -10,22 +10,24 @@ from typing import Any
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    Progress,
     TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.progress import Progress as Bars
 
 from agents.cores import usable_cores
-from agents.learning.config import Config
+from agents.learning.config import DQNConfig, ModulesConfig, PPOConfig, TrainConfig
 from agents.learning.folder import parts
-from agents.learning.training import Learned, train
+from agents.learning.legs import Learned, Progress
+from agents.learning.modules.training import train_modules
+from agents.learning.training import train
 
 POLL = 0.2  # [s] between looks at what the processes report
 
 
-def train_seeds(config: Config, folder: Path, console: Console) -> list[Learned]:
+def train_seeds(config: TrainConfig, folder: Path, console: Console) -> list[Learned]:
     """Train every seed of a configuration; how each ended, in the order of the seeds.
 
     An interrupt ends all of them, each with what it has learned so far.
@@ -36,12 +38,12 @@ def train_seeds(config: Config, folder: Path, console: Console) -> list[Learned]
             bars.add_task(f"seed {run.seed}", total=config.steps, success="-") for run, _ in runs
         ]
         if len(runs) == 1:
-            return [train(*runs[0], _mover(bars, rows[0]))]
+            return [_train(*runs[0], _mover(bars, rows[0]))]
         return _train_apart(runs, bars, rows)
 
 
-def _bars(console: Console) -> Progress:
-    return Progress(
+def _bars(console: Console) -> Bars:
+    return Bars(
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.completed:,.0f} of {task.total:,.0f} steps"),
@@ -52,7 +54,14 @@ def _bars(console: Console) -> Progress:
     )
 
 
-def _mover(bars: Progress, row: TaskID) -> Callable[[int, float], None]:
+def _train(config: TrainConfig, folder: Path, progress: Progress) -> Learned:
+    if isinstance(config, ModulesConfig):
+        return train_modules(config, folder, progress)
+    assert isinstance(config, PPOConfig | DQNConfig)
+    return train(config, folder, progress)
+
+
+def _mover(bars: Bars, row: TaskID) -> Callable[[int, float], None]:
     def move(steps: int, success: float) -> None:
         bars.update(row, completed=steps, success=f"{success:.3f}")
 
@@ -60,7 +69,7 @@ def _mover(bars: Progress, row: TaskID) -> Callable[[int, float], None]:
 
 
 def _train_apart(
-    runs: list[tuple[Config, Path]], bars: Progress, rows: list[TaskID]
+    runs: list[tuple[TrainConfig, Path]], bars: Bars, rows: list[TaskID]
 ) -> list[Learned]:
     context = get_context("spawn")
     workers = min(len(runs), usable_cores())
@@ -78,7 +87,7 @@ def _train_apart(
         return [future.result() for future in waiting if not future.cancelled()]
 
 
-def _follow(waiting: list[Future[Learned]], reports: Any, bars: Progress) -> None:
+def _follow(waiting: list[Future[Learned]], reports: Any, bars: Bars) -> None:
     """Move the bars as long as a process works."""
     left = set(waiting)
     while left:
@@ -91,6 +100,6 @@ def _follow(waiting: list[Future[Learned]], reports: Any, bars: Progress) -> Non
             _mover(bars, row)(steps, success)
 
 
-def _train_reported(config: Config, folder: Path, row: TaskID, reports: Any) -> Learned:
+def _train_reported(config: TrainConfig, folder: Path, row: TaskID, reports: Any) -> Learned:
     folder.mkdir(exist_ok=True)
-    return train(config, folder, lambda steps, success: reports.put((row, steps, success)))
+    return _train(config, folder, lambda steps, success: reports.put((row, steps, success)))

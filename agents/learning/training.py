@@ -1,8 +1,6 @@
-"""One run: learning in legs, each begun anew, so that a run broken off can go on unchanged."""
+"""One run of PPO or DQN."""
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -11,37 +9,24 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.utils import set_random_seed
 
 from agents.learning.checkpoint import FILE, load_checkpoint, save_checkpoint
-from agents.learning.config import Config
+from agents.learning.config import DQNConfig, PPOConfig, card_of
 from agents.learning.curve import Curve
 from agents.learning.double_dqn import DoubleDQN, cut_memory
+from agents.learning.legs import Learned, Progress, leg_at, leg_seed
 from agents.learning.model import Model, make_model
 from agents.learning.practice import make_practice
-from agents.policy import PolicyCard, save_policy
-from surface_gym.registration import env_id
+from agents.policies.files import save_policy
 from surface_gym.settings import Settings
 
 CURVE_EVERY = 10_000  # control periods from row to row of the curve
 
-Progress = Callable[[int, float], None]  # control periods done, success of the latest episodes
-
-
-@dataclass(frozen=True)
-class Learned:
-    """How a run ended."""
-
-    steps: int  # control periods learned from
-    seconds: float  # it took, this time
-    interrupted: bool
-
 
 class _Legs(BaseCallback):
-    """Begins a leg every `checkpoint_every` control periods: saves a checkpoint, seeds everything
-    from the run's seed and the leg, and starts all lanes anew.
+    """Begins the legs of a run, and keeps its curve."""
 
-    A run that goes on from a checkpoint does the same at the same place, and so comes to the same.
-    """
-
-    def __init__(self, config: Config, folder: Path, curve: Curve, progress: Progress) -> None:
+    def __init__(
+        self, config: PPOConfig | DQNConfig, folder: Path, curve: Curve, progress: Progress
+    ) -> None:
         super().__init__()
         self._config = config
         self._folder = folder
@@ -54,13 +39,13 @@ class _Legs(BaseCallback):
         self._row = self.num_timesteps // CURVE_EVERY
 
     def _on_rollout_start(self) -> None:
-        leg = self.model.num_timesteps // self._config.checkpoint_every
+        leg = leg_at(self._config, self.model.num_timesteps)
         if leg == self._leg:
             return
         self._leg = leg
         assert isinstance(self.model, Model)
         save_checkpoint(self.model, list(self._curve.recent), self._folder)
-        seed = self._config.seed + 1_000_003 * leg
+        seed = leg_seed(self._config, leg)
         set_random_seed(seed)
         self.model.action_space.seed(seed)
         assert self.model.env is not None
@@ -81,7 +66,9 @@ class _Legs(BaseCallback):
             self._progress(self.num_timesteps, self._curve.success)
 
 
-def train(config: Config, folder: Path, progress: Progress = lambda *_: None) -> Learned:
+def train(
+    config: PPOConfig | DQNConfig, folder: Path, progress: Progress = lambda *_: None
+) -> Learned:
     """Learn as the configuration says and leave a policy in `folder`.
 
     A checkpoint found there is gone on from. An interrupt keeps what was learned so far.
@@ -107,10 +94,3 @@ def train(config: Config, folder: Path, progress: Progress = lambda *_: None) ->
     curve.close()
     save_policy(model.policy, card_of(config), folder)
     return Learned(model.num_timesteps, time.perf_counter() - started, interrupted)
-
-
-def card_of(config: Config) -> PolicyCard:
-    """What the policy of a run is for."""
-    return PolicyCard(
-        env_id(config.task), config.algo, config.actions, config.control_period, config.hidden
-    )

@@ -1,6 +1,7 @@
 """The weights that all modules share, and the value of what a lane sees."""
 
 import math
+from itertools import pairwise
 
 import torch
 from torch import nn
@@ -16,6 +17,10 @@ def _linear(inputs: int, outputs: int, gain: float = math.sqrt(2.0)) -> nn.Linea
     return layer
 
 
+def _layers(units: tuple[int, ...]) -> list[nn.Module]:
+    return [layer for sizes in pairwise(units) for layer in (_linear(*sizes), nn.Tanh())]
+
+
 class SharedNetwork(nn.Module):
     """From what all modules of a lane see, and a module's own place, to its logits.
 
@@ -24,16 +29,16 @@ class SharedNetwork(nn.Module):
 
     Args:
         choices: orientations on offer.
-        hidden: units of each of two hidden layers.
+        hidden: units of the hidden layers.
     """
 
-    def __init__(self, choices: int, hidden: int) -> None:
+    def __init__(self, choices: int, hidden: tuple[int, ...]) -> None:
         super().__init__()
-        self._alike = _linear(len(SHARED), hidden)
-        self._apart = nn.Linear(PLACE_SIZE, hidden, bias=False)
+        self._alike = _linear(len(SHARED), hidden[0])
+        self._apart = nn.Linear(PLACE_SIZE, hidden[0], bias=False)
         nn.init.zeros_(self._apart.weight)
-        self._between = _linear(hidden, hidden)
-        self._logits = _linear(hidden, choices, 0.01)
+        self._between = nn.Sequential(*_layers(hidden))
+        self._logits = _linear(hidden[-1], choices, 0.01)
 
     def forward(
         self, shared: torch.Tensor, lane: torch.Tensor, place: torch.Tensor
@@ -46,7 +51,7 @@ class SharedNetwork(nn.Module):
             place: (modules, PLACE_SIZE).
         """
         first = torch.tanh(self._alike(shared)[lane] + self._apart(place))
-        logits: torch.Tensor = self._logits(torch.tanh(self._between(first)))
+        logits: torch.Tensor = self._logits(self._between(first))
         return logits.log_softmax(dim=1)
 
 
@@ -54,18 +59,12 @@ class ValueNetwork(nn.Module):
     """What a lane's future is worth, by all that is observed of it but the side.
 
     Args:
-        hidden: units of each of two hidden layers.
+        hidden: units of the hidden layers.
     """
 
-    def __init__(self, hidden: int) -> None:
+    def __init__(self, hidden: tuple[int, ...]) -> None:
         super().__init__()
-        self._layers = nn.Sequential(
-            _linear(SIDE, hidden),
-            nn.Tanh(),
-            _linear(hidden, hidden),
-            nn.Tanh(),
-            _linear(hidden, 1, 1.0),
-        )
+        self._layers = nn.Sequential(*_layers((SIDE, *hidden)), _linear(hidden[-1], 1, 1.0))
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """(lanes,) of observations (lanes, features)."""

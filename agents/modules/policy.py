@@ -1,70 +1,15 @@
-"""The shared weights as a policy: for any zone, in memory and on disk."""
+"""The shared weights as a policy, for any zone."""
 
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from pickle import UnpicklingError
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import torch
-import yaml
 from numpy.typing import NDArray
 
 from agents.modules.draw import GROUPS, draw_choices
 from agents.modules.network import SharedNetwork
 from agents.modules.view import ModuleView
-from surface_gym import checks
-from surface_gym.registration import env_id
-from surface_gym.settings import Settings
-
-WEIGHTS = "policy.pt"
-CARD = "policy.yaml"
-
-# What reading a damaged or foreign file can raise, in PyYAML, in PyTorch and here.
-_DAMAGE = (
-    yaml.YAMLError,
-    UnpicklingError,
-    EOFError,
-    OSError,
-    AttributeError,
-    KeyError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-)
-
-
-@dataclass(frozen=True)
-class ModulesCard:
-    """What shared weights are for."""
-
-    control_period: float  # [s]
-    hidden: int  # units of each of two hidden layers
-    env_id: str = env_id("sort")
-    algo: str = "modules"
-    actions: str = "modules"
-
-    def __post_init__(self) -> None:
-        checks.positive("control_period", self.control_period)
-        checks.integer("hidden", self.hidden, least=1)
-        checks.one_of("env_id", self.env_id, (env_id("sort"),))
-        for name in ("algo", "actions"):
-            checks.one_of(name, getattr(self, name), ("modules",))
-
-    @property
-    def task(self) -> str:
-        """The task's name."""
-        return "sort"
-
-    @property
-    def env_kwargs(self) -> dict[str, Any]:
-        """Arguments of the environment the weights were trained on."""
-        return {"actions": self.actions, "control_period": self.control_period}
-
-    @property
-    def settings(self) -> Settings:
-        """Those of the environment the weights were trained on."""
-        return Settings(task=self.task, **self.env_kwargs)
+from agents.policy_card import PolicyCard
 
 
 class ModulesPolicy:
@@ -84,7 +29,7 @@ class ModulesPolicy:
     """
 
     def __init__(
-        self, network: SharedNetwork, card: ModulesCard, zone: tuple[int, int] | None = None
+        self, network: SharedNetwork, card: PolicyCard, zone: tuple[int, int] | None = None
     ) -> None:
         torch.set_num_threads(1)  # the network is small: more threads only wait for each other
         self._network = network.eval()
@@ -121,31 +66,3 @@ class ModulesPolicy:
             choices = draw_choices(log_probability, GROUPS * lane, uniform)
         actions = self._view.actions(observations, seen, choices.numpy())
         return (actions[0] if np.ndim(observation) == 1 else actions), None
-
-
-def save_modules(network: SharedNetwork, card: ModulesCard, folder: Path) -> None:
-    """Write weights and card into a folder."""
-    torch.save(network.state_dict(), folder / WEIGHTS)
-    (folder / CARD).write_text(yaml.safe_dump(asdict(card), sort_keys=False))
-
-
-def load_modules(folder: Path, zone: tuple[int, int] | None = None) -> ModulesPolicy:
-    """Read shared weights. No code in the files is run.
-
-    Args:
-        folder: that `save_modules` wrote into.
-        zone: first and last column that obey; None: those after the lead-in, as in training.
-
-    Raises:
-        ValueError: the folder holds no such policy, or a damaged or foreign one.
-    """
-    for name in (WEIGHTS, CARD):
-        if not (folder / name).is_file():
-            raise ValueError(f"{folder} holds no policy: {name} is missing")
-    try:
-        card = ModulesCard(**yaml.safe_load((folder / CARD).read_text()))
-        network = SharedNetwork(len(card.settings.orientations), card.hidden)
-        network.load_state_dict(torch.load(folder / WEIGHTS, map_location="cpu", weights_only=True))
-    except _DAMAGE as error:
-        raise ValueError(f"{folder} holds a damaged or foreign policy: {error}") from error
-    return ModulesPolicy(network, card, zone)

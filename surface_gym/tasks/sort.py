@@ -33,12 +33,13 @@ SIDE = 0  # column of `Lanes.goal`: +1 for y > 0, -1 for y < 0, 0 for straight t
 REACH = 0  # column of `Lanes.memory`: [m] the lateral reach at the last decision
 
 # The reward, term by term.
-TERMS = ("reach", "time", "success", "failure")
+TERMS = ("reach", "time", "success", "haste", "failure")
 REACH_REWARD = 2.0  # per metre of lateral reach gained
 REACH_ENOUGH = 0.6  # [m] reach beyond this earns nothing more
 PASSING_REACH = 0.3  # [-] of x counts as reach where straight through is asked
 TIME_REWARD = -0.3  # per second
 SUCCESS_REWARD = 1.0
+HASTE_REWARD = 4.0  # at success, times 1 s over the time it took
 FAILURE_REWARD = -1.0
 
 # A parcel rolling along 45 deg axes loses speed at mu_min g / sqrt(2) along x and along y.
@@ -106,6 +107,7 @@ speed would still cover coasting at 45 deg; beyond 0.6 m no more. For side 0, 0.
 distance from the line's middle takes its place |
     | `time` | -0.3 a second | time that passed |
     | `success` | 1 | once, at success |
+    | `haste` | 4 | once, at success, times 1 s over the time it took |
     | `failure` | -1 | once, at any failure |
 
     ### Info
@@ -240,7 +242,8 @@ def judge(
     terms[0] = REACH_REWARD * (reach - lanes.memory[lane, REACH])
     terms[1] = TIME_REWARD * period
     terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
-    terms[3] = FAILURE_REWARD if outcome > SUCCESS else 0.0
+    terms[3] = HASTE_REWARD / lanes.clock[lane] if outcome == SUCCESS else 0.0
+    terms[4] = FAILURE_REWARD if outcome > SUCCESS else 0.0
     lanes.memory[lane, REACH] = reach
     lanes.outcome[lane] = outcome
 

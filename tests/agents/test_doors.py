@@ -24,13 +24,13 @@ def door(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="module", params=["ppo", "modules"])
+def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run too short to learn anything."""
     folder = tmp_path_factory.mktemp("run")
     flags = (
-        "--name a --steps 512 --lanes 8 --n-steps 16 --batch-size 64 --n-epochs 1 --hidden 8 "
-        "--seeds 2"
+        f"--algo {request.param} --seeds 2 --name a --steps 512 --lanes 8 --n-steps 16 "
+        "--batch-size 64 --n-epochs 1 --hidden 8"
     )
     done = door(str(ROOT / "train.py"), *flags.split(), folder=folder)
     assert done.returncode == 0, done.stderr
@@ -41,14 +41,16 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_folder_holds_everything(run: Path) -> None:
     config = yaml.safe_load((run / "config.yaml").read_text())
     assert (config["steps"], config["lanes"], config["seed"]) == (512, 8, 0)
-    assert "train.py --name a" in (run / "command.txt").read_text()
+    assert "--seeds 2 --name a" in (run / "command.txt").read_text()
     for seed in ("seed-0", "seed-1"):
         assert list((run / seed / "tensorboard").glob("events.*"))
         for name in ("policy.pt", "policy.yaml", "checkpoint.pt", "curve.csv"):
             assert (run / seed / name).stat().st_size > 0
     assert (run / "trajectories.png").stat().st_size > 0
     card = yaml.safe_load((run / "card.yaml").read_text())
-    assert card["command"].startswith("python train.py --task sort --algo ppo --seeds 2 --steps")
+    assert card["command"].startswith(
+        f"python train.py --task sort --algo {config['algo']} --seeds 2"
+    )
     assert card["seeds"] == [0, 1]
     with imageio.get_reader(run / "sort.mp4") as film:
         assert film.count_frames() > 5

@@ -128,7 +128,7 @@ def test_episode_returns_are_the_monitors() -> None:
             assert infos[lane]["episode"]["r"] == pytest.approx(returns[lane], abs=1e-5)
             assert infos[lane]["episode"]["l"] == lengths[lane]
             terms = infos[lane]["reward_terms"]
-            assert set(terms) == {"reach", "time", "success", "failure"}
+            assert set(terms) == {"reach", "time", "success", "haste", "failure"}
             assert sum(terms.values()) == pytest.approx(returns[lane], abs=1e-5)
             returns[lane] = lengths[lane] = 0
     assert found > LANES

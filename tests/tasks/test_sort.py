@@ -111,6 +111,23 @@ class TestReward:
         episode = play(env, {"side": 1, "speed": 1.5}, same_choice(env, MINUS_45))
         assert episode.total("time") == pytest.approx(-0.3 * episode.end["time"], abs=1e-12)
 
+    @pytest.mark.parametrize("side", [1, 0])
+    def test_haste_pays_at_success(self, side: int) -> None:
+        env = bare(actions="halves")
+        episode = play(
+            env, {"side": side, "speed": 1.5}, same_choice(env, MINUS_45 if side else ROLL)
+        )
+        assert episode.end["outcome"] == "success"
+        for info in episode.infos[:-1]:
+            assert info["reward_terms"]["haste"] == 0.0
+        assert episode.total("haste") == pytest.approx(4.0 / episode.end["time"], abs=1e-12)
+
+    def test_haste_pays_nothing_at_failure(self) -> None:
+        env = bare(actions="halves")
+        episode = play(env, {"side": 1, "speed": 0.4}, same_choice(env, MINUS_45))
+        assert episode.end["outcome"] == "stalled"
+        assert episode.total("haste") == 0.0
+
     def test_a_longer_reach_than_enough_earns_no_more(self) -> None:
         fast = Start(BOX, (0.5, 1.0, 0.0), (2.5, 0.0, 0.0), (1.0,))
         _, terms = advanced(placed(Sort(), fast), ROLL)

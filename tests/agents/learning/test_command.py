@@ -1,5 +1,6 @@
 """The command line of train.py: defaults of the task, runs gone on with, refusals."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,12 @@ def test_defaults_are_those_of_task_and_algorithm(tmp_path: Path) -> None:
     assert (folder / "command.txt").read_text().startswith("python ")
 
 
+def test_modules_learn_to_sort(tmp_path: Path) -> None:
+    config, folder = open_run(["--algo", "modules", "--out", str(tmp_path)])
+    assert config == replace(defaults("sort", "modules"), out=tmp_path)
+    assert folder.name.startswith("sort-modules-seed0-")
+
+
 def test_a_run_is_gone_on_with_as_it_was_asked_for(tmp_path: Path) -> None:
     config, folder = open_run(["--lanes", "32", "--out", str(tmp_path), "--name", "a"])
     assert isinstance(config, PPOConfig)
@@ -32,6 +39,7 @@ def test_a_run_is_gone_on_with_as_it_was_asked_for(tmp_path: Path) -> None:
         (["--steps", "0"], "steps"),
         (["--gamma", "2"], "gamma"),
         (["--algo", "dqn", "--actions", "window"], "actions"),
+        (["--algo", "modules", "--task", "slow"], "task must be one of 'sort'"),
         (["--resume", "nowhere"], "nowhere"),
         (["--resume", "nowhere", "--steps", "5"], "--resume must stand alone"),
     ],

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import yaml
 
-from agents.learning.config import CONFIGS, DQNConfig, PPOConfig
+from agents.learning.config import CONFIGS, DQNConfig, ModulesConfig, PPOConfig
 from agents.learning.hyperparams import FOLDER, defaults, of_seed, read_config, write_config
 from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
@@ -24,6 +24,7 @@ BAD: tuple[dict[str, Any], ...] = (
     {"camera_share": 1.5},
     {"friction": 1.0},
     {"hidden": (0,)},
+    {"hidden": ()},
     {"learning_rate": 0.0},
     {"gamma": 1.1},
     {"batch_size": 0},
@@ -35,6 +36,12 @@ BAD_PPO: tuple[dict[str, Any], ...] = (
     {"batch_size": 1000},
     {"gae_lambda": -0.1},
     {"ent_coef": -1.0},
+)
+BAD_MODULES: tuple[dict[str, Any], ...] = (
+    {"algo": "ppo"},
+    {"task": "slow"},
+    {"actions": "halves"},
+    {"parted": 1.5},
 )
 BAD_DQN: tuple[dict[str, Any], ...] = (
     {"algo": "ppo"},
@@ -53,7 +60,8 @@ BAD_DQN: tuple[dict[str, Any], ...] = (
     ("kind", "wrong"),
     [(kind, wrong) for kind in CONFIGS.values() for wrong in BAD]
     + [(PPOConfig, wrong) for wrong in BAD_PPO]
-    + [(DQNConfig, wrong) for wrong in BAD_DQN],
+    + [(DQNConfig, wrong) for wrong in BAD_DQN]
+    + [(ModulesConfig, wrong) for wrong in BAD_MODULES],
     ids=lambda value: value.__name__ if isinstance(value, type) else str(value),
 )
 def test_bad_settings_are_named(kind: type[Any], wrong: dict[str, Any]) -> None:
@@ -61,8 +69,10 @@ def test_bad_settings_are_named(kind: type[Any], wrong: dict[str, Any]) -> None:
         kind(**wrong)
 
 
-@pytest.mark.parametrize("algo", CONFIGS)
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize(
+    ("task", "algo"),
+    [(task, algo) for algo in ("ppo", "dqn") for task in TASKS] + [("sort", "modules")],
+)
 class TestYaml:
     def test_it_is_understood_in_the_zoos_schema(self, task: str, algo: str) -> None:
         entry = yaml.safe_load((FOLDER / f"{algo}.yml").read_text())[env_id(task)]
@@ -89,6 +99,11 @@ def test_a_setting_that_is_not_known_is_refused(
     monkeypatch.setattr("agents.learning.hyperparams.FOLDER", tmp_path)
     with pytest.raises(ValueError, match="normalize"):
         defaults("sort", "ppo")
+
+
+def test_modules_learn_no_task_but_sort() -> None:
+    with pytest.raises(ValueError, match="task must be one of 'sort', got 'slow'"):
+        defaults("slow", "modules")
 
 
 def test_the_run_of_one_seed() -> None:

@@ -13,13 +13,13 @@ import pytest
 import torch
 
 from agents.learning import checkpoint
-from agents.learning.config import Config, DQNConfig, PPOConfig
+from agents.learning.config import DQNConfig, PPOConfig
 from agents.learning.curve import FILE, read_curve
 from agents.learning.hyperparams import write_config
 from agents.learning.training import train
-from agents.policy import WEIGHTS
+from agents.policies.files import WEIGHTS
 
-SMALL: dict[str, Config] = {
+SMALL: dict[str, PPOConfig | DQNConfig] = {
     "ppo": PPOConfig(
         task="stop", lanes=16, steps=40_000, checkpoint_every=12_000, n_steps=32, batch_size=256,
         n_epochs=1, hidden=(8,),

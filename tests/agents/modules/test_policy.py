@@ -1,24 +1,15 @@
 """The shared weights as a policy, in memory and on disk."""
 
-import pickle
-from pathlib import Path
-
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 
 from agents.modules.network import SharedNetwork
-from agents.modules.policy import (
-    CARD,
-    WEIGHTS,
-    ModulesCard,
-    ModulesPolicy,
-    load_modules,
-    save_modules,
-)
+from agents.modules.policy import ModulesPolicy
+from agents.policy_card import PolicyCard
 
-THE_CARD = ModulesCard(control_period=0.04, hidden=8)
+THE_CARD = PolicyCard("SmartSurface/Sort-v0", "modules", "modules", 0.04, (8, 8))
 
 
 def network(seed: int = 0) -> SharedNetwork:
@@ -31,12 +22,6 @@ def network(seed: int = 0) -> SharedNetwork:
     return made
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    save_modules(network(), THE_CARD, tmp_path)
-    return tmp_path
-
-
 def observations(zone: tuple[int, int] | None = None) -> np.ndarray:
     env = gym.make_vec("SmartSurface/Sort-v0", num_envs=12, zone=zone)
     seen, _ = env.reset(seed=0, options={"speed": 2.0})
@@ -45,22 +30,11 @@ def observations(zone: tuple[int, int] | None = None) -> np.ndarray:
     return seen
 
 
-def test_a_round_trip_predicts_the_same(folder: Path) -> None:
-    before, after = ModulesPolicy(network(), THE_CARD), load_modules(folder)
-    seen = observations()
-    actions, state = after.predict(seen)
-    np.testing.assert_array_equal(actions, before.predict(seen)[0])
-    assert state is None
-    assert len(np.unique(actions)) > 1
-    assert after.card == THE_CARD
-    assert after.env_id == "SmartSurface/Sort-v0"
-
-
 @pytest.mark.parametrize("zone", [None, (3, 29), (5, 9)])
 def test_it_takes_and_gives_what_an_environment_of_any_zone_does(
-    folder: Path, zone: tuple[int, int] | None
+    zone: tuple[int, int] | None,
 ) -> None:
-    policy = load_modules(folder, zone)
+    policy = ModulesPolicy(network(), THE_CARD).on(zone)
     env = gym.make(policy.env_id, **policy.env_kwargs)
     observation, _ = env.reset(seed=0)
     assert policy.predict(observation)[0] in env.action_space
@@ -69,7 +43,6 @@ def test_it_takes_and_gives_what_an_environment_of_any_zone_does(
     assert chosen in gym.make_vec(policy.env_id, num_envs=12, **policy.env_kwargs).action_space
     for lane, one in enumerate(seen):
         np.testing.assert_array_equal(policy.predict(one)[0], chosen[lane])
-    np.testing.assert_array_equal(load_modules(folder).on(zone).predict(seen)[0], chosen)
 
 
 def test_a_draw_is_shared_by_the_modules_of_a_lane() -> None:
@@ -88,48 +61,3 @@ def test_a_draw_is_shared_by_the_modules_of_a_lane() -> None:
             assert len(told) <= 1
             chosen |= told
     assert chosen == {0, 1, 2}
-
-
-class _Trap:
-    def __init__(self, mark: Path) -> None:
-        self.mark = mark
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return (Path.touch, (self.mark,))
-
-
-def test_a_pickle_is_refused_and_not_run(folder: Path) -> None:
-    mark = folder / "ran"
-    (folder / WEIGHTS).write_bytes(pickle.dumps(_Trap(mark), protocol=2))
-    with pytest.raises(ValueError, match="damaged or foreign"):
-        load_modules(folder)
-    assert not mark.exists()
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "[1, 2",
-        "hidden: 8",
-        "!!python/object/apply:os.system ['true']",
-        "control_period: 0.04\nhidden: 9",
-        "control_period: -1.0\nhidden: 8",
-        "control_period: 0.04\nhidden: 8\nenv_id: SmartSurface/Slow-v0",
-        "control_period: 0.04\nhidden: 8\nactions: halves",
-    ],
-)
-def test_a_foreign_card_is_refused(folder: Path, text: str) -> None:
-    (folder / CARD).write_text(text)
-    with pytest.raises(ValueError, match="damaged or foreign"):
-        load_modules(folder)
-
-
-def test_damage_and_absence_are_named(folder: Path) -> None:
-    whole = (folder / WEIGHTS).read_bytes()
-    (folder / WEIGHTS).write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(ValueError, match="damaged"):
-        load_modules(folder)
-    (folder / WEIGHTS).unlink()
-    with pytest.raises(ValueError, match=f"{WEIGHTS} is missing"):
-        load_modules(folder)

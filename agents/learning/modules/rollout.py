@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from agents.modules.practice import Booleans
+from agents.learning.modules.practice import Booleans
 from agents.modules.view import Integers, Numbers
 
 

@@ -3,8 +3,6 @@
 Schulman et al., Proximal policy optimization algorithms, 2017; the clipped objective, Eq. (7).
 """
 
-import math
-from collections import deque
 from typing import Any
 
 import numpy as np
@@ -12,15 +10,17 @@ import torch
 from torch import nn
 from torch.nn.utils import clip_grad_norm_
 
-from agents.modules.config import ModulesConfig
+from agents.learning.config import ModulesConfig, card_of
+from agents.learning.modules.practice import Practice
+from agents.learning.modules.rollout import Batch, advantages, join, pick
 from agents.modules.draw import GROUPS, draw_choices, draw_groups, log_likelihood
 from agents.modules.network import SharedNetwork, ValueNetwork
-from agents.modules.practice import Practice
-from agents.modules.rollout import Batch, advantages, join, pick
 from agents.modules.view import ModuleView, Singles
 
-RECENT_EPISODES = 1000
-_ADAM_EPS = 1e-5  # as Stable-Baselines3's PPO has it
+# As Stable-Baselines3's PPO has them.
+CLIP_RANGE = 0.2  # by which the likelihood of a lane's choices may change and still earn
+MAX_GRAD_NORM = 0.5  # gradients longer than this are shortened
+ADAM_EPS = 1e-5
 
 
 class Learner:
@@ -33,36 +33,30 @@ class Learner:
     def __init__(self, config: ModulesConfig) -> None:
         self._config = config
         self._practice = Practice(config)
-        settings = self._practice.settings
+        settings = card_of(config).settings
         self._view = ModuleView(settings)
         torch.manual_seed(config.seed)
         self.network = SharedNetwork(len(settings.orientations), config.hidden)
         self.value = ValueNetwork(config.hidden)
         self._optimisers = [
-            torch.optim.Adam(network.parameters(), config.learning_rate, eps=_ADAM_EPS)
+            torch.optim.Adam(network.parameters(), config.learning_rate, eps=ADAM_EPS)
             for network in (self.network, self.value)
         ]
         self.steps = 0  # control periods learned from
-        self._recent: deque[bool] = deque(maxlen=RECENT_EPISODES)
         self._rng = np.random.default_rng(config.seed)
         self._seen: Singles = np.empty((0, 0), dtype=np.float32)
 
-    @property
-    def success(self) -> float:
-        """[-] of the latest episodes, with draws; nan before the first."""
-        return float(np.mean(self._recent)) if self._recent else math.nan
+    def begin(self, seed: int) -> None:
+        """Start all lanes and all draws anew."""
+        self._rng = np.random.default_rng(seed)
+        self._seen = self._practice.reset(seed)
 
-    def begin(self, leg: int) -> None:
-        """Start all lanes anew, and all draws from the run's seed and the leg's number."""
-        self._rng = np.random.default_rng((self._config.seed, leg))
-        self._seen = self._practice.reset(self._rng)
-
-    def learn(self) -> None:
-        """Learn from one rollout."""
+    def learn(self) -> list[dict[str, Any]]:
+        """Learn from one rollout; the infos of the episodes that ended in it."""
         left = max(0.0, 1.0 - self.steps / self._config.steps)
         for optimiser in self._optimisers:
             optimiser.param_groups[0]["lr"] = left * self._config.learning_rate
-        batch, advantage, worth = self._roll_out()
+        batch, advantage, worth, infos = self._roll_out()
         samples = len(worth)
         for _ in range(self._config.n_epochs):
             order = self._rng.permutation(samples)
@@ -70,26 +64,27 @@ class Learner:
                 chosen = order[first : first + self._config.batch_size]
                 self._step(pick(batch, chosen), advantage[chosen], worth[chosen])
         self.steps += samples
+        return infos
 
-    def state(self) -> dict[str, Any]:
-        """All that a run goes on from, at the beginning of a leg."""
+    def state(self, recent: list[dict[str, float]]) -> dict[str, Any]:
+        """All that a run goes on from at the beginning of a leg, with its latest episodes."""
         return {
             "network": self.network.state_dict(),
             "value": self.value.state_dict(),
             "optimisers": [optimiser.state_dict() for optimiser in self._optimisers],
             "steps": self.steps,
-            "recent": list(self._recent),
+            "recent": recent,
         }
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Take on what `state` gave."""
+    def restore(self, state: dict[str, Any]) -> list[dict[str, float]]:
+        """Take on what `state` gave; the latest episodes."""
         self.network.load_state_dict(state["network"])
         self.value.load_state_dict(state["value"])
         for optimiser, kept in zip(self._optimisers, state["optimisers"], strict=True):
             optimiser.load_state_dict(kept)
         self.steps = int(state["steps"])
-        self._recent.clear()
-        self._recent.extend(state["recent"])
+        recent: list[dict[str, float]] = state["recent"]
+        return recent
 
     @torch.no_grad()
     def _decide(self) -> tuple[Batch, Any]:
@@ -114,14 +109,15 @@ class Learner:
         return batch, self._view.actions(self._seen, seen, choice.numpy())
 
     @torch.no_grad()
-    def _roll_out(self) -> tuple[Batch, torch.Tensor, torch.Tensor]:
-        """Samples, their advantages and what they turned out to be worth."""
+    def _roll_out(self) -> tuple[Batch, torch.Tensor, torch.Tensor, list[dict[str, Any]]]:
+        """Samples, their advantages, what they turned out to be worth, and infos."""
         batches, rewards, ended, after = [], [], [], []
+        infos: list[dict[str, Any]] = []
         for _ in range(self._config.n_steps):
             batch, actions = self._decide()
             moved = self._practice.step(actions)
             self._seen = moved.observations
-            self._recent.extend(moved.success[moved.ended].tolist())
+            infos += [info for info in moved.infos if info]
             batches.append(batch)
             rewards.append(moved.rewards)
             ended.append(moved.ended)
@@ -135,7 +131,7 @@ class Learner:
         )  # fmt: skip
         worth = torch.from_numpy((advantage + value).ravel().astype(np.float32))
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        return batch, torch.from_numpy(advantage.ravel().astype(np.float32)), worth
+        return batch, torch.from_numpy(advantage.ravel().astype(np.float32)), worth, infos
 
     def _step(self, batch: Batch, advantage: torch.Tensor, worth: torch.Tensor) -> None:
         """One gradient step of each network."""
@@ -146,8 +142,8 @@ class Learner:
             log_probability, batch.choice, group, GROUPS * len(batch.modules)
         )
         ratio = (likelihood - batch.likelihood).exp()
-        clip = self._config.clip_range
-        gain = torch.min(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage)
+        clipped = ratio.clamp(1.0 - CLIP_RANGE, 1.0 + CLIP_RANGE)
+        gain = torch.min(ratio * advantage, clipped * advantage)
         entropy = -(log_probability.exp() * log_probability).sum(dim=1).mean()
         loss = -gain.mean() - self._config.ent_coef * entropy
         error = (self.value(batch.observations) - worth).square().mean()
@@ -158,5 +154,5 @@ class Learner:
         for (network, wrong), optimiser in zip(losses, self._optimisers, strict=True):
             optimiser.zero_grad()
             wrong.backward()  # type: ignore[no-untyped-call]
-            clip_grad_norm_(network.parameters(), self._config.max_grad_norm)
+            clip_grad_norm_(network.parameters(), MAX_GRAD_NORM)
             optimiser.step()

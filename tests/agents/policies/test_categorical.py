@@ -7,7 +7,7 @@ from gymnasium import spaces
 from stable_baselines3.common.distributions import MultiCategoricalDistribution
 from stable_baselines3.common.policies import ActorCriticPolicy
 
-from agents.learning.categorical import EqualCategoricals, EqualChoicesPolicy
+from agents.policies.categorical import EqualCategoricals, EqualChoicesPolicy
 
 CHOICES, OPTIONS, LANES = 25, 4, 7
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from agents.modules.rollout import Batch, advantages, join, pick
+from agents.learning.modules.rollout import Batch, advantages, join, pick
 
 
 def batch(counts: list[int], first: int) -> Batch:

@@ -1,0 +1,1 @@
+"""Policies of Stable-Baselines3's networks, and policies of all kinds on disk."""

@@ -1,0 +1,47 @@
+"""A policy on disk: weights that run no code, and the YAML that says what they are for."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+import torch
+import yaml
+
+from agents.damage import DAMAGE
+from agents.modules.network import SharedNetwork
+from agents.modules.policy import ModulesPolicy
+from agents.policies.policy import Policy, make_network
+from agents.policy_card import PolicyCard
+
+WEIGHTS = "policy.pt"
+CARD = "policy.yaml"
+
+
+def save_policy(network: torch.nn.Module, card: PolicyCard, folder: Path) -> None:
+    """Write weights and card into a folder."""
+    torch.save(network.state_dict(), folder / WEIGHTS)
+    fields = {**asdict(card), "hidden": list(card.hidden)}
+    (folder / CARD).write_text(yaml.safe_dump(fields, sort_keys=False))
+
+
+def load_policy(folder: Path) -> Policy | ModulesPolicy:
+    """The policy that a run left in a folder, whatever learned it. No code in the files is run.
+
+    Raises:
+        ValueError: the folder holds no policy, or a damaged or foreign one.
+    """
+    for name in (WEIGHTS, CARD):
+        if not (folder / name).is_file():
+            raise ValueError(f"{folder} holds no policy: {name} is missing")
+    try:
+        fields = yaml.safe_load((folder / CARD).read_text())
+        card = PolicyCard(**{**fields, "hidden": tuple(fields["hidden"])})
+        weights = torch.load(folder / WEIGHTS, map_location="cpu", weights_only=True)
+        if card.algo == "modules":
+            shared = SharedNetwork(len(card.settings.orientations), card.hidden)
+            shared.load_state_dict(weights)
+            return ModulesPolicy(shared, card)
+        network = make_network(card)
+        network.load_state_dict(weights)
+    except DAMAGE as error:
+        raise ValueError(f"{folder} holds a damaged or foreign policy: {error}") from error
+    return Policy(network, card)

@@ -1,0 +1,66 @@
+"""A policy of one of Stable-Baselines3's networks."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.dqn.policies import DQNPolicy
+
+from agents.mirror import SIDE, ActionMirror
+from agents.policies.categorical import EqualChoicesPolicy
+from agents.policy_card import PolicyCard
+
+NETWORKS = {"ppo": EqualChoicesPolicy, "dqn": DQNPolicy}
+
+
+def make_network(card: PolicyCard) -> BasePolicy:
+    """The network of a card, its weights not set."""
+    settings = card.settings
+    return NETWORKS[card.algo](
+        settings.observation_space(),
+        settings.action_space(),
+        lambda _: 0.0,
+        net_arch=list(card.hidden),
+    )
+
+
+class Policy:
+    """A trained policy. `predict` takes and gives what the environment does.
+
+    Attributes:
+        env_id: the environment it was trained on.
+        env_kwargs: that environment's arguments.
+    """
+
+    def __init__(self, network: BasePolicy, card: PolicyCard) -> None:
+        torch.set_num_threads(1)  # the network is small: more threads only wait for each other
+        self._network = network
+        self._network.set_training_mode(False)
+        settings = card.settings
+        # Sort shows its parcel in a mirror where it is to go to y < 0.
+        self._mirror = (
+            ActionMirror(settings.action_kind, settings.orientations)
+            if card.task == "sort"
+            else None
+        )
+        self.card = card
+        self.env_id = card.env_id
+        self.env_kwargs = card.env_kwargs
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, None]:
+        """Action for an observation (features,), or actions for (lanes, features); and no state."""
+        del state, episode_start  # it has no memory
+        single = observation.ndim == 1
+        observations = observation[np.newaxis] if single else observation
+        actions, _ = self._network.predict(observations, deterministic=deterministic)
+        if self._mirror is not None:
+            actions = self._mirror(actions, observations[:, SIDE])
+        return (actions[0] if single else actions), None
