@@ -37,7 +37,7 @@ def _high(name: str) -> Callable[[Summary, Summary], float]:
 
 
 DECISION = Column(
-    "decision_time", "decision [us]", "time of one lane's decision, decided many at a time",
+    "decision_time", "decision [us]", "time of one lane's decision, decided many at a time, median",
     lambda summary, _: summary.decision_time, ".1f", 1e6,
 )  # fmt: skip
 

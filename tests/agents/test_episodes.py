@@ -1,10 +1,13 @@
 """Episodes: those of a single environment stepped by hand, to the bit."""
 
+from collections.abc import Callable
+from typing import Any
+
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.episodes import arguments, run_apart, run_episodes, task_name
+from agents.episodes import Episodes, arguments, run_apart, run_episodes, task_name
 from agents.rules import RULES
 from surface_gym.registration import env_id
 from surface_gym.sensors import Camera
@@ -49,6 +52,26 @@ def test_apart_they_are_the_same() -> None:
     np.testing.assert_array_equal(together.success, apart.success)
     np.testing.assert_array_equal(together.figures["ratio_error"], apart.figures["ratio_error"])
     assert together.outcome == apart.outcome
+
+
+@pytest.mark.parametrize("run", [run_episodes, run_apart])
+def test_a_decisions_time_is_the_usual_one(
+    run: Callable[..., Episodes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first decision compiles, and says nothing of the others."""
+    settings = Settings(task="slow", actions="modules")
+    rule = ONE_A_TASK["slow"].make(settings)
+    clock = [0.0]
+
+    class SlowAtFirst:
+        def predict(self, *arguments: Any, **options: Any) -> tuple[Any, Any]:
+            clock[0] += 0.5 if clock[0] else 30.0
+            return rule.predict(*arguments, **options)
+
+    monkeypatch.setattr("agents.episodes.time.perf_counter", lambda: clock[0])
+    found = run(SlowAtFirst(), settings, [{"parcel": "S"}, {"parcel": "B"}], seed=3)
+    lanes = 2 if run is run_episodes else 1
+    assert found.decision_time == 0.5 / lanes
 
 
 @pytest.mark.parametrize("task", ONE_A_TASK)
