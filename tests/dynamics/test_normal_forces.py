@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import nnls
 
 from surface_gym.dynamics.references import SOLVERS, Solver
 from tests.dynamics.contact_sets import PITCH, WEIGHT, draw_arms, dual
@@ -144,12 +143,18 @@ def test_a_degenerate_set_is_flagged_and_loads_the_nearest_contacts(
 
 
 def distance_to_hull(arms: np.ndarray, load: np.ndarray) -> float:
-    """[m] from a point to the convex hull of the arms."""
-    heavy = 1e4
-    shares, _ = nnls(
-        np.vstack([heavy * np.ones(len(arms)), arms.T]), np.concatenate([[heavy], load])
-    )
-    return float(np.linalg.norm(shares @ arms / shares.sum() - load))
+    """[m] from a point to the convex hull of the arms: 0 if they surround it, else to the nearest
+    of all the lines that join two of them.
+    """
+    away = arms - load
+    angles = np.sort(np.arctan2(away[:, 1], away[:, 0]))
+    if np.diff(angles, append=angles[0] + 2.0 * np.pi).max() < np.pi:
+        return 0.0
+    first, second = (away[k] for k in np.triu_indices(len(away)))
+    along = second - first
+    length = np.maximum(np.sum(along**2, axis=1), 1e-300)
+    share = np.clip(-np.sum(first * along, axis=1) / length, 0.0, 1.0)
+    return float(np.linalg.norm(first + share[:, np.newaxis] * along, axis=1).min())
 
 
 @given(
