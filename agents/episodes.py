@@ -27,7 +27,12 @@ class Episodes:
     figures: dict[str, Numbers]  # the task's own, each (starts,)
     pose: Numbers  # (periods + 1, starts, 3) [m, m, rad] true; nan after the end
     velocity: Numbers  # (starts, 3) [m/s, m/s, rad/s] at the end
-    decision_time: float  # [s] a decision of one lane, median: the first may compile
+    decision_times: Numbers  # [s] of each decision a lane; apart: a start's decisions on average
+
+    @property
+    def decision_time(self) -> float:
+        """[s] a decision of one lane, median: the first may compile."""
+        return float(np.median(self.decision_times))
 
     def path(self, start: int) -> Numbers:
         """(periods + 1, 3) [m, m, rad] true poses of one episode, its last included."""
@@ -94,7 +99,7 @@ def run_episodes(
         figures={name: kept[name] for name in figures},
         pose=np.array(poses),
         velocity=kept["velocity"],
-        decision_time=float(np.median(seconds)) / count,
+        decision_times=np.array(seconds) / count,
     )
 
 
@@ -118,7 +123,8 @@ def run_apart(
         },
         pose=pose,
         velocity=np.concatenate([run.velocity for run in runs]),
-        decision_time=float(np.median([run.decision_time for run in runs])),
+        # A planner plans at some decisions only: an episode's are taken together.
+        decision_times=np.array([run.decision_times.mean() for run in runs]),
     )
 
 

@@ -69,8 +69,8 @@ def test_a_decisions_time_is_the_usual_one(
             return rule.predict(*arguments, **options)
 
     monkeypatch.setattr("agents.episodes.time.perf_counter", lambda: clock[0])
-    found = run(SlowAtFirst(), settings, [{"parcel": "S"}, {"parcel": "B"}], seed=3)
-    lanes = 2 if run is run_episodes else 1
+    found = run(SlowAtFirst(), settings, [{"parcel": "S"}] * 3, seed=3)
+    lanes = 3 if run is run_episodes else 1
     assert found.decision_time == 0.5 / lanes
 
 
