@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from agents.controller import Controller
 from surface_gym.registration import env_id
 from surface_gym.settings import Settings
-from surface_gym.tasks import TASKS
 
 Numbers = NDArray[np.float64]
 
@@ -40,11 +39,6 @@ class Episodes:
         return poses[~np.isnan(poses[:, 0])]
 
 
-def task_name(settings: Settings) -> str:
-    """The name of a settings' task."""
-    return next(name for name, kind in TASKS.items() if isinstance(settings.task, kind))
-
-
 def run_episodes(
     controller: Controller, settings: Settings, starts: Sequence[dict[str, Any]], seed: int
 ) -> Episodes:
@@ -57,7 +51,7 @@ def run_episodes(
         seed: lane i draws from `seed` + i.
     """
     count = len(starts)
-    name = env_id(task_name(settings))
+    name = env_id(settings.task_name)
     env = gym.make_vec(
         name,
         num_envs=count,

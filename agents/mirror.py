@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
+from agents.angles import SAME, axes_apart
 from surface_gym.actions import ActionKind
 from surface_gym.tasks.sort import FEATURES
 
@@ -22,9 +23,9 @@ def mirrored_orientations(orientations: tuple[float, ...]) -> NDArray[np.int64]:
         ValueError: the mirror image of an angle is not on offer.
     """
     angles = np.array(orientations)
-    apart = np.abs(np.angle(np.exp(2j * (angles[:, np.newaxis] + angles)))) / 2.0
+    apart = axes_apart(-angles[:, np.newaxis], angles)
     nearest = apart.argmin(axis=1)
-    if (apart[np.arange(len(angles)), nearest] > 1e-6).any():
+    if (apart[np.arange(len(angles)), nearest] > SAME).any():
         raise ValueError(f"orientations must hold the mirror image of each, got {orientations}")
     return nearest
 

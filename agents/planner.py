@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.episodes import task_name
 from agents.planning.aims import AIMS
 from agents.planning.model import Model
 from agents.planning.search import Plan, lanes_needed, make_plan
@@ -38,7 +37,7 @@ class Planner:
 
     def __init__(self, settings: Settings, budget: int = BUDGET) -> None:
         checks.one_of("actions", settings.actions, ("halves",))
-        self._aim = AIMS[task_name(settings)]
+        self._aim = AIMS[settings.task_name]
         self._width = max(1, checks.integer("budget", budget, least=1) // self._aim.share)
         choices = settings.action_kind.choices**2
         self._model = Model(settings, lanes_needed(self._aim, self._width, choices))

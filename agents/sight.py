@@ -13,6 +13,12 @@ from surface_gym.tasks.track import AHEAD
 Numbers = NDArray[np.float64]
 
 
+def square_reach(half_length: Numbers | float, theta: Numbers) -> Numbers:
+    """[m] a square base turned by theta [rad] reaches along x, and along y, from its centre."""
+    reach: Numbers = half_length * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
+    return reach
+
+
 @dataclass(frozen=True, eq=False)
 class LineSight:
     """The parcel on a line, as a task other than Track shows it; all arrays (lanes,)."""
@@ -33,7 +39,7 @@ class LineSight:
     @property
     def reach(self) -> Numbers:
         """(lanes,) [m] the base reaches along x, and along y, from its centre."""
-        return self.half_length * (np.abs(np.cos(self.theta)) + np.abs(np.sin(self.theta)))
+        return square_reach(self.half_length, self.theta)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +99,7 @@ def line_sight(settings: Settings, observations: NDArray[np.float32]) -> LineSig
     mirror = np.where(side < 0.0, -1.0, 1.0)
     theta = mirror * see.theta
     half_length = see.half_length
-    reach = half_length * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
+    reach = square_reach(half_length, theta)
     sorts = settings.chosen_task.number == 0
     return LineSight(
         into_zone=0.5 * see["distance into zone"] + reach

@@ -93,6 +93,11 @@ class Settings:
                 ) from None
 
     @property
+    def task_name(self) -> str:
+        """The task's name, whatever its parameters."""
+        return next(name for name, kind in TASKS.items() if isinstance(self.task, kind))
+
+    @property
     def chosen_task(self) -> Task:
         """The task itself."""
         assert not isinstance(self.task, str)

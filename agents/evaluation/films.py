@@ -11,7 +11,7 @@ from moviepy import ImageSequenceClip
 from numpy.typing import NDArray
 
 from agents.controller import Controller
-from agents.episodes import arguments, task_name
+from agents.episodes import arguments
 from surface_gym.env import RENDER_FPS
 from surface_gym.registration import env_id
 from surface_gym.rendering import with_caption
@@ -50,7 +50,7 @@ def write_film(
 def _play(
     controller: Controller, settings: Settings, options: dict[str, Any], seed: int
 ) -> tuple[list[Picture], bool]:
-    env = gym.make(env_id(task_name(settings)), render_mode="rgb_array", **arguments(settings))
+    env = gym.make(env_id(settings.task_name), render_mode="rgb_array", **arguments(settings))
     observation, info = env.reset(seed=seed, options=options)
     film = [_picture(env)]
     state: Any = None

@@ -1,5 +1,6 @@
 """Plots of the comparison."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,8 +9,7 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from agents.evaluation.conditions import CONDITIONS
-from agents.evaluation.sorting import slower_time
-from agents.evaluation.statistics import interval
+from agents.evaluation.sorting import GRID, slower_time
 from agents.evaluation.table import Summaries
 from agents.evaluation.trials import PARCELS, SORT_SPEEDS
 
@@ -45,7 +45,7 @@ def draw_success(task: str, summaries: Summaries, file: Path) -> None:
             summary = summaries.get((task, name, condition.name))
             if summary is None:
                 continue
-            low, high = interval(summary.success)
+            low, high = summary.interval
             x = place + (k - 0.5 * (len(names) - 1)) * width
             panel.bar(
                 x, summary.rate, 0.92 * width, color=colours[name],
@@ -67,15 +67,16 @@ def draw_errors(task: str, summaries: Summaries, file: Path) -> None:
     colours = _colours(names)
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
     panel = figure.subplots()
-    for name in names:
-        values = np.sort(scale * summaries[task, name, "exact"].figure(figure_name).ravel())
+    errors = {
+        name: np.sort(scale * summaries[task, name, "exact"].figure(figure_name).ravel())
+        for name in names
+    }
+    for name, values in errors.items():
         share = np.arange(1, len(values) + 1) / len(values)
         panel.step(np.maximum(values, 1e-9), share, where="post", color=colours[name], label=name)
     if limit is not None:
         panel.axvline(limit, color="#be1848", linestyle="--", linewidth=1.0, label="success")
-    everyone = np.concatenate(
-        [scale * summaries[task, name, "exact"].figure(figure_name).ravel() for name in names]
-    )
+    everyone = np.concatenate(list(errors.values()))
     low, high = np.quantile(everyone[everyone > 0.0], (0.02, 1.0))
     panel.set(xscale="log", xlim=(low, high), ylim=(0.0, 1.0), xlabel=label, ylabel="of starts")
     panel.spines[["top", "right"]].set_visible(False)
@@ -105,4 +106,4 @@ def draw_sorting(summaries: Summaries, file: Path) -> None:
 
 def _is_whole(summaries: Summaries, name: str) -> bool:
     starts = summaries["sort", name, "exact"].success.shape[1]
-    return starts == 2 * len(PARCELS) * len(SORT_SPEEDS)
+    return starts == math.prod(GRID)

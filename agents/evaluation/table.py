@@ -92,17 +92,17 @@ def _rate(summary: Summary | None, condition: Condition) -> str:
 
 
 def value_of(column: Column, summary: Summary, fixed: Summary) -> float:
-    """A column's number; nan where it has none, as a column that needs every start for some."""
+    """A column's number, unscaled; nan where it has none: it needs every start, and saw some."""
     if column.every_start and summary.success.shape[1] != fixed.success.shape[1]:
         return math.nan
-    return column.scale * column.value(summary, fixed)
+    return column.value(summary, fixed)
 
 
 def _text(column: Column, summary: Summary, fixed: Summary) -> str:
     value = value_of(column, summary, fixed)
     if math.isnan(value):
         return NOTHING
-    return "fails" if math.isinf(value) else format(value, column.form)
+    return "fails" if math.isinf(value) else format(column.scale * value, column.form)
 
 
 def print_table(table: Table, console: Console) -> None:
@@ -178,10 +178,7 @@ def _numbers(trial: Trial, summaries: Summaries) -> list[dict[str, Any]]:
             "success": summary.rate,
             "success_low": low,
             "success_high": high,
-            **{
-                column.name: value_of(column, summary, fixed) / column.scale
-                for column in COLUMNS[task]
-            },
+            **{column.name: value_of(column, summary, fixed) for column in COLUMNS[task]},
         }
         rows += [
             {

@@ -10,6 +10,7 @@ from matplotlib.patches import Polygon as Patch
 
 from agents.episodes import Episodes
 from agents.evaluation.plots import DOTS
+from agents.evaluation.sorting import GRID
 from agents.evaluation.trials import PARCELS, SIDES, SORT_SPEEDS
 from surface_gym import plant
 from surface_gym.layouts import LINE_Y, box
@@ -61,7 +62,7 @@ def _draw_line(panel: Axes, parcel: str) -> None:
 
 def _draw_path(panel: Axes, episodes: Episodes, parcel: str, speed: float, colour: str) -> None:
     place = (PARCELS.index(parcel), int(np.argmin(np.abs(SORT_SPEEDS - speed))), SIDES.index(1))
-    start = int(np.ravel_multi_index(place, (len(PARCELS), len(SORT_SPEEDS), len(SIDES))))
+    start = int(np.ravel_multi_index(place, GRID))
     style: dict[str, Any] = {"linestyle": "-" if episodes.success[start] else ":"}
     path = episodes.path(start)
     panel.plot(path[:, 0], path[:, 1], label=f"{speed:g} m/s", color=colour, linewidth=1.6, **style)

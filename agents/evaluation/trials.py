@@ -1,7 +1,6 @@
 """The starts that controllers are compared on, by task."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,8 +69,3 @@ def make_trial(name: str) -> Trial:
         task = Track(tilts=(math.radians(10.0), math.radians(15.0)), kinds=("sine",))
         told = f"{DRAWN} drawn starts on sines, tilts 10 to 15 deg"
     return Trial(name, task, tuple(starts), told)
-
-
-def trials(names: Sequence[str]) -> tuple[Trial, ...]:
-    """The trials of some tasks."""
-    return tuple(make_trial(name) for name in names)

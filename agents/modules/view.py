@@ -47,7 +47,7 @@ class ModuleView:
     """
 
     def __init__(self, settings: Settings) -> None:
-        checks.one_of("task", type(settings.chosen_task).__name__.lower(), ("sort",))
+        checks.one_of("task", settings.task_name, ("sort",))
         checks.one_of("actions", settings.actions, ("modules",))
         self._settings = settings
         kind = settings.action_kind

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.planning.model import Model
+from agents.sight import square_reach
 from surface_gym.dynamics.types import GRAVITY
 from surface_gym.lanes.memory import (
     COLUMNS,
@@ -58,9 +59,7 @@ class Aim:
 
 def _reach(lanes: Lanes) -> Numbers:
     """[m] a box reaches along x, and along y, from its centre."""
-    theta = lanes.truth[:, 2]
-    reach: Numbers = lanes.body[:, HALF_LENGTH] * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
-    return reach
+    return square_reach(lanes.body[:, HALF_LENGTH], lanes.truth[:, 2])
 
 
 def _rear_to_go(lanes: Lanes) -> Numbers:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.angles import axes_apart
 from agents.planning.start import FIELD_ZONE, start_of
 from surface_gym.actuators import Actuators
 from surface_gym.lanes.memory import OUT_OF_TIME, Lanes
@@ -57,7 +58,7 @@ class Model:
 
     def uniform_action(self, angle: float) -> int:
         """The action that turns all axes to the orientation on offer nearest to an angle [rad]."""
-        apart = np.abs(np.angle(np.exp(2j * (np.array(self._settings.orientations) - angle))))
+        apart = axes_apart(self._settings.orientations, angle)
         both = np.full((1, self._kind.size), apart.argmin())
         return int(self._kind.encode(both)[0])
 

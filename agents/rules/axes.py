@@ -4,10 +4,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from agents.angles import SAME, axes_apart
 from surface_gym.settings import Settings
-
-_SAME = 1e-6  # [rad] axes closer than this are one
 
 
 def choice_of(settings: Settings, angle: float) -> int:
@@ -17,8 +17,8 @@ def choice_of(settings: Settings, angle: float) -> int:
         ValueError: it is not among them.
     """
     angles = np.array(settings.orientations)
-    apart = np.abs(np.angle(np.exp(2j * (angles - angle)))) / 2.0
-    if apart.min() > _SAME:
+    apart = axes_apart(angles, angle)
+    if apart.min() > SAME:
         raise ValueError(
             f"orientations must hold {math.degrees(angle):g} deg, "
             f"got {np.degrees(angles).tolist()} deg"
@@ -34,6 +34,10 @@ class Axes:
     brake: int  # 0 deg: it is braked
     left: int  # -45 deg: it is led towards y > 0
     right: int  # 45 deg: it is led towards y < 0
+
+    def towards(self, side: NDArray[np.float64]) -> NDArray[np.int64]:
+        """The choice that leads to each side (...): left where positive, right where negative."""
+        return np.select([side > 0.0, side < 0.0], [self.left, self.right], self.roll)
 
 
 def axes_of(settings: Settings) -> Axes:

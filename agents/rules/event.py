@@ -4,12 +4,12 @@ import numpy as np
 
 from agents.rules.aims import wholly_in_zone
 from agents.rules.axes import axes_of
-from agents.rules.lane_rule import Booleans, Commands, LaneRule, Memory, Observations
+from agents.rules.lane_rule import Commands, Observations, UniformRule
 from agents.sight import line_sight
 from surface_gym.settings import Settings
 
 
-class EventRule(LaneRule):
+class EventRule(UniformRule):
     """90 deg until the parcel is wholly in the zone, then 45 deg everywhere.
 
     A lead-in module under the rear pins it while those of the zone push the front aside: what the
@@ -20,12 +20,6 @@ class EventRule(LaneRule):
         super().__init__(settings, ("sort",))
         self._axes = axes_of(settings)
 
-    def _decide(
-        self, observations: Observations, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
-        del memory, fresh
+    def _choose(self, observations: Observations) -> Commands:
         see = line_sight(self._settings, observations)
-        side = np.where(wholly_in_zone(see), see.side, 0.0)
-        axes = self._axes
-        choice = np.select([side > 0.0, side < 0.0], [axes.left, axes.right], axes.roll)
-        return np.repeat(choice[:, np.newaxis], self._kind.size, axis=1), None
+        return self._axes.towards(np.where(wholly_in_zone(see), see.side, 0.0))

@@ -8,7 +8,7 @@ import numpy as np
 from agents.rules.axes import axes_of
 from agents.rules.lane_rule import Commands, FixedRule, Numbers, Observations
 from agents.rules.trial import run_over, sizes_of
-from agents.sight import line_sight
+from agents.sight import line_sight, square_reach
 from surface_gym.layouts import ROLLING
 from surface_gym.plant import PITCH, Plant
 from surface_gym.settings import Settings
@@ -42,7 +42,7 @@ def angle_at_exit(
     axis[rows // 2 :, :turning] = math.pi / 4.0
     run = run_over(axis, half_length, speed, site_plan, zone, STEP)
     theta = run.pose[:, 2]
-    reach = half_length * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
+    reach = square_reach(half_length, theta)
     # The rear enters at x = 0; the lead-in is as long as the box, in whole columns.
     lead_in = math.ceil(2.0 * half_length / PITCH - 1e-9) if zone is None else zone[0]
     gone = run.pose[:, 0] - reach > PITCH * (lead_in + columns)

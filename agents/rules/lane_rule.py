@@ -31,7 +31,7 @@ class LaneRule(ABC):
     def __init__(
         self, settings: Settings, tasks: tuple[str, ...], actions: tuple[str, ...] = ()
     ) -> None:
-        checks.one_of("task", type(settings.chosen_task).__name__.lower(), tasks)
+        checks.one_of("task", settings.task_name, tasks)
         if actions:
             checks.one_of("actions", settings.actions, actions)
         self._settings = settings
@@ -71,6 +71,21 @@ class LaneRule(ABC):
         commands, memory = self._decide(observations, state, fresh)
         actions = self._kind.encode(commands)
         return (actions[0] if np.ndim(observation) == 1 else actions), memory
+
+
+class UniformRule(LaneRule):
+    """All modules alike, by what is seen now."""
+
+    @abstractmethod
+    def _choose(self, observations: Observations) -> NDArray[np.int64]:
+        """(lanes,) the choice of every module."""
+
+    def _decide(
+        self, observations: Observations, memory: Memory | None, fresh: Booleans
+    ) -> tuple[Commands, Memory | None]:
+        del memory, fresh
+        choice = self._choose(observations)
+        return np.repeat(choice[:, np.newaxis], self._kind.size, axis=1), None
 
 
 class FixedRule(LaneRule):

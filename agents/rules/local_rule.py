@@ -31,7 +31,7 @@ class LocalRule(LaneRule):
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings, tuple(ACTIONS))
-        task = type(settings.chosen_task).__name__.lower()
+        task = settings.task_name
         checks.one_of("actions", settings.actions, (ACTIONS[task],))
         self._task = task
         self._axes = axes_of(settings)

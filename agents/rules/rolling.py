@@ -3,11 +3,11 @@
 import numpy as np
 
 from agents.rules.axes import axes_of
-from agents.rules.lane_rule import Booleans, Commands, LaneRule, Memory, Observations
+from agents.rules.lane_rule import Commands, Observations, UniformRule
 from surface_gym.settings import Settings
 
 
-class Rolling(LaneRule):
+class Rolling(UniformRule):
     """90 deg everywhere: the parcel rolls straight downhill.
 
     A field arranged along a path would have to know the path, of which observations show the next
@@ -18,8 +18,5 @@ class Rolling(LaneRule):
         super().__init__(settings, ("track",))
         self._roll = axes_of(settings).roll
 
-    def _decide(
-        self, observations: Observations, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
-        del memory, fresh
-        return np.full((len(observations), self._kind.size), self._roll), None
+    def _choose(self, observations: Observations) -> Commands:
+        return np.full(len(observations), self._roll)

@@ -7,8 +7,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.episodes import Episodes, arguments, run_apart, run_episodes, task_name
+from agents.episodes import Episodes, arguments, run_apart, run_episodes
 from agents.rules import RULES
+from agents.rules.rule import Rule
 from surface_gym.registration import env_id
 from surface_gym.sensors import Camera
 from surface_gym.settings import Settings
@@ -17,7 +18,7 @@ ONE_A_TASK = {rule.task: rule for rule in RULES}
 
 
 @pytest.mark.parametrize("rule", ONE_A_TASK.values(), ids=ONE_A_TASK)
-def test_they_are_a_single_environments(rule) -> None:  # type: ignore[no-untyped-def]
+def test_they_are_a_single_environments(rule: Rule) -> None:
     settings = Settings(task=rule.task, actions=rule.actions, sensors=Camera())
     starts = [{"parcel": "S"}, {}, {"parcel": "B"}]
     found = run_episodes(rule.make(settings), settings, starts, seed=30)
@@ -76,4 +77,4 @@ def test_a_decisions_time_is_the_usual_one(
 
 @pytest.mark.parametrize("task", ONE_A_TASK)
 def test_a_settings_task_has_a_name(task: str) -> None:
-    assert task_name(Settings(task=task)) == task
+    assert Settings(task=task).task_name == task
