@@ -1,13 +1,14 @@
 """Everything that decides axes: fixed layouts, rules, a planner, agents that learn, their files and
 their comparison.
 
-`names()` lists the agents that come with the package, `load(name)` gives one to act:
+`names()` lists the agents that come with the package, `load(name)` gives one to act, and
+`read(folder)` one of your own:
 
     >>> import agents
     >>> "sort-ppo" in agents.names()
     True
 """
 
-from agents.library import load, names, seeds
+from agents.library import load, names, read, seeds
 
-__all__ = ["load", "names", "seeds"]
+__all__ = ["load", "names", "read", "seeds"]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.controller import Controller
-from surface_gym.registration import env_id
+from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.settings import Settings
 
 Numbers = NDArray[np.float64]
@@ -51,14 +51,13 @@ def run_episodes(
         seed: lane i draws from `seed` + i.
     """
     count = len(starts)
-    name = env_id(settings.task_name)
-    env = gym.make_vec(
-        name,
+    env = SmartSurfaceVectorEnv(
         num_envs=count,
+        max_episode_steps=settings.chosen_task.periods,
         autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
         **arguments(settings),
     )
-    observation, info = env.reset(seed=seed, options=list(starts))  # type: ignore[arg-type]
+    observation, info = env.reset(seed=seed, options=list(starts))
     figures = settings.chosen_task.figures
     kept: dict[str, Any] = {
         key: np.zeros_like(info[key])
@@ -123,11 +122,11 @@ def run_apart(
 
 
 def arguments(settings: Settings) -> dict[str, Any]:
-    """Settings as the arguments of `gym.make` and `gym.make_vec`."""
+    """Settings as the arguments of an environment."""
     return {
         name: getattr(settings, name)
         for name in (
             "task", "actions", "sensors", "control_period", "zone", "orientations", "actuators",
-            "randomisation",
+            "randomisation", "plant", "observe_axes", "info",
         )
     }  # fmt: skip

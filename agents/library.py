@@ -8,6 +8,7 @@ from surface_gym import checks
 if TYPE_CHECKING:
     from agents.modules.policy import ModulesPolicy
     from agents.policies.policy import Policy
+    from surface_gym.tasks import Task
 
 SHELF = Path(__file__).parent / "shipped"
 
@@ -42,12 +43,16 @@ def load(name: str, seed: int | None = None) -> "Policy | ModulesPolicy":
     return read(SHELF / name / f"seed-{chosen}")
 
 
-def read(folder: Path) -> "Policy | ModulesPolicy":
+def read(folder: str | Path, task: "Task | None" = None) -> "Policy | ModulesPolicy":
     """The policy that a run left in a folder, whatever learned it. No code in its files is run.
 
+    Args:
+        folder: of the run.
+        task: of one's own that it was trained on; None: one of the package.
+
     Raises:
-        ValueError: the folder holds no policy, or a damaged or foreign one.
+        ValueError: the folder holds no policy, or a damaged or foreign one, or one of another task.
     """
     from agents.policies.files import load_policy  # which brings PyTorch with it
 
-    return load_policy(folder)
+    return load_policy(Path(folder), task)

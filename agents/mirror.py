@@ -4,6 +4,8 @@ The environment's Sort observation is mirrored already, so that the goal is y > 
 features is the asked side. The actions here are turned back into the world's.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
@@ -35,17 +37,18 @@ class ActionMirror:
 
     Args:
         kind: of the actions.
-        orientations: [rad] axis angles on offer.
+        orientations: [rad] axis angles on offer; where any angle is, they do not count.
     """
 
     def __init__(self, kind: ActionKind, orientations: tuple[float, ...]) -> None:
         self._kind = kind
-        self._image = mirrored_orientations(orientations)
+        self._image = None if kind.continuous else mirrored_orientations(orientations)
 
-    def __call__(self, actions: NDArray[np.int64], side: NDArray[np.float32]) -> NDArray[np.int64]:
+    def __call__(self, actions: NDArray[Any], side: NDArray[np.float32]) -> NDArray[Any]:
         """Actions (lanes, ...) in the world, for the asked side (lanes,) of each lane."""
         commands = self._kind.commands(actions, len(side))
-        image = self._kind.encode(self._image[self._kind.flip(commands)])
+        flipped = self._kind.flip(commands)
+        image = self._kind.encode(-flipped if self._image is None else self._image[flipped])
         # Straight through, side 0, is seen as it is.
         towards = (side >= 0.0).reshape(-1, *[1] * (np.ndim(actions) - 1))
         return np.where(towards, actions, image)
@@ -64,7 +67,7 @@ class MirrorVecEnv(VecEnvWrapper):
         self._side = observations[:, SIDE].copy()  # type: ignore[call-overload,index]
         return observations
 
-    def step_async(self, actions: NDArray[np.int64]) -> None:
+    def step_async(self, actions: NDArray[Any]) -> None:
         self.venv.step_async(self._mirror(actions, self._side))
 
     def step_wait(self) -> VecEnvStepReturn:

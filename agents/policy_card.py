@@ -3,14 +3,15 @@
 from dataclasses import dataclass
 from typing import Any
 
-import gymnasium as gym
-
 from surface_gym import checks
 from surface_gym.registration import env_id
 from surface_gym.settings import Settings
-from surface_gym.tasks import TASKS
+from surface_gym.tasks import TASKS, Task
 
+CARD = "policy.yaml"  # the file that holds it
 ALGOS = ("ppo", "dqn", "modules")
+_NAMES = {env_id(name): name for name in TASKS}
+_OWN = "Own/"
 
 
 @dataclass(frozen=True)
@@ -21,14 +22,15 @@ class PolicyCard:
         ValueError: a field is out of its range; the message names it.
     """
 
-    env_id: str
+    env_id: str  # of the package, or "Own/Class" for a task of one's own
     algo: str  # "ppo", "dqn" or "modules"
     actions: str  # kind of action
     control_period: float  # [s]
     hidden: tuple[int, ...]  # units of the hidden layers
 
     def __post_init__(self) -> None:
-        checks.one_of("env_id", self.env_id, [env_id(task) for task in TASKS])
+        if not str(self.env_id).startswith(_OWN):
+            checks.one_of("env_id", self.env_id, _NAMES)
         checks.one_of("algo", self.algo, ALGOS)
         checks.positive("control_period", self.control_period)
         for units in self.hidden:
@@ -46,10 +48,22 @@ class PolicyCard:
 
     @property
     def task(self) -> str:
-        """The task's name."""
-        return str(gym.spec(self.env_id).kwargs["task"])
+        """The name of the package's task, or of the class of one's own."""
+        return _NAMES.get(self.env_id, self.env_id.removeprefix(_OWN))
 
-    @property
-    def settings(self) -> Settings:
-        """Those of the environment the policy is for."""
-        return Settings(task=self.task, **self.env_kwargs)
+    def settings(self, task: Task | None = None) -> Settings:
+        """Those of the environment the policy is for.
+
+        Args:
+            task: of one's own that it was trained on; None: one of the package.
+
+        Raises:
+            ValueError: it was trained on another task. A card says which, and runs no code for it.
+        """
+        own = self.env_id.startswith(_OWN)
+        if own and type(task).__name__ != self.task:
+            raise ValueError(
+                f"task must be {self.task}, of one's own, which the policy was trained on, "
+                f"got {None if task is None else type(task).__name__}"
+            )
+        return Settings(task=task if own and task is not None else self.task, **self.env_kwargs)

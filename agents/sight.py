@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.plant import PITCH
 from surface_gym.settings import Settings
+from surface_gym.tasks.sort import Sort
 from surface_gym.tasks.track import AHEAD
 
 Numbers = NDArray[np.float64]
@@ -21,7 +21,7 @@ def square_reach(half_length: Numbers | float, theta: Numbers) -> Numbers:
 
 @dataclass(frozen=True, eq=False)
 class LineSight:
-    """The parcel on a line, as a task other than Track shows it; all arrays (lanes,)."""
+    """The parcel on a line, as a task other than Track shows it; arrays (lanes,)."""
 
     into_zone: Numbers  # [m] x of the base's centre past the zone's first edge
     offset: Numbers  # [m] y of the base's centre from the line's middle
@@ -30,6 +30,7 @@ class LineSight:
     vy: Numbers  # [m/s]
     omega: Numbers  # [rad/s]
     half_length: Numbers  # [m] of the base, taken as a square
+    pitch: tuple[float, float]  # [m] of the plant, in x and in y
     side: Numbers  # Sort: +1 for y > 0, -1 for y < 0, 0 for straight through; else 0
     ratio: Numbers  # Slow: [-] asked of the entry speed; else 0
     entry_speed: Numbers  # Slow: [m/s]; else 0
@@ -44,7 +45,7 @@ class LineSight:
 
 @dataclass(frozen=True, eq=False)
 class PathSight:
-    """The parcel beside its path, as Track shows it; all arrays (lanes,) but `slope`."""
+    """The parcel beside its path, as Track shows it; arrays (lanes,) where nothing else is said."""
 
     cross_error: Numbers  # [m] off the path, square to it, positive to its left
     speed_error: Numbers  # [m/s] over the asked speed, along the path
@@ -55,6 +56,7 @@ class PathSight:
     theta: Numbers  # [rad]
     omega: Numbers  # [rad/s]
     half_length: Numbers  # [m] of the base, taken as a square
+    pitch: tuple[float, float]  # [m] of the plant, in x and in y
     x_in_pitch: Numbers  # [m] of the centre past the nearest module's, in -pitch/2 to pitch/2
     y_in_pitch: Numbers  # [m]
 
@@ -86,9 +88,13 @@ class _Columns:
     def half_length(self) -> Numbers:
         return 0.175 + 0.05 * self["size"]
 
-    def in_pitch(self, axis: str) -> Numbers:
+    def in_pitch(self, axis: str, pitch: float) -> Numbers:
         phase = np.arctan2(self[f"sine of phase {axis}"], self[f"cosine of phase {axis}"])
-        return PITCH * phase / (2.0 * math.pi)
+        return pitch * phase / (2.0 * math.pi)
+
+
+def _pitch(settings: Settings) -> tuple[float, float]:
+    return settings.chosen_plant.pitch_x, settings.chosen_plant.pitch_y
 
 
 def line_sight(settings: Settings, observations: NDArray[np.float32]) -> LineSight:
@@ -100,10 +106,9 @@ def line_sight(settings: Settings, observations: NDArray[np.float32]) -> LineSig
     theta = mirror * see.theta
     half_length = see.half_length
     reach = square_reach(half_length, theta)
-    sorts = settings.chosen_task.number == 0
     return LineSight(
         into_zone=0.5 * see["distance into zone"] + reach
-        if sorts
+        if isinstance(settings.task, Sort)
         else 0.5 * see["front in zone"] - reach,
         offset=mirror * 0.3 * see["lateral offset"],
         theta=theta,
@@ -111,6 +116,7 @@ def line_sight(settings: Settings, observations: NDArray[np.float32]) -> LineSig
         vy=mirror * 0.5 * see["lateral speed"],
         omega=mirror * 3.0 * see["turning speed"],
         half_length=half_length,
+        pitch=_pitch(settings),
         side=side,
         ratio=see["asked ratio"],
         entry_speed=np.where(see["asked ratio"] > 0.0, 1.5 + see["entry speed"], 0.0),
@@ -122,6 +128,7 @@ def line_sight(settings: Settings, observations: NDArray[np.float32]) -> LineSig
 def path_sight(settings: Settings, observations: NDArray[np.float32]) -> PathSight:
     """What observations (lanes, features) of Track say."""
     see = _Columns(settings, observations)
+    pitch = _pitch(settings)
     return PathSight(
         cross_error=0.05 * see["cross error"],
         speed_error=0.2 * see["speed error"],
@@ -132,6 +139,7 @@ def path_sight(settings: Settings, observations: NDArray[np.float32]) -> PathSig
         theta=see.theta,
         omega=3.0 * see["turning speed"],
         half_length=see.half_length,
-        x_in_pitch=see.in_pitch("x"),
-        y_in_pitch=see.in_pitch("y"),
+        pitch=pitch,
+        x_in_pitch=see.in_pitch("x", pitch[0]),
+        y_in_pitch=see.in_pitch("y", pitch[1]),
     )

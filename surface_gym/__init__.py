@@ -1,18 +1,18 @@
 """A smart surface that steers parcels by friction: the simulator and its environments."""
 
-from surface_gym import layouts, sensors, tasks
+from surface_gym import layouts, plants, sensors, tasks
 from surface_gym.actuators import Actuators
 from surface_gym.bases import Disc, Polygon, Rectangle
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.parcel import Parcel
 from surface_gym.randomisation import Randomisation
-from surface_gym.registration import register
+from surface_gym.registration import register, register_all
 from surface_gym.simulation import simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.vector_env import SmartSurfaceVectorEnv
 
-register()
+register_all()
 
 __version__ = "0.1.0"
 __all__ = [
@@ -27,6 +27,8 @@ __all__ = [
     "Surface",
     "Trajectory",
     "layouts",
+    "plants",
+    "register",
     "sensors",
     "simulate",
     "tasks",

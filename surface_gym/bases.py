@@ -11,7 +11,10 @@ from surface_gym import checks
 
 
 class Base(Protocol):
-    """What the physics and the drawing ask of a base. All lengths are in the base's own frame."""
+    """What the physics and the drawing ask of a base. All lengths are in the base's own frame.
+
+    A base is convex: the part of a circle, around its centroid, that lies within its edges.
+    """
 
     @property
     def centroid(self) -> tuple[float, float]:
@@ -35,6 +38,32 @@ class Base(Protocol):
 
     def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         """F_lambda at points: (lambdas, ...), none positive inside."""
+
+    def scaled(self, factor: float) -> "Base":
+        """The same shape, every length times a factor."""
+
+
+def check_base(base: Any) -> None:
+    """Raise a ValueError that says what an object lacks to be a `Base`."""
+    asked = ("centroid", "gyration", "reach", "edges", "outline", "functions", "scaled")
+    lacks = [name for name in asked if isinstance(base, type) or not hasattr(base, name)]
+    if lacks:
+        raise ValueError(
+            f"base must be a Rectangle, a Disc or a Polygon, got {base!r}; "
+            f"a Base of one's own must have {', '.join(lacks)} too"
+        )
+    if not isinstance(base, (Rectangle, Disc, Polygon)):
+        checks.array("base.edges", base.edges, (None, 3))
+        checks.array("base.outline", base.outline, (None, 2))
+        checks.array("base.centroid", base.centroid, (2,))
+        checks.positive("base.gyration", base.gyration)
+        checks.positive("base.reach", base.reach)
+        try:
+            hash(base)
+        except TypeError:
+            raise ValueError(
+                f"base must be hashable, as a frozen dataclass is, got {base!r}"
+            ) from None
 
 
 def _edge_functions(
@@ -85,6 +114,9 @@ class Rectangle:
     def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         return _edge_functions(self.edges, self.centroid, x, y)
 
+    def scaled(self, factor: float) -> "Rectangle":
+        return Rectangle(self.length * factor, self.width * factor)
+
 
 @dataclass(frozen=True)
 class Disc:
@@ -119,6 +151,9 @@ class Disc:
     def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         distance = np.hypot(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
         return (distance - self.radius)[np.newaxis]
+
+    def scaled(self, factor: float) -> "Disc":
+        return Disc(self.radius * factor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,3 +228,6 @@ class Polygon:
 
     def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         return _edge_functions(self.edges, self.centroid, x, y)
+
+    def scaled(self, factor: float) -> "Polygon":
+        return Polygon(self.vertices * factor)

@@ -80,3 +80,44 @@ def array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray
         raise ValueError(f"{name} must be finite, got {result[~np.isfinite(result)][0]} in it")
     result.setflags(write=False)
     return result
+
+
+def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
+    """A read-only copy as an array (rows, columns) of booleans, not empty, or an error."""
+    try:
+        given = np.array(value)
+    except ValueError:  # rows of different lengths
+        raise ValueError(f"{name} must be an array of booleans, got {value!r}") from None
+    if given.dtype != np.bool_:
+        raise ValueError(f"{name} must be an array of booleans, got one of {given.dtype}")
+    if given.ndim != 2 or given.size == 0:
+        raise ValueError(f"{name} must have at least one row and one column, got {given.shape}")
+    given.setflags(write=False)
+    return given
+
+
+def pitch(name: str, value: Any) -> float | tuple[float, float]:
+    """A distance above zero, or two of them, in x and in y; or an error."""
+    if isinstance(value, (tuple, list, np.ndarray)):
+        if len(value) != 2:
+            raise ValueError(f"{name} must be one number or two, in x and in y, got {value!r}")
+        return (positive(name, value[0]), positive(name, value[1]))
+    return positive(name, value)
+
+
+def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Coefficients of at least zero: one (), or one an element (rows, columns); or an error."""
+    if value is None or np.isscalar(value):
+        return np.asarray(not_negative(name, value))
+    given = array(name, value, () if np.ndim(value) == 0 else shape)
+    if given.min() < 0.0:
+        raise ValueError(f"{name} must be at least 0, got {given.min()}")
+    return given
+
+
+def orientations(name: str, value: ArrayLike) -> tuple[float, ...]:
+    """Two or more axis angles [rad], or an error."""
+    angles = array(name, value, (None,))
+    if len(angles) < 2:
+        raise ValueError(f"{name} must be at least 2, got {value!r}")
+    return tuple(angles.tolist())

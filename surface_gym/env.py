@@ -8,11 +8,14 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.actuators import Actuators
-from surface_gym.lanes.memory import FIGURES, OUTCOMES, RUNNING, SUCCESS
+from surface_gym.batch.batch import Batch
+from surface_gym.lanes.memory import RUNNING, SUCCESS
+from surface_gym.plants import Plant
 from surface_gym.randomisation import Randomisation
-from surface_gym.sensors import Exact, Sensors
-from surface_gym.settings import ORIENTATIONS, Settings
-from surface_gym.tasks.task import Task, check_options
+from surface_gym.sensors import Exact, Sensor
+from surface_gym.settings import Settings
+from surface_gym.tasks import Task
+from surface_gym.tasks.start import check_options
 
 RENDER_FPS = 25  # pictures a second at the default control period of 40 ms: real time
 
@@ -41,16 +44,23 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     "modules" has a number for each place of the widest line (4 rows); those without a rotor under
     a narrower one are without effect. Ahead, behind, left, right and around are of the sensed pose.
 
+    With `orientations="any"` each of these is an angle instead, in a Box from -pi/2 to pi/2.
+
     ## Observation
 
     The task's features, float32, built from what the sensors say: see the task's page. With
-    "window" 25 more follow, 1 for a module that obeys and is sensed to lie under the parcel.
+    "window" 25 more follow, 1 for a module that obeys and is sensed to lie under the parcel. With
+    `observe_axes` two more for each module of the zone, or of the window: cosine and sine of twice
+    its axis angle, which is the same for an axis turned by 180 deg. Axes that take time to turn are
+    hidden otherwise.
 
     ## Info
 
     `is_success`, `outcome` (why the episode ended, or "running"), `time` [s], the true `pose`
     (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid, `reward_terms` (named terms
-    whose sum is the reward), and the task's own figures.
+    whose sum is the reward), and the task's own figures. On request, by `info=("axes",
+    "normal_forces")`, the axis angles [rad] of all elements, (rows, columns), and what each bears
+    of the parcel [N] at present.
 
     ## End
 
@@ -65,9 +75,12 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     | `sensors` | `Exact()` | `Exact()`, `Camera(...)` or `Presence(...)` of `surface_gym.sensors` |
     | `control_period` | 0.04 | [s] between decisions; cut into equal physics steps of at most 5 ms |
     | `zone` | None | first and last column that obey; None: those after the lead-in |
-    | `orientations` | 0, pi/4, -pi/4, pi/2 | [rad] axis angles on offer, at least two |
+    | `orientations` | None | [rad] axis angles on offer, at least two; None: the plant's, 0, pi/4, -pi/4, pi/2; or "any" |
     | `actuators` | `Actuators()` | `axis_speed` [rad/s], `stuck` modules, `stuck_share` |
     | `randomisation` | `Randomisation()` | spreads of friction, mass, size, load and start |
+    | `plant` | None | a `Line`, `Field` or `Pattern` of `surface_gym.plants`; None: the task's own |
+    | `observe_axes` | False | whether the observation shows the modules' axes |
+    | `info` | () | what `info` carries on request |
     | `render_mode` | None | "rgb_array", without a display, or "human" |
 
     `reset(options=...)` fixes a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's own
@@ -97,24 +110,38 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         self,
         task: str | Task = "sort",
         actions: str = "modules",
-        sensors: Sensors = Exact(),
+        sensors: Sensor = Exact(),
         control_period: float = 0.04,
         zone: tuple[int, int] | None = None,
-        orientations: tuple[float, ...] = ORIENTATIONS,
+        orientations: tuple[float, ...] | str | None = None,
         actuators: Actuators = Actuators(),
         randomisation: Randomisation = Randomisation(),
+        plant: Plant | None = None,
+        observe_axes: bool = False,
+        info: tuple[str, ...] = (),
         render_mode: str | None = None,
     ) -> None:
         self.settings = Settings(
-            task, actions, sensors, control_period, zone, orientations, actuators, randomisation
+            task,
+            actions,
+            sensors,
+            control_period,
+            zone,
+            orientations,
+            actuators,
+            randomisation,
+            plant,
+            observe_axes,
+            info,
         )
         checks.one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.render_mode = render_mode
         self.observation_space = self.settings.observation_space()
         self.action_space = self.settings.action_space()
-        self._task = self.settings.chosen_task
+        self._batch = Batch(self.settings, 1)
+        self._task = self._batch.task
+        self._outcomes = self._batch.outcomes
         self._kind = self.settings.action_kind
-        self._batch = self.settings.make_batch(1)
         self._lane = np.zeros(1, dtype=np.int64)
         self._started = False
         self._trail: list[NDArray[np.float64]] = []
@@ -125,10 +152,11 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         options = check_options(options, self._task.options)
+        if options:
+            self._batch.check([options])
         super().reset(seed=seed)
-        start = self._task.start(self.np_random, options, self.settings.zone)
-        self._batch.place(0, start, self.np_random)
-        self._batch.begin(self._lane)
+        self._batch.reserve.seed(0, self.np_random)
+        self._batch.start(self._lane, [options] if options else ())
         self._started = True
         self._trail.clear()
         self._follow()
@@ -144,7 +172,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         self._follow()
         return (
             lanes.observation[0].copy(),
-            float(lanes.terms[0].sum()),
+            float(lanes.reward[0]),
             bool(lanes.outcome[0] != RUNNING),
             False,
             self._info(),
@@ -189,15 +217,15 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     def _info(self) -> dict[str, Any]:
         lanes = self._batch.lanes
         outcome = int(lanes.outcome[0])
-        return {
+        info = {
             "is_success": outcome == SUCCESS,
-            "outcome": OUTCOMES[outcome],
+            "outcome": self._outcomes[outcome],
             "time": float(lanes.clock[0]),
             "pose": lanes.truth[0, :3].copy(),
             "velocity": lanes.truth[0, 3:].copy(),
-            **{
-                name: float(lanes.memory[0, FIGURES + k])
-                for k, name in enumerate(self._task.figures)
-            },
+            **dict(zip(self._task.figures, lanes.figures[0].tolist(), strict=True)),
             "reward_terms": dict(zip(self._task.terms, lanes.terms[0].tolist(), strict=True)),
         }
+        for name, values in self._batch.on_request().items():
+            info[name] = values[0]
+        return info

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from surface_gym.env import SmartSurfaceEnv
-from surface_gym.registration import MAX_EPISODE_STEPS, env_id
-from surface_gym.tasks import TASKS
-from surface_gym.tasks.task import Task
+from surface_gym.registration import env_id
+from surface_gym.tasks import TASKS, Task
 
 
 def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
@@ -28,7 +27,8 @@ def _observation_table(task: Task) -> str:
 
 def _argument_table(task_class: type[Any]) -> str:
     """Fields of a task with their defaults and the comments behind them."""
-    source = inspect.getsource(task_class).splitlines()
+    kinds = (kind for kind in task_class.__mro__ if kind is not object)
+    source = [line for kind in kinds for line in inspect.getsource(kind).splitlines()]
     rows = []
     for field in fields(task_class):
         line = next(line for line in source if line.strip().startswith(f"{field.name}:"))
@@ -42,7 +42,7 @@ def page(name: str) -> str:
     task_class = TASKS[name]
     task = task_class()
     period = inspect.signature(SmartSurfaceEnv).parameters["control_period"].default
-    limit = MAX_EPISODE_STEPS[name]
+    limit = task_class.periods
     return (
         "\n\n".join(
             (

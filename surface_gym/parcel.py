@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from surface_gym import checks
-from surface_gym.bases import Base, Disc, Polygon, Rectangle
+from surface_gym.bases import Base, check_base
 from surface_gym.dynamics.types import Body
 
 
@@ -13,9 +15,10 @@ class Parcel:
     """A rigid parcel. Its pose is its base frame's; the defaults are those of Table 1.
 
     Raises:
-        ValueError: a mass, height or inertia that is not allowed, a base of another kind, or a
+        ValueError: a mass, height or inertia that is not allowed, a base that is none, or a
             centre of mass that is not over the base.
 
+    >>> from surface_gym import Rectangle
     >>> round(Parcel(Rectangle(0.25, 0.25)).moment_of_inertia, 4)  # m (b^2 + h^2) / 12
     0.1042
     """
@@ -27,8 +30,7 @@ class Parcel:
     com_offset: tuple[float, float] = (0.0, 0.0)  # [m] centre of mass from the base's centroid
 
     def __post_init__(self) -> None:
-        if not isinstance(self.base, (Rectangle, Disc, Polygon)):
-            raise ValueError(f"base must be a Rectangle, a Disc or a Polygon, got {self.base!r}")
+        check_base(self.base)
         set_field = object.__setattr__
         set_field(self, "mass", checks.positive("mass", self.mass))
         set_field(self, "com_height", checks.not_negative("com_height", self.com_height))
@@ -59,7 +61,7 @@ class Parcel:
     def body(self) -> Body:
         """The parcel as the compiled physics reads it."""
         return Body(
-            edges=self.base.edges,
+            edges=np.asarray(self.base.edges, dtype=np.float64),
             radius=self.base.reach,
             com_x=self.com_offset[0],
             com_y=self.com_offset[1],

@@ -1,13 +1,11 @@
 """From a batch's lane to the scene that is drawn; imports drawing, so import it to draw."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym.batch.batch import Batch
-from surface_gym.lanes.memory import GRAVITY_ALONG, OUTCOMES, RADIUS, RUNNING
-from surface_gym.plant import ORIGIN, PITCH
+from surface_gym.lanes.lane import Lane
+from surface_gym.lanes.memory import GRAVITY_ALONG, RADIUS, RUNNING
 from surface_gym.rendering import Scene
 
 _DISC = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
@@ -28,27 +26,29 @@ def scene_of(
     truth, sensed = lanes.truth[lane], lanes.sensed[lane]
     apart = np.abs(truth[:3] - sensed[:3]).max() > 1e-9
     outcome = int(lanes.outcome[lane])
+    plant = batch.settings.chosen_plant
+    view = batch.view(lane)
     readings: list[tuple[str, str]] = [
         ("time", f"{lanes.clock[lane]:.2f} s"),
         ("speed", f"{np.hypot(truth[3], truth[4]):.2f} m/s"),
         ("heading", f"{np.degrees(truth[2]):+.1f}\N{DEGREE SIGN}"),
-        *batch.task.readings(lanes, lane),
+        *batch.task.readings(view),
     ]
     if outcome != RUNNING:
-        readings.append(("end", OUTCOMES[outcome]))
+        readings.append(("end", batch.outcomes[outcome]))
     tilt = float(np.arcsin(min(1.0, lanes.surface[lane, GRAVITY_ALONG] / _gravity(batch, lane))))
     name = type(batch.task).__name__
     return Scene(
-        axis=np.arctan2(lanes.axis[lane, :, :, 1], lanes.axis[lane, :, :, 0]),
-        rotor=lanes.rotor[lane],
-        outline=_outline(batch, lane),
+        axis=batch.axes(lane),
+        rotor=view.rotor,
+        outline=_outline(view),
         pose=tuple(truth[:3].tolist()),
-        pitch=PITCH,
-        origin=(ORIGIN, ORIGIN),
-        zone=tuple(lanes.zone[lane].tolist()),
+        pitch=plant.pitch,
+        origin=plant.origin,
+        zone=tuple(view.zone.tolist()),
         trail=trail,
         sensed_pose=tuple(sensed[:3].tolist()) if apart else None,
-        goal=batch.task.goal(lanes, lane),
+        goal=batch.task.goal(view),
         tilt=tilt,
         title=name if title is None else title,
         readings=tuple(readings),
@@ -59,12 +59,11 @@ def _gravity(batch: Batch, lane: int) -> float:
     return float(np.hypot(*batch.lanes.surface[lane, 3:5]))
 
 
-def _outline(batch: Batch, lane: int) -> NDArray[np.float64]:
+def _outline(lane: Lane) -> NDArray[np.float64]:
     """(points, 2) [m] perimeter of the base from its centroid."""
-    corners: NDArray[Any] = batch.lanes.corners[lane]
+    corners = lane.corners
     if np.abs(corners).max() > 0.0:
         keep = np.ones(len(corners), dtype=bool)
         keep[1:] = (corners[1:] != corners[0]).any(axis=1)
         return corners[keep]
-    radius = batch.lanes.body[lane, RADIUS]
-    return radius * np.stack([np.cos(_DISC), np.sin(_DISC)], axis=-1)
+    return lane.body[RADIUS] * np.stack([np.cos(_DISC), np.sin(_DISC)], axis=-1)

@@ -19,7 +19,7 @@ from surface_gym.picture import scene_of
 from surface_gym.rendering import Painter, Scene, Window
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS
-from surface_gym.tasks.task import parcel_option
+from surface_gym.tasks.start import Draw, parcel_option
 
 FRAME_RATE = 25.0  # [1/s] real time at the control period of 40 ms
 DRAG_SPEED = 2.0  # [m/s] a metre dragged
@@ -37,9 +37,10 @@ class Game:
 
     def __init__(self, task: str) -> None:
         settings = Settings(task, actions="halves")
-        self._rng = np.random.default_rng(0)
-        self._batch: Batch = settings.make_batch(1)
-        self._start = settings.chosen_task.start(self._rng, {}, None)
+        self._batch = Batch(settings, 1)
+        self._batch.reserve.seed(0, np.random.default_rng(0))
+        numbers = self._batch.reserve.take(np.zeros(1, dtype=np.int64))
+        self._start = settings.chosen_task.start(Draw(numbers, (), settings.chosen_plant))
         self._command = np.full((1, 2), CONVEYOR)  # ahead of the parcel's centre, and behind
         self._painter = Painter()
         self._trail: list[NDArray[np.float64]] = []
@@ -86,7 +87,7 @@ class Game:
             self._start = self._start._replace(parcel=parcel)
             self._restart()
         elif key == pygame.K_TAB:
-            self._start = self._start._replace(pose=(x, y, theta + TURN))
+            self._start = self._start._replace(pose=(x, y, np.add(theta, TURN)))
             self._restart()
         elif key == pygame.K_SPACE:
             self._paused = not self._paused
@@ -104,8 +105,9 @@ class Game:
         self._restart()
 
     def _restart(self) -> None:
-        self._batch.place(0, self._start, self._rng)
-        self._batch.begin(np.zeros(1, dtype=np.int64))
+        lane = np.zeros(1, dtype=np.int64)
+        self._batch.place(lane, self._start)
+        self._batch.begin(lane)
         self._trail.clear()
 
     def _scene(self) -> Scene:

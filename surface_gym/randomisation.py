@@ -7,15 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.bases import Base, Disc, Polygon, Rectangle
+from surface_gym.bases import Base
 from surface_gym.parcel import Parcel
-from surface_gym.tasks.task import Start
 
 
 class Drawn(NamedTuple):
-    """A start and a surface as drawn."""
+    """What a start and the surface under it are drawn to be."""
 
-    start: Start
+    parcel: Parcel
+    aside: float  # [m] of the start in y
+    turned: float  # [rad] of the start's theta
     friction: tuple[float, float, float]  # factors of mu_max, mu_min and mu_support
     stiffness: NDArray[np.float64] | None  # (rows, columns) [-]; None: all the same
 
@@ -53,29 +54,25 @@ class Randomisation:
 
     def largest(self, base: Base) -> Base:
         """The base at the largest size that may be drawn."""
-        return _scaled(base, 1.0 + self.size)
+        return base.scaled(1.0 + self.size)
 
-    def draw(self, rng: np.random.Generator, start: Start, shape: tuple[int, int]) -> Drawn:
-        """Vary a start and the surface (rows, columns) under it; only what varies is drawn."""
+    def draw(self, rng: np.random.Generator, parcel: Parcel, shape: tuple[int, ...]) -> Drawn:
+        """Vary a start of a parcel and the surface (rows, columns); only what varies is drawn."""
         friction = (
             _factor(rng, self.friction),
             _factor(rng, self.rolling),
             _factor(rng, self.rolling),
         )
-        parcel = start.parcel
         if self.mass or self.size or self.com_offset:
             parcel = self._draw_parcel(rng, parcel)
-        x, y, theta = start.pose
-        if self.lateral:
-            y += self.lateral * float(rng.standard_normal())
-        if self.heading:
-            theta += self.heading * float(rng.standard_normal())
+        aside = self.lateral * float(rng.standard_normal()) if self.lateral else 0.0
+        turned = self.heading * float(rng.standard_normal()) if self.heading else 0.0
         stiffness = np.exp(self.stiffness * rng.standard_normal(shape)) if self.stiffness else None
-        return Drawn(start._replace(parcel=parcel, pose=(x, y, theta)), friction, stiffness)
+        return Drawn(parcel, aside, turned, friction, stiffness)
 
     def _draw_parcel(self, rng: np.random.Generator, parcel: Parcel) -> Parcel:
         mass, size = _factor(rng, self.mass), _factor(rng, self.size)
-        base = _scaled(parcel.base, size)
+        base = parcel.base.scaled(size)
         half = np.ptp(base.outline, axis=0) / 2.0
         centre = np.array(base.centroid)
         offset = size * np.array(parcel.com_offset)
@@ -95,12 +92,3 @@ class Randomisation:
 
 def _factor(rng: np.random.Generator, spread: float) -> float:
     return float(rng.uniform(1.0 - spread, 1.0 + spread)) if spread else 1.0
-
-
-def _scaled(base: Base, factor: float) -> Base:
-    if isinstance(base, Rectangle):
-        return Rectangle(base.length * factor, base.width * factor)
-    if isinstance(base, Disc):
-        return Disc(base.radius * factor)
-    assert isinstance(base, Polygon)
-    return Polygon(base.vertices * factor)

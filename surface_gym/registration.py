@@ -1,25 +1,34 @@
 """The ids that `gymnasium.make` and `gymnasium.make_vec` know."""
 
+from typing import Any
+
 import gymnasium as gym
 
 from surface_gym.tasks import TASKS
-
-# Control periods of an episode at most: 4 to 12 s at 40 ms.
-MAX_EPISODE_STEPS = {"sort": 100, "slow": 100, "stop": 150, "track": 300, "orient": 200}
+from surface_gym.tasks.task import Task
 
 
 def env_id(task: str) -> str:
-    """The id of a task's environment."""
+    """The id of one of the package's environments, by its task's name."""
     return f"SmartSurface/{task.capitalize()}-v0"
 
 
-def register() -> None:
-    """Register `SmartSurface/<Task>-v0` for every task."""
-    for name in TASKS:
-        gym.register(
-            id=env_id(name),
-            entry_point="surface_gym.env:SmartSurfaceEnv",
-            vector_entry_point="surface_gym.vector_env:SmartSurfaceVectorEnv",
-            max_episode_steps=MAX_EPISODE_STEPS[name],
-            kwargs={"task": name},
-        )
+def register(task: type[Task], name: str) -> None:
+    """Make a task of one's own known to Gymnasium by a name such as "Mine/Reach-v0"."""
+    _register(name, task(), task.periods)
+
+
+def register_all() -> None:
+    """Register `SmartSurface/<Task>-v0` for every task of the package."""
+    for name, task in TASKS.items():
+        _register(env_id(name), name, task.periods)
+
+
+def _register(name: str, task: Any, periods: int) -> None:
+    gym.register(
+        id=name,
+        entry_point="surface_gym.env:SmartSurfaceEnv",
+        vector_entry_point="surface_gym.vector_env:SmartSurfaceVectorEnv",
+        max_episode_steps=periods,
+        kwargs={"task": task},
+    )

@@ -8,19 +8,18 @@ import numpy as np
 from gymnasium import spaces
 
 from surface_gym import checks
-from surface_gym.actions import ActionKind
+from surface_gym.actions import ANY, ActionKind
+from surface_gym.actions.showing import AXIS_SIZE
 from surface_gym.actuators import Actuators
-from surface_gym.batch.batch import Batch
-from surface_gym.batch.commands import Acting
 from surface_gym.lanes.memory import Timing
+from surface_gym.plants import Plant
 from surface_gym.randomisation import Randomisation
-from surface_gym.sensors import KINDS as SENSORS
-from surface_gym.sensors import Exact, Sensors
-from surface_gym.tasks import TASKS
-from surface_gym.tasks.task import Feature, Task
+from surface_gym.sensors import Exact, Sensor
+from surface_gym.tasks import TASKS, Task
+from surface_gym.tasks.task import Feature
 
-ORIENTATIONS = (0.0, math.pi / 4, -math.pi / 4, math.pi / 2)  # [rad] the paper's Figure 2b
 LONGEST_STEP = 0.005  # [s]
+INFOS = ("axes", "normal_forces")  # that `info` carries on request
 
 
 @dataclass(frozen=True)
@@ -33,38 +32,48 @@ class Settings:
 
     task: str | Task = "sort"  # its name, or one with parameters of its own
     actions: str = "modules"  # kind of action
-    sensors: Sensors = Exact()  # what a controller gets to see
+    sensors: Sensor = Exact()  # what a controller gets to see
     control_period: float = 0.04  # [s] between decisions
     zone: tuple[int, int] | None = None  # first and last column that obey; None: the plant's own
-    orientations: tuple[float, ...] = ORIENTATIONS  # [rad] axis angles on offer
+    # [rad] axis angles on offer; None: the plant's; "any": an action says angles
+    orientations: tuple[float, ...] | str | None = None
     actuators: Actuators = Actuators()
     randomisation: Randomisation = Randomisation()
+    plant: Plant | None = None  # where it happens; None: the task's own
+    observe_axes: bool = False  # the observation shows the modules' axes
+    info: tuple[str, ...] = ()  # what `info` carries beside the rest
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
         if isinstance(self.task, str):
             set_field(self, "task", TASKS[checks.one_of("task", self.task, TASKS)]())
-        for name, kinds in (
-            ("task", tuple(TASKS.values())),
-            ("sensors", SENSORS),
-            ("actuators", (Actuators,)),
-            ("randomisation", (Randomisation,)),
+        for name, kind, told in (
+            ("task", Task, f"one of {', '.join(TASKS)} or a Task"),
+            ("sensors", Sensor, "a Sensor"),
+            ("actuators", Actuators, "Actuators"),
+            ("randomisation", Randomisation, "a Randomisation"),
+            ("plant", Plant | None, "a Plant"),
         ):
-            if not isinstance(getattr(self, name), kinds):
-                allowed = ", ".join(kind.__name__ for kind in kinds)
-                raise ValueError(f"{name} must be a {allowed}, got {getattr(self, name)!r}")
-        angles = checks.array("orientations", self.orientations, (None,))
-        if len(angles) < 2:
-            raise ValueError(f"orientations must be at least 2, got {self.orientations!r}")
-        set_field(self, "orientations", tuple(angles.tolist()))
+            if not isinstance(getattr(self, name), kind):
+                raise ValueError(f"{name} must be {told}, got {getattr(self, name)!r}")
+        if isinstance(self.orientations, str):
+            checks.one_of("orientations", self.orientations, (ANY,))
+        elif self.orientations is not None:
+            angles = checks.orientations("orientations", self.orientations)
+            set_field(self, "orientations", angles)
         set_field(self, "control_period", checks.positive("control_period", self.control_period))
+        checks.one_of("observe_axes", self.observe_axes, (False, True))
+        if not isinstance(self.info, (tuple, list)):
+            raise ValueError(f"info must be some of {INFOS}, got {self.info!r}")
+        for name in self.info:
+            checks.one_of("info", name, INFOS)
         self._check_places()
         self._check_size()
         _ = self.action_kind
 
     def _check_places(self) -> None:
         """The zone and the stuck modules lie on the surface."""
-        plant = self.chosen_task.plant
+        plant = self.chosen_plant
         if self.zone is not None:
             if not isinstance(self.zone, (tuple, list)) or len(self.zone) != 2:
                 raise ValueError(f"zone must be two columns, first and last, got {self.zone!r}")
@@ -85,17 +94,12 @@ class Settings:
         """Every parcel the task draws fits the plant at the largest size it may have."""
         for parcel in self.chosen_task.parcels:
             try:
-                self.chosen_task.plant.site(self.randomisation.largest(parcel.base), self.zone)
+                self.chosen_plant.site(self.randomisation.largest(parcel.base), self.zone)
             except ValueError as error:
                 raise ValueError(
                     f"size must leave room for every parcel, got {self.randomisation.size!r}: "
                     f"{error}"
                 ) from None
-
-    @property
-    def task_name(self) -> str:
-        """The task's name, whatever its parameters."""
-        return next(name for name, kind in TASKS.items() if isinstance(self.task, kind))
 
     @property
     def chosen_task(self) -> Task:
@@ -104,17 +108,41 @@ class Settings:
         return self.task
 
     @property
+    def task_name(self) -> str:
+        """The name of the package's task that it is or inherits from; else its own."""
+        kinds = (name for name, kind in TASKS.items() if isinstance(self.task, kind))
+        return next(kinds, self.chosen_task.name)
+
+    @property
+    def chosen_plant(self) -> Plant:
+        """Where it happens."""
+        return self.chosen_task.plant if self.plant is None else self.plant
+
+    @property
+    def chosen_orientations(self) -> tuple[float, ...]:
+        """[rad] axis angles on offer; where any angle is, the plant's."""
+        if self.orientations is None or isinstance(self.orientations, str):
+            return self.chosen_plant.orientations
+        return self.orientations
+
+    @property
     def action_kind(self) -> ActionKind:
         """What an action is."""
-        plant = self.chosen_task.plant
+        plant = self.chosen_plant
         columns = plant.zone_columns if self.zone is None else self.zone[1] - self.zone[0] + 1
-        return ActionKind(self.actions, len(self.orientations), plant.zone_rows, columns)
+        choices = 0 if self.orientations == ANY else len(self.chosen_orientations)
+        return ActionKind(self.actions, choices, plant.zone_rows, columns)
 
     @property
     def timing(self) -> Timing:
         """The control period in equal physics steps of at most 5 ms."""
         steps = math.ceil(self.control_period / LONGEST_STEP - 1e-9)
         return Timing(self.control_period / steps, steps)
+
+    @property
+    def draws(self) -> int:
+        """Rows of noise that the sensors use at most in a control period."""
+        return self.sensors.draws(self.timing.dt, self.timing.steps)
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -124,7 +152,18 @@ class Settings:
             Feature(f"occupied {row}, {column}", 0.0, 1.0, "a module that obeys, under the parcel")
             for row, column in np.ndindex(*kind.shape)
         )
-        return self.chosen_task.features + (window if kind.window_size else ())
+        features = self.chosen_task.features + (window if kind.window_size else ())
+        return features + self._axis_features() if self.observe_axes else features
+
+    def _axis_features(self) -> tuple[Feature, ...]:
+        """An axis is the same turned by pi: it is shown by twice its angle."""
+        kind = self.action_kind
+        window = kind.shape if kind.name == "window" else (kind.rows, kind.columns)
+        return tuple(
+            Feature(f"{part} of axis {row}, {column}", -1.0, 1.0, "of twice its angle; 0: no rotor")
+            for row, column in np.ndindex(*window)
+            for part in ("cosine", "sine")[:AXIS_SIZE]
+        )
 
     def observation_space(self) -> spaces.Box:
         """The space of one lane's observation."""
@@ -136,27 +175,3 @@ class Settings:
     def action_space(self) -> spaces.Space[Any]:
         """The space of one lane's action."""
         return self.action_kind.space()
-
-    def make_batch(self, lanes: int, threads: int = 1) -> Batch:
-        """A batch of lanes with these settings, moved on a number of threads."""
-        angles = np.array(self.orientations)
-        kind, timing = self.action_kind, self.timing
-        acting = Acting(
-            kind.number,
-            kind.rows,
-            np.stack([angles, np.cos(angles), np.sin(angles)], axis=-1),
-            self.actuators.axis_speed * timing.dt,
-        )
-        return Batch(
-            self.chosen_task,
-            acting,
-            kind.size,
-            kind.window_size,
-            lanes,
-            timing,
-            self.zone,
-            self.sensors,
-            self.actuators,
-            self.randomisation,
-            threads,
-        )

@@ -13,7 +13,7 @@ from surface_gym.dynamics.entries import (
     find_support,
     load_point,
 )
-from surface_gym.dynamics.memory import make_scratch
+from surface_gym.dynamics.memory import check_capacity, make_scratch, row_of
 from surface_gym.dynamics.run import run_explicit, run_implicit
 from surface_gym.dynamics.step import (
     BALANCED,
@@ -22,8 +22,12 @@ from surface_gym.dynamics.step import (
     TIPPING,
 )
 from surface_gym.dynamics.types import (
+    ARM_X,
+    ARM_Y,
+    NORMAL,
     OMEGA,
     STATE_SIZE,
+    STIFFNESS,
     THETA,
     VX,
     VY,
@@ -96,8 +100,11 @@ def simulate(
     if method == "explicit" and surface.tilt < 0.0:
         raise ValueError(f"tilt must be at least 0 for the explicit method, got {surface.tilt!r}")
     grid, body = surface.grid, parcel.body
-    scratch = make_scratch(grid, body)
-    if find_support(grid, body, start, scratch, 0.0) == 0:
+    check_capacity(
+        len(body.edges), body.radius, (grid.pitch_x, grid.pitch_y), (surface.columns, surface.rows)
+    )
+    scratch = make_scratch()
+    if find_support(grid, body, start, scratch, 0.0).total == 0:
         raise ValueError(f"pose must be on the surface, got {tuple(np.asarray(pose).tolist())}")
 
     time = _times(duration, dt)
@@ -193,12 +200,15 @@ def _reference_step(
     if explicit and state[VX] <= 0.0 and grid.gravity_along == 0.0:
         return STOPPED
     contacts = find_support(grid, body, state, scratch, 0.0 if explicit else 0.5 * dt)
-    if contacts == 0:
+    count = contacts.total
+    if count == 0:
         return OFF_SURFACE
-    arms = np.column_stack([scratch.arm_x[:contacts], scratch.arm_y[:contacts]])
+    arms = np.column_stack([row_of(scratch, ARM_X, count), row_of(scratch, ARM_Y, count)])
     load = np.array(load_point(grid, body, state))
-    normal, degenerate = solve(arms, grid.gravity_normal, load, scratch.stiffness[:contacts])
-    scratch.normal[:contacts] = normal
+    stiffness = row_of(scratch, STIFFNESS, count)
+    row_of(scratch, NORMAL, count)[:], degenerate = solve(
+        arms, grid.gravity_normal, load, stiffness
+    )
     advance = advance_explicit if explicit else advance_implicit
     advance(grid, body, state, scratch, contacts, dt)
     return TIPPING if degenerate else BALANCED

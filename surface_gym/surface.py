@@ -14,9 +14,10 @@ from surface_gym.dynamics.types import GRAVITY, Grid
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Rotors and supports on a square grid, in a plane tilted downhill towards +x.
+    """Rotors and supports on a grid, in a plane tilted downhill towards +x.
 
     Along its axis a rotor drags (`mu_max`), across it rolls almost free (`mu_min`), Eq. (2).
+    A friction coefficient is one number, or an array (rows, columns) with one for each element.
     The defaults are those of Table 1. The arrays are copied and read-only.
 
     Raises:
@@ -31,11 +32,11 @@ class Surface:
 
     axis: NDArray[np.float64]  # (rows, columns) [rad] rotor axis from x, anti-clockwise
     rotor: NDArray[np.bool_]  # (rows, columns) an orientable rotor, else a support
-    pitch: float = 0.1  # [m] between neighbours, in x and in y
+    pitch: float | tuple[float, float] = 0.1  # [m] between neighbours: one, or in x and in y
     origin: tuple[float, float] = (0.05, 0.05)  # [m] centre of element [0, 0]
-    mu_max: float = 0.5  # [-] friction along a rotor's axis
-    mu_min: float = 0.01  # [-] friction across it
-    mu_support: float = 0.005  # [-] friction of a support, against the motion
+    mu_max: float | NDArray[np.float64] = 0.5  # [-] friction along a rotor's axis
+    mu_min: float | NDArray[np.float64] = 0.01  # [-] friction across it
+    mu_support: float | NDArray[np.float64] = 0.005  # [-] friction of a support, against the motion
     tilt: float = 0.0  # [rad] gamma, downhill towards +x
     # (rows, columns) [-] how stiff an element is against the others; None: all the same, as Eq. (1)
     stiffness: NDArray[np.float64] | None = None
@@ -44,15 +45,9 @@ class Surface:
         axis = checks.array("axis", self.axis, (None, None))
         if axis.size == 0:
             raise ValueError(f"axis must have at least one row and one column, got {axis.shape}")
-        try:
-            rotor = np.array(self.rotor)
-        except ValueError:  # rows of different lengths
-            raise ValueError(f"rotor must be an array of booleans, got {self.rotor!r}") from None
-        if rotor.dtype != np.bool_:
-            raise ValueError(f"rotor must be an array of booleans, got one of {rotor.dtype}")
+        rotor = checks.booleans("rotor", self.rotor)
         if rotor.shape != axis.shape:
             raise ValueError(f"rotor must have the shape of axis, {axis.shape}, got {rotor.shape}")
-        rotor.setflags(write=False)
         if self.stiffness is not None:
             stiffness = checks.array("stiffness", self.stiffness, axis.shape)
             if stiffness.min() <= 0.0:
@@ -62,10 +57,11 @@ class Surface:
         set_field = object.__setattr__
         set_field(self, "axis", axis)
         set_field(self, "rotor", rotor)
-        set_field(self, "pitch", checks.positive("pitch", self.pitch))
+        set_field(self, "pitch", checks.pitch("pitch", self.pitch))
         set_field(self, "origin", (x0, y0))
         for name in ("mu_max", "mu_min", "mu_support"):
-            set_field(self, name, checks.not_negative(name, getattr(self, name)))
+            mu = checks.friction(name, getattr(self, name), axis.shape)
+            set_field(self, name, mu if mu.ndim else float(mu))
         tilt = checks.number("tilt", self.tilt)
         if not abs(tilt) < math.pi / 4:
             raise ValueError(f"tilt must be between -pi/4 and pi/4 (45 deg), got {self.tilt!r}")
@@ -86,28 +82,43 @@ class Surface:
         return int(self.axis.shape[1])
 
     @property
+    def pitch_x(self) -> float:
+        """[m] from column to column."""
+        return self.pitch if isinstance(self.pitch, float) else self.pitch[0]
+
+    @property
+    def pitch_y(self) -> float:
+        """[m] from row to row."""
+        return self.pitch if isinstance(self.pitch, float) else self.pitch[1]
+
+    @property
     def x(self) -> NDArray[np.float64]:
         """(columns,) [m] x of each column's centre."""
-        return self.origin[0] + self.pitch * np.arange(self.columns, dtype=np.float64)
+        return self.origin[0] + self.pitch_x * np.arange(self.columns, dtype=np.float64)
 
     @property
     def y(self) -> NDArray[np.float64]:
         """(rows,) [m] y of each row's centre."""
-        return self.origin[1] + self.pitch * np.arange(self.rows, dtype=np.float64)
+        return self.origin[1] + self.pitch_y * np.arange(self.rows, dtype=np.float64)
 
     @cached_property
     def grid(self) -> Grid:
         """The surface as the compiled physics reads it."""
+        each = (self.mu_max, self.mu_min, self.mu_support)
+        friction = [np.broadcast_to(np.asarray(mu), self.axis.shape) for mu in each]
         return Grid(
-            direction=np.stack([np.cos(self.axis), np.sin(self.axis)], axis=-1),
+            axis=np.arange(self.axis.size, dtype=np.int32).reshape(self.axis.shape),
+            direction=np.stack([np.cos(self.axis), np.sin(self.axis)], axis=-1).reshape(-1, 2),
             rotor=np.array(self.rotor),
             stiffness=np.ones(self.axis.shape) if self.stiffness is None else self.stiffness.copy(),
+            friction=np.stack(friction, axis=-1),
             x0=self.origin[0],
             y0=self.origin[1],
-            pitch=self.pitch,
-            mu_max=self.mu_max,
-            mu_min=self.mu_min,
-            mu_support=self.mu_support,
+            pitch_x=self.pitch_x,
+            pitch_y=self.pitch_y,
+            along_factor=1.0,
+            across_factor=1.0,
+            support_factor=1.0,
             gravity_along=GRAVITY * math.sin(self.tilt),
             gravity_normal=GRAVITY * math.cos(self.tilt),
         )

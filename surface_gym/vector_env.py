@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.actuators import Actuators
-from surface_gym.lanes.memory import FIGURES, OUT_OF_TIME, OUTCOMES, RUNNING, SUCCESS
+from surface_gym.batch.batch import Batch
+from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING, SUCCESS
+from surface_gym.plants import Plant
 from surface_gym.randomisation import Randomisation
-from surface_gym.sensors import Exact, Sensors
-from surface_gym.settings import ORIENTATIONS, Settings
-from surface_gym.tasks.task import Start, Task, check_options
+from surface_gym.sensors import Exact, Sensor
+from surface_gym.settings import Settings
+from surface_gym.tasks import Task
+from surface_gym.tasks.start import check_options
 
 Booleans = NDArray[np.bool_]
 Observations = NDArray[np.float32]
-
-_OUTCOME_NAMES = np.array(OUTCOMES, dtype=object)
 
 
 class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
@@ -33,8 +34,7 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
     Args:
         num_envs: number of lanes.
         max_episode_steps: control periods after which a lane is truncated; None for no limit.
-        threads: that share the lanes; results do not depend on their number. More than one start
-            Numba's thread pool, after which a process should not fork.
+        threads: that share the lanes; results do not depend on their number.
         autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED.
 
     `reset(options=...)` takes one dict for all lanes, or a sequence of one dict or None a lane.
@@ -47,12 +47,15 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
         num_envs: int = 1,
         task: str | Task = "sort",
         actions: str = "modules",
-        sensors: Sensors = Exact(),
+        sensors: Sensor = Exact(),
         control_period: float = 0.04,
         zone: tuple[int, int] | None = None,
-        orientations: tuple[float, ...] = ORIENTATIONS,
+        orientations: tuple[float, ...] | str | None = None,
         actuators: Actuators = Actuators(),
         randomisation: Randomisation = Randomisation(),
+        plant: Plant | None = None,
+        observe_axes: bool = False,
+        info: tuple[str, ...] = (),
         render_mode: str | None = None,
         max_episode_steps: int | None = None,
         threads: int = 1,
@@ -69,21 +72,30 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
         checks.one_of("render_mode", render_mode, (None, *type(self).metadata["render_modes"]))
         self.render_mode = render_mode
         self.settings = Settings(
-            task, actions, sensors, control_period, zone, orientations, actuators, randomisation
+            task,
+            actions,
+            sensors,
+            control_period,
+            zone,
+            orientations,
+            actuators,
+            randomisation,
+            plant,
+            observe_axes,
+            info,
         )
         self.single_observation_space = self.settings.observation_space()
         self.single_action_space = self.settings.action_space()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._task = self.settings.chosen_task
+        threads = min(self.num_envs, checks.integer("threads", threads, least=1))
+        self._batch = Batch(self.settings, self.num_envs, threads)
+        self._task = self._batch.task
+        self._outcomes = np.array(self._batch.outcomes, dtype=object)
         self._kind = self.settings.action_kind
-        self._batch = self.settings.make_batch(
-            self.num_envs, min(self.num_envs, checks.integer("threads", threads, least=1))
-        )
-        self._randoms: list[np.random.Generator | None] = [None] * self.num_envs
         self._steps_left = np.zeros(self.num_envs, dtype=np.int64)
         self._limit = np.iinfo(np.int64).max if max_episode_steps is None else max_episode_steps
-        self._no_options: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        self._all = np.ones(self.num_envs, dtype=np.bool_)
         self._trails: list[list[NDArray[np.float64]]] = [[] for _ in range(self.num_envs)]
         self._painter: Any = None
         self._started = False
@@ -105,16 +117,16 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
                 "The first reset must be of every lane, without reset_mask."
             )
         seeds = self._seed_of_each(seed)
-        chosen = self._options_of_each(options)
-        before = list(self._randoms)
-        for lane in np.nonzero(mask)[0].tolist():
-            if seeds[lane] is not None:
-                self._randoms[lane] = np_random(seeds[lane])[0]
-        try:
-            self._reset_lanes(mask, chosen)
-        except ValueError:
-            self._randoms = before
-            raise
+        given = self._options_of_each(options)
+        chosen = np.nonzero(mask)[0]
+        some = [given[lane] for lane in chosen.tolist()] if any(given) else []
+        if some:  # a bad option of one lane leaves all as they were
+            self._batch.check(some)
+        for lane in chosen.tolist():
+            if seeds[lane] is not None or self._batch.reserve.generators[lane] is None:
+                self._batch.reserve.seed(lane, np_random(seeds[lane])[0])
+        self._batch.start(chosen, some)
+        self._count_from(chosen)
         self._started = True
         return self._batch.lanes.observation.copy(), self._infos(mask)
 
@@ -129,52 +141,41 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
             raise gym.error.ResetNeeded(
                 f"Lanes {np.nonzero(ended)[0].tolist()} have ended: reset them with reset_mask."
             )
-        self._batch.advance(self._kind.commands(actions, self.num_envs))
+        anew = np.nonzero(ended)[0]  # NEXT_STEP: this step is their reset
+        self._batch.advance(self._kind.commands(actions, self.num_envs), anew)
         self._steps_left -= 1
         self._follow(~ended)
-        truncated = (self._steps_left <= 0) & ~ended
+        self._count_from(anew)
+        truncated = self._steps_left <= 0
         lanes.outcome[truncated & (lanes.outcome == RUNNING)] = OUT_OF_TIME
-        if ended.any():  # NEXT_STEP: this step is their reset
-            self._reset_lanes(ended, self._no_options)
-        rewards = lanes.terms.sum(axis=1)
+        rewards = lanes.reward.copy()
         terminated = lanes.outcome > OUT_OF_TIME
         infos: dict[str, Any] = {}
         over = truncated | terminated
         if self.autoreset_mode == AutoresetMode.SAME_STEP and over.any():
+            chosen = np.nonzero(over)[0]
             final = np.full(self.num_envs, None, dtype=object)
-            for lane in np.nonzero(over)[0].tolist():
-                final[lane] = lanes.observation[lane].copy()
+            # An array a lane: the rows, not their numbers, are the objects.
+            final[chosen] = np.frompyfunc(lanes.observation[chosen].__getitem__, 1, 1)(
+                np.arange(len(chosen))
+            )
             infos = {
                 "final_obs": final,
                 "_final_obs": over.copy(),
                 "final_info": self._infos(over),
                 "_final_info": over.copy(),
             }
-            self._reset_lanes(over, self._no_options)
-        infos.update(self._infos(np.ones(self.num_envs, dtype=np.bool_)))
+            self._batch.start(chosen)
+            self._count_from(chosen)
+        infos.update(self._infos(self._all))
         return lanes.observation.copy(), rewards, terminated, truncated, infos
 
-    def _reset_lanes(self, mask: Booleans, options: list[dict[str, Any]]) -> None:
-        """Draw a start for each lane in the mask, and only then place them: a bad option of one
-        leaves all as they were.
-        """
-        chosen = np.nonzero(mask)[0]
-        starts = [self._draw_start(lane, options[lane]) for lane in chosen.tolist()]
-        for lane, (generator, start) in zip(chosen.tolist(), starts, strict=True):
-            self._batch.place(lane, start, generator)
-            self._trails[lane].clear()
-        self._batch.begin(chosen)
+    def _count_from(self, chosen: NDArray[np.int64]) -> None:
+        """Episodes have begun on the chosen lanes (count,)."""
         self._steps_left[chosen] = self._limit
-        self._follow(mask)
-
-    def _draw_start(self, lane: int, options: dict[str, Any]) -> tuple[np.random.Generator, Start]:
-        generator = self._randoms[lane]
-        if generator is None:
-            generator = self._randoms[lane] = np_random()[0]
-        start = self._task.start(generator, options, self.settings.zone)
-        if "parcel" in options:
-            self._batch.check(start.parcel)
-        return generator, start
+        if self.render_mode is not None:
+            for lane in chosen.tolist():
+                self._trails[lane] = [self._batch.lanes.truth[lane, :2].copy()]
 
     def _follow(self, mask: Booleans) -> None:
         """Keep the trails of the lanes in the mask, which only drawing needs."""
@@ -211,14 +212,12 @@ class SmartSurfaceVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
         terms = {name: lanes.terms[:, k].copy() for k, name in enumerate(self._task.terms)}
         infos = {
             "is_success": lanes.outcome == SUCCESS,
-            "outcome": _OUTCOME_NAMES[lanes.outcome],
+            "outcome": self._outcomes[lanes.outcome],
             "time": lanes.clock.copy(),
             "pose": lanes.truth[:, :3].copy(),
             "velocity": lanes.truth[:, 3:].copy(),
-            **{
-                name: lanes.memory[:, FIGURES + k].copy()
-                for k, name in enumerate(self._task.figures)
-            },
+            **{name: lanes.figures[:, k].copy() for k, name in enumerate(self._task.figures)},
+            **self._batch.on_request(),
             "reward_terms": {**terms, **{f"_{name}": mask.copy() for name in terms}},
         }
         return {**infos, **{f"_{name}": mask.copy() for name in infos}}

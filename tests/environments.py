@@ -21,6 +21,8 @@ every_id = pytest.mark.parametrize("env_id", IDS)
 every_kind_of_action = pytest.mark.parametrize("actions", ACTIONS)
 every_sensor = pytest.mark.parametrize("sensor", SENSORS, ids=lambda kind: kind.__name__)
 
+PITCH, ORIGIN = 0.1, 0.05  # [m] between elements of the tasks' plants, and of the first
+
 # Choices of the default orientations, by the angle of the axis.
 ROLL, MINUS_45, PLUS_45 = 3, 2, 1
 

@@ -8,10 +8,12 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.actuators import Actuators
+from surface_gym.batch.batch import Batch
 from surface_gym.lanes.memory import RUNNING
-from surface_gym.plant import GEOMETRY
+from surface_gym.layouts import LINE_Y
 from surface_gym.settings import Settings
-from surface_gym.tasks.task import Start
+from surface_gym.tasks.start import Start
+from tests.batches import put
 from tests.environments import MINUS_45, PLUS_45, ROLL, SORT, assert_same, bare, same_choice, steps
 
 ZERO = 0  # the choice of the axis along x
@@ -23,13 +25,12 @@ class Bench:
 
     def __init__(self, actions: str = "modules", **settings: Any) -> None:
         self.settings = Settings(actions=actions, **settings)
-        self.batch = self.settings.make_batch(1)
+        self.batch = Batch(self.settings, 1)
+        self.batch.reserve.seed(0, np.random.default_rng(0))
         self.place()
 
     def place(self, speed: float = 0.0, parcel: sg.Parcel = FLAT_BOX, x: float = 0.6) -> None:
-        start = Start(parcel, (x, GEOMETRY.line_y, 0.0), (speed, 0.0, 0.0), (1.0,))
-        self.batch.place(0, start, np.random.default_rng(0))
-        self.batch.begin(np.zeros(1, dtype=np.int64))
+        put(self.batch, Start(parcel, (x, LINE_Y, 0.0), (speed, 0.0, 0.0), (1.0,)))
 
     def step(self, choice: int) -> None:
         self.batch.lanes.outcome[0] = RUNNING  # whatever becomes of the parcel
@@ -38,12 +39,11 @@ class Bench:
     @property
     def angle(self) -> np.ndarray:
         """(rows, columns) [rad] of each axis, in [0, pi)."""
-        cosine, sine = np.moveaxis(self.batch.lanes.axis[0], -1, 0)
-        return np.arctan2(sine, cosine) % np.pi
+        return self.batch.axes(0) % np.pi
 
     @property
     def obeying(self) -> np.ndarray:
-        return self.batch.lanes.obeys[0]
+        return self.batch.view(0).obeys
 
 
 class TestAxisSpeed:
@@ -84,9 +84,7 @@ class TestAxisSpeed:
         for bench in (slow, instant):
             for _ in range(10):
                 bench.step(MINUS_45)
-        np.testing.assert_allclose(
-            slow.batch.lanes.axis, instant.batch.lanes.axis, rtol=0, atol=1e-15
-        )
+        np.testing.assert_allclose(slow.angle, instant.angle, rtol=0, atol=1e-15)
 
     def test_a_new_command_on_the_way_turns_it_from_where_it_is(self) -> None:
         bench = Bench(actuators=Actuators(axis_speed=math.radians(500.0)))
@@ -125,13 +123,13 @@ class TestAxisSpeed:
         for number in range(1, 41):
             turned = min(math.pi / 4, number * speed * 0.005)
             axis = np.where(bench.obeying, math.pi / 2 + turned, math.pi / 2)
-            surface = sg.Surface(axis, lanes.rotor[0].copy())
+            surface = sg.Surface(axis, bench.batch.view(0).rotor.copy())
             run = sg.simulate(surface, FLAT_BOX, pose, velocity, duration=0.005)
             pose, velocity = run.pose[-1], run.velocity[-1]
             if number % 8 == 0:
                 bench.step(MINUS_45)
                 np.testing.assert_allclose(lanes.truth[0, :3], pose, rtol=0, atol=1e-10)
-        assert pose[1] > GEOMETRY.line_y + 0.01  # it did act
+        assert pose[1] > LINE_Y + 0.01  # it did act
 
     def test_the_faster_the_closer_to_instant(self) -> None:
         def end(axis_speed: float) -> np.ndarray:
@@ -189,16 +187,13 @@ class TestStuck:
 
     @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
     def test_a_share_is_drawn_at_each_start(self, share: float) -> None:
-        settings = Settings(actuators=Actuators(stuck_share=share))
-        batch = settings.make_batch(1)
-        start = Start(FLAT_BOX, (0.6, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,))
-        rng = np.random.default_rng(0)
+        bench = Bench(actuators=Actuators(stuck_share=share))
         zone = Bench().obeying
         drawn = []
         for _ in range(500):
-            batch.place(0, start, rng)
-            assert not batch.lanes.obeys[0][~zone].any()
-            drawn.append(~batch.lanes.obeys[0][zone])
+            bench.place()
+            assert not bench.obeying[~zone].any()
+            drawn.append(~bench.obeying[zone])
         stuck = np.array(drawn)  # (starts, modules)
         spread = math.sqrt(share * (1.0 - share))
         assert stuck.mean() == pytest.approx(share, abs=4.0 * spread / math.sqrt(stuck.size))

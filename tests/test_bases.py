@@ -1,14 +1,19 @@
 """Bases: Section 3.2's functions, and what the physics asks of an area, against sampling."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 
 import surface_gym as sg
 from surface_gym.bases import Base
+from surface_gym.randomisation import Randomisation
+from surface_gym.sensors import Camera, Exact, Presence, Sensor
+from surface_gym.tasks import Sort
 from tests.strategies import bases, polygon_vertices, polygons
 
 
@@ -138,3 +143,91 @@ def test_lengths_that_are_not_allowed(value: object) -> None:
         sg.Rectangle(0.2, value)
     with pytest.raises(ValueError, match=r"^radius must be "):
         sg.Disc(value)
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A base of one's own: a rectangle, by what the protocol asks for and nothing else."""
+
+    length: float
+    width: float
+
+    centroid = (0.0, 0.0)
+
+    @property
+    def gyration(self) -> float:
+        return (self.length**2 + self.width**2) / 12.0
+
+    @property
+    def reach(self) -> float:
+        return math.hypot(self.length, self.width) / 2.0
+
+    @property
+    def edges(self) -> np.ndarray:
+        half_length, half_width = self.length / 2.0, self.width / 2.0
+        return np.array(
+            [[1, 0, half_length], [0, 1, half_width], [-1, 0, half_length], [0, -1, half_width]],
+            dtype=float,
+        )
+
+    @property
+    def outline(self) -> np.ndarray:
+        return np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [self.length / 2, self.width / 2]
+
+    def functions(self, x: ArrayLike, y: ArrayLike) -> np.ndarray:
+        x, y = np.asarray(x), np.asarray(y)
+        return np.stack([nx * x + ny * y - distance for nx, ny, distance in self.edges])
+
+    def scaled(self, factor: float) -> "Tile":
+        return Tile(factor * self.length, factor * self.width)
+
+
+class TestABaseOfOnesOwn:
+    def test_moves_as_the_same_shape_does(self) -> None:
+        own, box = (sg.Parcel(kind(0.4, 0.25), mass=4.0) for kind in (Tile, sg.Rectangle))
+        surface = sg.layouts.sorting("B")
+        start = ((0.5, 1.0, 0.2), (1.2, 0.1, 0.4), 0.6)
+        np.testing.assert_allclose(
+            sg.simulate(surface, own, *start).pose,
+            sg.simulate(surface, box, *start).pose,
+            rtol=0,
+            atol=1e-9,
+        )
+
+    @pytest.mark.parametrize("sensor", [Exact(), Camera(), Presence()], ids=type)
+    def test_runs_and_varies_in_an_environment(self, sensor: Sensor) -> None:
+        randomisation = Randomisation(size=0.1, com_offset=0.2)
+        env = sg.SmartSurfaceEnv(
+            Sort(parcels=(sg.Parcel(Tile(0.3, 0.2)),)),
+            sensors=sensor,
+            randomisation=randomisation,
+            render_mode="rgb_array",
+        )
+        for seed in range(3):
+            observation, _ = env.reset(seed=seed)
+            assert observation in env.observation_space
+            env.step(env.action_space.sample())
+        assert env.render() is not None
+
+    def test_what_it_lacks_is_named(self) -> None:
+        class Bare:
+            centroid = (0.0, 0.0)
+
+        with pytest.raises(ValueError, match="must have gyration, reach, edges, outline"):
+            sg.Parcel(Bare())
+
+    def test_it_must_be_hashable(self) -> None:
+        class Loose(Tile):
+            __hash__ = None
+
+        with pytest.raises(ValueError, match="base must be hashable"):
+            sg.Parcel(Loose(0.3, 0.2))
+
+    @pytest.mark.parametrize(
+        ("name", "value"),
+        [("gyration", -1.0), ("reach", math.nan), ("edges", [1.0]), ("outline", None)],
+    )
+    def test_what_is_wrong_is_named(self, name: str, value: object) -> None:
+        wrong = type("Wrong", (Tile,), {name: value})
+        with pytest.raises(ValueError, match=rf"base\.{name} must"):
+            sg.Parcel(wrong(0.3, 0.2))

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.plant import ORIGIN, PITCH
 from tests.environments import (
     ACTIONS,
     MINUS_45,
+    ORIGIN,
     PARCELS,
+    PITCH,
     PLUS_45,
     ROLL,
     assert_same,

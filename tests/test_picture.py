@@ -12,19 +12,18 @@ from surface_gym.picture import scene_of
 from surface_gym.rendering import Scene
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS
-from surface_gym.tasks.task import Start
+from surface_gym.tasks.start import Start
+from tests.batches import batch_with, put
 from tests.environments import HEPTAGON, PARCELS, PLUS_45
 
 TRAIL = np.array([[0.1, 1.0], [0.2, 1.0]])
 
 
 def batch_of(parcel: sg.Parcel, task: str = "sort", **settings: Any) -> Batch:
-    batch = Settings(task=task, **settings).make_batch(2)
-    rng = np.random.default_rng(0)
+    batch = Batch(Settings(task=task, **settings), 2)
     for lane in (0, 1):
-        start = batch.task.start(rng, {"speed": 1.0, "parcel": parcel}, None)
-        batch.place(lane, start, rng)
-    batch.begin(np.arange(2))
+        batch.reserve.seed(lane, np.random.default_rng(lane))
+    batch.start(np.arange(2), [{"speed": 1.0, "parcel": parcel}] * 2)
     return batch
 
 
@@ -46,9 +45,7 @@ def test_every_task_has_a_scene_with_its_goal(task: str) -> None:
 @pytest.mark.parametrize("parcel", PARCELS.values(), ids=PARCELS)
 def test_the_outline_is_the_bases(parcel: sg.Parcel) -> None:
     batch = batch_of(parcel)
-    batch.place(
-        1, Start(HEPTAGON, (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), np.random.default_rng(0)
-    )
+    put(batch, Start(HEPTAGON, (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), lane=1)
     outline = shown(batch).outline
     if isinstance(parcel.base, sg.Disc):
         np.testing.assert_allclose(np.hypot(*outline.T), parcel.base.radius)
@@ -67,7 +64,7 @@ def test_axes_zone_and_pose_are_the_lanes() -> None:
         zone = np.zeros(scene.axis.shape, dtype=bool)
         zone[first_row : first_row + rows, first_column : first_column + columns] = True
         np.testing.assert_allclose(scene.axis, np.where(zone, math.pi / 4, math.pi / 2))
-        np.testing.assert_array_equal(scene.rotor, batch.lanes.rotor[lane])
+        np.testing.assert_array_equal(scene.rotor, batch.view(lane).rotor)
     assert dict(scene.readings)["time"] == "0.12 s"
 
 
@@ -90,8 +87,5 @@ def test_an_end_is_told() -> None:
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1, 0.26])
 def test_a_tilt_is_told(tilt: float) -> None:
-    batch = Settings().make_batch(1)
     start = Start(PARCELS["S"], (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,), tilt=tilt)
-    batch.place(0, start, np.random.default_rng(0))
-    batch.begin(np.zeros(1, dtype=np.int64))
-    assert shown(batch).tilt == pytest.approx(tilt)
+    assert shown(batch_with(start)).tilt == pytest.approx(tilt)

@@ -35,17 +35,17 @@ def test_a_drag_sets_place_and_speed(game: play.Game) -> None:
 
 def test_keys_turn_the_axes_of_the_zone(game: play.Game) -> None:
     drag(game, MIDDLE, (MIDDLE[0] + 30, MIDDLE[1]))
-    zone = game._batch.lanes.obeys[0]
+    zone = game._batch.view(0).obeys
     press(game, pygame.K_2)
     game.advance()
-    assert game._batch.lanes.axis[0][zone] == pytest.approx(np.sqrt(0.5))
+    assert game._batch.axes(0)[zone] == pytest.approx(np.pi / 4)
     press(game, pygame.K_1, pygame.KMOD_SHIFT)  # ahead of the parcel's centre alone
     game.advance()
-    along = game._batch.lanes.axis[0, :, :, 0]
-    x = 0.05 + 0.1 * np.arange(along.shape[1])
+    axes = game._batch.axes(0)
+    x = 0.05 + 0.1 * np.arange(axes.shape[1])
     centre = game._batch.lanes.truth[0, 0]
-    assert along[zone & (x >= centre)] == pytest.approx(1.0)
-    assert along[zone & (x < centre)] == pytest.approx(np.sqrt(0.5))
+    assert axes[zone & (x >= centre)] == pytest.approx(0.0)
+    assert axes[zone & (x < centre)] == pytest.approx(np.pi / 4)
 
 
 def test_space_pauses_and_r_starts_again(game: play.Game) -> None:
@@ -63,7 +63,7 @@ def test_tab_turns_the_start_and_letters_choose_the_parcel(game: play.Game) -> N
     press(game, pygame.K_b)
     press(game, pygame.K_TAB)
     assert game._batch.lanes.truth[0, 2] == pytest.approx(np.radians(15.0))
-    assert np.abs(game._batch.lanes.corners[0]).max() == pytest.approx(0.225)
+    assert np.abs(game._batch.view(0).corners).max() == pytest.approx(0.225)
 
 
 @pytest.fixture

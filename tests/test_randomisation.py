@@ -9,7 +9,8 @@ from scipy import stats
 
 import surface_gym as sg
 from surface_gym.randomisation import Drawn, Randomisation
-from surface_gym.tasks.task import Start
+from surface_gym.tasks.start import Start
+from tests.batches import batch_with
 from tests.environments import PARCELS, TRIANGLE, assert_same, bare, steps
 
 COUNT = 2000
@@ -17,13 +18,12 @@ SHAPE = (20, 30)
 LOOSE = 1e-3  # a law is doubted below this p-value; the seeds are fixed
 
 BOX = sg.Parcel(sg.Rectangle(0.4, 0.2), mass=8.0)
-START = Start(BOX, (0.2, 1.0, 0.1), (1.0, 0.2, 0.3), (1.0,))
 
 
-def draws(start: Start = START, count: int = COUNT, **spreads: float) -> list[Drawn]:
+def draws(parcel: sg.Parcel = BOX, count: int = COUNT, **spreads: float) -> list[Drawn]:
     rng = np.random.default_rng(0)
     randomisation = Randomisation(**spreads)
-    return [randomisation.draw(rng, start, SHAPE) for _ in range(count)]
+    return [randomisation.draw(rng, parcel, SHAPE) for _ in range(count)]
 
 
 def assert_uniform(values: Any, low: float, high: float) -> None:
@@ -40,8 +40,8 @@ def assert_normal(values: Any, mean: float, spread: float) -> None:
 def test_nothing_varies_by_default() -> None:
     rng = np.random.default_rng(0)
     before = rng.bit_generator.state
-    drawn = Randomisation().draw(rng, START, SHAPE)
-    assert drawn == Drawn(START, (1.0, 1.0, 1.0), None)
+    drawn = Randomisation().draw(rng, BOX, SHAPE)
+    assert drawn == Drawn(BOX, 0.0, 0.0, (1.0, 1.0, 1.0), None)
     assert rng.bit_generator.state == before
 
 
@@ -49,7 +49,7 @@ def test_friction_of_the_rotors() -> None:
     drawn = draws(friction=0.2)
     assert_uniform([each.friction[0] for each in drawn], 0.8, 1.2)
     assert {each.friction[1:] for each in drawn} == {(1.0, 1.0)}
-    assert all(each.start == START and each.stiffness is None for each in drawn)
+    assert all(each.parcel == BOX and each.stiffness is None for each in drawn)
 
 
 def test_rolling_of_rotors_and_supports_each_on_its_own() -> None:
@@ -62,7 +62,7 @@ def test_rolling_of_rotors_and_supports_each_on_its_own() -> None:
 
 
 def test_mass_varies_how_hard_the_parcel_is_to_turn() -> None:
-    parcels = [each.start.parcel for each in draws(mass=0.3)]
+    parcels = [each.parcel for each in draws(mass=0.3)]
     assert_uniform([parcel.mass for parcel in parcels], 8.0 * 0.7, 8.0 * 1.3)
     for parcel in parcels:
         assert parcel.moment_of_inertia == pytest.approx(BOX.moment_of_inertia)
@@ -72,7 +72,7 @@ def test_mass_varies_how_hard_the_parcel_is_to_turn() -> None:
 
 def test_size_scales_the_base_and_what_lies_on_it() -> None:
     heavy = sg.Parcel(BOX.base, mass=8.0, com_offset=(0.04, -0.02), inertia=0.5)
-    parcels = [each.start.parcel for each in draws(Start(heavy, *START_AT), size=0.25)]
+    parcels = [each.parcel for each in draws(heavy, size=0.25)]
     lengths = np.array([parcel.base.length for parcel in parcels])
     assert_uniform(lengths, 0.3, 0.5)
     for parcel, factor in zip(parcels, lengths / 0.4, strict=True):
@@ -82,14 +82,11 @@ def test_size_scales_the_base_and_what_lies_on_it() -> None:
         assert parcel.moment_of_inertia == pytest.approx(0.5 * factor**2)
 
 
-START_AT: tuple[Any, ...] = ((0.2, 1.0, 0.1), (1.0, 0.2, 0.3), (1.0,))
-
-
 @pytest.mark.parametrize("name", PARCELS)
 def test_size_keeps_the_shape_of_any_base(name: str) -> None:
     parcel = PARCELS[name]
-    for each in draws(Start(parcel, *START_AT), count=20, size=0.2):
-        base = each.start.parcel.base
+    for each in draws(parcel, count=20, size=0.2):
+        base = each.parcel.base
         factor = base.reach / parcel.base.reach
         assert 0.8 <= factor <= 1.2
         np.testing.assert_allclose(base.outline, factor * parcel.base.outline)
@@ -97,7 +94,7 @@ def test_size_keeps_the_shape_of_any_base(name: str) -> None:
 
 
 def test_centre_of_mass() -> None:
-    x, y = np.array([each.start.parcel.com_offset for each in draws(com_offset=0.3)]).T
+    x, y = np.array([each.parcel.com_offset for each in draws(com_offset=0.3)]).T
     assert_uniform(x, -0.3 * 0.2, 0.3 * 0.2)
     assert_uniform(y, -0.3 * 0.1, 0.3 * 0.1)
     assert abs(np.corrcoef(x, y)[0, 1]) < 0.1
@@ -106,8 +103,8 @@ def test_centre_of_mass() -> None:
 @pytest.mark.parametrize("name", PARCELS)
 @pytest.mark.parametrize("share", [0.3, 0.9])
 def test_centre_of_mass_stays_over_any_base(name: str, share: float) -> None:
-    for each in draws(Start(PARCELS[name], *START_AT), count=200, com_offset=share, size=0.1):
-        parcel = each.start.parcel
+    for each in draws(PARCELS[name], count=200, com_offset=share, size=0.1):
+        parcel = each.parcel
         assert parcel.base.functions(*parcel.centre_of_mass).max() <= 0.0
 
 
@@ -120,11 +117,17 @@ def test_stiffness_is_log_normal_element_by_element() -> None:
 
 def test_where_and_how_the_parcel_enters() -> None:
     drawn = draws(lateral=0.02, heading=0.1)
-    x, y, theta = np.array([each.start.pose for each in drawn]).T
-    assert (x == 0.2).all()
-    assert_normal(y, 1.0, 0.02)
-    assert_normal(theta, 0.1, 0.1)
-    assert {each.start.velocity for each in drawn} == {START.velocity}
+    assert_normal([each.aside for each in drawn], 0.0, 0.02)
+    assert_normal([each.turned for each in drawn], 0.0, 0.1)
+
+
+def test_what_is_drawn_is_added_to_the_start() -> None:
+    start = Start(BOX, (0.3, 1.0, 0.1), (1.0, 0.2, 0.3), (1.0,))
+    batch = batch_with(start, randomisation=Randomisation(lateral=0.02, heading=0.1))
+    drawn = Randomisation(lateral=0.02, heading=0.1).draw(np.random.default_rng(0), BOX, SHAPE)
+    x, y, theta = batch.view(0).truth[:3]
+    assert (x, y, theta) == (0.3, 1.0 + drawn.aside, 0.1 + drawn.turned)
+    assert tuple(batch.view(0).truth[3:]) == pytest.approx((1.0, 0.2, 0.3))
 
 
 def test_all_of_it_at_once_follows_from_the_generator() -> None:
@@ -134,7 +137,7 @@ def test_all_of_it_at_once_follows_from_the_generator() -> None:
     }  # fmt: skip
     first, second = draws(count=20, **spreads), draws(count=20, **spreads)
     for one, other in zip(first, second, strict=True):
-        assert one.start == other.start
+        assert (one.parcel, one.aside, one.turned) == (other.parcel, other.aside, other.turned)
         assert one.friction == other.friction
         np.testing.assert_array_equal(one.stiffness, other.stiffness)
     assert len({each.friction for each in first}) == 20

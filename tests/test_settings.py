@@ -7,10 +7,12 @@ import pytest
 from gymnasium import spaces
 
 from surface_gym.actuators import Actuators
-from surface_gym.settings import ORIENTATIONS, Settings
+from surface_gym.plants import ORIENTATIONS
+from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.sort import Sort
 from tests.environments import ACTIONS
+from tests.tasks import draws
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -21,8 +23,7 @@ def test_a_task_goes_by_its_name_or_by_itself(name: str) -> None:
 
 def test_a_task_may_have_parameters_of_its_own() -> None:
     task = Sort(slow_share=0.0, speeds=(1.0, 1.2))
-    rng = np.random.default_rng(0)
-    speeds = [Settings(task).chosen_task.start(rng, {}, None).velocity[0] for _ in range(50)]
+    speeds = [start.velocity[0] for start in draws(Settings(task).chosen_task, 50)]
     assert 1.0 <= min(speeds) < max(speeds) <= 1.2
 
 

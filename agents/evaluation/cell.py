@@ -11,7 +11,6 @@ from agents.evaluation.conditions import CONDITIONS
 from agents.evaluation.contenders import Contender
 from agents.evaluation.trials import SEED, Trial, make_trial
 from surface_gym.layouts import box
-from surface_gym.plant import PITCH
 
 Numbers = NDArray[np.float64]
 
@@ -75,13 +74,14 @@ def compute(contender: Contender, seed: int, condition_name: str) -> Cell:
 
 def _columns(trial: Trial, episodes: Episodes) -> list[int]:
     """Columns of the zone that the front edge reached, at the decisions and at the end."""
-    if trial.name != "sort":
+    if trial.kind != "sort":
         return [0] * len(trial.starts)
     touched = []
     for k, start in enumerate(trial.starts):
         base = box(start["parcel"]).base
-        _, (_, _, first, _) = trial.task.plant.site(base, None)
+        plant = trial.task.plant
+        _, (_, _, first, _) = plant.site(base, None)
         x, _, theta = episodes.path(k).T
         reach = (base.outline @ np.array([np.cos(theta), -np.sin(theta)])).max(axis=0)
-        touched.append(int(np.floor((x + reach).max() / PITCH + 0.5)) - first)
+        touched.append(int(np.floor((x + reach).max() / plant.pitch_x + 0.5)) - first)
     return touched

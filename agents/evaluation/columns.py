@@ -13,6 +13,7 @@ from agents.evaluation.sorting import (
     worst_time,
 )
 from agents.evaluation.summary import Summary
+from agents.tasks import find_task, kind_of
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,12 @@ def _high(name: str) -> Callable[[Summary, Summary], float]:
 DECISION = Column(
     "decision_time", "decision [us]", "time of one lane's decision, decided many at a time, median",
     lambda summary, _: summary.decision_time, ".1f", 1e6,
+)  # fmt: skip
+
+
+TIME = Column(
+    "time", "time [s]", "of an episode, median over starts",
+    lambda summary, _: float(np.median(summary.time)),
 )  # fmt: skip
 
 
@@ -70,7 +77,7 @@ def _of_box(parcel: str) -> tuple[Column, ...]:
     )
 
 
-COLUMNS: dict[str, tuple[Column, ...]] = {
+_COLUMNS: dict[str, tuple[Column, ...]] = {
     "sort": (
         *_of_box("S"),
         *_of_box("B"),
@@ -110,3 +117,21 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         DECISION,
     ),
 }  # fmt: skip
+
+
+def columns_of(task: str) -> tuple[Column, ...]:
+    """The columns of a task's table, by its name; of one's own, what its figures come to."""
+    kind = kind_of(task)
+    if kind in _COLUMNS:
+        return _COLUMNS[kind]
+    own = [
+        Column(
+            figure + part, f"{figure} {part or 'median'}".replace("_", " "), meaning, value(figure)
+        )
+        for figure in find_task(task).figures
+        for part, meaning, value in (
+            ("", "its size, median over starts", _median),
+            ("_90", "nine in ten are smaller", _high),
+        )
+    ]
+    return (*own, TIME, DECISION)

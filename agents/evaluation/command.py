@@ -7,10 +7,18 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from agents.cores import usable_cores
-from agents.evaluation.contenders import Contender, contenders, rules, trained
+from agents.evaluation.contenders import (
+    Contender,
+    contenders,
+    of_runs,
+    policies_of,
+    rules,
+    trained,
+)
 from agents.evaluation.report import compare_run, write_report
 from agents.evaluation.table import Summaries
 from agents.evaluation.work import FILE, compute_cells
+from agents.tasks import find_task
 from surface_gym import checks
 from surface_gym.tasks import TASKS
 
@@ -23,8 +31,14 @@ class EvaluateConfig:
     """Folder for tables, plots, films and report.html."""
     tasks: tuple[str, ...] = tuple(TASKS)
     """Of which to compare."""
+    task: str | None = None
+    """Compare on this one task, the package's or one's own as path/to/file.py:Class, and the latest
+    policies of its runs."""
+    runs: Path = Path("runs")
+    """Folder of the runs that are looked through for these policies."""
     run: Path | None = None
-    """Folder of a training run: compare its policies with the fixed layout instead."""
+    """Folder of a training run: compare its policies with the fixed layout instead. Of a task of
+    one's own, --task says whose code is to be run."""
     workers: int = usable_cores()
     """Processes to share the work among; results do not depend on it."""
     resume: bool = False
@@ -33,6 +47,8 @@ class EvaluateConfig:
     def __post_init__(self) -> None:
         for task in self.tasks:
             checks.one_of("tasks", task, TASKS)
+        if self.task is not None:
+            find_task(self.task)
         if not self.tasks:
             raise ValueError(f"tasks must be at least one, got {self.tasks!r}")
         checks.integer("workers", self.workers, least=1)
@@ -45,12 +61,12 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
         ValueError: the run holds no policy, or a damaged one.
     """
     if config.run is not None:
-        evaluate_run(config.run, config.workers, console)
+        evaluate_run(config.run, config.task, config.workers, console)
         return
     config.out.mkdir(parents=True, exist_ok=True)
     if not config.resume:
         (config.out / FILE).unlink(missing_ok=True)
-    chosen = [contender for task in config.tasks for contender in contenders(task)]
+    chosen = _chosen(config)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -71,22 +87,33 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
     console.print(f"everything is in {config.out}; open {config.out / 'report.html'}")
 
 
-def evaluate_run(run: Path, workers: int, console: Console) -> tuple[Contender, Summaries]:
+def _chosen(config: EvaluateConfig) -> list[Contender]:
+    if config.task is None:
+        return [contender for task in config.tasks for contender in contenders(task)]
+    known = contenders(config.task)
+    names = {contender.name for contender in known}
+    found = [each for each in of_runs(config.task, config.runs) if each.name not in names]
+    return [*known, *found]
+
+
+def evaluate_run(
+    run: Path, task: str | None, workers: int, console: Console
+) -> tuple[Contender, Summaries]:
     """Compare the policies of a run with the fixed layout of its task, into the run's folder.
+
+    Args:
+        run: its folder.
+        task: of one's own that it is of; None: one of the package.
+        workers: processes to share the work among.
+        console: to show on.
 
     Returns:
         The policies as they were compared, and the comparison.
 
     Raises:
-        ValueError: the folder holds no policy, or a damaged one.
+        ValueError: the folder holds no policy, or a damaged one, or one of another task.
     """
-    agent = trained(_policies(run))
+    agent = trained(policies_of(run), task)
     summaries = compare_run(rules(agent.task)[0], agent, workers, run, console)
     console.print(f"everything is in {run}")
     return agent, summaries
-
-
-def _policies(run: Path) -> dict[int, Path]:
-    """Folders of a run's policies by seed; that of a single one is the run's own."""
-    found = {int(each.name.removeprefix("seed-")): each for each in run.glob("seed-*")}
-    return dict(sorted(found.items())) or {0: run}

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from surface_gym.actuators import Actuators
 from surface_gym.randomisation import Randomisation
-from surface_gym.sensors import Camera, Entry, Exact, Sensors
+from surface_gym.sensors import Camera, Entry, Exact, Sensor
 
 
 @dataclass(frozen=True)
@@ -14,7 +14,7 @@ class Condition:
     name: str
     label: str  # for tables
     meaning: str  # in a sentence
-    sensors: Sensors = Exact()
+    sensors: Sensor = Exact()
     randomisation: Randomisation = Randomisation()
     actuators: Actuators = Actuators()
 
@@ -23,7 +23,7 @@ SURE = Entry(position=0.0, angle=0.0, speed=0.0, turning=0.0)
 LATENCY = 0.08  # [s] two control periods
 
 CONDITIONS = (
-    Condition("exact", "exact", "Sensors show pose and velocity as they are."),
+    Condition("exact", "exact", "Sensor show pose and velocity as they are."),
     Condition(
         "camera",
         "camera",

@@ -9,8 +9,13 @@ from agents import library
 from agents.controller import Controller
 from agents.evaluation.conditions import Condition
 from agents.evaluation.trials import Trial
-from agents.rules import RULES
+from agents.learning.folder import CONFIG
+from agents.learning.hyperparams import task_of
+from agents.policy_card import CARD
+from agents.rules import rules_of
+from agents.tasks import find_task, kind_of
 from surface_gym.settings import Settings
+from surface_gym.tasks import TASKS, Task
 
 FIXED = "fixed layout"
 PLANNER = "planner"
@@ -45,7 +50,7 @@ class Contender:
 
 def rules(task: str) -> list[Contender]:
     """Those that do not learn and do not plan; the fixed layout first."""
-    chosen = [rule for rule in RULES if rule.task == task]
+    chosen = rules_of(kind_of(task))
     chosen.sort(key=lambda rule: rule.name != FIXED)
     return [
         Contender(rule.name, task, rule.actions, 0.04, partial(_ruled, rule.make))
@@ -56,6 +61,32 @@ def rules(task: str) -> list[Contender]:
 def planner(task: str) -> Contender:
     """The near-optimum, on fewer starts and with exact sensors only: it is slow."""
     return Contender(PLANNER, task, "halves", 0.04, _planned, starts=PLANNED, conditions=("exact",))
+
+
+def of_runs(task: str, folder: Path) -> list[Contender]:
+    """The policies of a task that runs have left in folders of `folder`, the latest of each kind.
+
+    Raises:
+        ValueError: a run's policies are damaged.
+    """
+    latest: dict[str, Path] = {}
+    for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
+        run = config.parent
+        if task_of(config) == task and _is_whole(run):
+            found = trained(policies_of(run), task)
+            latest[found.name] = run
+    return [trained(policies_of(run), task) for run in latest.values()]
+
+
+def _is_whole(run: Path) -> bool:
+    """Whether every seed of a run has left a policy."""
+    return all((folder / CARD).is_file() for folder in policies_of(run).values())
+
+
+def policies_of(run: Path) -> dict[int, Path]:
+    """Folders of a run's policies by seed; that of a single one is the run's own."""
+    found = {int(each.name.removeprefix("seed-")): each for each in run.glob("seed-*")}
+    return dict(sorted(found.items())) or {0: run}
 
 
 def shipped(task: str) -> list[Contender]:
@@ -74,22 +105,27 @@ def shipped(task: str) -> list[Contender]:
     return sorted(found, key=lambda contender: list(LABELS.values()).index(contender.name))
 
 
-def trained(folders: dict[int, Path]) -> Contender:
+def trained(folders: dict[int, Path], task: str | None = None) -> Contender:
     """The policies that a run left, a folder a seed.
 
+    Args:
+        folders: by seed.
+        task: of one's own that they were trained on; None: one of the package.
+
     Raises:
-        ValueError: a folder holds no policy, or a damaged one.
+        ValueError: a folder holds no policy, or a damaged one, or one of another task.
     """
-    card = library.read(next(iter(folders.values()))).card
+    card = library.read(next(iter(folders.values())), _own(task)).card
     return Contender(
-        LABELS[card.algo], card.task, card.actions, card.control_period,
-        partial(_read, folders), tuple(folders),
+        LABELS[card.algo], task or card.task, card.actions, card.control_period,
+        partial(_read, folders, task), tuple(folders),
     )  # fmt: skip
 
 
 def contenders(task: str) -> list[Contender]:
     """All of a task, those that know most last."""
-    return [*rules(task), *shipped(task), planner(task)]
+    planned = [planner(task)] if kind_of(task) in TASKS else []
+    return [*rules(task), *shipped(task), *planned]
 
 
 def only(contender: Contender, conditions: tuple[str, ...]) -> Contender:
@@ -114,6 +150,10 @@ def _loaded(name: str, settings: Settings, seed: int) -> Controller:
     return library.load(name, seed)
 
 
-def _read(folders: dict[int, Path], settings: Settings, seed: int) -> Controller:
+def _read(folders: dict[int, Path], task: str | None, settings: Settings, seed: int) -> Controller:
     del settings
-    return library.read(folders[seed])
+    return library.read(folders[seed], _own(task))
+
+
+def _own(task: str | None) -> Task | None:
+    return None if task is None or task in TASKS else find_task(task)

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from agents.controller import Controller
 from agents.episodes import arguments
-from surface_gym.env import RENDER_FPS
-from surface_gym.registration import env_id
+from surface_gym.env import RENDER_FPS, SmartSurfaceEnv
 from surface_gym.rendering import with_caption
 from surface_gym.settings import Settings
 
@@ -50,7 +49,8 @@ def write_film(
 def _play(
     controller: Controller, settings: Settings, options: dict[str, Any], seed: int
 ) -> tuple[list[Picture], bool]:
-    env = gym.make(env_id(settings.task_name), render_mode="rgb_array", **arguments(settings))
+    bare = SmartSurfaceEnv(render_mode="rgb_array", **arguments(settings))
+    env = gym.wrappers.TimeLimit(bare, settings.chosen_task.periods)
     observation, info = env.reset(seed=seed, options=options)
     film = [_picture(env)]
     state: Any = None

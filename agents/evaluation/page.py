@@ -1,12 +1,12 @@
 """The comparison as one web page that holds its pictures and films, and needs nothing else."""
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from string import Template
 
-from agents.evaluation.columns import COLUMNS
+from agents.evaluation.columns import Column
 from agents.evaluation.conditions import CONDITIONS
 from agents.evaluation.table import Table
 
@@ -58,13 +58,17 @@ $sections
 
 
 def write_page(
-    tables: Sequence[Table], pictures: dict[str, list[tuple[Path, str]]], file: Path
+    tables: Sequence[Table],
+    pictures: dict[str, list[tuple[Path, str]]],
+    columns: Mapping[str, Sequence[Column]],
+    file: Path,
 ) -> None:
     """Write the page.
 
     Args:
         tables: in their order.
-        pictures: files of each task's pictures and films, each with what it shows.
+        pictures: files of each table's pictures and films, each with what it shows.
+        columns: of each table, beside the success rates.
         file: to write.
     """
     text = _PAGE.substitute(
@@ -74,13 +78,15 @@ def write_page(
             if table.task in pictures
         ),
         conditions=_definitions([(each.label, each.meaning) for each in CONDITIONS]),
-        sections="\n".join(_section(table, pictures.get(table.task, [])) for table in tables),
+        sections="\n".join(
+            _section(table, pictures.get(table.task, []), columns.get(table.task, ()))
+            for table in tables
+        ),
     )
     file.write_text(text, encoding="utf-8")
 
 
-def _section(table: Table, pictures: Sequence[tuple[Path, str]]) -> str:
-    columns = COLUMNS.get(table.task, ())
+def _section(table: Table, pictures: Sequence[tuple[Path, str]], columns: Sequence[Column]) -> str:
     parts = [
         f'<h2 id="{escape(table.task)}">{escape(table.task.capitalize())}</h2>',
         f'<p class="told">{escape(table.told)}</p>',

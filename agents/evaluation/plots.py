@@ -12,6 +12,7 @@ from agents.evaluation.conditions import CONDITIONS
 from agents.evaluation.sorting import GRID, slower_time
 from agents.evaluation.table import Summaries
 from agents.evaluation.trials import PARCELS, SORT_SPEEDS
+from agents.tasks import find_task, kind_of
 
 DOTS = 150  # to the inch
 
@@ -22,6 +23,11 @@ ERRORS: dict[str, tuple[str, str, float, float | None]] = {
     "track": ("rms_error", "rms error across the path [mm]", 1e3, None),
     "orient": ("angle_error", "error of the angle [deg]", 180.0 / np.pi, 2.0),
 }
+
+
+def has_errors(task: str) -> bool:
+    """Whether a task has a figure whose distribution is drawn."""
+    return kind_of(task) in ERRORS or bool(find_task(task).figures)
 
 
 def _contenders(task: str, summaries: Summaries) -> list[str]:
@@ -62,7 +68,10 @@ def draw_success(task: str, summaries: Summaries, file: Path) -> None:
 
 def draw_errors(task: str, summaries: Summaries, file: Path) -> None:
     """Share of starts by the size of their error, exact sensors."""
-    figure_name, label, scale, limit = ERRORS[task]
+    kind = kind_of(task)
+    first = find_task(task).figures[0]
+    own = (first, first.replace("_", " "), 1.0, None)
+    figure_name, label, scale, limit = ERRORS.get(kind, own)
     names = _contenders(task, summaries)
     colours = _colours(names)
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
@@ -84,15 +93,15 @@ def draw_errors(task: str, summaries: Summaries, file: Path) -> None:
     figure.savefig(file, dpi=DOTS)
 
 
-def draw_sorting(summaries: Summaries, file: Path) -> None:
+def draw_sorting(task: str, summaries: Summaries, file: Path) -> None:
     """Time to sort by entry speed, the slower side of the first seed; no line where it fails."""
-    names = [name for name in _contenders("sort", summaries) if _is_whole(summaries, name)]
+    names = [name for name in _contenders(task, summaries) if _is_whole(task, summaries, name)]
     colours = _colours(names)
     figure = Figure(figsize=(12.0, 4.0), layout="constrained")
     panels = figure.subplots(1, len(PARCELS), sharey=True)
     for panel, parcel in zip(panels, PARCELS, strict=True):
         for name in names:
-            time = slower_time(summaries["sort", name, "exact"], parcel)[0]
+            time = slower_time(summaries[task, name, "exact"], parcel)[0]
             time = np.where(np.isfinite(time), time, np.nan)
             panel.plot(SORT_SPEEDS, time, color=colours[name], label=name, linewidth=1.6)
         panel.set(title=f"{parcel}-box", xlabel="entry speed [m/s]")
@@ -104,6 +113,6 @@ def draw_sorting(summaries: Summaries, file: Path) -> None:
     figure.savefig(file, dpi=DOTS)
 
 
-def _is_whole(summaries: Summaries, name: str) -> bool:
-    starts = summaries["sort", name, "exact"].success.shape[1]
+def _is_whole(task: str, summaries: Summaries, name: str) -> bool:
+    starts = summaries[task, name, "exact"].success.shape[1]
     return starts == math.prod(GRID)

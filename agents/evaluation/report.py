@@ -7,9 +7,10 @@ from rich.console import Console
 
 from agents.evaluation.by_speed import speed_table
 from agents.evaluation.cell import Cell, play
+from agents.evaluation.columns import columns_of
 from agents.evaluation.contenders import FIXED, PLANNER, Contender, only
 from agents.evaluation.page import write_page
-from agents.evaluation.plots import draw_errors, draw_sorting, draw_success
+from agents.evaluation.plots import draw_errors, draw_sorting, draw_success, has_errors
 from agents.evaluation.showing import film_of
 from agents.evaluation.summary import summarise
 from agents.evaluation.table import (
@@ -23,6 +24,7 @@ from agents.evaluation.table import (
 from agents.evaluation.trajectories import draw_trajectories
 from agents.evaluation.trials import make_trial
 from agents.evaluation.work import compute_cells
+from agents.tasks import kind_of, label_of
 
 Pictures = list[tuple[Path, str]]
 
@@ -49,22 +51,25 @@ def write_report(
     pictures = {}
     for name in names:
         advance(f"drawing {name}")
-        pictures[name] = _draw(name, contenders, summaries, folder)
-    shown = list(tables)
-    if "sort" in names:
-        shown.insert(names.index("sort") + 1, _by_speed(summaries))
+        pictures[label_of(name)] = _draw(name, contenders, summaries, folder)
+    shown = []
+    for name, table in zip(names, tables, strict=True):
+        shown.append(table)
+        if kind_of(name) == "sort":
+            shown.append(_by_speed(name, summaries))
     for table in shown:
         print_table(table, console)
     write_tables([make_trial(name) for name in names], shown, summaries, folder)
-    write_page(shown, pictures, folder / "report.html")
+    columns = {label_of(name): columns_of(name) for name in names}
+    write_page(shown, pictures, columns, folder / "report.html")
 
 
-def _by_speed(summaries: Summaries) -> Table:
+def _by_speed(task: str, summaries: Summaries) -> Table:
     return speed_table(
         {
             who: summary
-            for (task, who, condition), summary in summaries.items()
-            if (task, condition) == ("sort", "exact") and who != PLANNER
+            for (name, who, condition), summary in summaries.items()
+            if (name, condition) == (task, "exact") and who != PLANNER
         }
     )
 
@@ -75,12 +80,13 @@ def _draw(
     """A task's plots and film."""
     mine = [contender for contender in contenders if contender.task == name]
     pictures: Pictures = []
-    success = folder / f"{name}-success.png"
+    label = label_of(name)
+    success = folder / f"{label}-success.png"
     draw_success(name, summaries, success)
     pictures.append((success, "Success by condition, with 95 % intervals."))
-    if name == "sort":
-        times, paths = folder / "sort-times.png", folder / "sort-trajectories.png"
-        draw_sorting(summaries, times)
+    if kind_of(name) == "sort":
+        times, paths = folder / f"{label}-times.png", folder / f"{label}-trajectories.png"
+        draw_sorting(name, summaries, times)
         pictures.append(
             (times, "Time to sort by entry speed; no line where a parcel is not sorted.")
         )
@@ -88,8 +94,8 @@ def _draw(
             {each.name: play(each, each.seeds[0], "exact")[1] for each in rivals(mine)}, paths
         )
         pictures.append((paths, "Trajectories by entry speed; dotted where it is not sorted."))
-    else:
-        errors = folder / f"{name}-errors.png"
+    elif has_errors(name):
+        errors = folder / f"{label}-errors.png"
         draw_errors(name, summaries, errors)
         pictures.append((errors, "Share of starts by the size of the error, exact sensors."))
     pictures.append(film_of(rivals(mine), folder))
@@ -114,8 +120,8 @@ def compare_run(
     summaries = summarise(compute_cells(both, workers))
     trial = make_trial(trained.task)
     tables = [make_table(trial, summaries, timed=False)]
-    if trained.task == "sort":
-        tables.append(_by_speed(summaries))
+    if trial.kind == "sort":
+        tables.append(_by_speed(trained.task, summaries))
         draw_trajectories(
             {each.name: play(each, each.seeds[0], "exact")[1] for each in both},
             folder / "trajectories.png",

@@ -34,10 +34,10 @@ def film_of(contenders: list[Contender], folder: Path) -> tuple[Path, str]:
     for contender in contenders:
         settings = contender.settings(trial, CONDITIONS[0])
         players[contender.name] = (contender.make(settings, contender.seeds[0]), settings)
-    file = folder / f"{trial.name}.mp4"
-    done = write_film(players, SHOWN[trial.name], SEED, file)
+    file = folder / f"{trial.label}.mp4"
+    done = write_film(players, SHOWN.get(trial.kind, {}), SEED, file)
     outcomes = ", ".join(
         f"{name} {'succeeds' if success else 'fails'}"
         for name, success in zip(players, done, strict=True)
     )
-    return file, f"{TOLD[trial.name]}: {outcomes}"
+    return file, f"{TOLD.get(trial.kind, 'a start drawn by the task')}: {outcomes}"

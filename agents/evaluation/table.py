@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as Screen
 
-from agents.evaluation.columns import COLUMNS, Column
+from agents.evaluation.columns import Column, columns_of
 from agents.evaluation.conditions import CONDITIONS, Condition
 from agents.evaluation.contenders import FIXED
 from agents.evaluation.summary import Summary
@@ -48,7 +48,9 @@ def make_table(trial: Trial, summaries: Summaries, timed: bool = True) -> Table:
         for condition in CONDITIONS
         if any((trial.name, who, condition.name) in summaries for who in names)
     ]
-    columns = [column for column in COLUMNS[trial.name] if timed or column.name != "decision_time"]
+    columns = [
+        column for column in columns_of(trial.name) if timed or column.name != "decision_time"
+    ]
     header = (
         "controller", "seeds", *_success_labels(shown), *(column.label for column in columns),
     )  # fmt: skip
@@ -67,7 +69,7 @@ def make_table(trial: Trial, summaries: Summaries, timed: bool = True) -> Table:
                 *(_text(column, exact, fixed) for column in columns),
             )
         )
-    return Table(trial.name, trial.told, header, tuple(rows))
+    return Table(trial.label, trial.told, header, tuple(rows))
 
 
 def _name(who: str, exact: Summary, fixed: Summary) -> str:
@@ -178,7 +180,7 @@ def _numbers(trial: Trial, summaries: Summaries) -> list[dict[str, Any]]:
             "success": summary.rate,
             "success_low": low,
             "success_high": high,
-            **{column.name: value_of(column, summary, fixed) for column in COLUMNS[task]},
+            **{column.name: value_of(column, summary, fixed) for column in columns_of(task)},
         }
         rows += [
             {

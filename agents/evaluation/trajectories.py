@@ -12,8 +12,8 @@ from agents.episodes import Episodes
 from agents.evaluation.plots import DOTS
 from agents.evaluation.sorting import GRID
 from agents.evaluation.trials import PARCELS, SIDES, SORT_SPEEDS
-from surface_gym import plant
 from surface_gym.layouts import LINE_Y, box
+from surface_gym.plants import Line
 
 SHOWN_SPEEDS = (0.4, 0.6, 0.8, 1.2, 2.0)  # [m/s] one trajectory each
 _COLOURS = ("#440154", "#3b528b", "#21918c", "#5ec962", "#c9a227")
@@ -40,21 +40,15 @@ def draw_trajectories(runs: dict[str, Episodes], file: Path) -> None:
 
 def _draw_line(panel: Axes, parcel: str) -> None:
     """Rotors, supports and the zone that obeys."""
-    rotor, (first_row, rows, first, columns) = plant.Line().site(box(parcel).base, None)
-    y, x = np.indices(rotor.shape) * plant.PITCH + plant.ORIGIN
-    edge = plant.ORIGIN - plant.PITCH / 2.0
-    panel.axvspan(
-        edge + first * plant.PITCH,
-        edge + (first + columns) * plant.PITCH,
-        color="#eef2f7",
-        zorder=0,
-    )
-    panel.axhspan(
-        edge + first_row * plant.PITCH,
-        edge + (first_row + rows) * plant.PITCH,
-        color="#dde3ea",
-        zorder=0,
-    )
+    line = Line()
+    rotor, (_, rows, first, columns) = line.site(box(parcel).base)
+    row, column = np.mgrid[: line.rows, : line.columns]
+    x = line.origin[0] + line.pitch_x * column
+    y = line.origin[1] + line.pitch_y * row
+    zone = line.column_edge(first), line.column_edge(first + columns)
+    middle, half = line.line_y, 0.5 * line.pitch_y * rows
+    panel.axvspan(*zone, color="#eef2f7", zorder=0)
+    panel.axhspan(middle - half, middle + half, color="#dde3ea", zorder=0)
     panel.plot(x[~rotor], y[~rotor], ".", color="#c3ccd6", markersize=1.5)
     panel.plot(x[rotor], y[rotor], ".", color="#8795a5", markersize=4)
     panel.set(xlim=(0.0, 2.2), ylim=(LINE_Y - 0.35, LINE_Y + 0.85), aspect="equal")

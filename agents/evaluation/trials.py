@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym.tasks import TASKS
-from surface_gym.tasks.task import Task
-from surface_gym.tasks.track import Track
+from agents.tasks import find_task, kind_of, label_of
+from surface_gym.tasks import Task, Track
 
 SEED = 20_261_121  # of every start's draws
 DRAWN = 500  # starts of a task that draws them
@@ -24,10 +23,20 @@ ORIENT_SPEEDS = np.linspace(1.3, 1.7, 41)  # [m/s]
 class Trial:
     """A task and the starts it is tried on."""
 
-    name: str
+    name: str  # of the task, as `agents.tasks` has it
     task: Task
     starts: tuple[dict[str, Any], ...]  # options of each; what is left open is drawn
     told: str  # the starts, in a sentence
+
+    @property
+    def kind(self) -> str:
+        """The name of the package's task that it is or inherits from; else its own."""
+        return kind_of(self.name)
+
+    @property
+    def label(self) -> str:
+        """The task's name in tables and in names of files."""
+        return label_of(self.name)
 
     def some(self, count: int) -> "Trial":
         """About `count` of the starts, spread evenly."""
@@ -57,14 +66,15 @@ def _orient() -> tuple[list[dict[str, Any]], str]:
 
 
 def make_trial(name: str) -> Trial:
-    """The trial of a task."""
-    if name == "sort":
+    """The trial of a task, the package's or one's own."""
+    kind = kind_of(name)
+    if kind == "sort":
         starts, told = _sort()
-    elif name == "orient":
+    elif kind == "orient":
         starts, told = _orient()
     else:
         starts, told = [{}] * DRAWN, f"{DRAWN} starts drawn by the task's own law"
-    task: Task = TASKS[name]()
+    task = find_task(name)
     if name == "track":
         task = Track(tilts=(math.radians(10.0), math.radians(15.0)), kinds=("sine",))
         told = f"{DRAWN} drawn starts on sines, tilts 10 to 15 deg"

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from agents.evaluation.columns import COLUMNS
+from agents.evaluation.columns import columns_of
 from agents.evaluation.contenders import FIXED, Contender
 from agents.evaluation.table import Summaries, value_of
 from agents.learning.config import TrainConfig
@@ -66,7 +66,7 @@ def _results(summaries: Summaries, agent: Contender, condition: str) -> dict[str
     low, high = summary.interval
     figures = {
         column.name: round(value_of(column, summary, fixed), 5)
-        for column in COLUMNS[agent.task]
+        for column in columns_of(agent.task)
         if column.name != "decision_time"
     }
     return {

@@ -10,9 +10,11 @@ import tyro
 from agents.learning.config import CONFIGS, TrainConfig
 from agents.learning.folder import make_folder, open_folder
 from agents.learning.hyperparams import defaults
-from surface_gym.tasks import TASKS
 
-RESUME = "--resume DIR, alone, goes on with a run that was broken off, from its last checkpoint."
+RESUME = (
+    "--resume DIR, alone, goes on with a run that was broken off, from its last checkpoint; "
+    "--task, too, says whose code is to be run where it is a task of one's own."
+)
 
 
 def open_run(arguments: list[str]) -> tuple[TrainConfig, Path]:
@@ -24,15 +26,15 @@ def open_run(arguments: list[str]) -> tuple[TrainConfig, Path]:
         ValueError: a field is out of its range, or the folder cannot be used.
     """
     first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    first.add_argument("--task", default="sort")
+    first.add_argument("--task")
     first.add_argument("--algo", default="ppo")
     first.add_argument("--resume", type=Path)
     chosen, _ = first.parse_known_args(arguments)
-    if chosen.resume is not None and len(arguments) > 2:
-        raise ValueError(f"--resume must stand alone, got {' '.join(arguments)}")
     if chosen.resume is not None:
-        return open_folder(chosen.resume), chosen.resume
-    task = chosen.task if chosen.task in TASKS else "sort"
+        if len(arguments) > (2 if chosen.task is None else 4):
+            raise ValueError(f"--resume must stand alone, got {' '.join(arguments)}")
+        return open_folder(chosen.resume, chosen.task), chosen.resume
+    task = chosen.task or "sort"
     algo = chosen.algo if chosen.algo in CONFIGS else "ppo"
     default = defaults(task, algo)
     kind: type[Any] = type(default)

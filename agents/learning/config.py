@@ -5,11 +5,9 @@ from pathlib import Path
 from typing import Literal
 
 from agents.policy_card import PolicyCard
+from agents.tasks import find_task, id_of
 from surface_gym import checks
-from surface_gym.registration import env_id
-from surface_gym.tasks import TASKS
 
-TaskName = Literal["sort", "slow", "stop", "track", "orient"]
 AlgoName = Literal["ppo", "dqn", "modules"]
 ActionName = Literal["halves", "quadrants", "window", "modules"]
 
@@ -22,8 +20,8 @@ class TrainConfig:
         ValueError: a field is out of its range; the message names it.
     """
 
-    task: TaskName = "sort"
-    """What to learn."""
+    task: str = "sort"
+    """What to learn: sort, slow, stop, track, orient, or one's own as path/to/file.py:Class."""
     algo: AlgoName = "ppo"
     """PPO, DQN with double Q, or (for Sort) PPO of modules that decide each for itself."""
     seed: int = 0
@@ -56,7 +54,7 @@ class TrainConfig:
     """Of the run's folder; by default the task, the algorithm, the seed and the time."""
 
     def __post_init__(self) -> None:
-        checks.one_of("task", self.task, TASKS)
+        find_task(self.task)
         named = [algo for algo, kind in CONFIGS.items() if kind is type(self)]
         checks.one_of("algo", self.algo, named)
         checks.one_of("actions", self.actions, ("halves", "quadrants", "window", "modules"))
@@ -175,7 +173,7 @@ class ModulesConfig(PPOConfig):
 def card_of(config: TrainConfig) -> PolicyCard:
     """What the policy of a run is for."""
     return PolicyCard(
-        env_id(config.task), config.algo, config.actions, config.control_period, config.hidden
+        id_of(config.task), config.algo, config.actions, config.control_period, config.hidden
     )
 
 

@@ -19,6 +19,6 @@ def finish(config: TrainConfig, folder: Path, learned: list[Learned], console: C
             f"python train.py --resume {folder} goes on from the last checkpoint"
         )
         return
-    agent, summaries = evaluate_run(folder, min(config.seeds, usable_cores()), console)
+    agent, summaries = evaluate_run(folder, config.task, min(config.seeds, usable_cores()), console)
     seeds = range(config.seed, config.seed + config.seeds)
     write_card(command_of(config), seeds, learned, summaries, agent, folder)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from agents.learning.config import TrainConfig
 from agents.learning.hyperparams import of_seed, read_config, write_config
+from agents.tasks import label_of
 
 CONFIG = "config.yaml"
 COMMAND = "command.txt"
@@ -19,7 +20,10 @@ def make_folder(config: TrainConfig) -> Path:
         ValueError: the folder exists.
     """
     which = f"seed{config.seed}" if config.seeds == 1 else f"{config.seeds}seeds"
-    name = config.name or f"{config.task}-{config.algo}-{which}-{datetime.now():%Y%m%d-%H%M%S}"
+    name = (
+        config.name
+        or f"{label_of(config.task)}-{config.algo}-{which}-{datetime.now():%Y%m%d-%H%M%S}"
+    )
     folder = config.out / name
     try:
         folder.mkdir(parents=True)
@@ -32,13 +36,18 @@ def make_folder(config: TrainConfig) -> Path:
     return folder
 
 
-def open_folder(folder: Path) -> TrainConfig:
+def open_folder(folder: Path, task: str | None = None) -> TrainConfig:
     """The configuration of a run to go on with.
 
+    Args:
+        folder: of the run.
+        task: that it must be of; None: one of the package, since a file must not say what code is
+            run.
+
     Raises:
-        ValueError: the folder holds no run.
+        ValueError: the folder holds no run, or one of another task.
     """
-    return read_config(folder / CONFIG)
+    return read_config(folder / CONFIG, task)
 
 
 def parts(config: TrainConfig, folder: Path) -> list[tuple[TrainConfig, Path]]:

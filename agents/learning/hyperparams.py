@@ -7,12 +7,13 @@ from typing import Any
 import yaml
 
 from agents.learning.config import CONFIGS, TrainConfig
-from surface_gym import checks
+from agents.tasks import kind_of
 from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
 
 FOLDER = Path(__file__).parents[1] / "hyperparams"
 _NAMES = {"n_envs": "lanes", "n_timesteps": "steps"}  # the zoo's names, and ours
+OWN = "default"  # the entry of tasks of one's own
 _LINEAR = "lin_"  # the zoo's mark of a learning rate that falls to 0
 
 
@@ -24,8 +25,14 @@ def defaults(task: str, algo: str) -> TrainConfig:
     """
     file = FOLDER / f"{algo}.yml"
     of_tasks = yaml.safe_load(file.read_text())
-    learned = [name for name in TASKS if env_id(name) in of_tasks]
-    entry = of_tasks[env_id(checks.one_of("task", task, learned))]
+    kind = kind_of(task)
+    if kind in TASKS and env_id(kind) in of_tasks:
+        entry = of_tasks[env_id(kind)]
+    elif kind not in TASKS and OWN in of_tasks:
+        entry = of_tasks[OWN]
+    else:
+        learned = ", ".join(repr(name) for name in TASKS if env_id(name) in of_tasks)
+        raise ValueError(f"task must be one of {learned} for {algo}, got {task!r}")
     known = {field.name for field in fields(CONFIGS[algo])}
     chosen: dict[str, Any] = {"task": task, "algo": algo}
     for name, value in entry.items():
@@ -57,21 +64,40 @@ def write_config(config: TrainConfig, file: Path) -> None:
     file.write_text(yaml.safe_dump(plain, sort_keys=False))
 
 
-def read_config(file: Path) -> TrainConfig:
+def read_config(file: Path, task: str | None = None) -> TrainConfig:
     """Read what `write_config` wrote.
 
+    Args:
+        file: to read.
+        task: that it must be of; None: one of the package.
+
     Raises:
-        ValueError: there is no such file, or it holds no configuration.
+        ValueError: there is no such file, or it holds no configuration, or one of another task.
     """
     if not file.is_file():
         raise ValueError(f"{file.parent} holds no run: {file.name} is missing")
     try:
         plain = yaml.safe_load(file.read_text())
+        asked = plain["task"] if task is None and plain["task"] in TASKS else task
+        if plain["task"] != asked:
+            raise ValueError(
+                f"task must be {plain['task']!r}, which the run is of: name it by --task, got "
+                f"{task!r}"
+            )
         plain["hidden"] = tuple(plain["hidden"])
         plain["out"] = Path(plain["out"])
         return CONFIGS[plain["algo"]](**plain)
     except (yaml.YAMLError, TypeError, KeyError, ValueError) as error:
         raise ValueError(f"{file} holds no run's configuration: {error}") from error
+
+
+def task_of(file: Path) -> str | None:
+    """The task that a run's configuration names; None where it is damaged. No code is run."""
+    try:
+        plain = yaml.safe_load(file.read_text())
+        return str(plain["task"])
+    except (yaml.YAMLError, TypeError, KeyError):
+        return None
 
 
 def of_seed(config: TrainConfig, seed: int) -> TrainConfig:

@@ -14,16 +14,14 @@ from stable_baselines3.common.vec_env.base_vec_env import (
     VecEnvStepReturn,
 )
 
-from agents.learning.config import TrainConfig
+from agents.learning.config import TrainConfig, card_of
 from agents.mirror import ActionMirror, MirrorVecEnv
+from agents.tasks import find_task
 from agents.vec_env import SurfaceVecEnv
+from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.randomisation import Randomisation
-from surface_gym.registration import env_id
-from surface_gym.sensors import Camera, Exact, Sensors
-from surface_gym.settings import Settings
-from surface_gym.tasks import TASKS
-from surface_gym.tasks.task import Task
-from surface_gym.tasks.track import Track
+from surface_gym.sensors import Camera, Exact, Sensor
+from surface_gym.tasks import Sort, Task, Track
 
 # Below 10 deg of tilt holding a heading costs more speed than the slope gives.
 PRACTISED: dict[str, Task] = {"track": Track(tilts=(math.radians(10.0), math.radians(15.0)))}
@@ -102,10 +100,10 @@ class SideBySide(VecEnv):
 def make_practice(config: TrainConfig) -> VecEnv:
     """The lanes a configuration asks for, mirrored where the task's observation is."""
     env = make_lanes(config)
-    if config.task != "sort":
+    settings = card_of(config).settings(find_task(config.task))
+    if not isinstance(settings.task, Sort):
         return env
-    settings = Settings(actions=config.actions, control_period=config.control_period)
-    return MirrorVecEnv(env, ActionMirror(settings.action_kind, settings.orientations))
+    return MirrorVecEnv(env, ActionMirror(settings.action_kind, settings.chosen_orientations))
 
 
 def make_lanes(config: TrainConfig) -> SideBySide:
@@ -123,13 +121,14 @@ def make_lanes(config: TrainConfig) -> SideBySide:
 
 
 def _lanes(
-    config: TrainConfig, lanes: int, sensors: Sensors, randomisation: Randomisation
+    config: TrainConfig, lanes: int, sensors: Sensor, randomisation: Randomisation
 ) -> SurfaceVecEnv:
+    task = PRACTISED.get(config.task) or find_task(config.task)
     return SurfaceVecEnv(
-        gym.make_vec(  # type: ignore[arg-type]
-            env_id(config.task),
+        SmartSurfaceVectorEnv(
             num_envs=lanes,
-            task=PRACTISED.get(config.task, TASKS[config.task]()),
+            max_episode_steps=task.periods,
+            task=task,
             actions=config.actions,
             control_period=config.control_period,
             sensors=sensors,

@@ -16,7 +16,7 @@ from agents.learning.legs import Learned, Progress, leg_at, leg_seed
 from agents.learning.model import Model, make_model
 from agents.learning.practice import make_practice
 from agents.policies.files import save_policy
-from surface_gym.settings import Settings
+from agents.tasks import find_task
 
 CURVE_EVERY = 10_000  # control periods from row to row of the curve
 
@@ -80,7 +80,7 @@ def train(
     started = time.perf_counter()
     model = make_model(config, make_practice(config))
     recent = load_checkpoint(model, folder) if (folder / FILE).is_file() else []
-    terms = Settings(task=config.task).chosen_task.terms
+    terms = find_task(config.task).terms
     curve = Curve(folder, terms, model.num_timesteps, recent)
     model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
     callback = _Legs(config, folder, curve, progress)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from agents.mirror import SIDE, mirrored_orientations
 from agents.sight import LineSight, line_sight
 from surface_gym import checks
-from surface_gym.plant import PITCH
 from surface_gym.settings import Settings
 from surface_gym.tasks.sort import FEATURES
 
@@ -52,10 +51,13 @@ class ModuleView:
         self._settings = settings
         kind = settings.action_kind
         self._size = kind.size
-        self._column = PITCH * (np.arange(kind.columns) + 0.5)  # [m] from the zone's first edge
-        self._row = PITCH * (np.arange(kind.rows) - (kind.rows - 1) / 2.0)  # [m] from the middle
-        self._image = mirrored_orientations(settings.orientations)
-        angles = np.array(settings.orientations)
+        plant = settings.chosen_plant
+        self._pitch_y = plant.pitch_y
+        # [m] from the zone's first edge, and from the line's middle.
+        self._column = plant.pitch_x * (np.arange(kind.columns) + 0.5)
+        self._row = plant.pitch_y * (np.arange(kind.rows) - (kind.rows - 1) / 2.0)
+        self._image = mirrored_orientations(settings.chosen_orientations)
+        angles = np.array(settings.chosen_orientations)
         self._rest = int(np.abs(np.sin(angles)).argmax())  # the choice nearest to 90 deg
 
     def __call__(self, observations: Singles) -> Seen:
@@ -95,7 +97,7 @@ class ModuleView:
         y = row - see.offset[:, np.newaxis]
         moved = self._settings.control_period * (np.abs(see.vx) + np.abs(see.vy))
         close = (math.sqrt(2.0) * see.half_length + moved + 2.0 * MARGIN)[:, np.newaxis]
-        rows = (np.abs(row) <= half_line[:, np.newaxis] + PITCH / 4.0) & (np.abs(y) < close)
+        rows = (np.abs(row) <= half_line[:, np.newaxis] + self._pitch_y / 4.0) & (np.abs(y) < close)
         columns = np.abs(x) < close
         lane, place, column = np.nonzero(rows[:, :, np.newaxis] & columns[:, np.newaxis, :])
         number = place * len(self._column) + column

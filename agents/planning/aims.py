@@ -10,23 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.planning.model import Model
+from agents.planning.model import Model, Stand
 from agents.sight import square_reach
 from surface_gym.dynamics.types import GRAVITY
-from surface_gym.lanes.memory import (
-    COLUMNS,
-    FIGURES,
-    FIRST_COLUMN,
-    HALF_LENGTH,
-    PATH_POINTS,
-    ROWS,
-    SUCCESS,
-    Lanes,
-)
-from surface_gym.layouts import LINE_Y, ROLLING
-from surface_gym.plant import ORIGIN, PITCH
-from surface_gym.registration import MAX_EPISODE_STEPS
-from surface_gym.tasks import orient, slow, sort, stop, track
+from surface_gym.lanes.memory import PATH_POINTS, SUCCESS, Lanes
+from surface_gym.layouts import ROLLING
+from surface_gym.tasks import TASKS, orient, slow, sort, stop, track
 from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
 
 Numbers = NDArray[np.float64]
@@ -47,8 +36,8 @@ CROSS_SPEED = 0.09  # [m/s] across the path at the horizon
 class Aim:
     """What a search prefers."""
 
-    way: Callable[[Lanes], Numbers]  # cost of lanes on their way
-    end: Callable[[Lanes], Numbers]  # cost of lanes that have ended, or are at the horizon
+    way: Callable[[Stand], Numbers]  # cost of lanes on their way
+    end: Callable[[Stand], Numbers]  # cost of lanes that have ended, or are at the horizon
     enough: float  # cost of an end that ends the search
     horizon: int  # periods looked ahead
     follow: int  # periods of a plan that are followed at most
@@ -57,53 +46,54 @@ class Aim:
     event: Callable[[Model], tuple[int, int] | None] = lambda _: None
 
 
-def _reach(lanes: Lanes) -> Numbers:
+def _reach(stand: Stand) -> Numbers:
     """[m] a box reaches along x, and along y, from its centre."""
-    return square_reach(lanes.body[:, HALF_LENGTH], lanes.truth[:, 2])
+    return square_reach(stand.half_length, stand.lanes.truth[:, 2])
 
 
-def _rear_to_go(lanes: Lanes) -> Numbers:
+def _rear_to_go(stand: Stand) -> Numbers:
     """[m] from the rear to the zone's end, at least 0."""
-    after = lanes.zone[:, FIRST_COLUMN] + lanes.zone[:, COLUMNS]
-    end = ORIGIN + PITCH * (after - 0.5)
-    return np.maximum(0.0, end - lanes.truth[:, 0] + _reach(lanes))
+    _, _, first, columns = stand.zone
+    end = stand.plant.column_edge(first + columns)
+    return np.maximum(0.0, end - stand.lanes.truth[:, 0] + _reach(stand))
 
 
-def _off_line(lanes: Lanes) -> Numbers:
+def _off_line(stand: Stand) -> Numbers:
     """[m] from the line's middle."""
-    return np.abs(lanes.truth[:, 1] - LINE_Y)
+    return np.abs(stand.lanes.truth[:, 1] - stand.plant.line_y)
 
 
-def _askew(lanes: Lanes) -> Numbers:
+def _askew(stand: Stand) -> Numbers:
     """How far from straight along the line."""
-    _, _, theta, _, vy, omega = lanes.truth.T
-    return _off_line(lanes) + np.abs(vy) + np.abs(theta) + SETTLING * np.abs(omega)
+    _, _, theta, _, vy, omega = stand.lanes.truth.T
+    return _off_line(stand) + np.abs(vy) + np.abs(theta) + SETTLING * np.abs(omega)
 
 
-def _failure(lanes: Lanes) -> Numbers:
-    return np.where(lanes.outcome == SUCCESS, 0.0, FAILED)
+def _failure(stand: Stand) -> Numbers:
+    return np.where(stand.lanes.outcome == SUCCESS, 0.0, FAILED)
 
 
-def _time(lanes: Lanes) -> Numbers:
+def _time(stand: Stand) -> Numbers:
     """[s] until the end."""
-    return _failure(lanes) + lanes.clock
+    return _failure(stand) + stand.lanes.clock
 
 
-def _error(lanes: Lanes) -> Numbers:
+def _error(stand: Stand) -> Numbers:
     """The task's first figure."""
-    return _failure(lanes) + np.abs(lanes.memory[:, FIGURES])
+    return _failure(stand) + np.abs(stand.lanes.figures[:, 0])
 
 
-def _sort_way(lanes: Lanes) -> Numbers:
+def _sort_way(stand: Stand) -> Numbers:
     """[s] until the parcel is off the line if all axes were at 45 deg from now on; and what it
     lacks where it would come to rest before.
     """
-    _, y, _, vx, vy, _ = lanes.truth.T
-    side = lanes.goal[:, sort.SIDE]
+    _, y, _, vx, vy, _ = stand.lanes.truth.T
+    side = stand.lanes.goal[:, sort.SIDE]
     if side[0] == 0.0:
-        return _off_line(lanes) - 0.1 * lanes.truth[:, 0]
+        return _off_line(stand) - 0.1 * stand.lanes.truth[:, 0]
     vy = side * vy
-    left = _reach(lanes) + 0.5 * PITCH * (lanes.zone[:, ROWS] - 1) - side * (y - LINE_Y)
+    half_line = 0.5 * stand.plant.pitch_y * (stand.zone[1] - 1)
+    left = _reach(stand) + half_line - side * (y - stand.plant.line_y)
     left = np.maximum(0.0, left)
     kept = np.maximum(0.0, np.where(vx > vy, 0.5 * (vx + vy), vy))
     vy = np.clip(vy, 0.0, kept)
@@ -123,34 +113,35 @@ def _sort_event(model: Model) -> tuple[int, int] | None:
     return model.uniform_action(ROLLING), model.uniform_action(-side * math.pi / 4.0)
 
 
-def _slow_way(lanes: Lanes) -> Numbers:
+def _slow_way(stand: Stand) -> Numbers:
     """[m/s] off what would roll out at the asked ratio, straight and in time."""
-    to_go = _rear_to_go(lanes)
+    lanes, to_go = stand.lanes, _rear_to_go(stand)
     speed = np.hypot(lanes.truth[:, 3], lanes.truth[:, 4])
     asked = lanes.goal[:, slow.RATIO] * lanes.goal[:, slow.ENTRY_SPEED]
     excess = speed - np.sqrt(asked**2 + 2.0 * ROLLING_LOSS * to_go)
     late = np.maximum(0.0, lanes.clock + to_go / np.maximum(speed, 1e-3) - ARRIVAL)
-    return np.abs(excess) + 2.0 * late + _askew(lanes)
+    return np.abs(excess) + 2.0 * late + _askew(stand)
 
 
-def _stop_way(lanes: Lanes) -> Numbers:
+def _stop_way(stand: Stand) -> Numbers:
     """[m] that full braking ends short of the asked x; beyond it there is no way back."""
-    x, _, _, vx, _, _ = lanes.truth.T
-    short = lanes.goal[:, stop.POSITION] - x - vx**2 / (2.0 * BRAKING)
-    return np.where(short < 0.0, -10.0 * short, short) + 0.1 * _askew(lanes)
+    x, _, _, vx, _, _ = stand.lanes.truth.T
+    short = stand.lanes.goal[:, stop.POSITION] - x - vx**2 / (2.0 * BRAKING)
+    return np.where(short < 0.0, -10.0 * short, short) + 0.1 * _askew(stand)
 
 
-def _orient_way(lanes: Lanes) -> Numbers:
+def _orient_way(stand: Stand) -> Numbers:
     """[rad] left to turn; with speed enough to turn it and to leave the zone, and on the line."""
-    _, _, theta, vx, vy, omega = lanes.truth.T
-    left = np.abs(lanes.goal[:, orient.ANGLE] - theta - SETTLING * omega)
-    spent = ROLLING_LOSS * _rear_to_go(lanes) + TURN_LOSS * lanes.body[:, HALF_LENGTH] * left
+    _, _, theta, vx, vy, omega = stand.lanes.truth.T
+    left = np.abs(stand.lanes.goal[:, orient.ANGLE] - theta - SETTLING * omega)
+    spent = ROLLING_LOSS * _rear_to_go(stand) + TURN_LOSS * stand.half_length * left
     lack = np.maximum(0.0, np.sqrt(EXIT_SPEED**2 + 2.0 * spent) - vx)
-    return left + lack - 0.2 * vx + 0.2 * _off_line(lanes) + 0.06 * np.abs(vy)
+    return left + lack - 0.2 * vx + 0.2 * _off_line(stand) + 0.06 * np.abs(vy)
 
 
-def _track_way(lanes: Lanes) -> Numbers:
+def _track_way(stand: Stand) -> Numbers:
     """Mean squares of the errors so far, each over what is as bad, and where they lead."""
+    lanes = stand.lanes
     since = np.maximum(lanes.clock, 1e-9)
     off = lanes.memory[:, track.SQUARED_ERROR] / since / CROSS_ERROR**2
     pace = lanes.memory[:, track.SQUARED_SPEED_ERROR] / since / SPEED_ERROR**2
@@ -169,7 +160,7 @@ def _speed_across(lanes: Lanes) -> Numbers:
     return across
 
 
-_LIMIT = MAX_EPISODE_STEPS
+_LIMIT = {name: task.periods for name, task in TASKS.items()}
 AIMS = {
     "sort": Aim(_sort_way, _time, FAILED, _LIMIT["sort"], _LIMIT["sort"], event=_sort_event),
     "slow": Aim(_slow_way, _error, 2e-4, _LIMIT["slow"], _LIMIT["slow"]),

@@ -1,6 +1,6 @@
 """The planner's own world: lanes of the simulator that all begin where an observation says."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from agents.angles import axes_apart
 from agents.planning.start import FIELD_ZONE, start_of
 from surface_gym.actuators import Actuators
-from surface_gym.lanes.memory import OUT_OF_TIME, Lanes
-from surface_gym.parcel import Parcel
-from surface_gym.plant import Field
+from surface_gym.batch.batch import Batch
+from surface_gym.lanes.memory import HALF_LENGTH, OUT_OF_TIME, Lanes
+from surface_gym.plants import Field, Plant
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Exact
 from surface_gym.settings import Settings
@@ -18,10 +18,22 @@ from surface_gym.settings import Settings
 Integers = NDArray[np.int64]
 
 # What sets lanes apart that began as one. Axes do not: an action of halves sets all that obey.
-_MOVES = ("state", "truth", "sensed", "clock", "steps", "memory", "terms", "outcome", "observation")
-# What else a start says, and what follows from its parcel.
-_GIVEN = ("surface", "goal", "path")
-_OF_PARCEL = ("axis", "rotor", "obeys", "body", "edges", "corners", "zone")
+_MOVES = (
+    "state", "truth", "sensed", "clock", "steps", "memory", "figures", "terms", "outcome",
+    "observation",
+)  # fmt: skip
+# What else a start says.
+_GIVEN = ("surface", "goal", "path", "site")
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """How the lanes of a search stand: some of their rows, and what is the same for all."""
+
+    lanes: Lanes
+    half_length: float  # [m] of the base
+    zone: tuple[int, int, int, int]  # first row, rows, first column, columns that obey
+    plant: Plant
 
 
 class Model:
@@ -33,7 +45,7 @@ class Model:
     """
 
     def __init__(self, settings: Settings, lanes: int) -> None:
-        on_field = isinstance(settings.chosen_task.plant, Field)
+        on_field = isinstance(settings.chosen_plant, Field)
         self._settings = replace(
             settings,
             sensors=Exact(),
@@ -42,14 +54,22 @@ class Model:
             zone=FIELD_ZONE if on_field else settings.zone,
         )
         self._kind = self._settings.action_kind
-        self._batch = self._settings.make_batch(lanes)
-        self._parcel: Parcel | None = None
-        self._generator = np.random.default_rng(0)  # nothing is drawn from it
+        self._batch = Batch(self._settings, lanes)
 
     @property
     def lanes(self) -> Lanes:
         """Their memory."""
         return self._batch.lanes
+
+    def _stand(self, lanes: Lanes) -> Stand:
+        site, sites = lanes.site[0], self._batch.sites
+        first_row, rows, first_column, columns = sites.zone[site].tolist()
+        return Stand(
+            lanes,
+            float(sites.body[site, HALF_LENGTH]),
+            (first_row, rows, first_column, columns),
+            self._settings.chosen_plant,
+        )
 
     @property
     def choices(self) -> int:
@@ -58,24 +78,23 @@ class Model:
 
     def uniform_action(self, angle: float) -> int:
         """The action that turns all axes to the orientation on offer nearest to an angle [rad]."""
-        apart = axes_apart(self._settings.orientations, angle)
+        apart = axes_apart(self._settings.chosen_orientations, angle)
         both = np.full((1, self._kind.size), apart.argmin())
         return int(self._kind.encode(both)[0])
 
     def begin(self, observation: NDArray[np.float32]) -> None:
         """Put every lane where an observation (features,) says."""
-        start = start_of(self._settings, observation)
-        self._batch.place(0, start, self._generator)
-        self._batch.begin(np.zeros(1, dtype=np.int64))
-        names: tuple[str, ...] = (*_MOVES, *_GIVEN)
-        if start.parcel is not self._parcel:
-            names = (*names, *_OF_PARCEL)
-            self._parcel = start.parcel
-        for name in names:
+        first = np.zeros(1, dtype=np.int64)
+        self._batch.place(first, start_of(self._settings, observation))
+        self._batch.begin(first)
+        sites = self.lanes.site
+        if (sites != sites[0]).any():  # another zone: what no action sets must be straight
+            self.lanes.axis[1:] = self.lanes.axis[0]
+        for name in (*_MOVES, *_GIVEN):
             array = getattr(self.lanes, name)
             array[1:] = array[0]
 
-    def advance(self, parents: Integers, actions: Integers) -> Lanes:
+    def advance(self, parents: Integers, actions: Integers) -> Stand:
         """Make the first lanes copies of their parents (count,), move them over a period and show
         them.
 
@@ -91,4 +110,4 @@ class Model:
         commands = lanes.command.copy()
         commands[:count] = self._kind.commands(actions, count)
         self._batch.advance(commands)
-        return Lanes._make(array[:count] for array in lanes)
+        return self._stand(Lanes._make(array[:count] for array in lanes))

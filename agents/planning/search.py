@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.planning.aims import Aim
-from agents.planning.model import Model
-from surface_gym.lanes.memory import RUNNING, Lanes
+from agents.planning.model import Model, Stand
+from surface_gym.lanes.memory import RUNNING
 
 Booleans = NDArray[np.bool_]
 Integers = NDArray[np.int64]
@@ -74,12 +74,12 @@ def make_plan(model: Model, aim: Aim, width: int) -> Plan:
         every = np.tile(np.arange(model.choices), len(kept))
         actions = np.concatenate([every, timings.actions])
         moved = model.advance(parents, actions)
-        runs = moved.outcome == RUNNING
+        runs = moved.lanes.outcome == RUNNING
         over = ~runs if len(periods) < aim.horizon - 1 else np.ones_like(runs)
         if over.any():
             cost = np.where(over, aim.end(moved), np.inf)
             best = min(best, _End(float(cost.min()), len(periods), int(cost.argmin())))
-        periods.append(_Period(parents, actions, moved.observation.copy()))
+        periods.append(_Period(parents, actions, moved.lanes.observation.copy()))
         timings = _Timings(
             np.nonzero(runs[len(every) :])[0] + len(every), timings.actions[runs[len(every) :]]
         )
@@ -96,11 +96,11 @@ def _change(timings: _Timings, event: tuple[int, int]) -> _Timings:
     )
 
 
-def _keep(aim: Aim, moved: Lanes, runs: Booleans, width: int) -> Integers:
+def _keep(aim: Aim, moved: Stand, runs: Booleans, width: int) -> Integers:
     """The best lanes of those that run, none like a better one."""
     order = np.argsort(np.where(runs, aim.way(moved), np.inf), kind="stable")
     order = order[: np.count_nonzero(runs)]
-    kinds = np.rint(moved.state[order, : len(ALIKE)] / ALIKE).astype(np.int64)
+    kinds = np.rint(moved.lanes.state[order, : len(ALIKE)] / ALIKE).astype(np.int64)
     _, best_of_kind = np.unique(kinds, axis=0, return_index=True)
     return order[np.sort(best_of_kind)[:width]]
 

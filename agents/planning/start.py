@@ -7,16 +7,16 @@ from numpy.typing import NDArray
 
 from agents.sight import LineSight, PathSight, line_sight, path_sight
 from surface_gym.lanes.memory import PATH_POINTS
-from surface_gym.layouts import LINE_Y, box
+from surface_gym.layouts import box
 from surface_gym.parcel import Parcel
-from surface_gym.plant import ORIGIN, PITCH, Line
+from surface_gym.plants import Field, Plant
 from surface_gym.settings import Settings
 from surface_gym.tasks.line import zone_of
 from surface_gym.tasks.orient import Orient
 from surface_gym.tasks.slow import Slow
 from surface_gym.tasks.sort import Sort
+from surface_gym.tasks.start import Start
 from surface_gym.tasks.stop import Stop
-from surface_gym.tasks.task import Start
 from surface_gym.tasks.track import AHEAD
 
 BETWEEN_BOXES = 0.175  # [m] half length, midway between the S-box's and the B-box's
@@ -31,9 +31,9 @@ _BEHIND = 60  # pieces of it behind the parcel
 def start_of(settings: Settings, observation: NDArray[np.float32]) -> Start:
     """The start that an observation (features,) shows, the parcel one of the paper's boxes."""
     seen = observation[np.newaxis]
-    if isinstance(settings.chosen_task.plant, Line):
-        return _on_line(settings, line_sight(settings, seen))
-    return _on_field(path_sight(settings, seen))
+    if isinstance(settings.chosen_plant, Field):
+        return _on_field(settings.chosen_plant, path_sight(settings, seen))
+    return _on_line(settings, line_sight(settings, seen))
 
 
 def _box_of(half_length: float) -> Parcel:
@@ -41,11 +41,11 @@ def _box_of(half_length: float) -> Parcel:
 
 
 def _on_line(settings: Settings, see: LineSight) -> Start:
-    task = settings.chosen_task
+    task, plant = settings.chosen_task, settings.chosen_plant
     assert isinstance(task, (Sort, Slow, Stop, Orient))
     parcel = _box_of(float(see.half_length[0]))
-    x = zone_of(task.plant, parcel, settings.zone)[0] + float(see.into_zone[0])
-    pose = (x, LINE_Y + float(see.offset[0]), float(see.theta[0]))
+    x = zone_of(plant, parcel, settings.zone)[0] + float(see.into_zone[0])
+    pose = (x, plant.line_y + float(see.offset[0]), float(see.theta[0]))
     velocity = (float(see.vx[0]), float(see.vy[0]), float(see.omega[0]))
     if isinstance(task, Sort):
         goal: tuple[float, ...] = (float(see.side[0]),)
@@ -58,9 +58,9 @@ def _on_line(settings: Settings, see: LineSight) -> Start:
     return Start(parcel, pose, velocity, goal)
 
 
-def _on_field(see: PathSight) -> Start:
-    x = ORIGIN + PITCH * _COLUMN + float(see.x_in_pitch[0])
-    y = ORIGIN + PITCH * _ROW + float(see.y_in_pitch[0])
+def _on_field(plant: Plant, see: PathSight) -> Start:
+    x = plant.origin[0] + plant.pitch_x * _COLUMN + float(see.x_in_pitch[0])
+    y = plant.origin[1] + plant.pitch_y * _ROW + float(see.y_in_pitch[0])
     # The centre is over the middle of a piece, beyond what is seen the path goes on straight.
     from_centre = _PIECE * (np.arange(PATH_POINTS) - _BEHIND - 0.5)
     slope = np.interp(from_centre[:-1] + 0.5 * _PIECE, AHEAD, see.slope[0])

@@ -10,10 +10,10 @@ from agents.damage import DAMAGE
 from agents.modules.network import SharedNetwork
 from agents.modules.policy import ModulesPolicy
 from agents.policies.policy import Policy, make_network
-from agents.policy_card import PolicyCard
+from agents.policy_card import CARD, PolicyCard
+from surface_gym.tasks import Task
 
 WEIGHTS = "policy.pt"
-CARD = "policy.yaml"
 
 
 def save_policy(network: torch.nn.Module, card: PolicyCard, folder: Path) -> None:
@@ -23,11 +23,15 @@ def save_policy(network: torch.nn.Module, card: PolicyCard, folder: Path) -> Non
     (folder / CARD).write_text(yaml.safe_dump(fields, sort_keys=False))
 
 
-def load_policy(folder: Path) -> Policy | ModulesPolicy:
+def load_policy(folder: Path, task: Task | None = None) -> Policy | ModulesPolicy:
     """The policy that a run left in a folder, whatever learned it. No code in the files is run.
 
+    Args:
+        folder: of the run.
+        task: of one's own that it was trained on; None: one of the package.
+
     Raises:
-        ValueError: the folder holds no policy, or a damaged or foreign one.
+        ValueError: the folder holds no policy, or a damaged or foreign one, or one of another task.
     """
     for name in (WEIGHTS, CARD):
         if not (folder / name).is_file():
@@ -35,13 +39,14 @@ def load_policy(folder: Path) -> Policy | ModulesPolicy:
     try:
         fields = yaml.safe_load((folder / CARD).read_text())
         card = PolicyCard(**{**fields, "hidden": tuple(fields["hidden"])})
+        settings = card.settings(task)
         weights = torch.load(folder / WEIGHTS, map_location="cpu", weights_only=True)
         if card.algo == "modules":
-            shared = SharedNetwork(len(card.settings.orientations), card.hidden)
+            shared = SharedNetwork(len(settings.chosen_orientations), card.hidden)
             shared.load_state_dict(weights)
             return ModulesPolicy(shared, card)
-        network = make_network(card)
+        network = make_network(card, settings)
         network.load_state_dict(weights)
     except DAMAGE as error:
         raise ValueError(f"{folder} holds a damaged or foreign policy: {error}") from error
-    return Policy(network, card)
+    return Policy(network, card, settings)

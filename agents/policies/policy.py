@@ -11,13 +11,14 @@ from stable_baselines3.dqn.policies import DQNPolicy
 from agents.mirror import SIDE, ActionMirror
 from agents.policies.categorical import EqualChoicesPolicy
 from agents.policy_card import PolicyCard
+from surface_gym.settings import Settings
+from surface_gym.tasks import TASKS, Sort
 
 NETWORKS = {"ppo": EqualChoicesPolicy, "dqn": DQNPolicy}
 
 
-def make_network(card: PolicyCard) -> BasePolicy:
-    """The network of a card, its weights not set."""
-    settings = card.settings
+def make_network(card: PolicyCard, settings: Settings) -> BasePolicy:
+    """The network of a card for an environment, its weights not set."""
     return NETWORKS[card.algo](
         settings.observation_space(),
         settings.action_space(),
@@ -34,20 +35,20 @@ class Policy:
         env_kwargs: that environment's arguments.
     """
 
-    def __init__(self, network: BasePolicy, card: PolicyCard) -> None:
+    def __init__(self, network: BasePolicy, card: PolicyCard, settings: Settings) -> None:
         torch.set_num_threads(1)  # the network is small: more threads only wait for each other
         self._network = network
         self._network.set_training_mode(False)
-        settings = card.settings
         # Sort shows its parcel in a mirror where it is to go to y < 0.
         self._mirror = (
-            ActionMirror(settings.action_kind, settings.orientations)
-            if card.task == "sort"
+            ActionMirror(settings.action_kind, settings.chosen_orientations)
+            if isinstance(settings.task, Sort)
             else None
         )
         self.card = card
         self.env_id = card.env_id
-        self.env_kwargs = card.env_kwargs
+        own = {} if card.task in TASKS else {"task": settings.task}
+        self.env_kwargs = {**own, **card.env_kwargs}
 
     def predict(
         self,

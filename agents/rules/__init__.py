@@ -1,5 +1,8 @@
 """Controllers that do not learn."""
 
+import math
+from functools import partial
+
 from agents.rules.braking import SlowingRule, StoppingRule
 from agents.rules.event import EventRule
 from agents.rules.fixed import FixedLayout
@@ -11,6 +14,7 @@ from agents.rules.rule import Rule
 from agents.rules.sliding_mode import SlidingMode
 from agents.rules.threshold import ThresholdRule
 from agents.rules.turning import TurningRule
+from agents.rules.uniform import UniformLayout
 
 RULES = (
     Rule("fixed layout", "sort", "modules", FixedLayout),
@@ -30,3 +34,17 @@ RULES = (
     Rule("PID per module", "orient", "modules", PidRule),
     Rule("turning rule", "orient", "modules", TurningRule),
 )
+
+
+def rules_of(kind: str) -> list[Rule]:
+    """Those of a task of the package; of any other, layouts of axes that are all alike, the
+    conveyor's for the fixed one.
+    """
+    chosen = [rule for rule in RULES if rule.task == kind]
+    if chosen:
+        return chosen
+    layouts = {"fixed layout": 90.0, "all at 0 deg": 0.0, "all at 45": 45.0, "all at -45": -45.0}
+    return [
+        Rule(name, kind, "halves", partial(UniformLayout, angle=math.radians(angle)))
+        for name, angle in layouts.items()
+    ]

@@ -5,7 +5,6 @@ from numpy.typing import NDArray
 
 from agents.rules.modules import Motion
 from agents.sight import LineSight, PathSight
-from surface_gym.plant import PITCH
 
 # Found by trying, on other starts than any reported.
 ASIDE = 5.0  # [m/s] to the side where Sort wants the parcel off: more than there ever is
@@ -21,7 +20,7 @@ CLOSE_ENOUGH = 0.025  # [rad] off the asked angle, where 0.035 is allowed: nothi
 
 def wholly_in_zone(see: LineSight) -> NDArray[np.bool_]:
     """(lanes,) no module of the lead-in bears: its last is centred half a pitch before the zone."""
-    inside: NDArray[np.bool_] = see.into_zone - see.reach > -PITCH / 2.0
+    inside: NDArray[np.bool_] = see.into_zone - see.reach > -see.pitch[0] / 2.0
     return inside
 
 

@@ -16,7 +16,7 @@ def choice_of(settings: Settings, angle: float) -> int:
     Raises:
         ValueError: it is not among them.
     """
-    angles = np.array(settings.orientations)
+    angles = np.array(settings.chosen_orientations)
     apart = axes_apart(angles, angle)
     if apart.min() > SAME:
         raise ValueError(

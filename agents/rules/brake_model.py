@@ -6,7 +6,6 @@ import numpy as np
 
 from agents.rules.lane_rule import Booleans, Numbers
 from surface_gym.dynamics.types import GRAVITY
-from surface_gym.plant import PITCH
 from surface_gym.settings import Settings
 from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
 
@@ -23,6 +22,7 @@ class BrakeModel:
     def __init__(self, settings: Settings) -> None:
         self._timing = settings.timing
         self._columns = settings.action_kind.columns
+        self._pitch = settings.chosen_plant.pitch_x
 
     def after_a_period(
         self, place: Numbers, speed: Numbers, half_length: Numbers, share: Numbers
@@ -38,15 +38,15 @@ class BrakeModel:
         dt = self._timing.dt
         # Columns that are or come under the parcel, whether in the zone or not.
         longest = 2.0 * half_length.max() + max(0.0, speed.max()) * dt * self._timing.steps
-        first = np.floor((place - half_length) / PITCH).astype(np.int64)
-        near = first[:, np.newaxis] + np.arange(math.ceil(longest / PITCH) + 2)
+        first = np.floor((place - half_length) / self._pitch).astype(np.int64)
+        near = first[:, np.newaxis] + np.arange(math.ceil(longest / self._pitch) + 2)
         inside = (near >= 0) & (near < self._columns)
         column = np.clip(near, 0, self._columns - 1)[:, np.newaxis, :]
         brake = np.take_along_axis(
             share, np.broadcast_to(column, (*share.shape[:2], near.shape[1])), 2
         )
         brake = np.where(inside[:, np.newaxis, :], brake, 0.0)
-        centre = PITCH * (near + 0.5)[:, np.newaxis, :]
+        centre = self._pitch * (near + 0.5)[:, np.newaxis, :]
         reach = half_length[:, np.newaxis, np.newaxis]
         x = np.repeat(place[:, np.newaxis], share.shape[1], axis=1)
         v = np.repeat(speed[:, np.newaxis], share.shape[1], axis=1)

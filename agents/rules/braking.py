@@ -8,7 +8,6 @@ from agents.rules.brake_model import BrakeModel
 from agents.rules.columns import FULL, HALF, ROLL, SHARES, ColumnAxes, Levels
 from agents.rules.lane_rule import Booleans, Commands, LaneRule, Memory, Numbers, Observations
 from agents.sight import LineSight, line_sight
-from surface_gym.plant import PITCH
 from surface_gym.settings import Settings
 from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
 
@@ -60,9 +59,10 @@ class BrakingRule(LaneRule):
     def _levels(self, see: LineSight) -> Levels:
         """(lanes, ways, columns) of the zone's columns, in each way to brake."""
         ahead = np.maximum(0.0, see.vx) * self._settings.control_period
-        reached = np.ceil((2.0 * see.half_length + ahead) / PITCH).astype(np.int64) + 1
+        pitch = see.pitch[0]
+        reached = np.ceil((2.0 * see.half_length + ahead) / pitch).astype(np.int64) + 1
         ways = ways_to_brake(int(reached.max()))
-        rearmost = np.floor((see.into_zone - see.half_length) / PITCH).astype(np.int64)
+        rearmost = np.floor((see.into_zone - see.half_length) / pitch).astype(np.int64)
         place = np.arange(self._columns) - rearmost[:, np.newaxis]
         near = (place >= 0) & (place < reached[:, np.newaxis])
         levels = ways[:, np.where(near, place, 0)].swapaxes(0, 1)
@@ -80,7 +80,7 @@ class SlowingRule(BrakingRule):
         super().__init__(settings, "slow")
 
     def _regret(self, see: LineSight, place: Numbers, speed: Numbers) -> Numbers:
-        end = PITCH * self._columns + see.reach
+        end = see.pitch[0] * self._columns + see.reach
         to_go = np.maximum(0.0, end[:, np.newaxis] - place)
         asked = (see.ratio * see.entry_speed)[:, np.newaxis]
         excess = speed - np.sqrt(asked**2 + 2.0 * ROLLING_LOSS * to_go)

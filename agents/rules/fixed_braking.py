@@ -13,7 +13,7 @@ from agents.rules.columns import FULL, HALF, ColumnAxes, Levels
 from agents.rules.lane_rule import Commands, FixedRule, Numbers, Observations
 from agents.rules.trial import run_over, sizes_of
 from agents.sight import LineSight, line_sight
-from surface_gym.plant import PITCH, Plant
+from surface_gym.plants import Plant
 from surface_gym.settings import Settings
 
 FINE = 0.001  # [m] between the places that a loss is known at
@@ -39,7 +39,7 @@ def loss_of_layout(
         The loss 0, `FINE`, 2 `FINE` ... from the start.
     """
     run = run_over(np.array(axes), half_length, FAST, site_plan, zone, STEP)
-    way = np.arange(0.0, PITCH * site_plan.columns - half_length, FINE)
+    way = np.arange(0.0, site_plan.length - half_length, FINE)
     loss: Numbers = np.interp(way, run.pose[:, 0] - half_length, FAST**2 - run.velocity[:, 0] ** 2)
     return loss
 
@@ -51,7 +51,7 @@ class FixedBraking(FixedRule):
         super().__init__(settings, (task,), ("modules",))
         self._layouts = ColumnAxes(settings)(self._levels(self._kind.columns))
         shape = (len(self._layouts), *self._kind.shape)
-        self._axes = np.array(settings.orientations)[self._layouts].reshape(shape)
+        self._axes = np.array(settings.chosen_orientations)[self._layouts].reshape(shape)
 
     @abstractmethod
     def _levels(self, columns: int) -> Levels:
@@ -76,7 +76,7 @@ class FixedBraking(FixedRule):
         return self._layouts[best]
 
     def _losses(self, half_length: float) -> Numbers:
-        plan, zone = self._settings.chosen_task.plant, self._settings.zone
+        plan, zone = self._settings.chosen_plant, self._settings.zone
         return np.stack(
             [
                 loss_of_layout(half_length, plan, zone, tuple(map(tuple, axes)))
@@ -99,7 +99,7 @@ class FixedSlowing(FixedBraking):
 
     def _regret(self, see: LineSight, losses: Numbers) -> Numbers:
         # All the way, the rear goes from x = 0 to the zone's end.
-        way = PITCH * self._kind.columns + see.half_length - see.into_zone
+        way = see.pitch[0] * self._kind.columns + see.half_length - see.into_zone
         places = np.clip(np.round(way / FINE).astype(np.int64), 0, losses.shape[1] - 1)
         left = see.vx[:, np.newaxis] ** 2 - losses[:, places].T
         ratio = np.sqrt(np.maximum(0.0, left)) / see.vx[:, np.newaxis]

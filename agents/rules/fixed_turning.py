@@ -10,7 +10,7 @@ from agents.rules.lane_rule import Commands, FixedRule, Numbers, Observations
 from agents.rules.trial import run_over, sizes_of
 from agents.sight import line_sight, square_reach
 from surface_gym.layouts import ROLLING
-from surface_gym.plant import PITCH, Plant
+from surface_gym.plants import Plant
 from surface_gym.settings import Settings
 
 SAME_SPEED = 0.02  # [m/s] entry speeds are rounded down to it, so that none stalls for it
@@ -44,8 +44,8 @@ def angle_at_exit(
     theta = run.pose[:, 2]
     reach = square_reach(half_length, theta)
     # The rear enters at x = 0; the lead-in is as long as the box, in whole columns.
-    lead_in = math.ceil(2.0 * half_length / PITCH - 1e-9) if zone is None else zone[0]
-    gone = run.pose[:, 0] - reach > PITCH * (lead_in + columns)
+    lead_in = math.ceil(2.0 * half_length / site_plan.pitch_x - 1e-9) if zone is None else zone[0]
+    gone = run.pose[:, 0] - reach > site_plan.pitch_x * (lead_in + columns)
     return float(theta[gone.argmax()]) if gone.any() else math.inf
 
 
@@ -79,7 +79,7 @@ class FixedTurning(FixedRule):
 
     def _angles(self, half_length: float, speed: float) -> Numbers:
         """(layouts,) [rad] that each turns a box of a size and an entry speed to."""
-        plan, zone = self._settings.chosen_task.plant, self._settings.zone
+        plan, zone = self._settings.chosen_plant, self._settings.zone
         rows, columns = self._kind.shape
         return np.array(
             [

@@ -25,7 +25,7 @@ class LaneRule(ABC):
         actions: kinds of action it is made for; none: any.
 
     Raises:
-        ValueError: the settings are of another task or kind of action.
+        ValueError: the settings are of another task or kind of action, or offer any angle.
     """
 
     def __init__(
@@ -34,6 +34,8 @@ class LaneRule(ABC):
         checks.one_of("task", settings.task_name, tasks)
         if actions:
             checks.one_of("actions", settings.actions, actions)
+        if settings.action_kind.continuous:
+            raise ValueError(f"orientations must be some on offer, got {settings.orientations!r}")
         self._settings = settings
         self._kind = settings.action_kind
 

@@ -7,7 +7,6 @@ import numpy as np
 from agents.rules.lane_rule import Booleans, Numbers
 from agents.sight import LineSight, PathSight
 from surface_gym.actions import ActionKind
-from surface_gym.plant import PITCH
 
 MIDWAY = 1e-9  # [m] nearer than this to midway between two rows or columns is midway
 
@@ -34,8 +33,9 @@ def _places(x: Numbers, y: Numbers, theta: Numbers, half_length: Numbers) -> Pla
 
 def line_places(see: LineSight, kind: ActionKind) -> Places:
     """The zone's modules, in the order of "modules"."""
-    column = PITCH * (np.arange(kind.columns) + 0.5)
-    row = PITCH * (np.arange(kind.rows) - (kind.rows - 1) / 2.0)
+    pitch_x, pitch_y = see.pitch
+    column = pitch_x * (np.arange(kind.columns) + 0.5)
+    row = pitch_y * (np.arange(kind.rows) - (kind.rows - 1) / 2.0)
     return _places(
         column - see.into_zone[:, np.newaxis],
         row - see.offset[:, np.newaxis],
@@ -47,18 +47,19 @@ def line_places(see: LineSight, kind: ActionKind) -> Places:
 def window_places(see: PathSight, kind: ActionKind) -> Places:
     """The modules around the parcel, in the order of "window"."""
     rows, columns = kind.shape
+    pitch_x, pitch_y = see.pitch
     return _places(
-        PITCH * (np.arange(columns) - columns // 2) - _past(see.x_in_pitch),
-        PITCH * (np.arange(rows) - rows // 2) - _past(see.y_in_pitch),
+        pitch_x * (np.arange(columns) - columns // 2) - _past(see.x_in_pitch, pitch_x),
+        pitch_y * (np.arange(rows) - rows // 2) - _past(see.y_in_pitch, pitch_y),
         see.theta,
         see.half_length,
     )
 
 
-def _past(in_pitch: Numbers) -> Numbers:
+def _past(in_pitch: Numbers, pitch: float) -> Numbers:
     """(lanes, 1) [m] past the window's middle: midway, that is the module ahead or to the left."""
-    midway = in_pitch > PITCH / 2.0 - MIDWAY
-    return np.where(midway, in_pitch - PITCH, in_pitch)[:, np.newaxis]
+    midway = in_pitch > pitch / 2.0 - MIDWAY
+    return np.where(midway, in_pitch - pitch, in_pitch)[:, np.newaxis]
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,7 +39,7 @@ class PidRule(LocalRule):
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
         self._gains = GAINS[self._task]
-        angles = np.array(settings.orientations)
+        angles = np.array(settings.chosen_orientations)
         self._direction = np.stack([np.cos(angles), np.sin(angles)], axis=-1)  # (choices, 2)
         self._period = settings.control_period
 

@@ -65,7 +65,7 @@ class SlidingMode(LaneRule):
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings, ("track",), ("window",))
         self._ways = ways_to_lead(settings)
-        self._angles = np.array(settings.orientations)[self._ways]
+        self._angles = np.array(settings.chosen_orientations)[self._ways]
         self._period = settings.control_period
 
     def _decide(

@@ -4,8 +4,8 @@ import numpy as np
 
 import surface_gym as sg
 from agents.rules.lane_rule import Numbers
-from surface_gym.layouts import LINE_Y, ROLLING
-from surface_gym.plant import PITCH, Plant
+from surface_gym.layouts import ROLLING
+from surface_gym.plants import Plant
 
 SAME_SIZE = 0.005  # [m] half lengths are rounded to it; those of the study's boxes are multiples
 
@@ -40,10 +40,10 @@ def run_over(
     axis = np.full(rotor.shape, ROLLING)
     axis[first_row : first_row + rows, first : first + columns] = zone_axis[margin : margin + rows]
     return sg.simulate(
-        sg.Surface(axis=axis, rotor=rotor),
+        site_plan.surface(axis, rotor),
         sg.Parcel(base),
-        (half_length, LINE_Y, 0.0),
+        (half_length, site_plan.line_y, 0.0),
         (speed, 0.0, 0.0),
-        duration=2.0 * PITCH * site_plan.columns / speed,
+        duration=2.0 * site_plan.length / speed,
         dt=dt,
     )

@@ -38,7 +38,7 @@ class TurningRule(LaneRule):
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings, ("orient",), ("modules",))
         self._axes = axes_of(settings)
-        self._angles = np.array(settings.orientations)
+        self._angles = np.array(settings.chosen_orientations)
         self._period = settings.control_period
 
     def _decide(

@@ -1,216 +1,268 @@
 """A batch of lanes: starts are placed on it, commands move it."""
 
-import math
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
-from numba import config, get_num_threads, set_num_threads
+from numba.core.errors import NumbaError
+from numpy.typing import NDArray
 
-from surface_gym.actuators import Actuators
-from surface_gym.batch.commands import CONVEYOR, Acting
-from surface_gym.batch.period import Rules, advance_lanes, advance_lanes_on_threads, begin_lanes
-from surface_gym.batch.placement import NO_EDGE, Placement, placement_of
-from surface_gym.dynamics.types import GRAVITY, Array
+from surface_gym.batch.bearing import bear_lanes
+from surface_gym.batch.faults import beyond_arrays, fault_of, not_compiling
+from surface_gym.batch.functions import functions_of
+from surface_gym.batch.kernels import make_kernel
+from surface_gym.batch.making import lanes_of, rules_of
+from surface_gym.batch.placement import Placement, placement_of
+from surface_gym.batch.reserve import Reserve
+from surface_gym.batch.sites import SitePlan
+from surface_gym.batch.starts import Rows, parcels_of, path_of, rows_of, starts_of
+from surface_gym.batch.workers import FEWEST, Workers
+from surface_gym.dynamics.compiled import entry_of
+from surface_gym.dynamics.types import Array, Integers
+from surface_gym.lanes.lane import Lane, lane_of
 from surface_gym.lanes.memory import (
+    COMMON_OUTCOMES,
     NOISE_ROWS,
+    PLACED,
     RUNNING,
-    Booleans,
-    Integers,
     Lanes,
-    Sizes,
-    Timing,
-    make_batch_scratch,
-    make_lanes,
+    Sites,
 )
 from surface_gym.parcel import Parcel
-from surface_gym.plant import GEOMETRY
-from surface_gym.randomisation import Randomisation
-from surface_gym.sensors import Sensors
-from surface_gym.surface import Surface
-from surface_gym.tasks.task import Start, Task
+from surface_gym.settings import Settings
+from surface_gym.tasks.start import Draw, Parcels, Start
 
-_FEWEST_EDGES = 4
-_FEWEST_CONTACTS = 64
-
-
-def _state_of(start: Start) -> tuple[float, ...]:
-    """State vector of the centre of mass."""
-    x, y, theta = start.pose
-    vx, vy, omega = start.velocity
-    com_x, com_y = start.parcel.centre_of_mass
-    if (com_x, com_y) == (0.0, 0.0):
-        return (x, y, theta, vx, vy, omega, 0.0, 0.0)
-    cosine, sine = math.cos(theta), math.sin(theta)
-    arm_x, arm_y = cosine * com_x - sine * com_y, sine * com_x + cosine * com_y
-    return (x + arm_x, y + arm_y, theta, vx - omega * arm_y, vy + omega * arm_x, omega, 0.0, 0.0)
+NO_LANES: Integers = np.zeros(0, dtype=np.int64)
 
 
 class Batch:
-    """Lanes of one task, one kind of action and one control period.
+    """Lanes of one environment, each one parcel on one surface.
 
     Args:
-        task: what is asked.
-        acting: how commands turn axes.
-        command_size: numbers in a command.
-        window_size: numbers that a window adds to the observation.
+        settings: of the environment.
         lanes: their number.
-        timing: how a control period is cut into steps.
-        zone: first and last column that obey; None for the plant's own.
-        sensors: what a controller gets to see.
-        actuators: which modules are stuck.
-        randomisation: what differs from start to start.
         threads: that share the lanes; results do not depend on their number.
+
+    Raises:
+        ValueError: the task or the sensor lacks a compiled function, or one does not compile.
     """
 
-    def __init__(
-        self,
-        task: Task,
-        acting: Acting,
-        command_size: int,
-        window_size: int,
-        lanes: int,
-        timing: Timing,
-        zone: tuple[int, int] | None,
-        sensors: Sensors,
-        actuators: Actuators,
-        randomisation: Randomisation,
-        threads: int,
-    ) -> None:
-        self.task = task
-        self._zone = zone
-        self._actuators = actuators
-        self._randomisation = randomisation
-        self._varies = randomisation.varies
-        self.rules = Rules(
-            task.number, len(task.features), GEOMETRY, timing, acting, sensors.sensing(timing.dt)
+    def __init__(self, settings: Settings, lanes: int, threads: int = 1) -> None:
+        self.settings = settings
+        self.task = settings.chosen_task
+        plant = settings.chosen_plant
+        self._randomisation = settings.randomisation
+        self._varies = settings.randomisation.varies
+        self._draws = settings.draws
+        shared = self._varies or self._draws > 0 or settings.actuators.stuck_share > 0.0
+        self.reserve = Reserve(lanes, self.task.draws, shared)
+        # A path takes too much memory to lay it out ahead.
+        self._lays_out = not (shared or self.task.has_path)
+        self.rules = rules_of(settings)
+        self.lanes: Lanes = lanes_of(settings, lanes)
+        self._plan = SitePlan(
+            self.task.parcels, self._placement, lanes, (plant.rows, plant.columns)
         )
-        self._draws = sensors.draws(timing.dt, timing.steps)
-        sizes = Sizes(
-            lanes=lanes,
-            rows=task.plant.rows,
-            columns=task.plant.columns,
-            edges=_FEWEST_EDGES,
-            command=command_size,
-            observation=len(task.features) + window_size,
-            terms=len(task.terms),
-            turning=acting.turn != math.inf,
-        )
-        self.lanes: Lanes = make_lanes(sizes)
-        self._contacts = _FEWEST_CONTACTS
-        self._scratch = make_batch_scratch(threads, _FEWEST_CONTACTS, _FEWEST_EDGES)
-        self._tilts: list[float | None] = [None] * lanes
-        self._parcels: list[Parcel | None] = [None] * lanes
-        self._generators: list[np.random.Generator | None] = [None] * lanes
-        nominal = Surface(axis=np.zeros((1, 1)), rotor=np.ones((1, 1), dtype=bool))
-        self._friction = (nominal.mu_max, nominal.mu_min, nominal.mu_support)
+        self._threads = min(threads, max(1, lanes // FEWEST))
+        self._workers = Workers(self._threads)
+        self._all = np.arange(lanes)
+        self._move = self._compile()
 
-    def place(self, lane: int, start: Start, generator: np.random.Generator) -> None:
-        """Put a start on a lane, every axis at 90 deg as the conveyor's; then `begin` it.
+    @property
+    def outcomes(self) -> tuple[str, ...]:
+        """How an episode may stand, by the numbers of `Lanes.outcome`."""
+        return COMMON_OUTCOMES + self.task.outcomes
 
-        The randomisation, the stuck modules and the sensors' noise are drawn from the generator,
-        in that order.
+    @property
+    def sites(self) -> Sites:
+        """The parcels of all lanes as they run on the plant."""
+        return self._plan.sites
+
+    def _compile(self) -> Callable[..., int]:
+        """The kernel for these settings: compiled, or from the cache."""
+        settings = self.settings
+        kernel = make_kernel(functions_of(settings))
+        arguments = (self.rules, self.lanes, self.sites, *self._workers.scratches, self._all)
+        try:
+            return entry_of(kernel, *arguments)
+        except NumbaError as error:
+            raise not_compiling(settings, error) from error
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_move"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._move = self._compile()
+
+    def check(self, options: Sequence[dict[str, Any]]) -> None:
+        """Raise what `start` would for options of as many lanes, and draw nothing."""
+        numbers = np.full((len(options), self.task.draws), 0.5)
+        start = self._draw(numbers, options)
+        for parcel in parcels_of(start.parcel, len(options)).kinds:
+            self._placement(parcel)
+
+    def start(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
+        """Begin an episode on the chosen lanes (count,), which are seeded.
+
+        Args:
+            chosen: lanes.
+            options: of each; none at all: no lane has any.
         """
-        shape = (self.task.plant.rows, self.task.plant.columns)
-        friction, stiffness = (1.0, 1.0, 1.0), None
+        self._place_drawn(chosen, options)
+        self.begin(chosen)
+
+    def _place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
+        """Put a start on each of the chosen lanes (count,), which are seeded."""
+        if options or not self._lays_out:
+            self.place(chosen, self._draw(self.reserve.take(chosen), options))
+            return
+        rows = self.reserve.take_rows(chosen, self._lay_out)
+        if rows.site.min() < 0:  # the task's starts come with parcels of their own
+            self._lays_out = False
+            self.place(chosen, self._draw(self.reserve.taken(chosen), options))
+        else:
+            self._put(chosen, rows)
+
+    def _draw(self, numbers: Array, options: Sequence[dict[str, Any]]) -> Start:
+        draw = Draw(numbers, options, self.settings.chosen_plant, self.settings.zone)
+        return starts_of(self.task, draw)
+
+    def _lay_out(self, numbers: Array) -> Rows:
+        """Rows of the starts that numbers (starts, draws) come to, of the task's own parcels."""
+        start = self._draw(numbers, ())
+        parcels = parcels_of(start.parcel, len(numbers))
+        return rows_of(self.task, start, parcels, self._plan.shared_sites_of(parcels))
+
+    def place(self, chosen: Integers, start: Start) -> None:
+        """Put a start on each of the chosen lanes (count,), every axis at 90 deg as the conveyor's;
+        then `begin` them.
+
+        The randomisation, the stuck modules and the sensor's noise are drawn from a lane's
+        generator, in that order.
+        """
+        count = len(chosen)
+        parcels = parcels_of(start.parcel, count)
+        factors = np.ones((count, 3))
         if self._varies:
-            start, friction, stiffness = self._randomisation.draw(generator, start, shape)
-        if self._parcels[lane] is not start.parcel:
-            self._place_parcel(lane, start.parcel)
-        lanes = self.lanes
-        lanes.state[lane] = _state_of(start)
-        if self._varies or self._tilts[lane] != start.tilt:
-            lanes.surface[lane] = (
-                self._friction[0] * friction[0],
-                self._friction[1] * friction[1],
-                self._friction[2] * friction[2],
-                GRAVITY * math.sin(start.tilt),
-                GRAVITY * math.cos(start.tilt),
-            )
-            self._tilts[lane] = start.tilt
-        lanes.goal[lane, : len(start.goal)] = start.goal
-        if start.path is not None:
-            lanes.path[lane] = start.path
-        if stiffness is not None:
-            lanes.stiffness[lane] = stiffness
-        if self._actuators.stuck_share:
-            working = generator.random(shape) >= self._actuators.stuck_share
-            lanes.obeys[lane] = self._obeys(start.parcel) & working
-        self._generators[lane] = generator
+            parcels, start = self._vary(chosen, parcels, start, factors)
+        rows = rows_of(self.task, start, parcels, self._plan.sites_of(chosen, parcels))
+        rows.surface[:, :3] = factors
+        self._put(chosen, rows)
+        if self.task.has_path:
+            self.lanes.path[chosen] = path_of(self.task, start, count)
+        if self.settings.actuators.stuck_share:
+            self._draw_stuck(chosen, parcels)
         if self._draws:
-            self._draw_noise(lane)
+            for lane in chosen.tolist():
+                self._draw_noise(lane)
 
-    def _place_parcel(self, lane: int, parcel: Parcel) -> None:
-        """Write what follows from the parcel and the plant, which the next start may share."""
-        placement = placement_of(parcel, self.task.plant, self._zone)
-        self._make_room(placement)
+    def _put(self, chosen: Integers, rows: Rows) -> None:
+        """Into the memory of the chosen lanes (count,)."""
         lanes = self.lanes
-        lanes.axis[lane] = CONVEYOR
-        lanes.rotor[lane] = placement.rotor
-        lanes.obeys[lane] = self._obeys(parcel)
-        lanes.body[lane] = placement.body
-        lanes.edges[lane] = NO_EDGE
-        lanes.edges[lane, : len(placement.edges)] = placement.edges
-        lanes.corners[lane] = placement.corners[0]
-        lanes.corners[lane, : len(placement.corners)] = placement.corners
-        lanes.zone[lane] = placement.zone
-        self._parcels[lane] = parcel
+        lanes.site[chosen] = rows.site
+        lanes.state[chosen] = rows.state
+        lanes.surface[chosen] = rows.surface
+        lanes.goal[chosen] = rows.goal
+        lanes.outcome[chosen] = PLACED
 
-    def _obeys(self, parcel: Parcel) -> Booleans:
-        """(rows, columns) rotors that obey, those known to be stuck left out."""
-        obeys = placement_of(parcel, self.task.plant, self._zone).obeys.copy()
-        for row, column in self._actuators.stuck:
-            obeys[row, column] = False
-        return obeys
+    def _vary(
+        self, chosen: Integers, parcels: Parcels, start: Start, factors: Array
+    ) -> tuple[Parcels, Start]:
+        """Parcels and start as drawn; the friction's factors (count, 3) are written."""
+        kinds, aside, turned = [], np.zeros(len(chosen)), np.zeros(len(chosen))
+        for k, lane in enumerate(chosen.tolist()):
+            drawn = self._randomisation.draw(
+                self._generator(lane), parcels.kinds[parcels.which[k]], self.lanes.axis.shape[1:]
+            )
+            kinds.append(drawn.parcel)
+            aside[k], turned[k] = drawn.aside, drawn.turned
+            factors[k] = drawn.friction
+            if drawn.stiffness is not None:
+                self.lanes.stiffness[lane] = drawn.stiffness
+        x, y, theta = start.pose
+        varied = start._replace(pose=(x, np.add(y, aside), np.add(theta, turned)))
+        return Parcels(tuple(kinds), np.arange(len(kinds))), varied
 
-    def check(self, parcel: Parcel) -> None:
-        """Raise what `place` would: a parcel that does not fit the plant is a ValueError."""
-        placement_of(parcel, self.task.plant, self._zone)
+    def _placement(self, parcel: Parcel) -> Placement:
+        settings = self.settings
+        stuck = tuple(settings.actuators.stuck)
+        return placement_of(parcel, settings.chosen_plant, settings.zone, stuck)
+
+    def _draw_stuck(self, chosen: Integers, parcels: Parcels) -> None:
+        shape, share = self.lanes.axis.shape[1:], self.settings.actuators.stuck_share
+        for k, lane in enumerate(chosen.tolist()):
+            working = self._generator(lane).random(shape) >= share
+            parcel = parcels.kinds[parcels.which[k]]
+            self.lanes.site[lane] = self._plan.draw_stuck(lane, parcel, working)
 
     def begin(self, chosen: Integers) -> None:
         """Sense and observe the chosen lanes (count,), on which starts were placed."""
-        begin_lanes(self.rules, self.lanes, chosen)
+        self._run(chosen)
 
-    def advance(self, commands: Integers) -> None:
-        """Move every lane that has not ended over one control period."""
+    def advance(self, commands: NDArray[Any], anew: Integers = NO_LANES) -> None:
+        """Move every lane that has not ended over one control period.
+
+        Args:
+            commands: (lanes, command size), of lanes that have ended without effect.
+            anew: (count,) lanes that have ended, to begin another episode instead.
+        """
         self.lanes.command[:] = commands
         if self._draws:
             # Not for a lane that has ended: its next start must find the generator as a single
             # env would.
-            short = self.lanes.noise_row + self._draws > NOISE_ROWS
+            short = self.lanes.noise_row[:, 0] + self._draws > NOISE_ROWS
             for lane in np.nonzero(short & (self.lanes.outcome == RUNNING))[0].tolist():
                 self._draw_noise(lane)
-        threads = self._scratch.normal.shape[0]
-        if threads == 1:
-            advance_lanes(self.rules, self.lanes, self._scratch)
-            return
-        # Only as many threads as there is work for: the others would spin at its end.
-        others = get_num_threads()
-        set_num_threads(min(threads, config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
-        advance_lanes_on_threads(*self.rules, self.lanes, self._scratch)
-        set_num_threads(others)
+        if len(anew) > 0:
+            self._place_drawn(anew)
+        self._run(self._all, self._threads)
+
+    def on_request(self) -> dict[str, Array]:
+        """What `info` carries on request, by name, each (lanes, rows, columns): axis angles [rad],
+        and what each element bears of its lane's parcel [N] as it stands.
+        """
+        found = {}
+        if "axes" in self.settings.info:
+            found["axes"] = np.array([self.axes(lane) for lane in range(len(self._all))])
+        if "normal_forces" in self.settings.info:
+            loads = np.zeros(self.lanes.axis.shape)
+            bear_lanes(self.rules, self.lanes, self.sites, self._workers.scratches[0], loads)
+            mass = np.array([self._plan.parcel(site).mass for site in self.lanes.site])
+            found["normal_forces"] = loads * mass[:, np.newaxis, np.newaxis]
+        return found
+
+    def axes(self, lane: int) -> Array:
+        """(rows, columns) [rad] axis angles of a lane."""
+        directions = self.lanes.direction[lane if len(self.lanes.direction) > 1 else 0]
+        angles: Array = np.arctan2(directions[:, 1], directions[:, 0])[self.lanes.axis[lane]]
+        return angles
+
+    def view(self, lane: int) -> Lane:
+        """A lane as its task's functions see it, between two control periods."""
+        elements = self.rules.elements
+        seen: Lane = lane_of.py_func(self.lanes, self.sites, lane, elements)
+        return seen
+
+    def _generator(self, lane: int) -> np.random.Generator:
+        generator = self.reserve.generators[lane]
+        assert generator is not None
+        return generator
 
     def _draw_noise(self, lane: int) -> None:
         """Three standard normals and a uniform a row."""
-        generator = self._generators[lane]
-        assert generator is not None
+        generator = self._generator(lane)
         noise = self.lanes.noise[lane]
         noise[:, :3] = generator.standard_normal((NOISE_ROWS, 3))
         noise[:, 3] = generator.random(NOISE_ROWS)
         self.lanes.noise_row[lane] = 0
 
-    def _make_room(self, placement: Placement) -> None:
-        """Widen the memory for a base of more edges or contacts than any before it."""
-        old = self.lanes
-        have = old.edges.shape[1]
-        edges = max(have, len(placement.edges), len(placement.corners))
-        contacts = max(self._contacts, placement.contacts)
-        if edges > have:
-            more: Array = np.tile(NO_EDGE, (len(old.clock), edges - have, 1))
-            repeats = np.repeat(old.corners[:, :1], edges - have, axis=1)
-            self.lanes = old._replace(
-                edges=np.concatenate([old.edges, more], axis=1),
-                corners=np.concatenate([old.corners, repeats], axis=1),
-            )
-        if edges > have or contacts > self._contacts:
-            threads = self._scratch.normal.shape[0]
-            self._scratch = make_batch_scratch(threads, contacts, edges)
-            self._contacts = contacts
+    def _run(self, chosen: Integers, threads: int = 1) -> None:
+        """Move the chosen lanes (count,), or begin those just placed."""
+        arrays = (self.rules, self.lanes, self.sites)
+        try:
+            faults = self._workers.run(threads, self._move, arrays, chosen)
+        except IndexError as error:
+            raise beyond_arrays(self.settings) from error
+        if faults:
+            raise fault_of(self.settings, self.lanes, self.outcomes)

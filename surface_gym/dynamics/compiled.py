@@ -1,65 +1,101 @@
-"""The one compiler setting of the physics, and a cache that notices edits in any of its files."""
+"""The one compiler setting of the physics, and a cache that notices edits in any function used."""
 
-import hashlib
+import gc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from numba import njit
-from numba.core.caching import FunctionCache
+from numba import njit, typeof
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
-_PACKAGE = Path(__file__).resolve().parent.parent
+from surface_gym.dynamics.digest import digest_of
 
-
-def _source_digest() -> str:
-    """Digest of every source file whose functions may be inlined into another's machine code."""
-    digest = hashlib.sha256()
-    for folder in ("dynamics", "lanes", "sensors", "tasks", "batch"):
-        for path in sorted((_PACKAGE / folder).glob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+KEPT = 16  # versions of a function in the cache: the latest
 
 
-_SOURCE_DIGEST = _source_digest()
+class _DigestCache(FunctionCache):
+    """Numba's cache with files by digest.
 
-
-class _WholePackageCache(FunctionCache):
-    """Numba's cache, with what it leaves out.
-
-    It stamps a function with its own file only, where callees in other files count too; and it
-    stumbles over a cache from before a class was moved, which holds nothing of use.
+    Numba stamps a function with its own file only, where callees in other files count too, and
+    numbers the files of a function's versions, which processes that begin at once may mix up. Here
+    a file's name says what is in it.
     """
 
+    def __init__(self, dispatcher: Any, label: str) -> None:
+        super().__init__(dispatcher.py_func)
+        self._dispatcher = dispatcher
+        self._label = label or f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__name__}"
+        self._files: dict[Any, IndexDataCacheFile] = {}
+
+    def _index_key(self, sig: Any, codegen: Any) -> str:
+        # The types of the arguments count by their fields, which Numba leaves out.
+        kinds = [_fields(kind) for kind in sig]
+        return digest_of(self._dispatcher, str(sig), str(codegen.magic_tuple()), kinds)
+
+    def _open(self, sig: Any) -> None:
+        """Turn to the file of a version."""
+        if sig not in self._files:
+            name = f"{self._label}-{self._index_key(sig, self._dispatcher.targetctx.codegen())}"
+            self._files[sig] = IndexDataCacheFile(self._cache_path, name, source_stamp=None)
+        self._cache_file = self._files[sig]
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        self._open(sig)
         try:
             return super().load_overload(sig, target_context)
-        except (ImportError, AttributeError):
-            self.flush()
+        except (ImportError, AttributeError):  # written before a class was moved
             return None
 
-    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        return (*super()._index_key(sig, codegen), _SOURCE_DIGEST)
+    def save_overload(self, sig: Any, data: Any) -> None:
+        self._open(sig)
+        super().save_overload(sig, data)
+        self._forget_old()
+
+    def _forget_old(self) -> None:
+        """Remove what edits have left behind."""
+        folder = Path(self._cache_path)
+        with self._guard_against_spurious_io_errors():
+            found = list(folder.glob(f"{self._label}-*.nbi"))
+            found.sort(key=lambda index: index.stat().st_mtime, reverse=True)
+            for index in found[KEPT:]:
+                for file in folder.glob(f"{index.stem}.*"):
+                    file.unlink(missing_ok=True)
+
+
+def _fields(kind: Any) -> Any:
+    """Names of all fields in an argument's type, nested ones too."""
+    names = getattr(kind, "fields", ())
+    return [names, [_fields(each) for each in getattr(kind, "types", ())]]
 
 
 # No fast-math flag is set: strict IEEE arithmetic makes a result independent of the caller a
 # function is inlined into, which is what keeps `simulate`, the single and the vector env equal
 # to the bit. Nothing here allocates, so Numba's reference counts (_nrt) are left out as well:
 # they would cost more than the arithmetic.
-_OPTIONS: Any = {"nogil": True, "error_model": "numpy", "_nrt": False}
+_OPTIONS: Any = {
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+    "_nrt": False,
+}
+# A function that compiled code alone calls needs none of Python's way in, which can take longer to
+# compile than the function.
+_INTERNAL: Any = {"no_cpython_wrapper": True, **_OPTIONS}
 
 
-def compiled(function: Callable[..., Any]) -> Any:
-    """Compile a function that callers outside the physics enter; its machine code is cached."""
-    dispatcher = njit(cache=True, **_OPTIONS)(function)
-    dispatcher._cache = _WholePackageCache(function)
-    return dispatcher
+def compiled(function: Callable[..., Any], label: str = "") -> Any:
+    """Compile a function that callers outside the physics enter; its machine code is cached.
+
+    Args:
+        function: to compile.
+        label: of its files in the cache; by default its name.
+    """
+    return _cached(njit(cache=True, **_OPTIONS)(function), label)
 
 
-def compiled_for_threads(function: Callable[..., Any]) -> Any:
-    """Compile a function whose `prange` loop runs on Numba's threads; cached like `compiled`."""
-    dispatcher = njit(cache=True, parallel=True, **_OPTIONS)(function)
-    dispatcher._cache = _WholePackageCache(function)
-    return dispatcher
+def linked(function: Callable[..., Any]) -> Any:
+    """Compile a function once for all of its compiled callers; its machine code is cached."""
+    return _cached(njit(cache=True, **_INTERNAL)(function))
 
 
 def inlined(function: Callable[..., Any]) -> Any:
@@ -69,4 +105,34 @@ def inlined(function: Callable[..., Any]) -> Any:
     cost more to hand its tuples of arrays over than most such functions take. Python enters them by
     `dynamics.entries`.
     """
-    return njit(forceinline=True, **_OPTIONS)(function)
+    return njit(forceinline=True, **_INTERNAL)(function)
+
+
+def lane_function(function: Callable[..., Any]) -> Any:
+    """Compile a function of a task or a sensor into the batch that it is used by.
+
+    What such a function may use are numbers, `math`, the arrays of its arguments, constants, and
+    other functions compiled so. Reading or writing beyond the end of an array is an IndexError.
+    """
+    return njit(forceinline=True, boundscheck=True, **_INTERNAL)(function)
+
+
+def _cached(dispatcher: Any, label: str = "") -> Any:
+    dispatcher._cache = _DigestCache(dispatcher, label)
+    return dispatcher
+
+
+def entry_of(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
+    """A compiled function for arguments of these types, compiled or from the cache.
+
+    Called so it takes the arguments as they are: finding out what kinds dozens of arrays are, as
+    the dispatcher does, takes longer than a control period of one lane.
+    """
+    collects = gc.isenabled()
+    gc.disable()  # the compiler makes millions of objects, and leaves none of them behind
+    try:
+        entry: Callable[..., Any] = dispatcher.compile(tuple(map(typeof, arguments)))
+    finally:
+        if collects:
+            gc.enable()
+    return entry

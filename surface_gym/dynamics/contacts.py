@@ -3,13 +3,37 @@
 import math
 
 from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import Array, Body, Grid, Scratch
+from surface_gym.dynamics.types import (
+    ARM_X,
+    ARM_Y,
+    AXIS_X,
+    AXIS_Y,
+    BOUND_SIDE,
+    BOUND_SLOPE,
+    BOUND_START,
+    CAPACITY,
+    MU_ACROSS,
+    MU_ALONG,
+    ROTOR,
+    SPAN_FIRST,
+    SPAN_LAST,
+    SPAN_ROW,
+    SPANS,
+    STIFFNESS,
+    SUPPORT,
+    SUPPORTS,
+    Array,
+    Body,
+    Contacts,
+    Grid,
+    Scratch,
+)
 
 EDGE_TOLERANCE = 1e-9  # [m] an element on the perimeter is a contact, whatever the round-off
 
 
 @inlined
-def _turn_edges(body: Body, cosine: float, sine: float, bounds: Array) -> None:
+def _turn_edges(body: Body, cosine: float, sine: float, table: Array) -> None:
     """Write each edge as a bound on x along a row: x <= start + slope y, or >= if side < 0."""
     for k in range(body.edges.shape[0]):
         nx = cosine * body.edges[k, 0] - sine * body.edges[k, 1]
@@ -17,70 +41,115 @@ def _turn_edges(body: Body, cosine: float, sine: float, bounds: Array) -> None:
         distance = body.edges[k, 2] + EDGE_TOLERANCE
         if abs(nx) > 1e-12:
             per_nx = 1.0 / nx
-            bounds[k, 0] = distance * per_nx
-            bounds[k, 1] = -ny * per_nx
-            bounds[k, 2] = nx
+            table[BOUND_START + k] = distance * per_nx
+            table[BOUND_SLOPE + k] = -ny * per_nx
+            table[BOUND_SIDE + k] = nx
         else:  # an edge along the row bounds y alone
-            bounds[k, 0] = distance
-            bounds[k, 1] = ny
-            bounds[k, 2] = 0.0
+            table[BOUND_START + k] = distance
+            table[BOUND_SLOPE + k] = ny
+            table[BOUND_SIDE + k] = 0.0
 
 
 @inlined
-def _row_interval(body: Body, bounds: Array, dy: float) -> tuple[float, float]:
+def _row_interval(body: Body, table: Array, dy: float) -> tuple[float, float]:
     """Ends of the base along the row at dy from the base's origin; the first exceeds if empty."""
     reach = body.radius + EDGE_TOLERANCE
     high = math.sqrt(max(0.0, reach * reach - dy * dy))
     low = -high
     for k in range(body.edges.shape[0]):
-        side = bounds[k, 2]
-        bound = bounds[k, 0] + bounds[k, 1] * dy
+        side = table[BOUND_SIDE + k]
+        bound = table[BOUND_START + k] + table[BOUND_SLOPE + k] * dy
         if side > 0.0:
             high = min(high, bound)
         elif side < 0.0:
             low = max(low, bound)
-        elif bounds[k, 1] * dy > bounds[k, 0]:
+        elif table[BOUND_SLOPE + k] * dy > table[BOUND_START + k]:
             low = high + 1.0
     return low, high
 
 
 @inlined
+def _gather(grid: Grid, scratch: Scratch) -> int:
+    """Write what each element of the spans is; how many of them are supports."""
+    table, marks = scratch.table, scratch.marks
+    i = 0
+    supports = 0
+    for k in range(marks[SPANS]):
+        row = marks[SPAN_ROW + k]
+        for column in range(marks[SPAN_FIRST + k], marks[SPAN_LAST + k] + 1):
+            table[STIFFNESS + i] = grid.stiffness[row, column]
+            marks[ROTOR + i] = grid.rotor[row, column]
+            if grid.rotor[row, column]:
+                axis = grid.axis[row, column]
+                table[AXIS_X + i] = grid.direction[axis, 0]
+                table[AXIS_Y + i] = grid.direction[axis, 1]
+                table[MU_ALONG + i] = grid.friction[row, column, 0] * grid.along_factor
+                table[MU_ACROSS + i] = grid.friction[row, column, 1] * grid.across_factor
+            else:
+                table[AXIS_X + i] = 1.0
+                table[AXIS_Y + i] = 0.0
+                mu = grid.friction[row, column, 2] * grid.support_factor
+                table[MU_ALONG + i] = mu
+                table[MU_ACROSS + i] = mu
+                marks[SUPPORT + supports] = i
+                supports += 1
+            i += 1
+    return supports
+
+
+@inlined
+def forget_contacts(scratch: Scratch) -> None:
+    """What a scratch says of the elements is of another surface, or of axes that have turned."""
+    scratch.marks[SPANS] = -1
+
+
+@inlined
 def find_contacts(
     grid: Grid, body: Body, x: float, y: float, theta: float, scratch: Scratch
-) -> int:
+) -> Contacts:
     """Find the elements under the base of a parcel whose centre of mass is at (x, y).
 
     Only the rows and columns around the base are looked at, so the cost does not depend on the
-    size of the surface. Writes arms, axes and kinds into `scratch`.
-
-    Returns:
-        The number of elements under the base.
+    size of the surface. Writes what each contact is into `scratch`; that is left out where the
+    same elements lay under the base at the last call, unless `forget_contacts` came between.
     """
+    table, marks = scratch.table, scratch.marks
     cosine = math.cos(theta)
     sine = math.sin(theta)
     offset_x = cosine * body.com_x - sine * body.com_y
     offset_y = sine * body.com_x + cosine * body.com_y
     # Everything below is seen from the base frame's origin, in pitches for the grid's indices.
-    per_pitch = 1.0 / grid.pitch
+    per_pitch_x = 1.0 / grid.pitch_x
+    per_pitch_y = 1.0 / grid.pitch_y
     grid_x = grid.x0 - (x - offset_x)
     grid_y = grid.y0 - (y - offset_y)
     rows, columns = grid.rotor.shape
     reach = body.radius + EDGE_TOLERANCE
-    first_row = max(0, math.ceil((-reach - grid_y) * per_pitch))
-    last_row = min(rows - 1, math.floor((reach - grid_y) * per_pitch))
-    _turn_edges(body, cosine, sine, scratch.edges)
-    contacts = 0
+    first_row = max(0, math.ceil((-reach - grid_y) * per_pitch_y))
+    last_row = min(rows - 1, math.floor((reach - grid_y) * per_pitch_y))
+    _turn_edges(body, cosine, sine, table)
+    count = 0
+    spans = 0
+    changed = False
     for row in range(first_row, last_row + 1):
-        dy = grid_y + grid.pitch * row
-        low, high = _row_interval(body, scratch.edges, dy)
-        first = max(0, math.ceil((low - grid_x) * per_pitch))
-        last = min(columns - 1, math.floor((high - grid_x) * per_pitch))
+        dy = grid_y + grid.pitch_y * row
+        low, high = _row_interval(body, table, dy)
+        first = max(0, math.ceil((low - grid_x) * per_pitch_x))
+        last = min(columns - 1, math.floor((high - grid_x) * per_pitch_x))
+        last = min(last, first + CAPACITY - 1 - count)  # whatever numbers came in
+        if first > last:
+            continue
         for column in range(first, last + 1):
-            scratch.arm_x[contacts] = grid_x + grid.pitch * column - offset_x
-            scratch.arm_y[contacts] = dy - offset_y
-            scratch.axis_x[contacts] = grid.direction[row, column, 0]
-            scratch.axis_y[contacts] = grid.direction[row, column, 1]
-            scratch.rotor[contacts] = grid.rotor[row, column]
-            scratch.stiffness[contacts] = grid.stiffness[row, column]
-            contacts += 1
-    return contacts
+            table[ARM_X + count] = grid_x + grid.pitch_x * column - offset_x
+            table[ARM_Y + count] = dy - offset_y
+            count += 1
+        changed |= (marks[SPAN_ROW + spans] != row) | (marks[SPAN_FIRST + spans] != first)
+        changed |= marks[SPAN_LAST + spans] != last
+        marks[SPAN_ROW + spans] = row
+        marks[SPAN_FIRST + spans] = first
+        marks[SPAN_LAST + spans] = last
+        spans += 1
+    if changed or marks[SPANS] != spans:
+        marks[SPANS] = spans
+        marks[SUPPORTS] = _gather(grid, scratch)
+    return Contacts(count, marks[SUPPORTS])

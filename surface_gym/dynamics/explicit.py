@@ -3,7 +3,19 @@
 import math
 
 from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import Grid, Scratch
+from surface_gym.dynamics.types import (
+    ARM_X,
+    ARM_Y,
+    AXIS_X,
+    AXIS_Y,
+    MU_ACROSS,
+    MU_ALONG,
+    NORMAL,
+    ROTOR,
+    Contacts,
+    Grid,
+    Scratch,
+)
 
 STEEPNESS = 5000.0  # [s/m] k of Eq. (2), Section 6.1
 RESTART_SPEED = 1e-4  # [m/s] given to a parcel that stands or reverses, Figure 5b
@@ -16,7 +28,13 @@ def _sign(value: float) -> float:
 
 @inlined
 def explicit_acceleration(
-    grid: Grid, gyration: float, scratch: Scratch, contacts: int, vx: float, vy: float, omega: float
+    grid: Grid,
+    gyration: float,
+    scratch: Scratch,
+    contacts: Contacts,
+    vx: float,
+    vy: float,
+    omega: float,
 ) -> tuple[float, float, float, float]:
     """Acceleration (x, y, theta) by Eq. (2)-(4), with Figure 5b's rule where vx is not positive.
 
@@ -29,25 +47,27 @@ def explicit_acceleration(
     # The forces along the axes, which the rule may scale, and all others, per unit mass.
     along_x = along_y = along_w = 0.0
     other_x = other_y = other_w = 0.0
-    for i in range(contacts):
-        x = scratch.arm_x[i]
-        y = scratch.arm_y[i]
+    table = scratch.table
+    for i in range(contacts.total):
+        x = table[ARM_X + i]
+        y = table[ARM_Y + i]
         ux = vx - omega * y
         uy = vy + omega * x
         speed = math.sqrt(ux * ux + uy * uy)
-        smooth = scratch.normal[i] * math.tanh(STEEPNESS * speed)
-        if scratch.rotor[i]:
-            ax = scratch.axis_x[i]
-            ay = scratch.axis_y[i]
-            f_par = grid.mu_max * smooth * _sign(ax * ux + ay * uy)  # cos(alpha) = a . V / |V|
-            f_perp = grid.mu_min * smooth * _sign(ay * ux - ax * uy)  # sin(alpha)
+        smooth = table[NORMAL + i] * math.tanh(STEEPNESS * speed)
+        if scratch.marks[ROTOR + i]:
+            ax = table[AXIS_X + i]
+            ay = table[AXIS_Y + i]
+            # cos(alpha) = a . V / |V|, and sin(alpha).
+            f_par = table[MU_ALONG + i] * smooth * _sign(ax * ux + ay * uy)
+            f_perp = table[MU_ACROSS + i] * smooth * _sign(ay * ux - ax * uy)
             along_x -= f_par * ax
             along_y -= f_par * ay
             along_w -= f_par * (x * ay - y * ax)
             fx = -f_perp * ay
             fy = f_perp * ax
         else:
-            share = grid.mu_support * smooth / speed if speed > 0.0 else 0.0
+            share = table[MU_ALONG + i] * smooth / speed if speed > 0.0 else 0.0
             fx = -share * ux
             fy = -share * uy
         other_x += fx

@@ -6,190 +6,167 @@ The paper's forces, Eq. (2)-(3), are minus the gradient of
 with u the velocity at the contact, a the axis and p its normal. One step is the convex problem
     v+ = argmin 1/2 |v - (v0 + dt g)|_M^2 + dt Phi(v)
 in three unknowns. It rests where friction holds and does not chatter.
+
+Each loop below either works on every contact by itself, or adds up in the order of the contacts:
+the first kind the compiler takes several at a time, and no sum depends on how many.
 """
 
 import math
 
-from surface_gym.dynamics.compiled import compiled, inlined
-from surface_gym.dynamics.types import Grid, Scratch
+from surface_gym.dynamics.compiled import inlined
+from surface_gym.dynamics.search import step_length
+from surface_gym.dynamics.types import (
+    ARM_X,
+    ARM_Y,
+    AXIS_X,
+    AXIS_Y,
+    CURVE_WW,
+    CURVE_XW,
+    CURVE_XX,
+    CURVE_XY,
+    CURVE_YW,
+    CURVE_YY,
+    FORCE_X,
+    FORCE_Y,
+    MOST_ACROSS,
+    MOST_ALONG,
+    MU_ACROSS,
+    MU_ALONG,
+    NORMAL,
+    SLIP_ACROSS,
+    SLIP_ALONG,
+    SUPPORT,
+    TORQUE,
+    Contacts,
+    Grid,
+    Scratch,
+)
 
 # Phi is rounded (Huber) below this contact speed, a tenth of where the paper's tanh(5000 |V|)
 # bends: a parcel held on a slope creeps by less than this.
 ROUNDING = 1e-5  # [m/s]
 TOLERANCE = 1e-9  # [m/s] left of the optimality condition
 MAX_ITERATIONS = 100
-MAX_SEARCHES = 60
-# A full Newton step may leave this share of the starting slope, a line search the second.
+# A full Newton step may leave this share of the starting slope.
 FULL_STEP_SLOPE = 0.5
-SEARCH_SLOPE = 0.01
 
 
 @inlined
-def _gradient_and_curvature(
-    grid: Grid, scratch: Scratch, contacts: int, dt: float, vx: float, vy: float, omega: float
-) -> tuple[float, float, float, float, float, float, float, float, float]:
-    """Gradient (3) and upper triangle of the Hessian (6) of dt Phi at a velocity."""
+def _load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
+    """Write what friction can do at most in a step."""
+    table = scratch.table
+    for i in range(contacts.total):
+        load = dt * table[NORMAL + i]
+        table[MOST_ALONG + i] = load * table[MU_ALONG + i]
+        table[MOST_ACROSS + i] = load * table[MU_ACROSS + i]
+
+
+@inlined
+def _gradient(
+    scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
+) -> tuple[float, float, float, bool]:
+    """Gradient of dt Phi at a velocity, and whether its curvature is zero everywhere."""
+    table = scratch.table
     per_rounding = 1.0 / ROUNDING
+    held = 0
+    for i in range(contacts.total):
+        x = table[ARM_X + i]
+        y = table[ARM_Y + i]
+        ax = table[AXIS_X + i]
+        ay = table[AXIS_Y + i]
+        ux = vx - omega * y
+        uy = vy + omega * x
+        along = (ax * ux + ay * uy) * per_rounding
+        across = (ax * uy - ay * ux) * per_rounding
+        f_along = table[MOST_ALONG + i] * min(1.0, max(-1.0, along))
+        f_across = table[MOST_ACROSS + i] * min(1.0, max(-1.0, across))
+        fx = f_along * ax - f_across * ay
+        fy = f_along * ay + f_across * ax
+        table[SLIP_ALONG + i] = along
+        table[SLIP_ACROSS + i] = across
+        table[FORCE_X + i] = fx
+        table[FORCE_Y + i] = fy
+        table[TORQUE + i] = x * fy - y * fx
+        held += (abs(along) < 1.0) | (abs(across) < 1.0)
+    for k in range(contacts.supports):
+        i = scratch.marks[SUPPORT + k]
+        x = table[ARM_X + i]
+        y = table[ARM_Y + i]
+        ux = vx - omega * y
+        uy = vy + omega * x
+        share = table[MOST_ALONG + i] / max(ROUNDING, math.sqrt(ux * ux + uy * uy))
+        fx = share * ux
+        fy = share * uy
+        table[FORCE_X + i] = fx
+        table[FORCE_Y + i] = fy
+        table[TORQUE + i] = x * fy - y * fx
     gx = gy = gw = 0.0
-    hxx = hxy = hxw = hyy = hyw = hww = 0.0
-    for i in range(contacts):
-        x = scratch.arm_x[i]
-        y = scratch.arm_y[i]
-        ux = vx - omega * y
-        uy = vy + omega * x
-        load = dt * scratch.normal[i]
-        if scratch.rotor[i]:
-            ax = scratch.axis_x[i]
-            ay = scratch.axis_y[i]
-            along = (ax * ux + ay * uy) * per_rounding
-            across = (ax * uy - ay * ux) * per_rounding
-            most = load * grid.mu_max
-            least = load * grid.mu_min
-            held_along = abs(along) < 1.0
-            held_across = abs(across) < 1.0
-            f_along = most * min(1.0, max(-1.0, along))
-            f_across = least * min(1.0, max(-1.0, across))
-            fx = f_along * ax - f_across * ay
-            fy = f_along * ay + f_across * ax
-            if held_along or held_across:
-                k_along = held_along * most * per_rounding
-                k_across = held_across * least * per_rounding
-                kxx = k_along * ax * ax + k_across * ay * ay
-                kxy = (k_along - k_across) * ax * ay
-                kyy = k_along * ay * ay + k_across * ax * ax
-                held = True
-            else:
-                held = False
-        else:
-            speed = math.sqrt(ux * ux + uy * uy)
-            k = load * grid.mu_support / max(ROUNDING, speed)
-            fx = k * ux
-            fy = k * uy
-            kxx = kyy = k
-            kxy = 0.0
-            if speed >= ROUNDING:
-                bend = k / (speed * speed)
-                kxx -= bend * ux * ux
-                kyy -= bend * uy * uy
-                kxy -= bend * ux * uy
-            held = True
-        gx += fx
-        gy += fy
-        gw += x * fy - y * fx
-        if held:
-            txw = x * kxy - y * kxx
-            tyw = x * kyy - y * kxy
-            hxx += kxx
-            hxy += kxy
-            hyy += kyy
-            hxw += txw
-            hyw += tyw
-            hww += x * tyw - y * txw
-    return gx, gy, gw, hxx, hxy, hxw, hyy, hyw, hww
+    for i in range(contacts.total):
+        gx += table[FORCE_X + i]
+        gy += table[FORCE_Y + i]
+        gw += table[TORQUE + i]
+    return gx, gy, gw, held + contacts.supports == 0
 
 
 @inlined
-def _prepare_search(
-    scratch: Scratch,
-    contacts: int,
-    vx: float,
-    vy: float,
-    omega: float,
-    dx: float,
-    dy: float,
-    dw: float,
-) -> None:
-    """Write each contact's velocity and its slope along the search: along and across the axis of
-    a rotor, x and y on a support.
-    """
-    for i in range(contacts):
-        x = scratch.arm_x[i]
-        y = scratch.arm_y[i]
-        ax = scratch.axis_x[i] if scratch.rotor[i] else 1.0
-        ay = scratch.axis_y[i] if scratch.rotor[i] else 0.0
-        ux = vx - omega * y
-        uy = vy + omega * x
-        sx = dx - dw * y
-        sy = dy + dw * x
-        scratch.slide[i, 0] = ax * ux + ay * uy
-        scratch.slide[i, 1] = ax * sx + ay * sy
-        scratch.slide[i, 2] = ax * uy - ay * ux
-        scratch.slide[i, 3] = ax * sy - ay * sx
-
-
-@inlined
-def _slope(grid: Grid, scratch: Scratch, contacts: int, t: float) -> float:
-    """Derivative of Phi along the search at t."""
+def _curvature(
+    scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
+) -> tuple[float, float, float, float, float, float]:
+    """Upper triangle of the Hessian of dt Phi at the velocity that `_gradient` was taken at."""
+    table = scratch.table
     per_rounding = 1.0 / ROUNDING
-    total = 0.0
-    for i in range(contacts):
-        u = scratch.slide[i, 0] + t * scratch.slide[i, 1]
-        v = scratch.slide[i, 2] + t * scratch.slide[i, 3]
-        if scratch.rotor[i]:
-            along = grid.mu_max * min(1.0, max(-1.0, u * per_rounding))
-            across = grid.mu_min * min(1.0, max(-1.0, v * per_rounding))
-        else:
-            share = grid.mu_support / max(ROUNDING, math.sqrt(u * u + v * v))
-            along = share * u
-            across = share * v
-        total += scratch.normal[i] * (along * scratch.slide[i, 1] + across * scratch.slide[i, 3])
-    return total
-
-
-@inlined
-def _kink_nearest_middle(scratch: Scratch, contacts: int, low: float, high: float) -> float:
-    """The kink of the slope nearest to the middle of (low, high); negative if there is none.
-
-    A kink is where a contact passes between sliding and held.
-    """
-    middle = 0.5 * (low + high)
-    distance = 0.5 * (high - low) * (1.0 - 1e-9)
-    nearest = -1.0
-    for i in range(contacts):
-        for way in range(0, 4, 2):
-            rate = scratch.slide[i, way + 1]
-            if rate != 0.0:
-                for edge in (-ROUNDING, ROUNDING):
-                    t = (edge - scratch.slide[i, way]) / rate
-                    if abs(t - middle) < distance:
-                        distance = abs(t - middle)
-                        nearest = t
-    return nearest
-
-
-@compiled
-def _minimise_along(
-    grid: Grid, scratch: Scratch, contacts: int, dt: float, start: float, rate: float, end: float
-) -> float:
-    """Step length in (0, 1) at the minimum along a Newton direction.
-
-    The slope increases and, over rotors, is linear between its kinks: bracket it between two
-    kinks and the secant is exact. Over supports it is nearly so, and the secant repeats.
-
-    Args:
-        start: slope of the whole objective at 0, negative.
-        rate: growth of the inertial part's slope from 0 to 1.
-        end: slope at 1, positive.
-    """
-    low, high = 0.0, 1.0
-    at_low, at_high = start, end
-    inertial = start - dt * _slope(grid, scratch, contacts, 0.0)
-    t = -1.0
-    kinks_left = True
-    for _ in range(MAX_SEARCHES):
-        if kinks_left:
-            t = _kink_nearest_middle(scratch, contacts, low, high)
-            kinks_left = t >= 0.0
-        if not kinks_left:
-            t = low - at_low * (high - low) / (at_high - at_low)
-        slope = inertial + t * rate + dt * _slope(grid, scratch, contacts, t)
-        if abs(slope) <= -SEARCH_SLOPE * start:
-            break
-        if slope < 0.0:
-            low, at_low = t, slope
-        else:
-            high, at_high = t, slope
-    return t
+    for i in range(contacts.total):
+        x = table[ARM_X + i]
+        y = table[ARM_Y + i]
+        ax = table[AXIS_X + i]
+        ay = table[AXIS_Y + i]
+        held_along = abs(table[SLIP_ALONG + i]) < 1.0
+        held_across = abs(table[SLIP_ACROSS + i]) < 1.0
+        k_along = held_along * table[MOST_ALONG + i] * per_rounding
+        k_across = held_across * table[MOST_ACROSS + i] * per_rounding
+        kxx = k_along * ax * ax + k_across * ay * ay
+        kxy = (k_along - k_across) * ax * ay
+        kyy = k_along * ay * ay + k_across * ax * ax
+        kxw = x * kxy - y * kxx
+        kyw = x * kyy - y * kxy
+        table[CURVE_XX + i] = kxx
+        table[CURVE_XY + i] = kxy
+        table[CURVE_XW + i] = kxw
+        table[CURVE_YY + i] = kyy
+        table[CURVE_YW + i] = kyw
+        table[CURVE_WW + i] = x * kyw - y * kxw
+    for k in range(contacts.supports):
+        i = scratch.marks[SUPPORT + k]
+        x = table[ARM_X + i]
+        y = table[ARM_Y + i]
+        ux = vx - omega * y
+        uy = vy + omega * x
+        speed = math.sqrt(ux * ux + uy * uy)
+        share = table[MOST_ALONG + i] / max(ROUNDING, speed)
+        kxx = kyy = share
+        kxy = 0.0
+        if speed >= ROUNDING:
+            bend = share / (speed * speed)
+            kxx -= bend * ux * ux
+            kyy -= bend * uy * uy
+            kxy -= bend * ux * uy
+        kxw = x * kxy - y * kxx
+        kyw = x * kyy - y * kxy
+        table[CURVE_XX + i] = kxx
+        table[CURVE_XY + i] = kxy
+        table[CURVE_XW + i] = kxw
+        table[CURVE_YY + i] = kyy
+        table[CURVE_YW + i] = kyw
+        table[CURVE_WW + i] = x * kyw - y * kxw
+    hxx = hxy = hxw = hyy = hyw = hww = 0.0
+    for i in range(contacts.total):
+        hxx += table[CURVE_XX + i]
+        hxy += table[CURVE_XY + i]
+        hxw += table[CURVE_XW + i]
+        hyy += table[CURVE_YY + i]
+        hyw += table[CURVE_YW + i]
+        hww += table[CURVE_WW + i]
+    return hxx, hxy, hxw, hyy, hyw, hww
 
 
 @inlined
@@ -197,7 +174,7 @@ def implicit_velocity(
     grid: Grid,
     gyration: float,
     scratch: Scratch,
-    contacts: int,
+    contacts: Contacts,
     dt: float,
     vx: float,
     vy: float,
@@ -207,8 +184,9 @@ def implicit_velocity(
 
     Args:
         gyration: [m^2] inertia / mass.
-        scratch: arms, axes, kinds and normal forces of the contacts.
+        scratch: arms, axes, friction and normal forces of the contacts.
     """
+    _load_contacts(scratch, contacts, dt)
     target_x = vx + dt * grid.gravity_along
     target_y = vy
     target_w = omega
@@ -220,21 +198,23 @@ def implicit_velocity(
         new_vx = vx + step * dx
         new_vy = vy + step * dy
         new_omega = omega + step * dw
-        gx, gy, gw, hxx, hxy, hxw, hyy, hyw, hww = _gradient_and_curvature(
-            grid, scratch, contacts, dt, new_vx, new_vy, new_omega
-        )
+        gx, gy, gw, flat = _gradient(scratch, contacts, new_vx, new_vy, new_omega)
         gx += new_vx - target_x
         gy += new_vy - target_y
         gw += gyration * (new_omega - target_w)
         end = gx * dx + gy * dy + gw * dw
         if step == 1.0 and end > -FULL_STEP_SLOPE * start:
             rate = dx * dx + dy * dy + gyration * dw * dw
-            _prepare_search(scratch, contacts, vx, vy, omega, dx, dy, dw)
-            step = _minimise_along(grid, scratch, contacts, dt, start, rate, end)
+            step = step_length(
+                scratch, contacts, dt, vx, vy, omega, dx, dy, dw, start, rate, end, ROUNDING
+            )
             continue
         vx, vy, omega = new_vx, new_vy, new_omega
         if abs(gx) + abs(gy) + abs(gw) < TOLERANCE * radius:
             break
+        hxx = hxy = hxw = hyy = hyw = hww = 0.0
+        if not flat:
+            hxx, hxy, hxw, hyy, hyw, hww = _curvature(scratch, contacts, vx, vy, omega)
         # Newton's direction: the symmetric 3 x 3 solve by cofactors.
         hxx += 1.0
         hyy += 1.0

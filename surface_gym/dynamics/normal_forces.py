@@ -7,8 +7,8 @@ Eq. (1) follows from vertical balance and N >= 0, so it never binds on its own. 
 mass throughout.
 """
 
-from surface_gym.dynamics.compiled import compiled, inlined
-from surface_gym.dynamics.types import Scratch
+from surface_gym.dynamics.compiled import inlined, linked
+from surface_gym.dynamics.types import ARM_X, ARM_Y, NORMAL, PRESSURE, STIFFNESS, Scratch
 
 MAX_ITERATIONS = 100
 MAX_SEARCHES = 100
@@ -21,7 +21,7 @@ TIPPING_TOLERANCE = 1e-6  # [pitch] by which the load point may miss what the co
 COLLINEAR_TOLERANCE = 1e-6  # [-] least product of the two spreads, over their sum squared
 
 
-@compiled
+@linked
 def _minimise_along(
     scratch: Scratch,
     contacts: int,
@@ -45,22 +45,23 @@ def _minimise_along(
         end: slope at 1, positive.
         slack: [m^2] of the moment balance.
     """
+    table = scratch.table
     low, high = 0.0, 1.0
     at_low, at_high = start, end
     rate = slack * (dx * dx + dy * dy)
     constant = start
     for i in range(contacts):
-        pressure = c + cx * scratch.arm_x[i] + cy * scratch.arm_y[i]
-        change = dc + dx * scratch.arm_x[i] + dy * scratch.arm_y[i]
-        constant -= scratch.stiffness[i] * change * max(0.0, pressure)
+        pressure = c + cx * table[ARM_X + i] + cy * table[ARM_Y + i]
+        change = dc + dx * table[ARM_X + i] + dy * table[ARM_Y + i]
+        constant -= table[STIFFNESS + i] * change * max(0.0, pressure)
     for _ in range(MAX_SEARCHES):
         # The kink nearest to the middle of the bracket.
         middle = 0.5 * (low + high)
         distance = 0.5 * (high - low) * (1.0 - 1e-9)
         t = -1.0
         for i in range(contacts):
-            pressure = c + cx * scratch.arm_x[i] + cy * scratch.arm_y[i]
-            change = dc + dx * scratch.arm_x[i] + dy * scratch.arm_y[i]
+            pressure = c + cx * table[ARM_X + i] + cy * table[ARM_Y + i]
+            change = dc + dx * table[ARM_X + i] + dy * table[ARM_Y + i]
             if change != 0.0 and abs(pressure / change + middle) < distance:
                 t = -pressure / change
                 distance = abs(t - middle)
@@ -68,14 +69,36 @@ def _minimise_along(
             break
         slope = constant + t * rate
         for i in range(contacts):
-            pressure = c + cx * scratch.arm_x[i] + cy * scratch.arm_y[i]
-            change = dc + dx * scratch.arm_x[i] + dy * scratch.arm_y[i]
-            slope += scratch.stiffness[i] * change * max(0.0, pressure + t * change)
+            pressure = c + cx * table[ARM_X + i] + cy * table[ARM_Y + i]
+            change = dc + dx * table[ARM_X + i] + dy * table[ARM_Y + i]
+            slope += table[STIFFNESS + i] * change * max(0.0, pressure + t * change)
         if slope < 0.0:
             low, at_low = t, slope
         else:
             high, at_high = t, slope
     return low - at_low * (high - low) / (at_high - at_low)
+
+
+@inlined
+def _loaded_sums(
+    scratch: Scratch, contacts: int
+) -> tuple[float, float, float, float, float, float]:
+    """Sums of k, k x, k y, k x^2, k x y and k y^2 over the loaded contacts."""
+    table = scratch.table
+    s = sx = sy = sxx = sxy = syy = 0.0
+    for i in range(contacts):
+        x = table[ARM_X + i]
+        y = table[ARM_Y + i]
+        k = table[STIFFNESS + i] if table[PRESSURE + i] > 0.0 else 0.0
+        kx = k * x
+        ky = k * y
+        s += k
+        sx += kx
+        sy += ky
+        sxx += kx * x
+        sxy += kx * y
+        syy += ky * y
+    return s, sx, sy, sxx, sxy, syy
 
 
 @inlined
@@ -87,7 +110,7 @@ def dual_normal_forces(
     load_y: float,
     pitch: float,
 ) -> bool:
-    """Solve Eq. (1) into `scratch.normal` by a semismooth Newton on its dual.
+    """Write the normal forces of Eq. (1) into `scratch` by a semismooth Newton on its dual.
 
     Args:
         scratch: arms and stiffnesses of the contacts in, normal forces out.
@@ -101,9 +124,10 @@ def dual_normal_forces(
         Whether the set is degenerate: fewer than three contacts, collinear, or the load point
         outside their hull. Then vertical balance holds and the moments come as near as they can.
     """
+    table = scratch.table
     slack = SLACK * pitch * pitch
     for i in range(contacts):
-        scratch.normal[i] = 1.0
+        table[PRESSURE + i] = 1.0
     # From a uniform pressure, which loads every contact, to the plane that balances the load on
     # the contacts now loaded, and again until that lifts or loads none.
     c, cx, cy = weight / contacts, 0.0, 0.0
@@ -115,28 +139,14 @@ def dual_normal_forces(
         trial_c = c + step * dc
         trial_cx = cx + step * dx
         trial_cy = cy + step * dy
-        # Sums of k, k x, k y, k x^2, k x y and k y^2 over the loaded contacts.
-        s = sx = sy = sxx = sxy = syy = 0.0
         changes = 0
         for i in range(contacts):
-            x = scratch.arm_x[i]
-            y = scratch.arm_y[i]
-            pressure = trial_c + trial_cx * x + trial_cy * y
-            loaded = pressure > 0.0
-            changes += loaded != (scratch.normal[i] > 0.0)
-            k = scratch.stiffness[i]
-            scratch.normal[i] = k * pressure if loaded else 0.0
-            if loaded:
-                kx = k * x
-                ky = k * y
-                s += k
-                sx += kx
-                sy += ky
-                sxx += kx * x
-                sxy += kx * y
-                syy += ky * y
+            pressure = trial_c + trial_cx * table[ARM_X + i] + trial_cy * table[ARM_Y + i]
+            changes += (pressure > 0.0) != (table[PRESSURE + i] > 0.0)
+            table[PRESSURE + i] = pressure
         if step == 1.0 and changes == 0:
             break
+        s, sx, sy, sxx, sxy, syy = _loaded_sums(scratch, contacts)
         if step == 0.0:
             slack *= s / contacts
         # What is left of the balance: the gradient of the dual.
@@ -178,11 +188,13 @@ def dual_normal_forces(
     miss = slack * (abs(trial_cx) + abs(trial_cy))
     if miss > TIPPING_TOLERANCE * pitch * weight:
         degenerate = True
+    for i in range(contacts):
+        table[NORMAL + i] = table[STIFFNESS + i] * max(0.0, table[PRESSURE + i])
     if degenerate:
         # A steep plane leaves round-off in the sum.
         total = 0.0
         for i in range(contacts):
-            total += scratch.normal[i]
+            total += table[NORMAL + i]
         for i in range(contacts):
-            scratch.normal[i] *= weight / total
+            table[NORMAL + i] *= weight / total
     return degenerate

@@ -1,6 +1,6 @@
 """One step of a parcel on a surface: what every caller of the physics calls."""
 
-from surface_gym.dynamics.compiled import inlined
+from surface_gym.dynamics.compiled import inlined, linked
 from surface_gym.dynamics.contacts import find_contacts
 from surface_gym.dynamics.explicit import explicit_acceleration
 from surface_gym.dynamics.friction import implicit_velocity
@@ -14,6 +14,7 @@ from surface_gym.dynamics.types import (
     VY,
     Array,
     Body,
+    Contacts,
     Grid,
     Scratch,
     X,
@@ -35,25 +36,40 @@ def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
 def on_surface(grid: Grid, x: float, y: float) -> bool:
     """Whether a point is over the grid, half a pitch around its outer elements included."""
     rows, columns = grid.rotor.shape
-    right = 0.5 * grid.pitch * columns
-    up = 0.5 * grid.pitch * rows
-    margin = 0.5 * grid.pitch
-    return abs(x - grid.x0 + margin - right) <= right and abs(y - grid.y0 + margin - up) <= up
+    right = 0.5 * grid.pitch_x * columns
+    up = 0.5 * grid.pitch_y * rows
+    beyond_x = abs(x - grid.x0 + 0.5 * grid.pitch_x - right)
+    beyond_y = abs(y - grid.y0 + 0.5 * grid.pitch_y - up)
+    return beyond_x <= right and beyond_y <= up
 
 
 @inlined
-def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: float) -> int:
+def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: float) -> Contacts:
     """Contacts at the pose the parcel has `lead` seconds on; none if it is off the surface."""
     x = state[X] + lead * state[VX]
     y = state[Y] + lead * state[VY]
     if not on_surface(grid, x, y):
-        return 0
+        return Contacts(0, 0)
     return find_contacts(grid, body, x, y, state[THETA] + lead * state[OMEGA], scratch)
 
 
 @inlined
+def bear_load(grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts) -> bool:
+    """Normal forces of the contacts in `scratch`; whether they are degenerate."""
+    load_x, load_y = load_point(grid, body, state)
+    return dual_normal_forces(
+        scratch,
+        contacts.total,
+        grid.gravity_normal,
+        load_x,
+        load_y,
+        max(grid.pitch_x, grid.pitch_y),
+    )
+
+
+@inlined
 def advance_implicit(
-    grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: int, dt: float
+    grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts, dt: float
 ) -> None:
     """Move the state over one step, contacts and normal forces given in `scratch`."""
     vx, vy, omega = implicit_velocity(
@@ -73,7 +89,7 @@ def advance_implicit(
 
 @inlined
 def advance_explicit(
-    grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: int, dt: float
+    grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts, dt: float
 ) -> None:
     """The paper's two integrations of Eq. (4): the velocity, then the position with it."""
     ax, ay, aw, vx = explicit_acceleration(
@@ -89,19 +105,18 @@ def advance_explicit(
     state[AY] = ay
 
 
-@inlined
+@linked
 def step_implicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
-) -> tuple[int, int]:
+) -> tuple[int, Contacts]:
     """One implicit step: its report and how many contacts bore it, which `scratch` holds.
 
     The contacts are those of the pose half a step on.
     """
     contacts = find_support(grid, body, state, scratch, 0.5 * dt)
-    if contacts == 0:
-        return OFF_SURFACE, 0
-    load_x, load_y = load_point(grid, body, state)
-    tipping = dual_normal_forces(scratch, contacts, grid.gravity_normal, load_x, load_y, grid.pitch)
+    if contacts.total == 0:
+        return OFF_SURFACE, contacts
+    tipping = bear_load(grid, body, state, scratch, contacts)
     advance_implicit(grid, body, state, scratch, contacts, dt)
     return (TIPPING if tipping else BALANCED), contacts
 
@@ -109,14 +124,13 @@ def step_implicit(
 @inlined
 def step_explicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
-) -> tuple[int, int]:
+) -> tuple[int, Contacts]:
     """One step of the paper's loop, Figure 5a, its stopping rule included."""
     if state[VX] <= 0.0 and grid.gravity_along == 0.0:
-        return STOPPED, 0
+        return STOPPED, Contacts(0, 0)
     contacts = find_support(grid, body, state, scratch, 0.0)
-    if contacts == 0:
-        return OFF_SURFACE, 0
-    load_x, load_y = load_point(grid, body, state)
-    tipping = dual_normal_forces(scratch, contacts, grid.gravity_normal, load_x, load_y, grid.pitch)
+    if contacts.total == 0:
+        return OFF_SURFACE, contacts
+    tipping = bear_load(grid, body, state, scratch, contacts)
     advance_explicit(grid, body, state, scratch, contacts, dt)
     return (TIPPING if tipping else BALANCED), contacts

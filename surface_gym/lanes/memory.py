@@ -1,90 +1,76 @@
 """The memory of a batch: one row a lane, each lane one parcel on one surface."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.dynamics.types import STATE_SIZE, Array, Scratch
-
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
+from surface_gym.dynamics.types import STATE_SIZE, Array, Booleans, Integers, Places
 
 # Columns of `Lanes.surface`.
-MU_MAX, MU_MIN, MU_SUPPORT, GRAVITY_ALONG, GRAVITY_NORMAL = range(5)
-# Columns of `Lanes.body`.
+ALONG_FACTOR, ACROSS_FACTOR, SUPPORT_FACTOR, GRAVITY_ALONG, GRAVITY_NORMAL = range(5)
+# Columns of `Sites.body`.
 RADIUS, COM_X, COM_Y, COM_HEIGHT, GYRATION, HALF_LENGTH = range(6)
-# Columns of `Lanes.zone`.
+# Columns of `Sites.zone`.
 FIRST_ROW, ROWS, FIRST_COLUMN, COLUMNS = range(4)
 
-# `Lanes.outcome`: how an episode stands. Failures come after SUCCESS; running out of time is none,
-# and belongs to the vector env.
-OUTCOMES = (
-    "running",
-    "out of time",
-    "success",
-    "wrong side",
-    "stalled",
-    "passed the zone",
-    "off the surface",
-    "off the line",
-    "missed",
-    "off the path",
-    "passed the asked x",
-)
-(
-    RUNNING,
-    OUT_OF_TIME,
-    SUCCESS,
-    WRONG_SIDE,
-    STALLED,
-    PASSED,
-    OFF_SURFACE,
-    OFF_LINE,
-    MISSED,
-    OFF_PATH,
-    OVERSHOT,
-) = range(len(OUTCOMES))
+# `Lanes.outcome`: how an episode stands. A task's failures follow, in its order; running out of
+# time is none, and belongs to the vector env. A lane that was placed has yet to begin.
+PLACED, RUNNING, OUT_OF_TIME, SUCCESS, FIRST_FAILURE = range(-1, 4)
+COMMON_OUTCOMES = ("running", "out of time", "success")
 
-GOALS = 8  # columns of `Lanes.goal` and `Lanes.memory`; a task says what each holds
-MEMORIES = 8
-FIGURES = 4  # first column of `Lanes.memory` that holds the task's figures, in their order
+# `Lanes.fault`: what a task's functions did wrong.
+SOUND, UNKNOWN_OUTCOME, BAD_REWARD, BAD_OBSERVATION = range(4)
+
 PATH_POINTS = 256  # of a path, evenly spaced in x
-FILTER_SIZE = 64  # numbers a sensor may keep
-FRAMES = 16  # that can be under way from a sensor at a time
 NOISE_ROWS = 64  # draws made ahead; each three standard normals and one uniform in [0, 1)
 
 
 class Lanes(NamedTuple):
-    """State, settings and results of every lane. A task names its goal, memory and terms."""
+    """State, settings and results of every lane.
+
+    What a task has no use for has no columns; what is the same for all lanes has one row.
+    """
 
     state: Array  # (lanes, STATE_SIZE) of the centre of mass
     truth: Array  # (lanes, 6) pose and velocity of the base's centroid
-    sensed: Array  # (lanes, 6) what the sensors say of it
+    sensed: Array  # (lanes, 6) what the sensor says of it
     clock: Array  # (lanes,) [s] since the start
+    period: Array  # (lanes,) [s] since the last decision
     steps: Integers  # (lanes,) physics steps since the start
-    axis: Array  # (lanes, rows, columns, 2) cosine and sine of each rotor axis
+    on_rotors: Booleans  # (lanes,) a rotor bears the parcel
+    on_surface: Booleans  # (lanes,) the parcel's centre of mass is over the surface
+    axis: Places  # (lanes, rows, columns) the place of each rotor's axis among the directions
+    direction: Array  # (lanes or 1, directions, 2) cosine and sine of an axis
     angle: Array  # (lanes, rows, columns) [rad] of each axis, where axes take time to turn
     target: Array  # (lanes, rows, columns) [rad] it turns to
-    rotor: Booleans  # (lanes, rows, columns)
-    obeys: Booleans  # (lanes, rows, columns) a rotor in the zone, not stuck
-    stiffness: Array  # (lanes, rows, columns) [-]
-    surface: Array  # (lanes, 5) friction coefficients [-], gravity along and normal [m/s^2]
-    body: Array  # (lanes, 6) [m] radius, centre of mass x, y, height; gyration [m^2]; half length
-    edges: Array  # (lanes, edges, 3) of the base, padded with edges that never bound
-    corners: Array  # (lanes, edges, 2) [m] of the base from its centroid, padded with repeats
-    zone: Integers  # (lanes, 4) first row, rows, first column, columns that obey
-    goal: Array  # (lanes, GOALS)
-    path: Array  # (lanes, PATH_POINTS) [m] y of a path to follow, evenly spaced in x
-    memory: Array  # (lanes, MEMORIES)
-    noise: Array  # (lanes, NOISE_ROWS, 4) drawn ahead for the sensors
-    noise_row: Integers  # (lanes,) the next to use
-    filter: Array  # (lanes, FILTER_SIZE) the sensors' memory
-    frames: Array  # (lanes, FRAMES, 4) under way from the sensors
-    command: Integers  # (lanes, command size) what the action says, one number a choice
+    stiffness: Array  # (lanes or 1, rows, columns) [-]
+    surface: Array  # (lanes, 5) factors of friction [-], gravity along and normal [m/s^2]
+    site: Integers  # (lanes,) its parcel's place among the sites
+    goal: Array  # (lanes, goals) the task's own, as its starts give them
+    path: Array  # (lanes, PATH_POINTS or 0) [m] y of a path to follow, evenly spaced in x
+    memory: Array  # (lanes, memories) what the task remembers
+    figures: Array  # (lanes, figures) the task's own numbers in `info`
+    noise: Array  # (lanes, NOISE_ROWS or 0, 4) drawn ahead for the sensor
+    noise_row: Integers  # (lanes, 1) the next to use
+    kept: Array  # (lanes, kept) what the sensor remembers
+    command: NDArray[Any]  # (lanes, command size) what the action says: choices, or angles [rad]
     observation: NDArray[np.float32]  # (lanes, observation size)
     terms: Array  # (lanes, reward terms)
-    outcome: Integers  # (lanes,) its place in OUTCOMES
+    reward: Array  # (lanes,) their sum
+    outcome: Integers  # (lanes,) its place among the common outcomes and the task's failures
+    fault: Integers  # (lanes,)
+
+
+class Sites(NamedTuple):
+    """Parcels as they run on the plant. Lanes whose parcels are alike share one."""
+
+    rotor: Booleans  # (sites, rows, columns)
+    obeys: Booleans  # (sites, rows, columns) a rotor in the zone, not stuck
+    body: Array  # (sites, 6) [m] radius, centre of mass x, y, height; gyration [m^2]; half length
+    edges: Array  # (sites, edges, 3) of the base, padded with edges that never bound
+    corners: Array  # (sites, edges, 2) [m] of the base from its centroid, padded with repeats
+    zone: Integers  # (sites, 4) first row, rows, first column, columns that obey
 
 
 class Geometry(NamedTuple):
@@ -92,7 +78,8 @@ class Geometry(NamedTuple):
 
     x0: float  # [m] centre of element [0, 0]
     y0: float  # [m]
-    pitch: float  # [m]
+    pitch_x: float  # [m] from column to column
+    pitch_y: float  # [m] from row to row
     line_y: float  # [m] middle of the line
 
 
@@ -109,62 +96,55 @@ class Sizes(NamedTuple):
     lanes: int
     rows: int
     columns: int
-    edges: int  # of the base with the most
     command: int
+    choices: int  # orientations on offer that a command counts; 0: it says angles
     observation: int
     terms: int
+    goals: int
+    memories: int
+    figures: int
+    kept: int
+    path: bool
+    noise: bool
     turning: bool  # axes take time to turn
+    stiffness: bool  # it differs from lane to lane
 
 
 def make_lanes(sizes: Sizes) -> Lanes:
     """Memory for a batch, nothing placed on it yet."""
     lanes, grid = sizes.lanes, (sizes.lanes, sizes.rows, sizes.columns)
     turning = grid if sizes.turning else (lanes, 1, 1)
+    # Axes that are one of a few directions count them; those at any angle have one each.
+    counted = sizes.choices > 0 and not sizes.turning
+    each = np.arange(sizes.rows * sizes.columns, dtype=np.int32).reshape(grid[1:])
+    directions = (1, sizes.choices + 1) if counted else (lanes, each.size)
     return Lanes(
         state=np.zeros((lanes, STATE_SIZE)),
         truth=np.zeros((lanes, 6)),
         sensed=np.zeros((lanes, 6)),
         clock=np.zeros(lanes),
+        period=np.zeros(lanes),
         steps=np.zeros(lanes, dtype=np.int64),
-        axis=np.zeros((*grid, 2)),
+        on_rotors=np.ones(lanes, dtype=np.bool_),
+        on_surface=np.ones(lanes, dtype=np.bool_),
+        axis=np.zeros(grid, dtype=np.int32) if counted else np.tile(each, (lanes, 1, 1)),
+        direction=np.zeros((*directions, 2)),
         angle=np.zeros(turning),
         target=np.zeros(turning),
-        rotor=np.zeros(grid, dtype=np.bool_),
-        obeys=np.zeros(grid, dtype=np.bool_),
-        stiffness=np.ones(grid),
+        stiffness=np.ones((lanes if sizes.stiffness else 1, *grid[1:])),
         surface=np.zeros((lanes, 5)),
-        body=np.zeros((lanes, 6)),
-        edges=np.zeros((lanes, sizes.edges, 3)),
-        corners=np.zeros((lanes, sizes.edges, 2)),
-        zone=np.zeros((lanes, 4), dtype=np.int64),
-        goal=np.zeros((lanes, GOALS)),
-        path=np.zeros((lanes, PATH_POINTS)),
-        memory=np.zeros((lanes, MEMORIES)),
-        noise=np.zeros((lanes, NOISE_ROWS, 4)),
-        noise_row=np.zeros(lanes, dtype=np.int64),
-        filter=np.zeros((lanes, FILTER_SIZE)),
-        frames=np.zeros((lanes, FRAMES, 4)),
-        command=np.zeros((lanes, sizes.command), dtype=np.int64),
+        site=np.zeros(lanes, dtype=np.int64),
+        goal=np.zeros((lanes, sizes.goals)),
+        path=np.zeros((lanes, PATH_POINTS if sizes.path else 0)),
+        memory=np.zeros((lanes, sizes.memories)),
+        figures=np.zeros((lanes, sizes.figures)),
+        noise=np.zeros((lanes, NOISE_ROWS if sizes.noise else 0, 4)),
+        noise_row=np.zeros((lanes, 1), dtype=np.int64),
+        kept=np.zeros((lanes, sizes.kept)),
+        command=np.zeros((lanes, sizes.command), dtype=np.int64 if sizes.choices else np.float64),
         observation=np.zeros((lanes, sizes.observation), dtype=np.float32),
         terms=np.zeros((lanes, sizes.terms)),
+        reward=np.zeros(lanes),
         outcome=np.zeros(lanes, dtype=np.int64),
-    )
-
-
-def make_batch_scratch(threads: int, contacts: int, edges: int) -> Scratch:
-    """Scratch of every thread in one; the first axis of each array is the thread.
-
-    Each thread's part is longer than it needs by a cache line, so that none shares one.
-    """
-    line = 64  # [bytes], at most 64 numbers of any kind
-    return Scratch(
-        arm_x=np.zeros((threads, contacts + line)),
-        arm_y=np.zeros((threads, contacts + line)),
-        axis_x=np.zeros((threads, contacts + line)),
-        axis_y=np.zeros((threads, contacts + line)),
-        rotor=np.zeros((threads, contacts + line), dtype=np.bool_),
-        stiffness=np.zeros((threads, contacts + line)),
-        normal=np.zeros((threads, contacts + line)),
-        edges=np.zeros((threads, edges + line, 3)),
-        slide=np.zeros((threads, contacts + line, 4)),
+        fault=np.zeros(lanes, dtype=np.int64),
     )

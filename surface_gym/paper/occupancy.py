@@ -7,7 +7,7 @@ from surface_gym import layouts
 from surface_gym.dynamics.compiled import compiled
 from surface_gym.dynamics.entries import find_contacts
 from surface_gym.dynamics.memory import make_scratch
-from surface_gym.dynamics.types import Array, Body, Grid, Scratch
+from surface_gym.dynamics.types import ARM_X, ROTOR, Array, Body, Grid, Scratch
 from surface_gym.surface import Surface
 
 NONE = -1  # instead of a column, where no rotor lies under the base
@@ -22,9 +22,9 @@ def _find_columns(
         columns[k, 0] = NONE
         columns[k, 1] = NONE
         contacts = find_contacts(grid, body, pose[k, 0], pose[k, 1], pose[k, 2], scratch)
-        for i in range(contacts):
-            if scratch.rotor[i]:
-                column = round((pose[k, 0] + scratch.arm_x[i] - grid.x0) / grid.pitch)
+        for i in range(contacts.total):
+            if scratch.marks[ROTOR + i]:
+                column = round((pose[k, 0] + scratch.table[ARM_X + i] - grid.x0) / grid.pitch_x)
                 if columns[k, 0] == NONE or column < columns[k, 0]:
                     columns[k, 0] = column
                 columns[k, 1] = max(columns[k, 1], column)
@@ -45,5 +45,5 @@ def rotor_columns(
     """
     body = layouts.box(size).body
     columns = np.empty((len(pose), 2), dtype=np.int64)
-    _find_columns(surface.grid, body, pose, make_scratch(surface.grid, body), columns)
+    _find_columns(surface.grid, body, pose, make_scratch(), columns)
     return columns[:, 0], columns[:, 1]

@@ -40,16 +40,17 @@ class Field:
 
     def _painted_ground(self, scene: Scene) -> pygame.Surface:
         """The supports' plate and the zone."""
-        view, cell = self.view, self.view.cell
+        view = self.view
         ground = pygame.Surface(view.area.size, depth=32)
         ground.fill(palette.PLATE)
         zone = None
         if scene.zone is not None:
             zone = view.cells(*scene.zone).move(-view.left, -view.top)
             ground.fill(palette.ZONE, zone)
-        radius = max(0.07 * cell, 0.6)
+        radius = max(0.07 * view.cell, 0.6)
         for row, column in np.argwhere(~scene.rotor).tolist():
-            centre = np.array([(column + 0.5) * cell, (view.rows - row - 0.5) * cell])
+            place = view.cells(row, 1, column, 1).move(-view.left, -view.top)
+            centre = np.array([place.x + 0.5 * place.width, place.y + 0.5 * place.height])
             ink.disc(ground, centre, radius, palette.SUPPORT)
         pygame.draw.rect(ground, palette.PLATE_EDGE, ground.get_rect(), 1)
         if zone is not None:
@@ -61,8 +62,8 @@ class Field:
         row, column = np.nonzero(scene.rotor)
         steps = np.rint(scene.axis[row, column] * (ANGLES / math.pi)).astype(np.int64) % ANGLES
         pale = ~scene.obeys[row, column]
-        left = view.left + view.cell * column
-        top = view.top + view.cell * (view.rows - 1 - row)
+        left = view.left + view.width * column + (view.width - view.cell) // 2
+        top = view.top + view.height * (view.rows - 1 - row) + (view.height - view.cell) // 2
         looks = zip(steps.tolist(), pale.tolist(), strict=True)
         pictures = [self._sprites.sprite(step, is_pale) for step, is_pale in looks]
         places = zip(left.tolist(), top.tolist(), strict=True)

@@ -63,7 +63,7 @@ class Painter:
         left = (self.width - cell * scene.columns) // 2
         view = View.of(scene, cell, left, self._strips.head)
         if self._field is None or self._field.view != view:
-            self._field = Field(view, ModuleSprites(cell))
+            self._field = Field(view, ModuleSprites(view.cell))
         return self._field
 
 

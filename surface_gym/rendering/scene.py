@@ -1,7 +1,7 @@
 """What a picture shows, told in metres and radians: nothing here knows of environments."""
 
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,7 @@ class ExitSpeed:
 class Path:
     """Follow a curve with the centre."""
 
-    points: NDArray[np.float64]  # (points, 2) [m], at least two
+    points: Any  # (points, 2) [m], at least two; kept as an array
 
     def __post_init__(self) -> None:
         points = checks.array("points", self.points, (None, 2))
@@ -81,7 +81,7 @@ class Scene:
     rotor: NDArray[np.bool_]  # (rows, columns) an orientable rotor, else a support
     outline: NDArray[np.float64]  # (points, 2) [m] of the parcel's base, in its own frame
     pose: tuple[float, float, float]  # [m, m, rad] of that frame
-    pitch: float = 0.1  # [m] between neighbours, in x and in y
+    pitch: float | tuple[float, float] = 0.1  # [m] between neighbours: one, or in x and in y
     origin: tuple[float, float] = (0.05, 0.05)  # [m] centre of element [0, 0]
     # First row, rows, first column and columns of the modules that obey a controller; None: all do.
     zone: tuple[int, int, int, int] | None = None
@@ -118,7 +118,7 @@ class Scene:
         if self.sensed_pose is not None:
             sensed = checks.array("sensed_pose", self.sensed_pose, (3,))
             set_field(self, "sensed_pose", tuple(sensed.tolist()))
-        set_field(self, "pitch", checks.positive("pitch", self.pitch))
+        set_field(self, "pitch", checks.pitch("pitch", self.pitch))
         set_field(self, "origin", tuple(checks.array("origin", self.origin, (2,)).tolist()))
         set_field(self, "tilt", checks.number("tilt", self.tilt))
         if self.zone is not None:
@@ -157,6 +157,11 @@ class Scene:
     def columns(self) -> int:
         """Number of elements along the line, in x."""
         return int(self.axis.shape[1])
+
+    @property
+    def pitches(self) -> tuple[float, float]:
+        """[m] from column to column, and from row to row."""
+        return (self.pitch, self.pitch) if isinstance(self.pitch, float) else self.pitch
 
     @property
     def obeys(self) -> NDArray[np.bool_]:

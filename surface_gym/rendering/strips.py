@@ -91,7 +91,7 @@ class Strips:
 
     def _write_scale(self, canvas: pygame.Surface, view: View) -> int:
         """Draw the scale bar; the x where it begins."""
-        third = view.columns * view.pitch / 3.0
+        third = view.columns * view.pitch[0] / 3.0
         metres = next((length for length in _BARS if length <= third), _BARS[-1])
         width, middle, right = round(view.length(metres)), self._middle(view.area), view.area.right
         bar = pygame.Rect(right - width, middle + self.small // 3, width, max(2, self.small // 6))

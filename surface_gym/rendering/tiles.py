@@ -14,7 +14,7 @@ from surface_gym.rendering.lettering import write
 from surface_gym.rendering.modules import ModuleSprites
 from surface_gym.rendering.scene import Scene
 from surface_gym.rendering.strips import Strips
-from surface_gym.rendering.view import View
+from surface_gym.rendering.view import View, height_of
 
 _ASPECT = 1.6  # width / height aimed at
 _LEAST_CELL = 2  # [px] of an element, for its colour to be seen
@@ -27,7 +27,7 @@ class _Plan:
 
     across: int  # tiles in a row
     down: int  # rows of tiles
-    cell: int  # [px] of an element
+    cell: int  # [px] width of an element
     caption: int  # [px] font size of a tile's title
     tile_width: int  # [px] of the surface in a tile
     tile_height: int  # [px] of caption and surface
@@ -90,7 +90,7 @@ class TilePainter:
     def _plan(self, scenes: Sequence[Scene]) -> _Plan:
         if len(scenes) == 0:
             raise ValueError("scenes must be at least one, got none")
-        grids = {(scene.rows, scene.columns, scene.pitch, scene.origin) for scene in scenes}
+        grids = {(scene.rows, scene.columns, scene.pitches, scene.origin) for scene in scenes}
         if len(grids) > 1:
             raise ValueError(f"scenes must be of surfaces of one size, got {sorted(grids)}")
         plans = [self._plan_across(scenes, across) for across in range(1, len(scenes) + 1)]
@@ -108,7 +108,7 @@ class TilePainter:
         room = (self.width - 2 * self._strips.margin + _GAP) // across - _GAP
         cell = room // columns
         caption = min(max(14, cell * columns // 14), self._strips.middle)
-        width, height = cell * columns, cell * rows + caption
+        width, height = cell * columns, height_of(scenes[0], cell) * rows + caption
         return _Plan(across, -(-len(scenes) // across), cell, caption, width, height)
 
     def _prepare(self, scenes: Sequence[Scene], plan: _Plan) -> None:
@@ -119,7 +119,7 @@ class TilePainter:
             for scene, (x, y) in ((scene, plan.corner(k)) for k, scene in enumerate(scenes))
         ]
         if [field.view for field in self._fields] != views:
-            sprites = ModuleSprites(plan.cell)
+            sprites = ModuleSprites(views[0].cell)
             self._fields = [Field(view, sprites) for view in views]
 
 

@@ -4,8 +4,8 @@ from surface_gym.sensors.camera import Camera
 from surface_gym.sensors.entry import Entry
 from surface_gym.sensors.exact import Exact
 from surface_gym.sensors.presence import Presence
-from surface_gym.sensors.sensor import Sensors
+from surface_gym.sensors.sensor import Sensor
 
 KINDS = (Exact, Camera, Presence)
 
-__all__ = ["KINDS", "Camera", "Entry", "Exact", "Presence", "Sensors"]
+__all__ = ["KINDS", "Camera", "Entry", "Exact", "Presence", "Sensor"]

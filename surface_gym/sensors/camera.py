@@ -3,19 +3,18 @@
 import math
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from surface_gym import checks
-from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import Array, Scratch
-from surface_gym.lanes.memory import FRAMES, NOISE_ROWS, Geometry, Lanes
+from surface_gym.dynamics.compiled import lane_function
+from surface_gym.dynamics.types import Array
+from surface_gym.lanes.lane import Lane
+from surface_gym.lanes.memory import NOISE_ROWS
 from surface_gym.sensors import observer
-from surface_gym.sensors.entry import ENTRY_SIZE, Entry
-from surface_gym.sensors.observer import GAIN, MODEL_SIZE, correct, measure
-from surface_gym.sensors.sensor import Sensing
+from surface_gym.sensors.entry import Entry
+from surface_gym.sensors.observer import GAIN, LAST, MODEL_SIZE, Observer, correct, measure
+from surface_gym.sensors.sensor import Physics
 
-CAMERA = 1
-MOST_LATE = 8  # frames; `Lanes.frames` holds them however the periods are rounded
+FRAMES = 16  # that can be under way at a time
+MOST_LATE = 8  # frames, however the periods are rounded
 
 # Columns of the settings; the Entry comes last.
 (
@@ -24,18 +23,18 @@ MOST_LATE = 8  # frames; `Lanes.frames` holds them however the periods are round
     POSITION_NOISE,
     ANGLE_NOISE,
     DROP,
-    MODEL,  # of the observer
+    MODEL,  # what the observer doubts
 ) = range(6)
 ENTRY = MODEL + MODEL_SIZE
 
-# Columns of `Lanes.frames`: the physics step a frame was taken at, 0 for none; then by how much
-# its pose differs from what is estimated of that step.
-TAKEN, SURPRISE = 0, 1
+# A frame under way, of FRAMES that follow the observer's numbers: the physics step it was taken at,
+# 0 for none; then by how much its pose differs from what is estimated of that step.
+TAKEN, SURPRISE, FRAME_SIZE = 0, 1, 4
 SHARPEST = 1e-9  # [m] and [rad] no frame is trusted further
 
 
 @dataclass(frozen=True)
-class Camera:
+class Camera(Observer):
     """Sees the pose of the base's centroid in frames, each with noise and some time after it.
 
     Frames fall on physics steps: a frame period is rounded to whole ones, and a frame can be used
@@ -60,21 +59,22 @@ class Camera:
     position_noise: float = 0.001  # [m] standard deviation in x and in y
     angle_noise: float = math.radians(0.5)  # [rad] standard deviation
     drop: float = 0.0  # [-] probability of a frame to be lost
-    mu_max: float = 0.5  # [-] friction the filter assumes, as the surface's
-    mu_min: float = 0.01  # [-]
-    mu_support: float = 0.005  # [-]
+    mu_max: float | None = None  # [-] friction the filter assumes; None: the plant's own
+    mu_min: float | None = None  # [-]
+    mu_support: float | None = None  # [-]
     friction_error: float = 0.05  # [-] share by which what friction does may be off
     acceleration_density: float = 0.0003  # [m^2/s^3] of the physics' other error, in x and in y
     turn_density: float = 0.03  # [rad^2/s^3] of the physics' other error in turning
     entry: Entry = field(default_factory=Entry)  # what is known of a parcel as it enters
 
+    kept = LAST + FRAMES * FRAME_SIZE
+
     def __post_init__(self) -> None:
         for name in ("frame_rate", "acceleration_density", "turn_density"):
             checks.positive(name, getattr(self, name))
-        for name in (
-            "position_noise", "angle_noise", "mu_max", "mu_min", "mu_support", "friction_error",
-        ):  # fmt: skip
+        for name in ("position_noise", "angle_noise", "friction_error"):
             checks.not_negative(name, getattr(self, name))
+        self._check_friction()
         if checks.within("drop", self.drop, 0.0, 1.0) == 1.0:
             raise ValueError(f"drop must be less than 1, got {self.drop!r}")
         if self.latency is not None:
@@ -96,26 +96,21 @@ class Camera:
             )
         return steps
 
-    def sensing(self, dt: float) -> Sensing:
-        """The sensor as compiled code reads it, for physics steps of `dt` [s]."""
+    def numbers(self, dt: float) -> tuple[float, ...]:
+        """The settings as compiled code reads them, for physics steps of `dt` [s]."""
         every = self.frame_steps(dt)
         lag = every if self.latency is None else math.ceil(self.latency / dt - 1e-9)
-        settings = np.zeros(ENTRY + ENTRY_SIZE)
-        settings[:ENTRY] = (
+        return (
             every,
             lag,
             self.position_noise,
             self.angle_noise,
             self.drop,
-            self.mu_max,
-            self.mu_min,
-            self.mu_support,
             self.acceleration_density,
             self.turn_density,
             self.friction_error,
+            *self.entry.settings,
         )
-        settings[ENTRY:] = self.entry.settings
-        return Sensing(CAMERA, settings)
 
     def draws(self, dt: float, steps: int) -> int:
         """One row of noise a frame.
@@ -131,69 +126,71 @@ class Camera:
             )
         return frames
 
+    @staticmethod
+    @lane_function
+    def begin(numbers: Array, lane: Lane) -> None:
+        """Set the filter; frames from before never arrive."""
+        observer.begin(numbers, ENTRY, lane)
+        for k in range(FRAMES):
+            lane.kept[LAST + FRAME_SIZE * k + TAKEN] = 0.0
 
-@inlined
-def begin(settings: Array, lanes: Lanes, lane: int) -> None:
-    """Set the filter at a start; frames from before it never arrive."""
-    observer.begin(settings, ENTRY, lanes, lane)
-    for k in range(FRAMES):
-        lanes.frames[lane, k, TAKEN] = 0.0
+    @staticmethod
+    @lane_function
+    def look(numbers: Array, lane: Lane, physics: Physics) -> None:
+        """Move the estimate over a physics step; take a frame if one is due, and use the one that
+        arrives, which may be the same.
+        """
+        observer.predict(numbers, MODEL, lane, physics)
+        every = int(numbers[EVERY])
+        if lane.steps % every == 0:
+            _take(numbers, lane)
+        taken = lane.steps - int(numbers[LAG])
+        if taken > 0 and taken % every == 0:
+            place = _place(taken // every)
+            if lane.kept[place + TAKEN] > 0.0:
+                _use(numbers, lane, place, physics.dt)
 
 
-@inlined
-def _take(settings: Array, lanes: Lanes, lane: int, step: int) -> None:
+@lane_function
+def _place(number: int) -> int:
+    """A frame's first place in the memory."""
+    return LAST + FRAME_SIZE * (number % FRAMES)
+
+
+@lane_function
+def _take(numbers: Array, lane: Lane) -> None:
     """Take a frame, or lose it."""
-    row = lanes.noise_row[lane]
-    lanes.noise_row[lane] = row + 1
-    noise = lanes.noise[lane, row]
-    frame = lanes.frames[lane, (step // int(settings[EVERY])) % FRAMES]
-    frame[TAKEN] = 0.0 if noise[3] < settings[DROP] else float(step)
+    row = lane.noise_row[0]
+    lane.noise_row[0] = row + 1
+    noise = lane.noise[row]
+    place = _place(lane.steps // int(numbers[EVERY]))
+    lane.kept[place + TAKEN] = 0.0 if noise[3] < numbers[DROP] else float(lane.steps)
     for k in range(3):
-        spread = settings[POSITION_NOISE] if k < 2 else settings[ANGLE_NOISE]
-        seen = lanes.truth[lane, k] + spread * noise[k]
-        frame[SURPRISE + k] = seen - lanes.filter[lane, k]
+        spread = numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE]
+        seen = lane.truth[k] + spread * noise[k]
+        lane.kept[place + SURPRISE + k] = seen - lane.kept[k]
 
 
-@inlined
-def _shift_frames(lanes: Lanes, lane: int, shift: float, dt: float) -> None:
+@lane_function
+def _shift_frames(lane: Lane, shift: float, dt: float) -> None:
     """Bring the surprises of all frames up to date with a correction of `shift` times GAIN."""
-    gain = lanes.filter[lane, GAIN:]
-    for place in range(FRAMES):
-        frame = lanes.frames[lane, place]
-        lead = dt * (lanes.steps[lane] - frame[TAKEN])
+    gain = lane.kept[GAIN:]
+    for number in range(FRAMES):
+        place = _place(number)
+        lead = dt * (lane.steps - lane.kept[place + TAKEN])
         for k in range(3):
-            frame[SURPRISE + k] -= shift * (gain[k] - lead * gain[3 + k])
+            lane.kept[place + SURPRISE + k] -= shift * (gain[k] - lead * gain[3 + k])
 
 
-@inlined
-def _use(settings: Array, lanes: Lanes, lane: int, frame: Array, dt: float) -> None:
+@lane_function
+def _use(numbers: Array, lane: Lane, place: int, dt: float) -> None:
     """Correct the estimate by what a frame shows, a coordinate at a time."""
-    kept = lanes.filter[lane]
-    lead = dt * (lanes.steps[lane] - frame[TAKEN])
+    lead = dt * (lane.steps - lane.kept[place + TAKEN])
     for k in range(3):
-        noise = max(SHARPEST, settings[POSITION_NOISE] if k < 2 else settings[ANGLE_NOISE])
+        noise = max(SHARPEST, numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE])
         by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0
-        variance = measure(kept, by_x, by_y, 1.0 if k == 2 else 0.0, lead)
+        variance = measure(lane.kept, by_x, by_y, 1.0 if k == 2 else 0.0, lead)
         per_surprise = 1.0 / (variance + noise * noise)
-        shift = frame[SURPRISE + k] * per_surprise
-        correct(kept, shift, per_surprise)
-        _shift_frames(lanes, lane, shift, dt)
-
-
-@inlined
-def look(
-    settings: Array, lanes: Lanes, lane: int, geometry: Geometry, scratch: Scratch, dt: float
-) -> None:
-    """Move the estimate over a physics step; take a frame if one is due, and use the one that
-    arrives, which may be the same.
-    """
-    observer.predict(settings, MODEL, lanes, lane, geometry, scratch, dt)
-    every = int(settings[EVERY])
-    step = lanes.steps[lane]
-    if step % every == 0:
-        _take(settings, lanes, lane, step)
-    taken = step - int(settings[LAG])
-    if taken > 0 and taken % every == 0:
-        frame = lanes.frames[lane, (taken // every) % FRAMES]
-        if frame[TAKEN] > 0.0:
-            _use(settings, lanes, lane, frame, dt)
+        shift = lane.kept[place + SURPRISE + k] * per_surprise
+        correct(lane.kept, shift, per_surprise)
+        _shift_frames(lane, shift, dt)

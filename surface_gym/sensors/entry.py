@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from surface_gym import checks
-from surface_gym.dynamics.compiled import inlined
+from surface_gym.dynamics.compiled import lane_function
 from surface_gym.dynamics.types import Array
-from surface_gym.lanes.memory import Lanes
+from surface_gym.lanes.lane import Lane
 
 ENTRY_SIZE = 4  # numbers of an Entry in a sensor's settings
 ENTRY_ROWS = 2  # of noise that a start uses
@@ -37,16 +37,16 @@ class Entry:
         return (self.position, self.angle, self.speed, self.turning)
 
 
-@inlined
-def enter(settings: Array, first: int, lanes: Lanes, lane: int, estimate: Array) -> None:
-    """Write what is known of pose and velocity at a start into `estimate` (6,).
+@lane_function
+def enter(settings: Array, first: int, lane: Lane) -> None:
+    """Write what is known of pose and velocity at a start into the first 6 of `lane.kept`.
 
     The Entry is in `settings` from `first` on.
     """
-    row = lanes.noise_row[lane]
-    lanes.noise_row[lane] = row + ENTRY_ROWS
+    row = lane.noise_row[0]
+    lane.noise_row[0] = row + ENTRY_ROWS
     for k in range(3):
         pose_error = settings[first] if k < 2 else settings[first + 1]
         velocity_error = settings[first + 2] if k < 2 else settings[first + 3]
-        estimate[k] = lanes.truth[lane, k] + pose_error * lanes.noise[lane, row, k]
-        estimate[3 + k] = lanes.truth[lane, 3 + k] + velocity_error * lanes.noise[lane, row + 1, k]
+        lane.kept[k] = lane.truth[k] + pose_error * lane.noise[row, k]
+        lane.kept[3 + k] = lane.truth[3 + k] + velocity_error * lane.noise[row + 1, k]

@@ -1,39 +1,47 @@
 """An observer's estimate of state and covariance: predicted by the physics, corrected by a scalar.
 
-It lies in a lane's `filter`: first the state as the physics has it, then the covariance.
+It lies in a lane's `kept`: first the state as the physics has it, then the covariance.
 """
 
-from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.normal_forces import dual_normal_forces
-from surface_gym.dynamics.step import advance_implicit, find_support, load_point
+from dataclasses import dataclass
+
+from surface_gym import checks
+from surface_gym.dynamics.compiled import lane_function
+from surface_gym.dynamics.step import OFF_SURFACE, step_implicit
 from surface_gym.dynamics.types import (
+    ARM_X,
+    ARM_Y,
     AX,
+    AXIS_X,
+    AXIS_Y,
     AY,
+    MU_ALONG,
+    NORMAL,
     OMEGA,
+    ROTOR,
     STATE_SIZE,
     THETA,
     VX,
     VY,
     Array,
     Body,
+    Contacts,
     Grid,
     Scratch,
     X,
     Y,
 )
+from surface_gym.lanes.lane import Lane
 from surface_gym.lanes.memory import (
     COM_HEIGHT,
     GRAVITY_ALONG,
     GRAVITY_NORMAL,
     GYRATION,
-    MU_MAX,
-    MU_MIN,
-    MU_SUPPORT,
     RADIUS,
-    Geometry,
-    Lanes,
 )
+from surface_gym.plants import Plant
 from surface_gym.sensors.entry import enter
+from surface_gym.sensors.sensor import Physics, Sensor
 
 SIZE = 6  # of pose and velocity
 COVARIANCE = STATE_SIZE  # first column; row by row
@@ -41,22 +49,48 @@ GAIN = COVARIANCE + SIZE * SIZE  # first column of a correction's own memory
 DECAY = GAIN + SIZE  # first column of a prediction's own memory, 3 x 3
 LAST = DECAY + 9
 
-# What the physics of a prediction assumes, in a sensor's settings from some column on, after the
-# friction coefficients as in `Lanes.surface`: the densities of the physics' error, and the share
-# of an acceleration by friction that it may be off.
-DENSITY, TURN_DENSITY, FRICTION_ERROR, MODEL_SIZE = range(MU_SUPPORT + 1, MU_SUPPORT + 5)
+# What a prediction doubts, in a sensor's settings from some column on: the densities of the
+# physics' error, and the share of an acceleration by friction that it may be off.
+DENSITY, TURN_DENSITY, FRICTION_ERROR, MODEL_SIZE = range(4)
 
 FRICTION_ERROR_TIME = 0.04  # [s] for which friction errs alike, a control period
 STICTION_SPEED = 0.03  # [m/s] a rotor that slips along its axis by less than this holds the parcel
 
 
-@inlined
-def begin(settings: Array, first: int, lanes: Lanes, lane: int) -> None:
+@dataclass(frozen=True)
+class Observer(Sensor):
+    """A sensor that makes pose and velocity of what it sees by predicting it."""
+
+    watches = True
+
+    def _check_friction(self) -> None:
+        for name in ("mu_max", "mu_min", "mu_support"):
+            if getattr(self, name) is not None:
+                checks.not_negative(name, getattr(self, name))
+
+    def friction(self, plant: Plant) -> Array:
+        """The plant's where a coefficient is None; else one that is the same everywhere."""
+        assumed = plant.friction.copy()
+        for k, name in enumerate(("mu_max", "mu_min", "mu_support")):
+            if getattr(self, name) is not None:
+                assumed[:, :, k] = getattr(self, name)
+        return assumed
+
+    @staticmethod
+    @lane_function
+    def estimate(numbers: Array, lane: Lane) -> None:
+        """Show what is estimated of pose and velocity."""
+        for k in range(SIZE):
+            lane.sensed[k] = lane.kept[k]
+
+
+@lane_function
+def begin(settings: Array, first: int, lane: Lane) -> None:
     """Set a lane's estimate at a start to what is known of it, its covariance to that of the Entry,
     which is in `settings` from `first` on.
     """
-    kept = lanes.filter[lane]
-    enter(settings, first, lanes, lane, kept)
+    enter(settings, first, lane)
+    kept = lane.kept
     kept[AX] = 0.0
     kept[AY] = 0.0
     for k in range(SIZE * SIZE):
@@ -66,21 +100,23 @@ def begin(settings: Array, first: int, lanes: Lanes, lane: int) -> None:
         kept[COVARIANCE + (SIZE + 1) * k] = settings[first + entry] ** 2
 
 
-@inlined
-def _damp(grid: Grid, body: Body, kept: Array, scratch: Scratch, contacts: int, dt: float) -> None:
+@lane_function
+def _damp(body: Body, kept: Array, scratch: Scratch, contacts: Contacts, dt: float) -> None:
     """Write how a step damps errors in velocity, (M + dt S)^-1 M, into `kept` from DECAY on.
 
     S is the friction's slope over the slip along each rotor's axis: steep where it holds.
     """
+    table = scratch.table
     xx, xy, yy, xt, yt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(contacts):
-        if not scratch.rotor[i]:
+    for i in range(contacts.total):
+        if not scratch.marks[ROTOR + i]:
             continue
-        ux, uy = scratch.axis_x[i], scratch.axis_y[i]
-        lever = uy * scratch.arm_x[i] - ux * scratch.arm_y[i]
+        ux, uy = table[AXIS_X + i], table[AXIS_Y + i]
+        lever = uy * table[ARM_X + i] - ux * table[ARM_Y + i]
         slip = (ux * kept[VX] + uy * kept[VY] + lever * kept[OMEGA]) / STICTION_SPEED
         shrunk = 1.0 + slip * slip
-        slope = dt * grid.mu_max * scratch.normal[i] / (STICTION_SPEED * shrunk * shrunk)
+        most = dt * table[MU_ALONG + i] * table[NORMAL + i]
+        slope = most / (STICTION_SPEED * shrunk * shrunk)
         xx += slope * ux * ux
         xy += slope * ux * uy
         yy += slope * uy * uy
@@ -108,7 +144,7 @@ def _damp(grid: Grid, body: Body, kept: Array, scratch: Scratch, contacts: int, 
     kept[DECAY + 8] = c_tt * per_determinant * body.gyration
 
 
-@inlined
+@lane_function
 def _widen(kept: Array, dt: float, density: float, turn_density: float) -> None:
     """Carry the covariance over a step, the velocity's errors damped as `_damp` wrote."""
     half = COVARIANCE + 3  # the column of the first velocity
@@ -148,57 +184,46 @@ def _widen(kept: Array, dt: float, density: float, turn_density: float) -> None:
     kept[low + 2 * SIZE + 5] += turn_density * dt
 
 
-@inlined
-def predict(
-    settings: Array,
-    first: int,
-    lanes: Lanes,
-    lane: int,
-    geometry: Geometry,
-    scratch: Scratch,
-    dt: float,
-) -> None:
+@lane_function
+def predict(settings: Array, first: int, lane: Lane, physics: Physics) -> None:
     """Move a lane's estimate over one step by the physics, the axes as they are, the stiffness of
     all elements the same and the load over the base's centroid.
 
-    Friction and densities are in `settings` from `first` on. Off the surface the estimate moves on
-    at its velocity.
+    What is doubted is in `settings` from `first` on. Off the surface the estimate moves on at its
+    velocity.
     """
-    kept = lanes.filter[lane]
+    kept, scratch, dt = lane.kept, physics.scratch, physics.dt
     grid = Grid(
-        lanes.axis[lane],
-        lanes.rotor[lane],
-        lanes.stiffness[lane],
-        geometry.x0,
-        geometry.y0,
-        geometry.pitch,
-        settings[first + MU_MAX],
-        settings[first + MU_MIN],
-        settings[first + MU_SUPPORT],
-        lanes.surface[lane, GRAVITY_ALONG],
-        lanes.surface[lane, GRAVITY_NORMAL],
+        lane.axis,
+        lane.direction,
+        lane.rotor,
+        physics.stiffness,
+        physics.friction,
+        lane.elements.x0,
+        lane.elements.y0,
+        lane.elements.pitch_x,
+        lane.elements.pitch_y,
+        1.0,
+        1.0,
+        1.0,
+        lane.surface[GRAVITY_ALONG],
+        lane.surface[GRAVITY_NORMAL],
     )
     body = Body(
-        lanes.edges[lane],
-        lanes.body[lane, RADIUS],
+        lane.edges,
+        lane.body[RADIUS],
         0.0,
         0.0,
-        lanes.body[lane, COM_HEIGHT],
-        lanes.body[lane, GYRATION],
+        lane.body[COM_HEIGHT],
+        lane.body[GYRATION],
     )
     vx, vy, omega = kept[VX], kept[VY], kept[OMEGA]
-    contacts = find_support(grid, body, kept, scratch, 0.5 * dt)
-    for i in range(contacts):
-        scratch.stiffness[i] = 1.0
-    if contacts > 0:
-        load_x, load_y = load_point(grid, body, kept)
-        dual_normal_forces(scratch, contacts, grid.gravity_normal, load_x, load_y, grid.pitch)
-        advance_implicit(grid, body, kept, scratch, contacts, dt)
-    else:
+    report, contacts = step_implicit(grid, body, kept, scratch, dt)
+    if report == OFF_SURFACE:
         kept[X] += dt * kept[VX]
         kept[Y] += dt * kept[VY]
         kept[THETA] += dt * kept[OMEGA]
-    _damp(grid, body, kept, scratch, contacts, dt)
+    _damp(body, kept, scratch, contacts, dt)
     doubt = settings[first + FRICTION_ERROR] ** 2 * FRICTION_ERROR_TIME / (dt * dt)
     _widen(
         kept,
@@ -208,7 +233,7 @@ def predict(
     )
 
 
-@inlined
+@lane_function
 def measure(kept: Array, by_x: float, by_y: float, by_theta: float, lead: float) -> float:
     """Variance of a function of the pose `lead` seconds ago, given by its derivatives.
 
@@ -228,7 +253,7 @@ def measure(kept: Array, by_x: float, by_y: float, by_theta: float, lead: float)
     )
 
 
-@inlined
+@lane_function
 def correct(kept: Array, shift: float, shrink: float) -> None:
     """Move the estimate by `shift`, and lessen its covariance by `shrink`, along what `measure`
     left: both a unit of it.
@@ -237,10 +262,3 @@ def correct(kept: Array, shift: float, shrink: float) -> None:
         kept[i] += shift * kept[GAIN + i]
         for j in range(SIZE):
             kept[COVARIANCE + SIZE * i + j] -= shrink * kept[GAIN + i] * kept[GAIN + j]
-
-
-@inlined
-def estimate(lanes: Lanes, lane: int) -> None:
-    """Write the estimate of pose and velocity into `lanes.sensed`."""
-    for k in range(SIZE):
-        lanes.sensed[lane, k] = lanes.filter[lane, k]

@@ -2,16 +2,15 @@
 
 import math
 
-from surface_gym.dynamics.compiled import inlined
+from surface_gym.dynamics.compiled import lane_function
 from surface_gym.dynamics.contacts import EDGE_TOLERANCE
-from surface_gym.lanes.memory import RADIUS, Geometry, Lanes
+from surface_gym.lanes.lane import Lane
+from surface_gym.lanes.memory import RADIUS
 
 
-@inlined
+@lane_function
 def covered_columns(
-    lanes: Lanes,
-    lane: int,
-    geometry: Geometry,
+    lane: Lane,
     row: int,
     x: float,
     y: float,
@@ -22,14 +21,14 @@ def covered_columns(
 
     The first exceeds the last if none is. As for contacts, F_lambda <= 0 up to round-off.
     """
-    reach = lanes.body[lane, RADIUS] + EDGE_TOLERANCE
-    dy = geometry.y0 + geometry.pitch * row - y
+    reach = lane.body[RADIUS] + EDGE_TOLERANCE
+    dy = lane.elements.y0 + lane.elements.pitch_y * row - y
     square = reach * reach - dy * dy
     if square < 0.0:
         return 1, 0
     high = math.sqrt(square)
     low = -high
-    edges = lanes.edges[lane]
+    edges = lane.edges
     for k in range(edges.shape[0]):
         nx = cosine * edges[k, 0] - sine * edges[k, 1]
         ny = sine * edges[k, 0] + cosine * edges[k, 1]
@@ -40,15 +39,15 @@ def covered_columns(
             low = max(low, room / nx)
         elif room < 0.0:
             return 1, 0
-    per_pitch = 1.0 / geometry.pitch
-    first = math.ceil((x + low - geometry.x0) * per_pitch)
-    last = math.floor((x + high - geometry.x0) * per_pitch)
-    return max(0, int(first)), min(lanes.rotor.shape[2] - 1, int(last))
+    per_pitch = 1.0 / lane.elements.pitch_x
+    first = math.ceil((x + low - lane.elements.x0) * per_pitch)
+    last = math.floor((x + high - lane.elements.x0) * per_pitch)
+    return max(0, int(first)), min(lane.rotor.shape[1] - 1, int(last))
 
 
-@inlined
+@lane_function
 def outside(
-    lanes: Lanes, lane: int, dx: float, dy: float, cosine: float, sine: float, ux: float, uy: float
+    lane: Lane, dx: float, dy: float, cosine: float, sine: float, ux: float, uy: float
 ) -> tuple[float, float, float]:
     """F_lambda, Section 3.2, of the edge that the point at (dx, dy) from the centroid is most
     beyond, and its outward normal; of a disc, those of its circle.
@@ -60,8 +59,8 @@ def outside(
     y = cosine * dy - sine * dx
     wx = cosine * ux + sine * uy
     wy = cosine * uy - sine * ux
-    edges = lanes.edges[lane]
-    radius = lanes.body[lane, RADIUS]
+    edges = lane.edges
+    radius = lane.body[RADIUS]
     farthest = -4.0 * radius
     best = -4.0 * radius
     nx = 0.0

@@ -1,22 +1,62 @@
 """What every kind of sensor has in common."""
 
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
-from surface_gym.dynamics.types import Array
-
-
-class Sensing(NamedTuple):
-    """A kind of sensor as compiled code reads it."""
-
-    number: int  # its place in `sensors.reading`
-    settings: Array  # (settings,) the kind says what each holds
+from surface_gym.dynamics.compiled import lane_function
+from surface_gym.dynamics.types import Array, Scratch
+from surface_gym.lanes.lane import Lane
+from surface_gym.plants import Plant
 
 
-class Sensors(Protocol):
-    """What the environment asks of a kind of sensor."""
+class Physics(NamedTuple):
+    """What a sensor that predicts may predict by."""
 
-    def sensing(self, dt: float) -> Sensing:
-        """The sensor as compiled code reads it, for physics steps of `dt` [s]."""
+    friction: Array  # (rows, columns, 3) [-] as the sensor assumes it
+    stiffness: Array  # (rows, columns) [-] all the same
+    scratch: Scratch  # the sensor's own
+    dt: float  # [s] physics step
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What a controller gets to see of the parcel.
+
+    A sensor is one class. Its fields are its settings. Its static methods, each a `lane_function`,
+    are compiled into every batch that uses it, and write `lane.sensed`, which is all that a task
+    observes. They are handed the settings as the array that `numbers` makes of them:
+
+    - `begin(numbers, lane)`, at a start: set `lane.kept`.
+    - `look(numbers, lane, physics)`, after every physics step, where the sensor `watches`.
+    - `estimate(numbers, lane)`, when a controller asks: write pose and velocity into `lane.sensed`.
+
+    Before each, `lane.truth` holds the true pose and velocity of the base's centroid. Noise comes
+    from `lane.noise`, a row at a time, of which `lane.noise_row[0]` is the next.
+    """
+
+    kept: ClassVar[int] = 0  # numbers of `lane.kept`
+    watches: ClassVar[bool] = False  # it looks between decisions
+
+    def numbers(self, dt: float) -> tuple[float, ...]:
+        """The settings as compiled code reads them, for physics steps of `dt` [s]."""
+        del dt
+        return ()
 
     def draws(self, dt: float, steps: int) -> int:
-        """Rows of noise that `steps` physics steps use at most."""
+        """Rows of noise that a start or `steps` physics steps of `dt` [s] use at most."""
+        del dt, steps
+        return 0
+
+    def friction(self, plant: Plant) -> Array:
+        """(rows, columns, 3) [-] friction that `look` may predict by."""
+        return plant.friction
+
+    @staticmethod
+    @lane_function
+    def begin(numbers: Array, lane: Lane) -> None:
+        """Nothing to remember."""
+
+    @staticmethod
+    @lane_function
+    def look(numbers: Array, lane: Lane, physics: Physics) -> None:
+        """Nothing to look at."""

@@ -4,6 +4,15 @@ from surface_gym.tasks.orient import Orient
 from surface_gym.tasks.slow import Slow
 from surface_gym.tasks.sort import Sort
 from surface_gym.tasks.stop import Stop
+from surface_gym.tasks.task import Task
 from surface_gym.tasks.track import Track
 
-TASKS = {"sort": Sort, "slow": Slow, "stop": Stop, "track": Track, "orient": Orient}
+TASKS: dict[str, type[Task]] = {
+    "sort": Sort,
+    "slow": Slow,
+    "stop": Stop,
+    "track": Track,
+    "orient": Orient,
+}
+
+__all__ = ["TASKS", "Orient", "Slow", "Sort", "Stop", "Task", "Track"]

@@ -2,28 +2,29 @@
 
 import math
 
-from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import GRAVITY, X
-from surface_gym.lanes.memory import (
-    COLUMNS,
-    FIRST_COLUMN,
-    HALF_LENGTH,
-    OFF_LINE,
-    OFF_SURFACE,
-    RUNNING,
-    STALLED,
-    Geometry,
-    Lanes,
+from surface_gym.dynamics.compiled import lane_function
+from surface_gym.dynamics.types import GRAVITY, OMEGA, THETA, VX, VY, X, Y
+from surface_gym.lanes.lane import (
+    Lane,
+    is_slower,
+    reach_along,
+    read_truth,
+    zone_end,
+    zone_start,
 )
-from surface_gym.lanes.views import reach_along, read_truth
-from surface_gym.layouts import LINE_Y
+from surface_gym.lanes.memory import HALF_LENGTH, RUNNING, SUCCESS
 from surface_gym.parcel import Parcel
-from surface_gym.plant import ORIGIN, PITCH, Line
-from surface_gym.tasks.task import Feature
+from surface_gym.plants import Plant
+from surface_gym.tasks.start import Draw, Numbers, Parcels
+from surface_gym.tasks.task import Feature, failures
 
 BRAKING = 0.5 * GRAVITY  # [m/s^2] mu_max g of Table 1: every axis at 0 deg under a parcel
 ROLLING_LOSS = 0.01 * GRAVITY  # [m/s^2] mu_min g of Table 1: every axis at 90 deg
 STALL_SPEED = 1e-3  # [m/s] slower than this, friction has won on a flat surface
+
+# How every task of a line may fail; each goes on with its own.
+LINE_OUTCOMES = ("off the surface", "off the line", "stalled")
+OFF_SURFACE, OFF_LINE, STALLED = failures(LINE_OUTCOMES)
 
 # What `see_parcel` writes.
 PARCEL_FEATURES = (
@@ -45,81 +46,79 @@ PARCEL_FEATURES = (
 )
 
 
-def zone_of(plant: Line, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
+def zone_of(plant: Plant, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
     """[m] where the zone of a parcel starts and ends; `zone` holds its columns, None: the plant's.
 
     Raises:
-        ValueError: the parcel does not fit the line.
+        ValueError: the parcel does not fit the plant.
     """
     _, _, first, columns = plant.site(parcel.base, zone).zone
-    start = ORIGIN + PITCH * (first - 0.5)
-    return start, start + PITCH * columns
+    start = plant.column_edge(first)
+    return start, start + plant.pitch_x * columns
 
 
-def entry(parcel: Parcel) -> tuple[float, float, float]:
-    """Pose [m, m, rad] at which a parcel enters: its rear at x = 0, on the line's middle."""
-    return (parcel.rear, LINE_Y, 0.0)
+def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
+    """Pose [m, m, rad] at which parcels enter: the rear at the plant's edge, x = 0 where nothing
+    else is said, on the line's middle.
+    """
+    return (draw.plant.column_edge(0) + parcels.rear, draw.plant.line_y, 0.0)
 
 
-@inlined
-def zone_end(lanes: Lanes, lane: int, geometry: Geometry) -> float:
-    """[m] half a pitch past the centres of the zone's last column."""
-    after = lanes.zone[lane, FIRST_COLUMN] + lanes.zone[lane, COLUMNS]
-    return geometry.x0 + geometry.pitch * (after - 0.5)
-
-
-@inlined
-def rear_to_go(lanes: Lanes, lane: int, geometry: Geometry, x: float, theta: float) -> float:
+@lane_function
+def rear_to_go(lane: Lane, x: float, theta: float) -> float:
     """[m] from the rear of a parcel at x, turned by theta, to the zone's end."""
-    return zone_end(lanes, lane, geometry) - x + reach_along(lanes, lane, theta, -1.0, 0.0)
+    return zone_end(lane) - x + reach_along(lane, theta, -1.0, 0.0)
 
 
-@inlined
-def has_left(lanes: Lanes, lane: int, geometry: Geometry) -> bool:
+@lane_function
+def has_left(lane: Lane) -> bool:
     """Whether the parcel's rear is past the zone's end, by the state a physics step left."""
-    if lanes.state[lane, X] <= zone_end(lanes, lane, geometry):
+    if lane.state[X] <= zone_end(lane):
         return False
-    read_truth(lanes, lane)
-    return rear_to_go(lanes, lane, geometry, lanes.truth[lane, 0], lanes.truth[lane, 2]) < 0.0
+    read_truth(lane)
+    return rear_to_go(lane, lane.truth[X], lane.truth[THETA]) < 0.0
 
 
-@inlined
-def is_at_rest(lanes: Lanes, lane: int) -> bool:
-    """Whether no point of the parcel moves faster than `STALL_SPEED`."""
-    truth = lanes.truth[lane]
-    speed = math.sqrt(truth[3] * truth[3] + truth[4] * truth[4])
-    return speed + abs(truth[5]) * lanes.body[lane, HALF_LENGTH] < STALL_SPEED
-
-
-@inlined
-def failure(lanes: Lanes, lane: int, on_rotors: bool, on_surface: bool) -> int:
+@lane_function
+def failure(lane: Lane) -> int:
     """Which failure of every line task has happened; RUNNING if none."""
-    if not on_surface:
+    if not lane.on_surface:
         return OFF_SURFACE
-    if not on_rotors:
+    if not lane.on_rotors:
         return OFF_LINE
-    return STALLED if is_at_rest(lanes, lane) else RUNNING
+    return STALLED if is_slower(lane, STALL_SPEED) else RUNNING
 
 
-@inlined
-def see_parcel(lanes: Lanes, lane: int, geometry: Geometry) -> None:
-    """Write `PARCEL_FEATURES` from what the sensors say."""
-    sensed = lanes.sensed[lane]
-    x, y, theta = sensed[0], sensed[1], sensed[2]
-    offset = y - geometry.line_y
-    turn = 2.0 * math.pi / geometry.pitch
-    zone_start = geometry.x0 + geometry.pitch * (lanes.zone[lane, FIRST_COLUMN] - 0.5)
-    see = lanes.observation[lane]
+@lane_function
+def leaving(lane: Lane, reached: bool, missed: int) -> int:
+    """SUCCESS or `missed`, as the goal is reached or not, where the parcel's rear is past the zone's
+    end; before that a `failure`, if any.
+    """
+    truth = lane.truth
+    if lane.on_rotors and lane.on_surface and rear_to_go(lane, truth[X], truth[THETA]) < 0.0:
+        return SUCCESS if reached else missed
+    return failure(lane)
+
+
+@lane_function
+def see_parcel(lane: Lane) -> None:
+    """Write `PARCEL_FEATURES` from what the sensor says."""
+    sensed = lane.sensed
+    x, theta = sensed[X], sensed[THETA]
+    offset = sensed[Y] - lane.elements.line_y
+    turn_x = 2.0 * math.pi / lane.elements.pitch_x
+    turn_y = 2.0 * math.pi / lane.elements.pitch_y
+    see = lane.observation
     see[0] = offset / 0.3
     see[1] = math.sin(theta)
     see[2] = math.cos(theta)
-    see[3] = sensed[3] - 1.0
-    see[4] = sensed[4] / 0.5
-    see[5] = sensed[5] / 3.0
-    see[6] = (lanes.body[lane, HALF_LENGTH] - 0.175) / 0.05
-    see[7] = math.sin(turn * (x - geometry.x0))
-    see[8] = math.cos(turn * (x - geometry.x0))
-    see[9] = math.sin(turn * offset)
-    see[10] = math.cos(turn * offset)
-    see[11] = (x + reach_along(lanes, lane, theta, 1.0, 0.0) - zone_start) / 0.5
-    see[12] = rear_to_go(lanes, lane, geometry, x, theta) / 0.5
+    see[3] = sensed[VX] - 1.0
+    see[4] = sensed[VY] / 0.5
+    see[5] = sensed[OMEGA] / 3.0
+    see[6] = (lane.body[HALF_LENGTH] - 0.175) / 0.05
+    see[7] = math.sin(turn_x * (x - lane.elements.x0))
+    see[8] = math.cos(turn_x * (x - lane.elements.x0))
+    see[9] = math.sin(turn_y * offset)
+    see[10] = math.cos(turn_y * offset)
+    see[11] = (x + reach_along(lane, theta, 1.0, 0.0) - zone_start(lane)) / 0.5
+    see[12] = rear_to_go(lane, x, theta) / 0.5

@@ -4,30 +4,31 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from surface_gym import checks
-from surface_gym.dynamics.compiled import inlined
-from surface_gym.lanes.memory import FIGURES, MISSED, SUCCESS, Geometry, Lanes
-from surface_gym.parcel import Parcel
-from surface_gym.plant import Line
+from surface_gym.dynamics.compiled import lane_function
+from surface_gym.dynamics.types import THETA
+from surface_gym.lanes.lane import Lane
+from surface_gym.lanes.memory import SUCCESS
 from surface_gym.tasks.line import (
+    LINE_OUTCOMES,
     PARCEL_FEATURES,
     entry,
-    failure,
-    rear_to_go,
+    has_left,
+    leaving,
     see_parcel,
 )
-from surface_gym.tasks.task import Feature, Start, parcel_option, parcels_to_draw, rising
+from surface_gym.tasks.start import Draw, Start, between
+from surface_gym.tasks.task import Feature, Task, failures, rising
 
-ANGLE = 0  # column of `Lanes.goal`: [rad] asked theta
-LEFT_TO_TURN = 0  # column of `Lanes.memory`: [rad] at the last decision
-ANGLE_ERROR = FIGURES  # column of `Lanes.memory`: [rad] theta - the asked angle
+ANGLE = 0  # place in the goal: [rad] asked theta
+LEFT_TO_TURN = 0  # place in the memory: [rad] at the last decision
+ANGLE_ERROR = 0  # place in the figures: [rad] theta - the asked angle
 
+OUTCOMES = (*LINE_OUTCOMES, "missed")
+MISSED = failures(OUTCOMES)[-1]
 SUCCESS_ERROR = math.radians(2.0)  # [rad]
 
 # The reward, term by term.
-TERMS = ("turn", "precision", "success", "failure")
+TERMS: tuple[str, ...] = ("turn", "precision", "success", "failure")
 TURN_REWARD = 1.0  # per radian nearer to the asked angle
 PRECISION_REWARD = 1.0  # for leaving at the asked angle, falling with the error by
 PRECISION_SCALE = math.radians(1.0)  # [rad] a factor e
@@ -43,7 +44,7 @@ FEATURES = (
 
 
 @dataclass(frozen=True)
-class Orient:
+class Orient(Task):
     """Turn the parcel by an asked angle by the time its rear leaves the zone.
 
     A parcel enters a line of rotors amid supports at theta = 0 and is to leave the zone at an asked
@@ -101,90 +102,82 @@ class Orient:
 
     speeds: tuple[float, float] = (1.3, 1.7)  # [m/s] entry speed
     angles: tuple[float, float] = (-math.pi / 4, math.pi / 4)  # [rad] asked
-    parcels: tuple[str | Parcel, ...] = ("S", "B")  # to draw from
 
-    number = 4
-    plant = Line()
     features = FEATURES
     terms = TERMS
+    outcomes = OUTCOMES
     figures = ("angle_error",)
     options = ("speed", "parcel", "angle")
+    draws = 3
+    goals = 1
+    memories = 1
+    periods = 200
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         set_field = object.__setattr__
         set_field(self, "speeds", rising("speeds", self.speeds, 0.0, 5.0))
         set_field(self, "angles", rising("angles", self.angles, -math.pi, math.pi))
-        set_field(self, "parcels", parcels_to_draw(self.parcels))
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        options: dict[str, Any],
-        zone: tuple[int, int] | None,
-    ) -> Start:
+    def start(self, draw: Draw) -> Start:
         """Entry speed, parcel and asked angle: uniform."""
-        del zone
-        pace, size, turn = rng.random(3).tolist()
-        speed = self.speeds[0] + (self.speeds[1] - self.speeds[0]) * pace
-        parcel = parcel_option(self.parcels[int(size * len(self.parcels))])
-        angle = self.angles[0] + (self.angles[1] - self.angles[0]) * turn
-        if "speed" in options:
-            speed = checks.within("speed", options["speed"], 0.0, 5.0)
-        if "parcel" in options:
-            parcel = parcel_option(options["parcel"])
-        if "angle" in options:
-            angle = checks.within("angle", options["angle"], -math.pi, math.pi)
-        return Start(parcel, entry(parcel), (speed, 0.0, 0.0), (angle,))
+        pace, size, turn = draw.numbers
+        speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
+        parcel = draw.parcel(self.parcels, size)
+        angle = draw.within("angle", between(*self.angles, turn), -math.pi, math.pi)
+        return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (angle,))
 
-    def readings(self, lanes: Lanes, lane: int) -> list[tuple[str, str]]:
+    def readings(self, lane: Lane) -> list[tuple[str, str]]:
         """The asked angle."""
-        return [("asked", f"{math.degrees(lanes.goal[lane, ANGLE]):+.1f}\N{DEGREE SIGN}")]
+        return [("asked", f"{math.degrees(lane.goal[ANGLE]):+.1f}\N{DEGREE SIGN}")]
 
-    def goal(self, lanes: Lanes, lane: int) -> Any:
+    def goal(self, lane: Lane) -> Any:
         """The heading."""
         from surface_gym.rendering import Heading
 
-        return Heading(float(lanes.goal[lane, ANGLE]))
+        return Heading(float(lane.goal[ANGLE]))
 
+    @staticmethod
+    @lane_function
+    def begin(lane: Lane) -> None:
+        """Remember the angle to turn."""
+        lane.figures[ANGLE_ERROR] = lane.truth[THETA] - lane.goal[ANGLE]
+        lane.memory[LEFT_TO_TURN] = abs(lane.figures[ANGLE_ERROR])
 
-@inlined
-def _angle_error(lanes: Lanes, lane: int) -> float:
-    return lanes.truth[lane, 2] - lanes.goal[lane, ANGLE]
+    @staticmethod
+    @lane_function
+    def over(lane: Lane) -> bool:
+        """Off the rotors, or past the zone's end."""
+        return not lane.on_rotors or has_left(lane)
 
+    @staticmethod
+    @lane_function
+    def judge(lane: Lane) -> int:
+        """How the episode stands, by the true state."""
+        error = lane.truth[THETA] - lane.goal[ANGLE]
+        lane.figures[ANGLE_ERROR] = error
+        return leaving(lane, abs(error) <= SUCCESS_ERROR, MISSED)
 
-@inlined
-def begin(lanes: Lanes, lane: int) -> None:
-    """Set the task's memory at a start."""
-    lanes.memory[lane, ANGLE_ERROR] = _angle_error(lanes, lane)
-    lanes.memory[lane, LEFT_TO_TURN] = abs(lanes.memory[lane, ANGLE_ERROR])
+    @staticmethod
+    @lane_function
+    def reward(lane: Lane, outcome: int) -> None:
+        """Pay for turning to the asked angle, and for leaving at it."""
+        left_to_turn = abs(lane.figures[ANGLE_ERROR])
+        left = outcome in (SUCCESS, MISSED)
+        terms = lane.terms
+        terms[0] = TURN_REWARD * (lane.memory[LEFT_TO_TURN] - left_to_turn)
+        terms[1] = PRECISION_REWARD * math.exp(-left_to_turn / PRECISION_SCALE) if left else 0.0
+        terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
+        terms[3] = FAILURE_REWARD if outcome > SUCCESS else 0.0
+        lane.memory[LEFT_TO_TURN] = left_to_turn
 
-
-@inlined
-def judge(lanes: Lanes, lane: int, geometry: Geometry, on_rotors: bool, on_surface: bool) -> None:
-    """Write reward terms and outcome after a control period, from the true state."""
-    truth = lanes.truth[lane]
-    error = _angle_error(lanes, lane)
-    outcome = failure(lanes, lane, on_rotors, on_surface)
-    left = rear_to_go(lanes, lane, geometry, truth[0], truth[2]) < 0.0
-    left = left and on_rotors and on_surface
-    if left:
-        outcome = SUCCESS if abs(error) <= SUCCESS_ERROR else MISSED
-    terms = lanes.terms[lane]
-    terms[0] = TURN_REWARD * (lanes.memory[lane, LEFT_TO_TURN] - abs(error))
-    terms[1] = PRECISION_REWARD * math.exp(-abs(error) / PRECISION_SCALE) if left else 0.0
-    terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
-    terms[3] = FAILURE_REWARD if outcome > SUCCESS else 0.0
-    lanes.memory[lane, LEFT_TO_TURN] = abs(error)
-    lanes.memory[lane, ANGLE_ERROR] = error
-    lanes.outcome[lane] = outcome
-
-
-@inlined
-def observe(lanes: Lanes, lane: int, geometry: Geometry) -> None:
-    """Write the observation from what the sensors say."""
-    see_parcel(lanes, lane, geometry)
-    left = lanes.goal[lane, ANGLE] - lanes.sensed[lane, 2]
-    see = lanes.observation[lane]
-    see[13] = lanes.goal[lane, ANGLE]
-    see[14] = left / 0.2
-    see[15] = math.tanh(left / SUCCESS_ERROR)
+    @staticmethod
+    @lane_function
+    def observe(lane: Lane) -> None:
+        """Show what the sensor says."""
+        see_parcel(lane)
+        left = lane.goal[ANGLE] - lane.sensed[THETA]
+        see = lane.observation
+        see[13] = lane.goal[ANGLE]
+        see[14] = left / 0.2
+        see[15] = math.tanh(left / SUCCESS_ERROR)

@@ -123,6 +123,27 @@ class Spline(_Through):
         return curve
 
 
+@dataclass(frozen=True)
+class Laid:
+    """A path laid onto a plant: moved with it and its line, and cut where it ends."""
+
+    path: Path
+    ahead: float  # [m] moved in x
+    aside: float  # [m] moved in y
+    last: float  # [m] x beyond which there is none
+
+    @property
+    def start(self) -> float:
+        return self.path.start + self.ahead
+
+    @property
+    def end(self) -> float:
+        return min(self.path.end + self.ahead, self.last)
+
+    def y(self, x: Numbers) -> Numbers:
+        return self.path.y(x - self.ahead) + self.aside
+
+
 def _random_sine(numbers: Numbers) -> Sine:
     side = 1.0 if numbers[0] < 0.5 else -1.0
     return Sine(side * (0.1 + 0.1 * numbers[1]), 1.8 + 1.4 * numbers[2])
@@ -143,6 +164,8 @@ def _random_polyline(numbers: Numbers) -> Polyline:
         ramp = x + 0.4 + 0.4 * level
         if ramp + abs(lane - y) >= END:
             break
+        if lane == y:
+            continue
         points += [(ramp, y), (ramp + abs(lane - y), lane)]
         x, y = points[-1]
     return Polyline((*points, (END, y)))

@@ -6,30 +6,34 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym import checks
-from surface_gym.dynamics.compiled import inlined
-from surface_gym.lanes.memory import FIGURES, MISSED, SUCCESS, Geometry, Lanes
-from surface_gym.parcel import Parcel
-from surface_gym.plant import Line
+from surface_gym.dynamics.compiled import lane_function
+from surface_gym.dynamics.types import THETA, VX, VY, X
+from surface_gym.lanes.lane import Lane, speed_of
+from surface_gym.lanes.memory import SUCCESS
 from surface_gym.tasks.line import (
+    LINE_OUTCOMES,
     PARCEL_FEATURES,
     ROLLING_LOSS,
     entry,
-    failure,
+    has_left,
+    leaving,
     rear_to_go,
     see_parcel,
     zone_of,
 )
-from surface_gym.tasks.task import Feature, Start, parcel_option, parcels_to_draw, rising
+from surface_gym.tasks.start import Draw, Start, between
+from surface_gym.tasks.task import Feature, Task, failures, rising
 
-RATIO, ENTRY_SPEED = range(2)  # columns of `Lanes.goal`: [-] asked, [m/s]
-EXCESS = 0  # column of `Lanes.memory`: [-] the excess of speed at the last decision
-RATIO_ERROR = FIGURES  # column of `Lanes.memory`: [-] speed / entry speed - asked ratio
+RATIO, ENTRY_SPEED = range(2)  # places in the goal: [-] asked, [m/s]
+EXCESS = 0  # place in the memory: [-] the excess of speed at the last decision
+RATIO_ERROR = 0  # place in the figures: [-] speed / entry speed - asked ratio
 
+OUTCOMES = (*LINE_OUTCOMES, "missed")
+MISSED = failures(OUTCOMES)[-1]
 SUCCESS_ERROR = 0.01  # [-] of the ratio
 
 # The reward, term by term.
-TERMS = ("excess", "precision", "success", "failure")
+TERMS: tuple[str, ...] = ("excess", "precision", "success", "failure")
 EXCESS_REWARD = 1.0  # per ratio by which the excess of speed shrinks
 PRECISION_REWARD = 1.0  # for leaving at the asked ratio, falling with the error by
 PRECISION_SCALE = 0.01  # [-] a factor e
@@ -48,7 +52,7 @@ FEATURES = (
 
 
 @dataclass(frozen=True)
-class Slow:
+class Slow(Task):
     """Slow the parcel down to a ratio of its entry speed by the time its rear leaves the zone.
 
     A parcel enters a line of rotors amid supports; the zone's modules are to take just so much of
@@ -107,121 +111,116 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
 
     speeds: tuple[float, float] = (0.9, 2.7)  # [m/s] entry speed
     ratios: tuple[float, float] = (0.15, 0.8)  # [-] exit speed / entry speed
-    parcels: tuple[str | Parcel, ...] = ("S", "B")  # to draw from
 
-    number = 1
-    plant = Line()
     features = FEATURES
     terms = TERMS
+    outcomes = OUTCOMES
     figures = ("ratio_error",)
     options = ("speed", "parcel", "ratio")
+    draws = 3
+    goals = 2
+    memories = 1
+    periods = 100
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         set_field = object.__setattr__
         set_field(self, "speeds", rising("speeds", self.speeds, 0.0, 5.0))
         set_field(self, "ratios", rising("ratios", self.ratios, 0.0, 1.0))
-        set_field(self, "parcels", parcels_to_draw(self.parcels))
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        options: dict[str, Any],
-        zone: tuple[int, int] | None,
-    ) -> Start:
+    def start(self, draw: Draw) -> Start:
         """Entry speed and parcel: uniform. Asked ratio: uniform, up to what rolling leaves.
 
         A slow parcel loses more than the highest ratio allows by rolling alone, so that ratios
         are drawn below 0.98 of what it would leave with if it rolled all the way.
         """
-        pace, size, share = rng.random(3).tolist()
-        speed = self.speeds[0] + (self.speeds[1] - self.speeds[0]) * pace
-        parcel = parcel_option(self.parcels[int(size * len(self.parcels))])
-        if "speed" in options:
-            speed = checks.within("speed", options["speed"], 0.1, 5.0)
-        if "parcel" in options:
-            parcel = parcel_option(options["parcel"])
-        if "ratio" in options:
-            ratio = checks.within("ratio", options["ratio"], 0.0, 1.0)
-        else:
-            way = zone_of(self.plant, parcel, zone)[1]
-            rolling = math.sqrt(max(0.0, 1.0 - 2.0 * ROLLING_LOSS * way / speed**2))
-            low = self.ratios[0]
-            ratio = low + (max(low, min(self.ratios[1], 0.98 * rolling)) - low) * share
-        return Start(parcel, entry(parcel), (speed, 0.0, 0.0), (ratio, speed))
+        pace, size, share = draw.numbers
+        speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)
+        parcel = draw.parcel(self.parcels, size)
+        way = parcel.of(lambda each: zone_of(draw.plant, each, draw.zone)[1])
+        rolling = np.sqrt(np.maximum(0.0, 1.0 - 2.0 * ROLLING_LOSS * way / speed**2))
+        low, high = self.ratios
+        highest = np.maximum(low, np.minimum(high, 0.98 * rolling))
+        ratio = draw.within("ratio", between(low, highest, share), 0.0, 1.0)
+        return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (ratio, speed))
 
-    def readings(self, lanes: Lanes, lane: int) -> list[tuple[str, str]]:
+    def readings(self, lane: Lane) -> list[tuple[str, str]]:
         """The present ratio and the asked one."""
-        asked, error = lanes.goal[lane, RATIO], lanes.memory[lane, RATIO_ERROR]
+        asked, error = lane.goal[RATIO], lane.figures[RATIO_ERROR]
         return [("of entry", f"{asked + error:.3f}"), ("asked", f"{asked:.3f}")]
 
-    def goal(self, lanes: Lanes, lane: int) -> Any:
+    def goal(self, lane: Lane) -> Any:
         """The exit speed."""
         from surface_gym.rendering import ExitSpeed
 
-        ratio, speed = lanes.goal[lane, RATIO], lanes.goal[lane, ENTRY_SPEED]
+        ratio, speed = lane.goal[RATIO], lane.goal[ENTRY_SPEED]
         return ExitSpeed(float(ratio), float(ratio * speed))
 
+    @staticmethod
+    @lane_function
+    def begin(lane: Lane) -> None:
+        """Remember the excess of speed."""
+        lane.memory[EXCESS] = _score(lane)
+        lane.figures[RATIO_ERROR] = _ratio_error(lane)
 
-@inlined
-def _excess(lanes: Lanes, lane: int, to_go: float, vx: float, vy: float) -> float:
+    @staticmethod
+    @lane_function
+    def over(lane: Lane) -> bool:
+        """Off the rotors, or past the zone's end."""
+        return not lane.on_rotors or has_left(lane)
+
+    @staticmethod
+    @lane_function
+    def judge(lane: Lane) -> int:
+        """How the episode stands, by the true state."""
+        error = _ratio_error(lane)
+        lane.figures[RATIO_ERROR] = error
+        return leaving(lane, abs(error) <= SUCCESS_ERROR, MISSED)
+
+    @staticmethod
+    @lane_function
+    def reward(lane: Lane, outcome: int) -> None:
+        """Pay for the right speed on the way, and for leaving at the asked ratio."""
+        error = lane.figures[RATIO_ERROR]
+        left = outcome in (SUCCESS, MISSED)
+        excess = _score(lane)
+        terms = lane.terms
+        terms[0] = EXCESS_REWARD * (lane.memory[EXCESS] - excess)
+        terms[1] = PRECISION_REWARD * math.exp(-abs(error) / PRECISION_SCALE) if left else 0.0
+        terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
+        terms[3] = FAILURE_REWARD if outcome > SUCCESS and not left else 0.0
+        lane.memory[EXCESS] = excess
+
+    @staticmethod
+    @lane_function
+    def observe(lane: Lane) -> None:
+        """Show what the sensor says."""
+        see_parcel(lane)
+        sensed = lane.sensed
+        to_go = rear_to_go(lane, sensed[X], sensed[THETA])
+        excess = _excess(lane, to_go, sensed[VX], sensed[VY])
+        see = lane.observation
+        see[13] = lane.goal[ENTRY_SPEED] - 1.5
+        see[14] = lane.goal[RATIO]
+        see[15] = excess / 0.2
+        see[16] = math.tanh(excess / 0.02)
+
+
+@lane_function
+def _excess(lane: Lane, to_go: float, vx: float, vy: float) -> float:
     """[m/s] speed over that which, rolling `to_go` metres more, becomes the asked exit speed."""
-    asked = lanes.goal[lane, RATIO] * lanes.goal[lane, ENTRY_SPEED]
+    asked = lane.goal[RATIO] * lane.goal[ENTRY_SPEED]
     needed = math.sqrt(asked * asked + 2.0 * ROLLING_LOSS * max(0.0, to_go))
     return math.sqrt(vx * vx + vy * vy) - needed
 
 
-@inlined
-def _score(lanes: Lanes, lane: int, geometry: Geometry) -> float:
-    truth = lanes.truth[lane]
-    to_go = rear_to_go(lanes, lane, geometry, truth[0], truth[2])
-    excess = _excess(lanes, lane, to_go, truth[3], truth[4])
-    return abs(excess) / lanes.goal[lane, ENTRY_SPEED]
+@lane_function
+def _score(lane: Lane) -> float:
+    truth = lane.truth
+    to_go = rear_to_go(lane, truth[X], truth[THETA])
+    return abs(_excess(lane, to_go, truth[VX], truth[VY])) / lane.goal[ENTRY_SPEED]
 
 
-@inlined
-def _ratio_error(lanes: Lanes, lane: int) -> float:
-    truth = lanes.truth[lane]
-    speed = math.sqrt(truth[3] * truth[3] + truth[4] * truth[4])
-    return speed / lanes.goal[lane, ENTRY_SPEED] - lanes.goal[lane, RATIO]
-
-
-@inlined
-def begin(lanes: Lanes, lane: int, geometry: Geometry) -> None:
-    """Set the task's memory at a start."""
-    lanes.memory[lane, EXCESS] = _score(lanes, lane, geometry)
-    lanes.memory[lane, RATIO_ERROR] = _ratio_error(lanes, lane)
-
-
-@inlined
-def judge(lanes: Lanes, lane: int, geometry: Geometry, on_rotors: bool, on_surface: bool) -> None:
-    """Write reward terms and outcome after a control period, from the true state."""
-    truth = lanes.truth[lane]
-    error = _ratio_error(lanes, lane)
-    outcome = failure(lanes, lane, on_rotors, on_surface)
-    left = rear_to_go(lanes, lane, geometry, truth[0], truth[2]) < 0.0
-    left = left and on_rotors and on_surface
-    if left:
-        outcome = SUCCESS if abs(error) <= SUCCESS_ERROR else MISSED
-    excess = _score(lanes, lane, geometry)
-    terms = lanes.terms[lane]
-    terms[0] = EXCESS_REWARD * (lanes.memory[lane, EXCESS] - excess)
-    terms[1] = PRECISION_REWARD * math.exp(-abs(error) / PRECISION_SCALE) if left else 0.0
-    terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
-    terms[3] = FAILURE_REWARD if outcome > SUCCESS and not left else 0.0
-    lanes.memory[lane, EXCESS] = excess
-    lanes.memory[lane, RATIO_ERROR] = error
-    lanes.outcome[lane] = outcome
-
-
-@inlined
-def observe(lanes: Lanes, lane: int, geometry: Geometry) -> None:
-    """Write the observation from what the sensors say."""
-    see_parcel(lanes, lane, geometry)
-    sensed = lanes.sensed[lane]
-    to_go = rear_to_go(lanes, lane, geometry, sensed[0], sensed[2])
-    excess = _excess(lanes, lane, to_go, sensed[3], sensed[4])
-    see = lanes.observation[lane]
-    see[13] = lanes.goal[lane, ENTRY_SPEED] - 1.5
-    see[14] = lanes.goal[lane, RATIO]
-    see[15] = excess / 0.2
-    see[16] = math.tanh(excess / 0.02)
+@lane_function
+def _ratio_error(lane: Lane) -> float:
+    return speed_of(lane.truth) / lane.goal[ENTRY_SPEED] - lane.goal[RATIO]

@@ -7,33 +7,22 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks
-from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import GRAVITY
-from surface_gym.lanes.memory import (
-    COLUMNS,
-    FIRST_COLUMN,
-    HALF_LENGTH,
-    OFF_SURFACE,
-    PASSED,
-    ROWS,
-    RUNNING,
-    STALLED,
-    SUCCESS,
-    WRONG_SIDE,
-    Geometry,
-    Lanes,
-)
-from surface_gym.lanes.views import reach_along
-from surface_gym.layouts import LINE_Y
-from surface_gym.parcel import Parcel
-from surface_gym.plant import Line
-from surface_gym.tasks.task import Feature, Start, parcel_option, parcels_to_draw
+from surface_gym.dynamics.compiled import lane_function
+from surface_gym.dynamics.types import GRAVITY, OMEGA, THETA, VX, VY, X, Y
+from surface_gym.lanes.lane import Lane, is_slower, reach_along, zone_end, zone_start
+from surface_gym.lanes.memory import HALF_LENGTH, ROWS, RUNNING, SUCCESS
+from surface_gym.tasks.line import STALL_SPEED, entry
+from surface_gym.tasks.start import Draw, Start, between
+from surface_gym.tasks.task import Feature, Task, failures
 
-SIDE = 0  # column of `Lanes.goal`: +1 for y > 0, -1 for y < 0, 0 for straight through
-REACH = 0  # column of `Lanes.memory`: [m] the lateral reach at the last decision
+SIDE = 0  # place in the goal: +1 for y > 0, -1 for y < 0, 0 for straight through
+REACH = 0  # place in the memory: [m] the lateral reach at the last decision
+
+OUTCOMES = ("wrong side", "passed the zone", "stalled", "off the surface")
+WRONG_SIDE, PASSED, STALLED, OFF_SURFACE = failures(OUTCOMES)
 
 # The reward, term by term.
-TERMS = ("reach", "time", "success", "haste", "failure")
+TERMS: tuple[str, ...] = ("reach", "time", "success", "haste", "failure")
 REACH_REWARD = 2.0  # per metre of lateral reach gained
 REACH_ENOUGH = 0.6  # [m] reach beyond this earns nothing more
 PASSING_REACH = 0.3  # [-] of x counts as reach where straight through is asked
@@ -44,7 +33,6 @@ FAILURE_REWARD = -1.0
 
 # A parcel rolling along 45 deg axes loses speed at mu_min g / sqrt(2) along x and along y.
 ROLLING_LOSS = 0.01 * GRAVITY / math.sqrt(2.0)  # [m/s^2]
-STALL_SPEED = 1e-3  # [m/s] slower than this, friction has won on a flat surface
 HORIZON = 4.0  # [s] scale of the time observed
 
 FEATURES = (
@@ -69,7 +57,7 @@ FEATURES = (
 
 
 @dataclass(frozen=True)
-class Sort:
+class Sort(Task):
     """Sort the parcel off the line to one side, quickly.
 
     A parcel enters a line of rotors amid supports and is to leave it towards y > 0 or y < 0; asked
@@ -131,66 +119,124 @@ distance from the line's middle takes its place |
     slow_share: float = 0.5  # [-] of starts drawn from the low band, where sorting is hard
     speeds: tuple[float, float] = (0.3, 2.7)  # [m/s] entry speed
     slow_speeds: tuple[float, float] = (0.3, 1.1)  # [m/s] the low band
-    parcels: tuple[str | Parcel, ...] = ("S", "B")  # to draw from
 
-    number = 0
-    plant = Line()
     features = FEATURES
     terms = TERMS
-    figures = ()
+    outcomes = OUTCOMES
     options = ("speed", "parcel", "side")
+    draws = 4
+    goals = 1
+    memories = 1
+    periods = 100
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         checks.within("slow_share", self.slow_share, 0.0, 1.0)
         for name in ("speeds", "slow_speeds"):
             low, high = checks.array(name, getattr(self, name), (2,))
             if not 0.0 < low <= high:
                 raise ValueError(f"{name} must be two rising positive speeds, got {(low, high)}")
-        object.__setattr__(self, "parcels", parcels_to_draw(self.parcels))
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        options: dict[str, Any],
-        zone: tuple[int, int] | None,
-    ) -> Start:
+    def start(self, draw: Draw) -> Start:
         """Entry speed: a band by `slow_share`, uniform in it. Parcel and side: equal odds.
 
         Straight through, side 0, is only an option.
         """
-        del zone
-        band, where, size, way = rng.random(4).tolist()
-        low, high = self.slow_speeds if band < self.slow_share else self.speeds
-        speed = low + (high - low) * where
-        parcel = parcel_option(self.parcels[int(size * len(self.parcels))])
-        side = 1 if way < 0.5 else -1
-        if "speed" in options:
-            speed = checks.within("speed", options["speed"], 0.0, 5.0)
-        if "parcel" in options:
-            parcel = parcel_option(options["parcel"])
-        if "side" in options:
-            side = checks.one_of("side", options["side"], (1, -1, 0))
-        return Start(parcel, (parcel.rear, LINE_Y, 0.0), (speed, 0.0, 0.0), (float(side),))
+        band, pace, size, way = draw.numbers
+        slow, any_speed = between(*self.slow_speeds, pace), between(*self.speeds, pace)
+        speed = draw.within("speed", np.where(band < self.slow_share, slow, any_speed), 0.0, 5.0)
+        parcel = draw.parcel(self.parcels, size)
+        side = draw.one_of("side", np.where(way < 0.5, 1.0, -1.0), (1, -1, 0))
+        return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (side,))
 
-    def readings(self, lanes: Lanes, lane: int) -> list[tuple[str, str]]:
+    def readings(self, lane: Lane) -> list[tuple[str, str]]:
         """The asked side."""
         sides = {1: "y > 0", -1: "y < 0", 0: "straight on"}
-        return [("sort to", sides[int(lanes.goal[lane, SIDE])])]
+        return [("sort to", sides[int(lane.goal[SIDE])])]
 
-    def goal(self, lanes: Lanes, lane: int) -> Any:
+    def goal(self, lane: Lane) -> Any:
         """The exit side."""
         from surface_gym.rendering import ExitSide
 
-        return ExitSide(int(lanes.goal[lane, SIDE]))
+        return ExitSide(int(lane.goal[SIDE]))
+
+    @staticmethod
+    @lane_function
+    def mirror(lane: Lane) -> float:
+        """Seen is always a sort to y > 0."""
+        return mirror_of(lane)
+
+    @staticmethod
+    @lane_function
+    def begin(lane: Lane) -> None:
+        """Remember the lateral reach."""
+        lane.memory[REACH] = _score(lane)
+
+    @staticmethod
+    @lane_function
+    def judge(lane: Lane) -> int:
+        """How the episode stands, by the true state."""
+        truth = lane.truth
+        side = lane.goal[SIDE]
+        if not lane.on_surface:
+            return OFF_SURFACE
+        if not lane.on_rotors:
+            towards = side * (truth[Y] - lane.elements.line_y)
+            return SUCCESS if towards > 0.0 else WRONG_SIDE
+        if truth[X] - reach_along(lane, truth[THETA], -1.0, 0.0) > zone_end(lane):
+            return SUCCESS if side == 0.0 else PASSED
+        return STALLED if is_slower(lane, STALL_SPEED) else RUNNING
+
+    @staticmethod
+    @lane_function
+    def reward(lane: Lane, outcome: int) -> None:
+        """Pay for reach gained and for haste."""
+        reach = _score(lane)
+        terms = lane.terms
+        terms[0] = REACH_REWARD * (reach - lane.memory[REACH])
+        terms[1] = TIME_REWARD * lane.period
+        terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
+        terms[3] = HASTE_REWARD / lane.clock if outcome == SUCCESS else 0.0
+        terms[4] = FAILURE_REWARD if outcome > SUCCESS else 0.0
+        lane.memory[REACH] = reach
+
+    @staticmethod
+    @lane_function
+    def observe(lane: Lane) -> None:
+        """Show what the sensor says, mirrored so that the goal is y > 0."""
+        side = mirror_of(lane)
+        sensed = lane.sensed
+        x, theta = sensed[X], sensed[THETA]
+        offset = side * (sensed[Y] - lane.elements.line_y)
+        turn_x = 2.0 * math.pi / lane.elements.pitch_x
+        turn_y = 2.0 * math.pi / lane.elements.pitch_y
+        half_line = 0.5 * lane.elements.pitch_y * (lane.zone[ROWS] - 1)
+        rear = x - reach_along(lane, theta, -1.0, 0.0)
+        see = lane.observation
+        see[0] = offset / 0.3
+        see[1] = side * math.sin(theta)
+        see[2] = math.cos(theta)
+        see[3] = sensed[VX] - 1.0
+        see[4] = side * sensed[VY] / 0.5
+        see[5] = side * sensed[OMEGA] / 3.0
+        see[6] = (lane.body[HALF_LENGTH] - 0.175) / 0.05
+        see[7] = (offset - reach_along(lane, theta, 0.0, -side) - half_line) / 0.2
+        see[8] = math.sin(turn_x * (x - lane.elements.x0))
+        see[9] = math.cos(turn_x * (x - lane.elements.x0))
+        see[10] = math.sin(turn_y * offset)
+        see[11] = math.cos(turn_y * offset)
+        see[12] = lane.clock / HORIZON
+        see[13] = (rear - zone_start(lane)) / 0.5
+        see[14] = lane.goal[SIDE]
 
 
-@inlined
-def mirror_of(lanes: Lanes, lane: int) -> float:
+@lane_function
+def mirror_of(lane: Lane) -> float:
     """-1 where y is mirrored, so that what is seen is always a sort to y > 0, else 1."""
-    return -1.0 if lanes.goal[lane, SIDE] < 0.0 else 1.0
+    return -1.0 if lane.goal[SIDE] < 0.0 else 1.0
 
 
-@inlined
+@lane_function
 def _lateral_reach(y: float, vx: float, vy: float) -> float:
     """[m] lateral offset the parcel can still get to, coasting: the offset, plus what the speed
     it would keep on 45 deg axes covers against the rolling loss.
@@ -199,80 +245,11 @@ def _lateral_reach(y: float, vx: float, vy: float) -> float:
     return y + speed * speed / (2.0 * ROLLING_LOSS)
 
 
-@inlined
-def _score(lanes: Lanes, lane: int, geometry: Geometry) -> float:
-    side = lanes.goal[lane, SIDE]
-    truth = lanes.truth[lane]
+@lane_function
+def _score(lane: Lane) -> float:
+    side = lane.goal[SIDE]
+    truth = lane.truth
+    offset = truth[Y] - lane.elements.line_y
     if side == 0.0:
-        return PASSING_REACH * truth[0] - abs(truth[1] - geometry.line_y)
-    y = side * (truth[1] - geometry.line_y)
-    return min(REACH_ENOUGH, _lateral_reach(y, truth[3], side * truth[4]))
-
-
-@inlined
-def begin(lanes: Lanes, lane: int, geometry: Geometry) -> None:
-    """Set the task's memory at a start."""
-    lanes.memory[lane, REACH] = _score(lanes, lane, geometry)
-
-
-@inlined
-def judge(
-    lanes: Lanes, lane: int, geometry: Geometry, period: float, on_rotors: bool, on_surface: bool
-) -> None:
-    """Write reward terms and outcome after a control period, from the true state."""
-    truth = lanes.truth[lane]
-    theta = truth[2]
-    zone_end = geometry.x0 + geometry.pitch * (
-        lanes.zone[lane, FIRST_COLUMN] + lanes.zone[lane, COLUMNS] - 0.5
-    )
-    speed = math.sqrt(truth[3] * truth[3] + truth[4] * truth[4])
-    side = lanes.goal[lane, SIDE]
-    outcome = RUNNING
-    if not on_surface:
-        outcome = OFF_SURFACE
-    elif not on_rotors:
-        towards = side * (truth[1] - geometry.line_y)
-        outcome = SUCCESS if towards > 0.0 else WRONG_SIDE
-    elif truth[0] - reach_along(lanes, lane, theta, -1.0, 0.0) > zone_end:
-        outcome = SUCCESS if side == 0.0 else PASSED
-    elif speed + abs(truth[5]) * lanes.body[lane, HALF_LENGTH] < STALL_SPEED:
-        outcome = STALLED
-    reach = _score(lanes, lane, geometry)
-    terms = lanes.terms[lane]
-    terms[0] = REACH_REWARD * (reach - lanes.memory[lane, REACH])
-    terms[1] = TIME_REWARD * period
-    terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
-    terms[3] = HASTE_REWARD / lanes.clock[lane] if outcome == SUCCESS else 0.0
-    terms[4] = FAILURE_REWARD if outcome > SUCCESS else 0.0
-    lanes.memory[lane, REACH] = reach
-    lanes.outcome[lane] = outcome
-
-
-@inlined
-def observe(lanes: Lanes, lane: int, geometry: Geometry) -> None:
-    """Write the observation from what the sensors say, mirrored so that the goal is y > 0."""
-    side = mirror_of(lanes, lane)
-    sensed = lanes.sensed[lane]
-    x, y, theta = sensed[0], sensed[1], sensed[2]
-    vx, vy, omega = sensed[3], sensed[4], sensed[5]
-    offset = side * (y - geometry.line_y)
-    turn = 2.0 * math.pi / geometry.pitch
-    half_line = 0.5 * geometry.pitch * (lanes.zone[lane, ROWS] - 1)
-    zone_start = geometry.x0 + geometry.pitch * (lanes.zone[lane, FIRST_COLUMN] - 0.5)
-    rear = x - reach_along(lanes, lane, theta, -1.0, 0.0)
-    see = lanes.observation[lane]
-    see[0] = offset / 0.3
-    see[1] = side * math.sin(theta)
-    see[2] = math.cos(theta)
-    see[3] = vx - 1.0
-    see[4] = side * vy / 0.5
-    see[5] = side * omega / 3.0
-    see[6] = (lanes.body[lane, HALF_LENGTH] - 0.175) / 0.05
-    see[7] = (offset - reach_along(lanes, lane, theta, 0.0, -side) - half_line) / 0.2
-    see[8] = math.sin(turn * (x - geometry.x0))
-    see[9] = math.cos(turn * (x - geometry.x0))
-    see[10] = math.sin(turn * offset)
-    see[11] = math.cos(turn * offset)
-    see[12] = lanes.clock[lane] / HORIZON
-    see[13] = (rear - zone_start) / 0.5
-    see[14] = lanes.goal[lane, SIDE]
+        return PASSING_REACH * truth[X] - abs(offset)
+    return min(REACH_ENOUGH, _lateral_reach(side * offset, truth[VX], side * truth[VY]))

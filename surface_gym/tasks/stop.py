@@ -6,39 +6,34 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym import checks
-from surface_gym.dynamics.compiled import inlined
-from surface_gym.lanes.memory import (
-    FIGURES,
-    MISSED,
-    OVERSHOT,
-    RUNNING,
-    STALLED,
-    SUCCESS,
-    Geometry,
-    Lanes,
-)
-from surface_gym.parcel import Parcel
-from surface_gym.plant import PITCH, Line
+from surface_gym.dynamics.compiled import lane_function
+from surface_gym.dynamics.types import VX, X
+from surface_gym.lanes.lane import Lane
+from surface_gym.lanes.memory import RUNNING, SUCCESS
 from surface_gym.tasks.line import (
     BRAKING,
+    LINE_OUTCOMES,
     PARCEL_FEATURES,
     ROLLING_LOSS,
+    STALLED,
     entry,
     failure,
     see_parcel,
     zone_of,
 )
-from surface_gym.tasks.task import Feature, Start, parcel_option, parcels_to_draw, rising
+from surface_gym.tasks.start import Draw, Start, between
+from surface_gym.tasks.task import Feature, Task, failures, rising
 
-POSITION = 0  # column of `Lanes.goal`: [m] asked x of the centre
-SHORTFALL = 0  # column of `Lanes.memory`: [m] at the last decision
-STOP_ERROR = FIGURES  # column of `Lanes.memory`: [m] x of the centre - the asked one
+POSITION = 0  # place in the goal: [m] asked x of the centre
+SHORTFALL = 0  # place in the memory: [m] at the last decision
+STOP_ERROR = 0  # place in the figures: [m] x of the centre - the asked one
 
+OUTCOMES = (*LINE_OUTCOMES, "missed", "passed the asked x")
+MISSED, OVERSHOT = failures(OUTCOMES)[-2:]
 SUCCESS_ERROR = 0.005  # [m]
 
 # The reward, term by term.
-TERMS = ("approach", "precision", "success", "failure")
+TERMS: tuple[str, ...] = ("approach", "precision", "success", "failure")
 APPROACH_REWARD = 1.0  # per metre nearer
 PRECISION_REWARD = 1.0  # for resting at the asked x, falling with the error by
 PRECISION_SCALE = 0.002  # [m] a factor e
@@ -55,7 +50,7 @@ FEATURES = (
 
 
 @dataclass(frozen=True)
-class Stop:
+class Stop(Task):
     """Bring the parcel to rest with its centre at an asked x.
 
     A parcel enters a line of rotors amid supports and is to come to rest at a place, to 5 mm.
@@ -112,103 +107,91 @@ class Stop:
     """
 
     speeds: tuple[float, float] = (0.5, 2.7)  # [m/s] entry speed
-    parcels: tuple[str | Parcel, ...] = ("S", "B")  # to draw from
 
-    number = 2
-    plant = Line()
     features = FEATURES
     terms = TERMS
+    outcomes = OUTCOMES
     figures = ("stop_error",)
     options = ("speed", "parcel", "position")
+    draws = 3
+    goals = 1
+    memories = 1
+    periods = 150
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         object.__setattr__(self, "speeds", rising("speeds", self.speeds, 0.0, 5.0))
-        object.__setattr__(self, "parcels", parcels_to_draw(self.parcels))
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        options: dict[str, Any],
-        zone: tuple[int, int] | None,
-    ) -> Start:
+    def start(self, draw: Draw) -> Start:
         """Entry speed and parcel: uniform. Asked x: uniform over what can be reached for sure.
 
         That is from where a parcel rests that brakes fully once it is wholly in the zone, to where
         it is wholly in the zone for the last time, or has rolled 0.8 of the way it can. Where the
         first lies beyond the second, as in a short zone, it is the second.
         """
-        pace, size, share = rng.random(3).tolist()
-        speed = self.speeds[0] + (self.speeds[1] - self.speeds[0]) * pace
-        parcel = parcel_option(self.parcels[int(size * len(self.parcels))])
-        if "speed" in options:
-            speed = checks.within("speed", options["speed"], 0.0, 5.0)
-        if "parcel" in options:
-            parcel = parcel_option(options["parcel"])
+        pace, size, share = draw.numbers
+        speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
+        parcel = draw.parcel(self.parcels, size)
         half_length = parcel.rear
-        if "position" in options:
-            surface_end = PITCH * self.plant.columns
-            position = checks.within("position", options["position"], 0.0, surface_end)
-        else:
-            zone_start, zone_end = zone_of(self.plant, parcel, zone)
-            rolled = half_length + 0.8 * speed**2 / (2.0 * ROLLING_LOSS)
-            last = min(zone_end - half_length, rolled)
-            first = min(zone_start + half_length + speed**2 / (2.0 * BRAKING), last)
-            position = first + (last - first) * share
-        return Start(parcel, entry(parcel), (speed, 0.0, 0.0), (position,))
+        zone_start, zone_end = parcel.of(lambda each: zone_of(draw.plant, each, draw.zone)).T
+        rolled = half_length + 0.8 * speed**2 / (2.0 * ROLLING_LOSS)
+        last = np.minimum(zone_end - half_length, rolled)
+        first = np.minimum(zone_start + half_length + speed**2 / (2.0 * BRAKING), last)
+        position = draw.within("position", between(first, last, share), 0.0, draw.plant.length)
+        return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (position,))
 
-    def readings(self, lanes: Lanes, lane: int) -> list[tuple[str, str]]:
+    def readings(self, lane: Lane) -> list[tuple[str, str]]:
         """The way to go."""
-        return [("to go", f"{-1e3 * lanes.memory[lane, STOP_ERROR]:.1f} mm")]
+        return [("to go", f"{-1e3 * lane.figures[STOP_ERROR]:.1f} mm")]
 
-    def goal(self, lanes: Lanes, lane: int) -> Any:
+    def goal(self, lane: Lane) -> Any:
         """The line to stop at."""
         from surface_gym.rendering import StopLine
 
-        return StopLine(float(lanes.goal[lane, POSITION]))
+        return StopLine(float(lane.goal[POSITION]))
 
+    @staticmethod
+    @lane_function
+    def begin(lane: Lane) -> None:
+        """Remember the shortfall."""
+        lane.figures[STOP_ERROR] = lane.truth[X] - lane.goal[POSITION]
+        lane.memory[SHORTFALL] = abs(lane.figures[STOP_ERROR])
 
-@inlined
-def _score(lanes: Lanes, lane: int) -> float:
-    return abs(lanes.goal[lane, POSITION] - lanes.truth[lane, 0])
+    @staticmethod
+    @lane_function
+    def judge(lane: Lane) -> int:
+        """How the episode stands, by the true state."""
+        error = lane.truth[X] - lane.goal[POSITION]
+        lane.figures[STOP_ERROR] = error
+        outcome = failure(lane)
+        if outcome == STALLED:
+            outcome = SUCCESS if abs(error) <= SUCCESS_ERROR else MISSED
+        elif outcome == RUNNING and error > SUCCESS_ERROR:
+            outcome = OVERSHOT
+        return outcome
 
+    @staticmethod
+    @lane_function
+    def reward(lane: Lane, outcome: int) -> None:
+        """Pay for coming nearer, and for resting at the asked x."""
+        shortfall = abs(lane.figures[STOP_ERROR])
+        rests = outcome in (SUCCESS, MISSED)
+        terms = lane.terms
+        terms[0] = APPROACH_REWARD * (lane.memory[SHORTFALL] - shortfall)
+        terms[1] = PRECISION_REWARD * math.exp(-shortfall / PRECISION_SCALE) if rests else 0.0
+        terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
+        terms[3] = FAILURE_REWARD if outcome > SUCCESS else 0.0
+        lane.memory[SHORTFALL] = shortfall
 
-@inlined
-def begin(lanes: Lanes, lane: int) -> None:
-    """Set the task's memory at a start."""
-    lanes.memory[lane, SHORTFALL] = _score(lanes, lane)
-    lanes.memory[lane, STOP_ERROR] = lanes.truth[lane, 0] - lanes.goal[lane, POSITION]
-
-
-@inlined
-def judge(lanes: Lanes, lane: int, on_rotors: bool, on_surface: bool) -> None:
-    """Write reward terms and outcome after a control period, from the true state."""
-    error = lanes.truth[lane, 0] - lanes.goal[lane, POSITION]
-    outcome = failure(lanes, lane, on_rotors, on_surface)
-    if outcome == STALLED:
-        outcome = SUCCESS if abs(error) <= SUCCESS_ERROR else MISSED
-    elif outcome == RUNNING and error > SUCCESS_ERROR:
-        outcome = OVERSHOT
-    shortfall = _score(lanes, lane)
-    rests = outcome in (SUCCESS, MISSED)
-    terms = lanes.terms[lane]
-    terms[0] = APPROACH_REWARD * (lanes.memory[lane, SHORTFALL] - shortfall)
-    terms[1] = PRECISION_REWARD * math.exp(-abs(error) / PRECISION_SCALE) if rests else 0.0
-    terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
-    terms[3] = FAILURE_REWARD if outcome > SUCCESS else 0.0
-    lanes.memory[lane, SHORTFALL] = shortfall
-    lanes.memory[lane, STOP_ERROR] = error
-    lanes.outcome[lane] = outcome
-
-
-@inlined
-def observe(lanes: Lanes, lane: int, geometry: Geometry) -> None:
-    """Write the observation from what the sensors say."""
-    see_parcel(lanes, lane, geometry)
-    sensed = lanes.sensed[lane]
-    to_go = lanes.goal[lane, POSITION] - sensed[0]
-    excess = sensed[3] - math.sqrt(2.0 * BRAKING * max(0.0, to_go))
-    see = lanes.observation[lane]
-    see[13] = to_go / 0.5
-    see[14] = math.tanh(to_go / 0.05)
-    see[15] = math.tanh(to_go / 0.01)
-    see[16] = excess / 0.2
+    @staticmethod
+    @lane_function
+    def observe(lane: Lane) -> None:
+        """Show what the sensor says."""
+        see_parcel(lane)
+        to_go = lane.goal[POSITION] - lane.sensed[X]
+        excess = lane.sensed[VX] - math.sqrt(2.0 * BRAKING * max(0.0, to_go))
+        see = lane.observation
+        see[13] = to_go / 0.5
+        see[14] = math.tanh(to_go / 0.05)
+        see[15] = math.tanh(to_go / 0.01)
+        see[16] = excess / 0.2

@@ -1,16 +1,15 @@
 """What every task has in common."""
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 from surface_gym import checks
-from surface_gym.lanes.memory import Lanes
-from surface_gym.layouts import box
+from surface_gym.dynamics.compiled import lane_function
+from surface_gym.lanes.lane import Lane
+from surface_gym.lanes.memory import FIRST_FAILURE
 from surface_gym.parcel import Parcel
-from surface_gym.plant import Plant
+from surface_gym.plants import Line, Plant
+from surface_gym.tasks.start import Draw, Start, parcels_to_draw
 
 
 @dataclass(frozen=True)
@@ -23,83 +22,95 @@ class Feature:
     meaning: str  # with the unit it is scaled by
 
 
-class Start(NamedTuple):
-    """How an episode begins."""
-
-    parcel: Parcel
-    pose: tuple[float, float, float]  # [m, m, rad] of the base's frame
-    velocity: tuple[float, float, float]  # [m/s, m/s, rad/s]
-    goal: tuple[float, ...]  # the task's own, at most `lanes.memory.GOALS`
-    tilt: float = 0.0  # [rad] of the surface
-    path: NDArray[np.float64] | None = None  # (PATH_POINTS,) [m] y of a path to follow
+def failures(outcomes: tuple[str, ...]) -> range:
+    """Numbers of a task's failures, in the order of their names, for `judge` to return."""
+    return range(FIRST_FAILURE, FIRST_FAILURE + len(outcomes))
 
 
-class Task(Protocol):
-    """What the environment asks of a task. Its compiled half has the same name in the batch."""
+@dataclass(frozen=True)
+class Task:
+    """What is asked of the surface: starts, observation, reward, and when an episode ends.
+
+    A task is one class. Its fields are its parameters. The names below say what it deals in; its
+    static methods, each a `lane_function`, are compiled into every batch of it. A subclass inherits
+    what it does not replace.
+
+    The compiled functions read and write a `Lane`:
+
+    - `begin(lane)`, at a start: set `lane.memory` and `lane.figures`.
+    - `over(lane) -> bool`, after every physics step: whether the episode ends in the middle of a
+      control period. By default where no rotor bears the parcel.
+    - `judge(lane) -> int`, after a control period: RUNNING, SUCCESS or one of the failures. Writes
+      `lane.figures`.
+    - `reward(lane, outcome)`, then: write every one of `lane.terms`.
+    - `observe(lane)`, at a start and after every control period: write every feature into
+      `lane.observation`, from `lane.sensed`.
+    - `mirror(lane) -> float`: -1 where the observation is mirrored in y, so that what shows the
+      modules is mirrored with it; else 1.
+
+    They know nothing of the task's fields: what they need of these goes into the goal.
+
+    Raises:
+        ValueError: no features, terms or outcomes, or parcels that are none.
+    """
+
+    parcels: Any = field(default=("S", "B"), kw_only=True)  # to draw from
+
+    plant: ClassVar[Plant] = Line()
+    features: ClassVar[tuple[Feature, ...]]
+    terms: ClassVar[tuple[str, ...]]  # of the reward, in the order of `lane.terms`
+    outcomes: ClassVar[tuple[str, ...]]  # how it may fail
+    figures: ClassVar[tuple[str, ...]] = ()  # numbers in `info`, in the order of `lane.figures`
+    options: ClassVar[tuple[str, ...]] = ()  # what `reset(options=...)` may fix
+    draws: ClassVar[int] = 0  # uniform numbers that a start is made of
+    goals: ClassVar[int] = 0  # numbers of `lane.goal`
+    memories: ClassVar[int] = 0  # numbers of `lane.memory`
+    has_path: ClassVar[bool] = False  # whether its starts come with a path
+    periods: ClassVar[int] = 100  # control periods after which an episode is truncated
+
+    def __post_init__(self) -> None:
+        for name in ("features", "terms", "outcomes"):
+            if not isinstance(getattr(self, name, None), tuple):
+                raise ValueError(
+                    f"{type(self).__name__}.{name} must be a tuple, as Task says, "
+                    f"got {getattr(self, name, None)!r}"
+                )
+        object.__setattr__(self, "parcels", parcels_to_draw(self.parcels))
 
     @property
-    def number(self) -> int:
-        """Its place in `batch.judgement`."""
+    def name(self) -> str:
+        """The task's name, whatever its parameters."""
+        return type(self).__name__.lower()
 
-    @property
-    def plant(self) -> Plant:
-        """Where it happens."""
+    def start(self, draw: Draw) -> Start:
+        """The law of its starts, for as many as `draw` has numbers for."""
+        raise NotImplementedError(f"{type(self).__name__} has no start")
 
-    @property
-    def parcels(self) -> Any:
-        """Those it draws from, each a Parcel."""
-
-    @property
-    def features(self) -> tuple[Feature, ...]:
-        """The observation."""
-
-    @property
-    def terms(self) -> tuple[str, ...]:
-        """The reward's terms."""
-
-    @property
-    def figures(self) -> tuple[str, ...]:
-        """The task's own numbers in `info`: columns of `Lanes.memory` from `FIGURES` on."""
-
-    @property
-    def options(self) -> tuple[str, ...]:
-        """What `reset(options=...)` may fix."""
-
-    def readings(self, lanes: Lanes, lane: int) -> list[tuple[str, str]]:
+    def readings(self, lane: Lane) -> list[tuple[str, str]]:
         """The task's own numbers of a lane, as pairs of texts, for drawing."""
+        del lane
+        return []
 
-    def goal(self, lanes: Lanes, lane: int) -> Any:
-        """What drawing shows of a lane's goal, one of `surface_gym.rendering`'s goals."""
+    def goal(self, lane: Lane) -> Any:
+        """What drawing shows of a lane's goal, one of `surface_gym.rendering`'s; or None."""
+        del lane
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        options: dict[str, Any],
-        zone: tuple[int, int] | None,
-    ) -> Start:
-        """Draw a start; an option takes the place of its draw.
+    @staticmethod
+    @lane_function
+    def begin(lane: Lane) -> None:
+        """Nothing to remember."""
 
-        Args:
-            rng: to draw from.
-            options: what is fixed.
-            zone: first and last column that obey; None for the plant's own.
-        """
+    @staticmethod
+    @lane_function
+    def over(lane: Lane) -> bool:
+        """Where no rotor bears the parcel."""
+        return not lane.on_rotors
 
-
-def parcel_option(value: Any) -> Parcel:
-    """The parcel an option asks for: "S", "B" or a Parcel of one's own."""
-    if isinstance(value, Parcel):
-        return value
-    if isinstance(value, str) and value in ("S", "B"):
-        return box(value)
-    raise ValueError(f"parcel must be 'S', 'B' or a Parcel, got {value!r}")
-
-
-def parcels_to_draw(parcels: tuple[str | Parcel, ...]) -> tuple[Parcel, ...]:
-    """The parcels of a task, or an error that names them."""
-    if not parcels:
-        raise ValueError(f"parcels must be at least one, got {parcels!r}")
-    return tuple(parcel_option(parcel) for parcel in parcels)
+    @staticmethod
+    @lane_function
+    def mirror(lane: Lane) -> float:
+        """As it is."""
+        return 1.0
 
 
 def rising(name: str, value: Any, low: float, high: float) -> tuple[float, float]:
@@ -112,12 +123,4 @@ def rising(name: str, value: Any, low: float, high: float) -> tuple[float, float
     return first, last
 
 
-def check_options(options: dict[str, Any] | None, allowed: tuple[str, ...]) -> dict[str, Any]:
-    """The options, or an error that names the unknown one."""
-    if options is None:
-        return {}
-    if not isinstance(options, dict):
-        raise ValueError(f"options must be a dict or None, got {options!r}")
-    for name in options:
-        checks.one_of("options", name, allowed)
-    return options
+__all__ = ["Draw", "Feature", "Lane", "Parcel", "Start", "Task", "failures", "rising"]

@@ -5,32 +5,39 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import GRAVITY, Array
+from surface_gym.dynamics.compiled import lane_function
+from surface_gym.dynamics.types import GRAVITY, OMEGA, THETA, VX, VY, Array, X, Y
+from surface_gym.lanes.lane import Lane, speed_of
 from surface_gym.lanes.memory import (
-    FIGURES,
     GRAVITY_ALONG,
     HALF_LENGTH,
-    OFF_PATH,
-    OFF_SURFACE,
     PATH_POINTS,
     RUNNING,
-    STALLED,
     SUCCESS,
-    Geometry,
-    Lanes,
 )
-from surface_gym.parcel import Parcel
-from surface_gym.plant import PITCH, Field
-from surface_gym.tasks.paths import DRAWS, KINDS, path_option, random_path, sample
-from surface_gym.tasks.task import Feature, Start, parcel_option, parcels_to_draw, rising
+from surface_gym.layouts import LINE_Y
+from surface_gym.plants import Field, Plant
+from surface_gym.tasks.paths import (
+    DRAWS,
+    KINDS,
+    START,
+    Laid,
+    Path,
+    path_option,
+    random_path,
+    sample,
+)
+from surface_gym.tasks.start import Draw, Numbers, Start, between
+from surface_gym.tasks.task import Feature, Task, failures, rising
 
-SPEED, FIRST_X, STEP_X = range(3)  # columns of `Lanes.goal`: [m/s] asked, [m] x of `Lanes.path`
-LAST_X, SQUARED_ERROR, SQUARED_SPEED_ERROR = range(3)  # columns of `Lanes.memory`: sums over time
-RMS_ERROR, SPEED_ERROR, CROSS_ERROR = range(FIGURES, FIGURES + 3)  # [m], [m/s], [m]
+SPEED, FIRST_X, STEP_X = range(3)  # places in the goal: [m/s] asked, [m] x of the path
+LAST_X, SQUARED_ERROR, SQUARED_SPEED_ERROR = range(3)  # places in the memory: sums over time
+RMS_ERROR, SPEED_ERROR, CROSS_ERROR = range(3)  # places in the figures: [m], [m/s], [m]
+
+OUTCOMES = ("off the path", "stalled", "off the surface")
+OFF_PATH, STALLED, OFF_SURFACE = failures(OUTCOMES)
 
 FARTHEST = 0.15  # [m] off the path an episode goes on
 STALL_SPEED = 0.05  # [m/s] slower than this is a failure: a stop is no way to follow
@@ -38,7 +45,14 @@ STEEPEST = 3.0  # [-] slope of a path
 HIGHEST_TILT = math.radians(30.0)  # [rad]
 
 # The reward, term by term. All but the last two are paid a metre of x, so that time earns nothing.
-TERMS = ("distance", "precision", "cross_error", "speed_error", "success", "failure")
+TERMS: tuple[str, ...] = (
+    "distance",
+    "precision",
+    "cross_error",
+    "speed_error",
+    "success",
+    "failure",
+)
 DISTANCE_REWARD = 0.3
 PRECISION_REWARD = 1.0  # on the path, falling with the error by
 PRECISION_SCALE = 0.005  # [m] a factor e
@@ -48,7 +62,6 @@ SUCCESS_REWARD = 2.0
 FAILURE_REWARD = -2.0
 
 AHEAD = (0.0, 0.1, 0.2, 0.35)  # [m] where the path's slope is seen
-_AHEAD_1, _AHEAD_2, _AHEAD_3 = AHEAD[1:]
 
 FEATURES = (
     Feature("cross error", -200.0, 200.0, "across the path / 0.05 m"),
@@ -72,7 +85,7 @@ FEATURES = (
 
 
 @dataclass(frozen=True)
-class Track:
+class Track(Task):
     """Follow a path with the centre of the base, at an asked speed, on a field tilted downhill.
 
     A field of rotors everywhere, tilted downhill towards +x; the path is a curve y(x) across it.
@@ -136,16 +149,21 @@ asked one |
     speeds: tuple[float, float] = (0.6, 1.0)  # [m/s] asked
     tilts: tuple[float, float] = (0.0, math.radians(15.0))  # [rad]
     kinds: tuple[str, ...] = KINDS  # of paths to draw
-    parcels: tuple[str | Parcel, ...] = ("S", "B")  # to draw from
 
-    number = 3
     plant = Field()
     features = FEATURES
     terms = TERMS
+    outcomes = OUTCOMES
     figures = ("rms_error", "speed_error", "cross_error")
     options = ("speed", "parcel", "path", "tilt")
+    draws = 4 + DRAWS
+    goals = 3
+    memories = 3
+    has_path = True
+    periods = 300
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         set_field = object.__setattr__
         set_field(self, "speeds", rising("speeds", self.speeds, 0.0, 5.0))
         set_field(self, "tilts", rising("tilts", self.tilts, 0.0, HIGHEST_TILT))
@@ -153,164 +171,171 @@ asked one |
             raise ValueError(f"kinds must be at least one, got {self.kinds!r}")
         for kind in self.kinds:
             checks.one_of("kinds", kind, KINDS)
-        set_field(self, "parcels", parcels_to_draw(self.parcels))
 
-    def start(
-        self,
-        rng: np.random.Generator,
-        options: dict[str, Any],
-        zone: tuple[int, int] | None,
-    ) -> Start:
+    def start(self, draw: Draw) -> Start:
         """Asked speed and tilt: uniform. Parcel, kind of path: equal odds; the path by
         `paths.random_path`. The centre starts on the path at the asked speed along it, theta at 0.
         """
-        del zone
-        numbers = rng.random(4 + DRAWS)
-        pace, slant, size, which = numbers[:4].tolist()
-        speed = self.speeds[0] + (self.speeds[1] - self.speeds[0]) * pace
-        tilt = self.tilts[0] + (self.tilts[1] - self.tilts[0]) * slant
-        parcel = parcel_option(self.parcels[int(size * len(self.parcels))])
-        if "speed" in options:
-            speed = checks.within("speed", options["speed"], 0.1, 5.0)
-        if "tilt" in options:
-            tilt = checks.within("tilt", options["tilt"], 0.0, HIGHEST_TILT)
-        if "parcel" in options:
-            parcel = parcel_option(options["parcel"])
-        if "path" in options:
-            path = path_option(options["path"])
-        else:
-            path = random_path(self.kinds[int(which * len(self.kinds))], numbers[4:])
-        y = sample(path, PATH_POINTS)
-        step = (path.end - path.start) / (PATH_POINTS - 1)
-        self._check_path(path.start, path.end, y, step)
-        slope = (y[1] - y[0]) / step
-        vx = speed / math.sqrt(1.0 + slope * slope)
-        x0, y0 = parcel.base.centroid
-        pose = (path.start - x0, float(y[0]) - y0, 0.0)
-        goal = (speed, path.start, step)
-        return Start(parcel, pose, (vx, slope * vx, 0.0), goal, tilt, y)
+        pace, slant, size, which = draw.numbers[:4]
+        speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)
+        tilt = draw.within("tilt", between(*self.tilts, slant), 0.0, HIGHEST_TILT)
+        parcel = draw.parcel(self.parcels, size)
+        paths = self._paths(draw, which)
+        first = np.array([path.start for path in paths])
+        step = np.array([path.end - path.start for path in paths]) / (PATH_POINTS - 1)
+        y = np.array([sample(path, PATH_POINTS) for path in paths])
+        _check_paths(first, step, y, draw.plant)
+        slope = (y[:, 1] - y[:, 0]) / step
+        vx = speed / np.sqrt(1.0 + slope * slope)
+        x0, y0 = parcel.of(lambda each: each.base.centroid).T
+        pose = (first - x0, y[:, 0] - y0, 0.0)
+        return Start(parcel, pose, (vx, slope * vx, 0.0), (speed, first, step), tilt, y)
 
-    def _check_path(self, start: float, end: float, y: NDArray[np.float64], step: float) -> None:
-        length, width = PITCH * self.plant.columns, PITCH * self.plant.rows
-        if start < 0.0 or end > length or y.min() < 0.0 or y.max() > width:
-            raise ValueError(
-                f"path must lie in x from 0 to {length:g} m and in y from 0 to {width:g} m, "
-                f"got x from {start:g} to {end:g} and y from {y.min():g} to {y.max():g}"
-            )
-        steepest = np.abs(np.diff(y)).max() / step
-        if steepest > STEEPEST:
-            raise ValueError(f"path must have slopes of at most {STEEPEST:g}, got {steepest:g}")
-
-    def readings(self, lanes: Lanes, lane: int) -> list[tuple[str, str]]:
-        """The error across the path, its root mean square so far, and the asked speed."""
-        memory = lanes.memory[lane]
+    def _paths(self, draw: Draw, which: Numbers) -> list[Path]:
+        """Each start's path: an option, or by its numbers and laid onto the plant."""
+        first, last, _, _ = draw.plant.extent
+        aside = draw.plant.line_y - LINE_Y
+        given = {start: path_option(value) for start, value in draw.given("path")}
+        kinds = [self.kinds[k] for k in (which * len(self.kinds)).astype(int)]
+        drawn = enumerate(zip(kinds, draw.numbers[4:].T, strict=True))
         return [
-            ("off path", f"{1e3 * memory[CROSS_ERROR]:+.1f} mm"),
-            ("rms", f"{1e3 * memory[RMS_ERROR]:.1f} mm"),
-            ("asked", f"{lanes.goal[lane, SPEED]:.2f} m/s"),
+            given.get(k) or Laid(random_path(kind, numbers), first, aside, last - START)
+            for k, (kind, numbers) in drawn
         ]
 
-    def goal(self, lanes: Lanes, lane: int) -> Any:
+    def readings(self, lane: Lane) -> list[tuple[str, str]]:
+        """The error across the path, its root mean square so far, and the asked speed."""
+        return [
+            ("off path", f"{1e3 * lane.figures[CROSS_ERROR]:+.1f} mm"),
+            ("rms", f"{1e3 * lane.figures[RMS_ERROR]:.1f} mm"),
+            ("asked", f"{lane.goal[SPEED]:.2f} m/s"),
+        ]
+
+    def goal(self, lane: Lane) -> Any:
         """The path."""
         from surface_gym.rendering import Path
 
-        first, step = lanes.goal[lane, FIRST_X], lanes.goal[lane, STEP_X]
-        x = first + step * np.arange(PATH_POINTS)
-        return Path(np.stack([x, lanes.path[lane]], axis=-1))
+        x = lane.goal[FIRST_X] + lane.goal[STEP_X] * np.arange(PATH_POINTS)
+        return Path(np.stack([x, lane.path], axis=-1))
+
+    @staticmethod
+    @lane_function
+    def begin(lane: Lane) -> None:
+        """Nothing has been gained or lost yet."""
+        lane.memory[LAST_X] = lane.truth[X]
+        lane.memory[SQUARED_ERROR] = 0.0
+        lane.memory[SQUARED_SPEED_ERROR] = 0.0
+        lane.figures[RMS_ERROR] = 0.0
+        lane.figures[SPEED_ERROR] = 0.0
+        lane.figures[CROSS_ERROR], _, _ = _errors(lane, lane.truth)
+
+    @staticmethod
+    @lane_function
+    def over(lane: Lane) -> bool:
+        """Never in the middle of a control period."""
+        return False
+
+    @staticmethod
+    @lane_function
+    def judge(lane: Lane) -> int:
+        """How the episode stands, by the true state; errors add up over the time."""
+        memory = lane.memory
+        error, speed_error, _ = _errors(lane, lane.truth)
+        if lane.period > 0.0:
+            memory[SQUARED_ERROR] += error * error * lane.period
+            memory[SQUARED_SPEED_ERROR] += speed_error * speed_error * lane.period
+            lane.figures[RMS_ERROR] = math.sqrt(memory[SQUARED_ERROR] / lane.clock)
+            lane.figures[SPEED_ERROR] = math.sqrt(memory[SQUARED_SPEED_ERROR] / lane.clock)
+        lane.figures[CROSS_ERROR] = error
+        if not lane.on_surface:
+            return OFF_SURFACE
+        if abs(error) >= FARTHEST:
+            return OFF_PATH
+        if lane.truth[X] > lane.goal[FIRST_X] + (PATH_POINTS - 1) * lane.goal[STEP_X]:
+            return SUCCESS
+        return STALLED if speed_of(lane.truth) < STALL_SPEED else RUNNING
+
+    @staticmethod
+    @lane_function
+    def reward(lane: Lane, outcome: int) -> None:
+        """Pay for every metre of x, the more the nearer to path and speed."""
+        error, speed_error, _ = _errors(lane, lane.truth)
+        distance = max(0.0, lane.truth[X] - lane.memory[LAST_X])
+        lane.memory[LAST_X] = lane.truth[X]
+        terms = lane.terms
+        terms[0] = DISTANCE_REWARD * distance
+        terms[1] = PRECISION_REWARD * distance * math.exp(-abs(error) / PRECISION_SCALE)
+        terms[2] = CROSS_REWARD * distance * abs(error)
+        terms[3] = SPEED_REWARD * distance * abs(speed_error)
+        terms[4] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
+        terms[5] = FAILURE_REWARD if outcome > SUCCESS else 0.0
+
+    @staticmethod
+    @lane_function
+    def observe(lane: Lane) -> None:
+        """Show what the sensor says."""
+        sensed = lane.sensed
+        x, y, theta = sensed[X], sensed[Y], sensed[THETA]
+        error, speed_error, across = _errors(lane, sensed)
+        turn_x = 2.0 * math.pi / lane.elements.pitch_x
+        turn_y = 2.0 * math.pi / lane.elements.pitch_y
+        see = lane.observation
+        see[0] = error / 0.05
+        see[1] = math.tanh(error / 0.005)
+        see[2] = speed_error / 0.2
+        see[3] = across / 0.1
+        see[4] = lane.goal[SPEED] - 0.8
+        for k in range(len(AHEAD)):
+            _, see[5 + k] = _path_at(lane, x + AHEAD[k])
+        see[9] = lane.surface[GRAVITY_ALONG] / GRAVITY / 0.2
+        see[10] = math.sin(theta)
+        see[11] = math.cos(theta)
+        see[12] = sensed[OMEGA] / 3.0
+        see[13] = (lane.body[HALF_LENGTH] - 0.175) / 0.05
+        see[14] = math.sin(turn_x * (x - lane.elements.x0))
+        see[15] = math.cos(turn_x * (x - lane.elements.x0))
+        see[16] = math.sin(turn_y * (y - lane.elements.y0))
+        see[17] = math.cos(turn_y * (y - lane.elements.y0))
 
 
-@inlined
-def _path_at(lanes: Lanes, lane: int, x: float) -> tuple[float, float]:
+def _check_paths(first: Numbers, step: Numbers, y: Numbers, plant: Plant) -> None:
+    """Raise a ValueError for a path that leaves the plant or is too steep.
+
+    Args:
+        first: (paths,) [m] x of the first point.
+        step: (paths,) [m] from point to point.
+        y: (paths, PATH_POINTS) [m].
+        plant: where they lie.
+    """
+    last = first + (PATH_POINTS - 1) * step
+    low, high = y.min(axis=1), y.max(axis=1)
+    left, right, bottom, top = plant.extent
+    outside = (first < left) | (last > right + 1e-12 * plant.length)
+    for k in np.nonzero(outside | (low < bottom) | (high > top))[0]:
+        raise ValueError(
+            f"path must lie in x from {left:g} to {right:g} m and in y from {bottom:g} to {top:g} "
+            f"m, got x from {first[k]:g} to {last[k]:g} and y from {low[k]:g} to {high[k]:g}"
+        )
+    steepest = (np.abs(np.diff(y, axis=1)).max(axis=1) / step).max()
+    if steepest > STEEPEST:
+        raise ValueError(f"path must have slopes of at most {STEEPEST:g}, got {steepest:g}")
+
+
+@lane_function
+def _path_at(lane: Lane, x: float) -> tuple[float, float]:
     """[m] y of the path at x, and its slope there; it goes on straight beyond its ends."""
-    step = lanes.goal[lane, STEP_X]
-    along = (x - lanes.goal[lane, FIRST_X]) / step
+    step = lane.goal[STEP_X]
+    along = (x - lane.goal[FIRST_X]) / step
     i = int(min(max(along, 0.0), PATH_POINTS - 2.0))
-    y = lanes.path[lane, i]
-    rise = lanes.path[lane, i + 1] - y
+    y = lane.path[i]
+    rise = lane.path[i + 1] - y
     return y + (along - i) * rise, rise / step
 
 
-@inlined
-def _errors(lanes: Lanes, lane: int, pose_and_velocity: Array) -> tuple[float, float, float]:
+@lane_function
+def _errors(lane: Lane, motion: Array) -> tuple[float, float, float]:
     """[m] off the path, [m/s] over the asked speed along it, [m/s] across it; to its left."""
-    y, slope = _path_at(lanes, lane, pose_and_velocity[0])
+    y, slope = _path_at(lane, motion[X])
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
-    vx, vy = pose_and_velocity[3], pose_and_velocity[4]
-    along = (vx + slope * vy) * cosine - lanes.goal[lane, SPEED]
-    return (pose_and_velocity[1] - y) * cosine, along, (vy - slope * vx) * cosine
-
-
-@inlined
-def begin(lanes: Lanes, lane: int) -> None:
-    """Set the task's memory at a start."""
-    memory = lanes.memory[lane]
-    memory[LAST_X] = lanes.truth[lane, 0]
-    memory[SQUARED_ERROR] = 0.0
-    memory[SQUARED_SPEED_ERROR] = 0.0
-    memory[RMS_ERROR] = 0.0
-    memory[SPEED_ERROR] = 0.0
-    memory[CROSS_ERROR], _, _ = _errors(lanes, lane, lanes.truth[lane])
-
-
-@inlined
-def judge(lanes: Lanes, lane: int, period: float, on_surface: bool) -> None:
-    """Write reward terms and outcome after a control period, from the true state."""
-    truth = lanes.truth[lane]
-    memory = lanes.memory[lane]
-    error, speed_error, _ = _errors(lanes, lane, truth)
-    speed = math.sqrt(truth[3] * truth[3] + truth[4] * truth[4])
-    path_end = lanes.goal[lane, FIRST_X] + (PATH_POINTS - 1) * lanes.goal[lane, STEP_X]
-    outcome = RUNNING
-    if not on_surface:
-        outcome = OFF_SURFACE
-    elif abs(error) >= FARTHEST:
-        outcome = OFF_PATH
-    elif truth[0] > path_end:
-        outcome = SUCCESS
-    elif speed < STALL_SPEED:
-        outcome = STALLED
-    if period > 0.0:
-        memory[SQUARED_ERROR] += error * error * period
-        memory[SQUARED_SPEED_ERROR] += speed_error * speed_error * period
-        memory[RMS_ERROR] = math.sqrt(memory[SQUARED_ERROR] / lanes.clock[lane])
-        memory[SPEED_ERROR] = math.sqrt(memory[SQUARED_SPEED_ERROR] / lanes.clock[lane])
-    memory[CROSS_ERROR] = error
-    distance = max(0.0, truth[0] - memory[LAST_X])
-    memory[LAST_X] = truth[0]
-    terms = lanes.terms[lane]
-    terms[0] = DISTANCE_REWARD * distance
-    terms[1] = PRECISION_REWARD * distance * math.exp(-abs(error) / PRECISION_SCALE)
-    terms[2] = CROSS_REWARD * distance * abs(error)
-    terms[3] = SPEED_REWARD * distance * abs(speed_error)
-    terms[4] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
-    terms[5] = FAILURE_REWARD if outcome > SUCCESS else 0.0
-    lanes.outcome[lane] = outcome
-
-
-@inlined
-def observe(lanes: Lanes, lane: int, geometry: Geometry) -> None:
-    """Write the observation from what the sensors say."""
-    sensed = lanes.sensed[lane]
-    x, y, theta = sensed[0], sensed[1], sensed[2]
-    error, speed_error, across = _errors(lanes, lane, sensed)
-    turn = 2.0 * math.pi / geometry.pitch
-    tilt = lanes.surface[lane, GRAVITY_ALONG] / GRAVITY
-    see = lanes.observation[lane]
-    see[0] = error / 0.05
-    see[1] = math.tanh(error / 0.005)
-    see[2] = speed_error / 0.2
-    see[3] = across / 0.1
-    see[4] = lanes.goal[lane, SPEED] - 0.8
-    _, see[5] = _path_at(lanes, lane, x)
-    _, see[6] = _path_at(lanes, lane, x + _AHEAD_1)
-    _, see[7] = _path_at(lanes, lane, x + _AHEAD_2)
-    _, see[8] = _path_at(lanes, lane, x + _AHEAD_3)
-    see[9] = tilt / 0.2
-    see[10] = math.sin(theta)
-    see[11] = math.cos(theta)
-    see[12] = sensed[5] / 3.0
-    see[13] = (lanes.body[lane, HALF_LENGTH] - 0.175) / 0.05
-    see[14] = math.sin(turn * (x - geometry.x0))
-    see[15] = math.cos(turn * (x - geometry.x0))
-    see[16] = math.sin(turn * (y - geometry.y0))
-    see[17] = math.cos(turn * (y - geometry.y0))
+    along = (motion[VX] + slope * motion[VY]) * cosine - lane.goal[SPEED]
+    return (motion[Y] - y) * cosine, along, (motion[VY] - slope * motion[VX]) * cosine

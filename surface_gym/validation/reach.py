@@ -48,6 +48,7 @@ def reachable(
     path = speed * duration + 0.5 * downhill * duration**2
     outline = parcel.base.outline
     base = float(np.hypot(outline[:, 0], outline[:, 1]).max())
+    pitch = max(surface.pitch_x, surface.pitch_y)
     # Twice the arm: the base's frame is one arm from the centre of mass at either end of the path.
     distance = np.hypot(*np.meshgrid(surface.x - x, surface.y - y))
-    return np.asarray(distance <= path + base + 2.0 * arm + surface.pitch)
+    return np.asarray(distance <= path + base + 2.0 * arm + pitch)

@@ -169,6 +169,7 @@ def _is_over(surface: Surface, parcel: Parcel, pose: Array) -> NDArray[np.bool_]
     x = pose[:, 0] + cosine * com_x - sine * com_y
     y = pose[:, 1] + sine * com_x + cosine * com_y
     # An element stands for the square of one pitch around it.
-    half_length, half_width = 0.5 * surface.pitch * np.array([surface.columns, surface.rows])
+    half_length = 0.5 * surface.pitch_x * surface.columns
+    half_width = 0.5 * surface.pitch_y * surface.rows
     along = np.abs(x - surface.x.mean()) <= half_length
     return np.asarray(along & (np.abs(y - surface.y.mean()) <= half_width))

@@ -14,7 +14,8 @@ from scipy.optimize import nnls
 
 from surface_gym import checks
 from surface_gym.dynamics.entries import advance_implicit, find_support, load_point
-from surface_gym.dynamics.memory import make_scratch
+from surface_gym.dynamics.memory import make_scratch, row_of
+from surface_gym.dynamics.types import ARM_X, ARM_Y, NORMAL
 from surface_gym.parcel import Parcel
 from surface_gym.simulation import start_state
 from surface_gym.surface import Surface
@@ -81,18 +82,18 @@ def end_pose(
     """
     tops = checks.array("heights", heights, (surface.rows, surface.columns))
     grid, body = surface.grid, parcel.body
-    scratch = make_scratch(grid, body)
+    scratch = make_scratch()
     state = start_state(parcel, np.asarray(pose), np.asarray(velocity))
     for step in range(round(duration / dt)):
         contacts = find_support(grid, body, state, scratch, 0.5 * dt)
-        if contacts == 0:
+        if contacts.total == 0:
             raise ValueError(f"duration must end on the surface, left it after {step * dt:g} s")
-        arms = np.column_stack([scratch.arm_x[:contacts], scratch.arm_y[:contacts]])
+        arms = np.column_stack([row_of(scratch, row, contacts.total) for row in (ARM_X, ARM_Y)])
         # The element under each contact: its place half a step on, as find_support sees it.
         place = state[:2] + 0.5 * dt * state[3:5] + arms - surface.origin
-        column, row = np.rint(place / surface.pitch).astype(np.int64).T
+        column, row = np.rint(place / (surface.pitch_x, surface.pitch_y)).astype(np.int64).T
         load = load_point(grid, body, state)
-        scratch.normal[:contacts] = uneven_normal_forces(
+        row_of(scratch, NORMAL, contacts.total)[:] = uneven_normal_forces(
             arms,
             tops[row, column],
             stiffness * grid.stiffness[row, column],

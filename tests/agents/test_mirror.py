@@ -10,7 +10,8 @@ from agents.mirror import SIDE, ActionMirror, MirrorVecEnv, mirrored_orientation
 from agents.vec_env import SurfaceVecEnv
 from surface_gym.actions import KINDS
 from surface_gym.layouts import LINE_Y
-from surface_gym.settings import ORIENTATIONS, Settings
+from surface_gym.plants import ORIENTATIONS
+from surface_gym.settings import Settings
 
 BOTH_SIDES = np.array([1.0, -1.0], dtype=np.float32)
 
@@ -20,7 +21,7 @@ BOTH_SIDES = np.array([1.0, -1.0], dtype=np.float32)
 @pytest.mark.parametrize("seed", range(3))
 def test_trajectories_are_mirror_images(actions: str, parcel: str, seed: int) -> None:
     settings = Settings(actions=actions)
-    mirror = ActionMirror(settings.action_kind, settings.orientations)
+    mirror = ActionMirror(settings.action_kind, settings.chosen_orientations)
     env = sg.SmartSurfaceVectorEnv(2, actions=actions, autoreset_mode="Disabled")
     start = {"speed": 1.6, "parcel": parcel}
     observations, info = env.reset(seed=0, options=[{**start, "side": 1}, {**start, "side": -1}])
@@ -46,7 +47,7 @@ def test_trajectories_are_mirror_images(actions: str, parcel: str, seed: int) ->
 @pytest.mark.parametrize("actions", KINDS)
 def test_the_mirrors_mirror_image_is_the_thing_itself(actions: str) -> None:
     settings = Settings(actions=actions)
-    mirror = ActionMirror(settings.action_kind, settings.orientations)
+    mirror = ActionMirror(settings.action_kind, settings.chosen_orientations)
     space = settings.action_space()
     space.seed(0)
     given = np.array([space.sample() for _ in range(40)])

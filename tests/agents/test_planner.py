@@ -11,10 +11,10 @@ from agents.planner import Planner
 from agents.planning.start import start_of
 from agents.rules.event import EventRule
 from agents.rules.fixed import FixedLayout
-from surface_gym.plant import PITCH
 from surface_gym.settings import Settings
 from surface_gym.tasks.paths import Sine
 from tests.agents.rules.runs import Runs, run
+from tests.environments import PITCH
 
 WAVE = {"path": Sine(0.15, 2.2, start=0.5, end=2.0), "tilt": 0.22, "speed": 0.8}
 STARTS: dict[str, dict[str, Any]] = {

@@ -6,37 +6,16 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.batch.batch import Batch
 from surface_gym.batch.placement import NO_EDGE, placement_of
 from surface_gym.lanes.memory import COM_X, COM_Y, HALF_LENGTH, RADIUS
-from surface_gym.plant import PITCH, Field, Line
+from surface_gym.plants import Field, Line
 from surface_gym.settings import Settings
-from surface_gym.tasks.task import Start
+from surface_gym.tasks.start import Start
+from tests.batches import batch_with, put
 from tests.environments import HEPTAGON, PARCELS, TRIANGLE
 
 every_parcel = pytest.mark.parametrize("parcel", PARCELS.values(), ids=PARCELS)
-FIRST = np.zeros(1, dtype=np.int64)
-
-
-def under(parcel: sg.Parcel, x: float, y: float, theta: float) -> int:
-    """How many points of an endless grid lie under a base, its centroid at (x, y)."""
-    places = PITCH * np.arange(-15, 16)
-    dx, dy = np.meshgrid(places - x, places - y)
-    cosine, sine = math.cos(theta), math.sin(theta)
-    centre_x, centre_y = parcel.base.centroid
-    functions = parcel.base.functions(
-        centre_x + cosine * dx + sine * dy, centre_y + cosine * dy - sine * dx
-    )
-    return int((functions <= 0.0).all(axis=0).sum())
-
-
-@every_parcel
-def test_there_is_room_for_all_contacts(parcel: sg.Parcel) -> None:
-    rng = np.random.default_rng(0)
-    most = max(
-        under(parcel, *rng.uniform(-0.1, 0.1, 2), rng.uniform(-math.pi, math.pi))
-        for _ in range(500)
-    )
-    assert 0 < most <= placement_of(parcel, Line(), None).contacts
 
 
 @every_parcel
@@ -71,9 +50,7 @@ def test_a_lane_tells_the_pose_it_was_given(
 ) -> None:
     """The state is the centre of mass's; what is told is of the centroid, as a rigid body moves."""
     pose = (0.7, 1.05, 0.6)
-    batch = Settings().make_batch(1)
-    batch.place(0, Start(parcel, pose, velocity, (1.0,)), np.random.default_rng(0))
-    batch.begin(FIRST)
+    batch = batch_with(Start(parcel, pose, velocity, (1.0,)))
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     x, y = parcel.base.centroid
     arm = np.array([cosine * x - sine * y, sine * x + cosine * y])
@@ -84,25 +61,37 @@ def test_a_lane_tells_the_pose_it_was_given(
 
 def test_a_lane_forgets_the_parcel_before() -> None:
     start = Start(sg.layouts.box("S"), (0.125, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,))
-    used, fresh = Settings().make_batch(1), Settings().make_batch(1)
+    used, fresh = Batch(Settings(), 1), batch_with(start)
     for parcel in (HEPTAGON, sg.layouts.box("B"), TRIANGLE):
-        used.place(0, start._replace(parcel=parcel), np.random.default_rng(0))
-        used.begin(FIRST)
+        put(used, start._replace(parcel=parcel))
         used.advance(np.full((1, 64), 1))
-    for batch in (used, fresh):
-        batch.place(0, start, np.random.default_rng(0))
-        batch.begin(FIRST)
-    for name, found, wanted in zip(used.lanes._fields, used.lanes, fresh.lanes, strict=True):
+    put(used, start)
+    lane = used.view(0)
+    for name, found, wanted in zip(lane._fields, lane, fresh.view(0), strict=True):
         if name in ("edges", "corners"):  # the heptagon's seven leave room behind the box's four
-            np.testing.assert_array_equal(found[0, :4], wanted[0])
-        elif name not in ("command", "memory"):
+            np.testing.assert_array_equal(found[:4], wanted)
+        elif name != "memory":
             np.testing.assert_array_equal(found, wanted, name)
-    np.testing.assert_array_equal(used.lanes.edges[0, 4:], [NO_EDGE] * 3)
-    assert (used.lanes.corners[0, 4:] == used.lanes.corners[0, 0]).all()
+    np.testing.assert_array_equal(lane.edges[4:], [NO_EDGE] * 3)
+    assert (lane.corners[4:] == lane.corners[0]).all()
+
+
+def test_lanes_of_the_same_parcel_share_its_site() -> None:
+    batch = Batch(Settings(), 5)
+    mine = sg.Parcel(sg.Disc(0.12))
+    names = ("S", "B", "S", "B", mine)
+    for lane, parcel in enumerate(names):
+        parcel = sg.layouts.box(parcel) if isinstance(parcel, str) else parcel
+        put(batch, Start(parcel, (parcel.rear, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), lane)
+    assert batch.lanes.site[:4].tolist() == [0, 1, 0, 1]
+    assert [batch.view(lane).body[RADIUS] for lane in (0, 4)] == [
+        sg.layouts.box("S").base.reach,
+        0.12,
+    ]
 
 
 def test_parcels_that_do_not_fit_are_told_beforehand() -> None:
-    batch = Settings().make_batch(1)
-    batch.check(sg.layouts.box("B"))
+    batch = Batch(Settings(), 1)
+    batch.check([{"parcel": "B"}])
     with pytest.raises(ValueError, match="parcel must be at most"):
-        batch.check(sg.Parcel(sg.Rectangle(3.0, 0.1)))
+        batch.check([{"parcel": "B"}, {"parcel": sg.Parcel(sg.Rectangle(3.0, 0.1))}])

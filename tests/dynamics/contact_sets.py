@@ -1,12 +1,41 @@
 """Sets of contacts made by hand or drawn, for the compiled functions that take them."""
 
+from typing import NamedTuple
+
 import numpy as np
 
+import surface_gym as sg
 from surface_gym.dynamics.entries import dual_normal_forces
-from surface_gym.dynamics.types import Grid, Scratch
+from surface_gym.dynamics.memory import make_scratch, row_of
+from surface_gym.dynamics.types import (
+    ARM_X,
+    ARM_Y,
+    AXIS_X,
+    AXIS_Y,
+    MU_ACROSS,
+    MU_ALONG,
+    NORMAL,
+    ROTOR,
+    STIFFNESS,
+    SUPPORT,
+    Contacts,
+    Grid,
+    Scratch,
+)
 
 WEIGHT = 9.81  # [m/s^2] normal load / mass
 PITCH = 0.1  # [m]
+
+
+class Friction(NamedTuple):
+    """Friction of rotors along and across their axes, and of supports."""
+
+    along: float = 0.5  # [-]
+    across: float = 0.01  # [-]
+    support: float = 0.005  # [-]
+
+
+TABLE_1 = Friction()
 
 
 def make_contacts(
@@ -15,42 +44,37 @@ def make_contacts(
     rotor: np.ndarray | None = None,
     normal: np.ndarray | None = None,
     stiffness: np.ndarray | None = None,
-) -> Scratch:
-    """Scratch that holds contacts at arms (n, 2) [m].
+    friction: Friction = TABLE_1,
+) -> tuple[Scratch, Contacts]:
+    """Scratch that holds contacts at arms (n, 2) [m], and how many it holds.
 
     By default rotors, all at 0 rad, of the same stiffness and unloaded.
     """
     count = len(arms)
-    axis = np.zeros(count) if axis is None else axis
-    return Scratch(
-        arm_x=arms[:, 0].copy(),
-        arm_y=arms[:, 1].copy(),
-        axis_x=np.cos(axis),
-        axis_y=np.sin(axis),
-        rotor=np.ones(count, dtype=bool) if rotor is None else rotor.copy(),
-        stiffness=np.ones(count) if stiffness is None else stiffness.copy(),
-        normal=np.zeros(count) if normal is None else normal.copy(),
-        edges=np.zeros((0, 3)),
-        slide=np.zeros((count, 4)),
-    )
+    rotor = np.ones(count, dtype=bool) if rotor is None else rotor
+    angle = np.zeros(count) if axis is None else axis
+    scratch = make_scratch()
+    for row, values in (
+        (ARM_X, arms[:, 0]),
+        (ARM_Y, arms[:, 1]),
+        (AXIS_X, np.where(rotor, np.cos(angle), 1.0)),
+        (AXIS_Y, np.where(rotor, np.sin(angle), 0.0)),
+        (STIFFNESS, np.ones(count) if stiffness is None else stiffness),
+        (MU_ALONG, np.where(rotor, friction.along, friction.support)),
+        (MU_ACROSS, np.where(rotor, friction.across, friction.support)),
+        (NORMAL, np.zeros(count) if normal is None else normal),
+    ):
+        row_of(scratch, row, count)[:] = values
+    scratch.marks[ROTOR : ROTOR + count] = rotor
+    supports = np.flatnonzero(~rotor)
+    scratch.marks[SUPPORT : SUPPORT + len(supports)] = supports
+    return scratch, Contacts(count, len(supports))
 
 
-def make_grid(
-    mu_max: float = 0.5, mu_min: float = 0.01, mu_support: float = 0.005, along: float = 0.0
-) -> Grid:
-    """A grid of one element, for functions that read no more than friction and gravity."""
-    return Grid(
-        direction=np.array([[[1.0, 0.0]]]),
-        rotor=np.ones((1, 1), dtype=bool),
-        stiffness=np.ones((1, 1)),
-        x0=0.0,
-        y0=0.0,
-        pitch=PITCH,
-        mu_max=mu_max,
-        mu_min=mu_min,
-        mu_support=mu_support,
-        gravity_along=along,
-        gravity_normal=WEIGHT,
+def make_grid(along: float = 0.0) -> Grid:
+    """A grid of one element, for functions that read no more than gravity."""
+    return sg.Surface(np.zeros((1, 1)), np.ones((1, 1), dtype=bool)).grid._replace(
+        gravity_along=along, gravity_normal=WEIGHT
     )
 
 
@@ -65,6 +89,6 @@ def dual(
     arms: np.ndarray, load: np.ndarray, stiffness: np.ndarray | None = None
 ) -> tuple[np.ndarray, bool]:
     """The dual's answer in the form of the references'."""
-    contacts = make_contacts(arms, stiffness=stiffness)
-    degenerate = dual_normal_forces(contacts, len(arms), WEIGHT, load[0], load[1], PITCH)
-    return contacts.normal, degenerate
+    scratch, contacts = make_contacts(arms, stiffness=stiffness)
+    degenerate = dual_normal_forces(scratch, contacts.total, WEIGHT, load[0], load[1], PITCH)
+    return row_of(scratch, NORMAL, contacts.total), degenerate

@@ -1,6 +1,7 @@
 """Contacts against a scan of the whole grid by Section 3.2's F_lambda <= 0."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,10 +9,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import surface_gym as sg
-from surface_gym.dynamics.contacts import EDGE_TOLERANCE
+from surface_gym.dynamics.contacts import EDGE_TOLERANCE, forget_contacts
 from surface_gym.dynamics.entries import find_contacts
-from surface_gym.dynamics.memory import make_scratch
-from surface_gym.dynamics.types import Scratch
+from surface_gym.dynamics.memory import make_scratch, row_of
+from surface_gym.dynamics.types import (
+    ARM_X,
+    ARM_Y,
+    AXIS_X,
+    AXIS_Y,
+    MU_ACROSS,
+    MU_ALONG,
+    ROTOR,
+    STIFFNESS,
+    Scratch,
+)
 from tests.strategies import COLUMNS, ROWS, bases, polygon_vertices
 
 Pose = tuple[float, float, float]
@@ -19,26 +30,31 @@ Pose = tuple[float, float, float]
 SURFACE = sg.Surface(
     axis=np.arange(ROWS * COLUMNS, dtype=float).reshape(ROWS, COLUMNS),
     rotor=np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS) % 3 > 0,
+    mu_max=0.1 + 0.001 * np.arange(ROWS * COLUMNS, dtype=float).reshape(ROWS, COLUMNS),
     stiffness=1.0 + np.arange(ROWS * COLUMNS, dtype=float).reshape(ROWS, COLUMNS),
 )
+OBLONG = replace(SURFACE, pitch=(0.13, 0.07), origin=(0.02, 0.3))
 
 
-def contacts_of(parcel: sg.Parcel, pose: Pose) -> tuple[Scratch, int, np.ndarray]:
+def contacts_of(
+    parcel: sg.Parcel, pose: Pose, surface: sg.Surface = SURFACE
+) -> tuple[Scratch, int, np.ndarray]:
     """The contacts, their number, and their [row, column] in the grid."""
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     com_x, com_y = parcel.centre_of_mass
     x = pose[0] + cosine * com_x - sine * com_y
     y = pose[1] + sine * com_x + cosine * com_y
-    scratch = make_scratch(SURFACE.grid, parcel.body)
-    count = find_contacts(SURFACE.grid, parcel.body, x, y, pose[2], scratch)
-    columns = (scratch.arm_x[:count] + x - SURFACE.origin[0]) / SURFACE.pitch
-    rows = (scratch.arm_y[:count] + y - SURFACE.origin[1]) / SURFACE.pitch
+    scratch = make_scratch()
+    count, supports = find_contacts(surface.grid, parcel.body, x, y, pose[2], scratch)
+    columns = (row_of(scratch, ARM_X, count) + x - surface.origin[0]) / surface.pitch_x
+    rows = (row_of(scratch, ARM_Y, count) + y - surface.origin[1]) / surface.pitch_y
+    assert supports == count - scratch.marks[ROTOR : ROTOR + count].sum()
     return scratch, count, np.column_stack([rows, columns])
 
 
-def scan(parcel: sg.Parcel, pose: Pose) -> np.ndarray:
+def scan(parcel: sg.Parcel, pose: Pose, surface: sg.Surface = SURFACE) -> np.ndarray:
     """(ROWS, COLUMNS) the largest F_lambda at each element."""
-    x, y = np.meshgrid(SURFACE.x - pose[0], SURFACE.y - pose[1])
+    x, y = np.meshgrid(surface.x - pose[0], surface.y - pose[1])
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     return parcel.base.functions(cosine * x + sine * y, cosine * y - sine * x).max(axis=0)
 
@@ -48,16 +64,17 @@ def scan(parcel: sg.Parcel, pose: Pose) -> np.ndarray:
     x=st.floats(-0.3, 2.3),
     y=st.floats(-0.3, 1.9),
     theta=st.one_of(st.floats(-10.0, 10.0), st.sampled_from([0.0, math.pi / 2, math.pi, 1e6])),
+    surface=st.sampled_from([SURFACE, OBLONG]),
 )
 def test_contacts_are_the_elements_a_scan_finds(
-    base: sg.bases.Base, x: float, y: float, theta: float
+    base: sg.bases.Base, x: float, y: float, theta: float, surface: sg.Surface
 ) -> None:
     parcel = sg.Parcel(base)
-    _, _, places = contacts_of(parcel, (x, y, theta))
+    _, _, places = contacts_of(parcel, (x, y, theta), surface)
     found = np.zeros((ROWS, COLUMNS), dtype=int)
     for row, column in np.rint(places).astype(int):
         found[row, column] += 1
-    largest = scan(parcel, (x, y, theta))
+    largest = scan(parcel, (x, y, theta), surface)
     np.testing.assert_allclose(places, np.rint(places), atol=1e-9)
     assert found.max(initial=0) <= 1
     assert found[largest <= 0.0].all()
@@ -83,10 +100,31 @@ def test_each_contact_has_its_elements_axis_kind_and_stiffness() -> None:
     scratch, count, places = contacts_of(sg.Parcel(sg.Disc(0.3)), (1.0, 0.8, 0.0))
     rows, columns = np.rint(places).astype(int).T
     assert count == len(places) > 20
-    np.testing.assert_array_equal(scratch.axis_x[:count], np.cos(SURFACE.axis[rows, columns]))
-    np.testing.assert_array_equal(scratch.axis_y[:count], np.sin(SURFACE.axis[rows, columns]))
-    np.testing.assert_array_equal(scratch.rotor[:count], SURFACE.rotor[rows, columns])
-    np.testing.assert_array_equal(scratch.stiffness[:count], SURFACE.stiffness[rows, columns])
+    rotor, axis = SURFACE.rotor[rows, columns], SURFACE.axis[rows, columns]
+    for row, expected in (
+        (AXIS_X, np.where(rotor, np.cos(axis), 1.0)),
+        (AXIS_Y, np.where(rotor, np.sin(axis), 0.0)),
+        (STIFFNESS, SURFACE.stiffness[rows, columns]),
+        (MU_ALONG, np.where(rotor, SURFACE.mu_max[rows, columns], SURFACE.mu_support)),
+        (MU_ACROSS, np.where(rotor, SURFACE.mu_min, SURFACE.mu_support)),
+    ):
+        np.testing.assert_array_equal(row_of(scratch, row, count), expected)
+    np.testing.assert_array_equal(scratch.marks[ROTOR : ROTOR + count], rotor)
+
+
+def test_a_scratch_follows_a_parcel_whose_axes_turn_once_it_forgets_them() -> None:
+    parcel, grid = sg.layouts.box("S"), sg.layouts.sorting().grid
+    scratch = make_scratch()
+    pose = (1.0, 1.0, 0.0)
+    contacts = find_contacts(grid, parcel.body, *pose, scratch)
+    turned = grid._replace(direction=grid.direction[:, ::-1])
+    assert find_contacts(turned, parcel.body, *pose, scratch) == contacts
+    forget_contacts.py_func(scratch)
+    find_contacts(turned, parcel.body, *pose, scratch)
+    fresh = make_scratch()
+    find_contacts(turned, parcel.body, *pose, fresh)
+    for row in (AXIS_X, AXIS_Y):
+        np.testing.assert_array_equal(row_of(scratch, row, 4), row_of(fresh, row, 4))
 
 
 @pytest.mark.parametrize("quarter_turns", range(-4, 5))

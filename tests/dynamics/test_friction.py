@@ -11,7 +11,15 @@ from scipy.optimize import lsq_linear
 from surface_gym.dynamics.entries import implicit_velocity
 from surface_gym.dynamics.friction import ROUNDING
 from surface_gym.dynamics.types import Grid
-from tests.dynamics.contact_sets import PITCH, WEIGHT, draw_arms, make_contacts, make_grid
+from tests.dynamics.contact_sets import (
+    PITCH,
+    TABLE_1,
+    WEIGHT,
+    Friction,
+    draw_arms,
+    make_contacts,
+    make_grid,
+)
 
 SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [-0.1, 0.1], [0.1, 0.1]])
 
@@ -28,6 +36,7 @@ class Problem:
     axis: np.ndarray  # (contacts,) [rad]
     rotor: np.ndarray  # (contacts,) bool
     normal: np.ndarray  # (contacts,) [m/s^2]
+    friction: Friction = TABLE_1
 
     @property
     def inertia(self) -> np.ndarray:
@@ -49,9 +58,11 @@ class Problem:
         )
 
     def step(self) -> np.ndarray:
-        contacts = make_contacts(self.arms, self.axis, self.rotor, self.normal)
+        scratch, contacts = make_contacts(
+            self.arms, self.axis, self.rotor, self.normal, friction=self.friction
+        )
         velocity = implicit_velocity(
-            self.grid, self.gyration, contacts, len(self.arms), self.dt, *self.velocity
+            self.grid, self.gyration, scratch, contacts, self.dt, *self.velocity
         )
         return np.array(velocity)
 
@@ -80,7 +91,7 @@ def dual_minimiser(problem: Problem) -> np.ndarray:
     along, across = problem.slides
     load = problem.dt * problem.normal[problem.normal > 0.0]
     rows = np.concatenate([along[problem.normal > 0.0], across[problem.normal > 0.0]])
-    most = np.concatenate([problem.grid.mu_max * load, problem.grid.mu_min * load])
+    most = np.concatenate([problem.friction.along * load, problem.friction.across * load])
     root = np.sqrt(problem.inertia)
     # In units of each force's bound, for the solver's conditioning.
     system = np.vstack([(most[:, np.newaxis] * rows / root).T, np.diag(np.sqrt(ROUNDING * most))])
@@ -94,12 +105,12 @@ def gradient(problem: Problem, velocity: np.ndarray) -> np.ndarray:
     along, across = problem.slides
     u, v = along @ velocity, across @ velocity
     speed = np.maximum(np.hypot(u, v), ROUNDING)
-    grid = problem.grid
+    mu = problem.friction
     force_along = np.where(
-        problem.rotor, grid.mu_max * np.clip(u / ROUNDING, -1, 1), grid.mu_support * u / speed
+        problem.rotor, mu.along * np.clip(u / ROUNDING, -1, 1), mu.support * u / speed
     )
     force_across = np.where(
-        problem.rotor, grid.mu_min * np.clip(v / ROUNDING, -1, 1), grid.mu_support * v / speed
+        problem.rotor, mu.across * np.clip(v / ROUNDING, -1, 1), mu.support * v / speed
     )
     load = problem.dt * problem.normal
     inertial = problem.inertia * (velocity - problem.free_velocity)
@@ -165,7 +176,8 @@ def test_a_sliding_parcel_is_slowed_by_coulomb_friction(
 
 def test_supports_slow_in_the_direction_of_motion() -> None:
     problem = Problem(
-        grid=make_grid(mu_support=0.1),
+        grid=make_grid(),
+        friction=Friction(support=0.1),
         gyration=0.01,
         dt=0.01,
         velocity=np.array([0.6, 0.8, 0.0]),
@@ -200,7 +212,8 @@ def test_friction_holds_a_parcel_on_a_slope(along: float) -> None:
 def test_a_spinning_parcel_on_supports_slows_about_its_centre() -> None:
     gyration, radius, dt, mu = 0.01, 0.1 * np.sqrt(2.0), 0.005, 0.2
     problem = Problem(
-        grid=make_grid(mu_support=mu),
+        grid=make_grid(),
+        friction=Friction(support=mu),
         gyration=gyration,
         dt=dt,
         velocity=np.array([0.0, 0.0, 3.0]),
@@ -216,7 +229,8 @@ def test_a_spinning_parcel_on_supports_slows_about_its_centre() -> None:
 def test_without_friction_or_gravity_the_velocity_stays() -> None:
     rng = np.random.default_rng(0)
     problem = Problem(
-        grid=make_grid(mu_max=0.0, mu_min=0.0, mu_support=0.0),
+        grid=make_grid(),
+        friction=Friction(0.0, 0.0, 0.0),
         gyration=0.01,
         dt=0.005,
         velocity=np.array([1.0, -0.5, 2.0]),

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.batch.batch import Batch
 from surface_gym.sensors import Camera, Entry
+from surface_gym.sensors.camera import FRAME_SIZE, FRAMES, TAKEN
+from surface_gym.sensors.observer import LAST
 from surface_gym.settings import Settings
 from tests.sensors.runs import BRAKE, PLUS_45, ROLL, errors, rms
 
@@ -30,12 +33,9 @@ def test_a_jump_is_seen_after_the_latency_and_not_before(late: int) -> None:
         frame_rate=50.0, latency=late * period, position_noise=1e-4, angle_noise=1e-4, entry=SURE,
         acceleration_density=10.0,
     )  # fmt: skip
-    batch = Settings(actions="halves", sensors=camera, control_period=period).make_batch(1)
-    task = batch.task
-    rng = np.random.default_rng(0)
-    start = task.start(rng, {"speed": 0.5, "parcel": "S", "side": 1}, None)
-    batch.place(0, start, rng)
-    batch.begin(np.zeros(1, dtype=np.int64))
+    batch = Batch(Settings(actions="halves", sensors=camera, control_period=period), 1)
+    batch.reserve.seed(0, np.random.default_rng(0))
+    batch.start(np.zeros(1, dtype=np.int64), [{"speed": 0.5, "parcel": "S", "side": 1}])
     roll = np.full((1, 2), ROLL)
     for _ in range(8):
         batch.advance(roll)
@@ -69,8 +69,9 @@ def test_frames_are_lost_with_the_probability_asked(drop: float) -> None:
     for _ in range(20):
         env.step(np.full(64, 15))
         memory = env._batch.lanes
-        newest = (memory.steps // 4) % memory.frames.shape[1]
-        taken.append(memory.frames[np.arange(64), newest, 0] > 0)
+        frames = memory.kept[:, LAST:].reshape(64, FRAMES, FRAME_SIZE)
+        newest = (memory.steps // 4) % FRAMES
+        taken.append(frames[np.arange(64), newest, TAKEN] > 0)
     assert np.mean(taken) == pytest.approx(1.0 - drop, abs=0.05)
 
 

@@ -9,9 +9,9 @@ import numpy as np
 
 import surface_gym as sg
 from surface_gym.batch.batch import Batch
-from surface_gym.lanes.memory import OUTCOMES
-from surface_gym.settings import Settings
-from surface_gym.tasks.task import Start, Task
+from surface_gym.tasks import Task
+from surface_gym.tasks.start import Draw, Start
+from tests.batches import batch_with
 from tests.environments import Step
 
 BRAKE = 0  # choice of the default orientations: the axis at 0 deg
@@ -56,10 +56,7 @@ def play(
 
 def placed(task: Task, start: Start) -> Batch:
     """A batch of one lane on which a start was put."""
-    batch = Settings(task=task).make_batch(1)
-    batch.place(0, start, np.random.default_rng(0))
-    batch.begin(np.zeros(1, dtype=np.int64))
-    return batch
+    return batch_with(start, task=task)
 
 
 def features_of(batch: Batch) -> dict[str, float]:
@@ -72,13 +69,37 @@ def advanced(batch: Batch, choice: int) -> tuple[str, dict[str, float]]:
     """Outcome and reward terms after a control period with every axis alike."""
     batch.advance(np.full((1, batch.lanes.command.shape[1]), choice))
     terms = dict(zip(batch.task.terms, batch.lanes.terms[0].tolist(), strict=True))
-    return OUTCOMES[batch.lanes.outcome[0]], terms
+    return batch.outcomes[batch.lanes.outcome[0]], terms
 
 
-def draws(task: Task, count: int = 400, **options: Any) -> list[Start]:
-    """Starts from one generator."""
-    rng = np.random.default_rng(0)
-    return [task.start(rng, options, None) for _ in range(count)]
+def draws(
+    task: Task,
+    count: int = 400,
+    seed: int = 0,
+    zone: tuple[int, int] | None = None,
+    **options: Any,
+) -> list[Start]:
+    """Starts of a task, one by one."""
+    numbers = np.random.default_rng(seed).random((count, task.draws))
+    starts = task.start(Draw(numbers, [options] * count if options else (), task.plant, zone))
+    return [nth(starts, k, count) for k in range(count)]
+
+
+def nth(starts: Start, k: int, count: int) -> Start:
+    """One of some starts."""
+
+    def each(values: Any) -> Any:
+        return tuple(np.broadcast_to(value, count)[k] for value in values)
+
+    parcels = starts.parcel
+    return Start(
+        parcels if isinstance(parcels, sg.Parcel) else parcels.kinds[parcels.which[k]],
+        each(starts.pose),
+        each(starts.velocity),
+        each(starts.goal),
+        *each([starts.tilt]),
+        None if starts.path is None else starts.path[k],
+    )
 
 
 def assert_uniform(values: Any, low: float, high: float) -> None:

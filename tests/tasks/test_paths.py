@@ -32,6 +32,11 @@ def drawn(kind: str, count: int = 300) -> list[Path]:
     return [random_path(kind, rng.random(DRAWS)) for _ in range(count)]
 
 
+def test_a_random_lane_may_be_the_one_before() -> None:
+    straight = random_path("polyline", np.full(DRAWS, 0.5))
+    np.testing.assert_allclose(straight.y(np.linspace(0.4, 5.6, 50)), 1.0)
+
+
 class TestValues:
     def test_of_a_sine(self) -> None:
         path = Sine(amplitude=0.2, wavelength=2.0, start=0.5, end=4.5, middle=1.1)

@@ -7,7 +7,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.tasks import Slow
-from surface_gym.tasks.task import Start
+from surface_gym.tasks.start import Start
 from tests.environments import PLUS_45, ROLL, bare, same_choice
 from tests.tasks import (
     BRAKE,
@@ -56,9 +56,8 @@ class TestStarts:
         assert_uniform([start.goal[0] for start in draws(Slow(), speed=2.0)], 0.15, 0.8)
 
     def test_a_given_zone_decides_what_rolling_leaves(self) -> None:
-        rng = np.random.default_rng(0)
-        task, options = Slow(ratios=(0.1, 1.0)), {"speed": 1.0, "parcel": "S"}
-        ratios = [task.start(rng, options, (5, 6)).goal[0] for _ in range(400)]
+        starts = draws(Slow(ratios=(0.1, 1.0)), zone=(5, 6), speed=1.0, parcel="S")
+        ratios = [start.goal[0] for start in starts]
         assert_uniform(ratios, 0.1, 0.98 * rolled(1.0, 0.7))
 
     @pytest.mark.parametrize("ratio", [-0.1, 1.1, math.nan, "half", None])

@@ -7,7 +7,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.tasks import Stop
-from surface_gym.tasks.task import Start
+from surface_gym.tasks.start import Start
 from tests.environments import PLUS_45, ROLL, bare, same_choice
 from tests.tasks import (
     BRAKE,
@@ -60,9 +60,8 @@ class TestStarts:
         assert_uniform(asked, braking, 1.9 - 0.125)
 
     def test_in_a_zone_too_short_to_brake_in_it_is_asked_to_stop_at_its_end(self) -> None:
-        options = {"speed": 2.0, "parcel": "S"}
-        start = Stop().start(np.random.default_rng(0), options, (5, 8))
-        assert start.goal == pytest.approx((0.9 - 0.125,))
+        for start in draws(Stop(), zone=(5, 8), speed=2.0, parcel="S"):
+            assert start.goal == pytest.approx((0.9 - 0.125,))
 
     @pytest.mark.parametrize("position", [-0.1, 3.1, math.inf, "there", None])
     def test_bad_positions(self, position: object) -> None:

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.lanes.memory import GOALS, OUTCOMES
+from surface_gym.lanes.memory import COMMON_OUTCOMES
+from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS, Orient, Slow, Sort, Stop, Track
-from surface_gym.tasks.task import check_options, parcel_option, rising
+from surface_gym.tasks.start import Draw, check_options, parcel_option
+from surface_gym.tasks.task import rising
 from tests.environments import TRIANGLE, assert_same, bare
-from tests.tasks import play
+from tests.tasks import draws, nth, play
 
 # For each task: options that fix a start, and the goal that they make.
 FIXED: dict[str, tuple[dict[str, Any], tuple[float, ...]]] = {
@@ -45,31 +47,25 @@ BAD_ARGUMENTS = [
 every_task = pytest.mark.parametrize("name", TASKS)
 
 
-def env_id(name: str) -> str:
-    return f"SmartSurface/{name.capitalize()}-v0"
-
-
 class TestOptions:
     @every_task
     def test_fix_a_start_exactly(self, name: str) -> None:
         task, (options, goal) = TASKS[name](), FIXED[name]
         assert set(options) == set(task.options)
-        starts = [task.start(np.random.default_rng(seed), options, None) for seed in range(3)]
-        for start in starts:
+        for start in draws(task, 3, **options):
             assert start.goal == pytest.approx(goal, abs=1e-12)
             assert start.parcel is sg.layouts.box("B")
             assert start.velocity == (1.3, 0.0, 0.0)
             assert start.pose == ((0.5, 0.9, 0.0) if name == "track" else (0.225, 1.0, 0.0))
             assert start.tilt == options.get("tilt", 0.0)
-            assert len(start.goal) <= GOALS
+            assert len(start.goal) == task.goals
 
     @every_task
     def test_one_leaves_the_other_draws_as_they_are(self, name: str) -> None:
         task, (options, _) = TASKS[name](), FIXED[name]
-        free = task.start(np.random.default_rng(3), {}, None)
-        held = task.start(np.random.default_rng(3), {"parcel": options["parcel"]}, None)
-        assert held.velocity == free.velocity
-        assert held.tilt == free.tilt
+        free, held = draws(task, 9), draws(task, 9, parcel=options["parcel"])
+        assert [start.velocity[0] for start in held] == [start.velocity[0] for start in free]
+        assert [start.tilt for start in held] == [start.tilt for start in free]
 
     @every_task
     def test_unknown_ones_are_named(self, name: str) -> None:
@@ -106,27 +102,33 @@ class TestArguments:
     @every_task
     def test_parcels_of_ones_own_are_drawn(self, name: str) -> None:
         task = TASKS[name](parcels=(TRIANGLE,))
-        rng = np.random.default_rng(0)
-        assert all(task.start(rng, {}, None).parcel is TRIANGLE for _ in range(5))
+        assert all(start.parcel is TRIANGLE for start in draws(task, 5))
 
 
 class TestStarts:
     @every_task
     def test_a_seed_fixes_them(self, name: str) -> None:
         task = TASKS[name]()
+        assert_same(tuple(draws(task, 3, seed=5)), tuple(draws(task, 3, seed=5)))
+        first, second = draws(task, 1, seed=5), draws(task, 1, seed=6)
+        assert first[0].velocity != second[0].velocity
 
-        def start(seed: int) -> tuple:
-            return tuple(task.start(np.random.default_rng(seed), {}, None))
-
-        assert_same(start(5), start(5))
-        assert start(5)[2:4] != start(6)[2:4]
+    @every_task
+    def test_one_at_a_time_they_are_the_same(self, name: str) -> None:
+        """A lane's start does not depend on how many others start with it."""
+        task = TASKS[name]()
+        numbers = np.random.default_rng(1).random((5, task.draws))
+        together = task.start(Draw(numbers, (), task.plant))
+        for k in range(5):
+            alone = task.start(Draw(numbers[k : k + 1], (), task.plant))
+            assert_same(tuple(nth(alone, 0, 1)), tuple(nth(together, k, 5)))
 
 
 class TestEpisodes:
     @every_task
     def test_outcomes_ends_sums_and_bounds(self, name: str) -> None:
         env = bare(env_id(name), actions="halves")
-        seen = set()
+        seen, outcomes = set(), (*COMMON_OUTCOMES, *TASKS[name].outcomes)
         for seed in range(12):
             # By turns at random, where most stall, and rolling, where most get through.
             episode = play(env, {}, 15 if seed % 2 else None, seed=seed)
@@ -135,7 +137,7 @@ class TestEpisodes:
                 assert reward == pytest.approx(math.fsum(info["reward_terms"].values()), abs=1e-12)
                 assert list(info["reward_terms"]) == list(TASKS[name].terms)
                 assert all(math.isfinite(info[figure]) for figure in TASKS[name].figures)
-                assert info["outcome"] in OUTCOMES
+                assert info["outcome"] in outcomes
                 assert terminated == (info["outcome"] != "running")
                 assert info["is_success"] == (info["outcome"] == "success")
                 assert not truncated
@@ -144,7 +146,7 @@ class TestEpisodes:
             assert (episode.total("success") > 0.0) == (outcome == "success")
             assert (episode.total("failure") < 0.0) == (outcome != "success" and not forgiven)
             seen.add(outcome)
-        assert seen <= set(OUTCOMES) - {"running", "out of time"}
+        assert seen <= {"success", *TASKS[name].outcomes}
         assert len(seen) >= 2
 
     @every_task

@@ -33,10 +33,10 @@ class Learner:
     def __init__(self, config: ModulesConfig) -> None:
         self._config = config
         self._practice = Practice(config)
-        settings = card_of(config).settings
+        settings = card_of(config).settings()
         self._view = ModuleView(settings)
         torch.manual_seed(config.seed)
-        self.network = SharedNetwork(len(settings.orientations), config.hidden)
+        self.network = SharedNetwork(len(settings.chosen_orientations), config.hidden)
         self.value = ValueNetwork(config.hidden)
         self._optimisers = [
             torch.optim.Adam(network.parameters(), config.learning_rate, eps=ADAM_EPS)

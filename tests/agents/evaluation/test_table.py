@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from agents.evaluation.by_speed import speed_table
+from agents.evaluation.columns import columns_of
 from agents.evaluation.page import write_page
 from agents.evaluation.summary import summarise
 from agents.evaluation.table import make_table, markdown, write_tables
@@ -81,7 +82,8 @@ def test_the_page_needs_nothing_else(tmp_path: Path) -> None:
     film.write_bytes(b"film")
     table = make_table(make_trial("slow"), SLOW)
     told = [(picture, "a > b"), (film, "both")]
-    write_page([table], {"slow": told}, tmp_path / "report.html")
+    columns = {"slow": columns_of("slow")}
+    write_page([table], {"slow": told}, columns, tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text()
     sources = re.findall(r'(?:src|href)="([^"]*)"', text)
     assert all(source.startswith(("data:", "#")) for source in sources)

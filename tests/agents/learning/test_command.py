@@ -70,5 +70,5 @@ def test_unknown_choices_end_the_program(
     wrong: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit):
+    with pytest.raises((ValueError, SystemExit)):
         open_run(wrong)

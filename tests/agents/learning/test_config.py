@@ -102,7 +102,7 @@ def test_a_setting_that_is_not_known_is_refused(
 
 
 def test_modules_learn_no_task_but_sort() -> None:
-    with pytest.raises(ValueError, match="task must be one of 'sort', got 'slow'"):
+    with pytest.raises(ValueError, match="task must be one of 'sort' for modules, got 'slow'"):
         defaults("slow", "modules")
 
 

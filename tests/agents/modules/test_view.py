@@ -6,8 +6,8 @@ import pytest
 import surface_gym as sg
 from agents.modules.view import ModuleView
 from surface_gym.layouts import LEAD_IN, LINE_ROWS, LINE_Y
-from surface_gym.plant import PITCH
 from surface_gym.settings import Settings
+from tests.environments import PITCH
 
 LANES = 40
 HALF_LENGTH = {"S": 0.125, "B": 0.225}

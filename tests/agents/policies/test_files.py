@@ -29,7 +29,8 @@ def policy_of(card: PolicyCard) -> Policy | ModulesPolicy:
             for weights in network.parameters():
                 weights.normal_()
         return ModulesPolicy(network, card)
-    return Policy(make_network(card), card)
+    settings = card.settings()
+    return Policy(make_network(card, settings), card, settings)
 
 
 @pytest.fixture(params=CARDS)
@@ -45,7 +46,7 @@ def folder(tmp_path: Path, card: PolicyCard) -> Path:
 
 def test_a_round_trip_predicts_the_same(folder: Path, card: PolicyCard) -> None:
     before, after = policy_of(card), load_policy(folder)
-    features = card.settings.observation_space().shape[0]
+    features = card.settings().observation_space().shape[0]
     observations = np.random.default_rng(0).normal(size=(50, features)).astype(np.float32)
     actions, state = after.predict(observations)
     np.testing.assert_array_equal(actions, before.predict(observations)[0])

@@ -21,7 +21,7 @@ CARDS = [
 
 @pytest.mark.parametrize("card", CARDS, ids=lambda card: f"{card.task} {card.algo} {card.actions}")
 def test_it_takes_and_gives_what_its_environment_does(tmp_path: Path, card: PolicyCard) -> None:
-    save_policy(make_network(card), card, tmp_path)
+    save_policy(make_network(card, card.settings()), card, tmp_path)
     policy = load_policy(tmp_path)
     assert policy.card == card
     env = gym.make(policy.env_id, **policy.env_kwargs)

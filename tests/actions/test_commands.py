@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.actions import KINDS
 from surface_gym.actuators import Actuators
 from surface_gym.batch.batch import Batch
-from surface_gym.plant import ORIGIN, PITCH
-from surface_gym.settings import ORIENTATIONS, Settings
+from surface_gym.plants import ORIENTATIONS
+from surface_gym.settings import Settings
 from surface_gym.tasks.sort import FEATURES
-from surface_gym.tasks.task import Start
-from tests.environments import ACTIONS, PARCELS
+from surface_gym.tasks.start import Start
+from tests.batches import batch_with, put
+from tests.environments import ACTIONS, ORIGIN, PARCELS, PITCH
 
 POSES = [
     (1.0, 1.0, 0.0),
@@ -32,11 +32,7 @@ def batch_at(
     pose: tuple[float, float, float], parcel: sg.Parcel, side: float = 1.0, **settings: Any
 ) -> Batch:
     """One lane on which a parcel has just been put."""
-    batch = Settings(**settings).make_batch(1)
-    start = Start(parcel, pose, (0.5, 0.0, 0.0), (side,))
-    batch.place(0, start, np.random.default_rng(0))
-    batch.begin(np.zeros(1, dtype=np.int64))
-    return batch
+    return batch_with(Start(parcel, pose, (0.5, 0.0, 0.0), (side,)), **settings)
 
 
 def whole_row(place: float) -> int:
@@ -47,7 +43,7 @@ def whole_row(place: float) -> int:
 def part_of(actions: str, batch: Batch, row: int, column: int) -> int | None:
     """The part of an action that a module of the zone follows, as `SmartSurfaceEnv` has it."""
     x, y = batch.lanes.sensed[0, :2]
-    first_row, rows, first_column, columns = batch.lanes.zone[0]
+    first_row, rows, first_column, columns = batch.view(0).zone
     ahead = ORIGIN + PITCH * column >= x
     left = ORIGIN + PITCH * row >= y
     if actions == "modules":  # row by row of the widest line, of which these are the middle ones
@@ -71,18 +67,26 @@ def test_each_module_follows_its_part(
     assert_follows(batch, np.random.default_rng(1).integers(0, 4, batch.lanes.command.shape))
 
 
+@pytest.mark.parametrize("actions", ACTIONS)
+def test_each_module_turns_to_the_angle_its_part_says(actions: str) -> None:
+    batch = batch_at((1.0, 1.12, 2.5), sg.layouts.box("B"), actions=actions, orientations="any")
+    angles = np.random.default_rng(1).uniform(-math.pi / 2, math.pi / 2, batch.lanes.command.shape)
+    assert_follows(batch, angles)
+    put(batch, Start(PARCEL, (0.2, 1.0, 0.0), (0.5, 0.0, 0.0), (1.0,)))
+    np.testing.assert_allclose(batch.axes(0), math.pi / 2, rtol=0.0, atol=1e-15)
+
+
 def assert_follows(batch: Batch, command: np.ndarray) -> None:
     """Each module of the zone turns as its part of the command says, every other stays."""
-    actions = next(name for name, number in KINDS.items() if number == batch.rules.acting.kind)
-    wanted = np.full(batch.lanes.rotor.shape[1:], math.pi / 2)
-    for row, column in zip(*np.nonzero(batch.lanes.obeys[0]), strict=True):
-        part = part_of(actions, batch, int(row), int(column))
+    lane, any_angle = batch.view(0), batch.settings.action_kind.continuous
+    wanted = np.full(lane.rotor.shape, math.pi / 2)
+    for row, column in zip(*np.nonzero(lane.obeys), strict=True):
+        part = part_of(batch.settings.actions, batch, int(row), int(column))
         if part is not None:
-            wanted[row, column] = ORIENTATIONS[command[0, part]]
+            says = command[0, part]
+            wanted[row, column] = says if any_angle else ORIENTATIONS[says]
     batch.advance(command)
-    cosine, sine = np.moveaxis(batch.lanes.axis[0], -1, 0)
-    np.testing.assert_allclose(cosine, np.cos(wanted), atol=1e-15)
-    np.testing.assert_allclose(sine, np.sin(wanted), atol=1e-15)
+    np.testing.assert_allclose(batch.axes(0), wanted, rtol=0.0, atol=1e-15)
 
 
 @pytest.mark.parametrize("actions", ["halves", "quadrants", "window"])
@@ -123,7 +127,7 @@ class TestOccupancy:
         under = (functions <= 0.0).all(axis=0)
         inside = (columns + first_column >= 0) & (columns + first_column < 30)
         obeys = np.zeros((5, 5), dtype=bool)
-        obeys[inside] = batch.lanes.obeys[0][
+        obeys[inside] = batch.view(0).obeys[
             (rows + first_row)[inside], (columns + first_column)[inside]
         ]
         np.testing.assert_array_equal(self.occupied(batch), under & obeys)
@@ -147,6 +151,6 @@ class TestOccupancy:
 
 @pytest.mark.parametrize("change", [lambda lanes: lanes.angle, lambda lanes: lanes.target])
 def test_instant_axes_take_no_memory_to_turn(change: Callable[[Any], np.ndarray]) -> None:
-    assert change(Settings().make_batch(3).lanes).shape == (3, 1, 1)
-    slow = Settings(actuators=Actuators(axis_speed=1.0)).make_batch(3)
+    assert change(Batch(Settings(), 3).lanes).shape == (3, 1, 1)
+    slow = Batch(Settings(actuators=Actuators(axis_speed=1.0)), 3)
     assert change(slow.lanes).shape == (3, 20, 30)

@@ -1,0 +1,168 @@
+"""From an action to the axes of a zone's modules.
+
+A command is one number a part: an index into the orientations on offer, or an angle. Which part a
+module follows, what a number says and how an axis turns are functions that a batch's kernel is
+built from. Only rotors that obey turn; every other axis stays as it is.
+"""
+
+import math
+from typing import NamedTuple
+
+from surface_gym.dynamics.compiled import inlined
+from surface_gym.dynamics.types import Array, Integers, X, Y
+from surface_gym.lanes.lane import Lane
+from surface_gym.lanes.memory import COLUMNS, FIRST_COLUMN, FIRST_ROW, ROWS, Lanes
+from surface_gym.layouts import ROLLING
+
+WINDOW_SIDE = 5  # modules
+_HALF = 0.5 + 1e-9  # midway between two rows, whatever the round-off
+CONVEYOR = (math.cos(ROLLING), math.sin(ROLLING))  # cosine and sine of an axis that is not told
+
+
+class Acting(NamedTuple):
+    """How commands turn axes."""
+
+    zone_rows: int  # rows of the widest zone, for which there are commands
+    orientations: Array  # (choices,) [rad] axis angles on offer
+    turn: float  # [rad] an axis turns in a physics step; infinite: at once
+
+
+class Corner(NamedTuple):
+    """Row and column of the window's first module."""
+
+    row: int
+    column: int
+
+
+@inlined
+def window_corner(lane: Lane, mirror: float) -> Corner:
+    """The window's first module; the parcel is sensed over its middle one.
+
+    Midway between two rows it is the one to the left, seen in the mirror if there is one: a
+    mirrored lane must have the mirrored window.
+    """
+    up = (lane.sensed[Y] - lane.elements.y0) / lane.elements.pitch_y
+    row = math.floor(up + _HALF) if mirror > 0.0 else math.ceil(up - _HALF)
+    column = math.floor((lane.sensed[X] - lane.elements.x0) / lane.elements.pitch_x + 0.5)
+    return Corner(int(row) - WINDOW_SIDE // 2, int(column) - WINDOW_SIDE // 2)
+
+
+# Which part of the command a module follows; negative if none.
+
+
+@inlined
+def part_of_modules(acting: Acting, lane: Lane, corner: Corner, row: int, column: int) -> int:
+    """Each module its own. A narrow zone is the middle rows of the widest."""
+    margin = (acting.zone_rows - lane.zone[ROWS]) // 2
+    place = margin + row - lane.zone[FIRST_ROW]
+    return place * lane.zone[COLUMNS] + column - lane.zone[FIRST_COLUMN]
+
+
+@inlined
+def part_of_halves(acting: Acting, lane: Lane, corner: Corner, row: int, column: int) -> int:
+    """Those ahead of the parcel's centre, and those behind it."""
+    return 1 if lane.elements.x0 + lane.elements.pitch_x * column < lane.sensed[X] else 0
+
+
+@inlined
+def part_of_quadrants(acting: Acting, lane: Lane, corner: Corner, row: int, column: int) -> int:
+    """Ahead left, ahead right, behind left, behind right of the parcel's centre."""
+    behind = lane.elements.x0 + lane.elements.pitch_x * column < lane.sensed[X]
+    right = lane.elements.y0 + lane.elements.pitch_y * row < lane.sensed[Y]
+    return (2 if behind else 0) + (1 if right else 0)
+
+
+@inlined
+def part_of_window(acting: Acting, lane: Lane, corner: Corner, row: int, column: int) -> int:
+    """Each module of the window its own."""
+    down = row - corner.row
+    along = column - corner.column
+    inside = 0 <= down < WINDOW_SIDE and 0 <= along < WINDOW_SIDE
+    return down * WINDOW_SIDE + along if inside else -1
+
+
+# How an axis does what a part of the command says.
+
+
+@inlined
+def set_choice(acting: Acting, lanes: Lanes, lane: int, row: int, column: int, part: int) -> None:
+    """To the orientation on offer that the part counts, at once."""
+    lanes.axis[lane, row, column] = lanes.command[lane, part]
+
+
+@inlined
+def set_angle(acting: Acting, lanes: Lanes, lane: int, row: int, column: int, part: int) -> None:
+    """To the angle that the part says, at once."""
+    angle = lanes.command[lane, part]
+    axis = lanes.axis[lane, row, column]
+    lanes.direction[lane, axis, 0] = math.cos(angle)
+    lanes.direction[lane, axis, 1] = math.sin(angle)
+
+
+@inlined
+def aim_at_choice(
+    acting: Acting, lanes: Lanes, lane: int, row: int, column: int, part: int
+) -> None:
+    """To the orientation on offer that the part counts, by turning step by step."""
+    lanes.target[lane, row, column] = acting.orientations[lanes.command[lane, part]]
+
+
+@inlined
+def aim_at_angle(acting: Acting, lanes: Lanes, lane: int, row: int, column: int, part: int) -> None:
+    """To the angle that the part says, by turning step by step."""
+    lanes.target[lane, row, column] = lanes.command[lane, part]
+
+
+@inlined
+def leave_axes(acting: Acting, lanes: Lanes, lane: int, zone: Integers) -> None:
+    """They have turned already."""
+
+
+@inlined
+def turn_axes(acting: Acting, lanes: Lanes, lane: int, zone: Integers) -> None:
+    """Turn each axis of the zone towards its target, the shorter way, for one physics step."""
+    for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
+        for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
+            apart = lanes.target[lane, row, column] - lanes.angle[lane, row, column]
+            if apart == 0.0:
+                continue
+            # An axis is the same turned by pi: go the way of at most a quarter turn.
+            apart -= math.pi * math.floor(apart / math.pi + 0.5)
+            if abs(apart) <= acting.turn:
+                angle = lanes.target[lane, row, column]
+            else:
+                angle = lanes.angle[lane, row, column] + math.copysign(acting.turn, apart)
+            axis = lanes.axis[lane, row, column]
+            lanes.angle[lane, row, column] = angle
+            lanes.direction[lane, axis, 0] = math.cos(angle)
+            lanes.direction[lane, axis, 1] = math.sin(angle)
+
+
+# How all axes become the conveyor's, at once.
+
+
+@inlined
+def straighten_choices(acting: Acting, lanes: Lanes, lane: int) -> None:
+    """To the direction that follows those on offer."""
+    conveyor = lanes.direction.shape[1] - 1
+    for row in range(lanes.axis.shape[1]):
+        for column in range(lanes.axis.shape[2]):
+            lanes.axis[lane, row, column] = conveyor
+
+
+@inlined
+def straighten_angles(acting: Acting, lanes: Lanes, lane: int) -> None:
+    """Each its own direction."""
+    for axis in range(lanes.direction.shape[1]):
+        lanes.direction[lane, axis, 0] = CONVEYOR[0]
+        lanes.direction[lane, axis, 1] = CONVEYOR[1]
+
+
+@inlined
+def straighten_targets(acting: Acting, lanes: Lanes, lane: int) -> None:
+    """Each its own direction, with nowhere to turn to."""
+    straighten_angles(acting, lanes, lane)
+    for row in range(lanes.angle.shape[1]):
+        for column in range(lanes.angle.shape[2]):
+            lanes.angle[lane, row, column] = ROLLING
+            lanes.target[lane, row, column] = ROLLING

@@ -1,0 +1,34 @@
+"""Which element bears how much of a parcel: normal forces as the lanes stand."""
+
+from surface_gym.batch.kernels import Rules
+from surface_gym.dynamics.compiled import compiled
+from surface_gym.dynamics.contacts import forget_contacts
+from surface_gym.dynamics.step import bear_load, find_support
+from surface_gym.dynamics.types import ARM_X, ARM_Y, NORMAL, Array, Scratch, X, Y
+from surface_gym.lanes.memory import Lanes, Sites
+from surface_gym.lanes.views import body_of, grid_of
+
+
+@compiled
+def bear_lanes(rules: Rules, lanes: Lanes, sites: Sites, scratch: Scratch, loads: Array) -> None:
+    """Write the normal force over the mass [m/s^2] of each element into `loads` (lanes, rows,
+    columns); 0 where none is.
+    """
+    table = scratch.table
+    elements = rules.elements
+    for i in range(lanes.clock.shape[0]):
+        for row in range(loads.shape[1]):
+            for column in range(loads.shape[2]):
+                loads[i, row, column] = 0.0
+        grid = grid_of(lanes, sites, i, elements, rules.friction)
+        body = body_of(sites, lanes.site[i])
+        state = lanes.state[i]
+        forget_contacts(scratch)
+        contacts = find_support(grid, body, state, scratch, 0.0)
+        if contacts.total == 0:
+            continue
+        bear_load(grid, body, state, scratch, contacts)
+        for k in range(contacts.total):
+            column = round((state[X] + table[ARM_X + k] - elements.x0) / elements.pitch_x)
+            row = round((state[Y] + table[ARM_Y + k] - elements.y0) / elements.pitch_y)
+            loads[i, int(row), int(column)] = table[NORMAL + k]

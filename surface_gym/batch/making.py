@@ -1,0 +1,63 @@
+"""What a batch is made with: rules that all lanes have in common, and the memory of each."""
+
+import math
+
+import numpy as np
+
+from surface_gym.actions.commands import CONVEYOR, Acting
+from surface_gym.batch.kernels import Rules
+from surface_gym.lanes.memory import COMMON_OUTCOMES, Lanes, Sizes, make_lanes
+from surface_gym.settings import Settings
+
+
+def rules_of(settings: Settings) -> Rules:
+    """The rules of an environment."""
+    task, plant, timing = settings.chosen_task, settings.chosen_plant, settings.timing
+    kind = settings.action_kind
+    return Rules(
+        elements=plant.geometry,
+        timing=timing,
+        acting=Acting(
+            kind.rows,
+            np.array(settings.chosen_orientations),
+            settings.actuators.axis_speed * timing.dt,
+        ),
+        friction=plant.friction.copy(),
+        assumed=settings.sensors.friction(plant).copy(),
+        stiffness=np.ones((plant.rows, plant.columns)),
+        sensor=np.array(settings.sensors.numbers(timing.dt), dtype=np.float64),
+        features=len(task.features),
+        axes_from=len(task.features) + kind.window_size,
+        outcomes=len(COMMON_OUTCOMES) + len(task.outcomes),
+    )
+
+
+def lanes_of(settings: Settings, lanes: int) -> Lanes:
+    """Memory for lanes of an environment, every axis the conveyor's."""
+    task, plant, kind = settings.chosen_task, settings.chosen_plant, settings.action_kind
+    at_once = settings.actuators.axis_speed == math.inf
+    made = make_lanes(
+        Sizes(
+            lanes=lanes,
+            rows=plant.rows,
+            columns=plant.columns,
+            command=kind.size,
+            choices=kind.choices,
+            observation=len(settings.features),
+            terms=len(task.terms),
+            goals=task.goals,
+            memories=task.memories,
+            figures=len(task.figures),
+            kept=settings.sensors.kept,
+            path=task.has_path,
+            noise=settings.draws > 0,
+            turning=not at_once,
+            stiffness=settings.randomisation.stiffness > 0.0,
+        )
+    )
+    made.direction[:] = CONVEYOR
+    if kind.choices and at_once:  # axes count the orientations on offer
+        angles = np.array(settings.chosen_orientations)
+        made.direction[0, :-1] = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        made.axis[:] = len(angles)
+    return made

@@ -1,0 +1,113 @@
+"""Starts as a task gives them, checked and laid out: one row a start."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from surface_gym.dynamics.types import (
+    GRAVITY,
+    OMEGA,
+    STATE_SIZE,
+    THETA,
+    VX,
+    VY,
+    Array,
+    Integers,
+    X,
+    Y,
+)
+from surface_gym.lanes.memory import GRAVITY_ALONG, GRAVITY_NORMAL, PATH_POINTS
+from surface_gym.parcel import Parcel
+from surface_gym.tasks.start import Draw, Parcels, Start
+from surface_gym.tasks.task import Task
+
+
+class Rows(NamedTuple):
+    """What starts put into the rows of their lanes."""
+
+    site: Integers  # (starts,)
+    state: Array  # (starts, STATE_SIZE)
+    surface: Array  # (starts, 5)
+    goal: Array  # (starts, goals)
+
+
+def starts_of(task: Task, draw: Draw) -> Start:
+    """What a task makes of a draw, or an error that names the task."""
+    start = task.start(draw)
+    if not isinstance(start, Start):
+        raise ValueError(f"{type(task).__name__}.start must give a Start, got {start!r}")
+    return start
+
+
+def rows_of(task: Task, start: Start, parcels: Parcels, sites: Integers) -> Rows:
+    """Rows of starts of these parcels, whose sites are (starts,)."""
+    count = len(sites)
+    pose = _columns(task, "pose", start.pose, 3, count)
+    velocity = _columns(task, "velocity", start.velocity, 3, count)
+    surface = np.ones((count, 5))
+    surface[:, GRAVITY_ALONG] = GRAVITY * _each(math.sin, start.tilt)
+    surface[:, GRAVITY_NORMAL] = GRAVITY * _each(math.cos, start.tilt)
+    goal = _columns(task, "goal", start.goal, task.goals, count)
+    return Rows(sites, _state_of(parcels, pose, velocity), surface, goal)
+
+
+def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: int) -> Array:
+    """(count, wanted) of a start's numbers, or arrays (count,), of that name; or an error."""
+    told = f"{type(task).__name__}.start must give a {name} of"
+    if len(values) != wanted:
+        raise ValueError(f"{told} {wanted} numbers, got {len(values)}")
+    columns = np.empty((count, wanted))
+    for k, value in enumerate(values):
+        try:
+            columns[:, k] = value
+        except (TypeError, ValueError):
+            raise ValueError(f"{told} numbers or arrays ({count},), got {value!r}") from None
+    if not np.isfinite(columns).all():
+        raise ValueError(f"{told} finite numbers, got {tuple(values)!r}")
+    return columns
+
+
+def path_of(task: Task, start: Start, count: int) -> Array:
+    """(PATH_POINTS,) or (count, PATH_POINTS) of a start, or an error."""
+    path = start.path
+    if path is None or path.shape not in ((PATH_POINTS,), (count, PATH_POINTS)):
+        raise ValueError(
+            f"{type(task).__name__}.start must give a path of {PATH_POINTS} points, "
+            f"got {None if path is None else path.shape}"
+        )
+    return path
+
+
+def parcels_of(parcel: Parcel | Parcels, count: int) -> Parcels:
+    """One parcel for all, as one each."""
+    if isinstance(parcel, Parcels):
+        return parcel
+    return Parcels((parcel,), np.zeros(count, dtype=np.int64))
+
+
+def _each(function: Any, values: Any) -> Any:
+    """By Python's own function, of a number or of each (count,): NumPy's differ in the last digit
+    from one machine to the next.
+    """
+    if np.ndim(values) == 0:
+        return function(values)
+    return np.array([function(value) for value in values.tolist()])
+
+
+def _state_of(parcels: Parcels, pose: Array, velocity: Array) -> Array:
+    """(count, STATE_SIZE) of the centre of mass, from the base's frame (count, 3)."""
+    com = parcels.of(lambda parcel: parcel.centre_of_mass)
+    state = np.zeros((len(pose), STATE_SIZE))
+    state[:, X : THETA + 1] = pose
+    state[:, VX : OMEGA + 1] = velocity
+    if com.any():
+        cosine, sine = _each(math.cos, pose[:, 2]), _each(math.sin, pose[:, 2])
+        arm_x = cosine * com[:, 0] - sine * com[:, 1]
+        arm_y = sine * com[:, 0] + cosine * com[:, 1]
+        state[:, X] += arm_x
+        state[:, Y] += arm_y
+        state[:, VX] -= velocity[:, 2] * arm_y
+        state[:, VY] += velocity[:, 2] * arm_x
+    return state

@@ -1,0 +1,24 @@
+"""Batches on which starts are put by hand."""
+
+from typing import Any
+
+import numpy as np
+
+from surface_gym.batch.batch import Batch
+from surface_gym.settings import Settings
+from surface_gym.tasks.start import Start
+
+
+def put(batch: Batch, start: Start, lane: int = 0) -> None:
+    """Begin a start on a lane."""
+    chosen = np.array([lane])
+    batch.place(chosen, start)
+    batch.begin(chosen)
+
+
+def batch_with(start: Start, seed: int = 0, **settings: Any) -> Batch:
+    """A batch of one lane on which a start was put; what it draws comes from the seed."""
+    batch = Batch(Settings(**settings), 1)
+    batch.reserve.seed(0, np.random.default_rng(seed))
+    put(batch, start)
+    return batch
