@@ -1,0 +1,124 @@
+"""Tasks by name, those of one's own among them, from a file to its training and comparison."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+import agents
+from agents.tasks import find_task, id_of, kind_of, label_of
+from surface_gym.tasks import TASKS
+from tests.agents.test_doors import ROOT, door
+
+REACH = str(ROOT / "examples" / "reach.py") + ":Reach"
+HASTE = str(ROOT / "examples" / "haste.py") + ":Haste"
+SHORT = "--steps 512 --lanes 8 --n-steps 16 --batch-size 64 --n-epochs 1 --hidden 8 --name a"
+
+
+class TestNames:
+    @pytest.mark.parametrize("name", TASKS)
+    def test_the_packages(self, name: str) -> None:
+        assert find_task(name) == TASKS[name]()
+        assert (kind_of(name), label_of(name)) == (name, name)
+        assert id_of(name) == f"SmartSurface/{name.capitalize()}-v0"
+
+    def test_ones_own(self) -> None:
+        assert type(find_task(REACH)).__name__ == "Reach"
+        assert find_task(REACH) == find_task(REACH)  # the file is run once
+        assert (kind_of(REACH), label_of(REACH), id_of(REACH)) == ("reach", "reach", "Own/Reach")
+
+    def test_one_that_inherits_from_the_packages_is_of_its_kind(self) -> None:
+        assert (kind_of(HASTE), id_of(HASTE)) == ("sort", "Own/Haste")
+
+    @pytest.mark.parametrize(
+        ("name", "named"),
+        [
+            ("juggle", "task must be one of sort, slow, stop, track, orient, or one's own"),
+            ("nowhere.py:Reach", "task must be in a file that is there"),
+            (REACH[:-6], "task must be one of"),
+            (REACH + "er", "task must be a class of .* that inherits from Task, got 'Reacher'"),
+            (REACH.replace(":Reach", ":math"), "task must be a class of"),
+            ("broken.py:Reach", "task must be in a file that runs, got broken.py: ZeroDivision"),
+        ],
+    )
+    def test_others_are_named(
+        self, name: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        (tmp_path / "broken.py").write_text("1 / 0\n")
+        monkeypatch.chdir(tmp_path)
+        with pytest.raises(ValueError, match=named):
+            find_task(name)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of an own task, too short to learn anything."""
+    folder = tmp_path_factory.mktemp("own")
+    done = door(str(ROOT / "train.py"), "--task", REACH, *SHORT.split(), folder=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / "runs" / "a"
+
+
+class TestARun:
+    def test_holds_everything(self, run: Path) -> None:
+        card = yaml.safe_load((run / "policy.yaml").read_text())
+        assert card["env_id"] == "Own/Reach"
+        table = (run / "table.md").read_text()
+        assert "fixed layout" in table
+        assert "PPO" in table
+        assert (run / "reach.mp4").stat().st_size > 0
+
+    def test_its_policy_plays_where_the_task_is_said(self, run: Path) -> None:
+        policy = agents.read(run, find_task(REACH))
+        assert policy.env_kwargs["task"] == find_task(REACH)
+        with pytest.raises(ValueError, match="task must be Reach, of one's own"):
+            agents.read(run)
+        with pytest.raises(ValueError, match="task must be Reach, of one's own"):
+            agents.read(run, find_task(HASTE))
+
+    def test_no_code_is_run_for_what_its_folder_says(self, run: Path) -> None:
+        """Whose code is to be run stands on the command line, not in the folder."""
+        mark = run / "ran"
+        trap = run / "trap.py"
+        trap.write_text(
+            f"from pathlib import Path\nPath({str(mark)!r}).touch()\n"
+            "from surface_gym.tasks import Sort\nclass Reach(Sort):\n    pass\n"
+        )
+        config = run / "config.yaml"
+        whole = config.read_text()
+        config.write_text(whole.replace(REACH, f"{trap}:Reach"))
+        for arguments in (("train.py", "--resume"), ("evaluate.py", "--run")):
+            done = door(str(ROOT / arguments[0]), arguments[1], str(run), folder=run)
+            assert done.returncode != 0
+            assert "task" in done.stderr
+            assert "Traceback" not in done.stderr
+        assert not mark.exists()
+        config.write_text(whole)
+
+    def test_goes_on_where_the_task_is_said(self, run: Path) -> None:
+        before = (run / "policy.pt").read_bytes()
+        done = door(str(ROOT / "train.py"), "--resume", str(run), "--task", REACH, folder=run)
+        assert done.returncode == 0, done.stderr
+        assert (run / "policy.pt").read_bytes() == before
+
+    def test_is_compared(self, run: Path) -> None:
+        folder = run.parents[1]
+        done = door(str(ROOT / "evaluate.py"), "--task", REACH, "--out", "out", folder=folder)
+        assert done.returncode == 0, done.stderr
+        table = (folder / "out" / "comparison.md").read_text()
+        assert "fixed layout" in table
+        assert "PPO" in table
+        assert (folder / "out" / "report.html").stat().st_size > 0
+
+
+def test_a_faulty_task_ends_without_a_traceback(tmp_path: Path) -> None:
+    (tmp_path / "faulty.py").write_text(
+        "from surface_gym.tasks import Sort\nclass Faulty(Sort):\n    judge = None\n"
+    )
+    done = door(
+        str(ROOT / "train.py"), "--task", "faulty.py:Faulty", *SHORT.split(), folder=tmp_path
+    )
+    assert done.returncode != 0
+    assert "Faulty.judge must be a static method and a lane_function" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "runs" / "a" / "policy.pt").exists()

@@ -1,0 +1,209 @@
+"""A task of one's own, as small as a task can be, and the ways it may be wrong."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import surface_gym as sg
+import surface_gym.extend as own
+from surface_gym.extend import Lane, X, Y, lane_function
+
+OUTCOMES = ("too late",)
+(TOO_LATE,) = own.failures(OUTCOMES)
+
+
+@dataclass(frozen=True)
+class Cross(own.Task):
+    """Get beyond an x before the clock says so."""
+
+    far: float = 1.0  # [m]
+
+    plant = own.Field(rows=8, columns=20)
+    features = (own.Feature("to go", -10.0, 10.0, "1 m"), own.Feature("y", -10.0, 10.0, "1 m"))
+    terms = ("way", "success")
+    outcomes = OUTCOMES
+    figures = ("left",)
+    options = ("speed", "parcel")
+    draws = 1
+    goals = 1
+    memories = 1
+
+    def start(self, draw: own.Draw) -> own.Start:
+        speed = draw.within("speed", own.between(1.0, 2.0, draw.numbers[0]), 0.1, 3.0)
+        parcel = draw.parcel(self.parcels[:1], draw.numbers[0])
+        return own.Start(
+            parcel, (0.3, draw.plant.line_y, 0.0), (speed, 0.0, 0.0), (0.3 + self.far,)
+        )
+
+    @staticmethod
+    @lane_function
+    def begin(lane: Lane) -> None:
+        lane.memory[0] = lane.truth[X]
+
+    @staticmethod
+    @lane_function
+    def judge(lane: Lane) -> int:
+        lane.figures[0] = lane.goal[0] - lane.truth[X]
+        if lane.figures[0] < 0.0:
+            return own.SUCCESS
+        return TOO_LATE if lane.clock > 3.0 else own.RUNNING
+
+    @staticmethod
+    @lane_function
+    def reward(lane: Lane, outcome: int) -> None:
+        lane.terms[0] = lane.truth[X] - lane.memory[0]
+        lane.terms[1] = 1.0 if outcome == own.SUCCESS else 0.0
+        lane.memory[0] = lane.truth[X]
+
+    @staticmethod
+    @lane_function
+    def observe(lane: Lane) -> None:
+        lane.observation[0] = lane.goal[0] - lane.sensed[X]
+        lane.observation[1] = lane.sensed[Y]
+
+
+class Assorted(Cross):
+    """No two parcels alike."""
+
+    def start(self, draw: own.Draw) -> own.Start:
+        kinds = tuple(
+            sg.Parcel(sg.Rectangle(0.2 + 0.2 * number, 0.2)) for number in draw.numbers[0]
+        )
+        parcels = own.Parcels(kinds, np.arange(len(kinds)))
+        return super().start(draw)._replace(parcel=parcels)
+
+
+class Unjudged(Cross):
+    judge: Any = None
+
+
+class Plain(Cross):
+    @staticmethod
+    def judge(lane: Lane) -> int:
+        return own.RUNNING
+
+
+class Uncompilable(Cross):
+    @staticmethod
+    @lane_function
+    def judge(lane: Lane) -> int:
+        return lane.weight
+
+
+class Undecided(Cross):
+    @staticmethod
+    @lane_function
+    def judge(lane: Lane) -> int:
+        return TOO_LATE + 1
+
+
+class OutOfTime(Cross):
+    @staticmethod
+    @lane_function
+    def judge(lane: Lane) -> int:
+        return own.RUNNING + 1
+
+
+class Priceless(Cross):
+    @staticmethod
+    @lane_function
+    def reward(lane: Lane, outcome: int) -> None:
+        lane.terms[0] = math.nan
+        lane.terms[1] = 0.0
+
+
+class Blind(Cross):
+    @staticmethod
+    @lane_function
+    def observe(lane: Lane) -> None:
+        lane.observation[0] = 0.0
+        lane.observation[1] = math.inf
+
+
+class Generous(Cross):
+    @staticmethod
+    @lane_function
+    def reward(lane: Lane, outcome: int) -> None:
+        for k in range(3):
+            lane.terms[k] = 1.0
+
+
+class Aimless(Cross):
+    goals = 2
+
+
+class Crowded(Cross):
+    def start(self, draw: own.Draw) -> own.Start:
+        return super().start(draw)._replace(velocity=([1.0] * 7, 0.0, 0.0))
+
+
+class Nowhere(Cross):
+    def start(self, draw: own.Draw) -> own.Start:
+        return super().start(draw)._replace(pose=(math.nan, 0.4, 0.0))
+
+
+class Pathless(Cross):
+    has_path = True
+
+
+class Startless(Cross):
+    def start(self, draw: own.Draw) -> Any:
+        return None
+
+
+class Featureless(Cross):
+    features: Any = None
+
+
+# Each with what its error must say.
+FAULTY: dict[type[Cross], str] = {
+    Unjudged: r"Unjudged.judge must be a static method and a lane_function.* got None",
+    Plain: r"Plain.judge must be a static method and a lane_function",
+    Uncompilable: r"Uncompilable with Exact does not compile(.|\n)*weight",
+    Undecided: r"Undecided.judge must return RUNNING, SUCCESS or a failure.* got 4",
+    OutOfTime: r"OutOfTime.judge must return RUNNING, SUCCESS or a failure.* got 1",
+    Priceless: r"Priceless.reward must write finite terms, got {'way': nan",
+    Blind: r"Blind.observe.* must write finite features, got others for y",
+    Generous: r"Generous and Exact must keep within their arrays.* 2 terms",
+    Aimless: r"Aimless.start must give a goal of 2 numbers, got 1",
+    Crowded: r"Crowded.start must give a velocity of numbers or arrays",
+    Nowhere: r"Nowhere.start must give a pose of finite numbers",
+    Pathless: r"Pathless.start must give a path of 256 points, got None",
+    Startless: r"Startless.start must give a Start, got None",
+    Featureless: r"Featureless.features must be a tuple",
+}
+
+
+@dataclass(frozen=True)
+class Guess(own.Sensor):
+    """Says that the parcel is where it was at the start."""
+
+    kept = 6
+
+    @staticmethod
+    @lane_function
+    def begin(numbers: own.Array, lane: Lane) -> None:
+        for k in range(6):
+            lane.kept[k] = lane.truth[k]
+
+    @staticmethod
+    @lane_function
+    def estimate(numbers: own.Array, lane: Lane) -> None:
+        for k in range(6):
+            lane.sensed[k] = lane.kept[k]
+
+
+class Senseless(own.Sensor):
+    """Forgot `estimate`."""
+
+
+class Nonsense(Guess):
+    """Says what no number is."""
+
+    @staticmethod
+    @lane_function
+    def estimate(numbers: own.Array, lane: Lane) -> None:
+        for k in range(6):
+            lane.sensed[k] = math.nan

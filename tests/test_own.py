@@ -1,0 +1,240 @@
+"""Tasks, rewards and sensors of one's own: found through themselves, and told what is wrong."""
+
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import surface_gym as sg
+from surface_gym.actions import KINDS
+from surface_gym.tasks import Sort
+from tests import own
+from tests.environments import assert_same, steps
+
+ROOT = Path(__file__).parent.parent
+
+
+class TestTask:
+    def test_it_is_an_environment(self) -> None:
+        env = sg.SmartSurfaceEnv(own.Cross(far=0.5), actions="quadrants")
+        check_env(env, skip_render_check=True)
+        _, info = env.reset(seed=0, options={"speed": 1.5, "parcel": "S"})
+        total, ended = 0.0, False
+        while not ended:
+            _, reward, ended, _, info = env.step([3, 3, 3, 3])
+            total += reward
+        assert (info["outcome"], info["is_success"]) == ("success", True)
+        assert info["left"] < 0.0
+        assert total == pytest.approx(info["pose"][0] - 0.3 + 1.0)
+
+    def test_it_may_have_a_name(self) -> None:
+        sg.register(own.Cross, "Tests/Cross-v0")
+        try:
+            env = gym.make("Tests/Cross-v0", task=own.Cross(far=2.0))
+            assert env.spec is not None
+            assert env.spec.max_episode_steps == own.Cross.periods
+            assert env.reset(seed=0)[0][0] == pytest.approx(2.0)
+        finally:
+            del gym.registry["Tests/Cross-v0"]
+
+    @pytest.mark.parametrize("actions", KINDS)
+    def test_each_lane_is_a_single_env(self, actions: str) -> None:
+        lanes = sg.SmartSurfaceVectorEnv(3, own.Cross(), actions, sensors=own.Guess())
+        singles = [sg.SmartSurfaceEnv(own.Cross(), actions, own.Guess()) for _ in range(3)]
+        observations, _ = lanes.reset(seed=5)
+        lanes.action_space.seed(0)
+        for lane, env in enumerate(singles):
+            assert_same(observations[lane], env.reset(seed=5 + lane)[0])
+        for _ in range(5):
+            chosen = lanes.action_space.sample()
+            observations, rewards, terminated, _, info = lanes.step(chosen)
+            for lane, env in enumerate(singles):
+                one = env.step(chosen[lane])
+                assert_same(observations[lane], one[0])
+                assert (rewards[lane], terminated[lane]) == one[1:3]
+                assert_same(info["pose"][lane], one[4]["pose"])
+
+    def test_its_starts_may_come_with_parcels_of_their_own(self) -> None:
+        lanes = sg.SmartSurfaceVectorEnv(4, own.Assorted(far=0.1), "halves")
+        singles = [sg.SmartSurfaceEnv(own.Assorted(far=0.1), "halves") for _ in range(4)]
+        lanes.reset(seed=5)
+        for lane, env in enumerate(singles):
+            env.reset(seed=5 + lane)
+        ended = np.zeros(4, dtype=bool)
+        for _ in range(40):
+            _, _, terminated, _, info = lanes.step(np.full(4, 15))
+            for lane, env in enumerate(singles):
+                one = env.reset()[1] if ended[lane] else env.step(15)[4]
+                assert_same(info["pose"][lane], one["pose"])
+            ended = terminated
+        assert len({float(lane.reach) for lane in map(base_of, singles)}) == 4
+
+    def test_threads_do_not_matter(self) -> None:
+        runs = []
+        for threads in (1, 2, 3):
+            env = sg.SmartSurfaceVectorEnv(32, own.Cross(), "halves", threads=threads)
+            env.reset(seed=0)
+            env.action_space.seed(0)
+            runs.append(tuple(env.step(env.action_space.sample())[:4] for _ in range(30)))
+        assert_same(runs[0], runs[1])
+        assert_same(runs[0], runs[2])
+
+    def test_it_goes_on_after_a_pickle(self) -> None:
+        env = sg.SmartSurfaceEnv(own.Cross(), sensors=own.Guess())
+        env.reset(seed=0)
+        twin = pickle.loads(pickle.dumps(env))
+        action = env.action_space.sample()
+        assert_same(env.step(action), twin.step(action))
+
+    def test_drawing_it_needs_no_goal(self) -> None:
+        env = sg.SmartSurfaceEnv(own.Cross(), render_mode="rgb_array")
+        env.reset(seed=0)
+        picture = env.render()
+        assert picture is not None
+        assert picture.ndim == 3
+
+
+def base_of(env: sg.SmartSurfaceEnv) -> sg.Rectangle:
+    batch = env._batch
+    return batch._plan.parcel(int(batch.lanes.site[0])).base
+
+
+class Doubled(Sort):
+    """Sort whose reward is twice the time."""
+
+    terms = ("time",)
+
+    @staticmethod
+    @own.lane_function
+    def reward(lane: own.Lane, outcome: int) -> None:
+        lane.terms[0] = 2.0 * lane.period
+
+
+def test_a_reward_of_ones_own_changes_nothing_else() -> None:
+    env, sort = (sg.SmartSurfaceEnv(task, actions="halves") for task in (Doubled(), "sort"))
+    for one, other in zip(steps(env, seed=1), steps(sort, seed=1), strict=True):
+        assert_same(one[0], other[0])
+        assert one[2:4] == other[2:4]
+        assert_same(one[4]["pose"], other[4]["pose"])
+        assert one[4]["reward_terms"] == {"time": one[1]}
+        assert one[1] == pytest.approx(0.08) or one[2]
+
+
+class TestFaults:
+    @pytest.mark.parametrize("task", own.FAULTY, ids=lambda task: task.__name__)
+    @pytest.mark.parametrize("lanes", [1, 16])
+    def test_they_are_named(self, task: type[own.Cross], lanes: int) -> None:
+        with pytest.raises(ValueError, match=own.FAULTY[task]):
+            run(task, lanes)
+
+    def test_a_sensor_without_an_estimate(self) -> None:
+        with pytest.raises(ValueError, match=r"Senseless\.estimate must be a static method"):
+            sg.SmartSurfaceEnv(own.Cross(), sensors=own.Senseless())
+
+    @pytest.mark.parametrize("actions", KINDS)
+    def test_a_sensor_that_says_what_is_no_number(self, actions: str) -> None:
+        env = sg.SmartSurfaceEnv(own.Cross(), actions, own.Nonsense())
+        with pytest.raises(ValueError, match="of what Nonsense says, must write finite features"):
+            env.reset(seed=0)
+
+    def test_a_class_or_another_object_is_no_task(self) -> None:
+        for task in (own.Cross, object(), None):
+            with pytest.raises(ValueError, match="task must be one of sort"):
+                sg.SmartSurfaceEnv(task)
+
+    def test_others_are_as_they_were(self) -> None:
+        """A fault on one lane is raised; what the batch holds of others can go on."""
+        env = sg.SmartSurfaceEnv(own.Cross(), actions="halves")
+        env.reset(seed=0)
+        with pytest.raises(ValueError, match="speed"):
+            env.reset(options={"speed": -1.0})
+        assert env.step(0)[4]["time"] == pytest.approx(0.04)
+
+
+def run(task: type[own.Cross], lanes: int) -> None:
+    env = sg.SmartSurfaceVectorEnv(lanes, task(), "halves", threads=2)
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+
+
+OWN_FILE = """
+import sys, numba
+from pathlib import Path
+import surface_gym as sg
+from surface_gym.dynamics import compiled
+
+made = []
+save = compiled._DigestCache.save_overload
+def watched(cache, sig, data):
+    made.append(cache._label)
+    save(cache, sig, data)
+compiled._DigestCache.save_overload = watched
+
+sys.path.insert(0, str(Path(__file__).parent))
+from mine import Mine
+env = sg.SmartSurfaceEnv(Mine(), "halves")
+env.reset(seed=0)
+print(round(env.step(0)[1], 6), sum("Mine" in label for label in made))
+"""
+MINE = """
+from surface_gym.extend import Lane, lane_function
+from surface_gym.tasks import Sort
+from prices import PRICE, fee
+
+class Mine(Sort):
+    terms = ("price",)
+
+    @staticmethod
+    @lane_function
+    def reward(lane: Lane, outcome: int) -> None:
+        lane.terms[0] = PRICE + fee()
+"""
+PRICES = """
+from surface_gym.extend import lane_function
+PRICE = 2.0
+@lane_function
+def fee() -> float:
+    return 0.5
+"""
+
+
+def test_the_cache_holds_and_notices_an_edit_of_a_users_file(tmp_path: Path) -> None:
+    """Edits of the file itself, and of one that it takes a constant or a function from."""
+    (tmp_path / "main.py").write_text(OWN_FILE)
+    (tmp_path / "mine.py").write_text(MINE)
+    (tmp_path / "prices.py").write_text(PRICES)
+
+    def reward_and_compilations() -> list[str]:
+        done = subprocess.run(
+            [sys.executable, "-B", str(tmp_path / "main.py")],
+            env={"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split()
+
+    assert reward_and_compilations() == ["2.5", "1"]
+    assert reward_and_compilations() == ["2.5", "0"]
+    (tmp_path / "prices.py").write_text(PRICES.replace("0.5", "0.25"))
+    assert reward_and_compilations() == ["2.25", "1"]
+    (tmp_path / "prices.py").write_text(PRICES.replace("2.0", "3.0"))
+    assert reward_and_compilations() == ["3.5", "1"]
+    (tmp_path / "mine.py").write_text(MINE.replace("+", "-"))
+    assert reward_and_compilations() == ["2.5", "1"]
+    (tmp_path / "prices.py").write_text(PRICES)
+    assert reward_and_compilations() == ["1.5", "1"]
+    (tmp_path / "mine.py").write_text(MINE)
+    assert reward_and_compilations() == ["2.5", "0"]
+
+
+def test_a_task_that_does_not_compile_hinders_no_other() -> None:
+    with pytest.raises(ValueError, match="does not compile"):
+        sg.SmartSurfaceEnv(own.Uncompilable())
+    assert np.isfinite(sg.SmartSurfaceEnv(own.Cross()).reset(seed=0)[0]).all()
