@@ -1,0 +1,19 @@
+"""A reward of one's own: Sort, paid for success alone, and the more the sooner it comes.
+
+python train.py --task examples/haste.py:Haste
+"""
+
+from surface_gym.extend import SUCCESS, Lane, lane_function
+from surface_gym.tasks import Sort
+
+
+class Haste(Sort):
+    """Leave the line on the side asked for, soon."""
+
+    terms = ("success", "haste")
+
+    @staticmethod
+    @lane_function
+    def reward(lane: Lane, outcome: int) -> None:
+        lane.terms[0] = 1.0 if outcome == SUCCESS else 0.0
+        lane.terms[1] = 0.5 / lane.clock if outcome == SUCCESS else 0.0

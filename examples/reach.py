@@ -1,0 +1,119 @@
+"""A task of one's own: reach a point at a heading, on a field of rotors tilted downhill.
+
+python train.py --task examples/reach.py:Reach
+python evaluate.py --task examples/reach.py:Reach
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import surface_gym.extend as own
+from surface_gym.extend import THETA, Lane, X, Y, lane_function
+
+GOAL_X, GOAL_Y, HEADING = range(3)  # places in the goal: [m], [m], [rad]
+LEFT = 0  # place in the memory: [m] left to go at the last decision
+NEAR = 0.03  # [m] from the point that is reached
+TURNED = math.radians(5.0)  # [rad] off the heading that is as good as on it
+ARM = 0.1  # [m] an angle off the heading counts for as much way, a radian
+
+OUTCOMES = ("passed the point", "stalled", "off the surface")
+PASSED, STALLED, OFF_SURFACE = own.failures(OUTCOMES)
+
+
+@dataclass(frozen=True)
+class Reach(own.Task):
+    """Bring the parcel over a point, turned to a heading; gravity drives it towards +x."""
+
+    speeds: tuple[float, float] = (0.4, 0.8)  # [m/s] along x at the start
+    aside: float = 0.2  # [m] of the point from straight ahead, at most
+    headings: tuple[float, float] = (-math.pi / 6, math.pi / 6)  # [rad] asked
+
+    plant = own.Field(rows=16, columns=30)
+    features = (
+        own.Feature("to go along", -10.0, 10.0, "x to the point / 1 m"),
+        own.Feature("to go across", -20.0, 20.0, "y to the point / 0.2 m"),
+        own.Feature(
+            "fine to go across", -1.0, 1.0, "hyperbolic tangent of y to the point / 0.03 m"
+        ),
+        own.Feature("angle to turn", -100.0, 100.0, "heading - theta / 0.3 rad"),
+        own.Feature("forward speed", -10.0, 10.0, "vx / 1 m/s"),
+        own.Feature("lateral speed", -50.0, 50.0, "vy / 0.3 m/s"),
+        own.Feature("turning speed", -50.0, 50.0, "omega / 3 rad/s"),
+        own.Feature("size", 0.0, 20.0, "half length / 0.2 m"),
+    )
+    terms = ("approach", "success", "failure")
+    outcomes = OUTCOMES
+    figures = ("miss", "angle_error")  # [m] from the point, [rad] off the heading
+    options = ("speed", "parcel", "heading")
+    draws, goals, memories = 4, 3, 1
+    periods = 150
+
+    def start(self, draw: own.Draw) -> own.Start:
+        """Speed, heading and how far the point lies aside: uniform. Parcel: equal odds."""
+        pace, size, way, turn = draw.numbers
+        speed = draw.within("speed", own.between(*self.speeds, pace), 0.1, 3.0)
+        heading = draw.within("heading", own.between(*self.headings, turn), -math.pi, math.pi)
+        middle = draw.plant.line_y
+        goal = (2.2, middle + self.aside * (2.0 * way - 1.0), heading)
+        parcel = draw.parcel(self.parcels, size)
+        return own.Start(
+            parcel, (0.4, middle, 0.0), (speed, 0.0, 0.0), goal, tilt=math.radians(12.0)
+        )
+
+    def goal(self, lane: Lane) -> Any:
+        """For pictures: a short way into the point, at the heading."""
+        from surface_gym.rendering import Path
+
+        x, y, turn = lane.goal
+        return Path([(x - 0.3 * math.cos(turn), y - 0.3 * math.sin(turn)), (x, y)])
+
+    @staticmethod
+    @lane_function
+    def begin(lane: Lane) -> None:
+        lane.memory[LEFT] = _left(lane)
+
+    @staticmethod
+    @lane_function
+    def judge(lane: Lane) -> int:
+        truth, goal, figures = lane.truth, lane.goal, lane.figures
+        figures[0] = math.hypot(goal[GOAL_X] - truth[X], goal[GOAL_Y] - truth[Y])
+        figures[1] = abs(goal[HEADING] - truth[THETA])
+        if not lane.on_surface:
+            return OFF_SURFACE
+        if figures[0] < NEAR and figures[1] < TURNED:
+            return own.SUCCESS
+        if truth[X] > goal[GOAL_X] + NEAR:
+            return PASSED
+        return STALLED if own.is_slower(lane, 0.02) else own.RUNNING
+
+    @staticmethod
+    @lane_function
+    def reward(lane: Lane, outcome: int) -> None:
+        left = _left(lane)
+        lane.terms[0] = lane.memory[LEFT] - left
+        lane.terms[1] = 3.0 if outcome == own.SUCCESS else 0.0
+        lane.terms[2] = -1.0 - 5.0 * left if outcome > own.SUCCESS else 0.0
+        lane.memory[LEFT] = left
+
+    @staticmethod
+    @lane_function
+    def observe(lane: Lane) -> None:
+        sensed, see = lane.sensed, lane.observation
+        across = lane.goal[GOAL_Y] - sensed[Y]
+        see[0] = lane.goal[GOAL_X] - sensed[X]
+        see[1] = across / 0.2
+        see[2] = math.tanh(across / 0.03)
+        see[3] = (lane.goal[HEADING] - sensed[THETA]) / 0.3
+        see[4] = sensed[own.VX]
+        see[5] = sensed[own.VY] / 0.3
+        see[6] = sensed[own.OMEGA] / 3.0
+        see[7] = lane.body[own.HALF_LENGTH] / 0.2
+
+
+@lane_function
+def _left(lane: Lane) -> float:
+    """[m] to the point, the angle to turn counted as a way."""
+    truth, goal = lane.truth, lane.goal
+    turn = ARM * (goal[HEADING] - truth[THETA])
+    return math.sqrt((goal[GOAL_X] - truth[X]) ** 2 + (goal[GOAL_Y] - truth[Y]) ** 2 + turn**2)

@@ -1,0 +1,110 @@
+"""The examples run, hold what their page promises, and are what it shows."""
+
+import doctest
+import math
+import runpy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from agents.tasks import find_task
+from surface_gym.tasks import Sort
+
+ROOT = Path(__file__).parent.parent
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+
+def names_of(example: str) -> dict[str, Any]:
+    return runpy.run_path(str(ROOT / "examples" / f"{example}.py"))
+
+
+@pytest.mark.parametrize("file", EXAMPLES, ids=lambda file: file.stem)
+def test_the_page_shows_it_as_it_is(file: Path) -> None:
+    assert f"```python\n{file.read_text()}```" in (ROOT / "docs" / "extending.md").read_text()
+
+
+@pytest.mark.parametrize(("example", "lines"), [("reach", 120), ("haste", 20)])
+def test_it_is_short(example: str, lines: int) -> None:
+    assert len((ROOT / "examples" / f"{example}.py").read_text().splitlines()) <= lines
+
+
+class TestReach:
+    def test_the_goal_is_where_and_how_it_says(self) -> None:
+        env = sg.SmartSurfaceEnv(find_task(f"{ROOT}/examples/reach.py:Reach"), "quadrants")
+        observation, info = env.reset(seed=3, options={"heading": 0.3, "parcel": "S"})
+        x, y, theta = info["pose"]
+        ahead, aside = observation[0], 0.2 * observation[1]
+        assert (x + ahead, theta + 0.3 * observation[3]) == pytest.approx((2.2, 0.3))
+        assert abs(y + aside - 0.8) <= 0.2
+        ended = False
+        while not ended:
+            _, _, ended, _, info = env.step([3, 3, 3, 3])  # straight on
+        miss = math.hypot(2.2 - info["pose"][0], y + aside - info["pose"][1])
+        assert info["miss"] == pytest.approx(miss, abs=1e-6)
+        assert info["outcome"] == "passed the point"
+
+    def test_a_parcel_sent_straight_at_it_succeeds(self) -> None:
+        """Where the point lies straight ahead and the heading is the parcel's own."""
+        env = sg.SmartSurfaceEnv(
+            find_task(f"{ROOT}/examples/reach.py:Reach"), "halves", control_period=0.02
+        )
+        for seed in range(400):
+            observation, _ = env.reset(seed=seed, options={"heading": 0.0, "parcel": "S"})
+            if abs(0.2 * observation[1]) < 0.01:
+                break
+        ended = False
+        while not ended:
+            _, _, ended, _, info = env.step(15)
+        assert info["outcome"] == "success"
+
+
+def test_haste_is_paid_for_success_and_soon() -> None:
+    haste = names_of("haste")["Haste"]()
+    assert isinstance(haste, Sort)
+    env = sg.SmartSurfaceEnv(haste, actions="halves")
+    env.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
+    rewards, ended = [], False
+    while not ended:
+        _, reward, ended, _, info = env.step(2 * 4 + 2)
+        rewards.append(reward)
+    assert info["outcome"] == "success"
+    assert rewards == [0.0] * (len(rewards) - 1) + [pytest.approx(1.0 + 0.5 / info["time"])]
+
+
+class TestRuled:
+    def test_its_docstring_runs(self) -> None:
+        names = names_of("ruled")
+        text = doctest.DocTestParser().get_doctest(names["__doc__"], names, "ruled", None, 0)
+        assert len(text.examples) > 2
+        assert doctest.DocTestRunner().run(text).failed == 0
+
+    def test_it_sees_the_nearest_line_and_the_mean_velocity_since(self) -> None:
+        ruled = names_of("ruled")["Ruled"](line=0.02, turn=0.05)
+        env = sg.SmartSurfaceEnv("sort", actions="quadrants", sensors=ruled)
+        env.reset(seed=0, options={"speed": 1.5, "parcel": "B", "side": 1})
+        lane = env._batch.view(0)
+        seen = [lane.sensed.copy()]
+        for action in np.random.default_rng(0).integers(4, size=(12, 4)):
+            if env.step(action)[2]:
+                break
+            units = np.array([0.02, 0.02, 0.05])
+            nearest = units * np.round(lane.truth[:3] / units)
+            np.testing.assert_allclose(lane.sensed[:3], nearest, atol=1e-12)
+            mean = (lane.sensed[:3] - seen[-1][:3]) / 0.04
+            np.testing.assert_allclose(lane.sensed[3:], mean, atol=1e-9)
+            seen.append(lane.sensed.copy())
+        assert len(seen) > 8
+
+
+def test_the_checkered_line_sorts_and_is_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names_of("checkered")["main"]()
+    told = capsys.readouterr().out.splitlines()
+    assert told[0].startswith("S-box: success after")
+    assert told[1].startswith("B-box: success after")
+    assert (tmp_path / "checkered.png").read_bytes().startswith(b"\x89PNG")
