@@ -45,6 +45,7 @@ from surface_gym.trajectory import Trajectory
 METHODS = ("implicit", "explicit")
 MAX_STEPS = 100_000_000  # of one run; its trajectory already takes 15 GB
 NORMAL_FORCES = ("dual", "osqp", "scipy")
+NOTHING_BEARS = "nothing bears it"  # the base lies between the elements
 _END = {OFF_SURFACE: "left the surface", STOPPED: "stopped"}
 
 
@@ -72,11 +73,13 @@ def simulate(
         normal_forces: what solves Eq. (1): the "dual", or "osqp" or "scipy" to hold it against.
 
     Returns:
-        The trajectory. It ends early where the paper's rule stops the parcel, or where the centre
-        of mass passes the edge of the surface.
+        The trajectory. It ends early where the paper's rule stops the parcel, where the centre of
+        mass passes the edge of the surface, or where no element lies under the base.
 
     Raises:
-        ValueError: an argument is not allowed, or the start is off the surface.
+        ValueError: an argument is not allowed, the start is off the surface or on no element, a
+            step moves the parcel past a pitch, or the explicit method is to start a parcel on a
+            level surface that does not move towards +x.
 
     >>> import surface_gym as sg
     >>> parcel = sg.Parcel(sg.Rectangle(0.25, 0.25))
@@ -105,17 +108,46 @@ def simulate(
     )
     scratch = make_scratch()
     if find_support(grid, body, start, scratch, 0.0).total == 0:
-        raise ValueError(f"pose must be on the surface, got {tuple(np.asarray(pose).tolist())}")
+        wanted = "over an element" if _is_over(surface, *start[[X, Y]]) else "on the surface"
+        raise ValueError(f"pose must be {wanted}, got {tuple(np.asarray(pose).tolist())}")
+    if method == "explicit" and surface.tilt == 0.0 and start[VX] <= 0.0 and start[VX:].any():
+        raise ValueError(
+            "velocity must be towards +x for the explicit method on a level surface, "
+            f"got {tuple(np.asarray(velocity).tolist())}"
+        )
 
     time = _times(duration, dt)
     states = np.zeros((len(time), STATE_SIZE))
     states[0] = start
     reports = np.zeros(len(time), dtype=np.int64)
     steps = _run(grid, body, states, reports, scratch, time, dt, method, normal_forces)
-    end = "duration" if steps == len(time) - 1 else _END[int(reports[steps + 1])]
     done = slice(0, steps + 1)
+    _check_steps(parcel, min(grid.pitch_x, grid.pitch_y), states[done], dt)
+    end = "duration" if steps == len(time) - 1 else _END[int(reports[steps + 1])]
+    if end == "left the surface":
+        ahead = time[steps + 1] - time[steps] if method == "implicit" else 0.0
+        centre = states[steps, [X, Y]] + 0.5 * ahead * states[steps, [VX, VY]]
+        end = NOTHING_BEARS if _is_over(surface, *centre) else end
     pose_done, velocity_done = _base_motion(parcel, states[done])
     return Trajectory(time[done], pose_done, velocity_done, reports[done] == TIPPING, end)
+
+
+def _is_over(surface: Surface, x: float, y: float) -> bool:
+    """Whether a point is over the surface, half a pitch around its outer elements included."""
+    beyond_x = (x - surface.origin[0]) / surface.pitch_x + 0.5
+    beyond_y = (y - surface.origin[1]) / surface.pitch_y + 0.5
+    return 0.0 <= beyond_x <= surface.columns and 0.0 <= beyond_y <= surface.rows
+
+
+def _check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
+    """Raise a ValueError where a step moves a point of the base past a pitch [m]."""
+    moved = np.abs(np.diff(states[:, X : THETA + 1], axis=0))
+    farthest = np.hypot(moved[:, 0], moved[:, 1]) + moved[:, 2] * parcel.body.radius
+    if farthest.max(initial=0.0) > pitch:
+        raise ValueError(
+            f"dt must be so short that no step moves the parcel past a pitch, {pitch:g} m, "
+            f"got {dt!r}, which moved it by {farthest.max():g} m"
+        )
 
 
 def _times(duration: float, dt: float) -> NDArray[np.float64]:

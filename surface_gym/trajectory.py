@@ -16,4 +16,6 @@ class Trajectory:
     # (T,) the step that led here had no exact normal forces: fewer than three contacts, collinear,
     # or the load point outside their hull. A real parcel tips there.
     tipping: NDArray[np.bool_]
-    end: str  # "duration"; "stopped" (the paper's rule, explicit only); "left the surface"
+    # "duration"; "left the surface"; "nothing bears it", between the elements; "stopped", by the
+    # paper's rule, explicit only
+    end: str

@@ -279,6 +279,18 @@ def test_an_off_centre_frame_starts_where_it_is_put() -> None:
     np.testing.assert_allclose((run.pose[1] - run.pose[0]) / 0.005, mean, atol=2e-2)
 
 
+COIN = sg.Parcel(sg.Disc(0.04))  # which may lie between the elements
+
+
+def test_a_base_that_comes_between_the_elements_is_told_from_one_that_leaves() -> None:
+    field = sg.Surface(np.full((10, 30), math.pi / 2), np.ones((10, 30), dtype=bool))
+    run = sg.simulate(field, COIN, (1.05, 0.55, 0.0), (1.0, 0.0, 0.0))
+    assert run.end == "nothing bears it"
+    assert run.pose[-1, 0] == pytest.approx(1.09, abs=0.01)  # 4 cm past the element
+    rim = sg.simulate(field, COIN, (2.95, 0.55, 0.0), (5.0, 0.0, 0.0), dt=0.015)
+    assert rim.end == "left the surface"
+
+
 GOOD: dict[str, object] = {"surface": sg.layouts.sorting(), "parcel": BOX, "pose": (1.0, 1.0, 0.0)}
 
 
@@ -296,6 +308,17 @@ GOOD: dict[str, object] = {"surface": sg.layouts.sorting(), "parcel": BOX, "pose
         ({"pose": (-0.2, 1.0, 0.0)}, r"pose must be on the surface.*, got \(-0.2, 1.0, 0.0\)"),
         ({"pose": (1.0, 9.0, 0.0)}, r"pose must be on the surface.*, got \(1.0, 9.0, 0.0\)"),
         ({"pose": (1e300, 1.0, 0.0)}, "pose must be on the surface"),
+        ({"parcel": COIN}, r"pose must be over an element, got \(1.0, 1.0, 0.0\)"),
+        ({"dt": 10.0, "velocity": (1.5, 0.0, 0.0)}, "dt must be so short that no step moves"),
+        ({"dt": 0.05, "velocity": (0.1, 0.0, 12.0)}, "dt must be so short that no step moves"),
+        (
+            {"method": "explicit", "velocity": (0.0, 1.5, 0.0)},
+            r"velocity must be towards \+x for the explicit method",
+        ),
+        (
+            {"method": "explicit", "velocity": (-1.5, 0.0, 0.0)},
+            r"velocity must be towards \+x for the explicit method",
+        ),
         ({"velocity": (1.0, 0.0)}, r"velocity must have the shape \(3\), got \(2,\)"),
         ({"velocity": (math.inf, 0.0, 0.0)}, "velocity must be finite, got inf"),
         ({"velocity": None}, "velocity must "),

@@ -76,6 +76,7 @@ def explicit_acceleration(
     other_x += grid.gravity_along
     if standing and along_x + other_x <= 0.0:
         # Gravity does not win: sum F_x + m g sin(gamma) = 0 sets the forces along the axes.
-        scale = -other_x / along_x if along_x != 0.0 else 0.0
+        # Friction along an axis cannot push, nor hold more than it does where the parcel slides.
+        scale = min(1.0, max(0.0, -other_x / along_x)) if along_x < 0.0 else 0.0
         return 0.0, scale * along_y + other_y, (scale * along_w + other_w) / gyration, 0.0
     return along_x + other_x, along_y + other_y, (along_w + other_w) / gyration, vx

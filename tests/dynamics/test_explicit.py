@@ -1,6 +1,7 @@
 """The explicit step against a plain transcription of Eq. (2)-(4) and Figure 5."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -133,3 +134,17 @@ def test_rotors_along_the_slope_hold_a_parcel_by_the_reverse_motion_rule() -> No
     assert run.end == "duration"
     # Nearly: it chatters by tenths of a millimetre, where on rolling rotors it goes 0.38 m.
     np.testing.assert_allclose(run.pose[:, 0], 1.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("degrees", [0.05, 0.1, 0.3, 0.45, 0.56, 0.7, 1.0, 3.0])
+@pytest.mark.parametrize("size", ["S", "B"])
+@pytest.mark.parametrize("layout", [sg.layouts.sorting, sg.layouts.stopping])
+def test_a_parcel_at_rest_on_a_slope_never_gets_faster_than_gravity_makes_it(
+    layout: Callable[..., sg.Surface], size: str, degrees: float
+) -> None:
+    """But for what friction does in one step, by which this method chatters."""
+    surface = layout(size, tilt=math.radians(degrees))
+    run = sg.simulate(surface, sg.layouts.box(size), sg.layouts.start(size), method="explicit")
+    fastest = 9.81 * math.sin(math.radians(degrees)) * run.time + 0.5 * 9.81 * DT
+    assert (np.hypot(*run.velocity[:, :2].T) <= fastest).all()
+    assert np.isfinite(run.pose).all()
