@@ -224,19 +224,27 @@ class Batch:
         """
         found = {}
         if "axes" in self.settings.info:
-            found["axes"] = np.array([self.axes(lane) for lane in range(len(self._all))])
+            found["axes"] = self._axes()
         if "normal_forces" in self.settings.info:
             loads = np.zeros(self.lanes.axis.shape)
             bear_lanes(self.rules, self.lanes, self.sites, self._workers.scratches[0], loads)
-            mass = np.array([self._plan.parcel(site).mass for site in self.lanes.site])
+            sites, which = np.unique(self.lanes.site, return_inverse=True)
+            mass = np.array([self._plan.parcel(site).mass for site in sites])[which]
             found["normal_forces"] = loads * mass[:, np.newaxis, np.newaxis]
         return found
 
     def axes(self, lane: int) -> Array:
         """(rows, columns) [rad] axis angles of a lane."""
-        directions = self.lanes.direction[lane if len(self.lanes.direction) > 1 else 0]
-        angles: Array = np.arctan2(directions[:, 1], directions[:, 0])[self.lanes.axis[lane]]
+        angles: Array = self._axes()[lane]
         return angles
+
+    def _axes(self) -> Array:
+        """(lanes, rows, columns) [rad] axis angles."""
+        angles = np.arctan2(self.lanes.direction[:, :, 1], self.lanes.direction[:, :, 0])
+        if len(angles) == 1:
+            return np.asarray(angles[0, self.lanes.axis])
+        places = self.lanes.axis.reshape(len(angles), -1)
+        return np.take_along_axis(angles, places, axis=1).reshape(self.lanes.axis.shape)
 
     def view(self, lane: int) -> Lane:
         """A lane as its task's functions see it, between two control periods."""
