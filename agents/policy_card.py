@@ -11,7 +11,7 @@ from surface_gym.tasks import TASKS, Task
 CARD = "policy.yaml"  # the file that holds it
 ALGOS = ("ppo", "dqn", "modules")
 _NAMES = {env_id(name): name for name in TASKS}
-_OWN = "Own/"
+OWN = "Own/"  # before the class of a task of one's own, in place of an id
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class PolicyCard:
     hidden: tuple[int, ...]  # units of the hidden layers
 
     def __post_init__(self) -> None:
-        if not str(self.env_id).startswith(_OWN):
+        if not str(self.env_id).startswith(OWN):
             checks.one_of("env_id", self.env_id, _NAMES)
         checks.one_of("algo", self.algo, ALGOS)
         checks.positive("control_period", self.control_period)
@@ -49,7 +49,7 @@ class PolicyCard:
     @property
     def task(self) -> str:
         """The name of the package's task, or of the class of one's own."""
-        return _NAMES.get(self.env_id, self.env_id.removeprefix(_OWN))
+        return _NAMES.get(self.env_id, self.env_id.removeprefix(OWN))
 
     def settings(self, task: Task | None = None) -> Settings:
         """Those of the environment the policy is for.
@@ -60,7 +60,7 @@ class PolicyCard:
         Raises:
             ValueError: it was trained on another task. A card says which, and runs no code for it.
         """
-        own = self.env_id.startswith(_OWN)
+        own = self.env_id.startswith(OWN)
         if own and type(task).__name__ != self.task:
             raise ValueError(
                 f"task must be {self.task}, of one's own, which the policy was trained on, "

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from agents.policy_card import OWN
 from surface_gym.registration import env_id
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS, Task
@@ -44,7 +45,7 @@ def label_of(name: str) -> str:
 
 def id_of(name: str) -> str:
     """What a policy's card calls the environment of a task: its id, or "Own/Class"."""
-    return env_id(name) if name in TASKS else f"Own/{name.rpartition(':')[2]}"
+    return env_id(name) if name in TASKS else OWN + name.rpartition(":")[2]
 
 
 def _module(file: Path) -> Any:

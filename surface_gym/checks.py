@@ -107,9 +107,11 @@ def pitch(name: str, value: Any) -> float | tuple[float, float]:
 
 def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
     """Coefficients of at least zero: one (), or one an element (rows, columns); or an error."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
     if value is None or np.isscalar(value):
         return np.asarray(not_negative(name, value))
-    given = array(name, value, () if np.ndim(value) == 0 else shape)
+    given = array(name, value, shape)
     if given.min() < 0.0:
         raise ValueError(f"{name} must be at least 0, got {given.min()}")
     return given

@@ -1,7 +1,7 @@
 """Plants: the surface an environment runs on, which of its elements are rotors, and which obey."""
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ from surface_gym.dynamics.memory import check_capacity
 from surface_gym.dynamics.types import Array
 from surface_gym.lanes.memory import Geometry
 from surface_gym.layouts import LINE_Y
-from surface_gym.surface import Surface
+from surface_gym.surface import Elements, Surface
 
 ORIENTATIONS = (0.0, math.pi / 4, -math.pi / 4, math.pi / 2)  # [rad] the paper's Figure 2b
 
@@ -28,7 +28,7 @@ class Site(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plant(ABC):
+class Plant(Elements):
     """Elements on a grid, their friction, and the axes on offer; subclasses say which are rotors.
 
     A friction coefficient is one number, or an array (rows, columns) with one for each element.
@@ -57,16 +57,6 @@ class Plant(ABC):
 
     @property
     @abstractmethod
-    def rows(self) -> int:
-        """Elements across."""
-
-    @property
-    @abstractmethod
-    def columns(self) -> int:
-        """Elements along."""
-
-    @property
-    @abstractmethod
     def zone_rows(self) -> int:
         """Rows of the widest zone."""
 
@@ -89,16 +79,6 @@ class Plant(ABC):
         return self.origin[1] + 0.5 * self.pitch_y * (self.rows - 1)
 
     @property
-    def pitch_x(self) -> float:
-        """[m] from column to column."""
-        return self.pitch if isinstance(self.pitch, float) else self.pitch[0]
-
-    @property
-    def pitch_y(self) -> float:
-        """[m] from row to row."""
-        return self.pitch if isinstance(self.pitch, float) else self.pitch[1]
-
-    @property
     def length(self) -> float:
         """[m] from half a pitch before the first column to half a pitch past the last."""
         return self.pitch_x * self.columns
@@ -118,13 +98,6 @@ class Plant(ABC):
     def geometry(self) -> Geometry:
         """Where the elements lie, as compiled code reads it."""
         return Geometry(*self.origin, self.pitch_x, self.pitch_y, self.line_y)
-
-    @cached_property
-    def friction(self) -> Array:
-        """(rows, columns, 3) [-] along a rotor's axis, across it, and of a support."""
-        each = (self.mu_max, self.mu_min, self.mu_support)
-        grid = (np.broadcast_to(np.array(mu), (self.rows, self.columns)) for mu in each)
-        return np.stack(list(grid), axis=-1)
 
     def _check_capacity(self, base: Base) -> None:
         pitch, size = (self.pitch_x, self.pitch_y), (self.columns, self.rows)

@@ -12,14 +12,17 @@ from surface_gym.dynamics.entries import (
     advance_implicit,
     find_support,
     load_point,
+    why_unborne,
 )
 from surface_gym.dynamics.memory import check_capacity, make_scratch, row_of
 from surface_gym.dynamics.run import run_explicit, run_implicit
+from surface_gym.dynamics.states import states_of
 from surface_gym.dynamics.step import (
     BALANCED,
     OFF_SURFACE,
     STOPPED,
     TIPPING,
+    UNBORNE,
 )
 from surface_gym.dynamics.types import (
     ARM_X,
@@ -30,13 +33,11 @@ from surface_gym.dynamics.types import (
     STIFFNESS,
     THETA,
     VX,
-    VY,
     Array,
     Body,
     Grid,
     Scratch,
     X,
-    Y,
 )
 from surface_gym.parcel import Parcel
 from surface_gym.surface import Surface
@@ -45,8 +46,7 @@ from surface_gym.trajectory import Trajectory
 METHODS = ("implicit", "explicit")
 MAX_STEPS = 100_000_000  # of one run; its trajectory already takes 15 GB
 NORMAL_FORCES = ("dual", "osqp", "scipy")
-NOTHING_BEARS = "nothing bears it"  # the base lies between the elements
-_END = {OFF_SURFACE: "left the surface", STOPPED: "stopped"}
+_END = {OFF_SURFACE: "left the surface", UNBORNE: "nothing bears it", STOPPED: "stopped"}
 
 
 def simulate(
@@ -108,7 +108,8 @@ def simulate(
     )
     scratch = make_scratch()
     if find_support(grid, body, start, scratch, 0.0).total == 0:
-        wanted = "over an element" if _is_over(surface, *start[[X, Y]]) else "on the surface"
+        over = why_unborne(grid, start, 0.0) == UNBORNE
+        wanted = "over an element" if over else "on the surface"
         raise ValueError(f"pose must be {wanted}, got {tuple(np.asarray(pose).tolist())}")
     if method == "explicit" and surface.tilt == 0.0 and start[VX] <= 0.0 and start[VX:].any():
         raise ValueError(
@@ -124,19 +125,8 @@ def simulate(
     done = slice(0, steps + 1)
     _check_steps(parcel, min(grid.pitch_x, grid.pitch_y), states[done], dt)
     end = "duration" if steps == len(time) - 1 else _END[int(reports[steps + 1])]
-    if end == "left the surface":
-        ahead = time[steps + 1] - time[steps] if method == "implicit" else 0.0
-        centre = states[steps, [X, Y]] + 0.5 * ahead * states[steps, [VX, VY]]
-        end = NOTHING_BEARS if _is_over(surface, *centre) else end
     pose_done, velocity_done = _base_motion(parcel, states[done])
     return Trajectory(time[done], pose_done, velocity_done, reports[done] == TIPPING, end)
-
-
-def _is_over(surface: Surface, x: float, y: float) -> bool:
-    """Whether a point is over the surface, half a pitch around its outer elements included."""
-    beyond_x = (x - surface.origin[0]) / surface.pitch_x + 0.5
-    beyond_y = (y - surface.origin[1]) / surface.pitch_y + 0.5
-    return 0.0 <= beyond_x <= surface.columns and 0.0 <= beyond_y <= surface.rows
 
 
 def _check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
@@ -159,16 +149,8 @@ def _times(duration: float, dt: float) -> NDArray[np.float64]:
 
 def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
     """State vector of the centre of mass."""
-    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
-    com_x, com_y = parcel.centre_of_mass
-    arm_x, arm_y = cosine * com_x - sine * com_y, sine * com_x + cosine * com_y
-    state = np.zeros(STATE_SIZE)
-    state[[X, Y, THETA]] = pose[0] + arm_x, pose[1] + arm_y, pose[2]
-    state[[VX, VY, OMEGA]] = (
-        velocity[0] - velocity[2] * arm_y,
-        velocity[1] + velocity[2] * arm_x,
-        velocity[2],
-    )
+    centre = np.array([parcel.centre_of_mass])
+    state: Array = states_of(centre, pose[np.newaxis], velocity[np.newaxis])[0]
     return state
 
 
@@ -231,10 +213,11 @@ def _reference_step(
     explicit = method == "explicit"
     if explicit and state[VX] <= 0.0 and grid.gravity_along == 0.0:
         return STOPPED
-    contacts = find_support(grid, body, state, scratch, 0.0 if explicit else 0.5 * dt)
+    lead = 0.0 if explicit else 0.5 * dt
+    contacts = find_support(grid, body, state, scratch, lead)
     count = contacts.total
     if count == 0:
-        return OFF_SURFACE
+        return int(why_unborne(grid, state, lead))
     arms = np.column_stack([row_of(scratch, ARM_X, count), row_of(scratch, ARM_Y, count)])
     load = np.array(load_point(grid, body, state))
     stiffness = row_of(scratch, STIFFNESS, count)

@@ -1,6 +1,7 @@
 """A smart surface: a grid of orientable rotors among low-friction supports."""
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -12,8 +13,45 @@ from surface_gym import checks
 from surface_gym.dynamics.types import GRAVITY, Grid
 
 
+class Elements(ABC):
+    """Elements on a grid: what a surface and a plant have in common."""
+
+    pitch: float | tuple[float, float]  # [m] between neighbours: one, or in x and in y
+    # [-] friction along a rotor's axis, across it, and of a support: one, or one for each element
+    mu_max: Any
+    mu_min: Any
+    mu_support: Any
+
+    @property
+    @abstractmethod
+    def rows(self) -> int:
+        """Elements across, in y."""
+
+    @property
+    @abstractmethod
+    def columns(self) -> int:
+        """Elements along, in x."""
+
+    @property
+    def pitch_x(self) -> float:
+        """[m] from column to column."""
+        return self.pitch if isinstance(self.pitch, float) else self.pitch[0]
+
+    @property
+    def pitch_y(self) -> float:
+        """[m] from row to row."""
+        return self.pitch if isinstance(self.pitch, float) else self.pitch[1]
+
+    @cached_property
+    def friction(self) -> NDArray[np.float64]:
+        """(rows, columns, 3) [-] along a rotor's axis, across it, and of a support."""
+        each = (self.mu_max, self.mu_min, self.mu_support)
+        grid = [np.broadcast_to(np.asarray(mu), (self.rows, self.columns)) for mu in each]
+        return np.stack(grid, axis=-1)
+
+
 @dataclass(frozen=True, eq=False)
-class Surface:
+class Surface(Elements):
     """Rotors and supports on a grid, in a plane tilted downhill towards +x.
 
     Along its axis a rotor drags (`mu_max`), across it rolls almost free (`mu_min`), Eq. (2).
@@ -82,16 +120,6 @@ class Surface:
         return int(self.axis.shape[1])
 
     @property
-    def pitch_x(self) -> float:
-        """[m] from column to column."""
-        return self.pitch if isinstance(self.pitch, float) else self.pitch[0]
-
-    @property
-    def pitch_y(self) -> float:
-        """[m] from row to row."""
-        return self.pitch if isinstance(self.pitch, float) else self.pitch[1]
-
-    @property
     def x(self) -> NDArray[np.float64]:
         """(columns,) [m] x of each column's centre."""
         return self.origin[0] + self.pitch_x * np.arange(self.columns, dtype=np.float64)
@@ -104,14 +132,12 @@ class Surface:
     @cached_property
     def grid(self) -> Grid:
         """The surface as the compiled physics reads it."""
-        each = (self.mu_max, self.mu_min, self.mu_support)
-        friction = [np.broadcast_to(np.asarray(mu), self.axis.shape) for mu in each]
         return Grid(
             axis=np.arange(self.axis.size, dtype=np.int32).reshape(self.axis.shape),
             direction=np.stack([np.cos(self.axis), np.sin(self.axis)], axis=-1).reshape(-1, 2),
             rotor=np.array(self.rotor),
             stiffness=np.ones(self.axis.shape) if self.stiffness is None else self.stiffness.copy(),
-            friction=np.stack(friction, axis=-1),
+            friction=self.friction.copy(),
             x0=self.origin[0],
             y0=self.origin[1],
             pitch_x=self.pitch_x,

@@ -153,6 +153,10 @@ class Startless(Cross):
         return None
 
 
+class Unstarted(Cross):
+    start = own.Task.start
+
+
 class Featureless(Cross):
     features: Any = None
 
@@ -172,6 +176,7 @@ FAULTY: dict[type[Cross], str] = {
     Nowhere: r"Nowhere.start must give a pose of finite numbers",
     Pathless: r"Pathless.start must give a path of 256 points, got None",
     Startless: r"Startless.start must give a Start, got None",
+    Unstarted: r"Unstarted.start must be a method, as Task says",
     Featureless: r"Featureless.features must be a tuple",
 }
 

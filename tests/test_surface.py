@@ -84,6 +84,8 @@ def test_replace_makes_another_surface_with_another_grid() -> None:
         ({"origin": (0.0, np.nan)}, "origin must be finite, got nan"),
         ({"mu_max": -0.1}, "mu_max must be at least 0, got -0.1"),
         ({"mu_min": np.nan}, "mu_min must be a finite number, got nan"),
+        ({"mu_max": [[0.5], [0.5, 0.5]]}, "mu_max must be an array of numbers"),
+        ({"mu_max": np.ones((3, 5))}, r"mu_max must have the shape \(3, 4\), got \(3, 5\)"),
         ({"mu_support": -1}, "mu_support must be at least 0, got -1"),
         ({"mu_support": True}, "mu_support must be a finite number, got True"),
         ({"tilt": math.pi / 4}, "tilt must be between -pi/4 and pi/4"),

@@ -23,7 +23,7 @@ SURE = Entry(position=0.0, angle=0.0, speed=0.0, turning=0.0)
 LATENCY = 0.08  # [s] two control periods
 
 CONDITIONS = (
-    Condition("exact", "exact", "Sensor show pose and velocity as they are."),
+    Condition("exact", "exact", "Sensors show pose and velocity as they are."),
     Condition(
         "camera",
         "camera",

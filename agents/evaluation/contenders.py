@@ -69,13 +69,13 @@ def of_runs(task: str, folder: Path) -> list[Contender]:
     Raises:
         ValueError: a run's policies are damaged.
     """
-    latest: dict[str, Path] = {}
+    latest: dict[str, Contender] = {}
     for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
         run = config.parent
         if task_of(config) == task and _is_whole(run):
             found = trained(policies_of(run), task)
-            latest[found.name] = run
-    return [trained(policies_of(run), task) for run in latest.values()]
+            latest[found.name] = found
+    return list(latest.values())
 
 
 def _is_whole(run: Path) -> bool:

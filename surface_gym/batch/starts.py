@@ -6,17 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surface_gym.dynamics.states import each, states_of
 from surface_gym.dynamics.types import (
     GRAVITY,
-    OMEGA,
-    STATE_SIZE,
-    THETA,
-    VX,
-    VY,
     Array,
     Integers,
-    X,
-    Y,
 )
 from surface_gym.lanes.memory import GRAVITY_ALONG, GRAVITY_NORMAL, PATH_POINTS
 from surface_gym.parcel import Parcel
@@ -47,10 +41,11 @@ def rows_of(task: Task, start: Start, parcels: Parcels, sites: Integers) -> Rows
     pose = _columns(task, "pose", start.pose, 3, count)
     velocity = _columns(task, "velocity", start.velocity, 3, count)
     surface = np.ones((count, 5))
-    surface[:, GRAVITY_ALONG] = GRAVITY * _each(math.sin, start.tilt)
-    surface[:, GRAVITY_NORMAL] = GRAVITY * _each(math.cos, start.tilt)
+    surface[:, GRAVITY_ALONG] = GRAVITY * each(math.sin, start.tilt)
+    surface[:, GRAVITY_NORMAL] = GRAVITY * each(math.cos, start.tilt)
     goal = _columns(task, "goal", start.goal, task.goals, count)
-    return Rows(sites, _state_of(parcels, pose, velocity), surface, goal)
+    state = states_of(parcels.of(lambda parcel: parcel.centre_of_mass), pose, velocity)
+    return Rows(sites, state, surface, goal)
 
 
 def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: int) -> Array:
@@ -85,29 +80,3 @@ def parcels_of(parcel: Parcel | Parcels, count: int) -> Parcels:
     if isinstance(parcel, Parcels):
         return parcel
     return Parcels((parcel,), np.zeros(count, dtype=np.int64))
-
-
-def _each(function: Any, values: Any) -> Any:
-    """By Python's own function, of a number or of each (count,): NumPy's differ in the last digit
-    from one machine to the next.
-    """
-    if np.ndim(values) == 0:
-        return function(values)
-    return np.array([function(value) for value in values.tolist()])
-
-
-def _state_of(parcels: Parcels, pose: Array, velocity: Array) -> Array:
-    """(count, STATE_SIZE) of the centre of mass, from the base's frame (count, 3)."""
-    com = parcels.of(lambda parcel: parcel.centre_of_mass)
-    state = np.zeros((len(pose), STATE_SIZE))
-    state[:, X : THETA + 1] = pose
-    state[:, VX : OMEGA + 1] = velocity
-    if com.any():
-        cosine, sine = _each(math.cos, pose[:, 2]), _each(math.sin, pose[:, 2])
-        arm_x = cosine * com[:, 0] - sine * com[:, 1]
-        arm_y = sine * com[:, 0] + cosine * com[:, 1]
-        state[:, X] += arm_x
-        state[:, Y] += arm_y
-        state[:, VX] -= velocity[:, 2] * arm_y
-        state[:, VY] += velocity[:, 2] * arm_x
-    return state

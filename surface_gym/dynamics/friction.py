@@ -37,6 +37,7 @@ from surface_gym.dynamics.types import (
     SLIP_ALONG,
     SUPPORT,
     TORQUE,
+    Array,
     Contacts,
     Grid,
     Scratch,
@@ -109,6 +110,21 @@ def _gradient(
 
 
 @inlined
+def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
+    """A contact's part of the Hessian, from that of its velocity."""
+    x = table[ARM_X + i]
+    y = table[ARM_Y + i]
+    kxw = x * kxy - y * kxx
+    kyw = x * kyy - y * kxy
+    table[CURVE_XX + i] = kxx
+    table[CURVE_XY + i] = kxy
+    table[CURVE_XW + i] = kxw
+    table[CURVE_YY + i] = kyy
+    table[CURVE_YW + i] = kyw
+    table[CURVE_WW + i] = x * kyw - y * kxw
+
+
+@inlined
 def _curvature(
     scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -116,8 +132,6 @@ def _curvature(
     table = scratch.table
     per_rounding = 1.0 / ROUNDING
     for i in range(contacts.total):
-        x = table[ARM_X + i]
-        y = table[ARM_Y + i]
         ax = table[AXIS_X + i]
         ay = table[AXIS_Y + i]
         held_along = abs(table[SLIP_ALONG + i]) < 1.0
@@ -127,14 +141,7 @@ def _curvature(
         kxx = k_along * ax * ax + k_across * ay * ay
         kxy = (k_along - k_across) * ax * ay
         kyy = k_along * ay * ay + k_across * ax * ax
-        kxw = x * kxy - y * kxx
-        kyw = x * kyy - y * kxy
-        table[CURVE_XX + i] = kxx
-        table[CURVE_XY + i] = kxy
-        table[CURVE_XW + i] = kxw
-        table[CURVE_YY + i] = kyy
-        table[CURVE_YW + i] = kyw
-        table[CURVE_WW + i] = x * kyw - y * kxw
+        _write_curvature(table, i, kxx, kxy, kyy)
     for k in range(contacts.supports):
         i = scratch.marks[SUPPORT + k]
         x = table[ARM_X + i]
@@ -150,14 +157,7 @@ def _curvature(
             kxx -= bend * ux * ux
             kyy -= bend * uy * uy
             kxy -= bend * ux * uy
-        kxw = x * kxy - y * kxx
-        kyw = x * kyy - y * kxy
-        table[CURVE_XX + i] = kxx
-        table[CURVE_XY + i] = kxy
-        table[CURVE_XW + i] = kxw
-        table[CURVE_YY + i] = kyy
-        table[CURVE_YW + i] = kyw
-        table[CURVE_WW + i] = x * kyw - y * kxw
+        _write_curvature(table, i, kxx, kxy, kyy)
     hxx = hxy = hxw = hyy = hyw = hww = 0.0
     for i in range(contacts.total):
         hxx += table[CURVE_XX + i]

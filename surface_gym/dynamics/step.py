@@ -22,7 +22,7 @@ from surface_gym.dynamics.types import (
 )
 
 # What a step reports. From OFF_SURFACE on, it left the state as it was.
-BALANCED, TIPPING, OFF_SURFACE, STOPPED = range(4)
+BALANCED, TIPPING, OFF_SURFACE, UNBORNE, STOPPED = range(5)
 
 
 @inlined
@@ -51,6 +51,15 @@ def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: f
     if not on_surface(grid, x, y):
         return Contacts(0, 0)
     return find_contacts(grid, body, x, y, state[THETA] + lead * state[OMEGA], scratch)
+
+
+@inlined
+def why_unborne(grid: Grid, state: Array, lead: float) -> int:
+    """What to report where `find_support` has found nothing: off the surface, or over it but on no
+    element.
+    """
+    over = on_surface(grid, state[X] + lead * state[VX], state[Y] + lead * state[VY])
+    return UNBORNE if over else OFF_SURFACE
 
 
 @inlined
@@ -115,7 +124,7 @@ def step_implicit(
     """
     contacts = find_support(grid, body, state, scratch, 0.5 * dt)
     if contacts.total == 0:
-        return OFF_SURFACE, contacts
+        return why_unborne(grid, state, 0.5 * dt), contacts
     tipping = bear_load(grid, body, state, scratch, contacts)
     advance_implicit(grid, body, state, scratch, contacts, dt)
     return (TIPPING if tipping else BALANCED), contacts
@@ -130,7 +139,7 @@ def step_explicit(
         return STOPPED, Contacts(0, 0)
     contacts = find_support(grid, body, state, scratch, 0.0)
     if contacts.total == 0:
-        return OFF_SURFACE, contacts
+        return why_unborne(grid, state, 0.0), contacts
     tipping = bear_load(grid, body, state, scratch, contacts)
     advance_explicit(grid, body, state, scratch, contacts, dt)
     return (TIPPING if tipping else BALANCED), contacts

@@ -7,7 +7,6 @@ from surface_gym.dynamics.compiled import lane_function
 from surface_gym.dynamics.types import Array
 from surface_gym.lanes.lane import Lane
 
-ENTRY_SIZE = 4  # numbers of an Entry in a sensor's settings
 ENTRY_ROWS = 2  # of noise that a start uses
 
 

@@ -219,7 +219,7 @@ def predict(settings: Array, first: int, lane: Lane, physics: Physics) -> None:
     )
     vx, vy, omega = kept[VX], kept[VY], kept[OMEGA]
     report, contacts = step_implicit(grid, body, kept, scratch, dt)
-    if report == OFF_SURFACE:
+    if report >= OFF_SURFACE:
         kept[X] += dt * kept[VX]
         kept[Y] += dt * kept[VY]
         kept[THETA] += dt * kept[OMEGA]

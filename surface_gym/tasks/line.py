@@ -71,8 +71,10 @@ def rear_to_go(lane: Lane, x: float, theta: float) -> float:
 
 
 @lane_function
-def has_left(lane: Lane) -> bool:
-    """Whether the parcel's rear is past the zone's end, by the state a physics step left."""
+def over_zone_end(lane: Lane) -> bool:
+    """Off the rotors, or with the rear past the zone's end."""
+    if not lane.on_rotors:
+        return True
     if lane.state[X] <= zone_end(lane):
         return False
     read_truth(lane)

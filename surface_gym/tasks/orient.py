@@ -12,8 +12,8 @@ from surface_gym.tasks.line import (
     LINE_OUTCOMES,
     PARCEL_FEATURES,
     entry,
-    has_left,
     leaving,
+    over_zone_end,
     see_parcel,
 )
 from surface_gym.tasks.start import Draw, Start, between
@@ -144,11 +144,7 @@ class Orient(Task):
         lane.figures[ANGLE_ERROR] = lane.truth[THETA] - lane.goal[ANGLE]
         lane.memory[LEFT_TO_TURN] = abs(lane.figures[ANGLE_ERROR])
 
-    @staticmethod
-    @lane_function
-    def over(lane: Lane) -> bool:
-        """Off the rotors, or past the zone's end."""
-        return not lane.on_rotors or has_left(lane)
+    over = staticmethod(over_zone_end)
 
     @staticmethod
     @lane_function

@@ -15,8 +15,8 @@ from surface_gym.tasks.line import (
     PARCEL_FEATURES,
     ROLLING_LOSS,
     entry,
-    has_left,
     leaving,
+    over_zone_end,
     rear_to_go,
     see_parcel,
     zone_of,
@@ -163,11 +163,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         lane.memory[EXCESS] = _score(lane)
         lane.figures[RATIO_ERROR] = _ratio_error(lane)
 
-    @staticmethod
-    @lane_function
-    def over(lane: Lane) -> bool:
-        """Off the rotors, or past the zone's end."""
-        return not lane.on_rotors or has_left(lane)
+    over = staticmethod(over_zone_end)
 
     @staticmethod
     @lane_function

@@ -7,7 +7,6 @@ from surface_gym import checks
 from surface_gym.dynamics.compiled import lane_function
 from surface_gym.lanes.lane import Lane
 from surface_gym.lanes.memory import FIRST_FAILURE
-from surface_gym.parcel import Parcel
 from surface_gym.plants import Line, Plant
 from surface_gym.tasks.start import Draw, Start, parcels_to_draw
 
@@ -84,7 +83,8 @@ class Task:
 
     def start(self, draw: Draw) -> Start:
         """The law of its starts, for as many as `draw` has numbers for."""
-        raise NotImplementedError(f"{type(self).__name__} has no start")
+        del draw
+        raise ValueError(f"{type(self).__name__}.start must be a method, as Task says, got none")
 
     def readings(self, lane: Lane) -> list[tuple[str, str]]:
         """The task's own numbers of a lane, as pairs of texts, for drawing."""
@@ -121,6 +121,3 @@ def rising(name: str, value: Any, low: float, high: float) -> tuple[float, float
             f"{name} must be two rising numbers between {low:g} and {high:g}, got {value!r}"
         )
     return first, last
-
-
-__all__ = ["Draw", "Feature", "Lane", "Parcel", "Start", "Task", "failures", "rising"]

@@ -11,7 +11,7 @@ import surface_gym as sg
 from surface_gym.dynamics.contacts import forget_contacts
 from surface_gym.dynamics.entries import step_explicit, step_implicit
 from surface_gym.dynamics.memory import make_scratch
-from surface_gym.dynamics.step import BALANCED, OFF_SURFACE, STOPPED, TIPPING
+from surface_gym.dynamics.step import BALANCED, OFF_SURFACE, STOPPED, TIPPING, UNBORNE
 from surface_gym.dynamics.types import AX, OMEGA, STATE_SIZE, THETA, VX, VY, Array, X, Y
 from tests.strategies import Scene, scenes
 
@@ -86,6 +86,13 @@ def test_a_step_reports_how_it_went_and_on_how_many_contacts() -> None:
     assert report(step_implicit, middle, (0.0, 0.0, 0.0)) == (BALANCED, 4)
     assert report(step_explicit, middle, (0.0, 1.0, 0.0)) == (STOPPED, 0)
     assert report(step_explicit, middle, (-1.0, 0.0, 0.0)) == (STOPPED, 0)
+
+
+@pytest.mark.parametrize("step", [step_implicit, step_explicit])
+def test_a_base_between_the_elements_is_told_from_one_off_the_surface(step: object) -> None:
+    surface, coin = sg.layouts.sorting(), sg.Parcel(sg.Disc(0.04))
+    state, scratch = state_of((1.0, 1.0, 0.0), (0.5, 0.0, 0.0)), make_scratch()
+    assert step(surface.grid, coin.body, state, scratch, 0.005) == (UNBORNE, (0, 0))
 
 
 @pytest.mark.parametrize("step", [step_implicit, step_explicit])
