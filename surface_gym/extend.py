@@ -12,7 +12,7 @@ They read and write a `Lane`, one parcel on one surface, and may use `math`, con
 `lane_function`s and what stands here:
 
 - places in `lane.truth` and `lane.sensed`: `X`, `Y`, `THETA`, `VX`, `VY`, `OMEGA`;
-- places in `lane.body`: `RADIUS`, `COM_X`, `COM_Y`, `COM_HEIGHT`, `GYRATION`, `HALF_LENGTH`;
+- places in `lane.body`: `RADIUS`, `COM_X`, `COM_Y`, `COM_HEIGHT`, `GYRATION`, `HALF_LENGTH`, `MASS`;
 - places in `lane.zone`: `FIRST_ROW`, `ROWS`, `FIRST_COLUMN`, `COLUMNS`;
 - what `judge` returns: `RUNNING`, `SUCCESS`, or one of `failures(outcomes)`;
 - `reach_along`, `zone_start`, `zone_end`, `speed_of`, `is_slower`, and `read_truth` for `over`.
@@ -23,7 +23,22 @@ parcels enter a line. Plants are a `Line`, a `Field`, a `Pattern`, or a class th
 """
 
 from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.types import OMEGA, THETA, VX, VY, Array, X, Y
+from surface_gym.dynamics.types import (
+    COM_HEIGHT,
+    COM_X,
+    COM_Y,
+    GYRATION,
+    HALF_LENGTH,
+    MASS,
+    OMEGA,
+    RADIUS,
+    THETA,
+    VX,
+    VY,
+    Array,
+    X,
+    Y,
+)
 from surface_gym.lanes.lane import (
     Lane,
     is_slower,
@@ -33,20 +48,7 @@ from surface_gym.lanes.lane import (
     zone_end,
     zone_start,
 )
-from surface_gym.lanes.memory import (
-    COLUMNS,
-    COM_HEIGHT,
-    COM_X,
-    COM_Y,
-    FIRST_COLUMN,
-    FIRST_ROW,
-    GYRATION,
-    HALF_LENGTH,
-    RADIUS,
-    ROWS,
-    RUNNING,
-    SUCCESS,
-)
+from surface_gym.lanes.memory import COLUMNS, FIRST_COLUMN, FIRST_ROW, ROWS, RUNNING, SUCCESS
 from surface_gym.plants import Field, Line, Pattern, Plant
 from surface_gym.sensors import Sensor
 from surface_gym.tasks import Task
@@ -63,6 +65,7 @@ __all__ = [
     "FIRST_ROW",
     "GYRATION",
     "HALF_LENGTH",
+    "MASS",
     "OMEGA",
     "RADIUS",
     "ROWS",

@@ -4,8 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym.batch.batch import Batch
+from surface_gym.dynamics.types import RADIUS
 from surface_gym.lanes.lane import Lane
-from surface_gym.lanes.memory import GRAVITY_ALONG, RADIUS, RUNNING
+from surface_gym.lanes.memory import GRAVITY_ALONG, RUNNING
 from surface_gym.rendering import Scene
 
 _DISC = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
@@ -36,7 +37,9 @@ def scene_of(
     ]
     if outcome != RUNNING:
         readings.append(("end", batch.outcomes[outcome]))
-    tilt = float(np.arcsin(min(1.0, lanes.surface[lane, GRAVITY_ALONG] / _gravity(batch, lane))))
+    tilt = float(
+        np.arcsin(min(1.0, batch.surfaces.conditions[lane, GRAVITY_ALONG] / _gravity(batch, lane)))
+    )
     name = type(batch.task).__name__
     return Scene(
         axis=batch.axes(lane),
@@ -56,7 +59,7 @@ def scene_of(
 
 
 def _gravity(batch: Batch, lane: int) -> float:
-    return float(np.hypot(*batch.lanes.surface[lane, 3:5]))
+    return float(np.hypot(*batch.surfaces.conditions[lane, 3:5]))
 
 
 def _outline(lane: Lane) -> NDArray[np.float64]:

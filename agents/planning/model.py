@@ -9,7 +9,8 @@ from agents.angles import axes_apart
 from agents.planning.start import FIELD_ZONE, start_of
 from surface_gym.actuators import Actuators
 from surface_gym.batch.batch import Batch
-from surface_gym.lanes.memory import HALF_LENGTH, OUT_OF_TIME, Lanes
+from surface_gym.dynamics.types import HALF_LENGTH
+from surface_gym.lanes.memory import OUT_OF_TIME, Lanes
 from surface_gym.plants import Field, Plant
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Exact
@@ -23,7 +24,7 @@ _MOVES = (
     "observation",
 )  # fmt: skip
 # What else a start says.
-_GIVEN = ("surface", "goal", "path", "site")
+_GIVEN = ("goal", "path", "site")
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +88,10 @@ class Model:
         first = np.zeros(1, dtype=np.int64)
         self._batch.place(first, start_of(self._settings, observation))
         self._batch.begin(first)
-        sites = self.lanes.site
+        surfaces, sites = self._batch.surfaces, self.lanes.site
         if (sites != sites[0]).any():  # another zone: what no action sets must be straight
-            self.lanes.axis[1:] = self.lanes.axis[0]
+            surfaces.axis[1:] = surfaces.axis[0]
+        surfaces.conditions[1:] = surfaces.conditions[0]
         for name in (*_MOVES, *_GIVEN):
             array = getattr(self.lanes, name)
             array[1:] = array[0]
@@ -107,7 +109,7 @@ class Model:
             array = getattr(lanes, name)
             array[:count] = array[parents]
         lanes.outcome[count:] = OUT_OF_TIME  # nobody waits for them
-        commands = lanes.command.copy()
+        commands = self._batch.surfaces.command.copy()
         commands[:count] = self._kind.commands(actions, count)
         self._batch.advance(commands)
         return self._stand(Lanes._make(array[:count] for array in lanes))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from surface_gym.dynamics.compiled import inlined
 from surface_gym.dynamics.types import Array, Integers, X, Y
 from surface_gym.lanes.lane import Lane
-from surface_gym.lanes.memory import COLUMNS, FIRST_COLUMN, FIRST_ROW, ROWS, Lanes
+from surface_gym.lanes.memory import COLUMNS, FIRST_COLUMN, FIRST_ROW, ROWS, Surfaces
 from surface_gym.layouts import ROLLING
 
 WINDOW_SIDE = 5  # modules
@@ -85,84 +85,90 @@ def part_of_window(acting: Acting, lane: Lane, corner: Corner, row: int, column:
 
 
 @inlined
-def set_choice(acting: Acting, lanes: Lanes, lane: int, row: int, column: int, part: int) -> None:
+def set_choice(
+    acting: Acting, surfaces: Surfaces, lane: int, row: int, column: int, part: int
+) -> None:
     """To the orientation on offer that the part counts, at once."""
-    lanes.axis[lane, row, column] = lanes.command[lane, part]
+    surfaces.axis[lane, row, column] = surfaces.command[lane, part]
 
 
 @inlined
-def set_angle(acting: Acting, lanes: Lanes, lane: int, row: int, column: int, part: int) -> None:
+def set_angle(
+    acting: Acting, surfaces: Surfaces, lane: int, row: int, column: int, part: int
+) -> None:
     """To the angle that the part says, at once."""
-    angle = lanes.command[lane, part]
-    axis = lanes.axis[lane, row, column]
-    lanes.direction[lane, axis, 0] = math.cos(angle)
-    lanes.direction[lane, axis, 1] = math.sin(angle)
+    angle = surfaces.command[lane, part]
+    axis = surfaces.axis[lane, row, column]
+    surfaces.direction[lane, axis, 0] = math.cos(angle)
+    surfaces.direction[lane, axis, 1] = math.sin(angle)
 
 
 @inlined
 def aim_at_choice(
-    acting: Acting, lanes: Lanes, lane: int, row: int, column: int, part: int
+    acting: Acting, surfaces: Surfaces, lane: int, row: int, column: int, part: int
 ) -> None:
     """To the orientation on offer that the part counts, by turning step by step."""
-    lanes.target[lane, row, column] = acting.orientations[lanes.command[lane, part]]
+    surfaces.target[lane, row, column] = acting.orientations[surfaces.command[lane, part]]
 
 
 @inlined
-def aim_at_angle(acting: Acting, lanes: Lanes, lane: int, row: int, column: int, part: int) -> None:
+def aim_at_angle(
+    acting: Acting, surfaces: Surfaces, lane: int, row: int, column: int, part: int
+) -> None:
     """To the angle that the part says, by turning step by step."""
-    lanes.target[lane, row, column] = lanes.command[lane, part]
+    surfaces.target[lane, row, column] = surfaces.command[lane, part]
 
 
 @inlined
-def leave_axes(acting: Acting, lanes: Lanes, lane: int, zone: Integers) -> None:
+def leave_axes(acting: Acting, surfaces: Surfaces, lane: int, zone: Integers) -> None:
     """They have turned already."""
 
 
 @inlined
-def turn_axes(acting: Acting, lanes: Lanes, lane: int, zone: Integers) -> None:
+def turn_axes(acting: Acting, surfaces: Surfaces, lane: int, zone: Integers) -> None:
     """Turn each axis of the zone towards its target, the shorter way, for one physics step."""
     for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
         for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
-            apart = lanes.target[lane, row, column] - lanes.angle[lane, row, column]
+            apart = surfaces.target[lane, row, column] - surfaces.angle[lane, row, column]
             if apart == 0.0:
                 continue
             # An axis is the same turned by pi: go the way of at most a quarter turn.
             apart -= math.pi * math.floor(apart / math.pi + 0.5)
             if abs(apart) <= acting.turn:
-                angle = lanes.target[lane, row, column]
+                angle = surfaces.target[lane, row, column]
             else:
-                angle = lanes.angle[lane, row, column] + math.copysign(acting.turn, apart)
-            axis = lanes.axis[lane, row, column]
-            lanes.angle[lane, row, column] = angle
-            lanes.direction[lane, axis, 0] = math.cos(angle)
-            lanes.direction[lane, axis, 1] = math.sin(angle)
+                angle = surfaces.angle[lane, row, column] + math.copysign(acting.turn, apart)
+            axis = surfaces.axis[lane, row, column]
+            surfaces.angle[lane, row, column] = angle
+            surfaces.direction[lane, axis, 0] = math.cos(angle)
+            surfaces.direction[lane, axis, 1] = math.sin(angle)
 
 
 # How all axes become the conveyor's, at once.
 
 
 @inlined
-def straighten_choices(acting: Acting, lanes: Lanes, lane: int) -> None:
+def straighten_choices(acting: Acting, surfaces: Surfaces, lane: int) -> None:
     """To the direction that follows those on offer."""
-    conveyor = lanes.direction.shape[1] - 1
-    for row in range(lanes.axis.shape[1]):
-        for column in range(lanes.axis.shape[2]):
-            lanes.axis[lane, row, column] = conveyor
+    conveyor = surfaces.direction.shape[1] - 1
+    for row in range(surfaces.axis.shape[1]):
+        for column in range(surfaces.axis.shape[2]):
+            surfaces.axis[lane, row, column] = conveyor
 
 
 @inlined
-def straighten_angles(acting: Acting, lanes: Lanes, lane: int) -> None:
+def straighten_angles(acting: Acting, surfaces: Surfaces, lane: int) -> None:
     """Each its own direction."""
-    for axis in range(lanes.direction.shape[1]):
-        lanes.direction[lane, axis, 0] = CONVEYOR[0]
-        lanes.direction[lane, axis, 1] = CONVEYOR[1]
+    for axis in range(surfaces.direction.shape[1]):
+        surfaces.direction[lane, axis, 0] = CONVEYOR[0]
+        surfaces.direction[lane, axis, 1] = CONVEYOR[1]
 
 
 @inlined
-def straighten_targets(acting: Acting, lanes: Lanes, lane: int) -> None:
+def straighten_targets(acting: Acting, surfaces: Surfaces, lane: int) -> None:
     """Each its own direction, with nowhere to turn to."""
-    straighten_angles(acting, lanes, lane)
-    for row in range(lanes.angle.shape[1]):
-        for column in range(lanes.angle.shape[2]):
-            lanes.angle[lane, row, column] = ROLLING
-            lanes.target[lane, row, column] = ROLLING
+    straighten_angles(acting, surfaces, lane)
+    for row in range(surfaces.angle.shape[1]):
+        for column in range(surfaces.angle.shape[2]):
+            surfaces.angle[lane, row, column] = ROLLING
+            surfaces.target[lane, row, column] = ROLLING

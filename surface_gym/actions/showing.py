@@ -4,9 +4,9 @@ import math
 
 from surface_gym.actions.commands import WINDOW_SIDE, Acting, window_corner
 from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import THETA, X, Y
+from surface_gym.dynamics.types import RADIUS, THETA, X, Y
 from surface_gym.lanes.lane import Lane
-from surface_gym.lanes.memory import COLUMNS, FIRST_COLUMN, FIRST_ROW, RADIUS, ROWS
+from surface_gym.lanes.memory import COLUMNS, FIRST_COLUMN, FIRST_ROW, ROWS
 
 AXIS_SIZE = 2  # numbers that show an axis: cosine and sine of twice its angle, as it has no ends
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from surface_gym.batch.bearing import bear_lanes
 from surface_gym.batch.faults import beyond_arrays, fault_of, not_compiling
 from surface_gym.batch.functions import functions_of
-from surface_gym.batch.kernels import make_kernel
-from surface_gym.batch.making import lanes_of, rules_of
+from surface_gym.batch.kernels import Rules, make_kernel
+from surface_gym.batch.making import memory_of, rules_of
 from surface_gym.batch.placement import Placement, placement_of
 from surface_gym.batch.reserve import Reserve
 from surface_gym.batch.sites import SitePlan
@@ -27,6 +27,7 @@ from surface_gym.lanes.memory import (
     RUNNING,
     Lanes,
     Sites,
+    Surfaces,
 )
 from surface_gym.parcel import Parcel
 from surface_gym.settings import Settings
@@ -59,7 +60,9 @@ class Batch:
         # A path takes too much memory to lay it out ahead.
         self._lays_out = not (shared or self.task.has_path)
         self.rules = rules_of(settings)
-        self.lanes: Lanes = lanes_of(settings, lanes)
+        self.surfaces: Surfaces
+        self.lanes: Lanes
+        self.surfaces, self.lanes = memory_of(settings, lanes)
         self._plan = SitePlan(
             self.task.parcels, self._placement, lanes, (plant.rows, plant.columns)
         )
@@ -78,11 +81,16 @@ class Batch:
         """The parcels of all lanes as they run on the plant."""
         return self._plan.sites
 
+    @property
+    def _arrays(self) -> tuple[Rules, Surfaces, Lanes, Sites]:
+        """What compiled code reads and writes."""
+        return self.rules, self.surfaces, self.lanes, self.sites
+
     def _compile(self) -> Callable[..., int]:
         """The kernel for these settings: compiled, or from the cache."""
         settings = self.settings
         kernel = make_kernel(functions_of(settings))
-        arguments = (self.rules, self.lanes, self.sites, *self._workers.scratches, self._all)
+        arguments = (*self._arrays, *self._workers.scratches, self._all)
         try:
             return entry_of(kernel, *arguments)
         except NumbaError as error:
@@ -147,7 +155,7 @@ class Batch:
         if self._varies:
             parcels, start = self._vary(chosen, parcels, start, factors)
         rows = rows_of(self.task, start, parcels, self._plan.sites_of(chosen, parcels))
-        rows.surface[:, :3] = factors
+        rows.conditions[:, :3] = factors
         self._put(chosen, rows)
         if self.task.has_path:
             self.lanes.path[chosen] = path_of(self.task, start, count)
@@ -162,7 +170,7 @@ class Batch:
         lanes = self.lanes
         lanes.site[chosen] = rows.site
         lanes.state[chosen] = rows.state
-        lanes.surface[chosen] = rows.surface
+        self.surfaces.conditions[chosen] = rows.conditions
         lanes.goal[chosen] = rows.goal
         lanes.outcome[chosen] = PLACED
 
@@ -173,13 +181,13 @@ class Batch:
         kinds, aside, turned = [], np.zeros(len(chosen)), np.zeros(len(chosen))
         for k, lane in enumerate(chosen.tolist()):
             drawn = self._randomisation.draw(
-                self._generator(lane), parcels.kinds[parcels.which[k]], self.lanes.axis.shape[1:]
+                self._generator(lane), parcels.kinds[parcels.which[k]], self.surfaces.axis.shape[1:]
             )
             kinds.append(drawn.parcel)
             aside[k], turned[k] = drawn.aside, drawn.turned
             factors[k] = drawn.friction
             if drawn.stiffness is not None:
-                self.lanes.stiffness[lane] = drawn.stiffness
+                self.surfaces.stiffness[lane] = drawn.stiffness
         x, y, theta = start.pose
         varied = start._replace(pose=(x, np.add(y, aside), np.add(theta, turned)))
         return Parcels(tuple(kinds), np.arange(len(kinds))), varied
@@ -190,7 +198,7 @@ class Batch:
         return placement_of(parcel, settings.chosen_plant, settings.zone, stuck)
 
     def _draw_stuck(self, chosen: Integers, parcels: Parcels) -> None:
-        shape, share = self.lanes.axis.shape[1:], self.settings.actuators.stuck_share
+        shape, share = self.surfaces.axis.shape[1:], self.settings.actuators.stuck_share
         for k, lane in enumerate(chosen.tolist()):
             working = self._generator(lane).random(shape) >= share
             parcel = parcels.kinds[parcels.which[k]]
@@ -207,7 +215,7 @@ class Batch:
             commands: (lanes, command size), of lanes that have ended without effect.
             anew: (count,) lanes that have ended, to begin another episode instead.
         """
-        self.lanes.command[:] = commands
+        self.surfaces.command[:] = commands
         if self._draws:
             # Not for a lane that has ended: its next start must find the generator as a single
             # env would.
@@ -226,8 +234,8 @@ class Batch:
         if "axes" in self.settings.info:
             found["axes"] = self._axes()
         if "normal_forces" in self.settings.info:
-            loads = np.zeros(self.lanes.axis.shape)
-            bear_lanes(self.rules, self.lanes, self.sites, self._workers.scratches[0], loads)
+            loads = np.zeros(self.surfaces.axis.shape)
+            bear_lanes(*self._arrays, self._workers.scratches[0], loads)
             sites, which = np.unique(self.lanes.site, return_inverse=True)
             mass = np.array([self._plan.parcel(site).mass for site in sites])[which]
             found["normal_forces"] = loads * mass[:, np.newaxis, np.newaxis]
@@ -240,16 +248,16 @@ class Batch:
 
     def _axes(self) -> Array:
         """(lanes, rows, columns) [rad] axis angles."""
-        angles = np.arctan2(self.lanes.direction[:, :, 1], self.lanes.direction[:, :, 0])
+        angles = np.arctan2(self.surfaces.direction[:, :, 1], self.surfaces.direction[:, :, 0])
         if len(angles) == 1:
-            return np.asarray(angles[0, self.lanes.axis])
-        places = self.lanes.axis.reshape(len(angles), -1)
-        return np.take_along_axis(angles, places, axis=1).reshape(self.lanes.axis.shape)
+            return np.asarray(angles[0, self.surfaces.axis])
+        places = self.surfaces.axis.reshape(len(angles), -1)
+        return np.take_along_axis(angles, places, axis=1).reshape(self.surfaces.axis.shape)
 
     def view(self, lane: int) -> Lane:
         """A lane as its task's functions see it, between two control periods."""
         elements = self.rules.elements
-        seen: Lane = lane_of.py_func(self.lanes, self.sites, lane, elements)
+        seen: Lane = lane_of.py_func(self.surfaces, self.lanes, self.sites, lane, lane, elements)
         return seen
 
     def _generator(self, lane: int) -> np.random.Generator:
@@ -267,9 +275,8 @@ class Batch:
 
     def _run(self, chosen: Integers, threads: int = 1) -> None:
         """Move the chosen lanes (count,), or begin those just placed."""
-        arrays = (self.rules, self.lanes, self.sites)
         try:
-            faults = self._workers.run(threads, self._move, arrays, chosen)
+            faults = self._workers.run(threads, self._move, self._arrays, chosen)
         except IndexError as error:
             raise beyond_arrays(self.settings) from error
         if faults:

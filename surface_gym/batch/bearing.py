@@ -5,12 +5,14 @@ from surface_gym.dynamics.compiled import compiled
 from surface_gym.dynamics.contacts import forget_contacts
 from surface_gym.dynamics.step import bear_load, find_support
 from surface_gym.dynamics.types import ARM_X, ARM_Y, NORMAL, Array, Scratch, X, Y
-from surface_gym.lanes.memory import Lanes, Sites
+from surface_gym.lanes.memory import Lanes, Sites, Surfaces
 from surface_gym.lanes.views import body_of, grid_of
 
 
 @compiled
-def bear_lanes(rules: Rules, lanes: Lanes, sites: Sites, scratch: Scratch, loads: Array) -> None:
+def bear_lanes(
+    rules: Rules, surfaces: Surfaces, lanes: Lanes, sites: Sites, scratch: Scratch, loads: Array
+) -> None:
     """Write the normal force over the mass [m/s^2] of each element into `loads` (lanes, rows,
     columns); 0 where none is.
     """
@@ -20,8 +22,9 @@ def bear_lanes(rules: Rules, lanes: Lanes, sites: Sites, scratch: Scratch, loads
         for row in range(loads.shape[1]):
             for column in range(loads.shape[2]):
                 loads[i, row, column] = 0.0
-        grid = grid_of(lanes, sites, i, elements, rules.friction)
-        body = body_of(sites, lanes.site[i])
+        site = lanes.site[i]
+        grid = grid_of(surfaces, sites, i, site, elements, rules.friction)
+        body = body_of(sites, site)
         state = lanes.state[i]
         forget_contacts(scratch)
         contacts = find_support(grid, body, state, scratch, 0.0)

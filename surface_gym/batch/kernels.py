@@ -31,6 +31,7 @@ from surface_gym.lanes.memory import (
     Geometry,
     Lanes,
     Sites,
+    Surfaces,
     Timing,
 )
 from surface_gym.lanes.views import body_of, grid_of
@@ -85,7 +86,7 @@ class Rules(NamedTuple):
 
 @lru_cache(maxsize=256)
 def make_kernel(functions: Functions) -> Any:
-    """Build `move_lanes(rules, lanes, sites, scratch, sensor's scratch, chosen)`.
+    """Build `move_lanes(rules, surfaces, lanes, sites, scratch, sensor's scratch, chosen)`.
 
     Of the chosen lanes (count,) those placed begin, those that run move over one control period,
     and those that have ended stay. It returns how many a task's function has gone wrong on, and is
@@ -99,17 +100,18 @@ def make_kernel(functions: Functions) -> Any:
     show_modules, show_axes = functions.show_modules, functions.show_axes
 
     @inlined
-    def obey_command(rules: Rules, lanes: Lanes, lane: Lane, i: int, mirror: float) -> None:
+    def obey_command(rules: Rules, surfaces: Surfaces, lane: Lane, i: int, mirror: float) -> None:
         corner = window_corner(lane, mirror)
         zone = lane.zone
         for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
             for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
                 part = part_of(rules.acting, lane, corner, row, column)
                 if part >= 0 and lane.obeys[row, column]:
-                    obey(rules.acting, lanes, i, row, column, part)
+                    obey(rules.acting, surfaces, i, row, column, part)
 
     def move_lanes(
         rules: Rules,
+        surfaces: Surfaces,
         lanes: Lanes,
         sites: Sites,
         scratch: Scratch,
@@ -121,7 +123,7 @@ def make_kernel(functions: Functions) -> Any:
         physics = Physics(rules.assumed, rules.stiffness, sensor_scratch, dt)
         for i in chosen:
             if lanes.outcome[i] == PLACED:
-                straighten(rules.acting, lanes, i)
+                straighten(rules.acting, surfaces, i)
                 lanes.clock[i] = 0.0
                 lanes.steps[i] = 0
             elif lanes.outcome[i] != RUNNING:
@@ -130,7 +132,7 @@ def make_kernel(functions: Functions) -> Any:
             lanes.period[i] = 0.0
             lanes.on_rotors[i] = True
             lanes.on_surface[i] = True
-            lane = lane_of(lanes, sites, i, rules.elements)
+            lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
             mirror = task_mirror(lane)
             if lanes.outcome[i] == PLACED:
                 lanes.outcome[i] = RUNNING
@@ -141,15 +143,16 @@ def make_kernel(functions: Functions) -> Any:
                 sensor_begin(rules.sensor, lane)
                 task_begin(lane)
             else:
-                obey_command(rules, lanes, lane, i, mirror)
-                grid = grid_of(lanes, sites, i, rules.elements, rules.friction)
-                body = body_of(sites, lanes.site[i])
+                obey_command(rules, surfaces, lane, i, mirror)
+                site = lanes.site[i]
+                grid = grid_of(surfaces, sites, i, site, rules.elements, rules.friction)
+                body = body_of(sites, site)
                 start = lanes.clock[i]
                 forget_contacts(scratch)
                 forget_contacts(sensor_scratch)
                 for _ in range(rules.timing.steps):
                     if turns:
-                        turn(rules.acting, lanes, i, lane.zone)
+                        turn(rules.acting, surfaces, i, lane.zone)
                         forget_contacts(scratch)
                         forget_contacts(sensor_scratch)
                     report, contacts = step_implicit(grid, body, lane.state, scratch, dt)
@@ -160,7 +163,7 @@ def make_kernel(functions: Functions) -> Any:
                         lanes.steps[i] += 1
                         lanes.period[i] = lanes.clock[i] - start
                         lanes.on_rotors[i] = contacts.total > contacts.supports
-                    lane = lane_of(lanes, sites, i, rules.elements)
+                    lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
                     if not on_surface:
                         break
                     if watches:

@@ -6,7 +6,14 @@ import numpy as np
 
 from surface_gym.actions.commands import CONVEYOR, Acting
 from surface_gym.batch.kernels import Rules
-from surface_gym.lanes.memory import COMMON_OUTCOMES, Lanes, Sizes, make_lanes
+from surface_gym.lanes.memory import (
+    COMMON_OUTCOMES,
+    Lanes,
+    Sizes,
+    Surfaces,
+    make_lanes,
+    make_surfaces,
+)
 from surface_gym.settings import Settings
 
 
@@ -32,32 +39,31 @@ def rules_of(settings: Settings) -> Rules:
     )
 
 
-def lanes_of(settings: Settings, lanes: int) -> Lanes:
+def memory_of(settings: Settings, lanes: int) -> tuple[Surfaces, Lanes]:
     """Memory for lanes of an environment, every axis the conveyor's."""
     task, plant, kind = settings.chosen_task, settings.chosen_plant, settings.action_kind
     at_once = settings.actuators.axis_speed == math.inf
-    made = make_lanes(
-        Sizes(
-            lanes=lanes,
-            rows=plant.rows,
-            columns=plant.columns,
-            command=kind.size,
-            choices=kind.choices,
-            observation=len(settings.features),
-            terms=len(task.terms),
-            goals=task.goals,
-            memories=task.memories,
-            figures=len(task.figures),
-            kept=settings.sensors.kept,
-            path=task.has_path,
-            noise=settings.draws > 0,
-            turning=not at_once,
-            stiffness=settings.randomisation.stiffness > 0.0,
-        )
+    sizes = Sizes(
+        lanes=lanes,
+        rows=plant.rows,
+        columns=plant.columns,
+        command=kind.size,
+        choices=kind.choices,
+        observation=len(settings.features),
+        terms=len(task.terms),
+        goals=task.goals,
+        memories=task.memories,
+        figures=len(task.figures),
+        kept=settings.sensors.kept,
+        path=task.has_path,
+        noise=settings.draws > 0,
+        turning=not at_once,
+        stiffness=settings.randomisation.stiffness > 0.0,
     )
-    made.direction[:] = CONVEYOR
+    surfaces = make_surfaces(sizes)
+    surfaces.direction[:] = CONVEYOR
     if kind.choices and at_once:  # axes count the orientations on offer
         angles = np.array(settings.chosen_orientations)
-        made.direction[0, :-1] = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        made.axis[:] = len(angles)
-    return made
+        surfaces.direction[0, :-1] = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        surfaces.axis[:] = len(angles)
+    return surfaces, make_lanes(sizes)

@@ -18,7 +18,7 @@ class Placement(NamedTuple):
     rotor: Booleans  # (rows, columns)
     obeys: Booleans  # (rows, columns) but for those that are drawn to be stuck
     zone: Integers  # (4,) first row, rows, first column, columns
-    body: Array  # (6,) as `Lanes.body`
+    body: Array  # (7,) as `Bodies.body`
     edges: Array  # (edges, 3)
     corners: Array  # (corners, 2) [m] from the centroid
 
@@ -70,7 +70,15 @@ def placement_of(
         obeys=obeys & site.rotor,
         zone=np.array(site.zone),
         body=np.array(
-            [body.radius, body.com_x, body.com_y, body.com_height, body.gyration, half_length]
+            [
+                body.radius,
+                body.com_x,
+                body.com_y,
+                body.com_height,
+                body.gyration,
+                half_length,
+                parcel.mass,
+            ]
         ),
         edges=body.edges,
         corners=outline if len(body.edges) else np.zeros((1, 2)),

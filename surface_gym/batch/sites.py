@@ -108,7 +108,7 @@ def _make_sites(count: int, shape: tuple[int, ...], edges: int) -> Sites:
     return Sites(
         rotor=np.zeros((count, *shape), dtype=np.bool_),
         obeys=np.zeros((count, *shape), dtype=np.bool_),
-        body=np.zeros((count, 6)),
+        body=np.zeros((count, 7)),
         edges=np.zeros((count, edges, 3)),
         corners=np.zeros((count, edges, 2)),
         zone=np.zeros((count, 4), dtype=np.int64),

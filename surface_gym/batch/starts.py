@@ -23,7 +23,7 @@ class Rows(NamedTuple):
 
     site: Integers  # (starts,)
     state: Array  # (starts, STATE_SIZE)
-    surface: Array  # (starts, 5)
+    conditions: Array  # (starts, 5)
     goal: Array  # (starts, goals)
 
 
@@ -40,12 +40,12 @@ def rows_of(task: Task, start: Start, parcels: Parcels, sites: Integers) -> Rows
     count = len(sites)
     pose = _columns(task, "pose", start.pose, 3, count)
     velocity = _columns(task, "velocity", start.velocity, 3, count)
-    surface = np.ones((count, 5))
-    surface[:, GRAVITY_ALONG] = GRAVITY * each(math.sin, start.tilt)
-    surface[:, GRAVITY_NORMAL] = GRAVITY * each(math.cos, start.tilt)
+    conditions = np.ones((count, 5))
+    conditions[:, GRAVITY_ALONG] = GRAVITY * each(math.sin, start.tilt)
+    conditions[:, GRAVITY_NORMAL] = GRAVITY * each(math.cos, start.tilt)
     goal = _columns(task, "goal", start.goal, task.goals, count)
     state = states_of(parcels.of(lambda parcel: parcel.centre_of_mass), pose, velocity)
-    return Rows(sites, state, surface, goal)
+    return Rows(sites, state, conditions, goal)
 
 
 def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: int) -> Array:

@@ -43,6 +43,21 @@ class Body(NamedTuple):
     gyration: float  # [m^2] inertia / mass
 
 
+# Columns of `Bodies.body`.
+RADIUS, COM_X, COM_Y, COM_HEIGHT, GYRATION, HALF_LENGTH, MASS = range(7)
+
+
+class Bodies(NamedTuple):
+    """Parcels as rows: what a `Body` says of each, and what more it takes for them to touch."""
+
+    # (bodies, 7) [m] radius, centre of mass x, y and height; [m^2] gyration; [m] from the centroid
+    # to the rearmost point; [kg] mass
+    body: Array
+    edges: Array  # (bodies, edges, 3) of the base, padded with edges that never bound
+    corners: Array  # (bodies, edges, 2) [m] of the base from its centroid, padded with repeats of
+    # the first; all at the centroid where it is a disc
+
+
 class Scratch(NamedTuple):
     """Memory of one step, made once by the caller: the contacts, in the order of the grid."""
 

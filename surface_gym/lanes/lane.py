@@ -7,18 +7,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import OMEGA, THETA, VX, VY, Array, Booleans, Integers, Places, X, Y
-from surface_gym.lanes.memory import (
-    COLUMNS,
+from surface_gym.dynamics.types import (
     COM_X,
     COM_Y,
-    FIRST_COLUMN,
     HALF_LENGTH,
+    OMEGA,
     RADIUS,
-    Geometry,
-    Lanes,
-    Sites,
+    THETA,
+    VX,
+    VY,
+    Array,
+    Booleans,
+    Integers,
+    Places,
+    X,
+    Y,
 )
+from surface_gym.lanes.memory import COLUMNS, FIRST_COLUMN, Geometry, Lanes, Sites, Surfaces
 
 
 class Lane(NamedTuple):
@@ -36,7 +41,7 @@ class Lane(NamedTuple):
     on_rotors: bool  # a rotor bears the parcel
     on_surface: bool  # its centre of mass is over the surface
     surface: Array  # (5,) factors of friction [-], gravity along and normal [m/s^2]
-    body: Array  # (6,) of the parcel: RADIUS ... HALF_LENGTH
+    body: Array  # (7,) of the parcel: RADIUS ... MASS
     edges: Array  # (edges, 3) of its base: outward normals and distances [m] from the centroid
     corners: Array  # (edges, 2) [m] of its base from the centroid
     zone: Integers  # (4,) FIRST_ROW, ROWS, FIRST_COLUMN, COLUMNS that obey
@@ -57,9 +62,12 @@ class Lane(NamedTuple):
 
 
 @inlined
-def lane_of(lanes: Lanes, sites: Sites, lane: int, elements: Geometry) -> Lane:
-    """The view of a lane."""
+def lane_of(
+    surfaces: Surfaces, lanes: Lanes, sites: Sites, surface: int, lane: int, elements: Geometry
+) -> Lane:
+    """The view of the parcel in a row of `lanes` on the surface in a row of `surfaces`."""
     site = lanes.site[lane]
+    layout = site if sites.rotor.shape[0] > 1 else 0
     return Lane(
         lanes.state[lane],
         lanes.truth[lane],
@@ -69,16 +77,16 @@ def lane_of(lanes: Lanes, sites: Sites, lane: int, elements: Geometry) -> Lane:
         lanes.steps[lane],
         lanes.on_rotors[lane],
         lanes.on_surface[lane],
-        lanes.surface[lane],
+        surfaces.conditions[surface],
         sites.body[site],
         sites.edges[site],
         sites.corners[site],
-        sites.zone[site],
+        sites.zone[layout],
         elements,
-        lanes.axis[lane],
-        lanes.direction[lane if lanes.direction.shape[0] > 1 else 0],
-        sites.rotor[site],
-        sites.obeys[site],
+        surfaces.axis[surface],
+        surfaces.direction[surface if surfaces.direction.shape[0] > 1 else 0],
+        sites.rotor[layout],
+        sites.obeys[layout],
         lanes.goal[lane],
         lanes.path[lane],
         lanes.memory[lane],

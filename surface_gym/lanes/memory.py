@@ -1,4 +1,8 @@
-"""The memory of a batch: one row a lane, each lane one parcel on one surface."""
+"""The memory of a batch: what belongs to a surface, and what to a parcel on it.
+
+A lane is one surface. Where it carries one parcel, as in every task but a stream's, row i of both
+is lane i's.
+"""
 
 from typing import Any, NamedTuple
 
@@ -7,10 +11,8 @@ from numpy.typing import NDArray
 
 from surface_gym.dynamics.types import STATE_SIZE, Array, Booleans, Integers, Places
 
-# Columns of `Lanes.surface`.
+# Columns of `Surfaces.conditions`.
 ALONG_FACTOR, ACROSS_FACTOR, SUPPORT_FACTOR, GRAVITY_ALONG, GRAVITY_NORMAL = range(5)
-# Columns of `Sites.body`.
-RADIUS, COM_X, COM_Y, COM_HEIGHT, GYRATION, HALF_LENGTH = range(6)
 # Columns of `Sites.zone`.
 FIRST_ROW, ROWS, FIRST_COLUMN, COLUMNS = range(4)
 
@@ -26,11 +28,22 @@ PATH_POINTS = 256  # of a path, evenly spaced in x
 NOISE_ROWS = 64  # draws made ahead; each three standard normals and one uniform in [0, 1)
 
 
-class Lanes(NamedTuple):
-    """State, settings and results of every lane.
+class Surfaces(NamedTuple):
+    """What belongs to a surface, whoever is on it. What is the same for all has one row."""
 
-    What a task has no use for has no columns; what is the same for all lanes has one row.
-    """
+    axis: Places  # (surfaces, rows, columns) the place of each rotor's axis among the directions
+    direction: Array  # (surfaces or 1, directions, 2) cosine and sine of an axis
+    angle: Array  # (surfaces, rows, columns) [rad] of each axis, where axes take time to turn
+    target: Array  # (surfaces, rows, columns) [rad] it turns to
+    stiffness: Array  # (surfaces or 1, rows, columns) [-]
+    # (surfaces, 5) factors of friction [-], gravity along and normal [m/s^2]
+    conditions: Array
+    # (surfaces, command size) what the action says: choices, or angles [rad]
+    command: NDArray[Any]
+
+
+class Lanes(NamedTuple):
+    """State and results of every parcel. What a task has no use for has no columns."""
 
     state: Array  # (lanes, STATE_SIZE) of the centre of mass
     truth: Array  # (lanes, 6) pose and velocity of the base's centroid
@@ -40,12 +53,6 @@ class Lanes(NamedTuple):
     steps: Integers  # (lanes,) physics steps since the start
     on_rotors: Booleans  # (lanes,) a rotor bears the parcel
     on_surface: Booleans  # (lanes,) the parcel's centre of mass is over the surface
-    axis: Places  # (lanes, rows, columns) the place of each rotor's axis among the directions
-    direction: Array  # (lanes or 1, directions, 2) cosine and sine of an axis
-    angle: Array  # (lanes, rows, columns) [rad] of each axis, where axes take time to turn
-    target: Array  # (lanes, rows, columns) [rad] it turns to
-    stiffness: Array  # (lanes or 1, rows, columns) [-]
-    surface: Array  # (lanes, 5) factors of friction [-], gravity along and normal [m/s^2]
     site: Integers  # (lanes,) its parcel's place among the sites
     goal: Array  # (lanes, goals) the task's own, as its starts give them
     path: Array  # (lanes, PATH_POINTS or 0) [m] y of a path to follow, evenly spaced in x
@@ -54,7 +61,6 @@ class Lanes(NamedTuple):
     noise: Array  # (lanes, NOISE_ROWS or 0, 4) drawn ahead for the sensor
     noise_row: Integers  # (lanes, 1) the next to use
     kept: Array  # (lanes, kept) what the sensor remembers
-    command: NDArray[Any]  # (lanes, command size) what the action says: choices, or angles [rad]
     observation: NDArray[np.float32]  # (lanes, observation size)
     terms: Array  # (lanes, reward terms)
     reward: Array  # (lanes,) their sum
@@ -63,14 +69,17 @@ class Lanes(NamedTuple):
 
 
 class Sites(NamedTuple):
-    """Parcels as they run on the plant. Lanes whose parcels are alike share one."""
+    """Parcels as they run on the plant. Lanes whose parcels are alike share one.
 
-    rotor: Booleans  # (sites, rows, columns)
-    obeys: Booleans  # (sites, rows, columns) a rotor in the zone, not stuck
-    body: Array  # (sites, 6) [m] radius, centre of mass x, y, height; gyration [m^2]; half length
-    edges: Array  # (sites, edges, 3) of the base, padded with edges that never bound
-    corners: Array  # (sites, edges, 2) [m] of the base from its centroid, padded with repeats
-    zone: Integers  # (sites, 4) first row, rows, first column, columns that obey
+    What of the plant is the same for all parcels has one row.
+    """
+
+    rotor: Booleans  # (sites or 1, rows, columns)
+    obeys: Booleans  # (sites or 1, rows, columns) a rotor in the zone, not stuck
+    body: Array  # (sites, 7) as `Bodies.body`
+    edges: Array  # (sites, edges, 3) as `Bodies.edges`
+    corners: Array  # (sites, edges, 2) [m] as `Bodies.corners`
+    zone: Integers  # (sites or 1, 4) first row, rows, first column, columns that obey
 
 
 class Geometry(NamedTuple):
@@ -110,14 +119,28 @@ class Sizes(NamedTuple):
     stiffness: bool  # it differs from lane to lane
 
 
-def make_lanes(sizes: Sizes) -> Lanes:
-    """Memory for a batch, nothing placed on it yet."""
-    lanes, grid = sizes.lanes, (sizes.lanes, sizes.rows, sizes.columns)
-    turning = grid if sizes.turning else (lanes, 1, 1)
+def make_surfaces(sizes: Sizes) -> Surfaces:
+    """Memory for the surfaces of a batch."""
+    count, grid = sizes.lanes, (sizes.lanes, sizes.rows, sizes.columns)
+    turning = grid if sizes.turning else (count, 1, 1)
     # Axes that are one of a few directions count them; those at any angle have one each.
     counted = sizes.choices > 0 and not sizes.turning
     each = np.arange(sizes.rows * sizes.columns, dtype=np.int32).reshape(grid[1:])
-    directions = (1, sizes.choices + 1) if counted else (lanes, each.size)
+    directions = (1, sizes.choices + 1) if counted else (count, each.size)
+    return Surfaces(
+        axis=np.zeros(grid, dtype=np.int32) if counted else np.tile(each, (count, 1, 1)),
+        direction=np.zeros((*directions, 2)),
+        angle=np.zeros(turning),
+        target=np.zeros(turning),
+        stiffness=np.ones((count if sizes.stiffness else 1, *grid[1:])),
+        conditions=np.zeros((count, 5)),
+        command=np.zeros((count, sizes.command), dtype=np.int64 if sizes.choices else np.float64),
+    )
+
+
+def make_lanes(sizes: Sizes) -> Lanes:
+    """Memory for the parcels of a batch, one a lane, nothing placed on it yet."""
+    lanes = sizes.lanes
     return Lanes(
         state=np.zeros((lanes, STATE_SIZE)),
         truth=np.zeros((lanes, 6)),
@@ -127,12 +150,6 @@ def make_lanes(sizes: Sizes) -> Lanes:
         steps=np.zeros(lanes, dtype=np.int64),
         on_rotors=np.ones(lanes, dtype=np.bool_),
         on_surface=np.ones(lanes, dtype=np.bool_),
-        axis=np.zeros(grid, dtype=np.int32) if counted else np.tile(each, (lanes, 1, 1)),
-        direction=np.zeros((*directions, 2)),
-        angle=np.zeros(turning),
-        target=np.zeros(turning),
-        stiffness=np.ones((lanes if sizes.stiffness else 1, *grid[1:])),
-        surface=np.zeros((lanes, 5)),
         site=np.zeros(lanes, dtype=np.int64),
         goal=np.zeros((lanes, sizes.goals)),
         path=np.zeros((lanes, PATH_POINTS if sizes.path else 0)),
@@ -141,7 +158,6 @@ def make_lanes(sizes: Sizes) -> Lanes:
         noise=np.zeros((lanes, NOISE_ROWS if sizes.noise else 0, 4)),
         noise_row=np.zeros((lanes, 1), dtype=np.int64),
         kept=np.zeros((lanes, sizes.kept)),
-        command=np.zeros((lanes, sizes.command), dtype=np.int64 if sizes.choices else np.float64),
         observation=np.zeros((lanes, sizes.observation), dtype=np.float32),
         terms=np.zeros((lanes, sizes.terms)),
         reward=np.zeros(lanes),

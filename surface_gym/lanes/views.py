@@ -1,42 +1,42 @@
 """A lane as the physics sees it: views into the batch, no copies."""
 
 from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import Array, Body, Grid
+from surface_gym.dynamics.types import COM_HEIGHT, COM_X, COM_Y, GYRATION, RADIUS, Array, Body, Grid
 from surface_gym.lanes.memory import (
     ACROSS_FACTOR,
     ALONG_FACTOR,
-    COM_HEIGHT,
-    COM_X,
-    COM_Y,
     GRAVITY_ALONG,
     GRAVITY_NORMAL,
-    GYRATION,
-    RADIUS,
     SUPPORT_FACTOR,
     Geometry,
-    Lanes,
     Sites,
+    Surfaces,
 )
 
 
 @inlined
-def grid_of(lanes: Lanes, sites: Sites, lane: int, elements: Geometry, friction: Array) -> Grid:
-    """The surface of a lane, of elements with the friction (rows, columns, 3)."""
+def grid_of(
+    surfaces: Surfaces, sites: Sites, surface: int, site: int, elements: Geometry, friction: Array
+) -> Grid:
+    """A surface as the parcel of a site finds it; its elements have the friction
+    (rows, columns, 3).
+    """
+    conditions = surfaces.conditions[surface]
     return Grid(
-        lanes.axis[lane],
-        lanes.direction[lane if lanes.direction.shape[0] > 1 else 0],
-        sites.rotor[lanes.site[lane]],
-        lanes.stiffness[lane if lanes.stiffness.shape[0] > 1 else 0],
+        surfaces.axis[surface],
+        surfaces.direction[surface if surfaces.direction.shape[0] > 1 else 0],
+        sites.rotor[site if sites.rotor.shape[0] > 1 else 0],
+        surfaces.stiffness[surface if surfaces.stiffness.shape[0] > 1 else 0],
         friction,
         elements.x0,
         elements.y0,
         elements.pitch_x,
         elements.pitch_y,
-        lanes.surface[lane, ALONG_FACTOR],
-        lanes.surface[lane, ACROSS_FACTOR],
-        lanes.surface[lane, SUPPORT_FACTOR],
-        lanes.surface[lane, GRAVITY_ALONG],
-        lanes.surface[lane, GRAVITY_NORMAL],
+        conditions[ALONG_FACTOR],
+        conditions[ACROSS_FACTOR],
+        conditions[SUPPORT_FACTOR],
+        conditions[GRAVITY_ALONG],
+        conditions[GRAVITY_NORMAL],
     )
 
 

@@ -15,9 +15,12 @@ from surface_gym.dynamics.types import (
     AXIS_X,
     AXIS_Y,
     AY,
+    COM_HEIGHT,
+    GYRATION,
     MU_ALONG,
     NORMAL,
     OMEGA,
+    RADIUS,
     ROTOR,
     STATE_SIZE,
     THETA,
@@ -32,13 +35,7 @@ from surface_gym.dynamics.types import (
     Y,
 )
 from surface_gym.lanes.lane import Lane
-from surface_gym.lanes.memory import (
-    COM_HEIGHT,
-    GRAVITY_ALONG,
-    GRAVITY_NORMAL,
-    GYRATION,
-    RADIUS,
-)
+from surface_gym.lanes.memory import GRAVITY_ALONG, GRAVITY_NORMAL
 from surface_gym.plants import Plant
 from surface_gym.sensors.entry import enter
 from surface_gym.sensors.sensor import Physics, Sensor

@@ -4,8 +4,8 @@ import math
 
 from surface_gym.dynamics.compiled import lane_function
 from surface_gym.dynamics.contacts import EDGE_TOLERANCE
+from surface_gym.dynamics.types import RADIUS
 from surface_gym.lanes.lane import Lane
-from surface_gym.lanes.memory import RADIUS
 
 
 @lane_function

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from surface_gym import checks
 from surface_gym.dynamics.compiled import lane_function
 from surface_gym.dynamics.contacts import EDGE_TOLERANCE
-from surface_gym.dynamics.types import OMEGA, THETA, VX, VY, Array, X, Y
+from surface_gym.dynamics.types import OMEGA, RADIUS, THETA, VX, VY, Array, X, Y
 from surface_gym.lanes.lane import Lane
-from surface_gym.lanes.memory import NOISE_ROWS, RADIUS
+from surface_gym.lanes.memory import NOISE_ROWS
 from surface_gym.sensors import observer
 from surface_gym.sensors.entry import Entry
 from surface_gym.sensors.observer import LAST, MODEL_SIZE, Observer, correct, measure

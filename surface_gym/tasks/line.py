@@ -3,7 +3,7 @@
 import math
 
 from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.types import GRAVITY, OMEGA, THETA, VX, VY, X, Y
+from surface_gym.dynamics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
 from surface_gym.lanes.lane import (
     Lane,
     is_slower,
@@ -12,7 +12,7 @@ from surface_gym.lanes.lane import (
     zone_end,
     zone_start,
 )
-from surface_gym.lanes.memory import HALF_LENGTH, RUNNING, SUCCESS
+from surface_gym.lanes.memory import RUNNING, SUCCESS
 from surface_gym.parcel import Parcel
 from surface_gym.plants import Plant
 from surface_gym.tasks.start import Draw, Numbers, Parcels

@@ -8,9 +8,9 @@ import numpy as np
 
 from surface_gym import checks
 from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.types import GRAVITY, OMEGA, THETA, VX, VY, X, Y
+from surface_gym.dynamics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
 from surface_gym.lanes.lane import Lane, is_slower, reach_along, zone_end, zone_start
-from surface_gym.lanes.memory import HALF_LENGTH, ROWS, RUNNING, SUCCESS
+from surface_gym.lanes.memory import ROWS, RUNNING, SUCCESS
 from surface_gym.tasks.line import STALL_SPEED, entry
 from surface_gym.tasks.start import Draw, Start, between
 from surface_gym.tasks.task import Feature, Task, failures

@@ -8,15 +8,9 @@ import numpy as np
 
 from surface_gym import checks
 from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.types import GRAVITY, OMEGA, THETA, VX, VY, Array, X, Y
+from surface_gym.dynamics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
 from surface_gym.lanes.lane import Lane, speed_of
-from surface_gym.lanes.memory import (
-    GRAVITY_ALONG,
-    HALF_LENGTH,
-    PATH_POINTS,
-    RUNNING,
-    SUCCESS,
-)
+from surface_gym.lanes.memory import GRAVITY_ALONG, PATH_POINTS, RUNNING, SUCCESS
 from surface_gym.layouts import LINE_Y
 from surface_gym.plants import Field, Plant
 from surface_gym.tasks.paths import (

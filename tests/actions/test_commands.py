@@ -64,13 +64,15 @@ def test_each_module_follows_its_part(
     actions: str, size: str, pose: tuple[float, float, float]
 ) -> None:
     batch = batch_at(pose, sg.layouts.box(size), actions=actions)
-    assert_follows(batch, np.random.default_rng(1).integers(0, 4, batch.lanes.command.shape))
+    assert_follows(batch, np.random.default_rng(1).integers(0, 4, batch.surfaces.command.shape))
 
 
 @pytest.mark.parametrize("actions", ACTIONS)
 def test_each_module_turns_to_the_angle_its_part_says(actions: str) -> None:
     batch = batch_at((1.0, 1.12, 2.5), sg.layouts.box("B"), actions=actions, orientations="any")
-    angles = np.random.default_rng(1).uniform(-math.pi / 2, math.pi / 2, batch.lanes.command.shape)
+    angles = np.random.default_rng(1).uniform(
+        -math.pi / 2, math.pi / 2, batch.surfaces.command.shape
+    )
     assert_follows(batch, angles)
     put(batch, Start(PARCEL, (0.2, 1.0, 0.0), (0.5, 0.0, 0.0), (1.0,)))
     np.testing.assert_allclose(batch.axes(0), math.pi / 2, rtol=0.0, atol=1e-15)
@@ -95,7 +97,7 @@ def test_around_the_parcel_is_where_it_is_sensed(actions: str) -> None:
     batch = batch_at((1.0, 1.0, 0.0), PARCEL, actions=actions)
     lanes = batch.lanes
     lanes.sensed[0, :2] = 0.83, 1.07
-    assert_follows(batch, np.random.default_rng(2).integers(0, 3, lanes.command.shape))
+    assert_follows(batch, np.random.default_rng(2).integers(0, 3, batch.surfaces.command.shape))
 
 
 class TestOccupancy:
@@ -149,8 +151,10 @@ class TestOccupancy:
         np.testing.assert_array_equal(views[0], views[1])
 
 
-@pytest.mark.parametrize("change", [lambda lanes: lanes.angle, lambda lanes: lanes.target])
+@pytest.mark.parametrize(
+    "change", [lambda surfaces: surfaces.angle, lambda surfaces: surfaces.target]
+)
 def test_instant_axes_take_no_memory_to_turn(change: Callable[[Any], np.ndarray]) -> None:
-    assert change(Batch(Settings(), 3).lanes).shape == (3, 1, 1)
+    assert change(Batch(Settings(), 3).surfaces).shape == (3, 1, 1)
     slow = Batch(Settings(actuators=Actuators(axis_speed=1.0)), 3)
-    assert change(slow.lanes).shape == (3, 20, 30)
+    assert change(slow.surfaces).shape == (3, 20, 30)

@@ -8,7 +8,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.batch.batch import Batch
 from surface_gym.batch.placement import NO_EDGE, placement_of
-from surface_gym.lanes.memory import COM_X, COM_Y, HALF_LENGTH, RADIUS
+from surface_gym.dynamics.types import COM_X, COM_Y, HALF_LENGTH, RADIUS
 from surface_gym.plants import Field, Line
 from surface_gym.settings import Settings
 from surface_gym.tasks.start import Start
