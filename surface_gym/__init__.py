@@ -9,6 +9,7 @@ from surface_gym.randomisation import Randomisation
 from surface_gym.registration import register, register_all
 from surface_gym.simulation import simulate
 from surface_gym.surface import Surface
+from surface_gym.together import simulate_together
 from surface_gym.trajectory import Trajectory
 from surface_gym.vector_env import SmartSurfaceVectorEnv
 
@@ -31,5 +32,6 @@ __all__ = [
     "register",
     "sensors",
     "simulate",
+    "simulate_together",
     "tasks",
 ]

@@ -46,7 +46,7 @@ from surface_gym.trajectory import Trajectory
 METHODS = ("implicit", "explicit")
 MAX_STEPS = 100_000_000  # of one run; its trajectory already takes 15 GB
 NORMAL_FORCES = ("dual", "osqp", "scipy")
-_END = {OFF_SURFACE: "left the surface", UNBORNE: "nothing bears it", STOPPED: "stopped"}
+ENDS = {OFF_SURFACE: "left the surface", UNBORNE: "nothing bears it", STOPPED: "stopped"}
 
 
 def simulate(
@@ -117,19 +117,19 @@ def simulate(
             f"got {tuple(np.asarray(velocity).tolist())}"
         )
 
-    time = _times(duration, dt)
+    time = times_of(duration, dt)
     states = np.zeros((len(time), STATE_SIZE))
     states[0] = start
     reports = np.zeros(len(time), dtype=np.int64)
     steps = _run(grid, body, states, reports, scratch, time, dt, method, normal_forces)
     done = slice(0, steps + 1)
-    _check_steps(parcel, min(grid.pitch_x, grid.pitch_y), states[done], dt)
-    end = "duration" if steps == len(time) - 1 else _END[int(reports[steps + 1])]
-    pose_done, velocity_done = _base_motion(parcel, states[done])
+    check_steps(parcel, min(grid.pitch_x, grid.pitch_y), states[done], dt)
+    end = "duration" if steps == len(time) - 1 else ENDS[int(reports[steps + 1])]
+    pose_done, velocity_done = base_motion(parcel, states[done])
     return Trajectory(time[done], pose_done, velocity_done, reports[done] == TIPPING, end)
 
 
-def _check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
+def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
     """Raise a ValueError where a step moves a point of the base past a pitch [m]."""
     moved = np.abs(np.diff(states[:, X : THETA + 1], axis=0))
     farthest = np.hypot(moved[:, 0], moved[:, 1]) + moved[:, 2] * parcel.body.radius
@@ -140,7 +140,7 @@ def _check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None
         )
 
 
-def _times(duration: float, dt: float) -> NDArray[np.float64]:
+def times_of(duration: float, dt: float) -> NDArray[np.float64]:
     """Ends of the steps; a last one that would be shorter than 1e-6 dt is none."""
     whole = math.floor(duration / dt + 1e-6)
     time: Array = dt * np.arange(whole + 1, dtype=np.float64)
@@ -154,7 +154,7 @@ def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
     return state
 
 
-def _base_motion(parcel: Parcel, states: Array) -> tuple[Array, Array]:
+def base_motion(parcel: Parcel, states: Array) -> tuple[Array, Array]:
     """Pose and velocity of the base's frame, from the centre of mass's."""
     pose, velocity = states[:, X : THETA + 1].copy(), states[:, VX : OMEGA + 1].copy()
     com_x, com_y = parcel.centre_of_mass

@@ -53,7 +53,7 @@ FULL_STEP_SLOPE = 0.5
 
 
 @inlined
-def _load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
+def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
     """Write what friction can do at most in a step."""
     table = scratch.table
     for i in range(contacts.total):
@@ -63,7 +63,7 @@ def _load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
 
 
 @inlined
-def _gradient(
+def friction_gradient(
     scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
 ) -> tuple[float, float, float, bool]:
     """Gradient of dt Phi at a velocity, and whether its curvature is zero everywhere."""
@@ -125,10 +125,10 @@ def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -
 
 
 @inlined
-def _curvature(
+def friction_curvature(
     scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Upper triangle of the Hessian of dt Phi at the velocity that `_gradient` was taken at."""
+    """Upper triangle of the Hessian of dt Phi where `friction_gradient` was taken last."""
     table = scratch.table
     per_rounding = 1.0 / ROUNDING
     for i in range(contacts.total):
@@ -186,7 +186,7 @@ def implicit_velocity(
         gyration: [m^2] inertia / mass.
         scratch: arms, axes, friction and normal forces of the contacts.
     """
-    _load_contacts(scratch, contacts, dt)
+    load_contacts(scratch, contacts, dt)
     target_x = vx + dt * grid.gravity_along
     target_y = vy
     target_w = omega
@@ -198,7 +198,7 @@ def implicit_velocity(
         new_vx = vx + step * dx
         new_vy = vy + step * dy
         new_omega = omega + step * dw
-        gx, gy, gw, flat = _gradient(scratch, contacts, new_vx, new_vy, new_omega)
+        gx, gy, gw, flat = friction_gradient(scratch, contacts, new_vx, new_vy, new_omega)
         gx += new_vx - target_x
         gy += new_vy - target_y
         gw += gyration * (new_omega - target_w)
@@ -214,7 +214,7 @@ def implicit_velocity(
             break
         hxx = hxy = hxw = hyy = hyw = hww = 0.0
         if not flat:
-            hxx, hxy, hxw, hyy, hyw, hww = _curvature(scratch, contacts, vx, vy, omega)
+            hxx, hxy, hxw, hyy, hyw, hww = friction_curvature(scratch, contacts, vx, vy, omega)
         # Newton's direction: the symmetric 3 x 3 solve by cofactors.
         hxx += 1.0
         hyy += 1.0

@@ -33,12 +33,14 @@ class Options:
     """Write every number to this file."""
     heights: bool = False
     """Study supports that differ by micrometres in height, or in stiffness, as well."""
+    touching: bool = False
+    """Study two parcels that push each other as well, on drawn surfaces."""
     workers: int = os.cpu_count() or 1
     """Processes that run at once."""
     tilts: tuple[float, ...] = cases.TILTS
     """Tilts of the sweep [deg], within Table 5's 5 to 15."""
     seed: int = 0
-    """Of the drawn supports."""
+    """Of the drawn supports and parcels."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -71,7 +73,9 @@ def compare(options: Options) -> None:
     if options.json is not None:
         options.json.open("a").close()  # fails now rather than after the runs
     progress = Console(stderr=True)
-    study = carry_out(options.tilts, options.heights, options.workers, options.seed, progress)
+    study = carry_out(
+        options.tilts, options.heights, options.touching, options.workers, options.seed, progress
+    )
     show(study, Console())
     if options.json is not None:
         options.json.write_text(json_format.dumps(as_data(study), indent=2) + "\n", "utf-8")

@@ -10,6 +10,7 @@ from surface_gym.validation.cases import displacement
 from surface_gym.validation.comparison import Summary, paper_errors
 from surface_gym.validation.report import LIMITS
 from surface_gym.validation.study import Study
+from surface_gym.validation.touching import STEPS
 
 
 def as_data(study: Study) -> dict[str, Any]:
@@ -38,6 +39,16 @@ def as_data(study: Study) -> dict[str, Any]:
                 "error_mm_mm_deg": variant.error.tolist(),
             }
             for variant in study.convergence
+        ],
+        "meetings": [
+            {
+                "seed": run.meeting.seed,
+                "tips_in_mujoco": run.tips,
+                "step_s": list(STEPS),
+                "error_mm_mm_deg": run.analytic.tolist(),
+                "mujoco_shift_mm_mm_deg": run.harder.tolist(),
+            }
+            for run in study.meetings
         ],
         "speed": [asdict(speed) for speed in study.speeds],
         "uneven_supports": [

@@ -1,6 +1,6 @@
 """A study as tables for a terminal."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from rich import box
@@ -10,6 +10,7 @@ from rich.table import Table
 
 from surface_gym.validation.comparison import Errors, Summary, errors, paper_errors
 from surface_gym.validation.study import Study
+from surface_gym.validation.touching import STEPS, MeetingRun, apart
 from surface_gym.validation.unevenness import root_mean_square
 
 LIMITS = (
@@ -41,6 +42,8 @@ def _parts(study: Study) -> Iterator[RenderableType]:
     yield _speeds(study)
     if study.spreads:
         yield _spreads(study)
+    if study.meetings:
+        yield _meetings(study.meetings)
     yield LIMITS
 
 
@@ -199,4 +202,31 @@ def _spreads(study: Study) -> Table:
             *_numbers(root_mean_square(spread.analytic), 1),
             *_numbers(root_mean_square(spread.mujoco - spread.analytic), 1),
         )
+    return table
+
+
+def _meetings(runs: Sequence[MeetingRun]) -> Table:
+    table = _new_table(
+        f"Two parcels that push each other, {len(runs)} drawn meetings of 0.5 s: distance from "
+        "MuJoCo's end pose, the worse parcel",
+        "",
+        "median\n[mm]",
+        "\n[deg]",
+        "worst\n[mm]",
+        "\n[deg]",
+    )
+    rows = [
+        (f"implicit, {1e3 * dt:g} ms", [apart(run.analytic[k]) for run in runs])
+        for k, dt in enumerate(STEPS)
+    ]
+    rows.append(("MuJoCo, step / 2, sides x 2", [apart(run.harder) for run in runs]))
+    for name, differences in rows:
+        table.add_row(
+            name,
+            *_numbers(np.median(differences, axis=0)),
+            *_numbers(np.max(differences, axis=0)),
+        )
+    tipped = sum(run.tips for run in runs)
+    if tipped:
+        table.caption = f"{tipped} of them tip in MuJoCo, which the analytic parcels do not."
     return table

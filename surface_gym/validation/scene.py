@@ -1,7 +1,9 @@
 """The scene of Tables 5 and 6 in MuJoCo, for any surface and parcel."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from types import ModuleType
 from typing import Any
 
@@ -9,17 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
-from surface_gym.bases import Disc, Rectangle
 from surface_gym.dynamics.types import GRAVITY
 from surface_gym.parcel import Parcel
 from surface_gym.surface import Surface
+from surface_gym.validation.parts import BASE, add_belt, add_element, add_parcel, constant_impedance
 from surface_gym.validation.recipe import MAX_TILT, RECIPE, Recipe
+from surface_gym.validation.sides import Sides
 
 # MuJoCo reserves memory with the square of the degrees of freedom: 0.9 GB for this many.
 MAX_ROTORS = 4_000
 MAX_ELEMENTS = 40_000
-BASE = "base"
-LEAST_BODY_HEIGHT = 0.02  # [m] of the parcel's shape; only its underside touches anything
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +75,51 @@ def build(
             memory, or an array has another shape.
         ImportError: MuJoCo is not installed.
     """
+    mujoco, spec, top, built = _begin(surface, recipe, heights, within)
+    add_parcel(mujoco, spec, parcel, BASE)
+    for row, column in zip(*np.nonzero(built), strict=True):
+        add_element(mujoco, spec, surface, recipe, row, column, top[row, column], (BASE,))
+    return _compile(spec)
+
+
+def build_together(
+    surface: Surface, parcels: Sequence[Parcel], recipe: Recipe, sides: Sides, within: ArrayLike
+) -> Scene:
+    """Build parcels that push each other by belts at the height of their centres of mass, where
+    the analytic model has them do so; the free joint of each comes after those before it.
+
+    Args:
+        surface: the surface.
+        parcels: the parcels; prisms twice as high as their centres of mass.
+        recipe: rotors and contact parameters.
+        sides: contact parameters between parcels.
+        within: (rows, columns) the elements to build.
+
+    Raises:
+        ValueError: as `build`.
+        ImportError: MuJoCo is not installed.
+    """
+    mujoco, spec, top, built = _begin(surface, recipe, None, within)
+    bases = tuple(f"{BASE}{k or ''}" for k in range(len(parcels)))
+    belts = tuple(f"belt{k}" for k in range(len(parcels)))
+    for parcel, base, belt in zip(parcels, bases, belts, strict=True):
+        body = add_parcel(mujoco, spec, parcel, base)
+        add_belt(mujoco, spec, body, parcel, belt)
+    for row, column in zip(*np.nonzero(built), strict=True):
+        add_element(mujoco, spec, surface, recipe, row, column, top[row, column], bases)
+    for one, other in combinations(belts, 2):
+        pair = spec.add_pair(geomname1=one, geomname2=other, condim=3)
+        pair.friction = [sides.friction, sides.friction, 0.0, 0.0, 0.0]
+        pair.solref = [-sides.stiffness, -sides.damping]
+        pair.solreffriction = [-1e-9, -sides.creep_damping]
+        pair.solimp = constant_impedance(recipe.impedance)
+    return _compile(spec)
+
+
+def _begin(
+    surface: Surface, recipe: Recipe, heights: ArrayLike | None, within: ArrayLike | None
+) -> tuple[ModuleType, Any, NDArray[np.float64], NDArray[np.bool_]]:
+    """MuJoCo, a model with its options set, the tops of the elements and which are to be built."""
     if abs(surface.tilt) > MAX_TILT + 1e-12:
         raise ValueError(
             f"tilt must be between -15 and 15 deg, where the recipe holds, "
@@ -94,13 +140,14 @@ def build(
     mujoco = load_mujoco()
     spec = mujoco.MjSpec()
     _set_options(mujoco, spec, surface, recipe)
-    _add_parcel(mujoco, spec, parcel)
-    for row, column in zip(*np.nonzero(built), strict=True):
-        _add_element(mujoco, spec, surface, recipe, row, column, top[row, column])
+    return mujoco, spec, top, built
+
+
+def _compile(spec: Any) -> Scene:
     model = spec.compile()
     base_geom = model.geom(BASE).id
     dof = np.where(model.geom_bodyid > 0, model.body_dofadr[model.geom_bodyid], -1)
-    dof[base_geom] = -1
+    dof[np.isin(model.geom_bodyid, np.flatnonzero(model.body_dofnum == 6))] = -1
     return Scene(model, base_geom, dof.astype(np.int64))
 
 
@@ -119,83 +166,3 @@ def _set_options(mujoco: Any, spec: Any, surface: Surface, recipe: Recipe) -> No
         0.0,
         -GRAVITY * math.cos(surface.tilt),
     ]
-
-
-def _add_parcel(mujoco: Any, spec: Any, parcel: Parcel) -> None:
-    """A prism on its base. Only its vertical inertia is the parcel's; the others steer how fast
-    it settles, not where it goes, and are those of a prism of even density.
-    """
-    body = spec.worldbody.add_body(name="parcel")
-    body.add_freejoint()
-    vertical = parcel.moment_of_inertia
-    level = 0.5 * vertical + parcel.mass * parcel.com_height**2 / 3.0
-    body.explicitinertial = True
-    body.mass = parcel.mass
-    body.ipos = [*parcel.centre_of_mass, parcel.com_height]
-    body.iquat = [1.0, 0.0, 0.0, 0.0]
-    body.inertia = [level, level, vertical]
-    height = max(2.0 * parcel.com_height, LEAST_BODY_HEIGHT)
-    half, base = 0.5 * height, parcel.base
-    shape: dict[str, Any]
-    if isinstance(base, Rectangle):
-        shape = {
-            "type": mujoco.mjtGeom.mjGEOM_BOX,
-            "size": [base.length / 2.0, base.width / 2.0, half],
-            "pos": [0.0, 0.0, half],
-        }
-    elif isinstance(base, Disc):
-        shape = {
-            "type": mujoco.mjtGeom.mjGEOM_CYLINDER,
-            "size": [base.radius, half, 0.0],
-            "pos": [0.0, 0.0, half],
-        }
-    else:
-        corners = [[*corner, z] for z in (0.0, height) for corner in base.outline]
-        spec.add_mesh(name=BASE, uservert=np.ravel(corners))
-        shape = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": BASE}
-    body.add_geom(name=BASE, contype=0, conaffinity=0, **shape)
-
-
-def _add_element(
-    mujoco: Any, spec: Any, surface: Surface, recipe: Recipe, row: int, column: int, top: float
-) -> None:
-    """A sphere, on a hinge along the rotor's axis or fixed, that touches the base alone."""
-    name = f"{row},{column}"
-    place = [surface.x[column], surface.y[row], top - recipe.rotor_radius]
-    sphere = {"name": name, "size": [recipe.rotor_radius, 0, 0], "contype": 0, "conaffinity": 0}
-    if surface.rotor[row, column]:
-        half_turn = 0.5 * surface.axis[row, column]
-        rotor = spec.worldbody.add_body(
-            name=name, pos=place, quat=[math.cos(half_turn), 0.0, 0.0, math.sin(half_turn)]
-        )
-        rotor.add_joint(
-            type=mujoco.mjtJoint.mjJNT_HINGE,
-            axis=[1.0, 0.0, 0.0],
-            solimp_friction=_constant(recipe.bearing_impedance),
-        )
-        rotor.explicitinertial = True
-        rotor.mass = recipe.rotor_mass
-        rotor.ipos = [0.0, 0.0, 0.0]
-        rotor.iquat = [1.0, 0.0, 0.0, 0.0]
-        rotor.inertia = [
-            recipe.rotor_inertia,
-            recipe.rotor_cross_inertia,
-            recipe.rotor_cross_inertia,
-        ]
-        rotor.add_geom(**sphere)
-        friction = surface.mu_max
-    else:
-        spec.worldbody.add_geom(pos=place, **sphere)
-        friction = surface.mu_support
-    pair = spec.add_pair(geomname1=name, geomname2=BASE, condim=3)
-    pair.friction = [friction, friction, 0.0, 0.0, 0.0]
-    ratio = surface.grid.stiffness[row, column]
-    pair.solref = [-recipe.stiffness * ratio, -recipe.damping * math.sqrt(ratio)]
-    # A held contact has no spring (zero would select the contact's own solref).
-    pair.solreffriction = [-1e-9, -recipe.creep_damping]
-    pair.solimp = _constant(recipe.impedance)
-
-
-def _constant(impedance: float) -> list[float]:
-    """MuJoCo's solimp of an impedance that does not depend on the penetration."""
-    return [impedance, impedance, 0.001, 0.5, 2.0]

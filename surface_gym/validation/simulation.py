@@ -67,7 +67,7 @@ def simulate(
     tops = np.zeros(bearing.shape) if heights is None else np.asarray(heights, dtype=np.float64)
     sag = static_sag(tops[bearing], stiffness, GRAVITY * math.cos(surface.tilt))
     time, place, speed = _run(scene, surface, start, motion, sag, duration, recipe)
-    return _trajectory(surface, parcel, start[2], time, place, speed)
+    return trajectory_of(surface, parcel, start[2], time, place, speed)
 
 
 def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
@@ -145,10 +145,19 @@ def _run(
     return time, place, speed
 
 
-def _trajectory(
+def trajectory_of(
     surface: Surface, parcel: Parcel, theta: float, time: Array, place: Array, speed: Array
 ) -> Trajectory:
-    """The motion in the plane, up to where the centre of mass leaves the surface."""
+    """The motion in the plane, up to where the centre of mass leaves the surface.
+
+    Args:
+        surface: the surface.
+        parcel: the parcel.
+        theta: [rad] at the start.
+        time: (T,) [s].
+        place: (T, 7) the base frame's place [m] and quaternion.
+        speed: (T, 6) its velocity [m/s, rad/s].
+    """
     w, i, j, k = place[:, 3:].T
     turned = np.unwrap(np.arctan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k)))
     turned += theta - turned[0]

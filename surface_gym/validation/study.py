@@ -6,7 +6,7 @@ from multiprocessing import get_context
 
 from rich.console import Console
 
-from surface_gym.validation import convergence, speed, unevenness
+from surface_gym.validation import convergence, speed, touching, unevenness
 from surface_gym.validation.cases import EXPLICIT, IMPLICIT, LONG, PUSHED, Case, Run, run
 from surface_gym.validation.comparison import (
     Errors,
@@ -19,6 +19,7 @@ from surface_gym.validation.comparison import (
 from surface_gym.validation.parallel import run_all
 
 DRAWS = 20  # surfaces for each unevenness
+MEETINGS = 30  # of two parcels that push each other
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,7 @@ class Study:
     convergence: tuple[convergence.Variant, ...]
     speeds: tuple[speed.Speed, ...]
     spreads: tuple[unevenness.Spread, ...]  # empty if not asked for
+    meetings: tuple[touching.MeetingRun, ...] = ()  # empty if not asked for
 
     @property
     def implicit(self) -> Errors:
@@ -65,19 +67,26 @@ class Study:
 
 
 def carry_out(
-    tilts: tuple[float, ...], with_unevenness: bool, workers: int, seed: int, console: Console
+    tilts: tuple[float, ...],
+    with_unevenness: bool,
+    with_touching: bool,
+    workers: int,
+    seed: int,
+    console: Console,
 ) -> Study:
     """Run the comparison in parallel, then the timing alone.
 
     Args:
         tilts: [deg] of the sweep.
         with_unevenness: whether uneven supports are studied as well.
+        with_touching: whether parcels that push each other are.
         workers: processes.
-        seed: of the uneven supports.
+        seed: of the uneven supports and of those parcels.
         console: where the progress is drawn.
     """
     cases = (*(Case(tilt) for tilt in tilts), PUSHED, LONG)
     draws = unevenness.jobs(DRAWS, seed) if with_unevenness else ()
+    meetings = [touching.Meeting(seed + k) for k in range(MEETINGS if with_touching else 0)]
     # Spawned, not forked: a fork copies the threads' locks of whatever is loaded here.
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as executor:
         runs = run_all(executor, run, cases, "MuJoCo and the analytic model", console)
@@ -87,6 +96,7 @@ def carry_out(
         ends = (
             run_all(executor, unevenness.ends, draws, "uneven supports", console) if draws else []
         )
+        meeting_runs = run_all(executor, touching.run, meetings, "parcels that touch", console)
     with console.status("timing, one core"):
         speeds = tuple(speed.measure(method) for method in speed.METHODS)
     return Study(
@@ -96,4 +106,5 @@ def carry_out(
         convergence=convergence.variants(variants),
         speeds=speeds,
         spreads=unevenness.spreads(draws, ends) if draws else (),
+        meetings=tuple(meeting_runs),
     )
