@@ -38,19 +38,19 @@ class Painter:
             ValueError: the surface has too many columns for the width.
         """
         field = self._field_of(scene)
-        area, strips = field.view.area, self._strips
+        area, strips = field.area, self._strips
         height = strips.head + area.height + strips.foot
         canvas = new_canvas(self.width, height)
         strips.write_head(canvas, area, scene)
-        strips.write_foot(canvas, field.view, scene)
+        strips.write_foot(canvas, field.layout, scene)
         canvas.set_clip(area.inflate(2 * strips.margin, 0))
         field.draw(canvas, scene)
-        label_goal(canvas, field.view, scene, strips.small)
+        label_goal(canvas, field.layout, scene, strips.small)
         return canvas_pixels(canvas)
 
     def metres(self, pixel: tuple[float, float], scene: Scene) -> tuple[float, float]:
         """[m] (x, y) on the surface of a place [px] in the picture of a scene."""
-        return self._field_of(scene).view.metres(pixel)
+        return self._field_of(scene).layout.metres(pixel)
 
     def _field_of(self, scene: Scene) -> Field:
         margin = self._strips.margin
@@ -62,7 +62,7 @@ class Painter:
             )
         left = (self.width - cell * scene.columns) // 2
         view = View.of(scene, cell, left, self._strips.head)
-        if self._field is None or self._field.view != view:
+        if self._field is None or self._field.layout != view:
             self._field = Field(view, ModuleSprites(view.cell))
         return self._field
 

@@ -20,6 +20,17 @@ PARCEL: Colour = (146, 152, 164)
 GOAL: Colour = (190, 24, 72)
 SENSED: Colour = (94, 60, 170)
 
+# Far from the four orientations' colours and from each other, for dichromats too.
+EXITS: tuple[Colour, ...] = (
+    (172, 112, 252),
+    (252, 216, 24),
+    (84, 252, 180),
+    (168, 12, 132),
+    (12, 36, 132),
+    (252, 180, 252),
+    (180, 204, 108),
+)
+
 # The axis colours lie on an ellipse in Oklab (https://bottosson.github.io/posts/oklab). Its plane
 # holds lightness and the way from blue to orange, which dichromats see too: 0 deg is dark, 90 deg
 # light, 45 deg blue and -45 deg orange.
@@ -70,3 +81,14 @@ def mixed(colour: Colour, other: Colour, share: float) -> Colour:
     """A colour with a share of another in it."""
     red, green, blue = (round(a + share * (b - a)) for a, b in zip(colour, other, strict=True))
     return (red, green, blue)
+
+
+def exit_colour(place: int) -> Colour:
+    """Colour of the exit at a place; they begin again where there are more exits than colours."""
+    return EXITS[place % len(EXITS)]
+
+
+def text_on(colour: Colour) -> Colour:
+    """The colour in which to write on another."""
+    red, green, blue = colour
+    return INK if 0.299 * red + 0.587 * green + 0.114 * blue > 120.0 else PAPER

@@ -7,6 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym.rendering.elements import (
+    check_readings,
+    checked_axis,
+    checked_outline,
+    checked_pose,
+    checked_rotor,
+    checked_zone,
+    obeying,
+)
 
 
 @dataclass(frozen=True)
@@ -94,59 +103,25 @@ class Scene:
     readings: tuple[tuple[str, str], ...] = ()  # label and text of each number shown
 
     def __post_init__(self) -> None:
-        axis = checks.array("axis", self.axis, (None, None))
-        if axis.size == 0:
-            raise ValueError(f"axis must have at least one row and one column, got {axis.shape}")
-        rotor = np.array(self.rotor)
-        if rotor.dtype != np.bool_:
-            raise ValueError(f"rotor must be an array of booleans, got one of {rotor.dtype}")
-        if rotor.shape != axis.shape:
-            raise ValueError(f"rotor must have the shape of axis, {axis.shape}, got {rotor.shape}")
-        rotor.setflags(write=False)
-        outline = checks.array("outline", self.outline, (None, 2))
-        if len(outline) < 3:
-            raise ValueError(f"outline must have at least 3 points, got {len(outline)}")
-        x, y = outline.T
-        if np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) == 0.0:
-            raise ValueError(f"outline must enclose an area, got {outline.tolist()}")
+        axis = checked_axis(self.axis)
+        rotor = checked_rotor(self.rotor, axis.shape)
+        outline = checked_outline(self.outline)
         set_field = object.__setattr__
         set_field(self, "axis", axis)
         set_field(self, "rotor", rotor)
         set_field(self, "outline", outline)
         set_field(self, "trail", checks.array("trail", self.trail, (None, 2)))
-        set_field(self, "pose", tuple(checks.array("pose", self.pose, (3,)).tolist()))
+        set_field(self, "pose", checked_pose("pose", self.pose))
         if self.sensed_pose is not None:
-            sensed = checks.array("sensed_pose", self.sensed_pose, (3,))
-            set_field(self, "sensed_pose", tuple(sensed.tolist()))
+            set_field(self, "sensed_pose", checked_pose("sensed_pose", self.sensed_pose))
         set_field(self, "pitch", checks.pitch("pitch", self.pitch))
         set_field(self, "origin", tuple(checks.array("origin", self.origin, (2,)).tolist()))
         set_field(self, "tilt", checks.number("tilt", self.tilt))
         if self.zone is not None:
-            set_field(self, "zone", self._checked_zone(self.zone))
+            set_field(self, "zone", checked_zone(self.zone, self.rows, self.columns))
         if self.goal is not None and not isinstance(self.goal, Goal):
             raise ValueError(f"goal must be one of the goals or None, got {self.goal!r}")
-        pairs = all(
-            isinstance(pair, tuple) and len(pair) == 2 and all(isinstance(t, str) for t in pair)
-            for pair in self.readings
-        )
-        if not pairs:
-            raise ValueError(f"readings must be pairs of label and text, got {self.readings!r}")
-
-    def _checked_zone(self, zone: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
-        if len(zone) != 4:
-            raise ValueError(
-                f"zone must be first row, rows, first column and columns, got {zone!r}"
-            )
-        first_row = checks.integer("zone's first row", zone[0], least=0)
-        rows = checks.integer("zone's rows", zone[1], least=1)
-        first_column = checks.integer("zone's first column", zone[2], least=0)
-        columns = checks.integer("zone's columns", zone[3], least=1)
-        if first_row + rows > self.rows or first_column + columns > self.columns:
-            raise ValueError(
-                f"zone must lie within the {self.rows} rows and {self.columns} columns, "
-                f"got {zone!r}"
-            )
-        return (first_row, rows, first_column, columns)
+        check_readings(self.readings)
 
     @property
     def rows(self) -> int:
@@ -166,9 +141,4 @@ class Scene:
     @property
     def obeys(self) -> NDArray[np.bool_]:
         """(rows, columns) the elements in the zone."""
-        if self.zone is None:
-            return np.ones(self.axis.shape, dtype=bool)
-        row, rows, column, columns = self.zone
-        obeys = np.zeros(self.axis.shape, dtype=bool)
-        obeys[row : row + rows, column : column + columns] = True
-        return obeys
+        return obeying(self.axis.shape, self.zone)

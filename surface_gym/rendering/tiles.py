@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pygame
@@ -10,11 +11,12 @@ from numpy.typing import NDArray
 
 from surface_gym.rendering.canvas import canvas_pixels, even_width, new_canvas
 from surface_gym.rendering.field import Field
+from surface_gym.rendering.flow_field import FlowField
+from surface_gym.rendering.flow_scene import FlowScene
 from surface_gym.rendering.lettering import write
 from surface_gym.rendering.modules import ModuleSprites
 from surface_gym.rendering.scene import Scene
 from surface_gym.rendering.strips import Strips
-from surface_gym.rendering.view import View, height_of
 
 _ASPECT = 1.6  # width / height aimed at
 _LEAST_CELL = 2  # [px] of an element, for its colour to be seen
@@ -61,69 +63,79 @@ class TilePainter:
     def __init__(self, width: int = 1280) -> None:
         self.width = even_width(width)
         self._strips = Strips(self.width)
-        self._fields: list[Field] = []
+        self._fields: list[Any] = []  # of the kind that draws the scenes
 
-    def draw(self, scenes: Sequence[Scene]) -> NDArray[np.uint8]:
+    def draw(self, scenes: Sequence[Scene | FlowScene]) -> NDArray[np.uint8]:
         """The picture of some scenes, (height, width, 3), the first at the upper left.
 
         The height is even and follows from the number of scenes and the shape of the surface.
 
         Raises:
-            ValueError: there is no scene, the surfaces differ in size, or have too many columns
-                for the width.
+            ValueError: there is no scene, they are of both kinds, the surfaces differ in size, or
+                have too many columns for the width.
         """
-        plan = self._plan(scenes)
-        self._prepare(scenes, plan)
+        kind = _kind_of(scenes)
+        plan = self._plan(scenes, kind)
+        self._prepare(scenes, kind, plan)
         margin = self._strips.margin
         canvas = new_canvas(self.width, margin + plan.height + self._strips.foot)
         tiles = pygame.Rect((self.width - plan.width) // 2, margin, plan.width, plan.height)
         for field, scene in zip(self._fields, scenes, strict=True):
-            area = field.view.area
+            area = field.area
             place = (area.left, area.top - plan.caption // 4)
             write(canvas, scene.title, plan.caption, room=area.width, bottomleft=place)
             canvas.set_clip(area)
             field.draw(canvas, scene)
             canvas.set_clip(None)
-        self._strips.write_legend(canvas, tiles, scenes)
+        kind.write_legend(canvas, self._strips, tiles, scenes)
         return canvas_pixels(canvas)
 
-    def _plan(self, scenes: Sequence[Scene]) -> _Plan:
-        if len(scenes) == 0:
-            raise ValueError("scenes must be at least one, got none")
+    def _plan(self, scenes: Sequence[Scene | FlowScene], kind: Any) -> _Plan:
         grids = {(scene.rows, scene.columns, scene.pitches, scene.origin) for scene in scenes}
         if len(grids) > 1:
             raise ValueError(f"scenes must be of surfaces of one size, got {sorted(grids)}")
-        plans = [self._plan_across(scenes, across) for across in range(1, len(scenes) + 1)]
+        shown = {kind.rows_shown(scene) for scene in scenes}
+        if len(shown) > 1:
+            raise ValueError(f"scenes must show as many rows as each other, got {sorted(shown)}")
+        plans = [self._plan_across(scenes, kind, across) for across in range(1, len(scenes) + 1)]
         legible = [plan for plan in plans if plan.cell >= _LEAST_CELL]
         if not legible:
-            columns = scenes[0].columns
-            least = 2 * self._strips.margin + _LEAST_CELL * columns
+            least = 2 * self._strips.margin + _LEAST_CELL * kind.cells_across(scenes[0])
             raise ValueError(
-                f"width must be at least {least} for {columns} columns, got {self.width}"
+                f"width must be at least {least} for {scenes[0].columns} columns, got {self.width}"
             )
         return min(legible, key=lambda plan: abs(math.log(self.width / plan.height / _ASPECT)))
 
-    def _plan_across(self, scenes: Sequence[Scene], across: int) -> _Plan:
-        rows, columns = scenes[0].rows, scenes[0].columns
+    def _plan_across(self, scenes: Sequence[Scene | FlowScene], kind: Any, across: int) -> _Plan:
         room = (self.width - 2 * self._strips.margin + _GAP) // across - _GAP
-        cell = room // columns
-        caption = min(max(14, cell * columns // 14), self._strips.middle)
-        width, height = cell * columns, height_of(scenes[0], cell) * rows + caption
-        return _Plan(across, -(-len(scenes) // across), cell, caption, width, height)
+        cell = room // kind.cells_across(scenes[0])
+        width, height = kind.extent(scenes[0], cell)
+        caption = min(max(14, width // 14), self._strips.middle)
+        return _Plan(across, -(-len(scenes) // across), cell, caption, width, height + caption)
 
-    def _prepare(self, scenes: Sequence[Scene], plan: _Plan) -> None:
-        """Keep the fields whose views stay; lanes have fields of their own."""
+    def _prepare(self, scenes: Sequence[Scene | FlowScene], kind: Any, plan: _Plan) -> None:
+        """Keep the fields whose places stay; lanes have fields of their own."""
         left, top = (self.width - plan.width) // 2, self._strips.margin + plan.caption
-        views = [
-            View.of(scene, plan.cell, left + x, top + y)
+        places = [
+            kind.place(scene, plan.cell, left + x, top + y)
             for scene, (x, y) in ((scene, plan.corner(k)) for k, scene in enumerate(scenes))
         ]
-        if [field.view for field in self._fields] != views:
-            sprites = ModuleSprites(views[0].cell)
-            self._fields = [Field(view, sprites) for view in views]
+        if [field.layout for field in self._fields] != places:
+            sprites = ModuleSprites(places[0].cell)
+            self._fields = [kind(place, sprites) for place in places]
 
 
-def draw_tiles(scenes: Sequence[Scene], width: int = 1280) -> NDArray[np.uint8]:
+def _kind_of(scenes: Sequence[Scene | FlowScene]) -> Any:
+    """The class that draws the scenes: `Field` or `FlowField`."""
+    if len(scenes) == 0:
+        raise ValueError("scenes must be at least one, got none")
+    kinds = {FlowField if isinstance(scene, FlowScene) else Field for scene in scenes}
+    if len(kinds) > 1:
+        raise ValueError("scenes must be all Scene or all FlowScene, got both")
+    return kinds.pop()
+
+
+def draw_tiles(scenes: Sequence[Scene | FlowScene], width: int = 1280) -> NDArray[np.uint8]:
     """The picture of some scenes as tiles, (height, width, 3); for many keep a `TilePainter`.
 
     Raises:

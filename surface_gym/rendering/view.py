@@ -6,7 +6,7 @@ import numpy as np
 import pygame
 from numpy.typing import ArrayLike, NDArray
 
-from surface_gym.rendering.scene import Scene
+from surface_gym.rendering.elements import Elements
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class View:
     top: int  # [px]
 
     @classmethod
-    def of(cls, scene: Scene, width: int, left: int, top: int) -> "View":
+    def of(cls, scene: Elements, width: int, left: int, top: int) -> "View":
         """The view of a scene's surface, whose elements are `width` pixels wide."""
         height = height_of(scene, width)
         return cls(scene.rows, scene.columns, scene.pitches, scene.origin, width, height, left, top)
@@ -70,7 +70,7 @@ class View:
         return 1.0 + min(self.cell, 60) / 30.0
 
 
-def height_of(scene: Scene, width: int) -> int:
+def height_of(scene: Elements, width: int) -> int:
     """[px] of an element that is `width` pixels wide."""
     pitch_x, pitch_y = scene.pitches
     return max(1, round(width * pitch_y / pitch_x))
