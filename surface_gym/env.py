@@ -2,25 +2,23 @@
 
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import checks
 from surface_gym.actuators import Actuators
 from surface_gym.batch.batch import Batch
-from surface_gym.lanes.memory import RUNNING, SUCCESS
+from surface_gym.faces.single import RENDER_FPS, BatchEnv
+from surface_gym.lanes.memory import SUCCESS
 from surface_gym.plants import Plant
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Exact, Sensor
 from surface_gym.settings import Settings
 from surface_gym.tasks import Task
-from surface_gym.tasks.start import check_options
 
-RENDER_FPS = 25  # pictures a second at the default control period of 40 ms: real time
+__all__ = ["RENDER_FPS", "SmartSurfaceEnv"]
 
 
-class SmartSurfaceEnv(gym.Env[Any, Any]):
+class SmartSurfaceEnv(BatchEnv):
     """A smart surface under a parcel: actions turn the rotors' axes, sensors tell of the parcel.
 
     A surface is a grid of modules with idle rotors. Along its axis a rotor drags (mu 0.5), across
@@ -104,8 +102,6 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     - v0: first version.
     """
 
-    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": RENDER_FPS}
-
     def __init__(
         self,
         task: str | Task = "sort",
@@ -134,79 +130,24 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
             observe_axes,
             info,
         )
-        checks.one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
-        self.render_mode = render_mode
+        self._batch = Batch(self.settings, 1)
+        super().__init__(self._batch, self.settings.action_kind, render_mode)
         self.observation_space = self.settings.observation_space()
         self.action_space = self.settings.action_space()
-        self._batch = Batch(self.settings, 1)
         self._task = self._batch.task
         self._outcomes = self._batch.outcomes
-        self._kind = self.settings.action_kind
-        self._lane = np.zeros(1, dtype=np.int64)
-        self._started = False
         self._trail: list[NDArray[np.float64]] = []
         self._painter: Any = None
-        self._window: Any = None
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        options = check_options(options, self._task.options)
-        if options:
-            self._batch.check([options])
-        super().reset(seed=seed)
-        self._batch.reserve.seed(0, self.np_random)
-        self._batch.start(self._lane, [options] if options else ())
-        self._started = True
-        self._trail.clear()
-        self._follow()
-        return self._batch.lanes.observation[0].copy(), self._info()
-
-    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        lanes = self._batch.lanes
-        if not self._started:
-            raise gym.error.ResetNeeded("Call reset before step.")
-        if lanes.outcome[0] != RUNNING:
-            raise gym.error.ResetNeeded("The episode has ended: call reset before the next step.")
-        self._batch.advance(self._kind.commands([action], 1))
-        self._follow()
-        return (
-            lanes.observation[0].copy(),
-            float(lanes.reward[0]),
-            bool(lanes.outcome[0] != RUNNING),
-            False,
-            self._info(),
-        )
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """The picture (height, width, 3) in "rgb_array" mode; None in "human" mode, and without."""
-        if self.render_mode != "rgb_array":
-            return None
-        return self._draw()
-
-    def close(self) -> None:
-        if self._window is not None:
-            self._window.close()
-            self._window = None
-
-    def _follow(self) -> None:
-        """Keep what is drawn up to date."""
-        if self.render_mode is None:
-            return
+    def _record(self, begins: bool) -> None:
+        if begins:
+            self._trail.clear()
         self._trail.append(self._batch.lanes.truth[0, :2].copy())
-        if self.render_mode == "human":
-            from surface_gym.rendering import Window
 
-            if self._window is None:
-                self._window = Window(frame_rate=RENDER_FPS)
-            self._window.show(self._draw())
-
-    def _draw(self) -> NDArray[np.uint8]:
+    def _picture(self) -> NDArray[np.uint8]:
         from surface_gym.picture import scene_of
         from surface_gym.rendering import Painter
 
-        if not self._started:
-            raise gym.error.ResetNeeded("Call reset before render.")
         if self._painter is None:
             self._painter = Painter()
         picture: NDArray[np.uint8] = self._painter.draw(

@@ -12,7 +12,8 @@ They read and write a `Lane`, one parcel on one surface, and may use `math`, con
 `lane_function`s and what stands here:
 
 - places in `lane.truth` and `lane.sensed`: `X`, `Y`, `THETA`, `VX`, `VY`, `OMEGA`;
-- places in `lane.body`: `RADIUS`, `COM_X`, `COM_Y`, `COM_HEIGHT`, `GYRATION`, `HALF_LENGTH`, `MASS`;
+- places in `lane.body`: `RADIUS`, `COM_X`, `COM_Y`, `COM_HEIGHT`, `GYRATION`, `HALF_LENGTH`,
+  `MASS`;
 - places in `lane.zone`: `FIRST_ROW`, `ROWS`, `FIRST_COLUMN`, `COLUMNS`;
 - what `judge` returns: `RUNNING`, `SUCCESS`, or one of `failures(outcomes)`;
 - `reach_along`, `zone_start`, `zone_end`, `speed_of`, `is_slower`, and `read_truth` for `over`.

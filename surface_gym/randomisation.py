@@ -58,17 +58,36 @@ class Randomisation:
 
     def draw(self, rng: np.random.Generator, parcel: Parcel, shape: tuple[int, ...]) -> Drawn:
         """Vary a start of a parcel and the surface (rows, columns); only what varies is drawn."""
-        friction = (
+        friction = self.draw_friction(rng)
+        parcel, aside, turned = self.draw_entry(rng, parcel)
+        return Drawn(parcel, aside, turned, friction, self.draw_stiffness(rng, shape))
+
+    def draw_friction(self, rng: np.random.Generator) -> tuple[float, float, float]:
+        """Factors of mu_max, mu_min and mu_support of a surface."""
+        return (
             _factor(rng, self.friction),
             _factor(rng, self.rolling),
             _factor(rng, self.rolling),
         )
-        if self.mass or self.size or self.com_offset:
+
+    def draw_stiffness(
+        self, rng: np.random.Generator, shape: tuple[int, ...]
+    ) -> NDArray[np.float64] | None:
+        """[-] of each element (rows, columns) of a surface; None: all the same."""
+        return np.exp(self.stiffness * rng.standard_normal(shape)) if self.stiffness else None
+
+    @property
+    def varies_parcels(self) -> bool:
+        """Whether there is anything to draw of a parcel itself."""
+        return bool(self.mass or self.size or self.com_offset)
+
+    def draw_entry(self, rng: np.random.Generator, parcel: Parcel) -> tuple[Parcel, float, float]:
+        """A parcel as it is drawn to be, how far aside [m] and how far turned [rad] it starts."""
+        if self.varies_parcels:
             parcel = self._draw_parcel(rng, parcel)
         aside = self.lateral * float(rng.standard_normal()) if self.lateral else 0.0
         turned = self.heading * float(rng.standard_normal()) if self.heading else 0.0
-        stiffness = np.exp(self.stiffness * rng.standard_normal(shape)) if self.stiffness else None
-        return Drawn(parcel, aside, turned, friction, stiffness)
+        return parcel, aside, turned
 
     def _draw_parcel(self, rng: np.random.Generator, parcel: Parcel) -> Parcel:
         mass, size = _factor(rng, self.mass), _factor(rng, self.size)

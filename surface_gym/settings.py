@@ -47,15 +47,16 @@ class Settings:
         set_field = object.__setattr__
         if isinstance(self.task, str):
             set_field(self, "task", TASKS[checks.one_of("task", self.task, TASKS)]())
-        for name, kind, told in (
-            ("task", Task, f"one of {', '.join(TASKS)} or a Task"),
-            ("sensors", Sensor, "a Sensor"),
-            ("actuators", Actuators, "Actuators"),
-            ("randomisation", Randomisation, "a Randomisation"),
-            ("plant", Plant | None, "a Plant"),
-        ):
-            if not isinstance(getattr(self, name), kind):
-                raise ValueError(f"{name} must be {told}, got {getattr(self, name)!r}")
+        check_kinds(
+            self,
+            (
+                ("task", Task, f"one of {', '.join(TASKS)} or a Task"),
+                ("sensors", Sensor, "a Sensor"),
+                ("actuators", Actuators, "Actuators"),
+                ("randomisation", Randomisation, "a Randomisation"),
+                ("plant", Plant | None, "a Plant"),
+            ),
+        )
         if isinstance(self.orientations, str):
             checks.one_of("orientations", self.orientations, (ANY,))
         elif self.orientations is not None:
@@ -83,12 +84,7 @@ class Settings:
                 most = plant.columns - 1
                 raise ValueError(f"zone must lie in the columns 0 to {most}, got {self.zone!r}")
             object.__setattr__(self, "zone", (first, last))
-        for row, column in self.actuators.stuck:
-            if row >= plant.rows or column >= plant.columns:
-                raise ValueError(
-                    f"stuck must lie in {plant.rows} rows and {plant.columns} columns, "
-                    f"got {(row, column)}"
-                )
+        check_stuck(self.actuators, plant)
 
     def _check_size(self) -> None:
         """Every parcel the task draws fits the plant at the largest size it may have."""
@@ -136,8 +132,7 @@ class Settings:
     @property
     def timing(self) -> Timing:
         """The control period in equal physics steps of at most 5 ms."""
-        steps = math.ceil(self.control_period / LONGEST_STEP - 1e-9)
-        return Timing(self.control_period / steps, steps)
+        return timing_of(self.control_period)
 
     @property
     def draws(self) -> int:
@@ -175,3 +170,26 @@ class Settings:
     def action_space(self) -> spaces.Space[Any]:
         """The space of one lane's action."""
         return self.action_kind.space()
+
+
+def check_kinds(settings: Any, kinds: tuple[tuple[str, Any, str], ...]) -> None:
+    """Raise a ValueError where a field, of some by name, is not of its kind, which is told."""
+    for name, kind, told in kinds:
+        if not isinstance(getattr(settings, name), kind):
+            raise ValueError(f"{name} must be {told}, got {getattr(settings, name)!r}")
+
+
+def check_stuck(actuators: Actuators, plant: Plant) -> None:
+    """Raise a ValueError where a module that is stuck is none of the plant's."""
+    for row, column in actuators.stuck:
+        if row >= plant.rows or column >= plant.columns:
+            raise ValueError(
+                f"stuck must lie in {plant.rows} rows and {plant.columns} columns, "
+                f"got {(row, column)}"
+            )
+
+
+def timing_of(control_period: float) -> Timing:
+    """A control period [s] in equal physics steps of at most 5 ms."""
+    steps = math.ceil(control_period / LONGEST_STEP - 1e-9)
+    return Timing(control_period / steps, steps)

@@ -12,6 +12,7 @@ from surface_gym.batch.faults import beyond_arrays, fault_of, not_compiling
 from surface_gym.batch.functions import functions_of
 from surface_gym.batch.kernels import Rules, make_kernel
 from surface_gym.batch.making import memory_of, rules_of
+from surface_gym.batch.noise import draw_noise
 from surface_gym.batch.placement import Placement, placement_of
 from surface_gym.batch.reserve import Reserve
 from surface_gym.batch.sites import SitePlan
@@ -69,12 +70,29 @@ class Batch:
         self._threads = min(threads, max(1, lanes // FEWEST))
         self._workers = Workers(self._threads)
         self._all = np.arange(lanes)
+        # How an episode may stand, by the numbers of `Lanes.outcome`.
+        self.outcomes = COMMON_OUTCOMES + self.task.outcomes
         self._move = self._compile()
 
     @property
-    def outcomes(self) -> tuple[str, ...]:
-        """How an episode may stand, by the numbers of `Lanes.outcome`."""
-        return COMMON_OUTCOMES + self.task.outcomes
+    def options(self) -> tuple[str, ...]:
+        """What `reset(options=...)` may fix."""
+        return self.task.options
+
+    @property
+    def outcome(self) -> Integers:
+        """(lanes,) how each episode stands, a place in `outcomes`."""
+        return self.lanes.outcome
+
+    @property
+    def observation(self) -> NDArray[np.float32]:
+        """(lanes, features) what each shows."""
+        return self.lanes.observation
+
+    @property
+    def reward(self) -> Array:
+        """(lanes,) of the last control period."""
+        return self.lanes.reward
 
     @property
     def sites(self) -> Sites:
@@ -102,6 +120,14 @@ class Batch:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         self._move = self._compile()
+
+    def seed(self, lane: int, generator: np.random.Generator) -> None:
+        """Draw a lane's starts from a generator; one that it has already goes on."""
+        self.reserve.seed(lane, generator)
+
+    def is_seeded(self, lane: int) -> bool:
+        """Whether a lane has a generator."""
+        return self.reserve.generators[lane] is not None
 
     def check(self, options: Sequence[dict[str, Any]]) -> None:
         """Raise what `start` would for options of as many lanes, and draw nothing."""
@@ -163,7 +189,7 @@ class Batch:
             self._draw_stuck(chosen, parcels)
         if self._draws:
             for lane in chosen.tolist():
-                self._draw_noise(lane)
+                draw_noise(self.lanes, lane, self._generator(lane))
 
     def _put(self, chosen: Integers, rows: Rows) -> None:
         """Into the memory of the chosen lanes (count,)."""
@@ -221,7 +247,7 @@ class Batch:
             # env would.
             short = self.lanes.noise_row[:, 0] + self._draws > NOISE_ROWS
             for lane in np.nonzero(short & (self.lanes.outcome == RUNNING))[0].tolist():
-                self._draw_noise(lane)
+                draw_noise(self.lanes, lane, self._generator(lane))
         if len(anew) > 0:
             self._place_drawn(anew)
         self._run(self._all, self._threads)
@@ -264,14 +290,6 @@ class Batch:
         generator = self.reserve.generators[lane]
         assert generator is not None
         return generator
-
-    def _draw_noise(self, lane: int) -> None:
-        """Three standard normals and a uniform a row."""
-        generator = self._generator(lane)
-        noise = self.lanes.noise[lane]
-        noise[:, :3] = generator.standard_normal((NOISE_ROWS, 3))
-        noise[:, 3] = generator.random(NOISE_ROWS)
-        self.lanes.noise_row[lane] = 0
 
     def _run(self, chosen: Integers, threads: int = 1) -> None:
         """Move the chosen lanes (count,), or begin those just placed."""

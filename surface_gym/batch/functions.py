@@ -35,6 +35,7 @@ def functions_of(settings: Settings) -> Functions:
         ValueError: a task or a sensor lacks one of its compiled functions.
     """
     task, sensor, kind = settings.chosen_task, settings.sensors, settings.action_kind
+    begin_sensor, look, estimate = sensor_functions_of(sensor)
     window = kind.name == "window"
     show_axes = show_window_axes if window else show_zone_axes
     return Functions(
@@ -45,24 +46,37 @@ def functions_of(settings: Settings) -> Functions:
         reward=_function(task, "reward", Task),
         observe=_function(task, "observe", Task),
         mirror=_function(task, "mirror", Task),
-        begin_sensor=_function(sensor, "begin", Sensor),
-        look=_function(sensor, "look", Sensor),
-        estimate=_function(sensor, "estimate", Sensor),
+        begin_sensor=begin_sensor,
+        look=look,
+        estimate=estimate,
         watches=sensor.watches,
         part_of=kind.part_of,
-        actuation=_actuation(kind.continuous, settings.actuators.axis_speed != math.inf),
+        actuation=actuation_of(kind.continuous, settings.actuators.axis_speed != math.inf),
         show_modules=show_occupancy if window else show_nothing,
         show_axes=show_axes if settings.observe_axes else show_nothing,
     )
 
 
-def _actuation(any_angle: bool, turning: bool) -> Actuation:
+def actuation_of(any_angle: bool, turning: bool) -> Actuation:
+    """How axes obey: set at any angle or to one of those on offer, at once or turning."""
     if turning:
         aim = aim_at_angle if any_angle else aim_at_choice
         return Actuation(aim, turn_axes, straighten_targets, turns=True)
     if any_angle:
         return Actuation(set_angle, leave_axes, straighten_angles, turns=False)
     return Actuation(set_choice, leave_axes, straighten_choices, turns=False)
+
+
+def sensor_functions_of(sensor: Sensor) -> tuple[Function, Function, Function]:
+    """A sensor's `begin`, `look` and `estimate`.
+
+    Raises:
+        ValueError: it lacks one of them.
+    """
+    begin, look, estimate = (
+        _function(sensor, name, Sensor) for name in ("begin", "look", "estimate")
+    )
+    return begin, look, estimate
 
 
 def _function(owner: Any, name: str, kind: type[Any]) -> Function:

@@ -1,6 +1,7 @@
 """What a batch is made with: rules that all lanes have in common, and the memory of each."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,6 @@ def rules_of(settings: Settings) -> Rules:
 def memory_of(settings: Settings, lanes: int) -> tuple[Surfaces, Lanes]:
     """Memory for lanes of an environment, every axis the conveyor's."""
     task, plant, kind = settings.chosen_task, settings.chosen_plant, settings.action_kind
-    at_once = settings.actuators.axis_speed == math.inf
     sizes = Sizes(
         lanes=lanes,
         rows=plant.rows,
@@ -57,13 +57,18 @@ def memory_of(settings: Settings, lanes: int) -> tuple[Surfaces, Lanes]:
         kept=settings.sensors.kept,
         path=task.has_path,
         noise=settings.draws > 0,
-        turning=not at_once,
+        turning=settings.actuators.axis_speed != math.inf,
         stiffness=settings.randomisation.stiffness > 0.0,
     )
+    return surfaces_of(settings, sizes), make_lanes(sizes)
+
+
+def surfaces_of(settings: Any, sizes: Sizes) -> Surfaces:
+    """Memory for surfaces whose axes are all the conveyor's, by an environment's settings."""
     surfaces = make_surfaces(sizes)
     surfaces.direction[:] = CONVEYOR
-    if kind.choices and at_once:  # axes count the orientations on offer
+    if sizes.choices and not sizes.turning:  # axes count the orientations on offer
         angles = np.array(settings.chosen_orientations)
         surfaces.direction[0, :-1] = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         surfaces.axis[:] = len(angles)
-    return surfaces, make_lanes(sizes)
+    return surfaces

@@ -12,7 +12,7 @@ from surface_gym.lanes.memory import Sites
 from surface_gym.parcel import Parcel
 from surface_gym.tasks.start import Parcels
 
-_FEWEST_EDGES = 4
+FEWEST_EDGES = 4
 
 
 class SitePlan:
@@ -38,7 +38,7 @@ class SitePlan:
         self._shared = len(parcels)
         self._parcels: NDArray[Any] = np.full(self._shared + lanes, None, dtype=object)
         self._site_of = {parcel: site for site, parcel in enumerate(parcels)}
-        self.sites = _make_sites(self._shared, shape, _FEWEST_EDGES)
+        self.sites = _make_sites(self._shared, shape, FEWEST_EDGES)
         for site, parcel in enumerate(parcels):
             self._write(site, parcel)
 
@@ -67,15 +67,10 @@ class SitePlan:
         assert isinstance(parcel, Parcel)
         return parcel
 
-    @property
-    def _edges(self) -> int:
-        """Of the base with the most."""
-        return int(self.sites.edges.shape[1])
-
     def _own(self, lane: int, parcel: Parcel) -> int:
         site = self._shared + lane
         if len(self.sites.zone) == self._shared:
-            more = _make_sites(self._lanes, self.sites.rotor.shape[1:], self._edges)
+            more = _make_sites(self._lanes, self.sites.rotor.shape[1:], self.sites.edges.shape[1])
             self.sites = Sites._make(map(np.concatenate, zip(self.sites, more, strict=True)))
         if self._parcels[site] is not parcel:
             self._write(site, parcel)
@@ -83,25 +78,29 @@ class SitePlan:
 
     def _write(self, site: int, parcel: Parcel) -> None:
         placement = self._place(parcel)
-        self._widen(placement.sides - self._edges)
-        sites = self.sites
-        sites.rotor[site] = placement.rotor
-        sites.obeys[site] = placement.obeys
-        sites.body[site] = placement.body
-        sites.edges[site], sites.corners[site] = placement.fill(self._edges)
-        sites.zone[site] = placement.zone
+        self.sites = with_body(self.sites, site, placement)
+        self.sites.rotor[site] = placement.rotor
+        self.sites.obeys[site] = placement.obeys
+        self.sites.zone[site] = placement.zone
         self._parcels[site] = parcel
 
-    def _widen(self, more: int) -> None:
-        """Make room for a base of more edges than any before it."""
-        if more > 0:
-            old = self.sites
-            no_edges = np.tile(NO_EDGE, (len(old.edges), more, 1))
-            repeats = np.repeat(old.corners[:, :1], more, axis=1)
-            self.sites = old._replace(
-                edges=np.concatenate([old.edges, no_edges], axis=1),
-                corners=np.concatenate([old.corners, repeats], axis=1),
-            )
+
+def with_body(sites: Sites, site: int, placement: Placement) -> Sites:
+    """Sites with a placement's body in one of their rows; they are others where there was no room
+    for so many edges.
+    """
+    wide = sites.edges.shape[1]
+    more = placement.sides - wide
+    if more > 0:
+        no_edges = np.tile(NO_EDGE, (len(sites.edges), more, 1))
+        repeats = np.repeat(sites.corners[:, :1], more, axis=1)
+        sites = sites._replace(
+            edges=np.concatenate([sites.edges, no_edges], axis=1),
+            corners=np.concatenate([sites.corners, repeats], axis=1),
+        )
+    sites.body[site] = placement.body
+    sites.edges[site], sites.corners[site] = placement.fill(wide + max(0, more))
+    return sites
 
 
 def _make_sites(count: int, shape: tuple[int, ...], edges: int) -> Sites:

@@ -17,19 +17,20 @@ class Workers:
 
     Args:
         threads: their number.
+        make: makes the physics' scratch of one.
     """
 
-    def __init__(self, threads: int) -> None:
+    def __init__(self, threads: int, make: Callable[[], Any] = make_scratch) -> None:
         self._pool: ThreadPoolExecutor | None = None
         self._process = os.getpid()
         # Of the physics, and of the sensor.
-        self._scratches = [(make_scratch(), make_scratch()) for _ in range(threads)]
+        self._scratches = [(make(), make_scratch()) for _ in range(threads)]
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_pool": None}
 
     @property
-    def scratches(self) -> tuple[Scratch, Scratch]:
+    def scratches(self) -> tuple[Any, Scratch]:
         """Those of the first thread."""
         return self._scratches[0]
 

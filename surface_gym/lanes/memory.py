@@ -117,6 +117,7 @@ class Sizes(NamedTuple):
     noise: bool
     turning: bool  # axes take time to turn
     stiffness: bool  # it differs from lane to lane
+    places: int = 1  # for parcels on each surface
 
 
 def make_surfaces(sizes: Sizes) -> Surfaces:
@@ -139,8 +140,8 @@ def make_surfaces(sizes: Sizes) -> Surfaces:
 
 
 def make_lanes(sizes: Sizes) -> Lanes:
-    """Memory for the parcels of a batch, one a lane, nothing placed on it yet."""
-    lanes = sizes.lanes
+    """Memory for the parcels of a batch, nothing placed on it yet."""
+    lanes = sizes.lanes * sizes.places
     return Lanes(
         state=np.zeros((lanes, STATE_SIZE)),
         truth=np.zeros((lanes, 6)),

@@ -1,0 +1,1 @@
+"""What the single and the vector environments of every kind of batch share."""

@@ -1,0 +1,208 @@
+"""The vector face of a batch: many lanes as a Gymnasium vector environment."""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from surface_gym import checks
+from surface_gym.faces.batch import Acts, Driven
+from surface_gym.faces.single import RENDER_FPS, checked_mode
+from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING
+from surface_gym.tasks.start import check_options
+
+Booleans = NDArray[np.bool_]
+Observations = NDArray[np.float32]
+
+
+class BatchVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
+    """Drives all lanes of a batch; subclasses make the batch, say what `info` tells and what is
+    drawn.
+
+    Args:
+        num_envs: number of lanes.
+        autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED.
+        max_episode_steps: control periods after which a lane is truncated; None for no limit.
+        render_mode: "rgb_array" or None.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
+
+    def __init__(
+        self,
+        num_envs: int,
+        autoreset_mode: AutoresetMode | str,
+        max_episode_steps: int | None,
+        render_mode: str | None,
+    ) -> None:
+        self.num_envs = checks.integer("num_envs", num_envs, least=1)
+        if max_episode_steps is not None:
+            checks.integer("max_episode_steps", max_episode_steps, least=1)
+        modes = [mode.value for mode in AutoresetMode]
+        if not isinstance(autoreset_mode, AutoresetMode):
+            checks.one_of("autoreset_mode", autoreset_mode, modes)
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
+        self.render_mode = checked_mode(render_mode, type(self).metadata["render_modes"])
+        self._limit = np.iinfo(np.int64).max if max_episode_steps is None else max_episode_steps
+        self._steps_left = np.zeros(self.num_envs, dtype=np.int64)
+        self._all = np.ones(self.num_envs, dtype=np.bool_)
+        self._started = False
+
+    def _drive(
+        self, batch: Driven, kind: Acts, observations: gym.Space[Any], actions: gym.Space[Any]
+    ) -> None:
+        """Take the batch, and the spaces of one lane."""
+        self._driven = batch
+        self._actions = kind
+        self.single_observation_space = observations
+        self.single_action_space = actions
+        self.observation_space = batch_space(observations, self.num_envs)
+        self.action_space = batch_space(actions, self.num_envs)
+
+    def _threads(self, threads: int) -> int:
+        """Those asked for, no more than there are lanes."""
+        return min(self.num_envs, checks.integer("threads", threads, least=1))
+
+    @abstractmethod
+    def _infos(self, mask: Booleans) -> dict[str, Any]:
+        """Infos of the lanes in the mask, as Gymnasium lays them out: arrays and their masks."""
+
+    @abstractmethod
+    def _record(self, lane: int, begins: bool) -> None:
+        """Keep what a picture shows of a lane's past, as an episode begins or goes on."""
+
+    @abstractmethod
+    def _picture(self) -> NDArray[np.uint8]:
+        """The picture (height, width, 3) of all lanes."""
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | Sequence[dict[str, Any] | None] | None = None,
+    ) -> tuple[Observations, dict[str, Any]]:
+        mask = np.ones(self.num_envs, dtype=np.bool_)
+        if isinstance(options, dict) and "reset_mask" in options:
+            mask = self._checked_mask(options["reset_mask"])
+            options = {name: value for name, value in options.items() if name != "reset_mask"}
+        elif not self._started and seed is None:
+            seed = int(np_random()[0].integers(2**31))
+        if not self._started and not mask.all():
+            raise gym.error.ResetNeeded(
+                "The first reset must be of every lane, without reset_mask."
+            )
+        seeds = self._seed_of_each(seed)
+        given = self._options_of_each(options)
+        chosen = np.nonzero(mask)[0]
+        some = [given[lane] for lane in chosen.tolist()] if any(given) else []
+        if some:  # a bad option of one lane leaves all as they were
+            self._driven.check(some)
+        for lane in chosen.tolist():
+            if seeds[lane] is not None or not self._driven.is_seeded(lane):
+                self._driven.seed(lane, np_random(seeds[lane])[0])
+        self._driven.start(chosen, some)
+        self._count_from(chosen)
+        self._started = True
+        return self._driven.observation.copy(), self._infos(mask)
+
+    def step(
+        self, actions: Any
+    ) -> tuple[Observations, NDArray[np.float64], Booleans, Booleans, dict[str, Any]]:
+        if not self._started:
+            raise gym.error.ResetNeeded("Call reset before step.")
+        batch = self._driven
+        ended = batch.outcome != RUNNING
+        if self.autoreset_mode == AutoresetMode.DISABLED and ended.any():
+            raise gym.error.ResetNeeded(
+                f"Lanes {np.nonzero(ended)[0].tolist()} have ended: reset them with reset_mask."
+            )
+        anew = np.nonzero(ended)[0]  # NEXT_STEP: this step is their reset
+        batch.advance(self._actions.commands(actions, self.num_envs), anew)
+        self._steps_left -= 1
+        self._follow(~ended)
+        self._count_from(anew)
+        outcome = batch.outcome
+        outcome[(self._steps_left <= 0) & (outcome == RUNNING)] = OUT_OF_TIME
+        truncated = (outcome == OUT_OF_TIME) | (self._steps_left <= 0)
+        rewards = batch.reward.copy()
+        terminated = outcome > OUT_OF_TIME
+        infos: dict[str, Any] = {}
+        over = truncated | terminated
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and over.any():
+            chosen = np.nonzero(over)[0]
+            final = np.full(self.num_envs, None, dtype=object)
+            # An array a lane: the rows, not their numbers, are the objects.
+            final[chosen] = np.frompyfunc(batch.observation[chosen].__getitem__, 1, 1)(
+                np.arange(len(chosen))
+            )
+            infos = {
+                "final_obs": final,
+                "_final_obs": over.copy(),
+                "final_info": self._infos(over),
+                "_final_info": over.copy(),
+            }
+            batch.start(chosen)
+            self._count_from(chosen)
+        infos.update(self._infos(self._all))
+        return batch.observation.copy(), rewards, terminated, truncated, infos
+
+    def _count_from(self, chosen: NDArray[np.int64]) -> None:
+        """Episodes have begun on the chosen lanes (count,)."""
+        self._steps_left[chosen] = self._limit
+        if self.render_mode is not None:
+            for lane in chosen.tolist():
+                self._record(lane, begins=True)
+
+    def _follow(self, mask: Booleans) -> None:
+        """Keep what is drawn of the lanes in the mask up to date."""
+        if self.render_mode is not None:
+            for lane in np.nonzero(mask)[0].tolist():
+                self._record(lane, begins=False)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """One picture (height, width, 3) of all lanes, tiled; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        if not self._started:
+            raise gym.error.ResetNeeded("Call reset before render.")
+        return (self._picture(),)
+
+    def _seed_of_each(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, (int, np.integer)):
+            return [int(seed) + lane for lane in range(self.num_envs)]
+        if not isinstance(seed, (Sequence, np.ndarray)) or len(seed) != self.num_envs:
+            raise ValueError(f"seed must be one number or {self.num_envs} of them, got {seed!r}")
+        return list(seed)
+
+    def _options_of_each(
+        self, options: dict[str, Any] | Sequence[dict[str, Any] | None] | None
+    ) -> list[dict[str, Any]]:
+        if options is None or isinstance(options, dict):
+            return [check_options(options, self._driven.options)] * self.num_envs
+        if not isinstance(options, Sequence) or len(options) != self.num_envs:
+            raise ValueError(
+                f"options must be a dict or {self.num_envs} of dict or None, got {options!r}"
+            )
+        return [check_options(choice, self._driven.options) for choice in options]
+
+    def _checked_mask(self, mask: Any) -> Booleans:
+        if not (
+            isinstance(mask, np.ndarray)
+            and mask.dtype == np.bool_
+            and mask.shape == (self.num_envs,)
+            and mask.any()
+        ):
+            raise ValueError(
+                f"reset_mask must be a boolean array of shape ({self.num_envs},) "
+                f"with a True in it, got {mask!r}"
+            )
+        return mask
