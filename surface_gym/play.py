@@ -1,9 +1,15 @@
 """A surface to play with: `python -m surface_gym.play`.
 
-Press the mouse where the parcel is to start and drag: it leaves with the speed drawn, 1 m/s for
-half a metre. The keys 1 2 3 4 turn the axes of the zone to 0, 45, -45 and 90 deg: all of them, with
-Shift those ahead of the parcel's centre, with Ctrl those behind it. Tab turns the start by 15 deg,
-S and B choose the parcel, Space pauses, R starts again, Escape ends.
+The keys 1 2 3 4 stand for axes at 0, 45, -45 and 90 deg. Space pauses, R starts again, Escape ends.
+
+One parcel, with the goal of a task (--task sort, and others): press the mouse where the parcel is
+to start and drag: it leaves with the speed drawn, 1 m/s for half a metre. 1 2 3 4 turn the axes of
+the zone: all of them, with Shift those ahead of the parcel's centre, with Ctrl those behind it. Tab
+turns the start by 15 deg, S and B choose the parcel.
+
+A stream of parcels (--task flow): lead each to the exit of its colour. 1 2 3 4 choose an angle, and
+the modules that the mouse is drawn over, pressed, turn to it; with Shift all do. + and - change how
+many parcels come.
 """
 
 import argparse
@@ -15,6 +21,8 @@ import pygame
 from numpy.typing import NDArray
 
 from surface_gym.batch.batch import Batch
+from surface_gym.flow.play import FlowGame
+from surface_gym.game import AXIS_KEYS, ROLL, Game
 from surface_gym.picture import scene_of
 from surface_gym.rendering import Painter, Scene, Window
 from surface_gym.settings import Settings
@@ -24,48 +32,39 @@ from surface_gym.tasks.start import Draw, parcel_option
 FRAME_RATE = 25.0  # [1/s] real time at the control period of 40 ms
 DRAG_SPEED = 2.0  # [m/s] a metre dragged
 TURN = math.radians(15.0)
-AXIS_KEYS = (pygame.K_1, pygame.K_2, pygame.K_3, pygame.K_4)  # the default orientations
-CONVEYOR = 3  # the one that all modules begin with
+FLOW = "flow"
 
 
-class Game:
-    """What is played, and what a player's events do to it.
+class TaskGame(Game):
+    """One parcel on the surface of a task.
 
     Args:
         task: name of the task whose surface and goal are shown.
     """
 
     def __init__(self, task: str) -> None:
+        super().__init__()
         settings = Settings(task, actions="halves")
         self._batch = Batch(settings, 1)
         self._batch.reserve.seed(0, np.random.default_rng(0))
         numbers = self._batch.reserve.take(np.zeros(1, dtype=np.int64))
         self._start = settings.chosen_task.start(Draw(numbers, (), settings.chosen_plant))
-        self._command = np.full((1, 2), CONVEYOR)  # ahead of the parcel's centre, and behind
+        self._command = np.full((1, 2), ROLL)  # ahead of the parcel's centre, and behind
         self._painter = Painter()
         self._trail: list[NDArray[np.float64]] = []
         self._pressed: tuple[float, float] | None = None  # [m] where the mouse went down
-        self._paused = False
-        self.over = False  # the player has left
         self._restart()
 
-    def advance(self) -> None:
-        """Move on by a control period, unless paused, dragged or at the end."""
-        if not self._paused and self._pressed is None:
+    def draw(self) -> NDArray[np.uint8]:
+        return self._painter.draw(self._scene())
+
+    def _advance(self) -> None:
+        if self._pressed is None:
             self._batch.advance(self._command)
             self._trail.append(self._batch.lanes.truth[0, :2].copy())
 
-    def draw(self) -> NDArray[np.uint8]:
-        """The picture (height, width, 3) of now."""
-        return self._painter.draw(self._scene())
-
-    def take(self, event: pygame.event.Event) -> None:
-        """Do what an event asks for."""
-        if event.type == pygame.QUIT:
-            self.over = True
-        elif event.type == pygame.KEYDOWN:
-            self._take_key(event.key, event.mod)
-        elif event.type == pygame.MOUSEBUTTONDOWN:
+    def _take_mouse(self, event: pygame.event.Event) -> None:
+        if event.type == pygame.MOUSEBUTTONDOWN:
             self._pressed = self._painter.metres(event.pos, self._scene())
             self._move_start((0.0, 0.0))
         elif event.type == pygame.MOUSEMOTION and self._pressed is not None:
@@ -89,12 +88,6 @@ class Game:
         elif key == pygame.K_TAB:
             self._start = self._start._replace(pose=(x, y, np.add(theta, TURN)))
             self._restart()
-        elif key == pygame.K_SPACE:
-            self._paused = not self._paused
-        elif key == pygame.K_r:
-            self._restart()
-        elif key == pygame.K_ESCAPE:
-            self.over = True
 
     def _move_start(self, pull: tuple[float, float]) -> None:
         """Start from where the mouse was pressed, with the speed of the pull [m]."""
@@ -121,8 +114,9 @@ def main(arguments: list[str] | None = None) -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--task", choices=tuple(TASKS), default="sort", help="surface and goal")
-    game = Game(parser.parse_args(arguments).task)
+    parser.add_argument("--task", choices=(*TASKS, FLOW), default="sort", help="surface and goal")
+    task = parser.parse_args(arguments).task
+    game: Game = FlowGame() if task == FLOW else TaskGame(task)
     window = Window("Smart surface", FRAME_RATE)
     try:
         window.show(game.draw())

@@ -7,6 +7,8 @@ import gymnasium as gym
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.task import Task
 
+FLOW = "SmartSurface/Flow-v0"  # ends by itself, after its duration
+
 
 def env_id(task: str) -> str:
     """The id of one of the package's environments, by its task's name."""
@@ -22,6 +24,11 @@ def register_all() -> None:
     """Register `SmartSurface/<Task>-v0` for every task of the package."""
     for name, task in TASKS.items():
         _register(env_id(name), name, task.periods)
+    gym.register(
+        id=FLOW,
+        entry_point="surface_gym.flow.env:FlowEnv",
+        vector_entry_point="surface_gym.flow.vector_env:FlowVectorEnv",
+    )
 
 
 def _register(name: str, task: Any, periods: int) -> None:

@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym import actions, sensors
+from surface_gym import actions, registration, sensors
 
-IDS = sorted(name for name in gym.registry if name.startswith("SmartSurface/"))
+# Those of one parcel a lane; a flow has tests of its own.
+IDS = sorted(
+    name for name in gym.registry if name.startswith("SmartSurface/") and name != registration.FLOW
+)
 ACTIONS = tuple(actions.KINDS)
 SENSORS = sensors.KINDS
 SORT = "SmartSurface/Sort-v0"

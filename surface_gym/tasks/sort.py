@@ -237,7 +237,7 @@ def mirror_of(lane: Lane) -> float:
 
 
 @lane_function
-def _lateral_reach(y: float, vx: float, vy: float) -> float:
+def lateral_reach(y: float, vx: float, vy: float) -> float:
     """[m] lateral offset the parcel can still get to, coasting: the offset, plus what the speed
     it would keep on 45 deg axes covers against the rolling loss.
     """
@@ -252,4 +252,4 @@ def _score(lane: Lane) -> float:
     offset = truth[Y] - lane.elements.line_y
     if side == 0.0:
         return PASSING_REACH * truth[X] - abs(offset)
-    return min(REACH_ENOUGH, _lateral_reach(side * offset, truth[VX], side * truth[VY]))
+    return min(REACH_ENOUGH, lateral_reach(side * offset, truth[VX], side * truth[VY]))

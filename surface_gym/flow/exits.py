@@ -1,0 +1,167 @@
+"""Exits: where parcels may leave a line of modules, to either side or straight on."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym import checks
+
+SIDES = (-1, 0, 1)  # y < 0 (right), straight on, y > 0 (left)
+NOWHERE = -1  # the place of no exit: between two of them
+
+
+@dataclass(frozen=True)
+class Exit:
+    """Where parcels may leave. One whose centre is at `first` is within the span, at `last` past.
+
+    Raises:
+        ValueError: a name that is no text or empty, a side other than -1, 0 and 1, a span that
+            does not rise.
+    """
+
+    name: str  # "left 1"
+    side: int  # +1: y > 0 (left), -1: y < 0 (right), 0: straight on, at the line's end
+    # [m] span of x in which a parcel's centre must leave the rotors; of no account straight on
+    first: float = 0.0
+    last: float = math.inf
+
+    def __post_init__(self) -> None:
+        set_field = object.__setattr__
+        check_name("name", self.name)
+        set_field(self, "side", checks.one_of("side", self.side, SIDES))
+        set_field(self, "first", checks.number("first", self.first))
+        endless = isinstance(self.last, float) and self.last == math.inf
+        set_field(self, "last", math.inf if endless else checks.number("last", self.last))
+        if self.last <= self.first:
+            raise ValueError(
+                f"last must be greater than first, {self.first:g}, got {self.last!r} "
+                f"for {self.name!r}"
+            )
+
+
+@dataclass(frozen=True)
+class Exits:
+    """The exits of a line. Other things name one by its place among them.
+
+    Raises:
+        ValueError: no exit at all, something that is none, two of one name, two straight on, or
+            two of one side whose spans overlap.
+
+    >>> exits = Exits([Exit("left", 1, 0.5, 2.0), Exit("straight", 0)])
+    >>> exits.at(1, x=1.2), exits.at(1, x=2.5), exits.at(0, x=3.0)
+    (0, -1, 1)
+    """
+
+    exits: tuple[Exit, ...]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.exits, (tuple, list)) or not self.exits:
+            raise ValueError(f"exits must be at least one Exit in a tuple, got {self.exits!r}")
+        for each in self.exits:
+            if not isinstance(each, Exit):
+                raise ValueError(f"exits must be Exit objects, got {each!r}")
+        object.__setattr__(self, "exits", tuple(self.exits))
+        for place, each in enumerate(self.exits):
+            for other in self.exits[:place]:
+                _check_apart(other, each)
+
+    def __len__(self) -> int:
+        return len(self.exits)
+
+    def __iter__(self) -> Iterator[Exit]:
+        return iter(self.exits)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Of each exit."""
+        return tuple(each.name for each in self.exits)
+
+    @cached_property
+    def table(self) -> NDArray[np.float64]:
+        """(exits, 3) side, first [m] and last [m] of each, as compiled code reads them."""
+        table = np.array([(each.side, each.first, each.last) for each in self.exits])
+        table.setflags(write=False)
+        return table
+
+    def place(self, name: str) -> int:
+        """The place of the exit of a name.
+
+        Raises:
+            ValueError: none has that name.
+        """
+        return self.names.index(checks.one_of("exit", name, self.names))
+
+    def at(self, side: int, x: float) -> int:
+        """The place of the exit a parcel takes, or -1 between exits: the rule compiled code keeps.
+
+        Args:
+            side: the parcel leaves to: +1 left, -1 right, 0 at the line's end.
+            x: [m] of its centre; of no account at the line's end.
+        """
+        for place, each in enumerate(self.exits):
+            if each.side == side and (side == 0 or each.first <= x < each.last):
+                return place
+        return NOWHERE
+
+
+def chutes(length: float = 6.0) -> Exits:
+    """Two chutes to either side and straight on, of a line of a length [m]."""
+    scale = checks.positive("length", length) / 6.0
+    spans = ((0.6 * scale, 2.8 * scale), (3.2 * scale, 5.8 * scale))
+    aside = tuple(
+        Exit(f"{name} {number}", side, *span)
+        for name, side in (("left", 1), ("right", -1))
+        for number, span in enumerate(spans, start=1)
+    )
+    return Exits((*aside, Exit("straight", 0)))
+
+
+def sides(length: float = 6.0) -> Exits:
+    """A chute to either side, as long as the line [m], and straight on."""
+    last = checks.positive("length", length)
+    return Exits((Exit("left", 1, 0.0, last), Exit("right", -1, 0.0, last), Exit("straight", 0)))
+
+
+EXITS = {"chutes": chutes, "sides": sides}  # presets by name, each of the line's length [m]
+
+
+def exits_option(value: Any, length: float) -> Exits:
+    """The exits asked for: the name of a preset, for a line of a length [m], or one's own.
+
+    Raises:
+        ValueError: neither a preset's name, nor Exits, nor a tuple of Exit.
+    """
+    if isinstance(value, Exits):
+        return value
+    if isinstance(value, (tuple, list)):
+        return Exits(tuple(value))
+    return EXITS[checks.one_of("exits", value, EXITS)](length)
+
+
+def check_name(name: str, value: Any) -> str:
+    """An exit's name, or an error: text without spaces at its ends, not empty."""
+    if not isinstance(value, str) or not value or value != value.strip():
+        raise ValueError(f"{name} must be text without spaces at its ends, got {value!r}")
+    return value
+
+
+def _check_apart(one: Exit, other: Exit) -> None:
+    if one.name == other.name:
+        raise ValueError(f"exits must have names of their own, got {one.name!r} twice")
+    if one.side != other.side:
+        return
+    if one.side == 0:
+        raise ValueError(
+            f"exits must hold at most one straight on, got {one.name!r} and {other.name!r}"
+        )
+    if max(one.first, other.first) < min(one.last, other.last):
+        raise ValueError(
+            f"exits must not overlap on one side, got {one.name!r} "
+            f"from {one.first:g} to {one.last:g} m and {other.name!r} "
+            f"from {other.first:g} to {other.last:g} m"
+        )

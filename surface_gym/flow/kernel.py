@@ -1,0 +1,266 @@
+"""A batch of flows' compiled code: one control period of a surface with all the parcels on it.
+
+Command, axes, entries, physics, exits, sensors, rewards: every face of a flow calls this.
+"""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from surface_gym.batch.kernels import Actuation, Function, Rules
+from surface_gym.dynamics.company import Company, TogetherScratch, forget_together
+from surface_gym.dynamics.compiled import compiled, inlined
+from surface_gym.dynamics.contacts import forget_contacts
+from surface_gym.dynamics.step import OFF_SURFACE
+from surface_gym.dynamics.together import step_together
+from surface_gym.dynamics.types import Bodies, Integers, Scratch
+from surface_gym.flow.claims import claim_modules, free_modules
+from surface_gym.flow.entering import count_due, let_in, places_of, show_next
+from surface_gym.flow.leaving import exit_taken, leave
+from surface_gym.flow.memory import (
+    JAM,
+    NOBODY,
+    TOUCHED,
+    TOUCHES,
+    TURNS,
+    FlowRules,
+    Flows,
+)
+from surface_gym.flow.obeying import is_turn
+from surface_gym.flow.rewards import JAM_REWARD, JAMMED, WAITING, WAITING_REWARD, reward_parcel
+from surface_gym.flow.seeing import show_parcels
+from surface_gym.lanes.lane import is_slower, lane_of, read_truth
+from surface_gym.lanes.memory import (
+    BAD_OBSERVATION,
+    COLUMNS,
+    FIRST_COLUMN,
+    FIRST_ROW,
+    OUT_OF_TIME,
+    PLACED,
+    ROWS,
+    RUNNING,
+    SOUND,
+    Lanes,
+    Sites,
+    Surfaces,
+)
+from surface_gym.lanes.views import grid_of
+from surface_gym.layouts import ROLLING
+from surface_gym.sensors.sensor import Physics
+from surface_gym.tasks.line import STALL_SPEED
+
+APART = 0.2  # [s] two that have not touched for so long begin anew
+
+
+class FlowFunctions(NamedTuple):
+    """What a kernel is built from."""
+
+    label: str  # of its files in the cache
+    begin_sensor: Function  # the sensor's
+    look: Function
+    estimate: Function
+    watches: bool
+    part_of: Function  # the kind of action's
+    told: Function
+    actuation: Actuation
+
+
+@lru_cache(maxsize=64)
+def make_flow_kernel(functions: FlowFunctions) -> Any:
+    """Build `move_flows(rules, flow_rules, surfaces, lanes, sites, flows, scratch, sensor's
+    scratch, chosen)`.
+
+    Of the chosen surfaces (count,) those placed begin, those that run move over one control
+    period, and those that have ended stay. It returns how many something has gone wrong on.
+    """
+    sensor_begin, sensor_look = functions.begin_sensor, functions.look
+    sensor_estimate, watches = functions.estimate, functions.watches
+    part_of, told = functions.part_of, functions.told
+    obey, turn, straighten, turns = functions.actuation
+
+    @inlined
+    def obey_command(
+        rules: Rules,
+        flow_rules: FlowRules,
+        surfaces: Surfaces,
+        lanes: Lanes,
+        sites: Sites,
+        flows: Flows,
+        i: int,
+    ) -> None:
+        """Turn what the command turns, and count it."""
+        rows = flows.number.shape[1]
+        first = i * rows
+        lane = lane_of(surfaces, lanes, sites, i, first, rules.elements)
+        owner, soonest = flows.owner[i], flows.soonest[i]
+        free_modules(owner, soonest, lane)
+        for k in range(rows):
+            if flows.present[i, k]:
+                parcel = lane_of(surfaces, lanes, sites, i, first + k, rules.elements)
+                claim_modules(owner, soonest, parcel, k, flow_rules.ahead)
+        obeys = flows.obeys[i if flows.obeys.shape[0] > 1 else 0]
+        zone = lane.zone
+        for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
+            for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
+                part = part_of(lane, lanes, owner, first, row, column)
+                if part < 0 or not obeys[row, column]:
+                    continue
+                angle = told(rules.acting, surfaces, i, part)
+                if is_turn(angle, flows.told[i, row, column]):
+                    flows.tally[i, TURNS] += 1
+                flows.told[i, row, column] = angle
+                obey(rules.acting, surfaces, i, row, column, part)
+
+    @inlined
+    def note_touches(
+        lanes: Lanes, flows: Flows, scratch: TogetherScratch, i: int, pairs: int, apart: int
+    ) -> None:
+        """Count who begins to touch whom."""
+        rows = flows.number.shape[1]
+        for k in range(pairs):
+            a, b = scratch.pair[k, 0], scratch.pair[k, 1]
+            if flows.steps[i] - flows.touched_at[i, a, b] > apart:
+                flows.tally[i, TOUCHES] += 1
+                flows.touches[i, flows.number[i, a]] += 1
+                flows.touches[i, flows.number[i, b]] += 1
+                lanes.memory[i * rows + a, TOUCHED] += 1.0
+                lanes.memory[i * rows + b, TOUCHED] += 1.0
+            flows.touched_at[i, a, b] = flows.steps[i]
+            flows.touched_at[i, b, a] = flows.steps[i]
+
+    def move_flows(
+        rules: Rules,
+        flow_rules: FlowRules,
+        surfaces: Surfaces,
+        lanes: Lanes,
+        sites: Sites,
+        flows: Flows,
+        scratch: TogetherScratch,
+        sensor_scratch: Scratch,
+        chosen: Integers,
+    ) -> int:
+        faults = 0
+        dt = rules.timing.dt
+        apart = int(APART / dt)
+        rows = flows.number.shape[1]
+        places = places_of(flow_rules, flows)
+        gate = surfaces.command.shape[1] - 1
+        physics = Physics(rules.assumed, rules.stiffness, sensor_scratch, dt)
+        bodies = Bodies(sites.body, sites.edges, sites.corners)
+        for i in chosen:
+            first = i * rows
+            begins = flows.outcome[i] == PLACED
+            if begins:
+                straighten(rules.acting, surfaces, i)
+                for row in range(flows.told.shape[1]):
+                    for column in range(flows.told.shape[2]):
+                        flows.told[i, row, column] = ROLLING
+                        flows.owner[i, row, column] = NOBODY
+                flows.outcome[i] = RUNNING
+            elif flows.outcome[i] != RUNNING:
+                continue
+            flows.fault[i] = SOUND
+            for k in range(flows.terms.shape[1]):
+                flows.terms[i, k] = 0.0
+            for k in range(rows):
+                lanes.reward[first + k] = 0.0
+                lanes.period[first + k] = 0.0
+                if not flows.present[i, k]:
+                    flows.number[i, k] = NOBODY
+            if not begins:
+                obey_command(rules, flow_rules, surfaces, lanes, sites, flows, i)
+            forget_together(scratch)
+            forget_contacts(sensor_scratch)
+            grid = grid_of(surfaces, sites, i, 0, rules.elements, rules.friction)
+            company = Company(
+                lanes.state[first : first + rows],
+                flows.present[i],
+                lanes.site[first : first + rows],
+                bodies,
+            )
+            zone = sites.zone[0]
+            opens = int(surfaces.command[i, gate]) if flow_rules.gated else 1
+            entered = False
+            for step in range(1 if begins else rules.timing.steps + 1):
+                # Who may enter does so before the first step of a start, and after every step.
+                if step > 0:
+                    if turns:
+                        turn(rules.acting, surfaces, i, zone)
+                        forget_together(scratch)
+                        forget_contacts(sensor_scratch)
+                    pairs = step_together(grid, company, flow_rules.sides, scratch, dt)
+                    flows.clock[i] += dt
+                    flows.steps[i] += 1
+                    note_touches(lanes, flows, scratch, i, pairs, apart)
+                    for k in range(places):
+                        if not flows.present[i, k]:
+                            continue
+                        row = first + k
+                        on_surface = scratch.report[k] < OFF_SURFACE
+                        lanes.on_surface[row] = on_surface
+                        lanes.on_rotors[row] = on_surface and scratch.rotors[k] > 0
+                        lanes.clock[row] += dt
+                        lanes.steps[row] += 1
+                        lanes.period[row] += dt
+                        lane = lane_of(surfaces, lanes, sites, i, row, rules.elements)
+                        if not lane.on_rotors:
+                            read_truth(lane)
+                            leave(flows, lanes, i, k, exit_taken(flow_rules, lane))
+                        elif watches:
+                            read_truth(lane)
+                            sensor_look(rules.sensor, lane, physics)
+                    waiting = flows.due[i] - flows.coming[i]
+                    flows.waited[i] += dt * waiting
+                    flows.terms[i, WAITING] += WAITING_REWARD * dt * waiting
+                count_due(flows, i)
+                # A gate opens at a physics step of the period, for one parcel; or not at all.
+                if flow_rules.gated and (entered or opens == 0 or step < opens):
+                    continue
+                if step == 0 and not begins:
+                    continue
+                place = let_in(rules, flow_rules, surfaces, lanes, sites, flows, i)
+                if place != NOBODY:
+                    entered = True
+                    lane = lane_of(surfaces, lanes, sites, i, first + place, rules.elements)
+                    sensor_begin(rules.sensor, lane)
+            anybody = False
+            moves = False
+            for k in range(places):
+                if flows.number[i, k] == NOBODY:
+                    continue
+                lane = lane_of(surfaces, lanes, sites, i, first + k, rules.elements)
+                read_truth(lane)
+                outcome = lanes.outcome[first + k]
+                lanes.reward[first + k] = reward_parcel(lane, outcome)
+                for term in range(lane.terms.shape[0]):
+                    flows.terms[i, term] += lane.terms[term]
+                if flows.present[i, k]:
+                    anybody = True
+                    moves |= not is_slower(lane, STALL_SPEED)
+                    sensor_estimate(rules.sensor, lane)
+            if anybody and not moves and not begins:
+                flows.still[i] += dt * rules.timing.steps
+            else:
+                flows.still[i] = 0.0
+            if flows.still[i] >= flow_rules.patience:
+                flows.outcome[i] = JAM
+                flows.terms[i, JAMMED] = JAM_REWARD
+            elif flows.clock[i] >= flow_rules.duration - 0.5 * dt:
+                flows.outcome[i] = OUT_OF_TIME
+            reward = 0.0
+            for k in range(flows.terms.shape[1]):
+                reward += flows.terms[i, k]
+            flows.reward[i] = reward
+            if flow_rules.gated:
+                show_next(rules, flow_rules, surfaces, lanes, sites, flows, i)
+                lanes.reward[first + places] = flows.terms[i, WAITING]
+            show_parcels(rules, flow_rules, surfaces, lanes, sites, flows, i)
+            for k in range(rows):
+                for feature in range(lanes.observation.shape[1]):
+                    if not np.isfinite(lanes.observation[first + k, feature]):
+                        flows.fault[i] = BAD_OBSERVATION
+            faults += flows.fault[i] != SOUND
+        return faults
+
+    return compiled(move_flows, functions.label)

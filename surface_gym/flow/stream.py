@@ -1,0 +1,212 @@
+"""Streams: which parcels come in when, how fast, and where each is to leave."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from os import PathLike
+from typing import Any, TypeVar
+
+import numpy as np
+
+from surface_gym import checks
+from surface_gym.flow.arrivals import (
+    Arrivals,
+    Law,
+    Numbers,
+    Places,
+    Poisson,
+    Spread,
+    Steady,
+    check_speed,
+)
+from surface_gym.flow.exits import Exits, check_name
+from surface_gym.flow.trace import Trace, read_trace
+from surface_gym.parcel import Parcel
+from surface_gym.tasks.start import parcel_option
+
+Of = TypeVar("Of")
+
+EVERY_THREE_SECONDS = Steady(rate=1200.0)
+
+
+@dataclass(frozen=True)
+class Stream:
+    """A stream of parcels. Each one's kind, exit and speed are drawn apart from all the others'.
+
+    A recorded stream, a `Trace`, brings its own parcels, destinations and speeds.
+
+    Raises:
+        ValueError: arrivals of no known kind, no parcels, odds that are not positive, an exit
+            named twice, speeds that are not positive or more than 5 m/s, or anything beside a
+            trace.
+
+    >>> import numpy as np
+    >>> from surface_gym.flow.exits import sides
+    >>> stream = Stream(
+    ...     Spread(rate=900.0, spread=0.5),
+    ...     parcels=(("S", 3.0), ("B", 1.0)),  # three small ones for a large one
+    ...     destinations={"left": 2.0, "right": 1.0},  # and none straight on
+    ...     speeds=(1.0, 1.5),
+    ... )
+    >>> arrivals = stream.draw(np.random.default_rng(0), duration=20.0, exits=sides())
+    >>> arrivals.time.round(1).tolist()
+    [0.0, 4.5, 7.6, 9.8, 11.9, 17.1]
+    >>> [arrivals.kinds[place].base.length for place in arrivals.parcel]
+    [0.25, 0.25, 0.45, 0.25, 0.25, 0.25]
+    """
+
+    arrivals: Law | Trace = EVERY_THREE_SECONDS
+    # "S", "B" or a Parcel, or a pair of it and its odds, which are 1 otherwise
+    parcels: Any = ("S",)
+    # the odds of exits by name, as a mapping or as pairs; None: equal odds among all exits
+    destinations: Any = None
+    speeds: Any = 1.5  # [m/s] of every parcel, or the least and the greatest, uniform between them
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.arrivals, (Law, Trace)):
+            raise ValueError(
+                f"arrivals must be Steady, Spread, Poisson, Schedule or a Trace, "
+                f"got {self.arrivals!r}"
+            )
+        set_field = object.__setattr__
+        set_field(self, "parcels", _parcels(self.parcels))
+        if self.destinations is not None:
+            set_field(self, "destinations", _destinations(self.destinations))
+        set_field(self, "speeds", _speeds(self.speeds))
+        if isinstance(self.arrivals, Trace):
+            _check_nothing_beside(self)
+
+    @classmethod
+    def from_csv(cls, path: str | PathLike[str], exits: Exits | None = None) -> "Stream":
+        """The stream recorded in a file, as `read_trace` reads it."""
+        return cls(read_trace(path, exits))
+
+    @cached_property
+    def kinds(self) -> tuple[Parcel, ...]:
+        """Of the parcels that may come."""
+        if isinstance(self.arrivals, Trace):
+            return self.arrivals.kinds
+        return tuple(parcel for parcel, _ in self.parcels)
+
+    def with_rate(self, rate: float) -> "Stream":
+        """The same stream at another mean rate [parcels/h].
+
+        Raises:
+            ValueError: a rate that is not allowed, or arrivals that have no one rate: a Schedule
+                or a Trace.
+        """
+        if not isinstance(self.arrivals, (Steady, Spread, Poisson)):
+            raise ValueError(
+                f"arrivals must be Steady, Spread or Poisson to have another rate, "
+                f"got {type(self.arrivals).__name__}"
+            )
+        return replace(self, arrivals=replace(self.arrivals, rate=rate))
+
+    def check(self, exits: Exits) -> None:
+        """Raise a ValueError that names a destination that is none of some exits."""
+        if isinstance(self.arrivals, Trace):
+            self.arrivals.check(exits)
+        for name, _ in self.destinations or ():
+            checks.one_of("destinations", name, exits.names)
+
+    def draw(self, rng: np.random.Generator, duration: float, exits: Exits) -> Arrivals:
+        """Draw the arrivals of one episode: first every time, then three numbers a parcel.
+
+        The three are, in this order, of its kind, its exit and its speed, whether or not there is
+        a choice: so another mix or other speeds leave all else as it was.
+
+        Args:
+            rng: the only source of chance.
+            duration: [s] of the episode; all come before it ends.
+            exits: that the parcels may leave by.
+
+        Returns:
+            The arrivals, in order of time; there may be none.
+
+        Raises:
+            ValueError: a duration that is not positive, a destination that is none of the exits.
+        """
+        duration = checks.positive("duration", duration)
+        self.check(exits)
+        if isinstance(self.arrivals, Trace):
+            return self.arrivals.within(duration, exits)
+        time = self.arrivals.times(rng, duration)
+        kind, leaving, speed = rng.random((len(time), 3)).T
+        return Arrivals(
+            time=time,
+            parcel=_drawn([odds for _, odds in self.parcels], kind),
+            kinds=self.kinds,
+            speed=self._speed(speed),
+            exit=self._exit(exits, leaving),
+        )
+
+    def _exit(self, exits: Exits, number: Numbers) -> Places:
+        if self.destinations is None:
+            return _drawn([1.0] * len(exits), number)
+        place = np.array([exits.place(name) for name, _ in self.destinations])
+        return place[_drawn([odds for _, odds in self.destinations], number)]
+
+    def _speed(self, number: Numbers) -> Numbers:
+        low, high = self.speeds if isinstance(self.speeds, tuple) else (self.speeds, self.speeds)
+        return low + (high - low) * number
+
+
+def _drawn(odds: list[float], number: Numbers) -> Places:
+    """(n,) places among the odds, by numbers (n,) uniform in [0, 1)."""
+    shares = np.cumsum(odds)
+    return np.searchsorted(shares[:-1], number * shares[-1], side="right")
+
+
+def _check_nothing_beside(stream: Stream) -> None:
+    """A trace has parcels, destinations and speeds of its own: no others may be given."""
+    usual = Stream()
+    for name in ("parcels", "destinations", "speeds"):
+        if getattr(stream, name) != getattr(usual, name):
+            raise ValueError(
+                f"{name} must be left out with a Trace, which has its own, "
+                f"got {getattr(stream, name)!r}"
+            )
+
+
+def _parcels(given: Any) -> tuple[tuple[Parcel, float], ...]:
+    if not isinstance(given, (tuple, list)) or not given:
+        raise ValueError(
+            f"parcels must be at least one of 'S', 'B' or a Parcel in a tuple, got {given!r}"
+        )
+    pairs = (each if isinstance(each, (tuple, list)) else (each, 1.0) for each in given)
+    return tuple(_with_odds("parcels", pair, parcel_option) for pair in pairs)
+
+
+def _destinations(given: Any) -> tuple[tuple[str, float], ...]:
+    if isinstance(given, Mapping):
+        given = tuple(given.items())
+    if not isinstance(given, (tuple, list)) or not given:
+        raise ValueError(
+            f"destinations must be None or the odds of at least one exit by name, got {given!r}"
+        )
+    pairs = tuple(
+        _with_odds("destinations", pair, lambda name: check_name("destinations", name))
+        for pair in given
+    )
+    names = [name for name, _ in pairs]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"destinations must name an exit once, got {name!r} twice")
+    return pairs
+
+
+def _with_odds(name: str, pair: Any, check: Callable[[Any], Of]) -> tuple[Of, float]:
+    if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+        raise ValueError(f"{name} must be in pairs with their odds, got {pair!r}")
+    return check(pair[0]), checks.positive(f"odds of {name}", pair[1])
+
+
+def _speeds(given: Any) -> float | tuple[float, float]:
+    if not isinstance(given, (tuple, list)):
+        return check_speed("speeds", given)
+    if len(given) != 2:
+        raise ValueError(f"speeds must be one number or two, least and greatest, got {given!r}")
+    low, high = (check_speed("speeds", speed) for speed in given)
+    if low > high:
+        raise ValueError(f"speeds must be the least and then the greatest, got {given!r}")
+    return low, high

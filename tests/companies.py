@@ -1,0 +1,89 @@
+"""Parcels on one surface, stepped together."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+import surface_gym as sg
+from surface_gym.dynamics import company, together
+from surface_gym.dynamics.company import Company, Touching, make_together_scratch
+from surface_gym.dynamics.compiled import compiled
+from surface_gym.dynamics.types import OMEGA, THETA, VX, Array, X
+from surface_gym.simulation import start_state
+from surface_gym.together import bodies_of
+
+G = 9.81  # [m/s^2]
+step_together = compiled(together.step_together.py_func)
+forget_together = compiled(company.forget_together.py_func)
+
+
+def supports(mu: float, tilt: float = 0.0) -> sg.Surface:
+    """4 m x 3 m of supports alone."""
+    shape = (30, 40)
+    return sg.Surface(np.zeros(shape), np.zeros(shape, dtype=bool), mu_support=mu, tilt=tilt)
+
+
+def ice() -> sg.Surface:
+    """Supports without friction."""
+    return supports(0.0)
+
+
+class Meeting:
+    """Parcels with their states, as step after step leaves them."""
+
+    def __init__(
+        self,
+        surface: sg.Surface,
+        parcels: list[sg.Parcel],
+        poses: ArrayLike,
+        velocities: ArrayLike | None = None,
+        restitution: float = 0.0,
+        side_friction: float = 0.3,
+    ) -> None:
+        count = len(parcels)
+        pose = np.asarray(poses, dtype=np.float64)
+        velocity = np.zeros((count, 3)) if velocities is None else np.asarray(velocities) * 1.0
+        self.grid = surface.grid
+        self.masses = np.array([parcel.mass for parcel in parcels])
+        self.inertias = np.array([parcel.moment_of_inertia for parcel in parcels])
+        self.company = Company(
+            np.stack([start_state(*each) for each in zip(parcels, pose, velocity, strict=True)]),
+            np.ones(count, dtype=np.bool_),
+            np.arange(count),
+            bodies_of(parcels),
+        )
+        self.touching = Touching(float(restitution), float(side_friction))
+        self.scratch = make_together_scratch(count)
+
+    def step(self, dt: float) -> list[tuple[int, int, float]]:
+        """Who pushed whom with what impulse [N s]."""
+        arguments = (self.grid, self.company, self.touching, self.scratch, dt)
+        pushed = step_together(*arguments)
+        pairs = self.scratch.pair[:pushed].tolist()
+        return [(*pair, each) for pair, each in zip(pairs, self.scratch.impulse, strict=False)]
+
+    def forget(self) -> None:
+        forget_together(self.scratch)
+
+    @property
+    def place(self) -> Array:
+        """(parcels, 3) [m, m, rad] of the centres of mass."""
+        return self.company.state[:, X : THETA + 1]
+
+    @property
+    def velocity(self) -> Array:
+        """(parcels, 3) [m/s, m/s, rad/s]."""
+        return self.company.state[:, VX : OMEGA + 1]
+
+    @property
+    def energy(self) -> float:
+        """[J] of motion."""
+        vx, vy, omega = self.velocity.T
+        return float(0.5 * self.masses @ (vx**2 + vy**2) + 0.5 * self.inertias @ omega**2)
+
+    @property
+    def momentum(self) -> Array:
+        """(3,) [N s, N s, N m s] linear, and angular about the origin."""
+        x, y, _ = self.place.T
+        vx, vy, omega = self.velocity.T
+        angular = self.masses @ (x * vy - y * vx) + self.inertias @ omega
+        return np.array([self.masses @ vx, self.masses @ vy, angular])

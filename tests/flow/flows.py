@@ -1,0 +1,177 @@
+"""Flows for the tests: short lines, dense streams, and parcels set down by hand."""
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+import surface_gym as sg
+from surface_gym.dynamics.states import states_of
+from surface_gym.dynamics.types import THETA, Array, X, Y
+from surface_gym.flow.arrivals import Poisson
+from surface_gym.flow.batch import FlowBatch
+from surface_gym.flow.env import FlowEnv
+from surface_gym.flow.line import flow_line
+from surface_gym.flow.memory import ENTERED
+from surface_gym.flow.settings import FlowSettings
+from surface_gym.flow.stream import Stream
+from surface_gym.flow.trace import Arrival, Trace
+from surface_gym.registration import FLOW
+from surface_gym.sensors import Camera, Presence
+from tests.environments import assert_same
+from tests.vector_environments import EVERYTHING_VARIES
+
+BRAKE, PLUS_45, MINUS_45, ROLL = range(4)  # choices of the default orientations
+MIRRORED = np.array([BRAKE, MINUS_45, PLUS_45, ROLL])  # the choice that each is in a mirror
+
+SHORT = flow_line(2.0)  # 20 columns of rotors, the first 5 of them a lead-in
+BOX, LARGE_BOX = sg.layouts.box("S"), sg.layouts.box("B")
+# As many as can enter, and more: some wait, and where axes brake some collide.
+DENSE = Stream(Poisson(5000.0, 0.15), parcels=("S", "B"), speeds=(1.0, 2.0))
+
+# Each kind of action with each sensor, choices and angles, axes that turn at once and in time.
+KINDS: dict[str, dict[str, Any]] = {
+    "modules, exact": {"actions": "modules"},
+    "parcels, exact": {"actions": "parcels"},
+    "modules, camera, any angle, all varies": {
+        "actions": "modules", "sensors": Camera(), "orientations": "any", **EVERYTHING_VARIES,
+    },
+    "parcels, presence, any angle": {
+        "actions": "parcels", "sensors": Presence(), "orientations": "any",
+    },
+    "parcels, camera, all varies": {
+        "actions": "parcels", "sensors": Camera(), **EVERYTHING_VARIES,
+    },
+    "modules, presence": {"actions": "modules", "sensors": Presence()},
+}  # fmt: skip
+every_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+
+
+def trace(*arrivals: tuple[float, str], parcel: sg.Parcel = BOX, speed: float = 1.5) -> Stream:
+    """A stream of equal parcels: when each comes [s], and the exit it is to leave by."""
+    return Stream(Trace(tuple(Arrival(time, parcel, speed, name) for time, name in arrivals)))
+
+
+def bare(**settings: Any) -> FlowEnv:
+    """A short flow with a dense stream, without Gymnasium's wrappers."""
+    settings = {"stream": DENSE, "duration": 2.0, "plant": SHORT, **settings}
+    return gym.make(FLOW, disable_env_checker=True, **settings).unwrapped
+
+
+def same_choice(env: FlowEnv, choice: int) -> Any:
+    """The action that says one choice for every part."""
+    return np.full(env.action_space.shape, choice)
+
+
+Step = tuple[np.ndarray, float, bool, bool, dict[str, Any]]
+
+
+def steps(env: FlowEnv, seed: int, hold: int = 5) -> Iterator[Step]:
+    """Every step of an episode of random actions, each held for some periods."""
+    env.action_space.seed(seed)
+    env.reset(seed=seed)
+    over = False
+    number = 0
+    while not over:
+        if number % hold == 0:
+            action = env.action_space.sample()
+        step = env.step(action)
+        over = step[2] or step[3]
+        number += 1
+        yield step
+
+
+def play(env: FlowEnv, choice: int, seed: int = 0) -> list[Step]:
+    """Every step of an episode in which all modules are set to one choice."""
+    env.reset(seed=seed)
+    played = [env.step(same_choice(env, choice))]
+    while not (played[-1][2] or played[-1][3]):
+        played.append(env.step(same_choice(env, choice)))
+    return played
+
+
+def batch_with(stream: Stream, **settings: Any) -> FlowBatch:
+    """A batch of one surface that has begun."""
+    batch = FlowBatch(FlowSettings(stream, **{"plant": SHORT, **settings}), 1)
+    batch.seed(0, np.random.default_rng(0))
+    batch.start(np.array([0]))
+    return batch
+
+
+def set_down(batch: FlowBatch, poses: ArrayLike, velocities: ArrayLike | None = None) -> None:
+    """Put the first arrivals down on the surface of a batch of one, wherever they have entered.
+
+    Args:
+        batch: whose arrivals are boxes, at least as many; the first may have entered.
+        poses: (parcels, 3) [m, m, rad].
+        velocities: (parcels, 3) [m/s, m/s, rad/s]; None: at rest.
+    """
+    given = np.asarray(poses, dtype=np.float64)
+    moving = np.zeros_like(given) if velocities is None else np.asarray(velocities, dtype=float)
+    flows, lanes, count = batch.flows, batch.lanes, len(given)
+    lanes.state[:count] = states_of(np.zeros((count, 2)), given, moving)
+    lanes.sensed[:count, :3] = given
+    lanes.sensed[:count, 3:] = moving
+    lanes.site[:count] = flows.site[0, :count]
+    asked = flows.exit[0, :count]
+    lanes.goal[:count] = np.column_stack([asked, batch.flow_rules.exits[asked]])
+    for values in (lanes.memory, lanes.clock, lanes.steps):
+        values[:count] = 0
+    flows.number[0, :count] = np.arange(count)
+    flows.present[0, :count] = True
+    flows.entered[0, :count] = flows.clock[0]
+    flows.coming[0] = count
+    flows.due[0] = max(count, flows.due[0])
+    flows.tally[0, ENTERED] = count
+
+
+def parcel_of(batch: FlowBatch, place: int, lane: int = 0) -> sg.Parcel:
+    """The parcel that has a place."""
+    return batch._pool.parcel(int(batch.lanes.site[lane * batch.rows + place]))
+
+
+def surface_of(settings: FlowSettings, angle: float) -> sg.Surface:
+    """The surface with the axes of all that obeys at an angle [rad], for `simulate`."""
+    first_row, rows, first, columns = settings.zone
+    axis = np.full(settings.rotor.shape, math.pi / 2)
+    axis[first_row : first_row + rows, first : first + columns] = angle
+    level = settings.chosen_plant.surface(axis, settings.rotor)
+    return dataclasses.replace(level, tilt=settings.tilt)
+
+
+def assert_alike(first: Any, second: Any) -> None:
+    """Equal to the bit, where nan equals nan: figures of what has not happened are nan."""
+    assert_same(_told(first), _told(second))
+
+
+def _told(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _told(each) for name, each in value.items()}
+    if isinstance(value, tuple):
+        return tuple(_told(each) for each in value)
+    return "nan" if isinstance(value, float) and math.isnan(value) else value
+
+
+def box_of(parcel: sg.Parcel, pose: ArrayLike) -> tuple[float, float, float, float]:
+    """[m] least and greatest x, least and greatest y of a base whose centroid has a pose."""
+    pose = np.asarray(pose)
+    cosine, sine = np.cos(pose[THETA]), np.sin(pose[THETA])
+    outline = parcel.base.outline - np.array(parcel.base.centroid)
+    corners = outline @ np.array([[cosine, sine], [-sine, cosine]])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    return pose[X] + low[0], pose[X] + high[0], pose[Y] + low[1], pose[Y] + high[1]
+
+
+def truths(batch: FlowBatch, lane: int = 0) -> dict[int, Array]:
+    """Pose and velocity of who is there, by the number of arrival."""
+    first = lane * batch.rows
+    return {
+        int(number): batch.lanes.truth[first + place].copy()
+        for place, number in enumerate(batch.flows.number[lane])
+        if batch.flows.present[lane, place]
+    }

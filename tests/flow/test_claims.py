@@ -1,0 +1,153 @@
+"""Which parcel a module obeys, against a slow account of who will bear it first."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surface_gym.actuators import Actuators
+from surface_gym.dynamics.types import VX, VY, Array, X, Y
+from surface_gym.flow.batch import FlowBatch
+from surface_gym.flow.memory import NOBODY, TURNS
+from surface_gym.sensors import Presence
+from tests.flow.flows import BOX, DENSE, SHORT, batch_with, box_of, parcel_of, set_down, trace
+
+STUCK = ((8, 9), (10, 15))
+FULL = trace(*[(0.0, "left 1")] * 12)
+
+
+def while_over(low: float, high: float, speed: float, place: float) -> tuple[float, float]:
+    """[s] from when and until when an interval that moves at a speed holds a place."""
+    if speed == 0.0:
+        return (-math.inf, math.inf) if low <= place <= high else (math.inf, -math.inf)
+    first, last = sorted(((place - high) / speed, (place - low) / speed))
+    return first, last
+
+
+def slow_claims(batch: FlowBatch, sensed: Array, present: Array, ahead: float) -> Array:
+    """(rows, columns) the place that each module obeys, module by module and parcel by parcel."""
+    first_row, rows, first, columns = batch.settings.zone
+    owner = np.full(batch.settings.rotor.shape, NOBODY)
+    for row in range(first_row, first_row + rows):
+        for column in range(first, first + columns):
+            x, y = 0.05 + 0.1 * column, 0.05 + 0.1 * row
+            claims = []
+            for place in np.nonzero(present)[0].tolist():
+                pose = sensed[place]
+                rear, front, right, left = box_of(parcel_of(batch, place), pose[:3])
+                along = while_over(rear, front, pose[VX], x)
+                across = while_over(right, left, pose[VY], y)
+                since, until = max(0.0, along[0], across[0]), min(ahead, along[1], across[1])
+                if since <= until:
+                    claims.append((since, math.hypot(x - pose[X], y - pose[Y]), place))
+            if claims:
+                owner[row, column] = min(claims)[2]
+    return owner
+
+
+def scattered(rng: np.random.Generator, count: int) -> Array:
+    """(count, 6) poses and velocities all over the rotors."""
+    return np.column_stack([
+        rng.uniform(0.2, 2.2, count), SHORT.line_y + rng.uniform(-0.4, 0.4, count),
+        rng.uniform(-3.0, 3.0, count), rng.uniform(-1.0, 3.0, count),
+        rng.uniform(-2.0, 2.0, count), rng.uniform(-1.0, 1.0, count),
+    ])  # fmt: skip
+
+
+class TestRule:
+    @pytest.mark.parametrize("ahead", [0.0, 0.03, 0.1, 0.5])
+    def test_is_the_slow_one_on_random_poses(self, ahead: float) -> None:
+        rng = np.random.default_rng(0)
+        batch = batch_with(FULL, actions="parcels", ahead=ahead, duration=9.0)
+        claimed = 0
+        for _ in range(12):
+            batch.start(np.array([0]))
+            set_down(batch, scattered(rng, 12)[:, :3])
+            # A sensor may see them anywhere; some stand still in x or in y.
+            sensed = scattered(rng, 12)
+            sensed[:3, VX] = 0.0
+            sensed[2:5, VY] = 0.0
+            batch.lanes.sensed[:12] = sensed
+            batch.flows.present[0, 5] = False
+            present = batch.flows.present[0].copy()
+            batch.advance(np.zeros((1, 48), dtype=np.int64))
+            wanted = slow_claims(batch, sensed, present, ahead)
+            np.testing.assert_array_equal(batch.flows.owner[0], wanted)
+            claimed += int((wanted != NOBODY).sum())
+        assert claimed > 100
+
+    @pytest.mark.parametrize("stray", [math.nan, math.inf, 1e12])
+    def test_a_lost_estimate_claims_nothing(self, stray: float) -> None:
+        batch = batch_with(FULL, actions="parcels", duration=9.0)
+        set_down(batch, [(0.7, 1.0, 0.0), (1.5, 1.0, 0.0)])
+        batch.lanes.sensed[0, X] = stray
+        batch.advance(np.zeros((1, 48), dtype=np.int64))
+        assert set(np.unique(batch.flows.owner[0])) == {NOBODY, 1}
+
+    def test_of_two_that_it_bears_the_nearer_is_obeyed(self) -> None:
+        batch = batch_with(FULL, actions="parcels", duration=9.0)
+        set_down(batch, [(0.75, 1.0, 0.0), (1.0, 1.0, 0.0)])
+        batch.lanes.sensed[:2, X] = 0.80, 1.0  # seen to overlap around x = 0.9
+        batch.advance(np.zeros((1, 48), dtype=np.int64))
+        assert (batch.flows.owner[0, 9:11, 8] == 0).all()  # at x = 0.85
+        assert (batch.flows.owner[0, 9:11, 9] == 1).all()  # at x = 0.95
+
+
+class TestCommands:
+    @pytest.mark.parametrize("orientations", [None, "any"])
+    def test_modules_follow_the_half_of_their_owner(self, orientations: Any) -> None:
+        """What no parcel claims stays, and so do stuck modules, the lead-in and supports."""
+        settings: dict[str, Any] = {"actions": "parcels", "orientations": orientations}
+        if orientations == "any":
+            settings["sensors"] = Presence()
+        batch = batch_with(DENSE, actuators=Actuators(stuck=STUCK), duration=4.0, **settings)
+        kind = batch.settings.action_kind
+        rng = np.random.default_rng(2)
+        told = np.full(batch.settings.rotor.shape, math.pi / 2)
+        turns = 0
+        claimed = np.zeros_like(batch.settings.rotor)
+        for period in range(75):
+            if period % 4 == 0:
+                drawn = rng.integers(0, 4, (24, 2))
+                angles = np.array(batch.settings.chosen_orientations)[drawn]
+                if orientations == "any":
+                    angles = drawn = rng.uniform(-1.5, 1.5, (24, 2))
+            sensed = batch.lanes.sensed.copy()
+            owner = slow_claims(batch, sensed, batch.flows.present[0], 0.1)
+            before = told.copy()
+            for row, column in np.argwhere(owner != NOBODY):
+                place = owner[row, column]
+                if batch.settings.rotor[row, column] and (row, column) not in STUCK:
+                    behind = 0.05 + 0.1 * column < sensed[place, X]
+                    told[row, column] = angles[place, int(behind)]
+            # An axis that was turned by pi is the same axis.
+            turns += int((np.abs(np.sin(told - before)) > 1e-9).sum())
+            batch.advance(kind.commands(drawn.reshape(1, -1), 1))
+            np.testing.assert_array_equal(batch.flows.told[0], told)
+            assert batch.flows.tally[0, TURNS] == turns
+            claimed |= owner != NOBODY
+        assert claimed[:, 5:19].sum() > 30
+        assert (told[:, :5] == math.pi / 2).all()
+        assert all(told[module] == math.pi / 2 for module in STUCK)
+
+    def test_choices_of_free_places_do_nothing(self) -> None:
+        batch, twin = (batch_with(DENSE, actions="parcels", duration=4.0) for _ in range(2))
+        rng = np.random.default_rng(3)
+        for _ in range(50):
+            commands = rng.integers(0, 4, (24, 2))
+            other = commands.copy()
+            free = ~batch.flows.present[0]
+            other[free] = rng.integers(0, 4, (int(free.sum()), 2))
+            batch.advance(commands.reshape(1, -1))
+            twin.advance(other.reshape(1, -1))
+            np.testing.assert_array_equal(batch.lanes.state, twin.lanes.state)
+            np.testing.assert_array_equal(batch.flows.told, twin.flows.told)
+
+    def test_boxes_are_those_of_turned_bases(self) -> None:
+        """What the slow account rests on: a square turned by 45 deg is sqrt(2) as wide."""
+        rear, front, right, left = box_of(BOX, (1.0, 1.0, math.pi / 4))
+        assert front - rear == pytest.approx(0.25 * math.sqrt(2.0))
+        assert left - right == pytest.approx(0.25 * math.sqrt(2.0))
+        assert (rear + front) / 2 == pytest.approx(1.0)
+        assert Y == 1

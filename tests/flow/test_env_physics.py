@@ -1,0 +1,268 @@
+"""The single environment of a flow: its parcels move as `simulate` says, and what it pays."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym.actuators import Actuators
+from surface_gym.dynamics.types import VX, X, Y
+from surface_gym.flow.arrivals import Steady
+from surface_gym.flow.env import FlowEnv
+from surface_gym.flow.memory import ENTERED
+from surface_gym.flow.rewards import ON_THE_WAY, PARCEL_TERMS
+from surface_gym.flow.stream import Stream
+from surface_gym.randomisation import Randomisation
+from tests.flow.flows import (
+    BOX,
+    BRAKE,
+    MINUS_45,
+    MIRRORED,
+    ROLL,
+    SHORT,
+    Step,
+    bare,
+    batch_with,
+    play,
+    same_choice,
+    set_down,
+    surface_of,
+    trace,
+    truths,
+)
+
+DT = 0.005  # [s]
+
+
+class TestPhysics:
+    @pytest.mark.parametrize("choice", [MINUS_45, ROLL])
+    @pytest.mark.parametrize("size", ["S", "B"])
+    def test_one_alone_moves_as_by_simulate(self, size: str, choice: int) -> None:
+        """To the bit, until no rotor bears it any more."""
+        box = sg.layouts.box(size)
+        env = bare(stream=trace((0.0, "left 1"), parcel=box, speed=1.7), duration=10.0)
+        env.reset(seed=0)
+        surface = surface_of(env.settings, env.settings.chosen_orientations[choice])
+        start = (box.base.length / 2.0, SHORT.line_y, 0.0)
+        run = sg.simulate(surface, box, start, (1.7, 0.0, 0.0), duration=10.0)
+        period = 0
+        left = False
+        while not left:
+            info = env.step(same_choice(env, choice))[4]
+            period += 1
+            left = info["right"] + info["wrong"] > 0
+            if not left:
+                truth = truths(env._batch)[0]
+                np.testing.assert_array_equal(truth[:3], run.pose[8 * period])
+                np.testing.assert_array_equal(truth[3:], run.velocity[8 * period])
+        step = round(env._batch.flows.left[0, 0] / DT)
+        assert 8 * (period - 1) < step <= 8 * period
+        np.testing.assert_array_equal(env._batch.lanes.truth[0, :3], run.pose[step])
+
+    def test_two_move_as_by_simulate_together(self) -> None:
+        """To the bit; and they begin to touch as often as it says."""
+        poses = [(0.7, 1.0, 0.1), (0.35, 1.02, 0.0)]
+        velocities = [(0.3, 0.0, 0.0), (1.5, 0.0, 0.0)]
+        stream = trace((0.0, "straight"), (0.0, "straight"))
+        batch = batch_with(stream, duration=5.0, restitution=0.5)
+        set_down(batch, poses, velocities)
+        surface = surface_of(batch.settings, math.pi / 2)
+        run = sg.simulate_together(
+            surface, [BOX, BOX], poses, velocities, duration=1.0, restitution=0.5
+        )
+        action = np.full((1, batch.settings.action_kind.size), ROLL)
+        for period in range(1, 21):
+            batch.advance(action)
+            for number, truth in truths(batch).items():
+                np.testing.assert_array_equal(truth[:3], run.trajectories[number].pose[8 * period])
+        time = run.touches.time[run.touches.time < 20.5 * 0.04]
+        begun = int((np.diff(time, prepend=-1.0) > 0.2 + DT / 2).sum())
+        assert batch.flows.touches[0, :2].tolist() == [begun, begun]
+        assert begun >= 1
+
+
+class TestMirror:
+    @pytest.mark.parametrize("actions", ["modules", "parcels"])
+    def test_a_mirrored_stream_runs_in_a_mirror(self, actions: str) -> None:
+        names = ("left 1", "right 2", "right 1", "straight", "left 2")
+        swapped = {"left": "right", "right": "left"}
+        coming = [(0.4 * k, names[k % 5]) for k in range(5)]
+        mirrored = [
+            (time, " ".join(swapped.get(word, word) for word in name.split()))
+            for time, name in coming
+        ]
+        env, mirror = (
+            bare(stream=trace(*each), actions=actions, duration=2.4) for each in (coming, mirrored)
+        )
+        kind = env.settings.action_kind
+        line_y = SHORT.line_y
+        env.action_space.seed(3)
+        env.reset(seed=0)
+        mirror.reset(seed=0)
+        for period in range(60):
+            if period % 8 == 0:
+                action = env.action_space.sample()
+            other = action if actions == "parcels" else kind.flip(action[np.newaxis])[0]
+            observation, reward, *_, info = env.step(action)
+            observed, paid, *_, told = mirror.step(MIRRORED[other])
+            assert info["parcels"].tolist() == told["parcels"].tolist()
+            assert reward == pytest.approx(paid, abs=1e-6)
+            seen = truths(mirror._batch)
+            for number, truth in truths(env._batch).items():
+                flip = truth * [1.0, -1.0, -1.0, 1.0, -1.0, -1.0] + [0, 2 * line_y, 0, 0, 0, 0]
+                np.testing.assert_allclose(seen[number], flip, rtol=0.0, atol=1e-7)
+            # Whom a side is asked of is shown in a mirror, all but that side.
+            aside = observation[:, 14] != 0.0
+            both = np.delete(observation, 14, axis=1), np.delete(observed, 14, axis=1)
+            np.testing.assert_allclose(both[0][aside], both[1][aside], rtol=0.0, atol=1e-5)
+            np.testing.assert_array_equal(observation[:, 14], -observed[:, 14])
+        assert info["entered"] >= 4
+
+
+class TestEnds:
+    def test_a_jam_terminates_after_patience(self) -> None:
+        env = bare(stream=Stream(Steady(36000.0)), patience=0.5, duration=20.0)
+        env.reset(seed=0)
+        still = 0
+        terminated = False
+        while not terminated:
+            before = truths(env._batch)
+            _, reward, terminated, truncated, info = env.step(same_choice(env, BRAKE))
+            now = truths(env._batch)
+            assert not truncated
+            slow = all(np.hypot(*each[VX : VX + 2]) < 1e-3 for each in now.values())
+            still = still + 1 if slow else 0
+            assert terminated == (0.04 * still >= 0.5)
+        assert set(before) == set(now)
+        assert info["outcome"] == "jam"
+        assert info["reward_terms"]["jam"] == -10.0
+        assert reward < -9.0
+        assert info["waiting"] > 0
+
+    def test_a_collision_does_not_end_it(self) -> None:
+        env = bare(actions="modules", duration=2.0)
+        env.reset(seed=1)
+        touched = 0
+        over = False
+        while not over:
+            _, _, terminated, truncated, info = env.step(same_choice(env, BRAKE))
+            assert not (terminated and info["touches"] > touched)
+            touched, over = info["touches"], terminated or truncated
+        assert touched > 0
+
+
+def out_and_halt(env: FlowEnv) -> Iterator[Step]:
+    """Every step of an episode in which parcels are let out to a side, and later run into others
+    that brake.
+    """
+    env.reset(seed=2)
+    over = False
+    period = 0
+    while not over:
+        step = env.step(same_choice(env, MINUS_45 if period < 50 else BRAKE))
+        over = step[2] or step[3]
+        period += 1
+        yield step
+
+
+class TestRewards:
+    @pytest.mark.parametrize("varies", [False, True])
+    def test_those_of_parcels_and_of_the_surface_sum_up(self, varies: bool) -> None:
+        randomisation = Randomisation(lateral=0.03) if varies else Randomisation()
+        env = bare(actions="modules", duration=4.0, randomisation=randomisation)
+        for _, reward, _, _, info in out_and_halt(env):
+            lanes, terms = env._batch.lanes, info["reward_terms"]
+            shared = math.fsum(terms[name] for name in PARCEL_TERMS)
+            assert lanes.reward.sum() == pytest.approx(shared, abs=1e-9)
+            assert reward == pytest.approx(lanes.reward.sum() + terms["waiting"] + terms["jam"])
+        assert info["touches"] > 0
+        assert info["right"] + info["wrong"] > 0
+
+    def test_term_by_term(self) -> None:
+        """Over an episode, each comes to what it is paid for."""
+        env = bare(actions="modules", duration=4.0)
+        totals = dict.fromkeys((*PARCEL_TERMS, "waiting"), 0.0)
+        for *_, info in out_and_halt(env):
+            for name in totals:
+                totals[name] += info["reward_terms"][name]
+        flows = env._batch.flows
+        assert totals["right"] == info["right"]
+        assert totals["wrong"] == -info["wrong"]
+        assert totals["touch"] == pytest.approx(-0.5 * 2 * info["touches"])
+        entered = int(flows.tally[0, ENTERED])
+        stay = np.where(np.isnan(flows.left), info["time"], flows.left) - flows.entered
+        assert totals["time"] == pytest.approx(-0.2 * stay[0, :entered].sum())
+        assert totals["waiting"] == pytest.approx(-0.1 * flows.waited[0])
+        assert flows.waited[0] > 0.0
+
+    def test_reach_is_earned_from_where_a_parcel_entered(self) -> None:
+        """One that enters aside of the middle neither gains nor loses by it."""
+        stream = Stream(Steady(6000.0), destinations={"straight": 1.0})
+        varies = Randomisation(lateral=0.05)
+        env = bare(stream=stream, actions="parcels", randomisation=varies, duration=1.2)
+        _, info = env.reset(seed=0)
+        assert set(info["reward_terms"].values()) == {0.0}
+        played = play(env, ROLL)
+        earned = sum(step[4]["reward_terms"]["reach"] for step in played)
+        assert played[-1][4]["right"] == 0
+        wanted = 0.0
+        for number, truth in truths(env._batch).items():
+            start = env._batch.flows.start[0, number]
+            aside = abs(truth[Y] - SHORT.line_y) - abs(start[Y] - SHORT.line_y)
+            wanted += ON_THE_WAY * (truth[X] - start[X]) - aside
+        assert earned == pytest.approx(wanted, abs=1e-9)
+        assert played[-1][4]["entered"] == 2
+
+
+class TestTouches:
+    def test_count_once_a_beginning(self) -> None:
+        """One that is pushed along is touched once; after 0.2 s apart it begins anew."""
+        stream = trace(*[(0.0, "straight")] * 2)
+        batch = batch_with(stream, duration=9.0, restitution=0.0)
+        set_down(batch, [(0.7, 1.0, 0.0), (0.4, 1.0, 0.0)], [(0.3, 0, 0), (1.5, 0, 0)])
+        roll = np.full((1, batch.settings.action_kind.size), ROLL)
+        for _ in range(3):
+            batch.advance(roll)
+        assert batch.flows.touches[0].tolist()[:2] == [1, 1]
+        # Taken apart for a moment too short to count, and then for one that counts.
+        for periods, begun in ((2, 1), (6, 2)):
+            batch.lanes.state[0, 0] += 0.1
+            batch.lanes.state[:2, VX] = 0.5
+            for _ in range(periods):
+                batch.advance(roll)
+            batch.lanes.state[0, 0] = batch.lanes.state[1, 0] + 0.255
+            batch.lanes.state[:2, VX] = 0.1, 0.8
+            for _ in range(4):
+                batch.advance(roll)
+            assert batch.flows.touches[0].tolist()[:2] == [begun, begun]
+
+
+class TestModules:
+    def test_an_action_sets_exactly_the_modules(self) -> None:
+        stuck = ((9, 7), (11, 19))
+        env = bare(actions="modules", actuators=Actuators(stuck=stuck))
+        env.reset(seed=0)
+        flows = env._batch.flows
+        first_row, rows, first, columns = env.settings.zone
+        expected = np.full(env.settings.rotor.shape, math.pi / 2)
+        env.action_space.seed(0)
+        turns = 0
+        for _ in range(5):
+            action = env.action_space.sample()
+            before = expected.copy()
+            angle = np.array(env.settings.chosen_orientations)[action.reshape(rows, columns)]
+            expected[first_row : first_row + rows, first : first + columns] = angle
+            for module in stuck:
+                expected[module] = math.pi / 2
+            expected[:, 20:] = math.pi / 2  # no rotors
+            turns += int((expected != before).sum())
+            *_, info = env.step(action)
+            np.testing.assert_array_equal(flows.told[0], expected)
+            assert info["turns"] == turns
+            surface = env._batch.surfaces
+            direction = surface.direction[0, surface.axis[0]]
+            rotor = env.settings.rotor
+            wanted = np.stack([np.cos(expected), np.sin(expected)], axis=-1)
+            np.testing.assert_allclose(direction[rotor], wanted[rotor], atol=1e-12)

@@ -1,0 +1,145 @@
+"""Exits: their order, where each takes parcels, and what is refused."""
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from surface_gym.flow.exits import EXITS, NOWHERE, Exit, Exits, chutes, exits_option, sides
+
+LEFT = Exit("left", 1, 0.5, 2.0)
+STRAIGHT = Exit("straight", 0)
+
+
+def test_chutes_are_two_to_either_side_and_straight_on() -> None:
+    exits = chutes()
+    assert exits.names == ("left 1", "left 2", "right 1", "right 2", "straight")
+    expected = [[1, 0.6, 2.8], [1, 3.2, 5.8], [-1, 0.6, 2.8], [-1, 3.2, 5.8], [0, 0.0, math.inf]]
+    np.testing.assert_allclose(exits.table, expected)
+
+
+def test_sides_are_as_long_as_the_line() -> None:
+    exits = sides(4.5)
+    assert exits.names == ("left", "right", "straight")
+    np.testing.assert_array_equal(exits.table[:2], [[1, 0.0, 4.5], [-1, 0.0, 4.5]])
+
+
+@pytest.mark.parametrize("name", EXITS)
+def test_presets_scale_with_the_line(name: str) -> None:
+    short, long = EXITS[name](3.0), EXITS[name](6.0)
+    assert short.names == long.names
+    np.testing.assert_allclose(2.0 * short.table[:, 1:], long.table[:, 1:])
+
+
+@given(x=st.floats(-1.0, 7.0), side=st.sampled_from((-1, 1)))
+def test_the_spans_of_chutes_mirror_each_other(x: float, side: int) -> None:
+    exits = chutes()
+    place, mirrored = exits.at(side, x), exits.at(-side, x)
+    assert (place == NOWHERE) == (mirrored == NOWHERE)
+    if place != NOWHERE:
+        assert exits.table[place, 0] == side
+        assert exits.table[place, 1] <= x < exits.table[place, 2]
+        assert exits.names[place].split()[1] == exits.names[mirrored].split()[1]
+
+
+@given(x=st.floats(-1.0, 7.0), side=st.sampled_from((-1, 0, 1)))
+def test_the_table_says_the_same_as_the_rule(x: float, side: int) -> None:
+    exits = chutes()
+    of_side, first, last = exits.table.T
+    inside = (of_side == side) & ((side == 0) | ((first <= x) & (x < last)))
+    assert inside.sum() <= 1
+    assert exits.at(side, x) == (int(np.argmax(inside)) if inside.any() else NOWHERE)
+
+
+def test_a_parcel_at_the_end_of_a_span_is_past_it() -> None:
+    exits = Exits((LEFT, Exit("next", 1, 2.0)))
+    assert [exits.at(1, x) for x in (0.4, 0.5, 1.9, 2.0, 90.0)] == [NOWHERE, 0, 0, 1, 1]
+
+
+def test_straight_on_has_no_span() -> None:
+    exits = Exits((LEFT, Exit("end", 0, 1.0, 2.0)))
+    assert exits.at(0, 6.0) == 1
+    assert Exits((LEFT,)).at(0, 6.0) == NOWHERE
+
+
+def test_an_exit_is_found_by_its_name() -> None:
+    exits = chutes()
+    assert [exits.place(name) for name in exits.names] == [0, 1, 2, 3, 4]
+    with pytest.raises(ValueError, match=r"exit must be one of 'left 1', .*, got 'left'"):
+        exits.place("left")
+
+
+def test_exits_are_counted_gone_through_and_hashed() -> None:
+    exits = Exits([LEFT, STRAIGHT])
+    assert (len(exits), list(exits)) == (2, [LEFT, STRAIGHT])
+    assert exits == Exits((LEFT, STRAIGHT))
+    assert len({exits, Exits((LEFT, STRAIGHT)), sides()}) == 2
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        exits.exits = ()
+    with pytest.raises(ValueError, match="read-only"):
+        exits.table[0, 0] = 0.0
+
+
+def test_the_option_is_a_preset_or_exits_of_ones_own() -> None:
+    assert exits_option("chutes", 3.0) == chutes(3.0)
+    assert exits_option([LEFT], 3.0) == Exits((LEFT,))
+    assert exits_option(sides(), 3.0) == sides()
+    for value in ("doors", None, 3):
+        with pytest.raises(ValueError, match="exits must be one of 'chutes', 'sides', got"):
+            exits_option(value, 3.0)
+
+
+@pytest.mark.parametrize("length", [0.0, -1.0, math.nan, None])
+@pytest.mark.parametrize("name", EXITS)
+def test_a_line_without_length_has_no_preset(name: str, length: Any) -> None:
+    with pytest.raises(ValueError, match="length must be"):
+        EXITS[name](length)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"name": ""}, "name must be text without spaces at its ends, got ''"),
+        ({"name": " left"}, "name must be text without spaces at its ends, got ' left'"),
+        ({"name": 3}, "name must be text without spaces at its ends, got 3"),
+        ({"side": 2}, "side must be one of -1, 0, 1, got 2"),
+        ({"side": "left"}, "side must be one of -1, 0, 1, got 'left'"),
+        ({"first": math.nan}, "first must be a finite number, got nan"),
+        ({"first": -math.inf}, "first must be a finite number, got -inf"),
+        ({"last": math.nan}, "last must be a finite number, got nan"),
+        ({"last": None}, "last must be a finite number, got None"),
+        ({"last": 0.5}, "last must be greater than first, 0.5, got 0.5 for 'left'"),
+        ({"first": 3.0}, "last must be greater than first, 3, got 2.0 for 'left'"),
+    ],
+)
+def test_a_bad_exit_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
+        dataclasses.replace(LEFT, **changes)
+
+
+@pytest.mark.parametrize(
+    ("exits", "message"),
+    [
+        ((), r"exits must be at least one Exit in a tuple, got \(\)"),
+        (LEFT, "exits must be at least one Exit in a tuple, got Exit"),
+        ((LEFT, "straight"), "exits must be Exit objects, got 'straight'"),
+        ((LEFT, Exit("left", 0)), "exits must have names of their own, got 'left' twice"),
+        (
+            (STRAIGHT, LEFT, Exit("end", 0)),
+            "exits must hold at most one straight on, got 'straight' and 'end'",
+        ),
+        (
+            (LEFT, STRAIGHT, Exit("wide", 1, 1.9)),
+            "exits must not overlap on one side, got 'left' from 0.5 to 2 m and 'wide' "
+            "from 1.9 to inf m",
+        ),
+        ((LEFT, Exit("within", 1, 1.0, 1.5)), "exits must not overlap on one side"),
+    ],
+)
+def test_exits_that_do_not_go_together_are_refused(exits: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
+        Exits(exits)

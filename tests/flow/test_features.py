@@ -1,0 +1,131 @@
+"""The table of a flow, row by row from the parcels' poses."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surface_gym.actuators import Actuators
+from surface_gym.dynamics.types import Array
+from surface_gym.flow.arrivals import Steady
+from surface_gym.flow.batch import FlowBatch
+from surface_gym.flow.features import AHEAD, BEHIND, FEATURES, PRESENT, WAITS
+from surface_gym.flow.stream import Stream
+from surface_gym.sensors import Camera
+from surface_gym.tasks.sort import FEATURES as SORT_FEATURES
+from tests.flow.flows import DENSE, ROLL, SHORT, bare, box_of, parcel_of, steps
+
+NAMES = [feature.name for feature in FEATURES]
+FIRST_OF_ZONE = 0.5  # [m] after a lead-in of 5 columns
+CROWD = Stream(Steady(9000.0), parcels=("S", "B"), speeds=(1.0, 1.4))
+ROTORS = 0.15  # [m] from the middle to the outer rotors' centres
+
+
+def neighbour(batch: FlowBatch, place: int, other: int | None, ahead: bool, flip: float) -> list:
+    """Gap, speed, offset, side and size of the next one; of nobody, if there is none."""
+    if other is None:
+        return [8.0, 0.0, 0.0, 0.0, 0.0]
+    own, its = batch.lanes.sensed[place], batch.lanes.sensed[other]
+    rear, front, _, _ = box_of(parcel_of(batch, place), own[:3])
+    its_rear, its_front, _, _ = box_of(parcel_of(batch, other), its[:3])
+    gap = its_rear - front if ahead else rear - its_front
+    exits = batch.settings.exits.exits
+    side = exits[int(batch.flows.exit[0, batch.flows.number[0, other]])].side
+    return [
+        float(np.clip(gap / 0.5, -8.0, 8.0)),
+        (its[3] - own[3]) / 0.5,
+        flip * (its[1] - own[1]) / 0.3,
+        flip * side,
+        (np.ptp(parcel_of(batch, other).base.outline[:, 0]) / 2 - 0.175) / 0.05,
+    ]
+
+
+def row_of(batch: FlowBatch, place: int) -> Array:
+    """What is to be shown of the parcel of a place, from what is sensed."""
+    flows = batch.flows
+    number = int(flows.number[0, place])
+    exit = batch.settings.exits.exits[int(flows.exit[0, number])]
+    flip = -1.0 if exit.side < 0 else 1.0
+    parcel = parcel_of(batch, place)
+    x, y, theta, vx, vy, omega = batch.lanes.sensed[place]
+    rear, _, right, left = box_of(parcel, (x, y, theta))
+    length, width = np.ptp(parcel.base.outline, axis=0)
+    y -= SHORT.line_y
+    inner = right - SHORT.line_y if flip > 0.0 else SHORT.line_y - left
+    start = FIRST_OF_ZONE if exit.side == 0 else max(FIRST_OF_ZONE, exit.first)
+    others = {
+        other: batch.lanes.sensed[other, 0] - x
+        for other in np.nonzero(flows.present[0])[0].tolist()
+        if other != place
+    }
+    ahead = min((o for o in others if others[o] > 0.0), key=lambda o: others[o], default=None)
+    behind = max((o for o in others if others[o] < 0.0), key=lambda o: others[o], default=None)
+    return np.array([
+        flip * y / 0.3, flip * math.sin(theta), math.cos(theta), vx - 1.0, flip * vy / 0.5,
+        flip * omega / 3.0, (length / 2 - 0.175) / 0.05, (inner - ROTORS) / 0.2,
+        math.sin(2 * math.pi * (x - 0.05) / 0.1), math.cos(2 * math.pi * (x - 0.05) / 0.1),
+        math.sin(2 * math.pi * flip * y / 0.1), math.cos(2 * math.pi * y / 0.1),
+        (flows.clock[0] - flows.entered[0, number]) / 4.0, (rear - start) / 0.5, exit.side,
+        1.0, (width / 2 - 0.175) / 0.05,
+        20.0 if exit.side == 0 else float(np.clip((exit.last - x) / 0.5, -20.0, 20.0)),
+        0.0,
+        *neighbour(batch, place, ahead, True, flip),
+        *neighbour(batch, place, behind, False, flip),
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{}, {"sensors": Camera(), "actuators": Actuators(axis_speed=8.0)}],
+    ids=["exact", "camera"],
+)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_rows_say_what_is_sensed(seed: int, settings: dict[str, Any]) -> None:
+    env = bare(actions="parcels", stream=CROWD, duration=3.0, **settings)
+    batch = env._batch
+    rng = np.random.default_rng(seed)
+    seen = both = 0
+    env.reset(seed=seed)
+    for _ in range(74):
+        # Most roll on, so that several are on the line.
+        drawn = rng.integers(0, 4, env.action_space.shape)
+        observation, *_ = env.step(np.where(rng.random(drawn.shape) < 0.8, ROLL, drawn))
+        flows = batch.flows
+        assert observation.shape == (24, len(FEATURES))
+        for place in range(24):
+            if not flows.present[0, place]:
+                assert not observation[place].any()
+                continue
+            np.testing.assert_allclose(observation[place], row_of(batch, place), atol=2e-5)
+            seen += 1
+            both += bool((observation[place, [AHEAD, BEHIND]] < 8.0).all())
+    assert seen > 100
+    assert both > 10
+
+
+def test_the_first_are_those_of_sort() -> None:
+    """What sorts one parcel can sort each of a flow."""
+    own = [feature.name for feature in SORT_FEATURES]
+    assert NAMES[:12] == own[:12]
+    assert NAMES[12] == own[12] == "time"
+    assert NAMES[PRESENT] == "present"
+    assert NAMES[AHEAD] == "gap ahead"
+    assert NAMES[BEHIND] == "gap behind"
+
+
+def test_with_a_gate_the_last_row_waits() -> None:
+    env = bare(stream=DENSE, actions="parcels", gate=True, duration=2.0)
+    batch = env._batch
+    waited = 0
+    for observation, *_ in steps(env, seed=0):
+        assert observation in env.observation_space
+        waits = batch.flows.due[0] > batch.flows.coming[0]
+        assert observation[-1].any() == waits
+        if waits:
+            waited += 1
+            assert observation[-1, PRESENT] == observation[-1, WAITS] == 1.0
+            number = int(batch.flows.coming[0])
+            late = batch.flows.clock[0] - batch.flows.time[0, number]
+            assert observation[-1, 12] == pytest.approx(-late / 4.0, abs=1e-6)
+    assert waited > 10

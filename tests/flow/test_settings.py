@@ -1,0 +1,177 @@
+"""The arguments of a flow, checked once for all its faces."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym import plants
+from surface_gym.actuators import Actuators
+from surface_gym.flow.env import FlowEnv
+from surface_gym.flow.exits import Exit, Exits, chutes, sides
+from surface_gym.flow.features import FEATURES
+from surface_gym.flow.line import flow_line
+from surface_gym.flow.settings import FlowSettings
+from surface_gym.flow.stream import Stream
+from surface_gym.flow.vector_env import FlowVectorEnv
+from surface_gym.randomisation import Randomisation
+from surface_gym.sensors import Camera
+from tests.flow.flows import SHORT, trace
+
+NARROW = sg.Parcel(sg.Rectangle(0.3, 0.08))
+FASTEST_CAMERA = Camera(frame_rate=200.0)
+
+BAD: tuple[tuple[str, Any, str], ...] = (
+    ("stream", None, "stream"),
+    ("stream", 1200.0, "stream"),
+    ("stream", Stream(destinations={"north": 1.0}), "destinations"),
+    ("stream", trace((0.0, "north")), "exit"),
+    ("stream", Stream(parcels=(NARROW,)), "parcels"),
+    ("stream", Stream(parcels=(sg.Parcel(sg.Rectangle(0.3, 2.1)),)), "parcels"),
+    ("stream", Stream(parcels=(sg.Parcel(sg.Rectangle(6.7, 0.3)),)), "parcels"),
+    ("exits", "doors", "exits"),
+    ("exits", (), "exits"),
+    ("exits", ("left",), "exits"),
+    ("exits", None, "exits"),
+    ("actions", "halves", "actions"),
+    ("actions", None, "actions"),
+    ("sensors", "camera", "sensors"),
+    ("sensors", Camera, "sensors"),
+    ("control_period", 0.0, "control_period"),
+    ("control_period", math.nan, "control_period"),
+    ("control_period", "0.04", "control_period"),
+    ("duration", 0.0, "duration"),
+    ("duration", 0.03, "duration"),
+    ("duration", math.inf, "duration"),
+    ("places", 0, "places"),
+    ("places", 257, "places"),
+    ("places", 2.0, "places"),
+    ("places", True, "places"),
+    ("plant", "line", "plant"),
+    ("plant", SHORT.rotor, "plant"),
+    ("tilt", math.radians(15.1), "tilt"),
+    ("tilt", math.radians(-15.1), "tilt"),
+    ("tilt", math.nan, "tilt"),
+    ("tilt", None, "tilt"),
+    ("orientations", "all", "orientations"),
+    ("orientations", (0.0,), "orientations"),
+    ("orientations", (0.0, math.nan), "orientations"),
+    ("actuators", 3.0, "actuators"),
+    ("actuators", Actuators(stuck=((99, 0),)), "stuck"),
+    ("randomisation", 0.1, "randomisation"),
+    ("restitution", -0.1, "restitution"),
+    ("restitution", 1.1, "restitution"),
+    ("restitution", None, "restitution"),
+    ("side_friction", -0.1, "side_friction"),
+    ("side_friction", math.inf, "side_friction"),
+    ("gate", 1, "gate"),
+    ("gate", None, "gate"),
+    ("entry_gap", -0.01, "entry_gap"),
+    ("ahead", -0.1, "ahead"),
+    ("ahead", True, "ahead"),
+    ("patience", 0.0, "patience"),
+)
+
+
+@pytest.mark.parametrize(("name", "value", "named"), BAD)
+def test_bad_arguments_are_named(name: str, value: Any, named: str) -> None:
+    with pytest.raises(ValueError, match=named):
+        FlowSettings(**{name: value})
+
+
+@pytest.mark.parametrize("face", [FlowEnv, FlowVectorEnv])
+def test_every_face_checks_them(face: Any) -> None:
+    for name, value, named in BAD[::6]:
+        with pytest.raises(ValueError, match=named):
+            face(**{name: value})
+    with pytest.raises(ValueError, match="render_mode"):
+        face(render_mode="ansi")
+
+
+class TestTogether:
+    """What is allowed by itself, but not with something else."""
+
+    def test_a_gate_counts_choices(self) -> None:
+        with pytest.raises(ValueError, match="gate"):
+            FlowSettings(gate=True, orientations="any")
+
+    def test_all_parcels_share_the_rotors(self) -> None:
+        """A line as wide as its parcel has other rotors for another one."""
+        FlowSettings(plant=plants.Line())
+        FlowSettings(plant=plants.Field())
+        with pytest.raises(ValueError, match="plant must have the same rotors"):
+            FlowSettings(Stream(parcels=("S", "B")), plant=plants.Line())
+        settings = FlowSettings(plant=plants.Line())
+        with pytest.raises(ValueError, match="plant must have the same rotors"):
+            settings.check_stream(Stream(parcels=("B",)))
+
+    def test_a_parcel_cannot_fall_between_rotors(self) -> None:
+        least = Stream(parcels=(sg.Parcel(sg.Rectangle(0.1, 0.1)),))
+        FlowSettings(least)
+        with pytest.raises(ValueError, match="parcels must be at least a pitch long"):
+            FlowSettings(least, randomisation=Randomisation(size=0.01))
+
+    def test_a_sensor_must_find_its_noise_in_a_control_period(self) -> None:
+        FlowSettings(sensors=FASTEST_CAMERA, control_period=0.31)
+        with pytest.raises(ValueError, match="sensors must use at most"):
+            FlowSettings(sensors=FASTEST_CAMERA, control_period=0.32)
+
+    def test_stuck_modules_are_modules_of_the_plant(self) -> None:
+        FlowSettings(plant=SHORT, actuators=Actuators(stuck=((9, 10),)))
+        with pytest.raises(ValueError, match="stuck"):
+            FlowSettings(plant=SHORT, actuators=Actuators(stuck=((9, 26),)))
+
+
+class TestWhatFollows:
+    def test_presets_are_as_long_as_the_line(self) -> None:
+        assert FlowSettings().exits == chutes(6.0)
+        short = FlowSettings(plant=SHORT, exits="sides")
+        assert [exit.last for exit in short.exits] == pytest.approx([2.0, 2.0, math.inf])
+        own = (Exit("a", 1), Exit("b", -1))
+        assert FlowSettings(exits=own).exits == FlowSettings(exits=Exits(own)).exits == Exits(own)
+        assert sides(6.0).names == FlowSettings(exits="sides").exits.names
+
+    def test_of_a_line_that_begins_elsewhere(self) -> None:
+        pattern = plants.Pattern(rotor=flow_line(2.0).rotor, lead_in=5, origin=(1.05, 3.05))
+        settings = FlowSettings(plant=pattern)
+        assert settings.entry_x == pytest.approx(1.0)
+        assert settings.rotors_end == pytest.approx(3.0)
+
+    def test_bounds_are_those_of_the_features(self) -> None:
+        for gate in (False, True):
+            space = FlowSettings(places=3, gate=gate).observation_space()
+            assert space.dtype == np.float32
+            assert space.shape == (3 + gate, len(FEATURES))
+            for column, feature in enumerate(FEATURES):
+                assert (space.low[:, column] == np.float32(feature.low)).all()
+                assert (space.high[:, column] == np.float32(feature.high)).all()
+        assert len({feature.name for feature in FEATURES}) == len(FEATURES)
+
+    @pytest.mark.parametrize(
+        ("period", "steps", "periods"), [(0.04, 8, 50), (0.005, 1, 400), (0.03, 6, 67)]
+    )
+    def test_timing(self, period: float, steps: int, periods: int) -> None:
+        settings = FlowSettings(control_period=period, duration=2.0)
+        assert settings.timing.steps == steps
+        assert settings.periods == periods
+        assert FlowSettings(control_period=period, gate=True).flow_actions.gates == steps + 1
+
+    @pytest.mark.parametrize(
+        ("length", "rotor_rows", "lead_in", "named"),
+        [
+            (0.5, 4, 5, "length"),
+            (-1.0, 4, 5, "length"),
+            (6.0, 3, 5, "rotor_rows"),
+            (6.0, 14, 5, "rotor_rows"),
+            (6.0, 0, 5, "rotor_rows"),
+            (6.0, 4, -1, "lead_in"),
+            (6.0, 4, 1.0, "lead_in"),
+        ],
+    )
+    def test_bad_lines_are_named(
+        self, length: float, rotor_rows: int, lead_in: Any, named: str
+    ) -> None:
+        with pytest.raises(ValueError, match=named):
+            flow_line(length, rotor_rows, lead_in)

@@ -1,0 +1,223 @@
+"""The native vector environment of flows, beside single ones in Gymnasium's own vector."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+
+from surface_gym.flow.stream import Stream
+from surface_gym.flow.vector_env import FlowVectorEnv
+from surface_gym.randomisation import Randomisation
+from surface_gym.registration import FLOW
+from tests.environments import TWINS, assert_same
+from tests.flow.flows import BRAKE, DENSE, KINDS, ROLL, SHORT, assert_alike, every_kind, trace
+from tests.test_vector_env import run_beside
+from tests.vector_environments import LANES, every_mode, native, singles
+
+LONG = 10_000  # control periods: a flow ends by itself before that
+EPISODE = {"stream": DENSE, "plant": SHORT, "duration": 0.6}  # 15 control periods
+VARIED = KINDS["parcels, camera, all varies"]
+
+
+def flows(lanes: int = LANES, **settings: Any) -> VectorEnv:
+    return native(FLOW, lanes, **{**EPISODE, **settings})
+
+
+def single_flows(mode: AutoresetMode, **settings: Any) -> SyncVectorEnv:
+    return singles(FLOW, mode, LONG, **{**EPISODE, **settings})
+
+
+class TestBesideSingles:
+    @every_mode
+    @every_kind
+    def test_each_lane_is_a_single_env(self, kind: dict[str, Any], mode: AutoresetMode) -> None:
+        one, other = flows(autoreset_mode=mode, **kind), single_flows(mode, **kind)
+        assert run_beside(one, other, mode, 40) >= 2 * LANES
+
+    @every_mode
+    def test_also_with_a_gate(self, mode: AutoresetMode) -> None:
+        settings = {"actions": "parcels", "gate": True}
+        one, other = flows(autoreset_mode=mode, **settings), single_flows(mode, **settings)
+        assert run_beside(one, other, mode, 40) >= 2 * LANES
+
+    @every_mode
+    def test_also_where_jams_end_episodes(self, mode: AutoresetMode) -> None:
+        settings = {"actions": "parcels", "orientations": (0.0, 0.1), "patience": 0.2}
+        settings["duration"] = 3.0
+        one, other = flows(autoreset_mode=mode, **settings), single_flows(mode, **settings)
+        assert run_beside(one, other, mode, 100) >= LANES
+
+    @every_mode
+    def test_a_start_pays_nothing(self, mode: AutoresetMode) -> None:
+        """Also where parcels enter aside of the middle, in the step that begins an episode."""
+        stream = Stream(DENSE.arrivals, destinations={"straight": 1.0})
+        settings = {"stream": stream, "actions": "parcels", "duration": 0.12}
+        settings["randomisation"] = Randomisation(lateral=0.05)
+        one, other = flows(autoreset_mode=mode, **settings), single_flows(mode, **settings)
+        assert run_beside(one, other, mode, 12) >= 2 * LANES
+
+
+def rollout(env: VectorEnv, lanes: slice, periods: int = 40) -> Iterator[tuple[Any, ...]]:
+    """What some of the lanes give, each acting as it would in a smaller batch."""
+    observations, _ = env.reset(seed=3)
+    yield (observations[lanes],)
+    rng = np.random.default_rng(0)
+    for _ in range(periods):
+        actions = rng.integers(0, 4, (64, *env.single_action_space.shape))[: env.num_envs]
+        observations, rewards, terminated, truncated, infos = env.step(actions)
+        yield (
+            observations[lanes],
+            rewards[lanes],
+            terminated[lanes],
+            truncated[lanes],
+            infos["parcels"][lanes],
+            infos["touches"][lanes],
+        )
+
+
+class TestLanes:
+    def test_their_number_does_not_matter(self) -> None:
+        few, many = (flows(lanes, **VARIED) for lanes in (2, 9))
+        for first, second in zip(rollout(few, slice(2)), rollout(many, slice(2)), strict=True):
+            assert_same(first, second)
+
+    @pytest.mark.parametrize("threads", [2, 3])
+    def test_nor_does_that_of_threads(self, threads: int) -> None:
+        one, several = (flows(12, threads=count, **VARIED) for count in (1, threads))
+        assert several._batch._threads == threads
+        for first, second in zip(
+            rollout(one, slice(None)), rollout(several, slice(None)), strict=True
+        ):
+            assert_same(first, second)
+
+    def test_every_lane_takes_its_own_stream(self) -> None:
+        env = flows(actions="parcels")
+        mine = trace((0.0, "left 1"), (0.3, "right 1"), speed=1.1)
+        _, infos = env.reset(seed=0, options=[None, {"stream": mine}, {}])
+        batch = env._batch
+        assert batch.flows.arrivals[1] == 2
+        _, drawn = flows(actions="parcels").reset(seed=0)
+        np.testing.assert_array_equal(infos["parcels"], drawn["parcels"])
+        np.testing.assert_array_equal(batch.lanes.truth[batch.rows, 3], 1.1)
+
+    def test_partial_resets_leave_the_others(self) -> None:
+        env = flows(autoreset_mode="Disabled", **VARIED)
+        twin = flows(autoreset_mode="Disabled", **VARIED)
+        action = np.full(env.action_space.shape, ROLL)
+        for each in (env, twin):
+            each.reset(seed=0)
+            each.step(action)
+        before = env.step(action)[0]
+        twin.step(action)
+        mask = np.array([False, True, False])
+        after, infos = env.reset(options={"reset_mask": mask})
+        np.testing.assert_array_equal(after[~mask], before[~mask])
+        np.testing.assert_array_equal(infos["_time"], mask)
+        found, wanted = env.step(action), twin.step(action)
+        for one, other in zip(found[:4], wanted[:4], strict=True):
+            assert_same(one[~mask], other[~mask])
+
+
+class TestContract:
+    def test_make_vec_gives_the_native_one(self) -> None:
+        env = flows()
+        assert type(env) is FlowVectorEnv
+        assert env.spec is not None
+        assert env.spec.id == FLOW
+
+    @every_kind
+    def test_spaces_are_those_of_single_ones(self, kind: dict[str, Any]) -> None:
+        env = flows(**kind)
+        sync = single_flows(AutoresetMode.NEXT_STEP, **kind)
+        for name in (
+            "single_observation_space", "single_action_space", "observation_space", "action_space",
+        ):  # fmt: skip
+            assert getattr(env, name) == getattr(sync, name)
+        assert env.reset(seed=0)[0] in env.observation_space
+
+    def test_what_it_returns_is_the_users_own(self) -> None:
+        settings = {"actions": "parcels", "autoreset_mode": "SameStep", "duration": 0.12}
+        env, twin = flows(**settings), flows(**settings)
+        action = np.full(env.action_space.shape, ROLL)
+        for each in (env, twin):
+            each.reset(seed=0)
+        for _ in range(9):
+            observations, rewards, terminated, truncated, infos = env.step(action)
+            wanted = twin.step(action)
+            assert_same((observations, rewards), wanted[:2])
+            np.testing.assert_array_equal(infos["parcels"], wanted[4]["parcels"])
+            for array in (observations, rewards, terminated, truncated, *infos.values()):
+                if isinstance(array, np.ndarray):
+                    array[:] = 0
+
+    @pytest.mark.parametrize("twin_of", TWINS)
+    def test_twins_go_on_alike(self, twin_of: Any) -> None:
+        env = flows(autoreset_mode="SameStep", **VARIED)
+        env.reset(seed=0)
+        env.action_space.seed(0)
+        for _ in range(8):
+            env.step(env.action_space.sample())
+        twin = twin_of(env)
+        for _ in range(30):
+            first = env.step(env.action_space.sample())
+            second = twin.step(twin.action_space.sample())
+            assert_alike(first[:4], second[:4])
+
+    def test_a_limit_of_ones_own_truncates(self) -> None:
+        env = flows(actions="parcels", max_episode_steps=4)
+        env.reset(seed=0)
+        action = np.full(env.action_space.shape, ROLL)
+        ends = [env.step(action)[3].all() for _ in range(5)]
+        assert ends == [False, False, False, True, False]
+
+    def test_bad_options_leave_all_lanes(self) -> None:
+        env, twin = flows(actions="parcels"), flows(actions="parcels")
+        action = np.full(env.action_space.shape, BRAKE)
+        for each in (env, twin):
+            each.reset(seed=0)
+            each.step(action)
+        for options, named in (
+            ([{}, {}, {"stream": 3}], "stream"),
+            ([{}, {}, {"stream": Stream(destinations={"north": 1.0})}], "destinations"),
+            ({"velocity": 1.0}, "options"),
+            ([{}, {}], "options"),
+        ):
+            with pytest.raises(ValueError, match=named):
+                env.reset(seed=1, options=options)
+        assert_same(env.step(action)[:4], twin.step(action)[:4])
+        assert_same(env.reset()[0], twin.reset()[0])
+
+    @pytest.mark.parametrize(
+        ("argument", "named"),
+        [
+            ({"num_envs": 0}, "num_envs"),
+            ({"max_episode_steps": 0}, "max_episode_steps"),
+            ({"autoreset_mode": "sometimes"}, "autoreset_mode"),
+            ({"render_mode": "human"}, "render_mode"),
+            ({"threads": 0}, "threads"),
+            ({"places": 0}, "places"),
+        ],
+    )
+    def test_bad_arguments_are_named(self, argument: dict[str, Any], named: str) -> None:
+        with pytest.raises(ValueError, match=named):
+            FlowVectorEnv(**argument)
+
+    def test_steps_before_a_reset_are_refused(self) -> None:
+        env = flows()
+        with pytest.raises(gym.error.ResetNeeded, match="reset"):
+            env.step(env.action_space.sample())
+
+    def test_bodies_do_not_pile_up(self) -> None:
+        """Of parcels drawn anew, each is kept as long as an episode has use for it."""
+        settings = {"autoreset_mode": "SameStep", "randomisation": Randomisation(size=0.05)}
+        env = flows(actions="parcels", **settings)
+        env.reset(seed=0)
+        batch = env._batch
+        action = np.full(env.action_space.shape, ROLL)
+        for period in range(600):
+            env.step(action)
+            assert len(batch._pool._users) == batch.flows.arrivals.sum(), period
+        assert len(batch.sites.body) <= 32
