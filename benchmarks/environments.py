@@ -15,6 +15,9 @@ import numpy as np
 
 from benchmarks.figure import Figure
 from surface_gym import SmartSurfaceVectorEnv
+from surface_gym.flow.arrivals import Steady
+from surface_gym.flow.stream import Stream
+from surface_gym.flow.vector_env import FlowVectorEnv
 from surface_gym.tasks.sort import Sort
 
 LANES = 256
@@ -27,12 +30,15 @@ LEAST_SINGLE = 1.2  # of LunarLander-v3
 LEAST_VECTOR = 4.0  # of EnvPool's LunarLander, one thread each
 LEAST_THREADS = 1.8  # two threads over one
 LEAST_ADAPTER = 0.7  # of the vector env behind it
+LEAST_FLOW = 0.75  # parcels of a flow, over as many lanes of one parcel
 
 # Sort as it comes, and with the smaller parcel alone, which rests on fewer elements.
 TASKS = {"Sort": Sort(), "Sort, S-box alone": Sort(parcels=("S",))}
 ENVPOOL = importlib.util.find_spec("envpool") is not None
 BOX2D = importlib.util.find_spec("Box2D") is not None
 LUNAR = "Gymnasium LunarLander-v3"
+ON_A_LINE = 8  # parcels of a flow
+STREAM_RATE = 7200.0  # [parcels/h] that has so many on 6 m at 1.5 m/s
 LUNARS = f"EnvPool LunarLander, {LANES} lanes"
 
 
@@ -80,6 +86,19 @@ def _vector(task: Sort, lanes: int = LANES, threads: int = 1) -> Contender:
     return Contender(lambda count: env.step(actions[count % 20]) and None, lanes)
 
 
+def _flow() -> Contender:
+    """As many parcels as the vector env has lanes, eight on each line: S and B, all straight on."""
+    lanes = LANES // ON_A_LINE
+    stream = Stream(Steady(STREAM_RATE), parcels=("S", "B"), destinations={"straight": 1.0})
+    env = FlowVectorEnv(lanes, stream, actions="parcels", duration=3600.0)
+    roll = np.full_like(env.action_space.sample(), 3)
+    env.reset(seed=0)
+    for _ in range(200):  # until as many leave as come
+        _, _, _, _, infos = env.step(roll)
+    on_the_line = int((infos["parcels"] >= 0).sum())
+    return Contender(lambda _: env.step(roll) and None, on_the_line)
+
+
 def _adapter(task: Sort) -> Contender:
     """The same behind Stable-Baselines3's interface."""
     from agents.vec_env import SurfaceVecEnv
@@ -118,6 +137,8 @@ def environment_figures() -> list[Figure]:
     contenders[many] = _vector(sort, MANY)
     contenders[f"{many}, two threads"] = _vector(sort, MANY, threads=2)
     contenders[adapter] = _adapter(sort)
+    flow = f"Flow, {ON_A_LINE} parcels on each of {LANES // ON_A_LINE} lines"
+    contenders[flow] = _flow()
     contenders["Gymnasium CartPole-v1"] = _single("CartPole-v1")
     if BOX2D:
         contenders[LUNAR] = _single("LunarLander-v3")
@@ -138,6 +159,7 @@ def environment_figures() -> list[Figure]:
 
     ratio(f"{many}, two threads", many, LEAST_THREADS)
     ratio(adapter, f"Sort, {LANES} lanes", LEAST_ADAPTER)
+    ratio(flow, f"Sort, {LANES} lanes", LEAST_FLOW)
     for name, task in TASKS.items():
         as_it_comes = task == sort
         ratio(f"{name}, single env", LUNAR, LEAST_SINGLE if as_it_comes else None)
