@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from surface_gym.env import SmartSurfaceEnv
-from surface_gym.registration import env_id
-from surface_gym.tasks import TASKS, Task
+from surface_gym.flow.env import FlowEnv
+from surface_gym.flow.features import FEATURES
+from surface_gym.registration import FLOW, env_id
+from surface_gym.tasks import TASKS
+from surface_gym.tasks.task import Feature
 
 
 def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
@@ -17,10 +20,10 @@ def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def _observation_table(task: Task) -> str:
+def _feature_table(features: Iterable[Feature]) -> str:
     rows = (
         (str(place), feature.name, feature.meaning, f"{feature.low:g}", f"{feature.high:g}")
-        for place, feature in enumerate(task.features)
+        for place, feature in enumerate(features)
     )
     return _table(("place", "feature", "meaning / unit", "least", "most"), rows)
 
@@ -49,7 +52,7 @@ def page(name: str) -> str:
                 f"# {env_id(name)}",
                 inspect.cleandoc(task_class.__doc__ or ""),
                 "## Observation",
-                _observation_table(task),
+                _feature_table(task.features),
                 'With `actions="window"` 25 more follow: the occupancy of the window.',
                 "## Reward terms",
                 ", ".join(f"`{term}`" for term in task.terms)
@@ -71,12 +74,34 @@ def environment_page() -> str:
     """The Markdown page of what all environments share."""
     listed = "\n".join(f"- [{env_id(name)}]({name}.md)" for name in TASKS)
     body = inspect.cleandoc(SmartSurfaceEnv.__doc__ or "")
-    return f"# SmartSurfaceEnv\n\n{body}\n\n## Tasks\n\n{listed}\n"
+    many = f"Many parcels at once: [{FLOW}](flow.md)."
+    return f"# SmartSurfaceEnv\n\n{body}\n\n## Tasks\n\n{listed}\n\n{many}\n"
+
+
+def flow_page() -> str:
+    """The Markdown page of the environment of many parcels."""
+    return (
+        "\n\n".join(
+            (
+                f"# {FLOW}",
+                inspect.cleandoc(FlowEnv.__doc__ or ""),
+                "## Features of a row",
+                _feature_table(FEATURES),
+                "Streams, exits, the physics of parcels that touch, and controllers: "
+                "[a flow of parcels](../flow.md).",
+            )
+        )
+        + "\n"
+    )
 
 
 def pages() -> dict[str, str]:
     """Every page by its file's name."""
-    return {"environment.md": environment_page(), **{f"{name}.md": page(name) for name in TASKS}}
+    return {
+        "environment.md": environment_page(),
+        **{f"{name}.md": page(name) for name in TASKS},
+        "flow.md": flow_page(),
+    }
 
 
 def main(arguments: list[str] | None = None) -> None:

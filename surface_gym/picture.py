@@ -44,7 +44,7 @@ def scene_of(
     return Scene(
         axis=batch.axes(lane),
         rotor=view.rotor,
-        outline=_outline(view),
+        outline=outline_of(view),
         pose=tuple(truth[:3].tolist()),
         pitch=plant.pitch,
         origin=plant.origin,
@@ -62,7 +62,7 @@ def _gravity(batch: Batch, lane: int) -> float:
     return float(np.hypot(*batch.surfaces.conditions[lane, 3:5]))
 
 
-def _outline(lane: Lane) -> NDArray[np.float64]:
+def outline_of(lane: Lane) -> NDArray[np.float64]:
     """(points, 2) [m] perimeter of the base from its centroid."""
     corners = lane.corners
     if np.abs(corners).max() > 0.0:

@@ -8,8 +8,6 @@ import numpy as np
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
-from surface_gym.actions.commands import Acting
-from surface_gym.batch.functions import actuation_of, sensor_functions_of
 from surface_gym.batch.kernels import Rules
 from surface_gym.batch.making import surfaces_of
 from surface_gym.batch.noise import draw_noise
@@ -20,11 +18,15 @@ from surface_gym.dynamics.compiled import entry_of
 from surface_gym.dynamics.states import states_of
 from surface_gym.dynamics.types import GRAVITY, Array, Integers
 from surface_gym.flow.arrivals import Arrivals
-from surface_gym.flow.features import FEATURES
-from surface_gym.flow.kernel import FlowFunctions, make_flow_kernel
+from surface_gym.flow.kernel import make_flow_kernel
+from surface_gym.flow.making import (
+    flow_rules_of,
+    functions_of,
+    rear_of,
+    rules_of,
+    sizes_of,
+)
 from surface_gym.flow.memory import (
-    GOALS,
-    MEMORIES,
     NEVER,
     NOBODY,
     ON_ITS_WAY,
@@ -34,9 +36,8 @@ from surface_gym.flow.memory import (
     make_flows,
     with_room,
 )
-from surface_gym.flow.obeying import part_of_module, part_of_owner, told_angle, told_choice
 from surface_gym.flow.pool import BodyPool
-from surface_gym.flow.rewards import PARCEL_TERMS, TERMS
+from surface_gym.flow.rewards import TERMS
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.flow.stream import Stream
 from surface_gym.lanes.lane import Lane, lane_of
@@ -48,7 +49,6 @@ from surface_gym.lanes.memory import (
     RUNNING,
     Lanes,
     Sites,
-    Sizes,
     Surfaces,
     make_lanes,
 )
@@ -78,9 +78,9 @@ class FlowBatch:
         self.places = settings.places
         self.rows = settings.rows  # of each surface in the parcels' memory
         self._draws = settings.draws
-        self.rules = _rules_of(settings)
-        self.flow_rules = _flow_rules_of(settings)
-        sizes = _sizes_of(settings, lanes)
+        self.rules = rules_of(settings)
+        self.flow_rules = flow_rules_of(settings)
+        sizes = sizes_of(settings, lanes)
         self.surfaces: Surfaces = surfaces_of(settings, sizes)
         self.surfaces.conditions[:, :3] = 1.0
         self.surfaces.conditions[:, GRAVITY_NORMAL] = GRAVITY * math.cos(settings.tilt)
@@ -184,7 +184,7 @@ class FlowBatch:
 
     def _compile(self) -> Callable[..., int]:
         settings = self.settings
-        kernel = make_flow_kernel(_functions_of(settings))
+        kernel = make_flow_kernel(functions_of(settings))
         try:
             return entry_of(kernel, *self._arrays, *self._workers.scratches, self._all)
         except NumbaError as error:
@@ -255,7 +255,7 @@ class FlowBatch:
             turned = np.array([turned for _, _, turned in drawn])
             site = np.array([self._pool.take(parcel) for parcel in parcels], dtype=np.int64)
             self._rows[lane] = site.tolist()
-            rear = np.array([_rear(parcel, theta) for parcel, _, theta in drawn])
+            rear = np.array([rear_of(parcel, theta) for parcel, _, theta in drawn])
             centre = np.array([parcel.centre_of_mass for parcel in parcels]).reshape(-1, 2)
         else:
             rows = [self._pool.take(kind) for kind in arrivals.kinds]
@@ -294,77 +294,3 @@ class _Scratch:
 
     def __call__(self) -> Any:
         return make_together_scratch(self._places)
-
-
-def _rear(parcel: Parcel, theta: float) -> float:
-    """[m] from the rearmost point of the base, turned by theta, to its frame's origin."""
-    outline = parcel.base.outline
-    return -float((math.cos(theta) * outline[:, 0] - math.sin(theta) * outline[:, 1]).min())
-
-
-def _functions_of(settings: FlowSettings) -> FlowFunctions:
-    kind = settings.action_kind
-    begin, look, estimate = sensor_functions_of(settings.sensors)
-    return FlowFunctions(
-        label=f"Flow-{type(settings.sensors).__name__}-{settings.actions}",
-        begin_sensor=begin,
-        look=look,
-        estimate=estimate,
-        watches=settings.sensors.watches,
-        part_of=part_of_module if settings.actions == "modules" else part_of_owner,
-        told=told_angle if kind.continuous else told_choice,
-        actuation=actuation_of(kind.continuous, settings.actuators.axis_speed != math.inf),
-    )
-
-
-def _rules_of(settings: FlowSettings) -> Rules:
-    plant, timing, kind = settings.chosen_plant, settings.timing, settings.action_kind
-    turn = settings.actuators.axis_speed * timing.dt
-    return Rules(
-        elements=plant.geometry,
-        timing=timing,
-        acting=Acting(kind.rows, np.array(settings.chosen_orientations), turn),
-        friction=plant.friction.copy(),
-        assumed=settings.sensors.friction(plant).copy(),
-        stiffness=np.ones((plant.rows, plant.columns)),
-        sensor=np.array(settings.sensors.numbers(timing.dt), dtype=np.float64),
-        features=len(FEATURES),
-        axes_from=len(FEATURES),
-        outcomes=len(OUTCOMES),
-    )
-
-
-def _flow_rules_of(settings: FlowSettings) -> FlowRules:
-    return FlowRules(
-        exits=np.array(settings.exits.table),
-        entry_x=settings.entry_x,
-        entry_gap=settings.entry_gap,
-        rotors_end=settings.rotors_end,
-        ahead=settings.ahead,
-        duration=settings.duration,
-        patience=settings.patience,
-        gated=settings.gate,
-        sides=settings.sides,
-    )
-
-
-def _sizes_of(settings: FlowSettings, lanes: int) -> Sizes:
-    plant, kind = settings.chosen_plant, settings.action_kind
-    return Sizes(
-        lanes=lanes,
-        places=settings.rows,
-        rows=plant.rows,
-        columns=plant.columns,
-        command=settings.flow_actions.size,
-        choices=kind.choices,
-        observation=len(FEATURES),
-        terms=len(PARCEL_TERMS),
-        goals=GOALS,
-        memories=MEMORIES,
-        figures=0,
-        kept=settings.sensors.kept,
-        path=False,
-        noise=settings.draws > 0,
-        turning=settings.actuators.axis_speed != math.inf,
-        stiffness=settings.randomisation.stiffness > 0.0,
-    )

@@ -21,8 +21,6 @@ from surface_gym.flow.leaving import exit_taken, leave
 from surface_gym.flow.memory import (
     JAM,
     NOBODY,
-    TOUCHED,
-    TOUCHES,
     TURNS,
     FlowRules,
     Flows,
@@ -30,6 +28,7 @@ from surface_gym.flow.memory import (
 from surface_gym.flow.obeying import is_turn
 from surface_gym.flow.rewards import JAM_REWARD, JAMMED, WAITING, WAITING_REWARD, reward_parcel
 from surface_gym.flow.seeing import show_parcels
+from surface_gym.flow.touches import APART, note_touches
 from surface_gym.lanes.lane import is_slower, lane_of, read_truth
 from surface_gym.lanes.memory import (
     BAD_OBSERVATION,
@@ -49,8 +48,6 @@ from surface_gym.lanes.views import grid_of
 from surface_gym.layouts import ROLLING
 from surface_gym.sensors.sensor import Physics
 from surface_gym.tasks.line import STALL_SPEED
-
-APART = 0.2  # [s] two that have not touched for so long begin anew
 
 
 class FlowFunctions(NamedTuple):
@@ -111,23 +108,6 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
                     flows.tally[i, TURNS] += 1
                 flows.told[i, row, column] = angle
                 obey(rules.acting, surfaces, i, row, column, part)
-
-    @inlined
-    def note_touches(
-        lanes: Lanes, flows: Flows, scratch: TogetherScratch, i: int, pairs: int, apart: int
-    ) -> None:
-        """Count who begins to touch whom."""
-        rows = flows.number.shape[1]
-        for k in range(pairs):
-            a, b = scratch.pair[k, 0], scratch.pair[k, 1]
-            if flows.steps[i] - flows.touched_at[i, a, b] > apart:
-                flows.tally[i, TOUCHES] += 1
-                flows.touches[i, flows.number[i, a]] += 1
-                flows.touches[i, flows.number[i, b]] += 1
-                lanes.memory[i * rows + a, TOUCHED] += 1.0
-                lanes.memory[i * rows + b, TOUCHED] += 1.0
-            flows.touched_at[i, a, b] = flows.steps[i]
-            flows.touched_at[i, b, a] = flows.steps[i]
 
     def move_flows(
         rules: Rules,

@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.dynamics.types import RADIUS, VX
+from surface_gym.dynamics.types import VX
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.exits import Exit
 from surface_gym.flow.memory import BETWEEN, NOBODY, TOUCHES, WRONG
 from surface_gym.flow.settings import FlowSettings
-from surface_gym.lanes.lane import Lane
 from surface_gym.lanes.memory import RUNNING
+from surface_gym.picture import outline_of
 from surface_gym.rendering import ExitMark, FlowPainter, FlowParcel, FlowScene
 
 Numbers = NDArray[np.float64]
@@ -24,7 +24,6 @@ FLASH = 0.1  # [s] for which a touch is shown
 RATE_OVER = 30.0  # [s] of the past whose parcels make the rate
 SOONEST_RATE = 5.0  # [s] of the past without which there is none
 APART = 1e-9  # [m, rad] beyond which a sensed pose is another than the true one
-_DISC = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +127,7 @@ class Album:
         number = int(batch.flows.number[lane, place])
         asked = int(batch.flows.exit[lane, number])
         return FlowParcel(
-            outline=_outline(view),
+            outline=outline_of(view),
             pose=tuple(truth.tolist()),
             exit=asked,
             trail=np.array(self._trails.get(number, [])).reshape(-1, 2),
@@ -202,13 +201,3 @@ def _latest(points: list[Numbers]) -> list[Numbers]:
     steps = np.hypot(*np.diff(points, axis=0).T)
     back = np.cumsum(steps[::-1])  # from the latest to each before it
     return points[-1 - int(np.searchsorted(back, TRAIL, side="right")) :]
-
-
-def _outline(lane: Lane) -> Numbers:
-    """(points, 2) [m] perimeter of the base from its centroid."""
-    corners = lane.corners
-    if np.abs(corners).max() > 0.0:
-        keep = np.ones(len(corners), dtype=bool)
-        keep[1:] = (corners[1:] != corners[0]).any(axis=1)
-        return corners[keep]
-    return lane.body[RADIUS] * np.stack([np.cos(_DISC), np.sin(_DISC)], axis=-1)

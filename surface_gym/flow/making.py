@@ -1,0 +1,95 @@
+"""What a batch of flows is made with: its functions, its rules and the sizes of its memory."""
+
+import math
+
+import numpy as np
+
+from surface_gym.actions.commands import Acting
+from surface_gym.batch.functions import actuation_of, sensor_functions_of
+from surface_gym.batch.kernels import Rules
+from surface_gym.flow.features import FEATURES
+from surface_gym.flow.kernel import FlowFunctions
+from surface_gym.flow.memory import GOALS, MEMORIES, OUTCOMES, FlowRules
+from surface_gym.flow.obeying import part_of_module, part_of_owner, told_angle, told_choice
+from surface_gym.flow.rewards import PARCEL_TERMS
+from surface_gym.flow.settings import FlowSettings
+from surface_gym.lanes.memory import Sizes
+from surface_gym.parcel import Parcel
+
+
+def rear_of(parcel: Parcel, theta: float) -> float:
+    """[m] from the rearmost point of the base, turned by theta, to its frame's origin."""
+    outline = parcel.base.outline
+    return -float((math.cos(theta) * outline[:, 0] - math.sin(theta) * outline[:, 1]).min())
+
+
+def functions_of(settings: FlowSettings) -> FlowFunctions:
+    """What the kernel of an environment is built from."""
+    kind = settings.action_kind
+    begin, look, estimate = sensor_functions_of(settings.sensors)
+    return FlowFunctions(
+        label=f"Flow-{type(settings.sensors).__name__}-{settings.actions}",
+        begin_sensor=begin,
+        look=look,
+        estimate=estimate,
+        watches=settings.sensors.watches,
+        part_of=part_of_module if settings.actions == "modules" else part_of_owner,
+        told=told_angle if kind.continuous else told_choice,
+        actuation=actuation_of(kind.continuous, settings.actuators.axis_speed != math.inf),
+    )
+
+
+def rules_of(settings: FlowSettings) -> Rules:
+    """Those of its surfaces."""
+    plant, timing, kind = settings.chosen_plant, settings.timing, settings.action_kind
+    turn = settings.actuators.axis_speed * timing.dt
+    return Rules(
+        elements=plant.geometry,
+        timing=timing,
+        acting=Acting(kind.rows, np.array(settings.chosen_orientations), turn),
+        friction=plant.friction.copy(),
+        assumed=settings.sensors.friction(plant).copy(),
+        stiffness=np.ones((plant.rows, plant.columns)),
+        sensor=np.array(settings.sensors.numbers(timing.dt), dtype=np.float64),
+        features=len(FEATURES),
+        axes_from=len(FEATURES),
+        outcomes=len(OUTCOMES),
+    )
+
+
+def flow_rules_of(settings: FlowSettings) -> FlowRules:
+    """Those of its flows."""
+    return FlowRules(
+        exits=np.array(settings.exits.table),
+        entry_x=settings.entry_x,
+        entry_gap=settings.entry_gap,
+        rotors_end=settings.rotors_end,
+        ahead=settings.ahead,
+        duration=settings.duration,
+        patience=settings.patience,
+        gated=settings.gate,
+        sides=settings.sides,
+    )
+
+
+def sizes_of(settings: FlowSettings, lanes: int) -> Sizes:
+    """Of the memory of so many surfaces and their parcels."""
+    plant, kind = settings.chosen_plant, settings.action_kind
+    return Sizes(
+        lanes=lanes,
+        places=settings.rows,
+        rows=plant.rows,
+        columns=plant.columns,
+        command=settings.flow_actions.size,
+        choices=kind.choices,
+        observation=len(FEATURES),
+        terms=len(PARCEL_TERMS),
+        goals=GOALS,
+        memories=MEMORIES,
+        figures=0,
+        kept=settings.sensors.kept,
+        path=False,
+        noise=settings.draws > 0,
+        turning=settings.actuators.axis_speed != math.inf,
+        stiffness=settings.randomisation.stiffness > 0.0,
+    )

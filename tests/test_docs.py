@@ -1,0 +1,52 @@
+"""The code in README.md and docs/ runs, and prints what the page says."""
+
+import contextlib
+import io
+import re
+from pathlib import Path
+
+import pytest
+
+from surface_gym import pages
+from surface_gym.flow.features import FEATURES
+from surface_gym.flow.rewards import TERMS
+from surface_gym.flow.settings import FlowSettings
+
+ROOT = Path(__file__).parent.parent
+PAGES = ("README.md", "docs/agents.md", "docs/flow.md")
+NEEDS = {"docs/flow.md": ("pettingzoo", "multi")}  # a package and the extra that has it
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def blocks_of(page: str) -> list[tuple[str, str]]:
+    """The language and the text of each block of code."""
+    return BLOCK.findall((ROOT / page).read_text())
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_code_of_a_page_runs(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One block after the other; a text block shows what the code before it prints."""
+    if page in NEEDS:
+        package, extra = NEEDS[page]
+        pytest.importorskip(package, reason=f"{package}, of the extra `{extra}`, is missing")
+    monkeypatch.chdir(tmp_path)
+    names, printed = {"__name__": "__main__"}, ""
+    blocks = blocks_of(page)
+    for language, text in blocks:
+        if language == "python":
+            with contextlib.redirect_stdout(io.StringIO()) as out:
+                exec(compile(text, page, "exec"), names)
+            printed = out.getvalue()
+        elif language == "text":
+            assert text == printed
+    assert "python" in dict(blocks)
+
+
+def test_the_page_of_a_flow_lists_every_feature_term_and_argument() -> None:
+    page = pages.flow_page()
+    for feature in FEATURES:
+        assert f"| {feature.name} |" in page
+    for word in (*TERMS, *FlowSettings.__dataclass_fields__):
+        assert f"| `{word}` |" in page
