@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from surface_gym import checks
 
 if TYPE_CHECKING:
+    from agents.flow.policy import FlowPolicy
     from agents.modules.policy import ModulesPolicy
     from agents.policies.policy import Policy
     from surface_gym.tasks import Task
@@ -28,7 +29,7 @@ def seeds(name: str) -> tuple[int, ...]:
     return tuple(sorted(int(each.name.removeprefix("seed-")) for each in folder.glob("seed-*")))
 
 
-def load(name: str, seed: int | None = None) -> "Policy | ModulesPolicy":
+def load(name: str, seed: int | None = None) -> "Policy | ModulesPolicy | FlowPolicy":
     """A trained policy: `predict`, `env_id` and `env_kwargs`. No code in its files is run.
 
     Args:
@@ -43,7 +44,7 @@ def load(name: str, seed: int | None = None) -> "Policy | ModulesPolicy":
     return read(SHELF / name / f"seed-{chosen}")
 
 
-def read(folder: str | Path, task: "Task | None" = None) -> "Policy | ModulesPolicy":
+def read(folder: str | Path, task: "Task | None" = None) -> "Policy | ModulesPolicy | FlowPolicy":
     """The policy that a run left in a folder, whatever learned it. No code in its files is run.
 
     Args:

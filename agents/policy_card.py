@@ -4,13 +4,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from surface_gym import checks
-from surface_gym.registration import env_id
+from surface_gym.registration import FLOW, env_id
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS, Task
 
 CARD = "policy.yaml"  # the file that holds it
-ALGOS = ("ppo", "dqn", "modules")
-_NAMES = {env_id(name): name for name in TASKS}
+ALGOS = ("ppo", "dqn", "modules", "parcels")
+FLOW_TASK = "flow"
+_NAMES = {**{env_id(name): name for name in TASKS}, FLOW: FLOW_TASK}
 OWN = "Own/"  # before the class of a task of one's own, in place of an id
 
 
@@ -23,7 +24,7 @@ class PolicyCard:
     """
 
     env_id: str  # of the package, or "Own/Class" for a task of one's own
-    algo: str  # "ppo", "dqn" or "modules"
+    algo: str  # "ppo", "dqn", "modules" or "parcels"
     actions: str  # kind of action
     control_period: float  # [s]
     hidden: tuple[int, ...]  # units of the hidden layers
@@ -40,11 +41,16 @@ class PolicyCard:
         if self.algo == "modules":
             checks.one_of("env_id", self.env_id, (env_id("sort"),))
             checks.one_of("actions", self.actions, ("modules",))
+        if (self.algo == "parcels") != (self.env_id == FLOW):
+            raise ValueError(f"algo must be 'parcels' for {FLOW} alone, got {self.algo!r}")
+        if self.algo == "parcels":
+            checks.one_of("actions", self.actions, ("parcels",))
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
         """Arguments of the environment the policy was trained on."""
-        return {"actions": self.actions, "control_period": self.control_period}
+        gate = {"gate": True} if self.algo == "parcels" else {}
+        return {"actions": self.actions, "control_period": self.control_period, **gate}
 
     @property
     def task(self) -> str:
@@ -60,6 +66,8 @@ class PolicyCard:
         Raises:
             ValueError: it was trained on another task. A card says which, and runs no code for it.
         """
+        if self.task == FLOW_TASK:
+            raise ValueError(f"env_id must be that of one parcel a lane, got {self.env_id!r}")
         own = self.env_id.startswith(OWN)
         if own and type(task).__name__ != self.task:
             raise ValueError(

@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from agents.policy_card import OWN
-from surface_gym.registration import env_id
+from agents.policy_card import FLOW_TASK, OWN
+from surface_gym.registration import FLOW, env_id
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS, Task
 
@@ -45,6 +45,8 @@ def label_of(name: str) -> str:
 
 def id_of(name: str) -> str:
     """What a policy's card calls the environment of a task: its id, or "Own/Class"."""
+    if name == FLOW_TASK:
+        return FLOW
     return env_id(name) if name in TASKS else OWN + name.rpartition(":")[2]
 
 

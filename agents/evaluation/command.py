@@ -17,20 +17,28 @@ from agents.evaluation.contenders import (
 )
 from agents.evaluation.report import compare_run, write_report
 from agents.evaluation.table import Summaries
-from agents.evaluation.work import FILE, compute_cells
+from agents.evaluation.work import FILE, Advance, compute_cells
+from agents.flow import study
+from agents.flow.contenders import contenders as flow_contenders
+from agents.flow.report import FlowReport, write_flow_report
 from agents.tasks import find_task
 from surface_gym import checks
 from surface_gym.tasks import TASKS
 
+FLOW = "flow"
+COMPARED = (FLOW, *TASKS)
+
 
 @dataclass(frozen=True)
 class EvaluateConfig:
-    """Compare fixed layouts, rules, a planner and the shipped agents on every task."""
+    """Compare fixed layouts, rules, a planner and the shipped agents on every task, and on streams
+    of parcels.
+    """
 
     out: Path = Path("runs/evaluation")
     """Folder for tables, plots, films and report.html."""
-    tasks: tuple[str, ...] = tuple(TASKS)
-    """Of which to compare."""
+    tasks: tuple[str, ...] = COMPARED
+    """Of which to compare; "flow" is of streams of parcels."""
     task: str | None = None
     """Compare on this one task, the package's or one's own as path/to/file.py:Class, and the latest
     policies of its runs."""
@@ -46,7 +54,7 @@ class EvaluateConfig:
 
     def __post_init__(self) -> None:
         for task in self.tasks:
-            checks.one_of("tasks", task, TASKS)
+            checks.one_of("tasks", task, COMPARED)
         if self.task is not None:
             find_task(self.task)
         if not self.tasks:
@@ -65,7 +73,8 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
         return
     config.out.mkdir(parents=True, exist_ok=True)
     if not config.resume:
-        (config.out / FILE).unlink(missing_ok=True)
+        for kept in (FILE, study.FILE):
+            (config.out / kept).unlink(missing_ok=True)
     chosen = _chosen(config)
     columns = (
         TextColumn("{task.description}"),
@@ -79,17 +88,35 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
         def advance(done: int, total: int, latest: str) -> None:
             progress.update(bar, completed=done, total=total, description=latest)
 
+        flow = _flow(config, console, advance) if _has_flow(config) else None
         cells = compute_cells(chosen, config.workers, config.out, advance)
         progress.update(bar, description="drawing")
         write_report(
-            chosen, cells, config.out, console, lambda part: progress.update(bar, description=part)
+            chosen,
+            cells,
+            config.out,
+            console,
+            lambda part: progress.update(bar, description=part),
+            flow,
         )
     console.print(f"everything is in {config.out}; open {config.out / 'report.html'}")
 
 
+def _has_flow(config: EvaluateConfig) -> bool:
+    return config.task is None and FLOW in config.tasks
+
+
+def _flow(config: EvaluateConfig, console: Console, advance: Advance) -> FlowReport:
+    """Compare on streams of parcels."""
+    chosen = flow_contenders()
+    cells = study.compute_flows(chosen, config.workers, config.out, advance)
+    return write_flow_report(chosen, cells, config.out, console)
+
+
 def _chosen(config: EvaluateConfig) -> list[Contender]:
     if config.task is None:
-        return [contender for task in config.tasks for contender in contenders(task)]
+        tasks = [task for task in config.tasks if task != FLOW]
+        return [contender for task in tasks for contender in contenders(task)]
     known = contenders(config.task)
     names = {contender.name for contender in known}
     found = [each for each in of_runs(config.task, config.runs) if each.name not in names]

@@ -24,6 +24,7 @@ from agents.evaluation.table import (
 from agents.evaluation.trajectories import draw_trajectories
 from agents.evaluation.trials import make_trial
 from agents.evaluation.work import compute_cells
+from agents.flow.report import FlowReport
 from agents.tasks import kind_of, label_of
 
 Pictures = list[tuple[Path, str]]
@@ -35,6 +36,7 @@ def write_report(
     folder: Path,
     console: Console,
     advance: Callable[[str], None] = lambda _: None,
+    flow: FlowReport | None = None,
 ) -> None:
     """Write everything of a comparison into a folder, and show its tables.
 
@@ -44,6 +46,7 @@ def write_report(
         folder: to write into.
         console: to show on.
         advance: called with what is drawn next.
+        flow: the comparison on streams of parcels, which comes first; None: there is none.
     """
     summaries = summarise(cells)
     names = list(dict.fromkeys(contender.task for contender in contenders))
@@ -59,8 +62,12 @@ def write_report(
             shown.append(_by_speed(name, summaries))
     for table in shown:
         print_table(table, console)
-    write_tables([make_trial(name) for name in names], shown, summaries, folder)
+    if names:
+        write_tables([make_trial(name) for name in names], shown, summaries, folder)
     columns = {label_of(name): columns_of(name) for name in names}
+    if flow is not None:
+        shown = [*flow.tables, *shown]
+        pictures = {flow.tables[0].task: list(flow.pictures), **pictures}
     write_page(shown, pictures, columns, folder / "report.html")
 
 

@@ -1,16 +1,36 @@
 """The cells of a comparison, shared among processes; what is computed is kept."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any, Protocol, TypeVar
 
 from agents.evaluation.cell import Cell, compute
 from agents.evaluation.conditions import CONDITIONS
 from agents.evaluation.contenders import Contender
 
 FILE = "cells.jsonl"
+
+Key = tuple[Any, ...]
+Advance = Callable[[int, int, str], None]
+
+
+class Kept(Protocol):
+    """What a comparison computes and keeps in a file."""
+
+    @property
+    def key(self) -> Key:
+        """What it is of; the first three say so to a reader."""
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON takes it."""
+
+
+AnyKept = TypeVar("AnyKept", bound=Kept)
+AnyKey = TypeVar("AnyKey", bound=Key)
 
 
 def orders(contenders: Sequence[Contender]) -> list[tuple[Contender, int, str]]:
@@ -25,11 +45,45 @@ def orders(contenders: Sequence[Contender]) -> list[tuple[Contender, int, str]]:
     return sorted(found, key=lambda order: order[0].starts is None)
 
 
+def compute_kept(
+    jobs: Mapping[AnyKey, Callable[[], AnyKept]],
+    make: Callable[..., AnyKept],
+    workers: int,
+    file: Path | None,
+    advance: Advance,
+) -> dict[AnyKey, AnyKept]:
+    """Compute what is not kept yet.
+
+    Args:
+        jobs: to do, by the key of what each gives, which do not depend on each other.
+        make: one from what its `plain` gave.
+        workers: processes to share the work among.
+        file: where they are kept, a line each; those found there are not computed again.
+        advance: called with how many are done, how many there are and the name of the latest.
+
+    Returns:
+        All of them by key, in the order of the jobs.
+    """
+    found: dict[Key, AnyKept] = {}
+    if file is not None:
+        found = {each.key: each for each in read_kept(file, make)}
+        # A line that was broken off must not spoil the next.
+        file.write_text("".join(map(_line, found.values())))
+    left = [job for key, job in jobs.items() if key not in found]
+    for done, each in enumerate(_computed(left, workers), len(jobs) - len(left) + 1):
+        found[each.key] = each
+        if file is not None:
+            with file.open("a") as kept:
+                kept.write(_line(each))
+        advance(done, len(jobs), ", ".join(map(str, each.key[:3])))
+    return {key: found[key] for key in jobs}
+
+
 def compute_cells(
     contenders: Sequence[Contender],
     workers: int,
     folder: Path | None = None,
-    advance: Callable[[int, int, str], None] = lambda *_: None,
+    advance: Advance = lambda *_: None,
 ) -> list[Cell]:
     """Compute the cells of all contenders, in an order that does not depend on the processes.
 
@@ -39,53 +93,51 @@ def compute_cells(
         folder: cells are kept in its cells.jsonl, and those found there are not computed again.
         advance: called with cells done, cells in all and the name of the latest.
     """
-    todo = orders(contenders)
-    wanted = [(who.task, who.name, condition, seed) for who, seed, condition in todo]
-    found = {}
-    if folder is not None:
-        found = {cell.key: cell for cell in read_cells(folder)}
-        # A line that was broken off must not spoil the next.
-        (folder / FILE).write_text("".join(map(_line, found.values())))
-    left = [order for order, key in zip(todo, wanted, strict=True) if key not in found]
-    for done, cell in enumerate(_computed(left, workers), len(todo) - len(left) + 1):
-        found[cell.key] = cell
-        if folder is not None:
-            with (folder / FILE).open("a") as file:
-                file.write(_line(cell))
-        advance(done, len(todo), f"{cell.task}, {cell.contender}, {cell.condition}")
+    jobs = {
+        (who.task, who.name, condition, seed): partial(compute, who, seed, condition)
+        for who, seed, condition in orders(contenders)
+    }
+    file = None if folder is None else folder / FILE
+    found = compute_kept(jobs, Cell, workers, file, advance)
     order = {(who.task, who.name): k for k, who in enumerate(contenders)}
     places = {condition.name: k for k, condition in enumerate(CONDITIONS)}
     return sorted(
-        (found[key] for key in wanted),
+        found.values(),
         key=lambda cell: (order[cell.key[:2]], places[cell.condition], cell.seed),
     )
 
 
 def read_cells(folder: Path) -> list[Cell]:
-    """The cells kept in a folder, a last line left out that was broken off."""
-    file = folder / FILE
+    """The cells kept in a folder."""
+    return read_kept(folder / FILE, Cell)
+
+
+def read_kept(file: Path, make: Callable[..., AnyKept]) -> list[AnyKept]:
+    """What is kept in a file, a last line left out that was broken off; nothing where there is no
+    file.
+    """
     if not file.is_file():
         return []
-    cells = []
+    found = []
     for line in file.read_text().splitlines():
         try:
-            cells.append(Cell(**json.loads(line)))
-        except (json.JSONDecodeError, TypeError):
+            found.append(make(**json.loads(line)))
+        except (json.JSONDecodeError, TypeError, KeyError):
             continue
-    return cells
+    return found
 
 
-def _line(cell: Cell) -> str:
-    return json.dumps(cell.plain()) + "\n"
+def _line(each: Kept) -> str:
+    return json.dumps(each.plain()) + "\n"
 
 
-def _computed(left: Sequence[tuple[Contender, int, str]], workers: int) -> Iterator[Cell]:
-    """Cells as they are done."""
+def _computed(left: Sequence[Callable[[], AnyKept]], workers: int) -> Iterator[AnyKept]:
+    """What jobs give, as they are done."""
     if min(workers, len(left)) <= 1:
-        yield from (compute(*order) for order in left)
+        yield from (job() for job in left)
         return
     with ProcessPoolExecutor(min(workers, len(left)), get_context("spawn")) as pool:
-        waiting = [pool.submit(compute, *order) for order in left]
+        waiting = [pool.submit(job) for job in left]
         try:
             yield from (future.result() for future in as_completed(waiting))
         finally:

@@ -10,6 +10,7 @@ import tyro
 from agents.learning.config import CONFIGS, TrainConfig
 from agents.learning.folder import make_folder, open_folder
 from agents.learning.hyperparams import defaults
+from agents.policy_card import FLOW_TASK
 
 RESUME = (
     "--resume DIR, alone, goes on with a run that was broken off, from its last checkpoint; "
@@ -27,7 +28,7 @@ def open_run(arguments: list[str]) -> tuple[TrainConfig, Path]:
     """
     first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     first.add_argument("--task")
-    first.add_argument("--algo", default="ppo")
+    first.add_argument("--algo")
     first.add_argument("--resume", type=Path)
     chosen, _ = first.parse_known_args(arguments)
     if chosen.resume is not None:
@@ -35,7 +36,8 @@ def open_run(arguments: list[str]) -> tuple[TrainConfig, Path]:
             raise ValueError(f"--resume must stand alone, got {' '.join(arguments)}")
         return open_folder(chosen.resume, chosen.task), chosen.resume
     task = chosen.task or "sort"
-    algo = chosen.algo if chosen.algo in CONFIGS else "ppo"
+    usual = "parcels" if task == FLOW_TASK else "ppo"
+    algo = chosen.algo if chosen.algo in CONFIGS else usual
     default = defaults(task, algo)
     kind: type[Any] = type(default)
     config = tyro.cli(

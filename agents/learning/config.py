@@ -2,14 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
-from agents.policy_card import PolicyCard
+from agents.policy_card import FLOW_TASK, PolicyCard
 from agents.tasks import find_task, id_of
 from surface_gym import checks
 
-AlgoName = Literal["ppo", "dqn", "modules"]
-ActionName = Literal["halves", "quadrants", "window", "modules"]
+AlgoName = Literal["ppo", "dqn", "modules", "parcels"]
+ActionName = Literal["halves", "quadrants", "window", "modules", "parcels"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,10 +54,10 @@ class TrainConfig:
     """Of the run's folder; by default the task, the algorithm, the seed and the time."""
 
     def __post_init__(self) -> None:
-        find_task(self.task)
+        self._check_task()
         named = [algo for algo, kind in CONFIGS.items() if kind is type(self)]
         checks.one_of("algo", self.algo, named)
-        checks.one_of("actions", self.actions, ("halves", "quadrants", "window", "modules"))
+        checks.one_of("actions", self.actions, get_args(ActionName))
         checks.integer("seed", self.seed, least=0)
         for name in ("seeds", "steps", "lanes", "checkpoint_every"):
             checks.integer(name, getattr(self, name), least=1)
@@ -71,6 +71,10 @@ class TrainConfig:
             checks.integer("hidden", units, least=1)
         if not self.hidden:
             raise ValueError("hidden must be at least one layer, got none")
+
+    def _check_task(self) -> None:
+        """Raise a ValueError where there is no such task."""
+        find_task(self.task)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,13 +99,18 @@ class PPOConfig(TrainConfig):
         super().__post_init__()
         for name in ("n_steps", "batch_size", "n_epochs"):
             checks.integer(name, getattr(self, name), least=1)
-        if (self.lanes * self.n_steps) % self.batch_size:
+        if self._samples % self.batch_size:
             raise ValueError(
-                f"batch_size must be a factor of lanes x n_steps, {self.lanes * self.n_steps}, "
+                f"batch_size must be a factor of lanes x n_steps, {self._samples}, "
                 f"got {self.batch_size!r}"
             )
         checks.within("gae_lambda", self.gae_lambda, 0.0, 1.0)
         checks.not_negative("ent_coef", self.ent_coef)
+
+    @property
+    def _samples(self) -> int:
+        """Of a rollout."""
+        return self.lanes * self.n_steps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,10 +179,54 @@ class ModulesConfig(PPOConfig):
         checks.within("parted", self.parted, 0.0, 1.0)
 
 
+@dataclass(frozen=True, kw_only=True)
+class ParcelsConfig(PPOConfig):
+    """Train parcels of a flow that decide each by weights they share: they imitate a reservation,
+    then learn on by PPO. Then their capacity is measured.
+
+    Defaults are from agents/hyperparams/parcels.yml.
+    """
+
+    task: str = FLOW_TASK
+    """What to learn: flow."""
+    algo: AlgoName = "parcels"
+    """PPO of a flow's parcels, by shared weights."""
+    actions: ActionName = "parcels"
+    """Kind of action, as the environment has it."""
+    seats: int = 20
+    """For parcels on a line at a time, and the one at its gate."""
+    clip_range: float = 0.1
+    """[-] by which a choice's likelihood may change in an update and still earn."""
+    imitation: int = 40
+    """Passes over what a reservation does, before; 0: none, learning begins with chance."""
+    critic_first: int = 400_000
+    """Control periods at the start in which the value is learned alone."""
+
+    @property
+    def _samples(self) -> int:
+        """Of a rollout: a sample a seat."""
+        return self.lanes * self.seats * self.n_steps
+
+    def _check_task(self) -> None:
+        checks.one_of("task", self.task, (FLOW_TASK,))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checks.one_of("actions", self.actions, ("parcels",))
+        checks.integer("seats", self.seats, least=2)
+        for name in ("imitation", "critic_first"):
+            checks.integer(name, getattr(self, name), least=0)
+        checks.positive("clip_range", self.clip_range)
+
+
 def card_of(config: TrainConfig) -> PolicyCard:
     """What the policy of a run is for."""
     return PolicyCard(
-        id_of(config.task), config.algo, config.actions, config.control_period, config.hidden
+        id_of(config.task),
+        config.algo,
+        config.actions,
+        config.control_period,
+        config.hidden,
     )
 
 
@@ -181,4 +234,5 @@ CONFIGS: dict[str, type[TrainConfig]] = {
     "ppo": PPOConfig,
     "dqn": DQNConfig,
     "modules": ModulesConfig,
+    "parcels": ParcelsConfig,
 }

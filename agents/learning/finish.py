@@ -6,9 +6,11 @@ from rich.console import Console
 
 from agents.cores import usable_cores
 from agents.evaluation.command import evaluate_run
+from agents.flow.trained import compare_parcels, write_flow_card
 from agents.learning.card import command_of, write_card
 from agents.learning.config import TrainConfig
 from agents.learning.legs import Learned
+from agents.policy_card import FLOW_TASK
 
 
 def finish(config: TrainConfig, folder: Path, learned: list[Learned], console: Console) -> None:
@@ -19,6 +21,10 @@ def finish(config: TrainConfig, folder: Path, learned: list[Learned], console: C
             f"python train.py --resume {folder} goes on from the last checkpoint"
         )
         return
-    agent, summaries = evaluate_run(folder, config.task, min(config.seeds, usable_cores()), console)
+    workers = usable_cores()
+    if config.task == FLOW_TASK:
+        write_flow_card(config, learned, compare_parcels(folder, workers, console), folder)
+        return
+    agent, summaries = evaluate_run(folder, config.task, min(config.seeds, workers), console)
     seeds = range(config.seed, config.seed + config.seeds)
     write_card(command_of(config), seeds, learned, summaries, agent, folder)

@@ -7,8 +7,9 @@ from typing import Any
 import yaml
 
 from agents.learning.config import CONFIGS, TrainConfig
+from agents.policy_card import FLOW_TASK
 from agents.tasks import kind_of
-from surface_gym.registration import env_id
+from surface_gym.registration import FLOW, env_id
 from surface_gym.tasks import TASKS
 
 FOLDER = Path(__file__).parents[1] / "hyperparams"
@@ -25,13 +26,16 @@ def defaults(task: str, algo: str) -> TrainConfig:
     """
     file = FOLDER / f"{algo}.yml"
     of_tasks = yaml.safe_load(file.read_text())
-    kind = kind_of(task)
-    if kind in TASKS and env_id(kind) in of_tasks:
+    kind = task if task == FLOW_TASK else kind_of(task)
+    if kind == FLOW_TASK and FLOW in of_tasks:
+        entry = of_tasks[FLOW]
+    elif kind in TASKS and env_id(kind) in of_tasks:
         entry = of_tasks[env_id(kind)]
-    elif kind not in TASKS and OWN in of_tasks:
+    elif kind not in (*TASKS, FLOW_TASK) and OWN in of_tasks:
         entry = of_tasks[OWN]
     else:
-        learned = ", ".join(repr(name) for name in TASKS if env_id(name) in of_tasks)
+        ids = {FLOW_TASK: FLOW, **{name: env_id(name) for name in TASKS}}
+        learned = ", ".join(repr(name) for name, each in ids.items() if each in of_tasks)
         raise ValueError(f"task must be one of {learned} for {algo}, got {task!r}")
     known = {field.name for field in fields(CONFIGS[algo])}
     chosen: dict[str, Any] = {"task": task, "algo": algo}
@@ -78,7 +82,8 @@ def read_config(file: Path, task: str | None = None) -> TrainConfig:
         raise ValueError(f"{file.parent} holds no run: {file.name} is missing")
     try:
         plain = yaml.safe_load(file.read_text())
-        asked = plain["task"] if task is None and plain["task"] in TASKS else task
+        known = plain["task"] in (*TASKS, FLOW_TASK)
+        asked = plain["task"] if task is None and known else task
         if plain["task"] != asked:
             raise ValueError(
                 f"task must be {plain['task']!r}, which the run is of: name it by --task, got "

@@ -6,11 +6,13 @@ from functools import partial
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
-from agents.learning.config import DQNConfig, PPOConfig
+from agents.flow.seat_policy import SeatPolicy
+from agents.learning.config import DQNConfig, ParcelsConfig, PPOConfig
 from agents.learning.double_dqn import DoubleDQN
 from agents.policies.categorical import EqualChoicesPolicy
 
 Model = PPO | DoubleDQN
+CLIP_RANGE = 0.2  # Stable-Baselines3's
 
 
 def _falling(first: float, left: float) -> float:
@@ -23,8 +25,9 @@ def make_model(config: PPOConfig | DQNConfig, env: VecEnv) -> Model:
     learning_rate: Callable[[float], float] = partial(_falling, config.learning_rate)
     if isinstance(config, PPOConfig):
         return PPO(
-            EqualChoicesPolicy,
+            SeatPolicy if isinstance(config, ParcelsConfig) else EqualChoicesPolicy,
             env,
+            clip_range=config.clip_range if isinstance(config, ParcelsConfig) else CLIP_RANGE,
             n_steps=config.n_steps,
             batch_size=config.batch_size,
             n_epochs=config.n_epochs,

@@ -9,11 +9,13 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.utils import set_random_seed
 
 from agents.learning.checkpoint import FILE, load_checkpoint, save_checkpoint
-from agents.learning.config import DQNConfig, PPOConfig, card_of
+from agents.learning.config import DQNConfig, ParcelsConfig, PPOConfig, card_of
 from agents.learning.curve import Curve
 from agents.learning.double_dqn import DoubleDQN, cut_memory
 from agents.learning.legs import Learned, Progress, leg_at, leg_seed
 from agents.learning.model import Model, make_model
+from agents.learning.parcels import TERMS as PARCEL_TERMS
+from agents.learning.parcels import CriticFirst, begin, make_seats
 from agents.learning.practice import make_practice
 from agents.policies.files import save_policy
 from agents.tasks import find_task
@@ -78,16 +80,23 @@ def train(
     """
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     started = time.perf_counter()
-    model = make_model(config, make_practice(config))
+    callbacks: list[BaseCallback] = []
+    if isinstance(config, ParcelsConfig):
+        model, terms = make_model(config, make_seats(config)), PARCEL_TERMS
+        callbacks.append(CriticFirst(config.critic_first))
+        if not (folder / FILE).is_file():
+            begin(model, config)
+    else:
+        model, terms = make_model(config, make_practice(config)), find_task(config.task).terms
     recent = load_checkpoint(model, folder) if (folder / FILE).is_file() else []
-    terms = find_task(config.task).terms
     curve = Curve(folder, terms, model.num_timesteps, recent)
     model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
     callback = _Legs(config, folder, curve, progress)
     interrupted = False
     try:
         if model.num_timesteps < config.steps:
-            model.learn(config.steps - model.num_timesteps, callback, reset_num_timesteps=False)
+            callbacks.insert(0, callback)
+            model.learn(config.steps - model.num_timesteps, callbacks, reset_num_timesteps=False)
             save_checkpoint(model, list(curve.recent), folder)
     except KeyboardInterrupt:
         interrupted = True

@@ -7,6 +7,7 @@ import torch
 import yaml
 
 from agents.damage import DAMAGE
+from agents.flow.policy import FlowPolicy, make_seat_network
 from agents.modules.network import SharedNetwork
 from agents.modules.policy import ModulesPolicy
 from agents.policies.policy import Policy, make_network
@@ -23,7 +24,7 @@ def save_policy(network: torch.nn.Module, card: PolicyCard, folder: Path) -> Non
     (folder / CARD).write_text(yaml.safe_dump(fields, sort_keys=False))
 
 
-def load_policy(folder: Path, task: Task | None = None) -> Policy | ModulesPolicy:
+def load_policy(folder: Path, task: Task | None = None) -> Policy | ModulesPolicy | FlowPolicy:
     """The policy that a run left in a folder, whatever learned it. No code in the files is run.
 
     Args:
@@ -39,8 +40,12 @@ def load_policy(folder: Path, task: Task | None = None) -> Policy | ModulesPolic
     try:
         fields = yaml.safe_load((folder / CARD).read_text())
         card = PolicyCard(**{**fields, "hidden": tuple(fields["hidden"])})
-        settings = card.settings(task)
         weights = torch.load(folder / WEIGHTS, map_location="cpu", weights_only=True)
+        if card.algo == "parcels":
+            seats = make_seat_network(card)
+            seats.load_state_dict(weights)
+            return FlowPolicy(seats, card)
+        settings = card.settings(task)
         if card.algo == "modules":
             shared = SharedNetwork(len(settings.chosen_orientations), card.hidden)
             shared.load_state_dict(weights)

@@ -2,15 +2,23 @@
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.angles import SAME, axes_apart
-from surface_gym.settings import Settings
 
 
-def choice_of(settings: Settings, angle: float) -> int:
+class Offering(Protocol):
+    """Settings of an environment that offers orientations."""
+
+    @property
+    def chosen_orientations(self) -> tuple[float, ...]:
+        """[rad] axis angles on offer."""
+
+
+def choice_of(settings: Offering, angle: float) -> int:
     """The place of an axis angle [rad] among the orientations; an axis turned by pi is the same.
 
     Raises:
@@ -40,7 +48,7 @@ class Axes:
         return np.select([side > 0.0, side < 0.0], [self.left, self.right], self.roll)
 
 
-def axes_of(settings: Settings) -> Axes:
+def axes_of(settings: Offering) -> Axes:
     """The four orientations of the paper's Figure 2b.
 
     Raises:

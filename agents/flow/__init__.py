@@ -1,0 +1,1 @@
+"""Controllers of a flow, how they are compared, and what no controller can exceed."""
