@@ -246,6 +246,7 @@ class FlowBatch:
         varies, count = self.settings.randomisation, len(arrivals)
         entry = self.settings.chosen_plant.line_y
         self._pool.give_back(self._rows[lane])
+        self._rows[lane] = []
         if varies.varies_parcels or varies.lateral or varies.heading:
             drawn = [
                 varies.draw_entry(rng, arrivals.kinds[kind]) for kind in arrivals.parcel.tolist()

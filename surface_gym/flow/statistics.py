@@ -35,6 +35,8 @@ def statistics_of(
 ) -> FlowStatistics:
     """The figures of a surface's episode so far.
 
+    A touch counts half for each of the two, as it leaves; jams and turns are of the whole episode.
+
     Args:
         flows: their memory.
         surface: which.
