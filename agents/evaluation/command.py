@@ -21,6 +21,7 @@ from agents.evaluation.work import FILE, Advance, compute_cells
 from agents.flow import study
 from agents.flow.contenders import contenders as flow_contenders
 from agents.flow.report import FlowReport, write_flow_report
+from agents.flow.trained import compare_parcels, is_of_flow
 from agents.tasks import find_task
 from surface_gym import checks
 from surface_gym.tasks import TASKS
@@ -68,6 +69,9 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
     Raises:
         ValueError: the run holds no policy, or a damaged one.
     """
+    if config.run is not None and is_of_flow(config.run):
+        compare_parcels(config.run, config.workers, console)
+        return
     if config.run is not None:
         evaluate_run(config.run, config.task, config.workers, console)
         return

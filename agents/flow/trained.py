@@ -1,9 +1,7 @@
 """What the policies of a flow's run come to: their capacities, beside the reservation's."""
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import yaml
 from rich.console import Console
@@ -13,15 +11,14 @@ from agents.controller import Controller
 from agents.evaluation.contenders import policies_of
 from agents.evaluation.table import markdown, print_table
 from agents.evaluation.work import compute_kept
-from agents.flow.cases import CONDITIONS, Case, cases
+from agents.flow.cases import CONDITIONS
 from agents.flow.contenders import RESERVATION, FlowContender, contenders
 from agents.flow.results import Results, results_of
-from agents.flow.study import SEARCHED, FlowCell, flow_cell, flow_jobs
+from agents.flow.study import SEARCHED, flow_cell, flow_jobs
 from agents.flow.tables import capacities, eased
-from agents.learning.card import FILE, command_of
-from agents.learning.config import TrainConfig
-from agents.learning.legs import Learned
+from agents.policy_card import CARD
 from surface_gym.flow.settings import FlowSettings
+from surface_gym.registration import FLOW
 
 TABLE = "table.md"
 
@@ -60,36 +57,10 @@ def _read(folder: Path, settings: FlowSettings) -> Controller:
     return library.read(folder)
 
 
-def write_flow_card(
-    config: TrainConfig, learned: Sequence[Learned], results: Results, folder: Path
-) -> None:
-    """Write card.yaml into a run's folder: the command, and what came of each seed."""
-    card = {
-        "command": command_of(config),
-        "seeds": list(range(config.seed, config.seed + config.seeds)),
-        "steps": [each.steps for each in learned],
-        "seconds": [round(each.seconds) for each in learned],  # of each seed, on one core
-        "results": {condition: _results(results, condition) for condition in CONDITIONS},
-    }
-    (folder / FILE).write_text(yaml.safe_dump(card, sort_keys=False))
-
-
-def _results(results: Results, condition: str) -> dict[str, Any]:
-    return {case.label: _figures(results, case) for case in cases(condition)}
-
-
-def _figures(results: Results, case: Case) -> dict[str, Any]:
-    found: list[FlowCell] = []
-    for name in results.names:
-        cell = results.cell(name, case)
-        if name != RESERVATION and cell is not None:
-            found.append(cell)
-    return {
-        "capacity_of_each_seed": [
-            0 if cell.capacity is None else round(cell.capacity.rate) for cell in found
-        ],
-        "reservation": round(results.rate(RESERVATION, case)),
-        "right_at_80_percent": [
-            None if cell.eased is None else round(cell.eased.share_right, 5) for cell in found
-        ],
-    }
+def is_of_flow(run: Path) -> bool:
+    """Whether the first policy of a run says that it is for a flow; a damaged one says nothing."""
+    folder = next(iter(policies_of(run).values()))
+    try:
+        return bool(yaml.safe_load((folder / CARD).read_text())["env_id"] == FLOW)
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+        return False

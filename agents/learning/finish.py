@@ -6,9 +6,10 @@ from rich.console import Console
 
 from agents.cores import usable_cores
 from agents.evaluation.command import evaluate_run
-from agents.flow.trained import compare_parcels, write_flow_card
+from agents.flow.trained import compare_parcels
 from agents.learning.card import command_of, write_card
 from agents.learning.config import TrainConfig
+from agents.learning.flow_card import write_flow_card
 from agents.learning.legs import Learned
 from agents.policy_card import FLOW_TASK
 
