@@ -16,7 +16,47 @@ from stable_baselines3.common.vec_env.base_vec_env import (
 from surface_gym import SmartSurfaceVectorEnv
 
 
-class SurfaceVecEnv(VecEnv):
+class SharedVecEnv(VecEnv):
+    """A VecEnv whose lanes are all of one object, which has their attributes and methods."""
+
+    @property
+    def _shared(self) -> Any:
+        """That object."""
+        raise NotImplementedError
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        value = getattr(self._shared, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute, which the lanes share.
+
+        Raises:
+            ValueError: `indices` leaves out a lane.
+        """
+        if set(self._get_indices(indices)) != set(range(self.num_envs)):
+            raise ValueError(f"indices must be all lanes, which share {attr_name}, got {indices}")
+        setattr(self._shared, attr_name, value)
+
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: VecEnvIndices = None,
+        **method_kwargs: Any,
+    ) -> list[Any]:
+        """Call a method once; its answer stands for every lane asked for."""
+        answer = getattr(self._shared, method_name)(*method_args, **method_kwargs)
+        return [answer for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+    ) -> list[bool]:
+        del wrapper_class  # lanes of one batch have no wrappers
+        return [False for _ in self._get_indices(indices)]
+
+
+class SurfaceVecEnv(SharedVecEnv):
     """A `SmartSurfaceVectorEnv` in SAME_STEP mode behind Stable-Baselines3's interface.
 
     Infos of a finished lane carry `terminal_observation`, `TimeLimit.truncated`, `is_success`,
@@ -37,6 +77,10 @@ class SurfaceVecEnv(VecEnv):
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, dtype=np.int64)
         self._terms = np.zeros((len(env.settings.chosen_task.terms), env.num_envs))
+
+    @property
+    def _shared(self) -> SmartSurfaceVectorEnv:
+        return self.env
 
     def reset(self) -> VecEnvObs:
         observations, _ = self.env.reset(seed=self._seeds, options=self._options)
@@ -83,37 +127,6 @@ class SurfaceVecEnv(VecEnv):
 
     def close(self) -> None:
         self.env.close()
-
-    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        value = getattr(self.env, attr_name)
-        return [value for _ in self._get_indices(indices)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of the vector env, which its lanes share.
-
-        Raises:
-            ValueError: `indices` leaves out a lane.
-        """
-        if set(self._get_indices(indices)) != set(range(self.num_envs)):
-            raise ValueError(f"indices must be all lanes, which share {attr_name}, got {indices}")
-        setattr(self.env, attr_name, value)
-
-    def env_method(
-        self,
-        method_name: str,
-        *method_args: Any,
-        indices: VecEnvIndices = None,
-        **method_kwargs: Any,
-    ) -> list[Any]:
-        """Call a method of the vector env once; its answer stands for every lane asked for."""
-        answer = getattr(self.env, method_name)(*method_args, **method_kwargs)
-        return [answer for _ in self._get_indices(indices)]
-
-    def env_is_wrapped(
-        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
-    ) -> list[bool]:
-        del wrapper_class  # lanes of one batch have no wrappers
-        return [False for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         return list(self.env.render() or [])

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from surface_gym.actuators import Actuators
 from surface_gym.batch.batch import Batch
-from surface_gym.faces.vector import BatchVectorEnv, Booleans
+from surface_gym.faces.vector import BatchVectorEnv, Booleans, with_masks
 from surface_gym.lanes.memory import SUCCESS
 from surface_gym.plants import Plant
 from surface_gym.randomisation import Randomisation
@@ -113,6 +113,6 @@ class SmartSurfaceVectorEnv(BatchVectorEnv):
             "velocity": lanes.truth[:, 3:].copy(),
             **{name: lanes.figures[:, k].copy() for k, name in enumerate(self._task.figures)},
             **self._batch.on_request(),
-            "reward_terms": {**terms, **{f"_{name}": mask.copy() for name in terms}},
+            "reward_terms": with_masks(terms, mask),
         }
-        return {**infos, **{f"_{name}": mask.copy() for name in infos}}
+        return with_masks(infos, mask)

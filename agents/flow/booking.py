@@ -1,11 +1,11 @@
 """Booking a way ahead in time: the gate opens once a parcel can go its whole way undisturbed."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from agents.flow.packing import Numbers
-from agents.flow.parcel_rule import Booleans, Halves, Rows
+from agents.flow.parcel_rule import TIME, Booleans, Halves, Rows
 from agents.flow.ways import SIGNATURE, Ways
 from surface_gym.flow.features import PRESENT
 from surface_gym.flow.settings import FlowSettings
@@ -51,7 +51,7 @@ class Booking:
         way = np.where(fresh[:, np.newaxis], 0, book.way)
         time = np.where(fresh[:, np.newaxis], LONG_AGO, book.time)
         waits = tables[:, -1, PRESENT] > 0.5
-        due = clock + HORIZON * tables[:, -1, 12].astype(np.float64)
+        due = clock + HORIZON * tables[:, -1, TIME].astype(np.float64)
         # Let in, but there still: there was no room.
         stayed = book.pending & ~fresh & waits & (np.abs(due - book.due) < 1e-3)
         way[stayed] = np.roll(way[stayed], -1, axis=1)
@@ -84,8 +84,3 @@ def _new_book(lanes: int) -> Book:
         due=np.full(lanes, np.nan),
         pending=np.zeros(lanes, dtype=np.bool_),
     )
-
-
-def as_book(memory: Any) -> Book | None:
-    """What a controller's state says."""
-    return memory if isinstance(memory, Book) else None

@@ -1,5 +1,7 @@
 """Parcels begin by imitating a rule: choices drawn at random would brake everybody to rest."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -31,20 +33,14 @@ def demonstrations(control_period: float, seed: int) -> tuple[Rows, Choices]:
     speeds = np.arange(SPEEDS[0], SPEEDS[1] + 1e-9, SPEED_STEP)
     for number, speed in enumerate(speeds.round(3).tolist()):
         for mix, parcels in enumerate(MIXES):
-            stream = densest(speed, parcels)
-            settings = type(base)(
-                stream=stream, exits=base.exits, actions=base.actions, gate=True,
-                control_period=control_period, duration=SHOWN * base.duration,
-            )  # fmt: skip
+            settings = replace(base, stream=densest(speed, parcels), duration=SHOWN * base.duration)
             rule, actions = Reservation(settings, margin=MARGIN), settings.flow_actions
             mirror = SeatActions(settings)
             batch = FlowBatch(settings, LANES)
             for lane in range(LANES):
                 batch.seed(lane, np.random.default_rng((seed, number, mix, lane)))
-            rate = stream.arrivals.rate  # type: ignore[union-attr]
-            batch.start(
-                np.arange(LANES), [{"stream": stream.with_rate(rate * load)} for load in LOADS]
-            )
+            streams = [densest(speed, parcels, load) for load in LOADS]
+            batch.start(np.arange(LANES), [{"stream": stream} for stream in streams])
             state = None
             while (batch.outcome == RUNNING).any():
                 tables = batch.observation.copy()

@@ -16,6 +16,7 @@ Rows = NDArray[np.float32]
 Halves = NDArray[np.int64]
 
 SIDE = 14  # place of the side of a parcel's exit in its row
+TIME = 12  # place of the time since it entered; negative: since its time came
 PAST_START = 13  # place of how far its rear is past the exit's start
 OPEN = 1  # what an action says of the gate: from the first physics step on
 

@@ -16,9 +16,9 @@ SHORTEST = 0.3  # [m] from parcel to parcel of the densest stream: an S-box and 
 DURATION = 20.0  # [s] of an episode
 
 
-def densest(speed: float, parcels: tuple[str, ...]) -> Stream:
-    """A stream of a speed [m/s] that always has a parcel waiting at the gate."""
-    return Stream(Steady(HOUR * speed / SHORTEST), parcels=parcels, speeds=speed)
+def densest(speed: float, parcels: tuple[str, ...], load: float = 1.0) -> Stream:
+    """A stream of a speed [m/s] that always has a parcel waiting at the gate; or a share of it."""
+    return Stream(Steady(HOUR * speed / SHORTEST * load), parcels=parcels, speeds=speed)
 
 
 def stream_of(rng: np.random.Generator) -> Stream:

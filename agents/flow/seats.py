@@ -7,19 +7,14 @@ it when it has left the line; a free seat sees zeros, and nothing it does counts
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import (
-    VecEnvIndices,
-    VecEnvObs,
-    VecEnvStepReturn,
-)
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from agents.flow.parcel_rule import SIDE
 from agents.mirror import mirrored_orientations
+from agents.vec_env import SharedVecEnv
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.features import FEATURES
 from surface_gym.flow.memory import JAM, NOBODY
@@ -28,7 +23,7 @@ from surface_gym.flow.settings import FlowSettings
 from surface_gym.flow.stream import Stream
 from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING
 
-# What a seat is paid, term by term: right, wrong, touch, reach, time of `flow.rewards`, each times
+# [-] a seat's terms over the flow's: right, wrong, touch, reach, time
 SCALES = np.array([1.0, 1.5, 2.0, 1.0, 0.5])
 TIME = PARCEL_TERMS.index("time")  # to which waiting at the gate counts too
 HEAD_REWARD = -3.0  # per second at the gate: what the line could have delivered meanwhile
@@ -44,12 +39,8 @@ def seat_rows(rows: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def seat_space(settings: FlowSettings) -> tuple[spaces.Box, spaces.MultiDiscrete]:
     """What a seat sees; and what it says: choices ahead and behind, and when the gate opens."""
-    low = np.array([feature.low for feature in FEATURES], dtype=np.float32)
-    high = np.array([feature.high for feature in FEATURES], dtype=np.float32)
-    choices = settings.action_kind.choices
-    return spaces.Box(low, high), spaces.MultiDiscrete(
-        [choices, choices, settings.flow_actions.gates]
-    )
+    choices, gates = settings.action_kind.choices, settings.flow_actions.gates
+    return settings.row_space(), spaces.MultiDiscrete([choices, choices, gates])
 
 
 class SeatActions:
@@ -82,7 +73,7 @@ class SeatActions:
         return said
 
 
-class FlowSeats(VecEnv):
+class FlowSeats(SharedVecEnv):
     """Seats on lanes of one flow.
 
     Args:
@@ -113,6 +104,10 @@ class FlowSeats(VecEnv):
         self._rng = np.random.default_rng(0)
         self.render_mode = None
         super().__init__(lanes * seats, *seat_space(settings))
+
+    @property
+    def _shared(self) -> "FlowSeats":
+        return self
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         self._rng = np.random.default_rng(seed)
@@ -226,23 +221,3 @@ class FlowSeats(VecEnv):
 
     def close(self) -> None:
         """Nothing is open."""
-
-    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        value = getattr(self, attr_name)
-        return [value for _ in self._get_indices(indices)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        del indices  # seats share all
-        setattr(self, attr_name, value)
-
-    def env_method(
-        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **kwargs: Any
-    ) -> list[Any]:
-        answer = getattr(self, method_name)(*method_args, **kwargs)
-        return [answer for _ in self._get_indices(indices)]
-
-    def env_is_wrapped(
-        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
-    ) -> list[bool]:
-        del wrapper_class  # seats have no wrappers
-        return [False for _ in self._get_indices(indices)]

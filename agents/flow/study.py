@@ -65,7 +65,9 @@ def compute_flow(contender: FlowContender, case: Case, load: float) -> FlowCell:
     )  # fmt: skip
 
 
-def flow_jobs(contenders: Sequence[FlowContender]) -> dict[FlowKey, Callable[[], FlowCell]]:
+def flow_jobs(
+    contenders: Sequence[FlowContender], loads: Sequence[float] | None = None
+) -> dict[FlowKey, Callable[[], FlowCell]]:
     """Every cell to compute, by its key; the slowest first, to fill the cores."""
     searched = [
         (contender, case, SEARCHED)
@@ -73,7 +75,11 @@ def flow_jobs(contenders: Sequence[FlowContender]) -> dict[FlowKey, Callable[[],
         for condition in contender.conditions
         for case in cases(condition)
     ]
-    loaded = [(contender, CURVE, load) for contender in contenders for load in LOADS]
+    loaded = [
+        (contender, CURVE, load)
+        for contender in contenders
+        for load in (LOADS if loads is None else loads)
+    ]
     # A search goes on for long where there is no gate.
     orders = sorted(searched, key=lambda order: (order[0].gate, -order[1].speed)) + loaded
     return {
@@ -89,6 +95,7 @@ def compute_flows(
     workers: int,
     folder: Path | None = None,
     advance: Advance = lambda *_: None,
+    loads: Sequence[float] | None = None,
 ) -> list[FlowCell]:
     """Compute all cells, in an order that does not depend on the processes.
 
@@ -97,9 +104,10 @@ def compute_flows(
         workers: processes to share the work among.
         folder: cells are kept in its flow.jsonl, and those found there are not computed again.
         advance: called with cells done, cells in all and the name of the latest.
+        loads: [-] of the ceiling, to hold rates against; None: LOADS.
     """
     file = None if folder is None else folder / FILE
-    found = compute_kept(flow_jobs(contenders), flow_cell, workers, file, advance)
+    found = compute_kept(flow_jobs(contenders, loads), flow_cell, workers, file, advance)
     names, conditions = [contender.name for contender in contenders], list(CONDITIONS)
     return sorted(
         found.values(),

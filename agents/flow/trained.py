@@ -10,11 +10,10 @@ from agents import library
 from agents.controller import Controller
 from agents.evaluation.contenders import policies_of
 from agents.evaluation.table import markdown, print_table
-from agents.evaluation.work import compute_kept
 from agents.flow.cases import CONDITIONS
 from agents.flow.contenders import RESERVATION, FlowContender, contenders
 from agents.flow.results import Results, results_of
-from agents.flow.study import SEARCHED, flow_cell, flow_jobs
+from agents.flow.study import compute_flows
 from agents.flow.tables import capacities, eased
 from agents.policy_card import CARD
 from surface_gym.flow.settings import FlowSettings
@@ -31,9 +30,7 @@ def compare_parcels(run: Path, workers: int, console: Console) -> Results:
     """
     reservation = next(each for each in contenders() if each.name == RESERVATION)
     who = [reservation, *_of_seeds(policies_of(run))]
-    jobs = {key: job for key, job in flow_jobs(who).items() if key[-1] == SEARCHED}
-    found = compute_kept(jobs, flow_cell, workers, None, lambda *_: None)
-    results = results_of(who, [found[key] for key in sorted(found)])
+    results = results_of(who, compute_flows(who, workers, loads=()))
     tables = [kind(results, name) for name in CONDITIONS for kind in (capacities, eased)]
     (run / TABLE).write_text("\n".join(map(markdown, tables)))
     for table in tables:

@@ -10,9 +10,6 @@ from agents.flow.seats import FlowSeats
 from agents.learning.config import ParcelsConfig
 from agents.learning.model import Model
 from agents.learning.side_by_side import SideBySide
-from surface_gym.flow.rewards import PARCEL_TERMS
-
-TERMS = PARCEL_TERMS  # of a seat's reward, before their scales
 
 
 def make_seats(config: ParcelsConfig) -> VecEnv:

@@ -14,11 +14,11 @@ from agents.learning.curve import Curve
 from agents.learning.double_dqn import DoubleDQN, cut_memory
 from agents.learning.legs import Learned, Progress, leg_at, leg_seed
 from agents.learning.model import Model, make_model
-from agents.learning.parcels import TERMS as PARCEL_TERMS
 from agents.learning.parcels import CriticFirst, begin, make_seats
 from agents.learning.practice import make_practice
 from agents.policies.files import save_policy
 from agents.tasks import find_task
+from surface_gym.flow.rewards import PARCEL_TERMS
 
 CURVE_EVERY = 10_000  # control periods from row to row of the curve
 

@@ -20,6 +20,7 @@ from surface_gym.batch.starts import Rows, parcels_of, path_of, rows_of, starts_
 from surface_gym.batch.workers import FEWEST, Workers
 from surface_gym.dynamics.compiled import entry_of
 from surface_gym.dynamics.types import Array, Integers
+from surface_gym.lanes.axes import angles_of
 from surface_gym.lanes.lane import Lane, lane_of
 from surface_gym.lanes.memory import (
     COMMON_OUTCOMES,
@@ -258,7 +259,7 @@ class Batch:
         """
         found = {}
         if "axes" in self.settings.info:
-            found["axes"] = self._axes()
+            found["axes"] = angles_of(self.surfaces)
         if "normal_forces" in self.settings.info:
             loads = np.zeros(self.surfaces.axis.shape)
             bear_lanes(*self._arrays, self._workers.scratches[0], loads)
@@ -269,16 +270,8 @@ class Batch:
 
     def axes(self, lane: int) -> Array:
         """(rows, columns) [rad] axis angles of a lane."""
-        angles: Array = self._axes()[lane]
+        angles: Array = angles_of(self.surfaces, slice(lane, lane + 1))[0]
         return angles
-
-    def _axes(self) -> Array:
-        """(lanes, rows, columns) [rad] axis angles."""
-        angles = np.arctan2(self.surfaces.direction[:, :, 1], self.surfaces.direction[:, :, 0])
-        if len(angles) == 1:
-            return np.asarray(angles[0, self.surfaces.axis])
-        places = self.surfaces.axis.reshape(len(angles), -1)
-        return np.take_along_axis(angles, places, axis=1).reshape(self.surfaces.axis.shape)
 
     def view(self, lane: int) -> Lane:
         """A lane as its task's functions see it, between two control periods."""

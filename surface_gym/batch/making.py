@@ -20,8 +20,22 @@ from surface_gym.settings import Settings
 
 def rules_of(settings: Settings) -> Rules:
     """The rules of an environment."""
-    task, plant, timing = settings.chosen_task, settings.chosen_plant, settings.timing
-    kind = settings.action_kind
+    task, kind = settings.chosen_task, settings.action_kind
+    features = len(task.features)
+    outcomes = len(COMMON_OUTCOMES) + len(task.outcomes)
+    return surface_rules_of(settings, features, features + kind.window_size, outcomes)
+
+
+def surface_rules_of(settings: Any, features: int, axes_from: int, outcomes: int) -> Rules:
+    """The rules of surfaces, by an environment's settings.
+
+    Args:
+        settings: of whatever runs on them.
+        features: that are observed of it.
+        axes_from: place in the observation from which axes are shown.
+        outcomes: that there are.
+    """
+    plant, timing, kind = settings.chosen_plant, settings.timing, settings.action_kind
     return Rules(
         elements=plant.geometry,
         timing=timing,
@@ -34,9 +48,9 @@ def rules_of(settings: Settings) -> Rules:
         assumed=settings.sensors.friction(plant).copy(),
         stiffness=np.ones((plant.rows, plant.columns)),
         sensor=np.array(settings.sensors.numbers(timing.dt), dtype=np.float64),
-        features=len(task.features),
-        axes_from=len(task.features) + kind.window_size,
-        outcomes=len(COMMON_OUTCOMES) + len(task.outcomes),
+        features=features,
+        axes_from=axes_from,
+        outcomes=outcomes,
     )
 
 

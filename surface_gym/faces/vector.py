@@ -206,3 +206,8 @@ class BatchVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
                 f"with a True in it, got {mask!r}"
             )
         return mask
+
+
+def with_masks(values: dict[str, Any], mask: Booleans) -> dict[str, Any]:
+    """Arrays by name, and beside each whose they are, as Gymnasium has it."""
+    return {**values, **{f"_{name}": mask.copy() for name in values}}

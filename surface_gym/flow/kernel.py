@@ -162,9 +162,9 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
             zone = sites.zone[0]
             opens = int(surfaces.command[i, gate]) if flow_rules.gated else 1
             entered = False
-            for step in range(1 if begins else rules.timing.steps + 1):
-                # Who may enter does so before the first step of a start, and after every step.
-                if step > 0:
+            # Who may enter does so at a start, which is step 0 alone, and after every step.
+            for step in range(0 if begins else 1, 1 if begins else rules.timing.steps + 1):
+                if not begins:
                     if turns:
                         turn(rules.acting, surfaces, i, zone)
                         forget_together(scratch)
@@ -196,8 +196,6 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
                 count_due(flows, i)
                 # A gate opens at a physics step of the period, for one parcel; or not at all.
                 if flow_rules.gated and (entered or opens == 0 or step < opens):
-                    continue
-                if step == 0 and not begins:
                     continue
                 place = let_in(rules, flow_rules, surfaces, lanes, sites, flows, i)
                 if place != NOBODY:

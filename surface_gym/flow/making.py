@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from surface_gym.actions.commands import Acting
 from surface_gym.batch.functions import actuation_of, sensor_functions_of
 from surface_gym.batch.kernels import Rules
+from surface_gym.batch.making import surface_rules_of
 from surface_gym.flow.features import FEATURES
 from surface_gym.flow.kernel import FlowFunctions
 from surface_gym.flow.memory import GOALS, MEMORIES, OUTCOMES, FlowRules
@@ -41,27 +41,13 @@ def functions_of(settings: FlowSettings) -> FlowFunctions:
 
 def rules_of(settings: FlowSettings) -> Rules:
     """Those of its surfaces."""
-    plant, timing, kind = settings.chosen_plant, settings.timing, settings.action_kind
-    turn = settings.actuators.axis_speed * timing.dt
-    return Rules(
-        elements=plant.geometry,
-        timing=timing,
-        acting=Acting(kind.rows, np.array(settings.chosen_orientations), turn),
-        friction=plant.friction.copy(),
-        assumed=settings.sensors.friction(plant).copy(),
-        stiffness=np.ones((plant.rows, plant.columns)),
-        sensor=np.array(settings.sensors.numbers(timing.dt), dtype=np.float64),
-        features=len(FEATURES),
-        axes_from=len(FEATURES),
-        outcomes=len(OUTCOMES),
-    )
+    return surface_rules_of(settings, len(FEATURES), len(FEATURES), len(OUTCOMES))
 
 
 def flow_rules_of(settings: FlowSettings) -> FlowRules:
     """Those of its flows."""
     return FlowRules(
         exits=np.array(settings.exits.table),
-        entry_x=settings.entry_x,
         entry_gap=settings.entry_gap,
         rotors_end=settings.rotors_end,
         ahead=settings.ahead,

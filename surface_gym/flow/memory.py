@@ -54,9 +54,7 @@ class Flows(NamedTuple):
     steps: Integers  # (surfaces,) physics steps since the start
     still: Array  # (surfaces,) [s] for which nothing has moved
     waited: Array  # (surfaces,) [s] that parcels have waited to enter, all together
-    owner: (
-        Places  # (surfaces, rows, columns) the place whose parcel a module obeyed last, or NOBODY
-    )
+    owner: Places  # (surfaces, rows, columns) the place whose parcel a module obeys, or NOBODY
     soonest: Array  # (surfaces, rows, columns) [s] when that parcel will bear on it
     told: Array  # (surfaces, rows, columns) [rad] axis angle that a module was told last
     obeys: Booleans  # (surfaces or 1, rows, columns) a rotor in the zone, not stuck
@@ -71,7 +69,6 @@ class FlowRules(NamedTuple):
     """What holds for every flow of a batch, beside the rules of its surfaces."""
 
     exits: Array  # (exits, 3) side, first and last x [m]
-    entry_x: float  # [m] edge of the line, where the rear of a parcel is as it enters
     entry_gap: float  # [m] clear ahead of one that enters
     rotors_end: float  # [m] x half a pitch past the last column with a rotor
     ahead: float  # [s] in which a parcel must be about to bear on a module for it to obey

@@ -110,8 +110,7 @@ class FlowParallelEnv(ParallelEnv):
         self.render_mode = render_mode
         self._batch = self._env._batch
         self._kind = ActionKind("modules", self.settings.action_kind.choices, 1, HALVES)
-        table = self.settings.observation_space()
-        self._observation_space = spaces.Box(table.low[0], table.high[0])
+        self._observation_space = self.settings.row_space()
         self._action_space = self._kind.space()
         probe = stream.draw(np.random.default_rng(0), self.settings.duration, self.settings.exits)
         self._possible = len(probe)

@@ -12,6 +12,7 @@ from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.exits import Exit
 from surface_gym.flow.memory import BETWEEN, NOBODY, TOUCHES, WRONG
 from surface_gym.flow.settings import FlowSettings
+from surface_gym.lanes.axes import angles_of
 from surface_gym.lanes.memory import RUNNING
 from surface_gym.picture import outline_of
 from surface_gym.rendering import ExitMark, FlowPainter, FlowParcel, FlowScene
@@ -91,7 +92,7 @@ class Album:
         right = taken[taken == asked]
         departed = tuple(each.at(float(flows.clock[lane])) for each in self._departed)
         return FlowScene(
-            axis=self._axes(),
+            axis=angles_of(batch.surfaces, slice(lane, lane + 1))[0],
             rotor=settings.rotor,
             exits=self._exits,
             delivered=tuple(np.bincount(right, minlength=len(self._exits)).tolist()),
@@ -112,13 +113,6 @@ class Album:
         if self._painter is None:
             self._painter = FlowPainter()
         return self._painter.draw(self.scene())
-
-    def _axes(self) -> Numbers:
-        """(rows, columns) [rad] axis angles."""
-        surfaces, lane = self._batch.surfaces, self._lane
-        direction = surfaces.direction[lane if len(surfaces.direction) > 1 else 0]
-        angles = np.arctan2(direction[:, 1], direction[:, 0])
-        return np.asarray(angles[surfaces.axis[lane]])
 
     def _parcel(self, place: int) -> FlowParcel:
         batch, lane = self._batch, self._lane

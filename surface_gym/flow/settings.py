@@ -207,11 +207,17 @@ class FlowSettings:
         """How parcels' sides behave."""
         return Touching(float(self.restitution), self.side_friction)
 
+    def row_space(self) -> spaces.Box:
+        """The space of one row of the observation."""
+        return spaces.Box(
+            np.array([feature.low for feature in FEATURES], dtype=np.float32),
+            np.array([feature.high for feature in FEATURES], dtype=np.float32),
+        )
+
     def observation_space(self) -> spaces.Box:
         """The space of one surface's observation: a row a place, a column a feature."""
-        low = np.array([feature.low for feature in FEATURES], dtype=np.float32)
-        high = np.array([feature.high for feature in FEATURES], dtype=np.float32)
-        return spaces.Box(np.tile(low, (self.rows, 1)), np.tile(high, (self.rows, 1)))
+        row = self.row_space()
+        return spaces.Box(np.tile(row.low, (self.rows, 1)), np.tile(row.high, (self.rows, 1)))
 
     def action_space(self) -> spaces.Space[Any]:
         """The space of one surface's action."""

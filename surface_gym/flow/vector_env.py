@@ -7,7 +7,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from surface_gym.actuators import Actuators
-from surface_gym.faces.vector import BatchVectorEnv, Booleans
+from surface_gym.faces.vector import BatchVectorEnv, Booleans, with_masks
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.exits import Exits
 from surface_gym.flow.infos import episodes_of, infos_of
@@ -98,14 +98,14 @@ class FlowVectorEnv(BatchVectorEnv):
         told = infos_of(self._batch)
         infos: dict[str, Any] = {name: values.copy() for name, values in told.items()}
         infos["outcome"] = self._outcomes[flows.outcome]
-        infos["reward_terms"] = _masked(
+        infos["reward_terms"] = with_masks(
             {name: flows.terms[:, k].copy() for k, name in enumerate(TERMS)}, mask
         )
-        infos = _masked(infos, mask)
+        infos = with_masks(infos, mask)
         ended = mask & (flows.outcome != RUNNING)
         if ended.any():
-            figures = _masked(episodes_of(self._batch, ended), ended)
-            infos.update(_masked({"episode_figures": figures}, ended))
+            figures = with_masks(episodes_of(self._batch, ended), ended)
+            infos.update(with_masks({"episode_figures": figures}, ended))
         return infos
 
     def _record(self, lane: int, begins: bool) -> None:
@@ -123,8 +123,3 @@ class FlowVectorEnv(BatchVectorEnv):
         scenes = [self._albums[lane].scene(f"lane {lane}") for lane in range(self.num_envs)]
         picture: NDArray[np.uint8] = self._painter.draw(scenes)
         return picture
-
-
-def _masked(values: dict[str, Any], mask: Booleans) -> dict[str, Any]:
-    """Arrays by name, and beside each whose they are, as Gymnasium has it."""
-    return {**values, **{f"_{name}": mask.copy() for name in values}}

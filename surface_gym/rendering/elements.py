@@ -46,6 +46,34 @@ class Elements(Protocol):
         """(rows, columns) the elements in the zone."""
 
 
+class OnElements:
+    """What every scene says of its surface by the same fields."""
+
+    axis: NDArray[np.float64]
+    pitch: float | tuple[float, float]
+    zone: Zone | None
+
+    @property
+    def rows(self) -> int:
+        """Number of elements across the line, in y."""
+        return int(self.axis.shape[0])
+
+    @property
+    def columns(self) -> int:
+        """Number of elements along the line, in x."""
+        return int(self.axis.shape[1])
+
+    @property
+    def pitches(self) -> tuple[float, float]:
+        """[m] from column to column, and from row to row."""
+        return (self.pitch, self.pitch) if isinstance(self.pitch, float) else self.pitch
+
+    @property
+    def obeys(self) -> NDArray[np.bool_]:
+        """(rows, columns) the elements in the zone."""
+        return obeying(self.axis.shape, self.zone)
+
+
 def checked_axis(axis: ArrayLike) -> NDArray[np.float64]:
     """(rows, columns) [rad] of at least one element, or an error."""
     given = checks.array("axis", axis, (None, None))

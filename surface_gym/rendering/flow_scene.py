@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.rendering.elements import (
+    OnElements,
     Zone,
     check_readings,
     checked_axis,
@@ -15,7 +16,6 @@ from surface_gym.rendering.elements import (
     checked_pose,
     checked_rotor,
     checked_zone,
-    obeying,
 )
 
 _ROUNDING = 1e-9  # [m] by which a span may pass the surface's end or its neighbour's
@@ -75,7 +75,7 @@ class FlowParcel:
 
 
 @dataclass(frozen=True, eq=False)
-class FlowScene:
+class FlowScene(OnElements):
     """One moment of a stream of parcels on a line.
 
     Raises:
@@ -156,26 +156,6 @@ class FlowScene:
                     f"a parcel's exit must be a place among the {len(self.exits)} exits, "
                     f"got {parcel.exit}"
                 )
-
-    @property
-    def rows(self) -> int:
-        """Number of elements across the line, in y."""
-        return int(self.axis.shape[0])
-
-    @property
-    def columns(self) -> int:
-        """Number of elements along the line, in x."""
-        return int(self.axis.shape[1])
-
-    @property
-    def pitches(self) -> tuple[float, float]:
-        """[m] from column to column, and from row to row."""
-        return (self.pitch, self.pitch) if isinstance(self.pitch, float) else self.pitch
-
-    @property
-    def obeys(self) -> NDArray[np.bool_]:
-        """(rows, columns) the elements in the zone."""
-        return obeying(self.axis.shape, self.zone)
 
 
 def _counts(name: str, values: tuple[int, ...]) -> tuple[int, ...]:

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.rendering.elements import (
+    OnElements,
     check_readings,
     checked_axis,
     checked_outline,
     checked_pose,
     checked_rotor,
     checked_zone,
-    obeying,
 )
 
 
@@ -77,7 +77,7 @@ Goal: TypeAlias = ExitSide | StopLine | ExitSpeed | Path | Heading
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class Scene(OnElements):
     """One moment of a parcel on a surface.
 
     Raises:
@@ -122,23 +122,3 @@ class Scene:
         if self.goal is not None and not isinstance(self.goal, Goal):
             raise ValueError(f"goal must be one of the goals or None, got {self.goal!r}")
         check_readings(self.readings)
-
-    @property
-    def rows(self) -> int:
-        """Number of elements across the line, in y."""
-        return int(self.axis.shape[0])
-
-    @property
-    def columns(self) -> int:
-        """Number of elements along the line, in x."""
-        return int(self.axis.shape[1])
-
-    @property
-    def pitches(self) -> tuple[float, float]:
-        """[m] from column to column, and from row to row."""
-        return (self.pitch, self.pitch) if isinstance(self.pitch, float) else self.pitch
-
-    @property
-    def obeys(self) -> NDArray[np.bool_]:
-        """(rows, columns) the elements in the zone."""
-        return obeying(self.axis.shape, self.zone)
