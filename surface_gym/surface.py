@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym.dynamics.axes import directions_of
 from surface_gym.dynamics.types import GRAVITY, Grid
 
 
@@ -134,7 +135,7 @@ class Surface(Elements):
         """The surface as the compiled physics reads it."""
         return Grid(
             axis=np.arange(self.axis.size, dtype=np.int32).reshape(self.axis.shape),
-            direction=np.stack([np.cos(self.axis), np.sin(self.axis)], axis=-1).reshape(-1, 2),
+            direction=directions_of(self.axis.ravel()),
             rotor=np.array(self.rotor),
             stiffness=np.ones(self.axis.shape) if self.stiffness is None else self.stiffness.copy(),
             friction=self.friction.copy(),

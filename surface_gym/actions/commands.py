@@ -8,6 +8,7 @@ built from. Only rotors that obey turn; every other axis stays as it is.
 import math
 from typing import NamedTuple
 
+from surface_gym.dynamics.axes import axis_direction
 from surface_gym.dynamics.compiled import inlined
 from surface_gym.dynamics.types import Array, Integers, X, Y
 from surface_gym.lanes.lane import Lane
@@ -16,7 +17,7 @@ from surface_gym.layouts import ROLLING
 
 WINDOW_SIDE = 5  # modules
 _HALF = 0.5 + 1e-9  # midway between two rows, whatever the round-off
-CONVEYOR = (math.cos(ROLLING), math.sin(ROLLING))  # cosine and sine of an axis that is not told
+CONVEYOR = (0.0, 1.0)  # cosine and sine of `ROLLING`, an axis that is not told
 
 
 class Acting(NamedTuple):
@@ -99,8 +100,9 @@ def set_angle(
     """To the angle that the part says, at once."""
     angle = surfaces.command[lane, part]
     axis = surfaces.axis[lane, row, column]
-    surfaces.direction[lane, axis, 0] = math.cos(angle)
-    surfaces.direction[lane, axis, 1] = math.sin(angle)
+    cosine, sine = axis_direction(angle)
+    surfaces.direction[lane, axis, 0] = cosine
+    surfaces.direction[lane, axis, 1] = sine
 
 
 @inlined
@@ -140,8 +142,9 @@ def turn_axes(acting: Acting, surfaces: Surfaces, lane: int, zone: Integers) -> 
                 angle = surfaces.angle[lane, row, column] + math.copysign(acting.turn, apart)
             axis = surfaces.axis[lane, row, column]
             surfaces.angle[lane, row, column] = angle
-            surfaces.direction[lane, axis, 0] = math.cos(angle)
-            surfaces.direction[lane, axis, 1] = math.sin(angle)
+            cosine, sine = axis_direction(angle)
+            surfaces.direction[lane, axis, 0] = cosine
+            surfaces.direction[lane, axis, 1] = sine
 
 
 # How all axes become the conveyor's, at once.

@@ -7,6 +7,7 @@ import numpy as np
 
 from surface_gym.actions.commands import CONVEYOR, Acting
 from surface_gym.batch.kernels import Rules
+from surface_gym.dynamics.axes import directions_of
 from surface_gym.lanes.memory import (
     COMMON_OUTCOMES,
     Lanes,
@@ -83,6 +84,6 @@ def surfaces_of(settings: Any, sizes: Sizes) -> Surfaces:
     surfaces.direction[:] = CONVEYOR
     if sizes.choices and not sizes.turning:  # axes count the orientations on offer
         angles = np.array(settings.chosen_orientations)
-        surfaces.direction[0, :-1] = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        surfaces.direction[0, :-1] = directions_of(angles)
         surfaces.axis[:] = len(angles)
     return surfaces

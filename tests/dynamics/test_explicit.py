@@ -27,13 +27,16 @@ def under_the_base(surface: sg.Surface, parcel: sg.Parcel, pose: np.ndarray) -> 
 def contact_forces(
     surface: sg.Surface, rotor: np.ndarray, axis: np.ndarray, slide: np.ndarray, normal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Eq. (2) and (3): (contacts, 2) forces along the axes, and the other forces."""
+    """Eq. (2) and (3): (contacts, 2) forces along the axes, and the other forces.
+
+    cos(alpha) and sin(alpha), of the angle from the motion to the axis, are taken from the vectors:
+    of angles, the sign would be that of their round-off where a rotor lies along or across it.
+    """
     beta = np.arctan2(slide[:, 1], slide[:, 0])
-    alpha = axis - beta
-    speed = np.hypot(slide[:, 0], slide[:, 1])
-    smooth = normal * np.tanh(K * speed)
-    f_par = surface.mu_max * smooth * np.sign(np.cos(alpha))
-    f_perp = surface.mu_min * smooth * np.sign(np.sin(alpha))
+    ax, ay = np.round([np.cos(axis), np.sin(axis)], 15)
+    smooth = normal * np.tanh(K * np.hypot(slide[:, 0], slide[:, 1]))
+    f_par = surface.mu_max * smooth * np.sign(ax * slide[:, 0] + ay * slide[:, 1])
+    f_perp = surface.mu_min * smooth * np.sign(ay * slide[:, 0] - ax * slide[:, 1])
     along = -f_par[:, None] * np.column_stack([np.cos(axis), np.sin(axis)])
     across = f_perp[:, None] * np.column_stack([-np.sin(axis), np.cos(axis)])
     support = -surface.mu_support * smooth[:, None] * np.column_stack([np.cos(beta), np.sin(beta)])
