@@ -11,10 +11,9 @@ from surface_gym.dynamics.entries import (
     advance_explicit,
     advance_implicit,
     find_support,
-    load_point,
     why_unborne,
 )
-from surface_gym.dynamics.memory import check_capacity, make_scratch, row_of
+from surface_gym.dynamics.memory import check_capacity, make_scratch
 from surface_gym.dynamics.run import run_explicit, run_implicit
 from surface_gym.dynamics.states import states_of
 from surface_gym.dynamics.step import (
@@ -25,12 +24,8 @@ from surface_gym.dynamics.step import (
     UNBORNE,
 )
 from surface_gym.dynamics.types import (
-    ARM_X,
-    ARM_Y,
-    NORMAL,
     OMEGA,
     STATE_SIZE,
-    STIFFNESS,
     THETA,
     VX,
     Array,
@@ -40,6 +35,7 @@ from surface_gym.dynamics.types import (
     X,
 )
 from surface_gym.parcel import Parcel
+from surface_gym.repeating import Run
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 
@@ -126,7 +122,8 @@ def simulate(
     check_steps(parcel, min(grid.pitch_x, grid.pitch_y), states[done], dt)
     end = "duration" if steps == len(time) - 1 else ENDS[int(reports[steps + 1])]
     pose_done, velocity_done = base_motion(parcel, states[done])
-    return Trajectory(time[done], pose_done, velocity_done, reports[done] == TIPPING, end)
+    how = Run(surface, parcel, dt, method, normal_forces, states[done])
+    return Trajectory(time[done], pose_done, velocity_done, reports[done] == TIPPING, end, how)
 
 
 def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
@@ -207,9 +204,8 @@ def _reference_step(
     normal_forces: str,
 ) -> int:
     """The compiled step with Eq. (1) solved by a reference in the dual's place."""
-    from surface_gym.dynamics import references
+    from surface_gym.dynamics.reference_load import bear_load_by
 
-    solve = references.SOLVERS[normal_forces]
     explicit = method == "explicit"
     if explicit and state[VX] <= 0.0 and grid.gravity_along == 0.0:
         return STOPPED
@@ -218,12 +214,7 @@ def _reference_step(
     count = contacts.total
     if count == 0:
         return int(why_unborne(grid, state, lead))
-    arms = np.column_stack([row_of(scratch, ARM_X, count), row_of(scratch, ARM_Y, count)])
-    load = np.array(load_point(grid, body, state))
-    stiffness = row_of(scratch, STIFFNESS, count)
-    row_of(scratch, NORMAL, count)[:], degenerate = solve(
-        arms, grid.gravity_normal, load, stiffness
-    )
+    degenerate = bear_load_by(normal_forces, grid, body, state, scratch, count)
     advance = advance_explicit if explicit else advance_implicit
     advance(grid, body, state, scratch, contacts, dt)
     return TIPPING if degenerate else BALANCED
