@@ -26,6 +26,24 @@ LINE_ROWS = {"S": 2, "B": 4}
 LEAD_IN = {"S": 3, "B": 5}
 
 
+def rows_under(width: float, pitch: float) -> int:
+    """Rows of a line for a parcel of a width [m]: an even number that lies under it, two at least.
+
+    >>> rows_under(0.25, 0.1), rows_under(0.45, 0.1)
+    (2, 4)
+    """
+    return 2 * max(1, int(width / (2.0 * pitch) + 1e-9))
+
+
+def lead_in_under(length: float, pitch: float) -> int:
+    """Columns of a lead-in that a parcel of a length [m] starts wholly on.
+
+    >>> lead_in_under(0.25, 0.1), lead_in_under(0.45, 0.1)
+    (3, 5)
+    """
+    return max(1, math.ceil(length / pitch - 1e-9))
+
+
 @lru_cache(maxsize=2)
 def box(size: str) -> Parcel:
     """The paper's "S" (0.25 m x 0.25 m) or "B" (0.45 m x 0.45 m) box, 10 kg, Table 1."""

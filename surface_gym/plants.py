@@ -14,7 +14,7 @@ from surface_gym.bases import Base
 from surface_gym.dynamics.memory import check_capacity
 from surface_gym.dynamics.types import Array
 from surface_gym.lanes.memory import Geometry
-from surface_gym.layouts import LINE_Y
+from surface_gym.layouts import LINE_Y, lead_in_under, rows_under
 from surface_gym.surface import Elements, Surface
 
 ORIENTATIONS = (0.0, math.pi / 4, -math.pi / 4, math.pi / 2)  # [rad] the paper's Figure 2b
@@ -153,8 +153,7 @@ class Line(Plant):
             ValueError: the base is too long or too wide for the line.
         """
         length, width = np.ptp(base.outline, axis=0)
-        rows = 2 * max(1, int(width / (2.0 * self.pitch_y) + 1e-9))
-        lead_in = int(np.ceil(length / self.pitch_x - 1e-9))
+        rows, lead_in = rows_under(width, self.pitch_y), lead_in_under(length, self.pitch_x)
         longest = self.columns - self.zone_columns
         if rows > self.zone_rows or lead_in > longest:
             raise ValueError(
