@@ -44,7 +44,7 @@ from surface_gym.dynamics.types import (
 )
 
 # Phi is rounded (Huber) below this contact speed, a tenth of where the paper's tanh(5000 |V|)
-# bends: a parcel held on a slope creeps by less than this.
+# bends: along and across its axis a contact that is held creeps by less than this.
 ROUNDING = 1e-5  # [m/s]
 TOLERANCE = 1e-9  # [m/s] left of the optimality condition
 MAX_ITERATIONS = 100

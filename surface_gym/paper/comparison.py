@@ -18,6 +18,14 @@ Value = int | float | SlowingLayout | None
 
 
 @dataclass(frozen=True)
+class Found:
+    """A value of ours, and how much of its run Eq. (1) cannot balance."""
+
+    value: Value
+    tipping: float | None  # [-] share of the steps up to the value; None: there was no step
+
+
+@dataclass(frozen=True)
 class Cell:
     """One value of the paper beside ours, all in the unit its column names.
 
@@ -27,21 +35,15 @@ class Cell:
 
     row: str
     column: str
+    size: str  # of the box, "S" or "B"
     paper: Value
-    paper_step: Value  # ours at PAPER_STEP
-    converged: Value  # ours at CONVERGED
+    ours: tuple[Found, ...]  # one an integration, in the order of `INTEGRATIONS`
     decimals: int = 0  # the paper prints
     tolerance: float = 0.0
 
-    @property
-    def paper_step_agrees(self) -> bool:
-        return self._agrees(self.paper_step)
-
-    @property
-    def converged_agrees(self) -> bool:
-        return self._agrees(self.converged)
-
-    def _agrees(self, ours: Value) -> bool:
+    def agrees(self, integration: int) -> bool:
+        """Whether ours by the integration of that place agrees."""
+        ours = self.ours[integration].value
         if isinstance(ours, (int, float)) and isinstance(self.paper, (int, float)):
             difference = round(ours, self.decimals) - self.paper
             return abs(round(difference, self.decimals)) <= self.tolerance
@@ -57,12 +59,15 @@ class Table:
     rule: str  # what is counted, and when a cell agrees
     cells: tuple[Cell, ...]
 
-    @property
-    def paper_step_agreeing(self) -> int:
-        """Cells that agree at PAPER_STEP."""
-        return sum(cell.paper_step_agrees for cell in self.cells)
+    def agreeing(self, integration: int) -> int:
+        """Cells that agree by the integration of that place."""
+        return sum(cell.agrees(integration) for cell in self.cells)
 
-    @property
-    def converged_agreeing(self) -> int:
-        """Cells that agree at CONVERGED."""
-        return sum(cell.converged_agrees for cell in self.cells)
+    def tipping(self, integration: int) -> dict[str, tuple[float, float]]:
+        """By the size of the box: least and largest share of a run's steps that would tip it."""
+        shares: dict[str, list[float]] = {}
+        for cell in self.cells:
+            share = cell.ours[integration].tipping
+            if share is not None:
+                shares.setdefault(cell.size, []).append(share)
+        return {size: (min(found), max(found)) for size, found in shares.items()}

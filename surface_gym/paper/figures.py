@@ -1,16 +1,23 @@
-"""Figures 7, 8 and 10 of the paper, drawn with matplotlib."""
+"""Figures 7, 8 and 10 of the paper, and all of them written to a folder."""
 
 import math
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from surface_gym import layouts
-from surface_gym.paper.integration import CONVERGED, PAPER_STEP
+from surface_gym.paper.alignment_figure import draw_alignment
+from surface_gym.paper.drawing import draw_box, draw_surface, element_marks
+from surface_gym.paper.framing import COARSE_NAME
+from surface_gym.paper.integration import COARSE, CONVERGED
+from surface_gym.paper.layout_figures import (
+    draw_kinds,
+    draw_slowing_layouts,
+    draw_validation_layout,
+)
 from surface_gym.paper.occupancy import rotor_columns
 from surface_gym.paper.reproduction import TILTS, Reproduction
 from surface_gym.paper.sorting import SortingCase, run_table2
@@ -18,18 +25,21 @@ from surface_gym.paper.targets import SIZES, SortingRun, load_targets
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 
-AXIS_LENGTH = 0.06  # [m] drawn through a rotor's centre
 SLOWING_TIME = 1.5  # [s] of Figure 10
 COLOURS = {"7c black": "black", "7c magenta": "magenta"}
 SUFFIXES = (".png", ".pdf")
 
 
 def draw_figures(reproduction: Reproduction, folder: Path) -> list[Path]:
-    """Write the three figures into the folder; their paths."""
+    """Write the figures into the folder; their paths."""
     figures = {
+        "figure6": draw_kinds(),
         "figure7": draw_trajectories(),
         "figure8": draw_rates(reproduction),
+        "figure9": draw_slowing_layouts(),
         "figure10": draw_slowing(),
+        "figure11": draw_validation_layout(),
+        "alignment": draw_alignment(),
     }
     paths = []
     for name, figure in figures.items():
@@ -47,53 +57,30 @@ def draw_trajectories() -> Figure:
     for letter, panel in zip("abc", panels, strict=True):
         runs = [run for run in load_targets().sorting_runs if run.figure.startswith(f"7{letter}")]
         title = f"({letter}) axes at {-45 * runs[0].side:+}°, after {runs[0].time:g} s"
-        _draw_surface(panel, layouts.sorting("S", runs[0].side))
+        draw_surface(panel, layouts.sorting("S", runs[0].side))
         for run in runs:
             _draw_sorting_run(panel, run)
         panel.set(xlim=(0.0, 1.4), ylim=(0.2, 1.8), aspect="equal", xlabel="x [m]", title=title)
         panel.legend(loc="lower left" if runs[0].side > 0 else "upper left", framealpha=1.0)
     panels[0].set_ylabel("y [m]")
     marks = [
-        Line2D([], [], marker="|", color="red", markersize=10, linestyle="", label="rotor axis"),
-        Line2D([], [], marker=".", color="tab:blue", linestyle="", label="support"),
-        Line2D([], [], color="gray", linewidth=2.0, label="the paper's step"),
+        *element_marks(),
+        Line2D([], [], color="gray", linewidth=2.0, label=COARSE_NAME),
         Line2D([], [], color="gray", linewidth=1.0, linestyle="--", label="converged"),
     ]
     figure.legend(handles=marks, loc="outside lower center", ncols=len(marks))
     return figure
 
 
-def _draw_surface(panel: Axes, surface: Surface) -> None:
-    """Red rotors with their axes, blue supports, as in Figure 6."""
-    x, y = np.meshgrid(surface.x, surface.y)
-    rotor = surface.rotor
-    panel.plot(x[~rotor], y[~rotor], ".", color="tab:blue", markersize=4)
-    panel.plot(x[rotor], y[rotor], ".", color="red", markersize=4)
-    centre = np.stack([x[rotor], y[rotor]], axis=-1)
-    direction = np.stack([np.cos(surface.axis[rotor]), np.sin(surface.axis[rotor])], axis=-1)
-    half = 0.5 * AXIS_LENGTH * direction
-    axes = np.stack([centre - half, centre + half], axis=1)
-    panel.add_collection(LineCollection(list(axes), color="red", linewidth=1.2))
-
-
 def _draw_sorting_run(panel: Axes, run: SortingRun) -> None:
     colour = COLOURS.get(run.figure, "limegreen")
-    coarse, fine = run_table2(run, PAPER_STEP), run_table2(run, CONVERGED)
+    coarse, fine = run_table2(run, COARSE), run_table2(run, CONVERGED)
     label = f"{run.speed:g} m/s" if run.speed > 0.0 else f"tilted by {run.tilt:g}°"
     panel.plot(coarse.pose[:, 0], coarse.pose[:, 1], color=colour, linewidth=2.0, label=label)
     panel.plot(fine.pose[:, 0], fine.pose[:, 1], "--", color=colour, linewidth=1.0)
-    _draw_box(panel, coarse.pose[-1], colour, "-", 2.0)
-    _draw_box(panel, fine.pose[-1], colour, "--", 1.0)
+    draw_box(panel, "S", coarse.pose[-1], colour, "-", 2.0)
+    draw_box(panel, "S", fine.pose[-1], colour, "--", 1.0)
     panel.plot(*coarse.pose[-1, :2], "o", color=colour, markersize=4)
-
-
-def _draw_box(panel: Axes, pose: np.ndarray, colour: str, style: str, width: float) -> None:
-    """The S-box's perimeter."""
-    x, y, theta = pose
-    cosine, sine = math.cos(theta), math.sin(theta)
-    outline = layouts.box("S").base.outline @ np.array([[cosine, sine], [-sine, cosine]])
-    corners = np.vstack([outline, outline[:1]]) + np.array([x, y])
-    panel.plot(corners[:, 0], corners[:, 1], style, color=colour, linewidth=width)
 
 
 def draw_rates(reproduction: Reproduction) -> Figure:
@@ -124,11 +111,11 @@ def draw_rates(reproduction: Reproduction) -> Figure:
 def _draw_cases(
     panel: Axes, cases: tuple[SortingCase, ...], size: str, over: str, colour: str
 ) -> None:
-    """Dots at the paper's step, crosses converged; a box that is not sorted has none."""
+    """Dots at the coarse step, crosses converged; a box that is not sorted has none."""
     mine = [case for case in cases if case.size == size]
     x = [getattr(case, over) for case in mine]
-    panel.plot(x, [case.paper_step.rate or math.nan for case in mine], "o", color=colour)
-    panel.plot(x, [case.converged.rate or math.nan for case in mine], "k+", markersize=5)
+    panel.plot(x, [case.ours[0].rate or math.nan for case in mine], "o", color=colour)
+    panel.plot(x, [case.ours[1].rate or math.nan for case in mine], "k+", markersize=5)
 
 
 def draw_slowing() -> Figure:
@@ -164,7 +151,7 @@ def _draw_velocity(
 ) -> None:
     """Velocity at both steps, and when the base is first and last over the task's columns."""
     speed = load_targets().ratio_speed
-    coarse = PAPER_STEP.run(surface, size, speed, SLOWING_TIME)
+    coarse = COARSE.run(surface, size, speed, SLOWING_TIME)
     fine = CONVERGED.run(surface, size, speed, SLOWING_TIME)
     panel.plot(*_velocity(coarse), color=colour, linewidth=2.0)
     panel.plot(*_velocity(fine), "--", color=colour, linewidth=1.0)

@@ -1,12 +1,14 @@
 """Section 5.2 and 5.3: how much a slowing area takes of a parcel's speed, and what stops it."""
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from surface_gym import layouts
-from surface_gym.paper.comparison import Cell, SlowingLayout
-from surface_gym.paper.integration import CONVERGED, PAPER_STEP, Integration
+from surface_gym.paper.comparison import Cell, Found, SlowingLayout
+from surface_gym.paper.integration import Integration, tipping_share
 from surface_gym.paper.occupancy import rotor_columns
 from surface_gym.surface import Surface
 
@@ -35,8 +37,15 @@ def stopping_surface(size: str, layout: SlowingLayout) -> Surface:
     )
 
 
-def exit_speed(surface: Surface, size: str, speed: float, integration: Integration) -> float:
-    """[m/s] of a box as its base leaves the task's last column; 0 where it stops before.
+class Exit(NamedTuple):
+    """How a box leaves the task's columns."""
+
+    speed: float  # [m/s] as its base leaves the last of them; 0 where it stops before
+    tipping: float | None  # [-] share of the steps until then that would tip it
+
+
+def leave(surface: Surface, size: str, speed: float, integration: Integration) -> Exit:
+    """Send a box over the task's columns.
 
     Args:
         surface: of `slowing_surface` or `stopping_surface`.
@@ -47,41 +56,49 @@ def exit_speed(surface: Surface, size: str, speed: float, integration: Integrati
     trajectory = integration.run(surface, size, speed, LONGEST)
     first, _ = rotor_columns(surface, size, trajectory.pose)
     past = first >= surface.columns - layouts.LEAD_IN[size]
-    return float(trajectory.velocity[np.argmax(past), 0]) if past.any() else 0.0
+    if not past.any():
+        return Exit(0.0, tipping_share(trajectory))
+    end = int(np.argmax(past))
+    return Exit(float(trajectory.velocity[end, 0]), tipping_share(trajectory, end))
 
 
-def smallest_layout(size: str, speed: float, integration: Integration) -> SlowingLayout | None:
+def smallest_layout(size: str, speed: float, integration: Integration) -> Found:
     """The fewest columns with 0.5 v0 >= v_out > 0, or None where no layout does that."""
     for columns in range(1, MOST_COLUMNS + 1):
         for angle in ANGLES:
             layout = SlowingLayout(columns, angle)
-            left = exit_speed(slowing_surface(size, layout), size, speed, integration)
-            if 0.5 * speed >= left > 0.0:
-                return layout
-    return None
+            left = leave(slowing_surface(size, layout), size, speed, integration)
+            if 0.5 * speed >= left.speed > 0.0:
+                return Found(layout, left.tipping)
+    return Found(None, None)
 
 
-def table4_cell(size: str, speed: float, paper: SlowingLayout) -> Cell:
+def table4_cell(
+    size: str, speed: float, paper: SlowingLayout, integrations: Sequence[Integration]
+) -> Cell:
     """An entry of Table 4."""
-    coarse = smallest_layout(size, speed, PAPER_STEP)
-    fine = smallest_layout(size, speed, CONVERGED)
-    return Cell(f"{speed:.1f}", f"{size}-box", paper, coarse, fine)
+    ours = tuple(smallest_layout(size, speed, integration) for integration in integrations)
+    return Cell(f"{speed:.1f}", f"{size}-box", size, paper, ours)
 
 
-def ratio_cell(size: str, speed: float, layout: SlowingLayout, paper: float) -> Cell:
+def ratio_cell(
+    size: str,
+    speed: float,
+    layout: SlowingLayout,
+    paper: float,
+    integrations: Sequence[Integration],
+) -> Cell:
     """A slowing ratio v_out / v0 of Section 5.2."""
     surface = slowing_surface(size, layout)
-    coarse, fine = (
-        exit_speed(surface, size, speed, integration) / speed
-        for integration in (PAPER_STEP, CONVERGED)
-    )
-    return Cell(f"columns: {layout}", f"{size}-box", paper, coarse, fine, 2)
+    exits = [leave(surface, size, speed, integration) for integration in integrations]
+    ours = tuple(Found(done.speed / speed, done.tipping) for done in exits)
+    return Cell(f"columns: {layout}", f"{size}-box", size, paper, ours, 2)
 
 
-def stopping_cell(size: str, speed: float, layout: SlowingLayout) -> Cell:
+def stopping_cell(
+    size: str, speed: float, layout: SlowingLayout, integrations: Sequence[Integration]
+) -> Cell:
     """The speed left behind Table 4's layout and one more column; the paper says none is."""
     surface = stopping_surface(size, layout)
-    coarse, fine = (
-        exit_speed(surface, size, speed, integration) for integration in (PAPER_STEP, CONVERGED)
-    )
-    return Cell(f"{speed:.1f}", f"{size}-box", 0.0, coarse, fine, 3)
+    ours = tuple(Found(*leave(surface, size, speed, integration)) for integration in integrations)
+    return Cell(f"{speed:.1f}", f"{size}-box", size, 0.0, ours, 3)

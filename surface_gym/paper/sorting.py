@@ -1,13 +1,14 @@
 """Section 5.1: where sorted parcels end, how many columns they touch, how long they take."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from surface_gym import layouts
-from surface_gym.paper.comparison import Cell
-from surface_gym.paper.integration import CONVERGED, PAPER_STEP, Integration
+from surface_gym.paper.comparison import Cell, Found
+from surface_gym.paper.integration import Integration, tipping_share
 from surface_gym.paper.occupancy import NONE, rotor_columns
 from surface_gym.paper.targets import Passing, SortingRun
 from surface_gym.trajectory import Trajectory
@@ -17,6 +18,8 @@ ANGLE_TOLERANCE = 3.5  # [deg]
 TIME_TOLERANCE = 0.010  # [s]
 LONGEST = 6.0  # [s] a sorting run may take; a parcel still in the line then has not been sorted
 
+Integrations = Sequence[Integration]
+
 
 @dataclass(frozen=True)
 class Sorted:
@@ -24,17 +27,17 @@ class Sorted:
 
     columns: int | None  # touched, from the first inclined one on; None: it stays in the line
     rate: float | None  # [pcs/h] Figure 8's; None: it stays within Figure 8's distance
+    tipping: float | None  # [-] share of the steps, until it is out of the line, that would tip it
 
 
 @dataclass(frozen=True)
 class SortingCase:
-    """A box sent through the sorting layout at both steps."""
+    """A box sent through the sorting layout."""
 
     size: str  # "S" or "B"
     speed: float  # [m/s] at the start
     tilt: float  # [deg]
-    paper_step: Sorted
-    converged: Sorted
+    ours: tuple[Sorted, ...]  # one an integration
 
 
 def run_table2(case: SortingRun, integration: Integration) -> Trajectory:
@@ -49,20 +52,23 @@ def displacement(trajectory: Trajectory) -> tuple[float, float, float]:
     return x, y, math.degrees(theta)
 
 
-def table2_cells(case: SortingRun) -> tuple[Cell, ...]:
+def table2_cells(case: SortingRun, integrations: Integrations) -> tuple[Cell, ...]:
     """One row of Table 2: x, y and theta."""
     push = f"{case.speed:g} m/s" if case.speed > 0.0 else f"{case.tilt:g}°"
     row = f"{case.figure[:2]}, {push}"
-    coarse = displacement(run_table2(case, PAPER_STEP))
-    fine = displacement(run_table2(case, CONVERGED))
+    runs = [run_table2(case, integration) for integration in integrations]
+    shares = [tipping_share(run) for run in runs]
+    x, y, theta = (
+        tuple(map(Found, values, shares)) for values in zip(*map(displacement, runs), strict=True)
+    )
     return (
-        Cell(row, "x [m]", case.x, coarse[0], fine[0], 3, POSITION_TOLERANCE),
-        Cell(row, "y [m]", case.y, coarse[1], fine[1], 3, POSITION_TOLERANCE),
-        Cell(row, "theta [°]", case.theta, coarse[2], fine[2], 2, ANGLE_TOLERANCE),
+        Cell(row, "x [m]", "S", case.x, x, 3, POSITION_TOLERANCE),
+        Cell(row, "y [m]", "S", case.y, y, 3, POSITION_TOLERANCE),
+        Cell(row, "theta [°]", "S", case.theta, theta, 2, ANGLE_TOLERANCE),
     )
 
 
-def pass_by(case: Passing, integration: Integration) -> tuple[float, float, float]:
+def pass_by(case: Passing, integration: Integration) -> tuple[Found, Found, Found]:
     """Displacement x [m], theta [deg] and time [s] at which the displacement y is reached."""
     surface = layouts.sorting("S", side=-1, tilt=math.radians(case.tilt))
     trajectory = integration.run(surface, "S", speed=0.0, duration=2.0 * case.time)
@@ -71,17 +77,23 @@ def pass_by(case: Passing, integration: Integration) -> tuple[float, float, floa
     part = (case.y - moved[after - 1, 1]) / (moved[after, 1] - moved[after - 1, 1])
     x, _, theta = moved[after - 1] + part * (moved[after] - moved[after - 1])
     time = trajectory.time[after - 1] + part * integration.dt
-    return float(x), math.degrees(theta), float(time)
+    share = tipping_share(trajectory, after)
+    return (
+        Found(float(x), share),
+        Found(math.degrees(theta), share),
+        Found(float(time), share),
+    )
 
 
-def passing_cells(case: Passing) -> tuple[Cell, ...]:
+def passing_cells(case: Passing, integrations: Integrations) -> tuple[Cell, ...]:
     """The state in which the parcel at 10 deg passes the one at 5 deg."""
     row = f"y = {case.y:g}"
-    coarse, fine = pass_by(case, PAPER_STEP), pass_by(case, CONVERGED)
+    ours = (pass_by(case, integration) for integration in integrations)
+    x, theta, time = zip(*ours, strict=True)
     return (
-        Cell(row, "x [m]", case.x, coarse[0], fine[0], 3, POSITION_TOLERANCE),
-        Cell(row, "theta [°]", case.theta, coarse[1], fine[1], 2, ANGLE_TOLERANCE),
-        Cell(row, "time [s]", case.time, coarse[2], fine[2], 3, TIME_TOLERANCE),
+        Cell(row, "x [m]", "S", case.x, x, 3, POSITION_TOLERANCE),
+        Cell(row, "theta [°]", "S", case.theta, theta, 2, ANGLE_TOLERANCE),
+        Cell(row, "time [s]", "S", case.time, time, 3, TIME_TOLERANCE),
     )
 
 
@@ -96,10 +108,11 @@ def sort(size: str, speed: float, tilt: float, integration: Integration) -> Sort
     trajectory = integration.run(surface, size, speed, LONGEST)
     _, last = rotor_columns(surface, size, trajectory.pose)
     out = last == NONE
-    columns = int(last[: np.argmax(out)].max()) - layouts.LEAD_IN[size] + 1 if out.any() else None
+    end = int(np.argmax(out)) if out.any() else None
+    columns = None if end is None else int(last[:end].max()) - layouts.LEAD_IN[size] + 1
     clear = abs(trajectory.pose[:, 1] - trajectory.pose[0, 1]) >= clear_distance(size)
     rate = 3600.0 / float(trajectory.time[np.argmax(clear)]) if clear.any() else None
-    return Sorted(columns, rate)
+    return Sorted(columns, rate, tipping_share(trajectory, end))
 
 
 def clear_distance(size: str) -> float:
@@ -108,33 +121,27 @@ def clear_distance(size: str) -> float:
     return float(base.outline[:, 1].max()) + base.reach
 
 
-def sort_case(size: str, speed: float = 0.0, tilt: float = 0.0) -> SortingCase:
-    """Sort a box at both steps."""
-    return SortingCase(
-        size, speed, tilt, sort(size, speed, tilt, PAPER_STEP), sort(size, speed, tilt, CONVERGED)
-    )
+def sort_case(size: str, speed: float, tilt: float, integrations: Integrations) -> SortingCase:
+    """Sort a box by each integration."""
+    ours = tuple(sort(size, speed, tilt, integration) for integration in integrations)
+    return SortingCase(size, speed, tilt, ours)
 
 
 def table3_cell(case: SortingCase, paper: int | None) -> Cell:
     """An entry of Table 3."""
-    return Cell(
-        f"{case.speed:.1f}",
-        f"{case.size}-box",
-        paper,
-        case.paper_step.columns,
-        case.converged.columns,
-    )
+    ours = tuple(Found(each.columns, each.tipping) for each in case.ours)
+    return Cell(f"{case.speed:.1f}", f"{case.size}-box", case.size, paper, ours)
 
 
-def slowest_sorted(size: str, integration: Integration) -> float:
+def slowest_sorted(size: str, integration: Integration) -> Found:
     """[m/s] the first of the speeds 0.1, 0.2, ... at which a box leaves the line."""
     tenths = 1
-    while sort(size, tenths / 10.0, 0.0, integration).columns is None:
+    while (done := sort(size, tenths / 10.0, 0.0, integration)).columns is None:
         tenths += 1
-    return tenths / 10.0
+    return Found(tenths / 10.0, done.tipping)
 
 
-def slowest_cell(size: str, paper: float) -> Cell:
+def slowest_cell(size: str, paper: float, integrations: Integrations) -> Cell:
     """The speed below which sorting fails."""
-    coarse, fine = slowest_sorted(size, PAPER_STEP), slowest_sorted(size, CONVERGED)
-    return Cell("v0 [m/s]", f"{size}-box", paper, coarse, fine, 1)
+    ours = tuple(slowest_sorted(size, integration) for integration in integrations)
+    return Cell("v0 [m/s]", f"{size}-box", size, paper, ours, 1)

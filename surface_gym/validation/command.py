@@ -23,8 +23,9 @@ from surface_gym.validation.study import carry_out
 class Options:
     """Compare the analytic model with MuJoCo, as Section 6 of the paper does with Adams.
 
-    Prints Table 7 for Adams as printed and for MuJoCo, from which tilt the sort completes, how far
-    MuJoCo itself has converged, and how fast each method is. Takes about a minute on two cores.
+    Prints Table 7 for Adams as printed and for MuJoCo, Adams's displacements as far as they are
+    printed, from which tilt the sort completes, how far MuJoCo itself has converged, and how fast
+    each method is. Takes about a minute on two cores, with --heights or --touching two more each.
     """
 
     figures: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None

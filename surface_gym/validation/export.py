@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym.validation.adams import printed
 from surface_gym.validation.cases import displacement
 from surface_gym.validation.comparison import Summary, paper_errors
 from surface_gym.validation.report import LIMITS
@@ -31,6 +32,10 @@ def as_data(study: Study) -> dict[str, Any]:
         ],
         "targets": [{**asdict(target), "reached": target.is_reached} for target in study.targets],
         "sorts_from_deg": {"Adams, as printed": paper.sorts_from, **study.sorts_from},
+        "adams_displacements": {
+            run: {"low": printed(run).low.tolist(), "high": printed(run).high.tolist()}
+            for run in ("gamma10", "v09")
+        },
         "convergence": [
             {
                 "case": variant.case.name,

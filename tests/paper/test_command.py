@@ -6,7 +6,7 @@ import pytest
 
 from surface_gym.paper import command
 
-FIGURES = ("figure7", "figure8", "figure10")
+FIGURES = (*(f"figure{k}" for k in range(6, 12)), "alignment")
 
 
 @pytest.fixture
@@ -32,8 +32,12 @@ def test_the_report_shows_every_table_and_count(reproduction, capsys):
     out = capsys.readouterr().out
     for table in reproduction.tables:
         assert table.title in out
-    assert "38 of 40 at the paper's step" in out
-    assert "37 of 38 at the paper's step" in out
+    assert "39 of 40 at 5 ms, 38 of 40 converged" in out
+    assert "37 of 38 at 5 ms, 34 of 38 converged" in out
+    assert "The paper prints no step" in out
+    assert out.count("steps in which Eq. (1) has no solution:") == len(reproduction.tables)
+    assert "The most that one step brings is 88, at 4 and 5 and 6 ms" in out
+    assert "paper's step" not in out
     assert "S-box by tilt: 11 of 11, 11 of 11" in out
     assert all(len(line) <= 80 for line in out.splitlines())
 
@@ -48,14 +52,17 @@ def test_json_holds_what_was_computed(reproduction, tmp_path):
     assert list(report["tables"]) == [table.key for table in reproduction.tables]
     for table in reproduction.tables:
         written = report["tables"][table.key]
-        assert written["agree"]["paper_step"] == table.paper_step_agreeing
-        assert written["agree"]["converged"] == table.converged_agreeing
+        assert written["agreeing"] == [table.agreeing(k) for k in range(3)]
         for cell, row in zip(table.cells, written["cells"], strict=True):
-            layout = isinstance(cell.paper_step, tuple)
-            assert row["paper_step"] == (list(cell.paper_step) if layout else cell.paper_step)
-            assert row["paper_step_agrees"] == cell.paper_step_agrees
-    rates = [case["converged"]["rate"] for case in report["sorting_rates"]["by_speed"]]
-    assert rates == [case.converged.rate for case in reproduction.sorted_by_speed]
+            values = [list(f.value) if isinstance(f.value, tuple) else f.value for f in cell.ours]
+            assert [each["value"] for each in row["ours"]] == values
+            assert [each["tipping"] for each in row["ours"]] == [f.tipping for f in cell.ours]
+            assert row["agrees"] == [cell.agrees(k) for k in range(3)]
+    rates = [case["ours"][1]["rate"] for case in report["sorting_rates"]["by_speed"]]
+    assert rates == [case.ours[1].rate for case in reproduction.sorted_by_speed]
+    assert len(report["agreeing_by_step"]) == len(reproduction.by_step)
+    assert len(report["self_stopping"]) == len(reproduction.self_stopping)
+    assert len(report["alignment"]) == len(reproduction.alignment)
 
 
 @pytest.mark.usefixtures("computed")
