@@ -26,8 +26,8 @@ class Planner:
     period too. `state` holds the plan that each lane follows.
 
     Args:
-        settings: of the environment it is to act in, with "halves" for actions; parcels other than
-            the S- and the B-box are taken for the one nearer in size.
+        settings: of the environment it is to act in, with "halves" for actions; a parcel is taken
+            for the one, of those its task draws, that is nearest in size.
         budget: parcels followed at a time, each with every action; what a search costs is in
             proportion.
 

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from benchmarks import accuracy, environments, physics
+from benchmarks import accuracy, design, environments, physics
 from benchmarks.environments import BOX2D, ENVPOOL
 from benchmarks.figure import Figure
 
@@ -26,6 +26,8 @@ class BenchmarkConfig:
     """Cost of a step, of an import and of a first step."""
     environments: bool = True
     """Steps a second beside other packages."""
+    design: bool = True
+    """Time of a design's answer, and its runs beside MuJoCo's."""
     scenes: int = 200
     """Random scenes of the accuracy table; 0 leaves it out."""
     seed: int = 0
@@ -51,6 +53,10 @@ def main() -> None:
         for package, found in (("gymnasium[box2d]", BOX2D), ("envpool", ENVPOOL)):
             if not found:
                 console.print(f"left out, not installed: {package} (extra 'bench')", markup=False)
+    if config.design:
+        measures.append(design.design_figures)
+        if not design.MUJOCO:
+            console.print("left out, not installed: mujoco (extra 'validation')", markup=False)
     for measure in track(measures, "measuring", console=console, transient=True):
         figures += measure()
     table = Table("figure", title=f"{platform.machine()}, {os.cpu_count()} cores")

@@ -11,15 +11,22 @@ from agents.evaluation.conditions import Condition
 from agents.evaluation.trials import Trial
 from agents.learning.folder import CONFIG
 from agents.learning.hyperparams import task_of
+from agents.planning.shown_path import with_path_shown
 from agents.policy_card import CARD
 from agents.rules import rules_of
+from agents.rules.best_layout import BestTracking
+from agents.rules.graded import GradedLayout
 from agents.tasks import find_task, kind_of
+from surface_gym.actions import ANY
 from surface_gym.settings import Settings
-from surface_gym.tasks import TASKS, Task
+from surface_gym.tasks import TASKS, Task, Track
 
 FIXED = "fixed layout"
+BEST_FIXED = "best fixed layout"
+ANY_ANGLE = "fixed layout, any angle"
 PLANNER = "planner"
-PLANNED = 40  # starts that the planner is tried on
+PLANNED = 40  # starts that who searches is tried on
+SEARCHED = ("slow", "stop", "orient")  # tasks with a rule that searches a layout for each start
 LABELS = {"ppo": "PPO", "dqn": "DQN", "modules": "PPO per module"}
 
 
@@ -35,13 +42,16 @@ class Contender:
     seeds: tuple[int, ...] = (0,)
     starts: int | None = None  # about how many it is tried on, one at a time; None: all at once
     conditions: tuple[str, ...] | None = None  # names; None: all
+    shown: Callable[[Task], Task] | None = None  # the task that shows it more; None: the trial's
+    orientations: str | None = None  # "any": axes at any angle; None: the plant's
 
     def settings(self, trial: Trial, condition: Condition) -> Settings:
         """Those of the environment it acts in."""
         return Settings(
-            task=trial.task,
+            task=trial.task if self.shown is None else self.shown(trial.task),
             actions=self.actions,
             control_period=self.control_period,
+            orientations=self.orientations,
             sensors=condition.sensors,
             randomisation=condition.randomisation,
             actuators=condition.actuators,
@@ -49,13 +59,36 @@ class Contender:
 
 
 def rules(task: str) -> list[Contender]:
-    """Those that do not learn and do not plan; the fixed layout first."""
-    chosen = rules_of(kind_of(task))
-    chosen.sort(key=lambda rule: rule.name != FIXED)
-    return [
-        Contender(rule.name, task, rule.actions, 0.04, partial(_ruled, rule.make))
-        for rule in chosen
-    ]
+    """Those that do not learn and do not plan; the fixed layout first, then the best of such."""
+    kind = kind_of(task)
+    found = [
+        Contender(
+            rule.name, task, rule.actions, 0.04, partial(_ruled, rule.make),
+            starts=PLANNED if rule.name == BEST_FIXED and kind in SEARCHED else None,
+        )
+        for rule in rules_of(kind)
+    ]  # fmt: skip
+    if task == "track":
+        found.append(best_on_path())
+    if kind == "sort":
+        found.append(at_any_angle(task))
+    order = {FIXED: 0, BEST_FIXED: 1, ANY_ANGLE: 2}
+    return sorted(found, key=lambda contender: order.get(contender.name, len(order)))
+
+
+def best_on_path() -> Contender:
+    """The best fixed layout of Track, which is shown the whole path."""
+    return Contender(
+        BEST_FIXED, "track", "modules", 0.04, partial(_ruled, BestTracking), starts=PLANNED,
+        shown=_with_path,
+    )  # fmt: skip
+
+
+def at_any_angle(task: str) -> Contender:
+    """Sort's best layout where axes may stand at any angle, which all others may not."""
+    return Contender(
+        ANY_ANGLE, task, "modules", 0.04, partial(_ruled, GradedLayout), orientations=ANY
+    )
 
 
 def planner(task: str) -> Contender:
@@ -136,6 +169,11 @@ def only(contender: Contender, conditions: tuple[str, ...]) -> Contender:
 def _ruled(make: Callable[[Settings], Controller], settings: Settings, seed: int) -> Controller:
     del seed  # a rule has none
     return make(settings)
+
+
+def _with_path(task: Task) -> Task:
+    assert isinstance(task, Track)
+    return with_path_shown(task)
 
 
 def _planned(settings: Settings, seed: int) -> Controller:

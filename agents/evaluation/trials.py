@@ -39,9 +39,9 @@ class Trial:
         return label_of(self.name)
 
     def some(self, count: int) -> "Trial":
-        """About `count` of the starts, spread evenly."""
-        every = max(1, round(len(self.starts) / count))
-        chosen = self.starts[::every]
+        """`count` of the starts, or all where there are fewer, spread evenly."""
+        places = np.linspace(0, len(self.starts) - 1, min(count, len(self.starts))).round()
+        chosen = tuple(self.starts[place] for place in places.astype(int).tolist())
         return Trial(self.name, self.task, chosen, f"{len(chosen)} of these: {self.told}")
 
 

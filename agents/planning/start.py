@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from agents.sight import LineSight, PathSight, line_sight, path_sight
 from surface_gym.lanes.memory import PATH_POINTS
-from surface_gym.layouts import box
 from surface_gym.parcel import Parcel
-from surface_gym.plants import Field, Plant
+from surface_gym.plants import Field
 from surface_gym.settings import Settings
 from surface_gym.tasks.line import zone_of
 from surface_gym.tasks.orient import Orient
@@ -19,8 +18,6 @@ from surface_gym.tasks.start import Start
 from surface_gym.tasks.stop import Stop
 from surface_gym.tasks.track import AHEAD
 
-BETWEEN_BOXES = 0.175  # [m] half length, midway between the S-box's and the B-box's
-
 # On a field all places are alike but for that within a pitch: the parcel is put beside one module.
 _COLUMN, _ROW = 10, 10
 FIELD_ZONE = (6, 25)  # columns that a search may take a parcel over from there
@@ -29,21 +26,28 @@ _BEHIND = 60  # pieces of it behind the parcel
 
 
 def start_of(settings: Settings, observation: NDArray[np.float32]) -> Start:
-    """The start that an observation (features,) shows, the parcel one of the paper's boxes."""
+    """The start that an observation (features,) shows, the parcel one of those the task draws."""
     seen = observation[np.newaxis]
     if isinstance(settings.chosen_plant, Field):
-        return _on_field(settings.chosen_plant, path_sight(settings, seen))
+        return _on_field(settings, path_sight(settings, seen))
     return _on_line(settings, line_sight(settings, seen))
 
 
-def _box_of(half_length: float) -> Parcel:
-    return box("S" if half_length < BETWEEN_BOXES else "B")
+def nearest_parcel(settings: Settings, half_length: float) -> Parcel:
+    """Of the parcels that the task draws, the one nearest in size to a half length [m]."""
+    parcels: tuple[Parcel, ...] = settings.chosen_task.parcels
+    return min(parcels, key=lambda parcel: abs(_half_length(parcel) - half_length))
+
+
+def _half_length(parcel: Parcel) -> float:
+    """[m] from the base's centroid to its rearmost point, as the sensors show it."""
+    return parcel.rear + parcel.base.centroid[0]
 
 
 def _on_line(settings: Settings, see: LineSight) -> Start:
     task, plant = settings.chosen_task, settings.chosen_plant
     assert isinstance(task, (Sort, Slow, Stop, Orient))
-    parcel = _box_of(float(see.half_length[0]))
+    parcel = nearest_parcel(settings, float(see.half_length[0]))
     x = zone_of(plant, parcel, settings.zone)[0] + float(see.into_zone[0])
     pose = (x, plant.line_y + float(see.offset[0]), float(see.theta[0]))
     velocity = (float(see.vx[0]), float(see.vy[0]), float(see.omega[0]))
@@ -58,7 +62,8 @@ def _on_line(settings: Settings, see: LineSight) -> Start:
     return Start(parcel, pose, velocity, goal)
 
 
-def _on_field(plant: Plant, see: PathSight) -> Start:
+def _on_field(settings: Settings, see: PathSight) -> Start:
+    plant = settings.chosen_plant
     x = plant.origin[0] + plant.pitch_x * _COLUMN + float(see.x_in_pitch[0])
     y = plant.origin[1] + plant.pitch_y * _ROW + float(see.y_in_pitch[0])
     # The centre is over the middle of a piece, beyond what is seen the path goes on straight.
@@ -69,7 +74,7 @@ def _on_field(plant: Plant, see: PathSight) -> Start:
     path += on_path - 0.5 * (path[_BEHIND] + path[_BEHIND + 1])
     vx, vy = see.velocity
     return Start(
-        _box_of(float(see.half_length[0])),
+        nearest_parcel(settings, float(see.half_length[0])),
         (x, y, float(see.theta[0])),
         (float(vx[0]), float(vy[0]), float(see.omega[0])),
         (float(see.asked_speed[0]), x + float(from_centre[0]), _PIECE),

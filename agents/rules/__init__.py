@@ -3,6 +3,8 @@
 import math
 from functools import partial
 
+from agents.rules.best_layout import BestSlowing, BestStopping, BestTurning
+from agents.rules.best_sorting import BestSorting
 from agents.rules.braking import SlowingRule, StoppingRule
 from agents.rules.event import EventRule
 from agents.rules.fixed import FixedLayout
@@ -18,18 +20,22 @@ from agents.rules.uniform import UniformLayout
 
 RULES = (
     Rule("fixed layout", "sort", "modules", FixedLayout),
+    Rule("best fixed layout", "sort", "modules", BestSorting),
     Rule("event rule", "sort", "halves", EventRule),
     Rule("threshold logic", "sort", "modules", ThresholdRule),
     Rule("PID per module", "sort", "modules", PidRule),
     Rule("fixed layout", "slow", "modules", FixedSlowing),
+    Rule("best fixed layout", "slow", "modules", BestSlowing),
     Rule("braking rule", "slow", "modules", SlowingRule),
     Rule("fixed layout", "stop", "modules", FixedStopping),
+    Rule("best fixed layout", "stop", "modules", BestStopping),
     Rule("braking rule", "stop", "modules", StoppingRule),
     Rule("fixed layout", "track", "window", Rolling),
     Rule("threshold logic", "track", "window", ThresholdRule),
     Rule("PID per module", "track", "window", PidRule),
     Rule("sliding mode", "track", "window", SlidingMode),
     Rule("fixed layout", "orient", "modules", FixedTurning),
+    Rule("best fixed layout", "orient", "modules", BestTurning),
     Rule("threshold logic", "orient", "modules", ThresholdRule),
     Rule("PID per module", "orient", "modules", PidRule),
     Rule("turning rule", "orient", "modules", TurningRule),

@@ -40,6 +40,7 @@ def run(controller: Controller, settings: Settings, starts: list[dict[str, Any]]
         lanes,
         task=settings.task,
         actions=settings.actions,
+        orientations=settings.orientations,
         sensors=settings.sensors,
         max_episode_steps=LIMIT,
         autoreset_mode="SameStep",

@@ -1,0 +1,77 @@
+"""What a design's answers cost, and its runs beside MuJoCo's at the same accuracy."""
+
+import importlib.util
+import math
+import time
+from dataclasses import replace
+
+import numpy as np
+
+import surface_gym as sg
+from benchmarks.figure import Figure
+from surface_gym.design.case import Case
+from surface_gym.design.columns import least_columns
+from surface_gym.design.line import line_for
+from surface_gym.design.runs import make_runs, run_all
+
+MUJOCO = importlib.util.find_spec("mujoco") is not None
+SPEEDS = np.linspace(1.0, 2.7, 6)  # [m/s] at which the S-box is sorted
+COPIES = 200  # of these runs, to time ours
+PARCEL = sg.Parcel(sg.Rectangle(0.3, 0.4), mass=12.0)
+
+# What the project asks of itself.
+MOST_COLUMNS = 0.2  # [s] least columns for one parcel and speed, warm, on one core
+LEAST_OVER_MUJOCO = 500.0  # runs a second over MuJoCo's, one core each
+
+
+def design_figures() -> list[Figure]:
+    """An answer's time; runs a second, and how many times MuJoCo's where it is installed."""
+    case = Case(PARCEL, speed=1.2)
+    least_columns(case)  # compiles
+    figures = [
+        Figure("least columns, 0.3 m x 0.4 m at 1.2 m/s, 400 draws", _best(case), "s", MOST_COLUMNS)
+    ]
+    return figures + (_beside_mujoco() if MUJOCO else [])
+
+
+def _best(case: Case) -> float:
+    """[s] the best of ten."""
+    times = []
+    for _ in range(10):
+        begin = time.perf_counter()
+        least_columns(case)
+        times.append(time.perf_counter() - begin)
+    return min(times)
+
+
+def _beside_mujoco() -> list[Figure]:
+    """The same sorting runs, each program at its largest step within 1 % of its own fine one."""
+    from surface_gym import validation
+    from surface_gym.validation.recipe import RECIPE
+    from surface_gym.validation.speed import METHODS, measure
+
+    steps = {method.name: measure(method).step for method in METHODS if method.name != "explicit"}
+    box = sg.layouts.box("S")
+    line = line_for(box, 10)
+    axes = np.full((1, line.rows, line.columns), math.pi / 4)
+    runs = make_runs(np.repeat(SPEEDS, COPIES))
+    begin = time.perf_counter()
+    ends = run_all(line, axes, [box], runs, dt=steps["implicit"])
+    ours = len(runs) / (time.perf_counter() - begin)
+
+    surface, start = line.surface(axes[0]), line.start(box)
+    recipe = replace(RECIPE, step=steps["MuJoCo"])
+    spent = 0.0
+    for speed, lasts in zip(SPEEDS.tolist(), ends.time[::COPIES].tolist(), strict=True):
+        velocity = (speed, 0.0, 0.0)
+        begin = time.perf_counter()
+        validation.simulate(surface, box, start, velocity, recipe.step, recipe)
+        built = time.perf_counter()
+        validation.simulate(surface, box, start, velocity, lasts, recipe)
+        spent += (time.perf_counter() - built) - (built - begin)  # without building the scene
+    theirs = len(SPEEDS) / spent
+    return [
+        Figure(f"sorting runs at {1e3 * steps['implicit']:g} ms, one core", ours, "1/s"),
+        Figure(f"MuJoCo's at {1e3 * steps['MuJoCo']:g} ms", theirs, "1/s"),
+        Figure("sorting runs a second over MuJoCo's", ours / theirs, "", least=LEAST_OVER_MUJOCO),
+    ]

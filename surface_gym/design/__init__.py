@@ -1,0 +1,51 @@
+"""Which surface do I need? Answers for a parcel of one's own."""
+
+from surface_gym.design.best_layout import BestLayout, best_layout
+from surface_gym.design.case import Case, Unknown
+from surface_gym.design.columns import Columns, columns_by_rows, columns_by_speed, least_columns
+from surface_gym.design.control import ControlGain, control_gain
+from surface_gym.design.every_layout import EveryLayout, every_layout
+from surface_gym.design.limits import (
+    FrictionRange,
+    Limits,
+    Span,
+    friction_range,
+    least_speed,
+    least_tilt,
+)
+from surface_gym.design.line import DesignLine, line_for
+from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
+from surface_gym.design.sensitivity import Sensitivity, sensitivity
+from surface_gym.design.size_map import SuccessMap, success_map
+
+__all__ = [
+    "BestLayout",
+    "Case",
+    "Columns",
+    "ControlGain",
+    "DesignLine",
+    "EveryLayout",
+    "FrictionRange",
+    "Limits",
+    "Purpose",
+    "Sensitivity",
+    "Slow",
+    "Sort",
+    "Span",
+    "Stop",
+    "SuccessMap",
+    "Turn",
+    "Unknown",
+    "best_layout",
+    "columns_by_rows",
+    "columns_by_speed",
+    "control_gain",
+    "every_layout",
+    "friction_range",
+    "least_columns",
+    "least_speed",
+    "least_tilt",
+    "line_for",
+    "sensitivity",
+    "success_map",
+]

@@ -1,0 +1,212 @@
+"""How slow, how flat, how slippery: against `simulate`, the study and closed forms."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym import layouts
+from surface_gym.design.case import NOTHING, TOGETHER, Case, Unknown
+from surface_gym.design.columns import least_columns
+from surface_gym.design.limits import friction_range, least_speed, least_tilt
+from surface_gym.design.purposes import Slow, Sort, Stop
+from surface_gym.design.sweep import NOMINAL, Arrangement, arrange, span
+from surface_gym.dynamics.types import GRAVITY
+
+OWN = sg.Parcel(sg.Rectangle(0.3, 0.4), mass=12.0)
+
+
+def is_sorted(arrangement: Arrangement, speed: float, mu_factor: float = 1.0) -> bool:
+    """Whether no rotor bears the parcel any more, by `simulate`, which knows no design."""
+    line, parcel = arrangement.line, arrangement.case.parcel
+    line = replace(line, mu_max=line.mu_max * mu_factor)
+    surface = line.surface(arrangement.layout.axis)
+    run = sg.simulate(surface, parcel, line.start(parcel), (speed, 0.0, 0.0), duration=4.0)
+    at_x, at_y = np.meshgrid(surface.x, surface.y)
+    rotors = np.column_stack([at_x[surface.rotor], at_y[surface.rotor]])
+    for x, y, theta in run.pose:
+        cosine, sine = np.cos(theta), np.sin(theta)
+        along, across = (rotors - (x, y)).T
+        within = parcel.base.functions(
+            cosine * along + sine * across, cosine * across - sine * along
+        )
+        if within.max(axis=0).min() > 0.0:
+            return True
+    return False
+
+
+@pytest.mark.parametrize(("size", "studied"), [("S", 0.72), ("B", 1.00)])
+def test_the_study_s_boxes_may_come_as_slow_as_the_study_says(size: str, studied: float) -> None:
+    case = Case(layouts.box(size), Sort(), speed=1.5, unknown=NOTHING)
+    found = least_speed(case, columns=16).of(NOMINAL)
+    assert found.least == pytest.approx(studied, abs=0.011)
+
+
+def test_simulate_agrees_on_both_sides_of_the_limits() -> None:
+    case = Case(OWN, Sort(), speed=1.2, unknown=NOTHING)
+    limits = least_speed(case)
+    found = limits.of(NOMINAL)
+    assert found.least is not None
+    assert found.most is not None
+    assert is_sorted(limits.arrangement, found.least)
+    assert not is_sorted(limits.arrangement, found.least - 0.01)
+    assert is_sorted(limits.arrangement, found.most)
+    assert not is_sorted(limits.arrangement, found.most + 0.01)
+
+
+def test_simulate_agrees_on_the_limits_of_friction() -> None:
+    case = Case(OWN, Sort(), speed=1.2, unknown=NOTHING)
+    limits = friction_range(case).along
+    found = limits.of(NOMINAL)
+    assert found.least is not None
+    assert found.most is not None
+    next_factor = 2.0 ** (1.0 / 48.0)
+    assert is_sorted(limits.arrangement, 1.2, found.least)
+    assert not is_sorted(limits.arrangement, 1.2, found.least / next_factor)
+    assert is_sorted(limits.arrangement, 1.2, found.most)
+    assert not is_sorted(limits.arrangement, 1.2, found.most * next_factor)
+
+
+def stops_at_the_latest(tilt: float, speed: float, mu: float) -> float:
+    """[m] that the S-box slides at most on axes at 0 deg before it rests, if nothing brakes it
+    before it is wholly on them.
+    """
+    free = speed**2 + 2.0 * GRAVITY * math.sin(tilt) * 0.6
+    braking = GRAVITY * (mu * math.cos(tilt) - math.sin(tilt))
+    return free / (2.0 * braking) if braking > 0.0 else math.inf
+
+
+def test_a_parcel_stops_on_slopes_up_to_the_angle_of_friction() -> None:
+    """tan(tilt) = mu_max, less what a zone of 3 m takes off it."""
+    case = Case(layouts.box("S"), Stop(), speed=0.2, unknown=NOTHING)
+    found = least_tilt(case, columns=30, highest=math.radians(30.0)).of(NOMINAL)
+    assert found.least == 0.0
+    assert found.most is not None
+    assert found.most < math.atan(0.5)
+    sure = [tilt for tilt in found.values if stops_at_the_latest(tilt, 0.2, 0.5) < 2.6]
+    assert found.most >= sure[-1] > math.radians(20.0)
+
+
+def test_friction_that_holds_a_parcel_on_a_slope_may_be_off_by_its_reserve() -> None:
+    tilt = math.radians(15.0)
+    case = Case(layouts.box("S"), Stop(), speed=0.2, tilt=tilt, unknown=NOTHING)
+    limits = friction_range(case, columns=30)
+    found = limits.along.of(NOMINAL)
+    assert found.least is not None
+    assert found.least > math.tan(tilt) / 0.5
+    sure = [factor for factor in found.values if stops_at_the_latest(tilt, 0.2, 0.5 * factor) < 2.6]
+    assert found.least <= sure[0]
+    assert found.most == 16.0  # all that was tried
+    across = limits.across.of(NOMINAL)  # friction across only helps to stop
+    assert across.least is not None
+    assert across.least <= 1.0
+    assert across.most == 16.0
+
+
+def test_draws_narrow_the_limits_and_share_the_draws_of_least_columns() -> None:
+    case = Case(layouts.box("S"), Slow(0.7), speed=2.5, draws=40)
+    limits = least_speed(case, columns=4)
+    known, together = limits.of(NOMINAL), limits.of(TOGETHER)
+    assert [each.group for each in limits.spans] == [
+        NOMINAL, "friction", "load", "unevenness", TOGETHER,
+    ]  # fmt: skip
+    assert known.least is not None
+    assert together.least is not None
+    assert known.least <= together.least
+    own = together.share[np.abs(together.values - 2.5).argmin()]
+    assert own == least_columns(case).worst[-1].success
+    assert set(np.unique(known.share)) <= {0.0, 1.0}
+
+
+def test_what_is_unknown_of_friction_is_left_out_where_friction_is_varied() -> None:
+    unknown = Unknown(com_offset=0.0, lateral=0.01)
+    case = Case(layouts.box("S"), Sort(), speed=1.2, unknown=unknown, draws=5)
+    found = friction_range(case, columns=5)
+    groups = [each.group for each in found.across.spans]
+    assert groups == [NOMINAL, "unevenness", "entry", TOGETHER]
+
+
+def test_the_number_of_threads_does_not_matter() -> None:
+    case = Case(layouts.box("S"), Sort(), speed=1.2, draws=10)
+    one, two = (least_speed(case, threads=threads, highest=1.5) for threads in (1, 2))
+    for mine, others in zip(one.spans, two.spans, strict=True):
+        np.testing.assert_array_equal(mine.share, others.share)
+
+
+def test_a_case_that_fails_has_no_limits() -> None:
+    case = Case(layouts.box("S"), Sort(), speed=0.3, unknown=NOTHING)
+    found = least_speed(case, columns=4, highest=1.0).of(NOMINAL)
+    assert found.least is None
+    assert found.most is None
+    assert found.share.max() == 1.0  # though others succeed
+
+
+def test_how_far_it_is_adds_up() -> None:
+    told: list[tuple[int, int]] = []
+    case = Case(layouts.box("S"), Sort(), speed=1.2, draws=8)
+    friction_range(case, columns=5, advance=lambda *done: told.append(done))
+    done, totals = zip(*told, strict=True)
+    assert list(done) == sorted(done)
+    assert set(totals) == {done[-1]}
+
+
+def test_from_rest_and_level_is_not_tried() -> None:
+    case = Case(layouts.box("S"), Sort(), speed=0.0, tilt=math.radians(10.0), unknown=NOTHING)
+    assert least_tilt(case, columns=5).of(NOMINAL).values[0] > 0.0
+    assert least_speed(case, columns=5, highest=0.5).of(NOMINAL).values[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("done", "own", "expected"),
+    [
+        ([False, True, True, False], 1, (1, 2)),
+        ([True, True, True], 1, (0, 2)),
+        ([True, False, True], 2, (2, 2)),
+        ([True, False, True], 1, None),
+    ],
+)
+def test_a_span_ends_at_the_first_failure(
+    done: list[bool], own: int, expected: tuple[int, int] | None
+) -> None:
+    assert span(np.array(done), own) == expected
+
+
+def test_columns_are_those_that_the_draws_take() -> None:
+    case = Case(layouts.box("B"), Slow(0.7), speed=2.0, draws=40)
+    found = least_columns(case)
+    together = found.worst[-1].columns
+    assert together is not None
+    assert arrange(case).columns == together
+    assert "95%" in arrange(case).chosen
+    assert arrange(case, columns=2).chosen == "as asked"
+    assert "nothing unknown" in arrange(replace(case, unknown=NOTHING)).chosen
+
+
+def test_columns_are_those_of_nothing_unknown_where_no_draws_are_enough() -> None:
+    arrangement = arrange(Case(layouts.box("S"), Slow(0.5), speed=1.0, draws=20))
+    assert arrangement.columns == 1
+    assert "none do" in arrangement.chosen
+
+
+def test_of_two_layouts_the_one_that_does_it_is_taken() -> None:
+    """At 1.5 m/s one column at 0 deg slows the S-box too little, five at 45 deg stop it late."""
+    case = Case(layouts.box("S"), Stop(place=0.3, tolerance=0.1), speed=1.5, draws=20)
+    assert arrange(case, columns=5).layout.name == "+-45 deg"
+
+
+def test_errors_name_what_came() -> None:
+    case = Case(layouts.box("S"), Sort(), speed=1.2, unknown=NOTHING)
+    with pytest.raises(ValueError, match=r"columns must be given: .* up to 30 does it at 0\.3 m/s"):
+        least_speed(case.at(0.3))
+    with pytest.raises(ValueError, match="columns must be a whole number of at least 1, got 0"):
+        least_speed(case, columns=0)
+    with pytest.raises(ValueError, match=r"highest must be between 1\.2 and 20, got 1\.0"):
+        least_speed(case, highest=1.0)
+    with pytest.raises(ValueError, match=r"highest must be from the case's tilt, 0, .* got 0.8"):
+        least_tilt(case, highest=0.8)
+    with pytest.raises(ValueError, match="threads must be a whole number of at least 1, got 0"):
+        friction_range(case, threads=0)
+    with pytest.raises(ValueError, match="group must be one of 'nominal', got 'friction'"):
+        least_speed(case, columns=5).of("friction")

@@ -1,0 +1,120 @@
+import math
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym import layouts
+from surface_gym.design import passage
+from surface_gym.design.line import line_for
+from surface_gym.design.runs import make_runs, run_all
+
+EIGHTH = math.pi / 4
+
+
+def test_a_run_is_simulate_s_to_the_bit() -> None:
+    """Where it ends is a state that `simulate` records, on the same surface."""
+    rng = np.random.default_rng(0)
+    for k in range(12):
+        base = [sg.Rectangle(0.3, 0.4), sg.Disc(0.17), sg.Rectangle(0.25, 0.25)][k % 3]
+        parcel = sg.Parcel(base, com_offset=tuple(rng.uniform(-0.03, 0.03, 2)))
+        line = line_for(parcel, 10)
+        zone = rng.choice([0.0, EIGHTH, -EIGHTH, 2.0 * EIGHTH], (line.rows, 10))
+        speed, tilt = rng.uniform(0.5, 2.5), rng.uniform(0.0, 0.1)
+        stiffness = np.exp(0.3 * rng.standard_normal(line.shape))
+        factors = rng.uniform(0.8, 1.2, 3)
+        ends = run_all(
+            line,
+            zone[np.newaxis],
+            [parcel],
+            make_runs(speed, tilt, friction=factors[np.newaxis], aside=0.01, turned=0.05),
+            stiffness[np.newaxis],
+        )
+        surface = line.surface(zone, tilt)
+        same = sg.Surface(
+            surface.axis, surface.rotor, surface.pitch, surface.origin,
+            0.5 * factors[0], 0.01 * factors[1], 0.005 * factors[2], tilt, stiffness,
+        )  # fmt: skip
+        pose = np.add(line.start(parcel), (0.0, 0.01, 0.05))
+        steps = int(ends.steps[0])
+        trajectory = sg.simulate(same, parcel, pose, (speed, 0.0, 0.0), duration=steps * 0.005)
+        assert ends.told(0) != "out of time"
+        np.testing.assert_array_equal(ends.pose[0], trajectory.pose[steps])
+        np.testing.assert_array_equal(ends.velocity[0], trajectory.velocity[steps])
+
+
+def test_runs_do_not_depend_on_threads_or_company() -> None:
+    parcel = layouts.box("S")
+    line = line_for(parcel, 8)
+    zones = np.stack([np.full((2, 8), EIGHTH), np.full((2, 8), 0.0)])
+    speeds = np.linspace(0.3, 2.7, 150)
+    runs = make_runs(speeds, layout=np.arange(150) % 2, columns=8)
+    one = run_all(line, zones, [parcel], runs)
+    two = run_all(line, zones, [parcel], runs, threads=2)
+    alone = [
+        run_all(line, zones, [parcel], make_runs(v, layout=k % 2, columns=8))
+        for k, v in enumerate(speeds[:5].tolist())
+    ]
+    for name in ("how", "touched", "time", "pose", "velocity", "tipping", "steps"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+        np.testing.assert_array_equal(
+            getattr(one, name)[:5], np.concatenate([getattr(each, name) for each in alone])
+        )
+
+
+def test_how_runs_end() -> None:
+    parcel = layouts.box("S")
+    line = line_for(parcel, 8)
+    rolls, sorts, brakes = 2.0 * EIGHTH, EIGHTH, 0.0
+    zones = np.stack([np.full((2, 8), axis) for axis in (rolls, sorts, brakes)])
+    runs = make_runs(1.5, layout=[0, 1, 2, 0], columns=[8, -1, 8, -1])
+    ends = run_all(line, zones, [parcel], runs)
+    told = [ends.told(run) for run in range(4)]
+    assert told == ["past the zone", "out of the line", "at rest", "off the surface"]
+    assert ends.touched[0] == 10  # the zone, and two columns in front of it as its rear leaves
+    rear = ends.pose[0, 0] - 0.125  # has just left the centre of the zone's last column
+    assert rear == pytest.approx(line.zone_x[1] - 0.05, abs=0.01)
+    assert ends.pose[1, 1] < line.line_y
+    assert np.abs(ends.velocity[2]).max() < passage.REST_SPEED
+
+
+def test_braking_by_a_wide_zone_at_0_deg_takes_mu_max_g() -> None:
+    """A box on rotors that all lie along its way brakes at mu_max g, once it is on them wholly."""
+    parcel = layouts.box("S")
+    line = line_for(parcel, 16)
+    ends = run_all(line, np.zeros((1, 2, 16)), [parcel], make_runs([2.0, 2.5], columns=16))
+    # Beyond the zone's start both lose speed by the same law, so their squares differ as before.
+    rest = ends.pose[:, 0]
+    assert rest[1] - rest[0] == pytest.approx((2.5**2 - 2.0**2) / (2.0 * 0.5 * 9.81), abs=1e-3)
+
+
+def test_a_parcel_held_on_a_slope_is_at_rest_and_one_that_slides_is_not() -> None:
+    parcel = layouts.box("S")
+    line = line_for(parcel, 4)
+    zone = np.full((1, 2, 4), 0.0)
+    ends = run_all(line, zone, [parcel], make_runs(0.0, tilt=np.radians([0.4, 1.0]), columns=4))
+    assert ends.told(0) == "at rest"  # tan(0.4 deg) is below mu_min: not even the lead-in rolls
+    assert ends.pose[0, 0] == pytest.approx(0.125)
+    assert ends.pose[1, 0] > 0.2
+
+
+def test_progress_is_told() -> None:
+    told: list[tuple[int, int]] = []
+    parcel = layouts.box("S")
+    line = line_for(parcel, 4)
+    runs = make_runs(np.full(100, 1.0))
+    for threads in (1, 2):
+        told.clear()
+        run_all(
+            line, np.full((1, 2, 4), EIGHTH), [parcel], runs, threads=threads,
+            advance=lambda done, total: told.append((done, total)),
+        )  # fmt: skip
+        assert told[-1] == (100, 100)
+        assert sorted(told) == told
+
+
+def test_a_base_with_too_many_elements_is_refused() -> None:
+    parcel = sg.Parcel(sg.Rectangle(9.0, 9.0))
+    line = line_for(parcel, 2)
+    with pytest.raises(ValueError, match="base must cover at most"):
+        run_all(line, np.zeros((1, line.rows, 2)), [parcel], make_runs(1.0))
