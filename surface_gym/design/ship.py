@@ -1,4 +1,4 @@
-"""`python -m surface_gym.design.ship`: search the sorting layouts that ship with the package anew."""
+"""`python -m surface_gym.design.ship`: search the sorting layouts of the package anew."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
