@@ -13,7 +13,7 @@ from surface_gym.flow.rewards import TERMS
 from surface_gym.flow.settings import FlowSettings
 
 ROOT = Path(__file__).parent.parent
-PAGES = ("README.md", "docs/agents.md", "docs/flow.md")
+PAGES = ("README.md", "docs/agents.md", "docs/design.md", "docs/flow.md")
 NEEDS = {"docs/flow.md": ("pettingzoo", "multi")}  # a package and the extra that has it
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
