@@ -35,7 +35,7 @@ from surface_gym.dynamics.types import (
     X,
 )
 from surface_gym.parcel import Parcel
-from surface_gym.repeating import Run
+from surface_gym.record.repeating import Run
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 

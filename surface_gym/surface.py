@@ -14,10 +14,25 @@ from surface_gym.dynamics.axes import directions_of
 from surface_gym.dynamics.types import GRAVITY, Grid
 
 
-class Elements(ABC):
-    """Elements on a grid: what a surface and a plant have in common."""
+class Pitched:
+    """What lies on a grid."""
 
     pitch: float | tuple[float, float]  # [m] between neighbours: one, or in x and in y
+
+    @property
+    def pitch_x(self) -> float:
+        """[m] from column to column."""
+        return self.pitch if isinstance(self.pitch, float) else self.pitch[0]
+
+    @property
+    def pitch_y(self) -> float:
+        """[m] from row to row."""
+        return self.pitch if isinstance(self.pitch, float) else self.pitch[1]
+
+
+class Elements(Pitched, ABC):
+    """Elements on a grid: what a surface and a plant have in common."""
+
     # [-] friction along a rotor's axis, across it, and of a support: one, or one for each element
     mu_max: Any
     mu_min: Any
@@ -32,16 +47,6 @@ class Elements(ABC):
     @abstractmethod
     def columns(self) -> int:
         """Elements along, in x."""
-
-    @property
-    def pitch_x(self) -> float:
-        """[m] from column to column."""
-        return self.pitch if isinstance(self.pitch, float) else self.pitch[0]
-
-    @property
-    def pitch_y(self) -> float:
-        """[m] from row to row."""
-        return self.pitch if isinstance(self.pitch, float) else self.pitch[1]
 
     @cached_property
     def friction(self) -> NDArray[np.float64]:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.contact_record import ContactRecord, record_contacts
 from surface_gym.dynamics.types import AX, AY, OMEGA
-from surface_gym.repeating import Run
-from surface_gym.trajectory_energy import Energy, energy_of
+from surface_gym.record.contacts import ContactRecord, record_contacts
+from surface_gym.record.energy import Energy, energy_of
+from surface_gym.record.repeating import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -101,7 +101,7 @@ class Trajectory:
             ImportError: matplotlib is not installed; the message says how to.
         """
         try:
-            from surface_gym.trajectory_plot import draw
+            from surface_gym.record.plot import draw
         except ModuleNotFoundError as error:
             raise ImportError(
                 f"a plot needs matplotlib ({error}): pip install 'surface_gym[agents]'"
@@ -123,7 +123,7 @@ class Trajectory:
                 would hold: an .npz has no place for a base of one's own.
             OSError: the file cannot be written.
         """
-        from surface_gym.trajectory_files import save
+        from surface_gym.record.files import save
 
         save(self, path)
 
@@ -141,7 +141,7 @@ class Trajectory:
                 names what is wrong.
             OSError: there is no such file, or it cannot be read.
         """
-        from surface_gym.trajectory_files import load
+        from surface_gym.record.files import load
 
         return load(path)
 

@@ -12,7 +12,7 @@ from hypothesis import given
 import surface_gym as sg
 from surface_gym.dynamics.explicit import RESTART_SPEED
 from surface_gym.dynamics.friction import TOLERANCE
-from surface_gym.repeating import repeat
+from surface_gym.record.repeating import repeat
 from surface_gym.trajectory import Trajectory
 from tests.strategies import Scene, scenes
 

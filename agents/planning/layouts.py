@@ -1,6 +1,7 @@
 """Lanes of the simulator that all begin alike, each over axes that stay as they were arranged."""
 
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +70,8 @@ class LayoutModel:
 
     def rewind(self, count: int) -> None:
         """Put the first lanes back to the start; nobody waits for the others."""
-        for array, begun in zip(self.lanes, self._begun, strict=True):
+        arrays = cast(tuple[NDArray[Any], ...], self.lanes)
+        for array, begun in zip(arrays, self._begun, strict=True):
             array[:] = begun
         self.lanes.outcome[count:] = OUT_OF_TIME
 

@@ -20,7 +20,16 @@ from surface_gym.settings import Settings
 from surface_gym.tasks.start import Start
 
 
-class BestSlowing(FixedSlowing):
+class _Searched(FixedRule):
+    """Layouts that are searched for each start."""
+
+    _search: "_LineSearch"
+
+    def _layout(self, observations: Observations) -> Commands:
+        return self._search(observations)
+
+
+class BestSlowing(_Searched, FixedSlowing):
     """Each module of the zone at 0, 45, -45 or 90 deg, so that the parcel should leave at the asked
     ratio; at least as near to it as with any layout of `FixedSlowing`.
     """
@@ -29,11 +38,8 @@ class BestSlowing(FixedSlowing):
         super().__init__(settings)
         self._search = _LineSearch(settings, self._layouts)
 
-    def _layout(self, observations: Observations) -> Commands:
-        return self._search(observations)
 
-
-class BestStopping(FixedStopping):
+class BestStopping(_Searched, FixedStopping):
     """Each module of the zone at 0, 45, -45 or 90 deg, so that the parcel should rest at the asked
     x; at least as near to it as with any layout of `FixedStopping`.
     """
@@ -42,11 +48,8 @@ class BestStopping(FixedStopping):
         super().__init__(settings)
         self._search = _LineSearch(settings, self._layouts)
 
-    def _layout(self, observations: Observations) -> Commands:
-        return self._search(observations)
 
-
-class BestTurning(FixedTurning):
+class BestTurning(_Searched, FixedTurning):
     """Each module of the zone at 0, 45, -45 or 90 deg, so that the parcel should leave at the asked
     angle; at least as near to it as with any layout of `FixedTurning`.
     """
@@ -54,9 +57,6 @@ class BestTurning(FixedTurning):
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
         self._search = _LineSearch(settings, self._to_left)
-
-    def _layout(self, observations: Observations) -> Commands:
-        return self._search(observations)
 
 
 class BestTracking(FixedRule):

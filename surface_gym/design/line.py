@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.layouts import ROLLING, lead_in_under, rows_under
 from surface_gym.parcel import Parcel
-from surface_gym.surface import Surface
+from surface_gym.surface import Pitched, Surface
 
 RUN_OUT = 1.0  # [m] of rolling columns behind the zone, beyond the base's length
 
 
 @dataclass(frozen=True)
-class DesignLine:
+class DesignLine(Pitched):
     """A line of rotors amid supports: a lead-in, a zone whose axes do the task, a run-out.
 
     Lead-in and run-out roll along x. There are supports enough on either side to bear a parcel that
@@ -42,16 +42,6 @@ class DesignLine:
         object.__setattr__(self, "pitch", checks.pitch("pitch", self.pitch))
         for name in ("mu_max", "mu_min", "mu_support"):
             object.__setattr__(self, name, checks.not_negative(name, getattr(self, name)))
-
-    @property
-    def pitch_x(self) -> float:
-        """[m] from column to column."""
-        return self.pitch if isinstance(self.pitch, float) else self.pitch[0]
-
-    @property
-    def pitch_y(self) -> float:
-        """[m] from row to row."""
-        return self.pitch if isinstance(self.pitch, float) else self.pitch[1]
 
     @property
     def shape(self) -> tuple[int, int]:

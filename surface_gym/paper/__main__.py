@@ -1,24 +1,11 @@
 """`python -m surface_gym.paper`."""
 
-import sys
-
-OPTIONAL = ("matplotlib", "rich", "tyro")
+from surface_gym.commands import start
 
 
 def main() -> None:
     """Run the command, or say in one line what to install."""
-    try:
-        from surface_gym.paper import command
-
-        command.main()
-    except ModuleNotFoundError as error:
-        library = (error.name or "").partition(".")[0]
-        if library not in OPTIONAL:
-            raise
-        sys.exit(
-            f"python -m surface_gym.paper needs {library}, which is not installed: "
-            'pip install "surface_gym[agents]"'
-        )
+    start("surface_gym.paper", "agents")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surface_gym.design import __main__, command
+from surface_gym.commands import OPTIONAL
+from surface_gym.design import command
 
 OWN = ("--parcel", "0.3x0.4", "--speed", "1.2", "--draws", "4", "--workers", "1")
 QUICK = {
@@ -165,24 +166,10 @@ def test_a_folder_that_cannot_be_made_is_one_line(
     assert "file" in line
 
 
-@pytest.mark.parametrize("library", __main__.OPTIONAL)
-def test_without_a_library_one_line_says_what_to_install(library: str) -> None:
-    code = (
-        f"import sys; sys.modules[{library!r}] = None\n"
-        "from surface_gym.design.__main__ import main; main()"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 1
-    assert done.stderr == (
-        f"error: python -m surface_gym.design needs {library}, which is not installed: "
-        "pip install 'surface_gym[agents]'\n"
-    )
-
-
 def test_the_package_asks_for_none_of_them() -> None:
     code = (
         "import sys, surface_gym.design\n"
-        f"print([name for name in {(*__main__.OPTIONAL, 'agents')!r} if name in sys.modules])"
+        f"print([name for name in {(*OPTIONAL, 'agents')!r} if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -1,6 +1,4 @@
 import json
-import subprocess
-import sys
 
 import pytest
 
@@ -111,20 +109,3 @@ def test_help_names_the_options(capsys):
     out = capsys.readouterr().out
     assert "--figures DIR" in out
     assert "--json FILE" in out
-
-
-@pytest.mark.parametrize("missing", ["matplotlib", "rich", "tyro"])
-def test_a_missing_library_is_told_in_one_line(missing, tmp_path):
-    program = (
-        f"import runpy, sys; sys.modules[{missing!r}] = None; "
-        f"sys.argv = ['paper', '--figures', {str(tmp_path)!r}]; "
-        "runpy.run_module('surface_gym.paper', run_name='__main__')"
-    )
-
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-
-    assert done.returncode == 1
-    assert done.stderr.splitlines() == [
-        f"python -m surface_gym.paper needs {missing}, which is not installed: "
-        'pip install "surface_gym[agents]"'
-    ]

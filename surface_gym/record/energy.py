@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.contact_record import ContactRecord, along_and_across, slip_over
 from surface_gym.dynamics.types import OMEGA, VX, Array, X
-from surface_gym.repeating import Run
+from surface_gym.record.contacts import ContactRecord, along_and_across, slip_over
+from surface_gym.record.repeating import Run
 
 
 @dataclass(frozen=True, eq=False)

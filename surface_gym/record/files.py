@@ -11,8 +11,8 @@ import numpy as np
 
 from surface_gym import checks
 from surface_gym.dynamics.types import Array
+from surface_gym.record.parts import Parts, check_rows, run_of, run_parts
 from surface_gym.trajectory import Trajectory
-from surface_gym.trajectory_parts import Parts, check_rows, run_of, run_parts
 
 SUFFIXES = (".npz", ".csv")
 END = "# end: "  # begins the first line of a .csv

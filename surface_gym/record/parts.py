@@ -11,7 +11,7 @@ from surface_gym.bases import Base, Disc, Polygon, Rectangle
 from surface_gym.dynamics.memory import check_capacity
 from surface_gym.dynamics.types import STATE_SIZE, Array
 from surface_gym.parcel import Parcel
-from surface_gym.repeating import Run
+from surface_gym.record.repeating import Run
 from surface_gym.surface import Surface
 
 Parts = dict[str, NDArray[Any]]

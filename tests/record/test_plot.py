@@ -134,7 +134,7 @@ def test_a_suffix_that_is_none_is_refused(tmp_path: Path) -> None:
 
 
 def test_without_matplotlib_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "surface_gym.trajectory_plot", raising=False)
+    monkeypatch.delitem(sys.modules, "surface_gym.record.plot", raising=False)
     for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.dynamics.types import OMEGA, THETA, VX, Array, Integers, X
-from surface_gym.repeating import Run, repeat
+from surface_gym.record.repeating import Run, repeat
 from surface_gym.surface import Surface
 
 COLUMNS = (
