@@ -106,7 +106,7 @@ def test_a_shown_path_is_the_path_and_the_rest_is_tracks() -> None:
     seen, plain = observed(SHOWN, SINE), observed(Settings(task="track", actions="modules"), SINE)
     np.testing.assert_array_equal(seen[:, : plain.shape[1]], plain)
     start = shown_start(SHOWN, seen[0])
-    assert start.parcel is box("S")
+    assert start.parcel == box("S")
     speed, first, step = start.goal
     assert speed == pytest.approx(0.8)
     assert start.path is not None
