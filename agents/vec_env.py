@@ -1,5 +1,6 @@
 """The native vector env as Stable-Baselines3's VecEnv."""
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,9 +21,9 @@ class SharedVecEnv(VecEnv):
     """A VecEnv whose lanes are all of one object, which has their attributes and methods."""
 
     @property
+    @abstractmethod
     def _shared(self) -> Any:
         """That object."""
-        raise NotImplementedError
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         value = getattr(self._shared, attr_name)

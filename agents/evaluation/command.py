@@ -6,7 +6,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from agents.cores import usable_cores
 from agents.evaluation.contenders import (
     Contender,
     contenders,
@@ -24,6 +23,7 @@ from agents.flow.report import FlowReport, write_flow_report
 from agents.flow.trained import compare_parcels, is_of_flow
 from agents.tasks import find_task
 from surface_gym import checks
+from surface_gym.cores import usable_cores
 from surface_gym.tasks import TASKS
 
 FLOW = "flow"

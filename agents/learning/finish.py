@@ -4,7 +4,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from agents.cores import usable_cores
 from agents.evaluation.command import evaluate_run
 from agents.flow.trained import compare_parcels
 from agents.learning.card import command_of, write_card
@@ -12,6 +11,7 @@ from agents.learning.config import TrainConfig
 from agents.learning.flow_card import write_flow_card
 from agents.learning.legs import Learned
 from agents.policy_card import FLOW_TASK
+from surface_gym.cores import usable_cores
 
 
 def finish(config: TrainConfig, folder: Path, learned: list[Learned], console: Console) -> None:

@@ -17,12 +17,12 @@ from rich.progress import (
 )
 from rich.progress import Progress as Bars
 
-from agents.cores import usable_cores
 from agents.learning.config import DQNConfig, ModulesConfig, PPOConfig, TrainConfig
 from agents.learning.folder import parts
 from agents.learning.legs import Learned, Progress
 from agents.learning.modules.training import train_modules
 from agents.learning.training import train
+from surface_gym.cores import usable_cores
 
 POLL = 0.2  # [s] between looks at what the processes report
 

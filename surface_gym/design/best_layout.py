@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.design.case import TOGETHER, WORST, Case, draw
+from surface_gym.design.case import TOGETHER, Case, draw, enough
 from surface_gym.design.line import DesignLine
 from surface_gym.design.purposes import Purpose, Sort
 from surface_gym.design.runs import LONGEST, Ends, Runs, make_runs, run_all
@@ -52,7 +52,7 @@ class OverSpeeds:
     @property
     def least_sure_speed(self) -> float:
         """[m/s] from which on it succeeds in all but `WORST` of the draws; nan: never."""
-        return self._least(self.share >= 1.0 - WORST - 1e-9)
+        return self._least(enough(self.share))
 
     @property
     def mean_time(self) -> float:
@@ -88,7 +88,7 @@ def best_layout(
     columns: int = 16,
     rows: int | None = None,
     orientations: Sequence[float] | None = ORIENTATIONS,
-    effort: Effort = Effort(),  # noqa: B008
+    effort: Effort = Effort(),
     threads: int = 1,
     checkpoint: Path | str | None = None,
     advance: Callable[[int, int], None] = lambda *_: None,
@@ -151,7 +151,8 @@ def over_speeds(
     """What a layout (rows, columns) [rad] of a line's zone does over speeds (speeds,) [m/s]."""
     axes = axis[np.newaxis]
     runs, ends = _sent(case, line, axes, speeds, threads)
-    share = np.array(case.purpose.succeeds(line, runs, ends), dtype=np.float64)
+    success = case.purpose.succeeds(line, runs, ends)
+    share = success.astype(np.float64)
     if case.unknown.groups:
         drawn = draw(case.unknown.only(TOGETHER), case.parcel, line, case.draws, case.seed)
         for k, speed in enumerate(speeds.tolist()):
@@ -162,7 +163,7 @@ def over_speeds(
         name=name,
         axis=axis,
         speeds=speeds,
-        success=case.purpose.succeeds(line, runs, ends),
+        success=success,
         time=ends.time,
         measure=case.purpose.measure(line, runs, ends),
         share=share,

@@ -1,11 +1,10 @@
 """What a design is for: a parcel, how it comes, what is asked, and what is not known of it."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
 from surface_gym.design.line import DesignLine, line_for
@@ -14,6 +13,7 @@ from surface_gym.design.runs import STEP, Runs, make_runs
 from surface_gym.parcel import Parcel
 from surface_gym.randomisation import Drawn, Randomisation
 
+Booleans = NDArray[np.bool_]
 Numbers = NDArray[np.float64]
 
 WORST = 0.05  # share of the draws that may do worse than what is said of the worst
@@ -168,11 +168,6 @@ def draw(unknown: Unknown, parcel: Parcel, line: DesignLine, count: int, seed: i
     )
 
 
-def nominal(cases: Sequence[Case], columns: int, layout: int = 0) -> Runs:
-    """A run a case, with everything as it is said to be."""
-    return make_runs(
-        speed=np.array([case.speed for case in cases]),
-        tilt=np.array([case.tilt for case in cases]),
-        layout=layout,
-        columns=columns,
-    )
+def enough(share: ArrayLike) -> Booleans:
+    """Of shares of the draws that succeed: whether all but `WORST` of them do."""
+    return np.asarray(share) >= 1.0 - WORST - 1e-9

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.design.case import WORST, Case, Draws, draw, nominal
+from surface_gym.design.case import WORST, Case, Draws, draw, enough
 from surface_gym.design.line import DesignLine
-from surface_gym.design.purposes import Sort
 from surface_gym.design.runs import make_runs, run_all
 
 MOST = 30  # columns that are tried
@@ -65,9 +64,9 @@ def least_columns(
     """
     checks.integer("most", most, least=1)
     line = case.line(most, rows)
-    if isinstance(case.purpose, Sort):
-        return _sorting(case, line, threads)
-    return _leaving(case, line, threads)
+    if case.purpose.leaves_zone:
+        return _leaving(case, line, threads)
+    return _sorting(case, line, threads)
 
 
 def columns_by_rows(case: Case, most: int = MOST, threads: int = 1) -> tuple[Columns, ...]:
@@ -87,7 +86,7 @@ def columns_by_speed(
 def _sorting(case: Case, line: DesignLine, threads: int) -> Columns:
     layout = case.purpose.layouts(line, line.columns)[0]
     axes = layout.axis[np.newaxis]
-    runs = nominal([case], -1)
+    runs = make_runs(case.speed, case.tilt)
     ends = run_all(line, axes, [case.parcel], runs, dt=case.step, threads=threads)
     done = bool(case.purpose.succeeds(line, runs, ends)[0])
     touched = int(ends.touched[0])
@@ -169,7 +168,7 @@ def _worst_leaving(
     drawn = draw(case.unknown.only(group), case.parcel, line, case.draws, case.seed)
     share = _share(case, line, axes, used, first, drawn, threads)
     least, at_nominal = first, share
-    while share < 1.0 - WORST:
+    while not enough(share):
         least += 1
         if least == len(used) or used[least] > used[first] + MORE:
             return Worst(group, None, at_nominal)

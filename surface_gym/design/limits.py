@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.design.case import Case, Unknown
+from surface_gym.design.case import Case, Unknown, enough
 from surface_gym.design.runs import Advance
 from surface_gym.design.sweep import (
     Arrangement,
     Conditions,
     Tally,
     arrange,
-    enough,
     groups_of,
     own_conditions,
     shares,

@@ -1,7 +1,7 @@
 """The surface that a design is of: a line of rotors as long and as wide as it takes."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -95,10 +95,6 @@ class DesignLine(Pitched):
             self.axes(axis), self.rotor, self.pitch, origin,
             self.mu_max, self.mu_min, self.mu_support, tilt,
         )  # fmt: skip
-
-    def with_columns(self, columns: int) -> "DesignLine":
-        """The same with another zone."""
-        return replace(self, columns=columns)
 
     def start(self, parcel: Parcel) -> tuple[float, float, float]:
         """Pose (x, y, theta) [m, m, rad] of a parcel whose rear is at x = 0, on the line."""

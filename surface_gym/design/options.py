@@ -1,15 +1,16 @@
 """A case as flags of a command line."""
 
 import math
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import tyro
 
 from surface_gym import checks
 from surface_gym.bases import Base, Disc, Polygon, Rectangle
+from surface_gym.cores import usable_cores
 from surface_gym.design.case import Case, Unknown
 from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
 from surface_gym.design.runs import STEP
@@ -19,13 +20,6 @@ from surface_gym.parcel import Parcel
 Degrees = Annotated[float, tyro.conf.arg(metavar="DEG")]
 Given = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]
 Count = Annotated[int | None, tyro.conf.arg(metavar="INT")]
-
-
-def usable_cores() -> int:
-    """Cores this process may run on, as far as the system tells."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 @dataclass(frozen=True)
@@ -160,7 +154,9 @@ class CaseOptions:
             corners = [corner.split(",") for corner in self.polygon.split()]
             if any(len(corner) != 2 for corner in corners):
                 raise ValueError(f"polygon must be 'X,Y X,Y X,Y', got {self.polygon!r}")
-            return Polygon([[_number("polygon", part) for part in each] for each in corners])  # type: ignore[arg-type]
+            return Polygon(
+                np.array([[_number("polygon", part) for part in each] for each in corners])
+            )
         assert self.parcel is not None
         if self.parcel in ("S", "B"):
             return box(self.parcel).base

@@ -28,6 +28,13 @@ from surface_gym.dynamics.types import (
     Places,
     Scratch,
 )
+from surface_gym.lanes.memory import (
+    ACROSS_FACTOR,
+    ALONG_FACTOR,
+    GRAVITY_ALONG,
+    GRAVITY_NORMAL,
+    SUPPORT_FACTOR,
+)
 
 # How a run ends.
 OUT, PAST, AT_REST, OFF, OUT_OF_TIME = range(5)
@@ -39,9 +46,8 @@ ENDS = (
     "out of time",
 )
 
-# Columns of `Passages.number` and of `Passages.condition`.
+# Columns of `Passages.number`.
 LAYOUT, GROUND, PARCEL, EXIT, STEPS = range(5)
-ALONG_FACTOR, ACROSS_FACTOR, SUPPORT_FACTOR, GRAVITY_ALONG, GRAVITY_NORMAL = range(5)
 HOW, TOUCHED, DONE, TIPPED = range(4)  # columns of `Passages.end`
 
 REST_SPEED = 1e-4  # [m/s] below which a parcel may be at rest: rolling takes it in 1 ms
@@ -67,7 +73,7 @@ class Passages(NamedTuple):
 
     # (runs, 5) layout, ground and parcel by their rows; first column behind the zone; most steps
     number: Integers
-    condition: Array  # (runs, 5) factors of friction [-]; gravity along and normal [m/s^2]
+    condition: Array  # (runs, 5) as `Surfaces.conditions`
     state: Array  # (runs, STATE_SIZE) at the start, and in its place at the end
     # (runs, 4) how it ended; last column with a rotor that bore it; steps done, steps tipping
     end: Integers

@@ -1,6 +1,8 @@
-"""A file that keeps how far a search has come."""
+"""Files that are written whole or not at all, and one that keeps how far a search has come."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -12,6 +14,15 @@ COUNTS = ("epoch", "column", "unchanged", "evaluations")
 ARRAYS = ("population", "cost")
 
 
+@contextmanager
+def replacing(file: Path) -> Iterator[Path]:
+    """A file beside it to write, which then takes its place; one broken off leaves it as it was."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    part = file.with_name(file.name + SUFFIX)
+    yield part
+    os.replace(part, file)
+
+
 def write_progress(file: Path, told: str, progress: dict[str, Any]) -> None:
     """Keep how far it is; a write that is broken off leaves the file as it was.
 
@@ -20,11 +31,8 @@ def write_progress(file: Path, told: str, progress: dict[str, Any]) -> None:
         told: what the search is of.
         progress: `search.Progress`, field by field.
     """
-    file.parent.mkdir(parents=True, exist_ok=True)
-    part = file.with_name(file.name + SUFFIX)
-    with part.open("wb") as stream:
+    with replacing(file) as part, part.open("wb") as stream:
         np.savez(stream, told=told, **progress)
-    os.replace(part, file)
 
 
 def read_progress(file: Path, told: str) -> dict[str, Any]:

@@ -54,14 +54,19 @@ class Purpose(ABC):
         """(runs,) what comes out, in SI units; nan where a run did not come so far."""
 
 
-def _braking(line: DesignLine, columns: int) -> tuple[Layout, ...]:
-    """Figure 6b and 6c: the columns at 0 deg, or at 45 and -45 deg from row to row."""
-    straight = np.full((line.rows, line.columns), ROLLING)
-    straight[:, :columns] = 0.0
-    signs = np.where(np.arange(line.rows) % 2, 1.0, -1.0)
-    turned = np.full((line.rows, line.columns), ROLLING)
-    turned[:, :columns] = EIGHTH * signs[:, np.newaxis]
-    return Layout("0 deg", straight), Layout("+-45 deg", turned)
+class _Braking(Purpose):
+    """What is done by taking speed, on the zone."""
+
+    leaves_zone = True
+
+    def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
+        """Figure 6b and 6c: the columns at 0 deg, or at 45 and -45 deg from row to row."""
+        straight = np.full((line.rows, line.columns), ROLLING)
+        straight[:, :columns] = 0.0
+        signs = np.where(np.arange(line.rows) % 2, 1.0, -1.0)
+        turned = np.full((line.rows, line.columns), ROLLING)
+        turned[:, :columns] = EIGHTH * signs[:, np.newaxis]
+        return Layout("0 deg", straight), Layout("+-45 deg", turned)
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,7 @@ class Sort(Purpose):
 
 
 @dataclass(frozen=True)
-class Slow(Purpose):
+class Slow(_Braking):
     """Let the parcel leave the zone at a share of its entry speed or less, Section 5.2.
 
     Or at just that share, where a tolerance is given.
@@ -106,16 +111,12 @@ class Slow(Purpose):
     unit = "-"
     measured = "exit speed over entry speed"
     scale = 1.0
-    leaves_zone = True
 
     def __post_init__(self) -> None:
         if not 0.0 < checks.number("ratio", self.ratio) < 1.0:
             raise ValueError(f"ratio must be between 0 and 1, got {self.ratio!r}")
         if self.tolerance is not None:
             checks.positive("tolerance", self.tolerance)
-
-    def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
-        return _braking(line, columns)
 
     def succeeds(self, line: DesignLine, runs: Runs, ends: Ends) -> Booleans:
         left = self.measure(line, runs, ends)
@@ -131,7 +132,7 @@ class Slow(Purpose):
 
 
 @dataclass(frozen=True)
-class Stop(Purpose):
+class Stop(_Braking):
     """Bring the parcel to rest on the zone, Section 5.3; or near a place on it, if one is given."""
 
     place: float | None = None  # [m] from the zone's start to the base's middle at rest
@@ -141,15 +142,11 @@ class Stop(Purpose):
     unit = "m"
     measured = "place of rest past the zone's start"
     scale = 1.0
-    leaves_zone = True
 
     def __post_init__(self) -> None:
         if self.place is not None:
             checks.number("place", self.place)
         checks.positive("tolerance", self.tolerance)
-
-    def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
-        return _braking(line, columns)
 
     def succeeds(self, line: DesignLine, runs: Runs, ends: Ends) -> Booleans:
         rest = self.measure(line, runs, ends)
@@ -182,7 +179,7 @@ class Turn(Purpose):
         checks.positive("tolerance", self.tolerance)
 
     def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
-        """One half of the rows turned, the other rolling; see also `layout.best_layout`."""
+        """One half of the rows turned, the other rolling; see also `best_layout.best_layout`."""
         found = []
         left = np.arange(line.rows) >= (line.rows + 1) // 2
         turning = left if self.angle > 0.0 else left[::-1]

@@ -8,7 +8,7 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from surface_gym.design.options import usable_cores
+from surface_gym.cores import usable_cores
 from surface_gym.design.sorting_layouts import (
     FILE,
     OFFERS,

@@ -1,7 +1,6 @@
 """Over which entry speeds and sizes of a parcel one surface does what is asked."""
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -13,12 +12,11 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.design.case import Case, Draws
 from surface_gym.design.line import DesignLine, line_for
+from surface_gym.design.progress import replacing
 from surface_gym.design.runs import Advance
-from surface_gym.design.sweep import Arrangement, Conditions, arrange, groups_of, shares
+from surface_gym.design.sweep import Arrangement, arrange, groups_of, own_conditions, shares
 from surface_gym.dynamics.memory import check_capacity
 from surface_gym.parcel import Parcel
-
-SUFFIX = ".part"  # of a checkpoint that is being written
 
 Booleans = NDArray[np.bool_]
 Numbers = NDArray[np.float64]
@@ -114,11 +112,7 @@ def _row(
     parcel = _scaled(case.parcel, size)
     line = replace(whole, lead_in=_lined(arrangement.line, case, parcel).lead_in)
     own = replace(arrangement, case=replace(case, parcel=parcel), line=line)
-    at = Conditions(
-        speed=speeds,
-        tilt=np.full(len(speeds), case.tilt),
-        friction=np.ones((len(speeds), 3)),
-    )
+    at = replace(own_conditions(case, len(speeds)), speed=speeds)
     found = []
     before = 0
     for each in drawn:
@@ -178,10 +172,8 @@ def _told(arrangement: Arrangement, speeds: Numbers, sizes: Numbers) -> dict[str
 
 def _write(file: Path, told: dict[str, str], found: Numbers) -> None:
     """Keep what is done; a write that is broken off leaves the file as it was."""
-    part = file.with_name(file.name + SUFFIX)
-    with part.open("wb") as stream:
+    with replacing(file) as part, part.open("wb") as stream:
         np.savez(stream, names=list(told), told=list(told.values()), found=found)
-    os.replace(part, file)
 
 
 def _read(file: Path, told: dict[str, str]) -> Numbers:

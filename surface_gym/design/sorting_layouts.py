@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.design.best_layout import BestLayout, best_layout
 from surface_gym.design.case import Case
-from surface_gym.design.progress import SUFFIX
+from surface_gym.design.progress import replacing
 from surface_gym.design.purposes import Sort
 from surface_gym.design.search import Effort
 from surface_gym.layouts import box
@@ -32,7 +31,6 @@ OFFERS: dict[str, tuple[float, ...] | None] = {
     "any": None,
 }
 SIZES = ("S", "B")
-EFFORT = Effort()
 
 Numbers = NDArray[np.float64]
 
@@ -69,7 +67,7 @@ def sorting_layouts() -> tuple[SortingLayout, ...]:
 def find_sorting_layouts(
     offers: tuple[str, ...] = tuple(OFFERS),
     sizes: tuple[str, ...] = SIZES,
-    effort: Effort = EFFORT,
+    effort: Effort = Effort(),
     threads: int = 1,
     seed: int = 0,
     checkpoints: Path | str | None = None,
@@ -137,8 +135,5 @@ def write_sorting_layouts(file: Path | str, found: dict[tuple[str, str], BestLay
         }
         for (size, offer), each in found.items()
     ]
-    target = Path(file)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    part = target.with_name(target.name + SUFFIX)
-    part.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    os.replace(part, target)
+    with replacing(Path(file)) as part:
+        part.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")

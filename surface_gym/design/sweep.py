@@ -146,11 +146,6 @@ def groups_of(unknown: Unknown) -> dict[str, Unknown]:
     return {NOMINAL: NOTHING, **{group: unknown.only(group) for group in unknown.groups}}
 
 
-def enough(share: Numbers) -> Booleans:
-    """Where all but `WORST` of the draws succeed."""
-    return share >= 1.0 - WORST - 1e-9
-
-
 def span(done: Booleans, own: int) -> tuple[int, int] | None:
     """First and last place of the run of successes around a place; None: it fails there."""
     if not done[own]:

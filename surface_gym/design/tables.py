@@ -6,13 +6,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from surface_gym.design.case import GROUPS, TOGETHER, WORST
+from surface_gym.design.case import GROUPS, TOGETHER, WORST, enough
 from surface_gym.design.columns import Columns
 from surface_gym.design.limits import FrictionRange, Limits
 from surface_gym.design.purposes import Purpose
 from surface_gym.design.sensitivity import Sensitivity
 from surface_gym.design.size_map import SuccessMap
-from surface_gym.design.sweep import enough
 from surface_gym.design.telling import field_told
 
 Cell = str | float | int | bool | None

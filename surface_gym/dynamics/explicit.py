@@ -27,6 +27,20 @@ def _sign(value: float) -> float:
 
 
 @inlined
+def held_share(along_x: float, other_x: float) -> float:
+    """What share of the forces along the axes holds a parcel that gravity does not move.
+
+    sum F_x + m g sin(gamma) = 0 sets it. Friction along an axis cannot push, nor hold more than it
+    does where the parcel slides.
+
+    Args:
+        along_x: [m/s^2] x of the forces along the axes, over the mass.
+        other_x: [m/s^2] x of all others, gravity's pull among them.
+    """
+    return min(1.0, max(0.0, -other_x / along_x)) if along_x < 0.0 else 0.0
+
+
+@inlined
 def explicit_acceleration(
     grid: Grid,
     gyration: float,
@@ -75,8 +89,6 @@ def explicit_acceleration(
         other_w += x * fy - y * fx
     other_x += grid.gravity_along
     if standing and along_x + other_x <= 0.0:
-        # Gravity does not win: sum F_x + m g sin(gamma) = 0 sets the forces along the axes.
-        # Friction along an axis cannot push, nor hold more than it does where the parcel slides.
-        scale = min(1.0, max(0.0, -other_x / along_x)) if along_x < 0.0 else 0.0
+        scale = held_share(along_x, other_x)
         return 0.0, scale * along_y + other_y, (scale * along_w + other_w) / gyration, 0.0
     return along_x + other_x, along_y + other_y, (along_w + other_w) / gyration, vx

@@ -7,7 +7,7 @@ functions lead from there to the same bits.
 from typing import NamedTuple
 
 from surface_gym.dynamics.compiled import compiled, inlined
-from surface_gym.dynamics.explicit import RESTART_SPEED, explicit_acceleration
+from surface_gym.dynamics.explicit import RESTART_SPEED, explicit_acceleration, held_share
 from surface_gym.dynamics.friction import friction_gradient
 from surface_gym.dynamics.step import advance_explicit, advance_implicit, bear_load, find_support
 from surface_gym.dynamics.types import (
@@ -140,7 +140,7 @@ def repeat_explicit(
             along_x += pull
             other_x += fx - pull
         if standing and state[VX] == 0.0:  # Figure 5b's rule held it
-            share = min(1.0, max(0.0, -other_x / along_x)) if along_x < 0.0 else 0.0
+            share = held_share(along_x, other_x)
             _scale_along(scratch, contacts, observed.force[first:], share)
 
 
