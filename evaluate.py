@@ -6,6 +6,7 @@ import tyro
 from rich.console import Console
 
 from agents.evaluation.command import EvaluateConfig, evaluate
+from surface_gym.sharing import WorkFailed
 
 
 def main() -> None:
@@ -13,7 +14,7 @@ def main() -> None:
     config = tyro.cli(EvaluateConfig)
     try:
         evaluate(config, Console())
-    except ValueError as error:
+    except (ValueError, WorkFailed) as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:
         sys.exit("interrupted; --resume goes on with what is there")

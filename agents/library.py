@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from agents.policy_files import PolicyFiles, read_files
 from surface_gym import checks
 
 if TYPE_CHECKING:
@@ -54,6 +55,13 @@ def read(folder: str | Path, task: "Task | None" = None) -> "Policy | ModulesPol
     Raises:
         ValueError: the folder holds no policy, or a damaged or foreign one, or one of another task.
     """
-    from agents.policies.files import load_policy  # which brings PyTorch with it
+    return carried(read_files(Path(folder)), task)
 
-    return load_policy(Path(folder), task)
+
+def carried(
+    files: PolicyFiles, task: "Task | None" = None
+) -> "Policy | ModulesPolicy | FlowPolicy":
+    """The policy that files hold, wherever they were read; see `read`."""
+    from agents.policies.files import policy_of  # which brings PyTorch with it
+
+    return policy_of(files, task)

@@ -22,8 +22,10 @@ from agents.flow.contenders import contenders as flow_contenders
 from agents.flow.report import FlowReport, write_flow_report
 from agents.flow.trained import compare_parcels, is_of_flow
 from agents.tasks import find_task
+from agents.workers import workers_of
 from surface_gym import checks
 from surface_gym.cores import usable_cores
+from surface_gym.sharing import Workers
 from surface_gym.tasks import TASKS
 
 FLOW = "flow"
@@ -50,6 +52,8 @@ class EvaluateConfig:
     one's own, --task says whose code is to be run."""
     workers: int = usable_cores()
     """Processes to share the work among; results do not depend on it."""
+    cluster: str | None = None
+    """Address of a Ray cluster to share it among instead, "auto" for this machine's."""
     resume: bool = False
     """Keep what the folder has already, and go on."""
 
@@ -61,6 +65,7 @@ class EvaluateConfig:
         if not self.tasks:
             raise ValueError(f"tasks must be at least one, got {self.tasks!r}")
         checks.integer("workers", self.workers, least=1)
+        workers_of(self.cluster, self.workers, self.task)
 
 
 def evaluate(config: EvaluateConfig, console: Console) -> None:
@@ -69,11 +74,12 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
     Raises:
         ValueError: the run holds no policy, or a damaged one.
     """
+    workers = workers_of(config.cluster, config.workers, config.task)
     if config.run is not None and is_of_flow(config.run):
-        compare_parcels(config.run, config.workers, console)
+        compare_parcels(config.run, workers, console)
         return
     if config.run is not None:
-        evaluate_run(config.run, config.task, config.workers, console)
+        evaluate_run(config.run, config.task, workers, console)
         return
     config.out.mkdir(parents=True, exist_ok=True)
     if not config.resume:
@@ -92,8 +98,8 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
         def advance(done: int, total: int, latest: str) -> None:
             progress.update(bar, completed=done, total=total, description=latest)
 
-        flow = _flow(config, console, advance) if _has_flow(config) else None
-        cells = compute_cells(chosen, config.workers, config.out, advance)
+        flow = _flow(config, workers, console, advance) if _has_flow(config) else None
+        cells = compute_cells(chosen, workers, config.out, advance)
         progress.update(bar, description="drawing")
         write_report(
             chosen,
@@ -110,10 +116,12 @@ def _has_flow(config: EvaluateConfig) -> bool:
     return config.task is None and FLOW in config.tasks
 
 
-def _flow(config: EvaluateConfig, console: Console, advance: Advance) -> FlowReport:
+def _flow(
+    config: EvaluateConfig, workers: Workers, console: Console, advance: Advance
+) -> FlowReport:
     """Compare on streams of parcels."""
     chosen = flow_contenders()
-    cells = study.compute_flows(chosen, config.workers, config.out, advance)
+    cells = study.compute_flows(chosen, workers, config.out, advance)
     return write_flow_report(chosen, cells, config.out, console)
 
 
@@ -128,14 +136,14 @@ def _chosen(config: EvaluateConfig) -> list[Contender]:
 
 
 def evaluate_run(
-    run: Path, task: str | None, workers: int, console: Console
+    run: Path, task: str | None, workers: Workers, console: Console
 ) -> tuple[Contender, Summaries]:
     """Compare the policies of a run with the fixed layout of its task, into the run's folder.
 
     Args:
         run: its folder.
         task: of one's own that it is of; None: one of the package.
-        workers: processes to share the work among.
+        workers: processes to share the work among, or a cluster.
         console: to show on.
 
     Returns:

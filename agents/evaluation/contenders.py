@@ -13,6 +13,7 @@ from agents.learning.folder import CONFIG
 from agents.learning.hyperparams import task_of
 from agents.planning.shown_path import with_path_shown
 from agents.policy_card import CARD
+from agents.policy_files import PolicyFiles, read_files
 from agents.rules import rules_of
 from agents.rules.best_layout import BestTracking
 from agents.rules.graded import GradedLayout
@@ -148,10 +149,11 @@ def trained(folders: dict[int, Path], task: str | None = None) -> Contender:
     Raises:
         ValueError: a folder holds no policy, or a damaged one, or one of another task.
     """
-    card = library.read(next(iter(folders.values())), _own(task)).card
+    files = {seed: read_files(folder) for seed, folder in folders.items()}
+    card = library.carried(next(iter(files.values())), _own(task)).card
     return Contender(
         LABELS[card.algo], task or card.task, card.actions, card.control_period,
-        partial(_read, folders, task), tuple(folders),
+        partial(_read, files, task), tuple(folders),
     )  # fmt: skip
 
 
@@ -188,9 +190,11 @@ def _loaded(name: str, settings: Settings, seed: int) -> Controller:
     return library.load(name, seed)
 
 
-def _read(folders: dict[int, Path], task: str | None, settings: Settings, seed: int) -> Controller:
+def _read(
+    files: dict[int, PolicyFiles], task: str | None, settings: Settings, seed: int
+) -> Controller:
     del settings
-    return library.read(folders[seed], _own(task))
+    return library.carried(files[seed], _own(task))
 
 
 def _own(task: str | None) -> Task | None:

@@ -26,6 +26,7 @@ from agents.evaluation.trials import make_trial
 from agents.evaluation.work import compute_cells
 from agents.flow.report import FlowReport
 from agents.tasks import kind_of, label_of
+from surface_gym.sharing import Workers
 
 Pictures = list[tuple[Path, str]]
 
@@ -118,7 +119,7 @@ def rivals(contenders: Sequence[Contender]) -> list[Contender]:
 
 
 def compare_run(
-    fixed: Contender, trained: Contender, workers: int, folder: Path, console: Console
+    fixed: Contender, trained: Contender, workers: Workers, folder: Path, console: Console
 ) -> Summaries:
     """Compare a run's policies with the fixed layout, the same byte for byte each time: table.md,
     table.json, the trajectories of Sort, and a film.

@@ -1,16 +1,15 @@
-"""The cells of a comparison, shared among processes; what is computed is kept."""
+"""The cells of a comparison; what is computed is kept."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from agents.evaluation.cell import Cell, compute
 from agents.evaluation.conditions import CONDITIONS
 from agents.evaluation.contenders import Contender
+from surface_gym.sharing import Workers, quiet, share
 
 FILE = "cells.jsonl"
 
@@ -48,7 +47,7 @@ def orders(contenders: Sequence[Contender]) -> list[tuple[Contender, int, str]]:
 def compute_kept(
     jobs: Mapping[AnyKey, Callable[[], AnyKept]],
     make: Callable[..., AnyKept],
-    workers: int,
+    workers: Workers,
     file: Path | None,
     advance: Advance,
 ) -> dict[AnyKey, AnyKept]:
@@ -57,7 +56,7 @@ def compute_kept(
     Args:
         jobs: to do, by the key of what each gives, which do not depend on each other.
         make: one from what its `plain` gave.
-        workers: processes to share the work among.
+        workers: processes to share the work among, or a cluster.
         file: where they are kept, a line each; those found there are not computed again.
         advance: called with how many are done, how many there are and the name of the latest.
 
@@ -69,8 +68,8 @@ def compute_kept(
         found = {each.key: each for each in read_kept(file, make)}
         # A line that was broken off must not spoil the next.
         file.write_text("".join(map(_line, found.values())))
-    left = [job for key, job in jobs.items() if key not in found]
-    for done, each in enumerate(_computed(left, workers), len(jobs) - len(left) + 1):
+    left = [partial(quiet, job) for key, job in jobs.items() if key not in found]
+    for done, (_, each) in enumerate(share(left, workers), len(jobs) - len(left) + 1):
         found[each.key] = each
         if file is not None:
             with file.open("a") as kept:
@@ -81,7 +80,7 @@ def compute_kept(
 
 def compute_cells(
     contenders: Sequence[Contender],
-    workers: int,
+    workers: Workers,
     folder: Path | None = None,
     advance: Advance = lambda *_: None,
 ) -> list[Cell]:
@@ -89,7 +88,7 @@ def compute_cells(
 
     Args:
         contenders: to compare.
-        workers: processes to share the work among.
+        workers: processes to share the work among, or a cluster.
         folder: cells are kept in its cells.jsonl, and those found there are not computed again.
         advance: called with cells done, cells in all and the name of the latest.
     """
@@ -129,17 +128,3 @@ def read_kept(file: Path, make: Callable[..., AnyKept]) -> list[AnyKept]:
 
 def _line(each: Kept) -> str:
     return json.dumps(each.plain()) + "\n"
-
-
-def _computed(left: Sequence[Callable[[], AnyKept]], workers: int) -> Iterator[AnyKept]:
-    """What jobs give, as they are done."""
-    if min(workers, len(left)) <= 1:
-        yield from (job() for job in left)
-        return
-    with ProcessPoolExecutor(min(workers, len(left)), get_context("spawn")) as pool:
-        waiting = [pool.submit(job) for job in left]
-        try:
-            yield from (future.result() for future in as_completed(waiting))
-        finally:
-            for future in waiting:
-                future.cancel()

@@ -10,6 +10,7 @@ from agents.evaluation.work import Advance, compute_kept
 from agents.flow.capacity import EASED, LEAST, Measured, find_capacity, measure
 from agents.flow.cases import CONDITIONS, CURVE, LOADS, Case, cases
 from agents.flow.contenders import FlowContender
+from surface_gym.sharing import Workers
 
 FILE = "flow.jsonl"
 SEARCHED = 0.0  # instead of a load: the capacity is searched for
@@ -92,7 +93,7 @@ def flow_jobs(
 
 def compute_flows(
     contenders: Sequence[FlowContender],
-    workers: int,
+    workers: Workers,
     folder: Path | None = None,
     advance: Advance = lambda *_: None,
     loads: Sequence[float] | None = None,
@@ -101,7 +102,7 @@ def compute_flows(
 
     Args:
         contenders: to compare.
-        workers: processes to share the work among.
+        workers: processes to share the work among, or a cluster.
         folder: cells are kept in its flow.jsonl, and those found there are not computed again.
         advance: called with cells done, cells in all and the name of the latest.
         loads: [-] of the ceiling, to hold rates against; None: LOADS.

@@ -16,13 +16,15 @@ from agents.flow.results import Results, results_of
 from agents.flow.study import compute_flows
 from agents.flow.tables import capacities, eased
 from agents.policy_card import CARD
+from agents.policy_files import PolicyFiles, read_files
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.registration import FLOW
+from surface_gym.sharing import Workers
 
 TABLE = "table.md"
 
 
-def compare_parcels(run: Path, workers: int, console: Console) -> Results:
+def compare_parcels(run: Path, workers: Workers, console: Console) -> Results:
     """Measure the policies of a run, into the run's folder.
 
     Raises:
@@ -40,18 +42,17 @@ def compare_parcels(run: Path, workers: int, console: Console) -> Results:
 
 
 def _of_seeds(folders: dict[int, Path]) -> list[FlowContender]:
-    period = library.read(next(iter(folders.values()))).card.control_period
+    files = {seed: read_files(folder) for seed, folder in folders.items()}
+    period = library.carried(next(iter(files.values()))).card.control_period
     return [
-        FlowContender(
-            f"seed {seed}", "parcels", True, partial(_read, folder), control_period=period
-        )
-        for seed, folder in folders.items()
+        FlowContender(f"seed {seed}", "parcels", True, partial(_read, each), control_period=period)
+        for seed, each in files.items()
     ]
 
 
-def _read(folder: Path, settings: FlowSettings) -> Controller:
+def _read(files: PolicyFiles, settings: FlowSettings) -> Controller:
     del settings
-    return library.read(folder)
+    return library.carried(files)
 
 
 def is_of_flow(run: Path) -> bool:

@@ -15,6 +15,7 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from agents.damage import DAMAGE
 from agents.learning.double_dqn import DoubleDQN
 from agents.learning.model import Model
+from surface_gym.whole_files import replacing
 
 Restored = TypeVar("Restored")
 
@@ -60,12 +61,10 @@ def load_checkpoint(model: Model, folder: Path) -> list[dict[str, float]]:
 
 def write_state(state: dict[str, Any], folder: Path) -> None:
     """Write tensors and plain values as a folder's checkpoint, whole or not at all."""
-    waiting = folder / f"{FILE}.new"
-    with waiting.open("wb") as file:
+    with replacing(folder / FILE) as part, part.open("wb") as file:
         torch.save(state, file)
         file.flush()
         os.fsync(file.fileno())
-    waiting.replace(folder / FILE)
 
 
 def read_state(folder: Path, restore: Callable[[dict[str, Any]], Restored]) -> Restored:

@@ -11,10 +11,12 @@ from agents.learning.config import TrainConfig
 from agents.learning.flow_card import write_flow_card
 from agents.learning.legs import Learned
 from agents.policy_card import FLOW_TASK
-from surface_gym.cores import usable_cores
+from surface_gym.sharing import Workers
 
 
-def finish(config: TrainConfig, folder: Path, learned: list[Learned], console: Console) -> None:
+def finish(
+    config: TrainConfig, folder: Path, learned: list[Learned], console: Console, workers: Workers
+) -> None:
     """Compare what was learned with the fixed layout; a run broken off is only told of."""
     if len(learned) < config.seeds or any(each.interrupted for each in learned):
         console.print(
@@ -22,10 +24,9 @@ def finish(config: TrainConfig, folder: Path, learned: list[Learned], console: C
             f"python train.py --resume {folder} goes on from the last checkpoint"
         )
         return
-    workers = usable_cores()
     if config.task == FLOW_TASK:
         write_flow_card(config, learned, compare_parcels(folder, workers, console), folder)
         return
-    agent, summaries = evaluate_run(folder, config.task, min(config.seeds, workers), console)
+    agent, summaries = evaluate_run(folder, config.task, workers, console)
     seeds = range(config.seed, config.seed + config.seeds)
     write_card(command_of(config), seeds, learned, summaries, agent, folder)

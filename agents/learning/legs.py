@@ -4,7 +4,7 @@ at the same place, and so comes to the same as one that was not broken off.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from agents.learning.config import TrainConfig
 
@@ -18,6 +18,15 @@ class Learned:
     steps: int  # control periods learned from
     seconds: float  # it took, this time
     interrupted: bool
+
+
+@dataclass(frozen=True)
+class News:
+    """What a run tells while it goes on."""
+
+    steps: int  # control periods done
+    success: float | None  # of the latest episodes; None: as last told
+    files: dict[str, bytes] = field(default_factory=dict)  # of its folder, where it is elsewhere
 
 
 def leg_at(config: TrainConfig, steps: int) -> int:

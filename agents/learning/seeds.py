@@ -1,49 +1,63 @@
-"""The seeds of a run, each in a process of its own, with a bar for each."""
+"""The seeds of a run, shared among workers, with a bar for each."""
 
-from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor, wait
-from multiprocessing import get_context
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
-from queue import Empty
-from typing import Any
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
-from rich.progress import Progress as Bars
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from agents.learning.config import DQNConfig, ModulesConfig, PPOConfig, TrainConfig
+from agents.learning.config import TrainConfig
+from agents.learning.elsewhere import Elsewhere, put_files
 from agents.learning.folder import parts
-from agents.learning.legs import Learned, Progress
-from agents.learning.modules.training import train_modules
-from agents.learning.training import train
-from surface_gym.cores import usable_cores
-
-POLL = 0.2  # [s] between looks at what the processes report
+from agents.learning.legs import Learned, News
+from agents.learning.start import start
+from surface_gym.sharing import Cluster, Job, Tell, Workers, share
 
 
-def train_seeds(config: TrainConfig, folder: Path, console: Console) -> list[Learned]:
-    """Train every seed of a configuration; how each ended, in the order of the seeds.
+def train_seeds(
+    config: TrainConfig, folder: Path, console: Console, workers: Workers
+) -> list[Learned]:
+    """Train every seed of a configuration, each in its folder; how each ended, in their order.
 
-    An interrupt ends all of them, each with what it has learned so far.
+    An interrupt ends all of them, each with what it has learned so far; then there are fewer.
+
+    Args:
+        config: of the run.
+        folder: of the run, which nodes of a cluster need not see.
+        console: to show bars on.
+        workers: processes to share the seeds among, or a cluster.
+
+    Raises:
+        ValueError: a checkpoint is damaged, or of another configuration.
     """
     runs = parts(config, folder)
+    for _, own in runs:
+        own.mkdir(exist_ok=True)
+    jobs: list[Job[Learned]] = [
+        Elsewhere(*run) if isinstance(workers, Cluster) else partial(_train, *run) for run in runs
+    ]
     with _bars(console) as bars:
-        rows = [
-            bars.add_task(f"seed {run.seed}", total=config.steps, success="-") for run, _ in runs
-        ]
-        if len(runs) == 1:
-            return [_train(*runs[0], _mover(bars, rows[0]))]
-        return _train_apart(runs, bars, rows)
+        rows = [bars.add_task(f"seed {run.seed}", total=run.steps, success="-") for run, _ in runs]
+
+        def heard(place: int, news: News) -> None:
+            put_files(news.files, runs[place][1])
+            bars.update(rows[place], completed=news.steps)
+            if news.success is not None:
+                bars.update(rows[place], success=f"{news.success:.3f}")
+
+        found: dict[int, Learned] = {}
+        with suppress(KeyboardInterrupt):
+            found.update(share(jobs, workers, heard))
+        return [found[place] for place in sorted(found)]
 
 
-def _bars(console: Console) -> Bars:
-    return Bars(
+def _train(config: TrainConfig, folder: Path, tell: Tell) -> Learned:
+    return start(config, folder, lambda steps, success: tell(News(steps, success)))
+
+
+def _bars(console: Console) -> Progress:
+    return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.completed:,.0f} of {task.total:,.0f} steps"),
@@ -52,54 +66,3 @@ def _bars(console: Console) -> Bars:
         TimeRemainingColumn(),
         console=console,
     )
-
-
-def _train(config: TrainConfig, folder: Path, progress: Progress) -> Learned:
-    if isinstance(config, ModulesConfig):
-        return train_modules(config, folder, progress)
-    assert isinstance(config, PPOConfig | DQNConfig)
-    return train(config, folder, progress)
-
-
-def _mover(bars: Bars, row: TaskID) -> Callable[[int, float], None]:
-    def move(steps: int, success: float) -> None:
-        bars.update(row, completed=steps, success=f"{success:.3f}")
-
-    return move
-
-
-def _train_apart(
-    runs: list[tuple[TrainConfig, Path]], bars: Bars, rows: list[TaskID]
-) -> list[Learned]:
-    context = get_context("spawn")
-    workers = min(len(runs), usable_cores())
-    with context.Manager() as manager, ProcessPoolExecutor(workers, context) as pool:
-        reports = manager.Queue()
-        waiting = [
-            pool.submit(_train_reported, *run, row, reports)
-            for run, row in zip(runs, rows, strict=True)
-        ]
-        try:
-            _follow(waiting, reports, bars)
-        except KeyboardInterrupt:  # which the processes have got as well
-            for future in waiting:
-                future.cancel()
-        return [future.result() for future in waiting if not future.cancelled()]
-
-
-def _follow(waiting: list[Future[Learned]], reports: Any, bars: Bars) -> None:
-    """Move the bars as long as a process works."""
-    left = set(waiting)
-    while left:
-        _, left = wait(left, timeout=POLL)
-        while True:
-            try:
-                row, steps, success = reports.get_nowait()
-            except Empty:
-                break
-            _mover(bars, row)(steps, success)
-
-
-def _train_reported(config: TrainConfig, folder: Path, row: TaskID, reports: Any) -> Learned:
-    folder.mkdir(exist_ok=True)
-    return _train(config, folder, lambda steps, success: reports.put((row, steps, success)))

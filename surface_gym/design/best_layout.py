@@ -20,6 +20,7 @@ from surface_gym.design.shortfall import shortfall
 from surface_gym.design.space import Space
 from surface_gym.layouts import ROLLING
 from surface_gym.plants import ORIENTATIONS
+from surface_gym.sharing import Workers, check_workers
 
 Booleans = NDArray[np.bool_]
 Numbers = NDArray[np.float64]
@@ -89,7 +90,7 @@ def best_layout(
     rows: int | None = None,
     orientations: Sequence[float] | None = ORIENTATIONS,
     effort: Effort = Effort(),
-    threads: int = 1,
+    workers: Workers = 1,
     checkpoint: Path | str | None = None,
     advance: Callable[[int, int], None] = lambda *_: None,
 ) -> BestLayout:
@@ -106,7 +107,7 @@ def best_layout(
         rows: of rotors; None: as many as lie under the parcel.
         orientations: [rad] axes on offer; None: any.
         effort: how long to search.
-        threads: that share the runs; what is found does not depend on it.
+        workers: threads that share the runs, or a cluster; what is found does not depend on it.
         checkpoint: file that keeps what is found; a search whose file exists goes on from there.
         advance: called with how much of the search is done and how much there is.
 
@@ -115,7 +116,7 @@ def best_layout(
     """
     begun = time.perf_counter()
     checks.integer("columns", columns, least=1)
-    checks.integer("threads", threads, least=1)
+    check_workers(workers)
     over = np.unique(checks.array("speeds", speeds, (None,)))
     if len(over) == 0 or over[0] <= 0.0:
         raise ValueError(f"speeds must be some above 0, got {over.tolist()}")
@@ -125,7 +126,7 @@ def best_layout(
     line = case.line(columns, rows)
     # Of layouts that do alike, the one of the most columns counts as the study's.
     kinds = [kind for used in range(columns, 0, -1) for kind in case.purpose.layouts(line, used)]
-    score = _score(case, line, over, threads)
+    score = _score(case, line, over, workers)
     study = kinds[int(score(np.stack([kind.axis for kind in kinds])).argmin())]
     space = Space(line.rows, columns, offered)
     known = np.stack([*(kind.axis for kind in kinds), *_fans(case.purpose, line)])
@@ -138,26 +139,26 @@ def best_layout(
     return BestLayout(
         case=case,
         line=line,
-        best=over_speeds("best fixed layout", axis, case, line, over, threads),
-        study=over_speeds(study.name, study.axis, case, line, over, threads),
+        best=over_speeds("best fixed layout", axis, case, line, over, workers),
+        study=over_speeds(study.name, study.axis, case, line, over, workers),
         evaluations=evaluations,
         seconds=time.perf_counter() - begun,
     )
 
 
 def over_speeds(
-    name: str, axis: Numbers, case: Case, line: DesignLine, speeds: Numbers, threads: int = 1
+    name: str, axis: Numbers, case: Case, line: DesignLine, speeds: Numbers, workers: Workers = 1
 ) -> OverSpeeds:
     """What a layout (rows, columns) [rad] of a line's zone does over speeds (speeds,) [m/s]."""
     axes = axis[np.newaxis]
-    runs, ends = _sent(case, line, axes, speeds, threads)
+    runs, ends = _sent(case, line, axes, speeds, workers)
     success = case.purpose.succeeds(line, runs, ends)
     share = success.astype(np.float64)
     if case.unknown.groups:
         drawn = draw(case.unknown.only(TOGETHER), case.parcel, line, case.draws, case.seed)
         for k, speed in enumerate(speeds.tolist()):
             unsure = drawn.runs(speed, case.tilt, line.columns)
-            found = run_all(line, axes, drawn.parcels, unsure, drawn.stiffness, case.step, threads)
+            found = run_all(line, axes, drawn.parcels, unsure, drawn.stiffness, case.step, workers)
             share[k] = case.purpose.succeeds(line, unsure, found).mean()
     return OverSpeeds(
         name=name,
@@ -197,7 +198,7 @@ def _tidied(axis: Numbers, plain: Numbers, score: Score) -> Numbers:
 
 
 def _sent(
-    case: Case, line: DesignLine, axes: Numbers, speeds: Numbers, threads: int
+    case: Case, line: DesignLine, axes: Numbers, speeds: Numbers, workers: Workers
 ) -> tuple[Runs, Ends]:
     """A run over every layout (layouts, rows, columns) [rad] at every speed, layout by layout."""
     runs = make_runs(
@@ -206,14 +207,14 @@ def _sent(
         layout=np.repeat(np.arange(len(axes)), len(speeds)),
         columns=line.columns,
     )
-    return runs, run_all(line, axes, [case.parcel], runs, dt=case.step, threads=threads)
+    return runs, run_all(line, axes, [case.parcel], runs, dt=case.step, workers=workers)
 
 
-def _score(case: Case, line: DesignLine, speeds: Numbers, threads: int) -> Score:
+def _score(case: Case, line: DesignLine, speeds: Numbers, workers: Workers) -> Score:
     """What a layout costs: a failure more than shortfalls at all speeds, these more than time."""
 
     def score(axes: Numbers) -> Numbers:
-        runs, ends = _sent(case, line, axes, speeds, threads)
+        runs, ends = _sent(case, line, axes, speeds, workers)
         shape = (len(axes), len(speeds))
         failed = ~case.purpose.succeeds(line, runs, ends).reshape(shape)
         short = shortfall(case.purpose, line, runs, ends).reshape(shape)

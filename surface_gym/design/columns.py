@@ -10,6 +10,7 @@ from surface_gym import checks
 from surface_gym.design.case import WORST, Case, Draws, draw, enough
 from surface_gym.design.line import DesignLine
 from surface_gym.design.runs import make_runs, run_all
+from surface_gym.sharing import Workers
 
 MOST = 30  # columns that are tried
 MORE = 3  # columns beyond the nominal ones that are tried for the worst draws
@@ -48,7 +49,7 @@ class Columns:
 
 
 def least_columns(
-    case: Case, rows: int | None = None, most: int = MOST, threads: int = 1
+    case: Case, rows: int | None = None, most: int = MOST, workers: Workers = 1
 ) -> Columns:
     """The fewest columns that do what a case asks, by the study's kinds of layout.
 
@@ -56,7 +57,7 @@ def least_columns(
         case: what it is for.
         rows: of rotors; None: as many as lie under the parcel.
         most: columns to try.
-        threads: that share the runs.
+        workers: threads that share the runs, or a cluster.
 
     >>> from surface_gym import layouts
     >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # Table 3: 4, by a coarser step
@@ -65,36 +66,40 @@ def least_columns(
     checks.integer("most", most, least=1)
     line = case.line(most, rows)
     if case.purpose.leaves_zone:
-        return _leaving(case, line, threads)
-    return _sorting(case, line, threads)
+        return _leaving(case, line, workers)
+    return _sorting(case, line, workers)
 
 
-def columns_by_rows(case: Case, most: int = MOST, threads: int = 1) -> tuple[Columns, ...]:
+def columns_by_rows(case: Case, most: int = MOST, workers: Workers = 1) -> tuple[Columns, ...]:
     """`least_columns` for every number of rows from one to as many as lie under the parcel."""
     return tuple(
-        least_columns(case, rows, most, threads) for rows in range(1, case.line(most).rows + 1)
+        least_columns(case, rows, most, workers) for rows in range(1, case.line(most).rows + 1)
     )
 
 
 def columns_by_speed(
-    case: Case, speeds: Sequence[float], rows: int | None = None, most: int = MOST, threads: int = 1
+    case: Case,
+    speeds: Sequence[float],
+    rows: int | None = None,
+    most: int = MOST,
+    workers: Workers = 1,
 ) -> tuple[Columns, ...]:
     """`least_columns` at every entry speed [m/s]."""
-    return tuple(least_columns(case.at(speed), rows, most, threads) for speed in speeds)
+    return tuple(least_columns(case.at(speed), rows, most, workers) for speed in speeds)
 
 
-def _sorting(case: Case, line: DesignLine, threads: int) -> Columns:
+def _sorting(case: Case, line: DesignLine, workers: Workers) -> Columns:
     layout = case.purpose.layouts(line, line.columns)[0]
     axes = layout.axis[np.newaxis]
     runs = make_runs(case.speed, case.tilt)
-    ends = run_all(line, axes, [case.parcel], runs, dt=case.step, threads=threads)
+    ends = run_all(line, axes, [case.parcel], runs, dt=case.step, workers=workers)
     done = bool(case.purpose.succeeds(line, runs, ends)[0])
     touched = int(ends.touched[0])
     worst = []
     for group in case.unknown.groups:
         drawn = draw(case.unknown.only(group), case.parcel, line, case.draws, case.seed)
         over = drawn.runs(case.speed, case.tilt, -1)
-        found = run_all(line, axes, drawn.parcels, over, drawn.stiffness, case.step, threads)
+        found = run_all(line, axes, drawn.parcels, over, drawn.stiffness, case.step, workers)
         needed = np.where(case.purpose.succeeds(line, over, found), found.touched, line.columns + 1)
         enough = int(np.sort(needed)[_least_place(len(needed))])
         worst.append(
@@ -108,7 +113,7 @@ def _sorting(case: Case, line: DesignLine, threads: int) -> Columns:
         rows=line.rows,
         columns=touched if done else None,
         layout=layout.name,
-        fewest=_fewest(case, line, touched, threads) if done else None,
+        fewest=_fewest(case, line, touched, workers) if done else None,
         measure=float(case.purpose.measure(line, runs, ends)[0]),
         tipping=float(ends.tipping[0]),
         worst=tuple(worst),
@@ -120,17 +125,17 @@ def _least_place(draws: int) -> int:
     return int(np.ceil((1.0 - WORST) * draws - 1e-9)) - 1
 
 
-def _fewest(case: Case, line: DesignLine, touched: int, threads: int) -> int:
+def _fewest(case: Case, line: DesignLine, touched: int, workers: Workers) -> int:
     """Columns from which on every number up to those touched sorts."""
     counts = np.arange(1, touched + 1)
     axes = np.stack([case.purpose.layouts(line, count)[0].axis for count in counts.tolist()])
     runs = make_runs(case.speed, case.tilt, layout=counts - 1)
-    ends = run_all(line, axes, [case.parcel], runs, dt=case.step, threads=threads)
+    ends = run_all(line, axes, [case.parcel], runs, dt=case.step, workers=workers)
     fails = np.nonzero(~case.purpose.succeeds(line, runs, ends))[0]
     return int(counts[fails[-1] + 1]) if len(fails) else 1
 
 
-def _leaving(case: Case, line: DesignLine, threads: int) -> Columns:
+def _leaving(case: Case, line: DesignLine, workers: Workers) -> Columns:
     """Of every number of columns and every kind of layout, the first that does it."""
     counts = list(range(1, line.columns + 1))
     kinds = [case.purpose.layouts(line, count) for count in counts]
@@ -138,7 +143,7 @@ def _leaving(case: Case, line: DesignLine, threads: int) -> Columns:
     used = np.repeat(counts, len(kinds[0]))
     axes = np.stack([layout.axis for layout in layouts])
     runs = make_runs(case.speed, case.tilt, layout=np.arange(len(layouts)), columns=used)
-    ends = run_all(line, axes, [case.parcel], runs, dt=case.step, threads=threads)
+    ends = run_all(line, axes, [case.parcel], runs, dt=case.step, workers=workers)
     done = case.purpose.succeeds(line, runs, ends)
     measure = case.purpose.measure(line, runs, ends)
     if not done.any():
@@ -146,7 +151,7 @@ def _leaving(case: Case, line: DesignLine, threads: int) -> Columns:
         return Columns(line.rows, None, "-", None, float("nan"), 0.0, lost)
     first = int(done.argmax())
     worst = [
-        _worst_leaving(case, line, axes, used, first, group, threads)
+        _worst_leaving(case, line, axes, used, first, group, workers)
         for group in case.unknown.groups
     ]
     return Columns(
@@ -162,25 +167,25 @@ def _leaving(case: Case, line: DesignLine, threads: int) -> Columns:
 
 def _worst_leaving(
     case: Case, line: DesignLine, axes: Numbers, used: NDArray[np.int64], first: int, group: str,
-    threads: int,
+    workers: Workers,
 ) -> Worst:  # fmt: skip
     """From the nominal layout on, the first that is enough in all but `WORST` of the draws."""
     drawn = draw(case.unknown.only(group), case.parcel, line, case.draws, case.seed)
-    share = _share(case, line, axes, used, first, drawn, threads)
+    share = _share(case, line, axes, used, first, drawn, workers)
     least, at_nominal = first, share
     while not enough(share):
         least += 1
         if least == len(used) or used[least] > used[first] + MORE:
             return Worst(group, None, at_nominal)
-        share = _share(case, line, axes, used, least, drawn, threads)
+        share = _share(case, line, axes, used, least, drawn, workers)
     return Worst(group, int(used[least]), at_nominal)
 
 
 def _share(
     case: Case, line: DesignLine, axes: Numbers, used: NDArray[np.int64], which: int, drawn: Draws,
-    threads: int,
+    workers: Workers,
 ) -> float:  # fmt: skip
     """Of the draws in which a layout does it."""
     runs = drawn.runs(case.speed, case.tilt, int(used[which]), which)
-    ends = run_all(line, axes, drawn.parcels, runs, drawn.stiffness, case.step, threads)
+    ends = run_all(line, axes, drawn.parcels, runs, drawn.stiffness, case.step, workers)
     return float(case.purpose.succeeds(line, runs, ends).mean())

@@ -26,6 +26,7 @@ from surface_gym.design.questions import (
 )
 from surface_gym.design.tables import Table, text_of, write_csv
 from surface_gym.design.telling import MASS, sentence
+from surface_gym.sharing import WorkFailed
 
 QUESTIONS: dict[str, Callable[..., Question]] = {
     "columns": AskColumns,
@@ -51,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     try:
         ask(question)
-    except (ValueError, OSError, ImportError) as error:
+    except (ValueError, OSError, ImportError, WorkFailed) as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:

@@ -15,7 +15,7 @@ from surface_gym.design.case import Case
 from surface_gym.design.columns import least_columns
 from surface_gym.design.line import DesignLine
 from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
-from surface_gym.design.runs import Advance
+from surface_gym.design.sending import Advance
 from surface_gym.plants import Line
 from surface_gym.randomisation import Randomisation
 

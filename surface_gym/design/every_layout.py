@@ -17,6 +17,7 @@ from surface_gym.design.case import Case
 from surface_gym.design.runs import make_runs, run_all
 from surface_gym.layouts import ROLLING
 from surface_gym.plants import ORIENTATIONS
+from surface_gym.sharing import Workers, check_workers
 
 AT_ONCE = 4096  # runs in one go, about
 
@@ -39,7 +40,7 @@ def every_layout(
     rows: int | None = None,
     orientations: Sequence[float] = ORIENTATIONS,
     most: int = 1_000_000,
-    threads: int = 1,
+    workers: Workers = 1,
     advance: Callable[[int, int], None] = lambda *_: None,
 ) -> EveryLayout:
     """Try every layout of a zone at the case's speed, with nothing unknown, until one does it.
@@ -50,7 +51,7 @@ def every_layout(
         rows: of rotors; None: as many as lie under the parcel.
         orientations: [rad] axes on offer.
         most: runs to carry out, about; then the answer is not known.
-        threads: that share the runs.
+        workers: threads that share the runs, or a cluster.
         advance: called with how many runs were carried out, and `most`.
 
     Raises:
@@ -62,7 +63,7 @@ def every_layout(
     """
     checks.integer("columns", columns, least=1)
     checks.integer("most", most, least=1)
-    checks.integer("threads", threads, least=1)
+    check_workers(workers)
     offered = np.array(checks.orientations("orientations", np.array(orientations)))
     line = case.line(columns, rows)
     count = len(offered) ** line.rows
@@ -81,7 +82,7 @@ def every_layout(
             if done + len(axes) > most:
                 return EveryLayout(case.speed, None, False, done)
             runs = make_runs(case.speed, case.tilt, layout=np.arange(len(axes)), columns=columns)
-            ends = run_all(line, axes, [case.parcel], runs, dt=case.step, threads=threads)
+            ends = run_all(line, axes, [case.parcel], runs, dt=case.step, workers=workers)
             done += len(axes)
             advance(done, most)
             # What a parcel does that touched no more columns is the same whatever these are.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.design.case import Case, Unknown, enough
-from surface_gym.design.runs import Advance
+from surface_gym.design.sending import Advance
 from surface_gym.design.sweep import (
     Arrangement,
     Conditions,
@@ -23,6 +23,7 @@ from surface_gym.design.sweep import (
     shares,
     span,
 )
+from surface_gym.sharing import Workers
 
 SPEED_STEP, SPEED_STEP_DRAWN = 0.01, 0.02  # [m/s] with nothing unknown, and with draws
 TILT_STEP, TILT_STEP_DRAWN = math.radians(0.1), math.radians(0.2)  # [rad]
@@ -80,7 +81,7 @@ def least_speed(
     columns: int | None = None,
     rows: int | None = None,
     highest: float | None = None,
-    threads: int = 1,
+    workers: Workers = 1,
     advance: Advance = lambda *_: None,
 ) -> Limits:
     """How slow a parcel may come, and how fast, at the case's tilt.
@@ -90,7 +91,7 @@ def least_speed(
         columns: of the zone; None: as `sweep.arrange` finds them.
         rows: of rotors; None: as many as lie under the parcel.
         highest: [m/s] entry speed to try; None: 3, or half as much again as the case's.
-        threads: that share the runs.
+        workers: threads that share the runs, or a cluster.
         advance: called with how many runs are done and how many there are.
 
     Returns:
@@ -107,7 +108,7 @@ def least_speed(
     """
     top = min(20.0, max(3.0, 1.5 * case.speed)) if highest is None else highest
     checks.within("highest", top, max(case.speed, SPEED_STEP_DRAWN), 20.0)
-    arrangement = arrange(case, columns, rows, threads)
+    arrangement = arrange(case, columns, rows, workers)
     lowest = 0.0 if case.tilt else None
 
     def at(speeds: Numbers) -> Conditions:
@@ -115,7 +116,7 @@ def least_speed(
 
     grids = [_grid(step, top, case.speed, lowest) for step in (SPEED_STEP, SPEED_STEP_DRAWN)]
     return _limits(
-        arrangement, ("entry speed", "m/s", 1.0), case.speed, grids, case.unknown, at, threads,
+        arrangement, ("entry speed", "m/s", 1.0), case.speed, grids, case.unknown, at, workers,
         advance,
     )  # fmt: skip
 
@@ -125,7 +126,7 @@ def least_tilt(
     columns: int | None = None,
     rows: int | None = None,
     highest: float | None = None,
-    threads: int = 1,
+    workers: Workers = 1,
     advance: Advance = lambda *_: None,
 ) -> Limits:
     """How flat the surface may be, and how steep, at the case's entry speed, which may be 0.
@@ -135,7 +136,7 @@ def least_tilt(
         columns: of the zone; None: as `sweep.arrange` finds them.
         rows: of rotors; None: as many as lie under the parcel.
         highest: [rad] tilt to try; None: 15 deg, or half as much again as the case's.
-        threads: that share the runs.
+        workers: threads that share the runs, or a cluster.
         advance: called with how many runs are done and how many there are.
 
     Returns:
@@ -152,7 +153,7 @@ def least_tilt(
             f"highest must be from the case's tilt, {case.tilt:g}, to below pi/4 (45 deg), "
             f"got {top!r}"
         )
-    arrangement = arrange(case, columns, rows, threads)
+    arrangement = arrange(case, columns, rows, workers)
     lowest = 0.0 if case.speed else None
 
     def at(tilts: Numbers) -> Conditions:
@@ -160,7 +161,7 @@ def least_tilt(
 
     grids = [_grid(step, top, case.tilt, lowest) for step in (TILT_STEP, TILT_STEP_DRAWN)]
     return _limits(
-        arrangement, ("tilt", "deg", 180.0 / math.pi), case.tilt, grids, case.unknown, at, threads,
+        arrangement, ("tilt", "deg", 180.0 / math.pi), case.tilt, grids, case.unknown, at, workers,
         advance,
     )  # fmt: skip
 
@@ -169,7 +170,7 @@ def friction_range(
     case: Case,
     columns: int | None = None,
     rows: int | None = None,
-    threads: int = 1,
+    workers: Workers = 1,
     advance: Advance = lambda *_: None,
 ) -> FrictionRange:
     """How far friction may be off, everywhere alike: mu_max along the axes, then mu_min across.
@@ -178,7 +179,7 @@ def friction_range(
         case: what it is for; what is unknown of friction is left out of the draws.
         columns: of the zone; None: as `sweep.arrange` finds them.
         rows: of rotors; None: as many as lie under the parcel.
-        threads: that share the runs.
+        workers: threads that share the runs, or a cluster.
         advance: called with how many runs are done and how many there are.
 
     Returns:
@@ -187,7 +188,7 @@ def friction_range(
     Raises:
         ValueError: see `sweep.arrange`.
     """
-    arrangement = arrange(case, columns, rows, threads)
+    arrangement = arrange(case, columns, rows, workers)
     unknown = replace(case.unknown, friction=0.0, rolling=0.0)
     grids = [_factors(parts) for parts in (FACTOR_PARTS, FACTOR_PARTS_DRAWN)]
     found = []
@@ -202,7 +203,7 @@ def friction_range(
         def half(done: int, total: int, place: int = place) -> None:
             advance(place * total + done, 2 * total)
 
-        found.append(_limits(arrangement, told, 1.0, grids, unknown, at, threads, half))
+        found.append(_limits(arrangement, told, 1.0, grids, unknown, at, workers, half))
     return FrictionRange(*found)
 
 
@@ -226,7 +227,7 @@ def _limits(
     grids: list[Numbers],
     unknown: Unknown,
     at: Vary,
-    threads: int,
+    workers: Workers,
     advance: Advance,
 ) -> Limits:
     """The span of each group, over the first grid where nothing is unknown, else the second."""
@@ -236,7 +237,7 @@ def _limits(
     tally = Tally(advance, sum(counts))
     spans = []
     for (group, drawn), tried, count in zip(groups.items(), values, counts, strict=True):
-        share = shares(arrangement, drawn, at(tried), threads, tally.part(count))
+        share = shares(arrangement, drawn, at(tried), workers, tally.part(count))
         ends = span(enough(share), int(np.abs(tried - own).argmin()))
         least, most = (None, None) if ends is None else (float(tried[k]) for k in ends)
         spans.append(Span(group, least, most, tried, share))

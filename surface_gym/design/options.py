@@ -16,6 +16,7 @@ from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
 from surface_gym.design.runs import STEP
 from surface_gym.layouts import box
 from surface_gym.parcel import Parcel
+from surface_gym.sharing import Cluster, Workers
 
 Degrees = Annotated[float, tyro.conf.arg(metavar="DEG")]
 Given = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]
@@ -99,8 +100,19 @@ class CaseOptions:
 
     workers: int = field(default_factory=usable_cores)
     """Threads that share the runs; results do not depend on it."""
+    cluster: str | None = None
+    """Address of a Ray cluster to share them among instead, "auto" for this machine's."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/design")
     """Folder for the tables and the picture."""
+
+    @property
+    def crew(self) -> Workers:
+        """Who shares the runs.
+
+        Raises:
+            ValueError: an address that cannot be used.
+        """
+        return self.workers if self.cluster is None else Cluster(self.cluster)
 
     def case(self) -> Case:
         """The case that is asked for.

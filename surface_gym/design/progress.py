@@ -1,26 +1,15 @@
-"""Files that are written whole or not at all, and one that keeps how far a search has come."""
+"""A file that keeps how far a search has come."""
 
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
 
-SUFFIX = ".part"  # of a file that is being written
+from surface_gym.whole_files import replacing
+
 COUNTS = ("epoch", "column", "unchanged", "evaluations")
 ARRAYS = ("population", "cost")
-
-
-@contextmanager
-def replacing(file: Path) -> Iterator[Path]:
-    """A file beside it to write, which then takes its place; one broken off leaves it as it was."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    part = file.with_name(file.name + SUFFIX)
-    yield part
-    os.replace(part, file)
 
 
 def write_progress(file: Path, told: str, progress: dict[str, Any]) -> None:

@@ -10,7 +10,7 @@ from surface_gym.design.case import Case
 from surface_gym.design.control import ControlGain, Gain, control_gain
 from surface_gym.design.pictures import BLUE, ORANGE
 from surface_gym.design.questions import Answer, Question
-from surface_gym.design.runs import Advance
+from surface_gym.design.sending import Advance
 from surface_gym.design.tables import Table
 
 

@@ -19,8 +19,8 @@ from surface_gym.design.limits import friction_range, least_speed, least_tilt
 from surface_gym.design.options import CaseOptions, Given
 from surface_gym.design.picture_of_layout import draw_layout
 from surface_gym.design.picture_of_map import draw_map
-from surface_gym.design.runs import Advance
 from surface_gym.design.search import Effort
+from surface_gym.design.sending import Advance
 from surface_gym.design.sensitivity import sensitivity
 from surface_gym.design.size_map import success_map
 from surface_gym.design.tables_of_layout import layout_tables
@@ -70,16 +70,16 @@ class AskColumns(Question):
         if self.columns is not None:
             raise ValueError("columns must not be given: they are what is asked for")
         every = (
-            columns_by_rows(case, threads=self.workers)
+            columns_by_rows(case, workers=self.crew)
             if self.rows is None
-            else (least_columns(case, self.rows, threads=self.workers),)
+            else (least_columns(case, self.rows, workers=self.crew),)
         )
         top = max(3.0, 1.5 * case.speed)
         speeds = (SPEED_STEP * np.arange(1, round(top / SPEED_STEP) + 1)).round(9).tolist()
         found: list[tuple[float, Columns]] = []
         for done, speed in enumerate(speeds):
             advance(done, len(speeds))
-            found.append((speed, least_columns(case.at(speed), self.rows, threads=self.workers)))
+            found.append((speed, least_columns(case.at(speed), self.rows, workers=self.crew)))
         own = every[-1]
         return Answer(
             "columns",
@@ -98,7 +98,7 @@ class AskSpeed(Question):
 
     def answer(self, advance: Advance) -> Answer:
         case = self.case()
-        found = least_speed(case, self.columns, self.rows, self.highest, self.workers, advance)
+        found = least_speed(case, self.columns, self.rows, self.highest, self.crew, advance)
         question = f"How slow may it come to {telling.purpose_met(case.purpose)}?"
         return Answer(
             "speed",
@@ -118,7 +118,7 @@ class AskTilt(Question):
     def answer(self, advance: Advance) -> Answer:
         case = self.case()
         highest = None if self.highest_deg is None else math.radians(self.highest_deg)
-        found = least_tilt(case, self.columns, self.rows, highest, self.workers, advance)
+        found = least_tilt(case, self.columns, self.rows, highest, self.crew, advance)
         question = f"How flat may the surface be for it to {telling.purpose_met(case.purpose)}?"
         return Answer(
             "tilt",
@@ -133,7 +133,7 @@ class AskFriction(Question):
     """How far may friction be off?"""
 
     def answer(self, advance: Advance) -> Answer:
-        found = friction_range(self.case(), self.columns, self.rows, self.workers, advance)
+        found = friction_range(self.case(), self.columns, self.rows, self.crew, advance)
         return Answer(
             "friction",
             telling.friction_told(found),
@@ -167,7 +167,7 @@ class AskMap(Question):
             np.linspace(*ends, self.cells).tolist(),
             np.linspace(*self.sizes, self.cells).tolist(),
             self.rows,
-            self.workers,
+            self.crew,
             self.checkpoint,
             advance,
         )
@@ -189,7 +189,7 @@ class AskSensitivity(Question):
     """What matters most of what is not known?"""
 
     def answer(self, advance: Advance) -> Answer:
-        found = sensitivity(self.case(), self.columns, self.rows, self.workers, advance)
+        found = sensitivity(self.case(), self.columns, self.rows, self.crew, advance)
         return Answer(
             "sensitivity",
             telling.sensitivity_told(found),
@@ -231,7 +231,7 @@ class AskLayout(Question):
             self.rows,
             None if self.any_angle else ORIENTATIONS,
             Effort(members=self.members, epochs=self.epochs),
-            self.workers,
+            self.crew,
             self.checkpoint,
             advance,
         )

@@ -1,10 +1,8 @@
-"""Many runs over a line at once, shared among threads; results do not depend on their number."""
+"""Many runs over a line at once, shared among workers; results do not depend on their number."""
 
 import math
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
-from queue import SimpleQueue
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,23 +17,22 @@ from surface_gym.design.passage import (
     STEPS,
     Deck,
     Passages,
-    send,
 )
+from surface_gym.design.sending import Advance, send_all
 from surface_gym.dynamics.axes import directions_of
-from surface_gym.dynamics.memory import check_capacity, make_scratch
+from surface_gym.dynamics.memory import check_capacity
 from surface_gym.dynamics.states import each, states_of
-from surface_gym.dynamics.types import GRAVITY, Bodies, Scratch
+from surface_gym.dynamics.types import GRAVITY
 from surface_gym.parcel import Parcel
+from surface_gym.sharing import Workers
 from surface_gym.simulation import base_motion
 from surface_gym.together import bodies_of
 
 STEP = 0.005  # [s] of a run, where nothing else is said
 LONGEST = 20.0  # [s] a run may take
-CHUNK = 32  # runs that a thread takes at a time: Ctrl-C waits for no more
 
 Numbers = NDArray[np.float64]
 Integers = NDArray[np.int64]
-Advance = Callable[[int, int], None]  # runs done, and how many there are
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +106,7 @@ def run_all(
     runs: Runs,
     stiffness: Numbers | None = None,
     dt: float = STEP,
-    threads: int = 1,
+    workers: Workers = 1,
     advance: Advance = lambda *_: None,
 ) -> Ends:
     """Send parcels over a line, each with its rear at x = 0 at the start.
@@ -121,7 +118,7 @@ def run_all(
         runs: which parcel runs over which layout, and how.
         stiffness: (grounds, rows, columns) [-] of the whole surface's elements; None: all alike.
         dt: [s] step.
-        threads: that share the runs.
+        workers: threads that share the runs, or a cluster.
         advance: called with how many runs are done and how many there are.
     """
     deck = _deck(line, layouts, stiffness)
@@ -132,7 +129,7 @@ def run_all(
         )  # fmt: skip
     bodies = bodies_of(parcels)
     passages = _passages(line, parcels, runs, dt)
-    _share(deck, bodies, passages, dt, threads, advance)
+    send_all(deck, bodies, passages, dt, workers, advance)
     return _ends(line, parcels, runs, passages, dt)
 
 
@@ -174,40 +171,6 @@ def _passages(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: float
         state=states_of(centres, starts, velocity),
         end=np.zeros((count, 4), dtype=np.int64),
     )
-
-
-def _share(
-    deck: Deck, bodies: Bodies, passages: Passages, dt: float, threads: int, advance: Advance
-) -> None:
-    """Carry the runs out."""
-    count = len(passages.state)
-    firsts = range(0, count, CHUNK)
-    if threads == 1 or len(firsts) == 1:
-        scratch = make_scratch()
-        for first in firsts:
-            last = min(first + CHUNK, count)
-            send(deck, bodies, passages, scratch, dt, first, last)
-            advance(last, count)
-        return
-    spare: SimpleQueue[Scratch] = SimpleQueue()
-    for _ in range(threads):
-        spare.put(make_scratch())
-
-    def work(first: int) -> int:
-        scratch = spare.get()
-        last = min(first + CHUNK, count)
-        send(deck, bodies, passages, scratch, dt, first, last)
-        spare.put(scratch)
-        return last - first
-
-    pool = ThreadPoolExecutor(threads)
-    try:
-        done = 0
-        for finished in pool.map(work, firsts):
-            done += finished
-            advance(done, count)
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def _ends(

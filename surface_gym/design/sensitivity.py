@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym.design.case import NOTHING, WORST, Case, Unknown
-from surface_gym.design.runs import Advance
+from surface_gym.design.sending import Advance
 from surface_gym.design.sweep import Arrangement, Tally, arrange
+from surface_gym.sharing import Workers
 
 # Spreads that a field is drawn with where the case's own is 0.
 USUAL = Unknown(
@@ -57,7 +58,7 @@ def sensitivity(
     case: Case,
     columns: int | None = None,
     rows: int | None = None,
-    threads: int = 1,
+    workers: Workers = 1,
     advance: Advance = lambda *_: None,
 ) -> Sensitivity:
     """What each field of `Unknown` does alone: to what comes out, and to success.
@@ -68,20 +69,20 @@ def sensitivity(
         case: what it is for.
         columns: of the zone; None: as `sweep.arrange` finds them.
         rows: of rotors; None: as many as lie under the parcel.
-        threads: that share the runs.
+        workers: threads that share the runs, or a cluster.
         advance: called with how many runs are done and how many there are.
 
     Raises:
         ValueError: see `sweep.arrange`.
     """
-    arrangement = arrange(case, columns, rows, threads)
+    arrangement = arrange(case, columns, rows, workers)
     tally = Tally(advance, 1 + len(FIELDS) * case.draws)
-    measure, success = _outcome(arrangement, NOTHING, threads, tally)
+    measure, success = _outcome(arrangement, NOTHING, workers, tally)
     bars = []
     for name in FIELDS:
         own = getattr(case.unknown, name)
         spread = own or getattr(USUAL, name)
-        found, done = _outcome(arrangement, replace(NOTHING, **{name: spread}), threads, tally)
+        found, done = _outcome(arrangement, replace(NOTHING, **{name: spread}), workers, tally)
         there = found[~np.isnan(found)]
         low, high = np.quantile(there, (WORST, 1.0 - WORST)) if len(there) else (math.nan, math.nan)
         bars.append(Bar(name, spread, not own, float(low), float(high), float(done.mean())))
@@ -89,11 +90,11 @@ def sensitivity(
 
 
 def _outcome(
-    arrangement: Arrangement, unknown: Unknown, threads: int, tally: Tally
+    arrangement: Arrangement, unknown: Unknown, workers: Workers, tally: Tally
 ) -> tuple[Numbers, NDArray[np.bool_]]:
     """(draws,) the purpose's measure of each draw, and whether it succeeds."""
     case, line = arrangement.case, arrangement.line
     drawn = arrangement.drawn(unknown)
     runs = drawn.runs(case.speed, case.tilt, arrangement.passed)
-    ends = arrangement.run(drawn, runs, threads, tally.part(len(runs)))
+    ends = arrangement.run(drawn, runs, workers, tally.part(len(runs)))
     return case.purpose.measure(line, runs, ends), case.purpose.succeeds(line, runs, ends)

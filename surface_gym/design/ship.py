@@ -15,6 +15,7 @@ from surface_gym.design.sorting_layouts import (
     find_sorting_layouts,
     write_sorting_layouts,
 )
+from surface_gym.sharing import Cluster
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,8 @@ class ShipOptions:
     """Folder of what the searches have done."""
     workers: int = field(default_factory=usable_cores)
     """Threads that share the runs; what is found does not depend on it."""
+    cluster: str | None = None
+    """Address of a Ray cluster to share them among instead, "auto" for this machine's."""
 
 
 def main() -> None:
@@ -41,7 +44,7 @@ def main() -> None:
         bar = progress.add_task("searching", total=None)
         found = find_sorting_layouts(
             options.offers,
-            threads=options.workers,
+            workers=options.workers if options.cluster is None else Cluster(options.cluster),
             checkpoints=options.checkpoints,
             advance=lambda done, total: progress.update(bar, completed=done, total=total),
         )

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.design.case import Case, Draws
 from surface_gym.design.line import DesignLine, line_for
-from surface_gym.design.progress import replacing
-from surface_gym.design.runs import Advance
+from surface_gym.design.sending import Advance
 from surface_gym.design.sweep import Arrangement, arrange, groups_of, own_conditions, shares
 from surface_gym.dynamics.memory import check_capacity
 from surface_gym.parcel import Parcel
+from surface_gym.sharing import Workers
+from surface_gym.whole_files import replacing
 
 Booleans = NDArray[np.bool_]
 Numbers = NDArray[np.float64]
@@ -39,7 +40,7 @@ def success_map(
     speeds: Sequence[float] | None = None,
     sizes: Sequence[float] | None = None,
     rows: int | None = None,
-    threads: int = 1,
+    workers: Workers = 1,
     checkpoint: Path | str | None = None,
     advance: Advance = lambda *_: None,
 ) -> SuccessMap:
@@ -55,7 +56,7 @@ def success_map(
         speeds: [m/s] at entry; None: 40 from 0.1 to 3, or to half as much again as the case's.
         sizes: [-] factors on the base's lengths; None: 40 from 0.5 to 1.5.
         rows: of rotors; None: as many as lie under the case's parcel.
-        threads: that share the runs.
+        workers: threads that share the runs, or a cluster.
         checkpoint: file that keeps the sizes that are done; a map whose file exists goes on from
             there.
         advance: called with how many runs are done and how many there are.
@@ -75,7 +76,7 @@ def success_map(
         checks.within("speeds", speed, 0.0, 20.0)
     for size in factors.tolist():
         checks.positive("sizes", size)
-    arrangement = arrange(case, columns, rows, threads)
+    arrangement = arrange(case, columns, rows, workers)
     keeper = None if checkpoint is None else Path(checkpoint)
     told = _told(arrangement, over, factors)
     found = np.full((2, len(factors), len(over)), math.nan)
@@ -96,7 +97,7 @@ def success_map(
         def counted(done: int, before: int, row: int = row) -> None:
             advance(row * count + before + done, len(factors) * count)
 
-        found[:, row] = _row(arrangement, whole, drawn, size, over, threads, counted)
+        found[:, row] = _row(arrangement, whole, drawn, size, over, workers, counted)
         if keeper is not None:
             _write(keeper, told, found)
     advance(len(factors) * count, len(factors) * count)
@@ -105,7 +106,7 @@ def success_map(
 
 def _row(
     arrangement: Arrangement, whole: DesignLine, drawn: list[Draws], size: float, speeds: Numbers,
-    threads: int, counted: Advance,
+    workers: Workers, counted: Advance,
 ) -> Numbers:  # fmt: skip
     """(2, speeds) success with nothing unknown, and the share of the draws, at one size."""
     case = arrangement.case
@@ -121,7 +122,7 @@ def _row(
         def advance(done: int, _: int, before: int = before) -> None:
             counted(done, before)
 
-        found.append(shares(own, cut, at, threads, advance))
+        found.append(shares(own, cut, at, workers, advance))
         before += len(each) * len(speeds)
     return np.array(found)
 

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.design.best_layout import BestLayout, best_layout
 from surface_gym.design.case import Case
-from surface_gym.design.progress import replacing
 from surface_gym.design.purposes import Sort
 from surface_gym.design.search import Effort
 from surface_gym.layouts import box
 from surface_gym.plants import ORIENTATIONS
+from surface_gym.sharing import Workers
+from surface_gym.whole_files import replacing
 
 SPEEDS = np.arange(30, 271, 2) / 100.0  # [m/s] at which a layout has to sort, as many as it can
 COLUMNS = 16  # of the zone
@@ -68,7 +69,7 @@ def find_sorting_layouts(
     offers: tuple[str, ...] = tuple(OFFERS),
     sizes: tuple[str, ...] = SIZES,
     effort: Effort = Effort(),
-    threads: int = 1,
+    workers: Workers = 1,
     seed: int = 0,
     checkpoints: Path | str | None = None,
     advance: Callable[[int, int], None] = lambda *_: None,
@@ -79,7 +80,7 @@ def find_sorting_layouts(
         offers: keys of `OFFERS`.
         sizes: of `SIZES`.
         effort: how long to search, for each.
-        threads: that share the runs; what is found does not depend on it.
+        workers: threads that share the runs, or a cluster; what is found does not depend on it.
         seed: of the searches and of the draws of what is not known.
         checkpoints: folder that keeps what is found; searches whose files exist go on from there.
         advance: called with how much of the searches is done and how much there is.
@@ -107,7 +108,7 @@ def find_sorting_layouts(
             COLUMNS,
             orientations=OFFERS[offer],
             effort=effort,
-            threads=threads,
+            workers=workers,
             checkpoint=None if checkpoints is None else Path(checkpoints) / f"{size}-{offer}.npz",
             advance=told,
         )

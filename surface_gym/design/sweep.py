@@ -10,7 +10,9 @@ from surface_gym.design.case import NOTHING, TOGETHER, WORST, Case, Draws, Unkno
 from surface_gym.design.columns import MOST, Columns, least_columns
 from surface_gym.design.line import DesignLine
 from surface_gym.design.purposes import Layout
-from surface_gym.design.runs import Advance, Ends, Runs, run_all
+from surface_gym.design.runs import Ends, Runs, run_all
+from surface_gym.design.sending import Advance
+from surface_gym.sharing import Workers, check_workers
 
 NOMINAL = "nominal"  # beside the groups: everything as it is said to be
 
@@ -38,11 +40,11 @@ class Arrangement:
         count = self.case.draws if unknown.groups else 1
         return draw(unknown, self.case.parcel, self.line, count, self.case.seed)
 
-    def run(self, drawn: Draws, runs: Runs, threads: int, advance: Advance) -> Ends:
+    def run(self, drawn: Draws, runs: Runs, workers: Workers, advance: Advance) -> Ends:
         """Carry out runs of draws over the layout."""
         return run_all(
             self.line, self.layout.axis[np.newaxis], drawn.parcels, runs, drawn.stiffness,
-            self.case.step, threads, advance,
+            self.case.step, workers, advance,
         )  # fmt: skip
 
 
@@ -74,7 +76,7 @@ class Tally:
 
 
 def arrange(
-    case: Case, columns: int | None = None, rows: int | None = None, threads: int = 1
+    case: Case, columns: int | None = None, rows: int | None = None, workers: Workers = 1
 ) -> Arrangement:
     """The surface on which a case is swept.
 
@@ -83,7 +85,7 @@ def arrange(
         columns: of the zone; None: the fewest that do it in all but `WORST` of the draws of all
             that is unknown, else the fewest that do it where nothing is.
         rows: of rotors; None: as many as lie under the parcel.
-        threads: that share the runs.
+        workers: threads that share the runs, or a cluster.
 
     Returns:
         Of the purpose's layouts with so many columns, the one that does it where nothing is
@@ -92,23 +94,23 @@ def arrange(
     Raises:
         ValueError: `columns` is None and no number of them does it, or is below 1.
     """
-    checks.integer("threads", threads, least=1)
+    check_workers(workers)
     chosen = "as asked"
     if columns is None:
-        columns, chosen = _fewest(case, least_columns(case, rows, threads=threads))
+        columns, chosen = _fewest(case, least_columns(case, rows, workers=workers))
     line = case.line(max(MOST, checks.integer("columns", columns, least=1)), rows)
     tried = [
         Arrangement(case, line, layout, columns, chosen)
         for layout in case.purpose.layouts(line, columns)
     ]
-    return max(tried, key=lambda each: _merit(each, threads)) if len(tried) > 1 else tried[0]
+    return max(tried, key=lambda each: _merit(each, workers)) if len(tried) > 1 else tried[0]
 
 
 def shares(
     arrangement: Arrangement,
     drawn: Draws,
     conditions: Conditions,
-    threads: int = 1,
+    workers: Workers = 1,
     advance: Advance = lambda *_: None,
 ) -> Numbers:
     """(values,) share of the draws that do what is asked, the same draws at every value."""
@@ -120,7 +122,7 @@ def shares(
             )
         ]
     )
-    ends = arrangement.run(drawn, runs, threads, advance)
+    ends = arrangement.run(drawn, runs, workers, advance)
     done = arrangement.case.purpose.succeeds(arrangement.line, runs, ends)
     share: Numbers = done.reshape(len(conditions), len(drawn)).mean(axis=1)
     return share
@@ -171,11 +173,11 @@ def _fewest(case: Case, found: Columns) -> tuple[int, str]:
     return found.columns, f"the fewest with nothing unknown; none do for {1.0 - WORST:.0%} of draws"
 
 
-def _merit(arrangement: Arrangement, threads: int) -> tuple[float, float]:
+def _merit(arrangement: Arrangement, workers: Workers) -> tuple[float, float]:
     """Success where nothing is unknown, and the share of draws where all is."""
     at = own_conditions(arrangement.case)
     known, drawn = (
-        float(shares(arrangement, arrangement.drawn(unknown), at, threads)[0])
+        float(shares(arrangement, arrangement.drawn(unknown), at, workers)[0])
         for unknown in (NOTHING, arrangement.case.unknown)
     )
     return known, drawn

@@ -1,7 +1,6 @@
 """`python -m surface_gym.validation`."""
 
 import json as json_format
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +11,8 @@ import tyro
 from rich.console import Console
 
 from surface_gym import checks
+from surface_gym.cores import usable_cores
+from surface_gym.sharing import Cluster, Workers, WorkFailed
 from surface_gym.validation import cases
 from surface_gym.validation.export import as_data
 from surface_gym.validation.report import show
@@ -36,8 +37,10 @@ class Options:
     """Study supports that differ by micrometres in height, or in stiffness, as well."""
     touching: bool = False
     """Study two parcels that push each other as well, on drawn surfaces."""
-    workers: int = os.cpu_count() or 1
+    workers: int = usable_cores()
     """Processes that run at once."""
+    cluster: str | None = None
+    """Address of a Ray cluster to run on instead, "auto" for this machine's."""
     tilts: tuple[float, ...] = cases.TILTS
     """Tilts of the sweep [deg], within Table 5's 5 to 15."""
     seed: int = 0
@@ -54,14 +57,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     try:
         compare(options)
-    except (ValueError, RuntimeError, OSError, ImportError) as error:
+    except (ValueError, RuntimeError, OSError, ImportError, WorkFailed) as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
 
 
 def compare(options: Options) -> None:
     """Check the options, run the comparison, print it and write the files asked for."""
-    checks.integer("workers", options.workers, least=1)
+    workers: Workers = checks.integer("workers", options.workers, least=1)
+    if options.cluster is not None:
+        workers = Cluster(options.cluster)
     checks.integer("seed", options.seed, least=0)
     if not options.tilts:
         raise ValueError("tilts must be at least one, got none")
@@ -75,7 +80,7 @@ def compare(options: Options) -> None:
         options.json.open("a").close()  # fails now rather than after the runs
     progress = Console(stderr=True)
     study = carry_out(
-        options.tilts, options.heights, options.touching, options.workers, options.seed, progress
+        options.tilts, options.heights, options.touching, workers, options.seed, progress
     )
     show(study, Console())
     if options.json is not None:

@@ -1,11 +1,14 @@
 """The whole comparison: what runs, and what comes of it."""
 
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context
+from functools import partial
+from typing import Any
 
 from rich.console import Console
+from rich.progress import track
 
+from surface_gym.sharing import Workers, quiet, share
 from surface_gym.validation import convergence, speed, touching, unevenness
 from surface_gym.validation.cases import EXPLICIT, IMPLICIT, LONG, PUSHED, Case, Run, run
 from surface_gym.validation.comparison import (
@@ -16,7 +19,6 @@ from surface_gym.validation.comparison import (
     sorts_from,
     targets,
 )
-from surface_gym.validation.parallel import run_all
 
 DRAWS = 20  # surfaces for each unevenness
 MEETINGS = 30  # of two parcels that push each other
@@ -70,7 +72,7 @@ def carry_out(
     tilts: tuple[float, ...],
     with_unevenness: bool,
     with_touching: bool,
-    workers: int,
+    workers: Workers,
     seed: int,
     console: Console,
 ) -> Study:
@@ -80,23 +82,27 @@ def carry_out(
         tilts: [deg] of the sweep.
         with_unevenness: whether uneven supports are studied as well.
         with_touching: whether parcels that push each other are.
-        workers: processes.
+        workers: processes to share the runs among, or a cluster.
         seed: of the uneven supports and of those parcels.
         console: where the progress is drawn.
     """
     cases = (*(Case(tilt) for tilt in tilts), PUSHED, LONG)
     draws = unevenness.jobs(DRAWS, seed) if with_unevenness else ()
     meetings = [touching.Meeting(seed + k) for k in range(MEETINGS if with_touching else 0)]
-    # Spawned, not forked: a fork copies the threads' locks of whatever is loaded here.
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as executor:
-        runs = run_all(executor, run, cases, "MuJoCo and the analytic model", console)
-        variants = run_all(
-            executor, convergence.end, convergence.JOBS, "MuJoCo's own convergence", console
-        )
-        ends = (
-            run_all(executor, unevenness.ends, draws, "uneven supports", console) if draws else []
-        )
-        meeting_runs = run_all(executor, touching.run, meetings, "parcels that touch", console)
+    parts: tuple[tuple[Any, Sequence[Any]], ...] = (
+        (run, cases),
+        (convergence.end, convergence.JOBS),
+        (unevenness.ends, draws),
+        (touching.run, meetings),
+    )
+    jobs = [partial(quiet, partial(function, each)) for function, group in parts for each in group]
+    done = track(
+        share(jobs, workers), "MuJoCo and the analytic model", total=len(jobs), console=console,
+        transient=True, disable=not console.is_terminal,
+    )  # fmt: skip
+    found: dict[int, Any] = dict(done)
+    results = iter(found[place] for place in range(len(jobs)))
+    runs, variants, ends, meeting_runs = [[next(results) for _ in group] for _, group in parts]
     with console.status("timing, one core"):
         speeds = tuple(speed.measure(method) for method in speed.METHODS)
     return Study(

@@ -149,7 +149,7 @@ def test_threads_change_nothing_and_a_search_goes_on_where_it_was(tmp_path: Path
             case(), SPEEDS, 6, orientations=None, effort=QUICK, checkpoint=file, advance=stop
         )
     found = best_layout(
-        case(), SPEEDS, 6, orientations=None, effort=QUICK, checkpoint=file, threads=2
+        case(), SPEEDS, 6, orientations=None, effort=QUICK, checkpoint=file, workers=2
     )
     np.testing.assert_array_equal(found.best.axis, whole.best.axis)
     np.testing.assert_array_equal(found.best.time, whole.best.time)
@@ -162,7 +162,7 @@ def test_what_is_not_known_costs_speed() -> None:
     axis = Sort().layouts(line, 16)[0].axis
     speeds = np.arange(60, 101, 4) / 100
     own = case(unknown=Unknown(), draws=40)
-    over = over_speeds("study", axis, own, line, speeds, threads=2)
+    over = over_speeds("study", axis, own, line, speeds, workers=2)
     assert over.least_sure_speed >= over.least_speed
     assert 0.0 < over.share[over.success][0] < 1.0
     nothing = over_speeds("study", axis, case(), line, speeds)
@@ -178,7 +178,7 @@ def test_what_is_not_known_costs_speed() -> None:
         ("speeds", [0.0, 1.0]),
         ("speeds", [math.nan]),
         ("columns", 0),
-        ("threads", 0),
+        ("workers", 0),
         ("orientations", (0.0,)),
     ],
 )
@@ -190,7 +190,7 @@ def test_what_is_not_allowed_is_named(name: str, value: object) -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("columns", 0), ("threads", 0), ("most", 0), ("most", 15), ("orientations", (0.0,))],
+    [("columns", 0), ("workers", 0), ("most", 0), ("most", 15), ("orientations", (0.0,))],
 )
 def test_what_is_not_allowed_is_named_where_all_are_tried(name: str, value: object) -> None:
     with pytest.raises(ValueError, match=name):

@@ -128,9 +128,9 @@ def test_what_is_unknown_of_friction_is_left_out_where_friction_is_varied() -> N
     assert groups == [NOMINAL, "unevenness", "entry", TOGETHER]
 
 
-def test_the_number_of_threads_does_not_matter() -> None:
+def test_the_number_of_workers_does_not_matter() -> None:
     case = Case(layouts.box("S"), Sort(), speed=1.2, draws=10)
-    one, two = (least_speed(case, threads=threads, highest=1.5) for threads in (1, 2))
+    one, two = (least_speed(case, workers=workers, highest=1.5) for workers in (1, 2))
     for mine, others in zip(one.spans, two.spans, strict=True):
         np.testing.assert_array_equal(mine.share, others.share)
 
@@ -206,7 +206,7 @@ def test_errors_name_what_came() -> None:
         least_speed(case, highest=1.0)
     with pytest.raises(ValueError, match=r"highest must be from the case's tilt, 0, .* got 0.8"):
         least_tilt(case, highest=0.8)
-    with pytest.raises(ValueError, match="threads must be a whole number of at least 1, got 0"):
-        friction_range(case, threads=0)
+    with pytest.raises(ValueError, match="workers must be a whole number of at least 1, got 0"):
+        friction_range(case, workers=0)
     with pytest.raises(ValueError, match="group must be one of 'nominal', got 'friction'"):
         least_speed(case, columns=5).of("friction")

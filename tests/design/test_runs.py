@@ -50,7 +50,7 @@ def test_runs_do_not_depend_on_threads_or_company() -> None:
     speeds = np.linspace(0.3, 2.7, 150)
     runs = make_runs(speeds, layout=np.arange(150) % 2, columns=8)
     one = run_all(line, zones, [parcel], runs)
-    two = run_all(line, zones, [parcel], runs, threads=2)
+    two = run_all(line, zones, [parcel], runs, workers=2)
     alone = [
         run_all(line, zones, [parcel], make_runs(v, layout=k % 2, columns=8))
         for k, v in enumerate(speeds[:5].tolist())
@@ -103,10 +103,10 @@ def test_progress_is_told() -> None:
     parcel = layouts.box("S")
     line = line_for(parcel, 4)
     runs = make_runs(np.full(100, 1.0))
-    for threads in (1, 2):
+    for workers in (1, 2):
         told.clear()
         run_all(
-            line, np.full((1, 2, 4), EIGHTH), [parcel], runs, threads=threads,
+            line, np.full((1, 2, 4), EIGHTH), [parcel], runs, workers=workers,
             advance=lambda done, total: told.append((done, total)),
         )  # fmt: skip
         assert told[-1] == (100, 100)

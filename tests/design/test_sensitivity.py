@@ -57,7 +57,7 @@ def test_with_no_draw_that_comes_so_far_a_bar_is_empty() -> None:
 
 
 def test_more_friction_stops_sooner_and_threads_do_not_matter() -> None:
-    one, two = (sensitivity(CASE, columns=8, threads=threads) for threads in (1, 2))
+    one, two = (sensitivity(CASE, columns=8, workers=workers) for workers in (1, 2))
     assert one.bars == two.bars
     friction = one.bars[FIELDS.index("friction")]
     assert friction.low < one.measure < friction.high

@@ -59,7 +59,7 @@ def test_with_nothing_unknown_share_and_success_are_the_same() -> None:
 
 def test_cells_do_not_depend_on_the_others_nor_on_threads() -> None:
     """Elements are drawn for the largest size, so one more small size changes nothing."""
-    every = mapped(threads=2)
+    every = mapped(workers=2)
     one = success_map(CASE, 5, SPEEDS[1:], SIZES[1:])
     np.testing.assert_array_equal(every.share[1:, 1:], one.share)
     assert every.share.shape == (3, 3)

@@ -36,7 +36,7 @@ def test_there_is_one_for_every_box_and_offer() -> None:
 def test_it_does_what_its_file_says(layout: SortingLayout) -> None:
     case = Case(layouts.box(layout.box), unknown=NOTHING)
     line = case.line(COLUMNS)
-    found = over_speeds("it", layout.axis, case, line, SPEEDS, threads=2)
+    found = over_speeds("it", layout.axis, case, line, SPEEDS, workers=2)
     study = over_speeds("study", np.full_like(layout.axis, math.pi / 4), case, line, SPEEDS)
     assert (found.least_speed, study.least_speed) == (layout.least_speed, layout.study_least_speed)
     assert found.mean_time == pytest.approx(layout.mean_time, abs=1e-6)

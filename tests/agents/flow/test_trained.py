@@ -50,11 +50,10 @@ def test_every_seed_is_measured_beside_the_reservation(tmp_path: Path) -> None:
     assert "seed 1" in (run / trained.TABLE).read_text()
 
 
-def test_a_run_ends_with_a_card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(finish, "usable_cores", lambda: 1)
+def test_a_run_ends_with_a_card(tmp_path: Path) -> None:
     run = run_of(tmp_path)
     learned = [Learned(steps=100, seconds=1.0, interrupted=False)] * 2
-    finish.finish(ParcelsConfig(seeds=2), run, learned, Console(quiet=True))
+    finish.finish(ParcelsConfig(seeds=2), run, learned, Console(quiet=True), 1)
     card = yaml.safe_load((run / "card.yaml").read_text())
     assert card["command"].startswith("python train.py --task flow")
     assert card["seeds"] == [0, 1]

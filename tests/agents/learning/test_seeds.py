@@ -23,12 +23,12 @@ SMALL_MODULES = ModulesConfig(
 
 @pytest.mark.parametrize("config", [SMALL, SMALL_MODULES], ids=lambda config: config.algo)
 def test_seeds_apart_are_seeds_alone(config: TrainConfig, tmp_path: Path) -> None:
-    learned = train_seeds(config, tmp_path, Console(quiet=True))
+    learned = train_seeds(config, tmp_path, Console(quiet=True), 2)
     assert [each.steps >= config.steps for each in learned] == [True, True]
     assert [folder.name for _, folder in parts(config, tmp_path)] == ["seed-3", "seed-4"]
     alone = tmp_path / "alone"
     alone.mkdir()
-    train_seeds(replace(config, seed=4, seeds=1), alone, Console(quiet=True))
+    train_seeds(replace(config, seed=4, seeds=1), alone, Console(quiet=True), 2)
     weights = {
         name: torch.load(tmp_path / name / WEIGHTS) for name in ("alone", "seed-3", "seed-4")
     }

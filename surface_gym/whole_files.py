@@ -1,0 +1,17 @@
+"""Files that are written whole or not at all."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+SUFFIX = ".part"  # of a file that is being written
+
+
+@contextmanager
+def replacing(file: Path) -> Iterator[Path]:
+    """A file beside it to write, which then takes its place; one broken off leaves it as it was."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    part = file.with_name(file.name + SUFFIX)
+    yield part
+    os.replace(part, file)

@@ -1,0 +1,230 @@
+"""Work on a Ray cluster of two nodes: as in local processes to the bit, whatever dies."""
+
+import logging
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import ray
+from ray.cluster_utils import Cluster as TwoNodes
+from rich.console import Console
+
+from agents.evaluation.contenders import only, policies_of, rules, trained
+from agents.evaluation.work import compute_cells
+from agents.learning.card import FILE as CARD_FILE
+from agents.learning.config import ModulesConfig, PPOConfig
+from agents.learning.curve import FILE as CURVE
+from agents.learning.folder import make_folder
+from agents.learning.seeds import train_seeds
+from agents.policy_files import WEIGHTS
+from surface_gym.bases import Rectangle
+from surface_gym.design import Case, Sort, success_map
+from surface_gym.parcel import Parcel
+from surface_gym.sharing import Cluster, WorkFailed, ray_crew, share
+from surface_gym.sharing.cluster import Build
+from tests.sharing import jobs
+
+ROOT = Path(__file__).parents[2]
+SMALL = ModulesConfig(
+    seeds=2, lanes=8, steps=4_096, n_steps=16, batch_size=64, n_epochs=1, hidden=(8,),
+    checkpoint_every=1_024,
+)  # fmt: skip
+
+
+class Nodes:
+    """A head without a processor, and two nodes with one each."""
+
+    def __init__(self) -> None:
+        self.cluster = TwoNodes(
+            initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False}
+        )
+        self.nodes = [self.cluster.add_node(num_cpus=1) for _ in range(2)]
+
+    def replace_one(self) -> None:
+        """Kill the node that has been there longest; another one joins."""
+        self.cluster.remove_node(self.nodes.pop(0), allow_graceful=False)
+        self.nodes.append(self.cluster.add_node(num_cpus=1))
+
+
+@pytest.fixture(scope="module")
+def nodes() -> Iterator[Nodes]:
+    logging.getLogger("ray").setLevel(logging.ERROR)
+    nodes = Nodes()
+    yield nodes
+    ray.shutdown()
+    nodes.cluster.shutdown()
+
+
+@pytest.fixture
+def cluster(nodes: Nodes) -> Cluster:
+    return Cluster(nodes.cluster.address)
+
+
+def test_results_and_what_is_told_are_those_of_processes(cluster: Cluster) -> None:
+    work = [partial(jobs.draws, seed) for seed in range(5)]
+    heard: list[tuple[int, Any]] = []
+    found = dict(share(work, cluster, lambda *told: heard.append(told)))
+    assert found == dict(share(work, 1))
+    for place in range(5):
+        assert [told[0] for where, told in heard if where == place] == list(range(5))
+
+
+def test_both_nodes_work(cluster: Cluster) -> None:
+    assert len({pid for _, pid in share([jobs.own_process] * 6, cluster)}) >= 2
+
+
+def test_a_job_whose_process_dies_is_done_again(cluster: Cluster, tmp_path: Path) -> None:
+    work = [
+        partial(jobs.dies_at_first, tmp_path, "lost"),
+        partial(jobs.counts_beginnings, tmp_path, "whole"),
+    ]
+    assert dict(share(work, cluster)) == {0: 2, 1: 1}
+
+
+def test_a_job_whose_node_dies_is_done_again_and_only_that(
+    nodes: Nodes, cluster: Cluster, tmp_path: Path
+) -> None:
+    begun: list[int] = []
+
+    def heard(place: int, _: Any) -> None:
+        begun.append(place)
+        if len(begun) == 2:
+            nodes.replace_one()
+
+    work = [partial(jobs.counts_beginnings, tmp_path, str(k)) for k in range(4)]
+    found = dict(share(work, cluster, heard))
+    assert sorted(found) == [0, 1, 2, 3]
+    assert sorted(found.values()) == [1, 1, 1, 2]
+
+
+def test_errors_are_raised_here_and_tell_where_they_came_from(cluster: Cluster) -> None:
+    with pytest.raises(ValueError, match="seven") as raised:
+        dict(share([partial(jobs.fails, "seven")], cluster))
+    assert "in fails" in str(raised.value.__cause__)
+
+
+def test_a_job_that_always_dies_ends_the_work(cluster: Cluster) -> None:
+    with pytest.raises(WorkFailed, match="a job has cost 10 processes; the last: WorkerCrashed"):
+        dict(share([jobs.always_dies], cluster))
+
+
+def test_ctrl_c_interrupts_the_jobs_on_the_nodes_too(cluster: Cluster, tmp_path: Path) -> None:
+    heard: list[tuple[int, Any]] = []
+
+    def hear(place: int, told: Any) -> None:
+        heard.append((place, told))
+        if len(heard) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        dict(share([partial(jobs.waits, tmp_path / f"{k}") for k in range(2)], cluster, hear))
+    assert sorted(heard[2:]) == [(0, "interrupted"), (1, "interrupted")]
+
+
+def test_a_node_with_another_version_is_refused_and_both_are_named(
+    cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ray_crew, "own_build", lambda: Build("0.0.1", "c0de", "9a9e"))
+    named = r"has surface_gym version .* \(code .*version 0\.0\.1 \(code c0de, policies 9a9e\)"
+    with pytest.raises(WorkFailed, match=named):
+        dict(share([partial(jobs.draws, 0)], cluster))
+
+
+@pytest.mark.parametrize("address", ["", "ray://head:10001"])
+def test_addresses_that_cannot_be_used_are_refused(address: str) -> None:
+    with pytest.raises(ValueError, match="cluster must be host:port, or auto, of a cluster that"):
+        Cluster(address)
+
+
+def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(
+    nodes: Nodes, cluster: Cluster, tmp_path: Path
+) -> None:
+    folders = [tmp_path / "local", tmp_path / "cluster"]
+    for folder in folders:
+        folder.mkdir()
+    train_seeds(SMALL, folders[0], Console(quiet=True), 2)
+    usual = ray_crew.RayCrew.listen
+    words = 0
+
+    def listen(crew: ray_crew.RayCrew) -> Iterator[Any]:
+        nonlocal words
+        for word in usual(crew):
+            words += 1
+            if words in (6, 30):
+                nodes.replace_one()
+            yield word
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ray_crew.RayCrew, "listen", listen)
+        learned = train_seeds(SMALL, folders[1], Console(quiet=True), cluster)
+    assert words > 30
+    assert [each.interrupted for each in learned] == [False] * 2
+    for seed in range(2):
+        for name in (WEIGHTS, CURVE):
+            local, elsewhere = (folder / f"seed-{seed}" / name for folder in folders)
+            assert elsewhere.read_bytes() == local.read_bytes(), (seed, name)
+    assert not list(folders[1].rglob("*.part"))
+    assert not list(folders[1].rglob(CARD_FILE))
+
+
+def test_cells_are_the_same_those_of_a_runs_policies_too(cluster: Cluster, tmp_path: Path) -> None:
+    one = PPOConfig(
+        task="slow", steps=512, lanes=8, n_steps=16, batch_size=64, n_epochs=1, hidden=(8,)
+    )
+    train_seeds(one, tmp_path, Console(quiet=True), 1)
+    run = replace(only(trained(policies_of(tmp_path)), ("exact",)), starts=6)
+    who = [replace(only(rules("slow")[0], ("exact", "stuck")), starts=6), run]
+    local, elsewhere = (
+        [replace(cell, decision_time=0.0) for cell in compute_cells(who, workers)]
+        for workers in (2, cluster)
+    )
+    assert elsewhere == local
+
+
+def test_a_design_map_is_the_same(cluster: Cluster) -> None:
+    case = Case(Parcel(Rectangle(0.3, 0.3)), Sort(), speed=1.5, draws=20)
+    asked = {"columns": 6, "speeds": [0.8, 1.2, 1.5, 2.0], "sizes": [0.9, 1.0]}
+    local, elsewhere = (success_map(case, workers=workers, **asked) for workers in (2, cluster))
+    np.testing.assert_array_equal(elsewhere.share, local.share)
+    np.testing.assert_array_equal(elsewhere.nominal, local.nominal)
+
+
+def test_a_command_that_was_killed_goes_on_with_a_task_of_ones_own(
+    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ROOT)
+    task = "examples/reach.py:Reach"
+    config = PPOConfig(
+        task=task, seeds=2, lanes=8, steps=12_288, n_steps=32, batch_size=64, n_epochs=1,
+        hidden=(8,), checkpoint_every=4_096, out=tmp_path, name="run",
+    )  # fmt: skip
+    folders = [tmp_path / "local", make_folder(config)]
+    folders[0].mkdir()
+    train_seeds(config, folders[0], Console(quiet=True), 2)
+    resume = [
+        sys.executable, "train.py", "--resume", str(folders[1]), "--task", task,
+        "--cluster", cluster.address,
+    ]  # fmt: skip
+    with subprocess.Popen(resume, stdout=subprocess.DEVNULL) as broken:
+        for _ in range(600):
+            if broken.poll() is not None or any(folders[1].rglob(CURVE)):
+                break
+            time.sleep(0.1)
+        broken.kill()
+    assert broken.returncode == -signal.SIGKILL
+    assert not any(folders[1].rglob(WEIGHTS))
+    ended = subprocess.run(resume, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    for name in ("seed-0", "seed-1"):
+        for file in (WEIGHTS, CURVE):
+            local, elsewhere = (folder / name / file for folder in folders)
+            assert elsewhere.read_bytes() == local.read_bytes(), (name, file)
+    assert (folders[1] / CARD_FILE).is_file()

@@ -1,0 +1,138 @@
+"""Jobs handed out to processes: each done once, lost ones again, errors and Ctrl-C passed on."""
+
+import os
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from surface_gym.sharing import WorkFailed, check_workers, quiet, share
+from tests.sharing import jobs
+
+
+def test_results_and_what_is_told_do_not_depend_on_processes() -> None:
+    heard: dict[int, list[tuple[Any, ...]]] = {1: [], 2: []}
+    work = [partial(jobs.draws, seed) for seed in range(5)]
+    found = {
+        workers: dict(share(work, workers, partial(kept, heard[workers]))) for workers in heard
+    }
+    assert found[1] == found[2]
+    assert sorted(heard[1]) == sorted(heard[2])
+    assert len(heard[2]) == 25
+    for place in range(5):
+        assert [told[1] for told in heard[2] if told[0] == place] == list(range(5))
+
+
+def kept(heard: list[tuple[Any, ...]], place: int, told: Any) -> None:
+    heard.append((place, *told))
+
+
+def test_two_processes_share_what_there_is_and_are_used_again() -> None:
+    found = [pid for _, pid in share([jobs.own_process] * 5, 2)]
+    assert len(found) == 5
+    assert len(set(found)) == 2
+    assert os.getpid() not in found
+
+
+def test_one_worker_or_one_job_needs_no_process() -> None:
+    assert dict(share([jobs.own_process], 8)) == {0: os.getpid()}
+    assert dict(share([jobs.own_process] * 2, 1)) == {0: os.getpid(), 1: os.getpid()}
+    assert list(share([], 2)) == []
+
+
+def test_a_job_whose_process_dies_is_done_again_and_only_that(tmp_path: Path) -> None:
+    work = [
+        partial(jobs.dies_at_first, tmp_path, "lost"),
+        partial(jobs.counts_beginnings, tmp_path, "whole"),
+    ]
+    assert dict(share(work, 2)) == {0: 2, 1: 1}
+
+
+def test_a_job_that_always_dies_ends_the_work() -> None:
+    with pytest.raises(WorkFailed, match=r"a job has cost 10 processes; the last: exit code -9"):
+        dict(share([jobs.always_dies, partial(jobs.draws, 0)], 2))
+
+
+def test_an_error_is_raised_here_and_says_where_it_came_from() -> None:
+    with pytest.raises(ValueError, match="seven") as raised:
+        dict(share([partial(jobs.fails, "seven"), jobs.own_process], 2))
+    assert "in fails" in str(raised.value.__cause__)
+
+
+def test_an_error_that_cannot_be_sent_is_told_in_words() -> None:
+    with pytest.raises(RuntimeError, match="Stubborn: 1 and 2"):
+        dict(share([jobs.fails_stubbornly, jobs.own_process], 2))
+
+
+@pytest.mark.parametrize("by", [KeyboardInterrupt, OSError])
+def test_whatever_ends_the_work_interrupts_the_jobs_and_hears_them_out(
+    by: type[BaseException], tmp_path: Path
+) -> None:
+    heard: list[tuple[int, Any]] = []
+
+    def hear(place: int, told: Any) -> None:
+        heard.append((place, told))
+        if len(heard) == 2:
+            raise by
+
+    with pytest.raises(by):
+        dict(share([partial(jobs.waits, tmp_path / f"{k}") for k in range(2)], 2, hear))
+    assert sorted(heard[2:]) == [(0, "interrupted"), (1, "interrupted")]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["0", "1"]
+
+
+def test_who_stops_listening_ends_the_jobs(tmp_path: Path) -> None:
+    work = [partial(jobs.draws, 0), partial(jobs.waits, tmp_path / "file")]
+    some = share(work, 2)
+    assert next(some)[0] == 0
+    some.close()  # type: ignore[attr-defined]
+    assert not list(tmp_path.glob("*")) or (tmp_path / "file").read_text() == "interrupted\n"
+
+
+def test_jobs_end_when_who_handed_them_out_is_killed(tmp_path: Path) -> None:
+    code = (
+        "from functools import partial\nfrom pathlib import Path\n"
+        "from surface_gym.sharing import share\nfrom tests.sharing import jobs\n"
+        "if __name__ == '__main__':\n"
+        f"    dict(share([partial(jobs.tells_its_process, Path({str(tmp_path)!r}))] * 2, 2))\n"
+    )
+    (tmp_path / "hands_out.py").write_text(code)
+    driver = subprocess.Popen(
+        [sys.executable, str(tmp_path / "hands_out.py")],
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
+    driver.kill()
+    driver.wait()
+    until(lambda: not any(is_there(int(file.stem)) for file in tmp_path.glob("*.pid")))
+
+
+def until(condition: Any) -> None:
+    for _ in range(600):
+        if condition():
+            return
+        time.sleep(0.1)
+    raise AssertionError("it did not happen within a minute")
+
+
+def is_there(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    # A process that has ended but was not asked for its end is none.
+    return "State:\tZ" not in Path(f"/proc/{process}/status").read_text()
+
+
+def test_what_is_quiet_tells_nothing() -> None:
+    assert quiet(lambda: 5, pytest.fail) == 5
+
+
+@pytest.mark.parametrize("workers", [0, -1, 1.5, True])
+def test_workers_are_at_least_one(workers: Any) -> None:
+    with pytest.raises(ValueError, match="workers must be a whole number of at least 1"):
+        check_workers(workers)
