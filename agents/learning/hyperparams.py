@@ -9,52 +9,118 @@ import yaml
 from agents.learning.config import CONFIGS, TrainConfig
 from agents.policy_card import FLOW_TASK
 from agents.tasks import kind_of
+from surface_gym import checks
 from surface_gym.registration import FLOW, env_id
 from surface_gym.tasks import TASKS
 
 FOLDER = Path(__file__).parents[1] / "hyperparams"
 _NAMES = {"n_envs": "lanes", "n_timesteps": "steps"}  # the zoo's names, and ours
+_ZOOS = {ours: its for its, ours in _NAMES.items()}
+_OF_THE_RUN = ("task", "algo", "seed", "seeds", "out", "name")  # no hyper-parameters
+_OF_THE_ENV = {"actions", "control_period"}
 OWN = "default"  # the entry of tasks of one's own
 _LINEAR = "lin_"  # the zoo's mark of a learning rate that falls to 0
 
 
-def defaults(task: str, algo: str) -> TrainConfig:
+def defaults(task: str, algo: str, file: Path | None = None) -> TrainConfig:
     """The configuration of a task and an algorithm as their YAML has it.
 
+    Args:
+        task: to learn.
+        algo: that learns it.
+        file: of one's own, in the same schema; None: the package's.
+
     Raises:
-        ValueError: the algorithm does not learn the task, or the file holds what is not understood.
+        ValueError: the algorithm does not learn the task, or the file holds what is not understood
+            or not allowed.
     """
-    file = FOLDER / f"{algo}.yml"
-    of_tasks = yaml.safe_load(file.read_text())
+    if file is None:
+        return _read(task, algo, FOLDER / f"{algo}.yml")
+    try:
+        return _read(task, algo, file)
+    except (OSError, yaml.YAMLError, ValueError) as error:
+        words = " ".join(str(error).split())
+        raise ValueError(f"{file} does not hold hyper-parameters: {words}") from None
+
+
+def write_hyperparams(config: TrainConfig, file: Path) -> None:
+    """Write a configuration as `defaults` reads it, under its task's id; all but its seeds, its
+    folder and its name.
+    """
+    entry: dict[str, Any] = {}
+    of_env: dict[str, Any] = {}
+    for field in fields(config):
+        value = getattr(config, field.name)
+        if field.name == "hidden":
+            entry["policy_kwargs"] = {"net_arch": list(value)}
+        elif field.name == "learning_rate":
+            entry[field.name] = f"{_LINEAR}{value!r}"
+        elif field.name in _OF_THE_ENV:
+            of_env[field.name] = value
+        elif field.name not in _OF_THE_RUN:
+            entry[_ZOOS.get(field.name, field.name)] = value
+    entry["env_kwargs"] = of_env
+    file.write_text(yaml.safe_dump({_key(config.task): entry}, sort_keys=False))
+
+
+def _key(task: str) -> str:
+    """The name of a task's entry."""
     kind = task if task == FLOW_TASK else kind_of(task)
-    if kind == FLOW_TASK and FLOW in of_tasks:
-        entry = of_tasks[FLOW]
-    elif kind in TASKS and env_id(kind) in of_tasks:
-        entry = of_tasks[env_id(kind)]
-    elif kind not in (*TASKS, FLOW_TASK) and OWN in of_tasks:
-        entry = of_tasks[OWN]
-    else:
+    if kind == FLOW_TASK:
+        return FLOW
+    return env_id(kind) if kind in TASKS else OWN
+
+
+def _read(task: str, algo: str, file: Path) -> TrainConfig:
+    of_tasks = yaml.safe_load(file.read_text())
+    if not isinstance(of_tasks, dict):
+        raise ValueError(f"it must hold an entry a task, got {of_tasks!r}")
+    key = _key(task)
+    if key not in of_tasks:
         ids = {FLOW_TASK: FLOW, **{name: env_id(name) for name in TASKS}}
         learned = ", ".join(repr(name) for name, each in ids.items() if each in of_tasks)
         raise ValueError(f"task must be one of {learned} for {algo}, got {task!r}")
-    known = {field.name for field in fields(CONFIGS[algo])}
+    if not isinstance(of_tasks[key], dict):
+        raise ValueError(f"{key} must hold names and values, got {of_tasks[key]!r}")
+    known = {field.name for field in fields(CONFIGS[algo])}.difference(_OF_THE_RUN)
     chosen: dict[str, Any] = {"task": task, "algo": algo}
-    for name, value in entry.items():
+    for name, value in of_tasks[key].items():
         if name == "policy" and value == "MlpPolicy":
             continue
-        if name == "learning_rate" and isinstance(value, str) and value.startswith(_LINEAR):
-            chosen[name] = float(value.removeprefix(_LINEAR))
-        elif name == "policy_kwargs" and set(value) == {"net_arch"}:
+        if name == "learning_rate":
+            chosen[name] = _falling(value)
+        elif name == "policy_kwargs" and _is_of_units(value):
             chosen["hidden"] = tuple(value["net_arch"])
-        elif name == "env_kwargs" and set(value) <= {"actions", "control_period"}:
+        elif name == "env_kwargs" and isinstance(value, dict) and set(value) <= _OF_THE_ENV:
             chosen.update(value)
         elif name == "n_timesteps":
-            chosen["steps"] = int(value)
+            chosen["steps"] = int(checks.positive(name, value))
         elif _NAMES.get(name, name) in known:
             chosen[_NAMES.get(name, name)] = value
         else:
-            raise ValueError(f"{file.name}: {name} must be a known setting, got {value!r}")
+            raise ValueError(f"{name} must be a known setting, got {value!r}")
     return CONFIGS[algo](**chosen)
+
+
+def _falling(value: Any) -> float:
+    """A learning rate's first value, in the zoo's words for one that falls to 0."""
+    try:
+        if isinstance(value, str) and value.startswith(_LINEAR):
+            return float(value.removeprefix(_LINEAR))
+    except ValueError:
+        pass
+    raise ValueError(
+        f"learning_rate must be {_LINEAR} and a number, since it falls to 0, got {value!r}"
+    )
+
+
+def _is_of_units(value: Any) -> bool:
+    """Whether a value is the zoo's for units of hidden layers, and nothing else."""
+    return (
+        isinstance(value, dict)
+        and set(value) == {"net_arch"}
+        and isinstance(value["net_arch"], list)
+    )
 
 
 def write_config(config: TrainConfig, file: Path) -> None:
