@@ -37,12 +37,6 @@ def _high(name: str) -> Callable[[Summary, Summary], float]:
     return lambda summary, _: float(np.quantile(summary.figure(name), 0.9))
 
 
-DECISION = Column(
-    "decision_time", "decision [us]", "time of one lane's decision, decided many at a time, median",
-    lambda summary, _: summary.decision_time, ".1f", 1e6,
-)  # fmt: skip
-
-
 TIME = Column(
     "time", "time [s]", "of an episode, median over starts",
     lambda summary, _: float(np.median(summary.time)),
@@ -86,35 +80,30 @@ _COLUMNS: dict[str, tuple[Column, ...]] = {
         Column("parcels_an_hour", "parcels/h",
                "an hour's parcels, each alone on the surface, by the mean time of those sorted",
                lambda summary, _: parcels_an_hour(summary), ".0f"),
-        DECISION,
     ),
     "slow": (
         Column("ratio_error", "error median", "of the ratio of exit and entry speed",
                _median("ratio_error"), ".4f"),
         Column("ratio_error_90", "error 90 %", "nine in ten are better", _high("ratio_error"),
                ".4f"),
-        DECISION,
     ),
     "stop": (
         Column("stop_error", "error median [mm]", "of the place of rest", _median("stop_error"),
                ".2f", 1e3),
         Column("stop_error_90", "error 90 % [mm]", "nine in ten are better", _high("stop_error"),
                ".2f", 1e3),
-        DECISION,
     ),
     "track": (
         Column("rms_error", "rms error [mm]", "off the path, median over starts",
                _median("rms_error"), ".1f", 1e3),
         Column("speed_error", "speed error [m/s]", "rms over an episode, median over starts",
                _median("speed_error"), ".3f"),
-        DECISION,
     ),
     "orient": (
         Column("angle_error", "error median [deg]", "of the angle on leaving",
                _median("angle_error"), ".2f", 180.0 / np.pi),
         Column("angle_error_90", "error 90 % [deg]", "nine in ten are better",
                _high("angle_error"), ".2f", 180.0 / np.pi),
-        DECISION,
     ),
 }  # fmt: skip
 
@@ -134,4 +123,4 @@ def columns_of(task: str) -> tuple[Column, ...]:
             ("_90", "nine in ten are smaller", _high),
         )
     ]
-    return (*own, TIME, DECISION)
+    return (*own, TIME)

@@ -9,6 +9,7 @@ from agents.evaluation.by_speed import speed_table
 from agents.evaluation.cell import Cell, play
 from agents.evaluation.columns import columns_of
 from agents.evaluation.contenders import FIXED, PLANNER, Contender, only
+from agents.evaluation.decisions import decision_table, write_decisions
 from agents.evaluation.page import write_page
 from agents.evaluation.plots import draw_errors, draw_sorting, draw_success, has_errors
 from agents.evaluation.showing import film_of
@@ -61,10 +62,13 @@ def write_report(
         shown.append(table)
         if kind_of(name) == "sort":
             shown.append(_by_speed(name, summaries))
+    if names:
+        trials = [make_trial(name) for name in names]
+        write_tables(trials, shown, summaries, folder)
+        shown.append(decision_table(trials, summaries))
+        write_decisions(shown[-1], folder)
     for table in shown:
         print_table(table, console)
-    if names:
-        write_tables([make_trial(name) for name in names], shown, summaries, folder)
     columns = {label_of(name): columns_of(name) for name in names}
     if flow is not None:
         shown = [*flow.tables, *shown]
@@ -127,7 +131,7 @@ def compare_run(
     both = [only(each, ("exact", "camera")) for each in (fixed, trained)]
     summaries = summarise(compute_cells(both, workers))
     trial = make_trial(trained.task)
-    tables = [make_table(trial, summaries, timed=False)]
+    tables = [make_table(trial, summaries)]
     if trial.kind == "sort":
         tables.append(_by_speed(trained.task, summaries))
         draw_trajectories(

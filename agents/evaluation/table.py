@@ -33,13 +33,12 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
 
 
-def make_table(trial: Trial, summaries: Summaries, timed: bool = True) -> Table:
-    """The table of a task.
+def make_table(trial: Trial, summaries: Summaries) -> Table:
+    """The table of a task; what a decision takes is told apart, since it is never the same.
 
     Args:
         trial: the task and its starts.
         summaries: of all contenders and conditions.
-        timed: whether to show what a decision takes, which differs from run to run.
     """
     names = list(dict.fromkeys(who for task, who, _ in summaries if task == trial.name))
     fixed = summaries[trial.name, FIXED, "exact"]
@@ -48,9 +47,7 @@ def make_table(trial: Trial, summaries: Summaries, timed: bool = True) -> Table:
         for condition in CONDITIONS
         if any((trial.name, who, condition.name) in summaries for who in names)
     ]
-    columns = [
-        column for column in columns_of(trial.name) if timed or column.name != "decision_time"
-    ]
+    columns = columns_of(trial.name)
     header = (
         "controller", "seeds", *_success_labels(shown), *(column.label for column in columns),
     )  # fmt: skip
@@ -181,6 +178,7 @@ def _numbers(trial: Trial, summaries: Summaries) -> list[dict[str, Any]]:
             "success_low": low,
             "success_high": high,
             **{column.name: value_of(column, summary, fixed) for column in columns_of(task)},
+            "decision_time": summary.decision_time,
         }
         rows += [
             {

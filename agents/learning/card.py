@@ -65,9 +65,7 @@ def _results(summaries: Summaries, agent: Contender, condition: str) -> dict[str
     fixed = summaries[agent.task, FIXED, condition]
     low, high = summary.interval
     figures = {
-        column.name: round(value_of(column, summary, fixed), 5)
-        for column in columns_of(agent.task)
-        if column.name != "decision_time"
+        column.name: round(value_of(column, summary, fixed), 5) for column in columns_of(agent.task)
     }
     return {
         "success": round(summary.rate, 4),

@@ -18,6 +18,11 @@ _NAMES = {"n_envs": "lanes", "n_timesteps": "steps"}  # the zoo's names, and our
 _ZOOS = {ours: its for its, ours in _NAMES.items()}
 _OF_THE_RUN = ("task", "algo", "seed", "seeds", "out", "name")  # no hyper-parameters
 _OF_THE_ENV = {"actions", "control_period"}
+# What the zoo has no word for and would refuse: in an entry of its own.
+BESIDE = "beside the zoo"
+_BESIDE = {
+    "camera_share", "friction", "checkpoint_every", "parted", "seats", "imitation", "critic_first",
+}  # fmt: skip
 OWN = "default"  # the entry of tasks of one's own
 _LINEAR = "lin_"  # the zoo's mark of a learning rate that falls to 0
 
@@ -48,6 +53,7 @@ def write_hyperparams(config: TrainConfig, file: Path) -> None:
     folder and its name.
     """
     entry: dict[str, Any] = {}
+    beside: dict[str, Any] = {}
     of_env: dict[str, Any] = {}
     for field in fields(config):
         value = getattr(config, field.name)
@@ -57,10 +63,13 @@ def write_hyperparams(config: TrainConfig, file: Path) -> None:
             entry[field.name] = f"{_LINEAR}{value!r}"
         elif field.name in _OF_THE_ENV:
             of_env[field.name] = value
+        elif field.name in _BESIDE:
+            beside[field.name] = value
         elif field.name not in _OF_THE_RUN:
             entry[_ZOOS.get(field.name, field.name)] = value
     entry["env_kwargs"] = of_env
-    file.write_text(yaml.safe_dump({_key(config.task): entry}, sort_keys=False))
+    key = _key(config.task)
+    file.write_text(yaml.safe_dump({key: entry, BESIDE: {key: beside}}, sort_keys=False))
 
 
 def _key(task: str) -> str:
@@ -80,11 +89,16 @@ def _read(task: str, algo: str, file: Path) -> TrainConfig:
         ids = {FLOW_TASK: FLOW, **{name: env_id(name) for name in TASKS}}
         learned = ", ".join(repr(name) for name, each in ids.items() if each in of_tasks)
         raise ValueError(f"task must be one of {learned} for {algo}, got {task!r}")
-    if not isinstance(of_tasks[key], dict):
-        raise ValueError(f"{key} must hold names and values, got {of_tasks[key]!r}")
+    beside = of_tasks.get(BESIDE) or {}
+    if not isinstance(beside, dict):
+        raise ValueError(f"{BESIDE} must hold an entry a task, got {beside!r}")
+    entries = [of_tasks[key], beside.get(key, {})]
+    for entry in entries:
+        if not isinstance(entry, dict):
+            raise ValueError(f"{key} must hold names and values, got {entry!r}")
     known = {field.name for field in fields(CONFIGS[algo])}.difference(_OF_THE_RUN)
     chosen: dict[str, Any] = {"task": task, "algo": algo}
-    for name, value in of_tasks[key].items():
+    for name, value in [*entries[0].items(), *entries[1].items()]:
         if name == "policy" and value == "MlpPolicy":
             continue
         if name == "learning_rate":

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 
 from agents.learning.config import TrainConfig
 
+CURVE_EVERY = 10_000  # control periods from row to row of the curve
+
 Progress = Callable[[int, float], None]  # control periods done, success of the latest episodes
 
 

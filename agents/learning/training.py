@@ -12,15 +12,13 @@ from agents.learning.checkpoint import FILE, load_checkpoint, save_checkpoint
 from agents.learning.config import DQNConfig, ParcelsConfig, PPOConfig, card_of
 from agents.learning.curve import Curve
 from agents.learning.double_dqn import DoubleDQN, cut_memory
-from agents.learning.legs import Learned, Progress, leg_at, leg_seed
+from agents.learning.legs import CURVE_EVERY, Learned, Progress, leg_at, leg_seed
 from agents.learning.model import Model, make_model
 from agents.learning.parcels import CriticFirst, begin, make_seats
 from agents.learning.practice import make_practice
 from agents.policies.files import save_policy
 from agents.tasks import find_task
 from surface_gym.flow.rewards import PARCEL_TERMS
-
-CURVE_EVERY = 10_000  # control periods from row to row of the curve
 
 
 class _Legs(BaseCallback):

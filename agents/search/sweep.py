@@ -10,7 +10,7 @@ import yaml
 
 from agents.learning.config import TrainConfig
 from agents.learning.hyperparams import defaults
-from agents.learning.training import CURVE_EVERY
+from agents.learning.legs import CURVE_EVERY
 from surface_gym import checks
 from surface_gym.tasks import TASKS
 

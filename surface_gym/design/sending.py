@@ -14,7 +14,8 @@ from surface_gym.dynamics.types import Bodies, Scratch
 from surface_gym.sharing import Cluster, Workers, quiet, share
 
 CHUNK = 32  # runs that a thread takes at a time: Ctrl-C waits for no more
-BUNDLE = 500  # that a node takes at a time: some tenths of a second
+BUNDLE = 5000  # runs that a node takes at a time, at most: some tenths of a second
+LEAST = 500  # below which runs are not sent apart
 
 Advance = Callable[[int, int], None]  # runs done, and how many there are
 
@@ -68,7 +69,9 @@ def _to_nodes(
     deck: Deck, bodies: Bodies, passages: Passages, dt: float, cluster: Cluster, advance: Advance
 ) -> None:
     count = len(passages.state)
-    parts = [slice(first, first + BUNDLE) for first in range(0, count, BUNDLE)]
+    bundles = max(-(-count // BUNDLE), min(2, count // LEAST), 1)
+    # Runs that lie far apart: neighbours are alike, and bundles are to take equally long.
+    parts = [slice(first, None, bundles) for first in range(bundles)]
     jobs = [
         partial(quiet, partial(_ends, deck, bodies, _part(passages, part), dt)) for part in parts
     ]

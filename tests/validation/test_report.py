@@ -2,7 +2,6 @@
 
 import json
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from surface_gym.trajectory import Trajectory
 from surface_gym.validation import command, convergence, speed, unevenness
 from surface_gym.validation.comparison import Errors, errors, paper_errors, sorts_from, targets
 from surface_gym.validation.export import as_data
-from surface_gym.validation.parallel import run_all
 from surface_gym.validation.report import show
 from surface_gym.validation.study import Study
 
@@ -99,11 +97,6 @@ def test_no_accurate_step_is_an_error():
     method = speed.Method("bad", lambda _, step: trajectory(*np.full(3, 1 + step)), 0.0, (0.5,))
     with pytest.raises(ValueError, match=r"steps of bad must hold one .* got 50.00 % at 0.5 s"):
         speed.measure(method)
-
-
-def test_results_come_in_the_order_of_the_jobs():
-    with ThreadPoolExecutor(4) as executor:
-        assert run_all(executor, abs, [-3, 2, -1], "", Console(quiet=True)) == [3, 2, 1]
 
 
 def test_the_report_holds_every_part(study, tmp_path):

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from agents.evaluation.by_speed import speed_table
 from agents.evaluation.columns import columns_of
+from agents.evaluation.decisions import decision_table, write_decisions
 from agents.evaluation.page import write_page
 from agents.evaluation.summary import summarise
 from agents.evaluation.table import make_table, markdown, write_tables
@@ -59,9 +60,15 @@ def test_files_agree(tmp_path: Path) -> None:
     assert markdown(table) in (tmp_path / "comparison.md").read_text()
 
 
-def test_without_times_it_is_the_same_each_time() -> None:
-    untimed = make_table(make_trial("slow"), SLOW, timed=False)
-    assert not any("decision" in name for name in untimed.header)
+def test_what_a_decision_takes_stands_apart(tmp_path: Path) -> None:
+    trial = make_trial("slow")
+    assert not any("decision" in name for name in make_table(trial, SLOW).header)
+    table = decision_table([trial], SLOW)
+    assert table.header == ("controller", "slow")
+    times = {row[0]: row[1] for row in table.rows}
+    assert times["a <rule>"] == f"{1e6 * SLOW['slow', 'a <rule>', 'exact'].decision_time:.1f}"
+    write_decisions(table, tmp_path)
+    assert (tmp_path / "decisions.md").read_text() == markdown(table)
 
 
 def test_by_speed() -> None:
