@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from benchmarks import accuracy, design, environments, physics
+from benchmarks import accuracy, design, environments, physics, sharing
 from benchmarks.environments import BOX2D, ENVPOOL
 from benchmarks.figure import Figure
 
@@ -28,6 +28,8 @@ class BenchmarkConfig:
     """Steps a second beside other packages."""
     design: bool = True
     """Time of a design's answer, and its runs beside MuJoCo's."""
+    sharing: bool = True
+    """Cost of sharing work among processes and the nodes of a cluster."""
     scenes: int = 200
     """Random scenes of the accuracy table; 0 leaves it out."""
     seed: int = 0
@@ -57,6 +59,10 @@ def main() -> None:
         measures.append(design.design_figures)
         if not design.MUJOCO:
             console.print("left out, not installed: mujoco (extra 'validation')", markup=False)
+    if config.sharing and sharing.RAY:
+        measures.append(sharing.sharing_figures)
+    elif config.sharing:
+        console.print("left out, not installed: ray (extra 'cluster')", markup=False)
     for measure in track(measures, "measuring", console=console, transient=True):
         figures += measure()
     table = Table("figure", title=f"{platform.machine()}, {os.cpu_count()} cores")
