@@ -1,0 +1,80 @@
+"""What the learners beside this share: their command, and success on starts not trained on."""
+
+import argparse
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from surface_gym.tasks import Sort
+from surface_gym.tasks.sort import FEATURES
+
+Act = Callable[[NDArray[np.float32]], NDArray[Any]]  # (lanes, features) to (lanes,) of "halves"
+
+SIZE = [feature.name for feature in FEATURES].index("size")  # below 0 for the S-box
+STARTS = {"as they come": Sort(), "0.3 to 2.7 m/s evenly": Sort(slow_share=0.0)}
+
+
+def run(learn: Callable[[int], Any], measure: Callable[[Any], Any], steps: int, *used: str) -> None:
+    """Learn, measure, and print how that went; `--keep FILE` writes it to a file too.
+
+    Args:
+        learn: from so many control periods; gives what is measured.
+        measure: gives the figures.
+        steps: control periods, unless `--steps` says otherwise.
+        used: names of packages whose versions are told.
+    """
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--steps", type=int, default=steps, help="control periods to learn from")
+    parser.add_argument("--keep", type=Path, help="file that says how it went")
+    asked = parser.parse_args()
+    command, begun = " ".join(["python", *sys.argv]), time.perf_counter()
+    learned = learn(asked.steps)
+    of_run = {
+        "command": command,
+        "seconds": round(time.perf_counter() - begun),
+        "cores": os.cpu_count(),
+        "versions": {
+            "python": platform.python_version(),
+            **{name: version(name) for name in ("surface_gym", "gymnasium", "torch", *used)},
+        },
+        "figures": measure(learned),
+    }
+    text = yaml.safe_dump(of_run, sort_keys=False)
+    print(text, end="")
+    if asked.keep is not None:
+        asked.keep.write_text(text)
+
+
+def success(act: Act, lanes: int = 2000) -> dict[str, dict[str, float]]:
+    """The share of starts that are sorted: as the environment draws them, and of even speeds.
+
+    Args:
+        act: decides.
+        lanes: starts of each kind, an episode each.
+
+    Returns:
+        Share by the kind of starts, then by parcel: "S", "B" or "both".
+    """
+    shares = {}
+    for name, task in STARTS.items():
+        env = gym.make_vec("SmartSurface/Sort-v0", num_envs=lanes, task=task, actions="halves")
+        seen, _ = env.reset(seed=1_000_000)
+        small = seen[:, SIZE] < 0.0
+        won, ended = np.zeros((2, lanes), np.bool_)
+        while not ended.all():
+            seen, _, terminated, truncated, info = env.step(act(seen))
+            won |= ~ended & info["is_success"]
+            ended |= terminated | truncated
+        of_boxes = {"S": won[small], "B": won[~small], "both": won}
+        shares[name] = {box: round(float(each.mean()), 3) for box, each in of_boxes.items()}
+    return shares

@@ -1,0 +1,75 @@
+"""RLlib's PPO on the native vector env of Sort.
+
+pip install -r examples/learners/rllib.txt -e ".[agents]"
+python examples/learners/rllib_sort.py
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import ray
+import torch
+from fresh_starts import Act, run, success
+from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
+
+ROLLOUT = 64 * 64  # control periods: of 64 lanes, 64 each
+
+
+def ppo(steps: int, rollout: int) -> PPOConfig:
+    """PPO whose learning rate falls to 0 over the steps, and a small network, in this process."""
+    ray.init(address="local", num_cpus=1, include_dashboard=False)
+    torch.set_num_threads(1)  # the network is small
+    network = DefaultModelConfig([64, 64], fcnet_activation="tanh", vf_share_layers=False)
+    config = PPOConfig().debugging(seed=0).rl_module(model_config=network)
+    return config.training(
+        train_batch_size_per_learner=rollout,
+        minibatch_size=rollout // 4,
+        num_epochs=5,
+        lr=[[0, 1e-3], [steps, 0.0]],
+        gamma=0.99,
+        lambda_=0.95,
+        clip_param=0.2,
+        vf_clip_param=1e6,
+        use_kl_loss=False,
+        entropy_coeff=0.005,
+        grad_clip=0.5,
+    )
+
+
+def train(config: PPOConfig, steps: int, rollout: int, policy: str) -> Callable[[Any], Any]:
+    """Train, and give the logits of the actions for observations (lanes, features)."""
+    algo = config.build_algo()
+    for turn in range(-(-steps // rollout)):
+        told = algo.train()
+        if turn % 25 == 0:
+            mean = told["env_runners"]["episode_return_mean"]
+            loss = told["learners"][policy]["total_loss"]
+            print(f"{(turn + 1) * rollout:8} periods: return {mean:.2f}, loss {loss:.3f}")
+    module: Any = algo.get_module(policy)
+    algo.stop()
+    odds = "action_dist_inputs"
+    return lambda seen: module.forward_inference({"obs": torch.from_numpy(seen)})[odds]
+
+
+def learn(steps: int) -> Act:
+    """The policy that so many control periods lead to."""
+    config = ppo(steps, ROLLOUT)
+    config.environment("SmartSurface/Sort-v0", env_config={"actions": "halves"})
+    config.env_runners(
+        num_env_runners=0,
+        num_envs_per_env_runner=64,
+        gym_env_vectorize_mode="vector_entry_point",
+        rollout_fragment_length=64,
+    )
+    logits = train(config, steps, ROLLOUT, "default_policy")
+    return lambda seen: logits(seen).argmax(dim=1).numpy()
+
+
+def main() -> None:
+    """Train, and let the policy take its likeliest actions on fresh starts."""
+    run(learn, success, 2_500_000, "ray")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""rl-baselines3-zoo's PPO on the native vector env of Sort, by agents/hyperparams/ppo.yml.
+
+pip install -r examples/learners/zoo.txt -e ".[agents]"
+python examples/learners/zoo.py
+"""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from fresh_starts import Act, run, success
+from gymnasium.vector import AutoresetMode
+from rl_zoo3.exp_manager import ExperimentManager
+from rl_zoo3.train import train
+from stable_baselines3 import PPO
+
+from agents.episodes import arguments
+from agents.vec_env import SurfaceVecEnv
+from surface_gym import SmartSurfaceVectorEnv
+
+YAML = Path(__file__).parents[2] / "agents" / "hyperparams" / "ppo.yml"
+
+
+class Lanes(SurfaceVecEnv):
+    """A lane for each single environment that the zoo would make, of the first one's settings."""
+
+    def __init__(self, makers: list[Callable[[], Any]]) -> None:
+        single = makers[0]()
+        env = SmartSurfaceVectorEnv(
+            num_envs=len(makers),
+            max_episode_steps=single.spec.max_episode_steps,
+            autoreset_mode=AutoresetMode.SAME_STEP,
+            **arguments(single.unwrapped.settings),
+        )
+        single.close()
+        super().__init__(env)
+
+
+def learn(steps: int) -> Act:
+    """The policy that the zoo's command, `python -m rl_zoo3.train`, leaves in its folder."""
+    ExperimentManager.default_vec_env_cls = Lanes  # else as many single environments, one by one
+    with TemporaryDirectory() as folder:
+        sys.argv = ["train", "--algo", "ppo", "--env", "SmartSurface/Sort-v0"]
+        sys.argv += ["--conf-file", str(YAML), "--n-timesteps", str(steps), "--eval-freq", "-1"]
+        sys.argv += ["--seed", "0", "--num-threads", "1", "--log-folder", folder]
+        train()
+        model = PPO.load(next(Path(folder).rglob("SmartSurface-Sort-v0.zip")), device="cpu")
+    return lambda seen: model.predict(seen, deterministic=True)[0]
+
+
+def main() -> None:
+    """Train, and let the policy take its likeliest actions on fresh starts."""
+    run(learn, success, 2_500_000, "rl_zoo3", "stable_baselines3")
+
+
+if __name__ == "__main__":
+    main()
