@@ -25,11 +25,14 @@ from agents.learning.curve import FILE as CURVE
 from agents.learning.folder import make_folder
 from agents.learning.seeds import train_seeds
 from agents.policy_files import WEIGHTS
+from agents.search.command import go_on
+from agents.search.trial import run_trial
 from surface_gym.bases import Rectangle
 from surface_gym.design import Case, Sort, success_map
 from surface_gym.parcel import Parcel
 from surface_gym.sharing import Cluster, WorkFailed, ray_crew, share
 from surface_gym.sharing.cluster import Build
+from tests.agents.search.test_trial import SWEEP
 from tests.sharing import jobs
 
 ROOT = Path(__file__).parents[2]
@@ -228,3 +231,14 @@ def test_a_command_that_was_killed_goes_on_with_a_task_of_ones_own(
             local, elsewhere = (folder / name / file for folder in folders)
             assert elsewhere.read_bytes() == local.read_bytes(), (name, file)
     assert (folders[1] / CARD_FILE).is_file()
+
+
+def test_a_search_is_the_same(cluster: Cluster, tmp_path: Path) -> None:
+    sweep = replace(SWEEP, trials=4, generation=2, startup_trials=2)
+    console = Console(quiet=True)
+    found = []
+    for name, workers in (("local", 2), ("cluster", cluster)):
+        (tmp_path / name).mkdir()
+        trials = go_on(sweep, tmp_path / name, workers, console, run_trial)
+        found.append([replace(trial, seconds=0.0) for trial in trials])
+    assert found[0] == found[1]

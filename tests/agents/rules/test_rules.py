@@ -101,7 +101,7 @@ def test_what_sets_all_modules_alike_does_so_with_any_kind(
 @every_rule
 def test_a_lane_alone_is_as_among_many(rule: Rule) -> None:
     settings = settings_of(rule)
-    lanes = 6
+    lanes = 3
     env = sg.SmartSurfaceVectorEnv(
         lanes, task=rule.task, actions=rule.actions, max_episode_steps=60, autoreset_mode="SameStep"
     )
