@@ -22,6 +22,11 @@ class AskControl(Question):
         case = self.case()
         if self.rows is not None:
             raise ValueError(f"rows must be those under the parcel for control, got {self.rows!r}")
+        if self.cluster is not None:
+            raise ValueError(
+                f"cluster must not be given for control, which tries one controller after the "
+                f"other, got {self.cluster!r}"
+            )
         found = control_gain(case, self.columns, advance)
         return Answer(
             "control",

@@ -136,25 +136,26 @@ def _connected(cluster: Cluster) -> Any:
         ) from None
     if not ray.is_initialized():
         try:
-            ray.init(
-                cluster.address,
-                runtime_env=_runtime(cluster),
-                log_to_driver=False,
-                logging_level=logging.ERROR,
-            )
+            with tempfile.TemporaryDirectory() as folder:
+                ray.init(
+                    cluster.address,
+                    runtime_env=_runtime(cluster, Path(folder)),
+                    log_to_driver=False,
+                    logging_level=logging.ERROR,
+                )
         except (ConnectionError, RuntimeError) as error:
             raise ValueError(
-                f"cluster must be the address of a Ray cluster, got {cluster.address!r}: {error}"
+                f"cluster must be the address of a Ray cluster, got {cluster.address!r}: {error}; "
+                "one that asks for a token wants RAY_AUTH_MODE=token set here, too"
             ) from None
     return ray
 
 
-def _runtime(cluster: Cluster) -> dict[str, str]:
-    """The files that nodes need, at the same places below their working folders."""
+def _runtime(cluster: Cluster, folder: Path) -> dict[str, str]:
+    """The files that nodes need, at the same places below their working folders as in a folder."""
     below = [file for file in cluster.files if not file.is_absolute()]
     if not below:
         return {}
-    folder = Path(tempfile.mkdtemp())
     for file in below:
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, folder / file)

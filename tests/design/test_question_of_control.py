@@ -56,3 +56,11 @@ def test_rows_are_those_under_the_parcel(
     with pytest.raises(SystemExit):
         main(["control", "--parcel", "S", "--rows", "3", "--out", str(tmp_path)])
     assert "rows must be those under the parcel for control, got 3" in capsys.readouterr().err
+
+
+def test_controllers_are_not_tried_on_a_cluster(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["control", "--parcel", "S", "--cluster", "auto", "--out", str(tmp_path)])
+    assert "cluster must not be given for control" in capsys.readouterr().err

@@ -147,6 +147,12 @@ def test_addresses_that_cannot_be_used_are_refused(address: str) -> None:
         Cluster(address)
 
 
+def test_without_ray_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ValueError, match=r"pip install 'surface_gym\[cluster\]'"):
+        dict(share([partial(jobs.draws, 0)], Cluster("auto")))
+
+
 def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(
     nodes: Nodes, cluster: Cluster, tmp_path: Path
 ) -> None:
