@@ -87,3 +87,13 @@ def tells_its_process(folder: Path, tell: Tell) -> None:
     while True:
         tell("here")
         time.sleep(0.05)
+
+
+def waits_for(folder: Path, name: str, sign: str, tell: Tell) -> int:
+    """Counts its beginnings in a file, and goes on until there is a sign in the folder."""
+    with (folder / name).open("a") as file:
+        file.write("begun\n")
+    tell("begun")
+    while not (folder / sign).exists():
+        time.sleep(0.05)
+    return len((folder / name).read_text().splitlines())

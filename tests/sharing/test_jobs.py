@@ -52,8 +52,9 @@ def test_a_job_whose_process_dies_is_done_again_and_only_that(tmp_path: Path) ->
     assert dict(share(work, 2)) == {0: 2, 1: 1}
 
 
-def test_a_job_that_always_dies_ends_the_work() -> None:
-    with pytest.raises(WorkFailed, match=r"a job has cost 10 processes; the last: exit code -9"):
+def test_a_job_that_always_dies_ends_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("surface_gym.sharing.jobs.LOSSES", 3)
+    with pytest.raises(WorkFailed, match=r"a job has cost 3 processes; the last: exit code -9"):
         dict(share([jobs.always_dies, partial(jobs.draws, 0)], 2))
 
 
