@@ -4,13 +4,13 @@ import sys
 
 from rich.console import Console
 
-from agents.learning.command import open_run, open_search, take_cluster
+from agents.learning.command import find_search, open_run, take_cluster
 from agents.learning.finish import finish
 from agents.learning.seeds import train_seeds
 from agents.search.command import search
-from agents.workers import workers_of
+from agents.tasks import files_of
 from surface_gym.cores import usable_cores
-from surface_gym.sharing import WorkFailed
+from surface_gym.sharing import WorkFailed, workers_of
 
 
 def main() -> None:
@@ -24,14 +24,14 @@ def main() -> None:
 def train(arguments: list[str], console: Console) -> None:
     """What the arguments ask for."""
     cluster, arguments = take_cluster(arguments)
-    asked = open_search(arguments)
+    asked = find_search(arguments)
     if asked is not None:
-        workers = workers_of(cluster, usable_cores(), asked.task)
+        workers = workers_of(cluster, usable_cores(), files_of(asked.task))
         search(asked.file, asked.folder, workers, console, asked.task)
         return
-    workers_of(cluster, usable_cores(), None)  # refused before there is a folder
+    workers_of(cluster, usable_cores())  # refused before there is a folder
     config, folder = open_run(arguments)
-    workers = workers_of(cluster, usable_cores(), config.task)
+    workers = workers_of(cluster, usable_cores(), files_of(config.task))
     learned = train_seeds(config, folder, console, workers)
     finish(config, folder, learned, console, workers)
 

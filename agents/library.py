@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from agents.policy_files import PolicyFiles, read_files
+from agents.policy_files import PolicyFiles
 from surface_gym import checks
 
 if TYPE_CHECKING:
@@ -55,7 +55,9 @@ def read(folder: str | Path, task: "Task | None" = None) -> "Policy | ModulesPol
     Raises:
         ValueError: the folder holds no policy, or a damaged or foreign one, or one of another task.
     """
-    return carried(read_files(Path(folder)), task)
+    from agents.policies.files import load_policy  # which brings PyTorch with it
+
+    return load_policy(Path(folder), task)
 
 
 def carried(

@@ -50,6 +50,11 @@ def id_of(name: str) -> str:
     return env_id(name) if name in TASKS else OWN + name.rpartition(":")[2]
 
 
+def files_of(name: str | None) -> tuple[Path, ...]:
+    """The file of a task of one's own, which other machines need; none for one of the package."""
+    return (Path(name.rpartition(":")[0]),) if name is not None and ":" in name else ()
+
+
 def _module(file: Path) -> Any:
     """A file's module, run once a process."""
     if not file.is_file():

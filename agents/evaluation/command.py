@@ -21,11 +21,10 @@ from agents.flow import study
 from agents.flow.contenders import contenders as flow_contenders
 from agents.flow.report import FlowReport, write_flow_report
 from agents.flow.trained import compare_parcels, is_of_flow
-from agents.tasks import find_task
-from agents.workers import workers_of
+from agents.tasks import files_of, find_task
 from surface_gym import checks
 from surface_gym.cores import usable_cores
-from surface_gym.sharing import Workers
+from surface_gym.sharing import Workers, workers_of
 from surface_gym.tasks import TASKS
 
 FLOW = "flow"
@@ -65,7 +64,7 @@ class EvaluateConfig:
         if not self.tasks:
             raise ValueError(f"tasks must be at least one, got {self.tasks!r}")
         checks.integer("workers", self.workers, least=1)
-        workers_of(self.cluster, self.workers, self.task)
+        workers_of(self.cluster, self.workers)
 
 
 def evaluate(config: EvaluateConfig, console: Console) -> None:
@@ -74,7 +73,7 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
     Raises:
         ValueError: the run holds no policy, or a damaged one.
     """
-    workers = workers_of(config.cluster, config.workers, config.task)
+    workers = workers_of(config.cluster, config.workers, files_of(config.task))
     if config.run is not None and is_of_flow(config.run):
         compare_parcels(config.run, workers, console)
         return

@@ -12,8 +12,8 @@ from agents.learning.config import CONFIGS, TrainConfig
 from agents.learning.folder import make_folder, open_folder
 from agents.learning.hyperparams import defaults
 from agents.policy_card import FLOW_TASK
+from agents.search.command import FILE as SWEEP
 
-SWEEP = "sweep.yml"  # in the folder of a search
 MORE = (
     "--resume DIR, alone, goes on with a run or a search that was broken off, from what is there; "
     "--task, too, says whose code is to be run where it is a task of one's own. "
@@ -41,7 +41,7 @@ def take_cluster(arguments: list[str]) -> tuple[str | None, list[str]]:
     return chosen.cluster, others
 
 
-def open_search(arguments: list[str]) -> Search | None:
+def find_search(arguments: list[str]) -> Search | None:
     """The search that the arguments ask for, new or to go on with; None: they ask for none.
 
     Raises:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -98,9 +99,9 @@ def _panel() -> tuple[Figure, Axes]:
     return figure, panel
 
 
-def _legend(panel: Axes, *entries: tuple[str, dict[str, object]]) -> None:
+def _legend(panel: Axes, *entries: tuple[str, dict[str, Any]]) -> None:
     for label, style in entries:
-        panel.plot([], [], label=label, **style)  # type: ignore[arg-type]
+        panel.plot([], [], label=label, **style)
     panel.legend(frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 

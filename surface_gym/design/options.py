@@ -16,7 +16,7 @@ from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
 from surface_gym.design.runs import STEP
 from surface_gym.layouts import box
 from surface_gym.parcel import Parcel
-from surface_gym.sharing import Cluster, Workers
+from surface_gym.sharing import Workers, workers_of
 
 Degrees = Annotated[float, tyro.conf.arg(metavar="DEG")]
 Given = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]
@@ -112,7 +112,7 @@ class CaseOptions:
         Raises:
             ValueError: an address that cannot be used.
         """
-        return self.workers if self.cluster is None else Cluster(self.cluster)
+        return workers_of(self.cluster, self.workers)
 
     def case(self) -> Case:
         """The case that is asked for.

@@ -15,7 +15,7 @@ from surface_gym.design.sorting_layouts import (
     find_sorting_layouts,
     write_sorting_layouts,
 )
-from surface_gym.sharing import Cluster
+from surface_gym.sharing import workers_of
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def main() -> None:
         bar = progress.add_task("searching", total=None)
         found = find_sorting_layouts(
             options.offers,
-            workers=options.workers if options.cluster is None else Cluster(options.cluster),
+            workers=workers_of(options.cluster, options.workers),
             checkpoints=options.checkpoints,
             advance=lambda done, total: progress.update(bar, completed=done, total=total),
         )

@@ -3,6 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar
 
 from surface_gym import checks
@@ -65,6 +66,20 @@ def check_workers(workers: Workers) -> Workers:
         ValueError: it is neither.
     """
     return workers if isinstance(workers, Cluster) else checks.integer("workers", workers, least=1)
+
+
+def workers_of(cluster: str | None, processes: int, files: tuple[Path, ...] = ()) -> Workers:
+    """Who a command's options name: a cluster where there is an address, else processes.
+
+    Args:
+        cluster: its address.
+        processes: on this machine.
+        files: that a cluster's nodes need.
+
+    Raises:
+        ValueError: the address is not one that can be used.
+    """
+    return processes if cluster is None else Cluster(cluster, files)
 
 
 def _carried_out(

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from surface_gym import checks
 from surface_gym.cores import usable_cores
-from surface_gym.sharing import Cluster, Workers, WorkFailed
+from surface_gym.sharing import WorkFailed, workers_of
 from surface_gym.validation import cases
 from surface_gym.validation.export import as_data
 from surface_gym.validation.report import show
@@ -64,9 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def compare(options: Options) -> None:
     """Check the options, run the comparison, print it and write the files asked for."""
-    workers: Workers = checks.integer("workers", options.workers, least=1)
-    if options.cluster is not None:
-        workers = Cluster(options.cluster)
+    workers = workers_of(options.cluster, checks.integer("workers", options.workers, least=1))
     checks.integer("seed", options.seed, least=0)
     if not options.tilts:
         raise ValueError("tilts must be at least one, got none")

@@ -27,11 +27,11 @@ from agents.learning.seeds import train_seeds
 from agents.policy_files import WEIGHTS
 from agents.search.command import go_on
 from agents.search.trial import run_trial
-from agents.workers import workers_of
+from agents.tasks import files_of
 from surface_gym.bases import Rectangle
 from surface_gym.design import Case, Sort, success_map
 from surface_gym.parcel import Parcel
-from surface_gym.sharing import Cluster, WorkFailed, ray_crew, share
+from surface_gym.sharing import Cluster, WorkFailed, ray_crew, share, workers_of
 from surface_gym.sharing.cluster import Build
 from tests.agents.search.test_trial import SWEEP
 from tests.sharing import jobs
@@ -237,7 +237,9 @@ def test_a_command_that_was_killed_goes_on_with_a_task_of_ones_own(
     assert any(folders[1].rglob(CURVE))
     assert not any(folders[1].rglob(WEIGHTS))
     ray.shutdown()  # a task of one's own goes along when the cluster is joined
-    train_seeds(config, folders[1], Console(quiet=True), workers_of(cluster.address, 1, task))
+    train_seeds(
+        config, folders[1], Console(quiet=True), workers_of(cluster.address, 1, files_of(task))
+    )
     for name in ("seed-0", "seed-1"):
         for file in (WEIGHTS, CURVE):
             local, elsewhere = (folder / name / file for folder in folders)
