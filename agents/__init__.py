@@ -9,6 +9,6 @@ their comparison.
     True
 """
 
-from agents.library import load, names, read, seeds
+from .library import load, names, read, seeds
 
 __all__ = ["load", "names", "read", "seeds"]

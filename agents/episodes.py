@@ -9,9 +9,10 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.controller import Controller
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.settings import Settings
+
+from .controller import Controller
 
 Numbers = NDArray[np.float64]
 

@@ -3,14 +3,16 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from agents.policy_files import PolicyFiles
 from surface_gym import checks
 
+from .policy_files import PolicyFiles
+
 if TYPE_CHECKING:
-    from agents.flow.policy import FlowPolicy
-    from agents.modules.policy import ModulesPolicy
-    from agents.policies.policy import Policy
     from surface_gym.tasks import Task
+
+    from .flow.policy import FlowPolicy
+    from .modules.policy import ModulesPolicy
+    from .policies.policy import Policy
 
 SHELF = Path(__file__).parent / "shipped"
 
@@ -55,7 +57,7 @@ def read(folder: str | Path, task: "Task | None" = None) -> "Policy | ModulesPol
     Raises:
         ValueError: the folder holds no policy, or a damaged or foreign one, or one of another task.
     """
-    from agents.policies.files import load_policy  # which brings PyTorch with it
+    from .policies.files import load_policy  # which brings PyTorch with it
 
     return load_policy(Path(folder), task)
 
@@ -64,6 +66,6 @@ def carried(
     files: PolicyFiles, task: "Task | None" = None
 ) -> "Policy | ModulesPolicy | FlowPolicy":
     """The policy that files hold, wherever they were read; see `read`."""
-    from agents.policies.files import policy_of  # which brings PyTorch with it
+    from .policies.files import policy_of  # which brings PyTorch with it
 
     return policy_of(files, task)

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from agents.angles import SAME, axes_apart
 from surface_gym.actions import ActionKind
 from surface_gym.tasks.sort import FEATURES
+
+from .angles import SAME, axes_apart
 
 SIDE = len(FEATURES) - 1  # place of the asked side in the observation
 

@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.planning.aims import AIMS
-from agents.planning.model import Model
-from agents.planning.search import Plan, lanes_needed, make_plan
 from surface_gym import checks
 from surface_gym.settings import Settings
+
+from .planning.aims import AIMS
+from .planning.model import Model
+from .planning.search import Plan, lanes_needed, make_plan
 
 BUDGET = 64
 AGREES = 0.05  # largest difference, in the observation's units, between what was planned and is

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.policy_card import CARD
+from .policy_card import CARD
 
 WEIGHTS = "policy.pt"
 

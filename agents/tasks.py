@@ -6,10 +6,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from agents.policy_card import FLOW_TASK, OWN
 from surface_gym.registration import FLOW, env_id
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS, Task
+
+from .policy_card import FLOW_TASK, OWN
 
 
 def find_task(name: str) -> Task:

@@ -1,9 +1,12 @@
 """A smart surface that steers parcels by friction: the simulator and its environments."""
 
+from types import ModuleType
+
 from surface_gym import layouts, plants, sensors, tasks
 from surface_gym.actuators import Actuators
 from surface_gym.bases import Disc, Polygon, Rectangle
 from surface_gym.env import SmartSurfaceEnv
+from surface_gym.find_agents import import_agents
 from surface_gym.parcel import Parcel
 from surface_gym.randomisation import Randomisation
 from surface_gym.registration import register, register_all
@@ -35,3 +38,10 @@ __all__ = [
     "simulate_together",
     "tasks",
 ]
+
+
+def __getattr__(name: str) -> ModuleType:
+    """`surface_gym.agents`, imported when it is asked for: nobody else needs what it brings."""
+    if name == "agents":
+        return import_agents()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

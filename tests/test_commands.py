@@ -4,14 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from surface_gym.commands import OPTIONAL
-
+NEEDED = ("matplotlib", "rich", "tyro")
 COMMANDS = {"paper": "agents", "validation": "validation", "design": "agents"}
 # The validation asks for matplotlib when it draws, after its runs.
 CASES = [
     (command, missing)
     for command in COMMANDS
-    for missing in OPTIONAL
+    for missing in NEEDED
     if (command, missing) != ("validation", "matplotlib")
 ]
 

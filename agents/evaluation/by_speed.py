@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from agents.evaluation.sorting import minimum_speed, share_sorted, slower_time, sorted_by_speed
-from agents.evaluation.summary import Summary
-from agents.evaluation.table import NOTHING, Table
-from agents.evaluation.trials import PARCELS, SORT_SPEEDS
+from .sorting import minimum_speed, share_sorted, slower_time, sorted_by_speed
+from .summary import Summary
+from .table import NOTHING, Table
+from .trials import PARCELS, SORT_SPEEDS
 
 SHOWN_SPEEDS = np.arange(3, 28, 2) / 10.0  # [m/s] rows, of the speeds compared
 

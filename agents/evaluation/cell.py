@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.episodes import Episodes, run_apart, run_episodes
-from agents.evaluation.conditions import CONDITIONS
-from agents.evaluation.contenders import Contender
-from agents.evaluation.trials import SEED, Trial, make_trial
 from surface_gym.layouts import box
+
+from ..episodes import Episodes, run_apart, run_episodes
+from .conditions import CONDITIONS
+from .contenders import Contender
+from .trials import SEED, Trial, make_trial
 
 Numbers = NDArray[np.float64]
 

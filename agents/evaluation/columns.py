@@ -5,15 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agents.evaluation.sorting import (
+from ..tasks import find_task, kind_of
+from .sorting import (
     minimum_speed,
     parcels_an_hour,
     share_sorted,
     touched,
     worst_time,
 )
-from agents.evaluation.summary import Summary
-from agents.tasks import find_task, kind_of
+from .summary import Summary
 
 
 @dataclass(frozen=True)

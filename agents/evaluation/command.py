@@ -6,7 +6,17 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from agents.evaluation.contenders import (
+from surface_gym import checks
+from surface_gym.cores import usable_cores
+from surface_gym.sharing import Workers, workers_of
+from surface_gym.tasks import TASKS
+
+from ..flow import study
+from ..flow.contenders import contenders as flow_contenders
+from ..flow.report import FlowReport, write_flow_report
+from ..flow.trained import compare_parcels, is_of_flow
+from ..tasks import files_of, find_task
+from .contenders import (
     Contender,
     contenders,
     of_runs,
@@ -14,18 +24,9 @@ from agents.evaluation.contenders import (
     rules,
     trained,
 )
-from agents.evaluation.report import compare_run, write_report
-from agents.evaluation.table import Summaries
-from agents.evaluation.work import FILE, Advance, compute_cells
-from agents.flow import study
-from agents.flow.contenders import contenders as flow_contenders
-from agents.flow.report import FlowReport, write_flow_report
-from agents.flow.trained import compare_parcels, is_of_flow
-from agents.tasks import files_of, find_task
-from surface_gym import checks
-from surface_gym.cores import usable_cores
-from surface_gym.sharing import Workers, workers_of
-from surface_gym.tasks import TASKS
+from .report import compare_run, write_report
+from .table import Summaries
+from .work import FILE, Advance, compute_cells
 
 FLOW = "flow"
 COMPARED = (FLOW, *TASKS)

@@ -5,22 +5,23 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from agents import library
-from agents.controller import Controller
-from agents.evaluation.conditions import Condition
-from agents.evaluation.trials import Trial
-from agents.learning.folder import CONFIG
-from agents.learning.hyperparams import task_of
-from agents.planning.shown_path import with_path_shown
-from agents.policy_card import CARD
-from agents.policy_files import PolicyFiles, read_files
-from agents.rules import rules_of
-from agents.rules.best_layout import BestTracking
-from agents.rules.graded import GradedLayout
-from agents.tasks import find_task, kind_of
 from surface_gym.actions import ANY
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS, Task, Track
+
+from .. import library
+from ..controller import Controller
+from ..learning.folder import CONFIG
+from ..learning.hyperparams import task_of
+from ..planning.shown_path import with_path_shown
+from ..policy_card import CARD
+from ..policy_files import PolicyFiles, read_files
+from ..rules import rules_of
+from ..rules.best_layout import BestTracking
+from ..rules.graded import GradedLayout
+from ..tasks import find_task, kind_of
+from .conditions import Condition
+from .trials import Trial
 
 FIXED = "fixed layout"
 BEST_FIXED = "best fixed layout"
@@ -179,7 +180,7 @@ def _with_path(task: Task) -> Task:
 
 
 def _planned(settings: Settings, seed: int) -> Controller:
-    from agents.planner import Planner
+    from ..planner import Planner
 
     del seed
     return Planner(settings)

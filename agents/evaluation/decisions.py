@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from agents.evaluation.table import NOTHING, Summaries, Table, markdown
-from agents.evaluation.trials import Trial
+from .table import NOTHING, Summaries, Table, markdown
+from .trials import Trial
 
 FILE = "decisions.md"
 TOLD = (

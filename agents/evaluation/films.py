@@ -10,11 +10,12 @@ import numpy as np
 from moviepy import ImageSequenceClip
 from numpy.typing import NDArray
 
-from agents.controller import Controller
-from agents.episodes import arguments
 from surface_gym.env import RENDER_FPS, SmartSurfaceEnv
 from surface_gym.rendering import with_caption
 from surface_gym.settings import Settings
+
+from ..controller import Controller
+from ..episodes import arguments
 
 Picture = NDArray[np.uint8]
 LAST = 1.0  # [s] for which the last picture stays

@@ -6,9 +6,9 @@ from html import escape
 from pathlib import Path
 from string import Template
 
-from agents.evaluation.columns import Column
-from agents.evaluation.conditions import CONDITIONS
-from agents.evaluation.table import Table
+from .columns import Column
+from .conditions import CONDITIONS
+from .table import Table
 
 _PAGE = Template("""<!DOCTYPE html>
 <html lang="en">

@@ -8,11 +8,11 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from agents.evaluation.conditions import CONDITIONS
-from agents.evaluation.sorting import GRID, slower_time
-from agents.evaluation.table import Summaries
-from agents.evaluation.trials import PARCELS, SORT_SPEEDS
-from agents.tasks import find_task, kind_of
+from ..tasks import find_task, kind_of
+from .conditions import CONDITIONS
+from .sorting import GRID, slower_time
+from .table import Summaries
+from .trials import PARCELS, SORT_SPEEDS
 
 DOTS = 150  # to the inch
 

@@ -5,16 +5,20 @@ from pathlib import Path
 
 from rich.console import Console
 
-from agents.evaluation.by_speed import speed_table
-from agents.evaluation.cell import Cell, play
-from agents.evaluation.columns import columns_of
-from agents.evaluation.contenders import FIXED, PLANNER, Contender, only
-from agents.evaluation.decisions import decision_table, write_decisions
-from agents.evaluation.page import write_page
-from agents.evaluation.plots import draw_errors, draw_sorting, draw_success, has_errors
-from agents.evaluation.showing import film_of
-from agents.evaluation.summary import summarise
-from agents.evaluation.table import (
+from surface_gym.sharing import Workers
+
+from ..flow.report import FlowReport
+from ..tasks import kind_of, label_of
+from .by_speed import speed_table
+from .cell import Cell, play
+from .columns import columns_of
+from .contenders import FIXED, PLANNER, Contender, only
+from .decisions import decision_table, write_decisions
+from .page import write_page
+from .plots import draw_errors, draw_sorting, draw_success, has_errors
+from .showing import film_of
+from .summary import summarise
+from .table import (
     Summaries,
     Table,
     make_table,
@@ -22,12 +26,9 @@ from agents.evaluation.table import (
     print_table,
     write_tables,
 )
-from agents.evaluation.trajectories import draw_trajectories
-from agents.evaluation.trials import make_trial
-from agents.evaluation.work import compute_cells
-from agents.flow.report import FlowReport
-from agents.tasks import kind_of, label_of
-from surface_gym.sharing import Workers
+from .trajectories import draw_trajectories
+from .trials import make_trial
+from .work import compute_cells
 
 Pictures = list[tuple[Path, str]]
 

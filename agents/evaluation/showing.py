@@ -3,12 +3,13 @@
 from pathlib import Path
 from typing import Any
 
-from agents.controller import Controller
-from agents.evaluation.conditions import CONDITIONS
-from agents.evaluation.contenders import Contender
-from agents.evaluation.films import write_film
-from agents.evaluation.trials import SEED, make_trial
 from surface_gym.settings import Settings
+
+from ..controller import Controller
+from .conditions import CONDITIONS
+from .contenders import Contender
+from .films import write_film
+from .trials import SEED, make_trial
 
 # Where what a fixed layout cannot do is easy to see.
 SHOWN: dict[str, dict[str, Any]] = {

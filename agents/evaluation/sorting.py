@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.evaluation.summary import Summary
-from agents.evaluation.trials import PARCELS, SIDES, SORT_SPEEDS
+from .summary import Summary
+from .trials import PARCELS, SIDES, SORT_SPEEDS
 
 Numbers = NDArray[np.float64]
 GRID = (len(PARCELS), len(SORT_SPEEDS), len(SIDES))  # of Sort's starts

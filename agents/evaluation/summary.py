@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.evaluation.cell import Cell
-from agents.evaluation.statistics import interval
+from .cell import Cell
+from .statistics import interval
 
 Numbers = NDArray[np.float64]
 

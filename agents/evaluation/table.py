@@ -13,11 +13,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as Screen
 
-from agents.evaluation.columns import Column, columns_of
-from agents.evaluation.conditions import CONDITIONS, Condition
-from agents.evaluation.contenders import FIXED
-from agents.evaluation.summary import Summary
-from agents.evaluation.trials import Trial
+from .columns import Column, columns_of
+from .conditions import CONDITIONS, Condition
+from .contenders import FIXED
+from .summary import Summary
+from .trials import Trial
 
 Summaries = dict[tuple[str, str, str], Summary]
 NOTHING = "-"

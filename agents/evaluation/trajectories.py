@@ -8,12 +8,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon as Patch
 
-from agents.episodes import Episodes
-from agents.evaluation.plots import DOTS
-from agents.evaluation.sorting import GRID
-from agents.evaluation.trials import PARCELS, SIDES, SORT_SPEEDS
 from surface_gym.layouts import LINE_Y, box
 from surface_gym.plants import Line
+
+from ..episodes import Episodes
+from .plots import DOTS
+from .sorting import GRID
+from .trials import PARCELS, SIDES, SORT_SPEEDS
 
 SHOWN_SPEEDS = (0.4, 0.6, 0.8, 1.2, 2.0)  # [m/s] one trajectory each
 _COLOURS = ("#440154", "#3b528b", "#21918c", "#5ec962", "#c9a227")

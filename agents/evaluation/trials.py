@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from agents.tasks import find_task, kind_of, label_of
 from surface_gym.tasks import Task, Track
+
+from ..tasks import find_task, kind_of, label_of
 
 SEED = 20_261_121  # of every start's draws
 DRAWN = 500  # starts of a task that draws them

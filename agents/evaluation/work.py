@@ -6,10 +6,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from agents.evaluation.cell import Cell, compute
-from agents.evaluation.conditions import CONDITIONS
-from agents.evaluation.contenders import Contender
 from surface_gym.sharing import Workers, quiet, share
+
+from .cell import Cell, compute
+from .conditions import CONDITIONS
+from .contenders import Contender
 
 FILE = "cells.jsonl"
 

@@ -4,12 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.flow.packing import Numbers
-from agents.flow.parcel_rule import TIME, Booleans, Halves, Rows
-from agents.flow.ways import SIGNATURE, Ways
 from surface_gym.flow.features import PRESENT
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.tasks.sort import HORIZON
+
+from .packing import Numbers
+from .parcel_rule import TIME, Booleans, Halves, Rows
+from .ways import SIGNATURE, Ways
 
 BOOKED = 8  # the latest entries that a new one is held against
 SHUT = 0

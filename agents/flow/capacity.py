@@ -10,16 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from agents.controller import Controller
-from agents.evaluation.statistics import CONFIDENCE
-from agents.flow.cases import LEAST_RIGHT, Case
-from agents.flow.contenders import FlowContender
-from agents.flow.packing import Numbers
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.memory import BETWEEN, JAM
 from surface_gym.flow.statistics import statistics_of
 from surface_gym.lanes.memory import RUNNING
+
+from ..controller import Controller
+from ..evaluation.statistics import CONFIDENCE
+from .cases import LEAST_RIGHT, Case
+from .contenders import FlowContender
+from .packing import Numbers
 
 REPLICATIONS = 30
 SEED = 20_261_121  # of every replication's draws, with its number

@@ -4,15 +4,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from agents import library
-from agents.controller import Controller
-from agents.flow.cases import CONDITIONS, EXITS, Case
-from agents.flow.event import EventRule
-from agents.flow.fixed import FixedLayout
-from agents.flow.reservation import Reservation
-from agents.flow.sorting import SortEach
-from agents.flow.whole_zone import ArrangedZone, WholeZone, best_zone
 from surface_gym.flow.settings import FlowSettings
+
+from .. import library
+from ..controller import Controller
+from .cases import CONDITIONS, EXITS, Case
+from .event import EventRule
+from .fixed import FixedLayout
+from .reservation import Reservation
+from .sorting import SortEach
+from .whole_zone import ArrangedZone, WholeZone, best_zone
 
 FIXED = "fixed layout"
 ARRANGED = "zone arranged when free"

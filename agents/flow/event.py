@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from agents.flow.parcel_rule import PAST_START, SIDE, Halves, ParcelRule, Rows
+from .parcel_rule import PAST_START, SIDE, Halves, ParcelRule, Rows
 
 
 class EventRule(ParcelRule):

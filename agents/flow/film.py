@@ -12,16 +12,17 @@ import tyro
 from moviepy.video.io.ffmpeg_writer import FFMPEG_VideoWriter
 from numpy.typing import NDArray
 
-from agents.controller import Controller
-from agents.evaluation.films import LAST
-from agents.flow.event import EventRule
-from agents.flow.sorting import SortEach
 from surface_gym import checks
 from surface_gym.faces.single import RENDER_FPS
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.env import FlowEnv
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.flow.stream import Stream
+
+from ..controller import Controller
+from ..evaluation.films import LAST
+from .event import EventRule
+from .sorting import SortEach
 
 Picture = NDArray[np.uint8]
 

@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from agents.flow.parcel_rule import Booleans, Halves, Rows
-from agents.rules.axes import axes_of
 from surface_gym import checks
 from surface_gym.flow.settings import FlowSettings
+
+from ..rules.axes import axes_of
+from .parcel_rule import Booleans, Halves, Rows
 
 
 class FixedLayout:

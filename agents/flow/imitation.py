@@ -6,13 +6,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from agents.flow.practice import MIXES, SPEEDS, densest, practice_settings
-from agents.flow.reservation import Reservation
-from agents.flow.seat_policy import SeatPolicy
-from agents.flow.seats import SeatActions, seat_rows
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.features import PRESENT, WAITS
 from surface_gym.lanes.memory import RUNNING
+
+from .practice import MIXES, SPEEDS, densest, practice_settings
+from .reservation import Reservation
+from .seat_policy import SeatPolicy
+from .seats import SeatActions, seat_rows
 
 SPEED_STEP = 0.1  # [m/s] between the streams that are shown
 LANES = 8  # of each stream

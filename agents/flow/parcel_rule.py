@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.rules.axes import axes_of
 from surface_gym import checks
 from surface_gym.flow.features import PRESENT, WAITS
 from surface_gym.flow.settings import FlowSettings
+
+from ..rules.axes import axes_of
 
 Booleans = NDArray[np.bool_]
 Rows = NDArray[np.float32]

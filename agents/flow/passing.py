@@ -6,10 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from agents.controller import Controller
-from agents.flow.packing import Numbers
-from agents.flow.parcel_rule import Booleans
-from agents.flow.ways import Asked
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.memory import RIGHT
 from surface_gym.flow.settings import FlowSettings
@@ -17,6 +13,11 @@ from surface_gym.flow.stream import Stream
 from surface_gym.flow.trace import Arrival, Trace
 from surface_gym.lanes.memory import RUNNING
 from surface_gym.parcel import Parcel
+
+from ..controller import Controller
+from .packing import Numbers
+from .parcel_rule import Booleans
+from .ways import Asked
 
 TRIES = 32  # of each parcel: what varies is drawn anew, and it enters at another physics step
 

@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from agents.evaluation.plots import DOTS
-from agents.flow.cases import CURVE, LOADS, cases
-from agents.flow.contenders import FIXED
-from agents.flow.results import BOUND, Results
+from ..evaluation.plots import DOTS
+from .cases import CURVE, LOADS, cases
+from .contenders import FIXED
+from .results import BOUND, Results
 
 LIMIT = "#be1848"
 INK = "#333333"

@@ -6,11 +6,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from agents.flow.seat_policy import SeatPolicy
-from agents.flow.seats import SeatActions, seat_rows, seat_space
-from agents.policy_card import PolicyCard
 from surface_gym.flow.features import PRESENT
 from surface_gym.flow.settings import FlowSettings
+
+from ..policy_card import PolicyCard
+from .seat_policy import SeatPolicy
+from .seats import SeatActions, seat_rows, seat_space
 
 
 def settings_of(card: PolicyCard) -> FlowSettings:

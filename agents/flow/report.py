@@ -7,14 +7,14 @@ from pathlib import Path
 
 from rich.console import Console
 
-from agents.evaluation.table import Table, markdown, print_table
-from agents.flow.cases import CURVE
-from agents.flow.contenders import EVENT, LEARNED, RESERVATION, FlowContender
-from agents.flow.plots import draw_capacities, draw_rates
-from agents.flow.results import Results, results_of
-from agents.flow.showing import write_flow_comparison, write_flow_picture
-from agents.flow.study import FlowCell
-from agents.flow.tables import flow_numbers, flow_tables
+from ..evaluation.table import Table, markdown, print_table
+from .cases import CURVE
+from .contenders import EVENT, LEARNED, RESERVATION, FlowContender
+from .plots import draw_capacities, draw_rates
+from .results import Results, results_of
+from .showing import write_flow_comparison, write_flow_picture
+from .study import FlowCell
+from .tables import flow_numbers, flow_tables
 
 PRINTED = 4  # tables that are shown on screen
 NEAR = 0.95  # [-] of the reservation's capacity, at which the film shows all

@@ -3,12 +3,13 @@
 from collections.abc import Callable
 from typing import Any
 
-from agents.flow.booking import Booking
-from agents.flow.event import EventRule
-from agents.flow.packing import gaps_between
-from agents.flow.parcel_rule import Booleans, Halves, ParcelRule, Rows
-from agents.flow.ways import asked_of, ways_of
 from surface_gym.flow.settings import FlowSettings
+
+from .booking import Booking
+from .event import EventRule
+from .packing import gaps_between
+from .parcel_rule import Booleans, Halves, ParcelRule, Rows
+from .ways import asked_of, ways_of
 
 MARGIN = 0.02  # [m] kept clear between two parcels
 

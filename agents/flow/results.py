@@ -6,14 +6,14 @@ from functools import cached_property
 
 import numpy as np
 
-from agents.flow.capacity import Measured
-from agents.flow.cases import CURVE, LOADS, Case, cases
-from agents.flow.contenders import ARRANGED, EVENT, TURNED, FlowContender
-from agents.flow.event import EventRule
-from agents.flow.packing import gaps_between, packed_rate
-from agents.flow.reservation import MARGIN
-from agents.flow.study import SEARCHED, FlowCell
-from agents.flow.ways import asked_of, ways_of
+from .capacity import Measured
+from .cases import CURVE, LOADS, Case, cases
+from .contenders import ARRANGED, EVENT, TURNED, FlowContender
+from .event import EventRule
+from .packing import gaps_between, packed_rate
+from .reservation import MARGIN
+from .study import SEARCHED, FlowCell
+from .ways import asked_of, ways_of
 
 BOUND = "single ways packed"
 CEILING = "ceiling"

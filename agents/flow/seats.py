@@ -12,9 +12,6 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from agents.flow.parcel_rule import SIDE
-from agents.mirror import mirrored_orientations
-from agents.vec_env import SharedVecEnv
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.features import FEATURES
 from surface_gym.flow.memory import JAM, NOBODY
@@ -22,6 +19,10 @@ from surface_gym.flow.rewards import PARCEL_TERMS
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.flow.stream import Stream
 from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING
+
+from ..mirror import mirrored_orientations
+from ..vec_env import SharedVecEnv
+from .parcel_rule import SIDE
 
 # [-] a seat's terms over the flow's: right, wrong, touch, reach, time
 SCALES = np.array([1.0, 1.5, 2.0, 1.0, 0.5])

@@ -10,14 +10,15 @@ import numpy as np
 from moviepy.video.io.ffmpeg_writer import FFMPEG_VideoWriter
 from numpy.typing import NDArray
 
-from agents.evaluation.films import BAR, LAST
-from agents.flow.capacity import SEED
-from agents.flow.cases import CURVE, Case
-from agents.flow.contenders import FlowContender
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.picture import Album
 from surface_gym.lanes.memory import RUNNING
 from surface_gym.rendering import with_caption
+
+from ..evaluation.films import BAR, LAST
+from .capacity import SEED
+from .cases import CURVE, Case
+from .contenders import FlowContender
 
 Picture = NDArray[np.uint8]
 

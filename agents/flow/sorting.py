@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from agents import library
-from agents.flow.parcel_rule import SIDE, Halves, ParcelRule, Rows
 from surface_gym.flow.features import OWN
 from surface_gym.flow.settings import FlowSettings
+
+from .. import library
+from .parcel_rule import SIDE, Halves, ParcelRule, Rows
 
 
 class SortEach(ParcelRule):

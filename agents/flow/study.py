@@ -6,11 +6,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from agents.evaluation.work import Advance, compute_kept
-from agents.flow.capacity import EASED, LEAST, Measured, find_capacity, measure
-from agents.flow.cases import CONDITIONS, CURVE, LOADS, Case, cases
-from agents.flow.contenders import FlowContender
 from surface_gym.sharing import Workers
+
+from ..evaluation.work import Advance, compute_kept
+from .capacity import EASED, LEAST, Measured, find_capacity, measure
+from .cases import CONDITIONS, CURVE, LOADS, Case, cases
+from .contenders import FlowContender
 
 FILE = "flow.jsonl"
 SEARCHED = 0.0  # instead of a load: the capacity is searched for

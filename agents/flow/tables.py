@@ -4,12 +4,12 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from agents.evaluation.table import NOTHING, Table
-from agents.flow.capacity import REPLICATIONS, Measured
-from agents.flow.cases import CONDITIONS, CURVE, EXACT, LEAST_RIGHT, Case, cases
-from agents.flow.contenders import ARRANGED, EVENT, FIXED, TURNED
-from agents.flow.results import BOUND, CEILING, REFERENCES, Results
-from agents.flow.study import SEARCHED
+from ..evaluation.table import NOTHING, Table
+from .capacity import REPLICATIONS, Measured
+from .cases import CONDITIONS, CURVE, EXACT, LEAST_RIGHT, Case, cases
+from .contenders import ARRANGED, EVENT, FIXED, TURNED
+from .results import BOUND, CEILING, REFERENCES, Results
+from .study import SEARCHED
 
 # Short names of what capacities are held against, for headings.
 OVER = {ARRANGED: "arranged", TURNED: "turned", EVENT: "event", BOUND: "packed", CEILING: "ceiling"}

@@ -6,20 +6,21 @@ from pathlib import Path
 import yaml
 from rich.console import Console
 
-from agents import library
-from agents.controller import Controller
-from agents.evaluation.contenders import policies_of
-from agents.evaluation.table import markdown, print_table
-from agents.flow.cases import CONDITIONS
-from agents.flow.contenders import RESERVATION, FlowContender, contenders
-from agents.flow.results import Results, results_of
-from agents.flow.study import compute_flows
-from agents.flow.tables import capacities, eased
-from agents.policy_card import CARD
-from agents.policy_files import PolicyFiles, read_files
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.registration import FLOW
 from surface_gym.sharing import Workers
+
+from .. import library
+from ..controller import Controller
+from ..evaluation.contenders import policies_of
+from ..evaluation.table import markdown, print_table
+from ..policy_card import CARD
+from ..policy_files import PolicyFiles, read_files
+from .cases import CONDITIONS
+from .contenders import RESERVATION, FlowContender, contenders
+from .results import Results, results_of
+from .study import compute_flows
+from .tables import capacities, eased
 
 TABLE = "table.md"
 

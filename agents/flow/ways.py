@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from agents.controller import Controller
-from agents.flow.packing import Numbers, Way
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.memory import RIGHT
 from surface_gym.flow.settings import FlowSettings
@@ -17,6 +15,9 @@ from surface_gym.lanes.memory import RUNNING
 from surface_gym.parcel import Parcel
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Exact
+
+from ..controller import Controller
+from .packing import Numbers, Way
 
 SPEED_STEP = 0.1  # [m/s] between the ways of a stream whose speeds vary, at most
 SIGNATURE = (3, 6, 13, 14, 16, 17)  # features that tell apart what waits at the gate

@@ -5,15 +5,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.flow.booking import Book, Booking
-from agents.flow.packing import Numbers, gaps_between, packed_rate
-from agents.flow.parcel_rule import PAST_START, SIDE, Booleans, Rows, fresh_lanes
-from agents.flow.passing import passing
-from agents.flow.ways import Asked, Ways, asked_of, ways_of
-from agents.rules.axes import axes_of
 from surface_gym import checks
 from surface_gym.flow.features import PRESENT, WAITS
 from surface_gym.flow.settings import FlowSettings
+
+from ..rules.axes import axes_of
+from .booking import Book, Booking
+from .packing import Numbers, gaps_between, packed_rate
+from .parcel_rule import PAST_START, SIDE, Booleans, Rows, fresh_lanes
+from .passing import passing
+from .ways import Asked, Ways, asked_of, ways_of
 
 LENGTH, HALF, FIFTH = 6, 0.175, 0.05  # of a parcel in its row: (half of it - 0.175 m) / 0.05 m
 MARGIN = 0.02  # [m] kept clear between two parcels before and after the zone

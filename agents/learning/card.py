@@ -1,6 +1,5 @@
 """An agent's card: the command that trains it, and what came of it."""
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -8,12 +7,13 @@ from typing import Any
 
 import yaml
 
-from agents.evaluation.columns import columns_of
-from agents.evaluation.contenders import FIXED, Contender
-from agents.evaluation.table import Summaries, value_of
-from agents.learning.config import TrainConfig
-from agents.learning.hyperparams import defaults
-from agents.learning.legs import Learned
+from ..evaluation.columns import columns_of
+from ..evaluation.contenders import FIXED, Contender
+from ..evaluation.table import Summaries, value_of
+from ..programs import TRAIN, typed
+from .config import TrainConfig
+from .hyperparams import defaults
+from .legs import Learned
 
 FILE = "card.yaml"
 
@@ -51,13 +51,13 @@ def write_card(
 def command_of(config: TrainConfig) -> str:
     """The command that trains the same again: what differs from the task's defaults."""
     default = defaults(config.task, config.algo)
-    chosen = ["python", "train.py", "--task", config.task, "--algo", config.algo]
+    chosen = ["--task", config.task, "--algo", config.algo]
     for field in fields(config):
         value = getattr(config, field.name)
         if field.name not in ("out", "name") and value != getattr(default, field.name):
             values = value if isinstance(value, tuple) else (value,)
             chosen += [f"--{field.name.replace('_', '-')}", *map(str, values)]
-    return shlex.join(chosen)
+    return typed(TRAIN, *chosen)
 
 
 def _results(summaries: Summaries, agent: Contender, condition: str) -> dict[str, Any]:

@@ -12,10 +12,11 @@ import numpy as np
 import torch
 from stable_baselines3.common.buffers import ReplayBuffer
 
-from agents.damage import DAMAGE
-from agents.learning.double_dqn import DoubleDQN
-from agents.learning.model import Model
 from surface_gym.whole_files import replacing
+
+from ..damage import DAMAGE, told
+from .double_dqn import DoubleDQN
+from .model import Model
 
 Restored = TypeVar("Restored")
 
@@ -76,7 +77,7 @@ def read_state(folder: Path, restore: Callable[[dict[str, Any]], Restored]) -> R
     try:
         return restore(torch.load(folder / FILE, map_location="cpu", weights_only=True))
     except DAMAGE as error:
-        raise ValueError(f"{folder / FILE} is damaged or of another run: {error}") from error
+        raise ValueError(f"{folder / FILE} is damaged or of another run: {told(error)}") from None
 
 
 def _buffer(model: DoubleDQN) -> ReplayBuffer:

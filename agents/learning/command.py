@@ -8,11 +8,12 @@ from typing import Any
 
 import tyro
 
-from agents.learning.config import CONFIGS, TrainConfig
-from agents.learning.folder import make_folder, open_folder
-from agents.learning.hyperparams import defaults
-from agents.policy_card import FLOW_TASK
-from agents.search.command import FILE as SWEEP
+from ..policy_card import FLOW_TASK
+from ..programs import TRAIN, typed
+from ..search.command import FILE as SWEEP
+from .config import CONFIGS, TrainConfig
+from .folder import make_folder, open_folder
+from .hyperparams import defaults
 
 MORE = (
     "--resume DIR, alone, goes on with a run or a search that was broken off, from what is there; "
@@ -101,7 +102,7 @@ def open_run(arguments: list[str]) -> tuple[TrainConfig, Path]:
         kind,
         default=default,
         args=arguments,
-        prog="train.py",
+        prog=typed(TRAIN),
         description=f"{inspect.getdoc(kind)}\n\n{MORE}",
     )
     return config, make_folder(config)

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-from agents.policy_card import FLOW_TASK, PolicyCard
-from agents.tasks import find_task, id_of
 from surface_gym import checks
+
+from ..policy_card import FLOW_TASK, PolicyCard
+from ..tasks import find_task, id_of
 
 AlgoName = Literal["ppo", "dqn", "modules", "parcels"]
 ActionName = Literal["halves", "quadrants", "window", "modules", "parcels"]

@@ -8,12 +8,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from agents.learning.checkpoint import FILE as CHECKPOINT
-from agents.learning.config import TrainConfig
-from agents.learning.legs import Learned, News
-from agents.learning.start import start
 from surface_gym.sharing import Tell
 from surface_gym.whole_files import SUFFIX, replacing
+
+from .checkpoint import FILE as CHECKPOINT
+from .config import TrainConfig
+from .legs import Learned, News
+from .start import start
 
 
 @dataclass(frozen=True)

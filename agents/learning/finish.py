@@ -4,14 +4,16 @@ from pathlib import Path
 
 from rich.console import Console
 
-from agents.evaluation.command import evaluate_run
-from agents.flow.trained import compare_parcels
-from agents.learning.card import command_of, write_card
-from agents.learning.config import TrainConfig
-from agents.learning.flow_card import write_flow_card
-from agents.learning.legs import Learned
-from agents.policy_card import FLOW_TASK
 from surface_gym.sharing import Workers
+
+from ..evaluation.command import evaluate_run
+from ..flow.trained import compare_parcels
+from ..policy_card import FLOW_TASK
+from ..programs import TRAIN, typed
+from .card import command_of, write_card
+from .config import TrainConfig
+from .flow_card import write_flow_card
+from .legs import Learned
 
 
 def finish(
@@ -21,7 +23,7 @@ def finish(
     if len(learned) < config.seeds or any(each.interrupted for each in learned):
         console.print(
             f"interrupted: {folder} holds what was learned so far; "
-            f"python train.py --resume {folder} goes on from the last checkpoint"
+            f"{typed(TRAIN, '--resume', str(folder))} goes on from the last checkpoint"
         )
         return
     if config.task == FLOW_TASK:

@@ -6,13 +6,13 @@ from typing import Any
 
 import yaml
 
-from agents.flow.cases import CONDITIONS, Case, cases
-from agents.flow.contenders import RESERVATION
-from agents.flow.results import Results
-from agents.flow.study import FlowCell
-from agents.learning.card import FILE, command_of
-from agents.learning.config import TrainConfig
-from agents.learning.legs import Learned
+from ..flow.cases import CONDITIONS, Case, cases
+from ..flow.contenders import RESERVATION
+from ..flow.results import Results
+from ..flow.study import FlowCell
+from .card import FILE, command_of
+from .config import TrainConfig
+from .legs import Learned
 
 
 def write_flow_card(

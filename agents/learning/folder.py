@@ -1,13 +1,13 @@
 """A run's folder: what it was asked for, and where each seed's files lie."""
 
-import shlex
 import sys
 from datetime import datetime
 from pathlib import Path
 
-from agents.learning.config import TrainConfig
-from agents.learning.hyperparams import of_seed, read_config, write_config
-from agents.tasks import label_of
+from ..programs import TRAIN, typed
+from ..tasks import label_of
+from .config import TrainConfig
+from .hyperparams import of_seed, read_config, write_config
 
 CONFIG = "config.yaml"
 COMMAND = "command.txt"
@@ -32,7 +32,7 @@ def make_folder(config: TrainConfig) -> Path:
             f"name must be that of a new folder, got {folder}; --resume {folder} goes on with it"
         ) from None
     write_config(config, folder / CONFIG)
-    (folder / COMMAND).write_text(shlex.join(["python", *sys.argv]) + "\n")
+    (folder / COMMAND).write_text(typed(TRAIN, *sys.argv[1:]) + "\n")
     return folder
 
 

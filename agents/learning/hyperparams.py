@@ -6,12 +6,13 @@ from typing import Any
 
 import yaml
 
-from agents.learning.config import CONFIGS, TrainConfig
-from agents.policy_card import FLOW_TASK
-from agents.tasks import kind_of
 from surface_gym import checks
 from surface_gym.registration import FLOW, env_id
 from surface_gym.tasks import TASKS
+
+from ..policy_card import FLOW_TASK
+from ..tasks import kind_of
+from .config import CONFIGS, TrainConfig
 
 FOLDER = Path(__file__).parents[1] / "hyperparams"
 _NAMES = {"n_envs": "lanes", "n_timesteps": "steps"}  # the zoo's names, and ours

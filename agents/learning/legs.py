@@ -6,7 +6,7 @@ at the same place, and so comes to the same as one that was not broken off.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from agents.learning.config import TrainConfig
+from .config import TrainConfig
 
 CURVE_EVERY = 10_000  # control periods from row to row of the curve
 

@@ -6,10 +6,10 @@ from functools import partial
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
-from agents.flow.seat_policy import SeatPolicy
-from agents.learning.config import DQNConfig, ParcelsConfig, PPOConfig
-from agents.learning.double_dqn import DoubleDQN
-from agents.policies.categorical import EqualChoicesPolicy
+from ..flow.seat_policy import SeatPolicy
+from ..policies.categorical import EqualChoicesPolicy
+from .config import DQNConfig, ParcelsConfig, PPOConfig
+from .double_dqn import DoubleDQN
 
 Model = PPO | DoubleDQN
 CLIP_RANGE = 0.2  # Stable-Baselines3's

@@ -3,13 +3,13 @@
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from agents.flow.imitation import demonstrations, imitate
-from agents.flow.practice import by_camera, practice_settings, stream_of
-from agents.flow.seat_policy import SeatPolicy
-from agents.flow.seats import FlowSeats
-from agents.learning.config import ParcelsConfig
-from agents.learning.model import Model
-from agents.learning.side_by_side import SideBySide
+from ..flow.imitation import demonstrations, imitate
+from ..flow.practice import by_camera, practice_settings, stream_of
+from ..flow.seat_policy import SeatPolicy
+from ..flow.seats import FlowSeats
+from .config import ParcelsConfig
+from .model import Model
+from .side_by_side import SideBySide
 
 
 def make_seats(config: ParcelsConfig) -> VecEnv:

@@ -5,15 +5,16 @@ import math
 import gymnasium as gym
 from stable_baselines3.common.vec_env import VecEnv
 
-from agents.learning.config import TrainConfig, card_of
-from agents.learning.side_by_side import SideBySide
-from agents.mirror import ActionMirror, MirrorVecEnv
-from agents.tasks import find_task
-from agents.vec_env import SurfaceVecEnv
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Camera, Exact, Sensor
 from surface_gym.tasks import Sort, Task, Track
+
+from ..mirror import ActionMirror, MirrorVecEnv
+from ..tasks import find_task
+from ..vec_env import SurfaceVecEnv
+from .config import TrainConfig, card_of
+from .side_by_side import SideBySide
 
 # Below 10 deg of tilt holding a heading costs more speed than the slope gives.
 PRACTISED: dict[str, Task] = {"track": Track(tilts=(math.radians(10.0), math.radians(15.0)))}

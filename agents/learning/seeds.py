@@ -7,12 +7,13 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from agents.learning.config import TrainConfig
-from agents.learning.elsewhere import Elsewhere, put_files
-from agents.learning.folder import parts
-from agents.learning.legs import Learned, News
-from agents.learning.start import start
 from surface_gym.sharing import Cluster, Job, Tell, Workers, share
+
+from .config import TrainConfig
+from .elsewhere import Elsewhere, put_files
+from .folder import parts
+from .legs import Learned, News
+from .start import start
 
 
 def train_seeds(

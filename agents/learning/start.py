@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from agents.learning.config import DQNConfig, ModulesConfig, PPOConfig, TrainConfig
-from agents.learning.legs import Learned, Progress
-from agents.learning.modules.training import train_modules
-from agents.learning.training import train
+from .config import DQNConfig, ModulesConfig, PPOConfig, TrainConfig
+from .legs import Learned, Progress
+from .modules.training import train_modules
+from .training import train
 
 
 def start(config: TrainConfig, folder: Path, progress: Progress) -> Learned:

@@ -8,17 +8,18 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.utils import set_random_seed
 
-from agents.learning.checkpoint import FILE, load_checkpoint, save_checkpoint
-from agents.learning.config import DQNConfig, ParcelsConfig, PPOConfig, card_of
-from agents.learning.curve import Curve
-from agents.learning.double_dqn import DoubleDQN, cut_memory
-from agents.learning.legs import CURVE_EVERY, Learned, Progress, leg_at, leg_seed
-from agents.learning.model import Model, make_model
-from agents.learning.parcels import CriticFirst, begin, make_seats
-from agents.learning.practice import make_practice
-from agents.policies.files import save_policy
-from agents.tasks import find_task
 from surface_gym.flow.rewards import PARCEL_TERMS
+
+from ..policies.files import save_policy
+from ..tasks import find_task
+from .checkpoint import FILE, load_checkpoint, save_checkpoint
+from .config import DQNConfig, ParcelsConfig, PPOConfig, card_of
+from .curve import Curve
+from .double_dqn import DoubleDQN, cut_memory
+from .legs import CURVE_EVERY, Learned, Progress, leg_at, leg_seed
+from .model import Model, make_model
+from .parcels import CriticFirst, begin, make_seats
+from .practice import make_practice
 
 
 class _Legs(BaseCallback):

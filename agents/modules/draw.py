@@ -10,7 +10,7 @@ choices make an interval, and its length is the likelihood.
 import numpy as np
 import torch
 
-from agents.modules.view import Integers, Singles
+from .view import Integers, Singles
 
 GROUPS = 2  # a lane
 _LEAST = 1e-6  # length below which an interval counts as empty: single precision ends there

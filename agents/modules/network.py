@@ -6,8 +6,8 @@ from itertools import pairwise
 import torch
 from torch import nn
 
-from agents.mirror import SIDE
-from agents.modules.view import PLACE_SIZE, SHARED
+from ..mirror import SIDE
+from .view import PLACE_SIZE, SHARED
 
 
 def _linear(inputs: int, outputs: int, gain: float = math.sqrt(2.0)) -> nn.Linear:

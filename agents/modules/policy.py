@@ -6,10 +6,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from agents.modules.draw import GROUPS, draw_choices
-from agents.modules.network import SharedNetwork
-from agents.modules.view import ModuleView
-from agents.policy_card import PolicyCard
+from ..policy_card import PolicyCard
+from .draw import GROUPS, draw_choices
+from .network import SharedNetwork
+from .view import ModuleView
 
 
 class ModulesPolicy:

@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.mirror import SIDE, mirrored_orientations
-from agents.sight import LineSight, line_sight
 from surface_gym import checks
 from surface_gym.settings import Settings
 from surface_gym.tasks.sort import FEATURES
+
+from ..mirror import SIDE, mirrored_orientations
+from ..sight import LineSight, line_sight
 
 Numbers = NDArray[np.float64]
 Singles = NDArray[np.float32]

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.planning.model import Model, Stand
-from agents.sight import square_reach
 from surface_gym.dynamics.types import GRAVITY
 from surface_gym.lanes.memory import PATH_POINTS, SUCCESS, Lanes
 from surface_gym.layouts import ROLLING
 from surface_gym.tasks import TASKS, orient, slow, sort, stop, track
 from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
+
+from ..sight import square_reach
+from .model import Model, Stand
 
 Numbers = NDArray[np.float64]
 

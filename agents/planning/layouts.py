@@ -6,7 +6,6 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.planning.model import Stand
 from surface_gym.actuators import Actuators
 from surface_gym.batch.batch import Batch
 from surface_gym.dynamics.types import HALF_LENGTH
@@ -15,6 +14,8 @@ from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Exact
 from surface_gym.settings import Settings
 from surface_gym.tasks.start import Start
+
+from .model import Stand
 
 Integers = NDArray[np.int64]
 

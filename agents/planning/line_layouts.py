@@ -12,15 +12,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.planning.layouts import LayoutModel
-from agents.planning.model import Stand
 from surface_gym.dynamics.types import VX, VY, X
 from surface_gym.lanes.memory import SUCCESS
 from surface_gym.tasks import orient, slow, stop
 from surface_gym.tasks.line import BRAKING
 
+from .layouts import LayoutModel
+from .model import Stand
+
 if TYPE_CHECKING:
-    from agents.rules.axes import Axes  # whose package imports this
+    from ..rules.axes import Axes  # whose package imports this
 
 Integers = NDArray[np.int64]
 Numbers = NDArray[np.float64]

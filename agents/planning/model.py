@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.angles import axes_apart
-from agents.planning.start import FIELD_ZONE, start_of
 from surface_gym.actuators import Actuators
 from surface_gym.batch.batch import Batch
 from surface_gym.dynamics.types import HALF_LENGTH
@@ -15,6 +13,9 @@ from surface_gym.plants import Field, Plant
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Exact
 from surface_gym.settings import Settings
+
+from ..angles import axes_apart
+from .start import FIELD_ZONE, start_of
 
 Integers = NDArray[np.int64]
 

@@ -13,18 +13,19 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.planning.aims import AIMS
-from agents.planning.layouts import LayoutModel
-from agents.planning.search import ALIKE
-from agents.sight import square_reach
 from surface_gym.dynamics.types import OMEGA, THETA, VX, VY, X
 from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING, SUCCESS
 from surface_gym.settings import Settings
 from surface_gym.tasks.start import Start
 from surface_gym.tasks.track import Track
 
+from ..sight import square_reach
+from .aims import AIMS
+from .layouts import LayoutModel
+from .search import ALIKE
+
 if TYPE_CHECKING:
-    from agents.rules.axes import Axes  # whose package imports this
+    from ..rules.axes import Axes  # whose package imports this
 
 Integers = NDArray[np.int64]
 Numbers = NDArray[np.float64]

@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.planning.aims import Aim
-from agents.planning.model import Model, Stand
 from surface_gym.lanes.memory import RUNNING
+
+from .aims import Aim
+from .model import Model, Stand
 
 Booleans = NDArray[np.bool_]
 Integers = NDArray[np.int64]

@@ -5,8 +5,6 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.planning.start import nearest_parcel
-from agents.sight import path_sight
 from surface_gym.dynamics.compiled import lane_function
 from surface_gym.dynamics.types import X, Y
 from surface_gym.lanes.lane import Lane
@@ -16,6 +14,9 @@ from surface_gym.tasks import track
 from surface_gym.tasks.start import Start
 from surface_gym.tasks.task import Feature
 from surface_gym.tasks.track import Track
+
+from ..sight import path_sight
+from .start import nearest_parcel
 
 OWN = len(track.FEATURES)  # place of the first feature that Track does not show
 FARTHEST = 1000.0  # [m] that anything can be from the origin

@@ -5,7 +5,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.sight import LineSight, PathSight, line_sight, path_sight
 from surface_gym.lanes.memory import PATH_POINTS
 from surface_gym.parcel import Parcel
 from surface_gym.plants import Field
@@ -17,6 +16,8 @@ from surface_gym.tasks.sort import Sort
 from surface_gym.tasks.start import Start
 from surface_gym.tasks.stop import Stop
 from surface_gym.tasks.track import AHEAD
+
+from ..sight import LineSight, PathSight, line_sight, path_sight
 
 # On a field all places are alike but for that within a pitch: the parcel is put beside one module.
 _COLUMN, _ROW = 10, 10

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.dqn.policies import DQNPolicy
 
-from agents.mirror import SIDE, ActionMirror
-from agents.policies.categorical import EqualChoicesPolicy
-from agents.policy_card import PolicyCard
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS, Sort
+
+from ..mirror import SIDE, ActionMirror
+from ..policy_card import PolicyCard
+from .categorical import EqualChoicesPolicy
 
 NETWORKS = {"ppo": EqualChoicesPolicy, "dqn": DQNPolicy}
 

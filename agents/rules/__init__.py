@@ -3,20 +3,20 @@
 import math
 from functools import partial
 
-from agents.rules.best_layout import BestSlowing, BestStopping, BestTurning
-from agents.rules.best_sorting import BestSorting
-from agents.rules.braking import SlowingRule, StoppingRule
-from agents.rules.event import EventRule
-from agents.rules.fixed import FixedLayout
-from agents.rules.fixed_braking import FixedSlowing, FixedStopping
-from agents.rules.fixed_turning import FixedTurning
-from agents.rules.pid import PidRule
-from agents.rules.rolling import Rolling
-from agents.rules.rule import Rule
-from agents.rules.sliding_mode import SlidingMode
-from agents.rules.threshold import ThresholdRule
-from agents.rules.turning import TurningRule
-from agents.rules.uniform import UniformLayout
+from .best_layout import BestSlowing, BestStopping, BestTurning
+from .best_sorting import BestSorting
+from .braking import SlowingRule, StoppingRule
+from .event import EventRule
+from .fixed import FixedLayout
+from .fixed_braking import FixedSlowing, FixedStopping
+from .fixed_turning import FixedTurning
+from .pid import PidRule
+from .rolling import Rolling
+from .rule import Rule
+from .sliding_mode import SlidingMode
+from .threshold import ThresholdRule
+from .turning import TurningRule
+from .uniform import UniformLayout
 
 RULES = (
     Rule("fixed layout", "sort", "modules", FixedLayout),

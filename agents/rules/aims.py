@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.rules.modules import Motion
-from agents.sight import LineSight, PathSight
+from ..sight import LineSight, PathSight
+from .modules import Motion
 
 # Found by trying, on other starts than any reported.
 ASIDE = 5.0  # [m/s] to the side where Sort wants the parcel off: more than there ever is

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.angles import SAME, axes_apart
+from ..angles import SAME, axes_apart
 
 
 class Offering(Protocol):

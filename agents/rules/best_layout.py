@@ -7,17 +7,18 @@ friction; not the noise, nor which modules are stuck.
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.planning.layouts import LayoutModel
-from agents.planning.line_layouts import LAYOUTS, SEARCHES, best_line_layout
-from agents.planning.path_layouts import best_path_layout, path_model
-from agents.planning.shown_path import ShownPath, shown_start
-from agents.planning.start import start_of
-from agents.rules.axes import Axes, axes_of
-from agents.rules.fixed_braking import FixedSlowing, FixedStopping
-from agents.rules.fixed_turning import FixedTurning
-from agents.rules.lane_rule import Commands, FixedRule, Observations
 from surface_gym.settings import Settings
 from surface_gym.tasks.start import Start
+
+from ..planning.layouts import LayoutModel
+from ..planning.line_layouts import LAYOUTS, SEARCHES, best_line_layout
+from ..planning.path_layouts import best_path_layout, path_model
+from ..planning.shown_path import ShownPath, shown_start
+from ..planning.start import start_of
+from .axes import Axes, axes_of
+from .fixed_braking import FixedSlowing, FixedStopping
+from .fixed_turning import FixedTurning
+from .lane_rule import Commands, FixedRule, Observations
 
 
 class _Searched(FixedRule):

@@ -5,12 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.angles import SAME, axes_apart
-from agents.rules.axes import axes_of
-from agents.rules.lane_rule import Commands, FixedRule, Numbers, Observations
-from agents.sight import line_sight
 from surface_gym.design.sorting_layouts import SIDE, SortingLayout, sorting_layouts
 from surface_gym.settings import Settings
+
+from ..angles import SAME, axes_apart
+from ..sight import line_sight
+from .axes import axes_of
+from .lane_rule import Commands, FixedRule, Numbers, Observations
 
 
 class BestSorting(FixedRule):

@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 
-from agents.rules.lane_rule import Booleans, Numbers
 from surface_gym.dynamics.types import GRAVITY
 from surface_gym.settings import Settings
 from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
+
+from .lane_rule import Booleans, Numbers
 
 COM_HEIGHT = 0.1  # [m] of the centre of mass: Table 1
 

@@ -4,12 +4,13 @@ from abc import abstractmethod
 
 import numpy as np
 
-from agents.rules.brake_model import BrakeModel
-from agents.rules.columns import FULL, HALF, ROLL, SHARES, ColumnAxes, Levels
-from agents.rules.lane_rule import Booleans, Commands, LaneRule, Memory, Numbers, Observations
-from agents.sight import LineSight, line_sight
 from surface_gym.settings import Settings
 from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
+
+from ..sight import LineSight, line_sight
+from .brake_model import BrakeModel
+from .columns import FULL, HALF, ROLL, SHARES, ColumnAxes, Levels
+from .lane_rule import Booleans, Commands, LaneRule, Memory, Numbers, Observations
 
 HELD = ROLLING_LOSS + (BRAKING - ROLLING_LOSS) * SHARES[HALF]  # [m/s^2] every column braking half
 

@@ -5,9 +5,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.rules.axes import axes_of
-from agents.rules.lane_rule import Commands
 from surface_gym.settings import Settings
+
+from .axes import axes_of
+from .lane_rule import Commands
 
 Levels = NDArray[np.int64]
 ROLL, HALF, FULL = range(3)  # of a column: 90 deg; 45 and -45 deg in turn; 0 deg

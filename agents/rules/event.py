@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from agents.rules.aims import wholly_in_zone
-from agents.rules.axes import axes_of
-from agents.rules.lane_rule import Commands, Observations, UniformRule
-from agents.sight import line_sight
 from surface_gym.settings import Settings
+
+from ..sight import line_sight
+from .aims import wholly_in_zone
+from .axes import axes_of
+from .lane_rule import Commands, Observations, UniformRule
 
 
 class EventRule(UniformRule):

@@ -1,9 +1,10 @@
 """Sort by the paper's fixed layout: every axis at 45 deg from the start."""
 
-from agents.rules.axes import axes_of
-from agents.rules.lane_rule import Commands, Observations, UniformRule
-from agents.sight import line_sight
 from surface_gym.settings import Settings
+
+from ..sight import line_sight
+from .axes import axes_of
+from .lane_rule import Commands, Observations, UniformRule
 
 
 class FixedLayout(UniformRule):

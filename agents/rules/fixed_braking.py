@@ -9,12 +9,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from agents.rules.columns import FULL, HALF, ColumnAxes, Levels
-from agents.rules.lane_rule import Commands, FixedRule, Numbers, Observations
-from agents.rules.trial import run_over, sizes_of
-from agents.sight import LineSight, line_sight
 from surface_gym.plants import Plant
 from surface_gym.settings import Settings
+
+from ..sight import LineSight, line_sight
+from .columns import FULL, HALF, ColumnAxes, Levels
+from .lane_rule import Commands, FixedRule, Numbers, Observations
+from .trial import run_over, sizes_of
 
 FINE = 0.001  # [m] between the places that a loss is known at
 FAST = 6.0  # [m/s] entry speed of a run: enough to get through any layout of 16 columns at 0 deg

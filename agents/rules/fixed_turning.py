@@ -5,13 +5,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from agents.rules.axes import axes_of
-from agents.rules.lane_rule import Commands, FixedRule, Numbers, Observations
-from agents.rules.trial import run_over, sizes_of
-from agents.sight import line_sight, square_reach
 from surface_gym.layouts import ROLLING
 from surface_gym.plants import Plant
 from surface_gym.settings import Settings
+
+from ..sight import line_sight, square_reach
+from .axes import axes_of
+from .lane_rule import Commands, FixedRule, Numbers, Observations
+from .trial import run_over, sizes_of
 
 SAME_SPEED = 0.02  # [m/s] entry speeds are rounded down to it, so that none stalls for it
 STEP = 0.005  # [s] of a run

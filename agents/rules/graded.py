@@ -5,14 +5,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.rules.best_sorting import BoxLayouts
-from agents.rules.lane_rule import Numbers, Observations
-from agents.sight import line_sight
 from surface_gym import checks
 from surface_gym.actions import ANY
 from surface_gym.design.sorting_layouts import sorting_layouts
 from surface_gym.layouts import ROLLING
 from surface_gym.settings import Settings
+
+from ..sight import line_sight
+from .best_sorting import BoxLayouts
+from .lane_rule import Numbers, Observations
 
 
 class GradedLayout:

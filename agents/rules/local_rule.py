@@ -3,13 +3,14 @@
 from abc import abstractmethod
 from dataclasses import dataclass
 
-from agents.rules import aims
-from agents.rules.axes import axes_of
-from agents.rules.lane_rule import Booleans, Commands, LaneRule, Memory, Numbers, Observations
-from agents.rules.modules import Motion, Places, line_places, window_places
-from agents.sight import line_sight, path_sight
 from surface_gym import checks
 from surface_gym.settings import Settings
+
+from ..sight import line_sight, path_sight
+from . import aims
+from .axes import axes_of
+from .lane_rule import Booleans, Commands, LaneRule, Memory, Numbers, Observations
+from .modules import Motion, Places, line_places, window_places
 
 ACTIONS = {"sort": "modules", "orient": "modules", "track": "window"}
 

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agents.rules.lane_rule import Booleans, Numbers
-from agents.sight import LineSight, PathSight
 from surface_gym.actions import ActionKind
+
+from ..sight import LineSight, PathSight
+from .lane_rule import Booleans, Numbers
 
 MIDWAY = 1e-9  # [m] nearer than this to midway between two rows or columns is midway
 

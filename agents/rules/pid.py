@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agents.rules.lane_rule import Booleans, Commands, Memory, Numbers
-from agents.rules.local_rule import Above, LocalRule
 from surface_gym.settings import Settings
 from surface_gym.tasks.line import BRAKING
+
+from .lane_rule import Booleans, Commands, Memory, Numbers
+from .local_rule import Above, LocalRule
 
 
 @dataclass(frozen=True)

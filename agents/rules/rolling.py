@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from agents.rules.axes import axes_of
-from agents.rules.lane_rule import Commands, Observations, UniformRule
 from surface_gym.settings import Settings
+
+from .axes import axes_of
+from .lane_rule import Commands, Observations, UniformRule
 
 
 class Rolling(UniformRule):

@@ -3,8 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from agents.controller import Controller
 from surface_gym.settings import Settings
+
+from ..controller import Controller
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,12 @@
 
 import numpy as np
 
-from agents.rules.axes import axes_of
-from agents.rules.lane_rule import (
+from surface_gym.settings import Settings
+from surface_gym.tasks.track import AHEAD
+
+from ..sight import PathSight, path_sight
+from .axes import axes_of
+from .lane_rule import (
     Booleans,
     Commands,
     LaneRule,
@@ -11,11 +15,8 @@ from agents.rules.lane_rule import (
     Numbers,
     Observations,
 )
-from agents.rules.modules import Motion, window_places
-from agents.rules.sliding_square import SlidingSquare
-from agents.sight import PathSight, path_sight
-from surface_gym.settings import Settings
-from surface_gym.tasks.track import AHEAD
+from .modules import Motion, window_places
+from .sliding_square import SlidingSquare
 
 PARTS = 6  # that the modules are shared in
 # A lattice that spreads any share of the modules evenly: powers of the plastic number's inverse.

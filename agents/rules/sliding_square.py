@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from agents.rules.lane_rule import Numbers
-from agents.rules.modules import Motion, Places
 from surface_gym.dynamics.types import GRAVITY
 from surface_gym.tasks.line import BRAKING
+
+from .lane_rule import Numbers
+from .modules import Motion, Places
 
 
 class SlidingSquare:

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agents.rules.lane_rule import Booleans, Commands, Memory
-from agents.rules.local_rule import Above, LocalRule
 from surface_gym.settings import Settings
+
+from .lane_rule import Booleans, Commands, Memory
+from .local_rule import Above, LocalRule
 
 
 @dataclass(frozen=True)

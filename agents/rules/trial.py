@@ -3,9 +3,10 @@
 import numpy as np
 
 import surface_gym as sg
-from agents.rules.lane_rule import Numbers
 from surface_gym.layouts import ROLLING
 from surface_gym.plants import Plant
+
+from .lane_rule import Numbers
 
 SAME_SIZE = 0.005  # [m] half lengths are rounded to it; those of the study's boxes are multiples
 

@@ -2,9 +2,12 @@
 
 import numpy as np
 
-from agents.rules.aims import wholly_in_zone
-from agents.rules.axes import axes_of
-from agents.rules.lane_rule import (
+from surface_gym.settings import Settings
+
+from ..sight import LineSight, line_sight
+from .aims import wholly_in_zone
+from .axes import axes_of
+from .lane_rule import (
     Booleans,
     Commands,
     LaneRule,
@@ -12,10 +15,8 @@ from agents.rules.lane_rule import (
     Numbers,
     Observations,
 )
-from agents.rules.modules import Motion, Places, line_places
-from agents.rules.sliding_square import SlidingSquare
-from agents.sight import LineSight, line_sight
-from surface_gym.settings import Settings
+from .modules import Motion, Places, line_places
+from .sliding_square import SlidingSquare
 
 STEPS = 4  # that a period is predicted in
 

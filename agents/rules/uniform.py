@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from agents.rules.axes import choice_of
-from agents.rules.lane_rule import Commands, Observations, UniformRule
 from surface_gym.settings import Settings
+
+from .axes import choice_of
+from .lane_rule import Commands, Observations, UniformRule
 
 
 class UniformLayout(UniformRule):

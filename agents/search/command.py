@@ -10,13 +10,15 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 
-from agents.search.sweep import Sweep, differences, read_sweep
-from agents.search.tried import Tried, best_of, read_tried, write_tried
 from surface_gym.sharing import Tell, Workers, check_workers, share
 from surface_gym.whole_files import replacing
 
+from ..programs import TRAIN, typed
+from .sweep import Sweep, differences, read_sweep
+from .tried import Tried, best_of, read_tried, write_tried
+
 if TYPE_CHECKING:
-    from agents.search.study import Order
+    from .study import Order
 
 FILE = "sweep.yml"  # in a search's folder
 
@@ -43,8 +45,8 @@ def search(
             "search needs optuna, which is not installed: pip install 'surface_gym[search]'"
         )
     # They bring Optuna with them.
-    from agents.search.report import BEST, PAGE, summary, write_report
-    from agents.search.trial import run_trial
+    from .report import BEST, PAGE, summary, write_report
+    from .trial import run_trial
 
     sweep = open_search(file, folder, task)
     try:
@@ -53,7 +55,7 @@ def search(
         kept = len(read_tried(folder))
         console.print(
             f"interrupted: {folder} holds {kept} trials; "
-            f"python train.py --resume {folder} goes on with it",
+            f"{typed(TRAIN, '--resume', str(folder))} goes on with it",
             soft_wrap=True,
         )
         return
@@ -107,7 +109,7 @@ def go_on(
     Raises:
         ValueError: the folder holds trials that are not this search's.
     """
-    from agents.search.study import carry_out
+    from .study import carry_out
 
     kept = read_tried(folder)
     with _bars(console) as bars:

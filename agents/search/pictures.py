@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from agents.search.sweep import Sweep
-from agents.search.tried import PRUNED, Tried, best_of
+from .sweep import Sweep
+from .tried import PRUNED, Tried, best_of
 
 DOTS = 150  # to the inch
 BEST, COMPLETE, PRUNING = "#be1848", "#46327e", "#9a9a9a"  # colours

@@ -6,12 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from agents.learning.hyperparams import write_hyperparams
-from agents.search.pictures import draw_curves, draw_history, draw_importance
-from agents.search.study import FEWEST, importance
-from agents.search.sweep import Sweep
-from agents.search.trial import STARTS
-from agents.search.tried import Tried, best_of
+from ..learning.hyperparams import write_hyperparams
+from ..programs import TRAIN, typed
+from .pictures import draw_curves, draw_history, draw_importance
+from .study import FEWEST, importance
+from .sweep import Sweep
+from .trial import STARTS
+from .tried import Tried, best_of
 
 PAGE = "report.md"
 BEST = "best.yml"
@@ -76,10 +77,11 @@ def _told(sweep: Sweep, trials: Sequence[Tried]) -> str:
 def _of_the_best(sweep: Sweep, best: Tried | None) -> list[str]:
     if best is None:
         return []
+    asked = ("--task", sweep.task, "--algo", sweep.algo, "--hyperparams", BEST)
     return [
         f"## Best: trial {best.number}, {sweep.metric} {best.value:.4g}",
         _rows(["hyper-parameter", "value"], [[name, _text(v)] for name, v in best.params.items()]),
-        f"`python train.py --task {sweep.task} --algo {sweep.algo} --hyperparams {BEST}` learns by "
+        f"`{typed(TRAIN, *asked)}` learns by "
         f"it for {sweep.default.steps:,} control periods, as long as the task is usually learned.",
     ]
 

@@ -23,8 +23,8 @@ from optuna.pruners import BasePruner, MedianPruner, NopPruner, SuccessiveHalvin
 from optuna.samplers import BaseSampler, RandomSampler, TPESampler
 from optuna.trial import FrozenTrial, TrialState
 
-from agents.search.sweep import Choices, Span, Sweep
-from agents.search.tried import COMPLETE, FAILED, PRUNED, REFUSED, Tried
+from .sweep import Choices, Span, Sweep
+from .tried import COMPLETE, FAILED, PRUNED, REFUSED, Tried
 
 _STATES = {
     COMPLETE: TrialState.COMPLETE,

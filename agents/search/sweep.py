@@ -8,11 +8,12 @@ from typing import Any
 
 import yaml
 
-from agents.learning.config import TrainConfig
-from agents.learning.hyperparams import defaults
-from agents.learning.legs import CURVE_EVERY
 from surface_gym import checks
 from surface_gym.tasks import TASKS
+
+from ..learning.config import TrainConfig
+from ..learning.hyperparams import defaults
+from ..learning.legs import CURVE_EVERY
 
 ALGOS = ("ppo", "dqn", "modules")
 METRICS = ("success", "return")

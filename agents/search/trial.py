@@ -12,18 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from agents.learning.config import TrainConfig
-from agents.learning.curve import read_curve
-from agents.learning.hyperparams import of_seed
-from agents.learning.legs import Progress
-from agents.learning.practice import make_lanes
-from agents.learning.start import start
-from agents.policies.files import load_policy
-from agents.search.study import Order, Watch
-from agents.search.sweep import Sweep
-from agents.search.tried import COMPLETE, FAILED, PRUNED, REFUSED, Tried
-from agents.tasks import find_task
 from surface_gym.sharing import Tell
+
+from ..learning.config import TrainConfig
+from ..learning.curve import read_curve
+from ..learning.hyperparams import of_seed
+from ..learning.legs import Progress
+from ..learning.practice import make_lanes
+from ..learning.start import start
+from ..policies.files import load_policy
+from ..tasks import find_task
+from .study import Order, Watch
+from .sweep import Sweep
+from .tried import COMPLETE, FAILED, PRUNED, REFUSED, Tried
 
 STARTS = 512  # that a policy is judged on
 JUDGED = 2**32  # first seed of these starts; PyTorch and NumPy learn with lower ones

@@ -16,6 +16,7 @@ from surface_gym.design.columns import least_columns
 from surface_gym.design.line import DesignLine
 from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
 from surface_gym.design.sending import Advance
+from surface_gym.find_agents import import_agents
 from surface_gym.plants import Line
 from surface_gym.randomisation import Randomisation
 
@@ -82,7 +83,7 @@ def control_gain(
         ImportError: the package `agents` is not installed.
     """
     try:
-        from agents.evaluation.contenders import rules, shipped
+        contenders = import_agents("evaluation.contenders")
     except ImportError as error:
         raise ImportError(
             f"controllers come with the package agents ({error}): pip install 'surface_gym[agents]'"
@@ -100,7 +101,7 @@ def control_gain(
     asked = _asked(case.purpose, line)
     able: list[Any] = []
     left_out: list[Any] = []
-    for contender in (*rules(asked.task), *shipped(asked.task)):
+    for contender in (*contenders.rules(asked.task), *contenders.shipped(asked.task)):
         settings = _settings(contender, case, line, asked, Randomisation())
         (able if _fits(contender, settings) else left_out).append(contender)
     gains = []
@@ -119,10 +120,10 @@ def control_gain(
 
 def _fits(contender: Any, settings: Any) -> bool:
     """Whether a controller's actions are those of a zone of this size."""
-    from agents.episodes import arguments
     from surface_gym import SmartSurfaceVectorEnv
 
-    env = SmartSurfaceVectorEnv(num_envs=1, **arguments(settings))
+    arguments = import_agents("episodes").arguments(settings)
+    env = SmartSurfaceVectorEnv(num_envs=1, **arguments)
     seen, _ = env.reset(seed=0)
     action, _ = contender.make(settings, 0).predict(seen)
     env.close()
@@ -148,7 +149,7 @@ def _asked(purpose: Purpose, line: DesignLine) -> _Asked:
 
 
 def _try(contender: Any, case: Case, line: DesignLine, asked: _Asked) -> Gain:
-    from agents.episodes import run_episodes
+    run_episodes = import_agents("episodes").run_episodes
 
     def succeeds(speeds: Numbers, randomisation: Randomisation) -> Any:
         settings = _settings(contender, case, line, asked, randomisation)

@@ -1,16 +1,31 @@
 """The one compiler setting of the physics, and a cache that notices edits in any function used."""
 
 import gc
+import warnings
 from collections.abc import Callable
+from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 from numba import njit, typeof
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 
 from surface_gym.dynamics.digest import digest_of
 
 KEPT = 16  # versions of a function in the cache: the latest
+# What reading a file can raise that was cut short, or written before a class was moved.
+STALE = (
+    AttributeError,
+    EOFError,
+    ImportError,
+    IndexError,
+    KeyError,
+    OSError,
+    UnpicklingError,
+    ValueError,
+)
 
 
 class _DigestCache(FunctionCache):
@@ -43,13 +58,18 @@ class _DigestCache(FunctionCache):
         self._open(sig)
         try:
             return super().load_overload(sig, target_context)
-        except (ImportError, AttributeError):  # written before a class was moved
+        except STALE:
+            with suppress(OSError):
+                Path(self._cache_file._index_path).unlink(missing_ok=True)
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         self._open(sig)
-        super().save_overload(sig, data)
-        self._forget_old()
+        try:
+            super().save_overload(sig, data)
+            self._forget_old()
+        except OSError as error:  # the disk is full, or the folder was made read-only
+            _warn(f"{self._cache_path} cannot be written ({error.strerror})")
 
     def _forget_old(self) -> None:
         """Remove what edits have left behind."""
@@ -60,6 +80,23 @@ class _DigestCache(FunctionCache):
             for index in found[KEPT:]:
                 for file in folder.glob(f"{index.stem}.*"):
                     file.unlink(missing_ok=True)
+
+
+class _NoCache(NullCache):
+    """In place of a cache where no folder can be written."""
+
+    def save_overload(self, *_: Any) -> None:
+        _warn("no folder for it can be written")
+
+
+@lru_cache  # once a process, though the compiler resets what Python remembers of warnings
+def _warn(why: str) -> None:
+    warnings.warn(
+        f"compiled code is not kept: {why}; every process compiles its own. NUMBA_CACHE_DIR names "
+        "a folder that can be written",
+        RuntimeWarning,
+        stacklevel=2,
+    )
 
 
 def _fields(kind: Any) -> Any:
@@ -90,12 +127,12 @@ def compiled(function: Callable[..., Any], label: str = "") -> Any:
         function: to compile.
         label: of its files in the cache; by default its name.
     """
-    return _cached(njit(cache=True, **_OPTIONS)(function), label)
+    return _cached(njit(**_OPTIONS)(function), label)
 
 
 def linked(function: Callable[..., Any]) -> Any:
     """Compile a function once for all of its compiled callers; its machine code is cached."""
-    return _cached(njit(cache=True, **_INTERNAL)(function))
+    return _cached(njit(**_INTERNAL)(function))
 
 
 def inlined(function: Callable[..., Any]) -> Any:
@@ -118,7 +155,10 @@ def lane_function(function: Callable[..., Any]) -> Any:
 
 
 def _cached(dispatcher: Any, label: str = "") -> Any:
-    dispatcher._cache = _DigestCache(dispatcher, label)
+    try:
+        dispatcher._cache = _DigestCache(dispatcher, label)
+    except RuntimeError:  # neither beside the package nor in the home folder
+        dispatcher._cache = _NoCache()
     return dispatcher
 
 

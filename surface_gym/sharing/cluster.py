@@ -8,9 +8,9 @@ from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
+from surface_gym.find_agents import agents_name
 from surface_gym.sharing.crew import WorkFailed
 
-PACKAGES = ("surface_gym", "agents")
 POLICY_FILES = (".pt", ".yaml")
 
 
@@ -78,7 +78,7 @@ def _digest(endings: tuple[str, ...]) -> str:
 
 def _files() -> Iterator[tuple[str, Path]]:
     """Files of the packages, by a name that is the same on all machines."""
-    for package in PACKAGES:
+    for package in dict.fromkeys(("surface_gym", agents_name().partition(".")[0])):
         found = find_spec(package)
         for place in found.submodule_search_locations or () if found is not None else ():
             root = Path(place)

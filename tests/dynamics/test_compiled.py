@@ -1,14 +1,18 @@
 """The cache of compiled code: it is used, and it notices an edit of any function it is made of."""
 
+import errno
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
+from numba.core.caching import CompileResultCacheImpl, IndexDataCacheFile
 
 import surface_gym
+from surface_gym.dynamics.compiled import compiled
 from surface_gym.dynamics.digest import digest_of
 
 PACKAGE = Path(surface_gym.__file__).parent
@@ -31,18 +35,23 @@ def copied(tmp_path: Path) -> Path:
 
 def probe(package: Path) -> tuple[str, int]:
     """The end pose as bytes, and how often the loop came from the cache, in a new process."""
+    done = run(PROBE, package, "-W", "error")
+    pose, hits = done.stdout.split()
+    return pose, int(hits)
+
+
+def run(program: str, package: Path, *flags: str) -> subprocess.CompletedProcess[str]:
+    """Run a program with a copy of the package, whose compiled code is kept beside it."""
     environment = {**os.environ, "PYTHONPATH": str(package.parent)}
     environment.pop("NUMBA_CACHE_DIR", None)
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", PROBE],
+    return subprocess.run(
+        [sys.executable, *flags, "-c", program],
         cwd=package.parent,
         env=environment,
         capture_output=True,
         text=True,
         check=True,
     )
-    pose, hits = done.stdout.split()
-    return pose, int(hits)
 
 
 def edit(path: Path, old: str, new: str) -> None:
@@ -64,6 +73,48 @@ def test_compiled_code_is_reused_until_a_file_it_is_inlined_from_changes(copied:
 
     edit(copied / "dynamics" / "friction.py", "ROUNDING = 1e-2", "ROUNDING = 1e-5")
     assert probe(copied) == (first, 1)  # which is still in the cache
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    return tmp_path
+
+
+def hits_of(number: float) -> int:
+    """How often a function made anew came from the cache, which is called once."""
+    double = compiled(lambda x: 2.0 * x, "double")
+    assert double(number) == 2.0 * number
+    return sum(double.stats.cache_hits.values())
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+@pytest.mark.parametrize("left", [0, 20])
+def test_a_cache_cut_short_is_made_anew(ending: str, left: int, cache: Path) -> None:
+    assert hits_of(1.5) == 0
+    (file,) = cache.rglob(f"*.{ending}")
+    file.write_bytes(file.read_bytes()[:left])
+    assert hits_of(1.5) == 0
+    assert hits_of(1.5) == 1
+
+
+@pytest.mark.usefixtures("cache")
+def test_a_full_disk_is_told_once_and_nothing_else_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(IndexDataCacheFile, "save", full)
+    with pytest.warns(RuntimeWarning, match=r"not kept.*No space left on device") as told:
+        assert [hits_of(1.5), hits_of(1.5)] == [0, 0]
+    assert len(told) == 1
+
+
+def test_where_no_folder_can_be_written_it_is_compiled_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
+    with pytest.warns(RuntimeWarning, match="not kept: no folder for it can be written"):
+        assert hits_of(1.5) == 0
 
 
 SOURCE = """

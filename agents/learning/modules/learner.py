@@ -10,12 +10,12 @@ import torch
 from torch import nn
 from torch.nn.utils import clip_grad_norm_
 
-from agents.learning.config import ModulesConfig, card_of
-from agents.learning.modules.practice import Practice
-from agents.learning.modules.rollout import Batch, advantages, join, pick
-from agents.modules.draw import GROUPS, draw_choices, draw_groups, log_likelihood
-from agents.modules.network import SharedNetwork, ValueNetwork
-from agents.modules.view import ModuleView, Singles
+from ...modules.draw import GROUPS, draw_choices, draw_groups, log_likelihood
+from ...modules.network import SharedNetwork, ValueNetwork
+from ...modules.view import ModuleView, Singles
+from ..config import ModulesConfig, card_of
+from .practice import Practice
+from .rollout import Batch, advantages, join, pick
 
 # As Stable-Baselines3's PPO has them.
 CLIP_RANGE = 0.2  # by which the likelihood of a lane's choices may change and still earn

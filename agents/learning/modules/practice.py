@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.learning.config import ModulesConfig
-from agents.learning.practice import make_lanes
-from agents.modules.view import Integers, Numbers, Singles
+from ...modules.view import Integers, Numbers, Singles
+from ..config import ModulesConfig
+from ..practice import make_lanes
 
 Booleans = NDArray[np.bool_]
 

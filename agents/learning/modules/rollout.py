@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from agents.learning.modules.practice import Booleans
-from agents.modules.view import Integers, Numbers
+from ...modules.view import Integers, Numbers
+from .practice import Booleans
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import torch
 
-from agents.learning.checkpoint import FILE, read_state, write_state
-from agents.learning.config import ModulesConfig, card_of
-from agents.learning.curve import Curve
-from agents.learning.legs import Learned, Progress, leg_at, leg_seed
-from agents.learning.modules.learner import Learner
-from agents.policies.files import save_policy
 from surface_gym.tasks.sort import TERMS
+
+from ...policies.files import save_policy
+from ..checkpoint import FILE, read_state, write_state
+from ..config import ModulesConfig, card_of
+from ..curve import Curve
+from ..legs import Learned, Progress, leg_at, leg_seed
+from .learner import Learner
 
 
 def train_modules(
