@@ -1,7 +1,8 @@
 """The agents that come with the package: some seeds of each, and a card."""
 
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from surface_gym import checks
 
@@ -41,6 +42,7 @@ def load(name: str, seed: int | None = None) -> "Policy | ModulesPolicy | FlowPo
 
     Raises:
         ValueError: no agent of that name, or not of that seed.
+        ImportError: PyTorch is missing, which the extra `agents` brings.
     """
     trained = seeds(name)
     chosen = trained[0] if seed is None else checks.one_of("seed", seed, trained)
@@ -57,15 +59,22 @@ def read(folder: str | Path, task: "Task | None" = None) -> "Policy | ModulesPol
     Raises:
         ValueError: the folder holds no policy, or a damaged or foreign one, or one of another task.
     """
-    from .policies.files import load_policy  # which brings PyTorch with it
-
-    return load_policy(Path(folder), task)
+    return _files().load_policy(Path(folder), task)
 
 
 def carried(
     files: PolicyFiles, task: "Task | None" = None
 ) -> "Policy | ModulesPolicy | FlowPolicy":
     """The policy that files hold, wherever they were read; see `read`."""
-    from .policies.files import policy_of  # which brings PyTorch with it
+    return _files().policy_of(files, task)
 
-    return policy_of(files, task)
+
+def _files() -> Any:
+    """The module that reads policies, imported only now: it brings PyTorch with it."""
+    try:
+        return import_module(".policies.files", __package__)
+    except ModuleNotFoundError as error:
+        raise ImportError(
+            f"a policy needs {error.name}, which is not installed: "
+            "pip install 'surface_gym[agents]'"
+        ) from None

@@ -1,5 +1,6 @@
 """The agents that come with the package: each loads, acts and does what its card says."""
 
+import sys
 from pathlib import Path
 
 import gymnasium as gym
@@ -90,3 +91,12 @@ def test_a_few_starts_go_as_the_card_says(name: str) -> None:
             observation, _, terminated, truncated, info = env.step(action)
             over = terminated or truncated
         assert info["is_success"]
+
+
+def test_a_missing_library_is_told_with_the_extra_that_brings_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delitem(sys.modules, "agents.policies.files", raising=False)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(ImportError, match=r"needs torch, .*'surface_gym\[agents\]'"):
+        agents.load("sort-ppo")
