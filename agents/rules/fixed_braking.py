@@ -103,8 +103,10 @@ class FixedSlowing(FixedBraking):
         way = see.pitch[0] * self._kind.columns + see.half_length - see.into_zone
         places = np.clip(np.round(way / FINE).astype(np.int64), 0, losses.shape[1] - 1)
         left = see.vx[:, np.newaxis] ** 2 - losses[:, places].T
-        ratio = np.sqrt(np.maximum(0.0, left)) / see.vx[:, np.newaxis]
-        return np.where(left > 0.0, np.abs(ratio - see.ratio[:, np.newaxis]), np.inf)
+        leaves = left > 0.0
+        speed = np.where(leaves, see.vx[:, np.newaxis], 1.0)
+        ratio = np.sqrt(np.maximum(0.0, left)) / speed
+        return np.where(leaves, np.abs(ratio - see.ratio[:, np.newaxis]), np.inf)
 
 
 class FixedStopping(FixedBraking):

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 from surface_gym.dynamics.compiled import lane_function
 from surface_gym.dynamics.types import Array
 from surface_gym.lanes.lane import Lane
@@ -51,7 +51,8 @@ class Camera(Observer):
 
     Raises:
         ValueError: a rate or density that is not positive, a negative latency or one of more than
-            8 frames, negative noise or friction, or a `drop` outside [0, 1).
+            8 frames, negative noise or friction, a `drop` outside [0, 1), or a number
+            beyond `surface_gym.bounds`.
     """
 
     frame_rate: float = 50.0  # [Hz]
@@ -70,11 +71,13 @@ class Camera(Observer):
     kept = LAST + FRAMES * FRAME_SIZE
 
     def __post_init__(self) -> None:
-        for name in ("frame_rate", "acceleration_density", "turn_density"):
-            checks.positive(name, getattr(self, name))
-        for name in ("position_noise", "angle_noise", "friction_error"):
-            checks.not_negative(name, getattr(self, name))
-        self._check_friction()
+        checks.positive("frame_rate", self.frame_rate, *bounds.FRAME_RATE)
+        for name in ("acceleration_density", "turn_density"):
+            checks.positive(name, getattr(self, name), *bounds.DENSITY)
+        checks.not_negative("position_noise", self.position_noise, bounds.POSITION_ERROR)
+        checks.not_negative("angle_noise", self.angle_noise, bounds.ANGLE_ERROR)
+        checks.not_negative("friction_error", self.friction_error, bounds.FRICTION_ERROR)
+        checks.assumed_friction(self.mu_max, self.mu_min, self.mu_support)
         if checks.within("drop", self.drop, 0.0, 1.0) == 1.0:
             raise ValueError(f"drop must be less than 1, got {self.drop!r}")
         if self.latency is not None:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 from surface_gym.dynamics.compiled import lane_function
 from surface_gym.dynamics.types import Array
 from surface_gym.lanes.lane import Lane
@@ -18,7 +18,7 @@ class Entry:
     first estimate is the truth with Gaussian errors of these standard deviations.
 
     Raises:
-        ValueError: a negative one.
+        ValueError: a negative one, or one beyond `surface_gym.bounds`.
     """
 
     position: float = 0.002  # [m] in x and in y
@@ -27,8 +27,13 @@ class Entry:
     turning: float = 0.1  # [rad/s]
 
     def __post_init__(self) -> None:
-        for name in ("position", "angle", "speed", "turning"):
-            checks.not_negative(name, getattr(self, name))
+        for name, most in (
+            ("position", bounds.POSITION_ERROR),
+            ("angle", bounds.ANGLE_ERROR),
+            ("speed", bounds.SPEED),
+            ("turning", bounds.SPIN),
+        ):
+            checks.not_negative(name, getattr(self, name), most)
 
     @property
     def settings(self) -> tuple[float, float, float, float]:

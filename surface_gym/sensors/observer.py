@@ -5,7 +5,6 @@ It lies in a lane's `kept`: first the state as the physics has it, then the cova
 
 from dataclasses import dataclass
 
-from surface_gym import checks
 from surface_gym.dynamics.compiled import lane_function
 from surface_gym.dynamics.step import OFF_SURFACE, step_implicit
 from surface_gym.dynamics.types import (
@@ -59,11 +58,6 @@ class Observer(Sensor):
     """A sensor that makes pose and velocity of what it sees by predicting it."""
 
     watches = True
-
-    def _check_friction(self) -> None:
-        for name in ("mu_max", "mu_min", "mu_support"):
-            if getattr(self, name) is not None:
-                checks.not_negative(name, getattr(self, name))
 
     def friction(self, plant: Plant) -> Array:
         """The plant's where a coefficient is None; else one that is the same everywhere."""

@@ -9,6 +9,23 @@ from surface_gym.lanes.lane import Lane
 
 
 @lane_function
+def between_places(low: float, high: float, count: int) -> tuple[int, int]:
+    """First and last of the places 0 ... count - 1 that lie in [low, high]; the first exceeds the
+    last if none does. The bounds may be any floats: none beyond the places becomes an integer.
+    """
+    first, last = count, -1
+    if low <= 0.0:
+        first = 0
+    elif low < count:
+        first = math.ceil(low)
+    if high >= count - 1.0:
+        last = count - 1
+    elif high >= 0.0:
+        last = math.floor(high)
+    return first, last
+
+
+@lane_function
 def covered_columns(
     lane: Lane,
     row: int,
@@ -40,9 +57,11 @@ def covered_columns(
         elif room < 0.0:
             return 1, 0
     per_pitch = 1.0 / lane.elements.pitch_x
-    first = math.ceil((x + low - lane.elements.x0) * per_pitch)
-    last = math.floor((x + high - lane.elements.x0) * per_pitch)
-    return max(0, int(first)), min(lane.rotor.shape[1] - 1, int(last))
+    return between_places(
+        (x + low - lane.elements.x0) * per_pitch,
+        (x + high - lane.elements.x0) * per_pitch,
+        lane.rotor.shape[1],
+    )
 
 
 @lane_function

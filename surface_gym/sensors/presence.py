@@ -3,17 +3,18 @@
 import math
 from dataclasses import dataclass, field
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.contacts import EDGE_TOLERANCE
-from surface_gym.dynamics.types import OMEGA, RADIUS, THETA, VX, VY, Array, X, Y
+from surface_gym.dynamics.types import Array
 from surface_gym.lanes.lane import Lane
 from surface_gym.lanes.memory import NOISE_ROWS
 from surface_gym.sensors import observer
+from surface_gym.sensors.agreement import agree
 from surface_gym.sensors.entry import Entry
-from surface_gym.sensors.observer import LAST, MODEL_SIZE, Observer, correct, measure
-from surface_gym.sensors.outline import covered_columns, outside
+from surface_gym.sensors.observer import LAST, MODEL_SIZE, Observer
+from surface_gym.sensors.possible import keep_possible, most_energy
 from surface_gym.sensors.sensor import Physics
+from surface_gym.sensors.switches import is_any_pressed, take_contradictions, take_switches
 
 # Columns of the settings; the Entry comes last.
 (
@@ -23,9 +24,10 @@ from surface_gym.sensors.sensor import Physics
     MODEL,  # what the observer doubts
 ) = range(4)
 ENTRY = MODEL + MODEL_SIZE
-# Numbers kept after the observer's: the base's pose at the last sample, and its step.
-# The pattern of that sample is worked out again from the pose, instead of kept module by module.
-SAMPLED, STEP = LAST, LAST + 3
+# Numbers kept after the observer's: the base's pose at the last sample, and its step; and what
+# energy the parcel can have at most. The pattern of that sample is worked out again from the pose,
+# instead of kept module by module.
+SAMPLED, STEP, ENERGY = LAST, LAST + 3, LAST + 4
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,18 @@ class Presence(Observer):
     centre since the last sample; one whose state contradicts the estimate, that the perimeter lies
     on its other side: each is one equation, as a Kalman filter takes it. Of a start, `entry` is
     known.
+
+    Where that leaves the estimate in contradiction, it is moved, least, until it agrees with every
+    module; where it cannot be, it is looked for around the pressed ones. It stays over the surface,
+    and no faster than a parcel of that entry can be.
+
+    What to expect, by `python -m benchmarks.observer`, over all tasks, 37 controllers and both
+    boxes, at a pitch of 100 mm: where the world is as assumed, half of the errors in position are
+    up to 1.3 mm and 99.9 % below 21 mm. With a load off centre by up to half the way to the edge
+    99.9 % are below 70 mm, the worst is 122 mm; with friction 0.8 or 1.2 of the assumed 46 mm and
+    79 mm. With everything wrong at once, single errors of some 0.3 m remain: of parcels that leave
+    a line, with a rotor or two pressed, or none, which say little. Headings may then err by any
+    angle, and a square's slip by a quarter turn.
 
     Raises:
         ValueError: a rate, density or tolerance that is not positive, a negative friction
@@ -55,13 +69,15 @@ class Presence(Observer):
     tolerance: float = 0.001  # [m] of where a sensor switches
     entry: Entry = field(default_factory=Entry)  # what is known of a parcel as it enters
 
-    kept = STEP + 1
+    kept = ENERGY + 1
 
     def __post_init__(self) -> None:
-        for name in ("sample_rate", "acceleration_density", "turn_density", "tolerance"):
-            checks.positive(name, getattr(self, name))
-        checks.not_negative("friction_error", self.friction_error)
-        self._check_friction()
+        checks.positive("sample_rate", self.sample_rate, *bounds.FRAME_RATE)
+        checks.positive("tolerance", self.tolerance, *bounds.TOLERANCE)
+        for name in ("acceleration_density", "turn_density"):
+            checks.positive(name, getattr(self, name), *bounds.DENSITY)
+        checks.not_negative("friction_error", self.friction_error, bounds.FRICTION_ERROR)
+        checks.assumed_friction(self.mu_max, self.mu_min, self.mu_support)
         if checks.within("drop", self.drop, 0.0, 1.0) == 1.0:
             raise ValueError(f"drop must be less than 1, got {self.drop!r}")
         if not isinstance(self.entry, Entry):
@@ -112,6 +128,7 @@ class Presence(Observer):
     def begin(numbers: Array, lane: Lane) -> None:
         """Set the observer, and read the sensors for the first time."""
         observer.begin(numbers, ENTRY, lane)
+        lane.kept[ENERGY] = most_energy(lane)
         _keep_sample(lane, 0)
 
     @staticmethod
@@ -119,6 +136,7 @@ class Presence(Observer):
     def look(numbers: Array, lane: Lane, physics: Physics) -> None:
         """Move the estimate over a physics step, and correct it by a sample if one is due."""
         observer.predict(numbers, MODEL, lane, physics)
+        keep_possible(lane, lane.kept[ENERGY])
         if lane.steps % int(numbers[EVERY]) != 0:
             return
         row = lane.noise_row[0]
@@ -126,8 +144,12 @@ class Presence(Observer):
         if lane.noise[row, 3] < numbers[DROP]:
             return
         interval = physics.dt * (lane.steps - lane.kept[STEP])
-        _take_switches(numbers, lane, lane.kept[SAMPLED : SAMPLED + 3], interval)
-        _take_contradictions(numbers, lane)
+        tolerance = numbers[TOLERANCE]
+        take_switches(lane, lane.kept[SAMPLED : SAMPLED + 3], interval, tolerance)
+        # Where no switch is pressed it is not known where the parcel has left the rotors to.
+        if is_any_pressed(lane) and take_contradictions(lane, tolerance) > 0.0:
+            agree(lane, tolerance)
+        keep_possible(lane, lane.kept[ENERGY])
         _keep_sample(lane, lane.steps)
 
 
@@ -136,130 +158,3 @@ def _keep_sample(lane: Lane, step: int) -> None:
     for k in range(3):
         lane.kept[SAMPLED + k] = lane.truth[k]
     lane.kept[STEP] = step
-
-
-@lane_function
-def _take_switch(
-    lane: Lane,
-    x: float,
-    y: float,
-    covered: bool,
-    interval: float,
-    tolerance: float,
-    switches: int,
-) -> None:
-    """The perimeter passed the module at (x, y) within the last `interval` [s], as did others."""
-    kept = lane.kept
-    lead = 0.5 * interval
-    theta = kept[THETA] - lead * kept[OMEGA]
-    dx = x - kept[X] + lead * kept[VX]
-    dy = y - kept[Y] + lead * kept[VY]
-    # The module's velocity as the base sees it, turned to point outwards: it tells which edge
-    # passed.
-    outwards = -1.0 if covered else 1.0
-    ux = outwards * (-kept[VX] + kept[OMEGA] * dy)
-    uy = outwards * (-kept[VY] - kept[OMEGA] * dx)
-    distance, nx, ny = outside(lane, dx, dy, math.cos(theta), math.sin(theta), ux, uy)
-    lever = nx * dy - ny * dx
-    speed = nx * kept[VX] + ny * kept[VY] - lever * kept[OMEGA]
-    variance = measure(kept, -nx, -ny, lever, lead)
-    when = speed * interval
-    unsure = switches * (when * when / 12.0 + tolerance * tolerance)
-    gain = 1.0 / (variance + unsure)
-    correct(kept, -distance * gain, gain)
-
-
-@lane_function
-def _take_contradiction(lane: Lane, x: float, y: float, covered: bool, tolerance: float) -> None:
-    """The perimeter lies on the other side of the module at (x, y) than the estimate has it.
-
-    It may lie anywhere there, so that the estimate is moved but gets no surer.
-    """
-    kept = lane.kept
-    dx = x - kept[X]
-    dy = y - kept[Y]
-    cosine, sine = math.cos(kept[THETA]), math.sin(kept[THETA])
-    distance, nx, ny = outside(lane, dx, dy, cosine, sine, 0.0, 0.0)
-    if (distance if covered else -distance) <= tolerance:
-        return
-    variance = measure(kept, -nx, -ny, nx * dy - ny * dx, 0.0)
-    correct(kept, -distance / (variance + tolerance * tolerance), 0.0)
-
-
-@lane_function
-def _covered(
-    lane: Lane, row: int, pose: Array, other: Array
-) -> tuple[int, int, int, int, int, int]:
-    """Columns of a row that a base covers in one pose and in another.
-
-    Returns:
-        First and last column of the first pose, of the second, and of both together.
-    """
-    first, last = covered_columns(lane, row, pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]))
-    was_first, was_last = covered_columns(
-        lane, row, other[0], other[1], math.cos(other[2]), math.sin(other[2])
-    )
-    return first, last, was_first, was_last, min(first, was_first), max(last, was_last)
-
-
-@lane_function
-def _rows(lane: Lane, y: float, other_y: float) -> tuple[int, int]:
-    """First and last row that a base can cover from either of two places."""
-    reach = lane.body[RADIUS] + EDGE_TOLERANCE
-    low = math.ceil((min(y, other_y) - reach - lane.elements.y0) / lane.elements.pitch_y)
-    high = math.floor((max(y, other_y) + reach - lane.elements.y0) / lane.elements.pitch_y)
-    return max(0, int(low)), min(lane.rotor.shape[0] - 1, int(high))
-
-
-@lane_function
-def _count_switches(lane: Lane, sampled: Array) -> int:
-    """How many modules switched since the last sample, which the pose `sampled` (3,) gave."""
-    truth = lane.truth
-    first_row, last_row = _rows(lane, truth[1], sampled[1])
-    switches = 0
-    for row in range(first_row, last_row + 1):
-        first, last, was_first, was_last, low, high = _covered(lane, row, truth, sampled)
-        for column in range(low, high + 1):
-            differ = (first <= column <= last) != (was_first <= column <= was_last)
-            switches += lane.rotor[row, column] and differ
-    return switches
-
-
-@lane_function
-def _take_switches(numbers: Array, lane: Lane, sampled: Array, interval: float) -> None:
-    """Correct the estimate by every module that switched within the last `interval` [s].
-
-    Switches of one sample share the error of the estimate they are judged by: together they weigh
-    as one.
-    """
-    truth = lane.truth
-    switches = _count_switches(lane, sampled)
-    if switches == 0:
-        return
-    first_row, last_row = _rows(lane, truth[1], sampled[1])
-    for row in range(first_row, last_row + 1):
-        y = lane.elements.y0 + lane.elements.pitch_y * row
-        first, last, was_first, was_last, low, high = _covered(lane, row, truth, sampled)
-        for column in range(low, high + 1):
-            covered = first <= column <= last
-            if lane.rotor[row, column] and covered != (was_first <= column <= was_last):
-                x = lane.elements.x0 + lane.elements.pitch_x * column
-                _take_switch(lane, x, y, covered, interval, numbers[TOLERANCE], switches)
-
-
-@lane_function
-def _take_contradictions(numbers: Array, lane: Lane) -> None:
-    """Correct the estimate by every module that it has covered and the sensor has not, or the
-    other way about.
-    """
-    truth = lane.truth
-    estimate = lane.kept
-    first_row, last_row = _rows(lane, truth[1], estimate[Y])
-    for row in range(first_row, last_row + 1):
-        y = lane.elements.y0 + lane.elements.pitch_y * row
-        first, last, has_first, has_last, low, high = _covered(lane, row, truth, estimate)
-        for column in range(low, high + 1):
-            covered = first <= column <= last
-            if lane.rotor[row, column] and covered != (has_first <= column <= has_last):
-                x = lane.elements.x0 + lane.elements.pitch_x * column
-                _take_contradiction(lane, x, y, covered, numbers[TOLERANCE])

@@ -27,3 +27,26 @@ def errors(sensors: Any, choice: int, lanes: int = 16, seed: int = 0, **start: A
 
 def rms(values: np.ndarray) -> np.ndarray:
     return np.sqrt((values**2).mean(axis=0))
+
+
+def contradicts(env: Any, parcel: str, tolerance: float) -> np.ndarray:
+    """(lanes,) whether the sensed pose of a box has other rotors covered than the true one has, by
+    more than a tolerance [m]; by the base's own functions.
+    """
+    elements, lanes, sites = env._batch.rules.elements, env._batch.lanes, env._batch.sites
+    base = sg.layouts.box(parcel).base
+    rows, columns = np.indices(sites.rotor.shape[1:])
+    x, y = elements.x0 + elements.pitch_x * columns, elements.y0 + elements.pitch_y * rows
+
+    def outside(motion: np.ndarray) -> np.ndarray:
+        dx, dy = x - motion[0], y - motion[1]
+        cosine, sine = np.cos(motion[2]), np.sin(motion[2])
+        return base.functions(cosine * dx + sine * dy, cosine * dy - sine * dx).max(axis=0)
+
+    found = []
+    for lane in range(env.num_envs):
+        covered = outside(lanes.truth[lane]) <= 0.0
+        beyond = outside(lanes.sensed[lane])
+        wrong = np.where(covered, beyond, -beyond) > tolerance
+        found.append((wrong & sites.rotor[lanes.site[lane] if len(sites.rotor) > 1 else 0]).any())
+    return np.array(found)

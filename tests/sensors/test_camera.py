@@ -60,6 +60,25 @@ def test_noise_has_its_law() -> None:
         assert abs(found[:, column].mean()) < 4.0 * spread / math.sqrt(len(found))
 
 
+def test_a_start_is_known_as_the_entry_says_and_no_noise_comes_twice() -> None:
+    """A filter that believes each frame, one a step: errors of the start and of five frames."""
+    blunt = Camera(
+        frame_rate=25.0, latency=0.0, acceleration_density=1e6, turn_density=1e6,
+        entry=Entry(position=0.004, angle=0.03, speed=0.2, turning=0.7),
+    )  # fmt: skip
+    env = sg.SmartSurfaceVectorEnv(512, actions="quadrants", sensors=blunt)
+    env.reset(seed=0, options={"side": 1, "speed": 1.0, "parcel": "S"})
+    memory = env._batch.lanes
+    found = [memory.sensed - memory.truth]
+    np.testing.assert_allclose(found[0].std(axis=0), (0.004, 0.004, 0.03, 0.2, 0.2, 0.7), rtol=0.1)
+    for _ in range(5):
+        env.step(np.full((512, 4), ROLL))
+        found.append(memory.sensed - memory.truth)
+    of_poses = np.concatenate(found[1:], axis=1)
+    alike = np.corrcoef(np.hstack([found[0], of_poses[:, np.arange(30) % 6 < 3]]).T)
+    assert np.abs(alike - np.eye(len(alike))).max() < 0.25
+
+
 @pytest.mark.parametrize("drop", [0.0, 0.3, 0.7])
 def test_frames_are_lost_with_the_probability_asked(drop: float) -> None:
     camera = Camera(frame_rate=50.0, latency=0.0, drop=drop)

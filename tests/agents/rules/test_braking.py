@@ -1,15 +1,19 @@
 """Rules of Slow and Stop, and what they predict by."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import surface_gym as sg
+from agents.episodes import run_episodes
 from agents.rules.brake_model import BrakeModel
 from agents.rules.columns import FULL, HALF, ROLL, SHARES, ColumnAxes
+from agents.rules.fixed_braking import FixedSlowing
 from agents.sight import line_sight
 from surface_gym.settings import Settings
 from surface_gym.tasks.line import BRAKING
-from tests.agents.rules.runs import run_rule
+from tests.agents.rules.runs import rule, run_rule
 
 COLUMNS = 16
 
@@ -47,6 +51,29 @@ def test_slowing_hits_every_ratio() -> None:
     assert by_rule.success.all()
     assert fixed.success.mean() < 0.5
     np.testing.assert_allclose(by_rule.pose[:, 1:], [[1.0, 0.0]] * len(starts), atol=1e-4)
+
+
+def test_a_parcel_that_is_seen_at_rest_asks_for_no_layout_and_warns_of_nothing() -> None:
+    settings = Settings(task="slow")
+    observation, _ = sg.SmartSurfaceEnv(task="slow").reset(seed=0)
+    at_rest = replace(line_sight(settings, observation[np.newaxis]), vx=np.zeros(1))
+    slowing = FixedSlowing(settings)
+    losses = np.ones((len(slowing._axes), 1000))
+    assert np.isinf(slowing._regret(at_rest, losses)).all()
+
+
+def test_slowing_brakes_late_yet_rolls_on_for_a_second() -> None:
+    """It rolls until half braking would leave 1.2 s at the asked speed, or a period longer."""
+    settings = Settings(task="slow")
+    starts = [{"parcel": p, "speed": 1.2, "ratio": ratio} for p in "SB" for ratio in (0.3, 0.5)]
+    runs = run_episodes(rule("slow", "braking rule").make(settings), settings, starts, seed=0)
+    for start, x in zip(starts, runs.pose[:, :, 0].T, strict=True):
+        speed = np.diff(x) / settings.control_period
+        rolled = int((speed[:-1] - speed[1:] > 0.02).argmax()) + 1  # periods
+        asked = start["speed"] * start["ratio"]
+        held = BRAKING * (1.0 + 0.01 / 0.5) / 2.0  # rolling takes mu_min where braking takes mu_max
+        way = (speed[rolled - 1] ** 2 - asked**2) / (2.0 * held)
+        assert 1.05 < (np.nanmax(x) - x[rolled] - way) / asked < 1.2
 
 
 def test_stopping_hits_every_place() -> None:

@@ -1,0 +1,151 @@
+"""Poses that agree with a pattern of switches, and what a parcel can do."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym.dynamics.compiled import compiled
+from surface_gym.dynamics.types import GYRATION
+from surface_gym.lanes.lane import Lane, lane_of
+from surface_gym.sensors import Presence, agreement, outline, possible
+from tests.sensors.runs import contradicts
+
+TOLERANCE = 0.001  # [m]
+
+
+@compiled
+def agree(lane: Any, tolerance: float) -> None:
+    agreement.agree(lane, tolerance)
+
+
+@compiled
+def keep_possible(lane: Any, energy: float) -> None:
+    possible.keep_possible(lane, energy)
+
+
+@compiled
+def between_places(low: float, high: float, count: int) -> tuple[int, int]:
+    return outline.between_places(low, high, count)
+
+
+def placed(task: str, parcel: str) -> tuple[sg.SmartSurfaceVectorEnv, Lane]:
+    """An environment of one parcel, and its lane."""
+    env = sg.SmartSurfaceVectorEnv(1, task, "quadrants", Presence())
+    env.reset(seed=0, options={"parcel": parcel})
+    batch = env._batch
+    arrays = (batch.surfaces, batch.lanes, batch.sites)
+    return env, lane_of.py_func(*arrays, 0, 0, batch.rules.elements)
+
+
+def disagrees(env: sg.SmartSurfaceVectorEnv, lane: Lane, parcel: str) -> bool:
+    lane.sensed[:] = lane.kept[:6]
+    return bool(contradicts(env, parcel, TOLERANCE)[0])
+
+
+@pytest.mark.parametrize("task", ["sort", "track"])
+@pytest.mark.parametrize("parcel", ["S", "B"])
+def test_a_pose_is_found_that_agrees(task: str, parcel: str) -> None:
+    """Also where the parcel is partly off the rotors of a line."""
+    env, lane = placed(task, parcel)
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        lane.truth[:3] = rng.uniform([0.8, 0.9, -1.0], [1.2, 1.1, 1.0])
+        lane.kept[:] = 0.0
+        lane.kept[:3] = lane.truth[:3] + rng.normal(0.0, [0.03, 0.03, 0.1])
+        agree(lane, TOLERANCE)
+        assert not disagrees(env, lane, parcel)
+        assert np.isfinite(lane.kept).all()
+
+
+@pytest.mark.parametrize("parcel", ["S", "B"])
+def test_from_far_off_too(parcel: str) -> None:
+    env, lane = placed("track", parcel)
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        lane.truth[:3] = rng.uniform([0.8, 0.9, -3.0], [1.2, 1.1, 3.0])
+        lane.kept[:] = 0.0
+        lane.kept[:3] = rng.uniform([-50.0, -50.0, -3.0], [50.0, 50.0, 3.0])
+        agree(lane, TOLERANCE)
+        assert not disagrees(env, lane, parcel)
+        assert math.hypot(*(lane.kept[:2] - lane.truth[:2])) < 0.1
+
+
+def test_a_pose_that_agrees_stays() -> None:
+    _, lane = placed("track", "B")
+    lane.truth[:3] = (1.013, 1.021, 0.3)
+    lane.kept[:] = 0.0
+    lane.kept[:3] = lane.truth[:3] + np.array([0.0005, -0.0004, 0.001])
+    lane.kept[3:6] = (1.0, 0.1, 0.2)
+    before = lane.kept.copy()
+    agree(lane, TOLERANCE)
+    np.testing.assert_array_equal(lane.kept, before)
+
+
+def test_a_pose_and_the_velocity_move_the_way_the_switches_say() -> None:
+    """A box that is a tenth of a pitch too far back: the next column's switches are pressed."""
+    _, lane = placed("track", "B")
+    lane.truth[:3] = (1.03, 1.0, 0.0)  # covers the columns at 0.85 ... 1.25 m
+    lane.kept[:] = 0.0
+    lane.kept[:3] = (1.015, 1.0, 0.0)  # which leaves out that at 1.25
+    agree(lane, TOLERANCE)
+    assert lane.kept[0] == pytest.approx(1.025, abs=TOLERANCE)
+    assert lane.kept[1:3] == pytest.approx([1.0, 0.0], abs=0.01)
+    assert lane.kept[3] > 0.0
+
+
+def test_where_no_switch_is_pressed_the_estimate_leaves_the_rotors() -> None:
+    env, lane = placed("sort", "S")
+    lane.truth[:3] = (1.0, 1.5, 0.0)  # beside the line
+    lane.kept[:] = 0.0
+    lane.kept[:3] = (1.0, 1.16, 0.0)
+    agree(lane, TOLERANCE)
+    assert not disagrees(env, lane, "S")
+    assert math.hypot(lane.kept[0] - 1.0, lane.kept[1] - 1.16) < 0.15
+
+
+def test_what_is_beyond_the_surface_comes_back_over_it() -> None:
+    _, lane = placed("track", "S")
+    lane.kept[:6] = (1e12, -1e12, 1e4, 0.0, 0.0, 0.0)
+    keep_possible(lane, 1.0)
+    rows, columns = lane.rotor.shape
+    assert 0.0 < lane.kept[0] < 0.1 * columns + 0.2
+    assert -0.2 < lane.kept[1] < 0.1 * rows
+    assert 0.0 <= lane.kept[2] < 2.0 * math.pi
+
+
+def test_what_is_too_fast_is_slowed_down_and_keeps_its_direction() -> None:
+    _, lane = placed("track", "S")
+    lane.kept[:6] = (1.0, 1.0, 0.0, 30.0, 40.0, 10.0)
+    keep_possible(lane, 4.0)
+    vx, vy, omega = lane.kept[3:6]
+    assert vx**2 + vy**2 + lane.body[GYRATION] * omega**2 == pytest.approx(4.0)
+    assert vy / vx == pytest.approx(4.0 / 3.0)
+
+
+def test_what_is_possible_stays() -> None:
+    _, lane = placed("track", "S")
+    lane.kept[:6] = (1.0, 1.0, -4.0, 1.0, 0.3, 2.0)
+    before = lane.kept.copy()
+    keep_possible(lane, 4.0)
+    np.testing.assert_array_equal(lane.kept, before)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "places"),
+    [
+        (0.2, 3.7, (1, 3)),
+        (2.0, 3.0, (2, 3)),
+        (-0.5, 20.0, (0, 9)),
+        (2.2, 2.8, (3, 2)),
+        (-1e300, 1e300, (0, 9)),
+        (-math.inf, math.inf, (0, 9)),
+        (1e300, math.inf, (10, 9)),
+        (-math.inf, -1e300, (0, -1)),
+        (math.nan, math.nan, (10, -1)),
+    ],
+)
+def test_places_between_any_floats(low: float, high: float, places: tuple[int, int]) -> None:
+    assert between_places(low, high, 10) == places
