@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Actuators:
 
     def __post_init__(self) -> None:
         if self.axis_speed != math.inf:
-            checks.positive("axis_speed", self.axis_speed)
+            checks.positive("axis_speed", self.axis_speed, *bounds.AXIS_SPEED)
         checks.within("stuck_share", self.stuck_share, 0.0, 1.0)
         if not isinstance(self.stuck, (tuple, list)):
             raise ValueError(f"stuck must hold (row, column) pairs, got {self.stuck!r}")

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 
 
 class Base(Protocol):
@@ -56,8 +56,9 @@ def check_base(base: Any) -> None:
         checks.array("base.edges", base.edges, (None, 3))
         checks.array("base.outline", base.outline, (None, 2))
         checks.array("base.centroid", base.centroid, (2,))
-        checks.positive("base.gyration", base.gyration)
-        checks.positive("base.reach", base.reach)
+        reach = checks.positive("base.reach", base.reach, *bounds.LENGTH)
+        least, most = ((part * reach) ** 2 for part in bounds.GYRATION)
+        checks.positive("base.gyration", base.gyration, least, most)
         try:
             hash(base)
         except TypeError:
@@ -86,8 +87,8 @@ class Rectangle:
     width: float  # [m] h, along its y
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "length", checks.positive("length", self.length))
-        object.__setattr__(self, "width", checks.positive("width", self.width))
+        object.__setattr__(self, "length", checks.positive("length", self.length, *bounds.LENGTH))
+        object.__setattr__(self, "width", checks.positive("width", self.width, *bounds.LENGTH))
 
     @property
     def centroid(self) -> tuple[float, float]:
@@ -125,7 +126,7 @@ class Disc:
     radius: float  # [m]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", checks.positive("radius", self.radius))
+        object.__setattr__(self, "radius", checks.positive("radius", self.radius, *bounds.LENGTH))
 
     @property
     def centroid(self) -> tuple[float, float]:
@@ -161,13 +162,15 @@ class Polygon:
     """A convex base given by its vertices, in either sense of rotation.
 
     Raises:
-        ValueError: fewer than three vertices, two in one place, or the polygon is not convex.
+        ValueError: fewer than three vertices, two in one place, or the polygon is not convex, or
+            smaller or larger than any base.
     """
 
     vertices: NDArray[np.float64]  # (vertices, 2) [m] in the base's frame
 
     def __post_init__(self) -> None:
         vertices = checks.array("vertices", self.vertices, (None, 2))
+        checks.limited("vertices", vertices, bounds.LENGTH[1])
         if len(vertices) < 3:
             raise ValueError(f"vertices must be at least 3, got {len(vertices)}")
         side = np.roll(vertices, -1, axis=0) - vertices
@@ -182,6 +185,12 @@ class Polygon:
         turns_back = (np.abs(turn) > np.pi - 1e-9).any()
         if turns_back or not (one_way and abs(abs(turn.sum()) - 2.0 * np.pi) < 1e-6):
             raise ValueError(f"vertices must form a convex polygon, got {vertices.tolist()}")
+        x, y = vertices.T
+        area = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
+        if area < bounds.LENGTH[0] ** 2:
+            raise ValueError(
+                f"vertices must enclose at least {bounds.LENGTH[0] ** 2:g} m^2, got {area:g} m^2"
+            )
         object.__setattr__(self, "vertices", vertices)
 
     def __reduce__(self) -> tuple[Any, ...]:

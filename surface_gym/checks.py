@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surface_gym import bounds
+
 
 def number(name: str, value: Any) -> float:
     """A finite number, or an error; booleans and strings are not numbers."""
@@ -21,34 +23,39 @@ def number(name: str, value: Any) -> float:
     return result
 
 
-def positive(name: str, value: Any) -> float:
-    """A finite number above zero, or an error."""
+def positive(name: str, value: Any, least: float = 0.0, most: float = math.inf) -> float:
+    """A finite number above zero and in [least, most], or an error."""
     result = number(name, value)
     if result <= 0.0:
         raise ValueError(f"{name} must be greater than 0, got {value!r}")
-    return result
+    return _limited(name, value, result, least, most)
 
 
-def not_negative(name: str, value: Any) -> float:
-    """A finite number of at least zero, or an error."""
+def not_negative(name: str, value: Any, most: float = math.inf) -> float:
+    """A finite number in [0, most], or an error."""
     result = number(name, value)
     if result < 0.0:
         raise ValueError(f"{name} must be at least 0, got {value!r}")
-    return result
+    return _limited(name, value, result, 0.0, most)
 
 
 def within(name: str, value: Any, low: float, high: float) -> float:
     """A finite number in [low, high], or an error."""
-    result = number(name, value)
+    return _limited(name, value, number(name, value), low, high)
+
+
+def _limited(name: str, value: Any, result: float, low: float, high: float) -> float:
     if not low <= result <= high:
         raise ValueError(f"{name} must be between {low:g} and {high:g}, got {value!r}")
     return result
 
 
-def integer(name: str, value: Any, least: int) -> int:
+def integer(name: str, value: Any, least: int, most: int | None = None) -> int:
     """A whole number of at least `least`, or an error; True and 1.0 are not whole numbers."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+    if most is not None and value > most:
+        raise ValueError(f"{name} must be a whole number of at most {most}, got {value!r}")
     return int(value)
 
 
@@ -82,6 +89,34 @@ def array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray
     return result
 
 
+def limited(name: str, values: NDArray[np.float64], most: ArrayLike) -> NDArray[np.float64]:
+    """An array whose numbers are no farther from 0 than `most`, one or one each; or an error."""
+    beyond = np.abs(values) > most
+    if beyond.any():
+        bound = np.broadcast_to(most, values.shape)[beyond][0]
+        raise ValueError(
+            f"{name} must be between {-bound:g} and {bound:g}, got {values[beyond][0]:g} in it"
+        )
+    return values
+
+
+def pose(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
+    """Poses (..., 3) [m, m, rad] within what is physical, or an error."""
+    most = (bounds.FARTHEST, bounds.FARTHEST, bounds.TURNED)
+    return limited(name, array(name, value, shape), most)
+
+
+def velocity(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
+    """Velocities (..., 3) [m/s, m/s, rad/s] within what is physical, or an error."""
+    return limited(name, array(name, value, shape), (bounds.SPEED, bounds.SPEED, bounds.SPIN))
+
+
+def place(name: str, value: ArrayLike) -> tuple[float, float]:
+    """A point (x, y) [m] within what is physical, or an error."""
+    x, y = limited(name, array(name, value, (2,)), bounds.FARTHEST).tolist()
+    return (x, y)
+
+
 def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
     """A read-only copy as an array (rows, columns) of booleans, not empty, or an error."""
     try:
@@ -101,8 +136,8 @@ def pitch(name: str, value: Any) -> float | tuple[float, float]:
     if isinstance(value, (tuple, list, np.ndarray)):
         if len(value) != 2:
             raise ValueError(f"{name} must be one number or two, in x and in y, got {value!r}")
-        return (positive(name, value[0]), positive(name, value[1]))
-    return positive(name, value)
+        return (positive(name, value[0], *bounds.LENGTH), positive(name, value[1], *bounds.LENGTH))
+    return positive(name, value, *bounds.LENGTH)
 
 
 def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
@@ -110,16 +145,44 @@ def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if value is None or np.isscalar(value):
-        return np.asarray(not_negative(name, value))
+        return np.asarray(not_negative(name, value, bounds.FRICTION))
     given = array(name, value, shape)
     if given.min() < 0.0:
         raise ValueError(f"{name} must be at least 0, got {given.min()}")
+    if given.max() > bounds.FRICTION:
+        raise ValueError(f"{name} must be at most {bounds.FRICTION:g}, got {given.max()}")
     return given
 
 
+def assumed_friction(mu_max: float | None, mu_min: float | None, mu_support: float | None) -> None:
+    """Raise a ValueError where friction that a sensor assumes is none that there is."""
+    for name, mu in (("mu_max", mu_max), ("mu_min", mu_min), ("mu_support", mu_support)):
+        if mu is not None:
+            not_negative(name, mu, bounds.FRICTION)
+    if mu_max is not None and mu_min is not None:
+        rolling(mu_max, mu_min)
+
+
+def rolling(mu_max: ArrayLike, mu_min: ArrayLike) -> None:
+    """Raise a ValueError where a rotor would drag more across its axis than along it."""
+    most, least = np.broadcast_arrays(mu_max, mu_min)
+    if (least > most).any():
+        place = int(np.argmax(least > most))
+        raise ValueError(
+            f"mu_min must be at most mu_max, got {least.flat[place]:g} and {most.flat[place]:g}"
+        )
+
+
 def orientations(name: str, value: ArrayLike) -> tuple[float, ...]:
-    """Two or more axis angles [rad], or an error."""
-    angles = array(name, value, (None,))
-    if len(angles) < 2:
-        raise ValueError(f"{name} must be at least 2, got {value!r}")
+    """Two or more axis angles [rad] that differ, or an error."""
+    angles = limited(name, array(name, value, (None,)), bounds.TURNED)
+    if not 2 <= len(angles) <= bounds.ORIENTATIONS:
+        least_or_most = "least 2" if len(angles) < 2 else f"most {bounds.ORIENTATIONS}"
+        given = repr(value) if len(angles) < 2 else f"{len(angles)}"
+        raise ValueError(f"{name} must be at {least_or_most}, got {given}")
+    if len(np.unique(angles)) < len(angles):
+        raise ValueError(f"{name} must differ from each other, got {value!r}")
+    # Sines of the turns from the first: an axis turned by pi is the same.
+    if np.abs(np.sin(angles - angles[0])).max() < 1e-9:
+        raise ValueError(f"{name} must hold two axes that differ, got {value!r}")
     return tuple(angles.tolist())

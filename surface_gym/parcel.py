@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 from surface_gym.bases import Base, check_base
 from surface_gym.dynamics.types import Body
 
@@ -16,7 +16,7 @@ class Parcel:
 
     Raises:
         ValueError: a mass, height or inertia that is not allowed, a base that is none, or a
-            centre of mass that is not over the base.
+            centre of mass that is not over the base, or a number beyond `surface_gym.bounds`.
 
     >>> from surface_gym import Rectangle
     >>> round(Parcel(Rectangle(0.25, 0.25)).moment_of_inertia, 4)  # m (b^2 + h^2) / 12
@@ -32,11 +32,13 @@ class Parcel:
     def __post_init__(self) -> None:
         check_base(self.base)
         set_field = object.__setattr__
-        set_field(self, "mass", checks.positive("mass", self.mass))
-        set_field(self, "com_height", checks.not_negative("com_height", self.com_height))
+        set_field(self, "mass", checks.positive("mass", self.mass, *bounds.MASS))
+        height = checks.not_negative("com_height", self.com_height, bounds.COM_HEIGHT)
+        set_field(self, "com_height", height)
         if self.inertia is not None:
-            set_field(self, "inertia", checks.positive("inertia", self.inertia))
-        x, y = checks.array("com_offset", self.com_offset, (2,)).tolist()
+            least, most = (self.mass * (part * self.base.reach) ** 2 for part in bounds.GYRATION)
+            set_field(self, "inertia", checks.positive("inertia", self.inertia, least, most))
+        x, y = checks.place("com_offset", self.com_offset)
         set_field(self, "com_offset", (x, y))
         if self.base.functions(*self.centre_of_mass).max() > 0.0:
             raise ValueError(f"com_offset must keep the centre of mass over the base, got {(x, y)}")

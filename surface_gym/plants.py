@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 from surface_gym.bases import Base
 from surface_gym.dynamics.memory import check_capacity
 from surface_gym.dynamics.types import Array
@@ -35,7 +35,8 @@ class Plant(Elements):
 
     Raises:
         ValueError: a pitch that is not positive, negative friction or friction of another shape,
-            fewer than two orientations.
+            fewer than two orientations, `mu_min` greater than `mu_max`, or a number beyond
+            `surface_gym.bounds`.
     """
 
     pitch: float | tuple[float, float] = 0.1  # [m] between neighbours: one, or in x and in y
@@ -48,11 +49,16 @@ class Plant(Elements):
     def __post_init__(self) -> None:
         set_field = object.__setattr__
         set_field(self, "pitch", checks.pitch("pitch", self.pitch))
-        x0, y0 = checks.array("origin", self.origin, (2,)).tolist()
-        set_field(self, "origin", (x0, y0))
+        set_field(self, "origin", checks.place("origin", self.origin))
+        if self.rows * self.columns > bounds.ELEMENTS:
+            raise ValueError(
+                f"rows times columns must be at most {bounds.ELEMENTS:_}, "
+                f"got {self.rows} and {self.columns}"
+            )
         for name in ("mu_max", "mu_min", "mu_support"):
             mu = checks.friction(name, getattr(self, name), (self.rows, self.columns)).tolist()
             set_field(self, name, mu if isinstance(mu, float) else tuple(map(tuple, mu)))
+        checks.rolling(self.mu_max, self.mu_min)
         set_field(self, "orientations", checks.orientations("orientations", self.orientations))
 
     @property
@@ -131,7 +137,7 @@ class Line(Plant):
         for name in ("rows", "columns", "zone_rows", "zone_columns"):
             checks.integer(name, getattr(self, name), least=1)
         super().__post_init__()
-        line_y = checks.number("line_y", self.line_y)
+        line_y = checks.within("line_y", self.line_y, -bounds.FARTHEST, bounds.FARTHEST)
         object.__setattr__(self, "line_y", line_y)
         between = (line_y - self.origin[1]) / self.pitch_y - 0.5
         half = self.zone_rows // 2

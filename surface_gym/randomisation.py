@@ -1,14 +1,19 @@
 """What differs from episode to episode, each draw with its law."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 from surface_gym.bases import Base
 from surface_gym.parcel import Parcel
+
+ANYWHERE = (-math.inf, math.inf)  # [m]
+MOST_SPREAD = 0.99  # [-] of mass and size, which may then be a hundredth: not nothing
+MOST_DRAWS = 1000  # of a start aside: of ordinary ones one in 20 is drawn twice at most
 
 
 class Drawn(NamedTuple):
@@ -37,15 +42,23 @@ class Randomisation:
     # where that is not over the base
     com_offset: float = 0.0
     stiffness: float = 0.0  # [-] log-normal spread of each element's, who bears how much
-    lateral: float = 0.0  # [m] normal spread of the start in y
+    # [m] normal spread of the start in y, at most a quarter of the surface's width; drawn again
+    # where the centre of mass would not be over the surface
+    lateral: float = 0.0
     heading: float = 0.0  # [rad] normal spread of the start's theta
 
     def __post_init__(self) -> None:
         for name in ("friction", "rolling", "mass", "size", "com_offset"):
             if checks.within(name, getattr(self, name), 0.0, 1.0) == 1.0:
                 raise ValueError(f"{name} must be less than 1, got {getattr(self, name)!r}")
-        for name in ("stiffness", "lateral", "heading"):
-            checks.not_negative(name, getattr(self, name))
+        for name in ("mass", "size"):
+            checks.within(name, getattr(self, name), 0.0, MOST_SPREAD)
+        for name, most in (
+            ("stiffness", bounds.STIFFNESS_SPREAD),
+            ("lateral", bounds.LENGTH[1]),
+            ("heading", math.pi),
+        ):
+            checks.not_negative(name, getattr(self, name), most)
 
     @property
     def varies(self) -> bool:
@@ -56,10 +69,31 @@ class Randomisation:
         """The base at the largest size that may be drawn."""
         return base.scaled(1.0 + self.size)
 
-    def draw(self, rng: np.random.Generator, parcel: Parcel, shape: tuple[int, ...]) -> Drawn:
-        """Vary a start of a parcel and the surface (rows, columns); only what varies is drawn."""
+    def check_room(self, width: float) -> None:
+        """Raise a ValueError where parcels would often start beside a surface of a width [m]."""
+        if self.lateral > 0.25 * width:
+            raise ValueError(
+                f"lateral must be at most a quarter of the surface's width, {0.25 * width:g} m, "
+                f"got {self.lateral!r}"
+            )
+
+    def least(self, base: Base) -> Base:
+        """The base at the least size that may be drawn."""
+        return base.scaled(1.0 - self.size)
+
+    def draw(
+        self,
+        rng: np.random.Generator,
+        parcel: Parcel,
+        shape: tuple[int, ...],
+        room: tuple[float, float] = ANYWHERE,
+    ) -> Drawn:
+        """Vary a start of a parcel and the surface (rows, columns); only what varies is drawn.
+
+        `room` is [m] from the start to the surface's edges in y, the first negative.
+        """
         friction = self.draw_friction(rng)
-        parcel, aside, turned = self.draw_entry(rng, parcel)
+        parcel, aside, turned = self.draw_entry(rng, parcel, room)
         return Drawn(parcel, aside, turned, friction, self.draw_stiffness(rng, shape))
 
     def draw_friction(self, rng: np.random.Generator) -> tuple[float, float, float]:
@@ -81,13 +115,32 @@ class Randomisation:
         """Whether there is anything to draw of a parcel itself."""
         return bool(self.mass or self.size or self.com_offset)
 
-    def draw_entry(self, rng: np.random.Generator, parcel: Parcel) -> tuple[Parcel, float, float]:
-        """A parcel as it is drawn to be, how far aside [m] and how far turned [rad] it starts."""
+    def draw_entry(
+        self, rng: np.random.Generator, parcel: Parcel, room: tuple[float, float] = ANYWHERE
+    ) -> tuple[Parcel, float, float]:
+        """A parcel as it is drawn to be, how far aside [m] and how far turned [rad] it starts.
+
+        Raises:
+            ValueError: there is hardly room [m] for the parcel to start in.
+        """
         if self.varies_parcels:
             parcel = self._draw_parcel(rng, parcel)
-        aside = self.lateral * float(rng.standard_normal()) if self.lateral else 0.0
+        aside = self._draw_aside(rng, parcel, room) if self.lateral else 0.0
         turned = self.heading * float(rng.standard_normal()) if self.heading else 0.0
         return parcel, aside, turned
+
+    def _draw_aside(
+        self, rng: np.random.Generator, parcel: Parcel, room: tuple[float, float]
+    ) -> float:
+        reach = math.hypot(*parcel.centre_of_mass)  # from the frame's origin, however it is turned
+        for _ in range(MOST_DRAWS):
+            aside = self.lateral * float(rng.standard_normal())
+            if room[0] + reach <= aside <= room[1] - reach:
+                return aside
+        raise ValueError(
+            f"lateral must leave a parcel over the surface, got {self.lateral!r} m where it may "
+            f"start from {room[0] + reach:g} to {room[1] - reach:g} m aside"
+        )
 
     def _draw_parcel(self, rng: np.random.Generator, parcel: Parcel) -> Parcel:
         mass, size = _factor(rng, self.mass), _factor(rng, self.size)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 from surface_gym.actions import ANY, ActionKind
 from surface_gym.actions.showing import AXIS_SIZE
 from surface_gym.actuators import Actuators
@@ -27,7 +27,8 @@ class Settings:
     """Arguments of an environment.
 
     Raises:
-        ValueError: an argument is not allowed; the message names it, what came and what may come.
+        ValueError: an argument is not allowed, or a number is beyond `surface_gym.bounds`; the
+            message names it, what came and what may come.
     """
 
     task: str | Task = "sort"  # its name, or one with parameters of its own
@@ -62,7 +63,8 @@ class Settings:
         elif self.orientations is not None:
             angles = checks.orientations("orientations", self.orientations)
             set_field(self, "orientations", angles)
-        set_field(self, "control_period", checks.positive("control_period", self.control_period))
+        period = checks.positive("control_period", self.control_period, *bounds.CONTROL_PERIOD)
+        set_field(self, "control_period", period)
         checks.one_of("observe_axes", self.observe_axes, (False, True))
         if not isinstance(self.info, (tuple, list)):
             raise ValueError(f"info must be some of {INFOS}, got {self.info!r}")
@@ -85,12 +87,14 @@ class Settings:
                 raise ValueError(f"zone must lie in the columns 0 to {most}, got {self.zone!r}")
             object.__setattr__(self, "zone", (first, last))
         check_stuck(self.actuators, plant)
+        self.randomisation.check_room(plant.width)
 
     def _check_size(self) -> None:
         """Every parcel the task draws fits the plant at the largest size it may have."""
         for parcel in self.chosen_task.parcels:
             try:
                 self.chosen_plant.site(self.randomisation.largest(parcel.base), self.zone)
+                self.randomisation.least(parcel.base)
             except ValueError as error:
                 raise ValueError(
                     f"size must leave room for every parcel, got {self.randomisation.size!r}: "

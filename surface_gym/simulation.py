@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 from surface_gym.dynamics.entries import (
     advance_explicit,
     advance_implicit,
@@ -40,6 +40,7 @@ from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 
 METHODS = ("implicit", "explicit")
+PIECE = 2000  # steps in a row: Ctrl-C waits for no more
 MAX_STEPS = 100_000_000  # of one run; its trajectory already takes 15 GB
 NORMAL_FORCES = ("dual", "osqp", "scipy")
 ENDS = {OFF_SURFACE: "left the surface", UNBORNE: "nothing bears it", STOPPED: "stopped"}
@@ -73,9 +74,9 @@ def simulate(
         mass passes the edge of the surface, or where no element lies under the base.
 
     Raises:
-        ValueError: an argument is not allowed, the start is off the surface or on no element, a
-            step moves the parcel past a pitch, or the explicit method is to start a parcel on a
-            level surface that does not move towards +x.
+        ValueError: an argument is not allowed, a number is beyond `surface_gym.bounds`, the start
+            is off the surface or on no element, a step moves the parcel past a pitch, or the
+            explicit method is to start a parcel on a level surface that does not move towards +x.
 
     >>> import surface_gym as sg
     >>> parcel = sg.Parcel(sg.Rectangle(0.25, 0.25))
@@ -88,10 +89,10 @@ def simulate(
     if not isinstance(parcel, Parcel):
         raise ValueError(f"parcel must be a Parcel, got {parcel!r}")
     start = start_state(
-        parcel, checks.array("pose", pose, (3,)), checks.array("velocity", velocity, (3,))
+        parcel, checks.pose("pose", pose, (3,)), checks.velocity("velocity", velocity, (3,))
     )
-    duration = checks.positive("duration", duration)
-    dt = checks.positive("dt", dt)
+    duration = checks.positive("duration", duration, *bounds.DURATION)
+    dt = checks.positive("dt", dt, *bounds.STEP)
     if duration / dt > MAX_STEPS:
         raise ValueError(f"dt must be at least duration / {MAX_STEPS:_}, got {dt!r}")
     checks.one_of("method", method, METHODS)
@@ -130,7 +131,7 @@ def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
     """Raise a ValueError where a step moves a point of the base past a pitch [m]."""
     moved = np.abs(np.diff(states[:, X : THETA + 1], axis=0))
     farthest = np.hypot(moved[:, 0], moved[:, 1]) + moved[:, 2] * parcel.body.radius
-    if farthest.max(initial=0.0) > pitch:
+    if not farthest.max(initial=0.0) <= pitch:  # nor is one that is not a number
         raise ValueError(
             f"dt must be so short that no step moves the parcel past a pitch, {pitch:g} m, "
             f"got {dt!r}, which moved it by {farthest.max():g} m"
@@ -180,7 +181,13 @@ def _run(
     whole = len(time) if time[-1] == dt * (len(time) - 1) else len(time) - 1
     if normal_forces == "dual":
         run = run_implicit if method == "implicit" else run_explicit
-        steps = int(run(grid, body, states[:whole], reports[:whole], scratch, dt))
+        steps = 0
+        for first in range(0, whole - 1, PIECE):
+            piece = slice(first, min(first + PIECE + 1, whole))
+            done = int(run(grid, body, states[piece], reports[piece], scratch, dt))
+            steps += done
+            if done < piece.stop - first - 1:
+                break
         if steps == whole - 1 and whole < len(time):
             last = time[-1] - time[-2]
             steps += int(run(grid, body, states[steps:], reports[steps:], scratch, last))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 from surface_gym.dynamics.axes import directions_of
 from surface_gym.dynamics.types import GRAVITY, Grid
 
@@ -66,7 +66,8 @@ class Surface(Elements):
 
     Raises:
         ValueError: an array is empty, not finite, or its shape differs from the other's; `pitch`
-            is not positive, a friction coefficient negative, or the tilt not below 45 deg.
+            is not positive, a friction coefficient negative, `mu_min` greater than `mu_max`, the
+            tilt not below 45 deg, or a number beyond `surface_gym.bounds`.
 
     >>> import numpy as np
     >>> surface = Surface(axis=np.full((20, 30), np.pi / 2), rotor=np.ones((20, 30), bool))
@@ -87,6 +88,7 @@ class Surface(Elements):
 
     def __post_init__(self) -> None:
         axis = checks.array("axis", self.axis, (None, None))
+        checks.limited("axis", axis, bounds.TURNED)
         if axis.size == 0:
             raise ValueError(f"axis must have at least one row and one column, got {axis.shape}")
         rotor = checks.booleans("rotor", self.rotor)
@@ -96,16 +98,17 @@ class Surface(Elements):
             stiffness = checks.array("stiffness", self.stiffness, axis.shape)
             if stiffness.min() <= 0.0:
                 raise ValueError(f"stiffness must be greater than 0, got {stiffness.min()} in it")
+            _check_stiffness(stiffness)
             object.__setattr__(self, "stiffness", stiffness)
-        x0, y0 = checks.array("origin", self.origin, (2,)).tolist()
         set_field = object.__setattr__
         set_field(self, "axis", axis)
         set_field(self, "rotor", rotor)
         set_field(self, "pitch", checks.pitch("pitch", self.pitch))
-        set_field(self, "origin", (x0, y0))
+        set_field(self, "origin", checks.place("origin", self.origin))
         for name in ("mu_max", "mu_min", "mu_support"):
             mu = checks.friction(name, getattr(self, name), axis.shape)
             set_field(self, name, mu if mu.ndim else float(mu))
+        checks.rolling(self.mu_max, self.mu_min)
         tilt = checks.number("tilt", self.tilt)
         if not abs(tilt) < math.pi / 4:
             raise ValueError(f"tilt must be between -pi/4 and pi/4 (45 deg), got {self.tilt!r}")
@@ -153,4 +156,16 @@ class Surface(Elements):
             support_factor=1.0,
             gravity_along=GRAVITY * math.sin(self.tilt),
             gravity_normal=GRAVITY * math.cos(self.tilt),
+        )
+
+
+def _check_stiffness(stiffness: NDArray[np.float64]) -> None:
+    """Raise a ValueError for elements softer, stiffer or more unequal than any are."""
+    least, most = float(stiffness.min()), float(stiffness.max())
+    checks.within("stiffness", least, *bounds.STIFFNESS)
+    checks.within("stiffness", most, *bounds.STIFFNESS)
+    if most / least > bounds.STIFFNESS_RATIO:
+        raise ValueError(
+            f"stiffness must differ by a factor of at most {bounds.STIFFNESS_RATIO:g}, "
+            f"got {least:g} and {most:g} in it"
         )

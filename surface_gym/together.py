@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 from surface_gym.batch.placement import NO_EDGE
 from surface_gym.dynamics.company import Company, Touching, make_together_scratch
 from surface_gym.dynamics.entries import find_support, why_unborne
@@ -19,6 +19,7 @@ from surface_gym.parcel import Parcel
 from surface_gym.simulation import (
     ENDS,
     MAX_STEPS,
+    PIECE,
     base_motion,
     check_steps,
     start_state,
@@ -76,8 +77,9 @@ def simulate_together(
         edge of the surface, or under whose base no element lies, ends there; the others go on.
 
     Raises:
-        ValueError: an argument is not allowed, a parcel starts off the surface, on no element or
-            overlapping with another, or a step moves a parcel past a pitch.
+        ValueError: an argument is not allowed, a number is beyond `surface_gym.bounds`, a parcel
+            starts off the surface, on no element or overlapping with another, or a step moves a
+            parcel past a pitch.
 
     >>> import surface_gym as sg
     >>> box = sg.layouts.box("S")
@@ -95,13 +97,13 @@ def simulate_together(
     np.float64(0.25)
     """
     company = _company(surface, parcels, poses, velocities)
-    duration = checks.positive("duration", duration)
-    dt = checks.positive("dt", dt)
+    duration = checks.positive("duration", duration, *bounds.DURATION)
+    dt = checks.positive("dt", dt, *bounds.STEP)
     if duration / dt > MAX_STEPS:
         raise ValueError(f"dt must be at least duration / {MAX_STEPS:_}, got {dt!r}")
     touching = Touching(
         checks.within("restitution", restitution, 0.0, 1.0),
-        checks.not_negative("side_friction", side_friction),
+        checks.not_negative("side_friction", side_friction, bounds.FRICTION),
     )
     _check_starts(surface, parcels, poses, company)
     time = times_of(duration, dt)
@@ -156,9 +158,10 @@ def _company(
         raise ValueError(f"parcels must be a sequence of Parcel, got {parcels!r}")
     if len(parcels) == 0:
         raise ValueError("parcels must be at least one, got none")
-    pose = checks.array("poses", poses, (len(parcels), 3))
+    pose = checks.pose("poses", poses, (len(parcels), 3))
     still = np.zeros((len(parcels), 3))
-    velocity = still if velocities is None else checks.array("velocities", velocities, still.shape)
+    given = still if velocities is None else velocities
+    velocity = checks.velocity("velocities", given, still.shape)
     bodies = bodies_of(parcels)
     state = np.stack([start_state(*each) for each in zip(parcels, pose, velocity, strict=True)])
     count = len(parcels)
@@ -207,13 +210,15 @@ def _run(grid: Grid, company: Company, touching: Touching, time: Array, dt: floa
     )
     records.state[0] = company.state
     touches = 0
+    most = max(1, PIECE // count)
     for first, last, step in _stretches(time, dt):
         following = first
         while following <= last:
+            end = min(last, following + most - 1)
             following, touches = run_together(
-                grid, company, touching, scratch, records, following, last, touches, step
+                grid, company, touching, scratch, records, following, end, touches, step
             )
-            if following <= last:
+            if following <= end:
                 records = records._replace(
                     step=np.concatenate([records.step, np.zeros_like(records.step)]),
                     pair=np.concatenate([records.pair, np.zeros_like(records.pair)]),

@@ -125,6 +125,8 @@ PENTAGRAM = polygon_vertices(5, 0.3, 1.0, 0.0)[[0, 2, 4, 1, 3]]
         ([(0, 0), (1, 1), (0.5, 0.5)], "vertices must form a convex polygon, got "),
         ([(0, 0), (1, 0), (2, 0), (1, 0)], "vertices must form a convex polygon, got "),
         ([(0, 0), (1, 0), (np.nan, 1)], "vertices must be finite, got nan"),
+        ([(0, 0), (1e-5, 0), (0, 1e-5)], "vertices must enclose at least 1e-08 m.2, got 5e-11 m.2"),
+        ([(0, 0), (1e4, 0), (0, 1)], "vertices must be between -1000 and 1000, got 10000 in it"),
         ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], r"vertices must have the shape \(any, 2\)"),
         (None, "vertices must "),
         ("abc", "vertices must be an array of numbers"),
@@ -225,7 +227,14 @@ class TestABaseOfOnesOwn:
 
     @pytest.mark.parametrize(
         ("name", "value"),
-        [("gyration", -1.0), ("reach", math.nan), ("edges", [1.0]), ("outline", None)],
+        [
+            ("gyration", -1.0),
+            ("gyration", 1e9),
+            ("reach", math.nan),
+            ("reach", 1e9),
+            ("edges", [1.0]),
+            ("outline", None),
+        ],
     )
     def test_what_is_wrong_is_named(self, name: str, value: object) -> None:
         wrong = type("Wrong", (Tile,), {name: value})

@@ -34,6 +34,51 @@ def test_numbers_of_any_kind_become_floats(value: object) -> None:
         (lambda: checks.positive("dt", 0.0), "dt must be greater than 0, got 0.0"),
         (lambda: checks.positive("dt", -1), "dt must be greater than 0, got -1"),
         (lambda: checks.not_negative("mu", -1e-9), "mu must be at least 0, got -1e-09"),
+        (lambda: checks.positive("dt", 5, 1.0, 4.0), "dt must be between 1 and 4, got 5"),
+        (lambda: checks.positive("dt", 0.5, 1.0, 4.0), "dt must be between 1 and 4, got 0.5"),
+        (lambda: checks.positive("dt", -1, 1.0, 4.0), "dt must be greater than 0, got -1"),
+        (lambda: checks.not_negative("mu", 5, 4.0), "mu must be between 0 and 4, got 5"),
+        (lambda: checks.integer("n", 9, 1, 8), "n must be a whole number of at most 8, got 9"),
+        (
+            lambda: checks.limited("a", np.array([1.0, -3.0]), 2.0),
+            "a must be between -2 and 2, got -3 in it",
+        ),
+        (
+            lambda: checks.limited("a", np.array([[1.0, 1.0], [2.0, 3.5]]), (2.0, 3.0)),
+            "a must be between -3 and 3, got 3.5 in it",
+        ),
+        (
+            lambda: checks.pose("a", (1e5, 0.0, 0.0), (3,)),
+            "a must be between -10000 and 10000, got 100000 in it",
+        ),
+        (
+            lambda: checks.velocity("a", [(0.0, 0.0, -2e3)], (None, 3)),
+            "a must be between -1000 and 1000, got -2000 in it",
+        ),
+        (
+            lambda: checks.place("a", (0.0, -2e4)),
+            "a must be between -10000 and 10000, got -20000 in it",
+        ),
+        (
+            lambda: checks.friction("mu", [[1.0, 101.0]], (1, 2)),
+            "mu must be at most 100, got 101.0",
+        ),
+        (
+            lambda: checks.rolling(np.array([[0.5, 0.4]]), 0.45),
+            "mu_min must be at most mu_max, got 0.45 and 0.4",
+        ),
+        (
+            lambda: checks.orientations("axes", np.linspace(0.0, 1.0, 1001)),
+            "axes must be at most 1000, got 1001",
+        ),
+        (
+            lambda: checks.orientations("axes", (0.0, 1.0, 0.0)),
+            "axes must differ from each other, got (0.0, 1.0, 0.0)",
+        ),
+        (
+            lambda: checks.orientations("axes", (0.0, math.pi)),
+            f"axes must hold two axes that differ, got {(0.0, math.pi)!r}",
+        ),
         (lambda: checks.within("a", 2, 0, 1), "a must be between 0 and 1, got 2"),
         (lambda: checks.within("a", -0.1, 0, 1), "a must be between 0 and 1, got -0.1"),
         (lambda: checks.integer("n", 0, 1), "n must be a whole number of at least 1, got 0"),

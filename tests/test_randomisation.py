@@ -207,3 +207,50 @@ class TestInTheEnvironment:
             for seed in range(20):
                 env.reset(seed=seed, options={"parcel": parcel})
                 env.step(0)
+
+
+class TestLateral:
+    def test_a_start_beside_the_surface_is_drawn_again(self) -> None:
+        varies = Randomisation(lateral=0.3)
+        rng = np.random.default_rng(0)
+        aside = [varies.draw_entry(rng, BOX, (-0.1, 0.2))[1] for _ in range(200)]
+        rng = np.random.default_rng(0)
+        anywhere = [varies.draw_entry(rng, BOX)[1] for _ in range(2000)]
+        assert aside == [each for each in anywhere if -0.1 <= each <= 0.2][:200]
+
+    def test_it_is_the_centre_of_mass_that_counts(self) -> None:
+        off_centre = sg.Parcel(sg.Rectangle(0.3, 0.3), com_offset=(0.0, 0.05))
+        varies, rng = Randomisation(lateral=0.3), np.random.default_rng(0)
+        aside = [varies.draw_entry(rng, off_centre, (-0.1, 0.2))[1] for _ in range(200)]
+        assert -0.05 <= min(aside) < -0.04
+        assert 0.14 < max(aside) <= 0.15
+
+    def test_too_little_room_is_told(self) -> None:
+        rng = np.random.default_rng(0)
+        with pytest.raises(ValueError, match=r"^lateral must leave a parcel over the surface"):
+            Randomisation(lateral=0.3).draw_entry(rng, BOX, (0.1, 0.05))
+
+    def test_every_lane_starts_on_the_surface(self) -> None:
+        plant = sg.plants.Line(rows=8, line_y=0.4)
+        lanes = sg.SmartSurfaceVectorEnv(
+            300, randomisation=Randomisation(lateral=0.2, heading=1.0), plant=plant
+        )
+        aside = lanes.reset(seed=0)[1]["pose"][:, 1] - plant.line_y
+        assert 0.35 < np.abs(aside).max() <= 0.4
+
+    def test_a_spread_for_which_the_surface_is_too_narrow_is_refused(self) -> None:
+        plant = sg.plants.Line(rows=8, line_y=0.4)
+        with pytest.raises(ValueError, match=r"^lateral must be at most a quarter of .*, 0\.2 m"):
+            sg.SmartSurfaceEnv(randomisation=Randomisation(lateral=0.21), plant=plant)
+
+
+@pytest.mark.parametrize("name", ["mass", "size"])
+def test_neither_mass_nor_size_may_become_nothing(name: str) -> None:
+    with pytest.raises(ValueError, match=f"^{name} must be between 0 and 0.99, got 0.999$"):
+        Randomisation(**{name: 0.999})
+
+
+def test_the_smallest_parcel_must_be_one() -> None:
+    small = sg.tasks.Sort(parcels=(sg.Parcel(sg.Rectangle(0.001, 0.2)),))
+    with pytest.raises(ValueError, match=r"^size must leave room .*, got 0\.95: length"):
+        sg.SmartSurfaceEnv(small, randomisation=Randomisation(size=0.95))

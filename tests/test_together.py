@@ -119,7 +119,7 @@ SPOILT = [
     ({"velocities": TOWARDS[:1]}, r"velocities must have the shape \(2, 3\), got \(1, 3\)"),
     ({"duration": 0.0}, "duration must be greater than 0, got 0.0"),
     ({"dt": -0.1}, "dt must be greater than 0, got -0.1"),
-    ({"dt": 1e-9}, "dt must be at least duration / 100_000_000, got 1e-09"),
+    ({"dt": 1e-6, "duration": 1000.0}, "dt must be at least duration / 100_000_000, got 1e-06"),
     ({"restitution": 1.1}, "restitution must be between 0 and 1, got 1.1"),
     ({"restitution": -0.1}, "restitution must be between 0 and 1, got -0.1"),
     ({"side_friction": -0.3}, "side_friction must be at least 0, got -0.3"),

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from surface_gym.dynamics.axes import axis_direction
 from surface_gym.dynamics.compiled import inlined
+from surface_gym.dynamics.indexing import bounded
 from surface_gym.dynamics.types import Array, Integers, X, Y
 from surface_gym.lanes.lane import Lane
 from surface_gym.lanes.memory import COLUMNS, FIRST_COLUMN, FIRST_ROW, ROWS, Surfaces
@@ -42,9 +43,14 @@ def window_corner(lane: Lane, mirror: float) -> Corner:
     Midway between two rows it is the one to the left, seen in the mirror if there is one: a
     mirrored lane must have the mirrored window.
     """
+    rows, columns = lane.rotor.shape
     up = (lane.sensed[Y] - lane.elements.y0) / lane.elements.pitch_y
+    along = (lane.sensed[X] - lane.elements.x0) / lane.elements.pitch_x
+    # A window beyond the surface has none of its modules, however far off it is.
+    up = bounded(up, -WINDOW_SIDE, rows + WINDOW_SIDE)
+    along = bounded(along, -WINDOW_SIDE, columns + WINDOW_SIDE)
     row = math.floor(up + _HALF) if mirror > 0.0 else math.ceil(up - _HALF)
-    column = math.floor((lane.sensed[X] - lane.elements.x0) / lane.elements.pitch_x + 0.5)
+    column = math.floor(along + 0.5)
     return Corner(int(row) - WINDOW_SIDE // 2, int(column) - WINDOW_SIDE // 2)
 
 

@@ -69,7 +69,7 @@ class Batch:
             self.task.parcels, self._placement, lanes, (plant.rows, plant.columns)
         )
         self._threads = min(threads, max(1, lanes // FEWEST))
-        self._workers = Workers(self._threads)
+        self._workers = Workers(self._threads, settings.timing.steps)
         self._all = np.arange(lanes)
         # How an episode may stand, by the numbers of `Lanes.outcome`.
         self.outcomes = COMMON_OUTCOMES + self.task.outcomes
@@ -206,16 +206,20 @@ class Batch:
     ) -> tuple[Parcels, Start]:
         """Parcels and start as drawn; the friction's factors (count, 3) are written."""
         kinds, aside, turned = [], np.zeros(len(chosen)), np.zeros(len(chosen))
+        x, y, theta = start.pose
+        _, _, low, high = self.settings.chosen_plant.extent
+        middle = np.broadcast_to(y, len(chosen))
+        shape = self.surfaces.axis.shape[1:]
         for k, lane in enumerate(chosen.tolist()):
+            room = (low - float(middle[k]), high - float(middle[k]))
             drawn = self._randomisation.draw(
-                self._generator(lane), parcels.kinds[parcels.which[k]], self.surfaces.axis.shape[1:]
+                self._generator(lane), parcels.kinds[parcels.which[k]], shape, room
             )
             kinds.append(drawn.parcel)
             aside[k], turned[k] = drawn.aside, drawn.turned
             factors[k] = drawn.friction
             if drawn.stiffness is not None:
                 self.surfaces.stiffness[lane] = drawn.stiffness
-        x, y, theta = start.pose
         varied = start._replace(pose=(x, np.add(y, aside), np.add(theta, turned)))
         return Parcels(tuple(kinds), np.arange(len(kinds))), varied
 

@@ -3,6 +3,7 @@
 from surface_gym.batch.kernels import Rules
 from surface_gym.dynamics.compiled import compiled
 from surface_gym.dynamics.contacts import forget_contacts
+from surface_gym.dynamics.indexing import bounded
 from surface_gym.dynamics.step import bear_load, find_support
 from surface_gym.dynamics.types import ARM_X, ARM_Y, NORMAL, Array, Scratch, X, Y
 from surface_gym.lanes.memory import Lanes, Sites, Surfaces
@@ -32,6 +33,8 @@ def bear_lanes(
             continue
         bear_load(grid, body, state, scratch, contacts)
         for k in range(contacts.total):
-            column = round((state[X] + table[ARM_X + k] - elements.x0) / elements.pitch_x)
-            row = round((state[Y] + table[ARM_Y + k] - elements.y0) / elements.pitch_y)
+            along = (state[X] + table[ARM_X + k] - elements.x0) / elements.pitch_x
+            across = (state[Y] + table[ARM_Y + k] - elements.y0) / elements.pitch_y
+            column = round(bounded(along, 0.0, loads.shape[2] - 1))
+            row = round(bounded(across, 0.0, loads.shape[1] - 1))
             loads[i, int(row), int(column)] = table[NORMAL + k]

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surface_gym import bounds
 from surface_gym.dynamics.states import each, states_of
 from surface_gym.dynamics.types import (
     GRAVITY,
@@ -39,7 +40,9 @@ def rows_of(task: Task, start: Start, parcels: Parcels, sites: Integers) -> Rows
     """Rows of starts of these parcels, whose sites are (starts,)."""
     count = len(sites)
     pose = _columns(task, "pose", start.pose, 3, count)
+    _check_physical(task, "pose", pose, (bounds.FARTHEST, bounds.FARTHEST, bounds.TURNED))
     velocity = _columns(task, "velocity", start.velocity, 3, count)
+    _check_physical(task, "velocity", velocity, (bounds.SPEED, bounds.SPEED, bounds.SPIN))
     conditions = np.ones((count, 5))
     conditions[:, GRAVITY_ALONG] = GRAVITY * each(math.sin, start.tilt)
     conditions[:, GRAVITY_NORMAL] = GRAVITY * each(math.cos, start.tilt)
@@ -62,6 +65,15 @@ def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: i
     if not np.isfinite(columns).all():
         raise ValueError(f"{told} finite numbers, got {tuple(values)!r}")
     return columns
+
+
+def _check_physical(task: Task, name: str, columns: Array, most: tuple[float, ...]) -> None:
+    """Raise a ValueError for starts whose numbers (count, 3) are farther from 0 than `most`."""
+    if (np.abs(columns) > most).any():
+        raise ValueError(
+            f"{type(task).__name__}.start must give a {name} of numbers up to {most}, "
+            f"got {tuple(columns[(np.abs(columns) > most).any(axis=1)][0].tolist())}"
+        )
 
 
 def path_of(task: Task, start: Start, count: int) -> Array:

@@ -9,6 +9,7 @@ from surface_gym.dynamics.memory import make_scratch
 from surface_gym.dynamics.types import Integers, Scratch
 
 FEWEST = 4  # lanes that a thread is worth its while for
+LOOK = 20_000  # steps of a parcel that a thread takes in a row: Ctrl-C waits for no more
 PARTS = 16  # of a thread's share of the lanes; the last two are taken by whoever is done early
 
 
@@ -17,10 +18,12 @@ class Workers:
 
     Args:
         threads: their number.
+        steps: of parcels, that a lane takes in a call.
         make: makes the physics' scratch of one.
     """
 
-    def __init__(self, threads: int, make: Callable[[], Any] = make_scratch) -> None:
+    def __init__(self, threads: int, steps: int, make: Callable[[], Any] = make_scratch) -> None:
+        self._most = max(1, LOOK // steps)  # lanes in a row
         self._pool: ThreadPoolExecutor | None = None
         self._process = os.getpid()
         # Of the physics, and of the sensor.
@@ -43,7 +46,7 @@ class Workers:
             The sum of what it returns.
         """
         if threads == 1:
-            return move(*arrays, *self._scratches[0], chosen)
+            return self._in_pieces(move, (*arrays, *self._scratches[0]), chosen)
         if self._pool is None or self._process != os.getpid():  # a fork has none of the threads
             self._pool = ThreadPoolExecutor(len(self._scratches) - 1)
             self._process = os.getpid()
@@ -61,8 +64,16 @@ class Workers:
         def work(thread: int) -> int:
             scratches = self._scratches[thread]
             own = chosen[cuts[PARTS * thread] : cuts[PARTS * thread + PARTS - 2]]
-            done = move(*arrays, *scratches, own)
-            return done + sum(move(*arrays, *scratches, part) for part in left)
+            given = (*arrays, *scratches)
+            done = self._in_pieces(move, given, own)
+            return done + sum(self._in_pieces(move, given, part) for part in left)
 
         others = [self._pool.submit(work, thread) for thread in range(1, threads)]
         return work(0) + sum(other.result() for other in others)
+
+    def _in_pieces(self, move: Callable[..., int], given: tuple[Any, ...], chosen: Integers) -> int:
+        """Call `move(*given, chosen)`, some lanes at a time, between which Python sees Ctrl-C."""
+        if len(chosen) <= self._most:
+            return move(*given, chosen)
+        firsts = range(0, len(chosen), self._most)
+        return sum(move(*given, chosen[first : first + self._most]) for first in firsts)

@@ -45,8 +45,8 @@ class Unknown(Randomisation):
         super().__post_init__()
         if self.size:
             raise ValueError(f"size must be 0, got {self.size!r}: a map goes over sizes")
-        checks.not_negative("speed", self.speed)
-        checks.not_negative("tilt", self.tilt)
+        checks.not_negative("speed", self.speed, 20.0)
+        checks.not_negative("tilt", self.tilt, math.pi / 4)
 
     def only(self, group: str) -> "Unknown":
         """The same with nothing unknown but a group of `GROUPS`; `TOGETHER` is all of them."""
@@ -62,6 +62,7 @@ class Unknown(Randomisation):
         return (*varying, TOGETHER) if varying else ()
 
 
+MOST_DRAWS = 1_000_000  # of what is not known: a run each
 NOTHING = Unknown(friction=0.0, rolling=0.0, com_offset=0.0, stiffness=0.0)
 
 
@@ -98,7 +99,7 @@ class Case:
             raise ValueError(f"tilt must be from 0 to below pi/4 (45 deg), got {self.tilt!r}")
         if self.speed == 0.0 and self.tilt == 0.0:
             raise ValueError("speed must be greater than 0 on a level surface, got 0.0")
-        checks.integer("draws", self.draws, least=1)
+        checks.integer("draws", self.draws, least=1, most=MOST_DRAWS)
         checks.integer("seed", self.seed, least=0)
         checks.within("step", self.step, 1e-5, 0.02)
 

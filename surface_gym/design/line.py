@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 from surface_gym.layouts import ROLLING, lead_in_under, rows_under
 from surface_gym.parcel import Parcel
 from surface_gym.surface import Pitched, Surface
@@ -23,7 +23,8 @@ class DesignLine(Pitched):
     has left the line. The first column and the first row lie half a pitch from 0.
 
     Raises:
-        ValueError: a count below 1, a pitch that is not positive, or negative friction.
+        ValueError: a count below 1, a pitch that is not positive, negative friction, `mu_min`
+            greater than `mu_max`, or a number beyond `surface_gym.bounds`.
     """
 
     rows: int  # of rotors
@@ -38,10 +39,16 @@ class DesignLine(Pitched):
 
     def __post_init__(self) -> None:
         for name in ("rows", "columns", "lead_in", "run_out", "beside"):
-            checks.integer(name, getattr(self, name), least=1)
+            checks.integer(name, getattr(self, name), least=1, most=bounds.ELEMENTS)
         object.__setattr__(self, "pitch", checks.pitch("pitch", self.pitch))
         for name in ("mu_max", "mu_min", "mu_support"):
-            object.__setattr__(self, name, checks.not_negative(name, getattr(self, name)))
+            mu = checks.not_negative(name, getattr(self, name), bounds.FRICTION)
+            object.__setattr__(self, name, mu)
+        checks.rolling(self.mu_max, self.mu_min)
+        if math.prod(self.shape) > bounds.ELEMENTS:
+            raise ValueError(
+                f"rows times columns must be at most {bounds.ELEMENTS:_}, got {self.shape}"
+            )
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -218,7 +218,7 @@ class AskLayout(Question):
     def answer(self, advance: Advance) -> Answer:
         case = self.case()
         least, most = self.speeds
-        step = checks.positive("speed_step", self.speed_step)
+        step = checks.positive("speed_step", self.speed_step, 1e-4, 20.0)
         if not least <= most:
             raise ValueError(f"speeds must be the least and the most, got {self.speeds!r}")
         speeds = least + step * np.arange(math.floor((most - least) / step + 1e-6) + 1)

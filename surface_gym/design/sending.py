@@ -8,12 +8,13 @@ from queue import SimpleQueue
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.design.passage import Deck, Passages, send
+from surface_gym.design.passage import STEPS, Deck, Passages, send
 from surface_gym.dynamics.memory import make_scratch
 from surface_gym.dynamics.types import Bodies, Scratch
 from surface_gym.sharing import Cluster, Workers, quiet, share
 
-CHUNK = 32  # runs that a thread takes at a time: Ctrl-C waits for no more
+CHUNK = 32  # runs that a thread takes at a time
+MOST_STEPS = 128_000  # that they may take: Ctrl-C waits for no more
 BUNDLE = 5000  # runs that a node takes at a time, at most: some tenths of a second
 LEAST = 500  # below which runs are not sent apart
 
@@ -32,10 +33,15 @@ def send_all(
         _to_threads(deck, bodies, passages, dt, workers, advance)
 
 
+def _chunk(passages: Passages) -> int:
+    """Runs that a thread takes at a time: fewer where they may take many steps."""
+    return max(1, min(CHUNK, MOST_STEPS // int(passages.number[:, STEPS].max(initial=1))))
+
+
 def _here(deck: Deck, bodies: Bodies, passages: Passages, dt: float, advance: Advance) -> None:
-    scratch, count = make_scratch(), len(passages.state)
-    for first in range(0, count, CHUNK):
-        last = min(first + CHUNK, count)
+    scratch, count, chunk = make_scratch(), len(passages.state), _chunk(passages)
+    for first in range(0, count, chunk):
+        last = min(first + chunk, count)
         send(deck, bodies, passages, scratch, dt, first, last)
         advance(last, count)
 
@@ -46,11 +52,11 @@ def _to_threads(
     spare: SimpleQueue[Scratch] = SimpleQueue()
     for _ in range(threads):
         spare.put(make_scratch())
-    count = len(passages.state)
+    count, chunk = len(passages.state), _chunk(passages)
 
     def work(first: int) -> int:
         scratch = spare.get()
-        last = min(first + CHUNK, count)
+        last = min(first + chunk, count)
         send(deck, bodies, passages, scratch, dt, first, last)
         spare.put(scratch)
         return last - first
@@ -58,7 +64,7 @@ def _to_threads(
     pool = ThreadPoolExecutor(threads)
     try:
         done = 0
-        for finished in pool.map(work, range(0, count, CHUNK)):
+        for finished in pool.map(work, range(0, count, chunk)):
             done += finished
             advance(done, count)
     finally:

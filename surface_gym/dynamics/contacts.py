@@ -3,6 +3,7 @@
 import math
 
 from surface_gym.dynamics.compiled import inlined
+from surface_gym.dynamics.indexing import bounded
 from surface_gym.dynamics.types import (
     ARM_X,
     ARM_Y,
@@ -125,8 +126,10 @@ def find_contacts(
     grid_y = grid.y0 - (y - offset_y)
     rows, columns = grid.rotor.shape
     reach = body.radius + EDGE_TOLERANCE
-    first_row = max(0, math.ceil((-reach - grid_y) * per_pitch_y))
-    last_row = min(rows - 1, math.floor((reach - grid_y) * per_pitch_y))
+    lowest = bounded((-reach - grid_y) * per_pitch_y, -1.0, rows)
+    highest = bounded((reach - grid_y) * per_pitch_y, -1.0, rows)
+    first_row = max(0, math.ceil(lowest))
+    last_row = min(rows - 1, math.floor(highest))
     _turn_edges(body, cosine, sine, table)
     count = 0
     spans = 0
@@ -134,8 +137,10 @@ def find_contacts(
     for row in range(first_row, last_row + 1):
         dy = grid_y + grid.pitch_y * row
         low, high = _row_interval(body, table, dy)
-        first = max(0, math.ceil((low - grid_x) * per_pitch_x))
-        last = min(columns - 1, math.floor((high - grid_x) * per_pitch_x))
+        from_column = bounded((low - grid_x) * per_pitch_x, -1.0, columns)
+        to_column = bounded((high - grid_x) * per_pitch_x, -1.0, columns)
+        first = max(0, math.ceil(from_column))
+        last = min(columns - 1, math.floor(to_column))
         last = min(last, first + CAPACITY - 1 - count)  # whatever numbers came in
         if first > last:
             continue

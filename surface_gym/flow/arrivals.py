@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 from surface_gym.parcel import Parcel
 
 Numbers = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 HOUR = 3600.0  # [s]
+LATEST = 1e9  # [s] that a rate may change at, or a recorded parcel come: 30 years
 FASTEST = 5.0  # [m/s] that a parcel may come in at
 
 
@@ -64,7 +65,7 @@ class Steady(Law):
     rate: float  # [parcels/h]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rate", checks.positive("rate", self.rate))
+        object.__setattr__(self, "rate", checks.positive("rate", self.rate, *bounds.RATE))
 
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:  # noqa: ARG002
         gap = HOUR / self.rate
@@ -83,7 +84,7 @@ class Spread(Law):
     spread: float  # [-]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rate", checks.positive("rate", self.rate))
+        object.__setattr__(self, "rate", checks.positive("rate", self.rate, *bounds.RATE))
         object.__setattr__(self, "spread", _spread(self.spread))
 
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:
@@ -107,7 +108,7 @@ class Poisson(Law):
     least_gap: float = 0.0  # [s]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rate", checks.positive("rate", self.rate))
+        object.__setattr__(self, "rate", checks.positive("rate", self.rate, *bounds.RATE))
         object.__setattr__(self, "least_gap", checks.not_negative("least_gap", self.least_gap))
         if self.least_gap > HOUR / self.rate:
             raise ValueError(
@@ -139,6 +140,8 @@ class Schedule(Law):
 
     def __post_init__(self) -> None:
         time, rate = checks.array("rates", self.rates, (None, 2)).T
+        checks.limited("times of rates", time, LATEST)
+        checks.limited("rates", rate, bounds.RATE[1])
         if len(time) == 0 or time[0] != 0.0 or (np.diff(time) <= 0.0).any():
             raise ValueError(f"rates must be at times that rise from 0, got {time.tolist()}")
         if rate.min() < 0.0 or rate.max() == 0.0:

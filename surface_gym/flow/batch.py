@@ -95,7 +95,8 @@ class FlowBatch:
         self._rows: list[list[int]] = [[] for _ in range(lanes)]  # of the pool that a lane uses
         self._generators: list[np.random.Generator | None] = [None] * lanes
         self._threads = min(threads, max(1, lanes // FEWEST))
-        self._workers = Workers(self._threads, _Scratch(self.rows))
+        steps = settings.timing.steps * self.rows  # of a parcel
+        self._workers = Workers(self._threads, steps, _Scratch(self.rows))
         self._all = np.arange(lanes)
         self._move = self._compile()
 
@@ -245,11 +246,14 @@ class FlowBatch:
         """
         varies, count = self.settings.randomisation, len(arrivals)
         entry = self.settings.chosen_plant.line_y
+        _, _, low, high = self.settings.chosen_plant.extent
+        room = (low - entry, high - entry)
         self._pool.give_back(self._rows[lane])
         self._rows[lane] = []
         if varies.varies_parcels or varies.lateral or varies.heading:
             drawn = [
-                varies.draw_entry(rng, arrivals.kinds[kind]) for kind in arrivals.parcel.tolist()
+                varies.draw_entry(rng, arrivals.kinds[kind], room)
+                for kind in arrivals.parcel.tolist()
             ]
             parcels = [parcel for parcel, _, _ in drawn]
             aside = np.array([aside for _, aside, _ in drawn])

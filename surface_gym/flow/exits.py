@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 
 SIDES = (-1, 0, 1)  # y < 0 (right), straight on, y > 0 (left)
 NOWHERE = -1  # the place of no exit: between two of them
@@ -34,9 +34,9 @@ class Exit:
         set_field = object.__setattr__
         check_name("name", self.name)
         set_field(self, "side", checks.one_of("side", self.side, SIDES))
-        set_field(self, "first", checks.number("first", self.first))
+        set_field(self, "first", _along("first", self.first))
         endless = isinstance(self.last, float) and self.last == math.inf
-        set_field(self, "last", math.inf if endless else checks.number("last", self.last))
+        set_field(self, "last", math.inf if endless else _along("last", self.last))
         if self.last <= self.first:
             raise ValueError(
                 f"last must be greater than first, {self.first:g}, got {self.last!r} "
@@ -111,7 +111,7 @@ class Exits:
 
 def chutes(length: float = 6.0) -> Exits:
     """Two chutes to either side and straight on, of a line of a length [m]."""
-    scale = checks.positive("length", length) / 6.0
+    scale = checks.positive("length", length, *bounds.LENGTH) / 6.0
     spans = ((0.6 * scale, 2.8 * scale), (3.2 * scale, 5.8 * scale))
     aside = tuple(
         Exit(f"{name} {number}", side, *span)
@@ -123,7 +123,7 @@ def chutes(length: float = 6.0) -> Exits:
 
 def sides(length: float = 6.0) -> Exits:
     """A chute to either side, as long as the line [m], and straight on."""
-    last = checks.positive("length", length)
+    last = checks.positive("length", length, *bounds.LENGTH)
     return Exits((Exit("left", 1, 0.0, last), Exit("right", -1, 0.0, last), Exit("straight", 0)))
 
 
@@ -148,6 +148,10 @@ def check_name(name: str, value: Any) -> str:
     if not isinstance(value, str) or not value or value != value.strip():
         raise ValueError(f"{name} must be text without spaces at its ends, got {value!r}")
     return value
+
+
+def _along(name: str, value: Any) -> float:
+    return checks.within(name, value, -bounds.FARTHEST, bounds.FARTHEST)
 
 
 def _check_apart(one: Exit, other: Exit) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 from surface_gym.actions import ANY, ActionKind
 from surface_gym.actuators import Actuators
 from surface_gym.dynamics.company import Touching
@@ -37,7 +37,8 @@ class FlowSettings:
     """Arguments of a flow's environment.
 
     Raises:
-        ValueError: an argument is not allowed; the message names it, what came and what may come.
+        ValueError: an argument is not allowed, or a number is beyond `surface_gym.bounds`; the
+            message names it, what came and what may come.
     """
 
     stream: Stream = Stream()
@@ -77,15 +78,23 @@ class FlowSettings:
             checks.one_of("orientations", self.orientations, (ANY,))
         elif self.orientations is not None:
             set_field(self, "orientations", checks.orientations("orientations", self.orientations))
-        for name in ("control_period", "duration", "patience"):
-            set_field(self, name, checks.positive(name, getattr(self, name)))
+        for name, allowed in (
+            ("control_period", bounds.CONTROL_PERIOD),
+            ("duration", (0.0, bounds.EPISODE)),
+            ("patience", bounds.PATIENCE),
+        ):
+            set_field(self, name, checks.positive(name, getattr(self, name), *allowed))
         if self.duration < self.control_period:
             raise ValueError(
                 f"duration must be at least a control period, {self.control_period:g} s, "
                 f"got {self.duration!r}"
             )
-        for name in ("side_friction", "entry_gap", "ahead"):
-            set_field(self, name, checks.not_negative(name, getattr(self, name)))
+        for name, most in (
+            ("side_friction", bounds.FRICTION),
+            ("entry_gap", bounds.LENGTH[1]),
+            ("ahead", bounds.AHEAD),
+        ):
+            set_field(self, name, checks.not_negative(name, getattr(self, name), most))
         set_field(self, "tilt", checks.within("tilt", self.tilt, -STEEPEST, STEEPEST))
         checks.one_of("gate", self.gate, (False, True))
         if self.gate and self.orientations == ANY:
@@ -94,6 +103,7 @@ class FlowSettings:
         if checks.integer("places", self.places, least=1) > MOST_PLACES:
             raise ValueError(f"places must be at most {MOST_PLACES}, got {self.places!r}")
         check_stuck(self.actuators, self.chosen_plant)
+        self.randomisation.check_room(self.chosen_plant.width)
         if not self.rotor.any():
             raise ValueError("plant must have a rotor, got none")
         set_field(self, "exits", exits_option(self.exits, self.rotors_end - self.entry_x))
@@ -119,7 +129,7 @@ class FlowSettings:
                     f"{plant.width:g} m, got {length:g} m x {width:g} m"
                 )
             # A smaller one would lie between rotors, as if it had left.
-            least = parcel.base.scaled(1.0 - self.randomisation.size)
+            least = self.randomisation.least(parcel.base)
             length, width = np.ptp(least.outline, axis=0)
             if length < plant.pitch_x or width < plant.pitch_y:
                 raise ValueError(

@@ -12,7 +12,7 @@ import numpy as np
 
 from surface_gym import checks
 from surface_gym.bases import Rectangle
-from surface_gym.flow.arrivals import Arrivals, check_speed
+from surface_gym.flow.arrivals import LATEST, Arrivals, check_speed
 from surface_gym.flow.exits import Exits, check_name
 from surface_gym.parcel import Parcel
 
@@ -34,7 +34,7 @@ class Arrival:
     exit: str  # name of the exit it is to leave by
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", checks.not_negative("time", self.time))
+        object.__setattr__(self, "time", checks.not_negative("time", self.time, LATEST))
         if not isinstance(self.parcel, Parcel):
             raise ValueError(f"parcel must be a Parcel, got {self.parcel!r}")
         object.__setattr__(self, "speed", check_speed("speed", self.speed))

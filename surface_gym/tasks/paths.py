@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import checks
+from surface_gym import bounds, checks
 from surface_gym.layouts import LINE_Y
 
 Numbers = NDArray[np.float64]
@@ -31,8 +31,12 @@ class Path(Protocol):
         """[m] y at each x."""
 
 
+def _along(name: str, value: Any) -> float:
+    return checks.within(name, value, -bounds.FARTHEST, bounds.FARTHEST)
+
+
 def _check_range(start: float, end: float) -> None:
-    if not checks.number("start", start) < checks.number("end", end):
+    if not _along("start", start) < _along("end", end):
         raise ValueError(f"start must lie before end, got {start!r} and {end!r}")
 
 
@@ -48,9 +52,9 @@ class Sine:
 
     def __post_init__(self) -> None:
         _check_range(self.start, self.end)
-        checks.number("amplitude", self.amplitude)
-        checks.positive("wavelength", self.wavelength)
-        checks.number("middle", self.middle)
+        _along("amplitude", self.amplitude)
+        checks.positive("wavelength", self.wavelength, *bounds.LENGTH)
+        _along("middle", self.middle)
 
     def y(self, x: Numbers) -> Numbers:
         phase = 2.0 * math.pi * (x - self.start) / self.wavelength
@@ -70,10 +74,10 @@ class LaneChange:
 
     def __post_init__(self) -> None:
         _check_range(self.start, self.end)
-        checks.number("offset", self.offset)
-        checks.positive("length", self.length)
-        checks.number("change", self.change)
-        checks.number("middle", self.middle)
+        _along("offset", self.offset)
+        checks.positive("length", self.length, *bounds.LENGTH)
+        _along("change", self.change)
+        _along("middle", self.middle)
 
     def y(self, x: Numbers) -> Numbers:
         u = np.clip((x - self.change) / self.length, 0.0, 1.0)
@@ -89,6 +93,7 @@ class _Through:
 
     def __post_init__(self) -> None:
         points = checks.array("points", self.points, (None, 2))
+        checks.limited("points", points, bounds.FARTHEST)
         if len(points) < 2 or not (np.diff(points[:, 0]) > 0.0).all():
             raise ValueError(f"points must be at least two of rising x, got {points.tolist()}")
         object.__setattr__(self, "points", tuple(map(tuple, points.tolist())))

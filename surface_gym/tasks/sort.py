@@ -13,7 +13,7 @@ from surface_gym.lanes.lane import Lane, is_slower, reach_along, zone_end, zone_
 from surface_gym.lanes.memory import ROWS, RUNNING, SUCCESS
 from surface_gym.tasks.line import STALL_SPEED, entry
 from surface_gym.tasks.start import Draw, Start, between
-from surface_gym.tasks.task import Feature, Task, failures
+from surface_gym.tasks.task import Feature, Task, failures, rising
 
 SIDE = 0  # place in the goal: +1 for y > 0, -1 for y < 0, 0 for straight through
 REACH = 0  # place in the memory: [m] the lateral reach at the last decision
@@ -133,8 +133,8 @@ distance from the line's middle takes its place |
         super().__post_init__()
         checks.within("slow_share", self.slow_share, 0.0, 1.0)
         for name in ("speeds", "slow_speeds"):
-            low, high = checks.array(name, getattr(self, name), (2,))
-            if not 0.0 < low <= high:
+            low, high = rising(name, getattr(self, name), 0.0, 5.0)
+            if low == 0.0:
                 raise ValueError(f"{name} must be two rising positive speeds, got {(low, high)}")
 
     def start(self, draw: Draw) -> Start:

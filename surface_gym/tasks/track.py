@@ -8,6 +8,7 @@ import numpy as np
 
 from surface_gym import checks
 from surface_gym.dynamics.compiled import lane_function
+from surface_gym.dynamics.indexing import bounded
 from surface_gym.dynamics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
 from surface_gym.lanes.lane import Lane, speed_of
 from surface_gym.lanes.memory import GRAVITY_ALONG, PATH_POINTS, RUNNING, SUCCESS
@@ -320,7 +321,7 @@ def _path_at(lane: Lane, x: float) -> tuple[float, float]:
     """[m] y of the path at x, and its slope there; it goes on straight beyond its ends."""
     step = lane.goal[STEP_X]
     along = (x - lane.goal[FIRST_X]) / step
-    i = int(min(max(along, 0.0), PATH_POINTS - 2.0))
+    i = int(bounded(along, 0.0, PATH_POINTS - 2.0))
     y = lane.path[i]
     rise = lane.path[i + 1] - y
     return y + (along - i) * rise, rise / step

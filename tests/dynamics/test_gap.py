@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 import surface_gym as sg
 from surface_gym.dynamics import facing, gap, impact
 from surface_gym.dynamics.compiled import compiled
+from surface_gym.dynamics.entries import step_implicit
 from surface_gym.dynamics.gap import Motion, Outline
-from surface_gym.dynamics.types import Array
+from surface_gym.dynamics.memory import make_scratch
+from surface_gym.dynamics.types import OMEGA, STATE_SIZE, THETA, VX, VY, Array, X, Y
 from surface_gym.together import bodies_of
 from tests.strategies import angles, bases, speeds, spins
 
@@ -169,3 +171,17 @@ def test_a_centre_of_mass_off_the_centroid_carries_the_base_around_it() -> None:
     box = outline(RECTANGLE, (0.05, 0.02))
     place = place_at(box, at(1.0, 2.0, 0.0, 0.0, 0.0, math.pi), 0.5)  # a quarter turn
     np.testing.assert_allclose((place.x, place.y), (1.02, 1.95), atol=1e-12)
+
+
+def test_the_motion_of_a_step_ends_where_the_step_does() -> None:
+    """Sliding and spinning over supports, which slow all of it."""
+    surface = sg.Surface(np.zeros((20, 20)), np.zeros((20, 20), dtype=bool), mu_support=0.5)
+    box, dt = sg.Parcel(sg.Rectangle(0.4, 0.3)), 0.02
+    before = np.zeros(STATE_SIZE)
+    before[[X, Y, THETA, VX, VY, OMEGA]] = (1.0, 1.1, 0.3, 0.9, -0.4, 3.0)
+    after = before.copy()
+    step_implicit(surface.grid, box.body, after, make_scratch(), dt)
+    motion = gap.moving.py_func(before, after)
+    start, way = np.array(motion[:3]), dt * np.array(motion[3:])
+    np.testing.assert_allclose(start + way, after[[X, Y, THETA]], rtol=0, atol=1e-12)
+    assert abs(after[OMEGA] - before[OMEGA]) > 0.1

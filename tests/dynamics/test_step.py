@@ -96,6 +96,29 @@ def test_a_base_between_the_elements_is_told_from_one_off_the_surface(step: obje
 
 
 @pytest.mark.parametrize("step", [step_implicit, step_explicit])
+def test_a_single_element_bears_a_coin(step: object) -> None:
+    surface, coin = sg.layouts.sorting(), sg.Parcel(sg.Disc(0.04))
+    state, scratch = state_of((1.05, 1.05, 0.0), (0.5, 0.0, 0.0)), make_scratch()
+    assert step(surface.grid, coin.body, state, scratch, 0.005) == (TIPPING, (1, 0))
+
+
+@pytest.mark.parametrize(("x", "y"), [(0.0, 2.0), (6.0, 2.0), (3.0, 0.0), (3.0, 4.0)])
+def test_the_edge_itself_is_of_the_surface(x: float, y: float) -> None:
+    """In quarters of a metre, which floats hold exactly: no round-off decides."""
+    surface = sg.Surface(
+        axis=np.zeros((16, 24)),
+        rotor=np.ones((16, 24), dtype=bool),
+        pitch=0.25,
+        origin=(0.125, 0.125),
+    )
+    parcel, scratch = sg.Parcel(sg.Rectangle(0.6, 0.6)), make_scratch()
+    beyond = (3.0 + 1.0001 * (x - 3.0), 2.0 + 1.0001 * (y - 2.0))
+    for place, expected in (((x, y), TIPPING), (beyond, OFF_SURFACE)):
+        state = state_of((*place, 0.0), (0.1, 0.0, 0.0))
+        assert step_explicit(surface.grid, parcel.body, state, scratch, 0.005)[0] == expected
+
+
+@pytest.mark.parametrize("step", [step_implicit, step_explicit])
 def test_a_step_off_the_surface_leaves_the_state_as_it_was(step: object) -> None:
     surface, parcel = sg.layouts.sorting(tilt=0.1), sg.layouts.box("S")
     state = state_of((9.0, 1.0, 0.2), (0.5, 0.1, 0.3))

@@ -42,7 +42,7 @@ class TestContract:
         [
             {},
             {"duration": 60.0, "stream": Stream(Steady(3000.0)), "patience": 1.0},
-            {"duration": 30.0, "stream": SPARSE, "orientations": (math.pi / 2, math.pi / 2)},
+            {"duration": 30.0, "stream": SPARSE, "orientations": (math.pi / 2, math.pi / 2 - 1e-8)},
             {"stream": Stream(Schedule(((0.0, 0.0), (1.0, 3600.0))))},
             {"orientations": "any", "sensors": Presence()},
             VARIED,
