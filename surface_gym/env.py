@@ -39,8 +39,9 @@ class SmartSurfaceEnv(BatchEnv):
     | "quadrants" | MultiDiscrete, 4 | ahead left, ahead right, behind left, behind right; left is y > 0 |
     | "window" | MultiDiscrete, 25 | the 5 x 5 modules around the parcel's centre, row by row from y < 0 |
 
-    "modules" has a number for each place of the widest line (4 rows); those without a rotor under
-    a narrower one are without effect. Ahead, behind, left, right and around are of the sensed pose.
+    "modules" has a number for each place of the widest line (4 rows); on a
+    narrower line the numbers of places without a rotor do nothing. Ahead, behind, left, right and
+    around refer to the sensed pose.
 
     With `orientations="any"` each of these is an angle instead, in a Box from -pi/2 to pi/2.
 

@@ -2,6 +2,7 @@
 
 import argparse
 import inspect
+import re
 from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
@@ -13,6 +14,18 @@ from surface_gym.flow.features import FEATURES
 from surface_gym.registration import FLOW, env_id
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.task import Feature
+
+# Lines from a prompt to the next empty one, as far left as the text around them.
+EXAMPLE = re.compile(r"^>>> .*(?:\n.+)*", re.MULTILINE)
+
+
+def _described(kind: type[Any]) -> str:
+    """A class's docstring, its examples fenced as code."""
+    return EXAMPLE.sub(r"```pycon\n\g<0>\n```", inspect.cleandoc(kind.__doc__ or ""))
+
+
+def _film(name: str, told: str) -> str:
+    return f"![{told}](../images/{name}.webp)"
 
 
 def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
@@ -50,7 +63,8 @@ def page(name: str) -> str:
         "\n\n".join(
             (
                 f"# {env_id(name)}",
-                inspect.cleandoc(task_class.__doc__ or ""),
+                _film(name, f"Episodes of {env_id(name)}"),
+                _described(task_class),
                 "## Observation",
                 _feature_table(task.features),
                 'With `actions="window"` 25 more follow: the occupancy of the window.',
@@ -73,9 +87,8 @@ def page(name: str) -> str:
 def environment_page() -> str:
     """The Markdown page of what all environments share."""
     listed = "\n".join(f"- [{env_id(name)}]({name}.md)" for name in TASKS)
-    body = inspect.cleandoc(SmartSurfaceEnv.__doc__ or "")
     many = f"Many parcels at once: [{FLOW}](flow.md)."
-    return f"# SmartSurfaceEnv\n\n{body}\n\n## Tasks\n\n{listed}\n\n{many}\n"
+    return f"# SmartSurfaceEnv\n\n{_described(SmartSurfaceEnv)}\n\n## Tasks\n\n{listed}\n\n{many}\n"
 
 
 def flow_page() -> str:
@@ -84,7 +97,8 @@ def flow_page() -> str:
         "\n\n".join(
             (
                 f"# {FLOW}",
-                inspect.cleandoc(FlowEnv.__doc__ or ""),
+                _film("flow", f"A stream of {FLOW}"),
+                _described(FlowEnv),
                 "## Features of a row",
                 _feature_table(FEATURES),
                 "Streams, exits, the physics of parcels that touch, and controllers: "

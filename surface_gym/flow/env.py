@@ -63,8 +63,8 @@ class FlowEnv(BatchEnv):
     ## Observation
 
     A table, float32, (places, features): a row a place. A parcel keeps its place as long as it is
-    on the line; a free one is all 0. A row is seen in a mirror where its parcel is to leave to
-    y < 0, so that what is learned for one side does for both; choices are not.
+    on the line; a free one is all 0. The row of a parcel that is to leave to y < 0 is mirrored,
+    so that what is learned for one side serves both; choices are not mirrored.
 
     | feature | meaning |
     | --- | --- |
@@ -87,7 +87,7 @@ class FlowEnv(BatchEnv):
     | `right` | 1 | as a parcel leaves by its exit |
     | `wrong` | -1 | as it leaves otherwise |
     | `touch` | -0.5 | for each of two parcels that begin to touch |
-    | `reach` | 1 a metre | gain of lateral reach from the exit's start on, as in Sort, and 0.2 of the way there; straight on: 0.2 of the way, less the distance from the middle |
+    | `reach` | 1 a metre | how far towards the asked exit: 0.2 of the way along the line up to the exit's start, from there on the gain of lateral reach, as in Sort. Straight on: 0.2 of the way, less the distance from the middle |
     | `time` | -0.2 a second | of each parcel on the line |
     | `waiting` | -0.1 a second | of each parcel that waits to enter |
     | `jam` | -10 | once |

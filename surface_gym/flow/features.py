@@ -1,7 +1,7 @@
 """What a controller sees of a flow: a row of numbers for each place on the surface.
 
-Each row is seen in a mirror where its parcel is to leave to y < 0, so that it always asks for
-y > 0: what is learned for one side does for both.
+The row of a parcel that is to leave to y < 0 is mirrored, so that it always asks for y > 0: what
+is learned for one side serves both.
 """
 
 import math
@@ -52,7 +52,7 @@ BEHIND = AHEAD + NEIGHBOUR_SIZE
 
 @inlined
 def mirror_of(lane: Lane) -> float:
-    """-1 where a parcel is seen in a mirror, else 1."""
+    """-1 where a parcel's row is mirrored, else 1."""
     return -1.0 if lane.goal[SIDE] < 0.0 else 1.0
 
 

@@ -60,8 +60,8 @@ FEATURES = (
 class Sort(Task):
     """Sort the parcel off the line to one side, quickly.
 
-    A parcel enters a line of rotors amid supports and is to leave it towards y > 0 or y < 0; asked
-    for neither, it is to roll through the zone and stay on the line.
+    A parcel enters a line of rotors amid supports and is to leave it towards y > 0 or y < 0. If
+    neither side is asked for, it is to roll through the zone and stay on the line.
 
     The surface is under-actuated: a module brakes along its axis and lets roll across it, but never
     pushes. Axes at -45 deg turn part of the speed towards y > 0, at +45 deg towards y < 0, and
@@ -69,8 +69,8 @@ class Sort(Task):
 
     ### Start
 
-    The rear at x = 0, on the line's middle, theta 0, no other speed than vx. Entry speed: from the
-    band `slow_speeds` with the probability `slow_share`, else from `speeds`, uniform in it. Parcel
+    The rear at x = 0, on the line's middle, theta 0, no other speed than vx. Entry speed:
+    with probability `slow_share` uniform in `slow_speeds`, otherwise uniform in `speeds`. Parcel
     and side, +1 (y > 0) or -1 (y < 0): equal odds. Side 0, straight through, is only an option.
 
     ### Goal and end

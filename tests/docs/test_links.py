@@ -1,0 +1,86 @@
+"""Links of pages lead somewhere, and pictures are made by the command that makes them."""
+
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.docs.reading import DOCS, PAGES, ROOT, prose_of
+
+LINK = re.compile(r"\]\(([^()\s]+)\)")
+ELSEWHERE = ("https://", "http://", "mailto:")
+FILM = 400_000  # [bytes] that one takes at most
+NAMED = re.compile(r"images/([\w-]+\.\w+)")
+
+
+@pytest.fixture
+def pictures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Callable[[Path], None]]:
+    """What `docs/pictures.py` makes."""
+    monkeypatch.syspath_prepend(DOCS)
+    monkeypatch.delitem(sys.modules, "pictures", raising=False)
+    import pictures
+
+    return pictures.PICTURES
+
+
+def anchors_of(page: Path) -> set[str]:
+    """Names of a page's headings, as Markdown makes them."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
+    plain = [re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower() for heading in headings]
+    return {re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", heading).strip()) for heading in plain}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_each_link_leads_somewhere(page: str) -> None:
+    for link in LINK.findall(prose_of(page)):
+        if link.startswith(ELSEWHERE):
+            continue
+        path, _, anchor = link.partition("#")
+        target = (ROOT / page).parent / path if path else ROOT / page
+        assert target.exists(), link
+        if anchor and target.suffix == ".md":
+            assert anchor in anchors_of(target), link
+
+
+def test_every_picture_is_made_by_the_command(
+    pictures: dict[str, Callable[[Path], None]],
+) -> None:
+    """`python docs/pictures.py` makes what there is, and nothing else."""
+    assert {file.name for file in (DOCS / "images").iterdir()} == set(pictures)
+
+
+def test_every_picture_is_shown(pictures: dict[str, Callable[[Path], None]]) -> None:
+    shown = {name for page in PAGES for name in NAMED.findall((ROOT / page).read_text())}
+    assert shown >= set(pictures)
+
+
+def test_films_are_small() -> None:
+    films = list((DOCS / "images").glob("*.webp"))
+    assert len(films) == 7
+    for film in films:
+        assert film.stat().st_size <= FILM, film.name
+
+
+@pytest.mark.parametrize("name", ["sort.png", "checkered.png", "alignment.png"])
+def test_a_picture_is_made_the_same_again(
+    name: str, pictures: dict[str, Callable[[Path], None]], tmp_path: Path
+) -> None:
+    pictures[name](tmp_path / name)
+    assert (tmp_path / name).read_bytes() == (DOCS / "images" / name).read_bytes()
+
+
+def test_the_command_tells_what_it_makes(
+    pictures: dict[str, Callable[[Path], None]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    from pictures import main
+
+    with pytest.raises(SystemExit):
+        main(["--only", "nothing.png"])
+    assert "invalid choice: 'nothing.png'" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    told = "".join(capsys.readouterr().out.split())  # lines may break at a hyphen
+    for name in pictures:
+        assert name in told
