@@ -24,6 +24,26 @@ every_id = pytest.mark.parametrize("env_id", IDS)
 every_kind_of_action = pytest.mark.parametrize("actions", ACTIONS)
 every_sensor = pytest.mark.parametrize("sensor", SENSORS, ids=lambda kind: kind.__name__)
 
+# Code is compiled for each id, kind of action and kind of sensor together, which takes seconds.
+# These hold every pair of the three once.
+CELLS = [
+    (env_id, actions, SENSORS[(row + column) % len(SENSORS)])
+    for row, env_id in enumerate(IDS)
+    for column, actions in enumerate(ACTIONS)
+]
+every_cell = pytest.mark.parametrize(
+    ("env_id", "actions", "sensor"),
+    [pytest.param(*cell, id=f"{cell[0]}-{cell[1]}-{cell[2].__name__}") for cell in CELLS],
+)
+# Of these, one of each id and kind of sensor.
+every_seen_id = pytest.mark.parametrize(
+    ("env_id", "actions", "sensor"),
+    [
+        pytest.param(*cell, id=f"{cell[0]}-{cell[2].__name__}")
+        for cell in {(cell[0], cell[2]): cell for cell in CELLS}.values()
+    ],
+)
+
 PITCH, ORIGIN = 0.1, 0.05  # [m] between elements of the tasks' plants, and of the first
 
 # Choices of the default orientations, by the angle of the axis.

@@ -1,6 +1,7 @@
 """Axes at any angle, axes that are seen, and what `info` carries on request."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -10,24 +11,28 @@ from gymnasium.utils.env_checker import check_env
 
 import surface_gym as sg
 from surface_gym.actuators import Actuators
-from tests.environments import ACTIONS, IDS, SORT, assert_same, bare, every_id, steps
+from surface_gym.settings import Settings
+from tests.environments import ACTIONS, IDS, SORT, assert_same, bare, steps
 
 ANGLES = np.array([0.0, math.pi / 4, -math.pi / 4, math.pi / 2])  # of the default choices
 FLAT = sg.Parcel(sg.Rectangle(0.35, 0.25), mass=4.0, com_height=0.0, com_offset=(0.03, -0.02))
 
 
 class TestAnyAngle:
-    @every_id
-    @pytest.mark.parametrize("actions", ACTIONS)
+    @pytest.mark.parametrize(
+        ("env_id", "actions"), list(zip(IDS, (*ACTIONS, "modules"), strict=True))
+    )
     @pytest.mark.filterwarnings("ignore:.*symmetric and normalized")  # angles are what they are
     def test_it_is_an_environment(self, env_id: str, actions: str) -> None:
         env = gym.make(env_id, actions=actions, orientations="any")
         assert isinstance(env.action_space, gym.spaces.Box)
-        assert env.action_space.shape == (bare(env_id, actions=actions).settings.action_kind.size,)
+        choices = replace(env.unwrapped.settings, orientations=Settings().orientations)
+        assert env.action_space.shape == (choices.action_kind.size,)
         check_env(env.unwrapped, skip_render_check=True)
 
-    @pytest.mark.parametrize("axis_speed", [math.inf, 6.0])
-    @pytest.mark.parametrize("actions", ACTIONS)
+    @pytest.mark.parametrize(
+        ("actions", "axis_speed"), list(zip(ACTIONS, [math.inf, 6.0] * 2, strict=True))
+    )
     def test_the_angles_of_choices_move_it_as_the_choices_do(
         self, actions: str, axis_speed: float
     ) -> None:
@@ -64,9 +69,16 @@ class TestAnyAngle:
 
 
 class TestSeenAxes:
-    @every_id
-    @pytest.mark.parametrize("actions", ["modules", "window"])
-    @pytest.mark.parametrize("axis_speed", [math.inf, 4.0])
+    @pytest.mark.parametrize(
+        ("env_id", "actions", "axis_speed"),
+        [
+            ("SmartSurface/Orient-v0", "modules", math.inf),
+            ("SmartSurface/Slow-v0", "window", 4.0),
+            ("SmartSurface/Sort-v0", "modules", 4.0),
+            ("SmartSurface/Stop-v0", "window", math.inf),
+            ("SmartSurface/Track-v0", "window", 4.0),
+        ],
+    )
     def test_the_rest_is_as_without(self, env_id: str, actions: str, axis_speed: float) -> None:
         settings = {"actions": actions, "actuators": Actuators(axis_speed=axis_speed)}
         plain, seeing = bare(env_id, **settings), bare(env_id, observe_axes=True, **settings)

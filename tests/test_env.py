@@ -23,30 +23,26 @@ from tests.environments import (
     TWINS,
     assert_same,
     bare,
+    every_cell,
     every_id,
-    every_kind_of_action,
+    every_seen_id,
     every_sensor,
     same_choice,
     steps,
 )
+from tests.vector_environments import every_varying
 
 
 class TestCheckers:
-    @every_kind_of_action
-    @every_id
-    def test_gymnasiums_has_nothing_to_say(self, env_id: str, actions: str) -> None:
-        check_by_gymnasium(bare(env_id, actions=actions), skip_render_check=True)
+    @every_cell
+    def test_gymnasiums_has_nothing_to_say(self, env_id: str, actions: str, sensor: Any) -> None:
+        check_by_gymnasium(bare(env_id, actions=actions, sensors=sensor()), skip_render_check=True)
 
-    @every_kind_of_action
-    @every_id
-    def test_stable_baselines3s_has_nothing_to_say(self, env_id: str, actions: str) -> None:
-        check_by_stable_baselines3(bare(env_id, actions=actions))
-
-    @every_sensor
-    @every_id
-    def test_nor_have_they_with_other_sensors(self, env_id: str, sensor: Any) -> None:
-        check_by_gymnasium(bare(env_id, sensors=sensor()), skip_render_check=True)
-        check_by_stable_baselines3(bare(env_id, sensors=sensor()))
+    @every_cell
+    def test_stable_baselines3s_has_nothing_to_say(
+        self, env_id: str, actions: str, sensor: Any
+    ) -> None:
+        check_by_stable_baselines3(bare(env_id, actions=actions, sensors=sensor()))
 
     @every_id
     def test_nor_when_it_draws(self, env_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -60,9 +56,7 @@ class TestCheckers:
 
 
 class TestEpisodes:
-    @every_sensor
-    @every_kind_of_action
-    @every_id
+    @every_cell
     def test_types_spaces_and_sums(self, env_id: str, actions: str, sensor: Any) -> None:
         env = bare(env_id, actions=actions, sensors=sensor())
         assert env.observation_space.dtype == np.float32
@@ -161,10 +155,9 @@ class TestEpisodes:
 
 
 class TestSeeds:
-    @every_sensor
-    @every_id
-    def test_a_seed_fixes_everything(self, env_id: str, sensor: Any) -> None:
-        one, other = (bare(env_id, sensors=sensor()) for _ in range(2))
+    @every_seen_id
+    def test_a_seed_fixes_everything(self, env_id: str, actions: str, sensor: Any) -> None:
+        one, other = (bare(env_id, actions=actions, sensors=sensor()) for _ in range(2))
         for first, second in zip(
             steps(one, seed=5, episodes=3), steps(other, seed=5, episodes=3), strict=True
         ):
@@ -196,11 +189,11 @@ class TestSeeds:
 
 class TestTwins:
     @pytest.mark.parametrize("twin_of", TWINS)
-    @every_sensor
-    @every_id
+    @every_varying
     def test_go_on_alike(self, env_id: str, sensor: Any, twin_of: Callable[[Any], Any]) -> None:
         env = gym.make(
             env_id,
+            actions="quadrants",
             sensors=sensor(),
             max_episode_steps=8,
             actuators=Actuators(axis_speed=5.0, stuck_share=0.1),

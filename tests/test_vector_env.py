@@ -17,9 +17,8 @@ from tests.environments import (
     SENSORS,
     SORT,
     assert_same,
+    every_cell,
     every_id,
-    every_kind_of_action,
-    every_sensor,
     same_choice,
 )
 from tests.vector_environments import (
@@ -27,6 +26,7 @@ from tests.vector_environments import (
     LANES,
     LIMIT,
     every_mode,
+    every_varying,
     native,
     single_of,
     singles,
@@ -91,9 +91,7 @@ def run_beside(one: VectorEnv, other: VectorEnv, mode: AutoresetMode, periods: i
 
 class TestBesideSingles:
     @every_mode
-    @every_sensor
-    @every_kind_of_action
-    @every_id
+    @every_cell
     def test_each_lane_is_a_single_env(
         self, env_id: str, actions: str, sensor: Any, mode: AutoresetMode
     ) -> None:
@@ -183,8 +181,7 @@ def rollout(env: VectorEnv, lanes: slice, periods: int = 60) -> Iterator[tuple[A
 
 
 class TestLanes:
-    @every_sensor
-    @every_id
+    @every_varying
     def test_their_number_does_not_matter(self, env_id: str, sensor: Any) -> None:
         settings = {"actions": "quadrants", "sensors": sensor(), **EVERYTHING_VARIES}
         few, many = (native(env_id, lanes, **settings) for lanes in (4, 16))

@@ -13,16 +13,17 @@ import surface_gym as sg
 from surface_gym.randomisation import Randomisation
 from tests.environments import (
     ACTIONS,
+    SENSORS,
     TRIANGLE,
     TWINS,
     assert_same,
     every_id,
-    every_sensor,
 )
 from tests.vector_environments import (
     EVERYTHING_VARIES,
     LANES,
     every_mode,
+    every_varying,
     native,
     singles,
 )
@@ -101,10 +102,10 @@ def arrays_of(value: Any) -> Iterator[np.ndarray]:
 
 class TestTwins:
     @pytest.mark.parametrize("twin_of", TWINS)
-    @every_sensor
-    @every_id
+    @every_varying
     def test_go_on_alike(self, env_id: str, sensor: Any, twin_of: Callable[[Any], Any]) -> None:
-        env = native(env_id, sensors=sensor(), max_episode_steps=8, **EVERYTHING_VARIES)
+        settings = {"actions": "quadrants", "sensors": sensor(), **EVERYTHING_VARIES}
+        env = native(env_id, max_episode_steps=8, **settings)
         env.action_space.seed(0)
         env.reset(seed=0)
         for _ in range(4):
@@ -124,8 +125,7 @@ class TestTwins:
 
 
 class TestMemory:
-    @every_sensor
-    @every_mode
+    @pytest.mark.parametrize(("sensor", "mode"), list(zip(SENSORS, AutoresetMode, strict=True)))
     def test_does_not_grow(self, sensor: Any, mode: AutoresetMode) -> None:
         env = native(
             lanes=8,

@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
 from surface_gym.actuators import Actuators
 from surface_gym.randomisation import Randomisation
-from tests.environments import SORT
+from tests.environments import IDS, SENSORS, SORT
 
 LANES = 3
 LIMIT = 14  # control periods of an episode, so that some run out of time
@@ -21,6 +21,16 @@ EVERYTHING_VARIES: dict[str, Any] = {
         lateral=0.01, heading=0.05,
     ),
 }  # fmt: skip
+
+# Each id and each kind of sensor, of which other code is compiled where axes turn: seconds each.
+every_varying = pytest.mark.parametrize(
+    ("env_id", "sensor"),
+    [
+        pytest.param(env_id, sensor, id=f"{env_id}-{sensor.__name__}")
+        for env_id, sensor in [(name, SENSORS[-1]) for name in IDS]
+        + [(SORT, sensor) for sensor in SENSORS[:-1]]
+    ],
+)
 
 
 def native(env_id: str = SORT, lanes: int = LANES, **settings: Any) -> VectorEnv:

@@ -8,7 +8,7 @@ import yaml
 import agents
 from agents.tasks import find_task, id_of, kind_of, label_of
 from surface_gym.tasks import TASKS
-from tests.agents.test_doors import ROOT, door
+from tests.agents.test_doors import ROOT, door, inside
 
 REACH = str(ROOT / "examples" / "reach.py") + ":Reach"
 HASTE = str(ROOT / "examples" / "haste.py") + ":Haste"
@@ -54,7 +54,7 @@ class TestNames:
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of an own task, too short to learn anything."""
     folder = tmp_path_factory.mktemp("own")
-    done = door(str(ROOT / "train.py"), "--task", REACH, *SHORT.split(), folder=folder)
+    done = inside("train.py", "--task", REACH, *SHORT.split(), folder=folder)
     assert done.returncode == 0, done.stderr
     return folder / "runs" / "a"
 
@@ -88,7 +88,7 @@ class TestARun:
         whole = config.read_text()
         config.write_text(whole.replace(REACH, f"{trap}:Reach"))
         for arguments in (("train.py", "--resume"), ("evaluate.py", "--run")):
-            done = door(str(ROOT / arguments[0]), arguments[1], str(run), folder=run)
+            done = inside(*arguments, str(run), folder=run)
             assert done.returncode != 0
             assert "task" in done.stderr
             assert "Traceback" not in done.stderr
@@ -97,11 +97,12 @@ class TestARun:
 
     def test_goes_on_where_the_task_is_said(self, run: Path) -> None:
         before = (run / "policy.pt").read_bytes()
-        done = door(str(ROOT / "train.py"), "--resume", str(run), "--task", REACH, folder=run)
+        done = inside("train.py", "--resume", str(run), "--task", REACH, folder=run)
         assert done.returncode == 0, done.stderr
         assert (run / "policy.pt").read_bytes() == before
 
     def test_is_compared(self, run: Path) -> None:
+        """By processes of their own, which find the task's code again."""
         folder = run.parents[1]
         done = door(str(ROOT / "evaluate.py"), "--task", REACH, "--out", "out", folder=folder)
         assert done.returncode == 0, done.stderr
@@ -115,9 +116,7 @@ def test_a_faulty_task_ends_without_a_traceback(tmp_path: Path) -> None:
     (tmp_path / "faulty.py").write_text(
         "from surface_gym.tasks import Sort\nclass Faulty(Sort):\n    judge = None\n"
     )
-    done = door(
-        str(ROOT / "train.py"), "--task", "faulty.py:Faulty", *SHORT.split(), folder=tmp_path
-    )
+    done = inside("train.py", "--task", "faulty.py:Faulty", *SHORT.split(), folder=tmp_path)
     assert done.returncode != 0
     assert "Faulty.judge must be a static method and a lane_function" in done.stderr
     assert "Traceback" not in done.stderr

@@ -16,6 +16,13 @@ def test_one_seed_has_wilsons_interval(successes: int, count: int) -> None:
     assert found == pytest.approx((known.low, known.high), abs=0.01)
 
 
+def test_round_off_takes_no_interval_beyond_what_a_share_can_be() -> None:
+    for count in range(1, 100):
+        for share in (0.0, 1.0):
+            low, high = wilson(share, count)
+            assert 0.0 <= low <= high <= 1.0
+
+
 def test_seeds_alike_are_no_surer_than_one() -> None:
     """The same starts again say nothing new."""
     one = np.random.default_rng(0).random((1, 400)) < 0.9

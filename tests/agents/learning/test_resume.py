@@ -21,11 +21,11 @@ from agents.policies.files import WEIGHTS
 
 SMALL: dict[str, PPOConfig | DQNConfig] = {
     "ppo": PPOConfig(
-        task="stop", lanes=16, steps=40_000, checkpoint_every=12_000, n_steps=32, batch_size=256,
+        task="stop", lanes=16, steps=20_000, checkpoint_every=6_000, n_steps=32, batch_size=256,
         n_epochs=1, hidden=(8,),
     ),
     "dqn": DQNConfig(
-        task="stop", lanes=16, steps=40_000, checkpoint_every=12_000, buffer_size=20_000,
+        task="stop", lanes=16, steps=20_000, checkpoint_every=6_000, buffer_size=10_000,
         learning_starts=1_000, gradient_steps=1, batch_size=32, hidden=(8,),
     ),
 }  # fmt: skip
@@ -52,19 +52,23 @@ def assert_same(one: Path, other: Path) -> None:
         assert torch.equal(values, second[name]), name
 
 
-@pytest.mark.parametrize("algo", SMALL)
-def test_killed_and_gone_on_with_it_comes_to_the_same(algo: str, tmp_path: Path) -> None:
-    config = SMALL[algo]
-    whole, broken = tmp_path / "whole", tmp_path / "broken"
-    for folder in (whole, broken):
-        folder.mkdir()
-    train(config, whole)
+@pytest.fixture(scope="module", params=SMALL)
+def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that nothing breaks off, in a folder by the name of its algorithm."""
+    folder = tmp_path_factory.mktemp("whole") / request.param
+    folder.mkdir()
+    train(SMALL[request.param], folder)
+    return folder
+
+
+def test_killed_and_gone_on_with_it_comes_to_the_same(whole: Path, tmp_path: Path) -> None:
+    config, broken = SMALL[whole.name], tmp_path
     write_config(config, broken / "config.yaml")
     process = subprocess.Popen(
         [sys.executable, "-c", TRAIN, str(broken)],
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3]), "OMP_NUM_THREADS": "1"},
     )
-    while process.poll() is None and not any(row["steps"] > 15_000 for row in read_curve(broken)):
+    while process.poll() is None and not any(row["steps"] > 7_500 for row in read_curve(broken)):
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL  # before it was done
@@ -73,23 +77,18 @@ def test_killed_and_gone_on_with_it_comes_to_the_same(algo: str, tmp_path: Path)
     assert_same(whole, broken)
 
 
-@pytest.mark.parametrize("algo", SMALL)
-def test_an_interrupt_keeps_what_was_learned(algo: str, tmp_path: Path) -> None:
-    config = SMALL[algo]
-    whole, broken = tmp_path / "whole", tmp_path / "broken"
-    for folder in (whole, broken):
-        folder.mkdir()
+def test_an_interrupt_keeps_what_was_learned(whole: Path, tmp_path: Path) -> None:
+    config, broken = SMALL[whole.name], tmp_path
 
     def interrupt(steps: int, success: float) -> None:
         del success
-        if steps > 18_000:
+        if steps > 9_000:
             raise KeyboardInterrupt
 
     learned = train(config, broken, interrupt)
     assert learned.interrupted
-    assert 18_000 < learned.steps < config.steps
+    assert 9_000 < learned.steps < config.steps
     assert weights(broken)
-    train(config, whole)
     assert not train(config, broken).interrupted
     assert_same(whole, broken)
 

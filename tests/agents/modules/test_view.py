@@ -72,6 +72,9 @@ def test_every_module_under_the_parcel_is_seen(
     along = (np.cos(theta) * dx + np.sin(theta) * dy) / HALF_LENGTH[parcel]
     across = side * (np.cos(theta) * dy - np.sin(theta) * dx) / HALF_LENGTH[parcel]
     np.testing.assert_allclose(seen.place[:, :2], np.stack([along, across], -1), atol=2e-5)
+    # And along and across the line: from the parcel in 0.3 m, from the line's middle in 0.15 m.
+    beside = np.stack([dx / 0.3, side * dy / 0.3, side * (dy + y - LINE_Y) / 0.15], -1)
+    np.testing.assert_allclose(seen.place[:, 6:], beside, atol=2e-5)
 
 
 def test_those_that_will_be_under_are_seen() -> None:

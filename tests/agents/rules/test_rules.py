@@ -66,10 +66,10 @@ def test_it_acts_inside_the_action_space(rule: Rule, sensors: Any) -> None:
 )
 def test_it_acts_in_other_settings_too(rule: Rule, others: dict[str, Any]) -> None:
     settings = settings_of(rule, **others)
-    env = sg.SmartSurfaceVectorEnv(6, task=rule.task, actions=rule.actions, **others)
+    env = sg.SmartSurfaceVectorEnv(2, task=rule.task, actions=rule.actions, **others)
     controller, state = rule.make(settings), None
     observations, _ = env.reset(seed=4)
-    begun = np.ones(6, dtype=bool)
+    begun = np.ones(2, dtype=bool)
     for _ in range(25):
         actions, state = controller.predict(observations, state=state, episode_start=begun)
         assert env.action_space.contains(actions)
@@ -101,7 +101,7 @@ def test_what_sets_all_modules_alike_does_so_with_any_kind(
 @every_rule
 def test_a_lane_alone_is_as_among_many(rule: Rule) -> None:
     settings = settings_of(rule)
-    lanes = 3
+    lanes = 2
     env = sg.SmartSurfaceVectorEnv(
         lanes, task=rule.task, actions=rule.actions, max_episode_steps=60, autoreset_mode="SameStep"
     )
@@ -123,7 +123,7 @@ def test_a_lane_alone_is_as_among_many(rule: Rule) -> None:
 def test_what_it_remembers_ends_with_the_episode(rule: Rule) -> None:
     """Told that an episode has begun, it decides as it does with nothing to remember."""
     controller = rule.make(settings_of(rule))
-    env = sg.SmartSurfaceVectorEnv(4, task=rule.task, actions=rule.actions)
+    env = sg.SmartSurfaceVectorEnv(2, task=rule.task, actions=rule.actions)
     observations, _ = env.reset(seed=1)
     state = None
     for _ in range(15):
@@ -131,7 +131,7 @@ def test_what_it_remembers_ends_with_the_episode(rule: Rule) -> None:
         observations, *_ = env.step(actions)
     others, _ = env.reset(seed=2)
     without, _ = controller.predict(others)
-    begun = np.array([True, False, True, False])
+    begun = np.array([True, False])
     with_old, _ = controller.predict(others, state=state, episode_start=begun)
     np.testing.assert_array_equal(with_old[begun], without[begun])
 
