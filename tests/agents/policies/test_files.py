@@ -196,9 +196,7 @@ def test_damage_and_absence_are_named(folder: Path) -> None:
     with pytest.raises(ValueError, match="its digest differs"):
         load_policy(folder)
     sign(folder)
-    with pytest.raises(
-        ValueError, match="failed reading zip archive"
-    ):
+    with pytest.raises(ValueError, match="failed reading zip archive"):
         load_policy(folder)
     (folder / WEIGHTS).unlink()
     with pytest.raises(ValueError, match=f"{WEIGHTS} is missing"):
