@@ -101,6 +101,7 @@ def test_a_program_takes_the_command(
     take = argparse.ArgumentParser.parse_args
     parsing_alone.setattr(argparse.ArgumentParser, "parse_args", then_stop(take))
     parsing_alone.setattr(sys, "argv", [program, *arguments])
+    parsing_alone.delitem(sys.modules, program, raising=False)  # runpy begins with a fresh one
     begin = runpy.run_module if is_module else runpy.run_path
     with pytest.raises(Parsed):
         begin(program if is_module else str(ROOT / program), run_name="__main__")

@@ -15,6 +15,7 @@ from agents.learning.curve import FILE as CURVE
 from agents.learning.parcels import CriticFirst
 from agents.learning.training import train
 from agents.policies.files import CARD, WEIGHTS
+from tests.agents.signing import sign
 
 SMALL = ParcelsConfig(
     steps=30_000, lanes=4, seats=8, n_steps=64, batch_size=512, n_epochs=1, hidden=(8,),
@@ -88,6 +89,7 @@ def test_a_policy_file_of_another_kind_is_refused(tmp_path: Path) -> None:
     train(replace(SMALL, steps=100), made)
     card = (made / CARD).read_text()
     (made / CARD).write_text(card.replace("algo: parcels", "algo: ppo"))
+    sign(made)
     with pytest.raises(ValueError, match="algo must be 'parcels'"):
         agents.read(made)
 

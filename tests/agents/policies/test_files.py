@@ -1,10 +1,8 @@
 """Policies on disk: they come back as they were, and nothing in their files is run."""
 
-import json
 import pickle
 import re
 from collections.abc import Callable
-from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +15,7 @@ from agents.modules.policy import ModulesPolicy
 from agents.policies.files import CARD, WEIGHTS, load_policy, save_policy
 from agents.policies.policy import Policy, make_network
 from agents.policy_card import PolicyCard
+from tests.agents.signing import sign
 
 CARDS = {
     "ppo": PolicyCard("SmartSurface/Sort-v0", "ppo", "halves", 0.04, (8,)),
@@ -81,15 +80,6 @@ def yaml_of(content: bytes) -> object:
         return yaml.safe_load(content.decode())
     except (UnicodeDecodeError, yaml.YAMLError):
         return None
-
-
-def sign(folder: Path) -> None:
-    """Give the card the digest that its fields and the weights have now."""
-    fields = yaml.safe_load((folder / CARD).read_text())
-    fields.pop("digest", None)
-    content = json.dumps(fields, sort_keys=True).encode() + (folder / WEIGHTS).read_bytes()
-    fields["digest"] = sha256(content).hexdigest()
-    (folder / CARD).write_text(yaml.safe_dump(fields))
 
 
 @pytest.mark.parametrize(
