@@ -8,6 +8,9 @@ import pytest
 
 import surface_gym as sg
 from agents.planner import Planner
+from agents.planning.aims import AIMS, CROSS_ERROR, CROSS_SPEED, SPEED_ERROR
+from agents.planning.model import Model
+from agents.planning.search import _keep
 from agents.planning.start import start_of
 from agents.rules.event import EventRule
 from agents.rules.fixed import FixedLayout
@@ -116,6 +119,40 @@ def test_it_is_exact(task: str, figure: str, most: float, parcel: str) -> None:
     runs = planned(task, [{**STARTS[task], "parcel": parcel}], budget=24)
     assert runs.success.all()
     assert abs(runs.figures[figure][0]) <= most
+
+
+def test_on_a_path_lanes_cost_what_their_errors_so_far_are() -> None:
+    """By the task's own figures; on a straight path, where across it is across the line."""
+    settings = Settings(task="track", actions="halves")
+    env = sg.SmartSurfaceEnv(task="track", actions="halves")
+    start = {"parcel": "S", "path": [(0.5, 1.0), (4.0, 1.0)], "tilt": 0.1, "speed": 0.8}
+    observation, _ = env.reset(seed=0, options=start)
+    model = Model(settings, 3)
+    model.begin(observation)
+    for actions in ([15, 5, 10], [6, 9, 0], [10, 1, 5]):
+        stand = model.advance(np.arange(3), np.array(actions))
+    figures = dict(zip(settings.chosen_task.figures, stand.lanes.figures.T, strict=True))
+    terms = (
+        figures["rms_error"] / CROSS_ERROR,
+        figures["speed_error"] / SPEED_ERROR,
+        stand.lanes.truth[:, 4] / CROSS_SPEED,
+    )
+    assert min(np.abs(term).max() for term in terms) > 0.1
+    expected = sum(term**2 for term in terms)
+    np.testing.assert_allclose(AIMS["track"].way(stand), expected, rtol=1e-3)
+
+
+def test_of_lanes_that_are_alike_one_is_gone_on_with() -> None:
+    """A centimetre apart, or so far in any other coordinate, they are not alike."""
+    env = sg.SmartSurfaceEnv(task="stop", actions="halves")
+    observation, _ = env.reset(seed=0, options={**STARTS["stop"], "parcel": "S"})
+    model = Model(Settings(task="stop", actions="halves"), 8)
+    model.begin(observation)
+    stand = model.advance(np.zeros(8, dtype=np.int64), np.full(8, 15))
+    stand.lanes.state[1:7, :6] += np.diag([0.01, 0.01, 0.05, 0.025, 0.025, 0.25])
+    kept = _keep(AIMS["stop"], stand, np.ones(8, dtype=bool), 8)
+    assert sorted(kept) == [0, 1, 2, 3, 4, 5, 6]
+    assert len(_keep(AIMS["stop"], stand, np.ones(8, dtype=bool), 3)) == 3
 
 
 def test_each_lane_is_planned_on_its_own() -> None:

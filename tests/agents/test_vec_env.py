@@ -40,14 +40,18 @@ def test_lanes_are_single_envs_and_their_ends_are_told() -> None:
         np.testing.assert_array_equal(single.reset(seed=3 + lane)[0], observations[lane])
     rng = np.random.default_rng(0)
     ends = []
+    lasted = np.zeros(LANES, dtype=np.int64)
     for _ in range(60):
         actions = rng.integers(0, 16, LANES)
         observations, rewards, dones, infos = env.step(actions)
+        lasted += 1
         for lane, single in enumerate(singles):
             seen, reward, terminated, truncated, info = single.step(actions[lane])
             assert rewards[lane] == np.float32(reward)
             assert dones[lane] == (terminated or truncated)
             if dones[lane]:
+                assert infos[lane]["episode"]["l"] == lasted[lane]
+                lasted[lane] = 0
                 ends.append((infos[lane], seen.copy(), terminated, truncated, info))
                 seen, _ = single.reset()
             else:

@@ -76,6 +76,19 @@ def test_slowing_brakes_late_yet_rolls_on_for_a_second() -> None:
         assert 1.05 < (np.nanmax(x) - x[rolled] - way) / asked < 1.2
 
 
+def test_beyond_the_end_of_the_zone_the_asked_speed_itself_is_best() -> None:
+    """Nothing is left to roll: faster is as bad as it is too fast, slower worse."""
+    settings = Settings(task="slow")
+    env = sg.SmartSurfaceVectorEnv(1, task="slow")
+    start = {"parcel": "S", "speed": 2.0, "ratio": 0.5}
+    observations, _ = env.reset(seed=0, options=start)
+    slowing = rule("slow", "braking rule").make(settings)
+    speed = np.array([[0.9, 1.0, 1.1]])
+    regret = slowing._regret(line_sight(settings, observations), np.full((1, 3), 9.0), speed)
+    assert regret[0, 0] > regret[0, 2]
+    np.testing.assert_allclose(regret[0, 1:], [0.0, 0.1], atol=1e-5)
+
+
 def test_stopping_hits_every_place() -> None:
     starts = [
         {"parcel": parcel, "speed": speed, "position": position}

@@ -11,7 +11,8 @@ from agents.rules.sliding_square import SlidingSquare
 from agents.sight import line_sight, path_sight
 from surface_gym.settings import Settings
 from surface_gym.tasks.paths import Sine
-from tests.agents.rules.runs import mirrored_starts, run_rule
+from tests.agents.rules.runs import mirrored_starts, rule, run_rule
+from tests.environments import ROLL
 
 WAVES = [
     {"parcel": parcel, "speed": speed, "tilt": math.radians(tilt), "path": Sine(side * 0.15, 2.5)}
@@ -57,6 +58,25 @@ def test_sliding_mode_does_as_well_on_mirrored_paths() -> None:
 def test_the_turning_rule_turns_to_any_angle() -> None:
     assert run_rule("orient", "turning rule", TURNS).success.all()
     assert not run_rule("orient", "fixed layout", TURNS).success.all()
+
+
+def test_modules_that_turn_a_parcel_drag_its_front_one_way_and_its_rear_the_other() -> None:
+    settings = Settings(task="orient")
+    env = sg.SmartSurfaceVectorEnv(2, task="orient")
+    starts = [{"parcel": parcel, "speed": 1.5, "angle": 0.3} for parcel in "SB"]
+    observations, _ = env.reset(seed=0, options=starts)
+    for _ in range(15):
+        observations, *_ = env.step(np.full((2, 64), ROLL))
+    see = line_sight(settings, observations)
+    places = line_places(see, settings.action_kind)
+    for x, ways in zip(
+        places.x, rule("orient", "turning rule").make(settings)._ways(see, places), strict=True
+    ):
+        turned = [(set(way[x > 0]) - {ROLL}, set(way[x < 0]) - {ROLL}) for way in ways]
+        assert turned[0] == (set(), set())
+        assert all(len(front) <= 1 >= len(rear) for front, rear in turned)
+        assert not any(front & rear for front, rear in turned)
+        assert any(front and rear for front, rear in turned)
 
 
 @pytest.mark.parametrize("name", ["threshold logic", "PID per module"])

@@ -1,0 +1,136 @@
+"""The modules of a mutation trial, and the tests that are to notice a fault in each."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Target:
+    """A module and its tests: paths from the repository's root, as pytest takes them."""
+
+    area: str
+    module: str
+    near: tuple[str, ...]  # its own tests, run first, after the examples in its text
+    wide: tuple[str, ...]  # those of what is built on it, for what is left; may be none
+
+
+_STEPS = ("tests/dynamics", "tests/test_simulation.py")
+_TOGETHER = ("tests/dynamics/test_together.py", "tests/test_together.py")
+_LANES = (
+    "tests/test_env_physics.py",
+    "tests/test_env.py",
+    "tests/test_vector_env.py",
+    "tests/test_vector_env_resets.py",
+    "tests/test_axes.py",
+)
+_PAGES = "tests/test_pages.py"  # of the environments: what they show is told there
+_TASKS = ("tests/tasks", "tests/test_env.py")
+_RULES = ("tests/agents/rules/test_rules.py",)
+
+
+def _physics(name: str, *wide: str) -> Target:
+    near = (f"tests/dynamics/test_{name}.py",)
+    return Target("physics", f"surface_gym/dynamics/{name}.py", near, wide or _STEPS)
+
+
+def _task(name: str) -> Target:
+    near = (f"tests/tasks/test_{name}.py", _PAGES)
+    return Target("tasks", f"surface_gym/tasks/{name}.py", near, _TASKS)
+
+
+def _agent(module: str, *near: str, wide: tuple[str, ...] = ()) -> Target:
+    return Target("agents", f"agents/{module}.py", tuple(f"tests/agents/{n}" for n in near), wide)
+
+
+TARGETS = (
+    _physics("normal_forces"),
+    _physics("friction"),
+    _physics("contacts"),
+    _physics("step"),
+    _physics("explicit"),
+    _physics("axes", *_STEPS, "tests/test_axes.py"),
+    _physics("gap", *_TOGETHER),
+    _physics("solving", *_TOGETHER),
+    Target("physics", "surface_gym/dynamics/parting.py", _TOGETHER[:1], _TOGETHER[1:]),
+    _task("sort"),
+    _task("slow"),
+    _task("stop"),
+    _task("orient"),
+    _task("track"),
+    Target(
+        "tasks",
+        "surface_gym/tasks/line.py",
+        (
+            "surface_gym/tasks/slow.py",
+            "tests/tasks/test_slow.py",
+            "tests/tasks/test_stop.py",
+            _PAGES,
+        ),
+        _TASKS,
+    ),
+    Target(
+        "sensors",
+        "surface_gym/sensors/camera.py",
+        ("tests/sensors/test_camera.py",),
+        ("tests/sensors", "tests/test_settings.py"),
+    ),
+    Target(
+        "sensors",
+        "surface_gym/sensors/entry.py",
+        ("tests/sensors/test_camera.py",),
+        ("tests/sensors", "tests/test_settings.py"),
+    ),
+    Target(
+        "environments",
+        "surface_gym/lanes/lane.py",
+        ("tests/tasks/test_task.py", "tests/tasks/test_sort.py"),
+        (*_TASKS, *_LANES),
+    ),
+    Target(
+        "environments",
+        "surface_gym/faces/vector.py",
+        ("tests/test_vector_env_resets.py",),
+        ("tests/test_vector_env.py", "tests/test_vector_env_contract.py", "tests/test_own.py"),
+    ),
+    Target(
+        "environments",
+        "surface_gym/batch/placement.py",
+        ("tests/batch/test_placement.py",),
+        _LANES,
+    ),
+    Target(
+        "environments",
+        "surface_gym/actions/commands.py",
+        ("tests/actions/test_commands.py",),
+        ("tests/actions", "tests/test_actuators.py", "tests/test_axes.py"),
+    ),
+    Target(
+        "environments",
+        "surface_gym/actuators.py",
+        ("tests/test_actuators.py",),
+        ("tests/test_settings.py",),
+    ),
+    Target(
+        "environments",
+        "surface_gym/randomisation.py",
+        ("tests/test_randomisation.py",),
+        ("tests/test_env_starts.py", "tests/test_settings.py"),
+    ),
+    _agent("rules/braking", "rules/test_braking.py", wide=_RULES),
+    _agent(
+        "rules/turning",
+        "rules/test_steering.py::test_the_turning_rule_turns_to_any_angle",
+        "rules/test_steering.py::test_modules_that_turn_a_parcel_drag_its_front_one_way_and_its_rear"
+        "_the_other",
+        wide=_RULES,
+    ),
+    _agent("planning/search", "test_planner.py"),
+    _agent("planning/aims", "test_planner.py"),
+    _agent("vec_env", "test_vec_env.py", wide=("tests/agents/test_mirror.py",)),
+    _agent("mirror", "test_mirror.py", wide=("tests/agents/test_vec_env.py",)),
+    _agent("episodes", "test_episodes.py", wide=("tests/agents/evaluation",)),
+    _agent("modules/view", "modules/test_view.py", wide=("tests/agents/modules",)),
+    _agent("learning/checkpoint", "learning/test_resume.py", wide=("tests/agents/learning",)),
+    _agent(
+        "evaluation/statistics", "evaluation/test_statistics.py", wide=("tests/agents/evaluation",)
+    ),
+)

@@ -1,0 +1,135 @@
+"""The mutation trial: what it changes, what it leaves, and what it says of a fault."""
+
+import ast
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks import mutation, mutation_trial
+from benchmarks.mutation_equivalents import EQUIVALENTS
+from benchmarks.mutation_sample import Mutant, sample_of
+from benchmarks.mutation_targets import TARGETS, Target
+
+REPOSITORY = Path(__file__).parents[2]
+SOURCE = '''
+"""Twice a number."""
+from dataclasses import dataclass
+Number = int | float
+
+
+@dataclass(frozen=True)
+class Kept:
+    value: int | None
+
+
+def twice(value: int | float = 3) -> int | float:
+    if value < 0:
+        raise ValueError(f"not below {0 + 0}, got {value - 0}")
+    return value * 2
+'''
+
+
+def test_every_module_and_test_of_the_table_is_there() -> None:
+    for target in TARGETS:
+        for path in (target.module, *target.near, *target.wide):
+            assert (REPOSITORY / path.split("::")[0]).exists(), path
+
+
+def test_every_equivalent_is_still_a_line_of_its_module() -> None:
+    for each in EQUIVALENTS:
+        lines = (REPOSITORY / each.module).read_text(encoding="utf-8").splitlines()
+        assert each.was in [line.strip() for line in lines], each
+        assert each.was != each.becomes
+
+
+class TestSample:
+    @pytest.fixture(autouse=True)
+    def _needs(self) -> None:
+        pytest.importorskip("cosmic_ray")
+
+    def test_each_mutant_is_the_module_with_one_line_changed(self) -> None:
+        lines = SOURCE.splitlines()
+        for mutant in sample_of(SOURCE, 100, "0"):
+            ast.parse(mutant.text)
+            changed = mutant.text.splitlines()
+            differ = [k for k, line in enumerate(lines) if line != changed[k]]
+            assert differ == [mutant.line - 1]
+            assert (mutant.was, mutant.becomes) == (
+                lines[mutant.line - 1].strip(),
+                changed[mutant.line - 1].strip(),
+            )
+
+    def test_types_decorators_and_errors_are_left_as_they_are(self) -> None:
+        changed = {mutant.was for mutant in sample_of(SOURCE, 100, "0")}
+        assert changed == {
+            "def twice(value: int | float = 3) -> int | float:",
+            "if value < 0:",
+            "return value * 2",
+        }
+        defaults = [m.becomes for m in sample_of(SOURCE, 100, "0") if m.was.startswith("def")]
+        assert all("int | float =" in line for line in defaults)
+
+    def test_it_follows_from_the_seed_and_grows_at_its_end(self) -> None:
+        assert sample_of(SOURCE, 2, "1") == sample_of(SOURCE, 4, "1")[:2]
+        assert len({tuple(sample_of(SOURCE, 2, str(seed))) for seed in range(9)}) > 1
+
+
+def test_without_cosmic_ray_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cosmic_ray.plugins", None)
+    with pytest.raises(ImportError, match="pip install cosmic-ray"):
+        sample_of(SOURCE, 1, "0")
+
+
+def test_a_module_that_is_not_in_the_table_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["mutation", "--modules", "tasks/sort", "nowhere"])
+    with pytest.raises(SystemExit, match=r"modules must be in .*, got 'nowhere'"):
+        mutation.main()
+
+
+class TestTrial:
+    """Of a repository of one function and one test."""
+
+    TARGET = Target("all", "kept/twice.py", ("tests/test_twice.py",), ())
+    TEST = "from kept.twice import twice\n\n\ndef test_twice():\n    assert twice({}) == {}\n"
+
+    @pytest.fixture
+    def repository(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+        repository = tmp_path / "repository"
+        for name in ("kept", "tests"):
+            (repository / name).mkdir(parents=True)
+        (repository / "kept" / "twice.py").write_text("def twice(x):\n    return x * 2\n")
+        (repository / "tests" / "test_twice.py").write_text(self.TEST.format(2, 4))
+        monkeypatch.setattr(mutation_trial, "REPOSITORY", repository)
+        monkeypatch.setattr(mutation_trial, "COPIED", ("kept", "tests"))
+        return repository
+
+    def trial(self, repository: Path) -> mutation_trial.Trial:
+        return mutation_trial.Trial(repository.parent, limit=60)
+
+    @staticmethod
+    def mutant(becomes: str) -> Mutant:
+        text = f"def twice(x):\n    {becomes}\n"
+        return Mutant(becomes, 0, 2, "twice", "return x * 2", becomes, text)
+
+    def test_what_a_test_notices_is_killed_and_the_rest_tried_again_when_tests_change(
+        self, repository: Path
+    ) -> None:
+        trial = self.trial(repository)
+        killed = trial.outcome(self.TARGET, self.mutant("return x / 2"))
+        assert killed["outcome"] == "killed"
+        assert killed["by"] == "tests/test_twice.py::test_twice"
+        assert trial.outcome(self.TARGET, self.mutant("return x + 2"))["outcome"] == "survived"
+        written = (repository.parent / "results.jsonl").read_text()
+        again = self.trial(repository)
+        assert again.outcome(self.TARGET, self.mutant("return x + 2"))["outcome"] == "survived"
+        assert (repository.parent / "results.jsonl").read_text() == written
+        (repository / "tests" / "test_twice.py").write_text(self.TEST.format(3, 6))
+        last = self.trial(repository)
+        assert last.outcome(self.TARGET, self.mutant("return x + 2"))["outcome"] == "killed"
+        assert (repository / "kept" / "twice.py").read_text().endswith("x * 2\n")
+
+    def test_tests_that_fail_anyway_are_told(self, repository: Path) -> None:
+        (repository / "tests" / "test_twice.py").write_text(self.TEST.format(2, 5))
+        with pytest.raises(RuntimeError, match="fail without a mutant"):
+            self.trial(repository).outcome(self.TARGET, self.mutant("return x / 2"))
