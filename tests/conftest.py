@@ -5,7 +5,6 @@ import os
 import pytest
 from hypothesis import settings
 
-from surface_gym.cores import usable_cores
 from tests.order import SMOKE, place_of
 
 # The same examples from run to run; the first one may wait for the compiler.
@@ -13,11 +12,6 @@ settings.register_profile("surface_gym", deadline=None, derandomize=True, max_ex
 # Others every night, and many: HYPOTHESIS_PROFILE=nightly.
 settings.register_profile("nightly", deadline=None, max_examples=10_000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "surface_gym"))
-
-
-def pytest_xdist_auto_num_workers() -> int:
-    """One more than there are processors: some tests wait for programs that they have begun."""
-    return usable_cores() + 1
 
 
 def pytest_configure(config: pytest.Config) -> None:
