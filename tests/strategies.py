@@ -43,6 +43,7 @@ def polygon_vertices(sides: int, radius: float, flatten: float, turn: float) -> 
 
 
 lengths = st.floats(0.15, 0.5)
+reaches = st.floats(0.25, 0.5)  # of a polygon, which then lies over an element wherever it is
 angles = st.floats(-10.0, 10.0)
 speeds = st.floats(-1.5, 1.5)
 spins = st.floats(-3.0, 3.0)
@@ -52,7 +53,7 @@ spins = st.floats(-3.0, 3.0)
 def polygons(draw: st.DrawFn) -> sg.Polygon:
     """Three to seven sides, in either sense of rotation, off its frame's origin."""
     vertices = polygon_vertices(
-        draw(st.integers(3, 7)), draw(lengths), draw(st.floats(0.5, 1.0)), draw(angles)
+        draw(st.integers(3, 7)), draw(reaches), draw(st.floats(0.5, 1.0)), draw(angles)
     )
     vertices += np.array([draw(st.floats(-0.1, 0.1)), draw(st.floats(-0.1, 0.1))])
     return sg.Polygon(vertices[::-1] if draw(st.booleans()) else vertices)
