@@ -12,7 +12,6 @@ from typing import Any
 
 import gymnasium as gym
 
-import surface_gym  # noqa: F401 - it names the environments
 from surface_gym import agents
 
 ASIDE = 50  # decisions that are not counted: the first ones load and warm up

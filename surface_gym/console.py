@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from types import ModuleType
 
 from surface_gym.commands import run
 from surface_gym.find_agents import import_agents
@@ -17,31 +18,29 @@ class Command:
     """One of the commands."""
 
     told: str  # what it does, in a line
-    module: str  # whose `main` it runs
-    by_agents: bool = False  # the module is one of the package of agents
-    extra: str = ""  # of surface_gym, which brings its libraries
+    importing: Callable[[str], ModuleType]  # of its module, which has a `main`
+    module: str
+    extra: str = "agents"  # of surface_gym, which brings its libraries
 
-    def main(self) -> Callable[[], None]:
-        """Its function, imported only now."""
-        found = import_agents(self.module) if self.by_agents else import_module(self.module)
-        main: Callable[[], None] = found.main
-        return main
+    def main(self) -> None:
+        """Import it, only now, and run it."""
+        self.importing(self.module).main()
 
 
 COMMANDS = {
-    "train": Command("train an agent, or search hyper-parameters", "learning.main", True, "agents"),
+    "train": Command("train an agent, or search hyper-parameters", import_agents, "learning.main"),
     "evaluate": Command(
-        "compare controllers and agents on every task", "evaluation.main", True, "agents"
+        "compare controllers and agents on every task", import_agents, "evaluation.main"
     ),
     "design": Command(
-        "which surface a parcel of your own needs", "surface_gym.design.command", extra="agents"
+        "which surface a parcel of your own needs", import_module, "surface_gym.design.command"
     ),
     "play": Command(
-        "push a parcel with the mouse, turn axes by keys", "surface_gym.play", extra="agents"
+        "push a parcel with the mouse, turn axes by keys", import_module, "surface_gym.play"
     ),
-    "paper": Command("the study's tables beside ours", "surface_gym.paper.command", extra="agents"),
+    "paper": Command("the study's tables beside ours", import_module, "surface_gym.paper.command"),
     "validation": Command(
-        "the model beside MuJoCo", "surface_gym.validation.command", extra="validation"
+        "the model beside MuJoCo", import_module, "surface_gym.validation.command", "validation"
     ),
 }
 
@@ -69,4 +68,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     name = parser.parse_args(given[:1]).command
     asked = COMMANDS[name]
     sys.argv = [f"{NAME} {name}", *given[1:]]
-    run(lambda: asked.main()(), f"{NAME} {name}", asked.extra)
+    run(asked.main, f"{NAME} {name}", asked.extra)

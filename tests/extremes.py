@@ -179,34 +179,31 @@ entries = st.builds(
     turning=up_to(bounds.SPIN),
 )
 densities = sizes(*bounds.DENSITY)
+rates = sizes(bounds.FRAME_RATE[0], 100.0)
+observing: dict[str, st.SearchStrategy[Any]] = {  # what any observer assumes
+    "drop": st.floats(0.0, 0.999),
+    "mu_max": st.none() | sizes(1.0, bounds.FRICTION),
+    "mu_min": st.none() | up_to(1.0),
+    "mu_support": st.none() | up_to(bounds.FRICTION),
+    "friction_error": up_to(bounds.FRICTION_ERROR),
+    "acceleration_density": densities,
+    "turn_density": densities,
+    "entry": entries,
+}
 SENSORS: dict[type[Sensor], st.SearchStrategy[Sensor]] = {
     Exact: st.just(Exact()),
     Camera: st.builds(
         Camera,
-        frame_rate=sizes(bounds.FRAME_RATE[0], 100.0),
+        frame_rate=rates,
         position_noise=up_to(bounds.POSITION_ERROR),
         angle_noise=up_to(bounds.ANGLE_ERROR),
-        drop=st.floats(0.0, 0.999),
-        mu_max=st.none() | sizes(1.0, bounds.FRICTION),
-        mu_min=st.none() | up_to(1.0),
-        mu_support=st.none() | up_to(bounds.FRICTION),
-        friction_error=up_to(bounds.FRICTION_ERROR),
-        acceleration_density=densities,
-        turn_density=densities,
-        entry=entries,
+        **observing,
     ),
     Presence: st.builds(
         Presence,
-        sample_rate=sizes(bounds.FRAME_RATE[0], 100.0),
-        drop=st.floats(0.0, 0.999),
-        mu_max=st.none() | sizes(1.0, bounds.FRICTION),
-        mu_min=st.none() | up_to(1.0),
-        mu_support=st.none() | up_to(bounds.FRICTION),
-        friction_error=up_to(bounds.FRICTION_ERROR),
-        acceleration_density=densities,
-        turn_density=densities,
+        sample_rate=rates,
         tolerance=sizes(*bounds.TOLERANCE),
-        entry=entries,
+        **observing,
     ),
 }
 SHARES = st.one_of(st.just(0.0), st.floats(0.0, 0.99))
