@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -75,6 +76,12 @@ def _edge_functions(
     return np.stack([nx * dx + ny * dy - distance for nx, ny, distance in edges])
 
 
+def _kept(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An array that is computed once and shared, so that nobody may write it."""
+    array.flags.writeable = False
+    return array
+
+
 @dataclass(frozen=True)
 class Rectangle:
     """A box's base, b x h in the paper, centred on its frame's origin.
@@ -90,27 +97,27 @@ class Rectangle:
         object.__setattr__(self, "length", checks.positive("length", self.length, *bounds.LENGTH))
         object.__setattr__(self, "width", checks.positive("width", self.width, *bounds.LENGTH))
 
-    @property
+    @cached_property
     def centroid(self) -> tuple[float, float]:
         return (0.0, 0.0)
 
-    @property
+    @cached_property
     def gyration(self) -> float:
         return (self.length**2 + self.width**2) / 12.0  # Table 1
 
-    @property
+    @cached_property
     def reach(self) -> float:
         return math.hypot(self.length, self.width) / 2.0
 
-    @property
+    @cached_property
     def edges(self) -> NDArray[np.float64]:
         b, h = self.length / 2.0, self.width / 2.0
-        return np.array([[1.0, 0.0, b], [-1.0, 0.0, b], [0.0, 1.0, h], [0.0, -1.0, h]])
+        return _kept(np.array([[1.0, 0.0, b], [-1.0, 0.0, b], [0.0, 1.0, h], [0.0, -1.0, h]]))
 
-    @property
+    @cached_property
     def outline(self) -> NDArray[np.float64]:
         b, h = self.length / 2.0, self.width / 2.0
-        return np.array([[-b, -h], [b, -h], [b, h], [-b, h]])
+        return _kept(np.array([[-b, -h], [b, -h], [b, h], [-b, h]]))
 
     def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         return _edge_functions(self.edges, self.centroid, x, y)
@@ -128,26 +135,26 @@ class Disc:
     def __post_init__(self) -> None:
         object.__setattr__(self, "radius", checks.positive("radius", self.radius, *bounds.LENGTH))
 
-    @property
+    @cached_property
     def centroid(self) -> tuple[float, float]:
         return (0.0, 0.0)
 
-    @property
+    @cached_property
     def gyration(self) -> float:
         return self.radius**2 / 2.0
 
-    @property
+    @cached_property
     def reach(self) -> float:
         return self.radius
 
-    @property
+    @cached_property
     def edges(self) -> NDArray[np.float64]:
-        return np.zeros((0, 3))
+        return _kept(np.zeros((0, 3)))
 
-    @property
+    @cached_property
     def outline(self) -> NDArray[np.float64]:
         angle = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
-        return self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        return _kept(self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
 
     def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         distance = np.hypot(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
@@ -197,43 +204,44 @@ class Polygon:
         """Pickle and copy by the constructor, which makes the array read-only again."""
         return (Polygon, (self.vertices,))
 
-    @property
+    @cached_property
     def outline(self) -> NDArray[np.float64]:
         x, y = self.vertices.T
         anti_clockwise = np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0.0
-        return np.array(self.vertices if anti_clockwise else self.vertices[::-1])
+        return _kept(np.array(self.vertices if anti_clockwise else self.vertices[::-1]))
 
+    @cached_property
     def _triangles(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Twice the area of each triangle (first vertex, side), and the side's ends from there."""
         start = self.outline - self.outline[0]
         end = np.roll(start, -1, axis=0)
         return start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0], start, end
 
-    @property
+    @cached_property
     def centroid(self) -> tuple[float, float]:
-        area, start, end = self._triangles()
+        area, start, end = self._triangles
         x, y = self.outline[0] + (area @ (start + end)) / (3.0 * area.sum())
         return (float(x), float(y))
 
-    @property
+    @cached_property
     def gyration(self) -> float:
-        area, start, end = self._triangles()
+        area, start, end = self._triangles
         squares = (start**2 + start * end + end**2).sum(axis=1)
         offset = np.array(self.centroid) - self.outline[0]
         return float(area @ squares / (6.0 * area.sum()) - offset @ offset)
 
-    @property
+    @cached_property
     def reach(self) -> float:
         offset = self.vertices - np.array(self.centroid)
         return float(np.hypot(offset[:, 0], offset[:, 1]).max())
 
-    @property
+    @cached_property
     def edges(self) -> NDArray[np.float64]:
         corner = self.outline - np.array(self.centroid)
         side = np.roll(corner, -1, axis=0) - corner
         normal = np.stack([side[:, 1], -side[:, 0]], axis=-1)
         normal /= np.hypot(side[:, 0], side[:, 1])[:, np.newaxis]
-        return np.column_stack([normal, (normal * corner).sum(axis=1)])
+        return _kept(np.column_stack([normal, (normal * corner).sum(axis=1)]))
 
     def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         return _edge_functions(self.edges, self.centroid, x, y)

@@ -144,7 +144,7 @@ class Randomisation:
 
     def _draw_parcel(self, rng: np.random.Generator, parcel: Parcel) -> Parcel:
         mass, size = _factor(rng, self.mass), _factor(rng, self.size)
-        base = parcel.base.scaled(size)
+        base = parcel.base if size == 1.0 else parcel.base.scaled(size)
         half = np.ptp(base.outline, axis=0) / 2.0
         centre = np.array(base.centroid)
         offset = size * np.array(parcel.com_offset)

@@ -128,18 +128,23 @@ def aim_at_angle(
 
 
 @inlined
-def leave_axes(acting: Acting, surfaces: Surfaces, lane: int, zone: Integers) -> None:
+def leave_axes(acting: Acting, surfaces: Surfaces, lane: int, zone: Integers) -> bool:
     """They have turned already."""
+    return False
 
 
 @inlined
-def turn_axes(acting: Acting, surfaces: Surfaces, lane: int, zone: Integers) -> None:
-    """Turn each axis of the zone towards its target, the shorter way, for one physics step."""
+def turn_axes(acting: Acting, surfaces: Surfaces, lane: int, zone: Integers) -> bool:
+    """Turn each axis of the zone towards its target, the shorter way, for one physics step; whether
+    one had to.
+    """
+    turned = False
     for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
         for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
             apart = surfaces.target[lane, row, column] - surfaces.angle[lane, row, column]
             if apart == 0.0:
                 continue
+            turned = True
             # An axis is the same turned by pi: go the way of at most a quarter turn.
             apart -= math.pi * math.floor(apart / math.pi + 0.5)
             if abs(apart) <= acting.turn:
@@ -151,6 +156,7 @@ def turn_axes(acting: Acting, surfaces: Surfaces, lane: int, zone: Integers) -> 
             cosine, sine = axis_direction(angle)
             surfaces.direction[lane, axis, 0] = cosine
             surfaces.direction[lane, axis, 1] = sine
+    return turned
 
 
 # How all axes become the conveyor's, at once.

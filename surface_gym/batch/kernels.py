@@ -151,8 +151,7 @@ def make_kernel(functions: Functions) -> Any:
                 forget_contacts(scratch)
                 forget_contacts(sensor_scratch)
                 for _ in range(rules.timing.steps):
-                    if turns:
-                        turn(rules.acting, surfaces, i, lane.zone)
+                    if turns and turn(rules.acting, surfaces, i, lane.zone):
                         forget_contacts(scratch)
                         forget_contacts(sensor_scratch)
                     report, contacts = step_implicit(grid, body, lane.state, scratch, dt)

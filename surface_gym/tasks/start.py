@@ -24,7 +24,8 @@ class Parcels:
 
     def of(self, function: Callable[[Parcel], ArrayLike]) -> Numbers:
         """(starts, ...) what a function says of each parcel."""
-        values: Numbers = np.array([function(kind) for kind in self.kinds])[self.which]
+        asked, places = np.unique(self.which, return_inverse=True)
+        values: Numbers = np.array([function(self.kinds[kind]) for kind in asked])[places]
         return values
 
     @property
