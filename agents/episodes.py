@@ -128,6 +128,6 @@ def arguments(settings: Settings) -> dict[str, Any]:
         name: getattr(settings, name)
         for name in (
             "task", "actions", "sensors", "control_period", "zone", "orientations", "actuators",
-            "randomisation", "plant", "observe_axes", "info",
+            "randomisation", "plant", "observe_axes", "info", "observe",
         )
     }  # fmt: skip

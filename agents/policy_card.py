@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from surface_gym import checks
+from surface_gym.actions.more import GROUPS
 from surface_gym.registration import FLOW, env_id
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS, Task
@@ -28,6 +29,7 @@ class PolicyCard:
     actions: str  # kind of action
     control_period: float  # [s]
     hidden: tuple[int, ...]  # units of the hidden layers
+    observe: tuple[str, ...] = ()  # groups of features that it sees beside the task's
 
     def __post_init__(self) -> None:
         if not str(self.env_id).startswith(OWN):
@@ -41,6 +43,7 @@ class PolicyCard:
         if self.algo == "modules":
             checks.one_of("env_id", self.env_id, (env_id("sort"),))
             checks.one_of("actions", self.actions, ("modules",))
+        checks.some_of("observe", self.observe, tuple(GROUPS))
         if (self.algo == "parcels") != (self.env_id == FLOW):
             raise ValueError(f"algo must be 'parcels' for {FLOW} alone, got {self.algo!r}")
         if self.algo == "parcels":
@@ -49,8 +52,10 @@ class PolicyCard:
     @property
     def env_kwargs(self) -> dict[str, Any]:
         """Arguments of the environment the policy was trained on."""
-        gate = {"gate": True} if self.algo == "parcels" else {}
-        return {"actions": self.actions, "control_period": self.control_period, **gate}
+        more: dict[str, Any] = {"gate": True} if self.algo == "parcels" else {}
+        if self.observe:
+            more["observe"] = self.observe
+        return {"actions": self.actions, "control_period": self.control_period, **more}
 
     @property
     def task(self) -> str:

@@ -68,6 +68,13 @@ def one_of(name: str, value: Any, allowed: Iterable[Any]) -> Any:
     return plain
 
 
+def some_of(name: str, value: Any, allowed: tuple[str, ...]) -> tuple[str, ...]:
+    """Some of the allowed names, or an error that lists them."""
+    if not isinstance(value, (tuple, list)):
+        raise ValueError(f"{name} must be some of {allowed}, got {value!r}")
+    return tuple(one_of(name, each, allowed) for each in value)
+
+
 def array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """A read-only copy as finite float64 of a shape (None: any length), or an error."""
     try:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from surface_gym.actuators import Actuators
 from surface_gym.batch.batch import Batch
+from surface_gym.conditions import Condition
 from surface_gym.faces.single import RENDER_FPS, BatchEnv
 from surface_gym.lanes.memory import SUCCESS
 from surface_gym.plants import Plant
@@ -116,6 +117,8 @@ class SmartSurfaceEnv(BatchEnv):
         plant: Plant | None = None,
         observe_axes: bool = False,
         info: tuple[str, ...] = (),
+        observe: tuple[str, ...] = (),
+        condition: str | Condition | None = None,
         render_mode: str | None = None,
     ) -> None:
         self.settings = Settings(
@@ -130,6 +133,8 @@ class SmartSurfaceEnv(BatchEnv):
             plant,
             observe_axes,
             info,
+            observe,
+            condition,
         )
         self._batch = Batch(self.settings, 1)
         super().__init__(self._batch, self.settings.action_kind, render_mode)

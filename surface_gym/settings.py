@@ -1,7 +1,7 @@
 """What an environment is made with, checked once for both faces."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -9,14 +9,16 @@ from gymnasium import spaces
 
 from surface_gym import bounds, checks
 from surface_gym.actions import ANY, ActionKind
+from surface_gym.actions.more import GROUPS, features_of
 from surface_gym.actions.showing import AXIS_SIZE
 from surface_gym.actuators import Actuators
+from surface_gym.conditions import CONDITIONS, Condition
 from surface_gym.lanes.memory import Timing
 from surface_gym.plants import Plant
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Exact, Sensor
 from surface_gym.tasks import TASKS, Task
-from surface_gym.tasks.task import Feature
+from surface_gym.tasks.task import Feature, draws_default_parcels
 
 LONGEST_STEP = 0.005  # [s]
 INFOS = ("axes", "normal_forces")  # that `info` carries on request
@@ -43,11 +45,15 @@ class Settings:
     plant: Plant | None = None  # where it happens; None: the task's own
     observe_axes: bool = False  # the observation shows the modules' axes
     info: tuple[str, ...] = ()  # what `info` carries beside the rest
+    observe: tuple[str, ...] = ()  # groups of features that the observation shows beside the rest
+    condition: InitVar[str | Condition | None] = None  # sets sensors, actuators, randomisation
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, condition: str | Condition | None) -> None:
         set_field = object.__setattr__
         if isinstance(self.task, str):
             set_field(self, "task", TASKS[checks.one_of("task", self.task, TASKS)]())
+        if condition is not None:
+            self._meet(condition)
         check_kinds(
             self,
             (
@@ -66,13 +72,28 @@ class Settings:
         period = checks.positive("control_period", self.control_period, *bounds.CONTROL_PERIOD)
         set_field(self, "control_period", period)
         checks.one_of("observe_axes", self.observe_axes, (False, True))
-        if not isinstance(self.info, (tuple, list)):
-            raise ValueError(f"info must be some of {INFOS}, got {self.info!r}")
-        for name in self.info:
-            checks.one_of("info", name, INFOS)
+        for name, allowed in (("info", INFOS), ("observe", tuple(GROUPS))):
+            checks.some_of(name, getattr(self, name), allowed)
+        set_field(self, "observe", tuple(name for name in GROUPS if name in self.observe))
         self._check_places()
         self._check_size()
         _ = self.action_kind
+
+    def _meet(self, condition: str | Condition) -> None:
+        """Take over what a condition sets; a task of parcels of its own keeps them."""
+        if not isinstance(condition, Condition):
+            condition = CONDITIONS[checks.one_of("condition", condition, CONDITIONS)]
+        defaults = {field.name: field.default for field in fields(self)}
+        for name in ("sensors", "actuators", "randomisation"):
+            if getattr(self, name) != defaults[name]:
+                raise ValueError(
+                    f"condition must not be given beside {name}, which it sets, "
+                    f"got {condition.name!r} and {getattr(self, name)!r}"
+                )
+            object.__setattr__(self, name, getattr(condition, name))
+        task = self.task
+        if condition.parcels and isinstance(task, Task) and draws_default_parcels(task):
+            object.__setattr__(self, "task", replace(task, parcels=condition.parcels))
 
     def _check_places(self) -> None:
         """The zone and the stuck modules lie on the surface."""
@@ -152,7 +173,8 @@ class Settings:
             for row, column in np.ndindex(*kind.shape)
         )
         features = self.chosen_task.features + (window if kind.window_size else ())
-        return features + self._axis_features() if self.observe_axes else features
+        axes = self._axis_features() if self.observe_axes else ()
+        return features + axes + features_of(self.observe)
 
     def _axis_features(self) -> tuple[Feature, ...]:
         """An axis is the same turned by pi: it is shown by twice its angle."""

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from surface_gym.actuators import Actuators
 from surface_gym.batch.batch import Batch
+from surface_gym.conditions import Condition
 from surface_gym.faces.vector import BatchVectorEnv, Booleans, with_masks
 from surface_gym.lanes.memory import SUCCESS
 from surface_gym.plants import Plant
@@ -46,6 +47,8 @@ class SmartSurfaceVectorEnv(BatchVectorEnv):
         plant: Plant | None = None,
         observe_axes: bool = False,
         info: tuple[str, ...] = (),
+        observe: tuple[str, ...] = (),
+        condition: str | Condition | None = None,
         render_mode: str | None = None,
         max_episode_steps: int | None = None,
         threads: int = 1,
@@ -64,6 +67,8 @@ class SmartSurfaceVectorEnv(BatchVectorEnv):
             plant,
             observe_axes,
             info,
+            observe,
+            condition,
         )
         self._batch = Batch(self.settings, self.num_envs, self._threads(threads))
         self._drive(

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym.conditions import CONDITIONS
 from surface_gym.layouts import box
 
 from ..episodes import Episodes, run_apart, run_episodes
-from .conditions import CONDITIONS
 from .contenders import Contender
 from .trials import SEED, Trial, make_trial
 
@@ -49,7 +49,7 @@ def trial_of(contender: Contender) -> Trial:
 def play(contender: Contender, seed: int, condition_name: str) -> tuple[Cell, Episodes]:
     """Run a contender's seed on its task under a condition."""
     trial = trial_of(contender)
-    condition = next(each for each in CONDITIONS if each.name == condition_name)
+    condition = CONDITIONS[condition_name]
     settings = contender.settings(trial, condition)
     controller = contender.make(settings, seed)
     run = run_episodes if contender.starts is None else run_apart

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from surface_gym.actions import ANY
+from surface_gym.conditions import Condition
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS, Task, Track
 
@@ -20,7 +21,6 @@ from ..rules import rules_of
 from ..rules.best_layout import BestTracking
 from ..rules.graded import GradedLayout
 from ..tasks import find_task, kind_of
-from .conditions import Condition
 from .trials import Trial
 
 FIXED = "fixed layout"
@@ -46,6 +46,7 @@ class Contender:
     conditions: tuple[str, ...] | None = None  # names; None: all
     shown: Callable[[Task], Task] | None = None  # the task that shows it more; None: the trial's
     orientations: str | None = None  # "any": axes at any angle; None: the plant's
+    observe: tuple[str, ...] = ()  # groups of features it sees beside the task's
 
     def settings(self, trial: Trial, condition: Condition) -> Settings:
         """Those of the environment it acts in."""
@@ -54,9 +55,8 @@ class Contender:
             actions=self.actions,
             control_period=self.control_period,
             orientations=self.orientations,
-            sensors=condition.sensors,
-            randomisation=condition.randomisation,
-            actuators=condition.actuators,
+            observe=self.observe,
+            condition=condition,
         )
 
 

@@ -6,8 +6,9 @@ from html import escape
 from pathlib import Path
 from string import Template
 
+from surface_gym.conditions import CONDITIONS
+
 from .columns import Column
-from .conditions import CONDITIONS
 from .table import Table
 
 _PAGE = Template("""<!DOCTYPE html>
@@ -77,7 +78,7 @@ def write_page(
             for table in tables
             if table.task in pictures
         ),
-        conditions=_definitions([(each.label, each.meaning) for each in CONDITIONS]),
+        conditions=_definitions([(each.label, each.meaning) for each in CONDITIONS.values()]),
         sections="\n".join(
             _section(table, pictures.get(table.task, []), columns.get(table.task, ()))
             for table in tables

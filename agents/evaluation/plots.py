@@ -8,8 +8,9 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
+from surface_gym.conditions import CONDITIONS
+
 from ..tasks import find_task, kind_of
-from .conditions import CONDITIONS
 from .sorting import GRID, slower_time
 from .table import Summaries
 from .trials import PARCELS, SORT_SPEEDS
@@ -47,7 +48,7 @@ def draw_success(task: str, summaries: Summaries, file: Path) -> None:
     panel = figure.subplots()
     width = 0.84 / len(names)
     for k, name in enumerate(names):
-        for place, condition in enumerate(CONDITIONS):
+        for place, condition in enumerate(CONDITIONS.values()):
             summary = summaries.get((task, name, condition.name))
             if summary is None:
                 continue
@@ -59,7 +60,7 @@ def draw_success(task: str, summaries: Summaries, file: Path) -> None:
             )  # fmt: skip
             errors = [[max(0.0, summary.rate - low)], [max(0.0, high - summary.rate)]]
             panel.errorbar(x, summary.rate, errors, color="#333333", elinewidth=0.8)
-    panel.set_xticks(range(len(CONDITIONS)), [condition.label for condition in CONDITIONS])
+    panel.set_xticks(range(len(CONDITIONS)), [condition.label for condition in CONDITIONS.values()])
     panel.set(ylim=(0.0, 1.03), ylabel="success")
     panel.spines[["top", "right"]].set_visible(False)
     figure.legend(loc="outside right center", frameon=False)

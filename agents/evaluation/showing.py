@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
+from surface_gym.conditions import CONDITIONS
 from surface_gym.settings import Settings
 
 from ..controller import Controller
-from .conditions import CONDITIONS
 from .contenders import Contender
 from .films import write_film
 from .trials import SEED, make_trial
@@ -33,7 +33,7 @@ def film_of(contenders: list[Contender], folder: Path) -> tuple[Path, str]:
     trial = make_trial(contenders[0].task)
     players: dict[str, tuple[Controller, Settings]] = {}
     for contender in contenders:
-        settings = contender.settings(trial, CONDITIONS[0])
+        settings = contender.settings(trial, CONDITIONS["exact"])
         players[contender.name] = (contender.make(settings, contender.seeds[0]), settings)
     file = folder / f"{trial.label}.mp4"
     done = write_film(players, SHOWN.get(trial.kind, {}), SEED, file)

@@ -13,8 +13,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as Screen
 
+from surface_gym.conditions import CONDITIONS, Condition
+
 from .columns import Column, columns_of
-from .conditions import CONDITIONS, Condition
 from .contenders import FIXED
 from .summary import Summary
 from .trials import Trial
@@ -44,7 +45,7 @@ def make_table(trial: Trial, summaries: Summaries) -> Table:
     fixed = summaries[trial.name, FIXED, "exact"]
     shown = [
         condition
-        for condition in CONDITIONS
+        for condition in CONDITIONS.values()
         if any((trial.name, who, condition.name) in summaries for who in names)
     ]
     columns = columns_of(trial.name)

@@ -6,10 +6,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
+from surface_gym.conditions import CONDITIONS
 from surface_gym.sharing import Workers, quiet, share
 
 from .cell import Cell, compute
-from .conditions import CONDITIONS
 from .contenders import Contender
 
 FILE = "cells.jsonl"
@@ -39,7 +39,7 @@ def orders(contenders: Sequence[Contender]) -> list[tuple[Contender, int, str]]:
         (contender, seed, condition.name)
         for contender in contenders
         for seed in contender.seeds
-        for condition in CONDITIONS
+        for condition in CONDITIONS.values()
         if contender.conditions is None or condition.name in contender.conditions
     ]
     return sorted(found, key=lambda order: order[0].starts is None)
@@ -100,7 +100,7 @@ def compute_cells(
     file = None if folder is None else folder / FILE
     found = compute_kept(jobs, Cell, workers, file, advance)
     order = {(who.task, who.name): k for k, who in enumerate(contenders)}
-    places = {condition.name: k for k, condition in enumerate(CONDITIONS)}
+    places = {condition.name: k for k, condition in enumerate(CONDITIONS.values())}
     return sorted(
         found.values(),
         key=lambda cell: (order[cell.key[:2]], places[cell.condition], cell.seed),

@@ -4,13 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surface_gym.conditions import Condition
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.stream import Stream
 from surface_gym.layouts import box
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Camera
-
-from ..evaluation.conditions import Condition
 
 SPEEDS = (1.0, 1.5, 2.0)  # [m/s]
 MIXES = {"S": ("S",), "S and B": ("S", "B")}  # parcels by name, of equal odds

@@ -4,14 +4,14 @@ import argparse
 import inspect
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import tyro
 
 from ..policy_card import FLOW_TASK
 from ..programs import TRAIN, typed
 from ..search.command import FILE as SWEEP
-from .config import CONFIGS, TrainConfig
+from .config import CONFIGS, ConditionName, TrainConfig
 from .folder import make_folder, open_folder
 from .hyperparams import defaults
 
@@ -76,8 +76,8 @@ def find_search(arguments: list[str]) -> Search | None:
 def open_run(arguments: list[str]) -> tuple[TrainConfig, Path]:
     """The configuration and the folder that the arguments ask for.
 
-    `--task`, `--algo` and `--hyperparams` are read first: the defaults of all other flags are
-    theirs.
+    `--task`, `--algo`, `--condition` and `--hyperparams` are read first: the defaults of all other
+    flags are theirs.
 
     Raises:
         ValueError: a field is out of its range, or the folder cannot be used.
@@ -85,6 +85,7 @@ def open_run(arguments: list[str]) -> tuple[TrainConfig, Path]:
     first = _parser()
     first.add_argument("--task")
     first.add_argument("--algo")
+    first.add_argument("--condition")
     first.add_argument("--resume", type=Path)
     chosen, _ = first.parse_known_args(arguments)
     if chosen.resume is not None:
@@ -96,7 +97,9 @@ def open_run(arguments: list[str]) -> tuple[TrainConfig, Path]:
     task = chosen.task or "sort"
     usual = "parcels" if task == FLOW_TASK else "ppo"
     algo = chosen.algo if chosen.algo in CONFIGS else usual
-    default = defaults(task, algo, of_file.hyperparams)
+    known = get_args(ConditionName)
+    condition = chosen.condition if chosen.condition in known else known[0]
+    default = defaults(task, algo, of_file.hyperparams, condition)
     kind: type[Any] = type(default)
     config = tyro.cli(
         kind,

@@ -5,11 +5,13 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from surface_gym import checks
+from surface_gym.actions.more import GROUPS
 
 from ..policy_card import FLOW_TASK, PolicyCard
 from ..tasks import find_task, id_of
 
 AlgoName = Literal["ppo", "dqn", "modules", "parcels"]
+ConditionName = Literal["nominal", "lab"]
 ActionName = Literal["halves", "quadrants", "window", "modules", "parcels"]
 
 
@@ -37,8 +39,13 @@ class TrainConfig:
     """[s] between decisions."""
     lanes: int = 64
     """Parcels at a time."""
+    condition: ConditionName = "nominal"
+    """What to be ready for: nominal, the two boxes and axes that turn at once; or lab."""
+    observe: tuple[str, ...] = ()
+    """Groups of features to see beside the task's: parcel, rotors."""
     camera_share: float = 0.5
-    """[-] of lanes seen by a camera, late and noisy, with varied friction; the others exact."""
+    """[-] of lanes seen by a camera, late and noisy, with varied friction, or in the lab; the
+    others exact."""
     friction: float = 0.2
     """[-] spread of the friction in these lanes."""
     hidden: tuple[int, ...] = (64, 64)
@@ -59,6 +66,8 @@ class TrainConfig:
         named = [algo for algo, kind in CONFIGS.items() if kind is type(self)]
         checks.one_of("algo", self.algo, named)
         checks.one_of("actions", self.actions, get_args(ActionName))
+        checks.one_of("condition", self.condition, get_args(ConditionName))
+        checks.some_of("observe", self.observe, tuple(GROUPS))
         checks.integer("seed", self.seed, least=0)
         for name in ("seeds", "steps", "lanes", "checkpoint_every"):
             checks.integer(name, getattr(self, name), least=1)
@@ -228,6 +237,7 @@ def card_of(config: TrainConfig) -> PolicyCard:
         config.actions,
         config.control_period,
         config.hidden,
+        config.observe,
     )
 
 

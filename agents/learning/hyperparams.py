@@ -17,8 +17,8 @@ from .config import CONFIGS, TrainConfig
 FOLDER = Path(__file__).parents[1] / "hyperparams"
 _NAMES = {"n_envs": "lanes", "n_timesteps": "steps"}  # the zoo's names, and ours
 _ZOOS = {ours: its for its, ours in _NAMES.items()}
-_OF_THE_RUN = ("task", "algo", "seed", "seeds", "out", "name")  # no hyper-parameters
-_OF_THE_ENV = {"actions", "control_period"}
+_OF_THE_RUN = ("task", "algo", "condition", "seed", "seeds", "out", "name")  # no hyper-parameters
+_OF_THE_ENV = {"actions", "control_period", "observe"}
 # What the zoo has no word for and would refuse: in an entry of its own.
 BESIDE = "beside the zoo"
 _BESIDE = {
@@ -28,22 +28,26 @@ OWN = "default"  # the entry of tasks of one's own
 _LINEAR = "lin_"  # the zoo's mark of a learning rate that falls to 0
 
 
-def defaults(task: str, algo: str, file: Path | None = None) -> TrainConfig:
+def defaults(
+    task: str, algo: str, file: Path | None = None, condition: str = "nominal"
+) -> TrainConfig:
     """The configuration of a task and an algorithm as their YAML has it.
 
     Args:
         task: to learn.
         algo: that learns it.
         file: of one's own, in the same schema; None: the package's.
+        condition: what to be ready for.
 
     Raises:
         ValueError: the algorithm does not learn the task, or the file holds what is not understood
             or not allowed.
     """
     if file is None:
-        return _read(task, algo, FOLDER / f"{algo}.yml")
+        name = algo if condition == "nominal" else f"{algo}-{condition}"
+        return _read(task, algo, FOLDER / f"{name}.yml", condition)
     try:
-        return _read(task, algo, file)
+        return _read(task, algo, file, condition)
     except (OSError, yaml.YAMLError, ValueError) as error:
         words = " ".join(str(error).split())
         raise ValueError(f"{file} does not hold hyper-parameters: {words}") from None
@@ -63,7 +67,7 @@ def write_hyperparams(config: TrainConfig, file: Path) -> None:
         elif field.name == "learning_rate":
             entry[field.name] = f"{_LINEAR}{value!r}"
         elif field.name in _OF_THE_ENV:
-            of_env[field.name] = value
+            of_env[field.name] = list(value) if isinstance(value, tuple) else value
         elif field.name in _BESIDE:
             beside[field.name] = value
         elif field.name not in _OF_THE_RUN:
@@ -81,7 +85,7 @@ def _key(task: str) -> str:
     return env_id(kind) if kind in TASKS else OWN
 
 
-def _read(task: str, algo: str, file: Path) -> TrainConfig:
+def _read(task: str, algo: str, file: Path, condition: str) -> TrainConfig:
     of_tasks = yaml.safe_load(file.read_text())
     if not isinstance(of_tasks, dict):
         raise ValueError(f"it must hold an entry a task, got {of_tasks!r}")
@@ -98,7 +102,7 @@ def _read(task: str, algo: str, file: Path) -> TrainConfig:
         if not isinstance(entry, dict):
             raise ValueError(f"{key} must hold names and values, got {entry!r}")
     known = {field.name for field in fields(CONFIGS[algo])}.difference(_OF_THE_RUN)
-    chosen: dict[str, Any] = {"task": task, "algo": algo}
+    chosen: dict[str, Any] = {"task": task, "algo": algo, "condition": condition}
     for name, value in [*entries[0].items(), *entries[1].items()]:
         if name == "policy" and value == "MlpPolicy":
             continue
@@ -107,7 +111,7 @@ def _read(task: str, algo: str, file: Path) -> TrainConfig:
         elif name == "policy_kwargs" and _is_of_units(value):
             chosen["hidden"] = tuple(value["net_arch"])
         elif name == "env_kwargs" and isinstance(value, dict) and set(value) <= _OF_THE_ENV:
-            chosen.update(value)
+            chosen.update({**value, "observe": tuple(value.get("observe", ()))})
         elif name == "n_timesteps":
             chosen["steps"] = int(checks.positive(name, value))
         elif _NAMES.get(name, name) in known:
@@ -170,7 +174,8 @@ def read_config(file: Path, task: str | None = None) -> TrainConfig:
                 f"task must be {plain['task']!r}, which the run is of: name it by --task, got "
                 f"{task!r}"
             )
-        plain["hidden"] = tuple(plain["hidden"])
+        for name in ("hidden", "observe"):
+            plain[name] = tuple(plain.get(name, ()))
         plain["out"] = Path(plain["out"])
         return CONFIGS[plain["algo"]](**plain)
     except (yaml.YAMLError, TypeError, KeyError, ValueError) as error:

@@ -1,13 +1,18 @@
 """What is practised on: lanes seen exactly beside lanes seen by a camera on varied friction."""
 
 import math
+from dataclasses import replace
 
 import gymnasium as gym
 from stable_baselines3.common.vec_env import VecEnv
 
 from surface_gym import SmartSurfaceVectorEnv
+from surface_gym.assortment import assortment
+from surface_gym.bases import Rectangle
+from surface_gym.conditions import CONDITIONS, Condition
+from surface_gym.layouts import box
+from surface_gym.parcel import Parcel
 from surface_gym.randomisation import Randomisation
-from surface_gym.sensors import Camera, Exact, Sensor
 from surface_gym.tasks import Sort, Task, Track
 
 from ..mirror import ActionMirror, MirrorVecEnv
@@ -18,6 +23,12 @@ from .side_by_side import SideBySide
 
 # Below 10 deg of tilt holding a heading costs more speed than the slope gives.
 PRACTISED: dict[str, Task] = {"track": Track(tilts=(math.radians(10.0), math.radians(15.0)))}
+
+# For the lab: other parcels than it is tried with, of the same law and a little beyond.
+PARCELS, PARCELS_SEED, PARCEL_SIZES = 256, 14, (0.18, 0.47)  # [m]
+# Beside it, exact: squares of all sizes, and as often the study's boxes.
+_SQUARES = tuple(Parcel(Rectangle(0.01 * side, 0.01 * side)) for side in range(15, 51))
+EXACT_PARCELS = (*_SQUARES, *(box("S"), box("B")) * (len(_SQUARES) // 2))
 
 
 def make_practice(config: TrainConfig) -> VecEnv:
@@ -32,20 +43,27 @@ def make_practice(config: TrainConfig) -> VecEnv:
 def make_lanes(config: TrainConfig) -> SideBySide:
     """The lanes a configuration asks for, as they are."""
     by_camera = round(config.camera_share * config.lanes)
+    shares = (config.lanes - by_camera, by_camera)
     parts = [
-        _lanes(config, lanes, sensors, randomisation)
-        for lanes, sensors, randomisation in (
-            (config.lanes - by_camera, Exact(), Randomisation()),
-            (by_camera, Camera(), Randomisation(friction=config.friction)),
-        )
+        _lanes(config, lanes, condition)
+        for lanes, condition in zip(shares, _practised(config), strict=True)
         if lanes
     ]
     return SideBySide(parts)
 
 
-def _lanes(
-    config: TrainConfig, lanes: int, sensors: Sensor, randomisation: Randomisation
-) -> SurfaceVecEnv:
+def _practised(config: TrainConfig) -> tuple[Condition, Condition]:
+    """What the lanes seen exactly meet, and the others."""
+    exact = CONDITIONS["exact"]
+    if config.condition == "lab":
+        lab = CONDITIONS["lab"]
+        parcels = assortment(PARCELS, PARCELS_SEED, PARCEL_SIZES)
+        return replace(exact, parcels=EXACT_PARCELS), replace(lab, parcels=parcels)
+    camera = CONDITIONS["camera"]
+    return exact, replace(camera, randomisation=Randomisation(friction=config.friction))
+
+
+def _lanes(config: TrainConfig, lanes: int, condition: Condition) -> SurfaceVecEnv:
     task = PRACTISED.get(config.task) or find_task(config.task)
     return SurfaceVecEnv(
         SmartSurfaceVectorEnv(
@@ -54,8 +72,8 @@ def _lanes(
             task=task,
             actions=config.actions,
             control_period=config.control_period,
-            sensors=sensors,
-            randomisation=randomisation,
+            observe=config.observe,
+            condition=condition,
             autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
         )
     )

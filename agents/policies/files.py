@@ -31,7 +31,7 @@ def save_policy(network: torch.nn.Module, card: PolicyCard, folder: Path) -> Non
     weights = written.getvalue()
     with replacing(folder / WEIGHTS) as part:
         part.write_bytes(weights)
-    fields = {**asdict(card), "hidden": list(card.hidden)}
+    fields = {**asdict(card), "hidden": list(card.hidden), "observe": list(card.observe)}
     fields[DIGEST] = _digest(fields, weights)
     with replacing(folder / CARD) as part:
         part.write_text(yaml.safe_dump(fields, sort_keys=False))
@@ -64,7 +64,8 @@ def policy_of(files: PolicyFiles, task: Task | None = None) -> Policy | ModulesP
         fields = yaml.safe_load(files.card.decode())
         if fields.pop(DIGEST) != _digest(fields, files.weights):
             raise ValueError(f"{WEIGHTS} or {CARD} is not as it was written: its digest differs")
-        card = PolicyCard(**{**fields, "hidden": tuple(fields["hidden"])})
+        arrays = {name: tuple(fields[name]) for name in ("hidden", "observe") if name in fields}
+        card = PolicyCard(**{**fields, **arrays})
         weights = torch.load(BytesIO(files.weights), map_location="cpu", weights_only=True)
         if card.algo == "parcels":
             seats = make_seat_network(card)

@@ -16,6 +16,7 @@ from surface_gym.actions.commands import (
     straighten_targets,
     turn_axes,
 )
+from surface_gym.actions.more import shown
 from surface_gym.actions.showing import (
     show_nothing,
     show_occupancy,
@@ -54,6 +55,7 @@ def functions_of(settings: Settings) -> Functions:
         actuation=actuation_of(kind.continuous, settings.actuators.axis_speed != math.inf),
         show_modules=show_occupancy if window else show_nothing,
         show_axes=show_axes if settings.observe_axes else show_nothing,
+        more=shown(settings.observe),
     )
 
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surface_gym.actions.commands import Acting, window_corner
+from surface_gym.actions.more import Shown
 from surface_gym.dynamics.compiled import compiled, inlined
 from surface_gym.dynamics.contacts import forget_contacts
 from surface_gym.dynamics.step import OFF_SURFACE, step_implicit
@@ -67,6 +68,7 @@ class Functions(NamedTuple):
     actuation: Actuation
     show_modules: Function  # what is observed after the task's features
     show_axes: Function
+    more: tuple[Shown, ...]  # what is observed at the end, by groups
 
 
 class Rules(NamedTuple):
@@ -98,6 +100,7 @@ def make_kernel(functions: Functions) -> Any:
     sensor_estimate, watches = functions.estimate, functions.watches
     part_of, (obey, turn, straighten, turns) = functions.part_of, functions.actuation
     show_modules, show_axes = functions.show_modules, functions.show_axes
+    (show_parcel, parcel_size), (show_rotors, rotors_size) = functions.more
 
     @inlined
     def obey_command(rules: Rules, surfaces: Surfaces, lane: Lane, i: int, mirror: float) -> None:
@@ -186,6 +189,9 @@ def make_kernel(functions: Functions) -> Any:
             task_observe(lane)
             show_modules(rules.acting, lane, rules.features, mirror)
             show_axes(rules.acting, lane, rules.axes_from, mirror)
+            rotors_from = lane.observation.shape[0] - rotors_size
+            show_parcel(rules.acting, lane, rotors_from - parcel_size, mirror)
+            show_rotors(rules.acting, lane, rotors_from, mirror)
             for k in range(lane.observation.shape[0]):
                 if not np.isfinite(lane.observation[k]):
                     lanes.fault[i] = BAD_OBSERVATION

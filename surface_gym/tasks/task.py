@@ -1,6 +1,6 @@
 """What every task has in common."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 from surface_gym import checks
@@ -111,6 +111,12 @@ class Task:
     def mirror(lane: Lane) -> float:
         """As it is."""
         return 1.0
+
+
+def draws_default_parcels(task: Task) -> bool:
+    """Whether a task draws the parcels that its class has it draw."""
+    default = next(each.default for each in fields(task) if each.name == "parcels")
+    return bool(task.parcels == parcels_to_draw(default))
 
 
 def rising(name: str, value: Any, low: float, high: float) -> tuple[float, float]:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from agents.evaluation.conditions import CONDITIONS
 from agents.evaluation.contenders import BEST_FIXED, FIXED, best_on_path
 from agents.evaluation.trials import make_trial
 from agents.planning.shown_path import ShownPath, shown_start
 from agents.rules.best_layout import BestSlowing, BestStopping, BestTracking, BestTurning
 from agents.rules.lane_rule import FixedRule
+from surface_gym.conditions import CONDITIONS
 from surface_gym.layouts import LINE_Y, box
 from surface_gym.settings import Settings
 from surface_gym.tasks import Track
@@ -120,7 +120,7 @@ def test_a_shown_path_is_the_path_and_the_rest_is_tracks() -> None:
 
 def test_of_its_contender_the_task_is_the_trials_with_the_path_shown() -> None:
     trial = make_trial("track")
-    settings = best_on_path().settings(trial, CONDITIONS[1])
+    settings = best_on_path().settings(trial, CONDITIONS["camera"])
     assert isinstance(settings.task, ShownPath)
     assert isinstance(trial.task, Track)
     assert (settings.task.tilts, settings.task.kinds) == (trial.task.tilts, trial.task.kinds)

@@ -1,15 +1,18 @@
-"""What controllers are compared under."""
+"""Conditions: the ways in which the real is less kind than the ideal, by name."""
 
+import math
 from dataclasses import dataclass
 
 from surface_gym.actuators import Actuators
+from surface_gym.assortment import assortment
+from surface_gym.parcel import Parcel
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Camera, Entry, Exact, Sensor
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One way in which the real is less kind than the ideal."""
+    """What an environment is made with beside its task: the argument `condition`."""
 
     name: str
     label: str  # for tables
@@ -17,12 +20,17 @@ class Condition:
     sensors: Sensor = Exact()
     randomisation: Randomisation = Randomisation()
     actuators: Actuators = Actuators()
+    parcels: tuple[Parcel, ...] = ()  # that a task draws from; none: the task's own
 
 
 SURE = Entry(position=0.0, angle=0.0, speed=0.0, turning=0.0)
 LATENCY = 0.08  # [s] two control periods
 
-CONDITIONS = (
+# The lab's parcels as they come, and others, of the same law, to be trained on.
+LAB_PARCELS, LAB_SEED = 128, 20_261_122
+QUARTER_TURN = 0.05  # [s] that an axis of the lab takes to turn by 90 deg
+
+_EACH = (
     Condition("exact", "exact", "Sensors show pose and velocity as they are."),
     Condition(
         "camera",
@@ -51,4 +59,24 @@ CONDITIONS = (
         "Each module is stuck at 90 deg with a probability of 5 %; sensors are exact.",
         actuators=Actuators(stuck_share=0.05),
     ),
+    Condition(
+        "lab",
+        "lab",
+        "All at once, mildly: squares, rectangles, discs and polygons of 0.2 to 0.45 m with loads "
+        "up to 3 cm off centre, that enter 1 cm and 3 deg off; friction that differs by up to "
+        "15 %; axes that take 50 ms for 90 deg, 2 % of the modules stuck; a camera of 50 Hz, "
+        "40 ms late, 2 mm and 0.5 deg off.",
+        sensors=Camera(
+            latency=0.04,
+            position_noise=0.002,
+            friction_error=0.1,
+            entry=Entry(position=0.005, angle=0.02),
+        ),
+        randomisation=Randomisation(
+            friction=0.15, rolling=0.15, lateral=0.01, heading=math.radians(3.0)
+        ),
+        actuators=Actuators(axis_speed=0.5 * math.pi / QUARTER_TURN, stuck_share=0.02),
+        parcels=assortment(LAB_PARCELS, LAB_SEED),
+    ),
 )
+CONDITIONS = {condition.name: condition for condition in _EACH}
