@@ -37,6 +37,8 @@ ANGLE_ERROR = 2.0 * math.pi  # [rad] a whole turn, of which nothing is known the
 TOLERANCE = (1e-6, 1.0)  # [m] within which a switch switches
 # [m^2/s^3] and [rad^2/s^3]: from a physics that never errs to one that says nothing
 DENSITY = (1e-12, 1e9)
+# [-] of a friction's factor and [m] of a load's place: from known to wholly unknown
+LEARNED_SPREAD = (1e-6, 1.0)
 FRICTION_ERROR = 10.0  # [-] share by which friction may be off
 ELEMENTS = 1_000_000  # of a plant, whose lanes have arrays of as many
 ORIENTATIONS = 1000  # on offer: an axis told to a fifth of a degree; "any" tells it finer

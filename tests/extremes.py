@@ -13,7 +13,7 @@ from surface_gym import bounds
 from surface_gym.bases import Base
 from surface_gym.flow.arrivals import Law, Poisson, Schedule, Spread, Steady
 from surface_gym.flow.stream import Stream
-from surface_gym.sensors import Camera, Entry, Exact, Presence, Sensor
+from surface_gym.sensors import Camera, Entry, Exact, LearningCamera, Presence, Sensor
 from tests.strategies import Scene, polygon_vertices
 
 # Refused for what only a run shows: where the parcel lies, or how far a step takes it.
@@ -197,6 +197,15 @@ SENSORS: dict[type[Sensor], st.SearchStrategy[Sensor]] = {
         frame_rate=rates,
         position_noise=up_to(bounds.POSITION_ERROR),
         angle_noise=up_to(bounds.ANGLE_ERROR),
+        **observing,
+    ),
+    LearningCamera: st.builds(
+        LearningCamera,
+        frame_rate=rates,
+        position_noise=up_to(bounds.POSITION_ERROR),
+        angle_noise=up_to(bounds.ANGLE_ERROR),
+        friction_spread=sizes(*bounds.LEARNED_SPREAD),
+        load_spread=sizes(*bounds.LEARNED_SPREAD),
         **observing,
     ),
     Presence: st.builds(

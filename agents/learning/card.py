@@ -16,6 +16,7 @@ from .hyperparams import defaults
 from .legs import Learned
 
 FILE = "card.yaml"
+TOLD = ("exact", "camera", "lab")  # conditions that results are told of
 
 
 def write_card(
@@ -41,17 +42,17 @@ def write_card(
         "seeds": list(seeds),
         "steps": [each.steps for each in learned],
         "seconds": [round(each.seconds) for each in learned],  # of each seed, on one core
-        "results": {
-            condition: _results(summaries, agent, condition) for condition in ("exact", "camera")
-        },
+        "results": {condition: _results(summaries, agent, condition) for condition in TOLD},
     }
     (folder / FILE).write_text(yaml.safe_dump(card, sort_keys=False))
 
 
 def command_of(config: TrainConfig) -> str:
     """The command that trains the same again: what differs from the task's defaults."""
-    default = defaults(config.task, config.algo)
+    default = defaults(config.task, config.algo, condition=config.condition)
     chosen = ["--task", config.task, "--algo", config.algo]
+    if config.condition != "nominal":
+        chosen += ["--condition", config.condition]
     for field in fields(config):
         value = getattr(config, field.name)
         if field.name not in ("out", "name") and value != getattr(default, field.name):

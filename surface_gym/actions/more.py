@@ -33,6 +33,15 @@ ROTOR_FEATURES = tuple(
     )
 )
 
+LOAD_FEATURES = (
+    Feature("friction learned", -100.0, 100.0, "factor of mu_max - 1, over what it was known to"),
+    Feature("load learned, x", -100.0, 100.0, "in the base, over what it was known to"),
+    Feature("load learned, y", -100.0, 100.0, "in the base, over what it was known to"),
+    Feature("doubt of friction", 0.0, 1.0, "share that is left of what was unknown"),
+    Feature("doubt of load, x", 0.0, 1.0, "share that is left of what was unknown"),
+    Feature("doubt of load, y", 0.0, 1.0, "share that is left of what was unknown"),
+)
+
 
 @inlined
 def show_parcel(acting: Acting, lane: Lane, first: int, mirror: float) -> None:
@@ -113,6 +122,8 @@ GROUPS = {
     "parcel": Group(PARCEL_FEATURES, show_parcel),
     # Each axis' angle, by encoders or reckoned from what it was told; and where supports are.
     "rotors": Group(ROTOR_FEATURES, show_rotors),
+    # What a sensor that learns has learned; its own function writes it.
+    "load": Group(LOAD_FEATURES, show_nothing),
 }
 
 

@@ -55,6 +55,7 @@ def functions_of(settings: Settings) -> Functions:
         actuation=actuation_of(kind.continuous, settings.actuators.axis_speed != math.inf),
         show_modules=show_occupancy if window else show_nothing,
         show_axes=show_axes if settings.observe_axes else show_nothing,
+        learned=_function(sensor, "learned", Sensor),
         more=shown(settings.observe),
     )
 

@@ -68,6 +68,7 @@ class Functions(NamedTuple):
     actuation: Actuation
     show_modules: Function  # what is observed after the task's features
     show_axes: Function
+    learned: Function  # the sensor's
     more: tuple[Shown, ...]  # what is observed at the end, by groups
 
 
@@ -100,7 +101,8 @@ def make_kernel(functions: Functions) -> Any:
     sensor_estimate, watches = functions.estimate, functions.watches
     part_of, (obey, turn, straighten, turns) = functions.part_of, functions.actuation
     show_modules, show_axes = functions.show_modules, functions.show_axes
-    (show_parcel, parcel_size), (show_rotors, rotors_size) = functions.more
+    (show_parcel, parcel_size), (show_rotors, rotors_size), (_, load_size) = functions.more
+    show_learned, learns = functions.learned, load_size > 0
 
     @inlined
     def obey_command(rules: Rules, surfaces: Surfaces, lane: Lane, i: int, mirror: float) -> None:
@@ -189,9 +191,12 @@ def make_kernel(functions: Functions) -> Any:
             task_observe(lane)
             show_modules(rules.acting, lane, rules.features, mirror)
             show_axes(rules.acting, lane, rules.axes_from, mirror)
-            rotors_from = lane.observation.shape[0] - rotors_size
+            load_from = lane.observation.shape[0] - load_size
+            rotors_from = load_from - rotors_size
             show_parcel(rules.acting, lane, rotors_from - parcel_size, mirror)
             show_rotors(rules.acting, lane, rotors_from, mirror)
+            if learns:
+                show_learned(rules.sensor, lane, load_from, mirror)
             for k in range(lane.observation.shape[0]):
                 if not np.isfinite(lane.observation[k]):
                     lanes.fault[i] = BAD_OBSERVATION

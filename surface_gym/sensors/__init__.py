@@ -3,9 +3,10 @@
 from surface_gym.sensors.camera import Camera
 from surface_gym.sensors.entry import Entry
 from surface_gym.sensors.exact import Exact
+from surface_gym.sensors.learning_camera import LearningCamera
 from surface_gym.sensors.presence import Presence
 from surface_gym.sensors.sensor import Sensor
 
-KINDS = (Exact, Camera, Presence)
+KINDS = (Exact, Camera, LearningCamera, Presence)
 
-__all__ = ["KINDS", "Camera", "Entry", "Exact", "Presence", "Sensor"]
+__all__ = ["KINDS", "Camera", "Entry", "Exact", "LearningCamera", "Presence", "Sensor"]

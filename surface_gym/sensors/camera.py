@@ -146,27 +146,27 @@ class Camera(Observer):
         observer.predict(numbers, MODEL, lane, physics)
         every = int(numbers[EVERY])
         if lane.steps % every == 0:
-            _take(numbers, lane)
+            take_frame(numbers, lane, LAST)
         taken = lane.steps - int(numbers[LAG])
         if taken > 0 and taken % every == 0:
-            place = _place(taken // every)
+            place = frame_place(LAST, taken // every)
             if lane.kept[place + TAKEN] > 0.0:
                 _use(numbers, lane, place, physics.dt)
 
 
 @lane_function
-def _place(number: int) -> int:
-    """A frame's first place in the memory."""
-    return LAST + FRAME_SIZE * (number % FRAMES)
+def frame_place(first: int, number: int) -> int:
+    """Where a frame lies in the memory, the frames from `first` on."""
+    return first + FRAME_SIZE * (number % FRAMES)
 
 
 @lane_function
-def _take(numbers: Array, lane: Lane) -> None:
-    """Take a frame, or lose it."""
+def take_frame(numbers: Array, lane: Lane, first: int) -> None:
+    """Take a frame, or lose it; the frames lie in the memory from `first` on."""
     row = lane.noise_row[0]
     lane.noise_row[0] = row + 1
     noise = lane.noise[row]
-    place = _place(lane.steps // int(numbers[EVERY]))
+    place = frame_place(first, lane.steps // int(numbers[EVERY]))
     lane.kept[place + TAKEN] = 0.0 if noise[3] < numbers[DROP] else float(lane.steps)
     for k in range(3):
         spread = numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE]
@@ -175,11 +175,13 @@ def _take(numbers: Array, lane: Lane) -> None:
 
 
 @lane_function
-def _shift_frames(lane: Lane, shift: float, dt: float) -> None:
-    """Bring the surprises of all frames up to date with a correction of `shift` times GAIN."""
+def shift_frames(lane: Lane, first: int, shift: float, dt: float) -> None:
+    """Bring the surprises of all frames, from `first` on, up to date with a correction of `shift`
+    times GAIN.
+    """
     gain = lane.kept[GAIN:]
     for number in range(FRAMES):
-        place = _place(number)
+        place = frame_place(first, number)
         lead = dt * (lane.steps - lane.kept[place + TAKEN])
         for k in range(3):
             lane.kept[place + SURPRISE + k] -= shift * (gain[k] - lead * gain[3 + k])
@@ -196,4 +198,4 @@ def _use(numbers: Array, lane: Lane, place: int, dt: float) -> None:
         per_surprise = 1.0 / (variance + noise * noise)
         shift = lane.kept[place + SURPRISE + k] * per_surprise
         correct(lane.kept, shift, per_surprise)
-        _shift_frames(lane, shift, dt)
+        shift_frames(lane, LAST, shift, dt)

@@ -92,7 +92,7 @@ def begin(settings: Array, first: int, lane: Lane) -> None:
 
 
 @lane_function
-def _damp(body: Body, kept: Array, scratch: Scratch, contacts: Contacts, dt: float) -> None:
+def damp(body: Body, kept: Array, scratch: Scratch, contacts: Contacts, dt: float) -> None:
     """Write how a step damps errors in velocity, (M + dt S)^-1 M, into `kept` from DECAY on.
 
     S is the friction's slope over the slip along each rotor's axis: steep where it holds.
@@ -136,8 +136,8 @@ def _damp(body: Body, kept: Array, scratch: Scratch, contacts: Contacts, dt: flo
 
 
 @lane_function
-def _widen(kept: Array, dt: float, density: float, turn_density: float) -> None:
-    """Carry the covariance over a step, the velocity's errors damped as `_damp` wrote."""
+def widen(kept: Array, dt: float, density: float, turn_density: float) -> None:
+    """Carry the covariance over a step, the velocity's errors damped as `damp` wrote."""
     half = COVARIANCE + 3  # the column of the first velocity
     low = COVARIANCE + 3 * SIZE  # the row of the first velocity
     for i in range(3):
@@ -214,9 +214,9 @@ def predict(settings: Array, first: int, lane: Lane, physics: Physics) -> None:
         kept[X] += dt * kept[VX]
         kept[Y] += dt * kept[VY]
         kept[THETA] += dt * kept[OMEGA]
-    _damp(body, kept, scratch, contacts, dt)
+    damp(body, kept, scratch, contacts, dt)
     doubt = settings[first + FRICTION_ERROR] ** 2 * FRICTION_ERROR_TIME / (dt * dt)
-    _widen(
+    widen(
         kept,
         dt,
         settings[first + DENSITY] + doubt * ((kept[VX] - vx) ** 2 + (kept[VY] - vy) ** 2),

@@ -8,6 +8,8 @@ from surface_gym.dynamics.types import Array, Scratch
 from surface_gym.lanes.lane import Lane
 from surface_gym.plants import Plant
 
+LEARNED = 3  # constants a sensor may learn: the factor of mu_max [-], x and y of the load [m]
+
 
 class Physics(NamedTuple):
     """What a sensor that predicts may predict by."""
@@ -28,6 +30,8 @@ class Sensor:
 
     - `begin(numbers, lane)`, at a start: set `lane.kept`.
     - `look(numbers, lane, physics)`, after every physics step, where the sensor `watches`.
+    - `learned(numbers, lane, first, mirror)`, where `observe` asks for "load": write LEARNED
+      estimates and then LEARNED doubts into `lane.observation` from `first` on.
     - `estimate(numbers, lane)`, when a controller asks: write pose and velocity into `lane.sensed`.
 
     Before each, `lane.truth` holds the true pose and velocity of the base's centroid. Noise comes
@@ -60,3 +64,11 @@ class Sensor:
     @lane_function
     def look(numbers: Array, lane: Lane, physics: Physics) -> None:
         """Nothing to look at."""
+
+    @staticmethod
+    @lane_function
+    def learned(numbers: Array, lane: Lane, first: int, mirror: float) -> None:
+        """Nothing is learned: what is nominal stands, in all doubt."""
+        for k in range(LEARNED):
+            lane.observation[first + k] = 0.0
+            lane.observation[first + LEARNED + k] = 1.0

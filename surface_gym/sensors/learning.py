@@ -1,0 +1,274 @@
+"""What a filter learns of a parcel while it moves: its friction, and where its load lies.
+
+The observer's state goes on by three constants: the factor of mu_max, and the place of the centre
+of mass in the base's frame. How each changes a step's velocities follows from the step's own
+contacts: friction grows with the factor, and a load that lies elsewhere leans on other elements
+(Eq. 1).
+"""
+
+import math
+
+from surface_gym.dynamics.compiled import lane_function
+from surface_gym.dynamics.friction import friction_gradient
+from surface_gym.dynamics.indexing import bounded
+from surface_gym.dynamics.step import OFF_SURFACE, step_implicit
+from surface_gym.dynamics.types import (
+    ARM_X,
+    ARM_Y,
+    COM_HEIGHT,
+    FORCE_X,
+    FORCE_Y,
+    GYRATION,
+    HALF_LENGTH,
+    NORMAL,
+    OMEGA,
+    RADIUS,
+    ROTOR,
+    THETA,
+    TORQUE,
+    VX,
+    VY,
+    Array,
+    Body,
+    Contacts,
+    Grid,
+    Scratch,
+    X,
+    Y,
+)
+from surface_gym.lanes.lane import Lane
+from surface_gym.lanes.memory import GRAVITY_ALONG, GRAVITY_NORMAL
+from surface_gym.sensors.observer import (
+    COVARIANCE,
+    DECAY,
+    DENSITY,
+    FRICTION_ERROR,
+    FRICTION_ERROR_TIME,
+    LAST,
+    SIZE,
+    TURN_DENSITY,
+    damp,
+    widen,
+)
+from surface_gym.sensors.sensor import LEARNED, Physics
+
+CONSTANT = LAST  # first column of their estimates
+CROSS = CONSTANT + LEARNED  # of their covariances with the state, 6 x 3
+DOUBT = CROSS + SIZE * LEARNED  # of their own covariance, 3 x 3
+PULL = DOUBT + LEARNED * LEARNED  # of a correction's own memory
+EFFECT = PULL + LEARNED  # of a prediction's own memory, velocities by constants, 3 x 3
+LEARNING_LAST = EFFECT + 3 * LEARNED
+
+# What is known of the constants before, in a sensor's settings from some column on.
+FRICTION_SPREAD, LOAD_SPREAD, LEARNING_SIZE = range(3)
+
+LEAST_FACTOR, MOST_FACTOR = 0.25, 4.0  # [-] no estimate goes beyond
+FARTHEST_LOAD = 0.5  # [-] of the half length
+THINNEST = 1e-6  # [m^2] squared extent of the contacts in any direction, at least
+
+
+@lane_function
+def begin_learning(settings: Array, first: int, lane: Lane) -> None:
+    """Nominal friction, the load over the centroid, and doubts as in `settings` from `first` on."""
+    kept = lane.kept
+    kept[CONSTANT] = 1.0
+    for k in range(CONSTANT + 1, LEARNING_LAST):
+        kept[k] = 0.0
+    for k in range(LEARNED):
+        spread = settings[first + (FRICTION_SPREAD if k == 0 else LOAD_SPREAD)]
+        kept[DOUBT + (LEARNED + 1) * k] = spread * spread
+
+
+@lane_function
+def predict_learning(settings: Array, first: int, lane: Lane, physics: Physics) -> None:
+    """`observer.predict` with what has been learned, whose effect is carried on."""
+    kept, scratch, dt = lane.kept, physics.scratch, physics.dt
+    grid = Grid(
+        lane.axis,
+        lane.direction,
+        lane.rotor,
+        physics.stiffness,
+        physics.friction,
+        lane.elements.x0,
+        lane.elements.y0,
+        lane.elements.pitch_x,
+        lane.elements.pitch_y,
+        kept[CONSTANT],
+        1.0,
+        1.0,
+        lane.surface[GRAVITY_ALONG],
+        lane.surface[GRAVITY_NORMAL],
+    )
+    body = Body(
+        lane.edges,
+        lane.body[RADIUS],
+        kept[CONSTANT + 1],
+        kept[CONSTANT + 2],
+        lane.body[COM_HEIGHT],
+        lane.body[GYRATION],
+    )
+    vx, vy, omega = kept[VX], kept[VY], kept[OMEGA]
+    _to_load(kept, 1.0)
+    report, contacts = step_implicit(grid, body, kept, scratch, dt)
+    if report >= OFF_SURFACE:
+        kept[X] += dt * kept[VX]
+        kept[Y] += dt * kept[VY]
+        kept[THETA] += dt * kept[OMEGA]
+    damp(body, kept, scratch, contacts, dt)
+    _effect(body, grid.gravity_normal, kept, scratch, contacts, kept[OMEGA] - omega)
+    _to_load(kept, -1.0)
+    doubt = settings[first + FRICTION_ERROR] ** 2 * FRICTION_ERROR_TIME / (dt * dt)
+    widen(
+        kept,
+        dt,
+        settings[first + DENSITY] + doubt * ((kept[VX] - vx) ** 2 + (kept[VY] - vy) ** 2),
+        settings[first + TURN_DENSITY] + doubt * (kept[OMEGA] - omega) ** 2,
+    )
+    _widen_by_constants(kept, dt)
+
+
+@lane_function
+def _to_load(kept: Array, way: float) -> None:
+    """Make the base's centroid's state that of the centre of mass, or, `way` -1, the reverse."""
+    cosine, sine = math.cos(kept[THETA]), math.sin(kept[THETA])
+    arm_x = way * (cosine * kept[CONSTANT + 1] - sine * kept[CONSTANT + 2])
+    arm_y = way * (sine * kept[CONSTANT + 1] + cosine * kept[CONSTANT + 2])
+    kept[X] += arm_x
+    kept[Y] += arm_y
+    kept[VX] -= kept[OMEGA] * arm_y
+    kept[VY] += kept[OMEGA] * arm_x
+
+
+@lane_function
+def _effect(
+    body: Body, weight: float, kept: Array, scratch: Scratch, contacts: Contacts, turn: float
+) -> None:
+    """Write what a step's velocities change by with each constant into `kept` from EFFECT on.
+
+    Args:
+        body: the parcel.
+        weight: [m/s^2] what the contacts bear.
+        kept: state of the centre of mass at the step's end.
+        scratch: of the step.
+        contacts: of the step.
+        turn: [rad/s] by which the step changed the speed of turning.
+    """
+    table = scratch.table
+    friction_gradient(scratch, contacts, kept[VX], kept[VY], kept[OMEGA])
+    drag_x, drag_y, drag_turn, all_x, all_y = 0.0, 0.0, 0.0, 0.0, 0.0
+    count, mean_x, mean_y = 0, 0.0, 0.0
+    for i in range(contacts.total):
+        if scratch.marks[ROTOR + i]:
+            drag_x += table[FORCE_X + i]
+            drag_y += table[FORCE_Y + i]
+            drag_turn += table[TORQUE + i]
+        all_x += table[FORCE_X + i]
+        all_y += table[FORCE_Y + i]
+        if table[NORMAL + i] > 0.0:
+            count += 1
+            mean_x += table[ARM_X + i]
+            mean_y += table[ARM_Y + i]
+    mean_x /= max(1, count)
+    mean_y /= max(1, count)
+    xx, xy, yy = THINNEST, 0.0, THINNEST
+    for i in range(contacts.total):
+        if table[NORMAL + i] > 0.0:
+            x, y = table[ARM_X + i] - mean_x, table[ARM_Y + i] - mean_y
+            xx += x * x
+            xy += x * y
+            yy += y * y
+    per_determinant = weight / (xx * yy - xy * xy)
+    # [1/s] and [rad/(m s)] by a metre of the load in x, and in y
+    vx_x, vx_y, vy_x, vy_y, turn_x, turn_y = 0.0, 0.0, 0.0, 0.0, -all_y, all_x
+    for i in range(contacts.total):
+        if table[NORMAL + i] > 0.0:
+            x, y = table[ARM_X + i] - mean_x, table[ARM_Y + i] - mean_y
+            per_normal = per_determinant / table[NORMAL + i]
+            by_x = (yy * x - xy * y) * per_normal
+            by_y = (xx * y - xy * x) * per_normal
+            vx_x += table[FORCE_X + i] * by_x
+            vx_y += table[FORCE_X + i] * by_y
+            vy_x += table[FORCE_Y + i] * by_x
+            vy_y += table[FORCE_Y + i] * by_y
+            turn_x += table[TORQUE + i] * by_x
+            turn_y += table[TORQUE + i] * by_y
+    per_gyration = 1.0 / body.gyration
+    cosine, sine = math.cos(kept[THETA]), math.sin(kept[THETA])
+    per_factor = 1.0 / kept[CONSTANT]
+    kept[EFFECT] = -drag_x * per_factor
+    kept[EFFECT + 3] = -drag_y * per_factor
+    kept[EFFECT + 6] = -drag_turn * per_gyration * per_factor
+    # The centroid moves as the load does, turned by their distance.
+    _write_load(kept, EFFECT + 1, -vx_x, turn - vx_y, cosine, sine)
+    _write_load(kept, EFFECT + 4, -turn - vy_x, -vy_y, cosine, sine)
+    _write_load(kept, EFFECT + 7, -turn_x * per_gyration, -turn_y * per_gyration, cosine, sine)
+
+
+@lane_function
+def _write_load(
+    kept: Array, place: int, by_x: float, by_y: float, cosine: float, sine: float
+) -> None:
+    """Write a derivative by the load's place in the world as those by its place in the base."""
+    kept[place] = by_x * cosine + by_y * sine
+    kept[place + 1] = by_y * cosine - by_x * sine
+
+
+@lane_function
+def _widen_by_constants(kept: Array, dt: float) -> None:
+    """Carry the constants' covariances over a step, and the state's by what it owes to them."""
+    half = CROSS + 3 * LEARNED  # the row of the first velocity
+    for j in range(LEARNED):
+        for i in range(3):
+            kept[CROSS + LEARNED * i + j] += dt * kept[half + LEARNED * i + j]
+        vx, vy, omega = kept[half + j], kept[half + LEARNED + j], kept[half + 2 * LEARNED + j]
+        x, y, turn = kept[EFFECT + j], kept[EFFECT + 3 + j], kept[EFFECT + 6 + j]
+        for i in range(3):
+            a, b, c = kept[DECAY + 3 * i], kept[DECAY + 3 * i + 1], kept[DECAY + 3 * i + 2]
+            kept[half + LEARNED * i + j] = a * vx + b * vy + c * omega
+            kept[EFFECT + 3 * i + j] = a * x + b * y + c * turn
+    for i in range(3):
+        for row in range(SIZE):
+            owed = 0.0
+            for j in range(LEARNED):
+                owed += kept[CROSS + LEARNED * row + j] * kept[EFFECT + 3 * i + j]
+            kept[COVARIANCE + SIZE * row + 3 + i] += owed
+            kept[COVARIANCE + SIZE * (3 + i) + row] += owed
+    for i in range(3):
+        for j in range(LEARNED):
+            owed = 0.0
+            for k in range(LEARNED):
+                owed += kept[EFFECT + 3 * i + k] * kept[DOUBT + LEARNED * k + j]
+            for k in range(3):
+                share = owed * kept[EFFECT + 3 * k + j]
+                kept[COVARIANCE + SIZE * (3 + i) + 3 + k] += share
+            kept[half + LEARNED * i + j] += owed
+
+
+@lane_function
+def measure_constants(kept: Array, by_x: float, by_y: float, by_theta: float, lead: float) -> None:
+    """Leave the constants' covariance with what `observer.measure` measures in `kept` from PULL."""
+    half = CROSS + 3 * LEARNED
+    for j in range(LEARNED):
+        kept[PULL + j] = (
+            by_x * (kept[CROSS + j] - lead * kept[half + j])
+            + by_y * (kept[CROSS + LEARNED + j] - lead * kept[half + LEARNED + j])
+            + by_theta * (kept[CROSS + 2 * LEARNED + j] - lead * kept[half + 2 * LEARNED + j])
+        )
+
+
+@lane_function
+def correct_constants(lane: Lane, gain: int, shift: float, shrink: float) -> None:
+    """Move the constants by `shift`, and lessen their covariances by `shrink`, along what was
+    measured; the state's share of it is in `lane.kept` from `gain` on.
+    """
+    kept = lane.kept
+    for j in range(LEARNED):
+        kept[CONSTANT + j] += shift * kept[PULL + j]
+        for i in range(SIZE):
+            kept[CROSS + LEARNED * i + j] -= shrink * kept[gain + i] * kept[PULL + j]
+        for k in range(LEARNED):
+            kept[DOUBT + LEARNED * j + k] -= shrink * kept[PULL + j] * kept[PULL + k]
+    farthest = FARTHEST_LOAD * lane.body[HALF_LENGTH]
+    kept[CONSTANT] = bounded(kept[CONSTANT], LEAST_FACTOR, MOST_FACTOR)
+    for j in range(1, LEARNED):
+        kept[CONSTANT + j] = bounded(kept[CONSTANT + j], -farthest, farthest)
