@@ -35,6 +35,12 @@ COMMANDS = {
     "design": Command(
         "which surface a parcel of your own needs", import_module, "surface_gym.design.command"
     ),
+    "export": Command("an agent as ONNX and as C, checked", import_agents, "export.command"),
+    "runtime": Command(
+        "run an agent in real time, on a simulator of its own or a device",
+        import_agents,
+        "runtime.command",
+    ),
     "play": Command(
         "push a parcel with the mouse, turn axes by keys", import_module, "surface_gym.play"
     ),

@@ -52,7 +52,9 @@ class SmartSurfaceEnv(BatchEnv):
     "window" 25 more follow, 1 for a module that obeys and is sensed to lie under the parcel. With
     `observe_axes` two more for each module of the zone, or of the window: cosine and sine of twice
     its axis angle, which is the same for an axis turned by 180 deg. Axes that take time to turn are
-    hidden otherwise.
+    hidden otherwise. `observe` adds groups of features: "parcel" its length, width and shape, "rotors"
+    how many rotors are under each of its quadrants and how they stand, "load" what a `LearningCamera`
+    has learned of friction and load.
 
     ## Info
 
@@ -72,7 +74,7 @@ class SmartSurfaceEnv(BatchEnv):
     | --- | --- | --- |
     | `task` | set by the id | a task's name, or a task with parameters of its own |
     | `actions` | "modules" | kind of action |
-    | `sensors` | `Exact()` | `Exact()`, `Camera(...)` or `Presence(...)` of `surface_gym.sensors` |
+    | `sensors` | `Exact()` | `Exact()`, `Camera(...)`, `LearningCamera(...)` or `Presence(...)` of `surface_gym.sensors` |
     | `control_period` | 0.04 | [s] between decisions; cut into equal physics steps of at most 5 ms |
     | `zone` | None | first and last column that obey; None: those after the lead-in |
     | `orientations` | None | [rad] axis angles on offer, at least two; None: the plant's, 0, pi/4, -pi/4, pi/2; or "any" |
@@ -81,6 +83,8 @@ class SmartSurfaceEnv(BatchEnv):
     | `plant` | None | a `Line`, `Field` or `Pattern` of `surface_gym.plants`; None: the task's own |
     | `observe_axes` | False | whether the observation shows the modules' axes |
     | `info` | () | what `info` carries on request |
+    | `observe` | () | groups of features that the observation shows besides: "parcel", "rotors", "load" |
+    | `condition` | None | a name of `surface_gym.conditions`, as "lab", that sets sensors, actuators and randomisation, and the parcels of a task that draws the study's boxes |
     | `render_mode` | None | "rgb_array", without a display, or "human" |
 
     `reset(options=...)` fixes a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's own

@@ -1,0 +1,169 @@
+"""Compiled half of the shadow: the package's own prediction, correction and observation, a call
+each.
+
+Nothing of the physics, the filter or an observation is written here. A lane is moved by the sensor
+of the environment, as a batch moves one: it is told when it looks, and that what it looks at is the
+pose of a frame.
+"""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from surface_gym.actions.commands import (
+    Acting,
+    aim_at_angle,
+    aim_at_choice,
+    straighten_targets,
+    turn_axes,
+    window_corner,
+)
+from surface_gym.actions.kinds import ActionKind
+from surface_gym.batch.kernels import Function, Functions, Rules
+from surface_gym.dynamics.axes import axis_direction
+from surface_gym.dynamics.compiled import compiled
+from surface_gym.dynamics.contacts import forget_contacts
+from surface_gym.dynamics.types import Array, Scratch
+from surface_gym.lanes.lane import lane_of, read_truth
+from surface_gym.lanes.memory import (
+    COLUMNS,
+    FIRST_COLUMN,
+    FIRST_ROW,
+    ROWS,
+    Lanes,
+    Sites,
+    Surfaces,
+)
+from surface_gym.sensors.camera import EVERY, LAG
+from surface_gym.sensors.sensor import Physics
+
+NEVER = 2.0**40  # physics steps from frame to frame: none is taken
+
+
+def looks_of(numbers: Array) -> tuple[Array, Array]:
+    """A camera's settings with which it takes no frame, and with which it takes one at each step
+    and uses it at once.
+    """
+    coasting, looking = np.array(numbers), np.array(numbers)
+    coasting[EVERY], coasting[LAG] = NEVER, 0.0
+    looking[EVERY], looking[LAG] = 1.0, 0.0
+    return coasting, looking
+
+
+@compiled
+def use_encoders(surfaces: Surfaces, sites: Sites, site: int, i: int, angles: Array) -> None:
+    """Put the axes of a lane's zone to angles (rows, columns) [rad] of the widest zone's."""
+    zone = sites.zone[site]
+    margin = (angles.shape[0] - zone[ROWS]) // 2
+    for down in range(zone[ROWS]):
+        for along in range(zone[COLUMNS]):
+            row, column = zone[FIRST_ROW] + down, zone[FIRST_COLUMN] + along
+            angle = angles[margin + down, along]
+            axis = surfaces.axis[i, row, column]
+            surfaces.angle[i, row, column] = angle
+            cosine, sine = axis_direction(angle)
+            surfaces.direction[i, axis, 0] = cosine
+            surfaces.direction[i, axis, 1] = sine
+
+
+@lru_cache(maxsize=16)
+def make_begin(functions: Functions) -> Any:
+    """`begin(rules, surfaces, lanes, sites, i)`: axes as the conveyor's, the estimate what is known
+    of the entry, which is in `lanes.state`.
+    """
+    task_begin, sensor_begin = functions.begin, functions.begin_sensor
+
+    def begin_lane(rules: Rules, surfaces: Surfaces, lanes: Lanes, sites: Sites, i: int) -> None:
+        straighten_targets(rules.acting, surfaces, i)
+        lanes.clock[i] = 0.0
+        lanes.steps[i] = 0
+        lanes.period[i] = 0.0
+        lanes.noise_row[i, 0] = 0
+        lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
+        read_truth(lane)
+        sensor_begin(rules.sensor, lane)
+        task_begin(lane)
+
+    return compiled(begin_lane, f"shadow-begin-{functions.label}")
+
+
+@lru_cache(maxsize=16)
+def make_move(look: Function, label: str) -> Any:
+    """`move(rules, surfaces, lanes, sites, scratch, i, length, steps, axis_speed, looks, coasting,
+    looking)`: turn a lane's axes at a speed [rad/s] and predict, over some steps of a length [s];
+    where it looks, correct at the end by the frame whose pose is in `lanes.truth`.
+    """
+
+    def move_lane(
+        rules: Rules,
+        surfaces: Surfaces,
+        lanes: Lanes,
+        sites: Sites,
+        scratch: Scratch,
+        i: int,
+        length: float,
+        steps: int,
+        axis_speed: float,
+        looks: bool,
+        coasting: Array,
+        looking: Array,
+    ) -> None:
+        physics = Physics(rules.assumed, rules.stiffness, scratch, length)
+        acting = Acting(rules.acting.zone_rows, rules.acting.orientations, axis_speed * length)
+        forget_contacts(scratch)
+        lanes.noise_row[i, 0] = 0
+        for k in range(steps):
+            lanes.clock[i] += length
+            lanes.steps[i] += 1
+            lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
+            if turn_axes(acting, surfaces, i, lane.zone):
+                forget_contacts(scratch)
+            look(looking if looks and k == steps - 1 else coasting, lane, physics)
+
+    return compiled(move_lane, f"shadow-move-{label}")
+
+
+@lru_cache(maxsize=16)
+def make_show(functions: Functions) -> Any:
+    """`show(rules, surfaces, lanes, sites, i)`: the observation of a lane's estimate."""
+    task_observe, task_mirror = functions.observe, functions.mirror
+    estimate, show_learned = functions.estimate, functions.learned
+    show_modules, show_axes = functions.show_modules, functions.show_axes
+    (show_parcel, parcel_size), (show_rotors, rotors_size), (_, load_size) = functions.more
+    learns = load_size > 0
+
+    def show_lane(rules: Rules, surfaces: Surfaces, lanes: Lanes, sites: Sites, i: int) -> None:
+        lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
+        estimate(rules.sensor, lane)
+        mirror = task_mirror(lane)
+        task_observe(lane)
+        show_modules(rules.acting, lane, rules.features, mirror)
+        show_axes(rules.acting, lane, rules.axes_from, mirror)
+        load_from = lane.observation.shape[0] - load_size
+        rotors_from = load_from - rotors_size
+        show_parcel(rules.acting, lane, rotors_from - parcel_size, mirror)
+        show_rotors(rules.acting, lane, rotors_from, mirror)
+        if learns:
+            show_learned(rules.sensor, lane, load_from, mirror)
+
+    return compiled(show_lane, f"shadow-show-{functions.label}")
+
+
+@lru_cache(maxsize=16)
+def make_obey(kind: ActionKind, mirror_of: Function) -> Any:
+    """`obey(rules, surfaces, lanes, sites, i)`: what a lane's command has its modules turn to."""
+    part_of = kind.part_of
+    aim = aim_at_angle if kind.continuous else aim_at_choice
+
+    def obey_lane(rules: Rules, surfaces: Surfaces, lanes: Lanes, sites: Sites, i: int) -> None:
+        lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
+        corner = window_corner(lane, mirror_of(lane))
+        zone = lane.zone
+        for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
+            for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
+                part = part_of(rules.acting, lane, corner, row, column)
+                if part >= 0 and lane.obeys[row, column]:
+                    aim(rules.acting, surfaces, i, row, column, part)
+
+    return compiled(obey_lane, f"shadow-{kind.name}-{'angles' if kind.continuous else 'choices'}")

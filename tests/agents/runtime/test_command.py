@@ -1,0 +1,227 @@
+"""The command: what it asks for, the processes it begins and the report it leaves."""
+
+import json
+import os
+import runpy
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tyro
+from rich.console import Console
+
+from agents.runtime.arranging import ArrangedApart
+from agents.runtime.command import (
+    RuntimeConfig,
+    policy_of,
+    settings_of,
+    simulator_arguments,
+)
+from agents.runtime.counting import Counts, Latencies
+from agents.runtime.deciding import FixedLayouts, bounds_of, on_offer
+from agents.runtime.device import DeviceLost, Frame, Message
+from agents.runtime.report import Run, percentiles, report_of, show_report, write_report
+from agents.runtime.simulator import SimulatorConfig
+from agents.runtime.socket_device import SocketDevice
+from agents.runtime.supervising import Drill, SimulatorProcess
+from surface_gym.settings import Settings
+from tests.agents.runtime.made import SETTINGS, entered, shadow
+
+PATIENCE = 120.0  # [s] for another process, on a computer that does other work
+
+RUN = Run("stop-ppo", 0, "stop", "lab", "simulator", 0.04, 0.2, 600.0, (1.0, 2.0, 3.0), 2)
+
+
+class TestReport:
+    def counted(self) -> tuple[Counts, Latencies]:
+        counts = Counts(periods=15_000, kept=14_990, missed=10, kills=5)
+        counts.parcels.update(["success", "success", "missed"])
+        return counts, Latencies(policy=[0.001 * k for k in range(101)])
+
+    def test_it_is_written_whole(self, tmp_path: Path) -> None:
+        file = write_report(report_of(RUN, *self.counted()), tmp_path / "out")
+        report = json.loads(file.read_text())
+        assert report["counts"]["missed"] == 10
+        assert report["counts"]["parcels"] == {"success": 2, "missed": 1}
+        assert report["success"] == pytest.approx(2.0 / 3.0)
+        assert report["budget"]["policy"] == pytest.approx([0.05, 0.09, 0.099, 0.1])
+        assert report["budget"]["sensor"] is None
+
+    def test_it_is_shown(self, capsys: pytest.CaptureFixture[str]) -> None:
+        show_report(report_of(RUN, *self.counted()), Console(width=200))
+        told = capsys.readouterr().out
+        for part in ("period of 40 ms", "50.00", "10 missed", "killed 5 times", "success 0.667"):
+            assert part in told
+
+    def test_nothing_happened(self, capsys: pytest.CaptureFixture[str]) -> None:
+        show_report(report_of(RUN, Counts(unfit=1), Latencies()), Console(width=200))
+        assert "0 parcels; 1 that do not fit" in capsys.readouterr().out
+        assert percentiles([]) is None
+
+
+class TestConfig:
+    @pytest.mark.parametrize(
+        ("given", "told"),
+        [
+            ({"minutes": 0.0}, "minutes"),
+            ({"watchdog": -1.0}, "watchdog"),
+            ({"kill_every": -1.0}, "kill_every"),
+            ({"address": "nowhere"}, "address"),
+            ({"address": "localhost:80", "kill_every": 1.0}, "kill_every"),
+        ],
+    )
+    def test_what_is_not_allowed_is_refused(self, given: dict, told: str) -> None:
+        with pytest.raises(ValueError, match=told):
+            RuntimeConfig("stop-ppo", **given)
+
+    @pytest.mark.parametrize(
+        ("name", "told"), [("nobody", "name must be a folder or one of"), ("flow-ppo", "parcel")]
+    )
+    def test_a_policy_that_there_is_not(self, name: str, told: str) -> None:
+        with pytest.raises(ValueError, match=told):
+            policy_of(RuntimeConfig(name))
+
+    def test_a_policy_says_what_it_is_for(self) -> None:
+        policy = policy_of(RuntimeConfig("slow-dqn", seed=1))
+        settings = settings_of(policy, "lab")
+        assert settings == Settings(task="slow", condition="lab", **policy.env_kwargs)
+
+    def test_a_run_s_folder_holds_a_policy(self) -> None:
+        import agents
+
+        folder = Path(agents.__file__).parent / "shipped/stop-ppo/seed-0"
+        assert policy_of(RuntimeConfig(str(folder))).card.task == "stop"
+
+    def test_the_simulator_is_of_the_same_environment(self) -> None:
+        config = RuntimeConfig("stop-ppo", condition="camera", start=3)
+        policy = policy_of(config)
+        settings = settings_of(policy, config.condition)
+        given = tyro.cli(SimulatorConfig, args=simulator_arguments(config, settings))
+        assert given == SimulatorConfig(
+            task="stop", condition="camera", control_period=0.04, seed=3
+        )
+        assert given.settings().actuators == settings.actuators
+
+    def test_an_error_ends_the_command_with_one_line(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        for module, arguments in (
+            ("agents.runtime", ["nobody"]),
+            ("agents.runtime.simulator", ["--task", "nobody"]),
+        ):
+            monkeypatch.setattr(sys, "argv", [module, *arguments])
+            monkeypatch.delitem(sys.modules, module, raising=False)
+            with pytest.raises(SystemExit, match=r"error: (name|task) must be"):
+                runpy.run_module(module, run_name="__main__")
+
+
+class TestDeciding:
+    def test_axes_on_offer_and_the_conveyors(self) -> None:
+        assert on_offer(SETTINGS) == (*SETTINGS.chosen_orientations, np.pi / 2.0)
+        assert on_offer(replace(SETTINGS, orientations="any")) is None
+
+    @pytest.mark.parametrize("task", ["sort", "track"])
+    def test_the_fixed_layout_of_a_task(self, task: str) -> None:
+        settings = Settings(task=task, actions="halves", observe=("parcel",))
+        layouts = FixedLayouts(settings)
+        bounds = bounds_of(settings)
+        command = layouts.arrange(np.clip(0.0, bounds.low, bounds.high))
+        assert command.shape == (layouts.kind.size,)
+        assert len(np.unique(command)) == 1
+
+    def test_a_layout_arranged_apart_is_the_same(self) -> None:
+        held = shadow()
+        held.enter(entered())
+        observation = held.observe(0.0)
+        with ArrangedApart(held.settings) as arranger:
+            assert arranger.wait_until_ready(PATIENCE)
+            arranger.ask(np.zeros_like(observation))  # one that is asked for too late
+            arranger.ask(observation)
+            layout = until(arranger.layout)
+        expected = FixedLayouts(held.settings).arrange(observation)
+        np.testing.assert_array_equal(layout, expected)
+
+
+def until(call: Callable[[], Message | None]) -> Message:
+    """What a call gives at last."""
+    ends = time.monotonic() + PATIENCE
+    while time.monotonic() < ends:
+        found = call()
+        if found is not None:
+            return found
+        time.sleep(0.01)
+    raise TimeoutError
+
+
+class TestProcess:
+    """One that is begun, killed and begun again."""
+
+    def frame_of(self, device: SocketDevice) -> Frame:
+        """The first that comes, of a simulator that may have yet to begin."""
+
+        def find() -> Frame | None:
+            try:
+                messages = device.read()
+            except DeviceLost:
+                with_device_back(device)
+                return None
+            return next((each for each in messages if isinstance(each, Frame)), None)
+
+        return until(find)
+
+    def test_it_is_there_again_at_the_same_address(self, tmp_path: Path) -> None:
+        arguments = ["--task", "stop", "--condition", "camera"]
+        with SimulatorProcess(arguments, tmp_path / "log") as process:
+            device = SocketDevice(process.address, "stop", (4, 16))
+            first = self.frame_of(device)
+            assert first.taken <= time.monotonic()
+            drill = Drill(process, 1.0, 0.0)
+            drill.turn(0.9)
+            assert drill.kills == 0
+            drill.turn(1.0)
+            assert drill.kills == 1
+            with pytest.raises(DeviceLost):
+                until(lambda: device.read() and None)
+            assert self.frame_of(device).taken > first.taken
+            device.close()
+        assert (tmp_path / "log").read_text() == ""
+
+    def test_one_that_does_not_begin_says_why(self, tmp_path: Path) -> None:
+        with pytest.raises(ValueError, match="task must be one of"):
+            SimulatorProcess(["--task", "nobody"], tmp_path / "log")
+
+
+def with_device_back(device: SocketDevice) -> None:
+    """Connect, if it is there."""
+    try:
+        device.connect()
+    except DeviceLost:
+        time.sleep(0.05)
+
+
+def test_ctrl_c_ends_a_run_with_its_report(tmp_path: Path) -> None:
+    command = ["-m", "agents.runtime", "stop-ppo", "--condition", "camera", "--out", str(tmp_path)]
+    with subprocess.Popen(
+        [sys.executable, *command],
+        cwd=Path(__file__).parents[3],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        env={**os.environ, "PYTHONUNBUFFERED": "1", "TERM": "dumb"},
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.startswith("ready"):
+                break
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        told = process.stdout.read()
+        assert process.wait(PATIENCE) == 0, told
+    assert "stopped" in told
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["counts"]["missed"] <= report["counts"]["periods"]
+    assert report["counts"]["out_of_range"] == report["counts"]["refused"] == 0
