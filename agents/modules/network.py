@@ -6,8 +6,10 @@ from itertools import pairwise
 import torch
 from torch import nn
 
+from surface_gym.actions.more import features_of
+
 from ..mirror import SIDE
-from .view import PLACE_SIZE, SHARED
+from .view import place_size, shared_size
 
 
 def _linear(inputs: int, outputs: int, gain: float = math.sqrt(2.0)) -> nn.Linear:
@@ -30,12 +32,15 @@ class SharedNetwork(nn.Module):
     Args:
         choices: orientations on offer.
         hidden: units of the hidden layers.
+        observe: groups of features that the observation shows beside the task's.
     """
 
-    def __init__(self, choices: int, hidden: tuple[int, ...]) -> None:
+    def __init__(
+        self, choices: int, hidden: tuple[int, ...], observe: tuple[str, ...] = ()
+    ) -> None:
         super().__init__()
-        self._alike = _linear(len(SHARED), hidden[0])
-        self._apart = nn.Linear(PLACE_SIZE, hidden[0], bias=False)
+        self._alike = _linear(shared_size(observe), hidden[0])
+        self._apart = nn.Linear(place_size(observe), hidden[0], bias=False)
         nn.init.zeros_(self._apart.weight)
         self._between = nn.Sequential(*_layers(hidden))
         self._logits = _linear(hidden[-1], choices, 0.01)
@@ -48,7 +53,7 @@ class SharedNetwork(nn.Module):
         Args:
             shared: (lanes, shared).
             lane: (modules,) each module's.
-            place: (modules, PLACE_SIZE).
+            place: (modules, place).
         """
         first = torch.tanh(self._alike(shared)[lane] + self._apart(place))
         logits: torch.Tensor = self._logits(self._between(first))
@@ -60,13 +65,16 @@ class ValueNetwork(nn.Module):
 
     Args:
         hidden: units of the hidden layers.
+        observe: groups of features that the observation shows beside the task's.
     """
 
-    def __init__(self, hidden: tuple[int, ...]) -> None:
+    def __init__(self, hidden: tuple[int, ...], observe: tuple[str, ...] = ()) -> None:
         super().__init__()
-        self._layers = nn.Sequential(*_layers((SIDE, *hidden)), _linear(hidden[-1], 1, 1.0))
+        inputs = SIDE + len(features_of(observe))
+        self._layers = nn.Sequential(*_layers((inputs, *hidden)), _linear(hidden[-1], 1, 1.0))
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """(lanes,) of observations (lanes, features)."""
-        value: torch.Tensor = self._layers(observations[:, :SIDE])[:, 0]
+        but_side = torch.cat([observations[:, :SIDE], observations[:, SIDE + 1 :]], dim=1)
+        value: torch.Tensor = self._layers(but_side)[:, 0]
         return value

@@ -1,28 +1,38 @@
 """What each module that matters sees: its own place under the parcel, beside what all see."""
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym.actions.more import GROUPS, QUADRANT_SIZE, QUADRANTS, features_of
 from surface_gym.settings import Settings
 from surface_gym.tasks.sort import FEATURES
 
 from ..mirror import SIDE, mirrored_orientations
 from ..sight import LineSight, line_sight
+from .outline import Numbers, Outline, outline_by_clearance, outline_shown
 
-Numbers = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Integers = NDArray[np.int64]
 
 _NAMES = tuple(feature.name for feature in FEATURES)
 # The side is seen as a mirror image. The time would tie what is learned to one length of lead-in.
-SHARED = tuple(k for k, name in enumerate(_NAMES) if name not in ("side", "time"))
-CLEARANCE = _NAMES.index("clearance")
-PLACE_SIZE = 9  # numbers that say where a module is
+_SHARED = tuple(k for k, name in enumerate(_NAMES) if name not in ("side", "time"))
+_ROTORS = {feature.name for feature in GROUPS["rotors"].features}
+_PLACE_SIZE = 9  # numbers that say where a module is
 MARGIN = 0.01  # [m] a module this near to the base may bear it
+
+
+def shared_size(observe: tuple[str, ...]) -> int:
+    """Numbers that all modules of a lane see alike, where the observation shows some groups."""
+    return len(_SHARED) + len(features_of(observe))
+
+
+def place_size(observe: tuple[str, ...]) -> int:
+    """Numbers that a module sees of itself, where the observation shows some groups."""
+    return _PLACE_SIZE + (QUADRANT_SIZE if "rotors" in observe else 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +41,17 @@ class Seen:
 
     shared: Singles  # (lanes, shared) what all modules of a lane see alike
     lane: Integers  # (modules,) whose parcel the module bears, or will by the next decision
-    place: Singles  # (modules, PLACE_SIZE) where the module is: under the parcel and beside it
+    # (modules, place) where the module is: under the parcel and beside it; then the axes around it
+    place: Singles
     number: Integers  # (modules,) its place in the action
 
 
 class ModuleView:
     """Turns observations of Sort into what modules see, and their choices into actions.
+
+    Where the observation shows the group "parcel", a base is as long, as wide and as round as it
+    says; else it is taken for a rectangle, as wide as the clearance tells. Where it shows "rotors",
+    a module sees the axes of its own quadrant of the parcel.
 
     Args:
         settings: of the environment, of whatever zone.
@@ -52,22 +67,29 @@ class ModuleView:
         self._settings = settings
         kind = settings.action_kind
         self._size = kind.size
-        plant = settings.chosen_plant
-        self._pitch_y = plant.pitch_y
+        self._plant = settings.chosen_plant
         # [m] from the zone's first edge, and from the line's middle.
-        self._column = plant.pitch_x * (np.arange(kind.columns) + 0.5)
-        self._row = plant.pitch_y * (np.arange(kind.rows) - (kind.rows - 1) / 2.0)
+        self._column = self._plant.pitch_x * (np.arange(kind.columns) + 0.5)
+        self._row = self._plant.pitch_y * (np.arange(kind.rows) - (kind.rows - 1) / 2.0)
         self._image = mirrored_orientations(settings.chosen_orientations)
         angles = np.array(settings.chosen_orientations)
         self._rest = int(np.abs(np.sin(angles)).argmax())  # the choice nearest to 90 deg
+        columns = {feature.name: k for k, feature in enumerate(settings.features)}
+        of_groups = [columns[feature.name] for feature in features_of(settings.observe)]
+        self._shared = np.array([*_SHARED, *of_groups])
+        self._columns = columns
+        self._lie = self._lie_shown if "parcel" in settings.observe else self._lie_by_clearance
+        # (QUADRANTS, QUADRANT_SIZE) columns of what each shows; (QUADRANTS, 0) where none does.
+        rotors = [name for name in columns if name in _ROTORS]
+        self._rotors = np.array([columns[name] for name in rotors], dtype=np.int64)
+        self._rotors = self._rotors.reshape(len(QUADRANTS), -1)
 
     def __call__(self, observations: Singles) -> Seen:
         """What is seen in observations (lanes, features)."""
         see = _to_the_left(line_sight(self._settings, observations))
-        # Only the line's rotors bear: the clearance tells how many rows there are.
-        half_line = see.offset - see.reach - 0.2 * observations[:, CLEARANCE]
-        lane, number, x, y = self._near(see, half_line)
-        half = see.half_length[lane]
+        outlines, into_zone = self._lie(see, observations)
+        lane, number, x, y = self._near(see, outlines, into_zone)
+        outline = outlines.of(lane)
         period = self._settings.control_period
         now = _from_parcel(x, y, see.theta[lane])
         later = _from_parcel(
@@ -75,30 +97,58 @@ class ModuleView:
             y - period * see.vy[lane],
             (see.theta + period * see.omega)[lane],
         )
-        outside = np.stack([np.abs(now).max(axis=0), np.abs(later).max(axis=0)]) - half
+        outside = np.stack([outline.outside(now), outline.outside(later)])
         beside = np.stack([x / 0.3, y / 0.3, (y + see.offset[lane]) / 0.15])
-        place = np.concatenate([now / half, later / half, outside <= 0.0, beside]).T
+        parts = (now / outline.half, later / outline.half, outside <= 0.0, beside)
+        place = np.concatenate([*parts, self._axes(observations, lane, x, y)]).T
         bears = outside.min(axis=0) <= MARGIN
         return Seen(
-            observations[:, SHARED],
+            observations[:, self._shared],
             lane[bears],
             place[bears].astype(np.float32),
             number[bears],
         )
 
+    def _lie_by_clearance(self, see: LineSight, observations: Singles) -> tuple[Outline, Numbers]:
+        """Outlines, and x of the bases' centres past the zone's first edge (lanes,) [m]."""
+        clearance = 0.2 * observations[:, self._columns["clearance"]].astype(np.float64)
+        outline = outline_by_clearance(see, clearance, self._plant)
+        return outline, see.into_zone + (outline.reach(see.theta) - see.reach)
+
+    def _lie_shown(self, see: LineSight, observations: Singles) -> tuple[Outline, Numbers]:
+        """The same where the outline is shown: x is exact, as its place in a pitch is known."""
+        names = ("length", "width", "fill", "sine of phase x", "cosine of phase x")
+        length, width, fill, sine, cosine = (
+            observations[:, self._columns[name]].astype(np.float64) for name in names
+        )
+        outline = outline_shown(length, width, fill, self._plant)
+        pitch = self._plant.pitch_x
+        into_zone = see.into_zone + (outline.reach(see.theta) - see.reach)
+        in_pitch = 0.5 + np.arctan2(sine, cosine) / (2.0 * np.pi)  # from a column's first edge
+        return outline, pitch * (np.round(into_zone / pitch - in_pitch) + in_pitch)
+
+    def _axes(self, observations: Singles, lane: Integers, x: Numbers, y: Numbers) -> Singles:
+        """(shown, modules) of the rotors in the quadrant of each module, at x and y [m] from the
+        parcel's centre.
+        """
+        quadrant = 2 * (x < 0.0) + (y < 0.0)
+        return observations[lane[:, np.newaxis], self._rotors[quadrant]].T
+
     def _near(
-        self, see: LineSight, half_line: Numbers
+        self, see: LineSight, outline: Outline, into_zone: Numbers
     ) -> tuple[Integers, Integers, Numbers, Numbers]:
         """Modules that the parcel may reach in a period: lane, place in the action, and x and y
-        [m] from its centre; `half_line` [m] is from the line's middle to its outermost rotors.
+        [m] from its centre.
         """
         mirror = np.where(see.side < 0.0, -1.0, 1.0)[:, np.newaxis]
         row = mirror * self._row
-        x = self._column - see.into_zone[:, np.newaxis]
+        x = self._column - into_zone[:, np.newaxis]
         y = row - see.offset[:, np.newaxis]
         moved = self._settings.control_period * (np.abs(see.vx) + np.abs(see.vy))
-        close = (math.sqrt(2.0) * see.half_length + moved + 2.0 * MARGIN)[:, np.newaxis]
-        rows = (np.abs(row) <= half_line[:, np.newaxis] + self._pitch_y / 4.0) & (np.abs(y) < close)
+        close = (np.hypot(*outline.half) + moved + 2.0 * MARGIN)[:, np.newaxis]
+        # Only the line's rotors bear.
+        line = np.abs(row) < 0.5 * self._plant.pitch_y * outline.rows[:, np.newaxis]
+        rows = line & (np.abs(y) < close)
         columns = np.abs(x) < close
         lane, place, column = np.nonzero(rows[:, :, np.newaxis] & columns[:, np.newaxis, :])
         number = place * len(self._column) + column

@@ -73,7 +73,7 @@ def policy_of(files: PolicyFiles, task: Task | None = None) -> Policy | ModulesP
             return FlowPolicy(seats, card)
         settings = card.settings(task)
         if card.algo == "modules":
-            shared = SharedNetwork(len(settings.chosen_orientations), card.hidden)
+            shared = SharedNetwork(len(settings.chosen_orientations), card.hidden, card.observe)
             _fill(shared, weights)
             return ModulesPolicy(shared, card)
         network = make_network(card, settings)

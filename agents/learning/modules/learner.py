@@ -36,8 +36,10 @@ class Learner:
         settings = card_of(config).settings()
         self._view = ModuleView(settings)
         torch.manual_seed(config.seed)
-        self.network = SharedNetwork(len(settings.chosen_orientations), config.hidden)
-        self.value = ValueNetwork(config.hidden)
+        self.network = SharedNetwork(
+            len(settings.chosen_orientations), config.hidden, settings.observe
+        )
+        self.value = ValueNetwork(config.hidden, settings.observe)
         self._optimisers = [
             torch.optim.Adam(network.parameters(), config.learning_rate, eps=ADAM_EPS)
             for network in (self.network, self.value)

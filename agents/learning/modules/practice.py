@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...modules.view import Integers, Numbers, Singles
+from ...modules.outline import Numbers
+from ...modules.view import Integers, Singles
 from ..config import ModulesConfig
 from ..practice import make_lanes
 

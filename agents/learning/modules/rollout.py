@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ...modules.view import Integers, Numbers
+from ...modules.outline import Numbers
+from ...modules.view import Integers
 from .practice import Booleans
 
 
@@ -17,7 +18,7 @@ class Batch:
     shared: torch.Tensor  # (samples, shared) what all modules of a sample see alike
     likelihood: torch.Tensor  # (samples,) log of the choices' likelihood as they were made
     modules: torch.Tensor  # (samples,) their number
-    place: torch.Tensor  # (modules, PLACE_SIZE)
+    place: torch.Tensor  # (modules, place)
     group: torch.Tensor  # (modules,) within its sample
     choice: torch.Tensor  # (modules,)
 

@@ -1,5 +1,7 @@
 """The shared weights as a policy, in memory and on disk."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -8,14 +10,15 @@ import torch
 from agents.modules.network import SharedNetwork
 from agents.modules.policy import ModulesPolicy
 from agents.policy_card import PolicyCard
+from surface_gym.actions.more import features_of
 
 THE_CARD = PolicyCard("SmartSurface/Sort-v0", "modules", "modules", 0.04, (8, 8))
 
 
-def network(seed: int = 0) -> SharedNetwork:
+def network(seed: int = 0, observe: tuple[str, ...] = ()) -> SharedNetwork:
     """Weights at random, each module's place included."""
     torch.manual_seed(seed)
-    made = SharedNetwork(4, THE_CARD.hidden)
+    made = SharedNetwork(4, THE_CARD.hidden, observe)
     with torch.no_grad():
         for weights in made.parameters():
             weights.normal_()
@@ -43,6 +46,16 @@ def test_it_takes_and_gives_what_an_environment_of_any_zone_does(
     assert chosen in gym.make_vec(policy.env_id, num_envs=12, **policy.env_kwargs).action_space
     for lane, one in enumerate(seen):
         np.testing.assert_array_equal(policy.predict(one)[0], chosen[lane])
+
+
+@pytest.mark.parametrize("observe", [("parcel",), ("rotors",), ("parcel", "rotors")])
+def test_it_sees_what_its_card_says(observe: tuple[str, ...]) -> None:
+    policy = ModulesPolicy(network(observe=observe), replace(THE_CARD, observe=observe))
+    env = gym.make_vec(policy.env_id, num_envs=12, **policy.env_kwargs)
+    seen, _ = env.reset(seed=0)
+    actions, _ = policy.predict(seen)
+    assert actions in env.action_space
+    assert seen.shape[1] == 15 + len(features_of(observe))
 
 
 def test_a_draw_is_shared_by_the_modules_of_a_lane() -> None:

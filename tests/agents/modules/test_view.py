@@ -4,8 +4,18 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from agents.modules.view import ModuleView
-from surface_gym.layouts import LEAD_IN, LINE_ROWS, LINE_Y
+from agents.modules.view import ModuleView, place_size, shared_size
+from surface_gym.actuators import Actuators
+from surface_gym.bases import Base, Disc, Rectangle
+from surface_gym.layouts import (
+    LEAD_IN,
+    LINE_ROWS,
+    LINE_Y,
+    ROWS,
+    lead_in_under,
+    rows_under,
+)
+from surface_gym.parcel import Parcel
 from surface_gym.settings import Settings
 from tests.environments import PITCH
 
@@ -75,6 +85,92 @@ def test_every_module_under_the_parcel_is_seen(
     # And along and across the line: from the parcel in 0.3 m, from the line's middle in 0.15 m.
     beside = np.stack([dx / 0.3, side * dy / 0.3, side * (dy + y - LINE_Y) / 0.15], -1)
     np.testing.assert_allclose(seen.place[:, 6:], beside, atol=2e-5)
+
+
+# Of both kinds of line, and what may be taken for a square of another width.
+BASES = (
+    Rectangle(0.4, 0.25), Rectangle(0.37, 0.27), Rectangle(0.25, 0.4), Rectangle(0.35, 0.2),
+    Rectangle(0.22, 0.34), Disc(0.15), Disc(0.22),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("observe", [(), ("parcel",)], ids=["guessed", "shown"])
+@pytest.mark.parametrize("side", [1, -1])
+def test_every_module_under_a_base_of_any_shape_is_seen(
+    side: int, observe: tuple[str, ...]
+) -> None:
+    """Rectangles once were taken for squares, and of some no module was seen at all."""
+    bases = [base for base in BASES for _ in range(8)]
+    env = sg.SmartSurfaceVectorEnv(len(bases), observe=observe)
+    view = ModuleView(env.settings)
+    starts = [{"speed": 2.5, "parcel": Parcel(base), "side": side} for base in bases]
+    rng = np.random.default_rng(0)
+    seen, info = env.reset(seed=0, options=starts)
+    for _ in range(7):
+        # Rows that differ turn the parcel.
+        rows = rng.choice(4, p=[0.1, 0.2, 0.2, 0.5], size=(len(bases), 4, 1))
+        seen, _, _, _, info = env.step(np.tile(rows, 16).reshape(len(bases), -1))
+    assert np.ptp(info["pose"][:, 2]) > 0.1
+    told = view(seen)
+    row, column = np.divmod(told.number, 16)
+    covered = told.place[:, 4] == 1.0
+    total = 0
+    for lane, base in enumerate(bases):
+        of_lane = (told.lane == lane) & covered
+        first = lead_in_under(np.ptp(base.outline[:, 0]), PITCH)
+        places = set(zip(row[of_lane] + 8, column[of_lane] + first, strict=True))
+        bearing = _under_base(base, info["pose"][lane], first)
+        total += len(bearing)
+        # A disc is guessed to be the square around it.
+        assert places >= bearing if isinstance(base, Disc) and not observe else places == bearing
+    assert total > 6 * len(bases)
+
+
+def _under_base(base: Base, pose: np.ndarray, first: int) -> set[tuple[int, int]]:
+    """Rotors (row, column) of a base's zone whose centres lie under it."""
+    rows = rows_under(np.ptp(base.outline[:, 1]), PITCH)
+    (x, y, theta), places = pose, np.indices((ROWS, first + 16)).reshape(2, -1)
+    dx, dy = PITCH * (places[1] + 0.5) - x, PITCH * (places[0] + 0.5) - y
+    cosine, sine = np.cos(theta), np.sin(theta)
+    inside = base.functions(cosine * dx + sine * dy, cosine * dy - sine * dx).max(axis=0) <= 0.0
+    on_line = np.abs(places[0] - (ROWS - 1) / 2) < rows / 2
+    return set(map(tuple, places.T[inside & on_line & (places[1] >= first)].tolist()))
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_module_sees_the_axes_of_its_quadrant(side: int) -> None:
+    env = sg.SmartSurfaceVectorEnv(
+        1,
+        observe=("parcel", "rotors"),
+        info=("axes",),
+        actuators=Actuators(axis_speed=10.0),
+    )
+    view = ModuleView(env.settings)
+    seen, info = env.reset(seed=0, options={"speed": 2.5, "parcel": "B", "side": side})
+    rng = np.random.default_rng(1)
+    for _ in range(6):
+        seen, _, _, _, info = env.step(rng.integers(4, size=(1, 64)))
+    told = view(seen)
+    assert told.shared.shape == (1, shared_size(("parcel", "rotors")))
+    assert told.place.shape == (len(told.number), place_size(("parcel", "rotors")))
+    np.testing.assert_array_equal(told.shared[0, -15:], seen[0, -15:])
+    axes = info["axes"][0]
+    dx, dy = 0.3 * told.place[:, 6], 0.3 * told.place[:, 7]
+    x, y = info["pose"][0, :2]
+    under = _under_base(Rectangle(0.45, 0.45), info["pose"][0], 0)
+    ahead, left = dx > 0.0, dy > 0.0
+    for quadrant in np.ndindex(2, 2):
+        mine = (ahead == quadrant[0]) & (left == quadrant[1])
+        twice = [
+            2.0 * axes[row, column]
+            for row, column in under
+            if ((PITCH * (column + 0.5) - x > 0.0) == quadrant[0])
+            and ((side * (PITCH * (row + 0.5) - y) > 0.0) == quadrant[1])
+        ]
+        assert mine.any()
+        assert twice
+        mean = [np.cos(twice).mean(), side * np.sin(twice).mean()]
+        np.testing.assert_allclose(told.place[mine, 10:], np.tile(mean, (mine.sum(), 1)), atol=1e-5)
 
 
 def test_those_that_will_be_under_are_seen() -> None:

@@ -10,6 +10,8 @@ from agents.learning.checkpoint import FILE as CHECKPOINT
 from agents.learning.config import ModulesConfig
 from agents.learning.curve import FILE as CURVE
 from agents.learning.curve import read_curve
+from agents.learning.hyperparams import defaults
+from agents.learning.modules.practice import Practice
 from agents.learning.modules.training import train_modules
 from agents.policies.files import WEIGHTS, load_policy
 
@@ -82,3 +84,16 @@ def test_a_damaged_checkpoint_and_a_foreign_one_are_refused(tmp_path: Path) -> N
     (tmp_path / CHECKPOINT).write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match="damaged or of another run"):
         train_modules(SMALL, tmp_path)
+
+
+def test_it_learns_for_the_lab_from_what_is_shown_there(tmp_path: Path) -> None:
+    lab = defaults("sort", "modules", condition="lab")
+    assert isinstance(lab, ModulesConfig)
+    small = replace(lab, steps=512, lanes=8, n_steps=16, batch_size=64, checkpoint_every=256)
+    learned = train_modules(small, tmp_path)
+    assert (learned.steps, learned.interrupted) == (512, False)
+    policy = load_policy(tmp_path)
+    assert policy.card.observe == lab.observe
+    seen = Practice(small).reset(0)
+    actions, _ = policy.predict(seen)
+    assert actions.shape == (8, 64)
