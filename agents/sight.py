@@ -36,6 +36,10 @@ class LineSight:
     entry_speed: Numbers  # Slow: [m/s]; else 0
     to_go: Numbers  # Stop: [m] to the asked x; else 0
     angle: Numbers  # Orient: [rad] asked theta; else 0
+    front_in_zone: Numbers  # [m] foremost point past the zone's first edge; Sort: as of a square
+    rear_to_go: Numbers  # [m] from the rearmost point to the zone's end; Sort: as of a square
+    half_width: Numbers  # [m] of the base; taken as a square where it is not shown
+    fill: Numbers  # [-] share of the base in the rectangle around it; 1 where it is not shown
 
     @property
     def reach(self) -> Numbers:
@@ -76,6 +80,9 @@ class _Columns:
         self._place = {feature.name: k for k, feature in enumerate(settings.features)}
         self._seen = observations.astype(np.float64)
 
+    def __contains__(self, name: str) -> bool:
+        return name in self._place
+
     def __getitem__(self, name: str) -> Numbers:
         place = self._place.get(name)
         return np.zeros(len(self._seen)) if place is None else self._seen[:, place]
@@ -106,10 +113,17 @@ def line_sight(settings: Settings, observations: NDArray[np.float32]) -> LineSig
     theta = mirror * see.theta
     half_length = see.half_length
     reach = square_reach(half_length, theta)
+    if isinstance(settings.task, Sort):
+        into_zone = 0.5 * see["distance into zone"] + reach
+        front_in_zone = into_zone + reach
+        end = settings.chosen_plant.pitch_x * settings.action_kind.columns
+        rear_to_go = end - into_zone + reach
+    else:
+        front_in_zone, rear_to_go = 0.5 * see["front in zone"], 0.5 * see["rear to go"]
+        into_zone = front_in_zone - reach
+    shown = "width" in see
     return LineSight(
-        into_zone=0.5 * see["distance into zone"] + reach
-        if isinstance(settings.task, Sort)
-        else 0.5 * see["front in zone"] - reach,
+        into_zone=into_zone,
         offset=mirror * 0.3 * see["lateral offset"],
         theta=theta,
         vx=1.0 + see["forward speed"],
@@ -122,6 +136,10 @@ def line_sight(settings: Settings, observations: NDArray[np.float32]) -> LineSig
         entry_speed=np.where(see["asked ratio"] > 0.0, 1.5 + see["entry speed"], 0.0),
         to_go=0.5 * see["to go"],
         angle=see["asked angle"],
+        front_in_zone=front_in_zone,
+        rear_to_go=rear_to_go,
+        half_width=0.175 + 0.05 * see["width"] if shown else half_length,
+        fill=see["fill"] if shown else np.ones_like(half_length),
     )
 
 

@@ -18,6 +18,8 @@ from .threshold import ThresholdRule
 from .turning import TurningRule
 from .uniform import UniformLayout
 
+PARCEL = ("parcel",)  # the outline: how wide a base is, how round
+
 RULES = (
     Rule("fixed layout", "sort", "modules", FixedLayout),
     Rule("best fixed layout", "sort", "modules", BestSorting),
@@ -26,10 +28,10 @@ RULES = (
     Rule("PID per module", "sort", "modules", PidRule),
     Rule("fixed layout", "slow", "modules", FixedSlowing),
     Rule("best fixed layout", "slow", "modules", BestSlowing),
-    Rule("braking rule", "slow", "modules", SlowingRule),
+    Rule("braking rule", "slow", "modules", SlowingRule, PARCEL),
     Rule("fixed layout", "stop", "modules", FixedStopping),
     Rule("best fixed layout", "stop", "modules", BestStopping),
-    Rule("braking rule", "stop", "modules", StoppingRule),
+    Rule("braking rule", "stop", "modules", StoppingRule, PARCEL),
     Rule("fixed layout", "track", "window", Rolling),
     Rule("threshold logic", "track", "window", ThresholdRule),
     Rule("PID per module", "track", "window", PidRule),

@@ -1,6 +1,7 @@
 """How much a period of braking takes: the line's physics in one dimension."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,73 +9,153 @@ from surface_gym.dynamics.types import GRAVITY
 from surface_gym.settings import Settings
 from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
 
-from .lane_rule import Booleans, Numbers
+from .footing import Footing
+from .lane_rule import Numbers
 
+MOST_AFTER = 24  # steps that axes are followed for after a period
 COM_HEIGHT = 0.1  # [m] of the centre of mass: Table 1
+SUPPORT_LOSS = 0.005 * GRAVITY  # [m/s^2] mu_support g of Table 1
+
+
+@dataclass(frozen=True, eq=False)
+class Braked:
+    """How a period ends, with what its axes bring after it, and what took the speed in it; all
+    (lanes, ways).
+    """
+
+    place: Numbers  # [m] of the centroid past the zone's first edge, once all axes have turned
+    speed: Numbers  # [m/s] then
+    braking: Numbers  # [m/s] that friction along the axes takes where it is nominal
+    rolling: Numbers  # [m/s] that friction across them and on supports takes where it is nominal
+
+
+@dataclass(frozen=True, eq=False)
+class Frictions:
+    """Friction as it shows, in parts of the nominal; (lanes,) each."""
+
+    braking: Numbers  # [-] along axes
+    rolling: Numbers  # [-] across them, and on supports
 
 
 class BrakeModel:
-    """A parcel that moves straight along the line, its weight shared by the columns under it.
+    """A parcel that moves straight along the line, its weight shared by what is under it.
 
     Args:
-        settings: whose control period and zone are meant.
+        settings: whose control period, zone and axes are meant.
+        then: [rad] off 90 deg, to which all axes turn after the period: half braking at most.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, then: float) -> None:
+        self._then = then
         self._timing = settings.timing
         self._columns = settings.action_kind.columns
         self._pitch = settings.chosen_plant.pitch_x
+        self._turn = settings.actuators.axis_speed * settings.timing.dt  # [rad] a step
+        self._tail = 0  # steps in which axes turn after the period
+        if self._turn != math.inf:
+            self._tail = min(MOST_AFTER, math.ceil(0.25 * math.pi / self._turn))
 
     def after_a_period(
-        self, place: Numbers, speed: Numbers, half_length: Numbers, share: Numbers
-    ) -> tuple[Numbers, Numbers]:
-        """Place [m] of the centre past the zone's first edge and speed [m/s]: (lanes, ways) each.
+        self,
+        footing: Footing,
+        speed: Numbers,
+        frictions: Frictions,
+        lean: Numbers,
+        target: Numbers,
+    ) -> Braked:
+        """A period on.
 
         Args:
-            place: (lanes,) [m] now.
+            footing: the parcels as they lie now.
             speed: (lanes,) [m/s] now.
-            half_length: (lanes,) [m] of the base.
-            share: (lanes, ways, columns) [-] of mu_max that each column of the zone brakes with.
+            frictions: that act on them.
+            lean: (lanes, columns) [rad] of each column's axes off 90 deg now.
+            target: (lanes, ways, columns) [rad] to which they turn.
         """
-        dt = self._timing.dt
-        # Columns that are or come under the parcel, whether in the zone or not.
-        longest = 2.0 * half_length.max() + max(0.0, speed.max()) * dt * self._timing.steps
-        first = np.floor((place - half_length) / self._pitch).astype(np.int64)
+        dt, steps = self._timing.dt, self._timing.steps
+        place, half_length = footing.place, footing.half_length
+        longest = 2.0 * half_length.max() + max(0.0, speed.max()) * dt * (steps + self._tail)
+        first = np.floor((place + footing.middle - half_length) / self._pitch).astype(np.int64)
         near = first[:, np.newaxis] + np.arange(math.ceil(longest / self._pitch) + 2)
         inside = (near >= 0) & (near < self._columns)
-        column = np.clip(near, 0, self._columns - 1)[:, np.newaxis, :]
-        brake = np.take_along_axis(
-            share, np.broadcast_to(column, (*share.shape[:2], near.shape[1])), 2
-        )
-        brake = np.where(inside[:, np.newaxis, :], brake, 0.0)
+        column = np.clip(near, 0, self._columns - 1)
+        start = np.where(inside, np.take_along_axis(lean, column, 1), 0.0)[:, np.newaxis, :]
+        wide = np.broadcast_to(column[:, np.newaxis, :], (*target.shape[:2], near.shape[1]))
+        to_turn = np.where(inside[:, np.newaxis], np.take_along_axis(target, wide, 2), 0.0) - start
         centre = self._pitch * (near + 0.5)[:, np.newaxis, :]
-        reach = half_length[:, np.newaxis, np.newaxis]
-        x = np.repeat(place[:, np.newaxis], share.shape[1], axis=1)
-        v = np.repeat(speed[:, np.newaxis], share.shape[1], axis=1)
-        loss = np.zeros_like(v)
-        for _ in range(self._timing.steps):
+        middle = footing.middle[:, np.newaxis]
+        along, across = (part[:, np.newaxis] for part in (frictions.braking, frictions.rolling))
+        x = np.repeat(place[:, np.newaxis], target.shape[1], axis=1)
+        v = np.repeat(speed[:, np.newaxis], target.shape[1], axis=1)
+        braking, rolling, loss = np.zeros_like(v), np.zeros_like(v), np.zeros_like(v)
+        leant = start + to_turn
+        turned = 0.0
+        sine, cosine = np.sin(leant), np.cos(leant)
+        for step in range(steps + self._tail):
+            if step == steps:
+                start, turned = leant, 0.0
+                to_turn = np.where(inside[:, np.newaxis], self._then, 0.0) - start
+            if self._tail:
+                turned += self._turn
+                leant = start + np.clip(to_turn, -turned, turned)
+                sine, cosine = np.sin(leant), np.cos(leant)
             arm = centre - (x + 0.5 * dt * v)[:, :, np.newaxis]
-            loss = _deceleration(arm, np.abs(arm) <= reach, brake, loss)
+            elements, rotors = _under(footing, arm - middle[..., np.newaxis])
+            per_rotor = _loads(arm, elements, loss)
+            per_element = per_rotor * elements
+            per_rotor = per_rotor * rotors
+            brake = BRAKING * (per_rotor * sine).sum(axis=-1)
+            roll = ROLLING_LOSS * (per_rotor * cosine).sum(axis=-1)
+            roll += SUPPORT_LOSS * (per_element - per_rotor).sum(axis=-1)
+            loss = along * brake + across * roll
             slower = np.maximum(0.0, v - dt * loss)
             x += 0.5 * dt * (v + slower)
             v = slower
-        return x, v
+            if step < steps:
+                braking += dt * brake
+                rolling += dt * roll
+        return Braked(x, v, braking, rolling)
+
+    def lean_after(self, lean: Numbers, target: Numbers) -> Numbers:
+        """(lanes, columns) [rad] off 90 deg a period on, of axes that turn to `target`, alike."""
+        most = self._turn * self._timing.steps
+        return lean + np.clip(target - lean, -most, most)
 
 
-def _deceleration(arm: Numbers, under: Booleans, brake: Numbers, before: Numbers) -> Numbers:
-    """[m/s^2] (lanes, ways), the columns' loads shared as Eq. (1) has it.
+def _under(footing: Footing, arm: Numbers) -> tuple[Numbers, Numbers]:
+    """(lanes, ways, columns) elements and rotors of each column that bear.
 
     Args:
-        arm: (lanes, ways, columns) [m] of each column from the centre.
-        under: (lanes, ways, columns) whether it bears.
-        brake: (lanes, ways, columns) [-] of mu_max it brakes with.
+        footing: what lies where.
+        arm: (lanes, ways, columns) [m] of each column from the middle of the base's length.
+    """
+    far = np.abs(arm)
+    elements, rotors = np.zeros_like(arm), np.zeros_like(arm)
+    reach, rotor = footing.row_reach, footing.rotor
+    for row in range(reach.shape[1]):
+        covered = far <= reach[:, row, np.newaxis, np.newaxis]
+        elements += covered
+        rotors += covered & rotor[:, row, np.newaxis, np.newaxis]
+    return elements, rotors
+
+
+def _loads(arm: Numbers, elements: Numbers, before: Numbers) -> Numbers:
+    """(lanes, ways, columns) [-] share of the weight that each element of a column bears.
+
+    It is shared as Eq. (1) has it, cut off at nothing.
+
+    Args:
+        arm: (lanes, ways, columns) [m] of each column from the load.
+        elements: (lanes, ways, columns) of each column that bear.
         before: (lanes, ways) [m/s^2] the deceleration of the last step, which the load leans by.
     """
-    count = np.maximum(1, under.sum(axis=-1))
-    mean = np.where(under, arm, 0.0).sum(axis=-1) / count
-    apart = np.where(under, arm - mean[..., np.newaxis], 0.0)
-    spread = np.maximum((apart**2).sum(axis=-1), 1e-9)
-    lean = (before * COM_HEIGHT / GRAVITY - mean) / spread
-    load = np.maximum(0.0, under / count[..., np.newaxis] + apart * lean[..., np.newaxis])
-    braked = (load * brake).sum(axis=-1) / np.maximum(load.sum(axis=-1), 1e-9)
-    return ROLLING_LOSS + (BRAKING - ROLLING_LOSS) * braked
+    count = np.maximum(1.0, elements.sum(axis=-1))
+    mean = (elements * arm).sum(axis=-1) / count
+    apart = arm - mean[..., np.newaxis]
+    spread = np.maximum((elements * apart**2).sum(axis=-1), 1e-9)
+    slope = (before * COM_HEIGHT / GRAVITY - mean) / spread
+    load = np.maximum(0.0, 1.0 / count[..., np.newaxis] + apart * slope[..., np.newaxis])
+    load = np.where(elements > 0.0, load, 0.0)
+    weight = np.maximum((load * elements).sum(axis=-1), 1e-9)
+    shared: Numbers = load / weight[..., np.newaxis]
+    return shared

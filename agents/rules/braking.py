@@ -1,5 +1,6 @@
 """Slow and Stop by choosing, every period, the way to brake that comes out right."""
 
+import math
 from abc import abstractmethod
 
 import numpy as np
@@ -8,11 +9,11 @@ from surface_gym.settings import Settings
 from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
 
 from ..sight import LineSight, line_sight
-from .brake_model import BrakeModel
-from .columns import FULL, HALF, ROLL, SHARES, ColumnAxes, Levels
+from .brake_model import SUPPORT_LOSS, Braked, BrakeModel, Frictions
+from .columns import FULL, HALF, LEANS, ROLL, ColumnAxes, Levels
+from .footing import Footing, footing
+from .friction_estimate import FrictionEstimate
 from .lane_rule import Booleans, Commands, LaneRule, Memory, Numbers, Observations
-
-HELD = ROLLING_LOSS + (BRAKING - ROLLING_LOSS) * SHARES[HALF]  # [m/s^2] every column braking half
 
 # Of Slow; found by trying, on other starts than any reported.
 SHORT = 20.0  # [-] an m/s short, which nothing gives back, is as bad as so many in excess
@@ -33,41 +34,74 @@ def ways_to_brake(columns: int) -> Levels:
 
 
 class BrakingRule(LaneRule):
-    """Predicts each way to brake for a period and takes the one that ends nearest to the goal."""
+    """Predicts each way to brake for a period and takes the one that ends nearest to the goal.
 
-    def __init__(self, settings: Settings, task: str) -> None:
+    It remembers how far each column's axes have turned, and learns how much friction acts.
+    """
+
+    def __init__(self, settings: Settings, task: str, then: int) -> None:
         super().__init__(settings, (task,), ("modules",))
-        self._model = BrakeModel(settings)
+        self._model = BrakeModel(settings, LEANS[then])
+        self._estimate = FrictionEstimate.of(settings)
         self._commands = ColumnAxes(settings)
         self._columns = self._kind.columns
+        self._gently = then == ROLL  # after full braking, axes would take too long to roll
+        self._at_once = settings.actuators.axis_speed == math.inf
 
     @abstractmethod
-    def _regret(self, see: LineSight, place: Numbers, speed: Numbers) -> Numbers:
-        """(lanes, ways) how far from the goal each way leads, by where a period of it ends."""
+    def _regret(
+        self, see: LineSight, under: Footing, frictions: Frictions, after: Braked
+    ) -> Numbers:
+        """(lanes, ways) how far from the goal each way leads, by how a period of it ends."""
 
     def _decide(
         self, observations: Observations, memory: Memory | None, fresh: Booleans
     ) -> tuple[Commands, Memory | None]:
-        del memory, fresh
         see = line_sight(self._settings, observations)
-        levels = self._levels(see)
-        place, speed = self._model.after_a_period(
-            see.into_zone, see.vx, see.half_length, SHARES[levels]
-        )
-        best = self._regret(see, place, speed).argmin(axis=1)
-        return self._commands(levels[np.arange(len(best)), best]), None
+        lean, estimate = self._recall(see, memory, fresh)
+        frictions = self._estimate.frictions(estimate)
+        under = footing(self._settings, see)
+        levels = self._levels(see, under, lean)
+        after = self._model.after_a_period(under, see.vx, frictions, lean, LEANS[levels])
+        best = self._regret(see, under, frictions, after).argmin(axis=1)
+        lanes = np.arange(len(best))
+        chosen = levels[lanes, best]
+        parts = (see.vx, after.braking[lanes, best], after.rolling[lanes, best])
+        memory = np.column_stack([self._model.lean_after(lean, LEANS[chosen]), estimate, *parts])
+        return self._commands(chosen), memory
 
-    def _levels(self, see: LineSight) -> Levels:
+    def _recall(
+        self, see: LineSight, memory: Memory | None, fresh: Booleans
+    ) -> tuple[Numbers, Memory]:
+        """(lanes, columns) [rad] each column's axes off 90 deg, and the estimate of friction."""
+        lean, estimate = np.zeros((len(see.vx), self._columns)), self._estimate.unknown(len(see.vx))
+        if memory is not None:
+            on = ~fresh
+            lean[on] = memory[on, : self._columns]
+            estimate[on] = memory[on, self._columns : -3]
+            speed, braking, rolling = memory[on, -3:].T
+            estimate[on] = self._estimate.learnt(estimate[on], speed - see.vx[on], braking, rolling)
+        return lean, estimate
+
+    def _levels(self, see: LineSight, under: Footing, lean: Numbers) -> Levels:
         """(lanes, ways, columns) of the zone's columns, in each way to brake."""
         ahead = np.maximum(0.0, see.vx) * self._settings.control_period
         pitch = see.pitch[0]
-        reached = np.ceil((2.0 * see.half_length + ahead) / pitch).astype(np.int64) + 1
+        reached = np.ceil((2.0 * under.half_length + ahead) / pitch).astype(np.int64) + 1
         ways = ways_to_brake(int(reached.max()))
-        rearmost = np.floor((see.into_zone - see.half_length) / pitch).astype(np.int64)
-        place = np.arange(self._columns) - rearmost[:, np.newaxis]
+        rear = under.place + under.middle - under.half_length
+        place = np.arange(self._columns) - np.floor(rear / pitch).astype(np.int64)[:, np.newaxis]
         near = (place >= 0) & (place < reached[:, np.newaxis])
         levels = ways[:, np.where(near, place, 0)].swapaxes(0, 1)
-        return np.where(near[:, np.newaxis, :], levels, ROLL)
+        levels = np.where(near[:, np.newaxis, :], levels, ROLL)
+        if self._at_once:
+            return levels
+        # On its way from 90 to 0 deg an axis pushes to one side, all of them to the same: a column
+        # brakes half before it brakes fully, and so does it before it rolls again.
+        between = ((lean < LEANS[HALF] - 1e-6) | self._gently)[:, np.newaxis]
+        levels = np.where(between & (levels == FULL), HALF, levels)
+        steep = (lean > LEANS[HALF] + 1e-6)[:, np.newaxis]
+        return np.where(steep & (levels == ROLL), HALF, levels)
 
 
 class SlowingRule(BrakingRule):
@@ -78,16 +112,19 @@ class SlowingRule(BrakingRule):
     """
 
     def __init__(self, settings: Settings) -> None:
-        super().__init__(settings, "slow")
+        super().__init__(settings, "slow", ROLL)
 
-    def _regret(self, see: LineSight, place: Numbers, speed: Numbers) -> Numbers:
-        end = see.pitch[0] * self._columns + see.reach
-        to_go = np.maximum(0.0, end[:, np.newaxis] - place)
+    def _regret(
+        self, see: LineSight, under: Footing, frictions: Frictions, after: Braked
+    ) -> Numbers:
+        held, rolled = deceleration(under.rotor_share, frictions)
+        end = (under.place + see.rear_to_go)[:, np.newaxis]
+        to_go = np.maximum(0.0, end - after.place)
         asked = (see.ratio * see.entry_speed)[:, np.newaxis]
-        excess = speed - np.sqrt(asked**2 + 2.0 * ROLLING_LOSS * to_go)
+        excess = after.speed - np.sqrt(asked**2 + 2.0 * rolled[:, np.newaxis] * to_go)
         regret = np.where(excess < 0.0, -SHORT * excess, excess)
         # Rolling comes first among the ways to brake.
-        over = to_go[:, 0] - (speed[:, 0] ** 2 - asked[:, 0] ** 2) / (2.0 * HELD)
+        over = to_go[:, 0] - (after.speed[:, 0] ** 2 - asked[:, 0] ** 2) / (2.0 * held)
         regret[over > TRIM_TIME * asked[:, 0], 0] = 0.0
         return regret
 
@@ -99,8 +136,26 @@ class StoppingRule(BrakingRule):
     """
 
     def __init__(self, settings: Settings) -> None:
-        super().__init__(settings, "stop")
+        super().__init__(settings, "stop", HALF)
 
-    def _regret(self, see: LineSight, place: Numbers, speed: Numbers) -> Numbers:
-        asked = (see.into_zone + see.to_go)[:, np.newaxis]
-        return np.abs(place + speed**2 / (2.0 * HELD) - asked)
+    def _regret(
+        self, see: LineSight, under: Footing, frictions: Frictions, after: Braked
+    ) -> Numbers:
+        held, _ = deceleration(under.rotor_share, frictions)
+        asked = (under.place + see.to_go)[:, np.newaxis]
+        return np.abs(after.place + after.speed**2 / (2.0 * held[:, np.newaxis]) - asked)
+
+
+def deceleration(share: Numbers, frictions: Frictions) -> tuple[Numbers, Numbers]:
+    """(lanes,) [m/s^2] where every column brakes half, and where all roll.
+
+    Args:
+        share: (lanes,) [-] of the elements under the parcel that are rotors.
+        frictions: that act on them.
+    """
+    supports = SUPPORT_LOSS * (1.0 - share)
+    lean = LEANS[HALF]
+    rolling = frictions.rolling * (ROLLING_LOSS * share + supports)
+    slope = ROLLING_LOSS * math.cos(lean) * share + supports
+    held = frictions.braking * BRAKING * math.sin(lean) * share + frictions.rolling * slope
+    return held, rolling

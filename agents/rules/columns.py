@@ -12,7 +12,7 @@ from .lane_rule import Commands
 
 Levels = NDArray[np.int64]
 ROLL, HALF, FULL = range(3)  # of a column: 90 deg; 45 and -45 deg in turn; 0 deg
-SHARES = np.array([0.0, math.cos(math.pi / 4.0), 1.0])  # [-] of full braking, by level
+LEANS = np.array([0.0, math.pi / 4.0, math.pi / 2.0])  # [rad] of axes off 90 deg, by level
 
 
 class ColumnAxes:

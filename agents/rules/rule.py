@@ -16,3 +16,4 @@ class Rule:
     task: str  # its name
     actions: str  # the kind of action it is for
     make: Callable[[Settings], Controller]
+    observe: tuple[str, ...] = ()  # groups of features it makes use of, where they are shown

@@ -1,43 +1,125 @@
 """Rules of Slow and Stop, and what they predict by."""
 
+import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import surface_gym as sg
 from agents.episodes import run_episodes
-from agents.rules.brake_model import BrakeModel
-from agents.rules.columns import FULL, HALF, ROLL, SHARES, ColumnAxes
+from agents.rules.brake_model import Braked, BrakeModel
+from agents.rules.braking import SlowingRule
+from agents.rules.columns import FULL, HALF, LEANS, ROLL, ColumnAxes
 from agents.rules.fixed_braking import FixedSlowing
+from agents.rules.footing import footing
+from agents.rules.friction_estimate import FrictionEstimate
 from agents.sight import line_sight
+from surface_gym.actuators import Actuators
 from surface_gym.settings import Settings
+from surface_gym.tasks import Slow, Stop
 from surface_gym.tasks.line import BRAKING
 from tests.agents.rules.runs import rule, run_rule
 
 COLUMNS = 16
 
 
+NOMINAL = FrictionEstimate.frictions(FrictionEstimate.unknown(2))
+
+
+def square(side: float) -> sg.Parcel:
+    return sg.Parcel(sg.Rectangle(side, side))
+
+
 @pytest.mark.parametrize("level", [ROLL, HALF, FULL])
-def test_the_brake_model_agrees_with_the_simulator(level: int) -> None:
-    """Every second column brakes, from before the zone to where the S-box is about to leave it."""
-    settings = Settings(task="slow")
-    env = sg.SmartSurfaceVectorEnv(2, task="slow", autoreset_mode="SameStep")
-    starts = [{"parcel": parcel, "speed": 2.2, "ratio": 0.5} for parcel in "SB"]
+@pytest.mark.parametrize(
+    "pair",
+    [
+        (square(0.25), square(0.45)),
+        # Supports beside the rotors bear part of these.
+        (square(0.30), square(0.35)),
+        (sg.Parcel(sg.Rectangle(0.4, 0.25)), sg.Parcel(sg.Disc(0.19))),
+    ],
+    ids=["of the study", "partly on supports", "a rectangle and a disc"],
+)
+def test_the_brake_model_agrees_with_the_simulator(
+    level: int, pair: tuple[sg.Parcel, sg.Parcel]
+) -> None:
+    """Every second column brakes, from before the zone to where the first is about to leave it."""
+    settings = Settings(task=Slow(parcels=pair), observe=("parcel",))
+    env = sg.SmartSurfaceVectorEnv(
+        2, task=settings.task, observe=("parcel",), autoreset_mode="SameStep"
+    )
+    starts = [{"parcel": parcel, "speed": 2.2, "ratio": 0.5} for parcel in pair]
     observations, _ = env.reset(seed=0, options=starts)
     levels = np.where(np.arange(COLUMNS) % 2, level, ROLL)[np.newaxis].repeat(2, axis=0)
-    model, actions = BrakeModel(settings), ColumnAxes(settings)(levels)
+    model, actions = BrakeModel(settings, LEANS[ROLL]), ColumnAxes(settings)(levels)
+    target = LEANS[levels]
     for _ in range(18):
         see = line_sight(settings, observations)
-        place, speed = model.after_a_period(
-            see.into_zone, see.vx, see.half_length, SHARES[levels][:, np.newaxis]
-        )
+        under = footing(settings, see)
+        after = model.after_a_period(under, see.vx, NOMINAL, target, target[:, np.newaxis])
         observations, *_ = env.step(actions)
         now = line_sight(settings, observations)
         # It does not know how the parcel leant just before: a physics step of braking at most.
         most = BRAKING * settings.timing.dt
-        np.testing.assert_allclose(speed[:, 0], now.vx, rtol=0, atol=most)
-        np.testing.assert_allclose(place[:, 0], now.into_zone, rtol=0, atol=0.04 * most)
+        np.testing.assert_allclose(after.speed[:, 0], now.vx, rtol=0, atol=most)
+        place = footing(settings, now).place
+        np.testing.assert_allclose(after.place[:, 0], place, rtol=0, atol=0.04 * most)
+        taken = after.braking + after.rolling
+        np.testing.assert_allclose(taken[:, 0], see.vx - after.speed[:, 0], rtol=0, atol=1e-9)
+
+
+def test_the_brake_model_follows_axes_that_take_time() -> None:
+    """Half braking is told in a period and rolling thereafter: both are predicted, axes turning."""
+    actuators = Actuators(axis_speed=0.5 * math.pi / 0.1)
+    settings = Settings(task="slow", actuators=actuators)
+    env = sg.SmartSurfaceVectorEnv(2, task="slow", actuators=actuators, autoreset_mode="SameStep")
+    starts = [{"parcel": parcel, "speed": 2.2, "ratio": 0.5} for parcel in "SB"]
+    observations, _ = env.reset(seed=0, options=starts)
+    levels = np.full((2, COLUMNS), ROLL)
+    for _ in range(12):
+        observations, *_ = env.step(ColumnAxes(settings)(levels))
+    see = line_sight(settings, observations)
+    model, target = BrakeModel(settings, LEANS[ROLL]), LEANS[np.full((2, 1, COLUMNS), HALF)]
+    after = model.after_a_period(footing(settings, see), see.vx, NOMINAL, LEANS[levels], target)
+    observations, *_ = env.step(ColumnAxes(settings)(np.full((2, COLUMNS), HALF)))
+    for _ in range(2):  # 45 deg take 50 ms
+        observations, *_ = env.step(ColumnAxes(settings)(levels))
+    now = line_sight(settings, observations)
+    assert (see.vx - now.vx > 0.1).all()
+    np.testing.assert_allclose(after.speed[:, 0], now.vx, rtol=0, atol=0.01)
+    lean = model.lean_after(LEANS[levels], target[:, 0])
+    np.testing.assert_allclose(lean, math.pi / 5.0, rtol=1e-9)
+
+
+def test_friction_is_learnt_from_what_it_takes() -> None:
+    estimate = FrictionEstimate.of(Settings(task="stop"))
+    known = estimate.unknown(1)
+    for braking, rolling in [(0.0, 0.004)] * 5 + [(0.14, 0.002)] * 30:
+        parts = np.array([braking]), np.array([rolling])
+        known = estimate.learnt(known, 0.85 * parts[0] + 1.3 * parts[1], *parts)
+    learnt = estimate.frictions(known)
+    assert learnt.braking[0] == pytest.approx(0.85, abs=0.02)
+    assert learnt.rolling[0] == pytest.approx(1.3, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("task", "others"),
+    [
+        (Stop(parcels=(square(0.5),)), {}),
+        (Slow(parcels=(square(0.3), square(0.35))), {}),
+        (Stop(), {"actuators": Actuators(axis_speed=0.5 * math.pi / 0.1)}),
+        (Slow(), {"actuators": Actuators(axis_speed=0.5 * math.pi / 0.05)}),
+        (Slow(), {"plant": replace(Slow().plant, mu_min=0.013, mu_support=0.0065)}),
+    ],
+    ids=["large", "on supports", "slow axes, stop", "slow axes, slow", "rolling hard"],
+)
+def test_braking_holds_where_it_is_not_as_in_the_study(task: Stop | Slow, others: Any) -> None:
+    settings = Settings(task=task, **others)
+    controller = rule(task.name, "braking rule").make(settings)
+    assert run_episodes(controller, settings, [{}] * 40, seed=50).success.mean() >= 0.9
 
 
 def test_slowing_hits_every_ratio() -> None:
@@ -82,9 +164,12 @@ def test_beyond_the_end_of_the_zone_the_asked_speed_itself_is_best() -> None:
     env = sg.SmartSurfaceVectorEnv(1, task="slow")
     start = {"parcel": "S", "speed": 2.0, "ratio": 0.5}
     observations, _ = env.reset(seed=0, options=start)
-    slowing = rule("slow", "braking rule").make(settings)
-    speed = np.array([[0.9, 1.0, 1.1]])
-    regret = slowing._regret(line_sight(settings, observations), np.full((1, 3), 9.0), speed)
+    slowing = SlowingRule(settings)
+    see = line_sight(settings, observations)
+    frictions = FrictionEstimate.frictions(FrictionEstimate.unknown(1))
+    none = np.zeros((1, 3))
+    after = Braked(np.full((1, 3), 9.0), np.array([[0.9, 1.0, 1.1]]), none, none)
+    regret = slowing._regret(see, footing(settings, see), frictions, after)
     assert regret[0, 0] > regret[0, 2]
     np.testing.assert_allclose(regret[0, 1:], [0.0, 0.1], atol=1e-5)
 
