@@ -109,6 +109,24 @@ class Settings:
             object.__setattr__(self, "zone", (first, last))
         check_stuck(self.actuators, plant)
         self.randomisation.check_room(plant.width)
+        if self.zone is not None and self.chosen_task.leaves_zone:
+            self._check_way_out(self.zone[1])
+
+    def _check_way_out(self, last: int) -> None:
+        """Raise a ValueError where the rear of a parcel cannot leave a zone that ends with a column
+        before its centre leaves the surface.
+        """
+        plant = self.chosen_plant
+        _, end, _, _ = plant.extent
+        longest = max(parcel.rear + parcel.base.centroid[0] for parcel in self.chosen_task.parcels)
+        most = last
+        while most >= 0 and plant.column_edge(most + 1) + longest > end + 1e-9:
+            most -= 1
+        if most < last:
+            raise ValueError(
+                f"zone must end at column {most} or before, so that every parcel leaves it before "
+                f"its centre leaves the surface, got {self.zone!r}"
+            )
 
     def _check_size(self) -> None:
         """Every parcel the task draws fits the plant at the largest size it may have."""

@@ -227,7 +227,7 @@ class TestLanes:
 
     @every_id
     def test_the_time_limit_is_the_registered_one(self, env_id: str) -> None:
-        env = native(env_id, lanes=1, zone=(29, 29), autoreset_mode="Disabled")
+        env = native(env_id, lanes=1, zone=(26, 26), autoreset_mode="Disabled")
         limit = gym.spec(env_id).max_episode_steps
         env.reset(seed=0)
         for period in range(1, limit + 1):

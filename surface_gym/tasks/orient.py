@@ -111,6 +111,7 @@ class Orient(Task):
     draws = 3
     goals = 1
     memories = 1
+    leaves_zone = True
     periods = 200
 
     def __post_init__(self) -> None:

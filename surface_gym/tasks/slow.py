@@ -120,6 +120,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
     draws = 3
     goals = 2
     memories = 1
+    leaves_zone = True
     periods = 100
 
     def __post_init__(self) -> None:

@@ -65,6 +65,7 @@ class Task:
     goals: ClassVar[int] = 0  # numbers of `lane.goal`
     memories: ClassVar[int] = 0  # numbers of `lane.memory`
     has_path: ClassVar[bool] = False  # whether its starts come with a path
+    leaves_zone: ClassVar[bool] = False  # whether its end is that the parcel's rear leaves the zone
     periods: ClassVar[int] = 100  # control periods after which an episode is truncated
 
     def __post_init__(self) -> None:

@@ -87,8 +87,10 @@ class TestEnds:
         assert episode.total("precision") == 0.0
 
     def test_off_the_surface(self) -> None:
-        env = bare(ORIENT, zone=(20, 29))
-        episode = play(env, {"speed": 1.5, "parcel": "S", "angle": 0.1}, same_choice(env, ROLL))
+        env = bare(ORIENT, zone=(20, 26))
+        front_heavy = sg.Parcel(sg.Rectangle(0.5, 0.25), com_offset=(0.1, 0.0))
+        options = {"speed": 1.5, "parcel": front_heavy, "angle": 0.1}
+        episode = play(env, options, same_choice(env, ROLL))
         assert episode.end["outcome"] == "off the surface"
 
 

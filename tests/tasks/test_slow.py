@@ -96,12 +96,20 @@ class TestEnds:
         assert episode.total("failure") == -1.0
 
     def test_off_the_surface(self) -> None:
-        env = bare(SLOW, zone=(20, 29))
-        options = {"speed": 2.0, "parcel": "S", "ratio": 0.5}
+        env = bare(SLOW, zone=(20, 26))
+        front_heavy = sg.Parcel(sg.Rectangle(0.5, 0.25), com_offset=(0.1, 0.0))
+        options = {"speed": 2.0, "parcel": front_heavy, "ratio": 0.5}
         episode = play(env, options, same_choice(env, ROLL))
         assert episode.end["outcome"] == "off the surface"
-        # It is where half a step more would take the centre past the edge.
-        assert 2.99 < episode.end["pose"][0] <= 3.0
+        # It is where half a step more would take the centre of mass past the edge.
+        assert 2.89 < episode.end["pose"][0] <= 2.9
+
+    def test_a_zone_that_no_parcel_can_leave_is_refused(self) -> None:
+        """Its last column ends at 2.9 m, where the B-box's rear would be with its centre at 3.1 m,
+        beyond the surface.
+        """
+        with pytest.raises(ValueError, match=r"^zone must end at column 26 or before"):
+            bare(SLOW, zone=(3, 28))
 
 
 class TestReward:
