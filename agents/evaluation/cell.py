@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym.conditions import CONDITIONS
-from surface_gym.layouts import box
+from surface_gym.settings import Settings
 
 from ..episodes import Episodes, run_apart, run_episodes
 from .contenders import Contender
+from .drawn import drawn_parcels
 from .trials import SEED, Trial, make_trial
 
 Numbers = NDArray[np.float64]
@@ -48,8 +49,8 @@ def trial_of(contender: Contender) -> Trial:
 
 def play(contender: Contender, seed: int, condition_name: str) -> tuple[Cell, Episodes]:
     """Run a contender's seed on its task under a condition."""
-    trial = trial_of(contender)
     condition = CONDITIONS[condition_name]
+    trial = trial_of(contender).under(condition)
     settings = contender.settings(trial, condition)
     controller = contender.make(settings, seed)
     run = run_episodes if contender.starts is None else run_apart
@@ -61,7 +62,7 @@ def play(contender: Contender, seed: int, condition_name: str) -> tuple[Cell, Ep
         seed=seed,
         success=episodes.success.tolist(),
         time=episodes.time.tolist(),
-        columns=_columns(trial, episodes),
+        columns=_columns(trial, settings, episodes),
         figures={name: values.tolist() for name, values in episodes.figures.items()},
         decision_time=episodes.decision_time,
     )
@@ -73,16 +74,17 @@ def compute(contender: Contender, seed: int, condition_name: str) -> Cell:
     return play(contender, seed, condition_name)[0]
 
 
-def _columns(trial: Trial, episodes: Episodes) -> list[int]:
+def _columns(trial: Trial, settings: Settings, episodes: Episodes) -> list[int]:
     """Columns of the zone that the front edge reached, at the decisions and at the end."""
     if trial.kind != "sort":
         return [0] * len(trial.starts)
+    plant = settings.chosen_plant
     touched = []
-    for k, start in enumerate(trial.starts):
-        base = box(start["parcel"]).base
-        plant = trial.task.plant
+    for k, parcel in enumerate(drawn_parcels(settings, trial.starts, SEED)):
+        base = parcel.base
         _, (_, _, first, _) = plant.site(base, None)
         x, _, theta = episodes.path(k).T
-        reach = (base.outline @ np.array([np.cos(theta), -np.sin(theta)])).max(axis=0)
+        from_centre = base.outline - base.centroid
+        reach = (from_centre @ np.array([np.cos(theta), -np.sin(theta)])).max(axis=0)
         touched.append(int(np.floor((x + reach).max() / plant.pitch_x + 0.5)) - first)
     return touched

@@ -26,7 +26,7 @@ class Column:
     value: Callable[[Summary, Summary], float]  # of a contender and of the fixed layout; nan: none
     form: str = ".2f"
     scale: float = 1.0  # to the label's unit
-    every_start: bool = False  # it needs them all, and is left out for who is tried on some
+    every_start: bool = False  # it needs all of both boxes, and is left out where some are missing
 
 
 def _median(name: str) -> Callable[[Summary, Summary], float]:

@@ -16,15 +16,11 @@ from ..flow.contenders import contenders as flow_contenders
 from ..flow.report import FlowReport, write_flow_report
 from ..flow.trained import compare_parcels, is_of_flow
 from ..tasks import files_of, find_task
-from .contenders import (
-    Contender,
-    contenders,
-    of_runs,
-    policies_of,
-    rules,
-    trained,
-)
+from .contenders import Contender, contenders, of_run, of_runs, rules
 from .report import compare_run, write_report
+from .robustness.report import PICTURE, write_sweep
+from .robustness.sweep import FILE as SWEPT
+from .robustness.sweep import STARTS, compute_sweep, swept
 from .table import Summaries
 from .work import FILE, Advance, compute_cells
 
@@ -56,8 +52,16 @@ class EvaluateConfig:
     """Address of a Ray cluster to share it among instead, "auto" for this machine's."""
     resume: bool = False
     """Keep what the folder has already, and go on."""
+    robustness: bool = False
+    """Sweep instead: success of rules and agents where one thing at a time is otherwise than as
+    trained, and in the lab by shape of parcel."""
+    starts: int = STARTS
+    """Of the sweep: starts at each level of each factor."""
 
     def __post_init__(self) -> None:
+        checks.integer("starts", self.starts, least=1)
+        if self.robustness and self.run is not None:
+            raise ValueError(f"run must be None where robustness is swept, got {self.run}")
         for task in self.tasks:
             checks.one_of("tasks", task, COMPARED)
         if self.task is not None:
@@ -75,6 +79,9 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
         ValueError: the run holds no policy, or a damaged one.
     """
     workers = workers_of(config.cluster, config.workers, files_of(config.task))
+    if config.robustness:
+        sweep_robustness(config, workers, console)
+        return
     if config.run is not None and is_of_flow(config.run):
         compare_parcels(config.run, workers, console)
         return
@@ -86,13 +93,7 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
         for kept in (FILE, study.FILE):
             (config.out / kept).unlink(missing_ok=True)
     chosen = _chosen(config)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
+    with _progress(console) as progress:
         bar = progress.add_task("comparing", total=None)
 
         def advance(done: int, total: int, latest: str) -> None:
@@ -110,6 +111,30 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
             flow,
         )
     console.print(f"everything is in {config.out}; open {config.out / 'report.html'}")
+
+
+def _progress(console: Console) -> Progress:
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+    )  # fmt: skip
+    return Progress(*columns, console=console)
+
+
+def sweep_robustness(config: EvaluateConfig, workers: Workers, console: Console) -> None:
+    """Sweep, and leave tables and the picture in the folder."""
+    config.out.mkdir(parents=True, exist_ok=True)
+    if not config.resume:
+        (config.out / SWEPT).unlink(missing_ok=True)
+    with _progress(console) as progress:
+        bar = progress.add_task("sweeping", total=None)
+
+        def advance(done: int, total: int, latest: str) -> None:
+            progress.update(bar, completed=done, total=total, description=latest)
+
+        cells = compute_sweep(swept(_chosen(config)), workers, config.out, config.starts, advance)
+        progress.update(bar, description="drawing")
+        write_sweep(cells, config.out, console)
+    console.print(f"everything is in {config.out}; see {config.out / PICTURE}")
 
 
 def _has_flow(config: EvaluateConfig) -> bool:
@@ -152,7 +177,7 @@ def evaluate_run(
     Raises:
         ValueError: the folder holds no policy, or a damaged one, or one of another task.
     """
-    agent = trained(policies_of(run), task)
+    agent = of_run(run, task)
     summaries = compare_run(rules(agent.task)[0], agent, workers, run, console)
     console.print(f"everything is in {run}")
     return agent, summaries

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from surface_gym.actions import ANY
 from surface_gym.conditions import Condition
@@ -13,7 +14,7 @@ from surface_gym.tasks import TASKS, Task, Track
 from .. import library
 from ..controller import Controller
 from ..learning.folder import CONFIG
-from ..learning.hyperparams import task_of
+from ..learning.hyperparams import read_config, task_of
 from ..planning.shown_path import with_path_shown
 from ..policy_card import CARD
 from ..policy_files import PolicyFiles, read_files
@@ -27,9 +28,11 @@ FIXED = "fixed layout"
 BEST_FIXED = "best fixed layout"
 ANY_ANGLE = "fixed layout, any angle"
 PLANNER = "planner"
+NOMINAL = "nominal"  # what a configuration says that asks for nothing else
 PLANNED = 40  # starts that who searches is tried on
 SEARCHED = ("slow", "stop", "orient")  # tasks with a rule that searches a layout for each start
-LABELS = {"ppo": "PPO", "dqn": "DQN", "modules": "PPO per module"}
+MODULES = "modules"
+LABELS = {"ppo": "PPO", "dqn": "DQN", MODULES: "PPO per module"}
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,7 @@ def rules(task: str) -> list[Contender]:
         Contender(
             rule.name, task, rule.actions, 0.04, partial(_ruled, rule.make),
             starts=PLANNED if rule.name == BEST_FIXED and kind in SEARCHED else None,
+            observe=rule.observe,
         )
         for rule in rules_of(kind)
     ]  # fmt: skip
@@ -108,9 +112,26 @@ def of_runs(task: str, folder: Path) -> list[Contender]:
     for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
         run = config.parent
         if task_of(config) == task and _is_whole(run):
-            found = trained(policies_of(run), task)
+            found = of_run(run, task)
             latest[found.name] = found
     return list(latest.values())
+
+
+def of_run(run: Path, task: str | None = None) -> Contender:
+    """The policies that a run left, named by what its configuration says they are to be ready for.
+
+    Args:
+        run: its folder.
+        task: of one's own that they were trained on; None: one of the package.
+
+    Raises:
+        ValueError: a folder holds no policy, or a damaged one, or one of another task.
+    """
+    agent = trained(policies_of(run), task)
+    config = run / CONFIG
+    condition = read_config(config, task_of(config)).condition if config.is_file() else NOMINAL
+    what_for = "" if condition == NOMINAL else f", {condition}"
+    return replace(agent, name=agent.name + what_for)
 
 
 def _is_whole(run: Path) -> bool:
@@ -125,19 +146,28 @@ def policies_of(run: Path) -> dict[int, Path]:
 
 
 def shipped(task: str) -> list[Contender]:
-    """The agents that come with the package."""
+    """The agents that come with the package, by names on the shelf as "slow-ppo"; one trained for a
+    condition, as "slow-ppo-lab", is called by it too.
+    """
     found = []
     for name in library.names():
-        of_task, _, how = name.partition("-")
+        of_task, algo, *what_for = name.split("-")
         if of_task == task:
             card = library.load(name).card
             found.append(
                 Contender(
-                    LABELS[how], task, card.actions, card.control_period,
-                    partial(_loaded, name), library.seeds(name),
+                    ", ".join((LABELS[algo], *what_for)), task, card.actions, card.control_period,
+                    partial(_loaded, name), library.seeds(name), observe=card.observe,
                 )
             )  # fmt: skip
-    return sorted(found, key=lambda contender: list(LABELS.values()).index(contender.name))
+    order = {label: place for place, label in enumerate(LABELS.values())}
+    return sorted(found, key=lambda each: _place(each.name, order))
+
+
+def _place(label: str, order: dict[str, int]) -> tuple[int, int]:
+    """Agents of all conditions in the order of their algorithms, those for one of them last."""
+    algo, *what_for = label.split(", ")
+    return len(what_for), order[algo]
 
 
 def trained(folders: dict[int, Path], task: str | None = None) -> Contender:
@@ -154,7 +184,7 @@ def trained(folders: dict[int, Path], task: str | None = None) -> Contender:
     card = library.carried(next(iter(files.values())), _own(task)).card
     return Contender(
         LABELS[card.algo], task or card.task, card.actions, card.control_period,
-        partial(_read, files, task), tuple(folders),
+        partial(_read, files, task), tuple(folders), observe=card.observe,
     )  # fmt: skip
 
 
@@ -187,15 +217,22 @@ def _planned(settings: Settings, seed: int) -> Controller:
 
 
 def _loaded(name: str, settings: Settings, seed: int) -> Controller:
-    del settings
-    return library.load(name, seed)
+    return _on_zone(library.load(name, seed), settings)
 
 
 def _read(
     files: dict[int, PolicyFiles], task: str | None, settings: Settings, seed: int
 ) -> Controller:
-    del settings
-    return library.carried(files[seed], _own(task))
+    return _on_zone(library.carried(files[seed], _own(task)), settings)
+
+
+def _on_zone(policy: Any, settings: Settings) -> Controller:
+    """A policy as it is; weights that all modules share, for a zone of whatever columns."""
+    found: Controller = policy
+    columns = settings.action_kind.columns
+    if policy.card.algo == MODULES and columns != policy.card.settings().action_kind.columns:
+        found = policy.on((0, columns - 1))
+    return found
 
 
 def _own(task: str | None) -> Task | None:

@@ -31,6 +31,7 @@ from .trials import make_trial
 from .work import compute_cells
 
 Pictures = list[tuple[Path, str]]
+COMPARED = ("exact", "camera", "lab")  # conditions that a run's policies are compared under
 
 
 def write_report(
@@ -129,7 +130,7 @@ def compare_run(
     """Compare a run's policies with the fixed layout, the same byte for byte each time: table.md,
     table.json, the trajectories of Sort, and a film.
     """
-    both = [only(each, ("exact", "camera")) for each in (fixed, trained)]
+    both = [only(each, COMPARED) for each in (fixed, trained)]
     summaries = summarise(compute_cells(both, workers))
     trial = make_trial(trained.task)
     tables = [make_table(trial, summaries)]

@@ -92,8 +92,12 @@ def _rate(summary: Summary | None, condition: Condition) -> str:
 
 
 def value_of(column: Column, summary: Summary, fixed: Summary) -> float:
-    """A column's number, unscaled; nan where it has none: it needs every start, and saw some."""
-    if column.every_start and summary.success.shape[1] != fixed.success.shape[1]:
+    """A column's number, unscaled; nan where it has none: it needs every start of both boxes, and
+    saw some, or other parcels.
+    """
+    fewer = summary.success.shape[1] != fixed.success.shape[1]
+    others = bool(CONDITIONS[summary.cells[0].condition].parcels)
+    if column.every_start and (fewer or others):
         return math.nan
     return column.value(summary, fixed)
 

@@ -1,11 +1,12 @@
 """The starts that controllers are compared on, by task."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from surface_gym.conditions import Condition
 from surface_gym.tasks import Task, Track
 
 from ..tasks import find_task, kind_of, label_of
@@ -44,6 +45,16 @@ class Trial:
         places = np.linspace(0, len(self.starts) - 1, min(count, len(self.starts))).round()
         chosen = tuple(self.starts[place] for place in places.astype(int).tolist())
         return Trial(self.name, self.task, chosen, f"{len(chosen)} of these: {self.told}")
+
+    def under(self, condition: Condition) -> "Trial":
+        """The same under a condition: one of parcels of its own leaves open which it is."""
+        if not condition.parcels:
+            return self
+        starts = tuple(
+            {name: value for name, value in start.items() if name != "parcel"}
+            for start in self.starts
+        )
+        return replace(self, starts=starts)
 
 
 def _sort() -> tuple[list[dict[str, Any]], str]:

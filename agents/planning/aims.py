@@ -10,22 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.dynamics.types import GRAVITY
 from surface_gym.lanes.memory import PATH_POINTS, SUCCESS, Lanes
 from surface_gym.layouts import ROLLING
 from surface_gym.tasks import TASKS, orient, slow, sort, stop, track
-from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
 
-from ..sight import square_reach
-from .model import Model, Stand
+from .branching import Branching
+from .stand import Stand
 
 Numbers = NDArray[np.float64]
 
 FAILED = 1e3  # cost of a failure, beyond that of any success
-TURNING = 0.5 * GRAVITY / math.sqrt(2.0)  # [m/s^2] to the side, of 45 deg axes at mu_max = 0.5
 SETTLING = 0.05  # [s] a turning speed goes on for until it is taken back
 ARRIVAL = 3.2  # [s] in which Slow is to be over, of 4
 EXIT_SPEED = 0.1  # [m/s] Orient is to leave the zone with
+CAUTION = 0.5  # [-] of the time of a quarter turn, that Stop keeps to be on the safe side
 TURN_LOSS = 2.5  # [m/s^2] of a turn, times the half length: what a radian takes of v^2 / 2
 # Track: errors that are as bad as each other.
 CROSS_ERROR = 0.003  # [m] off the path
@@ -44,19 +42,14 @@ class Aim:
     follow: int  # periods of a plan that are followed at most
     share: int = 1  # of the planner's budget that a search gets: 1 in so many
     # Two actions; each time to change from the first to the second for good is tried. Or None.
-    event: Callable[[Model], tuple[int, int] | None] = lambda _: None
-
-
-def _reach(stand: Stand) -> Numbers:
-    """[m] a box reaches along x, and along y, from its centre."""
-    return square_reach(stand.half_length, stand.lanes.truth[:, 2])
+    event: Callable[[Branching], tuple[int, int] | None] = lambda _: None
 
 
 def _rear_to_go(stand: Stand) -> Numbers:
     """[m] from the rear to the zone's end, at least 0."""
     _, _, first, columns = stand.zone
     end = stand.plant.column_edge(first + columns)
-    return np.maximum(0.0, end - stand.lanes.truth[:, 0] + _reach(stand))
+    return np.maximum(0.0, end - stand.lanes.truth[:, 0] + stand.reach(-1.0, 0.0))
 
 
 def _off_line(stand: Stand) -> Numbers:
@@ -89,24 +82,25 @@ def _sort_way(stand: Stand) -> Numbers:
     lacks where it would come to rest before.
     """
     _, y, _, vx, vy, _ = stand.lanes.truth.T
+    turning, loss = stand.braking / math.sqrt(2.0), stand.rolling_loss / math.sqrt(2.0)
     side = stand.lanes.goal[:, sort.SIDE]
     if side[0] == 0.0:
         return _off_line(stand) - 0.1 * stand.lanes.truth[:, 0]
     vy = side * vy
     half_line = 0.5 * stand.plant.pitch_y * (stand.zone[1] - 1)
-    left = _reach(stand) + half_line - side * (y - stand.plant.line_y)
+    left = stand.reach(0.0, -side[0]) + half_line - side * (y - stand.plant.line_y)
     left = np.maximum(0.0, left)
     kept = np.maximum(0.0, np.where(vx > vy, 0.5 * (vx + vy), vy))
     vy = np.clip(vy, 0.0, kept)
-    turning = (kept - vy) / TURNING
-    while_turning = 0.5 * (kept + vy) * turning
-    at_once = (np.sqrt(vy**2 + 2.0 * TURNING * left) - vy) / TURNING
-    square = kept**2 - 2.0 * sort.ROLLING_LOSS * np.maximum(0.0, left - while_turning)
-    later = turning + (kept - np.sqrt(np.maximum(0.0, square))) / sort.ROLLING_LOSS
+    turned_after = (kept - vy) / turning
+    while_turning = 0.5 * (kept + vy) * turned_after
+    at_once = (np.sqrt(vy**2 + 2.0 * turning * left) - vy) / turning
+    square = kept**2 - 2.0 * loss * np.maximum(0.0, left - while_turning)
+    later = turned_after + (kept - np.sqrt(np.maximum(0.0, square))) / loss
     return np.where(left < while_turning, at_once, later) + FAILED * np.maximum(0.0, -square)
 
 
-def _sort_event(model: Model) -> tuple[int, int] | None:
+def _sort_event(model: Branching) -> tuple[int, int] | None:
     """The fixed layout and every event rule: 45 deg to the asked side from some time on."""
     side = float(model.lanes.goal[0, sort.SIDE])
     if side == 0.0:
@@ -117,25 +111,38 @@ def _sort_event(model: Model) -> tuple[int, int] | None:
 def _slow_way(stand: Stand) -> Numbers:
     """[m/s] off what would roll out at the asked ratio, straight and in time."""
     lanes, to_go = stand.lanes, _rear_to_go(stand)
-    speed = np.hypot(lanes.truth[:, 3], lanes.truth[:, 4])
+    speed = np.hypot(stand.vx, lanes.truth[:, 4])
     asked = lanes.goal[:, slow.RATIO] * lanes.goal[:, slow.ENTRY_SPEED]
-    excess = speed - np.sqrt(asked**2 + 2.0 * ROLLING_LOSS * to_go)
+    excess = speed - np.sqrt(asked**2 + 2.0 * stand.rolling_loss * to_go)
     late = np.maximum(0.0, lanes.clock + to_go / np.maximum(speed, 1e-3) - ARRIVAL)
     return np.abs(excess) + 2.0 * late + _askew(stand)
 
 
 def _stop_way(stand: Stand) -> Numbers:
     """[m] that full braking ends short of the asked x; beyond it there is no way back."""
-    x, _, _, vx, _, _ = stand.lanes.truth.T
-    short = stand.lanes.goal[:, stop.POSITION] - x - vx**2 / (2.0 * BRAKING)
-    return np.where(short < 0.0, -10.0 * short, short) + 0.1 * _askew(stand)
+    to_go = stand.lanes.goal[:, stop.POSITION] - stand.lanes.truth[:, 0]
+    short = to_go - stand.braking_way
+    if stand.turning is None:
+        return _short_of(short) + 0.1 * _askew(stand)
+    # Axes push aside while they turn, which takes some of the braking; and what they will have
+    # taken before they roll again may be too much.
+    short -= CAUTION * stand.turning.quarter * stand.lanes.truth[:, 3]
+    rolled = stand.vx**2 / (2.0 * stand.rolling_loss)
+    lack = np.maximum(0.0, to_go - rolled)
+    return _short_of(short) + 10.0 * lack + 0.3 * _askew(stand)
+
+
+def _short_of(short: Numbers) -> Numbers:
+    """[m] short of the asked x, or what is as bad past it."""
+    return np.where(short < 0.0, -10.0 * short, short)
 
 
 def _orient_way(stand: Stand) -> Numbers:
     """[rad] left to turn; with speed enough to turn it and to leave the zone, and on the line."""
-    _, _, theta, vx, vy, omega = stand.lanes.truth.T
+    _, _, theta, _, vy, omega = stand.lanes.truth.T
+    vx = stand.vx
     left = np.abs(stand.lanes.goal[:, orient.ANGLE] - theta - SETTLING * omega)
-    spent = ROLLING_LOSS * _rear_to_go(stand) + TURN_LOSS * stand.half_length * left
+    spent = stand.rolling_loss * _rear_to_go(stand) + TURN_LOSS * stand.half_length * left
     lack = np.maximum(0.0, np.sqrt(EXIT_SPEED**2 + 2.0 * spent) - vx)
     return left + lack - 0.2 * vx + 0.2 * _off_line(stand) + 0.06 * np.abs(vy)
 

@@ -15,7 +15,7 @@ from surface_gym.sensors import Exact
 from surface_gym.settings import Settings
 from surface_gym.tasks.start import Start
 
-from .model import Stand
+from .stand import Stand
 
 Integers = NDArray[np.int64]
 
@@ -102,6 +102,7 @@ class LayoutModel:
             float(sites.body[site, HALF_LENGTH]),
             (first_row, rows, first, columns),
             self.settings.chosen_plant,
+            self._batch.surfaces.conditions[0],
         )
 
     def run(self, layouts: Integers) -> Stand:

@@ -18,7 +18,7 @@ from surface_gym.tasks import orient, slow, stop
 from surface_gym.tasks.line import BRAKING
 
 from .layouts import LayoutModel
-from .model import Stand
+from .stand import Stand
 
 if TYPE_CHECKING:
     from ..rules.axes import Axes  # whose package imports this

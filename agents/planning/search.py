@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from surface_gym.lanes.memory import RUNNING
 
 from .aims import Aim
-from .model import Model, Stand
+from .branching import Branching
+from .stand import Stand
 
 Booleans = NDArray[np.bool_]
 Integers = NDArray[np.int64]
@@ -54,7 +55,7 @@ def lanes_needed(aim: Aim, width: int, choices: int) -> int:
     return width * choices + aim.horizon + 1
 
 
-def make_plan(model: Model, aim: Aim, width: int) -> Plan:
+def make_plan(model: Branching, aim: Aim, width: int) -> Plan:
     """The best plan found from where the model's lanes stand.
 
     Args:
@@ -101,7 +102,12 @@ def _keep(aim: Aim, moved: Stand, runs: Booleans, width: int) -> Integers:
     """The best lanes of those that run, none like a better one."""
     order = np.argsort(np.where(runs, aim.way(moved), np.inf), kind="stable")
     order = order[: np.count_nonzero(runs)]
-    kinds = np.rint(moved.lanes.state[order, : len(ALIKE)] / ALIKE).astype(np.int64)
+    like = moved.lanes.state[order, : len(ALIKE)] / ALIKE
+    if moved.turning is not None:
+        # Lanes that stand alike go on otherwise where their axes do.
+        pushes = moved.turning.pushes(moved.braking)
+        like = np.hstack([like, pushes[order] / ALIKE[3:]])
+    kinds = np.rint(like).astype(np.int64)
     _, best_of_kind = np.unique(kinds, axis=0, return_index=True)
     return order[np.sort(best_of_kind)[:width]]
 
