@@ -13,11 +13,12 @@ from agents.library import SHELF, read
 from surface_gym.tasks import TASKS
 
 FLOW = "flow-ppo"
+OF_THE_LAB = {f"{task}-ppo-lab" for task in ("slow", "stop", "orient")}
 
 
 def test_a_ppo_and_a_dqn_for_each_task_and_one_each_for_modules_and_a_flow() -> None:
     of_tasks = {f"{task}-{algo}" for task in TASKS for algo in ("ppo", "dqn")}
-    wanted = of_tasks | {"sort-modules", FLOW}
+    wanted = of_tasks | OF_THE_LAB | {"sort-modules", FLOW}
     assert set(agents.names()) == wanted
 
 
@@ -46,7 +47,8 @@ class TestEach:
         assert card["command"].startswith("python ")
         assert card["seeds"] == list(agents.seeds(name))
         assert len(card["steps"]) == len(card["seconds"]) == len(card["seeds"])
-        for condition in ("exact", "camera"):
+        told = ("exact", "camera", "lab") if name in OF_THE_LAB else ("exact", "camera")
+        for condition in told:
             results = card["results"][condition]
             if name == FLOW:
                 for stream in results.values():
