@@ -82,7 +82,7 @@ class TestNames:
 
 
 class TestLab:
-    def test_it_is_what_the_issue_says(self) -> None:
+    def test_it_is_what_its_meaning_says(self) -> None:
         assert 0.5 * math.pi / LAB.actuators.axis_speed == pytest.approx(0.05)
         assert LAB.actuators.stuck_share == 0.02
         assert LAB.randomisation.friction == LAB.randomisation.rolling == 0.15

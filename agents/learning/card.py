@@ -1,5 +1,6 @@
 """An agent's card: the command that trains it, and what came of it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -66,7 +67,9 @@ def _results(summaries: Summaries, agent: Contender, condition: str) -> dict[str
     fixed = summaries[agent.task, FIXED, condition]
     low, high = summary.interval
     figures = {
-        column.name: round(value_of(column, summary, fixed), 5) for column in columns_of(agent.task)
+        column.name: round(value, 5)
+        for column in columns_of(agent.task)
+        if not math.isnan(value := value_of(column, summary, fixed))
     }
     return {
         "success": round(summary.rate, 4),

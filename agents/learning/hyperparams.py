@@ -67,7 +67,8 @@ def write_hyperparams(config: TrainConfig, file: Path) -> None:
         elif field.name == "learning_rate":
             entry[field.name] = f"{_LINEAR}{value!r}"
         elif field.name in _OF_THE_ENV:
-            of_env[field.name] = list(value) if isinstance(value, tuple) else value
+            if value != ():
+                of_env[field.name] = list(value) if isinstance(value, tuple) else value
         elif field.name in _BESIDE:
             beside[field.name] = value
         elif field.name not in _OF_THE_RUN:

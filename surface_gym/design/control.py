@@ -199,6 +199,7 @@ def _settings(
         actions=contender.actions,
         control_period=contender.control_period,
         orientations=contender.orientations,
+        observe=contender.observe,
         randomisation=randomisation,
         plant=plant,
     )

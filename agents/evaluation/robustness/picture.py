@@ -20,6 +20,7 @@ from .results import SHAPES, Sweep
 from .tables import level_text
 
 WIDTH, HEIGHT = 2.0, 1.35  # [inch] of a panel
+NARROWEST = 9.0  # [inch] of the picture, which the legend needs
 IN_LAB = ("all", "square", "rect.", "disc", "poly.")
 INK, PALE = "#333333", "#8c8c8c"
 # Colours that the colour-blind tell apart, of Okabe and Ito.
@@ -28,8 +29,6 @@ BLUE, ORANGE, GREEN, RED, PINK, SKY = (
 )  # fmt: skip
 ALGORITHMS = {"PPO": BLUE, "DQN": ORANGE, "PPO per module": GREEN}
 OWN_RULES = ("event rule", "braking rule", "sliding mode", "turning rule")  # one a task
-
-
 Dashes = Literal["-", "--", "-.", ":", "None"]
 
 
@@ -72,7 +71,8 @@ def draw_sweep(sweep: Sweep, file: Path) -> None:
     factors = [factor for factor in FACTORS.values() if factor.name != TRAINED]
     tasks = sweep.tasks
     figure = Figure(
-        figsize=(WIDTH * len(tasks) + 0.5, HEIGHT * len(factors) + 1.2), layout="constrained"
+        figsize=(max(NARROWEST, WIDTH * len(tasks) + 0.5), HEIGHT * len(factors) + 1.2),
+        layout="constrained",
     )
     panels = figure.subplots(len(factors), len(tasks), squeeze=False, sharey=True)
     for row, factor in zip(panels, factors, strict=True):

@@ -22,8 +22,8 @@ FILE = "robustness.jsonl"
 STARTS = 240  # a cell
 # What fits no other parcel or zone than it was searched for, or takes a search a start.
 LEFT_OUT = (BEST_FIXED, ANY_ANGLE)
-# Rules that look far ahead are tried on a quarter of the starts, the planner on a twelfth.
-THINKING = {"turning rule": 4, "sliding mode": 4, PLANNER: 12}
+# Rules that look far ahead are tried on a quarter of the starts, the planner on a sixth.
+THINKING = {"turning rule": 4, "sliding mode": 4, PLANNER: 6}
 PLANNED = (TRAINED, "square")  # factors that the planner is tried on, at the levels that are told
 
 SweptKey = tuple[Any, ...]

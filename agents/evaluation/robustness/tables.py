@@ -81,26 +81,37 @@ def square_table(sweep: Sweep, task: str) -> Table:
         if not rates:
             continue
         worst = min(rates, key=lambda level: rates[level].value)
-        planned = [
-            rates[level].value / best.value
+        shares = [
+            share
             for level in rates
-            if (best := sweep.rate(task, PLANNER, "square", level)) is not None and best.value
+            if (share := _share_of_planner(sweep, task, who, level)) is not None
         ]
         rows.append(
             (
                 who,
                 f"{rates[worst].value:.2f} at {level_text(worst)}",
                 f"{sum(rate.value for rate in rates.values()) / len(rates):.2f}",
-                f"{min(planned):.2f}" if planned else NOTHING,
+                f"{min(shares):.2f}" if shares else NOTHING,
             )
         )
     header = ("controller", "worst, at [m]", "mean over sizes", "least share of the planner's")
     first, last = squares.levels[0], squares.levels[-1]
     told = (
-        f"success on squares of {first:g} to {last:g} m; the planner's on those that the table "
-        "before tells"
+        f"success on squares of {first:g} to {last:g} m; beside the planner's on the starts and "
+        "sizes that it was tried on"
     )
     return Table(f"{label_of(task)}: squares", told, header, tuple(rows))
+
+
+def _share_of_planner(sweep: Sweep, task: str, who: str, level: Level) -> float | None:
+    """Successes over the planner's, on the starts of its own; None where it was not tried, or in
+    vain.
+    """
+    planned = sweep.success(task, PLANNER, "square", level)
+    success = sweep.success(task, who, "square", level)
+    if planned is None or success is None or not planned.any():
+        return None
+    return float(success[:, : planned.shape[1]].mean() / planned.mean())
 
 
 def shape_table(sweep: Sweep, task: str) -> Table:

@@ -73,7 +73,7 @@ def test_who_runs_on_any_parcel(task: str) -> None:
 
 def test_who_thinks_long_is_tried_on_fewer() -> None:
     planner = contenders("slow")[-1]
-    assert starts_for(planner, 240) == 20
+    assert starts_for(planner, 240) == 40
     assert starts_for(planner, 5) == 1
     assert starts_for(FIXED, 240) == 240
     first = next(iter(sweep_jobs([FIXED, planner], 240)))
