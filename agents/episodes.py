@@ -104,10 +104,6 @@ def run_apart(
     decide for lanes that have ended too.
     """
     runs = [run_episodes(controller, settings, [start], seed + k) for k, start in enumerate(starts)]
-    longest = max(len(run.pose) for run in runs)
-    pose = np.full((longest, len(runs), 3), np.nan)
-    for k, run in enumerate(runs):
-        pose[: len(run.pose), k] = run.pose[:, 0]
     return Episodes(
         success=np.concatenate([run.success for run in runs]),
         outcome=tuple(outcome for run in runs for outcome in run.outcome),
@@ -115,11 +111,19 @@ def run_apart(
         figures={
             name: np.concatenate([run.figures[name] for run in runs]) for name in runs[0].figures
         },
-        pose=pose,
+        pose=side_by_side([run.pose[:, 0] for run in runs]),
         velocity=np.concatenate([run.velocity for run in runs]),
         # A planner plans at some decisions only: an episode's are taken together.
         decision_times=np.array([run.decision_times.mean() for run in runs]),
     )
+
+
+def side_by_side(paths: Sequence[Numbers]) -> Numbers:
+    """(longest, paths, 3) poses of paths (poses, 3), nan after the end of each."""
+    pose = np.full((max(map(len, paths)), len(paths), 3), np.nan)
+    for k, path in enumerate(paths):
+        pose[: len(path), k] = path
+    return pose
 
 
 def arguments(settings: Settings) -> dict[str, Any]:

@@ -75,7 +75,7 @@ def some_of(name: str, value: Any, allowed: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(one_of(name, each, allowed) for each in value)
 
 
-def array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
+def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """A read-only copy as finite float64 of a shape (None: any length), or an error."""
     try:
         given = np.asarray(value)

@@ -26,7 +26,7 @@ class Condition:
 SURE = Entry(position=0.0, angle=0.0, speed=0.0, turning=0.0)
 LATENCY = 0.08  # [s] two control periods
 
-# The lab's parcels as they come, and others, of the same law, to be trained on.
+# Of the assortment that the lab draws its parcels from.
 LAB_PARCELS, LAB_SEED = 128, 20_261_122
 QUARTER_TURN = 0.05  # [s] that an axis of the lab takes to turn by 90 deg
 

@@ -13,6 +13,7 @@ from surface_gym.tasks import TASKS, Task, Track
 
 from .. import library
 from ..controller import Controller
+from ..learning.config import NOMINAL
 from ..learning.folder import CONFIG
 from ..learning.hyperparams import read_config, task_of
 from ..planning.shown_path import with_path_shown
@@ -28,7 +29,6 @@ FIXED = "fixed layout"
 BEST_FIXED = "best fixed layout"
 ANY_ANGLE = "fixed layout, any angle"
 PLANNER = "planner"
-NOMINAL = "nominal"  # what a configuration says that asks for nothing else
 PLANNED = 40  # starts that who searches is tried on
 SEARCHED = ("slow", "stop", "orient")  # tasks with a rule that searches a layout for each start
 MODULES = "modules"

@@ -12,13 +12,10 @@ from surface_gym.plants import Line
 from surface_gym.settings import Settings
 
 from ..mirror import SIDE
+from ..modules.outline import ELLIPSE, EXACT, ROUND
 from ..modules.view import MARGIN
 from .formula import Formula, angle_of, constant, feature, hypotenuse, limited, of_module, operation
 
-# As in agents.modules.outline.
-_EXACT = 1e-6  # [m]
-_ELLIPSE = math.pi / 4.0  # [-]
-_ROUND = 0.08  # [-] pitches
 _LEAST_COSINE = math.cos(0.5 * math.pi)  # [-] of an angle as near to a right one as doubles come
 
 Pair = tuple[Formula, Formula]  # along and across
@@ -138,8 +135,8 @@ class _Sight:
 
     def _outline_shown(self) -> _Outline:
         half = tuple(0.175 + 0.05 * self._shown(name) for name in ("length", "width"))
-        empty = (constant(1.0) - self._shown("fill")) / (1.0 - _ELLIPSE)
-        pairs = half[1] / self._settings.chosen_plant.pitch_y + _EXACT
+        empty = (constant(1.0) - self._shown("fill")) / (1.0 - ELLIPSE)
+        pairs = half[1] / self._settings.chosen_plant.pitch_y + EXACT
         return _Outline(
             (half[0].named("half_length"), half[1].named("half_width")),
             limited(empty, 0.0, 1.0).named("roundness"),
@@ -152,11 +149,11 @@ class _Sight:
         cosine, sine = _magnitude(self._cosine), _magnitude(self._sine)
         beyond = self.offset - 0.2 * self._shown("clearance")
         across = beyond - length * sine
-        rows = self._rows((across / pitch + (1.5 - _ROUND)) / (1.0 + cosine))
+        rows = self._rows((across / pitch + (1.5 - ROUND)) / (1.0 + cosine))
         half_line = 0.5 * pitch * (rows - 1.0)
         reach = across - half_line
-        as_wide = operation("below", _magnitude(reach - length * cosine), _EXACT)
-        is_disc = operation("below", _magnitude(beyond - half_line - length), _EXACT)
+        as_wide = operation("below", _magnitude(reach - length * cosine), EXACT)
+        is_disc = operation("below", _magnitude(beyond - half_line - length), EXACT)
         told = reach / operation("maximum", cosine, _LEAST_COSINE)
         width = operation(
             "choose",

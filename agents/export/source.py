@@ -17,6 +17,7 @@ from surface_gym.tasks import Task
 from .. import library
 from ..evaluation.contenders import policies_of
 from ..learning.card import FILE as CARD_FILE
+from ..learning.config import NOMINAL
 from ..learning.folder import CONFIG, open_folder
 from ..modules.policy import ModulesPolicy
 from ..policies.files import DIGEST
@@ -24,9 +25,8 @@ from ..policies.policy import Policy
 from ..policy_files import read_files
 from ..tasks import find_task
 
-NOMINAL = "nominal"
 # Conditions of the lanes that were practised on, by what `train.py --condition` says.
-PRACTISED = {NOMINAL: ("exact", "camera"), "lab": ("exact", "lab")}
+PRACTISED: dict[str, tuple[str, ...]] = {NOMINAL: ("exact", "camera"), "lab": ("exact", "lab")}
 
 
 @dataclass(frozen=True, eq=False)

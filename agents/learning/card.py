@@ -10,14 +10,14 @@ import yaml
 
 from ..evaluation.columns import columns_of
 from ..evaluation.contenders import FIXED, Contender
+from ..evaluation.report import COMPARED
 from ..evaluation.table import Summaries, value_of
 from ..programs import TRAIN, typed
-from .config import TrainConfig
+from .config import NOMINAL, TrainConfig
 from .hyperparams import defaults
 from .legs import Learned
 
 FILE = "card.yaml"
-TOLD = ("exact", "camera", "lab")  # conditions that results are told of
 
 
 def write_card(
@@ -43,7 +43,7 @@ def write_card(
         "seeds": list(seeds),
         "steps": [each.steps for each in learned],
         "seconds": [round(each.seconds) for each in learned],  # of each seed, on one core
-        "results": {condition: _results(summaries, agent, condition) for condition in TOLD},
+        "results": {condition: _results(summaries, agent, condition) for condition in COMPARED},
     }
     (folder / FILE).write_text(yaml.safe_dump(card, sort_keys=False))
 
@@ -52,7 +52,7 @@ def command_of(config: TrainConfig) -> str:
     """The command that trains the same again: what differs from the task's defaults."""
     default = defaults(config.task, config.algo, condition=config.condition)
     chosen = ["--task", config.task, "--algo", config.algo]
-    if config.condition != "nominal":
+    if config.condition != NOMINAL:
         chosen += ["--condition", config.condition]
     for field in fields(config):
         value = getattr(config, field.name)

@@ -11,7 +11,7 @@ import tyro
 from ..policy_card import FLOW_TASK
 from ..programs import TRAIN, typed
 from ..search.command import FILE as SWEEP
-from .config import CONFIGS, ConditionName, TrainConfig
+from .config import CONFIGS, NOMINAL, ConditionName, TrainConfig
 from .folder import make_folder, open_folder
 from .hyperparams import defaults
 
@@ -98,7 +98,7 @@ def open_run(arguments: list[str]) -> tuple[TrainConfig, Path]:
     usual = "parcels" if task == FLOW_TASK else "ppo"
     algo = chosen.algo if chosen.algo in CONFIGS else usual
     known = get_args(ConditionName)
-    condition = chosen.condition if chosen.condition in known else known[0]
+    condition = chosen.condition if chosen.condition in known else NOMINAL
     default = defaults(task, algo, of_file.hyperparams, condition)
     kind: type[Any] = type(default)
     config = tyro.cli(

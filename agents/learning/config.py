@@ -12,6 +12,7 @@ from ..tasks import find_task, id_of
 
 AlgoName = Literal["ppo", "dqn", "modules", "parcels"]
 ConditionName = Literal["nominal", "lab"]
+NOMINAL: ConditionName = "nominal"  # what one says that asks for nothing else
 ActionName = Literal["halves", "quadrants", "window", "modules", "parcels"]
 
 
@@ -39,10 +40,10 @@ class TrainConfig:
     """[s] between decisions."""
     lanes: int = 64
     """Parcels at a time."""
-    condition: ConditionName = "nominal"
+    condition: ConditionName = NOMINAL
     """What to be ready for: nominal, the two boxes and axes that turn at once; or lab."""
     observe: tuple[str, ...] = ()
-    """Groups of features to see beside the task's: parcel, rotors."""
+    """Groups of features to see beside the task's: parcel, rotors, load."""
     camera_share: float = 0.5
     """[-] of lanes seen by a camera, late and noisy, with varied friction, or in the lab; the
     others exact."""

@@ -12,7 +12,7 @@ from surface_gym.tasks import TASKS
 
 from ..policy_card import FLOW_TASK
 from ..tasks import kind_of
-from .config import CONFIGS, TrainConfig
+from .config import CONFIGS, NOMINAL, TrainConfig
 
 FOLDER = Path(__file__).parents[1] / "hyperparams"
 _NAMES = {"n_envs": "lanes", "n_timesteps": "steps"}  # the zoo's names, and ours
@@ -29,7 +29,7 @@ _LINEAR = "lin_"  # the zoo's mark of a learning rate that falls to 0
 
 
 def defaults(
-    task: str, algo: str, file: Path | None = None, condition: str = "nominal"
+    task: str, algo: str, file: Path | None = None, condition: str = NOMINAL
 ) -> TrainConfig:
     """The configuration of a task and an algorithm as their YAML has it.
 
@@ -44,7 +44,7 @@ def defaults(
             or not allowed.
     """
     if file is None:
-        name = algo if condition == "nominal" else f"{algo}-{condition}"
+        name = algo if condition == NOMINAL else f"{algo}-{condition}"
         return _read(task, algo, FOLDER / f"{name}.yml", condition)
     try:
         return _read(task, algo, file, condition)

@@ -11,9 +11,9 @@ from ..sight import LineSight
 
 Numbers = NDArray[np.float64]
 
-_EXACT = 1e-6  # [m] lengths that differ by less are the same: observations are single precision
-_ELLIPSE = np.pi / 4.0  # share of a rectangle that the ellipse in it fills
-_ROUND = 0.08  # pitches that a disc, turned, may look narrower than a square; half a gap in rows
+EXACT = 1e-6  # [m] lengths that differ by less are the same: observations are single precision
+ELLIPSE = np.pi / 4.0  # share of a rectangle that the ellipse in it fills
+ROUND = 0.08  # pitches that a disc, turned, may look narrower than a square; half a gap in rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +50,8 @@ def outline_shown(length: Numbers, width: Numbers, fill: Numbers, plant: Plant) 
     half = 0.175 + 0.05 * np.stack([length, width])
     return Outline(
         half,
-        np.clip((1.0 - fill) / (1.0 - _ELLIPSE), 0.0, 1.0),
-        _rows(plant, half[1] / plant.pitch_y + _EXACT),
+        np.clip((1.0 - fill) / (1.0 - ELLIPSE), 0.0, 1.0),
+        _rows(plant, half[1] / plant.pitch_y + EXACT),
     )
 
 
@@ -70,11 +70,11 @@ def outline_by_clearance(see: LineSight, clearance: Numbers, plant: Plant) -> Ou
     cosine, sine = np.abs([np.cos(see.theta), np.sin(see.theta)])
     beyond = see.offset - clearance  # the half line, and what the base reaches
     across = beyond - length * sine  # the half line, and what half the width does
-    rows = _rows(plant, (across / pitch + 1.5 - _ROUND) / (1.0 + cosine))
+    rows = _rows(plant, (across / pitch + 1.5 - ROUND) / (1.0 + cosine))
     half_line = 0.5 * pitch * (rows - 1.0)
     reach = across - half_line
-    as_wide = np.abs(reach - length * cosine) < _EXACT
-    is_disc = np.abs(beyond - half_line - length) < _EXACT
+    as_wide = np.abs(reach - length * cosine) < EXACT
+    is_disc = np.abs(beyond - half_line - length) < EXACT
     width = np.divide(reach, cosine, out=length.copy(), where=cosine > 0.0)
     width = np.where(as_wide | is_disc, length, np.clip(width, 0.5 * length, 2.0 * length))
     return Outline(np.stack([length, width]), np.zeros_like(length), rows)

@@ -14,7 +14,7 @@ from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING
 from surface_gym.settings import Settings
 from surface_gym.sharing import Workers, check_workers, quiet, share
 
-from ..episodes import Episodes
+from ..episodes import Episodes, side_by_side
 from .aims import AIMS
 from .known import KnownModel
 from .search import lanes_needed, make_plan
@@ -164,10 +164,6 @@ def play_knowing(
 ) -> Episodes:
     """`reachable`, as `agents.episodes.run_episodes` would have it of a controller."""
     runs = reachable(settings, starts, seed, budget, workers)
-    longest = max(len(run.poses) for run in runs)
-    pose = np.full((longest, len(runs), 3), np.nan)
-    for k, run in enumerate(runs):
-        pose[: len(run.poses), k] = run.poses
     names = settings.chosen_task.figures
     figures = np.array([run.figures for run in runs]).T
     return Episodes(
@@ -175,7 +171,7 @@ def play_knowing(
         outcome=tuple(run.outcome for run in runs),
         time=np.array([run.time for run in runs]),
         figures=dict(zip(names, figures, strict=True)),
-        pose=pose,
+        pose=side_by_side([run.poses for run in runs]),
         velocity=np.array([run.velocity for run in runs]),
         decision_times=np.array([run.seconds / len(run.actions) for run in runs]),
     )

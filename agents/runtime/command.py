@@ -136,7 +136,9 @@ def run_agent(config: RuntimeConfig, console: Console) -> None:
             arguments = simulator_arguments(config, settings)
             process = SimulatorProcess(arguments, config.out / "simulator.log")
             stack.enter_context(process)
-        address = address_of(config.address) if config.address else process.address  # type: ignore[union-attr]
+            address = process.address
+        else:
+            address = address_of(config.address)
         console.print("compiling")
         shadow = Shadow(settings)
         arranger = stack.enter_context(ArrangedApart(shadow.settings))

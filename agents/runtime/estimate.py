@@ -17,10 +17,9 @@ from surface_gym.actions.commands import (
     aim_at_choice,
     straighten_targets,
     turn_axes,
-    window_corner,
 )
 from surface_gym.actions.kinds import ActionKind
-from surface_gym.batch.kernels import Function, Functions, Rules
+from surface_gym.batch.kernels import Function, Functions, Rules, obeying, showing
 from surface_gym.dynamics.axes import axis_direction
 from surface_gym.dynamics.compiled import compiled
 from surface_gym.dynamics.contacts import forget_contacts
@@ -128,24 +127,14 @@ def make_move(look: Function, label: str) -> Any:
 def make_show(functions: Functions) -> Any:
     """`show(rules, surfaces, lanes, sites, i)`: the observation of a lane's estimate."""
     task_observe, task_mirror = functions.observe, functions.mirror
-    estimate, show_learned = functions.estimate, functions.learned
-    show_modules, show_axes = functions.show_modules, functions.show_axes
-    (show_parcel, parcel_size), (show_rotors, rotors_size), (_, load_size) = functions.more
-    learns = load_size > 0
+    estimate, show_more = functions.estimate, showing(functions)
 
     def show_lane(rules: Rules, surfaces: Surfaces, lanes: Lanes, sites: Sites, i: int) -> None:
         lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
         estimate(rules.sensor, lane)
         mirror = task_mirror(lane)
         task_observe(lane)
-        show_modules(rules.acting, lane, rules.features, mirror)
-        show_axes(rules.acting, lane, rules.axes_from, mirror)
-        load_from = lane.observation.shape[0] - load_size
-        rotors_from = load_from - rotors_size
-        show_parcel(rules.acting, lane, rotors_from - parcel_size, mirror)
-        show_rotors(rules.acting, lane, rotors_from, mirror)
-        if learns:
-            show_learned(rules.sensor, lane, load_from, mirror)
+        show_more(rules, lane, mirror)
 
     return compiled(show_lane, f"shadow-show-{functions.label}")
 
@@ -153,17 +142,10 @@ def make_show(functions: Functions) -> Any:
 @lru_cache(maxsize=16)
 def make_obey(kind: ActionKind, mirror_of: Function) -> Any:
     """`obey(rules, surfaces, lanes, sites, i)`: what a lane's command has its modules turn to."""
-    part_of = kind.part_of
-    aim = aim_at_angle if kind.continuous else aim_at_choice
+    obey_command = obeying(kind.part_of, aim_at_angle if kind.continuous else aim_at_choice)
 
     def obey_lane(rules: Rules, surfaces: Surfaces, lanes: Lanes, sites: Sites, i: int) -> None:
         lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
-        corner = window_corner(lane, mirror_of(lane))
-        zone = lane.zone
-        for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
-            for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
-                part = part_of(rules.acting, lane, corner, row, column)
-                if part >= 0 and lane.obeys[row, column]:
-                    aim(rules.acting, surfaces, i, row, column, part)
+        obey_command(rules, surfaces, lane, i, mirror_of(lane))
 
     return compiled(obey_lane, f"shadow-{kind.name}-{'angles' if kind.continuous else 'choices'}")

@@ -109,7 +109,7 @@ class Shadow:
         """
         task = self.settings.chosen_task
         goal = checks.array("goal", entered.goal, (task.goals,))
-        path = checks.array("path", entered.path, (PATH_POINTS,)) if task.has_path else None  # type: ignore[arg-type]
+        path = checks.array("path", entered.path, (PATH_POINTS,)) if task.has_path else None
         pose = checks.pose("pose", entered.pose, (3,))
         velocity = checks.velocity("velocity", entered.velocity, (3,))
         # Its load may lie anywhere: it is taken as evenly spread.

@@ -78,7 +78,7 @@ class SocketDevice:
                     checks.one_of("kind", fields["kind"], ("hello",))
                     checks.one_of("protocol", fields.get("protocol"), (PROTOCOL,))
                     checks.one_of("task", fields.get("task"), (self._task,))
-                    checks.array("zone", fields.get("zone"), (2,))  # type: ignore[arg-type]
+                    checks.array("zone", fields.get("zone"), (2,))
                     if tuple(fields["zone"]) != self._shape:
                         raise ValueError(f"zone must be {self._shape}, got {fields['zone']}")
                     self._greeted = True

@@ -173,7 +173,7 @@ def axes_of(fields: dict[str, Any], shape: tuple[int, int]) -> tuple[int, Angles
     """
     checks.one_of("kind", fields["kind"], ("axes",))
     number = checks.integer("command", fields.get("command"), least=0)
-    return number, np.array(checks.array("angles", fields.get("angles"), shape))  # type: ignore[arg-type]
+    return number, np.array(checks.array("angles", fields.get("angles"), shape))
 
 
 def _words(name: str, value: Any) -> str:

@@ -87,6 +87,46 @@ class Rules(NamedTuple):
     outcomes: int  # that there are
 
 
+@lru_cache(maxsize=64)
+def obeying(part_of: Function, obey: Function) -> Any:
+    """Build `obey_command(rules, surfaces, lane, i, mirror)`: what surface i's command does to the
+    axes of a lane's zone.
+    """
+
+    @inlined
+    def obey_command(rules: Rules, surfaces: Surfaces, lane: Lane, i: int, mirror: float) -> None:
+        corner = window_corner(lane, mirror)
+        zone = lane.zone
+        for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
+            for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
+                part = part_of(rules.acting, lane, corner, row, column)
+                if part >= 0 and lane.obeys[row, column]:
+                    obey(rules.acting, surfaces, i, row, column, part)
+
+    return obey_command
+
+
+@lru_cache(maxsize=256)
+def showing(functions: Functions) -> Any:
+    """Build `show_more(rules, lane, mirror)`: what is observed after the task's features."""
+    show_modules, show_axes = functions.show_modules, functions.show_axes
+    (show_parcel, parcel_size), (show_rotors, rotors_size), (_, load_size) = functions.more
+    show_learned, learns = functions.learned, load_size > 0
+
+    @inlined
+    def show_more(rules: Rules, lane: Lane, mirror: float) -> None:
+        show_modules(rules.acting, lane, rules.features, mirror)
+        show_axes(rules.acting, lane, rules.axes_from, mirror)
+        load_from = lane.observation.shape[0] - load_size
+        rotors_from = load_from - rotors_size
+        show_parcel(rules.acting, lane, rotors_from - parcel_size, mirror)
+        show_rotors(rules.acting, lane, rotors_from, mirror)
+        if learns:
+            show_learned(rules.sensor, lane, load_from, mirror)
+
+    return show_more
+
+
 @lru_cache(maxsize=256)
 def make_kernel(functions: Functions) -> Any:
     """Build `move_lanes(rules, surfaces, lanes, sites, scratch, sensor's scratch, chosen)`.
@@ -99,20 +139,9 @@ def make_kernel(functions: Functions) -> Any:
     task_reward, task_observe, task_mirror = functions.reward, functions.observe, functions.mirror
     sensor_begin, sensor_look = functions.begin_sensor, functions.look
     sensor_estimate, watches = functions.estimate, functions.watches
-    part_of, (obey, turn, straighten, turns) = functions.part_of, functions.actuation
-    show_modules, show_axes = functions.show_modules, functions.show_axes
-    (show_parcel, parcel_size), (show_rotors, rotors_size), (_, load_size) = functions.more
-    show_learned, learns = functions.learned, load_size > 0
-
-    @inlined
-    def obey_command(rules: Rules, surfaces: Surfaces, lane: Lane, i: int, mirror: float) -> None:
-        corner = window_corner(lane, mirror)
-        zone = lane.zone
-        for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
-            for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
-                part = part_of(rules.acting, lane, corner, row, column)
-                if part >= 0 and lane.obeys[row, column]:
-                    obey(rules.acting, surfaces, i, row, column, part)
+    obey, turn, straighten, turns = functions.actuation
+    obey_command = obeying(functions.part_of, obey)
+    show_more = showing(functions)
 
     def move_lanes(
         rules: Rules,
@@ -189,14 +218,7 @@ def make_kernel(functions: Functions) -> Any:
                     lanes.fault[i] = UNKNOWN_OUTCOME
             sensor_estimate(rules.sensor, lane)
             task_observe(lane)
-            show_modules(rules.acting, lane, rules.features, mirror)
-            show_axes(rules.acting, lane, rules.axes_from, mirror)
-            load_from = lane.observation.shape[0] - load_size
-            rotors_from = load_from - rotors_size
-            show_parcel(rules.acting, lane, rotors_from - parcel_size, mirror)
-            show_rotors(rules.acting, lane, rotors_from, mirror)
-            if learns:
-                show_learned(rules.sensor, lane, load_from, mirror)
+            show_more(rules, lane, mirror)
             for k in range(lane.observation.shape[0]):
                 if not np.isfinite(lane.observation[k]):
                     lanes.fault[i] = BAD_OBSERVATION

@@ -144,29 +144,40 @@ class Camera(Observer):
         arrives, which may be the same.
         """
         observer.predict(numbers, MODEL, lane, physics)
-        every = int(numbers[EVERY])
-        if lane.steps % every == 0:
-            take_frame(numbers, lane, LAST)
-        taken = lane.steps - int(numbers[LAG])
-        if taken > 0 and taken % every == 0:
-            place = frame_place(LAST, taken // every)
-            if lane.kept[place + TAKEN] > 0.0:
-                _use(numbers, lane, place, physics.dt)
+        place = watch(numbers, lane, LAST)
+        if place > 0:
+            _use(numbers, lane, place, physics.dt)
 
 
 @lane_function
-def frame_place(first: int, number: int) -> int:
+def watch(numbers: Array, lane: Lane, first: int) -> int:
+    """Take a frame if one is due; where the one lies that arrives, the frames in the memory from
+    `first` on, or 0 where none does.
+    """
+    every = int(numbers[EVERY])
+    if lane.steps % every == 0:
+        _take(numbers, lane, first)
+    taken = lane.steps - int(numbers[LAG])
+    if taken > 0 and taken % every == 0:
+        place = _place(first, taken // every)
+        if lane.kept[place + TAKEN] > 0.0:
+            return place
+    return 0
+
+
+@lane_function
+def _place(first: int, number: int) -> int:
     """Where a frame lies in the memory, the frames from `first` on."""
     return first + FRAME_SIZE * (number % FRAMES)
 
 
 @lane_function
-def take_frame(numbers: Array, lane: Lane, first: int) -> None:
+def _take(numbers: Array, lane: Lane, first: int) -> None:
     """Take a frame, or lose it; the frames lie in the memory from `first` on."""
     row = lane.noise_row[0]
     lane.noise_row[0] = row + 1
     noise = lane.noise[row]
-    place = frame_place(first, lane.steps // int(numbers[EVERY]))
+    place = _place(first, lane.steps // int(numbers[EVERY]))
     lane.kept[place + TAKEN] = 0.0 if noise[3] < numbers[DROP] else float(lane.steps)
     for k in range(3):
         spread = numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE]
@@ -181,8 +192,8 @@ def shift_frames(lane: Lane, first: int, shift: float, dt: float) -> None:
     """
     gain = lane.kept[GAIN:]
     for number in range(FRAMES):
-        place = frame_place(first, number)
-        lead = dt * (lane.steps - lane.kept[place + TAKEN])
+        place = _place(first, number)
+        lead = age(lane, place, dt)
         for k in range(3):
             lane.kept[place + SURPRISE + k] -= shift * (gain[k] - lead * gain[3 + k])
 
@@ -190,12 +201,26 @@ def shift_frames(lane: Lane, first: int, shift: float, dt: float) -> None:
 @lane_function
 def _use(numbers: Array, lane: Lane, place: int, dt: float) -> None:
     """Correct the estimate by what a frame shows, a coordinate at a time."""
-    lead = dt * (lane.steps - lane.kept[place + TAKEN])
+    lead = age(lane, place, dt)
     for k in range(3):
-        noise = max(SHARPEST, numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE])
-        by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0
-        variance = measure(lane.kept, by_x, by_y, 1.0 if k == 2 else 0.0, lead)
-        per_surprise = 1.0 / (variance + noise * noise)
-        shift = lane.kept[place + SURPRISE + k] * per_surprise
-        correct(lane.kept, shift, per_surprise)
+        shift, shrink = weigh(numbers, lane, place, k, lead)
+        correct(lane.kept, shift, shrink)
         shift_frames(lane, LAST, shift, dt)
+
+
+@lane_function
+def age(lane: Lane, place: int, dt: float) -> float:
+    """[s] since the frame at a place in the memory was taken."""
+    return dt * (lane.steps - lane.kept[place + TAKEN])
+
+
+@lane_function
+def weigh(numbers: Array, lane: Lane, place: int, k: int, lead: float) -> tuple[float, float]:
+    """By how much the frame at a place, of `lead` seconds ago, moves the estimate and lessens its
+    covariance, by the pose's coordinate `k` alone; along what `measure` leaves.
+    """
+    noise = max(SHARPEST, numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE])
+    by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0
+    variance = measure(lane.kept, by_x, by_y, 1.0 if k == 2 else 0.0, lead)
+    per_surprise = 1.0 / (variance + noise * noise)
+    return lane.kept[place + SURPRISE + k] * per_surprise, per_surprise

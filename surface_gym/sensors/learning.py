@@ -11,18 +11,14 @@ import math
 from surface_gym.dynamics.compiled import lane_function
 from surface_gym.dynamics.friction import friction_gradient
 from surface_gym.dynamics.indexing import bounded
-from surface_gym.dynamics.step import OFF_SURFACE, step_implicit
 from surface_gym.dynamics.types import (
     ARM_X,
     ARM_Y,
-    COM_HEIGHT,
     FORCE_X,
     FORCE_Y,
-    GYRATION,
     HALF_LENGTH,
     NORMAL,
     OMEGA,
-    RADIUS,
     ROTOR,
     THETA,
     TORQUE,
@@ -31,24 +27,21 @@ from surface_gym.dynamics.types import (
     Array,
     Body,
     Contacts,
-    Grid,
     Scratch,
     X,
     Y,
 )
 from surface_gym.lanes.lane import Lane
-from surface_gym.lanes.memory import GRAVITY_ALONG, GRAVITY_NORMAL
+from surface_gym.lanes.memory import GRAVITY_NORMAL
 from surface_gym.sensors.observer import (
     COVARIANCE,
     DECAY,
-    DENSITY,
-    FRICTION_ERROR,
-    FRICTION_ERROR_TIME,
+    GAIN,
     LAST,
     SIZE,
-    TURN_DENSITY,
-    damp,
-    widen,
+    assumed_body,
+    move,
+    widen_by_doubt,
 )
 from surface_gym.sensors.sensor import LEARNED, Physics
 
@@ -60,7 +53,7 @@ EFFECT = PULL + LEARNED  # of a prediction's own memory, velocities by constants
 LEARNING_LAST = EFFECT + 3 * LEARNED
 
 # What is known of the constants before, in a sensor's settings from some column on.
-FRICTION_SPREAD, LOAD_SPREAD, LEARNING_SIZE = range(3)
+FRICTION_SPREAD, LOAD_SPREAD = range(2)
 
 LEAST_FACTOR, MOST_FACTOR = 0.25, 4.0  # [-] no estimate goes beyond
 FARTHEST_LOAD = 0.5  # [-] of the half length
@@ -83,47 +76,14 @@ def begin_learning(settings: Array, first: int, lane: Lane) -> None:
 def predict_learning(settings: Array, first: int, lane: Lane, physics: Physics) -> None:
     """`observer.predict` with what has been learned, whose effect is carried on."""
     kept, scratch, dt = lane.kept, physics.scratch, physics.dt
-    grid = Grid(
-        lane.axis,
-        lane.direction,
-        lane.rotor,
-        physics.stiffness,
-        physics.friction,
-        lane.elements.x0,
-        lane.elements.y0,
-        lane.elements.pitch_x,
-        lane.elements.pitch_y,
-        kept[CONSTANT],
-        1.0,
-        1.0,
-        lane.surface[GRAVITY_ALONG],
-        lane.surface[GRAVITY_NORMAL],
-    )
-    body = Body(
-        lane.edges,
-        lane.body[RADIUS],
-        kept[CONSTANT + 1],
-        kept[CONSTANT + 2],
-        lane.body[COM_HEIGHT],
-        lane.body[GYRATION],
-    )
     vx, vy, omega = kept[VX], kept[VY], kept[OMEGA]
+    body = assumed_body(lane, kept[CONSTANT + 1], kept[CONSTANT + 2])
     _to_load(kept, 1.0)
-    report, contacts = step_implicit(grid, body, kept, scratch, dt)
-    if report >= OFF_SURFACE:
-        kept[X] += dt * kept[VX]
-        kept[Y] += dt * kept[VY]
-        kept[THETA] += dt * kept[OMEGA]
-    damp(body, kept, scratch, contacts, dt)
-    _effect(body, grid.gravity_normal, kept, scratch, contacts, kept[OMEGA] - omega)
+    contacts = move(lane, physics, kept[CONSTANT], body)
+    weight = lane.surface[GRAVITY_NORMAL]
+    _effect(body, weight, kept, scratch, contacts, kept[OMEGA] - omega)
     _to_load(kept, -1.0)
-    doubt = settings[first + FRICTION_ERROR] ** 2 * FRICTION_ERROR_TIME / (dt * dt)
-    widen(
-        kept,
-        dt,
-        settings[first + DENSITY] + doubt * ((kept[VX] - vx) ** 2 + (kept[VY] - vy) ** 2),
-        settings[first + TURN_DENSITY] + doubt * (kept[OMEGA] - omega) ** 2,
-    )
+    widen_by_doubt(settings, first, kept, dt, vx, vy, omega)
     _widen_by_constants(kept, dt)
 
 
@@ -245,27 +205,25 @@ def _widen_by_constants(kept: Array, dt: float) -> None:
 
 
 @lane_function
-def measure_constants(kept: Array, by_x: float, by_y: float, by_theta: float, lead: float) -> None:
-    """Leave the constants' covariance with what `observer.measure` measures in `kept` from PULL."""
-    half = CROSS + 3 * LEARNED
+def measure_constants(kept: Array, k: int, lead: float) -> None:
+    """Leave the constants' covariance with the pose's coordinate `k` of `lead` seconds ago in
+    `kept` from PULL on.
+    """
+    row, rate = CROSS + LEARNED * k, CROSS + LEARNED * (3 + k)
     for j in range(LEARNED):
-        kept[PULL + j] = (
-            by_x * (kept[CROSS + j] - lead * kept[half + j])
-            + by_y * (kept[CROSS + LEARNED + j] - lead * kept[half + LEARNED + j])
-            + by_theta * (kept[CROSS + 2 * LEARNED + j] - lead * kept[half + 2 * LEARNED + j])
-        )
+        kept[PULL + j] = kept[row + j] - lead * kept[rate + j]
 
 
 @lane_function
-def correct_constants(lane: Lane, gain: int, shift: float, shrink: float) -> None:
+def correct_constants(lane: Lane, shift: float, shrink: float) -> None:
     """Move the constants by `shift`, and lessen their covariances by `shrink`, along what was
-    measured; the state's share of it is in `lane.kept` from `gain` on.
+    measured.
     """
     kept = lane.kept
     for j in range(LEARNED):
         kept[CONSTANT + j] += shift * kept[PULL + j]
         for i in range(SIZE):
-            kept[CROSS + LEARNED * i + j] -= shrink * kept[gain + i] * kept[PULL + j]
+            kept[CROSS + LEARNED * i + j] -= shrink * kept[GAIN + i] * kept[PULL + j]
         for k in range(LEARNED):
             kept[DOUBT + LEARNED * j + k] -= shrink * kept[PULL + j] * kept[PULL + k]
     farthest = FARTHEST_LOAD * lane.body[HALF_LENGTH]

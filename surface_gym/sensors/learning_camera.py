@@ -8,21 +8,16 @@ from surface_gym.dynamics.types import Array
 from surface_gym.lanes.lane import Lane
 from surface_gym.sensors import observer
 from surface_gym.sensors.camera import (
-    ANGLE_NOISE,
     ENTRY,
-    EVERY,
     FRAME_SIZE,
     FRAMES,
-    LAG,
     MODEL,
-    POSITION_NOISE,
-    SHARPEST,
-    SURPRISE,
     TAKEN,
     Camera,
-    frame_place,
+    age,
     shift_frames,
-    take_frame,
+    watch,
+    weigh,
 )
 from surface_gym.sensors.learning import (
     CONSTANT,
@@ -33,7 +28,7 @@ from surface_gym.sensors.learning import (
     measure_constants,
     predict_learning,
 )
-from surface_gym.sensors.observer import GAIN, correct, measure
+from surface_gym.sensors.observer import correct
 from surface_gym.sensors.sensor import LEARNED, Physics
 
 SPREADS = ENTRY + 4  # columns of the settings, after those of a Camera
@@ -82,14 +77,9 @@ class LearningCamera(Camera):
     def look(numbers: Array, lane: Lane, physics: Physics) -> None:
         """As a Camera does."""
         predict_learning(numbers, MODEL, lane, physics)
-        every = int(numbers[EVERY])
-        if lane.steps % every == 0:
-            take_frame(numbers, lane, LEARNING_LAST)
-        taken = lane.steps - int(numbers[LAG])
-        if taken > 0 and taken % every == 0:
-            place = frame_place(LEARNING_LAST, taken // every)
-            if lane.kept[place + TAKEN] > 0.0:
-                _use(numbers, lane, place, physics.dt)
+        place = watch(numbers, lane, LEARNING_LAST)
+        if place > 0:
+            _use(numbers, lane, place, physics.dt)
 
     @staticmethod
     @lane_function
@@ -107,15 +97,10 @@ class LearningCamera(Camera):
 @lane_function
 def _use(numbers: Array, lane: Lane, place: int, dt: float) -> None:
     """Correct the estimate by what a frame shows, a coordinate at a time."""
-    lead = dt * (lane.steps - lane.kept[place + TAKEN])
+    lead = age(lane, place, dt)
     for k in range(3):
-        noise = max(SHARPEST, numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE])
-        by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0
-        by_theta = 1.0 if k == 2 else 0.0
-        variance = measure(lane.kept, by_x, by_y, by_theta, lead)
-        measure_constants(lane.kept, by_x, by_y, by_theta, lead)
-        per_surprise = 1.0 / (variance + noise * noise)
-        shift = lane.kept[place + SURPRISE + k] * per_surprise
-        correct(lane.kept, shift, per_surprise)
-        correct_constants(lane, GAIN, shift, per_surprise)
+        shift, shrink = weigh(numbers, lane, place, k, lead)
+        measure_constants(lane.kept, k, lead)
+        correct(lane.kept, shift, shrink)
+        correct_constants(lane, shift, shrink)
         shift_frames(lane, LEARNING_LAST, shift, dt)

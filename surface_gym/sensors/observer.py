@@ -5,7 +5,7 @@ It lies in a lane's `kept`: first the state as the physics has it, then the cova
 
 from dataclasses import dataclass
 
-from surface_gym.dynamics.compiled import lane_function
+from surface_gym.dynamics.compiled import inlined, lane_function
 from surface_gym.dynamics.step import OFF_SURFACE, step_implicit
 from surface_gym.dynamics.types import (
     ARM_X,
@@ -92,7 +92,7 @@ def begin(settings: Array, first: int, lane: Lane) -> None:
 
 
 @lane_function
-def damp(body: Body, kept: Array, scratch: Scratch, contacts: Contacts, dt: float) -> None:
+def _damp(body: Body, kept: Array, scratch: Scratch, contacts: Contacts, dt: float) -> None:
     """Write how a step damps errors in velocity, (M + dt S)^-1 M, into `kept` from DECAY on.
 
     S is the friction's slope over the slip along each rotor's axis: steep where it holds.
@@ -136,8 +136,8 @@ def damp(body: Body, kept: Array, scratch: Scratch, contacts: Contacts, dt: floa
 
 
 @lane_function
-def widen(kept: Array, dt: float, density: float, turn_density: float) -> None:
-    """Carry the covariance over a step, the velocity's errors damped as `damp` wrote."""
+def _widen(kept: Array, dt: float, density: float, turn_density: float) -> None:
+    """Carry the covariance over a step, the velocity's errors damped as `_damp` wrote."""
     half = COVARIANCE + 3  # the column of the first velocity
     low = COVARIANCE + 3 * SIZE  # the row of the first velocity
     for i in range(3):
@@ -178,12 +178,42 @@ def widen(kept: Array, dt: float, density: float, turn_density: float) -> None:
 @lane_function
 def predict(settings: Array, first: int, lane: Lane, physics: Physics) -> None:
     """Move a lane's estimate over one step by the physics, the axes as they are, the stiffness of
-    all elements the same and the load over the base's centroid.
+    all elements the same, friction nominal and the load over the base's centroid.
 
     What is doubted is in `settings` from `first` on. Off the surface the estimate moves on at its
     velocity.
     """
-    kept, scratch, dt = lane.kept, physics.scratch, physics.dt
+    kept = lane.kept
+    vx, vy, omega = kept[VX], kept[VY], kept[OMEGA]
+    move(lane, physics, 1.0, assumed_body(lane, 0.0, 0.0))
+    widen_by_doubt(settings, first, kept, physics.dt, vx, vy, omega)
+
+
+@inlined
+def assumed_body(lane: Lane, com_x: float, com_y: float) -> Body:
+    """A lane's parcel, its centre of mass assumed to be at a place [m] from the centroid."""
+    return Body(
+        lane.edges,
+        lane.body[RADIUS],
+        com_x,
+        com_y,
+        lane.body[COM_HEIGHT],
+        lane.body[GYRATION],
+    )
+
+
+@lane_function
+def move(lane: Lane, physics: Physics, factor: float, body: Body) -> Contacts:
+    """Move the state in `lane.kept`, the centre of mass's, over one step, and write how that damps
+    errors; the step's contacts.
+
+    Args:
+        lane: whose axes stand as they are.
+        physics: as the sensor assumes it.
+        factor: [-] by which the rotors' friction along their axes is multiplied.
+        body: the parcel as it is assumed to be.
+    """
+    kept, dt = lane.kept, physics.dt
     grid = Grid(
         lane.axis,
         lane.direction,
@@ -194,29 +224,30 @@ def predict(settings: Array, first: int, lane: Lane, physics: Physics) -> None:
         lane.elements.y0,
         lane.elements.pitch_x,
         lane.elements.pitch_y,
-        1.0,
+        factor,
         1.0,
         1.0,
         lane.surface[GRAVITY_ALONG],
         lane.surface[GRAVITY_NORMAL],
     )
-    body = Body(
-        lane.edges,
-        lane.body[RADIUS],
-        0.0,
-        0.0,
-        lane.body[COM_HEIGHT],
-        lane.body[GYRATION],
-    )
-    vx, vy, omega = kept[VX], kept[VY], kept[OMEGA]
-    report, contacts = step_implicit(grid, body, kept, scratch, dt)
+    report, contacts = step_implicit(grid, body, kept, physics.scratch, dt)
     if report >= OFF_SURFACE:
         kept[X] += dt * kept[VX]
         kept[Y] += dt * kept[VY]
         kept[THETA] += dt * kept[OMEGA]
-    damp(body, kept, scratch, contacts, dt)
+    _damp(body, kept, physics.scratch, contacts, dt)
+    return contacts
+
+
+@lane_function
+def widen_by_doubt(
+    settings: Array, first: int, kept: Array, dt: float, vx: float, vy: float, omega: float
+) -> None:
+    """Carry the covariance over a step that began at a velocity (vx, vy, omega), and widen it by
+    what is doubted, in `settings` from `first` on.
+    """
     doubt = settings[first + FRICTION_ERROR] ** 2 * FRICTION_ERROR_TIME / (dt * dt)
-    widen(
+    _widen(
         kept,
         dt,
         settings[first + DENSITY] + doubt * ((kept[VX] - vx) ** 2 + (kept[VY] - vy) ** 2),
