@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym.sensors import LearningCamera
 from surface_gym.settings import Settings
 from surface_gym.tasks.sort import Sort
 from surface_gym.tasks.track import AHEAD
@@ -40,6 +41,8 @@ class LineSight:
     rear_to_go: Numbers  # [m] from the rearmost point to the zone's end; Sort: as of a square
     half_width: Numbers  # [m] of the base; taken as a square where it is not shown
     fill: Numbers  # [-] share of the base in the rectangle around it; 1 where it is not shown
+    friction: Numbers  # [-] factor of mu_max, as the sensors have learned it; 1 where they do not
+    load_ahead: Numbers  # [m] along x from the base's centre to the load, likewise; 0
 
     @property
     def reach(self) -> Numbers:
@@ -122,6 +125,7 @@ def line_sight(settings: Settings, observations: NDArray[np.float32]) -> LineSig
         front_in_zone, rear_to_go = 0.5 * see["front in zone"], 0.5 * see["rear to go"]
         into_zone = front_in_zone - reach
     shown = "width" in see
+    friction, load_ahead = _learned(settings, see, theta)
     return LineSight(
         into_zone=into_zone,
         offset=mirror * 0.3 * see["lateral offset"],
@@ -140,7 +144,21 @@ def line_sight(settings: Settings, observations: NDArray[np.float32]) -> LineSig
         rear_to_go=rear_to_go,
         half_width=0.175 + 0.05 * see["width"] if shown else half_length,
         fill=see["fill"] if shown else np.ones_like(half_length),
+        friction=friction,
+        load_ahead=load_ahead,
     )
+
+
+def _learned(settings: Settings, see: _Columns, theta: Numbers) -> tuple[Numbers, Numbers]:
+    """(lanes,) the factor of mu_max, and [m] how far along x the load lies from the centre."""
+    sensors = settings.sensors
+    if not isinstance(sensors, LearningCamera):
+        return np.ones_like(theta), np.zeros_like(theta)
+    friction = 1.0 + sensors.friction_spread * see["friction learned"]
+    # Of Sort both y and theta are seen in a mirror, which leaves x as it is.
+    load_x, load_y = see["load learned, x"], see["load learned, y"]
+    ahead = np.cos(theta) * load_x - np.sin(theta) * load_y
+    return friction, sensors.load_spread * ahead
 
 
 def path_sight(settings: Settings, observations: NDArray[np.float32]) -> PathSight:

@@ -80,6 +80,24 @@ TARGETS = (
         ("tests/sensors", "tests/test_settings.py"),
     ),
     Target(
+        "sensors",
+        "surface_gym/sensors/learning.py",
+        ("tests/sensors/test_learning.py",),
+        ("tests/sensors", "tests/agents/runtime/test_shadow.py"),
+    ),
+    Target(
+        "sensors",
+        "surface_gym/sensors/learning_camera.py",
+        ("tests/sensors/test_learning.py",),
+        ("tests/sensors", "tests/agents/runtime/test_shadow.py"),
+    ),
+    Target(
+        "environments",
+        "surface_gym/assortment.py",
+        ("tests/test_assortment.py",),
+        ("tests/test_conditions.py",),
+    ),
+    Target(
         "environments",
         "surface_gym/lanes/lane.py",
         ("tests/tasks/test_task.py", "tests/tasks/test_sort.py"),
@@ -115,7 +133,10 @@ TARGETS = (
         ("tests/test_randomisation.py",),
         ("tests/test_env_starts.py", "tests/test_settings.py"),
     ),
-    _agent("rules/braking", "rules/test_braking.py", wide=_RULES),
+    *(
+        _agent(f"rules/{name}", "rules/test_braking.py", wide=_RULES)
+        for name in ("braking", "brake_model", "footing", "friction_estimate")
+    ),
     _agent(
         "rules/turning",
         "rules/test_steering.py::test_the_turning_rule_turns_to_any_angle",
@@ -125,10 +146,15 @@ TARGETS = (
     ),
     _agent("planning/search", "test_planner.py"),
     _agent("planning/aims", "test_planner.py"),
+    _agent("planning/known", "planning/test_known.py", wide=("tests/agents/planning",)),
+    _agent("planning/knowing", "planning/test_knowing.py", wide=("tests/agents/planning",)),
     _agent("vec_env", "test_vec_env.py", wide=("tests/agents/test_mirror.py",)),
     _agent("mirror", "test_mirror.py", wide=("tests/agents/test_vec_env.py",)),
     _agent("episodes", "test_episodes.py", wide=("tests/agents/evaluation",)),
     _agent("modules/view", "modules/test_view.py", wide=("tests/agents/modules",)),
+    _agent("modules/outline", "modules/test_outline.py", wide=("tests/agents/modules",)),
+    _agent("export/formula", "export/test_formula.py", wide=("tests/agents/export",)),
+    _agent("runtime/loop", "runtime/test_loop.py", wide=("tests/agents/runtime",)),
     _agent("learning/checkpoint", "learning/test_resume.py", wide=("tests/agents/learning",)),
     _agent(
         "evaluation/statistics", "evaluation/test_statistics.py", wide=("tests/agents/evaluation",)

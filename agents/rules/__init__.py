@@ -18,7 +18,8 @@ from .threshold import ThresholdRule
 from .turning import TurningRule
 from .uniform import UniformLayout
 
-PARCEL = ("parcel",)  # the outline: how wide a base is, how round
+# The outline: how wide a base is, how round; and what sensors learn of friction and of the load.
+BRAKING = ("parcel", "load")
 
 RULES = (
     Rule("fixed layout", "sort", "modules", FixedLayout),
@@ -28,10 +29,10 @@ RULES = (
     Rule("PID per module", "sort", "modules", PidRule),
     Rule("fixed layout", "slow", "modules", FixedSlowing),
     Rule("best fixed layout", "slow", "modules", BestSlowing),
-    Rule("braking rule", "slow", "modules", SlowingRule, PARCEL),
+    Rule("braking rule", "slow", "modules", SlowingRule, BRAKING),
     Rule("fixed layout", "stop", "modules", FixedStopping),
     Rule("best fixed layout", "stop", "modules", BestStopping),
-    Rule("braking rule", "stop", "modules", StoppingRule, PARCEL),
+    Rule("braking rule", "stop", "modules", StoppingRule, BRAKING),
     Rule("fixed layout", "track", "window", Rolling),
     Rule("threshold logic", "track", "window", ThresholdRule),
     Rule("PID per module", "track", "window", PidRule),

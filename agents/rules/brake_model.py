@@ -35,6 +35,7 @@ class Frictions:
 
     braking: Numbers  # [-] along axes
     rolling: Numbers  # [-] across them, and on supports
+    doubt: Numbers  # [-] standard deviation of `rolling`
 
 
 class BrakeModel:
@@ -83,7 +84,7 @@ class BrakeModel:
         wide = np.broadcast_to(column[:, np.newaxis, :], (*target.shape[:2], near.shape[1]))
         to_turn = np.where(inside[:, np.newaxis], np.take_along_axis(target, wide, 2), 0.0) - start
         centre = self._pitch * (near + 0.5)[:, np.newaxis, :]
-        middle = footing.middle[:, np.newaxis]
+        middle, load = footing.middle[:, np.newaxis], footing.load[:, np.newaxis, np.newaxis]
         along, across = (part[:, np.newaxis] for part in (frictions.braking, frictions.rolling))
         x = np.repeat(place[:, np.newaxis], target.shape[1], axis=1)
         v = np.repeat(speed[:, np.newaxis], target.shape[1], axis=1)
@@ -101,7 +102,7 @@ class BrakeModel:
                 sine, cosine = np.sin(leant), np.cos(leant)
             arm = centre - (x + 0.5 * dt * v)[:, :, np.newaxis]
             elements, rotors = _under(footing, arm - middle[..., np.newaxis])
-            per_rotor = _loads(arm, elements, loss)
+            per_rotor = _loads(arm - load, elements, loss)
             per_element = per_rotor * elements
             per_rotor = per_rotor * rotors
             brake = BRAKING * (per_rotor * sine).sum(axis=-1)

@@ -24,6 +24,7 @@ class Footing:
 
     place: Numbers  # (lanes,) [m] x of the base's centroid past the zone's first edge
     middle: Numbers  # (lanes,) [m] from the centroid to the middle of the base's length
+    load: Numbers  # (lanes,) [m] from the centroid to the load, along x
     half_length: Numbers  # (lanes,) [m]
     row_reach: Numbers  # (lanes, rows) [m] covered of a row to either side of `middle`; -1: none
     rotor: Booleans  # (lanes, rows) the row is of rotors
@@ -51,7 +52,7 @@ def footing(settings: Settings, see: LineSight) -> Footing:
     part = np.where(see.fill[:, np.newaxis] > RECTANGLE, 1.0, part)
     row_reach = np.where(aside <= 1.0, part * half_length[:, np.newaxis] + ON_EDGE, -1.0)
     return Footing(
-        place, 0.5 * (rear + see.front_in_zone) - place, half_length, row_reach,
+        place, 0.5 * (rear + see.front_in_zone) - place, see.load_ahead, half_length, row_reach,
         _rotor_rows(settings, see, rows),
     )  # fmt: skip
 

@@ -39,7 +39,7 @@ class FrictionEstimate:
     def frictions(estimate: Memory) -> Frictions:
         """What is estimated."""
         braking, rolling = np.clip(estimate[:, :2], LEAST, MOST).T
-        return Frictions(braking, rolling)
+        return Frictions(braking, rolling, np.sqrt(np.maximum(0.0, estimate[:, 3])))
 
     def learnt(self, estimate: Memory, lost: Numbers, braking: Numbers, rolling: Numbers) -> Memory:
         """(lanes, SIZE) after a period.

@@ -13,7 +13,7 @@ from agents.library import SHELF, read
 from surface_gym.tasks import TASKS
 
 FLOW = "flow-ppo"
-OF_THE_LAB = {f"{task}-ppo-lab" for task in ("slow", "stop", "orient")}
+OF_THE_LAB = {"sort-dqn-lab", *(f"{task}-ppo-lab" for task in TASKS)}
 
 
 def test_a_ppo_and_a_dqn_for_each_task_and_one_each_for_modules_and_a_flow() -> None:

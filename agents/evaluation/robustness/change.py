@@ -23,7 +23,8 @@ class Change:
 
     condition: Condition = EXACT  # sensors, randomisation, actuators and parcels
     control_period: float | None = None  # [s] between decisions; None: the contender's own
-    zone_columns: int | None = None  # of the line that obey; None: its own
+    # Of the line that obey; None: its own. An episode may last the longer where there are more.
+    zone_columns: int | None = None
     drag: float = 1.0  # [-] factor of mu_max, which no controller is told
     rolling: float = 1.0  # [-] factor of mu_min and of mu_support, likewise
     aside: float = 0.0  # [m] from where parcels enter, to either side
@@ -40,18 +41,20 @@ class Situation(NamedTuple):
 def situation(contender: Contender, trial: Trial, change: Change) -> Situation:
     """The environment of a contender on a task under a change."""
     period = change.control_period or contender.control_period
-    task = _altered(trial.task, contender.control_period / period, change)
-    settings = contender.settings(replace(trial, task=task), change.condition)
-    plant = settings.chosen_plant
+    plant = contender.settings(trial, change.condition).chosen_plant
+    slower = contender.control_period / period
     if change.zone_columns is not None:
+        assert isinstance(plant, Line)
+        slower *= max(1.0, change.zone_columns / plant.zone_columns)
         plant = _with_zone(plant, change.zone_columns)
+    altered = replace(trial, task=_altered(trial.task, slower, change))
+    settings = contender.settings(altered, change.condition)
     told = replace(settings, control_period=period, plant=plant)
     return Situation(told, replace(told, plant=_with_friction(plant, change)))
 
 
-def _with_zone(plant: Plant, columns: int) -> Plant:
+def _with_zone(plant: Line, columns: int) -> Line:
     """A line whose zone has so many columns, and as many behind it as before."""
-    assert isinstance(plant, Line)
     longer = columns - plant.zone_columns
     return replace(plant, columns=plant.columns + longer, zone_columns=columns)
 

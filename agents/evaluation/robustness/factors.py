@@ -96,7 +96,8 @@ _EACH = (
            (20, 40, 60, 80, 120), lambda level: Change(control_period=1e-3 * level), (20, 80, 120),
            40),
     Factor("zone", "zone", "columns",
-           "Columns that obey, behind the parcel's lead-in; as many lie behind them as ever.",
+           "Columns that obey, behind the parcel's lead-in; as many lie behind them as ever. Where "
+           "there are more, an episode may last the longer.",
            (8, 12, 16, 20, 24), lambda level: Change(zone_columns=level), (8, 12, 24), 16, True),
     Factor("aside", "entry aside", "cm", "How far off the middle parcels enter, to either side.",
            tuple(range(6)), lambda level: Change(aside=0.01 * level), (2, 5), 0),

@@ -10,13 +10,14 @@ import pytest
 import surface_gym as sg
 from agents.episodes import run_episodes
 from agents.rules.brake_model import Braked, BrakeModel
-from agents.rules.braking import SlowingRule
+from agents.rules.braking import SLOW_GENTLY, TRIM_TIME, SlowingRule
 from agents.rules.columns import FULL, HALF, LEANS, ROLL, ColumnAxes
 from agents.rules.fixed_braking import FixedSlowing
 from agents.rules.footing import footing
 from agents.rules.friction_estimate import FrictionEstimate
 from agents.sight import line_sight
 from surface_gym.actuators import Actuators
+from surface_gym.sensors import LearningCamera
 from surface_gym.settings import Settings
 from surface_gym.tasks import Slow, Stop
 from surface_gym.tasks.line import BRAKING
@@ -40,14 +41,19 @@ def square(side: float) -> sg.Parcel:
         # Supports beside the rotors bear part of these.
         (square(0.30), square(0.35)),
         (sg.Parcel(sg.Rectangle(0.4, 0.25)), sg.Parcel(sg.Disc(0.19))),
+        (replace(square(0.25), com_offset=(0.04, 0)), replace(square(0.45), com_offset=(-0.04, 0))),
     ],
-    ids=["of the study", "partly on supports", "a rectangle and a disc"],
+    ids=["of the study", "partly on supports", "a rectangle and a disc", "loads off centre"],
 )
 def test_the_brake_model_agrees_with_the_simulator(
     level: int, pair: tuple[sg.Parcel, sg.Parcel]
 ) -> None:
-    """Every second column brakes, from before the zone to where the first is about to leave it."""
+    """Every second column brakes, from before the zone to where the first is about to leave it.
+
+    Where loads lie is told, as a sensor that learns would.
+    """
     settings = Settings(task=Slow(parcels=pair), observe=("parcel",))
+    load_ahead = np.array([parcel.com_offset[0] for parcel in pair])
     env = sg.SmartSurfaceVectorEnv(
         2, task=settings.task, observe=("parcel",), autoreset_mode="SameStep"
     )
@@ -57,7 +63,7 @@ def test_the_brake_model_agrees_with_the_simulator(
     model, actions = BrakeModel(settings, LEANS[ROLL]), ColumnAxes(settings)(levels)
     target = LEANS[levels]
     for _ in range(18):
-        see = line_sight(settings, observations)
+        see = replace(line_sight(settings, observations), load_ahead=load_ahead)
         under = footing(settings, see)
         after = model.after_a_period(under, see.vx, NOMINAL, target, target[:, np.newaxis])
         observations, *_ = env.step(actions)
@@ -145,17 +151,35 @@ def test_a_parcel_that_is_seen_at_rest_asks_for_no_layout_and_warns_of_nothing()
 
 
 def test_slowing_brakes_late_yet_rolls_on_for_a_second() -> None:
-    """It rolls until half braking would leave 1.2 s at the asked speed, or a period longer."""
+    """It brakes in the last period before gentle braking would leave less than 1.2 s to trim."""
     settings = Settings(task="slow")
     starts = [{"parcel": p, "speed": 1.2, "ratio": ratio} for p in "SB" for ratio in (0.3, 0.5)]
     runs = run_episodes(rule("slow", "braking rule").make(settings), settings, starts, seed=0)
     for start, x in zip(starts, runs.pose[:, :, 0].T, strict=True):
         speed = np.diff(x) / settings.control_period
-        rolled = int((speed[:-1] - speed[1:] > 0.02).argmax()) + 1  # periods
+        rolled = int((speed[:-1] - speed[1:] > 0.01).argmax()) + 1  # periods
         asked = start["speed"] * start["ratio"]
-        held = BRAKING * (1.0 + 0.01 / 0.5) / 2.0  # rolling takes mu_min where braking takes mu_max
+        # At 45 deg braking takes mu_max and rolling mu_min.
+        held = SLOW_GENTLY * BRAKING * (1.0 + 0.01 / 0.5) * math.sqrt(0.5)
         way = (speed[rolled - 1] ** 2 - asked**2) / (2.0 * held)
-        assert 1.05 < (np.nanmax(x) - x[rolled] - way) / asked < 1.2
+        left = (np.nanmax(x) - x[rolled] - way) / asked
+        a_period = settings.control_period * start["speed"] / asked
+        assert TRIM_TIME < left < TRIM_TIME + a_period
+
+
+def test_what_the_sensors_learned_of_friction_and_load_is_reckoned_with() -> None:
+    settings = Settings(task="stop", observe=("parcel", "load"), condition="lab")
+    observation = np.zeros((1, len(settings.features)), dtype=np.float32)
+    place = {feature.name: k for k, feature in enumerate(settings.features)}
+    observation[0, place["cosine of theta"]] = 1.0
+    observation[0, place["friction learned"]] = 1.5
+    observation[0, place["load learned, x"]] = -2.0
+    see = line_sight(settings, observation)
+    sensors = settings.sensors
+    assert isinstance(sensors, LearningCamera)
+    np.testing.assert_allclose(see.friction, 1.0 + 1.5 * sensors.friction_spread)
+    np.testing.assert_allclose(see.load_ahead, -2.0 * sensors.load_spread)
+    np.testing.assert_allclose(footing(settings, see).load, see.load_ahead)
 
 
 def test_beyond_the_end_of_the_zone_the_asked_speed_itself_is_best() -> None:

@@ -72,6 +72,11 @@ def test_a_zone_has_as_many_columns_behind_it_as_ever() -> None:
         assert plant.columns - plant.zone_columns == Line().columns - Line().zone_columns
 
 
+def test_an_episode_may_last_the_longer_where_the_zone_is() -> None:
+    periods = [true_of(Change(zone_columns=n)).chosen_task.periods for n in (8, 16, 24)]
+    assert periods == [Slow.periods, Slow.periods, 1.5 * Slow.periods]
+
+
 def test_an_episode_may_last_as_long_whatever_the_period() -> None:
     for period in (0.02, 0.06, 0.12):
         settings = true_of(Change(control_period=period))
