@@ -6,6 +6,7 @@ from typing import Literal, get_args
 
 from surface_gym import checks
 from surface_gym.actions.more import GROUPS
+from surface_gym.plants import Line
 
 from ..policy_card import FLOW_TASK, PolicyCard
 from ..tasks import find_task, id_of
@@ -47,6 +48,8 @@ class TrainConfig:
     camera_share: float = 0.5
     """[-] of lanes seen by a camera, late and noisy, with varied friction, or in the lab; the
     others exact."""
+    zones: tuple[int, ...] = ()
+    """Columns that obey, in turn, on half of the lanes seen exactly; none: all as the task has."""
     friction: float = 0.2
     """[-] spread of the friction in these lanes."""
     hidden: tuple[int, ...] = (64, 64)
@@ -78,14 +81,22 @@ class TrainConfig:
             checks.within(name, getattr(self, name), 0.0, 1.0)
         if checks.within("friction", self.friction, 0.0, 1.0) == 1.0:
             raise ValueError(f"friction must be less than 1, got {self.friction!r}")
+        for columns in self.zones:
+            checks.integer("zones", columns, least=1)
         for units in self.hidden:
             checks.integer("hidden", units, least=1)
         if not self.hidden:
             raise ValueError("hidden must be at least one layer, got none")
 
     def _check_task(self) -> None:
-        """Raise a ValueError where there is no such task."""
-        find_task(self.task)
+        """Raise a ValueError where there is no such task, or it has no such zones."""
+        if not isinstance(find_task(self.task).plant, Line):
+            self._check_no_zones()
+
+    def _check_no_zones(self) -> None:
+        """Raise a ValueError where there are zones: the task knows none."""
+        if self.zones:
+            raise ValueError(f"zones must be none for {self.task}, got {self.zones}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,6 +230,7 @@ class ParcelsConfig(PPOConfig):
         return self.lanes * self.seats * self.n_steps
 
     def _check_task(self) -> None:
+        self._check_no_zones()
         checks.one_of("task", self.task, (FLOW_TASK,))
 
     def __post_init__(self) -> None:

@@ -22,7 +22,8 @@ _OF_THE_ENV = {"actions", "control_period", "observe"}
 # What the zoo has no word for and would refuse: in an entry of its own.
 BESIDE = "beside the zoo"
 _BESIDE = {
-    "camera_share", "friction", "checkpoint_every", "parted", "seats", "imitation", "critic_first",
+    "camera_share", "zones", "friction", "checkpoint_every", "parted", "seats", "imitation",
+    "critic_first",
 }  # fmt: skip
 OWN = "default"  # the entry of tasks of one's own
 _LINEAR = "lin_"  # the zoo's mark of a learning rate that falls to 0
@@ -70,7 +71,7 @@ def write_hyperparams(config: TrainConfig, file: Path) -> None:
             if value != ():
                 of_env[field.name] = list(value) if isinstance(value, tuple) else value
         elif field.name in _BESIDE:
-            beside[field.name] = value
+            beside[field.name] = list(value) if isinstance(value, tuple) else value
         elif field.name not in _OF_THE_RUN:
             entry[_ZOOS.get(field.name, field.name)] = value
     entry["env_kwargs"] = of_env
@@ -113,6 +114,8 @@ def _read(task: str, algo: str, file: Path, condition: str) -> TrainConfig:
             chosen["hidden"] = tuple(value["net_arch"])
         elif name == "env_kwargs" and isinstance(value, dict) and set(value) <= _OF_THE_ENV:
             chosen.update({**value, "observe": tuple(value.get("observe", ()))})
+        elif name == "zones" and isinstance(value, list):
+            chosen[name] = tuple(value)
         elif name == "n_timesteps":
             chosen["steps"] = int(checks.positive(name, value))
         elif _NAMES.get(name, name) in known:
@@ -175,7 +178,7 @@ def read_config(file: Path, task: str | None = None) -> TrainConfig:
                 f"task must be {plain['task']!r}, which the run is of: name it by --task, got "
                 f"{task!r}"
             )
-        for name in ("hidden", "observe"):
+        for name in ("hidden", "observe", "zones"):
             plain[name] = tuple(plain.get(name, ()))
         plain["out"] = Path(plain["out"])
         return CONFIGS[plain["algo"]](**plain)

@@ -12,12 +12,14 @@ from surface_gym.bases import Rectangle
 from surface_gym.conditions import CONDITIONS, Condition
 from surface_gym.layouts import box
 from surface_gym.parcel import Parcel
+from surface_gym.plants import Line
 from surface_gym.randomisation import Randomisation
 from surface_gym.tasks import Sort, Task, Track
 
 from ..mirror import ActionMirror, MirrorVecEnv
 from ..tasks import find_task
 from ..vec_env import SurfaceVecEnv
+from ..zones import time_for, with_zone
 from .config import TrainConfig, card_of
 from .side_by_side import SideBySide
 
@@ -43,13 +45,15 @@ def make_practice(config: TrainConfig) -> VecEnv:
 def make_lanes(config: TrainConfig) -> SideBySide:
     """The lanes a configuration asks for, as they are."""
     by_camera = round(config.camera_share * config.lanes)
-    shares = (config.lanes - by_camera, by_camera)
-    parts = [
-        _lanes(config, lanes, condition)
-        for lanes, condition in zip(shares, _practised(config), strict=True)
-        if lanes
+    exact, other = _practised(config)
+    seen_exactly = config.lanes - by_camera
+    of_a_zone = seen_exactly // (2 * len(config.zones)) if config.zones else 0
+    shares = [
+        (seen_exactly - of_a_zone * len(config.zones), exact, None),
+        *((of_a_zone, exact, columns) for columns in config.zones),
+        (by_camera, other, None),
     ]
-    return SideBySide(parts)
+    return SideBySide([_lanes(config, *share) for share in shares if share[0]])
 
 
 def _practised(config: TrainConfig) -> tuple[Condition, Condition]:
@@ -63,13 +67,22 @@ def _practised(config: TrainConfig) -> tuple[Condition, Condition]:
     return exact, replace(camera, randomisation=Randomisation(friction=config.friction))
 
 
-def _lanes(config: TrainConfig, lanes: int, condition: Condition) -> SurfaceVecEnv:
+def _lanes(
+    config: TrainConfig, lanes: int, condition: Condition, columns: int | None
+) -> SurfaceVecEnv:
+    """Lanes of a condition, on a zone of so many columns or the task's own."""
     task = PRACTISED.get(config.task) or find_task(config.task)
+    plant, periods = task.plant, task.periods
+    if columns is not None:
+        assert isinstance(plant, Line)
+        periods = round(periods * time_for(plant, columns))
+        plant = with_zone(plant, columns)
     return SurfaceVecEnv(
         SmartSurfaceVectorEnv(
             num_envs=lanes,
-            max_episode_steps=task.periods,
+            max_episode_steps=periods,
             task=task,
+            plant=plant,
             actions=config.actions,
             control_period=config.control_period,
             observe=config.observe,

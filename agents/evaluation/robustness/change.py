@@ -11,6 +11,7 @@ from surface_gym.settings import Settings
 from surface_gym.tasks import Task
 from surface_gym.tasks.start import Draw, Numbers, Start
 
+from ...zones import time_for, with_zone
 from ..contenders import Contender
 from ..trials import Trial
 
@@ -45,18 +46,12 @@ def situation(contender: Contender, trial: Trial, change: Change) -> Situation:
     slower = contender.control_period / period
     if change.zone_columns is not None:
         assert isinstance(plant, Line)
-        slower *= max(1.0, change.zone_columns / plant.zone_columns)
-        plant = _with_zone(plant, change.zone_columns)
+        slower *= time_for(plant, change.zone_columns)
+        plant = with_zone(plant, change.zone_columns)
     altered = replace(trial, task=_altered(trial.task, slower, change))
     settings = contender.settings(altered, change.condition)
     told = replace(settings, control_period=period, plant=plant)
     return Situation(told, replace(told, plant=_with_friction(plant, change)))
-
-
-def _with_zone(plant: Line, columns: int) -> Line:
-    """A line whose zone has so many columns, and as many behind it as before."""
-    longer = columns - plant.zone_columns
-    return replace(plant, columns=plant.columns + longer, zone_columns=columns)
 
 
 def _with_friction(plant: Plant, change: Change) -> Plant:

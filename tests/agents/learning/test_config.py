@@ -22,6 +22,8 @@ BAD: tuple[dict[str, Any], ...] = (
     {"checkpoint_every": 0},
     {"control_period": 0.0},
     {"camera_share": 1.5},
+    {"zones": (0,)},
+    {"zones": (8,), "task": "track"},
     {"friction": 1.0},
     {"hidden": (0,)},
     {"hidden": ()},

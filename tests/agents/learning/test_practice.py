@@ -61,6 +61,15 @@ def test_the_share_that_is_seen_by_a_camera(task: str, share: float) -> None:
     assert practice.observation_space == gym.make(env_id(task), actions="halves").observation_space
 
 
+def test_half_of_the_lanes_seen_exactly_are_on_zones_of_other_lengths() -> None:
+    config = PPOConfig(task="slow", lanes=32, batch_size=64, camera_share=0.5, zones=(8, 24))
+    of_each = make_practice(config).get_attr("settings")
+    columns = [settings.chosen_plant.zone_columns for settings in of_each]
+    assert columns == [16] * 8 + [8] * 4 + [24] * 4 + [16] * 16
+    behind = {each.chosen_plant.columns - each.chosen_plant.zone_columns for each in of_each}
+    assert len(behind) == 1
+
+
 def test_sort_is_practised_in_a_mirror() -> None:
     """The same actions sort to either side."""
     practice = make_practice(DQNConfig(lanes=64, camera_share=0.0))
