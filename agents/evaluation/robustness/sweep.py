@@ -11,12 +11,13 @@ import numpy as np
 from surface_gym.plants import Line
 from surface_gym.sharing import Workers
 
-from ...episodes import run_apart, run_episodes
+from ...episodes import Episodes, run_apart, run_episodes
+from ...planning.knowing import play_knowing
 from ..contenders import ANY_ANGLE, BEST_FIXED, PLANNER, Contender
 from ..trials import SEED, make_trial
 from ..work import Advance, compute_kept
-from .change import situation
-from .factors import FACTORS, TRAINED, Factor, Level
+from .change import Situation, situation
+from .factors import FACTORS, LAB, TRAINED, Factor, Level
 
 FILE = "robustness.jsonl"
 STARTS = 240  # a cell
@@ -24,7 +25,10 @@ STARTS = 240  # a cell
 LEFT_OUT = (BEST_FIXED, ANY_ANGLE)
 # Rules that look far ahead are tried on a quarter of the starts, the planner on a sixth.
 THINKING = {"turning rule": 4, "sliding mode": 4, PLANNER: 6}
-PLANNED = (TRAINED, "square")  # factors that the planner is tried on, at the levels that are told
+# The planner knows all of a start, and so shows what can be reached; it is tried on these factors,
+# at the levels that are told.
+PLANNED = (TRAINED, "square", LAB)
+FOLLOWED = 32  # lanes that it follows at a time at most
 
 SweptKey = tuple[Any, ...]
 
@@ -85,18 +89,24 @@ def compute_swept(
 ) -> SweptCell:
     """Try a contender's seed at the levels of a factor."""
     trial = make_trial(contender.task)
-    run = run_episodes if contender.starts is None else run_apart
     success, errors = [], []
     for level in levels:
         settings = situation(contender, trial, FACTORS[name].change(level))
-        controller = contender.make(settings.told, seed)
-        episodes = run(controller, settings.true, [{}] * starts, SEED)
+        episodes = _episodes(contender, seed, settings, starts)
         success.append("".join("1" if each else "0" for each in episodes.success))
         figure = next(iter(episodes.figures.values()), np.zeros(1))
         errors.append(float(np.median(np.abs(figure))))
     return SweptCell(
         contender.task, contender.name, name, seed, starts, list(levels), success, errors
     )
+
+
+def _episodes(contender: Contender, seed: int, settings: Situation, starts: int) -> Episodes:
+    drawn: list[dict[str, Any]] = [{}] * starts
+    if contender.name == PLANNER:
+        return play_knowing(settings.true, drawn, SEED, FOLLOWED)
+    run = run_episodes if contender.starts is None else run_apart
+    return run(contender.make(settings.told, seed), settings.true, drawn, SEED)
 
 
 def sweep_jobs(
