@@ -84,6 +84,7 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     "design-map.png": _design("map", "--parcel", "0.3x0.4", "--speed", "1.2"),
     "design-control.png": _design("control", "--parcel", "0.3x0.4", "--speed", "1.2"),
     "design-layout.png": _design("layout", "--parcel", "S", "--any-angle"),
+    "robustness.png": FromCommand(("evaluate.py", "--robustness"), "robustness.png"),
     "flow-rate.png": FromCommand(("evaluate.py", "--tasks", "flow"), "flow-rate.png"),
 }
 
@@ -93,7 +94,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python docs/pictures.py",
         description="Make the pictures and films of the documentation, in docs/images.",
-        epilog="The films take two minutes, design-layout.png two, flow-rate.png five.",
+        epilog="The films take two minutes, design-layout.png two, flow-rate.png five, and "
+        "robustness.png thirty.",
     )
     parser.add_argument(
         "--only", nargs="+", choices=PICTURES, metavar="NAME", help=", ".join(PICTURES)

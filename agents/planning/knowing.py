@@ -4,6 +4,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from surface_gym.settings import Settings
 from surface_gym.sharing import Workers, check_workers, quiet, share
 
 from ..episodes import Episodes, side_by_side
-from .aims import AIMS
+from .aims import AIMS, Aim
 from .known import KnownModel
 from .search import lanes_needed, make_plan
 
@@ -68,9 +69,11 @@ class Knowing:
                 f"orientations must be some to choose from, got {settings.orientations!r}"
             )
         self._settings = settings
-        # What is ahead is known: a path, too, is searched to its end at once.
-        limit = settings.chosen_task.periods
-        self._aim = replace(AIMS[settings.task_name], horizon=limit, follow=limit)
+        # What is ahead is known: a path, too, is searched to its end at once. Light parcels leave a
+        # path too easily for that; then it is searched piece by piece.
+        task, aim = settings.chosen_task, AIMS[settings.task_name]
+        whole = replace(aim, horizon=task.periods, follow=task.periods)
+        self._aims = (whole, aim) if task.has_path else (whole,)
         self._budget = checks.integer("budget", budget, least=1)
         self._models: dict[int, KnownModel] = {}
 
@@ -82,22 +85,29 @@ class Knowing:
             seed: of the draws.
         """
         began = time.perf_counter()
-        width = min(LEAST, self._budget)
-        found = self._play(width, options, seed)
-        while not found.success and width < self._budget:
-            width = min(MORE * width, self._budget)
-            found = self._play(width, options, seed)
+        for aim, width in product(self._aims, self._widths):
+            found = self._play(aim, width, options, seed)
+            if found.success:
+                break
         return replace(found, seconds=time.perf_counter() - began)
 
-    def _play(self, width: int, options: dict[str, Any], seed: int) -> Reached:
+    @property
+    def _widths(self) -> list[int]:
+        """Lanes followed at a time, in one search after another."""
+        widths = [min(LEAST, self._budget)]
+        while widths[-1] < self._budget:
+            widths.append(min(MORE * widths[-1], self._budget))
+        return widths
+
+    def _play(self, aim: Aim, width: int, options: dict[str, Any], seed: int) -> Reached:
         """An episode by plans that follow so many lanes."""
-        model = self._model(width)
+        model = self._model(aim, width)
         model.begin(options, seed)
         poses, actions = [model.lanes.truth[0, :3].copy()], list[int]()
         running, left = True, self._settings.chosen_task.periods
         while running and len(actions) < left:
-            plan = make_plan(model, self._aim, width)
-            for action in plan.actions[: self._aim.follow].tolist():
+            plan = make_plan(model, aim, width)
+            for action in plan.actions[: aim.follow].tolist():
                 lanes = model.go_on(action).lanes
                 poses.append(lanes.truth[0, :3].copy())
                 actions.append(action)
@@ -117,12 +127,12 @@ class Knowing:
             seconds=0.0,
         )
 
-    def _model(self, width: int) -> KnownModel:
-        if width not in self._models:
-            choices = self._settings.action_kind.choices**2
-            lanes = lanes_needed(self._aim, width, choices)
-            self._models[width] = KnownModel(self._settings, lanes)
-        return self._models[width]
+    def _model(self, aim: Aim, width: int) -> KnownModel:
+        choices = self._settings.action_kind.choices**2
+        lanes = lanes_needed(aim, width, choices)
+        if lanes not in self._models:
+            self._models[lanes] = KnownModel(self._settings, lanes)
+        return self._models[lanes]
 
 
 def reachable(
