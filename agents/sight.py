@@ -125,7 +125,7 @@ def line_sight(settings: Settings, observations: NDArray[np.float32]) -> LineSig
         front_in_zone, rear_to_go = 0.5 * see["front in zone"], 0.5 * see["rear to go"]
         into_zone = front_in_zone - reach
     shown = "width" in see
-    friction, load_ahead = _learned(settings, see, theta)
+    friction, load_ahead = _learned(settings, see)
     return LineSight(
         into_zone=into_zone,
         offset=mirror * 0.3 * see["lateral offset"],
@@ -149,13 +149,13 @@ def line_sight(settings: Settings, observations: NDArray[np.float32]) -> LineSig
     )
 
 
-def _learned(settings: Settings, see: _Columns, theta: Numbers) -> tuple[Numbers, Numbers]:
+def _learned(settings: Settings, see: _Columns) -> tuple[Numbers, Numbers]:
     """(lanes,) the factor of mu_max, and [m] how far along x the load lies from the centre."""
-    sensors = settings.sensors
+    sensors, theta = settings.sensors, see.theta
     if not isinstance(sensors, LearningCamera):
         return np.ones_like(theta), np.zeros_like(theta)
     friction = 1.0 + sensors.friction_spread * see["friction learned"]
-    # Of Sort both y and theta are seen in a mirror, which leaves x as it is.
+    # Sort's mirror turns both theta and the load's y round, as seen, and so leaves x as it is.
     load_x, load_y = see["load learned, x"], see["load learned, y"]
     ahead = np.cos(theta) * load_x - np.sin(theta) * load_y
     return friction, sensors.load_spread * ahead

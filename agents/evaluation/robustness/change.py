@@ -42,7 +42,7 @@ class Situation(NamedTuple):
 def situation(contender: Contender, trial: Trial, change: Change) -> Situation:
     """The environment of a contender on a task under a change."""
     period = change.control_period or contender.control_period
-    plant = contender.settings(trial, change.condition).chosen_plant
+    plant = trial.task.plant
     slower = contender.control_period / period
     if change.zone_columns is not None:
         assert isinstance(plant, Line)

@@ -182,6 +182,20 @@ def test_what_the_sensors_learned_of_friction_and_load_is_reckoned_with() -> Non
     np.testing.assert_allclose(footing(settings, see).load, see.load_ahead)
 
 
+def test_where_a_load_lies_along_the_line_is_the_same_in_sorts_mirror() -> None:
+    settings = Settings(task="sort", observe=("parcel", "load"), condition="lab")
+    place = {feature.name: k for k, feature in enumerate(settings.features)}
+    seen = np.zeros((2, len(settings.features)), dtype=np.float32)
+    seen[:, place["side"]] = (1.0, -1.0)
+    seen[:, place["cosine of theta"]], seen[:, place["sine of theta"]] = 0.8, 0.6
+    seen[:, place["load learned, y"]] = 2.0
+    see = line_sight(settings, seen)
+    sensors = settings.sensors
+    assert isinstance(sensors, LearningCamera)
+    np.testing.assert_allclose(see.theta, math.atan2(0.6, 0.8) * np.array([1.0, -1.0]), rtol=1e-6)
+    np.testing.assert_allclose(see.load_ahead, -0.6 * 2.0 * sensors.load_spread, rtol=1e-6)
+
+
 def test_beyond_the_end_of_the_zone_the_asked_speed_itself_is_best() -> None:
     """Nothing is left to roll: faster is as bad as it is too fast, slower worse."""
     settings = Settings(task="slow")
