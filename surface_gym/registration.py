@@ -35,7 +35,7 @@ def _register(name: str, task: Any, periods: int) -> None:
     gym.register(
         id=name,
         entry_point="surface_gym.env:SmartSurfaceEnv",
-        vector_entry_point="surface_gym.vector_env:SmartSurfaceVectorEnv",
+        vector_entry_point="surface_gym.devices:make_vector_env",
         max_episode_steps=periods,
         kwargs={"task": task},
     )

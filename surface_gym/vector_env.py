@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from surface_gym.actuators import Actuators
 from surface_gym.batch.batch import Batch
 from surface_gym.conditions import Condition
-from surface_gym.faces.vector import BatchVectorEnv, Booleans, with_masks
+from surface_gym.faces.lanes import Booleans
+from surface_gym.faces.vector import BatchVectorEnv, with_masks
 from surface_gym.lanes.memory import SUCCESS
 from surface_gym.plants import Plant
 from surface_gym.randomisation import Randomisation

@@ -19,10 +19,11 @@ class Reserve:
         lanes: their number.
         draws: numbers of a start.
         shared: whether the generators are shared with other draws, which come between two starts.
+        most_kept: starts of all lanes.
     """
 
-    def __init__(self, lanes: int, draws: int, shared: bool) -> None:
-        ahead = 1 if shared else min(MOST_AHEAD, max(1, MOST_KEPT // lanes))
+    def __init__(self, lanes: int, draws: int, shared: bool, most_kept: int = MOST_KEPT) -> None:
+        ahead = 1 if shared else min(MOST_AHEAD, max(1, most_kept // lanes))
         self.generators: list[np.random.Generator | None] = [None] * lanes
         self._numbers = np.zeros((lanes, ahead, draws))
         self._used = np.full(lanes, ahead)

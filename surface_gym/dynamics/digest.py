@@ -66,7 +66,7 @@ class _Walk:
         for cell in function.__closure__ or ():
             self.take(cell.cell_contents)
         modules = []
-        for name in sorted(_names(function.__code__)):
+        for name in sorted(names_of(function.__code__)):
             if name in function.__globals__:
                 value = function.__globals__[name]
                 self._write("global", name)
@@ -74,7 +74,7 @@ class _Walk:
                 if isinstance(value, types.ModuleType):
                     modules.append(value)
         for module in modules:  # `module.name`: whatever of its names the function may mean
-            for name in sorted(_names(function.__code__)):
+            for name in sorted(names_of(function.__code__)):
                 if hasattr(module, name) and not _is_library(module):
                     self._write("of module", name)
                     self.take(getattr(module, name))
@@ -88,10 +88,10 @@ class _Walk:
         self.hash.update(repr(values).encode())
 
 
-def _names(code: types.CodeType) -> set[str]:
+def names_of(code: types.CodeType) -> set[str]:
     """Names that a function refers to, those of its inner functions included."""
     inner = (each for each in code.co_consts if isinstance(each, types.CodeType))
-    return set(code.co_names).union(*map(_names, inner))
+    return set(code.co_names).union(*map(names_of, inner))
 
 
 def _is_library(module: types.ModuleType) -> bool:

@@ -8,31 +8,20 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.faces.batch import Acts, Driven
-from surface_gym.faces.single import RENDER_FPS, checked_mode
+from surface_gym.faces.lanes import Booleans, LanesEnv
 from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING
-from surface_gym.tasks.start import check_options
 
-Booleans = NDArray[np.bool_]
 Observations = NDArray[np.float32]
 
 
-class BatchVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
+class BatchVectorEnv(LanesEnv):
     """Drives all lanes of a batch; subclasses make the batch, say what `info` tells and what is
-    drawn.
-
-    Args:
-        num_envs: number of lanes.
-        autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED.
-        max_episode_steps: control periods after which a lane is truncated; None for no limit.
-        render_mode: "rgb_array" or None.
+    drawn. Arguments are those of `LanesEnv`.
     """
-
-    metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
 
     def __init__(
         self,
@@ -41,19 +30,9 @@ class BatchVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
         max_episode_steps: int | None,
         render_mode: str | None,
     ) -> None:
-        self.num_envs = checks.integer("num_envs", num_envs, least=1)
-        if max_episode_steps is not None:
-            checks.integer("max_episode_steps", max_episode_steps, least=1)
-        modes = [mode.value for mode in AutoresetMode]
-        if not isinstance(autoreset_mode, AutoresetMode):
-            checks.one_of("autoreset_mode", autoreset_mode, modes)
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        self.render_mode = checked_mode(render_mode, type(self).metadata["render_modes"])
-        self._limit = np.iinfo(np.int64).max if max_episode_steps is None else max_episode_steps
+        super().__init__(num_envs, autoreset_mode, max_episode_steps, render_mode)
         self._steps_left = np.zeros(self.num_envs, dtype=np.int64)
         self._all = np.ones(self.num_envs, dtype=np.bool_)
-        self._started = False
 
     def _drive(
         self, batch: Driven, kind: Acts, observations: gym.Space[Any], actions: gym.Space[Any]
@@ -61,10 +40,7 @@ class BatchVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
         """Take the batch, and the spaces of one lane."""
         self._driven = batch
         self._actions = kind
-        self.single_observation_space = observations
-        self.single_action_space = actions
-        self.observation_space = batch_space(observations, self.num_envs)
-        self.action_space = batch_space(actions, self.num_envs)
+        self._show(observations, actions)
 
     def _threads(self, threads: int) -> int:
         """Those asked for, no more than there are lanes."""
@@ -99,7 +75,7 @@ class BatchVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
                 "The first reset must be of every lane, without reset_mask."
             )
         seeds = self._seed_of_each(seed)
-        given = self._options_of_each(options)
+        given = self._options_of_each(options, self._driven.options)
         chosen = np.nonzero(mask)[0]
         some = [given[lane] for lane in chosen.tolist()] if any(given) else []
         if some:  # a bad option of one lane leaves all as they were
@@ -173,39 +149,6 @@ class BatchVectorEnv(gym.vector.VectorEnv[Observations, Any, Any]):
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before render.")
         return (self._picture(),)
-
-    def _seed_of_each(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        if seed is None:
-            return [None] * self.num_envs
-        if isinstance(seed, (int, np.integer)):
-            return [int(seed) + lane for lane in range(self.num_envs)]
-        if not isinstance(seed, (Sequence, np.ndarray)) or len(seed) != self.num_envs:
-            raise ValueError(f"seed must be one number or {self.num_envs} of them, got {seed!r}")
-        return list(seed)
-
-    def _options_of_each(
-        self, options: dict[str, Any] | Sequence[dict[str, Any] | None] | None
-    ) -> list[dict[str, Any]]:
-        if options is None or isinstance(options, dict):
-            return [check_options(options, self._driven.options)] * self.num_envs
-        if not isinstance(options, Sequence) or len(options) != self.num_envs:
-            raise ValueError(
-                f"options must be a dict or {self.num_envs} of dict or None, got {options!r}"
-            )
-        return [check_options(choice, self._driven.options) for choice in options]
-
-    def _checked_mask(self, mask: Any) -> Booleans:
-        if not (
-            isinstance(mask, np.ndarray)
-            and mask.dtype == np.bool_
-            and mask.shape == (self.num_envs,)
-            and mask.any()
-        ):
-            raise ValueError(
-                f"reset_mask must be a boolean array of shape ({self.num_envs},) "
-                f"with a True in it, got {mask!r}"
-            )
-        return mask
 
 
 def with_masks(values: dict[str, Any], mask: Booleans) -> dict[str, Any]:

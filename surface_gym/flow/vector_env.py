@@ -7,7 +7,8 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from surface_gym.actuators import Actuators
-from surface_gym.faces.vector import BatchVectorEnv, Booleans, with_masks
+from surface_gym.faces.lanes import Booleans
+from surface_gym.faces.vector import BatchVectorEnv, with_masks
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.exits import Exits
 from surface_gym.flow.infos import episodes_of, infos_of

@@ -1,0 +1,102 @@
+"""The kernels of a batch on a GPU: a thread a lane."""
+
+from typing import Any
+
+import numpy as np
+from numba import cuda
+
+from surface_gym.batch.functions import functions_of
+from surface_gym.batch.kernels import Rules, moving
+from surface_gym.dynamics.types import Booleans, Integers, Scratch
+from surface_gym.gpu.scratch import capacity_of, layout
+from surface_gym.gpu.source import Source
+from surface_gym.gpu.starts import Starts
+from surface_gym.lanes.memory import PLACED, Lanes, Sites, Surfaces
+from surface_gym.settings import Settings
+
+
+def device_function(function: Any) -> Any:
+    """A function that kernels call."""
+    return cuda.jit(device=True)(function)
+
+
+def move_kernel(settings: Settings) -> Any:
+    """Build `move(rules, surfaces, lanes, sites, order, mask)`, for `cuda.jit`.
+
+    Thread t moves lane order[t], if it is in the mask (lanes,): see `batch.kernels.moving`.
+    """
+    places = layout(capacity_of(settings))
+    functions = functions_of(settings)
+    move_lane = Source(places, device_function).remade(moving(functions))
+    # A thread's local memory lies interleaved with its neighbours'.
+    table_size, marks_size, spans = places["TABLE_SIZE"], places["MARKS_SIZE"], places["SPANS"]
+
+    def move(
+        rules: Rules,
+        surfaces: Surfaces,
+        lanes: Lanes,
+        sites: Sites,
+        order: Integers,
+        mask: Booleans,
+    ) -> None:
+        thread = cuda.grid(1)
+        if thread >= order.shape[0] or not mask[order[thread]]:
+            return
+        scratch = Scratch(
+            cuda.local.array(table_size, np.float64), cuda.local.array(marks_size, np.int64)
+        )
+        scratch.marks[spans] = -1
+        # A sensor that does not watch has no use for scratch of its own.
+        move_lane(rules, surfaces, lanes, sites, scratch, scratch, order[thread])
+
+    def move_watched(
+        rules: Rules,
+        surfaces: Surfaces,
+        lanes: Lanes,
+        sites: Sites,
+        order: Integers,
+        mask: Booleans,
+    ) -> None:
+        thread = cuda.grid(1)
+        if thread >= order.shape[0] or not mask[order[thread]]:
+            return
+        scratch = Scratch(
+            cuda.local.array(table_size, np.float64), cuda.local.array(marks_size, np.int64)
+        )
+        scratch.marks[spans] = -1
+        own = Scratch(
+            cuda.local.array(table_size, np.float64), cuda.local.array(marks_size, np.int64)
+        )
+        own.marks[spans] = -1
+        move_lane(rules, surfaces, lanes, sites, scratch, own, order[thread])
+
+    return move_watched if functions.watches else move
+
+
+def place(
+    surfaces: Surfaces, lanes: Lanes, starts: Starts, taken: Integers, mask: Booleans
+) -> None:
+    """Put the next of its starts on each lane in the mask (lanes,), as `Batch.place` does.
+
+    Args:
+        surfaces: of the batch.
+        lanes: of the batch.
+        starts: laid out ahead.
+        taken: (lanes,) starts that each lane has taken.
+        mask: (lanes,)
+    """
+    i = cuda.grid(1)
+    if i >= mask.shape[0] or not mask[i]:
+        return
+    k = taken[i] % starts.site.shape[1]
+    taken[i] += 1
+    lanes.site[i] = starts.site[i, k]
+    for n in range(starts.state.shape[2]):
+        lanes.state[i, n] = starts.state[i, k, n]
+    for n in range(starts.conditions.shape[2]):
+        surfaces.conditions[i, n] = starts.conditions[i, k, n]
+    for n in range(starts.goal.shape[2]):
+        lanes.goal[i, n] = starts.goal[i, k, n]
+    for n in range(starts.path.shape[2]):
+        lanes.path[i, n] = starts.path[i, k, n]
+    lanes.outcome[i] = PLACED

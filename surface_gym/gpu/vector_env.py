@@ -1,0 +1,194 @@
+"""The vector environment on a GPU: the native one's face, of tensors."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector import AutoresetMode
+
+from surface_gym.faces.lanes import LanesEnv
+from surface_gym.gpu.actions import TensorActions
+from surface_gym.gpu.batch import DeviceBatch
+from surface_gym.gpu.needs import check_settings
+from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING, SOUND, SUCCESS
+from surface_gym.settings import Settings
+
+CHECKED_EVERY = 64  # control periods: to look for errors, the host waits for the device
+
+
+class DeviceVectorEnv(LanesEnv):
+    """`SmartSurfaceVectorEnv` on a GPU; `gym.make_vec(..., device="cuda")` gives it. Experimental.
+
+    The source of physics, sensors and tasks is the CPU's, compiled for the GPU, and lane i seeded
+    s + i begins as the CPU's. What follows agrees with the CPU but for the last digits: a GPU
+    rounds a product and a sum once, and has sines of its own.
+
+    Actions, observations, rewards and all else are torch tensors on the device; none goes through
+    the host, and `step` does not wait for the device. What it returns is the caller's to keep.
+    Differences to `SmartSurfaceVectorEnv`:
+
+    - infos name tensors (lanes, ...); "outcome" is a number, the place in `outcomes`;
+    - in SAME_STEP mode "final_obs" and "final_info" are there at every step, and hold for the
+      lanes in "_final_obs";
+    - an action out of range, or a number of a task's own that is not finite, is an error within
+      64 control periods; an index of a task's own beyond an array is not seen: try a task on the
+      CPU first;
+    - there are no pictures, noise, randomisation or infos on request; parcels are the task's.
+
+    Args:
+        num_envs: number of lanes; 30 000 and more fill a data-centre card.
+        settings: of the environment.
+        max_episode_steps: control periods after which a lane is truncated; None for no limit.
+        autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED, which makes the host
+            wait for the device in every step.
+        device: where it runs.
+
+    Raises:
+        ValueError: an argument is not allowed.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        settings: Settings,
+        max_episode_steps: int | None,
+        autoreset_mode: AutoresetMode | str,
+        device: torch.device,
+    ) -> None:
+        super().__init__(num_envs, autoreset_mode, max_episode_steps, None)
+        check_settings(settings)
+        self.settings = settings
+        self.device = device
+        self._batch = DeviceBatch(settings, self.num_envs, device)
+        self.outcomes = self._batch.outcomes  # how an episode may stand
+        self._show(settings.observation_space(), settings.action_space())
+        self._actions = TensorActions(settings.action_kind, self.num_envs, device)
+        self._all = torch.ones(self.num_envs, dtype=torch.bool, device=device)
+        self._steps_left = torch.zeros(self.num_envs, dtype=torch.int64, device=device)
+        self._seeded = np.zeros(self.num_envs, dtype=np.bool_)
+        self._steps = 0
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | Sequence[dict[str, Any] | None] | None = None,
+    ) -> tuple[torch.Tensor, dict[str, Any]]:
+        batch, chosen = self._batch, np.ones(self.num_envs, dtype=np.bool_)
+        if isinstance(options, dict) and "reset_mask" in options:
+            mask = options["reset_mask"]
+            chosen = self._checked_mask(mask.cpu().numpy() if torch.is_tensor(mask) else mask)
+            options = {name: value for name, value in options.items() if name != "reset_mask"}
+        if not self._started and not chosen.all():
+            raise gym.error.ResetNeeded(
+                "The first reset must be of every lane, without reset_mask."
+            )
+        if not self._started and seed is None:
+            seed = int(np_random()[0].integers(2**31))
+        seeds = self._seed_of_each(seed)
+        given = self._options_of_each(options, batch.options)
+        lanes = np.nonzero(chosen)[0]
+        some = [given[lane] for lane in lanes.tolist()] if any(given) else []
+        if some:  # a bad option of one lane leaves all as they were
+            batch.check(some)
+        self._check()
+        anew = [lane for lane in lanes.tolist() if seeds[lane] is not None]
+        for lane in anew:
+            batch.supply.reserve.seed(lane, np_random(seeds[lane])[0])
+        batch.supply.renew(np.array(anew, dtype=np.int64), lanes, some)
+        begun = torch.from_numpy(chosen).to(self.device)
+        batch.place(begun)
+        batch.move(begun)
+        self._steps_left.masked_fill_(begun, self._limit)
+        self._started = True
+        return self._observation(), self._infos(begun)
+
+    def step(
+        self, actions: Any
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
+        if not self._started:
+            raise gym.error.ResetNeeded("Call reset before step.")
+        batch = self._batch
+        outcome = batch.lanes.outcome
+        ended = outcome != RUNNING
+        if self.autoreset_mode == AutoresetMode.DISABLED and ended.any():
+            which = torch.nonzero(ended).flatten().tolist()
+            raise gym.error.ResetNeeded(f"Lanes {which} have ended: reset them with reset_mask.")
+        batch.surfaces.command.copy_(self._actions.commands(actions))
+        if self.autoreset_mode == AutoresetMode.NEXT_STEP:  # this step is their reset
+            batch.place(ended)
+        batch.move(self._all)
+        self._steps_left -= 1
+        self._steps_left.masked_fill_(ended, self._limit)
+        late = self._steps_left <= 0
+        outcome.masked_fill_(late & (outcome == RUNNING), OUT_OF_TIME)
+        truncated = (outcome == OUT_OF_TIME) | late
+        terminated = outcome > OUT_OF_TIME
+        rewards = batch.lanes.reward.clone()
+        infos: dict[str, Any] = {}
+        if self.autoreset_mode == AutoresetMode.SAME_STEP:
+            infos = self._begin_again(truncated | terminated)
+        infos.update(self._infos(self._all))
+        batch.supply.follow()
+        self._steps += 1
+        if self._steps % CHECKED_EVERY == 0:
+            self._check()
+        return self._observation(), rewards, terminated, truncated, infos
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Raise what has not been told yet, and end the thread that draws starts."""
+        del kwargs
+        self._batch.supply.close()
+        self._check()
+
+    def _begin_again(self, over: torch.Tensor) -> dict[str, Any]:
+        """Begin other episodes on the lanes whose have ended; infos of those that ended."""
+        ended = {
+            "final_obs": self._observation(),
+            "_final_obs": over,
+            "final_info": self._infos(over),
+            "_final_info": over,
+        }
+        self._batch.place(over)
+        self._batch.move(over)
+        self._steps_left.masked_fill_(over, self._limit)
+        return ended
+
+    def _observation(self) -> torch.Tensor:
+        observation: torch.Tensor = self._batch.lanes.observation
+        return observation.clone(memory_format=torch.contiguous_format)
+
+    def _infos(self, mask: torch.Tensor) -> dict[str, Any]:
+        """Infos of the lanes in the mask: tensors and, as Gymnasium has it, whose they are."""
+        lanes, task = self._batch.lanes, self._batch.task
+        infos = {
+            "is_success": lanes.outcome == SUCCESS,
+            "outcome": lanes.outcome.clone(),
+            "time": lanes.clock.clone(),
+            "pose": lanes.truth[:, :3].clone(),
+            "velocity": lanes.truth[:, 3:].clone(),
+            **{name: lanes.figures[:, k].clone() for k, name in enumerate(task.figures)},
+            "reward_terms": {name: lanes.terms[:, k].clone() for k, name in enumerate(task.terms)},
+        }
+        return {**infos, **{f"_{name}": mask for name in infos}}
+
+    def _check(self) -> None:
+        """Raise what went wrong since the last time."""
+        if self._actions.wrong.item():
+            self._actions.wrong.zero_()
+            raise ValueError(
+                f"action must be between {self._actions.allowed}, got another in the last "
+                f"{CHECKED_EVERY} control periods"
+            )
+        fault = self._batch.first_fault
+        if (fault != SOUND).any().item():
+            lane = int(torch.nonzero(fault)[0])
+            fault.zero_()
+            raise ValueError(
+                f"{type(self._batch.task).__name__} gave an outcome that it does not have, or a "
+                f"reward or feature that is not finite, on lane {lane} in the last "
+                f"{CHECKED_EVERY} control periods; the same lane on the CPU says which"
+            )
