@@ -23,7 +23,7 @@ class TensorActions:
         self._shape = (lanes,) if single else (lanes, kind.size)
         self._choices = kind.choices**2 if single else kind.choices
         self._single = single
-        self.allowed = "-pi/2 to pi/2" if kind.continuous else f"0 to {self._choices - 1}"
+        self.allowed = "-pi/2 and pi/2" if kind.continuous else f"0 and {self._choices - 1}"
         # () whether a number was out of range
         self.wrong = torch.zeros((), dtype=torch.bool, device=device)
 

@@ -1,5 +1,6 @@
 """The kernels of a batch on a GPU: a thread a lane."""
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -20,14 +21,23 @@ def device_function(function: Any) -> Any:
     return cuda.jit(device=True)(function)
 
 
+@lru_cache(maxsize=16)
+def device_source(capacity: int) -> Source:
+    """Functions of a GPU whose scratch has room for so many contacts; those that several tasks call
+    are compiled once.
+    """
+    return Source(layout(capacity), device_function)
+
+
 def move_kernel(settings: Settings) -> Any:
     """Build `move(rules, surfaces, lanes, sites, order, mask)`, for `cuda.jit`.
 
     Thread t moves lane order[t], if it is in the mask (lanes,): see `batch.kernels.moving`.
     """
-    places = layout(capacity_of(settings))
+    capacity = capacity_of(settings)
+    places = layout(capacity)
     functions = functions_of(settings)
-    move_lane = Source(places, device_function).remade(moving(functions))
+    move_lane = device_source(capacity).remade(moving(functions))
     # A thread's local memory lies interleaved with its neighbours'.
     table_size, marks_size, spans = places["TABLE_SIZE"], places["MARKS_SIZE"], places["SPANS"]
 

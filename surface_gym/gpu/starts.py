@@ -146,4 +146,4 @@ class Supply:
         rows = laid.rows
         values = (rows.site, rows.state, rows.conditions, rows.goal, laid.path)
         for ring, value in zip(self.starts, values, strict=True):
-            ring[lanes, slots] = torch.from_numpy(np.ascontiguousarray(value)).to(device)
+            ring[lanes, slots] = torch.tensor(value, device=device)

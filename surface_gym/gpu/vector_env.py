@@ -164,6 +164,7 @@ class DeviceVectorEnv(LanesEnv):
     def _infos(self, mask: torch.Tensor) -> dict[str, Any]:
         """Infos of the lanes in the mask: tensors and, as Gymnasium has it, whose they are."""
         lanes, task = self._batch.lanes, self._batch.task
+        terms = {name: lanes.terms[:, k].clone() for k, name in enumerate(task.terms)}
         infos = {
             "is_success": lanes.outcome == SUCCESS,
             "outcome": lanes.outcome.clone(),
@@ -171,7 +172,7 @@ class DeviceVectorEnv(LanesEnv):
             "pose": lanes.truth[:, :3].clone(),
             "velocity": lanes.truth[:, 3:].clone(),
             **{name: lanes.figures[:, k].clone() for k, name in enumerate(task.figures)},
-            "reward_terms": {name: lanes.terms[:, k].clone() for k, name in enumerate(task.terms)},
+            "reward_terms": {**terms, **{f"_{name}": mask for name in terms}},
         }
         return {**infos, **{f"_{name}": mask for name in infos}}
 

@@ -1,0 +1,85 @@
+"""Kernels in Numba's CUDA simulator beside the CPU's vector env, in a process of its own:
+`NUMBA_ENABLE_CUDASIM=1 python -m tests.gpu.simulated` prints, for every case, what differs.
+"""
+
+import json
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode
+
+import surface_gym  # noqa: F401
+from surface_gym.devices import make_device_env
+from tests.gpu.cases import CASES, actions_of, id_of
+
+LANES, LIMIT, PERIODS = 3, 5, 12
+
+
+def differences(name: str, mode: AutoresetMode) -> list[str]:
+    """What is not the same to the bit, over some episodes."""
+    task, settings = CASES[name]
+    given = {"max_episode_steps": LIMIT, "autoreset_mode": mode, **settings}
+    cpu = gym.make_vec(id_of(name), num_envs=LANES, **given)
+    device = make_device_env(LANES, "cpu", task=task, **given)
+    actions = actions_of(cpu, PERIODS)
+    seed: dict[str, Any] = {"seed": 3}
+    found = compared(cpu.reset(**seed), device.reset(**seed), device.outcomes, "reset")
+    for period, action in enumerate(actions):
+        options: dict[str, Any] = {}
+        if period == LIMIT + 3:  # one lane, in the middle of its episode
+            options = {"reset_mask": np.arange(LANES) == 1, "speed": 0.9}
+        elif mode == AutoresetMode.DISABLED and period == LIMIT:
+            options = {"reset_mask": np.ones(LANES, dtype=np.bool_)}
+        if options:
+            of_cpu, of_device = cpu.reset(options=options), device.reset(options=options)
+        else:
+            of_cpu, of_device = cpu.step(action), device.step(torch.from_numpy(action))
+        found += compared(of_cpu, of_device, device.outcomes, f"period {period}")
+    device.close()
+    return found
+
+
+def compared(one: Any, other: Any, outcomes: tuple[str, ...], place: str) -> list[str]:
+    """What the CPU gives and the device does not."""
+    if isinstance(one, tuple):
+        pairs = zip(one, other, strict=True)
+        return [
+            w for k, pair in enumerate(pairs) for w in compared(*pair, outcomes, f"{place} {k}")
+        ]
+    if isinstance(one, dict):
+        ended = {"final_obs", "final_info", "_final_obs", "_final_info"}
+        found = [] if set(one) - ended == set(other) - ended else [f"{place}: other names"]
+        for name in set(one) - ended:
+            found += compared(one[name], other[name], outcomes, f"{place} {name}")
+        return found + of_ended(one, other, outcomes, place)
+    if one.dtype == object:
+        other = np.array(outcomes, dtype=object)[other.numpy()]
+    return [] if np.array_equal(one, other) else [f"{place}: {one} is {other}"]
+
+
+def of_ended(
+    one: dict[str, Any], other: dict[str, Any], outcomes: tuple[str, ...], place: str
+) -> list[str]:
+    """What differs of the episodes that ended in a step."""
+    if "final_obs" not in one:
+        any_ended = "_final_obs" in other and bool(other["_final_obs"].any())
+        return [f"{place}: episodes ended"] if any_ended else []
+    lanes = one["_final_obs"]
+    last = np.stack(one["final_obs"][lanes]), other["final_obs"].numpy()[lanes]
+    return (
+        compared(lanes, other["_final_obs"], outcomes, f"{place} _final_obs")
+        + compared(*last, outcomes, f"{place} final_obs")
+        + compared(one["final_info"], other["final_info"], outcomes, f"{place} final_info")
+    )
+
+
+def main() -> None:
+    """Compare all cases, each in one mode."""
+    modes = list(AutoresetMode)
+    print(json.dumps({name: differences(name, modes[k % 3]) for k, name in enumerate(CASES)}))
+
+
+if __name__ == "__main__":
+    main()

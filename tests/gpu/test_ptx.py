@@ -1,0 +1,70 @@
+"""Kernels compile for data-centre GPUs, on a machine that has none."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numba import typeof, types
+
+from surface_gym.batch.batch import Batch
+from tests.gpu.cases import every_case, needs_numba_cuda, settings_of
+
+pytestmark = needs_numba_cuda
+
+CAPABILITIES = ((8, 0), (9, 0))  # A100, H100 and H200
+
+
+@pytest.fixture
+def without_a_device(monkeypatch):
+    """Functions that kernels call ask for the device at hand; none is, so it is made up."""
+    from numba.cuda import dispatcher
+
+    device = SimpleNamespace(compute_capability=CAPABILITIES[0])
+    monkeypatch.setattr(dispatcher, "get_current_device", lambda: device)
+
+
+def strided(kind):
+    """The type of an argument, its arrays of any layout."""
+    if isinstance(kind, types.Array):
+        return kind.copy(layout="A")
+    if isinstance(kind, types.NamedTuple):
+        return types.NamedTuple([strided(each) for each in kind.types], kind.instance_class)
+    return kind
+
+
+def ptx_of(kernel, arguments, capability):
+    from numba import cuda
+
+    signature = types.void(*(strided(typeof(argument)) for argument in arguments))
+    ptx, _ = cuda.compile_ptx(kernel, signature, cc=capability)
+    return ptx
+
+
+@pytest.mark.usefixtures("without_a_device")
+@every_case
+def test_every_task_compiles_for_every_capability(name):
+    from surface_gym.gpu.kernel import move_kernel
+
+    settings = settings_of(name)
+    batch = Batch(settings, 2)
+    order, mask = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.bool_)
+    kernel = move_kernel(settings)
+    for major, minor in CAPABILITIES:
+        ptx = ptx_of(kernel, (*batch._arrays, order, mask), (major, minor))
+        assert f".target sm_{major}{minor}" in ptx
+        assert ".visible .entry" in ptx
+        assert ".local" in ptx  # a thread's scratch
+
+
+@pytest.mark.usefixtures("without_a_device")
+def test_placing_compiles():
+    from surface_gym.gpu.kernel import place
+    from surface_gym.gpu.starts import Starts
+
+    batch = Batch(settings_of("track"), 2)
+    starts = Starts(np.zeros((2, 4), dtype=np.int64), *(np.zeros((2, 4, 8)) for _ in range(4)))
+    taken, mask = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.bool_)
+    for capability in CAPABILITIES:
+        assert ".visible .entry" in ptx_of(
+            place, (batch.surfaces, batch.lanes, starts, taken, mask), capability
+        )
