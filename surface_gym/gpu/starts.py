@@ -2,7 +2,7 @@
 that they are those of the CPU's batch; laid out on the device ahead of need.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -55,7 +55,7 @@ class Supply:
         lanes: int,
         device: torch.device,
     ) -> None:
-        self.reserve = Reserve(lanes, task.draws, shared=False, most_kept=MOST_AHEAD * lanes)
+        self._reserve = Reserve(lanes, task.draws, shared=False, most_kept=MOST_AHEAD * lanes)
         self._lay_out = lay_out
         self._numbers = np.zeros((lanes, AHEAD, task.draws))  # that the rings' starts came of
         self._laid = np.zeros(lanes, dtype=np.int64)  # starts of each lane, so far
@@ -73,20 +73,29 @@ class Supply:
         # (lanes,) starts that each lane has taken from its ring
         self.taken = torch.zeros(lanes, dtype=torch.int64, device=device)
 
-    def renew(self, seeded: Integers, chosen: Integers, options: Sequence[dict[str, Any]]) -> None:
+    def is_seeded(self, lane: int) -> bool:
+        """Whether a lane has a generator."""
+        return self._reserve.generators[lane] is not None
+
+    def renew(
+        self,
+        generators: Mapping[int, np.random.Generator],
+        chosen: Integers,
+        options: Sequence[dict[str, Any]],
+    ) -> None:
         """Fill the rings for lanes that are about to begin.
 
         Args:
-            seeded: (count,) lanes that have a new generator: none of their starts is taken yet.
-            chosen: (count,) lanes about to begin.
+            generators: that some lanes, by their number, draw their starts from anew.
+            chosen: (count,) lanes about to begin, all of which have a generator.
             options: of each of these; none at all: none has any.
         """
-        self._receive()
+        self._receive()  # of the generators that lanes had
         taken = self._taken_so_far()
-        if len(seeded) > 0:
-            taken[seeded] = 0
-            self._laid[seeded] = 0
-            self.taken.copy_(torch.from_numpy(taken))
+        for lane, generator in generators.items():
+            self._reserve.seed(lane, generator)
+            taken[lane] = self._laid[lane] = 0
+        self.taken.copy_(torch.from_numpy(taken))
         self._send(self._prepare(taken + AHEAD))
         self._steps = 0
         if options:
@@ -119,7 +128,7 @@ class Supply:
         lanes, slots, numbers = [], [], []
         while (short := np.nonzero(self._laid < wanted)[0]).size:
             slot = self._laid[short] % AHEAD
-            self._numbers[short, slot] = drawn = self.reserve.take(short)
+            self._numbers[short, slot] = drawn = self._reserve.take(short)
             self._laid[short] += 1
             lanes.append(short)
             slots.append(slot)

@@ -68,7 +68,6 @@ class DeviceVectorEnv(LanesEnv):
         self._actions = TensorActions(settings.action_kind, self.num_envs, device)
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=device)
         self._steps_left = torch.zeros(self.num_envs, dtype=torch.int64, device=device)
-        self._seeded = np.zeros(self.num_envs, dtype=np.bool_)
         self._steps = 0
 
     def reset(
@@ -95,10 +94,12 @@ class DeviceVectorEnv(LanesEnv):
         if some:  # a bad option of one lane leaves all as they were
             batch.check(some)
         self._check()
-        anew = [lane for lane in lanes.tolist() if seeds[lane] is not None]
-        for lane in anew:
-            batch.supply.reserve.seed(lane, np_random(seeds[lane])[0])
-        batch.supply.renew(np.array(anew, dtype=np.int64), lanes, some)
+        generators = {
+            lane: np_random(seeds[lane])[0]
+            for lane in lanes.tolist()
+            if seeds[lane] is not None or not batch.supply.is_seeded(lane)
+        }
+        batch.supply.renew(generators, lanes, some)
         begun = torch.from_numpy(chosen).to(self.device)
         batch.place(begun)
         batch.move(begun)

@@ -31,8 +31,8 @@ def pair(task, seed=0):
     batch, device = StillBatch(settings, LANES), DeviceBatch(settings, LANES, CPU)
     for lane in range(LANES):
         batch.seed(lane, np.random.default_rng(seed + lane))
-        device.supply.reserve.seed(lane, np.random.default_rng(seed + lane))
-    device.supply.renew(ALL, ALL, ())
+    generators = {lane: np.random.default_rng(seed + lane) for lane in range(LANES)}
+    device.supply.renew(generators, ALL, ())
     return batch, device.supply
 
 
@@ -78,10 +78,8 @@ def test_a_lane_with_a_new_generator_begins_anew_and_others_go_on():
         batch._place_drawn(ALL)
         take(supply, ALL)
         supply.follow()
-    lane = np.array([1])
     batch.seed(1, np.random.default_rng(9))
-    supply.reserve.seed(1, np.random.default_rng(9))
-    supply.renew(lane, ALL, ())
+    supply.renew({1: np.random.default_rng(9)}, ALL, ())
     batch._place_drawn(ALL)
     assert_placed(batch, ALL, take(supply, ALL))
     supply.close()
@@ -90,7 +88,7 @@ def test_a_lane_with_a_new_generator_begins_anew_and_others_go_on():
 def test_an_option_changes_what_was_drawn_and_not_what_follows():
     batch, supply = pair("sort")
     options = [{"speed": 1.1}, {}, {"side": -1, "parcel": "B"}]
-    supply.renew(np.zeros(0, dtype=np.int64), ALL, options)
+    supply.renew({}, ALL, options)
     batch._place_drawn(ALL, options)
     assert_placed(batch, ALL, take(supply, ALL))
     batch._place_drawn(ALL)
