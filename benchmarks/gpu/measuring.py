@@ -20,6 +20,8 @@ from surface_gym.cores import usable_cores
 from surface_gym.tasks.sort import Sort
 
 HOST_LANES = 4096  # of the CPU's vector environment
+# A window of as many decisions as a GPU's would take the CPU half a minute.
+HOST_EFFORT = Effort(steps=64, settling=64)
 WORLDS = (1024, 4096, 16384)  # of MuJoCo Warp, which is at its best with thousands
 
 
@@ -42,7 +44,7 @@ def jobs(lanes: Sequence[int], beside: bool) -> Iterator[Job]:
     effort = Effort()
     for name, task in TASKS.items():
         for threads in sorted({1, usable_cores()}):
-            yield Job(on_cpu(name, threads), partial(_host, name, task, threads, effort))
+            yield Job(on_cpu(name, threads), partial(_host, name, task, threads))
     yield Job(f"agreement of {LANES:,} lanes", _agreement)
     for name, task in TASKS.items():
         for count in lanes:
@@ -65,9 +67,9 @@ def machine() -> str:
     )
 
 
-def _host(name: str, task: Sort, threads: int, effort: Effort, results: Results) -> None:
+def _host(name: str, task: Sort, threads: int, results: Results) -> None:
     env = make_env(task, HOST_LANES, threads=threads)
-    results.rates.append(rate_of(HostLanes(on_cpu(name, threads), env), effort))
+    results.rates.append(rate_of(HostLanes(on_cpu(name, threads), env), HOST_EFFORT))
     env.close()
 
 
