@@ -3,25 +3,37 @@
 import json
 import os
 import platform
+import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import tyro
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from benchmarks import accuracy, design, environments, physics, sharing
 from benchmarks.environments import BOX2D, ENVPOOL
-from benchmarks.figure import Figure
+from benchmarks.figure import Figure, table_of
+from benchmarks.gpu.command import NotMeasured, measure_device
+from surface_gym.gpu.needs import DeviceMissing
 
 
 @dataclass(frozen=True)
 class BenchmarkConfig:
-    """Measure cost and accuracy, warmed up."""
+    """Measure cost and accuracy, warmed up; or decisions a second on a GPU."""
 
+    device: Literal["cpu", "cuda"] = "cpu"
+    """"cuda" measures the vector environment on a GPU, beside the CPU's: lanes, beside, json and
+    picture are read then, and the others are not."""
+    lanes: tuple[int, ...] = (1024, 4096, 16384, 65536, 262144)
+    """On the GPU."""
+    beside: bool = True
+    """MuJoCo Warp and gymnax on the GPU, where they are installed."""
+    picture: Path | None = None
+    """File to draw the GPU's decisions a second against lanes in."""
     physics: bool = True
     """Cost of a step, of an import and of a first step."""
     environments: bool = True
@@ -38,14 +50,16 @@ class BenchmarkConfig:
     """File to write the figures to."""
 
 
-def _written(value: float) -> str:
-    return f"{value:,.0f}" if value >= 1000.0 else f"{value:.3g}"
-
-
 def main() -> None:
     """Measure, print, write."""
     config = tyro.cli(BenchmarkConfig)
     console = Console()
+    if config.device == "cuda":
+        try:
+            measure_device(config.lanes, config.beside, config.json, config.picture, console)
+        except (DeviceMissing, NotMeasured, ValueError) as error:
+            sys.exit(f"error: {error}")
+        return
     figures: list[Figure] = []
     measures: list[Callable[[], list[Figure]]] = []
     if config.physics:
@@ -65,12 +79,7 @@ def main() -> None:
         console.print("left out, not installed: ray (extra 'cluster')", markup=False)
     for measure in track(measures, "measuring", console=console, transient=True):
         figures += measure()
-    table = Table("figure", title=f"{platform.machine()}, {os.cpu_count()} cores")
-    for column in ("measured", "unit", "asked"):
-        table.add_column(column, justify="right")
-    for figure in figures:
-        table.add_row(figure.name, _written(figure.value), figure.unit, figure.asked)
-    console.print(table)
+    console.print(table_of(figures, f"{platform.machine()}, {os.cpu_count()} cores"))
     errors: dict[float, np.ndarray] = {}
     if config.scenes:
         errors = accuracy.measure(config.scenes, config.seed, console)

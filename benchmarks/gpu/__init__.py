@@ -1,0 +1,1 @@
+"""`python -m benchmarks --device cuda`: what a GPU makes of the same physics."""
