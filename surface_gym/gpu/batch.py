@@ -20,8 +20,6 @@ from surface_gym.parcel import Parcel
 from surface_gym.settings import Settings
 from surface_gym.tasks.start import Draw
 
-GROUPED_EVERY = 8  # control periods
-
 
 class DeviceBatch:
     """Lanes of one environment, as `batch.batch.Batch` has them, on a device.
@@ -52,7 +50,6 @@ class DeviceBatch:
         self.supply = Supply(self.task, self._lay_out, lanes, device)
         # (lanes,) which lane each thread moves
         self._order = torch.arange(lanes, device=device)
-        self._moves = 0
         # (lanes,) what a function was the first to do wrong
         self.first_fault = torch.zeros(lanes, dtype=torch.int64, device=device)
         self._mask = torch.zeros(lanes, dtype=torch.bool, device=device)  # that kernels read
@@ -79,18 +76,17 @@ class DeviceBatch:
 
     def move(self, mask: torch.Tensor) -> None:
         """Move the lanes in the mask (lanes,) over one control period, or begin those placed."""
-        self._group()
         self._mask.copy_(mask)
         self._move()
-        self._moves += 1
         fault = torch.where(mask, self.lanes.fault, SOUND)
         torch.where(self.first_fault == SOUND, fault, self.first_fault, out=self.first_fault)
 
-    def _group(self) -> None:
+    def group(self) -> None:
         """Let neighbouring threads move parcels that are alike: they take as many turns in each
-        loop, and threads that do not wait for those that do.
+        loop, and threads that do not wait for those that do. To call now and then, as parcels
+        change.
         """
-        if len(self._sites.zone) > 1 and self._moves % GROUPED_EVERY == 0:
+        if len(self._sites.zone) > 1:
             self._order.copy_(torch.argsort(self.lanes.site, stable=True))
 
     def _placement(self, parcel: Parcel) -> Placement:

@@ -7,7 +7,7 @@ import numpy as np
 from numba import cuda
 
 from surface_gym.batch.functions import functions_of
-from surface_gym.batch.kernels import Rules, moving
+from surface_gym.batch.kernels import Functions, Rules, moving
 from surface_gym.dynamics.types import Booleans, Integers, Scratch
 from surface_gym.gpu.scratch import capacity_of, layout
 from surface_gym.gpu.source import Source
@@ -30,13 +30,21 @@ def device_source(capacity: int) -> Source:
 
 
 def move_kernel(settings: Settings) -> Any:
-    """Build `move(rules, surfaces, lanes, sites, order, mask)`, for `cuda.jit`.
+    """The kernel of an environment: see `make_move_kernel`."""
+    return make_move_kernel(functions_of(settings), capacity_of(settings))
+
+
+@lru_cache(maxsize=64)
+def make_move_kernel(functions: Functions, capacity: int) -> Any:
+    """Build `move(rules, surfaces, lanes, sites, order, mask)`, which is compiled when first called.
 
     Thread t moves lane order[t], if it is in the mask (lanes,): see `batch.kernels.moving`.
+
+    Args:
+        functions: of the environment.
+        capacity: contacts that a scratch has room for.
     """
-    capacity = capacity_of(settings)
     places = layout(capacity)
-    functions = functions_of(settings)
     move_lane = device_source(capacity).remade(moving(functions))
     # A thread's local memory lies interleaved with its neighbours'.
     table_size, marks_size, spans = places["TABLE_SIZE"], places["MARKS_SIZE"], places["SPANS"]
@@ -80,9 +88,10 @@ def move_kernel(settings: Settings) -> Any:
         own.marks[spans] = -1
         move_lane(rules, surfaces, lanes, sites, scratch, own, order[thread])
 
-    return move_watched if functions.watches else move
+    return cuda.jit(move_watched if functions.watches else move)
 
 
+@cuda.jit
 def place(
     surfaces: Surfaces, lanes: Lanes, starts: Starts, taken: Integers, mask: Booleans
 ) -> None:

@@ -17,13 +17,13 @@ class Launch:
     done once. The kernel is compiled at the first call, which takes tens of seconds.
 
     Args:
-        kernel: a plain function, a thread a lane.
+        kernel: as `cuda.jit` makes it, a thread a lane.
         arguments: tensors, numbers, and tuples of them.
         lanes: their number.
     """
 
     def __init__(self, kernel: Any, arguments: tuple[Any, ...], lanes: int) -> None:
-        self._kernel = cuda.jit(kernel)
+        self._kernel = kernel
         self._held = arguments  # the tensors, as long as kernels read their memory
         self._arguments = tuple(map(seen, arguments))
         self._blocks = -(-lanes // THREADS)

@@ -17,6 +17,7 @@ from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING, SOUND, SUCCESS
 from surface_gym.settings import Settings
 
 CHECKED_EVERY = 64  # control periods: to look for errors, the host waits for the device
+GROUPED_EVERY = 8  # control periods
 
 
 class DeviceVectorEnv(LanesEnv):
@@ -118,6 +119,8 @@ class DeviceVectorEnv(LanesEnv):
         if self.autoreset_mode == AutoresetMode.DISABLED and ended.any():
             which = torch.nonzero(ended).flatten().tolist()
             raise gym.error.ResetNeeded(f"Lanes {which} have ended: reset them with reset_mask.")
+        if self._steps % GROUPED_EVERY == 0:
+            batch.group()
         batch.surfaces.command.copy_(self._actions.commands(actions))
         if self.autoreset_mode == AutoresetMode.NEXT_STEP:  # this step is their reset
             batch.place(ended)

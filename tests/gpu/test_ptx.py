@@ -36,7 +36,7 @@ def ptx_of(kernel, arguments, capability):
     from numba import cuda
 
     signature = types.void(*(strided(typeof(argument)) for argument in arguments))
-    ptx, _ = cuda.compile_ptx(kernel, signature, cc=capability)
+    ptx, _ = cuda.compile_ptx(kernel.py_func, signature, cc=capability)
     return ptx
 
 
