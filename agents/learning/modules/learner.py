@@ -128,9 +128,13 @@ class Learner:
         batch = join(batches)
         value = self.value(batch.observations).numpy().reshape(len(batches), -1).astype(np.float64)
         config = self._config
-        told = (np.stack(rewards), np.stack(ended), value, np.stack(after))
         advantage = advantages(
-            *map(torch.from_numpy, told), config.gamma, config.gae_lambda
+            torch.from_numpy(np.stack(rewards)),
+            torch.from_numpy(np.stack(ended)),
+            torch.from_numpy(value),
+            torch.from_numpy(np.stack(after)),
+            config.gamma,
+            config.gae_lambda,
         ).numpy()
         worth = torch.from_numpy((advantage + value).ravel().astype(np.float32))
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
