@@ -21,7 +21,9 @@ from .totals import EpisodeTotals
 
 
 class Lanes(Protocol):
-    """A vector env in SAME_STEP mode whose arrays are tensors on one device."""
+    """A vector env in SAME_STEP mode whose arrays are tensors on one device; the next step may
+    write over them.
+    """
 
     num_envs: int
     single_observation_space: spaces.Space[Any]
@@ -99,8 +101,7 @@ class Practice:
         """Start all lanes, lane i from `seed` + i; observations (lanes, features)."""
         observations, _ = self.lanes.reset(seed=seed)
         self.totals.restart()
-        self._look(observations)
-        return observations
+        return self._look(observations)
 
     def step(self, actions: torch.Tensor) -> Moved:
         """Move all lanes by one control period; no number leaves the device."""
@@ -109,11 +110,12 @@ class Practice:
         observations, rewards, terminated, truncated, infos = self.lanes.step(actions)
         ended = terminated | truncated
         self.totals.take(rewards, ended, infos)
-        self._look(observations)
         last = torch.where(ended.unsqueeze(1), infos["final_obs"], observations)
-        return Moved(observations, rewards, terminated, ended, last)
+        return Moved(self._look(observations), rewards.clone(), terminated.clone(), ended, last)
 
-    def _look(self, observations: torch.Tensor) -> None:
-        """Remember which side each parcel is asked to go to."""
+    def _look(self, observations: torch.Tensor) -> torch.Tensor:
+        """Observations to keep; which side each parcel is asked to go to is remembered."""
+        kept = observations.clone()
         if self._mirror is not None:
-            self._side = observations[:, SIDE].clone()
+            self._side = kept[:, SIDE]
+        return kept

@@ -1,4 +1,4 @@
-"""What lanes on a device give and take, made of the CPU's: tensors that share its arrays."""
+"""What lanes on a device give and take, made of the CPU's."""
 
 from typing import Any
 
@@ -11,7 +11,10 @@ from surface_gym import SmartSurfaceVectorEnv
 
 
 class LanesOnCpu:
-    """The CPU's vector env in SAME_STEP mode, with `final_obs` and `final_info` at every step."""
+    """The CPU's vector env in SAME_STEP mode, with `final_obs` and `final_info` at every step.
+
+    What one step gives, the next spoils: a device's memory may be used again.
+    """
 
     def __init__(self, env: SmartSurfaceVectorEnv) -> None:
         self._env = env
@@ -20,15 +23,20 @@ class LanesOnCpu:
         self.single_action_space = env.single_action_space
         self.settings = env.settings
         self.device = "cpu"
+        self._given: list[torch.Tensor] = []
 
     def reset(self, *, seed: int) -> tuple[torch.Tensor, dict[str, Any]]:
         observations, infos = self._env.reset(seed=seed)
-        return torch.from_numpy(observations), self._tensors(infos)
+        seen = torch.from_numpy(observations)
+        self._given = [seen]
+        return seen, self._tensors(infos)
 
     def step(
         self, actions: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
         observations, rewards, terminated, truncated, infos = self._env.step(actions.numpy())
+        for before in self._given:
+            before.fill_(torch.nan)
         seen, over = torch.from_numpy(observations), torch.from_numpy(terminated | truncated)
         # Of lanes that go on, their rows say nothing: learning must not look there.
         final_obs = torch.full_like(seen, torch.nan)
@@ -38,8 +46,9 @@ class LanesOnCpu:
         final = self._tensors(infos["final_info"]) if over.any() else told
         told |= {"final_obs": final_obs, "_final_obs": over, "final_info": final}
         told["_final_info"] = over
-        told_rewards, ends = torch.from_numpy(rewards), torch.from_numpy(terminated)
-        return seen, told_rewards, ends, torch.from_numpy(truncated), told
+        paid, ends = torch.from_numpy(rewards), torch.from_numpy(terminated)
+        self._given = [seen, paid, final_obs]
+        return seen, paid, ends, torch.from_numpy(truncated), told
 
     def close(self) -> None:
         self._env.close()

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -15,10 +16,11 @@ from agents.learning.device.lanes import Practice, make_lanes
 from agents.learning.device.learner import Learner
 from agents.learning.device.training import train_on_device
 from agents.learning.legs import Learned, Progress
+from agents.learning.start import start
 from agents.policies.files import WEIGHTS, load_policy
 from surface_gym import SmartSurfaceVectorEnv
 
-from .lanes_on_cpu import lanes_on_cpu
+from .lanes_on_cpu import LanesOnCpu, lanes_on_cpu
 
 SMALL = PPOConfig(
     device="cuda", camera_share=0.0, seed=3, steps=2048, checkpoint_every=1024, lanes=16,
@@ -82,6 +84,21 @@ def test_a_run_broken_off_goes_on_to_the_same_weights_and_curve(
     assert reported == [1280, 1536, 1792, 2048]  # from the checkpoint at 1024
     assert same(broken, whole)
     assert (broken / CURVE).read_bytes() == (whole / CURVE).read_bytes()
+
+
+def test_a_run_for_a_device_is_learned_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def make_vec(name: str, *, num_envs: int, device: str, **_: object) -> LanesOnCpu:
+        assert (name, device) == ("SmartSurface/Sort-v0", "cuda")
+        return lanes_on_cpu(SMALL, num_envs)
+
+    monkeypatch.setattr(gym, "make_vec", make_vec)
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+    start(SMALL, tmp_path / "one", lambda *_: None)
+    train(SMALL, tmp_path / "other")
+    assert same(tmp_path / "one", tmp_path / "other")
 
 
 def test_its_policy_is_read_and_acts_as_any_of_ppo(tmp_path: Path) -> None:
