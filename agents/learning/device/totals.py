@@ -1,5 +1,6 @@
 """Episodes told of by their totals: tens of thousands end in a rollout."""
 
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -47,17 +48,34 @@ class EpisodeTotals:
 
 class TotalsCurve(Curve):
     """The curve of a run that tells of its episodes by their totals: means over the latest
-    rollouts, as few as hold `RECENT_EPISODES`.
+    rollouts, as few as hold `RECENT_EPISODES`, and one a lane: where all lanes have just begun,
+    only the shortest have ended.
 
-    Its `recent` are totals of rollouts.
+    Args:
+        folder: of the run.
+        terms: names of the reward terms.
+        lanes: their number.
+        steps: done before; what the files hold beyond is dropped.
+        recent: totals of the latest rollouts before.
     """
+
+    def __init__(
+        self,
+        folder: Path,
+        terms: tuple[str, ...],
+        lanes: int,
+        steps: int,
+        recent: list[dict[str, float]],
+    ) -> None:
+        super().__init__(folder, terms, steps, recent)
+        self._least = max(RECENT_EPISODES, lanes)
 
     def take_totals(self, totals: dict[str, float]) -> None:
         """Take what `EpisodeTotals.fetch` gives."""
         if totals[EPISODES] == 0.0:
             return
         self.recent.append(totals)
-        while self._sum(EPISODES) - self.recent[0][EPISODES] >= RECENT_EPISODES:
+        while self._sum(EPISODES) - self.recent[0][EPISODES] >= self._least:
             self.recent.popleft()
 
     def _mean(self, name: str) -> float:

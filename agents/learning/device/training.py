@@ -39,8 +39,8 @@ def train_on_device(
     def learn(learner: Learner, curve: TotalsCurve) -> None:
         curve.take_totals(learner.learn())
 
-    terms = find_task(config.task).terms
-    return run(config, folder, progress, make_learner, partial(TotalsCurve, folder, terms), learn)
+    make_curve = partial(TotalsCurve, folder, find_task(config.task).terms, config.lanes)
+    return run(config, folder, progress, make_learner, make_curve, learn)
 
 
 def check_device(config: PPOConfig) -> None:

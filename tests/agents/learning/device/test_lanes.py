@@ -85,7 +85,7 @@ def totals(episodes: int, successes: int) -> dict[str, float]:
 
 
 def test_a_row_holds_means_over_the_latest_rollouts_of_a_thousand_episodes(tmp_path: Path) -> None:
-    curve = TotalsCurve(tmp_path, ("reach",), 0, [])
+    curve = TotalsCurve(tmp_path, ("reach",), 8, 0, [])
     curve.take_totals(totals(0, 0))  # a rollout in which none ended
     assert np.isnan(curve.success)
     curve.take_totals(totals(300, 0))
@@ -100,6 +100,15 @@ def test_a_row_holds_means_over_the_latest_rollouts_of_a_thousand_episodes(tmp_p
         "reward_reach": 3.0,
     }  # fmt: skip
     assert second["success"] == pytest.approx(800 / 1100)
-    again = TotalsCurve(tmp_path, ("reach",), 200, list(curve.recent))
+    again = TotalsCurve(tmp_path, ("reach",), 8, 200, list(curve.recent))
     assert again.success == curve.success
     again.close()
+
+
+def test_a_row_holds_an_episode_of_every_lane(tmp_path: Path) -> None:
+    curve = TotalsCurve(tmp_path, ("reach",), 3000, 0, [])
+    for _ in range(3):
+        curve.take_totals(totals(1500, 0))
+    curve.take_totals(totals(1500, 1500))
+    assert curve.success == 0.5
+    curve.close()
