@@ -13,7 +13,7 @@ from ..evaluation.contenders import FIXED, Contender
 from ..evaluation.report import COMPARED
 from ..evaluation.table import Summaries, value_of
 from ..programs import TRAIN, typed
-from .config import NOMINAL, TrainConfig
+from .config import CPU, NOMINAL, TrainConfig, on_device
 from .hyperparams import defaults
 from .legs import Learned
 
@@ -42,7 +42,7 @@ def write_card(
         "command": command,
         "seeds": list(seeds),
         "steps": [each.steps for each in learned],
-        "seconds": [round(each.seconds) for each in learned],  # of each seed, on one core
+        "seconds": [round(each.seconds) for each in learned],  # of each seed, on a core or device
         "results": {condition: _results(summaries, agent, condition) for condition in COMPARED},
     }
     (folder / FILE).write_text(yaml.safe_dump(card, sort_keys=False))
@@ -50,10 +50,13 @@ def write_card(
 
 def command_of(config: TrainConfig) -> str:
     """The command that trains the same again: what differs from the task's defaults."""
-    default = defaults(config.task, config.algo, condition=config.condition)
+    device = config.device if on_device(config) else CPU
+    default = defaults(config.task, config.algo, condition=config.condition, device=device)
     chosen = ["--task", config.task, "--algo", config.algo]
     if config.condition != NOMINAL:
         chosen += ["--condition", config.condition]
+    if device != CPU:
+        chosen += ["--device", device]
     for field in fields(config):
         value = getattr(config, field.name)
         if field.name not in ("out", "name") and value != getattr(default, field.name):

@@ -11,7 +11,8 @@ import tyro
 from ..policy_card import FLOW_TASK
 from ..programs import TRAIN, typed
 from ..search.command import FILE as SWEEP
-from .config import CONFIGS, NOMINAL, ConditionName, TrainConfig
+from .config import CONFIGS, CPU, NOMINAL, ConditionName, DeviceName, TrainConfig, on_device
+from .device.training import check_device
 from .folder import make_folder, open_folder
 from .hyperparams import defaults
 
@@ -76,16 +77,17 @@ def find_search(arguments: list[str]) -> Search | None:
 def open_run(arguments: list[str]) -> tuple[TrainConfig, Path]:
     """The configuration and the folder that the arguments ask for.
 
-    `--task`, `--algo`, `--condition` and `--hyperparams` are read first: the defaults of all other
-    flags are theirs.
+    `--task`, `--algo`, `--condition`, `--device` and `--hyperparams` are read first: the defaults
+    of all other flags are theirs.
 
     Raises:
-        ValueError: a field is out of its range, or the folder cannot be used.
+        ValueError: a field is out of its range, or the device or the folder cannot be used.
     """
     first = _parser()
     first.add_argument("--task")
     first.add_argument("--algo")
     first.add_argument("--condition")
+    first.add_argument("--device")
     first.add_argument("--resume", type=Path)
     chosen, _ = first.parse_known_args(arguments)
     if chosen.resume is not None:
@@ -97,9 +99,9 @@ def open_run(arguments: list[str]) -> tuple[TrainConfig, Path]:
     task = chosen.task or "sort"
     usual = "parcels" if task == FLOW_TASK else "ppo"
     algo = chosen.algo if chosen.algo in CONFIGS else usual
-    known = get_args(ConditionName)
-    condition = chosen.condition if chosen.condition in known else NOMINAL
-    default = defaults(task, algo, of_file.hyperparams, condition)
+    condition = chosen.condition if chosen.condition in get_args(ConditionName) else NOMINAL
+    device = chosen.device if chosen.device in get_args(DeviceName) else CPU
+    default = defaults(task, algo, of_file.hyperparams, condition, device)
     kind: type[Any] = type(default)
     config = tyro.cli(
         kind,
@@ -108,6 +110,8 @@ def open_run(arguments: list[str]) -> tuple[TrainConfig, Path]:
         prog=typed(TRAIN),
         description=f"{inspect.getdoc(kind)}\n\n{MORE}",
     )
+    if on_device(config):
+        check_device(config)
     return config, make_folder(config)
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, TypeGuard, get_args
 
 from surface_gym import checks
 from surface_gym.actions.more import GROUPS
@@ -15,6 +15,8 @@ AlgoName = Literal["ppo", "dqn", "modules", "parcels"]
 ConditionName = Literal["nominal", "lab"]
 NOMINAL: ConditionName = "nominal"  # what one says that asks for nothing else
 ActionName = Literal["halves", "quadrants", "window", "modules", "parcels"]
+DeviceName = Literal["cpu", "cuda"]
+CPU: DeviceName = "cpu"  # where one learns who says nothing else
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,9 +118,15 @@ class PPOConfig(TrainConfig):
     """Of the generalised advantage estimate."""
     ent_coef: float = 0.003
     """Weight of the entropy bonus."""
+    device: DeviceName = CPU
+    """Where the lanes are moved and the network learns: cpu, or cuda for PPO of lanes seen
+    exactly, with defaults from agents/hyperparams/ppo-cuda.yml."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        checks.one_of("device", self.device, get_args(DeviceName))
+        if self.device != CPU:
+            self._check_on_device()
         for name in ("n_steps", "batch_size", "n_epochs"):
             checks.integer(name, getattr(self, name), least=1)
         if self._samples % self.batch_size:
@@ -128,6 +136,16 @@ class PPOConfig(TrainConfig):
             )
         checks.within("gae_lambda", self.gae_lambda, 0.0, 1.0)
         checks.not_negative("ent_coef", self.ent_coef)
+
+    def _check_on_device(self) -> None:
+        """Raise a ValueError where a field is not for a device, which knows no cameras or zones."""
+        only = {"algo": "ppo", "condition": NOMINAL, "camera_share": 0.0, "zones": ()}
+        for name, allowed in only.items():
+            if getattr(self, name) != allowed:
+                raise ValueError(
+                    f"{name} must be {allowed!r} for device {self.device!r}, "
+                    f"got {getattr(self, name)!r}"
+                )
 
     @property
     def _samples(self) -> int:
@@ -240,6 +258,11 @@ class ParcelsConfig(PPOConfig):
         for name in ("imitation", "critic_first"):
             checks.integer(name, getattr(self, name), least=0)
         checks.positive("clip_range", self.clip_range)
+
+
+def on_device(config: TrainConfig) -> TypeGuard[PPOConfig]:
+    """Whether a run's tensors stay on a device beside the CPU."""
+    return isinstance(config, PPOConfig) and config.device != CPU
 
 
 def card_of(config: TrainConfig) -> PolicyCard:

@@ -12,12 +12,13 @@ from surface_gym.tasks import TASKS
 
 from ..policy_card import FLOW_TASK
 from ..tasks import kind_of
-from .config import CONFIGS, NOMINAL, TrainConfig
+from .config import CONFIGS, CPU, NOMINAL, TrainConfig
 
 FOLDER = Path(__file__).parents[1] / "hyperparams"
 _NAMES = {"n_envs": "lanes", "n_timesteps": "steps"}  # the zoo's names, and ours
 _ZOOS = {ours: its for its, ours in _NAMES.items()}
-_OF_THE_RUN = ("task", "algo", "condition", "seed", "seeds", "out", "name")  # no hyper-parameters
+# No hyper-parameters:
+_OF_THE_RUN = ("task", "algo", "condition", "device", "seed", "seeds", "out", "name")
 _OF_THE_ENV = {"actions", "control_period", "observe"}
 # What the zoo has no word for and would refuse: in an entry of its own.
 BESIDE = "beside the zoo"
@@ -30,7 +31,7 @@ _LINEAR = "lin_"  # the zoo's mark of a learning rate that falls to 0
 
 
 def defaults(
-    task: str, algo: str, file: Path | None = None, condition: str = NOMINAL
+    task: str, algo: str, file: Path | None = None, condition: str = NOMINAL, device: str = CPU
 ) -> TrainConfig:
     """The configuration of a task and an algorithm as their YAML has it.
 
@@ -39,16 +40,22 @@ def defaults(
         algo: that learns it.
         file: of one's own, in the same schema; None: the package's.
         condition: what to be ready for.
+        device: to learn on.
 
     Raises:
-        ValueError: the algorithm does not learn the task, or the file holds what is not understood
-            or not allowed.
+        ValueError: the algorithm does not learn the task, or not on the device, or the file holds
+            what is not understood or not allowed.
     """
+    given = {"task": task, "algo": algo, "condition": condition}
+    if device != CPU:
+        checks.one_of(f"algo, on device {device!r},", algo, ("ppo",))
+        given["device"] = device
     if file is None:
-        name = algo if condition == NOMINAL else f"{algo}-{condition}"
-        return _read(task, algo, FOLDER / f"{name}.yml", condition)
+        of_what = condition if device == CPU else device
+        name = algo if of_what == NOMINAL else f"{algo}-{of_what}"
+        return _read(given, FOLDER / f"{name}.yml")
     try:
-        return _read(task, algo, file, condition)
+        return _read(given, file)
     except (OSError, yaml.YAMLError, ValueError) as error:
         words = " ".join(str(error).split())
         raise ValueError(f"{file} does not hold hyper-parameters: {words}") from None
@@ -87,7 +94,9 @@ def _key(task: str) -> str:
     return env_id(kind) if kind in TASKS else OWN
 
 
-def _read(task: str, algo: str, file: Path, condition: str) -> TrainConfig:
+def _read(given: dict[str, str], file: Path) -> TrainConfig:
+    """What a file says beside what is given: task, algo, condition, and a device but the CPU."""
+    task, algo = given["task"], given["algo"]
     of_tasks = yaml.safe_load(file.read_text())
     if not isinstance(of_tasks, dict):
         raise ValueError(f"it must hold an entry a task, got {of_tasks!r}")
@@ -104,7 +113,7 @@ def _read(task: str, algo: str, file: Path, condition: str) -> TrainConfig:
         if not isinstance(entry, dict):
             raise ValueError(f"{key} must hold names and values, got {entry!r}")
     known = {field.name for field in fields(CONFIGS[algo])}.difference(_OF_THE_RUN)
-    chosen: dict[str, Any] = {"task": task, "algo": algo, "condition": condition}
+    chosen: dict[str, Any] = dict(given)
     for name, value in [*entries[0].items(), *entries[1].items()]:
         if name == "policy" and value == "MlpPolicy":
             continue

@@ -14,8 +14,9 @@ from ...modules.draw import GROUPS, draw_choices, draw_groups, log_likelihood
 from ...modules.network import SharedNetwork, ValueNetwork
 from ...modules.view import ModuleView, Singles
 from ..config import ModulesConfig, card_of
+from ..rollouts import advantages
 from .practice import Practice
-from .rollout import Batch, advantages, join, pick
+from .rollout import Batch, join, pick
 
 # As Stable-Baselines3's PPO has them.
 CLIP_RANGE = 0.2  # by which the likelihood of a lane's choices may change and still earn
@@ -128,9 +129,13 @@ class Learner:
         value = self.value(batch.observations).numpy().reshape(len(batches), -1).astype(np.float64)
         config = self._config
         advantage = advantages(
-            np.stack(rewards), np.stack(ended), value, np.stack(after),
-            config.gamma, config.gae_lambda,
-        )  # fmt: skip
+            torch.from_numpy(np.stack(rewards)),
+            torch.from_numpy(np.stack(ended)),
+            torch.from_numpy(value),
+            torch.from_numpy(np.stack(after)),
+            config.gamma,
+            config.gae_lambda,
+        ).numpy()
         worth = torch.from_numpy((advantage + value).ravel().astype(np.float32))
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         return batch, torch.from_numpy(advantage.ravel().astype(np.float32)), worth, infos

@@ -2,12 +2,9 @@
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 
-from ...modules.outline import Numbers
 from ...modules.view import Integers
-from .practice import Booleans
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,33 +53,3 @@ def _fields(batch: Batch) -> tuple[torch.Tensor, ...]:
         batch.group,
         batch.choice,
     )
-
-
-def advantages(
-    rewards: Numbers,
-    ended: Booleans,
-    value: Numbers,
-    after: Numbers,
-    gamma: float,
-    gae_lambda: float,
-) -> Numbers:
-    """Generalised advantage estimates; all arrays (periods, lanes).
-
-    Schulman et al., High-dimensional continuous control using generalised advantage estimation,
-    ICLR 2016, Eq. (16).
-
-    Args:
-        rewards: of each period.
-        ended: an episode's last period.
-        value: of what was seen before each period.
-        after: of what was seen after it, of the same episode; 0 where success or failure ended it.
-        gamma: discount a period.
-        gae_lambda: weight of the next period's surprise.
-    """
-    surprise = rewards + gamma * after - value
-    estimate = np.zeros_like(rewards)
-    following = np.zeros(rewards.shape[1])
-    for period in reversed(range(len(rewards))):
-        following = surprise[period] + gamma * gae_lambda * ~ended[period] * following
-        estimate[period] = following
-    return estimate

@@ -1,17 +1,14 @@
 """One run of modules that decide each for itself."""
 
-import time
+from functools import partial
 from pathlib import Path
-
-import torch
 
 from surface_gym.tasks.sort import TERMS
 
-from ...policies.files import save_policy
-from ..checkpoint import FILE, read_state, write_state
-from ..config import ModulesConfig, card_of
+from ..config import ModulesConfig
 from ..curve import Curve
-from ..legs import Learned, Progress, leg_at, leg_seed
+from ..legs import Learned, Progress
+from ..run import run
 from .learner import Learner
 
 
@@ -25,32 +22,10 @@ def train_modules(
     Raises:
         ValueError: the checkpoint is damaged, or of another configuration.
     """
-    torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
-    started = time.perf_counter()
-    learner = Learner(config)
-    recent = read_state(folder, learner.restore) if (folder / FILE).is_file() else []
-    curve = Curve(folder, TERMS, learner.steps, recent)
-    interrupted = False
-    try:
-        _learn(config, learner, curve, folder, progress)
-    except KeyboardInterrupt:
-        interrupted = True
-    curve.close()
-    save_policy(learner.network, card_of(config), folder)
-    return Learned(learner.steps, time.perf_counter() - started, interrupted)
 
-
-def _learn(
-    config: ModulesConfig, learner: Learner, curve: Curve, folder: Path, progress: Progress
-) -> None:
-    latest = -1
-    while learner.steps < config.steps:
-        leg = leg_at(config, learner.steps)
-        if leg != latest:
-            latest = leg
-            write_state(learner.state(list(curve.recent)), folder)
-            learner.begin(leg_seed(config, leg))
+    def learn(learner: Learner, curve: Curve) -> None:
         curve.take(learner.learn())
-        curve.write(learner.steps)
-        progress(learner.steps, curve.success)
-    write_state(learner.state(list(curve.recent)), folder)
+
+    return run(
+        config, folder, progress, partial(Learner, config), partial(Curve, folder, TERMS), learn
+    )

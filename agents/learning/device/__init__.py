@@ -1,0 +1,1 @@
+"""PPO whose tensors stay on a device."""
