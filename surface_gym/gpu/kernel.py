@@ -36,7 +36,7 @@ def move_kernel(settings: Settings) -> Any:
 
 @lru_cache(maxsize=64)
 def make_move_kernel(functions: Functions, capacity: int) -> Any:
-    """Build `move(rules, surfaces, lanes, sites, order, mask)`, which is compiled when first called.
+    """Build `move(rules, surfaces, lanes, sites, order, mask)`, compiled when it is first called.
 
     Thread t moves lane order[t], if it is in the mask (lanes,): see `batch.kernels.moving`.
 

@@ -12,10 +12,14 @@ import torch
 from surface_gym.batch.reserve import MOST_AHEAD, Reserve
 from surface_gym.batch.starts import Rows
 from surface_gym.dynamics.types import STATE_SIZE, Array, Integers
+from surface_gym.gpu.passing import Note, sent
 from surface_gym.lanes.memory import PATH_POINTS
 from surface_gym.tasks.task import Task
 
-AHEAD = 16  # starts of each lane that lie on the device
+# Control periods from one look at what lanes have taken to the next. What is seen at one look is
+# laid out after the next, and is on the device after the one that follows, so that nobody waits.
+LOOK_EVERY = 8
+AHEAD = 3 * LOOK_EVERY  # starts of each lane that lie on the device
 
 
 class Starts(NamedTuple):
@@ -61,6 +65,7 @@ class Supply:
         self._laid = np.zeros(lanes, dtype=np.int64)  # starts of each lane, so far
         self._pool = ThreadPoolExecutor(1, "starts")
         self._pending: Future[Laid] | None = None
+        self._noted: Note | None = None  # what lanes had taken at the last look
         self._steps = 0
         path = PATH_POINTS if task.has_path else 0
         self.starts = Starts(
@@ -91,7 +96,8 @@ class Supply:
             options: of each of these; none at all: none has any.
         """
         self._receive()  # of the generators that lanes had
-        taken = self._taken_so_far()
+        self._noted = None
+        taken = Note(self.taken).read()
         for lane, generator in generators.items():
             self._reserve.seed(lane, generator)
             taken[lane] = self._laid[lane] = 0
@@ -104,24 +110,18 @@ class Supply:
             self._send(Laid(chosen, slots, rows, path))
 
     def follow(self) -> None:
-        """After every control period: each lane has taken one start at most.
-
-        Every half a ring the host learns how many were taken and begins to lay out as many; half a
-        ring later they are sent, before a lane can have taken the rest.
-        """
+        """After every control period, in which each lane has taken one start at most."""
         self._steps += 1
-        if self._steps % (AHEAD // 2) > 0:
+        if self._steps % LOOK_EVERY > 0:
             return
         self._receive()
-        self._pending = self._pool.submit(self._prepare, self._taken_so_far() + AHEAD)
+        if self._noted is not None:
+            self._pending = self._pool.submit(self._prepare, self._noted.read() + AHEAD)
+        self._noted = Note(self.taken)
 
     def close(self) -> None:
         """End the thread."""
         self._pool.shutdown()
-
-    def _taken_so_far(self) -> Integers:
-        taken: Integers = self.taken.cpu().numpy().copy()
-        return taken
 
     def _prepare(self, wanted: Integers) -> Laid:
         """Lay out starts until every lane has had as many as wanted (lanes,)."""
@@ -151,8 +151,8 @@ class Supply:
         if len(laid.lanes) == 0:
             return
         device = self.taken.device
-        lanes, slots = (torch.from_numpy(where).to(device) for where in (laid.lanes, laid.slots))
+        lanes, slots = sent(laid.lanes, device), sent(laid.slots, device)
         rows = laid.rows
         values = (rows.site, rows.state, rows.conditions, rows.goal, laid.path)
         for ring, value in zip(self.starts, values, strict=True):
-            ring[lanes, slots] = torch.tensor(value, device=device)
+            ring[lanes, slots] = sent(value, device)

@@ -13,10 +13,11 @@ from surface_gym.faces.lanes import LanesEnv
 from surface_gym.gpu.actions import TensorActions
 from surface_gym.gpu.batch import DeviceBatch
 from surface_gym.gpu.needs import check_settings
+from surface_gym.gpu.passing import Note
 from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING, SOUND, SUCCESS
 from surface_gym.settings import Settings
 
-CHECKED_EVERY = 64  # control periods: to look for errors, the host waits for the device
+LOOK_EVERY = 32  # control periods from one look for errors to the next, which tells what was seen
 GROUPED_EVERY = 8  # control periods
 
 
@@ -70,6 +71,7 @@ class DeviceVectorEnv(LanesEnv):
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=device)
         self._steps_left = torch.zeros(self.num_envs, dtype=torch.int64, device=device)
         self._steps = 0
+        self._seen: Note | None = None  # whether anything was wrong at the last look
 
     def reset(
         self,
@@ -138,8 +140,8 @@ class DeviceVectorEnv(LanesEnv):
         infos.update(self._infos(self._all))
         batch.supply.follow()
         self._steps += 1
-        if self._steps % CHECKED_EVERY == 0:
-            self._check()
+        if self._steps % LOOK_EVERY == 0:
+            self._look()
         return self._observation(), rewards, terminated, truncated, infos
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -180,20 +182,36 @@ class DeviceVectorEnv(LanesEnv):
         }
         return {**infos, **{f"_{name}": mask for name in infos}}
 
+    def _wrong(self) -> torch.Tensor:
+        """(2,) whether an action was out of range, and whether a function of a task went wrong."""
+        return torch.stack([self._actions.wrong, (self._batch.first_fault != SOUND).any()])
+
+    def _look(self) -> None:
+        """Raise what the last look has seen to be wrong, and look again."""
+        seen, self._seen = self._seen, Note(self._wrong())
+        if seen is not None:
+            self._raise(*seen.read().tolist())
+
     def _check(self) -> None:
-        """Raise what went wrong since the last time."""
-        if self._actions.wrong.item():
-            self._actions.wrong.zero_()
+        """Raise what is wrong by now."""
+        self._seen = None
+        self._raise(*Note(self._wrong()).read().tolist())
+
+    def _raise(self, action: bool, function: bool) -> None:
+        if not (action or function):
+            return
+        self._seen = None
+        self._actions.wrong.zero_()
+        fault = self._batch.first_fault
+        lanes = torch.nonzero(fault).flatten().tolist()
+        fault.zero_()
+        if action:
             raise ValueError(
                 f"action must be between {self._actions.allowed}, got another in the last "
-                f"{CHECKED_EVERY} control periods"
+                f"{2 * LOOK_EVERY} control periods"
             )
-        fault = self._batch.first_fault
-        if (fault != SOUND).any().item():
-            lane = int(torch.nonzero(fault)[0])
-            fault.zero_()
-            raise ValueError(
-                f"{type(self._batch.task).__name__} gave an outcome that it does not have, or a "
-                f"reward or feature that is not finite, on lane {lane} in the last "
-                f"{CHECKED_EVERY} control periods; the same lane on the CPU says which"
-            )
+        raise ValueError(
+            f"{type(self._batch.task).__name__} gave an outcome that it does not have, or a "
+            f"reward or feature that is not finite, on lane {lanes[0]} in the last "
+            f"{2 * LOOK_EVERY} control periods; the same lane on the CPU says which"
+        )
