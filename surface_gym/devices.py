@@ -1,8 +1,12 @@
 """Where a vector environment runs: on the CPU, or on a GPU."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from surface_gym import checks
+from surface_gym.flow.settings import FlowSettings
+from surface_gym.flow.vector_env import FlowVectorEnv
 from surface_gym.settings import Settings
 from surface_gym.vector_env import SmartSurfaceVectorEnv
 
@@ -21,35 +25,77 @@ def make_vector_env(num_envs: int = 1, device: str = "cpu", **arguments: Any) ->
         ValueError: an argument is not allowed, or not on this device.
         DeviceMissing: there is no GPU, or not what it takes to use it.
     """
+    return _made(SmartSurfaceVectorEnv, make_device_env, num_envs, device, arguments)
+
+
+def make_flow_vector_env(num_envs: int = 1, device: str = "cpu", **arguments: Any) -> Any:
+    """The same of `FlowVectorEnv`."""
+    return _made(FlowVectorEnv, make_device_flow, num_envs, device, arguments)
+
+
+def _made(
+    of_cpu: Callable[..., Any],
+    of_device: Callable[..., Any],
+    num_envs: int,
+    device: str,
+    arguments: dict[str, Any],
+) -> Any:
     if checks.one_of("device", device, DEVICES) == "cpu":
-        return SmartSurfaceVectorEnv(num_envs, **arguments)
+        return of_cpu(num_envs, **arguments)
     from surface_gym.gpu.needs import check_device
 
     check_device()
-    return make_device_env(num_envs, device, **arguments)
+    return of_device(num_envs, device, **arguments)
 
 
-def make_device_env(
-    num_envs: int,
-    device: str,
-    max_episode_steps: int | None = None,
-    autoreset_mode: Any = "NextStep",
-    threads: int = 1,
-    render_mode: str | None = None,
-    **arguments: Any,
-) -> Any:
-    """The vector environment of tensors on a device.
+def make_device_env(num_envs: int, device: str, **arguments: Any) -> Any:
+    """The vector environment of tensors on a device, whatever it is.
 
     Raises:
         ValueError: an argument is not allowed, or not on this device.
     """
+    from surface_gym.gpu.batch import DeviceBatch
+    from surface_gym.gpu.needs import check_settings
+
+    face, settings = _parted(device, arguments)
+    made = Settings(**settings)
+    check_settings(made)
+    return _on_device(num_envs, made, partial(DeviceBatch, made), device, face)
+
+
+def make_device_flow(num_envs: int, device: str, **arguments: Any) -> Any:
+    """The vector environment of flows of tensors on a device, whatever it is.
+
+    Raises:
+        ValueError: an argument is not allowed, or not on this device.
+    """
+    from surface_gym.gpu.flow_batch import DeviceFlowBatch
+    from surface_gym.gpu.needs import check_sensor
+
+    face, settings = _parted(device, arguments)
+    made = FlowSettings(**settings)
+    check_sensor(made)
+    return _on_device(num_envs, made, partial(DeviceFlowBatch, made), device, face)
+
+
+def _on_device(
+    num_envs: int, settings: Any, make_batch: Any, device: str, face: dict[str, Any]
+) -> Any:
     import torch
 
     from surface_gym.gpu.vector_env import DeviceVectorEnv
 
-    for name, value, only in (("threads", threads, 1), ("render_mode", render_mode, None)):
-        if value != only:
-            raise ValueError(f"{name} must be {only} where device is {device!r}, got {value!r}")
-    settings = Settings(**arguments)
-    place = torch.device(device)
-    return DeviceVectorEnv(num_envs, settings, max_episode_steps, autoreset_mode, place)
+    return DeviceVectorEnv(num_envs, settings, make_batch, device=torch.device(device), **face)
+
+
+def _parted(device: str, arguments: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The arguments of the face, and those of the settings."""
+    rest = {"threads": 1, "render_mode": None, **arguments}
+    for name, only in (("threads", 1), ("render_mode", None)):
+        if rest[name] != only:
+            raise ValueError(
+                f"{name} must be {only} where device is {device!r}, got {rest[name]!r}"
+            )
+        del rest[name]
+    face = {"max_episode_steps": None, "autoreset_mode": "NextStep"}
+    return {name: rest.pop(name, usual) for name, usual in face.items()}, rest

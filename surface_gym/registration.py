@@ -27,7 +27,7 @@ def register_all() -> None:
     gym.register(
         id=FLOW,
         entry_point="surface_gym.flow.env:FlowEnv",
-        vector_entry_point="surface_gym.flow.vector_env:FlowVectorEnv",
+        vector_entry_point="surface_gym.devices:make_flow_vector_env",
     )
 
 

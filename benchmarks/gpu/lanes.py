@@ -8,9 +8,14 @@ import numpy as np
 import torch
 
 import surface_gym  # noqa: F401 - registers the environments
+from surface_gym.flow.arrivals import Poisson
+from surface_gym.flow.stream import Stream
+from surface_gym.registration import FLOW
 from surface_gym.tasks.sort import Sort
 
 ID = "SmartSurface/Sort-v0"
+PLACES = 16  # for parcels on a line
+PARCELS_AN_HOUR = 9000.0
 DRAWN = 20  # actions of every lane that the CPU is given in turn
 
 
@@ -18,6 +23,18 @@ def make_env(task: Sort, lanes: int, **arguments: Any) -> Any:
     """Sort with "halves"; a lane that ends begins again in the same step."""
     return gym.make_vec(
         ID, num_envs=lanes, task=task, actions="halves", autoreset_mode="SameStep", **arguments
+    )
+
+
+def make_flow(lanes: int, **arguments: Any) -> Any:
+    """Lines with room for 16 parcels each, and more of them than can enter."""
+    return gym.make_vec(
+        FLOW,
+        num_envs=lanes,
+        stream=Stream(Poisson(PARCELS_AN_HOUR)),
+        places=PLACES,
+        actions="parcels",
+        **arguments,
     )
 
 
@@ -40,7 +57,9 @@ class DeviceLanes:
         self.name = name
         self.lanes: int = env.num_envs
         self.env = env
-        self._choices = int(env.single_action_space.n)
+        space = env.single_action_space
+        self._choices = int(np.max(space.n if hasattr(space, "n") else space.nvec))
+        self._shape = (self.lanes, *space.shape)
         self._generator = torch.Generator(env.device).manual_seed(0)
         self.first = self._reset()
         self.reset = self._reset()  # [s] of all lanes, seeded anew
@@ -50,7 +69,7 @@ class DeviceLanes:
         for _ in range(steps):
             env.step(
                 torch.randint(
-                    self._choices, (self.lanes,), device=env.device, generator=self._generator
+                    self._choices, self._shape, device=env.device, generator=self._generator
                 )
             )
         wait_for(env.device)
@@ -63,6 +82,13 @@ class DeviceLanes:
         self.env.reset(seed=0)
         wait_for(self.env.device)
         return time.perf_counter() - begin
+
+
+class DeviceFlows(DeviceLanes):
+    """The same of lines with a stream of parcels each, whose episodes last a minute."""
+
+    def begun(self) -> int:
+        return 0
 
 
 class HostLanes:

@@ -11,7 +11,15 @@ import torch
 from benchmarks.environments import TASKS
 from benchmarks.gpu.agreement import LANES, agreement_of
 from benchmarks.gpu.cartpole import GYMNAX, cartpole_rate
-from benchmarks.gpu.lanes import ID, DeviceLanes, HostLanes, make_env
+from benchmarks.gpu.lanes import (
+    ID,
+    PLACES,
+    DeviceFlows,
+    DeviceLanes,
+    HostLanes,
+    make_env,
+    make_flow,
+)
 from benchmarks.gpu.resets import clock_of, resets_of
 from benchmarks.gpu.results import Results, on_cpu, on_gpu
 from benchmarks.gpu.warp_scene import MUJOCO_WARP, warp_rate
@@ -22,6 +30,9 @@ from surface_gym.tasks.sort import Sort
 HOST_LANES = 4096  # of the CPU's vector environment
 # A window of as many decisions as a GPU's would take the CPU half a minute.
 HOST_EFFORT = Effort(steps=64, settling=64)
+FLOW_LANES = (1024, 4096)  # lines of 16 parcels
+# A line's first minute, in which its parcels come.
+FLOW_EFFORT = Effort(windows=3, steps=128, chunk=32, settling=128)
 WORLDS = (1024, 4096, 16384)  # of MuJoCo Warp, which is at its best with thousands
 
 
@@ -51,6 +62,8 @@ def jobs(lanes: Sequence[int], beside: bool) -> Iterator[Job]:
             yield Job(
                 f"{on_gpu(name)}, {count:,} lanes", partial(_device, name, task, count, effort)
             )
+    for count in FLOW_LANES:
+        yield Job(f"flow, {count:,} lines", partial(_flow, count))
     if beside:
         yield from _beside(lanes, effort)
 
@@ -79,6 +92,16 @@ def _device(name: str, task: Sort, lanes: int, effort: Effort, results: Results)
         contender = DeviceLanes(on_gpu(name), env)
         results.rates.append(rate_of(contender, effort))
         results.resets.append(resets_of(contender, clock_of(env.device)))
+    finally:
+        env.close()
+        torch.cuda.empty_cache()
+
+
+def _flow(lanes: int, results: Results) -> None:
+    env = make_flow(lanes, device="cuda")
+    try:
+        contender = DeviceFlows(f"Flow, {PLACES} parcels a line, GPU", env)
+        results.rates.append(rate_of(contender, FLOW_EFFORT))
     finally:
         env.close()
         torch.cuda.empty_cache()

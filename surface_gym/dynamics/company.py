@@ -119,6 +119,42 @@ def make_together_scratch(parcels: int) -> TogetherScratch:
 
 
 @inlined
+def scratch_of(scratches: TogetherScratch, i: int) -> TogetherScratch:
+    """The i-th of scratches whose arrays have one more dimension, the first."""
+    return TogetherScratch(
+        scratches.tables[i],
+        scratches.marks[i],
+        scratches.report[i],
+        scratches.rotors[i],
+        scratches.pair[i],
+        scratches.impulse[i],
+        scratches.before[i],
+        scratches.bearing[i],
+        scratches.nothing[i],
+        scratches.reach[i],
+        scratches.near[i],
+        scratches.when[i],
+        scratches.push[i],
+        scratches.since[i],
+        scratches.root[i],
+        scratches.member[i],
+        scratches.slot[i],
+        scratches.low[i],
+        scratches.contact[i],
+        scratches.ends[i],
+        scratches.point[i],
+        scratches.met[i],
+        scratches.start[i],
+        scratches.velocity[i],
+        scratches.target[i],
+        scratches.trial[i],
+        scratches.gradient[i],
+        scratches.direction[i],
+        scratches.matrix[i],
+    )
+
+
+@inlined
 def forget_together(scratch: TogetherScratch) -> None:
     """What a scratch says of the elements is of another surface, or of axes that have turned."""
     for k in range(scratch.marks.shape[0]):

@@ -1,8 +1,11 @@
 """Actions that are tensors, as commands."""
 
-import torch
+import math
+from typing import Any
 
-from surface_gym.actions.kinds import RIGHT_ANGLE, ActionKind
+import numpy as np
+import torch
+from gymnasium import spaces
 
 
 class TensorActions:
@@ -12,22 +15,27 @@ class TensorActions:
     noted, not raised at once: the lane gets the first choice, or 0 rad, and `wrong` tells.
 
     Args:
-        kind: of action.
+        space: of one lane's action, as an action kind gives it.
         lanes: their number.
         device: where the actions are.
     """
 
-    def __init__(self, kind: ActionKind, lanes: int, device: torch.device) -> None:
-        self._kind = kind
-        single = kind.name == "halves" and not kind.continuous
-        self._shape = (lanes,) if single else (lanes, kind.size)
-        self._choices = kind.choices**2 if single else kind.choices
-        self._single = single
-        self.allowed = "-pi/2 and pi/2" if kind.continuous else f"0 and {self._choices - 1}"
+    def __init__(self, space: spaces.Space[Any], lanes: int, device: torch.device) -> None:
+        self._shape = (lanes, *(space.shape or ()))
         # () whether a number was out of range
         self.wrong = torch.zeros((), dtype=torch.bool, device=device)
+        self._angles = isinstance(space, spaces.Box)
+        self._pairs = isinstance(space, spaces.Discrete)  # a number says two choices
+        if isinstance(space, spaces.Box):
+            self._right_angle = float(space.high.max())
+            self.allowed = "-pi/2 and pi/2"
+            return
+        most = np.asarray(space.n if isinstance(space, spaces.Discrete) else space.nvec)  # type: ignore[attr-defined]
+        self._choices = torch.from_numpy(most.astype(np.int64)).to(device)
+        self._side = math.isqrt(int(most.max()))
+        self.allowed = f"0 and {int(most.max()) - 1}"
 
-    def commands(self, actions: torch.Tensor) -> torch.Tensor:
+    def commands(self, actions: Any) -> torch.Tensor:
         """Actions as commands (lanes, size): choices, or angles [rad].
 
         Raises:
@@ -40,14 +48,15 @@ class TensorActions:
             raise ValueError(f"action must be a tensor on {device}, got one on {actions.device}")
         if tuple(actions.shape) != self._shape:
             raise ValueError(
-                f"action must have the shape {self._shape[1:]} a lane, got {tuple(actions.shape)}"
+                f"action must have the shape {self._shape[1:]} a lane, "
+                f"got {tuple(actions.shape)} of all"
             )
-        return self._angles(actions) if self._kind.continuous else self._chosen(actions)
+        return self._turned(actions) if self._angles else self._chosen(actions)
 
-    def _angles(self, actions: torch.Tensor) -> torch.Tensor:
+    def _turned(self, actions: torch.Tensor) -> torch.Tensor:
         if not actions.is_floating_point():
             raise ValueError(f"action must be angles, got {actions.dtype}")
-        right = actions.abs() <= float(RIGHT_ANGLE)
+        right = actions.abs() <= self._right_angle
         self.wrong |= ~right.all()
         return torch.where(right, actions, 0.0).to(torch.float64)
 
@@ -57,7 +66,6 @@ class TensorActions:
         right = (actions >= 0) & (actions < self._choices)
         self.wrong |= ~right.all()
         chosen = torch.where(right, actions, 0).to(torch.int64)
-        if not self._single:
+        if not self._pairs:
             return chosen
-        choices = self._kind.choices
-        return torch.stack([chosen // choices, chosen % choices], dim=1)
+        return torch.stack([chosen // self._side, chosen % self._side], dim=1)

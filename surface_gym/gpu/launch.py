@@ -24,10 +24,14 @@ class Launch:
 
     def __init__(self, kernel: Any, arguments: tuple[Any, ...], lanes: int) -> None:
         self._kernel = kernel
-        self._held = arguments  # the tensors, as long as kernels read their memory
-        self._arguments = tuple(map(seen, arguments))
         self._blocks = -(-lanes // THREADS)
         self._special: Any = None
+        self.call_with(arguments)
+
+    def call_with(self, arguments: tuple[Any, ...]) -> None:
+        """Call it with others of the same types from now on."""
+        self._held = arguments  # the tensors, as long as kernels read their memory
+        self._arguments = tuple(map(seen, arguments))
 
     def __call__(self) -> None:
         if self._special is None:

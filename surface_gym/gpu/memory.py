@@ -24,32 +24,27 @@ def make_memory(settings: Settings, lanes: int, device: torch.device) -> tuple[S
     surfaces, parcels = memory_of(settings, PATTERN)
     return (
         Surfaces._make(
-            spread(values, lanes, device, apart=name in GRIDS)
+            _for_all(values, lanes, device, together if name in GRIDS else side_by_side)
             for name, values in zip(Surfaces._fields, surfaces, strict=True)
         ),
-        Lanes._make(spread(values, lanes, device) for values in parcels),
+        Lanes._make(_for_all(values, lanes, device, side_by_side) for values in parcels),
     )
 
 
-def spread(
-    values: NDArray[Any], lanes: int, device: torch.device, apart: bool = False
-) -> torch.Tensor:
-    """A tensor (lanes, ...) of what is given of `PATTERN` lanes, all alike; what all lanes share
-    has its one row.
+def _for_all(values: NDArray[Any], lanes: int, device: torch.device, spread: Any) -> torch.Tensor:
+    """What lanes share has its one row; else a row each."""
+    one = torch.from_numpy(values[:1].copy()).to(device)
+    return one if len(values) == 1 else spread(one[0], lanes)
 
-    Args:
-        values: (PATTERN or 1, ...)
-        lanes: their number.
-        device: where it lies.
-        apart: whether a lane's numbers lie together, in place of the lanes side by side.
-    """
-    row = torch.from_numpy(values[:1].copy())[0]
-    if len(values) == 1:
-        return row.to(device)[None]
-    if apart:
-        return row.to(device).expand(lanes, *row.shape).contiguous()
-    side_by_side = row.to(device)[..., None].expand(*row.shape, lanes).contiguous()
-    return side_by_side.movedim(-1, 0)
+
+def side_by_side(one: torch.Tensor, lanes: int) -> torch.Tensor:
+    """(lanes, ...) with the numbers of one lane, those of neighbours next to each other."""
+    return one[..., None].expand(*one.shape, lanes).contiguous().movedim(-1, 0)
+
+
+def together(one: torch.Tensor, lanes: int) -> torch.Tensor:
+    """(lanes, ...) with the numbers of one lane, its own next to each other."""
+    return one.expand(lanes, *one.shape).contiguous()
 
 
 def to_device(values: Any, device: torch.device) -> Any:

@@ -2,6 +2,7 @@
 
 from importlib.util import find_spec
 
+from surface_gym.flow.settings import FlowSettings
 from surface_gym.settings import Settings
 
 EXTRA = 'pip install "surface_gym[gpu]"'
@@ -31,22 +32,21 @@ def check_settings(settings: Settings) -> None:
     generator after its start, whose place in the stream the host does not know; and infos that the
     host works out.
     """
-    refused = (
-        ("sensors", settings.draws > 0, "one without noise, such as Exact()", settings.sensors),
-        (
-            "randomisation",
-            settings.randomisation.varies,
-            "Randomisation(), without variation",
-            settings.randomisation,
-        ),
-        (
-            "stuck_share",
-            settings.actuators.stuck_share > 0.0,
-            "0; stuck names modules that are",
-            settings.actuators.stuck_share,
-        ),
+    check_sensor(settings)
+    varies, share = settings.randomisation, settings.actuators.stuck_share
+    for name, refused, allowed, value in (
+        ("randomisation", varies.varies, "Randomisation(), without variation", varies),
+        ("stuck_share", share > 0.0, "0; stuck names modules that are", share),
         ("info", bool(settings.info), "()", settings.info),
-    )
-    for name, is_refused, allowed, value in refused:
-        if is_refused:
+    ):
+        if refused:
             raise ValueError(f"{name} must be {allowed}, where device is 'cuda', got {value!r}")
+
+
+def check_sensor(settings: Settings | FlowSettings) -> None:
+    """Raise a ValueError for a sensor with noise."""
+    if settings.draws > 0:
+        raise ValueError(
+            f"sensors must be one without noise, such as Exact(), where device is 'cuda', "
+            f"got {settings.sensors!r}"
+        )

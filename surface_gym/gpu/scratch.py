@@ -5,6 +5,7 @@ many thousands of lanes has its own, in a thread's local memory: it is cut to th
 """
 
 import math
+from collections.abc import Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from surface_gym.bases import Base
 from surface_gym.batch.sites import FEWEST_EDGES
 from surface_gym.dynamics import types
+from surface_gym.plants import Plant
 from surface_gym.settings import Settings
 
 # By name, as in `dynamics.types`.
@@ -48,10 +50,15 @@ def layout(capacity: int) -> MappingProxyType[str, int]:
 
 def capacity_of(settings: Settings) -> int:
     """Room for the contacts and the edges of every parcel that an environment's task draws."""
-    pitches = (settings.chosen_plant.geometry.pitch_x, settings.chosen_plant.geometry.pitch_y)
     parcels = settings.chosen_task.parcels
-    contacts = max(most_contacts(parcel.base, pitches) for parcel in parcels)
-    return max(contacts, FEWEST_EDGES, *(len(parcel.body.edges) for parcel in parcels))
+    return capacity_for([parcel.base for parcel in parcels], settings.chosen_plant)
+
+
+def capacity_for(bases: Sequence[Base], plant: Plant) -> int:
+    """Room for the contacts and the edges of any of some bases on a plant."""
+    pitches = (plant.geometry.pitch_x, plant.geometry.pitch_y)
+    contacts = [most_contacts(base, pitches) for base in bases]
+    return max(FEWEST_EDGES, *contacts, *(len(base.edges) for base in bases))
 
 
 def most_contacts(base: Base, pitches: tuple[float, float]) -> int:

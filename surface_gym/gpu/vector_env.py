@@ -1,6 +1,6 @@
 """The vector environment on a GPU: the native one's face, of tensors."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -10,15 +10,14 @@ from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode
 
 from surface_gym.faces.lanes import LanesEnv
+from surface_gym.flow.settings import FlowSettings
 from surface_gym.gpu.actions import TensorActions
-from surface_gym.gpu.batch import DeviceBatch
-from surface_gym.gpu.needs import check_settings
+from surface_gym.gpu.driven import DeviceDriven
 from surface_gym.gpu.passing import Note
-from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING, SOUND, SUCCESS
+from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING, SOUND
 from surface_gym.settings import Settings
 
 LOOK_EVERY = 32  # control periods from one look for errors to the next, which tells what was seen
-GROUPED_EVERY = 8  # control periods
 
 
 class DeviceVectorEnv(LanesEnv):
@@ -43,6 +42,7 @@ class DeviceVectorEnv(LanesEnv):
     Args:
         num_envs: number of lanes; 30 000 and more fill a data-centre card.
         settings: of the environment.
+        make_batch: makes its batch, of so many lanes on a device.
         max_episode_steps: control periods after which a lane is truncated; None for no limit.
         autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED, which makes the host
             wait for the device in every step.
@@ -55,19 +55,19 @@ class DeviceVectorEnv(LanesEnv):
     def __init__(
         self,
         num_envs: int,
-        settings: Settings,
+        settings: Settings | FlowSettings,
+        make_batch: Callable[[int, torch.device], DeviceDriven],
         max_episode_steps: int | None,
         autoreset_mode: AutoresetMode | str,
         device: torch.device,
     ) -> None:
         super().__init__(num_envs, autoreset_mode, max_episode_steps, None)
-        check_settings(settings)
         self.settings = settings
         self.device = device
-        self._batch = DeviceBatch(settings, self.num_envs, device)
+        self._batch = make_batch(self.num_envs, device)
         self.outcomes = self._batch.outcomes  # how an episode may stand
         self._show(settings.observation_space(), settings.action_space())
-        self._actions = TensorActions(settings.action_kind, self.num_envs, device)
+        self._actions = TensorActions(self.single_action_space, self.num_envs, device)
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=device)
         self._steps_left = torch.zeros(self.num_envs, dtype=torch.int64, device=device)
         self._steps = 0
@@ -100,9 +100,9 @@ class DeviceVectorEnv(LanesEnv):
         generators = {
             lane: np_random(seeds[lane])[0]
             for lane in lanes.tolist()
-            if seeds[lane] is not None or not batch.supply.is_seeded(lane)
+            if seeds[lane] is not None or not batch.is_seeded(lane)
         }
-        batch.supply.renew(generators, lanes, some)
+        batch.prepare(generators, lanes, some)
         begun = torch.from_numpy(chosen).to(self.device)
         batch.place(begun)
         batch.move(begun)
@@ -116,14 +116,12 @@ class DeviceVectorEnv(LanesEnv):
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before step.")
         batch = self._batch
-        outcome = batch.lanes.outcome
+        outcome = batch.outcome
         ended = outcome != RUNNING
         if self.autoreset_mode == AutoresetMode.DISABLED and ended.any():
             which = torch.nonzero(ended).flatten().tolist()
             raise gym.error.ResetNeeded(f"Lanes {which} have ended: reset them with reset_mask.")
-        if self._steps % GROUPED_EVERY == 0:
-            batch.group()
-        batch.surfaces.command.copy_(self._actions.commands(actions))
+        batch.command.copy_(self._actions.commands(actions))
         if self.autoreset_mode == AutoresetMode.NEXT_STEP:  # this step is their reset
             batch.place(ended)
         batch.move(self._all)
@@ -133,12 +131,12 @@ class DeviceVectorEnv(LanesEnv):
         outcome.masked_fill_(late & (outcome == RUNNING), OUT_OF_TIME)
         truncated = (outcome == OUT_OF_TIME) | late
         terminated = outcome > OUT_OF_TIME
-        rewards = batch.lanes.reward.clone()
+        rewards = batch.reward.clone()
         infos: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             infos = self._begin_again(truncated | terminated)
         infos.update(self._infos(self._all))
-        batch.supply.follow()
+        batch.follow()
         self._steps += 1
         if self._steps % LOOK_EVERY == 0:
             self._look()
@@ -147,7 +145,7 @@ class DeviceVectorEnv(LanesEnv):
     def close_extras(self, **kwargs: Any) -> None:
         """Raise what has not been told yet, and end the thread that draws starts."""
         del kwargs
-        self._batch.supply.close()
+        self._batch.close()
         self._check()
 
     def _begin_again(self, over: torch.Tensor) -> dict[str, Any]:
@@ -164,22 +162,12 @@ class DeviceVectorEnv(LanesEnv):
         return ended
 
     def _observation(self) -> torch.Tensor:
-        observation: torch.Tensor = self._batch.lanes.observation
-        return observation.clone(memory_format=torch.contiguous_format)
+        return self._batch.observation.clone(memory_format=torch.contiguous_format)
 
     def _infos(self, mask: torch.Tensor) -> dict[str, Any]:
         """Infos of the lanes in the mask: tensors and, as Gymnasium has it, whose they are."""
-        lanes, task = self._batch.lanes, self._batch.task
-        terms = {name: lanes.terms[:, k].clone() for k, name in enumerate(task.terms)}
-        infos = {
-            "is_success": lanes.outcome == SUCCESS,
-            "outcome": lanes.outcome.clone(),
-            "time": lanes.clock.clone(),
-            "pose": lanes.truth[:, :3].clone(),
-            "velocity": lanes.truth[:, 3:].clone(),
-            **{name: lanes.figures[:, k].clone() for k, name in enumerate(task.figures)},
-            "reward_terms": {**terms, **{f"_{name}": mask for name in terms}},
-        }
+        told, terms = self._batch.told()
+        infos = {**told, "reward_terms": {**terms, **{f"_{name}": mask for name in terms}}}
         return {**infos, **{f"_{name}": mask for name in infos}}
 
     def _wrong(self) -> torch.Tensor:
@@ -211,7 +199,7 @@ class DeviceVectorEnv(LanesEnv):
                 f"{2 * LOOK_EVERY} control periods"
             )
         raise ValueError(
-            f"{type(self._batch.task).__name__} gave an outcome that it does not have, or a "
+            f"{self._batch.author} gave an outcome that it does not have, or a "
             f"reward or feature that is not finite, on lane {lanes[0]} in the last "
             f"{2 * LOOK_EVERY} control periods; the same lane on the CPU says which"
         )

@@ -12,6 +12,7 @@ from surface_gym.actuators import Actuators
 from surface_gym.registration import env_id
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS
+from tests.flow.flows import DENSE, SHORT
 
 SETTINGS: dict[str, dict[str, Any]] = {
     "sort": {"actions": "halves", "orientations": "any"},
@@ -24,7 +25,16 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     **{task: (task, SETTINGS.get(task, {})) for task in TASKS},
     "axes that turn": ("sort", TURNING),
 }
+# Short lines with more parcels than can pass: some touch.
+DENSE_FLOW: dict[str, Any] = {
+    "plant": SHORT, "stream": DENSE, "places": 6, "duration": 1.2, "control_period": 0.04,
+}  # fmt: skip
+FLOWS: dict[str, dict[str, Any]] = {
+    "a flow of modules": {**DENSE_FLOW, "actions": "modules"},
+    "a flow of parcels": {**DENSE_FLOW, "actions": "parcels"},
+}
 every_case = pytest.mark.parametrize("name", CASES)
+every_case_and_flow = pytest.mark.parametrize("name", [*CASES, *FLOWS])
 needs_numba_cuda = pytest.mark.skipif(
     find_spec("numba_cuda") is None, reason="numba-cuda is not installed (extra 'gpu')"
 )

@@ -11,21 +11,22 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 import surface_gym  # noqa: F401
-from surface_gym.devices import make_device_env
-from tests.gpu.cases import CASES, actions_of, id_of
+from surface_gym.devices import make_device_env, make_device_flow
+from surface_gym.registration import FLOW
+from tests.gpu.cases import CASES, FLOWS, actions_of, id_of
 
 LANES, LIMIT, PERIODS = 3, 5, 12
+FLOW_LANES = 2
 
 
 def differences(name: str, mode: AutoresetMode) -> list[str]:
-    """What is not the same to the bit, over some episodes."""
+    """What is not the same to the bit, over some episodes of a task."""
     task, settings = CASES[name]
     given = {"max_episode_steps": LIMIT, "autoreset_mode": mode, **settings}
     cpu = gym.make_vec(id_of(name), num_envs=LANES, **given)
     device = make_device_env(LANES, "cpu", task=task, **given)
     actions = actions_of(cpu, PERIODS)
-    seed: dict[str, Any] = {"seed": 3}
-    found = compared(cpu.reset(**seed), device.reset(**seed), device.outcomes, "reset")
+    found = begun(cpu, device)
     for period, action in enumerate(actions):
         options: dict[str, Any] = {}
         if period == LIMIT + 3:  # one lane, in the middle of its episode
@@ -39,6 +40,29 @@ def differences(name: str, mode: AutoresetMode) -> list[str]:
         found += compared(of_cpu, of_device, device.outcomes, f"period {period}")
     device.close()
     return found
+
+
+def differences_of_flow(name: str, mode: AutoresetMode) -> list[str]:
+    """What is not the same to the bit, over two episodes of a flow in which parcels touch."""
+    given = {"autoreset_mode": mode, **FLOWS[name]}
+    cpu = gym.make_vec(FLOW, num_envs=FLOW_LANES, **given)
+    device = make_device_flow(FLOW_LANES, "cpu", **given)
+    periods = round(1.5 * FLOWS[name]["duration"] / device.settings.control_period)
+    found, touches = begun(cpu, device), 0
+    for period, action in enumerate(actions_of(cpu, periods)):
+        of_cpu, of_device = cpu.step(action), device.step(torch.from_numpy(action))
+        for infos in (of_cpu[4], of_cpu[4].get("final_info", {})):
+            for more in ("episode_figures", "_episode_figures"):  # that the host works out
+                infos.pop(more, None)
+        touches = max(touches, int(of_cpu[4]["touches"].max()))
+        found += compared(of_cpu, of_device, device.outcomes, f"period {period}")
+    return found if touches else [*found, "no parcels touched"]
+
+
+def begun(cpu: Any, device: Any) -> list[str]:
+    """What differs of the first episodes' beginning."""
+    seed: dict[str, Any] = {"seed": 3}
+    return compared(cpu.reset(**seed), device.reset(**seed), device.outcomes, "reset")
 
 
 def compared(one: Any, other: Any, outcomes: tuple[str, ...], place: str) -> list[str]:
@@ -78,7 +102,9 @@ def of_ended(
 def main() -> None:
     """Compare all cases, each in one mode."""
     modes = list(AutoresetMode)
-    print(json.dumps({name: differences(name, modes[k % 3]) for k, name in enumerate(CASES)}))
+    found = {name: differences(name, modes[k % 3]) for k, name in enumerate(CASES)}
+    of_flows = {name: differences_of_flow(name, modes[k]) for k, name in enumerate(FLOWS)}
+    print(json.dumps({**found, **of_flows}))
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ def test_commands_are_those_of_the_cpu(actions, orientations):
     space = kind.space()
     space.seed(0)
     given = np.array([space.sample() for _ in range(LANES)])
-    tensor = TensorActions(kind, LANES, CPU)
+    tensor = TensorActions(space, LANES, CPU)
     commands = tensor.commands(torch.from_numpy(given))
     np.testing.assert_array_equal(commands, kind.commands(given, LANES))
     assert commands.dtype == (torch.float64 if orientations == "any" else torch.int64)
@@ -35,7 +35,7 @@ def test_commands_are_those_of_the_cpu(actions, orientations):
 
 @pytest.mark.parametrize("bad", [-1, 16, 2**40])
 def test_a_choice_that_is_none_is_noted_and_never_reaches_the_lane(bad):
-    tensor = TensorActions(kind_of("halves"), LANES, CPU)
+    tensor = TensorActions(kind_of("halves").space(), LANES, CPU)
     actions = torch.full((LANES,), 5)
     actions[3] = bad
     commands = tensor.commands(actions)
@@ -46,7 +46,7 @@ def test_a_choice_that_is_none_is_noted_and_never_reaches_the_lane(bad):
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 1.6, -1.6])
 def test_an_angle_that_is_none_is_noted_and_never_reaches_the_lane(bad):
-    tensor = TensorActions(kind_of("halves", "any"), LANES, CPU)
+    tensor = TensorActions(kind_of("halves", "any").space(), LANES, CPU)
     commands = tensor.commands(torch.full((LANES, 2), bad))
     assert tensor.wrong
     assert (commands == 0.0).all()
@@ -64,11 +64,11 @@ def test_an_angle_that_is_none_is_noted_and_never_reaches_the_lane(bad):
 )
 def test_what_is_no_action_is_an_error_at_once(actions, message):
     with pytest.raises(ValueError, match=message):
-        TensorActions(kind_of("halves"), LANES, CPU).commands(actions)
+        TensorActions(kind_of("halves").space(), LANES, CPU).commands(actions)
 
 
 def test_whole_numbers_are_no_angles():
     with pytest.raises(ValueError, match=r"action must be angles, got torch\.int64"):
-        TensorActions(kind_of("halves", "any"), LANES, CPU).commands(
+        TensorActions(kind_of("halves", "any").space(), LANES, CPU).commands(
             torch.zeros((LANES, 2), dtype=torch.int64)
         )

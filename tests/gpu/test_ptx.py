@@ -7,6 +7,8 @@ import pytest
 from numba import typeof, types
 
 from surface_gym.batch.batch import Batch
+from surface_gym.flow.episodes import FlowEpisodes
+from surface_gym.flow.settings import FlowSettings
 from tests.gpu.cases import every_case, needs_numba_cuda, settings_of
 
 pytestmark = needs_numba_cuda
@@ -32,11 +34,11 @@ def strided(kind):
     return kind
 
 
-def ptx_of(kernel, arguments, capability):
+def ptx_of(kernel, arguments, capability, opt=True):
     from numba import cuda
 
     signature = types.void(*(strided(typeof(argument)) for argument in arguments))
-    ptx, _ = cuda.compile_ptx(kernel.py_func, signature, cc=capability)
+    ptx, _ = cuda.compile_ptx(kernel.py_func, signature, cc=capability, opt=opt)
     return ptx
 
 
@@ -54,6 +56,22 @@ def test_every_task_compiles_for_every_capability(name):
         assert f".target sm_{major}{minor}" in ptx
         assert ".visible .entry" in ptx
         assert ".local" in ptx  # a thread's scratch
+
+
+@pytest.mark.usefixtures("without_a_device")
+def test_a_flow_compiles_for_every_capability():
+    from surface_gym.gpu.flow_kernel import capacity_of, make_scratch, move_flow_kernel
+
+    settings = FlowSettings(places=16)
+    flows = FlowEpisodes(settings, 2)
+    one = make_scratch(capacity_of(settings, settings.stream.kinds), settings.rows)
+    scratches = type(one)._make(np.stack([values, values]) for values in one)
+    memory = (flows.surfaces, flows.lanes, flows.sites, flows.flows, scratches)
+    arguments = (flows.rules, flows.flow_rules, *memory, np.zeros(2, dtype=np.bool_))
+    for major, minor in CAPABILITIES:
+        # As it is written: to make it fast takes the compiler half a minute, and no other code.
+        ptx = ptx_of(move_flow_kernel(settings), arguments, (major, minor), opt=False)
+        assert f".target sm_{major}{minor}" in ptx
 
 
 @pytest.mark.usefixtures("without_a_device")

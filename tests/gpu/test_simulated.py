@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from tests.gpu.cases import every_case, needs_numba_cuda
+from tests.gpu.cases import every_case_and_flow, needs_numba_cuda
 
 pytestmark = needs_numba_cuda
 
@@ -28,6 +28,6 @@ def found() -> dict[str, list[str]]:
     return differences
 
 
-@every_case
+@every_case_and_flow
 def test_the_device_gives_what_the_cpu_does(found, name):
     assert found[name] == []
