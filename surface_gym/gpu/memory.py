@@ -33,7 +33,7 @@ def make_memory(settings: Settings, lanes: int, device: torch.device) -> tuple[S
 
 def _for_all(values: NDArray[Any], lanes: int, device: torch.device, spread: Any) -> torch.Tensor:
     """What lanes share has its one row; else a row each."""
-    one = torch.from_numpy(values[:1].copy()).to(device)
+    one = to_device(values[:1], device)
     return one if len(values) == 1 else spread(one[0], lanes)
 
 
@@ -48,9 +48,13 @@ def together(one: torch.Tensor, lanes: int) -> torch.Tensor:
 
 
 def to_device(values: Any, device: torch.device) -> Any:
-    """A tuple of arrays and numbers, tuples of them included, with the arrays as tensors."""
+    """A tuple of arrays and numbers, tuples of them included, with the arrays as tensors.
+
+    An array that holds nothing gets a zero that nobody reads: a kernel takes no empty one.
+    """
     if isinstance(values, np.ndarray):
-        return torch.from_numpy(values.copy()).to(device)
+        held = values if values.size else np.zeros(np.maximum(values.shape, 1), values.dtype)
+        return torch.from_numpy(held.copy()).to(device)
     if isinstance(values, tuple):
         return type(values)._make(to_device(value, device) for value in values)  # type: ignore[attr-defined]
     return values

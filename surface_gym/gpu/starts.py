@@ -28,8 +28,8 @@ class Starts(NamedTuple):
     site: Any  # (lanes, AHEAD)
     state: Any  # (lanes, AHEAD, STATE_SIZE)
     conditions: Any  # (lanes, AHEAD, 5)
-    goal: Any  # (lanes, AHEAD, goals)
-    path: Any  # (lanes, AHEAD, PATH_POINTS or 0) [m]
+    goal: Any  # (lanes, AHEAD, goals or 1)
+    path: Any  # (lanes, AHEAD, PATH_POINTS or 1) [m]
 
 
 class Laid(NamedTuple):
@@ -72,7 +72,7 @@ class Supply:
             torch.zeros((lanes, AHEAD), dtype=torch.int64, device=device),
             *(
                 torch.zeros((lanes, AHEAD, size), dtype=torch.float64, device=device)
-                for size in (STATE_SIZE, 5, task.goals, path)
+                for size in (STATE_SIZE, 5, max(1, task.goals), max(1, path))
             ),
         )
         # (lanes,) starts that each lane has taken from its ring
@@ -155,4 +155,5 @@ class Supply:
         rows = laid.rows
         values = (rows.site, rows.state, rows.conditions, rows.goal, laid.path)
         for ring, value in zip(self.starts, values, strict=True):
-            ring[lanes, slots] = sent(value, device)
+            if value.size:
+                ring[lanes, slots] = sent(value, device)

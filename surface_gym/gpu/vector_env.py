@@ -37,7 +37,9 @@ class DeviceVectorEnv(LanesEnv):
     - an action out of range, or a number of a task's own that is not finite, is an error within
       64 control periods; an index of a task's own beyond an array is not seen: try a task on the
       CPU first;
-    - there are no pictures, noise, randomisation or infos on request; parcels are the task's.
+    - there are no pictures, noise, randomisation or infos on request; parcels are the task's;
+    - a flow's episodes are drawn as lanes begin, so that its `step` waits for the device to say
+      which do; they may vary, and tell no "episode_figures".
 
     Args:
         num_envs: number of lanes; 30 000 and more fill a data-centre card.

@@ -47,7 +47,10 @@ def assert_placed(batch, chosen, starts):
     lanes = batch.lanes
     placed = (lanes.site, lanes.state, batch.surfaces.conditions, lanes.goal, lanes.path)
     for one, other in zip(placed, starts, strict=True):
-        np.testing.assert_array_equal(one[chosen], other)
+        # A ring of nothing holds a zero.
+        np.testing.assert_array_equal(
+            one[chosen], other[:, : one.shape[1]] if one.ndim > 1 else other
+        )
 
 
 @pytest.mark.parametrize("task", TASKS)
