@@ -127,11 +127,12 @@ def showing(functions: Functions) -> Any:
 
 
 @lru_cache(maxsize=256)
-def moving(functions: Functions) -> Any:
-    """Build `move_lane(rules, surfaces, lanes, sites, scratch, sensor's scratch, i)`.
+def make_kernel(functions: Functions) -> Any:
+    """Build `move_lanes(rules, surfaces, lanes, sites, scratch, sensor's scratch, chosen)`.
 
-    Lane i begins if it was placed, moves over one control period if it runs, and stays if it has
-    ended. It returns what a task's function has gone wrong in, else SOUND.
+    Of the chosen lanes (count,) those placed begin, those that run move over one control period,
+    and those that have ended stay. It returns how many a task's function has gone wrong on, and is
+    compiled for a batch's arrays by `entry_of`.
     """
     task_begin, task_over, task_judge = functions.begin, functions.over, functions.judge
     task_reward, task_observe, task_mirror = functions.reward, functions.observe, functions.mirror
@@ -140,98 +141,6 @@ def moving(functions: Functions) -> Any:
     obey, turn, straighten, turns = functions.actuation
     obey_command = obeying(functions.part_of, obey)
     show_more = showing(functions)
-
-    @inlined
-    def move_lane(
-        rules: Rules,
-        surfaces: Surfaces,
-        lanes: Lanes,
-        sites: Sites,
-        scratch: Scratch,
-        sensor_scratch: Scratch,
-        i: int,
-    ) -> int:
-        if lanes.outcome[i] == PLACED:
-            straighten(rules.acting, surfaces, i)
-            lanes.clock[i] = 0.0
-            lanes.steps[i] = 0
-        elif lanes.outcome[i] != RUNNING:
-            return SOUND
-        lanes.fault[i] = SOUND
-        lanes.period[i] = 0.0
-        lanes.on_rotors[i] = True
-        lanes.on_surface[i] = True
-        lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
-        mirror = task_mirror(lane)
-        if lanes.outcome[i] == PLACED:
-            lanes.outcome[i] = RUNNING
-            lanes.reward[i] = 0.0
-            for k in range(lane.terms.shape[0]):
-                lane.terms[k] = 0.0
-            read_truth(lane)
-            sensor_begin(rules.sensor, lane)
-            task_begin(lane)
-        else:
-            obey_command(rules, surfaces, lane, i, mirror)
-            site = lanes.site[i]
-            grid = grid_of(surfaces, sites, i, site, rules.elements, rules.friction)
-            body = body_of(sites, site)
-            dt = rules.timing.dt
-            physics = Physics(rules.assumed, rules.stiffness, sensor_scratch, dt)
-            start = lanes.clock[i]
-            forget_contacts(scratch)
-            forget_contacts(sensor_scratch)
-            for _ in range(rules.timing.steps):
-                if turns and turn(rules.acting, surfaces, i, lane.zone):
-                    forget_contacts(scratch)
-                    forget_contacts(sensor_scratch)
-                report, contacts = step_implicit(grid, body, lane.state, scratch, dt)
-                on_surface = report < OFF_SURFACE
-                lanes.on_surface[i] = on_surface
-                if on_surface:
-                    lanes.clock[i] += dt
-                    lanes.steps[i] += 1
-                    lanes.period[i] = lanes.clock[i] - start
-                    lanes.on_rotors[i] = contacts.total > contacts.supports
-                lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
-                if not on_surface:
-                    break
-                if watches:
-                    read_truth(lane)
-                    sensor_look(rules.sensor, lane, physics)
-                if task_over(lane):
-                    break
-            read_truth(lane)
-            outcome = task_judge(lane)
-            task_reward(lane, outcome)
-            lanes.outcome[i] = outcome
-            reward = 0.0
-            for k in range(lane.terms.shape[0]):
-                reward += lane.terms[k]
-            lanes.reward[i] = reward
-            if not math.isfinite(reward):
-                lanes.fault[i] = BAD_REWARD
-            if not 0 <= outcome < rules.outcomes or outcome == OUT_OF_TIME:
-                lanes.fault[i] = UNKNOWN_OUTCOME
-        sensor_estimate(rules.sensor, lane)
-        task_observe(lane)
-        show_more(rules, lane, mirror)
-        for k in range(lane.observation.shape[0]):
-            if not math.isfinite(lane.observation[k]):
-                lanes.fault[i] = BAD_OBSERVATION
-        return lanes.fault[i]
-
-    return move_lane
-
-
-@lru_cache(maxsize=256)
-def make_kernel(functions: Functions) -> Any:
-    """Build `move_lanes(rules, surfaces, lanes, sites, scratch, sensor's scratch, chosen)`.
-
-    It moves the chosen lanes (count,), returns how many a task's function has gone wrong on, and is
-    compiled for a batch's arrays by `entry_of`.
-    """
-    move_lane = moving(functions)
 
     def move_lanes(
         rules: Rules,
@@ -243,9 +152,76 @@ def make_kernel(functions: Functions) -> Any:
         chosen: Integers,
     ) -> int:
         faults = 0
+        dt = rules.timing.dt
+        physics = Physics(rules.assumed, rules.stiffness, sensor_scratch, dt)
         for i in chosen:
-            fault = move_lane(rules, surfaces, lanes, sites, scratch, sensor_scratch, i)
-            faults += fault != SOUND
+            if lanes.outcome[i] == PLACED:
+                straighten(rules.acting, surfaces, i)
+                lanes.clock[i] = 0.0
+                lanes.steps[i] = 0
+            elif lanes.outcome[i] != RUNNING:
+                continue
+            lanes.fault[i] = SOUND
+            lanes.period[i] = 0.0
+            lanes.on_rotors[i] = True
+            lanes.on_surface[i] = True
+            lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
+            mirror = task_mirror(lane)
+            if lanes.outcome[i] == PLACED:
+                lanes.outcome[i] = RUNNING
+                lanes.reward[i] = 0.0
+                for k in range(lane.terms.shape[0]):
+                    lane.terms[k] = 0.0
+                read_truth(lane)
+                sensor_begin(rules.sensor, lane)
+                task_begin(lane)
+            else:
+                obey_command(rules, surfaces, lane, i, mirror)
+                site = lanes.site[i]
+                grid = grid_of(surfaces, sites, i, site, rules.elements, rules.friction)
+                body = body_of(sites, site)
+                start = lanes.clock[i]
+                forget_contacts(scratch)
+                forget_contacts(sensor_scratch)
+                for _ in range(rules.timing.steps):
+                    if turns and turn(rules.acting, surfaces, i, lane.zone):
+                        forget_contacts(scratch)
+                        forget_contacts(sensor_scratch)
+                    report, contacts = step_implicit(grid, body, lane.state, scratch, dt)
+                    on_surface = report < OFF_SURFACE
+                    lanes.on_surface[i] = on_surface
+                    if on_surface:
+                        lanes.clock[i] += dt
+                        lanes.steps[i] += 1
+                        lanes.period[i] = lanes.clock[i] - start
+                        lanes.on_rotors[i] = contacts.total > contacts.supports
+                    lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
+                    if not on_surface:
+                        break
+                    if watches:
+                        read_truth(lane)
+                        sensor_look(rules.sensor, lane, physics)
+                    if task_over(lane):
+                        break
+                read_truth(lane)
+                outcome = task_judge(lane)
+                task_reward(lane, outcome)
+                lanes.outcome[i] = outcome
+                reward = 0.0
+                for k in range(lane.terms.shape[0]):
+                    reward += lane.terms[k]
+                lanes.reward[i] = reward
+                if not math.isfinite(reward):
+                    lanes.fault[i] = BAD_REWARD
+                if not 0 <= outcome < rules.outcomes or outcome == OUT_OF_TIME:
+                    lanes.fault[i] = UNKNOWN_OUTCOME
+            sensor_estimate(rules.sensor, lane)
+            task_observe(lane)
+            show_more(rules, lane, mirror)
+            for k in range(lane.observation.shape[0]):
+                if not math.isfinite(lane.observation[k]):
+                    lanes.fault[i] = BAD_OBSERVATION
+            faults += lanes.fault[i] != SOUND
         return faults
 
     return compiled(move_lanes, functions.label)

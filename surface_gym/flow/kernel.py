@@ -63,12 +63,12 @@ class FlowFunctions(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def moving_flow(functions: FlowFunctions) -> Any:
-    """Build `move_flow(rules, flow_rules, surfaces, lanes, sites, flows, scratch, sensor's scratch,
-    i)`.
+def make_flow_kernel(functions: FlowFunctions) -> Any:
+    """Build `move_flows(rules, flow_rules, surfaces, lanes, sites, flows, scratch, sensor's
+    scratch, chosen)`.
 
-    Surface i begins if it was placed, moves over one control period if it runs, and stays if it has
-    ended. It returns what has gone wrong on it, else SOUND.
+    Of the chosen surfaces (count,) those placed begin, those that run move over one control
+    period, and those that have ended stay. It returns how many something has gone wrong on.
     """
     sensor_begin, sensor_look = functions.begin_sensor, functions.look
     sensor_estimate, watches = functions.estimate, functions.watches
@@ -108,148 +108,6 @@ def moving_flow(functions: FlowFunctions) -> Any:
                 flows.told[i, row, column] = angle
                 obey(rules.acting, surfaces, i, row, column, part)
 
-    @inlined
-    def move_flow(
-        rules: Rules,
-        flow_rules: FlowRules,
-        surfaces: Surfaces,
-        lanes: Lanes,
-        sites: Sites,
-        flows: Flows,
-        scratch: TogetherScratch,
-        sensor_scratch: Scratch,
-        i: int,
-    ) -> int:
-        dt = rules.timing.dt
-        apart = int(APART / dt)
-        rows = flows.number.shape[1]
-        places = places_of(flow_rules, flows)
-        gate = surfaces.command.shape[1] - 1
-        physics = Physics(rules.assumed, rules.stiffness, sensor_scratch, dt)
-        bodies = Bodies(sites.body, sites.edges, sites.corners)
-        first = i * rows
-        begins = flows.outcome[i] == PLACED
-        if begins:
-            straighten(rules.acting, surfaces, i)
-            for row in range(flows.told.shape[1]):
-                for column in range(flows.told.shape[2]):
-                    flows.told[i, row, column] = ROLLING
-                    flows.owner[i, row, column] = NOBODY
-            flows.outcome[i] = RUNNING
-        elif flows.outcome[i] != RUNNING:
-            return SOUND
-        flows.fault[i] = SOUND
-        for k in range(flows.terms.shape[1]):
-            flows.terms[i, k] = 0.0
-        for k in range(rows):
-            lanes.reward[first + k] = 0.0
-            lanes.period[first + k] = 0.0
-            if not flows.present[i, k]:
-                flows.number[i, k] = NOBODY
-        if not begins:
-            obey_command(rules, flow_rules, surfaces, lanes, sites, flows, i)
-        forget_together(scratch)
-        forget_contacts(sensor_scratch)
-        grid = grid_of(surfaces, sites, i, 0, rules.elements, rules.friction)
-        company = Company(
-            lanes.state[first : first + rows],
-            flows.present[i],
-            lanes.site[first : first + rows],
-            bodies,
-        )
-        zone = sites.zone[0]
-        opens = int(surfaces.command[i, gate]) if flow_rules.gated else 1
-        entered = False
-        # Who may enter does so at a start, which is step 0 alone, and after every step.
-        for step in range(0 if begins else 1, 1 if begins else rules.timing.steps + 1):
-            if not begins:
-                if turns:
-                    turn(rules.acting, surfaces, i, zone)
-                    forget_together(scratch)
-                    forget_contacts(sensor_scratch)
-                pairs = step_together(grid, company, flow_rules.sides, scratch, dt)
-                flows.clock[i] += dt
-                flows.steps[i] += 1
-                note_touches(lanes, flows, scratch, i, pairs, apart)
-                for k in range(places):
-                    if not flows.present[i, k]:
-                        continue
-                    row = first + k
-                    on_surface = scratch.report[k] < OFF_SURFACE
-                    lanes.on_surface[row] = on_surface
-                    lanes.on_rotors[row] = on_surface and scratch.rotors[k] > 0
-                    lanes.clock[row] += dt
-                    lanes.steps[row] += 1
-                    lanes.period[row] += dt
-                    lane = lane_of(surfaces, lanes, sites, i, row, rules.elements)
-                    if not lane.on_rotors:
-                        read_truth(lane)
-                        leave(flows, lanes, i, k, exit_taken(flow_rules, lane))
-                    elif watches:
-                        read_truth(lane)
-                        sensor_look(rules.sensor, lane, physics)
-                waiting = flows.due[i] - flows.coming[i]
-                flows.waited[i] += dt * waiting
-                flows.terms[i, WAITING] += WAITING_REWARD * dt * waiting
-            count_due(flows, i)
-            # A gate opens at a physics step of the period, for one parcel; or not at all.
-            if flow_rules.gated and (entered or opens == 0 or step < opens):
-                continue
-            place = let_in(rules, flow_rules, surfaces, lanes, sites, flows, i)
-            if place != NOBODY:
-                entered = True
-                lane = lane_of(surfaces, lanes, sites, i, first + place, rules.elements)
-                sensor_begin(rules.sensor, lane)
-        anybody = False
-        moves = False
-        for k in range(places):
-            if flows.number[i, k] == NOBODY:
-                continue
-            lane = lane_of(surfaces, lanes, sites, i, first + k, rules.elements)
-            read_truth(lane)
-            outcome = lanes.outcome[first + k]
-            lanes.reward[first + k] = reward_parcel(lane, outcome)
-            for term in range(lane.terms.shape[0]):
-                flows.terms[i, term] += lane.terms[term]
-            if flows.present[i, k]:
-                anybody = True
-                moves |= not is_slower(lane, STALL_SPEED)
-                sensor_estimate(rules.sensor, lane)
-        if anybody and not moves and not begins:
-            flows.still[i] += dt * rules.timing.steps
-        else:
-            flows.still[i] = 0.0
-        if flows.still[i] >= flow_rules.patience:
-            flows.outcome[i] = JAM
-            flows.terms[i, JAMMED] = JAM_REWARD
-        elif flows.clock[i] >= flow_rules.duration - 0.5 * dt:
-            flows.outcome[i] = OUT_OF_TIME
-        reward = 0.0
-        for k in range(flows.terms.shape[1]):
-            reward += flows.terms[i, k]
-        flows.reward[i] = reward
-        if flow_rules.gated:
-            show_next(rules, flow_rules, surfaces, lanes, sites, flows, i)
-            lanes.reward[first + places] = flows.terms[i, WAITING]
-        show_parcels(rules, flow_rules, surfaces, lanes, sites, flows, i)
-        for k in range(rows):
-            for feature in range(lanes.observation.shape[1]):
-                if not math.isfinite(lanes.observation[first + k, feature]):
-                    flows.fault[i] = BAD_OBSERVATION
-        return flows.fault[i]
-
-    return move_flow
-
-
-@lru_cache(maxsize=64)
-def make_flow_kernel(functions: FlowFunctions) -> Any:
-    """Build `move_flows(rules, flow_rules, surfaces, lanes, sites, flows, scratch, sensor's
-    scratch, chosen)`.
-
-    It moves the chosen surfaces (count,), and returns how many something has gone wrong on.
-    """
-    move_flow = moving_flow(functions)
-
     def move_flows(
         rules: Rules,
         flow_rules: FlowRules,
@@ -262,11 +120,124 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
         chosen: Integers,
     ) -> int:
         faults = 0
+        dt = rules.timing.dt
+        apart = int(APART / dt)
+        rows = flows.number.shape[1]
+        places = places_of(flow_rules, flows)
+        gate = surfaces.command.shape[1] - 1
+        physics = Physics(rules.assumed, rules.stiffness, sensor_scratch, dt)
+        bodies = Bodies(sites.body, sites.edges, sites.corners)
         for i in chosen:
-            fault = move_flow(
-                rules, flow_rules, surfaces, lanes, sites, flows, scratch, sensor_scratch, i
+            first = i * rows
+            begins = flows.outcome[i] == PLACED
+            if begins:
+                straighten(rules.acting, surfaces, i)
+                for row in range(flows.told.shape[1]):
+                    for column in range(flows.told.shape[2]):
+                        flows.told[i, row, column] = ROLLING
+                        flows.owner[i, row, column] = NOBODY
+                flows.outcome[i] = RUNNING
+            elif flows.outcome[i] != RUNNING:
+                continue
+            flows.fault[i] = SOUND
+            for k in range(flows.terms.shape[1]):
+                flows.terms[i, k] = 0.0
+            for k in range(rows):
+                lanes.reward[first + k] = 0.0
+                lanes.period[first + k] = 0.0
+                if not flows.present[i, k]:
+                    flows.number[i, k] = NOBODY
+            if not begins:
+                obey_command(rules, flow_rules, surfaces, lanes, sites, flows, i)
+            forget_together(scratch)
+            forget_contacts(sensor_scratch)
+            grid = grid_of(surfaces, sites, i, 0, rules.elements, rules.friction)
+            company = Company(
+                lanes.state[first : first + rows],
+                flows.present[i],
+                lanes.site[first : first + rows],
+                bodies,
             )
-            faults += fault != SOUND
+            zone = sites.zone[0]
+            opens = int(surfaces.command[i, gate]) if flow_rules.gated else 1
+            entered = False
+            # Who may enter does so at a start, which is step 0 alone, and after every step.
+            for step in range(0 if begins else 1, 1 if begins else rules.timing.steps + 1):
+                if not begins:
+                    if turns:
+                        turn(rules.acting, surfaces, i, zone)
+                        forget_together(scratch)
+                        forget_contacts(sensor_scratch)
+                    pairs = step_together(grid, company, flow_rules.sides, scratch, dt)
+                    flows.clock[i] += dt
+                    flows.steps[i] += 1
+                    note_touches(lanes, flows, scratch, i, pairs, apart)
+                    for k in range(places):
+                        if not flows.present[i, k]:
+                            continue
+                        row = first + k
+                        on_surface = scratch.report[k] < OFF_SURFACE
+                        lanes.on_surface[row] = on_surface
+                        lanes.on_rotors[row] = on_surface and scratch.rotors[k] > 0
+                        lanes.clock[row] += dt
+                        lanes.steps[row] += 1
+                        lanes.period[row] += dt
+                        lane = lane_of(surfaces, lanes, sites, i, row, rules.elements)
+                        if not lane.on_rotors:
+                            read_truth(lane)
+                            leave(flows, lanes, i, k, exit_taken(flow_rules, lane))
+                        elif watches:
+                            read_truth(lane)
+                            sensor_look(rules.sensor, lane, physics)
+                    waiting = flows.due[i] - flows.coming[i]
+                    flows.waited[i] += dt * waiting
+                    flows.terms[i, WAITING] += WAITING_REWARD * dt * waiting
+                count_due(flows, i)
+                # A gate opens at a physics step of the period, for one parcel; or not at all.
+                if flow_rules.gated and (entered or opens == 0 or step < opens):
+                    continue
+                place = let_in(rules, flow_rules, surfaces, lanes, sites, flows, i)
+                if place != NOBODY:
+                    entered = True
+                    lane = lane_of(surfaces, lanes, sites, i, first + place, rules.elements)
+                    sensor_begin(rules.sensor, lane)
+            anybody = False
+            moves = False
+            for k in range(places):
+                if flows.number[i, k] == NOBODY:
+                    continue
+                lane = lane_of(surfaces, lanes, sites, i, first + k, rules.elements)
+                read_truth(lane)
+                outcome = lanes.outcome[first + k]
+                lanes.reward[first + k] = reward_parcel(lane, outcome)
+                for term in range(lane.terms.shape[0]):
+                    flows.terms[i, term] += lane.terms[term]
+                if flows.present[i, k]:
+                    anybody = True
+                    moves |= not is_slower(lane, STALL_SPEED)
+                    sensor_estimate(rules.sensor, lane)
+            if anybody and not moves and not begins:
+                flows.still[i] += dt * rules.timing.steps
+            else:
+                flows.still[i] = 0.0
+            if flows.still[i] >= flow_rules.patience:
+                flows.outcome[i] = JAM
+                flows.terms[i, JAMMED] = JAM_REWARD
+            elif flows.clock[i] >= flow_rules.duration - 0.5 * dt:
+                flows.outcome[i] = OUT_OF_TIME
+            reward = 0.0
+            for k in range(flows.terms.shape[1]):
+                reward += flows.terms[i, k]
+            flows.reward[i] = reward
+            if flow_rules.gated:
+                show_next(rules, flow_rules, surfaces, lanes, sites, flows, i)
+                lanes.reward[first + places] = flows.terms[i, WAITING]
+            show_parcels(rules, flow_rules, surfaces, lanes, sites, flows, i)
+            for k in range(rows):
+                for feature in range(lanes.observation.shape[1]):
+                    if not math.isfinite(lanes.observation[first + k, feature]):
+                        flows.fault[i] = BAD_OBSERVATION
+            faults += flows.fault[i] != SOUND
         return faults
 
     return compiled(move_flows, functions.label)

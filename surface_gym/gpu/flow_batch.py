@@ -58,6 +58,7 @@ class DeviceFlowBatch:
         self._scratches = type(one)._make(side_by_side(values, lanes) for values in one)
         self._options: Sequence[dict[str, Any]] = ()  # of the lanes that are placed next
         self.first_fault = torch.zeros(lanes, dtype=torch.int64, device=device)
+        self._order = torch.arange(lanes, device=device)  # which surface each thread moves
         self._mask = torch.zeros(lanes, dtype=torch.bool, device=device)  # that kernels read
         self._move = Launch(move_flow_kernel(settings), self._arguments(), lanes)
 
@@ -65,7 +66,7 @@ class DeviceFlowBatch:
         sites = to_device(self._host.sites, self._device)
         rules = (self._rules, self._flow_rules)
         memory = (self._surfaces, self._lanes, sites, self._flows, self._scratches)
-        return (*rules, *memory, self._mask)
+        return (*rules, *memory, self._order, self._mask)
 
     @property
     def command(self) -> torch.Tensor:

@@ -8,8 +8,8 @@ from numba import cuda
 
 from surface_gym.batch.kernels import Rules
 from surface_gym.dynamics.company import TogetherScratch, make_together_scratch, scratch_of
-from surface_gym.dynamics.types import Booleans, Scratch
-from surface_gym.flow.kernel import FlowFunctions, moving_flow
+from surface_gym.dynamics.types import Booleans, Integers, Scratch
+from surface_gym.flow.kernel import FlowFunctions, make_flow_kernel
 from surface_gym.flow.making import functions_of
 from surface_gym.flow.memory import FlowRules, Flows
 from surface_gym.flow.settings import FlowSettings
@@ -34,10 +34,11 @@ def move_flow_kernel(settings: FlowSettings) -> Any:
 
 @lru_cache(maxsize=16)
 def make_move_flow_kernel(functions: FlowFunctions, capacity: int) -> Any:
-    """Build `move(rules, flow_rules, surfaces, lanes, sites, flows, scratches, mask)`, compiled
-    when it is first called.
+    """Build `move(rules, flow_rules, surfaces, lanes, sites, flows, scratches, order, mask)`,
+    compiled when it is first called.
 
-    Thread i moves surface i, if it is in the mask (surfaces,): see `flow.kernel.moving_flow`.
+    Thread t moves surface order[t], if it is in the mask (surfaces,): see
+    `flow.kernel.make_flow_kernel`.
 
     Args:
         functions: of the environment.
@@ -45,7 +46,7 @@ def make_move_flow_kernel(functions: FlowFunctions, capacity: int) -> Any:
     """
     places = layout(capacity)
     source = device_source(capacity)
-    move_flow, own_scratch = source.remade(moving_flow(functions)), source.remade(scratch_of)
+    move_flows, own_scratch = source.remade(make_flow_kernel(functions)), source.remade(scratch_of)
     table_size, marks_size, spans = places["TABLE_SIZE"], places["MARKS_SIZE"], places["SPANS"]
 
     def move(
@@ -56,17 +57,19 @@ def make_move_flow_kernel(functions: FlowFunctions, capacity: int) -> Any:
         sites: Sites,
         flows: Flows,
         scratches: TogetherScratch,
+        order: Integers,
         mask: Booleans,
     ) -> None:
-        i = cuda.grid(1)
-        if i >= mask.shape[0] or not mask[i]:
+        thread = cuda.grid(1)
+        if thread >= order.shape[0] or not mask[order[thread]]:
             return
         of_sensor = Scratch(
             cuda.local.array(table_size, np.float64), cuda.local.array(marks_size, np.int64)
         )
         of_sensor.marks[spans] = -1
-        scratch = own_scratch(scratches, i)
-        move_flow(rules, flow_rules, surfaces, lanes, sites, flows, scratch, of_sensor, i)
+        scratch = own_scratch(scratches, order[thread])
+        own = order[thread : thread + 1]
+        move_flows(rules, flow_rules, surfaces, lanes, sites, flows, scratch, of_sensor, own)
 
     return cuda.jit(move)
 

@@ -7,7 +7,7 @@ import numpy as np
 from numba import cuda
 
 from surface_gym.batch.functions import functions_of
-from surface_gym.batch.kernels import Functions, Rules, moving
+from surface_gym.batch.kernels import Functions, Rules, make_kernel
 from surface_gym.dynamics.types import Booleans, Integers, Scratch
 from surface_gym.gpu.scratch import capacity_of, layout
 from surface_gym.gpu.source import Source
@@ -38,14 +38,14 @@ def move_kernel(settings: Settings) -> Any:
 def make_move_kernel(functions: Functions, capacity: int) -> Any:
     """Build `move(rules, surfaces, lanes, sites, order, mask)`, compiled when it is first called.
 
-    Thread t moves lane order[t], if it is in the mask (lanes,): see `batch.kernels.moving`.
+    Thread t moves lane order[t], if it is in the mask (lanes,): see `batch.kernels.make_kernel`.
 
     Args:
         functions: of the environment.
         capacity: contacts that a scratch has room for.
     """
     places = layout(capacity)
-    move_lane = device_source(capacity).remade(moving(functions))
+    move_lanes = device_source(capacity).remade(make_kernel(functions))
     # A thread's local memory lies interleaved with its neighbours'.
     table_size, marks_size, spans = places["TABLE_SIZE"], places["MARKS_SIZE"], places["SPANS"]
 
@@ -65,7 +65,8 @@ def make_move_kernel(functions: Functions, capacity: int) -> Any:
         )
         scratch.marks[spans] = -1
         # A sensor that does not watch has no use for scratch of its own.
-        move_lane(rules, surfaces, lanes, sites, scratch, scratch, order[thread])
+        own = order[thread : thread + 1]
+        move_lanes(rules, surfaces, lanes, sites, scratch, scratch, own)
 
     def move_watched(
         rules: Rules,
@@ -82,11 +83,12 @@ def make_move_kernel(functions: Functions, capacity: int) -> Any:
             cuda.local.array(table_size, np.float64), cuda.local.array(marks_size, np.int64)
         )
         scratch.marks[spans] = -1
-        own = Scratch(
+        of_sensor = Scratch(
             cuda.local.array(table_size, np.float64), cuda.local.array(marks_size, np.int64)
         )
-        own.marks[spans] = -1
-        move_lane(rules, surfaces, lanes, sites, scratch, own, order[thread])
+        of_sensor.marks[spans] = -1
+        own = order[thread : thread + 1]
+        move_lanes(rules, surfaces, lanes, sites, scratch, of_sensor, own)
 
     return cuda.jit(move_watched if functions.watches else move)
 

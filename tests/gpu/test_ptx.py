@@ -67,7 +67,8 @@ def test_a_flow_compiles_for_every_capability():
     one = make_scratch(capacity_of(settings, settings.stream.kinds), settings.rows)
     scratches = type(one)._make(np.stack([values, values]) for values in one)
     memory = (flows.surfaces, flows.lanes, flows.sites, flows.flows, scratches)
-    arguments = (flows.rules, flows.flow_rules, *memory, np.zeros(2, dtype=np.bool_))
+    order, mask = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.bool_)
+    arguments = (flows.rules, flows.flow_rules, *memory, order, mask)
     for major, minor in CAPABILITIES:
         # As it is written: to make it fast takes the compiler half a minute, and no other code.
         ptx = ptx_of(move_flow_kernel(settings), arguments, (major, minor), opt=False)

@@ -8,7 +8,7 @@ import numpy as np
 
 from surface_gym.batch.batch import Batch
 from surface_gym.batch.functions import functions_of
-from surface_gym.batch.kernels import moving
+from surface_gym.batch.kernels import make_kernel
 from surface_gym.dynamics import types
 from surface_gym.dynamics.compiled import inlined
 from surface_gym.dynamics.types import Scratch
@@ -31,8 +31,8 @@ def scratch_of(places) -> Scratch:
 def test_a_lane_moves_as_in_the_compiled_batch(name):
     settings = settings_of(name)
     places = layout(capacity_of(settings))
-    move_lane = Source(places, plain).remade(moving(functions_of(settings)))
-    assert inspect.isfunction(move_lane)
+    move_lanes = Source(places, plain).remade(make_kernel(functions_of(settings)))
+    assert inspect.isfunction(move_lanes)
     batches = [Batch(settings, 1) for _ in range(2)]
     compiled, python = batches
     for batch in batches:
@@ -44,7 +44,7 @@ def test_a_lane_moves_as_in_the_compiled_batch(name):
     space.seed(0)
     with np.errstate(all="ignore"):  # as compiled code has it
         for _ in range(5):
-            move_lane(*python._arrays, *scratches, 0)
+            assert move_lanes(*python._arrays, *scratches, lane) == 0
             for one, other in zip(compiled.lanes, python.lanes, strict=True):
                 np.testing.assert_array_equal(one, other)
             commands = settings.action_kind.commands([space.sample()], 1)
