@@ -75,8 +75,6 @@ class TestSeenAxes:
             ("SmartSurface/Orient-v0", "modules", math.inf),
             ("SmartSurface/Slow-v0", "window", 4.0),
             ("SmartSurface/Sort-v0", "modules", 4.0),
-            ("SmartSurface/Stop-v0", "window", math.inf),
-            ("SmartSurface/Track-v0", "window", 4.0),
         ],
     )
     def test_the_rest_is_as_without(self, env_id: str, actions: str, axis_speed: float) -> None:

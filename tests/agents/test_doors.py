@@ -54,7 +54,7 @@ def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     folder = tmp_path_factory.mktemp("run")
     flags = (
         f"--algo {request.param} --seeds 2 --name a --steps 512 --lanes 8 --n-steps 16 "
-        "--batch-size 64 --n-epochs 1 --hidden 8"
+        "--batch-size 64 --n-epochs 1 --hidden 8 --camera-share 0"
     )
     if request.param == "ppo":
         done = door(str(ROOT / "train.py"), *flags.split(), folder=folder)
@@ -104,7 +104,7 @@ def test_the_comparison_of_a_task(tmp_path: Path) -> None:
 
     out = tmp_path / "out"
     out.mkdir()
-    few = [replace(each, starts=5) for each in contenders("stop")]
+    few = [replace(each, starts=2) for each in contenders("stop")]
     compute_cells(few, 1, out)
     flags = ("--tasks", "stop", "--out", str(out), "--resume", "--workers", "1")
     done = inside("evaluate.py", *flags, folder=tmp_path)

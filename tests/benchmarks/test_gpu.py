@@ -8,7 +8,7 @@ import pytest
 import torch
 from rich.console import Console
 
-from benchmarks.__main__ import main
+from benchmarks.command import main
 from benchmarks.gpu import command, measuring
 from benchmarks.gpu.measuring import Job, jobs
 from benchmarks.gpu.picture import draw

@@ -44,7 +44,7 @@ class TestCheckers:
     def test_but_that_angles_are_no_numbers_between_0_and_1(self) -> None:
         with pytest.warns(UserWarning, match="normalized space"):
             check_by_gymnasium(
-                bare(**KINDS["parcels, presence, any angle"]), skip_render_check=True
+                bare(**KINDS["modules, presence, any angle"]), skip_render_check=True
             )
 
     @pytest.mark.parametrize("actions", ["modules", "parcels"])
