@@ -15,6 +15,8 @@ FIRST = (
     "tests/agents/learning/",
     "tests/design/test_control.py",
     "tests/agents/evaluation/",
+    "tests/docs/test_notebooks.py",
+    "tests/gpu/test_ptx.py",
 )
 
 # Of each part those that fail first when it breaks, and one environment of each face.
