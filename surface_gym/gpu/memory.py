@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import torch
 from numba import cuda
-from numpy.typing import NDArray
 
 from surface_gym.batch.making import memory_of
 from surface_gym.lanes.memory import Lanes, Surfaces
@@ -31,7 +30,7 @@ def make_memory(settings: Settings, lanes: int, device: torch.device) -> tuple[S
     )
 
 
-def _for_all(values: NDArray[Any], lanes: int, device: torch.device, spread: Any) -> torch.Tensor:
+def _for_all(values: Any, lanes: int, device: torch.device, spread: Any) -> torch.Tensor:
     """What lanes share has its one row; else a row each."""
     one = to_device(values[:1], device)
     return one if len(values) == 1 else spread(one[0], lanes)

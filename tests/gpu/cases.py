@@ -27,7 +27,7 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 # Short lines with more parcels than can pass: some touch.
 DENSE_FLOW: dict[str, Any] = {
-    "plant": SHORT, "stream": DENSE, "places": 6, "duration": 1.2, "control_period": 0.04,
+    "plant": SHORT, "stream": DENSE, "places": 6, "duration": 0.8, "control_period": 0.04,
 }  # fmt: skip
 FLOWS: dict[str, dict[str, Any]] = {
     "a flow of modules": {**DENSE_FLOW, "actions": "modules"},
