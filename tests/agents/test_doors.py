@@ -104,7 +104,7 @@ def test_the_comparison_of_a_task(tmp_path: Path) -> None:
 
     out = tmp_path / "out"
     out.mkdir()
-    few = [replace(each, starts=2) for each in contenders("stop")]
+    few = [replace(each, starts=1) for each in contenders("stop")]
     compute_cells(few, 1, out)
     flags = ("--tasks", "stop", "--out", str(out), "--resume", "--workers", "1")
     done = inside("evaluate.py", *flags, folder=tmp_path)
