@@ -90,12 +90,9 @@ def _on_device(
 
 def _parted(device: str, arguments: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """The arguments of the face, and those of the settings."""
-    rest = {"threads": 1, "render_mode": None, **arguments}
     for name, only in (("threads", 1), ("render_mode", None)):
-        if rest[name] != only:
-            raise ValueError(
-                f"{name} must be {only} where device is {device!r}, got {rest[name]!r}"
-            )
-        del rest[name]
+        given = arguments.pop(name, only)
+        if given != only:
+            raise ValueError(f"{name} must be {only} where device is {device!r}, got {given!r}")
     face = {"max_episode_steps": None, "autoreset_mode": "NextStep"}
-    return {name: rest.pop(name, usual) for name, usual in face.items()}, rest
+    return {name: arguments.pop(name, usual) for name, usual in face.items()}, arguments

@@ -7,7 +7,6 @@ import gymnasium as gym
 import numpy as np
 import torch
 
-import surface_gym  # noqa: F401 - registers the environments
 from surface_gym.flow.arrivals import Poisson
 from surface_gym.flow.stream import Stream
 from surface_gym.registration import FLOW

@@ -1,6 +1,7 @@
 """A batch of lanes: starts are placed on it, commands move it."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from surface_gym.batch.functions import functions_of
 from surface_gym.batch.kernels import Rules, make_kernel
 from surface_gym.batch.making import memory_of, rules_of
 from surface_gym.batch.noise import draw_noise
-from surface_gym.batch.placement import Placement, placement_of
+from surface_gym.batch.placement import placement_in
 from surface_gym.batch.reserve import Reserve
 from surface_gym.batch.sites import SitePlan
 from surface_gym.batch.starts import Rows, parcels_of, path_of, rows_of, starts_of
@@ -31,9 +32,8 @@ from surface_gym.lanes.memory import (
     Sites,
     Surfaces,
 )
-from surface_gym.parcel import Parcel
 from surface_gym.settings import Settings
-from surface_gym.tasks.start import Draw, Parcels, Start
+from surface_gym.tasks.start import Parcels, Start
 
 NO_LANES: Integers = np.zeros(0, dtype=np.int64)
 
@@ -65,6 +65,7 @@ class Batch:
         self.surfaces: Surfaces
         self.lanes: Lanes
         self.surfaces, self.lanes = memory_of(settings, lanes)
+        self._placement = partial(placement_in, settings)
         self._plan = SitePlan(
             self.task.parcels, self._placement, lanes, (plant.rows, plant.columns)
         )
@@ -133,7 +134,7 @@ class Batch:
     def check(self, options: Sequence[dict[str, Any]]) -> None:
         """Raise what `start` would for options of as many lanes, and draw nothing."""
         numbers = np.full((len(options), self.task.draws), 0.5)
-        start = self._draw(numbers, options)
+        start = starts_of(self.settings, numbers, options)
         for parcel in parcels_of(start.parcel, len(options)).kinds:
             self._placement(parcel)
 
@@ -150,22 +151,18 @@ class Batch:
     def _place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
         """Put a start on each of the chosen lanes (count,), which are seeded."""
         if options or not self._lays_out:
-            self.place(chosen, self._draw(self.reserve.take(chosen), options))
+            self.place(chosen, starts_of(self.settings, self.reserve.take(chosen), options))
             return
         rows = self.reserve.take_rows(chosen, self._lay_out)
         if rows.site.min() < 0:  # the task's starts come with parcels of their own
             self._lays_out = False
-            self.place(chosen, self._draw(self.reserve.taken(chosen), options))
+            self.place(chosen, starts_of(self.settings, self.reserve.taken(chosen), options))
         else:
             self._put(chosen, rows)
 
-    def _draw(self, numbers: Array, options: Sequence[dict[str, Any]]) -> Start:
-        draw = Draw(numbers, options, self.settings.chosen_plant, self.settings.zone)
-        return starts_of(self.task, draw)
-
     def _lay_out(self, numbers: Array) -> Rows:
         """Rows of the starts that numbers (starts, draws) come to, of the task's own parcels."""
-        start = self._draw(numbers, ())
+        start = starts_of(self.settings, numbers, ())
         parcels = parcels_of(start.parcel, len(numbers))
         return rows_of(self.task, start, parcels, self._plan.shared_sites_of(parcels))
 
@@ -222,11 +219,6 @@ class Batch:
                 self.surfaces.stiffness[lane] = drawn.stiffness
         varied = start._replace(pose=(x, np.add(y, aside), np.add(theta, turned)))
         return Parcels(tuple(kinds), np.arange(len(kinds))), varied
-
-    def _placement(self, parcel: Parcel) -> Placement:
-        settings = self.settings
-        stuck = tuple(settings.actuators.stuck)
-        return placement_of(parcel, settings.chosen_plant, settings.zone, stuck)
 
     def _draw_stuck(self, chosen: Integers, parcels: Parcels) -> None:
         shape, share = self.surfaces.axis.shape[1:], self.settings.actuators.stuck_share

@@ -8,6 +8,7 @@ import numpy as np
 from surface_gym.dynamics.types import Array, Booleans, Integers
 from surface_gym.parcel import Parcel
 from surface_gym.plants import Plant
+from surface_gym.settings import Settings
 
 NO_EDGE = (0.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges up
 
@@ -83,3 +84,13 @@ def placement_of(
         edges=body.edges,
         corners=outline if len(body.edges) else np.zeros((1, 2)),
     )
+
+
+def placement_in(settings: Settings, parcel: Parcel) -> Placement:
+    """The placement of a parcel in an environment.
+
+    Raises:
+        ValueError: the parcel does not fit the plant.
+    """
+    stuck = tuple(settings.actuators.stuck)
+    return placement_of(parcel, settings.chosen_plant, settings.zone, stuck)

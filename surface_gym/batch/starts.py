@@ -1,7 +1,7 @@
 """Starts as a task gives them, checked and laid out: one row a start."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from surface_gym.dynamics.types import (
 )
 from surface_gym.lanes.memory import GRAVITY_ALONG, GRAVITY_NORMAL, PATH_POINTS
 from surface_gym.parcel import Parcel
+from surface_gym.settings import Settings
 from surface_gym.tasks.start import Draw, Parcels, Start
 from surface_gym.tasks.task import Task
 
@@ -28,9 +29,12 @@ class Rows(NamedTuple):
     goal: Array  # (starts, goals)
 
 
-def starts_of(task: Task, draw: Draw) -> Start:
-    """What a task makes of a draw, or an error that names the task."""
-    start = task.start(draw)
+def starts_of(settings: Settings, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
+    """What the task of an environment makes of numbers (starts, draws) and the options of each, or
+    an error that names the task.
+    """
+    task = settings.chosen_task
+    start = task.start(Draw(numbers, options, settings.chosen_plant, settings.zone))
     if not isinstance(start, Start):
         raise ValueError(f"{type(task).__name__}.start must give a Start, got {start!r}")
     return start

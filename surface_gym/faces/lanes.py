@@ -1,19 +1,30 @@
 """What vector environments of every device have in common: their arguments, checked."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym.dynamics.types import Integers
 from surface_gym.faces.single import RENDER_FPS, checked_mode
 from surface_gym.tasks.start import check_options
 
 Booleans = NDArray[np.bool_]
+
+
+class Asked(NamedTuple):
+    """What a reset is called with."""
+
+    mask: Booleans  # (lanes,) which begin
+    lanes: Integers  # (count,) the same by their numbers
+    seeds: list[int | None]  # of all lanes
+    options: list[dict[str, Any]]  # of those that begin; none at all: none has any
 
 
 class LanesEnv(gym.vector.VectorEnv[Any, Any, Any]):
@@ -53,6 +64,29 @@ class LanesEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.single_action_space = actions
         self.observation_space = batch_space(observations, self.num_envs)
         self.action_space = batch_space(actions, self.num_envs)
+
+    def _asked(
+        self,
+        seed: int | Sequence[int | None] | None,
+        options: dict[str, Any] | Sequence[dict[str, Any] | None] | None,
+        allowed: tuple[str, ...],
+    ) -> Asked:
+        """What a reset is called with, or an error that names what is not `allowed`."""
+        mask = np.ones(self.num_envs, dtype=np.bool_)
+        if isinstance(options, dict) and "reset_mask" in options:
+            mask = self._checked_mask(options["reset_mask"])
+            options = {name: value for name, value in options.items() if name != "reset_mask"}
+        elif not self._started and seed is None:
+            seed = int(np_random()[0].integers(2**31))
+        if not self._started and not mask.all():
+            raise gym.error.ResetNeeded(
+                "The first reset must be of every lane, without reset_mask."
+            )
+        seeds = self._seed_of_each(seed)
+        given = self._options_of_each(options, allowed)
+        lanes = np.nonzero(mask)[0]
+        some = [given[lane] for lane in lanes.tolist()] if any(given) else []
+        return Asked(mask, lanes, seeds, some)
 
     def _seed_of_each(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:

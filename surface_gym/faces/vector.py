@@ -64,29 +64,16 @@ class BatchVectorEnv(LanesEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | Sequence[dict[str, Any] | None] | None = None,
     ) -> tuple[Observations, dict[str, Any]]:
-        mask = np.ones(self.num_envs, dtype=np.bool_)
-        if isinstance(options, dict) and "reset_mask" in options:
-            mask = self._checked_mask(options["reset_mask"])
-            options = {name: value for name, value in options.items() if name != "reset_mask"}
-        elif not self._started and seed is None:
-            seed = int(np_random()[0].integers(2**31))
-        if not self._started and not mask.all():
-            raise gym.error.ResetNeeded(
-                "The first reset must be of every lane, without reset_mask."
-            )
-        seeds = self._seed_of_each(seed)
-        given = self._options_of_each(options, self._driven.options)
-        chosen = np.nonzero(mask)[0]
-        some = [given[lane] for lane in chosen.tolist()] if any(given) else []
-        if some:  # a bad option of one lane leaves all as they were
-            self._driven.check(some)
-        for lane in chosen.tolist():
-            if seeds[lane] is not None or not self._driven.is_seeded(lane):
-                self._driven.seed(lane, np_random(seeds[lane])[0])
-        self._driven.start(chosen, some)
-        self._count_from(chosen)
+        asked = self._asked(seed, options, self._driven.options)
+        if asked.options:  # a bad option of one lane leaves all as they were
+            self._driven.check(asked.options)
+        for lane in asked.lanes.tolist():
+            if asked.seeds[lane] is not None or not self._driven.is_seeded(lane):
+                self._driven.seed(lane, np_random(asked.seeds[lane])[0])
+        self._driven.start(asked.lanes, asked.options)
+        self._count_from(asked.lanes)
         self._started = True
-        return self._driven.observation.copy(), self._infos(mask)
+        return self._driven.observation.copy(), self._infos(asked.mask)
 
     def step(
         self, actions: Any

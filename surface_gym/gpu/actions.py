@@ -30,7 +30,8 @@ class TensorActions:
             self._right_angle = float(space.high.max())
             self.allowed = "-pi/2 and pi/2"
             return
-        most = np.asarray(space.n if isinstance(space, spaces.Discrete) else space.nvec)  # type: ignore[attr-defined]
+        assert isinstance(space, spaces.Discrete | spaces.MultiDiscrete)
+        most = np.asarray(space.n if isinstance(space, spaces.Discrete) else space.nvec)
         self._choices = torch.from_numpy(most.astype(np.int64)).to(device)
         self._side = math.isqrt(int(most.max()))
         self.allowed = f"0 and {int(most.max()) - 1}"

@@ -11,11 +11,11 @@ from surface_gym.flow.episodes import FlowEpisodes
 from surface_gym.flow.memory import ENTERED, RIGHT, TOUCHES, TURNS, WRONG
 from surface_gym.flow.rewards import TERMS
 from surface_gym.flow.settings import FlowSettings
+from surface_gym.gpu.driven import DeviceLanes
 from surface_gym.gpu.flow_kernel import capacity_of, make_scratch, move_flow_kernel
 from surface_gym.gpu.launch import Launch
 from surface_gym.gpu.memory import side_by_side, to_device
 from surface_gym.gpu.passing import sent
-from surface_gym.lanes.memory import SOUND
 
 # What drawing an episode writes, by the tuple that holds it; the kernel begins the rest.
 OF_SURFACES = ("stiffness", "conditions")
@@ -26,9 +26,8 @@ OF_FLOWS = (
 )  # fmt: skip
 
 
-class DeviceFlowBatch:
-    """Flows of one environment, as `flow.batch.FlowBatch` has them, on a device; `DeviceDriven`
-    says what its methods do.
+class DeviceFlowBatch(DeviceLanes):
+    """Flows of one environment, as `flow.batch.FlowBatch` has them, on a device.
 
     Episodes are long, so what is to come is drawn by the host when a lane begins, for which it
     waits to know which lanes have ended.
@@ -43,53 +42,34 @@ class DeviceFlowBatch:
     """
 
     def __init__(self, settings: FlowSettings, lanes: int, device: torch.device) -> None:
+        super().__init__(lanes, device)
         self._settings = settings
         self._host = FlowEpisodes(settings, lanes)
         self.outcomes, self.options = self._host.outcomes, self._host.options
         self.author = type(settings.sensors).__name__
-        self._device = device
         self._capacity = capacity_of(settings, settings.stream.kinds)
         self._rules = to_device(self._host.rules, device)
         self._flow_rules = to_device(self._host.flow_rules, device)
         self._surfaces = to_device(self._host.surfaces, device)
         self._lanes = to_device(self._host.lanes, device)
-        self._flows = to_device(self._host.flows, device)
+        self._episodes = to_device(self._host.flows, device)
         one = to_device(make_scratch(self._capacity, settings.rows), device)
         self._scratches = type(one)._make(side_by_side(values, lanes) for values in one)
-        self._options: Sequence[dict[str, Any]] = ()  # of the lanes that are placed next
-        self.first_fault = torch.zeros(lanes, dtype=torch.int64, device=device)
-        self._order = torch.arange(lanes, device=device)  # which surface each thread moves
-        self._mask = torch.zeros(lanes, dtype=torch.bool, device=device)  # that kernels read
         self._move = Launch(move_flow_kernel(settings), self._arguments(), lanes)
 
     def _arguments(self) -> tuple[Any, ...]:
         sites = to_device(self._host.sites, self._device)
         rules = (self._rules, self._flow_rules)
-        memory = (self._surfaces, self._lanes, sites, self._flows, self._scratches)
+        memory = (self._surfaces, self._lanes, sites, self._episodes, self._scratches)
         return (*rules, *memory, self._order, self._mask)
-
-    @property
-    def command(self) -> torch.Tensor:
-        command: torch.Tensor = self._surfaces.command
-        return command
-
-    @property
-    def outcome(self) -> torch.Tensor:
-        outcome: torch.Tensor = self._flows.outcome
-        return outcome
 
     @property
     def observation(self) -> torch.Tensor:
         seen: torch.Tensor = self._lanes.observation
         return seen.reshape(len(self._mask), self._settings.rows, -1)
 
-    @property
-    def reward(self) -> torch.Tensor:
-        reward: torch.Tensor = self._flows.reward
-        return reward
-
     def told(self) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
-        flows = self._flows
+        flows = self._episodes
         there = torch.where(flows.present, flows.number, -1)[:, : self._settings.places]
         tallied = {"entered": ENTERED, "right": RIGHT, "wrong": WRONG, "touches": TOUCHES,
                    "turns": TURNS}  # fmt: skip
@@ -115,32 +95,23 @@ class DeviceFlowBatch:
                     f"device is {str(self._device)!r}, got {stream.kinds}"
                 )
 
-    def prepare(
+    def start(
         self,
         generators: Mapping[int, np.random.Generator],
         chosen: Integers,
         options: Sequence[dict[str, Any]],
     ) -> None:
-        del chosen  # streams are drawn as lanes are placed
         for lane, generator in generators.items():
             self._host.seed(lane, generator)
-        self._options = options
-
-    def place(self, mask: torch.Tensor) -> None:
-        chosen = np.nonzero(mask.cpu().numpy())[0]
-        options, self._options = self._options, ()
-        if len(chosen) == 0:
-            return
         self._host.place(chosen, options)
         self._make_room()
         self._send(chosen)
         self._move.call_with(self._arguments())
 
-    def move(self, mask: torch.Tensor) -> None:
-        self._mask.copy_(mask)
-        self._move()
-        fault = torch.where(mask, self._flows.fault, SOUND)
-        torch.where(self.first_fault == SOUND, fault, self.first_fault, out=self.first_fault)
+    def place(self, mask: torch.Tensor) -> None:
+        chosen = np.nonzero(mask.cpu().numpy())[0]
+        if len(chosen) > 0:
+            self.start({}, chosen, ())
 
     def follow(self) -> None:
         """Nothing is drawn ahead."""
@@ -150,24 +121,26 @@ class DeviceFlowBatch:
 
     def _make_room(self) -> None:
         """As many columns for arrivals as the host's memory has; what lanes have is kept."""
-        had = self._flows.time.shape[1]
+        had = self._episodes.time.shape[1]
         if self._host.flows.time.shape[1] == had:
             return
         made = to_device(self._host.flows, self._device)
         wider = {
             name: new
-            for name, new, old in zip(made._fields, made, self._flows, strict=True)
+            for name, new, old in zip(made._fields, made, self._episodes, strict=True)
             if new.shape != old.shape
         }
         for name, new in wider.items():
-            new[:, :had] = getattr(self._flows, name)
-        self._flows = self._flows._replace(**wider)
+            new[:, :had] = getattr(self._episodes, name)
+        self._episodes = self._episodes._replace(**wider)
 
     def _send(self, chosen: Integers) -> None:
         """What was drawn for the chosen lanes (count,)."""
         host, lanes = self._host, len(self._mask)
         where = sent(chosen, self._device)
-        drawn: list[tuple[Any, Any, str]] = [(self._flows, host.flows, name) for name in OF_FLOWS]
+        drawn: list[tuple[Any, Any, str]] = [
+            (self._episodes, host.flows, name) for name in OF_FLOWS
+        ]
         drawn += [(self._surfaces, host.surfaces, name) for name in OF_SURFACES]
         for ours, theirs, name in drawn:
             values = getattr(theirs, name)

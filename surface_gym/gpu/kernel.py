@@ -48,6 +48,8 @@ def make_move_kernel(functions: Functions, capacity: int) -> Any:
     move_lanes = device_source(capacity).remade(make_kernel(functions))
     # A thread's local memory lies interleaved with its neighbours'.
     table_size, marks_size, spans = places["TABLE_SIZE"], places["MARKS_SIZE"], places["SPANS"]
+    # A sensor that does not watch never looks at its table.
+    sensor_size = table_size if functions.watches else 1
 
     def move(
         rules: Rules,
@@ -64,33 +66,14 @@ def make_move_kernel(functions: Functions, capacity: int) -> Any:
             cuda.local.array(table_size, np.float64), cuda.local.array(marks_size, np.int64)
         )
         scratch.marks[spans] = -1
-        # A sensor that does not watch has no use for scratch of its own.
-        own = order[thread : thread + 1]
-        move_lanes(rules, surfaces, lanes, sites, scratch, scratch, own)
-
-    def move_watched(
-        rules: Rules,
-        surfaces: Surfaces,
-        lanes: Lanes,
-        sites: Sites,
-        order: Integers,
-        mask: Booleans,
-    ) -> None:
-        thread = cuda.grid(1)
-        if thread >= order.shape[0] or not mask[order[thread]]:
-            return
-        scratch = Scratch(
-            cuda.local.array(table_size, np.float64), cuda.local.array(marks_size, np.int64)
-        )
-        scratch.marks[spans] = -1
         of_sensor = Scratch(
-            cuda.local.array(table_size, np.float64), cuda.local.array(marks_size, np.int64)
+            cuda.local.array(sensor_size, np.float64), cuda.local.array(marks_size, np.int64)
         )
         of_sensor.marks[spans] = -1
         own = order[thread : thread + 1]
         move_lanes(rules, surfaces, lanes, sites, scratch, of_sensor, own)
 
-    return cuda.jit(move_watched if functions.watches else move)
+    return cuda.jit(move)
 
 
 @cuda.jit

@@ -4,6 +4,8 @@ What a lane has one row of lies with the lanes side by side, so that neighbourin
 neighbouring numbers; all but the grid of axes, of which each lane reads another part.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -54,15 +56,17 @@ def to_device(values: Any, device: torch.device) -> Any:
     if isinstance(values, np.ndarray):
         held = values if values.size else np.zeros(np.maximum(values.shape, 1), values.dtype)
         return torch.from_numpy(held.copy()).to(device)
-    if isinstance(values, tuple):
-        return type(values)._make(to_device(value, device) for value in values)  # type: ignore[attr-defined]
-    return values
+    return _of_each(partial(to_device, device=device), values)
 
 
 def seen(values: Any) -> Any:
     """Tensors, or a tuple of them and of numbers, as a kernel takes them: the same memory."""
     if isinstance(values, torch.Tensor):
         return cuda.as_cuda_array(values) if values.is_cuda else values.numpy()
-    if isinstance(values, tuple):
-        return type(values)._make(map(seen, values))  # type: ignore[attr-defined]
-    return values
+    return _of_each(seen, values)
+
+
+def _of_each(function: Callable[[Any], Any], values: Any) -> Any:
+    """A tuple of what a function makes of each of its values; what is no tuple as it is."""
+    kind: Any = type(values)
+    return kind._make(map(function, values)) if isinstance(values, tuple) else values

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 import torch
 from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode
@@ -12,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from surface_gym.faces.lanes import LanesEnv
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.gpu.actions import TensorActions
-from surface_gym.gpu.driven import DeviceDriven
+from surface_gym.gpu.driven import DeviceLanes
 from surface_gym.gpu.passing import Note
 from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING, SOUND
 from surface_gym.settings import Settings
@@ -58,7 +57,7 @@ class DeviceVectorEnv(LanesEnv):
         self,
         num_envs: int,
         settings: Settings | FlowSettings,
-        make_batch: Callable[[int, torch.device], DeviceDriven],
+        make_batch: Callable[[int, torch.device], DeviceLanes],
         max_episode_steps: int | None,
         autoreset_mode: AutoresetMode | str,
         device: torch.device,
@@ -81,32 +80,20 @@ class DeviceVectorEnv(LanesEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | Sequence[dict[str, Any] | None] | None = None,
     ) -> tuple[torch.Tensor, dict[str, Any]]:
-        batch, chosen = self._batch, np.ones(self.num_envs, dtype=np.bool_)
-        if isinstance(options, dict) and "reset_mask" in options:
-            mask = options["reset_mask"]
-            chosen = self._checked_mask(mask.cpu().numpy() if torch.is_tensor(mask) else mask)
-            options = {name: value for name, value in options.items() if name != "reset_mask"}
-        if not self._started and not chosen.all():
-            raise gym.error.ResetNeeded(
-                "The first reset must be of every lane, without reset_mask."
-            )
-        if not self._started and seed is None:
-            seed = int(np_random()[0].integers(2**31))
-        seeds = self._seed_of_each(seed)
-        given = self._options_of_each(options, batch.options)
-        lanes = np.nonzero(chosen)[0]
-        some = [given[lane] for lane in lanes.tolist()] if any(given) else []
-        if some:  # a bad option of one lane leaves all as they were
-            batch.check(some)
+        batch = self._batch
+        if isinstance(options, dict) and torch.is_tensor(options.get("reset_mask")):
+            options = {**options, "reset_mask": options["reset_mask"].cpu().numpy()}
+        asked = self._asked(seed, options, batch.options)
+        if asked.options:  # a bad option of one lane leaves all as they were
+            batch.check(asked.options)
         self._check()
         generators = {
-            lane: np_random(seeds[lane])[0]
-            for lane in lanes.tolist()
-            if seeds[lane] is not None or not batch.is_seeded(lane)
+            lane: np_random(asked.seeds[lane])[0]
+            for lane in asked.lanes.tolist()
+            if asked.seeds[lane] is not None or not batch.is_seeded(lane)
         }
-        batch.prepare(generators, lanes, some)
-        begun = torch.from_numpy(chosen).to(self.device)
-        batch.place(begun)
+        batch.start(generators, asked.lanes, asked.options)
+        begun = torch.from_numpy(asked.mask).to(self.device)
         batch.move(begun)
         self._steps_left.masked_fill_(begun, self._limit)
         self._started = True

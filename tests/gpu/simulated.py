@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
 
-import surface_gym  # noqa: F401
 from surface_gym.devices import make_device_env, make_device_flow
 from surface_gym.registration import FLOW
 from tests.gpu.cases import CASES, FLOWS, actions_of, id_of
