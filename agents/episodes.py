@@ -59,7 +59,7 @@ def run_episodes(
         **arguments(settings),
     )
     observation, info = env.reset(seed=seed, options=list(starts))
-    figures = settings.chosen_task.figures
+    figures = settings.chosen_task.metrics
     kept: dict[str, Any] = {
         key: np.zeros_like(info[key])
         for key in ("is_success", "outcome", "time", "velocity", *figures)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from surface_gym.actions import ActionKind
+from surface_gym.core.actions import ActionKind
 from surface_gym.tasks.sort import FEATURES
 
 from .angles import SAME, axes_apart

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from surface_gym import checks
-from surface_gym.actions.more import GROUPS
+from surface_gym.core.actions import GROUPS
 from surface_gym.registration import FLOW, env_id
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS, Task

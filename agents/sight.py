@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.sensors import LearningCamera
+from surface_gym.sensors import AdaptiveCamera
 from surface_gym.settings import Settings
 from surface_gym.tasks.sort import Sort
 from surface_gym.tasks.track import AHEAD
@@ -152,7 +152,7 @@ def line_sight(settings: Settings, observations: NDArray[np.float32]) -> LineSig
 def _learned(settings: Settings, see: _Columns) -> tuple[Numbers, Numbers]:
     """(lanes,) the factor of mu_max, and [m] how far along x the load lies from the centre."""
     sensors, theta = settings.sensors, see.theta
-    if not isinstance(sensors, LearningCamera):
+    if not isinstance(sensors, AdaptiveCamera):
         return np.ones_like(theta), np.zeros_like(theta)
     friction = 1.0 + sensors.friction_spread * see["friction learned"]
     # Sort's mirror turns both theta and the load's y round, as seen, and so leaves x as it is.

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from surface_gym.plants import Line
+from surface_gym.lines import Line
 
 
 def with_zone(line: Line, columns: int) -> Line:

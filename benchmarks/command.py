@@ -18,7 +18,7 @@ from benchmarks import accuracy, design, environments, physics, sharing
 from benchmarks.environments import BOX2D, ENVPOOL
 from benchmarks.figure import Figure, table_of
 from benchmarks.gpu.command import NotMeasured, measure_device
-from surface_gym.gpu.needs import DeviceMissing
+from surface_gym.cuda.env import DeviceMissing
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 import surface_gym as sg
 from agents.controller import Controller
-from surface_gym.dynamics.types import RADIUS, THETA, X, Y
+from surface_gym.physics.types import RADIUS, THETA, X, Y
 
 Numbers = NDArray[np.float64]
 Booleans = NDArray[np.bool_]

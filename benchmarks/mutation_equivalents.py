@@ -16,35 +16,35 @@ class Equivalent:
 
 EQUIVALENTS = (
     Equivalent(
-        "surface_gym/dynamics/friction.py",
+        "surface_gym/physics/friction.py",
         "",
         "MAX_ITERATIONS = 100",
         "MAX_ITERATIONS = 99",
         "a guard: Newton ends after a few of them",
     ),
     Equivalent(
-        "surface_gym/dynamics/axes.py",
+        "surface_gym/physics/step.py",
         "axis_direction",
         "sine = (place == 2.0) * 1.0 - (place == 6.0) * 1.0",
         "sine = (place == 2.0) / 1.0 - (place == 6.0) * 1.0",
         "over 1 is times 1",
     ),
     Equivalent(
-        "surface_gym/dynamics/parting.py",
+        "surface_gym/physics/contact_solver.py",
         "part",
         "apart = True",
         "apart = False",
         "further sweeps find every pair apart and move nothing",
     ),
     Equivalent(
-        "surface_gym/batch/placement.py",
+        "surface_gym/core/resets.py",
         "",
         "NO_EDGE = (0.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges up",
         "NO_EDGE = ( 1.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges up",
         "at such a distance an edge of any direction bounds nothing",
     ),
     Equivalent(
-        "surface_gym/lanes/lane.py",
+        "surface_gym/state.py",
         "reach_along",
         "farthest = -1.0",
         "farthest = - 0.0",
@@ -53,8 +53,8 @@ EQUIVALENTS = (
     Equivalent(
         "surface_gym/sensors/camera.py",
         "look",
-        "if lane.kept[place + TAKEN] > 0.0:",
-        "if lane.kept[place - TAKEN] > 0.0:",
+        "if lane.sensor_state[place + TAKEN] > 0.0:",
+        "if lane.sensor_state[place - TAKEN] > 0.0:",
         "TAKEN is 0",
     ),
     Equivalent(
@@ -65,10 +65,10 @@ EQUIVALENTS = (
         "the array has one number, which is its first and its last",
     ),
     Equivalent(
-        "surface_gym/sensors/entry.py",
+        "surface_gym/sensors/base.py",
         "enter",
-        "lane.kept[3 + k] = lane.truth[3 + k] + velocity_error * lane.noise[row + 1, k]",
-        "lane.kept[3 + k] = lane.truth[3 + k] - velocity_error * lane.noise[row + 1, k]",
+        "lane.sensor_state[3 + k] = lane.truth[3 + k] + velocity_error * lane.noise[row + 1, k]",
+        "lane.sensor_state[3 + k] = lane.truth[3 + k] - velocity_error * lane.noise[row + 1, k]",
         "the noise is as likely to be the other way round",
     ),
     Equivalent(

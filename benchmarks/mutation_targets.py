@@ -14,7 +14,7 @@ class Target:
 
 
 _STEPS = ("tests/dynamics", "tests/test_simulation.py")
-_TOGETHER = ("tests/dynamics/test_together.py", "tests/test_together.py")
+_TOGETHER = ("tests/physics/test_contact_solver.py", "tests/test_together.py")
 _LANES = (
     "tests/test_env_physics.py",
     "tests/test_env.py",
@@ -50,7 +50,7 @@ TARGETS = (
     _physics("axes", *_STEPS, "tests/test_axes.py"),
     _physics("gap", *_TOGETHER),
     _physics("solving", *_TOGETHER),
-    Target("physics", "surface_gym/dynamics/parting.py", _TOGETHER[:1], _TOGETHER[1:]),
+    Target("physics", "surface_gym/physics/contact_solver.py", _TOGETHER[:1], _TOGETHER[1:]),
     _task("sort"),
     _task("slow"),
     _task("stop"),
@@ -75,32 +75,32 @@ TARGETS = (
     ),
     Target(
         "sensors",
-        "surface_gym/sensors/entry.py",
+        "surface_gym/sensors/base.py",
         ("tests/sensors/test_camera.py",),
         ("tests/sensors", "tests/test_settings.py"),
     ),
     Target(
         "sensors",
-        "surface_gym/sensors/learning.py",
-        ("tests/sensors/test_learning.py",),
+        "surface_gym/sensors/adaptive.py",
+        ("tests/sensors/test_adaptive.py",),
         ("tests/sensors", "tests/agents/runtime/test_shadow.py"),
     ),
     Target(
         "sensors",
-        "surface_gym/sensors/learning_camera.py",
-        ("tests/sensors/test_learning.py",),
+        "surface_gym/sensors/camera.py",
+        ("tests/sensors/test_adaptive.py",),
         ("tests/sensors", "tests/agents/runtime/test_shadow.py"),
     ),
     Target(
         "environments",
-        "surface_gym/assortment.py",
-        ("tests/test_assortment.py",),
+        "surface_gym/parcel.py",
+        ("tests/test_parcel.py",),
         ("tests/test_conditions.py",),
     ),
     Target(
         "environments",
-        "surface_gym/lanes/lane.py",
-        ("tests/tasks/test_task.py", "tests/tasks/test_sort.py"),
+        "surface_gym/state.py",
+        ("tests/tasks/test_base.py", "tests/tasks/test_sort.py"),
         (*_TASKS, *_LANES),
     ),
     Target(
@@ -111,19 +111,19 @@ TARGETS = (
     ),
     Target(
         "environments",
-        "surface_gym/batch/placement.py",
-        ("tests/batch/test_placement.py",),
+        "surface_gym/core/resets.py",
+        ("tests/core/test_resets.py",),
         _LANES,
     ),
     Target(
         "environments",
-        "surface_gym/actions/commands.py",
-        ("tests/actions/test_commands.py",),
+        "surface_gym/core/actions.py",
+        ("tests/core/test_actions.py",),
         ("tests/actions", "tests/test_actuators.py", "tests/test_axes.py"),
     ),
     Target(
         "environments",
-        "surface_gym/actuators.py",
+        "surface_gym/randomisation.py",
         ("tests/test_actuators.py",),
         ("tests/test_settings.py",),
     ),

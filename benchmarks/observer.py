@@ -19,9 +19,8 @@ from agents.episodes import arguments
 from agents.library import load, names
 from agents.rules import rules_of
 from benchmarks.estimates import Watch, watch
-from surface_gym.actuators import Actuators
-from surface_gym.dynamics.types import THETA, X, Y
-from surface_gym.randomisation import Randomisation
+from surface_gym.physics.types import THETA, X, Y
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera, Presence, Sensor
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS

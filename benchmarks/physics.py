@@ -10,9 +10,8 @@ import numpy as np
 
 import surface_gym as sg
 from benchmarks.figure import Figure
-from surface_gym.dynamics.memory import make_scratch
-from surface_gym.dynamics.run import run_implicit
-from surface_gym.dynamics.types import STATE_SIZE, VX, X, Y
+from surface_gym.physics.rollout import run_implicit
+from surface_gym.physics.types import STATE_SIZE, VX, X, Y, make_scratch
 
 DT = 0.005  # [s]
 REPEATS = 300

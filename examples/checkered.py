@@ -14,7 +14,7 @@ row, column = np.indices((20, 32))
 in_line = (row >= 7) & (row < 13)
 grip = np.where(column < 16, 0.5, 0.35)  # [-] the far half has seen more parcels
 
-CHECKERED = sg.plants.Pattern(
+CHECKERED = sg.lines.Pattern(
     rotor=in_line & ((row + column) % 2 == 0),
     lead_in=5,
     pitch=(0.08, 0.1),

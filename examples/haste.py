@@ -3,7 +3,7 @@
 python train.py --task examples/haste.py:Haste
 """
 
-from surface_gym.extend import SUCCESS, Lane, lane_function
+from surface_gym.extend import SUCCESS, EnvState, kernel_function
 from surface_gym.tasks import Sort
 
 
@@ -13,7 +13,7 @@ class Haste(Sort):
     terms = ("success", "haste")
 
     @staticmethod
-    @lane_function
-    def reward(lane: Lane, outcome: int) -> None:
-        lane.terms[0] = 1.0 if outcome == SUCCESS else 0.0
-        lane.terms[1] = 0.5 / lane.clock if outcome == SUCCESS else 0.0
+    @kernel_function
+    def reward(state: EnvState, outcome: int) -> None:
+        state.terms[0] = 1.0 if outcome == SUCCESS else 0.0
+        state.terms[1] = 0.5 / state.clock if outcome == SUCCESS else 0.0

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import surface_gym.extend as own
-from surface_gym.extend import THETA, Lane, X, Y, lane_function
+from surface_gym.extend import THETA, EnvState, X, Y, kernel_function
 
 GOAL_X, GOAL_Y, HEADING = range(3)  # places in the goal: [m], [m], [rad]
 LEFT = 0  # place in the memory: [m] left to go at the last decision
@@ -44,7 +44,7 @@ class Reach(own.Task):
     )
     terms = ("approach", "success", "failure")
     outcomes = OUTCOMES
-    figures = ("miss", "angle_error")  # [m] from the point, [rad] off the heading
+    metrics = ("miss", "angle_error")  # [m] from the point, [rad] off the heading
     options = ("speed", "parcel", "heading")
     draws, goals, memories = 4, 3, 1
     periods = 150
@@ -61,59 +61,59 @@ class Reach(own.Task):
             parcel, (0.4, middle, 0.0), (speed, 0.0, 0.0), goal, tilt=math.radians(12.0)
         )
 
-    def goal(self, lane: Lane) -> Any:
+    def goal(self, state: EnvState) -> Any:
         """For pictures: a short way into the point, at the heading."""
         from surface_gym.rendering import Path
 
-        x, y, turn = lane.goal
+        x, y, turn = state.goal
         return Path([(x - 0.3 * math.cos(turn), y - 0.3 * math.sin(turn)), (x, y)])
 
     @staticmethod
-    @lane_function
-    def begin(lane: Lane) -> None:
-        lane.memory[LEFT] = _left(lane)
+    @kernel_function
+    def begin(state: EnvState) -> None:
+        state.memory[LEFT] = _left(state)
 
     @staticmethod
-    @lane_function
-    def judge(lane: Lane) -> int:
-        truth, goal, figures = lane.truth, lane.goal, lane.figures
+    @kernel_function
+    def outcome(state: EnvState) -> int:
+        truth, goal, figures = state.truth, state.goal, state.metrics
         figures[0] = math.hypot(goal[GOAL_X] - truth[X], goal[GOAL_Y] - truth[Y])
         figures[1] = abs(goal[HEADING] - truth[THETA])
-        if not lane.on_surface:
+        if not state.on_surface:
             return OFF_SURFACE
         if figures[0] < NEAR and figures[1] < TURNED:
             return own.SUCCESS
         if truth[X] > goal[GOAL_X] + NEAR:
             return PASSED
-        return STALLED if own.is_slower(lane, 0.02) else own.RUNNING
+        return STALLED if own.is_slower(state, 0.02) else own.RUNNING
 
     @staticmethod
-    @lane_function
-    def reward(lane: Lane, outcome: int) -> None:
-        left = _left(lane)
-        lane.terms[0] = lane.memory[LEFT] - left
-        lane.terms[1] = 3.0 if outcome == own.SUCCESS else 0.0
-        lane.terms[2] = -1.0 - 5.0 * left if outcome > own.SUCCESS else 0.0
-        lane.memory[LEFT] = left
+    @kernel_function
+    def reward(state: EnvState, outcome: int) -> None:
+        left = _left(state)
+        state.terms[0] = state.memory[LEFT] - left
+        state.terms[1] = 3.0 if outcome == own.SUCCESS else 0.0
+        state.terms[2] = -1.0 - 5.0 * left if outcome > own.SUCCESS else 0.0
+        state.memory[LEFT] = left
 
     @staticmethod
-    @lane_function
-    def observe(lane: Lane) -> None:
-        sensed, see = lane.sensed, lane.observation
-        across = lane.goal[GOAL_Y] - sensed[Y]
-        see[0] = lane.goal[GOAL_X] - sensed[X]
+    @kernel_function
+    def observe(state: EnvState) -> None:
+        sensed, see = state.sensed, state.observation
+        across = state.goal[GOAL_Y] - sensed[Y]
+        see[0] = state.goal[GOAL_X] - sensed[X]
         see[1] = across / 0.2
         see[2] = math.tanh(across / 0.03)
-        see[3] = (lane.goal[HEADING] - sensed[THETA]) / 0.3
+        see[3] = (state.goal[HEADING] - sensed[THETA]) / 0.3
         see[4] = sensed[own.VX]
         see[5] = sensed[own.VY] / 0.3
         see[6] = sensed[own.OMEGA] / 3.0
-        see[7] = lane.body[own.HALF_LENGTH] / 0.2
+        see[7] = state.body[own.HALF_LENGTH] / 0.2
 
 
-@lane_function
-def _left(lane: Lane) -> float:
+@kernel_function
+def _left(state: EnvState) -> float:
     """[m] to the point, the angle to turn counted as a way."""
-    truth, goal = lane.truth, lane.goal
+    truth, goal = state.truth, state.goal
     turn = ARM * (goal[HEADING] - truth[THETA])
     return math.sqrt((goal[GOAL_X] - truth[X]) ** 2 + (goal[GOAL_Y] - truth[Y]) ** 2 + turn**2)

@@ -7,7 +7,7 @@
 
 from dataclasses import dataclass
 
-from surface_gym.extend import VX, Array, Lane, Sensor, lane_function
+from surface_gym.extend import VX, Array, EnvState, Sensor, kernel_function
 
 LINE, TURN = range(2)  # places in the numbers
 READ, WHEN = 0, 3  # places in what is kept: the last reading [m, m, rad], and its time [s]
@@ -26,26 +26,26 @@ class Ruled(Sensor):
         return (self.line, self.turn)
 
     @staticmethod
-    @lane_function
-    def begin(numbers: Array, lane: Lane) -> None:
+    @kernel_function
+    def begin(numbers: Array, state: EnvState) -> None:
         for k in range(3):
-            lane.kept[READ + k] = _read(numbers, lane, k)
-        lane.kept[WHEN] = 0.0
+            state.sensor_state[READ + k] = _read(numbers, state, k)
+        state.sensor_state[WHEN] = 0.0
 
     @staticmethod
-    @lane_function
-    def estimate(numbers: Array, lane: Lane) -> None:
-        passed = lane.clock - lane.kept[WHEN]
+    @kernel_function
+    def estimate(numbers: Array, state: EnvState) -> None:
+        passed = state.clock - state.sensor_state[WHEN]
         for k in range(3):
-            reading = _read(numbers, lane, k)
-            moved = reading - lane.kept[READ + k]
-            lane.sensed[k] = reading
-            lane.sensed[VX + k] = moved / passed if passed > 0.0 else 0.0
-            lane.kept[READ + k] = reading
-        lane.kept[WHEN] = lane.clock
+            reading = _read(numbers, state, k)
+            moved = reading - state.sensor_state[READ + k]
+            state.sensed[k] = reading
+            state.sensed[VX + k] = moved / passed if passed > 0.0 else 0.0
+            state.sensor_state[READ + k] = reading
+        state.sensor_state[WHEN] = state.clock
 
 
-@lane_function
-def _read(numbers: Array, lane: Lane, k: int) -> float:
+@kernel_function
+def _read(numbers: Array, state: EnvState, k: int) -> float:
     unit = numbers[TURN] if k == 2 else numbers[LINE]
-    return unit * round(lane.truth[k] / unit)
+    return unit * round(state.truth[k] / unit)

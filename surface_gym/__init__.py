@@ -2,13 +2,11 @@
 
 from types import ModuleType
 
-from surface_gym import layouts, plants, sensors, tasks
-from surface_gym.actuators import Actuators
-from surface_gym.bases import Disc, Polygon, Rectangle
+from surface_gym import layouts, lines, sensors, tasks
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.find_agents import import_agents
-from surface_gym.parcel import Parcel
-from surface_gym.randomisation import Randomisation
+from surface_gym.parcel import Disc, Parcel, Polygon, Rectangle
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.registration import register, register_all
 from surface_gym.simulation import simulate
 from surface_gym.surface import Surface
@@ -31,7 +29,7 @@ __all__ = [
     "Surface",
     "Trajectory",
     "layouts",
-    "plants",
+    "lines",
     "register",
     "sensors",
     "simulate",

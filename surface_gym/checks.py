@@ -1,4 +1,8 @@
-"""Checks of arguments: each error names the argument, the value and what is allowed."""
+"""Checks of arguments, and the bounds that numbers must keep.
+
+Within these bounds every step stays finite; beyond them squares and quotients overflow, or round
+to nothing. Each bound is generous: whoever meets one has a wrong unit or a slip of the pen.
+"""
 
 import math
 import numbers
@@ -8,7 +12,44 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surface_gym import bounds
+from surface_gym import checks
+
+# [m] of a base, a pitch or a line: from a tenth of the smallest module to more than any hall.
+LENGTH = (1e-4, 1e3)
+# [m] of any x or y, either way: round-off there, 2e-12 m, is far below the 1e-9 m by which an
+# element on a base's perimeter counts as under it.
+FARTHEST = 1e4
+TURNED = 1e6  # [rad] of any angle, either way: round-off there, 1e-10 rad, turns a base by nothing
+SPEED = 100.0  # [m/s] either way: twenty times the fastest sorter
+SPIN = 1e3  # [rad/s] either way: 10 000 revolutions a minute
+FRICTION = 100.0  # [-] of any coefficient: rubber on rubber has 4
+MASS = (1e-6, 1e6)  # [kg] from a grain of sand to a ship's crane
+COM_HEIGHT = 100.0  # [m] of a centre of mass above its base: a tower
+# [-] radius of gyration over the base's reach: of a thin mast on a wide foot, of a beam on a point
+GYRATION = (1e-3, 1e3)
+STIFFNESS = (1e-9, 1e9)  # [-] of an element; only ratios count
+STIFFNESS_RATIO = 1e6  # [-] of the stiffest to the softest element: more than steel to foam
+STIFFNESS_SPREAD = 2.0  # [-] log-normal: one element in six is 7 times as stiff as most, or more
+STEP = (1e-6, 1.0)  # [s] of a simulation's time step
+DURATION = (1e-9, 1e6)  # [s] of a simulation: up to eleven days
+CONTROL_PERIOD = (1e-6, 10.0)  # [s]: in more than 10 s nobody controls anything
+EPISODE = 86_400.0  # [s] of a flow: a day
+PATIENCE = (1e-6, EPISODE)  # [s]
+AHEAD = 100.0  # [s] in which a parcel has long left
+RATE = (1e-6, 1e5)  # [parcels/h]: up to 28 parcels a second
+ODDS = (1e-9, 1e9)  # [-] of one thing against another
+AXIS_SPEED = (1e-6, 1e9)  # [rad/s] at which an axis turns, if it is not infinite
+FRAME_RATE = (1e-3, 1e6)  # [Hz] of a sensor
+POSITION_ERROR = 10.0  # [m] standard deviation of what a sensor says: many parcels
+ANGLE_ERROR = 2.0 * math.pi  # [rad] a whole turn, of which nothing is known then
+TOLERANCE = (1e-6, 1.0)  # [m] within which a switch switches
+# [m^2/s^3] and [rad^2/s^3]: from a physics that never errs to one that says nothing
+DENSITY = (1e-12, 1e9)
+# [-] of a friction's factor and [m] of a load's place: from known to wholly unknown
+LEARNED_SPREAD = (1e-6, 1.0)
+FRICTION_ERROR = 10.0  # [-] share by which friction may be off
+ELEMENTS = 1_000_000  # of a plant, whose lanes have arrays of as many
+ORIENTATIONS = 1000  # on offer: an axis told to a fifth of a degree; "any" tells it finer
 
 
 def number(name: str, value: Any) -> float:
@@ -109,18 +150,18 @@ def limited(name: str, values: NDArray[np.float64], most: ArrayLike) -> NDArray[
 
 def pose(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """Poses (..., 3) [m, m, rad] within what is physical, or an error."""
-    most = (bounds.FARTHEST, bounds.FARTHEST, bounds.TURNED)
+    most = (checks.FARTHEST, checks.FARTHEST, checks.TURNED)
     return limited(name, array(name, value, shape), most)
 
 
 def velocity(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """Velocities (..., 3) [m/s, m/s, rad/s] within what is physical, or an error."""
-    return limited(name, array(name, value, shape), (bounds.SPEED, bounds.SPEED, bounds.SPIN))
+    return limited(name, array(name, value, shape), (checks.SPEED, checks.SPEED, checks.SPIN))
 
 
 def place(name: str, value: ArrayLike) -> tuple[float, float]:
     """A point (x, y) [m] within what is physical, or an error."""
-    x, y = limited(name, array(name, value, (2,)), bounds.FARTHEST).tolist()
+    x, y = limited(name, array(name, value, (2,)), checks.FARTHEST).tolist()
     return (x, y)
 
 
@@ -143,8 +184,8 @@ def pitch(name: str, value: Any) -> float | tuple[float, float]:
     if isinstance(value, (tuple, list, np.ndarray)):
         if len(value) != 2:
             raise ValueError(f"{name} must be one number or two, in x and in y, got {value!r}")
-        return (positive(name, value[0], *bounds.LENGTH), positive(name, value[1], *bounds.LENGTH))
-    return positive(name, value, *bounds.LENGTH)
+        return (positive(name, value[0], *checks.LENGTH), positive(name, value[1], *checks.LENGTH))
+    return positive(name, value, *checks.LENGTH)
 
 
 def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
@@ -152,12 +193,12 @@ def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if value is None or np.isscalar(value):
-        return np.asarray(not_negative(name, value, bounds.FRICTION))
+        return np.asarray(not_negative(name, value, checks.FRICTION))
     given = array(name, value, shape)
     if given.min() < 0.0:
         raise ValueError(f"{name} must be at least 0, got {given.min()}")
-    if given.max() > bounds.FRICTION:
-        raise ValueError(f"{name} must be at most {bounds.FRICTION:g}, got {given.max()}")
+    if given.max() > checks.FRICTION:
+        raise ValueError(f"{name} must be at most {checks.FRICTION:g}, got {given.max()}")
     return given
 
 
@@ -165,7 +206,7 @@ def assumed_friction(mu_max: float | None, mu_min: float | None, mu_support: flo
     """Raise a ValueError where friction that a sensor assumes is none that there is."""
     for name, mu in (("mu_max", mu_max), ("mu_min", mu_min), ("mu_support", mu_support)):
         if mu is not None:
-            not_negative(name, mu, bounds.FRICTION)
+            not_negative(name, mu, checks.FRICTION)
     if mu_max is not None and mu_min is not None:
         rolling(mu_max, mu_min)
 
@@ -182,9 +223,9 @@ def rolling(mu_max: ArrayLike, mu_min: ArrayLike) -> None:
 
 def orientations(name: str, value: ArrayLike) -> tuple[float, ...]:
     """Two or more axis angles [rad] that differ, or an error."""
-    angles = limited(name, array(name, value, (None,)), bounds.TURNED)
-    if not 2 <= len(angles) <= bounds.ORIENTATIONS:
-        least_or_most = "least 2" if len(angles) < 2 else f"most {bounds.ORIENTATIONS}"
+    angles = limited(name, array(name, value, (None,)), checks.TURNED)
+    if not 2 <= len(angles) <= checks.ORIENTATIONS:
+        least_or_most = "least 2" if len(angles) < 2 else f"most {checks.ORIENTATIONS}"
         given = repr(value) if len(angles) < 2 else f"{len(angles)}"
         raise ValueError(f"{name} must be at {least_or_most}, got {given}")
     if len(np.unique(angles)) < len(angles):

@@ -3,11 +3,9 @@
 import math
 from dataclasses import dataclass
 
-from surface_gym.actuators import Actuators
-from surface_gym.assortment import assortment
-from surface_gym.parcel import Parcel
-from surface_gym.randomisation import Randomisation
-from surface_gym.sensors import Camera, Entry, Exact, LearningCamera, Sensor
+from surface_gym.parcel import Parcel, assortment
+from surface_gym.randomisation import Actuators, Randomisation
+from surface_gym.sensors import AdaptiveCamera, Camera, Entry, Exact, Sensor
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ _EACH = (
         "up to 3 cm off centre, that enter 1 cm and 3 deg off; friction that differs by up to "
         "15 %; axes that take 50 ms for 90 deg, 2 % of the modules stuck; a camera of 50 Hz, "
         "40 ms late, 2 mm and 0.5 deg off.",
-        sensors=LearningCamera(
+        sensors=AdaptiveCamera(
             latency=0.04,
             position_noise=0.002,
             entry=Entry(position=0.005, angle=0.02),

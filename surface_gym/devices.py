@@ -42,7 +42,7 @@ def _made(
 ) -> Any:
     if checks.one_of("device", device, DEVICES) == "cpu":
         return of_cpu(num_envs, **arguments)
-    from surface_gym.gpu.needs import check_device
+    from surface_gym.cuda.env import check_device
 
     check_device()
     return of_device(num_envs, device, **arguments)
@@ -54,13 +54,13 @@ def make_device_env(num_envs: int, device: str, **arguments: Any) -> Any:
     Raises:
         ValueError: an argument is not allowed, or not on this device.
     """
-    from surface_gym.gpu.batch import DeviceBatch
-    from surface_gym.gpu.needs import check_settings
+    from surface_gym.cuda.batch import CudaBatch
+    from surface_gym.cuda.env import check_settings
 
     face, settings = _parted(device, arguments)
     made = Settings(**settings)
     check_settings(made)
-    return _on_device(num_envs, made, partial(DeviceBatch, made), device, face)
+    return _on_device(num_envs, made, partial(CudaBatch, made), device, face)
 
 
 def make_device_flow(num_envs: int, device: str, **arguments: Any) -> Any:
@@ -69,13 +69,13 @@ def make_device_flow(num_envs: int, device: str, **arguments: Any) -> Any:
     Raises:
         ValueError: an argument is not allowed, or not on this device.
     """
-    from surface_gym.gpu.flow_batch import DeviceFlowBatch
-    from surface_gym.gpu.needs import check_sensor
+    from surface_gym.cuda.batch import CudaStreamBatch
+    from surface_gym.cuda.env import check_sensor
 
     face, settings = _parted(device, arguments)
     made = FlowSettings(**settings)
     check_sensor(made)
-    return _on_device(num_envs, made, partial(DeviceFlowBatch, made), device, face)
+    return _on_device(num_envs, made, partial(CudaStreamBatch, made), device, face)
 
 
 def _on_device(
@@ -83,9 +83,9 @@ def _on_device(
 ) -> Any:
     import torch
 
-    from surface_gym.gpu.vector_env import DeviceVectorEnv
+    from surface_gym.cuda.env import CudaVectorEnv
 
-    return DeviceVectorEnv(num_envs, settings, make_batch, device=torch.device(device), **face)
+    return CudaVectorEnv(num_envs, settings, make_batch, device=torch.device(device), **face)
 
 
 def _parted(device: str, arguments: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -5,15 +5,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.actuators import Actuators
-from surface_gym.batch.batch import Batch
 from surface_gym.conditions import Condition
+from surface_gym.core.batch import Batch
 from surface_gym.faces.single import RENDER_FPS, BatchEnv
-from surface_gym.lanes.memory import SUCCESS
-from surface_gym.plants import Plant
-from surface_gym.randomisation import Randomisation
+from surface_gym.lines import BaseLine
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Exact, Sensor
 from surface_gym.settings import Settings
+from surface_gym.state import SUCCESS
 from surface_gym.tasks import Task
 
 __all__ = ["RENDER_FPS", "SmartSurfaceEnv"]
@@ -53,7 +52,7 @@ class SmartSurfaceEnv(BatchEnv):
     `observe_axes` two more for each module of the zone, or of the window: cosine and sine of twice
     its axis angle, which is the same for an axis turned by 180 deg. Axes that take time to turn are
     hidden otherwise. `observe` adds groups of features: "parcel" its length, width and shape, "rotors"
-    how many rotors are under each of its quadrants and how they stand, "load" what a `LearningCamera`
+    how many rotors are under each of its quadrants and how they stand, "load" what a `AdaptiveCamera`
     has learned of friction and load.
 
     ## Info
@@ -74,13 +73,13 @@ class SmartSurfaceEnv(BatchEnv):
     | --- | --- | --- |
     | `task` | set by the id | a task's name, or a task with parameters of its own |
     | `actions` | "modules" | kind of action |
-    | `sensors` | `Exact()` | `Exact()`, `Camera(...)`, `LearningCamera(...)` or `Presence(...)` of `surface_gym.sensors` |
+    | `sensors` | `Exact()` | `Exact()`, `Camera(...)`, `AdaptiveCamera(...)` or `Presence(...)` of `surface_gym.sensors` |
     | `control_period` | 0.04 | [s] between decisions; cut into equal physics steps of at most 5 ms |
     | `zone` | None | first and last column that obey; None: those after the lead-in |
     | `orientations` | None | [rad] axis angles on offer, at least two; None: the plant's, 0, pi/4, -pi/4, pi/2; or "any" |
     | `actuators` | `Actuators()` | `axis_speed` [rad/s], `stuck` modules, `stuck_share` |
     | `randomisation` | `Randomisation()` | spreads of friction, mass, size, load and start |
-    | `plant` | None | a `Line`, `Field` or `Pattern` of `surface_gym.plants`; None: the task's own |
+    | `plant` | None | a `Line`, `Field` or `Pattern` of `surface_gym.lines`; None: the task's own |
     | `observe_axes` | False | whether the observation shows the modules' axes |
     | `info` | () | what `info` carries on request |
     | `observe` | () | groups of features that the observation shows besides: "parcel", "rotors", "load" |
@@ -118,7 +117,7 @@ class SmartSurfaceEnv(BatchEnv):
         orientations: tuple[float, ...] | str | None = None,
         actuators: Actuators = Actuators(),
         randomisation: Randomisation = Randomisation(),
-        plant: Plant | None = None,
+        plant: BaseLine | None = None,
         observe_axes: bool = False,
         info: tuple[str, ...] = (),
         observe: tuple[str, ...] = (),
@@ -152,7 +151,7 @@ class SmartSurfaceEnv(BatchEnv):
     def _record(self, begins: bool) -> None:
         if begins:
             self._trail.clear()
-        self._trail.append(self._batch.lanes.truth[0, :2].copy())
+        self._trail.append(self._batch.parcels.truth[0, :2].copy())
 
     def _picture(self) -> NDArray[np.uint8]:
         from surface_gym.picture import scene_of
@@ -166,7 +165,7 @@ class SmartSurfaceEnv(BatchEnv):
         return picture
 
     def _info(self) -> dict[str, Any]:
-        lanes = self._batch.lanes
+        lanes = self._batch.parcels
         outcome = int(lanes.outcome[0])
         info = {
             "is_success": outcome == SUCCESS,
@@ -174,7 +173,7 @@ class SmartSurfaceEnv(BatchEnv):
             "time": float(lanes.clock[0]),
             "pose": lanes.truth[0, :3].copy(),
             "velocity": lanes.truth[0, 3:].copy(),
-            **dict(zip(self._task.figures, lanes.figures[0].tolist(), strict=True)),
+            **dict(zip(self._task.metrics, lanes.metrics[0].tolist(), strict=True)),
             "reward_terms": dict(zip(self._task.terms, lanes.terms[0].tolist(), strict=True)),
         }
         for name, values in self._batch.on_request().items():

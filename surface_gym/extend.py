@@ -1,30 +1,31 @@
 """What a task, a sensor or a plant of one's own is made of.
 
 A task or a sensor is a frozen dataclass that inherits from `Task` or `Sensor`; `Task` and `Sensor`
-say what it has to bring. Its compiled functions are static methods and `lane_function`s:
+say what it has to bring. Its compiled functions are static methods and `kernel_function`s:
 
     @staticmethod
-    @lane_function
-    def judge(lane: Lane) -> int:
+    @kernel_function
+    def outcome(lane: EnvState) -> int:
         return SUCCESS if lane.truth[X] > lane.goal[0] else RUNNING
 
-They read and write a `Lane`, one parcel on one surface, and may use `math`, constants, other
-`lane_function`s and what stands here:
+They read and write a `EnvState`, one parcel on one surface, and may use `math`, constants, other
+`kernel_function`s and what stands here:
 
-- places in `lane.truth` and `lane.sensed`: `X`, `Y`, `THETA`, `VX`, `VY`, `OMEGA`;
-- places in `lane.body`: `RADIUS`, `COM_X`, `COM_Y`, `COM_HEIGHT`, `GYRATION`, `HALF_LENGTH`,
+- places in `state.truth` and `state.sensed`: `X`, `Y`, `THETA`, `VX`, `VY`, `OMEGA`;
+- places in `state.body`: `RADIUS`, `COM_X`, `COM_Y`, `COM_HEIGHT`, `GYRATION`, `HALF_LENGTH`,
   `MASS`;
-- places in `lane.zone`: `FIRST_ROW`, `ROWS`, `FIRST_COLUMN`, `COLUMNS`;
-- what `judge` returns: `RUNNING`, `SUCCESS`, or one of `failures(outcomes)`;
-- `reach_along`, `zone_start`, `zone_end`, `speed_of`, `is_slower`, and `read_truth` for `over`.
+- places in `state.zone`: `FIRST_ROW`, `ROWS`, `FIRST_COLUMN`, `COLUMNS`;
+- what `outcome` returns: `RUNNING`, `SUCCESS`, or one of `failures(outcomes)`;
+- `reach_along`, `zone_start`, `zone_end`, `speed`, `is_slower`, and `read_truth` for `is_done`.
 
 A task's Python half deals in `Feature`, `Draw`, `Parcels` and `Start`; `entry` is the pose at which
 parcels enter a line. Plants are a `Line`, a `Field`, a `Pattern`, or a class that inherits from
-`Plant`.
+`BaseLine`.
 """
 
-from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.types import (
+from surface_gym.lines import BaseLine, Field, Line, Pattern
+from surface_gym.physics.jit import kernel_function
+from surface_gym.physics.types import (
     COM_HEIGHT,
     COM_X,
     COM_Y,
@@ -40,22 +41,25 @@ from surface_gym.dynamics.types import (
     X,
     Y,
 )
-from surface_gym.lanes.lane import (
-    Lane,
+from surface_gym.sensors import Sensor
+from surface_gym.state import (
+    COLUMNS,
+    FIRST_COLUMN,
+    FIRST_ROW,
+    ROWS,
+    RUNNING,
+    SUCCESS,
+    EnvState,
     is_slower,
+    planar_speed,
     reach_along,
     read_truth,
-    speed_of,
     zone_end,
     zone_start,
 )
-from surface_gym.lanes.memory import COLUMNS, FIRST_COLUMN, FIRST_ROW, ROWS, RUNNING, SUCCESS
-from surface_gym.plants import Field, Line, Pattern, Plant
-from surface_gym.sensors import Sensor
 from surface_gym.tasks import Task
+from surface_gym.tasks.base import Draw, Feature, Parcels, Start, between, failures
 from surface_gym.tasks.line import entry
-from surface_gym.tasks.start import Draw, Parcels, Start, between
-from surface_gym.tasks.task import Feature, failures
 
 __all__ = [
     "COLUMNS",
@@ -79,11 +83,11 @@ __all__ = [
     "Draw",
     "Feature",
     "Field",
-    "Lane",
+    "EnvState",
     "Line",
     "Parcels",
     "Pattern",
-    "Plant",
+    "BaseLine",
     "Sensor",
     "Start",
     "Task",
@@ -93,10 +97,10 @@ __all__ = [
     "entry",
     "failures",
     "is_slower",
-    "lane_function",
+    "kernel_function",
     "reach_along",
     "read_truth",
-    "speed_of",
+    "planar_speed",
     "zone_end",
     "zone_start",
 ]

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surface_gym import checks
-from surface_gym.bases import Rectangle
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.surface import Surface
 
 ROLLING = math.pi / 2  # [rad] axis of a module that lets a parcel roll along x

@@ -13,7 +13,7 @@ from surface_gym.flow.env import FlowEnv
 from surface_gym.flow.features import FEATURES
 from surface_gym.registration import FLOW, env_id
 from surface_gym.tasks import TASKS
-from surface_gym.tasks.task import Feature
+from surface_gym.tasks.base import Feature
 
 # Lines from a prompt to the next empty one, as far left as the text around them.
 EXAMPLE = re.compile(r"^>>> .*(?:\n.+)*", re.MULTILINE)

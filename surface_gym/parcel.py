@@ -1,13 +1,254 @@
-"""A parcel: a rigid body with a flat base."""
+"""Parcels: their bases, mass and load, and assortments of them."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from surface_gym import bounds, checks
-from surface_gym.bases import Base, check_base
-from surface_gym.dynamics.types import Body
+from surface_gym import checks
+from surface_gym.physics.types import Body
+
+
+class Base(Protocol):
+    """What the physics and the drawing ask of a base. All lengths are in the base's own frame.
+
+    A base is convex: the part of a circle, around its centroid, that lies within its edges.
+    """
+
+    @property
+    def centroid(self) -> tuple[float, float]:
+        """[m] centre of the area."""
+
+    @property
+    def gyration(self) -> float:
+        """[m^2] inertia / mass about the centroid, of a load spread evenly over the area."""
+
+    @property
+    def reach(self) -> float:
+        """[m] from the centroid to the farthest point."""
+
+    @property
+    def edges(self) -> NDArray[np.float64]:
+        """(edges, 3) outward normals and distances [m] from the centroid; no rows for a disc."""
+
+    @property
+    def outline(self) -> NDArray[np.float64]:
+        """(points, 2) [m] the perimeter, anti-clockwise."""
+
+    def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        """F_lambda at points: (lambdas, ...), none positive inside."""
+
+    def scaled(self, factor: float) -> "Base":
+        """The same shape, every length times a factor."""
+
+
+def check_base(base: Any) -> None:
+    """Raise a ValueError that says what an object lacks to be a `Base`."""
+    asked = ("centroid", "gyration", "reach", "edges", "outline", "functions", "scaled")
+    lacks = [name for name in asked if isinstance(base, type) or not hasattr(base, name)]
+    if lacks:
+        raise ValueError(
+            f"base must be a Rectangle, a Disc or a Polygon, got {base!r}; "
+            f"a Base of one's own must have {', '.join(lacks)} too"
+        )
+    if not isinstance(base, (Rectangle, Disc, Polygon)):
+        checks.array("base.edges", base.edges, (None, 3))
+        checks.array("base.outline", base.outline, (None, 2))
+        checks.array("base.centroid", base.centroid, (2,))
+        reach = checks.positive("base.reach", base.reach, *checks.LENGTH)
+        least, most = ((part * reach) ** 2 for part in checks.GYRATION)
+        checks.positive("base.gyration", base.gyration, least, most)
+        try:
+            hash(base)
+        except TypeError:
+            raise ValueError(
+                f"base must be hashable, as a frozen dataclass is, got {base!r}"
+            ) from None
+
+
+def _edge_functions(
+    edges: NDArray[np.float64], centroid: tuple[float, float], x: ArrayLike, y: ArrayLike
+) -> NDArray[np.float64]:
+    dx = np.asarray(x, dtype=np.float64) - centroid[0]
+    dy = np.asarray(y, dtype=np.float64) - centroid[1]
+    return np.stack([nx * dx + ny * dy - distance for nx, ny, distance in edges])
+
+
+def _kept(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An array that is computed once and shared, so that nobody may write it."""
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A box's base, b x h in the paper, centred on its frame's origin.
+
+    >>> Rectangle(0.25, 0.25).functions(0.0, 0.2).max() <= 0  # (0, 0.2) is outside
+    np.False_
+    """
+
+    length: float  # [m] b, along the base's x
+    width: float  # [m] h, along its y
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "length", checks.positive("length", self.length, *checks.LENGTH))
+        object.__setattr__(self, "width", checks.positive("width", self.width, *checks.LENGTH))
+
+    @cached_property
+    def centroid(self) -> tuple[float, float]:
+        return (0.0, 0.0)
+
+    @cached_property
+    def gyration(self) -> float:
+        return (self.length**2 + self.width**2) / 12.0  # Table 1
+
+    @cached_property
+    def reach(self) -> float:
+        return math.hypot(self.length, self.width) / 2.0
+
+    @cached_property
+    def edges(self) -> NDArray[np.float64]:
+        b, h = self.length / 2.0, self.width / 2.0
+        return _kept(np.array([[1.0, 0.0, b], [-1.0, 0.0, b], [0.0, 1.0, h], [0.0, -1.0, h]]))
+
+    @cached_property
+    def outline(self) -> NDArray[np.float64]:
+        b, h = self.length / 2.0, self.width / 2.0
+        return _kept(np.array([[-b, -h], [b, -h], [b, h], [-b, h]]))
+
+    def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        return _edge_functions(self.edges, self.centroid, x, y)
+
+    def scaled(self, factor: float) -> "Rectangle":
+        return Rectangle(self.length * factor, self.width * factor)
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A round base, centred on its frame's origin."""
+
+    radius: float  # [m]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "radius", checks.positive("radius", self.radius, *checks.LENGTH))
+
+    @cached_property
+    def centroid(self) -> tuple[float, float]:
+        return (0.0, 0.0)
+
+    @cached_property
+    def gyration(self) -> float:
+        return self.radius**2 / 2.0
+
+    @cached_property
+    def reach(self) -> float:
+        return self.radius
+
+    @cached_property
+    def edges(self) -> NDArray[np.float64]:
+        return _kept(np.zeros((0, 3)))
+
+    @cached_property
+    def outline(self) -> NDArray[np.float64]:
+        angle = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+        return _kept(self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+
+    def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        distance = np.hypot(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+        return (distance - self.radius)[np.newaxis]
+
+    def scaled(self, factor: float) -> "Disc":
+        return Disc(self.radius * factor)
+
+
+@dataclass(frozen=True, eq=False)
+class Polygon:
+    """A convex base given by its vertices, in either sense of rotation.
+
+    Raises:
+        ValueError: fewer than three vertices, two in one place, or the polygon is not convex, or
+            smaller or larger than any base.
+    """
+
+    vertices: NDArray[np.float64]  # (vertices, 2) [m] in the base's frame
+
+    def __post_init__(self) -> None:
+        vertices = checks.array("vertices", self.vertices, (None, 2))
+        checks.limited("vertices", vertices, checks.LENGTH[1])
+        if len(vertices) < 3:
+            raise ValueError(f"vertices must be at least 3, got {len(vertices)}")
+        side = np.roll(vertices, -1, axis=0) - vertices
+        if (np.hypot(side[:, 0], side[:, 1]) == 0.0).any():
+            raise ValueError(f"vertices must differ from their neighbours, got {vertices.tolist()}")
+        after = np.roll(side, -1, axis=0)
+        turn = np.arctan2(
+            side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0], (side * after).sum(axis=1)
+        )
+        # A vertex within a side turns by no more than round-off; none turns back.
+        one_way = (turn > -1e-9).all() or (turn < 1e-9).all()
+        turns_back = (np.abs(turn) > np.pi - 1e-9).any()
+        if turns_back or not (one_way and abs(abs(turn.sum()) - 2.0 * np.pi) < 1e-6):
+            raise ValueError(f"vertices must form a convex polygon, got {vertices.tolist()}")
+        x, y = vertices.T
+        area = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
+        if area < checks.LENGTH[0] ** 2:
+            raise ValueError(
+                f"vertices must enclose at least {checks.LENGTH[0] ** 2:g} m^2, got {area:g} m^2"
+            )
+        object.__setattr__(self, "vertices", vertices)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy by the constructor, which makes the array read-only again."""
+        return (Polygon, (self.vertices,))
+
+    @cached_property
+    def outline(self) -> NDArray[np.float64]:
+        x, y = self.vertices.T
+        anti_clockwise = np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0.0
+        return _kept(np.array(self.vertices if anti_clockwise else self.vertices[::-1]))
+
+    @cached_property
+    def _triangles(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Twice the area of each triangle (first vertex, side), and the side's ends from there."""
+        start = self.outline - self.outline[0]
+        end = np.roll(start, -1, axis=0)
+        return start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0], start, end
+
+    @cached_property
+    def centroid(self) -> tuple[float, float]:
+        area, start, end = self._triangles
+        x, y = self.outline[0] + (area @ (start + end)) / (3.0 * area.sum())
+        return (float(x), float(y))
+
+    @cached_property
+    def gyration(self) -> float:
+        area, start, end = self._triangles
+        squares = (start**2 + start * end + end**2).sum(axis=1)
+        offset = np.array(self.centroid) - self.outline[0]
+        return float(area @ squares / (6.0 * area.sum()) - offset @ offset)
+
+    @cached_property
+    def reach(self) -> float:
+        offset = self.vertices - np.array(self.centroid)
+        return float(np.hypot(offset[:, 0], offset[:, 1]).max())
+
+    @cached_property
+    def edges(self) -> NDArray[np.float64]:
+        corner = self.outline - np.array(self.centroid)
+        side = np.roll(corner, -1, axis=0) - corner
+        normal = np.stack([side[:, 1], -side[:, 0]], axis=-1)
+        normal /= np.hypot(side[:, 0], side[:, 1])[:, np.newaxis]
+        return _kept(np.column_stack([normal, (normal * corner).sum(axis=1)]))
+
+    def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        return _edge_functions(self.edges, self.centroid, x, y)
+
+    def scaled(self, factor: float) -> "Polygon":
+        return Polygon(self.vertices * factor)
 
 
 @dataclass(frozen=True)
@@ -16,7 +257,7 @@ class Parcel:
 
     Raises:
         ValueError: a mass, height or inertia that is not allowed, a base that is none, or a
-            centre of mass that is not over the base, or a number beyond `surface_gym.bounds`.
+            centre of mass that is not over the base, or a number beyond `surface_gym.checks`.
 
     >>> from surface_gym import Rectangle
     >>> round(Parcel(Rectangle(0.25, 0.25)).moment_of_inertia, 4)  # m (b^2 + h^2) / 12
@@ -32,11 +273,11 @@ class Parcel:
     def __post_init__(self) -> None:
         check_base(self.base)
         set_field = object.__setattr__
-        set_field(self, "mass", checks.positive("mass", self.mass, *bounds.MASS))
-        height = checks.not_negative("com_height", self.com_height, bounds.COM_HEIGHT)
+        set_field(self, "mass", checks.positive("mass", self.mass, *checks.MASS))
+        height = checks.not_negative("com_height", self.com_height, checks.COM_HEIGHT)
         set_field(self, "com_height", height)
         if self.inertia is not None:
-            least, most = (self.mass * (part * self.base.reach) ** 2 for part in bounds.GYRATION)
+            least, most = (self.mass * (part * self.base.reach) ** 2 for part in checks.GYRATION)
             set_field(self, "inertia", checks.positive("inertia", self.inertia, least, most))
         x, y = checks.place("com_offset", self.com_offset)
         set_field(self, "com_offset", (x, y))
@@ -70,3 +311,76 @@ class Parcel:
             com_height=self.com_height,
             gyration=self.base.gyration if self.inertia is None else self.inertia / self.mass,
         )
+
+
+CORNERS = (5, 8)  # of a polygon at least, and fewer than
+MOST_DRAWS = 1000  # of a polygon: one in three is drawn again
+
+
+def assortment(
+    count: int,
+    seed: int,
+    sizes: tuple[float, float] = (0.2, 0.45),
+    load: float = 0.03,
+) -> tuple[Parcel, ...]:
+    """Squares, rectangles, discs and convex polygons in turn, the same for the same seed.
+
+    Length and width: uniform in `sizes`, of a polygon that of the circle it is inscribed in.
+    Centre of mass: uniform in a disc of radius `load` around the base's centroid, within the base.
+
+    Args:
+        count: of parcels.
+        seed: of the draws.
+        sizes: [m] least and greatest length and width.
+        load: [m] how far off centre the load may lie.
+
+    Raises:
+        ValueError: a number that is not allowed.
+    """
+    checks.integer("count", count, least=1)
+    low, high = checks.array("sizes", sizes, (2,)).tolist()
+    if not checks.LENGTH[0] <= low <= high <= checks.LENGTH[1]:
+        raise ValueError(f"sizes must rise within {checks.LENGTH} m, got {sizes!r}")
+    checks.not_negative("load", load, checks.LENGTH[1])
+    rng = np.random.default_rng(checks.integer("seed", seed, least=0))
+    return tuple(_loaded(rng, _base(rng, k % 4, low, high), load) for k in range(count))
+
+
+def _base(rng: np.random.Generator, kind: int, low: float, high: float) -> Base:
+    length, width = rng.uniform(low, high, 2).tolist()
+    if kind == 0:
+        return Rectangle(length, length)
+    if kind == 1:
+        return Rectangle(length, width)
+    if kind == 2:
+        return Disc(0.5 * length)
+    return _polygon(rng, low, length)
+
+
+def _polygon(rng: np.random.Generator, low: float, length: float) -> Polygon:
+    """Corners uniform on a circle, drawn again until it is as wide as the least size, three
+    quarters of it at the least circles, which no other would be.
+    """
+    least = min(low, 0.75 * length)
+    for _ in range(MOST_DRAWS):
+        angle = np.sort(rng.uniform(0.0, 2.0 * math.pi, rng.integers(*CORNERS)))
+        corners = 0.5 * length * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        if np.ptp(corners, axis=0).min() >= least and _is_convex_around(angle):
+            return Polygon(corners)
+    raise ValueError(f"sizes must let a polygon be drawn, got {low:g} m and {length:g} m")
+
+
+def _is_convex_around(angle: NDArray[np.float64]) -> bool:
+    """Whether no gap between corners is half the circle, and none so small that they are one."""
+    gaps = np.diff(angle, append=angle[0] + 2.0 * math.pi)
+    return bool(gaps.max() < 0.9 * math.pi and gaps.min() > 0.1)
+
+
+def _loaded(rng: np.random.Generator, base: Base, load: float) -> Parcel:
+    """A parcel on a base, its load off centre."""
+    for _ in range(MOST_DRAWS):
+        offset = load * rng.uniform(-1.0, 1.0, 2)
+        x, y = np.array(base.centroid) + offset
+        if np.hypot(*offset) <= load and base.functions(x, y).max() <= 0.0:
+            return Parcel(base, com_offset=(float(offset[0]), float(offset[1])))
+    raise ValueError(f"load must lie over most bases, got {load:g} m")

@@ -20,14 +20,14 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from surface_gym.batch.batch import Batch
+from surface_gym.core.batch import Batch
 from surface_gym.flow.play import FlowGame
 from surface_gym.game import AXIS_KEYS, ROLL, Game
 from surface_gym.picture import scene_of
 from surface_gym.rendering import Painter, Scene, Window
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS
-from surface_gym.tasks.start import Draw, parcel_option
+from surface_gym.tasks.base import Draw, parcel_option
 
 FRAME_RATE = 25.0  # [1/s] real time at the control period of 40 ms
 DRAG_SPEED = 2.0  # [m/s] a metre dragged
@@ -61,7 +61,7 @@ class TaskGame(Game):
     def _advance(self) -> None:
         if self._pressed is None:
             self._batch.advance(self._command)
-            self._trail.append(self._batch.lanes.truth[0, :2].copy())
+            self._trail.append(self._batch.parcels.truth[0, :2].copy())
 
     def _take_mouse(self, event: pygame.event.Event) -> None:
         if event.type == pygame.MOUSEBUTTONDOWN:

@@ -1,4 +1,4 @@
-"""What differs from episode to episode, each draw with its law."""
+"""How actuators behave, and what is randomised from episode to episode."""
 
 import math
 from dataclasses import dataclass, replace
@@ -7,16 +7,42 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import bounds, checks
-from surface_gym.bases import Base
-from surface_gym.parcel import Parcel
+from surface_gym import checks
+from surface_gym.parcel import Base, Parcel
+
+
+@dataclass(frozen=True)
+class Actuators:
+    """The modules' actuators.
+
+    Raises:
+        ValueError: a speed that is not positive, a share outside [0, 1], or a stuck module that
+            is not a pair of a row and a column.
+    """
+
+    axis_speed: float = math.inf  # [rad/s] at which an axis turns, through the angles between
+    stuck: tuple[tuple[int, int], ...] = ()  # (row, column) of modules that ignore commands
+    stuck_share: float = 0.0  # [-] probability of any other to be stuck, drawn at each start
+
+    def __post_init__(self) -> None:
+        if self.axis_speed != math.inf:
+            checks.positive("axis_speed", self.axis_speed, *checks.AXIS_SPEED)
+        checks.within("stuck_share", self.stuck_share, 0.0, 1.0)
+        if not isinstance(self.stuck, (tuple, list)):
+            raise ValueError(f"stuck must hold (row, column) pairs, got {self.stuck!r}")
+        for module in self.stuck:
+            if not (isinstance(module, tuple) and len(module) == 2):
+                raise ValueError(f"stuck must hold (row, column) pairs, got {module!r}")
+            for place in module:
+                checks.integer("stuck", place, least=0)
+
 
 ANYWHERE = (-math.inf, math.inf)  # [m]
 MOST_SPREAD = 0.99  # [-] of mass and size, which may then be a hundredth: not nothing
 MOST_DRAWS = 1000  # of a start aside: of ordinary ones one in 20 is drawn twice at most
 
 
-class Drawn(NamedTuple):
+class RandomDraw(NamedTuple):
     """What a start and the surface under it are drawn to be."""
 
     parcel: Parcel
@@ -54,8 +80,8 @@ class Randomisation:
         for name in ("mass", "size"):
             checks.within(name, getattr(self, name), 0.0, MOST_SPREAD)
         for name, most in (
-            ("stiffness", bounds.STIFFNESS_SPREAD),
-            ("lateral", bounds.LENGTH[1]),
+            ("stiffness", checks.STIFFNESS_SPREAD),
+            ("lateral", checks.LENGTH[1]),
             ("heading", math.pi),
         ):
             checks.not_negative(name, getattr(self, name), most)
@@ -87,14 +113,14 @@ class Randomisation:
         parcel: Parcel,
         shape: tuple[int, ...],
         room: tuple[float, float] = ANYWHERE,
-    ) -> Drawn:
+    ) -> RandomDraw:
         """Vary a start of a parcel and the surface (rows, columns); only what varies is drawn.
 
         `room` is [m] from the start to the surface's edges in y, the first negative.
         """
         friction = self.draw_friction(rng)
         parcel, aside, turned = self.draw_entry(rng, parcel, room)
-        return Drawn(parcel, aside, turned, friction, self.draw_stiffness(rng, shape))
+        return RandomDraw(parcel, aside, turned, friction, self.draw_stiffness(rng, shape))
 
     def draw_friction(self, rng: np.random.Generator) -> tuple[float, float, float]:
         """Factors of mu_max, mu_min and mu_support of a surface."""

@@ -5,7 +5,7 @@ from typing import Any
 import gymnasium as gym
 
 from surface_gym.tasks import TASKS
-from surface_gym.tasks.task import Task
+from surface_gym.tasks.base import Task
 
 FLOW = "SmartSurface/Flow-v0"  # ends by itself, after its duration
 

@@ -7,18 +7,15 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from surface_gym import bounds, checks
-from surface_gym.actions import ANY, ActionKind
-from surface_gym.actions.more import GROUPS, features_of
-from surface_gym.actions.showing import AXIS_SIZE
-from surface_gym.actuators import Actuators
+from surface_gym import checks
 from surface_gym.conditions import CONDITIONS, Condition
-from surface_gym.lanes.memory import Timing
-from surface_gym.plants import Plant
-from surface_gym.randomisation import Randomisation
+from surface_gym.core.actions import ANY, AXIS_SIZE, GROUPS, ActionKind, group_features
+from surface_gym.lines import BaseLine
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Exact, Sensor
+from surface_gym.state import Timing
 from surface_gym.tasks import TASKS, Task
-from surface_gym.tasks.task import Feature, draws_default_parcels
+from surface_gym.tasks.base import Feature, draws_default_parcels
 
 LONGEST_STEP = 0.005  # [s]
 INFOS = ("axes", "normal_forces")  # that `info` carries on request
@@ -29,7 +26,7 @@ class Settings:
     """Arguments of an environment.
 
     Raises:
-        ValueError: an argument is not allowed, or a number is beyond `surface_gym.bounds`; the
+        ValueError: an argument is not allowed, or a number is beyond `surface_gym.checks`; the
             message names it, what came and what may come.
     """
 
@@ -42,7 +39,7 @@ class Settings:
     orientations: tuple[float, ...] | str | None = None
     actuators: Actuators = Actuators()
     randomisation: Randomisation = Randomisation()
-    plant: Plant | None = None  # where it happens; None: the task's own
+    plant: BaseLine | None = None  # where it happens; None: the task's own
     observe_axes: bool = False  # the observation shows the modules' axes
     info: tuple[str, ...] = ()  # what `info` carries beside the rest
     observe: tuple[str, ...] = ()  # groups of features that the observation shows beside the rest
@@ -61,7 +58,7 @@ class Settings:
                 ("sensors", Sensor, "a Sensor"),
                 ("actuators", Actuators, "Actuators"),
                 ("randomisation", Randomisation, "a Randomisation"),
-                ("plant", Plant | None, "a Plant"),
+                ("plant", BaseLine | None, "a Plant"),
             ),
         )
         if isinstance(self.orientations, str):
@@ -69,7 +66,7 @@ class Settings:
         elif self.orientations is not None:
             angles = checks.orientations("orientations", self.orientations)
             set_field(self, "orientations", angles)
-        period = checks.positive("control_period", self.control_period, *bounds.CONTROL_PERIOD)
+        period = checks.positive("control_period", self.control_period, *checks.CONTROL_PERIOD)
         set_field(self, "control_period", period)
         checks.one_of("observe_axes", self.observe_axes, (False, True))
         for name, allowed in (("info", INFOS), ("observe", tuple(GROUPS))):
@@ -153,7 +150,7 @@ class Settings:
         return next(kinds, self.chosen_task.name)
 
     @property
-    def chosen_plant(self) -> Plant:
+    def chosen_plant(self) -> BaseLine:
         """Where it happens."""
         return self.chosen_task.plant if self.plant is None else self.plant
 
@@ -192,7 +189,7 @@ class Settings:
         )
         features = self.chosen_task.features + (window if kind.window_size else ())
         axes = self._axis_features() if self.observe_axes else ()
-        return features + axes + features_of(self.observe)
+        return features + axes + group_features(self.observe)
 
     def _axis_features(self) -> tuple[Feature, ...]:
         """An axis is the same turned by pi: it is shown by twice its angle."""
@@ -223,7 +220,7 @@ def check_kinds(settings: Any, kinds: tuple[tuple[str, Any, str], ...]) -> None:
             raise ValueError(f"{name} must be {told}, got {getattr(settings, name)!r}")
 
 
-def check_stuck(actuators: Actuators, plant: Plant) -> None:
+def check_stuck(actuators: Actuators, plant: BaseLine) -> None:
     """Raise a ValueError where a module that is stuck is none of the plant's."""
     for row, column in actuators.stuck:
         if row >= plant.rows or column >= plant.columns:

@@ -6,24 +6,24 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surface_gym import bounds, checks
-from surface_gym.dynamics.entries import (
+from surface_gym import checks
+from surface_gym.parcel import Parcel
+from surface_gym.physics.references import (
     advance_explicit,
     advance_implicit,
+    explain_unsupported,
     find_support,
-    why_unborne,
 )
-from surface_gym.dynamics.memory import check_capacity, make_scratch
-from surface_gym.dynamics.run import run_explicit, run_implicit
-from surface_gym.dynamics.states import states_of
-from surface_gym.dynamics.step import (
+from surface_gym.physics.rollout import run_explicit, run_implicit
+from surface_gym.physics.step import (
     BALANCED,
     OFF_SURFACE,
     STOPPED,
     TIPPING,
-    UNBORNE,
+    UNSUPPORTED,
+    com_states,
 )
-from surface_gym.dynamics.types import (
+from surface_gym.physics.types import (
     OMEGA,
     STATE_SIZE,
     THETA,
@@ -33,8 +33,9 @@ from surface_gym.dynamics.types import (
     Grid,
     Scratch,
     X,
+    check_capacity,
+    make_scratch,
 )
-from surface_gym.parcel import Parcel
 from surface_gym.record.repeating import Run
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
@@ -43,7 +44,7 @@ METHODS = ("implicit", "explicit")
 PIECE = 2000  # steps in a row: Ctrl-C waits for no more
 MAX_STEPS = 100_000_000  # of one run; its trajectory already takes 15 GB
 NORMAL_FORCES = ("dual", "osqp", "scipy")
-ENDS = {OFF_SURFACE: "left the surface", UNBORNE: "nothing bears it", STOPPED: "stopped"}
+ENDS = {OFF_SURFACE: "left the surface", UNSUPPORTED: "nothing bears it", STOPPED: "stopped"}
 
 
 def simulate(
@@ -74,7 +75,7 @@ def simulate(
         mass passes the edge of the surface, or where no element lies under the base.
 
     Raises:
-        ValueError: an argument is not allowed, a number is beyond `surface_gym.bounds`, the start
+        ValueError: an argument is not allowed, a number is beyond `surface_gym.checks`, the start
             is off the surface or on no element, a step moves the parcel past a pitch, or the
             explicit method is to start a parcel on a level surface that does not move towards +x.
 
@@ -91,8 +92,8 @@ def simulate(
     start = start_state(
         parcel, checks.pose("pose", pose, (3,)), checks.velocity("velocity", velocity, (3,))
     )
-    duration = checks.positive("duration", duration, *bounds.DURATION)
-    dt = checks.positive("dt", dt, *bounds.STEP)
+    duration = checks.positive("duration", duration, *checks.DURATION)
+    dt = checks.positive("dt", dt, *checks.STEP)
     if duration / dt > MAX_STEPS:
         raise ValueError(f"dt must be at least duration / {MAX_STEPS:_}, got {dt!r}")
     checks.one_of("method", method, METHODS)
@@ -105,7 +106,7 @@ def simulate(
     )
     scratch = make_scratch()
     if find_support(grid, body, start, scratch, 0.0).total == 0:
-        over = why_unborne(grid, start, 0.0) == UNBORNE
+        over = explain_unsupported(grid, start, 0.0) == UNSUPPORTED
         wanted = "over an element" if over else "on the surface"
         raise ValueError(f"pose must be {wanted}, got {tuple(np.asarray(pose).tolist())}")
     if method == "explicit" and surface.tilt == 0.0 and start[VX] <= 0.0 and start[VX:].any():
@@ -114,7 +115,7 @@ def simulate(
             f"got {tuple(np.asarray(velocity).tolist())}"
         )
 
-    time = times_of(duration, dt)
+    time = sample_times(duration, dt)
     states = np.zeros((len(time), STATE_SIZE))
     states[0] = start
     reports = np.zeros(len(time), dtype=np.int64)
@@ -138,7 +139,7 @@ def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
         )
 
 
-def times_of(duration: float, dt: float) -> NDArray[np.float64]:
+def sample_times(duration: float, dt: float) -> NDArray[np.float64]:
     """Ends of the steps; a last one that would be shorter than 1e-6 dt is none."""
     whole = math.floor(duration / dt + 1e-6)
     time: Array = dt * np.arange(whole + 1, dtype=np.float64)
@@ -148,7 +149,7 @@ def times_of(duration: float, dt: float) -> NDArray[np.float64]:
 def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
     """State vector of the centre of mass."""
     centre = np.array([parcel.centre_of_mass])
-    state: Array = states_of(centre, pose[np.newaxis], velocity[np.newaxis])[0]
+    state: Array = com_states(centre, pose[np.newaxis], velocity[np.newaxis])[0]
     return state
 
 
@@ -211,7 +212,7 @@ def _reference_step(
     normal_forces: str,
 ) -> int:
     """The compiled step with Eq. (1) solved by a reference in the dual's place."""
-    from surface_gym.dynamics.reference_load import bear_load_by
+    from surface_gym.physics.references import support_load_by
 
     explicit = method == "explicit"
     if explicit and state[VX] <= 0.0 and grid.gravity_along == 0.0:
@@ -220,8 +221,8 @@ def _reference_step(
     contacts = find_support(grid, body, state, scratch, lead)
     count = contacts.total
     if count == 0:
-        return int(why_unborne(grid, state, lead))
-    degenerate = bear_load_by(normal_forces, grid, body, state, scratch, count)
+        return int(explain_unsupported(grid, state, lead))
+    degenerate = support_load_by(normal_forces, grid, body, state, scratch, count)
     advance = advance_explicit if explicit else advance_implicit
     advance(grid, body, state, scratch, contacts, dt)
     return TIPPING if degenerate else BALANCED

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import bounds, checks
-from surface_gym.dynamics.axes import directions_of
-from surface_gym.dynamics.types import GRAVITY, Grid
+from surface_gym import checks
+from surface_gym.physics.step import axis_directions
+from surface_gym.physics.types import GRAVITY, Grid
 
 
 class Pitched:
@@ -67,7 +67,7 @@ class Surface(Elements):
     Raises:
         ValueError: an array is empty, not finite, or its shape differs from the other's; `pitch`
             is not positive, a friction coefficient negative, `mu_min` greater than `mu_max`, the
-            tilt not below 45 deg, or a number beyond `surface_gym.bounds`.
+            tilt not below 45 deg, or a number beyond `surface_gym.checks`.
 
     >>> import numpy as np
     >>> surface = Surface(axis=np.full((20, 30), np.pi / 2), rotor=np.ones((20, 30), bool))
@@ -88,7 +88,7 @@ class Surface(Elements):
 
     def __post_init__(self) -> None:
         axis = checks.array("axis", self.axis, (None, None))
-        checks.limited("axis", axis, bounds.TURNED)
+        checks.limited("axis", axis, checks.TURNED)
         if axis.size == 0:
             raise ValueError(f"axis must have at least one row and one column, got {axis.shape}")
         rotor = checks.booleans("rotor", self.rotor)
@@ -143,7 +143,7 @@ class Surface(Elements):
         """The surface as the compiled physics reads it."""
         return Grid(
             axis=np.arange(self.axis.size, dtype=np.int32).reshape(self.axis.shape),
-            direction=directions_of(self.axis.ravel()),
+            direction=axis_directions(self.axis.ravel()),
             rotor=np.array(self.rotor),
             stiffness=np.ones(self.axis.shape) if self.stiffness is None else self.stiffness.copy(),
             friction=self.friction.copy(),
@@ -162,10 +162,10 @@ class Surface(Elements):
 def _check_stiffness(stiffness: NDArray[np.float64]) -> None:
     """Raise a ValueError for elements softer, stiffer or more unequal than any are."""
     least, most = float(stiffness.min()), float(stiffness.max())
-    checks.within("stiffness", least, *bounds.STIFFNESS)
-    checks.within("stiffness", most, *bounds.STIFFNESS)
-    if most / least > bounds.STIFFNESS_RATIO:
+    checks.within("stiffness", least, *checks.STIFFNESS)
+    checks.within("stiffness", most, *checks.STIFFNESS)
+    if most / least > checks.STIFFNESS_RATIO:
         raise ValueError(
-            f"stiffness must differ by a factor of at most {bounds.STIFFNESS_RATIO:g}, "
+            f"stiffness must differ by a factor of at most {checks.STIFFNESS_RATIO:g}, "
             f"got {least:g} and {most:g} in it"
         )

@@ -6,24 +6,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surface_gym import bounds, checks
-from surface_gym.batch.placement import NO_EDGE
-from surface_gym.dynamics.company import Company, Touching, make_together_scratch
-from surface_gym.dynamics.entries import find_support, why_unborne
-from surface_gym.dynamics.impact import TOUCH
-from surface_gym.dynamics.memory import check_capacity, make_scratch
-from surface_gym.dynamics.run_together import Records, run_together, width_between
-from surface_gym.dynamics.step import OFF_SURFACE, TIPPING, UNBORNE
-from surface_gym.dynamics.types import STATE_SIZE, Array, Bodies, Grid
+from surface_gym import checks
+from surface_gym.core.resets import NO_EDGE
 from surface_gym.parcel import Parcel
+from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
+from surface_gym.physics.references import explain_unsupported, find_support
+from surface_gym.physics.rollout import Records, distance_between, run_world
+from surface_gym.physics.signed_distance import CONTACT_DISTANCE
+from surface_gym.physics.step import OFF_SURFACE, TIPPING, UNSUPPORTED
+from surface_gym.physics.types import STATE_SIZE, Array, Bodies, Grid, check_capacity, make_scratch
 from surface_gym.simulation import (
     ENDS,
     MAX_STEPS,
     PIECE,
     base_motion,
     check_steps,
+    sample_times,
     start_state,
-    times_of,
 )
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
@@ -77,7 +76,7 @@ def simulate_together(
         edge of the surface, or under whose base no element lies, ends there; the others go on.
 
     Raises:
-        ValueError: an argument is not allowed, a number is beyond `surface_gym.bounds`, a parcel
+        ValueError: an argument is not allowed, a number is beyond `surface_gym.checks`, a parcel
             starts off the surface, on no element or overlapping with another, or a step moves a
             parcel past a pitch.
 
@@ -97,16 +96,16 @@ def simulate_together(
     np.float64(0.25)
     """
     company = _company(surface, parcels, poses, velocities)
-    duration = checks.positive("duration", duration, *bounds.DURATION)
-    dt = checks.positive("dt", dt, *bounds.STEP)
+    duration = checks.positive("duration", duration, *checks.DURATION)
+    dt = checks.positive("dt", dt, *checks.STEP)
     if duration / dt > MAX_STEPS:
         raise ValueError(f"dt must be at least duration / {MAX_STEPS:_}, got {dt!r}")
-    touching = Touching(
+    touching = ContactMaterial(
         checks.within("restitution", restitution, 0.0, 1.0),
-        checks.not_negative("side_friction", side_friction, bounds.FRICTION),
+        checks.not_negative("side_friction", side_friction, checks.FRICTION),
     )
     _check_starts(surface, parcels, poses, company)
-    time = times_of(duration, dt)
+    time = sample_times(duration, dt)
     records = _run(surface.grid, company, touching, time, dt)
     trajectories = tuple(
         _trajectory(surface, parcel, time, dt, records.state[:, k], records.report[:, k])
@@ -116,7 +115,7 @@ def simulate_together(
     return Encounter(trajectories, touches)
 
 
-def bodies_of(parcels: Sequence[Parcel]) -> Bodies:
+def make_bodies(parcels: Sequence[Parcel]) -> Bodies:
     """Parcels as the compiled physics reads them, a row each."""
     corners = [_corners(parcel) for parcel in parcels]
     sides = max(map(len, corners))
@@ -150,7 +149,7 @@ def _corners(parcel: Parcel) -> Array:
 
 def _company(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, velocities: ArrayLike | None
-) -> Company:
+) -> World:
     """The parcels at the start, of arguments that are checked but for where they place them."""
     if not isinstance(surface, Surface):
         raise ValueError(f"surface must be a Surface, got {surface!r}")
@@ -162,14 +161,14 @@ def _company(
     still = np.zeros((len(parcels), 3))
     given = still if velocities is None else velocities
     velocity = checks.velocity("velocities", given, still.shape)
-    bodies = bodies_of(parcels)
+    bodies = make_bodies(parcels)
     state = np.stack([start_state(*each) for each in zip(parcels, pose, velocity, strict=True)])
     count = len(parcels)
-    return Company(state, np.ones(count, dtype=np.bool_), np.arange(count), bodies)
+    return World(state, np.ones(count, dtype=np.bool_), np.arange(count), bodies)
 
 
 def _check_starts(
-    surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, company: Company
+    surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, company: World
 ) -> None:
     """Raise a ValueError where a parcel has no place to start from."""
     grid = surface.grid
@@ -183,23 +182,23 @@ def _check_starts(
             (surface.columns, surface.rows),
         )
         if find_support(grid, body, start, scratch, 0.0).total == 0:
-            over = why_unborne(grid, start, 0.0) == UNBORNE
+            over = explain_unsupported(grid, start, 0.0) == UNSUPPORTED
             wanted = "over an element" if over else "on the surface"
             pose = tuple(np.asarray(poses)[k].tolist())
             raise ValueError(f"poses must be {wanted}, got {pose} of parcel {k}")
         for other in range(k):
-            width = width_between(company, other, k)
-            if width < -TOUCH:
+            width = distance_between(company, other, k)
+            if width < -CONTACT_DISTANCE:
                 raise ValueError(
                     f"poses must leave parcels apart, got {other} and {k} that overlap by "
                     f"{-width:g} m"
                 )
 
 
-def _run(grid: Grid, company: Company, touching: Touching, time: Array, dt: float) -> Records:
+def _run(grid: Grid, company: World, touching: ContactMaterial, time: Array, dt: float) -> Records:
     """All steps, and no more rows of touches than there are."""
     count = len(company.present)
-    scratch = make_together_scratch(count)
+    scratch = make_world_scratch(count)
     room = 1024 + 2 * len(scratch.pair)
     records = Records(
         np.zeros((len(time), count, STATE_SIZE)),
@@ -215,7 +214,7 @@ def _run(grid: Grid, company: Company, touching: Touching, time: Array, dt: floa
         following = first
         while following <= last:
             end = min(last, following + most - 1)
-            following, touches = run_together(
+            following, touches = run_world(
                 grid, company, touching, scratch, records, following, end, touches, step
             )
             if following <= end:

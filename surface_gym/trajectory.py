@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.dynamics.types import AX, AY, OMEGA
+from surface_gym.physics.types import AX, AY, OMEGA
 from surface_gym.record.contacts import ContactRecord, record_contacts
 from surface_gym.record.energy import Energy, energy_of
 from surface_gym.record.repeating import Run

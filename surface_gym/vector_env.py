@@ -6,16 +6,15 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from surface_gym.actuators import Actuators
-from surface_gym.batch.batch import Batch
 from surface_gym.conditions import Condition
+from surface_gym.core.batch import Batch
 from surface_gym.faces.lanes import Booleans
 from surface_gym.faces.vector import BatchVectorEnv, with_masks
-from surface_gym.lanes.memory import SUCCESS
-from surface_gym.plants import Plant
-from surface_gym.randomisation import Randomisation
+from surface_gym.lines import BaseLine
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Exact, Sensor
 from surface_gym.settings import Settings
+from surface_gym.state import SUCCESS
 from surface_gym.tasks import Task
 
 
@@ -45,7 +44,7 @@ class SmartSurfaceVectorEnv(BatchVectorEnv):
         orientations: tuple[float, ...] | str | None = None,
         actuators: Actuators = Actuators(),
         randomisation: Randomisation = Randomisation(),
-        plant: Plant | None = None,
+        plant: BaseLine | None = None,
         observe_axes: bool = False,
         info: tuple[str, ...] = (),
         observe: tuple[str, ...] = (),
@@ -86,7 +85,7 @@ class SmartSurfaceVectorEnv(BatchVectorEnv):
     def _record(self, lane: int, begins: bool) -> None:
         if begins:
             self._trails[lane].clear()
-        self._trails[lane].append(self._batch.lanes.truth[lane, :2].copy())
+        self._trails[lane].append(self._batch.parcels.truth[lane, :2].copy())
 
     def _picture(self) -> NDArray[np.uint8]:
         from surface_gym.picture import scene_of
@@ -94,7 +93,7 @@ class SmartSurfaceVectorEnv(BatchVectorEnv):
 
         if self._painter is None:
             self._painter = TilePainter()
-        clock = self._batch.lanes.clock
+        clock = self._batch.parcels.clock
         scenes = [
             scene_of(
                 self._batch,
@@ -109,7 +108,7 @@ class SmartSurfaceVectorEnv(BatchVectorEnv):
 
     def _infos(self, mask: Booleans) -> dict[str, Any]:
         """Infos of the lanes in the mask, as Gymnasium lays them out: arrays and their masks."""
-        lanes = self._batch.lanes
+        lanes = self._batch.parcels
         terms = {name: lanes.terms[:, k].copy() for k, name in enumerate(self._task.terms)}
         infos = {
             "is_success": lanes.outcome == SUCCESS,
@@ -117,7 +116,7 @@ class SmartSurfaceVectorEnv(BatchVectorEnv):
             "time": lanes.clock.copy(),
             "pose": lanes.truth[:, :3].copy(),
             "velocity": lanes.truth[:, 3:].copy(),
-            **{name: lanes.figures[:, k].copy() for k, name in enumerate(self._task.figures)},
+            **{name: lanes.metrics[:, k].copy() for k, name in enumerate(self._task.metrics)},
             **self._batch.on_request(),
             "reward_terms": with_masks(terms, mask),
         }

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym.batch.batch import Batch
+from surface_gym.core.batch import Batch
 from surface_gym.settings import Settings
-from surface_gym.tasks.start import Start
+from surface_gym.tasks.base import Start
 
 
 def put(batch: Batch, start: Start, lane: int = 0) -> None:

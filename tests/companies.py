@@ -4,16 +4,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import surface_gym as sg
-from surface_gym.dynamics import company, together
-from surface_gym.dynamics.company import Company, Touching, make_together_scratch
-from surface_gym.dynamics.compiled import compiled
-from surface_gym.dynamics.types import OMEGA, THETA, VX, Array, X
+from surface_gym.physics import collision, contact_solver
+from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
+from surface_gym.physics.jit import compiled
+from surface_gym.physics.types import OMEGA, THETA, VX, Array, X
 from surface_gym.simulation import start_state
-from surface_gym.together import bodies_of
+from surface_gym.together import make_bodies
 
 G = 9.81  # [m/s^2]
-step_together = compiled(together.step_together.py_func)
-forget_together = compiled(company.forget_together.py_func)
+step_together = compiled(contact_solver.step_world.py_func)
+forget_together = compiled(collision.invalidate_world.py_func)
 
 
 def supports(mu: float, tilt: float = 0.0) -> sg.Surface:
@@ -45,14 +45,14 @@ class Meeting:
         self.grid = surface.grid
         self.masses = np.array([parcel.mass for parcel in parcels])
         self.inertias = np.array([parcel.moment_of_inertia for parcel in parcels])
-        self.company = Company(
+        self.company = World(
             np.stack([start_state(*each) for each in zip(parcels, pose, velocity, strict=True)]),
             np.ones(count, dtype=np.bool_),
             np.arange(count),
-            bodies_of(parcels),
+            make_bodies(parcels),
         )
-        self.touching = Touching(float(restitution), float(side_friction))
-        self.scratch = make_together_scratch(count)
+        self.touching = ContactMaterial(float(restitution), float(side_friction))
+        self.scratch = make_world_scratch(count)
 
     def step(self, dt: float) -> list[tuple[int, int, float]]:
         """Who pushed whom with what impulse [N s]."""

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym import actions, registration, sensors
+from surface_gym import registration, sensors
+from surface_gym.core import actions
 
 # Those of one parcel a lane; a flow has tests of its own.
 IDS = sorted(

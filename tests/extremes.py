@@ -1,4 +1,4 @@
-"""Whatever is allowed: numbers up to the bounds of `surface_gym.bounds`, drawn by Hypothesis."""
+"""Whatever is allowed: numbers up to the bounds of `surface_gym.checks`, drawn by Hypothesis."""
 
 import math
 from collections.abc import Callable
@@ -9,11 +9,11 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
 import surface_gym as sg
-from surface_gym import bounds
-from surface_gym.bases import Base
+from surface_gym import checks
 from surface_gym.flow.arrivals import Law, Poisson, Schedule, Spread, Steady
 from surface_gym.flow.stream import Stream
-from surface_gym.sensors import Camera, Entry, Exact, LearningCamera, Presence, Sensor
+from surface_gym.parcel import Base
+from surface_gym.sensors import AdaptiveCamera, Camera, Entry, Exact, Presence, Sensor
 from tests.strategies import Scene, polygon_vertices
 
 # Refused for what only a run shows: where the parcel lies, or how far a step takes it.
@@ -67,19 +67,19 @@ def surfaces(draw: st.DrawFn, columns: tuple[int, int] = (1, 12)) -> sg.Surface:
     """Some elements, of whatever is allowed; as many columns as from the first to the second."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     shape = draw(st.tuples(st.integers(1, 12), st.integers(*columns)))
-    pitch = draw(sizes(*bounds.LENGTH))
+    pitch = draw(sizes(*checks.LENGTH))
     other = pitch * draw(st.sampled_from([1.0, 0.1, 10.0]))
-    mu_max = draw(up_to(bounds.FRICTION))
-    decades = draw(st.sampled_from([0.0, 3.0, math.log10(bounds.STIFFNESS_RATIO) - 1e-9]))
-    at = either_way(0.5 * bounds.FARTHEST)
+    mu_max = draw(up_to(checks.FRICTION))
+    decades = draw(st.sampled_from([0.0, 3.0, math.log10(checks.STIFFNESS_RATIO) - 1e-9]))
+    at = either_way(0.5 * checks.FARTHEST)
     return sg.Surface(
-        axis=draw(st.sampled_from([math.pi, bounds.TURNED])) * rng.uniform(-1.0, 1.0, shape),
+        axis=draw(st.sampled_from([math.pi, checks.TURNED])) * rng.uniform(-1.0, 1.0, shape),
         rotor=rng.random(shape) < draw(st.sampled_from([0.0, 0.5, 1.0])),
-        pitch=(pitch, min(max(other, bounds.LENGTH[0]), bounds.LENGTH[1])),
+        pitch=(pitch, min(max(other, checks.LENGTH[0]), checks.LENGTH[1])),
         origin=(draw(at), draw(at)),
         mu_max=mu_max,
         mu_min=mu_max * draw(st.sampled_from([0.0, 1e-6, 0.02, 1.0])),
-        mu_support=draw(up_to(bounds.FRICTION)),
+        mu_support=draw(up_to(checks.FRICTION)),
         tilt=draw(st.sampled_from([0.0, 0.1, 0.7853, -0.7853])),
         stiffness=draw(sizes(1e-9, 1e3)) * 10.0 ** (decades * rng.random(shape)),
     )
@@ -94,7 +94,7 @@ def bases(draw: st.DrawFn, scale: float, shares: Numbers) -> Base:
 
     def length() -> float:
         drawn = scale * draw(shares)
-        return min(max(drawn, bounds.LENGTH[0]), 0.5 * bounds.LENGTH[1])
+        return min(max(drawn, checks.LENGTH[0]), 0.5 * checks.LENGTH[1])
 
     kind = draw(st.sampled_from(["rectangle", "disc", "polygon"]))
     if kind == "rectangle":
@@ -109,20 +109,20 @@ def bases(draw: st.DrawFn, scale: float, shares: Numbers) -> Base:
 def parcels(draw: st.DrawFn, scale: float, shares: Numbers = WHOLE_RANGE) -> sg.Parcel:
     """Of whatever is allowed, about as long as a length [m]."""
     base = draw(bases(scale, shares))
-    mass = draw(sizes(*bounds.MASS))
-    radius = draw(st.none() | sizes(*bounds.GYRATION).map(lambda share: share * base.reach))
+    mass = draw(sizes(*checks.MASS))
+    radius = draw(st.none() | sizes(*checks.GYRATION).map(lambda share: share * base.reach))
     inner = 0.2 * min(base.edges[:, 2], default=base.reach)
     inside = st.floats(-inner, inner)
     return sg.Parcel(
         base,
         mass=mass,
-        com_height=draw(up_to(bounds.COM_HEIGHT)),
+        com_height=draw(up_to(checks.COM_HEIGHT)),
         inertia=None if radius is None else mass * radius**2,
         com_offset=draw(st.tuples(inside, inside)),
     )
 
 
-velocities = st.tuples(either_way(bounds.SPEED), either_way(bounds.SPEED), either_way(bounds.SPIN))
+velocities = st.tuples(either_way(checks.SPEED), either_way(checks.SPEED), either_way(checks.SPIN))
 
 
 @st.composite
@@ -132,7 +132,7 @@ def places(draw: st.DrawFn, surface: sg.Surface) -> tuple[float, float, float]:
         float(draw(st.sampled_from(line.tolist())) + draw(st.sampled_from([0.0, 0.2, 0.5])) * pitch)
         for line, pitch in ((surface.x, surface.pitch_x), (surface.y, surface.pitch_y))
     )
-    return (x, y, draw(either_way(bounds.TURNED)))
+    return (x, y, draw(either_way(checks.TURNED)))
 
 
 @st.composite
@@ -148,7 +148,7 @@ def crowds(draw: st.DrawFn) -> tuple[sg.Surface, dict[str, Any]]:
     """Parcels one behind the other, some of which touch, and what `simulate_together` takes."""
     surface = draw(surfaces(columns=(20, 40)))
     count = draw(st.integers(1, 4))
-    dt = draw(sizes(*bounds.STEP))
+    dt = draw(sizes(*checks.STEP))
     scale = max(surface.pitch_x, surface.pitch_y)
     kinds = [draw(parcels(scale, st.floats(1.0, 2.5))) for _ in range(count)]
     _, y, theta = draw(places(surface))
@@ -158,7 +158,7 @@ def crowds(draw: st.DrawFn) -> tuple[sg.Surface, dict[str, Any]]:
         poses.append((x + kind.base.reach, y, theta))
         x += draw(st.sampled_from([1.5, 2.0])) * kind.base.reach * (1.0 + draw(up_to(0.1)))
     # No faster than the step allows: the others would all be refused.
-    fastest = min(bounds.SPEED, 0.5 * min(surface.pitch_x, surface.pitch_y) / dt)
+    fastest = min(checks.SPEED, 0.5 * min(surface.pitch_x, surface.pitch_y) / dt)
     speeds = st.one_of(st.just(fastest), either_way(fastest))
     return surface, {
         "parcels": kinds,
@@ -167,25 +167,25 @@ def crowds(draw: st.DrawFn) -> tuple[sg.Surface, dict[str, Any]]:
         "dt": dt,
         "duration": dt * draw(st.integers(1, 12)),
         "restitution": draw(st.floats(0.0, 1.0)),
-        "side_friction": draw(up_to(bounds.FRICTION)),
+        "side_friction": draw(up_to(checks.FRICTION)),
     }
 
 
 entries = st.builds(
     Entry,
-    position=up_to(bounds.POSITION_ERROR),
-    angle=up_to(bounds.ANGLE_ERROR),
-    speed=up_to(bounds.SPEED),
-    turning=up_to(bounds.SPIN),
+    position=up_to(checks.POSITION_ERROR),
+    angle=up_to(checks.ANGLE_ERROR),
+    speed=up_to(checks.SPEED),
+    turning=up_to(checks.SPIN),
 )
-densities = sizes(*bounds.DENSITY)
-rates = sizes(bounds.FRAME_RATE[0], 100.0)
+densities = sizes(*checks.DENSITY)
+rates = sizes(checks.FRAME_RATE[0], 100.0)
 observing: dict[str, st.SearchStrategy[Any]] = {  # what any observer assumes
     "drop": st.floats(0.0, 0.999),
-    "mu_max": st.none() | sizes(1.0, bounds.FRICTION),
+    "mu_max": st.none() | sizes(1.0, checks.FRICTION),
     "mu_min": st.none() | up_to(1.0),
-    "mu_support": st.none() | up_to(bounds.FRICTION),
-    "friction_error": up_to(bounds.FRICTION_ERROR),
+    "mu_support": st.none() | up_to(checks.FRICTION),
+    "friction_error": up_to(checks.FRICTION_ERROR),
     "acceleration_density": densities,
     "turn_density": densities,
     "entry": entries,
@@ -195,32 +195,32 @@ SENSORS: dict[type[Sensor], st.SearchStrategy[Sensor]] = {
     Camera: st.builds(
         Camera,
         frame_rate=rates,
-        position_noise=up_to(bounds.POSITION_ERROR),
-        angle_noise=up_to(bounds.ANGLE_ERROR),
+        position_noise=up_to(checks.POSITION_ERROR),
+        angle_noise=up_to(checks.ANGLE_ERROR),
         **observing,
     ),
-    LearningCamera: st.builds(
-        LearningCamera,
+    AdaptiveCamera: st.builds(
+        AdaptiveCamera,
         frame_rate=rates,
-        position_noise=up_to(bounds.POSITION_ERROR),
-        angle_noise=up_to(bounds.ANGLE_ERROR),
-        friction_spread=sizes(*bounds.LEARNED_SPREAD),
-        load_spread=sizes(*bounds.LEARNED_SPREAD),
+        position_noise=up_to(checks.POSITION_ERROR),
+        angle_noise=up_to(checks.ANGLE_ERROR),
+        friction_spread=sizes(*checks.LEARNED_SPREAD),
+        load_spread=sizes(*checks.LEARNED_SPREAD),
         **observing,
     ),
     Presence: st.builds(
         Presence,
         sample_rate=rates,
-        tolerance=sizes(*bounds.TOLERANCE),
+        tolerance=sizes(*checks.TOLERANCE),
         **observing,
     ),
 }
 SHARES = st.one_of(st.just(0.0), st.floats(0.0, 0.99))
 # What every kernel does for alike: none of it is compiled in.
 COMMON: dict[str, st.SearchStrategy[Any]] = {
-    "control_period": sizes(bounds.CONTROL_PERIOD[0], 0.2),
+    "control_period": sizes(checks.CONTROL_PERIOD[0], 0.2),
     "orientations": st.lists(
-        either_way(bounds.TURNED), min_size=2, max_size=8, unique_by=lambda a: round(math.tan(a), 6)
+        either_way(checks.TURNED), min_size=2, max_size=8, unique_by=lambda a: round(math.tan(a), 6)
     ).map(tuple),
     "randomisation": st.builds(
         sg.Randomisation,
@@ -228,12 +228,12 @@ COMMON: dict[str, st.SearchStrategy[Any]] = {
         rolling=SHARES,
         mass=SHARES,
         com_offset=SHARES,
-        stiffness=up_to(bounds.STIFFNESS_SPREAD),
+        stiffness=up_to(checks.STIFFNESS_SPREAD),
         lateral=up_to(0.5),
         heading=up_to(math.pi),
     ),
 }
-rates = sizes(bounds.RATE[0], 20_000.0)
+rates = sizes(checks.RATE[0], 20_000.0)
 laws: st.SearchStrategy[Law] = st.one_of(
     st.builds(Steady, rates),
     st.builds(Spread, rates, SHARES),

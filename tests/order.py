@@ -16,7 +16,7 @@ FIRST = (
     "tests/design/test_control.py",
     "tests/agents/evaluation/",
     "tests/docs/test_notebooks.py",
-    "tests/gpu/test_ptx.py",
+    "tests/cuda/test_ptx.py",
 )
 
 # Of each part those that fail first when it breaks, and one environment of each face.
@@ -25,10 +25,10 @@ SMOKE = (
     "tests/agents/policies/test_files.py",
     "tests/agents/rules/test_sorting.py",
     "tests/design/test_search.py",
-    "tests/dynamics/test_axes.py",
-    "tests/dynamics/test_friction.py",
-    "tests/dynamics/test_gap.py",
-    "tests/dynamics/test_step.py",
+    "tests/physics/test_step.py",
+    "tests/physics/test_friction.py",
+    "tests/physics/test_signed_distance.py",
+    "tests/physics/test_step.py",
     "tests/flow/test_env.py::TestEpisodes::test_action_spaces",
     "tests/flow/test_exits.py",
     "tests/flow/test_stream.py",

@@ -8,7 +8,7 @@ import numpy as np
 
 import surface_gym as sg
 import surface_gym.extend as own
-from surface_gym.extend import Lane, X, Y, lane_function
+from surface_gym.extend import EnvState, X, Y, kernel_function
 
 OUTCOMES = ("too late",)
 (TOO_LATE,) = own.failures(OUTCOMES)
@@ -24,7 +24,7 @@ class Cross(own.Task):
     features = (own.Feature("to go", -10.0, 10.0, "1 m"), own.Feature("y", -10.0, 10.0, "1 m"))
     terms = ("way", "success")
     outcomes = OUTCOMES
-    figures = ("left",)
+    metrics = ("left",)
     options = ("speed", "parcel")
     draws = 1
     goals = 1
@@ -38,30 +38,30 @@ class Cross(own.Task):
         )
 
     @staticmethod
-    @lane_function
-    def begin(lane: Lane) -> None:
-        lane.memory[0] = lane.truth[X]
+    @kernel_function
+    def begin(state: EnvState) -> None:
+        state.memory[0] = state.truth[X]
 
     @staticmethod
-    @lane_function
-    def judge(lane: Lane) -> int:
-        lane.figures[0] = lane.goal[0] - lane.truth[X]
-        if lane.figures[0] < 0.0:
+    @kernel_function
+    def outcome(state: EnvState) -> int:
+        state.metrics[0] = state.goal[0] - state.truth[X]
+        if state.metrics[0] < 0.0:
             return own.SUCCESS
-        return TOO_LATE if lane.clock > 3.0 else own.RUNNING
+        return TOO_LATE if state.clock > 3.0 else own.RUNNING
 
     @staticmethod
-    @lane_function
-    def reward(lane: Lane, outcome: int) -> None:
-        lane.terms[0] = lane.truth[X] - lane.memory[0]
-        lane.terms[1] = 1.0 if outcome == own.SUCCESS else 0.0
-        lane.memory[0] = lane.truth[X]
+    @kernel_function
+    def reward(state: EnvState, outcome: int) -> None:
+        state.terms[0] = state.truth[X] - state.memory[0]
+        state.terms[1] = 1.0 if outcome == own.SUCCESS else 0.0
+        state.memory[0] = state.truth[X]
 
     @staticmethod
-    @lane_function
-    def observe(lane: Lane) -> None:
-        lane.observation[0] = lane.goal[0] - lane.sensed[X]
-        lane.observation[1] = lane.sensed[Y]
+    @kernel_function
+    def observe(state: EnvState) -> None:
+        state.observation[0] = state.goal[0] - state.sensed[X]
+        state.observation[1] = state.sensed[Y]
 
 
 class Assorted(Cross):
@@ -76,58 +76,58 @@ class Assorted(Cross):
 
 
 class Unjudged(Cross):
-    judge: Any = None
+    outcome: Any = None
 
 
 class Plain(Cross):
     @staticmethod
-    def judge(lane: Lane) -> int:
+    def outcome(state: EnvState) -> int:
         return own.RUNNING
 
 
 class Uncompilable(Cross):
     @staticmethod
-    @lane_function
-    def judge(lane: Lane) -> int:
-        return lane.weight
+    @kernel_function
+    def outcome(state: EnvState) -> int:
+        return state.weight
 
 
 class Undecided(Cross):
     @staticmethod
-    @lane_function
-    def judge(lane: Lane) -> int:
+    @kernel_function
+    def outcome(state: EnvState) -> int:
         return TOO_LATE + 1
 
 
 class OutOfTime(Cross):
     @staticmethod
-    @lane_function
-    def judge(lane: Lane) -> int:
+    @kernel_function
+    def outcome(state: EnvState) -> int:
         return own.RUNNING + 1
 
 
 class Priceless(Cross):
     @staticmethod
-    @lane_function
-    def reward(lane: Lane, outcome: int) -> None:
-        lane.terms[0] = math.nan
-        lane.terms[1] = 0.0
+    @kernel_function
+    def reward(state: EnvState, outcome: int) -> None:
+        state.terms[0] = math.nan
+        state.terms[1] = 0.0
 
 
 class Blind(Cross):
     @staticmethod
-    @lane_function
-    def observe(lane: Lane) -> None:
-        lane.observation[0] = 0.0
-        lane.observation[1] = math.inf
+    @kernel_function
+    def observe(state: EnvState) -> None:
+        state.observation[0] = 0.0
+        state.observation[1] = math.inf
 
 
 class Generous(Cross):
     @staticmethod
-    @lane_function
-    def reward(lane: Lane, outcome: int) -> None:
+    @kernel_function
+    def reward(state: EnvState, outcome: int) -> None:
         for k in range(3):
-            lane.terms[k] = 1.0
+            state.terms[k] = 1.0
 
 
 class Aimless(Cross):
@@ -163,11 +163,11 @@ class Featureless(Cross):
 
 # Each with what its error must say.
 FAULTY: dict[type[Cross], str] = {
-    Unjudged: r"Unjudged.judge must be a static method and a lane_function.* got None",
-    Plain: r"Plain.judge must be a static method and a lane_function",
+    Unjudged: r"Unjudged.outcome must be a static method and a kernel_function.* got None",
+    Plain: r"Plain.outcome must be a static method and a kernel_function",
     Uncompilable: r"Uncompilable with Exact does not compile(.|\n)*weight",
-    Undecided: r"Undecided.judge must return RUNNING, SUCCESS or a failure.* got 4",
-    OutOfTime: r"OutOfTime.judge must return RUNNING, SUCCESS or a failure.* got 1",
+    Undecided: r"Undecided.outcome must return RUNNING, SUCCESS or a failure.* got 4",
+    OutOfTime: r"OutOfTime.outcome must return RUNNING, SUCCESS or a failure.* got 1",
     Priceless: r"Priceless.reward must write finite terms, got {'way': nan",
     Blind: r"Blind.observe.* must write finite features, got others for y",
     Generous: r"Generous and Exact must keep within their arrays.* 2 terms",
@@ -185,30 +185,30 @@ FAULTY: dict[type[Cross], str] = {
 class Guess(own.Sensor):
     """Says that the parcel is where it was at the start."""
 
-    kept = 6
+    sensor_size = 6
 
     @staticmethod
-    @lane_function
-    def begin(numbers: own.Array, lane: Lane) -> None:
+    @kernel_function
+    def begin(numbers: own.Array, state: EnvState) -> None:
         for k in range(6):
-            lane.kept[k] = lane.truth[k]
+            state.sensor_state[k] = state.truth[k]
 
     @staticmethod
-    @lane_function
-    def estimate(numbers: own.Array, lane: Lane) -> None:
+    @kernel_function
+    def read(numbers: own.Array, state: EnvState) -> None:
         for k in range(6):
-            lane.sensed[k] = lane.kept[k]
+            state.sensed[k] = state.sensor_state[k]
 
 
 class Senseless(own.Sensor):
-    """Forgot `estimate`."""
+    """Forgot `read`."""
 
 
 class Nonsense(Guess):
     """Says what no number is."""
 
     @staticmethod
-    @lane_function
-    def estimate(numbers: own.Array, lane: Lane) -> None:
+    @kernel_function
+    def read(numbers: own.Array, state: EnvState) -> None:
         for k in range(6):
-            lane.sensed[k] = math.nan
+            state.sensed[k] = math.nan

@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 import surface_gym as sg
-from surface_gym.bases import Base
+from surface_gym.parcel import Base
 
 ROWS, COLUMNS = 16, 20
 MIDDLE = (1.0, 0.8)  # [m] of a surface of that size

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.actuators import Actuators
-from surface_gym.batch.batch import Batch
-from surface_gym.lanes.memory import RUNNING
+from surface_gym.core.batch import Batch
 from surface_gym.layouts import LINE_Y
+from surface_gym.randomisation import Actuators
 from surface_gym.settings import Settings
-from surface_gym.tasks.start import Start
+from surface_gym.state import RUNNING
+from surface_gym.tasks.base import Start
 from tests.batches import put
 from tests.environments import MINUS_45, PLUS_45, ROLL, SORT, assert_same, bare, same_choice, steps
 
@@ -33,7 +33,7 @@ class Bench:
         put(self.batch, Start(parcel, (x, LINE_Y, 0.0), (speed, 0.0, 0.0), (1.0,)))
 
     def step(self, choice: int) -> None:
-        self.batch.lanes.outcome[0] = RUNNING  # whatever becomes of the parcel
+        self.batch.parcels.outcome[0] = RUNNING  # whatever becomes of the parcel
         self.batch.advance(np.full((1, self.settings.action_kind.size), choice))
 
     @property
@@ -118,7 +118,7 @@ class TestAxisSpeed:
         speed = math.radians(200.0)
         bench = Bench(actuators=Actuators(axis_speed=speed))
         bench.place(speed=1.0)
-        lanes = bench.batch.lanes
+        lanes = bench.batch.parcels
         pose, velocity = lanes.truth[0, :3].copy(), lanes.truth[0, 3:].copy()
         for number in range(1, 41):
             turned = min(math.pi / 4, number * speed * 0.005)

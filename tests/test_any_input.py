@@ -16,13 +16,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import surface_gym as sg
-from surface_gym import bounds
-from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.types import Array
+from surface_gym import checks
 from surface_gym.flow.env import FlowEnv
-from surface_gym.lanes.lane import Lane
-from surface_gym.plants import Pattern
+from surface_gym.lines import Pattern
+from surface_gym.physics.jit import kernel_function
+from surface_gym.physics.types import Array
 from surface_gym.sensors import Camera, Exact, Presence, Sensor
+from surface_gym.state import EnvState
 from surface_gym.tasks import TASKS
 from tests.environments import ACTIONS
 from tests.extremes import (
@@ -57,7 +57,7 @@ def assert_finite(trajectory: sg.Trajectory) -> None:
 @any_input
 @given(
     scene=scenes(),
-    dt=sizes(*bounds.STEP),
+    dt=sizes(*checks.STEP),
     steps=st.integers(1, 12),
     method=st.sampled_from(["implicit", "explicit"]),
 )
@@ -113,7 +113,7 @@ def test_flows(kind: type[Sensor]) -> None:
     @any_input
     @given(
         settings=st.fixed_dictionaries({"sensors": SENSORS[kind], "stream": streams, **COMMON}),
-        duration=sizes(0.2, bounds.EPISODE),
+        duration=sizes(0.2, checks.EPISODE),
         seed=st.integers(0, 1000),
     )
     def check(settings: dict[str, Any], duration: float, seed: int) -> None:
@@ -138,10 +138,10 @@ class Wild(Sensor):
         return (self.says,)
 
     @staticmethod
-    @lane_function
-    def estimate(numbers: Array, lane: Lane) -> None:
-        for k in range(lane.sensed.shape[0]):
-            lane.sensed[k] = lane.truth[k] if lane.steps == 0 else numbers[0]
+    @kernel_function
+    def estimate(numbers: Array, state: EnvState) -> None:
+        for k in range(state.sensed.shape[0]):
+            state.sensed[k] = state.truth[k] if state.steps == 0 else numbers[0]
 
 
 @pytest.mark.parametrize("says", [math.nan, math.inf, -math.inf, 1e308, -1e308, 1e19, 0.0])

@@ -10,7 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import surface_gym as sg
-from surface_gym.actuators import Actuators
+from surface_gym.randomisation import Actuators
 from surface_gym.settings import Settings
 from tests.environments import ACTIONS, IDS, SORT, assert_same, bare, steps
 

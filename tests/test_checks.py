@@ -2,11 +2,27 @@
 
 import math
 import re
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
+import surface_gym as sg
 from surface_gym import checks
+from surface_gym.flow.arrivals import Poisson, Schedule, Spread, Steady
+from surface_gym.flow.env import FlowEnv
+from surface_gym.flow.exits import Exit
+from surface_gym.flow.line import flow_line
+from surface_gym.flow.stream import Stream
+from surface_gym.flow.trace import Arrival
+from surface_gym.lines import Field, Line
+from surface_gym.sensors import Camera, Entry, Presence
+from surface_gym.tasks.base import Start
+from surface_gym.tasks.paths import LaneChange, Polyline, Sine
+from tests.batches import batch_with
+from tests.extremes import run_or_refusal
+from tests.flow.flows import SHORT
 
 NOT_A_NUMBER = [None, "a", "1.0", b"1", True, np.True_, 1j, [1.0], np.array([1.0]), 10**400]
 NOT_FINITE = [math.nan, math.inf, -math.inf, np.float32("nan")]
@@ -147,3 +163,230 @@ def test_an_array_is_a_read_only_copy() -> None:
     with pytest.raises(ValueError, match="read-only"):
         theirs[0] = 9.0
     assert checks.array("pose", np.array([1, 2], dtype=np.int8), (2,)).tolist() == [1.0, 2.0]
+
+
+AXES, ROTORS = np.zeros((2, 3)), np.ones((2, 3), dtype=bool)
+BOX = sg.Rectangle(0.25, 0.25)
+ON_IT = (sg.layouts.sorting(), sg.layouts.box("S"), (0.5, 1.0, 0.0))
+
+
+def surface(**fields: Any) -> sg.Surface:
+    return sg.Surface(AXES, ROTORS, **fields)
+
+
+def uneven(most: Any) -> sg.Surface:
+    return surface(stiffness=[[1.0, 1.0, 1.0], [1.0, 1.0, most]])
+
+
+def beside(**changes: Any) -> Any:
+    arguments = {"parcels": [ON_IT[1]], "poses": [ON_IT[2]], **changes}
+    return sg.simulate_together(ON_IT[0], **arguments)
+
+
+# By the name of each: what takes it, and the least and greatest that it may be.
+NUMBERS: dict[str, tuple[Callable[[Any], Any], float, float]] = {
+    "Surface.axis": (lambda v: sg.Surface([[0.0, v]], [[True, True]]), -1e6, 1e6),
+    "Surface.pitch": (lambda v: surface(pitch=v), 1e-4, 1e3),
+    "Surface.pitch in y": (lambda v: surface(pitch=(0.1, v)), 1e-4, 1e3),
+    "Surface.origin": (lambda v: surface(origin=(0.0, v)), -1e4, 1e4),
+    "Surface.mu_max": (lambda v: surface(mu_max=v, mu_min=0.0), 0.0, 100.0),
+    "Surface.mu_min": (lambda v: surface(mu_max=100.0, mu_min=v), 0.0, 100.0),
+    "Surface.mu_support": (lambda v: surface(mu_support=v), 0.0, 100.0),
+    "Surface.mu_support of one": (
+        lambda v: surface(mu_support=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, v]])), 0.0, 100.0,
+    ),
+    "Surface.stiffness": (uneven, 1e-6, 1e6),
+    "Surface.tilt": (lambda v: surface(tilt=v), -0.7853, 0.7853),
+    "Rectangle.length": (lambda v: sg.Rectangle(v, 0.2), 1e-4, 1e3),
+    "Rectangle.width": (lambda v: sg.Rectangle(0.2, v), 1e-4, 1e3),
+    "Disc.radius": (sg.Disc, 1e-4, 1e3),
+    "Polygon.vertices": (lambda v: sg.Polygon([(0, 0), (v, 0), (0, 1)]), -1e3, 1e3),
+    "Parcel.mass": (lambda v: sg.Parcel(BOX, mass=v), 1e-6, 1e6),
+    "Parcel.com_height": (lambda v: sg.Parcel(BOX, com_height=v), 0.0, 100.0),
+    "Parcel.inertia": (lambda v: sg.Parcel(BOX, inertia=v), 3.1251e-7, 312_499.0),
+    "Parcel.com_offset": (lambda v: sg.Parcel(BOX, com_offset=(v, 0.0)), -0.125, 0.125),
+    "simulate pose": (lambda v: sg.simulate(*ON_IT[:2], (0.5, v, 0.0)), 0.0, 2.0),
+    "simulate theta": (lambda v: sg.simulate(*ON_IT[:2], (0.5, 1.0, v)), -1e6, 1e6),
+    "simulate velocity": (lambda v: sg.simulate(*ON_IT, (v, 0.0, 0.0), dt=1e-4), -100.0, 100.0),
+    "simulate omega": (lambda v: sg.simulate(*ON_IT, (0.0, 0.0, v), dt=1e-4), -1e3, 1e3),
+    "simulate duration": (lambda v: sg.simulate(*ON_IT, duration=v, dt=1.0), 1e-9, 1e6),
+    "simulate dt": (lambda v: sg.simulate(*ON_IT, duration=1e-3, dt=v), 1e-6, 1.0),
+    "together poses": (lambda v: beside(poses=[(v, 1.0, 0.0)]), -0.01, 4.01),
+    "together velocities": (
+        lambda v: beside(velocities=[(0.0, 0.0, v)], dt=1e-4, duration=0.001), -1e3, 1e3,
+    ),
+    "together duration": (lambda v: beside(duration=v, dt=1.0), 1e-9, 1e6),
+    "together dt": (lambda v: beside(duration=1e-3, dt=v), 1e-6, 1.0),
+    "together restitution": (lambda v: beside(restitution=v), 0.0, 1.0),
+    "together side_friction": (lambda v: beside(side_friction=v), 0.0, 100.0),
+    "Actuators.stuck_share": (lambda v: sg.Actuators(stuck_share=v), 0.0, 1.0),
+    "Randomisation.friction": (lambda v: sg.Randomisation(friction=v), 0.0, 0.9999),
+    "Randomisation.stiffness": (lambda v: sg.Randomisation(stiffness=v), 0.0, 2.0),
+    "Randomisation.heading": (lambda v: sg.Randomisation(heading=v), 0.0, math.pi),
+    "Field.pitch": (lambda v: Field(pitch=v), 1e-4, 1e3),
+    "Field.origin": (lambda v: Field(origin=(v, 0.0)), -1e4, 1e4),
+    "Field.mu_max": (lambda v: Field(mu_max=v, mu_min=0.0), 0.0, 100.0),
+    "Line.line_y": (lambda v: Line(line_y=v), 0.2, 1.8),
+    "env control_period": (lambda v: sg.SmartSurfaceEnv(control_period=v), 1e-6, 10.0),
+    "env lateral": (
+        lambda v: sg.SmartSurfaceEnv(randomisation=sg.Randomisation(lateral=v)), 0.0, 0.5,
+    ),
+    "Camera.frame_rate": (lambda v: Camera(frame_rate=v), 1e-3, 1e6),
+    "Camera.latency": (lambda v: Camera(latency=v), 0.0, 0.16),
+    "Camera.position_noise": (lambda v: Camera(position_noise=v), 0.0, 10.0),
+    "Camera.angle_noise": (lambda v: Camera(angle_noise=v), 0.0, 2.0 * math.pi),
+    "Camera.drop": (lambda v: Camera(drop=v), 0.0, 0.9999),
+    "Camera.mu_max": (lambda v: Camera(mu_max=v), 0.0, 100.0),
+    "Camera.friction_error": (lambda v: Camera(friction_error=v), 0.0, 10.0),
+    "Camera.acceleration_density": (lambda v: Camera(acceleration_density=v), 1e-12, 1e9),
+    "Camera.turn_density": (lambda v: Camera(turn_density=v), 1e-12, 1e9),
+    "Presence.sample_rate": (lambda v: Presence(sample_rate=v), 1e-3, 1e6),
+    "Presence.tolerance": (lambda v: Presence(tolerance=v), 1e-6, 1.0),
+    "Presence.drop": (lambda v: Presence(drop=v), 0.0, 0.9999),
+    "Presence.mu_max": (lambda v: Presence(mu_max=v), 0.0, 100.0),
+    "Presence.mu_min": (lambda v: Presence(mu_min=v), 0.0, 100.0),
+    "Presence.mu_support": (lambda v: Presence(mu_support=v), 0.0, 100.0),
+    "Presence.friction_error": (lambda v: Presence(friction_error=v), 0.0, 10.0),
+    "Presence.acceleration_density": (lambda v: Presence(acceleration_density=v), 1e-12, 1e9),
+    "Presence.turn_density": (lambda v: Presence(turn_density=v), 1e-12, 1e9),
+    "Entry.position": (lambda v: Entry(position=v), 0.0, 10.0),
+    "Entry.angle": (lambda v: Entry(angle=v), 0.0, 2.0 * math.pi),
+    "Entry.speed": (lambda v: Entry(speed=v), 0.0, 100.0),
+    "Entry.turning": (lambda v: Entry(turning=v), 0.0, 1e3),
+    "Steady.rate": (Steady, 1e-6, 1e5),
+    "Spread.rate": (lambda v: Spread(v, 0.1), 1e-6, 1e5),
+    "Spread.spread": (lambda v: Spread(900.0, v), 0.0, 0.9999),
+    "Poisson.least_gap": (lambda v: Poisson(900.0, v), 0.0, 4.0),
+    "Schedule.rate": (lambda v: Schedule(((0.0, 900.0), (1.0, v))), 0.0, 1e5),
+    "Stream.odds": (lambda v: Stream(parcels=(("S", v),)), 1e-9, 1e9),
+    "Arrival.time": (lambda v: Arrival(v, ON_IT[1], 1.0, "left"), 0.0, 1e9),
+    "Exit.first": (lambda v: Exit("left", 1, v), -1e4, 1e4),
+    "flow_line length": (flow_line, 0.5505, 1e3),
+    "flow duration": (lambda v: FlowEnv(plant=SHORT, duration=v), 0.04, 86_400.0),
+    "flow control_period": (lambda v: FlowEnv(plant=SHORT, control_period=v), 1e-6, 10.0),
+    "flow patience": (lambda v: FlowEnv(plant=SHORT, patience=v), 1e-6, 86_400.0),
+    "flow tilt": (lambda v: FlowEnv(plant=SHORT, tilt=v), -0.2617, 0.2617),
+    "flow entry_gap": (lambda v: FlowEnv(plant=SHORT, entry_gap=v), 0.0, 1e3),
+    "flow ahead": (lambda v: FlowEnv(plant=SHORT, ahead=v), 0.0, 100.0),
+    "flow side_friction": (lambda v: FlowEnv(plant=SHORT, side_friction=v), 0.0, 100.0),
+    "Sine.amplitude": (lambda v: Sine(amplitude=v), -1e4, 1e4),
+    "Sine.wavelength": (lambda v: Sine(wavelength=v), 1e-4, 1e3),
+    "LaneChange.length": (lambda v: LaneChange(length=v), 1e-4, 1e3),
+    "Polyline.points": (lambda v: Polyline(((0.0, v), (1.0, 1.0))), -1e4, 1e4),
+}  # fmt: skip
+NO_NUMBERS = [None, "1", b"1", 1j, [[1.0]], {}, math.nan, math.inf, -math.inf, object()]
+# Where nothing given means something.
+ABSENT = {"Parcel.inertia", "Camera.latency", "Camera.mu_max"} | {
+    f"Presence.{name}" for name in ("mu_max", "mu_min", "mu_support")
+}
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_what_is_beyond_the_bounds_is_refused(name: str) -> None:
+    call, least, most = NUMBERS[name]
+    far = [1.001, 2.0, 1e3, 1e300]
+    below = [least / factor if least > 0.0 else least - 1e-3 * factor for factor in far]
+    for wrong in (*below, *(most * factor for factor in far), -1e308, 1e308, *NO_NUMBERS):
+        if wrong is None and name in ABSENT:
+            continue
+        with pytest.raises((ValueError, TypeError)):
+            call(wrong)
+
+
+@pytest.mark.parametrize("name", [name for name in NUMBERS if "duration" not in name])
+def test_the_bounds_themselves_are_allowed(name: str) -> None:
+    call, least, most = NUMBERS[name]
+    for value in (least, most):
+        run_or_refusal(lambda value=value: call(value))
+
+
+CROSSED = "mu_min must be at most mu_max, got 0.2 and 0.1"
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Presence(mu_max=1e308), r"mu_max must be between 0 and 100, got 1e\+308"),
+        (
+            lambda: Presence(mu_max=0.1, mu_min=0.2),
+            "mu_min must be at most mu_max, got 0.2 and 0.1",
+        ),
+        (lambda: Camera(mu_max=0.1, mu_min=0.2), CROSSED),
+        (lambda: surface(mu_max=0.1, mu_min=0.2), CROSSED),
+        (lambda: Field(mu_max=0.001), "mu_min must be at most mu_max, got 0.01 and 0.001"),
+        (
+            lambda: uneven(1.1e6),
+            r"stiffness must differ by a factor of at most 1e\+06, got 1 and 1.1e\+06 in it",
+        ),
+        (lambda: surface(stiffness=np.full((2, 3), 1e308)), "stiffness must be between 1e-09 and"),
+        (lambda: sg.Parcel(BOX, inertia=1e-308), "inertia must be between .*, got 1e-308"),
+        (lambda: surface(origin=(1e308, 0.0)), r"origin must be between -10000 and 10000, got 1e"),
+        (
+            lambda: sg.simulate(*ON_IT[:2], (0.5, 1.0, 1e308)),
+            r"pose must be between -1e\+06 and 1e\+06, got 1e\+308 in it",
+        ),
+        (
+            lambda: sg.simulate(*ON_IT, (0.0, 0.0, 1e308)),
+            r"velocity must be between -1000 and 1000, got 1e\+308 in it",
+        ),
+        (
+            lambda: sg.SmartSurfaceEnv(control_period=1e6),
+            "control_period must be between 1e-06 and 10, got 1000000.0",
+        ),
+        (
+            lambda: FlowEnv(duration=2e6),
+            "duration must be between 0 and 86400, got 2000000.0",
+        ),
+        (
+            lambda: sg.SmartSurfaceEnv(orientations=np.linspace(0.0, 3.0, 100_000)),
+            "orientations must be at most 1000, got 100000",
+        ),
+        (
+            lambda: sg.SmartSurfaceEnv(orientations=(0.3, 0.3)),
+            r"orientations must differ from each other, got \(0.3, 0.3\)",
+        ),
+        (
+            lambda: Field(orientations=(0.3, 0.3 + math.pi, 0.3 - math.pi)),
+            "orientations must hold two axes that differ, got ",
+        ),
+        (
+            lambda: sg.SmartSurfaceEnv(randomisation=sg.Randomisation(lateral=0.6)),
+            "lateral must be at most a quarter of the surface's width, 0.5 m, got 0.6",
+        ),
+        (
+            lambda: FlowEnv(randomisation=sg.Randomisation(lateral=0.6)),
+            "lateral must be at most a quarter of the surface's width, 0.5 m, got 0.6",
+        ),
+        (lambda: Stream(speeds=0.0), "speeds must be greater than 0, got 0.0"),
+        (lambda: Stream(speeds=1e308), r"speeds must be between 0 and 5, got 1e\+308"),
+        (
+            lambda: Schedule(((0.0, 900.0), (1e308, 0.0))),
+            r"times of rates must be between -1e\+09 and 1e\+09, got 1e\+308 in it",
+        ),
+        (lambda: Entry(speed=1e308), r"speed must be between 0 and 100, got 1e\+308"),
+        (lambda: Field(rows=10_000, columns=1_000), "rows times columns must be at most 1_000_000"),
+        (lambda: Line(columns=10**9), "rows times columns must be at most 1_000_000"),
+        (lambda: flow_line(lead_in=10**9), "lead_in must be a whole number of at most 1000000"),
+        (lambda: sg.tasks.Sort(speeds=(0.3, 1e308)), "speeds must be two rising numbers between 0"),
+        (lambda: sg.Actuators(axis_speed=1e-308), "axis_speed must be between 1e-06 and"),
+    ],
+)
+def test_nonsense_is_refused(call: Callable[[], Any], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
+        call()
+
+
+@pytest.mark.parametrize(
+    ("pose", "velocity", "message"),
+    [
+        ((1e308, 1.0, 0.0), (1.0, 0.0, 0.0), r"Sort.start must give a pose of numbers up to .*"),
+        ((0.5, 1.0, 1e7), (1.0, 0.0, 0.0), r"Sort.start must give a pose of numbers up to .*"),
+        ((0.5, 1.0, 0.0), (101.0, 0.0, 0.0), r"Sort.start must give a velocity of numbers up to"),
+        ((0.5, 1.0, 0.0), (0.0, 0.0, -1e4), r"Sort.start must give a velocity of numbers up to"),
+    ],
+)
+def test_a_task_may_start_nowhere_else(
+    pose: tuple[float, ...], velocity: tuple[float, ...], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        batch_with(Start(ON_IT[1], pose, velocity, (1.0,)))

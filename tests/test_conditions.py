@@ -11,12 +11,10 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 import surface_gym as sg
-from surface_gym.actions.more import GROUPS, PARCEL_FEATURES, QUADRANTS, ROTOR_FEATURES
-from surface_gym.actuators import Actuators
-from surface_gym.bases import Base, Disc, Polygon, Rectangle
 from surface_gym.conditions import CONDITIONS, LAB_PARCELS, Condition
-from surface_gym.parcel import Parcel
-from surface_gym.randomisation import Randomisation
+from surface_gym.core.actions import GROUPS, PARCEL_FEATURES, QUADRANTS, ROTOR_FEATURES
+from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera, Exact
 from surface_gym.settings import Settings
 from surface_gym.tasks import Slow

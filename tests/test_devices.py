@@ -7,11 +7,11 @@ import pytest
 import torch
 
 import surface_gym as sg
+from surface_gym.cuda import env
+from surface_gym.cuda.env import DeviceMissing, check_device
 from surface_gym.devices import DEVICES, make_device_env, make_vector_env
-from surface_gym.gpu import needs
-from surface_gym.gpu.needs import DeviceMissing, check_device
 from surface_gym.sensors import Camera
-from tests.gpu.cases import needs_numba_cuda
+from tests.cuda.cases import needs_numba_cuda
 
 SORT = "SmartSurface/Sort-v0"
 
@@ -39,7 +39,7 @@ def test_without_the_extra_an_error_names_it(monkeypatch, module):
     def found(name):
         return None if name == module else find_spec(name)
 
-    monkeypatch.setattr(needs, "find_spec", found)
+    monkeypatch.setattr(env, "find_spec", found)
     with pytest.raises(DeviceMissing, match=rf"{module}, which is not installed: .*\[gpu\]"):
         check_device()
 

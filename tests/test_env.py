@@ -11,8 +11,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env as check_by_gymnasium
 from stable_baselines3.common.env_checker import check_env as check_by_stable_baselines3
 
-from surface_gym.actuators import Actuators
-from surface_gym.randomisation import Randomisation
+from surface_gym.randomisation import Actuators, Randomisation
 from tests.environments import (
     MINUS_45,
     PLUS_45,

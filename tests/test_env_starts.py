@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.actuators import Actuators
-from surface_gym.randomisation import Randomisation
+from surface_gym.randomisation import Actuators, Randomisation
 from tests.environments import (
     ACTIONS,
     IDS,

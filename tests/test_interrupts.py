@@ -11,7 +11,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import simulation, together
-from surface_gym.batch import workers
+from surface_gym.core import batch
 from surface_gym.design import runs, sending
 from surface_gym.design.case import Case
 from surface_gym.flow.arrivals import Steady
@@ -155,7 +155,7 @@ def test_the_pieces_of_a_control_period_are_one(
         return b"".join(seen)
 
     whole = run()
-    monkeypatch.setattr(workers, "LOOK", 1)  # a lane at a time
+    monkeypatch.setattr(batch, "LOOK", 1)  # a lane at a time
     assert run() == whole
 
 

@@ -11,7 +11,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import surface_gym as sg
-from surface_gym.actions import KINDS
+from surface_gym.core.actions import KINDS
 from surface_gym.tasks import Sort
 from tests import own
 from tests.environments import assert_same, steps
@@ -48,31 +48,31 @@ class TestTask:
         singles = [sg.SmartSurfaceEnv(own.Cross(), actions, own.Guess()) for _ in range(3)]
         observations, _ = lanes.reset(seed=5)
         lanes.action_space.seed(0)
-        for lane, env in enumerate(singles):
-            assert_same(observations[lane], env.reset(seed=5 + lane)[0])
+        for state, env in enumerate(singles):
+            assert_same(observations[state], env.reset(seed=5 + state)[0])
         for _ in range(5):
             chosen = lanes.action_space.sample()
             observations, rewards, terminated, _, info = lanes.step(chosen)
-            for lane, env in enumerate(singles):
-                one = env.step(chosen[lane])
-                assert_same(observations[lane], one[0])
-                assert (rewards[lane], terminated[lane]) == one[1:3]
-                assert_same(info["pose"][lane], one[4]["pose"])
+            for state, env in enumerate(singles):
+                one = env.step(chosen[state])
+                assert_same(observations[state], one[0])
+                assert (rewards[state], terminated[state]) == one[1:3]
+                assert_same(info["pose"][state], one[4]["pose"])
 
     def test_its_starts_may_come_with_parcels_of_their_own(self) -> None:
         lanes = sg.SmartSurfaceVectorEnv(4, own.Assorted(far=0.1), "halves")
         singles = [sg.SmartSurfaceEnv(own.Assorted(far=0.1), "halves") for _ in range(4)]
         lanes.reset(seed=5)
-        for lane, env in enumerate(singles):
-            env.reset(seed=5 + lane)
+        for state, env in enumerate(singles):
+            env.reset(seed=5 + state)
         ended = np.zeros(4, dtype=bool)
         for _ in range(40):
             _, _, terminated, _, info = lanes.step(np.full(4, 15))
-            for lane, env in enumerate(singles):
-                one = env.reset()[1] if ended[lane] else env.step(15)[4]
-                assert_same(info["pose"][lane], one["pose"])
+            for state, env in enumerate(singles):
+                one = env.reset()[1] if ended[state] else env.step(15)[4]
+                assert_same(info["pose"][state], one["pose"])
             ended = terminated
-        assert len({float(lane.reach) for lane in map(base_of, singles)}) == 4
+        assert len({float(state.reach) for state in map(base_of, singles)}) == 4
 
     def test_threads_do_not_matter(self) -> None:
         runs = []
@@ -101,7 +101,7 @@ class TestTask:
 
 def base_of(env: sg.SmartSurfaceEnv) -> sg.Rectangle:
     batch = env._batch
-    return batch._plan.parcel(int(batch.lanes.site[0])).base
+    return batch._plan.parcel(int(batch.parcels.site[0])).base
 
 
 class Doubled(Sort):
@@ -110,9 +110,9 @@ class Doubled(Sort):
     terms = ("time",)
 
     @staticmethod
-    @own.lane_function
-    def reward(lane: own.Lane, outcome: int) -> None:
-        lane.terms[0] = 2.0 * lane.period
+    @own.kernel_function
+    def reward(state: own.Lane, outcome: int) -> None:
+        state.terms[0] = 2.0 * state.period
 
 
 def test_a_reward_of_ones_own_changes_nothing_else() -> None:
@@ -166,7 +166,7 @@ OWN_FILE = """
 import sys, numba
 from pathlib import Path
 import surface_gym as sg
-from surface_gym.dynamics import compiled
+from surface_gym.physics import compiled
 
 made = []
 save = compiled._DigestCache.save_overload
@@ -182,7 +182,7 @@ env.reset(seed=0)
 print(round(env.step(0)[1], 6), sum("Mine" in label for label in made))
 """
 MINE = """
-from surface_gym.extend import Lane, lane_function
+from surface_gym.extend import EnvState, kernel_function
 from surface_gym.tasks import Sort
 from prices import PRICE, fee
 
@@ -190,14 +190,14 @@ class Mine(Sort):
     terms = ("price",)
 
     @staticmethod
-    @lane_function
-    def reward(lane: Lane, outcome: int) -> None:
+    @kernel_function
+    def reward(lane: EnvState, outcome: int) -> None:
         lane.terms[0] = PRICE + fee()
 """
 PRICES = """
-from surface_gym.extend import lane_function
+from surface_gym.extend import kernel_function
 PRICE = 2.0
-@lane_function
+@kernel_function
 def fee() -> float:
     return 0.5
 """

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.batch.batch import Batch
+from surface_gym.core.batch import Batch
 from surface_gym.picture import scene_of
 from surface_gym.rendering import Scene
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS
-from surface_gym.tasks.start import Start
+from surface_gym.tasks.base import Start
 from tests.batches import batch_with, put
 from tests.environments import HEPTAGON, PARCELS, PLUS_45
 
@@ -59,7 +59,7 @@ def test_axes_zone_and_pose_are_the_lanes() -> None:
         batch.advance(np.full((2, 64), PLUS_45))
     for lane in (0, 1):
         scene = shown(batch, lane)
-        assert scene.pose == tuple(batch.lanes.truth[lane, :3])
+        assert scene.pose == tuple(batch.parcels.truth[lane, :3])
         first_row, rows, first_column, columns = scene.zone
         zone = np.zeros(scene.axis.shape, dtype=bool)
         zone[first_row : first_row + rows, first_column : first_column + columns] = True
@@ -71,7 +71,7 @@ def test_axes_zone_and_pose_are_the_lanes() -> None:
 def test_a_sensed_pose_is_shown_where_it_is_another() -> None:
     batch = batch_of(PARCELS["S"])
     assert shown(batch).sensed_pose is None
-    batch.lanes.sensed[0, 1] += 0.02
+    batch.parcels.sensed[0, 1] += 0.02
     sensed = shown(batch).sensed_pose
     assert sensed is not None
     assert sensed[1] == pytest.approx(1.02)
@@ -80,7 +80,7 @@ def test_a_sensed_pose_is_shown_where_it_is_another() -> None:
 def test_an_end_is_told() -> None:
     batch = batch_of(PARCELS["S"])
     assert "end" not in dict(shown(batch).readings)
-    while batch.lanes.outcome[0] == 0:
+    while batch.parcels.outcome[0] == 0:
         batch.advance(np.full((2, 64), 0))
     assert dict(shown(batch).readings)["end"] == "stalled"
 

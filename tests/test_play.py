@@ -28,7 +28,7 @@ def drag(game: play.TaskGame, down: tuple[int, int], up: tuple[int, int]) -> Non
 
 def test_a_drag_sets_place_and_speed(game: play.TaskGame) -> None:
     drag(game, MIDDLE, (MIDDLE[0] + 30, MIDDLE[1] - 30))  # an element is 30 px, y upwards
-    x, y, _, vx, vy, omega = game._batch.lanes.truth[0]
+    x, y, _, vx, vy, omega = game._batch.parcels.truth[0]
     assert (x, y) == pytest.approx((1.5, 1.0), abs=0.06)
     assert (vx, vy, omega) == pytest.approx((0.2, 0.2, 0.0))
 
@@ -43,26 +43,26 @@ def test_keys_turn_the_axes_of_the_zone(game: play.TaskGame) -> None:
     game.advance()
     axes = game._batch.axes(0)
     x = 0.05 + 0.1 * np.arange(axes.shape[1])
-    centre = game._batch.lanes.truth[0, 0]
+    centre = game._batch.parcels.truth[0, 0]
     assert axes[zone & (x >= centre)] == pytest.approx(0.0)
     assert axes[zone & (x < centre)] == pytest.approx(np.pi / 4)
 
 
 def test_space_pauses_and_r_starts_again(game: play.TaskGame) -> None:
-    start = game._batch.lanes.truth[0].copy()
+    start = game._batch.parcels.truth[0].copy()
     game.advance()
-    moved = game._batch.lanes.truth[0].copy()
+    moved = game._batch.parcels.truth[0].copy()
     press(game, pygame.K_SPACE)
     game.advance()
-    assert (game._batch.lanes.truth[0] == moved).all()
+    assert (game._batch.parcels.truth[0] == moved).all()
     press(game, pygame.K_r)
-    assert (game._batch.lanes.truth[0] == start).all()
+    assert (game._batch.parcels.truth[0] == start).all()
 
 
 def test_tab_turns_the_start_and_letters_choose_the_parcel(game: play.TaskGame) -> None:
     press(game, pygame.K_b)
     press(game, pygame.K_TAB)
-    assert game._batch.lanes.truth[0, 2] == pytest.approx(np.radians(15.0))
+    assert game._batch.parcels.truth[0, 2] == pytest.approx(np.radians(15.0))
     assert np.abs(game._batch.view(0).corners).max() == pytest.approx(0.225)
 
 

@@ -8,8 +8,8 @@ import pytest
 from scipy import stats
 
 import surface_gym as sg
-from surface_gym.randomisation import Drawn, Randomisation
-from surface_gym.tasks.start import Start
+from surface_gym.randomisation import RandomDraw, Randomisation
+from surface_gym.tasks.base import Start
 from tests.batches import batch_with
 from tests.environments import PARCELS, TRIANGLE, assert_same, bare, steps
 
@@ -20,7 +20,7 @@ LOOSE = 1e-3  # a law is doubted below this p-value; the seeds are fixed
 BOX = sg.Parcel(sg.Rectangle(0.4, 0.2), mass=8.0)
 
 
-def draws(parcel: sg.Parcel = BOX, count: int = COUNT, **spreads: float) -> list[Drawn]:
+def draws(parcel: sg.Parcel = BOX, count: int = COUNT, **spreads: float) -> list[RandomDraw]:
     rng = np.random.default_rng(0)
     randomisation = Randomisation(**spreads)
     return [randomisation.draw(rng, parcel, SHAPE) for _ in range(count)]
@@ -41,7 +41,7 @@ def test_nothing_varies_by_default() -> None:
     rng = np.random.default_rng(0)
     before = rng.bit_generator.state
     drawn = Randomisation().draw(rng, BOX, SHAPE)
-    assert drawn == Drawn(BOX, 0.0, 0.0, (1.0, 1.0, 1.0), None)
+    assert drawn == RandomDraw(BOX, 0.0, 0.0, (1.0, 1.0, 1.0), None)
     assert rng.bit_generator.state == before
 
 
@@ -231,7 +231,7 @@ class TestLateral:
             Randomisation(lateral=0.3).draw_entry(rng, BOX, (0.1, 0.05))
 
     def test_every_lane_starts_on_the_surface(self) -> None:
-        plant = sg.plants.Line(rows=8, line_y=0.4)
+        plant = sg.lines.Line(rows=8, line_y=0.4)
         lanes = sg.SmartSurfaceVectorEnv(
             300, randomisation=Randomisation(lateral=0.2, heading=1.0), plant=plant
         )
@@ -239,7 +239,7 @@ class TestLateral:
         assert 0.35 < np.abs(aside).max() <= 0.4
 
     def test_a_spread_for_which_the_surface_is_too_narrow_is_refused(self) -> None:
-        plant = sg.plants.Line(rows=8, line_y=0.4)
+        plant = sg.lines.Line(rows=8, line_y=0.4)
         with pytest.raises(ValueError, match=r"^lateral must be at most a quarter of .*, 0\.2 m"):
             sg.SmartSurfaceEnv(randomisation=Randomisation(lateral=0.21), plant=plant)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from surface_gym.actuators import Actuators
-from surface_gym.plants import ORIENTATIONS
+from surface_gym.lines import ORIENTATIONS
+from surface_gym.randomisation import Actuators
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.sort import Sort

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 
 import surface_gym as sg
-from surface_gym.dynamics.explicit import RESTART_SPEED
-from surface_gym.dynamics.friction import TOLERANCE
+from surface_gym.physics.friction import TOLERANCE
+from surface_gym.physics.step import RESTART_SPEED
 from surface_gym.record.repeating import repeat
 from surface_gym.trajectory import Trajectory
 from tests.strategies import Scene, scenes

@@ -7,8 +7,7 @@ import gymnasium as gym
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
-from surface_gym.actuators import Actuators
-from surface_gym.randomisation import Randomisation
+from surface_gym.randomisation import Actuators, Randomisation
 from tests.environments import IDS, SENSORS, SORT
 
 LANES = 3

@@ -6,8 +6,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from surface_gym.actions import ANY
 from surface_gym.conditions import Condition
+from surface_gym.core.actions import ANY
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS, Task, Track
 

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from gymnasium.utils.seeding import np_random
 
-from surface_gym.batch.starts import parcels_of
+from surface_gym.core.resets import each_parcel
 from surface_gym.parcel import Parcel
 from surface_gym.settings import Settings
-from surface_gym.tasks.start import Draw
+from surface_gym.tasks.base import Draw
 
 
 def drawn_parcels(
@@ -25,5 +25,5 @@ def drawn_parcels(
     task = settings.chosen_task
     numbers = np.array([np_random(seed + k)[0].random(task.draws) for k in range(len(starts))])
     draw = Draw(numbers, starts, settings.chosen_plant, settings.zone)
-    parcels = parcels_of(task.start(draw).parcel, len(starts))
+    parcels = each_parcel(task.start(draw).parcel, len(starts))
     return tuple(parcels.kinds[kind] for kind in parcels.which.tolist())

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon as Patch
 
 from surface_gym.layouts import LINE_Y, box
-from surface_gym.plants import Line
+from surface_gym.lines import Line
 
 from ..episodes import Episodes
 from .plots import DOTS

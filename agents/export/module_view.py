@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surface_gym.actions.more import GROUPS, QUADRANT_SIZE
-from surface_gym.plants import Line
+from surface_gym.core.actions import GROUPS, QUADRANT_SIZE
+from surface_gym.lines import Line
 from surface_gym.settings import Settings
 
 from ..mirror import SIDE

@@ -1,7 +1,7 @@
 """What a machine has to know of each feature of an observation."""
 
-from surface_gym.actions.more import GROUPS, features_of
-from surface_gym.tasks.task import Feature
+from surface_gym.core.actions import GROUPS, group_features
+from surface_gym.tasks.base import Feature
 
 POSE = "the parcel's place and angle: a camera, or switches in the modules, and a filter"
 VELOCITY = "the parcel's velocity: a filter's, from its pose over time"
@@ -46,7 +46,7 @@ def need_of(feature: Feature) -> str:
     """What has to be known for a feature; `UNKNOWN` for one of a task of one's own."""
     if feature.name in _NAMES:
         return _NAMES[feature.name]
-    if any(feature.name == each.name for each in features_of(_LEARNED)):
+    if any(feature.name == each.name for each in group_features(_LEARNED)):
         return LOAD
     begins = (told for name, told in _BEGIN.items() if feature.name.startswith(name))
     return next(begins, UNKNOWN)

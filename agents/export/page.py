@@ -3,8 +3,8 @@
 import math
 from collections.abc import Iterable, Sequence
 
-from surface_gym.actions import ActionKind
 from surface_gym.conditions import Condition
+from surface_gym.core.actions import ActionKind
 from surface_gym.tasks import Sort
 
 from .checking import TIE, Agreement

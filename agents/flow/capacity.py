@@ -14,7 +14,7 @@ from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.memory import BETWEEN, JAM
 from surface_gym.flow.statistics import statistics_of
-from surface_gym.lanes.memory import RUNNING
+from surface_gym.state import RUNNING
 
 from ..controller import Controller
 from ..evaluation.statistics import CONFIDENCE
@@ -116,7 +116,7 @@ def measure(
     batch.start(np.arange(REPLICATIONS))
     counted = counted_time(settings.duration, rate)
     begin = settings.duration - counted
-    arrivals = int(batch.flows.arrivals.sum())
+    arrivals = int(batch.streams.arrivals.sum())
     most_wrong = (1.0 - LEAST_RIGHT[case.condition]) * arrivals
     actions = settings.flow_actions
     state, period = None, 0
@@ -130,13 +130,13 @@ def measure(
 
 
 def _is_lost(batch: FlowBatch, begin: float, most_wrong: float) -> bool:
-    flows = batch.flows
+    flows = batch.streams
     wrong = (flows.left >= begin) & (flows.taken >= BETWEEN) & (flows.taken != flows.exit)
     return bool((flows.outcome == JAM).any() or wrong.sum() > most_wrong)
 
 
 def _measured(batch: FlowBatch, rate: float, counted: float) -> Measured:
-    flows = batch.flows
+    flows = batch.streams
     begin = batch.settings.duration - counted
     right, delivered, touches, waiting = [], [], [], []
     for lane in range(REPLICATIONS):

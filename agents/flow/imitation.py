@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.features import PRESENT, WAITS
-from surface_gym.lanes.memory import RUNNING
+from surface_gym.state import RUNNING
 
 from .practice import MIXES, SPEEDS, densest, practice_settings
 from .reservation import Reservation

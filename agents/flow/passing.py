@@ -11,8 +11,8 @@ from surface_gym.flow.memory import RIGHT
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.trace import Arrival, Trace
-from surface_gym.lanes.memory import RUNNING
 from surface_gym.parcel import Parcel
+from surface_gym.state import RUNNING
 
 from ..controller import Controller
 from .packing import Numbers
@@ -63,15 +63,15 @@ def passing(
     opens = 1 + attempt % alone.timing.steps
     state: Any = None
     clocks, poses = [], []
-    while (batch.outcome == RUNNING).any() and np.isnan(batch.flows.left[:, 0]).any():
+    while (batch.outcome == RUNNING).any() and np.isnan(batch.streams.left[:, 0]).any():
         action, state = controller.predict(batch.observation, state)
         action = np.asarray(action).copy()
         action[:, -1] = opens
         batch.advance(actions.commands(action, lanes))
-        clocks.append(batch.flows.clock.copy())
-        poses.append(batch.lanes.truth.reshape(lanes, alone.rows, 6)[:, 0, :3].copy())
+        clocks.append(batch.streams.clock.copy())
+        poses.append(batch.parcels.truth.reshape(lanes, alone.rows, 6)[:, 0, :3].copy())
     clock, pose = np.array(clocks), np.array(poses)
-    entered, left = batch.flows.entered[:, 0], batch.flows.left[:, 0]
+    entered, left = batch.streams.entered[:, 0], batch.streams.left[:, 0]
     enters, leaves = np.empty(lanes), np.empty(lanes)
     for lane, (parcel, _, _) in enumerate(each):
         there = (clock[:, lane] > entered[lane]) & ~(clock[:, lane] > left[lane])
@@ -81,7 +81,7 @@ def passing(
         gone = np.inf if np.isnan(left[lane]) else left[lane] - entered[lane]
         leaves[lane] = min(gone, _time_at(time, rear, span[1]))
     shape = len(asked), TRIES
-    right: Booleans = np.all(batch.flows.tally[:, RIGHT].reshape(shape) > 0, axis=1)
+    right: Booleans = np.all(batch.streams.tally[:, RIGHT].reshape(shape) > 0, axis=1)
     return Passing(
         right=right,
         enters=enters.reshape(shape).min(axis=1),

@@ -18,7 +18,7 @@ from surface_gym.flow.memory import JAM, NOBODY
 from surface_gym.flow.rewards import PARCEL_TERMS
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.flow.stream import Stream
-from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING
+from surface_gym.state import OUT_OF_TIME, RUNNING
 
 from ..mirror import mirrored_orientations
 from ..vec_env import SharedVecEnv
@@ -135,7 +135,7 @@ class FlowSeats(SharedVecEnv):
         self._batch.advance(self._actions(tables, said))
 
     def step_wait(self) -> VecEnvStepReturn:
-        flows = self._batch.flows
+        flows = self._batch.streams
         lane, seat = np.nonzero(self._who != NOBODY)
         who, row = self._who[lane, seat], self._row[lane, seat]
         waited = row == self._rows - 1
@@ -146,7 +146,7 @@ class FlowSeats(SharedVecEnv):
         row = np.where(entered, found, row)
         gone |= entered & ~flows.present[lane, row]
         self._row[lane, seat] = row
-        terms = self._batch.lanes.terms.reshape(self._lanes, self._rows, -1)[lane, row]
+        terms = self._batch.parcels.terms.reshape(self._lanes, self._rows, -1)[lane, row]
         paid = terms * SCALES
         paid[waited] = 0.0
         # One that has entered waited for half of the period, as far as is known here.
@@ -200,7 +200,7 @@ class FlowSeats(SharedVecEnv):
 
     def _follow(self) -> list[list[int]]:
         """Seat who has come up to the gate; which seats were taken."""
-        flows = self._batch.flows
+        flows = self._batch.streams
         head = flows.number[:, -1]
         new = (head != NOBODY) & ~(self._who == head[:, np.newaxis]).any(axis=1)
         taken = []

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.picture import Album
-from surface_gym.lanes.memory import RUNNING
 from surface_gym.rendering import with_caption
+from surface_gym.state import RUNNING
 
 from ..evaluation.films import BAR, LAST
 from .capacity import SEED

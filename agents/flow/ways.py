@@ -11,10 +11,10 @@ from surface_gym.flow.memory import RIGHT
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.trace import Arrival, Trace
-from surface_gym.lanes.memory import RUNNING
 from surface_gym.parcel import Parcel
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Exact
+from surface_gym.state import RUNNING
 
 from ..controller import Controller
 from .packing import Numbers, Way
@@ -77,20 +77,20 @@ def ways_of(
     controller, actions = make(alone), alone.flow_actions
     state: Any = None
     moments, poses = [], []
-    while (batch.outcome == RUNNING).any() and np.isnan(batch.flows.left[:, 0]).any():
+    while (batch.outcome == RUNNING).any() and np.isnan(batch.streams.left[:, 0]).any():
         action, state = controller.predict(batch.observation, state)
         batch.advance(actions.commands(action, count))
-        moments.append(batch.flows.clock.copy())
-        poses.append(batch.lanes.truth.reshape(count, alone.rows, 6)[:, 0, :3].copy())
+        moments.append(batch.streams.clock.copy())
+        poses.append(batch.parcels.truth.reshape(count, alone.rows, 6)[:, 0, :3].copy())
     time, pose = np.array(moments), np.array(poses)
-    entered, left = batch.flows.entered[:, 0], batch.flows.left[:, 0]
+    entered, left = batch.streams.entered[:, 0], batch.streams.left[:, 0]
     return Ways(
         asked=tuple(asked),
         ways=tuple(
             _way(one[0], time[:, lane], pose[:, lane], entered[lane], left[lane])
             for lane, one in enumerate(asked)
         ),
-        right=tuple(bool(count) for count in batch.flows.tally[:, RIGHT]),
+        right=tuple(bool(count) for count in batch.streams.tally[:, RIGHT]),
         signature=signature,
     )
 

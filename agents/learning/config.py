@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Literal, TypeGuard, get_args
 
 from surface_gym import checks
-from surface_gym.actions.more import GROUPS
-from surface_gym.plants import Line
+from surface_gym.core.actions import GROUPS
+from surface_gym.lines import Line
 
 from ..policy_card import FLOW_TASK, PolicyCard
 from ..tasks import find_task, id_of

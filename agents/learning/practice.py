@@ -7,12 +7,10 @@ import gymnasium as gym
 from stable_baselines3.common.vec_env import VecEnv
 
 from surface_gym import SmartSurfaceVectorEnv
-from surface_gym.assortment import assortment
-from surface_gym.bases import Rectangle
 from surface_gym.conditions import CONDITIONS, Condition
 from surface_gym.layouts import box
-from surface_gym.parcel import Parcel
-from surface_gym.plants import Line
+from surface_gym.lines import Line
+from surface_gym.parcel import Parcel, Rectangle, assortment
 from surface_gym.randomisation import Randomisation
 from surface_gym.tasks import Sort, Task, Track
 

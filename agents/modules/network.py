@@ -6,7 +6,7 @@ from itertools import pairwise
 import torch
 from torch import nn
 
-from surface_gym.actions.more import features_of
+from surface_gym.core.actions import group_features
 
 from ..mirror import SIDE
 from .view import place_size, shared_size
@@ -70,7 +70,7 @@ class ValueNetwork(nn.Module):
 
     def __init__(self, hidden: tuple[int, ...], observe: tuple[str, ...] = ()) -> None:
         super().__init__()
-        inputs = SIDE + len(features_of(observe))
+        inputs = SIDE + len(group_features(observe))
         self._layers = nn.Sequential(*_layers((inputs, *hidden)), _linear(hidden[-1], 1, 1.0))
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:

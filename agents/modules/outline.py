@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.plants import Line, Plant
+from surface_gym.lines import BaseLine, Line
 
 from ..sight import LineSight
 
@@ -45,7 +45,7 @@ class Outline:
         return (1.0 - self.roundness) * straight + self.roundness * bent
 
 
-def outline_shown(length: Numbers, width: Numbers, fill: Numbers, plant: Plant) -> Outline:
+def outline_shown(length: Numbers, width: Numbers, fill: Numbers, plant: BaseLine) -> Outline:
     """The outline of bases that are shown, by the features of the group "parcel" (lanes,)."""
     half = 0.175 + 0.05 * np.stack([length, width])
     return Outline(
@@ -55,7 +55,7 @@ def outline_shown(length: Numbers, width: Numbers, fill: Numbers, plant: Plant) 
     )
 
 
-def outline_by_clearance(see: LineSight, clearance: Numbers, plant: Plant) -> Outline:
+def outline_by_clearance(see: LineSight, clearance: Numbers, plant: BaseLine) -> Outline:
     """The outline of bases of which only half the length is shown: taken for rectangles, or discs.
 
     The clearance lacks the half line and what the base reaches across it. A wider base has a wider
@@ -80,7 +80,7 @@ def outline_by_clearance(see: LineSight, clearance: Numbers, plant: Plant) -> Ou
     return Outline(np.stack([length, width]), np.zeros_like(length), rows)
 
 
-def _rows(plant: Plant, pairs: Numbers) -> Numbers:
+def _rows(plant: BaseLine, pairs: Numbers) -> Numbers:
     """(lanes,) of a line under which `pairs` of rows find room; of any other plant, its own."""
     least = 2.0 if isinstance(plant, Line) else plant.zone_rows
     return np.clip(2.0 * np.floor(pairs), least, plant.zone_rows)

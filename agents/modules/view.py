@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.actions.more import GROUPS, QUADRANT_SIZE, QUADRANTS, features_of
+from surface_gym.core.actions import GROUPS, QUADRANT_SIZE, QUADRANTS, group_features
 from surface_gym.settings import Settings
 from surface_gym.tasks.sort import FEATURES
 
@@ -27,7 +27,7 @@ MARGIN = 0.01  # [m] a module this near to the base may bear it
 
 def shared_size(observe: tuple[str, ...]) -> int:
     """Numbers that all modules of a lane see alike, where the observation shows some groups."""
-    return len(_SHARED) + len(features_of(observe))
+    return len(_SHARED) + len(group_features(observe))
 
 
 def place_size(observe: tuple[str, ...]) -> int:
@@ -75,7 +75,7 @@ class ModuleView:
         angles = np.array(settings.chosen_orientations)
         self._rest = int(np.abs(np.sin(angles)).argmax())  # the choice nearest to 90 deg
         columns = {feature.name: k for k, feature in enumerate(settings.features)}
-        of_groups = [columns[feature.name] for feature in features_of(settings.observe)]
+        of_groups = [columns[feature.name] for feature in group_features(settings.observe)]
         self._shared = np.array([*_SHARED, *of_groups])
         self._columns = columns
         self._lie = self._lie_shown if "parcel" in settings.observe else self._lie_by_clearance

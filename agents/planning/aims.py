@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.lanes.memory import PATH_POINTS, SUCCESS, Lanes
 from surface_gym.layouts import ROLLING
+from surface_gym.state import PATH_POINTS, SUCCESS, ParcelState
 from surface_gym.tasks import TASKS, orient, slow, sort, stop, track
 
 from .branching import Branching
@@ -49,43 +49,43 @@ def _rear_to_go(stand: Stand) -> Numbers:
     """[m] from the rear to the zone's end, at least 0."""
     _, _, first, columns = stand.zone
     end = stand.plant.column_edge(first + columns)
-    return np.maximum(0.0, end - stand.lanes.truth[:, 0] + stand.reach(-1.0, 0.0))
+    return np.maximum(0.0, end - stand.parcels.truth[:, 0] + stand.reach(-1.0, 0.0))
 
 
 def _off_line(stand: Stand) -> Numbers:
     """[m] from the line's middle."""
-    return np.abs(stand.lanes.truth[:, 1] - stand.plant.line_y)
+    return np.abs(stand.parcels.truth[:, 1] - stand.plant.line_y)
 
 
 def _askew(stand: Stand) -> Numbers:
     """How far from straight along the line."""
-    _, _, theta, _, vy, omega = stand.lanes.truth.T
+    _, _, theta, _, vy, omega = stand.parcels.truth.T
     return _off_line(stand) + np.abs(vy) + np.abs(theta) + SETTLING * np.abs(omega)
 
 
 def _failure(stand: Stand) -> Numbers:
-    return np.where(stand.lanes.outcome == SUCCESS, 0.0, FAILED)
+    return np.where(stand.parcels.outcome == SUCCESS, 0.0, FAILED)
 
 
 def _time(stand: Stand) -> Numbers:
     """[s] until the end."""
-    return _failure(stand) + stand.lanes.clock
+    return _failure(stand) + stand.parcels.clock
 
 
 def _error(stand: Stand) -> Numbers:
     """The task's first figure."""
-    return _failure(stand) + np.abs(stand.lanes.figures[:, 0])
+    return _failure(stand) + np.abs(stand.parcels.metrics[:, 0])
 
 
 def _sort_way(stand: Stand) -> Numbers:
     """[s] until the parcel is off the line if all axes were at 45 deg from now on; and what it
     lacks where it would come to rest before.
     """
-    _, y, _, vx, vy, _ = stand.lanes.truth.T
+    _, y, _, vx, vy, _ = stand.parcels.truth.T
     turning, loss = stand.braking / math.sqrt(2.0), stand.rolling_loss / math.sqrt(2.0)
-    side = stand.lanes.goal[:, sort.SIDE]
+    side = stand.parcels.goal[:, sort.SIDE]
     if side[0] == 0.0:
-        return _off_line(stand) - 0.1 * stand.lanes.truth[:, 0]
+        return _off_line(stand) - 0.1 * stand.parcels.truth[:, 0]
     vy = side * vy
     half_line = 0.5 * stand.plant.pitch_y * (stand.zone[1] - 1)
     left = stand.reach(0.0, -side[0]) + half_line - side * (y - stand.plant.line_y)
@@ -102,7 +102,7 @@ def _sort_way(stand: Stand) -> Numbers:
 
 def _sort_event(model: Branching) -> tuple[int, int] | None:
     """The fixed layout and every event rule: 45 deg to the asked side from some time on."""
-    side = float(model.lanes.goal[0, sort.SIDE])
+    side = float(model.parcels.goal[0, sort.SIDE])
     if side == 0.0:
         return None
     return model.uniform_action(ROLLING), model.uniform_action(-side * math.pi / 4.0)
@@ -110,7 +110,7 @@ def _sort_event(model: Branching) -> tuple[int, int] | None:
 
 def _slow_way(stand: Stand) -> Numbers:
     """[m/s] off what would roll out at the asked ratio, straight and in time."""
-    lanes, to_go = stand.lanes, _rear_to_go(stand)
+    lanes, to_go = stand.parcels, _rear_to_go(stand)
     speed = np.hypot(stand.vx, lanes.truth[:, 4])
     asked = lanes.goal[:, slow.RATIO] * lanes.goal[:, slow.ENTRY_SPEED]
     excess = speed - np.sqrt(asked**2 + 2.0 * stand.rolling_loss * to_go)
@@ -120,13 +120,13 @@ def _slow_way(stand: Stand) -> Numbers:
 
 def _stop_way(stand: Stand) -> Numbers:
     """[m] that full braking ends short of the asked x; beyond it there is no way back."""
-    to_go = stand.lanes.goal[:, stop.POSITION] - stand.lanes.truth[:, 0]
+    to_go = stand.parcels.goal[:, stop.POSITION] - stand.parcels.truth[:, 0]
     short = to_go - stand.braking_way
     if stand.turning is None:
         return _short_of(short) + 0.1 * _askew(stand)
     # Axes push aside while they turn, which takes some of the braking; and what they will have
     # taken before they roll again may be too much.
-    short -= CAUTION * stand.turning.quarter * stand.lanes.truth[:, 3]
+    short -= CAUTION * stand.turning.quarter * stand.parcels.truth[:, 3]
     rolled = stand.vx**2 / (2.0 * stand.rolling_loss)
     lack = np.maximum(0.0, to_go - rolled)
     return _short_of(short) + 10.0 * lack + 0.3 * _askew(stand)
@@ -139,9 +139,9 @@ def _short_of(short: Numbers) -> Numbers:
 
 def _orient_way(stand: Stand) -> Numbers:
     """[rad] left to turn; with speed enough to turn it and to leave the zone, and on the line."""
-    _, _, theta, _, vy, omega = stand.lanes.truth.T
+    _, _, theta, _, vy, omega = stand.parcels.truth.T
     vx = stand.vx
-    left = np.abs(stand.lanes.goal[:, orient.ANGLE] - theta - SETTLING * omega)
+    left = np.abs(stand.parcels.goal[:, orient.ANGLE] - theta - SETTLING * omega)
     spent = stand.rolling_loss * _rear_to_go(stand) + TURN_LOSS * stand.half_length * left
     lack = np.maximum(0.0, np.sqrt(EXIT_SPEED**2 + 2.0 * spent) - vx)
     return left + lack - 0.2 * vx + 0.2 * _off_line(stand) + 0.06 * np.abs(vy)
@@ -149,7 +149,7 @@ def _orient_way(stand: Stand) -> Numbers:
 
 def _track_way(stand: Stand) -> Numbers:
     """Mean squares of the errors so far, each over what is as bad, and where they lead."""
-    lanes = stand.lanes
+    lanes = stand.parcels
     since = np.maximum(lanes.clock, 1e-9)
     off = lanes.memory[:, track.SQUARED_ERROR] / since / CROSS_ERROR**2
     pace = lanes.memory[:, track.SQUARED_SPEED_ERROR] / since / SPEED_ERROR**2
@@ -157,7 +157,7 @@ def _track_way(stand: Stand) -> Numbers:
     return off + pace + (_speed_across(lanes) / CROSS_SPEED) ** 2 + lost
 
 
-def _speed_across(lanes: Lanes) -> Numbers:
+def _speed_across(lanes: ParcelState) -> Numbers:
     """[m/s] across the path."""
     x, _, _, vx, vy, _ = lanes.truth.T
     # A search's lanes have their path in common.

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.batch.batch import Batch
-from surface_gym.dynamics.types import HALF_LENGTH
-from surface_gym.lanes.memory import OUT_OF_TIME, Lanes
+from surface_gym.core.batch import Batch
+from surface_gym.physics.types import HALF_LENGTH
 from surface_gym.settings import Settings
+from surface_gym.state import OUT_OF_TIME, ParcelState
 
 from ..angles import axes_apart
 from .stand import Stand
@@ -37,12 +37,12 @@ class Branching:
         self._settings = settings
         self._kind = settings.action_kind
         self._batch = Batch(settings, lanes)
-        self._moves: list[NDArray[Any]] = [getattr(self.lanes, name) for name in _MOVES]
+        self._moves: list[NDArray[Any]] = [getattr(self.parcels, name) for name in _MOVES]
 
     @property
-    def lanes(self) -> Lanes:
+    def lanes(self) -> ParcelState:
         """Their memory."""
-        return self._batch.lanes
+        return self._batch.parcels
 
     @property
     def choices(self) -> int:
@@ -63,17 +63,17 @@ class Branching:
             parents: lanes to go on from, at most as many as there are lanes.
             actions: (count,) of each.
         """
-        lanes, count = self.lanes, len(parents)
+        lanes, count = self.parcels, len(parents)
         for array in self._moves:
             array[:count] = array[parents]
         lanes.outcome[count:] = OUT_OF_TIME  # nobody waits for them
         commands = self._batch.surfaces.command.copy()
         commands[:count] = self._kind.commands(actions, count)
         self._batch.advance(commands)
-        return self._stand(Lanes._make(array[:count] for array in lanes))
+        return self._stand(ParcelState._make(array[:count] for array in lanes))
 
-    def _stand(self, lanes: Lanes) -> Stand:
-        site, sites = lanes.site[0], self._batch.sites
+    def _stand(self, lanes: ParcelState) -> Stand:
+        site, sites = lanes.site[0], self._batch.bodies
         first_row, rows, first_column, columns = sites.zone[site].tolist()
         return Stand(
             lanes,

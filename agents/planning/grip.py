@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.dynamics.types import RADIUS
-from surface_gym.lanes.memory import Sites
-from surface_gym.plants import Plant
+from surface_gym.lines import BaseLine
+from surface_gym.physics.types import RADIUS
+from surface_gym.state import BodyTable
 
 Booleans = NDArray[np.bool_]
 Numbers = NDArray[np.float64]
@@ -37,7 +37,9 @@ class Grip:
         return np.maximum(0.0, ends - x) + 1e3 * beyond
 
 
-def grip_of(sites: Sites, site: int, plant: Plant, braking: float, rolling_loss: float) -> Grip:
+def grip_of(
+    sites: BodyTable, site: int, plant: BaseLine, braking: float, rolling_loss: float
+) -> Grip:
     """The grip on the parcel of a site, every element under it bearing as much.
 
     Args:
@@ -60,7 +62,7 @@ def grip_of(sites: Sites, site: int, plant: Plant, braking: float, rolling_loss:
     return Grip(x, each, spent)
 
 
-def is_under(sites: Sites, site: int, ahead: Numbers, left: Numbers) -> Booleans:
+def is_under(sites: BodyTable, site: int, ahead: Numbers, left: Numbers) -> Booleans:
     """Whether points, of any shape, are under the base of the parcel of a site.
 
     Args:

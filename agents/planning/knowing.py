@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING
 from surface_gym.settings import Settings
 from surface_gym.sharing import Workers, check_workers, quiet, share
+from surface_gym.state import OUT_OF_TIME, RUNNING
 
 from ..episodes import Episodes, side_by_side
 from .aims import AIMS, Aim
@@ -103,7 +103,7 @@ class Knowing:
         """An episode by plans that follow so many lanes."""
         model = self._model(aim, width)
         model.begin(options, seed)
-        poses, actions = [model.lanes.truth[0, :3].copy()], list[int]()
+        poses, actions = [model.parcels.truth[0, :3].copy()], list[int]()
         running, left = True, self._settings.chosen_task.periods
         while running and len(actions) < left:
             plan = make_plan(model, aim, width)
@@ -114,12 +114,12 @@ class Knowing:
                 running = bool(lanes.outcome[0] == RUNNING)
                 if not running or len(actions) == left:
                     break
-        lanes = model.lanes
+        lanes = model.parcels
         outcome = OUT_OF_TIME if running else int(lanes.outcome[0])
         return Reached(
             outcome=model.outcomes[outcome],
             time=float(lanes.clock[0]),
-            figures=tuple(lanes.figures[0].tolist()),
+            figures=tuple(lanes.metrics[0].tolist()),
             poses=np.array(poses),
             velocity=lanes.truth[0, 3:].copy(),
             actions=tuple(actions),
@@ -174,7 +174,7 @@ def play_knowing(
 ) -> Episodes:
     """`reachable`, as `agents.episodes.run_episodes` would have it of a controller."""
     runs = reachable(settings, starts, seed, budget, workers)
-    names = settings.chosen_task.figures
+    names = settings.chosen_task.metrics
     figures = np.array([run.figures for run in runs]).T
     return Episodes(
         success=np.array([run.success for run in runs]),

@@ -8,10 +8,10 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
-from surface_gym.dynamics.types import GYRATION, RADIUS
-from surface_gym.lanes.memory import OUT_OF_TIME, Lanes
+from surface_gym.physics.types import GYRATION, RADIUS
 from surface_gym.sensors import Exact
 from surface_gym.settings import Settings
+from surface_gym.state import OUT_OF_TIME, ParcelState
 
 from .branching import Branching
 from .grip import Grip, grip_of, is_under
@@ -44,21 +44,21 @@ class KnownModel(Branching):
 
     @property
     def outcomes(self) -> tuple[str, ...]:
-        """How an episode may stand, by the numbers of `Lanes.outcome`."""
+        """How an episode may stand, by the numbers of `ParcelState.outcome`."""
         return self._batch.outcomes
 
     def begin(self, options: dict[str, Any], seed: int) -> None:
         """Put every lane where an environment's `reset` with these arguments puts its parcel."""
         batch = self._batch
-        batch.lanes.outcome[:] = OUT_OF_TIME
+        batch.parcels.outcome[:] = OUT_OF_TIME
         batch.seed(0, np_random(seed)[0])
         batch.start(FIRST, [options] if options else ())
-        for array in cast(tuple[NDArray[Any], ...], (*batch.surfaces, *batch.lanes)):
+        for array in cast(tuple[NDArray[Any], ...], (*batch.surfaces, *batch.parcels)):
             array[1:] = array[:1]
         self._begun = [array[:1].copy() for array in self._moves]
-        stand = super()._stand(batch.lanes)
+        stand = super()._stand(batch.parcels)
         self._grip = grip_of(
-            batch.sites, int(batch.lanes.site[0]), stand.plant, stand.braking, stand.rolling_loss
+            batch.bodies, int(batch.parcels.site[0]), stand.plant, stand.braking, stand.rolling_loss
         )
 
     def rewind(self) -> None:
@@ -73,15 +73,15 @@ class KnownModel(Branching):
         self._begun = [array[:1].copy() for array in self._moves]
         return stand
 
-    def _stand(self, lanes: Lanes) -> Stand:
+    def _stand(self, lanes: ParcelState) -> Stand:
         stand = super()._stand(lanes)
-        site, sites = lanes.site[0], self._batch.sites
+        site, sites = lanes.site[0], self._batch.bodies
         turning = self._turning(lanes) if self._turns else None
         return replace(stand, corners=sites.corners[site], grip=self._grip, turning=turning)
 
-    def _turning(self, lanes: Lanes) -> Turning:
+    def _turning(self, lanes: ParcelState) -> Turning:
         """The axes beside the parcels of some lanes."""
-        site, sites, plant = lanes.site[0], self._batch.sites, self._settings.chosen_plant
+        site, sites, plant = lanes.site[0], self._batch.bodies, self._settings.chosen_plant
         body = sites.body[site]
         x, y, theta = lanes.truth[:, :3].T[..., np.newaxis]
         row, column = self._beside(x, y, float(body[RADIUS]))

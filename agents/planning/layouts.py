@@ -6,14 +6,13 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.actuators import Actuators
-from surface_gym.batch.batch import Batch
-from surface_gym.dynamics.types import HALF_LENGTH
-from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING, Lanes
-from surface_gym.randomisation import Randomisation
+from surface_gym.core.batch import Batch
+from surface_gym.physics.types import HALF_LENGTH
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Exact
 from surface_gym.settings import Settings
-from surface_gym.tasks.start import Start
+from surface_gym.state import OUT_OF_TIME, RUNNING, ParcelState
+from surface_gym.tasks.base import Start
 
 from .stand import Stand
 
@@ -41,9 +40,9 @@ class LayoutModel:
         return len(self._batch.outcome)
 
     @property
-    def lanes(self) -> Lanes:
+    def lanes(self) -> ParcelState:
         """Their memory."""
-        return self._batch.lanes
+        return self._batch.parcels
 
     @property
     def axis(self) -> NDArray[np.int32]:
@@ -66,39 +65,39 @@ class LayoutModel:
         surfaces = self._batch.surfaces
         surfaces.axis[:] = len(self.settings.chosen_orientations)  # the conveyor's
         surfaces.conditions[1:] = surfaces.conditions[0]
-        self._begun = tuple(array[:1].copy() for array in self.lanes)
+        self._begun = tuple(array[:1].copy() for array in self.parcels)
         self.rewind(self.size)
 
     def rewind(self, count: int) -> None:
         """Put the first lanes back to the start; nobody waits for the others."""
-        arrays = cast(tuple[NDArray[Any], ...], self.lanes)
+        arrays = cast(tuple[NDArray[Any], ...], self.parcels)
         for array, begun in zip(arrays, self._begun, strict=True):
             array[:] = begun
-        self.lanes.outcome[count:] = OUT_OF_TIME
+        self.parcels.outcome[count:] = OUT_OF_TIME
 
     def branch(self, parents: Integers) -> Stand:
         """Make the first lanes copies of their parents (count,), axes and all; nobody waits for the
         others.
         """
         count = len(parents)
-        for array in (*self.lanes, self.axis, self.commands):
+        for array in (*self.parcels, self.axis, self.commands):
             array[:count] = array[parents]
-        self.lanes.outcome[count:] = OUT_OF_TIME
+        self.parcels.outcome[count:] = OUT_OF_TIME
         return self.stand(count)
 
     def advance(self) -> bool:
         """Move every lane that runs over a period; whether one still does."""
         self._batch.advance(self.commands)
-        return bool((self.lanes.outcome == RUNNING).any())
+        return bool((self.parcels.outcome == RUNNING).any())
 
     def stand(self, count: int) -> Stand:
         """How the first lanes stand; a view."""
-        lanes, sites = self.lanes, self._batch.sites
+        lanes, sites = self.parcels, self._batch.bodies
         site = int(lanes.site[0])
         # Zones that do not differ from parcel to parcel have one row.
         first_row, rows, first, columns = sites.zone[site % len(sites.zone)].tolist()
         return Stand(
-            Lanes._make(array[:count] for array in lanes),
+            ParcelState._make(array[:count] for array in lanes),
             float(sites.body[site, HALF_LENGTH]),
             (first_row, rows, first, columns),
             self.settings.chosen_plant,

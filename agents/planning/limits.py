@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.lanes.memory import RUNNING
 from surface_gym.settings import Settings
+from surface_gym.state import RUNNING
 from surface_gym.tasks import stop
 
 from .known import KnownModel
@@ -42,10 +42,10 @@ def stops_past(
     past = []
     for k, options in enumerate(starts):
         model.begin(options, seed + k)
-        asked = float(model.lanes.goal[0, stop.POSITION])
-        model.lanes.goal[0, stop.POSITION] = FAR
+        asked = float(model.parcels.goal[0, stop.POSITION])
+        model.parcels.goal[0, stop.POSITION] = FAR
         for _ in range(settings.chosen_task.periods):
             if model.go_on(brake).lanes.outcome[0] != RUNNING:
                 break
-        past.append(float(model.lanes.truth[0, 0]) - asked)
+        past.append(float(model.parcels.truth[0, 0]) - asked)
     return np.array(past)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.dynamics.types import VX, VY, X
-from surface_gym.lanes.memory import SUCCESS
+from surface_gym.physics.types import VX, VY, X
+from surface_gym.state import SUCCESS
 from surface_gym.tasks import orient, slow, stop
 from surface_gym.tasks.line import BRAKING
 
@@ -49,8 +49,8 @@ class Search:
 
 def _graded(stand: Stand, missed: int) -> Numbers:
     """The task's first figure; a failure's grows with what it lacks, to lead to a success."""
-    lanes = stand.lanes
-    error = np.abs(lanes.figures[:, 0])
+    lanes = stand.parcels
+    error = np.abs(lanes.metrics[:, 0])
     _, _, first, columns = stand.zone
     to_go = np.maximum(0.0, stand.plant.column_edge(first + columns) - lanes.truth[:, X])
     cost: Numbers = np.select(
@@ -66,10 +66,10 @@ def _slow_cost(stand: Stand) -> Numbers:
 
 
 def _stop_cost(stand: Stand) -> Numbers:
-    lanes = stand.lanes
+    lanes = stand.parcels
     # One that has passed the asked x would rest this much farther at best.
     farther = (lanes.truth[:, VX] ** 2 + lanes.truth[:, VY] ** 2) / (2.0 * BRAKING)
-    passed = MISSED + np.abs(lanes.figures[:, stop.STOP_ERROR]) + farther
+    passed = MISSED + np.abs(lanes.metrics[:, stop.STOP_ERROR]) + farther
     return np.where(lanes.outcome == stop.OVERSHOT, passed, _graded(stand, stop.MISSED))
 
 

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.actuators import Actuators
-from surface_gym.plants import Field
-from surface_gym.randomisation import Randomisation
+from surface_gym.lines import Field
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Exact
 from surface_gym.settings import Settings
 
@@ -39,9 +38,9 @@ class Model(Branching):
         first = np.zeros(1, dtype=np.int64)
         self._batch.place(first, start_of(self._settings, observation))
         self._batch.begin(first)
-        surfaces, sites = self._batch.surfaces, self.lanes.site
+        surfaces, sites = self._batch.surfaces, self.parcels.site
         if (sites != sites[0]).any():  # another zone: what no action sets must be straight
             surfaces.axis[1:] = surfaces.axis[0]
         surfaces.conditions[1:] = surfaces.conditions[0]
-        for array in (*self._moves, *(getattr(self.lanes, name) for name in GIVEN)):
+        for array in (*self._moves, *(getattr(self.parcels, name) for name in GIVEN)):
             array[1:] = array[0]

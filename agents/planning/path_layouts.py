@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.dynamics.types import OMEGA, THETA, VX, VY, X
-from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING, SUCCESS
+from surface_gym.physics.types import OMEGA, THETA, VX, VY, X
 from surface_gym.settings import Settings
-from surface_gym.tasks.start import Start
+from surface_gym.state import OUT_OF_TIME, RUNNING, SUCCESS
+from surface_gym.tasks.base import Start
 from surface_gym.tasks.track import Track
 
 from ..sight import square_reach
@@ -98,10 +98,10 @@ class _Beam:
         self._plant = model.settings.chosen_plant
         stand = model.stand(1)
         self._half_length = stand.half_length
-        _, first_x, step = stand.lanes.goal[0]
+        _, first_x, step = stand.parcels.goal[0]
         x = self._plant.column_edge(0.5) + self._plant.pitch_x * np.arange(self._plant.columns)
         path = np.interp(
-            x, first_x + step * np.arange(stand.lanes.path.shape[1]), stand.lanes.path[0]
+            x, first_x + step * np.arange(stand.parcels.path.shape[1]), stand.parcels.path[0]
         )
         y = self._plant.origin[1] + self._plant.pitch_y * np.arange(self._plant.rows)
         self._left = (y[:, np.newaxis] > path).astype(np.int64)  # (rows, columns)
@@ -160,7 +160,7 @@ class _Beam:
     def _note(self, count: int) -> None:
         """Remember the best layout of all that have ended."""
         stand = self._model.stand(count)
-        lanes = stand.lanes
+        lanes = stand.parcels
         there = (lanes.outcome == SUCCESS) & (lanes.clock <= self._limit)
         # Of failures, the one that got farthest.
         cost = np.where(there, AIMS["track"].end(stand), LOST + LOST / (1.0 + lanes.truth[:, X]))
@@ -172,10 +172,10 @@ class _Beam:
     def _keep(self, count: int, laid: int) -> Integers:
         """The best lanes of those that run, none like a better one."""
         stand = self._model.stand(count)
-        runs = stand.lanes.outcome == RUNNING
+        runs = stand.parcels.outcome == RUNNING
         cost = np.where(runs, AIMS["track"].way(stand), math.inf)
         order = np.argsort(cost, kind="stable")[: np.count_nonzero(runs)]
-        kinds = np.rint(stand.lanes.state[order, : len(ALIKE)] / ALIKE).astype(np.int64)
+        kinds = np.rint(stand.parcels.state[order, : len(ALIKE)] / ALIKE).astype(np.int64)
         under = self._under(order, laid)
         _, best = np.unique(np.concatenate([kinds, under], axis=1), axis=0, return_index=True)
         return order[np.sort(best)[: self._width]]

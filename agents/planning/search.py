@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.lanes.memory import RUNNING
+from surface_gym.state import RUNNING
 
 from .aims import Aim
 from .branching import Branching
@@ -63,7 +63,7 @@ def make_plan(model: Branching, aim: Aim, width: int) -> Plan:
         aim: what is preferred.
         width: lanes that go on from a period.
     """
-    first_seen = model.lanes.observation[0].copy()
+    first_seen = model.parcels.observation[0].copy()
     event = aim.event(model)
     kept = np.zeros(1, dtype=np.int64)
     timings = _Timings(kept[:0], kept[:0]) if event is None else _Timings(kept, np.array(event[:1]))
@@ -76,12 +76,12 @@ def make_plan(model: Branching, aim: Aim, width: int) -> Plan:
         every = np.tile(np.arange(model.choices), len(kept))
         actions = np.concatenate([every, timings.actions])
         moved = model.advance(parents, actions)
-        runs = moved.lanes.outcome == RUNNING
+        runs = moved.parcels.outcome == RUNNING
         over = ~runs if len(periods) < aim.horizon - 1 else np.ones_like(runs)
         if over.any():
             cost = np.where(over, aim.end(moved), np.inf)
             best = min(best, _End(float(cost.min()), len(periods), int(cost.argmin())))
-        periods.append(_Period(parents, actions, moved.lanes.observation.copy()))
+        periods.append(_Period(parents, actions, moved.parcels.observation.copy()))
         timings = _Timings(
             np.nonzero(runs[len(every) :])[0] + len(every), timings.actions[runs[len(every) :]]
         )
@@ -102,7 +102,7 @@ def _keep(aim: Aim, moved: Stand, runs: Booleans, width: int) -> Integers:
     """The best lanes of those that run, none like a better one."""
     order = np.argsort(np.where(runs, aim.way(moved), np.inf), kind="stable")
     order = order[: np.count_nonzero(runs)]
-    like = moved.lanes.state[order, : len(ALIKE)] / ALIKE
+    like = moved.parcels.state[order, : len(ALIKE)] / ALIKE
     if moved.turning is not None:
         # Lanes that stand alike go on otherwise where their axes do.
         pushes = moved.turning.pushes(moved.braking)

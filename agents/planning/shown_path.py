@@ -5,14 +5,12 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.types import X, Y
-from surface_gym.lanes.lane import Lane
-from surface_gym.lanes.memory import PATH_POINTS
+from surface_gym.physics.jit import kernel_function
+from surface_gym.physics.types import X, Y
 from surface_gym.settings import Settings
+from surface_gym.state import PATH_POINTS, EnvState
 from surface_gym.tasks import track
-from surface_gym.tasks.start import Start
-from surface_gym.tasks.task import Feature
+from surface_gym.tasks.base import Feature, Start
 from surface_gym.tasks.track import Track
 
 from ..sight import path_sight
@@ -39,17 +37,17 @@ class ShownPath(Track):
     features = FEATURES
 
     @staticmethod
-    @lane_function
-    def observe(lane: Lane) -> None:
+    @kernel_function
+    def observe(state: EnvState) -> None:
         """Show what Track does, and the path."""
-        _observe_track(lane)
-        see = lane.observation
-        see[OWN] = lane.sensed[X]
-        see[OWN + 1] = lane.sensed[Y]
-        see[OWN + 2] = lane.goal[track.FIRST_X]
-        see[OWN + 3] = lane.goal[track.STEP_X]
+        _observe_track(state)
+        see = state.observation
+        see[OWN] = state.sensed[X]
+        see[OWN + 1] = state.sensed[Y]
+        see[OWN + 2] = state.goal[track.FIRST_X]
+        see[OWN + 3] = state.goal[track.STEP_X]
         for k in range(PATH_POINTS):
-            see[OWN + 4 + k] = lane.path[k]
+            see[OWN + 4 + k] = state.path[k]
 
 
 def with_path_shown(task: Track) -> ShownPath:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.lanes.memory import ACROSS_FACTOR, ALONG_FACTOR, Lanes
-from surface_gym.plants import Plant
+from surface_gym.lines import BaseLine
+from surface_gym.state import ACROSS_FACTOR, ALONG_FACTOR, ParcelState
 from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
 
 from ..sight import square_reach
@@ -20,10 +20,10 @@ Numbers = NDArray[np.float64]
 class Stand:
     """How the lanes of a search stand: some of their rows, and what is the same for all."""
 
-    lanes: Lanes
+    lanes: ParcelState
     half_length: float  # [m] of the base
     zone: tuple[int, int, int, int]  # first row, rows, first column, columns that obey
-    plant: Plant
+    plant: BaseLine
     conditions: Numbers  # (5,) factors of friction [-], gravity [m/s^2], as `Surfaces` has them
     corners: Numbers | None = None  # (corners, 2) [m] of the base; None: a square
     grip: Grip | None = None  # None: that of rotors alone
@@ -42,7 +42,7 @@ class Stand:
     @property
     def vx(self) -> Numbers:
         """(lanes,) [m/s] what is left of the speed along x once all axes have turned to 90 deg."""
-        vx = self.lanes.truth[:, 3]
+        vx = self.parcels.truth[:, 3]
         if self.turning is None:
             return vx
         left: Numbers = vx + self.turning.pushes(self.braking)[:, 0]
@@ -51,7 +51,7 @@ class Stand:
     @property
     def braking_way(self) -> Numbers:
         """(lanes,) [m] along x that parcels go on for if all axes turn to 0 deg from now on."""
-        x, vx = self.lanes.truth[:, 0], self.lanes.truth[:, 3]
+        x, vx = self.parcels.truth[:, 0], self.parcels.truth[:, 3]
         if self.grip is None:
             way: Numbers = vx**2 / (2.0 * self.braking)
             return way
@@ -61,7 +61,7 @@ class Stand:
 
     def reach(self, x: float, y: float) -> Numbers:
         """(lanes,) [m] how far the base reaches from its centre in a direction (x, y)."""
-        theta = self.lanes.truth[:, 2]
+        theta = self.parcels.truth[:, 2]
         if self.corners is None:
             return square_reach(self.half_length, theta)
         cosine, sine = np.cos(theta), np.sin(theta)

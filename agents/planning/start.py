@@ -5,15 +5,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.lanes.memory import PATH_POINTS
+from surface_gym.lines import Field
 from surface_gym.parcel import Parcel
-from surface_gym.plants import Field
 from surface_gym.settings import Settings
-from surface_gym.tasks.line import zone_of
+from surface_gym.state import PATH_POINTS
+from surface_gym.tasks.base import Start
+from surface_gym.tasks.line import zone_span
 from surface_gym.tasks.orient import Orient
 from surface_gym.tasks.slow import Slow
 from surface_gym.tasks.sort import Sort
-from surface_gym.tasks.start import Start
 from surface_gym.tasks.stop import Stop
 from surface_gym.tasks.track import AHEAD
 
@@ -49,7 +49,7 @@ def _on_line(settings: Settings, see: LineSight) -> Start:
     task, plant = settings.chosen_task, settings.chosen_plant
     assert isinstance(task, (Sort, Slow, Stop, Orient))
     parcel = nearest_parcel(settings, float(see.half_length[0]))
-    x = zone_of(plant, parcel, settings.zone)[0] + float(see.into_zone[0])
+    x = zone_span(plant, parcel, settings.zone)[0] + float(see.into_zone[0])
     pose = (x, plant.line_y + float(see.offset[0]), float(see.theta[0]))
     velocity = (float(see.vx[0]), float(see.vy[0]), float(see.omega[0]))
     if isinstance(task, Sort):

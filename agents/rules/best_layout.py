@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym.settings import Settings
-from surface_gym.tasks.start import Start
+from surface_gym.tasks.base import Start
 
 from ..planning.layouts import LayoutModel
 from ..planning.line_layouts import LAYOUTS, SEARCHES, best_line_layout

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surface_gym.dynamics.types import GRAVITY
+from surface_gym.physics.types import GRAVITY
 from surface_gym.settings import Settings
 from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
 

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from surface_gym.plants import Plant
+from surface_gym.lines import BaseLine
 from surface_gym.settings import Settings
 
 from ..sight import LineSight, line_sight
@@ -26,7 +26,7 @@ Row = tuple[float, ...]
 
 @lru_cache(maxsize=1024)
 def loss_of_layout(
-    half_length: float, site_plan: Plant, zone: tuple[int, int] | None, axes: tuple[Row, ...]
+    half_length: float, site_plan: BaseLine, zone: tuple[int, int] | None, axes: tuple[Row, ...]
 ) -> Numbers:
     """(places,) [m^2/s^2] how much of the squared entry speed a box has lost, by the way it went.
 

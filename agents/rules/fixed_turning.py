@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from surface_gym.layouts import ROLLING
-from surface_gym.plants import Plant
+from surface_gym.lines import BaseLine
 from surface_gym.settings import Settings
 
 from ..sight import line_sight, square_reach
@@ -22,7 +22,7 @@ STEP = 0.005  # [s] of a run
 def angle_at_exit(
     half_length: float,
     speed: float,
-    site_plan: Plant,
+    site_plan: BaseLine,
     zone: tuple[int, int] | None,
     rows: int,
     columns: int,

@@ -5,7 +5,7 @@ from math import gamma
 
 import numpy as np
 
-from surface_gym.plants import Line
+from surface_gym.lines import Line
 from surface_gym.settings import Settings
 
 from ..sight import LineSight

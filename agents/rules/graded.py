@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.actions import ANY
+from surface_gym.core.actions import ANY
 from surface_gym.design.sorting_layouts import sorting_layouts
 from surface_gym.layouts import ROLLING
 from surface_gym.settings import Settings

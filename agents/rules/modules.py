@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surface_gym.actions import ActionKind
+from surface_gym.core.actions import ActionKind
 
 from ..sight import LineSight, PathSight
 from .lane_rule import Booleans, Numbers

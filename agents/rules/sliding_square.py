@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from surface_gym.dynamics.types import GRAVITY
+from surface_gym.physics.types import GRAVITY
 from surface_gym.tasks.line import BRAKING
 
 from .lane_rule import Numbers

@@ -4,7 +4,7 @@ import numpy as np
 
 import surface_gym as sg
 from surface_gym.layouts import ROLLING
-from surface_gym.plants import Plant
+from surface_gym.lines import BaseLine
 
 from .lane_rule import Numbers
 
@@ -21,7 +21,7 @@ def run_over(
     zone_axis: Numbers,
     half_length: float,
     speed: float,
-    site_plan: Plant,
+    site_plan: BaseLine,
     zone: tuple[int, int] | None,
     dt: float,
 ) -> sg.Trajectory:

@@ -11,31 +11,32 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym.actions.commands import (
+from surface_gym.core.actions import (
     Acting,
+    ActionKind,
     aim_at_angle,
     aim_at_choice,
     straighten_targets,
     turn_axes,
 )
-from surface_gym.actions.kinds import ActionKind
-from surface_gym.batch.kernels import Function, Functions, Rules, obeying, showing
-from surface_gym.dynamics.axes import axis_direction
-from surface_gym.dynamics.compiled import compiled
-from surface_gym.dynamics.contacts import forget_contacts
-from surface_gym.dynamics.types import Array, Scratch
-from surface_gym.lanes.lane import lane_of, read_truth
-from surface_gym.lanes.memory import (
+from surface_gym.core.kernel import EnvParams, Function, KernelFunctions, obeying, showing
+from surface_gym.physics.contacts import invalidate_contacts
+from surface_gym.physics.jit import compiled
+from surface_gym.physics.step import axis_direction
+from surface_gym.physics.types import Array, Scratch
+from surface_gym.sensors.base import Physics
+from surface_gym.sensors.camera import EVERY, LAG
+from surface_gym.state import (
     COLUMNS,
     FIRST_COLUMN,
     FIRST_ROW,
     ROWS,
-    Lanes,
-    Sites,
-    Surfaces,
+    BodyTable,
+    ParcelState,
+    SurfaceState,
+    env_state,
+    read_truth,
 )
-from surface_gym.sensors.camera import EVERY, LAG
-from surface_gym.sensors.sensor import Physics
 
 NEVER = 2.0**40  # physics steps from frame to frame: none is taken
 
@@ -51,7 +52,9 @@ def looks_of(numbers: Array) -> tuple[Array, Array]:
 
 
 @compiled
-def use_encoders(surfaces: Surfaces, sites: Sites, site: int, i: int, angles: Array) -> None:
+def use_encoders(
+    surfaces: SurfaceState, sites: BodyTable, site: int, i: int, angles: Array
+) -> None:
     """Put the axes of a lane's zone to angles (rows, columns) [rad] of the widest zone's."""
     zone = sites.zone[site]
     margin = (angles.shape[0] - zone[ROWS]) // 2
@@ -67,19 +70,21 @@ def use_encoders(surfaces: Surfaces, sites: Sites, site: int, i: int, angles: Ar
 
 
 @lru_cache(maxsize=16)
-def make_begin(functions: Functions) -> Any:
+def make_begin(functions: KernelFunctions) -> Any:
     """`begin(rules, surfaces, lanes, sites, i)`: axes as the conveyor's, the estimate what is known
     of the entry, which is in `lanes.state`.
     """
     task_begin, sensor_begin = functions.begin, functions.begin_sensor
 
-    def begin_lane(rules: Rules, surfaces: Surfaces, lanes: Lanes, sites: Sites, i: int) -> None:
+    def begin_lane(
+        rules: EnvParams, surfaces: SurfaceState, lanes: ParcelState, sites: BodyTable, i: int
+    ) -> None:
         straighten_targets(rules.acting, surfaces, i)
         lanes.clock[i] = 0.0
         lanes.steps[i] = 0
         lanes.period[i] = 0.0
         lanes.noise_row[i, 0] = 0
-        lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
+        lane = env_state(surfaces, lanes, sites, i, i, rules.elements)
         read_truth(lane)
         sensor_begin(rules.sensor, lane)
         task_begin(lane)
@@ -95,10 +100,10 @@ def make_move(look: Function, label: str) -> Any:
     """
 
     def move_lane(
-        rules: Rules,
-        surfaces: Surfaces,
-        lanes: Lanes,
-        sites: Sites,
+        rules: EnvParams,
+        surfaces: SurfaceState,
+        lanes: ParcelState,
+        sites: BodyTable,
         scratch: Scratch,
         i: int,
         length: float,
@@ -110,27 +115,29 @@ def make_move(look: Function, label: str) -> Any:
     ) -> None:
         physics = Physics(rules.assumed, rules.stiffness, scratch, length)
         acting = Acting(rules.acting.zone_rows, rules.acting.orientations, axis_speed * length)
-        forget_contacts(scratch)
+        invalidate_contacts(scratch)
         lanes.noise_row[i, 0] = 0
         for k in range(steps):
             lanes.clock[i] += length
             lanes.steps[i] += 1
-            lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
+            lane = env_state(surfaces, lanes, sites, i, i, rules.elements)
             if turn_axes(acting, surfaces, i, lane.zone):
-                forget_contacts(scratch)
+                invalidate_contacts(scratch)
             look(looking if looks and k == steps - 1 else coasting, lane, physics)
 
     return compiled(move_lane, f"shadow-move-{label}")
 
 
 @lru_cache(maxsize=16)
-def make_show(functions: Functions) -> Any:
+def make_show(functions: KernelFunctions) -> Any:
     """`show(rules, surfaces, lanes, sites, i)`: the observation of a lane's estimate."""
     task_observe, task_mirror = functions.observe, functions.mirror
     estimate, show_more = functions.estimate, showing(functions)
 
-    def show_lane(rules: Rules, surfaces: Surfaces, lanes: Lanes, sites: Sites, i: int) -> None:
-        lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
+    def show_lane(
+        rules: EnvParams, surfaces: SurfaceState, lanes: ParcelState, sites: BodyTable, i: int
+    ) -> None:
+        lane = env_state(surfaces, lanes, sites, i, i, rules.elements)
         estimate(rules.sensor, lane)
         mirror = task_mirror(lane)
         task_observe(lane)
@@ -144,8 +151,10 @@ def make_obey(kind: ActionKind, mirror_of: Function) -> Any:
     """`obey(rules, surfaces, lanes, sites, i)`: what a lane's command has its modules turn to."""
     obey_command = obeying(kind.part_of, aim_at_angle if kind.continuous else aim_at_choice)
 
-    def obey_lane(rules: Rules, surfaces: Surfaces, lanes: Lanes, sites: Sites, i: int) -> None:
-        lane = lane_of(surfaces, lanes, sites, i, i, rules.elements)
+    def obey_lane(
+        rules: EnvParams, surfaces: SurfaceState, lanes: ParcelState, sites: BodyTable, i: int
+    ) -> None:
+        lane = env_state(surfaces, lanes, sites, i, i, rules.elements)
         obey_command(rules, surfaces, lane, i, mirror_of(lane))
 
     return compiled(obey_lane, f"shadow-{kind.name}-{'angles' if kind.continuous else 'choices'}")

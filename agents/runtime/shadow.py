@@ -14,21 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import bounds, checks
-from surface_gym.actions.kinds import ActionKind
-from surface_gym.actuators import Actuators
-from surface_gym.batch.functions import functions_of
-from surface_gym.batch.making import memory_of, rules_of
-from surface_gym.batch.placement import Placement, placement_of
-from surface_gym.batch.sites import SitePlan
-from surface_gym.dynamics.compiled import entry_of
-from surface_gym.dynamics.memory import make_scratch
-from surface_gym.dynamics.types import GRAVITY
-from surface_gym.lanes.memory import GRAVITY_ALONG, GRAVITY_NORMAL, PATH_POINTS
+from surface_gym import checks
+from surface_gym.core.actions import ActionKind
+from surface_gym.core.batch import functions_of, memory_of, rules_of
+from surface_gym.core.resets import BodyPlan, Placement, place_parcel
 from surface_gym.parcel import Parcel
-from surface_gym.randomisation import Randomisation
+from surface_gym.physics.jit import compile_for
+from surface_gym.physics.types import GRAVITY, make_scratch
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.settings import Settings
-from surface_gym.tasks.start import Parcels
+from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, PATH_POINTS
+from surface_gym.tasks.base import Parcels
 
 from .axis_guard import within_right_angles
 from .device import Angles, Entered, Frame
@@ -55,7 +51,7 @@ class Shadow:
     """
 
     def __init__(self, settings: Settings) -> None:
-        self._axis_speed = min(settings.actuators.axis_speed, bounds.AXIS_SPEED[1])
+        self._axis_speed = min(settings.actuators.axis_speed, checks.AXIS_SPEED[1])
         self.settings = replace(
             settings,
             sensors=camera_of(settings.sensors),
@@ -69,7 +65,7 @@ class Shadow:
         self._surfaces, self._lanes = memory_of(self.settings, len(LANES))
         self._lanes.noise[:, :, 3] = NOT_LOST
         plant, kind = self.settings.chosen_plant, self.settings.action_kind
-        self._plan = SitePlan((), self._placement, len(LANES), (plant.rows, plant.columns))
+        self._plan = BodyPlan((), self._placement, len(LANES), (plant.rows, plant.columns))
         self._scratch = make_scratch()
         self._told: deque[Told] = deque()
         self._at = 0.0  # [s] of the lane SEEN
@@ -83,23 +79,23 @@ class Shadow:
         """All that is called, for arrays as they are, so that nothing is compiled later."""
         functions, given = functions_of(self.settings), self._arrays
         self._mirror = functions.mirror
-        self._begin = entry_of(make_begin(functions), *given, SEEN)
-        self._show = entry_of(make_show(functions), *given, NOW)
+        self._begin = compile_for(make_begin(functions), *given, SEEN)
+        self._show = compile_for(make_show(functions), *given, NOW)
         move = make_move(functions.look, type(self.settings.sensors).__name__)
-        self._move = entry_of(move, *given, self._scratch, SEEN, 0.1, 1, 0.1, True, *self._looks)
-        sites, axes = self._plan.sites, np.zeros(self.shape)
-        self._use_axes = entry_of(use_encoders, self._surfaces, sites, 0, SEEN, axes)
+        self._move = compile_for(move, *given, self._scratch, SEEN, 0.1, 1, 0.1, True, *self._looks)
+        sites, axes = self._plan.bodies, np.zeros(self.shape)
+        self._use_axes = compile_for(use_encoders, self._surfaces, sites, 0, SEEN, axes)
 
     @property
     def _arrays(self) -> tuple[Any, ...]:
-        return self._rules, self._surfaces, self._lanes, self._plan.sites
+        return self._rules, self._surfaces, self._lanes, self._plan.bodies
 
     def _placement(self, parcel: Parcel) -> Placement:
-        return placement_of(parcel, self.settings.chosen_plant, self.settings.zone)
+        return place_parcel(parcel, self.settings.chosen_plant, self.settings.zone)
 
     def _settle(self, parcel: Parcel) -> None:
         parcels = Parcels((parcel,), np.zeros(len(LANES), dtype=np.int64))
-        self._lanes.site[:] = self._plan.sites_of(LANES, parcels)
+        self._lanes.site[:] = self._plan.bodies_of(LANES, parcels)
 
     def enter(self, entered: Entered) -> None:
         """Begin with a parcel.
@@ -153,7 +149,7 @@ class Shadow:
             self._told.popleft()
         if axes is not None:
             site = int(self._lanes.site[SEEN])
-            self._use_axes(self._surfaces, self._plan.sites, site, SEEN, np.array(axes))
+            self._use_axes(self._surfaces, self._plan.bodies, site, SEEN, np.array(axes))
         return True
 
     def observe(self, now: float) -> NDArray[np.float32]:
@@ -190,14 +186,14 @@ class Shadow:
         surfaces = self._surfaces._replace(command=np.zeros((len(LANES), kind.size), dtype=dtype))
         obey = make_obey(kind, self._mirror)
         rules, _, lanes, sites = self._arrays
-        return Resolver(entry_of(obey, rules, surfaces, lanes, sites, NOW), surfaces)
+        return Resolver(compile_for(obey, rules, surfaces, lanes, sites, NOW), surfaces)
 
     def resolve(self, resolver: Resolver, command: NDArray[Any]) -> Angles:
         """(rows, columns) [rad] that a command (size,) of some kind has the zone's modules turn
         to, by the parcel's place at the time last observed.
         """
         resolver.surfaces.command[NOW] = command
-        resolver.obey(self._rules, resolver.surfaces, self._lanes, self._plan.sites, NOW)
+        resolver.obey(self._rules, resolver.surfaces, self._lanes, self._plan.bodies, NOW)
         return self._of_zone(self._surfaces.target[NOW])
 
     def tell(self, command: int, at: float) -> None:
@@ -236,4 +232,4 @@ class Shadow:
 
     def _of_zone(self, whole: NDArray[np.float64]) -> Angles:
         """Of the whole surface's (rows, columns) those of the widest zone."""
-        return of_zone(whole, self._plan.sites.zone[self._lanes.site[NOW]], self.shape)
+        return of_zone(whole, self._plan.bodies.zone[self._lanes.site[NOW]], self.shape)

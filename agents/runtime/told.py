@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.lanes.memory import Surfaces
+from surface_gym.state import SurfaceState
 
 
 @dataclass
@@ -23,7 +23,7 @@ class Resolver:
     """Turns commands of one kind into axes; see `Shadow.resolve`."""
 
     obey: Callable[..., None]  # the compiled function
-    surfaces: Surfaces  # the shadow's, with room for such commands
+    surfaces: SurfaceState  # the shadow's, with room for such commands
 
 
 @dataclass

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks
-from surface_gym.bases import Base, Disc, Polygon, Rectangle
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 
 from .device import Angles, AxesTaken, Entered, Frame, Left, Message
 

@@ -7,16 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.actions import ANY
-from surface_gym.bases import Base, Disc, Polygon
-from surface_gym.batch.batch import Batch
-from surface_gym.dynamics.types import COM_HEIGHT, MASS, RADIUS
-from surface_gym.lanes.lane import Lane
-from surface_gym.lanes.memory import GRAVITY_ALONG, GRAVITY_NORMAL, RUNNING
+from surface_gym.core.actions import ANY
+from surface_gym.core.batch import Batch
 from surface_gym.layouts import ROLLING
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Base, Disc, Parcel, Polygon
+from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
 from surface_gym.sensors import Exact
 from surface_gym.settings import Settings
+from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, RUNNING, EnvState
 
 from .axis_guard import AxisGuard
 from .device import Angles, AxesTaken, Entered, Frame, Left, Message, Triple
@@ -133,7 +131,7 @@ class World:
                     said.append((self._now + self._latency, frame))
             if self._present:
                 ends = self._batch.outcome[0] != RUNNING
-                if ends or self._batch.lanes.steps[0] >= self._limit:
+                if ends or self._batch.parcels.steps[0] >= self._limit:
                     said.append((self._now, self._leave(bool(ends))))
         return said
 
@@ -142,28 +140,28 @@ class World:
         self._batch.start(ONLY)
         self._present = True
         self._number += 1
-        lane, entry = self._batch.view(0), self._camera.entry
+        state, entry = self._batch.view(0), self._camera.entry
         spread = np.array(
             [entry.position] * 2 + [entry.angle] + [entry.speed] * 2 + [entry.turning]
         )
-        known = lane.truth + spread * self._noise.standard_normal(6)
+        known = state.truth + spread * self._noise.standard_normal(6)
         return Entered(
             self._number,
             self._now,
-            _seen_parcel(lane),
+            _seen_parcel(state),
             _triple(known[:3]),
             _triple(known[3:]),
-            tuple(lane.goal.tolist()),
-            math.atan2(lane.surface[GRAVITY_ALONG], lane.surface[GRAVITY_NORMAL]),
-            lane.path.copy() if len(lane.path) else None,
+            tuple(state.goal.tolist()),
+            math.atan2(state.surface[GRAVITY_ALONG], state.surface[GRAVITY_NORMAL]),
+            state.path.copy() if len(state.path) else None,
         )
 
     def _leave(self, ends: bool) -> Left:
-        lanes, task = self._batch.lanes, self._batch.task
+        lanes, task = self._batch.parcels, self._batch.task
         self._present = False
         self._enters = self._now + self._options.pause
         outcome = self._batch.outcomes[int(lanes.outcome[0])] if ends else "out of time"
-        figures = dict(zip(task.figures, lanes.figures[0].tolist(), strict=True))
+        figures = dict(zip(task.metrics, lanes.metrics[0].tolist(), strict=True))
         return Left(self._number, outcome, figures)
 
     def _take(self) -> Frame | None:
@@ -175,7 +173,7 @@ class World:
         if not self._present:
             return Frame(self._now)
         spread = np.array([camera.position_noise] * 2 + [camera.angle_noise])
-        pose = self._batch.lanes.truth[0, :3] + spread * noise
+        pose = self._batch.parcels.truth[0, :3] + spread * noise
         axes = None
         if self._options.encoders:
             axes = of_zone(self._batch.axes(0), self._batch.view(0).zone, self.shape)
@@ -186,16 +184,16 @@ class World:
         return every > 0.0 and (self._now - self._begun) % every > every - self._options.mute_for
 
 
-def _seen_parcel(lane: Lane) -> Parcel:
+def _seen_parcel(state: EnvState) -> Parcel:
     """What a picture and a scale tell of a lane's parcel: not where its load lies."""
-    corners: NDArray[np.float64] = lane.corners
+    corners: NDArray[np.float64] = state.corners
     base: Base
     if np.ptp(corners, axis=0).max() == 0.0:
-        base = Disc(float(lane.body[RADIUS]))
+        base = Disc(float(state.body[RADIUS]))
     else:
         apart = np.abs(corners - np.roll(corners, 1, axis=0)).max(axis=1) > 0.0
         base = Polygon(corners[apart])
-    return Parcel(base, mass=float(lane.body[MASS]), com_height=float(lane.body[COM_HEIGHT]))
+    return Parcel(base, mass=float(state.body[MASS]), com_height=float(state.body[COM_HEIGHT]))
 
 
 def _triple(values: NDArray[np.float64]) -> Triple:

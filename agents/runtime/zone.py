@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.dynamics.types import Integers
-from surface_gym.lanes.memory import COLUMNS, FIRST_COLUMN, FIRST_ROW, ROWS
 from surface_gym.layouts import ROLLING
+from surface_gym.physics.types import Integers
+from surface_gym.state import COLUMNS, FIRST_COLUMN, FIRST_ROW, ROWS
 
 from .device import Angles
 

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.progress import track
 
 from benchmarks.figure import table_of
-from surface_gym.gpu.needs import check_device
+from surface_gym.cuda.env import check_device
 
 
 class NotMeasured(RuntimeError):

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import torch
 
 from benchmarks.gpu.lanes import DeviceLanes
-from surface_gym.gpu.starts import Laid
+from surface_gym.cuda.prefetch import Laid
 
 STEPS = 256  # control periods whose parts are marked
 Mark = Any

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.gpu.windows import Effort, Rate, rate_of
-from surface_gym.dynamics.types import GRAVITY
+from surface_gym.physics.types import GRAVITY
 from surface_gym.validation.cases import PARCEL, PUSHED
 from surface_gym.validation.reach import reachable, under
 from surface_gym.validation.recipe import RECIPE, Recipe

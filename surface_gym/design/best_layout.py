@@ -19,7 +19,7 @@ from surface_gym.design.search import Effort, Score, search
 from surface_gym.design.shortfall import shortfall
 from surface_gym.design.space import Space
 from surface_gym.layouts import ROLLING
-from surface_gym.plants import ORIENTATIONS
+from surface_gym.lines import ORIENTATIONS
 from surface_gym.sharing import Workers, check_workers
 
 Booleans = NDArray[np.bool_]

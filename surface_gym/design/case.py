@@ -11,7 +11,7 @@ from surface_gym.design.line import DesignLine, line_for
 from surface_gym.design.purposes import Purpose, Sort
 from surface_gym.design.runs import STEP, Runs, make_runs
 from surface_gym.parcel import Parcel
-from surface_gym.randomisation import Drawn, Randomisation
+from surface_gym.randomisation import RandomDraw, Randomisation
 
 Booleans = NDArray[np.bool_]
 Numbers = NDArray[np.float64]
@@ -150,7 +150,7 @@ def draw(unknown: Unknown, parcel: Parcel, line: DesignLine, count: int, seed: i
 
     So a draw does not depend on how many there are; on a longer line it is another.
     """
-    drawn: list[Drawn] = []
+    drawn: list[RandomDraw] = []
     extra: list[tuple[float, float]] = []
     for k in range(count):
         rng = np.random.default_rng((seed, k))

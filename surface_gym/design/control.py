@@ -17,7 +17,7 @@ from surface_gym.design.line import DesignLine
 from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
 from surface_gym.design.sending import Advance
 from surface_gym.find_agents import import_agents
-from surface_gym.plants import Line
+from surface_gym.lines import Line
 from surface_gym.randomisation import Randomisation
 
 SPEED_STEP = 0.02  # [m/s] between the entry speeds that are tried

@@ -16,7 +16,7 @@ from surface_gym import checks
 from surface_gym.design.case import Case
 from surface_gym.design.runs import make_runs, run_all
 from surface_gym.layouts import ROLLING
-from surface_gym.plants import ORIENTATIONS
+from surface_gym.lines import ORIENTATIONS
 from surface_gym.sharing import Workers, check_workers
 
 AT_ONCE = 4096  # runs in one go, about

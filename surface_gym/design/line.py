@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import bounds, checks
+from surface_gym import checks
 from surface_gym.layouts import ROLLING, lead_in_under, rows_under
 from surface_gym.parcel import Parcel
 from surface_gym.surface import Pitched, Surface
@@ -24,7 +24,7 @@ class DesignLine(Pitched):
 
     Raises:
         ValueError: a count below 1, a pitch that is not positive, negative friction, `mu_min`
-            greater than `mu_max`, or a number beyond `surface_gym.bounds`.
+            greater than `mu_max`, or a number beyond `surface_gym.checks`.
     """
 
     rows: int  # of rotors
@@ -39,15 +39,15 @@ class DesignLine(Pitched):
 
     def __post_init__(self) -> None:
         for name in ("rows", "columns", "lead_in", "run_out", "beside"):
-            checks.integer(name, getattr(self, name), least=1, most=bounds.ELEMENTS)
+            checks.integer(name, getattr(self, name), least=1, most=checks.ELEMENTS)
         object.__setattr__(self, "pitch", checks.pitch("pitch", self.pitch))
         for name in ("mu_max", "mu_min", "mu_support"):
-            mu = checks.not_negative(name, getattr(self, name), bounds.FRICTION)
+            mu = checks.not_negative(name, getattr(self, name), checks.FRICTION)
             object.__setattr__(self, name, mu)
         checks.rolling(self.mu_max, self.mu_min)
-        if math.prod(self.shape) > bounds.ELEMENTS:
+        if math.prod(self.shape) > checks.ELEMENTS:
             raise ValueError(
-                f"rows times columns must be at most {bounds.ELEMENTS:_}, got {self.shape}"
+                f"rows times columns must be at most {checks.ELEMENTS:_}, got {self.shape}"
             )
 
     @property

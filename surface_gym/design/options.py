@@ -9,13 +9,12 @@ import numpy as np
 import tyro
 
 from surface_gym import checks
-from surface_gym.bases import Base, Disc, Polygon, Rectangle
 from surface_gym.cores import usable_cores
 from surface_gym.design.case import Case, Unknown
 from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
 from surface_gym.design.runs import STEP
 from surface_gym.layouts import box
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.sharing import Workers, workers_of
 
 Degrees = Annotated[float, tyro.conf.arg(metavar="DEG")]

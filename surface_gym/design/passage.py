@@ -5,11 +5,11 @@ Nothing is recorded on the way but what a design asks for. The step is the one o
 
 from typing import NamedTuple
 
-from surface_gym.dynamics.company import body_of
-from surface_gym.dynamics.compiled import compiled, inlined
-from surface_gym.dynamics.contacts import forget_contacts
-from surface_gym.dynamics.step import OFF_SURFACE, TIPPING, step_implicit
-from surface_gym.dynamics.types import (
+from surface_gym.physics.collision import read_body
+from surface_gym.physics.contacts import invalidate_contacts
+from surface_gym.physics.jit import compiled, inlined
+from surface_gym.physics.step import OFF_SURFACE, TIPPING, step_implicit
+from surface_gym.physics.types import (
     AX,
     AY,
     OMEGA,
@@ -28,7 +28,7 @@ from surface_gym.dynamics.types import (
     Places,
     Scratch,
 )
-from surface_gym.lanes.memory import (
+from surface_gym.state import (
     ACROSS_FACTOR,
     ALONG_FACTOR,
     GRAVITY_ALONG,
@@ -149,9 +149,9 @@ def send(
         number = passages.number[run]
         state = passages.state[run]
         grid = grid_of(deck, number, passages.condition[run])
-        body = body_of(bodies, number[PARCEL])
+        body = read_body(bodies, number[PARCEL])
         radius = bodies.body[number[PARCEL], RADIUS]
-        forget_contacts(scratch)
+        invalidate_contacts(scratch)
         how = OUT_OF_TIME
         touched = -1
         tipped = 0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import bounds, checks
+from surface_gym import checks
 from surface_gym.design.line import DesignLine
 from surface_gym.design.passage import AT_REST, OUT, PAST
 from surface_gym.design.runs import Ends, Runs
@@ -116,7 +116,7 @@ class Slow(_Braking):
         if not 0.0 < checks.number("ratio", self.ratio) < 1.0:
             raise ValueError(f"ratio must be between 0 and 1, got {self.ratio!r}")
         if self.tolerance is not None:
-            checks.positive("tolerance", self.tolerance, most=bounds.LENGTH[1])
+            checks.positive("tolerance", self.tolerance, most=checks.LENGTH[1])
 
     def succeeds(self, line: DesignLine, runs: Runs, ends: Ends) -> Booleans:
         left = self.measure(line, runs, ends)
@@ -145,8 +145,8 @@ class Stop(_Braking):
 
     def __post_init__(self) -> None:
         if self.place is not None:
-            checks.within("place", self.place, -bounds.FARTHEST, bounds.FARTHEST)
-        checks.positive("tolerance", self.tolerance, most=bounds.LENGTH[1])
+            checks.within("place", self.place, -checks.FARTHEST, checks.FARTHEST)
+        checks.positive("tolerance", self.tolerance, most=checks.LENGTH[1])
 
     def succeeds(self, line: DesignLine, runs: Runs, ends: Ends) -> Booleans:
         rest = self.measure(line, runs, ends)
@@ -174,9 +174,9 @@ class Turn(Purpose):
     leaves_zone = True
 
     def __post_init__(self) -> None:
-        if checks.within("angle", self.angle, -bounds.TURNED, bounds.TURNED) == 0.0:
+        if checks.within("angle", self.angle, -checks.TURNED, checks.TURNED) == 0.0:
             raise ValueError(f"angle must not be 0, got {self.angle!r}")
-        checks.positive("tolerance", self.tolerance, most=bounds.LENGTH[1])
+        checks.positive("tolerance", self.tolerance, most=checks.LENGTH[1])
 
     def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
         """One half of the rows turned, the other rolling; see also `best_layout.best_layout`."""

@@ -24,7 +24,7 @@ from surface_gym.design.sending import Advance
 from surface_gym.design.sensitivity import sensitivity
 from surface_gym.design.size_map import success_map
 from surface_gym.design.tables_of_layout import layout_tables
-from surface_gym.plants import ORIENTATIONS
+from surface_gym.lines import ORIENTATIONS
 
 SPEED_STEP = 0.1  # [m/s] of the picture of columns
 ZONE = 16  # columns of a layout, where nothing else is said

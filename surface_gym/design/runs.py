@@ -19,14 +19,12 @@ from surface_gym.design.passage import (
     Passages,
 )
 from surface_gym.design.sending import Advance, send_all
-from surface_gym.dynamics.axes import directions_of
-from surface_gym.dynamics.memory import check_capacity
-from surface_gym.dynamics.states import each, states_of
-from surface_gym.dynamics.types import GRAVITY
 from surface_gym.parcel import Parcel
+from surface_gym.physics.step import axis_directions, com_states, map_floats
+from surface_gym.physics.types import GRAVITY, check_capacity
 from surface_gym.sharing import Workers
 from surface_gym.simulation import base_motion
-from surface_gym.together import bodies_of
+from surface_gym.together import make_bodies
 
 STEP = 0.005  # [s] of a run, where nothing else is said
 LONGEST = 20.0  # [s] a run may take
@@ -127,7 +125,7 @@ def run_all(
             len(parcel.body.edges), parcel.body.radius, (line.pitch_x, line.pitch_y),
             line.shape[::-1],
         )  # fmt: skip
-    bodies = bodies_of(parcels)
+    bodies = make_bodies(parcels)
     passages = _passages(line, parcels, runs, dt)
     send_all(deck, bodies, passages, dt, workers, advance)
     return _ends(line, parcels, runs, passages, dt)
@@ -139,7 +137,7 @@ def _deck(line: DesignLine, layouts: Numbers, stiffness: Numbers | None) -> Deck
     each_mu = (line.mu_max, line.mu_min, line.mu_support)
     return Deck(
         axis=places.reshape(axes.shape).astype(np.int32),
-        direction=directions_of(angles),
+        direction=axis_directions(angles),
         rotor=line.rotor.copy(),
         stiffness=np.ones((1, *line.shape)) if stiffness is None else stiffness.astype(float),
         friction=np.broadcast_to(np.array(each_mu), (*line.shape, 3)).copy(),
@@ -158,7 +156,7 @@ def _passages(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: float
     number[:, PARCEL] = runs.parcel
     number[:, EXIT] = np.where(runs.columns < 0, line.shape[1], line.lead_in + runs.columns)
     number[:, STEPS] = round(LONGEST / dt)
-    gravity = [GRAVITY * each(function, runs.tilt) for function in (math.sin, math.cos)]
+    gravity = [GRAVITY * map_floats(function, runs.tilt) for function in (math.sin, math.cos)]
     starts = np.array([line.start(parcel) for parcel in parcels])[runs.parcel]
     starts[:, 1] += runs.aside
     starts[:, 2] += runs.turned
@@ -168,7 +166,7 @@ def _passages(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: float
     return Passages(
         number=number,
         condition=np.column_stack([runs.friction, *gravity]),
-        state=states_of(centres, starts, velocity),
+        state=com_states(centres, starts, velocity),
         end=np.zeros((count, 4), dtype=np.int64),
     )
 

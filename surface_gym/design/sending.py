@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym.design.passage import STEPS, Deck, Passages, send
-from surface_gym.dynamics.memory import make_scratch
-from surface_gym.dynamics.types import Bodies, Scratch
+from surface_gym.physics.types import Bodies, Scratch, make_scratch
 from surface_gym.sharing import Cluster, Workers, quiet, share
 
 CHUNK = 32  # runs that a thread takes at a time

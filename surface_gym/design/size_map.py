@@ -9,13 +9,13 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import bounds, checks
+from surface_gym import checks
 from surface_gym.design.case import Case, Draws
 from surface_gym.design.line import DesignLine, line_for
 from surface_gym.design.sending import Advance
 from surface_gym.design.sweep import Arrangement, arrange, groups_of, own_conditions, shares
-from surface_gym.dynamics.memory import check_capacity
 from surface_gym.parcel import Parcel
+from surface_gym.physics.types import check_capacity
 from surface_gym.sharing import Workers
 from surface_gym.whole_files import replacing
 
@@ -75,7 +75,7 @@ def success_map(
     for speed in over.tolist():
         checks.within("speeds", speed, 0.0, 20.0)
     for size in factors.tolist():
-        checks.positive("sizes", size, *bounds.LENGTH)
+        checks.positive("sizes", size, *checks.LENGTH)
     arrangement = arrange(case, columns, rows, workers)
     keeper = None if checkpoint is None else Path(checkpoint)
     told = _told(arrangement, over, factors)

@@ -17,7 +17,7 @@ from surface_gym.design.case import Case
 from surface_gym.design.purposes import Sort
 from surface_gym.design.search import Effort
 from surface_gym.layouts import box
-from surface_gym.plants import ORIENTATIONS
+from surface_gym.lines import ORIENTATIONS
 from surface_gym.sharing import Workers
 from surface_gym.whole_files import replacing
 

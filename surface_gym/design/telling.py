@@ -2,7 +2,6 @@
 
 import math
 
-from surface_gym.bases import Base, Disc, Polygon, Rectangle
 from surface_gym.design.best_layout import BestLayout
 from surface_gym.design.case import TOGETHER, WORST, Case, enough
 from surface_gym.design.columns import MOST, Columns
@@ -11,6 +10,7 @@ from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
 from surface_gym.design.sensitivity import Bar, Sensitivity
 from surface_gym.design.size_map import SuccessMap
 from surface_gym.design.sweep import NOMINAL, Arrangement
+from surface_gym.parcel import Base, Disc, Polygon, Rectangle
 
 MOST_DRAWS = f"{1.0 - WORST:.0%} of the draws"
 MASS = (

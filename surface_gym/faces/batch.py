@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.dynamics.types import Array, Integers
+from surface_gym.physics.types import Array, Integers
 
 
 class Acts(Protocol):

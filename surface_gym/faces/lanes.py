@@ -11,9 +11,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.dynamics.types import Integers
 from surface_gym.faces.single import RENDER_FPS, checked_mode
-from surface_gym.tasks.start import check_options
+from surface_gym.physics.types import Integers
+from surface_gym.tasks.base import check_options
 
 Booleans = NDArray[np.bool_]
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.faces.batch import Acts, Driven
-from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING
-from surface_gym.tasks.start import check_options
+from surface_gym.state import OUT_OF_TIME, RUNNING
+from surface_gym.tasks.base import check_options
 
 RENDER_FPS = 25  # pictures a second at the default control period of 40 ms: real time
 

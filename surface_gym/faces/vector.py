@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.faces.batch import Acts, Driven
 from surface_gym.faces.lanes import Booleans, LanesEnv
-from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING
+from surface_gym.state import OUT_OF_TIME, RUNNING
 
 Observations = NDArray[np.float32]
 

@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from surface_gym.actions import ActionKind
+from surface_gym.core.actions import ActionKind
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import bounds, checks
+from surface_gym import checks
 from surface_gym.parcel import Parcel
 
 Numbers = NDArray[np.float64]
@@ -65,7 +65,7 @@ class Steady(Law):
     rate: float  # [parcels/h]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rate", checks.positive("rate", self.rate, *bounds.RATE))
+        object.__setattr__(self, "rate", checks.positive("rate", self.rate, *checks.RATE))
 
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:  # noqa: ARG002
         gap = HOUR / self.rate
@@ -84,7 +84,7 @@ class Spread(Law):
     spread: float  # [-]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rate", checks.positive("rate", self.rate, *bounds.RATE))
+        object.__setattr__(self, "rate", checks.positive("rate", self.rate, *checks.RATE))
         object.__setattr__(self, "spread", _spread(self.spread))
 
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:
@@ -108,7 +108,7 @@ class Poisson(Law):
     least_gap: float = 0.0  # [s]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rate", checks.positive("rate", self.rate, *bounds.RATE))
+        object.__setattr__(self, "rate", checks.positive("rate", self.rate, *checks.RATE))
         object.__setattr__(self, "least_gap", checks.not_negative("least_gap", self.least_gap))
         if self.least_gap > HOUR / self.rate:
             raise ValueError(
@@ -141,7 +141,7 @@ class Schedule(Law):
     def __post_init__(self) -> None:
         time, rate = checks.array("rates", self.rates, (None, 2)).T
         checks.limited("times of rates", time, LATEST)
-        checks.limited("rates", rate, bounds.RATE[1])
+        checks.limited("rates", rate, checks.RATE[1])
         if len(time) == 0 or time[0] != 0.0 or (np.diff(time) <= 0.0).any():
             raise ValueError(f"rates must be at times that rise from 0, got {time.tolist()}")
         if rate.min() < 0.0 or rate.max() == 0.0:

@@ -7,19 +7,26 @@ import numpy as np
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
-from surface_gym.batch.kernels import Rules
-from surface_gym.batch.noise import draw_noise
-from surface_gym.batch.workers import FEWEST, Workers
-from surface_gym.dynamics.company import make_together_scratch
-from surface_gym.dynamics.compiled import entry_of
-from surface_gym.dynamics.types import Array, Integers
+from surface_gym.core.batch import FEWEST, Workers
+from surface_gym.core.kernel import EnvParams
+from surface_gym.core.resets import draw_noise
 from surface_gym.flow.episodes import FlowEpisodes
 from surface_gym.flow.kernel import make_flow_kernel
-from surface_gym.flow.making import functions_of
+from surface_gym.flow.making import stream_functions
 from surface_gym.flow.memory import FlowRules, Flows
 from surface_gym.flow.settings import FlowSettings
-from surface_gym.lanes.lane import Lane, lane_of
-from surface_gym.lanes.memory import NOISE_ROWS, RUNNING, Lanes, Sites, Surfaces
+from surface_gym.physics.collision import make_world_scratch
+from surface_gym.physics.jit import compile_for
+from surface_gym.physics.types import Array, Integers
+from surface_gym.state import (
+    NOISE_ROWS,
+    RUNNING,
+    BodyTable,
+    EnvState,
+    ParcelState,
+    SurfaceState,
+    env_state,
+)
 
 NO_LANES: Integers = np.zeros(0, dtype=np.int64)
 
@@ -47,22 +54,22 @@ class FlowBatch(FlowEpisodes):
     @property
     def outcome(self) -> Integers:
         """(lanes,) how each episode stands, a place in `outcomes`."""
-        return self.flows.outcome
+        return self.streams.outcome
 
     @property
     def observation(self) -> NDArray[np.float32]:
         """(lanes, rows, features) what each shows: a view."""
-        return self.lanes.observation.reshape(len(self._all), self.rows, -1)
+        return self.parcels.observation.reshape(len(self._all), self.rows, -1)
 
     @property
     def reward(self) -> Array:
         """(lanes,) of the last control period."""
-        return self.flows.reward
+        return self.streams.reward
 
     @property
-    def _arrays(self) -> tuple[Rules, FlowRules, Surfaces, Lanes, Sites, Flows]:
+    def _arrays(self) -> tuple[EnvParams, FlowRules, SurfaceState, ParcelState, BodyTable, Flows]:
         """What compiled code reads and writes."""
-        return self.rules, self.flow_rules, self.surfaces, self.lanes, self.sites, self.flows
+        return self.rules, self.flow_rules, self.surfaces, self.parcels, self.bodies, self.streams
 
     def start(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
         """Begin an episode on the chosen lanes (count,), which are seeded.
@@ -83,20 +90,22 @@ class FlowBatch(FlowEpisodes):
         """
         self.surfaces.command[:] = commands
         if self._draws:
-            rows = self.lanes.noise_row.reshape(-1, self.rows)
-            running = (self.flows.outcome == RUNNING)[:, np.newaxis]
+            rows = self.parcels.noise_row.reshape(-1, self.rows)
+            running = (self.streams.outcome == RUNNING)[:, np.newaxis]
             short = running & (rows + self._draws > NOISE_ROWS)
             for lane, place in np.argwhere(short).tolist():
-                draw_noise(self.lanes, lane * self.rows + place, self._generator(lane))
+                draw_noise(self.parcels, lane * self.rows + place, self._generator(lane))
         if len(anew) > 0:
             self.place(anew)
         self._run(self._all, self._threads)
 
-    def view(self, lane: int, place: int) -> Lane:
+    def view(self, lane: int, place: int) -> EnvState:
         """The parcel of a place as compiled functions see it, between two control periods."""
         row = lane * self.rows + place
         elements = self.rules.elements
-        seen: Lane = lane_of.py_func(self.surfaces, self.lanes, self.sites, lane, row, elements)
+        seen: EnvState = env_state.py_func(
+            self.surfaces, self.parcels, self.bodies, lane, row, elements
+        )
         return seen
 
     def __getstate__(self) -> dict[str, Any]:
@@ -108,9 +117,9 @@ class FlowBatch(FlowEpisodes):
 
     def _compile(self) -> Callable[..., int]:
         settings = self.settings
-        kernel = make_flow_kernel(functions_of(settings))
+        kernel = make_flow_kernel(stream_functions(settings))
         try:
-            return entry_of(kernel, *self._arrays, *self._workers.scratches, self._all)
+            return compile_for(kernel, *self._arrays, *self._workers.scratches, self._all)
         except NumbaError as error:
             raise ValueError(
                 f"{type(settings.sensors).__name__} does not compile: {error}"
@@ -131,4 +140,4 @@ class _Scratch:
         self._places = places
 
     def __call__(self) -> Any:
-        return make_together_scratch(self._places)
+        return make_world_scratch(self._places)

@@ -4,19 +4,18 @@ import math
 
 import numpy as np
 
-from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import THETA, VX, VY, Array, Places, X, Y
 from surface_gym.flow.memory import NOBODY
-from surface_gym.lanes.lane import Lane, reach_along
-from surface_gym.lanes.memory import COLUMNS, FIRST_COLUMN, FIRST_ROW, ROWS
+from surface_gym.physics.jit import inlined
+from surface_gym.physics.types import THETA, VX, VY, Array, Places, X, Y
+from surface_gym.state import COLUMNS, FIRST_COLUMN, FIRST_ROW, ROWS, EnvState, reach_along
 
 NEARER = 1e-6  # [s/m^2] of two that a module bears at once, it obeys the one with the nearer centre
 
 
 @inlined
-def free_modules(owner: Places, soonest: Array, lane: Lane) -> None:
+def free_modules(owner: Places, soonest: Array, state: EnvState) -> None:
     """No module of the zone obeys anybody, and any may be claimed."""
-    zone = lane.zone
+    zone = state.zone
     for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
         for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
             owner[row, column] = NOBODY
@@ -44,18 +43,18 @@ def _after(place: float, low: float, high: float, speed: float) -> float:
 
 
 @inlined
-def claim_modules(owner: Places, soonest: Array, lane: Lane, place: int, ahead: float) -> None:
+def claim_modules(owner: Places, soonest: Array, state: EnvState, place: int, ahead: float) -> None:
     """Let the parcel of a place claim every module of the zone that it bears, or is the first to
     bear within `ahead` seconds, by its box as it is sensed and moves on.
     """
-    sensed = lane.sensed
+    sensed = state.sensed
     theta = sensed[THETA]
     vx, vy = sensed[VX], sensed[VY]
-    front = sensed[X] + reach_along(lane, theta, 1.0, 0.0)
-    rear = sensed[X] - reach_along(lane, theta, -1.0, 0.0)
-    left = sensed[Y] + reach_along(lane, theta, 0.0, 1.0)
-    right = sensed[Y] - reach_along(lane, theta, 0.0, -1.0)
-    zone, elements = lane.zone, lane.elements
+    front = sensed[X] + reach_along(state, theta, 1.0, 0.0)
+    rear = sensed[X] - reach_along(state, theta, -1.0, 0.0)
+    left = sensed[Y] + reach_along(state, theta, 0.0, 1.0)
+    right = sensed[Y] - reach_along(state, theta, 0.0, -1.0)
+    zone, elements = state.zone, state.elements
     first_row, first_column = zone[FIRST_ROW], zone[FIRST_COLUMN]
     x0, y0 = elements.x0, elements.y0
     low_x = (rear + min(0.0, vx * ahead) - x0) / elements.pitch_x

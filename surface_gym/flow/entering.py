@@ -1,8 +1,6 @@
 """Parcels come onto the line, as soon as their time has come and there is room."""
 
-from surface_gym.batch.kernels import Rules
-from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import STATE_SIZE, THETA, X, Y
+from surface_gym.core.kernel import EnvParams
 from surface_gym.flow.memory import (
     ENTERED,
     EXIT,
@@ -15,8 +13,18 @@ from surface_gym.flow.memory import (
     Flows,
 )
 from surface_gym.flow.rewards import begin_reward
-from surface_gym.lanes.lane import Lane, lane_of, reach_along, read_truth
-from surface_gym.lanes.memory import RUNNING, Lanes, Sites, Surfaces
+from surface_gym.physics.jit import inlined
+from surface_gym.physics.types import STATE_SIZE, THETA, X, Y
+from surface_gym.state import (
+    RUNNING,
+    BodyTable,
+    EnvState,
+    ParcelState,
+    SurfaceState,
+    env_state,
+    reach_along,
+    read_truth,
+)
 
 
 @inlined
@@ -42,26 +50,28 @@ def _free_place(flows: Flows, i: int, places: int) -> int:
 
 
 @inlined
-def _bars(other: Lane, lane: Lane, gap: float) -> bool:
+def _bars(other: EnvState, state: EnvState, gap: float) -> bool:
     """Whether a parcel on the line is in the way of one about to enter, with a gap [m] ahead."""
-    front = lane.truth[X] + reach_along(lane, lane.truth[THETA], 1.0, 0.0) + gap
+    front = state.truth[X] + reach_along(state, state.truth[THETA], 1.0, 0.0) + gap
     if other.truth[X] - reach_along(other, other.truth[THETA], -1.0, 0.0) > front:
         return False
-    left = lane.truth[Y] + reach_along(lane, lane.truth[THETA], 0.0, 1.0)
-    right = lane.truth[Y] - reach_along(lane, lane.truth[THETA], 0.0, -1.0)
+    left = state.truth[Y] + reach_along(state, state.truth[THETA], 0.0, 1.0)
+    right = state.truth[Y] - reach_along(state, state.truth[THETA], 0.0, -1.0)
     other_left = other.truth[Y] + reach_along(other, other.truth[THETA], 0.0, 1.0)
     other_right = other.truth[Y] - reach_along(other, other.truth[THETA], 0.0, -1.0)
     return other_right < left + gap and right - gap < other_left
 
 
 @inlined
-def _put(rules: FlowRules, flows: Flows, lanes: Lanes, i: int, place: int, arrival: int) -> None:
+def _put(
+    rules: FlowRules, flows: Flows, lanes: ParcelState, i: int, place: int, arrival: int
+) -> None:
     """Into the row of a place, where nobody is yet."""
     row = i * flows.number.shape[1] + place
     for k in range(STATE_SIZE):
         lanes.state[row, k] = flows.start[i, arrival, k]
     asked = flows.exit[i, arrival]
-    lanes.site[row] = flows.site[i, arrival]
+    lanes.body[row] = flows.site[i, arrival]
     lanes.goal[row, EXIT] = asked
     lanes.goal[row, SIDE] = rules.exits[asked, 0]
     lanes.goal[row, FIRST] = rules.exits[asked, 1]
@@ -76,11 +86,11 @@ def _put(rules: FlowRules, flows: Flows, lanes: Lanes, i: int, place: int, arriv
 
 @inlined
 def show_next(
-    rules: Rules,
+    rules: EnvParams,
     flow_rules: FlowRules,
-    surfaces: Surfaces,
-    lanes: Lanes,
-    sites: Sites,
+    surfaces: SurfaceState,
+    lanes: ParcelState,
+    sites: BodyTable,
     flows: Flows,
     i: int,
 ) -> None:
@@ -96,19 +106,19 @@ def show_next(
     row = i * flows.number.shape[1] + last
     flows.number[i, last] = arrival
     lanes.clock[row] = flows.time[i, arrival] - flows.clock[i]
-    lane = lane_of(surfaces, lanes, sites, i, row, rules.elements)
-    read_truth(lane)
-    for k in range(lane.truth.shape[0]):
-        lane.sensed[k] = lane.truth[k]
+    state = env_state(surfaces, lanes, sites, i, row, rules.elements)
+    read_truth(state)
+    for k in range(state.truth.shape[0]):
+        state.sensed[k] = state.truth[k]
 
 
 @inlined
 def let_in(
-    rules: Rules,
+    rules: EnvParams,
     flow_rules: FlowRules,
-    surfaces: Surfaces,
-    lanes: Lanes,
-    sites: Sites,
+    surfaces: SurfaceState,
+    lanes: ParcelState,
+    sites: BodyTable,
     flows: Flows,
     i: int,
 ) -> int:
@@ -124,20 +134,20 @@ def let_in(
         return NOBODY
     first = i * flows.number.shape[1]
     _put(flow_rules, flows, lanes, i, place, arrival)
-    lane = lane_of(surfaces, lanes, sites, i, first + place, rules.elements)
-    read_truth(lane)
+    state = env_state(surfaces, lanes, sites, i, first + place, rules.elements)
+    read_truth(state)
     for k in range(flows.number.shape[1]):
         if flows.present[i, k]:
-            other = lane_of(surfaces, lanes, sites, i, first + k, rules.elements)
+            other = env_state(surfaces, lanes, sites, i, first + k, rules.elements)
             read_truth(other)
-            if _bars(other, lane, flow_rules.entry_gap):
+            if _bars(other, state, flow_rules.entry_gap):
                 return NOBODY
     flows.number[i, place] = arrival
     flows.present[i, place] = True
     flows.entered[i, arrival] = flows.clock[i]
     flows.coming[i] = arrival + 1
     flows.tally[i, ENTERED] += 1
-    begin_reward(lane)
+    begin_reward(state)
     for k in range(flows.number.shape[1]):
         flows.touched_at[i, place, k] = NEVER
         flows.touched_at[i, k, place] = NEVER

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.actuators import Actuators
 from surface_gym.faces.single import BatchEnv
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.exits import Exits
@@ -13,10 +12,10 @@ from surface_gym.flow.infos import episodes_of, infos_of
 from surface_gym.flow.rewards import TERMS
 from surface_gym.flow.settings import LEVELLING, FlowSettings
 from surface_gym.flow.stream import Stream
-from surface_gym.lanes.memory import RUNNING
-from surface_gym.plants import Plant
-from surface_gym.randomisation import Randomisation
+from surface_gym.lines import BaseLine
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Exact, Sensor
+from surface_gym.state import RUNNING
 
 
 class FlowEnv(BatchEnv):
@@ -156,7 +155,7 @@ class FlowEnv(BatchEnv):
         control_period: float = 0.04,
         duration: float = 60.0,
         places: int = 24,
-        plant: Plant | None = None,
+        plant: BaseLine | None = None,
         tilt: float = LEVELLING,
         orientations: tuple[float, ...] | str | None = None,
         actuators: Actuators = Actuators(),
@@ -196,7 +195,7 @@ class FlowEnv(BatchEnv):
         self._album: Any = None
 
     def _info(self) -> dict[str, Any]:
-        flows = self._batch.flows
+        flows = self._batch.streams
         info = {
             name: values[0].copy() if values.ndim > 1 else values[0].item()
             for name, values in infos_of(self._batch).items()

@@ -6,11 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym.batch.making import surfaces_of
-from surface_gym.batch.noise import draw_noise
-from surface_gym.batch.placement import Placement, placement_of
-from surface_gym.dynamics.states import states_of
-from surface_gym.dynamics.types import GRAVITY, Array, Integers
+from surface_gym.core.batch import surfaces_of
+from surface_gym.core.resets import Placement, draw_noise, place_parcel
 from surface_gym.flow.arrivals import Arrivals
 from surface_gym.flow.making import flow_rules_of, rear_of, rules_of, sizes_of
 from surface_gym.flow.memory import (
@@ -26,17 +23,19 @@ from surface_gym.flow.pool import BodyPool
 from surface_gym.flow.rewards import TERMS
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.flow.stream import Stream
-from surface_gym.lanes.memory import (
+from surface_gym.parcel import Parcel
+from surface_gym.physics.step import com_states
+from surface_gym.physics.types import GRAVITY, Array, Integers
+from surface_gym.state import (
     GRAVITY_ALONG,
     GRAVITY_NORMAL,
-    PLACED,
     RUNNING,
-    Lanes,
-    Sites,
-    Surfaces,
-    make_lanes,
+    STARTING,
+    BodyTable,
+    ParcelState,
+    SurfaceState,
+    make_parcels,
 )
-from surface_gym.parcel import Parcel
 
 OPTIONS = ("stream",)  # what `reset(options=...)` may fix
 
@@ -60,24 +59,24 @@ class FlowEpisodes:
         self.rules = rules_of(settings)
         self.flow_rules = flow_rules_of(settings)
         sizes = sizes_of(settings, lanes)
-        self.surfaces: Surfaces = surfaces_of(settings, sizes)
+        self.surfaces: SurfaceState = surfaces_of(settings, sizes)
         self.surfaces.conditions[:, :3] = 1.0
         self.surfaces.conditions[:, GRAVITY_NORMAL] = GRAVITY * math.cos(settings.tilt)
         self.surfaces.conditions[:, GRAVITY_ALONG] = GRAVITY * math.sin(settings.tilt)
-        self.lanes: Lanes = make_lanes(sizes)
+        self.parcels: ParcelState = make_parcels(sizes)
         self._pool = BodyPool(self._placement, settings.stream.kinds[0])
-        obeys = self._pool.sites.obeys
+        obeys = self._pool.bodies.obeys
         if settings.actuators.stuck_share > 0.0:
             obeys = np.repeat(obeys, lanes, axis=0)
         shape = (sizes.rows, sizes.columns)
-        self.flows: Flows = make_flows(lanes, self.rows, shape, len(TERMS), obeys)
+        self.streams: Flows = make_flows(lanes, self.rows, shape, len(TERMS), obeys)
         self._rows: list[list[int]] = [[] for _ in range(lanes)]  # of the pool that a lane uses
         self._generators: list[np.random.Generator | None] = [None] * lanes
 
     @property
-    def sites(self) -> Sites:
+    def bodies(self) -> BodyTable:
         """The bodies of all parcels, and what of the surface is the same for all of them."""
-        return self._pool.sites
+        return self._pool.bodies
 
     def seed(self, lane: int, generator: np.random.Generator) -> None:
         """Draw a lane's streams from a generator."""
@@ -108,23 +107,23 @@ class FlowEpisodes:
             self._write(lane, arrivals, rng)
             share = self.settings.actuators.stuck_share
             if share > 0.0:
-                working = rng.random(self.flows.told.shape[1:]) >= share
-                self.flows.obeys[lane] = self.sites.obeys[0] & working
+                working = rng.random(self.streams.told.shape[1:]) >= share
+                self.streams.obeys[lane] = self.bodies.obeys[0] & working
             if self._draws:
                 for place in range(self.rows):
-                    draw_noise(self.lanes, lane * self.rows + place, rng)
+                    draw_noise(self.parcels, lane * self.rows + place, rng)
 
     def _draw_surface(self, lane: int, rng: np.random.Generator) -> None:
         varies = self.settings.randomisation
         self.surfaces.conditions[lane, :3] = varies.draw_friction(rng)
-        stiffness = varies.draw_stiffness(rng, self.flows.told.shape[1:])
+        stiffness = varies.draw_stiffness(rng, self.streams.told.shape[1:])
         if stiffness is not None:
             self.surfaces.stiffness[lane] = stiffness
 
     def _write(self, lane: int, arrivals: Arrivals, rng: np.random.Generator) -> None:
         """What is to come on a lane, and nothing on it yet."""
         count = len(arrivals)
-        self.flows = flows = with_room(self.flows, count)
+        self.streams = flows = with_room(self.streams, count)
         flows.time[lane, :count] = arrivals.time
         flows.exit[lane, :count] = arrivals.exit
         flows.arrivals[lane] = count
@@ -134,11 +133,11 @@ class FlowEpisodes:
             ("entered", np.nan), ("left", np.nan), ("taken", ON_ITS_WAY), ("touches", 0),
             ("number", NOBODY), ("present", False), ("touched_at", NEVER), ("coming", 0),
             ("due", 0), ("clock", 0.0), ("steps", 0), ("still", 0.0), ("waited", 0.0),
-            ("tally", 0), ("outcome", PLACED),
+            ("tally", 0), ("outcome", STARTING),
         ):  # fmt: skip
             getattr(flows, name)[lane] = value
         row = lane * self.rows
-        self.lanes.outcome[row : row + self.rows] = RUNNING
+        self.parcels.outcome[row : row + self.rows] = RUNNING
 
     def _entries(
         self, lane: int, arrivals: Arrivals, rng: np.random.Generator
@@ -174,11 +173,11 @@ class FlowEpisodes:
         pose = np.stack([self.settings.entry_x + rear, entry + aside, turned], axis=-1)
         velocity = np.zeros((count, 3))
         velocity[:, 0] = arrivals.speed
-        return site, states_of(centre, pose, velocity)
+        return site, com_states(centre, pose, velocity)
 
     def _placement(self, parcel: Parcel) -> Placement:
         settings = self.settings
-        return placement_of(parcel, settings.chosen_plant, None, tuple(settings.actuators.stuck))
+        return place_parcel(parcel, settings.chosen_plant, None, tuple(settings.actuators.stuck))
 
     def _generator(self, lane: int) -> np.random.Generator:
         generator = self._generators[lane]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import bounds, checks
+from surface_gym import checks
 
 SIDES = (-1, 0, 1)  # y < 0 (right), straight on, y > 0 (left)
 NOWHERE = -1  # the place of no exit: between two of them
@@ -111,7 +111,7 @@ class Exits:
 
 def chutes(length: float = 6.0) -> Exits:
     """Two chutes to either side and straight on, of a line of a length [m]."""
-    scale = checks.positive("length", length, *bounds.LENGTH) / 6.0
+    scale = checks.positive("length", length, *checks.LENGTH) / 6.0
     spans = ((0.6 * scale, 2.8 * scale), (3.2 * scale, 5.8 * scale))
     aside = tuple(
         Exit(f"{name} {number}", side, *span)
@@ -123,7 +123,7 @@ def chutes(length: float = 6.0) -> Exits:
 
 def sides(length: float = 6.0) -> Exits:
     """A chute to either side, as long as the line [m], and straight on."""
-    last = checks.positive("length", length, *bounds.LENGTH)
+    last = checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("left", 1, 0.0, last), Exit("right", -1, 0.0, last), Exit("straight", 0)))
 
 
@@ -151,7 +151,7 @@ def check_name(name: str, value: Any) -> str:
 
 
 def _along(name: str, value: Any) -> float:
-    return checks.within(name, value, -bounds.FARTHEST, bounds.FARTHEST)
+    return checks.within(name, value, -checks.FARTHEST, checks.FARTHEST)
 
 
 def _check_apart(one: Exit, other: Exit) -> None:

@@ -6,14 +6,13 @@ is learned for one side serves both.
 
 import math
 
-from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
 from surface_gym.flow.memory import FIRST, LAST, SIDE
-from surface_gym.lanes.lane import Lane, reach_along, zone_start
-from surface_gym.lanes.memory import ROWS
+from surface_gym.physics.jit import inlined
+from surface_gym.physics.types import HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
+from surface_gym.state import ROWS, EnvState, reach_along, zone_start
+from surface_gym.tasks.base import Feature
 from surface_gym.tasks.sort import FEATURES as SORT_FEATURES
 from surface_gym.tasks.sort import HORIZON
-from surface_gym.tasks.task import Feature
 
 FAR = 4.0  # [m] to a neighbour that is not there, and the farthest that is told of one
 NEIGHBOUR = (
@@ -51,9 +50,9 @@ BEHIND = AHEAD + NEIGHBOUR_SIZE
 
 
 @inlined
-def mirror_of(lane: Lane) -> float:
+def mirror_of(state: EnvState) -> float:
     """-1 where a parcel's row is mirrored, else 1."""
-    return -1.0 if lane.goal[SIDE] < 0.0 else 1.0
+    return -1.0 if state.goal[SIDE] < 0.0 else 1.0
 
 
 @inlined
@@ -62,73 +61,73 @@ def _within(value: float, most: float) -> float:
 
 
 @inlined
-def exit_start(lane: Lane) -> float:
+def exit_start(state: EnvState) -> float:
     """[m] x that a parcel's rear must be past before it may be turned off: its exit's first, or the
     zone's where that comes later or it goes straight on.
     """
-    start = zone_start(lane)
-    return start if lane.goal[SIDE] == 0.0 else max(start, lane.goal[FIRST])
+    start = zone_start(state)
+    return start if state.goal[SIDE] == 0.0 else max(start, state.goal[FIRST])
 
 
 @inlined
-def show_nobody(lane: Lane) -> None:
+def show_nobody(state: EnvState) -> None:
     """The row of a place that is free."""
-    for k in range(lane.observation.shape[0]):
-        lane.observation[k] = 0.0
+    for k in range(state.observation.shape[0]):
+        state.observation[k] = 0.0
 
 
 @inlined
-def show_parcel(lane: Lane, waits: bool) -> None:
+def show_parcel(state: EnvState, waits: bool) -> None:
     """What the sensor says of a parcel, its neighbours apart; and whether it waits to enter."""
-    sensed = lane.sensed
-    mirror = mirror_of(lane)
+    sensed = state.sensed
+    mirror = mirror_of(state)
     x, theta = sensed[X], sensed[THETA]
-    offset = mirror * (sensed[Y] - lane.elements.line_y)
-    turn_x = 2.0 * math.pi / lane.elements.pitch_x
-    turn_y = 2.0 * math.pi / lane.elements.pitch_y
-    half_line = 0.5 * lane.elements.pitch_y * (lane.zone[ROWS] - 1)
-    half_width = reach_along(lane, 0.0, 0.0, 1.0)
-    rear = x - reach_along(lane, theta, -1.0, 0.0)
-    side = lane.goal[SIDE]
-    see = lane.observation
+    offset = mirror * (sensed[Y] - state.elements.line_y)
+    turn_x = 2.0 * math.pi / state.elements.pitch_x
+    turn_y = 2.0 * math.pi / state.elements.pitch_y
+    half_line = 0.5 * state.elements.pitch_y * (state.zone[ROWS] - 1)
+    half_width = reach_along(state, 0.0, 0.0, 1.0)
+    rear = x - reach_along(state, theta, -1.0, 0.0)
+    side = state.goal[SIDE]
+    see = state.observation
     see[0] = _within(offset / 0.3, 10.0)
     see[1] = mirror * math.sin(theta)
     see[2] = math.cos(theta)
     see[3] = _within(sensed[VX] - 1.0, 10.0)
     see[4] = _within(mirror * sensed[VY] / 0.5, 20.0)
     see[5] = _within(mirror * sensed[OMEGA] / 3.0, 50.0)
-    see[6] = (lane.body[HALF_LENGTH] - 0.175) / 0.05
-    clearance = offset - reach_along(lane, theta, 0.0, -mirror) - half_line
+    see[6] = (state.body[HALF_LENGTH] - 0.175) / 0.05
+    clearance = offset - reach_along(state, theta, 0.0, -mirror) - half_line
     see[7] = _within(clearance / 0.2, 20.0)
-    see[8] = math.sin(turn_x * (x - lane.elements.x0))
-    see[9] = math.cos(turn_x * (x - lane.elements.x0))
+    see[8] = math.sin(turn_x * (x - state.elements.x0))
+    see[9] = math.cos(turn_x * (x - state.elements.x0))
     see[10] = math.sin(turn_y * offset)
     see[11] = math.cos(turn_y * offset)
-    see[12] = lane.clock / HORIZON
-    see[13] = _within((rear - exit_start(lane)) / 0.5, 20.0)
+    see[12] = state.clock / HORIZON
+    see[13] = _within((rear - exit_start(state)) / 0.5, 20.0)
     see[14] = side
     see[PRESENT] = 1.0
     see[PRESENT + 1] = (half_width - 0.175) / 0.05
     see[PRESENT + 3] = 1.0 if waits else 0.0
-    see[PRESENT + 2] = 20.0 if side == 0.0 else _within((lane.goal[LAST] - x) / 0.5, 20.0)
+    see[PRESENT + 2] = 20.0 if side == 0.0 else _within((state.goal[LAST] - x) / 0.5, 20.0)
 
 
 @inlined
-def show_neighbour(lane: Lane, first: int, gap: float, other: Lane) -> None:
+def show_neighbour(state: EnvState, first: int, gap: float, other: EnvState) -> None:
     """A neighbour, clear by a gap [m] along x, into the row from `first` on."""
-    mirror = mirror_of(lane)
-    see = lane.observation
+    mirror = mirror_of(state)
+    see = state.observation
     see[first] = _within(gap / 0.5, 2.0 * FAR)
-    see[first + 1] = _within((other.sensed[VX] - lane.sensed[VX]) / 0.5, 20.0)
-    see[first + 2] = _within(mirror * (other.sensed[Y] - lane.sensed[Y]) / 0.3, 20.0)
+    see[first + 1] = _within((other.sensed[VX] - state.sensed[VX]) / 0.5, 20.0)
+    see[first + 2] = _within(mirror * (other.sensed[Y] - state.sensed[Y]) / 0.3, 20.0)
     see[first + 3] = mirror * other.goal[SIDE]
     see[first + 4] = (other.body[HALF_LENGTH] - 0.175) / 0.05
 
 
 @inlined
-def show_no_neighbour(lane: Lane, first: int) -> None:
+def show_no_neighbour(state: EnvState, first: int) -> None:
     """There is none that way."""
-    see = lane.observation
+    see = state.observation
     see[first] = 2.0 * FAR
     for k in range(1, NEIGHBOUR_SIZE):
         see[first + k] = 0.0

@@ -12,7 +12,7 @@ from surface_gym.flow.statistics import NAMES, statistics_of
 
 def infos_of(batch: FlowBatch) -> dict[str, NDArray[Any]]:
     """By name, each (lanes, ...): of the episode so far; views. The outcome is its number."""
-    flows = batch.flows
+    flows = batch.streams
     return {
         "outcome": flows.outcome,
         "time": flows.clock,
@@ -29,11 +29,11 @@ def infos_of(batch: FlowBatch) -> dict[str, NDArray[Any]]:
 def episodes_of(batch: FlowBatch, ended: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
     """Figures by name, each (lanes,), of the lanes (lanes,) whose episodes have ended; nan else."""
     figures = {name: np.full(len(ended), np.nan) for name in NAMES}
-    obeys = batch.flows.obeys
+    obeys = batch.streams.obeys
     for lane in np.nonzero(ended)[0].tolist():
         obeying = int(obeys[lane if len(obeys) > 1 else 0].sum())
-        jammed = bool(batch.flows.outcome[lane] == JAM)
-        found = statistics_of(batch.flows, lane, jammed, obeying)
+        jammed = bool(batch.streams.outcome[lane] == JAM)
+        found = statistics_of(batch.streams, lane, jammed, obeying)
         for name in NAMES:
             figures[name][lane] = getattr(found, name)
     return figures

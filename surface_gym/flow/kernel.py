@@ -7,13 +7,7 @@ import math
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-from surface_gym.batch.kernels import Actuation, Function, Rules
-from surface_gym.dynamics.company import Company, TogetherScratch, forget_together
-from surface_gym.dynamics.compiled import compiled, inlined
-from surface_gym.dynamics.contacts import forget_contacts
-from surface_gym.dynamics.step import OFF_SURFACE
-from surface_gym.dynamics.together import step_together
-from surface_gym.dynamics.types import Bodies, Integers, Scratch
+from surface_gym.core.kernel import Actuation, EnvParams, Function
 from surface_gym.flow.claims import claim_modules, free_modules
 from surface_gym.flow.entering import count_due, let_in, places_of, show_next
 from surface_gym.flow.leaving import exit_taken, leave
@@ -28,24 +22,32 @@ from surface_gym.flow.obeying import is_turn
 from surface_gym.flow.rewards import JAM_REWARD, JAMMED, WAITING, WAITING_REWARD, reward_parcel
 from surface_gym.flow.seeing import show_parcels
 from surface_gym.flow.touches import APART, note_touches
-from surface_gym.lanes.lane import is_slower, lane_of, read_truth
-from surface_gym.lanes.memory import (
+from surface_gym.layouts import ROLLING
+from surface_gym.physics.collision import World, WorldScratch, invalidate_world
+from surface_gym.physics.contact_solver import step_world
+from surface_gym.physics.contacts import invalidate_contacts
+from surface_gym.physics.jit import compiled, inlined
+from surface_gym.physics.step import OFF_SURFACE
+from surface_gym.physics.types import Bodies, Integers, Scratch
+from surface_gym.sensors.base import Physics
+from surface_gym.state import (
     BAD_OBSERVATION,
     COLUMNS,
     FIRST_COLUMN,
     FIRST_ROW,
+    NO_FAULT,
     OUT_OF_TIME,
-    PLACED,
     ROWS,
     RUNNING,
-    SOUND,
-    Lanes,
-    Sites,
-    Surfaces,
+    STARTING,
+    BodyTable,
+    ParcelState,
+    SurfaceState,
+    env_state,
+    is_slower,
+    read_grid,
+    read_truth,
 )
-from surface_gym.lanes.views import grid_of
-from surface_gym.layouts import ROLLING
-from surface_gym.sensors.sensor import Physics
 from surface_gym.tasks.line import STALL_SPEED
 
 
@@ -54,8 +56,8 @@ class FlowFunctions(NamedTuple):
 
     label: str  # of its files in the cache
     begin_sensor: Function  # the sensor's
-    look: Function
-    estimate: Function
+    update_sensor: Function
+    read_sensor: Function
     watches: bool
     part_of: Function  # the kind of action's
     told: Function
@@ -70,30 +72,30 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
     Of the chosen surfaces (count,) those placed begin, those that run move over one control
     period, and those that have ended stay. It returns how many something has gone wrong on.
     """
-    sensor_begin, sensor_look = functions.begin_sensor, functions.look
-    sensor_estimate, watches = functions.estimate, functions.watches
+    sensor_begin, sensor_update = functions.begin_sensor, functions.update_sensor
+    sensor_read, watches = functions.read_sensor, functions.watches
     part_of, told = functions.part_of, functions.told
     obey, turn, straighten, turns = functions.actuation
 
     @inlined
     def obey_command(
-        rules: Rules,
+        rules: EnvParams,
         flow_rules: FlowRules,
-        surfaces: Surfaces,
-        lanes: Lanes,
-        sites: Sites,
+        surfaces: SurfaceState,
+        lanes: ParcelState,
+        sites: BodyTable,
         flows: Flows,
         i: int,
     ) -> None:
         """Turn what the command turns, and count it."""
         rows = flows.number.shape[1]
         first = i * rows
-        lane = lane_of(surfaces, lanes, sites, i, first, rules.elements)
+        lane = env_state(surfaces, lanes, sites, i, first, rules.elements)
         owner, soonest = flows.owner[i], flows.soonest[i]
         free_modules(owner, soonest, lane)
         for k in range(rows):
             if flows.present[i, k]:
-                parcel = lane_of(surfaces, lanes, sites, i, first + k, rules.elements)
+                parcel = env_state(surfaces, lanes, sites, i, first + k, rules.elements)
                 claim_modules(owner, soonest, parcel, k, flow_rules.ahead)
         obeys = flows.obeys[i if flows.obeys.shape[0] > 1 else 0]
         zone = lane.zone
@@ -109,13 +111,13 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
                 obey(rules.acting, surfaces, i, row, column, part)
 
     def move_flows(
-        rules: Rules,
+        rules: EnvParams,
         flow_rules: FlowRules,
-        surfaces: Surfaces,
-        lanes: Lanes,
-        sites: Sites,
+        surfaces: SurfaceState,
+        lanes: ParcelState,
+        sites: BodyTable,
         flows: Flows,
-        scratch: TogetherScratch,
+        scratch: WorldScratch,
         sensor_scratch: Scratch,
         chosen: Integers,
     ) -> int:
@@ -129,7 +131,7 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
         bodies = Bodies(sites.body, sites.edges, sites.corners)
         for i in chosen:
             first = i * rows
-            begins = flows.outcome[i] == PLACED
+            begins = flows.outcome[i] == STARTING
             if begins:
                 straighten(rules.acting, surfaces, i)
                 for row in range(flows.told.shape[1]):
@@ -139,7 +141,7 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
                 flows.outcome[i] = RUNNING
             elif flows.outcome[i] != RUNNING:
                 continue
-            flows.fault[i] = SOUND
+            flows.fault[i] = NO_FAULT
             for k in range(flows.terms.shape[1]):
                 flows.terms[i, k] = 0.0
             for k in range(rows):
@@ -149,13 +151,13 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
                     flows.number[i, k] = NOBODY
             if not begins:
                 obey_command(rules, flow_rules, surfaces, lanes, sites, flows, i)
-            forget_together(scratch)
-            forget_contacts(sensor_scratch)
-            grid = grid_of(surfaces, sites, i, 0, rules.elements, rules.friction)
-            company = Company(
+            invalidate_world(scratch)
+            invalidate_contacts(sensor_scratch)
+            grid = read_grid(surfaces, sites, i, 0, rules.elements, rules.friction)
+            company = World(
                 lanes.state[first : first + rows],
                 flows.present[i],
-                lanes.site[first : first + rows],
+                lanes.body[first : first + rows],
                 bodies,
             )
             zone = sites.zone[0]
@@ -166,9 +168,9 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
                 if not begins:
                     if turns:
                         turn(rules.acting, surfaces, i, zone)
-                        forget_together(scratch)
-                        forget_contacts(sensor_scratch)
-                    pairs = step_together(grid, company, flow_rules.sides, scratch, dt)
+                        invalidate_world(scratch)
+                        invalidate_contacts(sensor_scratch)
+                    pairs = step_world(grid, company, flow_rules.sides, scratch, dt)
                     flows.clock[i] += dt
                     flows.steps[i] += 1
                     note_touches(lanes, flows, scratch, i, pairs, apart)
@@ -182,13 +184,13 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
                         lanes.clock[row] += dt
                         lanes.steps[row] += 1
                         lanes.period[row] += dt
-                        lane = lane_of(surfaces, lanes, sites, i, row, rules.elements)
+                        lane = env_state(surfaces, lanes, sites, i, row, rules.elements)
                         if not lane.on_rotors:
                             read_truth(lane)
                             leave(flows, lanes, i, k, exit_taken(flow_rules, lane))
                         elif watches:
                             read_truth(lane)
-                            sensor_look(rules.sensor, lane, physics)
+                            sensor_update(rules.sensor, lane, physics)
                     waiting = flows.due[i] - flows.coming[i]
                     flows.waited[i] += dt * waiting
                     flows.terms[i, WAITING] += WAITING_REWARD * dt * waiting
@@ -199,14 +201,14 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
                 place = let_in(rules, flow_rules, surfaces, lanes, sites, flows, i)
                 if place != NOBODY:
                     entered = True
-                    lane = lane_of(surfaces, lanes, sites, i, first + place, rules.elements)
+                    lane = env_state(surfaces, lanes, sites, i, first + place, rules.elements)
                     sensor_begin(rules.sensor, lane)
             anybody = False
             moves = False
             for k in range(places):
                 if flows.number[i, k] == NOBODY:
                     continue
-                lane = lane_of(surfaces, lanes, sites, i, first + k, rules.elements)
+                lane = env_state(surfaces, lanes, sites, i, first + k, rules.elements)
                 read_truth(lane)
                 outcome = lanes.outcome[first + k]
                 lanes.reward[first + k] = reward_parcel(lane, outcome)
@@ -215,7 +217,7 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
                 if flows.present[i, k]:
                     anybody = True
                     moves |= not is_slower(lane, STALL_SPEED)
-                    sensor_estimate(rules.sensor, lane)
+                    sensor_read(rules.sensor, lane)
             if anybody and not moves and not begins:
                 flows.still[i] += dt * rules.timing.steps
             else:
@@ -237,7 +239,7 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
                 for feature in range(lanes.observation.shape[1]):
                     if not math.isfinite(lanes.observation[first + k, feature]):
                         flows.fault[i] = BAD_OBSERVATION
-            faults += flows.fault[i] != SOUND
+            faults += flows.fault[i] != NO_FAULT
         return faults
 
     return compiled(move_flows, functions.label)

@@ -1,7 +1,5 @@
 """Parcels leave the line: where no rotor bears one any more, it is delivered."""
 
-from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import THETA, X, Y
 from surface_gym.flow.memory import (
     BETWEEN,
     LEFT_RIGHT,
@@ -11,24 +9,25 @@ from surface_gym.flow.memory import (
     FlowRules,
     Flows,
 )
-from surface_gym.lanes.lane import Lane, reach_along
-from surface_gym.lanes.memory import Lanes
+from surface_gym.physics.jit import inlined
+from surface_gym.physics.types import THETA, X, Y
+from surface_gym.state import EnvState, ParcelState, reach_along
 
 ROUND_OFF = 1e-6  # [m]
 
 
 @inlined
-def exit_taken(rules: FlowRules, lane: Lane) -> int:
+def exit_taken(rules: FlowRules, state: EnvState) -> int:
     """The exit by which a parcel has left, whose true pose is up to date; or BETWEEN them.
 
     Straight on it has left where its rear is past the last column of rotors, or its centre past
     the rotors' end; else to the side that its centre is on.
     """
-    truth = lane.truth
-    last_column = rules.rotors_end - 0.5 * lane.elements.pitch_x - ROUND_OFF
-    rear = truth[X] - reach_along(lane, truth[THETA], -1.0, 0.0)
+    truth = state.truth
+    last_column = rules.rotors_end - 0.5 * state.elements.pitch_x - ROUND_OFF
+    rear = truth[X] - reach_along(state, truth[THETA], -1.0, 0.0)
     straight = rear > last_column or truth[X] > rules.rotors_end
-    towards = 1.0 if truth[Y] > lane.elements.line_y else -1.0
+    towards = 1.0 if truth[Y] > state.elements.line_y else -1.0
     side = 0.0 if straight else towards
     for k in range(rules.exits.shape[0]):
         if rules.exits[k, 0] == side and (
@@ -39,7 +38,7 @@ def exit_taken(rules: FlowRules, lane: Lane) -> int:
 
 
 @inlined
-def leave(flows: Flows, lanes: Lanes, i: int, place: int, taken: int) -> None:
+def leave(flows: Flows, lanes: ParcelState, i: int, place: int, taken: int) -> None:
     """The parcel of a place has left by an exit; its place is kept until the next decision."""
     arrival = flows.number[i, place]
     right = taken == flows.exit[i, arrival]

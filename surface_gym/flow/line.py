@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from surface_gym import bounds, checks
-from surface_gym.plants import Pattern
+from surface_gym import checks
+from surface_gym.lines import Pattern
 
 ROWS = 20  # of the whole surface
 RUN_OUT = 6  # columns of supports after the last rotors, for parcels that go straight on
@@ -22,8 +22,8 @@ def flow_line(length: float = 6.0, rotor_rows: int = 4, lead_in: int = 5) -> Pat
     Raises:
         ValueError: a line shorter than its lead-in, or an odd number of rows or more than 12.
     """
-    checks.integer("lead_in", lead_in, least=0, most=bounds.ELEMENTS)
-    columns = round(checks.positive("length", length, *bounds.LENGTH) / PITCH)
+    checks.integer("lead_in", lead_in, least=0, most=checks.ELEMENTS)
+    columns = round(checks.positive("length", length, *checks.LENGTH) / PITCH)
     if columns <= lead_in:
         raise ValueError(
             f"length must be more than the lead-in's, {lead_in * PITCH:g} m, got {length!r}"

@@ -4,17 +4,16 @@ import math
 
 import numpy as np
 
-from surface_gym.batch.functions import actuation_of, sensor_functions_of
-from surface_gym.batch.kernels import Rules
-from surface_gym.batch.making import surface_rules_of
+from surface_gym.core.batch import actuation_of, sensor_functions_of, surface_rules_of
+from surface_gym.core.kernel import EnvParams
 from surface_gym.flow.features import FEATURES
 from surface_gym.flow.kernel import FlowFunctions
 from surface_gym.flow.memory import GOALS, MEMORIES, OUTCOMES, FlowRules
 from surface_gym.flow.obeying import part_of_module, part_of_owner, told_angle, told_choice
 from surface_gym.flow.rewards import PARCEL_TERMS
 from surface_gym.flow.settings import FlowSettings
-from surface_gym.lanes.memory import Sizes
 from surface_gym.parcel import Parcel
+from surface_gym.state import Sizes
 
 
 def rear_of(parcel: Parcel, theta: float) -> float:
@@ -23,15 +22,15 @@ def rear_of(parcel: Parcel, theta: float) -> float:
     return -float((math.cos(theta) * outline[:, 0] - math.sin(theta) * outline[:, 1]).min())
 
 
-def functions_of(settings: FlowSettings) -> FlowFunctions:
+def stream_functions(settings: FlowSettings) -> FlowFunctions:
     """What the kernel of an environment is built from."""
     kind = settings.action_kind
-    begin, look, estimate = sensor_functions_of(settings.sensors)
+    begin, update, read = sensor_functions_of(settings.sensors)
     return FlowFunctions(
         label=f"Flow-{type(settings.sensors).__name__}-{settings.actions}",
         begin_sensor=begin,
-        look=look,
-        estimate=estimate,
+        update_sensor=update,
+        read_sensor=read,
         watches=settings.sensors.watches,
         part_of=part_of_module if settings.actions == "modules" else part_of_owner,
         told=told_angle if kind.continuous else told_choice,
@@ -39,7 +38,7 @@ def functions_of(settings: FlowSettings) -> FlowFunctions:
     )
 
 
-def rules_of(settings: FlowSettings) -> Rules:
+def rules_of(settings: FlowSettings) -> EnvParams:
     """Those of its surfaces."""
     return surface_rules_of(settings, len(FEATURES), len(FEATURES), len(OUTCOMES))
 
@@ -62,8 +61,8 @@ def sizes_of(settings: FlowSettings, lanes: int) -> Sizes:
     """Of the memory of so many surfaces and their parcels."""
     plant, kind = settings.chosen_plant, settings.action_kind
     return Sizes(
-        lanes=lanes,
-        places=settings.rows,
+        num_envs=lanes,
+        max_parcels=settings.rows,
         rows=plant.rows,
         columns=plant.columns,
         command=settings.flow_actions.size,
@@ -72,8 +71,8 @@ def sizes_of(settings: FlowSettings, lanes: int) -> Sizes:
         terms=len(PARCEL_TERMS),
         goals=GOALS,
         memories=MEMORIES,
-        figures=0,
-        kept=settings.sensors.kept,
+        metrics=0,
+        sensor_state=settings.sensors.sensor_size,
         path=False,
         noise=settings.draws > 0,
         turning=settings.actuators.axis_speed != math.inf,

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surface_gym.dynamics.company import Touching
-from surface_gym.dynamics.types import STATE_SIZE, Array, Booleans, Integers, Places
+from surface_gym.physics.collision import ContactMaterial
+from surface_gym.physics.types import STATE_SIZE, Array, Booleans, Integers, Places
 
 NOBODY = -1  # `Flows.number` of a place that is free, `Flows.owner` of a module that obeys nobody
 # `Flows.taken` of a parcel that has not left; below it, places among the exits
@@ -75,7 +75,7 @@ class FlowRules(NamedTuple):
     duration: float  # [s] of an episode
     patience: float  # [s] without any motion that make a jam
     gated: bool  # whether actions say who may enter
-    sides: Touching  # how parcels' sides behave where they touch
+    sides: ContactMaterial  # how parcels' sides behave where they touch
 
 
 def make_flows(

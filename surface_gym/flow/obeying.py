@@ -2,11 +2,10 @@
 
 import math
 
-from surface_gym.actions.commands import Acting
-from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import Places, X
-from surface_gym.lanes.lane import Lane
-from surface_gym.lanes.memory import COLUMNS, FIRST_COLUMN, FIRST_ROW, Lanes, Surfaces
+from surface_gym.core.actions import Acting
+from surface_gym.physics.jit import inlined
+from surface_gym.physics.types import Places, X
+from surface_gym.state import COLUMNS, FIRST_COLUMN, FIRST_ROW, EnvState, ParcelState, SurfaceState
 
 HALVES = 2  # parts of a parcel's command: the modules ahead of its centre, and those behind
 
@@ -15,14 +14,16 @@ HALVES = 2  # parts of a parcel's command: the modules ahead of its centre, and 
 
 @inlined
 def part_of_module(
-    lane: Lane, lanes: Lanes, owner: Places, rows: int, row: int, column: int
+    state: EnvState, lanes: ParcelState, owner: Places, rows: int, row: int, column: int
 ) -> int:
     """Each module its own."""
-    return (row - lane.zone[FIRST_ROW]) * lane.zone[COLUMNS] + column - lane.zone[FIRST_COLUMN]
+    return (row - state.zone[FIRST_ROW]) * state.zone[COLUMNS] + column - state.zone[FIRST_COLUMN]
 
 
 @inlined
-def part_of_owner(lane: Lane, lanes: Lanes, owner: Places, rows: int, row: int, column: int) -> int:
+def part_of_owner(
+    state: EnvState, lanes: ParcelState, owner: Places, rows: int, row: int, column: int
+) -> int:
     """The half of the parcel that the module obeys; none: it stays as it is.
 
     `rows` is the first row of the surface's parcels in `lanes`.
@@ -30,7 +31,7 @@ def part_of_owner(lane: Lane, lanes: Lanes, owner: Places, rows: int, row: int, 
     place = owner[row, column]
     if place < 0:
         return -1
-    x = lane.elements.x0 + lane.elements.pitch_x * column
+    x = state.elements.x0 + state.elements.pitch_x * column
     return HALVES * place + (1 if x < lanes.sensed[rows + place, X] else 0)
 
 
@@ -38,13 +39,13 @@ def part_of_owner(lane: Lane, lanes: Lanes, owner: Places, rows: int, row: int, 
 
 
 @inlined
-def told_choice(acting: Acting, surfaces: Surfaces, surface: int, part: int) -> float:
+def told_choice(acting: Acting, surfaces: SurfaceState, surface: int, part: int) -> float:
     """That of the orientation on offer that it counts."""
     return acting.orientations[surfaces.command[surface, part]]
 
 
 @inlined
-def told_angle(acting: Acting, surfaces: Surfaces, surface: int, part: int) -> float:
+def told_angle(acting: Acting, surfaces: SurfaceState, surface: int, part: int) -> float:
     """It is one."""
     return surfaces.command[surface, part]
 

@@ -6,18 +6,17 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from surface_gym.actions import ActionKind
-from surface_gym.actuators import Actuators
+from surface_gym.core.actions import ActionKind
 from surface_gym.flow.env import FlowEnv
 from surface_gym.flow.exits import Exits
 from surface_gym.flow.memory import JAM, NOBODY
 from surface_gym.flow.obeying import HALVES
 from surface_gym.flow.settings import LEVELLING
 from surface_gym.flow.stream import Stream
-from surface_gym.lanes.memory import OUT_OF_TIME, RUNNING
-from surface_gym.plants import Plant
-from surface_gym.randomisation import Randomisation
+from surface_gym.lines import BaseLine
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Exact, Sensor
+from surface_gym.state import OUT_OF_TIME, RUNNING
 
 try:
     from pettingzoo import ParallelEnv
@@ -74,7 +73,7 @@ class FlowParallelEnv(ParallelEnv):
         control_period: float = 0.04,
         duration: float = 60.0,
         places: int = 24,
-        plant: Plant | None = None,
+        plant: BaseLine | None = None,
         tilt: float = LEVELLING,
         orientations: tuple[float, ...] | str | None = None,
         actuators: Actuators = Actuators(),
@@ -174,7 +173,9 @@ class FlowParallelEnv(ParallelEnv):
             raise ValueError(f"actions must be one for each of {self.agents}, got {actions!r}")
         all_places = np.zeros((self.settings.places, HALVES), self._batch.surfaces.command.dtype)
         if actions:
-            place = {_name(n): k for k, n in enumerate(self._batch.flows.number[0]) if n != NOBODY}
+            place = {
+                _name(n): k for k, n in enumerate(self._batch.streams.number[0]) if n != NOBODY
+            }
             said = self._kind.commands(list(actions.values()), len(actions))
             all_places[[place[agent] for agent in actions]] = said
         return all_places.reshape(-1)
@@ -188,7 +189,7 @@ class FlowParallelEnv(ParallelEnv):
     def _tell(self, told: Told, observation: NDArray[np.float32]) -> None:
         """Add what the last control period came to for each who was there in it, or came."""
         observations, rewards, terminated, truncated, infos = told
-        flows, reward = self._batch.flows, self._batch.lanes.reward
+        flows, reward = self._batch.streams, self._batch.parcels.reward
         outcome = flows.outcome[0]
         there = []
         for place in np.nonzero(flows.number[0] != NOBODY)[0].tolist():

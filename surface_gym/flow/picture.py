@@ -6,16 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.dynamics.types import VX
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.exits import Exit
 from surface_gym.flow.memory import BETWEEN, NOBODY, TOUCHES, WRONG
 from surface_gym.flow.settings import FlowSettings
-from surface_gym.lanes.axes import angles_of
-from surface_gym.lanes.memory import RUNNING
+from surface_gym.physics.types import VX
 from surface_gym.picture import outline_of
 from surface_gym.rendering import ExitMark, FlowPainter, FlowParcel, FlowScene
+from surface_gym.state import RUNNING, axis_angles
 
 Numbers = NDArray[np.float64]
 
@@ -64,7 +63,7 @@ class Album:
 
     def record(self, begins: bool) -> None:
         """Keep where the parcels are, after an episode began or went on by a control period."""
-        flows, lane = self._batch.flows, self._lane
+        flows, lane = self._batch.streams, self._lane
         if begins:
             self._trails.clear()
             self._departed.clear()
@@ -75,7 +74,7 @@ class Album:
             number = int(flows.number[lane, place])
             if number == NOBODY:
                 continue
-            truth = self._batch.lanes.truth[lane * self._batch.rows + place]
+            truth = self._batch.parcels.truth[lane * self._batch.rows + place]
             self._trails[number] = _latest([*trails.get(number, []), truth[:2].copy()])
             if not flows.present[lane, place]:  # it has left since the last decision
                 gone = replace(self._parcel(place), sensed_pose=None)
@@ -85,14 +84,14 @@ class Album:
     def scene(self, title: str = "Flow") -> FlowScene:
         """What a picture of now shows."""
         batch, lane, settings = self._batch, self._lane, self._batch.settings
-        flows, plant = batch.flows, settings.chosen_plant
+        flows, plant = batch.streams, settings.chosen_plant
         places = np.nonzero(flows.present[lane])[0]
         count = int(flows.arrivals[lane])
         taken, asked = flows.taken[lane, :count], flows.exit[lane, :count]
         right = taken[taken == asked]
         departed = tuple(each.at(float(flows.clock[lane])) for each in self._departed)
         return FlowScene(
-            axis=angles_of(batch.surfaces, slice(lane, lane + 1))[0],
+            axis=axis_angles(batch.surfaces, slice(lane, lane + 1))[0],
             rotor=settings.rotor,
             exits=self._exits,
             delivered=tuple(np.bincount(right, minlength=len(self._exits)).tolist()),
@@ -118,8 +117,8 @@ class Album:
         batch, lane = self._batch, self._lane
         view = batch.view(lane, place)
         truth, sensed = view.truth[:VX], view.sensed[:VX]
-        number = int(batch.flows.number[lane, place])
-        asked = int(batch.flows.exit[lane, number])
+        number = int(batch.streams.number[lane, place])
+        asked = int(batch.streams.exit[lane, number])
         return FlowParcel(
             outline=outline_of(view),
             pose=tuple(truth.tolist()),
@@ -131,7 +130,7 @@ class Album:
 
     def _touching(self, places: NDArray[np.int64], first: int) -> tuple[tuple[int, int], ...]:
         """Pairs among the parcels of these places, counted from a first, that touched lately."""
-        flows, lane = self._batch.flows, self._lane
+        flows, lane = self._batch.streams, self._lane
         since = flows.steps[lane] - flows.touched_at[lane][np.ix_(places, places)]
         lately = since * self._batch.rules.timing.dt <= FLASH + 1e-9
         pairs = first + np.argwhere(np.triu(lately, 1))
@@ -139,7 +138,7 @@ class Album:
 
     def _readings(self) -> tuple[tuple[str, str], ...]:
         batch, lane = self._batch, self._lane
-        flows = batch.flows
+        flows = batch.streams
         rate = self._rate()
         readings = [
             ("time", f"{flows.clock[lane]:.1f} s"),
@@ -155,7 +154,7 @@ class Album:
 
         Lately is never before the first one left: until then the line was filling.
         """
-        flows, lane = self._batch.flows, self._lane
+        flows, lane = self._batch.streams, self._lane
         gone = flows.taken[lane] >= BETWEEN
         left, clock = flows.left[lane, gone], float(flows.clock[lane])
         since = max(clock - RATE_OVER, float(left.min(initial=math.inf)))

@@ -12,8 +12,8 @@ from surface_gym.flow.picture import Album
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.flow.stream import Stream
 from surface_gym.game import AXIS_KEYS, ROLL, Game
-from surface_gym.lanes.memory import RUNNING
 from surface_gym.rendering import FlowPainter, FlowScene
+from surface_gym.state import RUNNING
 
 FIRST_RATE, RATE_STEP = 1500, 500  # [parcels/h]
 SLOWEST, FASTEST = 500, 9000  # [parcels/h]
@@ -46,7 +46,7 @@ class FlowGame(Game):
         return self._painter.draw(self._scene())
 
     def _advance(self) -> None:
-        if self._batch.flows.outcome[0] == RUNNING:
+        if self._batch.streams.outcome[0] == RUNNING:
             self._batch.advance(self._choice.reshape(1, -1))
             self._album.record(begins=False)
 
@@ -84,7 +84,7 @@ class FlowGame(Game):
 
     def _time_arrivals(self) -> None:
         """Let those who are still to come do so one after the other at the rate asked for."""
-        flows = self._batch.flows
+        flows = self._batch.streams
         due, gap = int(flows.due[0]), HOUR / self._rate
         coming = flows.time[0, due:]
         last = flows.time[0, due - 1]  # the first has come at the start

@@ -4,16 +4,15 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from surface_gym.batch.placement import Placement
-from surface_gym.batch.sites import FEWEST_EDGES, with_body
-from surface_gym.lanes.memory import Sites
+from surface_gym.core.resets import FEWEST_EDGES, Placement, with_body
 from surface_gym.parcel import Parcel
+from surface_gym.state import BodyTable
 
 _FIRST_ROOM = 16
 
 
 class BodyPool:
-    """Rows of `Sites` whose surface is the same for all.
+    """Rows of `BodyTable` whose surface is the same for all.
 
     Args:
         place: the placement of a parcel.
@@ -23,7 +22,7 @@ class BodyPool:
     def __init__(self, place: Callable[[Parcel], Placement], any_parcel: Parcel) -> None:
         self._place = place
         common = place(any_parcel)
-        self.sites = Sites(
+        self.bodies = BodyTable(
             rotor=common.rotor[np.newaxis].copy(),
             obeys=common.obeys[np.newaxis].copy(),
             body=np.zeros((_FIRST_ROOM, common.body.size)),
@@ -48,7 +47,7 @@ class BodyPool:
             if not self._free:
                 self._double()
             row = self._free.pop()
-            self.sites = with_body(self.sites, row, placement)
+            self.bodies = with_body(self.bodies, row, placement)
             self._row_of[parcel] = row
             self._parcel_of[row] = parcel
             self._users[row] = 0
@@ -68,8 +67,8 @@ class BodyPool:
         return self._parcel_of[row]
 
     def _double(self) -> None:
-        sites, room = self.sites, len(self.sites.body)
-        self.sites = sites._replace(
+        sites, room = self.bodies, len(self.bodies.body)
+        self.bodies = sites._replace(
             **{
                 name: np.concatenate([getattr(sites, name), np.zeros_like(getattr(sites, name))])
                 for name in ("body", "edges", "corners")

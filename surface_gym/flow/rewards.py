@@ -1,10 +1,10 @@
 """What a flow pays, parcel by parcel, and for the surface as a whole."""
 
-from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import THETA, VX, VY, X, Y
 from surface_gym.flow.features import exit_start
 from surface_gym.flow.memory import LEFT_RIGHT, LEFT_WRONG, REACH, SIDE, TOUCHED
-from surface_gym.lanes.lane import Lane, reach_along
+from surface_gym.physics.jit import inlined
+from surface_gym.physics.types import THETA, VX, VY, X, Y
+from surface_gym.state import EnvState, reach_along
 from surface_gym.tasks.sort import lateral_reach
 
 # The reward, term by term; the first are paid for each parcel.
@@ -23,17 +23,17 @@ WAITING, JAMMED = len(PARCEL_TERMS), len(PARCEL_TERMS) + 1  # places of the surf
 
 
 @inlined
-def _reach(lane: Lane) -> float:
+def _reach(state: EnvState) -> float:
     """[m] how far a parcel has come towards its exit: along the line, and from the exit's start on
     in lateral reach to the asked side; straight on, how near the middle it has stayed.
     """
-    truth = lane.truth
-    side = lane.goal[SIDE]
-    offset = truth[Y] - lane.elements.line_y
-    rear = truth[X] - reach_along(lane, truth[THETA], -1.0, 0.0)
+    truth = state.truth
+    side = state.goal[SIDE]
+    offset = truth[Y] - state.elements.line_y
+    rear = truth[X] - reach_along(state, truth[THETA], -1.0, 0.0)
     if side == 0.0:
         return ON_THE_WAY * rear - abs(offset)
-    start = exit_start(lane)
+    start = exit_start(state)
     way = ON_THE_WAY * min(rear, start)
     if rear < start:
         return way
@@ -42,24 +42,24 @@ def _reach(lane: Lane) -> float:
 
 
 @inlined
-def begin_reward(lane: Lane) -> None:
+def begin_reward(state: EnvState) -> None:
     """A parcel has entered: what it has reached so far earns nothing; its true motion is up to
     date.
     """
-    lane.memory[REACH] = _reach(lane)
-    lane.memory[TOUCHED] = 0.0
+    state.memory[REACH] = _reach(state)
+    state.memory[TOUCHED] = 0.0
 
 
 @inlined
-def reward_parcel(lane: Lane, outcome: int) -> float:
+def reward_parcel(state: EnvState, outcome: int) -> float:
     """Write a parcel's terms, and give their sum; its true motion is up to date."""
-    reach = _reach(lane)
-    terms = lane.terms
+    reach = _reach(state)
+    terms = state.terms
     terms[0] = RIGHT_REWARD if outcome == LEFT_RIGHT else 0.0
     terms[1] = WRONG_REWARD if outcome == LEFT_WRONG else 0.0
-    terms[2] = TOUCH_REWARD * lane.memory[TOUCHED]
-    terms[3] = REACH_REWARD * (reach - lane.memory[REACH])
-    terms[4] = TIME_REWARD * lane.period
-    lane.memory[REACH] = reach
-    lane.memory[TOUCHED] = 0.0
+    terms[2] = TOUCH_REWARD * state.memory[TOUCHED]
+    terms[3] = REACH_REWARD * (reach - state.memory[REACH])
+    terms[4] = TIME_REWARD * state.period
+    state.memory[REACH] = reach
+    state.memory[TOUCHED] = 0.0
     return terms[0] + terms[1] + terms[2] + terms[3] + terms[4]

@@ -1,8 +1,6 @@
 """The table of a flow: a row a place, with each parcel's neighbours along the line."""
 
-from surface_gym.batch.kernels import Rules
-from surface_gym.dynamics.compiled import inlined
-from surface_gym.dynamics.types import THETA, X
+from surface_gym.core.kernel import EnvParams
 from surface_gym.flow.entering import places_of
 from surface_gym.flow.features import (
     AHEAD,
@@ -13,12 +11,13 @@ from surface_gym.flow.features import (
     show_parcel,
 )
 from surface_gym.flow.memory import NOBODY, FlowRules, Flows
-from surface_gym.lanes.lane import lane_of, reach_along
-from surface_gym.lanes.memory import Lanes, Sites, Surfaces
+from surface_gym.physics.jit import inlined
+from surface_gym.physics.types import THETA, X
+from surface_gym.state import BodyTable, ParcelState, SurfaceState, env_state, reach_along
 
 
 @inlined
-def _nearest(flows: Flows, lanes: Lanes, i: int, place: int, ahead: bool) -> int:
+def _nearest(flows: Flows, lanes: ParcelState, i: int, place: int, ahead: bool) -> int:
     """The place of the nearest parcel ahead along x, or behind, as sensed; or NOBODY.
 
     Of two at the same x the one that came first is ahead.
@@ -40,11 +39,11 @@ def _nearest(flows: Flows, lanes: Lanes, i: int, place: int, ahead: bool) -> int
 
 @inlined
 def show_parcels(
-    rules: Rules,
+    rules: EnvParams,
     flow_rules: FlowRules,
-    surfaces: Surfaces,
-    lanes: Lanes,
-    sites: Sites,
+    surfaces: SurfaceState,
+    lanes: ParcelState,
+    sites: BodyTable,
     flows: Flows,
     i: int,
 ) -> None:
@@ -53,7 +52,7 @@ def show_parcels(
     real = places_of(flow_rules, flows)
     first = i * rows
     for k in range(rows):
-        lane = lane_of(surfaces, lanes, sites, i, first + k, rules.elements)
+        lane = env_state(surfaces, lanes, sites, i, first + k, rules.elements)
         waits = k >= real and flows.number[i, k] != NOBODY
         if not (flows.present[i, k] or waits):
             show_nobody(lane)
@@ -68,7 +67,7 @@ def show_parcels(
             if place == NOBODY:
                 show_no_neighbour(lane, at)
                 continue
-            other = lane_of(surfaces, lanes, sites, i, first + place, rules.elements)
+            other = env_state(surfaces, lanes, sites, i, first + place, rules.elements)
             other_x, other_theta = other.sensed[X], other.sensed[THETA]
             if ahead == 1:
                 gap = other_x - reach_along(other, other_theta, -1.0, 0.0) - front

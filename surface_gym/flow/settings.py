@@ -8,22 +8,21 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from surface_gym import bounds, checks
-from surface_gym.actions import ANY, ActionKind
-from surface_gym.actuators import Actuators
-from surface_gym.dynamics.company import Touching
+from surface_gym import checks
+from surface_gym.core.actions import ANY, ActionKind
 from surface_gym.flow.actions import FlowActions
 from surface_gym.flow.exits import exits_option
 from surface_gym.flow.features import FEATURES
 from surface_gym.flow.line import flow_line
 from surface_gym.flow.obeying import HALVES
 from surface_gym.flow.stream import Stream
-from surface_gym.lanes.memory import NOISE_ROWS, Timing
-from surface_gym.plants import Plant
-from surface_gym.randomisation import Randomisation
+from surface_gym.lines import BaseLine
+from surface_gym.physics.collision import ContactMaterial
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Exact, Sensor
-from surface_gym.sensors.entry import ENTRY_ROWS
+from surface_gym.sensors.base import ENTRY_ROWS
 from surface_gym.settings import check_kinds, check_stuck, timing_of
+from surface_gym.state import NOISE_ROWS, Timing
 
 ACTIONS = ("modules", "parcels")
 MOST_PLACES = 256
@@ -37,7 +36,7 @@ class FlowSettings:
     """Arguments of a flow's environment.
 
     Raises:
-        ValueError: an argument is not allowed, or a number is beyond `surface_gym.bounds`; the
+        ValueError: an argument is not allowed, or a number is beyond `surface_gym.checks`; the
             message names it, what came and what may come.
     """
 
@@ -48,7 +47,7 @@ class FlowSettings:
     control_period: float = 0.04  # [s] between decisions
     duration: float = 60.0  # [s] of an episode
     places: int = 24  # for parcels on the surface at a time
-    plant: Plant | None = None  # None: `flow_line()`, 6 m with 4 rows of rotors
+    plant: BaseLine | None = None  # None: `flow_line()`, 6 m with 4 rows of rotors
     tilt: float = LEVELLING  # [rad] downhill towards +x
     # [rad] axis angles on offer; None: the plant's; "any": an action says angles
     orientations: tuple[float, ...] | str | None = None
@@ -69,7 +68,7 @@ class FlowSettings:
                 ("sensors", Sensor, "a Sensor"),
                 ("actuators", Actuators, "Actuators"),
                 ("randomisation", Randomisation, "a Randomisation"),
-                ("plant", Plant | None, "a Plant"),
+                ("plant", BaseLine | None, "a Plant"),
             ),
         )
         set_field = object.__setattr__
@@ -79,9 +78,9 @@ class FlowSettings:
         elif self.orientations is not None:
             set_field(self, "orientations", checks.orientations("orientations", self.orientations))
         for name, allowed in (
-            ("control_period", bounds.CONTROL_PERIOD),
-            ("duration", (0.0, bounds.EPISODE)),
-            ("patience", bounds.PATIENCE),
+            ("control_period", checks.CONTROL_PERIOD),
+            ("duration", (0.0, checks.EPISODE)),
+            ("patience", checks.PATIENCE),
         ):
             set_field(self, name, checks.positive(name, getattr(self, name), *allowed))
         if self.duration < self.control_period:
@@ -90,9 +89,9 @@ class FlowSettings:
                 f"got {self.duration!r}"
             )
         for name, most in (
-            ("side_friction", bounds.FRICTION),
-            ("entry_gap", bounds.LENGTH[1]),
-            ("ahead", bounds.AHEAD),
+            ("side_friction", checks.FRICTION),
+            ("entry_gap", checks.LENGTH[1]),
+            ("ahead", checks.AHEAD),
         ):
             set_field(self, name, checks.not_negative(name, getattr(self, name), most))
         set_field(self, "tilt", checks.within("tilt", self.tilt, -STEEPEST, STEEPEST))
@@ -138,7 +137,7 @@ class FlowSettings:
                 )
 
     @property
-    def chosen_plant(self) -> Plant:
+    def chosen_plant(self) -> BaseLine:
         """Where it happens."""
         return DEFAULT_LINE if self.plant is None else self.plant
 
@@ -213,9 +212,9 @@ class FlowSettings:
         return draws + ENTRY_ROWS
 
     @property
-    def sides(self) -> Touching:
+    def sides(self) -> ContactMaterial:
         """How parcels' sides behave."""
-        return Touching(float(self.restitution), self.side_friction)
+        return ContactMaterial(float(self.restitution), self.side_friction)
 
     def row_space(self) -> spaces.Box:
         """The space of one row of the observation."""

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from surface_gym import bounds, checks
+from surface_gym import checks
 from surface_gym.flow.arrivals import (
     Arrivals,
     Law,
@@ -22,7 +22,7 @@ from surface_gym.flow.arrivals import (
 from surface_gym.flow.exits import Exits, check_name
 from surface_gym.flow.trace import Trace, read_trace
 from surface_gym.parcel import Parcel
-from surface_gym.tasks.start import parcel_option
+from surface_gym.tasks.base import parcel_option
 
 Of = TypeVar("Of")
 
@@ -126,7 +126,7 @@ class Stream:
         Raises:
             ValueError: a duration that is not positive, a destination that is none of the exits.
         """
-        duration = checks.positive("duration", duration, most=bounds.EPISODE)
+        duration = checks.positive("duration", duration, most=checks.EPISODE)
         self.check(exits)
         if isinstance(self.arrivals, Trace):
             return self.arrivals.within(duration, exits)
@@ -198,7 +198,7 @@ def _destinations(given: Any) -> tuple[tuple[str, float], ...]:
 def _with_odds(name: str, pair: Any, check: Callable[[Any], Of]) -> tuple[Of, float]:
     if not isinstance(pair, (tuple, list)) or len(pair) != 2:
         raise ValueError(f"{name} must be in pairs with their odds, got {pair!r}")
-    return check(pair[0]), checks.positive(f"odds of {name}", pair[1], *bounds.ODDS)
+    return check(pair[0]), checks.positive(f"odds of {name}", pair[1], *checks.ODDS)
 
 
 def _speeds(given: Any) -> float | tuple[float, float]:

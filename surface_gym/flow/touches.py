@@ -1,16 +1,16 @@
 """Who begins to touch whom."""
 
-from surface_gym.dynamics.company import TogetherScratch
-from surface_gym.dynamics.compiled import inlined
 from surface_gym.flow.memory import TOUCHED, TOUCHES, Flows
-from surface_gym.lanes.memory import Lanes
+from surface_gym.physics.collision import WorldScratch
+from surface_gym.physics.jit import inlined
+from surface_gym.state import ParcelState
 
 APART = 0.2  # [s] two that have not pushed each other for so long begin anew
 
 
 @inlined
 def note_touches(
-    lanes: Lanes, flows: Flows, scratch: TogetherScratch, i: int, pairs: int, apart: int
+    lanes: ParcelState, flows: Flows, scratch: WorldScratch, i: int, pairs: int, apart: int
 ) -> None:
     """Count who begins to touch whom."""
     rows = flows.number.shape[1]

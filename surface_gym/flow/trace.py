@@ -11,10 +11,9 @@ from typing import TextIO
 import numpy as np
 
 from surface_gym import checks
-from surface_gym.bases import Rectangle
 from surface_gym.flow.arrivals import LATEST, Arrivals, check_speed
 from surface_gym.flow.exits import Exits, check_name
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Parcel, Rectangle
 
 COLUMNS = ("time", "length", "width", "mass", "speed", "exit")  # [s, m, m, kg, m/s], a name
 

@@ -6,7 +6,6 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from surface_gym.actuators import Actuators
 from surface_gym.faces.lanes import Booleans
 from surface_gym.faces.vector import BatchVectorEnv, with_masks
 from surface_gym.flow.batch import FlowBatch
@@ -15,10 +14,10 @@ from surface_gym.flow.infos import episodes_of, infos_of
 from surface_gym.flow.rewards import TERMS
 from surface_gym.flow.settings import LEVELLING, FlowSettings
 from surface_gym.flow.stream import Stream
-from surface_gym.lanes.memory import RUNNING
-from surface_gym.plants import Plant
-from surface_gym.randomisation import Randomisation
+from surface_gym.lines import BaseLine
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Exact, Sensor
+from surface_gym.state import RUNNING
 
 
 class FlowVectorEnv(BatchVectorEnv):
@@ -46,7 +45,7 @@ class FlowVectorEnv(BatchVectorEnv):
         control_period: float = 0.04,
         duration: float = 60.0,
         places: int = 24,
-        plant: Plant | None = None,
+        plant: BaseLine | None = None,
         tilt: float = LEVELLING,
         orientations: tuple[float, ...] | str | None = None,
         actuators: Actuators = Actuators(),
@@ -95,7 +94,7 @@ class FlowVectorEnv(BatchVectorEnv):
         self._painter: Any = None
 
     def _infos(self, mask: Booleans) -> dict[str, Any]:
-        flows = self._batch.flows
+        flows = self._batch.streams
         told = infos_of(self._batch)
         infos: dict[str, Any] = {name: values.copy() for name, values in told.items()}
         infos["outcome"] = self._outcomes[flows.outcome]

@@ -4,10 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import layouts
-from surface_gym.dynamics.compiled import compiled
-from surface_gym.dynamics.entries import find_contacts
-from surface_gym.dynamics.memory import make_scratch
-from surface_gym.dynamics.types import ARM_X, ROTOR, Array, Body, Grid, Scratch
+from surface_gym.physics.jit import compiled
+from surface_gym.physics.references import find_contacts
+from surface_gym.physics.types import ARM_X, ROTOR, Array, Body, Grid, Scratch, make_scratch
 from surface_gym.surface import Surface
 
 NONE = -1  # instead of a column, where no rotor lies under the base

@@ -31,9 +31,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import layouts
-from surface_gym.dynamics.friction import ROUNDING
 from surface_gym.paper.integration import Integration
 from surface_gym.paper.tables import Track, untracked
+from surface_gym.physics.friction import ROUNDING
 from surface_gym.simulation import simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory

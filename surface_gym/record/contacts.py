@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.dynamics.types import OMEGA, THETA, VX, Array, Integers, X
+from surface_gym.physics.types import OMEGA, THETA, VX, Array, Integers, X
 from surface_gym.record.repeating import Run, repeat
 from surface_gym.surface import Surface
 

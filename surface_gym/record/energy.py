@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.dynamics.types import OMEGA, VX, Array, X
+from surface_gym.physics.types import OMEGA, VX, Array, X
 from surface_gym.record.contacts import ContactRecord, along_and_across, slip_over
 from surface_gym.record.repeating import Run
 

@@ -10,7 +10,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from surface_gym import checks
-from surface_gym.dynamics.types import Array
+from surface_gym.physics.types import Array
 from surface_gym.record.parts import Parts, check_rows, run_of, run_parts
 from surface_gym.trajectory import Trajectory
 

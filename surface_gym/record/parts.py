@@ -7,10 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.bases import Base, Disc, Polygon, Rectangle
-from surface_gym.dynamics.memory import check_capacity
-from surface_gym.dynamics.types import STATE_SIZE, Array
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
+from surface_gym.physics.types import STATE_SIZE, Array, check_capacity
 from surface_gym.record.repeating import Run
 from surface_gym.surface import Surface
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 
-from surface_gym.dynamics.types import Array
+from surface_gym.physics.types import Array
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 

@@ -4,18 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surface_gym.dynamics.entries import find_support
-from surface_gym.dynamics.memory import make_scratch, row_of
-from surface_gym.dynamics.observing import (
-    Observed,
-    Steps,
-    bear_loads,
+from surface_gym.parcel import Parcel
+from surface_gym.physics.references import find_support
+from surface_gym.physics.rollout import (
+    ContactForces,
+    RecordedSteps,
     count_contacts,
     repeat_explicit,
     repeat_implicit,
+    support_loads,
 )
-from surface_gym.dynamics.types import NORMAL, Array, Scratch
-from surface_gym.parcel import Parcel
+from surface_gym.physics.types import NORMAL, Array, Scratch, make_scratch, table_row
 from surface_gym.surface import Surface
 
 
@@ -45,7 +44,7 @@ class Run:
         return (0.5 if self.method == "implicit" else 0.0) * self.lengths(time)
 
 
-def repeat(run: Run, time: Array) -> tuple[Steps, Observed]:
+def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
     """Do each step of a run once more, from the state recorded before it.
 
     Args:
@@ -59,21 +58,21 @@ def repeat(run: Run, time: Array) -> tuple[Steps, Observed]:
     scratch = make_scratch()
     count = np.zeros(len(time), dtype=np.int64)
     first = np.zeros(len(time) + 1, dtype=np.int64)
-    steps = Steps(run.states, run.lengths(time), run.leads(time), first)
+    steps = RecordedSteps(run.states, run.lengths(time), run.leads(time), first)
     count_contacts(grid, body, steps, scratch, count)
     if not count[1:].all():
         step = 1 + int(np.argmin(count[1:]))
         raise ValueError(f"states must be over elements in every step, got none in step {step}")
     first[1:] = np.cumsum(count)
     total = int(first[-1])
-    observed = Observed(
+    observed = ContactForces(
         run.states.copy(),
         np.zeros((total, 2), dtype=np.int64),
         np.zeros(total),
         np.zeros((total, 2)),
     )
     if run.normal_forces == "dual":
-        bear_loads(grid, body, steps, scratch, observed)
+        support_loads(grid, body, steps, scratch, observed)
     else:
         _bear_by_reference(run, steps, scratch, observed)
     if run.method == "implicit":
@@ -84,13 +83,15 @@ def repeat(run: Run, time: Array) -> tuple[Steps, Observed]:
     return steps, observed
 
 
-def _bear_by_reference(run: Run, steps: Steps, scratch: Scratch, observed: Observed) -> None:
+def _bear_by_reference(
+    run: Run, steps: RecordedSteps, scratch: Scratch, observed: ContactForces
+) -> None:
     """Write the normal forces of all steps as OSQP or SciPy finds them."""
-    from surface_gym.dynamics.reference_load import bear_load_by
+    from surface_gym.physics.references import support_load_by
 
     grid, body = run.surface.grid, run.parcel.body
     for k in range(1, len(run.states)):
         state, first = run.states[k - 1], steps.first[k]
         count = find_support(grid, body, state, scratch, float(steps.lead[k])).total
-        bear_load_by(run.normal_forces, grid, body, state, scratch, count)
-        observed.normal[first : first + count] = row_of(scratch, NORMAL, count)
+        support_load_by(run.normal_forces, grid, body, state, scratch, count)
+        observed.normal[first : first + count] = table_row(scratch, NORMAL, count)

@@ -3,15 +3,22 @@
 import math
 from dataclasses import dataclass, field
 
-from surface_gym import bounds, checks
-from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.types import Array
-from surface_gym.lanes.lane import Lane
-from surface_gym.lanes.memory import NOISE_ROWS
-from surface_gym.sensors import observer
-from surface_gym.sensors.entry import Entry
-from surface_gym.sensors.observer import GAIN, LAST, MODEL_SIZE, Observer, correct, measure
-from surface_gym.sensors.sensor import Physics
+from surface_gym import checks
+from surface_gym.physics.jit import kernel_function
+from surface_gym.physics.types import Array
+from surface_gym.sensors import kalman
+from surface_gym.sensors.adaptive import (
+    CONSTANT,
+    DOUBT,
+    LEARNING_LAST,
+    begin_learning,
+    correct_constants,
+    measure_constants,
+    predict_learning,
+)
+from surface_gym.sensors.base import LEARNED, Entry, Physics
+from surface_gym.sensors.kalman import GAIN, LAST, MODEL_SIZE, Observer, correct, measure
+from surface_gym.state import NOISE_ROWS, EnvState
 
 FRAMES = 16  # that can be under way at a time
 MOST_LATE = 8  # frames, however the periods are rounded
@@ -52,7 +59,7 @@ class Camera(Observer):
     Raises:
         ValueError: a rate or density that is not positive, a negative latency or one of more than
             8 frames, negative noise or friction, a `drop` outside [0, 1), or a number
-            beyond `surface_gym.bounds`.
+            beyond `surface_gym.checks`.
     """
 
     frame_rate: float = 50.0  # [Hz]
@@ -68,15 +75,15 @@ class Camera(Observer):
     turn_density: float = 0.03  # [rad^2/s^3] of the physics' other error in turning
     entry: Entry = field(default_factory=Entry)  # what is known of a parcel as it enters
 
-    kept = LAST + FRAMES * FRAME_SIZE
+    sensor_size = LAST + FRAMES * FRAME_SIZE
 
     def __post_init__(self) -> None:
-        checks.positive("frame_rate", self.frame_rate, *bounds.FRAME_RATE)
+        checks.positive("frame_rate", self.frame_rate, *checks.FRAME_RATE)
         for name in ("acceleration_density", "turn_density"):
-            checks.positive(name, getattr(self, name), *bounds.DENSITY)
-        checks.not_negative("position_noise", self.position_noise, bounds.POSITION_ERROR)
-        checks.not_negative("angle_noise", self.angle_noise, bounds.ANGLE_ERROR)
-        checks.not_negative("friction_error", self.friction_error, bounds.FRICTION_ERROR)
+            checks.positive(name, getattr(self, name), *checks.DENSITY)
+        checks.not_negative("position_noise", self.position_noise, checks.POSITION_ERROR)
+        checks.not_negative("angle_noise", self.angle_noise, checks.ANGLE_ERROR)
+        checks.not_negative("friction_error", self.friction_error, checks.FRICTION_ERROR)
         checks.assumed_friction(self.mu_max, self.mu_min, self.mu_support)
         if checks.within("drop", self.drop, 0.0, 1.0) == 1.0:
             raise ValueError(f"drop must be less than 1, got {self.drop!r}")
@@ -130,97 +137,172 @@ class Camera(Observer):
         return frames
 
     @staticmethod
-    @lane_function
-    def begin(numbers: Array, lane: Lane) -> None:
+    @kernel_function
+    def begin(numbers: Array, state: EnvState) -> None:
         """Set the filter; frames from before never arrive."""
-        observer.begin(numbers, ENTRY, lane)
+        kalman.begin(numbers, ENTRY, state)
         for k in range(FRAMES):
-            lane.kept[LAST + FRAME_SIZE * k + TAKEN] = 0.0
+            state.sensor_state[LAST + FRAME_SIZE * k + TAKEN] = 0.0
 
     @staticmethod
-    @lane_function
-    def look(numbers: Array, lane: Lane, physics: Physics) -> None:
+    @kernel_function
+    def update(numbers: Array, state: EnvState, physics: Physics) -> None:
         """Move the estimate over a physics step; take a frame if one is due, and use the one that
         arrives, which may be the same.
         """
-        observer.predict(numbers, MODEL, lane, physics)
-        place = watch(numbers, lane, LAST)
+        kalman.predict(numbers, MODEL, state, physics)
+        place = watch(numbers, state, LAST)
         if place > 0:
-            _use(numbers, lane, place, physics.dt)
+            _use(numbers, state, place, physics.dt)
 
 
-@lane_function
-def watch(numbers: Array, lane: Lane, first: int) -> int:
+@kernel_function
+def watch(numbers: Array, state: EnvState, first: int) -> int:
     """Take a frame if one is due; where the one lies that arrives, the frames in the memory from
     `first` on, or 0 where none does.
     """
     every = int(numbers[EVERY])
-    if lane.steps % every == 0:
-        _take(numbers, lane, first)
-    taken = lane.steps - int(numbers[LAG])
+    if state.steps % every == 0:
+        _take(numbers, state, first)
+    taken = state.steps - int(numbers[LAG])
     if taken > 0 and taken % every == 0:
         place = _place(first, taken // every)
-        if lane.kept[place + TAKEN] > 0.0:
+        if state.sensor_state[place + TAKEN] > 0.0:
             return place
     return 0
 
 
-@lane_function
+@kernel_function
 def _place(first: int, number: int) -> int:
     """Where a frame lies in the memory, the frames from `first` on."""
     return first + FRAME_SIZE * (number % FRAMES)
 
 
-@lane_function
-def _take(numbers: Array, lane: Lane, first: int) -> None:
+@kernel_function
+def _take(numbers: Array, state: EnvState, first: int) -> None:
     """Take a frame, or lose it; the frames lie in the memory from `first` on."""
-    row = lane.noise_row[0]
-    lane.noise_row[0] = row + 1
-    noise = lane.noise[row]
-    place = _place(first, lane.steps // int(numbers[EVERY]))
-    lane.kept[place + TAKEN] = 0.0 if noise[3] < numbers[DROP] else float(lane.steps)
+    row = state.noise_row[0]
+    state.noise_row[0] = row + 1
+    noise = state.noise[row]
+    place = _place(first, state.steps // int(numbers[EVERY]))
+    state.sensor_state[place + TAKEN] = 0.0 if noise[3] < numbers[DROP] else float(state.steps)
     for k in range(3):
         spread = numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE]
-        seen = lane.truth[k] + spread * noise[k]
-        lane.kept[place + SURPRISE + k] = seen - lane.kept[k]
+        seen = state.truth[k] + spread * noise[k]
+        state.sensor_state[place + SURPRISE + k] = seen - state.sensor_state[k]
 
 
-@lane_function
-def shift_frames(lane: Lane, first: int, shift: float, dt: float) -> None:
+@kernel_function
+def shift_frames(state: EnvState, first: int, shift: float, dt: float) -> None:
     """Bring the surprises of all frames, from `first` on, up to date with a correction of `shift`
     times GAIN.
     """
-    gain = lane.kept[GAIN:]
+    gain = state.sensor_state[GAIN:]
     for number in range(FRAMES):
         place = _place(first, number)
-        lead = age(lane, place, dt)
+        lead = age(state, place, dt)
         for k in range(3):
-            lane.kept[place + SURPRISE + k] -= shift * (gain[k] - lead * gain[3 + k])
+            state.sensor_state[place + SURPRISE + k] -= shift * (gain[k] - lead * gain[3 + k])
 
 
-@lane_function
-def _use(numbers: Array, lane: Lane, place: int, dt: float) -> None:
+@kernel_function
+def _use(numbers: Array, state: EnvState, place: int, dt: float) -> None:
     """Correct the estimate by what a frame shows, a coordinate at a time."""
-    lead = age(lane, place, dt)
+    lead = age(state, place, dt)
     for k in range(3):
-        shift, shrink = weigh(numbers, lane, place, k, lead)
-        correct(lane.kept, shift, shrink)
-        shift_frames(lane, LAST, shift, dt)
+        shift, shrink = weigh(numbers, state, place, k, lead)
+        correct(state.sensor_state, shift, shrink)
+        shift_frames(state, LAST, shift, dt)
 
 
-@lane_function
-def age(lane: Lane, place: int, dt: float) -> float:
+@kernel_function
+def age(state: EnvState, place: int, dt: float) -> float:
     """[s] since the frame at a place in the memory was taken."""
-    return dt * (lane.steps - lane.kept[place + TAKEN])
+    return dt * (state.steps - state.sensor_state[place + TAKEN])
 
 
-@lane_function
-def weigh(numbers: Array, lane: Lane, place: int, k: int, lead: float) -> tuple[float, float]:
+@kernel_function
+def weigh(numbers: Array, state: EnvState, place: int, k: int, lead: float) -> tuple[float, float]:
     """By how much the frame at a place, of `lead` seconds ago, moves the estimate and lessens its
     covariance, by the pose's coordinate `k` alone; along what `measure` leaves.
     """
     noise = max(SHARPEST, numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE])
     by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0
-    variance = measure(lane.kept, by_x, by_y, 1.0 if k == 2 else 0.0, lead)
+    variance = measure(state.sensor_state, by_x, by_y, 1.0 if k == 2 else 0.0, lead)
     per_surprise = 1.0 / (variance + noise * noise)
-    return lane.kept[place + SURPRISE + k] * per_surprise, per_surprise
+    return state.sensor_state[place + SURPRISE + k] * per_surprise, per_surprise
+
+
+SPREADS = ENTRY + 4  # columns of the settings, after those of a Camera
+
+
+@dataclass(frozen=True)
+class AdaptiveCamera(Camera):
+    """A `Camera` that estimates more than pose and velocity: the factor by which mu_max differs
+    from what it assumes, and where over the base the centre of mass lies.
+
+    Both are constant while a parcel is on the surface, and known at a start to the spreads given.
+    A parcel that is braked harder than was reckoned, or that turns where it should not, tells of
+    them; see `surface_gym.sensors.adaptive`. The argument `observe=("load",)` shows them.
+
+    Raises:
+        ValueError: as a Camera, or a spread that is not positive.
+    """
+
+    acceleration_density: float = 0.0001  # [m^2/s^3] less than a Camera's: the load is known of
+    turn_density: float = 0.01  # [rad^2/s^3]
+    friction_spread: float = 0.1  # [-] standard deviation of the factor of mu_max from 1
+    load_spread: float = 0.015  # [m] of the centre of mass from the base's centroid, in x and in y
+
+    sensor_size = LEARNING_LAST + FRAMES * FRAME_SIZE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checks.positive("friction_spread", self.friction_spread, *checks.LEARNED_SPREAD)
+        checks.positive("load_spread", self.load_spread, *checks.LEARNED_SPREAD)
+
+    def numbers(self, dt: float) -> tuple[float, ...]:
+        """The settings as compiled code reads them, for physics steps of `dt` [s]."""
+        return (*super().numbers(dt), self.friction_spread, self.load_spread)
+
+    @staticmethod
+    @kernel_function
+    def begin(numbers: Array, state: EnvState) -> None:
+        """Set the filter; frames from before never arrive."""
+        kalman.begin(numbers, ENTRY, state)
+        begin_learning(numbers, SPREADS, state)
+        for k in range(FRAMES):
+            state.sensor_state[LEARNING_LAST + FRAME_SIZE * k + TAKEN] = 0.0
+
+    @staticmethod
+    @kernel_function
+    def update(numbers: Array, state: EnvState, physics: Physics) -> None:
+        """As a Camera does."""
+        predict_learning(numbers, MODEL, state, physics)
+        place = watch(numbers, state, LEARNING_LAST)
+        if place > 0:
+            _use_adaptive(numbers, state, place, physics.dt)
+
+    @staticmethod
+    @kernel_function
+    def learned(numbers: Array, state: EnvState, first: int, mirror: float) -> None:
+        """Show what was learned, and how much of the doubt about it is left."""
+        estimate, see = state.sensor_state, state.observation
+        for j in range(LEARNED):
+            spread = numbers[SPREADS + min(j, 1)]
+            apart = estimate[CONSTANT + j] - (1.0 if j == 0 else 0.0)
+            see[first + j] = (mirror if j == 2 else 1.0) * apart / spread
+            left = max(0.0, estimate[DOUBT + (LEARNED + 1) * j]) ** 0.5 / spread
+            see[first + LEARNED + j] = min(1.0, left)
+
+
+@kernel_function
+def _use_adaptive(numbers: Array, state: EnvState, place: int, dt: float) -> None:
+    """Correct the estimate by what a frame shows, a coordinate at a time."""
+    lead = age(state, place, dt)
+    for k in range(3):
+        shift, shrink = weigh(numbers, state, place, k, lead)
+        measure_constants(state.sensor_state, k, lead)
+        correct(state.sensor_state, shift, shrink)
+        correct_constants(state, shift, shrink)
+        shift_frames(state, LEARNING_LAST, shift, dt)

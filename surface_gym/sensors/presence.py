@@ -1,20 +1,72 @@
-"""Presence: each module's own on/off sensor, and an observer that makes a pose of the pattern."""
+"""What a parcel can do: bounds on an estimate, whatever its model and its corrections say."""
 
 import math
 from dataclasses import dataclass, field
 
-from surface_gym import bounds, checks
-from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.types import Array
-from surface_gym.lanes.lane import Lane
-from surface_gym.lanes.memory import NOISE_ROWS
-from surface_gym.sensors import observer
-from surface_gym.sensors.agreement import agree
-from surface_gym.sensors.entry import Entry
-from surface_gym.sensors.observer import LAST, MODEL_SIZE, Observer
-from surface_gym.sensors.possible import keep_possible, most_energy
-from surface_gym.sensors.sensor import Physics
-from surface_gym.sensors.switches import is_any_pressed, take_contradictions, take_switches
+from surface_gym import checks
+from surface_gym.physics.jit import kernel_function
+from surface_gym.physics.types import GYRATION, OMEGA, RADIUS, THETA, VX, VY, Array, X, Y
+from surface_gym.sensors import kalman
+from surface_gym.sensors.base import Entry, Physics
+from surface_gym.sensors.kalman import COVARIANCE, LAST, MODEL_SIZE, SIZE, Observer
+from surface_gym.sensors.switches import agree, is_any_pressed, take_contradictions, take_switches
+from surface_gym.state import GRAVITY_ALONG, NOISE_ROWS, EnvState
+
+SURE = 3.0  # standard deviations of an entry that count
+# [-] of the energy that a load over the centroid has at most: over one off centre the centroid is
+# faster than the load, and parcels push each other.
+MARGIN = 4.0
+# No parcel of any task is faster, and every observation has room for as much.
+FASTEST = 9.0  # [m/s]
+FASTEST_TURN = 100.0  # [rad/s]
+MOST_TURN = 32.0 * math.pi  # [rad] of theta; whole turns beyond are not counted
+
+
+@kernel_function
+def most_energy(state: EnvState) -> float:
+    """[m^2/s^2] vx^2 + vy^2 + (gyration radius x omega)^2 that a parcel may have at most.
+
+    Modules brake and do not push, so that it is what the entry, which `state.sensor_state` holds, and the
+    way down the whole surface give.
+    """
+    estimate = state.sensor_state
+    energy = 2.0 * abs(state.surface[GRAVITY_ALONG]) * state.elements.pitch_x * state.rotor.shape[1]
+    for k in range(3, SIZE):
+        fastest = abs(estimate[k]) + SURE * math.sqrt(estimate[COVARIANCE + (SIZE + 1) * k])
+        energy += fastest * fastest * (state.body[GYRATION] if k == OMEGA else 1.0)
+    return min(MARGIN * energy, FASTEST * FASTEST)
+
+
+@kernel_function
+def keep_possible(state: EnvState, energy: float) -> None:
+    """Bring the estimate in `state.sensor_state` back over the surface, and slow it down to an energy
+    [m^2/s^2], where it is beyond.
+    """
+    estimate = state.sensor_state
+    rows, columns = state.rotor.shape
+    elements, reach = state.elements, state.body[RADIUS]
+    left, low = elements.x0 - 0.5 * elements.pitch_x, elements.y0 - 0.5 * elements.pitch_y
+    _keep_within(estimate, X, left - reach, left + elements.pitch_x * columns + reach)
+    _keep_within(estimate, Y, low - reach, low + elements.pitch_y * rows + reach)
+    if abs(estimate[THETA]) > MOST_TURN:
+        estimate[THETA] -= 2.0 * math.pi * math.floor(estimate[THETA] / (2.0 * math.pi))
+    turning = state.body[GYRATION] * estimate[OMEGA] * estimate[OMEGA]
+    has = estimate[VX] * estimate[VX] + estimate[VY] * estimate[VY] + turning
+    if has > energy:
+        slower = math.sqrt(energy / has)
+        for k in range(3, SIZE):
+            estimate[k] *= slower
+    _keep_within(estimate, OMEGA, -FASTEST_TURN, FASTEST_TURN)
+
+
+@kernel_function
+def _keep_within(estimate: Array, k: int, low: float, high: float) -> None:
+    """Bring a coordinate back into [low, high]."""
+    if estimate[k] < low:
+        estimate[k] = low
+    elif estimate[k] > high:
+        estimate[k] = high
+
 
 # Columns of the settings; the Entry comes last.
 (
@@ -69,14 +121,14 @@ class Presence(Observer):
     tolerance: float = 0.001  # [m] of where a sensor switches
     entry: Entry = field(default_factory=Entry)  # what is known of a parcel as it enters
 
-    kept = ENERGY + 1
+    sensor_size = ENERGY + 1
 
     def __post_init__(self) -> None:
-        checks.positive("sample_rate", self.sample_rate, *bounds.FRAME_RATE)
-        checks.positive("tolerance", self.tolerance, *bounds.TOLERANCE)
+        checks.positive("sample_rate", self.sample_rate, *checks.FRAME_RATE)
+        checks.positive("tolerance", self.tolerance, *checks.TOLERANCE)
         for name in ("acceleration_density", "turn_density"):
-            checks.positive(name, getattr(self, name), *bounds.DENSITY)
-        checks.not_negative("friction_error", self.friction_error, bounds.FRICTION_ERROR)
+            checks.positive(name, getattr(self, name), *checks.DENSITY)
+        checks.not_negative("friction_error", self.friction_error, checks.FRICTION_ERROR)
         checks.assumed_friction(self.mu_max, self.mu_min, self.mu_support)
         if checks.within("drop", self.drop, 0.0, 1.0) == 1.0:
             raise ValueError(f"drop must be less than 1, got {self.drop!r}")
@@ -124,37 +176,37 @@ class Presence(Observer):
         return samples
 
     @staticmethod
-    @lane_function
-    def begin(numbers: Array, lane: Lane) -> None:
+    @kernel_function
+    def begin(numbers: Array, state: EnvState) -> None:
         """Set the observer, and read the sensors for the first time."""
-        observer.begin(numbers, ENTRY, lane)
-        lane.kept[ENERGY] = most_energy(lane)
-        _keep_sample(lane, 0)
+        kalman.begin(numbers, ENTRY, state)
+        state.sensor_state[ENERGY] = most_energy(state)
+        _keep_sample(state, 0)
 
     @staticmethod
-    @lane_function
-    def look(numbers: Array, lane: Lane, physics: Physics) -> None:
+    @kernel_function
+    def update(numbers: Array, state: EnvState, physics: Physics) -> None:
         """Move the estimate over a physics step, and correct it by a sample if one is due."""
-        observer.predict(numbers, MODEL, lane, physics)
-        keep_possible(lane, lane.kept[ENERGY])
-        if lane.steps % int(numbers[EVERY]) != 0:
+        kalman.predict(numbers, MODEL, state, physics)
+        keep_possible(state, state.sensor_state[ENERGY])
+        if state.steps % int(numbers[EVERY]) != 0:
             return
-        row = lane.noise_row[0]
-        lane.noise_row[0] = row + 1
-        if lane.noise[row, 3] < numbers[DROP]:
+        row = state.noise_row[0]
+        state.noise_row[0] = row + 1
+        if state.noise[row, 3] < numbers[DROP]:
             return
-        interval = physics.dt * (lane.steps - lane.kept[STEP])
+        interval = physics.dt * (state.steps - state.sensor_state[STEP])
         tolerance = numbers[TOLERANCE]
-        take_switches(lane, lane.kept[SAMPLED : SAMPLED + 3], interval, tolerance)
+        take_switches(state, state.sensor_state[SAMPLED : SAMPLED + 3], interval, tolerance)
         # Where no switch is pressed it is not known where the parcel has left the rotors to.
-        if is_any_pressed(lane) and take_contradictions(lane, tolerance) > 0.0:
-            agree(lane, tolerance)
-        keep_possible(lane, lane.kept[ENERGY])
-        _keep_sample(lane, lane.steps)
+        if is_any_pressed(state) and take_contradictions(state, tolerance) > 0.0:
+            agree(state, tolerance)
+        keep_possible(state, state.sensor_state[ENERGY])
+        _keep_sample(state, state.steps)
 
 
-@lane_function
-def _keep_sample(lane: Lane, step: int) -> None:
+@kernel_function
+def _keep_sample(state: EnvState, step: int) -> None:
     for k in range(3):
-        lane.kept[SAMPLED + k] = lane.truth[k]
-    lane.kept[STEP] = step
+        state.sensor_state[SAMPLED + k] = state.truth[k]
+    state.sensor_state[STEP] = step

@@ -1,23 +1,114 @@
-"""What a pattern of covered modules tells an estimate: which switched, and which contradict it.
-
-The pattern is the one that the base covers at `lane.truth`; the estimate lies in `lane.kept`.
-"""
+"""A base's outline over the grid: the modules of a row it covers, and how far one is beyond it."""
 
 import math
 
-from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.contacts import EDGE_TOLERANCE
-from surface_gym.dynamics.types import OMEGA, RADIUS, THETA, VX, VY, Array, X, Y
-from surface_gym.lanes.lane import Lane
-from surface_gym.sensors.observer import correct, measure
-from surface_gym.sensors.outline import between_places, covered_columns, outside
+from surface_gym.physics.contacts import EDGE_TOLERANCE
+from surface_gym.physics.jit import kernel_function
+from surface_gym.physics.types import OMEGA, RADIUS, THETA, VX, VY, Array, X, Y
+from surface_gym.sensors.kalman import COVARIANCE, SIZE, correct, measure
+from surface_gym.state import EnvState
+
+
+@kernel_function
+def between_places(low: float, high: float, count: int) -> tuple[int, int]:
+    """First and last of the places 0 ... count - 1 that lie in [low, high]; the first exceeds the
+    last if none does. The bounds may be any floats: none beyond the places becomes an integer.
+    """
+    first, last = count, -1
+    if low <= 0.0:
+        first = 0
+    elif low < count:
+        first = math.ceil(low)
+    if high >= count - 1.0:
+        last = count - 1
+    elif high >= 0.0:
+        last = math.floor(high)
+    return first, last
+
+
+@kernel_function
+def covered_columns(
+    state: EnvState,
+    row: int,
+    x: float,
+    y: float,
+    cosine: float,
+    sine: float,
+) -> tuple[int, int]:
+    """First and last column that a base at (x, y), turned by theta, covers of a row.
+
+    The first exceeds the last if none is. As for contacts, F_lambda <= 0 up to round-off.
+    """
+    reach = state.body[RADIUS] + EDGE_TOLERANCE
+    dy = state.elements.y0 + state.elements.pitch_y * row - y
+    square = reach * reach - dy * dy
+    if square < 0.0:
+        return 1, 0
+    high = math.sqrt(square)
+    low = -high
+    edges = state.edges
+    for k in range(edges.shape[0]):
+        nx = cosine * edges[k, 0] - sine * edges[k, 1]
+        ny = sine * edges[k, 0] + cosine * edges[k, 1]
+        room = edges[k, 2] + EDGE_TOLERANCE - ny * dy
+        if nx > 1e-12:
+            high = min(high, room / nx)
+        elif nx < -1e-12:
+            low = max(low, room / nx)
+        elif room < 0.0:
+            return 1, 0
+    per_pitch = 1.0 / state.elements.pitch_x
+    return between_places(
+        (x + low - state.elements.x0) * per_pitch,
+        (x + high - state.elements.x0) * per_pitch,
+        state.rotor.shape[1],
+    )
+
+
+@kernel_function
+def outside(
+    state: EnvState, dx: float, dy: float, cosine: float, sine: float, ux: float, uy: float
+) -> tuple[float, float, float]:
+    """F_lambda, Section 3.2, of the edge that the point at (dx, dy) from the centroid is most
+    beyond, and its outward normal; of a disc, those of its circle.
+
+    Returns:
+        [m] how far the point is outside, and the normal (x, y).
+    """
+    x = cosine * dx + sine * dy
+    y = cosine * dy - sine * dx
+    wx = cosine * ux + sine * uy
+    wy = cosine * uy - sine * ux
+    edges = state.edges
+    radius = state.body[RADIUS]
+    farthest = -4.0 * radius
+    best = -4.0 * radius
+    nx = 0.0
+    ny = 0.0
+    for k in range(edges.shape[0]):
+        beyond = edges[k, 0] * x + edges[k, 1] * y - edges[k, 2]
+        score = beyond
+        if edges[k, 0] * wx + edges[k, 1] * wy < 0.0:
+            score -= 2.0 * radius
+        if score > best:
+            best = score
+            farthest = beyond
+            nx = edges[k, 0]
+            ny = edges[k, 1]
+    if farthest > -4.0 * radius:
+        return farthest, cosine * nx - sine * ny, sine * nx + cosine * ny
+    # No edge bounds a disc: those it is padded with are far off.
+    distance = math.sqrt(dx * dx + dy * dy)
+    per_distance = 1.0 / distance if distance > 0.0 else 0.0
+    return distance - radius, dx * per_distance, dy * per_distance
+
 
 GATE = 4.0  # standard deviations an equation may be off; beyond it the estimate is mended otherwise
 
 
-@lane_function
+@kernel_function
 def _take_switch(
-    lane: Lane,
+    state: EnvState,
     x: float,
     y: float,
     covered: bool,
@@ -26,30 +117,32 @@ def _take_switch(
     switches: int,
 ) -> None:
     """The perimeter passed the module at (x, y) within the last `interval` [s], as did others."""
-    kept = lane.kept
+    estimate = state.sensor_state
     lead = 0.5 * interval
-    theta = kept[THETA] - lead * kept[OMEGA]
-    dx = x - kept[X] + lead * kept[VX]
-    dy = y - kept[Y] + lead * kept[VY]
+    theta = estimate[THETA] - lead * estimate[OMEGA]
+    dx = x - estimate[X] + lead * estimate[VX]
+    dy = y - estimate[Y] + lead * estimate[VY]
     # The module's velocity as the base sees it, turned to point outwards: it tells which edge
     # passed.
     outwards = -1.0 if covered else 1.0
-    ux = outwards * (-kept[VX] + kept[OMEGA] * dy)
-    uy = outwards * (-kept[VY] - kept[OMEGA] * dx)
-    distance, nx, ny = outside(lane, dx, dy, math.cos(theta), math.sin(theta), ux, uy)
+    ux = outwards * (-estimate[VX] + estimate[OMEGA] * dy)
+    uy = outwards * (-estimate[VY] - estimate[OMEGA] * dx)
+    distance, nx, ny = outside(state, dx, dy, math.cos(theta), math.sin(theta), ux, uy)
     lever = nx * dy - ny * dx
-    speed = nx * kept[VX] + ny * kept[VY] - lever * kept[OMEGA]
-    variance = measure(kept, -nx, -ny, lever, lead)
+    speed = nx * estimate[VX] + ny * estimate[VY] - lever * estimate[OMEGA]
+    variance = measure(estimate, -nx, -ny, lever, lead)
     when = speed * interval
     unsure = switches * (when * when / 12.0 + tolerance * tolerance)
     if distance * distance > GATE * GATE * (variance + unsure):
         return
     gain = 1.0 / (variance + unsure)
-    correct(kept, -distance * gain, gain)
+    correct(estimate, -distance * gain, gain)
 
 
-@lane_function
-def _take_contradiction(lane: Lane, x: float, y: float, covered: bool, tolerance: float) -> float:
+@kernel_function
+def _take_contradiction(
+    state: EnvState, x: float, y: float, covered: bool, tolerance: float
+) -> float:
     """The perimeter lies on the other side of the module at (x, y) than the estimate has it.
 
     It may lie anywhere there, so that the estimate is moved but gets no surer.
@@ -57,86 +150,88 @@ def _take_contradiction(lane: Lane, x: float, y: float, covered: bool, tolerance
     Returns:
         [m] how far the estimate was on the wrong side; 0 if that is within the tolerance.
     """
-    kept = lane.kept
-    dx = x - kept[X]
-    dy = y - kept[Y]
-    cosine, sine = math.cos(kept[THETA]), math.sin(kept[THETA])
-    distance, nx, ny = outside(lane, dx, dy, cosine, sine, 0.0, 0.0)
+    estimate = state.sensor_state
+    dx = x - estimate[X]
+    dy = y - estimate[Y]
+    cosine, sine = math.cos(estimate[THETA]), math.sin(estimate[THETA])
+    distance, nx, ny = outside(state, dx, dy, cosine, sine, 0.0, 0.0)
     wrong = distance if covered else -distance
     if wrong <= tolerance:
         return 0.0
-    variance = measure(kept, -nx, -ny, nx * dy - ny * dx, 0.0)
+    variance = measure(estimate, -nx, -ny, nx * dy - ny * dx, 0.0)
     unsure = variance + tolerance * tolerance
     if distance * distance > GATE * GATE * unsure:
         return wrong
-    correct(kept, -distance / unsure, 0.0)
+    correct(estimate, -distance / unsure, 0.0)
     return wrong
 
 
-@lane_function
+@kernel_function
 def covered_by_both(
-    lane: Lane, row: int, pose: Array, other: Array
+    state: EnvState, row: int, pose: Array, other: Array
 ) -> tuple[int, int, int, int, int, int]:
     """Columns of a row that a base covers in one pose and in another.
 
     Returns:
         First and last column of the first pose, of the second, and of both together.
     """
-    first, last = covered_columns(lane, row, pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]))
+    first, last = covered_columns(
+        state, row, pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
+    )
     was_first, was_last = covered_columns(
-        lane, row, other[0], other[1], math.cos(other[2]), math.sin(other[2])
+        state, row, other[0], other[1], math.cos(other[2]), math.sin(other[2])
     )
     return first, last, was_first, was_last, min(first, was_first), max(last, was_last)
 
 
-@lane_function
-def rows_of_both(lane: Lane, y: float, other_y: float) -> tuple[int, int]:
+@kernel_function
+def rows_of_both(state: EnvState, y: float, other_y: float) -> tuple[int, int]:
     """First and last row that a base can cover from either of two places."""
-    reach = lane.body[RADIUS] + EDGE_TOLERANCE
-    low = (min(y, other_y) - reach - lane.elements.y0) / lane.elements.pitch_y
-    high = (max(y, other_y) + reach - lane.elements.y0) / lane.elements.pitch_y
-    return between_places(low, high, lane.rotor.shape[0])
+    reach = state.body[RADIUS] + EDGE_TOLERANCE
+    low = (min(y, other_y) - reach - state.elements.y0) / state.elements.pitch_y
+    high = (max(y, other_y) + reach - state.elements.y0) / state.elements.pitch_y
+    return between_places(low, high, state.rotor.shape[0])
 
 
-@lane_function
-def _count_switches(lane: Lane, sampled: Array) -> int:
+@kernel_function
+def _count_switches(state: EnvState, sampled: Array) -> int:
     """How many modules switched since the last sample, which the pose `sampled` (3,) gave."""
-    truth = lane.truth
-    first_row, last_row = rows_of_both(lane, truth[1], sampled[1])
+    truth = state.truth
+    first_row, last_row = rows_of_both(state, truth[1], sampled[1])
     switches = 0
     for row in range(first_row, last_row + 1):
-        first, last, was_first, was_last, low, high = covered_by_both(lane, row, truth, sampled)
+        first, last, was_first, was_last, low, high = covered_by_both(state, row, truth, sampled)
         for column in range(low, high + 1):
             differ = (first <= column <= last) != (was_first <= column <= was_last)
-            switches += lane.rotor[row, column] and differ
+            switches += state.rotor[row, column] and differ
     return switches
 
 
-@lane_function
-def take_switches(lane: Lane, sampled: Array, interval: float, tolerance: float) -> None:
+@kernel_function
+def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: float) -> None:
     """Correct the estimate by every module that switched since the base was at the pose `sampled`
     (3,), within the last `interval` [s]; sensors switch to within a `tolerance` [m].
 
     Switches of one sample share the error of the estimate they are judged by: together they weigh
     as one.
     """
-    truth = lane.truth
-    switches = _count_switches(lane, sampled)
+    truth = state.truth
+    switches = _count_switches(state, sampled)
     if switches == 0:
         return
-    first_row, last_row = rows_of_both(lane, truth[1], sampled[1])
+    first_row, last_row = rows_of_both(state, truth[1], sampled[1])
     for row in range(first_row, last_row + 1):
-        y = lane.elements.y0 + lane.elements.pitch_y * row
-        first, last, was_first, was_last, low, high = covered_by_both(lane, row, truth, sampled)
+        y = state.elements.y0 + state.elements.pitch_y * row
+        first, last, was_first, was_last, low, high = covered_by_both(state, row, truth, sampled)
         for column in range(low, high + 1):
             covered = first <= column <= last
-            if lane.rotor[row, column] and covered != (was_first <= column <= was_last):
-                x = lane.elements.x0 + lane.elements.pitch_x * column
-                _take_switch(lane, x, y, covered, interval, tolerance, switches)
+            if state.rotor[row, column] and covered != (was_first <= column <= was_last):
+                x = state.elements.x0 + state.elements.pitch_x * column
+                _take_switch(state, x, y, covered, interval, tolerance, switches)
 
 
-@lane_function
-def take_contradictions(lane: Lane, tolerance: float) -> float:
+@kernel_function
+def take_contradictions(state: EnvState, tolerance: float) -> float:
     """Correct the estimate by every module that it has covered and the sensor has not, or the
     other way about.
 
@@ -144,75 +239,163 @@ def take_contradictions(lane: Lane, tolerance: float) -> float:
         [m] how far the estimate was on the wrong side of one, at most; 0 if that is within the
         tolerance [m] of where sensors switch.
     """
-    truth = lane.truth
-    estimate = lane.kept
+    truth = state.truth
+    estimate = state.sensor_state
     worst = 0.0
-    first_row, last_row = rows_of_both(lane, truth[1], estimate[Y])
+    first_row, last_row = rows_of_both(state, truth[1], estimate[Y])
     for row in range(first_row, last_row + 1):
-        y = lane.elements.y0 + lane.elements.pitch_y * row
-        first, last, has_first, has_last, low, high = covered_by_both(lane, row, truth, estimate)
+        y = state.elements.y0 + state.elements.pitch_y * row
+        first, last, has_first, has_last, low, high = covered_by_both(state, row, truth, estimate)
         for column in range(low, high + 1):
             covered = first <= column <= last
-            if lane.rotor[row, column] and covered != (has_first <= column <= has_last):
-                x = lane.elements.x0 + lane.elements.pitch_x * column
-                worst = max(worst, _take_contradiction(lane, x, y, covered, tolerance))
+            if state.rotor[row, column] and covered != (has_first <= column <= has_last):
+                x = state.elements.x0 + state.elements.pitch_x * column
+                worst = max(worst, _take_contradiction(state, x, y, covered, tolerance))
     return worst
 
 
-@lane_function
-def worst_contradiction(lane: Lane) -> tuple[float, float, float, float]:
+@kernel_function
+def worst_contradiction(state: EnvState) -> tuple[float, float, float, float]:
     """The module that the estimate is farthest on the wrong side of.
 
     Returns:
         [m] how far, 0 where none is; [m] where that module lies from the estimate's centroid; and
         1 where it is covered, else -1.
     """
-    truth = lane.truth
-    estimate = lane.kept
+    truth = state.truth
+    estimate = state.sensor_state
     cosine, sine = math.cos(estimate[THETA]), math.sin(estimate[THETA])
     worst, worst_x, worst_y, worst_side = 0.0, 0.0, 0.0, 0.0
-    first_row, last_row = rows_of_both(lane, truth[1], estimate[Y])
+    first_row, last_row = rows_of_both(state, truth[1], estimate[Y])
     for row in range(first_row, last_row + 1):
-        dy = lane.elements.y0 + lane.elements.pitch_y * row - estimate[Y]
-        first, last, has_first, has_last, low, high = covered_by_both(lane, row, truth, estimate)
+        dy = state.elements.y0 + state.elements.pitch_y * row - estimate[Y]
+        first, last, has_first, has_last, low, high = covered_by_both(state, row, truth, estimate)
         for column in range(low, high + 1):
             covered = first <= column <= last
-            if lane.rotor[row, column] and covered != (has_first <= column <= has_last):
-                dx = lane.elements.x0 + lane.elements.pitch_x * column - estimate[X]
+            if state.rotor[row, column] and covered != (has_first <= column <= has_last):
+                dx = state.elements.x0 + state.elements.pitch_x * column - estimate[X]
                 side = 1.0 if covered else -1.0
-                wrong = side * outside(lane, dx, dy, cosine, sine, 0.0, 0.0)[0]
+                wrong = side * outside(state, dx, dy, cosine, sine, 0.0, 0.0)[0]
                 if wrong > worst:
                     worst, worst_x, worst_y, worst_side = wrong, dx, dy, side
     return worst, worst_x, worst_y, worst_side
 
 
-@lane_function
-def mean_of_pressed(lane: Lane) -> tuple[int, float, float]:
+@kernel_function
+def mean_of_pressed(state: EnvState) -> tuple[int, float, float]:
     """How many switches are pressed, and the middle [m] of their modules."""
-    truth = lane.truth
+    truth = state.truth
     pressed, x, y = 0, 0.0, 0.0
     cosine, sine = math.cos(truth[THETA]), math.sin(truth[THETA])
-    first_row, last_row = rows_of_both(lane, truth[1], truth[1])
+    first_row, last_row = rows_of_both(state, truth[1], truth[1])
     for row in range(first_row, last_row + 1):
-        first, last = covered_columns(lane, row, truth[0], truth[1], cosine, sine)
+        first, last = covered_columns(state, row, truth[0], truth[1], cosine, sine)
         for column in range(first, last + 1):
-            if lane.rotor[row, column]:
+            if state.rotor[row, column]:
                 pressed += 1
-                x += lane.elements.x0 + lane.elements.pitch_x * column
-                y += lane.elements.y0 + lane.elements.pitch_y * row
+                x += state.elements.x0 + state.elements.pitch_x * column
+                y += state.elements.y0 + state.elements.pitch_y * row
     per_module = 1.0 / max(pressed, 1)
     return pressed, x * per_module, y * per_module
 
 
-@lane_function
-def is_any_pressed(lane: Lane) -> bool:
+@kernel_function
+def is_any_pressed(state: EnvState) -> bool:
     """Whether any switch is pressed."""
-    truth = lane.truth
+    truth = state.truth
     cosine, sine = math.cos(truth[THETA]), math.sin(truth[THETA])
-    first_row, last_row = rows_of_both(lane, truth[1], truth[1])
+    first_row, last_row = rows_of_both(state, truth[1], truth[1])
     for row in range(first_row, last_row + 1):
-        first, last = covered_columns(lane, row, truth[0], truth[1], cosine, sine)
+        first, last = covered_columns(state, row, truth[0], truth[1], cosine, sine)
         for column in range(first, last + 1):
-            if lane.rotor[row, column]:
+            if state.rotor[row, column]:
                 return True
     return False
+
+
+MOVES = 60  # of an estimate, a module each, before it is started over
+# [-] square of the length, over the base's radius, by which a turn counts as a displacement: the
+# longer, the rather a pose is shifted than turned. Headings err less than positions do.
+TURN_WEIGHT = 2.0
+BUILD_UP = 0.1  # [s] over which a contradiction is taken to have built up
+MOST_BUILT_UP = 0.03  # [m] of the base's rim; more than that is a start over
+HEADINGS = 36  # over a full turn, tried where an estimate is started over
+
+
+@kernel_function
+def agree(state: EnvState, tolerance: float) -> None:
+    """Move the estimate least, until it contradicts no switch by more than a tolerance [m].
+
+    The velocity is corrected by what the pose is, as built up over some time, and both are doubted
+    by as much: the estimate was too sure of itself.
+    """
+    estimate = state.sensor_state
+    x, y, theta = estimate[X], estimate[Y], estimate[THETA]
+    if _move(state, tolerance) > tolerance:
+        _start_over(state, tolerance, x, y, theta)
+    shift_x, shift_y, turn = estimate[X] - x, estimate[Y] - y, estimate[THETA] - theta
+    size = math.sqrt(shift_x * shift_x + shift_y * shift_y + (state.body[RADIUS] * turn) ** 2)
+    share = min(1.0, MOST_BUILT_UP / max(size, MOST_BUILT_UP))
+    _build_up(estimate, share * shift_x, share * shift_y, share * turn)
+
+
+@kernel_function
+def _build_up(estimate: Array, shift_x: float, shift_y: float, turn: float) -> None:
+    """Correct the velocity by what the pose was, and doubt both along that."""
+    per_time = 1.0 / BUILD_UP
+    estimate[VX] += per_time * shift_x
+    estimate[VY] += per_time * shift_y
+    estimate[OMEGA] += per_time * turn
+    for i in range(SIZE):
+        by_i = (shift_x, shift_y, turn)[i % 3] * (1.0 if i < 3 else per_time)
+        for j in range(SIZE):
+            by_j = (shift_x, shift_y, turn)[j % 3] * (1.0 if j < 3 else per_time)
+            estimate[COVARIANCE + SIZE * i + j] += by_i * by_j
+
+
+@kernel_function
+def _move(state: EnvState, tolerance: float) -> float:
+    """Move the pose onto the right side of the module that it contradicts most, and again.
+
+    Returns:
+        [m] how far it is still on the wrong side of one.
+    """
+    estimate = state.sensor_state
+    square = TURN_WEIGHT * state.body[RADIUS] * state.body[RADIUS]
+    wrong = 0.0
+    for _ in range(MOVES):
+        wrong, dx, dy, side = worst_contradiction(state)
+        if wrong <= tolerance:
+            return wrong
+        cosine, sine = math.cos(estimate[THETA]), math.sin(estimate[THETA])
+        _, nx, ny = outside(state, dx, dy, cosine, sine, 0.0, 0.0)
+        lever = nx * dy - ny * dx
+        step = side * wrong / (1.0 + lever * lever / square)
+        estimate[X] += step * nx
+        estimate[Y] += step * ny
+        estimate[THETA] -= step * lever / square
+    return wrong
+
+
+@kernel_function
+def _start_over(state: EnvState, tolerance: float, x: float, y: float, theta: float) -> None:
+    """Look for a pose that agrees from the middle of the pressed modules, the heading turned from
+    `theta` further and further; of those that do not agree the best is taken. Where nothing is
+    pressed, the estimate stays at (x, y).
+    """
+    estimate = state.sensor_state
+    best_x, best_y, best_theta, least = x, y, theta, math.inf
+    pressed, middle_x, middle_y = mean_of_pressed(state)
+    if pressed == 0:  # the parcel has left the rotors, it is not known where to
+        estimate[X], estimate[Y], estimate[THETA] = x, y, theta
+        return
+    for k in range(1, HEADINGS + 1):
+        turn = k // 2 * (1.0 if k % 2 == 0 else -1.0)
+        estimate[X], estimate[Y] = middle_x, middle_y
+        estimate[THETA] = theta + turn * 2.0 * math.pi / HEADINGS
+        wrong = _move(state, tolerance)
+        if wrong < least:
+            best_x, best_y, best_theta, least = estimate[X], estimate[Y], estimate[THETA], wrong
+        if wrong <= tolerance:
+            break
+    estimate[X], estimate[Y], estimate[THETA] = best_x, best_y, best_theta

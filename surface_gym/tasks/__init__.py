@@ -1,10 +1,10 @@
 """What is asked of the surface: a task owns starts, observation, reward terms and the end."""
 
+from surface_gym.tasks.base import Task
 from surface_gym.tasks.orient import Orient
 from surface_gym.tasks.slow import Slow
 from surface_gym.tasks.sort import Sort
 from surface_gym.tasks.stop import Stop
-from surface_gym.tasks.task import Task
 from surface_gym.tasks.track import Track
 
 TASKS: dict[str, type[Task]] = {

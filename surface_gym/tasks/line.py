@@ -2,21 +2,21 @@
 
 import math
 
-from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
-from surface_gym.lanes.lane import (
-    Lane,
+from surface_gym.lines import BaseLine
+from surface_gym.parcel import Parcel
+from surface_gym.physics.jit import kernel_function
+from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
+from surface_gym.state import (
+    RUNNING,
+    SUCCESS,
+    EnvState,
     is_slower,
     reach_along,
     read_truth,
     zone_end,
     zone_start,
 )
-from surface_gym.lanes.memory import RUNNING, SUCCESS
-from surface_gym.parcel import Parcel
-from surface_gym.plants import Plant
-from surface_gym.tasks.start import Draw, Numbers, Parcels
-from surface_gym.tasks.task import Feature, failures
+from surface_gym.tasks.base import Draw, Feature, Numbers, Parcels, failures
 
 BRAKING = 0.5 * GRAVITY  # [m/s^2] mu_max g of Table 1: every axis at 0 deg under a parcel
 ROLLING_LOSS = 0.01 * GRAVITY  # [m/s^2] mu_min g of Table 1: every axis at 90 deg
@@ -46,7 +46,7 @@ PARCEL_FEATURES = (
 )
 
 
-def zone_of(plant: Plant, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
+def zone_span(plant: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
     """[m] where the zone of a parcel starts and ends; `zone` holds its columns, None: the plant's.
 
     Raises:
@@ -64,63 +64,63 @@ def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
     return (draw.plant.column_edge(0) + parcels.rear, draw.plant.line_y, 0.0)
 
 
-@lane_function
-def rear_to_go(lane: Lane, x: float, theta: float) -> float:
+@kernel_function
+def rear_to_go(state: EnvState, x: float, theta: float) -> float:
     """[m] from the rear of a parcel at x, turned by theta, to the zone's end."""
-    return zone_end(lane) - x + reach_along(lane, theta, -1.0, 0.0)
+    return zone_end(state) - x + reach_along(state, theta, -1.0, 0.0)
 
 
-@lane_function
-def over_zone_end(lane: Lane) -> bool:
+@kernel_function
+def over_zone_end(state: EnvState) -> bool:
     """Off the rotors, or with the rear past the zone's end."""
-    if not lane.on_rotors:
+    if not state.on_rotors:
         return True
-    if lane.state[X] <= zone_end(lane):
+    if state.com[X] <= zone_end(state):
         return False
-    read_truth(lane)
-    return rear_to_go(lane, lane.truth[X], lane.truth[THETA]) < 0.0
+    read_truth(state)
+    return rear_to_go(state, state.truth[X], state.truth[THETA]) < 0.0
 
 
-@lane_function
-def failure(lane: Lane) -> int:
+@kernel_function
+def failure(state: EnvState) -> int:
     """Which failure of every line task has happened; RUNNING if none."""
-    if not lane.on_surface:
+    if not state.on_surface:
         return OFF_SURFACE
-    if not lane.on_rotors:
+    if not state.on_rotors:
         return OFF_LINE
-    return STALLED if is_slower(lane, STALL_SPEED) else RUNNING
+    return STALLED if is_slower(state, STALL_SPEED) else RUNNING
 
 
-@lane_function
-def leaving(lane: Lane, reached: bool, missed: int) -> int:
+@kernel_function
+def leaving(state: EnvState, reached: bool, missed: int) -> int:
     """SUCCESS or `missed`, as the goal is reached or not, where the parcel's rear is past the zone's
     end; before that a `failure`, if any.
     """
-    truth = lane.truth
-    if lane.on_rotors and lane.on_surface and rear_to_go(lane, truth[X], truth[THETA]) < 0.0:
+    truth = state.truth
+    if state.on_rotors and state.on_surface and rear_to_go(state, truth[X], truth[THETA]) < 0.0:
         return SUCCESS if reached else missed
-    return failure(lane)
+    return failure(state)
 
 
-@lane_function
-def see_parcel(lane: Lane) -> None:
+@kernel_function
+def see_parcel(state: EnvState) -> None:
     """Write `PARCEL_FEATURES` from what the sensor says."""
-    sensed = lane.sensed
+    sensed = state.sensed
     x, theta = sensed[X], sensed[THETA]
-    offset = sensed[Y] - lane.elements.line_y
-    turn_x = 2.0 * math.pi / lane.elements.pitch_x
-    turn_y = 2.0 * math.pi / lane.elements.pitch_y
-    see = lane.observation
+    offset = sensed[Y] - state.elements.line_y
+    turn_x = 2.0 * math.pi / state.elements.pitch_x
+    turn_y = 2.0 * math.pi / state.elements.pitch_y
+    see = state.observation
     see[0] = offset / 0.3
     see[1] = math.sin(theta)
     see[2] = math.cos(theta)
     see[3] = sensed[VX] - 1.0
     see[4] = sensed[VY] / 0.5
     see[5] = sensed[OMEGA] / 3.0
-    see[6] = (lane.body[HALF_LENGTH] - 0.175) / 0.05
-    see[7] = math.sin(turn_x * (x - lane.elements.x0))
-    see[8] = math.cos(turn_x * (x - lane.elements.x0))
+    see[6] = (state.body[HALF_LENGTH] - 0.175) / 0.05
+    see[7] = math.sin(turn_x * (x - state.elements.x0))
+    see[8] = math.cos(turn_x * (x - state.elements.x0))
     see[9] = math.sin(turn_y * offset)
     see[10] = math.cos(turn_y * offset)
-    see[11] = (x + reach_along(lane, theta, 1.0, 0.0) - zone_start(lane)) / 0.5
-    see[12] = rear_to_go(lane, x, theta) / 0.5
+    see[11] = (x + reach_along(state, theta, 1.0, 0.0) - zone_start(state)) / 0.5
+    see[12] = rear_to_go(state, x, theta) / 0.5

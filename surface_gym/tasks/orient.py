@@ -4,10 +4,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.types import THETA
-from surface_gym.lanes.lane import Lane
-from surface_gym.lanes.memory import SUCCESS
+from surface_gym.physics.jit import kernel_function
+from surface_gym.physics.types import THETA
+from surface_gym.state import SUCCESS, EnvState
+from surface_gym.tasks.base import Draw, Feature, Start, Task, between, failures, rising
 from surface_gym.tasks.line import (
     LINE_OUTCOMES,
     PARCEL_FEATURES,
@@ -16,12 +16,10 @@ from surface_gym.tasks.line import (
     over_zone_end,
     see_parcel,
 )
-from surface_gym.tasks.start import Draw, Start, between
-from surface_gym.tasks.task import Feature, Task, failures, rising
 
 ANGLE = 0  # place in the goal: [rad] asked theta
 LEFT_TO_TURN = 0  # place in the memory: [rad] at the last decision
-ANGLE_ERROR = 0  # place in the figures: [rad] theta - the asked angle
+ANGLE_ERROR = 0  # index in the metrics: [rad] theta - the asked angle
 
 OUTCOMES = (*LINE_OUTCOMES, "missed")
 MISSED = failures(OUTCOMES)[-1]
@@ -106,7 +104,7 @@ class Orient(Task):
     features = FEATURES
     terms = TERMS
     outcomes = OUTCOMES
-    figures = ("angle_error",)
+    metrics = ("angle_error",)
     options = ("speed", "parcel", "angle")
     draws = 3
     goals = 1
@@ -128,53 +126,53 @@ class Orient(Task):
         angle = draw.within("angle", between(*self.angles, turn), -math.pi, math.pi)
         return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (angle,))
 
-    def readings(self, lane: Lane) -> list[tuple[str, str]]:
+    def readings(self, state: EnvState) -> list[tuple[str, str]]:
         """The asked angle."""
-        return [("asked", f"{math.degrees(lane.goal[ANGLE]):+.1f}\N{DEGREE SIGN}")]
+        return [("asked", f"{math.degrees(state.goal[ANGLE]):+.1f}\N{DEGREE SIGN}")]
 
-    def goal(self, lane: Lane) -> Any:
+    def goal(self, state: EnvState) -> Any:
         """The heading."""
         from surface_gym.rendering import Heading
 
-        return Heading(float(lane.goal[ANGLE]))
+        return Heading(float(state.goal[ANGLE]))
 
     @staticmethod
-    @lane_function
-    def begin(lane: Lane) -> None:
+    @kernel_function
+    def begin(state: EnvState) -> None:
         """Remember the angle to turn."""
-        lane.figures[ANGLE_ERROR] = lane.truth[THETA] - lane.goal[ANGLE]
-        lane.memory[LEFT_TO_TURN] = abs(lane.figures[ANGLE_ERROR])
+        state.metrics[ANGLE_ERROR] = state.truth[THETA] - state.goal[ANGLE]
+        state.memory[LEFT_TO_TURN] = abs(state.metrics[ANGLE_ERROR])
 
-    over = staticmethod(over_zone_end)
+    is_done = staticmethod(over_zone_end)
 
     @staticmethod
-    @lane_function
-    def judge(lane: Lane) -> int:
+    @kernel_function
+    def outcome(state: EnvState) -> int:
         """How the episode stands, by the true state."""
-        error = lane.truth[THETA] - lane.goal[ANGLE]
-        lane.figures[ANGLE_ERROR] = error
-        return leaving(lane, abs(error) <= SUCCESS_ERROR, MISSED)
+        error = state.truth[THETA] - state.goal[ANGLE]
+        state.metrics[ANGLE_ERROR] = error
+        return leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
 
     @staticmethod
-    @lane_function
-    def reward(lane: Lane, outcome: int) -> None:
+    @kernel_function
+    def reward(state: EnvState, outcome: int) -> None:
         """Pay for turning to the asked angle, and for leaving at it."""
-        left_to_turn = abs(lane.figures[ANGLE_ERROR])
+        left_to_turn = abs(state.metrics[ANGLE_ERROR])
         left = outcome in (SUCCESS, MISSED)
-        terms = lane.terms
-        terms[0] = TURN_REWARD * (lane.memory[LEFT_TO_TURN] - left_to_turn)
+        terms = state.terms
+        terms[0] = TURN_REWARD * (state.memory[LEFT_TO_TURN] - left_to_turn)
         terms[1] = PRECISION_REWARD * math.exp(-left_to_turn / PRECISION_SCALE) if left else 0.0
         terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
         terms[3] = FAILURE_REWARD if outcome > SUCCESS else 0.0
-        lane.memory[LEFT_TO_TURN] = left_to_turn
+        state.memory[LEFT_TO_TURN] = left_to_turn
 
     @staticmethod
-    @lane_function
-    def observe(lane: Lane) -> None:
+    @kernel_function
+    def observe(state: EnvState) -> None:
         """Show what the sensor says."""
-        see_parcel(lane)
-        left = lane.goal[ANGLE] - lane.sensed[THETA]
-        see = lane.observation
-        see[13] = lane.goal[ANGLE]
+        see_parcel(state)
+        left = state.goal[ANGLE] - state.sensed[THETA]
+        see = state.observation
+        see[13] = state.goal[ANGLE]
         see[14] = left / 0.2
         see[15] = math.tanh(left / SUCCESS_ERROR)

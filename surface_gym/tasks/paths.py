@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import bounds, checks
+from surface_gym import checks
 from surface_gym.layouts import LINE_Y
 
 Numbers = NDArray[np.float64]
@@ -32,7 +32,7 @@ class Path(Protocol):
 
 
 def _along(name: str, value: Any) -> float:
-    return checks.within(name, value, -bounds.FARTHEST, bounds.FARTHEST)
+    return checks.within(name, value, -checks.FARTHEST, checks.FARTHEST)
 
 
 def _check_range(start: float, end: float) -> None:
@@ -53,7 +53,7 @@ class Sine:
     def __post_init__(self) -> None:
         _check_range(self.start, self.end)
         _along("amplitude", self.amplitude)
-        checks.positive("wavelength", self.wavelength, *bounds.LENGTH)
+        checks.positive("wavelength", self.wavelength, *checks.LENGTH)
         _along("middle", self.middle)
 
     def y(self, x: Numbers) -> Numbers:
@@ -75,7 +75,7 @@ class LaneChange:
     def __post_init__(self) -> None:
         _check_range(self.start, self.end)
         _along("offset", self.offset)
-        checks.positive("length", self.length, *bounds.LENGTH)
+        checks.positive("length", self.length, *checks.LENGTH)
         _along("change", self.change)
         _along("middle", self.middle)
 
@@ -93,7 +93,7 @@ class _Through:
 
     def __post_init__(self) -> None:
         points = checks.array("points", self.points, (None, 2))
-        checks.limited("points", points, bounds.FARTHEST)
+        checks.limited("points", points, checks.FARTHEST)
         if len(points) < 2 or not (np.diff(points[:, 0]) > 0.0).all():
             raise ValueError(f"points must be at least two of rising x, got {points.tolist()}")
         object.__setattr__(self, "points", tuple(map(tuple, points.tolist())))

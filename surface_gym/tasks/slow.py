@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.types import THETA, VX, VY, X
-from surface_gym.lanes.lane import Lane, speed_of
-from surface_gym.lanes.memory import SUCCESS
+from surface_gym.physics.jit import kernel_function
+from surface_gym.physics.types import THETA, VX, VY, X
+from surface_gym.state import SUCCESS, EnvState, planar_speed
+from surface_gym.tasks.base import Draw, Feature, Start, Task, between, failures, rising
 from surface_gym.tasks.line import (
     LINE_OUTCOMES,
     PARCEL_FEATURES,
@@ -19,14 +19,12 @@ from surface_gym.tasks.line import (
     over_zone_end,
     rear_to_go,
     see_parcel,
-    zone_of,
+    zone_span,
 )
-from surface_gym.tasks.start import Draw, Start, between
-from surface_gym.tasks.task import Feature, Task, failures, rising
 
 RATIO, ENTRY_SPEED = range(2)  # places in the goal: [-] asked, [m/s]
 EXCESS = 0  # place in the memory: [-] the excess of speed at the last decision
-RATIO_ERROR = 0  # place in the figures: [-] speed / entry speed - asked ratio
+RATIO_ERROR = 0  # index in the metrics: [-] speed / entry speed - asked ratio
 
 OUTCOMES = (*LINE_OUTCOMES, "missed")
 MISSED = failures(OUTCOMES)[-1]
@@ -115,7 +113,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
     features = FEATURES
     terms = TERMS
     outcomes = OUTCOMES
-    figures = ("ratio_error",)
+    metrics = ("ratio_error",)
     options = ("speed", "parcel", "ratio")
     draws = 3
     goals = 2
@@ -138,86 +136,86 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         pace, size, share = draw.numbers
         speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)
         parcel = draw.parcel(self.parcels, size)
-        way = parcel.of(lambda each: zone_of(draw.plant, each, draw.zone)[1])
+        way = parcel.of(lambda each: zone_span(draw.plant, each, draw.zone)[1])
         rolling = np.sqrt(np.maximum(0.0, 1.0 - 2.0 * ROLLING_LOSS * way / speed**2))
         low, high = self.ratios
         highest = np.maximum(low, np.minimum(high, 0.98 * rolling))
         ratio = draw.within("ratio", between(low, highest, share), 0.0, 1.0)
         return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (ratio, speed))
 
-    def readings(self, lane: Lane) -> list[tuple[str, str]]:
+    def readings(self, state: EnvState) -> list[tuple[str, str]]:
         """The present ratio and the asked one."""
-        asked, error = lane.goal[RATIO], lane.figures[RATIO_ERROR]
+        asked, error = state.goal[RATIO], state.metrics[RATIO_ERROR]
         return [("of entry", f"{asked + error:.3f}"), ("asked", f"{asked:.3f}")]
 
-    def goal(self, lane: Lane) -> Any:
+    def goal(self, state: EnvState) -> Any:
         """The exit speed."""
         from surface_gym.rendering import ExitSpeed
 
-        ratio, speed = lane.goal[RATIO], lane.goal[ENTRY_SPEED]
+        ratio, speed = state.goal[RATIO], state.goal[ENTRY_SPEED]
         return ExitSpeed(float(ratio), float(ratio * speed))
 
     @staticmethod
-    @lane_function
-    def begin(lane: Lane) -> None:
+    @kernel_function
+    def begin(state: EnvState) -> None:
         """Remember the excess of speed."""
-        lane.memory[EXCESS] = _score(lane)
-        lane.figures[RATIO_ERROR] = _ratio_error(lane)
+        state.memory[EXCESS] = _score(state)
+        state.metrics[RATIO_ERROR] = _ratio_error(state)
 
-    over = staticmethod(over_zone_end)
+    is_done = staticmethod(over_zone_end)
 
     @staticmethod
-    @lane_function
-    def judge(lane: Lane) -> int:
+    @kernel_function
+    def outcome(state: EnvState) -> int:
         """How the episode stands, by the true state."""
-        error = _ratio_error(lane)
-        lane.figures[RATIO_ERROR] = error
-        return leaving(lane, abs(error) <= SUCCESS_ERROR, MISSED)
+        error = _ratio_error(state)
+        state.metrics[RATIO_ERROR] = error
+        return leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
 
     @staticmethod
-    @lane_function
-    def reward(lane: Lane, outcome: int) -> None:
+    @kernel_function
+    def reward(state: EnvState, outcome: int) -> None:
         """Pay for the right speed on the way, and for leaving at the asked ratio."""
-        error = lane.figures[RATIO_ERROR]
+        error = state.metrics[RATIO_ERROR]
         left = outcome in (SUCCESS, MISSED)
-        excess = _score(lane)
-        terms = lane.terms
-        terms[0] = EXCESS_REWARD * (lane.memory[EXCESS] - excess)
+        excess = _score(state)
+        terms = state.terms
+        terms[0] = EXCESS_REWARD * (state.memory[EXCESS] - excess)
         terms[1] = PRECISION_REWARD * math.exp(-abs(error) / PRECISION_SCALE) if left else 0.0
         terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
         terms[3] = FAILURE_REWARD if outcome > SUCCESS and not left else 0.0
-        lane.memory[EXCESS] = excess
+        state.memory[EXCESS] = excess
 
     @staticmethod
-    @lane_function
-    def observe(lane: Lane) -> None:
+    @kernel_function
+    def observe(state: EnvState) -> None:
         """Show what the sensor says."""
-        see_parcel(lane)
-        sensed = lane.sensed
-        to_go = rear_to_go(lane, sensed[X], sensed[THETA])
-        excess = _excess(lane, to_go, sensed[VX], sensed[VY])
-        see = lane.observation
-        see[13] = lane.goal[ENTRY_SPEED] - 1.5
-        see[14] = lane.goal[RATIO]
+        see_parcel(state)
+        sensed = state.sensed
+        to_go = rear_to_go(state, sensed[X], sensed[THETA])
+        excess = _excess(state, to_go, sensed[VX], sensed[VY])
+        see = state.observation
+        see[13] = state.goal[ENTRY_SPEED] - 1.5
+        see[14] = state.goal[RATIO]
         see[15] = excess / 0.2
         see[16] = math.tanh(excess / 0.02)
 
 
-@lane_function
-def _excess(lane: Lane, to_go: float, vx: float, vy: float) -> float:
+@kernel_function
+def _excess(state: EnvState, to_go: float, vx: float, vy: float) -> float:
     """[m/s] speed over that which, rolling `to_go` metres more, becomes the asked exit speed."""
-    asked = lane.goal[RATIO] * lane.goal[ENTRY_SPEED]
+    asked = state.goal[RATIO] * state.goal[ENTRY_SPEED]
     needed = math.sqrt(asked * asked + 2.0 * ROLLING_LOSS * max(0.0, to_go))
     return math.sqrt(vx * vx + vy * vy) - needed
 
 
-@lane_function
-def _score(lane: Lane) -> float:
-    truth = lane.truth
-    to_go = rear_to_go(lane, truth[X], truth[THETA])
-    return abs(_excess(lane, to_go, truth[VX], truth[VY])) / lane.goal[ENTRY_SPEED]
+@kernel_function
+def _score(state: EnvState) -> float:
+    truth = state.truth
+    to_go = rear_to_go(state, truth[X], truth[THETA])
+    return abs(_excess(state, to_go, truth[VX], truth[VY])) / state.goal[ENTRY_SPEED]
 
 
-@lane_function
-def _ratio_error(lane: Lane) -> float:
-    return speed_of(lane.truth) / lane.goal[ENTRY_SPEED] - lane.goal[RATIO]
+@kernel_function
+def _ratio_error(state: EnvState) -> float:
+    return planar_speed(state.truth) / state.goal[ENTRY_SPEED] - state.goal[RATIO]

@@ -7,13 +7,20 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks
-from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
-from surface_gym.lanes.lane import Lane, is_slower, reach_along, zone_end, zone_start
-from surface_gym.lanes.memory import ROWS, RUNNING, SUCCESS
+from surface_gym.physics.jit import kernel_function
+from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
+from surface_gym.state import (
+    ROWS,
+    RUNNING,
+    SUCCESS,
+    EnvState,
+    is_slower,
+    reach_along,
+    zone_end,
+    zone_start,
+)
+from surface_gym.tasks.base import Draw, Feature, Start, Task, between, failures, rising
 from surface_gym.tasks.line import STALL_SPEED, entry
-from surface_gym.tasks.start import Draw, Start, between
-from surface_gym.tasks.task import Feature, Task, failures, rising
 
 SIDE = 0  # place in the goal: +1 for y > 0, -1 for y < 0, 0 for straight through
 REACH = 0  # place in the memory: [m] the lateral reach at the last decision
@@ -149,94 +156,94 @@ distance from the line's middle takes its place |
         side = draw.one_of("side", np.where(way < 0.5, 1.0, -1.0), (1, -1, 0))
         return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (side,))
 
-    def readings(self, lane: Lane) -> list[tuple[str, str]]:
+    def readings(self, state: EnvState) -> list[tuple[str, str]]:
         """The asked side."""
         sides = {1: "y > 0", -1: "y < 0", 0: "straight on"}
-        return [("sort to", sides[int(lane.goal[SIDE])])]
+        return [("sort to", sides[int(state.goal[SIDE])])]
 
-    def goal(self, lane: Lane) -> Any:
+    def goal(self, state: EnvState) -> Any:
         """The exit side."""
         from surface_gym.rendering import ExitSide
 
-        return ExitSide(int(lane.goal[SIDE]))
+        return ExitSide(int(state.goal[SIDE]))
 
     @staticmethod
-    @lane_function
-    def mirror(lane: Lane) -> float:
+    @kernel_function
+    def mirror(state: EnvState) -> float:
         """Seen is always a sort to y > 0."""
-        return mirror_of(lane)
+        return mirror_of(state)
 
     @staticmethod
-    @lane_function
-    def begin(lane: Lane) -> None:
+    @kernel_function
+    def begin(state: EnvState) -> None:
         """Remember the lateral reach."""
-        lane.memory[REACH] = _score(lane)
+        state.memory[REACH] = _score(state)
 
     @staticmethod
-    @lane_function
-    def judge(lane: Lane) -> int:
+    @kernel_function
+    def outcome(state: EnvState) -> int:
         """How the episode stands, by the true state."""
-        truth = lane.truth
-        side = lane.goal[SIDE]
-        if not lane.on_surface:
+        truth = state.truth
+        side = state.goal[SIDE]
+        if not state.on_surface:
             return OFF_SURFACE
-        if not lane.on_rotors:
-            towards = side * (truth[Y] - lane.elements.line_y)
+        if not state.on_rotors:
+            towards = side * (truth[Y] - state.elements.line_y)
             return SUCCESS if towards > 0.0 else WRONG_SIDE
-        if truth[X] - reach_along(lane, truth[THETA], -1.0, 0.0) > zone_end(lane):
+        if truth[X] - reach_along(state, truth[THETA], -1.0, 0.0) > zone_end(state):
             return SUCCESS if side == 0.0 else PASSED
-        return STALLED if is_slower(lane, STALL_SPEED) else RUNNING
+        return STALLED if is_slower(state, STALL_SPEED) else RUNNING
 
     @staticmethod
-    @lane_function
-    def reward(lane: Lane, outcome: int) -> None:
+    @kernel_function
+    def reward(state: EnvState, outcome: int) -> None:
         """Pay for reach gained and for haste."""
-        reach = _score(lane)
-        terms = lane.terms
-        terms[0] = REACH_REWARD * (reach - lane.memory[REACH])
-        terms[1] = TIME_REWARD * lane.period
+        reach = _score(state)
+        terms = state.terms
+        terms[0] = REACH_REWARD * (reach - state.memory[REACH])
+        terms[1] = TIME_REWARD * state.period
         terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
-        terms[3] = HASTE_REWARD / lane.clock if outcome == SUCCESS else 0.0
+        terms[3] = HASTE_REWARD / state.clock if outcome == SUCCESS else 0.0
         terms[4] = FAILURE_REWARD if outcome > SUCCESS else 0.0
-        lane.memory[REACH] = reach
+        state.memory[REACH] = reach
 
     @staticmethod
-    @lane_function
-    def observe(lane: Lane) -> None:
+    @kernel_function
+    def observe(state: EnvState) -> None:
         """Show what the sensor says, mirrored so that the goal is y > 0."""
-        side = mirror_of(lane)
-        sensed = lane.sensed
+        side = mirror_of(state)
+        sensed = state.sensed
         x, theta = sensed[X], sensed[THETA]
-        offset = side * (sensed[Y] - lane.elements.line_y)
-        turn_x = 2.0 * math.pi / lane.elements.pitch_x
-        turn_y = 2.0 * math.pi / lane.elements.pitch_y
-        half_line = 0.5 * lane.elements.pitch_y * (lane.zone[ROWS] - 1)
-        rear = x - reach_along(lane, theta, -1.0, 0.0)
-        see = lane.observation
+        offset = side * (sensed[Y] - state.elements.line_y)
+        turn_x = 2.0 * math.pi / state.elements.pitch_x
+        turn_y = 2.0 * math.pi / state.elements.pitch_y
+        half_line = 0.5 * state.elements.pitch_y * (state.zone[ROWS] - 1)
+        rear = x - reach_along(state, theta, -1.0, 0.0)
+        see = state.observation
         see[0] = offset / 0.3
         see[1] = side * math.sin(theta)
         see[2] = math.cos(theta)
         see[3] = sensed[VX] - 1.0
         see[4] = side * sensed[VY] / 0.5
         see[5] = side * sensed[OMEGA] / 3.0
-        see[6] = (lane.body[HALF_LENGTH] - 0.175) / 0.05
-        see[7] = (offset - reach_along(lane, theta, 0.0, -side) - half_line) / 0.2
-        see[8] = math.sin(turn_x * (x - lane.elements.x0))
-        see[9] = math.cos(turn_x * (x - lane.elements.x0))
+        see[6] = (state.body[HALF_LENGTH] - 0.175) / 0.05
+        see[7] = (offset - reach_along(state, theta, 0.0, -side) - half_line) / 0.2
+        see[8] = math.sin(turn_x * (x - state.elements.x0))
+        see[9] = math.cos(turn_x * (x - state.elements.x0))
         see[10] = math.sin(turn_y * offset)
         see[11] = math.cos(turn_y * offset)
-        see[12] = lane.clock / HORIZON
-        see[13] = (rear - zone_start(lane)) / 0.5
-        see[14] = lane.goal[SIDE]
+        see[12] = state.clock / HORIZON
+        see[13] = (rear - zone_start(state)) / 0.5
+        see[14] = state.goal[SIDE]
 
 
-@lane_function
-def mirror_of(lane: Lane) -> float:
+@kernel_function
+def mirror_of(state: EnvState) -> float:
     """-1 where y is mirrored, so that what is seen is always a sort to y > 0, else 1."""
-    return -1.0 if lane.goal[SIDE] < 0.0 else 1.0
+    return -1.0 if state.goal[SIDE] < 0.0 else 1.0
 
 
-@lane_function
+@kernel_function
 def lateral_reach(y: float, vx: float, vy: float) -> float:
     """[m] lateral offset the parcel can still get to, coasting: the offset, plus what the speed
     it would keep on 45 deg axes covers against the rolling loss.
@@ -245,11 +252,11 @@ def lateral_reach(y: float, vx: float, vy: float) -> float:
     return y + speed * speed / (2.0 * ROLLING_LOSS)
 
 
-@lane_function
-def _score(lane: Lane) -> float:
-    side = lane.goal[SIDE]
-    truth = lane.truth
-    offset = truth[Y] - lane.elements.line_y
+@kernel_function
+def _score(state: EnvState) -> float:
+    side = state.goal[SIDE]
+    truth = state.truth
+    offset = truth[Y] - state.elements.line_y
     if side == 0.0:
         return PASSING_REACH * truth[X] - abs(offset)
     return min(REACH_ENOUGH, lateral_reach(side * offset, truth[VX], side * truth[VY]))

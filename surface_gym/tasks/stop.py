@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.types import VX, X
-from surface_gym.lanes.lane import Lane
-from surface_gym.lanes.memory import RUNNING, SUCCESS
+from surface_gym.physics.jit import kernel_function
+from surface_gym.physics.types import VX, X
+from surface_gym.state import RUNNING, SUCCESS, EnvState
+from surface_gym.tasks.base import Draw, Feature, Start, Task, between, failures, rising
 from surface_gym.tasks.line import (
     BRAKING,
     LINE_OUTCOMES,
@@ -19,14 +19,12 @@ from surface_gym.tasks.line import (
     entry,
     failure,
     see_parcel,
-    zone_of,
+    zone_span,
 )
-from surface_gym.tasks.start import Draw, Start, between
-from surface_gym.tasks.task import Feature, Task, failures, rising
 
 POSITION = 0  # place in the goal: [m] asked x of the centre
 SHORTFALL = 0  # place in the memory: [m] at the last decision
-STOP_ERROR = 0  # place in the figures: [m] x of the centre - the asked one
+STOP_ERROR = 0  # index in the metrics: [m] x of the centre - the asked one
 
 OUTCOMES = (*LINE_OUTCOMES, "missed", "passed the asked x")
 MISSED, OVERSHOT = failures(OUTCOMES)[-2:]
@@ -111,7 +109,7 @@ class Stop(Task):
     features = FEATURES
     terms = TERMS
     outcomes = OUTCOMES
-    figures = ("stop_error",)
+    metrics = ("stop_error",)
     options = ("speed", "parcel", "position")
     draws = 3
     goals = 1
@@ -133,37 +131,37 @@ class Stop(Task):
         speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
         parcel = draw.parcel(self.parcels, size)
         half_length = parcel.rear
-        zone_start, zone_end = parcel.of(lambda each: zone_of(draw.plant, each, draw.zone)).T
+        zone_start, zone_end = parcel.of(lambda each: zone_span(draw.plant, each, draw.zone)).T
         rolled = half_length + 0.8 * speed**2 / (2.0 * ROLLING_LOSS)
         last = np.minimum(zone_end - half_length, rolled)
         first = np.minimum(zone_start + half_length + speed**2 / (2.0 * BRAKING), last)
         position = draw.within("position", between(first, last, share), 0.0, draw.plant.length)
         return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (position,))
 
-    def readings(self, lane: Lane) -> list[tuple[str, str]]:
+    def readings(self, state: EnvState) -> list[tuple[str, str]]:
         """The way to go."""
-        return [("to go", f"{-1e3 * lane.figures[STOP_ERROR]:.1f} mm")]
+        return [("to go", f"{-1e3 * state.metrics[STOP_ERROR]:.1f} mm")]
 
-    def goal(self, lane: Lane) -> Any:
+    def goal(self, state: EnvState) -> Any:
         """The line to stop at."""
         from surface_gym.rendering import StopLine
 
-        return StopLine(float(lane.goal[POSITION]))
+        return StopLine(float(state.goal[POSITION]))
 
     @staticmethod
-    @lane_function
-    def begin(lane: Lane) -> None:
+    @kernel_function
+    def begin(state: EnvState) -> None:
         """Remember the shortfall."""
-        lane.figures[STOP_ERROR] = lane.truth[X] - lane.goal[POSITION]
-        lane.memory[SHORTFALL] = abs(lane.figures[STOP_ERROR])
+        state.metrics[STOP_ERROR] = state.truth[X] - state.goal[POSITION]
+        state.memory[SHORTFALL] = abs(state.metrics[STOP_ERROR])
 
     @staticmethod
-    @lane_function
-    def judge(lane: Lane) -> int:
+    @kernel_function
+    def outcome(state: EnvState) -> int:
         """How the episode stands, by the true state."""
-        error = lane.truth[X] - lane.goal[POSITION]
-        lane.figures[STOP_ERROR] = error
-        outcome = failure(lane)
+        error = state.truth[X] - state.goal[POSITION]
+        state.metrics[STOP_ERROR] = error
+        outcome = failure(state)
         if outcome == STALLED:
             outcome = SUCCESS if abs(error) <= SUCCESS_ERROR else MISSED
         elif outcome == RUNNING and error > SUCCESS_ERROR:
@@ -171,26 +169,26 @@ class Stop(Task):
         return outcome
 
     @staticmethod
-    @lane_function
-    def reward(lane: Lane, outcome: int) -> None:
+    @kernel_function
+    def reward(state: EnvState, outcome: int) -> None:
         """Pay for coming nearer, and for resting at the asked x."""
-        shortfall = abs(lane.figures[STOP_ERROR])
+        shortfall = abs(state.metrics[STOP_ERROR])
         rests = outcome in (SUCCESS, MISSED)
-        terms = lane.terms
-        terms[0] = APPROACH_REWARD * (lane.memory[SHORTFALL] - shortfall)
+        terms = state.terms
+        terms[0] = APPROACH_REWARD * (state.memory[SHORTFALL] - shortfall)
         terms[1] = PRECISION_REWARD * math.exp(-shortfall / PRECISION_SCALE) if rests else 0.0
         terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
         terms[3] = FAILURE_REWARD if outcome > SUCCESS else 0.0
-        lane.memory[SHORTFALL] = shortfall
+        state.memory[SHORTFALL] = shortfall
 
     @staticmethod
-    @lane_function
-    def observe(lane: Lane) -> None:
+    @kernel_function
+    def observe(state: EnvState) -> None:
         """Show what the sensor says."""
-        see_parcel(lane)
-        to_go = lane.goal[POSITION] - lane.sensed[X]
-        excess = lane.sensed[VX] - math.sqrt(2.0 * BRAKING * max(0.0, to_go))
-        see = lane.observation
+        see_parcel(state)
+        to_go = state.goal[POSITION] - state.sensed[X]
+        excess = state.sensed[VX] - math.sqrt(2.0 * BRAKING * max(0.0, to_go))
+        see = state.observation
         see[13] = to_go / 0.5
         see[14] = math.tanh(to_go / 0.05)
         see[15] = math.tanh(to_go / 0.01)

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks
-from surface_gym.dynamics.compiled import lane_function
-from surface_gym.dynamics.indexing import bounded
-from surface_gym.dynamics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
-from surface_gym.lanes.lane import Lane, speed_of
-from surface_gym.lanes.memory import GRAVITY_ALONG, PATH_POINTS, RUNNING, SUCCESS
 from surface_gym.layouts import LINE_Y
-from surface_gym.plants import Field, Plant
+from surface_gym.lines import BaseLine, Field
+from surface_gym.physics.contacts import bounded
+from surface_gym.physics.jit import kernel_function
+from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
+from surface_gym.state import GRAVITY_ALONG, PATH_POINTS, RUNNING, SUCCESS, EnvState, planar_speed
+from surface_gym.tasks.base import Draw, Feature, Numbers, Start, Task, between, failures, rising
 from surface_gym.tasks.paths import (
     DRAWS,
     KINDS,
@@ -24,12 +24,10 @@ from surface_gym.tasks.paths import (
     random_path,
     sample,
 )
-from surface_gym.tasks.start import Draw, Numbers, Start, between
-from surface_gym.tasks.task import Feature, Task, failures, rising
 
 SPEED, FIRST_X, STEP_X = range(3)  # places in the goal: [m/s] asked, [m] x of the path
 LAST_X, SQUARED_ERROR, SQUARED_SPEED_ERROR = range(3)  # places in the memory: sums over time
-RMS_ERROR, SPEED_ERROR, CROSS_ERROR = range(3)  # places in the figures: [m], [m/s], [m]
+RMS_ERROR, SPEED_ERROR, CROSS_ERROR = range(3)  # indices in the metrics: [m], [m/s], [m]
 
 OUTCOMES = ("off the path", "stalled", "off the surface")
 OFF_PATH, STALLED, OFF_SURFACE = failures(OUTCOMES)
@@ -149,7 +147,7 @@ asked one |
     features = FEATURES
     terms = TERMS
     outcomes = OUTCOMES
-    figures = ("rms_error", "speed_error", "cross_error")
+    metrics = ("rms_error", "speed_error", "cross_error")
     options = ("speed", "parcel", "path", "tilt")
     draws = 4 + DRAWS
     goals = 3
@@ -198,66 +196,66 @@ asked one |
             for k, (kind, numbers) in drawn
         ]
 
-    def readings(self, lane: Lane) -> list[tuple[str, str]]:
+    def readings(self, state: EnvState) -> list[tuple[str, str]]:
         """The error across the path, its root mean square so far, and the asked speed."""
         return [
-            ("off path", f"{1e3 * lane.figures[CROSS_ERROR]:+.1f} mm"),
-            ("rms", f"{1e3 * lane.figures[RMS_ERROR]:.1f} mm"),
-            ("asked", f"{lane.goal[SPEED]:.2f} m/s"),
+            ("off path", f"{1e3 * state.metrics[CROSS_ERROR]:+.1f} mm"),
+            ("rms", f"{1e3 * state.metrics[RMS_ERROR]:.1f} mm"),
+            ("asked", f"{state.goal[SPEED]:.2f} m/s"),
         ]
 
-    def goal(self, lane: Lane) -> Any:
+    def goal(self, state: EnvState) -> Any:
         """The path."""
         from surface_gym.rendering import Path
 
-        x = lane.goal[FIRST_X] + lane.goal[STEP_X] * np.arange(PATH_POINTS)
-        return Path(np.stack([x, lane.path], axis=-1))
+        x = state.goal[FIRST_X] + state.goal[STEP_X] * np.arange(PATH_POINTS)
+        return Path(np.stack([x, state.path], axis=-1))
 
     @staticmethod
-    @lane_function
-    def begin(lane: Lane) -> None:
+    @kernel_function
+    def begin(state: EnvState) -> None:
         """Nothing has been gained or lost yet."""
-        lane.memory[LAST_X] = lane.truth[X]
-        lane.memory[SQUARED_ERROR] = 0.0
-        lane.memory[SQUARED_SPEED_ERROR] = 0.0
-        lane.figures[RMS_ERROR] = 0.0
-        lane.figures[SPEED_ERROR] = 0.0
-        lane.figures[CROSS_ERROR], _, _ = _errors(lane, lane.truth)
+        state.memory[LAST_X] = state.truth[X]
+        state.memory[SQUARED_ERROR] = 0.0
+        state.memory[SQUARED_SPEED_ERROR] = 0.0
+        state.metrics[RMS_ERROR] = 0.0
+        state.metrics[SPEED_ERROR] = 0.0
+        state.metrics[CROSS_ERROR], _, _ = _errors(state, state.truth)
 
     @staticmethod
-    @lane_function
-    def over(lane: Lane) -> bool:
+    @kernel_function
+    def is_done(state: EnvState) -> bool:
         """Never in the middle of a control period."""
         return False
 
     @staticmethod
-    @lane_function
-    def judge(lane: Lane) -> int:
+    @kernel_function
+    def outcome(state: EnvState) -> int:
         """How the episode stands, by the true state; errors add up over the time."""
-        memory = lane.memory
-        error, speed_error, _ = _errors(lane, lane.truth)
-        if lane.period > 0.0:
-            memory[SQUARED_ERROR] += error * error * lane.period
-            memory[SQUARED_SPEED_ERROR] += speed_error * speed_error * lane.period
-            lane.figures[RMS_ERROR] = math.sqrt(memory[SQUARED_ERROR] / lane.clock)
-            lane.figures[SPEED_ERROR] = math.sqrt(memory[SQUARED_SPEED_ERROR] / lane.clock)
-        lane.figures[CROSS_ERROR] = error
-        if not lane.on_surface:
+        memory = state.memory
+        error, speed_error, _ = _errors(state, state.truth)
+        if state.period > 0.0:
+            memory[SQUARED_ERROR] += error * error * state.period
+            memory[SQUARED_SPEED_ERROR] += speed_error * speed_error * state.period
+            state.metrics[RMS_ERROR] = math.sqrt(memory[SQUARED_ERROR] / state.clock)
+            state.metrics[SPEED_ERROR] = math.sqrt(memory[SQUARED_SPEED_ERROR] / state.clock)
+        state.metrics[CROSS_ERROR] = error
+        if not state.on_surface:
             return OFF_SURFACE
         if abs(error) >= FARTHEST:
             return OFF_PATH
-        if lane.truth[X] > lane.goal[FIRST_X] + (PATH_POINTS - 1) * lane.goal[STEP_X]:
+        if state.truth[X] > state.goal[FIRST_X] + (PATH_POINTS - 1) * state.goal[STEP_X]:
             return SUCCESS
-        return STALLED if speed_of(lane.truth) < STALL_SPEED else RUNNING
+        return STALLED if planar_speed(state.truth) < STALL_SPEED else RUNNING
 
     @staticmethod
-    @lane_function
-    def reward(lane: Lane, outcome: int) -> None:
+    @kernel_function
+    def reward(state: EnvState, outcome: int) -> None:
         """Pay for every metre of x, the more the nearer to path and speed."""
-        error, speed_error, _ = _errors(lane, lane.truth)
-        distance = max(0.0, lane.truth[X] - lane.memory[LAST_X])
-        lane.memory[LAST_X] = lane.truth[X]
-        terms = lane.terms
+        error, speed_error, _ = _errors(state, state.truth)
+        distance = max(0.0, state.truth[X] - state.memory[LAST_X])
+        state.memory[LAST_X] = state.truth[X]
+        terms = state.terms
         terms[0] = DISTANCE_REWARD * distance
         terms[1] = PRECISION_REWARD * distance * math.exp(-abs(error) / PRECISION_SCALE)
         terms[2] = CROSS_REWARD * distance * abs(error)
@@ -266,34 +264,34 @@ asked one |
         terms[5] = FAILURE_REWARD if outcome > SUCCESS else 0.0
 
     @staticmethod
-    @lane_function
-    def observe(lane: Lane) -> None:
+    @kernel_function
+    def observe(state: EnvState) -> None:
         """Show what the sensor says."""
-        sensed = lane.sensed
+        sensed = state.sensed
         x, y, theta = sensed[X], sensed[Y], sensed[THETA]
-        error, speed_error, across = _errors(lane, sensed)
-        turn_x = 2.0 * math.pi / lane.elements.pitch_x
-        turn_y = 2.0 * math.pi / lane.elements.pitch_y
-        see = lane.observation
+        error, speed_error, across = _errors(state, sensed)
+        turn_x = 2.0 * math.pi / state.elements.pitch_x
+        turn_y = 2.0 * math.pi / state.elements.pitch_y
+        see = state.observation
         see[0] = error / 0.05
         see[1] = math.tanh(error / 0.005)
         see[2] = speed_error / 0.2
         see[3] = across / 0.1
-        see[4] = lane.goal[SPEED] - 0.8
+        see[4] = state.goal[SPEED] - 0.8
         for k in range(len(AHEAD)):
-            _, see[5 + k] = _path_at(lane, x + AHEAD[k])
-        see[9] = lane.surface[GRAVITY_ALONG] / GRAVITY / 0.2
+            _, see[5 + k] = _path_at(state, x + AHEAD[k])
+        see[9] = state.surface[GRAVITY_ALONG] / GRAVITY / 0.2
         see[10] = math.sin(theta)
         see[11] = math.cos(theta)
         see[12] = sensed[OMEGA] / 3.0
-        see[13] = (lane.body[HALF_LENGTH] - 0.175) / 0.05
-        see[14] = math.sin(turn_x * (x - lane.elements.x0))
-        see[15] = math.cos(turn_x * (x - lane.elements.x0))
-        see[16] = math.sin(turn_y * (y - lane.elements.y0))
-        see[17] = math.cos(turn_y * (y - lane.elements.y0))
+        see[13] = (state.body[HALF_LENGTH] - 0.175) / 0.05
+        see[14] = math.sin(turn_x * (x - state.elements.x0))
+        see[15] = math.cos(turn_x * (x - state.elements.x0))
+        see[16] = math.sin(turn_y * (y - state.elements.y0))
+        see[17] = math.cos(turn_y * (y - state.elements.y0))
 
 
-def _check_paths(first: Numbers, step: Numbers, y: Numbers, plant: Plant) -> None:
+def _check_paths(first: Numbers, step: Numbers, y: Numbers, plant: BaseLine) -> None:
     """Raise a ValueError for a path that leaves the plant or is too steep.
 
     Args:
@@ -316,21 +314,21 @@ def _check_paths(first: Numbers, step: Numbers, y: Numbers, plant: Plant) -> Non
         raise ValueError(f"path must have slopes of at most {STEEPEST:g}, got {steepest:g}")
 
 
-@lane_function
-def _path_at(lane: Lane, x: float) -> tuple[float, float]:
+@kernel_function
+def _path_at(state: EnvState, x: float) -> tuple[float, float]:
     """[m] y of the path at x, and its slope there; it goes on straight beyond its ends."""
-    step = lane.goal[STEP_X]
-    along = (x - lane.goal[FIRST_X]) / step
+    step = state.goal[STEP_X]
+    along = (x - state.goal[FIRST_X]) / step
     i = int(bounded(along, 0.0, PATH_POINTS - 2.0))
-    y = lane.path[i]
-    rise = lane.path[i + 1] - y
+    y = state.path[i]
+    rise = state.path[i + 1] - y
     return y + (along - i) * rise, rise / step
 
 
-@lane_function
-def _errors(lane: Lane, motion: Array) -> tuple[float, float, float]:
+@kernel_function
+def _errors(state: EnvState, motion: Array) -> tuple[float, float, float]:
     """[m] off the path, [m/s] over the asked speed along it, [m/s] across it; to its left."""
-    y, slope = _path_at(lane, motion[X])
+    y, slope = _path_at(state, motion[X])
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
-    along = (motion[VX] + slope * motion[VY]) * cosine - lane.goal[SPEED]
+    along = (motion[VX] + slope * motion[VY]) * cosine - state.goal[SPEED]
     return (motion[Y] - y) * cosine, along, (motion[VY] - slope * motion[VX]) * cosine

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import layouts
-from surface_gym.bases import Rectangle
 from surface_gym.paper import COARSE, Integration
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.simulation import simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym.bases import Base, Disc, Rectangle
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Base, Disc, Parcel, Rectangle
 from surface_gym.surface import Surface
 from surface_gym.validation.recipe import Recipe
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surface_gym.dynamics.contacts import EDGE_TOLERANCE
-from surface_gym.dynamics.types import GRAVITY
 from surface_gym.parcel import Parcel
+from surface_gym.physics.contacts import EDGE_TOLERANCE
+from surface_gym.physics.types import GRAVITY
 from surface_gym.surface import Surface
 
 

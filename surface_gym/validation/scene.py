@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
-from surface_gym.dynamics.types import GRAVITY
 from surface_gym.parcel import Parcel
+from surface_gym.physics.types import GRAVITY
 from surface_gym.surface import Surface
 from surface_gym.validation.parts import BASE, add_belt, add_element, add_parcel, constant_impedance
 from surface_gym.validation.recipe import MAX_TILT, RECIPE, Recipe

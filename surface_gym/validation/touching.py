@@ -7,8 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.bases import Base, Disc, Polygon, Rectangle
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.surface import Surface
 from surface_gym.together import Encounter, simulate_together
 from surface_gym.trajectory import Trajectory

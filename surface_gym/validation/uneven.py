@@ -13,10 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 
 from surface_gym import checks
-from surface_gym.dynamics.entries import advance_implicit, find_support, load_point
-from surface_gym.dynamics.memory import make_scratch, row_of
-from surface_gym.dynamics.types import ARM_X, ARM_Y, NORMAL
 from surface_gym.parcel import Parcel
+from surface_gym.physics.references import advance_implicit, find_support, load_point
+from surface_gym.physics.types import ARM_X, ARM_Y, NORMAL, make_scratch, table_row
 from surface_gym.simulation import start_state
 from surface_gym.surface import Surface
 
@@ -88,12 +87,12 @@ def end_pose(
         contacts = find_support(grid, body, state, scratch, 0.5 * dt)
         if contacts.total == 0:
             raise ValueError(f"duration must end on the surface, left it after {step * dt:g} s")
-        arms = np.column_stack([row_of(scratch, row, contacts.total) for row in (ARM_X, ARM_Y)])
+        arms = np.column_stack([table_row(scratch, row, contacts.total) for row in (ARM_X, ARM_Y)])
         # The element under each contact: its place half a step on, as find_support sees it.
         place = state[:2] + 0.5 * dt * state[3:5] + arms - surface.origin
         column, row = np.rint(place / (surface.pitch_x, surface.pitch_y)).astype(np.int64).T
         load = load_point(grid, body, state)
-        row_of(scratch, NORMAL, contacts.total)[:] = uneven_normal_forces(
+        table_row(scratch, NORMAL, contacts.total)[:] = uneven_normal_forces(
             arms,
             tops[row, column],
             stiffness * grid.stiffness[row, column],

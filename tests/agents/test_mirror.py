@@ -8,9 +8,9 @@ import pytest
 import surface_gym as sg
 from agents.mirror import SIDE, ActionMirror, MirrorVecEnv, mirrored_orientations
 from agents.vec_env import SurfaceVecEnv
-from surface_gym.actions import KINDS
+from surface_gym.core.actions import KINDS
 from surface_gym.layouts import LINE_Y
-from surface_gym.plants import ORIENTATIONS
+from surface_gym.lines import ORIENTATIONS
 from surface_gym.settings import Settings
 
 BOTH_SIDES = np.array([1.0, -1.0], dtype=np.float32)

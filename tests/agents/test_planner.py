@@ -131,11 +131,11 @@ def test_on_a_path_lanes_cost_what_their_errors_so_far_are() -> None:
     model.begin(observation)
     for actions in ([15, 5, 10], [6, 9, 0], [10, 1, 5]):
         stand = model.advance(np.arange(3), np.array(actions))
-    figures = dict(zip(settings.chosen_task.figures, stand.lanes.figures.T, strict=True))
+    figures = dict(zip(settings.chosen_task.metrics, stand.parcels.metrics.T, strict=True))
     terms = (
         figures["rms_error"] / CROSS_ERROR,
         figures["speed_error"] / SPEED_ERROR,
-        stand.lanes.truth[:, 4] / CROSS_SPEED,
+        stand.parcels.truth[:, 4] / CROSS_SPEED,
     )
     assert min(np.abs(term).max() for term in terms) > 0.1
     expected = sum(term**2 for term in terms)
@@ -149,7 +149,7 @@ def test_of_lanes_that_are_alike_one_is_gone_on_with() -> None:
     model = Model(Settings(task="stop", actions="halves"), 8)
     model.begin(observation)
     stand = model.advance(np.zeros(8, dtype=np.int64), np.full(8, 15))
-    stand.lanes.state[1:7, :6] += np.diag([0.01, 0.01, 0.05, 0.025, 0.025, 0.25])
+    stand.parcels.state[1:7, :6] += np.diag([0.01, 0.01, 0.05, 0.025, 0.025, 0.25])
     kept = _keep(AIMS["stop"], stand, np.ones(8, dtype=bool), 8)
     assert sorted(kept) == [0, 1, 2, 3, 4, 5, 6]
     assert len(_keep(AIMS["stop"], stand, np.ones(8, dtype=bool), 3)) == 3

@@ -118,6 +118,6 @@ def test_a_faulty_task_ends_without_a_traceback(tmp_path: Path) -> None:
     )
     done = inside("train.py", "--task", "faulty.py:Faulty", *SHORT.split(), folder=tmp_path)
     assert done.returncode != 0
-    assert "Faulty.judge must be a static method and a lane_function" in done.stderr
+    assert "Faulty.judge must be a static method and a kernel_function" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "runs" / "a" / "policy.pt").exists()

@@ -86,13 +86,13 @@ def test_seed_and_options_act_at_the_next_reset_alone() -> None:
     env.reset()
     env.seed(5)
     env.set_options([{"speed": 0.5 + lane} for lane in range(LANES)])
-    before = env.env._batch.lanes.truth.copy()
+    before = env.env._batch.parcels.truth.copy()
     env.step(np.full(LANES, ROLL))
-    assert (np.abs(env.env._batch.lanes.truth[:, 3] - before[:, 3]) < 0.1).all()
+    assert (np.abs(env.env._batch.parcels.truth[:, 3] - before[:, 3]) < 0.1).all()
     env.reset()
-    np.testing.assert_array_equal(env.env._batch.lanes.truth[:, 3], [0.5, 1.5, 2.5, 3.5])
+    np.testing.assert_array_equal(env.env._batch.parcels.truth[:, 3], [0.5, 1.5, 2.5, 3.5])
     env.reset()
-    assert (env.env._batch.lanes.truth[:, 3] != [0.5, 1.5, 2.5, 3.5]).any()
+    assert (env.env._batch.parcels.truth[:, 3] != [0.5, 1.5, 2.5, 3.5]).any()
 
 
 def test_indices_are_honoured() -> None:

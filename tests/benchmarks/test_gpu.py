@@ -15,7 +15,7 @@ from benchmarks.gpu.picture import draw
 from benchmarks.gpu.resets import Resets
 from benchmarks.gpu.results import SMALL, Results, on_cpu, on_gpu
 from benchmarks.gpu.windows import Rate
-from surface_gym.gpu.needs import DeviceMissing
+from surface_gym.cuda.env import DeviceMissing
 
 
 class TestWithoutAGpu:

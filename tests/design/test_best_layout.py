@@ -16,7 +16,7 @@ from surface_gym.design.purposes import Slow, Sort, Stop, Turn
 from surface_gym.design.runs import make_runs, run_all
 from surface_gym.design.search import Effort
 from surface_gym.design.shortfall import shortfall
-from surface_gym.plants import ORIENTATIONS
+from surface_gym.lines import ORIENTATIONS
 
 S = layouts.box("S")
 QUICK = Effort(members=12, generations=3, epochs=2, rounds=1)

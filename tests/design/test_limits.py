@@ -13,7 +13,7 @@ from surface_gym.design.columns import least_columns
 from surface_gym.design.limits import friction_range, least_speed, least_tilt
 from surface_gym.design.purposes import Slow, Sort, Stop
 from surface_gym.design.sweep import NOMINAL, Arrangement, arrange, span
-from surface_gym.dynamics.types import GRAVITY
+from surface_gym.physics.types import GRAVITY
 
 OWN = sg.Parcel(sg.Rectangle(0.3, 0.4), mass=12.0)
 

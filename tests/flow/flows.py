@@ -11,8 +11,6 @@ import pytest
 from numpy.typing import ArrayLike
 
 import surface_gym as sg
-from surface_gym.dynamics.states import states_of
-from surface_gym.dynamics.types import THETA, Array, X, Y
 from surface_gym.flow.arrivals import Poisson
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.env import FlowEnv
@@ -21,6 +19,8 @@ from surface_gym.flow.memory import ENTERED
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.trace import Arrival, Trace
+from surface_gym.physics.step import com_states
+from surface_gym.physics.types import THETA, Array, X, Y
 from surface_gym.registration import FLOW
 from surface_gym.sensors import Camera, Presence
 from tests.environments import assert_same
@@ -110,8 +110,8 @@ def set_down(batch: FlowBatch, poses: ArrayLike, velocities: ArrayLike | None = 
     """
     given = np.asarray(poses, dtype=np.float64)
     moving = np.zeros_like(given) if velocities is None else np.asarray(velocities, dtype=float)
-    flows, lanes, count = batch.flows, batch.lanes, len(given)
-    lanes.state[:count] = states_of(np.zeros((count, 2)), given, moving)
+    flows, lanes, count = batch.streams, batch.parcels, len(given)
+    lanes.state[:count] = com_states(np.zeros((count, 2)), given, moving)
     lanes.sensed[:count, :3] = given
     lanes.sensed[:count, 3:] = moving
     lanes.site[:count] = flows.site[0, :count]
@@ -129,7 +129,7 @@ def set_down(batch: FlowBatch, poses: ArrayLike, velocities: ArrayLike | None = 
 
 def parcel_of(batch: FlowBatch, place: int, lane: int = 0) -> sg.Parcel:
     """The parcel that has a place."""
-    return batch._pool.parcel(int(batch.lanes.site[lane * batch.rows + place]))
+    return batch._pool.parcel(int(batch.parcels.site[lane * batch.rows + place]))
 
 
 def surface_of(settings: FlowSettings, angle: float) -> sg.Surface:
@@ -168,7 +168,7 @@ def truths(batch: FlowBatch, lane: int = 0) -> dict[int, Array]:
     """Pose and velocity of who is there, by the number of arrival."""
     first = lane * batch.rows
     return {
-        int(number): batch.lanes.truth[first + place].copy()
-        for place, number in enumerate(batch.flows.number[lane])
-        if batch.flows.present[lane, place]
+        int(number): batch.parcels.truth[first + place].copy()
+        for place, number in enumerate(batch.streams.number[lane])
+        if batch.streams.present[lane, place]
     }

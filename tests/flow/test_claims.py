@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surface_gym.actuators import Actuators
-from surface_gym.dynamics.types import VX, VY, Array, X, Y
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.memory import NOBODY, TURNS
+from surface_gym.physics.types import VX, VY, Array, X, Y
+from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Presence
 from tests.flow.flows import BOX, DENSE, SHORT, batch_with, box_of, parcel_of, set_down, trace
 
@@ -68,12 +68,12 @@ class TestRule:
             sensed = scattered(rng, 12)
             sensed[:3, VX] = 0.0
             sensed[2:5, VY] = 0.0
-            batch.lanes.sensed[:12] = sensed
-            batch.flows.present[0, 5] = False
-            present = batch.flows.present[0].copy()
+            batch.parcels.sensed[:12] = sensed
+            batch.streams.present[0, 5] = False
+            present = batch.streams.present[0].copy()
             batch.advance(np.zeros((1, 48), dtype=np.int64))
             wanted = slow_claims(batch, sensed, present, ahead)
-            np.testing.assert_array_equal(batch.flows.owner[0], wanted)
+            np.testing.assert_array_equal(batch.streams.owner[0], wanted)
             claimed += int((wanted != NOBODY).sum())
         assert claimed > 100
 
@@ -81,17 +81,17 @@ class TestRule:
     def test_a_lost_estimate_claims_nothing(self, stray: float) -> None:
         batch = batch_with(FULL, actions="parcels", duration=9.0)
         set_down(batch, [(0.7, 1.0, 0.0), (1.5, 1.0, 0.0)])
-        batch.lanes.sensed[0, X] = stray
+        batch.parcels.sensed[0, X] = stray
         batch.advance(np.zeros((1, 48), dtype=np.int64))
-        assert set(np.unique(batch.flows.owner[0])) == {NOBODY, 1}
+        assert set(np.unique(batch.streams.owner[0])) == {NOBODY, 1}
 
     def test_of_two_that_it_bears_the_nearer_is_obeyed(self) -> None:
         batch = batch_with(FULL, actions="parcels", duration=9.0)
         set_down(batch, [(0.75, 1.0, 0.0), (1.0, 1.0, 0.0)])
-        batch.lanes.sensed[:2, X] = 0.80, 1.0  # seen to overlap around x = 0.9
+        batch.parcels.sensed[:2, X] = 0.80, 1.0  # seen to overlap around x = 0.9
         batch.advance(np.zeros((1, 48), dtype=np.int64))
-        assert (batch.flows.owner[0, 9:11, 8] == 0).all()  # at x = 0.85
-        assert (batch.flows.owner[0, 9:11, 9] == 1).all()  # at x = 0.95
+        assert (batch.streams.owner[0, 9:11, 8] == 0).all()  # at x = 0.85
+        assert (batch.streams.owner[0, 9:11, 9] == 1).all()  # at x = 0.95
 
 
 class TestCommands:
@@ -113,8 +113,8 @@ class TestCommands:
                 angles = np.array(batch.settings.chosen_orientations)[drawn]
                 if orientations == "any":
                     angles = drawn = rng.uniform(-1.5, 1.5, (24, 2))
-            sensed = batch.lanes.sensed.copy()
-            owner = slow_claims(batch, sensed, batch.flows.present[0], 0.1)
+            sensed = batch.parcels.sensed.copy()
+            owner = slow_claims(batch, sensed, batch.streams.present[0], 0.1)
             before = told.copy()
             for row, column in np.argwhere(owner != NOBODY):
                 place = owner[row, column]
@@ -124,8 +124,8 @@ class TestCommands:
             # An axis that was turned by pi is the same axis.
             turns += int((np.abs(np.sin(told - before)) > 1e-9).sum())
             batch.advance(kind.commands(drawn.reshape(1, -1), 1))
-            np.testing.assert_array_equal(batch.flows.told[0], told)
-            assert batch.flows.tally[0, TURNS] == turns
+            np.testing.assert_array_equal(batch.streams.told[0], told)
+            assert batch.streams.tally[0, TURNS] == turns
             claimed |= owner != NOBODY
         assert claimed[:, 5:19].sum() > 30
         assert (told[:, :5] == math.pi / 2).all()
@@ -137,12 +137,12 @@ class TestCommands:
         for _ in range(50):
             commands = rng.integers(0, 4, (24, 2))
             other = commands.copy()
-            free = ~batch.flows.present[0]
+            free = ~batch.streams.present[0]
             other[free] = rng.integers(0, 4, (int(free.sum()), 2))
             batch.advance(commands.reshape(1, -1))
             twin.advance(other.reshape(1, -1))
-            np.testing.assert_array_equal(batch.lanes.state, twin.lanes.state)
-            np.testing.assert_array_equal(batch.flows.told, twin.flows.told)
+            np.testing.assert_array_equal(batch.parcels.state, twin.lanes.state)
+            np.testing.assert_array_equal(batch.streams.told, twin.flows.told)
 
     def test_boxes_are_those_of_turned_bases(self) -> None:
         """What the slow account rests on: a square turned by 45 deg is sqrt(2) as wide."""

@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surface_gym.dynamics.types import THETA, Array
 from surface_gym.flow.arrivals import Poisson, Steady
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.features import PRESENT, WAITS
 from surface_gym.flow.memory import NOBODY
 from surface_gym.flow.statistics import statistics_of
 from surface_gym.flow.stream import Stream
+from surface_gym.physics.types import THETA, Array
 from surface_gym.randomisation import Randomisation
 from tests.flow.flows import BRAKE, DENSE, ROLL, batch_with, box_of, parcel_of, trace
 
@@ -31,8 +31,8 @@ def command(batch: FlowBatch, choice: int) -> Array:
 
 def poses(batch: FlowBatch) -> dict[int, Array]:
     """Of who is there, by place."""
-    present = np.nonzero(batch.flows.present[0])[0]
-    return {int(place): batch.lanes.truth[place, : THETA + 1].copy() for place in present}
+    present = np.nonzero(batch.streams.present[0])[0]
+    return {int(place): batch.parcels.truth[place, : THETA + 1].copy() for place in present}
 
 
 def clear(batch: FlowBatch, place: int, others: dict[int, Array], gap: float) -> bool:
@@ -48,11 +48,11 @@ def clear(batch: FlowBatch, place: int, others: dict[int, Array], gap: float) ->
 
 def next_clear(batch: FlowBatch, others: dict[int, Array], gap: float) -> bool:
     """Whether the next to enter would find room."""
-    flows = batch.flows
+    flows = batch.streams
     arrival = int(flows.coming[0])
     parcel = batch._pool.parcel(int(flows.site[0, arrival]))
     place = int(np.nonzero(flows.number[0] == NOBODY)[0][0])
-    batch.lanes.site[place] = flows.site[0, arrival]
+    batch.parcels.site[place] = flows.site[0, arrival]
     start = np.array([*flows.start[0, arrival, : THETA + 1]])
     _, front, right, left = box_of(parcel, start)
     return all(
@@ -79,7 +79,7 @@ class TestRoom:
     def test_enters_at_the_first_step_with_room_and_a_place(self, settings: Any) -> None:
         batch = rush(**settings, duration=7.0)
         gap = batch.settings.entry_gap
-        flows = batch.flows
+        flows = batch.streams
         entered = barred = full = 0
         for step in range(1200):
             waiting = int((flows.time[0, : flows.arrivals[0]] <= flows.clock[0] + DT).sum())
@@ -87,7 +87,7 @@ class TestRoom:
             held = (flows.number[0] != NOBODY) & flows.present[0]
             before = int(flows.coming[0])
             batch.advance(command(batch, ROLL if step < 1050 else BRAKE))
-            flows = batch.flows
+            flows = batch.streams
             now = poses(batch)
             if flows.coming[0] > before:
                 assert flows.coming[0] == before + 1
@@ -111,12 +111,12 @@ class TestRoom:
 
     def test_nobody_is_dropped_and_order_is_kept(self) -> None:
         batch = rush()
-        flows = batch.flows
+        flows = batch.streams
         waited = 0.0
         for _ in range(390):
             waited += DT * int(flows.due[0] - flows.coming[0])
             batch.advance(command(batch, ROLL))
-            flows = batch.flows
+            flows = batch.streams
             time = flows.time[0, : flows.arrivals[0]]
             due = int((time <= flows.clock[0]).sum())
             entered = int(flows.coming[0])
@@ -137,19 +137,21 @@ class TestRoom:
     def test_alone_nobody_waits(self) -> None:
         """At a gap of 3 s each enters in the first physics step after its time."""
         batch = batch_with(Stream(Steady(1200.0)), duration=9.5)
-        while batch.flows.outcome[0] == 0:
+        while batch.streams.outcome[0] == 0:
             batch.advance(command(batch, ROLL))
-        np.testing.assert_allclose(batch.flows.entered[0, :4], [0.0, 3.0, 6.0, 9.0], atol=DT + 1e-9)
-        assert (batch.flows.entered[0, :4] >= batch.flows.time[0, :4]).all()
-        assert batch.flows.waited[0] == 0.0
+        np.testing.assert_allclose(
+            batch.streams.entered[0, :4], [0.0, 3.0, 6.0, 9.0], atol=DT + 1e-9
+        )
+        assert (batch.streams.entered[0, :4] >= batch.streams.time[0, :4]).all()
+        assert batch.streams.waited[0] == 0.0
 
     def test_a_place_is_kept_while_its_parcel_is_there(self) -> None:
         batch = batch_with(DENSE, duration=3.0)
         place_of: dict[int, int] = {}
         for _ in range(74):
             batch.advance(command(batch, ROLL))
-            for place in np.nonzero(batch.flows.present[0])[0].tolist():
-                number = int(batch.flows.number[0, place])
+            for place in np.nonzero(batch.streams.present[0])[0].tolist():
+                number = int(batch.streams.number[0, place])
                 assert place_of.setdefault(number, place) == place
         assert len(place_of) > 4
 
@@ -168,17 +170,17 @@ class TestGate:
         batch = self.gated(0.0, 0.1)
         for _ in range(20):
             batch.advance(self.told(batch, 0))
-            assert not batch.flows.present.any()
-        assert batch.flows.due[0] == 2
+            assert not batch.streams.present.any()
+        assert batch.streams.due[0] == 2
         # They are counted as due in the physics step in which their time comes.
-        assert batch.flows.waited[0] == pytest.approx(0.8 + 0.7, abs=2 * DT)
+        assert batch.streams.waited[0] == pytest.approx(0.8 + 0.7, abs=2 * DT)
 
     @pytest.mark.parametrize("opens", [1, 3, 8])
     def test_opened_it_lets_one_in_from_that_step_on(self, opens: int) -> None:
         batch = self.gated(0.0, 0.0)
         batch.advance(self.told(batch, opens))
-        assert batch.flows.coming[0] == 1
-        assert batch.flows.entered[0, 0] == pytest.approx(opens * DT)
+        assert batch.streams.coming[0] == 1
+        assert batch.streams.entered[0, 0] == pytest.approx(opens * DT)
 
     def test_the_last_row_is_who_enters_next(self) -> None:
         batch = self.gated(0.0, 0.5)
@@ -203,7 +205,7 @@ class TestGate:
         for _ in range(60):
             batch.advance(self.told(batch, 1))
             free.advance(free_action)
-        np.testing.assert_array_equal(batch.flows.entered[0, 1:3], free.flows.entered[0, 1:3])
+        np.testing.assert_array_equal(batch.streams.entered[0, 1:3], free.flows.entered[0, 1:3])
 
     @pytest.mark.parametrize(
         "action", [[3] * 48 + [9], [3] * 48 + [-1], [3] * 48, [[3, 3], 1], [3.0] * 49], ids=repr

@@ -191,7 +191,7 @@ class TestEpisodes:
     def test_a_reset_may_bring_a_stream_of_its_own(self) -> None:
         env = bare(actions="parcels", duration=1.0)
         env.reset(seed=0, options={"stream": trace((0.0, "left 1"), (0.5, "right 2"))})
-        flows = env._batch.flows
+        flows = env._batch.streams
         names = env.settings.exits.names
         assert [names[place] for place in flows.exit[0, :2]] == ["left 1", "right 2"]
         assert flows.arrivals.tolist() == [2]
@@ -212,7 +212,7 @@ class TestSeeds:
         coming = []
         for seed in (0, 1, 2, None, None, None):
             env.reset(seed=seed)
-            coming.append(env._batch.flows.time[0, 1:6].copy())
+            coming.append(env._batch.streams.time[0, 1:6].copy())
         assert len(np.unique(coming, axis=0)) == 6
 
 
@@ -263,11 +263,13 @@ class TestMemory:
         tracemalloc.start()
         try:
             go(60)
-            before, rooms = tracemalloc.get_traced_memory()[0], len(env._batch.sites.body)
+            before, rooms = tracemalloc.get_traced_memory()[0], len(env._batch.bodies.body)
             go(120)
             grown = tracemalloc.get_traced_memory()[0] - before
         finally:
             tracemalloc.stop()
         assert grown < 60_000  # [bytes] 500 an episode: less than a parcel
-        assert len(env._batch.sites.body) == rooms
-        assert len(env._batch._pool._users) <= len(DENSE.kinds) + int(env._batch.flows.arrivals[0])
+        assert len(env._batch.bodies.body) == rooms
+        assert len(env._batch._pool._users) <= len(DENSE.kinds) + int(
+            env._batch.streams.arrivals[0]
+        )

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.actuators import Actuators
-from surface_gym.dynamics.types import VX, X, Y
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.env import FlowEnv
 from surface_gym.flow.memory import ENTERED
 from surface_gym.flow.rewards import ON_THE_WAY, PARCEL_TERMS
 from surface_gym.flow.stream import Stream
-from surface_gym.randomisation import Randomisation
+from surface_gym.physics.types import VX, X, Y
+from surface_gym.randomisation import Actuators, Randomisation
 from tests.flow.flows import (
     BOX,
     BRAKE,
@@ -57,9 +56,9 @@ class TestPhysics:
                 truth = truths(env._batch)[0]
                 np.testing.assert_array_equal(truth[:3], run.pose[8 * period])
                 np.testing.assert_array_equal(truth[3:], run.velocity[8 * period])
-        step = round(env._batch.flows.left[0, 0] / DT)
+        step = round(env._batch.streams.left[0, 0] / DT)
         assert 8 * (period - 1) < step <= 8 * period
-        np.testing.assert_array_equal(env._batch.lanes.truth[0, :3], run.pose[step])
+        np.testing.assert_array_equal(env._batch.parcels.truth[0, :3], run.pose[step])
 
     def test_two_move_as_by_simulate_together(self) -> None:
         """To the bit; and they begin to touch as often as it says."""
@@ -79,7 +78,7 @@ class TestPhysics:
                 np.testing.assert_array_equal(truth[:3], run.trajectories[number].pose[8 * period])
         time = run.touches.time[run.touches.time < 20.5 * 0.04]
         begun = int((np.diff(time, prepend=-1.0) > 0.2 + DT / 2).sum())
-        assert batch.flows.touches[0, :2].tolist() == [begun, begun]
+        assert batch.streams.touches[0, :2].tolist() == [begun, begun]
         assert begun >= 1
 
 
@@ -173,7 +172,7 @@ class TestRewards:
         randomisation = Randomisation(lateral=0.03) if varies else Randomisation()
         env = bare(actions="modules", duration=4.0, randomisation=randomisation)
         for _, reward, _, _, info in out_and_halt(env):
-            lanes, terms = env._batch.lanes, info["reward_terms"]
+            lanes, terms = env._batch.parcels, info["reward_terms"]
             shared = math.fsum(terms[name] for name in PARCEL_TERMS)
             assert lanes.reward.sum() == pytest.approx(shared, abs=1e-9)
             assert reward == pytest.approx(lanes.reward.sum() + terms["waiting"] + terms["jam"])
@@ -187,7 +186,7 @@ class TestRewards:
         for *_, info in out_and_halt(env):
             for name in totals:
                 totals[name] += info["reward_terms"][name]
-        flows = env._batch.flows
+        flows = env._batch.streams
         assert totals["right"] == info["right"]
         assert totals["wrong"] == -info["wrong"]
         assert totals["touch"] == pytest.approx(-0.5 * 2 * info["touches"])
@@ -209,7 +208,7 @@ class TestRewards:
         assert played[-1][4]["right"] == 0
         wanted = 0.0
         for number, truth in truths(env._batch).items():
-            start = env._batch.flows.start[0, number]
+            start = env._batch.streams.start[0, number]
             aside = abs(truth[Y] - SHORT.line_y) - abs(start[Y] - SHORT.line_y)
             wanted += ON_THE_WAY * (truth[X] - start[X]) - aside
         assert earned == pytest.approx(wanted, abs=1e-9)
@@ -225,18 +224,18 @@ class TestTouches:
         roll = np.full((1, batch.settings.action_kind.size), ROLL)
         for _ in range(3):
             batch.advance(roll)
-        assert batch.flows.touches[0].tolist()[:2] == [1, 1]
+        assert batch.streams.touches[0].tolist()[:2] == [1, 1]
         # Taken apart for a moment too short to count, and then for one that counts.
         for periods, begun in ((2, 1), (6, 2)):
-            batch.lanes.state[0, 0] += 0.1
-            batch.lanes.state[:2, VX] = 0.5
+            batch.parcels.state[0, 0] += 0.1
+            batch.parcels.state[:2, VX] = 0.5
             for _ in range(periods):
                 batch.advance(roll)
-            batch.lanes.state[0, 0] = batch.lanes.state[1, 0] + 0.255
-            batch.lanes.state[:2, VX] = 0.1, 0.8
+            batch.parcels.state[0, 0] = batch.parcels.state[1, 0] + 0.255
+            batch.parcels.state[:2, VX] = 0.1, 0.8
             for _ in range(4):
                 batch.advance(roll)
-            assert batch.flows.touches[0].tolist()[:2] == [begun, begun]
+            assert batch.streams.touches[0].tolist()[:2] == [begun, begun]
 
 
 class TestModules:
@@ -244,7 +243,7 @@ class TestModules:
         stuck = ((9, 7), (11, 19))
         env = bare(actions="modules", actuators=Actuators(stuck=stuck))
         env.reset(seed=0)
-        flows = env._batch.flows
+        flows = env._batch.streams
         first_row, rows, first, columns = env.settings.zone
         expected = np.full(env.settings.rotor.shape, math.pi / 2)
         env.action_space.seed(0)

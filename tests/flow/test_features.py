@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surface_gym.actuators import Actuators
-from surface_gym.dynamics.types import Array
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.features import AHEAD, BEHIND, FEATURES, PRESENT, WAITS
 from surface_gym.flow.stream import Stream
+from surface_gym.physics.types import Array
+from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Camera
 from surface_gym.tasks.sort import FEATURES as SORT_FEATURES
 from tests.flow.flows import DENSE, ROLL, SHORT, bare, box_of, parcel_of, steps
@@ -26,12 +26,12 @@ def neighbour(batch: FlowBatch, place: int, other: int | None, ahead: bool, flip
     """Gap, speed, offset, side and size of the next one; of nobody, if there is none."""
     if other is None:
         return [8.0, 0.0, 0.0, 0.0, 0.0]
-    own, its = batch.lanes.sensed[place], batch.lanes.sensed[other]
+    own, its = batch.parcels.sensed[place], batch.parcels.sensed[other]
     rear, front, _, _ = box_of(parcel_of(batch, place), own[:3])
     its_rear, its_front, _, _ = box_of(parcel_of(batch, other), its[:3])
     gap = its_rear - front if ahead else rear - its_front
     exits = batch.settings.exits.exits
-    side = exits[int(batch.flows.exit[0, batch.flows.number[0, other]])].side
+    side = exits[int(batch.streams.exit[0, batch.streams.number[0, other]])].side
     return [
         float(np.clip(gap / 0.5, -8.0, 8.0)),
         (its[3] - own[3]) / 0.5,
@@ -43,19 +43,19 @@ def neighbour(batch: FlowBatch, place: int, other: int | None, ahead: bool, flip
 
 def row_of(batch: FlowBatch, place: int) -> Array:
     """What is to be shown of the parcel of a place, from what is sensed."""
-    flows = batch.flows
+    flows = batch.streams
     number = int(flows.number[0, place])
     exit = batch.settings.exits.exits[int(flows.exit[0, number])]
     flip = -1.0 if exit.side < 0 else 1.0
     parcel = parcel_of(batch, place)
-    x, y, theta, vx, vy, omega = batch.lanes.sensed[place]
+    x, y, theta, vx, vy, omega = batch.parcels.sensed[place]
     rear, _, right, left = box_of(parcel, (x, y, theta))
     length, width = np.ptp(parcel.base.outline, axis=0)
     y -= SHORT.line_y
     inner = right - SHORT.line_y if flip > 0.0 else SHORT.line_y - left
     start = FIRST_OF_ZONE if exit.side == 0 else max(FIRST_OF_ZONE, exit.first)
     others = {
-        other: batch.lanes.sensed[other, 0] - x
+        other: batch.parcels.sensed[other, 0] - x
         for other in np.nonzero(flows.present[0])[0].tolist()
         if other != place
     }
@@ -91,7 +91,7 @@ def test_rows_say_what_is_sensed(seed: int, settings: dict[str, Any]) -> None:
         # Most roll on, so that several are on the line.
         drawn = rng.integers(0, 4, env.action_space.shape)
         observation, *_ = env.step(np.where(rng.random(drawn.shape) < 0.8, ROLL, drawn))
-        flows = batch.flows
+        flows = batch.streams
         assert observation.shape == (24, len(FEATURES))
         for place in range(24):
             if not flows.present[0, place]:
@@ -120,12 +120,12 @@ def test_with_a_gate_the_last_row_waits() -> None:
     waited = 0
     for observation, *_ in steps(env, seed=0):
         assert observation in env.observation_space
-        waits = batch.flows.due[0] > batch.flows.coming[0]
+        waits = batch.streams.due[0] > batch.streams.coming[0]
         assert observation[-1].any() == waits
         if waits:
             waited += 1
             assert observation[-1, PRESENT] == observation[-1, WAITS] == 1.0
-            number = int(batch.flows.coming[0])
-            late = batch.flows.clock[0] - batch.flows.time[0, number]
+            number = int(batch.streams.coming[0])
+            late = batch.streams.clock[0] - batch.streams.time[0, number]
             assert observation[-1, 12] == pytest.approx(-late / 4.0, abs=1e-6)
     assert waited > 10

@@ -116,7 +116,7 @@ class TestBesideTheSingleEnv:
             there: set[int] = set(place_of)
             while True:
                 observation, _, jammed, late, info = single.step(said.reshape(-1))
-                flows, lanes = single._batch.flows, single._batch.lanes
+                flows, lanes = single._batch.streams, single._batch.parcels
                 for place in np.nonzero(flows.number[0] != NOBODY)[0].tolist():
                     number = int(flows.number[0, place])
                     place_of[number] = place
@@ -216,7 +216,7 @@ class TestAgents:
         env = agents_of()
         assert set(env.possible_agents) >= {"parcel_0", "parcel_1"}
         env.reset(seed=5)
-        flows = env._batch.flows
+        flows = env._batch.streams
         assert len(env.possible_agents) == flows.arrivals[0]
 
     def test_a_reset_may_bring_a_stream_of_its_own(self) -> None:

@@ -18,7 +18,7 @@ from surface_gym.flow.memory import BETWEEN, JAM, ON_ITS_WAY, TOUCHES
 from surface_gym.flow.picture import GLIDE, TRAIL, Album, exit_marks
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.flow.stream import Stream
-from surface_gym.plants import Pattern
+from surface_gym.lines import Pattern
 from surface_gym.registration import FLOW
 from surface_gym.rendering import FlowScene
 from tests.flow.flows import (
@@ -88,7 +88,7 @@ class TestParcels:
         batch = batch_of(trace((0.0, "left")))
         album = opened(batch)
         assert album.scene().parcels[0].sensed_pose is None
-        batch.lanes.sensed[0, 1] += 0.02
+        batch.parcels.sensed[0, 1] += 0.02
         x, y, theta = album.scene().parcels[0].pose
         assert album.scene().parcels[0].sensed_pose == pytest.approx((x, y + 0.02, theta))
 
@@ -97,12 +97,12 @@ class TestParcels:
         set_down(batch, [[0.8, 1.0, 0.0], [1.1, 1.0, 0.0]], [[1.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
         album = opened(batch)
         assert album.scene().touching == ()
-        while batch.flows.tally[0, TOUCHES] == 0:  # the one behind catches up
+        while batch.streams.tally[0, TOUCHES] == 0:  # the one behind catches up
             go_on(batch, album, 1)
         assert album.scene().touching == ((0, 1),)
         # Whether they have done so within 0.1 s, 20 physics steps, whatever came since.
         for since, expected in ((20, ((0, 1),)), (21, ())):
-            batch.flows.touched_at[0, [0, 1], [1, 0]] = batch.flows.steps[0] - since
+            batch.streams.touched_at[0, [0, 1], [1, 0]] = batch.streams.steps[0] - since
             assert album.scene().touching == expected
 
 
@@ -123,7 +123,7 @@ class TestTrails:
     def test_a_place_used_again_does_not_join_them(self) -> None:
         batch = batch_of(trace((0.0, "straight"), (0.0, "straight")), places=1)
         album = opened(batch)
-        while batch.flows.number[0, 0] != 1:
+        while batch.streams.number[0, 0] != 1:
             go_on(batch, album, 1)
         go_on(batch, album, 3)
         trail = album.scene().parcels[-1].trail
@@ -145,13 +145,13 @@ class TestExits:
     def test_who_has_left_goes_on_for_a_moment(self) -> None:
         batch = batch_of(trace((0.0, "straight")))
         album = opened(batch)
-        while batch.flows.present[0, 0]:
+        while batch.streams.present[0, 0]:
             go_on(batch, album, 1)
-        left, (x, y, _, vx, vy, _) = batch.flows.left[0, 0], batch.lanes.truth[0].copy()
+        left, (x, y, _, vx, vy, _) = batch.streams.left[0, 0], batch.parcels.truth[0].copy()
         periods = 0
         while album.scene().parcels:
             (parcel,) = album.scene().parcels
-            since = batch.flows.clock[0] - left
+            since = batch.streams.clock[0] - left
             assert parcel.pose[:2] == pytest.approx((x + since * vx, y + since * vy))
             assert tuple(parcel.trail[-1]) == parcel.pose[:2]
             go_on(batch, album, 1)
@@ -161,9 +161,9 @@ class TestExits:
     def test_pairs_are_counted_past_those_who_have_left(self) -> None:
         batch = batch_of(trace((0.0, "straight"), (0.2, "left"), (0.6, "right")))
         album = opened(batch)
-        while batch.flows.present[0, 0]:
+        while batch.streams.present[0, 0]:
             go_on(batch, album, 1)
-        batch.flows.touched_at[0, [1, 2], [2, 1]] = batch.flows.steps[0]
+        batch.streams.touched_at[0, [1, 2], [2, 1]] = batch.streams.steps[0]
         scene = album.scene()
         assert [parcel.exit for parcel in scene.parcels] == [2, 0, 1]
         assert scene.touching == ((1, 2),)
@@ -217,7 +217,7 @@ class TestReadings:
 
     def test_the_rate_is_that_of_the_last_half_minute(self) -> None:
         batch = batch_of(trace(*[(float(k), "straight") for k in range(60)]))
-        flows, album = batch.flows, opened(batch)
+        flows, album = batch.streams, opened(batch)
         assert reading(album.scene(), "parcels an hour") == "\N{EN DASH}"
         # One leaves a second from 1 s on: every third by another exit, and all do from 40 s on.
         left = np.arange(1.0, 61.0)
@@ -240,7 +240,7 @@ class TestReadings:
         batch = batch_of(trace((0.0, "left")))
         album = opened(batch)
         assert "end" not in dict(album.scene().readings)
-        batch.flows.outcome[0] = JAM
+        batch.streams.outcome[0] = JAM
         assert reading(album.scene(), "end") == "jam"
 
 

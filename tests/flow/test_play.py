@@ -82,13 +82,13 @@ def test_shift_turns_all(game: FlowGame) -> None:
 
 def test_a_parcel_is_led_to_a_chute(game: FlowGame) -> None:
     press(game, pygame.K_3, pygame.KMOD_LSHIFT)  # all to the left
-    while game._batch.flows.tally[0, 1:3].sum() == 0:
+    while game._batch.streams.tally[0, 1:3].sum() == 0:
         game.advance()
-    assert game._batch.flows.taken[0, 0] == game._settings.exits.place("left 1")
+    assert game._batch.streams.taken[0, 0] == game._settings.exits.place("left 1")
 
 
 def test_the_rate_follows_plus_and_minus(game: FlowGame) -> None:
-    flows = game._batch.flows
+    flows = game._batch.streams
     for _ in range(50):
         game.advance()
     press(game, pygame.K_PLUS)
@@ -107,14 +107,14 @@ def test_the_rate_follows_plus_and_minus(game: FlowGame) -> None:
 def test_as_many_come_as_asked_for(game: FlowGame) -> None:
     for _ in range(500):  # 20 s
         game.advance()
-    assert game._batch.flows.due[0] == 1 + int(20.0 * FIRST_RATE / 3600.0)
+    assert game._batch.streams.due[0] == 1 + int(20.0 * FIRST_RATE / 3600.0)
 
 
 def test_space_pauses_and_one_may_draw_meanwhile(game: FlowGame) -> None:
     press(game, pygame.K_SPACE)
-    clock = game._batch.flows.clock[0]
+    clock = game._batch.streams.clock[0]
     game.advance()
-    assert game._batch.flows.clock[0] == clock
+    assert game._batch.streams.clock[0] == clock
     before = game.draw()
     touch(game, (2.0, 1.0))
     assert (game.draw() != before).any()
@@ -123,7 +123,7 @@ def test_space_pauses_and_one_may_draw_meanwhile(game: FlowGame) -> None:
 def test_r_starts_again_with_other_parcels_and_the_same_axes(game: FlowGame) -> None:
     game.advance()
     touch(game, (2.0, 1.0))
-    flows = game._batch.flows
+    flows = game._batch.streams
     choice, exits = game._choice.copy(), flows.exit[0].copy()
     press(game, pygame.K_r)
     assert flows.clock[0] == 0.0
@@ -133,13 +133,13 @@ def test_r_starts_again_with_other_parcels_and_the_same_axes(game: FlowGame) -> 
 
 
 def test_a_jam_stays_until_r(game: FlowGame) -> None:
-    game._batch.flows.outcome[0] = JAM
+    game._batch.streams.outcome[0] = JAM
     game.advance()
     assert dict(game._scene().readings)["end"] == "jam"
-    assert game._batch.flows.clock[0] == 0.0
+    assert game._batch.streams.clock[0] == 0.0
     press(game, pygame.K_r)
     game.advance()
-    assert game._batch.flows.clock[0] > 0.0
+    assert game._batch.streams.clock[0] > 0.0
 
 
 def test_letters_of_other_games_do_nothing(game: FlowGame) -> None:

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.batch.placement import placement_of
+from surface_gym.core.resets import place_parcel
 from surface_gym.flow.pool import BodyPool
 from tests.environments import HEPTAGON, TRIANGLE
 from tests.flow.flows import BOX, LARGE_BOX, SHORT
 
 
 def pool() -> BodyPool:
-    return BodyPool(lambda parcel: placement_of(parcel, SHORT, None), BOX)
+    return BodyPool(lambda parcel: place_parcel(parcel, SHORT, None), BOX)
 
 
 def sizes(count: int) -> list[sg.Parcel]:
@@ -45,7 +45,7 @@ def test_more_parcels_take_more_rows_and_leave_the_others() -> None:
     assert len(set(rows)) == 40
     assert len(bodies.sites.body) == 64
     for row, parcel in zip(rows, parcels, strict=True):
-        placement = placement_of(parcel, SHORT, None)
+        placement = place_parcel(parcel, SHORT, None)
         np.testing.assert_array_equal(bodies.sites.body[row], placement.body)
         np.testing.assert_array_equal(bodies.sites.corners[row], placement.corners)
         assert bodies.parcel(row) == parcel
@@ -60,7 +60,7 @@ def test_more_edges_widen_the_rows_of_all() -> None:
     np.testing.assert_array_equal(bodies.sites.corners[row, :4], narrow)
     np.testing.assert_array_equal(bodies.sites.corners[row, 4:], np.tile(narrow[:1], (3, 1)))
     np.testing.assert_array_equal(
-        bodies.sites.corners[wide], placement_of(HEPTAGON, SHORT, None).corners
+        bodies.sites.corners[wide], place_parcel(HEPTAGON, SHORT, None).corners
     )
 
 
@@ -73,7 +73,7 @@ def test_rows_do_not_run_out_where_all_are_given_back() -> None:
 
 
 def test_a_parcel_that_does_not_fit_takes_nothing() -> None:
-    bodies = BodyPool(lambda parcel: placement_of(parcel, sg.plants.Line(), None), BOX)
+    bodies = BodyPool(lambda parcel: place_parcel(parcel, sg.lines.Line(), None), BOX)
     with pytest.raises(ValueError, match="parcel"):
         bodies.take(sg.Parcel(sg.Rectangle(2.0, 0.3)))
     assert {bodies.take(parcel) for parcel in sizes(16)} == set(range(16))

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym import plants
-from surface_gym.actuators import Actuators
+from surface_gym import lines
 from surface_gym.flow.env import FlowEnv
 from surface_gym.flow.exits import Exit, Exits, chutes, sides
 from surface_gym.flow.features import FEATURES
@@ -16,7 +15,7 @@ from surface_gym.flow.line import flow_line
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.vector_env import FlowVectorEnv
-from surface_gym.randomisation import Randomisation
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera
 from tests.flow.flows import SHORT, trace
 
@@ -99,11 +98,11 @@ class TestTogether:
 
     def test_all_parcels_share_the_rotors(self) -> None:
         """A line as wide as its parcel has other rotors for another one."""
-        FlowSettings(plant=plants.Line())
-        FlowSettings(plant=plants.Field())
+        FlowSettings(plant=lines.Line())
+        FlowSettings(plant=lines.Field())
         with pytest.raises(ValueError, match="plant must have the same rotors"):
-            FlowSettings(Stream(parcels=("S", "B")), plant=plants.Line())
-        settings = FlowSettings(plant=plants.Line())
+            FlowSettings(Stream(parcels=("S", "B")), plant=lines.Line())
+        settings = FlowSettings(plant=lines.Line())
         with pytest.raises(ValueError, match="plant must have the same rotors"):
             settings.check_stream(Stream(parcels=("B",)))
 
@@ -134,7 +133,7 @@ class TestWhatFollows:
         assert sides(6.0).names == FlowSettings(exits="sides").exits.names
 
     def test_of_a_line_that_begins_elsewhere(self) -> None:
-        pattern = plants.Pattern(rotor=flow_line(2.0).rotor, lead_in=5, origin=(1.05, 3.05))
+        pattern = lines.Pattern(rotor=flow_line(2.0).rotor, lead_in=5, origin=(1.05, 3.05))
         settings = FlowSettings(plant=pattern)
         assert settings.entry_x == pytest.approx(1.0)
         assert settings.rotors_end == pytest.approx(3.0)

@@ -93,7 +93,7 @@ def test_played_episodes_come_to_what_their_steps_tell(seed: int, varies: bool) 
     period = 0.005  # one physics step: nothing happens between two looks
     env = bare(actions="modules", duration=5.0, control_period=period, randomisation=randomisation)
     env.reset(seed=seed)
-    flows = env._batch.flows
+    flows = env._batch.streams
     coming = flows.time[0, : flows.arrivals[0]].tolist()
     asked = flows.exit[0].tolist()
     entered: dict[int, float] = {0: 0.0}
@@ -109,7 +109,7 @@ def test_played_episodes_come_to_what_their_steps_tell(seed: int, varies: bool) 
         step += 1
         over = terminated or truncated
         now = {number for number in info["parcels"].tolist() if number >= 0}
-        flows = env._batch.flows
+        flows = env._batch.streams
         for number in now - there:
             entered[number] = info["time"]
         for number in there - now:

@@ -98,10 +98,10 @@ class TestLanes:
         mine = trace((0.0, "left 1"), (0.3, "right 1"), speed=1.1)
         _, infos = env.reset(seed=0, options=[None, {"stream": mine}, {}])
         batch = env._batch
-        assert batch.flows.arrivals[1] == 2
+        assert batch.streams.arrivals[1] == 2
         _, drawn = flows(actions="parcels").reset(seed=0)
         np.testing.assert_array_equal(infos["parcels"], drawn["parcels"])
-        np.testing.assert_array_equal(batch.lanes.truth[batch.rows, 3], 1.1)
+        np.testing.assert_array_equal(batch.parcels.truth[batch.rows, 3], 1.1)
 
     def test_partial_resets_leave_the_others(self) -> None:
         env = flows(autoreset_mode="Disabled", **VARIED)
@@ -219,5 +219,5 @@ class TestContract:
         action = np.full(env.action_space.shape, ROLL)
         for period in range(600):
             env.step(action)
-            assert len(batch._pool._users) == batch.flows.arrivals.sum(), period
-        assert len(batch.sites.body) <= 32
+            assert len(batch._pool._users) == batch.streams.arrivals.sum(), period
+        assert len(batch.bodies.body) <= 32

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.dynamics.friction import ROUNDING
 from surface_gym.paper.standstill import RESOLUTION, creep_speed, uniform
+from surface_gym.physics.friction import ROUNDING
 
 HELD = 600.0  # [s]
 

@@ -7,41 +7,41 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.dynamics.compiled import compiled
-from surface_gym.dynamics.types import GYRATION
-from surface_gym.lanes.lane import Lane, lane_of
-from surface_gym.sensors import Presence, agreement, outline, possible
+from surface_gym.physics.jit import compiled
+from surface_gym.physics.types import GYRATION
+from surface_gym.sensors import Presence, presence, switches
+from surface_gym.state import EnvState, env_state
 from tests.sensors.runs import contradicts
 
 TOLERANCE = 0.001  # [m]
 
 
 @compiled
-def agree(lane: Any, tolerance: float) -> None:
-    agreement.agree(lane, tolerance)
+def agree(state: Any, tolerance: float) -> None:
+    switches.agree(state, tolerance)
 
 
 @compiled
-def keep_possible(lane: Any, energy: float) -> None:
-    possible.keep_possible(lane, energy)
+def keep_possible(state: Any, energy: float) -> None:
+    presence.keep_possible(state, energy)
 
 
 @compiled
 def between_places(low: float, high: float, count: int) -> tuple[int, int]:
-    return outline.between_places(low, high, count)
+    return switches.between_places(low, high, count)
 
 
-def placed(task: str, parcel: str) -> tuple[sg.SmartSurfaceVectorEnv, Lane]:
+def placed(task: str, parcel: str) -> tuple[sg.SmartSurfaceVectorEnv, EnvState]:
     """An environment of one parcel, and its lane."""
     env = sg.SmartSurfaceVectorEnv(1, task, "quadrants", Presence())
     env.reset(seed=0, options={"parcel": parcel})
     batch = env._batch
-    arrays = (batch.surfaces, batch.lanes, batch.sites)
-    return env, lane_of.py_func(*arrays, 0, 0, batch.rules.elements)
+    arrays = (batch.surfaces, batch.parcels, batch.bodies)
+    return env, env_state.py_func(*arrays, 0, 0, batch.rules.elements)
 
 
-def disagrees(env: sg.SmartSurfaceVectorEnv, lane: Lane, parcel: str) -> bool:
-    lane.sensed[:] = lane.kept[:6]
+def disagrees(env: sg.SmartSurfaceVectorEnv, state: EnvState, parcel: str) -> bool:
+    state.sensed[:] = state.sensor_state[:6]
     return bool(contradicts(env, parcel, TOLERANCE)[0])
 
 
@@ -49,88 +49,88 @@ def disagrees(env: sg.SmartSurfaceVectorEnv, lane: Lane, parcel: str) -> bool:
 @pytest.mark.parametrize("parcel", ["S", "B"])
 def test_a_pose_is_found_that_agrees(task: str, parcel: str) -> None:
     """Also where the parcel is partly off the rotors of a line."""
-    env, lane = placed(task, parcel)
+    env, state = placed(task, parcel)
     rng = np.random.default_rng(0)
     for _ in range(100):
-        lane.truth[:3] = rng.uniform([0.8, 0.9, -1.0], [1.2, 1.1, 1.0])
-        lane.kept[:] = 0.0
-        lane.kept[:3] = lane.truth[:3] + rng.normal(0.0, [0.03, 0.03, 0.1])
-        agree(lane, TOLERANCE)
-        assert not disagrees(env, lane, parcel)
-        assert np.isfinite(lane.kept).all()
+        state.truth[:3] = rng.uniform([0.8, 0.9, -1.0], [1.2, 1.1, 1.0])
+        state.sensor_state[:] = 0.0
+        state.sensor_state[:3] = state.truth[:3] + rng.normal(0.0, [0.03, 0.03, 0.1])
+        agree(state, TOLERANCE)
+        assert not disagrees(env, state, parcel)
+        assert np.isfinite(state.sensor_state).all()
 
 
 @pytest.mark.parametrize("parcel", ["S", "B"])
 def test_from_far_off_too(parcel: str) -> None:
-    env, lane = placed("track", parcel)
+    env, state = placed("track", parcel)
     rng = np.random.default_rng(1)
     for _ in range(50):
-        lane.truth[:3] = rng.uniform([0.8, 0.9, -3.0], [1.2, 1.1, 3.0])
-        lane.kept[:] = 0.0
-        lane.kept[:3] = rng.uniform([-50.0, -50.0, -3.0], [50.0, 50.0, 3.0])
-        agree(lane, TOLERANCE)
-        assert not disagrees(env, lane, parcel)
-        assert math.hypot(*(lane.kept[:2] - lane.truth[:2])) < 0.1
+        state.truth[:3] = rng.uniform([0.8, 0.9, -3.0], [1.2, 1.1, 3.0])
+        state.sensor_state[:] = 0.0
+        state.sensor_state[:3] = rng.uniform([-50.0, -50.0, -3.0], [50.0, 50.0, 3.0])
+        agree(state, TOLERANCE)
+        assert not disagrees(env, state, parcel)
+        assert math.hypot(*(state.sensor_state[:2] - state.truth[:2])) < 0.1
 
 
 def test_a_pose_that_agrees_stays() -> None:
-    _, lane = placed("track", "B")
-    lane.truth[:3] = (1.013, 1.021, 0.3)
-    lane.kept[:] = 0.0
-    lane.kept[:3] = lane.truth[:3] + np.array([0.0005, -0.0004, 0.001])
-    lane.kept[3:6] = (1.0, 0.1, 0.2)
-    before = lane.kept.copy()
-    agree(lane, TOLERANCE)
-    np.testing.assert_array_equal(lane.kept, before)
+    _, state = placed("track", "B")
+    state.truth[:3] = (1.013, 1.021, 0.3)
+    state.sensor_state[:] = 0.0
+    state.sensor_state[:3] = state.truth[:3] + np.array([0.0005, -0.0004, 0.001])
+    state.sensor_state[3:6] = (1.0, 0.1, 0.2)
+    before = state.sensor_state.copy()
+    agree(state, TOLERANCE)
+    np.testing.assert_array_equal(state.sensor_state, before)
 
 
 def test_a_pose_and_the_velocity_move_the_way_the_switches_say() -> None:
     """A box that is a tenth of a pitch too far back: the next column's switches are pressed."""
-    _, lane = placed("track", "B")
-    lane.truth[:3] = (1.03, 1.0, 0.0)  # covers the columns at 0.85 ... 1.25 m
-    lane.kept[:] = 0.0
-    lane.kept[:3] = (1.015, 1.0, 0.0)  # which leaves out that at 1.25
-    agree(lane, TOLERANCE)
-    assert lane.kept[0] == pytest.approx(1.025, abs=TOLERANCE)
-    assert lane.kept[1:3] == pytest.approx([1.0, 0.0], abs=0.01)
-    assert lane.kept[3] > 0.0
+    _, state = placed("track", "B")
+    state.truth[:3] = (1.03, 1.0, 0.0)  # covers the columns at 0.85 ... 1.25 m
+    state.sensor_state[:] = 0.0
+    state.sensor_state[:3] = (1.015, 1.0, 0.0)  # which leaves out that at 1.25
+    agree(state, TOLERANCE)
+    assert state.sensor_state[0] == pytest.approx(1.025, abs=TOLERANCE)
+    assert state.sensor_state[1:3] == pytest.approx([1.0, 0.0], abs=0.01)
+    assert state.sensor_state[3] > 0.0
 
 
 def test_where_no_switch_is_pressed_the_estimate_leaves_the_rotors() -> None:
-    env, lane = placed("sort", "S")
-    lane.truth[:3] = (1.0, 1.5, 0.0)  # beside the line
-    lane.kept[:] = 0.0
-    lane.kept[:3] = (1.0, 1.16, 0.0)
-    agree(lane, TOLERANCE)
-    assert not disagrees(env, lane, "S")
-    assert math.hypot(lane.kept[0] - 1.0, lane.kept[1] - 1.16) < 0.15
+    env, state = placed("sort", "S")
+    state.truth[:3] = (1.0, 1.5, 0.0)  # beside the line
+    state.sensor_state[:] = 0.0
+    state.sensor_state[:3] = (1.0, 1.16, 0.0)
+    agree(state, TOLERANCE)
+    assert not disagrees(env, state, "S")
+    assert math.hypot(state.sensor_state[0] - 1.0, state.sensor_state[1] - 1.16) < 0.15
 
 
 def test_what_is_beyond_the_surface_comes_back_over_it() -> None:
-    _, lane = placed("track", "S")
-    lane.kept[:6] = (1e12, -1e12, 1e4, 0.0, 0.0, 0.0)
-    keep_possible(lane, 1.0)
-    rows, columns = lane.rotor.shape
-    assert 0.0 < lane.kept[0] < 0.1 * columns + 0.2
-    assert -0.2 < lane.kept[1] < 0.1 * rows
-    assert 0.0 <= lane.kept[2] < 2.0 * math.pi
+    _, state = placed("track", "S")
+    state.sensor_state[:6] = (1e12, -1e12, 1e4, 0.0, 0.0, 0.0)
+    keep_possible(state, 1.0)
+    rows, columns = state.rotor.shape
+    assert 0.0 < state.sensor_state[0] < 0.1 * columns + 0.2
+    assert -0.2 < state.sensor_state[1] < 0.1 * rows
+    assert 0.0 <= state.sensor_state[2] < 2.0 * math.pi
 
 
 def test_what_is_too_fast_is_slowed_down_and_keeps_its_direction() -> None:
-    _, lane = placed("track", "S")
-    lane.kept[:6] = (1.0, 1.0, 0.0, 30.0, 40.0, 10.0)
-    keep_possible(lane, 4.0)
-    vx, vy, omega = lane.kept[3:6]
-    assert vx**2 + vy**2 + lane.body[GYRATION] * omega**2 == pytest.approx(4.0)
+    _, state = placed("track", "S")
+    state.sensor_state[:6] = (1.0, 1.0, 0.0, 30.0, 40.0, 10.0)
+    keep_possible(state, 4.0)
+    vx, vy, omega = state.sensor_state[3:6]
+    assert vx**2 + vy**2 + state.body[GYRATION] * omega**2 == pytest.approx(4.0)
     assert vy / vx == pytest.approx(4.0 / 3.0)
 
 
 def test_what_is_possible_stays() -> None:
-    _, lane = placed("track", "S")
-    lane.kept[:6] = (1.0, 1.0, -4.0, 1.0, 0.3, 2.0)
-    before = lane.kept.copy()
-    keep_possible(lane, 4.0)
-    np.testing.assert_array_equal(lane.kept, before)
+    _, state = placed("track", "S")
+    state.sensor_state[:6] = (1.0, 1.0, -4.0, 1.0, 0.3, 2.0)
+    before = state.sensor_state.copy()
+    keep_possible(state, 4.0)
+    np.testing.assert_array_equal(state.sensor_state, before)
 
 
 @pytest.mark.parametrize(

@@ -28,9 +28,8 @@ from agents.policy_files import WEIGHTS
 from agents.search.command import go_on
 from agents.search.trial import run_trial
 from agents.tasks import files_of
-from surface_gym.bases import Rectangle
 from surface_gym.design import Case, Sort, success_map
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.sharing import Cluster, WorkFailed, ray_crew, share, workers_of
 from surface_gym.sharing.cluster import Build
 from tests.agents.search.test_trial import SWEEP

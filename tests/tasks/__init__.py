@@ -8,9 +8,9 @@ import gymnasium as gym
 import numpy as np
 
 import surface_gym as sg
-from surface_gym.batch.batch import Batch
+from surface_gym.core.batch import Batch
 from surface_gym.tasks import Task
-from surface_gym.tasks.start import Draw, Start
+from surface_gym.tasks.base import Draw, Start
 from tests.batches import batch_with
 from tests.environments import Step
 
@@ -62,14 +62,14 @@ def placed(task: Task, start: Start) -> Batch:
 def features_of(batch: Batch) -> dict[str, float]:
     """What the lane observes, by name."""
     names = [feature.name for feature in batch.task.features]
-    return dict(zip(names, batch.lanes.observation[0].tolist(), strict=True))
+    return dict(zip(names, batch.parcels.observation[0].tolist(), strict=True))
 
 
 def advanced(batch: Batch, choice: int) -> tuple[str, dict[str, float]]:
     """Outcome and reward terms after a control period with every axis alike."""
     batch.advance(np.full((1, batch.surfaces.command.shape[1]), choice))
-    terms = dict(zip(batch.task.terms, batch.lanes.terms[0].tolist(), strict=True))
-    return batch.outcomes[batch.lanes.outcome[0]], terms
+    terms = dict(zip(batch.task.terms, batch.parcels.terms[0].tolist(), strict=True))
+    return batch.outcomes[batch.parcels.outcome[0]], terms
 
 
 def draws(

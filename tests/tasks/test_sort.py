@@ -7,7 +7,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.tasks import Sort
-from surface_gym.tasks.start import Start
+from surface_gym.tasks.base import Start
 from tests.environments import MINUS_45, PLUS_45, ROLL, TRIANGLE, bare, same_choice, steps
 from tests.tasks import (
     BRAKE,
@@ -168,10 +168,10 @@ class TestSeen:
         """Of a triangle, which does not reach as far one way as the other."""
         start = Start(TRIANGLE, (1.0, 1.0 + side * 0.3, 0.7), (1.0, 0.0, 0.0), (float(side),))
         batch = placed(Sort(), start)
-        x, y, theta = batch.lanes.truth[0, :3]
+        x, y, theta = batch.parcels.truth[0, :3]
         turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
         corners = turn @ (TRIANGLE.base.outline - TRIANGLE.base.centroid).T + [[x], [y]]
-        rows = np.nonzero(batch.sites.rotor[0].any(axis=1))[0]
+        rows = np.nonzero(batch.bodies.rotor[0].any(axis=1))[0]
         outermost = 0.05 + 0.1 * rows.max() - 1.0  # of the line's rotors, from its middle
         clearance = (side * (corners[1] - 1.0)).min() - outermost
         assert features_of(batch)["clearance"] == pytest.approx(clearance / 0.2, abs=1e-6)

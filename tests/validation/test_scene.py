@@ -8,8 +8,8 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import validation
-from surface_gym.dynamics.references import scipy_normal_forces
-from surface_gym.dynamics.types import GRAVITY
+from surface_gym.physics.references import scipy_normal_forces
+from surface_gym.physics.types import GRAVITY
 from surface_gym.validation.reach import reachable, under
 from surface_gym.validation.recipe import RECIPE
 from surface_gym.validation.scene import BASE

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.dynamics.references import scipy_normal_forces
+from surface_gym.physics.references import scipy_normal_forces
 from surface_gym.validation.uneven import end_pose, uneven_normal_forces
 from surface_gym.validation.unevenness import (
     CASES,

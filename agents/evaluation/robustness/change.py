@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from surface_gym.conditions import CONDITIONS, Condition
-from surface_gym.plants import Line, Plant
+from surface_gym.lines import BaseLine, Line
 from surface_gym.settings import Settings
 from surface_gym.tasks import Task
-from surface_gym.tasks.start import Draw, Numbers, Start
+from surface_gym.tasks.base import Draw, Numbers, Start
 
 from ...zones import time_for, with_zone
 from ..contenders import Contender
@@ -54,7 +54,7 @@ def situation(contender: Contender, trial: Trial, change: Change) -> Situation:
     return Situation(told, replace(told, plant=_with_friction(plant, change)))
 
 
-def _with_friction(plant: Plant, change: Change) -> Plant:
+def _with_friction(plant: BaseLine, change: Change) -> BaseLine:
     return replace(
         plant,
         mu_max=np.multiply(plant.mu_max, change.drag),

@@ -5,11 +5,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from surface_gym.actuators import Actuators
-from surface_gym.bases import Rectangle
 from surface_gym.conditions import CONDITIONS
 from surface_gym.layouts import box
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Parcel, Rectangle
+from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Camera, Exact, Presence
 
 from .change import EXACT, Change

@@ -7,8 +7,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.bases import Base, Disc, Rectangle
 from surface_gym.conditions import CONDITIONS
+from surface_gym.parcel import Base, Disc, Rectangle
 from surface_gym.settings import Settings
 
 from ..drawn import drawn_parcels

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym.plants import Line
+from surface_gym.lines import Line
 from surface_gym.sharing import Workers
 
 from ...episodes import Episodes, run_apart, run_episodes

@@ -17,10 +17,10 @@ from agents.export.writing import decision_of, export, metadata_of, model_of
 from agents.learning.config import PPOConfig
 from agents.learning.hyperparams import write_config
 from agents.policies.files import save_policy
-from surface_gym.actions.more import GROUPS, features_of
+from surface_gym.core.actions import GROUPS, group_features
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS
-from surface_gym.tasks.task import Feature
+from surface_gym.tasks.base import Feature
 from tests.agents.export.made import CARDS, made, network_of
 
 
@@ -95,7 +95,7 @@ def test_the_page_lists_every_feature_and_angle(name: str) -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_every_feature_of_the_package_says_what_it_needs(task: str) -> None:
     settings = Settings(task=task, actions="window", observe_axes=True)
-    shown = (*settings.features, *features_of(tuple(GROUPS)))
+    shown = (*settings.features, *group_features(tuple(GROUPS)))
     assert [each.name for each in shown if need_of(each) == UNKNOWN] == []
     assert need_of(Feature("mood", 0.0, 1.0, "of the parcel")) == UNKNOWN
 

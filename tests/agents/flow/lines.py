@@ -9,7 +9,7 @@ from surface_gym.flow.batch import FlowBatch
 from surface_gym.flow.memory import RIGHT, TOUCHES, WRONG
 from surface_gym.flow.settings import FlowSettings
 from surface_gym.flow.stream import Stream
-from surface_gym.lanes.memory import RUNNING
+from surface_gym.state import RUNNING
 from tests.flow.flows import SHORT
 
 EVERYBODY = Stream(Steady(2000.0), parcels=("S", "B"), speeds=1.5)
@@ -41,7 +41,7 @@ def counts(controller: Any, settings: FlowSettings, lanes: int = 4) -> dict[str,
     while (batch.outcome == RUNNING).any():
         action, state = controller.predict(batch.observation, state)
         batch.advance(settings.flow_actions.commands(action, lanes))
-    tally = batch.flows.tally.sum(axis=0)
+    tally = batch.streams.tally.sum(axis=0)
     return {
         "right": int(tally[RIGHT]),
         "wrong": int(tally[WRONG]),

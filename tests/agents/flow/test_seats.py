@@ -109,7 +109,7 @@ def test_an_event_rule_seen_in_seats_delivers_as_one_outside() -> None:
         said = mirror.said(tables, action)
         assert np.array_equal(mirror(tables, said), action)
         batch.advance(plain.flow_actions.commands(action, 1))
-    assert batch.flows.tally[0, RIGHT] > 0
+    assert batch.streams.tally[0, RIGHT] > 0
 
 
 @pytest.fixture

@@ -6,10 +6,9 @@ import pytest
 import surface_gym as sg
 from agents.modules.outline import Outline, outline_by_clearance, outline_shown
 from agents.sight import line_sight
-from surface_gym.bases import Base, Disc, Polygon, Rectangle
 from surface_gym.layouts import rows_under
-from surface_gym.parcel import Parcel
-from surface_gym.plants import Pattern
+from surface_gym.lines import Pattern
+from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.randomisation import Randomisation
 from surface_gym.settings import Settings
 from tests.environments import PITCH

@@ -10,7 +10,7 @@ import torch
 from agents.modules.network import SharedNetwork
 from agents.modules.policy import ModulesPolicy
 from agents.policy_card import PolicyCard
-from surface_gym.actions.more import features_of
+from surface_gym.core.actions import group_features
 
 THE_CARD = PolicyCard("SmartSurface/Sort-v0", "modules", "modules", 0.04, (8, 8))
 
@@ -55,7 +55,7 @@ def test_it_sees_what_its_card_says(observe: tuple[str, ...]) -> None:
     seen, _ = env.reset(seed=0)
     actions, _ = policy.predict(seen)
     assert actions in env.action_space
-    assert seen.shape[1] == 15 + len(features_of(observe))
+    assert seen.shape[1] == 15 + len(group_features(observe))
 
 
 def test_a_draw_is_shared_by_the_modules_of_a_lane() -> None:

@@ -5,8 +5,6 @@ import pytest
 
 import surface_gym as sg
 from agents.modules.view import ModuleView, place_size, shared_size
-from surface_gym.actuators import Actuators
-from surface_gym.bases import Base, Disc, Rectangle
 from surface_gym.layouts import (
     LEAD_IN,
     LINE_ROWS,
@@ -15,7 +13,8 @@ from surface_gym.layouts import (
     lead_in_under,
     rows_under,
 )
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Base, Disc, Parcel, Rectangle
+from surface_gym.randomisation import Actuators
 from surface_gym.settings import Settings
 from tests.environments import PITCH
 

@@ -9,8 +9,7 @@ import pytest
 from agents.episodes import run_episodes
 from agents.planning.knowing import Knowing, play_knowing, reachable
 from surface_gym import Parcel, Rectangle
-from surface_gym.actuators import Actuators
-from surface_gym.randomisation import Randomisation
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.settings import Settings
 from surface_gym.tasks import Slow, Stop
 

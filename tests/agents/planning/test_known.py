@@ -8,7 +8,7 @@ import pytest
 
 import surface_gym as sg
 from agents.planning.known import KnownModel
-from surface_gym.actuators import Actuators
+from surface_gym.randomisation import Actuators
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS
 
@@ -29,8 +29,8 @@ def test_in_a_lab_it_is_the_start_of_the_environment_with_all_its_noise(task: st
     for lane in range(3):
         model.begin({}, SEED + lane)
         _, info = env.reset(seed=SEED)
-        np.testing.assert_array_equal(model.lanes.truth[0, :3], info["pose"][lane])
-        np.testing.assert_array_equal(model.lanes.truth[0, 3:], info["velocity"][lane])
+        np.testing.assert_array_equal(model.parcels.truth[0, :3], info["pose"][lane])
+        np.testing.assert_array_equal(model.parcels.truth[0, 3:], info["velocity"][lane])
 
 
 @pytest.mark.parametrize("task", ["slow", "track"])
@@ -46,14 +46,14 @@ def test_whatever_the_sensors_say_it_moves_as_the_environment_does(task: str) ->
         action = model.uniform_action(math.pi * angle)
         model.go_on(action)
         *_, info = env.step(action)
-        np.testing.assert_array_equal(model.lanes.truth[0, :3], info["pose"])
-        np.testing.assert_array_equal(model.lanes.truth[0, 3:], info["velocity"])
+        np.testing.assert_array_equal(model.parcels.truth[0, :3], info["pose"])
+        np.testing.assert_array_equal(model.parcels.truth[0, 3:], info["velocity"])
 
 
 def test_what_an_option_fixes_is_fixed() -> None:
     model = begun(Settings(task="stop", actions="halves"), options={"speed": 1.25, "position": 1.5})
-    np.testing.assert_allclose(model.lanes.truth[:, 3], 1.25)
-    np.testing.assert_allclose(model.lanes.goal[:, 0], 1.5)
+    np.testing.assert_allclose(model.parcels.truth[:, 3], 1.25)
+    np.testing.assert_allclose(model.parcels.goal[:, 0], 1.5)
 
 
 def test_lanes_that_go_on_from_others_take_their_axes_with_them() -> None:
@@ -73,7 +73,7 @@ def test_lanes_that_go_on_from_others_take_their_axes_with_them() -> None:
         env.reset(seed=SEED)
         for action in ways[way].tolist():
             *_, info = env.step(action)
-        np.testing.assert_array_equal(stand.lanes.truth[place[way], :3], info["pose"])
+        np.testing.assert_array_equal(stand.parcels.truth[place[way], :3], info["pose"])
 
 
 def test_rewound_it_goes_the_same_way_again() -> None:
@@ -85,7 +85,7 @@ def test_rewound_it_goes_the_same_way_again() -> None:
         first = np.zeros(1, dtype=np.int64)
         stand = model.advance(first, np.array([9]))
         stand = model.advance(first, np.array([2]))
-        ends.append(stand.lanes.truth[0].copy())
+        ends.append(stand.parcels.truth[0].copy())
     np.testing.assert_array_equal(*ends)
 
 

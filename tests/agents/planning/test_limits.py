@@ -5,9 +5,9 @@ import pytest
 
 from agents.planning.limits import stops_past
 from surface_gym.layouts import box
-from surface_gym.plants import Line
+from surface_gym.lines import Line
 from surface_gym.settings import Settings
-from surface_gym.tasks.line import BRAKING, zone_of
+from surface_gym.tasks.line import BRAKING, zone_span
 
 SEED = 3
 
@@ -17,7 +17,7 @@ def test_full_braking_ends_where_the_law_of_motion_says() -> None:
     settings = Settings(task="stop", actions="halves")
     speeds = np.array([1.5, 2.0, 2.5])
     starts = [{"speed": speed, "position": 1.0, "parcel": "S"} for speed in speeds.tolist()]
-    begins, _ = zone_of(Line(), box("S"), None)
+    begins, _ = zone_span(Line(), box("S"), None)
     ends = 1.0 + stops_past(settings, starts, SEED)
     np.testing.assert_allclose(ends, begins + speeds**2 / (2.0 * BRAKING), atol=0.1)
 

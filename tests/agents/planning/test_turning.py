@@ -10,9 +10,8 @@ from agents.planning.known import KnownModel
 from agents.planning.stand import Stand
 from agents.planning.turning import Turning
 from surface_gym import Disc, Parcel, Rectangle
-from surface_gym.actuators import Actuators
 from surface_gym.layouts import ROLLING
-from surface_gym.randomisation import Randomisation
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.settings import Settings
 from surface_gym.tasks import Stop
 
@@ -31,7 +30,7 @@ def model_of(parcel: Parcel, quarter: float | None = None, friction: float = 0.0
     )
     model = KnownModel(settings, 2)
     model.begin({"speed": 1.5}, seed=4)
-    model.lanes.goal[0] = FAR
+    model.parcels.goal[0] = FAR
     return model
 
 
@@ -50,11 +49,11 @@ def test_braking_ends_where_it_is_said_to(side: float, friction: float) -> None:
     """
     model = model_of(Parcel(Rectangle(side, side)), friction=friction)
     stand = rolled_in(model)
-    way, x = float(stand.braking_way[0]), float(stand.lanes.truth[0, 0])
+    way, x = float(stand.braking_way[0]), float(stand.parcels.truth[0, 0])
     for _ in range(30):
         stand = model.go_on(model.uniform_action(0.0))
-    assert abs(stand.lanes.truth[0, 3]) < 1e-3
-    assert way == pytest.approx(stand.lanes.truth[0, 0] - x, rel=0.01, abs=0.015)
+    assert abs(stand.parcels.truth[0, 3]) < 1e-3
+    assert way == pytest.approx(stand.parcels.truth[0, 0] - x, rel=0.01, abs=0.015)
 
 
 def test_wide_parcels_are_braked_less() -> None:
@@ -85,12 +84,12 @@ def test_what_axes_take_until_they_roll() -> None:
     model = model_of(Parcel(Rectangle(0.3, 0.3)), quarter=0.2)
     rolled_in(model)
     stand = model.go_on(EITHER_WAY)
-    before, left = float(stand.lanes.truth[0, 3]), float(stand.vx[0])
+    before, left = float(stand.parcels.truth[0, 3]), float(stand.vx[0])
     for _ in range(2):
         stand = model.go_on(model.uniform_action(ROLLING))
     rolling = stand.rolling_loss * 2 * 0.04
     assert before - left > 0.02
-    assert left - rolling == pytest.approx(stand.lanes.truth[0, 3], abs=0.3 * (before - left))
+    assert left - rolling == pytest.approx(stand.parcels.truth[0, 3], abs=0.3 * (before - left))
 
 
 def test_axes_push_to_the_side_they_turn_to_and_turn_the_parcel_where_halves_differ() -> None:
@@ -102,7 +101,7 @@ def test_axes_push_to_the_side_they_turn_to_and_turn_the_parcel_where_halves_dif
         assert stand.turning is not None
         pushes[action] = stand.turning.pushes(stand.braking)[0]
         # What axes have done so far goes on.
-        assert np.sign(pushes[action][1]) == np.sign(stand.lanes.truth[0, 4])
+        assert np.sign(pushes[action][1]) == np.sign(stand.parcels.truth[0, 4])
     np.testing.assert_allclose(pushes[5] * [1.0, -1.0, -1.0], pushes[10], atol=1e-3)
     assert pushes[5][1] < -0.05
     assert abs(pushes[6][2] - pushes[9][2]) > 2.0 * abs(pushes[5][2])
@@ -110,14 +109,14 @@ def test_axes_push_to_the_side_they_turn_to_and_turn_the_parcel_where_halves_dif
 
 def test_axes_that_roll_take_nothing() -> None:
     stand = rolled_in(model_of(Parcel(Rectangle(0.3, 0.3)), quarter=0.2))
-    np.testing.assert_allclose(stand.vx, stand.lanes.truth[:, 3], atol=1e-12)
+    np.testing.assert_allclose(stand.vx, stand.parcels.truth[:, 3], atol=1e-12)
 
 
 @pytest.mark.parametrize(("x", "y"), [(-1.0, 0.0), (0.0, 1.0), (0.6, -0.8)])
 def test_bases_reach_as_far_as_their_outline(x: float, y: float) -> None:
     for base in (Rectangle(0.4, 0.22), Disc(0.15)):
         stand = rolled_in(model_of(Parcel(base)))
-        stand.lanes.truth[:, 2] = 0.7
+        stand.parcels.truth[:, 2] = 0.7
         outline = base.outline - np.array(base.centroid)
         cosine, sine = math.cos(0.7), math.sin(0.7)
         turned = outline @ np.array([[cosine, sine], [-sine, cosine]])
@@ -130,5 +129,5 @@ def test_points_are_under_a_base_where_its_functions_say_so() -> None:
         x, y = np.meshgrid(np.linspace(-0.29, 0.3, 41), np.linspace(-0.29, 0.3, 41))
         centre = np.array(base.centroid)
         inside = base.functions(x + centre[0], y + centre[1]).max(axis=0) <= 0.0
-        sites, site = model._batch.sites, int(model.lanes.site[0])
+        sites, site = model._batch.bodies, int(model.parcels.site[0])
         np.testing.assert_array_equal(is_under(sites, site, x, y), inside)

@@ -46,7 +46,7 @@ def run(controller: Controller, settings: Settings, starts: list[dict[str, Any]]
         autoreset_mode="SameStep",
     )
     observation, info = env.reset(seed=0, options=starts)
-    names = ("is_success", "outcome", "time", "pose", "velocity", *settings.chosen_task.figures)
+    names = ("is_success", "outcome", "time", "pose", "velocity", *settings.chosen_task.metrics)
     ends = {name: info[name].copy() for name in names}
     running, state, begun = np.ones(lanes, dtype=bool), None, np.ones(lanes, dtype=bool)
     while running.any():
@@ -58,7 +58,7 @@ def run(controller: Controller, settings: Settings, starts: list[dict[str, Any]]
             if ended.any():
                 ends[name][ended] = info["final_info"][name][ended]
         running &= ~begun
-    figures = {name: ends[name] for name in settings.chosen_task.figures}
+    figures = {name: ends[name] for name in settings.chosen_task.metrics}
     return Runs(*(ends[name] for name in names[:5]), figures)
 
 

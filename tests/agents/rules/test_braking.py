@@ -16,8 +16,8 @@ from agents.rules.fixed_braking import FixedSlowing
 from agents.rules.footing import footing
 from agents.rules.friction_estimate import FrictionEstimate
 from agents.sight import line_sight
-from surface_gym.actuators import Actuators
-from surface_gym.sensors import LearningCamera
+from surface_gym.randomisation import Actuators
+from surface_gym.sensors import AdaptiveCamera
 from surface_gym.settings import Settings
 from surface_gym.tasks import Slow, Stop
 from surface_gym.tasks.line import BRAKING
@@ -176,7 +176,7 @@ def test_what_the_sensors_learned_of_friction_and_load_is_reckoned_with() -> Non
     observation[0, place["load learned, x"]] = -2.0
     see = line_sight(settings, observation)
     sensors = settings.sensors
-    assert isinstance(sensors, LearningCamera)
+    assert isinstance(sensors, AdaptiveCamera)
     np.testing.assert_allclose(see.friction, 1.0 + 1.5 * sensors.friction_spread)
     np.testing.assert_allclose(see.load_ahead, -2.0 * sensors.load_spread)
     np.testing.assert_allclose(footing(settings, see).load, see.load_ahead)
@@ -191,7 +191,7 @@ def test_where_a_load_lies_along_the_line_is_the_same_in_sorts_mirror() -> None:
     seen[:, place["load learned, y"]] = 2.0
     see = line_sight(settings, seen)
     sensors = settings.sensors
-    assert isinstance(sensors, LearningCamera)
+    assert isinstance(sensors, AdaptiveCamera)
     np.testing.assert_allclose(see.theta, math.atan2(0.6, 0.8) * np.array([1.0, -1.0]), rtol=1e-6)
     np.testing.assert_allclose(see.load_ahead, -0.6 * 2.0 * sensors.load_spread, rtol=1e-6)
 

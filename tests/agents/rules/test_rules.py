@@ -13,7 +13,7 @@ from agents.rules.event import EventRule
 from agents.rules.fixed import FixedLayout
 from agents.rules.rolling import Rolling
 from agents.rules.rule import Rule
-from surface_gym.actions import KINDS
+from surface_gym.core.actions import KINDS
 from surface_gym.layouts import LINE_Y
 from surface_gym.sensors import Camera
 from surface_gym.settings import Settings

@@ -7,7 +7,7 @@ import surface_gym as sg
 from agents.rules.best_sorting import BestSorting
 from agents.rules.graded import GradedLayout
 from surface_gym.design.sorting_layouts import OFFERS, SortingLayout, sorting_layouts
-from surface_gym.plants import Line
+from surface_gym.lines import Line
 from surface_gym.settings import Settings
 from tests.agents.rules.runs import run, run_rule
 

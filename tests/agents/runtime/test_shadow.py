@@ -9,7 +9,7 @@ import pytest
 import surface_gym as sg
 from agents.runtime.device import Entered, Frame
 from agents.runtime.shadow import MOST_AHEAD, Shadow
-from surface_gym.batch.batch import Batch
+from surface_gym.core.batch import Batch
 from tests.agents.runtime.made import (
     BRAKE,
     POSE,
@@ -38,7 +38,7 @@ def filtered() -> tuple[Entered, list[np.ndarray], list[Frame], list[np.ndarray]
     batch = Batch(replace(SETTINGS, sensors=CAMERA, control_period=PERIOD), 1)
     batch.seed(0, np.random.default_rng(3))
     batch.start(np.array([0]))
-    lanes = batch.lanes
+    lanes = batch.parcels
     about = lanes.kept[0, :6].copy()
     size = 2.0 * float(-batch.view(0).corners[:, 0].min())
     parcel = sg.Parcel(sg.Rectangle(size, size))

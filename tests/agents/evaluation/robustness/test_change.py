@@ -12,7 +12,7 @@ from agents.evaluation.robustness.change import Change, situation
 from agents.evaluation.robustness.factors import FACTORS, TRAINED
 from agents.evaluation.trials import make_trial
 from surface_gym import SmartSurfaceVectorEnv
-from surface_gym.plants import Line
+from surface_gym.lines import Line
 from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS, Slow
 

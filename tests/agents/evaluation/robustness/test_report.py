@@ -19,7 +19,7 @@ from agents.evaluation.robustness.results import SHAPES, Sweep, lab_shapes, shap
 from agents.evaluation.robustness.sweep import FILE
 from agents.evaluation.robustness.tables import factor_table, shape_table, square_table
 from agents.evaluation.statistics import interval
-from surface_gym.bases import Disc, Rectangle
+from surface_gym.parcel import Disc, Rectangle
 from tests.agents.evaluation.robustness.cells import STARTS, swept_cell, swept_cells
 
 SQUARE = FACTORS["square"]

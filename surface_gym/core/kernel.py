@@ -1,0 +1,231 @@
+"""A batch's compiled code: one control period of a lane, built from what the batch is made of.
+
+Command, axes, physics, sensor, task: all faces call this. Only the functions of the batch's own
+task, sensor and kind of action are compiled into it.
+"""
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+from surface_gym.core.actions import Acting, FeatureGroup, window_corner
+from surface_gym.physics.contacts import invalidate_contacts
+from surface_gym.physics.jit import compiled, inlined
+from surface_gym.physics.step import OFF_SURFACE, step_implicit
+from surface_gym.physics.types import Array, Integers, Scratch
+from surface_gym.sensors.base import Physics
+from surface_gym.state import (
+    BAD_OBSERVATION,
+    BAD_REWARD,
+    COLUMNS,
+    FIRST_COLUMN,
+    FIRST_ROW,
+    NO_FAULT,
+    OUT_OF_TIME,
+    ROWS,
+    RUNNING,
+    STARTING,
+    UNKNOWN_OUTCOME,
+    BodyTable,
+    EnvState,
+    Geometry,
+    ParcelState,
+    SurfaceState,
+    Timing,
+    env_state,
+    read_body,
+    read_grid,
+    read_truth,
+)
+
+Function = Callable[..., Any]
+
+
+class Actuation(NamedTuple):
+    """How axes obey."""
+
+    obey: Function  # what a part of the command does to an axis
+    turn: Function  # what all axes do in a physics step
+    straighten: Function  # how all become the conveyor's
+    turns: bool  # whether axes take time
+
+
+class KernelFunctions(NamedTuple):
+    """What a kernel is built from."""
+
+    label: str  # of its files in the cache
+    begin: Function  # the task's
+    is_done: Function
+    outcome: Function
+    reward: Function
+    observe: Function
+    mirror: Function
+    begin_sensor: Function  # the sensor's
+    update_sensor: Function
+    read_sensor: Function
+    watches: bool
+    part_of: Function  # the kind of action's
+    actuation: Actuation
+    show_modules: Function  # what is observed after the task's features
+    show_axes: Function
+    learned: Function  # the sensor's
+    more: tuple[FeatureGroup, ...]  # what is observed at the end, by groups
+
+
+class EnvParams(NamedTuple):
+    """What all lanes of a batch have in common."""
+
+    elements: Geometry
+    timing: Timing
+    acting: Acting
+    friction: Array  # (rows, columns, 3) [-] of the elements
+    assumed: Array  # (rows, columns, 3) [-] as the sensor has it
+    stiffness: Array  # (rows, columns) [-] as the sensor has it
+    sensor: Array  # its settings
+    features: int  # that the task observes
+    axes_from: int  # place in the observation from which axes are shown
+    outcomes: int  # that there are
+
+
+@lru_cache(maxsize=64)
+def obeying(part_of: Function, obey: Function) -> Any:
+    """Build `obey_command(params, surfaces, state, i, mirror)`: what surface i's command does to the
+    axes of a lane's zone.
+    """
+
+    @inlined
+    def obey_command(
+        params: EnvParams, surfaces: SurfaceState, state: EnvState, i: int, mirror: float
+    ) -> None:
+        corner = window_corner(state, mirror)
+        zone = state.zone
+        for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
+            for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
+                part = part_of(params.acting, state, corner, row, column)
+                if part >= 0 and state.obeys[row, column]:
+                    obey(params.acting, surfaces, i, row, column, part)
+
+    return obey_command
+
+
+@lru_cache(maxsize=256)
+def showing(functions: KernelFunctions) -> Any:
+    """Build `show_more(params, state, mirror)`: what is observed after the task's features."""
+    show_modules, show_axes = functions.show_modules, functions.show_axes
+    (show_parcel, parcel_size), (show_rotors, rotors_size), (_, load_size) = functions.more
+    show_learned, learns = functions.learned, load_size > 0
+
+    @inlined
+    def show_more(params: EnvParams, state: EnvState, mirror: float) -> None:
+        show_modules(params.acting, state, params.features, mirror)
+        show_axes(params.acting, state, params.axes_from, mirror)
+        load_from = state.observation.shape[0] - load_size
+        rotors_from = load_from - rotors_size
+        show_parcel(params.acting, state, rotors_from - parcel_size, mirror)
+        show_rotors(params.acting, state, rotors_from, mirror)
+        if learns:
+            show_learned(params.sensor, state, load_from, mirror)
+
+    return show_more
+
+
+@lru_cache(maxsize=256)
+def make_kernel(functions: KernelFunctions) -> Any:
+    """Build `step_envs(params, surfaces, parcels, bodies, scratch, sensor's scratch, chosen)`.
+
+    Of the chosen lanes (count,) those placed begin, those that run move over one control period,
+    and those that have ended stay. It returns how many a task's function has gone wrong on, and is
+    compiled for a batch's arrays by `entry_of`.
+    """
+    task_begin, task_is_done, task_outcome = functions.begin, functions.is_done, functions.outcome
+    task_reward, task_observe, task_mirror = functions.reward, functions.observe, functions.mirror
+    sensor_begin, sensor_update = functions.begin_sensor, functions.update_sensor
+    sensor_read, watches = functions.read_sensor, functions.watches
+    obey, turn, straighten, turns = functions.actuation
+    obey_command = obeying(functions.part_of, obey)
+    show_more = showing(functions)
+
+    def step_envs(
+        params: EnvParams,
+        surfaces: SurfaceState,
+        parcels: ParcelState,
+        bodies: BodyTable,
+        scratch: Scratch,
+        sensor_scratch: Scratch,
+        chosen: Integers,
+    ) -> int:
+        faults = 0
+        dt = params.timing.dt
+        physics = Physics(params.assumed, params.stiffness, sensor_scratch, dt)
+        for i in chosen:
+            if parcels.outcome[i] == STARTING:
+                straighten(params.acting, surfaces, i)
+                parcels.clock[i] = 0.0
+                parcels.steps[i] = 0
+            elif parcels.outcome[i] != RUNNING:
+                continue
+            parcels.fault[i] = NO_FAULT
+            parcels.period[i] = 0.0
+            parcels.on_rotors[i] = True
+            parcels.on_surface[i] = True
+            state = env_state(surfaces, parcels, bodies, i, i, params.elements)
+            mirror = task_mirror(state)
+            if parcels.outcome[i] == STARTING:
+                parcels.outcome[i] = RUNNING
+                parcels.reward[i] = 0.0
+                for k in range(state.terms.shape[0]):
+                    state.terms[k] = 0.0
+                read_truth(state)
+                sensor_begin(params.sensor, state)
+                task_begin(state)
+            else:
+                obey_command(params, surfaces, state, i, mirror)
+                row = parcels.body[i]
+                grid = read_grid(surfaces, bodies, i, row, params.elements, params.friction)
+                body = read_body(bodies, row)
+                start = parcels.clock[i]
+                invalidate_contacts(scratch)
+                invalidate_contacts(sensor_scratch)
+                for _ in range(params.timing.steps):
+                    if turns and turn(params.acting, surfaces, i, state.zone):
+                        invalidate_contacts(scratch)
+                        invalidate_contacts(sensor_scratch)
+                    report, contacts = step_implicit(grid, body, state.com, scratch, dt)
+                    on_surface = report < OFF_SURFACE
+                    parcels.on_surface[i] = on_surface
+                    if on_surface:
+                        parcels.clock[i] += dt
+                        parcels.steps[i] += 1
+                        parcels.period[i] = parcels.clock[i] - start
+                        parcels.on_rotors[i] = contacts.total > contacts.supports
+                    state = env_state(surfaces, parcels, bodies, i, i, params.elements)
+                    if not on_surface:
+                        break
+                    if watches:
+                        read_truth(state)
+                        sensor_update(params.sensor, state, physics)
+                    if task_is_done(state):
+                        break
+                read_truth(state)
+                outcome = task_outcome(state)
+                task_reward(state, outcome)
+                parcels.outcome[i] = outcome
+                reward = 0.0
+                for k in range(state.terms.shape[0]):
+                    reward += state.terms[k]
+                parcels.reward[i] = reward
+                if not math.isfinite(reward):
+                    parcels.fault[i] = BAD_REWARD
+                if not 0 <= outcome < params.outcomes or outcome == OUT_OF_TIME:
+                    parcels.fault[i] = UNKNOWN_OUTCOME
+            sensor_read(params.sensor, state)
+            task_observe(state)
+            show_more(params, state, mirror)
+            for k in range(state.observation.shape[0]):
+                if not math.isfinite(state.observation[k]):
+                    parcels.fault[i] = BAD_OBSERVATION
+            faults += parcels.fault[i] != NO_FAULT
+        return faults
+
+    return compiled(step_envs, functions.label)

@@ -1,0 +1,376 @@
+"""Resets: parcels placed on the surface, starts drawn ahead, noise drawn for sensors."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym import checks
+from surface_gym.lines import BaseLine
+from surface_gym.parcel import Parcel
+from surface_gym.physics.step import com_states, map_floats
+from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
+from surface_gym.settings import Settings
+from surface_gym.state import (
+    GRAVITY_ALONG,
+    GRAVITY_NORMAL,
+    NOISE_ROWS,
+    PATH_POINTS,
+    BodyTable,
+    ParcelState,
+)
+from surface_gym.tasks.base import Draw, Parcels, Start, Task
+
+
+def draw_noise(parcels: ParcelState, row: int, generator: np.random.Generator) -> None:
+    """Three standard normals and a uniform a row of noise, for the parcel in a row of `parcels`."""
+    noise = parcels.noise[row]
+    noise[:, :3] = generator.standard_normal((NOISE_ROWS, 3))
+    noise[:, 3] = generator.random(NOISE_ROWS)
+    parcels.noise_row[row] = 0
+
+
+NO_EDGE = (0.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges up
+
+
+class Placement(NamedTuple):
+    """Rows of a lane's memory that follow from the parcel and the plant alone."""
+
+    rotor: Booleans  # (rows, columns)
+    obeys: Booleans  # (rows, columns) but for those that are drawn to be stuck
+    zone: Integers  # (4,) first row, rows, first column, columns
+    body: Array  # (7,) as `Bodies.body`
+    edges: Array  # (edges, 3)
+    corners: Array  # (corners, 2) [m] from the centroid
+
+    @property
+    def sides(self) -> int:
+        """Rows that edges and corners take."""
+        return max(len(self.edges), len(self.corners))
+
+    def fill(self, sides: int) -> tuple[Array, Array]:
+        """Edges (sides, 3) and corners (sides, 2), filled up to that many."""
+        edges = np.empty((sides, 3))
+        edges[:] = NO_EDGE
+        edges[: len(self.edges)] = self.edges
+        corners = np.empty((sides, 2))
+        corners[:] = self.corners[0]
+        corners[: len(self.corners)] = self.corners
+        return edges, corners
+
+
+@lru_cache(maxsize=64)
+def place_parcel(
+    parcel: Parcel,
+    plant: BaseLine,
+    zone: tuple[int, int] | None,
+    stuck: tuple[tuple[int, int], ...] = (),
+) -> Placement:
+    """The placement of a parcel on a plant.
+
+    Args:
+        parcel: of any base.
+        plant: where it runs.
+        zone: first and last column that obey; None for the plant's own.
+        stuck: (row, column) of modules that do not obey.
+
+    Raises:
+        ValueError: the parcel does not fit the plant.
+    """
+    placed = plant.site(parcel.base, zone)
+    first_row, rows, first_column, columns = placed.zone
+    obeys = np.zeros_like(placed.rotor)
+    obeys[first_row : first_row + rows, first_column : first_column + columns] = True
+    for row, column in stuck:
+        obeys[row, column] = False
+    body = parcel.body
+    outline = parcel.base.outline - np.array(parcel.base.centroid)
+    half_length = -float(outline[:, 0].min())
+    return Placement(
+        rotor=placed.rotor,
+        obeys=obeys & placed.rotor,
+        zone=np.array(placed.zone),
+        body=np.array(
+            [
+                body.radius,
+                body.com_x,
+                body.com_y,
+                body.com_height,
+                body.gyration,
+                half_length,
+                parcel.mass,
+            ]
+        ),
+        edges=body.edges,
+        corners=outline if len(body.edges) else np.zeros((1, 2)),
+    )
+
+
+def place_in(settings: Settings, parcel: Parcel) -> Placement:
+    """The placement of a parcel in an environment.
+
+    Raises:
+        ValueError: the parcel does not fit the plant.
+    """
+    stuck = tuple(settings.actuators.stuck)
+    return place_parcel(parcel, settings.chosen_plant, settings.zone, stuck)
+
+
+FEWEST_EDGES = 4
+
+
+class BodyPlan:
+    """The sites of a batch. The parcels that a task draws have a site each; any other parcel has
+    that of its lane.
+
+    Args:
+        parcels: that the task draws.
+        place: the placement of a parcel.
+        lanes: their number.
+        shape: (rows, columns) of the plant.
+    """
+
+    def __init__(
+        self,
+        parcels: Sequence[Parcel],
+        place: Callable[[Parcel], Placement],
+        num_envs: int,
+        shape: tuple[int, int],
+    ) -> None:
+        self._place = place
+        self._num_envs = num_envs
+        self._shared = len(parcels)
+        self._parcels: NDArray[Any] = np.full(self._shared + num_envs, None, dtype=object)
+        self._site_of = {parcel: body for body, parcel in enumerate(parcels)}
+        self.bodies = _make_bodies(self._shared, shape, FEWEST_EDGES)
+        for body, parcel in enumerate(parcels):
+            self._write(body, parcel)
+
+    def shared_bodies_of(self, parcels: Parcels) -> Integers:
+        """(count,) sites of parcels that the task draws; -1 for any other."""
+        found = np.array([self._site_of.get(parcel, -1) for parcel in parcels.kinds])
+        bodies: Integers = found[parcels.which]
+        return bodies
+
+    def bodies_of(self, chosen: Integers, parcels: Parcels) -> Integers:
+        """(count,) sites for the parcels of the chosen lanes (count,)."""
+        bodies = self.shared_bodies_of(parcels)
+        for k in np.nonzero(bodies < 0)[0].tolist():
+            bodies[k] = self._own(int(chosen[k]), parcels.kinds[parcels.which[k]])
+        return bodies
+
+    def draw_stuck(self, lane: int, parcel: Parcel, working: Booleans) -> int:
+        """The lane's own site, of whose modules those not working (rows, columns) do not obey."""
+        body = self._own(lane, parcel)
+        self.bodies.obeys[body] = self._place(parcel).obeys & working
+        return body
+
+    def parcel(self, body: int) -> Parcel:
+        """The parcel of a site that was placed."""
+        parcel = self._parcels[body]
+        assert isinstance(parcel, Parcel)
+        return parcel
+
+    def _own(self, lane: int, parcel: Parcel) -> int:
+        body = self._shared + lane
+        if len(self.bodies.zone) == self._shared:
+            more = _make_bodies(self._num_envs, self.bodies.rotor.shape[1:], self.bodies.edges.shape[1])
+            self.bodies = BodyTable._make(map(np.concatenate, zip(self.bodies, more, strict=True)))
+        if self._parcels[body] is not parcel:
+            self._write(body, parcel)
+        return body
+
+    def _write(self, body: int, parcel: Parcel) -> None:
+        placement = self._place(parcel)
+        self.bodies = with_body(self.bodies, body, placement)
+        self.bodies.rotor[body] = placement.rotor
+        self.bodies.obeys[body] = placement.obeys
+        self.bodies.zone[body] = placement.zone
+        self._parcels[body] = parcel
+
+
+def with_body(bodies: BodyTable, body: int, placement: Placement) -> BodyTable:
+    """Sites with a placement's body in one of their rows; they are others where there was no room
+    for so many edges.
+    """
+    wide = bodies.edges.shape[1]
+    more = placement.sides - wide
+    if more > 0:
+        no_edges = np.tile(NO_EDGE, (len(bodies.edges), more, 1))
+        repeats = np.repeat(bodies.corners[:, :1], more, axis=1)
+        bodies = bodies._replace(
+            edges=np.concatenate([bodies.edges, no_edges], axis=1),
+            corners=np.concatenate([bodies.corners, repeats], axis=1),
+        )
+    bodies.body[body] = placement.body
+    bodies.edges[body], bodies.corners[body] = placement.fill(wide + max(0, more))
+    return bodies
+
+
+def _make_bodies(count: int, shape: tuple[int, ...], edges: int) -> BodyTable:
+    return BodyTable(
+        rotor=np.zeros((count, *shape), dtype=np.bool_),
+        obeys=np.zeros((count, *shape), dtype=np.bool_),
+        body=np.zeros((count, 7)),
+        edges=np.zeros((count, edges, 3)),
+        corners=np.zeros((count, edges, 2)),
+        zone=np.zeros((count, 4), dtype=np.int64),
+    )
+
+
+class StartRows(NamedTuple):
+    """What starts put into the rows of their lanes."""
+
+    body: Integers  # (starts,)
+    state: Array  # (starts, STATE_SIZE)
+    conditions: Array  # (starts, 5)
+    goal: Array  # (starts, goals)
+
+
+def draw_starts(settings: Settings, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
+    """What the task of an environment makes of numbers (starts, draws) and the options of each, or
+    an error that names the task.
+    """
+    task = settings.chosen_task
+    start = task.start(Draw(numbers, options, settings.chosen_plant, settings.zone))
+    if not isinstance(start, Start):
+        raise ValueError(f"{type(task).__name__}.start must give a Start, got {start!r}")
+    return start
+
+
+def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> StartRows:
+    """Rows of starts of these parcels, whose sites are (starts,)."""
+    count = len(bodies)
+    pose = _columns(task, "pose", start.pose, 3, count)
+    _check_physical(task, "pose", pose, (checks.FARTHEST, checks.FARTHEST, checks.TURNED))
+    velocity = _columns(task, "velocity", start.velocity, 3, count)
+    _check_physical(task, "velocity", velocity, (checks.SPEED, checks.SPEED, checks.SPIN))
+    conditions = np.ones((count, 5))
+    conditions[:, GRAVITY_ALONG] = GRAVITY * map_floats(math.sin, start.tilt)
+    conditions[:, GRAVITY_NORMAL] = GRAVITY * map_floats(math.cos, start.tilt)
+    goal = _columns(task, "goal", start.goal, task.goals, count)
+    state = com_states(parcels.of(lambda parcel: parcel.centre_of_mass), pose, velocity)
+    return StartRows(bodies, state, conditions, goal)
+
+
+def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: int) -> Array:
+    """(count, wanted) of a start's numbers, or arrays (count,), of that name; or an error."""
+    told = f"{type(task).__name__}.start must give a {name} of"
+    if len(values) != wanted:
+        raise ValueError(f"{told} {wanted} numbers, got {len(values)}")
+    columns = np.empty((count, wanted))
+    for k, value in enumerate(values):
+        try:
+            columns[:, k] = value
+        except (TypeError, ValueError):
+            raise ValueError(f"{told} numbers or arrays ({count},), got {value!r}") from None
+    if not np.isfinite(columns).all():
+        raise ValueError(f"{told} finite numbers, got {tuple(values)!r}")
+    return columns
+
+
+def _check_physical(task: Task, name: str, columns: Array, most: tuple[float, ...]) -> None:
+    """Raise a ValueError for starts whose numbers (count, 3) are farther from 0 than `most`."""
+    if (np.abs(columns) > most).any():
+        raise ValueError(
+            f"{type(task).__name__}.start must give a {name} of numbers up to {most}, "
+            f"got {tuple(columns[(np.abs(columns) > most).any(axis=1)][0].tolist())}"
+        )
+
+
+def start_paths(task: Task, start: Start, count: int) -> Array:
+    """(PATH_POINTS,) or (count, PATH_POINTS) of a start, or an error."""
+    path = start.path
+    if path is None or path.shape not in ((PATH_POINTS,), (count, PATH_POINTS)):
+        raise ValueError(
+            f"{type(task).__name__}.start must give a path of {PATH_POINTS} points, "
+            f"got {None if path is None else path.shape}"
+        )
+    return path
+
+
+def each_parcel(parcel: Parcel | Parcels, count: int) -> Parcels:
+    """One parcel for all, as one each."""
+    if isinstance(parcel, Parcels):
+        return parcel
+    return Parcels((parcel,), np.zeros(count, dtype=np.int64))
+
+
+MOST_AHEAD = 64  # starts of a lane drawn at a time, where nothing else is drawn from its generator
+MOST_KEPT = 65536  # starts of all lanes
+
+
+class ResetCache:
+    """Numbers for the starts of every lane, each lane's in the order of its own generator; and what
+    the starts come to.
+
+    Args:
+        lanes: their number.
+        draws: numbers of a start.
+        shared: whether the generators are shared with other draws, which come between two starts.
+        most_kept: starts of all lanes.
+    """
+
+    def __init__(self, num_envs: int, draws: int, shared: bool, most_kept: int = MOST_KEPT) -> None:
+        ahead = 1 if shared else min(MOST_AHEAD, max(1, most_kept // num_envs))
+        self.generators: list[np.random.Generator | None] = [None] * num_envs
+        self._numbers = np.zeros((num_envs, ahead, draws))
+        self._used = np.full(num_envs, ahead)
+        self._ahead = ahead
+        self._rows: StartRows | None = None  # of all lanes' starts, one after another
+        self._laid = np.zeros(num_envs, dtype=np.bool_)  # whether a lane's are up to date
+
+    def seed(self, lane: int, generator: np.random.Generator) -> None:
+        """Draw a lane's numbers from a generator; one that it has already goes on."""
+        if self.generators[lane] is not generator:
+            self.generators[lane] = generator
+            self._used[lane] = self._ahead
+
+    def take(self, chosen: Integers) -> Array:
+        """The next numbers (count, draws) of the chosen lanes (count,), which are seeded."""
+        return self._numbers[chosen, self._next(chosen)]
+
+    def taken(self, chosen: Integers) -> Array:
+        """The numbers (count, draws) that the chosen lanes (count,) took last."""
+        return self._numbers[chosen, self._used[chosen] - 1]
+
+    def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:
+        """What the next starts of the chosen lanes (count,), which are seeded, come to.
+
+        Args:
+            chosen: lanes.
+            lay_out: makes rows of numbers (starts, draws).
+        """
+        used = self._next(chosen)
+        stale = chosen[~self._laid[chosen]]
+        if len(stale) > 0:
+            places = (stale[:, np.newaxis] * self._ahead + np.arange(self._ahead)).ravel()
+            rows = lay_out(self._numbers[stale].reshape(len(places), -1))
+            if self._rows is None:
+                starts = self._laid.size * self._ahead
+                self._rows = StartRows._make(
+                    np.zeros((starts, *values.shape[1:]), dtype=values.dtype) for values in rows
+                )
+            for kept, values in zip(self._rows, rows, strict=True):
+                kept[places] = values
+            self._laid[stale] = True
+        assert self._rows is not None
+        here = chosen * self._ahead + used
+        return StartRows._make(values[here] for values in self._rows)
+
+    def _next(self, chosen: Integers) -> Integers:
+        """The place (count,) of each lane's next start."""
+        used = self._used[chosen]
+        if used.max(initial=0) == self._ahead:
+            for lane in chosen[used == self._ahead].tolist():
+                generator = self.generators[lane]
+                assert generator is not None
+                self._numbers[lane] = generator.random(self._numbers.shape[1:])
+                self._used[lane] = 0
+                self._laid[lane] = False
+            used = self._used[chosen]
+        self._used[chosen] += 1
+        return used

@@ -1,0 +1,263 @@
+"""Plants: the surface an environment runs on, which of its elements are rotors, and which obey."""
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surface_gym import checks
+from surface_gym.layouts import LINE_Y, lead_in_under, rows_under
+from surface_gym.parcel import Base
+from surface_gym.physics.types import Array, check_capacity
+from surface_gym.state import Geometry
+from surface_gym.surface import Elements, Surface
+
+ORIENTATIONS = (0.0, math.pi / 4, -math.pi / 4, math.pi / 2)  # [rad] the paper's Figure 2b
+
+
+class Site(NamedTuple):
+    """Where a parcel of some size runs."""
+
+    rotor: NDArray[np.bool_]  # (rows, columns) a rotor, else a support
+    zone: tuple[int, int, int, int]  # first row, rows, first column, columns that obey
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseLine(Elements):
+    """Elements on a grid, their friction, and the axes on offer; subclasses say which are rotors.
+
+    A friction coefficient is one number, or an array (rows, columns) with one for each element.
+
+    Raises:
+        ValueError: a pitch that is not positive, negative friction or friction of another shape,
+            fewer than two orientations, `mu_min` greater than `mu_max`, or a number beyond
+            `surface_gym.checks`.
+    """
+
+    pitch: float | tuple[float, float] = 0.1  # [m] between neighbours: one, or in x and in y
+    origin: tuple[float, float] = (0.05, 0.05)  # [m] centre of element [0, 0]
+    mu_max: Any = 0.5  # [-] friction along a rotor's axis
+    mu_min: Any = 0.01  # [-] across it
+    mu_support: Any = 0.005  # [-] of a support
+    orientations: tuple[float, ...] = ORIENTATIONS  # [rad] axis angles on offer
+
+    def __post_init__(self) -> None:
+        set_field = object.__setattr__
+        set_field(self, "pitch", checks.pitch("pitch", self.pitch))
+        set_field(self, "origin", checks.place("origin", self.origin))
+        if self.rows * self.columns > checks.ELEMENTS:
+            raise ValueError(
+                f"rows times columns must be at most {checks.ELEMENTS:_}, "
+                f"got {self.rows} and {self.columns}"
+            )
+        for name in ("mu_max", "mu_min", "mu_support"):
+            mu = checks.friction(name, getattr(self, name), (self.rows, self.columns)).tolist()
+            set_field(self, name, mu if isinstance(mu, float) else tuple(map(tuple, mu)))
+        checks.rolling(self.mu_max, self.mu_min)
+        set_field(self, "orientations", checks.orientations("orientations", self.orientations))
+
+    @property
+    @abstractmethod
+    def zone_rows(self) -> int:
+        """Rows of the widest zone."""
+
+    @property
+    @abstractmethod
+    def zone_columns(self) -> int:
+        """Columns of the zone, where none is given."""
+
+    @abstractmethod
+    def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
+        """The site for a base; `zone` holds the first and last column that obey.
+
+        Raises:
+            ValueError: the base is too large.
+        """
+
+    @property
+    def line_y(self) -> float:
+        """[m] y that parcels enter at."""
+        return self.origin[1] + 0.5 * self.pitch_y * (self.rows - 1)
+
+    @property
+    def length(self) -> float:
+        """[m] from half a pitch before the first column to half a pitch past the last."""
+        return self.pitch_x * self.columns
+
+    @property
+    def width(self) -> float:
+        """[m] from half a pitch beside the first row to half a pitch beside the last."""
+        return self.pitch_y * self.rows
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """[m] least x, greatest x, least y, greatest y: half a pitch beyond the outer elements."""
+        left, low = self.column_edge(0), self.origin[1] - 0.5 * self.pitch_y
+        return left, left + self.length, low, low + self.width
+
+    @property
+    def geometry(self) -> Geometry:
+        """Where the elements lie, as compiled code reads it."""
+        return Geometry(*self.origin, self.pitch_x, self.pitch_y, self.line_y)
+
+    def _check_capacity(self, base: Base) -> None:
+        pitch, size = (self.pitch_x, self.pitch_y), (self.columns, self.rows)
+        check_capacity(len(base.edges), base.reach, pitch, size)
+
+    def surface(self, axis: Array, rotor: NDArray[np.bool_]) -> Surface:
+        """The plant with its rotors' axes (rows, columns) [rad] as they are, for `simulate`."""
+        mu_max, mu_min, mu_support = np.moveaxis(self.friction, -1, 0)
+        return Surface(axis, rotor, self.pitch, self.origin, mu_max, mu_min, mu_support)
+
+    def column_edge(self, column: float) -> float:
+        """[m] x half a pitch before the centre of a column."""
+        return self.origin[0] + self.pitch_x * (column - 0.5)
+
+
+@dataclass(frozen=True)
+class Line(BaseLine):
+    """A line of rotors amid supports, as in the paper's Figure 6.
+
+    How many rows it has and how long its lead-in is, which stays at 90 deg as a conveyor would,
+    follow the paper's for the S-box (2 rows, 3 columns) and the B-box (4 rows, 5 columns).
+    """
+
+    rows: int = 20
+    columns: int = 30
+    zone_rows: int = 4  # of the widest line, an even number
+    zone_columns: int = 16
+    line_y: float = LINE_Y  # [m] its middle, halfway between two rows
+
+    def __post_init__(self) -> None:
+        for name in ("rows", "columns", "zone_rows", "zone_columns"):
+            checks.integer(name, getattr(self, name), least=1)
+        super().__post_init__()
+        line_y = checks.within("line_y", self.line_y, -checks.FARTHEST, checks.FARTHEST)
+        object.__setattr__(self, "line_y", line_y)
+        between = (line_y - self.origin[1]) / self.pitch_y - 0.5
+        half = self.zone_rows // 2
+        if self.zone_rows % 2 or self.zone_columns >= self.columns:
+            raise ValueError(
+                f"zone_rows must be even and zone_columns less than columns, "
+                f"got {self.zone_rows} and {self.zone_columns} of {self.columns}"
+            )
+        if abs(between - round(between)) > 1e-6 or not half <= between + 1 <= self.rows - half:
+            raise ValueError(
+                f"line_y must lie halfway between two rows, {half} or more of them to either side, "
+                f"got {self.line_y!r}"
+            )
+
+    def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
+        """The line for a base.
+
+        Raises:
+            ValueError: the base is too long or too wide for the line.
+        """
+        length, width = np.ptp(base.outline, axis=0)
+        rows, lead_in = rows_under(width, self.pitch_y), lead_in_under(length, self.pitch_x)
+        longest = self.columns - self.zone_columns
+        if rows > self.zone_rows or lead_in > longest:
+            raise ValueError(
+                f"parcel must be at most {self.pitch_x * longest:g} m long and less than "
+                f"{self.pitch_y * (self.zone_rows + 2):g} m wide, got {length:g} m x {width:g} m"
+            )
+        self._check_capacity(base)
+        first_row = round((self.line_y - self.origin[1]) / self.pitch_y - 0.5 * (rows - 1))
+        rotor = np.zeros((self.rows, self.columns), dtype=bool)
+        rotor[first_row : first_row + rows] = True
+        first, last = (lead_in, lead_in + self.zone_columns - 1) if zone is None else zone
+        return Site(rotor, (first_row, rows, first, last - first + 1))
+
+
+@dataclass(frozen=True)
+class Field(BaseLine):
+    """Rotors everywhere."""
+
+    rows: int = 20
+    columns: int = 60
+
+    def __post_init__(self) -> None:
+        checks.integer("rows", self.rows, least=1)
+        checks.integer("columns", self.columns, least=1)
+        super().__post_init__()
+
+    @property
+    def zone_rows(self) -> int:
+        return self.rows
+
+    @property
+    def zone_columns(self) -> int:
+        return self.columns
+
+    def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
+        """The field, whatever the base."""
+        self._check_capacity(base)
+        first, last = (0, self.columns - 1) if zone is None else zone
+        rotor = np.ones((self.rows, self.columns), dtype=bool)
+        return Site(rotor, (0, self.rows, first, last - first + 1))
+
+
+@dataclass(frozen=True)
+class Pattern(BaseLine):
+    """Rotors and supports in any pattern. All rotors obey but those of the lead-in.
+
+    The rows of the zone are those from the first with a rotor to the last. Parcels enter at the
+    middle of these.
+
+    Raises:
+        ValueError: a pattern that is no array (rows, columns) of booleans, or without a rotor
+            after the lead-in.
+    """
+
+    rotor: ArrayLike  # (rows, columns) of booleans: a rotor, else a support
+    lead_in: int = 0  # columns that stay at 90 deg, as a conveyor would
+
+    def __post_init__(self) -> None:
+        rotor = checks.booleans("rotor", self.rotor)
+        checks.integer("lead_in", self.lead_in, least=0)
+        if not rotor[:, self.lead_in :].any():
+            raise ValueError(f"lead_in must leave a rotor in {rotor.shape}, got {self.lead_in!r}")
+        object.__setattr__(self, "rotor", tuple(map(tuple, rotor.tolist())))
+        super().__post_init__()
+
+    @property
+    def rows(self) -> int:
+        return len(self._pattern)
+
+    @property
+    def columns(self) -> int:
+        return len(self._pattern[0])
+
+    @cached_property
+    def _pattern(self) -> NDArray[np.bool_]:
+        return np.array(self.rotor)
+
+    @cached_property
+    def _rotor_rows(self) -> tuple[int, int]:
+        """First and last row with a rotor that may obey."""
+        rows = np.nonzero(self._pattern[:, self.lead_in :].any(axis=1))[0]
+        return int(rows[0]), int(rows[-1])
+
+    @property
+    def zone_rows(self) -> int:
+        first, last = self._rotor_rows
+        return last - first + 1
+
+    @property
+    def zone_columns(self) -> int:
+        return self.columns - self.lead_in
+
+    @property
+    def line_y(self) -> float:
+        """[m] the middle of the zone's rows."""
+        return self.origin[1] + 0.5 * self.pitch_y * sum(self._rotor_rows)
+
+    def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
+        """The pattern, whatever the base."""
+        self._check_capacity(base)
+        first, last = (self.lead_in, self.columns - 1) if zone is None else zone
+        return Site(self._pattern, (self._rotor_rows[0], self.zone_rows, first, last - first + 1))

@@ -1,0 +1,334 @@
+"""Broad phase and contact points of the parcels on one surface."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from surface_gym.physics.contacts import invalidate_contacts
+from surface_gym.physics.island import (
+    CLOSING,
+    FIRST_X,
+    FIRST_Y,
+    NORMAL_X,
+    NORMAL_Y,
+    POINT_SIZE,
+    SECOND_X,
+    SECOND_Y,
+)
+from surface_gym.physics.jit import inlined, linked
+from surface_gym.physics.signed_distance import (
+    CONTACT_DISTANCE,
+    find_manifold,
+    read_outline,
+    signed_distance,
+    sweep_between,
+    time_of_impact,
+    transform_at,
+)
+from surface_gym.physics.step import OFF_SURFACE
+from surface_gym.physics.types import (
+    COM_HEIGHT,
+    COM_X,
+    COM_Y,
+    GYRATION,
+    MARKS_SIZE,
+    RADIUS,
+    SPANS,
+    STATE_SIZE,
+    TABLE_SIZE,
+    Array,
+    Bodies,
+    Body,
+    Booleans,
+    Integers,
+    Scratch,
+    X,
+    Y,
+)
+
+
+class World(NamedTuple):
+    """Parcels on one surface, a row each."""
+
+    state: Array  # (P, STATE_SIZE)
+    present: Booleans  # (P,) whether there is a parcel in the row
+    body: Integers  # (P,) its row in `bodies`
+    bodies: Bodies
+
+
+class ContactMaterial(NamedTuple):
+    """How sides behave."""
+
+    restitution: float  # [-] 0: they stay together; 1: they part as fast as they met
+    friction: float  # [-] between sides
+
+
+class WorldScratch(NamedTuple):
+    """Memory of a step together, for P parcels, and what it leaves there."""
+
+    tables: Array  # (P, TABLE_SIZE) a `Scratch` a parcel
+    marks: Integers  # (P, MARKS_SIZE)
+    report: Integers  # (P,) of each parcel's own step
+    rotors: Integers  # (P,) that bore each parcel in it
+    pair: Integers  # (most pairs, 2) rows of parcels that pushed each other
+    impulse: Array  # (most pairs,) [N s] along the normal
+    before: Array  # (P, STATE_SIZE) states at the start
+    bearing: Integers  # (P,) elements that bore each parcel
+    nothing: Integers  # (P,) zeros: elements that bear parcels while sides hit each other
+    reach: Array  # (P,) [m] from a centre of mass at the start to wherever its base came
+    near: Integers  # (most pairs, 2) rows of parcels whose bases may meet
+    when: Array  # (most pairs,) [s] from which on they touch; infinite: they do not
+    push: Array  # (most pairs,) [N s] impulse along the normal
+    since: Array  # (P,) [s] from which on each parcel touches another; infinite: it does not
+    root: Integers  # (P,) the group of each parcel: the least row in it
+    member: Integers  # (P,) and so on: as in `Group`
+    slot: Integers  # (P,)
+    low: Integers  # (P,)
+    contact: Integers  # (most points,)
+    ends: Integers  # (most points, 3)
+    point: Array  # (most points, POINT_SIZE)
+    met: Array  # (P, 3) [m/s, m/s, rad/s] velocities where parcels first touch
+    start: Array  # (P, 3) the same, with the impulses of sides
+    velocity: Array  # (P, 3)
+    target: Array  # (P, 3)
+    trial: Array  # (P, 3)
+    gradient: Array  # (P, 3)
+    direction: Array  # (P, 3)
+    matrix: Array  # (3 P, 3 P)
+
+
+def make_world_scratch(parcels: int) -> WorldScratch:
+    """Scratch for so many parcels, that says nothing of any contact."""
+    pairs = parcels * (parcels - 1) // 2
+    marks = np.zeros((parcels, MARKS_SIZE), dtype=np.int64)
+    marks[:, SPANS] = -1
+
+    def integers(*shape: int) -> Integers:
+        return np.zeros(shape, dtype=np.int64)
+
+    return WorldScratch(
+        tables=np.zeros((parcels, TABLE_SIZE)),
+        marks=marks,
+        report=integers(parcels),
+        rotors=integers(parcels),
+        pair=integers(pairs, 2),
+        impulse=np.zeros(pairs),
+        before=np.zeros((parcels, STATE_SIZE)),
+        bearing=integers(parcels),
+        nothing=integers(parcels),
+        reach=np.zeros(parcels),
+        near=integers(pairs, 2),
+        when=np.zeros(pairs),
+        push=np.zeros(pairs),
+        since=np.zeros(parcels),
+        root=integers(parcels),
+        member=integers(parcels),
+        slot=integers(parcels),
+        low=integers(parcels),
+        contact=integers(2 * pairs),
+        ends=integers(2 * pairs, 3),
+        point=np.zeros((2 * pairs, POINT_SIZE)),
+        met=np.zeros((parcels, 3)),
+        start=np.zeros((parcels, 3)),
+        velocity=np.zeros((parcels, 3)),
+        target=np.zeros((parcels, 3)),
+        trial=np.zeros((parcels, 3)),
+        gradient=np.zeros((parcels, 3)),
+        direction=np.zeros((parcels, 3)),
+        matrix=np.zeros((3 * parcels, 3 * parcels)),
+    )
+
+
+@inlined
+def world_scratch(scratches: WorldScratch, i: int) -> WorldScratch:
+    """The i-th of scratches whose arrays have one more dimension, the first."""
+    return WorldScratch(
+        scratches.tables[i],
+        scratches.marks[i],
+        scratches.report[i],
+        scratches.rotors[i],
+        scratches.pair[i],
+        scratches.impulse[i],
+        scratches.before[i],
+        scratches.bearing[i],
+        scratches.nothing[i],
+        scratches.reach[i],
+        scratches.near[i],
+        scratches.when[i],
+        scratches.push[i],
+        scratches.since[i],
+        scratches.root[i],
+        scratches.member[i],
+        scratches.slot[i],
+        scratches.low[i],
+        scratches.contact[i],
+        scratches.ends[i],
+        scratches.point[i],
+        scratches.met[i],
+        scratches.start[i],
+        scratches.velocity[i],
+        scratches.target[i],
+        scratches.trial[i],
+        scratches.gradient[i],
+        scratches.direction[i],
+        scratches.matrix[i],
+    )
+
+
+@inlined
+def invalidate_world(scratch: WorldScratch) -> None:
+    """What a scratch says of the elements is of another surface, or of axes that have turned."""
+    for k in range(scratch.marks.shape[0]):
+        invalidate_contacts(Scratch(scratch.tables[k], scratch.marks[k]))
+
+
+@inlined
+def read_body(bodies: Bodies, site: int) -> Body:
+    """A row of the bodies as the physics of one parcel reads it."""
+    row = bodies.body[site]
+    return Body(
+        bodies.edges[site], row[RADIUS], row[COM_X], row[COM_Y], row[COM_HEIGHT], row[GYRATION]
+    )
+
+
+LEAST_REST = 1e-9  # [s] that a step has left when two touch
+
+
+@linked
+def find_near_pairs(world: World, scratch: WorldScratch) -> int:
+    """Write which parcels' bases may meet on their ways from `before`; how many pairs."""
+    before, after, reach = scratch.before, world.state, scratch.reach
+    rows = world.present.shape[0]
+    for k in range(rows):
+        reach[k] = -math.inf  # whoever is absent or off the surface meets nobody
+        if world.present[k] and scratch.report[k] < OFF_SURFACE:
+            body = world.bodies.body[world.body[k]]
+            moved = abs(after[k, X] - before[k, X]) + abs(after[k, Y] - before[k, Y])
+            reach[k] = body[RADIUS] + abs(body[COM_X]) + abs(body[COM_Y]) + moved + CONTACT_DISTANCE
+    pairs = 0
+    for i in range(rows):
+        if reach[i] < 0.0:
+            continue
+        for j in range(i + 1, rows):
+            dx = before[i, X] - before[j, X]
+            dy = before[i, Y] - before[j, Y]
+            most = reach[i] + reach[j]
+            if most > 0.0 and dx * dx + dy * dy <= most * most:
+                scratch.near[pairs, 0] = i
+                scratch.near[pairs, 1] = j
+                pairs += 1
+    return pairs
+
+
+@linked
+def find_impacts(world: World, scratch: WorldScratch, pairs: int, dt: float) -> bool:
+    """Write when each near pair touches, since when each parcel does, and the groups of those that
+    do; whether any two do.
+    """
+    bodies, before, after = world.bodies, scratch.before, world.state
+    for k in range(world.present.shape[0]):
+        scratch.since[k] = math.inf
+        scratch.root[k] = k
+    meet = False
+    for e in range(pairs):
+        i = scratch.near[e, 0]
+        j = scratch.near[e, 1]
+        when = time_of_impact(
+            read_outline(bodies, world.body[i]),
+            sweep_between(before[i], after[i]),
+            read_outline(bodies, world.body[j]),
+            sweep_between(before[j], after[j]),
+            dt,
+        )
+        scratch.when[e] = when
+        scratch.push[e] = 0.0
+        if when < math.inf:
+            meet = True
+            scratch.since[i] = min(scratch.since[i], when)
+            scratch.since[j] = min(scratch.since[j], when)
+            _join(scratch, i, j)
+    return meet
+
+
+@inlined
+def _join(scratch: WorldScratch, i: int, j: int) -> None:
+    """Make one group of those of two parcels."""
+    root = scratch.root
+    first = min(root[i], root[j])
+    second = max(root[i], root[j])
+    for k in range(root.shape[0]):
+        if root[k] == second:
+            root[k] = first
+
+
+@linked
+def find_contact_points(world: World, scratch: WorldScratch, pairs: int, dt: float) -> int:
+    """Write the points at which near pairs touch; how many."""
+    bodies, before, after = world.bodies, scratch.before, world.state
+    points = 0
+    for e in range(pairs):
+        when = scratch.when[e]
+        if when == math.inf:
+            continue
+        i = scratch.near[e, 0]
+        j = scratch.near[e, 1]
+        first = read_outline(bodies, world.body[i])
+        second = read_outline(bodies, world.body[j])
+        place = transform_at(first, sweep_between(before[i], after[i]), when)
+        at = transform_at(second, sweep_between(before[j], after[j]), when)
+        gap = signed_distance(first, place, second, at)
+        facing = find_manifold(first, place, second, at, gap)
+        rest = max(dt - when, LEAST_REST)
+        for n in range(facing.points):
+            x, y, width = facing.x, facing.y, facing.width
+            if n == 1:
+                x, y, width = facing.second_x, facing.second_y, facing.second_width
+            _write_point(world, scratch, points, e, x, y)
+            scratch.point[points, NORMAL_X] = gap.nx
+            scratch.point[points, NORMAL_Y] = gap.ny
+            scratch.point[points, CLOSING] = max(0.0, width - CONTACT_DISTANCE) / rest
+            points += 1
+    return points
+
+
+@inlined
+def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, y: float) -> None:
+    """Write who touches at (x, y), and the arms from where each of them first touches another."""
+    scratch.ends[c, 2] = e
+    for end in range(2):
+        k = scratch.near[e, end]
+        scratch.ends[c, end] = k
+        motion = sweep_between(scratch.before[k], world.state[k])
+        arm_x = x - motion.x - scratch.since[k] * motion.vx
+        arm_y = y - motion.y - scratch.since[k] * motion.vy
+        if end == 0:
+            scratch.point[c, FIRST_X] = arm_x
+            scratch.point[c, FIRST_Y] = arm_y
+        else:
+            scratch.point[c, SECOND_X] = arm_x
+            scratch.point[c, SECOND_Y] = arm_y
+
+
+@inlined
+def gather_island(scratch: WorldScratch, root: int, points: int) -> tuple[int, int]:
+    """Write who is in the group of a root, in the order of x, so that those who touch have places
+    near each other, and which points are; how many of both.
+    """
+    members = 0
+    for k in range(scratch.root.shape[0]):
+        if scratch.root[k] == root:
+            place = members
+            while place > 0 and scratch.before[scratch.member[place - 1], X] > scratch.before[k, X]:
+                scratch.member[place] = scratch.member[place - 1]
+                place -= 1
+            scratch.member[place] = k
+            members += 1
+    for place in range(members):
+        scratch.slot[scratch.member[place]] = place
+    contacts = 0
+    for c in range(points):
+        if scratch.root[scratch.ends[c, 0]] == root:
+            scratch.contact[contacts] = c
+            contacts += 1
+    return members, contacts

@@ -1,0 +1,341 @@
+"""One step of all parcels on a surface, which may push each other.
+
+A group is of all who touch, directly or by others. In each of them
+    1. sides that close fast rebound, with no time for friction below: the impulses that stop them
+       act once more, times the restitution (Poisson's hypothesis, which gains no energy);
+    2. the velocities after the step are found, of all at once, so that no sides close on each other
+       (`settling.py`), with friction for what the step has left since the touch;
+    3. each parcel goes on with its new velocity from where it first touched.
+Then what still overlaps is moved apart.
+
+Each parcel first takes its step as if it were alone. Those whose bases meet on these ways push each
+other (`pushing.py`); all others stay where their steps led, to the bit. The contacts with elements
+and their normal forces remain those of the steps alone. The acceleration in a state, which loads
+the elements, is that of friction and gravity: sides press at the height of the centre of mass and
+tip nobody.
+
+A parcel that is pushed into a third in the same step is moved out of it, and pushes it in the next.
+"""
+
+import math
+
+from surface_gym.physics.collision import (
+    ContactMaterial,
+    World,
+    WorldScratch,
+    find_contact_points,
+    find_impacts,
+    find_near_pairs,
+    gather_island,
+    read_body,
+)
+from surface_gym.physics.friction import implicit_velocity, load_contacts
+from surface_gym.physics.island import (
+    CLOSING,
+    NORMAL_IMPULSE,
+    NORMAL_STIFFNESS,
+    STIFFNESS,
+    TANGENT_IMPULSE,
+    Island,
+    add_impulse,
+    floor_contacts,
+    relative_velocity,
+    solve_velocities,
+)
+from surface_gym.physics.jit import inlined, linked
+from surface_gym.physics.signed_distance import (
+    CONTACT_DISTANCE,
+    read_outline,
+    signed_distance,
+    sweep_at_rest,
+    sweep_between,
+    transform_at,
+)
+from surface_gym.physics.step import step_implicit
+from surface_gym.physics.types import (
+    AX,
+    AY,
+    GYRATION,
+    MASS,
+    OMEGA,
+    STATE_SIZE,
+    SUPPORTS,
+    THETA,
+    VX,
+    VY,
+    Array,
+    Contacts,
+    Grid,
+    Integers,
+    Scratch,
+    X,
+    Y,
+)
+
+MAX_SWEEPS = 20
+
+
+@linked
+def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
+    """Move near pairs that overlap apart along their normals, the heavier less.
+
+    Their velocities stay. A chain of parcels takes several sweeps.
+    """
+    bodies, state = world.bodies, world.state
+    for _ in range(MAX_SWEEPS):
+        apart = True
+        for e in range(pairs):
+            i = scratch.near[e, 0]
+            j = scratch.near[e, 1]
+            first = read_outline(bodies, world.body[i])
+            second = read_outline(bodies, world.body[j])
+            gap = signed_distance(
+                first,
+                transform_at(first, sweep_at_rest(state[i]), 0.0),
+                second,
+                transform_at(second, sweep_at_rest(state[j]), 0.0),
+            )
+            if gap.width >= -CONTACT_DISTANCE:
+                continue
+            apart = False
+            overlap = -gap.width - 0.5 * CONTACT_DISTANCE
+            own = bodies.body[world.body[i], MASS]
+            other = bodies.body[world.body[j], MASS]
+            share = other / (own + other)
+            state[i, X] -= share * overlap * gap.nx
+            state[i, Y] -= share * overlap * gap.ny
+            state[j, X] += (1.0 - share) * overlap * gap.nx
+            state[j, Y] += (1.0 - share) * overlap * gap.ny
+        if apart:
+            break
+
+
+RESTING = 0.02  # [m/s] Sides that close no faster do not rebound.
+PUSHED = 1e-8  # [m/s] that an impulse changes a speed by at least, or it is none
+
+
+@linked
+def solve_contacts(
+    grid: Grid,
+    world: World,
+    material: ContactMaterial,
+    scratch: WorldScratch,
+    pairs: int,
+    dt: float,
+) -> int:
+    """Let those who meet push each other; how many pairs did."""
+    points = find_contact_points(world, scratch, pairs, dt)
+    for first in range(world.present.shape[0]):
+        if scratch.root[first] == first and scratch.since[first] < math.inf:
+            members, contacts = gather_island(scratch, first, points)
+            island = _group(world, scratch, scratch.bearing, members, contacts)
+            _begin(world, scratch, island, dt)
+            hit = _closes_fast(island, scratch.start)
+            if hit and material.restitution > 0.0:
+                free = _group(world, scratch, scratch.nothing, members, contacts)
+                _rebound(scratch, free, material)
+            _go_on(grid, material, scratch, island, dt)
+            for n in range(members):
+                k = scratch.member[n]
+                if _is_pushed(scratch, island, k):
+                    _advance(grid, world, scratch, k, hit, dt)
+    resolve_overlaps(world, scratch, pairs)
+    pushed = 0
+    for e in range(pairs):
+        if scratch.push[e] > 0.0:
+            scratch.pair[pushed, 0] = scratch.near[e, 0]
+            scratch.pair[pushed, 1] = scratch.near[e, 1]
+            scratch.impulse[pushed] = scratch.push[e]
+            pushed += 1
+    return pushed
+
+
+@inlined
+def _group(
+    world: World, scratch: WorldScratch, bearing: Integers, members: int, contacts: int
+) -> Island:
+    return Island(
+        members,
+        contacts,
+        world.bodies,
+        world.body,
+        scratch.tables,
+        scratch.marks,
+        bearing,
+        scratch.member,
+        scratch.slot,
+        scratch.low,
+        scratch.contact,
+        scratch.ends,
+        scratch.point,
+        scratch.velocity,
+        scratch.target,
+        scratch.trial,
+        scratch.gradient,
+        scratch.direction,
+        scratch.matrix,
+    )
+
+
+@inlined
+def _begin(world: World, scratch: WorldScratch, island: Island, dt: float) -> None:
+    """Begin with the velocities at which the members of a group come to touch, and with friction
+    for what the step has left.
+    """
+    for n in range(island.members):
+        k = island.member[n]
+        share = scratch.since[k] / dt
+        for axis in range(VX, OMEGA + 1):
+            old = scratch.before[k, axis]
+            scratch.start[k, axis - VX] = old + share * (world.state[k, axis] - old)
+            scratch.velocity[k, axis - VX] = world.state[k, axis]
+            scratch.met[k, axis - VX] = scratch.start[k, axis - VX]
+        borne, contacts = floor_contacts(island, k)
+        load_contacts(borne, contacts, dt - scratch.since[k])
+
+
+@inlined
+def _closes_fast(island: Island, start: Array) -> bool:
+    """Whether any sides of a group do."""
+    for m in range(island.contacts):
+        c = island.contact[m]
+        normal, _ = relative_velocity(island, c, start)
+        if normal + island.point[c, CLOSING] < -RESTING:
+            return True
+    return False
+
+
+@inlined
+def _take_impulses(scratch: WorldScratch, island: Island, times: float) -> None:
+    """Add the impulses of a group, so many times, to the velocities at the start."""
+    change = scratch.gradient
+    for n in range(island.members):
+        for axis in range(3):
+            change[island.member[n], axis] = 0.0
+    for m in range(island.contacts):
+        c = island.contact[m]
+        press = island.point[c, NORMAL_IMPULSE]
+        if press > PUSHED * island.point[c, NORMAL_STIFFNESS] / STIFFNESS:
+            add_impulse(island, c, press, island.point[c, TANGENT_IMPULSE], change, times)
+            scratch.push[island.ends[c, 2]] += times * press
+    for n in range(island.members):
+        k = island.member[n]
+        body = island.bodies.body[island.body[k]]
+        scratch.start[k, 0] += change[k, 0] / body[MASS]
+        scratch.start[k, 1] += change[k, 1] / body[MASS]
+        scratch.start[k, 2] += change[k, 2] / (body[MASS] * body[GYRATION])
+
+
+@linked
+def _rebound(scratch: WorldScratch, island: Island, material: ContactMaterial) -> None:
+    """Stop the sides of a group, and have the impulses that did so act once more."""
+    for n in range(island.members):
+        k = island.member[n]
+        for axis in range(3):
+            scratch.target[k, axis] = scratch.start[k, axis]
+            scratch.velocity[k, axis] = scratch.start[k, axis]
+    solve_velocities(island, material.friction)
+    _take_impulses(scratch, island, 1.0 + material.restitution)
+
+
+@linked
+def _go_on(
+    grid: Grid, material: ContactMaterial, scratch: WorldScratch, island: Island, dt: float
+) -> None:
+    """Find what the sides of a group do while friction acts below."""
+    for n in range(island.members):
+        k = island.member[n]
+        for axis in range(3):
+            scratch.target[k, axis] = scratch.start[k, axis]
+        scratch.target[k, 0] += (dt - scratch.since[k]) * grid.gravity_along
+    solve_velocities(island, material.friction)
+    _take_impulses(scratch, island, 1.0)
+
+
+@inlined
+def _is_pushed(scratch: WorldScratch, island: Island, k: int) -> bool:
+    """Whether anybody pushes a parcel of a group."""
+    for m in range(island.contacts):
+        c = island.contact[m]
+        ours = island.ends[c, 0] == k or island.ends[c, 1] == k
+        if ours and scratch.push[island.ends[c, 2]] > 0.0:
+            return True
+    return False
+
+
+@linked
+def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool, dt: float) -> None:
+    """Move a parcel that is pushed: alone until it touches, on with its new velocity.
+
+    Args:
+        grid: the surface.
+        company: that it is of.
+        scratch: with its velocity where it touches, impulses taken in.
+        k: its row.
+        hit: whether velocities change at the touch, rather than over the step.
+        dt: [s] step.
+    """
+    state, start, met = world.state[k], scratch.start[k], scratch.met[k]
+    motion = sweep_between(scratch.before[k], state)
+    alone = scratch.since[k]
+    rest = dt - alone
+    vx, vy, omega = implicit_velocity(
+        grid,
+        world.bodies.body[world.body[k], GYRATION],
+        Scratch(scratch.tables[k], scratch.marks[k]),
+        Contacts(scratch.bearing[k], scratch.marks[k, SUPPORTS]),
+        rest,
+        start[0],
+        start[1],
+        start[2],
+    )
+    # The mean, as in the implicit step, where sides that touched before press on.
+    new = 1.0 if hit else 0.5
+    old = 1.0 - new
+    state[X] = motion.x + alone * motion.vx + rest * (new * vx + old * met[0])
+    state[Y] = motion.y + alone * motion.vy + rest * (new * vy + old * met[1])
+    state[THETA] = motion.theta + alone * motion.omega + rest * (new * omega + old * met[2])
+    state[AX] = (vx - start[0] + met[0] - scratch.before[k, VX]) / dt
+    state[AY] = (vy - start[1] + met[1] - scratch.before[k, VY]) / dt
+    state[VX] = vx
+    state[VY] = vy
+    state[OMEGA] = omega
+
+
+@linked
+def step_world(
+    grid: Grid, world: World, material: ContactMaterial, scratch: WorldScratch, dt: float
+) -> int:
+    """One implicit step of all parcels present.
+
+    A parcel whose report is OFF_SURFACE or UNBORNE keeps its state and touches nobody.
+
+    Args:
+        grid: the surface that all are on.
+        company: whose states are moved on.
+        touching: how sides behave.
+        scratch: for as many parcels as the company has rows.
+        dt: [s] step.
+
+    Returns:
+        How many pairs pushed each other: the first entries of `scratch.pair` and `impulse`.
+    """
+    for k in range(world.present.shape[0]):
+        if world.present[k]:
+            state = world.state[k]
+            for j in range(STATE_SIZE):
+                scratch.before[k, j] = state[j]
+            report, contacts = step_implicit(
+                grid,
+                read_body(world.bodies, world.body[k]),
+                state,
+                Scratch(scratch.tables[k], scratch.marks[k]),
+                dt,
+            )
+            scratch.report[k] = report
+            scratch.bearing[k] = contacts.total
+            scratch.rotors[k] = contacts.total - contacts.supports
+    pairs = find_near_pairs(world, scratch)
+    if pairs == 0 or not find_impacts(world, scratch, pairs, dt):
+        return 0
+    return solve_contacts(grid, world, material, scratch, pairs, dt)

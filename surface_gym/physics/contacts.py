@@ -1,0 +1,177 @@
+"""Contacts of one parcel with the elements of the surface."""
+
+import math
+
+from surface_gym.physics.jit import inlined
+from surface_gym.physics.types import (
+    ARM_X,
+    ARM_Y,
+    AXIS_X,
+    AXIS_Y,
+    BOUND_SIDE,
+    BOUND_SLOPE,
+    BOUND_START,
+    CAPACITY,
+    MU_ACROSS,
+    MU_ALONG,
+    ROTOR,
+    SPAN_FIRST,
+    SPAN_LAST,
+    SPAN_ROW,
+    SPANS,
+    STIFFNESS,
+    SUPPORT,
+    SUPPORTS,
+    Array,
+    Body,
+    Contacts,
+    Grid,
+    Scratch,
+)
+
+
+@inlined
+def bounded(value: float, least: float, most: float) -> float:
+    """A number within [least, most]; what is not a number becomes the least.
+
+    Every float goes through here before it becomes an index or a count. A processor makes anything
+    at all of one that an integer has no room for.
+
+    Args:
+        value: to be made an integer.
+        least: a whole number; what `value` becomes where it is below or not a number.
+        most: a whole number; what it becomes where it is above.
+    """
+    if not value > least:
+        return least
+    return most if value > most else value
+
+
+EDGE_TOLERANCE = 1e-9  # [m] an element on the perimeter is a contact, whatever the round-off
+
+
+@inlined
+def _turn_edges(body: Body, cosine: float, sine: float, table: Array) -> None:
+    """Write each edge as a bound on x along a row: x <= start + slope y, or >= if side < 0."""
+    for k in range(body.edges.shape[0]):
+        nx = cosine * body.edges[k, 0] - sine * body.edges[k, 1]
+        ny = sine * body.edges[k, 0] + cosine * body.edges[k, 1]
+        distance = body.edges[k, 2] + EDGE_TOLERANCE
+        if abs(nx) > 1e-12:
+            per_nx = 1.0 / nx
+            table[BOUND_START + k] = distance * per_nx
+            table[BOUND_SLOPE + k] = -ny * per_nx
+            table[BOUND_SIDE + k] = nx
+        else:  # an edge along the row bounds y alone
+            table[BOUND_START + k] = distance
+            table[BOUND_SLOPE + k] = ny
+            table[BOUND_SIDE + k] = 0.0
+
+
+@inlined
+def _row_interval(body: Body, table: Array, dy: float) -> tuple[float, float]:
+    """Ends of the base along the row at dy from the base's origin; the first exceeds if empty."""
+    reach = body.radius + EDGE_TOLERANCE
+    high = math.sqrt(max(0.0, reach * reach - dy * dy))
+    low = -high
+    for k in range(body.edges.shape[0]):
+        side = table[BOUND_SIDE + k]
+        bound = table[BOUND_START + k] + table[BOUND_SLOPE + k] * dy
+        if side > 0.0:
+            high = min(high, bound)
+        elif side < 0.0:
+            low = max(low, bound)
+        elif table[BOUND_SLOPE + k] * dy > table[BOUND_START + k]:
+            low = high + 1.0
+    return low, high
+
+
+@inlined
+def _gather(grid: Grid, scratch: Scratch) -> int:
+    """Write what each element of the spans is; how many of them are supports."""
+    table, marks = scratch.table, scratch.marks
+    i = 0
+    supports = 0
+    for k in range(marks[SPANS]):
+        row = marks[SPAN_ROW + k]
+        for column in range(marks[SPAN_FIRST + k], marks[SPAN_LAST + k] + 1):
+            table[STIFFNESS + i] = grid.stiffness[row, column]
+            marks[ROTOR + i] = grid.rotor[row, column]
+            if grid.rotor[row, column]:
+                axis = grid.axis[row, column]
+                table[AXIS_X + i] = grid.direction[axis, 0]
+                table[AXIS_Y + i] = grid.direction[axis, 1]
+                table[MU_ALONG + i] = grid.friction[row, column, 0] * grid.along_factor
+                table[MU_ACROSS + i] = grid.friction[row, column, 1] * grid.across_factor
+            else:
+                table[AXIS_X + i] = 1.0
+                table[AXIS_Y + i] = 0.0
+                mu = grid.friction[row, column, 2] * grid.support_factor
+                table[MU_ALONG + i] = mu
+                table[MU_ACROSS + i] = mu
+                marks[SUPPORT + supports] = i
+                supports += 1
+            i += 1
+    return supports
+
+
+@inlined
+def invalidate_contacts(scratch: Scratch) -> None:
+    """What a scratch says of the elements is of another surface, or of axes that have turned."""
+    scratch.marks[SPANS] = -1
+
+
+@inlined
+def find_contacts(
+    grid: Grid, body: Body, x: float, y: float, theta: float, scratch: Scratch
+) -> Contacts:
+    """Find the elements under the base of a parcel whose centre of mass is at (x, y).
+
+    Only the rows and columns around the base are looked at, so the cost does not depend on the
+    size of the surface. Writes what each contact is into `scratch`; that is left out where the
+    same elements lay under the base at the last call, unless `invalidate_contacts` came between.
+    """
+    table, marks = scratch.table, scratch.marks
+    cosine = math.cos(theta)
+    sine = math.sin(theta)
+    offset_x = cosine * body.com_x - sine * body.com_y
+    offset_y = sine * body.com_x + cosine * body.com_y
+    # Everything below is seen from the base frame's origin, in pitches for the grid's indices.
+    per_pitch_x = 1.0 / grid.pitch_x
+    per_pitch_y = 1.0 / grid.pitch_y
+    grid_x = grid.x0 - (x - offset_x)
+    grid_y = grid.y0 - (y - offset_y)
+    rows, columns = grid.rotor.shape
+    reach = body.radius + EDGE_TOLERANCE
+    lowest = bounded((-reach - grid_y) * per_pitch_y, -1.0, rows)
+    highest = bounded((reach - grid_y) * per_pitch_y, -1.0, rows)
+    first_row = max(0, math.ceil(lowest))
+    last_row = min(rows - 1, math.floor(highest))
+    _turn_edges(body, cosine, sine, table)
+    count = 0
+    spans = 0
+    changed = False
+    for row in range(first_row, last_row + 1):
+        dy = grid_y + grid.pitch_y * row
+        low, high = _row_interval(body, table, dy)
+        from_column = bounded((low - grid_x) * per_pitch_x, -1.0, columns)
+        to_column = bounded((high - grid_x) * per_pitch_x, -1.0, columns)
+        first = max(0, math.ceil(from_column))
+        last = min(columns - 1, math.floor(to_column))
+        last = min(last, first + CAPACITY - 1 - count)  # whatever numbers came in
+        if first > last:
+            continue
+        for column in range(first, last + 1):
+            table[ARM_X + count] = grid_x + grid.pitch_x * column - offset_x
+            table[ARM_Y + count] = dy - offset_y
+            count += 1
+        changed |= (marks[SPAN_ROW + spans] != row) | (marks[SPAN_FIRST + spans] != first)
+        changed |= marks[SPAN_LAST + spans] != last
+        marks[SPAN_ROW + spans] = row
+        marks[SPAN_FIRST + spans] = first
+        marks[SPAN_LAST + spans] = last
+        spans += 1
+    if changed or marks[SPANS] != spans:
+        marks[SPANS] = spans
+        marks[SUPPORTS] = _gather(grid, scratch)
+    return Contacts(count, marks[SUPPORTS])

@@ -1,0 +1,394 @@
+"""The friction law: anisotropic Coulomb friction as a convex potential, and the implicit step's velocity.
+
+The paper's forces, Eq. (2)-(3), are minus the gradient of
+    Phi(v) = sum over rotors N_i (mu_max |a_i . u_i| + mu_min |p_i . u_i|)
+           + sum over supports N_j mu_support |u_j|
+with u the velocity at the contact, a the axis and p its normal. One step is the convex problem
+    v+ = argmin 1/2 |v - (v0 + dt g)|_M^2 + dt Phi(v)
+in three unknowns. It rests where friction holds and does not chatter.
+
+Each loop below either works on every contact by itself, or adds up in the order of the contacts:
+the first kind the compiler takes several at a time, and no sum depends on how many.
+"""
+
+import math
+
+from surface_gym.physics.jit import inlined, linked
+from surface_gym.physics.types import (
+    ARM_X,
+    ARM_Y,
+    AXIS_X,
+    AXIS_Y,
+    CURVE_WW,
+    CURVE_XW,
+    CURVE_XX,
+    CURVE_XY,
+    CURVE_YW,
+    CURVE_YY,
+    FORCE_X,
+    FORCE_Y,
+    KINK_1,
+    KINK_2,
+    KINK_3,
+    KINK_4,
+    KINKS,
+    MOST_ACROSS,
+    MOST_ALONG,
+    MU_ACROSS,
+    MU_ALONG,
+    NORMAL,
+    RATE_ACROSS,
+    RATE_ALONG,
+    SLIDE_ACROSS,
+    SLIDE_ALONG,
+    SLIP_ACROSS,
+    SLIP_ALONG,
+    SLOPE,
+    SUPPORT,
+    TORQUE,
+    Array,
+    Contacts,
+    Grid,
+    Scratch,
+)
+
+MAX_SEARCHES = 60
+SEARCH_SLOPE = 0.01  # share of the starting slope that may be left
+
+
+@inlined
+def _prepare(
+    scratch: Scratch,
+    contacts: Contacts,
+    vx: float,
+    vy: float,
+    omega: float,
+    dx: float,
+    dy: float,
+    dw: float,
+    rounding: float,
+) -> None:
+    """Write each contact's velocity, its change along the search, and its kinks."""
+    table = scratch.table
+    for i in range(contacts.total):
+        x = table[ARM_X + i]
+        y = table[ARM_Y + i]
+        ax = table[AXIS_X + i]
+        ay = table[AXIS_Y + i]
+        ux = vx - omega * y
+        uy = vy + omega * x
+        sx = dx - dw * y
+        sy = dy + dw * x
+        along = ax * ux + ay * uy
+        along_rate = ax * sx + ay * sy
+        across = ax * uy - ay * ux
+        across_rate = ax * sy - ay * sx
+        table[SLIDE_ALONG + i] = along
+        table[RATE_ALONG + i] = along_rate
+        table[SLIDE_ACROSS + i] = across
+        table[RATE_ACROSS + i] = across_rate
+        # Where a rate is 0 these are infinite or not a number, so near to nothing.
+        table[KINK_1 + i] = (-rounding - along) / along_rate
+        table[KINK_2 + i] = (rounding - along) / along_rate
+        table[KINK_3 + i] = (-rounding - across) / across_rate
+        table[KINK_4 + i] = (rounding - across) / across_rate
+
+
+@inlined
+def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> float:
+    """Derivative of Phi along the search at t."""
+    table = scratch.table
+    per_rounding = 1.0 / rounding
+    for i in range(contacts.total):
+        u = table[SLIDE_ALONG + i] + t * table[RATE_ALONG + i]
+        v = table[SLIDE_ACROSS + i] + t * table[RATE_ACROSS + i]
+        along = table[MU_ALONG + i] * min(1.0, max(-1.0, u * per_rounding))
+        across = table[MU_ACROSS + i] * min(1.0, max(-1.0, v * per_rounding))
+        table[SLOPE + i] = table[NORMAL + i] * (
+            along * table[RATE_ALONG + i] + across * table[RATE_ACROSS + i]
+        )
+    for k in range(contacts.supports):
+        i = scratch.marks[SUPPORT + k]
+        u = table[SLIDE_ALONG + i] + t * table[RATE_ALONG + i]
+        v = table[SLIDE_ACROSS + i] + t * table[RATE_ACROSS + i]
+        share = table[MU_ALONG + i] / max(rounding, math.sqrt(u * u + v * v))
+        along = share * u
+        across = share * v
+        table[SLOPE + i] = table[NORMAL + i] * (
+            along * table[RATE_ALONG + i] + across * table[RATE_ACROSS + i]
+        )
+    total = 0.0
+    for i in range(contacts.total):
+        total += table[SLOPE + i]
+    return total
+
+
+@inlined
+def _keep_kinks(scratch: Scratch, count: int) -> int:
+    """Write the kinks within the search one after the other; how many there are.
+
+    A kink is where a contact passes between sliding and held.
+    """
+    table = scratch.table
+    found = 0
+    for i in range(count):
+        for kink in (KINK_1, KINK_2, KINK_3, KINK_4):
+            t = table[kink + i]
+            table[KINKS + found] = t
+            found += (t > 0.0) & (t < 1.0)
+    return found
+
+
+@inlined
+def _kink_nearest_middle(scratch: Scratch, kinks: int, low: float, high: float) -> float:
+    """The kink nearest to the middle of (low, high); negative if there is none."""
+    middle = 0.5 * (low + high)
+    distance = 0.5 * (high - low) * (1.0 - 1e-9)
+    nearest = -1.0
+    for k in range(kinks):
+        t = scratch.table[KINKS + k]
+        if abs(t - middle) < distance:
+            distance = abs(t - middle)
+            nearest = t
+    return nearest
+
+
+@linked
+def step_length(
+    scratch: Scratch,
+    contacts: Contacts,
+    dt: float,
+    vx: float,
+    vy: float,
+    omega: float,
+    dx: float,
+    dy: float,
+    dw: float,
+    start: float,
+    rate: float,
+    end: float,
+    rounding: float,
+) -> float:
+    """Step length in (0, 1) at the minimum along a Newton direction (dx, dy, dw).
+
+    The slope increases and, over rotors, is linear between its kinks: bracket it between two
+    kinks and the secant is exact. Over supports it is nearly so, and the secant repeats.
+
+    Args:
+        start: slope of the whole objective at 0, negative.
+        rate: growth of the inertial part's slope from 0 to 1.
+        end: slope at 1, positive.
+        rounding: [m/s] contact speed below which a rotor is held.
+    """
+    _prepare(scratch, contacts, vx, vy, omega, dx, dy, dw, rounding)
+    kinks = _keep_kinks(scratch, contacts.total)
+    low, high = 0.0, 1.0
+    at_low, at_high = start, end
+    inertial = start - dt * _slope(scratch, contacts, 0.0, rounding)
+    t = -1.0
+    kinks_left = True
+    for _ in range(MAX_SEARCHES):
+        if kinks_left:
+            t = _kink_nearest_middle(scratch, kinks, low, high)
+            kinks_left = t >= 0.0
+        if not kinks_left:
+            t = low - at_low * (high - low) / (at_high - at_low)
+        slope = inertial + t * rate + dt * _slope(scratch, contacts, t, rounding)
+        if abs(slope) <= -SEARCH_SLOPE * start:
+            break
+        if slope < 0.0:
+            low, at_low = t, slope
+        else:
+            high, at_high = t, slope
+    return t
+
+
+# Phi is rounded (Huber) below this contact speed, a tenth of where the paper's tanh(5000 |V|)
+# bends: along and across its axis a contact that is held creeps by less than this.
+ROUNDING = 1e-5  # [m/s]
+TOLERANCE = 1e-9  # [m/s] left of the optimality condition
+MAX_ITERATIONS = 100
+# A full Newton step may leave this share of the starting slope.
+FULL_STEP_SLOPE = 0.5
+
+
+@inlined
+def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
+    """Write what friction can do at most in a step."""
+    table = scratch.table
+    for i in range(contacts.total):
+        load = dt * table[NORMAL + i]
+        table[MOST_ALONG + i] = load * table[MU_ALONG + i]
+        table[MOST_ACROSS + i] = load * table[MU_ACROSS + i]
+
+
+@inlined
+def friction_gradient(
+    scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
+) -> tuple[float, float, float, bool]:
+    """Gradient of dt Phi at a velocity, and whether its curvature is zero everywhere."""
+    table = scratch.table
+    per_rounding = 1.0 / ROUNDING
+    held = 0
+    for i in range(contacts.total):
+        x = table[ARM_X + i]
+        y = table[ARM_Y + i]
+        ax = table[AXIS_X + i]
+        ay = table[AXIS_Y + i]
+        ux = vx - omega * y
+        uy = vy + omega * x
+        along = (ax * ux + ay * uy) * per_rounding
+        across = (ax * uy - ay * ux) * per_rounding
+        f_along = table[MOST_ALONG + i] * min(1.0, max(-1.0, along))
+        f_across = table[MOST_ACROSS + i] * min(1.0, max(-1.0, across))
+        fx = f_along * ax - f_across * ay
+        fy = f_along * ay + f_across * ax
+        table[SLIP_ALONG + i] = along
+        table[SLIP_ACROSS + i] = across
+        table[FORCE_X + i] = fx
+        table[FORCE_Y + i] = fy
+        table[TORQUE + i] = x * fy - y * fx
+        held += (abs(along) < 1.0) | (abs(across) < 1.0)
+    for k in range(contacts.supports):
+        i = scratch.marks[SUPPORT + k]
+        x = table[ARM_X + i]
+        y = table[ARM_Y + i]
+        ux = vx - omega * y
+        uy = vy + omega * x
+        share = table[MOST_ALONG + i] / max(ROUNDING, math.sqrt(ux * ux + uy * uy))
+        fx = share * ux
+        fy = share * uy
+        table[FORCE_X + i] = fx
+        table[FORCE_Y + i] = fy
+        table[TORQUE + i] = x * fy - y * fx
+    gx = gy = gw = 0.0
+    for i in range(contacts.total):
+        gx += table[FORCE_X + i]
+        gy += table[FORCE_Y + i]
+        gw += table[TORQUE + i]
+    return gx, gy, gw, held + contacts.supports == 0
+
+
+@inlined
+def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
+    """A contact's part of the Hessian, from that of its velocity."""
+    x = table[ARM_X + i]
+    y = table[ARM_Y + i]
+    kxw = x * kxy - y * kxx
+    kyw = x * kyy - y * kxy
+    table[CURVE_XX + i] = kxx
+    table[CURVE_XY + i] = kxy
+    table[CURVE_XW + i] = kxw
+    table[CURVE_YY + i] = kyy
+    table[CURVE_YW + i] = kyw
+    table[CURVE_WW + i] = x * kyw - y * kxw
+
+
+@inlined
+def friction_curvature(
+    scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
+) -> tuple[float, float, float, float, float, float]:
+    """Upper triangle of the Hessian of dt Phi where `friction_gradient` was taken last."""
+    table = scratch.table
+    per_rounding = 1.0 / ROUNDING
+    for i in range(contacts.total):
+        ax = table[AXIS_X + i]
+        ay = table[AXIS_Y + i]
+        held_along = abs(table[SLIP_ALONG + i]) < 1.0
+        held_across = abs(table[SLIP_ACROSS + i]) < 1.0
+        k_along = held_along * table[MOST_ALONG + i] * per_rounding
+        k_across = held_across * table[MOST_ACROSS + i] * per_rounding
+        kxx = k_along * ax * ax + k_across * ay * ay
+        kxy = (k_along - k_across) * ax * ay
+        kyy = k_along * ay * ay + k_across * ax * ax
+        _write_curvature(table, i, kxx, kxy, kyy)
+    for k in range(contacts.supports):
+        i = scratch.marks[SUPPORT + k]
+        x = table[ARM_X + i]
+        y = table[ARM_Y + i]
+        ux = vx - omega * y
+        uy = vy + omega * x
+        speed = math.sqrt(ux * ux + uy * uy)
+        share = table[MOST_ALONG + i] / max(ROUNDING, speed)
+        kxx = kyy = share
+        kxy = 0.0
+        if speed >= ROUNDING:
+            bend = share / (speed * speed)
+            kxx -= bend * ux * ux
+            kyy -= bend * uy * uy
+            kxy -= bend * ux * uy
+        _write_curvature(table, i, kxx, kxy, kyy)
+    hxx = hxy = hxw = hyy = hyw = hww = 0.0
+    for i in range(contacts.total):
+        hxx += table[CURVE_XX + i]
+        hxy += table[CURVE_XY + i]
+        hxw += table[CURVE_XW + i]
+        hyy += table[CURVE_YY + i]
+        hyw += table[CURVE_YW + i]
+        hww += table[CURVE_WW + i]
+    return hxx, hxy, hxw, hyy, hyw, hww
+
+
+@inlined
+def implicit_velocity(
+    grid: Grid,
+    gyration: float,
+    scratch: Scratch,
+    contacts: Contacts,
+    dt: float,
+    vx: float,
+    vy: float,
+    omega: float,
+) -> tuple[float, float, float]:
+    """Velocity (vx, vy, omega) of the centre of mass after a step, from the one before it.
+
+    Args:
+        gyration: [m^2] inertia / mass.
+        scratch: arms, axes, friction and normal forces of the contacts.
+    """
+    load_contacts(scratch, contacts, dt)
+    target_x = vx + dt * grid.gravity_along
+    target_y = vy
+    target_w = omega
+    radius = math.sqrt(gyration)
+    dx = dy = dw = 0.0
+    start = 0.0
+    step = 0.0
+    for _ in range(MAX_ITERATIONS):
+        new_vx = vx + step * dx
+        new_vy = vy + step * dy
+        new_omega = omega + step * dw
+        gx, gy, gw, flat = friction_gradient(scratch, contacts, new_vx, new_vy, new_omega)
+        gx += new_vx - target_x
+        gy += new_vy - target_y
+        gw += gyration * (new_omega - target_w)
+        end = gx * dx + gy * dy + gw * dw
+        if step == 1.0 and end > -FULL_STEP_SLOPE * start:
+            rate = dx * dx + dy * dy + gyration * dw * dw
+            step = step_length(
+                scratch, contacts, dt, vx, vy, omega, dx, dy, dw, start, rate, end, ROUNDING
+            )
+            continue
+        vx, vy, omega = new_vx, new_vy, new_omega
+        if abs(gx) + abs(gy) + abs(gw) < TOLERANCE * radius:
+            break
+        hxx = hxy = hxw = hyy = hyw = hww = 0.0
+        if not flat:
+            hxx, hxy, hxw, hyy, hyw, hww = friction_curvature(scratch, contacts, vx, vy, omega)
+        # Newton's direction: the symmetric 3 x 3 solve by cofactors.
+        hxx += 1.0
+        hyy += 1.0
+        hww += gyration
+        cxx = hyy * hww - hyw * hyw
+        cxy = hxw * hyw - hxy * hww
+        cxw = hxy * hyw - hxw * hyy
+        cyy = hxx * hww - hxw * hxw
+        cyw = hxy * hxw - hxx * hyw
+        cww = hxx * hyy - hxy * hxy
+        inverse = -1.0 / (hxx * cxx + hxy * cxy + hxw * cxw)
+        dx = (cxx * gx + cxy * gy + cxw * gw) * inverse
+        dy = (cxy * gx + cyy * gy + cyw * gw) * inverse
+        dw = (cxw * gx + cyw * gy + cww * gw) * inverse
+        start = gx * dx + gy * dy + gw * dw
+        step = 1.0
+    return vx, vy, omega

@@ -1,0 +1,200 @@
+"""Normal forces, Eq. (1), by its dual: three unknowns however many contacts there are.
+
+The minimiser of |N|^2 under vertical and moment balance with N >= 0 is a pressure plane cut off
+at zero, N_i = max(0, c + cx x_i + cy y_i). Elements of unequal stiffness k_i weigh the squares,
+sum N_i^2 / k_i, and then N_i = k_i max(0, c + cx x_i + cy y_i). The upper bound m g cos(gamma) of
+Eq. (1) follows from vertical balance and N >= 0, so it never binds on its own. Forces are per unit
+mass throughout.
+"""
+
+from surface_gym.physics.jit import inlined, linked
+from surface_gym.physics.types import ARM_X, ARM_Y, NORMAL, PRESSURE, STIFFNESS, Scratch
+
+MAX_ITERATIONS = 100
+MAX_SEARCHES = 100
+# The moment balance may miss by this times the plane's slope. That leaves a solution where none is
+# exact (the parcel tips), and moves an exact one by about 1e-8 of itself.
+SLACK = 1e-8  # [pitch^2]
+COLLINEAR_SLACK = 1e-5  # [pitch^2] where the plane's slope across the line is arbitrary
+BALANCE_TOLERANCE = 1e-12  # [weight] left of the balance, and [weight * pitch] of the moments
+TIPPING_TOLERANCE = 1e-6  # [pitch] by which the load point may miss what the contacts can carry
+COLLINEAR_TOLERANCE = 1e-6  # [-] least product of the two spreads, over their sum squared
+
+
+@linked
+def _minimise_along(
+    scratch: Scratch,
+    contacts: int,
+    c: float,
+    cx: float,
+    cy: float,
+    dc: float,
+    dx: float,
+    dy: float,
+    start: float,
+    end: float,
+    slack: float,
+) -> float:
+    """Step length in (0, 1) at the minimum of the dual along a change of the plane.
+
+    The slope increases and is linear between its kinks, where a contact is loaded or lifted:
+    bracket it between two neighbours and the secant is exact.
+
+    Args:
+        start: slope at 0, negative.
+        end: slope at 1, positive.
+        slack: [m^2] of the moment balance.
+    """
+    table = scratch.table
+    low, high = 0.0, 1.0
+    at_low, at_high = start, end
+    rate = slack * (dx * dx + dy * dy)
+    constant = start
+    for i in range(contacts):
+        pressure = c + cx * table[ARM_X + i] + cy * table[ARM_Y + i]
+        change = dc + dx * table[ARM_X + i] + dy * table[ARM_Y + i]
+        constant -= table[STIFFNESS + i] * change * max(0.0, pressure)
+    for _ in range(MAX_SEARCHES):
+        # The kink nearest to the middle of the bracket.
+        middle = 0.5 * (low + high)
+        distance = 0.5 * (high - low) * (1.0 - 1e-9)
+        t = -1.0
+        for i in range(contacts):
+            pressure = c + cx * table[ARM_X + i] + cy * table[ARM_Y + i]
+            change = dc + dx * table[ARM_X + i] + dy * table[ARM_Y + i]
+            if change != 0.0 and abs(pressure / change + middle) < distance:
+                t = -pressure / change
+                distance = abs(t - middle)
+        if t < 0.0:
+            break
+        slope = constant + t * rate
+        for i in range(contacts):
+            pressure = c + cx * table[ARM_X + i] + cy * table[ARM_Y + i]
+            change = dc + dx * table[ARM_X + i] + dy * table[ARM_Y + i]
+            slope += table[STIFFNESS + i] * change * max(0.0, pressure + t * change)
+        if slope < 0.0:
+            low, at_low = t, slope
+        else:
+            high, at_high = t, slope
+    return low - at_low * (high - low) / (at_high - at_low)
+
+
+@inlined
+def _loaded_sums(
+    scratch: Scratch, contacts: int
+) -> tuple[float, float, float, float, float, float]:
+    """Sums of k, k x, k y, k x^2, k x y and k y^2 over the loaded contacts."""
+    table = scratch.table
+    s = sx = sy = sxx = sxy = syy = 0.0
+    for i in range(contacts):
+        x = table[ARM_X + i]
+        y = table[ARM_Y + i]
+        k = table[STIFFNESS + i] if table[PRESSURE + i] > 0.0 else 0.0
+        kx = k * x
+        ky = k * y
+        s += k
+        sx += kx
+        sy += ky
+        sxx += kx * x
+        sxy += kx * y
+        syy += ky * y
+    return s, sx, sy, sxx, sxy, syy
+
+
+@inlined
+def dual_normal_forces(
+    scratch: Scratch,
+    contacts: int,
+    weight: float,
+    load_x: float,
+    load_y: float,
+    pitch: float,
+) -> bool:
+    """Write the normal forces of Eq. (1) into `scratch` by a semismooth Newton on its dual.
+
+    Args:
+        scratch: arms and stiffnesses of the contacts in, normal forces out.
+        contacts: their number, at least one.
+        weight: [m/s^2] normal load / mass.
+        load_x: [m] where the load acts, from the centre of mass.
+        load_y: [m].
+        pitch: [m] scale of the contacts' distances.
+
+    Returns:
+        Whether the set is degenerate: fewer than three contacts, collinear, or the load point
+        outside their hull. Then vertical balance holds and the moments come as near as they can.
+    """
+    table = scratch.table
+    slack = SLACK * pitch * pitch
+    for i in range(contacts):
+        table[PRESSURE + i] = 1.0
+    # From a uniform pressure, which loads every contact, to the plane that balances the load on
+    # the contacts now loaded, and again until that lifts or loads none.
+    c, cx, cy = weight / contacts, 0.0, 0.0
+    dc = dx = dy = 0.0
+    start = 0.0
+    step = 0.0
+    degenerate = contacts < 3
+    for _ in range(MAX_ITERATIONS):
+        trial_c = c + step * dc
+        trial_cx = cx + step * dx
+        trial_cy = cy + step * dy
+        changes = 0
+        for i in range(contacts):
+            pressure = trial_c + trial_cx * table[ARM_X + i] + trial_cy * table[ARM_Y + i]
+            changes += (pressure > 0.0) != (table[PRESSURE + i] > 0.0)
+            table[PRESSURE + i] = pressure
+        if step == 1.0 and changes == 0:
+            break
+        s, sx, sy, sxx, sxy, syy = _loaded_sums(scratch, contacts)
+        if step == 0.0:
+            slack *= s / contacts
+        # What is left of the balance: the gradient of the dual.
+        left = s * trial_c + sx * trial_cx + sy * trial_cy - weight
+        left_x = sx * trial_c + (sxx + slack) * trial_cx + sxy * trial_cy - weight * load_x
+        left_y = sy * trial_c + sxy * trial_cx + (syy + slack) * trial_cy - weight * load_y
+        missing = abs(left) * pitch + abs(left_x) + abs(left_y)
+        if step > 0.0 and missing < BALANCE_TOLERANCE * weight * pitch:
+            break
+        if step == 1.0:
+            end = left * dc + left_x * dx + left_y * dy
+            if end > -0.5 * start:
+                step = _minimise_along(scratch, contacts, c, cx, cy, dc, dx, dy, start, end, slack)
+                continue
+        c, cx, cy = trial_c, trial_cx, trial_cy
+        per_s = 1.0 / s
+        mean_x = sx * per_s
+        mean_y = sy * per_s
+        vxx = sxx - sx * mean_x
+        vxy = sxy - sx * mean_y
+        vyy = syy - sy * mean_y
+        if step == 0.0 and vxx * vyy - vxy * vxy <= COLLINEAR_TOLERANCE * (vxx + vyy) * (vxx + vyy):
+            degenerate = True
+            slack *= COLLINEAR_SLACK / SLACK
+        vxx += slack
+        vyy += slack
+        rx = weight * (load_x - mean_x)
+        ry = weight * (load_y - mean_y)
+        inverse = 1.0 / (vxx * vyy - vxy * vxy)
+        new_cx = (vyy * rx - vxy * ry) * inverse
+        new_cy = (vxx * ry - vxy * rx) * inverse
+        dc = weight * per_s - new_cx * mean_x - new_cy * mean_y - c
+        dx = new_cx - cx
+        dy = new_cy - cy
+        start = left * dc + left_x * dx + left_y * dy
+        if start >= 0.0:  # round-off is all that is left
+            break
+        step = 1.0
+    miss = slack * (abs(trial_cx) + abs(trial_cy))
+    if miss > TIPPING_TOLERANCE * pitch * weight:
+        degenerate = True
+    for i in range(contacts):
+        table[NORMAL + i] = table[STIFFNESS + i] * max(0.0, table[PRESSURE + i])
+    if degenerate:
+        # A steep plane leaves round-off in the sum.
+        total = 0.0
+        for i in range(contacts):
+            total += table[NORMAL + i]
+        for i in range(contacts):
+            table[NORMAL + i] *= weight / total
+    return degenerate

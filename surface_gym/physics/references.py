@@ -1,0 +1,147 @@
+"""Reference solvers of the normal forces, and the physics' functions for callers in Python.
+
+All take arms (n, 2) [m] from the centre of mass to the contacts, the normal load [m/s^2] per unit
+mass, the point (2,) [m] where it acts, and the contacts' stiffnesses (n,) [-]; and return normal
+forces (n,) [m/s^2] and whether the set is degenerate (see `dual_normal_forces`).
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import osqp
+from scipy import sparse
+from scipy.optimize import nnls
+
+from surface_gym.physics import contacts, friction, normal_forces, step
+from surface_gym.physics.jit import compiled
+from surface_gym.physics.types import (
+    ARM_X,
+    ARM_Y,
+    NORMAL,
+    STIFFNESS,
+    Array,
+    Body,
+    Grid,
+    Scratch,
+    table_row,
+)
+
+find_contacts = compiled(contacts.find_contacts.py_func)
+dual_normal_forces = compiled(normal_forces.dual_normal_forces.py_func)
+implicit_velocity = compiled(friction.implicit_velocity.py_func)
+explicit_acceleration = compiled(step.explicit_acceleration.py_func)
+load_point = compiled(step.load_point.py_func)
+find_support = compiled(step.find_support.py_func)
+explain_unsupported = compiled(step.explain_unsupported.py_func)
+support_load = compiled(step.support_load.py_func)
+step_implicit = compiled(step.step_implicit.py_func)
+step_explicit = compiled(step.step_explicit.py_func)
+advance_implicit = compiled(step.advance_implicit.py_func)
+advance_explicit = compiled(step.advance_explicit.py_func)
+
+
+Solver = Callable[[Array, float, Array, Array], tuple[Array, bool]]
+
+_MISS = 1e-6  # [of the arms' scale] moment left over that makes a set degenerate
+
+
+def _balance(arms: Array, load: Array) -> tuple[Array, Array, float]:
+    """A_eq and b_eq of Eq. (1) with the load 1 and the arms' scale taken out."""
+    scale = max(float(np.abs(arms).max()), 1e-9)
+    matrix = np.vstack([np.ones(len(arms)), arms.T / scale])
+    return matrix, np.array([1.0, load[0] / scale, load[1] / scale]), scale
+
+
+def _is_degenerate(matrix: Array, target: Array, share: Array) -> bool:
+    centred = matrix[1:] - matrix[1:].mean(axis=1, keepdims=True)
+    flat = np.linalg.matrix_rank(centred, tol=1e-3 * np.linalg.norm(centred)) < 2
+    return bool(len(share) < 3 or flat or np.abs(matrix[1:] @ share - target[1:]).max() > _MISS)
+
+
+def scipy_normal_forces(
+    arms: Array, weight: float, load: Array, stiffness: Array | None = None
+) -> tuple[Array, bool]:
+    """By SciPy's active-set `nnls`: the balance as heavy rows over the identity."""
+    matrix, target, _ = _balance(arms, load)
+    heavy = np.array([1e9, 1e6, 1e6])[:, np.newaxis]
+    root = np.ones(len(arms)) if stiffness is None else np.sqrt(stiffness)
+    system = np.vstack([heavy * matrix * root, np.eye(len(arms))])
+    scaled, _ = nnls(system, np.concatenate([heavy[:, 0] * target, np.zeros(len(arms))]))
+    share = root * scaled
+    degenerate = _is_degenerate(matrix, target, share)
+    return weight * share / share.sum(), degenerate
+
+
+def osqp_normal_forces(
+    arms: Array, weight: float, load: Array, stiffness: Array | None = None
+) -> tuple[Array, bool]:
+    """By OSQP, to the letter of Eq. (1); where that is infeasible, moments as near as they come."""
+    matrix, target, _ = _balance(arms, load)
+    n = len(arms)
+    rows = sparse.csc_matrix(np.vstack([matrix, np.eye(n)]))
+    low = np.concatenate([target, np.zeros(n)])
+    high = np.concatenate([target, np.ones(n)])
+    cost = np.eye(n) if stiffness is None else np.diag(stiffness.mean() / stiffness)
+    share = _osqp(sparse.csc_matrix(cost), np.zeros(n), rows, low, high)
+    if share is None or np.abs(matrix @ share - target).max() > _MISS:
+        moments = matrix[1:]
+        stiff = sparse.csc_matrix(np.triu(1e8 * moments.T @ moments + cost))
+        rows = sparse.csc_matrix(np.vstack([matrix[:1], np.eye(n)]))
+        share = _osqp(
+            stiff,
+            -1e8 * moments.T @ target[1:],
+            rows,
+            np.delete(low, (1, 2)),
+            np.delete(high, (1, 2)),
+        )
+        if share is None:
+            raise RuntimeError(f"OSQP found no normal forces for the contacts {arms.tolist()}")
+    share = np.maximum(share, 0.0)
+    return weight * share / share.sum(), _is_degenerate(matrix, target, share)
+
+
+def _osqp(
+    cost: sparse.csc_matrix, linear: Array, rows: sparse.csc_matrix, low: Array, high: Array
+) -> Array | None:
+    problem = osqp.OSQP()
+    problem.setup(
+        cost,
+        linear,
+        rows,
+        low,
+        high,
+        verbose=False,
+        eps_abs=1e-9,
+        eps_rel=1e-9,
+        max_iter=20_000,
+        adaptive_rho_interval=25,  # at its default some sets never converge
+        polishing=True,
+    )
+    result = problem.solve(raise_error=False)
+    return np.asarray(result.x) if result.info.status == "solved" else None
+
+
+SOLVERS: dict[str, Solver] = {"osqp": osqp_normal_forces, "scipy": scipy_normal_forces}
+
+
+def support_load_by(
+    solver: str, grid: Grid, body: Body, state: Array, scratch: Scratch, count: int
+) -> bool:
+    """Normal forces of the contacts in `scratch`; whether they are degenerate.
+
+    Args:
+        solver: a key of `references.SOLVERS`.
+        grid: the surface.
+        body: the parcel.
+        state: (STATE_SIZE,) at the start of the step.
+        scratch: that holds the contacts.
+        count: of the contacts, at least one.
+    """
+    from surface_gym.physics import references
+
+    arms = np.column_stack([table_row(scratch, ARM_X, count), table_row(scratch, ARM_Y, count)])
+    load = np.array(load_point(grid, body, state))
+    stiffness = table_row(scratch, STIFFNESS, count)
+    normal, degenerate = references.SOLVERS[solver](arms, grid.gravity_normal, load, stiffness)
+    table_row(scratch, NORMAL, count)[:] = normal
+    return degenerate

@@ -1,0 +1,294 @@
+"""Runs of many steps, recorded or repeated from a record.
+
+A run records states alone. Each step depends on the state before it and nothing else, so the same
+functions lead from there to the same bits.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym.physics.collision import ContactMaterial, World, WorldScratch
+from surface_gym.physics.contact_solver import step_world
+from surface_gym.physics.friction import friction_gradient
+from surface_gym.physics.jit import compiled, inlined
+from surface_gym.physics.signed_distance import (
+    read_outline,
+    signed_distance,
+    sweep_at_rest,
+    transform_at,
+)
+from surface_gym.physics.step import (
+    OFF_SURFACE,
+    RESTART_SPEED,
+    advance_explicit,
+    advance_implicit,
+    explicit_acceleration,
+    find_support,
+    held_share,
+    step_explicit,
+    step_implicit,
+    support_load,
+)
+from surface_gym.physics.types import (
+    AXIS_X,
+    AXIS_Y,
+    FORCE_X,
+    FORCE_Y,
+    NORMAL,
+    OMEGA,
+    ROTOR,
+    SPAN_FIRST,
+    SPAN_LAST,
+    SPAN_ROW,
+    SPANS,
+    STATE_SIZE,
+    VX,
+    VY,
+    Array,
+    Body,
+    Contacts,
+    Grid,
+    Integers,
+    Scratch,
+)
+
+
+@compiled
+def run_implicit(
+    grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch, dt: float
+) -> int:
+    """Fill states[1:] (steps + 1, STATE_SIZE) and reports[1:] from states[0].
+
+    Returns:
+        The steps done; fewer than asked for where a report ended the run.
+    """
+    for k in range(1, states.shape[0]):
+        for j in range(STATE_SIZE):
+            states[k, j] = states[k - 1, j]
+        reports[k], _ = step_implicit(grid, body, states[k], scratch, dt)
+        if reports[k] >= OFF_SURFACE:
+            return k - 1
+    return states.shape[0] - 1
+
+
+@compiled
+def run_explicit(
+    grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch, dt: float
+) -> int:
+    """`run_implicit` with the paper's loop in place of the implicit step."""
+    for k in range(1, states.shape[0]):
+        for j in range(STATE_SIZE):
+            states[k, j] = states[k - 1, j]
+        reports[k], _ = step_explicit(grid, body, states[k], scratch, dt)
+        if reports[k] >= OFF_SURFACE:
+            return k - 1
+    return states.shape[0] - 1
+
+
+class Records(NamedTuple):
+    """What a run writes down, a row a step, the start first; and a row a touch."""
+
+    state: Array  # (steps + 1, P, STATE_SIZE)
+    report: Integers  # (steps + 1, P)
+    step: Integers  # (most touches,) in which parcels pushed each other
+    pair: Integers  # (most touches, 2) their rows
+    impulse: Array  # (most touches,) [N s] along the normal
+
+
+@compiled
+def run_world(
+    grid: Grid,
+    world: World,
+    material: ContactMaterial,
+    scratch: WorldScratch,
+    records: Records,
+    first: int,
+    last: int,
+    touches: int,
+    dt: float,
+) -> tuple[int, int]:
+    """Do the steps from `first` to `last`; whoever leaves the surface is present no more.
+
+    Args:
+        grid: the surface that all are on.
+        company: that takes the steps.
+        touching: how sides behave.
+        scratch: for as many parcels.
+        records: to be written from `first` on.
+        first: step.
+        last: step.
+        touches: that stand in the records already.
+        dt: [s] step.
+
+    Returns:
+        The next step to be done, which is not past `last` where the records of touches may not
+        have room for it; and how many touches stand in them.
+    """
+    rows = world.present.shape[0]
+    for k in range(first, last + 1):
+        if touches + scratch.pair.shape[0] > records.step.shape[0]:
+            return k, touches
+        pushed = step_world(grid, world, material, scratch, dt)
+        for e in range(pushed):
+            records.step[touches] = k
+            records.pair[touches, 0] = scratch.pair[e, 0]
+            records.pair[touches, 1] = scratch.pair[e, 1]
+            records.impulse[touches] = scratch.impulse[e]
+            touches += 1
+        for i in range(rows):
+            records.report[k, i] = scratch.report[i]
+            world.present[i] &= scratch.report[i] < OFF_SURFACE
+            for j in range(STATE_SIZE):
+                records.state[k, i, j] = world.state[i, j]
+    return last + 1, touches
+
+
+@compiled
+def distance_between(world: World, i: int, j: int) -> float:
+    """[m] of the gap between two parcels, negative where they overlap."""
+    first = read_outline(world.bodies, world.body[i])
+    second = read_outline(world.bodies, world.body[j])
+    gap = signed_distance(
+        first,
+        transform_at(first, sweep_at_rest(world.state[i]), 0.0),
+        second,
+        transform_at(second, sweep_at_rest(world.state[j]), 0.0),
+    )
+    return gap.width
+
+
+class RecordedSteps(NamedTuple):
+    """The steps of a run: step k leads from row k - 1 to row k, and step 0 is none."""
+
+    before: Array  # (T, STATE_SIZE) the states recorded
+    length: Array  # (T,) [s]
+    lead: Array  # (T,) [s] from a step's start to the pose whose contacts bear it
+    first: Integers  # (T + 1,) the row of a step's first contact in what is observed
+
+
+class ContactForces(NamedTuple):
+    """What the steps leave, the contacts of a step one after the other in the order of the grid."""
+
+    state: Array  # (T, STATE_SIZE) where each step leads
+    element: Integers  # (contacts, 2) row and column
+    normal: Array  # (contacts,) [m/s^2] normal force / mass
+    force: Array  # (contacts, 2) [m/s^2] friction on the parcel / mass, in x and y
+
+
+@compiled
+def count_contacts(
+    grid: Grid, body: Body, steps: RecordedSteps, scratch: Scratch, count: Integers
+) -> None:
+    """Write how many contacts bear each step, (T,); all that follows asks for one at least."""
+    for k in range(1, steps.before.shape[0]):
+        contacts = find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
+        count[k] = contacts.total
+
+
+@compiled
+def support_loads(
+    grid: Grid, body: Body, steps: RecordedSteps, scratch: Scratch, observed: ContactForces
+) -> None:
+    """Write the normal forces of all steps, by the dual of Eq. (1)."""
+    for k in range(1, steps.before.shape[0]):
+        contacts = find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
+        support_load(grid, body, steps.before[k - 1], scratch, contacts)
+        for i in range(contacts.total):
+            observed.normal[steps.first[k] + i] = scratch.table[NORMAL + i]
+
+
+@inlined
+def _begin(
+    grid: Grid, body: Body, steps: RecordedSteps, k: int, scratch: Scratch, observed: ContactForces
+) -> Contacts:
+    """Put a step's state, contacts and normal forces where the step takes them from."""
+    state, first = observed.state[k], steps.first[k]
+    for j in range(STATE_SIZE):
+        state[j] = steps.before[k - 1, j]
+    contacts = find_support(grid, body, state, scratch, steps.lead[k])
+    for i in range(contacts.total):
+        scratch.table[NORMAL + i] = observed.normal[first + i]
+    i = first
+    for span in range(scratch.marks[SPANS]):
+        row = scratch.marks[SPAN_ROW + span]
+        for column in range(scratch.marks[SPAN_FIRST + span], scratch.marks[SPAN_LAST + span] + 1):
+            observed.element[i, 0] = row
+            observed.element[i, 1] = column
+            i += 1
+    return contacts
+
+
+@compiled
+def repeat_implicit(
+    grid: Grid, body: Body, steps: RecordedSteps, scratch: Scratch, observed: ContactForces
+) -> None:
+    """Do the implicit steps, normal forces given, and note the friction at their ends."""
+    for k in range(1, steps.before.shape[0]):
+        state, first, length = observed.state[k], steps.first[k], steps.length[k]
+        contacts = _begin(grid, body, steps, k, scratch, observed)
+        advance_implicit(grid, body, state, scratch, contacts, length)
+        friction_gradient(scratch, contacts, state[VX], state[VY], state[OMEGA])
+        for i in range(contacts.total):
+            observed.force[first + i, 0] = -scratch.table[FORCE_X + i] / length
+            observed.force[first + i, 1] = -scratch.table[FORCE_Y + i] / length
+
+
+@compiled
+def repeat_explicit(
+    grid: Grid,
+    level: Grid,
+    body: Body,
+    steps: RecordedSteps,
+    scratch: Scratch,
+    observed: ContactForces,
+) -> None:
+    """Do the explicit steps, normal forces given, and note the friction at their starts.
+
+    Args:
+        grid: the surface.
+        level: the same without the pull of gravity along it, so that friction alone is left.
+        body: the parcel.
+        steps: to do.
+        scratch: of the steps.
+        observed: normal forces in, all else out.
+    """
+    for k in range(1, steps.before.shape[0]):
+        before, state, first = steps.before[k - 1], observed.state[k], steps.first[k]
+        contacts = _begin(grid, body, steps, k, scratch, observed)
+        advance_explicit(grid, body, state, scratch, contacts, steps.length[k])
+        standing = before[VX] <= 0.0
+        vx = RESTART_SPEED if standing else before[VX]
+        along_x = 0.0
+        other_x = grid.gravity_along
+        for i in range(contacts.total):
+            # The law for one contact at a time, which begins the tables.
+            one = Scratch(scratch.table[i:], scratch.marks[i:])
+            fx, fy, _, _ = explicit_acceleration(
+                level, body.gyration, one, Contacts(1, 0), vx, before[VY], before[OMEGA]
+            )
+            observed.force[first + i, 0] = fx
+            observed.force[first + i, 1] = fy
+            pull = _along(scratch, i, fx, fy) * scratch.table[AXIS_X + i]
+            along_x += pull
+            other_x += fx - pull
+        if standing and state[VX] == 0.0:  # Figure 5b's rule held it
+            share = held_share(along_x, other_x)
+            _scale_along(scratch, contacts, observed.force[first:], share)
+
+
+@inlined
+def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
+    """What of a contact's friction is along a rotor's axis; nothing of a support's."""
+    axis_x, axis_y = scratch.table[AXIS_X + i], scratch.table[AXIS_Y + i]
+    return scratch.marks[ROTOR + i] * (axis_x * fx + axis_y * fy)
+
+
+@inlined
+def _scale_along(scratch: Scratch, contacts: Contacts, force: Array, share: float) -> None:
+    """Leave a share of the friction along the axes, and all other friction as it is."""
+    for i in range(contacts.total):
+        change = (share - 1.0) * _along(scratch, i, force[i, 0], force[i, 1])
+        force[i, 0] += change * scratch.table[AXIS_X + i]
+        force[i, 1] += change * scratch.table[AXIS_Y + i]

@@ -1,0 +1,377 @@
+"""Signed distance, contact manifold and time of impact of two bases.
+
+A base is a convex polygon by its corners, or a disc: a point with a radius. Polygons lie apart if
+and only if the normal of some edge of theirs parts them, so that the sign of the gap between two
+polygons is exact; apart from corner to corner, their distance is more.
+"""
+
+import math
+from typing import NamedTuple
+
+from surface_gym.physics.jit import inlined, linked
+from surface_gym.physics.types import (
+    COM_X,
+    COM_Y,
+    OMEGA,
+    RADIUS,
+    THETA,
+    VX,
+    VY,
+    Array,
+    Bodies,
+    X,
+    Y,
+)
+
+
+class Outline(NamedTuple):
+    """A base, in its own frame."""
+
+    corners: Array  # (corners, 2) [m] from the centroid, anti-clockwise; repeats are no edges
+    disc: float  # [m] radius of a disc, all of whose corners lie at the centroid; else 0
+    com_x: float  # [m] centre of mass from the centroid
+    com_y: float  # [m]
+
+
+class Sweep(NamedTuple):
+    """Where a centre of mass is at first, and how it moves on from there."""
+
+    x: float  # [m]
+    y: float  # [m]
+    theta: float  # [rad]
+    vx: float  # [m/s]
+    vy: float  # [m/s]
+    omega: float  # [rad/s]
+
+
+class Transform(NamedTuple):
+    """Where a base lies."""
+
+    x: float  # [m] of its centroid
+    y: float  # [m]
+    cosine: float  # of its angle
+    sine: float
+
+
+class SignedDistance(NamedTuple):
+    """What lies between two bases."""
+
+    width: float  # [m] negative where they overlap
+    nx: float  # unit normal from the first to the second
+    ny: float
+    edge: int  # that faces the other: of the first, or of the second from `corners` on; -1: round
+
+
+@inlined
+def read_outline(bodies: Bodies, site: int) -> Outline:
+    """The base in a row of the bodies."""
+    corners = bodies.corners[site]
+    is_disc = corners[0, 0] == 0.0 and corners[0, 1] == 0.0
+    return Outline(
+        corners,
+        bodies.body[site, RADIUS] if is_disc else 0.0,
+        bodies.body[site, COM_X],
+        bodies.body[site, COM_Y],
+    )
+
+
+@inlined
+def transform_at(outline: Outline, motion: Sweep, time: float) -> Transform:
+    """Where the base lies some time on [s]."""
+    theta = motion.theta + time * motion.omega
+    cosine = math.cos(theta)
+    sine = math.sin(theta)
+    return Transform(
+        motion.x + time * motion.vx - cosine * outline.com_x + sine * outline.com_y,
+        motion.y + time * motion.vy - sine * outline.com_x - cosine * outline.com_y,
+        cosine,
+        sine,
+    )
+
+
+@inlined
+def sweep_at_rest(state: Array) -> Sweep:
+    """A state as a motion that goes nowhere."""
+    return Sweep(state[X], state[Y], state[THETA], 0.0, 0.0, 0.0)
+
+
+@inlined
+def sweep_between(before: Array, after: Array) -> Sweep:
+    """The motion of a step, at the mean of its velocities as the implicit step's is."""
+    return Sweep(
+        before[X],
+        before[Y],
+        before[THETA],
+        0.5 * (before[VX] + after[VX]),
+        0.5 * (before[VY] + after[VY]),
+        0.5 * (before[OMEGA] + after[OMEGA]),
+    )
+
+
+@inlined
+def next_corner(corners: Array, k: int) -> int:
+    """The corner at the end of the edge that begins at a corner."""
+    return k + 1 if k + 1 < corners.shape[0] else 0
+
+
+@inlined
+def _parting_edge(
+    outline: Outline, place: Transform, other: Outline, at: Transform
+) -> SignedDistance:
+    """The edge that lies farthest from the other base, whose corners alone count."""
+    corners = outline.corners
+    width = -math.inf
+    nx = ny = 0.0
+    edge = -1
+    for k in range(corners.shape[0]):
+        end = next_corner(corners, k)
+        side_x = corners[end, 0] - corners[k, 0]
+        side_y = corners[end, 1] - corners[k, 1]
+        length = math.sqrt(side_x * side_x + side_y * side_y)
+        if length == 0.0:
+            continue
+        own_x = side_y / length
+        own_y = -side_x / length
+        x = place.cosine * own_x - place.sine * own_y
+        y = place.sine * own_x + place.cosine * own_y
+        their_x = at.cosine * x + at.sine * y
+        their_y = at.cosine * y - at.sine * x
+        nearest = math.inf
+        for j in range(other.corners.shape[0]):
+            nearest = min(nearest, their_x * other.corners[j, 0] + their_y * other.corners[j, 1])
+        beyond = x * (at.x - place.x) + y * (at.y - place.y) + nearest
+        beyond -= own_x * corners[k, 0] + own_y * corners[k, 1]
+        if beyond > width:
+            width, nx, ny, edge = beyond, x, y, k
+    return SignedDistance(width, nx, ny, edge)
+
+
+@inlined
+def _to_point(outline: Outline, place: Transform, x: float, y: float) -> tuple[float, float, float]:
+    """From a polygon to a point outside it: [m] distance and unit normal."""
+    corners = outline.corners
+    dx = place.cosine * (x - place.x) + place.sine * (y - place.y)
+    dy = place.cosine * (y - place.y) - place.sine * (x - place.x)
+    least = math.inf
+    nx = ny = 0.0
+    for k in range(corners.shape[0]):
+        end = next_corner(corners, k)
+        side_x = corners[end, 0] - corners[k, 0]
+        side_y = corners[end, 1] - corners[k, 1]
+        from_x = dx - corners[k, 0]
+        from_y = dy - corners[k, 1]
+        square = side_x * side_x + side_y * side_y
+        along = 0.0
+        if square > 0.0:
+            along = min(1.0, max(0.0, (from_x * side_x + from_y * side_y) / square))
+        from_x -= along * side_x
+        from_y -= along * side_y
+        distance = from_x * from_x + from_y * from_y
+        if distance < least:
+            least, nx, ny = distance, from_x, from_y
+    least = math.sqrt(least)
+    nx /= least
+    ny /= least
+    return least, place.cosine * nx - place.sine * ny, place.sine * nx + place.cosine * ny
+
+
+@inlined
+def _polygon_to_disc(
+    polygon: Outline, place: Transform, disc: Outline, at: Transform
+) -> SignedDistance:
+    inside = _parting_edge(polygon, place, disc, at)
+    width, nx, ny = inside.width, inside.nx, inside.ny
+    if width > 0.0:
+        width, nx, ny = _to_point(polygon, place, at.x, at.y)
+    return SignedDistance(width - disc.disc, nx, ny, -1)
+
+
+@linked
+def signed_distance(
+    first: Outline, place: Transform, second: Outline, at: Transform
+) -> SignedDistance:
+    """The gap from one base to another.
+
+    Args:
+        first: a base.
+        place: where it lies.
+        second: another.
+        at: where that lies.
+    """
+    if first.disc > 0.0 and second.disc > 0.0:
+        nx = at.x - place.x
+        ny = at.y - place.y
+        distance = math.sqrt(nx * nx + ny * ny)
+        if distance == 0.0:
+            return SignedDistance(-first.disc - second.disc, 1.0, 0.0, -1)
+        return SignedDistance(distance - first.disc - second.disc, nx / distance, ny / distance, -1)
+    if second.disc > 0.0:
+        return _polygon_to_disc(first, place, second, at)
+    if first.disc > 0.0:
+        back = _polygon_to_disc(second, at, first, place)
+        return SignedDistance(back.width, -back.nx, -back.ny, -1)
+    gap = _parting_edge(first, place, second, at)
+    back = _parting_edge(second, at, first, place)
+    if back.width > gap.width:
+        return SignedDistance(back.width, -back.nx, -back.ny, first.corners.shape[0] + back.edge)
+    return gap
+
+
+class Manifold(NamedTuple):
+    """Up to two points midway between two bases that face each other."""
+
+    points: int
+    x: float  # [m]
+    y: float  # [m]
+    width: float  # [m] of the gap there
+    second_x: float  # [m]
+    second_y: float  # [m]
+    second_width: float  # [m]
+
+
+@inlined
+def _corner(outline: Outline, place: Transform, k: int) -> tuple[float, float]:
+    x, y = outline.corners[k, 0], outline.corners[k, 1]
+    return (
+        place.x + place.cosine * x - place.sine * y,
+        place.y + place.sine * x + place.cosine * y,
+    )
+
+
+@inlined
+def _opposite_edge(outline: Outline, place: Transform, nx: float, ny: float) -> int:
+    """The edge whose normal is most against (nx, ny)."""
+    corners = outline.corners
+    own_x = place.cosine * nx + place.sine * ny
+    own_y = place.cosine * ny - place.sine * nx
+    least = math.inf
+    edge = 0
+    for k in range(corners.shape[0]):
+        end = next_corner(corners, k)
+        side_x = corners[end, 0] - corners[k, 0]
+        side_y = corners[end, 1] - corners[k, 1]
+        length = math.sqrt(side_x * side_x + side_y * side_y)
+        if length > 0.0 and (side_y * own_x - side_x * own_y) / length < least:
+            least = (side_y * own_x - side_x * own_y) / length
+            edge = k
+    return edge
+
+
+@inlined
+def _facing_edges(
+    outline: Outline,
+    place: Transform,
+    edge: int,
+    other: Outline,
+    at: Transform,
+    nx: float,
+    ny: float,
+) -> Manifold:
+    """The part of the other's opposite edge that lies over an edge of normal (nx, ny)."""
+    x0, y0 = _corner(outline, place, edge)
+    x1, y1 = _corner(outline, place, next_corner(outline.corners, edge))
+    length = math.sqrt((x1 - x0) * (x1 - x0) + (y1 - y0) * (y1 - y0))
+    across = _opposite_edge(other, at, nx, ny)
+    ax, ay = _corner(other, at, across)
+    bx, by = _corner(other, at, next_corner(other.corners, across))
+    # Along the edge and away from it; the edge itself runs along (-ny, nx).
+    a_along = nx * (ay - y0) - ny * (ax - x0)
+    b_along = nx * (by - y0) - ny * (bx - x0)
+    a_away = nx * (ax - x0) + ny * (ay - y0)
+    b_away = nx * (bx - x0) + ny * (by - y0)
+    if max(a_along, b_along) < 0.0 or min(a_along, b_along) > length or a_along == b_along:
+        if b_away < a_away:
+            a_along, a_away = b_along, b_away
+        half = 0.5 * a_away
+        return Manifold(
+            1, x0 - ny * a_along + nx * half, y0 + nx * a_along + ny * half, a_away, 0.0, 0.0, 0.0
+        )
+    rise = (b_away - a_away) / (b_along - a_along)
+    first = min(length, max(0.0, a_along))
+    second = min(length, max(0.0, b_along))
+    b_away = a_away + rise * (second - a_along)
+    a_away += rise * (first - a_along)
+    return Manifold(
+        2,
+        x0 - ny * first + 0.5 * a_away * nx,
+        y0 + nx * first + 0.5 * a_away * ny,
+        a_away,
+        x0 - ny * second + 0.5 * b_away * nx,
+        y0 + nx * second + 0.5 * b_away * ny,
+        b_away,
+    )
+
+
+@linked
+def find_manifold(
+    first: Outline, place: Transform, second: Outline, at: Transform, gap: SignedDistance
+) -> Manifold:
+    """Where two bases face each other across a gap: at two points where edge faces edge.
+
+    Args:
+        first: a base.
+        place: where it lies.
+        second: another.
+        at: where that lies.
+        gap: between them, as `gap_between` gives it.
+    """
+    corners = first.corners.shape[0]
+    if gap.edge >= corners:
+        return _facing_edges(second, at, gap.edge - corners, first, place, -gap.nx, -gap.ny)
+    if gap.edge >= 0:
+        return _facing_edges(first, place, gap.edge, second, at, gap.nx, gap.ny)
+    half = 0.5 * gap.width
+    if first.disc > 0.0:
+        out = first.disc + half
+        x, y = place.x + out * gap.nx, place.y + out * gap.ny
+    else:
+        out = second.disc + half
+        x, y = at.x - out * gap.nx, at.y - out * gap.ny
+    return Manifold(1, x, y, gap.width, 0.0, 0.0, 0.0)
+
+
+CONTACT_DISTANCE = 1e-6  # [m] a gap that counts as none, and an overlap that is left
+MAX_ADVANCES = 64
+
+
+@inlined
+def _reach(outline: Outline) -> float:
+    """[m] from the centre of mass to the farthest corner; turning moves no other point as much."""
+    square = 0.0
+    for k in range(outline.corners.shape[0]):
+        x = outline.corners[k, 0] - outline.com_x
+        y = outline.corners[k, 1] - outline.com_y
+        square = max(square, x * x + y * y)
+    return math.sqrt(square)
+
+
+@linked
+def time_of_impact(
+    first: Outline, moved: Sweep, second: Outline, shifted: Sweep, dt: float
+) -> float:
+    """[s] until two bases touch, at most dt; infinite if they do not.
+
+    No point of a base nears the other faster than its centre of mass does along the normal and its
+    farthest corner by turning, so that they may go on for as long as their gap takes at that speed.
+
+    Args:
+        first: a base.
+        moved: its motion.
+        second: another.
+        shifted: the motion of that.
+        dt: [s] of the step.
+    """
+    turning = abs(moved.omega) * _reach(first) + abs(shifted.omega) * _reach(second)
+    time = 0.0
+    for _ in range(MAX_ADVANCES):
+        gap = signed_distance(
+            first, transform_at(first, moved, time), second, transform_at(second, shifted, time)
+        )
+        if gap.width <= CONTACT_DISTANCE:
+            return time
+        speed = turning
+        speed += gap.nx * (moved.vx - shifted.vx) + gap.ny * (moved.vy - shifted.vy)
+        if speed * (dt - time) <= gap.width:
+            return math.inf
+        time += (gap.width - 0.5 * CONTACT_DISTANCE) / speed
+    return time

@@ -1,0 +1,309 @@
+"""One step of one parcel: normal forces, friction, motion."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from surface_gym.physics.contacts import find_contacts
+from surface_gym.physics.friction import implicit_velocity
+from surface_gym.physics.jit import compiled, inlined, linked
+from surface_gym.physics.normal_forces import dual_normal_forces
+from surface_gym.physics.types import (
+    ARM_X,
+    ARM_Y,
+    AX,
+    AXIS_X,
+    AXIS_Y,
+    AY,
+    MU_ACROSS,
+    MU_ALONG,
+    NORMAL,
+    OMEGA,
+    ROTOR,
+    STATE_SIZE,
+    THETA,
+    VX,
+    VY,
+    Array,
+    Body,
+    Contacts,
+    Grid,
+    Scratch,
+    X,
+    Y,
+)
+
+EIGHTH = 0.25 * math.pi  # [rad] 45 deg
+HALF_ROOT = math.sqrt(0.5)
+ROUND_OFF = 1e-15  # [-] of an angle: what float64 leaves of a multiple of 45 deg
+
+
+@inlined
+def axis_direction(angle: float) -> tuple[float, float]:
+    """Cosine and sine of an axis angle [rad]; at multiples of 45 deg they are exact.
+
+    math.cos(pi / 2) is 6e-17: enough to tell a rotor that lies across the motion that it drags.
+    """
+    eighths = math.floor(angle / EIGHTH + 0.5)
+    if abs(angle - eighths * EIGHTH) > ROUND_OFF * abs(angle):
+        return math.cos(angle), math.sin(angle)
+    place = eighths % 8.0
+    cosine = sine = HALF_ROOT
+    if place % 2.0 == 0.0:
+        cosine = (place == 0.0) * 1.0 - (place == 4.0) * 1.0
+        sine = (place == 2.0) * 1.0 - (place == 6.0) * 1.0
+        return cosine, sine
+    if 2.0 < place < 6.0:
+        cosine = -cosine
+    if place > 4.0:
+        sine = -sine
+    return cosine, sine
+
+
+@compiled
+def _write_directions(angles: Array, directions: Array) -> None:
+    for i in range(angles.shape[0]):
+        directions[i, 0], directions[i, 1] = axis_direction(angles[i])
+
+
+def axis_directions(angles: Array) -> Array:
+    """(angles, 2) cosine and sine of axis angles (angles,) [rad]."""
+    directions = np.empty((len(angles), 2))
+    _write_directions(np.array(angles, dtype=np.float64), directions)
+    return directions
+
+
+def map_floats(function: Callable[[float], float], values: Any) -> Any:
+    """By Python's own function, of a number or of each (count,): NumPy's differ in the last digit
+    from one machine to the next.
+    """
+    if np.ndim(values) == 0:
+        return function(values)
+    return np.array([function(value) for value in values.tolist()])
+
+
+def com_states(centre: Array, pose: Array, velocity: Array) -> Array:
+    """(count, STATE_SIZE) at rest or in steady motion.
+
+    Args:
+        centre: (count, 2) [m] centre of mass in the base's frame.
+        pose: (count, 3) of the frame.
+        velocity: (count, 3) of the frame.
+    """
+    state = np.zeros((len(pose), STATE_SIZE))
+    state[:, X : THETA + 1] = pose
+    state[:, VX : OMEGA + 1] = velocity
+    if centre.any():
+        cosine, sine = map_floats(math.cos, pose[:, 2]), map_floats(math.sin, pose[:, 2])
+        arm_x = cosine * centre[:, 0] - sine * centre[:, 1]
+        arm_y = sine * centre[:, 0] + cosine * centre[:, 1]
+        state[:, X] += arm_x
+        state[:, Y] += arm_y
+        state[:, VX] -= velocity[:, 2] * arm_y
+        state[:, VY] += velocity[:, 2] * arm_x
+    return state
+
+
+STEEPNESS = 5000.0  # [s/m] k of Eq. (2), Section 6.1
+RESTART_SPEED = 1e-4  # [m/s] given to a parcel that stands or reverses, Figure 5b
+
+
+@inlined
+def _sign(value: float) -> float:
+    return (value > 0.0) * 1.0 - (value < 0.0) * 1.0
+
+
+@inlined
+def held_share(along_x: float, other_x: float) -> float:
+    """What share of the forces along the axes holds a parcel that gravity does not move.
+
+    sum F_x + m g sin(gamma) = 0 sets it. Friction along an axis cannot push, nor hold more than it
+    does where the parcel slides.
+
+    Args:
+        along_x: [m/s^2] x of the forces along the axes, over the mass.
+        other_x: [m/s^2] x of all others, gravity's pull among them.
+    """
+    return min(1.0, max(0.0, -other_x / along_x)) if along_x < 0.0 else 0.0
+
+
+@inlined
+def explicit_acceleration(
+    grid: Grid,
+    gyration: float,
+    scratch: Scratch,
+    contacts: Contacts,
+    vx: float,
+    vy: float,
+    omega: float,
+) -> tuple[float, float, float, float]:
+    """Acceleration (x, y, theta) by Eq. (2)-(4), with Figure 5b's rule where vx is not positive.
+
+    Returns:
+        The acceleration, and the vx it starts from, which the rule changes.
+    """
+    standing = vx <= 0.0
+    if standing:
+        vx = RESTART_SPEED
+    # The forces along the axes, which the rule may scale, and all others, per unit mass.
+    along_x = along_y = along_w = 0.0
+    other_x = other_y = other_w = 0.0
+    table = scratch.table
+    for i in range(contacts.total):
+        x = table[ARM_X + i]
+        y = table[ARM_Y + i]
+        ux = vx - omega * y
+        uy = vy + omega * x
+        speed = math.sqrt(ux * ux + uy * uy)
+        smooth = table[NORMAL + i] * math.tanh(STEEPNESS * speed)
+        if scratch.marks[ROTOR + i]:
+            ax = table[AXIS_X + i]
+            ay = table[AXIS_Y + i]
+            # cos(alpha) = a . V / |V|, and sin(alpha).
+            f_par = table[MU_ALONG + i] * smooth * _sign(ax * ux + ay * uy)
+            f_perp = table[MU_ACROSS + i] * smooth * _sign(ay * ux - ax * uy)
+            along_x -= f_par * ax
+            along_y -= f_par * ay
+            along_w -= f_par * (x * ay - y * ax)
+            fx = -f_perp * ay
+            fy = f_perp * ax
+        else:
+            share = table[MU_ALONG + i] * smooth / speed if speed > 0.0 else 0.0
+            fx = -share * ux
+            fy = -share * uy
+        other_x += fx
+        other_y += fy
+        other_w += x * fy - y * fx
+    other_x += grid.gravity_along
+    if standing and along_x + other_x <= 0.0:
+        scale = held_share(along_x, other_x)
+        return 0.0, scale * along_y + other_y, (scale * along_w + other_w) / gyration, 0.0
+    return along_x + other_x, along_y + other_y, (along_w + other_w) / gyration, vx
+
+
+# What a step reports. From OFF_SURFACE on, it left the state as it was.
+BALANCED, TIPPING, OFF_SURFACE, UNSUPPORTED, STOPPED = range(5)
+
+
+@inlined
+def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
+    """Where the load acts, from the centre of mass: b_eq of Eq. (1) over m g cos(gamma)."""
+    per_weight = body.com_height / grid.gravity_normal
+    return (grid.gravity_along - state[AX]) * per_weight, -state[AY] * per_weight
+
+
+@inlined
+def on_surface(grid: Grid, x: float, y: float) -> bool:
+    """Whether a point is over the grid, half a pitch around its outer elements included."""
+    rows, columns = grid.rotor.shape
+    right = 0.5 * grid.pitch_x * columns
+    up = 0.5 * grid.pitch_y * rows
+    beyond_x = abs(x - grid.x0 + 0.5 * grid.pitch_x - right)
+    beyond_y = abs(y - grid.y0 + 0.5 * grid.pitch_y - up)
+    return beyond_x <= right and beyond_y <= up
+
+
+@inlined
+def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: float) -> Contacts:
+    """Contacts at the pose the parcel has `lead` seconds on; none if it is off the surface."""
+    x = state[X] + lead * state[VX]
+    y = state[Y] + lead * state[VY]
+    if not on_surface(grid, x, y):
+        return Contacts(0, 0)
+    return find_contacts(grid, body, x, y, state[THETA] + lead * state[OMEGA], scratch)
+
+
+@inlined
+def explain_unsupported(grid: Grid, state: Array, lead: float) -> int:
+    """What to report where `find_support` has found nothing: off the surface, or over it but on no
+    element.
+    """
+    over = on_surface(grid, state[X] + lead * state[VX], state[Y] + lead * state[VY])
+    return UNSUPPORTED if over else OFF_SURFACE
+
+
+@inlined
+def support_load(
+    grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts
+) -> bool:
+    """Normal forces of the contacts in `scratch`; whether they are degenerate."""
+    load_x, load_y = load_point(grid, body, state)
+    return dual_normal_forces(
+        scratch,
+        contacts.total,
+        grid.gravity_normal,
+        load_x,
+        load_y,
+        max(grid.pitch_x, grid.pitch_y),
+    )
+
+
+@inlined
+def advance_implicit(
+    grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts, dt: float
+) -> None:
+    """Move the state over one step, contacts and normal forces given in `scratch`."""
+    vx, vy, omega = implicit_velocity(
+        grid, body.gyration, scratch, contacts, dt, state[VX], state[VY], state[OMEGA]
+    )
+    half = 0.5 * dt
+    per_dt = 1.0 / dt
+    state[X] += half * (state[VX] + vx)
+    state[Y] += half * (state[VY] + vy)
+    state[THETA] += half * (state[OMEGA] + omega)
+    state[AX] = (vx - state[VX]) * per_dt
+    state[AY] = (vy - state[VY]) * per_dt
+    state[VX] = vx
+    state[VY] = vy
+    state[OMEGA] = omega
+
+
+@inlined
+def advance_explicit(
+    grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts, dt: float
+) -> None:
+    """The paper's two integrations of Eq. (4): the velocity, then the position with it."""
+    ax, ay, aw, vx = explicit_acceleration(
+        grid, body.gyration, scratch, contacts, state[VX], state[VY], state[OMEGA]
+    )
+    state[VX] = vx + dt * ax
+    state[VY] += dt * ay
+    state[OMEGA] += dt * aw
+    state[X] += dt * state[VX]
+    state[Y] += dt * state[VY]
+    state[THETA] += dt * state[OMEGA]
+    state[AX] = ax
+    state[AY] = ay
+
+
+@linked
+def step_implicit(
+    grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
+) -> tuple[int, Contacts]:
+    """One implicit step: its report and how many contacts bore it, which `scratch` holds.
+
+    The contacts are those of the pose half a step on.
+    """
+    contacts = find_support(grid, body, state, scratch, 0.5 * dt)
+    if contacts.total == 0:
+        return explain_unsupported(grid, state, 0.5 * dt), contacts
+    tipping = support_load(grid, body, state, scratch, contacts)
+    advance_implicit(grid, body, state, scratch, contacts, dt)
+    return (TIPPING if tipping else BALANCED), contacts
+
+
+@inlined
+def step_explicit(
+    grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
+) -> tuple[int, Contacts]:
+    """One step of the paper's loop, Figure 5a, its stopping rule included."""
+    if state[VX] <= 0.0 and grid.gravity_along == 0.0:
+        return STOPPED, Contacts(0, 0)
+    contacts = find_support(grid, body, state, scratch, 0.0)
+    if contacts.total == 0:
+        return explain_unsupported(grid, state, 0.0), contacts
+    tipping = support_load(grid, body, state, scratch, contacts)
+    advance_explicit(grid, body, state, scratch, contacts, dt)
+    return (TIPPING if tipping else BALANCED), contacts

@@ -1,0 +1,136 @@
+"""The base class of sensors, the sensor of exact motion, and the estimate at entry."""
+
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+from surface_gym import checks
+from surface_gym.lines import BaseLine
+from surface_gym.physics.jit import kernel_function
+from surface_gym.physics.types import Array, Scratch
+from surface_gym.state import EnvState
+
+LEARNED = 3  # constants a sensor may learn: the factor of mu_max [-], x and y of the load [m]
+
+
+class Physics(NamedTuple):
+    """What a sensor that predicts may predict by."""
+
+    friction: Array  # (rows, columns, 3) [-] as the sensor assumes it
+    stiffness: Array  # (rows, columns) [-] all the same
+    scratch: Scratch  # the sensor's own
+    dt: float  # [s] physics step
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What a controller gets to see of the parcel.
+
+    A sensor is one class. Its fields are its settings. Its static methods, each a `kernel_function`,
+    are compiled into every batch that uses it, and write `state.sensed`, which is all that a task
+    observes. They are handed the settings as the array that `numbers` makes of them:
+
+    - `begin(numbers, state)`, at a start: set `state.sensor_state`.
+    - `update(numbers, state, physics)`, after every physics step, where the sensor `watches`.
+    - `learned(numbers, state, first, mirror)`, where `observe` asks for "load": write LEARNED
+      estimates and then LEARNED doubts into `state.observation` from `first` on.
+    - `read(numbers, state)`, when a controller asks: write pose and velocity into `state.sensed`.
+
+    Before each, `state.truth` holds the true pose and velocity of the base's centroid. Noise comes
+    from `state.noise`, a row at a time, of which `state.noise_row[0]` is the next.
+    """
+
+    sensor_size: ClassVar[int] = 0  # numbers of `state.sensor_state`
+    watches: ClassVar[bool] = False  # it looks between decisions
+
+    def numbers(self, dt: float) -> tuple[float, ...]:
+        """The settings as compiled code reads them, for physics steps of `dt` [s]."""
+        del dt
+        return ()
+
+    def draws(self, dt: float, steps: int) -> int:
+        """Rows of noise that a start or `steps` physics steps of `dt` [s] use at most."""
+        del dt, steps
+        return 0
+
+    def friction(self, plant: BaseLine) -> Array:
+        """(rows, columns, 3) [-] friction that `update` may predict by."""
+        return plant.friction
+
+    @staticmethod
+    @kernel_function
+    def begin(numbers: Array, state: EnvState) -> None:
+        """Nothing to remember."""
+
+    @staticmethod
+    @kernel_function
+    def update(numbers: Array, state: EnvState, physics: Physics) -> None:
+        """Nothing to look at."""
+
+    @staticmethod
+    @kernel_function
+    def learned(numbers: Array, state: EnvState, first: int, mirror: float) -> None:
+        """Nothing is learned: what is nominal stands, in all doubt."""
+        for k in range(LEARNED):
+            state.observation[first + k] = 0.0
+            state.observation[first + LEARNED + k] = 1.0
+
+
+ENTRY_ROWS = 2  # of noise that a start uses
+
+
+@dataclass(frozen=True)
+class Entry:
+    """How well a controller knows pose and velocity of a parcel as it enters.
+
+    The conveyor before the surface has a known speed and its guides align the parcel, so that the
+    first estimate is the truth with Gaussian errors of these standard deviations.
+
+    Raises:
+        ValueError: a negative one, or one beyond `surface_gym.checks`.
+    """
+
+    position: float = 0.002  # [m] in x and in y
+    angle: float = 0.01  # [rad]
+    speed: float = 0.05  # [m/s] in vx and in vy
+    turning: float = 0.1  # [rad/s]
+
+    def __post_init__(self) -> None:
+        for name, most in (
+            ("position", checks.POSITION_ERROR),
+            ("angle", checks.ANGLE_ERROR),
+            ("speed", checks.SPEED),
+            ("turning", checks.SPIN),
+        ):
+            checks.not_negative(name, getattr(self, name), most)
+
+    @property
+    def settings(self) -> tuple[float, float, float, float]:
+        """As compiled code reads it."""
+        return (self.position, self.angle, self.speed, self.turning)
+
+
+@kernel_function
+def enter(settings: Array, first: int, state: EnvState) -> None:
+    """Write what is known of pose and velocity at a start into the first 6 of `state.sensor_state`.
+
+    The Entry is in `settings` from `first` on.
+    """
+    row = state.noise_row[0]
+    state.noise_row[0] = row + ENTRY_ROWS
+    for k in range(3):
+        pose_error = settings[first] if k < 2 else settings[first + 1]
+        velocity_error = settings[first + 2] if k < 2 else settings[first + 3]
+        state.sensor_state[k] = state.truth[k] + pose_error * state.noise[row, k]
+        state.sensor_state[3 + k] = state.truth[3 + k] + velocity_error * state.noise[row + 1, k]
+
+
+@dataclass(frozen=True)
+class Exact(Sensor):
+    """Sees pose and velocity of the base's centroid as they are, without delay."""
+
+    @staticmethod
+    @kernel_function
+    def read(numbers: Array, state: EnvState) -> None:
+        """Show the truth."""
+        for k in range(6):
+            state.sensed[k] = state.truth[k]

@@ -1,0 +1,253 @@
+"""The base class of tasks, and the starts they draw."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surface_gym import checks
+from surface_gym.layouts import box
+from surface_gym.lines import BaseLine, Line
+from surface_gym.parcel import Parcel
+from surface_gym.physics.jit import kernel_function
+from surface_gym.state import FIRST_FAILURE, EnvState
+
+Numbers = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Parcels:
+    """One parcel a start."""
+
+    kinds: tuple[Parcel, ...]
+    which: NDArray[np.int64]  # (starts,) the place of each start's among the kinds
+
+    def of(self, function: Callable[[Parcel], ArrayLike]) -> Numbers:
+        """(starts, ...) what a function says of each parcel."""
+        asked, places = np.unique(self.which, return_inverse=True)
+        values: Numbers = np.array([function(self.kinds[kind]) for kind in asked])[places]
+        return values
+
+    @property
+    def rear(self) -> Numbers:
+        """(starts,) [m] from the rearmost point of the base to its frame's origin, at theta = 0."""
+        return self.of(lambda parcel: parcel.rear)
+
+
+class Start(NamedTuple):
+    """How episodes begin. A number is that of every start, an array (starts,) has one for each."""
+
+    parcel: Parcel | Parcels
+    pose: tuple[ArrayLike, ArrayLike, ArrayLike]  # [m, m, rad] of the base's frame
+    velocity: tuple[ArrayLike, ArrayLike, ArrayLike]  # [m/s, m/s, rad/s]
+    goal: tuple[ArrayLike, ...]  # the task's own: as many as its `goals`
+    tilt: ArrayLike = 0.0  # [rad] of the surface
+    path: Numbers | None = None  # (PATH_POINTS,) or (starts, PATH_POINTS) [m] y of a path to follow
+
+
+class Draw:
+    """What starts are drawn from: uniform numbers, and options that fix what would be drawn.
+
+    Args:
+        numbers: (starts, draws) uniform in [0, 1).
+        options: of each start; none at all: no start has any.
+        plant: where the parcels run.
+        zone: first and last column that obey; None for the plant's own.
+    """
+
+    def __init__(
+        self,
+        numbers: Numbers,
+        options: Sequence[Mapping[str, Any]],
+        plant: BaseLine,
+        zone: tuple[int, int] | None = None,
+    ) -> None:
+        self.numbers = numbers.T  # (draws, starts)
+        self.plant = plant
+        self.zone = zone
+        self._starts = len(numbers)
+        self._options = options
+
+    def option(self, name: str, drawn: ArrayLike, check: Callable[[Any], float]) -> Numbers:
+        """What was drawn; where an option fixes it, the option as `check` returns it."""
+        values: Numbers = np.asarray(drawn, dtype=np.float64)
+        given = self.given(name)
+        if given:
+            values = np.full(self._starts, values)
+            for start, value in given:
+                values[start] = check(value)
+        return values
+
+    def within(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
+        """`option` for a number in [low, high]."""
+        return self.option(name, drawn, lambda value: checks.within(name, value, low, high))
+
+    def one_of(self, name: str, drawn: ArrayLike, allowed: tuple[Any, ...]) -> Numbers:
+        """`option` for one of some numbers."""
+        return self.option(name, drawn, lambda value: float(checks.one_of(name, value, allowed)))
+
+    def parcel(self, parcels: tuple[Parcel, ...], number: Numbers) -> Parcels:
+        """Each start's parcel: equal odds, by a number (starts,); or the option "parcel"."""
+        which = (number * len(parcels)).astype(np.int64)
+        kinds = list(parcels)
+        for start, value in self.given("parcel"):
+            which[start] = len(kinds)
+            kinds.append(parcel_option(value))
+        return Parcels(tuple(kinds), which)
+
+    def given(self, name: str) -> list[tuple[int, Any]]:
+        """Which starts an option fixes, and how."""
+        return [(k, each[name]) for k, each in enumerate(self._options) if name in each]
+
+
+def between(low: float | Numbers, high: float | Numbers, number: Numbers) -> Numbers:
+    """(starts,) uniform in [low, high), by numbers (starts,)."""
+    return low + (high - low) * number
+
+
+def parcel_option(value: Any) -> Parcel:
+    """The parcel an option asks for: "S", "B" or a Parcel of one's own."""
+    if isinstance(value, Parcel):
+        return value
+    if isinstance(value, str) and value in ("S", "B"):
+        return box(value)
+    raise ValueError(f"parcel must be 'S', 'B' or a Parcel, got {value!r}")
+
+
+def parcels_to_draw(parcels: Any) -> tuple[Parcel, ...]:
+    """The parcels of a task, or an error that names them."""
+    if not parcels:
+        raise ValueError(f"parcels must be at least one, got {parcels!r}")
+    return tuple(parcel_option(parcel) for parcel in parcels)
+
+
+def check_options(options: dict[str, Any] | None, allowed: tuple[str, ...]) -> dict[str, Any]:
+    """The options, or an error that names the unknown one."""
+    if options is None:
+        return {}
+    if not isinstance(options, dict):
+        raise ValueError(f"options must be a dict or None, got {options!r}")
+    for name in options:
+        checks.one_of("options", name, allowed)
+    return options
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One number of an observation."""
+
+    name: str
+    low: float  # [-] it cannot be below
+    high: float  # [-] it cannot be above
+    meaning: str  # with the unit it is scaled by
+
+
+def failures(outcomes: tuple[str, ...]) -> range:
+    """Numbers of a task's failures, in the order of their names, for `outcome` to return."""
+    return range(FIRST_FAILURE, FIRST_FAILURE + len(outcomes))
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is asked of the surface: starts, observation, reward, and when an episode ends.
+
+    A task is one class. Its fields are its parameters. The names below say what it deals in; its
+    static methods, each a `kernel_function`, are compiled into every batch of it. A subclass inherits
+    what it does not replace.
+
+    The compiled functions read and write a `EnvState`:
+
+    - `begin(state)`, at a start: set `state.memory` and `state.metrics`.
+    - `is_done(state) -> bool`, after every physics step: whether the episode ends in the middle of a
+      control period. By default where no rotor bears the parcel.
+    - `outcome(state) -> int`, after a control period: RUNNING, SUCCESS or one of the failures. Writes
+      `state.metrics`.
+    - `reward(state, outcome)`, then: write every one of `state.terms`.
+    - `observe(state)`, at a start and after every control period: write every feature into
+      `state.observation`, from `state.sensed`.
+    - `mirror(state) -> float`: -1 where the observation is mirrored in y, so that what shows the
+      modules is mirrored with it; else 1.
+
+    They know nothing of the task's fields: what they need of these goes into the goal.
+
+    Raises:
+        ValueError: no features, terms or outcomes, or parcels that are none.
+    """
+
+    parcels: Any = field(default=("S", "B"), kw_only=True)  # to draw from
+
+    plant: ClassVar[BaseLine] = Line()
+    features: ClassVar[tuple[Feature, ...]]
+    terms: ClassVar[tuple[str, ...]]  # of the reward, in the order of `state.terms`
+    outcomes: ClassVar[tuple[str, ...]]  # how it may fail
+    metrics: ClassVar[tuple[str, ...]] = ()  # numbers in `info`, in the order of `state.metrics`
+    options: ClassVar[tuple[str, ...]] = ()  # what `reset(options=...)` may fix
+    draws: ClassVar[int] = 0  # uniform numbers that a start is made of
+    goals: ClassVar[int] = 0  # numbers of `state.goal`
+    memories: ClassVar[int] = 0  # numbers of `state.memory`
+    has_path: ClassVar[bool] = False  # whether its starts come with a path
+    leaves_zone: ClassVar[bool] = False  # whether its end is that the parcel's rear leaves the zone
+    periods: ClassVar[int] = 100  # control periods after which an episode is truncated
+
+    def __post_init__(self) -> None:
+        for name in ("features", "terms", "outcomes"):
+            if not isinstance(getattr(self, name, None), tuple):
+                raise ValueError(
+                    f"{type(self).__name__}.{name} must be a tuple, as Task says, "
+                    f"got {getattr(self, name, None)!r}"
+                )
+        object.__setattr__(self, "parcels", parcels_to_draw(self.parcels))
+
+    @property
+    def name(self) -> str:
+        """The task's name, whatever its parameters."""
+        return type(self).__name__.lower()
+
+    def start(self, draw: Draw) -> Start:
+        """The law of its starts, for as many as `draw` has numbers for."""
+        del draw
+        raise ValueError(f"{type(self).__name__}.start must be a method, as Task says, got none")
+
+    def readings(self, state: EnvState) -> list[tuple[str, str]]:
+        """The task's own numbers of a lane, as pairs of texts, for drawing."""
+        del state
+        return []
+
+    def goal(self, state: EnvState) -> Any:
+        """What drawing shows of a lane's goal, one of `surface_gym.rendering`'s; or None."""
+        del state
+
+    @staticmethod
+    @kernel_function
+    def begin(state: EnvState) -> None:
+        """Nothing to remember."""
+
+    @staticmethod
+    @kernel_function
+    def is_done(state: EnvState) -> bool:
+        """Where no rotor bears the parcel."""
+        return not state.on_rotors
+
+    @staticmethod
+    @kernel_function
+    def mirror(state: EnvState) -> float:
+        """As it is."""
+        return 1.0
+
+
+def draws_default_parcels(task: Task) -> bool:
+    """Whether a task draws the parcels that its class has it draw."""
+    default = next(each.default for each in fields(task) if each.name == "parcels")
+    return bool(task.parcels == parcels_to_draw(default))
+
+
+def rising(name: str, value: Any, low: float, high: float) -> tuple[float, float]:
+    """Two finite numbers in [low, high], the first not above the second, or an error."""
+    first, last = checks.array(name, value, (2,)).tolist()
+    if not low <= first <= last <= high:
+        raise ValueError(
+            f"{name} must be two rising numbers between {low:g} and {high:g}, got {value!r}"
+        )
+    return first, last

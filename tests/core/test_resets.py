@@ -1,0 +1,97 @@
+"""What a parcel brings to a lane, and how it is put there."""
+
+import math
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym.core.batch import Batch
+from surface_gym.core.resets import NO_EDGE, place_parcel
+from surface_gym.lines import Field, Line
+from surface_gym.physics.types import COM_X, COM_Y, HALF_LENGTH, RADIUS
+from surface_gym.settings import Settings
+from surface_gym.tasks.base import Start
+from tests.batches import batch_with, put
+from tests.environments import HEPTAGON, PARCELS, TRIANGLE
+
+every_parcel = pytest.mark.parametrize("parcel", PARCELS.values(), ids=PARCELS)
+
+
+@every_parcel
+def test_corners_and_edges_are_the_bases(parcel: sg.Parcel) -> None:
+    placement = place_parcel(parcel, Line(), None)
+    np.testing.assert_array_equal(placement.edges, parcel.base.edges)
+    corners = placement.corners + parcel.base.centroid
+    if isinstance(parcel.base, sg.Disc):
+        np.testing.assert_array_equal(placement.corners, [[0.0, 0.0]])
+    else:
+        np.testing.assert_allclose(corners, parcel.base.outline, atol=1e-15)
+    assert placement.body[RADIUS] == parcel.base.reach
+    assert placement.body[[COM_X, COM_Y]].tolist() == list(parcel.com_offset)
+    rear = parcel.base.outline[:, 0].min() - parcel.base.centroid[0]
+    assert placement.body[HALF_LENGTH] == pytest.approx(-rear)
+
+
+@every_parcel
+def test_only_rotors_of_the_zone_obey(parcel: sg.Parcel) -> None:
+    placement = place_parcel(parcel, Line(), (7, 9))
+    rows, columns = np.nonzero(placement.obeys)
+    assert set(columns.tolist()) == {7, 8, 9}
+    assert placement.rotor[rows, columns].all()
+    everywhere = place_parcel(parcel, Field(8, 10), None)
+    assert everywhere.obeys.all()
+
+
+@every_parcel
+@pytest.mark.parametrize("velocity", [(1.0, 0.0, 0.0), (0.5, -0.3, 4.0)])
+def test_a_lane_tells_the_pose_it_was_given(
+    parcel: sg.Parcel, velocity: tuple[float, float, float]
+) -> None:
+    """The state is the centre of mass's; what is told is of the centroid, as a rigid body moves."""
+    pose = (0.7, 1.05, 0.6)
+    batch = batch_with(Start(parcel, pose, velocity, (1.0,)))
+    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+    x, y = parcel.base.centroid
+    arm = np.array([cosine * x - sine * y, sine * x + cosine * y])
+    vx, vy, omega = velocity
+    wanted = [*(arm + pose[:2]), pose[2], vx - omega * arm[1], vy + omega * arm[0], omega]
+    np.testing.assert_allclose(batch.parcels.truth[0], wanted, rtol=0, atol=1e-14)
+
+
+def test_a_lane_forgets_the_parcel_before() -> None:
+    start = Start(sg.layouts.box("S"), (0.125, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,))
+    used, fresh = Batch(Settings(), 1), batch_with(start)
+    for parcel in (HEPTAGON, sg.layouts.box("B"), TRIANGLE):
+        put(used, start._replace(parcel=parcel))
+        used.advance(np.full((1, 64), 1))
+    put(used, start)
+    lane = used.view(0)
+    for name, found, wanted in zip(lane._fields, lane, fresh.view(0), strict=True):
+        if name in ("edges", "corners"):  # the heptagon's seven leave room behind the box's four
+            np.testing.assert_array_equal(found[:4], wanted)
+        elif name != "memory":
+            np.testing.assert_array_equal(found, wanted, name)
+    np.testing.assert_array_equal(lane.edges[4:], [NO_EDGE] * 3)
+    assert (lane.corners[4:] == lane.corners[0]).all()
+
+
+def test_lanes_of_the_same_parcel_share_its_site() -> None:
+    batch = Batch(Settings(), 5)
+    mine = sg.Parcel(sg.Disc(0.12))
+    names = ("S", "B", "S", "B", mine)
+    for lane, parcel in enumerate(names):
+        parcel = sg.layouts.box(parcel) if isinstance(parcel, str) else parcel
+        put(batch, Start(parcel, (parcel.rear, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), lane)
+    assert batch.parcels.site[:4].tolist() == [0, 1, 0, 1]
+    assert [batch.view(lane).body[RADIUS] for lane in (0, 4)] == [
+        sg.layouts.box("S").base.reach,
+        0.12,
+    ]
+
+
+def test_parcels_that_do_not_fit_are_told_beforehand() -> None:
+    batch = Batch(Settings(), 1)
+    batch.check([{"parcel": "B"}])
+    with pytest.raises(ValueError, match="parcel must be at most"):
+        batch.check([{"parcel": "B"}, {"parcel": sg.Parcel(sg.Rectangle(3.0, 0.1))}])

@@ -1,0 +1,95 @@
+"""Sets of contacts made by hand or drawn, for the compiled functions that take them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+import surface_gym as sg
+from surface_gym.physics.references import dual_normal_forces
+from surface_gym.physics.types import (
+    ARM_X,
+    ARM_Y,
+    AXIS_X,
+    AXIS_Y,
+    MU_ACROSS,
+    MU_ALONG,
+    NORMAL,
+    ROTOR,
+    STIFFNESS,
+    SUPPORT,
+    Contacts,
+    Grid,
+    Scratch,
+    make_scratch,
+    table_row,
+)
+
+WEIGHT = 9.81  # [m/s^2] normal load / mass
+PITCH = 0.1  # [m]
+
+
+class Friction(NamedTuple):
+    """Friction of rotors along and across their axes, and of supports."""
+
+    along: float = 0.5  # [-]
+    across: float = 0.01  # [-]
+    support: float = 0.005  # [-]
+
+
+TABLE_1 = Friction()
+
+
+def make_contacts(
+    arms: np.ndarray,
+    axis: np.ndarray | None = None,
+    rotor: np.ndarray | None = None,
+    normal: np.ndarray | None = None,
+    stiffness: np.ndarray | None = None,
+    friction: Friction = TABLE_1,
+) -> tuple[Scratch, Contacts]:
+    """Scratch that holds contacts at arms (n, 2) [m], and how many it holds.
+
+    By default rotors, all at 0 rad, of the same stiffness and unloaded.
+    """
+    count = len(arms)
+    rotor = np.ones(count, dtype=bool) if rotor is None else rotor
+    angle = np.zeros(count) if axis is None else axis
+    scratch = make_scratch()
+    for row, values in (
+        (ARM_X, arms[:, 0]),
+        (ARM_Y, arms[:, 1]),
+        (AXIS_X, np.where(rotor, np.cos(angle), 1.0)),
+        (AXIS_Y, np.where(rotor, np.sin(angle), 0.0)),
+        (STIFFNESS, np.ones(count) if stiffness is None else stiffness),
+        (MU_ALONG, np.where(rotor, friction.along, friction.support)),
+        (MU_ACROSS, np.where(rotor, friction.across, friction.support)),
+        (NORMAL, np.zeros(count) if normal is None else normal),
+    ):
+        table_row(scratch, row, count)[:] = values
+    scratch.marks[ROTOR : ROTOR + count] = rotor
+    supports = np.flatnonzero(~rotor)
+    scratch.marks[SUPPORT : SUPPORT + len(supports)] = supports
+    return scratch, Contacts(count, len(supports))
+
+
+def make_grid(along: float = 0.0) -> Grid:
+    """A grid of one element, for functions that read no more than gravity."""
+    return sg.Surface(np.zeros((1, 1)), np.ones((1, 1), dtype=bool)).grid._replace(
+        gravity_along=along, gravity_normal=WEIGHT
+    )
+
+
+def draw_arms(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Arms (count, 2) [m] of elements of a 5 x 5 grid, from a point near their mean."""
+    grid = PITCH * np.stack(np.meshgrid(np.arange(5.0), np.arange(5.0)), axis=-1).reshape(-1, 2)
+    arms = grid[rng.choice(25, count, replace=False)]
+    return arms - arms.mean(axis=0) + rng.uniform(-0.05, 0.05, size=2)
+
+
+def dual(
+    arms: np.ndarray, load: np.ndarray, stiffness: np.ndarray | None = None
+) -> tuple[np.ndarray, bool]:
+    """The dual's answer in the form of the references'."""
+    scratch, contacts = make_contacts(arms, stiffness=stiffness)
+    degenerate = dual_normal_forces(scratch, contacts.total, WEIGHT, load[0], load[1], PITCH)
+    return table_row(scratch, NORMAL, contacts.total), degenerate

@@ -1,0 +1,242 @@
+"""The implicit step against another convex solver, its own optimality, and known answers."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
+
+from surface_gym.physics.friction import ROUNDING
+from surface_gym.physics.references import implicit_velocity
+from surface_gym.physics.types import Grid
+from tests.physics.contact_sets import (
+    PITCH,
+    TABLE_1,
+    WEIGHT,
+    Friction,
+    draw_arms,
+    make_contacts,
+    make_grid,
+)
+
+SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [-0.1, 0.1], [0.1, 0.1]])
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One step: its contacts, and where it starts."""
+
+    grid: Grid
+    gyration: float  # [m^2] inertia / mass
+    dt: float  # [s]
+    velocity: np.ndarray  # (3,) [m/s, m/s, rad/s]
+    arms: np.ndarray  # (contacts, 2) [m]
+    axis: np.ndarray  # (contacts,) [rad]
+    rotor: np.ndarray  # (contacts,) bool
+    normal: np.ndarray  # (contacts,) [m/s^2]
+    friction: Friction = TABLE_1
+
+    @property
+    def inertia(self) -> np.ndarray:
+        return np.array([1.0, 1.0, self.gyration])
+
+    @property
+    def free_velocity(self) -> np.ndarray:
+        """Velocity after the step without friction."""
+        return self.velocity + np.array([self.dt * self.grid.gravity_along, 0.0, 0.0])
+
+    @property
+    def slides(self) -> tuple[np.ndarray, np.ndarray]:
+        """(contacts, 3) each: rows whose product with a velocity is the slide along and across."""
+        ax, ay = np.cos(self.axis), np.sin(self.axis)
+        x, y = self.arms.T
+        return (
+            np.column_stack([ax, ay, x * ay - y * ax]),
+            np.column_stack([-ay, ax, x * ax + y * ay]),
+        )
+
+    def step(self) -> np.ndarray:
+        scratch, contacts = make_contacts(
+            self.arms, self.axis, self.rotor, self.normal, friction=self.friction
+        )
+        velocity = implicit_velocity(
+            self.grid, self.gyration, scratch, contacts, self.dt, *self.velocity
+        )
+        return np.array(velocity)
+
+
+def draw_problem(rng: np.random.Generator, rotors: float) -> Problem:
+    """Contacts of a 5 x 5 grid, a share of them rotors; speeds from creeping to fast."""
+    count = int(rng.integers(1, 26))
+    return Problem(
+        grid=make_grid(along=float(rng.choice([0.0, 1.0, -2.0]))),
+        gyration=float(rng.uniform(0.002, 0.05)),
+        dt=float(rng.choice([1e-4, 1e-3, 5e-3, 1e-2, 0.1])),
+        velocity=rng.normal(size=3) * rng.choice([0.0, 1e-5, 1e-2, 1.0, 3.0]),
+        arms=draw_arms(rng, count),
+        axis=rng.choice([0.0, 0.5, 1.0, -0.5], size=count) * np.pi / 2.0,
+        rotor=rng.random(count) < rotors,
+        normal=WEIGHT * rng.dirichlet(np.ones(count)) * (rng.random(count) < 0.9),
+    )
+
+
+def dual_minimiser(problem: Problem) -> np.ndarray:
+    """The step over rotors by a bounded least-squares solver.
+
+    A rounded |u| is the largest of f u - f^2 ROUNDING / (2 F) over |f| <= F, the friction force;
+    so the step is a least-squares problem in the forces, one for each contact along and across.
+    """
+    along, across = problem.slides
+    load = problem.dt * problem.normal[problem.normal > 0.0]
+    rows = np.concatenate([along[problem.normal > 0.0], across[problem.normal > 0.0]])
+    most = np.concatenate([problem.friction.along * load, problem.friction.across * load])
+    root = np.sqrt(problem.inertia)
+    # In units of each force's bound, for the solver's conditioning.
+    system = np.vstack([(most[:, np.newaxis] * rows / root).T, np.diag(np.sqrt(ROUNDING * most))])
+    target = np.concatenate([root * problem.free_velocity, np.zeros(len(most))])
+    forces = lsq_linear(system, target, bounds=(-1.0, 1.0), method="bvls", tol=1e-14).x
+    return problem.free_velocity - rows.T @ (most * forces) / problem.inertia
+
+
+def gradient(problem: Problem, velocity: np.ndarray) -> np.ndarray:
+    """(3,) of what the step minimises, written over arrays."""
+    along, across = problem.slides
+    u, v = along @ velocity, across @ velocity
+    speed = np.maximum(np.hypot(u, v), ROUNDING)
+    mu = problem.friction
+    force_along = np.where(
+        problem.rotor, mu.along * np.clip(u / ROUNDING, -1, 1), mu.support * u / speed
+    )
+    force_across = np.where(
+        problem.rotor, mu.across * np.clip(v / ROUNDING, -1, 1), mu.support * v / speed
+    )
+    load = problem.dt * problem.normal
+    inertial = problem.inertia * (velocity - problem.free_velocity)
+    return inertial + along.T @ (load * force_along) + across.T @ (load * force_across)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_over_rotors_the_step_agrees_with_a_least_squares_solver(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for _ in range(20):
+        problem = draw_problem(rng, rotors=1.0)
+        if not problem.normal.any():
+            continue
+        np.testing.assert_allclose(problem.step(), dual_minimiser(problem), rtol=0.0, atol=1e-7)
+
+
+@pytest.mark.parametrize("rotors", [0.0, 0.5, 0.9, 1.0])
+def test_the_step_satisfies_the_optimality_condition(rotors: float) -> None:
+    """What is minimised is strongly convex: a velocity is no farther from the minimum, in the
+    norm of the inertia, than its gradient is from zero.
+    """
+    rng = np.random.default_rng(7)
+    for _ in range(500):
+        problem = draw_problem(rng, rotors)
+        left = gradient(problem, problem.step()) / np.sqrt(problem.inertia)
+        assert np.linalg.norm(left) < 1e-8  # [m/s]
+
+
+@given(seed=st.integers(0, 2**32 - 1), rotors=st.sampled_from([0.0, 0.5, 1.0]))
+def test_friction_takes_energy(seed: int, rotors: float) -> None:
+    problem = draw_problem(np.random.default_rng(seed), rotors)
+    free, after = problem.free_velocity, problem.step()
+    assert problem.inertia @ after**2 <= problem.inertia @ free**2 * (1.0 + 1e-9) + 1e-15
+
+
+@pytest.mark.parametrize(
+    ("axis", "velocity", "deceleration"),
+    [
+        pytest.param(0.0, (1.0, 0.0), (0.5, 0.0), id="along the axis"),
+        pytest.param(np.pi / 2, (1.0, 0.0), (0.01, 0.0), id="across the axis"),
+        pytest.param(0.0, (1.0, -1.0), (0.5, -0.01), id="both"),
+        pytest.param(np.pi, (1.0, -1.0), (0.5, -0.01), id="an axis has no sense"),
+        pytest.param(np.pi / 4, (1.0, 0.0), (0.51 / 2**0.5, 0.49 / 2**0.5), id="the axis turns it"),
+    ],
+)
+def test_a_sliding_parcel_is_slowed_by_coulomb_friction(
+    axis: float, velocity: tuple[float, float], deceleration: tuple[float, float]
+) -> None:
+    dt = 0.005
+    problem = Problem(
+        grid=make_grid(),
+        gyration=0.01,
+        dt=dt,
+        velocity=np.array([*velocity, 0.0]),
+        arms=SQUARE,
+        axis=np.full(4, axis),
+        rotor=np.ones(4, dtype=bool),
+        normal=np.full(4, WEIGHT / 4),
+    )
+    expected = np.array(velocity) - dt * WEIGHT * np.array(deceleration)
+    np.testing.assert_allclose(problem.step(), [*expected, 0.0], rtol=0.0, atol=1e-12)
+
+
+def test_supports_slow_in_the_direction_of_motion() -> None:
+    problem = Problem(
+        grid=make_grid(),
+        friction=Friction(support=0.1),
+        gyration=0.01,
+        dt=0.01,
+        velocity=np.array([0.6, 0.8, 0.0]),
+        arms=SQUARE,
+        axis=np.zeros(4),
+        rotor=np.zeros(4, dtype=bool),
+        normal=np.full(4, WEIGHT / 4),
+    )
+    left = 1.0 - 0.01 * 0.1 * WEIGHT
+    np.testing.assert_allclose(problem.step(), [0.6 * left, 0.8 * left, 0.0], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("along", [0.0, 0.4 * WEIGHT, -0.4 * WEIGHT])
+def test_friction_holds_a_parcel_on_a_slope(along: float) -> None:
+    problem = Problem(
+        grid=make_grid(along=along),
+        gyration=0.01,
+        dt=0.005,
+        velocity=np.zeros(3),
+        arms=SQUARE,
+        axis=np.zeros(4),
+        rotor=np.ones(4, dtype=bool),
+        normal=np.full(4, WEIGHT / 4),
+    )
+    after = problem.step()
+    # The rounded friction lets it creep: v + dt mu N v / ROUNDING = dt g sin(gamma).
+    creep = 0.005 * along / (1.0 + 0.005 * 0.5 * WEIGHT / ROUNDING)
+    assert abs(creep) < ROUNDING
+    np.testing.assert_allclose(after, [creep, 0.0, 0.0], rtol=0.0, atol=1e-12)
+
+
+def test_a_spinning_parcel_on_supports_slows_about_its_centre() -> None:
+    gyration, radius, dt, mu = 0.01, 0.1 * np.sqrt(2.0), 0.005, 0.2
+    problem = Problem(
+        grid=make_grid(),
+        friction=Friction(support=mu),
+        gyration=gyration,
+        dt=dt,
+        velocity=np.array([0.0, 0.0, 3.0]),
+        arms=SQUARE,
+        axis=np.zeros(4),
+        rotor=np.zeros(4, dtype=bool),
+        normal=np.full(4, WEIGHT / 4),
+    )
+    expected = 3.0 - dt * mu * WEIGHT * radius / gyration
+    np.testing.assert_allclose(problem.step(), [0.0, 0.0, expected], rtol=0.0, atol=1e-9)
+
+
+def test_without_friction_or_gravity_the_velocity_stays() -> None:
+    rng = np.random.default_rng(0)
+    problem = Problem(
+        grid=make_grid(),
+        friction=Friction(0.0, 0.0, 0.0),
+        gyration=0.01,
+        dt=0.005,
+        velocity=np.array([1.0, -0.5, 2.0]),
+        arms=PITCH * rng.normal(size=(9, 2)),
+        axis=rng.normal(size=9),
+        rotor=rng.random(9) < 0.5,
+        normal=np.full(9, WEIGHT / 9),
+    )
+    np.testing.assert_array_equal(problem.step(), problem.velocity)

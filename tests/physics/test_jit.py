@@ -1,0 +1,192 @@
+"""The cache of compiled code: it is used, and it notices an edit of any function it is made of."""
+
+import errno
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+from numba.core.caching import CompileResultCacheImpl, IndexDataCacheFile
+
+import surface_gym
+from surface_gym.physics.jit import compiled, compute_digest
+
+PACKAGE = Path(surface_gym.__file__).parent
+
+PROBE = """
+import surface_gym as sg
+from surface_gym.physics.rollout import run_implicit
+surface, parcel = sg.layouts.sorting(), sg.layouts.box("S")
+run = sg.simulate(surface, parcel, sg.layouts.start("S"), (1.5, 0.0, 0.0))
+print(run.pose[-1].tobytes().hex(), sum(run_implicit.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    """A copy of the package without compiled code."""
+    shutil.copytree(PACKAGE, tmp_path / "surface_gym", ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path / "surface_gym"
+
+
+def probe(package: Path) -> tuple[str, int]:
+    """The end pose as bytes, and how often the loop came from the cache, in a new process."""
+    done = run(PROBE, package, "-W", "error")
+    pose, hits = done.stdout.split()
+    return pose, int(hits)
+
+
+def run(program: str, package: Path, *flags: str) -> subprocess.CompletedProcess[str]:
+    """Run a program with a copy of the package, whose compiled code is kept beside it."""
+    environment = {**os.environ, "PYTHONPATH": str(package.parent)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    return subprocess.run(
+        [sys.executable, *flags, "-c", program],
+        cwd=package.parent,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    source = path.read_text()
+    assert old in source
+    path.write_text(source.replace(old, new))
+
+
+def test_compiled_code_is_reused_until_a_file_it_is_inlined_from_changes(copied: Path) -> None:
+    first, hits = probe(copied)
+    assert hits == 0
+    assert probe(copied) == (first, 1)
+
+    # `run_implicit` lives in run.py; its friction comes from another file.
+    edit(copied / "dynamics" / "friction.py", "ROUNDING = 1e-5", "ROUNDING = 1e-2")
+    edited, hits = probe(copied)
+    assert hits == 0
+    assert edited != first
+
+    edit(copied / "dynamics" / "friction.py", "ROUNDING = 1e-2", "ROUNDING = 1e-5")
+    assert probe(copied) == (first, 1)  # which is still in the cache
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    return tmp_path
+
+
+def hits_of(number: float) -> int:
+    """How often a function made anew came from the cache, which is called once."""
+    double = compiled(lambda x: 2.0 * x, "double")
+    assert double(number) == 2.0 * number
+    return sum(double.stats.cache_hits.values())
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+@pytest.mark.parametrize("left", [0, 20])
+def test_a_cache_cut_short_is_made_anew(ending: str, left: int, cache: Path) -> None:
+    assert hits_of(1.5) == 0
+    (file,) = cache.rglob(f"*.{ending}")
+    file.write_bytes(file.read_bytes()[:left])
+    assert hits_of(1.5) == 0
+    assert hits_of(1.5) == 1
+
+
+@pytest.mark.usefixtures("cache")
+def test_a_full_disk_is_told_once_and_nothing_else_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(IndexDataCacheFile, "save", full)
+    with pytest.warns(RuntimeWarning, match=r"not kept.*No space left on device") as told:
+        assert [hits_of(1.5), hits_of(1.5)] == [0, 0]
+    assert len(told) == 1
+
+
+def test_where_no_folder_can_be_written_it_is_compiled_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
+    with pytest.warns(RuntimeWarning, match="not kept: no folder for it can be written"):
+        assert hits_of(1.5) == 0
+
+
+SOURCE = """
+import math
+from typing import NamedTuple
+from numba import njit
+
+class Pair(NamedTuple):
+    first: float
+    second: float
+
+FACTOR = 2.0
+UNUSED = 1.0
+
+@njit
+def inner(x):
+    return FACTOR * x
+
+def outer(x, share=0.5):
+    return inner(x) + math.sin(share) + Pair(1.0, x).second
+
+def other(x):
+    return x
+"""
+
+
+def digest(source: str, name: str = "outer") -> str:
+    names: dict[str, object] = {"__name__": "made"}
+    exec(source, names)
+    return compute_digest(names[name])
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        pytest.param("FACTOR = 2.0", "FACTOR = 3.0", id="a constant of a callee"),
+        pytest.param("return FACTOR * x", "return FACTOR + x", id="a callee"),
+        pytest.param("@njit", "@njit(fastmath=True)", id="how a callee is compiled"),
+        pytest.param("share=0.5", "share=0.25", id="a default"),
+        pytest.param("math.sin", "math.cos", id="a function of a library"),
+        pytest.param("first: float", "zeroth: float", id="a field of a tuple"),
+    ],
+)
+def test_a_digest_notices_an_edit_of_what_is_compiled(old: str, new: str) -> None:
+    assert old in SOURCE
+    assert digest(SOURCE.replace(old, new)) != digest(SOURCE)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        pytest.param("UNUSED = 1.0", "UNUSED = 3.0", id="a constant not used"),
+        pytest.param("    return x\n", "    return -x\n", id="a function not called"),
+        pytest.param("import math", "# why\nimport math", id="a comment"),
+    ],
+)
+def test_a_digest_stays_where_other_code_is_edited(old: str, new: str) -> None:
+    assert old in SOURCE
+    assert digest(SOURCE.replace(old, new)) == digest(SOURCE)
+
+
+def test_a_digest_tells_apart_functions_that_close_over_others() -> None:
+    source = (
+        SOURCE
+        + """
+def make(function):
+    @njit
+    def made(x):
+        return function(x)
+    return made
+
+of_inner, of_other = make(inner), make(njit(other))
+"""
+    )
+    assert digest(source, "of_inner") != digest(source, "of_other")
+    assert digest(source, "of_inner") == digest(source, "of_inner")

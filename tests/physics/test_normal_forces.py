@@ -1,0 +1,192 @@
+"""Eq. (1): the dual against OSQP, SciPy, known answers, and what a degenerate set must keep."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from surface_gym.physics.references import SOLVERS, Solver
+from tests.physics.contact_sets import PITCH, WEIGHT, draw_arms, dual
+
+EVERY_SOLVER: dict[str, Solver] = {
+    "dual": lambda arms, _weight, load, stiffness: dual(arms, load, stiffness),
+    **SOLVERS,
+}
+SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [-0.1, 0.1], [0.1, 0.1]])
+GRID = PITCH * np.array([(x, y) for y in (-1.0, 0.0, 1.0) for x in (-1.0, 0.0, 1.0)])
+
+
+class ContactSet(NamedTuple):
+    arms: np.ndarray  # (contacts, 2) [m]
+    load: np.ndarray  # (2,) [m]
+
+
+def draw_contact_set(rng: np.random.Generator) -> ContactSet:
+    """Three to 25 elements of a 5 x 5 grid, and a load inside their hull."""
+    while True:
+        arms = draw_arms(rng, int(rng.integers(3, 26)))
+        if np.linalg.matrix_rank(arms - arms.mean(axis=0), tol=1e-6) == 2:
+            break
+    towards = rng.dirichlet(np.ones(len(arms)))
+    reach = rng.uniform(0.0, 0.999)
+    focus = arms[rng.integers(len(arms))]
+    return ContactSet(arms, reach * focus + (1.0 - reach) * towards @ arms)
+
+
+@pytest.fixture(scope="module")
+def contact_sets() -> list[ContactSet]:
+    rng = np.random.default_rng(1)
+    return [draw_contact_set(rng) for _ in range(10_000)]
+
+
+@pytest.fixture(scope="module")
+def dual_forces(contact_sets: list[ContactSet]) -> list[np.ndarray]:
+    answers = [dual(arms, load) for arms, load in contact_sets]
+    assert not any(degenerate for _, degenerate in answers)
+    return [normal for normal, _ in answers]
+
+
+def test_a_third_of_the_sets_have_active_bounds(dual_forces: list[np.ndarray]) -> None:
+    active = np.mean([(normal == 0.0).any() for normal in dual_forces])
+    assert 1 / 3 < active < 2 / 3
+
+
+@pytest.mark.parametrize("reference", SOLVERS)
+def test_the_dual_agrees_with_the_references(
+    contact_sets: list[ContactSet], dual_forces: list[np.ndarray], reference: str
+) -> None:
+    worst = 0.0
+    for (arms, load), normal in zip(contact_sets, dual_forces, strict=True):
+        expected, degenerate = SOLVERS[reference](arms, WEIGHT, load, np.ones(len(arms)))
+        assert not degenerate
+        worst = max(worst, float(np.abs(normal - expected).max()))
+    assert worst <= 1e-6 * WEIGHT
+
+
+def test_the_dual_balances_the_load(
+    contact_sets: list[ContactSet], dual_forces: list[np.ndarray]
+) -> None:
+    for (arms, load), normal in zip(contact_sets, dual_forces, strict=True):
+        assert normal.min() >= 0.0
+        assert normal.sum() == pytest.approx(WEIGHT, rel=1e-9)
+        np.testing.assert_allclose(normal @ arms / WEIGHT, load, rtol=0.0, atol=1e-6 * PITCH)
+
+
+@pytest.mark.parametrize("reference", SOLVERS)
+def test_they_agree_on_elements_of_unequal_stiffness(
+    contact_sets: list[ContactSet], reference: str
+) -> None:
+    rng = np.random.default_rng(2)
+    for arms, load in contact_sets[:1000]:
+        stiffness = rng.uniform(0.5, 2.0, size=len(arms))
+        normal, _ = dual(arms, load, stiffness)
+        expected, degenerate = SOLVERS[reference](arms, WEIGHT, load, stiffness)
+        assert not degenerate
+        np.testing.assert_allclose(normal, expected, rtol=0.0, atol=1e-6 * WEIGHT)
+
+
+@pytest.mark.parametrize("solver", EVERY_SOLVER)
+def test_a_stiffer_contact_bears_more(solver: str) -> None:
+    stiffness = np.array([3.0, 1.0, 1.0, 3.0])
+    normal, _ = EVERY_SOLVER[solver](SQUARE, WEIGHT, np.zeros(2), stiffness)
+    np.testing.assert_allclose(normal / WEIGHT, stiffness / 8.0, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("solver", EVERY_SOLVER)
+@pytest.mark.parametrize(
+    ("arms", "load", "share"),
+    [
+        pytest.param(GRID, (0.0, 0.0), np.full(9, 1 / 9), id="centred: evenly"),
+        pytest.param(
+            GRID, (0.05, 0.0), (2 + 1.5 * GRID[:, 0] / PITCH) / 18, id="off centre: a plane"
+        ),
+        pytest.param(SQUARE, (0.0, 0.05), (0.125, 0.125, 0.375, 0.375), id="between rows: a lever"),
+        pytest.param(SQUARE[:3], (-0.1, -0.1), (1, 0, 0), id="over a corner: that corner alone"),
+        pytest.param(SQUARE, (0.1, 0.0), (0, 0.5, 0, 0.5), id="over a side: that side alone"),
+        pytest.param(
+            np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.0], [0.1, 0.1]]),
+            (0.0, 0.0),
+            (1, 0, 0, 0),
+            id="over the corner of a triangle",
+        ),
+    ],
+)
+def test_known_answers(
+    solver: str, arms: np.ndarray, load: tuple[float, float], share: np.ndarray
+) -> None:
+    normal, degenerate = EVERY_SOLVER[solver](arms, WEIGHT, np.array(load), np.ones(len(arms)))
+    assert not degenerate
+    np.testing.assert_allclose(normal / WEIGHT, share, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("solver", EVERY_SOLVER)
+@pytest.mark.parametrize(
+    ("arms", "load", "share"),
+    [
+        pytest.param(SQUARE[:1], (0.0, 0.0), (1,), id="one contact"),
+        pytest.param(SQUARE[:2], (0.05, 0.3), (0.25, 0.75), id="two contacts"),
+        pytest.param(GRID[3:6], (0.05, 0.0), (1 / 12, 1 / 3, 7 / 12), id="collinear"),
+        pytest.param(GRID[[0, 4, 8]], (-0.3, -0.4), (1, 0, 0), id="collinear, load beyond"),
+        pytest.param(SQUARE, (0.0, 0.15), (0, 0, 0.5, 0.5), id="load beyond a side"),
+        pytest.param(SQUARE, (0.3, 0.25), (0, 0, 0, 1), id="load beyond a corner"),
+    ],
+)
+def test_a_degenerate_set_is_flagged_and_loads_the_nearest_contacts(
+    solver: str, arms: np.ndarray, load: tuple[float, float], share: tuple[float, ...]
+) -> None:
+    normal, degenerate = EVERY_SOLVER[solver](arms, WEIGHT, np.array(load), np.ones(len(arms)))
+    assert degenerate
+    assert normal.sum() == pytest.approx(WEIGHT, rel=1e-9)
+    np.testing.assert_allclose(normal / WEIGHT, share, rtol=0.0, atol=1e-3)
+
+
+def distance_to_hull(arms: np.ndarray, load: np.ndarray) -> float:
+    """[m] from a point to the convex hull of the arms: 0 if they surround it, else to the nearest
+    of all the lines that join two of them.
+    """
+    away = arms - load
+    angles = np.sort(np.arctan2(away[:, 1], away[:, 0]))
+    if np.diff(angles, append=angles[0] + 2.0 * np.pi).max() < np.pi:
+        return 0.0
+    first, second = (away[k] for k in np.triu_indices(len(away)))
+    along = second - first
+    length = np.maximum(np.sum(along**2, axis=1), 1e-300)
+    share = np.clip(-np.sum(first * along, axis=1) / length, 0.0, 1.0)
+    return float(np.linalg.norm(first + share[:, np.newaxis] * along, axis=1).min())
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(1, 25),
+    reach=st.floats(0.0, 0.6),
+    direction=st.floats(-np.pi, np.pi),
+)
+def test_any_set_keeps_vertical_balance_and_comes_as_near_to_the_load_as_it_can(
+    seed: int, count: int, reach: float, direction: float
+) -> None:
+    arms = draw_arms(np.random.default_rng(seed), count)
+    load = reach * np.array([np.cos(direction), np.sin(direction)])
+    normal, degenerate = dual(arms, load)
+    miss = float(np.linalg.norm(normal @ arms / WEIGHT - load))
+    assert normal.min() >= 0.0
+    assert normal.sum() == pytest.approx(WEIGHT, rel=1e-9)
+    assert miss == pytest.approx(distance_to_hull(arms, load), abs=1e-3 * PITCH)
+    assert degenerate or miss < 1e-5 * PITCH
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1), count=st.integers(1, 25), along=st.sampled_from([0.0, 0.5, 0.3])
+)
+def test_a_load_over_a_contact_or_between_two_is_carried(
+    seed: int, count: int, along: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    arms = draw_arms(rng, count)
+    first, second = arms[rng.integers(count, size=2)]
+    load = (1.0 - along) * first + along * second
+    normal, _ = dual(arms, load)
+    assert normal.min() >= 0.0
+    assert normal.sum() == pytest.approx(WEIGHT, rel=1e-9)
+    np.testing.assert_allclose(normal @ arms / WEIGHT, load, rtol=0.0, atol=1e-5 * PITCH)

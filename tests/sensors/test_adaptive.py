@@ -1,0 +1,144 @@
+"""What a filter learns of friction and load: by the physics' own derivatives, and for good."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym.conditions import CONDITIONS
+from surface_gym.core.batch import Batch
+from surface_gym.sensors import AdaptiveCamera, Camera
+from surface_gym.sensors.adaptive import CONSTANT, DOUBT, EFFECT
+from surface_gym.sensors.base import LEARNED
+from surface_gym.sensors.camera import SPREADS
+from surface_gym.sensors.kalman import DECAY
+from surface_gym.settings import Settings
+from surface_gym.tasks import Slow
+
+BRAKE, ROLL = 0, 3
+QUADRANTS = {"all brake": (0, 0, 0, 0), "ahead brakes": (0, 0, 3, 3), "one side": (2, 3, 3, 0)}
+
+
+def in_the_zone(axes: tuple[int, ...]) -> Batch:
+    """A lane in the middle of its zone, its rotors set; a control period is a physics step, and no
+    frame comes.
+    """
+    unseen = AdaptiveCamera(frame_rate=0.1)
+    batch = Batch(Settings("slow", "quadrants", unseen, control_period=0.005), 1)
+    batch.reserve.seed(0, np.random.default_rng(0))
+    batch.start(np.zeros(1, dtype=np.int64), [{"speed": 2.0, "parcel": "B"}])
+    for _ in range(104):
+        batch.advance(np.full((1, 4), ROLL))
+    batch.advance(np.array([axes]))
+    return batch
+
+
+@pytest.mark.parametrize("axes", QUADRANTS.values(), ids=QUADRANTS)
+def test_effects_are_the_derivatives_of_a_step(axes: tuple[int, ...]) -> None:
+    """Against central differences of the physics' step over each of the constants."""
+    batch = in_the_zone(axes)
+    kept = batch.parcels.sensor_state[0]
+    kept[2] = 0.3  # rad: so that base and world differ
+    kept[5] = -0.8  # rad/s: so that arms count
+    kept[6:8] = 0.0
+    before = tuple(array.copy() for array in batch.parcels)
+
+    def velocities(constants: np.ndarray) -> np.ndarray:
+        for array, values in zip(batch.parcels, before, strict=True):
+            array[:] = values
+        kept[CONSTANT : CONSTANT + LEARNED] = constants
+        batch.advance(np.array([axes]))
+        return kept[3:6].copy()
+
+    constants = np.array([1.1, 0.02, -0.015])
+    differences = np.empty((3, LEARNED))
+    for k, step in enumerate((1e-4, 1e-5, 1e-5)):
+        apart = step * np.eye(LEARNED)[k]
+        differences[:, k] = velocities(constants + apart) - velocities(constants - apart)
+        differences[:, k] /= 2.0 * step
+    velocities(constants)
+    effect = kept[EFFECT : EFFECT + 9].reshape(3, 3)
+    # What is held rather than sliding takes less of a change: `effect` is damped alike.
+    assert np.abs(np.linalg.eigvals(kept[DECAY : DECAY + 9].reshape(3, 3))).min() > 0.9
+    np.testing.assert_allclose(effect, differences, atol=0.05 * float(np.abs(differences).max()))
+
+
+def after_braking(sensors: Camera, lanes: int = 128) -> tuple[Any, sg.SmartSurfaceVectorEnv]:
+    """What a filter has in mind of parcels of the lab that were braked and led aside a little."""
+    lab = replace(CONDITIONS["lab"], sensors=sensors, actuators=sg.Actuators())
+    env = sg.SmartSurfaceVectorEnv(
+        lanes, Slow(speeds=(2.0, 2.4)), "quadrants", condition=lab, observe=("load",)
+    )
+    observation, _ = env.reset(seed=3)
+    halves = ((BRAKE, BRAKE, ROLL, ROLL), (ROLL, ROLL, BRAKE, BRAKE), (BRAKE,) * 4)
+    for k in range(16):
+        pattern = (ROLL,) * 4 if k < 7 else halves[k % 3]
+        observation, _, terminated, truncated, _ = env.step(np.tile(pattern, (lanes, 1)))
+        assert not (terminated | truncated).any()
+    return observation, env
+
+
+def test_friction_and_load_are_learned_as_well_as_it_says() -> None:
+    """Errors over the filter's own doubts are of order one, and doubts have shrunk."""
+    sensors = CONDITIONS["lab"].sensors
+    assert isinstance(sensors, AdaptiveCamera)
+    observation, env = after_braking(sensors)
+    batch = env._batch
+    sites = batch.bodies.body[batch.parcels.site]
+    true = np.column_stack([batch.surfaces.conditions[:, 0], sites[:, 1], sites[:, 2]])
+    kept = batch.parcels.sensor_state
+    errors = kept[:, CONSTANT : CONSTANT + LEARNED] - true
+    doubts = np.sqrt(kept[:, DOUBT : DOUBT + 9 : LEARNED + 1])
+    spreads = np.array([sensors.friction_spread, sensors.load_spread, sensors.load_spread])
+    assert (doubts.mean(axis=0) < (0.6, 0.9, 0.7) * spreads).all()
+    prior = true - (1.0, 0.0, 0.0)
+    assert (np.sqrt((errors**2).mean(axis=0)) < np.sqrt((prior**2).mean(axis=0))).all()
+    over = np.sqrt(((errors / doubts) ** 2).mean(axis=0))
+    assert ((over > 0.3) & (over < 2.0)).all(), over
+    # The observation shows the same, over what was known before.
+    shown = np.column_stack([(kept[:, CONSTANT : CONSTANT + LEARNED] - (1, 0, 0)), doubts])
+    np.testing.assert_allclose(
+        observation[:, -2 * LEARNED :], shown / np.tile(spreads, 2), rtol=1e-5, atol=1e-6
+    )
+
+
+def test_it_sees_better_in_the_lab_than_a_camera_that_does_not_learn() -> None:
+    lab = CONDITIONS["lab"].sensors
+    assert isinstance(lab, AdaptiveCamera)
+    plain = Camera(
+        latency=lab.latency, position_noise=lab.position_noise, entry=lab.entry, friction_error=0.1
+    )
+    found = []
+    for sensors in (lab, plain):
+        _, env = after_braking(sensors)
+        memory = env._batch.parcels
+        found.append(np.sqrt(((memory.sensed - memory.truth)[:, 3:] ** 2).mean(axis=0)))
+    assert (found[0] < (0.85, 0.85, 0.6) * found[1]).all(), found
+
+
+def test_where_all_is_as_assumed_it_sees_as_well_as_a_camera() -> None:
+    from tests.sensors.runs import errors, rms
+
+    plain = rms(errors(Camera(), BRAKE, speed=1.5, parcel="B"))
+    learning = AdaptiveCamera(acceleration_density=0.0003, turn_density=0.03)
+    assert (rms(errors(learning, BRAKE, speed=1.5, parcel="B")) < 1.5 * plain).all()
+
+
+def test_a_sensor_that_does_not_learn_shows_all_doubt() -> None:
+    env = sg.SmartSurfaceVectorEnv(2, "stop", sensors=Camera(), observe=("load",))
+    observation, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(observation[:, -6:], [[0, 0, 0, 1, 1, 1]] * 2)
+
+
+@pytest.mark.parametrize("name", ["friction_spread", "load_spread"])
+@pytest.mark.parametrize("value", [0.0, -0.1, float("nan"), 2.0, "wide"])
+def test_a_bad_spread_is_named(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=rf"^{name} must be"):
+        AdaptiveCamera(**{name: value})
+
+
+def test_the_spreads_are_where_the_filter_reads_them() -> None:
+    numbers = AdaptiveCamera(friction_spread=0.2, load_spread=0.03).numbers(0.005)
+    assert numbers[SPREADS:] == (0.2, 0.03)

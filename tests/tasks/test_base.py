@@ -1,0 +1,167 @@
+"""What holds for every task alike."""
+
+import math
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym.registration import env_id
+from surface_gym.state import COMMON_OUTCOMES
+from surface_gym.tasks import TASKS, Orient, Slow, Sort, Stop, Track
+from surface_gym.tasks.base import Draw, check_options, parcel_option, rising
+from tests.environments import TRIANGLE, assert_same, bare
+from tests.tasks import draws, nth, play
+
+# For each task: options that fix a start, and the goal that they make.
+FIXED: dict[str, tuple[dict[str, Any], tuple[float, ...]]] = {
+    "sort": ({"speed": 1.3, "parcel": "B", "side": -1}, (-1.0,)),
+    "slow": ({"speed": 1.3, "parcel": "B", "ratio": 0.4}, (0.4, 1.3)),
+    "stop": ({"speed": 1.3, "parcel": "B", "position": 1.2}, (1.2,)),
+    "track": (
+        {"speed": 1.3, "parcel": "B", "path": [(0.5, 0.9), (3.05, 0.9)], "tilt": 0.1},
+        (1.3, 0.5, 0.01),
+    ),
+    "orient": ({"speed": 1.3, "parcel": "B", "angle": -0.4}, (-0.4,)),
+}
+BAD_ARGUMENTS = [
+    (Sort, {"slow_share": 1.1}, "slow_share"),
+    (Sort, {"speeds": (0.0, 1.0)}, "speeds"),
+    (Sort, {"slow_speeds": (1.0, 0.5)}, "slow_speeds"),
+    (Slow, {"speeds": (2.0, 1.0)}, "speeds"),
+    (Slow, {"ratios": (0.5, 1.5)}, "ratios"),
+    (Stop, {"speeds": (-1.0, 1.0)}, "speeds"),
+    (Stop, {"speeds": 1.0}, "speeds"),
+    (Track, {"speeds": (0.5, 6.0)}, "speeds"),
+    (Track, {"tilts": (0.0, 1.0)}, "tilts"),
+    (Track, {"kinds": ()}, "kinds"),
+    (Track, {"kinds": ("circle",)}, "kinds"),
+    (Orient, {"angles": (-4.0, 0.0)}, "angles"),
+    *((task, {"parcels": ()}, "parcels") for task in TASKS.values()),
+    *((task, {"parcels": ("M",)}, "parcel") for task in TASKS.values()),
+]
+
+every_task = pytest.mark.parametrize("name", TASKS)
+
+
+class TestOptions:
+    @every_task
+    def test_fix_a_start_exactly(self, name: str) -> None:
+        task, (options, goal) = TASKS[name](), FIXED[name]
+        assert set(options) == set(task.options)
+        for start in draws(task, 3, **options):
+            assert start.goal == pytest.approx(goal, abs=1e-12)
+            assert start.parcel is sg.layouts.box("B")
+            assert start.velocity == (1.3, 0.0, 0.0)
+            assert start.pose == ((0.5, 0.9, 0.0) if name == "track" else (0.225, 1.0, 0.0))
+            assert start.tilt == options.get("tilt", 0.0)
+            assert len(start.goal) == task.goals
+
+    @every_task
+    def test_one_leaves_the_other_draws_as_they_are(self, name: str) -> None:
+        task, (options, _) = TASKS[name](), FIXED[name]
+        free, held = draws(task, 9), draws(task, 9, parcel=options["parcel"])
+        assert [start.velocity[0] for start in held] == [start.velocity[0] for start in free]
+        assert [start.tilt for start in held] == [start.tilt for start in free]
+
+    @every_task
+    def test_unknown_ones_are_named(self, name: str) -> None:
+        with pytest.raises(ValueError, match=r"options must be one of .*'colour'"):
+            bare(env_id(name)).reset(options={"colour": 1})
+
+    @every_task
+    @pytest.mark.parametrize("speed", [-0.1, 5.1, math.nan, "fast", None, True])
+    def test_bad_speeds(self, name: str, speed: object) -> None:
+        with pytest.raises(ValueError, match="speed"):
+            bare(env_id(name)).reset(options={"speed": speed})
+
+    @every_task
+    @pytest.mark.parametrize("parcel", ["M", None, 3, sg.Rectangle(0.2, 0.2)])
+    def test_bad_parcels(self, name: str, parcel: object) -> None:
+        with pytest.raises(ValueError, match="parcel"):
+            bare(env_id(name)).reset(options={"parcel": parcel})
+
+    def test_helpers(self) -> None:
+        assert parcel_option(TRIANGLE) is TRIANGLE
+        assert parcel_option("S") is sg.layouts.box("S")
+        assert check_options(None, ("speed",)) == {}
+        assert rising("speeds", [1, 1], 0.0, 2.0) == (1.0, 1.0)
+        with pytest.raises(ValueError, match="speeds must be two rising numbers between 0 and 2"):
+            rising("speeds", (1.0, 2.1), 0.0, 2.0)
+
+
+class TestArguments:
+    @pytest.mark.parametrize(("task", "arguments", "named"), BAD_ARGUMENTS)
+    def test_bad_ones_are_named(self, task: type, arguments: dict, named: str) -> None:
+        with pytest.raises(ValueError, match=named):
+            task(**arguments)
+
+    @every_task
+    def test_parcels_of_ones_own_are_drawn(self, name: str) -> None:
+        task = TASKS[name](parcels=(TRIANGLE,))
+        assert all(start.parcel is TRIANGLE for start in draws(task, 5))
+
+
+class TestStarts:
+    @every_task
+    def test_a_seed_fixes_them(self, name: str) -> None:
+        task = TASKS[name]()
+        assert_same(tuple(draws(task, 3, seed=5)), tuple(draws(task, 3, seed=5)))
+        first, second = draws(task, 1, seed=5), draws(task, 1, seed=6)
+        assert first[0].velocity != second[0].velocity
+
+    @every_task
+    def test_one_at_a_time_they_are_the_same(self, name: str) -> None:
+        """A lane's start does not depend on how many others start with it."""
+        task = TASKS[name]()
+        numbers = np.random.default_rng(1).random((5, task.draws))
+        together = task.start(Draw(numbers, (), task.plant))
+        for k in range(5):
+            alone = task.start(Draw(numbers[k : k + 1], (), task.plant))
+            assert_same(tuple(nth(alone, 0, 1)), tuple(nth(together, k, 5)))
+
+
+class TestEpisodes:
+    @every_task
+    def test_outcomes_ends_sums_and_bounds(self, name: str) -> None:
+        env = bare(env_id(name), actions="halves")
+        seen, outcomes = set(), (*COMMON_OUTCOMES, *TASKS[name].outcomes)
+        for seed in range(12):
+            # By turns at random, where most stall, and rolling, where most get through.
+            episode = play(env, {}, 15 if seed % 2 else None, seed=seed)
+            for observation, reward, terminated, truncated, info in episode.steps:
+                assert observation in env.observation_space
+                assert reward == pytest.approx(math.fsum(info["reward_terms"].values()), abs=1e-12)
+                assert list(info["reward_terms"]) == list(TASKS[name].terms)
+                assert all(math.isfinite(info[figure]) for figure in TASKS[name].figures)
+                assert info["outcome"] in outcomes
+                assert terminated == (info["outcome"] != "running")
+                assert info["is_success"] == (info["outcome"] == "success")
+                assert not truncated
+            outcome = episode.end["outcome"]
+            forgiven = name == "slow" and outcome == "missed"  # it did leave the zone
+            assert (episode.total("success") > 0.0) == (outcome == "success")
+            assert (episode.total("failure") < 0.0) == (outcome != "success" and not forgiven)
+            seen.add(outcome)
+        assert seen <= {"success", *TASKS[name].outcomes}
+        assert len(seen) >= 2
+
+    @every_task
+    def test_time_running_out_truncates(self, name: str) -> None:
+        env = gym.make(env_id(name), max_episode_steps=2)
+        episode = play(env, FIXED[name][0], np.full(env.action_space.shape, 3))
+        assert [step[2:4] for step in episode.steps] == [(False, False), (False, True)]
+        assert episode.end["outcome"] == "running"
+        assert episode.total("failure") == 0.0
+
+    @every_task
+    def test_the_page_names_every_term_and_figure(self, name: str) -> None:
+        page = TASKS[name].__doc__
+        for section in ("Start", "Goal and end", "Reward", "Info", "Version history"):
+            assert f"### {section}\n" in page
+        for term in TASKS[name].terms:
+            assert f"| `{term}` |" in page
+        for figure in TASKS[name].figures:
+            assert f"- `{figure}` [" in page
