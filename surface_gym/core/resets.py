@@ -177,7 +177,9 @@ class BodyPlan:
     def _own(self, lane: int, parcel: Parcel) -> int:
         body = self._shared + lane
         if len(self.bodies.zone) == self._shared:
-            more = _make_bodies(self._num_envs, self.bodies.rotor.shape[1:], self.bodies.edges.shape[1])
+            more = _make_bodies(
+                self._num_envs, self.bodies.rotor.shape[1:], self.bodies.edges.shape[1]
+            )
             self.bodies = BodyTable._make(map(np.concatenate, zip(self.bodies, more, strict=True)))
         if self._parcels[body] is not parcel:
             self._write(body, parcel)

@@ -1,1 +1,1 @@
-"""The only physics: compiled scalar functions, and slower references to hold them against."""
+"""The only physics: compiled scalar functions, and slower references to check them against."""

@@ -58,14 +58,14 @@ class World(NamedTuple):
 
 
 class ContactMaterial(NamedTuple):
-    """How sides behave."""
+    """Restitution and friction between the sides of parcels."""
 
     restitution: float  # [-] 0: they stay together; 1: they part as fast as they met
     friction: float  # [-] between sides
 
 
 class WorldScratch(NamedTuple):
-    """Memory of a step together, for P parcels, and what it leaves there."""
+    """Scratch of a step of the whole world, for P parcels, and the results it leaves there."""
 
     tables: Array  # (P, TABLE_SIZE) a `Scratch` a parcel
     marks: Integers  # (P, MARKS_SIZE)
@@ -74,14 +74,14 @@ class WorldScratch(NamedTuple):
     pair: Integers  # (most pairs, 2) rows of parcels that pushed each other
     impulse: Array  # (most pairs,) [N s] along the normal
     before: Array  # (P, STATE_SIZE) states at the start
-    bearing: Integers  # (P,) elements that bore each parcel
-    nothing: Integers  # (P,) zeros: elements that bear parcels while sides hit each other
+    floor: Integers  # (P,) contacts of each parcel with elements
+    nothing: Integers  # (P,) zeros: no contacts with elements while sides hit each other
     reach: Array  # (P,) [m] from a centre of mass at the start to wherever its base came
     near: Integers  # (most pairs, 2) rows of parcels whose bases may meet
     when: Array  # (most pairs,) [s] from which on they touch; infinite: they do not
     push: Array  # (most pairs,) [N s] impulse along the normal
     since: Array  # (P,) [s] from which on each parcel touches another; infinite: it does not
-    root: Integers  # (P,) the group of each parcel: the least row in it
+    root: Integers  # (P,) the island of each parcel: its least row
     member: Integers  # (P,) and so on: as in `Group`
     slot: Integers  # (P,)
     low: Integers  # (P,)
@@ -99,7 +99,7 @@ class WorldScratch(NamedTuple):
 
 
 def make_world_scratch(parcels: int) -> WorldScratch:
-    """Scratch for so many parcels, that says nothing of any contact."""
+    """Make scratch for a number of parcels, with no contacts in it."""
     pairs = parcels * (parcels - 1) // 2
     marks = np.zeros((parcels, MARKS_SIZE), dtype=np.int64)
     marks[:, SPANS] = -1
@@ -115,7 +115,7 @@ def make_world_scratch(parcels: int) -> WorldScratch:
         pair=integers(pairs, 2),
         impulse=np.zeros(pairs),
         before=np.zeros((parcels, STATE_SIZE)),
-        bearing=integers(parcels),
+        floor=integers(parcels),
         nothing=integers(parcels),
         reach=np.zeros(parcels),
         near=integers(pairs, 2),
@@ -142,7 +142,7 @@ def make_world_scratch(parcels: int) -> WorldScratch:
 
 @inlined
 def world_scratch(scratches: WorldScratch, i: int) -> WorldScratch:
-    """The i-th of scratches whose arrays have one more dimension, the first."""
+    """Return the i-th of scratches whose arrays have one more dimension, the first."""
     return WorldScratch(
         scratches.tables[i],
         scratches.marks[i],
@@ -151,7 +151,7 @@ def world_scratch(scratches: WorldScratch, i: int) -> WorldScratch:
         scratches.pair[i],
         scratches.impulse[i],
         scratches.before[i],
-        scratches.bearing[i],
+        scratches.floor[i],
         scratches.nothing[i],
         scratches.reach[i],
         scratches.near[i],
@@ -178,14 +178,14 @@ def world_scratch(scratches: WorldScratch, i: int) -> WorldScratch:
 
 @inlined
 def invalidate_world(scratch: WorldScratch) -> None:
-    """What a scratch says of the elements is of another surface, or of axes that have turned."""
+    """Forget all contacts with elements: the surface is another one, or its axes have turned."""
     for k in range(scratch.marks.shape[0]):
         invalidate_contacts(Scratch(scratch.tables[k], scratch.marks[k]))
 
 
 @inlined
 def read_body(bodies: Bodies, site: int) -> Body:
-    """A row of the bodies as the physics of one parcel reads it."""
+    """Read a row of the bodies as the physics of one parcel takes it."""
     row = bodies.body[site]
     return Body(
         bodies.edges[site], row[RADIUS], row[COM_X], row[COM_Y], row[COM_HEIGHT], row[GYRATION]
@@ -197,11 +197,11 @@ LEAST_REST = 1e-9  # [s] that a step has left when two touch
 
 @linked
 def find_near_pairs(world: World, scratch: WorldScratch) -> int:
-    """Write which parcels' bases may meet on their ways from `before`; how many pairs."""
+    """Broad phase: write the pairs whose bases may meet in the step, and return their number."""
     before, after, reach = scratch.before, world.state, scratch.reach
     rows = world.present.shape[0]
     for k in range(rows):
-        reach[k] = -math.inf  # whoever is absent or off the surface meets nobody
+        reach[k] = -math.inf  # an absent parcel meets none
         if world.present[k] and scratch.report[k] < OFF_SURFACE:
             body = world.bodies.body[world.body[k]]
             moved = abs(after[k, X] - before[k, X]) + abs(after[k, Y] - before[k, Y])
@@ -223,9 +223,7 @@ def find_near_pairs(world: World, scratch: WorldScratch) -> int:
 
 @linked
 def find_impacts(world: World, scratch: WorldScratch, pairs: int, dt: float) -> bool:
-    """Write when each near pair touches, since when each parcel does, and the groups of those that
-    do; whether any two do.
-    """
+    """Write the time of impact of each near pair, and the islands; return whether any touch."""
     bodies, before, after = world.bodies, scratch.before, world.state
     for k in range(world.present.shape[0]):
         scratch.since[k] = math.inf
@@ -253,7 +251,7 @@ def find_impacts(world: World, scratch: WorldScratch, pairs: int, dt: float) -> 
 
 @inlined
 def _join(scratch: WorldScratch, i: int, j: int) -> None:
-    """Make one group of those of two parcels."""
+    """Merge the islands of two parcels."""
     root = scratch.root
     first = min(root[i], root[j])
     second = max(root[i], root[j])
@@ -264,7 +262,7 @@ def _join(scratch: WorldScratch, i: int, j: int) -> None:
 
 @linked
 def find_contact_points(world: World, scratch: WorldScratch, pairs: int, dt: float) -> int:
-    """Write the points at which near pairs touch; how many."""
+    """Write the points at which near pairs touch, and return their number."""
     bodies, before, after = world.bodies, scratch.before, world.state
     points = 0
     for e in range(pairs):
@@ -294,7 +292,7 @@ def find_contact_points(world: World, scratch: WorldScratch, pairs: int, dt: flo
 
 @inlined
 def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, y: float) -> None:
-    """Write who touches at (x, y), and the arms from where each of them first touches another."""
+    """Write the parcels that touch at (x, y), and the arms from each one's first touch."""
     scratch.ends[c, 2] = e
     for end in range(2):
         k = scratch.near[e, end]
@@ -312,8 +310,8 @@ def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, 
 
 @inlined
 def gather_island(scratch: WorldScratch, root: int, points: int) -> tuple[int, int]:
-    """Write who is in the group of a root, in the order of x, so that those who touch have places
-    near each other, and which points are; how many of both.
+    """Write the members and the contact points of a root's island; return the number of both.
+    Members stand in the order of x, so that parcels that touch have indices near each other.
     """
     members = 0
     for k in range(scratch.root.shape[0]):

@@ -1,20 +1,19 @@
 """One step of all parcels on a surface, which may push each other.
 
-A group is of all who touch, directly or by others. In each of them
+Each parcel first steps as if it were alone. Parcels whose bases meet on these ways push each other;
+all others stay where their steps led, to the bit. Parcels that touch, directly or through others,
+form an island. In each island
     1. sides that close fast rebound, with no time for friction below: the impulses that stop them
        act once more, times the restitution (Poisson's hypothesis, which gains no energy);
-    2. the velocities after the step are found, of all at once, so that no sides close on each other
-       (`settling.py`), with friction for what the step has left since the touch;
-    3. each parcel goes on with its new velocity from where it first touched.
-Then what still overlaps is moved apart.
+    2. the velocities after the step are solved, of all at once, so that no sides close on each
+       other (`island.py`), with friction for the rest of the step since the touch;
+    3. each parcel moves on with its new velocity from where it first touched.
+Overlaps that are left are then resolved.
 
-Each parcel first takes its step as if it were alone. Those whose bases meet on these ways push each
-other (`pushing.py`); all others stay where their steps led, to the bit. The contacts with elements
-and their normal forces remain those of the steps alone. The acceleration in a state, which loads
-the elements, is that of friction and gravity: sides press at the height of the centre of mass and
-tip nobody.
-
-A parcel that is pushed into a third in the same step is moved out of it, and pushes it in the next.
+The contacts with elements and their normal forces remain those of the steps alone. The acceleration
+in a state, which loads the elements, is that of friction and gravity: sides press at the height of
+the centre of mass and tip no parcel. A parcel that is pushed into a third in the same step is moved
+out of it, and pushes it in the next.
 """
 
 import math
@@ -77,7 +76,7 @@ MAX_SWEEPS = 20
 
 @linked
 def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
-    """Move near pairs that overlap apart along their normals, the heavier less.
+    """Move near pairs that overlap apart along their normals, the heavier one less.
 
     Their velocities stay. A chain of parcels takes several sweeps.
     """
@@ -123,16 +122,16 @@ def solve_contacts(
     pairs: int,
     dt: float,
 ) -> int:
-    """Let those who meet push each other; how many pairs did."""
+    """Solve the contacts of all islands, and return the number of pairs that pushed each other."""
     points = find_contact_points(world, scratch, pairs, dt)
     for first in range(world.present.shape[0]):
         if scratch.root[first] == first and scratch.since[first] < math.inf:
             members, contacts = gather_island(scratch, first, points)
-            island = _group(world, scratch, scratch.bearing, members, contacts)
+            island = _make_island(world, scratch, scratch.floor, members, contacts)
             _begin(world, scratch, island, dt)
             hit = _closes_fast(island, scratch.start)
             if hit and material.restitution > 0.0:
-                free = _group(world, scratch, scratch.nothing, members, contacts)
+                free = _make_island(world, scratch, scratch.nothing, members, contacts)
                 _rebound(scratch, free, material)
             _go_on(grid, material, scratch, island, dt)
             for n in range(members):
@@ -151,8 +150,8 @@ def solve_contacts(
 
 
 @inlined
-def _group(
-    world: World, scratch: WorldScratch, bearing: Integers, members: int, contacts: int
+def _make_island(
+    world: World, scratch: WorldScratch, floor: Integers, members: int, contacts: int
 ) -> Island:
     return Island(
         members,
@@ -161,7 +160,7 @@ def _group(
         world.body,
         scratch.tables,
         scratch.marks,
-        bearing,
+        floor,
         scratch.member,
         scratch.slot,
         scratch.low,
@@ -179,9 +178,7 @@ def _group(
 
 @inlined
 def _begin(world: World, scratch: WorldScratch, island: Island, dt: float) -> None:
-    """Begin with the velocities at which the members of a group come to touch, and with friction
-    for what the step has left.
-    """
+    """Set the velocities of an island at first touch, and the friction for the rest of the step."""
     for n in range(island.members):
         k = island.member[n]
         share = scratch.since[k] / dt
@@ -196,7 +193,7 @@ def _begin(world: World, scratch: WorldScratch, island: Island, dt: float) -> No
 
 @inlined
 def _closes_fast(island: Island, start: Array) -> bool:
-    """Whether any sides of a group do."""
+    """Return whether any sides of an island close fast."""
     for m in range(island.contacts):
         c = island.contact[m]
         normal, _ = relative_velocity(island, c, start)
@@ -207,7 +204,7 @@ def _closes_fast(island: Island, start: Array) -> bool:
 
 @inlined
 def _take_impulses(scratch: WorldScratch, island: Island, times: float) -> None:
-    """Add the impulses of a group, so many times, to the velocities at the start."""
+    """Add the impulses of an island, times a factor, to the velocities at the start."""
     change = scratch.gradient
     for n in range(island.members):
         for axis in range(3):
@@ -228,7 +225,7 @@ def _take_impulses(scratch: WorldScratch, island: Island, times: float) -> None:
 
 @linked
 def _rebound(scratch: WorldScratch, island: Island, material: ContactMaterial) -> None:
-    """Stop the sides of a group, and have the impulses that did so act once more."""
+    """Stop the sides of an island, and apply the impulses that did so once more."""
     for n in range(island.members):
         k = island.member[n]
         for axis in range(3):
@@ -242,7 +239,7 @@ def _rebound(scratch: WorldScratch, island: Island, material: ContactMaterial) -
 def _go_on(
     grid: Grid, material: ContactMaterial, scratch: WorldScratch, island: Island, dt: float
 ) -> None:
-    """Find what the sides of a group do while friction acts below."""
+    """Solve the velocities of an island while friction acts below."""
     for n in range(island.members):
         k = island.member[n]
         for axis in range(3):
@@ -254,7 +251,7 @@ def _go_on(
 
 @inlined
 def _is_pushed(scratch: WorldScratch, island: Island, k: int) -> bool:
-    """Whether anybody pushes a parcel of a group."""
+    """Return whether any parcel pushes a parcel of an island."""
     for m in range(island.contacts):
         c = island.contact[m]
         ours = island.ends[c, 0] == k or island.ends[c, 1] == k
@@ -265,11 +262,11 @@ def _is_pushed(scratch: WorldScratch, island: Island, k: int) -> bool:
 
 @linked
 def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool, dt: float) -> None:
-    """Move a parcel that is pushed: alone until it touches, on with its new velocity.
+    """Move a parcel that is pushed: alone until it touches, then on with its new velocity.
 
     Args:
         grid: the surface.
-        company: that it is of.
+        world: that it is of.
         scratch: with its velocity where it touches, impulses taken in.
         k: its row.
         hit: whether velocities change at the touch, rather than over the step.
@@ -283,7 +280,7 @@ def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool,
         grid,
         world.bodies.body[world.body[k], GYRATION],
         Scratch(scratch.tables[k], scratch.marks[k]),
-        Contacts(scratch.bearing[k], scratch.marks[k, SUPPORTS]),
+        Contacts(scratch.floor[k], scratch.marks[k, SUPPORTS]),
         rest,
         start[0],
         start[1],
@@ -306,15 +303,15 @@ def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool,
 def step_world(
     grid: Grid, world: World, material: ContactMaterial, scratch: WorldScratch, dt: float
 ) -> int:
-    """One implicit step of all parcels present.
+    """Step all parcels present by one implicit step.
 
     A parcel whose report is OFF_SURFACE or UNBORNE keeps its state and touches nobody.
 
     Args:
         grid: the surface that all are on.
-        company: whose states are moved on.
-        touching: how sides behave.
-        scratch: for as many parcels as the company has rows.
+        world: whose states are moved on.
+        material: how sides behave.
+        scratch: for as many parcels as the world has rows.
         dt: [s] step.
 
     Returns:
@@ -333,7 +330,7 @@ def step_world(
                 dt,
             )
             scratch.report[k] = report
-            scratch.bearing[k] = contacts.total
+            scratch.floor[k] = contacts.total
             scratch.rotors[k] = contacts.total - contacts.supports
     pairs = find_near_pairs(world, scratch)
     if pairs == 0 or not find_impacts(world, scratch, pairs, dt):

@@ -32,7 +32,7 @@ from surface_gym.physics.types import (
 
 @inlined
 def bounded(value: float, least: float, most: float) -> float:
-    """A number within [least, most]; what is not a number becomes the least.
+    """Return a number within [least, most]; what is not a number becomes the least.
 
     Every float goes through here before it becomes an index or a count. A processor makes anything
     at all of one that an integer has no room for.
@@ -70,7 +70,7 @@ def _turn_edges(body: Body, cosine: float, sine: float, table: Array) -> None:
 
 @inlined
 def _row_interval(body: Body, table: Array, dy: float) -> tuple[float, float]:
-    """Ends of the base along the row at dy from the base's origin; the first exceeds if empty."""
+    """Return the ends of the base along the row at dy from its origin; first > last if empty."""
     reach = body.radius + EDGE_TOLERANCE
     high = math.sqrt(max(0.0, reach * reach - dy * dy))
     low = -high
@@ -88,7 +88,7 @@ def _row_interval(body: Body, table: Array, dy: float) -> tuple[float, float]:
 
 @inlined
 def _gather(grid: Grid, scratch: Scratch) -> int:
-    """Write what each element of the spans is; how many of them are supports."""
+    """Write the kind of each element of the spans, and return the number of supports."""
     table, marks = scratch.table, scratch.marks
     i = 0
     supports = 0
@@ -117,7 +117,7 @@ def _gather(grid: Grid, scratch: Scratch) -> int:
 
 @inlined
 def invalidate_contacts(scratch: Scratch) -> None:
-    """What a scratch says of the elements is of another surface, or of axes that have turned."""
+    """Forget all contacts: the surface is another one, or its axes have turned."""
     scratch.marks[SPANS] = -1
 
 

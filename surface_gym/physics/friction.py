@@ -1,4 +1,4 @@
-"""The friction law: anisotropic Coulomb friction as a convex potential, and the implicit step's velocity.
+"""The friction law: anisotropic Coulomb friction as a convex potential, and an implicit step.
 
 The paper's forces, Eq. (2)-(3), are minus the gradient of
     Phi(v) = sum over rotors N_i (mu_max |a_i . u_i| + mu_min |p_i . u_i|)
@@ -96,7 +96,7 @@ def _prepare(
 
 @inlined
 def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> float:
-    """Derivative of Phi along the search at t."""
+    """Return the derivative of Phi along the search at t."""
     table = scratch.table
     per_rounding = 1.0 / rounding
     for i in range(contacts.total):
@@ -125,7 +125,7 @@ def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> f
 
 @inlined
 def _keep_kinks(scratch: Scratch, count: int) -> int:
-    """Write the kinks within the search one after the other; how many there are.
+    """Write the kinks within the search one after the other, and return their number.
 
     A kink is where a contact passes between sliding and held.
     """
@@ -141,7 +141,7 @@ def _keep_kinks(scratch: Scratch, count: int) -> int:
 
 @inlined
 def _kink_nearest_middle(scratch: Scratch, kinks: int, low: float, high: float) -> float:
-    """The kink nearest to the middle of (low, high); negative if there is none."""
+    """Return the kink nearest to the middle of (low, high); negative if there is none."""
     middle = 0.5 * (low + high)
     distance = 0.5 * (high - low) * (1.0 - 1e-9)
     nearest = -1.0
@@ -169,7 +169,7 @@ def step_length(
     end: float,
     rounding: float,
 ) -> float:
-    """Step length in (0, 1) at the minimum along a Newton direction (dx, dy, dw).
+    """Return the step length in (0, 1) at the minimum along a Newton direction (dx, dy, dw).
 
     The slope increases and, over rotors, is linear between its kinks: bracket it between two
     kinks and the secant is exact. Over supports it is nearly so, and the secant repeats.
@@ -214,7 +214,7 @@ FULL_STEP_SLOPE = 0.5
 
 @inlined
 def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
-    """Write what friction can do at most in a step."""
+    """Write the most that friction can do at each contact in a step."""
     table = scratch.table
     for i in range(contacts.total):
         load = dt * table[NORMAL + i]
@@ -226,7 +226,7 @@ def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
 def friction_gradient(
     scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
 ) -> tuple[float, float, float, bool]:
-    """Gradient of dt Phi at a velocity, and whether its curvature is zero everywhere."""
+    """Return the gradient of dt Phi at a velocity, and whether its curvature is zero everywhere."""
     table = scratch.table
     per_rounding = 1.0 / ROUNDING
     held = 0
@@ -271,7 +271,7 @@ def friction_gradient(
 
 @inlined
 def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
-    """A contact's part of the Hessian, from that of its velocity."""
+    """Write a contact's part of the Hessian, from that of its velocity."""
     x = table[ARM_X + i]
     y = table[ARM_Y + i]
     kxw = x * kxy - y * kxx
@@ -288,7 +288,7 @@ def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -
 def friction_curvature(
     scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Upper triangle of the Hessian of dt Phi where `friction_gradient` was taken last."""
+    """Return the upper triangle of the Hessian of dt Phi at the last `friction_gradient`."""
     table = scratch.table
     per_rounding = 1.0 / ROUNDING
     for i in range(contacts.total):
@@ -340,7 +340,7 @@ def implicit_velocity(
     vy: float,
     omega: float,
 ) -> tuple[float, float, float]:
-    """Velocity (vx, vy, omega) of the centre of mass after a step, from the one before it.
+    """Return the velocity (vx, vy, omega) of the centre of mass after an implicit step.
 
     Args:
         gyration: [m^2] inertia / mass.

@@ -1,17 +1,17 @@
-"""The velocities of an island of parcels that touch.
-
-To the potential of `settling.py` each point adds
-    max(0, P - k (u + a))^2 / 2 k   and   the same of T - k w up to the limit mu P
-with u and w the speeds of the second parcel against the first along the normal and along the side,
-a the speed at which the point may still close, and P and T the impulses so far. Its derivatives are
-the impulses: at the minimum they follow from the velocities. Taken as the next P and T (augmented
-Lagrangian) they soon leave no closing speed. The limit of the side's friction lags one such round.
-
-Parcels far from each other share no derivatives. Each member's rows begin at the first member that
-it or its like touches, `Island.low`, and the factors fill no more than that.
+"""The velocities of an island of parcels that touch: one convex step for all of them.
 
 `friction.py` finds the velocity of one parcel as the minimum of a convex potential. Parcels that
-touch share one: the sum of theirs, times their masses, and what `sides.py` adds a point.
+touch share one: the sum of theirs, times their masses, and for each contact point
+    max(0, P - k (u + a))^2 / 2 k   and   the same of T - k w up to the limit mu P
+with u and w the velocities of the second parcel against the first along the normal and along the
+side, a the speed at which the point may still close, and P and T the impulses so far. Its
+derivatives are the impulses: at the minimum they follow from the velocities. Taken as the next P
+and T (augmented Lagrangian) they soon leave no closing speed. The friction limit lags one such
+round.
+
+A Newton direction of the island is a symmetric system, solved by Cholesky's factors. Parcels far
+from each other share no derivatives. Each member's rows begin at the first member that it or its
+like touches, `Island.low`, and the factors fill no more than that.
 """
 
 import math
@@ -52,15 +52,15 @@ VELOCITY_TOLERANCE = 1e-9  # [m/s] left of any condition
 
 
 class Island(NamedTuple):
-    """Parcels that touch, directly or by others; P parcels of a company in all."""
+    """Parcels that touch directly or through others, of P parcels in the world."""
 
     members: int  # parcels in it
     contacts: int  # points in it
     bodies: Bodies
     body: Integers  # (P,) row of each parcel in `bodies`
-    tables: Array  # (P, TABLE_SIZE) what bears each parcel, as its step left it
+    tables: Array  # (P, TABLE_SIZE) contacts with elements, as each step left them
     marks: Integers  # (P, MARKS_SIZE) the same
-    bearing: Integers  # (P,) elements that bear each parcel
+    floor: Integers  # (P,) contacts of each parcel with elements
     member: Integers  # (P,) which parcels are in it
     slot: Integers  # (P,) the place of each among them
     low: Integers  # (P,) by place: the first of those that it touches, or itself
@@ -77,7 +77,7 @@ class Island(NamedTuple):
 
 @inlined
 def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, float]:
-    """Of a point, the second against the first, along the normal and the side."""
+    """Return the velocity of a point, the second against the first, along normal and side."""
     point = island.point
     i = island.ends[c, 0]
     j = island.ends[c, 1]
@@ -92,7 +92,7 @@ def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, f
 
 @inlined
 def contact_impulse(point: Array, c: int, normal: float, side: float) -> tuple[float, float]:
-    """Along the normal and the side, at these speeds of a point."""
+    """Return the impulse of a point along the normal and the side, at these speeds."""
     press = point[c, NORMAL_IMPULSE] - point[c, NORMAL_STIFFNESS] * (normal + point[c, CLOSING])
     rub = point[c, TANGENT_IMPULSE] - point[c, TANGENT_STIFFNESS] * side
     limit = point[c, FRICTION_LIMIT]
@@ -121,7 +121,7 @@ def add_impulse(
 
 @inlined
 def set_contact_stiffness(island: Island) -> None:
-    """Write the stiffness of each point, by the mass it moves; no impulses yet."""
+    """Set the stiffness of each point by the mass it moves, and its impulses to zero."""
     point = island.point
     for m in range(island.contacts):
         c = island.contact[m]
@@ -147,7 +147,7 @@ def set_contact_stiffness(island: Island) -> None:
 
 @inlined
 def update_impulses(island: Island, friction: float, share: float) -> float:
-    """Take over the impulses at the velocities; [m/s] the most that they left to be done.
+    """Take over the impulses at the velocities; return the largest residual [m/s].
 
     The limits of friction go a share of the way to those of these impulses.
     """
@@ -172,7 +172,7 @@ def update_impulses(island: Island, friction: float, share: float) -> float:
 
 @inlined
 def clear_matrix(island: Island) -> None:
-    """Find where each member's rows begin, and make them zero from there on."""
+    """Find where each member's rows begin, and set them to zero from there on."""
     low = island.low
     for n in range(island.members):
         low[n] = n
@@ -188,7 +188,7 @@ def clear_matrix(island: Island) -> None:
 
 @inlined
 def _factorise(island: Island) -> None:
-    """Cholesky's factor in the place of the lower triangle."""
+    """Factorise the matrix by Cholesky, in the place of the lower triangle."""
     matrix, low = island.matrix, island.low
     for row in range(3 * island.members):
         first = 3 * low[row // 3]
@@ -231,15 +231,15 @@ SEARCHED_SLOPE = 0.05
 
 @inlined
 def floor_contacts(island: Island, k: int) -> tuple[Scratch, Contacts]:
-    """What bears a parcel."""
-    total = island.bearing[k]
+    """Return the contacts of a member with the elements."""
+    total = island.floor[k]
     supports = island.marks[k, SUPPORTS] if total > 0 else 0
     return Scratch(island.tables[k], island.marks[k]), Contacts(total, supports)
 
 
 @linked
 def _slope(island: Island, step: float) -> float:
-    """Look at the potential `step` along the direction: write its gradient, return its slope."""
+    """Write the gradient of the potential `step` along the direction, and return its slope."""
     gradient, trial, direction = island.gradient, island.trial, island.direction
     for n in range(island.members):
         k = island.member[n]
@@ -247,8 +247,8 @@ def _slope(island: Island, step: float) -> float:
         gyration = island.bodies.body[island.body[k], GYRATION]
         for axis in range(3):
             trial[k, axis] = island.velocity[k, axis] + step * direction[k, axis]
-        scratch, bearing = floor_contacts(island, k)
-        gx, gy, gw, _ = friction_gradient(scratch, bearing, trial[k, 0], trial[k, 1], trial[k, 2])
+        scratch, floor = floor_contacts(island, k)
+        gx, gy, gw, _ = friction_gradient(scratch, floor, trial[k, 0], trial[k, 1], trial[k, 2])
         gradient[k, 0] = mass * (gx + trial[k, 0] - island.target[k, 0])
         gradient[k, 1] = mass * (gy + trial[k, 1] - island.target[k, 1])
         gradient[k, 2] = mass * (gw + gyration * (trial[k, 2] - island.target[k, 2]))
@@ -282,7 +282,7 @@ def _add_product(
 
 @inlined
 def _add_point(island: Island, c: int, stiffness: float, ex: float, ey: float) -> None:
-    """Add what a point adds to the second derivatives, along (ex, ey)."""
+    """Add a point's share of the second derivatives, along (ex, ey)."""
     point = island.point
     i = island.slot[island.ends[c, 0]]
     j = island.slot[island.ends[c, 1]]
@@ -298,16 +298,16 @@ def _add_point(island: Island, c: int, stiffness: float, ex: float, ey: float) -
 
 @linked
 def _write_matrix(island: Island) -> None:
-    """The lower triangle of the second derivatives, where the gradient was taken last."""
+    """Write the lower triangle of the second derivatives at the last gradient."""
     matrix = island.matrix
     clear_matrix(island)
     velocity, point = island.velocity, island.point
     for n in range(island.members):
         k = island.member[n]
         mass = island.bodies.body[island.body[k], MASS]
-        scratch, bearing = floor_contacts(island, k)
+        scratch, floor = floor_contacts(island, k)
         hxx, hxy, hxw, hyy, hyw, hww = friction_curvature(
-            scratch, bearing, velocity[k, 0], velocity[k, 1], velocity[k, 2]
+            scratch, floor, velocity[k, 0], velocity[k, 1], velocity[k, 2]
         )
         at = 3 * n
         matrix[at, at] = mass * (1.0 + hxx)
@@ -330,7 +330,7 @@ def _write_matrix(island: Island) -> None:
 
 @inlined
 def _left(island: Island) -> float:
-    """[m/s] of the optimality condition, the most of any member."""
+    """Return the largest residual [m/s] of the optimality condition of any member."""
     most = 0.0
     for n in range(island.members):
         k = island.member[n]
@@ -343,7 +343,7 @@ def _left(island: Island) -> float:
 
 @inlined
 def _search(island: Island, start: float, end: float) -> None:
-    """Look where the slope, which only grows, passes zero between no step and a full one.
+    """Find where the slope, which only grows, passes zero between no step and a full one.
 
     Args:
         start: [J] slope at no step, negative.
@@ -365,7 +365,7 @@ def _search(island: Island, start: float, end: float) -> None:
 
 @linked
 def _minimise(island: Island) -> None:
-    """Bring the velocities to the minimum of the potential."""
+    """Move the velocities to the minimum of the potential."""
     _slope(island, 0.0)
     for _ in range(MAX_ITERATIONS):
         if _left(island) < VELOCITY_TOLERANCE:
@@ -388,14 +388,14 @@ def _minimise(island: Island) -> None:
 
 @linked
 def solve_velocities(island: Island, friction: float) -> int:
-    """Find the impulses at the points of a group, and the velocities.
+    """Solve the velocity constraints of an island: impulses at its points, and velocities.
 
-    They settle to 1e-9 m/s within some ten rounds; at a friction of 0.8 or more, one group of a
+    They settle to 1e-9 m/s within some ten rounds; at a friction of 0.8 or more, one island of a
     hundred is left off the limit of friction, by up to 1e-4 m/s. Whatever the rounds, the
     velocities are those that the impulses make.
 
     Args:
-        group: with velocities to begin from, targets and points.
+        island: with velocities to begin from, targets and points.
         friction: [-] between sides.
 
     Returns:

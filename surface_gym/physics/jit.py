@@ -25,7 +25,7 @@ LENGTH = 16  # hexadecimal digits
 
 
 def compute_digest(function: Any, *others: Any) -> str:
-    """Digest of a function, compiled or plain, and of other values that count."""
+    """Compute the digest of a function, compiled or plain, and of other values that count."""
     walk = _Walk()
     walk.take(function)
     for other in others:
@@ -34,14 +34,14 @@ def compute_digest(function: Any, *others: Any) -> str:
 
 
 class _Walk:
-    """Takes in values, each function once."""
+    """A walk over all values that a compiled function depends on, each function once."""
 
     def __init__(self) -> None:
         self.hash = hashlib.sha256()
         self._seen: set[int] = set()
 
     def take(self, value: Any) -> None:
-        """Take in whatever compiled code may refer to."""
+        """Take in any value that compiled code may refer to."""
         if isinstance(value, Dispatcher):
             self._write("compiled", sorted(value.targetoptions.items(), key=str))
             value = value.py_func
@@ -98,13 +98,13 @@ class _Walk:
 
 
 def referenced_names(code: types.CodeType) -> set[str]:
-    """Names that a function refers to, those of its inner functions included."""
+    """Return the names that a function refers to, those of its inner functions included."""
     inner = (each for each in code.co_consts if isinstance(each, types.CodeType))
     return set(code.co_names).union(*map(referenced_names, inner))
 
 
 def _is_library(module: types.ModuleType) -> bool:
-    """Whether a module's names mean the same for as long as Numba's version stays."""
+    """Return whether a module's names mean the same as long as Numba's version stays."""
     return module.__name__.partition(".")[0] in ("math", "numba", "numpy")
 
 
@@ -123,7 +123,7 @@ STALE = (
 
 
 class _DigestCache(FunctionCache):
-    """Numba's cache with files by digest.
+    """Numba's cache with files named by digest.
 
     Numba stamps a function with its own file only, where callees in other files count too, and
     numbers the files of a function's versions, which processes that begin at once may mix up. Here
@@ -142,7 +142,7 @@ class _DigestCache(FunctionCache):
         return compute_digest(self._dispatcher, str(sig), str(codegen.magic_tuple()), kinds)
 
     def _open(self, sig: Any) -> None:
-        """Turn to the file of a version."""
+        """Open the cache file of a version."""
         if sig not in self._files:
             name = f"{self._label}-{self._index_key(sig, self._dispatcher.targetctx.codegen())}"
             self._files[sig] = IndexDataCacheFile(self._cache_path, name, source_stamp=None)
@@ -166,7 +166,7 @@ class _DigestCache(FunctionCache):
             _warn(f"{self._cache_path} cannot be written ({error.strerror})")
 
     def _forget_old(self) -> None:
-        """Remove what edits have left behind."""
+        """Remove versions that edits have left behind."""
         folder = Path(self._cache_path)
         with self._guard_against_spurious_io_errors():
             found = list(folder.glob(f"{self._label}-*.nbi"))
@@ -177,7 +177,7 @@ class _DigestCache(FunctionCache):
 
 
 class _NoCache(NullCache):
-    """In place of a cache where no folder can be written."""
+    """Cache in name only, for where no folder can be written."""
 
     def save_overload(self, *_: Any) -> None:
         _warn("no folder for it can be written")
@@ -194,7 +194,7 @@ def _warn(why: str) -> None:
 
 
 def _fields(kind: Any) -> Any:
-    """Names of all fields in an argument's type, nested ones too."""
+    """Return the names of all fields in an argument's type, nested ones too."""
     names = getattr(kind, "fields", ())
     return [names, [_fields(each) for each in getattr(kind, "types", ())]]
 
@@ -240,7 +240,7 @@ def inlined(function: Callable[..., Any]) -> Any:
 
 
 def kernel_function(function: Callable[..., Any]) -> Any:
-    """Compile a function of a task or a sensor into the batch that it is used by.
+    """Compile a function of a task or a sensor into the kernel that uses it.
 
     What such a function may use are numbers, `math`, the arrays of its arguments, constants, and
     other functions compiled so. Reading or writing beyond the end of an array is an IndexError.
@@ -257,7 +257,7 @@ def _cached(dispatcher: Any, label: str = "") -> Any:
 
 
 def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
-    """A compiled function for arguments of these types, compiled or from the cache.
+    """Compile a function for arguments of these types, or load it from the cache.
 
     Called so it takes the arguments as they are: finding out what kinds dozens of arrays are, as
     the dispatcher does, takes longer than a control period of one lane.

@@ -35,7 +35,7 @@ def _minimise_along(
     end: float,
     slack: float,
 ) -> float:
-    """Step length in (0, 1) at the minimum of the dual along a change of the plane.
+    """Return the step length in (0, 1) at the minimum of the dual along a change of the plane.
 
     The slope increases and is linear between its kinks, where a contact is loaded or lifted:
     bracket it between two neighbours and the secant is exact.
@@ -83,7 +83,7 @@ def _minimise_along(
 def _loaded_sums(
     scratch: Scratch, contacts: int
 ) -> tuple[float, float, float, float, float, float]:
-    """Sums of k, k x, k y, k x^2, k x y and k y^2 over the loaded contacts."""
+    """Return the sums of k, k x, k y, k x^2, k x y and k y^2 over the loaded contacts."""
     table = scratch.table
     s = sx = sy = sxx = sxy = syy = 0.0
     for i in range(contacts):

@@ -46,7 +46,7 @@ _MISS = 1e-6  # [of the arms' scale] moment left over that makes a set degenerat
 
 
 def _balance(arms: Array, load: Array) -> tuple[Array, Array, float]:
-    """A_eq and b_eq of Eq. (1) with the load 1 and the arms' scale taken out."""
+    """Return A_eq and b_eq of Eq. (1) with the load 1 and the arms' scale taken out."""
     scale = max(float(np.abs(arms).max()), 1e-9)
     matrix = np.vstack([np.ones(len(arms)), arms.T / scale])
     return matrix, np.array([1.0, load[0] / scale, load[1] / scale]), scale
@@ -61,7 +61,7 @@ def _is_degenerate(matrix: Array, target: Array, share: Array) -> bool:
 def scipy_normal_forces(
     arms: Array, weight: float, load: Array, stiffness: Array | None = None
 ) -> tuple[Array, bool]:
-    """By SciPy's active-set `nnls`: the balance as heavy rows over the identity."""
+    """Solve by SciPy's active-set `nnls`: the balance as heavy rows over the identity."""
     matrix, target, _ = _balance(arms, load)
     heavy = np.array([1e9, 1e6, 1e6])[:, np.newaxis]
     root = np.ones(len(arms)) if stiffness is None else np.sqrt(stiffness)
@@ -75,7 +75,7 @@ def scipy_normal_forces(
 def osqp_normal_forces(
     arms: Array, weight: float, load: Array, stiffness: Array | None = None
 ) -> tuple[Array, bool]:
-    """By OSQP, to the letter of Eq. (1); where that is infeasible, moments as near as they come."""
+    """Solve Eq. (1) by OSQP; where it is infeasible, with moments as near as they come."""
     matrix, target, _ = _balance(arms, load)
     n = len(arms)
     rows = sparse.csc_matrix(np.vstack([matrix, np.eye(n)]))
@@ -127,7 +127,7 @@ SOLVERS: dict[str, Solver] = {"osqp": osqp_normal_forces, "scipy": scipy_normal_
 def support_load_by(
     solver: str, grid: Grid, body: Body, state: Array, scratch: Scratch, count: int
 ) -> bool:
-    """Normal forces of the contacts in `scratch`; whether they are degenerate.
+    """Solve the normal forces of the contacts in `scratch`; return whether they are degenerate.
 
     Args:
         solver: a key of `references.SOLVERS`.

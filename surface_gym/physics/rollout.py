@@ -77,7 +77,7 @@ def run_implicit(
 def run_explicit(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch, dt: float
 ) -> int:
-    """`run_implicit` with the paper's loop in place of the implicit step."""
+    """Fill states and reports as `run_implicit` does, by the paper's loop."""
     for k in range(1, states.shape[0]):
         for j in range(STATE_SIZE):
             states[k, j] = states[k - 1, j]
@@ -88,7 +88,7 @@ def run_explicit(
 
 
 class Records(NamedTuple):
-    """What a run writes down, a row a step, the start first; and a row a touch."""
+    """Record of a run: a row a step, the start first; and a row a touch."""
 
     state: Array  # (steps + 1, P, STATE_SIZE)
     report: Integers  # (steps + 1, P)
@@ -109,12 +109,12 @@ def run_world(
     touches: int,
     dt: float,
 ) -> tuple[int, int]:
-    """Do the steps from `first` to `last`; whoever leaves the surface is present no more.
+    """Do the steps from `first` to `last`; a parcel that leaves the surface is present no more.
 
     Args:
         grid: the surface that all are on.
-        company: that takes the steps.
-        touching: how sides behave.
+        world: that takes the steps.
+        material: how sides behave.
         scratch: for as many parcels.
         records: to be written from `first` on.
         first: step.
@@ -147,7 +147,7 @@ def run_world(
 
 @compiled
 def distance_between(world: World, i: int, j: int) -> float:
-    """[m] of the gap between two parcels, negative where they overlap."""
+    """Return the signed distance [m] of two parcels, negative where they overlap."""
     first = read_outline(world.bodies, world.body[i])
     second = read_outline(world.bodies, world.body[j])
     gap = signed_distance(
@@ -160,16 +160,16 @@ def distance_between(world: World, i: int, j: int) -> float:
 
 
 class RecordedSteps(NamedTuple):
-    """The steps of a run: step k leads from row k - 1 to row k, and step 0 is none."""
+    """Steps of a run: step k leads from row k - 1 to row k, and step 0 is none."""
 
     before: Array  # (T, STATE_SIZE) the states recorded
     length: Array  # (T,) [s]
-    lead: Array  # (T,) [s] from a step's start to the pose whose contacts bear it
+    lead: Array  # (T,) [s] from a step's start to the pose whose contacts support it
     first: Integers  # (T + 1,) the row of a step's first contact in what is observed
 
 
 class ContactForces(NamedTuple):
-    """What the steps leave, the contacts of a step one after the other in the order of the grid."""
+    """Contacts and forces of recorded steps, one step after the other, in the order of the grid."""
 
     state: Array  # (T, STATE_SIZE) where each step leads
     element: Integers  # (contacts, 2) row and column
@@ -181,7 +181,7 @@ class ContactForces(NamedTuple):
 def count_contacts(
     grid: Grid, body: Body, steps: RecordedSteps, scratch: Scratch, count: Integers
 ) -> None:
-    """Write how many contacts bear each step, (T,); all that follows asks for one at least."""
+    """Write the number of contacts of each step (T,); what follows needs at least one."""
     for k in range(1, steps.before.shape[0]):
         contacts = find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
         count[k] = contacts.total
@@ -191,7 +191,7 @@ def count_contacts(
 def support_loads(
     grid: Grid, body: Body, steps: RecordedSteps, scratch: Scratch, observed: ContactForces
 ) -> None:
-    """Write the normal forces of all steps, by the dual of Eq. (1)."""
+    """Solve the normal forces of all steps by the dual of Eq. (1)."""
     for k in range(1, steps.before.shape[0]):
         contacts = find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
         support_load(grid, body, steps.before[k - 1], scratch, contacts)
@@ -224,7 +224,7 @@ def _begin(
 def repeat_implicit(
     grid: Grid, body: Body, steps: RecordedSteps, scratch: Scratch, observed: ContactForces
 ) -> None:
-    """Do the implicit steps, normal forces given, and note the friction at their ends."""
+    """Do the implicit steps with normal forces given, and record the friction at their ends."""
     for k in range(1, steps.before.shape[0]):
         state, first, length = observed.state[k], steps.first[k], steps.length[k]
         contacts = _begin(grid, body, steps, k, scratch, observed)
@@ -244,7 +244,7 @@ def repeat_explicit(
     scratch: Scratch,
     observed: ContactForces,
 ) -> None:
-    """Do the explicit steps, normal forces given, and note the friction at their starts.
+    """Do the explicit steps with normal forces given, and record the friction at their starts.
 
     Args:
         grid: the surface.
@@ -280,14 +280,14 @@ def repeat_explicit(
 
 @inlined
 def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
-    """What of a contact's friction is along a rotor's axis; nothing of a support's."""
+    """Return the part of a contact's friction along a rotor's axis; 0 for a support."""
     axis_x, axis_y = scratch.table[AXIS_X + i], scratch.table[AXIS_Y + i]
     return scratch.marks[ROTOR + i] * (axis_x * fx + axis_y * fy)
 
 
 @inlined
 def _scale_along(scratch: Scratch, contacts: Contacts, force: Array, share: float) -> None:
-    """Leave a share of the friction along the axes, and all other friction as it is."""
+    """Scale the friction along the axes, and leave all other friction as it is."""
     for i in range(contacts.total):
         change = (share - 1.0) * _along(scratch, i, force[i, 0], force[i, 1])
         force[i, 0] += change * scratch.table[AXIS_X + i]

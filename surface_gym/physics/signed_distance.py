@@ -25,7 +25,7 @@ from surface_gym.physics.types import (
 
 
 class Outline(NamedTuple):
-    """A base, in its own frame."""
+    """Outline of a base in its own frame."""
 
     corners: Array  # (corners, 2) [m] from the centroid, anti-clockwise; repeats are no edges
     disc: float  # [m] radius of a disc, all of whose corners lie at the centroid; else 0
@@ -34,7 +34,7 @@ class Outline(NamedTuple):
 
 
 class Sweep(NamedTuple):
-    """Where a centre of mass is at first, and how it moves on from there."""
+    """Motion of a centre of mass through a step: a start and a velocity."""
 
     x: float  # [m]
     y: float  # [m]
@@ -45,7 +45,7 @@ class Sweep(NamedTuple):
 
 
 class Transform(NamedTuple):
-    """Where a base lies."""
+    """Pose of a base."""
 
     x: float  # [m] of its centroid
     y: float  # [m]
@@ -54,7 +54,7 @@ class Transform(NamedTuple):
 
 
 class SignedDistance(NamedTuple):
-    """What lies between two bases."""
+    """Distance, normal and closest features of two bases."""
 
     width: float  # [m] negative where they overlap
     nx: float  # unit normal from the first to the second
@@ -64,7 +64,7 @@ class SignedDistance(NamedTuple):
 
 @inlined
 def read_outline(bodies: Bodies, site: int) -> Outline:
-    """The base in a row of the bodies."""
+    """Read the outline of the base in a row of the bodies."""
     corners = bodies.corners[site]
     is_disc = corners[0, 0] == 0.0 and corners[0, 1] == 0.0
     return Outline(
@@ -77,7 +77,7 @@ def read_outline(bodies: Bodies, site: int) -> Outline:
 
 @inlined
 def transform_at(outline: Outline, motion: Sweep, time: float) -> Transform:
-    """Where the base lies some time on [s]."""
+    """Return the pose of a base at a time [s] of its sweep."""
     theta = motion.theta + time * motion.omega
     cosine = math.cos(theta)
     sine = math.sin(theta)
@@ -91,13 +91,13 @@ def transform_at(outline: Outline, motion: Sweep, time: float) -> Transform:
 
 @inlined
 def sweep_at_rest(state: Array) -> Sweep:
-    """A state as a motion that goes nowhere."""
+    """Return the sweep of a state that does not move."""
     return Sweep(state[X], state[Y], state[THETA], 0.0, 0.0, 0.0)
 
 
 @inlined
 def sweep_between(before: Array, after: Array) -> Sweep:
-    """The motion of a step, at the mean of its velocities as the implicit step's is."""
+    """Return the sweep of a step, at the mean of its velocities as the implicit step's is."""
     return Sweep(
         before[X],
         before[Y],
@@ -110,7 +110,7 @@ def sweep_between(before: Array, after: Array) -> Sweep:
 
 @inlined
 def next_corner(corners: Array, k: int) -> int:
-    """The corner at the end of the edge that begins at a corner."""
+    """Return the corner at the end of the edge that begins at a corner."""
     return k + 1 if k + 1 < corners.shape[0] else 0
 
 
@@ -118,7 +118,7 @@ def next_corner(corners: Array, k: int) -> int:
 def _parting_edge(
     outline: Outline, place: Transform, other: Outline, at: Transform
 ) -> SignedDistance:
-    """The edge that lies farthest from the other base, whose corners alone count."""
+    """Return the edge that lies farthest from the other base, of which only corners count."""
     corners = outline.corners
     width = -math.inf
     nx = ny = 0.0
@@ -148,7 +148,7 @@ def _parting_edge(
 
 @inlined
 def _to_point(outline: Outline, place: Transform, x: float, y: float) -> tuple[float, float, float]:
-    """From a polygon to a point outside it: [m] distance and unit normal."""
+    """Return the distance [m] and unit normal from a polygon to a point outside it."""
     corners = outline.corners
     dx = place.cosine * (x - place.x) + place.sine * (y - place.y)
     dy = place.cosine * (y - place.y) - place.sine * (x - place.x)
@@ -190,7 +190,7 @@ def _polygon_to_disc(
 def signed_distance(
     first: Outline, place: Transform, second: Outline, at: Transform
 ) -> SignedDistance:
-    """The gap from one base to another.
+    """Return the signed distance from one base to another.
 
     Args:
         first: a base.
@@ -218,7 +218,7 @@ def signed_distance(
 
 
 class Manifold(NamedTuple):
-    """Up to two points midway between two bases that face each other."""
+    """Contact manifold: up to two points midway between two bases."""
 
     points: int
     x: float  # [m]
@@ -240,7 +240,7 @@ def _corner(outline: Outline, place: Transform, k: int) -> tuple[float, float]:
 
 @inlined
 def _opposite_edge(outline: Outline, place: Transform, nx: float, ny: float) -> int:
-    """The edge whose normal is most against (nx, ny)."""
+    """Return the edge whose normal is most against (nx, ny)."""
     corners = outline.corners
     own_x = place.cosine * nx + place.sine * ny
     own_y = place.cosine * ny - place.sine * nx
@@ -267,7 +267,7 @@ def _facing_edges(
     nx: float,
     ny: float,
 ) -> Manifold:
-    """The part of the other's opposite edge that lies over an edge of normal (nx, ny)."""
+    """Return the part of the other's opposite edge that lies over an edge of normal (nx, ny)."""
     x0, y0 = _corner(outline, place, edge)
     x1, y1 = _corner(outline, place, next_corner(outline.corners, edge))
     length = math.sqrt((x1 - x0) * (x1 - x0) + (y1 - y0) * (y1 - y0))
@@ -306,7 +306,7 @@ def _facing_edges(
 def find_manifold(
     first: Outline, place: Transform, second: Outline, at: Transform, gap: SignedDistance
 ) -> Manifold:
-    """Where two bases face each other across a gap: at two points where edge faces edge.
+    """Find the contact manifold of two bases: two points where edge meets edge, else one.
 
     Args:
         first: a base.
@@ -336,7 +336,7 @@ MAX_ADVANCES = 64
 
 @inlined
 def _reach(outline: Outline) -> float:
-    """[m] from the centre of mass to the farthest corner; turning moves no other point as much."""
+    """Return the distance [m] from the centre of mass to the farthest corner."""
     square = 0.0
     for k in range(outline.corners.shape[0]):
         x = outline.corners[k, 0] - outline.com_x
@@ -349,7 +349,7 @@ def _reach(outline: Outline) -> float:
 def time_of_impact(
     first: Outline, moved: Sweep, second: Outline, shifted: Sweep, dt: float
 ) -> float:
-    """[s] until two bases touch, at most dt; infinite if they do not.
+    """Return the time [s] until two bases touch, at most dt; infinite if they do not.
 
     No point of a base nears the other faster than its centre of mass does along the normal and its
     farthest corner by turning, so that they may go on for as long as their gap takes at that speed.

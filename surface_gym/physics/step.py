@@ -42,7 +42,7 @@ ROUND_OFF = 1e-15  # [-] of an angle: what float64 leaves of a multiple of 45 de
 
 @inlined
 def axis_direction(angle: float) -> tuple[float, float]:
-    """Cosine and sine of an axis angle [rad]; at multiples of 45 deg they are exact.
+    """Return cosine and sine of an axis angle [rad]; at multiples of 45 deg they are exact.
 
     math.cos(pi / 2) is 6e-17: enough to tell a rotor that lies across the motion that it drags.
     """
@@ -69,15 +69,15 @@ def _write_directions(angles: Array, directions: Array) -> None:
 
 
 def axis_directions(angles: Array) -> Array:
-    """(angles, 2) cosine and sine of axis angles (angles,) [rad]."""
+    """Return cosine and sine (angles, 2) of axis angles (angles,) [rad]."""
     directions = np.empty((len(angles), 2))
     _write_directions(np.array(angles, dtype=np.float64), directions)
     return directions
 
 
 def map_floats(function: Callable[[float], float], values: Any) -> Any:
-    """By Python's own function, of a number or of each (count,): NumPy's differ in the last digit
-    from one machine to the next.
+    """Apply Python's own function to a number or to each of (count,). NumPy's functions differ in
+    the last digit between machines.
     """
     if np.ndim(values) == 0:
         return function(values)
@@ -85,7 +85,7 @@ def map_floats(function: Callable[[float], float], values: Any) -> Any:
 
 
 def com_states(centre: Array, pose: Array, velocity: Array) -> Array:
-    """(count, STATE_SIZE) at rest or in steady motion.
+    """Return states (count, STATE_SIZE) at rest or in steady motion.
 
     Args:
         centre: (count, 2) [m] centre of mass in the base's frame.
@@ -117,7 +117,7 @@ def _sign(value: float) -> float:
 
 @inlined
 def held_share(along_x: float, other_x: float) -> float:
-    """What share of the forces along the axes holds a parcel that gravity does not move.
+    """Return the share of the forces along the axes that holds a parcel gravity does not move.
 
     sum F_x + m g sin(gamma) = 0 sets it. Friction along an axis cannot push, nor hold more than it
     does where the parcel slides.
@@ -139,7 +139,7 @@ def explicit_acceleration(
     vy: float,
     omega: float,
 ) -> tuple[float, float, float, float]:
-    """Acceleration (x, y, theta) by Eq. (2)-(4), with Figure 5b's rule where vx is not positive.
+    """Return the acceleration (x, y, theta) by Eq. (2)-(4), with Figure 5b's rule for vx <= 0.
 
     Returns:
         The acceleration, and the vx it starts from, which the rule changes.
@@ -189,14 +189,14 @@ BALANCED, TIPPING, OFF_SURFACE, UNSUPPORTED, STOPPED = range(5)
 
 @inlined
 def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
-    """Where the load acts, from the centre of mass: b_eq of Eq. (1) over m g cos(gamma)."""
+    """Return where the load acts, from the centre of mass: b_eq of Eq. (1) over m g cos(gamma)."""
     per_weight = body.com_height / grid.gravity_normal
     return (grid.gravity_along - state[AX]) * per_weight, -state[AY] * per_weight
 
 
 @inlined
 def on_surface(grid: Grid, x: float, y: float) -> bool:
-    """Whether a point is over the grid, half a pitch around its outer elements included."""
+    """Return whether a point is over the grid, half a pitch around its outer elements included."""
     rows, columns = grid.rotor.shape
     right = 0.5 * grid.pitch_x * columns
     up = 0.5 * grid.pitch_y * rows
@@ -207,7 +207,7 @@ def on_surface(grid: Grid, x: float, y: float) -> bool:
 
 @inlined
 def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: float) -> Contacts:
-    """Contacts at the pose the parcel has `lead` seconds on; none if it is off the surface."""
+    """Find the contacts at the pose the parcel has `lead` seconds on; none off the surface."""
     x = state[X] + lead * state[VX]
     y = state[Y] + lead * state[VY]
     if not on_surface(grid, x, y):
@@ -217,9 +217,7 @@ def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: f
 
 @inlined
 def explain_unsupported(grid: Grid, state: Array, lead: float) -> int:
-    """What to report where `find_support` has found nothing: off the surface, or over it but on no
-    element.
-    """
+    """Return the report for a parcel without contacts: off the surface, or on no element."""
     over = on_surface(grid, state[X] + lead * state[VX], state[Y] + lead * state[VY])
     return UNSUPPORTED if over else OFF_SURFACE
 
@@ -228,7 +226,7 @@ def explain_unsupported(grid: Grid, state: Array, lead: float) -> int:
 def support_load(
     grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts
 ) -> bool:
-    """Normal forces of the contacts in `scratch`; whether they are degenerate."""
+    """Solve the normal forces of the contacts in `scratch`; return whether they are degenerate."""
     load_x, load_y = load_point(grid, body, state)
     return dual_normal_forces(
         scratch,
@@ -244,7 +242,7 @@ def support_load(
 def advance_implicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts, dt: float
 ) -> None:
-    """Move the state over one step, contacts and normal forces given in `scratch`."""
+    """Move the state by one step, with contacts and normal forces given in `scratch`."""
     vx, vy, omega = implicit_velocity(
         grid, body.gyration, scratch, contacts, dt, state[VX], state[VY], state[OMEGA]
     )
@@ -264,7 +262,7 @@ def advance_implicit(
 def advance_explicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts, dt: float
 ) -> None:
-    """The paper's two integrations of Eq. (4): the velocity, then the position with it."""
+    """Integrate Eq. (4) twice as the paper does: the velocity, then the position with it."""
     ax, ay, aw, vx = explicit_acceleration(
         grid, body.gyration, scratch, contacts, state[VX], state[VY], state[OMEGA]
     )
@@ -282,7 +280,7 @@ def advance_explicit(
 def step_implicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
 ) -> tuple[int, Contacts]:
-    """One implicit step: its report and how many contacts bore it, which `scratch` holds.
+    """Do one implicit step; return its report and its contacts, which `scratch` holds.
 
     The contacts are those of the pose half a step on.
     """
@@ -298,7 +296,7 @@ def step_implicit(
 def step_explicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
 ) -> tuple[int, Contacts]:
-    """One step of the paper's loop, Figure 5a, its stopping rule included."""
+    """Do one step of the paper's loop, Figure 5a, its stopping rule included."""
     if state[VX] <= 0.0 and grid.gravity_along == 0.0:
         return STOPPED, Contacts(0, 0)
     contacts = find_support(grid, body, state, scratch, 0.0)

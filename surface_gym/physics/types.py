@@ -15,7 +15,7 @@ Places = NDArray[np.int32]
 
 
 class Grid(NamedTuple):
-    """A surface as the physics reads it."""
+    """A surface as the physics of one parcel takes it."""
 
     axis: Places  # (rows, columns) the place of each rotor's axis in `direction`
     direction: Array  # (directions, 2) cosine and sine
@@ -34,7 +34,7 @@ class Grid(NamedTuple):
 
 
 class Body(NamedTuple):
-    """A parcel as the physics reads it. Mass cancels out of Eq. (1)-(4), so none is here."""
+    """A parcel as its physics takes it. Mass cancels out of Eq. (1)-(4), so there is none here."""
 
     edges: Array  # (edges, 3) outward normal and distance from the centroid: inside is n . p <= d
     radius: float  # [m] of the circle around the centroid that holds the base
@@ -49,7 +49,7 @@ RADIUS, COM_X, COM_Y, COM_HEIGHT, GYRATION, HALF_LENGTH, MASS = range(7)
 
 
 class Bodies(NamedTuple):
-    """Parcels as rows: what a `Body` says of each, and what more it takes for them to touch."""
+    """Parcels as rows: the fields of a `Body`, and those needed where parcels touch."""
 
     # (bodies, 7) [m] radius, centre of mass x, y and height; [m^2] gyration; [m] from the centroid
     # to the rearmost point; [kg] mass
@@ -67,7 +67,7 @@ class Scratch(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """How many contacts there are in a scratch."""
+    """Numbers of contacts in a scratch."""
 
     total: int
     supports: int  # of them
@@ -133,22 +133,21 @@ STATE_SIZE = 8
 
 
 def make_scratch() -> Scratch:
-    """Scratch that says nothing of any contact."""
+    """Make scratch with no contacts in it."""
     marks = np.zeros(MARKS_SIZE, dtype=np.int64)
     marks[SPANS] = -1
     return Scratch(table=np.zeros(TABLE_SIZE), marks=marks)
 
 
 def table_row(scratch: Scratch, row: int, count: int) -> Array:
-    """(count,) of a row of the scratch's table, such as `NORMAL`: a view."""
+    """Return a row (count,) of the scratch's table, such as `NORMAL`, as a view."""
     return scratch.table[row : row + count]
 
 
 def check_capacity(
     edges: int, radius: float, pitch: tuple[float, float], size: tuple[int, int]
 ) -> None:
-    """Raise a ValueError where a base has more edges, or may cover more elements, than a scratch
-    has room for.
+    """Raise a ValueError where a base may have more contacts than a scratch has room for.
 
     Args:
         edges: of the base.

@@ -145,11 +145,11 @@ def group_of(touching: list[tuple[int, int]], member: list[int]) -> Island:
         members=len(member),
         contacts=len(touching),
         bodies=make_bodies([sg.layouts.box("S")] * PARCELS),
-        site=np.arange(PARCELS),
+        body=np.arange(PARCELS),
         **{
             name: getattr(scratch, name)
             for name in Island._fields
-            if name not in ("members", "contacts", "bodies", "site")
+            if name not in ("members", "contacts", "bodies", "body")
         },
     )
     group.member[: len(member)] = member
