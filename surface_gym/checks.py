@@ -53,7 +53,7 @@ ORIENTATIONS = 1000  # on offer: an axis told to a fifth of a degree; "any" tell
 
 
 def number(name: str, value: Any) -> float:
-    """A finite number, or an error; booleans and strings are not numbers."""
+    """Return a finite number, or raise an error; booleans and strings are not numbers."""
     try:
         is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
         result = float(value) if is_number else math.nan
@@ -65,7 +65,7 @@ def number(name: str, value: Any) -> float:
 
 
 def positive(name: str, value: Any, least: float = 0.0, most: float = math.inf) -> float:
-    """A finite number above zero and in [least, most], or an error."""
+    """Return a finite number above zero and in [least, most], or raise an error."""
     result = number(name, value)
     if result <= 0.0:
         raise ValueError(f"{name} must be greater than 0, got {value!r}")
@@ -73,7 +73,7 @@ def positive(name: str, value: Any, least: float = 0.0, most: float = math.inf) 
 
 
 def not_negative(name: str, value: Any, most: float = math.inf) -> float:
-    """A finite number in [0, most], or an error."""
+    """Return a finite number in [0, most], or raise an error."""
     result = number(name, value)
     if result < 0.0:
         raise ValueError(f"{name} must be at least 0, got {value!r}")
@@ -81,7 +81,7 @@ def not_negative(name: str, value: Any, most: float = math.inf) -> float:
 
 
 def within(name: str, value: Any, low: float, high: float) -> float:
-    """A finite number in [low, high], or an error."""
+    """Return a finite number in [low, high], or raise an error."""
     return _limited(name, value, number(name, value), low, high)
 
 
@@ -92,7 +92,9 @@ def _limited(name: str, value: Any, result: float, low: float, high: float) -> f
 
 
 def integer(name: str, value: Any, least: int, most: int | None = None) -> int:
-    """A whole number of at least `least`, or an error; True and 1.0 are not whole numbers."""
+    """Return a whole number of at least `least`, or raise an error; True and 1.0 are not whole
+    numbers.
+    """
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
     if most is not None and value > most:
@@ -101,7 +103,9 @@ def integer(name: str, value: Any, least: int, most: int | None = None) -> int:
 
 
 def one_of(name: str, value: Any, allowed: Iterable[Any]) -> Any:
-    """One of the allowed values, or an error that lists them; NumPy's scalars count as Python's."""
+    """Return one of the allowed values, or raise an error that lists them; NumPy's scalars count
+    as Python's.
+    """
     choices = tuple(allowed)
     plain = value.item() if isinstance(value, np.generic) else value
     if not any(type(plain) is type(choice) and plain == choice for choice in choices):
@@ -110,14 +114,16 @@ def one_of(name: str, value: Any, allowed: Iterable[Any]) -> Any:
 
 
 def some_of(name: str, value: Any, allowed: tuple[str, ...]) -> tuple[str, ...]:
-    """Some of the allowed names, or an error that lists them."""
+    """Return some of the allowed names, or raise an error that lists them."""
     if not isinstance(value, (tuple, list)):
         raise ValueError(f"{name} must be some of {allowed}, got {value!r}")
     return tuple(one_of(name, each, allowed) for each in value)
 
 
 def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """A read-only copy as finite float64 of a shape (None: any length), or an error."""
+    """Return a read-only copy as finite float64 of a shape (None: any length), or raise an
+    error.
+    """
     try:
         given = np.asarray(value)
     except ValueError:  # rows of different lengths
@@ -138,7 +144,9 @@ def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.fl
 
 
 def limited(name: str, values: NDArray[np.float64], most: ArrayLike) -> NDArray[np.float64]:
-    """An array whose numbers are no farther from 0 than `most`, one or one each; or an error."""
+    """Return an array whose numbers are no farther from 0 than `most`, one or one each; or raise
+    an error.
+    """
     beyond = np.abs(values) > most
     if beyond.any():
         bound = np.broadcast_to(most, values.shape)[beyond][0]
@@ -149,24 +157,26 @@ def limited(name: str, values: NDArray[np.float64], most: ArrayLike) -> NDArray[
 
 
 def pose(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Poses (..., 3) [m, m, rad] within what is physical, or an error."""
+    """Return poses (..., 3) [m, m, rad] within what is physical, or raise an error."""
     most = (checks.FARTHEST, checks.FARTHEST, checks.TURNED)
     return limited(name, array(name, value, shape), most)
 
 
 def velocity(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Velocities (..., 3) [m/s, m/s, rad/s] within what is physical, or an error."""
+    """Return velocities (..., 3) [m/s, m/s, rad/s] within what is physical, or raise an error."""
     return limited(name, array(name, value, shape), (checks.SPEED, checks.SPEED, checks.SPIN))
 
 
 def place(name: str, value: ArrayLike) -> tuple[float, float]:
-    """A point (x, y) [m] within what is physical, or an error."""
+    """Return a point (x, y) [m] within what is physical, or raise an error."""
     x, y = limited(name, array(name, value, (2,)), checks.FARTHEST).tolist()
     return (x, y)
 
 
 def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
-    """A read-only copy as an array (rows, columns) of booleans, not empty, or an error."""
+    """Return a read-only copy as an array (rows, columns) of booleans, not empty, or raise an
+    error.
+    """
     try:
         given = np.array(value)
     except ValueError:  # rows of different lengths
@@ -180,7 +190,7 @@ def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
 
 
 def pitch(name: str, value: Any) -> float | tuple[float, float]:
-    """A distance above zero, or two of them, in x and in y; or an error."""
+    """Return a distance above zero, or two of them, in x and in y; or raise an error."""
     if isinstance(value, (tuple, list, np.ndarray)):
         if len(value) != 2:
             raise ValueError(f"{name} must be one number or two, in x and in y, got {value!r}")
@@ -189,7 +199,9 @@ def pitch(name: str, value: Any) -> float | tuple[float, float]:
 
 
 def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Coefficients of at least zero: one (), or one an element (rows, columns); or an error."""
+    """Return coefficients of at least zero: one (), or one an element (rows, columns); or raise
+    an error.
+    """
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if value is None or np.isscalar(value):
@@ -203,7 +215,7 @@ def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.
 
 
 def assumed_friction(mu_max: float | None, mu_min: float | None, mu_support: float | None) -> None:
-    """Raise a ValueError where friction that a sensor assumes is none that there is."""
+    """Raise a ValueError for friction that no surface has, where a sensor assumes it."""
     for name, mu in (("mu_max", mu_max), ("mu_min", mu_min), ("mu_support", mu_support)):
         if mu is not None:
             not_negative(name, mu, checks.FRICTION)
@@ -222,7 +234,7 @@ def rolling(mu_max: ArrayLike, mu_min: ArrayLike) -> None:
 
 
 def orientations(name: str, value: ArrayLike) -> tuple[float, ...]:
-    """Two or more axis angles [rad] that differ, or an error."""
+    """Return two or more axis angles [rad] that differ, or raise an error."""
     angles = limited(name, array(name, value, (None,)), checks.TURNED)
     if not 2 <= len(angles) <= checks.ORIENTATIONS:
         least_or_most = "least 2" if len(angles) < 2 else f"most {checks.ORIENTATIONS}"

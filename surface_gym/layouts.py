@@ -26,7 +26,7 @@ LEAD_IN = {"S": 3, "B": 5}
 
 
 def rows_under(width: float, pitch: float) -> int:
-    """Rows of a line for a parcel of a width [m]: an even number that lies under it, two at least.
+    """Return the rows of a line under a parcel of a width [m]: an even number, two at least.
 
     >>> rows_under(0.25, 0.1), rows_under(0.45, 0.1)
     (2, 4)
@@ -35,7 +35,7 @@ def rows_under(width: float, pitch: float) -> int:
 
 
 def lead_in_under(length: float, pitch: float) -> int:
-    """Columns of a lead-in that a parcel of a length [m] starts wholly on.
+    """Return the columns of a lead-in on which a parcel of a length [m] starts wholly.
 
     >>> lead_in_under(0.25, 0.1), lead_in_under(0.45, 0.1)
     (3, 5)
@@ -45,20 +45,22 @@ def lead_in_under(length: float, pitch: float) -> int:
 
 @lru_cache(maxsize=2)
 def box(size: str) -> Parcel:
-    """The paper's "S" (0.25 m x 0.25 m) or "B" (0.45 m x 0.45 m) box, 10 kg, Table 1."""
+    """Return the paper's "S" (0.25 m x 0.25 m) or "B" (0.45 m x 0.45 m) box, 10 kg, Table 1."""
     side = {"S": 0.25, "B": 0.45}[checks.one_of("size", size, ("S", "B"))]
     return Parcel(Rectangle(side, side))
 
 
 def start(size: str) -> tuple[float, float, float]:
-    """Pose (x, y, theta) [m, m, rad] at which the paper starts a box: x = b / 2, on the line."""
+    """Return the pose (x, y, theta) [m, m, rad] at which the paper starts a box: x = b / 2, on
+    the line.
+    """
     base = box(size).base
     assert isinstance(base, Rectangle)
     return (base.length / 2.0, LINE_Y, 0.0)
 
 
 def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float = 0.0) -> Surface:
-    """A line of rotors with the task's columns after the lead-in.
+    """Return a line of rotors with the task's columns after the lead-in.
 
     Args:
         task_axis: (line rows or 1, task columns) [rad] their axes; one row stands for all.
@@ -83,7 +85,9 @@ def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float =
 def sorting(
     size: str = "S", side: int = -1, task_columns: int = 30, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Figure 6a: axes at +45 deg sort to y < 0 (`side` -1), at -45 deg to y > 0 (`side` +1)."""
+    """Return Figure 6a: axes at +45 deg sort to y < 0 (`side` -1), at -45 deg to y > 0 (`side`
+    +1).
+    """
     checks.one_of("side", side, (-1, 1))
     checks.integer("task_columns", task_columns, least=1)
     return line([[-side * math.pi / 4] * task_columns], size, columns, tilt)
@@ -92,7 +96,7 @@ def sorting(
 def slowing(
     size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Figure 6b and 6c: axes at `angle` [rad], its sign alternating from row to row."""
+    """Return Figure 6b and 6c: axes at `angle` [rad], its sign alternating from row to row."""
     angle = checks.number("angle", angle)
     checks.integer("task_columns", task_columns, least=1)
     checks.one_of("size", size, ("S", "B"))
@@ -103,7 +107,7 @@ def slowing(
 def stopping(
     size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Section 5.3: the slowing layout with one more column, at 0 deg."""
+    """Return Section 5.3's slowing layout with one more column, at 0 deg."""
     slow = slowing(size, angle, task_columns, columns, tilt)
     lead_in, rows = LEAD_IN[size], LINE_ROWS[size]
     checks.integer("columns", columns, least=lead_in + task_columns + 1)

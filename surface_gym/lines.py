@@ -1,4 +1,4 @@
-"""Plants: the surface an environment runs on, which of its elements are rotors, and which obey."""
+"""Lines: the surface an environment runs on, its rotors, and the modules that obey."""
 
 import math
 from abc import abstractmethod
@@ -20,7 +20,7 @@ ORIENTATIONS = (0.0, math.pi / 4, -math.pi / 4, math.pi / 2)  # [rad] the paper'
 
 
 class Site(NamedTuple):
-    """Where a parcel of some size runs."""
+    """Rotors and zone for a parcel of some size."""
 
     rotor: NDArray[np.bool_]  # (rows, columns) a rotor, else a support
     zone: tuple[int, int, int, int]  # first row, rows, first column, columns that obey
@@ -28,7 +28,7 @@ class Site(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class BaseLine(Elements):
-    """Elements on a grid, their friction, and the axes on offer; subclasses say which are rotors.
+    """Elements on a grid, their friction, and the axes on offer; subclasses place the rotors.
 
     A friction coefficient is one number, or an array (rows, columns) with one for each element.
 
@@ -63,16 +63,16 @@ class BaseLine(Elements):
     @property
     @abstractmethod
     def zone_rows(self) -> int:
-        """Rows of the widest zone."""
+        """Return the rows of the widest zone."""
 
     @property
     @abstractmethod
     def zone_columns(self) -> int:
-        """Columns of the zone, where none is given."""
+        """Return the columns of the zone where none is given."""
 
     @abstractmethod
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """The site for a base; `zone` holds the first and last column that obey.
+        """Return the site for a base; `zone` holds the first and last column that obey.
 
         Raises:
             ValueError: the base is too large.
@@ -80,28 +80,34 @@ class BaseLine(Elements):
 
     @property
     def line_y(self) -> float:
-        """[m] y that parcels enter at."""
+        """Return y [m] that parcels enter at."""
         return self.origin[1] + 0.5 * self.pitch_y * (self.rows - 1)
 
     @property
     def length(self) -> float:
-        """[m] from half a pitch before the first column to half a pitch past the last."""
+        """Return the distance [m] from half a pitch before the first column to half a pitch past
+        the last.
+        """
         return self.pitch_x * self.columns
 
     @property
     def width(self) -> float:
-        """[m] from half a pitch beside the first row to half a pitch beside the last."""
+        """Return the distance [m] from half a pitch beside the first row to half a pitch past
+        the last.
+        """
         return self.pitch_y * self.rows
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """[m] least x, greatest x, least y, greatest y: half a pitch beyond the outer elements."""
+        """Return least x, greatest x, least y, greatest y [m]: half a pitch beyond the outer
+        elements.
+        """
         left, low = self.column_edge(0), self.origin[1] - 0.5 * self.pitch_y
         return left, left + self.length, low, low + self.width
 
     @property
     def geometry(self) -> Geometry:
-        """Where the elements lie, as compiled code reads it."""
+        """Return the positions of the elements as compiled code reads them."""
         return Geometry(*self.origin, self.pitch_x, self.pitch_y, self.line_y)
 
     def _check_capacity(self, base: Base) -> None:
@@ -109,12 +115,12 @@ class BaseLine(Elements):
         check_capacity(len(base.edges), base.reach, pitch, size)
 
     def surface(self, axis: Array, rotor: NDArray[np.bool_]) -> Surface:
-        """The plant with its rotors' axes (rows, columns) [rad] as they are, for `simulate`."""
+        """Return the line with its rotors' axes (rows, columns) [rad], for `simulate`."""
         mu_max, mu_min, mu_support = np.moveaxis(self.friction, -1, 0)
         return Surface(axis, rotor, self.pitch, self.origin, mu_max, mu_min, mu_support)
 
     def column_edge(self, column: float) -> float:
-        """[m] x half a pitch before the centre of a column."""
+        """Return x [m] half a pitch before the centre of a column."""
         return self.origin[0] + self.pitch_x * (column - 0.5)
 
 
@@ -152,7 +158,7 @@ class Line(BaseLine):
             )
 
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """The line for a base.
+        """Return the line for a base.
 
         Raises:
             ValueError: the base is too long or too wide for the line.
@@ -175,7 +181,7 @@ class Line(BaseLine):
 
 @dataclass(frozen=True)
 class Field(BaseLine):
-    """Rotors everywhere."""
+    """A field with rotors everywhere."""
 
     rows: int = 20
     columns: int = 60
@@ -194,7 +200,7 @@ class Field(BaseLine):
         return self.columns
 
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """The field, whatever the base."""
+        """Return the field, whatever the base."""
         self._check_capacity(base)
         first, last = (0, self.columns - 1) if zone is None else zone
         rotor = np.ones((self.rows, self.columns), dtype=bool)
@@ -203,7 +209,7 @@ class Field(BaseLine):
 
 @dataclass(frozen=True)
 class Pattern(BaseLine):
-    """Rotors and supports in any pattern. All rotors obey but those of the lead-in.
+    """A line of rotors and supports in any pattern. All rotors obey but those of the lead-in.
 
     The rows of the zone are those from the first with a rotor to the last. Parcels enter at the
     middle of these.
@@ -238,7 +244,7 @@ class Pattern(BaseLine):
 
     @cached_property
     def _rotor_rows(self) -> tuple[int, int]:
-        """First and last row with a rotor that may obey."""
+        """Return the first and last row with a rotor that may obey."""
         rows = np.nonzero(self._pattern[:, self.lead_in :].any(axis=1))[0]
         return int(rows[0]), int(rows[-1])
 
@@ -253,11 +259,11 @@ class Pattern(BaseLine):
 
     @property
     def line_y(self) -> float:
-        """[m] the middle of the zone's rows."""
+        """Return y [m] of the middle of the zone's rows."""
         return self.origin[1] + 0.5 * self.pitch_y * sum(self._rotor_rows)
 
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """The pattern, whatever the base."""
+        """Return the pattern, whatever the base."""
         self._check_capacity(base)
         first, last = (self.lead_in, self.columns - 1) if zone is None else zone
         return Site(self._pattern, (self._rotor_rows[0], self.zone_rows, first, last - first + 1))

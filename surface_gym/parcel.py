@@ -13,40 +13,42 @@ from surface_gym.physics.types import Body
 
 
 class Base(Protocol):
-    """What the physics and the drawing ask of a base. All lengths are in the base's own frame.
+    """The interface of a base. All lengths are in the base's own frame.
 
     A base is convex: the part of a circle, around its centroid, that lies within its edges.
     """
 
     @property
     def centroid(self) -> tuple[float, float]:
-        """[m] centre of the area."""
+        """Return the centre [m] of the area."""
 
     @property
     def gyration(self) -> float:
-        """[m^2] inertia / mass about the centroid, of a load spread evenly over the area."""
+        """Return inertia / mass [m^2] about the centroid, of a load spread evenly over the area."""
 
     @property
     def reach(self) -> float:
-        """[m] from the centroid to the farthest point."""
+        """Return the distance [m] from the centroid to the farthest point."""
 
     @property
     def edges(self) -> NDArray[np.float64]:
-        """(edges, 3) outward normals and distances [m] from the centroid; no rows for a disc."""
+        """Return outward normals and distances [m] from the centroid (edges, 3); no rows for a
+        disc.
+        """
 
     @property
     def outline(self) -> NDArray[np.float64]:
-        """(points, 2) [m] the perimeter, anti-clockwise."""
+        """Return the perimeter (points, 2) [m], anti-clockwise."""
 
     def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """F_lambda at points: (lambdas, ...), none positive inside."""
+        """Return F_lambda at points: (lambdas, ...), none positive inside."""
 
     def scaled(self, factor: float) -> "Base":
-        """The same shape, every length times a factor."""
+        """Return the same shape, every length times a factor."""
 
 
 def check_base(base: Any) -> None:
-    """Raise a ValueError that says what an object lacks to be a `Base`."""
+    """Raise a ValueError that names what an object lacks to be a `Base`."""
     asked = ("centroid", "gyration", "reach", "edges", "outline", "functions", "scaled")
     lacks = [name for name in asked if isinstance(base, type) or not hasattr(base, name)]
     if lacks:
@@ -78,7 +80,7 @@ def _edge_functions(
 
 
 def _kept(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    """An array that is computed once and shared, so that nobody may write it."""
+    """Make an array that is computed once and shared read-only."""
     array.flags.writeable = False
     return array
 
@@ -213,7 +215,9 @@ class Polygon:
 
     @cached_property
     def _triangles(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Twice the area of each triangle (first vertex, side), and the side's ends from there."""
+        """Return twice the area of each triangle (first vertex, side), and the side's ends from
+        there.
+        """
         start = self.outline - self.outline[0]
         end = np.roll(start, -1, axis=0)
         return start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0], start, end
@@ -253,7 +257,7 @@ class Polygon:
 
 @dataclass(frozen=True)
 class Parcel:
-    """A rigid parcel. Its pose is its base frame's; the defaults are those of Table 1.
+    """A rigid parcel. Its pose is that of its base's frame; the defaults are those of Table 1.
 
     Raises:
         ValueError: a mass, height or inertia that is not allowed, a base that is none, or a
@@ -286,23 +290,25 @@ class Parcel:
 
     @cached_property
     def centre_of_mass(self) -> tuple[float, float]:
-        """[m] its projection on the base, in the base's frame."""
+        """Return the projection [m] of the centre of mass on the base, in the base's frame."""
         x, y = self.base.centroid
         return (x + self.com_offset[0], y + self.com_offset[1])
 
     @cached_property
     def rear(self) -> float:
-        """[m] from the rearmost point of the base to its frame's origin, at theta = 0."""
+        """Return the distance [m] from the rearmost point of the base to its frame's origin, at
+        theta = 0.
+        """
         return -float(self.base.outline[:, 0].min())
 
     @property
     def moment_of_inertia(self) -> float:
-        """[kg m^2] J; where none is given, that of a load spread evenly over the base."""
+        """Return J [kg m^2]; where none is given, that of a load spread evenly over the base."""
         return self.mass * self.base.gyration if self.inertia is None else self.inertia
 
     @cached_property
     def body(self) -> Body:
-        """The parcel as the compiled physics reads it."""
+        """Return the parcel as the compiled physics reads it."""
         return Body(
             edges=np.asarray(self.base.edges, dtype=np.float64),
             radius=self.base.reach,
@@ -323,7 +329,7 @@ def assortment(
     sizes: tuple[float, float] = (0.2, 0.45),
     load: float = 0.03,
 ) -> tuple[Parcel, ...]:
-    """Squares, rectangles, discs and convex polygons in turn, the same for the same seed.
+    """Draw squares, rectangles, discs and convex polygons in turn, the same for the same seed.
 
     Length and width: uniform in `sizes`, of a polygon that of the circle it is inscribed in.
     Centre of mass: uniform in a disc of radius `load` around the base's centroid, within the base.
@@ -358,9 +364,7 @@ def _base(rng: np.random.Generator, kind: int, low: float, high: float) -> Base:
 
 
 def _polygon(rng: np.random.Generator, low: float, length: float) -> Polygon:
-    """Corners uniform on a circle, drawn again until it is as wide as the least size, three
-    quarters of it at the least circles, which no other would be.
-    """
+    """Draw corners uniform on a circle, again until the polygon is as wide as the least size."""
     least = min(low, 0.75 * length)
     for _ in range(MOST_DRAWS):
         angle = np.sort(rng.uniform(0.0, 2.0 * math.pi, rng.integers(*CORNERS)))
@@ -371,13 +375,13 @@ def _polygon(rng: np.random.Generator, low: float, length: float) -> Polygon:
 
 
 def _is_convex_around(angle: NDArray[np.float64]) -> bool:
-    """Whether no gap between corners is half the circle, and none so small that they are one."""
+    """Return whether no gap between corners is half the circle, and no corners coincide."""
     gaps = np.diff(angle, append=angle[0] + 2.0 * math.pi)
     return bool(gaps.max() < 0.9 * math.pi and gaps.min() > 0.1)
 
 
 def _loaded(rng: np.random.Generator, base: Base, load: float) -> Parcel:
-    """A parcel on a base, its load off centre."""
+    """Return a parcel on a base with its load off centre."""
     for _ in range(MOST_DRAWS):
         offset = load * rng.uniform(-1.0, 1.0, 2)
         x, y = np.array(base.centroid) + offset

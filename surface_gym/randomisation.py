@@ -1,4 +1,4 @@
-"""How actuators behave, and what is randomised from episode to episode."""
+"""Actuators, and the domain randomisation of parcels and surfaces."""
 
 import math
 from dataclasses import dataclass, replace
@@ -43,7 +43,7 @@ MOST_DRAWS = 1000  # of a start aside: of ordinary ones one in 20 is drawn twice
 
 
 class RandomDraw(NamedTuple):
-    """What a start and the surface under it are drawn to be."""
+    """A start and the surface under it as drawn."""
 
     parcel: Parcel
     aside: float  # [m] of the start in y
@@ -54,7 +54,7 @@ class RandomDraw(NamedTuple):
 
 @dataclass(frozen=True)
 class Randomisation:
-    """Spreads of what is not known of a parcel and a surface; nothing varies by default.
+    """Spreads of parcel and surface from episode to episode; nothing varies by default.
 
     Mass alone changes nothing, since it cancels out of Eq. (1)-(4): what `mass` varies is the
     load's mass at a given inertia, so how hard the parcel is to turn.
@@ -88,11 +88,11 @@ class Randomisation:
 
     @property
     def varies(self) -> bool:
-        """Whether there is anything to draw."""
+        """Return whether there is anything to draw."""
         return self != Randomisation()
 
     def largest(self, base: Base) -> Base:
-        """The base at the largest size that may be drawn."""
+        """Return the base at the largest size that may be drawn."""
         return base.scaled(1.0 + self.size)
 
     def check_room(self, width: float) -> None:
@@ -104,7 +104,7 @@ class Randomisation:
             )
 
     def least(self, base: Base) -> Base:
-        """The base at the least size that may be drawn."""
+        """Return the base at the least size that may be drawn."""
         return base.scaled(1.0 - self.size)
 
     def draw(
@@ -123,7 +123,7 @@ class Randomisation:
         return RandomDraw(parcel, aside, turned, friction, self.draw_stiffness(rng, shape))
 
     def draw_friction(self, rng: np.random.Generator) -> tuple[float, float, float]:
-        """Factors of mu_max, mu_min and mu_support of a surface."""
+        """Draw factors of mu_max, mu_min and mu_support of a surface."""
         return (
             _factor(rng, self.friction),
             _factor(rng, self.rolling),
@@ -133,18 +133,18 @@ class Randomisation:
     def draw_stiffness(
         self, rng: np.random.Generator, shape: tuple[int, ...]
     ) -> NDArray[np.float64] | None:
-        """[-] of each element (rows, columns) of a surface; None: all the same."""
+        """Draw the stiffness [-] of each element (rows, columns); None: all the same."""
         return np.exp(self.stiffness * rng.standard_normal(shape)) if self.stiffness else None
 
     @property
     def varies_parcels(self) -> bool:
-        """Whether there is anything to draw of a parcel itself."""
+        """Return whether there is anything to draw of a parcel itself."""
         return bool(self.mass or self.size or self.com_offset)
 
     def draw_entry(
         self, rng: np.random.Generator, parcel: Parcel, room: tuple[float, float] = ANYWHERE
     ) -> tuple[Parcel, float, float]:
-        """A parcel as it is drawn to be, how far aside [m] and how far turned [rad] it starts.
+        """Draw a parcel, how far [m] aside and how far [rad] turned it starts.
 
         Raises:
             ValueError: there is hardly room [m] for the parcel to start in.

@@ -140,21 +140,21 @@ def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
 
 
 def sample_times(duration: float, dt: float) -> NDArray[np.float64]:
-    """Ends of the steps; a last one that would be shorter than 1e-6 dt is none."""
+    """Return the ends of the steps; a last step shorter than 1e-6 dt is left out."""
     whole = math.floor(duration / dt + 1e-6)
     time: Array = dt * np.arange(whole + 1, dtype=np.float64)
     return np.append(time, duration) if duration - time[-1] > 1e-6 * dt else time
 
 
 def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
-    """State vector of the centre of mass."""
+    """Return the state vector of the centre of mass."""
     centre = np.array([parcel.centre_of_mass])
     state: Array = com_states(centre, pose[np.newaxis], velocity[np.newaxis])[0]
     return state
 
 
 def base_motion(parcel: Parcel, states: Array) -> tuple[Array, Array]:
-    """Pose and velocity of the base's frame, from the centre of mass's."""
+    """Return pose and velocity of the base's frame, from those of the centre of mass."""
     pose, velocity = states[:, X : THETA + 1].copy(), states[:, VX : OMEGA + 1].copy()
     com_x, com_y = parcel.centre_of_mass
     if (com_x, com_y) != (0.0, 0.0):
@@ -178,7 +178,7 @@ def _run(
     method: str,
     normal_forces: str,
 ) -> int:
-    """Fill states and reports; the number of steps done."""
+    """Fill states and reports, and return the number of steps done."""
     whole = len(time) if time[-1] == dt * (len(time) - 1) else len(time) - 1
     if normal_forces == "dual":
         run = run_implicit if method == "implicit" else run_explicit
@@ -211,7 +211,7 @@ def _reference_step(
     method: str,
     normal_forces: str,
 ) -> int:
-    """The compiled step with Eq. (1) solved by a reference in the dual's place."""
+    """Do the compiled step with Eq. (1) solved by a reference in the dual's place."""
     from surface_gym.physics.references import support_load_by
 
     explicit = method == "explicit"

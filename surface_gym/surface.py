@@ -15,23 +15,23 @@ from surface_gym.physics.types import GRAVITY, Grid
 
 
 class Pitched:
-    """What lies on a grid."""
+    """Base of what lies on a grid with a pitch."""
 
     pitch: float | tuple[float, float]  # [m] between neighbours: one, or in x and in y
 
     @property
     def pitch_x(self) -> float:
-        """[m] from column to column."""
+        """Return the distance [m] from column to column."""
         return self.pitch if isinstance(self.pitch, float) else self.pitch[0]
 
     @property
     def pitch_y(self) -> float:
-        """[m] from row to row."""
+        """Return the distance [m] from row to row."""
         return self.pitch if isinstance(self.pitch, float) else self.pitch[1]
 
 
 class Elements(Pitched, ABC):
-    """Elements on a grid: what a surface and a plant have in common."""
+    """Elements on a grid: what a surface and a line have in common."""
 
     # [-] friction along a rotor's axis, across it, and of a support: one, or one for each element
     mu_max: Any
@@ -41,16 +41,16 @@ class Elements(Pitched, ABC):
     @property
     @abstractmethod
     def rows(self) -> int:
-        """Elements across, in y."""
+        """Return how many elements there are across, in y."""
 
     @property
     @abstractmethod
     def columns(self) -> int:
-        """Elements along, in x."""
+        """Return how many elements there are along, in x."""
 
     @cached_property
     def friction(self) -> NDArray[np.float64]:
-        """(rows, columns, 3) [-] along a rotor's axis, across it, and of a support."""
+        """Return (rows, columns, 3) [-] along a rotor's axis, across it, and of a support."""
         each = (self.mu_max, self.mu_min, self.mu_support)
         grid = [np.broadcast_to(np.asarray(mu), (self.rows, self.columns)) for mu in each]
         return np.stack(grid, axis=-1)
@@ -120,27 +120,27 @@ class Surface(Elements):
 
     @property
     def rows(self) -> int:
-        """Number of elements across the line, in y."""
+        """Return how many elements there are across the line, in y."""
         return int(self.axis.shape[0])
 
     @property
     def columns(self) -> int:
-        """Number of elements along the line, in x."""
+        """Return how many elements there are along the line, in x."""
         return int(self.axis.shape[1])
 
     @property
     def x(self) -> NDArray[np.float64]:
-        """(columns,) [m] x of each column's centre."""
+        """Return x [m] of each column's centre (columns,)."""
         return self.origin[0] + self.pitch_x * np.arange(self.columns, dtype=np.float64)
 
     @property
     def y(self) -> NDArray[np.float64]:
-        """(rows,) [m] y of each row's centre."""
+        """Return y [m] of each row's centre (rows,)."""
         return self.origin[1] + self.pitch_y * np.arange(self.rows, dtype=np.float64)
 
     @cached_property
     def grid(self) -> Grid:
-        """The surface as the compiled physics reads it."""
+        """Return the surface as the compiled physics reads it."""
         return Grid(
             axis=np.arange(self.axis.size, dtype=np.int32).reshape(self.axis.shape),
             direction=axis_directions(self.axis.ravel()),

@@ -30,7 +30,7 @@ from surface_gym.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Touches:
-    """Who pushed whom in which step, a row a pair and step."""
+    """Touches of pairs of parcels, a row a pair and step."""
 
     time: NDArray[np.float64]  # (touches,) [s] end of the step
     pair: NDArray[np.int64]  # (touches, 2) which of the parcels, the first below the second
@@ -39,7 +39,7 @@ class Touches:
 
 @dataclass(frozen=True, eq=False)
 class Encounter:
-    """What becomes of parcels on one surface."""
+    """Result of several parcels on one surface."""
 
     trajectories: tuple[Trajectory, ...]  # one a parcel
     touches: Touches
@@ -116,7 +116,7 @@ def simulate_together(
 
 
 def make_bodies(parcels: Sequence[Parcel]) -> Bodies:
-    """Parcels as the compiled physics reads them, a row each."""
+    """Return parcels as the compiled physics reads them, a row each."""
     corners = [_corners(parcel) for parcel in parcels]
     sides = max(map(len, corners))
     edges = np.empty((len(parcels), sides, 3))
@@ -141,7 +141,7 @@ def make_bodies(parcels: Sequence[Parcel]) -> Bodies:
 
 
 def _corners(parcel: Parcel) -> Array:
-    """(corners, 2) [m] from the centroid; of a disc as many at the centroid as any base has."""
+    """Return the corners (corners, 2) [m] from the centroid; a disc's lie at the centroid."""
     if len(parcel.body.edges) == 0:
         return np.zeros((3, 2))
     return np.asarray(parcel.base.outline - np.array(parcel.base.centroid))
@@ -150,7 +150,7 @@ def _corners(parcel: Parcel) -> Array:
 def _company(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, velocities: ArrayLike | None
 ) -> World:
-    """The parcels at the start, of arguments that are checked but for where they place them."""
+    """Return the world at the start, of arguments that are checked but for the places they give."""
     if not isinstance(surface, Surface):
         raise ValueError(f"surface must be a Surface, got {surface!r}")
     if not isinstance(parcels, Sequence) or not all(isinstance(each, Parcel) for each in parcels):
@@ -196,7 +196,7 @@ def _check_starts(
 
 
 def _run(grid: Grid, company: World, touching: ContactMaterial, time: Array, dt: float) -> Records:
-    """All steps, and no more rows of touches than there are."""
+    """Do all steps, and cut the rows of touches to those there are."""
     count = len(company.present)
     scratch = make_world_scratch(count)
     room = 1024 + 2 * len(scratch.pair)
@@ -229,7 +229,7 @@ def _run(grid: Grid, company: World, touching: ContactMaterial, time: Array, dt:
 
 
 def _stretches(time: Array, dt: float) -> list[tuple[int, int, float]]:
-    """First step, last step and their length [s]: the steps of dt, then one that is shortened."""
+    """Return first step, last step and their length [s]: the steps of dt, then a shortened one."""
     last = len(time) - 1
     if time[-1] == dt * last:
         return [(1, last, dt)]
@@ -244,7 +244,7 @@ def _trajectory(
     states: Array,
     reports: NDArray[np.int64],
 ) -> Trajectory:
-    """A parcel's, up to where it left the surface."""
+    """Return a parcel's trajectory, up to where it left the surface."""
     left = np.flatnonzero(reports >= OFF_SURFACE)
     done = slice(0, int(left[0]) if len(left) else len(time))
     end = ENDS[int(reports[left[0]])] if len(left) else "duration"

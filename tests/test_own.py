@@ -111,7 +111,7 @@ class Doubled(Sort):
 
     @staticmethod
     @own.kernel_function
-    def reward(state: own.Lane, outcome: int) -> None:
+    def reward(state: own.EnvState, outcome: int) -> None:
         state.terms[0] = 2.0 * state.period
 
 

@@ -1,1 +1,1 @@
-"""Parcels on surfaces, many at once: what both faces of the environment drive."""
+"""Many environments at once: actions, resets, and the compiled kernel that steps them."""

@@ -39,7 +39,7 @@ CONVEYOR = (0.0, 1.0)  # cosine and sine of `ROLLING`, an axis that is not told
 
 
 class Acting(NamedTuple):
-    """How commands turn axes."""
+    """Settings by which commands turn axes."""
 
     zone_rows: int  # rows of the widest zone, for which there are commands
     orientations: Array  # (choices,) [rad] axis angles on offer
@@ -55,7 +55,7 @@ class Corner(NamedTuple):
 
 @inlined
 def window_corner(state: EnvState, mirror: float) -> Corner:
-    """The window's first module; the parcel is sensed over its middle one.
+    """Return the window's first module; the parcel is sensed over its middle one.
 
     Midway between two rows it is the one to the left, seen in the mirror if there is one: a
     mirrored lane must have the mirrored window.
@@ -76,7 +76,7 @@ def window_corner(state: EnvState, mirror: float) -> Corner:
 
 @inlined
 def part_of_modules(acting: Acting, state: EnvState, corner: Corner, row: int, column: int) -> int:
-    """Each module its own. A narrow zone is the middle rows of the widest."""
+    """Give each module a part of its own. A narrow zone is the middle rows of the widest."""
     margin = (acting.zone_rows - state.zone[ROWS]) // 2
     place = margin + row - state.zone[FIRST_ROW]
     return place * state.zone[COLUMNS] + column - state.zone[FIRST_COLUMN]
@@ -84,7 +84,7 @@ def part_of_modules(acting: Acting, state: EnvState, corner: Corner, row: int, c
 
 @inlined
 def part_of_halves(acting: Acting, state: EnvState, corner: Corner, row: int, column: int) -> int:
-    """Those ahead of the parcel's centre, and those behind it."""
+    """Give a part to the modules ahead of the parcel's centre, and one to those behind it."""
     return 1 if state.elements.x0 + state.elements.pitch_x * column < state.sensed[X] else 0
 
 
@@ -92,7 +92,7 @@ def part_of_halves(acting: Acting, state: EnvState, corner: Corner, row: int, co
 def part_of_quadrants(
     acting: Acting, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Ahead left, ahead right, behind left, behind right of the parcel's centre."""
+    """Give parts to the modules ahead left, ahead right, behind left and behind right."""
     behind = state.elements.x0 + state.elements.pitch_x * column < state.sensed[X]
     right = state.elements.y0 + state.elements.pitch_y * row < state.sensed[Y]
     return (2 if behind else 0) + (1 if right else 0)
@@ -100,7 +100,7 @@ def part_of_quadrants(
 
 @inlined
 def part_of_window(acting: Acting, state: EnvState, corner: Corner, row: int, column: int) -> int:
-    """Each module of the window its own."""
+    """Give each module of the window a part of its own."""
     down = row - corner.row
     along = column - corner.column
     inside = 0 <= down < WINDOW_SIDE and 0 <= along < WINDOW_SIDE
@@ -114,7 +114,7 @@ def part_of_window(acting: Acting, state: EnvState, corner: Corner, row: int, co
 def set_choice(
     acting: Acting, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """To the orientation on offer that the part counts, at once."""
+    """Set an axis to the orientation that the part counts, at once."""
     surfaces.axis[i, row, column] = surfaces.command[i, part]
 
 
@@ -122,7 +122,7 @@ def set_choice(
 def set_angle(
     acting: Acting, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """To the angle that the part says, at once."""
+    """Set an axis to the angle of the part, at once."""
     angle = surfaces.command[i, part]
     axis = surfaces.axis[i, row, column]
     cosine, sine = axis_direction(angle)
@@ -134,7 +134,7 @@ def set_angle(
 def aim_at_choice(
     acting: Acting, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """To the orientation on offer that the part counts, by turning step by step."""
+    """Set the orientation that the part counts as the target of an axis that turns in time."""
     surfaces.target[i, row, column] = acting.orientations[surfaces.command[i, part]]
 
 
@@ -142,20 +142,20 @@ def aim_at_choice(
 def aim_at_angle(
     acting: Acting, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """To the angle that the part says, by turning step by step."""
+    """Set the angle of the part as the target of an axis that turns in time."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
 @inlined
 def leave_axes(acting: Acting, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """They have turned already."""
+    """Leave axes as they are: they have turned already."""
     return False
 
 
 @inlined
 def turn_axes(acting: Acting, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """Turn each axis of the zone towards its target, the shorter way, for one physics step; whether
-    one had to.
+    """Turn each axis of the zone towards its target, the shorter way, for one physics step;
+    return whether any axis turned.
     """
     turned = False
     for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
@@ -183,7 +183,7 @@ def turn_axes(acting: Acting, surfaces: SurfaceState, i: int, zone: Integers) ->
 
 @inlined
 def straighten_choices(acting: Acting, surfaces: SurfaceState, i: int) -> None:
-    """To the direction that follows those on offer."""
+    """Set all axes to the direction that follows those on offer."""
     conveyor = surfaces.direction.shape[1] - 1
     for row in range(surfaces.axis.shape[1]):
         for column in range(surfaces.axis.shape[2]):
@@ -192,7 +192,7 @@ def straighten_choices(acting: Acting, surfaces: SurfaceState, i: int) -> None:
 
 @inlined
 def straighten_angles(acting: Acting, surfaces: SurfaceState, i: int) -> None:
-    """Each its own direction."""
+    """Set each axis, which has its own direction, to 90 deg."""
     for axis in range(surfaces.direction.shape[1]):
         surfaces.direction[i, axis, 0] = CONVEYOR[0]
         surfaces.direction[i, axis, 1] = CONVEYOR[1]
@@ -200,7 +200,7 @@ def straighten_angles(acting: Acting, surfaces: SurfaceState, i: int) -> None:
 
 @inlined
 def straighten_targets(acting: Acting, surfaces: SurfaceState, i: int) -> None:
-    """Each its own direction, with nowhere to turn to."""
+    """Set each axis and its target to 90 deg."""
     straighten_angles(acting, surfaces, i)
     for row in range(surfaces.angle.shape[1]):
         for column in range(surfaces.angle.shape[2]):
@@ -213,13 +213,13 @@ AXIS_SIZE = 2  # numbers that show an axis: cosine and sine of twice its angle, 
 
 @inlined
 def show_nothing(acting: Acting, state: EnvState, first: int, mirror: float) -> None:
-    """The task's features are all there is."""
+    """Add nothing to the task's features."""
 
 
 @inlined
 def show_occupancy(acting: Acting, state: EnvState, first: int, mirror: float) -> None:
     """Write the window's occupancy into the observation from `first` on: 1 for each module that
-    is sensed to lie under the parcel and obeys, its rows upside down if `mirror` is negative.
+    obeys and is sensed to lie under the parcel, rows reversed if `mirror` is negative.
     """
     corner = window_corner(state, mirror)
     rows, columns = state.rotor.shape
@@ -380,7 +380,7 @@ def show_rotors(acting: Acting, state: EnvState, first: int, mirror: float) -> N
 
 
 class Group(NamedTuple):
-    """Features that are shown together."""
+    """A group of features that are observed together."""
 
     features: tuple[Feature, ...]
     show: Callable[..., None]  # the compiled function that writes them
@@ -397,14 +397,14 @@ GROUPS = {
 
 
 class FeatureGroup(NamedTuple):
-    """A group as a kernel is built from it."""
+    """A group of features as a kernel is built from it."""
 
     show: Callable[..., None]
     size: int  # numbers it writes
 
 
 def shown(observe: tuple[str, ...]) -> tuple[FeatureGroup, ...]:
-    """Every group in order, one that is not asked for with nothing to write."""
+    """Return every group in order; a group that is not asked for writes nothing."""
     return tuple(
         FeatureGroup(group.show, len(group.features))
         if name in observe
@@ -414,7 +414,7 @@ def shown(observe: tuple[str, ...]) -> tuple[FeatureGroup, ...]:
 
 
 def group_features(observe: tuple[str, ...]) -> tuple[Feature, ...]:
-    """What the groups asked for show."""
+    """Return the features of the groups asked for."""
     return tuple(
         feature for name, group in GROUPS.items() if name in observe for feature in group.features
     )
@@ -433,7 +433,7 @@ RIGHT_ANGLE = np.float32(math.pi / 2.0)  # [rad] an axis turned further is one t
 
 @dataclass(frozen=True)
 class ActionKind:
-    """How an action sets the axes of a zone's modules.
+    """A kind of action: how it sets the axes of a zone's modules.
 
     Raises:
         ValueError: an unknown name.
@@ -449,17 +449,17 @@ class ActionKind:
 
     @property
     def part_of(self) -> Callable[..., Any]:
-        """The compiled function that says which part of an action a module follows."""
+        """Return the compiled function that gives the part of an action that a module follows."""
         return KINDS[self.name]
 
     @property
     def continuous(self) -> bool:
-        """Whether each part is an angle, in place of a choice."""
+        """Return whether each part is an angle instead of a choice."""
         return self.choices == 0
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows, from y < 0 to y > 0, and columns of the parts that a command sets."""
+        """Return the rows, from y < 0 to y > 0, and columns of the parts of a command."""
         return {
             "modules": (self.rows, self.columns),
             "halves": (1, 2),
@@ -469,21 +469,21 @@ class ActionKind:
 
     @property
     def size(self) -> int:
-        """Numbers in a command."""
+        """Return how many numbers a command has."""
         return self.shape[0] * self.shape[1]
 
     @property
     def window_size(self) -> int:
-        """Numbers that the kind adds to the observation: the window's occupancy."""
+        """Return how many numbers the kind adds to the observation: the window's occupancy."""
         return self.size if self.name == "window" else 0
 
     @property
     def _single(self) -> bool:
-        """An action is one number: the choices of both halves."""
+        """Return whether an action is one number: the choices of both halves."""
         return self.name == "halves" and not self.continuous
 
     def space(self) -> spaces.Space[Any]:
-        """What a policy chooses from."""
+        """Return the action space of one environment."""
         if self.continuous:
             return spaces.Box(-RIGHT_ANGLE, RIGHT_ANGLE, (self.size,))
         if self._single:
@@ -491,7 +491,8 @@ class ActionKind:
         return spaces.MultiDiscrete(np.full(self.size, self.choices))
 
     def commands(self, actions: Any, lanes: int) -> NDArray[Any]:
-        """Actions of all lanes as commands (lanes, size): choices, or angles [rad].
+        """Return the actions of all environments as commands (num_envs, size): choices, or
+        angles [rad].
 
         Raises:
             ValueError: a wrong shape, not whole numbers or angles, or out of range.
@@ -518,14 +519,16 @@ class ActionKind:
         return chosen
 
     def encode(self, commands: NDArray[Any]) -> NDArray[Any]:
-        """Commands (lanes, size) as actions: the way back from `commands`."""
+        """Return commands (num_envs, size) as actions, the inverse of `commands`."""
         if self._single:
             encoded: NDArray[Any] = commands[:, 0] * self.choices + commands[:, 1]
             return encoded
         return commands
 
     def flip(self, commands: NDArray[Any]) -> NDArray[Any]:
-        """Commands (lanes, size) with the parts' places mirrored in y, choices as they are."""
+        """Return commands (num_envs, size) with the parts' places mirrored in y, choices
+        unchanged.
+        """
         if self.name == "quadrants":
             return commands[:, [1, 0, 3, 2]]
         return commands.reshape(-1, *self.shape)[:, ::-1].reshape(commands.shape)

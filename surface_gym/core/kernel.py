@@ -1,4 +1,4 @@
-"""A batch's compiled code: one control period of a lane, built from what the batch is made of.
+"""The compiled kernel: one control period of an environment, built from the parts of its batch.
 
 Command, axes, physics, sensor, task: all faces call this. Only the functions of the batch's own
 task, sensor and kind of action are compiled into it.
@@ -43,7 +43,7 @@ Function = Callable[..., Any]
 
 
 class Actuation(NamedTuple):
-    """How axes obey."""
+    """Functions by which axes obey."""
 
     obey: Function  # what a part of the command does to an axis
     turn: Function  # what all axes do in a physics step
@@ -52,7 +52,7 @@ class Actuation(NamedTuple):
 
 
 class KernelFunctions(NamedTuple):
-    """What a kernel is built from."""
+    """Functions that a kernel is built from."""
 
     label: str  # of its files in the cache
     begin: Function  # the task's
@@ -74,7 +74,7 @@ class KernelFunctions(NamedTuple):
 
 
 class EnvParams(NamedTuple):
-    """What all lanes of a batch have in common."""
+    """Parameters that all environments of a batch share."""
 
     elements: Geometry
     timing: Timing
@@ -90,8 +90,8 @@ class EnvParams(NamedTuple):
 
 @lru_cache(maxsize=64)
 def obeying(part_of: Function, obey: Function) -> Any:
-    """Build `obey_command(params, surfaces, state, i, mirror)`: what surface i's command does to the
-    axes of a lane's zone.
+    """Build `obey_command(params, surfaces, state, i, mirror)`, which applies surface i's
+    command to the axes of the zone.
     """
 
     @inlined
@@ -111,7 +111,7 @@ def obeying(part_of: Function, obey: Function) -> Any:
 
 @lru_cache(maxsize=256)
 def showing(functions: KernelFunctions) -> Any:
-    """Build `show_more(params, state, mirror)`: what is observed after the task's features."""
+    """Build `show_more(params, state, mirror)`, which observes what follows the task's features."""
     show_modules, show_axes = functions.show_modules, functions.show_axes
     (show_parcel, parcel_size), (show_rotors, rotors_size), (_, load_size) = functions.more
     show_learned, learns = functions.learned, load_size > 0

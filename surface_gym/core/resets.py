@@ -26,7 +26,7 @@ from surface_gym.tasks.base import Draw, Parcels, Start, Task
 
 
 def draw_noise(parcels: ParcelState, row: int, generator: np.random.Generator) -> None:
-    """Three standard normals and a uniform a row of noise, for the parcel in a row of `parcels`."""
+    """Draw noise, three standard normals and a uniform a row, for a row of `parcels`."""
     noise = parcels.noise[row]
     noise[:, :3] = generator.standard_normal((NOISE_ROWS, 3))
     noise[:, 3] = generator.random(NOISE_ROWS)
@@ -37,7 +37,7 @@ NO_EDGE = (0.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges
 
 
 class Placement(NamedTuple):
-    """Rows of a lane's memory that follow from the parcel and the plant alone."""
+    """Rows of the state arrays that follow from the parcel and the line alone."""
 
     rotor: Booleans  # (rows, columns)
     obeys: Booleans  # (rows, columns) but for those that are drawn to be stuck
@@ -48,11 +48,11 @@ class Placement(NamedTuple):
 
     @property
     def sides(self) -> int:
-        """Rows that edges and corners take."""
+        """Return the rows that edges and corners take."""
         return max(len(self.edges), len(self.corners))
 
     def fill(self, sides: int) -> tuple[Array, Array]:
-        """Edges (sides, 3) and corners (sides, 2), filled up to that many."""
+        """Return edges (sides, 3) and corners (sides, 2), filled up to a number of sides."""
         edges = np.empty((sides, 3))
         edges[:] = NO_EDGE
         edges[: len(self.edges)] = self.edges
@@ -69,7 +69,7 @@ def place_parcel(
     zone: tuple[int, int] | None,
     stuck: tuple[tuple[int, int], ...] = (),
 ) -> Placement:
-    """The placement of a parcel on a plant.
+    """Place a parcel on a line.
 
     Args:
         parcel: of any base.
@@ -110,7 +110,7 @@ def place_parcel(
 
 
 def place_in(settings: Settings, parcel: Parcel) -> Placement:
-    """The placement of a parcel in an environment.
+    """Place a parcel in an environment.
 
     Raises:
         ValueError: the parcel does not fit the plant.
@@ -123,8 +123,8 @@ FEWEST_EDGES = 4
 
 
 class BodyPlan:
-    """The sites of a batch. The parcels that a task draws have a site each; any other parcel has
-    that of its lane.
+    """The body table of a batch. The task's own parcels have a row each; any other parcel takes
+    the row of its environment.
 
     Args:
         parcels: that the task draws.
@@ -150,26 +150,28 @@ class BodyPlan:
             self._write(body, parcel)
 
     def shared_bodies_of(self, parcels: Parcels) -> Integers:
-        """(count,) sites of parcels that the task draws; -1 for any other."""
+        """Return the rows (count,) of parcels that the task draws; -1 for any other."""
         found = np.array([self._site_of.get(parcel, -1) for parcel in parcels.kinds])
         bodies: Integers = found[parcels.which]
         return bodies
 
     def bodies_of(self, chosen: Integers, parcels: Parcels) -> Integers:
-        """(count,) sites for the parcels of the chosen lanes (count,)."""
+        """Return the rows (count,) for the parcels of the chosen environments (count,)."""
         bodies = self.shared_bodies_of(parcels)
         for k in np.nonzero(bodies < 0)[0].tolist():
             bodies[k] = self._own(int(chosen[k]), parcels.kinds[parcels.which[k]])
         return bodies
 
     def draw_stuck(self, lane: int, parcel: Parcel, working: Booleans) -> int:
-        """The lane's own site, of whose modules those not working (rows, columns) do not obey."""
+        """Return the environment's own row, in which modules not working (rows, columns) do not
+        obey.
+        """
         body = self._own(lane, parcel)
         self.bodies.obeys[body] = self._place(parcel).obeys & working
         return body
 
     def parcel(self, body: int) -> Parcel:
-        """The parcel of a site that was placed."""
+        """Return the parcel of a row."""
         parcel = self._parcels[body]
         assert isinstance(parcel, Parcel)
         return parcel
@@ -195,8 +197,8 @@ class BodyPlan:
 
 
 def with_body(bodies: BodyTable, body: int, placement: Placement) -> BodyTable:
-    """Sites with a placement's body in one of their rows; they are others where there was no room
-    for so many edges.
+    """Return a body table with a placement in one of its rows, made wider where its edges need
+    room.
     """
     wide = bodies.edges.shape[1]
     more = placement.sides - wide
@@ -224,7 +226,7 @@ def _make_bodies(count: int, shape: tuple[int, ...], edges: int) -> BodyTable:
 
 
 class StartRows(NamedTuple):
-    """What starts put into the rows of their lanes."""
+    """Rows that starts put into the state arrays."""
 
     body: Integers  # (starts,)
     state: Array  # (starts, STATE_SIZE)
@@ -233,8 +235,8 @@ class StartRows(NamedTuple):
 
 
 def draw_starts(settings: Settings, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
-    """What the task of an environment makes of numbers (starts, draws) and the options of each, or
-    an error that names the task.
+    """Let a task draw starts from numbers (starts, draws) and the options of each, or raise an
+    error that names the task.
     """
     task = settings.chosen_task
     start = task.start(Draw(numbers, options, settings.chosen_plant, settings.zone))
@@ -244,7 +246,7 @@ def draw_starts(settings: Settings, numbers: Array, options: Sequence[Mapping[st
 
 
 def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> StartRows:
-    """Rows of starts of these parcels, whose sites are (starts,)."""
+    """Return the rows of starts of these parcels, whose rows in the body table are (starts,)."""
     count = len(bodies)
     pose = _columns(task, "pose", start.pose, 3, count)
     _check_physical(task, "pose", pose, (checks.FARTHEST, checks.FARTHEST, checks.TURNED))
@@ -259,7 +261,9 @@ def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> 
 
 
 def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: int) -> Array:
-    """(count, wanted) of a start's numbers, or arrays (count,), of that name; or an error."""
+    """Return a start's numbers, or arrays (count,), of a name as (count, wanted), or raise an
+    error.
+    """
     told = f"{type(task).__name__}.start must give a {name} of"
     if len(values) != wanted:
         raise ValueError(f"{told} {wanted} numbers, got {len(values)}")
@@ -284,7 +288,7 @@ def _check_physical(task: Task, name: str, columns: Array, most: tuple[float, ..
 
 
 def start_paths(task: Task, start: Start, count: int) -> Array:
-    """(PATH_POINTS,) or (count, PATH_POINTS) of a start, or an error."""
+    """Return the path (PATH_POINTS,) or (count, PATH_POINTS) of a start, or raise an error."""
     path = start.path
     if path is None or path.shape not in ((PATH_POINTS,), (count, PATH_POINTS)):
         raise ValueError(
@@ -295,7 +299,7 @@ def start_paths(task: Task, start: Start, count: int) -> Array:
 
 
 def each_parcel(parcel: Parcel | Parcels, count: int) -> Parcels:
-    """One parcel for all, as one each."""
+    """Return one parcel for all starts as one for each."""
     if isinstance(parcel, Parcels):
         return parcel
     return Parcels((parcel,), np.zeros(count, dtype=np.int64))
@@ -306,8 +310,8 @@ MOST_KEPT = 65536  # starts of all lanes
 
 
 class ResetCache:
-    """Numbers for the starts of every lane, each lane's in the order of its own generator; and what
-    the starts come to.
+    """Numbers drawn ahead for the starts of every environment, each in the order of its own
+    generator, and the starts they give.
 
     Args:
         lanes: their number.
@@ -326,21 +330,26 @@ class ResetCache:
         self._laid = np.zeros(num_envs, dtype=np.bool_)  # whether a lane's are up to date
 
     def seed(self, lane: int, generator: np.random.Generator) -> None:
-        """Draw a lane's numbers from a generator; one that it has already goes on."""
+        """Draw an environment's numbers from a generator; a generator that it has already goes
+        on.
+        """
         if self.generators[lane] is not generator:
             self.generators[lane] = generator
             self._used[lane] = self._ahead
 
     def take(self, chosen: Integers) -> Array:
-        """The next numbers (count, draws) of the chosen lanes (count,), which are seeded."""
+        """Return the next numbers (count, draws) of the chosen environments (count,), which are
+        seeded.
+        """
         return self._numbers[chosen, self._next(chosen)]
 
     def taken(self, chosen: Integers) -> Array:
-        """The numbers (count, draws) that the chosen lanes (count,) took last."""
+        """Return the numbers (count, draws) that the chosen environments (count,) took last."""
         return self._numbers[chosen, self._used[chosen] - 1]
 
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:
-        """What the next starts of the chosen lanes (count,), which are seeded, come to.
+        """Return the rows of the next starts of the chosen environments (count,), which are
+        seeded.
 
         Args:
             chosen: lanes.
@@ -364,7 +373,7 @@ class ResetCache:
         return StartRows._make(values[here] for values in self._rows)
 
     def _next(self, chosen: Integers) -> Integers:
-        """The place (count,) of each lane's next start."""
+        """Return the index (count,) of each environment's next start."""
         used = self._used[chosen]
         if used.max(initial=0) == self._ahead:
             for lane in chosen[used == self._ahead].tolist():

@@ -1,1 +1,1 @@
-"""The batch on a GPU: the same source, compiled for another machine. Experimental."""
+"""The batch on a GPU, from the same source, compiled for another machine. Experimental."""

@@ -38,7 +38,8 @@ from surface_gym.state import COMMON_OUTCOMES, NO_FAULT, PATH_POINTS, SUCCESS
 
 
 class CudaEnvs(ABC):
-    """Lanes on a device that are started, moved and looked at; all arrays are tensors on it.
+    """Environments on a device that are started, stepped and observed; all arrays are tensors on
+    it.
 
     Args:
         lanes: their number.
@@ -62,24 +63,26 @@ class CudaEnvs(ABC):
 
     @property
     def command(self) -> torch.Tensor:
-        """(lanes, command size) to write before a move."""
+        """Return the commands (num_envs, command size), to write before a move."""
         command: torch.Tensor = self._surfaces.command
         return command
 
     @property
     def outcome(self) -> torch.Tensor:
-        """(lanes,) how each episode stands, a place in `outcomes`."""
+        """Return the state (num_envs,) of each episode, an index into `outcomes`."""
         outcome: torch.Tensor = self._episodes.outcome
         return outcome
 
     @property
     def reward(self) -> torch.Tensor:
-        """(lanes,) of the last control period."""
+        """Return the rewards (num_envs,) of the last control period."""
         reward: torch.Tensor = self._episodes.reward
         return reward
 
     def move(self, mask: torch.Tensor) -> None:
-        """Move the lanes in the mask (lanes,) over one control period, or begin those placed."""
+        """Step the environments in the mask (num_envs,) by one control period, or begin those
+        placed.
+        """
         self._mask.copy_(mask)
         self._move()
         fault = torch.where(mask, self._episodes.fault, NO_FAULT)
@@ -88,19 +91,19 @@ class CudaEnvs(ABC):
     @property
     @abstractmethod
     def observation(self) -> torch.Tensor:
-        """(lanes, ...) what each shows."""
+        """Return the observations (num_envs, ...)."""
 
     @abstractmethod
     def told(self) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
-        """What `info` tells, (lanes, ...) by name, and the terms of the reward; copies."""
+        """Return copies of the infos, (num_envs, ...) by name, and the terms of the reward."""
 
     @abstractmethod
     def is_seeded(self, lane: int) -> bool:
-        """Whether a lane has a generator."""
+        """Return whether an environment has a generator."""
 
     @abstractmethod
     def check(self, options: Sequence[dict[str, Any]]) -> None:
-        """Raise what `start` would for options of as many lanes, and draw nothing."""
+        """Raise what `start` would for options of as many environments, and draw nothing."""
 
     @abstractmethod
     def start(
@@ -109,7 +112,7 @@ class CudaEnvs(ABC):
         chosen: Integers,
         options: Sequence[dict[str, Any]],
     ) -> None:
-        """Put the next start on some lanes; `move` begins it.
+        """Put the next start on some environments; `move` begins it.
 
         Args:
             generators: that some lanes, by their number, draw their starts from anew.
@@ -119,22 +122,22 @@ class CudaEnvs(ABC):
 
     @abstractmethod
     def place(self, mask: torch.Tensor) -> None:
-        """Put the next start on each lane in the mask (lanes,); `move` begins it."""
+        """Put the next start on each environment in the mask (num_envs,); `move` begins it."""
 
     @abstractmethod
     def follow(self) -> None:
-        """After every control period: see to what is to come."""
+        """Prepare later starts; called after every control period."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of what is held."""
+        """Release what is held."""
 
 
 GROUPED_EVERY = 8  # control periods
 
 
 class CudaBatch(CudaEnvs):
-    """Lanes of one environment, as `batch.batch.Batch` has them, on a device.
+    """The environments of `core.batch.Batch` on a device.
 
     Kernels are compiled when they are first called, which takes tens of seconds.
 
@@ -220,8 +223,8 @@ class CudaBatch(CudaEnvs):
         self.supply.close()
 
     def _group(self) -> None:
-        """Let neighbouring threads move parcels that are alike: they take as many turns in each
-        loop, and threads that do not wait for those that do.
+        """Sort environments by parcel, so that neighbouring threads take as many turns in each
+        loop.
         """
         if len(self._sites.zone) > 1:
             self._order.copy_(torch.argsort(self._lanes.site, stable=True))
@@ -229,8 +232,8 @@ class CudaBatch(CudaEnvs):
     def _lay_out(
         self, numbers: Array, options: Sequence[dict[str, Any]]
     ) -> tuple[StartRows, Array]:
-        """Rows and paths (starts, PATH_POINTS or 0) of the starts that numbers (starts, draws)
-        come to.
+        """Return rows and paths (starts, PATH_POINTS or 0) of the starts from numbers (starts,
+        draws).
 
         Raises:
             ValueError: an option is not allowed, or a parcel is none that the task draws.
@@ -261,7 +264,7 @@ OF_FLOWS = (
 
 
 class CudaStreamBatch(CudaEnvs):
-    """Flows of one environment, as `flow.batch.FlowBatch` has them, on a device.
+    """The environments of `flow.batch.StreamBatch` on a device.
 
     Episodes are long, so what is to come is drawn by the host when a lane begins, for which it
     waits to know which lanes have ended.
@@ -348,13 +351,13 @@ class CudaStreamBatch(CudaEnvs):
             self.start({}, chosen, ())
 
     def follow(self) -> None:
-        """Nothing is drawn ahead."""
+        """Prepare later starts; called after every control period."""
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Release what is held."""
 
     def _make_room(self) -> None:
-        """As many columns for arrivals as the host's memory has; what lanes have is kept."""
+        """Widen the arrays to as many arrivals as the host's have, and keep what they hold."""
         had = self._episodes.time.shape[1]
         if self._host.streams.time.shape[1] == had:
             return
@@ -369,7 +372,7 @@ class CudaStreamBatch(CudaEnvs):
         self._episodes = self._episodes._replace(**wider)
 
     def _send(self, chosen: Integers) -> None:
-        """What was drawn for the chosen lanes (count,)."""
+        """Send what was drawn for the chosen environments (count,)."""
         host, lanes = self._host, len(self._mask)
         where = sent(chosen, self._device)
         drawn: list[tuple[Any, Any, str]] = [

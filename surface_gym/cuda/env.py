@@ -23,7 +23,7 @@ EXTRA = 'pip install "surface_gym[gpu]"'
 
 
 class DeviceMissing(RuntimeError):
-    """There is no GPU to run on, or not what it takes to use one."""
+    """Error: there is no GPU to run on, or a library to use it is missing."""
 
 
 def check_device() -> None:
@@ -42,9 +42,8 @@ def check_device() -> None:
 
 
 def check_settings(settings: Settings) -> None:
-    """Raise a ValueError for what is not there on a GPU yet: all that is drawn from a lane's
-    generator after its start, whose place in the stream the host does not know; and infos that the
-    host works out.
+    """Raise a ValueError for what a GPU does not support yet: noise and all else drawn after a
+    start, and infos on request.
     """
     check_sensor(settings)
     varies, share = settings.randomisation, settings.actuators.stuck_share
@@ -67,7 +66,7 @@ def check_sensor(settings: Settings | FlowSettings) -> None:
 
 
 class TensorActions:
-    """Turns actions of all lanes into commands, as `ActionKind.commands` does.
+    """Turns actions of all environments into commands, as `ActionKind.commands` does.
 
     To look at numbers, the host would have to wait for the device. So a number out of range is
     noted, not raised at once: the lane gets the first choice, or 0 rad, and `wrong` tells.
@@ -95,7 +94,7 @@ class TensorActions:
         self.allowed = f"0 and {int(most.max()) - 1}"
 
     def commands(self, actions: Any) -> torch.Tensor:
-        """Actions as commands (lanes, size): choices, or angles [rad].
+        """Return actions as commands (num_envs, size): choices, or angles [rad].
 
         Raises:
             ValueError: no tensor, on another device, of a wrong shape or kind of number.
@@ -246,13 +245,15 @@ class CudaVectorEnv(LanesEnv):
         return self._observation(), rewards, terminated, truncated, infos
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Raise what has not been told yet, and end the thread that draws starts."""
+        """Raise errors not yet raised, and end the thread that draws starts."""
         del kwargs
         self._batch.close()
         self._check()
 
     def _begin_again(self, over: torch.Tensor) -> dict[str, Any]:
-        """Begin other episodes on the lanes whose have ended; infos of those that ended."""
+        """Reset the environments whose episodes have ended, and return the infos of the ended
+        ones.
+        """
         ended = {
             "final_obs": self._observation(),
             "_final_obs": over,
@@ -268,23 +269,23 @@ class CudaVectorEnv(LanesEnv):
         return self._batch.observation.clone(memory_format=torch.contiguous_format)
 
     def _infos(self, mask: torch.Tensor) -> dict[str, Any]:
-        """Infos of the lanes in the mask: tensors and, as Gymnasium has it, whose they are."""
+        """Return the infos of the environments in the mask: tensors, and Gymnasium's masks."""
         told, terms = self._batch.told()
         infos = {**told, "reward_terms": {**terms, **{f"_{name}": mask for name in terms}}}
         return {**infos, **{f"_{name}": mask for name in infos}}
 
     def _wrong(self) -> torch.Tensor:
-        """(2,) whether an action was out of range, and whether a function of a task went wrong."""
+        """Return two flags: an action was out of range, a task's function made an error."""
         return torch.stack([self._actions.wrong, (self._batch.first_fault != NO_FAULT).any()])
 
     def _look(self) -> None:
-        """Raise what the last look has seen to be wrong, and look again."""
+        """Raise errors that the last check has found, and check again."""
         seen, self._seen = self._seen, Note(self._wrong())
         if seen is not None:
             self._raise(*seen.read().tolist())
 
     def _check(self) -> None:
-        """Raise what is wrong by now."""
+        """Raise errors found by now."""
         self._seen = None
         self._raise(*Note(self._wrong()).read().tolist())
 

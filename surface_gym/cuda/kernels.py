@@ -35,7 +35,7 @@ Wrap = Callable[[Callable[..., Any]], Any]
 
 
 class Source:
-    """Functions made again, each once.
+    """CPU functions made again for the device, each once.
 
     Args:
         constants: of `dynamics.types`, by name, in place of those there.
@@ -49,7 +49,9 @@ class Source:
         self._kept: list[Any] = []  # what `_made` knows by its address
 
     def remade(self, function: Any) -> Any:
-        """A function of the physics, of a task or of a sensor, for the other compiler."""
+        """Return a function of the physics, a task or a sensor, made again for the other
+        compiler.
+        """
         if id(function) not in self._made:
             plain = function.py_func if isinstance(function, Dispatcher) else function
             copy = _empty_copy(plain)
@@ -76,7 +78,7 @@ class Source:
 
 
 def _empty_copy(function: FunctionType) -> FunctionType:
-    """The same code, that refers to nothing yet."""
+    """Return a function with the same code that refers to nothing yet."""
     known = {"__name__": function.__module__, "__builtins__": __builtins__}
     cells = tuple(CellType() for _ in function.__code__.co_freevars)
     copy = FunctionType(function.__code__, known, function.__name__, function.__defaults__, cells)
@@ -88,7 +90,7 @@ THREADS = 64  # of a block; a lane takes so many registers that more would not r
 
 
 class Launch:
-    """Calls a kernel with the same arguments each time, on torch's stream of the moment.
+    """A kernel that is called with the same arguments each time, on torch's current stream.
 
     Finding out what dozens of arrays are takes longer than a control period of many lanes: it is
     done once. The kernel is compiled at the first call, which takes tens of seconds.
@@ -106,7 +108,7 @@ class Launch:
         self.call_with(arguments)
 
     def call_with(self, arguments: tuple[Any, ...]) -> None:
-        """Call it with others of the same types from now on."""
+        """Call the kernel with other arguments of the same types from now on."""
         self._held = arguments  # the tensors, as long as kernels read their memory
         self._arguments = tuple(map(seen, arguments))
 
@@ -117,7 +119,7 @@ class Launch:
 
 
 def _stream() -> Any:
-    """Torch's, for Numba; 0 is the default stream of both."""
+    """Return torch's stream for Numba; 0 is the default stream of both."""
     if not torch.cuda.is_available():
         return 0
     stream = torch.cuda.current_stream().cuda_stream
@@ -125,20 +127,20 @@ def _stream() -> Any:
 
 
 def device_function(function: Any) -> Any:
-    """A function that kernels call."""
+    """Compile a function that kernels call."""
     return cuda.jit(device=True)(function)
 
 
 @lru_cache(maxsize=16)
 def device_source(capacity: int) -> Source:
-    """Functions of a GPU whose scratch has room for so many contacts; those that several tasks call
-    are compiled once.
+    """Return the functions for a GPU whose scratch has room for some contacts; functions that
+    several tasks call are compiled once.
     """
     return Source(layout(capacity), device_function)
 
 
 def move_kernel(settings: Settings) -> Any:
-    """The kernel of an environment: see `make_move_kernel`."""
+    """Return the kernel of an environment: see `make_move_kernel`."""
     return make_move_kernel(functions_of(settings), capacity_of(settings))
 
 
@@ -188,7 +190,7 @@ def make_move_kernel(functions: KernelFunctions, capacity: int) -> Any:
 def place(
     surfaces: SurfaceState, lanes: ParcelState, starts: Starts, taken: Integers, mask: Booleans
 ) -> None:
-    """Put the next of its starts on each lane in the mask (lanes,), as `Batch.place` does.
+    """Put the next start on each environment in the mask (num_envs,), as `Batch.place` does.
 
     Args:
         surfaces: of the batch.
@@ -215,13 +217,13 @@ def place(
 
 
 def stream_capacity(settings: FlowSettings, kinds: tuple[Parcel, ...]) -> int:
-    """Room for the contacts and the edges of parcels of some kinds, as large as they may be."""
+    """Return the room for the contacts and edges of some parcels at their largest size."""
     bases = [settings.randomisation.largest(parcel.base) for parcel in kinds]
     return capacity_for(bases, settings.chosen_plant)
 
 
 def move_flow_kernel(settings: FlowSettings) -> Any:
-    """The kernel of an environment: see `make_move_flow_kernel`."""
+    """Return the kernel of a stream's environment: see `make_move_flow_kernel`."""
     capacity = stream_capacity(settings, settings.stream.kinds)
     return make_move_flow_kernel(stream_functions(settings), capacity)
 
@@ -272,7 +274,7 @@ def make_move_flow_kernel(functions: FlowFunctions, capacity: int) -> Any:
 
 
 def make_scratch(capacity: int, parcels: int) -> WorldScratch:
-    """A surface's scratch for so many parcels, with room for so many contacts of each."""
+    """Make a surface's scratch for a number of parcels, with room for some contacts of each."""
     source = Source(layout(capacity), lambda function: function)
     scratch: WorldScratch = source.remade(make_world_scratch)(parcels)
     return scratch

@@ -33,7 +33,7 @@ PATTERN = 2  # lanes of which memory is made: what has as many rows has one a la
 def make_memory(
     settings: Settings, lanes: int, device: torch.device
 ) -> tuple[SurfaceState, ParcelState]:
-    """Memory of a batch, as `batch.making.memory_of` has it, of tensors."""
+    """Make the state arrays of a batch as tensors."""
     surfaces, parcels = memory_of(settings, PATTERN)
     return (
         SurfaceState._make(
@@ -45,23 +45,23 @@ def make_memory(
 
 
 def _for_all(values: Any, lanes: int, device: torch.device, spread: Any) -> torch.Tensor:
-    """What lanes share has its one row; else a row each."""
+    """Return the one row that environments share, else a row each."""
     one = to_device(values[:1], device)
     return one if len(values) == 1 else spread(one[0], lanes)
 
 
 def side_by_side(one: torch.Tensor, lanes: int) -> torch.Tensor:
-    """(lanes, ...) with the numbers of one lane, those of neighbours next to each other."""
+    """Return (num_envs, ...) laid out so that the same number of neighbours lies side by side."""
     return one[..., None].expand(*one.shape, lanes).contiguous().movedim(-1, 0)
 
 
 def together(one: torch.Tensor, lanes: int) -> torch.Tensor:
-    """(lanes, ...) with the numbers of one lane, its own next to each other."""
+    """Return (num_envs, ...) laid out so that the numbers of one environment lie together."""
     return one.expand(lanes, *one.shape).contiguous()
 
 
 def to_device(values: Any, device: torch.device) -> Any:
-    """A tuple of arrays and numbers, tuples of them included, with the arrays as tensors.
+    """Return a tuple of arrays and numbers, nested ones included, with the arrays as tensors.
 
     An array that holds nothing gets a zero that nobody reads: a kernel takes no empty one.
     """
@@ -72,14 +72,16 @@ def to_device(values: Any, device: torch.device) -> Any:
 
 
 def seen(values: Any) -> Any:
-    """Tensors, or a tuple of them and of numbers, as a kernel takes them: the same memory."""
+    """Return tensors, or a tuple of them and of numbers, as a kernel takes them: the same
+    memory.
+    """
     if isinstance(values, torch.Tensor):
         return cuda.as_cuda_array(values) if values.is_cuda else values.numpy()
     return _of_each(seen, values)
 
 
 def _of_each(function: Callable[[Any], Any], values: Any) -> Any:
-    """A tuple of what a function makes of each of its values; what is no tuple as it is."""
+    """Apply a function to each value of a tuple; return anything else as it is."""
     kind: Any = type(values)
     return kind._make(map(function, values)) if isinstance(values, tuple) else values
 
@@ -98,7 +100,7 @@ OUTLINE = 1.01  # by which an outline is drawn too large, for safety
 
 
 def layout(capacity: int) -> MappingProxyType[str, int]:
-    """The constants of `dynamics.types` for scratch with room for so many contacts, by name."""
+    """Return the constants of `physics.types` for scratch with room for some contacts, by name."""
     places = {name: getattr(types, name) // types.STRIDE * capacity for name in ROWS_OF_TABLE}
     marks = {name: getattr(types, name) // types.STRIDE * capacity for name in ROWS_OF_MARKS}
     counts = marks["COUNTS"]
@@ -117,20 +119,20 @@ def layout(capacity: int) -> MappingProxyType[str, int]:
 
 
 def capacity_of(settings: Settings) -> int:
-    """Room for the contacts and the edges of every parcel that an environment's task draws."""
+    """Return the room for the contacts and edges of every parcel that a task draws."""
     parcels = settings.chosen_task.parcels
     return capacity_for([parcel.base for parcel in parcels], settings.chosen_plant)
 
 
 def capacity_for(bases: Sequence[Base], plant: BaseLine) -> int:
-    """Room for the contacts and the edges of any of some bases on a plant."""
+    """Return the room for the contacts and edges of any of some bases on a line."""
     pitches = (plant.geometry.pitch_x, plant.geometry.pitch_y)
     contacts = [most_contacts(base, pitches) for base in bases]
     return max(FEWEST_EDGES, *contacts, *(len(base.edges) for base in bases))
 
 
 def most_contacts(base: Base, pitches: tuple[float, float]) -> int:
-    """The most elements that a base covers, however it lies.
+    """Return the most elements that a base covers, however it lies.
 
     A convex figure of area A and perimeter P covers at most A + P / 2 + 1 points of the unit
     lattice (Nosarzewska, Evaluation de la difference entre l'aire d'une region plane convexe et le
@@ -148,7 +150,7 @@ def most_contacts(base: Base, pitches: tuple[float, float]) -> int:
 
 
 class Note:
-    """What a tensor holds now, to be read later: only then does the host wait for it."""
+    """A copy of a tensor's value, to be read later: only then does the host wait for it."""
 
     def __init__(self, values: torch.Tensor) -> None:
         self._event: Any = None
@@ -160,7 +162,7 @@ class Note:
             self._event.record()
 
     def read(self) -> NDArray[Any]:
-        """The values, an array of one's own."""
+        """Return the values as a new array."""
         if self._event is not None:
             self._event.synchronize()
         values: NDArray[Any] = self._values.numpy().copy()
@@ -168,6 +170,6 @@ class Note:
 
 
 def sent(values: NDArray[Any], device: torch.device) -> torch.Tensor:
-    """An array on a device, on its way there while the host goes on."""
+    """Send an array to a device without waiting for it."""
     copy = torch.from_numpy(np.array(values))
     return (copy.pin_memory() if device.type == "cuda" else copy).to(device, non_blocking=True)

@@ -1,5 +1,5 @@
-"""Starts for lanes on a GPU: drawn on the host, each lane's in the order of its own generator, so
-that they are those of the CPU's batch; laid out on the device ahead of need.
+"""Starts for environments on a GPU, drawn on the host ahead of need. Each environment's come in
+the order of its own generator, so that they are those of the CPU's batch.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +22,7 @@ AHEAD = 3 * LOOK_EVERY  # starts of each lane that lie on the device
 
 
 class Starts(NamedTuple):
-    """Starts on the device, those of each lane in a ring."""
+    """Starts on the device, those of each environment in a ring."""
 
     site: Any  # (lanes, AHEAD)
     state: Any  # (lanes, AHEAD, STATE_SIZE)
@@ -32,7 +32,7 @@ class Starts(NamedTuple):
 
 
 class Laid(NamedTuple):
-    """Starts laid out on the host, and where they belong."""
+    """Starts laid out on the host, and the rings they belong to."""
 
     lanes: Integers  # (starts,)
     slots: Integers  # (starts,) places in the rings
@@ -41,8 +41,8 @@ class Laid(NamedTuple):
 
 
 class Prefetch:
-    """Keeps the rings full. A start costs the host a microsecond, and Track's 0.3 ms; it is paid by
-    a thread of its own while the device moves lanes.
+    """A thread that keeps the rings full. A start costs the host a microsecond, and Track's 0.3
+    ms.
 
     Args:
         task: whose starts they are.
@@ -78,7 +78,7 @@ class Prefetch:
         self.taken = torch.zeros(lanes, dtype=torch.int64, device=device)
 
     def is_seeded(self, lane: int) -> bool:
-        """Whether a lane has a generator."""
+        """Return whether an environment has a generator."""
         return self._reserve.generators[lane] is not None
 
     def renew(
@@ -87,7 +87,7 @@ class Prefetch:
         chosen: Integers,
         options: Sequence[dict[str, Any]],
     ) -> None:
-        """Fill the rings for lanes that are about to begin.
+        """Fill the rings for environments that are about to begin.
 
         Args:
             generators: that some lanes, by their number, draw their starts from anew.
@@ -109,7 +109,9 @@ class Prefetch:
             self._send(Laid(chosen, slots, rows, path))
 
     def follow(self) -> None:
-        """After every control period, in which each lane has taken one start at most."""
+        """Check the rings; called after every control period, in which each environment takes
+        one start at most.
+        """
         self._steps += 1
         if self._steps % LOOK_EVERY > 0:
             return
@@ -123,7 +125,7 @@ class Prefetch:
         self._pool.shutdown()
 
     def _prepare(self, wanted: Integers) -> Laid:
-        """Lay out starts until every lane has had as many as wanted (lanes,)."""
+        """Lay out starts until every environment has had as many as wanted (num_envs,)."""
         lanes, slots, numbers = [], [], []
         while (short := np.nonzero(self._laid < wanted)[0]).size:
             slot = self._laid[short] % AHEAD

@@ -1,4 +1,4 @@
-"""What a controller gets to see of the parcel: emulated sensors, each with its compiled half."""
+"""Emulated sensors: what a controller sees of the parcel, each with its compiled half."""
 
 from surface_gym.sensors.base import Entry, Exact, Sensor
 from surface_gym.sensors.camera import AdaptiveCamera, Camera

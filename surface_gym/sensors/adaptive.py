@@ -1,4 +1,4 @@
-"""What a filter learns of a parcel while it moves: its friction, and where its load lies.
+"""The augmented Kalman filter of `AdaptiveCamera`: friction and load estimated beside the motion.
 
 The observer's state goes on by three constants: the factor of mu_max, and the place of the centre
 of mass in the base's frame. How each changes a step's velocities follows from the step's own
@@ -61,7 +61,7 @@ THINNEST = 1e-6  # [m^2] squared extent of the contacts in any direction, at lea
 
 @kernel_function
 def begin_learning(settings: Array, first: int, state: EnvState) -> None:
-    """Nominal friction, the load over the centroid, and doubts as in `settings` from `first` on."""
+    """Begin with nominal friction, a centred load, and variances in `settings` from `first` on."""
     estimate = state.sensor_state
     estimate[CONSTANT] = 1.0
     for k in range(CONSTANT + 1, LEARNING_LAST):
@@ -73,7 +73,7 @@ def begin_learning(settings: Array, first: int, state: EnvState) -> None:
 
 @kernel_function
 def predict_learning(settings: Array, first: int, state: EnvState, physics: Physics) -> None:
-    """`observer.predict` with what has been learned, whose effect is carried on."""
+    """Predict as `kalman.predict` does, by the estimated constants, and carry on their effect."""
     estimate, scratch, dt = state.sensor_state, physics.scratch, physics.dt
     vx, vy, omega = estimate[VX], estimate[VY], estimate[OMEGA]
     body = assumed_body(state, estimate[CONSTANT + 1], estimate[CONSTANT + 2])
@@ -88,7 +88,9 @@ def predict_learning(settings: Array, first: int, state: EnvState, physics: Phys
 
 @kernel_function
 def _to_load(estimate: Array, way: float) -> None:
-    """Make the base's centroid's state that of the centre of mass, or, `way` -1, the reverse."""
+    """Turn the state of the base's centroid into that of the centre of mass; `way` -1 turns it
+    back.
+    """
     cosine, sine = math.cos(estimate[THETA]), math.sin(estimate[THETA])
     arm_x = way * (cosine * estimate[CONSTANT + 1] - sine * estimate[CONSTANT + 2])
     arm_y = way * (sine * estimate[CONSTANT + 1] + cosine * estimate[CONSTANT + 2])
@@ -102,7 +104,7 @@ def _to_load(estimate: Array, way: float) -> None:
 def _effect(
     body: Body, weight: float, estimate: Array, scratch: Scratch, contacts: Contacts, turn: float
 ) -> None:
-    """Write what a step's velocities change by with each constant into `estimate` from EFFECT on.
+    """Write the derivatives of a step's velocities by each constant into `estimate` from EFFECT on.
 
     Args:
         body: the parcel.
@@ -174,7 +176,7 @@ def _write_load(
 
 @kernel_function
 def _widen_by_constants(estimate: Array, dt: float) -> None:
-    """Carry the constants' covariances over a step, and the state's by what it owes to them."""
+    """Carry the constants' covariances over a step, and widen the state's by what they add."""
     half = CROSS + 3 * LEARNED  # the row of the first velocity
     for j in range(LEARNED):
         for i in range(3):
@@ -213,7 +215,7 @@ def _widen_by_constants(estimate: Array, dt: float) -> None:
 
 @kernel_function
 def measure_constants(estimate: Array, k: int, lead: float) -> None:
-    """Leave the constants' covariance with the pose's coordinate `k` of `lead` seconds ago in
+    """Write the constants' covariance with the pose's coordinate `k` of `lead` seconds ago into
     `estimate` from PULL on.
     """
     row, rate = CROSS + LEARNED * k, CROSS + LEARNED * (3 + k)
@@ -223,8 +225,8 @@ def measure_constants(estimate: Array, k: int, lead: float) -> None:
 
 @kernel_function
 def correct_constants(state: EnvState, shift: float, shrink: float) -> None:
-    """Move the constants by `shift`, and lessen their covariances by `shrink`, along what was
-    measured.
+    """Move the constants by `shift` and shrink their covariances by `shrink`, along the
+    measurement.
     """
     estimate = state.sensor_state
     for j in range(LEARNED):

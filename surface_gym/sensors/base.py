@@ -13,7 +13,7 @@ LEARNED = 3  # constants a sensor may learn: the factor of mu_max [-], x and y o
 
 
 class Physics(NamedTuple):
-    """What a sensor that predicts may predict by."""
+    """The model that a sensor may predict by."""
 
     friction: Array  # (rows, columns, 3) [-] as the sensor assumes it
     stiffness: Array  # (rows, columns) [-] all the same
@@ -23,9 +23,9 @@ class Physics(NamedTuple):
 
 @dataclass(frozen=True)
 class Sensor:
-    """What a controller gets to see of the parcel.
+    """What a controller sees of the parcel: the base class of sensors.
 
-    A sensor is one class. Its fields are its settings. Its static methods, each a `kernel_function`,
+    A sensor is one class. Its fields are its settings. Its static methods are `kernel_function`s, which
     are compiled into every batch that uses it, and write `state.sensed`, which is all that a task
     observes. They are handed the settings as the array that `numbers` makes of them:
 
@@ -43,33 +43,33 @@ class Sensor:
     watches: ClassVar[bool] = False  # it looks between decisions
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """The settings as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the settings as compiled code reads them, for physics steps of `dt` [s]."""
         del dt
         return ()
 
     def draws(self, dt: float, steps: int) -> int:
-        """Rows of noise that a start or `steps` physics steps of `dt` [s] use at most."""
+        """Return the most rows of noise that a start or `steps` physics steps of `dt` [s] use."""
         del dt, steps
         return 0
 
     def friction(self, plant: BaseLine) -> Array:
-        """(rows, columns, 3) [-] friction that `update` may predict by."""
+        """Return the friction (rows, columns, 3) [-] that `update` may predict by."""
         return plant.friction
 
     @staticmethod
     @kernel_function
     def begin(numbers: Array, state: EnvState) -> None:
-        """Nothing to remember."""
+        """Leave the sensor state as it is."""
 
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Nothing to look at."""
+        """See nothing in a physics step."""
 
     @staticmethod
     @kernel_function
     def learned(numbers: Array, state: EnvState, first: int, mirror: float) -> None:
-        """Nothing is learned: what is nominal stands, in all doubt."""
+        """Write that nothing was learned: nominal values, and full doubt."""
         for k in range(LEARNED):
             state.observation[first + k] = 0.0
             state.observation[first + LEARNED + k] = 1.0
@@ -80,7 +80,7 @@ ENTRY_ROWS = 2  # of noise that a start uses
 
 @dataclass(frozen=True)
 class Entry:
-    """How well a controller knows pose and velocity of a parcel as it enters.
+    """Prior of pose and velocity of a parcel as it enters.
 
     The conveyor before the surface has a known speed and its guides align the parcel, so that the
     first estimate is the truth with Gaussian errors of these standard deviations.
@@ -105,13 +105,13 @@ class Entry:
 
     @property
     def settings(self) -> tuple[float, float, float, float]:
-        """As compiled code reads it."""
+        """Return the prior as compiled code reads it."""
         return (self.position, self.angle, self.speed, self.turning)
 
 
 @kernel_function
 def enter(settings: Array, first: int, state: EnvState) -> None:
-    """Write what is known of pose and velocity at a start into the first 6 of `state.sensor_state`.
+    """Write the prior of pose and velocity at a start into the first 6 of `state.sensor_state`.
 
     The Entry is in `settings` from `first` on.
     """
@@ -126,11 +126,11 @@ def enter(settings: Array, first: int, state: EnvState) -> None:
 
 @dataclass(frozen=True)
 class Exact(Sensor):
-    """Sees pose and velocity of the base's centroid as they are, without delay."""
+    """A sensor that gives pose and velocity of the base's centroid as they are, without delay."""
 
     @staticmethod
     @kernel_function
     def read(numbers: Array, state: EnvState) -> None:
-        """Show the truth."""
+        """Write the true pose and velocity."""
         for k in range(6):
             state.sensed[k] = state.truth[k]

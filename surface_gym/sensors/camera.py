@@ -42,7 +42,7 @@ SHARPEST = 1e-9  # [m] and [rad] no frame is trusted further
 
 @dataclass(frozen=True)
 class Camera(Observer):
-    """Sees the pose of the base's centroid in frames, each with noise and some time after it.
+    """A sensor of the pose in frames, each with noise and latency, with a Kalman filter behind.
 
     Frames fall on physics steps: a frame period is rounded to whole ones, and a frame can be used
     from the first step on that ends no sooner than `latency` after it. The angle is continuous:
@@ -93,7 +93,7 @@ class Camera(Observer):
             raise ValueError(f"entry must be an Entry, got {self.entry!r}")
 
     def frame_steps(self, dt: float) -> int:
-        """Physics steps of `dt` [s] from frame to frame.
+        """Return the physics steps of `dt` [s] from frame to frame.
 
         Raises:
             ValueError: frames come faster than physics steps.
@@ -107,7 +107,7 @@ class Camera(Observer):
         return steps
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """The settings as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the settings as compiled code reads them, for physics steps of `dt` [s]."""
         every = self.frame_steps(dt)
         lag = every if self.latency is None else math.ceil(self.latency / dt - 1e-9)
         return (
@@ -123,7 +123,7 @@ class Camera(Observer):
         )
 
     def draws(self, dt: float, steps: int) -> int:
-        """One row of noise a frame.
+        """Return one row of noise a frame.
 
         Raises:
             ValueError: a control period has more frames than noise is drawn ahead for.
@@ -139,7 +139,7 @@ class Camera(Observer):
     @staticmethod
     @kernel_function
     def begin(numbers: Array, state: EnvState) -> None:
-        """Set the filter; frames from before never arrive."""
+        """Reset the filter; frames from before never arrive."""
         kalman.begin(numbers, ENTRY, state)
         for k in range(FRAMES):
             state.sensor_state[LAST + FRAME_SIZE * k + TAKEN] = 0.0
@@ -147,8 +147,8 @@ class Camera(Observer):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Move the estimate over a physics step; take a frame if one is due, and use the one that
-        arrives, which may be the same.
+        """Predict over a physics step, take a frame if one is due, and correct by the one that
+        arrives.
         """
         kalman.predict(numbers, MODEL, state, physics)
         place = watch(numbers, state, LAST)
@@ -158,8 +158,8 @@ class Camera(Observer):
 
 @kernel_function
 def watch(numbers: Array, state: EnvState, first: int) -> int:
-    """Take a frame if one is due; where the one lies that arrives, the frames in the memory from
-    `first` on, or 0 where none does.
+    """Take a frame if one is due. Return the place of the frame that arrives, the frames lying from
+    `first` on; 0 if none does.
     """
     every = int(numbers[EVERY])
     if state.steps % every == 0:
@@ -174,13 +174,13 @@ def watch(numbers: Array, state: EnvState, first: int) -> int:
 
 @kernel_function
 def _place(first: int, number: int) -> int:
-    """Where a frame lies in the memory, the frames from `first` on."""
+    """Return the place of a frame in the sensor state, the frames lying from `first` on."""
     return first + FRAME_SIZE * (number % FRAMES)
 
 
 @kernel_function
 def _take(numbers: Array, state: EnvState, first: int) -> None:
-    """Take a frame, or lose it; the frames lie in the memory from `first` on."""
+    """Take a frame, or lose it; the frames lie in the sensor state from `first` on."""
     row = state.noise_row[0]
     state.noise_row[0] = row + 1
     noise = state.noise[row]
@@ -194,7 +194,7 @@ def _take(numbers: Array, state: EnvState, first: int) -> None:
 
 @kernel_function
 def shift_frames(state: EnvState, first: int, shift: float, dt: float) -> None:
-    """Bring the surprises of all frames, from `first` on, up to date with a correction of `shift`
+    """Bring the innovations of all frames, from `first` on, up to date with a correction of `shift`
     times GAIN.
     """
     gain = state.sensor_state[GAIN:]
@@ -207,7 +207,7 @@ def shift_frames(state: EnvState, first: int, shift: float, dt: float) -> None:
 
 @kernel_function
 def _use(numbers: Array, state: EnvState, place: int, dt: float) -> None:
-    """Correct the estimate by what a frame shows, a coordinate at a time."""
+    """Correct the estimate by a frame, a coordinate at a time."""
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)
@@ -217,14 +217,14 @@ def _use(numbers: Array, state: EnvState, place: int, dt: float) -> None:
 
 @kernel_function
 def age(state: EnvState, place: int, dt: float) -> float:
-    """[s] since the frame at a place in the memory was taken."""
+    """Return the time [s] since the frame at a place of the sensor state was taken."""
     return dt * (state.steps - state.sensor_state[place + TAKEN])
 
 
 @kernel_function
 def weigh(numbers: Array, state: EnvState, place: int, k: int, lead: float) -> tuple[float, float]:
-    """By how much the frame at a place, of `lead` seconds ago, moves the estimate and lessens its
-    covariance, by the pose's coordinate `k` alone; along what `measure` leaves.
+    """Return how much a frame of `lead` seconds ago moves the estimate and shrinks its covariance,
+    by coordinate `k` of the pose alone, along what `measure` left.
     """
     noise = max(SHARPEST, numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE])
     by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0
@@ -238,8 +238,8 @@ SPREADS = ENTRY + 4  # columns of the settings, after those of a Camera
 
 @dataclass(frozen=True)
 class AdaptiveCamera(Camera):
-    """A `Camera` that estimates more than pose and velocity: the factor by which mu_max differs
-    from what it assumes, and where over the base the centre of mass lies.
+    """A `Camera` that also estimates the factor by which mu_max differs from its model, and the
+    place of the centre of mass over the base.
 
     Both are constant while a parcel is on the surface, and known at a start to the spreads given.
     A parcel that is braked harder than was reckoned, or that turns where it should not, tells of
@@ -262,13 +262,13 @@ class AdaptiveCamera(Camera):
         checks.positive("load_spread", self.load_spread, *checks.LEARNED_SPREAD)
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """The settings as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the settings as compiled code reads them, for physics steps of `dt` [s]."""
         return (*super().numbers(dt), self.friction_spread, self.load_spread)
 
     @staticmethod
     @kernel_function
     def begin(numbers: Array, state: EnvState) -> None:
-        """Set the filter; frames from before never arrive."""
+        """Reset the filter; frames from before never arrive."""
         kalman.begin(numbers, ENTRY, state)
         begin_learning(numbers, SPREADS, state)
         for k in range(FRAMES):
@@ -277,7 +277,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """As a Camera does."""
+        """Predict, take and correct as a Camera does, the constants included."""
         predict_learning(numbers, MODEL, state, physics)
         place = watch(numbers, state, LEARNING_LAST)
         if place > 0:
@@ -286,7 +286,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def learned(numbers: Array, state: EnvState, first: int, mirror: float) -> None:
-        """Show what was learned, and how much of the doubt about it is left."""
+        """Write what was learned, and the share of the doubt that is left."""
         estimate, see = state.sensor_state, state.observation
         for j in range(LEARNED):
             spread = numbers[SPREADS + min(j, 1)]
@@ -298,7 +298,7 @@ class AdaptiveCamera(Camera):
 
 @kernel_function
 def _use_adaptive(numbers: Array, state: EnvState, place: int, dt: float) -> None:
-    """Correct the estimate by what a frame shows, a coordinate at a time."""
+    """Correct the estimate and the constants by a frame, a coordinate at a time."""
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)

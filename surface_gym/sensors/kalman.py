@@ -1,4 +1,4 @@
-"""An observer's estimate of state and covariance: predicted by the physics, corrected by a scalar.
+"""A Kalman filter on pose and velocity: predicted by the physics, corrected by scalars.
 
 It lies in a lane's `estimate`: first the state as the physics has it, then the covariance.
 """
@@ -53,12 +53,12 @@ STICTION_SPEED = 0.03  # [m/s] a rotor that slips along its axis by less than th
 
 @dataclass(frozen=True)
 class Observer(Sensor):
-    """A sensor that makes pose and velocity of what it sees by predicting it."""
+    """A sensor that estimates pose and velocity by prediction and correction."""
 
     watches = True
 
     def friction(self, plant: BaseLine) -> Array:
-        """The plant's where a coefficient is None; else one that is the same everywhere."""
+        """Return the line's friction where a coefficient is None, else the same everywhere."""
         assumed = plant.friction.copy()
         for k, name in enumerate(("mu_max", "mu_min", "mu_support")):
             if getattr(self, name) is not None:
@@ -68,15 +68,15 @@ class Observer(Sensor):
     @staticmethod
     @kernel_function
     def read(numbers: Array, state: EnvState) -> None:
-        """Show what is estimated of pose and velocity."""
+        """Write the estimated pose and velocity."""
         for k in range(SIZE):
             state.sensed[k] = state.sensor_state[k]
 
 
 @kernel_function
 def begin(settings: Array, first: int, state: EnvState) -> None:
-    """Set a lane's estimate at a start to what is known of it, its covariance to that of the Entry,
-    which is in `settings` from `first` on.
+    """Set an estimate to its prior at a start, and its covariance to that of the Entry, which is in
+    `settings` from `first` on.
     """
     enter(settings, first, state)
     estimate = state.sensor_state
@@ -175,8 +175,8 @@ def _widen(estimate: Array, dt: float, density: float, turn_density: float) -> N
 
 @kernel_function
 def predict(settings: Array, first: int, state: EnvState, physics: Physics) -> None:
-    """Move a lane's estimate over one step by the physics, the axes as they are, the stiffness of
-    all elements the same, friction nominal and the load over the base's centroid.
+    """Predict an estimate over one step by the physics: axes as they are, equal stiffness of all
+    elements, nominal friction, a centred load.
 
     What is doubted is in `settings` from `first` on. Off the surface the estimate moves on at its
     velocity.
@@ -189,7 +189,7 @@ def predict(settings: Array, first: int, state: EnvState, physics: Physics) -> N
 
 @inlined
 def assumed_body(state: EnvState, com_x: float, com_y: float) -> Body:
-    """A lane's parcel, its centre of mass assumed to be at a place [m] from the centroid."""
+    """Return the parcel with its centre of mass assumed at a place [m] from the centroid."""
     return Body(
         state.edges,
         state.body[RADIUS],
@@ -202,8 +202,8 @@ def assumed_body(state: EnvState, com_x: float, com_y: float) -> Body:
 
 @kernel_function
 def move(state: EnvState, physics: Physics, factor: float, body: Body) -> Contacts:
-    """Move the state in `state.sensor_state`, the centre of mass's, over one step, and write how that damps
-    errors; the step's contacts.
+    """Move the state in `state.sensor_state`, the centre of mass's, over one step; write how that
+    damps errors; return the step's contacts.
 
     Args:
         lane: whose axes stand as they are.
@@ -241,8 +241,8 @@ def move(state: EnvState, physics: Physics, factor: float, body: Body) -> Contac
 def widen_by_doubt(
     settings: Array, first: int, estimate: Array, dt: float, vx: float, vy: float, omega: float
 ) -> None:
-    """Carry the covariance over a step that began at a velocity (vx, vy, omega), and widen it by
-    what is doubted, in `settings` from `first` on.
+    """Carry the covariance over a step that began at a velocity (vx, vy, omega), and add the
+    process noise, in `settings` from `first` on.
     """
     doubt = settings[first + FRICTION_ERROR] ** 2 * FRICTION_ERROR_TIME / (dt * dt)
     _widen(
@@ -255,7 +255,7 @@ def widen_by_doubt(
 
 @kernel_function
 def measure(estimate: Array, by_x: float, by_y: float, by_theta: float, lead: float) -> float:
-    """Variance of a function of the pose `lead` seconds ago, given by its derivatives.
+    """Return the variance of a function of the pose `lead` seconds ago, given by its derivatives.
 
     Its covariance with the state is left in `estimate` from GAIN on, for `correct`.
     """
@@ -275,8 +275,8 @@ def measure(estimate: Array, by_x: float, by_y: float, by_theta: float, lead: fl
 
 @kernel_function
 def correct(estimate: Array, shift: float, shrink: float) -> None:
-    """Move the estimate by `shift`, and lessen its covariance by `shrink`, along what `measure`
-    left: both a unit of it.
+    """Move the estimate by `shift` and shrink its covariance by `shrink`, along what `measure`
+    left, both per unit.
     """
     for i in range(SIZE):
         estimate[i] += shift * estimate[GAIN + i]

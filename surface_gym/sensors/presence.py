@@ -1,4 +1,4 @@
-"""What a parcel can do: bounds on an estimate, whatever its model and its corrections say."""
+"""Presence: on/off sensors under the base, an observer, and physical bounds on its estimate."""
 
 import math
 from dataclasses import dataclass, field
@@ -24,7 +24,7 @@ MOST_TURN = 32.0 * math.pi  # [rad] of theta; whole turns beyond are not counted
 
 @kernel_function
 def most_energy(state: EnvState) -> float:
-    """[m^2/s^2] vx^2 + vy^2 + (gyration radius x omega)^2 that a parcel may have at most.
+    """Return the most energy [m^2/s^2] of a parcel, vx^2 + vy^2 + (gyration radius x omega)^2.
 
     Modules brake and do not push, so that it is what the entry, which `state.sensor_state` holds, and the
     way down the whole surface give.
@@ -39,8 +39,8 @@ def most_energy(state: EnvState) -> float:
 
 @kernel_function
 def keep_possible(state: EnvState, energy: float) -> None:
-    """Bring the estimate in `state.sensor_state` back over the surface, and slow it down to an energy
-    [m^2/s^2], where it is beyond.
+    """Bring the estimate in `state.sensor_state` back over the surface, and slow it down to an
+    energy [m^2/s^2].
     """
     estimate = state.sensor_state
     rows, columns = state.rotor.shape
@@ -84,7 +84,8 @@ SAMPLED, STEP, ENERGY = LAST, LAST + 3, LAST + 4
 
 @dataclass(frozen=True)
 class Presence(Observer):
-    """Sees which rotors the parcel covers, by an on/off sensor in each module; supports have none.
+    """A sensor of which rotors the parcel covers, by an on/off switch in each module; supports have
+    none.
 
     An observer makes pose and velocity of it. It moves its estimate by the same physics, with the
     axes as they are and with nominal friction, the load over the base's centroid; and its
@@ -136,7 +137,7 @@ class Presence(Observer):
             raise ValueError(f"entry must be an Entry, got {self.entry!r}")
 
     def sample_steps(self, dt: float) -> int:
-        """Physics steps of `dt` [s] from sample to sample.
+        """Return the physics steps of `dt` [s] from sample to sample.
 
         Raises:
             ValueError: samples come faster than physics steps.
@@ -150,7 +151,7 @@ class Presence(Observer):
         return steps
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """The settings as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the settings as compiled code reads them, for physics steps of `dt` [s]."""
         return (
             self.sample_steps(dt),
             self.drop,
@@ -162,7 +163,7 @@ class Presence(Observer):
         )
 
     def draws(self, dt: float, steps: int) -> int:
-        """One row of noise a sample.
+        """Return one row of noise a sample.
 
         Raises:
             ValueError: a control period has more samples than noise is drawn ahead for.
@@ -178,7 +179,7 @@ class Presence(Observer):
     @staticmethod
     @kernel_function
     def begin(numbers: Array, state: EnvState) -> None:
-        """Set the observer, and read the sensors for the first time."""
+        """Reset the observer, and read the switches for the first time."""
         kalman.begin(numbers, ENTRY, state)
         state.sensor_state[ENERGY] = most_energy(state)
         _keep_sample(state, 0)
@@ -186,7 +187,7 @@ class Presence(Observer):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Move the estimate over a physics step, and correct it by a sample if one is due."""
+        """Predict over a physics step, and correct by a sample if one is due."""
         kalman.predict(numbers, MODEL, state, physics)
         keep_possible(state, state.sensor_state[ENERGY])
         if state.steps % int(numbers[EVERY]) != 0:

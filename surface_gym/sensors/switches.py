@@ -1,4 +1,4 @@
-"""A base's outline over the grid: the modules of a row it covers, and how far one is beyond it."""
+"""Switches under a base: which modules it covers, and corrections of an estimate by them."""
 
 import math
 
@@ -11,8 +11,8 @@ from surface_gym.state import EnvState
 
 @kernel_function
 def between_places(low: float, high: float, count: int) -> tuple[int, int]:
-    """First and last of the places 0 ... count - 1 that lie in [low, high]; the first exceeds the
-    last if none does. The bounds may be any floats: none beyond the places becomes an integer.
+    """Return the first and last of the indices 0 ... count - 1 that lie in [low, high]; first >
+    last if none does. The bounds may be any floats.
     """
     first, last = count, -1
     if low <= 0.0:
@@ -35,7 +35,7 @@ def covered_columns(
     cosine: float,
     sine: float,
 ) -> tuple[int, int]:
-    """First and last column that a base at (x, y), turned by theta, covers of a row.
+    """Return the first and last column of a row that a base at (x, y), turned by theta, covers.
 
     The first exceeds the last if none is. As for contacts, F_lambda <= 0 up to round-off.
     """
@@ -69,8 +69,8 @@ def covered_columns(
 def outside(
     state: EnvState, dx: float, dy: float, cosine: float, sine: float, ux: float, uy: float
 ) -> tuple[float, float, float]:
-    """F_lambda, Section 3.2, of the edge that the point at (dx, dy) from the centroid is most
-    beyond, and its outward normal; of a disc, those of its circle.
+    """Return F_lambda, Section 3.2, of the edge that the point (dx, dy) from the centroid is most
+    beyond, and the edge's outward normal; of a disc, those of its circle.
 
     Returns:
         [m] how far the point is outside, and the normal (x, y).
@@ -116,7 +116,7 @@ def _take_switch(
     tolerance: float,
     switches: int,
 ) -> None:
-    """The perimeter passed the module at (x, y) within the last `interval` [s], as did others."""
+    """Correct by a module at (x, y) that the perimeter passed within the last `interval` [s]."""
     estimate = state.sensor_state
     lead = 0.5 * interval
     theta = estimate[THETA] - lead * estimate[OMEGA]
@@ -143,7 +143,7 @@ def _take_switch(
 def _take_contradiction(
     state: EnvState, x: float, y: float, covered: bool, tolerance: float
 ) -> float:
-    """The perimeter lies on the other side of the module at (x, y) than the estimate has it.
+    """Correct by a module at (x, y) that lies on the other side of the perimeter than estimated.
 
     It may lie anywhere there, so that the estimate is moved but gets no surer.
 
@@ -170,7 +170,7 @@ def _take_contradiction(
 def covered_by_both(
     state: EnvState, row: int, pose: Array, other: Array
 ) -> tuple[int, int, int, int, int, int]:
-    """Columns of a row that a base covers in one pose and in another.
+    """Return the columns of a row that a base covers in one pose and in another.
 
     Returns:
         First and last column of the first pose, of the second, and of both together.
@@ -186,7 +186,7 @@ def covered_by_both(
 
 @kernel_function
 def rows_of_both(state: EnvState, y: float, other_y: float) -> tuple[int, int]:
-    """First and last row that a base can cover from either of two places."""
+    """Return the first and last row that a base can cover from either of two places."""
     reach = state.body[RADIUS] + EDGE_TOLERANCE
     low = (min(y, other_y) - reach - state.elements.y0) / state.elements.pitch_y
     high = (max(y, other_y) + reach - state.elements.y0) / state.elements.pitch_y
@@ -195,7 +195,7 @@ def rows_of_both(state: EnvState, y: float, other_y: float) -> tuple[int, int]:
 
 @kernel_function
 def _count_switches(state: EnvState, sampled: Array) -> int:
-    """How many modules switched since the last sample, which the pose `sampled` (3,) gave."""
+    """Return how many modules switched since the last sample, at the pose `sampled` (3,)."""
     truth = state.truth
     first_row, last_row = rows_of_both(state, truth[1], sampled[1])
     switches = 0
@@ -210,7 +210,7 @@ def _count_switches(state: EnvState, sampled: Array) -> int:
 @kernel_function
 def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: float) -> None:
     """Correct the estimate by every module that switched since the base was at the pose `sampled`
-    (3,), within the last `interval` [s]; sensors switch to within a `tolerance` [m].
+    (3,), within the last `interval` [s]; switches act to within a `tolerance` [m].
 
     Switches of one sample share the error of the estimate they are judged by: together they weigh
     as one.
@@ -232,8 +232,7 @@ def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: f
 
 @kernel_function
 def take_contradictions(state: EnvState, tolerance: float) -> float:
-    """Correct the estimate by every module that it has covered and the sensor has not, or the
-    other way about.
+    """Correct the estimate by every module that it covers and the sensor does not, or the reverse.
 
     Returns:
         [m] how far the estimate was on the wrong side of one, at most; 0 if that is within the
@@ -256,7 +255,7 @@ def take_contradictions(state: EnvState, tolerance: float) -> float:
 
 @kernel_function
 def worst_contradiction(state: EnvState) -> tuple[float, float, float, float]:
-    """The module that the estimate is farthest on the wrong side of.
+    """Find the module that the estimate is farthest on the wrong side of.
 
     Returns:
         [m] how far, 0 where none is; [m] where that module lies from the estimate's centroid; and
@@ -283,7 +282,7 @@ def worst_contradiction(state: EnvState) -> tuple[float, float, float, float]:
 
 @kernel_function
 def mean_of_pressed(state: EnvState) -> tuple[int, float, float]:
-    """How many switches are pressed, and the middle [m] of their modules."""
+    """Return how many switches are pressed, and the middle [m] of their modules."""
     truth = state.truth
     pressed, x, y = 0, 0.0, 0.0
     cosine, sine = math.cos(truth[THETA]), math.sin(truth[THETA])
@@ -301,7 +300,7 @@ def mean_of_pressed(state: EnvState) -> tuple[int, float, float]:
 
 @kernel_function
 def is_any_pressed(state: EnvState) -> bool:
-    """Whether any switch is pressed."""
+    """Return whether any switch is pressed."""
     truth = state.truth
     cosine, sine = math.cos(truth[THETA]), math.sin(truth[THETA])
     first_row, last_row = rows_of_both(state, truth[1], truth[1])
@@ -341,7 +340,7 @@ def agree(state: EnvState, tolerance: float) -> None:
 
 @kernel_function
 def _build_up(estimate: Array, shift_x: float, shift_y: float, turn: float) -> None:
-    """Correct the velocity by what the pose was, and doubt both along that."""
+    """Correct the velocity by the shift of the pose, and widen both along that."""
     per_time = 1.0 / BUILD_UP
     estimate[VX] += per_time * shift_x
     estimate[VY] += per_time * shift_y
@@ -355,7 +354,7 @@ def _build_up(estimate: Array, shift_x: float, shift_y: float, turn: float) -> N
 
 @kernel_function
 def _move(state: EnvState, tolerance: float) -> float:
-    """Move the pose onto the right side of the module that it contradicts most, and again.
+    """Move the pose onto the right side of the module that it contradicts most, repeatedly.
 
     Returns:
         [m] how far it is still on the wrong side of one.

@@ -1,4 +1,4 @@
-"""What is asked of the surface: a task owns starts, observation, reward terms and the end."""
+"""The tasks: each owns its starts, observation, reward terms and the end of an episode."""
 
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.orient import Orient

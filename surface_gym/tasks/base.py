@@ -19,25 +19,27 @@ Numbers = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Parcels:
-    """One parcel a start."""
+    """The parcels of a number of starts."""
 
     kinds: tuple[Parcel, ...]
     which: NDArray[np.int64]  # (starts,) the place of each start's among the kinds
 
     def of(self, function: Callable[[Parcel], ArrayLike]) -> Numbers:
-        """(starts, ...) what a function says of each parcel."""
+        """Return a function's value for each parcel, (starts, ...)."""
         asked, places = np.unique(self.which, return_inverse=True)
         values: Numbers = np.array([function(self.kinds[kind]) for kind in asked])[places]
         return values
 
     @property
     def rear(self) -> Numbers:
-        """(starts,) [m] from the rearmost point of the base to its frame's origin, at theta = 0."""
+        """Return the distance (starts,) [m] from the rearmost point of the base to its frame's
+        origin.
+        """
         return self.of(lambda parcel: parcel.rear)
 
 
 class Start(NamedTuple):
-    """How episodes begin. A number is that of every start, an array (starts,) has one for each."""
+    """Starts of episodes. A number holds for every start, an array (starts,) has one for each."""
 
     parcel: Parcel | Parcels
     pose: tuple[ArrayLike, ArrayLike, ArrayLike]  # [m, m, rad] of the base's frame
@@ -48,7 +50,7 @@ class Start(NamedTuple):
 
 
 class Draw:
-    """What starts are drawn from: uniform numbers, and options that fix what would be drawn.
+    """The source of starts: uniform numbers, and options that fix what would be drawn.
 
     Args:
         numbers: (starts, draws) uniform in [0, 1).
@@ -71,7 +73,7 @@ class Draw:
         self._options = options
 
     def option(self, name: str, drawn: ArrayLike, check: Callable[[Any], float]) -> Numbers:
-        """What was drawn; where an option fixes it, the option as `check` returns it."""
+        """Return what was drawn; where an option fixes it, the option as `check` returns it."""
         values: Numbers = np.asarray(drawn, dtype=np.float64)
         given = self.given(name)
         if given:
@@ -81,15 +83,17 @@ class Draw:
         return values
 
     def within(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """`option` for a number in [low, high]."""
+        """Return `option` for a number in [low, high]."""
         return self.option(name, drawn, lambda value: checks.within(name, value, low, high))
 
     def one_of(self, name: str, drawn: ArrayLike, allowed: tuple[Any, ...]) -> Numbers:
-        """`option` for one of some numbers."""
+        """Return `option` for one of some numbers."""
         return self.option(name, drawn, lambda value: float(checks.one_of(name, value, allowed)))
 
     def parcel(self, parcels: tuple[Parcel, ...], number: Numbers) -> Parcels:
-        """Each start's parcel: equal odds, by a number (starts,); or the option "parcel"."""
+        """Draw each start's parcel with equal odds, by a number (starts,); or take the option
+        "parcel".
+        """
         which = (number * len(parcels)).astype(np.int64)
         kinds = list(parcels)
         for start, value in self.given("parcel"):
@@ -98,17 +102,17 @@ class Draw:
         return Parcels(tuple(kinds), which)
 
     def given(self, name: str) -> list[tuple[int, Any]]:
-        """Which starts an option fixes, and how."""
+        """Return which starts an option fixes, and its values."""
         return [(k, each[name]) for k, each in enumerate(self._options) if name in each]
 
 
 def between(low: float | Numbers, high: float | Numbers, number: Numbers) -> Numbers:
-    """(starts,) uniform in [low, high), by numbers (starts,)."""
+    """Return uniform numbers (starts,) in [low, high), from numbers (starts,)."""
     return low + (high - low) * number
 
 
 def parcel_option(value: Any) -> Parcel:
-    """The parcel an option asks for: "S", "B" or a Parcel of one's own."""
+    """Return the parcel an option asks for: "S", "B" or a Parcel."""
     if isinstance(value, Parcel):
         return value
     if isinstance(value, str) and value in ("S", "B"):
@@ -117,14 +121,14 @@ def parcel_option(value: Any) -> Parcel:
 
 
 def parcels_to_draw(parcels: Any) -> tuple[Parcel, ...]:
-    """The parcels of a task, or an error that names them."""
+    """Return the parcels of a task, or raise an error that names them."""
     if not parcels:
         raise ValueError(f"parcels must be at least one, got {parcels!r}")
     return tuple(parcel_option(parcel) for parcel in parcels)
 
 
 def check_options(options: dict[str, Any] | None, allowed: tuple[str, ...]) -> dict[str, Any]:
-    """The options, or an error that names the unknown one."""
+    """Return the options, or raise an error that names the unknown one."""
     if options is None:
         return {}
     if not isinstance(options, dict):
@@ -145,13 +149,15 @@ class Feature:
 
 
 def failures(outcomes: tuple[str, ...]) -> range:
-    """Numbers of a task's failures, in the order of their names, for `outcome` to return."""
+    """Return the numbers of a task's failures, in the order of their names, for `outcome` to
+    return.
+    """
     return range(FIRST_FAILURE, FIRST_FAILURE + len(outcomes))
 
 
 @dataclass(frozen=True)
 class Task:
-    """What is asked of the surface: starts, observation, reward, and when an episode ends.
+    """The base class of tasks: starts, observation, reward, and the end of an episode.
 
     A task is one class. Its fields are its parameters. The names below say what it deals in; its
     static methods, each a `kernel_function`, are compiled into every batch of it. A subclass inherits
@@ -202,49 +208,49 @@ class Task:
 
     @property
     def name(self) -> str:
-        """The task's name, whatever its parameters."""
+        """Return the task's name, whatever its parameters."""
         return type(self).__name__.lower()
 
     def start(self, draw: Draw) -> Start:
-        """The law of its starts, for as many as `draw` has numbers for."""
+        """Draw as many starts as `draw` has numbers for."""
         del draw
         raise ValueError(f"{type(self).__name__}.start must be a method, as Task says, got none")
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """The task's own numbers of a lane, as pairs of texts, for drawing."""
+        """Return the task's own numbers of an environment, as pairs of texts, for drawing."""
         del state
         return []
 
     def goal(self, state: EnvState) -> Any:
-        """What drawing shows of a lane's goal, one of `surface_gym.rendering`'s; or None."""
+        """Return what drawing shows of the goal, one of `surface_gym.rendering`'s; or None."""
         del state
 
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Nothing to remember."""
+        """Remember nothing."""
 
     @staticmethod
     @kernel_function
     def is_done(state: EnvState) -> bool:
-        """Where no rotor bears the parcel."""
+        """Return whether no rotor supports the parcel."""
         return not state.on_rotors
 
     @staticmethod
     @kernel_function
     def mirror(state: EnvState) -> float:
-        """As it is."""
+        """Return 1: the observation is not mirrored."""
         return 1.0
 
 
 def draws_default_parcels(task: Task) -> bool:
-    """Whether a task draws the parcels that its class has it draw."""
+    """Return whether a task draws the default parcels of its class."""
     default = next(each.default for each in fields(task) if each.name == "parcels")
     return bool(task.parcels == parcels_to_draw(default))
 
 
 def rising(name: str, value: Any, low: float, high: float) -> tuple[float, float]:
-    """Two finite numbers in [low, high], the first not above the second, or an error."""
+    """Return two finite numbers in [low, high], the first not above the second, or raise an error."""
     first, last = checks.array(name, value, (2,)).tolist()
     if not low <= first <= last <= high:
         raise ValueError(

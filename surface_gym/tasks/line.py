@@ -1,4 +1,4 @@
-"""What the tasks of a line share: entering it, being seen on it, leaving its zone, failing."""
+"""What tasks on a line share: entry, features of the parcel, the way out of the zone, failures."""
 
 import math
 
@@ -47,7 +47,8 @@ PARCEL_FEATURES = (
 
 
 def zone_span(plant: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
-    """[m] where the zone of a parcel starts and ends; `zone` holds its columns, None: the plant's.
+    """Return where [m] the zone of a parcel starts and ends; `zone` holds its columns, None: the
+    line's.
 
     Raises:
         ValueError: the parcel does not fit the plant.
@@ -58,21 +59,21 @@ def zone_span(plant: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> 
 
 
 def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
-    """Pose [m, m, rad] at which parcels enter: the rear at the plant's edge, x = 0 where nothing
-    else is said, on the line's middle.
+    """Return the pose [m, m, rad] at which parcels enter: the rear at the line's edge, x = 0 by
+    default, on the line's middle.
     """
     return (draw.plant.column_edge(0) + parcels.rear, draw.plant.line_y, 0.0)
 
 
 @kernel_function
 def rear_to_go(state: EnvState, x: float, theta: float) -> float:
-    """[m] from the rear of a parcel at x, turned by theta, to the zone's end."""
+    """Return the distance [m] from the rear of a parcel at x, turned by theta, to the zone's end."""
     return zone_end(state) - x + reach_along(state, theta, -1.0, 0.0)
 
 
 @kernel_function
 def over_zone_end(state: EnvState) -> bool:
-    """Off the rotors, or with the rear past the zone's end."""
+    """Return whether the parcel is off the rotors, or its rear past the zone's end."""
     if not state.on_rotors:
         return True
     if state.com[X] <= zone_end(state):
@@ -83,7 +84,7 @@ def over_zone_end(state: EnvState) -> bool:
 
 @kernel_function
 def failure(state: EnvState) -> int:
-    """Which failure of every line task has happened; RUNNING if none."""
+    """Return the failure that has happened, of those every line task has; RUNNING if none."""
     if not state.on_surface:
         return OFF_SURFACE
     if not state.on_rotors:
@@ -93,8 +94,8 @@ def failure(state: EnvState) -> int:
 
 @kernel_function
 def leaving(state: EnvState, reached: bool, missed: int) -> int:
-    """SUCCESS or `missed`, as the goal is reached or not, where the parcel's rear is past the zone's
-    end; before that a `failure`, if any.
+    """Return SUCCESS or `missed` where the parcel's rear is past the zone's end, as the goal is
+    reached or not; before that a `failure`, if any.
     """
     truth = state.truth
     if state.on_rotors and state.on_surface and rear_to_go(state, truth[X], truth[THETA]) < 0.0:
@@ -104,7 +105,7 @@ def leaving(state: EnvState, reached: bool, missed: int) -> int:
 
 @kernel_function
 def see_parcel(state: EnvState) -> None:
-    """Write `PARCEL_FEATURES` from what the sensor says."""
+    """Write `PARCEL_FEATURES` from the sensor's pose and velocity."""
     sensed = state.sensed
     x, theta = sensed[X], sensed[THETA]
     offset = sensed[Y] - state.elements.line_y

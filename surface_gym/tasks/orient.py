@@ -119,7 +119,7 @@ class Orient(Task):
         set_field(self, "angles", rising("angles", self.angles, -math.pi, math.pi))
 
     def start(self, draw: Draw) -> Start:
-        """Entry speed, parcel and asked angle: uniform."""
+        """Draw entry speed, parcel and asked angle, each uniform."""
         pace, size, turn = draw.numbers
         speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
         parcel = draw.parcel(self.parcels, size)
@@ -127,11 +127,11 @@ class Orient(Task):
         return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (angle,))
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """The asked angle."""
+        """Return the asked angle."""
         return [("asked", f"{math.degrees(state.goal[ANGLE]):+.1f}\N{DEGREE SIGN}")]
 
     def goal(self, state: EnvState) -> Any:
-        """The heading."""
+        """Return the asked heading."""
         from surface_gym.rendering import Heading
 
         return Heading(float(state.goal[ANGLE]))
@@ -148,7 +148,7 @@ class Orient(Task):
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """How the episode stands, by the true state."""
+        """Return the state of the episode, by the true motion."""
         error = state.truth[THETA] - state.goal[ANGLE]
         state.metrics[ANGLE_ERROR] = error
         return leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
@@ -169,7 +169,7 @@ class Orient(Task):
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
-        """Show what the sensor says."""
+        """Write the observation from the sensor's pose and velocity."""
         see_parcel(state)
         left = state.goal[ANGLE] - state.sensed[THETA]
         see = state.observation

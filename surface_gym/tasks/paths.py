@@ -21,14 +21,14 @@ class Path(Protocol):
 
     @property
     def start(self) -> float:
-        """[m] x of its first point."""
+        """Return x [m] of the first point."""
 
     @property
     def end(self) -> float:
-        """[m] x of its last point."""
+        """Return x [m] of the last point."""
 
     def y(self, x: Numbers) -> Numbers:
-        """[m] y at each x."""
+        """Return y [m] at each x."""
 
 
 def _along(name: str, value: Any) -> float:
@@ -63,7 +63,7 @@ class Sine:
 
 @dataclass(frozen=True)
 class LaneChange:
-    """From one lane to another, with neither slope nor curvature at its two ends."""
+    """A change from one lane to another, with neither slope nor curvature at its two ends."""
 
     offset: float = 0.4  # [m] of the second lane from the first
     length: float = 1.5  # [m] of the change, along x
@@ -109,7 +109,7 @@ class _Through:
 
 @dataclass(frozen=True)
 class Polyline(_Through):
-    """Straight from point to point."""
+    """A path straight from point to point."""
 
     def y(self, x: Numbers) -> Numbers:
         along, across = np.array(self.points).T
@@ -118,7 +118,7 @@ class Polyline(_Through):
 
 @dataclass(frozen=True)
 class Spline(_Through):
-    """The natural cubic spline through the points: no curvature at its two ends."""
+    """A natural cubic spline through the points: no curvature at its two ends."""
 
     def y(self, x: Numbers) -> Numbers:
         from scipy.interpolate import CubicSpline  # half of the package's import time
@@ -130,7 +130,7 @@ class Spline(_Through):
 
 @dataclass(frozen=True)
 class Laid:
-    """A path laid onto a plant: moved with it and its line, and cut where it ends."""
+    """A path laid onto a line: moved with it, and cut where it ends."""
 
     path: Path
     ahead: float  # [m] moved in x
@@ -193,7 +193,7 @@ DRAWS = 12  # numbers that a random path is made of
 
 
 def random_path(kind: str, numbers: Numbers) -> Path:
-    """A path of a kind from `DRAWS` numbers, uniform in [0, 1).
+    """Draw a path of a kind from `DRAWS` numbers, uniform in [0, 1).
 
     - "sine": amplitude 0.1 to 0.2 m, wavelength 1.8 to 3.2 m, upwards or downwards first.
     - "lane change": by 0.2 to 0.6 m, within 1 to 2 m from x = 1 to 2.5 m on, to either side.
@@ -208,7 +208,7 @@ _CLASSES = (Sine, LaneChange, Polyline, Spline)
 
 
 def path_option(value: Any) -> Path:
-    """The path an option asks for: one of this module's, or points (n, 2) [m] of a polyline.
+    """Return the path an option asks for: one of this module's, or points (n, 2) [m] of a polyline.
 
     Raises:
         ValueError: it is neither.
@@ -223,5 +223,5 @@ def path_option(value: Any) -> Path:
 
 
 def sample(path: Path, points: int) -> Numbers:
-    """(points,) [m] y of the path, evenly spaced in x from its start to its end."""
+    """Return y [m] (points,) of the path, evenly spaced in x from its start to its end."""
     return path.y(np.linspace(path.start, path.end, points))

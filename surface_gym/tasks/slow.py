@@ -128,7 +128,8 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         set_field(self, "ratios", rising("ratios", self.ratios, 0.0, 1.0))
 
     def start(self, draw: Draw) -> Start:
-        """Entry speed and parcel: uniform. Asked ratio: uniform, up to what rolling leaves.
+        """Draw entry speed and parcel, uniform, and the asked ratio, uniform up to what rolling
+        leaves.
 
         A slow parcel loses more than the highest ratio allows by rolling alone, so that ratios
         are drawn below 0.98 of what it would leave with if it rolled all the way.
@@ -144,12 +145,12 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (ratio, speed))
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """The present ratio and the asked one."""
+        """Return the present ratio and the asked one."""
         asked, error = state.goal[RATIO], state.metrics[RATIO_ERROR]
         return [("of entry", f"{asked + error:.3f}"), ("asked", f"{asked:.3f}")]
 
     def goal(self, state: EnvState) -> Any:
-        """The exit speed."""
+        """Return the asked exit speed."""
         from surface_gym.rendering import ExitSpeed
 
         ratio, speed = state.goal[RATIO], state.goal[ENTRY_SPEED]
@@ -167,7 +168,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """How the episode stands, by the true state."""
+        """Return the state of the episode, by the true motion."""
         error = _ratio_error(state)
         state.metrics[RATIO_ERROR] = error
         return leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
@@ -189,7 +190,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
-        """Show what the sensor says."""
+        """Write the observation from the sensor's pose and velocity."""
         see_parcel(state)
         sensed = state.sensed
         to_go = rear_to_go(state, sensed[X], sensed[THETA])
@@ -203,7 +204,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
 
 @kernel_function
 def _excess(state: EnvState, to_go: float, vx: float, vy: float) -> float:
-    """[m/s] speed over that which, rolling `to_go` metres more, becomes the asked exit speed."""
+    """Return the speed [m/s] above that which, rolling `to_go` metres more, becomes the asked one."""
     asked = state.goal[RATIO] * state.goal[ENTRY_SPEED]
     needed = math.sqrt(asked * asked + 2.0 * ROLLING_LOSS * max(0.0, to_go))
     return math.sqrt(vx * vx + vy * vy) - needed

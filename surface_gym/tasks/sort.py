@@ -145,7 +145,7 @@ distance from the line's middle takes its place |
                 raise ValueError(f"{name} must be two rising positive speeds, got {(low, high)}")
 
     def start(self, draw: Draw) -> Start:
-        """Entry speed: a band by `slow_share`, uniform in it. Parcel and side: equal odds.
+        """Draw entry speed, uniform in a band by `slow_share`; parcel and side with equal odds.
 
         Straight through, side 0, is only an option.
         """
@@ -157,12 +157,12 @@ distance from the line's middle takes its place |
         return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (side,))
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """The asked side."""
+        """Return the asked side."""
         sides = {1: "y > 0", -1: "y < 0", 0: "straight on"}
         return [("sort to", sides[int(state.goal[SIDE])])]
 
     def goal(self, state: EnvState) -> Any:
-        """The exit side."""
+        """Return the exit side."""
         from surface_gym.rendering import ExitSide
 
         return ExitSide(int(state.goal[SIDE]))
@@ -170,7 +170,7 @@ distance from the line's middle takes its place |
     @staticmethod
     @kernel_function
     def mirror(state: EnvState) -> float:
-        """Seen is always a sort to y > 0."""
+        """Return the asked side's sign: the observation always shows a sort to y > 0."""
         return mirror_of(state)
 
     @staticmethod
@@ -182,7 +182,7 @@ distance from the line's middle takes its place |
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """How the episode stands, by the true state."""
+        """Return the state of the episode, by the true motion."""
         truth = state.truth
         side = state.goal[SIDE]
         if not state.on_surface:
@@ -210,7 +210,7 @@ distance from the line's middle takes its place |
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
-        """Show what the sensor says, mirrored so that the goal is y > 0."""
+        """Write the observation, mirrored so that the goal is y > 0."""
         side = mirror_of(state)
         sensed = state.sensed
         x, theta = sensed[X], sensed[THETA]
@@ -239,14 +239,14 @@ distance from the line's middle takes its place |
 
 @kernel_function
 def mirror_of(state: EnvState) -> float:
-    """-1 where y is mirrored, so that what is seen is always a sort to y > 0, else 1."""
+    """Return -1 where y is mirrored, so that the observation shows a sort to y > 0; else 1."""
     return -1.0 if state.goal[SIDE] < 0.0 else 1.0
 
 
 @kernel_function
 def lateral_reach(y: float, vx: float, vy: float) -> float:
-    """[m] lateral offset the parcel can still get to, coasting: the offset, plus what the speed
-    it would keep on 45 deg axes covers against the rolling loss.
+    """Return the lateral offset [m] the parcel can still reach by coasting: its offset, plus what
+    the speed it would keep on 45 deg axes covers against the rolling loss.
     """
     speed = max(0.0, 0.5 * (vx + vy) if vx > vy else vy)
     return y + speed * speed / (2.0 * ROLLING_LOSS)

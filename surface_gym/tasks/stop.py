@@ -121,7 +121,8 @@ class Stop(Task):
         object.__setattr__(self, "speeds", rising("speeds", self.speeds, 0.0, 5.0))
 
     def start(self, draw: Draw) -> Start:
-        """Entry speed and parcel: uniform. Asked x: uniform over what can be reached for sure.
+        """Draw entry speed and parcel, uniform, and asked x, uniform over what can be reached for
+        sure.
 
         That is from where a parcel rests that brakes fully once it is wholly in the zone, to where
         it is wholly in the zone for the last time, or has rolled 0.8 of the way it can. Where the
@@ -139,11 +140,11 @@ class Stop(Task):
         return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (position,))
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """The way to go."""
+        """Return the distance to go."""
         return [("to go", f"{-1e3 * state.metrics[STOP_ERROR]:.1f} mm")]
 
     def goal(self, state: EnvState) -> Any:
-        """The line to stop at."""
+        """Return the line to stop at."""
         from surface_gym.rendering import StopLine
 
         return StopLine(float(state.goal[POSITION]))
@@ -158,7 +159,7 @@ class Stop(Task):
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """How the episode stands, by the true state."""
+        """Return the state of the episode, by the true motion."""
         error = state.truth[X] - state.goal[POSITION]
         state.metrics[STOP_ERROR] = error
         outcome = failure(state)
@@ -184,7 +185,7 @@ class Stop(Task):
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
-        """Show what the sensor says."""
+        """Write the observation from the sensor's pose and velocity."""
         see_parcel(state)
         to_go = state.goal[POSITION] - state.sensed[X]
         excess = state.sensed[VX] - math.sqrt(2.0 * BRAKING * max(0.0, to_go))

@@ -166,8 +166,8 @@ asked one |
             checks.one_of("kinds", kind, KINDS)
 
     def start(self, draw: Draw) -> Start:
-        """Asked speed and tilt: uniform. Parcel, kind of path: equal odds; the path by
-        `paths.random_path`. The centre starts on the path at the asked speed along it, theta at 0.
+        """Draw asked speed and tilt, uniform; parcel and kind of path with equal odds. The centre
+        starts on the path at the asked speed along it, theta at 0.
         """
         pace, slant, size, which = draw.numbers[:4]
         speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)
@@ -185,7 +185,7 @@ asked one |
         return Start(parcel, pose, (vx, slope * vx, 0.0), (speed, first, step), tilt, y)
 
     def _paths(self, draw: Draw, which: Numbers) -> list[Path]:
-        """Each start's path: an option, or by its numbers and laid onto the plant."""
+        """Return each start's path: an option, or one drawn and laid onto the line."""
         first, last, _, _ = draw.plant.extent
         aside = draw.plant.line_y - LINE_Y
         given = {start: path_option(value) for start, value in draw.given("path")}
@@ -197,7 +197,7 @@ asked one |
         ]
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """The error across the path, its root mean square so far, and the asked speed."""
+        """Return the error across the path, its root mean square so far, and the asked speed."""
         return [
             ("off path", f"{1e3 * state.metrics[CROSS_ERROR]:+.1f} mm"),
             ("rms", f"{1e3 * state.metrics[RMS_ERROR]:.1f} mm"),
@@ -205,7 +205,7 @@ asked one |
         ]
 
     def goal(self, state: EnvState) -> Any:
-        """The path."""
+        """Return the path."""
         from surface_gym.rendering import Path
 
         x = state.goal[FIRST_X] + state.goal[STEP_X] * np.arange(PATH_POINTS)
@@ -214,7 +214,7 @@ asked one |
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Nothing has been gained or lost yet."""
+        """Set the sums of errors to zero."""
         state.memory[LAST_X] = state.truth[X]
         state.memory[SQUARED_ERROR] = 0.0
         state.memory[SQUARED_SPEED_ERROR] = 0.0
@@ -225,13 +225,13 @@ asked one |
     @staticmethod
     @kernel_function
     def is_done(state: EnvState) -> bool:
-        """Never in the middle of a control period."""
+        """Return False: an episode never ends in the middle of a control period."""
         return False
 
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """How the episode stands, by the true state; errors add up over the time."""
+        """Return the state of the episode, by the true motion, and add up the errors."""
         memory = state.memory
         error, speed_error, _ = _errors(state, state.truth)
         if state.period > 0.0:
@@ -251,7 +251,7 @@ asked one |
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Pay for every metre of x, the more the nearer to path and speed."""
+        """Pay for every metre of x, more the nearer to the path and the speed."""
         error, speed_error, _ = _errors(state, state.truth)
         distance = max(0.0, state.truth[X] - state.memory[LAST_X])
         state.memory[LAST_X] = state.truth[X]
@@ -266,7 +266,7 @@ asked one |
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
-        """Show what the sensor says."""
+        """Write the observation from the sensor's pose and velocity."""
         sensed = state.sensed
         x, y, theta = sensed[X], sensed[Y], sensed[THETA]
         error, speed_error, across = _errors(state, sensed)
@@ -292,7 +292,7 @@ asked one |
 
 
 def _check_paths(first: Numbers, step: Numbers, y: Numbers, plant: BaseLine) -> None:
-    """Raise a ValueError for a path that leaves the plant or is too steep.
+    """Raise a ValueError for a path that leaves the line's surface or is too steep.
 
     Args:
         first: (paths,) [m] x of the first point.
@@ -316,7 +316,7 @@ def _check_paths(first: Numbers, step: Numbers, y: Numbers, plant: BaseLine) -> 
 
 @kernel_function
 def _path_at(state: EnvState, x: float) -> tuple[float, float]:
-    """[m] y of the path at x, and its slope there; it goes on straight beyond its ends."""
+    """Return y [m] of the path at x, and its slope there; beyond its ends it goes on straight."""
     step = state.goal[STEP_X]
     along = (x - state.goal[FIRST_X]) / step
     i = int(bounded(along, 0.0, PATH_POINTS - 2.0))
@@ -327,7 +327,9 @@ def _path_at(state: EnvState, x: float) -> tuple[float, float]:
 
 @kernel_function
 def _errors(state: EnvState, motion: Array) -> tuple[float, float, float]:
-    """[m] off the path, [m/s] over the asked speed along it, [m/s] across it; to its left."""
+    """Return the distance [m] off the path, the speed [m/s] above the asked one along it, and the
+    speed [m/s] across it, positive to its left.
+    """
     y, slope = _path_at(state, motion[X])
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
     along = (motion[VX] + slope * motion[VY]) * cosine - state.goal[SPEED]
