@@ -1,4 +1,4 @@
-"""What a design's answers cost, and its runs beside MuJoCo's at the same accuracy."""
+"""Benchmarks of a design's answers, and of its runs beside MuJoCo's at the same accuracy."""
 
 import importlib.util
 import math
@@ -19,13 +19,13 @@ SPEEDS = np.linspace(1.0, 2.7, 6)  # [m/s] at which the S-box is sorted
 COPIES = 200  # of these runs, to time ours
 PARCEL = sg.Parcel(sg.Rectangle(0.3, 0.4), mass=12.0)
 
-# What the project asks of itself.
+# Requirements.
 MOST_COLUMNS = 0.2  # [s] least columns for one parcel and speed, warm, on one core
 LEAST_OVER_MUJOCO = 500.0  # runs a second over MuJoCo's, one core each
 
 
 def design_figures() -> list[Figure]:
-    """An answer's time; runs a second, and how many times MuJoCo's where it is installed."""
+    """Measure the time of an answer, and the runs a second beside MuJoCo's, if it is installed."""
     case = Case(PARCEL, speed=1.2)
     least_columns(case)  # compiles
     figures = [
@@ -35,7 +35,7 @@ def design_figures() -> list[Figure]:
 
 
 def _best(case: Case) -> float:
-    """[s] the best of ten."""
+    """Return the least time of ten answers [s]."""
     times = []
     for _ in range(10):
         begin = time.perf_counter()
@@ -45,10 +45,10 @@ def _best(case: Case) -> float:
 
 
 def _beside_mujoco() -> list[Figure]:
-    """The same sorting runs, each program at its largest step within 1 % of its own fine one."""
+    """Run the same sorting, each program at its largest step within 1 % of its own fine solution."""
     from surface_gym import validation
-    from surface_gym.validation.recipe import RECIPE
-    from surface_gym.validation.speed import METHODS, measure
+    from surface_gym.validation.scene import RECIPE
+    from surface_gym.validation.study import METHODS, measure
 
     steps = {method.name: measure(method).step for method in METHODS if method.name != "explicit"}
     box = sg.layouts.box("S")

@@ -5,21 +5,93 @@ as the versions of `constraints.txt` are the same.
 """
 
 import argparse
-from collections.abc import Callable, Sequence
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
-from picturing import drawing
-from picturing.acting import SLIDING, Scene, flow_by_chutes, zone_and_modules
-from picturing.drawing import FromCommand
-from picturing.encoding import Picture, write_film
+import gymnasium as gym
+import numpy as np
+from encoding import Picture, write_film, write_still
 
+from surface_gym import agents
+from surface_gym.flow.arrivals import Steady
+from surface_gym.flow.stream import Stream
+from surface_gym.rendering import with_caption
+from surface_gym.whole_files import replacing
+
+ROOT = Path(__file__).parents[1]
 IMAGES = Path(__file__).parent / "images"
 PERIOD = 0.04  # [s] a picture of the films stays: as long as the control period that it shows
 OURS = ("--parcel", "0.3x0.4", "--mass", "12", "--speed", "1.2")
+SLIDING = "sliding mode"  # the rule that tracks, by the modules around the parcel
+LAST = 12  # pictures for which an episode's end stays before the next begins
+BAR = 8  # [px] between two flows, one above the other
+SORTED_AT = 20  # control periods from the start to the picture of Sort
 
-SORT = Scene(
+
+@dataclass(frozen=True)
+class Film:
+    """A film of episodes of one environment, one after the other."""
+
+    env_id: str  # as Gymnasium has it
+    controller: str  # an agent of `agents.names()`, or SLIDING
+    starts: tuple[dict[str, Any], ...]  # `options` of each episode's reset
+    every: int = 1  # control periods from picture to picture
+
+    def pictures(self) -> list[Picture]:
+        """Draw all episodes; the end of each stays for some time."""
+        env, controller = self._acting()
+        shown: list[Picture] = []
+        for start in self.starts:
+            episode = list(_episode(env, controller, start))
+            shown += [*episode[: -1 : self.every], *[episode[-1]] * (LAST // self.every)]
+        env.close()
+        return shown
+
+    def _acting(self) -> tuple[gym.Env[Any, Any], Any]:
+        if self.controller != SLIDING:
+            policy = agents.load(self.controller)
+            return gym.make(self.env_id, render_mode="rgb_array", **policy.env_kwargs), policy
+        from agents.rules.steering import SlidingMode
+
+        env = gym.make(self.env_id, render_mode="rgb_array", actions="window")
+        bare: Any = env.unwrapped
+        return env, SlidingMode(bare.settings)
+
+
+@dataclass(frozen=True)
+class FromCommand:
+    """A picture that a command writes into the folder given by `--out`."""
+
+    command: tuple[str, ...]  # behind `python`, run where README.md is
+    name: str  # of the picture in that folder
+
+    def __call__(self, file: Path) -> None:
+        """Run the command and keep its picture.
+
+        Raises:
+            CalledProcessError: the command failed.
+        """
+        with tempfile.TemporaryDirectory() as folder:
+            subprocess.run(
+                [sys.executable, *self.command, "--out", folder],
+                cwd=ROOT,
+                check=True,
+                stdout=subprocess.DEVNULL,
+            )
+            with replacing(file) as part:
+                shutil.copyfile(Path(folder) / self.name, part)
+
+
+SORT = Film(
     "SmartSurface/Sort-v0",
     "sort-ppo",
     (
@@ -28,7 +100,7 @@ SORT = Scene(
         {"speed": 2.0, "parcel": "S", "side": 1},
     ),
 )
-SLOW = Scene(
+SLOW = Film(
     "SmartSurface/Slow-v0",
     "slow-ppo",
     (
@@ -36,7 +108,7 @@ SLOW = Scene(
         {"speed": 1.5, "parcel": "S", "ratio": 0.7},
     ),
 )
-STOP = Scene(
+STOP = Film(
     "SmartSurface/Stop-v0",
     "stop-ppo",
     (
@@ -44,17 +116,148 @@ STOP = Scene(
         {"speed": 2.0, "parcel": "B", "position": 1.6},
     ),
 )
-ORIENT = Scene(
+ORIENT = Film(
     "SmartSurface/Orient-v0",
     "orient-ppo",
     ({"speed": 1.5, "parcel": "B", "angle": 0.5236}, {"speed": 1.8, "parcel": "S", "angle": -0.5}),
 )
-TRACK = Scene(
+TRACK = Film(
     "SmartSurface/Track-v0",
     SLIDING,
     ({"speed": 0.8, "parcel": "S", "tilt": 0.21},),
     every=2,
 )
+
+
+def _episode(env: gym.Env[Any, Any], controller: Any, options: dict[str, Any]) -> Iterator[Picture]:
+    observation, _ = env.reset(seed=0, options=options)
+    yield _picture(env)
+    state, begun, over = None, np.ones(1, dtype=np.bool_), False
+    while not over:
+        action, state = controller.predict(observation[np.newaxis], state, begun)
+        observation, _, terminated, truncated, _ = env.step(action[0])
+        yield _picture(env)
+        begun, over = np.zeros(1, dtype=np.bool_), terminated or truncated
+
+
+def _picture(env: gym.Env[Any, Any]) -> Picture:
+    picture: Any = env.render()
+    return np.asarray(picture, dtype=np.uint8)
+
+
+def flow_by_chutes() -> list[Picture]:
+    """Film a reservation that leads a stream of S- and B-boxes to two chutes a side."""
+    from agents.rules.reservation import Reservation
+
+    stream = Stream(Steady(7000.0), ("S", "B"), speeds=1.5)
+    env = gym.make(
+        "SmartSurface/Flow-v0",
+        render_mode="rgb_array",
+        stream=stream,
+        actions="parcels",
+        gate=True,
+        duration=12.0,
+    )
+    bare: Any = env.unwrapped
+    reservation, state = Reservation(bare.settings), None
+    observation, _ = env.reset(seed=0)
+    shown, over, time = [], False, 0.0
+    while not over:
+        action, state = reservation.predict(observation, state)
+        observation, _, terminated, truncated, info = env.step(action)
+        over, time = terminated or truncated, info["time"]
+        if time > 6.5:
+            shown.append(_picture(env))
+    env.close()
+    return shown[::2]
+
+
+def zone_and_modules(begin: float = 9.0, end: float = 15.0) -> list[Picture]:
+    """Film one stream twice: one zone arranged as a whole, and modules that obey their parcels.
+
+    Args:
+        begin: [s] of the stream, where the film begins.
+        end: [s] where it ends.
+    """
+    from agents.evaluation.streams import CURVE
+
+    from agents.evaluation import streams
+    from agents.flow.showing import pictures_of
+
+    titles = {
+        methods.ARRANGED: "One zone, arranged as a whole for each parcel",
+        methods.LEARNED: "Every module obeys the parcel that it bears: flow-ppo",
+    }
+    named = {each.name: each for each in streams.stream_methods()}
+    rows = []
+    for name, title in titles.items():
+        contender = named[name]
+        period = contender.control_period
+        first, last = round(begin / period), round(end / period)
+        shown = []
+        for frame, picture in enumerate(pictures_of(contender, CURVE, rate=8500.0)):
+            if first <= frame < last and frame % round(0.08 / period) == 0:
+                shown.append(with_caption(picture, title))
+            if frame >= last:
+                break
+        rows.append(shown)
+    bar = np.full((BAR, rows[0][0].shape[1], 3), 255, dtype=np.uint8)
+    return [np.concatenate([one, bar, other]) for one, other in zip(*rows, strict=True)]
+
+
+def sort_still(file: Path) -> None:
+    """Draw the S-box at 0.6 m/s on its way off the line."""
+    scene = Film("SmartSurface/Sort-v0", "sort-ppo", ({"speed": 0.6, "parcel": "S", "side": 1},))
+    write_still(scene.pictures()[SORTED_AT], file)
+
+
+def flow_still(file: Path) -> None:
+    """Draw the stream under the reservation, 12 s after its start."""
+    from agents.evaluation.streams import CURVE
+
+    from agents.evaluation import streams
+    from agents.evaluation.report import SHOWN_AT
+    from agents.flow.showing import pictures_of
+
+    named = {each.name: each for each in streams.stream_methods()}
+    contender = named[methods.RESERVATION]
+    frame = round(SHOWN_AT / contender.control_period)
+    write_still(next(islice(pictures_of(contender, CURVE, rate=8550.0), frame, None)), file)
+
+
+def trajectories(file: Path) -> None:
+    """Draw the trajectories of sorted parcels under the fixed layout and under PPO."""
+    from agents.evaluation.benchmark import play
+    from agents.evaluation.methods import rivals
+
+    from agents.evaluation.plots import draw_trajectories
+
+    both = rivals(streams.stream_methods("sort"))
+    with replacing(file) as part:
+        named = part.with_suffix(".png")
+        draw_trajectories(
+            {each.name: play(each, each.seeds[0], "exact")[1] for each in both}, named
+        )
+        named.replace(part)
+
+
+def alignment(file: Path) -> None:
+    """Draw boxes over rows that push inwards and outwards."""
+    from surface_gym.paper.figures import draw_alignment
+
+    with replacing(file) as part:
+        draw_alignment().savefig(part, dpi=160, format="png")
+
+
+def checkered(file: Path) -> None:
+    """Run `examples/checkered.py` and keep its picture."""
+    with tempfile.TemporaryDirectory() as folder:
+        example = ROOT / "examples" / "checkered.py"
+        subprocess.run(
+            [sys.executable, str(example)], cwd=folder, check=True, stdout=subprocess.DEVNULL
+        )
+        with replacing(file) as part:
+            shutil.copyfile(Path(folder) / "checkered.png", part)
 
 
 def _film(pictures: Callable[[], list[Picture]], seconds: float, width: int, file: Path) -> None:
@@ -73,11 +276,11 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     "track.webp": partial(_film, TRACK.pictures, 1.5 * PERIOD, 560),
     "orient.webp": partial(_film, ORIENT.pictures, PERIOD, 480),
     "flow.webp": partial(_film, flow_by_chutes, 2.0 * PERIOD, 640),
-    "sort.png": drawing.sort_still,
-    "flow.png": drawing.flow_still,
-    "trajectories.png": drawing.trajectories,
-    "alignment.png": drawing.alignment,
-    "checkered.png": drawing.checkered,
+    "sort.png": sort_still,
+    "flow.png": flow_still,
+    "trajectories.png": trajectories,
+    "alignment.png": alignment,
+    "checkered.png": checkered,
     "design-columns.png": _design("columns", *OURS),
     "design-speed.png": _design("speed", *OURS),
     "design-friction.png": _design("friction", *OURS),
@@ -90,7 +293,7 @@ PICTURES: dict[str, Callable[[Path], None]] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Make all of them, or those that are asked for."""
+    """Make all pictures, or those that are asked for."""
     parser = argparse.ArgumentParser(
         prog="python docs/pictures.py",
         description="Make the pictures and films of the documentation, in docs/images.",
@@ -101,8 +304,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--only", nargs="+", choices=PICTURES, metavar="NAME", help=", ".join(PICTURES)
     )
     asked = parser.parse_args(arguments).only or list(PICTURES)
-    for place, name in enumerate(asked, start=1):
-        print(f"[{place}/{len(asked)}] {name} ...", end=" ", flush=True)
+    for number, name in enumerate(asked, start=1):
+        print(f"[{number}/{len(asked)}] {name} ...", end=" ", flush=True)
         begun = perf_counter()
         PICTURES[name](IMAGES / name)
         size = (IMAGES / name).stat().st_size

@@ -15,24 +15,108 @@ many parcels come.
 import argparse
 import math
 import sys
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pygame
 from numpy.typing import NDArray
 
+from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch
-from surface_gym.flow.play import FlowGame
-from surface_gym.game import AXIS_KEYS, ROLL, Game
-from surface_gym.picture import scene_of
+from surface_gym.flow.arrivals import HOUR, Steady
+from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.stream import Stream
 from surface_gym.rendering import Painter, Scene, Window
-from surface_gym.settings import Settings
+from surface_gym.scenes import Renderer
+from surface_gym.state import RUNNING
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.base import Draw, parcel_option
 
 FRAME_RATE = 25.0  # [1/s] real time at the control period of 40 ms
+AXIS_KEYS = (pygame.K_1, pygame.K_2, pygame.K_3, pygame.K_4)  # the default orientations
+ROLL = 3  # the choice that all modules begin with
+ONLY = np.zeros(1, dtype=np.int64)  # index of a batch's only environment
+FLOW = "flow"
+
 DRAG_SPEED = 2.0  # [m/s] a metre dragged
 TURN = math.radians(15.0)
-FLOW = "flow"
+
+FIRST_RATE, RATE_STEP = 1500, 500  # [parcels/h]
+SLOWEST, FASTEST = 500, 9000  # [parcels/h]
+LONGEST = 3600.0  # [s] of a stream
+BRUSH = 0.2  # [m] from the mouse to the centres of the modules that it turns
+FIRST_BRUSH = 2  # -45 deg: to the left
+MORE = (pygame.K_PLUS, pygame.K_EQUALS, pygame.K_KP_PLUS)
+FEWER = (pygame.K_MINUS, pygame.K_KP_MINUS)
+
+
+class Game(ABC):
+    """A surface that a player commands by keys and mouse.
+
+    Args:
+        batch: of one environment, which the game steps.
+    """
+
+    def __init__(self, batch: Any) -> None:
+        self._renderer = Renderer(batch)
+        self._painter = Painter()
+        self._paused = False
+        self.over = False  # the player has left
+
+    def advance(self) -> None:
+        """Step by a control period, unless paused."""
+        if not self._paused and self._advance():
+            self._renderer.record(0, begins=False)
+
+    def take(self, event: pygame.event.Event) -> None:
+        """Handle an event of the window, the keyboard or the mouse."""
+        if event.type == pygame.QUIT:
+            self.over = True
+        elif event.type != pygame.KEYDOWN:
+            self._take_mouse(event)
+        elif event.key == pygame.K_ESCAPE:
+            self.over = True
+        elif event.key == pygame.K_SPACE:
+            self._paused = not self._paused
+        elif event.key == pygame.K_r:
+            self._restart()
+        else:
+            self._take_key(event.key, event.mod)
+
+    def draw(self) -> NDArray[np.uint8]:
+        """Draw the picture (height, width, 3) of now."""
+        return self._painter.draw(self._scene())
+
+    def _restart(self) -> None:
+        """Begin again."""
+        self._place()
+        self._renderer.record(0, begins=True)
+
+    def _scene(self) -> Scene:
+        """Describe what a picture of now shows."""
+        return self._renderer.scene()
+
+    def _metres(self, pixel: tuple[int, int]) -> tuple[float, float]:
+        """Convert a position [px] of the mouse to (x, y) [m] on the surface."""
+        return self._painter.metres(pixel, self._scene())
+
+    @abstractmethod
+    def _advance(self) -> bool:
+        """Step by a control period; False where nothing may move now."""
+
+    @abstractmethod
+    def _place(self) -> None:
+        """Begin an episode on the batch."""
+
+    @abstractmethod
+    def _take_mouse(self, event: pygame.event.Event) -> None:
+        """Handle an event of the mouse, and ignore any other."""
+
+    @abstractmethod
+    def _take_key(self, key: int, held: int) -> None:
+        """Handle a key, pressed with the modifiers `held`."""
 
 
 class TaskGame(Game):
@@ -43,33 +127,28 @@ class TaskGame(Game):
     """
 
     def __init__(self, task: str) -> None:
-        super().__init__()
-        settings = Settings(task, actions="halves")
+        settings = EnvConfig(task, actions="halves")
         self._batch = Batch(settings, 1)
+        super().__init__(self._batch)
         self._batch.reserve.seed(0, np.random.default_rng(0))
-        numbers = self._batch.reserve.take(np.zeros(1, dtype=np.int64))
+        numbers = self._batch.reserve.take(ONLY)
         self._start = settings.chosen_task.start(Draw(numbers, (), settings.chosen_plant))
         self._command = np.full((1, 2), ROLL)  # ahead of the parcel's centre, and behind
-        self._painter = Painter()
-        self._trail: list[NDArray[np.float64]] = []
         self._pressed: tuple[float, float] | None = None  # [m] where the mouse went down
         self._restart()
 
-    def draw(self) -> NDArray[np.uint8]:
-        return self._painter.draw(self._scene())
-
-    def _advance(self) -> None:
-        if self._pressed is None:
-            self._batch.advance(self._command)
-            self._trail.append(self._batch.parcels.truth[0, :2].copy())
+    def _advance(self) -> bool:
+        if self._pressed is not None:
+            return False
+        self._batch.advance(self._command)
+        return True
 
     def _take_mouse(self, event: pygame.event.Event) -> None:
         if event.type == pygame.MOUSEBUTTONDOWN:
-            self._pressed = self._painter.metres(event.pos, self._scene())
-            self._move_start((0.0, 0.0))
+            self._pressed = self._metres(event.pos)
+            self._move_start(self._pressed, self._pressed)
         elif event.type == pygame.MOUSEMOTION and self._pressed is not None:
-            x, y = self._painter.metres(event.pos, self._scene())
-            self._move_start((x - self._pressed[0], y - self._pressed[1]))
+            self._move_start(self._pressed, self._metres(event.pos))
         elif event.type == pygame.MOUSEBUTTONUP:
             self._pressed = None
 
@@ -89,22 +168,90 @@ class TaskGame(Game):
             self._start = self._start._replace(pose=(x, y, np.add(theta, TURN)))
             self._restart()
 
-    def _move_start(self, pull: tuple[float, float]) -> None:
-        """Start from where the mouse was pressed, with the speed of the pull [m]."""
-        assert self._pressed is not None
-        x, y = self._pressed
-        velocity = (DRAG_SPEED * pull[0], DRAG_SPEED * pull[1], 0.0)
+    def _move_start(self, begin: tuple[float, float], end: tuple[float, float]) -> None:
+        """Start from where the mouse was pressed [m], with the speed of its pull to an end [m]."""
+        x, y = begin
+        velocity = (DRAG_SPEED * (end[0] - x), DRAG_SPEED * (end[1] - y), 0.0)
         self._start = self._start._replace(pose=(x, y, self._start.pose[2]), velocity=velocity)
         self._restart()
 
-    def _restart(self) -> None:
-        lane = np.zeros(1, dtype=np.int64)
-        self._batch.place(lane, self._start)
-        self._batch.begin(lane)
-        self._trail.clear()
+    def _place(self) -> None:
+        self._batch.place(ONLY, self._start)
+        self._batch.begin(ONLY)
+
+
+class StreamGame(Game):
+    """A stream of parcels on a line with chutes, whose modules the player turns."""
+
+    def __init__(self) -> None:
+        # More than ever come: their times are set by the rate that the player asks for.
+        stream = Stream(Steady(FASTEST), parcels=("S", "B"))
+        self._settings = EnvConfig(stream, duration=LONGEST)
+        self._batch = StreamBatch(self._settings, 1)
+        super().__init__(self._batch)
+        _, rows, _, columns = self._settings.zone
+        self._choice = np.full((rows, columns), ROLL)  # of each module of the zone
+        self._brush = FIRST_BRUSH  # the choice that the mouse gives
+        self._rate = FIRST_RATE
+        self._seed = 0
+        self._restart()
+
+    def _advance(self) -> bool:
+        if self._batch.outcome[0] != RUNNING:
+            return False
+        self._batch.advance(self._choice.reshape(1, -1))
+        return True
+
+    def _place(self) -> None:
+        """Begin again with other parcels; the axes stay."""
+        self._batch.seed(0, np.random.default_rng(self._seed))
+        self._seed += 1
+        self._batch.start(ONLY)
+        self._time_arrivals()
+
+    def _take_mouse(self, event: pygame.event.Event) -> None:
+        pressed = event.type == pygame.MOUSEBUTTONDOWN and event.button == pygame.BUTTON_LEFT
+        if pressed or (event.type == pygame.MOUSEMOTION and event.buttons[0]):
+            self._paint(self._metres(event.pos))
+
+    def _take_key(self, key: int, held: int) -> None:
+        if key in AXIS_KEYS:
+            self._brush = AXIS_KEYS.index(key)
+            if held & pygame.KMOD_SHIFT:
+                self._choice[:] = self._brush
+        elif key in MORE or key in FEWER:
+            rate = self._rate + (RATE_STEP if key in MORE else -RATE_STEP)
+            self._rate = min(FASTEST, max(SLOWEST, rate))
+            self._time_arrivals()
+
+    def _paint(self, centre: tuple[float, float]) -> None:
+        """Turn the modules near a position (x, y) [m]."""
+        plant = self._settings.chosen_plant
+        first_row, rows, first_column, columns = self._settings.zone
+        x = plant.origin[0] + plant.pitch_x * (first_column + np.arange(columns))
+        y = plant.origin[1] + plant.pitch_y * (first_row + np.arange(rows))
+        near = np.hypot(x - centre[0], (y - centre[1])[:, np.newaxis]) <= BRUSH
+        self._choice[near] = self._brush
+
+    def _time_arrivals(self) -> None:
+        """Let the parcels still to come arrive one after the other at the rate asked for."""
+        flows = self._batch.streams
+        due, gap = int(flows.due[0]), HOUR / self._rate
+        coming = flows.time[0, due:]
+        last = flows.time[0, due - 1]  # the first has come at the start
+        coming[:] = max(last + gap, float(flows.clock[0])) + gap * np.arange(len(coming))
 
     def _scene(self) -> Scene:
-        return scene_of(self._batch, 0, np.array(self._trail).reshape(-1, 2))
+        scene = self._renderer.scene()
+        angles = np.array(self._settings.chosen_orientations)
+        axis = scene.axis.copy()
+        axis[scene.obeys] = angles[self._choice].ravel()  # as painted, while paused too
+        readings = (
+            ("mouse", f"{np.degrees(angles[self._brush]):.0f}\N{DEGREE SIGN}"),
+            ("coming an hour", str(self._rate)),
+            *scene.readings,
+        )
+        return replace(scene, axis=axis, readings=readings)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -116,7 +263,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--task", choices=(*TASKS, FLOW), default="sort", help="surface and goal")
     task = parser.parse_args(arguments).task
-    game: Game = FlowGame() if task == FLOW else TaskGame(task)
+    game: Game = StreamGame() if task == FLOW else TaskGame(task)
     window = Window("Smart surface", FRAME_RATE)
     try:
         window.show(game.draw())

@@ -5,65 +5,196 @@ from collections.abc import Iterator
 import numpy as np
 import pygame
 import pytest
+from surface_gym.flow.state import JAM
 
 from surface_gym import play
+from surface_gym.play import FASTEST, FIRST_RATE, RATE_STEP, SLOWEST, Game, StreamGame, TaskGame
 
-MIDDLE = (480, 355)  # [px] about the line's middle
-
-
-@pytest.fixture
-def game() -> play.TaskGame:
-    return play.TaskGame("sort")
+MIDDLE = (480, 355)  # [px] about the line's middle, of one parcel
+RIGHT_TURN, ROLL = 1, 3  # choices: 45 and 90 deg
 
 
-def press(game: play.TaskGame, key: int, held: int = 0) -> None:
+def press(game: Game, key: int, held: int = 0) -> None:
     game.take(pygame.event.Event(pygame.KEYDOWN, key=key, mod=held))
 
 
-def drag(game: play.TaskGame, down: tuple[int, int], up: tuple[int, int]) -> None:
-    game.take(pygame.event.Event(pygame.MOUSEBUTTONDOWN, pos=down, button=1))
-    game.take(pygame.event.Event(pygame.MOUSEMOTION, pos=up, rel=(0, 0), buttons=(1, 0, 0)))
-    game.take(pygame.event.Event(pygame.MOUSEBUTTONUP, pos=up, button=1))
+def drag(
+    game: Game,
+    down: tuple[int, int],
+    up: tuple[int, int],
+    button: int = 1,
+    buttons: tuple[int, int, int] = (1, 0, 0),
+) -> None:
+    game.take(pygame.event.Event(pygame.MOUSEBUTTONDOWN, pos=down, button=button))
+    if up != down:
+        game.take(pygame.event.Event(pygame.MOUSEMOTION, pos=up, rel=(0, 0), buttons=buttons))
+    game.take(pygame.event.Event(pygame.MOUSEBUTTONUP, pos=up, button=button))
 
 
-def test_a_drag_sets_place_and_speed(game: play.TaskGame) -> None:
-    drag(game, MIDDLE, (MIDDLE[0] + 30, MIDDLE[1] - 30))  # an element is 30 px, y upwards
-    x, y, _, vx, vy, omega = game._batch.parcels.truth[0]
-    assert (x, y) == pytest.approx((1.5, 1.0), abs=0.06)
-    assert (vx, vy, omega) == pytest.approx((0.2, 0.2, 0.0))
+def test_letters_of_other_games_do_nothing() -> None:
+    alone, stream = TaskGame("sort"), StreamGame()
+    for game, key in ((alone, pygame.K_PLUS), (stream, pygame.K_TAB)):
+        before = game.draw()
+        press(game, key)
+        assert (game.draw() == before).all()
 
 
-def test_keys_turn_the_axes_of_the_zone(game: play.TaskGame) -> None:
-    drag(game, MIDDLE, (MIDDLE[0] + 30, MIDDLE[1]))
-    zone = game._batch.view(0).obeys
-    press(game, pygame.K_2)
-    game.advance()
-    assert game._batch.axes(0)[zone] == pytest.approx(np.pi / 4)
-    press(game, pygame.K_1, pygame.KMOD_SHIFT)  # ahead of the parcel's centre alone
-    game.advance()
-    axes = game._batch.axes(0)
-    x = 0.05 + 0.1 * np.arange(axes.shape[1])
-    centre = game._batch.parcels.truth[0, 0]
-    assert axes[zone & (x >= centre)] == pytest.approx(0.0)
-    assert axes[zone & (x < centre)] == pytest.approx(np.pi / 4)
+class TestOneParcel:
+    @pytest.fixture
+    def game(self) -> TaskGame:
+        return TaskGame("sort")
+
+    def test_a_drag_sets_place_and_speed(self, game: TaskGame) -> None:
+        drag(game, MIDDLE, (MIDDLE[0] + 30, MIDDLE[1] - 30))  # an element is 30 px, y upwards
+        x, y, _, vx, vy, omega = game._batch.parcels.truth[0]
+        assert (x, y) == pytest.approx((1.5, 1.0), abs=0.06)
+        assert (vx, vy, omega) == pytest.approx((0.2, 0.2, 0.0))
+
+    def test_it_waits_while_the_mouse_is_pressed(self, game: TaskGame) -> None:
+        game.take(pygame.event.Event(pygame.MOUSEBUTTONDOWN, pos=MIDDLE, button=1))
+        start = game._batch.parcels.truth[0].copy()
+        game.advance()
+        assert (game._batch.parcels.truth[0] == start).all()
+
+    def test_keys_turn_the_axes_of_the_zone(self, game: TaskGame) -> None:
+        drag(game, MIDDLE, (MIDDLE[0] + 30, MIDDLE[1]))
+        zone = game._batch.view(0).obeys
+        press(game, pygame.K_2)
+        game.advance()
+        assert game._batch.axes(0)[zone] == pytest.approx(np.pi / 4)
+        press(game, pygame.K_1, pygame.KMOD_SHIFT)  # ahead of the parcel's centre alone
+        game.advance()
+        axes = game._batch.axes(0)
+        x = 0.05 + 0.1 * np.arange(axes.shape[1])
+        centre = game._batch.parcels.truth[0, 0]
+        assert axes[zone & (x >= centre)] == pytest.approx(0.0)
+        assert axes[zone & (x < centre)] == pytest.approx(np.pi / 4)
+
+    def test_space_pauses_and_r_starts_again(self, game: TaskGame) -> None:
+        start = game._batch.parcels.truth[0].copy()
+        game.advance()
+        moved = game._batch.parcels.truth[0].copy()
+        assert len(game._scene().parcels[0].trail) == 2
+        press(game, pygame.K_SPACE)
+        game.advance()
+        assert (game._batch.parcels.truth[0] == moved).all()
+        press(game, pygame.K_r)
+        assert (game._batch.parcels.truth[0] == start).all()
+        assert len(game._scene().parcels[0].trail) == 1
+
+    def test_tab_turns_the_start_and_letters_choose_the_parcel(self, game: TaskGame) -> None:
+        press(game, pygame.K_b)
+        press(game, pygame.K_TAB)
+        assert game._batch.parcels.truth[0, 2] == pytest.approx(np.radians(15.0))
+        assert np.abs(game._batch.view(0).corners).max() == pytest.approx(0.225)
 
 
-def test_space_pauses_and_r_starts_again(game: play.TaskGame) -> None:
-    start = game._batch.parcels.truth[0].copy()
-    game.advance()
-    moved = game._batch.parcels.truth[0].copy()
-    press(game, pygame.K_SPACE)
-    game.advance()
-    assert (game._batch.parcels.truth[0] == moved).all()
-    press(game, pygame.K_r)
-    assert (game._batch.parcels.truth[0] == start).all()
+class TestStream:
+    @pytest.fixture
+    def game(self) -> StreamGame:
+        return StreamGame()
 
+    @staticmethod
+    def pixel(x: float, y: float) -> tuple[int, int]:
+        """[px] of (x, y) [m]: an element is 16 px, the line's middle 227 px down."""
+        return round(96 + 160 * x), round(227 - 160 * (y - 1.0))
 
-def test_tab_turns_the_start_and_letters_choose_the_parcel(game: play.TaskGame) -> None:
-    press(game, pygame.K_b)
-    press(game, pygame.K_TAB)
-    assert game._batch.parcels.truth[0, 2] == pytest.approx(np.radians(15.0))
-    assert np.abs(game._batch.view(0).corners).max() == pytest.approx(0.225)
+    def touch(self, game: StreamGame, x: float, y: float = 1.0, button: int = 1) -> None:
+        drag(game, self.pixel(x, y), self.pixel(x, y), button)
+
+    @staticmethod
+    def turned(game: StreamGame) -> np.ndarray:
+        """(modules, 2) [m] centres of those that are not at 90 deg, as the scene shows them."""
+        rows, columns = np.nonzero(~np.isclose(game._scene().axis, np.pi / 2))
+        return np.stack([0.05 + 0.1 * columns, 0.05 + 0.1 * rows], axis=-1)
+
+    def test_the_mouse_turns_the_modules_around_it(self, game: StreamGame) -> None:
+        press(game, pygame.K_2)
+        self.touch(game, 2.0)
+        centres = self.turned(game)
+        assert np.hypot(*(centres - (2.0, 1.0)).T).max() < 0.21
+        assert len(centres) == 12  # a disc of 0.2 m
+        np.testing.assert_allclose(game._scene().axis[8:12, 19:21], np.pi / 4)
+        game.advance()
+        np.testing.assert_allclose(game._renderer.scene().axis, game._scene().axis)  # they turned
+
+    def test_drawn_over_the_line_it_turns_all_on_its_way(self, game: StreamGame) -> None:
+        drag(game, self.pixel(2.0, 1.0), self.pixel(3.0, 1.0))
+        assert self.turned(game)[:, 0].max() == pytest.approx(3.15)
+        where = self.pixel(4.0, 1.0)  # no longer pressed
+        event = pygame.event.Event(pygame.MOUSEMOTION, pos=where, rel=(0, 0), buttons=(0, 0, 0))
+        game.take(event)
+        assert self.turned(game)[:, 0].max() == pytest.approx(3.15)
+
+    def test_other_buttons_and_places_off_the_line_do_nothing(self, game: StreamGame) -> None:
+        self.touch(game, 2.0, button=3)
+        self.touch(game, 2.0, 1.5)
+        self.touch(game, 0.2)  # the lead-in
+        assert len(self.turned(game)) == 0
+
+    def test_shift_turns_all(self, game: StreamGame) -> None:
+        press(game, pygame.K_1)
+        assert (game._choice == ROLL).all()
+        press(game, pygame.K_2, pygame.KMOD_LSHIFT)
+        assert (game._choice == RIGHT_TURN).all()
+        scene = game._scene()
+        np.testing.assert_allclose(scene.axis[scene.obeys], np.pi / 4)
+
+    def test_a_parcel_is_led_to_a_chute(self, game: StreamGame) -> None:
+        press(game, pygame.K_3, pygame.KMOD_LSHIFT)  # all to the left
+        while game._batch.streams.tally[0, 1:3].sum() == 0:
+            game.advance()
+        assert game._batch.streams.taken[0, 0] == game._settings.exits.place("left 1")
+
+    def test_the_rate_follows_plus_and_minus(self, game: StreamGame) -> None:
+        flows = game._batch.streams
+        for _ in range(50):
+            game.advance()
+        press(game, pygame.K_PLUS)
+        due, clock = int(flows.due[0]), float(flows.clock[0])
+        time = flows.time[0, due:]
+        gap = 3600.0 / (FIRST_RATE + RATE_STEP)
+        assert clock <= time[0] <= clock + gap
+        np.testing.assert_allclose(np.diff(time), gap)
+        for key, rate in ((pygame.K_KP_PLUS, FASTEST), (pygame.K_MINUS, SLOWEST)):
+            for _ in range(40):
+                press(game, key)
+            assert dict(game._scene().readings)["coming an hour"] == str(rate)
+            np.testing.assert_allclose(np.diff(flows.time[0, due:]), 3600.0 / rate)
+
+    def test_as_many_come_as_asked_for(self, game: StreamGame) -> None:
+        for _ in range(500):  # 20 s
+            game.advance()
+        assert game._batch.streams.due[0] == 1 + int(20.0 * FIRST_RATE / 3600.0)
+
+    def test_space_pauses_and_one_may_draw_meanwhile(self, game: StreamGame) -> None:
+        press(game, pygame.K_SPACE)
+        clock = game._batch.streams.clock[0]
+        game.advance()
+        assert game._batch.streams.clock[0] == clock
+        before = game.draw()
+        self.touch(game, 2.0)
+        assert (game.draw() != before).any()
+
+    def test_r_starts_again_with_other_parcels_and_the_same_axes(self, game: StreamGame) -> None:
+        game.advance()
+        self.touch(game, 2.0)
+        flows = game._batch.streams
+        choice, exits = game._choice.copy(), flows.exit[0].copy()
+        press(game, pygame.K_r)
+        assert flows.clock[0] == 0.0
+        assert (flows.exit[0] != exits).any()
+        assert (game._choice == choice).all()
+        np.testing.assert_allclose(np.diff(flows.time[0, 1:]), 3600.0 / FIRST_RATE)
+
+    def test_a_jam_stays_until_r(self, game: StreamGame) -> None:
+        game._batch.streams.outcome[0] = JAM
+        game.advance()
+        assert dict(game._scene().readings)["end"] == "jam"
+        assert game._batch.streams.clock[0] == 0.0
+        press(game, pygame.K_r)
+        game.advance()
+        assert game._batch.streams.clock[0] > 0.0
 
 
 @pytest.fixture
@@ -74,7 +205,8 @@ def screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("screen")
-def test_escape_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("arguments", [[], ["--task", "flow"]], ids=["one parcel", "stream"])
+def test_escape_ends(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     escape = pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE, mod=0)
     monkeypatch.setattr(pygame.event, "get", lambda *_: [escape] if not _ else [])
-    play.main([])
+    play.main(arguments)

@@ -12,8 +12,7 @@ from hypothesis import given
 import surface_gym as sg
 from surface_gym.physics.friction import TOLERANCE
 from surface_gym.physics.step import RESTART_SPEED
-from surface_gym.record.repeating import repeat
-from surface_gym.trajectory import Trajectory
+from surface_gym.trajectory import Trajectory, repeat
 from tests.strategies import Scene, scenes
 
 G = 9.81  # [m/s^2]
@@ -347,7 +346,7 @@ class TestWithoutARun:
     @pytest.mark.parametrize("asked", ["contacts", "acceleration", "energy"])
     def test_what_it_takes_a_run_for_is_refused(self, asked: str) -> None:
         bare = replace(sorted_on_a_slope(), run=None)
-        with pytest.raises(ValueError, match=f"^{asked} must be asked of a trajectory that says"):
+        with pytest.raises(ValueError, match=f"^{asked} must be asked of a trajectory with a run"):
             getattr(bare, asked)
 
     def test_parcels_that_push_each_other_have_none(self) -> None:

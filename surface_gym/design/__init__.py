@@ -1,10 +1,9 @@
-"""Which surface do I need? Answers for a parcel of one's own."""
+"""Answers to the question which surface a parcel needs."""
 
-from surface_gym.design.best_layout import BestLayout, best_layout
+from surface_gym.design.best_layout import BestLayout, EveryLayout, best_layout, every_layout
 from surface_gym.design.case import Case, Unknown
 from surface_gym.design.columns import Columns, columns_by_rows, columns_by_speed, least_columns
 from surface_gym.design.control import ControlGain, control_gain
-from surface_gym.design.every_layout import EveryLayout, every_layout
 from surface_gym.design.limits import (
     FrictionRange,
     Limits,

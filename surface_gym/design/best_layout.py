@@ -1,8 +1,9 @@
-"""The best fixed layout for a purpose: one for all entry speeds, beside the study's."""
+"""The best fixed layout for a purpose over all entry speeds, beside the study's."""
 
+import itertools
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,13 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.design.case import TOGETHER, Case, draw, enough
+from surface_gym.design import report
+from surface_gym.design.case import SURE, WORST, Case, is_reliable
 from surface_gym.design.line import DesignLine
-from surface_gym.design.purposes import Purpose, Sort
-from surface_gym.design.runs import LONGEST, Ends, Runs, make_runs, run_all
-from surface_gym.design.search import Effort, Score, search
-from surface_gym.design.shortfall import shortfall
-from surface_gym.design.space import Space
+from surface_gym.design.runs import LONGEST, Ends, OnProgress, make_runs
+from surface_gym.design.search import Effort, LayoutSpace, Score, search
 from surface_gym.layouts import ROLLING
 from surface_gym.lines import ORIENTATIONS
 from surface_gym.sharing import Workers, check_workers
@@ -25,39 +24,41 @@ from surface_gym.sharing import Workers, check_workers
 Booleans = NDArray[np.bool_]
 Numbers = NDArray[np.float64]
 
-NEAR, HASTE = 0.9, 0.09  # [-] of a speed's success: what shortfall and time may cost, at most
+NEAR, HASTE = 0.9, 0.09  # [-] greatest costs of shortfall and of time, over that of a failure
+AT_ONCE = 4096  # runs of `every_layout` in one go, about
+STROKE = 0.38  # [-] of the pitch: half the stroke that shows an axis
 
 
 @dataclass(frozen=True, eq=False)
-class OverSpeeds:
-    """A layout, and what it does over entry speeds."""
+class LayoutResult:
+    """Results of a layout over entry speeds."""
 
     name: str
     axis: Numbers  # (rows, columns) [rad] of the zone
     speeds: Numbers  # (speeds,) [m/s], rising
     success: Booleans  # (speeds,) with nothing unknown
     time: Numbers  # (speeds,) [s] of the run
-    measure: Numbers  # (speeds,) what comes out, by the purpose's `measured`; nan: nothing
-    share: Numbers  # (speeds,) [-] of the draws of what is not known that succeed
+    measure: Numbers  # (speeds,) by the purpose's `measured`; nan: none
+    share: Numbers  # (speeds,) [-] of the draws of unknown quantities that succeed
 
     @property
     def successes(self) -> float:
-        """[-] share of the speeds at which it succeeds."""
+        """Share of the speeds at which it succeeds [-]."""
         return float(self.success.mean())
 
     @property
     def least_speed(self) -> float:
-        """[m/s] from which on it succeeds at every speed; nan: not at the greatest."""
+        """Speed from which on it succeeds at every speed [m/s]; nan: not at the greatest."""
         return self._least(self.success)
 
     @property
     def least_sure_speed(self) -> float:
-        """[m/s] from which on it succeeds in all but `WORST` of the draws; nan: never."""
-        return self._least(enough(self.share))
+        """Speed from which on all but `WORST` of the draws succeed [m/s]; nan: never."""
+        return self._least(is_reliable(self.share))
 
     @property
     def mean_time(self) -> float:
-        """[s] of the runs that succeed; nan: none."""
+        """Mean time of the runs that succeed [s]; nan: none."""
         return float(self.time[self.success].mean()) if self.success.any() else math.nan
 
     def _least(self, done: Booleans) -> float:
@@ -66,21 +67,123 @@ class OverSpeeds:
 
 
 @dataclass(frozen=True, eq=False)
-class BestLayout:
-    """The best fixed layout that was found, beside the best of the study's kinds."""
+class BestLayout(report.Answer):
+    """The best fixed layout found, beside the best of the study's kinds."""
 
     case: Case
     line: DesignLine
-    best: OverSpeeds
-    study: OverSpeeds
+    best: LayoutResult
+    study: LayoutResult
     evaluations: int  # layouts compared, each at every speed
-    seconds: float  # this call took
+    seconds: float  # that the search took
+
+    name = "layout"
 
     @cached_property
     def changed(self) -> int:
-        """Modules that are not as in the study's layout."""
+        """Modules that differ from the study's layout."""
         apart = np.abs(np.sin(self.best.axis - self.study.axis))
         return int((apart > 1e-9).sum())
+
+    @property
+    def sentence(self) -> str:
+        best, study = self.best, self.study
+        since, study_since = (
+            "at none" if math.isnan(speed) else f"from {speed:.3g} m/s on"
+            for speed in (best.least_speed, study.least_speed)
+        )
+        return (
+            f"The best fixed layout found for {report.plural(self.line.columns, 'column')} of "
+            f"{self.line.rows} rows can {self.case.purpose.action}, a "
+            f"{self.case.parcel_text}, at {best.successes:.1%} of {len(best.speeds)} speeds "
+            f"from {best.speeds[0]:g} to {best.speeds[-1]:g} m/s, the study's at "
+            f"{study.successes:.1%}; without a failure {since}, the study's {study_since}"
+        )
+
+    def tables(self) -> tuple[report.Table, ...]:
+        both, purpose = (self.best, self.study), self.case.purpose
+        axes = np.degrees(self.best.axis)
+        columns = (f"column {k + 1} [deg]" for k in range(axes.shape[1]))
+        speeds = [
+            (each.name, float(speed), bool(done), float(share), purpose.scale * float(measure))
+            for each in both
+            for speed, done, share, measure in zip(
+                each.speeds, each.success, each.share, each.measure, strict=True
+            )
+        ]
+        return (
+            report.Table(
+                "layout",
+                f"{self.changed} of {self.best.axis.size} modules differ from the study's",
+                ("layout", "speeds that succeed", "all from [m/s]",
+                 f"in {SURE} of draws from [m/s]", "mean time [s]"),
+                tuple(
+                    (each.name, each.successes, each.least_speed, each.least_sure_speed,
+                     each.mean_time)
+                    for each in both
+                ),
+            ),
+            report.Table(
+                "layout_speeds",
+                "By entry speed",
+                ("layout", "speed [m/s]", "nothing unknown", "success",
+                 f"{purpose.measured} [{purpose.unit}]"),
+                tuple(speeds),
+                shown=False,
+            ),
+            report.Table(
+                "layout_axes",
+                "Axes, the row at the greatest y first",
+                ("row", *columns),
+                tuple((len(axes) - k, *row) for k, row in enumerate(axes[::-1].tolist())),
+                shown=False,
+            ),
+        )  # fmt: skip
+
+    def draw(self) -> "report.Figure":
+        """Draw the axes of both zones, and their success over entry speed."""
+        from matplotlib.ticker import PercentFormatter
+
+        title = f"Which fixed layout for it to {self.case.purpose.passive}?"
+        figure = report.new_figure(8.0, 7.2, f"{title}\n{self.case.parcel_text}")
+        tall = 0.8 + 0.12 * self.line.rows
+        above, below, curves = figure.subplots(3, 1, height_ratios=(tall, tall, 2.4))
+        looks = ((self.best, above, report.BLUE, "-"), (self.study, below, report.ORANGE, "--"))
+        for each, axes, colour, style in looks:
+            _draw_axes(axes, self.line, each, colour)
+            curves.plot(
+                each.speeds, each.share, color=colour, linewidth=1.8, linestyle=style,
+                label=f"{each.name}, share of the draws",
+            )  # fmt: skip
+            curves.fill_between(
+                each.speeds, each.success, step="mid", color=colour, alpha=0.15, linewidth=0.0,
+                label=f"{each.name}, nothing unknown",
+            )  # fmt: skip
+        below.set_xlabel("x from the zone's start [m]")
+        curves.axhline(1.0 - WORST, color="black", linewidth=0.8)
+        curves.set(xlabel="entry speed [m/s]", ylabel="success")
+        curves.set_ylim(0.0, 1.03)
+        curves.margins(x=0.0)
+        curves.grid(alpha=0.25)
+        curves.yaxis.set_major_formatter(PercentFormatter(1.0))
+        figure.legend(*curves.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        return figure
+
+
+def _draw_axes(axes: "report.Axes", line: DesignLine, layout: LayoutResult, colour: str) -> None:
+    """Draw a stroke along each module's axis: along it a rotor drags, across it rolls."""
+    from matplotlib.collections import LineCollection
+
+    rows, columns = layout.axis.shape
+    pitch = np.array([line.pitch_x, line.pitch_y])
+    x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) - 0.5 * (rows - 1))
+    centre = np.stack([x, y], axis=-1) * pitch
+    half = STROKE * pitch.min() * np.stack([np.cos(layout.axis), np.sin(layout.axis)], axis=-1)
+    strokes = np.stack([centre - half, centre + half], axis=-2).reshape(-1, 2, 2)
+    axes.add_collection(LineCollection(list(strokes), colors=colour, linewidths=2.5))
+    axes.set(xlim=(0.0, columns * pitch[0]), ylim=(-0.5 * rows * pitch[1], 0.5 * rows * pitch[1]))
+    axes.set(aspect="equal", ylabel="y [m]")
+    axes.set_title(layout.name, fontsize="small")
 
 
 def best_layout(
@@ -92,24 +195,24 @@ def best_layout(
     effort: Effort = Effort(),
     workers: Workers = 1,
     checkpoint: Path | str | None = None,
-    advance: Callable[[int, int], None] = lambda *_: None,
+    on_progress: OnProgress = lambda *_: None,
 ) -> BestLayout:
     """Search the axes of a zone for those that do best over all the speeds.
 
-    Better is, first, to succeed at more speeds; then to come nearer to what is asked, by
-    `shortfall`; then to take less time. Modules on which nothing depends are as in the study's
-    layout. See `search` for the way there and why.
+    First, a better layout succeeds at more speeds; then its runs come nearer to success, by
+    `Purpose.shortfall`; then they take less time. Modules that change nothing are as in the study's
+    layout. `search` describes the method.
 
     Args:
-        case: what it is for; its own speed does not count.
+        case: the parcel and its purpose; its entry speed does not count.
         speeds: [m/s] at entry.
         columns: of the zone; a parcel past them has failed to be sorted.
         rows: of rotors; None: as many as lie under the parcel.
         orientations: [rad] axes on offer; None: any.
-        effort: how long to search.
-        workers: threads that share the runs, or a cluster; what is found does not depend on it.
-        checkpoint: file that keeps what is found; a search whose file exists goes on from there.
-        advance: called with how much of the search is done and how much there is.
+        effort: length of the search.
+        workers: threads that share the runs, or a cluster; the result does not depend on it.
+        checkpoint: file that keeps the state; a search whose file exists is resumed.
+        on_progress: called with the steps of the search done and their total.
 
     Raises:
         ValueError: an argument that is not allowed, or a checkpoint of another search.
@@ -124,68 +227,49 @@ def best_layout(
     if orientations is not None:
         offered = tuple(sorted(checks.orientations("orientations", np.array(orientations))))
     line = case.line(columns, rows)
-    # Of layouts that do alike, the one of the most columns counts as the study's.
+    # Of layouts with equal results, the one of the most columns counts as the study's.
     kinds = [kind for used in range(columns, 0, -1) for kind in case.purpose.layouts(line, used)]
-    score = _score(case, line, over, workers)
+    score = _make_score(case, line, over, workers)
     study = kinds[int(score(np.stack([kind.axis for kind in kinds])).argmin())]
-    space = Space(line.rows, columns, offered)
-    known = np.stack([*(kind.axis for kind in kinds), *_fans(case.purpose, line)])
+    space = LayoutSpace(line.rows, columns, offered)
+    known = np.stack([*(kind.axis for kind in kinds), *case.purpose.search_starts(line)])
     known = np.unique(space.axes(space.members(known)), axis=0)
     first = np.argsort(score(known), kind="stable")[: effort.members // 2]
+    identity = case.identity(speeds=over.tolist())
     axis, evaluations = search(
-        space, score, known[first], effort, case.seed, checkpoint, _told(case, over), advance
+        space, score, known[first], effort, case.seed, checkpoint, identity, on_progress
     )
-    axis = _tidied(axis, study.axis, score)
+    axis = _tidy(axis, study.axis, score)
     return BestLayout(
         case=case,
         line=line,
-        best=over_speeds("best fixed layout", axis, case, line, over, workers),
-        study=over_speeds(study.name, study.axis, case, line, over, workers),
+        best=evaluate_layout("best fixed layout", axis, case, line, over, workers),
+        study=evaluate_layout(study.name, study.axis, case, line, over, workers),
         evaluations=evaluations,
         seconds=time.perf_counter() - begun,
     )
 
 
-def over_speeds(
+def evaluate_layout(
     name: str, axis: Numbers, case: Case, line: DesignLine, speeds: Numbers, workers: Workers = 1
-) -> OverSpeeds:
-    """What a layout (rows, columns) [rad] of a line's zone does over speeds (speeds,) [m/s]."""
+) -> LayoutResult:
+    """Evaluate a layout (rows, columns) [rad] of a line's zone over speeds (speeds,) [m/s]."""
     axes = axis[np.newaxis]
-    runs, ends = _sent(case, line, axes, speeds, workers)
-    success = case.purpose.succeeds(line, runs, ends)
+    ends = _run_layouts(case, line, axes, speeds, workers)
+    success = case.purpose.succeeds(ends)
     share = success.astype(np.float64)
     if case.unknown.groups:
-        drawn = draw(case.unknown.only(TOGETHER), case.parcel, line, case.draws, case.seed)
+        drawn = case.draw(line, case.unknown)
         for k, speed in enumerate(speeds.tolist()):
-            unsure = drawn.runs(speed, case.tilt, line.columns)
-            found = run_all(line, axes, drawn.parcels, unsure, drawn.stiffness, case.step, workers)
-            share[k] = case.purpose.succeeds(line, unsure, found).mean()
-    return OverSpeeds(
-        name=name,
-        axis=axis,
-        speeds=speeds,
-        success=success,
-        time=ends.time,
-        measure=case.purpose.measure(line, runs, ends),
-        share=share,
-    )
+            each = drawn.runs(speed, case.tilt, line.columns)
+            found = case.run(line, axes, each, drawn, workers)
+            share[k] = case.purpose.succeeds(found).mean()
+    measure = case.purpose.measure(ends)
+    return LayoutResult(name, axis, speeds, success, ends.time, measure, share)
 
 
-def _fans(purpose: Purpose, line: DesignLine) -> list[Numbers]:
-    """Axes that turn from column to column, by which a parcel is led aside little by little."""
-    if not isinstance(purpose, Sort):
-        return []
-    fans = []
-    for turned in np.radians([15.0, 30.0, 45.0, 60.0, 75.0, 90.0]).tolist():
-        for over in range(1, line.columns + 1):
-            part = np.minimum(1.0, np.arange(1, line.columns + 1) / over)
-            column = ROLLING + purpose.side * turned * part
-            fans.append(np.tile(column, (line.rows, 1)))
-    return fans
-
-
-def _tidied(axis: Numbers, plain: Numbers, score: Score) -> Numbers:
-    """A layout (rows, columns) [rad] with the study's axes wherever that costs nothing."""
+def _tidy(axis: Numbers, plain: Numbers, score: Score) -> Numbers:
+    """Return a layout (rows, columns) [rad] with the study's axes wherever they cost nothing."""
     tidy = axis.copy()
     cost = score(tidy[np.newaxis])[0]
     for column in reversed(range(axis.shape[1])):
@@ -197,27 +281,27 @@ def _tidied(axis: Numbers, plain: Numbers, score: Score) -> Numbers:
     return tidy
 
 
-def _sent(
+def _run_layouts(
     case: Case, line: DesignLine, axes: Numbers, speeds: Numbers, workers: Workers
-) -> tuple[Runs, Ends]:
-    """A run over every layout (layouts, rows, columns) [rad] at every speed, layout by layout."""
+) -> Ends:
+    """Run every layout (layouts, rows, columns) [rad] at every speed, layout by layout."""
     runs = make_runs(
         speed=np.tile(speeds, len(axes)),
         tilt=case.tilt,
         layout=np.repeat(np.arange(len(axes)), len(speeds)),
         columns=line.columns,
     )
-    return runs, run_all(line, axes, [case.parcel], runs, dt=case.step, workers=workers)
+    return case.run(line, axes, runs, workers=workers)
 
 
-def _score(case: Case, line: DesignLine, speeds: Numbers, workers: Workers) -> Score:
-    """What a layout costs: a failure more than shortfalls at all speeds, these more than time."""
+def _make_score(case: Case, line: DesignLine, speeds: Numbers, workers: Workers) -> Score:
+    """Return the cost of layouts: a failure outweighs all shortfalls, and these all time."""
 
     def score(axes: Numbers) -> Numbers:
-        runs, ends = _sent(case, line, axes, speeds, workers)
+        ends = _run_layouts(case, line, axes, speeds, workers)
         shape = (len(axes), len(speeds))
-        failed = ~case.purpose.succeeds(line, runs, ends).reshape(shape)
-        short = shortfall(case.purpose, line, runs, ends).reshape(shape)
+        failed = ~case.purpose.succeeds(ends).reshape(shape)
+        short = case.purpose.shortfall(ends).reshape(shape)
         time_taken = ends.time.reshape(shape) / LONGEST
         done = np.maximum(1, (~failed).sum(axis=1))
         haste = np.where(failed, 0.0, time_taken).sum(axis=1) / done
@@ -226,8 +310,78 @@ def _score(case: Case, line: DesignLine, speeds: Numbers, workers: Workers) -> S
     return score
 
 
-def _told(case: Case, speeds: Numbers) -> str:
-    """What a search is of."""
-    base = case.parcel.base
-    outline = (type(base).__name__, base.outline.tolist())
-    return f"{case}, of outline {outline}, at speeds {speeds.tolist()}"
+@dataclass(frozen=True, eq=False)
+class EveryLayout:
+    """Result of trying every layout."""
+
+    speed: float  # [m/s] at entry
+    axis: Numbers | None  # (rows, columns) [rad] of one that succeeds; None: none does
+    complete: bool  # whether one was found or every one was tried: else the answer is not known
+    runs: int  # that were simulated
+
+
+def every_layout(
+    case: Case,
+    columns: int = 16,
+    rows: int | None = None,
+    orientations: Sequence[float] = ORIENTATIONS,
+    most: int = 1_000_000,
+    workers: Workers = 1,
+    on_progress: OnProgress = lambda *_: None,
+) -> EveryLayout:
+    """Try every layout of a zone at the case's speed, with nothing unknown, until one succeeds.
+
+    A zone of two rows and 16 columns has 4^32 layouts, but those that agree in the columns that the
+    parcel has touched are one. So columns are arranged one after another, and the next one only
+    where the parcel came farther. Slow parcels soon come to rest.
+
+    Args:
+        case: the parcel, its entry and its purpose.
+        columns: of the zone; a parcel past them has failed to be sorted.
+        rows: of rotors; None: as many as lie under the parcel.
+        orientations: [rad] axes on offer.
+        most: runs to simulate, about; beyond them the answer is not known.
+        workers: threads that share the runs, or a cluster.
+        on_progress: called with the runs done, and `most`.
+
+    Raises:
+        ValueError: an argument that is not allowed.
+
+    >>> from surface_gym import layouts
+    >>> every_layout(Case(layouts.box("S"), speed=0.6)).axis is None  # no layout sorts it
+    True
+    """
+    checks.integer("columns", columns, least=1)
+    checks.integer("most", most, least=1)
+    check_workers(workers)
+    offered = np.array(checks.orientations("orientations", np.array(orientations)))
+    line = case.line(columns, rows)
+    count = len(offered) ** line.rows
+    if count > most:
+        raise ValueError(f"most must be at least the {count} arrangements of a column, got {most}")
+    one_column = offered[np.array(list(itertools.product(range(len(offered)), repeat=line.rows)))]
+    open_ends = np.full((1, line.rows, columns), ROLLING)
+    done = 0
+    for column in range(columns):
+        further = []
+        share = max(1, AT_ONCE // count)
+        for first in range(0, len(open_ends), share):
+            own = open_ends[first : first + share]
+            axes = np.repeat(own, count, axis=0)
+            axes[:, :, column] = np.tile(one_column, (len(own), 1))
+            if done + len(axes) > most:
+                return EveryLayout(case.speed, None, False, done)
+            runs = make_runs(case.speed, case.tilt, layout=np.arange(len(axes)), columns=columns)
+            ends = case.run(line, axes, runs, workers=workers)
+            done += len(axes)
+            on_progress(done, most)
+            # A parcel that touched no more columns moves alike whatever these are.
+            final = (ends.touched <= column + 1) | (column + 1 == columns)
+            found = np.nonzero(final & case.purpose.succeeds(ends))[0]
+            if len(found):
+                return EveryLayout(case.speed, axes[found[0]], True, done)
+            further.append(axes[~final])
+        open_ends = np.concatenate(further)
+        if not len(open_ends):
+            break
+    return EveryLayout(case.speed, None, True, done)

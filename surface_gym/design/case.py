@@ -1,7 +1,11 @@
-"""What a design is for: a parcel, how it comes, what is asked, and what is not known of it."""
+"""The case of a design: a parcel, its entry, its purpose, and the spread of unknown quantities."""
 
 import math
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,29 +13,36 @@ from numpy.typing import ArrayLike, NDArray
 from surface_gym import checks
 from surface_gym.design.line import DesignLine, line_for
 from surface_gym.design.purposes import Purpose, Sort
-from surface_gym.design.runs import STEP, Runs, make_runs
-from surface_gym.parcel import Parcel
+from surface_gym.design.runs import STEP, Ends, OnProgress, Runs, make_runs, run_all
+from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.randomisation import RandomDraw, Randomisation
+from surface_gym.sharing import Workers
+from surface_gym.whole_files import replacing
 
 Booleans = NDArray[np.bool_]
 Numbers = NDArray[np.float64]
 
-WORST = 0.05  # share of the draws that may do worse than what is said of the worst
+WORST = 0.05  # share of the draws that may fail in a figure for the worst draws
+SURE = f"{1.0 - WORST:.0%}"  # share of the draws that must succeed
+MOST_DRAWS = 1_000_000  # of unknown quantities: a run each
 
-# What is not known, in the groups that answers are told for: names of `Unknown`'s fields.
+# Fields of `Unknown` in the groups that are reported, each varied by itself.
 GROUPS = {
     "friction": ("friction", "rolling"),
     "load": ("com_offset", "mass"),
     "unevenness": ("stiffness",),
     "entry": ("lateral", "heading", "speed", "tilt"),
 }
-TOGETHER = "together"
+TOGETHER = "together"  # all groups at once
+NOMINAL = "nominal"  # nothing unknown
 
 
 @dataclass(frozen=True)
 class Unknown(Randomisation):
-    """Spreads of what is not known when the surface is designed. Friction, load and unevenness vary
-    by default; 0.35 stands for supports uneven by about 1 micrometre (docs/validation.md).
+    """Spreads of the quantities that are unknown when a surface is designed.
+
+    Friction, load and unevenness vary by default; 0.35 stands for supports uneven by about 1
+    micrometre (docs/validation.md).
     """
 
     friction: float = 0.2  # [-] mu_max times uniform(1 - friction, 1 + friction)
@@ -49,7 +60,7 @@ class Unknown(Randomisation):
         checks.not_negative("tilt", self.tilt, math.pi / 4)
 
     def only(self, group: str) -> "Unknown":
-        """The same with nothing unknown but a group of `GROUPS`; `TOGETHER` is all of them."""
+        """Return the spreads of one group of `GROUPS`, or of all of them for `TOGETHER`."""
         if group == TOGETHER:
             return self
         names = GROUPS[checks.one_of("group", group, (*GROUPS, TOGETHER))]
@@ -57,18 +68,21 @@ class Unknown(Randomisation):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Those in which something varies, and `TOGETHER`."""
+        """Groups in which something varies, and `TOGETHER`; none if nothing does."""
         varying = tuple(group for group in GROUPS if self.only(group) != NOTHING)
         return (*varying, TOGETHER) if varying else ()
 
+    def by_group(self) -> dict[str, "Unknown"]:
+        """Return the spreads by group: nothing under `NOMINAL`, each group, all `TOGETHER`."""
+        return {NOMINAL: NOTHING, **{group: self.only(group) for group in self.groups}}
 
-MOST_DRAWS = 1_000_000  # of what is not known: a run each
+
 NOTHING = Unknown(friction=0.0, rolling=0.0, com_offset=0.0, stiffness=0.0)
 
 
 @dataclass(frozen=True)
 class Case:
-    """What a design is for.
+    """A parcel, its entry, its purpose and the unknown quantities of a design.
 
     Raises:
         ValueError: a field that is not allowed, or a parcel that nothing moves.
@@ -76,16 +90,16 @@ class Case:
 
     parcel: Parcel
     purpose: Purpose = field(default_factory=Sort)
-    speed: float = 1.0  # [m/s] at which it enters, along the line
+    speed: float = 1.0  # [m/s] at entry, along the line
     tilt: float = 0.0  # [rad] of the surface, downhill towards +x
     unknown: Unknown = field(default_factory=Unknown)
-    draws: int = 100  # of what is not known
+    draws: int = 100  # of unknown quantities
     seed: int = 0  # of the draws
     pitch: float | tuple[float, float] = 0.1  # [m] between neighbours: one, or in x and in y
     mu_max: float = 0.5  # [-] friction along a rotor's axis
     mu_min: float = 0.01  # [-] friction across it
     mu_support: float = 0.005  # [-] friction of a support
-    step: float = STEP  # [s] of a run
+    step: float = STEP  # [s] of the simulation
 
     def __post_init__(self) -> None:
         if not isinstance(self.parcel, Parcel):
@@ -104,51 +118,90 @@ class Case:
         checks.within("step", self.step, 1e-5, 0.02)
 
     def line(self, columns: int, rows: int | None = None) -> DesignLine:
-        """The line with so many columns in its zone; `rows` None: by the parcel's width."""
+        """Return a line with so many columns in its zone; `rows` None: by the parcel's width."""
         return line_for(
             self.parcel, columns, rows, self.pitch, self.mu_max, self.mu_min, self.mu_support
         )
 
     def at(self, speed: float) -> "Case":
-        """The same at another entry speed [m/s]."""
+        """Return the same case at another entry speed [m/s]."""
         return replace(self, speed=speed)
+
+    @property
+    def parcel_text(self) -> str:
+        """The parcel in words: "0.3 x 0.4 m parcel"."""
+        return describe_base(self.parcel.base)
+
+    @property
+    def entry_text(self) -> str:
+        """The entry of the parcel in words: "at 1.2 m/s"."""
+        tilt = f" down {math.degrees(self.tilt):g} deg" if self.tilt else ""
+        return f"at {self.speed:g} m/s{tilt}"
+
+    def draw(self, line: DesignLine, unknown: Unknown) -> "Draws":
+        """Draw unknown quantities on a line; one draw where nothing is unknown."""
+        count = self.draws if unknown.groups else 1
+        return draw(unknown, self.parcel, line, count, self.seed)
+
+    def run(
+        self,
+        line: DesignLine,
+        axes: Numbers,
+        runs: Runs,
+        drawn: "Draws | None" = None,
+        workers: Workers = 1,
+        on_progress: OnProgress = lambda *_: None,
+    ) -> Ends:
+        """Simulate runs of the parcel, or of draws, over layouts (layouts, rows, columns) [rad]."""
+        parcels = (self.parcel,) if drawn is None else drawn.parcels
+        stiffness = None if drawn is None else drawn.stiffness
+        return run_all(line, axes, parcels, runs, stiffness, self.step, workers, on_progress)
+
+    def identity(self, **others: object) -> dict[str, str]:
+        """Return text for each field, and for others, that differs where the field differs."""
+        parcel = self.parcel
+        outline = (type(parcel.base).__name__, parcel.base.outline.tolist())
+        load = (parcel.moment_of_inertia, parcel.mass, parcel.com_height, parcel.com_offset)
+        own = {each.name: getattr(self, each.name) for each in fields(self)}
+        own["parcel"] = (*outline, *load)
+        return {name: repr(value) for name, value in {**own, **others}.items()}
 
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """What is not known, drawn: the same draws wherever a case is tried."""
+    """Draws of the unknown quantities: the same wherever a case is evaluated."""
 
     parcels: tuple[Parcel, ...]  # (draws,)
     stiffness: Numbers | None  # (draws, rows, columns) [-]; None: all elements alike
     friction: Numbers  # (draws, 3) [-] factors of mu_max, mu_min and mu_support
-    aside: Numbers  # (draws,) [m]
-    turned: Numbers  # (draws,) [rad]
-    faster: Numbers  # (draws,) [m/s] than asked
-    steeper: Numbers  # (draws,) [rad]
+    lateral: Numbers  # (draws,) [m] offset of the start in y
+    heading: Numbers  # (draws,) [rad] of the start
+    speed: Numbers  # (draws,) [m/s] added to the entry speed
+    tilt: Numbers  # (draws,) [rad] added to the tilt
 
     def __len__(self) -> int:
         return len(self.parcels)
 
     def runs(self, speed: float, tilt: float, columns: int, layout: int = 0) -> Runs:
-        """A run a draw, over a layout; `columns` -1: the zone has no end."""
+        """Build one run for each draw, over a layout; `columns` -1: the zone has no end."""
         every = np.arange(len(self))
         return make_runs(
-            speed=np.maximum(0.0, speed + self.faster),
-            tilt=tilt + self.steeper,
+            speed=np.maximum(0.0, speed + self.speed),
+            tilt=tilt + self.tilt,
             layout=layout,
-            ground=every if self.stiffness is not None else 0,
+            stiffness=every if self.stiffness is not None else 0,
             parcel=every if len(set(self.parcels)) > 1 else 0,
             friction=self.friction,
-            aside=self.aside,
-            turned=self.turned,
+            lateral=self.lateral,
+            heading=self.heading,
             columns=columns,
         )
 
 
 def draw(unknown: Unknown, parcel: Parcel, line: DesignLine, count: int, seed: int) -> Draws:
-    """Draw what is not known: draw k comes from a generator of its own, of `seed` and k.
+    """Draw the unknown quantities, draw k by a generator of its own with the seed (seed, k).
 
-    So a draw does not depend on how many there are; on a longer line it is another.
+    A draw therefore does not depend on their number; on a longer line it is a different one.
     """
     drawn: list[RandomDraw] = []
     extra: list[tuple[float, float]] = []
@@ -156,19 +209,75 @@ def draw(unknown: Unknown, parcel: Parcel, line: DesignLine, count: int, seed: i
         rng = np.random.default_rng((seed, k))
         drawn.append(unknown.draw(rng, parcel, line.shape))
         extra.append(tuple(rng.standard_normal(2).tolist()))
-    faster, steeper = np.array(extra).T
-    grounds = [each.stiffness for each in drawn if each.stiffness is not None]
+    speed, tilt = np.array(extra).T
+    stiffness = [each.stiffness for each in drawn if each.stiffness is not None]
     return Draws(
         parcels=tuple(each.parcel for each in drawn),
-        stiffness=np.stack(grounds) if grounds else None,
+        stiffness=np.stack(stiffness) if stiffness else None,
         friction=np.array([each.friction for each in drawn]),
-        aside=np.array([each.aside for each in drawn]),
-        turned=np.array([each.turned for each in drawn]),
-        faster=unknown.speed * faster,
-        steeper=unknown.tilt * steeper,
+        lateral=np.array([each.aside for each in drawn]),
+        heading=np.array([each.turned for each in drawn]),
+        speed=unknown.speed * speed,
+        tilt=unknown.tilt * tilt,
     )
 
 
-def enough(share: ArrayLike) -> Booleans:
-    """Of shares of the draws that succeed: whether all but `WORST` of them do."""
+def describe_base(base: Base) -> str:
+    """Describe a base in a few words."""
+    if isinstance(base, Rectangle):
+        return f"{base.length:g} x {base.width:g} m parcel"
+    if isinstance(base, Disc):
+        return f"round parcel of {base.radius:g} m radius"
+    if isinstance(base, Polygon):
+        return f"parcel of {len(base.vertices)} corners"
+    return f"{type(base).__name__} parcel"
+
+
+def is_reliable(share: ArrayLike) -> Booleans:
+    """Return whether all but `WORST` of the draws succeed, for shares of the draws that do."""
     return np.asarray(share) >= 1.0 - WORST - 1e-9
+
+
+def save_checkpoint(file: Path, identity: Mapping[str, str], values: Mapping[str, Any]) -> None:
+    """Save the progress of a computation; an interrupted write leaves the file as it was.
+
+    Args:
+        file: to write.
+        identity: of the computation, see `Case.identity`.
+        values: arrays and numbers by their names.
+    """
+    with replacing(file) as part, part.open("wb") as stream:
+        np.savez(stream, _names=list(identity), _identity=list(identity.values()), **values)
+
+
+def load_checkpoint(
+    file: Path, kind: str, identity: Mapping[str, str], names: tuple[str, ...]
+) -> dict[str, NDArray[Any]]:
+    """Load the values that `save_checkpoint` has saved.
+
+    Args:
+        file: to read.
+        kind: of computation, for messages: "search".
+        identity: that the file must have.
+        names: of the values that it must have.
+
+    Raises:
+        ValueError: the file is no such checkpoint, or one of another computation.
+    """
+    try:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
+            found = dict(zip(kept["_names"].tolist(), kept["_identity"].tolist(), strict=True))
+            values = {name: kept[name] for name in names}
+    except (BadZipFile, EOFError, KeyError, TypeError, ValueError, AttributeError):
+        raise ValueError(f"checkpoint must be one of a {kind}, got {file}") from None
+    for name, wanted in identity.items():
+        if found.get(name) != wanted:
+            raise ValueError(
+                f"checkpoint must be of this {kind}, got {file} of another {name}: "
+                f"{_shorten(found.get(name))}, not {_shorten(wanted)}"
+            )
+    return values
+
+
+def _shorten(text: str | None) -> str:
+    return "none" if text is None else text if len(text) <= 60 else f"{text[:57]}..."

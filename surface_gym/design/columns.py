@@ -1,5 +1,6 @@
-"""How many columns and rows a purpose takes: Tables 3 and 4 for a parcel of one's own."""
+"""The columns and rows that a purpose takes: Tables 3 and 4 for any parcel."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -7,24 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.design.case import WORST, Case, Draws, draw, enough
+from surface_gym.design import report
+from surface_gym.design.case import SURE, TOGETHER, WORST, Case, Draws, is_reliable
 from surface_gym.design.line import DesignLine
-from surface_gym.design.runs import make_runs, run_all
+from surface_gym.design.purposes import Purpose
+from surface_gym.design.runs import OnProgress, make_runs
 from surface_gym.sharing import Workers
 
 MOST = 30  # columns that are tried
 MORE = 3  # columns beyond the nominal ones that are tried for the worst draws
+SPEED_STEP = 0.1  # [m/s] between the speeds of a report
 
-Booleans = NDArray[np.bool_]
 Numbers = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Worst:
-    """What it takes where something is not known."""
+    """The columns needed where a group of quantities is unknown."""
 
     group: str  # of `case.GROUPS`, or `TOGETHER`
-    columns: int | None  # enough for all but `WORST` of the draws; None: none are
+    columns: int | None  # enough for all but `WORST` of the draws; None: no number is
     success: float  # share of the draws in which the nominal columns are enough
 
 
@@ -38,7 +42,7 @@ class Columns:
     # Sort: columns beyond which the parcel touches none, as Table 3 counts, are `columns`; with
     # these it is sorted as well, over columns that roll again. Else the same.
     fewest: int | None
-    measure: float  # what comes out, by the purpose's `measured`; nan: nothing
+    measure: float  # by the purpose's `measured`; nan: none
     tipping: float  # [-] share of the steps in which a real parcel would tip
     worst: tuple[Worst, ...]
 
@@ -47,14 +51,19 @@ class Columns:
         """Modules whose axes are turned."""
         return None if self.columns is None else self.rows * self.columns
 
+    @property
+    def together(self) -> Worst | None:
+        """The columns needed where all quantities are unknown; None: nothing is unknown."""
+        return next((worst for worst in self.worst if worst.group == TOGETHER), None)
+
 
 def least_columns(
     case: Case, rows: int | None = None, most: int = MOST, workers: Workers = 1
 ) -> Columns:
-    """The fewest columns that do what a case asks, by the study's kinds of layout.
+    """Find the fewest columns that serve a case, by the study's kinds of layout.
 
     Args:
-        case: what it is for.
+        case: the parcel, its entry and its purpose.
         rows: of rotors; None: as many as lie under the parcel.
         most: columns to try.
         workers: threads that share the runs, or a cluster.
@@ -65,13 +74,11 @@ def least_columns(
     """
     checks.integer("most", most, least=1)
     line = case.line(most, rows)
-    if case.purpose.leaves_zone:
-        return _leaving(case, line, workers)
-    return _sorting(case, line, workers)
+    return (_leaving if case.purpose.leaves_zone else _sorting)(case, line, workers)
 
 
 def columns_by_rows(case: Case, most: int = MOST, workers: Workers = 1) -> tuple[Columns, ...]:
-    """`least_columns` for every number of rows from one to as many as lie under the parcel."""
+    """Find `least_columns` for each number of rows from one to as many as lie under the parcel."""
     return tuple(
         least_columns(case, rows, most, workers) for rows in range(1, case.line(most).rows + 1)
     )
@@ -83,109 +90,255 @@ def columns_by_speed(
     rows: int | None = None,
     most: int = MOST,
     workers: Workers = 1,
+    on_progress: OnProgress = lambda *_: None,
 ) -> tuple[Columns, ...]:
-    """`least_columns` at every entry speed [m/s]."""
-    return tuple(least_columns(case.at(speed), rows, most, workers) for speed in speeds)
+    """Find `least_columns` at each entry speed [m/s]."""
+    found = []
+    for done, speed in enumerate(speeds):
+        on_progress(done, len(speeds))
+        found.append(least_columns(case.at(speed), rows, most, workers))
+    return tuple(found)
 
 
 def _sorting(case: Case, line: DesignLine, workers: Workers) -> Columns:
+    """Count the columns that the parcel touches on a zone with more than enough."""
     layout = case.purpose.layouts(line, line.columns)[0]
     axes = layout.axis[np.newaxis]
     runs = make_runs(case.speed, case.tilt)
-    ends = run_all(line, axes, [case.parcel], runs, dt=case.step, workers=workers)
-    done = bool(case.purpose.succeeds(line, runs, ends)[0])
+    ends = case.run(line, axes, runs, workers=workers)
+    done = bool(case.purpose.succeeds(ends)[0])
     touched = int(ends.touched[0])
+    last = int(np.ceil((1.0 - WORST) * case.draws - 1e-9)) - 1  # reliable draw, in rising order
     worst = []
     for group in case.unknown.groups:
-        drawn = draw(case.unknown.only(group), case.parcel, line, case.draws, case.seed)
+        drawn = case.draw(line, case.unknown.only(group))
         over = drawn.runs(case.speed, case.tilt, -1)
-        found = run_all(line, axes, drawn.parcels, over, drawn.stiffness, case.step, workers)
-        needed = np.where(case.purpose.succeeds(line, over, found), found.touched, line.columns + 1)
-        enough = int(np.sort(needed)[_least_place(len(needed))])
-        worst.append(
-            Worst(
-                group,
-                enough if enough <= line.columns else None,
-                float(np.mean(needed <= touched)) if done else 0.0,
-            )
-        )
+        found = case.run(line, axes, over, drawn, workers)
+        needed = np.where(case.purpose.succeeds(found), found.touched, line.columns + 1)
+        enough = int(np.sort(needed)[last])
+        success = float(np.mean(needed <= touched)) if done else 0.0
+        worst.append(Worst(group, enough if enough <= line.columns else None, success))
     return Columns(
         rows=line.rows,
         columns=touched if done else None,
         layout=layout.name,
         fewest=_fewest(case, line, touched, workers) if done else None,
-        measure=float(case.purpose.measure(line, runs, ends)[0]),
+        measure=float(case.purpose.measure(ends)[0]),
         tipping=float(ends.tipping[0]),
         worst=tuple(worst),
     )
 
 
-def _least_place(draws: int) -> int:
-    """Place, among sorted draws, of the one that all but `WORST` of them do not exceed."""
-    return int(np.ceil((1.0 - WORST) * draws - 1e-9)) - 1
-
-
 def _fewest(case: Case, line: DesignLine, touched: int, workers: Workers) -> int:
-    """Columns from which on every number up to those touched sorts."""
+    """Return the count of columns from which on each count up to those touched sorts."""
     counts = np.arange(1, touched + 1)
     axes = np.stack([case.purpose.layouts(line, count)[0].axis for count in counts.tolist()])
     runs = make_runs(case.speed, case.tilt, layout=counts - 1)
-    ends = run_all(line, axes, [case.parcel], runs, dt=case.step, workers=workers)
-    fails = np.nonzero(~case.purpose.succeeds(line, runs, ends))[0]
+    ends = case.run(line, axes, runs, workers=workers)
+    fails = np.nonzero(~case.purpose.succeeds(ends))[0]
     return int(counts[fails[-1] + 1]) if len(fails) else 1
 
 
 def _leaving(case: Case, line: DesignLine, workers: Workers) -> Columns:
-    """Of every number of columns and every kind of layout, the first that does it."""
+    """Take the first layout that serves the case, of each kind and each number of columns."""
     counts = list(range(1, line.columns + 1))
     kinds = [case.purpose.layouts(line, count) for count in counts]
     layouts = [layout for kind in kinds for layout in kind]
     used = np.repeat(counts, len(kinds[0]))
     axes = np.stack([layout.axis for layout in layouts])
     runs = make_runs(case.speed, case.tilt, layout=np.arange(len(layouts)), columns=used)
-    ends = run_all(line, axes, [case.parcel], runs, dt=case.step, workers=workers)
-    done = case.purpose.succeeds(line, runs, ends)
-    measure = case.purpose.measure(line, runs, ends)
+    ends = case.run(line, axes, runs, workers=workers)
+    done = case.purpose.succeeds(ends)
     if not done.any():
         lost = tuple(Worst(group, None, 0.0) for group in case.unknown.groups)
-        return Columns(line.rows, None, "-", None, float("nan"), 0.0, lost)
+        return Columns(line.rows, None, "-", None, math.nan, 0.0, lost)
     first = int(done.argmax())
-    worst = [
-        _worst_leaving(case, line, axes, used, first, group, workers)
-        for group in case.unknown.groups
-    ]
+    worst = []
+    for group in case.unknown.groups:
+        drawn = case.draw(line, case.unknown.only(group))
+        worst.append(_worst_leaving(case, line, axes, used, first, group, drawn, workers))
     return Columns(
         rows=line.rows,
         columns=int(used[first]),
         layout=layouts[first].name,
         fewest=int(used[first]),
-        measure=float(measure[first]),
+        measure=float(case.purpose.measure(ends)[first]),
         tipping=float(ends.tipping[first]),
         worst=tuple(worst),
     )
 
 
 def _worst_leaving(
-    case: Case, line: DesignLine, axes: Numbers, used: NDArray[np.int64], first: int, group: str,
-    workers: Workers,
+    case: Case, line: DesignLine, axes: Numbers, used: Integers, first: int, group: str,
+    drawn: Draws, workers: Workers,
 ) -> Worst:  # fmt: skip
-    """From the nominal layout on, the first that is enough in all but `WORST` of the draws."""
-    drawn = draw(case.unknown.only(group), case.parcel, line, case.draws, case.seed)
-    share = _share(case, line, axes, used, first, drawn, workers)
-    least, at_nominal = first, share
-    while not enough(share):
-        least += 1
-        if least == len(used) or used[least] > used[first] + MORE:
+    """Find the first layout, from the nominal one on, that serves all but `WORST` of the draws."""
+
+    def share(which: int) -> float:
+        runs = drawn.runs(case.speed, case.tilt, int(used[which]), which)
+        ends = case.run(line, axes, runs, drawn, workers)
+        return float(case.purpose.succeeds(ends).mean())
+
+    at_nominal = share(first)
+    most = used[first] + MORE
+    success = at_nominal
+    while not is_reliable(success):
+        first += 1
+        if first == len(used) or used[first] > most:
             return Worst(group, None, at_nominal)
-        share = _share(case, line, axes, used, least, drawn, workers)
-    return Worst(group, int(used[least]), at_nominal)
+        success = share(first)
+    return Worst(group, int(used[first]), at_nominal)
 
 
-def _share(
-    case: Case, line: DesignLine, axes: Numbers, used: NDArray[np.int64], which: int, drawn: Draws,
-    workers: Workers,
-) -> float:  # fmt: skip
-    """Of the draws in which a layout does it."""
-    runs = drawn.runs(case.speed, case.tilt, int(used[which]), which)
-    ends = run_all(line, axes, drawn.parcels, runs, drawn.stiffness, case.step, workers)
-    return float(case.purpose.succeeds(line, runs, ends).mean())
+@dataclass(frozen=True, eq=False)
+class ColumnsReport(report.Answer):
+    """The fewest columns of a case, by the number of rows and by entry speed."""
+
+    case: Case
+    by_rows: tuple[Columns, ...]  # the last has the rows that are taken
+    speeds: tuple[float, ...]  # [m/s]
+    by_speed: tuple[Columns, ...]
+
+    name = "columns"
+
+    @property
+    def own(self) -> Columns:
+        """The columns of the case itself."""
+        return self.by_rows[-1]
+
+    @property
+    def sentence(self) -> str:
+        case, own = self.case, self.own
+        purpose = f"to {case.purpose.action}"
+        parcel = f"a {case.parcel_text} that comes {case.entry_text}"
+        if own.columns is None:
+            return (
+                f"No number of columns up to {MOST} is enough {purpose}, {parcel}, by the study's "
+                "layouts"
+            )
+        needs = (
+            f"{report.plural(own.columns, 'column')} of {own.rows} rows ({own.modules} modules at "
+            f"{own.layout}) are what it takes {purpose}, {parcel}"
+        )
+        if own.together is None:
+            return needs
+        if own.together.columns is None:
+            success = f"{own.together.success:.0%}"
+            return f"{needs}; no number does it in {SURE} of the draws ({success} do it here)"
+        return f"{needs}; for {SURE} of the draws, {own.together.columns}"
+
+    def tables(self) -> tuple[report.Table, ...]:
+        purpose, own = self.case.purpose, self.own
+        together = [each.group for each in own.worst[-1:]]
+        groups = [each.group for each in own.worst]
+        return (
+            report.Table(
+                "columns",
+                f"With {own.rows} rows",
+                ("unknown", "columns it takes", f"success with {report.format_cell(own.columns)}"),
+                (
+                    ("nothing", own.columns, float(own.columns is not None)),
+                    *(
+                        (report.group_label(each.group), each.columns, each.success)
+                        for each in own.worst
+                    ),
+                ),
+            ),
+            report.Table(
+                "columns_by_rows",
+                "By the rows of the line",
+                _header(purpose, together),
+                tuple(_row(purpose, each, together) for each in self.by_rows),
+            ),
+            report.Table(
+                "columns_by_speed",
+                "By entry speed",
+                ("speed [m/s]", *_header(purpose, groups)),
+                tuple(
+                    (speed, *_row(purpose, each, groups))
+                    for speed, each in zip(self.speeds, self.by_speed, strict=True)
+                ),
+                shown=False,
+            ),
+        )
+
+    def draw(self) -> "report.Figure":
+        """Draw the columns against entry speed, with a band up to those for the worst draws."""
+        from matplotlib.ticker import MaxNLocator
+
+        case, own = self.case, self.own
+        figure, axes = report.new_panel(
+            f"How many columns to {case.purpose.action}?",
+            f"{case.parcel_text}, {own.rows} rows, the study's layouts",
+        )
+        speed = np.array(self.speeds)
+        needed, worst = (
+            np.array([math.nan if count is None else count for count in counts], dtype=np.float64)
+            for counts in (
+                [each.columns for each in self.by_speed],
+                [(each.together or each).columns for each in self.by_speed],
+            )
+        )
+        axes.fill_between(
+            speed, needed, worst, step="mid", color=report.BLUE, alpha=0.2, linewidth=0.0,
+            label=f"more for {SURE} of the draws",
+        )  # fmt: skip
+        axes.step(speed, worst, where="mid", color=report.BLUE, linestyle="--", linewidth=1.0)
+        axes.step(
+            speed, needed, where="mid", color=report.BLUE, linewidth=2.0, marker=".",
+            label="nothing unknown",
+        )  # fmt: skip
+        top = max(4.0, 1.1 * float(np.nanmax([*needed, *worst, 1.0])))
+        lost = np.isnan(needed)
+        axes.plot(
+            speed[lost], np.full(lost.sum(), 0.5), "x", color=report.ORANGE, clip_on=False,
+            label=f"no number up to {MOST}",
+        )  # fmt: skip
+        unsure = ~lost & np.isnan(worst)
+        axes.plot(
+            speed[unsure], needed[unsure], "o", color=report.ORANGE, fillstyle="none", markersize=9,
+            label=f"none does it in {SURE} of the draws",
+        )  # fmt: skip
+        if own.columns is not None:
+            axes.plot(
+                case.speed, own.columns, "*", color="black", markersize=13, label="as it comes"
+            )
+        axes.set(xlabel="entry speed [m/s]", ylabel="columns of the zone")
+        axes.set(ylim=(0.0, top), xlim=(0.0, None))
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+        figure.legend(**report.legend_of_drawn(axes), loc="outside lower center", ncols=3)
+        return figure
+
+
+def columns_report(
+    case: Case,
+    rows: int | None = None,
+    workers: Workers = 1,
+    on_progress: OnProgress = lambda *_: None,
+) -> ColumnsReport:
+    """Find the fewest columns of a case by rows, unless `rows` are given, and by entry speed."""
+    by_rows = (
+        columns_by_rows(case, workers=workers)
+        if rows is None
+        else (least_columns(case, rows, workers=workers),)
+    )
+    top = max(3.0, 1.5 * case.speed)
+    speeds = (SPEED_STEP * np.arange(1, round(top / SPEED_STEP) + 1)).round(9).tolist()
+    by_speed = columns_by_speed(case, speeds, rows, workers=workers, on_progress=on_progress)
+    return ColumnsReport(case, by_rows, tuple(speeds), by_speed)
+
+
+def _header(purpose: Purpose, groups: Sequence[str]) -> tuple[str, ...]:
+    worst = [(f"for {SURE} of draws, {group}", f"success, {group}") for group in groups]
+    return (
+        "rows", "columns", "modules", "axes", f"{purpose.measured} [{purpose.unit}]",
+        "steps that tip", *(name for pair in worst for name in pair),
+    )  # fmt: skip
+
+
+def _row(purpose: Purpose, found: Columns, groups: Sequence[str]) -> tuple[report.Cell, ...]:
+    worst = [(each.columns, each.success) for each in found.worst if each.group in groups]
+    return (
+        found.rows, found.columns, found.modules, found.layout, purpose.scale * found.measure,
+        found.tipping, *(value for pair in worst for value in pair),
+    )  # fmt: skip

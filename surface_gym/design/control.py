@@ -1,9 +1,10 @@
-"""What axes that follow the parcel gain over axes arranged once, on the same surface.
+"""The gain of axes that follow the parcel over fixed layouts, on the same surface.
 
-Rules and agents come with the `agents` package, which is asked for only here.
+Rules and agents come with the `agents` package, which is imported only here.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -11,61 +12,121 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym.design import report
 from surface_gym.design.case import Case
 from surface_gym.design.columns import least_columns
 from surface_gym.design.line import DesignLine
-from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
-from surface_gym.design.sending import Advance
+from surface_gym.design.purposes import EnvGoal
+from surface_gym.design.runs import OnProgress
 from surface_gym.find_agents import import_agents
 from surface_gym.lines import Line
 from surface_gym.randomisation import Randomisation
 
 SPEED_STEP = 0.02  # [m/s] between the entry speeds that are tried
-# Who searches a layout for each start takes up to a second for it, and is tried on fewer.
+# Controllers that search a layout for each start take up to a second for it: they get fewer.
 FEW_DRAWS = 20
 WIDE_STEP = 0.1  # [m/s]
 SLOWEST = 0.1  # [m/s]
-FIXED = "fixed"  # layouts whose names hold it are arranged once
+FIXED = "fixed"  # part of the names of controllers that never turn an axis under the parcel
 
 Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Gain:
-    """One controller on the surface."""
+    """Results of one controller on the surface."""
 
     controller: str
-    arranged_once: bool  # its axes stay as they are while the parcel is on them
-    draws: int  # that it is tried on
-    success: float  # [-] share of the draws in which it succeeds at the case's speed
+    arranged_once: bool  # whether axes keep still while the parcel is on them
+    draws: int  # that were tried
+    success: float  # [-] share of the draws that succeed at the case's speed
     least_speed: float  # [m/s] from which on it succeeds up to the case's speed, nothing unknown
-    error: float  # median of the task's figure in those draws, in SI units; nan: it has none
+    error: float  # median of the task's metric in those draws, in SI units; nan: it has none
 
 
 @dataclass(frozen=True)
-class ControlGain:
-    """Fixed layouts beside controllers that turn axes under the parcel, every 40 ms."""
+class ControlGain(report.Answer):
+    """Results of fixed layouts beside those of controllers that turn axes under the parcel."""
 
-    task: str  # the environment's
-    asked: str  # what counts as success there
+    case: Case
+    task: str  # of the environment
+    asked: str  # description of success in it
     columns: int  # of the zone
     rows: int  # of rotors
     gains: tuple[Gain, ...]
-    left_out: tuple[str, ...]  # agents that were trained for zones of another size alone
+    left_out: tuple[str, ...]  # agents trained for zones of another size alone
+
+    name = "control"
+
+    @property
+    def sentence(self) -> str:
+        ruled, once = (
+            _describe_best([gain for gain in self.gains if gain.arranged_once == fixed])
+            for fixed in (False, True)
+        )
+        text = (
+            f"On {self.columns} columns of {self.rows} rows, a {self.case.parcel_text} at "
+            f"{self.case.speed:g} m/s, {self.asked}: {ruled} by axes that follow it, {once} by "
+            "axes arranged once"
+        )
+        if self.left_out:
+            agents = ", ".join(self.left_out)
+            text += f". Left out, trained for the environment's own zone alone: {agents}"
+        return text
+
+    def tables(self) -> tuple[report.Table, ...]:
+        rows = tuple(
+            (
+                gain.controller,
+                "arranged once" if gain.arranged_once else "follow",
+                gain.draws,
+                gain.success,
+                gain.least_speed,
+                gain.error,
+            )
+            for gain in self.gains
+        )
+        title = f"{self.asked[0].upper()}{self.asked[1:]}"
+        header = (
+            "controller", "axes", "draws", "success in them", "from speed [m/s]", "median error",
+        )  # fmt: skip
+        return (report.Table("control", title, header, rows),)
+
+    def draw(self) -> "report.Figure":
+        """Draw success in the draws and the least entry speed, a bar for each controller."""
+        speed, gains = self.case.speed, self.gains[::-1]
+        subtitle = f"{self.case.parcel_text}; {self.columns} columns of {self.rows} rows"
+        title = f"What do axes gain that follow the parcel?\n{subtitle}"
+        figure = report.new_figure(9.0, 3.2 + 0.22 * len(gains), title, "medium")
+        left, right = figure.subplots(1, 2, sharey=True)
+        names = [gain.controller for gain in gains]
+        colours = [report.ORANGE if gain.arranged_once else report.BLUE for gain in gains]
+        left.barh(names, [gain.success for gain in gains], color=colours)
+        left.set(xlim=(0.0, 1.0), xlabel=f"success at {speed:g} m/s, by draws")
+        left.xaxis.set_major_formatter(lambda value, _: f"{value:.0%}")
+        right.barh(names, [gain.least_speed for gain in gains], color=colours)
+        right.set(xlim=(0.0, speed), xlabel="least entry speed [m/s], nothing unknown")
+        for k, gain in enumerate(gains):
+            if math.isnan(gain.least_speed):
+                right.text(0.02 * speed, k, "at no speed", va="center")
+        for panel in (left, right):
+            panel.grid(axis="x", alpha=0.3)
+            panel.set_axisbelow(True)
+        handles = [left.barh([0], [0.0], color=colour) for colour in (report.ORANGE, report.BLUE)]
+        labels = ["arranged once", "follow the parcel"]
+        figure.legend(handles, labels, loc="outside lower center", ncols=2)
+        return figure
 
 
-@dataclass(frozen=True)
-class _Asked:
-    """A purpose as an environment's task has it."""
-
-    task: str
-    option: str  # that says what is asked of a start
-    value: float
-    told: str
+def _describe_best(gains: Sequence[Gain]) -> str:
+    success = max(gain.success for gain in gains)
+    slowest = min((g.least_speed for g in gains if not math.isnan(g.least_speed)), default=math.nan)
+    since = "at no speed" if math.isnan(slowest) else f"from {slowest:.2f} m/s on"
+    return f"{success:.0%} of the draws and {since}"
 
 
 def control_gain(
-    case: Case, columns: int | None = None, advance: Advance = lambda *_: None
+    case: Case, columns: int | None = None, on_progress: OnProgress = lambda *_: None
 ) -> ControlGain:
     """Try the fixed layouts, the rules and the shipped agents on the surface of a case.
 
@@ -73,13 +134,13 @@ def control_gain(
     within 2 deg of the angle.
 
     Args:
-        case: what it is for, level.
-        columns: of the zone; None: what it takes by the study's kind of layout.
-        advance: called with how many controllers were tried and how many there are.
+        case: the parcel, its entry and its purpose, on a level surface.
+        columns: of the zone; None: the fewest by the study's kinds of layout.
+        on_progress: called with the controllers tried and their total.
 
     Raises:
-        ValueError: a tilted case, columns that are not enough and were not given, or a parcel that
-            the environment's line has no room for.
+        ValueError: a tilted case, a case that no number of columns serves where none is given, or a
+            parcel that the environment's line has no room for.
         ImportError: the package `agents` is not installed.
     """
     try:
@@ -98,19 +159,20 @@ def control_gain(
                 f"m/s, got {columns!r}"
             )
     line = case.line(checks.integer("columns", columns, least=1))
-    asked = _asked(case.purpose, line)
+    goal = case.purpose.env_goal(line)
     able: list[Any] = []
     left_out: list[Any] = []
-    for contender in (*contenders.rules(asked.task), *contenders.shipped(asked.task)):
-        settings = _settings(contender, case, line, asked, Randomisation())
+    for contender in (*contenders.rules(goal.task), *contenders.shipped(goal.task)):
+        settings = _settings(contender, case, line, goal, Randomisation())
         (able if _fits(contender, settings) else left_out).append(contender)
     gains = []
     for done, contender in enumerate(able):
-        advance(done, len(able))
-        gains.append(_try(contender, case, line, asked))
+        on_progress(done, len(able))
+        gains.append(_try(contender, case, line, goal))
     return ControlGain(
-        task=asked.task,
-        asked=asked.told,
+        case=case,
+        task=goal.task,
+        asked=goal.description,
         columns=columns,
         rows=line.rows,
         gains=tuple(gains),
@@ -119,7 +181,7 @@ def control_gain(
 
 
 def _fits(contender: Any, settings: Any) -> bool:
-    """Whether a controller's actions are those of a zone of this size."""
+    """Return whether a controller's actions are those of a zone of this size."""
     from surface_gym import SmartSurfaceVectorEnv
 
     arguments = import_agents("episodes").arguments(settings)
@@ -130,56 +192,41 @@ def _fits(contender: Any, settings: Any) -> bool:
     return bool(np.shape(action)[1:] == settings.action_space().shape)
 
 
-def _asked(purpose: Purpose, line: DesignLine) -> _Asked:
-    if isinstance(purpose, Slow):
-        return _Asked("slow", "ratio", purpose.ratio, f"exit speed {purpose.ratio:g} of the entry "
-                      "speed, within 0.01")  # fmt: skip
-    if isinstance(purpose, Stop):
-        first, last = line.zone_x
-        place = 0.5 * (last - first) if purpose.place is None else purpose.place
-        return _Asked("stop", "position", first + place, f"at rest {place:g} m past the zone's "
-                      "start, within 5 mm")  # fmt: skip
-    if isinstance(purpose, Turn):
-        degrees = math.degrees(purpose.angle)
-        return _Asked("orient", "angle", purpose.angle, f"turned by {degrees:g} deg on leaving the "
-                      "zone, within 2 deg")  # fmt: skip
-    assert isinstance(purpose, Sort)
-    told = "off the line to y > 0" if purpose.side > 0 else "off the line to y < 0"
-    return _Asked("sort", "side", purpose.side, told)
-
-
-def _try(contender: Any, case: Case, line: DesignLine, asked: _Asked) -> Gain:
+def _try(contender: Any, case: Case, line: DesignLine, goal: EnvGoal) -> Gain:
     run_episodes = import_agents("episodes").run_episodes
 
-    def succeeds(speeds: Numbers, randomisation: Randomisation) -> Any:
-        settings = _settings(contender, case, line, asked, randomisation)
-        starts = [{"speed": float(speed), asked.option: asked.value} for speed in speeds]
+    def run(speeds: Numbers, randomisation: Randomisation) -> Any:
+        settings = _settings(contender, case, line, goal, randomisation)
+        starts = [{"speed": float(speed), goal.option: goal.value} for speed in speeds]
         return run_episodes(contender.make(settings, 0), settings, starts, case.seed)
 
     searches = contender.starts is not None
     draws = min(case.draws, FEW_DRAWS) if searches else case.draws
     rng = np.random.default_rng(case.seed)
     speeds = case.speed + case.unknown.speed * rng.standard_normal(draws)
-    drawn = succeeds(np.clip(speeds, SLOWEST, 5.0), _randomisation(case))
+    # The unknown quantities but for the speed, which environments do not draw.
+    names = (each.name for each in fields(Randomisation))
+    randomisation = Randomisation(**{name: getattr(case.unknown, name) for name in names})
+    drawn = run(np.clip(speeds, SLOWEST, 5.0), randomisation)
     slower = np.arange(case.speed, SLOWEST, -WIDE_STEP if searches else -SPEED_STEP).round(9)
-    fails = np.nonzero(~succeeds(slower, Randomisation()).success)[0]
+    fails = np.nonzero(~run(slower, Randomisation()).success)[0]
     reached = len(slower) if len(fails) == 0 else int(fails[0])
-    figures = [np.abs(values) for values in drawn.figures.values()]
+    errors = [np.abs(values) for values in drawn.figures.values()]
     return Gain(
         controller=contender.name,
         arranged_once=FIXED in contender.name,
         draws=draws,
         success=float(drawn.success.mean()),
         least_speed=float(slower[reached - 1]) if reached else math.nan,
-        error=float(np.median(figures[0])) if figures else math.nan,
+        error=float(np.median(errors[0])) if errors else math.nan,
     )
 
 
 def _settings(
-    contender: Any, case: Case, line: DesignLine, asked: _Asked, randomisation: Randomisation
+    contender: Any, case: Case, line: DesignLine, goal: EnvGoal, randomisation: Randomisation
 ) -> Any:
-    """Of an environment whose surface is the line."""
-    from surface_gym.settings import Settings
+    """Return the settings of an environment on the line."""
+    from surface_gym.config import EnvConfig
     from surface_gym.tasks import TASKS
 
     plant = Line(
@@ -194,19 +241,12 @@ def _settings(
         mu_min=line.mu_min,
         mu_support=line.mu_support,
     )
-    return Settings(
-        task=TASKS[asked.task](parcels=(case.parcel,)),
+    return EnvConfig(
+        task=TASKS[goal.task](parcels=(case.parcel,)),
         actions=contender.actions,
         control_period=contender.control_period,
         orientations=contender.orientations,
         observe=contender.observe,
         randomisation=randomisation,
         plant=plant,
-    )
-
-
-def _randomisation(case: Case) -> Randomisation:
-    """What is unknown, but for the speed, as environments have it."""
-    return Randomisation(
-        **{field.name: getattr(case.unknown, field.name) for field in fields(Randomisation)}
     )

@@ -1,46 +1,56 @@
-"""How slow or fast a parcel may come, how flat or steep the surface, how far friction may be off.
-
-All on one surface, whose columns stand.
-"""
+"""Limits of entry speed, of tilt and of friction on one surface."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.design.case import Case, Unknown, enough
-from surface_gym.design.sending import Advance
+from surface_gym.design import report
+from surface_gym.design.case import NOMINAL, SURE, TOGETHER, WORST, Case, Unknown, is_reliable
+from surface_gym.design.runs import OnProgress, split_progress
 from surface_gym.design.sweep import (
     Arrangement,
-    Conditions,
-    Tally,
+    SweepPoints,
     arrange,
-    groups_of,
-    own_conditions,
-    shares,
-    span,
+    repeat_case,
+    success_shares,
 )
 from surface_gym.sharing import Workers
 
 SPEED_STEP, SPEED_STEP_DRAWN = 0.01, 0.02  # [m/s] with nothing unknown, and with draws
-TILT_STEP, TILT_STEP_DRAWN = math.radians(0.1), math.radians(0.2)  # [rad]
-FACTOR_RANGE = 16.0  # [-] friction is tried from one over this to this times what it is
+TILT_STEP, TILT_STEP_DRAWN = math.radians(0.1), math.radians(0.2)  # [rad] likewise
+FACTOR_RANGE = 16.0  # [-] greatest factor on friction that is tried, and one over the least
 FACTOR_PARTS, FACTOR_PARTS_DRAWN = 48, 8  # factors to a doubling, likewise
 
+Booleans = NDArray[np.bool_]
 Numbers = NDArray[np.float64]
-Vary = Callable[[Numbers], Conditions]
+
+
+class Quantity(NamedTuple):
+    """A quantity whose limits are found."""
+
+    name: str  # of its files; of speed and tilt, the field of a case
+    description: str
+    unit: str
+    scale: float  # from SI to `unit`
+    question: str  # that its limits answer, as it precedes "be sorted?"
+
+
+SPEED = Quantity("speed", "entry speed", "m/s", 1.0, "How slow may it come to")
+TILT = Quantity("tilt", "tilt", "deg", 180 / math.pi, "How flat may the surface be for it to")
 
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """Between which values the purpose is met."""
+    """Values around the case's own for which the purpose is met."""
 
-    group: str  # of what is unknown: `sweep.NOMINAL`, of `case.GROUPS`, or `TOGETHER`
+    group: str  # of unknown quantities: `NOMINAL`, one of `GROUPS`, or `TOGETHER`
     # Every tried value from the least to the most succeeds, the case's own among them; in all but
-    # `WORST` of the draws. None: not even its own does.
+    # `WORST` of the draws. None: not even the case's own does.
     least: float | None
     most: float | None
     values: Numbers  # (values,) that were tried
@@ -48,18 +58,21 @@ class Span:
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
-    """Between which values of one quantity the purpose is met."""
+class Limits(report.Answer):
+    """Limits of one quantity between which the purpose is met."""
 
-    varied: str  # what the quantity is
-    unit: str
-    scale: float  # from SI to `unit`
+    quantity: Quantity
     own: float  # the case's own value; values are in SI units
     arrangement: Arrangement
-    spans: tuple[Span, ...]  # with nothing unknown first, with all of it last
+    spans: tuple[Span, ...]  # with nothing unknown first, with all quantities unknown last
+
+    @property
+    def name(self) -> str:
+        """Name of the files."""
+        return self.quantity.name
 
     def of(self, group: str) -> Span:
-        """The span of a group.
+        """Return the span of a group.
 
         Raises:
             ValueError: there is no such group, or nothing varies in it.
@@ -67,13 +80,181 @@ class Limits:
         checks.one_of("group", group, [each.group for each in self.spans])
         return next(each for each in self.spans if each.group == group)
 
+    @property
+    def sentence(self) -> str:
+        arrangement, case = self.arrangement, self.arrangement.case
+        known, worst = self.spans[0], self.spans[-1]
+        text = (
+            f"On {arrangement.description} ({arrangement.chosen}), {self.quantity.description} may "
+            f"be {self.describe(known)} for a {case.parcel_text} to {case.purpose.passive}"
+        )
+        if worst.group != NOMINAL:
+            text += f"; {self.describe(worst)} for {SURE} of the draws of what is unknown"
+        first, last = (f"{self.quantity.scale * known.values[k]:.3g}" for k in (0, -1))
+        return f"{text}. Tried: {first} to {last} {self.quantity.unit}"
+
+    def describe(self, span: Span) -> str:
+        """Describe a span in the quantity's unit."""
+        scale, unit = self.quantity.scale, self.quantity.unit.replace("-", "")
+        if span.least is None or span.most is None:
+            return f"nothing near {self.own * scale:.4g}"
+        low, high = (f"{scale * value:.3g}" for value in (span.least, span.most))
+        unit = f" {unit}" if unit else ""
+        if span.least == span.values[0] and span.most == span.values[-1]:
+            return "anything tried"
+        if span.most == span.values[-1]:
+            return f"{low}{unit} or more"
+        if span.least == span.values[0]:
+            return f"{high}{unit} or less"
+        return f"{low} to {high}{unit}"
+
+    def tables(self) -> tuple[report.Table, ...]:
+        name, what, unit, *_ = self.quantity
+        return (
+            report.Table(
+                name,
+                f"Limits of {what}",
+                ("unknown", f"least [{unit}]", f"most [{unit}]", "success as it comes"),
+                tuple(self.limit_rows()),
+            ),
+            report.Table(
+                f"{name}_curve",
+                f"Success by {what}",
+                ("unknown", f"{what} [{unit}]", "success"),
+                tuple(self.curve_rows()),
+                shown=False,
+            ),
+        )
+
+    def limit_rows(self) -> Iterable[tuple[report.Cell, ...]]:
+        """Yield a row for each span: its limits, and the success of the case itself."""
+        scale = self.quantity.scale
+        for span in self.spans:
+            own = float(span.share[abs(span.values - self.own).argmin()])
+            ends = [None if end is None else scale * end for end in (span.least, span.most)]
+            yield (report.group_label(span.group), *ends, own)
+
+    def curve_rows(self) -> Iterable[tuple[report.Cell, ...]]:
+        """Yield a row for each value that was tried."""
+        for span in self.spans:
+            for value, share in zip(span.values.tolist(), span.share.tolist(), strict=True):
+                yield (report.group_label(span.group), self.quantity.scale * value, share)
+
+    def draw(self) -> "report.Figure":
+        """Draw success against the quantity, a line for each group of unknown quantities."""
+        case, quantity = self.arrangement.case, self.quantity
+        figure, axes = report.new_panel(
+            f"{quantity.question} {case.purpose.passive}?",
+            f"{case.parcel_text}; {self.arrangement.description}",
+        )
+        self.draw_curves(axes)
+        own = quantity.scale * self.own
+        axes.set(xlabel=f"{quantity.description} [{quantity.unit}]", ylabel="success")
+        axes.axvline(own, color="black", linewidth=0.8, linestyle=":")
+        axes.annotate(
+            f" {case.entry_text}", (own, 0.02), fontsize="small", rotation=90.0,
+            ha="left", va="bottom", bbox={"color": "white", "alpha": 0.7, "pad": 0.5},
+        )  # fmt: skip
+        axes.legend(**report.legend_of_drawn(axes))
+        return figure
+
+    def draw_curves(self, axes: "report.Axes") -> None:
+        """Draw the success of each span."""
+        from matplotlib.ticker import PercentFormatter
+
+        for span in self.spans:
+            colour, style = report.LINES[span.group]
+            values = self.quantity.scale * span.values
+            if span.group == NOMINAL:
+                axes.fill_between(
+                    values, span.share, step="mid", color=colour, alpha=0.25, linewidth=0.0,
+                    label="nothing unknown",
+                )  # fmt: skip
+                continue
+            axes.plot(
+                values, span.share, color=colour, linestyle=style,
+                linewidth=2.2 if span.group == TOGETHER else 1.5,
+                label=report.group_label(span.group),
+            )  # fmt: skip
+        axes.axhline(1.0 - WORST, color=report.ORANGE, linewidth=0.8)
+        axes.grid(alpha=0.25)
+        axes.set_ylim(0.0, 1.03)
+        axes.margins(x=0.0)
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+
 
 @dataclass(frozen=True, eq=False)
-class FrictionRange:
-    """Between which factors on friction the purpose is met, one coefficient at a time."""
+class FrictionRange(report.Answer):
+    """Limits of the factors on friction between which the purpose is met, each alone."""
 
     along: Limits  # of mu_max
     across: Limits  # of mu_min
+
+    name = "friction"
+
+    @property
+    def sentence(self) -> str:
+        arrangement, case = self.along.arrangement, self.along.arrangement.case
+        both = ((self.along, "mu_max", case.mu_max), (self.across, "mu_min", case.mu_min))
+        own = " and ".join(
+            f"{name} may be {limits.describe(limits.spans[0])} times {mu:g}"
+            for limits, name, mu in both
+        )
+        text = (
+            f"On {arrangement.description} ({arrangement.chosen}), for a {case.parcel_text} "
+            f"that comes {case.entry_text} to {case.purpose.passive}, {own}"
+        )
+        if self.along.spans[-1].group != NOMINAL:
+            worst = (f"{name} {limits.describe(limits.spans[-1])}" for limits, name, _ in both)
+            text += f"; for {SURE} of the draws of what else is unknown, {' and '.join(worst)}"
+        return f"{text}. Tried: 1/{FACTOR_RANGE:g} to {FACTOR_RANGE:g} times"
+
+    def tables(self) -> tuple[report.Table, ...]:
+        both = [(limits.quantity.description, limits) for limits in (self.along, self.across)]
+        return (
+            report.Table(
+                "friction",
+                "Limits of friction, as factors",
+                ("varied", "unknown", "least [-]", "most [-]", "success as it comes"),
+                tuple((what, *row) for what, limits in both for row in limits.limit_rows()),
+            ),
+            report.Table(
+                "friction_curve",
+                "Success by friction",
+                ("varied", "unknown", "factor [-]", "success"),
+                tuple((what, *row) for what, limits in both for row in limits.curve_rows()),
+                shown=False,
+            ),
+        )
+
+    def draw(self) -> "report.Figure":
+        """Draw success against the factors on mu_max and on mu_min."""
+        from matplotlib.ticker import FuncFormatter
+
+        arrangement, case = self.along.arrangement, self.along.arrangement.case
+        title = f"How far may friction be off for it to {case.purpose.passive}?"
+        subtitle = f"{case.parcel_text}; {arrangement.description}"
+        figure = report.new_figure(9.6, 4.4, f"{title}\n{subtitle}", "medium")
+        panels = figure.subplots(1, 2, sharey=True)
+        for axes, limits, name in zip(
+            panels,
+            (self.along, self.across),
+            (
+                f"along axes, mu_max, over {case.mu_max:g}",
+                f"across axes, mu_min, over {case.mu_min:g}",
+            ),
+            strict=True,
+        ):
+            limits.draw_curves(axes)
+            axes.set_xscale("log", base=2)
+            axes.xaxis.set_major_formatter(
+                FuncFormatter(lambda value, _: f"{value:g}" if value >= 1.0 else f"1/{1 / value:g}")
+            )
+            axes.axvline(1.0, color="black", linewidth=0.8, linestyle=":")
+            axes.set_xlabel(f"friction {name}")
+        panels[0].set_ylabel("success")
+        panels[1].legend(**report.legend_of_drawn(panels[1]))
+        return figure
 
 
 def least_speed(
@@ -82,17 +263,17 @@ def least_speed(
     rows: int | None = None,
     highest: float | None = None,
     workers: Workers = 1,
-    advance: Advance = lambda *_: None,
+    on_progress: OnProgress = lambda *_: None,
 ) -> Limits:
-    """How slow a parcel may come, and how fast, at the case's tilt.
+    """Find the least and the greatest entry speed, at the case's tilt.
 
     Args:
-        case: what it is for, with an entry speed that is to be among those that succeed.
+        case: the parcel, its entry and its purpose; its own speed is among those tried.
         columns: of the zone; None: as `sweep.arrange` finds them.
         rows: of rotors; None: as many as lie under the parcel.
         highest: [m/s] entry speed to try; None: 3, or half as much again as the case's.
         workers: threads that share the runs, or a cluster.
-        advance: called with how many runs are done and how many there are.
+        on_progress: called with the runs done and their total.
 
     Returns:
         Speeds [m/s], every 0.01 with nothing unknown, every 0.02 with draws.
@@ -103,22 +284,13 @@ def least_speed(
     >>> from surface_gym import layouts
     >>> from surface_gym.design.case import NOTHING
     >>> case = Case(layouts.box("S"), speed=1.2, unknown=NOTHING)
-    >>> least_speed(case).spans[0].least  # as the study has it
+    >>> least_speed(case).spans[0].least  # as in the study
     0.72
     """
     top = min(20.0, max(3.0, 1.5 * case.speed)) if highest is None else highest
     checks.within("highest", top, max(case.speed, SPEED_STEP_DRAWN), 20.0)
-    arrangement = arrange(case, columns, rows, workers)
-    lowest = 0.0 if case.tilt else None
-
-    def at(speeds: Numbers) -> Conditions:
-        return replace(own_conditions(case, len(speeds)), speed=speeds)
-
-    grids = [_grid(step, top, case.speed, lowest) for step in (SPEED_STEP, SPEED_STEP_DRAWN)]
-    return _limits(
-        arrangement, ("entry speed", "m/s", 1.0), case.speed, grids, case.unknown, at, workers,
-        advance,
-    )  # fmt: skip
+    steps = (SPEED_STEP, SPEED_STEP_DRAWN)
+    return _sweep(case, SPEED, steps, top, columns, rows, workers, on_progress)
 
 
 def least_tilt(
@@ -127,17 +299,17 @@ def least_tilt(
     rows: int | None = None,
     highest: float | None = None,
     workers: Workers = 1,
-    advance: Advance = lambda *_: None,
+    on_progress: OnProgress = lambda *_: None,
 ) -> Limits:
-    """How flat the surface may be, and how steep, at the case's entry speed, which may be 0.
+    """Find the least and the greatest tilt of the surface, at the case's entry speed or from rest.
 
     Args:
-        case: what it is for, with a tilt that is to be among those that succeed.
+        case: the parcel, its entry and its purpose; its own tilt is among those tried.
         columns: of the zone; None: as `sweep.arrange` finds them.
         rows: of rotors; None: as many as lie under the parcel.
         highest: [rad] tilt to try; None: 15 deg, or half as much again as the case's.
         workers: threads that share the runs, or a cluster.
-        advance: called with how many runs are done and how many there are.
+        on_progress: called with the runs done and their total.
 
     Returns:
         Tilts [rad], every 0.1 deg with nothing unknown, every 0.2 deg with draws.
@@ -145,25 +317,15 @@ def least_tilt(
     Raises:
         ValueError: `highest` is below the case's tilt or not below 45 deg, or see `sweep.arrange`.
     """
-    steepest = math.radians(44.0)
-    usual = max(math.radians(15.0), 1.5 * case.tilt, case.tilt)
-    top = max(case.tilt, min(steepest, usual)) if highest is None else highest
+    usual = max(math.radians(15.0), 1.5 * case.tilt)
+    top = max(case.tilt, min(math.radians(44.0), usual)) if highest is None else highest
     if not max(case.tilt, TILT_STEP_DRAWN) <= checks.number("highest", top) < math.pi / 4:
         raise ValueError(
             f"highest must be from the case's tilt, {case.tilt:g}, to below pi/4 (45 deg), "
             f"got {top!r}"
         )
-    arrangement = arrange(case, columns, rows, workers)
-    lowest = 0.0 if case.speed else None
-
-    def at(tilts: Numbers) -> Conditions:
-        return replace(own_conditions(case, len(tilts)), tilt=tilts)
-
-    grids = [_grid(step, top, case.tilt, lowest) for step in (TILT_STEP, TILT_STEP_DRAWN)]
-    return _limits(
-        arrangement, ("tilt", "deg", 180.0 / math.pi), case.tilt, grids, case.unknown, at, workers,
-        advance,
-    )  # fmt: skip
+    steps = (TILT_STEP, TILT_STEP_DRAWN)
+    return _sweep(case, TILT, steps, top, columns, rows, workers, on_progress)
 
 
 def friction_range(
@@ -171,16 +333,16 @@ def friction_range(
     columns: int | None = None,
     rows: int | None = None,
     workers: Workers = 1,
-    advance: Advance = lambda *_: None,
+    on_progress: OnProgress = lambda *_: None,
 ) -> FrictionRange:
-    """How far friction may be off, everywhere alike: mu_max along the axes, then mu_min across.
+    """Find the limits of friction, alike everywhere: of mu_max along the axes, of mu_min across.
 
     Args:
-        case: what it is for; what is unknown of friction is left out of the draws.
+        case: the parcel, its entry and its purpose; friction is not among the unknown quantities.
         columns: of the zone; None: as `sweep.arrange` finds them.
         rows: of rotors; None: as many as lie under the parcel.
         workers: threads that share the runs, or a cluster.
-        advance: called with how many runs are done and how many there are.
+        on_progress: called with the runs done and their total.
 
     Returns:
         Factors [-] from 1/16 to 16, 48 to a doubling; 8 with draws.
@@ -190,55 +352,83 @@ def friction_range(
     """
     arrangement = arrange(case, columns, rows, workers)
     unknown = replace(case.unknown, friction=0.0, rolling=0.0)
-    grids = [_factors(parts) for parts in (FACTOR_PARTS, FACTOR_PARTS_DRAWN)]
-    found = []
-    for place, name in enumerate(("mu_max", "mu_min")):
-        told = (f"factor on {name}", "-", 1.0)
+    octaves = round(math.log2(FACTOR_RANGE))
+    grids = [
+        2.0 ** (np.arange(-octaves * parts, octaves * parts + 1) / parts)
+        for parts in (FACTOR_PARTS, FACTOR_PARTS_DRAWN)
+    ]
 
-        def at(values: Numbers, place: int = place) -> Conditions:
-            own = own_conditions(case, len(values))
-            own.friction[:, place] = values
-            return own
+    def limits(place: int, name: str) -> Limits:
+        question = f"How far may {name} be off for it to"
+        quantity = Quantity(f"friction_{name}", f"factor on {name}", "-", 1.0, question)
 
-        def half(done: int, total: int, place: int = place) -> None:
-            advance(place * total + done, 2 * total)
+        def at(values: Numbers) -> SweepPoints:
+            points = repeat_case(case, len(values))
+            points.friction[:, place] = values
+            return points
 
-        found.append(_limits(arrangement, told, 1.0, grids, unknown, at, workers, half))
-    return FrictionRange(*found)
+        def half(done: int, total: int) -> None:
+            on_progress(place * total + done, 2 * total)
+
+        return _limits(arrangement, quantity, 1.0, grids, unknown, at, workers, half)
+
+    return FrictionRange(limits(0, "mu_max"), limits(1, "mu_min"))
 
 
-def _grid(step: float, top: float, own: float, lowest: float | None) -> Numbers:
-    """Multiples of a step, and a case's own value; `lowest` None: 0 is none of them."""
-    multiples = step * np.arange(0 if lowest is not None else 1, round(top / step) + 1)
-    return np.unique(np.append(multiples[np.abs(multiples - own) > 0.01 * step].round(9), own))
+def span_around(done: Booleans, own: int) -> tuple[int, int] | None:
+    """Return the first and last index of the successes around an index; None: it fails there."""
+    if not done[own]:
+        return None
+    fails = np.nonzero(~done)[0]
+    below, above = fails[fails < own], fails[fails > own]
+    first = int(below[-1]) + 1 if len(below) else 0
+    last = int(above[0]) - 1 if len(above) else len(done) - 1
+    return first, last
 
 
-def _factors(parts: int) -> Numbers:
-    """From one over `FACTOR_RANGE` to it, so many to a doubling; 1 in the middle."""
-    most = round(math.log2(FACTOR_RANGE)) * parts
-    factors: Numbers = 2.0 ** (np.arange(-most, most + 1) / parts)
-    return factors
+def _sweep(
+    case: Case, quantity: Quantity, steps: tuple[float, float], top: float, columns: int | None,
+    rows: int | None, workers: Workers, on_progress: OnProgress,
+) -> Limits:  # fmt: skip
+    """Find the limits of speed or tilt among the multiples of a step and the case's own value."""
+    arrangement = arrange(case, columns, rows, workers)
+    own = getattr(case, quantity.name)
+    least = 0 if (case.tilt if quantity is SPEED else case.speed) else 1  # at rest and level: never
+    grids = []
+    for step in steps:
+        multiples = step * np.arange(least, round(top / step) + 1)
+        apart = np.abs(multiples - own) > 0.01 * step
+        grids.append(np.unique(np.append(multiples[apart].round(9), own)))
+
+    def at(values: Numbers) -> SweepPoints:
+        swept: dict[str, Numbers] = {quantity.name: values}
+        return replace(repeat_case(case, len(values)), **swept)
+
+    return _limits(arrangement, quantity, own, grids, case.unknown, at, workers, on_progress)
 
 
 def _limits(
     arrangement: Arrangement,
-    told: tuple[str, str, float],
+    quantity: Quantity,
     own: float,
     grids: list[Numbers],
     unknown: Unknown,
-    at: Vary,
+    at: Callable[[Numbers], SweepPoints],
     workers: Workers,
-    advance: Advance,
+    on_progress: OnProgress,
 ) -> Limits:
-    """The span of each group, over the first grid where nothing is unknown, else the second."""
-    groups = {group: arrangement.drawn(each) for group, each in groups_of(unknown).items()}
-    values = [grids[0] if k == 0 else grids[1] for k in range(len(groups))]
+    """Find the span of each group, on the first grid with nothing unknown, else on the second."""
+    groups = {
+        name: arrangement.case.draw(arrangement.line, each)
+        for name, each in unknown.by_group().items()
+    }
+    values = [grids[0 if group == NOMINAL else 1] for group in groups]
     counts = [len(tried) * len(drawn) for tried, drawn in zip(values, groups.values(), strict=True)]
-    tally = Tally(advance, sum(counts))
+    progress = split_progress(on_progress, counts)
     spans = []
-    for (group, drawn), tried, count in zip(groups.items(), values, counts, strict=True):
-        share = shares(arrangement, drawn, at(tried), workers, tally.part(count))
-        ends = span(enough(share), int(np.abs(tried - own).argmin()))
+    for (group, drawn), tried, part in zip(groups.items(), values, progress, strict=True):
+        share = success_shares(arrangement, drawn, at(tried), workers, part)
+        ends = span_around(is_reliable(share), int(np.abs(tried - own).argmin()))
         least, most = (None, None) if ends is None else (float(tried[k]) for k in ends)
         spans.append(Span(group, least, most, tried, share))
-    return Limits(*told, own, arrangement, tuple(spans))
+    return Limits(quantity, own, arrangement, tuple(spans))

@@ -1,4 +1,4 @@
-"""The surface that a design is of: a line of rotors as long and as wide as it takes."""
+"""A line of rotors amid supports, sized for a parcel."""
 
 import math
 from dataclasses import dataclass
@@ -17,10 +17,10 @@ RUN_OUT = 1.0  # [m] of rolling columns behind the zone, beyond the base's lengt
 
 @dataclass(frozen=True)
 class DesignLine(Pitched):
-    """A line of rotors amid supports: a lead-in, a zone whose axes do the task, a run-out.
+    """A line of rotors amid supports: a lead-in, a zone with task axes, and a run-out.
 
-    Lead-in and run-out roll along x. There are supports enough on either side to bear a parcel that
-    has left the line. The first column and the first row lie half a pitch from 0.
+    Lead-in and run-out roll along x. The supports on either side bear a parcel that has left the
+    line. The first column and the first row lie half a pitch from 0.
 
     Raises:
         ValueError: a count below 1, a pitch that is not positive, negative friction, `mu_min`
@@ -53,25 +53,22 @@ class DesignLine(Pitched):
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the whole surface."""
-        return (
-            self.rows + 2 * self.beside,
-            self.lead_in + self.columns + self.run_out,
-        )
+        return self.rows + 2 * self.beside, self.lead_in + self.columns + self.run_out
 
     @property
     def line_y(self) -> float:
-        """[m] the line's middle."""
+        """Middle of the line [m]."""
         return 0.5 * self.pitch_y * self.shape[0]
 
     @property
     def zone_x(self) -> tuple[float, float]:
-        """[m] where the zone begins and ends, half a pitch before and behind its columns."""
+        """Start and end of the zone [m], half a pitch before and behind its columns."""
         first = self.pitch_x * self.lead_in
         return first, first + self.pitch_x * self.columns
 
     @property
     def zone(self) -> tuple[slice, slice]:
-        """Rows and columns of the zone in the surface."""
+        """Slices of the surface's rows and columns that form the zone."""
         return (
             slice(self.beside, self.beside + self.rows),
             slice(self.lead_in, self.lead_in + self.columns),
@@ -79,19 +76,19 @@ class DesignLine(Pitched):
 
     @cached_property
     def rotor(self) -> NDArray[np.bool_]:
-        """Rotors (rows, columns) of the whole surface, else supports."""
+        """Mask (rows, columns) of the rotors; all other elements are supports."""
         rotor = np.zeros(self.shape, dtype=np.bool_)
         rotor[self.beside : self.beside + self.rows] = True
         return rotor
 
     def axes(self, zone_axis: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Axes (..., rows, columns) [rad] of the surface, from the zone's (..., rows, columns)."""
+        """Return the surface's axes (..., rows, columns) [rad] for zone axes of that form."""
         axis = np.full((*zone_axis.shape[:-2], *self.shape), ROLLING)
         axis[(..., *self.zone)] = zone_axis
         return axis
 
     def surface(self, zone_axis: NDArray[np.float64], tilt: float = 0.0) -> Surface:
-        """The surface with the zone's axes (rows, columns) [rad], for `simulate`.
+        """Build the surface for `simulate` from zone axes (rows, columns) [rad].
 
         Raises:
             ValueError: axes of another shape, or a tilt that is not allowed.
@@ -104,7 +101,7 @@ class DesignLine(Pitched):
         )  # fmt: skip
 
     def start(self, parcel: Parcel) -> tuple[float, float, float]:
-        """Pose (x, y, theta) [m, m, rad] of a parcel whose rear is at x = 0, on the line."""
+        """Return the pose (x, y, theta) [m, m, rad] of a parcel whose rear is at x = 0."""
         return (parcel.rear, self.line_y - parcel.base.centroid[1], 0.0)
 
 
@@ -117,15 +114,15 @@ def line_for(
     mu_min: float = 0.01,
     mu_support: float = 0.005,
 ) -> DesignLine:
-    """The line for a parcel, by the rule that the study's two boxes follow.
+    """Size a line for a parcel by the rule that the study's two boxes follow.
 
-    As many rows, an even number, as lie under the parcel; a lead-in as long as the parcel, so that
-    it starts wholly on it.
+    The rows of rotors are the greatest even number that lies under the parcel. The lead-in is as
+    long as the parcel, which therefore starts wholly on it.
 
     Args:
-        parcel: the largest to run on it.
-        columns: of the zone.
-        rows: of rotors; None: by the rule.
+        parcel: the largest that runs on the line.
+        columns: number of columns in the zone.
+        rows: number of rows of rotors; None: by the rule.
         pitch: [m] between neighbours: one, or in x and in y.
         mu_max: [-] friction along a rotor's axis.
         mu_min: [-] friction across it.

@@ -1,51 +1,107 @@
-"""Many runs over a line at once, shared among workers; results do not depend on their number."""
+"""Runs of parcels over a line, compiled and shared among threads or the nodes of a cluster.
+
+A run takes the implicit step of `simulate`, to the bit, until the parcel has left the line, passed
+the zone or come to rest. Results do not depend on the number of workers.
+"""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from queue import SimpleQueue
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surface_gym.design.line import DesignLine
-from surface_gym.design.passage import (
-    ENDS,
-    EXIT,
-    GROUND,
-    LAYOUT,
-    PARCEL,
-    STEPS,
-    Deck,
-    Passages,
-)
-from surface_gym.design.sending import Advance, send_all
 from surface_gym.parcel import Parcel
-from surface_gym.physics.step import axis_directions, com_states, map_floats
-from surface_gym.physics.types import GRAVITY, check_capacity
-from surface_gym.sharing import Workers
+from surface_gym.physics.collision import read_body
+from surface_gym.physics.contacts import invalidate_contacts
+from surface_gym.physics.jit import compiled, inlined
+from surface_gym.physics.step import (
+    OFF_SURFACE,
+    TIPPING,
+    axis_directions,
+    com_states,
+    map_floats,
+    step_implicit,
+)
+from surface_gym.physics.types import (
+    AX,
+    AY,
+    GRAVITY,
+    OMEGA,
+    RADIUS,
+    SPAN_FIRST,
+    SPAN_LAST,
+    SPAN_ROW,
+    SPANS,
+    VX,
+    VY,
+    Array,
+    Bodies,
+    Booleans,
+    Grid,
+    Places,
+    Scratch,
+    check_capacity,
+    make_scratch,
+)
+from surface_gym.sharing import Cluster, Workers, quiet, share
 from surface_gym.simulation import base_motion
+from surface_gym.state import (
+    ACROSS_FACTOR,
+    ALONG_FACTOR,
+    GRAVITY_ALONG,
+    GRAVITY_NORMAL,
+    SUPPORT_FACTOR,
+)
 from surface_gym.together import make_bodies
-
-STEP = 0.005  # [s] of a run, where nothing else is said
-LONGEST = 20.0  # [s] a run may take
 
 Numbers = NDArray[np.float64]
 Integers = NDArray[np.int64]
+OnProgress = Callable[[int, int], None]  # called with the work done and the total
+
+STEP = 0.005  # [s] default time step of a run
+LONGEST = 20.0  # [s] limit of a run
+REST_SPEED = 1e-4  # [m/s] below which a parcel may be at rest: rolling takes it in 1 ms
+REST_CHANGE = 1e-3  # [m/s^2] below which it stays at rest
+
+CHUNK = 32  # runs that a thread takes at a time
+MOST_STEPS = 128_000  # limit of the steps in a chunk: Ctrl-C waits for no more
+BUNDLE = 5000  # runs that a node takes at a time, at most: some tenths of a second
+LEAST_BUNDLE = 500  # below which runs are not distributed
+
+# Reasons for the end of a run, and their descriptions.
+OUT, PAST, AT_REST, OFF, OUT_OF_TIME = range(5)
+ENDS = (
+    "out of the line",  # no rotor bears the parcel
+    "past the zone",  # every rotor that bears it lies behind the zone
+    "at rest",
+    "off the surface",
+    "out of time",
+)
+
+# Columns of `RunArrays.number` and of `RunArrays.end`.
+LAYOUT, STIFFNESS, PARCEL, EXIT, STEPS = range(5)
+REASON, TOUCHED, DONE, TIPPED = range(4)
 
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """Runs to carry out, a row each; made by `make_runs`."""
+    """Requested runs, a row each; built by `make_runs`."""
 
     speed: Numbers  # (runs,) [m/s] along x at the start
     tilt: Numbers  # (runs,) [rad]
-    layout: Integers  # (runs,) which of the layouts
-    ground: Integers  # (runs,) which of the stiffnesses
-    parcel: Integers  # (runs,) which of the parcels
+    layout: Integers  # (runs,) index of the layout
+    stiffness: Integers  # (runs,) index of the stiffness map
+    parcel: Integers  # (runs,) index of the parcel
     friction: Numbers  # (runs, 3) [-] factors of mu_max, mu_min and mu_support
-    aside: Numbers  # (runs,) [m] of the start in y
-    turned: Numbers  # (runs,) [rad] of the start's theta
-    columns: Integers  # (runs,) of the zone, whose end a run may pass; none: it has no end
+    lateral: Numbers  # (runs,) [m] offset of the start in y
+    heading: Numbers  # (runs,) [rad] of the start
+    columns: Integers  # (runs,) of the zone, behind which a run ends; -1: the zone has no end
 
     def __len__(self) -> int:
         return len(self.speed)
@@ -55,46 +111,65 @@ def make_runs(
     speed: ArrayLike,
     tilt: ArrayLike = 0.0,
     layout: ArrayLike = 0,
-    ground: ArrayLike = 0,
+    stiffness: ArrayLike = 0,
     parcel: ArrayLike = 0,
     friction: ArrayLike = 1.0,
-    aside: ArrayLike = 0.0,
-    turned: ArrayLike = 0.0,
+    lateral: ArrayLike = 0.0,
+    heading: ArrayLike = 0.0,
     columns: ArrayLike = -1,
 ) -> Runs:
-    """Runs from one value for all, or arrays (runs,) of each; `friction` is (runs, 3) or one."""
-    flat = np.broadcast_arrays(speed, tilt, layout, ground, parcel, aside, turned, columns)
-    numbers = [np.array(values, dtype=np.float64).reshape(-1) for values in flat]
-    whole = [values.astype(np.int64) for values in numbers]
-    count = len(numbers[0])
+    """Build runs from one value for all, or arrays (runs,) of each; `friction` is (runs, 3)."""
+    given = np.broadcast_arrays(speed, tilt, lateral, heading, layout, stiffness, parcel, columns)
+    numbers = [np.array(values, dtype=np.float64).reshape(-1) for values in given[:4]]
+    whole = [
+        np.array(values, dtype=np.float64).reshape(-1).astype(np.int64) for values in given[4:]
+    ]
     return Runs(
         speed=numbers[0],
         tilt=numbers[1],
-        layout=whole[2],
-        ground=whole[3],
-        parcel=whole[4],
-        friction=np.broadcast_to(np.asarray(friction, dtype=np.float64), (count, 3)),
-        aside=numbers[5],
-        turned=numbers[6],
-        columns=whole[7],
+        lateral=numbers[2],
+        heading=numbers[3],
+        layout=whole[0],
+        stiffness=whole[1],
+        parcel=whole[2],
+        columns=whole[3],
+        friction=np.broadcast_to(np.asarray(friction, dtype=np.float64), (len(numbers[0]), 3)),
     )
+
+
+def join_runs(runs: Sequence[Runs]) -> Runs:
+    """Concatenate runs."""
+    names = Runs.__dataclass_fields__
+    return Runs(**{name: np.concatenate([getattr(part, name) for part in runs]) for name in names})
 
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """What came of runs, a row each."""
+    """Results of runs, a row each."""
 
-    how: Integers  # (runs,) place among `passage.ENDS`
-    touched: Integers  # (runs,) columns from the first of the zone to the last that bore it
+    line: DesignLine
+    runs: Runs  # that were requested
+    reason: Integers  # (runs,) index into `ENDS`
+    touched: Integers  # (runs,) columns from the first of the zone to the last that bore the parcel
     time: Numbers  # (runs,) [s] until the end
-    pose: Numbers  # (runs, 3) [m, m, rad] of the base's frame then
+    pose: Numbers  # (runs, 3) [m, m, rad] of the base's frame at the end
     velocity: Numbers  # (runs, 3) [m/s, m/s, rad/s]
     tipping: Numbers  # (runs,) [-] share of the steps in which a real parcel would tip
-    steps: Integers  # (runs,) done
+    steps: Integers  # (runs,) that were taken
 
-    def told(self, run: int) -> str:
-        """How a run ended, in words."""
-        return ENDS[self.how[run]]
+    def describe(self, run: int) -> str:
+        """Return the reason for the end of a run in words."""
+        return ENDS[self.reason[run]]
+
+
+def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnProgress]:
+    """Return a callback for each part of the work, which reports on the work as a whole."""
+    total = sum(counts)
+
+    def part(before: int) -> OnProgress:
+        return lambda done, _: on_progress(before + done, total)
+
+    return [part(sum(counts[:k])) for k in range(len(counts))]
 
 
 def run_all(
@@ -105,83 +180,42 @@ def run_all(
     stiffness: Numbers | None = None,
     dt: float = STEP,
     workers: Workers = 1,
-    advance: Advance = lambda *_: None,
+    on_progress: OnProgress = lambda *_: None,
 ) -> Ends:
-    """Send parcels over a line, each with its rear at x = 0 at the start.
+    """Simulate parcels over a line, each with its rear at x = 0 at the start.
 
     Args:
         line: the line.
         layouts: (layouts, rows, columns) [rad] axes of the zone.
-        parcels: that run.
-        runs: which parcel runs over which layout, and how.
-        stiffness: (grounds, rows, columns) [-] of the whole surface's elements; None: all alike.
-        dt: [s] step.
+        parcels: the parcels that the runs refer to.
+        runs: the parcel, the layout and the conditions of each run.
+        stiffness: (maps, rows, columns) [-] of the whole surface's elements; None: all alike.
+        dt: [s] time step.
         workers: threads that share the runs, or a cluster.
-        advance: called with how many runs are done and how many there are.
+        on_progress: called with the runs done and their total.
     """
-    deck = _deck(line, layouts, stiffness)
     for parcel in parcels:
         check_capacity(
             len(parcel.body.edges), parcel.body.radius, (line.pitch_x, line.pitch_y),
             line.shape[::-1],
         )  # fmt: skip
+    surfaces = _make_surfaces(line, layouts, stiffness)
     bodies = make_bodies(parcels)
-    passages = _passages(line, parcels, runs, dt)
-    send_all(deck, bodies, passages, dt, workers, advance)
-    return _ends(line, parcels, runs, passages, dt)
-
-
-def _deck(line: DesignLine, layouts: Numbers, stiffness: Numbers | None) -> Deck:
-    axes = line.axes(np.asarray(layouts, dtype=np.float64))
-    angles, places = np.unique(axes, return_inverse=True)
-    each_mu = (line.mu_max, line.mu_min, line.mu_support)
-    return Deck(
-        axis=places.reshape(axes.shape).astype(np.int32),
-        direction=axis_directions(angles),
-        rotor=line.rotor.copy(),
-        stiffness=np.ones((1, *line.shape)) if stiffness is None else stiffness.astype(float),
-        friction=np.broadcast_to(np.array(each_mu), (*line.shape, 3)).copy(),
-        x0=0.5 * line.pitch_x,
-        y0=0.5 * line.pitch_y,
-        pitch_x=line.pitch_x,
-        pitch_y=line.pitch_y,
-    )
-
-
-def _passages(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: float) -> Passages:
-    count = len(runs)
-    number = np.zeros((count, 5), dtype=np.int64)
-    number[:, LAYOUT] = runs.layout
-    number[:, GROUND] = runs.ground
-    number[:, PARCEL] = runs.parcel
-    number[:, EXIT] = np.where(runs.columns < 0, line.shape[1], line.lead_in + runs.columns)
-    number[:, STEPS] = round(LONGEST / dt)
-    gravity = [GRAVITY * map_floats(function, runs.tilt) for function in (math.sin, math.cos)]
-    starts = np.array([line.start(parcel) for parcel in parcels])[runs.parcel]
-    starts[:, 1] += runs.aside
-    starts[:, 2] += runs.turned
-    centres = np.array([parcel.centre_of_mass for parcel in parcels])[runs.parcel]
-    velocity = np.zeros((count, 3))
-    velocity[:, 0] = runs.speed
-    return Passages(
-        number=number,
-        condition=np.column_stack([runs.friction, *gravity]),
-        state=com_states(centres, starts, velocity),
-        end=np.zeros((count, 4), dtype=np.int64),
-    )
-
-
-def _ends(
-    line: DesignLine, parcels: Sequence[Parcel], runs: Runs, passages: Passages, dt: float
-) -> Ends:
-    pose, velocity = passages.state[:, :3].copy(), passages.state[:, 3:6].copy()
+    arrays = _make_arrays(line, parcels, runs, dt)
+    if isinstance(workers, Cluster):
+        _run_on_nodes(surfaces, bodies, arrays, dt, workers, on_progress)
+    else:
+        _run_in_threads(surfaces, bodies, arrays, dt, workers, on_progress)
+    pose, velocity = arrays.state[:, :3].copy(), arrays.state[:, 3:6].copy()
     for k, parcel in enumerate(parcels):
         if parcel.centre_of_mass != (0.0, 0.0):
             own = runs.parcel == k
-            pose[own], velocity[own] = base_motion(parcel, passages.state[own])
-    how, touched, steps, tipped = passages.end.T
+            pose[own], velocity[own] = base_motion(parcel, arrays.state[own])
+    reason, touched, steps, tipped = arrays.end.T
     return Ends(
-        how=how,
+        line=line,
+        runs=runs,
+        reason=reason,
         touched=np.maximum(0, touched - line.lead_in + 1),
         time=dt * steps,
         pose=pose,
@@ -189,3 +223,214 @@ def _ends(
         tipping=tipped / np.maximum(1, steps),
         steps=steps,
     )
+
+
+class SurfaceSet(NamedTuple):
+    """Surfaces that differ in their axes and in the stiffness of their elements."""
+
+    axis: Places  # (layouts, rows, columns) index of each rotor's axis in `direction`
+    direction: Array  # (directions, 2) cosine and sine
+    rotor: Booleans  # (rows, columns)
+    stiffness: Array  # (maps, rows, columns) [-]
+    friction: Array  # (rows, columns, 3) [-] as `Grid.friction`
+    x0: float  # [m] centre of element [0, 0]
+    y0: float  # [m]
+    pitch_x: float  # [m]
+    pitch_y: float  # [m]
+
+
+class RunArrays(NamedTuple):
+    """Inputs and results of runs for compiled code, a row each."""
+
+    # (runs, 5) indices of layout, stiffness and parcel; first column behind the zone; most steps
+    number: Integers
+    condition: Array  # (runs, 5) as `Surfaces.conditions`
+    state: Array  # (runs, STATE_SIZE) at the start, and in its place at the end
+    # (runs, 4) reason of the end; last column with a rotor that bore it; steps taken, steps tipping
+    end: Integers
+
+
+@inlined
+def _make_grid(surfaces: SurfaceSet, number: Integers, condition: Array) -> Grid:
+    """Return the surface of a run."""
+    return Grid(
+        surfaces.axis[number[LAYOUT]],
+        surfaces.direction,
+        surfaces.rotor,
+        surfaces.stiffness[number[STIFFNESS]],
+        surfaces.friction,
+        surfaces.x0,
+        surfaces.y0,
+        surfaces.pitch_x,
+        surfaces.pitch_y,
+        condition[ALONG_FACTOR],
+        condition[ACROSS_FACTOR],
+        condition[SUPPORT_FACTOR],
+        condition[GRAVITY_ALONG],
+        condition[GRAVITY_NORMAL],
+    )
+
+
+@inlined
+def _rotor_span(rotor: Booleans, scratch: Scratch) -> tuple[int, int]:
+    """Return the first and last column with a rotor under the parcel; first > last: there is none.
+
+    The columns are those of the contacts that the last step found.
+    """
+    marks = scratch.marks
+    lowest = rotor.shape[1]
+    highest = -1
+    for k in range(marks[SPANS]):
+        row = marks[SPAN_ROW + k]
+        first = marks[SPAN_FIRST + k]
+        last = marks[SPAN_LAST + k]
+        while first <= last and not rotor[row, first]:
+            first += 1
+        while first <= last and not rotor[row, last]:
+            last -= 1
+        if first <= last:
+            lowest = min(lowest, first)
+            highest = max(highest, last)
+    return lowest, highest
+
+
+@compiled
+def _run_range(
+    surfaces: SurfaceSet,
+    bodies: Bodies,
+    runs: RunArrays,
+    scratch: Scratch,
+    dt: float,
+    first: int,
+    last: int,
+) -> None:
+    """Simulate the runs `first` to `last` - 1 in place, in the memory of one thread."""
+    for run in range(first, last):
+        number = runs.number[run]
+        state = runs.state[run]
+        grid = _make_grid(surfaces, number, runs.condition[run])
+        body = read_body(bodies, number[PARCEL])
+        radius = bodies.body[number[PARCEL], RADIUS]
+        invalidate_contacts(scratch)
+        reason = OUT_OF_TIME
+        touched = -1
+        tipped = 0
+        steps = 0
+        while steps < number[STEPS]:
+            omega = state[OMEGA]
+            report, _ = step_implicit(grid, body, state, scratch, dt)
+            if report >= OFF_SURFACE:
+                reason = OFF
+                break
+            steps += 1
+            tipped += report == TIPPING
+            lowest, highest = _rotor_span(surfaces.rotor, scratch)
+            if highest < 0:
+                reason = OUT
+                break
+            touched = max(touched, highest)
+            if lowest >= number[EXIT]:
+                reason = PAST
+                break
+            speed = abs(state[VX]) + abs(state[VY]) + abs(state[OMEGA]) * radius
+            change = abs(state[AX]) + abs(state[AY]) + abs(state[OMEGA] - omega) * radius / dt
+            if speed < REST_SPEED and change < REST_CHANGE:
+                reason = AT_REST
+                break
+        runs.end[run, REASON] = reason
+        runs.end[run, TOUCHED] = touched
+        runs.end[run, DONE] = steps
+        runs.end[run, TIPPED] = tipped
+
+
+def _make_surfaces(line: DesignLine, layouts: Numbers, stiffness: Numbers | None) -> SurfaceSet:
+    axes = line.axes(np.asarray(layouts, dtype=np.float64))
+    angles, places = np.unique(axes, return_inverse=True)
+    mu = np.array((line.mu_max, line.mu_min, line.mu_support))
+    return SurfaceSet(
+        axis=places.reshape(axes.shape).astype(np.int32),
+        direction=axis_directions(angles),
+        rotor=line.rotor.copy(),
+        stiffness=np.ones((1, *line.shape)) if stiffness is None else stiffness.astype(float),
+        friction=np.broadcast_to(mu, (*line.shape, 3)).copy(),
+        x0=0.5 * line.pitch_x,
+        y0=0.5 * line.pitch_y,
+        pitch_x=line.pitch_x,
+        pitch_y=line.pitch_y,
+    )
+
+
+def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: float) -> RunArrays:
+    count = len(runs)
+    number = np.empty((count, 5), dtype=np.int64)
+    number[:, LAYOUT] = runs.layout
+    number[:, STIFFNESS] = runs.stiffness
+    number[:, PARCEL] = runs.parcel
+    number[:, EXIT] = np.where(runs.columns < 0, line.shape[1], line.lead_in + runs.columns)
+    number[:, STEPS] = round(LONGEST / dt)
+    gravity = [GRAVITY * map_floats(function, runs.tilt) for function in (math.sin, math.cos)]
+    starts = np.array([line.start(parcel) for parcel in parcels])[runs.parcel]
+    starts[:, 1] += runs.lateral
+    starts[:, 2] += runs.heading
+    centres = np.array([parcel.centre_of_mass for parcel in parcels])[runs.parcel]
+    velocity = np.zeros((count, 3))
+    velocity[:, 0] = runs.speed
+    return RunArrays(
+        number=number,
+        condition=np.column_stack([runs.friction, *gravity]),
+        state=com_states(centres, starts, velocity),
+        end=np.zeros((count, 4), dtype=np.int64),
+    )
+
+
+def _run_in_threads(
+    surfaces: SurfaceSet, bodies: Bodies, runs: RunArrays, dt: float, threads: int,
+    on_progress: OnProgress,
+) -> None:  # fmt: skip
+    """Simulate runs in chunks, smaller ones where runs may take many steps."""
+    count = len(runs.state)
+    chunk = max(1, min(CHUNK, MOST_STEPS // int(runs.number[:, STEPS].max(initial=1))))
+    spare: SimpleQueue[Scratch] = SimpleQueue()
+    for _ in range(threads):
+        spare.put(make_scratch())
+
+    def work(first: int) -> int:
+        scratch = spare.get()
+        last = min(first + chunk, count)
+        _run_range(surfaces, bodies, runs, scratch, dt, first, last)
+        spare.put(scratch)
+        return last
+
+    pool = ThreadPoolExecutor(threads) if threads > 1 and count > CHUNK else None
+    try:
+        for done in (map if pool is None else pool.map)(work, range(0, count, chunk)):
+            on_progress(done, count)
+    finally:
+        if pool is not None:
+            pool.shutdown(cancel_futures=True)
+
+
+def _run_on_nodes(
+    surfaces: SurfaceSet, bodies: Bodies, runs: RunArrays, dt: float, cluster: Cluster,
+    on_progress: OnProgress,
+) -> None:  # fmt: skip
+    count = len(runs.state)
+    bundles = max(-(-count // BUNDLE), min(2, count // LEAST_BUNDLE), 1)
+    # Neighbours are alike, and bundles are to take equally long: so they take every n-th run.
+    parts = [slice(first, None, bundles) for first in range(bundles)]
+    given = [RunArrays._make(array[part] for array in runs) for part in parts]
+    jobs = [partial(quiet, partial(_run_bundle, surfaces, bodies, part, dt)) for part in given]
+    done = 0
+    for place, (state, end) in share(jobs, cluster):
+        runs.state[parts[place]] = state
+        runs.end[parts[place]] = end
+        done += len(end)
+        on_progress(done, count)
+
+
+def _run_bundle(
+    surfaces: SurfaceSet, bodies: Bodies, runs: RunArrays, dt: float
+) -> tuple[Numbers, Integers]:
+    """Simulate runs on a node, and return their states and ends."""
+    _run_range(surfaces, bodies, runs, make_scratch(), dt, 0, len(runs.state))
+    return runs.state, runs.end

@@ -1,44 +1,114 @@
 """The search for a layout: differential evolution, then a descent column by column.
 
-Which axes are best is a question of whole numbers, dozens of them, whose answer jumps where a
-parcel just gets off the line: there are no derivatives to follow and no model to fit. SciPy's
-differential evolution needs none, takes whole numbers, hands over a population at a time, which is
-what `run_all` shares among threads, begins with the study's layouts, is the same for the same seed,
-and comes with SciPy, on which this package depends anyway; CMA-ES and Optuna would be new
-dependencies, the one for continuous axes, the other one trial at a time. Where few members differ
-any more, all axes of one column in turn find what is left.
+The best axes are a question of dozens of whole numbers whose cost jumps where a parcel just gets
+off the line: there are no derivatives and no model to fit. SciPy's differential evolution needs
+neither and takes whole numbers. It hands over a population at a time, which `run_all` shares among
+threads, begins with given layouts, gives the same result for the same seed, and comes with SciPy,
+on which this package depends anyway; CMA-ES and Optuna would be new dependencies, the one for
+continuous axes, the other one trial at a time. Where few members differ any more, the descent tries
+all axes of one column after another.
 """
 
+import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import differential_evolution
 
 from surface_gym import checks
-from surface_gym.design.progress import read_progress, write_progress
-from surface_gym.design.space import Space
+from surface_gym.design.case import load_checkpoint, save_checkpoint
+from surface_gym.design.runs import OnProgress
 
 Numbers = NDArray[np.float64]
 Score = Callable[[Numbers], Numbers]  # costs (layouts,) of axes (layouts, rows, columns) [rad]
 
 RECOMBINATION = 0.3  # [-] of a layout's modules that a trial changes: more would undo the rest
-CHANGES = (0.1, 0.3, 0.6)  # [-] of the modules by which first members differ from the study's
+CHANGES = (0.1, 0.3, 0.6)  # [-] of the modules in which first members differ from the given layouts
+
+QUARTER = math.pi / 2.0
+DECIMALS = 2  # of degrees, where any angle is allowed
+ALL_AT_ONCE = 256  # arrangements of a column that are tried together; of more, module by module
+SHIFTS = np.radians([-22.5, -5.0, -1.0, 1.0, 5.0, 22.5])  # tried where any angle is allowed
+
+
+@dataclass(frozen=True)
+class LayoutSpace:
+    """The layouts that are searched, as members: one number for each module, row by row.
+
+    The number is the index of the module's axis among the orientations, or the axis itself [rad].
+    """
+
+    rows: int
+    columns: int
+    orientations: tuple[float, ...] | None  # [rad] on offer, rising; None: any
+
+    @property
+    def modules(self) -> int:
+        """Number of modules."""
+        return self.rows * self.columns
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Least and greatest number of a module."""
+        return (-QUARTER, QUARTER) if self.orientations is None else (0, len(self.orientations) - 1)
+
+    def axes(self, members: Numbers) -> Numbers:
+        """Return the axes (members, rows, columns) [rad] of members (members, modules)."""
+        shape = (len(members), self.rows, self.columns)
+        if self.orientations is None:
+            return np.radians(np.degrees(members).round(DECIMALS)).reshape(shape)
+        return np.array(self.orientations)[np.rint(members).astype(int)].reshape(shape)
+
+    def members(self, axes: Numbers) -> Numbers:
+        """Return the members (layouts, modules) nearest to axes (layouts, rows, columns) [rad]."""
+        flat = axes.reshape(len(axes), -1)
+        if self.orientations is None:
+            return np.arctan(np.tan(flat))
+        apart = np.abs(np.sin(flat[..., np.newaxis] - np.array(self.orientations)))
+        return apart.argmin(axis=-1).astype(np.float64)
+
+    def sample(self, rng: np.random.Generator, count: int) -> Numbers:
+        """Draw random members (count, modules)."""
+        low, high = self.bounds
+        if self.orientations is None:
+            return rng.uniform(low, high, (count, self.modules))
+        return rng.integers(0, len(self.orientations), (count, self.modules)).astype(np.float64)
+
+    def neighbours(self, member: Numbers, column: int) -> Numbers:
+        """Return members (some, modules) that differ from one (modules,) in a column."""
+        own = np.arange(self.rows) * self.columns + column
+        if self.orientations is None:
+            one = SHIFTS[:, np.newaxis, np.newaxis] * np.eye(self.rows)
+            every = SHIFTS[:, np.newaxis] * np.ones(self.rows)
+            tried = member[own] + np.concatenate([one.reshape(-1, self.rows), every])
+            tried = np.arctan(np.tan(tried))
+        elif len(self.orientations) ** self.rows <= ALL_AT_ONCE:
+            every_way = itertools.product(range(len(self.orientations)), repeat=self.rows)
+            tried = np.array(list(every_way), dtype=np.float64)
+        else:
+            places = np.arange(len(self.orientations), dtype=np.float64)
+            tried = np.tile(member[own], (self.rows, len(places), 1))
+            tried[np.arange(self.rows), :, np.arange(self.rows)] = places
+            tried = tried.reshape(-1, self.rows)
+        around = np.tile(member, (len(tried), 1))
+        around[:, own] = tried
+        return around
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How long a search goes on.
+    """Length of a search.
 
     Raises:
         ValueError: a number that is too small.
     """
 
     members: int = 40  # of the population
-    generations: int = 10  # of an epoch, after which what is found is kept
+    generations: int = 10  # of an epoch, after which the search is saved
     epochs: int = 12
     rounds: int = 3  # over all columns, of the descent; fewer if one changes nothing
 
@@ -50,8 +120,8 @@ class Effort:
 
 
 @dataclass(frozen=True, eq=False)
-class Progress:
-    """How far a search has come: all that it needs to go on."""
+class SearchState:
+    """State of a search: all that it needs to be resumed."""
 
     population: Numbers  # (members, modules), the best first
     cost: Numbers  # (members,) [-]; infinite: not known yet
@@ -62,81 +132,93 @@ class Progress:
 
 
 def search(
-    space: Space,
+    space: LayoutSpace,
     score: Score,
     known: Numbers,
     effort: Effort,
     seed: int,
     checkpoint: Path | str | None = None,
-    told: str = "",
-    advance: Callable[[int, int], None] = lambda *_: None,
+    identity: Mapping[str, str] | None = None,
+    on_progress: OnProgress = lambda *_: None,
 ) -> tuple[Numbers, int]:
-    """The layout of least cost that is found.
+    """Search the layout of least cost.
 
-    What is found does not depend on whether the search was broken off and resumed.
+    The result does not depend on whether the search was interrupted and resumed.
 
     Args:
         space: of the layouts.
         score: their costs; called with whole populations.
-        known: (layouts, rows, columns) [rad] to begin with: the answer is no worse.
-        effort: how long to search.
-        seed: of all that is left to chance.
-        checkpoint: file that keeps what is found; a search whose file exists goes on from there.
-        told: what the search is of, in words that differ where it differs.
-        advance: called with how much of the effort is done and how much there is, in steps.
+        known: (layouts, rows, columns) [rad] to begin with: the result is no worse.
+        effort: length of the search.
+        seed: of all random numbers.
+        checkpoint: file that keeps the state; a search whose file exists is resumed.
+        identity: text for each part of the problem that differs where the part differs.
+        on_progress: called with the steps done and their total.
 
     Returns:
-        Axes (rows, columns) [rad], and how many layouts were compared.
+        Axes (rows, columns) [rad], and the number of layouts compared.
 
     Raises:
         ValueError: the checkpoint is none, or of another search.
     """
-    told = f"{told}; {space}; {effort}; seed {seed}"
+    own = {"space": space, "effort": effort, "search_seed": seed}
+    identity = {**(identity or {}), **{name: repr(value) for name, value in own.items()}}
     file = None if checkpoint is None else Path(checkpoint)
     if file is not None and file.exists():
-        progress = Progress(**read_progress(file, told))
+        values = load_checkpoint(file, "search", identity, tuple(SearchState.__annotations__))
+        given: dict[str, Any] = {k: v if v.ndim else int(v) for k, v in values.items()}
+        state = SearchState(**given)
     else:
-        progress = _begin(space, known, effort, seed)
+        state = _begin(space, known, effort, seed)
     steps = effort.epochs + effort.rounds * space.columns
     remembered: dict[bytes, float] = {}
 
     def cost(members: Numbers) -> Numbers:
-        return _costs(space, score, members, remembered)
+        """Return the costs (members,); those computed before are remembered."""
+        members = np.ascontiguousarray(members)
+        names = [member.tobytes() for member in members]
+        fresh = {name: k for k, name in enumerate(names) if name not in remembered}
+        if fresh:
+            found = score(space.axes(members[list(fresh.values())]))
+            remembered.update(zip(fresh, found.tolist(), strict=True))
+        return np.array([remembered[name] for name in names])
 
     while True:
-        advance(min(steps, progress.epoch + progress.column), steps)
-        if progress.epoch < effort.epochs:
-            progress = _evolve(space, cost, progress, effort, seed)
-        elif progress.column < effort.rounds * space.columns > 0 and (
-            progress.unchanged < space.columns
-        ):
-            progress = _descend(space, cost, progress)
+        on_progress(min(steps, state.epoch + state.column), steps)
+        if state.epoch < effort.epochs:
+            state = _evolve(space, cost, state, effort, seed)
+        elif state.column < effort.rounds * space.columns and state.unchanged < space.columns:
+            state = _descend(space, cost, state)
         else:
             break
         if file is not None:
-            write_progress(file, told, vars(progress))
-    advance(steps, steps)
-    return space.axes(progress.population[:1])[0], progress.evaluations
+            save_checkpoint(file, identity, vars(state))
+    on_progress(steps, steps)
+    return space.axes(state.population[:1])[0], state.evaluations
 
 
-def _begin(space: Space, known: Numbers, effort: Effort, seed: int) -> Progress:
-    """The study's layouts, and others that differ from them in more and more modules."""
+def _begin(space: LayoutSpace, known: Numbers, effort: Effort, seed: int) -> SearchState:
+    """Begin with known layouts, and with others that differ from them in more and more modules."""
     rng = np.random.default_rng((seed, effort.epochs))
     members = space.members(known)[: effort.members]
     more = effort.members - len(members)
     changed = members[np.arange(more) % len(members)]
     share = np.array(CHANGES)[np.arange(more) % len(CHANGES), np.newaxis]
-    changed = np.where(rng.random(changed.shape) < share, space.drawn(rng, more), changed)
+    changed = np.where(rng.random(changed.shape) < share, space.sample(rng, more), changed)
     population = np.concatenate([members, changed])
-    return Progress(population, np.full(len(population), math.inf), 0, 0, 0, 0)
+    return SearchState(population, np.full(len(population), math.inf), 0, 0, 0, 0)
 
 
-def _evolve(space: Space, cost: Score, progress: Progress, effort: Effort, seed: int) -> Progress:
-    """An epoch of differential evolution, by numbers drawn for it alone."""
+def _evolve(
+    space: LayoutSpace, cost: Score, state: SearchState, effort: Effort, seed: int
+) -> SearchState:
+    """Run an epoch of differential evolution, with random numbers of its own."""
+    from scipy.optimize import differential_evolution
+
     result = differential_evolution(
         lambda members: cost(members.T),
         [space.bounds] * space.modules,
-        init=progress.population,
+        init=state.population,
         integrality=np.full(space.modules, space.orientations is not None),
         maxiter=effort.generations,
         recombination=RECOMBINATION,
@@ -144,49 +226,37 @@ def _evolve(space: Space, cost: Score, progress: Progress, effort: Effort, seed:
         polish=False,
         vectorized=True,
         updating="deferred",
-        seed=np.random.default_rng((seed, progress.epoch)),
+        seed=np.random.default_rng((seed, state.epoch)),
     )
     population = np.array(result.population)
     if space.orientations is not None:
         population = np.rint(population)
     energies = np.array(result.population_energies)
     order = np.argsort(energies, kind="stable")
-    asked = (result.nit + 1) * len(population)
     return replace(
-        progress,
+        state,
         population=population[order],
         cost=energies[order],
-        epoch=progress.epoch + 1,
-        evaluations=progress.evaluations + asked,
+        epoch=state.epoch + 1,
+        evaluations=state.evaluations + (result.nit + 1) * len(population),
     )
 
 
-def _descend(space: Space, cost: Score, progress: Progress) -> Progress:
-    """The best arrangement of the next column, the others as they are."""
-    best = progress.population[0]
+def _descend(space: LayoutSpace, cost: Score, state: SearchState) -> SearchState:
+    """Take the best arrangement of the next column, the others unchanged."""
+    best = state.population[0]
     around = np.concatenate(
-        [best[np.newaxis], space.neighbours(best, progress.column % space.columns)]
+        [best[np.newaxis], space.neighbours(best, state.column % space.columns)]
     )
     costs = cost(around)
     first = int(costs.argmin())
-    population, least = progress.population.copy(), progress.cost.copy()
+    population, least = state.population.copy(), state.cost.copy()
     population[0], least[0] = around[first], costs[first]
     return replace(
-        progress,
+        state,
         population=population,
         cost=least,
-        column=progress.column + 1,
-        unchanged=progress.unchanged + 1 if first == 0 else 0,
-        evaluations=progress.evaluations + len(around),
+        column=state.column + 1,
+        unchanged=state.unchanged + 1 if first == 0 else 0,
+        evaluations=state.evaluations + len(around),
     )
-
-
-def _costs(space: Space, score: Score, members: Numbers, remembered: dict[bytes, float]) -> Numbers:
-    """(members,) costs; those met before are remembered."""
-    members = np.ascontiguousarray(members)
-    names = [member.tobytes() for member in members]
-    fresh = {name: k for k, name in enumerate(names) if name not in remembered}
-    if fresh:
-        found = score(space.axes(members[list(fresh.values())]))
-        remembered.update(zip(fresh, found.tolist(), strict=True))
-    return np.array([remembered[name] for name in names])

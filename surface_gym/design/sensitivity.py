@@ -1,4 +1,4 @@
-"""What each thing that is not known does alone."""
+"""The effect of each unknown quantity alone."""
 
 import math
 from dataclasses import dataclass, replace
@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.design.case import NOTHING, WORST, Case, Unknown
-from surface_gym.design.sending import Advance
-from surface_gym.design.sweep import Arrangement, Tally, arrange
+from surface_gym.design import report
+from surface_gym.design.case import NOTHING, SURE, WORST, Case, Unknown
+from surface_gym.design.runs import OnProgress, split_progress
+from surface_gym.design.sweep import Arrangement, arrange
 from surface_gym.sharing import Workers
 
 # Spreads that a field is drawn with where the case's own is 0.
@@ -23,16 +24,25 @@ USUAL = Unknown(
     speed=0.05,
     tilt=math.radians(0.2),
 )
-FIELDS = (
-    "friction", "rolling", "com_offset", "mass", "stiffness", "lateral", "heading", "speed", "tilt",
-)  # fmt: skip
+# Fields of `Unknown`: label, scale and unit of the spread.
+FIELDS = {
+    "friction": ("friction along axes", 100.0, " %"),
+    "rolling": ("friction across axes", 100.0, " %"),
+    "com_offset": ("centre of mass", 100.0, " %"),
+    "mass": ("mass at its inertia", 100.0, " %"),
+    "stiffness": ("unevenness", 1.0, ""),
+    "lateral": ("place across", 1000.0, " mm"),
+    "heading": ("heading", 180.0 / math.pi, " deg"),
+    "speed": ("entry speed", 1.0, " m/s"),
+    "tilt": ("tilt", 180.0 / math.pi, " deg"),
+}
 
 Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Bar:
-    """What comes out where one thing is not known."""
+    """The effect of one unknown quantity."""
 
     field: str  # of `Unknown`
     spread: float  # it was drawn with, in the field's unit
@@ -43,15 +53,101 @@ class Bar:
     high: float
     success: float  # [-] share of the draws that succeed
 
+    @property
+    def label(self) -> str:
+        """The quantity and its spread: "heading +-2 deg"."""
+        name, scale, unit = FIELDS[self.field]
+        return f"{name} +-{scale * self.spread:.3g}{unit}"
+
 
 @dataclass(frozen=True)
-class Sensitivity:
-    """What each thing that is not known does alone, on one surface."""
+class Sensitivity(report.Answer):
+    """The effect of each unknown quantity alone, on one surface."""
 
     arrangement: Arrangement
-    measure: float  # with nothing unknown, in SI units; nan: nothing comes out
+    measure: float  # with nothing unknown, in SI units; nan: none
     success: bool  # with nothing unknown
     bars: tuple[Bar, ...]  # in the order of `FIELDS`
+
+    name = "sensitivity"
+
+    @property
+    def sentence(self) -> str:
+        case = self.arrangement.case
+        purpose = case.purpose
+        asked = f"On {self.arrangement.description}, to {purpose.action} {case.entry_text}"
+        spread = [bar for bar in self.bars if not math.isnan(bar.high - bar.low)]
+        if not spread:
+            return f"{asked}, no draw comes as far as a measure"
+        widest = max(spread, key=lambda bar: bar.high - bar.low)
+        worst = min(self.bars, key=lambda bar: bar.success)
+        low, high = (f"{purpose.scale * value:.3g}" for value in (widest.low, widest.high))
+        unit = f" {purpose.unit}" if purpose.unit != "-" else ""
+        success = (
+            f"success suffers most from {worst.label}, {worst.success:.0%}"
+            if worst.success < 1.0
+            else "all succeed"
+        )
+        return (
+            f"{asked}, {purpose.measured} is spread most by {widest.label}: {low} to {high}{unit} "
+            f"in nine draws of ten; {success}"
+        )
+
+    def tables(self) -> tuple[report.Table, ...]:
+        purpose = self.arrangement.case.purpose
+        known = purpose.scale * self.measure
+        quantiles = [f"{share:.0%} of draws below" for share in (WORST, 1.0 - WORST)]
+        first: tuple[report.Cell, ...] = ("nothing", known, known, float(self.success), "")
+        rows = [
+            (
+                bar.label,
+                purpose.scale * bar.low,
+                purpose.scale * bar.high,
+                bar.success,
+                "usual" if bar.usual else "the case's",
+            )
+            for bar in self.bars
+        ]
+        title = f"{purpose.measured.capitalize()} [{purpose.unit}]"
+        header = ("unknown alone", *quantiles, "success", "spread is")
+        return (report.Table("sensitivity", title, header, (first, *rows)),)
+
+    def draw(self) -> "report.Figure":
+        """Draw a bar for each quantity, from `WORST` to 1 - `WORST` of the draws' measures."""
+        case = self.arrangement.case
+        purpose = case.purpose
+        figure, axes = report.new_panel(
+            f"What matters most for it to {purpose.passive}?",
+            f"{case.parcel_text} {case.entry_text}; {self.arrangement.description}",
+        )
+        bars = sorted(
+            self.bars, key=lambda bar: -1.0 if math.isnan(bar.high) else bar.high - bar.low
+        )
+        for k, bar in enumerate(bars):
+            if math.isnan(bar.low):
+                continue
+            ends = purpose.scale * bar.low, purpose.scale * bar.high
+            axes.barh(
+                k, ends[1] - ends[0], left=ends[0], color=report.BLUE,
+                alpha=0.45 if bar.usual else 1.0, height=0.6,
+            )  # fmt: skip
+            axes.plot(ends, (k, k), "|", color=report.BLUE, markersize=11)
+        if not math.isnan(self.measure):
+            axes.axvline(purpose.scale * self.measure, color="black", linewidth=1.2)
+        axes.set_yticks(range(len(bars)), [bar.label for bar in bars])
+        right = axes.secondary_yaxis("right")
+        right.set_yticks(range(len(bars)), [f"{bar.success:.0%}" for bar in bars])
+        right.set_ylabel("success")
+        axes.set_ylim(-0.6, len(bars) - 0.4)
+        axes.margins(x=0.05)
+        axes.use_sticky_edges = False
+        axes.set_xlabel(
+            f"{purpose.measured} [{purpose.unit}]; line: nothing unknown\n"
+            f"bars: {WORST:.0%} to {SURE} of the draws, each alone; "
+            "pale: a usual spread, the case has none",
+            fontsize="small",
+        )
+        return figure
 
 
 def sensitivity(
@@ -59,42 +155,39 @@ def sensitivity(
     columns: int | None = None,
     rows: int | None = None,
     workers: Workers = 1,
-    advance: Advance = lambda *_: None,
+    on_progress: OnProgress = lambda *_: None,
 ) -> Sensitivity:
-    """What each field of `Unknown` does alone: to what comes out, and to success.
+    """Find the effect of each field of `Unknown` alone, on the purpose's measure and on success.
 
     A field whose spread is 0 in the case is drawn with a usual one, `USUAL`, and marked so.
 
     Args:
-        case: what it is for.
+        case: the parcel, its entry and its purpose.
         columns: of the zone; None: as `sweep.arrange` finds them.
         rows: of rotors; None: as many as lie under the parcel.
         workers: threads that share the runs, or a cluster.
-        advance: called with how many runs are done and how many there are.
+        on_progress: called with the runs done and their total.
 
     Raises:
         ValueError: see `sweep.arrange`.
     """
     arrangement = arrange(case, columns, rows, workers)
-    tally = Tally(advance, 1 + len(FIELDS) * case.draws)
-    measure, success = _outcome(arrangement, NOTHING, workers, tally)
+    progress = split_progress(on_progress, [1] + [case.draws] * len(FIELDS))
+
+    def results(unknown: Unknown, part: OnProgress) -> tuple[Numbers, NDArray[np.bool_]]:
+        """Return the purpose's measure (draws,) of each draw, and its success."""
+        drawn = case.draw(arrangement.line, unknown)
+        runs = drawn.runs(case.speed, case.tilt, arrangement.passed)
+        ends = arrangement.run(drawn, runs, workers, part)
+        return case.purpose.measure(ends), case.purpose.succeeds(ends)
+
+    measure, success = results(NOTHING, progress[0])
     bars = []
-    for name in FIELDS:
+    for name, part in zip(FIELDS, progress[1:], strict=True):
         own = getattr(case.unknown, name)
         spread = own or getattr(USUAL, name)
-        found, done = _outcome(arrangement, replace(NOTHING, **{name: spread}), workers, tally)
+        found, done = results(replace(NOTHING, **{name: spread}), part)
         there = found[~np.isnan(found)]
         low, high = np.quantile(there, (WORST, 1.0 - WORST)) if len(there) else (math.nan, math.nan)
         bars.append(Bar(name, spread, not own, float(low), float(high), float(done.mean())))
     return Sensitivity(arrangement, float(measure[0]), bool(success[0]), tuple(bars))
-
-
-def _outcome(
-    arrangement: Arrangement, unknown: Unknown, workers: Workers, tally: Tally
-) -> tuple[Numbers, NDArray[np.bool_]]:
-    """(draws,) the purpose's measure of each draw, and whether it succeeds."""
-    case, line = arrangement.case, arrangement.line
-    drawn = arrangement.drawn(unknown)
-    runs = drawn.runs(case.speed, case.tilt, arrangement.passed)
-    ends = arrangement.run(drawn, runs, workers, tally.part(len(runs)))
-    return case.purpose.measure(line, runs, ends), case.purpose.succeeds(line, runs, ends)

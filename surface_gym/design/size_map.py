@@ -1,30 +1,39 @@
-"""Over which entry speeds and sizes of a parcel one surface does what is asked."""
+"""The success of one surface over entry speeds and sizes of a parcel."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.design.case import Case, Draws
+from surface_gym.design import report
+from surface_gym.design.case import (
+    SURE,
+    WORST,
+    Case,
+    Draws,
+    is_reliable,
+    load_checkpoint,
+    save_checkpoint,
+)
 from surface_gym.design.line import DesignLine, line_for
-from surface_gym.design.sending import Advance
-from surface_gym.design.sweep import Arrangement, arrange, groups_of, own_conditions, shares
+from surface_gym.design.runs import OnProgress, split_progress
+from surface_gym.design.sweep import Arrangement, arrange, repeat_case, success_shares
 from surface_gym.parcel import Parcel
 from surface_gym.physics.types import check_capacity
 from surface_gym.sharing import Workers
-from surface_gym.whole_files import replacing
+
+SHOWN = 11  # sizes that a terminal shows
 
 Booleans = NDArray[np.bool_]
 Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class SuccessMap:
+class SuccessMap(report.Answer):
     """Success over entry speeds and sizes."""
 
     speeds: Numbers  # (speeds,) [m/s]
@@ -32,6 +41,84 @@ class SuccessMap:
     nominal: Booleans  # (sizes, speeds) success with nothing unknown
     share: Numbers  # (sizes, speeds) of the draws that succeed
     arrangement: Arrangement
+
+    name = "map"
+
+    @property
+    def sentence(self) -> str:
+        sure = is_reliable(self.share)
+        best = int(sure.sum(axis=1).argmax())
+        parcel = self.arrangement.case.parcel_text
+        asked = f"On {self.arrangement.description}, made for a {parcel}"
+        speeds = self.speeds[sure[best]]
+        if len(speeds) == 0:
+            return f"{asked}, no speed and size here do it in {SURE} of the draws"
+        return (
+            f"{asked}, {float(sure.mean()):.0%} of these speeds and sizes do it in {SURE} of the "
+            f"draws; most for {self.sizes[best]:.2g} times its size, within {speeds[0]:.3g} to "
+            f"{speeds[-1]:.3g} m/s"
+        )
+
+    def tables(self) -> tuple[report.Table, ...]:
+        places = sorted({round(k * (len(self.sizes) - 1) / (SHOWN - 1)) for k in range(SHOWN)})
+        rows: list[tuple[report.Cell, ...]] = []
+        for k in places:
+            speeds = self.speeds[is_reliable(self.share[k])]
+            ends = (speeds[0], speeds[-1]) if len(speeds) else (math.nan, math.nan)
+            rows.append((float(self.sizes[k]), *map(float, ends), float(self.share[k].mean())))
+        cells = tuple(
+            (size, speed, bool(self.nominal[k, i]), float(self.share[k, i]))
+            for k, size in enumerate(self.sizes.tolist())
+            for i, speed in enumerate(self.speeds.tolist())
+        )
+        return (
+            report.Table(
+                "map_sizes",
+                f"Least and most entry speed that does it in {SURE} of draws",
+                ("size [-]", "least [m/s]", "most [m/s]", "success over all speeds"),
+                tuple(rows),
+                written=False,
+            ),
+            report.Table(
+                "map",
+                "Success by size and speed",
+                ("size [-]", "speed [m/s]", "nothing unknown", "success"),
+                cells,
+                shown=False,
+            ),
+        )
+
+    def draw(self) -> "report.Figure":
+        """Draw success over entry speed and size."""
+        case = self.arrangement.case
+        figure, axes = report.new_panel(
+            f"Which speeds and sizes can {case.purpose.passive}?",
+            f"{case.parcel_text} at size 1; {self.arrangement.description}",
+        )
+        image = axes.pcolormesh(
+            self.speeds, self.sizes, 100.0 * self.share, cmap="cividis", vmin=0.0, vmax=100.0,
+            shading="nearest", rasterized=True,
+        )  # fmt: skip
+        figure.colorbar(image, ax=axes, label="success [% of the draws]")
+        if min(self.share.shape) > 1:
+            for values, level, style, colour in (
+                (self.share, 1.0 - WORST, "-", "black"),
+                (self.nominal.astype(float), 0.5, "--", "white"),
+            ):
+                if values.min() < level < values.max():
+                    axes.contour(
+                        self.speeds, self.sizes, values, [level], colors=colour, linestyles=style,
+                        linewidths=1.5,
+                    )  # fmt: skip
+        axes.plot([], [], color="black", label=f"{SURE} of the draws")
+        axes.plot([], [], color="white", linestyle="--", label="nothing unknown")
+        axes.plot(case.speed, 1.0, "*", color="white", markeredgecolor="black", markersize=13,
+                  label="as it comes")  # fmt: skip
+        axes.set(xlabel="entry speed [m/s]", ylabel="size of the parcel over the case's [-]")
+        axes.grid(False)
+        legend = axes.legend(loc="upper right", fontsize="small", framealpha=0.9)
+        legend.get_frame().set_facecolor("#b0b0b0")
+        return figure
 
 
 def success_map(
@@ -42,24 +129,23 @@ def success_map(
     rows: int | None = None,
     workers: Workers = 1,
     checkpoint: Path | str | None = None,
-    advance: Advance = lambda *_: None,
+    on_progress: OnProgress = lambda *_: None,
 ) -> SuccessMap:
-    """The share of draws that succeed, over entry speeds and sizes, on one surface.
+    """Find the share of draws that succeed, over entry speeds and sizes, on one surface.
 
     The zone is the one for the case's parcel. Each size starts wholly on a lead-in of its own
     length; mass stays, inertia goes with the square of the size. The draws are the same in each
     cell, down to the elements of the zone.
 
     Args:
-        case: what it is for.
+        case: the parcel, its entry and its purpose.
         columns: of the zone; None: as `sweep.arrange` finds them.
         speeds: [m/s] at entry; None: 40 from 0.1 to 3, or to half as much again as the case's.
         sizes: [-] factors on the base's lengths; None: 40 from 0.5 to 1.5.
         rows: of rotors; None: as many as lie under the case's parcel.
         workers: threads that share the runs, or a cluster.
-        checkpoint: file that keeps the sizes that are done; a map whose file exists goes on from
-            there.
-        advance: called with how many runs are done and how many there are.
+        checkpoint: file that keeps the finished sizes; a map whose file exists is resumed.
+        on_progress: called with the runs done and their total.
 
     Raises:
         ValueError: a speed that is not from 0 to 20, a size that is not positive or too large, a
@@ -77,68 +163,50 @@ def success_map(
     for size in factors.tolist():
         checks.positive("sizes", size, *checks.LENGTH)
     arrangement = arrange(case, columns, rows, workers)
-    keeper = None if checkpoint is None else Path(checkpoint)
-    told = _told(arrangement, over, factors)
+    file = None if checkpoint is None else Path(checkpoint)
+    identity = case.identity(
+        columns=arrangement.columns, rows=arrangement.line.rows, speeds=over.tolist(),
+        sizes=factors.tolist(),
+    )  # fmt: skip
     found = np.full((2, len(factors), len(over)), math.nan)
-    if keeper is not None and keeper.exists():
-        found = _read(keeper, told)
+    if file is not None and file.exists():
+        found = np.array(load_checkpoint(file, "map", identity, ("found",))["found"])
     largest = _scaled(case.parcel, float(factors.max()))
-    whole = _lined(arrangement.line, case, largest)
+    whole = _line_for_size(arrangement.line, case, largest)
     body, pitch = largest.body, (whole.pitch_x, whole.pitch_y)
     check_capacity(len(body.edges), body.radius, pitch, whole.shape[::-1])
-    groups = groups_of(case.unknown)
-    names = [next(iter(groups)), list(groups)[-1]]
-    drawn = [replace(arrangement, line=whole).drawn(groups[name]) for name in names]
-    count = len(over) * sum(map(len, drawn))
+    groups = list(case.unknown.by_group().values())
+    drawn = [case.draw(whole, unknown) for unknown in (groups[0], groups[-1])]
+    counts = [len(over) * len(each) for each in drawn]
+    progress = split_progress(on_progress, counts * len(factors))
+    points = replace(repeat_case(case, len(over)), speed=over)
     for row, size in enumerate(factors.tolist()):
         if not np.isnan(found[0, row, 0]):
             continue
-
-        def counted(done: int, before: int, row: int = row) -> None:
-            advance(row * count + before + done, len(factors) * count)
-
-        found[:, row] = _row(arrangement, whole, drawn, size, over, workers, counted)
-        if keeper is not None:
-            _write(keeper, told, found)
-    advance(len(factors) * count, len(factors) * count)
+        parcel = _scaled(case.parcel, size)
+        line = replace(whole, lead_in=_line_for_size(arrangement.line, case, parcel).lead_in)
+        own = replace(arrangement, case=replace(case, parcel=parcel), line=line)
+        for k, each in enumerate(drawn):
+            scaled = _scaled_draws(each, size, whole.lead_in - line.lead_in)
+            part = progress[len(drawn) * row + k]
+            found[k, row] = success_shares(own, scaled, points, workers, part)
+        if file is not None:
+            save_checkpoint(file, identity, {"found": found})
+    on_progress(sum(counts) * len(factors), sum(counts) * len(factors))
     return SuccessMap(over, factors, found[0] > 0.5, found[1], arrangement)
 
 
-def _row(
-    arrangement: Arrangement, whole: DesignLine, drawn: list[Draws], size: float, speeds: Numbers,
-    workers: Workers, counted: Advance,
-) -> Numbers:  # fmt: skip
-    """(2, speeds) success with nothing unknown, and the share of the draws, at one size."""
-    case = arrangement.case
-    parcel = _scaled(case.parcel, size)
-    line = replace(whole, lead_in=_lined(arrangement.line, case, parcel).lead_in)
-    own = replace(arrangement, case=replace(case, parcel=parcel), line=line)
-    at = replace(own_conditions(case, len(speeds)), speed=speeds)
-    found = []
-    before = 0
-    for each in drawn:
-        cut = _cut(each, size, whole.lead_in - line.lead_in)
-
-        def advance(done: int, _: int, before: int = before) -> None:
-            counted(done, before)
-
-        found.append(shares(own, cut, at, workers, advance))
-        before += len(each) * len(speeds)
-    return np.array(found)
-
-
-def _cut(drawn: Draws, size: float, columns: int) -> Draws:
-    """The same draws of parcels of another size, on a line whose lead-in is shorter."""
-    ground = drawn.stiffness
+def _scaled_draws(drawn: Draws, size: float, columns: int) -> Draws:
+    """Return the draws for parcels of another size, on a line with fewer columns in its lead-in."""
     return replace(
         drawn,
         parcels=tuple(_scaled(parcel, size) for parcel in drawn.parcels),
-        stiffness=None if ground is None else ground[:, :, columns:],
+        stiffness=None if drawn.stiffness is None else drawn.stiffness[:, :, columns:],
     )
 
 
 def _scaled(parcel: Parcel, size: float) -> Parcel:
-    """The same parcel with every length of its base times a factor."""
+    """Return the parcel with each length of its base times a factor."""
     x, y = parcel.com_offset
     return replace(
         parcel,
@@ -148,50 +216,7 @@ def _scaled(parcel: Parcel, size: float) -> Parcel:
     )
 
 
-def _lined(line: DesignLine, case: Case, parcel: Parcel) -> DesignLine:
-    """The case's line with a lead-in, a run-out and supports for another parcel."""
+def _line_for_size(line: DesignLine, case: Case, parcel: Parcel) -> DesignLine:
+    """Return the case's line with a lead-in, a run-out and supports for another parcel."""
     own = line_for(parcel, line.columns, line.rows, case.pitch)
     return replace(line, lead_in=own.lead_in, run_out=own.run_out, beside=own.beside)
-
-
-def _told(arrangement: Arrangement, speeds: Numbers, sizes: Numbers) -> dict[str, str]:
-    """What a map is of, each part in words that differ where it differs."""
-    case = arrangement.case
-    told = {field.name: repr(getattr(case, field.name)) for field in fields(case)}
-    parcel = case.parcel
-    outline = (type(parcel.base).__name__, parcel.base.outline.tolist())
-    load = (parcel.moment_of_inertia, parcel.mass, parcel.com_height, parcel.com_offset)
-    told["parcel"] = repr((*outline, *load))
-    return {
-        **told,
-        "columns": repr(arrangement.columns),
-        "rows": repr(arrangement.line.rows),
-        "speeds": repr(speeds.tolist()),
-        "sizes": repr(sizes.tolist()),
-    }
-
-
-def _write(file: Path, told: dict[str, str], found: Numbers) -> None:
-    """Keep what is done; a write that is broken off leaves the file as it was."""
-    with replacing(file) as part, part.open("wb") as stream:
-        np.savez(stream, names=list(told), told=list(told.values()), found=found)
-
-
-def _read(file: Path, told: dict[str, str]) -> Numbers:
-    try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
-            names, parts, found = kept["names"].tolist(), kept["told"].tolist(), kept["found"]
-    except (BadZipFile, EOFError, KeyError, ValueError):
-        raise ValueError(f"checkpoint must be one of a map, got {file}") from None
-    its = dict(zip(names, parts, strict=True))
-    for name, wanted in told.items():
-        if its.get(name) != wanted:
-            raise ValueError(
-                f"checkpoint must be of this map, got {file} of another {name}: "
-                f"{_short(its.get(name))}, not {_short(wanted)}"
-            )
-    return np.array(found, dtype=np.float64)
-
-
-def _short(told: str | None) -> str:
-    return "none" if told is None else told if len(told) <= 60 else f"{told[:57]}..."

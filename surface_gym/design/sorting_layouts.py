@@ -1,9 +1,11 @@
-"""The best fixed layouts for sorting that ship with the package, and how they are found anew."""
+"""The best fixed layouts for sorting, as they ship with the package.
+
+`python -m surface_gym.design.sorting_layouts` searches them anew.
+"""
 
 import json
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
@@ -12,18 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym.cores import usable_cores
 from surface_gym.design.best_layout import BestLayout, best_layout
 from surface_gym.design.case import Case
 from surface_gym.design.purposes import Sort
+from surface_gym.design.runs import OnProgress, split_progress
 from surface_gym.design.search import Effort
 from surface_gym.layouts import box
 from surface_gym.lines import ORIENTATIONS
-from surface_gym.sharing import Workers
+from surface_gym.sharing import Workers, workers_of
 from surface_gym.whole_files import replacing
 
 SPEEDS = np.arange(30, 271, 2) / 100.0  # [m/s] at which a layout has to sort, as many as it can
 COLUMNS = 16  # of the zone
-SIDE = -1  # that they sort to: y < 0
+SIDE = -1  # to which they sort: y < 0
 FILE = "data/sorting.json"
 # [rad] axes on offer: the study's, every 22.5 deg, or any.
 OFFERS: dict[str, tuple[float, ...] | None] = {
@@ -33,18 +37,16 @@ OFFERS: dict[str, tuple[float, ...] | None] = {
 }
 SIZES = ("S", "B")
 
-Numbers = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class SortingLayout:
-    """A layout that leads a box to y < 0, and how slowly a box may come."""
+    """A layout that leads a box to y < 0, and the least speed at which it does."""
 
     box: str  # "S" or "B", the study's
     offer: str  # a key of `OFFERS`: the orientations it chooses from
-    axis: Numbers  # (rows, columns) [rad], the first row at the least y
+    axis: NDArray[np.float64]  # (rows, columns) [rad], the first row at the least y
     least_speed: float  # [m/s] from which on it sorts at all of `SPEEDS`
-    least_sure_speed: float  # [m/s] the same for all but 5 % of the draws of what is not known
+    least_sure_speed: float  # [m/s] likewise for all but 5 % of the draws of unknown quantities
     mean_time: float  # [s] of those that it sorts
     study_least_speed: float  # [m/s] of the study's layout
     study_least_sure_speed: float  # [m/s]
@@ -52,13 +54,13 @@ class SortingLayout:
 
     @property
     def half_length(self) -> float:
-        """[m] of the box."""
+        """Half the length of the box [m]."""
         return float(box(self.box).base.outline.max())
 
 
 @lru_cache(maxsize=1)
 def sorting_layouts() -> tuple[SortingLayout, ...]:
-    """The layouts that ship with the package."""
+    """Load the layouts that ship with the package."""
     text = resources.files("surface_gym.design").joinpath(FILE).read_text("utf-8")
     return tuple(
         SortingLayout(**{**each, "axis": np.radians(each["axis"])}) for each in json.loads(text)
@@ -72,18 +74,18 @@ def find_sorting_layouts(
     workers: Workers = 1,
     seed: int = 0,
     checkpoints: Path | str | None = None,
-    advance: Callable[[int, int], None] = lambda *_: None,
+    on_progress: OnProgress = lambda *_: None,
 ) -> dict[tuple[str, str], BestLayout]:
     """Search the layouts that ship anew.
 
     Args:
         offers: keys of `OFFERS`.
-        sizes: of `SIZES`.
-        effort: how long to search, for each.
-        workers: threads that share the runs, or a cluster; what is found does not depend on it.
-        seed: of the searches and of the draws of what is not known.
-        checkpoints: folder that keeps what is found; searches whose files exist go on from there.
-        advance: called with how much of the searches is done and how much there is.
+        sizes: some of `SIZES`.
+        effort: length of each search.
+        workers: threads that share the runs, or a cluster; the result does not depend on it.
+        seed: of the searches and of the draws of unknown quantities.
+        checkpoints: folder that keeps their states; searches whose files exist are resumed.
+        on_progress: called with the steps done and their total.
 
     Returns:
         The layouts by box and offer.
@@ -96,13 +98,10 @@ def find_sorting_layouts(
         for offer in offers
         for size in sizes
     ]
-    found = {}
-    for place, (size, offer) in enumerate(wanted):
-
-        def told(done: int, steps: int, place: int = place) -> None:
-            advance(place * steps + done, len(wanted) * steps)
-
-        found[size, offer] = best_layout(
+    steps = effort.epochs + effort.rounds * COLUMNS
+    progress = split_progress(on_progress, [steps] * len(wanted))
+    return {
+        (size, offer): best_layout(
             Case(box(size), Sort(SIDE), seed=seed),
             SPEEDS,
             COLUMNS,
@@ -110,13 +109,14 @@ def find_sorting_layouts(
             effort=effort,
             workers=workers,
             checkpoint=None if checkpoints is None else Path(checkpoints) / f"{size}-{offer}.npz",
-            advance=told,
+            on_progress=part,
         )
-    return found
+        for (size, offer), part in zip(wanted, progress, strict=True)
+    }
 
 
 def write_sorting_layouts(file: Path | str, found: dict[tuple[str, str], BestLayout]) -> None:
-    """Write layouts to a file as the one that ships; a write broken off leaves it as it was.
+    """Write layouts in the form of the file that ships; an interrupted write changes nothing.
 
     Args:
         file: to write.
@@ -138,3 +138,46 @@ def write_sorting_layouts(file: Path | str, found: dict[tuple[str, str], BestLay
     ]
     with replacing(Path(file)) as part:
         part.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """Search the fixed layouts that sort the study's boxes best, and write them to a file.
+
+    Takes about six minutes on two cores. An interrupted search is resumed from its checkpoints.
+    """
+
+    file: Path = Path(__file__).parent / FILE
+    """File to write; else the one that ships."""
+    offers: tuple[str, ...] = tuple(OFFERS)
+    """Orientations to choose from: four, eight or any."""
+    checkpoints: Path = Path("runs/design/ship")
+    """Folder of the searches' states."""
+    workers: int = field(default_factory=usable_cores)
+    """Threads that share the runs; the result does not depend on their number."""
+    cluster: str | None = None
+    """Address of a Ray cluster that shares the runs instead, "auto" for this machine's."""
+
+
+def main() -> None:
+    """Search the layouts with a progress bar, and write them."""
+    import tyro
+    from rich.console import Console
+    from rich.progress import Progress
+
+    options = tyro.cli(SearchOptions, prog="python -m surface_gym.design.sorting_layouts")
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        bar = progress.add_task("searching", total=None)
+        found = find_sorting_layouts(
+            options.offers,
+            workers=workers_of(options.cluster, options.workers),
+            checkpoints=options.checkpoints,
+            on_progress=lambda done, total: progress.update(bar, completed=done, total=total),
+        )
+    write_sorting_layouts(options.file, found)
+    for (size, offer), layout in found.items():
+        print(f"{size}-box, {offer}: sorts from {layout.best.least_speed:g} m/s on")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,4 +1,4 @@
-"""Runs of a case on one surface while one thing about them is swept."""
+"""Runs of a case on one surface while one quantity is swept."""
 
 from dataclasses import dataclass, replace
 
@@ -6,93 +6,90 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.design.case import NOTHING, TOGETHER, WORST, Case, Draws, Unknown, draw
+from surface_gym.design import report
+from surface_gym.design.case import NOTHING, SURE, Case, Draws
 from surface_gym.design.columns import MOST, Columns, least_columns
 from surface_gym.design.line import DesignLine
 from surface_gym.design.purposes import Layout
-from surface_gym.design.runs import Ends, Runs, run_all
-from surface_gym.design.sending import Advance
+from surface_gym.design.runs import Ends, OnProgress, Runs, join_runs
 from surface_gym.sharing import Workers, check_workers
 
-NOMINAL = "nominal"  # beside the groups: everything as it is said to be
-
-Booleans = NDArray[np.bool_]
 Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """A case's parcel on a line of which the first columns are turned, by one of its layouts."""
+    """A case on a line whose first columns are turned by one of the purpose's layouts."""
 
     case: Case
     line: DesignLine  # with as many columns as `least_columns` tries, so that draws are the same
     layout: Layout
     columns: int  # that are turned
-    chosen: str  # why so many
+    chosen: str  # reason for their number
+
+    @property
+    def description(self) -> str:
+        """The surface as it follows "on": "6 columns of 4 rows, +45 deg"."""
+        return (
+            f"{report.plural(self.columns, 'column')} of {self.line.rows} rows, {self.layout.name}"
+        )
 
     @property
     def passed(self) -> int:
-        """Columns behind which a run is over: of the zone, and of a run-out where it may help."""
+        """Columns behind which a run ends: of the zone, and of a run-out where it may help."""
         return self.columns + (0 if self.case.purpose.leaves_zone else self.line.run_out)
 
-    def drawn(self, unknown: Unknown) -> Draws:
-        """What is not known, drawn; one draw where nothing is unknown."""
-        count = self.case.draws if unknown.groups else 1
-        return draw(unknown, self.case.parcel, self.line, count, self.case.seed)
-
-    def run(self, drawn: Draws, runs: Runs, workers: Workers, advance: Advance) -> Ends:
-        """Carry out runs of draws over the layout."""
-        return run_all(
-            self.line, self.layout.axis[np.newaxis], drawn.parcels, runs, drawn.stiffness,
-            self.case.step, workers, advance,
-        )  # fmt: skip
+    def run(
+        self,
+        drawn: Draws,
+        runs: Runs,
+        workers: Workers = 1,
+        on_progress: OnProgress = lambda *_: None,
+    ) -> Ends:
+        """Simulate runs of draws over the layout."""
+        axes = self.layout.axis[np.newaxis]
+        return self.case.run(self.line, axes, runs, drawn, workers, on_progress)
 
 
 @dataclass(frozen=True, eq=False)
-class Conditions:
-    """What is swept: a row a value."""
+class SweepPoints:
+    """Points of a sweep, a row each."""
 
-    speed: Numbers  # (values,) [m/s]
-    tilt: Numbers  # (values,) [rad]
-    friction: Numbers  # (values, 3) [-] factors of mu_max, mu_min and mu_support
+    speed: Numbers  # (points,) [m/s]
+    tilt: Numbers  # (points,) [rad]
+    friction: Numbers  # (points, 3) [-] factors of mu_max, mu_min and mu_support
 
     def __len__(self) -> int:
         return len(self.speed)
 
 
-class Tally:
-    """Adds up the runs of several calls of `run_all`, for one `advance`."""
-
-    def __init__(self, advance: Advance, total: int) -> None:
-        self._advance = advance
-        self._total = total
-        self._before = 0
-
-    def part(self, count: int) -> Advance:
-        """The `advance` of the next call, which has so many runs."""
-        before = self._before
-        self._before += count
-        return lambda done, _: self._advance(before + done, self._total)
+def repeat_case(case: Case, count: int = 1) -> SweepPoints:
+    """Return the case itself as so many points."""
+    return SweepPoints(
+        speed=np.full(count, case.speed),
+        tilt=np.full(count, case.tilt),
+        friction=np.ones((count, 3)),
+    )
 
 
 def arrange(
     case: Case, columns: int | None = None, rows: int | None = None, workers: Workers = 1
 ) -> Arrangement:
-    """The surface on which a case is swept.
+    """Choose the surface on which a case is swept.
 
     Args:
-        case: what it is for.
-        columns: of the zone; None: the fewest that do it in all but `WORST` of the draws of all
-            that is unknown, else the fewest that do it where nothing is.
+        case: the parcel, its entry and its purpose.
+        columns: of the zone; None: the fewest for all but `WORST` of the draws of all unknown
+            quantities; if no number is enough, the fewest with nothing unknown.
         rows: of rotors; None: as many as lie under the parcel.
         workers: threads that share the runs, or a cluster.
 
     Returns:
-        Of the purpose's layouts with so many columns, the one that does it where nothing is
-        unknown, and if several do, in the most draws.
+        The surface with the purpose's layout that succeeds with nothing unknown; if several do,
+        with the one that succeeds in the most draws.
 
     Raises:
-        ValueError: `columns` is None and no number of them does it, or is below 1.
+        ValueError: `columns` is None and no number of them is enough, or is below 1.
     """
     check_workers(workers)
     chosen = "as asked"
@@ -103,66 +100,43 @@ def arrange(
         Arrangement(case, line, layout, columns, chosen)
         for layout in case.purpose.layouts(line, columns)
     ]
-    return max(tried, key=lambda each: _merit(each, workers)) if len(tried) > 1 else tried[0]
+    if len(tried) == 1:
+        return tried[0]
+    point = repeat_case(case)
+
+    def merit(each: Arrangement) -> tuple[float, ...]:
+        """Return the success with nothing unknown, and the share of the draws that succeed."""
+        return tuple(
+            float(success_shares(each, case.draw(line, unknown), point, workers)[0])
+            for unknown in (NOTHING, case.unknown)
+        )
+
+    return max(tried, key=merit)
 
 
-def shares(
+def success_shares(
     arrangement: Arrangement,
     drawn: Draws,
-    conditions: Conditions,
+    points: SweepPoints,
     workers: Workers = 1,
-    advance: Advance = lambda *_: None,
+    on_progress: OnProgress = lambda *_: None,
 ) -> Numbers:
-    """(values,) share of the draws that do what is asked, the same draws at every value."""
-    runs = join(
-        [
-            _at(arrangement, drawn, float(speed), float(tilt), factors)
-            for speed, tilt, factors in zip(
-                conditions.speed, conditions.tilt, conditions.friction, strict=True
-            )
-        ]
-    )
-    ends = arrangement.run(drawn, runs, workers, advance)
-    done = arrangement.case.purpose.succeeds(arrangement.line, runs, ends)
-    share: Numbers = done.reshape(len(conditions), len(drawn)).mean(axis=1)
+    """Return the share (points,) of the draws that succeed, with the same draws at every point."""
+    each_point = []
+    for k in range(len(points)):
+        runs = drawn.runs(float(points.speed[k]), float(points.tilt[k]), arrangement.passed)
+        each_point.append(replace(runs, friction=runs.friction * points.friction[k]))
+    runs = join_runs(each_point)
+    ends = arrangement.run(drawn, runs, workers, on_progress)
+    done = arrangement.case.purpose.succeeds(ends)
+    share: Numbers = done.reshape(len(points), len(drawn)).mean(axis=1)
     return share
 
 
-def own_conditions(case: Case, count: int = 1) -> Conditions:
-    """A case's own, so many times."""
-    return Conditions(
-        speed=np.full(count, case.speed),
-        tilt=np.full(count, case.tilt),
-        friction=np.ones((count, 3)),
-    )
-
-
-def join(runs: list[Runs]) -> Runs:
-    """Runs one after the other."""
-    names = Runs.__dataclass_fields__
-    return Runs(**{name: np.concatenate([getattr(each, name) for each in runs]) for name in names})
-
-
-def groups_of(unknown: Unknown) -> dict[str, Unknown]:
-    """Nothing unknown, each group that varies alone, and all of them together, by name."""
-    return {NOMINAL: NOTHING, **{group: unknown.only(group) for group in unknown.groups}}
-
-
-def span(done: Booleans, own: int) -> tuple[int, int] | None:
-    """First and last place of the run of successes around a place; None: it fails there."""
-    if not done[own]:
-        return None
-    fails = np.nonzero(~done)[0]
-    below, above = fails[fails < own], fails[fails > own]
-    first = int(below[-1]) + 1 if len(below) else 0
-    last = int(above[0]) - 1 if len(above) else len(done) - 1
-    return first, last
-
-
 def _fewest(case: Case, found: Columns) -> tuple[int, str]:
-    together = next((worst.columns for worst in found.worst if worst.group == TOGETHER), None)
-    if together is not None:
-        return together, f"the fewest for {1.0 - WORST:.0%} of the draws"
+    """Return the number of columns to take, and the reason for it."""
+    if found.together is not None and found.together.columns is not None:
+        return found.together.columns, f"the fewest for {SURE} of the draws"
     if found.columns is None:
         raise ValueError(
             f"columns must be given: by the study's layouts no number up to {MOST} does it "
@@ -170,21 +144,4 @@ def _fewest(case: Case, found: Columns) -> tuple[int, str]:
         )
     if not found.worst:
         return found.columns, "the fewest, with nothing unknown"
-    return found.columns, f"the fewest with nothing unknown; none do for {1.0 - WORST:.0%} of draws"
-
-
-def _merit(arrangement: Arrangement, workers: Workers) -> tuple[float, float]:
-    """Success where nothing is unknown, and the share of draws where all is."""
-    at = own_conditions(arrangement.case)
-    known, drawn = (
-        float(shares(arrangement, arrangement.drawn(unknown), at, workers)[0])
-        for unknown in (NOTHING, arrangement.case.unknown)
-    )
-    return known, drawn
-
-
-def _at(
-    arrangement: Arrangement, drawn: Draws, speed: float, tilt: float, factors: Numbers
-) -> Runs:
-    runs = drawn.runs(speed, tilt, arrangement.passed)
-    return replace(runs, friction=runs.friction * factors)
+    return found.columns, f"the fewest with nothing unknown; none do for {SURE} of draws"

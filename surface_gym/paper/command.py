@@ -1,19 +1,12 @@
 """The command line of `python -m surface_gym.paper`."""
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Console
-from rich.progress import track
-
-from surface_gym.paper.export import to_json
-from surface_gym.paper.report import print_report
-from surface_gym.paper.reproduction import reproduce
 
 
 @dataclass(frozen=True)
@@ -29,7 +22,7 @@ class Options:
     """
 
     figures: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Draw Figures 6 to 11 and the alignment into this folder, as PNG and PDF."""
+    """Draw Figures 6 to 10 and the alignment into this folder, as PNG and PDF."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Write every number to this file."""
 
@@ -37,35 +30,37 @@ class Options:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command. A file or folder that cannot be written ends it with one line."""
     options = tyro.cli(Options, prog="python -m surface_gym.paper", args=arguments)
-    # What cannot be written is better known before the work.
-    if options.json is not None:
-        with _writing(options.json):
-            options.json.open("a").close()
-    if options.figures is not None:
-        with _writing(options.figures):
-            options.figures.mkdir(parents=True, exist_ok=True)
-        from surface_gym.paper.figures import draw_figures
-
-    reproduction = reproduce(_show_progress)
-    print_report(reproduction, Console())
-    if options.json is not None:
-        with _writing(options.json):
-            options.json.write_text(to_json(reproduction), encoding="utf-8")
-    if options.figures is not None:
-        with _writing(options.figures):
-            paths = draw_figures(reproduction, options.figures)
-        print(*paths, sep="\n")
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
     try:
-        yield
+        reproduce_and_report(options)
     except OSError as error:
-        sys.exit(f"cannot write {path}: {error.strerror}")
+        sys.exit(f"error: cannot write {error.filename}: {error.strerror}")
+
+
+def reproduce_and_report(options: Options) -> None:
+    """Compute everything, print it and write the files asked for."""
+    # A path that cannot be written is better known before the work.
+    if options.json is not None:
+        options.json.open("a").close()
+    if options.figures is not None:
+        options.figures.mkdir(parents=True, exist_ok=True)
+        from surface_gym.paper.figures import draw_figures
+    from rich.console import Console
+
+    from surface_gym.paper import reproduction
+    from surface_gym.paper.report import print_report
+
+    found = reproduction.reproduce(_show_progress)
+    print_report(found, Console())
+    if options.json is not None:
+        options.json.write_text(reproduction.to_json(found), encoding="utf-8")
+    if options.figures is not None:
+        print(*draw_figures(found, options.figures), sep="\n")
 
 
 def _show_progress(cases: Sequence[Any], description: str) -> Iterable[Any]:
+    from rich.console import Console
+    from rich.progress import track
+
     console = Console(stderr=True)
     return track(
         cases, description, console=console, transient=True, disable=not console.is_terminal

@@ -1,33 +1,38 @@
-"""Figures 7, 8 and 10 of the paper, and all of them written to a folder."""
+"""Figures 6 to 10 of the paper, and the alignment of boxes on axes at +-45 deg."""
 
 import math
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import ArrayLike
 
 from surface_gym import layouts
-from surface_gym.paper.alignment_figure import draw_alignment
-from surface_gym.paper.drawing import draw_box, draw_surface, element_marks
-from surface_gym.paper.framing import COARSE_NAME
-from surface_gym.paper.integration import COARSE, CONVERGED
-from surface_gym.paper.layout_figures import (
-    draw_kinds,
-    draw_slowing_layouts,
-    draw_validation_layout,
-)
-from surface_gym.paper.occupancy import rotor_columns
-from surface_gym.paper.reproduction import TILTS, Reproduction
-from surface_gym.paper.sorting import SortingCase, run_table2
+from surface_gym.paper.claims import INWARDS, OFFSETS, OUTWARDS, TURNS, Zone, cross
+from surface_gym.paper.reproduction import NAMES, TILTS, Reproduction
+from surface_gym.paper.runs import COARSE, CONVERGED, SortingCase, rotor_columns, run_table2
 from surface_gym.paper.targets import SIZES, SortingRun, load_targets
+from surface_gym.parcel import Base
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 
-SLOWING_TIME = 1.5  # [s] of Figure 10
-COLOURS = {"7c black": "black", "7c magenta": "magenta"}
 SUFFIXES = (".png", ".pdf")
+ROTOR = "red"
+SUPPORT = "tab:blue"
+BOX = "limegreen"
+# Figure 10
+SLOWING_TIME = 1.5  # [s]
+# Figures 6 and 9
+EIGHTH = 0.25 * math.pi  # [rad]
+SHOWN = 14  # columns
+# The alignment
+ALIGNING_COLUMNS = 6
+ALIGNING_SPEED = 2.5  # [m/s]
+SHOWN_TURN = 10.0  # [deg] by which the box drawn from above comes turned
+COLOURS = ("#1b6ca8", "#e07a1f", "#7a3b8f")
 
 
 def draw_figures(reproduction: Reproduction, folder: Path) -> list[Path]:
@@ -38,7 +43,6 @@ def draw_figures(reproduction: Reproduction, folder: Path) -> list[Path]:
         "figure8": draw_rates(reproduction),
         "figure9": draw_slowing_layouts(),
         "figure10": draw_slowing(),
-        "figure11": draw_validation_layout(),
         "alignment": draw_alignment(),
     }
     paths = []
@@ -48,6 +52,45 @@ def draw_figures(reproduction: Reproduction, folder: Path) -> list[Path]:
             figure.savefig(path, dpi=160)
             paths.append(path)
     return paths
+
+
+def draw_surface(
+    panel: Axes, surface: Surface, rotor: str = ROTOR, support: str = SUPPORT, width: float = 1.2
+) -> None:
+    """Draw a surface from above in the symbols of Figure 6: rotors with their axes, supports."""
+    x, y = np.meshgrid(surface.x, surface.y)
+    is_rotor = surface.rotor
+    panel.plot(x[~is_rotor], y[~is_rotor], ".", color=support, markersize=4)
+    panel.plot(x[is_rotor], y[is_rotor], ".", color=rotor, markersize=4)
+    half = 0.03 * np.stack([np.cos(surface.axis), np.sin(surface.axis)], axis=-1)[is_rotor]
+    centre = np.stack([x, y], axis=-1)[is_rotor]
+    axes = np.stack([centre - half, centre + half], axis=1)
+    panel.add_collection(LineCollection(list(axes), color=rotor, linewidth=width))
+
+
+def draw_base(
+    panel: Axes, base: Base, pose: ArrayLike, colour: str, style: str = "-", width: float = 2.0
+) -> None:
+    """Draw the perimeter of a base at (x, y, theta) [m, m, rad]."""
+    x, y, theta = np.asarray(pose)
+    cosine, sine = math.cos(theta), math.sin(theta)
+    outline = base.outline @ np.array([[cosine, sine], [-sine, cosine]])
+    corners = np.vstack([outline, outline[:1]]) + np.array([x, y])
+    panel.plot(corners[:, 0], corners[:, 1], style, color=colour, linewidth=width)
+
+
+def _draw_box(
+    panel: Axes, size: str, pose: ArrayLike, colour: str, style: str = "-", width: float = 2.0
+) -> None:
+    draw_base(panel, layouts.box(size).base, pose, colour, style, width)
+
+
+def _element_marks() -> list[Line2D]:
+    """Entries of a legend for rotors and supports."""
+    return [
+        Line2D([], [], marker="|", color=ROTOR, markersize=10, linestyle="", label="rotor axis"),
+        Line2D([], [], marker=".", color=SUPPORT, linestyle="", label="support"),
+    ]
 
 
 def draw_trajectories() -> Figure:
@@ -64,8 +107,8 @@ def draw_trajectories() -> Figure:
         panel.legend(loc="lower left" if runs[0].side > 0 else "upper left", framealpha=1.0)
     panels[0].set_ylabel("y [m]")
     marks = [
-        *element_marks(),
-        Line2D([], [], color="gray", linewidth=2.0, label=COARSE_NAME),
+        *_element_marks(),
+        Line2D([], [], color="gray", linewidth=2.0, label=NAMES[0]),
         Line2D([], [], color="gray", linewidth=1.0, linestyle="--", label="converged"),
     ]
     figure.legend(handles=marks, loc="outside lower center", ncols=len(marks))
@@ -73,13 +116,13 @@ def draw_trajectories() -> Figure:
 
 
 def _draw_sorting_run(panel: Axes, run: SortingRun) -> None:
-    colour = COLOURS.get(run.figure, "limegreen")
+    colour = {"7c black": "black", "7c magenta": "magenta"}.get(run.figure, BOX)
     coarse, fine = run_table2(run, COARSE), run_table2(run, CONVERGED)
     label = f"{run.speed:g} m/s" if run.speed > 0.0 else f"tilted by {run.tilt:g}°"
     panel.plot(coarse.pose[:, 0], coarse.pose[:, 1], color=colour, linewidth=2.0, label=label)
     panel.plot(fine.pose[:, 0], fine.pose[:, 1], "--", color=colour, linewidth=1.0)
-    draw_box(panel, "S", coarse.pose[-1], colour, "-", 2.0)
-    draw_box(panel, "S", fine.pose[-1], colour, "--", 1.0)
+    _draw_box(panel, "S", coarse.pose[-1], colour, "-", 2.0)
+    _draw_box(panel, "S", fine.pose[-1], colour, "--", 1.0)
     panel.plot(*coarse.pose[-1, :2], "o", color=colour, markersize=4)
 
 
@@ -169,3 +212,112 @@ def _velocity(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
         time = np.append(time, [time[-1], SLOWING_TIME])
         velocity = np.append(velocity, [0.0, 0.0])
     return time, velocity
+
+
+def draw_kinds() -> Figure:
+    """Figure 6: sorting, slowing at 0 deg and at +-45 deg."""
+    figure = Figure(figsize=(13.0, 3.9), layout="constrained")
+    kinds = (
+        ("(a) sorting", layouts.sorting("S", task_columns=SHOWN - 3, columns=SHOWN)),
+        ("(b) slowing or stopping, 0°", layouts.slowing("S", 0.0, columns=SHOWN)),
+        ("(c) slowing or stopping, ±45°", layouts.slowing("S", EIGHTH, columns=SHOWN)),
+    )
+    for panel, (title, surface) in zip(figure.subplots(1, 3, sharey=True), kinds, strict=True):
+        _draw_layout(panel, "S", surface, title)
+    _finish(figure)
+    return figure
+
+
+def draw_slowing_layouts() -> Figure:
+    """Figure 9: slowing layouts of both boxes."""
+    figure = Figure(figsize=(11.0, 8.0), layout="constrained")
+    columns = load_targets().ratio_columns
+    cases = [(size, angle) for size in SIZES for angle in (0.0, EIGHTH)]
+    panels = figure.subplots(2, 2, sharex=True, sharey=True)
+    for letter, panel, (size, angle) in zip("abcd", panels.flat, cases, strict=True):
+        title = f"({letter}) {size}-box, {'±45' if angle else '0'}°"
+        _draw_layout(panel, size, layouts.slowing(size, angle, columns, columns=SHOWN), title)
+    _finish(figure)
+    return figure
+
+
+def _draw_layout(panel: Axes, size: str, surface: Surface, title: str) -> None:
+    draw_surface(panel, surface)
+    _draw_box(panel, size, layouts.start(size), BOX)
+    panel.plot(*layouts.start(size)[:2], "o", color=BOX, markersize=4)
+    panel.set(
+        xlim=(-0.05, 1.4),
+        ylim=(0.5, 1.5),
+        aspect="equal",
+        xlabel="x [m]",
+        ylabel="y [m]",
+        title=title,
+    )
+    panel.label_outer()
+
+
+def _finish(figure: Figure) -> None:
+    marks = [*_element_marks(), Line2D([], [], color=BOX, linewidth=2.0, label="base at the start")]
+    figure.legend(handles=marks, loc="outside lower center", ncols=len(marks))
+
+
+def draw_alignment() -> Figure:
+    """From above, off the middle and turned, for rows that push inwards and outwards."""
+    figure = Figure(figsize=(11.0, 8.4), layout="constrained")
+    panels = figure.subplots(
+        3, 2, sharex=True, sharey="row", gridspec_kw={"height_ratios": (1.25, 1.0, 1.0)}
+    )
+    sides = ((INWARDS, "rows push inwards"), (OUTWARDS, "rows push outwards"))
+    for (above, off, turned), (towards, title) in zip(panels.T, sides, strict=True):
+        zone = Zone("S", towards, ALIGNING_COLUMNS, ALIGNING_SPEED, 0.0)
+        _draw_above(above, zone)
+        above.set_title(title)
+        for offset, colour in zip(OFFSETS, COLOURS, strict=True):
+            run = cross(zone, offset, 0.0)
+            y = 1000.0 * (run.pose[:, 1] - layouts.LINE_Y)
+            label = f"comes {1000.0 * offset:.0f} mm off, straight"
+            off.plot(run.pose[:, 0], y, color=colour, linewidth=2.0, label=label)
+        for turn, colour in zip(TURNS, COLOURS, strict=False):
+            run = cross(zone, 0.0, turn)
+            label = f"comes in the middle, turned by {turn:.0f}°"
+            theta = np.degrees(run.pose[:, 2])
+            turned.plot(run.pose[:, 0], theta, color=colour, linewidth=2.0, label=label)
+        for panel in (off, turned):
+            _shade(panel, zone)
+        turned.set_xlabel("x [m]")
+    above, off, turned = panels[:, 0]
+    above.set_ylabel("y [m]")
+    off.set_ylabel("off the middle [mm]")
+    turned.set_ylabel("turned [°]")
+    off.legend(loc="lower left", framealpha=1.0)
+    turned.legend(loc="upper left", framealpha=1.0)
+    figure.suptitle(
+        f"S-box at {ALIGNING_SPEED:g} m/s over {ALIGNING_COLUMNS} columns at ±45° in alternate "
+        "rows (shaded), level"
+    )
+    return figure
+
+
+def _draw_above(panel: Axes, zone: Zone) -> None:
+    """Draw a box in the middle and turned, at equal times on its way."""
+    draw_surface(panel, zone.surface)
+    run = cross(zone, 0.0, SHOWN_TURN)
+    for k in np.linspace(0, len(run.pose) - 1, 5).astype(int):
+        shade = 0.25 + 0.75 * k / len(run.pose)
+        _draw_box(panel, "S", run.pose[k], "limegreen", width=0.8 + 1.4 * shade)
+    panel.plot(run.pose[:, 0], run.pose[:, 1], color="green", linewidth=1.2)
+    panel.axhline(layouts.LINE_Y, color="0.5", linewidth=0.8, linestyle=":")
+    panel.set(ylim=(0.76, 1.24), xlim=(0.0, 1.2), aspect="equal")
+    text = f"comes in the middle, turned by {SHOWN_TURN:.0f}°"
+    panel.text(0.02, 0.795, text, bbox={"facecolor": "white", "edgecolor": "none"})
+
+
+def _shade(panel: Axes, zone: Zone) -> None:
+    """Shade the zone's columns."""
+    surface = zone.surface
+    first = layouts.LEAD_IN[zone.size]
+    edges = surface.x[[first, first + zone.columns - 1]]
+    half = 0.5 * surface.pitch_x
+    panel.axvspan(edges[0] - half, edges[1] + half, color="0.93", zorder=0)
+    panel.axhline(0.0, color="0.5", linewidth=0.8, linestyle=":")
+    panel.grid(alpha=0.3)

@@ -1,14 +1,23 @@
-"""The paper's numbers, read from `data/targets.json`."""
+"""The numbers that the paper prints, from `data/targets.json`, and ours compared with them."""
 
 import json
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-
-from surface_gym.paper.comparison import SlowingLayout
+from typing import Any, NamedTuple
 
 SIZES = ("S", "B")
 _KEYS = {"S": "s_box", "B": "b_box"}
+
+
+class SlowingLayout(NamedTuple):
+    """An entry of Table 4."""
+
+    columns: int  # of the slowing area
+    angle: int  # [deg] 0, or 45 for +-45 in alternate rows
+
+    def __str__(self) -> str:
+        return f"{self.columns} at {'±' if self.angle else ''}{self.angle}°"
 
 
 @dataclass(frozen=True)
@@ -21,20 +30,20 @@ class SortingRun:
     x: float  # [m] displacement from the start
     y: float  # [m]
     theta: float  # [deg]
-    figure: str  # where the paper draws it
+    figure: str  # in which the paper draws it
 
     @property
     def side(self) -> int:
-        """-1 where the axes stand at +45 deg, which sorts to y < 0; +1 at -45 deg."""
+        """-1 for axes at +45 deg, which sort to y < 0; +1 for axes at -45 deg."""
         return 1 if self.y > 0.0 else -1
 
 
 @dataclass(frozen=True)
 class Passing:
-    """Section 5.1: where and when the parcel on the tilted surface passes a lateral distance."""
+    """State of the parcel at 10 deg when it is as far aside as that at 5 deg, Section 5.1."""
 
     tilt: float  # [deg]
-    y: float  # [m] displacement at which it is looked at
+    y: float  # [m] displacement at which the state is taken
     x: float  # [m] displacement
     theta: float  # [deg]
     time: float  # [s]
@@ -42,7 +51,7 @@ class Passing:
 
 @dataclass(frozen=True)
 class Targets:
-    """The paper's tables. Mappings go from a box's size, "S" or "B", to a value a speed."""
+    """The paper's tables. Mappings go from a box's size, "S" or "B", to a value per speed."""
 
     source: str
     sorting_runs: tuple[SortingRun, ...]  # Table 2
@@ -59,19 +68,24 @@ class Targets:
 
 
 @cache
-def load_targets() -> Targets:
-    """The paper's tables as the package carries them."""
+def load_data() -> dict[str, Any]:
+    """Read the file of the paper's numbers; those of Section 6 are under "validation"."""
     text = resources.files("surface_gym.paper").joinpath("data/targets.json").read_text("utf-8")
-    data = json.loads(text)
+    data: dict[str, Any] = json.loads(text)
+    return data
+
+
+@cache
+def load_targets() -> Targets:
+    """Read the paper's tables of Section 5."""
+    data = load_data()
     table3, table4, ratio = data["table3"], data["table4"], data["slowing_ratio"]
     passing = data["table2"]["passing"]
     low, high = data["sorting_rate"]["paper_band_pcs_per_h"]
     return Targets(
         source=data["source"],
         sorting_runs=tuple(SortingRun(*row) for row in data["table2"]["rows"]),
-        passing=Passing(
-            passing["gamma"], passing["dy"], passing["dx"], passing["theta"], passing["time"]
-        ),
+        passing=Passing(*(passing[key] for key in ("gamma", "dy", "dx", "theta", "time"))),
         sorting_speeds=tuple(table3["v0"]),
         sorting_columns={size: tuple(table3[_KEYS[size]]) for size in SIZES},
         slowest_sorted={size: table3["fails_below"][_KEYS[size]] for size in SIZES},
@@ -87,3 +101,62 @@ def load_targets() -> Targets:
         },
         medium_rates=(low, high),
     )
+
+
+Value = int | float | SlowingLayout | None
+
+
+@dataclass(frozen=True)
+class Found:
+    """A value of ours, and the share of its run that Eq. (1) cannot balance."""
+
+    value: Value
+    tipping: float | None  # [-] of the steps up to the value; None: there was no step
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One value of the paper beside ours, all in the unit that its column names.
+
+    Numbers agree if, rounded as the paper prints them, they differ by the tolerance at most;
+    other values agree if they are equal.
+    """
+
+    row: str
+    column: str
+    size: str  # of the box, "S" or "B"
+    paper: Value
+    ours: tuple[Found, ...]  # one per integration, in the order of `INTEGRATIONS`
+    decimals: int = 0  # that the paper prints
+    tolerance: float = 0.0
+
+    def agrees(self, integration: int) -> bool:
+        """Compare our value by the integration of that index with the paper's."""
+        ours = self.ours[integration].value
+        if isinstance(ours, (int, float)) and isinstance(self.paper, (int, float)):
+            difference = round(ours, self.decimals) - self.paper
+            return abs(round(difference, self.decimals)) <= self.tolerance
+        return ours == self.paper
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of the paper, or a sentence of it that states numbers."""
+
+    key: str  # its name in the JSON report
+    title: str
+    rule: str  # what is counted, and when a cell agrees
+    cells: tuple[Cell, ...]
+
+    def agreeing(self, integration: int) -> int:
+        """Count the cells that agree by the integration of that index."""
+        return sum(cell.agrees(integration) for cell in self.cells)
+
+    def tipping(self, integration: int) -> dict[str, tuple[float, float]]:
+        """Range of the shares of a run's steps that would tip the box, by the box's size."""
+        shares: dict[str, list[float]] = {}
+        for cell in self.cells:
+            share = cell.ours[integration].tipping
+            if share is not None:
+                shares.setdefault(cell.size, []).append(share)
+        return {size: (min(found), max(found)) for size, found in shares.items()}

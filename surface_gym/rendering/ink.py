@@ -1,29 +1,33 @@
-"""Antialiased shapes of one colour on a pygame Surface, in pixels.
+"""Shapes and texts of one colour on a pygame Surface, in pixels.
 
-A shape is painted several times larger on a layer around it, which is then scaled down: so its
-edges are smooth and it can lie between pixels, as a slowly moving parcel must.
+A smooth shape is painted several times larger on a layer around it, which is then scaled down, so
+that its edges are smooth and it can lie between pixels, as a slowly moving parcel must. Strokes are
+quicker and whole pixels wide, for what moves in great number. Texts are in pygame's own font.
 """
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from surface_gym.rendering.palette import Colour
+from surface_gym.rendering.palette import INK, PAPER, Colour, text_on
 
 Points = NDArray[np.float64]  # (points, 2) [px]
 
 _FINE, _COARSE = 8, 4  # samples a pixel and direction
-_LARGE = 20_000  # [px] in a layer from which the coarse ones do
+_LARGE = 20_000  # [px] in a layer from which the coarse number is used
 _DASH = 0.6  # share of a dash in its period
 _DASHES_AT_ONCE = 4
+_LETTER_SAMPLES = 2  # a pixel and direction: letters set at twice the size keep their spacing
 
 
 class _Layer:
-    """A patch of canvas, enlarged, transparent where nothing is painted on it."""
+    """An enlarged patch of the canvas, transparent where nothing is painted on it."""
 
     def __init__(self, canvas: pygame.Surface, points: Points, grow: float, colour: Colour) -> None:
         (left, top), (right, bottom) = points.min(axis=0) - grow, points.max(axis=0) + grow
@@ -38,20 +42,20 @@ class _Layer:
         )
         self.patch.fill((*colour, 0))
 
-    def _placed(self, points: Points) -> Any:
-        """Points as nested lists of whole samples."""
+    def _samples_at(self, points: Points) -> Any:
+        """Convert points to nested lists of whole samples."""
         samples = np.rint(self.samples * (points - self.area.topleft) - 0.5)
         return samples.astype(np.int64).tolist()
 
     def polygon(self, points: Points) -> None:
-        pygame.draw.polygon(self.patch, self.colour, self._placed(points))
+        pygame.draw.polygon(self.patch, self.colour, self._samples_at(points))
 
     def disc(self, centre: Points, radius: float) -> None:
-        x, y = self._placed(centre)
+        x, y = self._samples_at(centre)
         pygame.draw.circle(self.patch, self.colour, (x, y), self.samples * radius)
 
     def lines(self, pieces: Sequence[Points], width: float) -> None:
-        """A quadrilateral for each segment, a disc for each joint."""
+        """Paint a quadrilateral for each segment and a disc for each joint."""
         half = 0.5 * (width - 1.0 / self.samples)  # pygame paints a polygon's border too
         start = np.concatenate([piece[:-1] for piece in pieces])
         end = np.concatenate([piece[1:] for piece in pieces])
@@ -59,13 +63,13 @@ class _Layer:
         length = np.maximum(np.hypot(along[:, 0], along[:, 1]), np.finfo(np.float64).tiny)
         across = half * np.stack([-along[:, 1], along[:, 0]], axis=-1) / length[:, np.newaxis]
         corners = np.stack([start + across, end + across, end - across, start - across], axis=1)
-        for quadrilateral in self._placed(corners):
+        for quadrilateral in self._samples_at(corners):
             pygame.draw.polygon(self.patch, self.colour, quadrilateral)
-        for x, y in self._placed(np.concatenate([piece[1:-1] for piece in pieces])):
+        for x, y in self._samples_at(np.concatenate([piece[1:-1] for piece in pieces])):
             pygame.draw.circle(self.patch, self.colour, (x, y), self.samples * half)
 
     def press(self, opacity: float) -> None:
-        """Bring the patch onto the canvas."""
+        """Scale the patch down onto the canvas."""
         if self.area.width and self.area.height:
             smooth = pygame.transform.smoothscale(self.patch, self.area.size)
             smooth.set_alpha(round(255 * opacity))
@@ -154,7 +158,7 @@ def hatching(
     colour: Colour,
     opacity: float,
 ) -> None:
-    """Fill a rectangle with lines at 45 deg."""
+    """Fill a rectangle with lines at 45 degrees."""
     layer = _Layer(
         canvas, np.array([area.topleft, area.bottomright], dtype=np.float64), 0.0, colour
     )
@@ -166,12 +170,149 @@ def hatching(
 
 
 def distances(points: Points) -> NDArray[np.float64]:
-    """(points,) [px] along a line from its first point."""
+    """Compute the distances (points,) [px] along a line from its first point."""
     steps = np.diff(points, axis=0)
     return np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
 
 
 def thinned(points: Points, step: float) -> Points:
-    """A line's points about `step` pixels apart, its ends among them."""
+    """Select points of a line about `step` pixels apart, both ends included."""
     kept = np.unique(np.floor(distances(points) / step), return_index=True)[1]
     return points[np.union1d(kept, [len(points) - 1])]
+
+
+def stroke(canvas: pygame.Surface, points: Points, width: int, colour: Colour) -> None:
+    """Stroke a line through points."""
+    ends = (points - 0.5).tolist()  # pygame counts from the first pixel's middle
+    for start, end in pairwise(ends):
+        pygame.draw.aaline(canvas, colour, start, end, width)
+
+
+def border(canvas: pygame.Surface, corners: Points, width: int, colour: Colour) -> None:
+    """Stroke a polygon's border."""
+    stroke(canvas, np.vstack([corners, corners[:1]]), width, colour)
+
+
+def dashed_border(
+    canvas: pygame.Surface, corners: Points, width: int, colour: Colour, period: float
+) -> None:
+    """Stroke a polygon's border in dashes and gaps of equal length; the period is in pixels."""
+    closed = np.vstack([corners, corners[:1]])
+    reached = distances(closed)
+    steps = 2 * max(1, round(reached[-1] / period))
+    at = np.linspace(0.0, reached[-1], steps + 1)
+    ends = np.stack([np.interp(at, reached, closed[:, i]) for i in (0, 1)], axis=-1)
+    places = (ends - 0.5).tolist()
+    for start, end in zip(places[0::2], places[1::2], strict=False):
+        pygame.draw.aaline(canvas, colour, start, end, width)
+
+
+def wash(canvas: pygame.Surface, corners: Points, colour: Colour, opacity: float) -> None:
+    """Fill a polygon quickly; a border has to cover its ragged edge."""
+    corner = np.floor(corners.min(axis=0)) - 1.0
+    size = np.ceil(corners.max(axis=0)) - corner + 2.0
+    patch = pygame.Surface(size.tolist(), pygame.SRCALPHA)
+    places = np.rint(corners - corner - 0.5).tolist()
+    pygame.draw.polygon(patch, (*colour, round(255 * opacity)), places)
+    canvas.blit(patch, corner.tolist())
+
+
+def inset(corners: Points, depth: float) -> Points:
+    """Move the edges of a polygon inwards by a depth [px]."""
+    after = np.concatenate([corners[1:], corners[:1]])
+    (x, y), along = (corners - corners[0]).T, after - corners
+    turn = np.sign(x @ along[:, 1] - y @ along[:, 0])
+    length = np.maximum(np.hypot(along[:, 0], along[:, 1]), np.finfo(np.float64).tiny)
+    inward = turn * np.stack([-along[:, 1], along[:, 0]], axis=-1) / length[:, np.newaxis]
+    before = np.concatenate([inward[-1:], inward[:-1]])
+    sharpness = np.maximum(1.0 + (before * inward).sum(axis=1, keepdims=True), 0.3)
+    return corners + depth * (before + inward) / sharpness
+
+
+@lru_cache(maxsize=512)
+def _letters(text: str, size: int, colour: Colour, room: int | None) -> pygame.Surface:
+    # A font kept would be lost when someone else calls pygame.quit(); its pictures are not.
+    pygame.font.init()
+    font = pygame.font.Font(None, _LETTER_SAMPLES * size)
+    shown = text
+    while room is not None and text and font.size(shown)[0] > _LETTER_SAMPLES * room:
+        text = text[:-1]
+        shown = text.rstrip() + "…"
+    large = font.render(shown, True, colour)
+    width, height = large.get_size()
+    return pygame.transform.smoothscale(
+        large, (-(-width // _LETTER_SAMPLES), -(-height // _LETTER_SAMPLES))
+    )
+
+
+def text_width(text: str, size: int) -> int:
+    """Measure the width [px] of a text."""
+    return _letters(text, size, INK, None).get_width()
+
+
+def write(
+    canvas: pygame.Surface,
+    text: str,
+    size: int,
+    colour: Colour = INK,
+    room: int | None = None,
+    **place: tuple[int, int],
+) -> pygame.Rect:
+    """Write a text.
+
+    Args:
+        canvas: what to write on.
+        text: what to write.
+        size: [px] of the font.
+        colour: of the text.
+        room: [px] it may take; a longer text is cut and ends with an ellipsis.
+        place: where, as one of a pygame Rect's points, such as `midleft=(10, 20)`.
+
+    Returns:
+        The area taken.
+    """
+    letters = _letters(text, size, colour, room)
+    area = letters.get_rect(**place)
+    canvas.blit(letters, area)
+    return area
+
+
+def write_on_plate(
+    canvas: pygame.Surface,
+    text: str,
+    size: int,
+    colour: Colour,
+    within: pygame.Rect,
+    **place: tuple[int, int],
+) -> None:
+    """Write a text on a plate of paper, moved so that it stays within an area."""
+    plate = _letters(text, size, colour, None).get_rect(**place).inflate(8, 4).clamp(within)
+    sheet = pygame.Surface(plate.size, pygame.SRCALPHA)
+    pygame.draw.rect(sheet, (*PAPER, 225), sheet.get_rect(), border_radius=3)
+    canvas.blit(sheet, plate)
+    write(canvas, text, size, colour, center=plate.center)
+
+
+def draw_badge(
+    canvas: pygame.Surface, text: str, size: int, colour: Colour, **place: tuple[int, int]
+) -> pygame.Rect:
+    """Draw a text on a rounded label of a colour, placed as `write` places a text; the area."""
+    badge = _badge(text, size, colour)
+    area = badge.get_rect(**place)
+    canvas.blit(badge, area)
+    return area
+
+
+def badge_width(text: str, size: int) -> int:
+    """Measure the width [px] of a rounded label."""
+    return max(round(0.95 * size), text_width(text, size) + size // 2)
+
+
+@lru_cache(maxsize=256)
+def _badge(text: str, size: int, colour: Colour) -> pygame.Surface:
+    height = round(0.95 * size)
+    badge = pygame.Surface((badge_width(text, size), height), pygame.SRCALPHA)
+    area = badge.get_rect()
+    pygame.draw.rect(badge, colour, area, border_radius=height // 2)
+    write(badge, text, size, text_on(colour), center=(area.centerx, area.centery + 1))
+    return badge

@@ -1,4 +1,4 @@
-"""Colours. An axis has no sense of direction, so its colours close after 180 deg."""
+"""Colours. An axis has no direction, so its colours repeat after 180 degrees."""
 
 import math
 from typing import TypeAlias
@@ -55,7 +55,7 @@ _LMS_TO_RGB = np.array(
 
 
 def axis_colours(angle: ArrayLike) -> NDArray[np.uint8]:
-    """Colours (..., 3) in sRGB of axis angles (...) [rad].
+    """Compute the colours (..., 3) in sRGB of axis angles (...) [rad].
 
     >>> axis_colours([0.0, np.pi / 4, np.pi]).tolist()  # 0 and 180 deg are one orientation
     [[127, 61, 77], [62, 119, 189], [127, 61, 77]]
@@ -72,23 +72,23 @@ def axis_colours(angle: ArrayLike) -> NDArray[np.uint8]:
 
 
 def axis_colour(angle: float) -> Colour:
-    """Colour in sRGB of one axis angle [rad]."""
+    """Compute the colour in sRGB of one axis angle [rad]."""
     red, green, blue = axis_colours(math.remainder(angle, math.pi)).tolist()
     return (red, green, blue)
 
 
 def mixed(colour: Colour, other: Colour, share: float) -> Colour:
-    """A colour with a share of another in it."""
+    """Mix a share of another colour into a colour."""
     red, green, blue = (round(a + share * (b - a)) for a, b in zip(colour, other, strict=True))
     return (red, green, blue)
 
 
-def exit_colour(place: int) -> Colour:
-    """Colour of the exit at a place; they begin again where there are more exits than colours."""
-    return EXITS[place % len(EXITS)]
+def exit_colour(index: int) -> Colour:
+    """Return the colour of an exit; colours repeat where there are more exits."""
+    return EXITS[index % len(EXITS)]
 
 
 def text_on(colour: Colour) -> Colour:
-    """The colour in which to write on another."""
+    """Choose the colour in which to write on another."""
     red, green, blue = colour
     return INK if 0.299 * red + 0.587 * green + 0.114 * blue > 120.0 else PAPER

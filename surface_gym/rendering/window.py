@@ -1,4 +1,4 @@
-"""A window on the screen."""
+"""A window on the screen that shows pictures."""
 
 import numpy as np
 import pygame
@@ -10,10 +10,10 @@ from surface_gym import checks
 class Window:
     """Shows pictures at a frame rate, until the user or `close` closes it.
 
-    The first picture opens it. pygame has one window a process.
+    The first picture opens it. pygame has one window per process.
 
     Args:
-        title: in the window's frame.
+        title: of the window.
         frame_rate: [1/s] at most; `show` waits for it.
 
     Raises:
@@ -28,10 +28,10 @@ class Window:
         self.closed = False  # by the user or by `close`; it does not open again
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3) and wait until the next is due; closed, do nothing.
+        """Show a picture (height, width, 3) and wait until the next is due; nothing if closed.
 
         Raises:
-            ValueError: the array is no picture.
+            ValueError: the array is not a picture.
             RuntimeError: there is no display.
         """
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:

@@ -1,12 +1,10 @@
 """A second opinion on the physics: Section 6 of the paper with MuJoCo in the place of Adams.
 
-`build` and `simulate` take the surfaces and parcels of `surface_gym`, so that a layout of one's own
-can be checked; `python -m surface_gym.validation` repeats the paper's comparison.
+`build` and `simulate` take the surfaces and parcels of `surface_gym`, so that any layout can be
+checked; `python -m surface_gym.validation` repeats the paper's comparison.
 """
 
-from surface_gym.validation.reach import reachable
-from surface_gym.validation.recipe import Recipe
-from surface_gym.validation.scene import Scene, build
-from surface_gym.validation.simulation import simulate
+from surface_gym.validation.scene import Recipe, Scene, build
+from surface_gym.validation.simulation import reachable, simulate
 
 __all__ = ["Recipe", "Scene", "build", "reachable", "simulate"]

@@ -1,6 +1,5 @@
-"""`python -m surface_gym.validation`."""
+"""The command line of `python -m surface_gym.validation`."""
 
-import json as json_format
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,16 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
-from surface_gym import checks
 from surface_gym.cores import usable_cores
-from surface_gym.sharing import WorkFailed, workers_of
-from surface_gym.validation import cases
-from surface_gym.validation.export import as_data
-from surface_gym.validation.report import show
-from surface_gym.validation.scene import load_mujoco
-from surface_gym.validation.study import carry_out
 
 
 @dataclass(frozen=True)
@@ -41,7 +32,7 @@ class Options:
     """Processes that run at once."""
     cluster: str | None = None
     """Address of a Ray cluster to run on instead, "auto" for this machine's."""
-    tilts: tuple[float, ...] = cases.TILTS
+    tilts: tuple[float, ...] = tuple(5.0 + 0.25 * k for k in range(37))
     """Tilts of the sweep [deg], within Table 5's 5 to 15."""
     seed: int = 0
     """Of the drawn supports and parcels."""
@@ -55,8 +46,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         args=arguments,
         config=(tyro.conf.FlagCreatePairsOff,),
     )
+    from surface_gym.sharing import WorkFailed
+
     try:
         compare(options)
+    except ModuleNotFoundError:
+        raise  # `surface_gym.commands` says what to install
     except (ValueError, RuntimeError, OSError, ImportError, WorkFailed) as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
@@ -64,6 +59,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def compare(options: Options) -> None:
     """Check the options, run the comparison, print it and write the files asked for."""
+    import json
+
+    from rich.console import Console
+
+    from surface_gym import checks
+    from surface_gym.sharing import workers_of
+    from surface_gym.validation.report import as_data, print_report
+    from surface_gym.validation.scene import load_mujoco
+    from surface_gym.validation.study import run_study
+
     workers = workers_of(options.cluster, checks.integer("workers", options.workers, least=1))
     checks.integer("seed", options.seed, least=0)
     if not options.tilts:
@@ -77,12 +82,12 @@ def compare(options: Options) -> None:
     if options.json is not None:
         options.json.open("a").close()  # fails now rather than after the runs
     progress = Console(stderr=True)
-    study = carry_out(
+    study = run_study(
         options.tilts, options.heights, options.touching, workers, options.seed, progress
     )
-    show(study, Console())
+    print_report(study, Console())
     if options.json is not None:
-        options.json.write_text(json_format.dumps(as_data(study), indent=2) + "\n", "utf-8")
+        options.json.write_text(json.dumps(as_data(study), indent=2) + "\n", "utf-8")
     if options.figures is not None:
         for path in draw_all(study, options.figures):
             print(path)

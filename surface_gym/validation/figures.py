@@ -3,7 +3,7 @@ supports.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,17 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from surface_gym.paper import figures
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
-from surface_gym.validation.cases import PARCEL, Run, displacement, is_sorted
-from surface_gym.validation.comparison import errors
+from surface_gym.validation.comparison import (
+    PARCEL,
+    Model,
+    Run,
+    compute_errors,
+    displacement,
+    is_sorted,
+)
 from surface_gym.validation.study import Study
 from surface_gym.validation.unevenness import Spread
 
@@ -60,7 +67,7 @@ def trajectories(study: Study) -> Figure:
 def final_positions(study: Study) -> Figure:
     """Figure 13: where the box ends in each run that completes the sort."""
     figure = Figure(figsize=(10.0, 4.3), layout="constrained")
-    sides: tuple[tuple[str, str, Callable[[Run], Trajectory]], ...] = (
+    sides: tuple[tuple[str, str, Model], ...] = (
         ("MuJoCo", MUJOCO, lambda run: run.mujoco),
         ("implicit", MODEL, lambda run: run.implicit),
     )
@@ -107,7 +114,7 @@ def displacement_errors(study: Study) -> Figure:
     """Figure 16: absolute and percentage errors over the tilt, Eq. (5)."""
     figure = Figure(figsize=(13.0, 3.8), layout="constrained")
     tilts = [run.case.tilt for run in study.sweep]
-    error = errors(study.sweep, lambda run: run.implicit)
+    error = compute_errors(study.sweep, lambda run: run.implicit)
     names = ("x", "y", "theta")
     for k, axes in enumerate(_row(figure, 3)):
         unit = "deg" if k == 2 else "mm"
@@ -144,7 +151,7 @@ def end_places(spreads: Sequence[Spread]) -> Figure:
 
 
 def _at_ten_degrees(study: Study) -> list[Run]:
-    """The run of Figure 12a, if the sweep holds it."""
+    """Find the run of Figure 12a, if the sweep holds it."""
     return [run for run in study.sweep if run.case.tilt == 10.0]
 
 
@@ -153,32 +160,18 @@ def _row(figure: Figure, panels: int) -> Sequence[Any]:
 
 
 def _draw_surface(axes: Axes, surface: Surface) -> None:
-    """Rotors as strokes along their axes, supports as dots."""
-    x, y = np.meshgrid(surface.x, surface.y)
-    stroke = 0.03 * np.stack([np.cos(surface.axis), np.sin(surface.axis)], axis=-1)
-    centre = np.stack([x, y], axis=-1)
-    strokes = np.stack([centre - stroke, centre + stroke], axis=-2)[surface.rotor]
-    axes.add_collection(LineCollection(list(strokes), colors="darkorange", linewidths=2.5))
-    axes.plot(x[~surface.rotor], y[~surface.rotor], ".", color="pink", markersize=4)
+    figures.draw_surface(axes, surface, rotor="darkorange", support="pink", width=2.5)
     axes.set(xlim=(0.0, 1.2), ylim=(0.45, 1.35), aspect="equal", xlabel="x [m]", ylabel="y [m]")
 
 
 def _draw_box(axes: Axes, pose: Sequence[float], colour: str) -> None:
-    x, y, theta = pose
-    corners = np.vstack([PARCEL.base.outline, PARCEL.base.outline[:1]])
-    cosine, sine = math.cos(theta), math.sin(theta)
-    axes.plot(
-        x + cosine * corners[:, 0] - sine * corners[:, 1],
-        y + sine * corners[:, 0] + cosine * corners[:, 1],
-        color=colour,
-        linewidth=1.0,
-    )
+    figures.draw_base(axes, PARCEL.base, pose, colour, width=1.0)
 
 
 def _draw_path(
     axes: Axes, trajectory: Trajectory, colour: str, label: str, style: str = "-"
 ) -> None:
-    """The path of the box's centre, and the box at its ends."""
+    """Draw the path of the box's centre, and the box at its ends."""
     axes.plot(*trajectory.pose.T[:2], style, color=colour, label=label)
     _draw_box(axes, trajectory.pose[0], "0.5")
     _draw_box(axes, trajectory.pose[-1], colour)

@@ -1,6 +1,7 @@
-"""`simulate` with MuJoCo in place of the analytic model."""
+"""`simulate` and `simulate_together` with MuJoCo in place of the analytic model."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -8,16 +9,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
 from surface_gym.parcel import Parcel
+from surface_gym.physics.contacts import EDGE_TOLERANCE
 from surface_gym.physics.types import GRAVITY
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
-from surface_gym.validation.reach import reachable, under
-from surface_gym.validation.recipe import RECIPE, Recipe
-from surface_gym.validation.scene import Scene, build, load_mujoco
+from surface_gym.validation.scene import RECIPE, SIDES, Recipe, Scene, Sides, build, load_mujoco
 
 Array = NDArray[np.float64]
 
 TIPPING = 1e-3  # [rad] out of level; the contacts' springs give way by some 1e-5
+# The sides stop each other within 0.2 ms. Rotors without inertia, as the analytic model has none.
+TOGETHER_RECIPE = Recipe(step=2e-5).lighter_rotors(1000.0)
 
 
 def simulate(
@@ -31,7 +33,7 @@ def simulate(
 ) -> Trajectory:
     """Move a parcel over a surface whose axes stay as they are, as `surface_gym.simulate` does.
 
-    Only the elements the parcel can reach are built.
+    Only the elements that the parcel can reach are built.
 
     Args:
         surface: the surface, tilted by at most 15 deg.
@@ -56,18 +58,108 @@ def simulate(
     start = checks.array("pose", pose, (3,))
     motion = checks.array("velocity", velocity, (3,))
     duration = checks.positive("duration", duration)
-    bearing = under(surface, parcel, start)
+    bearing = elements_under(surface, parcel, start)
     if not bearing.any() or not _is_over(surface, parcel, start[np.newaxis])[0]:
         raise ValueError(f"pose must be on the surface, got {tuple(start.tolist())}")
     stiffness = recipe.stiffness * surface.grid.stiffness[bearing]
-    _check_step(recipe, stiffness)
-    scene = build(
-        surface, parcel, recipe, heights, reachable(surface, parcel, start, motion, duration)
-    )
+    # The parcel bounces without end where a step is longer than its springs' swing.
+    longest = 1.0 / math.sqrt(stiffness.sum())
+    if recipe.step > longest:
+        raise ValueError(
+            f"recipe.step must be at most {longest:.1e} s on the {len(stiffness)} elements under "
+            f"the base, got {recipe.step:g}"
+        )
+    within = reachable(surface, parcel, start, motion, duration)
+    scene = build(surface, parcel, recipe, heights, within)
     tops = np.zeros(bearing.shape) if heights is None else np.asarray(heights, dtype=np.float64)
     sag = static_sag(tops[bearing], stiffness, GRAVITY * math.cos(surface.tilt))
-    time, place, speed = _run(scene, surface, start, motion, sag, duration, recipe)
-    return trajectory_of(surface, parcel, start[2], time, place, speed)
+    only = (start[np.newaxis], motion[np.newaxis], [sag])
+    return _run(scene, surface, [parcel], *only, duration, recipe)[0]
+
+
+def simulate_together(
+    surface: Surface,
+    parcels: Sequence[Parcel],
+    poses: ArrayLike,
+    velocities: ArrayLike,
+    duration: float,
+    within: NDArray[np.bool_],
+    recipe: Recipe = TOGETHER_RECIPE,
+    sides: Sides = SIDES,
+) -> tuple[Trajectory, ...]:
+    """Move parcels that push each other over a surface whose axes stay as they are.
+
+    Args:
+        surface: the surface, tilted by at most 15 deg.
+        parcels: the parcels.
+        poses: (parcels, 3) [m, m, rad] x, y, theta of the bases' frames at the start.
+        velocities: (parcels, 3) [m/s, m/s, rad/s] of those frames at the start.
+        duration: [s] simulated; the last step is shortened to end there.
+        within: (rows, columns) the elements to build.
+        recipe: step, contact parameters and rotors.
+        sides: contact parameters between parcels.
+
+    Returns:
+        The trajectories, a row for each step of the recipe.
+
+    Raises:
+        ValueError: an argument is not allowed, or MuJoCo cannot build the scene.
+        RuntimeError: MuJoCo diverged; a smaller step helps.
+        ImportError: MuJoCo is not installed.
+    """
+    start = checks.array("poses", poses, (len(parcels), 3))
+    motion = checks.array("velocities", velocities, start.shape)
+    duration = checks.positive("duration", duration)
+    scene = build(surface, parcels, recipe, None, within, sides)
+    sags = []
+    for parcel, pose in zip(parcels, start, strict=True):
+        bearing = elements_under(surface, parcel, pose) & within
+        stiffness = recipe.stiffness * surface.grid.stiffness[bearing]
+        weight = GRAVITY * math.cos(surface.tilt)
+        sags.append(static_sag(np.zeros(len(stiffness)), stiffness, weight))
+    return _run(scene, surface, parcels, start, motion, sags, duration, recipe)
+
+
+def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> NDArray[np.bool_]:
+    """Find the elements under a base, (rows, columns): Section 3.2's F_lambda <= 0.
+
+    Args:
+        surface: the surface.
+        parcel: the parcel.
+        pose: (x, y, theta) [m, m, rad] of the base's frame.
+    """
+    x, y, theta = np.asarray(pose, dtype=np.float64)
+    dx, dy = np.meshgrid(surface.x - x, surface.y - y)
+    cosine, sine = math.cos(theta), math.sin(theta)
+    outside = parcel.base.functions(cosine * dx + sine * dy, cosine * dy - sine * dx)
+    return np.asarray(outside.max(axis=0) <= EDGE_TOLERANCE)
+
+
+def reachable(
+    surface: Surface, parcel: Parcel, pose: ArrayLike, velocity: ArrayLike, duration: float
+) -> NDArray[np.bool_]:
+    """Find the elements, (rows, columns), that a parcel's energy can take it to, without friction.
+
+    Args:
+        surface: the surface.
+        parcel: the parcel.
+        pose: (x, y, theta) [m, m, rad] of the base's frame at the start.
+        velocity: (vx, vy, omega) [m/s, m/s, rad/s] of that frame at the start.
+        duration: [s].
+    """
+    x, y, _ = np.asarray(pose, dtype=np.float64)
+    vx, vy, omega = np.asarray(velocity, dtype=np.float64)
+    arm = math.hypot(*parcel.centre_of_mass)
+    gyration = parcel.moment_of_inertia / parcel.mass
+    speed = math.hypot(math.hypot(vx, vy) + arm * abs(omega), omega * math.sqrt(gyration))
+    downhill = GRAVITY * abs(math.sin(surface.tilt))
+    path = speed * duration + 0.5 * downhill * duration**2
+    outline = parcel.base.outline
+    base = float(np.hypot(outline[:, 0], outline[:, 1]).max())
+    pitch = max(surface.pitch_x, surface.pitch_y)
+    # Twice the arm: the base's frame is one arm from the centre of mass at either end of the path.
+    distance = np.hypot(*np.meshgrid(surface.x - x, surface.y - y))
+    return np.asarray(distance <= path + base + 2.0 * arm + pitch)
 
 
 def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
@@ -85,70 +177,67 @@ def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
     return float(alone.min())
 
 
-def normal_forces(scene: Scene, data: Any) -> tuple[NDArray[np.int64], Array]:
-    """Geoms of the elements that touch the base, and the normal forces [N] between them."""
+def normal_forces(data: Any) -> tuple[NDArray[np.int64], Array]:
+    """Geoms (contacts, 2) of the pairs that touch, and the normal forces [N] between them."""
     contact = data.contact
     row = contact.efc_address
     touching = row >= 0
-    geom = contact.geom[touching].sum(axis=1) - scene.base_geom
-    return geom, data.efc_force[row[touching]]
-
-
-def _check_step(recipe: Recipe, stiffness: Array) -> None:
-    """The parcel bounces without end where a step is longer than its springs' swing."""
-    longest = 1.0 / math.sqrt(stiffness.sum())
-    if recipe.step > longest:
-        raise ValueError(
-            f"recipe.step must be at most {longest:.1e} s on the {len(stiffness)} elements under "
-            f"the base, got {recipe.step:g}"
-        )
+    return contact.geom[touching], data.efc_force[row[touching]]
 
 
 def _run(
     scene: Scene,
     surface: Surface,
+    parcels: Sequence[Parcel],
     start: Array,
     motion: Array,
-    sag: float,
+    sags: Sequence[float],
     duration: float,
     recipe: Recipe,
-) -> tuple[Array, Array, Array]:
-    """Times (T,), the base frame's place and quaternion (T, 7), its velocity (T, 6)."""
+) -> tuple[Trajectory, ...]:
+    """Step the scene from poses (parcels, 3) and velocities (parcels, 3) to its end."""
     mujoco = load_mujoco()
-    model = scene.model
+    model, count = scene.model, len(parcels)
     data = mujoco.MjData(model)
-    half_turn = 0.5 * start[2]
-    data.qpos[:7] = start[0], start[1], -sag, math.cos(half_turn), 0, 0, math.sin(half_turn)
-    data.qvel[:6] = motion[0], motion[1], 0, 0, 0, motion[2]
+    for k, (x, y, theta) in enumerate(start):
+        turn = math.cos(0.5 * theta), 0.0, 0.0, math.sin(0.5 * theta)
+        data.qpos[7 * k : 7 * k + 7] = x, y, -sags[k], *turn
+        data.qvel[6 * k : 6 * k + 6] = motion[k, 0], motion[k, 1], 0.0, 0.0, 0.0, motion[k, 2]
     whole = math.floor(duration / recipe.step + 1e-6)
     rest = duration - whole * recipe.step
     steps = whole + (rest > 1e-6 * recipe.step)
-    time, place, speed = np.zeros(steps + 1), np.zeros((steps + 1, 7)), np.zeros((steps + 1, 6))
-    place[0], speed[0] = data.qpos[:7], data.qvel[:6]
+    time = np.zeros(steps + 1)
+    place, speed = np.zeros((steps + 1, count, 7)), np.zeros((steps + 1, count, 6))
     # A bearing's friction grows with the load its rotor carries, which MuJoCo has no name for.
-    loss_per_newton = surface.mu_min * recipe.rotor_radius
-    for k in range(1, steps + 1):
-        if k > whole:
-            model.opt.timestep = rest
-        mujoco.mj_step(model, data)
-        geom, force = normal_forces(scene, data)
-        dof = scene.rotor_dof[geom]
-        rolling = dof >= 0
-        model.dof_frictionloss[:] = 0.0
-        model.dof_frictionloss[dof[rolling]] = loss_per_newton * force[rolling]
-        time[k], place[k], speed[k] = data.time, data.qpos[:7], data.qvel[:6]
+    loss_per_newton = float(surface.mu_min) * recipe.rotor_radius
+    for k in range(steps + 1):
+        if k > 0:
+            if k > whole:
+                model.opt.timestep = rest
+            mujoco.mj_step(model, data)
+            geoms, force = normal_forces(data)
+            dof = scene.rotor_dof[geoms].max(axis=1)
+            rolling = dof >= 0
+            model.dof_frictionloss[:] = 0.0
+            np.add.at(model.dof_frictionloss, dof[rolling], loss_per_newton * force[rolling])
+        time[k] = data.time
+        place[k] = data.qpos[: 7 * count].reshape(count, 7)
+        speed[k] = data.qvel[: 6 * count].reshape(count, 6)
     if any(warning.number for warning in data.warning) or not np.isfinite(place).all():
         raise RuntimeError(
             f"MuJoCo diverged at a step of {recipe.step:g} s and a stiffness of "
             f"{recipe.stiffness:g} 1/s^2; a smaller step helps"
         )
-    return time, place, speed
+    return tuple(
+        _make_trajectory(surface, parcel, start[k, 2], time, place[:, k], speed[:, k])
+        for k, parcel in enumerate(parcels)
+    )
 
 
-def trajectory_of(
+def _make_trajectory(
     surface: Surface, parcel: Parcel, theta: float, time: Array, place: Array, speed: Array
 ) -> Trajectory:
-    """The motion in the plane, up to where the centre of mass leaves the surface.
+    """Motion in the plane, up to where the centre of mass leaves the surface.
 
     Args:
         surface: the surface.
@@ -165,14 +254,13 @@ def trajectory_of(
     velocity = np.column_stack([speed[:, :2], speed[:, 5]])
     tipping = 2.0 * np.hypot(i, j) > TIPPING
     over = _is_over(surface, parcel, pose)
-    steps = len(time) if over.all() else int(np.argmin(over))
-    done = slice(0, steps)
+    done = slice(0, len(time) if over.all() else int(np.argmin(over)))
     end = "duration" if over.all() else "left the surface"
     return Trajectory(time[done], pose[done], velocity[done], tipping[done], end)
 
 
 def _is_over(surface: Surface, parcel: Parcel, pose: Array) -> NDArray[np.bool_]:
-    """Whether the centre of mass is over the surface, (T,), at poses (T, 3)."""
+    """Check at poses (T, 3) whether the centre of mass is over the surface, (T,)."""
     com_x, com_y = parcel.centre_of_mass
     cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     x = pose[:, 0] + cosine * com_x - sine * com_y

@@ -1,27 +1,159 @@
-"""The whole comparison: what runs, and what comes of it."""
+"""The whole comparison: the runs of Section 6, MuJoCo's own convergence, and the methods' speed."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.progress import track
 
+from surface_gym.paper.runs import Integration
 from surface_gym.sharing import Workers, quiet, share
-from surface_gym.validation import convergence, speed, touching, unevenness
-from surface_gym.validation.cases import EXPLICIT, IMPLICIT, LONG, PUSHED, Case, Run, run
+from surface_gym.trajectory import Trajectory
+from surface_gym.validation import comparison, touching, unevenness
 from surface_gym.validation.comparison import (
+    EXPLICIT,
+    IMPLICIT,
+    LONG,
+    PUSHED,
+    UNIT,
+    Array,
+    Case,
     Errors,
+    Run,
     Summary,
     Target,
-    errors,
-    sorts_from,
-    targets,
+    compute_errors,
+    displacement,
 )
+from surface_gym.validation.scene import RECIPE, Recipe
 
 DRAWS = 20  # surfaces for each unevenness
 MEETINGS = 30  # of two parcels that push each other
+
+CASES = (Case(5.0), Case(14.0), PUSHED)
+VARIANTS = {
+    "recipe": RECIPE,
+    "step / 2": RECIPE.finer(2.0),
+    "step x 2": RECIPE.finer(0.5),
+    "stiffness x 2": RECIPE.stiffer(2.0),
+    "stiffness / 2": RECIPE.stiffer(0.5),
+    "rotors / 1000": RECIPE.lighter_rotors(1000.0),
+}
+JOBS = tuple((case, recipe) for case in CASES for recipe in VARIANTS.values())
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """A case with the recipe changed."""
+
+    case: Case
+    change: str
+    shift: Array  # (3,) [mm, mm, deg] from the end by the recipe as it is
+    error: Array  # (3,) [mm, mm, deg] from the end by the implicit method
+
+
+def run_variant(job: tuple[Case, Recipe]) -> Array:
+    """Run a job; its displacement (3,) [m, m, deg]."""
+    case, recipe = job
+    return displacement(case.mujoco(recipe))
+
+
+def compare_variants(ends: Sequence[Array]) -> tuple[Variant, ...]:
+    """Compare the displacements of JOBS."""
+    table = np.reshape(ends, (len(CASES), len(VARIANTS), 3))
+    return tuple(
+        Variant(case, change, UNIT * (end - rows[0]), UNIT * (end - displacement(case.analytic())))
+        for case, rows in zip(CASES, table, strict=True)
+        for change, end in zip(VARIANTS, rows, strict=True)
+    )
+
+
+ACCURACY = 1.0  # [%] of the displacement in x, y and theta, against the method's own fine step
+LEAST_TIME = 0.5  # [s] for which a method is timed
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to run a case at a step, the steps to try and one to hold them against."""
+
+    name: str
+    run: Callable[[Case, float], Trajectory]
+    fine: float  # [s]
+    steps: tuple[float, ...]  # [s] increasing
+
+
+@dataclass(frozen=True)
+class Speed:
+    """Speed of a method at its largest accurate step."""
+
+    method: str
+    step: float  # [s]
+    error: float  # [%] the worst of the cases and of x, y and theta
+    rate: float  # [-] simulated seconds per second
+
+
+METHODS = (
+    Method(
+        "MuJoCo",
+        lambda case, step: case.mujoco(replace(RECIPE, step=step)),
+        fine=2.5e-5,
+        steps=(5e-5, 1e-4, 2e-4, 3e-4, 4e-4, 5e-4),
+    ),
+    Method(
+        "implicit",
+        lambda case, step: case.analytic(Integration("implicit", step)),
+        fine=1e-5,
+        steps=(1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 1e-2),
+    ),
+    Method(
+        "explicit",
+        lambda case, step: case.analytic(Integration("explicit", step)),
+        fine=2e-6,
+        steps=(2e-5, 5e-5, 1e-4, 2e-4, 3e-4, 4e-4, 5e-4, 1e-3, 2e-3, 5e-3),
+    ),
+)
+
+
+def measure(method: Method) -> Speed:
+    """Time a method at the largest step up to which every step tried is accurate.
+
+    Raises:
+        ValueError: not even the smallest step is.
+    """
+    fine = _ends(method, method.fine)
+    step, error = 0.0, np.inf
+    for trial in method.steps:
+        trial_error = float(np.abs(100.0 * (_ends(method, trial) - fine) / fine).max())
+        if trial_error > ACCURACY:
+            break
+        step, error = trial, trial_error
+    if step == 0.0:
+        raise ValueError(
+            f"steps of {method.name} must hold one within {ACCURACY:g} % of its fine solution, "
+            f"got {trial_error:.2f} % at {method.steps[0]:g} s"
+        )
+    return Speed(method.name, step, error, _rate(method, step))
+
+
+def _ends(method: Method, step: float) -> Array:
+    """(cases, 3) [m, m, deg]."""
+    return np.array([displacement(method.run(case, step)) for case in CASES])
+
+
+def _rate(method: Method, step: float) -> float:
+    """Measure the simulated seconds per second, the best of the rounds."""
+    best, spent = np.inf, 0.0
+    while spent < LEAST_TIME:
+        start = time.perf_counter()
+        for case in CASES:
+            method.run(case, step)
+        taken = time.perf_counter() - start
+        best, spent = min(best, taken), spent + taken
+    return float(sum(case.duration for case in CASES) / best)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,20 +163,20 @@ class Study:
     sweep: tuple[Run, ...]  # a run a tilt
     pushed: Run  # v0 = 0.9 m/s on the level
     long: Run  # Figure 12c
-    convergence: tuple[convergence.Variant, ...]
-    speeds: tuple[speed.Speed, ...]
+    convergence: tuple[Variant, ...]
+    speeds: tuple[Speed, ...]
     spreads: tuple[unevenness.Spread, ...]  # empty if not asked for
     meetings: tuple[touching.MeetingRun, ...] = ()  # empty if not asked for
 
     @property
     def implicit(self) -> Errors:
-        """Of the tilts."""
-        return errors(self.sweep, lambda run: run.implicit)
+        """Errors over the tilts."""
+        return compute_errors(self.sweep, lambda run: run.implicit)
 
     @property
     def explicit(self) -> Errors:
-        """Of the tilts."""
-        return errors(self.sweep, lambda run: run.explicit)
+        """Errors over the tilts."""
+        return compute_errors(self.sweep, lambda run: run.explicit)
 
     @property
     def summaries(self) -> tuple[Summary, Summary]:
@@ -56,19 +188,22 @@ class Study:
 
     @property
     def targets(self) -> tuple[Target, ...]:
-        return targets(self.implicit, errors([self.pushed], lambda run: run.implicit))
+        """Bounds on MuJoCo against the implicit method."""
+        return comparison.check_targets(
+            self.implicit, compute_errors([self.pushed], lambda run: run.implicit)
+        )
 
     @property
     def sorts_from(self) -> dict[str, float | None]:
         """[deg] the least tilt from which on the sort completes, by method."""
         return {
-            "MuJoCo": sorts_from(self.sweep, lambda run: run.mujoco),
-            "implicit": sorts_from(self.sweep, lambda run: run.implicit),
-            "explicit": sorts_from(self.sweep, lambda run: run.explicit),
+            "MuJoCo": comparison.sorts_from(self.sweep, lambda run: run.mujoco),
+            "implicit": comparison.sorts_from(self.sweep, lambda run: run.implicit),
+            "explicit": comparison.sorts_from(self.sweep, lambda run: run.explicit),
         }
 
 
-def carry_out(
+def run_study(
     tilts: tuple[float, ...],
     with_unevenness: bool,
     with_touching: bool,
@@ -87,30 +222,34 @@ def carry_out(
         console: where the progress is drawn.
     """
     cases = (*(Case(tilt) for tilt in tilts), PUSHED, LONG)
-    draws = unevenness.jobs(DRAWS, seed) if with_unevenness else ()
+    draws = unevenness.draw_surfaces(DRAWS, seed) if with_unevenness else ()
     meetings = [touching.Meeting(seed + k) for k in range(MEETINGS if with_touching else 0)]
     parts: tuple[tuple[Any, Sequence[Any]], ...] = (
-        (run, cases),
-        (convergence.end, convergence.JOBS),
-        (unevenness.ends, draws),
-        (touching.run, meetings),
+        (comparison.run_case, cases),
+        (run_variant, JOBS),
+        (unevenness.run_draw, draws),
+        (touching.run_meeting, meetings),
     )
     jobs = [partial(quiet, partial(function, each)) for function, group in parts for each in group]
     done = track(
-        share(jobs, workers), "MuJoCo and the analytic model", total=len(jobs), console=console,
-        transient=True, disable=not console.is_terminal,
-    )  # fmt: skip
+        share(jobs, workers),
+        "MuJoCo and the analytic model",
+        total=len(jobs),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
     found: dict[int, Any] = dict(done)
     results = iter(found[place] for place in range(len(jobs)))
     runs, variants, ends, meeting_runs = [[next(results) for _ in group] for _, group in parts]
     with console.status("timing, one core"):
-        speeds = tuple(speed.measure(method) for method in speed.METHODS)
+        speeds = tuple(measure(method) for method in METHODS)
     return Study(
         sweep=tuple(runs[:-2]),
         pushed=runs[-2],
         long=runs[-1],
-        convergence=convergence.variants(variants),
+        convergence=compare_variants(variants),
         speeds=speeds,
-        spreads=unevenness.spreads(draws, ends) if draws else (),
+        spreads=unevenness.compare_draws(draws, ends) if draws else (),
         meetings=tuple(meeting_runs),
     )

@@ -11,9 +11,9 @@ from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.surface import Surface
 from surface_gym.together import Encounter, simulate_together
 from surface_gym.trajectory import Trajectory
-from surface_gym.validation import together
-from surface_gym.validation.sides import SIDES
-from surface_gym.validation.together import TOGETHER_RECIPE
+from surface_gym.validation import simulation
+from surface_gym.validation.scene import SIDES
+from surface_gym.validation.simulation import TOGETHER_RECIPE
 
 Array = NDArray[np.float64]
 
@@ -32,8 +32,8 @@ class Meeting:
 
     @cached_property
     def drawn(self) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
-        """The first surface, parcels, poses (2, 3) and velocities (2, 3) drawn with which they
-        touch, stay on the surface and do not tip.
+        """Surface, parcels, poses (2, 3) and velocities (2, 3): the first ones drawn with which
+        the parcels touch, stay on the surface and do not tip.
         """
         rng = np.random.default_rng(self.seed)
         while True:
@@ -45,11 +45,11 @@ class Meeting:
                 return drawn
 
     def analytic(self, dt: float) -> Encounter:
-        """The meeting by the analytic model."""
+        """Run the meeting by the analytic model."""
         return simulate_together(*self.drawn, DURATION, dt)
 
     def mujoco(self, harder: float = 1.0) -> tuple[Trajectory, ...]:
-        """The meeting in MuJoCo, its step divided and its sides harder by a factor."""
+        """Run the meeting in MuJoCo, its step divided and its sides harder by a factor."""
         surface, parcels, poses, velocities = self.drawn
         within = np.zeros((surface.rows, surface.columns), dtype=bool)
         paths = self.analytic(STEPS[0]).trajectories
@@ -57,7 +57,7 @@ class Meeting:
             for x, y, _ in path.pose[::10]:
                 away = np.hypot(*np.meshgrid(surface.x - x, surface.y - y))
                 within |= away < parcel.base.reach + MARGIN
-        return together.simulate_together(
+        return simulation.simulate_together(
             surface,
             parcels,
             poses,
@@ -70,7 +70,7 @@ class Meeting:
 
 
 def _draw(rng: np.random.Generator) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
-    """A surface, two parcels and how they start, one behind the other."""
+    """Draw a surface, two parcels and their starts, one behind the other."""
     shape = (20, 24)
     surface = Surface(
         axis=rng.uniform(-math.pi, math.pi, shape),
@@ -104,7 +104,7 @@ def _draw_parcel(rng: np.random.Generator) -> Parcel:
 
 @dataclass(frozen=True, eq=False)
 class MeetingRun:
-    """A meeting by MuJoCo and by the analytic model: ends from MuJoCo's, [mm, mm, deg]."""
+    """Differences of a meeting's ends from MuJoCo's, [mm, mm, deg]."""
 
     meeting: Meeting
     analytic: Array  # (steps, 2, 3) by the analytic model's step and by parcel
@@ -112,8 +112,8 @@ class MeetingRun:
     tips: bool  # MuJoCo's parcels come more than 1 mrad out of level
 
 
-def run(meeting: Meeting) -> MeetingRun:
-    """A meeting by all of them."""
+def run_meeting(meeting: Meeting) -> MeetingRun:
+    """Run a meeting by all of them."""
     mujoco = meeting.mujoco()
     reference = _ends(mujoco)
     analytic = [_ends(meeting.analytic(dt).trajectories) for dt in STEPS]
@@ -128,6 +128,6 @@ def _ends(trajectories: tuple[Trajectory, ...]) -> Array:
 
 
 def apart(differences: Array) -> tuple[float, float]:
-    """The worse parcel's distance [mm] and angle [deg] of differences (2, 3) [mm, mm, deg]."""
+    """Distance [mm] and angle [deg] of the worse parcel, of differences (2, 3) [mm, mm, deg]."""
     distance = np.hypot(differences[:, 0], differences[:, 1])
     return float(distance.max()), float(np.abs(differences[:, 2]).max())

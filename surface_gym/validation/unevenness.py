@@ -1,8 +1,15 @@
-"""What uneven supports do to the end pose, by MuJoCo and by the analytic model.
+"""Uneven supports: Eq. (1) on them, and what they do to the end pose in MuJoCo and in the model.
 
-Heights are held against the extended law of `uneven.py`. Stiffnesses are held against
-`surface_gym.simulate` itself, whose `Surface.stiffness` is how a load distribution is randomised;
-beside the heights they show which spread of it stands for how many micrometres.
+Eq. (1) is what a rigid flat base does on equal springs: the minimum of the sum of N^2 / (2 k) under
+the balance of forces. If a spring's top stands h above the plane, it is pressed in h further, and
+    minimise  sum of N_i^2 / (2 k_i) - N_i h_i   under vertical and moment balance,  N >= 0,
+so that N_i = max(0, k_i (plane_i + h_i)): the pressure plane of Eq. (1) with an offset k h at each
+contact. With all h equal and all k equal it is Eq. (1); where k h spreads far beyond the mean load,
+three contacts carry all.
+
+Heights are compared with this law, run quasi-statically. Stiffnesses are compared with
+`surface_gym.simulate` itself, whose `Surface.stiffness` is the way to randomise a load
+distribution; beside the heights they show which spread of it stands for how many micrometres.
 """
 
 import math
@@ -10,29 +17,116 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import nnls
 
-from surface_gym.simulation import simulate
+from surface_gym import checks
+from surface_gym.parcel import Parcel
+from surface_gym.physics.references import advance_implicit, find_support, load_point
+from surface_gym.physics.types import ARM_X, ARM_Y, NORMAL, make_scratch, table_row
+from surface_gym.simulation import simulate, start_state
 from surface_gym.surface import Surface
 from surface_gym.validation import simulation
-from surface_gym.validation.cases import IMPLICIT, PARCEL, PUSHED, Case
-from surface_gym.validation.recipe import RECIPE
-from surface_gym.validation.uneven import end_pose
+from surface_gym.validation.comparison import IMPLICIT, PARCEL, PUSHED, Case
+from surface_gym.validation.scene import RECIPE
 
 Array = NDArray[np.float64]
 
 CASES = (Case(10.0), PUSHED)
 
 
+def uneven_normal_forces(
+    arms: Array, heights: Array, stiffness: Array, weight: float, load: ArrayLike
+) -> Array:
+    """Compute the normal forces on contacts of unequal height and stiffness.
+
+    Args:
+        arms: (n, 2) [m] from the centre of mass to the contacts.
+        heights: (n,) [m] of the contacts above the plane.
+        stiffness: (n,) [1/s^2] of the contacts / mass.
+        weight: [m/s^2] normal load / mass.
+        load: (2,) [m] where it acts, from the centre of mass.
+
+    Returns:
+        (n,) [m/s^2] normal forces / mass. Where the contacts cannot carry the load (the parcel
+        tips), the moments come as near to balance as they can.
+    """
+    scale = float(np.abs(arms).max()) or 1.0
+    target = np.array([1.0, *(np.asarray(load) / scale)])
+    # The least sum of (N_i - k_i h_i)^2 / k_i, in N_i / root k_i, the balance as heavy rows above.
+    heavy = np.array([1e6, 1e4, 1e4])
+    balance = heavy[:, np.newaxis] * np.vstack([np.ones(len(arms)), arms.T / scale])
+    mean = stiffness.mean()
+    root = np.sqrt(stiffness / mean)
+    system = np.vstack([balance * root, np.eye(len(arms))])
+    scaled, _ = nnls(system, np.concatenate([heavy * target, root * heights * mean / weight]))
+    share = root * scaled
+    return np.asarray(weight * share / share.sum())
+
+
+def end_pose(
+    surface: Surface,
+    parcel: Parcel,
+    pose: ArrayLike,
+    velocity: ArrayLike,
+    duration: float,
+    heights: ArrayLike,
+    stiffness: float,
+    dt: float = 1e-3,
+) -> Array:
+    """Run the implicit model with the normal forces of uneven supports; its end pose.
+
+    Args:
+        surface: the surface; its `stiffness` multiplies that of a contact.
+        parcel: the parcel.
+        pose: (x, y, theta) [m, m, rad] of the base's frame at the start.
+        velocity: (vx, vy, omega) [m/s, m/s, rad/s] of that frame at the start.
+        duration: [s] simulated, in whole steps.
+        heights: (rows, columns) [m] of the tops of the elements above the plane.
+        stiffness: [1/s^2] of a contact / parcel mass.
+        dt: [s] step.
+
+    Returns:
+        (3,) [m, m, rad] pose of the base's frame.
+
+    Raises:
+        ValueError: `heights` has another shape, or the parcel leaves the surface.
+    """
+    tops = checks.array("heights", heights, (surface.rows, surface.columns))
+    grid, body = surface.grid, parcel.body
+    scratch = make_scratch()
+    state = start_state(parcel, np.asarray(pose), np.asarray(velocity))
+    for step in range(round(duration / dt)):
+        contacts = find_support(grid, body, state, scratch, 0.5 * dt)
+        if contacts.total == 0:
+            raise ValueError(f"duration must end on the surface, left it after {step * dt:g} s")
+        arms = np.column_stack([table_row(scratch, row, contacts.total) for row in (ARM_X, ARM_Y)])
+        # The element under each contact: its place half a step on, as find_support sees it.
+        place = state[:2] + 0.5 * dt * state[3:5] + arms - surface.origin
+        column, row = np.rint(place / (surface.pitch_x, surface.pitch_y)).astype(np.int64).T
+        load = load_point(grid, body, state)
+        table_row(scratch, NORMAL, contacts.total)[:] = uneven_normal_forces(
+            arms,
+            tops[row, column],
+            stiffness * grid.stiffness[row, column],
+            grid.gravity_normal,
+            load,
+        )
+        advance_implicit(grid, body, state, scratch, contacts, dt)
+    arm = start_state(parcel, np.array([0.0, 0.0, state[2]]), np.zeros(3))[:2]
+    return np.array([state[0] - arm[0], state[1] - arm[1], state[2]])
+
+
 @dataclass(frozen=True)
 class Unevenness:
-    """How unlike each other the elements are."""
+    """Spread of the elements' heights or stiffnesses."""
 
     height: float = 0.0  # [m] standard deviation
     stiffness: float = 0.0  # [-] standard deviation of its logarithm
 
     @property
     def name(self) -> str:
+        """Name for tables."""
         if self.height:
             return f"height {1e6 * self.height:g} um"
         return f"log stiffness {self.stiffness:g}"
@@ -59,14 +153,14 @@ class Draw:
 
     @property
     def surface(self) -> Surface:
-        """The case's, its stiffness drawn."""
+        """The case's surface, its stiffness drawn."""
         return replace(
             self.case.surface, stiffness=np.exp(self.unevenness.stiffness * self._normal(1))
         )
 
     @property
     def heights(self) -> Array:
-        """(rows, columns) [m]."""
+        """(rows, columns) [m] of the tops of the elements."""
         return self.unevenness.height * self._normal(0)
 
     def _normal(self, stream: int) -> Array:
@@ -77,7 +171,7 @@ class Draw:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """End poses on drawn surfaces, from those on the even one."""
+    """Differences of the end poses on drawn surfaces from those on the even one."""
 
     case: Case
     unevenness: Unevenness
@@ -85,8 +179,8 @@ class Spread:
     analytic: Array  # (draws, 3) [mm, mm, deg] on the same surfaces
 
 
-def jobs(draws: int, seed: int) -> tuple[Draw, ...]:
-    """For each case the even surface, then `draws` surfaces for each unevenness."""
+def draw_surfaces(draws: int, seed: int) -> tuple[Draw, ...]:
+    """List for each case the even surface, then `draws` surfaces for each unevenness."""
     return tuple(
         Draw(case, unevenness, seed + k)
         for case in CASES
@@ -95,8 +189,8 @@ def jobs(draws: int, seed: int) -> tuple[Draw, ...]:
     )
 
 
-def ends(draw: Draw) -> Array:
-    """(2, 3) [m, m, rad] end poses by MuJoCo and by the analytic model."""
+def run_draw(draw: Draw) -> Array:
+    """Run MuJoCo and the analytic model; their end poses (2, 3) [m, m, rad]."""
     case, surface, heights = draw.case, draw.surface, draw.heights
     start = (case.pose, case.velocity, case.duration)
     mujoco = simulation.simulate(surface, PARCEL, *start, heights=heights).pose[-1]
@@ -107,21 +201,21 @@ def ends(draw: Draw) -> Array:
     return np.stack([mujoco, analytic])
 
 
-def spreads(draws: Sequence[Draw], results: Sequence[Array]) -> tuple[Spread, ...]:
-    """The study, given the `ends` of the draws."""
+def compare_draws(draws: Sequence[Draw], results: Sequence[Array]) -> tuple[Spread, ...]:
+    """Compare the end poses (2, 3) of the draws, as `run_draw` gives them."""
     table = np.array(results) * [1e3, 1e3, 180.0 / math.pi]
 
-    def of(case: Case, unevenness: Unevenness) -> Array:
+    def ends_of(case: Case, unevenness: Unevenness) -> Array:
         return table[[draw.case == case and draw.unevenness == unevenness for draw in draws]]
 
     return tuple(
-        Spread(case, uneven, *np.moveaxis(of(case, uneven) - of(case, EVEN), 1, 0))
+        Spread(case, uneven, *np.moveaxis(ends_of(case, uneven) - ends_of(case, EVEN), 1, 0))
         for case in CASES
         for uneven in UNEVEN
     )
 
 
 def root_mean_square(shifts: Array) -> tuple[float, float]:
-    """Of (draws, 3) [mm, mm, deg]: distance [mm] and angle [deg]."""
+    """Root mean square distance [mm] and angle [deg] of shifts (draws, 3) [mm, mm, deg]."""
     x, y, theta = np.mean(shifts**2, axis=0)
     return math.sqrt(x + y), math.sqrt(theta)

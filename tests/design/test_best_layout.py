@@ -1,7 +1,10 @@
-"""The best fixed layout, beside the study's and beside all there are."""
+"""The best fixed layout, beside the study's and beside all there are; those that ship."""
 
 import itertools
+import json
 import math
+import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +12,12 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.best_layout import best_layout, over_speeds
+from surface_gym.design import sorting_layouts as shipped
+from surface_gym.design.best_layout import best_layout, evaluate_layout, every_layout
 from surface_gym.design.case import NOTHING, Case, Unknown
-from surface_gym.design.every_layout import every_layout
-from surface_gym.design.purposes import Slow, Sort, Stop, Turn
+from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
 from surface_gym.design.runs import make_runs, run_all
 from surface_gym.design.search import Effort
-from surface_gym.design.shortfall import shortfall
 from surface_gym.lines import ORIENTATIONS
 
 S = layouts.box("S")
@@ -53,7 +55,9 @@ def test_no_layout_of_the_four_orientations_sorts_below_the_study_s_least_speed(
     found = every_layout(case(speed=0.72))
     assert found.axis is not None
     study = Sort().layouts(case().line(16), 16)[0]
-    over = over_speeds("study", study.axis, case(), case().line(16), np.arange(30, 271, 2) / 100)
+    over = evaluate_layout(
+        "study", study.axis, case(), case().line(16), np.arange(30, 271, 2) / 100
+    )
     assert over.least_speed == 0.72
 
 
@@ -68,12 +72,12 @@ def test_every_layout_is_really_every_one() -> None:
         asked = case(speed=0.9, purpose=purpose)
         runs = make_runs(0.9, layout=np.arange(len(axes)), columns=columns)
         ends = run_all(line, axes, [S], runs)
-        any_does = bool(purpose.succeeds(line, runs, ends).any())
+        any_does = bool(purpose.succeeds(ends).any())
         found = every_layout(asked, columns)
         assert found.complete
         assert (found.axis is not None) == any_does
         if found.axis is not None:
-            over = over_speeds("it", found.axis, asked, line, np.array([0.9]))
+            over = evaluate_layout("it", found.axis, asked, line, np.array([0.9]))
             assert over.success.tolist() == [True]
 
 
@@ -97,7 +101,7 @@ def test_other_purposes_are_met_more_nearly_than_by_the_study_s_layouts(purpose)
         line = found.line
         runs = make_runs(over.speeds, columns=6)
         ends = run_all(line, over.axis[np.newaxis], [S], runs)
-        return float(shortfall(purpose, line, runs, ends).mean())
+        return float(purpose.shortfall(ends).mean())
 
     assert error(found.best) < error(found.study)
 
@@ -112,8 +116,8 @@ def test_a_shortfall_is_0_where_all_is_as_asked_and_more_where_it_fails(purpose)
     axes[:30] = purpose.layouts(line, 4)[0].axis
     runs = make_runs(rng.uniform(0.3, 2.5, 300), layout=np.arange(300), columns=8)
     ends = run_all(line, axes, [S], runs)
-    short = shortfall(purpose, line, runs, ends)
-    done = purpose.succeeds(line, runs, ends)
+    short = purpose.shortfall(ends)
+    done = purpose.succeeds(ends)
     assert ((short >= 0.0) & (short <= 1.0)).all()
     assert done.any()
     assert not done.all()
@@ -123,15 +127,13 @@ def test_a_shortfall_is_0_where_all_is_as_asked_and_more_where_it_fails(purpose)
         assert (short[done] == 0.0).all()
 
 
-def test_a_purpose_of_one_s_own_is_told_by_success_alone() -> None:
-    class Fast(Stop):
-        """Anything at all."""
-
-    shown = shortfall.dispatch(object)
+def test_for_other_purposes_success_alone_counts() -> None:
     line = case().line(4)
     runs = make_runs([0.3, 2.0], columns=4)
     ends = run_all(line, Sort().layouts(line, 4)[0].axis[np.newaxis], [S], runs)
-    np.testing.assert_array_equal(shown(Stop(), line, runs, ends), [0.0, 1.0])
+    np.testing.assert_array_equal(Purpose.shortfall(Stop(), ends), [0.0, 1.0])
+    with pytest.raises(ValueError, match="purpose must be one that an environment's task has"):
+        Purpose.env_goal(Stop(), line)
 
 
 def test_threads_change_nothing_and_a_search_goes_on_where_it_was(tmp_path: Path) -> None:
@@ -146,7 +148,7 @@ def test_threads_change_nothing_and_a_search_goes_on_where_it_was(tmp_path: Path
     whole = best_layout(case(), SPEEDS, 6, orientations=None, effort=QUICK)
     with pytest.raises(Broken):
         best_layout(
-            case(), SPEEDS, 6, orientations=None, effort=QUICK, checkpoint=file, advance=stop
+            case(), SPEEDS, 6, orientations=None, effort=QUICK, checkpoint=file, on_progress=stop
         )
     found = best_layout(
         case(), SPEEDS, 6, orientations=None, effort=QUICK, checkpoint=file, workers=2
@@ -162,36 +164,118 @@ def test_what_is_not_known_costs_speed() -> None:
     axis = Sort().layouts(line, 16)[0].axis
     speeds = np.arange(60, 101, 4) / 100
     own = case(unknown=Unknown(), draws=40)
-    over = over_speeds("study", axis, own, line, speeds, workers=2)
+    over = evaluate_layout("study", axis, own, line, speeds, workers=2)
     assert over.least_sure_speed >= over.least_speed
     assert 0.0 < over.share[over.success][0] < 1.0
-    nothing = over_speeds("study", axis, case(), line, speeds)
+    nothing = evaluate_layout("study", axis, case(), line, speeds)
     np.testing.assert_array_equal(nothing.share, nothing.success)
-    assert math.isnan(over_speeds("study", axis, case(), line, np.array([0.3])).least_speed)
-    assert math.isnan(over_speeds("study", axis, case(), line, np.array([0.3])).mean_time)
+    assert math.isnan(evaluate_layout("study", axis, case(), line, np.array([0.3])).least_speed)
+    assert math.isnan(evaluate_layout("study", axis, case(), line, np.array([0.3])).mean_time)
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
+    ("find", "name", "value"),
     [
-        ("speeds", []),
-        ("speeds", [0.0, 1.0]),
-        ("speeds", [math.nan]),
-        ("columns", 0),
-        ("workers", 0),
-        ("orientations", (0.0,)),
+        (best_layout, "speeds", []),
+        (best_layout, "speeds", [0.0, 1.0]),
+        (best_layout, "speeds", [math.nan]),
+        (best_layout, "columns", 0),
+        (best_layout, "workers", 0),
+        (best_layout, "orientations", (0.0,)),
+        (every_layout, "columns", 0),
+        (every_layout, "workers", 0),
+        (every_layout, "most", 0),
+        (every_layout, "most", 15),
+        (every_layout, "orientations", (0.0,)),
     ],
 )
-def test_what_is_not_allowed_is_named(name: str, value: object) -> None:
-    arguments = {"speeds": SPEEDS, "effort": QUICK, name: value}
+def test_an_argument_that_is_not_allowed_is_named(find, name: str, value: object) -> None:
+    given = {"speeds": SPEEDS, "effort": QUICK} if find is best_layout else {}
     with pytest.raises(ValueError, match=name):
-        best_layout(case(), **arguments)  # type: ignore[arg-type]
+        find(case(), **{**given, name: value})
+
+
+FEW = np.array([0.5, 0.7, 0.72, 1.5])  # [m/s]; the study's layout sorts at the last two
+SHIPPED = shipped.sorting_layouts()
+each = pytest.mark.parametrize("layout", SHIPPED, ids=lambda own: f"{own.box}-{own.offer}")
+
+
+def test_there_is_one_for_every_box_and_offer() -> None:
+    assert sorted((own.box, own.offer) for own in SHIPPED) == sorted(
+        (box, offer) for box in shipped.SIZES for offer in shipped.OFFERS
+    )
+
+
+@each
+def test_it_does_what_its_file_says(layout: shipped.SortingLayout) -> None:
+    case = Case(layouts.box(layout.box), unknown=NOTHING)
+    line = case.line(shipped.COLUMNS)
+    found = evaluate_layout("it", layout.axis, case, line, shipped.SPEEDS, workers=2)
+    study = evaluate_layout(
+        "study", np.full_like(layout.axis, math.pi / 4), case, line, shipped.SPEEDS
+    )
+    assert (found.least_speed, study.least_speed) == (layout.least_speed, layout.study_least_speed)
+    assert found.mean_time == pytest.approx(layout.mean_time, abs=1e-6)
+    assert layout.least_speed <= layout.least_sure_speed
+    assert layout.half_length == {"S": 0.125, "B": 0.225}[layout.box]
+
+
+@each
+def test_its_axes_are_on_offer(layout: shipped.SortingLayout) -> None:
+    offered = shipped.OFFERS[layout.offer]
+    if offered is not None:
+        apart = np.abs(np.sin(layout.axis[..., np.newaxis] - np.array(offered)))
+        assert apart.min(axis=-1).max() < 1e-9
+
+
+@pytest.mark.parametrize("box", shipped.SIZES)
+def test_the_more_axes_there_are_the_slower_a_box_may_come(box: str) -> None:
+    least = {own.offer: own.least_speed for own in SHIPPED if own.box == box}
+    assert least["any"] < least["eight"] < least["four"]
+
+
+def test_layouts_found_anew_are_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    effort = Effort(members=6, generations=1, epochs=1, rounds=0)
+    monkeypatch.setattr(shipped, "SPEEDS", FEW)
+    calls: list[tuple[int, int]] = []
+    found = shipped.find_sorting_layouts(
+        ("eight", "any"), ("S",), effort, checkpoints=tmp_path / "kept",
+        on_progress=lambda *at: calls.append(at),
+    )  # fmt: skip
+    again = shipped.find_sorting_layouts(("any",), ("S",), effort, checkpoints=tmp_path / "kept")
+    np.testing.assert_array_equal(again["S", "any"].best.axis, found["S", "any"].best.axis)
+    assert calls[-1] == (2, 2)
+    shipped.write_sorting_layouts(tmp_path / "new" / "sorting.json", found)
+    monkeypatch.setattr(shipped.resources, "files", lambda _: tmp_path)
+    monkeypatch.setattr(shipped, "FILE", "new/sorting.json")
+    read = shipped.sorting_layouts.__wrapped__()
+    assert [own.offer for own in read] == ["eight", "any"]
+    for own in read:
+        np.testing.assert_array_equal(own.axis, found["S", own.offer].best.axis)
+        assert own.least_speed == found["S", own.offer].best.least_speed
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["sorting.json"]
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
-    [("columns", 0), ("workers", 0), ("most", 0), ("most", 15), ("orientations", (0.0,))],
+    ("name", "arguments"), [("offers", {"offers": ("two",)}), ("sizes", {"sizes": ("M",)})]
 )
-def test_what_is_not_allowed_is_named_where_all_are_tried(name: str, value: object) -> None:
+def test_what_there_is_not_is_refused(name: str, arguments: dict) -> None:
     with pytest.raises(ValueError, match=name):
-        every_layout(case(), **{name: value})  # type: ignore[arg-type]
+        shipped.find_sorting_layouts(**arguments)
+
+
+def test_the_command_writes_what_it_finds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    small = Effort(members=5, generations=1, epochs=1, rounds=0)
+    monkeypatch.setattr(shipped, "SPEEDS", FEW)
+    quick = partial(shipped.find_sorting_layouts, sizes=("S",), effort=small)
+    monkeypatch.setattr(shipped, "find_sorting_layouts", quick)
+    file, kept = tmp_path / "found.json", tmp_path / "kept"
+    flags = ["--file", str(file), "--offers", "four", "--checkpoints", str(kept)]
+    monkeypatch.setattr(sys, "argv", ["ship", *flags])
+    shipped.main()
+    (row,) = json.loads(file.read_text())
+    assert (row["box"], row["offer"], row["least_speed"]) == ("S", "four", 0.72)
+    assert (kept / "S-four.npz").is_file()
+    assert capsys.readouterr().out == "S-box, four: sorts from 0.72 m/s on\n"

@@ -1,10 +1,17 @@
+"""The case of a design: its purposes and its unknown quantities."""
+
+import math
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
 from surface_gym.design.case import GROUPS, NOTHING, TOGETHER, Case, Unknown, draw
-from surface_gym.design.purposes import Slow
+from surface_gym.design.line import line_for
+from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
+from surface_gym.design.runs import make_runs, run_all
 
 BOX = layouts.box("S")
 
@@ -25,9 +32,9 @@ def test_draws_follow_their_laws() -> None:
     drawn = draw(unknown, BOX, line, 2000, 0)
     assert np.abs(drawn.friction - 1.0).max() <= 0.2
     assert drawn.friction.std(axis=0) == pytest.approx(0.4 / np.sqrt(12.0), rel=0.05)
-    assert drawn.faster.std() == pytest.approx(0.1, rel=0.05)
-    assert drawn.steeper.std() == pytest.approx(0.02, rel=0.05)
-    assert drawn.aside.std() == pytest.approx(0.03, rel=0.05)
+    assert drawn.speed.std() == pytest.approx(0.1, rel=0.05)
+    assert drawn.tilt.std() == pytest.approx(0.02, rel=0.05)
+    assert drawn.lateral.std() == pytest.approx(0.03, rel=0.05)
     assert drawn.stiffness is not None
     assert np.log(drawn.stiffness).std() == pytest.approx(0.35, rel=0.01)
     offsets = np.array([parcel.com_offset for parcel in drawn.parcels])
@@ -46,35 +53,88 @@ def test_draws_become_runs() -> None:
     drawn = draw(Unknown(speed=0.5), BOX, Case(BOX).line(4), 50, 0)
     runs = drawn.runs(0.6, 0.0, columns=4, layout=2)
     assert runs.speed.min() >= 0.0
-    np.testing.assert_allclose(runs.speed, np.maximum(0.0, 0.6 + drawn.faster))
-    np.testing.assert_array_equal(runs.ground, np.arange(50))
+    np.testing.assert_allclose(runs.speed, np.maximum(0.0, 0.6 + drawn.speed))
+    np.testing.assert_array_equal(runs.stiffness, np.arange(50))
     assert (runs.layout == 2).all()
     assert (runs.columns == 4).all()
 
 
+BOX = layouts.box("S")
+LINE = line_for(BOX, 8)
+
+
+def test_layouts_are_the_study_s() -> None:
+    sorting = layouts.sorting("S", side=1, task_columns=3)
+    found = Sort(side=1).layouts(LINE, 3)[0].axis
+    np.testing.assert_array_equal(found[:, :3], sorting.axis[9:11, 3:6])
+    np.testing.assert_array_equal(found[:, 3:], layouts.ROLLING)
+    for k, angle in enumerate((0.0, math.pi / 4)):
+        slowing = layouts.slowing("S", angle, 3)
+        found = Slow().layouts(LINE, 3)[k].axis
+        np.testing.assert_array_equal(found[:, :3], slowing.axis[9:11, 3:6])
+
+
+@pytest.mark.parametrize("purpose", [Sort(), Turn(math.radians(20.0))])
+def test_the_other_side_is_the_mirror_image(purpose: Purpose) -> None:
+    other = Sort(1) if isinstance(purpose, Sort) else Turn(math.radians(-20.0))
+    ends = []
+    for each in (purpose, other):
+        axes = each.layouts(LINE, 4)[0].axis[np.newaxis]
+        runs = make_runs(1.5, columns=4 if each.leaves_zone else -1)
+        ends.append(run_all(LINE, axes, [BOX], runs, dt=0.001))
+    one, two = ends
+    assert one.reason[0] == two.reason[0]
+    assert one.pose[0, 0] == pytest.approx(two.pose[0, 0], abs=1e-4)
+    assert one.pose[0, 1] - LINE.line_y == pytest.approx(LINE.line_y - two.pose[0, 1], abs=1e-4)
+    assert one.pose[0, 2] == pytest.approx(-two.pose[0, 2], abs=1e-3)
+
+
+def test_slow_down_to_a_share_or_to_just_that() -> None:
+    axes = np.stack([layout.axis for layout in Slow().layouts(LINE, 1)])
+    runs = make_runs(1.5, layout=[0, 1], columns=1)
+    ends = run_all(LINE, axes, [BOX], runs)
+    ratio = Slow().measure(ends)
+    np.testing.assert_allclose(ratio, ends.velocity[:, 0] / 1.5)
+    for k in (0, 1):
+        assert Slow(ratio[k] + 0.01).succeeds(ends)[k]
+        assert not Slow(ratio[k] - 0.01).succeeds(ends)[k]
+        assert not Slow(ratio[k] + 0.02, tolerance=0.01).succeeds(ends)[k]
+        assert Slow(ratio[k] + 0.02, tolerance=0.03).succeeds(ends)[k]
+
+
+def test_a_parcel_that_stops_has_no_exit_speed_and_one_that_leaves_no_place() -> None:
+    axes = np.stack([np.zeros((2, 8)), np.full((2, 8), layouts.ROLLING)])
+    runs = make_runs(1.0, layout=[0, 1], columns=8)
+    ends = run_all(LINE, axes, [BOX], runs)
+    assert np.isnan(Slow().measure(ends)).tolist() == [True, False]
+    assert np.isnan(Stop().measure(ends)).tolist() == [False, True]
+    assert Stop().succeeds(ends).tolist() == [True, False]
+    rest = Stop().measure(ends)[0]
+    assert Stop(rest + 0.02).succeeds(ends).tolist() == [True, False]
+    assert not Stop(rest + 0.02, tolerance=0.01).succeeds(ends).any()
+
+
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("make", "message"),
     [
-        ({"parcel": "S"}, "parcel must be a Parcel, got 'S'"),
-        ({"purpose": "sort"}, "purpose must be a Purpose, got 'sort'"),
-        ({"unknown": sg.Randomisation()}, "unknown must be an Unknown"),
-        ({"speed": -1.0}, "speed must be between 0 and 20, got -1.0"),
-        ({"speed": 0.0}, "speed must be greater than 0 on a level surface"),
-        ({"tilt": 1.0}, r"tilt must be from 0 to below pi/4 \(45 deg\), got 1.0"),
-        ({"draws": 0}, "draws must be a whole number of at least 1, got 0"),
-        ({"step": 1.0}, "step must be between 1e-05 and 0.02, got 1.0"),
+        (lambda: Case("S"), "parcel must be a Parcel, got 'S'"),
+        (lambda: Case(BOX, "sort"), "purpose must be a Purpose, got 'sort'"),
+        (lambda: Case(BOX, unknown=sg.Randomisation()), "unknown must be an Unknown"),
+        (lambda: Case(BOX, speed=-1.0), "speed must be between 0 and 20, got -1.0"),
+        (lambda: Case(BOX, speed=0.0), "speed must be greater than 0 on a level surface"),
+        (lambda: Case(BOX, tilt=1.0), r"tilt must be from 0 to below pi/4 \(45 deg\), got 1.0"),
+        (lambda: Case(BOX, draws=0), "draws must be a whole number of at least 1, got 0"),
+        (lambda: Case(BOX, step=1.0), "step must be between 1e-05 and 0.02, got 1.0"),
+        (lambda: Unknown(size=0.1), r"size must be 0, got 0.1: a map goes over sizes"),
+        (lambda: Sort(0), "side must be one of -1, 1, got 0"),
+        (lambda: Slow(1.0), "ratio must be between 0 and 1, got 1.0"),
+        (lambda: Slow(tolerance=0.0), "tolerance must be greater than 0"),
+        (lambda: Stop(place=math.nan), "place must be a finite number"),
+        (lambda: Stop(tolerance=-1.0), "tolerance must be greater than 0"),
+        (lambda: Turn(0.0), "angle must not be 0"),
+        (lambda: Turn(tolerance=0.0), "tolerance must be greater than 0"),
     ],
 )
-def test_what_is_not_allowed_is_named(arguments: dict[str, object], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
-        Case(**{"parcel": BOX, **arguments})  # type: ignore[arg-type]
-
-
-def test_sizes_belong_to_a_map() -> None:
-    with pytest.raises(ValueError, match=r"size must be 0, got 0.1: a map goes over sizes"):
-        Unknown(size=0.1)
-
-
-def test_a_case_at_another_speed() -> None:
-    case = Case(BOX, Slow(0.4), speed=1.0)
-    assert case.at(2.0) == Case(BOX, Slow(0.4), speed=2.0)
+def test_what_is_not_allowed_is_named(make: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()

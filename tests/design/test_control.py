@@ -1,14 +1,19 @@
+"""Axes that follow the parcel beside fixed layouts."""
+
+import csv
 import math
+from pathlib import Path
 
 import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
 from surface_gym.design.case import NOTHING, Case
+from surface_gym.design.cli import main
 from surface_gym.design.columns import least_columns
-from surface_gym.design.control import control_gain
+from surface_gym.design.control import ControlGain, Gain, control_gain
 from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
-from surface_gym.design.runs import make_runs, run_all
+from surface_gym.design.runs import make_runs
 
 BOX = layouts.box("S")
 
@@ -25,8 +30,7 @@ def test_the_fixed_layout_does_in_the_environment_what_it_does_in_a_design() -> 
     axes = case.purpose.layouts(line, gain.columns)[0].axis[None]
 
     def sorts(speed: float) -> bool:
-        runs = make_runs(speed)
-        return bool(case.purpose.succeeds(line, runs, run_all(line, axes, [BOX], runs))[0])
+        return bool(case.purpose.succeeds(case.run(line, axes, make_runs(speed)))[0])
 
     assert sorts(fixed.least_speed)
     assert not sorts(fixed.least_speed - 0.04)
@@ -63,3 +67,59 @@ def test_a_tilted_case_is_refused() -> None:
 def test_columns_must_be_given_where_no_fixed_layout_does_it() -> None:
     with pytest.raises(ValueError, match=r"columns must be given .* at 0.4 m/s, got None"):
         control_gain(Case(BOX, speed=0.4, unknown=NOTHING))
+
+
+FOUND = ControlGain(
+    case=Case(BOX),
+    task="sort",
+    asked="off the line to y < 0",
+    columns=6,
+    rows=2,
+    gains=(
+        Gain("fixed layout", True, 100, 0.5, math.nan, math.nan),
+        Gain("event rule", False, 100, 0.9, 0.46, math.nan),
+    ),
+    left_out=("PPO per module",),
+)
+
+
+def test_the_sentence_has_the_best_of_either_kind() -> None:
+    sentence = FOUND.sentence
+    assert "90% of the draws and from 0.46 m/s on by axes that follow it" in sentence
+    assert "50% of the draws and at no speed by axes arranged once" in sentence
+    assert sentence.endswith("PPO per module")
+
+
+def test_each_controller_has_a_row_and_a_bar() -> None:
+    (table,) = FOUND.tables()
+    assert [row[:2] for row in table.rows] == [
+        ("fixed layout", "arranged once"),
+        ("event rule", "follow"),
+    ]
+    left, right = FOUND.draw().axes
+    assert [each.get_text() for each in left.get_yticklabels()] == ["event rule", "fixed layout"]
+    assert [each.get_text() for each in right.texts] == ["at no speed"]
+
+
+def test_the_command_answers_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["control", "--parcel", "S", "--speed", "1.2", "--draws", "3", "--out", str(tmp_path)])
+    assert "by axes that follow it" in capsys.readouterr().out
+    with (tmp_path / "control.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {row["axes"] for row in rows} == {"arranged once", "follow"}
+    assert (tmp_path / "control.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("flags", "error"),
+    [
+        (("--rows", "3"), "rows must be those under the parcel for control, got 3"),
+        (("--cluster", "auto"), "cluster must not be given for control"),
+    ],
+)
+def test_flags_that_do_not_go_with_controllers_are_refused(
+    flags: tuple[str, ...], error: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["control", "--parcel", "S", *flags, "--out", str(tmp_path)])
+    assert error in capsys.readouterr().err

@@ -8,11 +8,11 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.case import NOTHING, TOGETHER, Case, Unknown
+from surface_gym.design.case import NOMINAL, NOTHING, TOGETHER, Case, Unknown
 from surface_gym.design.columns import least_columns
-from surface_gym.design.limits import friction_range, least_speed, least_tilt
+from surface_gym.design.limits import friction_range, least_speed, least_tilt, span_around
 from surface_gym.design.purposes import Slow, Sort, Stop
-from surface_gym.design.sweep import NOMINAL, Arrangement, arrange, span
+from surface_gym.design.sweep import Arrangement, arrange
 from surface_gym.physics.types import GRAVITY
 
 OWN = sg.Parcel(sg.Rectangle(0.3, 0.4), mass=12.0)
@@ -128,13 +128,6 @@ def test_what_is_unknown_of_friction_is_left_out_where_friction_is_varied() -> N
     assert groups == [NOMINAL, "unevenness", "entry", TOGETHER]
 
 
-def test_the_number_of_workers_does_not_matter() -> None:
-    case = Case(layouts.box("S"), Sort(), speed=1.2, draws=10)
-    one, two = (least_speed(case, workers=workers, highest=1.5) for workers in (1, 2))
-    for mine, others in zip(one.spans, two.spans, strict=True):
-        np.testing.assert_array_equal(mine.share, others.share)
-
-
 def test_a_case_that_fails_has_no_limits() -> None:
     case = Case(layouts.box("S"), Sort(), speed=0.3, unknown=NOTHING)
     found = least_speed(case, columns=4, highest=1.0).of(NOMINAL)
@@ -143,11 +136,11 @@ def test_a_case_that_fails_has_no_limits() -> None:
     assert found.share.max() == 1.0  # though others succeed
 
 
-def test_how_far_it_is_adds_up() -> None:
-    told: list[tuple[int, int]] = []
+def test_progress_adds_up() -> None:
+    calls: list[tuple[int, int]] = []
     case = Case(layouts.box("S"), Sort(), speed=1.2, draws=8)
-    friction_range(case, columns=5, advance=lambda *done: told.append(done))
-    done, totals = zip(*told, strict=True)
+    friction_range(case, columns=5, on_progress=lambda *done: calls.append(done))
+    done, totals = zip(*calls, strict=True)
     assert list(done) == sorted(done)
     assert set(totals) == {done[-1]}
 
@@ -170,7 +163,7 @@ def test_from_rest_and_level_is_not_tried() -> None:
 def test_a_span_ends_at_the_first_failure(
     done: list[bool], own: int, expected: tuple[int, int] | None
 ) -> None:
-    assert span(np.array(done), own) == expected
+    assert span_around(np.array(done), own) == expected
 
 
 def test_columns_are_those_that_the_draws_take() -> None:

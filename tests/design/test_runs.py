@@ -1,3 +1,5 @@
+"""The line for a parcel, and the runs over it, against `simulate`."""
+
 import math
 
 import numpy as np
@@ -5,9 +7,73 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design import passage
-from surface_gym.design.line import line_for
-from surface_gym.design.runs import make_runs, run_all
+from surface_gym.design.line import DesignLine, line_for
+from surface_gym.design.runs import REST_SPEED, make_runs, run_all
+
+
+@pytest.mark.parametrize(("size", "rows", "lead_in"), [("S", 2, 3), ("B", 4, 5)])
+def test_the_study_s_boxes_get_the_study_s_lines(size: str, rows: int, lead_in: int) -> None:
+    line = line_for(layouts.box(size), 30)
+    assert (line.rows, line.lead_in, line.columns) == (rows, lead_in, 30)
+    assert layouts.LINE_ROWS[size] == rows
+    assert layouts.LEAD_IN[size] == lead_in
+
+
+def test_the_zone_s_axes_are_those_given_and_all_others_roll() -> None:
+    line = line_for(layouts.box("S"), 4)
+    zone = np.radians([[0.0, 45.0, -45.0, 90.0], [10.0, 20.0, 30.0, 40.0]])
+    surface = line.surface(zone, tilt=0.1)
+    np.testing.assert_array_equal(surface.axis[line.zone], zone)
+    rest = np.ones(line.shape, bool)
+    rest[line.zone] = False
+    assert (surface.axis[rest] == layouts.ROLLING).all()
+    assert surface.rotor.sum() == 2 * line.shape[1]
+    assert surface.tilt == 0.1
+
+
+def test_a_parcel_starts_wholly_on_the_lead_in() -> None:
+    parcel = sg.Parcel(sg.Polygon(np.array([[0.0, 0.0], [0.4, 0.0], [0.1, 0.3]])))
+    line = line_for(parcel, 8, pitch=(0.08, 0.12))
+    x, y, theta = line.start(parcel)
+    outline = np.add(parcel.base.outline, (x, y))
+    assert theta == 0.0
+    assert outline[:, 0].min() == pytest.approx(0.0)
+    assert outline[:, 0].max() <= line.zone_x[0] + 1e-12
+    assert y + parcel.base.centroid[1] == pytest.approx(line.line_y)
+    assert line.zone_x[1] - line.zone_x[0] == pytest.approx(8 * 0.08)
+
+
+def test_supports_bear_a_parcel_that_has_just_left_the_line() -> None:
+    parcel = layouts.box("B")
+    line = line_for(parcel, 8)
+    aside = line.line_y - 0.5 * line.rows * line.pitch_y  # [m] of supports on one side
+    assert aside > 2.0 * parcel.base.reach
+
+
+@pytest.mark.parametrize(("width", "rows"), [(0.05, 2), (0.25, 2), (0.4, 4), (0.45, 4), (0.6, 6)])
+def test_rows_are_an_even_number_under_the_parcel(width: float, rows: int) -> None:
+    assert line_for(sg.Parcel(sg.Rectangle(0.3, width)), 8).rows == rows
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("rows", 0, "rows must be a whole number of at least 1, got 0"),
+        ("columns", 1.5, "columns must be a whole number of at least 1, got 1.5"),
+        ("pitch", -0.1, "pitch must be greater than 0"),
+        ("mu_min", -1.0, "mu_min must be at least 0"),
+    ],
+)
+def test_what_is_not_allowed_is_named(field: str, value: float, message: str) -> None:
+    given = {"rows": 2, "columns": 8, "lead_in": 3, "run_out": 10, "beside": 5, field: value}
+    with pytest.raises(ValueError, match=message):
+        DesignLine(**given)
+
+
+def test_axes_of_another_shape_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"zone_axis must have the shape \(2, 8\)"):
+        line_for(layouts.box("S"), 8).surface(np.full((8, 2), math.pi / 4))
+
 
 EIGHTH = math.pi / 4
 
@@ -27,7 +93,7 @@ def test_a_run_is_simulate_s_to_the_bit() -> None:
             line,
             zone[np.newaxis],
             [parcel],
-            make_runs(speed, tilt, friction=factors[np.newaxis], aside=0.01, turned=0.05),
+            make_runs(speed, tilt, friction=factors[np.newaxis], lateral=0.01, heading=0.05),
             stiffness[np.newaxis],
         )
         surface = line.surface(zone, tilt)
@@ -38,7 +104,7 @@ def test_a_run_is_simulate_s_to_the_bit() -> None:
         pose = np.add(line.start(parcel), (0.0, 0.01, 0.05))
         steps = int(ends.steps[0])
         trajectory = sg.simulate(same, parcel, pose, (speed, 0.0, 0.0), duration=steps * 0.005)
-        assert ends.told(0) != "out of time"
+        assert ends.describe(0) != "out of time"
         np.testing.assert_array_equal(ends.pose[0], trajectory.pose[steps])
         np.testing.assert_array_equal(ends.velocity[0], trajectory.velocity[steps])
 
@@ -55,7 +121,7 @@ def test_runs_do_not_depend_on_threads_or_company() -> None:
         run_all(line, zones, [parcel], make_runs(v, layout=k % 2, columns=8))
         for k, v in enumerate(speeds[:5].tolist())
     ]
-    for name in ("how", "touched", "time", "pose", "velocity", "tipping", "steps"):
+    for name in ("reason", "touched", "time", "pose", "velocity", "tipping", "steps"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
         np.testing.assert_array_equal(
             getattr(one, name)[:5], np.concatenate([getattr(each, name) for each in alone])
@@ -69,13 +135,13 @@ def test_how_runs_end() -> None:
     zones = np.stack([np.full((2, 8), axis) for axis in (rolls, sorts, brakes)])
     runs = make_runs(1.5, layout=[0, 1, 2, 0], columns=[8, -1, 8, -1])
     ends = run_all(line, zones, [parcel], runs)
-    told = [ends.told(run) for run in range(4)]
-    assert told == ["past the zone", "out of the line", "at rest", "off the surface"]
+    reasons = [ends.describe(run) for run in range(4)]
+    assert reasons == ["past the zone", "out of the line", "at rest", "off the surface"]
     assert ends.touched[0] == 10  # the zone, and two columns in front of it as its rear leaves
     rear = ends.pose[0, 0] - 0.125  # has just left the centre of the zone's last column
     assert rear == pytest.approx(line.zone_x[1] - 0.05, abs=0.01)
     assert ends.pose[1, 1] < line.line_y
-    assert np.abs(ends.velocity[2]).max() < passage.REST_SPEED
+    assert np.abs(ends.velocity[2]).max() < REST_SPEED
 
 
 def test_braking_by_a_wide_zone_at_0_deg_takes_mu_max_g() -> None:
@@ -93,24 +159,24 @@ def test_a_parcel_held_on_a_slope_is_at_rest_and_one_that_slides_is_not() -> Non
     line = line_for(parcel, 4)
     zone = np.full((1, 2, 4), 0.0)
     ends = run_all(line, zone, [parcel], make_runs(0.0, tilt=np.radians([0.4, 1.0]), columns=4))
-    assert ends.told(0) == "at rest"  # tan(0.4 deg) is below mu_min: not even the lead-in rolls
+    assert ends.describe(0) == "at rest"  # tan(0.4 deg) is below mu_min: not even the lead-in rolls
     assert ends.pose[0, 0] == pytest.approx(0.125)
     assert ends.pose[1, 0] > 0.2
 
 
-def test_progress_is_told() -> None:
-    told: list[tuple[int, int]] = []
+def test_progress_is_reported() -> None:
+    calls: list[tuple[int, int]] = []
     parcel = layouts.box("S")
     line = line_for(parcel, 4)
     runs = make_runs(np.full(100, 1.0))
     for workers in (1, 2):
-        told.clear()
+        calls.clear()
         run_all(
             line, np.full((1, 2, 4), EIGHTH), [parcel], runs, workers=workers,
-            advance=lambda done, total: told.append((done, total)),
+            on_progress=lambda done, total: calls.append((done, total)),
         )  # fmt: skip
-        assert told[-1] == (100, 100)
-        assert sorted(told) == told
+        assert calls[-1] == (100, 100)
+        assert sorted(calls) == calls
 
 
 def test_a_base_with_too_many_elements_is_refused() -> None:

@@ -6,17 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surface_gym.design.search import Effort, search
-from surface_gym.design.space import Space
+from surface_gym.design.search import Effort, LayoutSpace, search
 
 ORIENTATIONS = tuple(np.radians([-45.0, 0.0, 45.0, 90.0]).tolist())
 SMALL = Effort(members=16, generations=5, epochs=4, rounds=2)
 ROLLING = np.full((1, 2, 5), math.pi / 2)
 
 
-def target(space: Space) -> np.ndarray:
+def target(space: LayoutSpace) -> np.ndarray:
     """A layout (rows, columns) [rad] drawn by chance."""
-    return space.axes(space.drawn(np.random.default_rng(5), 1))[0]
+    return space.axes(space.sample(np.random.default_rng(5), 1))[0]
 
 
 def apart(wanted: np.ndarray):
@@ -29,7 +28,7 @@ def apart(wanted: np.ndarray):
 
 
 def test_it_finds_the_least_of_a_sum_over_modules() -> None:
-    space = Space(2, 5, ORIENTATIONS)
+    space = LayoutSpace(2, 5, ORIENTATIONS)
     wanted = target(space)
     found, _ = search(space, apart(wanted), ROLLING, SMALL, seed=0)
     np.testing.assert_array_equal(found, wanted)
@@ -37,7 +36,7 @@ def test_it_finds_the_least_of_a_sum_over_modules() -> None:
 
 def test_it_finds_what_no_single_module_tells_by_all_of_a_column() -> None:
     """Only a column that is right as a whole counts: the descent tries all its arrangements."""
-    space = Space(2, 5, ORIENTATIONS)
+    space = LayoutSpace(2, 5, ORIENTATIONS)
     wanted = target(space)
 
     def score(axes: np.ndarray) -> np.ndarray:
@@ -49,7 +48,7 @@ def test_it_finds_what_no_single_module_tells_by_all_of_a_column() -> None:
 
 
 def test_any_angle_may_be_found() -> None:
-    space = Space(2, 3, None)
+    space = LayoutSpace(2, 3, None)
     wanted = np.radians([[10.0, -20.0, 33.0], [5.0, 80.0, -61.0]])
     effort = Effort(members=30, generations=40, epochs=5, rounds=10)
     found, _ = search(space, apart(wanted), ROLLING[:, :, :3], effort, seed=0)
@@ -57,7 +56,7 @@ def test_any_angle_may_be_found() -> None:
 
 
 def test_it_is_no_worse_than_what_it_begins_with() -> None:
-    space = Space(2, 5, ORIENTATIONS)
+    space = LayoutSpace(2, 5, ORIENTATIONS)
     wanted = target(space)
     found, _ = search(space, apart(wanted), wanted[np.newaxis], Effort(5, 1, 1, 0), seed=3)
     np.testing.assert_array_equal(found, wanted)
@@ -69,10 +68,10 @@ class Broken(Exception):
 
 @pytest.mark.parametrize("orientations", [ORIENTATIONS, None], ids=["some", "any"])
 @pytest.mark.parametrize("after", [1, 3, 5, 8])
-def test_broken_off_and_resumed_it_finds_the_same_to_the_bit(
+def test_interrupted_and_resumed_it_finds_the_same_to_the_bit(
     orientations: tuple[float, ...] | None, after: int, tmp_path: Path
 ) -> None:
-    space = Space(2, 5, orientations)
+    space = LayoutSpace(2, 5, orientations)
     rough = np.random.default_rng(1).normal(size=(2, 5))
 
     def score(axes: np.ndarray) -> np.ndarray:
@@ -88,7 +87,7 @@ def test_broken_off_and_resumed_it_finds_the_same_to_the_bit(
 
     file = tmp_path / "search.npz"
     with pytest.raises(Broken):
-        search(space, score, ROLLING, SMALL, 0, file, advance=stop)
+        search(space, score, ROLLING, SMALL, 0, file, on_progress=stop)
     assert file.exists() == (after > 1)
     found, again = search(space, score, ROLLING, SMALL, 0, file)
     np.testing.assert_array_equal(found, whole)
@@ -97,7 +96,7 @@ def test_broken_off_and_resumed_it_finds_the_same_to_the_bit(
 
 
 def test_the_seed_alone_is_left_to_chance() -> None:
-    space = Space(2, 5, None)
+    space = LayoutSpace(2, 5, None)
     wanted = target(space)
     one, same, other = (
         search(space, apart(wanted), ROLLING, Effort(8, 2, 2, 0), seed)[0] for seed in (0, 0, 1)
@@ -106,55 +105,55 @@ def test_the_seed_alone_is_left_to_chance() -> None:
     assert (one != other).any()
 
 
-def test_it_tells_how_far_it_is() -> None:
-    space = Space(2, 5, ORIENTATIONS)
-    told: list[tuple[int, int]] = []
-    search(space, apart(target(space)), ROLLING, SMALL, 0, advance=lambda *at: told.append(at))
-    done = [at for at, _ in told]
+def test_progress_is_reported() -> None:
+    space = LayoutSpace(2, 5, ORIENTATIONS)
+    calls: list[tuple[int, int]] = []
+    search(space, apart(target(space)), ROLLING, SMALL, 0, on_progress=lambda *at: calls.append(at))
+    done = [at for at, _ in calls]
     assert done == sorted(done)
-    assert {steps for _, steps in told} == {4 + 2 * 5}
+    assert {steps for _, steps in calls} == {4 + 2 * 5}
     assert (done[0], done[-1]) == (0, 14)
 
 
 def test_the_checkpoint_of_another_search_is_refused(tmp_path: Path) -> None:
-    space = Space(2, 5, ORIENTATIONS)
+    space = LayoutSpace(2, 5, ORIENTATIONS)
     file = tmp_path / "search.npz"
-    search(space, apart(target(space)), ROLLING, SMALL, 0, file, "one")
+    search(space, apart(target(space)), ROLLING, SMALL, 0, file, {"name": "one"})
     with pytest.raises(ValueError, match="checkpoint must be of this search"):
-        search(space, apart(target(space)), ROLLING, SMALL, 0, file, "another")
+        search(space, apart(target(space)), ROLLING, SMALL, 0, file, {"name": "another"})
     with pytest.raises(ValueError, match="checkpoint must be of this search"):
-        search(space, apart(target(space)), ROLLING, SMALL, 1, file, "one")
+        search(space, apart(target(space)), ROLLING, SMALL, 1, file, {"name": "one"})
 
 
 @pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 cut off"])
-def test_what_is_no_checkpoint_is_refused(content: bytes, tmp_path: Path) -> None:
+def test_a_file_that_is_no_checkpoint_is_refused(content: bytes, tmp_path: Path) -> None:
     file = tmp_path / "search.npz"
     file.write_bytes(content)
-    space = Space(2, 5, ORIENTATIONS)
+    space = LayoutSpace(2, 5, ORIENTATIONS)
     with pytest.raises(ValueError, match="checkpoint must be one of a search"):
         search(space, apart(target(space)), ROLLING, SMALL, 0, file)
 
 
 def test_members_and_axes_are_each_other_s_inverse() -> None:
     for orientations in (ORIENTATIONS, None):
-        space = Space(3, 4, orientations)
-        axes = space.axes(space.drawn(np.random.default_rng(0), 20))
+        space = LayoutSpace(3, 4, orientations)
+        axes = space.axes(space.sample(np.random.default_rng(0), 20))
         np.testing.assert_array_equal(space.axes(space.members(axes)), axes)
 
 
 def test_an_axis_turned_by_pi_is_the_same_member() -> None:
     axes = np.radians([[[135.0, -90.0, 180.0]]])
-    places = Space(1, 3, ORIENTATIONS).members(axes)
+    places = LayoutSpace(1, 3, ORIENTATIONS).members(axes)
     np.testing.assert_array_equal(places, [[0.0, 3.0, 1.0]])
-    np.testing.assert_allclose(Space(1, 3, None).members(axes)[0, [0, 2]], [-math.pi / 4, 0.0],
-                               atol=1e-12)  # fmt: skip
+    angles = LayoutSpace(1, 3, None).members(axes)[0, [0, 2]]
+    np.testing.assert_allclose(angles, [-math.pi / 4, 0.0], atol=1e-12)
 
 
 @pytest.mark.parametrize(("rows", "count"), [(2, 16), (4, 256), (5, 20)])
 def test_neighbours_differ_in_one_column(rows: int, count: int) -> None:
     """All arrangements of it, or single modules where these are too many."""
-    space = Space(rows, 3, ORIENTATIONS)
-    member = space.drawn(np.random.default_rng(2), 1)[0]
+    space = LayoutSpace(rows, 3, ORIENTATIONS)
+    member = space.sample(np.random.default_rng(2), 1)[0]
     around = space.neighbours(member, 1).reshape(count, rows, 3)
     np.testing.assert_array_equal(
         around[:, :, [0, 2]], np.tile(member.reshape(rows, 3)[:, [0, 2]], (count, 1, 1))

@@ -28,7 +28,7 @@ def rest(factor: float) -> float:
 
 def test_a_bar_is_what_simulate_finds_draw_by_draw() -> None:
     found = sensitivity(CASE, columns=8)
-    bar = found.bars[FIELDS.index("friction")]
+    bar = found.bars[list(FIELDS).index("friction")]
     only = Unknown(friction=0.2, rolling=0.0, com_offset=0.0, stiffness=0.0)
     drawn = draw(only, CASE.parcel, found.arrangement.line, 6, 0)
     places = [rest(float(factor)) for factor in drawn.friction[:, 0]]
@@ -40,7 +40,7 @@ def test_a_bar_is_what_simulate_finds_draw_by_draw() -> None:
 
 def test_every_field_has_a_bar_and_usual_spreads_are_marked() -> None:
     found = sensitivity(CASE, columns=8)
-    assert tuple(bar.field for bar in found.bars) == FIELDS
+    assert [bar.field for bar in found.bars] == list(FIELDS)
     usual = {bar.field for bar in found.bars if bar.usual}
     assert usual == {"mass", "lateral", "heading", "speed", "tilt"}
     by_field = {bar.field: bar for bar in found.bars}
@@ -59,7 +59,7 @@ def test_with_no_draw_that_comes_so_far_a_bar_is_empty() -> None:
 def test_more_friction_stops_sooner_and_threads_do_not_matter() -> None:
     one, two = (sensitivity(CASE, columns=8, workers=workers) for workers in (1, 2))
     assert one.bars == two.bars
-    friction = one.bars[FIELDS.index("friction")]
+    friction = one.bars[list(FIELDS).index("friction")]
     assert friction.low < one.measure < friction.high
 
 

@@ -13,7 +13,7 @@ from tests.docs.reading import DOCS  # noqa: E402
 @pytest.fixture
 def encoding(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.syspath_prepend(DOCS)
-    from picturing import encoding
+    import encoding
 
     return encoding
 

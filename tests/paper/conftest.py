@@ -1,6 +1,6 @@
 import pytest
 
-from surface_gym.paper import Reproduction, reproduce
+from surface_gym.paper.reproduction import Reproduction, reproduce
 
 
 @pytest.fixture(scope="session")

@@ -1,8 +1,64 @@
-"""Our numbers against the paper's tables."""
+"""Our numbers against the paper's tables, and how little these tell of the paper's step."""
 
 import pytest
 
-from surface_gym.paper.comparison import SlowingLayout
+from surface_gym.paper.reproduction import (
+    ANGLE_TOLERANCE,
+    LAST_DIGITS,
+    POSITION_TOLERANCE,
+    run_turned,
+)
+from surface_gym.paper.runs import COARSE
+from surface_gym.paper.targets import SIZES, Cell, Found, SlowingLayout, Table, load_targets
+
+
+def make_cell(paper, *ours, **options):
+    """A cell of the S-box, with one value of ours per integration."""
+    return Cell("r", "c", "S", paper, tuple(Found(value, 0.0) for value in ours), **options)
+
+
+@pytest.mark.parametrize(
+    "compared",
+    [
+        make_cell(0.23, 0.2265, 0.184, decimals=2),  # as the paper prints them
+        make_cell(-0.515, -0.525, -0.526, decimals=3, tolerance=0.01),
+        make_cell(None, None, 7),  # a failure agrees with a failure alone
+        make_cell(SlowingLayout(2, 45), SlowingLayout(2, 45), SlowingLayout(2, 0)),
+    ],
+)
+def test_the_first_value_agrees_and_the_second_does_not(compared):
+    assert [compared.agrees(k) for k in range(2)] == [True, False]
+
+
+def test_a_table_counts_its_cells_and_gives_the_range_of_the_runs_that_tip():
+    found = [("S", 0.3, 3), ("S", 0.1, 4), ("S", None, 4), ("B", 0.0, 4)]
+    cells = [
+        Cell("r", "c", size, 3, (Found(3, share), Found(value, 0.5)))
+        for size, share, value in found
+    ]
+    table = Table("key", "title", "rule", tuple(cells))
+
+    assert (table.agreeing(0), table.agreeing(1)) == (4, 1)
+    assert table.tipping(0) == {"S": (0.1, 0.3), "B": (0.0, 0.0)}
+
+
+def test_the_tables_are_whole():
+    targets = load_targets()
+
+    assert len(targets.sorting_runs) == 5
+    for size in SIZES:
+        assert len(targets.sorting_columns[size]) == len(targets.sorting_speeds) == 20
+        assert len(targets.slowing_layouts[size]) == len(targets.slowing_speeds) == 19
+
+
+def test_entries_stand_where_the_paper_prints_them():
+    targets = load_targets()
+
+    assert targets.sorting_columns["B"][targets.sorting_speeds.index(1.0)] is None
+    assert targets.sorting_columns["S"][targets.sorting_speeds.index(2.7)] == 8
+    assert targets.slowing_layouts["B"][targets.slowing_speeds.index(2.6)] == SlowingLayout(5, 0)
+    assert targets.slowing_ratios["S"] == {0: 0.23, 45: 0.53}
+    assert [run.side for run in targets.sorting_runs] == [1, -1, -1, -1, -1]
 
 
 @pytest.mark.parametrize(
@@ -105,3 +161,37 @@ def test_a_slowing_column_takes_the_energy_its_friction_does(reproduction, row, 
     lost = 0.5 * 1.5**2 * (1.0 - ratios["B-box", row] ** 2)
 
     assert lost == pytest.approx(work, rel=0.1)
+
+
+def test_5_ms_counts_as_the_tables_do(reproduction):
+    at_5_ms = next(each for each in reproduction.by_step if each.integration == COARSE)
+
+    for key, agreeing in at_5_ms.agreeing.items():
+        assert agreeing == reproduction.table(key).agreeing(0)
+
+
+def test_no_step_stands_out(reproduction):
+    total = {
+        round(1e3 * each.integration.dt, 1): sum(each.agreeing.values())
+        for each in reproduction.by_step
+    }
+
+    assert sum(len(reproduction.table(k).cells) for k in ("table2", "table3", "table4")) == 93
+    assert total[4.0] == total[5.0] == total[6.0] == max(total.values()) == 88
+    assert total[3.0] == total[7.0] == 86
+    assert min(total.values()) >= 82
+
+
+def test_a_turn_of_all_axes_by_round_off_moves_the_ends_as_much_as_is_tolerated(reproduction):
+    assert reproduction.last_digits.position > 1000.0 * POSITION_TOLERANCE
+    assert reproduction.last_digits.position < reproduction.about_coarse.position + 5.0
+
+
+@pytest.mark.parametrize("turn", [LAST_DIGITS[0], LAST_DIGITS[-1]])
+def test_turned_by_round_off_either_way_all_of_table_2_agrees(turn):
+    for run in load_targets().sorting_runs:
+        x, y, theta = run_turned(run, turn, COARSE)
+        # In whole millimetres, as the table has them.
+        assert abs(round(x, 3) - run.x) <= POSITION_TOLERANCE + 1e-9
+        assert abs(round(y, 3) - run.y) <= POSITION_TOLERANCE + 1e-9
+        assert abs(theta - run.theta) <= ANGLE_TOLERANCE

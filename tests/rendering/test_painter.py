@@ -1,3 +1,5 @@
+"""Pictures of one parcel on a surface."""
+
 import math
 import subprocess
 import sys
@@ -9,6 +11,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.rendering import (
+    ExitMark,
     ExitSide,
     ExitSpeed,
     Heading,
@@ -16,9 +19,11 @@ from surface_gym.rendering import (
     Path,
     Scene,
     StopLine,
+    Traffic,
     draw,
 )
-from surface_gym.rendering.palette import GOAL, INK, PLATE_EDGE, axis_colour
+from surface_gym.rendering.palette import GOAL, INK, PLATE_EDGE, SENSED, axis_colour
+from tests.rendering.conftest import EXITS
 
 GOALS = {
     "none": None,
@@ -47,6 +52,11 @@ def pixel_of(picture, scene, x, y):
     return left + (right - left) * x / width, bottom - (bottom - top) * y / height
 
 
+def with_parcel(scene, **fields):
+    """A scene whose only parcel has other fields."""
+    return replace(scene, parcels=(replace(scene.parcels[0], **fields),))
+
+
 def middle_of(mask):
     """(column, row) of the mean of the pixels in a mask."""
     rows, columns = np.nonzero(mask)
@@ -54,7 +64,8 @@ def middle_of(mask):
 
 
 @pytest.mark.parametrize("width", [640, 960, 1280])
-def test_a_picture_has_the_width_asked_and_an_even_height(sorting, width):
+def test_a_picture_has_the_width_asked_and_an_even_height(sorting, busy, width):
+    assert draw(busy, width).shape[1:] == (width, 3)
     picture = draw(sorting.scene(50), width)
     assert picture.dtype == np.uint8
     assert picture.shape[1:] == (width, 3)
@@ -68,15 +79,8 @@ def test_all_scenes_of_a_surface_have_one_size(sorting, bare, goal):
     assert draw(full).shape == draw(bare).shape
 
 
-def test_the_same_scene_gives_the_same_picture(sorting):
-    painter = Painter()
-    first = painter.draw(sorting.scene(60))
-    painter.draw(sorting.scene(90))
-    np.testing.assert_array_equal(painter.draw(sorting.scene(60)), first)
-
-
-def test_a_kept_painter_draws_as_a_fresh_one(sorting, bare):
-    small = replace(bare, axis=np.ones((5, 12)), rotor=np.ones((5, 12), bool), pose=(0.5, 0.2, 0))
+def test_a_kept_painter_draws_as_a_fresh_one(sorting, bare, busy, empty):
+    small = replace(bare, axis=np.ones((5, 12)), rotor=np.ones((5, 12), bool))
     scenes = [
         bare,
         sorting.scene(60),
@@ -84,6 +88,12 @@ def test_a_kept_painter_draws_as_a_fresh_one(sorting, bare):
         sorting.scene(60, zone=None, goal=None),
         small,
         replace(small, pitch=0.2),
+        busy,
+        empty,
+        replace(busy, zone=(8, 4, 0, 30)),
+        replace(busy, rotor=np.ones((20, 66), bool)),
+        replace(busy, traffic=Traffic((*EXITS[:2], ExitMark("C", -1, 2.0, 2.5)), (0, 0, 0))),
+        bare,
     ]
     painter = Painter()
     for scene in scenes:
@@ -92,17 +102,16 @@ def test_a_kept_painter_draws_as_a_fresh_one(sorting, bare):
 
 @pytest.mark.parametrize("place", [(2.0, 1.0), (0.7, 1.6), (3.313, 0.427)])
 def test_a_parcel_is_drawn_where_it_is_with_y_upwards(bare, place):
-    scene = replace(bare, pose=(*place, 0.0))
-    elsewhere = replace(bare, pose=(-10.0, 0.0, 0.0))
-    picture, empty = draw(scene), draw(elsewhere)
+    scene = with_parcel(bare, pose=(*place, 0.0))
+    picture, empty = draw(scene), draw(replace(bare, parcels=()))
     there = (picture != empty).any(axis=2)
     np.testing.assert_allclose(middle_of(there), pixel_of(empty, scene, *place), atol=1.0)
 
 
 def test_the_outline_is_drawn_to_scale(bare):
-    empty = draw(replace(bare, pose=(-10.0, 0.0, 0.0)))
+    empty = draw(replace(bare, parcels=()))
     outline = sg.Rectangle(0.6, 0.2).outline
-    there = (draw(replace(bare, outline=outline, pose=(2.0, 1.0, math.pi / 2))) != empty).any(
+    there = (draw(with_parcel(bare, outline=outline, pose=(2.0, 1.0, math.pi / 2))) != empty).any(
         axis=2
     )
     rows, columns = np.nonzero(there)
@@ -112,18 +121,18 @@ def test_the_outline_is_drawn_to_scale(bare):
 
 
 def test_a_parcel_off_the_surface_is_not_drawn_over_the_strips(bare):
-    empty = draw(replace(bare, pose=(-10.0, 0.0, 0.0)))
+    empty = draw(replace(bare, parcels=()))
     top, bottom, _, _ = plate(empty)
-    above = draw(replace(bare, pose=(2.0, 2.0, 0.3)))
+    above = draw(with_parcel(bare, pose=(2.0, 2.0, 0.3)))
     np.testing.assert_array_equal(above[:top], empty[:top])
     np.testing.assert_array_equal(above[bottom:], empty[bottom:])
     assert (above != empty).any()
 
 
 @pytest.mark.parametrize("degrees", [0, 45, -45, 90, 17, 135, 225])
-def test_a_module_has_its_axis_s_colour_and_a_bar_along_it(bare, degrees):
+def test_a_module_has_its_axis_s_colour_and_a_bar_along_it(degrees):
     angle = math.radians(degrees)
-    scene = Scene(np.full((4, 4), angle), np.ones((4, 4), bool), bare.outline, (-10.0, 0.0, 0.0))
+    scene = Scene(np.full((4, 4), angle), np.ones((4, 4), bool))
     picture = draw(scene, 640).astype(int)
     x, y = pixel_of(picture, scene, 0.25, 0.25)
     cell = pixel_of(picture, scene, 0.1, 0.0)[0] - pixel_of(picture, scene, 0.0, 0.0)[0]
@@ -165,7 +174,7 @@ def test_a_stop_line_is_drawn_at_its_x(sorting):
 @pytest.mark.parametrize("x", [0.0, 2.0, 4.0])
 def test_a_label_is_whole_even_where_the_line_fills_the_surface(sorting, bare, x):
     surface = sorting.surface
-    line = replace(bare, rotor=surface.rotor, pose=(-10.0, 0.0, 0.0), goal=StopLine(x))
+    line = replace(bare, rotor=surface.rotor, parcels=(), goal=StopLine(x))
     full = replace(line, rotor=np.ones((20, 40), bool))
     top, bottom, left, right = plate(draw(bare))
     at_line = round(pixel_of(draw(bare), bare, x, 0.0)[0])
@@ -190,7 +199,7 @@ def test_an_exit_is_drawn_on_its_side(sorting, side):
 
 def test_a_path_is_drawn_where_it_runs(bare):
     points = np.array([[0.5, 0.4], [3.5, 1.6]])
-    picture = draw(replace(bare, pose=(-10.0, 0.0, 0.0), goal=Path(points)))
+    picture = draw(replace(bare, parcels=(), goal=Path(points)))
     top, bottom, _, _ = plate(picture)
     rows, columns = np.nonzero(red(picture[top:bottom]))
     (x0, y0), (x1, y1) = (pixel_of(picture, bare, *point) for point in points)
@@ -213,6 +222,14 @@ def test_a_trail_follows_the_parcel(sorting):
     assert away.max() < 0.02
     assert x.min() < passed[0, 0] + 0.02
     assert x.max() > passed[-1, 0] - 0.02
+
+
+def test_the_pose_that_the_sensors_see_is_dashed(bare):
+    picture, without = draw(with_parcel(bare, sensed_pose=(3.0, 1.5, 0.0))), draw(bare)
+    top, bottom, _, _ = plate(without)
+    seen = (picture == SENSED).all(axis=2)[top:bottom]
+    column, row = pixel_of(without, bare, 3.0, 1.5)
+    np.testing.assert_allclose(middle_of(seen), (column, row - top), atol=2.0)
 
 
 def test_the_scale_bar_is_half_a_metre(bare):

@@ -1,17 +1,17 @@
 import pytest
 
-from surface_gym.validation.cases import PUSHED, Case, Run, run
+from surface_gym.validation.comparison import PUSHED, Case, Run, run_case
 
 
 @pytest.fixture(scope="session")
 def tilted() -> Run:
     """Figure 12a."""
     pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
-    return run(Case(10.0))
+    return run_case(Case(10.0))
 
 
 @pytest.fixture(scope="session")
 def pushed() -> Run:
     """Figure 12b."""
     pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
-    return run(PUSHED)
+    return run_case(PUSHED)

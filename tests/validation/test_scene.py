@@ -10,11 +10,9 @@ import surface_gym as sg
 from surface_gym import validation
 from surface_gym.physics.references import scipy_normal_forces
 from surface_gym.physics.types import GRAVITY
-from surface_gym.validation.reach import reachable, under
-from surface_gym.validation.recipe import RECIPE
-from surface_gym.validation.scene import BASE
-from surface_gym.validation.simulation import normal_forces
-from surface_gym.validation.uneven import uneven_normal_forces
+from surface_gym.validation.scene import BASE, RECIPE, Sides
+from surface_gym.validation.simulation import elements_under, normal_forces, reachable
+from surface_gym.validation.unevenness import uneven_normal_forces
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
 
@@ -32,15 +30,16 @@ def settled_forces(parcel, surface=SURFACE, heights=None):
     for _ in range(2000):
         mujoco.mj_step(scene.model, data)
     force = np.zeros(ROTORS.shape)
-    for geom, newton in zip(*normal_forces(scene, data), strict=True):
-        row, column = map(int, scene.model.geom(geom).name.split(","))
+    for geoms, newton in zip(*normal_forces(data), strict=True):
+        names = {scene.model.geom(geom).name for geom in geoms} - {BASE}
+        row, column = map(int, names.pop().split(","))
         force[row, column] += newton
     return force, -data.qpos[2]
 
 
 def arms_from_centre_of_mass(parcel):
     """The elements under the base, and the arms (n, 2) to them."""
-    bearing = under(SURFACE, parcel, CENTRE)
+    bearing = elements_under(SURFACE, parcel, CENTRE)
     c, s = math.cos(CENTRE[2]), math.sin(CENTRE[2])
     x, y = parcel.centre_of_mass
     centre_of_mass = np.array([c * x - s * y, s * x + c * y]) + CENTRE[:2]
@@ -104,7 +103,7 @@ def test_a_parcel_stays_within_what_it_can_reach():
     within = reachable(surface, parcel, start, velocity, 0.5)
     run = sg.simulate(surface, parcel, start, velocity, 0.5)
     assert not within.all()
-    assert all(within[under(surface, parcel, pose)].all() for pose in run.pose)
+    assert all(within[elements_under(surface, parcel, pose)].all() for pose in run.pose)
 
 
 def test_a_tilt_beyond_the_recipe_is_refused():
@@ -131,3 +130,10 @@ def test_a_recipe_checks_its_numbers(change):
     (name,) = change
     with pytest.raises(ValueError, match=f"{name} must be"):
         validation.Recipe(**change)
+
+
+@pytest.mark.parametrize("change", [{"stiffness": 0.0}, {"friction": -0.1}, {"damping": math.nan}])
+def test_sides_check_their_numbers(change):
+    (name,) = change
+    with pytest.raises(ValueError, match=f"{name} must be"):
+        Sides(**change)

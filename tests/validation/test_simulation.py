@@ -1,7 +1,6 @@
 """MuJoCo against the analytic model, and against itself."""
 
 import math
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -9,21 +8,17 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import validation
-from surface_gym.validation.cases import is_sorted
-from surface_gym.validation.comparison import errors
+from surface_gym.validation.comparison import compute_errors, is_sorted
 from surface_gym.validation.simulation import static_sag
+
+pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
 
 START = (0.125, 1.0, 0.0)
 
 
-@pytest.fixture
-def _mujoco():
-    pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
-
-
 @pytest.mark.parametrize("name", ["tilted", "pushed"])
 def test_a_run_agrees_with_the_implicit_method(name, request):
-    error = errors([request.getfixturevalue(name)], lambda run: run.implicit)
+    error = compute_errors([request.getfixturevalue(name)], lambda run: run.implicit)
     assert (np.abs(error.absolute) < [5.0, 4.0, 2.5]).all()  # [mm, mm, deg]
     assert (np.abs(error.percent) < [1.0, 2.5, 6.0]).all()
 
@@ -44,7 +39,6 @@ def test_the_trajectory_is_that_of_simulate(pushed):
     np.testing.assert_allclose(ours.velocity[5:-5], speed[5:-5], atol=0.02)
 
 
-@pytest.mark.usefixtures("_mujoco")
 def test_a_mirrored_layout_mirrors_the_path():
     parcel = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=5.48)
     down, up = (
@@ -58,7 +52,6 @@ def test_a_mirrored_layout_mirrors_the_path():
     assert down[1] < -0.05
 
 
-@pytest.mark.usefixtures("_mujoco")
 @pytest.mark.parametrize(
     ("one", "other", "tolerance"),
     [
@@ -77,7 +70,6 @@ def test_a_mesh_moves_as_the_shape_it_stands_for(one, other, tolerance):
     np.testing.assert_allclose(ends[0], ends[1], atol=tolerance)
 
 
-@pytest.mark.usefixtures("_mujoco")
 def test_any_layout_and_parcel_agree_with_simulate():
     rng = np.random.default_rng(3)
     surface = sg.Surface(
@@ -95,7 +87,6 @@ def test_any_layout_and_parcel_agree_with_simulate():
     np.testing.assert_allclose(ours.pose[-1] - ours.pose[0], moved, rtol=0.01)
 
 
-@pytest.mark.usefixtures("_mujoco")
 def test_the_run_ends_where_the_surface_does():
     surface = sg.layouts.sorting(columns=34)
     parcel = sg.Parcel(sg.Rectangle(0.25, 0.25))
@@ -105,7 +96,6 @@ def test_the_run_ends_where_the_surface_does():
     assert run.pose[-1, 0] == pytest.approx(3.4, abs=1e-3)
 
 
-@pytest.mark.usefixtures("_mujoco")
 def test_the_last_step_is_shortened_to_the_duration():
     parcel = sg.Parcel(sg.Disc(0.2))
     run = validation.simulate(sg.layouts.sorting(), parcel, START, duration=0.00125)
@@ -127,7 +117,6 @@ def test_the_base_sinks_until_the_springs_carry_it(tops, stiffness, sag):
     assert static_sag(np.array(tops), np.array(stiffness), 4.0) == pytest.approx(sag)
 
 
-@pytest.mark.usefixtures("_mujoco")
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -143,9 +132,3 @@ def test_what_is_not_allowed_is_refused(change, message):
     arguments = {"pose": START, **change}
     with pytest.raises(ValueError, match=message):
         validation.simulate(sg.layouts.sorting(), sg.Parcel(sg.Rectangle(0.25, 0.25)), **arguments)
-
-
-def test_without_mujoco_the_error_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(ImportError, match=r"pip install 'surface_gym\[validation\]'"):
-        validation.simulate(sg.layouts.sorting(), sg.Parcel(sg.Disc(0.1)), START)

@@ -1,31 +1,19 @@
 """Two parcels that push each other: MuJoCo against the analytic model."""
 
-import json
-import math
-
 import numpy as np
 import pytest
-from rich.console import Console
 
 import surface_gym as sg
-from surface_gym.validation import command, convergence, touching
-from surface_gym.validation.export import as_data
-from surface_gym.validation.report import show
-from surface_gym.validation.sides import Sides
-from surface_gym.validation.study import Study
-from surface_gym.validation.together import simulate_together
+from surface_gym.validation import touching
+from surface_gym.validation.simulation import simulate_together
+
+pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
 
 SURFACE = sg.Surface(np.zeros((12, 14)), np.zeros((12, 14), dtype=bool))
 EVERYWHERE = np.ones((12, 14), dtype=bool)
 PARCEL = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=2.0, com_height=0.05)
 
 
-@pytest.fixture
-def _mujoco():
-    pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
-
-
-@pytest.mark.usefixtures("_mujoco")
 @pytest.mark.parametrize("seed", [3, 6, 8, 19])
 def test_drawn_meetings_end_as_in_mujoco(seed):
     meeting = touching.Meeting(seed)
@@ -51,7 +39,6 @@ def test_the_parcels_of_a_meeting_touch_on_the_surface():
     assert seen == {sg.Rectangle, sg.Disc, sg.Polygon}
 
 
-@pytest.mark.usefixtures("_mujoco")
 @pytest.mark.parametrize("base", [sg.Rectangle(0.25, 0.25), sg.Disc(0.125)], ids=["box", "disc"])
 def test_what_has_hit_in_mujoco_stays_together(base):
     parcel = sg.Parcel(base, mass=2.0, com_height=0.05)
@@ -63,12 +50,11 @@ def test_what_has_hit_in_mujoco_stays_together(base):
     assert not any(run.tipping.any() for run in runs)
 
 
-@pytest.mark.usefixtures("_mujoco")
 def test_a_run_that_diverges_is_named(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes a log where it is
     motion = [(1e11, 0.0, 0.0), (0.0, 0.0, 0.0)]  # beyond what MuJoCo takes for a number
     poses = [(0.3, 0.6, 0.0), (0.6, 0.6, 0.0)]
-    with pytest.raises(RuntimeError, match=r"MuJoCo diverged at a step of 2e-05 s; a smaller step"):
+    with pytest.raises(RuntimeError, match=r"diverged at a step of 2e-05 s .* a smaller step"):
         simulate_together(SURFACE, [PARCEL] * 2, poses, motion, 0.001, EVERYWHERE)
 
 
@@ -80,45 +66,3 @@ def test_what_is_not_allowed_is_refused():
         simulate_together(SURFACE, [PARCEL], arguments[0], [0.0], 0.1, EVERYWHERE)
     with pytest.raises(ValueError, match=r"duration must be greater than 0, got 0"):
         simulate_together(SURFACE, [PARCEL], *arguments[:2], 0, EVERYWHERE)
-
-
-@pytest.mark.parametrize("change", [{"stiffness": 0.0}, {"friction": -0.1}, {"damping": math.nan}])
-def test_sides_check_their_numbers(change):
-    (name,) = change
-    with pytest.raises(ValueError, match=f"{name} must be"):
-        Sides(**change)
-
-
-def test_the_report_and_the_data_hold_the_meetings(tilted, pushed, tmp_path):
-    rng = np.random.default_rng(0)
-    meetings = tuple(
-        touching.MeetingRun(
-            touching.Meeting(k), rng.normal(size=(2, 2, 3)), rng.normal(size=(2, 3)), k == 1
-        )
-        for k in range(3)
-    )
-    study = Study(
-        sweep=(tilted,),
-        pushed=pushed,
-        long=tilted,
-        convergence=convergence.variants([np.zeros(3) for _ in convergence.JOBS]),
-        speeds=(),
-        spreads=(),
-        meetings=meetings,
-    )
-    with (tmp_path / "report").open("w") as file:
-        show(study, Console(file=file, width=80))
-    text = (tmp_path / "report").read_text()
-    assert "3 drawn meetings" in text
-    assert "implicit, 5 ms" in text
-    assert "1 of them tip in MuJoCo" in text
-    assert "…" not in text  # nothing is cut off at 80 columns
-    data = json.loads(json.dumps(as_data(study)))["meetings"]
-    assert [each["tips_in_mujoco"] for each in data] == [False, True, False]
-    np.testing.assert_allclose(data[2]["error_mm_mm_deg"], meetings[2].analytic)
-
-
-def test_meetings_are_studied_on_request(capsys):
-    with pytest.raises(SystemExit):
-        command.main(["--help"])
-    assert "--touching" in capsys.readouterr().out

@@ -1,0 +1,501 @@
+"""`python -m surface_gym.design`: the questions of the command line and their flags."""
+
+import math
+import sys
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table as ScreenTable
+
+from surface_gym import checks, design
+from surface_gym.cores import usable_cores
+from surface_gym.design.columns import columns_report
+from surface_gym.design.report import DPI, Answer, Table, format_cell, write_csv
+from surface_gym.design.runs import STEP, OnProgress
+from surface_gym.design.search import Effort
+from surface_gym.layouts import box
+from surface_gym.lines import ORIENTATIONS
+from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
+from surface_gym.sharing import Workers, WorkFailed, workers_of
+
+STOPPED = 130  # status of a command that Ctrl-C ends
+ZONE = 16  # default columns of a searched layout
+MASS = (
+    "Mass cancels out of the motion: these answers hold for any mass. Only the inertia over the "
+    "mass counts, and by itself it goes with the base."
+)
+
+Degrees = Annotated[float, tyro.conf.arg(metavar="DEG")]
+MaybeDegrees = Annotated[float | None, tyro.conf.arg(metavar="DEG")]
+MaybeFloat = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]
+MaybeInt = Annotated[int | None, tyro.conf.arg(metavar="INT")]
+Unknown = design.Unknown
+
+# Flags that a purpose takes besides --side.
+PURPOSE_FLAGS = {
+    "sort": (),
+    "slow": ("ratio", "tolerance"),
+    "stop": ("place", "tolerance"),
+    "turn": ("angle_deg", "tolerance"),
+}
+
+
+@dataclass(frozen=True)
+class Question:
+    """A question about a parcel, its entry, its purpose and the unknown quantities."""
+
+    parcel: Annotated[str | None, tyro.conf.arg(metavar="LxW")] = None
+    """A rectangular base, length along the line by width, in m: 0.3x0.4. S and B are the study's
+    boxes."""
+    disc: Annotated[float | None, tyro.conf.arg(metavar="RADIUS")] = None
+    """A round base of this radius [m]."""
+    polygon: Annotated[str | None, tyro.conf.arg(metavar="'X,Y X,Y X,Y'")] = None
+    """A convex base by its corners [m]: '0,0 0.3,0 0.2,0.25'."""
+    mass: MaybeFloat = None
+    """[kg]; cancels out of the motion, unless --inertia is given."""
+    inertia: MaybeFloat = None
+    """[kg m^2] about the vertical through the centre of mass; else of a load spread evenly."""
+    com_offset: tuple[float, float] = (0.0, 0.0)
+    """[m] of the centre of mass from the base's centroid."""
+    com_height: float = 0.1
+    """[m] of the centre of mass above the base."""
+
+    purpose: Literal["sort", "slow", "stop", "turn"] = "sort"
+    """Task of the surface."""
+    side: Literal["right", "left"] = "right"
+    """Sort: to this side of the line, as the parcel sees it."""
+    ratio: MaybeFloat = None
+    """Slow: to this share of the entry speed or less; 0.5."""
+    place: MaybeFloat = None
+    """Stop: with the base's middle so far into the zone [m]; else anywhere on it."""
+    angle_deg: MaybeDegrees = None
+    """Turn: by this angle, anti-clockwise; 30."""
+    tolerance: MaybeFloat = None
+    """Allowed error of the ratio, the place [m] or the angle [deg]."""
+
+    speed: float = 1.0
+    """[m/s] at entry."""
+    tilt_deg: Degrees = 0.0
+    """Of the surface, downhill along the line."""
+    pitch: Annotated[str, tyro.conf.arg(metavar="P or PXxPY")] = "0.1"
+    """[m] between neighbours: 0.1, or along the line by across 0.1x0.12."""
+    mu_max: float = 0.5
+    """Friction along a rotor's axis."""
+    mu_min: float = 0.01
+    """Friction across it."""
+    mu_support: float = 0.005
+    """Friction of a support."""
+    columns: MaybeInt = None
+    """Columns of the zone; else the fewest that do it in 95 % of the draws."""
+    rows: MaybeInt = None
+    """Rows of rotors; else as many as lie under the parcel."""
+
+    friction: float = Unknown.friction
+    """Unknown: mu_max by up to this share."""
+    rolling: float = Unknown.rolling
+    """Unknown: mu_min and mu_support by up to this share."""
+    com_spread: float = Unknown.com_offset
+    """Unknown: the centre of mass by up to this share of half the base."""
+    mass_spread: float = Unknown.mass
+    """Unknown: the mass at its inertia by up to this share."""
+    unevenness: float = Unknown.stiffness
+    """Unknown: log-normal spread of the elements' stiffness; 0.35 is about 1 micrometre."""
+    lateral: float = Unknown.lateral
+    """Unknown: normal spread of the place across the line [m]."""
+    heading_deg: Degrees = 0.0
+    """Unknown: normal spread of the heading."""
+    speed_spread: float = Unknown.speed
+    """Unknown: normal spread of the entry speed [m/s]."""
+    tilt_spread_deg: Degrees = 0.0
+    """Unknown: normal spread of the tilt."""
+    draws: int = 100
+    """Of the unknown quantities."""
+    seed: int = 0
+    """Of the draws."""
+    step: float = STEP
+    """[s] of the simulation."""
+
+    workers: int = field(default_factory=usable_cores)
+    """Threads that share the runs; results do not depend on their number."""
+    cluster: str | None = None
+    """Address of a Ray cluster that shares the runs instead, "auto" for this machine's."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/design")
+    """Folder for the tables and the figure."""
+
+    @property
+    def checkpoint(self) -> Path | None:
+        """File that keeps the state, to be resumed; None: the answer takes seconds."""
+        return None
+
+    @abstractmethod
+    def answer(self, on_progress: OnProgress) -> Answer:
+        """Find the answer.
+
+        Args:
+            on_progress: called with the runs done and their total.
+
+        Raises:
+            ValueError: a flag that is not allowed.
+        """
+
+    @property
+    def shared_by(self) -> Workers:
+        """Threads or cluster that share the runs.
+
+        Raises:
+            ValueError: an address that cannot be used.
+        """
+        return workers_of(self.cluster, self.workers)
+
+    def case(self) -> design.Case:
+        """Build the case from the flags.
+
+        Raises:
+            ValueError: a flag that is not allowed, or that does not go with another.
+        """
+        checks.integer("workers", self.workers, least=1)
+        return design.Case(
+            parcel=self._parcel(),
+            purpose=self._purpose(),
+            speed=self.speed,
+            tilt=math.radians(self.tilt_deg),
+            unknown=Unknown(
+                friction=self.friction,
+                rolling=self.rolling,
+                com_offset=self.com_spread,
+                mass=self.mass_spread,
+                stiffness=self.unevenness,
+                lateral=self.lateral,
+                heading=math.radians(self.heading_deg),
+                speed=self.speed_spread,
+                tilt=math.radians(self.tilt_spread_deg),
+            ),
+            draws=self.draws,
+            seed=self.seed,
+            pitch=self._pitch(),
+            mu_max=self.mu_max,
+            mu_min=self.mu_min,
+            mu_support=self.mu_support,
+            step=self.step,
+        )
+
+    def _parcel(self) -> Parcel:
+        given = [name for name in ("parcel", "disc", "polygon") if getattr(self, name) is not None]
+        if len(given) != 1:
+            found = " and ".join(f"--{name}" for name in given) or "none"
+            raise ValueError(f"parcel must be one of --parcel, --disc and --polygon, got {found}")
+        return Parcel(
+            base=self._base(),
+            mass=10.0 if self.mass is None else self.mass,
+            com_height=self.com_height,
+            inertia=self.inertia,
+            com_offset=self.com_offset,
+        )
+
+    def _base(self) -> Base:
+        if self.disc is not None:
+            return Disc(self.disc)
+        if self.polygon is not None:
+            corners = [corner.split(",") for corner in self.polygon.split()]
+            if any(len(corner) != 2 for corner in corners):
+                raise ValueError(f"polygon must be 'X,Y X,Y X,Y', got {self.polygon!r}")
+            return Polygon(np.array([_numbers("polygon", corner) for corner in corners]))
+        assert self.parcel is not None
+        if self.parcel in ("S", "B"):
+            return box(self.parcel).base
+        sides = self.parcel.split("x")
+        if len(sides) != 2:
+            raise ValueError(f"parcel must be LxW as 0.3x0.4, S or B, got {self.parcel!r}")
+        return Rectangle(*_numbers("parcel", sides))
+
+    def _purpose(self) -> design.Purpose:
+        given: dict[str, Any] = {
+            name: getattr(self, name)
+            for name in ("ratio", "place", "angle_deg", "tolerance")
+            if getattr(self, name) is not None
+        }
+        for name in given:
+            if name not in PURPOSE_FLAGS[self.purpose]:
+                raise ValueError(f"{name} must not be given to {self.purpose}")
+        if self.purpose == "sort":
+            return design.Sort(-1 if self.side == "right" else 1)
+        if self.purpose == "slow":
+            return design.Slow(**given)
+        if self.purpose == "stop":
+            if set(given) == {"tolerance"}:
+                raise ValueError("tolerance must be given with --place only, to stop")
+            return design.Stop(**given)
+        return design.Turn(
+            **{name.removesuffix("_deg"): math.radians(value) for name, value in given.items()}
+        )
+
+    def _pitch(self) -> float | tuple[float, float]:
+        parts = _numbers("pitch", self.pitch.split("x"))
+        if len(parts) > 2:
+            raise ValueError(f"pitch must be one number or two as 0.1x0.12, got {self.pitch!r}")
+        return parts[0] if len(parts) == 1 else (parts[0], parts[1])
+
+
+def _numbers(name: str, parts: Sequence[str]) -> list[float]:
+    numbers = []
+    for part in parts:
+        try:
+            numbers.append(float(part))
+        except ValueError:
+            raise ValueError(f"{name} must be made of numbers, got {part!r} in it") from None
+    return numbers
+
+
+@dataclass(frozen=True)
+class AskColumns(Question):
+    """How many columns, and rows, does it take?"""
+
+    def answer(self, on_progress: OnProgress) -> Answer:
+        if self.columns is not None:
+            raise ValueError("columns must not be given: they are what is asked for")
+        return columns_report(self.case(), self.rows, self.shared_by, on_progress)
+
+
+@dataclass(frozen=True)
+class AskSpeed(Question):
+    """How slow may it come, and how fast?"""
+
+    highest: MaybeFloat = None
+    """[m/s] entry speed to try; else 3, or half as much again as --speed."""
+
+    def answer(self, on_progress: OnProgress) -> Answer:
+        return design.least_speed(
+            self.case(), self.columns, self.rows, self.highest, self.shared_by, on_progress
+        )
+
+
+@dataclass(frozen=True)
+class AskTilt(Question):
+    """How flat may the surface be, and how steep? With --speed 0, from rest."""
+
+    highest_deg: MaybeDegrees = None
+    """Tilt to try; else 15, or half as much again as --tilt-deg."""
+
+    def answer(self, on_progress: OnProgress) -> Answer:
+        highest = None if self.highest_deg is None else math.radians(self.highest_deg)
+        return design.least_tilt(
+            self.case(), self.columns, self.rows, highest, self.shared_by, on_progress
+        )
+
+
+@dataclass(frozen=True)
+class AskFriction(Question):
+    """How far may friction be off?"""
+
+    def answer(self, on_progress: OnProgress) -> Answer:
+        return design.friction_range(
+            self.case(), self.columns, self.rows, self.shared_by, on_progress
+        )
+
+
+@dataclass(frozen=True)
+class AskMap(Question):
+    """Which entry speeds and sizes of the parcel does one surface serve?"""
+
+    speeds: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="LOW HIGH")] = None
+    """[m/s] least and most; else 0.1 and 3, or half as much again as --speed."""
+    sizes: tuple[float, float] = (0.5, 1.5)
+    """Least and most, over the parcel's own."""
+    cells: int = 40
+    """Number of speeds, and of sizes."""
+    resume: bool = False
+    """Resume an interrupted map from its map.npz in --out."""
+
+    def answer(self, on_progress: OnProgress) -> Answer:
+        case = self.case()
+        checks.integer("cells", self.cells, least=1)
+        ends = (0.1, max(3.0, 1.5 * case.speed)) if self.speeds is None else self.speeds
+        if not self.resume:
+            self.checkpoint.unlink(missing_ok=True)
+        return design.success_map(
+            case,
+            self.columns,
+            np.linspace(*ends, self.cells).tolist(),
+            np.linspace(*self.sizes, self.cells).tolist(),
+            self.rows,
+            self.shared_by,
+            self.checkpoint,
+            on_progress,
+        )
+
+    @property
+    def checkpoint(self) -> Path:
+        """File of the finished sizes."""
+        return self.out / "map.npz"
+
+
+@dataclass(frozen=True)
+class AskSensitivity(Question):
+    """Which unknown quantity matters most?"""
+
+    def answer(self, on_progress: OnProgress) -> Answer:
+        return design.sensitivity(self.case(), self.columns, self.rows, self.shared_by, on_progress)
+
+
+@dataclass(frozen=True)
+class AskLayout(Question):
+    """Which fixed layout does best over a range of entry speeds?"""
+
+    speeds: tuple[float, float] = (0.3, 2.7)
+    """[m/s] least and most; --speed does not count."""
+    speed_step: float = 0.02
+    """[m/s] between them."""
+    any_angle: bool = False
+    """Search any axes, not 0, 45, -45 and 90 deg only."""
+    members: int = Effort.members
+    """Layouts in the search's population."""
+    epochs: int = Effort.epochs
+    """Of the search, of ten generations each."""
+    resume: bool = False
+    """Resume an interrupted search from its layout.npz in --out."""
+
+    def answer(self, on_progress: OnProgress) -> Answer:
+        case = self.case()
+        least, most = self.speeds
+        step = checks.positive("speed_step", self.speed_step, 1e-4, 20.0)
+        if not least <= most:
+            raise ValueError(f"speeds must be the least and the most, got {self.speeds!r}")
+        speeds = least + step * np.arange(math.floor((most - least) / step + 1e-6) + 1)
+        if not self.resume:
+            self.checkpoint.unlink(missing_ok=True)
+        return design.best_layout(
+            case,
+            speeds.round(9).tolist(),
+            ZONE if self.columns is None else self.columns,
+            self.rows,
+            None if self.any_angle else ORIENTATIONS,
+            Effort(members=self.members, epochs=self.epochs),
+            self.shared_by,
+            self.checkpoint,
+            on_progress,
+        )
+
+    @property
+    def checkpoint(self) -> Path:
+        """File of the search's state."""
+        return self.out / "layout.npz"
+
+
+@dataclass(frozen=True)
+class AskControl(Question):
+    """What do axes gain that follow the parcel? Needs the package `agents`."""
+
+    def answer(self, on_progress: OnProgress) -> Answer:
+        if self.rows is not None:
+            raise ValueError(f"rows must be those under the parcel for control, got {self.rows!r}")
+        if self.cluster is not None:
+            raise ValueError(
+                f"cluster must not be given for control, which tries one controller after the "
+                f"other, got {self.cluster!r}"
+            )
+        return design.control_gain(self.case(), self.columns, on_progress)
+
+
+QUESTIONS: dict[str, Callable[..., Question]] = {
+    "columns": AskColumns,
+    "speed": AskSpeed,
+    "tilt": AskTilt,
+    "friction": AskFriction,
+    "map": AskMap,
+    "sensitivity": AskSensitivity,
+    "layout": AskLayout,
+    "control": AskControl,
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command; an error ends it with one line and status 2."""
+    question = tyro.extras.subcommand_cli_from_dict(
+        QUESTIONS,
+        prog="python -m surface_gym.design",
+        description="Which surface does a parcel of your own need?",
+        args=arguments,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+    import_module("matplotlib.figure")  # is needed last, but a missing library is known first
+    try:
+        ask(question)
+    except (ValueError, OSError, ImportError, WorkFailed) as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        kept = question.checkpoint is not None and question.checkpoint.exists()
+        print("stopped; --resume goes on" if kept else "stopped", file=sys.stderr)
+        raise SystemExit(STOPPED) from None
+
+
+def ask(question: Question) -> None:
+    """Answer a question: a sentence and tables on screen, CSV files and a figure in its folder.
+
+    Raises:
+        ValueError: a flag that is not allowed.
+        OSError: a file that cannot be written.
+    """
+    question.case()  # errors come before the folder is made
+    question.out.mkdir(parents=True, exist_ok=True)
+    started = perf_counter()
+    answer = _find_answer(question)
+    took = perf_counter() - started
+    tables = answer.tables()
+    paths = [write_csv(table, question.out) for table in tables if table.written]
+    paths.append(question.out / f"{answer.name}.png")
+    answer.draw().savefig(paths[-1], dpi=DPI)
+    console = Console()
+    sentence = answer.sentence.removesuffix(".") + "."
+    console.print(escape(sentence), highlight=False, soft_wrap=True)
+    if question.mass is not None and question.inertia is None:
+        console.print(escape(MASS), highlight=False, soft_wrap=True)
+    console.print()
+    for table in tables:
+        if table.shown:
+            console.print(_screen_table(table))
+    console.print(
+        f"{took:.1f} s; written:", *map(str, paths), sep="\n", highlight=False, soft_wrap=True
+    )
+
+
+def _find_answer(question: Question) -> Answer:
+    """Find the answer, with a progress bar in a terminal."""
+    console = Console(stderr=True)
+    bars = (TextColumn("working it out"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(
+        *bars, console=console, transient=True, disable=not console.is_terminal
+    ) as progress:
+        bar = progress.add_task("", total=None)
+
+        def on_progress(done: int, total: int) -> None:
+            progress.update(bar, completed=done, total=total)
+
+        return question.answer(on_progress)
+
+
+def _screen_table(table: Table) -> ScreenTable:
+    screen = ScreenTable(
+        title=escape(table.title),
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        collapse_padding=True,
+    )
+    for k, name in enumerate(table.header):
+        words = any(isinstance(row[k], str) for row in table.rows)
+        screen.add_column(escape(name), justify="left" if words else "right")
+    for row in table.rows:
+        screen.add_row(*(escape(format_cell(cell)) for cell in row))
+    return screen

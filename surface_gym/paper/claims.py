@@ -1,0 +1,254 @@
+"""Two claims of the paper, tested: that axes at 45 deg align a box, and which tilts stop it.
+
+Alignment. Section 5.2 finds that axes at +-45 deg in alternate rows seem "promising for the
+self-alignment of the conveyed material in the center of the transport line". Each rotor drags a box
+that moves along x to the side that its axis points to, so that two rows drag against each other and
+the one that bears more wins. At +45 deg in the upper row they push inwards: a box that is off
+centre loads the row on its own side more, and is pushed back. At -45 deg there they push outwards.
+
+The result in short zones: inwards, a box whose base lies on the rows alone (the S-box up to 25 mm
+off) is brought towards the middle, by six columns past it, and a turned box is turned further.
+Outwards it is the other way about: straighter, and farther off. Of boxes that come both off the
+middle and turned, at most 2 in 12 end nearer in both by a tenth. The B-box on its four rows hardly
+feels either. A zone much longer than the box makes it swing, spin and, outwards, leave the line.
+
+Standstill. Section 6.2 says that the motion on axes at 45 deg does not stop by itself where
+(sqrt(2) / 2) mu_min < sin(gamma). Axes at +45 deg everywhere, a box of weight W = m g cos(gamma) on
+them, gravity m g sin(gamma) along x. Each rotor resists in two directions: along its axis with
+mu_max N at most, across it with mu_min N. Half of gravity's effect lies along the axes and half
+across, m g sin(gamma) / sqrt(2) each way.
+
+- Along the axes friction holds it: mu_max is large, so F_par = m g sin(gamma) / sqrt(2), no more.
+- Across them the box rolls, and stops if mu_min W >= m g sin(gamma) / sqrt(2):
+
+      tan(gamma) <= sqrt(2) mu_min.
+
+The paper's threshold sets the rolling friction's part along x, mu_min W / sqrt(2), against all of
+gravity, as if F_par had no part along x. But F_par holds the box against sliding downhill along the
+axes, and its part along x, m g sin(gamma) / 2, carries half of gravity: the other half is left for
+the rolling friction. The paper's threshold does tell where F_par = 0 solves the rule of Figure 5b,
+sum F_x = 0: below it that rule would need axes that push.
+
+In alternate rows at +45 and -45 deg no direction rolls on both kinds. Straight ahead every rotor
+resists with (mu_max + mu_min) N / sqrt(2), so that the box stops up to
+
+      tan(gamma) = (mu_max + mu_min) / sqrt(2).
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym import layouts
+from surface_gym.paper.runs import NONE, Integration, rotor_columns, tipping_share
+from surface_gym.paper.targets import SIZES
+from surface_gym.physics.friction import ROUNDING
+from surface_gym.simulation import simulate
+from surface_gym.surface import Surface
+from surface_gym.trajectory import Trajectory
+
+Track = Callable[[Sequence[Any], str], Iterable[Any]]  # shows progress over cases, described
+
+INWARDS, OUTWARDS = 1, -1  # sign of the outer row's angle at y > 1 m
+ZONES = ((2, 1.5), (6, 2.5), (30, 2.5))  # columns, and speed [m/s] at which a box comes
+TILTS = (0.0, 10.0)  # [deg]
+OFFSETS = (0.01, 0.02, 0.04)  # [m] from the middle, straight
+TURNS = (5.0, 10.0)  # [deg] in the middle
+NEARER = 0.9  # [-] of where it came, or less
+LONGEST_CROSSING = 6.0  # [s]
+STEP = 1e-3  # [s] implicit
+
+METHODS = (Integration("implicit", 5e-3), Integration("explicit", 1e-3))
+PUSH = 0.05  # [m/s] along x at the start
+LONGEST_PUSH = 60.0  # [s]
+STEEPEST = 30.0  # [deg]
+RESOLUTION = 0.005  # [deg] of a threshold
+ELEMENTS = 80  # of the field's sides
+START = (1.0, 7.0, 0.0)  # [m, m, rad]
+# [m/s] The explicit method leaves a box that it holds some mm/s, to and fro.
+STANDING = 0.02
+
+
+@dataclass(frozen=True)
+class Zone:
+    """Slowing columns at +-45 deg in alternate rows, and the speed at which a box comes."""
+
+    size: str  # of the box, "S" or "B"
+    towards: int  # INWARDS or OUTWARDS: where the outer rows push
+    columns: int
+    speed: float  # [m/s]
+    tilt: float  # [deg]
+
+    @property
+    def surface(self) -> Surface:
+        """The line with as many columns at 90 deg behind the zone as before it."""
+        return layouts.slowing(
+            self.size,
+            self.towards * 0.25 * math.pi,
+            self.columns,
+            columns=self.columns + 2 * layouts.LEAD_IN[self.size],
+            tilt=math.radians(self.tilt),
+        )
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """Offsets [m] and turns [deg] of boxes that leave a zone, or rest in it."""
+
+    zone: Zone
+    straight: tuple[tuple[float, float], ...]  # of each of OFFSETS, that come straight
+    centred: tuple[tuple[float, float], ...]  # of each of TURNS, that come in the middle
+    nearer: int  # count of those both off the middle and turned that end nearer in both
+    mixed: int  # count of all that come so
+    tipping: float  # [-] share of all steps that would tip the box
+
+
+def study_alignment(track: Track) -> tuple[Aligned, ...]:
+    """Cross every zone, with both signs, both boxes, level and tilted."""
+    zones = tuple(
+        Zone(size, towards, columns, speed, tilt)
+        for size, (columns, speed), tilt, towards in product(
+            SIZES, ZONES, TILTS, (INWARDS, OUTWARDS)
+        )
+    )
+    return tuple(align(zone) for zone in track(zones, "Alignment"))
+
+
+def align(zone: Zone) -> Aligned:
+    """Send boxes off the middle, turned, and both."""
+    mixed = [(offset, side * turn) for offset, turn, side in product(OFFSETS, TURNS, (1.0, -1.0))]
+    starts = (*((offset, 0.0) for offset in OFFSETS), *((0.0, turn) for turn in TURNS), *mixed)
+    runs = [cross(zone, *start) for start in starts]
+    ends = [end_of_run(run) for run in runs]
+    both = sum(
+        abs(offset) <= NEARER * abs(came[0]) and abs(turn) <= NEARER * abs(came[1])
+        for (offset, turn), came in zip(ends[-len(mixed) :], mixed, strict=True)
+    )
+    return Aligned(
+        zone,
+        tuple(ends[: len(OFFSETS)]),
+        tuple(ends[len(OFFSETS) : -len(mixed)]),
+        both,
+        len(mixed),
+        float(np.mean([tipping_share(run) or 0.0 for run in runs])),
+    )
+
+
+def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
+    """Move a box until its base has left the zone's columns, or the line, or it has stopped.
+
+    Args:
+        zone: the zone.
+        offset: [m] from the middle of the line at the start.
+        turn: [deg] at the start.
+    """
+    surface = zone.surface
+    x, y, _ = layouts.start(zone.size)
+    run = simulate(
+        surface,
+        layouts.box(zone.size),
+        (x, y + offset, math.radians(turn)),
+        (zone.speed, 0.0, 0.0),
+        LONGEST_CROSSING,
+        STEP,
+    )
+    first, _ = rotor_columns(surface, zone.size, run.pose)
+    past = (first >= surface.columns - layouts.LEAD_IN[zone.size]) | (first == NONE)
+    rows = int(np.argmax(past)) + 1 if past.any() else len(past)
+    return Trajectory(
+        run.time[:rows], run.pose[:rows], run.velocity[:rows], run.tipping[:rows], run.end
+    )
+
+
+def end_of_run(run: Trajectory) -> tuple[float, float]:
+    """Offset from the middle [m] and turn [deg] at the end."""
+    return float(run.pose[-1, 1]) - layouts.LINE_Y, math.degrees(run.pose[-1, 2])
+
+
+@dataclass(frozen=True)
+class SelfStop:
+    """The steepest tilt at which a pushed box stops by itself."""
+
+    layout: str
+    integration: Integration
+    measured: float  # [deg]
+    expected: float  # [deg] by the balance above
+    study: float | None  # [deg] as Section 6.2 says; None: it does not speak of this layout
+
+
+def uniform_field(tilt: float) -> Surface:
+    """Axes at +45 deg on a wide field tilted by `tilt` [rad]."""
+    return _field(np.full((ELEMENTS, ELEMENTS), 0.25 * math.pi), tilt)
+
+
+def alternate_field(tilt: float) -> Surface:
+    """Axes at +45 and -45 deg in alternate rows of a wide field tilted by `tilt` [rad]."""
+    rows = np.where(np.arange(ELEMENTS) % 2, 0.25 * math.pi, -0.25 * math.pi)
+    return _field(np.tile(rows[:, np.newaxis], ELEMENTS), tilt)
+
+
+def _field(axis: NDArray[np.float64], tilt: float) -> Surface:
+    return Surface(axis, np.ones(axis.shape, dtype=bool), tilt=tilt)
+
+
+def study_standstill(track: Track) -> tuple[SelfStop, ...]:
+    """Measure both fields by both methods."""
+    surface = uniform_field(0.0)
+    printed = math.degrees(math.asin(math.sqrt(0.5) * surface.mu_min))
+    rolling = math.degrees(math.atan(math.sqrt(2.0) * surface.mu_min))
+    both = math.degrees(math.atan(math.sqrt(0.5) * (surface.mu_max + surface.mu_min)))
+    fields = (
+        ("+45° everywhere", uniform_field, rolling, printed),
+        ("±45° in alternate rows", alternate_field, both, None),
+    )
+    return tuple(
+        SelfStop(name, integration, steepest_stop(field, integration), expected, study)
+        for (name, field, expected, study), integration in track(
+            tuple(product(fields, METHODS)), "Self-stopping"
+        )
+    )
+
+
+def steepest_stop(field: Callable[[float], Surface], integration: Integration) -> float:
+    """Find by bisection the tilt [deg] at which a pushed box just stops by itself."""
+    low, high = 0.0, STEEPEST
+    while high - low > RESOLUTION:
+        middle = 0.5 * (low + high)
+        if _stops(field(math.radians(middle)), integration):
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+def _stops(surface: Surface, integration: Integration) -> bool:
+    """Push the S-box; whether it stands in the last quarter of the time."""
+    run = simulate(
+        surface,
+        layouts.box("S"),
+        START,
+        (PUSH, 0.0, 0.0),
+        LONGEST_PUSH,
+        integration.dt,
+        integration.method,
+    )
+    speed = np.hypot(run.velocity[:, 0], run.velocity[:, 1])
+    return run.end != "left the surface" and bool(speed[-len(speed) // 4 :].mean() < STANDING)
+
+
+def creep_speed(tilt: float, friction: float) -> float:
+    """[m/s] Speed of a parcel that friction holds in the direction of the slope.
+
+    Friction is rounded below a contact speed of 1e-5 m/s, in proportion to the speed; a held parcel
+    creeps at the speed at which it balances gravity.
+
+    Args:
+        tilt: [rad].
+        friction: [-] coefficient down the slope, above tan(tilt).
+    """
+    return ROUNDING * math.tan(tilt) / friction

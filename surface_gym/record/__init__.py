@@ -1,1 +1,0 @@
-"""What a run tells on request: contacts, forces and energy; its files and its picture."""

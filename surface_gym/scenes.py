@@ -1,0 +1,298 @@
+"""Scenes and pictures of a batch's environments; imports drawing, so import it to draw."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym.flow.arrivals import HOUR
+from surface_gym.flow.state import BETWEEN, NOBODY, TOUCHES, WRONG
+from surface_gym.physics.types import RADIUS, VX
+from surface_gym.rendering import ExitMark, Painter, Scene, SceneParcel, TilePainter, Traffic
+from surface_gym.state import GRAVITY_ALONG, RUNNING, EnvState, axis_angles
+
+Numbers = NDArray[np.float64]
+Picture = NDArray[np.uint8]  # (height, width, 3)
+
+TRAIL = 0.6  # [m] shown of the way of a stream's parcel
+GLIDE = 0.5  # [s] for which a parcel that has left is shown
+FLASH = 0.1  # [s] for which a touch is shown
+RATE_OVER = 30.0  # [s] of the past whose parcels make the rate
+SOONEST_RATE = 5.0  # [s] of the past without which there is no rate
+APART = 1e-9  # [m, rad] beyond which a sensed pose differs from the true one
+_DISC = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+
+
+class Renderer:
+    """Draws the environments of a batch, and records what their pictures show of the past.
+
+    Args:
+        batch: of single parcels or of streams.
+    """
+
+    def __init__(self, batch: Any) -> None:
+        self._batch = batch
+        self._histories: dict[int, _ParcelHistory | _StreamHistory] = {}
+        self._painter: Painter | None = None
+        self._tile_painter: TilePainter | None = None
+
+    def record(self, env_index: int, begins: bool) -> None:
+        """Record an environment after its episode began or went on by a control period."""
+        if env_index not in self._histories:
+            history = _StreamHistory if hasattr(self._batch, "flows") else _ParcelHistory
+            self._histories[env_index] = history(self._batch, env_index)
+        self._histories[env_index].record(begins)
+
+    def scene(self, env_index: int = 0, title: str | None = None) -> Scene:
+        """Describe what a picture of an environment shows now; by default the task is its title."""
+        return self._histories[env_index].scene(title)
+
+    def draw(self, env_index: int = 0) -> Picture:
+        """Draw one environment, with readings above and a legend below."""
+        if self._painter is None:
+            self._painter = Painter()
+        return self._painter.draw(self.scene(env_index))
+
+    def draw_all(self) -> Picture:
+        """Draw all environments recorded, side by side."""
+        if self._tile_painter is None:
+            self._tile_painter = TilePainter()
+        numbered = sorted(self._histories.items())
+        return self._tile_painter.draw(
+            [each.scene(f"env {i}  {each.clock:.2f} s") for i, each in numbered]
+        )
+
+
+class _ParcelHistory:
+    """The trail of the only parcel of an environment."""
+
+    def __init__(self, batch: Any, env_index: int) -> None:
+        self._batch = batch
+        self._index = env_index
+        self._trail: list[Numbers] = []
+
+    @property
+    def clock(self) -> float:
+        """Time [s] since the episode began."""
+        return float(self._batch.parcels.clock[self._index])
+
+    def record(self, begins: bool) -> None:
+        """Append the position of the parcel."""
+        if begins:
+            self._trail.clear()
+        self._trail.append(self._batch.parcels.truth[self._index, :2].copy())
+
+    def scene(self, title: str | None = None) -> Scene:
+        """Describe what a picture of now shows."""
+        batch, i = self._batch, self._index
+        view, plant, task = batch.view(i), batch.settings.chosen_plant, batch.task
+        truth, outcome = view.truth, int(batch.parcels.outcome[i])
+        readings: list[tuple[str, str]] = [
+            ("time", f"{self.clock:.2f} s"),
+            ("speed", f"{np.hypot(truth[3], truth[4]):.2f} m/s"),
+            ("heading", f"{np.degrees(truth[2]):+.1f}\N{DEGREE SIGN}"),
+            *task.readings(view),
+        ]
+        if outcome != RUNNING:
+            readings.append(("end", batch.outcomes[outcome]))
+        conditions = batch.surfaces.conditions[i]
+        steepness = conditions[GRAVITY_ALONG] / float(np.hypot(*conditions[3:5]))
+        return Scene(
+            axis=batch.axes(i),
+            rotor=view.rotor,
+            parcels=(_parcel(view, trail=np.array(self._trail).reshape(-1, 2)),),
+            goal=task.goal(view),
+            pitch=plant.pitch,
+            origin=plant.origin,
+            zone=tuple(view.zone.tolist()),
+            tilt=float(np.arcsin(min(1.0, steepness))),
+            title=type(task).__name__ if title is None else title,
+            readings=tuple(readings),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Departed:
+    """A parcel that has left, as it did."""
+
+    parcel: SceneParcel
+    velocity: Numbers  # (3,) [m/s, m/s, rad/s]
+    left: float  # [s] when
+
+    def at(self, clock: float) -> SceneParcel:
+        """Move the parcel on as it left: no physics holds beyond the exit."""
+        since = np.linspace(0.0, clock - self.left, 11)[1:, np.newaxis]
+        way = np.array(self.parcel.pose) + since * self.velocity
+        trail = _latest([*self.parcel.trail, *way[:, :2]])
+        return replace(self.parcel, pose=tuple(way[-1].tolist()), trail=np.array(trail))
+
+
+class _StreamHistory:
+    """The trails of a stream's parcels.
+
+    Parcels that have left are drawn for a moment more, under the others.
+    """
+
+    def __init__(self, batch: Any, env_index: int) -> None:
+        self._batch = batch
+        self._index = env_index
+        self._exits = exit_marks(batch.settings)
+        self._labels = _labels(batch.settings.exits.names)
+        self._trails: dict[int, list[Numbers]] = {}  # by number of arrival, (2,) [m], oldest first
+        self._departed: list[_Departed] = []
+
+    @property
+    def clock(self) -> float:
+        """Time [s] since the episode began."""
+        return float(self._batch.streams.clock[self._index])
+
+    def record(self, begins: bool) -> None:
+        """Append the positions of the parcels."""
+        flows, i, clock = self._batch.streams, self._index, self.clock
+        if begins:
+            self._trails.clear()
+            self._departed.clear()
+        self._departed = [each for each in self._departed if clock - each.left <= GLIDE]
+        trails, self._trails = self._trails, {}
+        for slot in range(self._batch.places):
+            number = int(flows.number[i, slot])
+            if number == NOBODY:
+                continue
+            truth = self._batch.view(i, slot).truth
+            self._trails[number] = _latest([*trails.get(number, []), truth[:2].copy()])
+            if not flows.present[i, slot]:  # it has left since the last decision
+                gone = replace(self._parcel(slot), sensed_pose=None)
+                left = float(flows.left[i, number])
+                self._departed.append(_Departed(gone, truth[VX:].copy(), left))
+
+    def scene(self, title: str | None = None) -> Scene:
+        """Describe what a picture of now shows."""
+        batch, i, settings, flows = (
+            self._batch,
+            self._index,
+            self._batch.settings,
+            self._batch.streams,
+        )
+        slots = np.nonzero(flows.present[i])[0]
+        count = int(flows.arrivals[i])
+        taken, asked = flows.taken[i, :count], flows.exit[i, :count]
+        delivered = np.bincount(taken[taken == asked], minlength=len(self._exits))
+        departed = tuple(each.at(self.clock) for each in self._departed)
+        return Scene(
+            axis=axis_angles(batch.surfaces, slice(i, i + 1))[0],
+            rotor=settings.rotor,
+            parcels=departed + tuple(self._parcel(slot) for slot in slots.tolist()),
+            traffic=Traffic(
+                self._exits,
+                tuple(delivered.tolist()),
+                missorted=int(flows.tally[i, WRONG]),
+                waiting=int(flows.due[i] - flows.coming[i]),
+            ),
+            touching=self._touching(slots, len(departed)),
+            pitch=settings.chosen_plant.pitch,
+            origin=settings.chosen_plant.origin,
+            zone=settings.zone,
+            tilt=settings.tilt,
+            title="Flow" if title is None else title,
+            readings=self._readings(),
+        )
+
+    def _parcel(self, slot: int) -> SceneParcel:
+        flows, i = self._batch.streams, self._index
+        number = int(flows.number[i, slot])
+        asked = int(flows.exit[i, number])
+        trail = np.array(self._trails.get(number, [])).reshape(-1, 2)
+        return _parcel(self._batch.view(i, slot), trail, asked, self._labels[asked])
+
+    def _touching(self, slots: NDArray[np.int64], first: int) -> tuple[tuple[int, int], ...]:
+        """Find pairs of parcels in these slots that touched lately, counted from a first index."""
+        flows, i = self._batch.streams, self._index
+        since = flows.steps[i] - flows.touched_at[i][np.ix_(slots, slots)]
+        lately = since * self._batch.rules.timing.dt <= FLASH + 1e-9
+        pairs = first + np.argwhere(np.triu(lately, 1))
+        return tuple((one, other) for one, other in pairs.tolist())
+
+    def _readings(self) -> tuple[tuple[str, str], ...]:
+        flows, i, rate = self._batch.streams, self._index, self._rate()
+        readings = [
+            ("time", f"{self.clock:.1f} s"),
+            ("parcels an hour", "\N{EN DASH}" if math.isnan(rate) else f"{round(rate, -1):.0f}"),
+            ("touches", str(int(flows.tally[i, TOUCHES]))),
+        ]
+        if flows.outcome[i] != RUNNING:
+            readings.append(("end", self._batch.outcomes[flows.outcome[i]]))
+        return tuple(readings)
+
+    def _rate(self) -> float:
+        """Compute the parcels per hour that left by their own exits lately; nan if too early.
+
+        The rate never counts from before the first one left: until then the line was filling.
+        """
+        flows, i = self._batch.streams, self._index
+        gone = flows.taken[i] >= BETWEEN
+        left = flows.left[i, gone]
+        since = max(self.clock - RATE_OVER, float(left.min(initial=math.inf)))
+        if self.clock - since < SOONEST_RATE:
+            return math.nan
+        right = flows.taken[i, gone] == flows.exit[i, gone]
+        return HOUR * int((right & (left > since)).sum()) / (self.clock - since)
+
+
+def exit_marks(settings: Any) -> tuple[ExitMark, ...]:
+    """Describe the exits of a stream as they are drawn: chutes beside the rotors, straight on past.
+
+    Raises:
+        ValueError: a chute lies past the rotors altogether.
+    """
+    plant, rotors_end = settings.chosen_plant, settings.rotors_end
+    end = plant.column_edge(plant.columns)
+    marks = []
+    for each in settings.exits:
+        if each.side == 0:  # over the last column where nothing comes after the rotors
+            first, last = min(rotors_end, end - plant.pitch_x), end
+        else:
+            first, last = max(each.first, settings.entry_x), min(each.last, rotors_end)
+        marks.append(ExitMark(each.name, each.side, first, last))
+    return tuple(marks)
+
+
+def _parcel(
+    view: EnvState, trail: Numbers, asked: int | None = None, label: str = ""
+) -> SceneParcel:
+    """Describe the parcel of a view as it is drawn."""
+    true, sensed = view.truth[:VX], view.sensed[:VX]
+    apart = np.abs(true - sensed).max() > APART
+    return SceneParcel(
+        outline=_outline(view),
+        pose=tuple(true.tolist()),
+        exit=asked,
+        trail=trail,
+        sensed_pose=tuple(sensed.tolist()) if apart else None,
+        label=label,
+    )
+
+
+def _outline(view: EnvState) -> Numbers:
+    """Compute the perimeter (points, 2) [m] of the base from its centroid."""
+    corners = view.corners
+    if np.abs(corners).max() > 0.0:
+        keep = np.ones(len(corners), dtype=bool)
+        keep[1:] = (corners[1:] != corners[0]).any(axis=1)
+        return corners[keep]
+    circle: Numbers = view.body[RADIUS] * np.stack([np.cos(_DISC), np.sin(_DISC)], axis=-1)
+    return circle
+
+
+def _labels(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Abbreviate the exits' names to initials for parcels, where these tell the exits apart."""
+    initials = tuple("".join(word[0] for word in name.split()).upper() for name in names)
+    return initials if len(set(initials)) == len(initials) else names
+
+
+def _latest(points: list[Numbers]) -> list[Numbers]:
+    """Select the last points (2,) [m] of a way, as far back as the trail goes."""
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    back = np.cumsum(steps[::-1])  # from the latest to each before it
+    return points[-1 - int(np.searchsorted(back, TRAIL, side="right")) :]

@@ -1,0 +1,138 @@
+"""The figure of a trajectory by matplotlib, in the style of the study's Figures 7 and 10."""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
+
+from surface_gym.physics.types import Array
+from surface_gym.surface import Surface
+
+if TYPE_CHECKING:
+    from surface_gym.trajectory import Trajectory
+
+HEIGHT, LEAST_HEIGHT = 5.2, 3.8  # [in] of the figure, the least for a long strip
+LENGTH = 8.5  # [in] that a long strip is drawn to
+LONGEST, SHORTEST = 3.0, 0.7  # [-] the window's length over its width
+OUTLINES = 7  # the first and the last included
+STROKE = 0.6  # [pitch] drawn through a rotor's centre
+LEAST_PITCH = 1.5  # [pt] on paper, below which elements would only be a blur
+LEAST_RANGE = 0.02  # [m/s] and [rad/s] shown about zero, so that round-off is not visible
+PATH, TIPPING = "tab:blue", "darkorange"
+POINTS_PER_INCH = 72.0
+
+
+def draw_trajectory(trajectory: "Trajectory") -> Figure:
+    """Draw the path over the surface on the left, the velocity over time on the right."""
+    outlines = _outlines(trajectory)
+    low, high = _window(trajectory, outlines)
+    shape = float((high[0] - low[0]) / (high[1] - low[1]))
+    share = 0.82  # of the figure's height that labels and title leave
+    height = min(HEIGHT, max(LEAST_HEIGHT, LENGTH / (share * shape)))
+    width = share * height * shape  # [in] of the surface's panel
+    figure = Figure(figsize=(width + 6.0, height), layout="constrained")
+    panels = figure.subplot_mosaic([["way", "linear"], ["way", "turning"]], width_ratios=[width, 4])
+    way = panels["way"]
+    if trajectory.run is not None:
+        pitch = POINTS_PER_INCH * width / (high[0] - low[0]) * trajectory.run.surface.pitch_x
+        _draw_elements(way, trajectory.run.surface, low, high, float(pitch))
+    _draw_path(way, trajectory, outlines)
+    way.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    way.set(xlabel="x [m]", ylabel="y [m]")
+    _draw_velocity(panels["linear"], panels["turning"], trajectory)
+    end = "the duration is over" if trajectory.end == "duration" else trajectory.end
+    figure.suptitle(f"after {trajectory.time[-1]:.4g} s: {end}")
+    return figure
+
+
+def _outlines(trajectory: "Trajectory") -> list[Array]:
+    """Compute outlines (points, 2) [m] of the base at instants evenly spaced in time."""
+    if trajectory.run is None:
+        return []
+    base = trajectory.run.parcel.base.outline
+    shown = np.unique(np.linspace(0, len(trajectory.time) - 1, OUTLINES).round().astype(int))
+    outlines = []
+    for x, y, theta in trajectory.pose[shown]:
+        cosine, sine = math.cos(theta), math.sin(theta)
+        outlines.append(base @ np.array([[cosine, sine], [-sine, cosine]]) + np.array([x, y]))
+    return outlines
+
+
+def _window(trajectory: "Trajectory", outlines: list[Array]) -> tuple[Array, Array]:
+    """Compute the corners (2,) [m] of the window: all with a margin, but not too long a strip."""
+    points = np.concatenate([trajectory.pose[:, :2], *outlines])
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.08 * (high - low).max()
+    if trajectory.run is not None:
+        margin = max(margin, trajectory.run.surface.pitch_x, trajectory.run.surface.pitch_y)
+    margin = max(margin, 0.01)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low) + margin
+    length, width = half
+    half = np.array([max(length, SHORTEST * width), max(width, length / LONGEST)])
+    return middle - half, middle + half
+
+
+def _draw_elements(panel: Axes, surface: Surface, low: Array, high: Array, pitch: float) -> None:
+    """Draw rotors as red strokes along their axes, supports as dots; the pitch is [pt] on paper."""
+    if pitch < LEAST_PITCH:
+        return
+    columns = _within(surface.x, low[0], high[0], surface.pitch_x)
+    rows = _within(surface.y, low[1], high[1], surface.pitch_y)
+    x, y = np.meshgrid(surface.x[columns], surface.y[rows])
+    rotor, axis = surface.rotor[rows, columns], surface.axis[rows, columns]
+    size = min(4.0, 0.16 * pitch)
+    panel.plot(x[~rotor], y[~rotor], ".", color="0.65", markersize=size, zorder=1)
+    centre = np.stack([x[rotor], y[rotor]], axis=-1)
+    half = 0.5 * STROKE * min(surface.pitch_x, surface.pitch_y)
+    reach = half * np.stack([np.cos(axis[rotor]), np.sin(axis[rotor])], axis=-1)
+    strokes = np.stack([centre - reach, centre + reach], axis=1)
+    width = min(1.6, 0.08 * pitch)
+    panel.add_collection(LineCollection(list(strokes), color="red", linewidth=width, zorder=1))
+
+
+def _within(centres: Array, low: float, high: float, pitch: float) -> slice:
+    """Select the rows or columns whose elements may show in the window."""
+    first, end = np.searchsorted(centres, (low - pitch, high + pitch)).tolist()
+    return slice(first, end)
+
+
+def _draw_path(panel: Axes, trajectory: "Trajectory", outlines: list[Array]) -> None:
+    """Draw the base's origin, where it tips, and the base at some instants."""
+    x, y = trajectory.pose[:, 0], trajectory.pose[:, 1]
+    for k, outline in enumerate(outlines):
+        outer = k in (0, len(outlines) - 1)
+        edge, width = ("0.1", 1.6) if outer else ("0.45", 0.8)
+        panel.add_patch(Polygon(outline, fill=False, edgecolor=edge, linewidth=width, zorder=2))
+    panel.plot(x, y, color=PATH, linewidth=1.8, zorder=3)
+    tips = trajectory.tipping
+    panel.plot(np.where(tips, x, np.nan), y, ".", color=TIPPING, markersize=4, zorder=3)
+    panel.plot(x[0], y[0], "o", color=PATH, markerfacecolor="white", markersize=6, zorder=4)
+    panel.plot(x[-1], y[-1], "o", color=PATH, markersize=6, zorder=4)
+    if tips.any():
+        mark = Line2D([], [], marker=".", linestyle="", color=TIPPING, label="tipping")
+        panel.legend(handles=[mark], loc="best", framealpha=1.0)
+
+
+def _draw_velocity(linear: Axes, turning: Axes, trajectory: "Trajectory") -> None:
+    """Draw the velocity along x and y in one panel, omega in the other."""
+    time = trajectory.time
+    style = "o" if len(time) == 1 else "-"
+    vx, vy, omega = trajectory.velocity.T
+    linear.plot(time, vx, style, color="tab:red", label="vx")
+    linear.plot(time, vy, style, color="tab:blue", label="vy")
+    turning.plot(time, omega, style, color="tab:green", label="omega")
+    linear.set_ylabel("velocity [m/s]")
+    turning.set(xlabel="time [s]", ylabel="omega [rad/s]")
+    linear.sharex(turning)
+    linear.tick_params(labelbottom=False)
+    linear.legend(loc="best")
+    for panel in (linear, turning):
+        panel.grid(alpha=0.3)
+        panel.axhline(0.0, color="0.5", linewidth=0.8, zorder=0)
+        bottom, top = panel.get_ylim()
+        panel.set_ylim(min(bottom, -LEAST_RANGE), max(top, LEAST_RANGE))

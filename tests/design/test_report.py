@@ -1,0 +1,218 @@
+"""Answers as sentences, tables and figures: short on screen, in full as CSV."""
+
+import csv
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym import layouts
+from surface_gym.design.best_layout import best_layout
+from surface_gym.design.case import NOTHING, Case, describe_base
+from surface_gym.design.columns import ColumnsReport, columns_by_rows, columns_by_speed
+from surface_gym.design.limits import friction_range, least_speed, least_tilt
+from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
+from surface_gym.design.report import DPI, LINES, Answer, Table, format_cell, write_csv
+from surface_gym.design.search import Effort
+from surface_gym.design.sensitivity import sensitivity
+from surface_gym.design.size_map import success_map
+
+BOX = layouts.box("S")
+CASE = Case(BOX, Sort(), speed=1.2, draws=5)
+LOST = Case(BOX, Sort(), speed=0.3, draws=5)
+TRIANGLE = sg.Polygon(np.array([(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)]))
+SPEEDS = (0.3, 1.2)
+EFFORT = Effort(members=5, generations=1, epochs=1, rounds=0)
+
+
+def columns_of(case: Case, speeds: tuple[float, ...] = SPEEDS) -> ColumnsReport:
+    return ColumnsReport(case, columns_by_rows(case), speeds, columns_by_speed(case, speeds))
+
+
+CASES = {
+    "sort": (CASE, 4),
+    "sort, nothing unknown": (Case(BOX, Sort(), speed=1.2, unknown=NOTHING), 4),
+    "sort, never": (Case(BOX, Sort(), speed=0.2, draws=5), 2),
+    "turn": (Case(BOX, Turn(), speed=1.5, draws=5), 6),
+}
+ANSWERS: dict[str, Callable[[Case, int], Answer]] = {
+    "columns": lambda case, _: columns_of(case),
+    "speed": lambda case, columns: least_speed(case, columns, highest=2.0),
+    "friction": friction_range,
+    "map": lambda case, columns: success_map(case, columns, SPEEDS, [0.8, 1.0]),
+    "sensitivity": sensitivity,
+    "layout": lambda case, columns: best_layout(case, SPEEDS, columns, effort=EFFORT),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("name", ANSWERS)
+def test_an_answer_is_a_sentence_tables_and_a_figure_with_its_question(
+    name: str, case: str, tmp_path: Path
+) -> None:
+    answer = ANSWERS[name](*CASES[case])
+    assert answer.name == name
+    assert answer.sentence
+    tables = answer.tables()
+    assert any(table.shown for table in tables)
+    assert any(table.written for table in tables)
+    assert all(len(row) == len(table.header) for table in tables for row in table.rows)
+    figure = answer.draw()
+    figure.savefig(tmp_path / "figure.png", dpi=DPI)
+    assert (tmp_path / "figure.png").stat().st_size < 200_000
+    assert "?" in figure.get_suptitle()
+    assert any(axes.get_xlabel() for axes in figure.axes)
+    assert figure.axes[0].get_ylabel() or name == "sensitivity"
+
+
+def test_a_map_of_one_cell_has_no_contours(tmp_path: Path) -> None:
+    success_map(CASE, 4, [1.0], [1.0]).draw().savefig(tmp_path / "map.png")
+
+
+def test_lines_differ_in_colour_and_in_style() -> None:
+    assert len({colour for colour, _ in LINES.values()}) == len(LINES)
+    alone = [style for group, (_, style) in LINES.items() if group not in ("nominal", "together")]
+    assert len({str(style) for style in alone}) == len(alone)
+
+
+@pytest.mark.parametrize(
+    ("cell", "text"),
+    [
+        (None, "-"), (math.nan, "-"), (True, "yes"), (False, "no"), (3, "3"), (0.12345, "0.123"),
+        ("+45 deg", "+45 deg"),
+    ],
+)  # fmt: skip
+def test_a_cell_on_screen(cell: str | float | None, text: str) -> None:
+    assert format_cell(cell) == text
+
+
+def test_csv_keeps_numbers_in_full_and_missing_cells_empty(tmp_path: Path) -> None:
+    table = Table("some", "Some", ("a", "b", "c"), ((0.1 + 0.2, None, math.nan), (1, True, "x")))
+    with write_csv(table, tmp_path).open(newline="") as file:
+        rows = list(csv.reader(file))
+    assert rows == [["a", "b", "c"], ["0.30000000000000004", "", ""], ["1", "True", "x"]]
+    assert [path.name for path in tmp_path.iterdir()] == ["some.csv"]
+
+
+@pytest.mark.parametrize(
+    ("purpose", "action", "passive"),
+    [
+        (Sort(), "sort it", "be sorted"),
+        (Slow(0.7), "slow it to 0.7 or less of its speed", "be slowed to 0.7 or less of its speed"),
+        (
+            Slow(0.7, 0.1), "slow it to 0.7 +- 0.1 of its speed",
+            "be slowed to 0.7 +- 0.1 of its speed",
+        ),
+        (Stop(), "stop it", "be stopped"),
+        (
+            Stop(0.3), "stop it within 0.05 m of 0.3 m into the zone",
+            "be stopped within 0.05 m of 0.3 m into the zone",
+        ),
+        (Turn(), "turn it by 30 +- 5 deg", "be turned by 30 +- 5 deg"),
+    ],
+)  # fmt: skip
+def test_a_purpose_in_words(purpose: Purpose, action: str, passive: str) -> None:
+    assert (purpose.action, purpose.passive) == (action, passive)
+
+
+def test_a_base_in_words() -> None:
+    assert describe_base(sg.Rectangle(0.3, 0.4)) == "0.3 x 0.4 m parcel"
+    assert describe_base(sg.Disc(0.2)) == "round parcel of 0.2 m radius"
+    assert describe_base(TRIANGLE) == "parcel of 3 corners"
+
+
+def test_columns_by_group_by_rows_and_by_speed() -> None:
+    report = columns_of(CASE)
+    own, rows, by_speed = report.tables()
+    assert [row[0] for row in own.rows] == [
+        "nothing", "friction", "load", "unevenness", "all together",
+    ]  # fmt: skip
+    assert [row[0] for row in rows.rows] == [1, 2]
+    assert rows.rows[1][1:4] == (4, 8, "+45 deg")
+    assert by_speed.rows[0][:3] == (0.3, 2, None)  # at this speed no number is enough
+    assert not by_speed.shown
+    assert report.sentence.endswith("; for 95% of the draws, 4")
+    assert columns_of(Case(BOX, Sort(), speed=1.2, unknown=NOTHING), ()).sentence == (
+        "4 columns of 2 rows (8 modules at +45 deg) are what it takes to sort it, a 0.25 x 0.25 m "
+        "parcel that comes at 1.2 m/s"
+    )
+    assert columns_of(LOST, ()).sentence.startswith("No number of columns up to 30")
+    turn = Case(BOX, Turn(), speed=1.5, draws=20)
+    assert "no number does it in 95% of the draws" in columns_of(turn, ()).sentence
+
+
+def test_limits_and_their_curves() -> None:
+    found = least_speed(CASE, columns=4, highest=1.5)
+    table, curve = found.tables()
+    assert table.rows[0] == ("nothing", found.spans[0].least, found.spans[0].most, 1.0)
+    assert len(curve.rows) == sum(len(span.values) for span in found.spans)
+    assert {row[0] for row in curve.rows} == {row[0] for row in table.rows}
+
+
+@pytest.mark.parametrize(
+    ("case", "columns", "highest", "text"),
+    [
+        (LOST, 4, 1.0, "nothing near 0.3"),
+        (Case(BOX, Stop(), speed=0.3, unknown=NOTHING), 8, 0.5, "m/s or more for"),
+        (Case(BOX, Sort(), 1.0, 0.25, NOTHING), 20, 1.5, "anything tried"),
+        (Case(BOX, Sort(), 1.0, 0.25, NOTHING), 3, 3.0, "m/s or less for"),
+    ],
+)
+def test_spans_in_words(case: Case, columns: int, highest: float, text: str) -> None:
+    assert text in least_speed(case, columns, highest=highest).sentence
+
+
+def test_a_tilt_is_reported_in_degrees() -> None:
+    found = least_tilt(Case(BOX, Sort(), 0.0, math.radians(10.0), NOTHING), columns=4)
+    table, curve = found.tables()
+    assert table.header[1] == "least [deg]"
+    assert table.rows[0][1] == pytest.approx(3.6)
+    assert curve.rows[-1][1] == pytest.approx(15.0)
+    assert "3.6 deg or more for" in found.sentence
+
+
+def test_friction_for_both_coefficients() -> None:
+    found = friction_range(CASE, columns=4)
+    table, curve = found.tables()
+    assert [row[0] for row in table.rows] == ["factor on mu_max"] * 4 + ["factor on mu_min"] * 4
+    assert {row[0] for row in curve.rows} == {"factor on mu_max", "factor on mu_min"}
+    assert "mu_max may be 0.3" in found.sentence
+    assert "times 0.5 and mu_min may be" in found.sentence
+    assert "for 95% of the draws of what else is unknown, mu_max" in found.sentence
+
+
+def test_a_map_by_size_and_by_cell() -> None:
+    found = success_map(CASE, 4, [0.3, 1.0, 1.5], [0.8, 1.0])
+    sizes, cells = found.tables()
+    assert sizes.rows[1][:3] == (1.0, 1.0, 1.5)
+    assert not sizes.written
+    assert len(cells.rows) == 6
+    assert cells.rows[3] == (1.0, 0.3, False, 0.0)
+    assert "67% of these speeds and sizes" in found.sentence
+    assert "no speed and size here" in success_map(CASE, 4, [0.3], [1.0]).sentence
+
+
+def test_sensitivity_field_by_field() -> None:
+    found = sensitivity(Case(BOX, Turn(), speed=1.5, draws=5), columns=6)
+    (table,) = found.tables()
+    assert table.title == "Angle on leaving the zone [deg]"
+    assert len(table.rows) == 1 + len(found.bars)
+    assert table.rows[0][1] == pytest.approx(math.degrees(found.measure))
+    assert "success suffers most from" in found.sentence
+    assert "no draw comes as far" in sensitivity(LOST, columns=4).sentence
+    assert "all succeed" in sensitivity(CASE, columns=4).sentence
+
+
+def test_a_layout_beside_the_study_s() -> None:
+    found = best_layout(CASE, SPEEDS, 6, effort=EFFORT)
+    both, speeds, axes = found.tables()
+    assert [row[0] for row in both.rows] == ["best fixed layout", "+45 deg"]
+    assert len(speeds.rows) == 4
+    assert len(axes.rows) == 2
+    assert len(axes.rows[0]) == 7
+    assert axes.rows[0][0] == 2  # the row at the greatest y first, as in a drawing
+    assert "at 50.0% of 2 speeds from 0.3 to 1.2 m/s" in found.sentence
+    assert "without a failure at none" in best_layout(CASE, [0.2, 0.3], 6, effort=EFFORT).sentence

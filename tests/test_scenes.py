@@ -1,0 +1,395 @@
+"""From a batch's environments to scenes, and the environments' pictures."""
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pygame
+import pytest
+from surface_gym.config import EnvConfig
+from surface_gym.flow.state import BETWEEN, JAM, ON_ITS_WAY, TOUCHES
+
+import surface_gym as sg
+from surface_gym.core.batch import Batch
+from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.exits import Exit, Exits
+from surface_gym.flow.stream import Stream
+from surface_gym.lines import Pattern
+from surface_gym.registration import FLOW
+from surface_gym.rendering import Scene, SceneParcel
+from surface_gym.scenes import GLIDE, TRAIL, Renderer, exit_marks
+from surface_gym.tasks import TASKS
+from surface_gym.tasks.base import Start
+from tests.batches import batch_with as batch_at
+from tests.batches import put
+from tests.environments import HEPTAGON, PARCELS
+from tests.flow.flows import (
+    BOX,
+    LARGE_BOX,
+    PLUS_45,
+    ROLL,
+    SHORT,
+    bare,
+    batch_with,
+    play,
+    same_choice,
+    set_down,
+    trace,
+    truths,
+)
+
+PERIOD = 0.04  # [s]
+THREE = (Exit("left", 1, 0.5, 2.0), Exit("right", -1), Exit("straight", 0))
+
+
+def pair_of(parcel: sg.Parcel, task: str = "sort") -> Batch:
+    """Two environments with one parcel each."""
+    batch = Batch(EnvConfig(task=task), 2)
+    for i in (0, 1):
+        batch.reserve.seed(i, np.random.default_rng(i))
+    batch.start(np.arange(2), [{"speed": 1.0, "parcel": parcel}] * 2)
+    return batch
+
+
+def shown(batch: Batch | StreamBatch, i: int = 0) -> Scene:
+    """What a picture of an environment shows that has just begun."""
+    return opened(batch, i).scene(i)
+
+
+def only(scene: Scene) -> SceneParcel:
+    (parcel,) = scene.parcels
+    return parcel
+
+
+def stream_of(stream: Stream, **settings: Any) -> StreamBatch:
+    return batch_with(stream, **{"exits": Exits(THREE), "duration": 120.0, **settings})
+
+
+def opened(batch: Batch | StreamBatch, i: int = 0) -> Renderer:
+    """The renderer of a batch whose environment has just begun."""
+    renderer = Renderer(batch)
+    renderer.record(i, begins=True)
+    return renderer
+
+
+def go_on(batch: StreamBatch, renderer: Renderer, periods: int, choice: int = ROLL) -> None:
+    for _ in range(periods):
+        batch.advance(np.full(batch.surfaces.command.shape, choice))
+        renderer.record(0, begins=False)
+
+
+def reading(scene: Scene, label: str) -> str:
+    return dict(scene.readings)[label]
+
+
+class TestOneParcel:
+    @pytest.mark.parametrize("task", TASKS)
+    def test_every_task_has_a_scene_with_its_goal(self, task: str) -> None:
+        scene = shown(pair_of(PARCELS["S"], task))
+        assert scene.title == task.capitalize()
+        assert scene.goal is not None
+        labels = [label for label, _ in scene.readings]
+        assert labels[:3] == ["time", "speed", "heading"]
+        assert len(labels) > 3
+        assert len(set(labels)) == len(labels)
+
+    @pytest.mark.parametrize("parcel", PARCELS.values(), ids=PARCELS)
+    def test_the_outline_is_the_bases(self, parcel: sg.Parcel) -> None:
+        batch = pair_of(parcel)
+        put(batch, Start(HEPTAGON, (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), lane=1)
+        outline = only(shown(batch)).outline
+        if isinstance(parcel.base, sg.Disc):
+            np.testing.assert_allclose(np.hypot(*outline.T), parcel.base.radius)
+        else:
+            np.testing.assert_allclose(
+                outline + parcel.base.centroid, parcel.base.outline, atol=1e-15
+            )
+
+    def test_axes_zone_and_pose_are_the_batch_s(self) -> None:
+        batch = pair_of(PARCELS["S"])
+        for _ in range(3):
+            batch.advance(np.full((2, 64), PLUS_45))
+        for i in (0, 1):
+            scene = shown(batch, i)
+            assert only(scene).pose == tuple(batch.parcels.truth[i, :3])
+            first_row, rows, first_column, columns = scene.zone
+            zone = np.zeros(scene.axis.shape, dtype=bool)
+            zone[first_row : first_row + rows, first_column : first_column + columns] = True
+            np.testing.assert_allclose(scene.axis, np.where(zone, math.pi / 4, math.pi / 2))
+            np.testing.assert_array_equal(scene.rotor, batch.view(i).rotor)
+        assert dict(scene.readings)["time"] == "0.12 s"
+
+    def test_a_sensed_pose_is_shown_where_it_is_another(self) -> None:
+        batch = pair_of(PARCELS["S"])
+        assert only(shown(batch)).sensed_pose is None
+        batch.parcels.sensed[0, 1] += 0.02
+        sensed = only(shown(batch)).sensed_pose
+        assert sensed is not None
+        assert sensed[1] == pytest.approx(1.02)
+
+    def test_an_end_is_shown(self) -> None:
+        batch = pair_of(PARCELS["S"])
+        assert "end" not in dict(shown(batch).readings)
+        while batch.parcels.outcome[0] == 0:
+            batch.advance(np.full((2, 64), 0))
+        assert dict(shown(batch).readings)["end"] == "stalled"
+
+    @pytest.mark.parametrize("tilt", [0.0, 0.1, 0.26])
+    def test_a_tilt_is_shown(self, tilt: float) -> None:
+        start = Start(PARCELS["S"], (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,), tilt=tilt)
+        assert shown(batch_at(start)).tilt == pytest.approx(tilt)
+
+
+class TestParcelsOfAStream:
+    def test_all_on_the_line_are_shown_where_they_are(self) -> None:
+        batch = stream_of(trace((0.0, "left"), (0.4, "straight"), (0.8, "right")))
+        renderer = opened(batch)
+        go_on(batch, renderer, 25)
+        scene, known = renderer.scene(), truths(batch)
+        assert [parcel.exit for parcel in scene.parcels] == [0, 2, 1]
+        assert [parcel.label for parcel in scene.parcels] == ["L", "S", "R"]
+        for number, parcel in enumerate(scene.parcels):
+            assert parcel.pose == tuple(known[number][:3])
+            np.testing.assert_allclose(parcel.outline, BOX.base.outline, atol=1e-15)
+
+    def test_a_round_base_is_a_circle(self) -> None:
+        disc = sg.Parcel(sg.Disc(0.15), 1.0)
+        batch = stream_of(trace((0.0, "left"), parcel=disc))
+        outline = opened(batch).scene().parcels[0].outline
+        np.testing.assert_allclose(np.hypot(*outline.T), 0.15)
+
+    def test_names_whose_initials_are_the_same_are_written_in_full(self) -> None:
+        exits = Exits((Exit("lane", 1), Exit("left", -1)))
+        renderer = opened(stream_of(trace((0.0, "left")), exits=exits))
+        assert renderer.scene().parcels[0].label == "left"
+
+    def test_a_sensed_pose_is_shown_where_it_is_another(self) -> None:
+        batch = stream_of(trace((0.0, "left")))
+        renderer = opened(batch)
+        assert renderer.scene().parcels[0].sensed_pose is None
+        batch.parcels.sensed[0, 1] += 0.02
+        x, y, theta = renderer.scene().parcels[0].pose
+        assert renderer.scene().parcels[0].sensed_pose == pytest.approx((x, y + 0.02, theta))
+
+    def test_those_that_touch_are_paired_for_a_moment(self) -> None:
+        batch = stream_of(trace((0.0, "left"), (0.0, "straight")))
+        set_down(batch, [[0.8, 1.0, 0.0], [1.1, 1.0, 0.0]], [[1.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
+        renderer = opened(batch)
+        assert renderer.scene().touching == ()
+        while batch.streams.tally[0, TOUCHES] == 0:  # the one behind catches up
+            go_on(batch, renderer, 1)
+        assert renderer.scene().touching == ((0, 1),)
+        # Whether they have done so within 0.1 s, 20 physics steps, whatever came since.
+        for since, expected in ((20, ((0, 1),)), (21, ())):
+            batch.streams.touched_at[0, [0, 1], [1, 0]] = batch.streams.steps[0] - since
+            assert renderer.scene().touching == expected
+
+
+class TestTrails:
+    def test_they_end_at_the_centre_and_are_short(self) -> None:
+        batch = stream_of(trace((0.0, "straight")))
+        renderer = opened(batch)
+        lengths = []
+        for _ in range(20):
+            go_on(batch, renderer, 1)
+            parcel = renderer.scene().parcels[0]
+            assert tuple(parcel.trail[-1]) == parcel.pose[:2]
+            lengths.append(np.hypot(*np.diff(parcel.trail, axis=0).T).sum())
+        assert lengths == sorted(lengths[:9]) + lengths[9:]
+        assert max(lengths) <= TRAIL
+        assert min(lengths[10:]) > TRAIL - 1.5 * PERIOD
+
+    def test_a_place_used_again_does_not_join_them(self) -> None:
+        batch = stream_of(trace((0.0, "straight"), (0.0, "straight")), places=1)
+        renderer = opened(batch)
+        while batch.streams.number[0, 0] != 1:
+            go_on(batch, renderer, 1)
+        go_on(batch, renderer, 3)
+        trail = renderer.scene().parcels[-1].trail
+        assert len(trail) == 4
+        assert trail[:, 0].max() < 0.5
+
+    def test_an_episode_begins_without_any(self) -> None:
+        batch = stream_of(trace((0.0, "straight")))
+        renderer = opened(batch)
+        go_on(batch, renderer, 42)  # it has left, and is shown yet
+        assert len(renderer.scene().parcels) == 1
+        batch.start(np.array([0]))
+        renderer.record(0, begins=True)
+        (parcel,) = renderer.scene().parcels
+        np.testing.assert_array_equal(parcel.trail, [parcel.pose[:2]])
+
+
+class TestExits:
+    def test_who_has_left_goes_on_for_a_moment(self) -> None:
+        batch = stream_of(trace((0.0, "straight")))
+        renderer = opened(batch)
+        while batch.streams.present[0, 0]:
+            go_on(batch, renderer, 1)
+        left, (x, y, _, vx, vy, _) = batch.streams.left[0, 0], batch.parcels.truth[0].copy()
+        periods = 0
+        while renderer.scene().parcels:
+            (parcel,) = renderer.scene().parcels
+            since = batch.streams.clock[0] - left
+            assert parcel.pose[:2] == pytest.approx((x + since * vx, y + since * vy))
+            assert tuple(parcel.trail[-1]) == parcel.pose[:2]
+            go_on(batch, renderer, 1)
+            periods += 1
+        assert GLIDE - PERIOD <= periods * PERIOD <= GLIDE + PERIOD
+
+    def test_pairs_are_counted_past_those_who_have_left(self) -> None:
+        batch = stream_of(trace((0.0, "straight"), (0.2, "left"), (0.6, "right")))
+        renderer = opened(batch)
+        while batch.streams.present[0, 0]:
+            go_on(batch, renderer, 1)
+        batch.streams.touched_at[0, [1, 2], [2, 1]] = batch.streams.steps[0]
+        scene = renderer.scene()
+        assert [parcel.exit for parcel in scene.parcels] == [2, 0, 1]
+        assert scene.touching == ((1, 2),)
+
+    def test_counts_and_those_who_wait(self) -> None:
+        names = ("straight", "left", "straight", "right", "straight")
+        batch = stream_of(trace(*[(0.5 * k, name) for k, name in enumerate(names)], (9.0, "left")))
+        renderer = opened(batch)
+        go_on(batch, renderer, 120)  # all roll straight on
+        scene = renderer.scene()
+        assert scene.traffic.delivered == (0, 0, 3)
+        assert scene.traffic.missorted == 2
+        crowd = opened(stream_of(trace(*[(0.0, "left")] * 4))).scene()
+        assert (len(crowd.parcels), crowd.traffic.waiting) == (1, 3)
+
+    def test_spans_end_with_the_surface(self) -> None:
+        exits = Exits(
+            (Exit("a", 1, -3.0, 0.5), Exit("b", 1, 0.5), Exit("c", -1, 0.5, 9.0), Exit("on", 0))
+        )
+        marks = exit_marks(EnvConfig(plant=SHORT, exits=exits))
+        spans = {mark.name: (mark.side, mark.first, mark.last) for mark in marks}
+        assert spans["a"] == pytest.approx((1, 0.0, 0.5))
+        assert spans["b"] == pytest.approx((1, 0.5, 2.0))  # the rotors' end
+        assert spans["c"] == pytest.approx((-1, 0.5, 2.0))
+        assert spans["on"] == pytest.approx((0, 2.0, 2.6))  # and the surface's
+
+    def test_where_rotors_end_with_the_surface_the_way_on_is_the_last_column(self) -> None:
+        rotor = np.zeros((20, 20), dtype=bool)
+        rotor[8:12] = True
+        settings = EnvConfig(plant=Pattern(rotor=rotor, lead_in=5), exits="sides")
+        on = exit_marks(settings)[-1]
+        assert (on.first, on.last) == pytest.approx((1.9, 2.0))
+
+    def test_a_chute_past_the_rotors_cannot_be_drawn(self) -> None:
+        exits = Exits((Exit("beyond", 1, 2.5, 3.0),))
+        with pytest.raises(ValueError, match=r"last must be greater than first, 2\.5"):
+            exit_marks(EnvConfig(plant=SHORT, exits=exits))
+
+
+class TestReadings:
+    def test_axes_zone_and_tilt_are_the_surfaces(self) -> None:
+        batch = stream_of(trace((0.0, "left")), tilt=0.05)
+        renderer = opened(batch)
+        go_on(batch, renderer, 3, PLUS_45)
+        scene = renderer.scene(0, "env 0")
+        assert (scene.title, scene.tilt) == ("env 0", 0.05)
+        assert scene.zone == batch.settings.zone
+        expected = np.where(scene.obeys & scene.rotor, math.pi / 4, math.pi / 2)
+        np.testing.assert_allclose(scene.axis, expected)
+        assert reading(scene, "time") == "0.1 s"
+
+    def test_the_rate_is_that_of_the_last_half_minute(self) -> None:
+        batch = stream_of(trace(*[(float(k), "straight") for k in range(60)]))
+        flows, renderer = batch.streams, opened(batch)
+        assert reading(renderer.scene(), "parcels an hour") == "\N{EN DASH}"
+        # One leaves a second from 1 s on: every third by another exit, and all do from 40 s on.
+        left = np.arange(1.0, 61.0)
+        right = (left % 3.0 != 0.0) & (left < 40.0)
+        for clock, expected in (
+            (5.9, "\N{EN DASH}"),  # 5 s since the first left are the least
+            (6.0, 3600.0 * 3 / 5),  # at 2, 4 and 5 s; the one at 1 s but begins the time
+            (31.0, 3600.0 * 20 / 30),
+            (45.0, 3600.0 * 16 / 30),  # 24 from 16 s on, of which eight are wrong
+            (60.0, 3600.0 * 6 / 30),
+        ):
+            gone = left <= clock
+            flows.clock[0] = clock
+            flows.left[0, :60] = np.where(gone, left, np.nan)
+            flows.taken[0, :60] = np.where(gone, np.where(right, 2, BETWEEN), ON_ITS_WAY)
+            rate = expected if isinstance(expected, str) else f"{expected:.0f}"
+            assert reading(renderer.scene(), "parcels an hour") == rate
+
+    def test_an_end_is_shown(self) -> None:
+        batch = stream_of(trace((0.0, "left")))
+        renderer = opened(batch)
+        assert "end" not in dict(renderer.scene().readings)
+        batch.streams.outcome[0] = JAM
+        assert reading(renderer.scene(), "end") == "jam"
+
+
+class TestEnvironments:
+    @pytest.mark.parametrize("actions", ["modules", "parcels"])
+    def test_a_picture_a_step(self, actions: str) -> None:
+        env = bare(actions=actions, render_mode="rgb_array")
+        env.reset(seed=1)
+        before = env.render()
+        assert before.dtype == np.uint8
+        env.step(same_choice(env, PLUS_45))
+        after = env.render()
+        assert after.shape == before.shape
+        assert (after != before).any()
+
+    def test_drawing_changes_nothing(self) -> None:
+        plain, drawn = bare(), bare(render_mode="rgb_array")
+        for one, other in zip(play(plain, PLUS_45), play(drawn, PLUS_45), strict=True):
+            drawn.render()
+            np.testing.assert_array_equal(one[0], other[0])
+            assert one[1] == other[1]
+
+    def test_a_gate_is_no_parcel(self) -> None:
+        stream = trace((0.0, "straight"), (0.0, "left 1"))
+        env = bare(stream=stream, gate=True, render_mode="rgb_array")
+        env.reset(seed=0)
+        env.step(np.append(same_choice(env, ROLL)[:-1], 1))  # lets the first one in
+        renderer = env._renderer
+        assert [parcel.label for parcel in renderer.scene().parcels] == ["S"]
+        assert renderer.scene().traffic.waiting == 1
+
+    def test_films(self, tmp_path: Path) -> None:
+        made = gym.make(FLOW, duration=0.4, plant=SHORT, render_mode="rgb_array")
+        env: Any = gym.wrappers.RecordVideo(made, str(tmp_path / "films"))
+        env.reset(seed=0)
+        over = False
+        while not over:
+            _, _, _, over, _ = env.step(env.action_space.sample())
+        env.close()
+        assert [file.suffix for file in (tmp_path / "films").iterdir()] == [".mp4"]
+
+    def test_tiles(self) -> None:
+        envs: Any = gym.make_vec(
+            FLOW, 3, plant=SHORT, duration=0.2, stream=trace((0.0, "straight"), parcel=LARGE_BOX),
+            render_mode="rgb_array",
+        )  # fmt: skip
+        envs.reset(seed=0)
+        pictures = []
+        for _ in range(7):  # past the end, into the next episode
+            pictures += envs.render()
+            envs.step(envs.action_space.sample())
+        assert {picture.shape[1:] for picture in pictures} == {(1280, 3)}
+        assert all((one != other).any() for one, other in pairwise(pictures))
+
+    @pytest.mark.usefixtures("screen")
+    def test_a_window(self) -> None:
+        env = bare(render_mode="human")
+        env.reset(seed=0)
+        env.step(same_choice(env, ROLL))
+        shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+        np.testing.assert_array_equal(shown, env._renderer.draw())
+        env.close()
+
+
+@pytest.fixture
+def screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    yield
+    pygame.display.quit()
