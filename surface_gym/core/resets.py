@@ -239,7 +239,7 @@ def draw_starts(settings: Settings, numbers: Array, options: Sequence[Mapping[st
     error that names the task.
     """
     task = settings.chosen_task
-    start = task.start(Draw(numbers, options, settings.chosen_plant, settings.zone))
+    start = task.displaced_start(Draw(numbers, options, settings.chosen_plant, settings.zone))
     if not isinstance(start, Start):
         raise ValueError(f"{type(task).__name__}.start must give a Start, got {start!r}")
     return start

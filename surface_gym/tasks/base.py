@@ -13,8 +13,9 @@ from surface_gym.lines import BaseLine, Line
 from surface_gym.parcel import Parcel
 from surface_gym.physics.jit import kernel_function
 from surface_gym.state import FIRST_FAILURE, EnvState
-
-Numbers = NDArray[np.float64]
+from surface_gym.tasks.benchmark import Benchmark, Numbers, default_benchmark
+from surface_gym.tasks.cost import PlanCost
+from surface_gym.tasks.observed import Observed, decode_line, line_start
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,11 +179,19 @@ class Task:
 
     They know nothing of the task's fields: what they need of these goes into the goal.
 
+    Three ordinary methods serve rules and planners: `decode` and `decode_start` turn observations
+    back into SI units and starts, `cost` says what a planner minimises.
+
     Raises:
         ValueError: no features, terms or outcomes, or parcels that are none.
     """
 
     parcels: Any = field(default=("S", "B"), kw_only=True)  # to draw from
+    # [m] beside where parcels enter, to either side at equal odds
+    entry_offset: float = field(default=0.0, kw_only=True)
+    entry_turn: float = field(default=0.0, kw_only=True)  # [rad] of how they enter, to that side
+    # control periods after which an episode is truncated; None: `periods`
+    time_limit: int | None = field(default=None, kw_only=True)
 
     plant: ClassVar[BaseLine] = Line()
     features: ClassVar[tuple[Feature, ...]]
@@ -205,6 +214,11 @@ class Task:
                     f"got {getattr(self, name, None)!r}"
                 )
         object.__setattr__(self, "parcels", parcels_to_draw(self.parcels))
+        checks.number("entry_offset", self.entry_offset)
+        checks.number("entry_turn", self.entry_turn)
+        if self.time_limit is not None:
+            limit = checks.integer("time_limit", self.time_limit, least=1)
+            object.__setattr__(self, "periods", limit)
 
     @property
     def name(self) -> str:
@@ -216,6 +230,28 @@ class Task:
         del draw
         raise ValueError(f"{type(self).__name__}.start must be a method, as Task says, got none")
 
+    def displaced_start(self, draw: Draw) -> Start:
+        """`start`, with parcels entering `entry_offset` aside and turned by `entry_turn`."""
+        start = self.start(draw)
+        if (self.entry_offset, self.entry_turn) == (0.0, 0.0):
+            return start
+        # The side comes from digits of a drawn number that hardly count otherwise.
+        side = np.where(draw.numbers[0] * 1e6 % 1.0 < 0.5, 1.0, -1.0)
+        x, y, theta = start.pose
+        y, theta = np.add(y, self.entry_offset * side), np.add(theta, self.entry_turn * side)
+        return start._replace(pose=(x, y, theta))
+
+    def benchmark(self) -> Benchmark:
+        """The starts that methods are compared on, and the columns of the task's table."""
+        return default_benchmark(self)
+
+    def path_metrics(
+        self, path: Numbers, parcel: Parcel, plant: BaseLine, zone: tuple[int, int] | None
+    ) -> dict[str, float]:
+        """Metrics of a benchmark episode beside those in `info`, from its true poses (times, 3)."""
+        del path, parcel, plant, zone
+        return {}
+
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
         """Return the task's own numbers of an environment, as pairs of texts, for drawing."""
         del state
@@ -224,6 +260,24 @@ class Task:
     def goal(self, state: EnvState) -> Any:
         """Return what drawing shows of the goal, one of `surface_gym.rendering`'s; or None."""
         del state
+
+    def decode(self, seen: Observed) -> Any:
+        """Decode observations into SI units, for rules; by default those of a parcel on a line."""
+        return decode_line(seen)
+
+    def decode_start(self, seen: Observed) -> Start:
+        """Decode the first observation into the start that it shows, for planners; by default that
+        of a parcel on a line, of a task without a goal.
+        """
+        if self.goals > 0:
+            raise ValueError(
+                f"{type(self).__name__}.decode_start must be a method, as Task says, got none"
+            )
+        return line_start(seen, decode_line(seen), self.parcels, ())
+
+    def cost(self) -> PlanCost:
+        """Say what planners minimise."""
+        raise ValueError(f"{type(self).__name__}.cost must be a method, as Task says, got none")
 
     @staticmethod
     @kernel_function

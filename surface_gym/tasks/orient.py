@@ -4,10 +4,22 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import THETA
 from surface_gym.state import SUCCESS, EnvState
 from surface_gym.tasks.base import Draw, Feature, Start, Task, between, failures, rising
+from surface_gym.tasks.benchmark import PARCELS, Benchmark, ErrorPlot, high_column, median_column
+from surface_gym.tasks.cost import (
+    SETTLING,
+    Nodes,
+    Numbers,
+    PlanCost,
+    error_cost,
+    off_line,
+    way_to_leave,
+)
 from surface_gym.tasks.line import (
     LINE_OUTCOMES,
     PARCEL_FEATURES,
@@ -16,6 +28,7 @@ from surface_gym.tasks.line import (
     over_zone_end,
     see_parcel,
 )
+from surface_gym.tasks.observed import Observed, decode_line, line_start
 
 ANGLE = 0  # place in the goal: [rad] asked theta
 LEFT_TO_TURN = 0  # place in the memory: [rad] at the last decision
@@ -24,6 +37,9 @@ ANGLE_ERROR = 0  # index in the metrics: [rad] theta - the asked angle
 OUTCOMES = (*LINE_OUTCOMES, "missed")
 MISSED = failures(OUTCOMES)[-1]
 SUCCESS_ERROR = math.radians(2.0)  # [rad]
+EXIT_SPEED = 0.1  # [m/s] that a planner is to leave the zone with
+# [m/s^2] of a turn, times the half length: what a radian takes of v^2 / 2
+TURN_LOSS = 2.5
 
 # The reward, term by term.
 TERMS: tuple[str, ...] = ("turn", "precision", "success", "failure")
@@ -126,6 +142,38 @@ class Orient(Task):
         angle = draw.within("angle", between(*self.angles, turn), -math.pi, math.pi)
         return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (angle,))
 
+    def decode_start(self, seen: Observed) -> Start:
+        """Decode the first observation into the start that it shows, the asked angle its goal."""
+        line = decode_line(seen)
+        return line_start(seen, line, self.parcels, (float(line.angle[0]),))
+
+    def cost(self) -> PlanCost:
+        """Minimise the error of the angle."""
+        return PlanCost(_angle_to_turn, error_cost, 1e-3, self.periods, self.periods)
+
+    def benchmark(self) -> Benchmark:
+        """Every entry speed, some angles and both boxes, by the error of the angle."""
+        degrees = 180.0 / math.pi
+        return Benchmark(
+            self,
+            (
+                median_column(
+                    "angle_error", "error median [deg]", "of the angle on leaving", scale=degrees
+                ),
+                high_column("angle_error", "error 90 % [deg]", scale=degrees),
+            ),
+            tuple(
+                {"speed": speed, "angle": math.radians(angle), "parcel": parcel}
+                for parcel in PARCELS
+                for speed in np.linspace(1.3, 1.7, 41).tolist()
+                for angle in (-45.0, -30.0, -15.0, 15.0, 30.0, 45.0)
+            ),
+            "by 15, 30 and 45 deg to either side, entry speeds 1.3 to 1.7 m/s, both boxes",
+            {"speed": 1.5, "parcel": "B", "angle": 0.5236},
+            "the B-box at 1.5 m/s, by 30 deg",
+            ErrorPlot("angle_error", "error of the angle [deg]", degrees, 2.0),
+        )
+
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
         """Return the asked angle."""
         return [("asked", f"{math.degrees(state.goal[ANGLE]):+.1f}\N{DEGREE SIGN}")]
@@ -176,3 +224,15 @@ class Orient(Task):
         see[13] = state.goal[ANGLE]
         see[14] = left / 0.2
         see[15] = math.tanh(left / SUCCESS_ERROR)
+
+
+def _angle_to_turn(nodes: Nodes) -> Numbers:
+    """Compute the angle [rad] left to turn; with speed enough to turn it and to leave the zone, and
+    on the line.
+    """
+    _, _, theta, _, vy, omega = nodes.parcels.truth.T
+    vx = nodes.vx
+    left = np.abs(nodes.parcels.goal[:, ANGLE] - theta - SETTLING * omega)
+    spent = nodes.rolling_loss * way_to_leave(nodes) + TURN_LOSS * nodes.half_length * left
+    lack = np.maximum(0.0, np.sqrt(EXIT_SPEED**2 + 2.0 * spent) - vx)
+    return left + lack - 0.2 * vx + 0.2 * off_line(nodes) + 0.06 * np.abs(vy)

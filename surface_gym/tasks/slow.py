@@ -10,6 +10,8 @@ from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import THETA, VX, VY, X
 from surface_gym.state import SUCCESS, EnvState, planar_speed
 from surface_gym.tasks.base import Draw, Feature, Start, Task, between, failures, rising
+from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, median_column
+from surface_gym.tasks.cost import Nodes, Numbers, PlanCost, askew, error_cost, way_to_leave
 from surface_gym.tasks.line import (
     LINE_OUTCOMES,
     PARCEL_FEATURES,
@@ -21,8 +23,10 @@ from surface_gym.tasks.line import (
     see_parcel,
     zone_span,
 )
+from surface_gym.tasks.observed import Observed, decode_line, line_start
 
 RATIO, ENTRY_SPEED = range(2)  # places in the goal: [-] asked, [m/s]
+ARRIVAL = 3.2  # [s] in which a planner is to be done, of the 4 there are
 EXCESS = 0  # place in the memory: [-] the excess of speed at the last decision
 RATIO_ERROR = 0  # index in the metrics: [-] speed / entry speed - asked ratio
 
@@ -144,6 +148,31 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         ratio = draw.within("ratio", between(low, highest, share), 0.0, 1.0)
         return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (ratio, speed))
 
+    def decode_start(self, seen: Observed) -> Start:
+        """Decode the first observation into the start that it shows, ratio and speed its goal."""
+        line = decode_line(seen)
+        goal = float(line.ratio[0]), float(line.entry_speed[0])
+        return line_start(seen, line, self.parcels, goal)
+
+    def cost(self) -> PlanCost:
+        """Minimise the error of the ratio."""
+        return PlanCost(_excess_of_speed, error_cost, 2e-4, self.periods, self.periods)
+
+    def benchmark(self) -> Benchmark:
+        """Drawn starts, by the error of the speed ratio."""
+        return Benchmark(
+            self,
+            (
+                median_column(
+                    "ratio_error", "error median", "of the ratio of exit and entry speed", ".4f"
+                ),
+                high_column("ratio_error", "error 90 %", ".4f"),
+            ),
+            example={"speed": 1.8, "parcel": "B", "ratio": 0.4},
+            example_description="the B-box at 1.8 m/s, to 0.4 of it",
+            error=ErrorPlot("ratio_error", "error of the speed ratio", limit=0.01),
+        )
+
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
         """Return the present ratio and the asked one."""
         asked, error = state.goal[RATIO], state.metrics[RATIO_ERROR]
@@ -220,3 +249,13 @@ def _score(state: EnvState) -> float:
 @kernel_function
 def _ratio_error(state: EnvState) -> float:
     return planar_speed(state.truth) / state.goal[ENTRY_SPEED] - state.goal[RATIO]
+
+
+def _excess_of_speed(nodes: Nodes) -> Numbers:
+    """Compute the speed [m/s] off what would roll out at the asked ratio, straight and in time."""
+    parcels, to_go = nodes.parcels, way_to_leave(nodes)
+    speed = np.hypot(nodes.vx, parcels.truth[:, 4])
+    asked = parcels.goal[:, RATIO] * parcels.goal[:, ENTRY_SPEED]
+    excess = speed - np.sqrt(asked**2 + 2.0 * nodes.rolling_loss * to_go)
+    late = np.maximum(0.0, parcels.clock + to_go / np.maximum(speed, 1e-3) - ARRIVAL)
+    return np.abs(excess) + 2.0 * late + askew(nodes)

@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks
+from surface_gym.layouts import ROLLING
+from surface_gym.lines import BaseLine
+from surface_gym.parcel import Parcel
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import (
@@ -14,13 +17,17 @@ from surface_gym.state import (
     RUNNING,
     SUCCESS,
     EnvState,
+    ParcelState,
     is_slower,
     reach_along,
     zone_end,
     zone_start,
 )
 from surface_gym.tasks.base import Draw, Feature, Start, Task, between, failures, rising
+from surface_gym.tasks.benchmark import PARCELS, Benchmark, Column, Numbers, SpeedGrid
+from surface_gym.tasks.cost import FAILED, Nodes, PlanCost, off_line, time_cost
 from surface_gym.tasks.line import STALL_SPEED, entry
+from surface_gym.tasks.observed import Observed, decode_line, line_start
 
 SIDE = 0  # place in the goal: +1 for y > 0, -1 for y < 0, 0 for straight through
 REACH = 0  # place in the memory: [m] the lateral reach at the last decision
@@ -156,6 +163,30 @@ distance from the line's middle takes its place |
         side = draw.one_of("side", np.where(way < 0.5, 1.0, -1.0), (1, -1, 0))
         return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (side,))
 
+    def benchmark(self) -> Benchmark:
+        """Every entry speed, both sides and both boxes; times beside the fixed layout's."""
+        grid = SpeedGrid(np.arange(30, 271, 2) / 100.0)
+        return Benchmark(
+            self,
+            (*(column for parcel in PARCELS for column in _box_columns(grid, parcel)), *_COLUMNS),
+            grid.starts,
+            "entry speeds 0.30 to 2.70 m/s in steps of 0.02 m/s, both sides, both boxes",
+            {"speed": 0.6, "parcel": "S", "side": 1},
+            "the S-box at 0.6 m/s, to y > 0",
+            grid=grid,
+        )
+
+    def path_metrics(
+        self, path: Numbers, parcel: Parcel, plant: BaseLine, zone: tuple[int, int] | None
+    ) -> dict[str, float]:
+        """`columns` of the zone that the front edge reached."""
+        base = parcel.base
+        _, (_, _, first, _) = plant.site(base, zone)
+        x, _, theta = path.T
+        from_centre = base.outline - base.centroid
+        reach = (from_centre @ np.array([np.cos(theta), -np.sin(theta)])).max(axis=0)
+        return {"columns": math.floor((x + reach).max() / plant.pitch_x + 0.5) - first}
+
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
         """Return the asked side."""
         sides = {1: "y > 0", -1: "y < 0", 0: "straight on"}
@@ -166,6 +197,15 @@ distance from the line's middle takes its place |
         from surface_gym.rendering import ExitSide
 
         return ExitSide(int(state.goal[SIDE]))
+
+    def decode_start(self, seen: Observed) -> Start:
+        """Decode the first observation into the start that it shows, the side its goal."""
+        line = decode_line(seen)
+        return line_start(seen, line, self.parcels, (float(line.side[0]),))
+
+    def cost(self) -> PlanCost:
+        """Minimise the time until the parcel is off the line."""
+        return PlanCost(_time_to_leave, time_cost, FAILED, self.periods, self.periods, event=_event)
 
     @staticmethod
     @kernel_function
@@ -260,3 +300,82 @@ def _score(state: EnvState) -> float:
     if side == 0.0:
         return PASSING_REACH * truth[X] - abs(offset)
     return min(REACH_ENOUGH, lateral_reach(side * offset, truth[VX], side * truth[VY]))
+
+
+def _time_to_leave(nodes: Nodes) -> Numbers:
+    """Compute the time [s] until the parcel is off the line if all axes were at 45 deg from now on;
+    a parcel that would come to rest before costs what it lacks.
+    """
+    _, y, _, vx, vy, _ = nodes.parcels.truth.T
+    turning, loss = nodes.braking / math.sqrt(2.0), nodes.rolling_loss / math.sqrt(2.0)
+    side = nodes.parcels.goal[:, SIDE]
+    if side[0] == 0.0:
+        return off_line(nodes) - 0.1 * nodes.parcels.truth[:, 0]
+    vy = side * vy
+    half_line = 0.5 * nodes.plant.pitch_y * (nodes.zone[1] - 1)
+    left = nodes.reach(0.0, -side[0]) + half_line - side * (y - nodes.plant.line_y)
+    left = np.maximum(0.0, left)
+    kept = np.maximum(0.0, np.where(vx > vy, 0.5 * (vx + vy), vy))
+    vy = np.clip(vy, 0.0, kept)
+    turned_after = (kept - vy) / turning
+    while_turning = 0.5 * (kept + vy) * turned_after
+    at_once = (np.sqrt(vy**2 + 2.0 * turning * left) - vy) / turning
+    square = kept**2 - 2.0 * loss * np.maximum(0.0, left - while_turning)
+    later = turned_after + (kept - np.sqrt(np.maximum(0.0, square))) / loss
+    return np.where(left < while_turning, at_once, later) + FAILED * np.maximum(0.0, -square)
+
+
+def _event(parcels: ParcelState) -> tuple[float, float] | None:
+    """Name the fixed layout and every event rule: 45 deg to the asked side from some time on."""
+    side = float(parcels.goal[0, SIDE])
+    return None if side == 0.0 else (ROLLING, -side * math.pi / 4.0)
+
+
+def _box_columns(grid: SpeedGrid, parcel: str) -> tuple[Column, ...]:
+    return (
+        Column(
+            f"minimum_speed_{parcel}",
+            f"minimum {parcel} [m/s]",
+            f"entry speed from which on every start of every seed is sorted, {parcel}-box",
+            lambda runs, _: grid.minimum_speed(runs, parcel),
+            every_start=True,
+        ),
+        Column(
+            f"success_{parcel}",
+            f"success {parcel}",
+            f"share of the {parcel}-box's starts",
+            lambda runs, _: grid.success_rate(runs, parcel),
+            ".3f",
+            every_start=True,
+        ),
+        Column(
+            f"time_{parcel}",
+            f"time {parcel}",
+            "greatest time to sort over the fixed layout's, at the speeds that one sorts at",
+            lambda runs, fixed: grid.worst_time(runs, fixed, parcel),
+            ".3f",
+            every_start=True,
+        ),
+    )
+
+
+_COLUMNS = (
+    Column(
+        "columns",
+        "columns",
+        "of the zone that a parcel sorted touched, on average",
+        lambda runs, _: (
+            float(runs.metric("columns")[runs.success].mean()) if runs.success.any() else math.nan
+        ),
+        ".1f",
+    ),
+    Column(
+        "parcels_an_hour",
+        "parcels/h",
+        "an hour's parcels, each alone on the surface, by the mean time of those sorted",
+        lambda runs, _: (
+            3600.0 / float(runs.time[runs.success].mean()) if runs.success.any() else math.nan
+        ),
+        ".0f",
+    ),
+)

@@ -10,6 +10,8 @@ from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import VX, X
 from surface_gym.state import RUNNING, SUCCESS, EnvState
 from surface_gym.tasks.base import Draw, Feature, Start, Task, between, failures, rising
+from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, median_column
+from surface_gym.tasks.cost import Nodes, Numbers, PlanCost, askew, error_cost
 from surface_gym.tasks.line import (
     BRAKING,
     LINE_OUTCOMES,
@@ -21,6 +23,7 @@ from surface_gym.tasks.line import (
     see_parcel,
     zone_span,
 )
+from surface_gym.tasks.observed import Observed, decode_line, line_start
 
 POSITION = 0  # place in the goal: [m] asked x of the centre
 SHORTFALL = 0  # place in the memory: [m] at the last decision
@@ -29,6 +32,7 @@ STOP_ERROR = 0  # index in the metrics: [m] x of the centre - the asked one
 OUTCOMES = (*LINE_OUTCOMES, "missed", "passed the asked x")
 MISSED, OVERSHOT = failures(OUTCOMES)[-2:]
 SUCCESS_ERROR = 0.005  # [m]
+CAUTION = 0.5  # [-] of the time of a quarter turn, that a planner keeps to be on the safe side
 
 # The reward, term by term.
 TERMS: tuple[str, ...] = ("approach", "precision", "success", "failure")
@@ -139,6 +143,29 @@ class Stop(Task):
         position = draw.within("position", between(first, last, share), 0.0, draw.plant.length)
         return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (position,))
 
+    def decode_start(self, seen: Observed) -> Start:
+        """Decode the first observation into the start that it shows, the asked x its goal."""
+        line = decode_line(seen)
+        start = line_start(seen, line, self.parcels, ())
+        return start._replace(goal=(np.add(start.pose[0], line.to_go[0]),))
+
+    def cost(self) -> PlanCost:
+        """Minimise the distance from the asked x."""
+        return PlanCost(_short_of_goal, error_cost, 2e-5, self.periods, self.periods)
+
+    def benchmark(self) -> Benchmark:
+        """Drawn starts, by the error of the place of rest."""
+        return Benchmark(
+            self,
+            (
+                median_column("stop_error", "error median [mm]", "of the place of rest", scale=1e3),
+                high_column("stop_error", "error 90 % [mm]", scale=1e3),
+            ),
+            example={"speed": 1.2, "parcel": "S", "position": 1.2},
+            example_description="the S-box at 1.2 m/s, at x = 1.2 m",
+            error=ErrorPlot("stop_error", "error of the place [mm]", 1e3, 5.0),
+        )
+
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
         """Return the distance to go."""
         return [("to go", f"{-1e3 * state.metrics[STOP_ERROR]:.1f} mm")]
@@ -194,3 +221,24 @@ class Stop(Task):
         see[14] = math.tanh(to_go / 0.05)
         see[15] = math.tanh(to_go / 0.01)
         see[16] = excess / 0.2
+
+
+def _short_of_goal(nodes: Nodes) -> Numbers:
+    """Compute by how much [m] full braking ends short of the asked x; beyond it there is no way
+    back.
+    """
+    to_go = nodes.parcels.goal[:, POSITION] - nodes.parcels.truth[:, 0]
+    short = to_go - nodes.braking_distance
+    if nodes.quarter_turn == 0.0:
+        return _weigh(short) + 0.1 * askew(nodes)
+    # Axes push aside while they turn, which takes some of the braking; and what they will have
+    # taken before they roll again may be too much.
+    short -= CAUTION * nodes.quarter_turn * nodes.parcels.truth[:, 3]
+    rolled = nodes.vx**2 / (2.0 * nodes.rolling_loss)
+    lack = np.maximum(0.0, to_go - rolled)
+    return _weigh(short) + 10.0 * lack + 0.3 * askew(nodes)
+
+
+def _weigh(short: Numbers) -> Numbers:
+    """Weigh a metre past the asked x as ten short of it."""
+    return np.where(short < 0.0, -10.0 * short, short)

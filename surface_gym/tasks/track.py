@@ -1,7 +1,7 @@
 """Track: follow a path y(x) at an asked speed, on a tilted field."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,11 +9,15 @@ import numpy as np
 from surface_gym import checks
 from surface_gym.layouts import LINE_Y
 from surface_gym.lines import BaseLine, Field
+from surface_gym.parcel import Parcel
 from surface_gym.physics.contacts import bounded
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
 from surface_gym.state import GRAVITY_ALONG, PATH_POINTS, RUNNING, SUCCESS, EnvState, planar_speed
 from surface_gym.tasks.base import Draw, Feature, Numbers, Start, Task, between, failures, rising
+from surface_gym.tasks.benchmark import DRAWN, Benchmark, ErrorPlot, median_column
+from surface_gym.tasks.cost import FAILED, Nodes, PlanCost
+from surface_gym.tasks.observed import Observed, nearest_parcel
 from surface_gym.tasks.paths import (
     DRAWS,
     KINDS,
@@ -55,6 +59,17 @@ SUCCESS_REWARD = 2.0
 FAILURE_REWARD = -2.0
 
 AHEAD = (0.0, 0.1, 0.2, 0.35)  # [m] where the path's slope is seen
+
+# For planners. On a field all places are alike but for that within a pitch: a parcel is put beside
+# one module.
+PLAN_COLUMN, PLAN_ROW = 10, 10
+PLAN_ZONE = (6, 25)  # columns that a search may take a parcel over from there
+PIECE = 0.007  # [m] along x, of the path as rebuilt
+BEHIND = 60  # pieces of it behind the parcel
+# Errors that cost as much as each other.
+PLAN_CROSS_ERROR = 0.003  # [m] off the path
+PLAN_SPEED_ERROR = 0.08  # [m/s] off the asked speed
+PLAN_CROSS_SPEED = 0.09  # [m/s] across the path at the horizon
 
 FEATURES = (
     Feature("cross error", -200.0, 200.0, "across the path / 0.05 m"),
@@ -196,6 +211,68 @@ asked one |
             for k, (kind, numbers) in drawn
         ]
 
+    def decode(self, seen: Observed) -> "PathObservation":
+        """Decode observations into SI units."""
+        pitch = seen.pitch
+        return PathObservation(
+            cross_error=0.05 * seen["cross error"],
+            speed_error=0.2 * seen["speed error"],
+            cross_speed=0.1 * seen["lateral speed"],
+            asked_speed=0.8 + seen["asked speed"],
+            slope=np.stack([seen[f"slope {ahead:g} m ahead"] for ahead in AHEAD], axis=-1),
+            tilt=np.arcsin(0.2 * seen["tilt"]),
+            theta=seen.theta,
+            omega=3.0 * seen["turning speed"],
+            half_length=seen.half_length,
+            pitch=pitch,
+            x_in_pitch=seen.in_pitch("x", pitch[0]),
+            y_in_pitch=seen.in_pitch("y", pitch[1]),
+        )
+
+    def decode_start(self, seen: Observed) -> Start:
+        """Decode the first observation into a start somewhere on the field; beyond what is shown
+        of it, the path goes on straight.
+        """
+        shown, plant = self.decode(seen), seen.plant
+        x = plant.origin[0] + plant.pitch_x * PLAN_COLUMN + float(shown.x_in_pitch[0])
+        y = plant.origin[1] + plant.pitch_y * PLAN_ROW + float(shown.y_in_pitch[0])
+        # The centre is over the middle of a piece.
+        from_centre = PIECE * (np.arange(PATH_POINTS) - BEHIND - 0.5)
+        slope = np.interp(from_centre[:-1] + 0.5 * PIECE, AHEAD, shown.slope[0])
+        path = np.concatenate([[0.0], np.cumsum(PIECE * slope)])
+        aside = float(shown.cross_error[0]) * math.sqrt(1.0 + float(shown.slope[0, 0]) ** 2)
+        path += (y - aside) - 0.5 * (path[BEHIND] + path[BEHIND + 1])
+        return shown.start(self.parcels, (x, y), (x + float(from_centre[0]), PIECE), path)
+
+    def cost(self) -> PlanCost:
+        """Minimise the mean squares of the errors."""
+        return PlanCost(
+            _mean_squares, _mean_squares, 0.0, horizon=8, follow=2, share=4, zone=PLAN_ZONE
+        )
+
+    def benchmark(self) -> Benchmark:
+        """Drawn starts on steep sines; a task with parameters of its own keeps its law."""
+        of_rms = median_column(
+            "rms_error", "rms error [mm]", "off the path, median over starts", ".1f", 1e3
+        )
+        of_speed = median_column(
+            "speed_error", "speed error [m/s]", "rms over an episode, median over starts", ".3f"
+        )
+        found = Benchmark(
+            self,
+            (of_rms, of_speed),
+            example={"speed": 0.8, "parcel": "S", "tilt": 0.21},
+            example_description="the S-box on a sine, at 12 deg of tilt",
+            error=ErrorPlot("rms_error", "rms error across the path [mm]", 1e3),
+        )
+        if self != Track():
+            return found
+        return replace(
+            found,
+            task=Track(tilts=(math.radians(10.0), math.radians(15.0)), kinds=("sine",)),
+            description=f"{DRAWN} drawn starts on sines, tilts 10 to 15 deg",
+        )
+
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
         """Return the error across the path, its root mean square so far, and the asked speed."""
         return [
@@ -334,3 +411,70 @@ def _errors(state: EnvState, motion: Array) -> tuple[float, float, float]:
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
     along = (motion[VX] + slope * motion[VY]) * cosine - state.goal[SPEED]
     return (motion[Y] - y) * cosine, along, (motion[VY] - slope * motion[VX]) * cosine
+
+
+@dataclass(frozen=True, eq=False)
+class PathObservation:
+    """Parcels beside their paths, decoded; arrays (num_envs,) where nothing else is said."""
+
+    cross_error: Numbers  # [m] off the path, square to it, positive to its left
+    speed_error: Numbers  # [m/s] over the asked speed, along the path
+    cross_speed: Numbers  # [m/s] square to the path, positive to its left
+    asked_speed: Numbers  # [m/s]
+    slope: Numbers  # (num_envs, 4) dy/dx of the path `AHEAD` [m] of the centre
+    tilt: Numbers  # [rad]
+    theta: Numbers  # [rad]
+    omega: Numbers  # [rad/s]
+    half_length: Numbers  # [m] of the base, taken as a square
+    pitch: tuple[float, float]  # [m] of the plant, in x and in y
+    x_in_pitch: Numbers  # [m] of the centre past the nearest module's, in -pitch/2 to pitch/2
+    y_in_pitch: Numbers  # [m]
+
+    @property
+    def velocity(self) -> tuple[Numbers, Numbers]:
+        """(num_envs,) [m/s] vx and vy."""
+        along = self.asked_speed + self.speed_error
+        cosine = 1.0 / np.sqrt(1.0 + self.slope[:, 0] ** 2)
+        sine = self.slope[:, 0] * cosine
+        return along * cosine - self.cross_speed * sine, along * sine + self.cross_speed * cosine
+
+    def start(
+        self,
+        parcels: tuple[Parcel, ...],
+        place: tuple[float, float],
+        grid: tuple[float, float],
+        path: Numbers,
+    ) -> Start:
+        """Build the start of the first parcel, one of some in size.
+
+        Args:
+            parcels: that the task draws.
+            place: [m] x and y of its centre.
+            grid: [m] first x of the path and the step from point to point.
+            path: (PATH_POINTS,) [m] its y.
+        """
+        vx, vy = self.velocity
+        return Start(
+            nearest_parcel(parcels, float(self.half_length[0])),
+            (*place, float(self.theta[0])),
+            (float(vx[0]), float(vy[0]), float(self.omega[0])),
+            (float(self.asked_speed[0]), *grid),
+            float(self.tilt[0]),
+            path,
+        )
+
+
+def _mean_squares(nodes: Nodes) -> Numbers:
+    """Compute the mean squares of the errors so far, each over what is as bad, and where they lead."""
+    parcels = nodes.parcels
+    since = np.maximum(parcels.clock, 1e-9)
+    off = parcels.memory[:, SQUARED_ERROR] / since / PLAN_CROSS_ERROR**2
+    pace = parcels.memory[:, SQUARED_SPEED_ERROR] / since / PLAN_SPEED_ERROR**2
+    lost = np.where(parcels.outcome > SUCCESS, FAILED**2, 0.0)
+    x, _, _, vx, vy, _ = parcels.truth.T
+    # The nodes of a search have their path in common.
+    first, step = parcels.goal[0, FIRST_X], parcels.goal[0, STEP_X]
+    piece = np.clip((x - first) / step, 0.0, PATH_POINTS - 2.0).astype(np.int64)
+    slope = np.diff(parcels.path[0])[piece] / step
+    across: Numbers = (vy - slope * vx) / np.sqrt(1.0 + slope**2)
+    return off + pace + (across / PLAN_CROSS_SPEED) ** 2 + lost

@@ -1,0 +1,176 @@
+"""Decode observations: what they say of parcels, in SI units and in the world's frame."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym.lines import BaseLine
+from surface_gym.parcel import Parcel
+from surface_gym.tasks.base import Start
+
+Numbers = NDArray[np.float64]
+
+
+def square_reach(half_length: Numbers | float, theta: Numbers) -> Numbers:
+    """Compute the reach [m] along x, and along y, of a square base turned by theta [rad]."""
+    reach: Numbers = half_length * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
+    return reach
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """Observations of some environments, read by feature name; an absent feature reads 0."""
+
+    values: Numbers  # (num_envs, features)
+    columns: Mapping[str, int]  # of `values`, by the name of the feature
+    plant: BaseLine
+    zone: tuple[int, int] | None  # first and last column that obey; None: the plant's own
+    friction_spread: float = 0.0  # [-] scale of "friction learned"; 0 where nothing is learned
+    load_spread: float = 0.0  # [m] scale of "load learned, x" and "load learned, y"
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def __getitem__(self, name: str) -> Numbers:
+        column = self.columns.get(name)
+        return np.zeros(len(self.values)) if column is None else self.values[:, column]
+
+    @property
+    def theta(self) -> Numbers:
+        """(num_envs,) [rad] as shown."""
+        return np.arctan2(self["sine of theta"], self["cosine of theta"])
+
+    @property
+    def half_length(self) -> Numbers:
+        """(num_envs,) [m] of the base."""
+        return 0.175 + 0.05 * self["size"]
+
+    @property
+    def pitch(self) -> tuple[float, float]:
+        """[m] between modules, along x and along y."""
+        return self.plant.pitch_x, self.plant.pitch_y
+
+    @property
+    def zone_length(self) -> float:
+        """[m] along x of the widest zone."""
+        plant, zone = self.plant, self.zone
+        return plant.pitch_x * (plant.zone_columns if zone is None else zone[1] - zone[0] + 1)
+
+    def in_pitch(self, axis: str, pitch: float) -> Numbers:
+        """(num_envs,) [m] the position within a pitch, from -pitch / 2 to pitch / 2."""
+        phase = np.arctan2(self[f"sine of phase {axis}"], self[f"cosine of phase {axis}"])
+        return pitch * phase / (2.0 * math.pi)
+
+
+@dataclass(frozen=True, eq=False)
+class LineObservation:
+    """Parcels on a line, decoded; arrays (num_envs,)."""
+
+    into_zone: Numbers  # [m] x of the base's centre past the zone's first edge
+    offset: Numbers  # [m] y of the base's centre from the line's middle
+    theta: Numbers  # [rad]
+    vx: Numbers  # [m/s]
+    vy: Numbers  # [m/s]
+    omega: Numbers  # [rad/s]
+    half_length: Numbers  # [m] of the base, taken as a square
+    pitch: tuple[float, float]  # [m] of the plant, in x and in y
+    side: Numbers  # asked: +1 for y > 0, -1 for y < 0, 0 for straight through or no side
+    ratio: Numbers  # [-] asked of the entry speed; else 0
+    entry_speed: Numbers  # [m/s] where a ratio is asked; else 0
+    to_go: Numbers  # [m] to the asked x; else 0
+    angle: Numbers  # [rad] asked theta; else 0
+    front_in_zone: Numbers  # [m] foremost point past the zone's first edge
+    rear_to_go: Numbers  # [m] from the rearmost point to the zone's end
+    half_width: Numbers  # [m] of the base; taken as a square where it is not shown
+    fill: Numbers  # [-] share of the base in the rectangle around it; 1 where it is not shown
+    friction: Numbers  # [-] factor of mu_max, as the sensors have learned it; 1 where they do not
+    load_ahead: Numbers  # [m] along x from the base's centre to the load, likewise; 0
+
+    @property
+    def reach(self) -> Numbers:
+        """(num_envs,) [m] reach of the base along x, and along y, from its centre."""
+        return square_reach(self.half_length, self.theta)
+
+    @property
+    def wholly_in_zone(self) -> NDArray[np.bool_]:
+        """(num_envs,) no module of the lead-in bears the parcel: the last one is centred half a
+        pitch before the zone.
+        """
+        inside: NDArray[np.bool_] = self.into_zone - self.reach > -self.pitch[0] / 2.0
+        return inside
+
+
+def decode_line(seen: Observed) -> LineObservation:
+    """Decode observations that show the features of `tasks.line` or of Sort."""
+    side = seen["side"]
+    # A parcel that is to go to y < 0 is shown in a mirror.
+    mirror = np.where(side < 0.0, -1.0, 1.0)
+    theta = mirror * seen.theta
+    half_length = seen.half_length
+    reach = square_reach(half_length, theta)
+    if "distance into zone" in seen:  # no more of the front and the rear than of a square
+        into_zone = 0.5 * seen["distance into zone"] + reach
+        front_in_zone = into_zone + reach
+        rear_to_go = seen.zone_length - into_zone + reach
+    else:
+        front_in_zone, rear_to_go = 0.5 * seen["front in zone"], 0.5 * seen["rear to go"]
+        into_zone = front_in_zone - reach
+    shown = "width" in seen
+    # A mirror turns both theta and the load's y round, and so leaves its x as it is.
+    load_x, load_y = seen["load learned, x"], seen["load learned, y"]
+    load_ahead = np.cos(seen.theta) * load_x - np.sin(seen.theta) * load_y
+    return LineObservation(
+        into_zone=into_zone,
+        offset=mirror * 0.3 * seen["lateral offset"],
+        theta=theta,
+        vx=1.0 + seen["forward speed"],
+        vy=mirror * 0.5 * seen["lateral speed"],
+        omega=mirror * 3.0 * seen["turning speed"],
+        half_length=half_length,
+        pitch=seen.pitch,
+        side=side,
+        ratio=seen["asked ratio"],
+        entry_speed=np.where(seen["asked ratio"] > 0.0, 1.5 + seen["entry speed"], 0.0),
+        to_go=0.5 * seen["to go"],
+        angle=seen["asked angle"],
+        front_in_zone=front_in_zone,
+        rear_to_go=rear_to_go,
+        half_width=0.175 + 0.05 * seen["width"] if shown else half_length,
+        fill=seen["fill"] if shown else np.ones_like(half_length),
+        friction=1.0 + seen.friction_spread * seen["friction learned"],
+        load_ahead=seen.load_spread * load_ahead,
+    )
+
+
+def nearest_parcel(parcels: tuple[Parcel, ...], half_length: float) -> Parcel:
+    """Find the parcel whose size comes nearest to a half length [m], from centroid to rear."""
+    return min(parcels, key=lambda parcel: abs(parcel.rear + parcel.base.centroid[0] - half_length))
+
+
+def line_start(
+    seen: Observed, line: LineObservation, parcels: tuple[Parcel, ...], goal: tuple[float, ...]
+) -> Start:
+    """Build the start that the first observation shows, its parcel one of some.
+
+    Args:
+        seen: the observations.
+        line: the same, decoded.
+        parcels: that the task draws.
+        goal: the task's own numbers.
+    """
+    plant = seen.plant
+    parcel = nearest_parcel(parcels, float(line.half_length[0]))
+    first_column = plant.site(parcel.base, seen.zone).zone[2]
+    return Start(
+        parcel,
+        (
+            plant.column_edge(first_column) + float(line.into_zone[0]),
+            plant.line_y + float(line.offset[0]),
+            float(line.theta[0]),
+        ),
+        (float(line.vx[0]), float(line.vy[0]), float(line.omega[0])),
+        goal,
+    )
