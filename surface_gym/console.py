@@ -33,7 +33,7 @@ COMMANDS = {
         "compare controllers and agents on every task", import_agents, "evaluation.main"
     ),
     "design": Command(
-        "which surface a parcel of your own needs", import_module, "surface_gym.design.command"
+        "which surface a parcel of your own needs", import_module, "surface_gym.design.cli"
     ),
     "export": Command("an agent as ONNX and as C, checked", import_agents, "export.command"),
     "runtime": Command(

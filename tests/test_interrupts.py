@@ -12,7 +12,7 @@ import pytest
 import surface_gym as sg
 from surface_gym import simulation, together
 from surface_gym.core import batch
-from surface_gym.design import runs, sending
+from surface_gym.design import runs
 from surface_gym.design.case import Case
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream
@@ -169,7 +169,7 @@ def test_the_pieces_of_a_design_are_one(threads: int, monkeypatch: pytest.Monkey
         return runs.run_all(line, axes, [BOX], runs.make_runs(speeds), workers=threads)
 
     whole = run()
-    monkeypatch.setattr(sending, "MOST_STEPS", 3 * int(runs.LONGEST / runs.STEP))  # 3 runs
+    monkeypatch.setattr(runs, "MOST_STEPS", 3 * int(runs.LONGEST / runs.STEP))  # 3 runs
     pieces = run()
     assert pieces.pose.tobytes() == whole.pose.tobytes()
     assert pieces.steps.tolist() == whole.steps.tolist()

@@ -11,8 +11,8 @@ from moviepy.video.io.ffmpeg_writer import FFMPEG_VideoWriter
 from numpy.typing import NDArray
 
 from surface_gym.flow.batch import FlowBatch
-from surface_gym.flow.picture import Album
 from surface_gym.rendering import with_caption
+from surface_gym.scenes import Renderer
 from surface_gym.state import RUNNING
 
 from ..evaluation.films import BAR, LAST
@@ -80,7 +80,7 @@ def pictures_of(contender: FlowContender, case: Case, rate: float) -> Iterator[P
     batch, actions = FlowBatch(settings, 1), settings.flow_actions
     batch.seed(0, np.random.default_rng((SEED, 0)))
     batch.start(np.zeros(1, dtype=np.int64))
-    album = Album(batch, 0)
+    album = Renderer(batch, 0)
     album.record(begins=True)
     yield album.draw()
     state: Any = None

@@ -210,10 +210,10 @@ class FlowEnv(BatchEnv):
         return info
 
     def _record(self, begins: bool) -> None:
-        from surface_gym.flow.picture import Album
+        from surface_gym.scenes import Renderer
 
         if self._album is None:
-            self._album = Album(self._batch, 0)
+            self._album = Renderer(self._batch, 0)
         self._album.record(begins)
 
     def _picture(self) -> NDArray[np.uint8]:

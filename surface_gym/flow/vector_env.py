@@ -109,10 +109,10 @@ class FlowVectorEnv(BatchVectorEnv):
         return infos
 
     def _record(self, lane: int, begins: bool) -> None:
-        from surface_gym.flow.picture import Album
+        from surface_gym.scenes import Renderer
 
         if lane not in self._albums:
-            self._albums[lane] = Album(self._batch, lane)
+            self._albums[lane] = Renderer(self._batch, lane)
         self._albums[lane].record(begins)
 
     def _picture(self) -> NDArray[np.uint8]:
