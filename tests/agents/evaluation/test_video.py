@@ -1,20 +1,27 @@
-"""Films of flows, read back."""
+"""Videos, read back."""
 
 import re
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
+import imageio.v2 as imageio
 import numpy as np
 import pytest
+from agents.rules.streams import StreamEventRule
+from gymnasium.utils.seeding import np_random
 from moviepy.config import FFMPEG_BINARY
+from surface_gym.config import EnvConfig
 
-from agents.flow.event import EventRule
-from agents.flow.film import main, write_flow_film
-from surface_gym.flow.env import FlowEnv
-from surface_gym.flow.settings import FlowSettings
+from agents.evaluation.capacity import Case
+from agents.evaluation.report import stream_player
+from agents.evaluation.streams import ARRANGED, CURVE, EVENT
+from agents.evaluation.video import Player, main, write_comparison, write_episode
+from surface_gym.env import SmartSurfaceEnv
+from tests.agents.evaluation.made import RULES
 from tests.flow.flows import DENSE, SHORT
 
-SETTINGS = FlowSettings(DENSE, exits="sides", actions="parcels", duration=2.0, plant=SHORT)
+SETTINGS = EnvConfig(DENSE, exits="sides", actions="parcels", duration=2.0, plant=SHORT)
 
 
 def read(file: Path) -> tuple[float, list[np.ndarray]]:
@@ -29,7 +36,8 @@ def read(file: Path) -> tuple[float, list[np.ndarray]]:
 
 
 def film(file: Path, seconds: float, speed: float = 1.0) -> tuple[float, list[np.ndarray]]:
-    write_flow_film(EventRule(SETTINGS), SETTINGS, 3, file, seconds, speed)
+    player = Player("event", StreamEventRule(SETTINGS), SETTINGS, np_random(3)[0])
+    write_episode(player, file, seconds, speed)
     return read(file)
 
 
@@ -37,10 +45,10 @@ def test_it_shows_what_the_environment_draws(tmp_path: Path) -> None:
     rate, pictures = film(tmp_path / "flow.mp4", 0.4)
     assert rate == 25.0
     assert len(pictures) == 1 + 10 + 25  # the start, the control periods, and the last one stays
-    env = FlowEnv(
+    env = SmartSurfaceEnv(
         DENSE, exits="sides", actions="parcels", duration=2.0, plant=SHORT, render_mode="rgb_array"
     )
-    rule = EventRule(SETTINGS)
+    rule = StreamEventRule(SETTINGS)
     observation, _ = env.reset(seed=3)
     for picture in pictures[:11]:
         drawn = env.render()
@@ -81,6 +89,26 @@ def test_there_must_be_a_folder(tmp_path: Path) -> None:
         film(tmp_path / "nowhere" / "flow.mp4", 1.0)
 
 
+def test_a_slower_decider_is_filmed_no_faster(tmp_path: Path) -> None:
+    rule = next(method for method in RULES if method.name == EVENT)
+    both = [rule, replace(rule, control_period=0.08)]
+    players = [stream_player(method, CURVE, 3000.0) for method in both]
+    write_comparison(players, tmp_path / "both.mp4", 0.4)
+    with imageio.get_reader(tmp_path / "both.mp4") as video:
+        assert video.count_frames() == 10 + 25
+        last = video.get_data(9)
+    half = last.shape[0] // 2
+    # Both show 0.36 s, the second to a period of its own: hardly a pixel differs.
+    assert np.abs(last[:half].astype(float) - last[-half:]).mean() < 8.0
+
+
+def test_a_method_that_cannot_sort_cannot_be_filmed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("agents.evaluation.streams.best_zone", lambda *_: None)
+    zone = next(method for method in RULES if method.name == ARRANGED)
+    with pytest.raises(ValueError, match=r"method must be able to sort S, 1\.5 m/s"):
+        stream_player(zone, Case("S", 1.5), 3000.0)
+
+
 class TestCommand:
     def test_it_films_a_stream(self, tmp_path: Path) -> None:
         file = tmp_path / "flow.mp4"
@@ -88,7 +116,7 @@ class TestCommand:
         rate, pictures = read(file)
         assert (rate, len(pictures)) == (25.0, 1 + 5 + 25)
 
-    def test_an_error_is_told(self, tmp_path: Path) -> None:
+    def test_an_error_is_one_line(self, tmp_path: Path) -> None:
         with pytest.raises(SystemExit, match="error: file must be in a folder that there is"):
             main([str(tmp_path / "nowhere" / "flow.mp4"), "--seconds", "0.2"])
 

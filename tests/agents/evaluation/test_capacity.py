@@ -1,4 +1,4 @@
-"""Rates that are held: what is measured of one, and the search for the greatest."""
+"""Rates that are sustained: measuring one, and the search for the greatest."""
 
 import math
 from dataclasses import replace
@@ -6,22 +6,25 @@ from typing import Any
 
 import numpy as np
 import pytest
+from surface_gym.config import EnvConfig
 
-from agents.flow import capacity
-from agents.flow.capacity import (
+from agents.evaluation import capacity
+from agents.evaluation.capacity import (
     LEAST,
-    Measured,
+    Case,
+    Measurement,
+    StreamMethod,
     counted_time,
     find_capacity,
-    half_interval,
     measure,
 )
-from agents.flow.cases import Case
-from agents.flow.contenders import EVENT, FIXED, RESERVATION, FlowContender, contenders
-from surface_gym.flow.settings import FlowSettings
+from agents.evaluation.methods import FIXED
+from agents.evaluation.statistics import half_interval
+from agents.evaluation.streams import EVENT, RESERVATION, stream_methods
 
 SMALL = Case("S", 1.5)
-BY_NAME = {contender.name: contender for contender in contenders()}
+NOBODY: Any = None  # decides where the measurement is replaced
+BY_NAME = {method.name: method for method in stream_methods()}
 
 
 @pytest.fixture(autouse=True)
@@ -29,19 +32,21 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(capacity, "REPLICATIONS", 4)
 
 
-def offer(contender: FlowContender, case: Case, rate: float, whole: bool = True) -> Measured | None:
-    controller = contender.make(contender.settings(case, rate))
+def offer(method: StreamMethod, case: Case, rate: float, whole: bool = True) -> Measurement | None:
+    controller = method.make(method.settings(case, rate))
     assert controller is not None
-    return measure(contender, controller, case, rate, whole)
+    return measure(method, controller, case, rate, whole)
 
 
-def held(offered: float, right: int = 1000, delivered: int = 1000, jams: int = 0) -> Measured:
-    return Measured(offered, [right], [delivered], [0.0], [0.0], jams, 20.0)
+def delivery(
+    offered: float, right: int = 1000, delivered: int = 1000, jams: int = 0
+) -> Measurement:
+    return Measurement(offered, [right], [delivered], [0.0], [0.0], jams, 20.0)
 
 
-class TestMeasured:
+class TestMeasurement:
     def test_figures_are_those_of_all_replications(self) -> None:
-        found = Measured(3000.0, [10, 12], [10, 15], [1.0, 0.0], [0.2, 0.4], 0, 20.0)
+        found = Measurement(3000.0, [10, 12], [10, 15], [1.0, 0.0], [0.2, 0.4], 0, 20.0)
         assert found.rates.tolist() == [1800.0, 2160.0]
         assert found.rate == pytest.approx(1980.0)
         assert found.share_right == pytest.approx(22 / 25)
@@ -57,18 +62,18 @@ class TestMeasured:
         assert np.mean(within) == pytest.approx(0.95, abs=0.015)
 
     @pytest.mark.parametrize(
-        ("condition", "right", "jams", "expected"),
+        ("preset", "right", "jams", "expected"),
         [
             ("exact", 999, 0, True), ("exact", 998, 0, False), ("exact", 1000, 1, False),
             ("camera", 995, 0, True), ("camera", 994, 0, False),
         ],
     )  # fmt: skip
-    def test_what_is_held(self, condition: str, right: int, jams: int, expected: bool) -> None:
-        case = replace(SMALL, condition=condition)
-        assert held(3000.0, right, jams=jams).is_held(case) is expected
+    def test_what_is_sustained(self, preset: str, right: int, jams: int, expected: bool) -> None:
+        case = replace(SMALL, preset=preset)
+        assert delivery(3000.0, right, jams=jams).is_sustained(case) is expected
 
-    def test_nothing_delivered_is_not_held(self) -> None:
-        assert not held(3000.0, 0, 0).is_held(SMALL)
+    def test_nothing_delivered_is_not_sustained(self) -> None:
+        assert not delivery(3000.0, 0, 0).is_sustained(SMALL)
 
 
 @pytest.mark.parametrize("rate", [500.0, 1234.0, 3600.0, 20000.0])
@@ -98,7 +103,7 @@ class TestMeasure:
     def test_the_same_twice(self) -> None:
         assert offer(BY_NAME[EVENT], SMALL, 9000.0) == offer(BY_NAME[EVENT], SMALL, 9000.0)
 
-    def test_everyone_meets_the_same_stream(self) -> None:
+    def test_every_method_meets_the_same_stream(self) -> None:
         """A third of it is to go left: so many the layout has right, and the rule by all exits."""
         layout = offer(BY_NAME[FIXED], SMALL, 3000.0)
         rule = offer(BY_NAME[EVENT], SMALL, 3000.0)
@@ -107,26 +112,26 @@ class TestMeasure:
         assert layout.delivered == pytest.approx(rule.delivered, abs=2)
         assert 0.15 < layout.share_right < 0.55
 
-    def test_what_is_not_held_is_broken_off(self) -> None:
+    def test_a_lost_rate_is_broken_off(self) -> None:
         assert offer(BY_NAME[FIXED], SMALL, 3000.0, whole=False) is None
 
     def test_a_jam_is_told(self) -> None:
         class Brake:
             """Every axis at 0 deg."""
 
-            def __init__(self, settings: FlowSettings) -> None:
+            def __init__(self, settings: EnvConfig) -> None:
                 self._size = settings.flow_actions.size
 
             def predict(self, observation: Any, state: Any = None, *_: Any) -> tuple[Any, Any]:
                 return np.zeros((len(observation), self._size), dtype=int), state
 
-        brake = FlowContender("brake", "modules", False, Brake)
+        brake = StreamMethod("brake", "modules", False, Brake)
         whole = offer(brake, SMALL, 9000.0)
         assert whole is not None
         assert whole.jams == 4
         assert whole.rate == 0.0
         assert whole.waiting == pytest.approx([0.0] * 4)
-        assert not whole.is_held(SMALL)
+        assert not whole.is_sustained(SMALL)
 
 
 class TestSearch:
@@ -134,16 +139,16 @@ class TestSearch:
 
     def search(
         self, monkeypatch: pytest.MonkeyPatch, most: float, name: str = RESERVATION
-    ) -> tuple[Measured | None, list[float]]:
+    ) -> tuple[Measurement | None, list[float]]:
         tried: list[float] = []
 
-        def known(_: Any, __: Any, ___: Any, rate: float, whole: bool = True) -> Measured | None:
+        def known(_: Any, __: Any, ___: Any, rate: float, whole: bool = True) -> Measurement | None:
             assert not whole
             tried.append(rate)
-            return held(rate) if rate <= most else held(rate, right=500)
+            return delivery(rate) if rate <= most else delivery(rate, right=500)
 
         monkeypatch.setattr(capacity, "measure", known)
-        return find_capacity(BY_NAME[name], None, SMALL), tried  # type: ignore[arg-type]
+        return find_capacity(BY_NAME[name], NOBODY, SMALL), tried
 
     def test_the_ceiling_comes_first(self, monkeypatch: pytest.MonkeyPatch) -> None:
         found, tried = self.search(monkeypatch, math.inf)
@@ -156,14 +161,14 @@ class TestSearch:
     ) -> None:
         """Beyond what is carried parcels hinder each other: less is delivered the more come."""
 
-        def known(_: Any, __: Any, ___: Any, rate: float, whole: bool = True) -> Measured | None:
+        def known(_: Any, __: Any, ___: Any, rate: float, whole: bool = True) -> Measurement | None:
             del whole
             delivered = rate if rate <= carried else carried - 0.1 * (rate - carried)
             right = round(delivered * 1000.0)
-            return Measured(rate, [right], [right], [0.0], [0.0], 0, 3600.0 * 1000.0)
+            return Measurement(rate, [right], [right], [0.0], [0.0], 0, 3600.0 * 1000.0)
 
         monkeypatch.setattr(capacity, "measure", known)
-        found = find_capacity(BY_NAME[EVENT], None, SMALL)  # type: ignore[arg-type]
+        found = find_capacity(BY_NAME[EVENT], NOBODY, SMALL)
         assert found is not None
         assert carried / 1.03 <= found.rate <= carried
 
@@ -177,7 +182,9 @@ class TestSearch:
         assert most / 1.02 <= found.offered <= most
         assert len(tried) <= 12
 
-    def test_who_does_not_hold_the_least_has_none(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_below_the_least_rate_there_is_no_capacity(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         found, tried = self.search(monkeypatch, 0.9 * LEAST * SMALL.ceiling)
         assert found is None
         assert min(tried) == pytest.approx(LEAST * SMALL.ceiling)
