@@ -1,7 +1,7 @@
-"""The memory of a batch of flows: what is to come, who is on each surface, what became of whom.
+"""The state of streams: parcels to come, parcels on each surface, and how each has left.
 
-Parcels lie in the rows of `Lanes`, as those of any batch do: surface i has the rows from i times
-the places on a surface on, of which `Flows.number` says who has which.
+Parcels lie in the rows of `Lanes`, as those of any batch do: surface i has its rows from i times
+the rows of a surface on, and `StreamState.number` says which arrival has which row.
 """
 
 from typing import NamedTuple
@@ -11,30 +11,23 @@ import numpy as np
 from surface_gym.physics.collision import ContactMaterial
 from surface_gym.physics.types import STATE_SIZE, Array, Booleans, Integers, Places
 
-NOBODY = -1  # `Flows.number` of a place that is free, `Flows.owner` of a module that obeys nobody
-# `Flows.taken` of a parcel that has not left; below it, places among the exits
+NOBODY = -1  # `number` of a row that is free, `owner` of a module that obeys no parcel
+# `taken` of a parcel that has not left, or left between exits; from 0 on places among the exits
 ON_ITS_WAY, BETWEEN = -2, -1
 
-# A surface's outcomes, beside those every lane has; a flow has no success.
-JAM = 3
-OUTCOMES = ("running", "out of time", "success", "jam")
-# A parcel's outcomes: what `Lanes.outcome` says of it.
-LEFT_RIGHT, LEFT_WRONG = 2, 3
+JAM = 3  # the outcome of a surface, beside those of every environment; a stream has no success
+LEFT_RIGHT, LEFT_WRONG = 2, 3  # outcomes of a parcel, in `Lanes.outcome`
 
-# Columns of `Flows.tally`.
-ENTERED, RIGHT, WRONG, TOUCHES, TURNS = range(5)
-# Places in a parcel's goal.
-EXIT, SIDE, FIRST, LAST = range(4)
-# Places in its memory: [m] lateral reach at the last decision, touches begun since.
-REACH, TOUCHED, MEMORIES = range(3)
-GOALS = 4
-NEVER = -1_000_000  # `Flows.touched_at` of two that have not touched
+ENTERED, RIGHT, WRONG, TOUCHES, TURNS = range(5)  # columns of `tally`
+EXIT, SIDE, FIRST, LAST = range(4)  # places in a parcel's goal: exit, and its side and span
+TOUCHED, OWN_MEMORY = range(2)  # places in its memory: touches begun since the last decision
+NEVER = -1_000_000  # `touched_at` of two that have not touched
 
 
-class Flows(NamedTuple):
-    """What a flow has beside its surface and its parcels."""
+class StreamState(NamedTuple):
+    """State and results of every stream, beside its surface and the parcels on it."""
 
-    time: Array  # (surfaces, arrivals) [s] at which each comes
+    time: Array  # (surfaces, arrivals) [s] at which each parcel comes
     start: Array  # (surfaces, arrivals, STATE_SIZE) of its centre of mass as it enters
     site: Integers  # (surfaces, arrivals) its place among the sites
     exit: Integers  # (surfaces, arrivals) that it is to leave by
@@ -45,18 +38,18 @@ class Flows(NamedTuple):
     left: Array  # (surfaces, arrivals) [s] when no rotor bore it any more; nan before
     taken: Integers  # (surfaces, arrivals) the exit it left by, BETWEEN them, or ON_ITS_WAY
     touches: Integers  # (surfaces, arrivals) how often it began to touch another
-    # (surfaces, rows) which arrival has each place, or NOBODY; with a gate, the last row is that of
+    # (surfaces, rows) which arrival has each row, or NOBODY; with a gate, the last row is that of
     # the parcel that waits to enter
     number: Integers
-    present: Booleans  # (surfaces, rows) whether anybody is there and has not left
+    present: Booleans  # (surfaces, rows) whether a parcel is there and has not left
     touched_at: Integers  # (surfaces, rows, rows) physics step in which two touched last
     clock: Array  # (surfaces,) [s]
     steps: Integers  # (surfaces,) physics steps since the start
     still: Array  # (surfaces,) [s] for which nothing has moved
     waited: Array  # (surfaces,) [s] that parcels have waited to enter, all together
-    owner: Places  # (surfaces, rows, columns) the place whose parcel a module obeys, or NOBODY
+    owner: Places  # (surfaces, rows, columns) the row of the parcel a module obeys, or NOBODY
     soonest: Array  # (surfaces, rows, columns) [s] when that parcel will bear on it
-    told: Array  # (surfaces, rows, columns) [rad] axis angle that a module was told last
+    commanded: Array  # (surfaces, rows, columns) [rad] axis angle that a module was last set to
     obeys: Booleans  # (surfaces or 1, rows, columns) a rotor in the zone, not stuck
     tally: Integers  # (surfaces, 5) ENTERED ... TURNS so far
     terms: Array  # (surfaces, terms) of the reward
@@ -65,8 +58,8 @@ class Flows(NamedTuple):
     fault: Integers  # (surfaces,)
 
 
-class FlowRules(NamedTuple):
-    """What holds for every flow of a batch, beside the rules of its surfaces."""
+class StreamParams(NamedTuple):
+    """Numbers that all streams of a batch have in common."""
 
     exits: Array  # (exits, 3) side, first and last x [m]
     entry_gap: float  # [m] clear ahead of one that enters
@@ -74,14 +67,16 @@ class FlowRules(NamedTuple):
     ahead: float  # [s] in which a parcel must be about to bear on a module for it to obey
     duration: float  # [s] of an episode
     patience: float  # [s] without any motion that make a jam
-    gated: bool  # whether actions say who may enter
-    sides: ContactMaterial  # how parcels' sides behave where they touch
+    gated: bool  # whether actions say when the next parcel may enter
+    touching: ContactMaterial  # how parcels' sides behave
+    waiting_reward: float  # per second of each parcel that waits to enter
+    jam_reward: float  # once, as nothing moves any more
 
 
-def make_flows(
+def make_streams(
     surfaces: int, rows: int, shape: tuple[int, int], terms: int, obeys: Booleans
-) -> Flows:
-    """Memory for flows to come, room for one arrival each.
+) -> StreamState:
+    """Make the memory of streams, with room for one arrival each.
 
     Args:
         surfaces: their number.
@@ -91,7 +86,7 @@ def make_flows(
         obeys: (surfaces or 1, rows, columns) which modules do.
     """
     grid = (surfaces, *shape)
-    return Flows(
+    return StreamState(
         **_arrivals(surfaces, 1),
         arrivals=np.zeros(surfaces, dtype=np.int64),
         coming=np.zeros(surfaces, dtype=np.int64),
@@ -105,7 +100,7 @@ def make_flows(
         waited=np.zeros(surfaces),
         owner=np.full(grid, NOBODY, dtype=np.int32),
         soonest=np.zeros(grid),
-        told=np.zeros(grid),
+        commanded=np.zeros(grid),
         obeys=obeys,
         tally=np.zeros((surfaces, 5), dtype=np.int64),
         terms=np.zeros((surfaces, terms)),
@@ -115,19 +110,19 @@ def make_flows(
     )
 
 
-def with_room(flows: Flows, arrivals: int) -> Flows:
-    """The same with room for at least as many arrivals, what was there kept."""
-    surfaces, room = flows.time.shape
+def with_room(streams: StreamState, arrivals: int) -> StreamState:
+    """Widen streams to hold so many arrivals; what is there is kept."""
+    surfaces, room = streams.time.shape
     if arrivals <= room:
-        return flows
+        return streams
     made = _arrivals(surfaces, max(arrivals, 2 * room))
     for name, values in made.items():
-        values[:, :room] = getattr(flows, name)
-    return flows._replace(**made)
+        values[:, :room] = getattr(streams, name)
+    return streams._replace(**made)
 
 
 def _arrivals(surfaces: int, room: int) -> dict[str, np.ndarray]:
-    """The arrays that have a column an arrival."""
+    """Make the arrays that have a column an arrival."""
     shape = (surfaces, room)
     return {
         "time": np.zeros(shape),

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
+from surface_gym.config import EnvConfig
 from surface_gym.lines import ORIENTATIONS
 from surface_gym.randomisation import Actuators
-from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.sort import Sort
 from tests.environments import ACTIONS
@@ -17,13 +17,13 @@ from tests.tasks import draws
 
 @pytest.mark.parametrize("name", TASKS)
 def test_a_task_goes_by_its_name_or_by_itself(name: str) -> None:
-    assert Settings(task=name) == Settings(task=TASKS[name]())
-    assert Settings(task=name).chosen_task == TASKS[name]()
+    assert EnvConfig(task=name) == EnvConfig(task=TASKS[name]())
+    assert EnvConfig(task=name).task == TASKS[name]()
 
 
 def test_a_task_may_have_parameters_of_its_own() -> None:
     task = Sort(slow_share=0.0, speeds=(1.0, 1.2))
-    speeds = [start.velocity[0] for start in draws(Settings(task).chosen_task, 50)]
+    speeds = [start.velocity[0] for start in draws(EnvConfig(task).task, 50)]
     assert 1.0 <= min(speeds) < max(speeds) <= 1.2
 
 
@@ -42,7 +42,7 @@ def test_a_task_may_have_parameters_of_its_own() -> None:
 def test_a_control_period_is_cut_into_equal_steps_of_at_most_5_ms(
     period: float, dt: float, steps: int
 ) -> None:
-    timing = Settings(control_period=period).timing
+    timing = EnvConfig(control_period=period).timing
     assert timing.steps == steps
     assert timing.dt == pytest.approx(dt, rel=1e-12)
     assert timing.dt * timing.steps == pytest.approx(period, rel=1e-15)
@@ -51,7 +51,7 @@ def test_a_control_period_is_cut_into_equal_steps_of_at_most_5_ms(
 @pytest.mark.parametrize("actions", ACTIONS)
 @pytest.mark.parametrize("name", TASKS)
 def test_there_is_a_bound_for_each_feature(name: str, actions: str) -> None:
-    settings = Settings(task=name, actions=actions)
+    settings = EnvConfig(task=name, actions=actions)
     space = settings.observation_space()
     assert space.shape == (len(settings.features),)
     assert space.dtype == np.float32
@@ -66,7 +66,7 @@ def test_there_is_a_bound_for_each_feature(name: str, actions: str) -> None:
 
 @pytest.mark.parametrize("name", TASKS)
 def test_only_a_window_adds_its_occupancy(name: str) -> None:
-    sizes = {kind: Settings(task=name, actions=kind).observation_space().shape for kind in ACTIONS}
+    sizes = {kind: EnvConfig(task=name, actions=kind).observation_space().shape for kind in ACTIONS}
     plain = sizes["modules"][0]
     assert sizes == {
         "modules": (plain,),
@@ -86,7 +86,7 @@ def test_only_a_window_adds_its_occupancy(name: str) -> None:
     ],
 )
 def test_the_action_spaces_of_sort(actions: str, space: spaces.Space) -> None:
-    assert Settings(actions=actions).action_space() == space
+    assert EnvConfig(actions=actions).action_space() == space
 
 
 @pytest.mark.parametrize(
@@ -96,9 +96,9 @@ def test_the_action_spaces_of_sort(actions: str, space: spaces.Space) -> None:
 )
 def test_any_two_or_more_orientations_may_be_offered(orientations: tuple[float, ...]) -> None:
     choices = len(orientations)
-    settings = Settings(orientations=orientations, actions="halves")
+    settings = EnvConfig(orientations=orientations, actions="halves")
     assert settings.action_space() == spaces.Discrete(choices**2)
-    modules = Settings(orientations=np.array(orientations)).action_space()
+    modules = EnvConfig(orientations=np.array(orientations)).action_space()
     assert modules == spaces.MultiDiscrete([choices] * 64)
 
 
@@ -107,10 +107,10 @@ def test_the_default_orientations_are_the_papers() -> None:
 
 
 def test_a_zone_sets_the_columns_of_modules() -> None:
-    assert Settings(zone=(5, 5)).action_space() == spaces.MultiDiscrete([4] * 4)
-    assert Settings(zone=[0, 29]).action_space() == spaces.MultiDiscrete([4] * 4 * 30)
+    assert EnvConfig(zone=(5, 5)).action_space() == spaces.MultiDiscrete([4] * 4)
+    assert EnvConfig(zone=[0, 29]).action_space() == spaces.MultiDiscrete([4] * 4 * 30)
 
 
 def test_equal_settings_are_equal() -> None:
-    assert Settings(zone=[3, 9]) == Settings(zone=(3, 9))
-    assert Settings(actuators=Actuators(axis_speed=1.0)) != Settings()
+    assert EnvConfig(zone=[3, 9]) == EnvConfig(zone=(3, 9))
+    assert EnvConfig(actuators=Actuators(axis_speed=1.0)) != EnvConfig()

@@ -1,4 +1,4 @@
-"""Conditions by name, what they set, and what `observe` shows, against NumPy's own reckoning."""
+"""Presets by name, what they set, and what `observe` shows, against NumPy's own reckoning."""
 
 import math
 from dataclasses import replace
@@ -11,17 +11,17 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 import surface_gym as sg
-from surface_gym.conditions import CONDITIONS, LAB_PARCELS, Condition
+from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS, PARCEL_FEATURES, QUADRANTS, ROTOR_FEATURES
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
+from surface_gym.presets import LAB_PARCELS, PRESETS, Preset
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera, Exact
-from surface_gym.settings import Settings
 from surface_gym.tasks import Slow
 from tests.vector_environments import native, singles
 
 SLOW, SORT = "SmartSurface/Slow-v0", "SmartSurface/Sort-v0"
-LAB = CONDITIONS["lab"]
+LAB = PRESETS["lab"]
 BOTH = ("parcel", "rotors")
 SHOWN = len(PARCEL_FEATURES) + len(ROTOR_FEATURES)
 BASES: tuple[Base, ...] = (
@@ -34,33 +34,31 @@ BASES: tuple[Base, ...] = (
 
 class TestNames:
     def test_each_goes_by_its_name(self) -> None:
-        assert {name: each.name for name, each in CONDITIONS.items()} == {n: n for n in CONDITIONS}
-        for name, condition in CONDITIONS.items():
-            assert Settings(condition=name) == Settings(condition=condition)
-            assert condition.label
-            assert condition.meaning.endswith(".")
+        assert {name: each.name for name, each in PRESETS.items()} == {n: n for n in PRESETS}
+        for name, preset in PRESETS.items():
+            assert EnvConfig(preset=name) == EnvConfig(preset=preset)
+            assert preset.label
+            assert preset.meaning.endswith(".")
 
     def test_exact_is_the_default(self) -> None:
-        assert Settings(condition="exact") == Settings() == Settings(condition=None)
+        assert EnvConfig(preset="exact") == EnvConfig() == EnvConfig(preset=None)
 
     def test_a_condition_sets_sensors_actuators_and_randomisation(self) -> None:
-        for condition in CONDITIONS.values():
-            settings = Settings(condition=condition)
-            assert settings.sensors == condition.sensors
-            assert settings.actuators == condition.actuators
-            assert settings.randomisation == condition.randomisation
+        for preset in PRESETS.values():
+            settings = EnvConfig(preset=preset)
+            assert settings.sensors == preset.sensors
+            assert settings.actuators == preset.actuators
+            assert settings.randomisation == preset.randomisation
 
     def test_one_may_be_made(self) -> None:
-        mine = Condition("mine", "mine", "Mine.", actuators=Actuators(stuck_share=0.5))
-        assert Settings(condition=mine).actuators.stuck_share == 0.5
+        mine = Preset("mine", "mine", "Mine.", actuators=Actuators(stuck_share=0.5))
+        assert EnvConfig(preset=mine).actuators.stuck_share == 0.5
 
     @pytest.mark.parametrize("bad", ["laboratory", "", 3, Exact()])
     def test_an_unknown_one_is_named(self, bad: Any) -> None:
-        for make in (Settings, sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv):
-            with pytest.raises(
-                ValueError, match=r"^condition must be one of 'exact', .*'lab', got"
-            ):
-                make(condition=bad)
+        for make in (EnvConfig, sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv):
+            with pytest.raises(ValueError, match=r"^preset must be one of 'exact', .*'lab', got"):
+                make(preset=bad)
 
     @pytest.mark.parametrize(
         "beside",
@@ -73,10 +71,10 @@ class TestNames:
     )
     def test_nothing_that_it_sets_may_stand_beside_it(self, beside: dict[str, Any]) -> None:
         (name,) = beside
-        told = f"^condition must not be given beside {name}, which it sets, got 'lab' and"
-        for make in (Settings, sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv):
+        told = f"^preset must not be given beside {name}, which it sets, got 'lab' and"
+        for make in (EnvConfig, sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv):
             with pytest.raises(ValueError, match=told):
-                make(condition="lab", **beside)
+                make(preset="lab", **beside)
 
 
 class TestLab:
@@ -98,20 +96,20 @@ class TestLab:
 
     @pytest.mark.parametrize("task", ["sort", "slow", "stop", "track", "orient"])
     def test_tasks_draw_its_parcels(self, task: str) -> None:
-        assert Settings(task=task, condition="lab").chosen_task.parcels == LAB.parcels
-        assert Settings(task=task, condition="camera") == Settings(task=task, sensors=Camera())
+        assert EnvConfig(task=task, preset="lab").task.parcels == LAB.parcels
+        assert EnvConfig(task=task, preset="camera") == EnvConfig(task=task, sensors=Camera())
 
     def test_a_task_of_parcels_of_its_own_keeps_them(self) -> None:
         mine = Slow(parcels=(Parcel(Disc(0.2)),))
-        assert Settings(task=mine, condition="lab").chosen_task == mine
+        assert EnvConfig(task=mine, preset="lab").task == mine
 
     def test_other_parameters_of_a_task_are_kept(self) -> None:
-        found = Settings(task=Slow(speeds=(1.0, 1.2)), condition="lab").chosen_task
+        found = EnvConfig(task=Slow(speeds=(1.0, 1.2)), preset="lab").task
         assert found == Slow(speeds=(1.0, 1.2), parcels=LAB.parcels)
 
     @pytest.mark.parametrize("env_id", [SLOW, SORT])
     def test_lanes_equal_single_environments_to_the_bit(self, env_id: str) -> None:
-        arguments: dict[str, Any] = {"condition": "lab", "observe": BOTH, "actions": "halves"}
+        arguments: dict[str, Any] = {"preset": "lab", "observe": BOTH, "actions": "halves"}
         mode = AutoresetMode.NEXT_STEP
         lanes = native(env_id, max_episode_steps=14, autoreset_mode=mode, **arguments)
         others = singles(env_id, mode, **arguments)
@@ -128,26 +126,26 @@ class TestLab:
 @lru_cache
 def _env(task: str, lanes: int) -> sg.SmartSurfaceVectorEnv:
     # All of the lab but its sensors, so that what is sensed is the truth.
-    condition = replace(LAB, sensors=Exact(), parcels=tuple(map(Parcel, BASES)))
+    preset = replace(LAB, sensors=Exact(), parcels=tuple(map(Parcel, BASES)))
     return sg.SmartSurfaceVectorEnv(
-        lanes, task, "halves", observe=BOTH, condition=condition, info=("axes",)
+        lanes, task, "halves", observe=BOTH, preset=preset, info=("axes",)
     )
 
 
 class TestObserve:
     def test_groups_stand_at_the_end_in_one_order(self) -> None:
-        plain = Settings().features
-        assert Settings(observe=("rotors", "parcel")) == Settings(observe=BOTH)
-        assert Settings(observe=BOTH).features == (*plain, *PARCEL_FEATURES, *ROTOR_FEATURES)
-        assert Settings(observe=("rotors",)).features == (*plain, *ROTOR_FEATURES)
-        assert Settings(observe=BOTH, observe_axes=True).features[-SHOWN:] == (
+        plain = EnvConfig().features
+        assert EnvConfig(observe=("rotors", "parcel")) == EnvConfig(observe=BOTH)
+        assert EnvConfig(observe=BOTH).features == (*plain, *PARCEL_FEATURES, *ROTOR_FEATURES)
+        assert EnvConfig(observe=("rotors",)).features == (*plain, *ROTOR_FEATURES)
+        assert EnvConfig(observe=BOTH, observe_axes=True).features[-SHOWN:] == (
             *PARCEL_FEATURES,
             *ROTOR_FEATURES,
         )
 
     @pytest.mark.parametrize("bad", [("parcels",), "parcel", 3, (1,)])
     def test_an_unknown_group_is_named(self, bad: Any) -> None:
-        for make in (Settings, sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv):
+        for make in (EnvConfig, sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv):
             with pytest.raises(ValueError, match=r"^observe must be"):
                 make(observe=bad)
 
@@ -184,7 +182,7 @@ class TestObserve:
             given = [{**each, "side": side} for each, side in zip(given, sides, strict=True)]
         observations, info = env.reset(seed=4, options=given)
         rng = np.random.default_rng(3)
-        settings = env.settings
+        settings = env.config
         running = np.ones(12, dtype=bool)
         for _ in range(12):
             for k in np.nonzero(running)[0].tolist():
@@ -231,14 +229,14 @@ def _outline(base: Base) -> NDArray[np.float64]:
 
 
 def _rotors(
-    settings: Settings,
+    settings: EnvConfig,
     base: Base,
     pose: NDArray[np.float64],
     axes: NDArray[np.float64],
     mirror: int,
 ) -> NDArray[np.float64]:
     """What `observe=("rotors",)` shows: elements under the base, by `Base.functions`."""
-    plant = settings.chosen_plant
+    plant = settings.chosen_line
     x, y, theta = pose
     column, row = np.meshgrid(np.arange(plant.columns), np.arange(plant.rows))
     dx = plant.origin[0] + plant.pitch_x * column - x

@@ -1,4 +1,4 @@
-"""Conditions: the ways in which the real is less kind than the ideal, by name."""
+"""Presets: sensors, randomisation and actuators that are less than ideal, by name."""
 
 import math
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ from surface_gym.sensors import AdaptiveCamera, Camera, Entry, Exact, Sensor
 
 
 @dataclass(frozen=True)
-class Condition:
-    """What an environment is made with beside its task: the argument `condition`."""
+class Preset:
+    """Sensors, randomisation and actuators of an environment: its argument `preset`."""
 
     name: str
     label: str  # for tables
@@ -29,21 +29,21 @@ LAB_PARCELS, LAB_SEED = 128, 20_261_122
 QUARTER_TURN = 0.05  # [s] that an axis of the lab takes to turn by 90 deg
 
 _EACH = (
-    Condition("exact", "exact", "Sensors show pose and velocity as they are."),
-    Condition(
+    Preset("exact", "exact", "Sensors show pose and velocity as they are."),
+    Preset(
         "camera",
         "camera",
         "A camera's frames, 1 mm and 0.5 deg off and 20 ms late, and a filter; the entry speed is "
         "known to 0.05 m/s.",
         sensors=Camera(),
     ),
-    Condition(
+    Preset(
         "friction",
         "friction ±20 %",
         "mu_max differs from parcel to parcel by up to 20 %; sensors are exact.",
         randomisation=Randomisation(friction=0.2),
     ),
-    Condition(
+    Preset(
         "latency",
         "80 ms late",
         "Frames without noise, 80 ms late, with friction that differs by up to 20 % from what the "
@@ -51,13 +51,13 @@ _EACH = (
         sensors=Camera(latency=LATENCY, position_noise=0.0, angle_noise=0.0, entry=SURE),
         randomisation=Randomisation(friction=0.2),
     ),
-    Condition(
+    Preset(
         "stuck",
         "5 % stuck",
         "Each module is stuck at 90 deg with a probability of 5 %; sensors are exact.",
         actuators=Actuators(stuck_share=0.05),
     ),
-    Condition(
+    Preset(
         "lab",
         "lab",
         "All at once, mildly: squares, rectangles, discs and polygons of 0.2 to 0.45 m with loads "
@@ -76,4 +76,4 @@ _EACH = (
         parcels=assortment(LAB_PARCELS, LAB_SEED),
     ),
 )
-CONDITIONS = {condition.name: condition for condition in _EACH}
+PRESETS = {preset.name: preset for preset in _EACH}
