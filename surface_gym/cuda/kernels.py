@@ -219,12 +219,12 @@ def place(
 def stream_capacity(settings: FlowSettings, kinds: tuple[Parcel, ...]) -> int:
     """Return the room for the contacts and edges of some parcels at their largest size."""
     bases = [settings.randomisation.largest(parcel.base) for parcel in kinds]
-    return capacity_for(bases, settings.chosen_plant)
+    return capacity_for(bases, settings.chosen_line)
 
 
-def move_flow_kernel(settings: FlowSettings) -> Any:
-    """Return the kernel of a stream's environment: see `make_move_flow_kernel`."""
-    capacity = stream_capacity(settings, settings.stream.kinds)
+def move_flow_kernel(settings: EnvConfig) -> Any:
+    """The kernel of an environment: see `make_move_flow_kernel`."""
+    capacity = stream_capacity(settings, settings.stream_task.stream.kinds)
     return make_move_flow_kernel(stream_functions(settings), capacity)
 
 
@@ -234,7 +234,7 @@ def make_move_flow_kernel(functions: FlowFunctions, capacity: int) -> Any:
     compiled when it is first called.
 
     Thread t moves surface order[t], if it is in the mask (surfaces,): see
-    `flow.kernel.make_flow_kernel`.
+    `flow.kernel.make_stream_kernel`.
 
     Args:
         functions: of the environment.
