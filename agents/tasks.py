@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from surface_gym.config import EnvConfig
-
-from agents.base import FLOW_TASK
-from agents.library import OWN
 from surface_gym.registration import FLOW, env_id
 from surface_gym.tasks import TASKS, Task
+
+from .base import FLOW_TASK
+from .library import OWN
 
 
 def find_task(name: str) -> Task:

@@ -13,16 +13,16 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
-from surface_gym.config import EnvConfig
-from surface_gym.presets import PRESETS, Preset
 
-from agents.rollout import Episodes, run_episodes, run_sequentially
+from surface_gym.config import EnvConfig
 from surface_gym.core.resets import each_parcel
+from surface_gym.parallel import Workers, map_jobs, without_report
 from surface_gym.parcel import Parcel
-from surface_gym.sharing import Workers, quiet, share
+from surface_gym.presets import PRESETS, Preset
 from surface_gym.tasks.base import Draw
 from surface_gym.tasks.benchmark import Benchmark, Column
 
+from ..rollout import Episodes, run_episodes, run_sequentially
 from ..tasks import find_task
 from .methods import Method
 from .statistics import interval
@@ -261,8 +261,8 @@ def compute_kept(
         found = {each.key: each for each in read_kept(file, make)}
         # A line that was broken off must not spoil the next.
         file.write_text("".join(map(_line, found.values())))
-    left = [partial(quiet, job) for key, job in jobs.items() if key not in found]
-    for done, (_, each) in enumerate(share(left, workers), len(jobs) - len(left) + 1):
+    left = [partial(without_report, job) for key, job in jobs.items() if key not in found]
+    for done, (_, each) in enumerate(map_jobs(left, workers), len(jobs) - len(left) + 1):
         found[each.key] = each
         if file is not None:
             with file.open("a") as kept:

@@ -8,20 +8,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from surface_gym.config import EnvConfig
-from surface_gym.flow.state import BETWEEN, JAM
-from surface_gym.presets import Preset
 
-from agents.base import Controller
+from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.state import BETWEEN, JAM
 from surface_gym.flow.statistics import compute_statistics
 from surface_gym.flow.stream import Stream
 from surface_gym.layouts import box
+from surface_gym.presets import Preset
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Camera
 from surface_gym.state import RUNNING
 
+from ..base import Controller
 from .benchmark import SEED, Numbers
 from .statistics import half_interval
 
@@ -176,7 +176,7 @@ def measure(
     batch = StreamBatch(settings, REPLICATIONS)
     for k in range(REPLICATIONS):
         batch.seed(k, np.random.default_rng((SEED, k)))
-    batch.start(np.arange(REPLICATIONS))
+    batch.reset(np.arange(REPLICATIONS))
     counted = counted_time(settings.duration, rate)
     begin = settings.duration - counted
     arrivals = int(batch.streams.arrivals.sum())
@@ -185,7 +185,7 @@ def measure(
     state, period = None, 0
     while (batch.outcome == RUNNING).any():
         action, state = controller.predict(batch.observation, state)
-        batch.advance(actions.commands(action, REPLICATIONS))
+        batch.step(actions.commands(action, REPLICATIONS))
         period += 1
         if not whole and period % CHECK_EVERY == 0 and _is_lost(batch, begin, most_wrong):
             return None
@@ -200,7 +200,7 @@ def _is_lost(batch: StreamBatch, begin: float, most_wrong: float) -> bool:
 
 def _count(batch: StreamBatch, rate: float, counted: float) -> Measurement:
     flows = batch.streams
-    begin = batch.settings.duration - counted
+    begin = batch.config.duration - counted
     right, delivered, touches, waiting = [], [], [], []
     for k in range(REPLICATIONS):
         found = compute_statistics(flows, k, bool(flows.outcome[k] == JAM), 1, begin)

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 import tyro
 from rich.console import Console
 
-from agents.base import EVALUATE, FLOW_TASK, command_line
 from surface_gym import checks
-from surface_gym.cores import usable_cores
-from surface_gym.sharing import Workers, WorkFailed, workers_of
+from surface_gym.parallel import Workers, WorkFailed, choose_workers, usable_cores
 from surface_gym.tasks import TASKS
 
+from ..base import EVALUATE, FLOW_TASK, command_line
 from ..tasks import find_task, task_files
 
 if TYPE_CHECKING:
@@ -68,7 +67,7 @@ class EvaluateConfig:
         if not self.tasks:
             raise ValueError(f"tasks must be at least one, got {self.tasks!r}")
         checks.integer("workers", self.workers, least=1)
-        workers_of(self.cluster, self.workers)
+        choose_workers(self.cluster, self.workers)
 
 
 def evaluate(config: EvaluateConfig, console: Console) -> None:
@@ -77,7 +76,7 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
     Raises:
         ValueError: the run holds no policy, or a damaged one.
     """
-    workers = workers_of(config.cluster, config.workers, task_files(config.task))
+    workers = choose_workers(config.cluster, config.workers, task_files(config.task))
     if config.run is not None:
         from .runs import evaluate_run
 

@@ -8,15 +8,14 @@ from typing import Any
 
 from surface_gym.config import EnvConfig
 from surface_gym.presets import Preset
-
-from agents.base import Controller
-from agents.learning.runs import CONFIG, read_config, task_name
-from agents.library import CARD, PolicyFiles, read_files
-from agents.rules import MORE_RULES, Rule, find_rules
 from surface_gym.tasks import TASKS, Task
 
 from .. import library
+from ..base import Controller
 from ..learning.config import NOMINAL
+from ..learning.runs import CONFIG, read_config, task_name
+from ..library import CARD, PolicyFiles, read_files
+from ..rules import MORE_RULES, Rule, find_rules
 from ..tasks import find_task, task_kind
 
 FIXED = "fixed layout"
@@ -181,7 +180,7 @@ def _ruled(make: Callable[[EnvConfig], Controller], settings: EnvConfig, seed: i
 
 
 def _planned(settings: EnvConfig, seed: int) -> Controller:
-    from agents.planning.planner import Planner
+    from ..planning.planner import Planner
 
     del seed
     return Planner(settings)

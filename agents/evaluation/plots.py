@@ -10,13 +10,13 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon as Patch
-from surface_gym.presets import PRESETS
 
-from agents.rollout import Episodes
 from surface_gym.layouts import LINE_Y, box
 from surface_gym.lines import Line
+from surface_gym.presets import PRESETS
 from surface_gym.tasks.benchmark import PARCELS, SIDES, ErrorPlot, SpeedGrid
 
+from ..rollout import Episodes
 from .benchmark import Summaries
 from .methods import FIXED
 from .streams import BOUND, CANNOT, CURVE, LOADS, StreamResults, cases

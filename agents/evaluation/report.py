@@ -12,8 +12,8 @@ import imageio.v2 as imageio
 import numpy as np
 from gymnasium.utils.seeding import np_random
 from rich.console import Console
-from surface_gym.presets import PRESETS
 
+from surface_gym.presets import PRESETS
 from surface_gym.tasks.benchmark import Column
 
 from ..tasks import task_label

@@ -9,20 +9,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from surface_gym.config import EnvConfig
-from surface_gym.presets import PRESETS, Preset
 
-from agents.base import time_for, with_zone
-from agents.planning.oracle import run_oracle
-from agents.rollout import Episodes, run_episodes, run_sequentially
+from surface_gym.config import EnvConfig
 from surface_gym.layouts import box
 from surface_gym.lines import BaseLine, Line
+from surface_gym.parallel import Workers
 from surface_gym.parcel import Base, Disc, Parcel, Rectangle
+from surface_gym.presets import PRESETS, Preset
 from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Camera, Exact, Presence
-from surface_gym.sharing import Workers
 from surface_gym.tasks.benchmark import Benchmark
 
+from ..base import time_for, with_zone
+from ..planning.oracle import run_oracle
+from ..rollout import Episodes, run_episodes, run_sequentially
 from .benchmark import SEED, Advance, compute_kept, drawn_parcels, find_benchmark
 from .methods import ANY_ANGLE, BEST_FIXED, PLANNER, Method
 from .statistics import interval
@@ -81,8 +81,8 @@ def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation
     limit = None if slower == 1.0 else round(task.periods * slower)
     task = replace(task, entry_offset=change.offset, entry_turn=change.turn, time_limit=limit)
     settings = method.settings(task, change.preset)
-    assumed = replace(settings, control_period=period, plant=plant)
-    return Situation(assumed, replace(assumed, plant=_with_friction(plant, change)))
+    assumed = replace(settings, control_period=period, line=plant)
+    return Situation(assumed, replace(assumed, line=_with_friction(plant, change)))
 
 
 def _with_friction(plant: BaseLine, change: Change) -> BaseLine:
@@ -374,6 +374,6 @@ def name_shape(base: Base) -> str:
 @lru_cache(maxsize=16)
 def lab_shapes(task: str, starts: int) -> tuple[str, ...]:
     """Name the shape of each start's parcel, as the lab draws it."""
-    settings = EnvConfig(task=find_benchmark(task).task, condition=PRESETS[LAB])
+    settings = EnvConfig(task=find_benchmark(task).task, preset=PRESETS[LAB])
     drawn = drawn_parcels(settings, [{}] * starts, SEED)
     return tuple(name_shape(each.base) for each in drawn)

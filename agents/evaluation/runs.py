@@ -7,14 +7,14 @@ from typing import Any
 
 import yaml
 from rich.console import Console
-from surface_gym.config import EnvConfig
 
-from agents.base import Controller
-from agents.library import CARD, PolicyFiles, read_files
+from surface_gym.config import EnvConfig
+from surface_gym.parallel import Workers
 from surface_gym.registration import FLOW
-from surface_gym.sharing import Workers
 
 from .. import library
+from ..base import Controller
+from ..library import CARD, PolicyFiles, read_files
 from .benchmark import Summaries, compute_results, find_benchmark, summarise
 from .capacity import STREAM_PRESETS, Case, StreamMethod
 from .methods import FIXED, Method, of_run, policy_folders, rules

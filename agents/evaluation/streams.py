@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from surface_gym.config import EnvConfig
 
-from agents.base import Controller
-from agents.rules.reservation import (
+from surface_gym.config import EnvConfig
+from surface_gym.parallel import Workers
+
+from .. import library
+from ..base import Controller
+from ..rules.reservation import (
     MARGIN,
     Reservation,
     find_trajectories,
@@ -19,11 +22,8 @@ from agents.rules.reservation import (
     list_asked,
     packed_rate,
 )
-from agents.rules.streams import SortEach, StreamEventRule, StreamFixedLayout
-from agents.rules.zones import ArrangedZone, WholeZone, find_best_zone
-from surface_gym.sharing import Workers
-
-from .. import library
+from ..rules.streams import SortEach, StreamEventRule, StreamFixedLayout
+from ..rules.zones import ArrangedZone, WholeZone, find_best_zone
 from .benchmark import Advance, compute_kept
 from .capacity import (
     EXACT,

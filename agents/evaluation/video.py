@@ -14,17 +14,18 @@ import tyro
 from gymnasium.utils.seeding import np_random
 from moviepy.video.io.ffmpeg_writer import FFMPEG_VideoWriter
 from numpy.typing import NDArray
-from surface_gym.config import EnvConfig
-from surface_gym.gym_base import RENDER_FPS
 
-from agents.base import Controller
-from agents.rollout import env_arguments
-from agents.rules.streams import SortEach, StreamEventRule
 from surface_gym import checks
+from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream
+from surface_gym.gym_base import RENDER_FPS
 from surface_gym.rendering import with_caption
+
+from ..base import Controller
+from ..rollout import env_arguments
+from ..rules.streams import SortEach, StreamEventRule
 
 Picture = NDArray[np.uint8]
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym.config import EnvConfig
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Parcel
 from surface_gym.physics.step import com_states, map_floats
 from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
-from surface_gym.settings import Settings
 from surface_gym.state import (
     GRAVITY_ALONG,
     GRAVITY_NORMAL,
@@ -110,7 +110,7 @@ def place_parcel(
     )
 
 
-def place_in(settings: Settings, parcel: Parcel) -> Placement:
+def place_in(settings: EnvConfig, parcel: Parcel) -> Placement:
     """Place a parcel in an environment.
 
     Raises:
@@ -274,7 +274,7 @@ class StartRows(NamedTuple):
     goal: Array  # (starts, goals)
 
 
-def draw_starts(settings: Settings, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
+def draw_starts(settings: EnvConfig, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
     """Let a task draw starts from numbers (starts, draws) and the options of each, or raise an
     error that names the task.
     """

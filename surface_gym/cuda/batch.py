@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from surface_gym.core.batch import rules_of
+from surface_gym.core.assembly import make_rules
 from surface_gym.core.resets import (
     BodyPlan,
     StartRows,
@@ -163,7 +163,7 @@ class CudaBatch(CudaEnvs):
         self._plan = BodyPlan(
             self._task.parcels, partial(place_in, settings), 1, (plant.rows, plant.columns)
         )
-        self._rules = to_device(rules_of(settings), device)
+        self._rules = to_device(make_rules(settings), device)
         self._sites = to_device(self._plan.bodies, device)
         self._lanes: Any  # as `Lanes`, of tensors
         self._surfaces, self._lanes = make_memory(settings, lanes, device)

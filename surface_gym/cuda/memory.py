@@ -18,11 +18,11 @@ import torch
 from numba import cuda
 from numpy.typing import NDArray
 
+from surface_gym.config import EnvConfig
 from surface_gym.core.resets import FEWEST_EDGES
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Base
 from surface_gym.physics import types
-from surface_gym.settings import Settings
 from surface_gym.state import ParcelState, SurfaceState
 
 GRIDS = ("axis", "angle", "target", "stiffness")  # a lane's elements lie together
@@ -30,7 +30,7 @@ PATTERN = 2  # lanes of which memory is made: what has as many rows has one a la
 
 
 def make_memory(
-    settings: Settings, lanes: int, device: torch.device
+    settings: EnvConfig, lanes: int, device: torch.device
 ) -> tuple[SurfaceState, ParcelState]:
     """Memory of a batch, as `core.assembly.make_state` makes it, of tensors."""
     surfaces, parcels = make_state(settings, PATTERN)

@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 
 import numpy as np
-
-from agents.evaluation.benchmark import Result
-from agents.evaluation.capacity import Measurement
-from agents.evaluation.methods import FIXED
-from agents.evaluation.robustness import FACTORS, Factor, Level, SweepResult
-from agents.evaluation.streams import (
+from surface_gym.agents.evaluation.benchmark import Result
+from surface_gym.agents.evaluation.capacity import Measurement
+from surface_gym.agents.evaluation.methods import FIXED
+from surface_gym.agents.evaluation.robustness import FACTORS, Factor, Level, SweepResult
+from surface_gym.agents.evaluation.streams import (
     ARRANGED,
     CURVE,
     EVENT,
@@ -21,6 +20,7 @@ from agents.evaluation.streams import (
     cases,
     stream_methods,
 )
+
 from surface_gym.tasks import Sort
 from surface_gym.tasks.benchmark import PARCELS, SpeedGrid
 

@@ -6,14 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from agents.learning.runs import CONFIG, write_config
-from agents.policy import make_network, save_policy
-from surface_gym.config import EnvConfig
-from surface_gym.presets import PRESETS, Preset
-
-from agents import library
-from agents.evaluation import benchmark as runs
-from agents.evaluation.benchmark import (
+from surface_gym.agents import library
+from surface_gym.agents.evaluation import benchmark as runs
+from surface_gym.agents.evaluation.benchmark import (
     FILE,
     SEED,
     Result,
@@ -27,10 +22,15 @@ from agents.evaluation.benchmark import (
     read_kept,
     summarise,
 )
-from agents.evaluation.methods import Method, all_methods, of_run, rules, shipped
-from agents.learning.config import PPOConfig
-from agents.library import PolicyCard
+from surface_gym.agents.evaluation.methods import Method, all_methods, of_run, rules, shipped
+from surface_gym.agents.learning.config import PPOConfig
+from surface_gym.agents.learning.runs import CONFIG, write_config
+from surface_gym.agents.library import PolicyCard
+from surface_gym.agents.policy import make_network, save_policy
+
 from surface_gym import SmartSurfaceVectorEnv
+from surface_gym.config import EnvConfig
+from surface_gym.presets import PRESETS, Preset
 from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
 from tests.agents.evaluation.made import GRID, slow_result, sort_result
@@ -166,7 +166,7 @@ class TestAgents:
     def test_a_run_is_named_by_its_preset(self, tmp_path: Path) -> None:
         _leave(tmp_path / "run", "slow", ("parcel",))
         assert of_run(tmp_path / "run").name == "PPO"
-        config = PPOConfig(task="slow", condition="lab", observe=("parcel",))
+        config = PPOConfig(task="slow", preset="lab", observe=("parcel",))
         write_config(config, tmp_path / "run" / CONFIG)
         found = of_run(tmp_path / "run")
         assert (found.name, found.observe) == ("PPO, lab", ("parcel",))

@@ -6,10 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from surface_gym.config import EnvConfig
-
-from agents.evaluation import capacity
-from agents.evaluation.capacity import (
+from surface_gym.agents.evaluation import capacity
+from surface_gym.agents.evaluation.capacity import (
     LEAST,
     Case,
     Measurement,
@@ -18,9 +16,11 @@ from agents.evaluation.capacity import (
     find_capacity,
     measure,
 )
-from agents.evaluation.methods import FIXED
-from agents.evaluation.statistics import half_interval
-from agents.evaluation.streams import EVENT, RESERVATION, stream_methods
+from surface_gym.agents.evaluation.methods import FIXED
+from surface_gym.agents.evaluation.statistics import half_interval
+from surface_gym.agents.evaluation.streams import EVENT, RESERVATION, stream_methods
+
+from surface_gym.config import EnvConfig
 
 SMALL = Case("S", 1.5)
 NOBODY: Any = None  # decides where the measurement is replaced

@@ -11,17 +11,17 @@ from typing import Any
 
 import imageio.v2 as imageio
 import pytest
-from agents.base import FLOW_TASK
 from rich.console import Console
+from surface_gym.agents.base import FLOW_TASK
+from surface_gym.agents.evaluation import capacity, report, runs, streams
+from surface_gym.agents.evaluation.capacity import Case
+from surface_gym.agents.evaluation.cli import TASK_NAMES, EvaluateConfig, evaluate
+from surface_gym.agents.evaluation.methods import rules
+from surface_gym.agents.evaluation.robustness import FILE as SWEPT
+from surface_gym.agents.evaluation.runs import evaluate_run, is_of_streams
+from surface_gym.agents.evaluation.streams import BOUND, RESERVATION, StreamResults
+from surface_gym.agents.library import SHELF
 
-from agents.evaluation import capacity, report, runs, streams
-from agents.evaluation.capacity import Case
-from agents.evaluation.cli import TASK_NAMES, EvaluateConfig, evaluate
-from agents.evaluation.methods import rules
-from agents.evaluation.robustness import FILE as SWEPT
-from agents.evaluation.runs import evaluate_run, is_of_streams
-from agents.evaluation.streams import BOUND, RESERVATION, StreamResults
-from agents.library import SHELF
 from surface_gym.tasks import TASKS
 from tests.agents.evaluation.made import (
     RULES,
@@ -89,7 +89,7 @@ def test_results_of_streams_become_a_page(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_a_sweep_becomes_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fixed = rules("slow")[:1]
-    monkeypatch.setattr("agents.evaluation.methods.all_methods", lambda _: fixed)
+    monkeypatch.setattr("surface_gym.agents.evaluation.methods.all_methods", lambda _: fixed)
     keep(sweep_results("slow", {"fixed layout": 0.5}), tmp_path / SWEPT)
     screen = io.StringIO()
     config = EvaluateConfig(

@@ -9,14 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from agents.rollout import run_episodes
 from rich.console import Console
-from surface_gym.config import EnvConfig
-
-from agents.evaluation import robustness
-from agents.evaluation.benchmark import compute_kept, find_benchmark
-from agents.evaluation.methods import PLANNER, Method, all_methods, rules, shipped
-from agents.evaluation.robustness import (
+from surface_gym.agents.evaluation import robustness
+from surface_gym.agents.evaluation.benchmark import compute_kept, find_benchmark
+from surface_gym.agents.evaluation.methods import PLANNER, Method, all_methods, rules, shipped
+from surface_gym.agents.evaluation.robustness import (
     FACTORS,
     FILE,
     LAB,
@@ -37,7 +34,7 @@ from agents.evaluation.robustness import (
     starts_for,
     sweep_jobs,
 )
-from agents.evaluation.robustness_report import (
+from surface_gym.agents.evaluation.robustness_report import (
     PICTURE,
     STYLES,
     draw_sweep,
@@ -47,8 +44,11 @@ from agents.evaluation.robustness_report import (
     square_table,
     write_sweep,
 )
-from agents.evaluation.statistics import interval
+from surface_gym.agents.evaluation.statistics import interval
+from surface_gym.agents.rollout import run_episodes
+
 from surface_gym import SmartSurfaceVectorEnv
+from surface_gym.config import EnvConfig
 from surface_gym.lines import Line
 from surface_gym.parcel import Disc, Rectangle
 from surface_gym.tasks import TASKS, Slow
@@ -66,7 +66,7 @@ def true_of(change: Change, method: Method = SLOW) -> EnvConfig:
 def starts_of(settings: EnvConfig, count: int = 64) -> np.ndarray:
     """(count, 3) poses that an environment begins at."""
     env = SmartSurfaceVectorEnv(
-        count, task=settings.task, actions=settings.actions, plant=settings.plant
+        count, task=settings.task, actions=settings.actions, line=settings.plant
     )
     return env.reset(seed=1)[1]["pose"]
 

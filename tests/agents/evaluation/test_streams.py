@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-from agents.evaluation import capacity, streams
-from agents.evaluation.capacity import Case, Measurement, StreamMethod
-from agents.evaluation.methods import FIXED
-from agents.evaluation.streams import (
+from surface_gym.agents.evaluation import capacity, streams
+from surface_gym.agents.evaluation.capacity import Case, Measurement, StreamMethod
+from surface_gym.agents.evaluation.methods import FIXED
+from surface_gym.agents.evaluation.streams import (
     ARRANGED,
     BOUND,
     CEILING,
@@ -39,6 +38,7 @@ from agents.evaluation.streams import (
     stream_numbers,
     stream_result,
 )
+
 from tests.agents.evaluation.made import RULES, SHARES, stream_results, stream_rows
 
 BY_NAME = {method.name: method for method in stream_methods()}
@@ -80,7 +80,7 @@ def test_every_method_can_be_made(method: StreamMethod) -> None:
 
 
 def test_a_method_that_cannot_sort_has_no_capacity(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("agents.evaluation.streams.best_zone", lambda *_: None)
+    monkeypatch.setattr("surface_gym.agents.evaluation.streams.best_zone", lambda *_: None)
     result = compute_stream(BY_NAME[ARRANGED], Case("S", 1.5), SEARCHED)
     assert (result.can, result.capacity, result.eased) == (False, None, None)
 

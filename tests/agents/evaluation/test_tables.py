@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
-
-from agents.evaluation.benchmark import find_benchmark, summarise
-from agents.evaluation.report import Section, write_page
-from agents.evaluation.tables import (
+from surface_gym.agents.evaluation.benchmark import find_benchmark, summarise
+from surface_gym.agents.evaluation.report import Section, write_page
+from surface_gym.agents.evaluation.tables import (
     Table,
     decision_table,
     speed_table,
@@ -21,6 +20,7 @@ from agents.evaluation.tables import (
     write_markdown,
     write_numbers,
 )
+
 from tests.agents.evaluation.made import GRID, slow_result, sort_result
 
 SLOW = summarise(

@@ -8,20 +8,20 @@ from pathlib import Path
 import imageio.v2 as imageio
 import numpy as np
 import pytest
-from agents.rules.streams import StreamEventRule
 from gymnasium.utils.seeding import np_random
 from moviepy.config import FFMPEG_BINARY
-from surface_gym.config import EnvConfig
+from surface_gym.agents.evaluation.capacity import Case
+from surface_gym.agents.evaluation.report import stream_player
+from surface_gym.agents.evaluation.streams import ARRANGED, CURVE, EVENT
+from surface_gym.agents.evaluation.video import Player, main, write_comparison, write_episode
+from surface_gym.agents.rules.streams import StreamEventRule
 
-from agents.evaluation.capacity import Case
-from agents.evaluation.report import stream_player
-from agents.evaluation.streams import ARRANGED, CURVE, EVENT
-from agents.evaluation.video import Player, main, write_comparison, write_episode
+from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
 from tests.agents.evaluation.made import RULES
 from tests.flow.flows import DENSE, SHORT
 
-SETTINGS = EnvConfig(DENSE, exits="sides", actions="parcels", duration=2.0, plant=SHORT)
+SETTINGS = EnvConfig(DENSE, exits="sides", actions="parcels", duration=2.0, line=SHORT)
 
 
 def read(file: Path) -> tuple[float, list[np.ndarray]]:
@@ -46,7 +46,7 @@ def test_it_shows_what_the_environment_draws(tmp_path: Path) -> None:
     assert rate == 25.0
     assert len(pictures) == 1 + 10 + 25  # the start, the control periods, and the last one stays
     env = SmartSurfaceEnv(
-        DENSE, exits="sides", actions="parcels", duration=2.0, plant=SHORT, render_mode="rgb_array"
+        DENSE, exits="sides", actions="parcels", duration=2.0, line=SHORT, render_mode="rgb_array"
     )
     rule = StreamEventRule(SETTINGS)
     observation, _ = env.reset(seed=3)
@@ -103,7 +103,7 @@ def test_a_slower_decider_is_filmed_no_faster(tmp_path: Path) -> None:
 
 
 def test_a_method_that_cannot_sort_cannot_be_filmed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("agents.evaluation.streams.best_zone", lambda *_: None)
+    monkeypatch.setattr("surface_gym.agents.evaluation.streams.best_zone", lambda *_: None)
     zone = next(method for method in RULES if method.name == ARRANGED)
     with pytest.raises(ValueError, match=r"method must be able to sort S, 1\.5 m/s"):
         stream_player(zone, Case("S", 1.5), 3000.0)
