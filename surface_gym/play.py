@@ -32,7 +32,7 @@ from surface_gym.rendering import Painter, Scene, Window
 from surface_gym.scenes import Renderer
 from surface_gym.state import RUNNING
 from surface_gym.tasks import TASKS
-from surface_gym.tasks.base import Draw, parcel_option
+from surface_gym.tasks.start import Draw, parcel_option
 
 FRAME_RATE = 25.0  # [1/s] real time at the control period of 40 ms
 AXIS_KEYS = (pygame.K_1, pygame.K_2, pygame.K_3, pygame.K_4)  # the default orientations

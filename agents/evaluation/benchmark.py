@@ -19,8 +19,8 @@ from surface_gym.core.resets import each_parcel
 from surface_gym.parallel import Workers, map_jobs, without_report
 from surface_gym.parcel import Parcel
 from surface_gym.presets import PRESETS, Preset
-from surface_gym.tasks.base import Draw
 from surface_gym.tasks.benchmark import Benchmark, Column
+from surface_gym.tasks.start import Draw
 
 from ..rollout import Episodes, run_episodes, run_sequentially
 from ..tasks import find_task

@@ -14,7 +14,7 @@ from surface_gym.physics.types import GYRATION, HALF_LENGTH, RADIUS
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Exact
 from surface_gym.state import OUT_OF_TIME, ParcelState
-from surface_gym.tasks.base import Start
+from surface_gym.tasks.start import Start
 
 from ..base import axes_apart
 from .nodes import BrakingProfile, SearchNodes, TurningAxes, braking_profile, is_under

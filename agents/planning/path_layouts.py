@@ -18,8 +18,9 @@ from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import OUT_OF_TIME, PATH_POINTS, RUNNING, SUCCESS, EnvState
 from surface_gym.tasks import track
-from surface_gym.tasks.base import Feature, Start
+from surface_gym.tasks.base import Feature
 from surface_gym.tasks.observed import Observed, square_reach
+from surface_gym.tasks.start import Start
 from surface_gym.tasks.track import Track
 
 from ..axes import Axes

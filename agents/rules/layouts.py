@@ -16,10 +16,10 @@ from surface_gym.layouts import ROLLING
 from surface_gym.lines import BaseLine
 from surface_gym.physics.types import VX, VY
 from surface_gym.tasks import orient, slow, stop
-from surface_gym.tasks.base import Start
 from surface_gym.tasks.cost import Nodes
 from surface_gym.tasks.line import BRAKING
 from surface_gym.tasks.observed import LineObservation, square_reach
+from surface_gym.tasks.start import Start
 
 from ..axes import find_axes
 from ..planning.layouts import (

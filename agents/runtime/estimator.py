@@ -57,7 +57,7 @@ from surface_gym.state import (
     env_state,
     read_truth,
 )
-from surface_gym.tasks.base import Parcels
+from surface_gym.tasks.start import Parcels
 
 from .protocol import Angles, Entered, Frame
 

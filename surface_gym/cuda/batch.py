@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from surface_gym.config import EnvConfig
 from surface_gym.core.assembly import make_rules
 from surface_gym.core.resets import (
     BodyPlan,
@@ -152,7 +153,7 @@ class CudaBatch(CudaEnvs):
         ValueError: the task or the sensor lacks a compiled function.
     """
 
-    def __init__(self, settings: Settings, lanes: int, device: torch.device) -> None:
+    def __init__(self, settings: EnvConfig, lanes: int, device: torch.device) -> None:
         super().__init__(lanes, device)
         self._settings = settings
         self._task = settings.task
@@ -280,7 +281,7 @@ class CudaStreamBatch(CudaEnvs):
         ValueError: the sensor lacks a compiled function.
     """
 
-    def __init__(self, settings: FlowSettings, lanes: int, device: torch.device) -> None:
+    def __init__(self, settings: EnvConfig, lanes: int, device: torch.device) -> None:
         super().__init__(lanes, device)
         self._settings = settings
         self._host = StreamBatch(settings, lanes, compiles=False)

@@ -12,10 +12,12 @@ from gymnasium import spaces
 from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode
 
+from surface_gym.config import EnvConfig
 from surface_gym.cuda.batch import CudaEnvs
 from surface_gym.cuda.memory import Note
 from surface_gym.flow.task import StreamTask
 from surface_gym.state import NO_FAULT, OUT_OF_TIME, RUNNING
+from surface_gym.vector_env import BaseVectorEnv
 
 EXTRA = 'pip install "surface_gym[gpu]"'
 
@@ -39,7 +41,7 @@ def check_device() -> None:
         raise DeviceMissing("device='cuda' needs an NVIDIA GPU that Numba can use; it finds none")
 
 
-def check_settings(settings: Settings) -> None:
+def check_settings(settings: EnvConfig) -> None:
     """Raise a ValueError for what a GPU does not support yet: noise and all else drawn after a
     start, and infos on request.
     """
@@ -130,7 +132,7 @@ class TensorActions:
 LOOK_EVERY = 32  # control periods from one look for errors to the next, which tells what was seen
 
 
-class CudaVectorEnv(LanesEnv):
+class CudaVectorEnv(BaseVectorEnv):
     """`SmartSurfaceVectorEnv` on a GPU; `gym.make_vec(..., device="cuda")` gives it. Experimental.
 
     The source of physics, sensors and tasks is the CPU's, compiled for the GPU, and lane i seeded

@@ -19,6 +19,7 @@ from numba import cuda
 from numpy.typing import NDArray
 
 from surface_gym.config import EnvConfig
+from surface_gym.core.assembly import make_state
 from surface_gym.core.resets import FEWEST_EDGES
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Base
