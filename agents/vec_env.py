@@ -148,7 +148,7 @@ class SurfaceVecEnv(BatchVecEnv):
         self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._actions: NDArray[np.int64] | None = None
-        self._terms = env.config.chosen_task.terms
+        self._terms = env.config.task.terms
         self._recorder = EpisodeRecorder(env.num_envs, self._terms)
 
     @property

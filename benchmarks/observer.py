@@ -180,10 +180,10 @@ def measure(config: ObserverConfig, console: Console) -> dict[tuple[str, str], W
             )
             env = sg.SmartSurfaceVectorEnv(
                 config.lanes,
-                max_episode_steps=settings.chosen_task.periods,
+                max_episode_steps=settings.task.periods,
                 **env_arguments(settings),
             )
-            seen = watch(env, make(settings), settings.chosen_task.periods, config.seed)
+            seen = watch(env, make(settings), settings.task.periods, config.seed)
             found.setdefault((world.name, task), Watch()).add(seen)
             env.close()
     return found

@@ -83,7 +83,7 @@ def path_model(config: EnvConfig) -> LayoutModel:
     """Make a model for `search_path_layout`: two physics steps a period, and actions that set the
     last column only, which no parcel touches that follows its path.
     """
-    last = config.chosen_plant.columns - 1
+    last = config.chosen_line.columns - 1
     return LayoutModel(
         replace(
             config,
@@ -135,11 +135,11 @@ class _Beam:
 
     def __init__(self, model: LayoutModel, ways: Integers, limit: float) -> None:
         self._model = model
-        self._cost = model.config.chosen_task.cost()
+        self._cost = model.config.task.cost()
         self._ways = ways  # (ways, 2) to lay a column: right of the path and left of it
         self._width = model.size // len(ways)  # layouts that go on from a column
         self._limit = limit
-        self._line = model.config.chosen_plant
+        self._line = model.config.chosen_line
         nodes = model.nodes(1)
         self._half_length = nodes.half_length
         _, first_x, step = nodes.parcels.goal[0]
@@ -192,7 +192,7 @@ class _Beam:
         """Move the copies until each is about to touch a column, or has ended."""
         outcome = self._model.parcels.outcome
         waiting = np.zeros(count, dtype=np.bool_)
-        for _ in range(self._model.config.chosen_task.periods):
+        for _ in range(self._model.config.task.periods):
             there = (outcome[:count] == RUNNING) & (self._front(count) + NEAR >= centre)
             waiting |= there
             outcome[:count][there] = OUT_OF_TIME

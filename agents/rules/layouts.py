@@ -136,7 +136,7 @@ class FixedBraking(FixedRule):
         return self._layouts[best]
 
     def _losses(self, half_length: float) -> Numbers:
-        line, zone = self._config.chosen_plant, self._config.zone
+        line, zone = self._config.chosen_line, self._config.zone
         return np.stack(
             [
                 loss_of_layout(half_length, line, zone, tuple(map(tuple, axes)))
@@ -247,7 +247,7 @@ class FixedTurning(FixedRule):
 
     def _angles(self, half_length: float, speed: float) -> Numbers:
         """Compute (layouts,) [rad] the angle that each turns a box of a size and a speed to."""
-        line, zone, shape = self._config.chosen_plant, self._config.zone, self._kind.shape
+        line, zone, shape = self._config.chosen_line, self._config.zone, self._kind.shape
         return np.array(
             [
                 angle_at_exit(half_length, speed, line, zone, shape, turning)
@@ -323,7 +323,7 @@ class _TurnSearch(_LineSearch):
         (angle,) = start.goal
         if float(np.asarray(angle)) >= 0.0:
             return super()._one(start)
-        image = _mirror(start, 2.0 * self._config.chosen_plant.line_y)
+        image = _mirror(start, 2.0 * self._config.chosen_line.line_y)
         return self._axes.mirrored(super()._one(image._replace(goal=(-np.asarray(angle),))))
 
 
@@ -370,11 +370,11 @@ class BestTracking(FixedRule):
         aside = start.path - start.path[0]
         if aside[np.argmax(np.abs(aside) > 1e-6)] >= 0.0:
             return self._best(start)
-        image = _mirror(start, 2.0 * self._config.chosen_plant.line_y)
+        image = _mirror(start, 2.0 * self._config.chosen_line.line_y)
         return self._axes.mirrored(self._best(image))
 
     def _best(self, start: Start) -> Commands:
-        limit = self._config.chosen_task.periods * self._config.control_period
+        limit = self._config.task.periods * self._config.control_period
         return search_path_layout(self._model, self._axes, start, limit)
 
 

@@ -65,7 +65,7 @@ def make_settings(policy: "Policy | ModulePolicy", condition: str) -> "EnvConfig
 def simulator_arguments(config: RuntimeConfig, settings: "EnvConfig") -> list[str]:
     """Return the arguments of the simulator's command, for a policy's environment."""
     return [
-        *("--task", config.task or settings.chosen_task.name),
+        *("--task", config.task or settings.task.name),
         *("--condition", config.condition),
         *("--control-period", repr(settings.control_period)),
         *("--seed", str(config.start)),
@@ -106,7 +106,7 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
         decider = decisions.Decider(policy, settings)
         bounds = decisions.observation_bounds(settings)
         loop = controller.ControlLoop(
-            SocketDevice(address, settings.chosen_task.name, estimator.shape),
+            SocketDevice(address, settings.task.name, estimator.shape),
             estimator,
             decider,
             (arranger, estimator.resolver(kind)),
@@ -128,7 +128,7 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
     run = report.Run(
         agent=config.name,
         seed=config.seed or 0,
-        task=settings.chosen_task.name,
+        task=settings.task.name,
         condition=config.condition,
         device=config.address or "simulator",
         period=settings.control_period,

@@ -56,7 +56,7 @@ def test_choices_and_actions_are_inverse() -> None:
         action, state = rule.predict(tables, state)
         choices = mirror.to_parcels(tables, action)
         assert np.array_equal(mirror.to_env(tables, choices), action)
-        batch.advance(plain.flow_actions.commands(action, 1))
+        batch.step(plain.action_kind.commands(action, 1))
     assert batch.streams.tally[0, RIGHT] > 0
 
 

@@ -120,7 +120,7 @@ class TestMeasure:
             """Every axis at 0 deg."""
 
             def __init__(self, settings: EnvConfig) -> None:
-                self._size = settings.flow_actions.size
+                self._size = settings.action_kind.size
 
             def predict(self, observation: Any, state: Any = None, *_: Any) -> tuple[Any, Any]:
                 return np.zeros((len(observation), self._size), dtype=int), state

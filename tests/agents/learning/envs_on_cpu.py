@@ -54,7 +54,7 @@ class EnvsOnCpu:
         self._env.close()
 
     def _tensors(self, infos: dict[str, Any]) -> dict[str, Any]:
-        terms = self.settings.chosen_task.terms
+        terms = self.settings.task.terms
         return {
             "is_success": torch.from_numpy(infos["is_success"]),
             "time": torch.from_numpy(infos["time"]),

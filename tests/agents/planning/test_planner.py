@@ -130,7 +130,7 @@ def test_on_a_path_nodes_cost_their_errors_so_far() -> None:
     model.begin_at(config.decode_start(observation))
     for actions in ([15, 5, 10], [6, 9, 0], [10, 1, 5]):
         nodes = model.advance(np.arange(3), np.array(actions))
-    figures = dict(zip(config.chosen_task.metrics, nodes.parcels.metrics.T, strict=True))
+    figures = dict(zip(config.task.metrics, nodes.parcels.metrics.T, strict=True))
     terms = (
         figures["rms_error"] / PLAN_CROSS_ERROR,
         figures["speed_error"] / PLAN_SPEED_ERROR,
@@ -138,7 +138,7 @@ def test_on_a_path_nodes_cost_their_errors_so_far() -> None:
     )
     assert min(np.abs(term).max() for term in terms) > 0.1
     expected = sum(term**2 for term in terms)
-    np.testing.assert_allclose(config.chosen_task.cost().running(nodes), expected, rtol=1e-3)
+    np.testing.assert_allclose(config.task.cost().running(nodes), expected, rtol=1e-3)
 
 
 def test_of_nodes_that_are_alike_one_is_kept() -> None:
@@ -150,7 +150,7 @@ def test_of_nodes_that_are_alike_one_is_kept() -> None:
     model.begin_at(config.decode_start(observation))
     nodes = model.advance(np.zeros(8, dtype=np.int64), np.full(8, 15))
     nodes.parcels.state[1:7, :6] += np.diag([0.01, 0.01, 0.05, 0.025, 0.025, 0.25])
-    cost, runs = config.chosen_task.cost(), np.ones(8, dtype=bool)
+    cost, runs = config.task.cost(), np.ones(8, dtype=bool)
     assert sorted(keep_best(cost, nodes, runs, 8)) == [0, 1, 2, 3, 4, 5, 6]
     assert len(keep_best(cost, nodes, runs, 3)) == 3
 

@@ -40,7 +40,7 @@ def counts(controller: Any, settings: EnvConfig, num_envs: int = 4) -> dict[str,
     state = None
     while (batch.outcome == RUNNING).any():
         action, state = controller.predict(batch.observation, state)
-        batch.advance(settings.flow_actions.commands(action, num_envs))
+        batch.step(settings.action_kind.commands(action, num_envs))
     tally = batch.streams.tally.sum(axis=0)
     return {
         "right": int(tally[RIGHT]),

@@ -72,7 +72,7 @@ def test_trajectories_lead_to_the_exits_and_are_mirror_images() -> None:
     trajectories = found(settings)
     assert trajectories.right == (True, True, True)
     left, right, straight = trajectories.each
-    middle = settings.chosen_plant.line_y
+    middle = settings.chosen_line.line_y
     np.testing.assert_allclose(left.pose[:, 1] - middle, middle - right.pose[:, 1], atol=1e-9)
     np.testing.assert_allclose(left.time, right.time)
     np.testing.assert_allclose(straight.pose[:, 1], middle, atol=1e-9)

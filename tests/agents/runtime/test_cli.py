@@ -93,7 +93,7 @@ class TestConfig:
     def test_the_environment_is_the_policy_s(self) -> None:
         policy = load_policy(RuntimeConfig("slow-dqn", seed=1))
         settings = make_settings(policy, "lab")
-        assert settings == EnvConfig(task="slow", condition="lab", **policy.env_kwargs)
+        assert settings == EnvConfig(task="slow", preset="lab", **policy.env_kwargs)
 
     def test_a_run_s_folder_holds_a_policy(self) -> None:
         from surface_gym import agents

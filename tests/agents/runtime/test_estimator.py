@@ -54,7 +54,7 @@ def filtered() -> tuple[Entered, list[np.ndarray], list[Frame], list[np.ndarray]
     spread = np.array([CAMERA.position_noise] * 2 + [CAMERA.angle_noise])
     for k in range(20):
         sent.append(commands([int(rng.integers(16))]))
-        batch.advance(sent[-1])
+        batch.step(sent[-1])
         noise = lanes.noise[0, lanes.noise_row[0, 0] - 1, :3]
         pose = lanes.truth[0, :3] + spread * noise
         frames.append(Frame(AT + PERIOD * (k + 1), 0, tuple(pose.tolist())))
