@@ -15,6 +15,7 @@ from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import BETWEEN, JAM
 from surface_gym.flow.statistics import compute_statistics
 from surface_gym.flow.stream import Stream
+from surface_gym.gym_base import make_batch
 from surface_gym.layouts import box
 from surface_gym.presets import Preset
 from surface_gym.randomisation import Randomisation
