@@ -108,7 +108,7 @@ class TestMirror:
             observed, paid, *_, told = mirror.step(MIRRORED[other])
             assert info["parcels"].tolist() == told["parcels"].tolist()
             assert reward == pytest.approx(paid, abs=1e-6)
-            seen = truths(mirror._batch)
+            seen = truths(mirror.batch)
             for number, truth in truths(env.batch).items():
                 flip = truth * [1.0, -1.0, -1.0, 1.0, -1.0, -1.0] + [0, 2 * line_y, 0, 0, 0, 0]
                 np.testing.assert_allclose(seen[number], flip, rtol=0.0, atol=1e-7)
@@ -258,7 +258,7 @@ class TestModules:
             expected[:, 20:] = math.pi / 2  # no rotors
             turns += int((expected != before).sum())
             *_, info = env.step(action)
-            np.testing.assert_array_equal(streams.commanded[0], expected)
+            np.testing.assert_array_equal(flows.commanded[0], expected)
             assert info["turns"] == turns
             surface = env.batch.surfaces
             direction = surface.direction[0, surface.axis[0]]

@@ -45,7 +45,11 @@ class TestPlaces:
             batch.step(np.full((1, batch.config.action_kind.size), BRAKE))
             streams, parcels = batch.streams, batch.parcels
             for place in range(20):
+<<<<<<< /work/main/tests/flow/test_leaving.py
                 truth = parcels.truth[place]
+=======
+                truth = lanes.truth[place]
+>>>>>>> /tmp/w/port_core_n/tests/flow/test_leaving.py
                 assert not streams.present[0, place]
                 # No rotor bears it from x = 1.95 on, the last column: it is straight on.
                 rear = box_of(BOX, truth[:3])[0]
@@ -54,7 +58,11 @@ class TestPlaces:
                 wanted = exits.at(side, truth[X])
                 assert streams.taken[0, place] == wanted
                 right = wanted == 0
+<<<<<<< /work/main/tests/flow/test_leaving.py
                 assert parcels.outcome[place] == (LEFT_RIGHT if right else LEFT_WRONG)
+=======
+                assert lanes.outcome[place] == (LEFT_RIGHT if right else LEFT_WRONG)
+>>>>>>> /tmp/w/port_core_n/tests/flow/test_leaving.py
                 assert 0.0 < streams.left[0, place] <= 0.04
                 seen.add(wanted)
             taken = streams.taken[0, :20]
@@ -100,7 +108,7 @@ class TestWays:
         assert info["parcels"].tolist() == [-1] * 24
 
     def test_between_exits_is_wrong(self) -> None:
-        x = float(sent(MINUS_45, "left 1")[0]._batch.parcels.truth[0, X])
+        x = float(sent(MINUS_45, "left 1")[0].batch.parcels.truth[0, X])
         around = Exits((Exit("here", 1, x - 1e-6, x + 1e-6), Exit("other", -1)))
         beside = Exits((Exit("here", 1, x + 1e-6, x + 1.0), Exit("before", 1, 0.0, x - 1e-6)))
         env, info = sent(MINUS_45, "here", around)
