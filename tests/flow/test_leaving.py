@@ -45,11 +45,7 @@ class TestPlaces:
             batch.step(np.full((1, batch.config.action_kind.size), BRAKE))
             streams, parcels = batch.streams, batch.parcels
             for place in range(20):
-<<<<<<< /work/main/tests/flow/test_leaving.py
                 truth = parcels.truth[place]
-=======
-                truth = lanes.truth[place]
->>>>>>> /tmp/w/port_core_n/tests/flow/test_leaving.py
                 assert not streams.present[0, place]
                 # No rotor bears it from x = 1.95 on, the last column: it is straight on.
                 rear = box_of(BOX, truth[:3])[0]
@@ -58,11 +54,7 @@ class TestPlaces:
                 wanted = exits.at(side, truth[X])
                 assert streams.taken[0, place] == wanted
                 right = wanted == 0
-<<<<<<< /work/main/tests/flow/test_leaving.py
                 assert parcels.outcome[place] == (LEFT_RIGHT if right else LEFT_WRONG)
-=======
-                assert lanes.outcome[place] == (LEFT_RIGHT if right else LEFT_WRONG)
->>>>>>> /tmp/w/port_core_n/tests/flow/test_leaving.py
                 assert 0.0 < streams.left[0, place] <= 0.04
                 seen.add(wanted)
             taken = streams.taken[0, :20]

@@ -86,13 +86,8 @@ class TestLanes:
 
     @pytest.mark.parametrize("threads", [2, 3])
     def test_nor_does_that_of_threads(self, threads: int) -> None:
-<<<<<<< /work/main/tests/flow/test_vector_env.py
         one, several = (streams(12, threads=count, **VARIED) for count in (1, threads))
         assert several._batch._threads == threads
-=======
-        one, several = (flows(12, threads=count, **VARIED) for count in (1, threads))
-        assert several.batch._threads == threads
->>>>>>> /tmp/w/port_core_n/tests/flow/test_vector_env.py
         for first, second in zip(
             rollout(one, slice(None)), rollout(several, slice(None)), strict=True
         ):
