@@ -26,9 +26,7 @@ def learn(steps: int) -> Act:
     turns = -(-steps // (NUM_ENVS * PERIODS))
     torch.manual_seed(0)
     torch.set_num_threads(1)  # the networks are small
-    mode = (
-        AutoresetMode.SAME_STEP
-    )  # an ended environment shows its next start at once: no step is lost
+    mode = AutoresetMode.SAME_STEP  # what has ended shows its next start at once: no step is lost
     env = gym.make_vec("SmartSurface/Sort-v0", NUM_ENVS, actions="halves", autoreset_mode=mode)
     actor, critic = network(15, 16), network(15, 1)
     weights = [*actor.parameters(), *critic.parameters()]
@@ -41,11 +39,11 @@ def learn(steps: int) -> Act:
             for _ in range(PERIODS):
                 odds, value = actor(seen).log_softmax(1), critic(seen)[:, 0]
                 action = odds.exp().multinomial(1)
-                told, paid, terminated, truncated, _ = env.step(action[:, 0].numpy())
+                after_step, paid, terminated, truncated, _ = env.step(action[:, 0].numpy())
                 over = torch.from_numpy(terminated | truncated)
                 reward = torch.from_numpy(paid).float()
                 kept.append((seen, action, odds.gather(1, action), value, reward, over))
-                seen = torch.from_numpy(told)
+                seen = torch.from_numpy(after_step)
             after, gain, gains = critic(seen)[:, 0], torch.zeros(NUM_ENVS), []
             for *_, value, reward, over in reversed(kept):
                 gain = reward - value + GAMMA * ~over * (after + LAMBDA * gain)

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from surface_gym.tasks import Sort
 from surface_gym.tasks.sort import FEATURES
 
-Act = Callable[
-    [NDArray[np.float32]], NDArray[Any]
-]  # (num_envs, features) to (num_envs,) of "halves"
+# From observations (num_envs, features) to actions (num_envs,) of "halves".
+Act = Callable[[NDArray[np.float32]], NDArray[Any]]
 
 SIZE = [feature.name for feature in FEATURES].index("size")  # below 0 for the S-box
 STARTS = {"as they come": Sort(), "0.3 to 2.7 m/s evenly": Sort(slow_share=0.0)}
@@ -33,7 +32,7 @@ def run(learn: Callable[[int], Any], measure: Callable[[Any], Any], steps: int, 
         learn: from so many control periods; gives what is measured.
         measure: gives the figures.
         steps: control periods, unless `--steps` says otherwise.
-        used: names of packages whose versions are told.
+        used: names of packages whose versions are reported.
     """
     parser = argparse.ArgumentParser()
     parser.add_argument("--steps", type=int, default=steps, help="control periods to learn from")

@@ -41,10 +41,10 @@ def train(config: PPOConfig, steps: int, rollout: int, policy: str) -> Callable[
     """Train, and give the logits of the actions for observations (num_envs, features)."""
     algo = config.build_algo()
     for turn in range(-(-steps // rollout)):
-        told = algo.train()
+        report = algo.train()
         if turn % 25 == 0:
-            mean = told["env_runners"]["episode_return_mean"]
-            loss = told["learners"][policy]["total_loss"]
+            mean = report["env_runners"]["episode_return_mean"]
+            loss = report["learners"][policy]["total_loss"]
             print(f"{(turn + 1) * rollout:8} periods: return {mean:.2f}, loss {loss:.3f}")
     module: Any = algo.get_module(policy)
     algo.stop()

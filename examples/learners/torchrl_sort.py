@@ -57,8 +57,8 @@ def learn(steps: int) -> Act:
             flat = gains(rollout).reshape(-1)
         orders = [torch.randperm(ROLLOUT) for _ in range(EPOCHS)]
         for rows in torch.cat(orders).view(-1, BATCH):
-            told = losses(flat[rows])
-            loss = told["loss_objective"] + told["loss_critic"] + told["loss_entropy"]
+            terms = losses(flat[rows])
+            loss = terms["loss_objective"] + terms["loss_critic"] + terms["loss_entropy"]
             adam.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(losses.parameters(), 0.5)
