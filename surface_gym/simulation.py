@@ -36,9 +36,8 @@ from surface_gym.physics.types import (
     check_capacity,
     make_scratch,
 )
-from surface_gym.record.repeating import Run
 from surface_gym.surface import Surface
-from surface_gym.trajectory import Trajectory
+from surface_gym.trajectory import Run, Trajectory
 
 METHODS = ("implicit", "explicit")
 PIECE = 2000  # steps in a row: Ctrl-C waits for no more

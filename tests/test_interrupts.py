@@ -12,11 +12,11 @@ import pytest
 import surface_gym as sg
 from surface_gym import simulation, together
 from surface_gym.core import batch
-from surface_gym.design import runs, sending
+from surface_gym.design import runs
 from surface_gym.design.case import Case
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.vector_env import FlowVectorEnv
+from surface_gym.vector_env import SmartSurfaceVectorEnv
 
 ROOT = Path(__file__).parent.parent
 PROMPT = 10.0  # [s] for Ctrl-C on a busy machine; on an idle one it takes some tenths
@@ -144,7 +144,9 @@ def test_the_pieces_of_a_control_period_are_one(
     def run() -> bytes:
         if flows:
             stream = Stream(Steady(5000.0))
-            lanes = FlowVectorEnv(9, stream=stream, actions="parcels", places=4, threads=threads)
+            lanes = SmartSurfaceVectorEnv(
+                9, stream=stream, actions="parcels", places=4, threads=threads
+            )
         else:
             lanes = sg.SmartSurfaceVectorEnv(9, threads=threads)
         lanes.action_space.seed(0)
@@ -169,7 +171,7 @@ def test_the_pieces_of_a_design_are_one(threads: int, monkeypatch: pytest.Monkey
         return runs.run_all(line, axes, [BOX], runs.make_runs(speeds), workers=threads)
 
     whole = run()
-    monkeypatch.setattr(sending, "MOST_STEPS", 3 * int(runs.LONGEST / runs.STEP))  # 3 runs
+    monkeypatch.setattr(runs, "MOST_STEPS", 3 * int(runs.LONGEST / runs.STEP))  # 3 runs
     pieces = run()
     assert pieces.pose.tobytes() == whole.pose.tobytes()
     assert pieces.steps.tolist() == whole.steps.tolist()

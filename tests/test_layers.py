@@ -79,9 +79,7 @@ def edges() -> dict[str, set[str]]:
 
 def circles(graph: dict[str, set[str]]) -> list[set[str]]:
     """Sets of nodes that reach each other."""
-    reach = {
-        node: set(itertools.chain.from_iterable(_walk(graph, node))) for node in graph
-    }
+    reach = {node: set(itertools.chain.from_iterable(_walk(graph, node))) for node in graph}
     return [
         {other for other in graph if other in reach[node] and node in reach[other]}
         for node in graph
@@ -107,7 +105,10 @@ def test_no_file_imports_itself_through_others():
 def test_no_two_folders_import_each_other():
     graph = edges()
     mutual = {
-        tuple(sorted((a, b))) for a, others in graph.items() for b in others if a in graph.get(b, ())
+        tuple(sorted((a, b)))
+        for a, others in graph.items()
+        for b in others
+        if a in graph.get(b, ())
     }
     assert mutual == set()
 

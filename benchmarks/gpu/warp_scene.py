@@ -10,11 +10,9 @@ import numpy as np
 
 from benchmarks.gpu.windows import Effort, Rate, rate_of
 from surface_gym.physics.types import GRAVITY
-from surface_gym.validation.cases import PARCEL, PUSHED
-from surface_gym.validation.reach import reachable, under
-from surface_gym.validation.recipe import RECIPE, Recipe
-from surface_gym.validation.scene import build, load_mujoco
-from surface_gym.validation.simulation import static_sag
+from surface_gym.validation.comparison import PARCEL, PUSHED
+from surface_gym.validation.scene import RECIPE, Recipe, build, load_mujoco
+from surface_gym.validation.simulation import elements_under, reachable, static_sag
 
 MUJOCO_WARP = find_spec("mujoco_warp") is not None  # which needs mujoco and warp
 PERIOD = 0.04  # [s] of a decision, as Sort's
@@ -51,7 +49,7 @@ class WarpScene:
             surface, PARCEL, recipe, within=reachable(surface, PARCEL, pose, velocity, REACH)
         )
         data = mujoco.MjData(scene.model)
-        bearing = under(surface, PARCEL, pose)
+        bearing = elements_under(surface, PARCEL, pose)
         stiffness = recipe.stiffness * surface.grid.stiffness[bearing]
         sag = static_sag(np.zeros(len(stiffness)), stiffness, GRAVITY)
         half_turn = 0.5 * pose[2]

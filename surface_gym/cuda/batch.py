@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from surface_gym.core.batch import rules_of
+from surface_gym.config import EnvConfig
+from surface_gym.core.assembly import make_rules
 from surface_gym.core.resets import (
     BodyPlan,
     StartRows,
@@ -28,13 +29,10 @@ from surface_gym.cuda.kernels import (
 )
 from surface_gym.cuda.memory import make_memory, sent, side_by_side, to_device
 from surface_gym.cuda.prefetch import Prefetch
-from surface_gym.flow.episodes import FlowEpisodes
-from surface_gym.flow.memory import ENTERED, RIGHT, TOUCHES, TURNS, WRONG
-from surface_gym.flow.rewards import TERMS
-from surface_gym.flow.settings import FlowSettings
+from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.state import ENTERED, RIGHT, TOUCHES, TURNS, WRONG
 from surface_gym.physics.types import Array, Integers
-from surface_gym.settings import Settings
-from surface_gym.state import COMMON_OUTCOMES, NO_FAULT, PATH_POINTS, SUCCESS
+from surface_gym.state import COMMON_OUTCOMES, NO_FAULT, OUT_OF_TIME, PATH_POINTS, RUNNING, SUCCESS
 
 
 class CudaEnvs(ABC):
@@ -87,6 +85,11 @@ class CudaEnvs(ABC):
         self._move()
         fault = torch.where(mask, self._episodes.fault, NO_FAULT)
         torch.where(self.first_fault == NO_FAULT, fault, self.first_fault, out=self.first_fault)
+
+    def truncate(self, late: torch.Tensor) -> None:
+        """End the episodes that still run of the environments in the mask (lanes,)."""
+        outcome = self.outcome
+        outcome.masked_fill_(late & (outcome == RUNNING), OUT_OF_TIME)
 
     @property
     @abstractmethod
@@ -150,18 +153,18 @@ class CudaBatch(CudaEnvs):
         ValueError: the task or the sensor lacks a compiled function.
     """
 
-    def __init__(self, settings: Settings, lanes: int, device: torch.device) -> None:
+    def __init__(self, settings: EnvConfig, lanes: int, device: torch.device) -> None:
         super().__init__(lanes, device)
         self._settings = settings
-        self._task = settings.chosen_task
+        self._task = settings.task
         self.outcomes = COMMON_OUTCOMES + self._task.outcomes
         self.options = self._task.options
         self.author = type(self._task).__name__
-        plant = settings.chosen_plant
+        plant = settings.chosen_line
         self._plan = BodyPlan(
             self._task.parcels, partial(place_in, settings), 1, (plant.rows, plant.columns)
         )
-        self._rules = to_device(rules_of(settings), device)
+        self._rules = to_device(make_rules(settings), device)
         self._sites = to_device(self._plan.bodies, device)
         self._lanes: Any  # as `Lanes`, of tensors
         self._surfaces, self._lanes = make_memory(settings, lanes, device)
@@ -278,36 +281,38 @@ class CudaStreamBatch(CudaEnvs):
         ValueError: the sensor lacks a compiled function.
     """
 
-    def __init__(self, settings: FlowSettings, lanes: int, device: torch.device) -> None:
+    def __init__(self, settings: EnvConfig, lanes: int, device: torch.device) -> None:
         super().__init__(lanes, device)
         self._settings = settings
-        self._host = FlowEpisodes(settings, lanes)
+        self._host = StreamBatch(settings, lanes, compiles=False)
         self.outcomes, self.options = self._host.outcomes, self._host.options
-        self.author = type(settings.sensors).__name__
-        self._capacity = stream_capacity(settings, settings.stream.kinds)
+        self.author = type(settings.task).__name__
+        self._capacity = stream_capacity(settings, settings.stream_task.stream.kinds)
         self._rules = to_device(self._host.rules, device)
-        self._flow_rules = to_device(self._host.flow_rules, device)
+        self._params = to_device(self._host.params, device)
         self._surfaces = to_device(self._host.surfaces, device)
         self._lanes = to_device(self._host.parcels, device)
         self._episodes = to_device(self._host.streams, device)
-        one = to_device(make_scratch(self._capacity, settings.rows), device)
+        one = to_device(make_scratch(self._capacity, settings.stream_task.rows), device)
         self._scratches = type(one)._make(side_by_side(values, lanes) for values in one)
         self._move = Launch(move_flow_kernel(settings), self._arguments(), lanes)
 
     def _arguments(self) -> tuple[Any, ...]:
         sites = to_device(self._host.bodies, self._device)
-        rules = (self._rules, self._flow_rules)
+        rules = (self._rules, self._params)
         memory = (self._surfaces, self._lanes, sites, self._episodes, self._scratches)
         return (*rules, *memory, self._order, self._mask)
 
     @property
     def observation(self) -> torch.Tensor:
         seen: torch.Tensor = self._lanes.observation
-        return seen.reshape(len(self._mask), self._settings.rows, -1)
+        return seen.reshape(len(self._mask), self._settings.stream_task.rows, -1)
 
     def told(self) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
         flows = self._episodes
-        there = torch.where(flows.present, flows.number, -1)[:, : self._settings.places]
+        there = torch.where(flows.present, flows.number, -1)[
+            :, : self._settings.stream_task.max_parcels
+        ]
         tallied = {"entered": ENTERED, "right": RIGHT, "wrong": WRONG, "touches": TOUCHES,
                    "turns": TURNS}  # fmt: skip
         infos = {
@@ -317,7 +322,9 @@ class CudaStreamBatch(CudaEnvs):
             **{name: flows.tally[:, place].clone() for name, place in tallied.items()},
             "waiting": flows.due - flows.coming,
         }
-        return infos, {name: flows.terms[:, k].clone() for k, name in enumerate(TERMS)}
+        return infos, {
+            name: flows.terms[:, k].clone() for k, name in enumerate(self._settings.task.terms)
+        }
 
     def is_seeded(self, lane: int) -> bool:
         return self._host.is_seeded(lane)
@@ -325,7 +332,7 @@ class CudaStreamBatch(CudaEnvs):
     def check(self, options: Sequence[dict[str, Any]]) -> None:
         self._host.check(options)
         for each in options:
-            stream = each.get("stream", self._settings.stream)
+            stream = each.get("stream", self._settings.stream_task.stream)
             if stream_capacity(self._settings, stream.kinds) > self._capacity:
                 raise ValueError(
                     f"stream must have parcels no larger than those of the environment's where "
@@ -340,7 +347,7 @@ class CudaStreamBatch(CudaEnvs):
     ) -> None:
         for lane, generator in generators.items():
             self._host.seed(lane, generator)
-        self._host.place(chosen, options)
+        self._host.place_drawn(chosen, options)
         self._make_room()
         self._send(chosen)
         self._move.call_with(self._arguments())
@@ -383,7 +390,7 @@ class CudaStreamBatch(CudaEnvs):
             values = getattr(theirs, name)
             if len(values) == lanes:
                 getattr(ours, name)[where] = sent(values[chosen], self._device)
-        rows = self._settings.rows
+        rows = self._settings.stream_task.rows
         of_parcels = (chosen[:, np.newaxis] * rows + np.arange(rows)).ravel()
         outcome = sent(host.parcels.outcome[of_parcels], self._device)
         self._lanes.outcome[sent(of_parcels, self._device)] = outcome

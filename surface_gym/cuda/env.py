@@ -1,7 +1,7 @@
 """The vector environment on a CUDA device."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.util import find_spec
 from typing import Any
 
@@ -12,12 +12,12 @@ from gymnasium import spaces
 from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode
 
+from surface_gym.config import EnvConfig
 from surface_gym.cuda.batch import CudaEnvs
 from surface_gym.cuda.memory import Note
-from surface_gym.faces.lanes import LanesEnv
-from surface_gym.flow.settings import FlowSettings
-from surface_gym.settings import Settings
+from surface_gym.flow.task import StreamTask
 from surface_gym.state import NO_FAULT, OUT_OF_TIME, RUNNING
+from surface_gym.vector_env import BaseVectorEnv
 
 EXTRA = 'pip install "surface_gym[gpu]"'
 
@@ -41,7 +41,7 @@ def check_device() -> None:
         raise DeviceMissing("device='cuda' needs an NVIDIA GPU that Numba can use; it finds none")
 
 
-def check_settings(settings: Settings) -> None:
+def check_settings(settings: EnvConfig) -> None:
     """Raise a ValueError for what a GPU does not support yet: noise and all else drawn after a
     start, and infos on request.
     """
@@ -56,7 +56,7 @@ def check_settings(settings: Settings) -> None:
             raise ValueError(f"{name} must be {allowed}, where device is 'cuda', got {value!r}")
 
 
-def check_sensor(settings: Settings | FlowSettings) -> None:
+def check_sensor(settings: EnvConfig) -> None:
     """Raise a ValueError for a sensor with noise."""
     if settings.draws > 0:
         raise ValueError(
@@ -132,7 +132,7 @@ class TensorActions:
 LOOK_EVERY = 32  # control periods from one look for errors to the next, which tells what was seen
 
 
-class CudaVectorEnv(LanesEnv):
+class CudaVectorEnv(BaseVectorEnv):
     """`SmartSurfaceVectorEnv` on a GPU; `gym.make_vec(..., device="cuda")` gives it. Experimental.
 
     The source of physics, sensors and tasks is the CPU's, compiled for the GPU, and lane i seeded
@@ -155,12 +155,11 @@ class CudaVectorEnv(LanesEnv):
 
     Args:
         num_envs: number of lanes; 30 000 and more fill a data-centre card.
-        settings: of the environment.
-        make_batch: makes its batch, of so many lanes on a device.
+        device: where it runs.
         max_episode_steps: control periods after which a lane is truncated; None for no limit.
         autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED, which makes the host
             wait for the device in every step.
-        device: where it runs.
+        config: the other arguments, those of `SmartSurfaceEnv`.
 
     Raises:
         ValueError: an argument is not allowed.
@@ -169,18 +168,17 @@ class CudaVectorEnv(LanesEnv):
     def __init__(
         self,
         num_envs: int,
-        settings: Settings | FlowSettings,
-        make_batch: Callable[[int, torch.device], CudaEnvs],
-        max_episode_steps: int | None,
-        autoreset_mode: AutoresetMode | str,
         device: torch.device,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        **config: Any,
     ) -> None:
         super().__init__(num_envs, autoreset_mode, max_episode_steps, None)
-        self.settings = settings
+        self.config = EnvConfig(**config)
         self.device = device
-        self._batch = make_batch(self.num_envs, device)
-        self.outcomes = self._batch.outcomes  # how an episode may stand
-        self._show(settings.observation_space(), settings.action_space())
+        self.batch = _make_batch(self.config, self.num_envs, device)
+        self.outcomes = self.batch.outcomes  # how an episode may stand
+        self._set_spaces(self.config.observation_space(), self.config.action_space())
         self._actions = TensorActions(self.single_action_space, self.num_envs, device)
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=device)
         self._steps_left = torch.zeros(self.num_envs, dtype=torch.int64, device=device)
@@ -193,19 +191,19 @@ class CudaVectorEnv(LanesEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | Sequence[dict[str, Any] | None] | None = None,
     ) -> tuple[torch.Tensor, dict[str, Any]]:
-        batch = self._batch
+        batch = self.batch
         if isinstance(options, dict) and torch.is_tensor(options.get("reset_mask")):
             options = {**options, "reset_mask": options["reset_mask"].cpu().numpy()}
-        asked = self._asked(seed, options, batch.options)
+        asked = self._check_reset(seed, options, batch.options)
         if asked.options:  # a bad option of one lane leaves all as they were
             batch.check(asked.options)
         self._check()
         generators = {
             lane: np_random(asked.seeds[lane])[0]
-            for lane in asked.lanes.tolist()
+            for lane in asked.chosen.tolist()
             if asked.seeds[lane] is not None or not batch.is_seeded(lane)
         }
-        batch.start(generators, asked.lanes, asked.options)
+        batch.reset(generators, asked.chosen, asked.options)
         begun = torch.from_numpy(asked.mask).to(self.device)
         batch.move(begun)
         self._steps_left.masked_fill_(begun, self._limit)
@@ -217,7 +215,7 @@ class CudaVectorEnv(LanesEnv):
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before step.")
-        batch = self._batch
+        batch = self.batch
         outcome = batch.outcome
         ended = outcome != RUNNING
         if self.autoreset_mode == AutoresetMode.DISABLED and ended.any():
@@ -230,7 +228,7 @@ class CudaVectorEnv(LanesEnv):
         self._steps_left -= 1
         self._steps_left.masked_fill_(ended, self._limit)
         late = self._steps_left <= 0
-        outcome.masked_fill_(late & (outcome == RUNNING), OUT_OF_TIME)
+        batch.truncate(late)
         truncated = (outcome == OUT_OF_TIME) | late
         terminated = outcome > OUT_OF_TIME
         rewards = batch.reward.clone()
@@ -247,7 +245,7 @@ class CudaVectorEnv(LanesEnv):
     def close_extras(self, **kwargs: Any) -> None:
         """Raise errors not yet raised, and end the thread that draws starts."""
         del kwargs
-        self._batch.close()
+        self.batch.close()
         self._check()
 
     def _begin_again(self, over: torch.Tensor) -> dict[str, Any]:
@@ -260,23 +258,23 @@ class CudaVectorEnv(LanesEnv):
             "final_info": self._infos(over),
             "_final_info": over,
         }
-        self._batch.place(over)
-        self._batch.move(over)
+        self.batch.place(over)
+        self.batch.move(over)
         self._steps_left.masked_fill_(over, self._limit)
         return ended
 
     def _observation(self) -> torch.Tensor:
-        return self._batch.observation.clone(memory_format=torch.contiguous_format)
+        return self.batch.observation.clone(memory_format=torch.contiguous_format)
 
     def _infos(self, mask: torch.Tensor) -> dict[str, Any]:
-        """Return the infos of the environments in the mask: tensors, and Gymnasium's masks."""
-        told, terms = self._batch.told()
+        """Infos of the lanes in the mask: tensors and, as Gymnasium has it, whose they are."""
+        told, terms = self.batch.told()
         infos = {**told, "reward_terms": {**terms, **{f"_{name}": mask for name in terms}}}
         return {**infos, **{f"_{name}": mask for name in infos}}
 
     def _wrong(self) -> torch.Tensor:
-        """Return two flags: an action was out of range, a task's function made an error."""
-        return torch.stack([self._actions.wrong, (self._batch.first_fault != NO_FAULT).any()])
+        """(2,) whether an action was out of range, and whether a function of a task went wrong."""
+        return torch.stack([self._actions.wrong, (self.batch.first_fault != NO_FAULT).any()])
 
     def _look(self) -> None:
         """Raise errors that the last check has found, and check again."""
@@ -294,7 +292,7 @@ class CudaVectorEnv(LanesEnv):
             return
         self._seen = None
         self._actions.wrong.zero_()
-        fault = self._batch.first_fault
+        fault = self.batch.first_fault
         lanes = torch.nonzero(fault).flatten().tolist()
         fault.zero_()
         if action:
@@ -303,7 +301,24 @@ class CudaVectorEnv(LanesEnv):
                 f"{2 * LOOK_EVERY} control periods"
             )
         raise ValueError(
-            f"{self._batch.author} gave an outcome that it does not have, or a "
+            f"{self.batch.author} gave an outcome that it does not have, or a "
             f"reward or feature that is not finite, on lane {lanes[0]} in the last "
             f"{2 * LOOK_EVERY} control periods; the same lane on the CPU says which"
         )
+
+
+def _make_batch(config: EnvConfig, num_envs: int, device: torch.device) -> CudaEnvs:
+    """Make the batch of a device that a task needs: of one parcel each, or of a stream.
+
+    Raises:
+        ValueError: an argument is not allowed on a device.
+    """
+    if isinstance(config.task, StreamTask):
+        from surface_gym.cuda.batch import CudaStreamBatch
+
+        check_sensor(config)
+        return CudaStreamBatch(config, num_envs, device)
+    from surface_gym.cuda.batch import CudaBatch
+
+    check_settings(config)
+    return CudaBatch(config, num_envs, device)

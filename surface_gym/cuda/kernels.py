@@ -15,20 +15,19 @@ import torch
 from numba import cuda
 from numba.core.dispatcher import Dispatcher
 
-from surface_gym.core.batch import functions_of
+from surface_gym.config import EnvConfig
+from surface_gym.core.assembly import task_functions
 from surface_gym.core.kernel import EnvParams, KernelFunctions, make_kernel
 from surface_gym.cuda.memory import capacity_for, capacity_of, layout, seen
 from surface_gym.cuda.prefetch import Starts
-from surface_gym.flow.kernel import FlowFunctions, make_flow_kernel
-from surface_gym.flow.making import stream_functions
-from surface_gym.flow.memory import FlowRules, Flows
-from surface_gym.flow.settings import FlowSettings
+from surface_gym.flow.batch import stream_functions
+from surface_gym.flow.kernel import StreamFunctions, make_stream_kernel
+from surface_gym.flow.state import StreamParams, StreamState
 from surface_gym.parcel import Parcel
 from surface_gym.physics import types
 from surface_gym.physics.collision import WorldScratch, make_world_scratch, world_scratch
 from surface_gym.physics.jit import referenced_names
 from surface_gym.physics.types import Booleans, Integers, Scratch
-from surface_gym.settings import Settings
 from surface_gym.state import STARTING, BodyTable, ParcelState, SurfaceState
 
 Wrap = Callable[[Callable[..., Any]], Any]
@@ -139,9 +138,9 @@ def device_source(capacity: int) -> Source:
     return Source(layout(capacity), device_function)
 
 
-def move_kernel(settings: Settings) -> Any:
+def move_kernel(settings: EnvConfig) -> Any:
     """Return the kernel of an environment: see `make_move_kernel`."""
-    return make_move_kernel(functions_of(settings), capacity_of(settings))
+    return make_move_kernel(task_functions(settings), capacity_of(settings))
 
 
 @lru_cache(maxsize=64)
@@ -216,25 +215,25 @@ def place(
     lanes.outcome[i] = STARTING
 
 
-def stream_capacity(settings: FlowSettings, kinds: tuple[Parcel, ...]) -> int:
+def stream_capacity(settings: EnvConfig, kinds: tuple[Parcel, ...]) -> int:
     """Return the room for the contacts and edges of some parcels at their largest size."""
     bases = [settings.randomisation.largest(parcel.base) for parcel in kinds]
-    return capacity_for(bases, settings.chosen_plant)
+    return capacity_for(bases, settings.chosen_line)
 
 
-def move_flow_kernel(settings: FlowSettings) -> Any:
-    """Return the kernel of a stream's environment: see `make_move_flow_kernel`."""
-    capacity = stream_capacity(settings, settings.stream.kinds)
+def move_flow_kernel(settings: EnvConfig) -> Any:
+    """The kernel of an environment: see `make_move_flow_kernel`."""
+    capacity = stream_capacity(settings, settings.stream_task.stream.kinds)
     return make_move_flow_kernel(stream_functions(settings), capacity)
 
 
 @lru_cache(maxsize=16)
-def make_move_flow_kernel(functions: FlowFunctions, capacity: int) -> Any:
+def make_move_flow_kernel(functions: StreamFunctions, capacity: int) -> Any:
     """Build `move(rules, flow_rules, surfaces, lanes, sites, flows, scratches, order, mask)`,
     compiled when it is first called.
 
     Thread t moves surface order[t], if it is in the mask (surfaces,): see
-    `flow.kernel.make_flow_kernel`.
+    `flow.kernel.make_stream_kernel`.
 
     Args:
         functions: of the environment.
@@ -243,18 +242,18 @@ def make_move_flow_kernel(functions: FlowFunctions, capacity: int) -> Any:
     places = layout(capacity)
     source = device_source(capacity)
     move_flows, own_scratch = (
-        source.remade(make_flow_kernel(functions)),
+        source.remade(make_stream_kernel(functions)),
         source.remade(world_scratch),
     )
     table_size, marks_size, spans = places["TABLE_SIZE"], places["MARKS_SIZE"], places["SPANS"]
 
     def move(
         rules: EnvParams,
-        flow_rules: FlowRules,
+        flow_rules: StreamParams,
         surfaces: SurfaceState,
         lanes: ParcelState,
         sites: BodyTable,
-        flows: Flows,
+        flows: StreamState,
         scratches: WorldScratch,
         order: Integers,
         mask: Booleans,

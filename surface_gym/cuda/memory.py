@@ -18,12 +18,12 @@ import torch
 from numba import cuda
 from numpy.typing import NDArray
 
-from surface_gym.core.batch import memory_of
+from surface_gym.config import EnvConfig
+from surface_gym.core.assembly import make_state
 from surface_gym.core.resets import FEWEST_EDGES
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Base
 from surface_gym.physics import types
-from surface_gym.settings import Settings
 from surface_gym.state import ParcelState, SurfaceState
 
 GRIDS = ("axis", "angle", "target", "stiffness")  # a lane's elements lie together
@@ -31,10 +31,10 @@ PATTERN = 2  # lanes of which memory is made: what has as many rows has one a la
 
 
 def make_memory(
-    settings: Settings, lanes: int, device: torch.device
+    settings: EnvConfig, lanes: int, device: torch.device
 ) -> tuple[SurfaceState, ParcelState]:
-    """Make the state arrays of a batch as tensors."""
-    surfaces, parcels = memory_of(settings, PATTERN)
+    """Memory of a batch, as `core.assembly.make_state` makes it, of tensors."""
+    surfaces, parcels = make_state(settings, PATTERN)
     return (
         SurfaceState._make(
             _for_all(values, lanes, device, together if name in GRIDS else side_by_side)
@@ -118,10 +118,10 @@ def layout(capacity: int) -> MappingProxyType[str, int]:
     )
 
 
-def capacity_of(settings: Settings) -> int:
-    """Return the room for the contacts and edges of every parcel that a task draws."""
-    parcels = settings.chosen_task.parcels
-    return capacity_for([parcel.base for parcel in parcels], settings.chosen_plant)
+def capacity_of(settings: EnvConfig) -> int:
+    """Room for the contacts and the edges of every parcel that an environment's task draws."""
+    parcels = settings.task.parcels
+    return capacity_for([parcel.base for parcel in parcels], settings.chosen_line)
 
 
 def capacity_for(bases: Sequence[Base], plant: BaseLine) -> int:
