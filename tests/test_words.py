@@ -36,10 +36,8 @@ GONE = {
         "config, presets, lines, physics, cuda, state, core, trajectory, parallel",
         "",
     ),
-    r"(?<!surface_gym\.)\bagents\.(flow|search|episodes|policies|modules|mirror)\b|\bfrom agents\b": (
-        "surface_gym.agents",
-        "",
-    ),
+    r"\bagents\.(flow|search|episodes|policies|modules|mirror)\b": ("rules, tuning, rollout", ""),
+    r"(from|import) agents\b(?! import)": ("surface_gym.agents", r"surface_gym import agents"),
     r"agents\.evaluation\.(contenders|command|main|cell|trials|columns)\b": ("methods, cli", ""),
     r"\bpython -m agents\b": ("surface-gym, python -m surface_gym.agents", ""),
 }

@@ -5,15 +5,16 @@ import runpy
 import shlex
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pytest
 import tyro
+from surface_gym.agents.tuning.sweep import read_sweep
 
 from surface_gym import cli
-from surface_gym.agents.tuning.sweep import read_sweep
 from tests.docs.reading import PAGES, ROOT, code_blocks
 
 SHELL = ("sh", "")
@@ -85,11 +86,11 @@ def test_a_program_accepts_the_command(
         place = words.index("--cluster")
         words = words[:place] + words[place + 2 :]
     if words[0] == "surface-gym":
-        program, arguments, begin = words[1], words[2:], lambda: cli.main(words[1:])
+        program, arguments, begin = words[1], words[2:], partial(cli.main, words[1:])
         if program == "--help":
             return
         if program == "play":  # which parses by argparse, as `cli.main` does
-            begin = lambda: import_module("surface_gym.play").main(arguments)
+            begin = partial(import_module("surface_gym.play").main, arguments)
     else:
         assert words[0] == "python", page
         program, is_module, arguments = split_program(words)
