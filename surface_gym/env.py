@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from surface_gym.config import EnvConfig, with_arguments
 from surface_gym.gym_base import RENDER_FPS, check_render_mode, make_batch
 from surface_gym.state import OUT_OF_TIME, RUNNING
+from surface_gym.tasks.base import Task
 from surface_gym.tasks.start import check_options
 
 __all__ = ["RENDER_FPS", "SmartSurfaceEnv"]
@@ -96,9 +97,11 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": RENDER_FPS}
 
     @with_arguments
-    def __init__(self, render_mode: str | None = None, **config: Any) -> None:
+    def __init__(
+        self, task: str | Task = "sort", *, render_mode: str | None = None, **config: Any
+    ) -> None:
         self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
-        self.config = EnvConfig(**config)
+        self.config = EnvConfig(task, **config)
         self.batch = make_batch(self.config, 1)
         self.observation_space = self.config.observation_space()
         self.action_space = self.config.action_space()
@@ -179,7 +182,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         info["outcome"] = batch.outcomes[outcome]
         info["reward_terms"] = dict(zip(batch.task.terms, batch.terms[0].tolist(), strict=True))
         if outcome != RUNNING:
-            figures = batch.figures(np.ones(1, dtype=np.bool_))
+            figures = batch.metrics(np.ones(1, dtype=np.bool_))
             if figures:
                 info["episode_figures"] = {name: each[0].item() for name, each in figures.items()}
         return info

@@ -49,7 +49,7 @@ def test_without_the_extra_an_error_names_it(monkeypatch, module):
     ("arguments", "message"),
     [
         ({"sensors": Camera()}, "sensors must be one without noise.* got Camera"),
-        ({"condition": "lab"}, "sensors must be one without noise"),
+        ({"preset": "lab"}, "sensors must be one without noise"),
         ({"randomisation": sg.Randomisation(mass=0.1)}, "randomisation must be .* mass=0.1"),
         ({"actuators": sg.Actuators(stuck_share=0.1)}, "stuck_share must be 0.*, got 0.1"),
         ({"info": ("axes",)}, r"info must be \(\), where device is 'cuda', got \('axes',\)"),

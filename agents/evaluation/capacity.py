@@ -15,6 +15,7 @@ from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import BETWEEN, JAM
 from surface_gym.flow.statistics import compute_statistics
 from surface_gym.flow.stream import Stream
+from surface_gym.gym_base import make_batch
 from surface_gym.layouts import box
 from surface_gym.presets import Preset
 from surface_gym.randomisation import Randomisation
@@ -201,7 +202,7 @@ def _is_lost(batch: StreamBatch, begin: float, most_wrong: float) -> bool:
 
 def _count(batch: StreamBatch, rate: float, counted: float) -> Measurement:
     flows = batch.streams
-    begin = batch.config.duration - counted
+    begin = batch.config.stream_task.duration - counted
     right, delivered, touches, waiting = [], [], [], []
     for k in range(REPLICATIONS):
         found = compute_statistics(flows, k, bool(flows.outcome[k] == JAM), 1, begin)

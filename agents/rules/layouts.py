@@ -22,14 +22,7 @@ from surface_gym.tasks.observed import LineObservation, square_reach
 from surface_gym.tasks.start import Start
 
 from ..axes import find_axes
-from ..planning.layouts import (
-    LAYOUTS,
-    MISSED,
-    LayoutCost,
-    LayoutModel,
-    graded_cost,
-    search_layout,
-)
+from ..planning.layouts import LAYOUTS, MISSED, LayoutCost, LayoutModel, graded_cost, search_layout
 from ..planning.path_layouts import ShownPath, path_model, search_path_layout
 from .base import FULL, HALF, ColumnAxes, Commands, FixedRule, Levels, Numbers, Observations
 

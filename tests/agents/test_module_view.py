@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+
+import surface_gym as sg
 from surface_gym.agents.module_view import (
     ModuleView,
     Outline,
@@ -10,8 +12,6 @@ from surface_gym.agents.module_view import (
     place_size,
     shared_size,
 )
-
-import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.layouts import LEAD_IN, LINE_ROWS, LINE_Y, ROWS, lead_in_under, rows_under
 from surface_gym.lines import Pattern

@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 import tyro
-from surface_gym.agents.tuning.sweep import read_sweep
 
 from surface_gym import cli
 from tests.docs.reading import PAGES, ROOT, code_blocks

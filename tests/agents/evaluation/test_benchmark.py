@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents import library
 from surface_gym.agents.evaluation import benchmark as runs
 from surface_gym.agents.evaluation.benchmark import (
@@ -27,8 +29,6 @@ from surface_gym.agents.learning.config import PPOConfig
 from surface_gym.agents.learning.runs import CONFIG, write_config
 from surface_gym.agents.library import PolicyCard
 from surface_gym.agents.policy import make_network, save_policy
-
-from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.config import EnvConfig
 from surface_gym.presets import PRESETS, Preset
 from surface_gym.registration import env_id

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+
+from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents.evaluation import robustness
 from surface_gym.agents.evaluation.benchmark import compute_kept, find_benchmark
 from surface_gym.agents.evaluation.methods import PLANNER, Method, all_methods, rules, shipped
@@ -46,8 +48,6 @@ from surface_gym.agents.evaluation.robustness_report import (
 )
 from surface_gym.agents.evaluation.statistics import interval
 from surface_gym.agents.rollout import run_episodes
-
-from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.config import EnvConfig
 from surface_gym.lines import Line
 from surface_gym.parcel import Disc, Rectangle

@@ -4,10 +4,10 @@ from typing import Any
 
 import gymnasium as gym
 import torch
-from surface_gym.agents.learning.config import PPOConfig
-from surface_gym.agents.tasks import find_task
 
 from surface_gym import SmartSurfaceVectorEnv
+from surface_gym.agents.learning.config import PPOConfig
+from surface_gym.agents.tasks import find_task
 
 
 class EnvsOnCpu:

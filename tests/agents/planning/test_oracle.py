@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from surface_gym.agents.planning.oracle import Oracle, find_reachable, run_oracle, stops_past
-from surface_gym.agents.rollout import run_episodes
 
 from surface_gym import Parcel, Rectangle
+from surface_gym.agents.planning.oracle import Oracle, find_reachable, run_oracle, stops_past
+from surface_gym.agents.rollout import run_episodes
 from surface_gym.config import EnvConfig
 from surface_gym.layouts import box
 from surface_gym.lines import Line

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from surface_gym.agents.base import Controller
-from surface_gym.agents.rules import RULES, Rule
 
 import surface_gym as sg
+from surface_gym.agents.base import Controller
+from surface_gym.agents.rules import RULES, Rule
 from surface_gym.config import EnvConfig
 from surface_gym.tasks.paths import Sine
 

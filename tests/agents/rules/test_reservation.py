@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from surface_gym.agents.rules.reservation import (
     FINE,
     MARGIN,
@@ -23,7 +24,6 @@ from surface_gym.agents.rules.reservation import (
     steady_rate,
 )
 from surface_gym.agents.rules.streams import StreamEventRule
-
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream

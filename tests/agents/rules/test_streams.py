@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from surface_gym.agents import library
 from surface_gym.agents.rules.streams import (
     OPEN,
@@ -14,7 +15,6 @@ from surface_gym.agents.rules.streams import (
     StreamEventRule,
     StreamFixedLayout,
 )
-
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.task import FEATURES, OWN, PRESENT, WAITS
 from tests.agents.rules.lines import counts, gated, line

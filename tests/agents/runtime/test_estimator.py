@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
+import surface_gym as sg
 from surface_gym.agents.runtime.estimator import (
     IDEAL,
     MAX_AHEAD,
@@ -13,8 +15,6 @@ from surface_gym.agents.runtime.estimator import (
     within_right_angles,
 )
 from surface_gym.agents.runtime.protocol import Entered, Frame
-
-import surface_gym as sg
 from surface_gym.core.batch import Batch
 from tests.agents.runtime.made import (
     BRAKE,
@@ -86,7 +86,7 @@ def test_late_frames_lead_to_the_same_estimate(filtered) -> None:
             if not late:
                 held.observe(taken.taken_at)
             assert held.correct(taken)
-        held.observe(frames[-1].taken + 0.03)
+        held.observe(frames[-1].taken_at + 0.03)
         estimates.append(held.estimate)
     np.testing.assert_array_equal(*estimates)
 
