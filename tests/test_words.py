@@ -10,6 +10,8 @@ FOLDERS = ("surface_gym", "agents", "tests", "docs", "examples", "benchmarks")
 ENDINGS = (".py", ".md", ".ipynb", ".yml", ".toml")
 LEFT_OUT = ("tests/test_words.py", "CHANGELOG.md", "CONTRIBUTING.md", "docs/learners/")
 
+# Former names of arguments, which are still recognised.
+RENAMED = r'"\w+": "(line|preset|max_parcels|num_envs|slots|split_probability)"'
 # A word as a regular expression, the field's word, and what may contain it all the same.
 GONE = {
     r"\b[Ll]anes?\b|(?<![a-z])lanes?_|_lanes?\b|LANES?\b": (
@@ -68,6 +70,6 @@ def test_a_word_is_gone(word: str) -> None:
     found = [
         f"{place}: {line.strip()}"
         for place, line in LINES
-        if pattern.search(re.sub(allowed, "", line) if allowed else line)
+        if pattern.search(re.sub(f"{RENAMED}|{allowed}" if allowed else RENAMED, "", line))
     ]
     assert not found, f"{len(found)} lines, say {instead or 'the new name'}:\n" + "\n".join(found)

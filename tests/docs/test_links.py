@@ -12,6 +12,7 @@ from tests.docs.reading import DOCS, PAGES, ROOT, prose
 LINK = re.compile(r"\]\(([^()\s]+)\)")
 ELSEWHERE = ("https://", "http://", "mailto:")
 VIDEO = 400_000  # [bytes] at most
+FILE = re.compile(r"`((?:surface_gym|agents|tests|examples|benchmarks|docs)/[\w./*-]+)`")
 NAMED = re.compile(r"images/([\w-]+\.\w+)")
 
 
@@ -42,6 +43,12 @@ def test_each_link_leads_somewhere(page: str) -> None:
         assert target.exists(), link
         if anchor and target.suffix == ".md":
             assert anchor in find_anchors(target), link
+
+
+@pytest.mark.parametrize("page", [*PAGES, "CONTRIBUTING.md"])
+def test_each_file_that_is_named_exists(page: str) -> None:
+    for path in FILE.findall((ROOT / page).read_text()):
+        assert "NAME" in path or any(ROOT.glob(path)), path
 
 
 def test_every_picture_is_made_by_the_command(
