@@ -258,7 +258,7 @@ class TestModules:
             expected[:, 20:] = math.pi / 2  # no rotors
             turns += int((expected != before).sum())
             *_, info = env.step(action)
-            np.testing.assert_array_equal(flows.commanded[0], expected)
+            np.testing.assert_array_equal(streams.commanded[0], expected)
             assert info["turns"] == turns
             surface = env.batch.surfaces
             direction = surface.direction[0, surface.axis[0]]
