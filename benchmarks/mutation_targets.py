@@ -81,7 +81,7 @@ TARGETS = (
     ),
     Target(
         "sensors",
-        "surface_gym/sensors/adaptive.py",
+        "surface_gym/sensors/kalman.py",
         ("tests/sensors/test_adaptive.py",),
         ("tests/sensors", "tests/agents/runtime/test_shadow.py"),
     ),
