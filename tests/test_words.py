@@ -34,7 +34,7 @@ GONE = {
     r"\b(bear_load|bear_lanes|forget_contacts|facing|settling)\b": ("contact solver's words", ""),
     r"\bone's own\b": ("custom, your own", ""),
     r"\baims\b|\bfooting\b|\bknowing\b(?! all)": ("cost, contact span, oracle", ""),
-    r"surface_gym\.(settings|conditions|plants|dynamics|gpu|lanes|batch|faces|record|sharing)\b": (
+    r"surface_gym\.(settings|conditions|presets|plants|dynamics|gpu|lanes|batch|faces|record|sharing)\b": (
         "config, presets, lines, physics, cuda, state, core, trajectory, parallel",
         "",
     ),
