@@ -1,6 +1,6 @@
 """Train an agent and compare it with the paper's fixed layout: `python train.py --help`."""
 
-from agents.learning.main import main
+from surface_gym.agents.train_cli import main
 
 if __name__ == "__main__":
     main()

@@ -1,14 +1,25 @@
-"""Everything that decides axes: fixed layouts, rules, a planner, agents that learn, their files and
-their comparison.
+"""Agents: fixed layouts, rules, a planner and learned policies, their files and their comparison.
 
-`names()` lists the agents that come with the package, `load(name)` gives one to act, and
-`read(folder)` one of your own:
+`names()` lists the shipped agents, `load(name)` loads one, and `read(folder)` reads the policy of a
+training run:
 
-    >>> import agents
+    >>> from surface_gym import agents
     >>> "sort-ppo" in agents.names()
     True
 """
 
-from .library import load, names, read, seeds
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .library import load, names, read, seeds
 
 __all__ = ["load", "names", "read", "seeds"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the functions when they are asked for; commands need only modules of the package."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from . import library
+
+    return getattr(library, name)

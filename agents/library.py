@@ -1,30 +1,147 @@
-"""The agents that come with the package: some seeds of each, and a card."""
+"""Policy files, and the trained policies that come with the package.
 
+Reading a policy runs no code from its files. Nothing here imports PyTorch until a policy is loaded.
+"""
+
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import TYPE_CHECKING, Any
 
-from surface_gym import checks
+import yaml
 
-from .policy_files import PolicyFiles
+from surface_gym import checks
+from surface_gym.config import EnvConfig
+from surface_gym.core.actions import GROUPS
+from surface_gym.registration import FLOW, env_id
+from surface_gym.tasks import TASKS, Task
+
+from .base import FLOW_TASK
 
 if TYPE_CHECKING:
-    from surface_gym.tasks import Task
-
-    from .flow.policy import FlowPolicy
-    from .modules.policy import ModulesPolicy
-    from .policies.policy import Policy
+    from .module_policy import ModulePolicy
+    from .parcel_policy import ParcelPolicy
+    from .policy import Policy
 
 SHELF = Path(__file__).parent / "shipped"
+WEIGHTS = "policy.pt"
+CARD = "policy.yaml"
+ALGOS = ("ppo", "dqn", "modules", "parcels")
+OWN = "Own/"  # before the class of a user's task, in place of an id
+_NAMES = {**{env_id(name): name for name in TASKS}, FLOW: FLOW_TASK}
+
+# Errors of reading a damaged file, by PyYAML, by PyTorch and here.
+DAMAGE = (
+    yaml.YAMLError, UnpicklingError, EOFError, OSError, AttributeError, KeyError, RuntimeError,
+    TypeError, ValueError,
+)  # fmt: skip
+
+
+def describe_damage(error: Exception) -> str:
+    """Describe a file's damage in one line, without a library's advice on how to read it."""
+    if isinstance(error, UnpicklingError):
+        return "it holds more than tensors and plain values"
+    if isinstance(error, KeyError):
+        return f"{error} is missing"
+    return " ".join(str(error).split()) or "it is cut short"
+
+
+@dataclass(frozen=True)
+class PolicyCard:
+    """The environment and the network that a policy's weights are for.
+
+    Raises:
+        ValueError: a field is out of its range; the message names it.
+    """
+
+    env_id: str  # of the package, or "Own/Class" for a user's task
+    algo: str  # "ppo", "dqn"; shared-policy PPO per module, "modules", or per parcel, "parcels"
+    actions: str  # kind of action
+    control_period: float  # [s]
+    hidden: tuple[int, ...]  # units of the hidden layers
+    observe: tuple[str, ...] = ()  # groups of features in the observation beside the task's
+
+    def __post_init__(self) -> None:
+        if not str(self.env_id).startswith(OWN):
+            checks.one_of("env_id", self.env_id, _NAMES)
+        checks.one_of("algo", self.algo, ALGOS)
+        checks.positive("control_period", self.control_period)
+        for units in self.hidden:
+            checks.integer("hidden", units, least=1)
+        if not self.hidden:
+            raise ValueError("hidden must be at least one layer, got none")
+        if self.algo == "modules":
+            checks.one_of("env_id", self.env_id, (env_id("sort"),))
+            checks.one_of("actions", self.actions, ("modules",))
+        checks.some_of("observe", self.observe, tuple(GROUPS))
+        if (self.algo == "parcels") != (self.env_id == FLOW):
+            raise ValueError(f"algo must be 'parcels' for {FLOW} alone, got {self.algo!r}")
+        if self.algo == "parcels":
+            checks.one_of("actions", self.actions, ("parcels",))
+
+    @property
+    def env_kwargs(self) -> dict[str, Any]:
+        """Arguments of the environment the policy was trained on."""
+        more: dict[str, Any] = {"gate": True} if self.algo == "parcels" else {}
+        if self.observe:
+            more["observe"] = self.observe
+        return {"actions": self.actions, "control_period": self.control_period, **more}
+
+    @property
+    def task(self) -> str:
+        """The name of the package's task, or of the class of a user's task."""
+        return _NAMES.get(self.env_id, self.env_id.removeprefix(OWN))
+
+    def env_config(self, task: Task | None = None) -> EnvConfig:
+        """Build the configuration of the environment that the policy is for.
+
+        Args:
+            task: of a user, for a policy trained on it; None: one of the package. A card names a
+                user's task but runs no code for it.
+
+        Raises:
+            ValueError: the policy was trained on another task, or on streams of parcels.
+        """
+        if self.task == FLOW_TASK:
+            raise ValueError(f"env_id must be that of single parcels, got {self.env_id!r}")
+        own = self.env_id.startswith(OWN)
+        if own and type(task).__name__ != self.task:
+            raise ValueError(
+                f"task must be {self.task}, a user's own, which the policy was trained on, "
+                f"got {None if task is None else type(task).__name__}"
+            )
+        return EnvConfig(task=task if own and task is not None else self.task, **self.env_kwargs)
+
+
+@dataclass(frozen=True)
+class PolicyFiles:
+    """Content of a policy's files; other machines need not see its folder."""
+
+    folder: Path
+    weights: bytes
+    card: bytes
+
+
+def read_files(folder: Path) -> PolicyFiles:
+    """Read the files of a policy without decoding them.
+
+    Raises:
+        ValueError: one is missing.
+    """
+    for name in (WEIGHTS, CARD):
+        if not (folder / name).is_file():
+            raise ValueError(f"{folder} holds no policy: {name} is missing")
+    return PolicyFiles(folder, (folder / WEIGHTS).read_bytes(), (folder / CARD).read_bytes())
 
 
 def names() -> tuple[str, ...]:
-    """Names of the agents on the shelf: the task and how it was learned, as "track-dqn"."""
+    """List the shipped agents, each by its task and its algorithm, as "track-dqn"."""
     return tuple(sorted(card.parent.name for card in SHELF.glob("*/card.yaml")))
 
 
 def seeds(name: str) -> tuple[int, ...]:
-    """The seeds an agent was trained with, one policy each.
+    """List the seeds a shipped agent was trained with, one policy each.
 
     Raises:
         ValueError: no agent of that name.
@@ -33,8 +150,8 @@ def seeds(name: str) -> tuple[int, ...]:
     return tuple(sorted(int(each.name.removeprefix("seed-")) for each in folder.glob("seed-*")))
 
 
-def load(name: str, seed: int | None = None) -> "Policy | ModulesPolicy | FlowPolicy":
-    """A trained policy: `predict`, `env_id` and `env_kwargs`. No code in its files is run.
+def load(name: str, seed: int | None = None) -> "Policy | ModulePolicy | ParcelPolicy":
+    """Load a shipped policy, with `predict`, `env_id` and `env_kwargs`.
 
     Args:
         name: one of `names()`.
@@ -49,32 +166,28 @@ def load(name: str, seed: int | None = None) -> "Policy | ModulesPolicy | FlowPo
     return read(SHELF / name / f"seed-{chosen}")
 
 
-def read(folder: str | Path, task: "Task | None" = None) -> "Policy | ModulesPolicy | FlowPolicy":
-    """The policy that a run left in a folder, whatever learned it. No code in its files is run.
+def read(folder: str | Path, task: Task | None = None) -> "Policy | ModulePolicy | ParcelPolicy":
+    """Read the policy that a run of any algorithm left in a folder.
 
     Args:
         folder: of the run.
-        task: of one's own that it was trained on; None: one of the package.
+        task: of a user, for a policy trained on it; None: one of the package.
 
     Raises:
         ValueError: the folder holds no policy, or a damaged or foreign one, or one of another task.
     """
-    return _files().load_policy(Path(folder), task)
+    return from_files(read_files(Path(folder)), task)
 
 
-def carried(
-    files: PolicyFiles, task: "Task | None" = None
-) -> "Policy | ModulesPolicy | FlowPolicy":
-    """The policy that files hold, wherever they were read; see `read`."""
-    return _files().policy_of(files, task)
-
-
-def _files() -> Any:
-    """The module that reads policies, imported only now: it brings PyTorch with it."""
-    try:
-        return import_module(".policies.files", __package__)
+def from_files(
+    files: PolicyFiles, task: Task | None = None
+) -> "Policy | ModulePolicy | ParcelPolicy":
+    """Build a policy from the content of its files, wherever they were read; see `read`."""
+    try:  # only now: it imports PyTorch
+        policy: Any = import_module(".policy", __package__)
     except ModuleNotFoundError as error:
         raise ImportError(
             f"a policy needs {error.name}, which is not installed: "
             "pip install 'surface_gym[agents]'"
         ) from None
+    return policy.build_policy(files, task)

@@ -1,4 +1,4 @@
-"""The native vector env as Stable-Baselines3's VecEnv."""
+"""Stable-Baselines3's VecEnv for the native vector env: adapter, concatenation and mirror."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -7,8 +7,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import (
-    VecEnv,
     VecEnvIndices,
     VecEnvObs,
     VecEnvStepReturn,
@@ -16,27 +16,103 @@ from stable_baselines3.common.vec_env.base_vec_env import (
 
 from surface_gym import SmartSurfaceVectorEnv
 
+from .symmetry import SIDE, ActionMirror
 
-class SharedVecEnv(VecEnv):
-    """A VecEnv whose lanes are all of one object, which has their attributes and methods."""
+Infos = list[dict[str, Any]]
+
+
+class EpisodeRecorder:
+    """Returns, lengths and reward terms of the running episodes.
+
+    Args:
+        num_envs: number of environments.
+        terms: names of the reward terms.
+    """
+
+    def __init__(self, num_envs: int, terms: tuple[str, ...]) -> None:
+        self._names = terms
+        self._returns = np.zeros(num_envs)
+        self._lengths = np.zeros(num_envs, dtype=np.int64)
+        self._terms = np.zeros((num_envs, len(terms)))
+
+    def reset(self) -> None:
+        """Start all episodes anew."""
+        for sums in (self._returns, self._lengths, self._terms):
+            sums[:] = 0
+
+    def add(
+        self, rewards: NDArray[np.float64], terms: NDArray[np.float64], running: Any = True
+    ) -> None:
+        """Add a step: rewards (num_envs,), terms (num_envs, terms), and which episodes run."""
+        self._returns += rewards
+        self._terms += terms
+        self._lengths += running
+
+    def finish(
+        self,
+        ended: NDArray[np.bool_],
+        observations: Any,
+        truncated: NDArray[np.bool_],
+        success: Any,
+        outcome: Any,
+        time: Any,
+    ) -> Infos:
+        """Build the infos of a step and forget the episodes that ended in it.
+
+        Args:
+            ended: (num_envs,) whether an episode ended.
+            observations: (num_envs, features) last of the ended episodes.
+            truncated: (num_envs,) whether the time limit ended it, and nothing else.
+            success: (num_envs,) whether it succeeded.
+            outcome: (num_envs,) why it ended.
+            time: (num_envs,) [s] since it began.
+
+        Returns:
+            For each environment an empty dictionary, or for an ended episode
+            `terminal_observation`, `TimeLimit.truncated`, `is_success`, `outcome`, `reward_terms`
+            (sums over the episode) and `episode` (return, length and time, as `Monitor` gives it).
+        """
+        infos: Infos = [{} for _ in range(len(ended))]
+        for i in np.nonzero(ended)[0].tolist():
+            infos[i] = {
+                "terminal_observation": observations[i],
+                "TimeLimit.truncated": bool(truncated[i]),
+                "is_success": bool(success[i]),
+                "outcome": outcome[i],
+                "reward_terms": dict(zip(self._names, self._terms[i].tolist(), strict=True)),
+                "episode": {
+                    "r": float(self._returns[i]),
+                    "l": int(self._lengths[i]),
+                    "t": float(time[i]),
+                },
+            }
+        for sums in (self._returns, self._lengths, self._terms):
+            sums[ended] = 0
+        return infos
+
+
+class BatchVecEnv(VecEnv):
+    """A VecEnv of one batch: all environments share its attributes and methods."""
 
     @property
     @abstractmethod
     def _shared(self) -> Any:
-        """That object."""
+        """The object that has them."""
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         value = getattr(self._shared, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute, which the lanes share.
+        """Set an attribute of all environments.
 
         Raises:
-            ValueError: `indices` leaves out a lane.
+            ValueError: `indices` leaves out an environment.
         """
         if set(self._get_indices(indices)) != set(range(self.num_envs)):
-            raise ValueError(f"indices must be all lanes, which share {attr_name}, got {indices}")
+            raise ValueError(
+                f"indices must be all environments, which share {attr_name}, got {indices}"
+            )
         setattr(self._shared, attr_name, value)
 
     def env_method(
@@ -46,24 +122,21 @@ class SharedVecEnv(VecEnv):
         indices: VecEnvIndices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """Call a method once; its answer stands for every lane asked for."""
-        answer = getattr(self._shared, method_name)(*method_args, **method_kwargs)
-        return [answer for _ in self._get_indices(indices)]
+        """Call a method once and repeat its result for each of the environments."""
+        result = getattr(self._shared, method_name)(*method_args, **method_kwargs)
+        return [result for _ in self._get_indices(indices)]
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
-        del wrapper_class  # lanes of one batch have no wrappers
+        del wrapper_class  # environments of a batch have no wrappers
         return [False for _ in self._get_indices(indices)]
 
 
-class SurfaceVecEnv(SharedVecEnv):
+class SurfaceVecEnv(BatchVecEnv):
     """A `SmartSurfaceVectorEnv` in SAME_STEP mode behind Stable-Baselines3's interface.
 
-    Infos of a finished lane carry `terminal_observation`, `TimeLimit.truncated`, `is_success`,
-    `outcome`, `reward_terms` (their sums over the episode) and `episode` (return, length), as
-    `Monitor` gives them; those of others are empty.
-    `seed` and `set_options` act at the next `reset`.
+    Infos are those of `EpisodeRecorder.finish`. `seed` and `set_options` act at the next `reset`.
 
     Raises:
         ValueError: the vector env is not in SAME_STEP mode.
@@ -75,9 +148,8 @@ class SurfaceVecEnv(SharedVecEnv):
         self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._actions: NDArray[np.int64] | None = None
-        self._returns = np.zeros(env.num_envs)
-        self._lengths = np.zeros(env.num_envs, dtype=np.int64)
-        self._terms = np.zeros((len(env.settings.chosen_task.terms), env.num_envs))
+        self._terms = env.config.chosen_task.terms
+        self._recorder = EpisodeRecorder(env.num_envs, self._terms)
 
     @property
     def _shared(self) -> SmartSurfaceVectorEnv:
@@ -88,9 +160,7 @@ class SurfaceVecEnv(SharedVecEnv):
         self.reset_infos = [{} for _ in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()
-        self._returns[:] = 0.0
-        self._lengths[:] = 0
-        self._terms[:] = 0.0
+        self._recorder.reset()
         return observations
 
     def step_async(self, actions: NDArray[np.int64]) -> None:
@@ -99,35 +169,116 @@ class SurfaceVecEnv(SharedVecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
         dones = terminated | truncated
-        self._returns += rewards
-        self._lengths += 1
-        names = self.env.settings.chosen_task.terms
-        reset_terms = infos["reward_terms"]
-        paid = infos["final_info"]["reward_terms"] if dones.any() else reset_terms
-        for sums, name in zip(self._terms, names, strict=True):
-            sums += np.where(dones, paid[name], reset_terms[name])
-        lane_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for lane in np.nonzero(dones)[0]:
-            final = infos["final_info"]
-            lane_infos[lane] = {
-                "terminal_observation": infos["final_obs"][lane],
-                "TimeLimit.truncated": bool(truncated[lane] and not terminated[lane]),
-                "is_success": bool(final["is_success"][lane]),
-                "outcome": final["outcome"][lane],
-                "reward_terms": dict(zip(names, self._terms[:, lane].tolist(), strict=True)),
-                "episode": {
-                    "r": float(self._returns[lane]),
-                    "l": int(self._lengths[lane]),
-                    "t": float(final["time"][lane]),
-                },
-            }
-        self._returns[dones] = 0.0
-        self._lengths[dones] = 0
-        self._terms[:, dones] = 0.0
-        return observations, rewards.astype(np.float32), dones, lane_infos
+        final = infos["final_info"] if dones.any() else infos
+        terms = [
+            np.where(dones, final["reward_terms"][name], infos["reward_terms"][name])
+            for name in self._terms
+        ]
+        self._recorder.add(rewards, np.stack(terms, axis=1))
+        step_infos = self._recorder.finish(
+            dones,
+            infos.get("final_obs"),
+            truncated & ~terminated,
+            final["is_success"],
+            final["outcome"],
+            final["time"],
+        )
+        return observations, rewards.astype(np.float32), dones, step_infos
 
     def close(self) -> None:
         self.env.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         return list(self.env.render() or [])
+
+
+class ConcatVecEnv(VecEnv):
+    """Several VecEnvs with the same spaces as one; their environments in a row."""
+
+    def __init__(self, parts: Sequence[VecEnv]) -> None:
+        self._parts = parts
+        first = parts[0]
+        counts = [part.num_envs for part in parts]
+        self._cuts = np.cumsum(counts)[:-1]
+        super().__init__(sum(counts), first.observation_space, first.action_space)
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed environment i with `seed` + i at the next reset, whatever its part."""
+        seeds = list(super().seed(seed))
+        for part, first in zip(self._parts, [0, *self._cuts], strict=True):
+            part.seed(seeds[first])
+        return seeds
+
+    def reset(self) -> VecEnvObs:
+        return np.concatenate([part.reset() for part in self._parts])
+
+    def step_async(self, actions: NDArray[np.int64]) -> None:
+        for part, some in zip(self._parts, np.split(actions, self._cuts), strict=True):
+            part.step_async(some)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        observations, rewards, dones, infos = zip(
+            *(part.step_wait() for part in self._parts), strict=True
+        )
+        return (
+            np.concatenate(observations),
+            np.concatenate(rewards),
+            np.concatenate(dones),
+            [info for part in infos for info in part],
+        )
+
+    def close(self) -> None:
+        for part in self._parts:
+            part.close()
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        values = [value for part in self._parts for value in part.get_attr(attr_name)]
+        return [values[i] for i in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of all environments; each part refuses `indices` of only some."""
+        for part in self._parts:
+            part.set_attr(attr_name, value, indices)
+
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: VecEnvIndices = None,
+        **method_kwargs: Any,
+    ) -> list[Any]:
+        """Call a method of every part and repeat its result for each of the environments."""
+        results = [
+            result
+            for part in self._parts
+            for result in part.env_method(method_name, *method_args, **method_kwargs)
+        ]
+        return [results[i] for i in self._get_indices(indices)]
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+    ) -> list[bool]:
+        del wrapper_class  # environments of a batch have no wrappers
+        return [False for _ in self._get_indices(indices)]
+
+
+class MirrorVecEnv(VecEnvWrapper):
+    """A VecEnv of Sort that takes actions chosen for y > 0 in every environment."""
+
+    def __init__(self, venv: VecEnv, mirror: ActionMirror) -> None:
+        super().__init__(venv)
+        self._mirror = mirror
+        self._side = np.ones(venv.num_envs, dtype=np.float32)
+
+    def reset(self) -> VecEnvObs:
+        observations = np.asarray(self.venv.reset())
+        self._side = observations[:, SIDE].copy()
+        return observations
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        self.venv.step_async(self._mirror(actions, self._side))
+
+    def step_wait(self) -> VecEnvStepReturn:
+        observations, rewards, dones, infos = self.venv.step_wait()
+        self._side = np.asarray(observations)[:, SIDE].copy()
+        return observations, rewards, dones, infos

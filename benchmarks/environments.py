@@ -17,8 +17,8 @@ from benchmarks.figure import Figure
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.vector_env import FlowVectorEnv
 from surface_gym.tasks.sort import Sort
+from surface_gym.vector_env import SmartSurfaceVectorEnv
 
 LANES = 256
 MANY = 1024  # lanes, for the threads
@@ -90,7 +90,7 @@ def _flow() -> Contender:
     """As many parcels as the vector env has lanes, eight on each line: S and B, all straight on."""
     lanes = LANES // ON_A_LINE
     stream = Stream(Steady(STREAM_RATE), parcels=("S", "B"), destinations={"straight": 1.0})
-    env = FlowVectorEnv(lanes, stream, actions="parcels", duration=3600.0)
+    env = SmartSurfaceVectorEnv(lanes, stream, actions="parcels", duration=3600.0)
     roll = np.full_like(env.action_space.sample(), 3)
     env.reset(seed=0)
     for _ in range(200):  # until as many leave as come
@@ -101,7 +101,7 @@ def _flow() -> Contender:
 
 def _adapter(task: Sort) -> Contender:
     """The same behind Stable-Baselines3's interface."""
-    from agents.vec_env import SurfaceVecEnv
+    from surface_gym.agents.vec_env import SurfaceVecEnv
 
     lanes = SmartSurfaceVectorEnv(
         LANES, task, actions="halves", max_episode_steps=task.periods, autoreset_mode="SameStep"

@@ -6,9 +6,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
+from surface_gym.agents.base import Controller
 
 import surface_gym as sg
-from agents.controller import Controller
 from surface_gym.physics.types import RADIUS, THETA, X, Y
 
 Numbers = NDArray[np.float64]
@@ -50,8 +50,8 @@ def _beyond(env: sg.SmartSurfaceVectorEnv, motion: Numbers, columns: Any, rows: 
     Returns:
         (lanes, modules).
     """
-    sites, elements = env._batch.sites, env._batch.rules.elements
-    site = env._batch.lanes.site
+    sites, elements = env.batch.sites, env.batch.rules.elements
+    site = env.batch.lanes.site
     dx = elements.x0 + elements.pitch_x * columns - motion[:, X, None]
     dy = elements.y0 + elements.pitch_y * rows - motion[:, Y, None]
     cosine, sine = np.cos(motion[:, THETA, None]), np.sin(motion[:, THETA, None])
@@ -67,7 +67,7 @@ def contradicts(env: sg.SmartSurfaceVectorEnv, tolerance: float) -> Booleans:
     """(lanes,) whether the estimate has another pattern of covered modules than there is, by more
     than a tolerance [m].
     """
-    batch = env._batch
+    batch = env.batch
     lanes, sites, elements = batch.lanes, batch.sites, batch.rules.elements
     layout = lanes.site if len(sites.rotor) > 1 else np.zeros_like(lanes.site)
     rotor = sites.rotor[layout]
@@ -103,7 +103,7 @@ def watch(env: sg.SmartSurfaceVectorEnv, controller: Controller, periods: int, s
     space = env.single_observation_space
     assert isinstance(space, gym.spaces.Box)
     low, high = space.low, space.high
-    lanes = env._batch.lanes
+    lanes = env.batch.lanes
     for _ in range(periods):
         action, state = controller.predict(observation, state, begun, deterministic=True)
         observation, _, terminated, truncated, _ = env.step(action)
@@ -120,5 +120,5 @@ def watch(env: sg.SmartSurfaceVectorEnv, controller: Controller, periods: int, s
         running &= ~begun
         if not running.any():
             break
-    seen.lost = int((worst > env._batch.rules.elements.pitch_x).sum())
+    seen.lost = int((worst > env.batch.rules.elements.pitch_x).sum())
     return seen

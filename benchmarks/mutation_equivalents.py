@@ -79,7 +79,7 @@ EQUIVALENTS = (
         "there are as many sums as names",
     ),
     Equivalent(
-        "agents/mirror.py",
+        "agents/symmetry.py",
         "mirrored_orientations",
         "if (apart[np.arange(len(angles)), nearest] > SAME).any():",
         "if (apart[np.arange(len(angles)), nearest] >= SAME).any():",

@@ -12,17 +12,17 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
+from surface_gym.agents.base import Controller
+from surface_gym.agents.library import load, names
+from surface_gym.agents.rollout import env_arguments
+from surface_gym.agents.rules import find_rules
 
 import surface_gym as sg
-from agents.controller import Controller
-from agents.episodes import arguments
-from agents.library import load, names
-from agents.rules import rules_of
 from benchmarks.estimates import Watch, watch
+from surface_gym.config import EnvConfig
 from surface_gym.physics.types import THETA, X, Y
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera, Presence, Sensor
-from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS
 
 NOMINAL_MU = 0.5  # [-] mu_max of every plant here
@@ -86,7 +86,7 @@ class ObserverConfig:
 class _Random:
     """Random actions, each held for some periods."""
 
-    def __init__(self, settings: Settings, lanes: int, seed: int) -> None:
+    def __init__(self, settings: EnvConfig, lanes: int, seed: int) -> None:
         self._space = settings.action_space()
         self._space.seed(seed)
         self._lanes = lanes
@@ -112,7 +112,7 @@ class _Random:
 class _Fixed:
     """Every axis at one of the orientations on offer, another a lane."""
 
-    def __init__(self, settings: Settings, lanes: int) -> None:
+    def __init__(self, settings: EnvConfig, lanes: int) -> None:
         kind = settings.action_kind
         choices = np.arange(lanes) % kind.choices
         shape = settings.action_space().shape or ()
@@ -134,11 +134,11 @@ class _Fixed:
 
 def _contenders(
     task: str, lanes: int, seed: int
-) -> Iterator[tuple[str, str, float, Callable[[Settings], Controller]]]:
+) -> Iterator[tuple[str, str, float, Callable[[EnvConfig], Controller]]]:
     """Name, kind of action, control period [s] and maker of each controller of a task."""
     yield "random actions", "quadrants", 0.04, lambda settings: _Random(settings, lanes, seed)
     yield "fixed layouts", "quadrants", 0.04, lambda settings: _Fixed(settings, lanes)
-    for rule in rules_of(task):
+    for rule in find_rules(task):
         if rule.name != SEARCHING:
             yield rule.name, rule.actions, 0.04, rule.make
     for name in names():
@@ -147,7 +147,7 @@ def _contenders(
             yield name, policy.card.actions, policy.card.control_period, partial(_loaded, policy)
 
 
-def _loaded(policy: Any, settings: Settings) -> Controller:
+def _loaded(policy: Any, settings: EnvConfig) -> Controller:
     del settings
     controller: Controller = policy
     return controller
@@ -170,7 +170,7 @@ def measure(config: ObserverConfig, console: Console) -> dict[tuple[str, str], W
     ]
     for task, (_, actions, period, make) in track(tried, "running", console=console):
         for world in WORLDS:
-            settings = Settings(
+            settings = EnvConfig(
                 task=task,
                 actions=actions,
                 sensors=sensor_of(world, config.camera),
@@ -179,7 +179,9 @@ def measure(config: ObserverConfig, console: Console) -> dict[tuple[str, str], W
                 actuators=world.actuators,
             )
             env = sg.SmartSurfaceVectorEnv(
-                config.lanes, max_episode_steps=settings.chosen_task.periods, **arguments(settings)
+                config.lanes,
+                max_episode_steps=settings.chosen_task.periods,
+                **env_arguments(settings),
             )
             seen = watch(env, make(settings), settings.chosen_task.periods, config.seed)
             found.setdefault((world.name, task), Watch()).add(seen)

@@ -12,17 +12,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from surface_gym.agents.learning.config import TrainConfig
+from surface_gym.agents.learning.hyperparams import defaults
+from surface_gym.agents.learning.runs import CHECKPOINT
+from surface_gym.agents.learning.train import put_files, read_files, train
 
-from agents.learning.checkpoint import FILE as CHECKPOINT
-from agents.learning.config import TrainConfig
-from agents.learning.elsewhere import files_of, put_files
-from agents.learning.hyperparams import defaults
-from agents.learning.start import start
 from benchmarks.figure import Figure
 from surface_gym.design.line import line_for
 from surface_gym.design.runs import make_runs, run_all
 from surface_gym.layouts import box
-from surface_gym.sharing import Cluster, Workers, quiet, share
+from surface_gym.parallel import Cluster, Workers, map_jobs, without_report
 
 RAY = importlib.util.find_spec("ray") is not None
 CELLS = 500
@@ -76,8 +75,8 @@ def _nothing() -> None:
 
 def _each(workers: Workers) -> float:
     """[ms] a cell that takes no time, processes warm."""
-    jobs = [partial(quiet, _nothing)] * (CELLS + 1)
-    answers = iter(share(jobs, workers))
+    jobs = [partial(without_report, _nothing)] * (CELLS + 1)
+    answers = iter(map_jobs(jobs, workers))
     next(answers)  # processes are there
     begin = time.perf_counter()
     for _ in answers:
@@ -107,10 +106,10 @@ def _run(algo: str) -> list[Figure]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         told: list[tuple[int, float]] = []
-        start(config, folder, lambda steps, _: told.append((steps, time.perf_counter())))
+        train(config, folder, lambda steps, _: told.append((steps, time.perf_counter())))
         size = (folder / CHECKPOINT).stat().st_size
         begin = time.perf_counter()
-        put_files(files_of(folder), folder)
+        put_files(read_files(folder), folder)
         taken = time.perf_counter() - begin
     (first, begin), (last, end) = told[0], told[-1]
     rate = (last - first) / (end - begin)

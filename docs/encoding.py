@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial import KDTree
 
-from surface_gym.whole_files import replacing
+from surface_gym.files import replacing
 
 Picture = NDArray[np.uint8]  # (height, width, 3)
 

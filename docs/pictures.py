@@ -22,10 +22,10 @@ import numpy as np
 from encoding import Picture, write_film, write_still
 
 from surface_gym import agents
+from surface_gym.files import replacing
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream
 from surface_gym.rendering import with_caption
-from surface_gym.whole_files import replacing
 
 ROOT = Path(__file__).parents[1]
 IMAGES = Path(__file__).parent / "images"
@@ -60,7 +60,7 @@ class Film:
         if self.controller != SLIDING:
             policy = agents.load(self.controller)
             return gym.make(self.env_id, render_mode="rgb_array", **policy.env_kwargs), policy
-        from agents.rules.steering import SlidingMode
+        from surface_gym.agents.rules.steering import SlidingMode
 
         env = gym.make(self.env_id, render_mode="rgb_array", actions="window")
         bare: Any = env.unwrapped
@@ -147,7 +147,7 @@ def _picture(env: gym.Env[Any, Any]) -> Picture:
 
 def flow_by_chutes() -> list[Picture]:
     """Film a reservation that leads a stream of S- and B-boxes to two chutes a side."""
-    from agents.rules.reservation import Reservation
+    from surface_gym.agents.rules.reservation import Reservation
 
     stream = Stream(Steady(7000.0), ("S", "B"), speeds=1.5)
     env = gym.make(
@@ -179,10 +179,9 @@ def zone_and_modules(begin: float = 9.0, end: float = 15.0) -> list[Picture]:
         begin: [s] of the stream, where the film begins.
         end: [s] where it ends.
     """
-    from agents.evaluation.streams import CURVE
-
-    from agents.evaluation import streams
-    from agents.flow.showing import pictures_of
+    from surface_gym.agents.evaluation import streams
+    from surface_gym.agents.evaluation.streams import CURVE
+    from surface_gym.agents.flow.showing import pictures_of
 
     titles = {
         methods.ARRANGED: "One zone, arranged as a whole for each parcel",
@@ -213,11 +212,10 @@ def sort_still(file: Path) -> None:
 
 def flow_still(file: Path) -> None:
     """Draw the stream under the reservation, 12 s after its start."""
-    from agents.evaluation.streams import CURVE
-
-    from agents.evaluation import streams
-    from agents.evaluation.report import SHOWN_AT
-    from agents.flow.showing import pictures_of
+    from surface_gym.agents.evaluation import streams
+    from surface_gym.agents.evaluation.report import SHOWN_AT
+    from surface_gym.agents.evaluation.streams import CURVE
+    from surface_gym.agents.flow.showing import pictures_of
 
     named = {each.name: each for each in streams.stream_methods()}
     contender = named[methods.RESERVATION]
@@ -227,10 +225,9 @@ def flow_still(file: Path) -> None:
 
 def trajectories(file: Path) -> None:
     """Draw the trajectories of sorted parcels under the fixed layout and under PPO."""
-    from agents.evaluation.benchmark import play
-    from agents.evaluation.methods import rivals
-
-    from agents.evaluation.plots import draw_trajectories
+    from surface_gym.agents.evaluation.benchmark import play
+    from surface_gym.agents.evaluation.methods import rivals
+    from surface_gym.agents.evaluation.plots import draw_trajectories
 
     both = rivals(streams.stream_methods("sort"))
     with replacing(file) as part:

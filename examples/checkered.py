@@ -26,7 +26,7 @@ CHECKERED = sg.lines.Pattern(
 def main() -> None:
     """Turn every axis to -30 deg under parcels that enter at 1.5 m/s; draw the last."""
     env = gym.make(
-        "SmartSurface/Sort-v0", actions="quadrants", plant=CHECKERED, render_mode="rgb_array"
+        "SmartSurface/Sort-v0", actions="quadrants", line=CHECKERED, render_mode="rgb_array"
     )
     for parcel in ("S", "B"):
         _, info = env.reset(seed=0, options={"speed": 1.5, "parcel": parcel, "side": 1})

@@ -1,30 +1,27 @@
-"""The single environment."""
+"""The environment of every task: one surface with a parcel or a stream of parcels."""
 
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.conditions import Condition
-from surface_gym.core.batch import Batch
-from surface_gym.faces.single import RENDER_FPS, BatchEnv
-from surface_gym.lines import BaseLine
-from surface_gym.randomisation import Actuators, Randomisation
-from surface_gym.sensors import Exact, Sensor
-from surface_gym.settings import Settings
-from surface_gym.state import SUCCESS
-from surface_gym.tasks import Task
+from surface_gym.config import EnvConfig, with_arguments
+from surface_gym.gym_base import RENDER_FPS, check_render_mode, make_batch
+from surface_gym.state import OUT_OF_TIME, RUNNING
+from surface_gym.tasks.base import check_options
 
 __all__ = ["RENDER_FPS", "SmartSurfaceEnv"]
 
 
-class SmartSurfaceEnv(BatchEnv):
-    """A smart surface under a parcel: actions turn the rotors' axes, sensors tell of the parcel.
+class SmartSurfaceEnv(gym.Env[Any, Any]):
+    """A smart surface under a parcel or a stream of parcels: actions turn the rotors' axes.
 
     A surface is a grid of modules with idle rotors. Along its axis a rotor drags (mu 0.5), across
-    it rolls almost free (mu 0.01). Nothing drives the parcel but its own speed or gravity on a
-    tilted surface, so that it can be steered only as long as it moves. SI units and radians; x runs
-    along the line, y across it, theta anti-clockwise.
+    it rolls almost free (mu 0.01). Nothing drives a parcel but its own speed or gravity on a tilted
+    surface, so that it can be steered only as long as it moves. SI units and radians; x runs along
+    the line, y across it, theta anti-clockwise. One class serves every task; where streams of
+    parcels differ, the page of Flow says so.
 
     ## Actions
 
@@ -47,21 +44,21 @@ class SmartSurfaceEnv(BatchEnv):
 
     ## Observation
 
-    The task's features, float32, built from what the sensors say: see the task's page. With
+    The task's features, float32, built from the sensors' reports: see the task's page. With
     "window" 25 more follow, 1 for a module that obeys and is sensed to lie under the parcel. With
     `observe_axes` two more for each module of the zone, or of the window: cosine and sine of twice
     its axis angle, which is the same for an axis turned by 180 deg. Axes that take time to turn are
     hidden otherwise. `observe` adds groups of features: "parcel" its length, width and shape, "rotors"
-    how many rotors are under each of its quadrants and how they stand, "load" what a `AdaptiveCamera`
-    has learned of friction and load.
+    the number and axes of the rotors under each of its quadrants, "load" the friction and the load
+    that a `AdaptiveCamera` has learned.
 
     ## Info
 
     `is_success`, `outcome` (why the episode ended, or "running"), `time` [s], the true `pose`
-    (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid, `reward_terms` (named terms
-    whose sum is the reward), and the task's own figures. On request, by `info=("axes",
-    "normal_forces")`, the axis angles [rad] of all elements, (rows, columns), and what each bears
-    of the parcel [N] at present.
+    (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid, `parcel` (length, width [m],
+    mass [kg] and height of the centre of mass [m]), `reward_terms` (named terms whose sum is the
+    reward), and the task's own figures. On request, by `info=("axes", "normal_forces")`, the axis
+    angles [rad] of all elements, (rows, columns), and the normal force [N] of the parcel on each.
 
     ## End
 
@@ -69,28 +66,17 @@ class SmartSurfaceEnv(BatchEnv):
 
     ## Arguments
 
-    | argument | default | meaning |
-    | --- | --- | --- |
-    | `task` | set by the id | a task's name, or a task with parameters of its own |
-    | `actions` | "modules" | kind of action |
-    | `sensors` | `Exact()` | `Exact()`, `Camera(...)`, `AdaptiveCamera(...)` or `Presence(...)` of `surface_gym.sensors` |
-    | `control_period` | 0.04 | [s] between decisions; cut into equal physics steps of at most 5 ms |
-    | `zone` | None | first and last column that obey; None: those after the lead-in |
-    | `orientations` | None | [rad] axis angles on offer, at least two; None: the plant's, 0, pi/4, -pi/4, pi/2; or "any" |
-    | `actuators` | `Actuators()` | `axis_speed` [rad/s], `stuck` modules, `stuck_share` |
-    | `randomisation` | `Randomisation()` | spreads of friction, mass, size, load and start |
-    | `plant` | None | a `Line`, `Field` or `Pattern` of `surface_gym.lines`; None: the task's own |
-    | `observe_axes` | False | whether the observation shows the modules' axes |
-    | `info` | () | what `info` carries on request |
-    | `observe` | () | groups of features that the observation shows besides: "parcel", "rotors", "load" |
-    | `condition` | None | a name of `surface_gym.conditions`, as "lab", that sets sensors, actuators and randomisation, and the parcels of a task that draws the study's boxes |
-    | `render_mode` | None | "rgb_array", without a display, or "human" |
+    Keywords of `gym.make`, `gym.make_vec` and the classes are the fields of
+    `surface_gym.config.EnvConfig` and any field of the task, as `stream` of Flow. `preset`, a name
+    of `surface_gym.presets` such as "lab", sets sensors, actuators and randomisation, and the
+    parcels of a task that draws the study's boxes. `render_mode` is None, "rgb_array", without a
+    display, or "human".
 
     `reset(options=...)` fixes a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's own
     goal. An unknown option or a bad value is a ValueError that names it; the episode can go on.
 
-    `gym.make_vec` gives the native vector env, whose lane i seeded s + i equals this env seeded
-    s + i to the bit.
+    `gym.make_vec` gives the native vector env, whose environment i seeded s + i equals this one
+    seeded s + i to the bit.
 
     >>> import gymnasium as gym, surface_gym
     >>> env = gym.make("SmartSurface/Sort-v0", actions="halves")
@@ -107,75 +93,109 @@ class SmartSurfaceEnv(BatchEnv):
     - v0: first version.
     """
 
-    def __init__(
-        self,
-        task: str | Task = "sort",
-        actions: str = "modules",
-        sensors: Sensor = Exact(),
-        control_period: float = 0.04,
-        zone: tuple[int, int] | None = None,
-        orientations: tuple[float, ...] | str | None = None,
-        actuators: Actuators = Actuators(),
-        randomisation: Randomisation = Randomisation(),
-        plant: BaseLine | None = None,
-        observe_axes: bool = False,
-        info: tuple[str, ...] = (),
-        observe: tuple[str, ...] = (),
-        condition: str | Condition | None = None,
-        render_mode: str | None = None,
-    ) -> None:
-        self.settings = Settings(
-            task,
-            actions,
-            sensors,
-            control_period,
-            zone,
-            orientations,
-            actuators,
-            randomisation,
-            plant,
-            observe_axes,
-            info,
-            observe,
-            condition,
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": RENDER_FPS}
+
+    @with_arguments
+    def __init__(self, render_mode: str | None = None, **config: Any) -> None:
+        self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
+        self.config = EnvConfig(**config)
+        self.batch = make_batch(self.config, 1)
+        self.observation_space = self.config.observation_space()
+        self.action_space = self.config.action_space()
+        self._action_kind = self.config.action_kind
+        self._only = np.zeros(1, dtype=np.int64)
+        self._started = False
+        self._renderer: Any = None
+        self._window: Any = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin an episode.
+
+        Args:
+            seed: of this and later episodes; None: go on with the generator there is.
+            options: fix what would be drawn, by name.
+
+        Raises:
+            ValueError: an unknown option, or a value that is not allowed.
+        """
+        batch = self.batch
+        options = check_options(options, batch.options)
+        if options:
+            batch.check([options])
+        super().reset(seed=seed)
+        batch.seed(0, self.np_random)
+        batch.reset(self._only, [options] if options else ())
+        self._started = True
+        self._record(begins=True)
+        return batch.observation[0].copy(), self._info()
+
+    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Step by one control period.
+
+        Raises:
+            ValueError: an action that is not allowed.
+            ResetNeeded: no episode has begun, or it has ended.
+        """
+        batch = self.batch
+        if not self._started:
+            raise gym.error.ResetNeeded("Call reset before step.")
+        if batch.outcome[0] != RUNNING:
+            raise gym.error.ResetNeeded("The episode has ended: call reset before the next step.")
+        batch.step(self._action_kind.commands([action], 1))
+        self._record(begins=False)
+        outcome = batch.outcome[0]
+        return (
+            batch.observation[0].copy(),
+            float(batch.reward[0]),
+            bool(outcome > OUT_OF_TIME),
+            bool(outcome == OUT_OF_TIME),
+            self._info(),
         )
-        self._batch = Batch(self.settings, 1)
-        super().__init__(self._batch, self.settings.action_kind, render_mode)
-        self.observation_space = self.settings.observation_space()
-        self.action_space = self.settings.action_space()
-        self._task = self._batch.task
-        self._outcomes = self._batch.outcomes
-        self._trail: list[NDArray[np.float64]] = []
-        self._painter: Any = None
 
-    def _record(self, begins: bool) -> None:
-        if begins:
-            self._trail.clear()
-        self._trail.append(self._batch.parcels.truth[0, :2].copy())
-
-    def _picture(self) -> NDArray[np.uint8]:
-        from surface_gym.picture import scene_of
-        from surface_gym.rendering import Painter
-
-        if self._painter is None:
-            self._painter = Painter()
-        picture: NDArray[np.uint8] = self._painter.draw(
-            scene_of(self._batch, 0, np.array(self._trail))
-        )
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draw the picture (height, width, 3) in "rgb_array" mode; give None in any other."""
+        if self.render_mode != "rgb_array":
+            return None
+        if not self._started:
+            raise gym.error.ResetNeeded("Call reset before render.")
+        picture: NDArray[np.uint8] = self._renderer.draw()
         return picture
 
+    def close(self) -> None:
+        """Close the window, if any."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
     def _info(self) -> dict[str, Any]:
-        lanes = self._batch.parcels
-        outcome = int(lanes.outcome[0])
-        info = {
-            "is_success": outcome == SUCCESS,
-            "outcome": self._outcomes[outcome],
-            "time": float(lanes.clock[0]),
-            "pose": lanes.truth[0, :3].copy(),
-            "velocity": lanes.truth[0, 3:].copy(),
-            **dict(zip(self._task.metrics, lanes.metrics[0].tolist(), strict=True)),
-            "reward_terms": dict(zip(self._task.terms, lanes.terms[0].tolist(), strict=True)),
+        batch = self.batch
+        outcome = int(batch.outcome[0])
+        info: dict[str, Any] = {
+            name: values[0].copy() if values.ndim > 1 else values[0].item()
+            for name, values in batch.infos().items()
         }
-        for name, values in self._batch.on_request().items():
-            info[name] = values[0]
+        info["outcome"] = batch.outcomes[outcome]
+        info["reward_terms"] = dict(zip(batch.task.terms, batch.terms[0].tolist(), strict=True))
+        if outcome != RUNNING:
+            figures = batch.figures(np.ones(1, dtype=np.bool_))
+            if figures:
+                info["episode_figures"] = {name: each[0].item() for name, each in figures.items()}
         return info
+
+    def _record(self, begins: bool) -> None:
+        """Keep the past that a picture shows, as an episode begins or goes on."""
+        if self.render_mode is None:
+            return
+        if self._renderer is None:
+            from surface_gym.scenes import Renderer
+
+            self._renderer = Renderer(self.batch)
+        self._renderer.record(0, begins)
+        if self.render_mode == "human":
+            from surface_gym.rendering import Window
+
+            if self._window is None:
+                self._window = Window(frame_rate=RENDER_FPS)
+            self._window.show(self._renderer.draw())

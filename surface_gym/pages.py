@@ -8,13 +8,14 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
-from surface_gym.flow.env import FlowEnv
-from surface_gym.flow.features import FEATURES
+from surface_gym.flow.task import Flow
 from surface_gym.registration import FLOW, env_id
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.base import Feature
 
+LONGEST_DEFAULT = 60  # characters of a default in a table
 # Lines from a prompt to the next empty one, as far left as the text around them.
 EXAMPLE = re.compile(r"^>>> .*(?:\n.+)*", re.MULTILINE)
 
@@ -41,16 +42,32 @@ def _feature_table(features: Iterable[Feature]) -> str:
     return _table(("place", "feature", "meaning / unit", "least", "most"), rows)
 
 
-def _argument_table(task_class: type[Any]) -> str:
-    """Fields of a task with their defaults and the comments behind them."""
-    kinds = (kind for kind in task_class.__mro__ if kind is not object)
-    source = [line for kind in kinds for line in inspect.getsource(kind).splitlines()]
+def _argument_table(kind: type[Any]) -> str:
+    """Fields of a dataclass with their defaults and the comments behind or above them."""
+    source = [
+        line.strip()
+        for each in kind.__mro__
+        if each is not object
+        for line in inspect.getsource(each).splitlines()
+    ]
     rows = []
-    for field in fields(task_class):
-        line = next(line for line in source if line.strip().startswith(f"{field.name}:"))
-        comment = line.partition("  # ")[2]
-        rows.append((f"`{field.name}`", f"`{field.default!r}`", comment))
-    return _table(("argument of the task", "default", "meaning"), rows)
+    for field in fields(kind):
+        if not field.init and kind is not EnvConfig:
+            continue
+        at = next(
+            k
+            for k, line in enumerate(source)
+            if line.startswith(f"{field.name}: ") and " = " in line
+        )
+        comment = source[at].partition("  # ")[2]
+        while not comment.startswith("# ") and source[at - 1].startswith("# "):
+            at -= 1
+            comment = f"{source[at].removeprefix('# ')} {comment}".strip()
+        default = repr(field.default)
+        if len(default) > LONGEST_DEFAULT:
+            default = f"{type(field.default).__name__}()"
+        rows.append((f"`{field.name}`", f"`{default}`", comment))
+    return _table(("argument", "default", "meaning"), rows)
 
 
 def page(name: str) -> str:
@@ -87,8 +104,11 @@ def page(name: str) -> str:
 def environment_page() -> str:
     """The Markdown page of what all environments share."""
     listed = "\n".join(f"- [{env_id(name)}]({name}.md)" for name in TASKS)
-    many = f"Many parcels at once: [{FLOW}](flow.md)."
-    return f"# SmartSurfaceEnv\n\n{_described(SmartSurfaceEnv)}\n\n## Tasks\n\n{listed}\n\n{many}\n"
+    return (
+        f"# SmartSurfaceEnv\n\n{_described(SmartSurfaceEnv)}\n\n"
+        f"## Arguments of every environment\n\n{_argument_table(EnvConfig)}\n\n"
+        f"## Tasks\n\n{listed}\n\nMany parcels at once: [{FLOW}](flow.md).\n"
+    )
 
 
 def flow_page() -> str:
@@ -98,9 +118,13 @@ def flow_page() -> str:
             (
                 f"# {FLOW}",
                 _film("flow", f"A stream of {FLOW}"),
-                _described(FlowEnv),
+                _described(Flow),
                 "## Features of a row",
-                _feature_table(FEATURES),
+                _feature_table(Flow.features),
+                "## Arguments of the task",
+                _argument_table(Flow),
+                "Actions, sensors and the environment's other arguments: "
+                "[the environment](environment.md).",
                 "Streams, exits, the physics of parcels that touch, and controllers: "
                 "[a flow of parcels](../flow.md).",
             )

@@ -140,7 +140,7 @@ class TaskGame(Game):
     def _advance(self) -> bool:
         if self._pressed is not None:
             return False
-        self._batch.advance(self._command)
+        self._batch.step(self._command)
         return True
 
     def _take_mouse(self, event: pygame.event.Event) -> None:
@@ -199,14 +199,14 @@ class StreamGame(Game):
     def _advance(self) -> bool:
         if self._batch.outcome[0] != RUNNING:
             return False
-        self._batch.advance(self._choice.reshape(1, -1))
+        self._batch.step(self._choice.reshape(1, -1))
         return True
 
     def _place(self) -> None:
         """Begin again with other parcels; the axes stay."""
         self._batch.seed(0, np.random.default_rng(self._seed))
         self._seed += 1
-        self._batch.start(ONLY)
+        self._batch.reset(ONLY)
         self._time_arrivals()
 
     def _take_mouse(self, event: pygame.event.Event) -> None:

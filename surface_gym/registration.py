@@ -4,10 +4,9 @@ from typing import Any
 
 import gymnasium as gym
 
-from surface_gym.tasks import TASKS
+from surface_gym.config import ENV_TASKS
+from surface_gym.flow.task import StreamTask
 from surface_gym.tasks.base import Task
-
-FLOW = "SmartSurface/Flow-v0"  # ends by itself, after its duration
 
 
 def env_id(task: str) -> str:
@@ -15,27 +14,26 @@ def env_id(task: str) -> str:
     return f"SmartSurface/{task.capitalize()}-v0"
 
 
+FLOW = env_id("flow")
+
+
 def register(task: type[Task], name: str) -> None:
-    """Make a task of one's own known to Gymnasium by a name such as "Mine/Reach-v0"."""
-    _register(name, task(), task.periods)
+    """Register a user's task in Gymnasium by a name such as "Mine/Reach-v0"."""
+    _register(name, task(), task)
 
 
 def register_all() -> None:
     """Register `SmartSurface/<Task>-v0` for every task of the package."""
-    for name, task in TASKS.items():
-        _register(env_id(name), name, task.periods)
-    gym.register(
-        id=FLOW,
-        entry_point="surface_gym.flow.env:FlowEnv",
-        vector_entry_point="surface_gym.devices:make_flow_vector_env",
-    )
+    for name, task in ENV_TASKS.items():
+        _register(env_id(name), name, task)
 
 
-def _register(name: str, task: Any, periods: int) -> None:
+def _register(name: str, given: Any, task: type[Task]) -> None:
     gym.register(
         id=name,
         entry_point="surface_gym.env:SmartSurfaceEnv",
-        vector_entry_point="surface_gym.devices:make_vector_env",
-        max_episode_steps=periods,
-        kwargs={"task": task},
+        vector_entry_point="surface_gym.vector_env:make_vector_env",
+        # A stream ends by itself, after its duration.
+        max_episode_steps=None if issubclass(task, StreamTask) else task.periods,
+        kwargs={"task": given},
     )

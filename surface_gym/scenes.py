@@ -87,7 +87,7 @@ class _ParcelHistory:
     def scene(self, title: str | None = None) -> Scene:
         """Describe what a picture of now shows."""
         batch, i = self._batch, self._index
-        view, plant, task = batch.view(i), batch.settings.chosen_plant, batch.task
+        view, plant, task = batch.view(i), batch.config.chosen_plant, batch.task
         truth, outcome = view.truth, int(batch.parcels.outcome[i])
         readings: list[tuple[str, str]] = [
             ("time", f"{self.clock:.2f} s"),
@@ -138,8 +138,8 @@ class _StreamHistory:
     def __init__(self, batch: Any, env_index: int) -> None:
         self._batch = batch
         self._index = env_index
-        self._exits = exit_marks(batch.settings)
-        self._labels = _labels(batch.settings.exits.names)
+        self._exits = exit_marks(batch.config)
+        self._labels = _labels(batch.config.exits.names)
         self._trails: dict[int, list[Numbers]] = {}  # by number of arrival, (2,) [m], oldest first
         self._departed: list[_Departed] = []
 
@@ -172,7 +172,7 @@ class _StreamHistory:
         batch, i, settings, flows = (
             self._batch,
             self._index,
-            self._batch.settings,
+            self._batch.config,
             self._batch.streams,
         )
         slots = np.nonzero(flows.present[i])[0]

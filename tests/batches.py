@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch
-from surface_gym.settings import Settings
 from surface_gym.tasks.base import Start
 
 
@@ -18,7 +18,7 @@ def put(batch: Batch, start: Start, lane: int = 0) -> None:
 
 def batch_with(start: Start, seed: int = 0, **settings: Any) -> Batch:
     """A batch of one lane on which a start was put; what it draws comes from the seed."""
-    batch = Batch(Settings(**settings), 1)
+    batch = Batch(EnvConfig(**settings), 1)
     batch.reserve.seed(0, np.random.default_rng(seed))
     put(batch, start)
     return batch

@@ -85,7 +85,7 @@ def bare(env_id: str = SORT, **settings: Any) -> sg.SmartSurfaceEnv:
 
 def same_choice(env: sg.SmartSurfaceEnv, choice: int) -> Any:
     """The action that sets every module it reaches to one orientation."""
-    kind = env.settings.action_kind
+    kind = env.config.action_kind
     return kind.encode(np.full((1, kind.size), choice))[0]
 
 

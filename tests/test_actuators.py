@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch
 from surface_gym.layouts import LINE_Y
 from surface_gym.randomisation import Actuators
-from surface_gym.settings import Settings
 from surface_gym.state import RUNNING
 from surface_gym.tasks.base import Start
 from tests.batches import put
@@ -24,7 +24,7 @@ class Bench:
     """One lane whose axes can be looked at."""
 
     def __init__(self, actions: str = "modules", **settings: Any) -> None:
-        self.settings = Settings(actions=actions, **settings)
+        self.settings = EnvConfig(actions=actions, **settings)
         self.batch = Batch(self.settings, 1)
         self.batch.reserve.seed(0, np.random.default_rng(0))
         self.place()
@@ -34,7 +34,7 @@ class Bench:
 
     def step(self, choice: int) -> None:
         self.batch.parcels.outcome[0] = RUNNING  # whatever becomes of the parcel
-        self.batch.advance(np.full((1, self.settings.action_kind.size), choice))
+        self.batch.step(np.full((1, self.settings.action_kind.size), choice))
 
     @property
     def angle(self) -> np.ndarray:
@@ -248,11 +248,11 @@ def test_bad_arguments_are_named(arguments: dict[str, Any], named: str) -> None:
 
 
 def test_a_stuck_module_must_lie_on_the_surface() -> None:
-    Settings(actuators=Actuators(stuck=((19, 29),)))
+    EnvConfig(actuators=Actuators(stuck=((19, 29),)))
     for module in ((20, 0), (0, 30)):
         with pytest.raises(ValueError, match=r"stuck must lie in 20 rows and 30 columns"):
-            Settings(actuators=Actuators(stuck=(module,)))
+            EnvConfig(actuators=Actuators(stuck=(module,)))
 
 
 def test_the_id_takes_them_too() -> None:
-    assert bare(SORT, actuators=Actuators(stuck_share=0.5)).settings.actuators.stuck_share == 0.5
+    assert bare(SORT, actuators=Actuators(stuck_share=0.5)).config.actuators.stuck_share == 0.5

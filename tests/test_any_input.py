@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 import surface_gym as sg
 from surface_gym import checks
-from surface_gym.flow.env import FlowEnv
+from surface_gym.env import SmartSurfaceEnv
 from surface_gym.lines import Pattern
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import Array
@@ -117,14 +117,14 @@ def test_flows(kind: type[Sensor]) -> None:
         seed=st.integers(0, 1000),
     )
     def check(settings: dict[str, Any], duration: float, seed: int) -> None:
-        play(FlowEnv(plant=SHORT, places=4, duration=min(duration, 20.0), **settings), seed)
+        play(SmartSurfaceEnv(line=SHORT, places=4, duration=min(duration, 20.0), **settings), seed)
 
     check()
 
 
 def test_a_pattern_may_lie_far_away() -> None:
     far = Pattern([[True] * 20] * 6, origin=(9_000.0, -9_000.0))
-    play(sg.SmartSurfaceEnv(plant=far), seed=0)
+    play(sg.SmartSurfaceEnv(line=far), seed=0)
 
 
 @dataclass(frozen=True)

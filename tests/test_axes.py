@@ -10,8 +10,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import surface_gym as sg
+from surface_gym.config import EnvConfig
 from surface_gym.randomisation import Actuators
-from surface_gym.settings import Settings
 from tests.environments import ACTIONS, IDS, SORT, assert_same, bare, steps
 
 ANGLES = np.array([0.0, math.pi / 4, -math.pi / 4, math.pi / 2])  # of the default choices
@@ -26,7 +26,7 @@ class TestAnyAngle:
     def test_it_is_an_environment(self, env_id: str, actions: str) -> None:
         env = gym.make(env_id, actions=actions, orientations="any")
         assert isinstance(env.action_space, gym.spaces.Box)
-        choices = replace(env.unwrapped.settings, orientations=Settings().orientations)
+        choices = replace(env.unwrapped.config, orientations=EnvConfig().orientations)
         assert env.action_space.shape == (choices.action_kind.size,)
         check_env(env.unwrapped, skip_render_check=True)
 
@@ -95,7 +95,7 @@ class TestSeenAxes:
             actuators=Actuators(axis_speed=5.0),
         )
         env.reset(seed=0, options={"parcel": "B", "side": side})
-        features = len(env.settings.chosen_task.features)
+        features = len(env.config.chosen_task.features)
         for action in ([0, 1, 2, 3], [2, 2, 1, 1], [1, 0, 3, 2]):
             observation, *_, info = env.step(action)
             zone = info["axes"][8:12, 5:21]

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from surface_gym import __version__
-from surface_gym.console import COMMANDS, main
+from surface_gym.cli import COMMANDS, main
 
 
 @pytest.mark.parametrize("name", COMMANDS)

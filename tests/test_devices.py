@@ -9,8 +9,8 @@ import torch
 import surface_gym as sg
 from surface_gym.cuda import env
 from surface_gym.cuda.env import DeviceMissing, check_device
-from surface_gym.devices import DEVICES, make_device_env, make_vector_env
 from surface_gym.sensors import Camera
+from surface_gym.vector_env import DEVICES, make_device_env, make_vector_env
 from tests.cuda.cases import needs_numba_cuda
 
 SORT = "SmartSurface/Sort-v0"

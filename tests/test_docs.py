@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from surface_gym import pages
-from surface_gym.flow.features import FEATURES
-from surface_gym.flow.rewards import TERMS
-from surface_gym.flow.settings import FlowSettings
+from surface_gym.config import EnvConfig
+from surface_gym.flow.task import FEATURES, TERMS
 from tests.docs.reading import PAGES, blocks_of
 
 # Pages that need a package, and the extra that has it.
@@ -41,5 +40,5 @@ def test_the_page_of_a_flow_lists_every_feature_term_and_argument() -> None:
     page = pages.flow_page()
     for feature in FEATURES:
         assert f"| {feature.name} |" in page
-    for word in (*TERMS, *FlowSettings.__dataclass_fields__):
+    for word in (*TERMS, *EnvConfig.__dataclass_fields__):
         assert f"| `{word}` |" in page

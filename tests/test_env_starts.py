@@ -64,7 +64,7 @@ EVERY_BAD_OPTION = [
 class TestOptions:
     def test_the_table_below_covers_every_task_and_option(self) -> None:
         for env_id in IDS:
-            assert set(OPTIONS[env_id]) == set(bare(env_id).settings.chosen_task.options)
+            assert set(OPTIONS[env_id]) == set(bare(env_id).config.task.options)
 
     @every_id
     def test_they_fix_every_start_exactly(self, env_id: str) -> None:

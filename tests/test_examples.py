@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from surface_gym.agents.tasks import find_task
 
 import surface_gym as sg
-from agents.tasks import find_task
 from surface_gym.tasks import Sort
 
 ROOT = Path(__file__).parent.parent
@@ -85,7 +85,7 @@ class TestRuled:
         ruled = names_of("ruled")["Ruled"](line=0.02, turn=0.05)
         env = sg.SmartSurfaceEnv("sort", actions="quadrants", sensors=ruled)
         env.reset(seed=0, options={"speed": 1.5, "parcel": "B", "side": 1})
-        lane = env._batch.view(0)
+        lane = env.batch.view(0)
         seen = [lane.sensed.copy()]
         for action in np.random.default_rng(0).integers(4, size=(12, 4)):
             if env.step(action)[2]:

@@ -5,15 +5,15 @@ from types import ModuleType
 
 import pytest
 
-import agents
 import surface_gym as sg
+from surface_gym import agents
 from surface_gym.find_agents import agents_name, import_agents
 
 
 def test_in_a_checkout_they_are_the_folder_beside() -> None:
     assert agents_name() == "agents"
     assert sg.agents is agents
-    assert import_agents("planner").__name__ == "agents.planner"
+    assert import_agents("planner").__name__ == "surface_gym.agents.planning.planner"
 
 
 def test_another_name_is_none_of_the_packages() -> None:

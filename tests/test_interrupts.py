@@ -16,7 +16,7 @@ from surface_gym.design import runs
 from surface_gym.design.case import Case
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.vector_env import FlowVectorEnv
+from surface_gym.vector_env import SmartSurfaceVectorEnv
 
 ROOT = Path(__file__).parent.parent
 PROMPT = 10.0  # [s] for Ctrl-C on a busy machine; on an idle one it takes some tenths
@@ -144,7 +144,9 @@ def test_the_pieces_of_a_control_period_are_one(
     def run() -> bytes:
         if flows:
             stream = Stream(Steady(5000.0))
-            lanes = FlowVectorEnv(9, stream=stream, actions="parcels", places=4, threads=threads)
+            lanes = SmartSurfaceVectorEnv(
+                9, stream=stream, actions="parcels", places=4, threads=threads
+            )
         else:
             lanes = sg.SmartSurfaceVectorEnv(9, threads=threads)
         lanes.action_space.seed(0)

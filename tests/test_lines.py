@@ -78,11 +78,11 @@ OWN = {
 }
 
 
-@pytest.mark.parametrize("plant", OWN.values(), ids=OWN)
+@pytest.mark.parametrize("line", OWN.values(), ids=OWN)
 class TestAPlantOfOnesOwn:
     def test_moves_a_parcel_as_simulate_does(self, plant: BaseLine) -> None:
         """To the bit, on its pitch, rotors and friction."""
-        env = sg.SmartSurfaceEnv("sort", actions="quadrants", plant=plant)
+        env = sg.SmartSurfaceEnv("sort", actions="quadrants", line=plant)
         box = sg.layouts.box("B")
         _, info = env.reset(seed=0, options={"speed": 1.6, "parcel": box, "side": 1})
         site = plant.site(box.base)
@@ -100,7 +100,7 @@ class TestAPlantOfOnesOwn:
         assert period > 8
 
     def test_is_drawn(self, plant: BaseLine) -> None:
-        env = sg.SmartSurfaceEnv("sort", plant=plant, render_mode="rgb_array")
+        env = sg.SmartSurfaceEnv("sort", line=plant, render_mode="rgb_array")
         env.reset(seed=0)
         picture = env.render()
         assert picture is not None
@@ -110,7 +110,7 @@ class TestAPlantOfOnesOwn:
     def test_every_task_and_sensor_runs_on_it(self, plant: BaseLine) -> None:
         for name in TASKS:
             for sensor in (Exact(), Camera(), Presence()):
-                env = sg.SmartSurfaceEnv(name, "window", sensor, plant=plant)
+                env = sg.SmartSurfaceEnv(name, "window", sensor, line=plant)
                 for observation, *_ in steps(env, seed=0, longest=10):
                     assert observation in env.observation_space
 
@@ -119,7 +119,7 @@ def test_a_line_elsewhere_is_the_same_line() -> None:
     """Moved by whole rows and by its origin."""
     ends = []
     for plant in (Line(), Line(line_y=0.7, origin=(1.05, 0.05))):
-        env = sg.SmartSurfaceEnv("sort", "quadrants", plant=plant)
+        env = sg.SmartSurfaceEnv("sort", "quadrants", line=plant)
         _, start = env.reset(seed=0, options={"speed": 1.2, "parcel": "B", "side": 0})
         # The rear enters at x = 0, wherever the line begins.
         ahead = round(start["pose"][0] - plant.column_edge(0), 9)
@@ -164,4 +164,4 @@ def test_bad_fields_are_named(kind: type[BaseLine], fields: dict[str, Any], name
 def test_a_parcel_of_too_many_elements_is_refused() -> None:
     fine = Field(rows=400, columns=400, pitch=0.005)
     with pytest.raises(ValueError, match="elements"):
-        sg.SmartSurfaceEnv("track", plant=fine)
+        sg.SmartSurfaceEnv("track", line=fine)

@@ -100,7 +100,7 @@ class TestTask:
 
 
 def base_of(env: sg.SmartSurfaceEnv) -> sg.Rectangle:
-    batch = env._batch
+    batch = env.batch
     return batch._plan.parcel(int(batch.parcels.site[0])).base
 
 

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 import pygame
 import pytest
-from surface_gym.flow.state import JAM
 
 from surface_gym import play
+from surface_gym.flow.state import JAM
 from surface_gym.play import FASTEST, FIRST_RATE, RATE_STEP, SLOWEST, Game, StreamGame, TaskGame
 
 MIDDLE = (480, 355)  # [px] about the line's middle, of one parcel

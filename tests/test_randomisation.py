@@ -233,7 +233,7 @@ class TestLateral:
     def test_every_lane_starts_on_the_surface(self) -> None:
         plant = sg.lines.Line(rows=8, line_y=0.4)
         lanes = sg.SmartSurfaceVectorEnv(
-            300, randomisation=Randomisation(lateral=0.2, heading=1.0), plant=plant
+            300, randomisation=Randomisation(lateral=0.2, heading=1.0), line=plant
         )
         aside = lanes.reset(seed=0)[1]["pose"][:, 1] - plant.line_y
         assert 0.35 < np.abs(aside).max() <= 0.4
@@ -241,7 +241,7 @@ class TestLateral:
     def test_a_spread_for_which_the_surface_is_too_narrow_is_refused(self) -> None:
         plant = sg.lines.Line(rows=8, line_y=0.4)
         with pytest.raises(ValueError, match=r"^lateral must be at most a quarter of .*, 0\.2 m"):
-            sg.SmartSurfaceEnv(randomisation=Randomisation(lateral=0.21), plant=plant)
+            sg.SmartSurfaceEnv(randomisation=Randomisation(lateral=0.21), line=plant)
 
 
 @pytest.mark.parametrize("name", ["mass", "size"])

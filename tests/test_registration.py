@@ -18,7 +18,7 @@ def test_every_task_has_its_id() -> None:
 def test_an_id_makes_its_task(env_id: str) -> None:
     env = gym.make(env_id)
     assert type(env.unwrapped) is sg.SmartSurfaceEnv
-    assert type(env.unwrapped.settings.chosen_task) is TASKS[env_id[13:-3].lower()]
+    assert type(env.unwrapped.config.task) is TASKS[env_id[13:-3].lower()]
 
 
 @every_id

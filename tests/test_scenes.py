@@ -10,13 +10,13 @@ import gymnasium as gym
 import numpy as np
 import pygame
 import pytest
-from surface_gym.config import EnvConfig
-from surface_gym.flow.state import BETWEEN, JAM, ON_ITS_WAY, TOUCHES
 
 import surface_gym as sg
+from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.exits import Exit, Exits
+from surface_gym.flow.state import BETWEEN, JAM, ON_ITS_WAY, TOUCHES
 from surface_gym.flow.stream import Stream
 from surface_gym.lines import Pattern
 from surface_gym.registration import FLOW
@@ -51,7 +51,7 @@ def pair_of(parcel: sg.Parcel, task: str = "sort") -> Batch:
     batch = Batch(EnvConfig(task=task), 2)
     for i in (0, 1):
         batch.reserve.seed(i, np.random.default_rng(i))
-    batch.start(np.arange(2), [{"speed": 1.0, "parcel": parcel}] * 2)
+    batch.reset(np.arange(2), [{"speed": 1.0, "parcel": parcel}] * 2)
     return batch
 
 
@@ -78,7 +78,7 @@ def opened(batch: Batch | StreamBatch, i: int = 0) -> Renderer:
 
 def go_on(batch: StreamBatch, renderer: Renderer, periods: int, choice: int = ROLL) -> None:
     for _ in range(periods):
-        batch.advance(np.full(batch.surfaces.command.shape, choice))
+        batch.step(np.full(batch.surfaces.command.shape, choice))
         renderer.record(0, begins=False)
 
 
@@ -112,7 +112,7 @@ class TestOneParcel:
     def test_axes_zone_and_pose_are_the_batch_s(self) -> None:
         batch = pair_of(PARCELS["S"])
         for _ in range(3):
-            batch.advance(np.full((2, 64), PLUS_45))
+            batch.step(np.full((2, 64), PLUS_45))
         for i in (0, 1):
             scene = shown(batch, i)
             assert only(scene).pose == tuple(batch.parcels.truth[i, :3])
@@ -135,7 +135,7 @@ class TestOneParcel:
         batch = pair_of(PARCELS["S"])
         assert "end" not in dict(shown(batch).readings)
         while batch.parcels.outcome[0] == 0:
-            batch.advance(np.full((2, 64), 0))
+            batch.step(np.full((2, 64), 0))
         assert dict(shown(batch).readings)["end"] == "stalled"
 
     @pytest.mark.parametrize("tilt", [0.0, 0.1, 0.26])
@@ -218,7 +218,7 @@ class TestTrails:
         renderer = opened(batch)
         go_on(batch, renderer, 42)  # it has left, and is shown yet
         assert len(renderer.scene().parcels) == 1
-        batch.start(np.array([0]))
+        batch.reset(np.array([0]))
         renderer.record(0, begins=True)
         (parcel,) = renderer.scene().parcels
         np.testing.assert_array_equal(parcel.trail, [parcel.pose[:2]])
@@ -266,7 +266,7 @@ class TestExits:
         exits = Exits(
             (Exit("a", 1, -3.0, 0.5), Exit("b", 1, 0.5), Exit("c", -1, 0.5, 9.0), Exit("on", 0))
         )
-        marks = exit_marks(EnvConfig(plant=SHORT, exits=exits))
+        marks = exit_marks(EnvConfig(line=SHORT, exits=exits))
         spans = {mark.name: (mark.side, mark.first, mark.last) for mark in marks}
         assert spans["a"] == pytest.approx((1, 0.0, 0.5))
         assert spans["b"] == pytest.approx((1, 0.5, 2.0))  # the rotors' end
@@ -276,14 +276,14 @@ class TestExits:
     def test_where_rotors_end_with_the_surface_the_way_on_is_the_last_column(self) -> None:
         rotor = np.zeros((20, 20), dtype=bool)
         rotor[8:12] = True
-        settings = EnvConfig(plant=Pattern(rotor=rotor, lead_in=5), exits="sides")
+        settings = EnvConfig(line=Pattern(rotor=rotor, lead_in=5), exits="sides")
         on = exit_marks(settings)[-1]
         assert (on.first, on.last) == pytest.approx((1.9, 2.0))
 
     def test_a_chute_past_the_rotors_cannot_be_drawn(self) -> None:
         exits = Exits((Exit("beyond", 1, 2.5, 3.0),))
         with pytest.raises(ValueError, match=r"last must be greater than first, 2\.5"):
-            exit_marks(EnvConfig(plant=SHORT, exits=exits))
+            exit_marks(EnvConfig(line=SHORT, exits=exits))
 
 
 class TestReadings:
@@ -293,7 +293,7 @@ class TestReadings:
         go_on(batch, renderer, 3, PLUS_45)
         scene = renderer.scene(0, "env 0")
         assert (scene.title, scene.tilt) == ("env 0", 0.05)
-        assert scene.zone == batch.settings.zone
+        assert scene.zone == batch.config.zone
         expected = np.where(scene.obeys & scene.rotor, math.pi / 4, math.pi / 2)
         np.testing.assert_allclose(scene.axis, expected)
         assert reading(scene, "time") == "0.1 s"
@@ -356,7 +356,7 @@ class TestEnvironments:
         assert renderer.scene().traffic.waiting == 1
 
     def test_films(self, tmp_path: Path) -> None:
-        made = gym.make(FLOW, duration=0.4, plant=SHORT, render_mode="rgb_array")
+        made = gym.make(FLOW, duration=0.4, line=SHORT, render_mode="rgb_array")
         env: Any = gym.wrappers.RecordVideo(made, str(tmp_path / "films"))
         env.reset(seed=0)
         over = False
@@ -367,7 +367,7 @@ class TestEnvironments:
 
     def test_tiles(self) -> None:
         envs: Any = gym.make_vec(
-            FLOW, 3, plant=SHORT, duration=0.2, stream=trace((0.0, "straight"), parcel=LARGE_BOX),
+            FLOW, 3, line=SHORT, duration=0.2, stream=trace((0.0, "straight"), parcel=LARGE_BOX),
             render_mode="rgb_array",
         )  # fmt: skip
         envs.reset(seed=0)

@@ -1,1 +1,1 @@
-"""The comparison behind `python evaluate.py`: who is compared, under what, and how it is told."""
+"""The comparison behind `python evaluate.py`: methods, benchmarks, tables, plots and videos."""

@@ -1,119 +1,237 @@
-"""Plots of the comparison."""
+"""Plots of the comparison: success, errors, times and trajectories; rates and capacities."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Polygon as Patch
 
-from surface_gym.conditions import CONDITIONS
+from surface_gym.layouts import LINE_Y, box
+from surface_gym.lines import Line
+from surface_gym.presets import PRESETS
+from surface_gym.tasks.benchmark import PARCELS, SIDES, ErrorPlot, SpeedGrid
 
-from ..tasks import find_task, kind_of
-from .sorting import GRID, slower_time
-from .table import Summaries
-from .trials import PARCELS, SORT_SPEEDS
+from ..rollout import Episodes
+from .benchmark import Summaries
+from .methods import FIXED
+from .streams import BOUND, CANNOT, CURVE, LOADS, StreamResults, cases
+from .tables import methods_of
 
 DOTS = 150  # to the inch
-
-# The figure whose distribution tells most of a task, its label, scale and the limit of success.
-ERRORS: dict[str, tuple[str, str, float, float | None]] = {
-    "slow": ("ratio_error", "error of the speed ratio", 1.0, 0.01),
-    "stop": ("stop_error", "error of the place [mm]", 1e3, 5.0),
-    "track": ("rms_error", "rms error across the path [mm]", 1e3, None),
-    "orient": ("angle_error", "error of the angle [deg]", 180.0 / np.pi, 2.0),
-}
+LIMIT, INK, PALE = "#be1848", "#333333", "#eeeeee"
+SHOWN_SPEEDS = {  # [m/s] one trajectory each, by colour
+    0.4: "#440154", 0.6: "#3b528b", 0.8: "#21918c", 1.2: "#5ec962", 2.0: "#c9a227",
+}  # fmt: skip
 
 
-def has_errors(task: str) -> bool:
-    """Whether a task has a figure whose distribution is drawn."""
-    return kind_of(task) in ERRORS or bool(find_task(task).figures)
+def _colours(names: Iterable[str]) -> dict[str, Any]:
+    several = list(names)
+    chosen = colormaps["viridis"](np.linspace(0.0, 0.92, len(several)))
+    return {name: tuple(colour) for name, colour in zip(several, chosen, strict=True)}
 
 
-def _contenders(task: str, summaries: Summaries) -> list[str]:
-    return list(dict.fromkeys(who for of_task, who, _ in summaries if of_task == task))
-
-
-def _colours(names: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    chosen = colormaps["viridis"](np.linspace(0.0, 0.92, len(names)))
-    return {name: tuple(colour) for name, colour in zip(names, chosen, strict=True)}
+def _save(figure: Figure, file: Path, *panels: Axes, legend: Axes | None = None) -> None:
+    """Write a figure with a legend at its right; `legend` says whose lines, if not everyone's."""
+    for panel in panels:
+        panel.spines[["top", "right"]].set_visible(False)
+    handles: Sequence[Any] = () if legend is None else legend.get_legend_handles_labels()
+    figure.legend(*handles, loc="outside right center", frameon=False)
+    figure.savefig(file, dpi=DOTS)
 
 
 def draw_success(task: str, summaries: Summaries, file: Path) -> None:
-    """Success rates by condition with their 95 % intervals, a bar a contender."""
-    names = _contenders(task, summaries)
+    """Draw success rates by preset with their 95 % intervals, a bar for each method."""
+    names = methods_of(task, summaries)
     colours = _colours(names)
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
     panel = figure.subplots()
     width = 0.84 / len(names)
     for k, name in enumerate(names):
-        for place, condition in enumerate(CONDITIONS.values()):
-            summary = summaries.get((task, name, condition.name))
+        for place, preset in enumerate(PRESETS):
+            summary = summaries.get((task, name, preset))
             if summary is None:
                 continue
             low, high = summary.interval
             x = place + (k - 0.5 * (len(names) - 1)) * width
-            panel.bar(
-                x, summary.rate, 0.92 * width, color=colours[name],
-                label=name if condition.name == "exact" else None,
-            )  # fmt: skip
+            label = name if preset == "exact" else None
+            panel.bar(x, summary.rate, 0.92 * width, color=colours[name], label=label)
             errors = [[max(0.0, summary.rate - low)], [max(0.0, high - summary.rate)]]
-            panel.errorbar(x, summary.rate, errors, color="#333333", elinewidth=0.8)
-    panel.set_xticks(range(len(CONDITIONS)), [condition.label for condition in CONDITIONS.values()])
+            panel.errorbar(x, summary.rate, errors, color=INK, elinewidth=0.8)
+    panel.set_xticks(range(len(PRESETS)), [preset.label for preset in PRESETS.values()])
     panel.set(ylim=(0.0, 1.03), ylabel="success")
-    panel.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside right center", frameon=False)
-    figure.savefig(file, dpi=DOTS)
+    _save(figure, file, panel)
 
 
-def draw_errors(task: str, summaries: Summaries, file: Path) -> None:
-    """Share of starts by the size of their error, exact sensors."""
-    kind = kind_of(task)
-    first = find_task(task).figures[0]
-    own = (first, first.replace("_", " "), 1.0, None)
-    figure_name, label, scale, limit = ERRORS.get(kind, own)
-    names = _contenders(task, summaries)
+def draw_errors(task: str, error: ErrorPlot, summaries: Summaries, file: Path) -> None:
+    """Draw the share of starts by the size of their error, exact sensors."""
+    names = methods_of(task, summaries)
     colours = _colours(names)
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
     panel = figure.subplots()
     errors = {
-        name: np.sort(scale * summaries[task, name, "exact"].figure(figure_name).ravel())
+        name: np.sort(error.scale * summaries[task, name, "exact"].metric(error.metric).ravel())
         for name in names
     }
     for name, values in errors.items():
         share = np.arange(1, len(values) + 1) / len(values)
         panel.step(np.maximum(values, 1e-9), share, where="post", color=colours[name], label=name)
-    if limit is not None:
-        panel.axvline(limit, color="#be1848", linestyle="--", linewidth=1.0, label="success")
+    if error.limit is not None:
+        panel.axvline(error.limit, color=LIMIT, linestyle="--", linewidth=1.0, label="success")
     everyone = np.concatenate(list(errors.values()))
     low, high = np.quantile(everyone[everyone > 0.0], (0.02, 1.0))
-    panel.set(xscale="log", xlim=(low, high), ylim=(0.0, 1.0), xlabel=label, ylabel="of starts")
-    panel.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside right center", frameon=False)
-    figure.savefig(file, dpi=DOTS)
+    panel.set(
+        xscale="log", xlim=(low, high), ylim=(0.0, 1.0), xlabel=error.label, ylabel="of starts"
+    )
+    _save(figure, file, panel)
 
 
-def draw_sorting(task: str, summaries: Summaries, file: Path) -> None:
-    """Time to sort by entry speed, the slower side of the first seed; no line where it fails."""
-    names = [name for name in _contenders(task, summaries) if _is_whole(task, summaries, name)]
-    colours = _colours(names)
+def draw_times(task: str, grid: SpeedGrid, summaries: Summaries, file: Path) -> None:
+    """Draw the time of success by entry speed, the slower side of the first seed.
+
+    A line has gaps where the method fails; methods that did not run on all starts have none.
+    """
+    runs = {name: summaries[task, name, "exact"] for name in methods_of(task, summaries)}
+    whole = {name: each for name, each in runs.items() if _is_whole(grid, each.success)}
+    colours = _colours(whole)
     figure = Figure(figsize=(12.0, 4.0), layout="constrained")
     panels = figure.subplots(1, len(PARCELS), sharey=True)
     for panel, parcel in zip(panels, PARCELS, strict=True):
-        for name in names:
-            time = slower_time(summaries[task, name, "exact"], parcel)[0]
+        for name, summary in whole.items():
+            time = grid.slower_time(summary, parcel)[0]
             time = np.where(np.isfinite(time), time, np.nan)
-            panel.plot(SORT_SPEEDS, time, color=colours[name], label=name, linewidth=1.6)
+            panel.plot(grid.speeds, time, color=colours[name], label=name, linewidth=1.6)
         panel.set(title=f"{parcel}-box", xlabel="entry speed [m/s]")
-        panel.spines[["top", "right"]].set_visible(False)
-        panel.grid(color="#eeeeee")
+        panel.grid(color=PALE)
     panels[0].set(ylabel="time to sort [s]", ylim=(0.0, 3.0))
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside right center", frameon=False)
+    _save(figure, file, *panels, legend=panels[0])
+
+
+def _is_whole(grid: SpeedGrid, success: np.ndarray) -> bool:
+    return bool(success.shape[1] == math.prod(grid.shape))
+
+
+def draw_trajectories(grid: SpeedGrid, runs: dict[str, Episodes], file: Path) -> None:
+    """Draw trajectories to y > 0 by entry speed: a row for each method, a column for each parcel.
+
+    Args:
+        grid: of the starts.
+        runs: episodes on all of them, by the name of the method.
+        file: to write.
+    """
+    figure = Figure(figsize=(12.0, 3.4 * len(runs)), layout="constrained")
+    panels = figure.subplots(len(runs), len(PARCELS), sharex=True, sharey=True, squeeze=False)
+    for row, (name, episodes) in zip(panels, runs.items(), strict=True):
+        for panel, parcel in zip(row, PARCELS, strict=True):
+            _draw_line(panel, parcel)
+            for speed, colour in SHOWN_SPEEDS.items():
+                at = (PARCELS.index(parcel), int(np.argmin(np.abs(grid.speeds - speed))))
+                start = int(np.ravel_multi_index((*at, SIDES.index(1)), grid.shape))
+                _draw_path(panel, episodes, start, parcel, colour, f"{speed:g} m/s")
+            panel.set_title(f"{name}, {parcel}-box")
+    for panel in panels[-1]:
+        panel.set_xlabel("x [m]")
+    for panel in panels[:, 0]:
+        panel.set_ylabel("y [m]")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
     figure.savefig(file, dpi=DOTS)
 
 
-def _is_whole(task: str, summaries: Summaries, name: str) -> bool:
-    starts = summaries[task, name, "exact"].success.shape[1]
-    return starts == math.prod(GRID)
+def _draw_line(panel: Axes, parcel: str) -> None:
+    """Draw rotors, supports and the zone that obeys."""
+    line = Line()
+    rotor, (_, rows, first, columns) = line.site(box(parcel).base)
+    row, column = np.mgrid[: line.rows, : line.columns]
+    x = line.origin[0] + line.pitch_x * column
+    y = line.origin[1] + line.pitch_y * row
+    zone = line.column_edge(first), line.column_edge(first + columns)
+    middle, half = line.line_y, 0.5 * line.pitch_y * rows
+    panel.axvspan(*zone, color="#eef2f7", zorder=0)
+    panel.axhspan(middle - half, middle + half, color="#dde3ea", zorder=0)
+    panel.plot(x[~rotor], y[~rotor], ".", color="#c3ccd6", markersize=1.5)
+    panel.plot(x[rotor], y[rotor], ".", color="#8795a5", markersize=4)
+    panel.set(xlim=(0.0, 2.2), ylim=(LINE_Y - 0.35, LINE_Y + 0.85), aspect="equal")
+
+
+def _draw_path(
+    panel: Axes, episodes: Episodes, start: int, parcel: str, colour: str, label: str
+) -> None:
+    style: dict[str, Any] = {"linestyle": "-" if episodes.success[start] else ":"}
+    path = episodes.path(start)
+    panel.plot(path[:, 0], path[:, 1], label=label, color=colour, linewidth=1.6, **style)
+    x, y, theta = path[-1]
+    turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
+    outline = box(parcel).base.outline @ turn + (x, y)
+    panel.add_patch(Patch(outline, fill=False, edgecolor=colour, linewidth=1.0, **style))
+
+
+def draw_rates(results: StreamResults, file: Path) -> None:
+    """Draw the rate delivered right by the load, a line for each method, with 95 % intervals."""
+    colours = _colours(results.names)
+    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    panel = figure.subplots()
+    offered = CURVE.ceiling * np.array(LOADS)
+    panel.plot([0.0, CURVE.ceiling], [0.0, CURVE.ceiling], color="#c3ccd6", linewidth=1.0)
+    panel.annotate(
+        "all that come", (0.5 * CURVE.ceiling, 0.5 * CURVE.ceiling), (-6, 4),
+        textcoords="offset points", ha="right", color="#8795a5",
+    )  # fmt: skip
+    for name in results.names:
+        points = [
+            (load, each.rate, each.margin)
+            for load, each in zip(offered, results.curve(name), strict=True)
+            if each is not None
+        ]
+        if not points:
+            continue
+        load, rate, margin = np.array(points).T
+        panel.errorbar(
+            load, rate, margin, color=colours[name], label=name, marker="o", markersize=3.5,
+            linewidth=1.6, elinewidth=0.9, capsize=2.0,
+        )  # fmt: skip
+    bound = results.rate(BOUND, CURVE)
+    panel.axhline(bound, color=LIMIT, linestyle="--", linewidth=1.0, label=BOUND)
+    panel.set(
+        xlim=(0.0, 1.02 * CURVE.ceiling), ylim=(0.0, None),
+        xlabel=f"parcels offered an hour ({CURVE.label}; up to the ceiling)",
+        ylabel="delivered right an hour",
+    )  # fmt: skip
+    panel.grid(color=PALE)
+    _save(figure, file, panel)
+
+
+def draw_capacities(results: StreamResults, file: Path) -> None:
+    """Draw the capacities of all streams, exact: a bar for each method, the bound above them."""
+    names = tuple(name for name in results.names if name != FIXED)
+    colours = _colours(results.names)
+    figure = Figure(figsize=(12.0, 4.2), layout="constrained")
+    panel = figure.subplots()
+    streams = cases()
+    width = 0.84 / len(names)
+    for place, case in enumerate(streams):
+        for k, name in enumerate(names):
+            x = place + (k - 0.5 * (len(names) - 1)) * width
+            row = results.find(name, case)
+            label = name if place == 0 else None
+            rate = results.rate(name, case) if row is not None else 0.0
+            panel.bar(x, rate, 0.92 * width, color=colours[name], label=label)
+            if row is None or row.capacity is None:
+                panel.annotate(
+                    "0" if row is not None and row.can else CANNOT, (x, 0.0), (0, 3),
+                    textcoords="offset points", ha="center", va="bottom", rotation=90, color=INK,
+                    fontsize=8,
+                )  # fmt: skip
+            else:
+                panel.errorbar(x, rate, row.capacity.margin, color=INK, elinewidth=0.8)
+        panel.hlines(
+            results.rate(BOUND, case), place - 0.45, place + 0.45, color=LIMIT, linestyle="--",
+            linewidth=1.2, label=BOUND if place == 0 else "_again",
+        )  # fmt: skip
+    panel.set_xticks(range(len(streams)), [case.label for case in streams])
+    panel.set(ylabel="capacity [parcels/h]")
+    _save(figure, file, panel)

@@ -1,148 +1,326 @@
-"""A comparison's folder: tables, plots, films and the page that holds them all."""
+"""The folder of a comparison: tables, plots, videos, and one web page that holds them all."""
 
-from collections.abc import Callable, Sequence
+import base64
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from itertools import islice
 from pathlib import Path
+from string import Template
 
+import imageio.v2 as imageio
+import numpy as np
+from gymnasium.utils.seeding import np_random
 from rich.console import Console
 
-from surface_gym.sharing import Workers
+from surface_gym.presets import PRESETS
+from surface_gym.tasks.benchmark import Column
 
-from ..flow.report import FlowReport
-from ..tasks import kind_of, label_of
-from .by_speed import speed_table
-from .cell import Cell, play
-from .columns import columns_of
-from .contenders import FIXED, PLANNER, Contender, only
-from .decisions import decision_table, write_decisions
-from .page import write_page
-from .plots import draw_errors, draw_sorting, draw_success, has_errors
-from .showing import film_of
-from .summary import summarise
-from .table import (
-    Summaries,
-    Table,
-    make_table,
-    markdown,
-    print_table,
-    write_tables,
+from ..tasks import task_label
+from . import benchmark as runs
+from . import tables as texts
+from .benchmark import Result, Summaries, find_benchmark, summarise
+from .capacity import Case, StreamMethod
+from .methods import PLANNER, Method, rivals
+from .plots import (
+    draw_capacities,
+    draw_errors,
+    draw_rates,
+    draw_success,
+    draw_times,
+    draw_trajectories,
 )
-from .trajectories import draw_trajectories
-from .trials import make_trial
-from .work import compute_cells
+from .streams import (
+    CURVE,
+    EVENT,
+    LEARNED,
+    RESERVATION,
+    StreamResult,
+    StreamResults,
+    stream_numbers,
+    stream_tables,
+)
+from .tables import Table
+from .video import Player, play, write_comparison
 
-Pictures = list[tuple[Path, str]]
-COMPARED = ("exact", "camera", "lab")  # conditions that a run's policies are compared under
+PRINTED = 4  # tables of streams that are shown on screen
+NEAR = 0.95  # [-] of the reservation's capacity, at which the video shows all methods
+FILMED = 20.0  # [s] of a stream
+SHOWN_AT = 12.0  # [s] since the start of a stream, of the picture
+
+Pictures = list[tuple[Path, str]]  # files, and what each shows
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page: a table, pictures and videos, and columns whose meaning is explained."""
+
+    table: Table
+    pictures: Pictures
+    columns: tuple[Column, ...] = ()
 
 
 def write_report(
-    contenders: Sequence[Contender],
-    cells: Sequence[Cell],
+    methods: Sequence[Method],
+    results: Sequence[Result],
     folder: Path,
     console: Console,
     advance: Callable[[str], None] = lambda _: None,
-    flow: FlowReport | None = None,
+    streams: Sequence[Section] = (),
 ) -> None:
     """Write everything of a comparison into a folder, and show its tables.
 
     Args:
-        contenders: who was compared.
-        cells: what came of it.
+        methods: that were compared.
+        results: of all of them.
         folder: to write into.
         console: to show on.
         advance: called with what is drawn next.
-        flow: the comparison on streams of parcels, which comes first; None: there is none.
+        streams: the comparison on streams of parcels, which comes first on the page.
     """
-    summaries = summarise(cells)
-    names = list(dict.fromkeys(contender.task for contender in contenders))
-    tables = [make_table(make_trial(name), summaries) for name in names]
-    pictures = {}
-    for name in names:
-        advance(f"drawing {name}")
-        pictures[label_of(name)] = _draw(name, contenders, summaries, folder)
-    shown = []
-    for name, table in zip(names, tables, strict=True):
-        shown.append(table)
-        if kind_of(name) == "sort":
-            shown.append(_by_speed(name, summaries))
-    if names:
-        trials = [make_trial(name) for name in names]
-        write_tables(trials, shown, summaries, folder)
-        shown.append(decision_table(trials, summaries))
-        write_decisions(shown[-1], folder)
-    for table in shown:
-        print_table(table, console)
-    columns = {label_of(name): columns_of(name) for name in names}
-    if flow is not None:
-        shown = [*flow.tables, *shown]
-        pictures = {flow.tables[0].task: list(flow.pictures), **pictures}
-    write_page(shown, pictures, columns, folder / "report.html")
+    summaries = summarise(results)
+    tasks = list(dict.fromkeys(method.task for method in methods))
+    sections = []
+    for task in tasks:
+        advance(f"drawing {task}")
+        table = texts.task_table(task, summaries)
+        pictures = _draw_task([m for m in methods if m.task == task], summaries, folder)
+        sections.append(Section(table, pictures, find_benchmark(task).columns))
+        sections += [Section(table, []) for table in speed_tables(task, summaries)]
+    if tasks:
+        texts.write_markdown([each.table for each in sections], folder / "comparison.md")
+        texts.write_numbers(
+            [row for task in tasks for row in texts.task_numbers(task, summaries)],
+            folder / "comparison.csv",
+            folder / "comparison.json",
+        )
+        decisions = texts.decision_table(tasks, summaries)
+        texts.write_markdown([decisions], folder / texts.DECISIONS)
+        sections.append(Section(decisions, []))
+    for section in sections:
+        section.table.show(console)
+    write_page([*streams, *sections], folder / "report.html")
 
 
-def _by_speed(task: str, summaries: Summaries) -> Table:
-    return speed_table(
-        {
-            who: summary
-            for (name, who, condition), summary in summaries.items()
-            if (name, condition) == (task, "exact") and who != PLANNER
-        }
-    )
+def speed_tables(task: str, summaries: Summaries) -> list[Table]:
+    """Make the table by entry speed of a task whose starts are a grid of speeds; else none."""
+    grid = find_benchmark(task).grid
+    if grid is None:
+        return []
+    exact = {
+        method: summary
+        for (of_task, method, preset), summary in summaries.items()
+        if (of_task, preset) == (task, "exact") and method != PLANNER
+    }
+    return [texts.speed_table(grid, exact)]
 
 
-def _draw(
-    name: str, contenders: Sequence[Contender], summaries: Summaries, folder: Path
-) -> Pictures:
-    """A task's plots and film."""
-    mine = [contender for contender in contenders if contender.task == name]
-    pictures: Pictures = []
-    label = label_of(name)
+def _draw_task(methods: Sequence[Method], summaries: Summaries, folder: Path) -> Pictures:
+    """Draw a task's plots and its video."""
+    task = methods[0].task
+    benchmark, label = find_benchmark(task), task_label(task)
     success = folder / f"{label}-success.png"
-    draw_success(name, summaries, success)
-    pictures.append((success, "Success by condition, with 95 % intervals."))
-    if kind_of(name) == "sort":
+    draw_success(task, summaries, success)
+    pictures = [(success, "Success by preset, with 95 % intervals.")]
+    both = rivals(methods)
+    if benchmark.grid is not None:
         times, paths = folder / f"{label}-times.png", folder / f"{label}-trajectories.png"
-        draw_sorting(name, summaries, times)
+        draw_times(task, benchmark.grid, summaries, times)
         pictures.append(
             (times, "Time to sort by entry speed; no line where a parcel is not sorted.")
         )
-        draw_trajectories(
-            {each.name: play(each, each.seeds[0], "exact")[1] for each in rivals(mine)}, paths
-        )
+        write_trajectories(both, paths)
         pictures.append((paths, "Trajectories by entry speed; dotted where it is not sorted."))
-    elif has_errors(name):
+    elif benchmark.error is not None:
         errors = folder / f"{label}-errors.png"
-        draw_errors(name, summaries, errors)
+        draw_errors(task, benchmark.error, summaries, errors)
         pictures.append((errors, "Share of starts by the size of the error, exact sensors."))
-    pictures.append(film_of(rivals(mine), folder))
-    return pictures
+    return [*pictures, write_example(both, folder)]
 
 
-def rivals(contenders: Sequence[Contender]) -> list[Contender]:
-    """The fixed layout and, of one task's other contenders, the first that learned or the last."""
-    fixed = [contender for contender in contenders if contender.name == FIXED]
-    others = [contender for contender in contenders if contender.name not in (FIXED, PLANNER)]
-    learned = [contender for contender in others if contender.name == "PPO"]
-    return [*fixed, *(learned or others[-1:])][:2]
+def write_trajectories(methods: Iterable[Method], file: Path) -> bool:
+    """Draw where parcels go by entry speed, of a task whose starts are a grid; say whether."""
+    several = list(methods)
+    grid = find_benchmark(several[0].task).grid
+    if grid is not None:
+        episodes = {each.name: runs.play(each, each.seeds[0], "exact")[1] for each in several}
+        draw_trajectories(grid, episodes, file)
+    return grid is not None
 
 
-def compare_run(
-    fixed: Contender, trained: Contender, workers: Workers, folder: Path, console: Console
-) -> Summaries:
-    """Compare a run's policies with the fixed layout, the same byte for byte each time: table.md,
-    table.json, the trajectories of Sort, and a film.
+def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
+    """Film methods of a task side by side, the first seed of each; the file and what it shows."""
+    task = methods[0].task
+    benchmark = find_benchmark(task)
+    players = []
+    for method in methods:
+        settings = method.settings(benchmark.task, PRESETS["exact"])
+        controller = method.make(settings, method.seeds[0])
+        rng = np_random(runs.SEED)[0]
+        players.append(Player(method.name, controller, settings, rng, benchmark.example))
+    file = folder / f"{task_label(task)}.mp4"
+    outcomes = ", ".join(
+        f"{player.name} {'succeeds' if success else 'fails'}"
+        for player, success in zip(players, write_comparison(players, file), strict=True)
+    )
+    return file, f"{benchmark.example_description}: {outcomes}"
+
+
+def write_stream_report(
+    methods: Sequence[StreamMethod],
+    rows: Sequence[StreamResult],
+    folder: Path,
+    console: Console,
+) -> list[Section]:
+    """Write flow.md, flow.csv, plots, a picture and a video into a folder, and show tables.
+
+    Args:
+        methods: that were compared.
+        rows: results of all of them.
+        folder: to write into.
+        console: to show on.
+
+    Returns:
+        The sections of the page.
     """
-    both = [only(each, COMPARED) for each in (fixed, trained)]
-    summaries = summarise(compute_cells(both, workers))
-    trial = make_trial(trained.task)
-    tables = [make_table(trial, summaries)]
-    if trial.kind == "sort":
-        tables.append(_by_speed(trained.task, summaries))
-        draw_trajectories(
-            {each.name: play(each, each.seeds[0], "exact")[1] for each in both},
-            folder / "trajectories.png",
+    results = StreamResults.of(methods, rows)
+    tables = stream_tables(results)
+    for table in tables[:PRINTED]:
+        table.show(console)
+    texts.write_markdown(tables, folder / "flow.md")
+    texts.write_numbers(stream_numbers(results), folder / "flow.csv")
+    pictures = _draw_streams(methods, results, folder)
+    return [Section(tables[0], pictures), *(Section(table, []) for table in tables[1:])]
+
+
+def _draw_streams(
+    methods: Sequence[StreamMethod], results: StreamResults, folder: Path
+) -> Pictures:
+    rates, capacities = folder / "flow-rate.png", folder / "flow-capacity.png"
+    draw_rates(results, rates)
+    draw_capacities(results, capacities)
+    rate = NEAR * results.rate(RESERVATION, CURVE)
+    named = {method.name: method for method in methods}
+    picture, video = folder / "flow.png", folder / "flow.mp4"
+    imageio.imwrite(picture, stream_picture(named[RESERVATION], rate))
+    shown = [named[name] for name in (EVENT, RESERVATION, LEARNED) if name in named]
+    write_comparison([stream_player(each, CURVE, rate) for each in shown], video, FILMED)
+    stream = f"{CURVE.label}, {rate:.0f} parcels an hour offered"
+    return [
+        (capacities, "Capacity by stream, exact sensors, with 95 % intervals."),
+        (rates, f"Rate delivered right by the rate offered, {CURVE.label}, exact sensors."),
+        (picture, f"The reservation at work: {stream}."),
+        (video, f"The same stream under {', '.join(each.name for each in shown)}: {stream}."),
+    ]
+
+
+def stream_player(method: StreamMethod, case: Case, rate: float) -> Player:
+    """Put a method on the first replication of a stream, at a rate [parcels/h].
+
+    Raises:
+        ValueError: the method cannot sort such parcels.
+    """
+    settings = method.settings(case, rate)
+    controller = method.make(settings)
+    if controller is None:
+        raise ValueError(f"method must be able to sort {case.label}, got {method.name!r}")
+    return Player(method.name, controller, settings, np.random.default_rng((runs.SEED, 0)))
+
+
+def stream_picture(method: StreamMethod, rate: float) -> np.ndarray:
+    """Draw the stream of the video in its midst, at a rate [parcels/h]."""
+    at = round(SHOWN_AT / method.control_period)
+    picture, _ = next(islice(play(stream_player(method, CURVE, rate), every=at), at, None))
+    return picture
+
+
+_PAGE = Template("""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>surface_gym: the comparison</title>
+<style>
+:root { color-scheme: light; }
+body { font: 16px/1.55 system-ui, sans-serif; color: #212730; background: #fff;
+  max-width: 72rem; margin: 0 auto; padding: 2rem 1.2rem 5rem; }
+h1 { font-size: 1.9rem; margin: 0 0 .4rem; }
+h2 { font-size: 1.35rem; margin: 3.2rem 0 .3rem; padding-top: 1.6rem;
+  border-top: 1px solid #dde1e6; }
+p, li { max-width: 46rem; }
+.caption { color: #5c6672; }
+nav a { margin-right: 1rem; color: #21618c; }
+.wide { overflow-x: auto; }
+table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums;
+  margin: 1rem 0; }
+th, td { padding: .32rem .7rem; text-align: right; border-bottom: 1px solid #e6e9ed;
+  white-space: nowrap; }
+th { color: #5c6672; font-weight: 600; white-space: normal; vertical-align: bottom; }
+th:first-child, td:first-child { text-align: left; }
+tbody tr:hover { background: #f5f7f9; }
+img, video { max-width: 100%; height: auto; margin: .6rem 0; }
+figcaption { color: #5c6672; font-size: .86rem; }
+figure { margin: 1.2rem 0; }
+dl { font-size: .86rem; } dt { font-weight: 600; } dd { margin: 0 0 .4rem 0; color: #5c6672; }
+</style>
+</head>
+<body>
+<h1>Which controller steers the parcel best?</h1>
+<p>Fixed layouts, as the study arranges them once beforehand, beside rules, a planner and agents
+that turn every axis while the parcel passes. All of them meet the same starts and see only what
+the sensors say.</p>
+<nav>$contents</nav>
+<h2>How it is measured</h2>
+<p>Success is given with a 95 % interval over seeds and starts: Wilson's, at the number of
+independent starts that would spread the mean as the seeds and the starts together do. All other
+figures of a table are those of exact sensors. Presets:</p>
+<dl>$presets</dl>
+$sections
+</body>
+</html>
+""")
+
+
+def write_page(sections: Sequence[Section], file: Path) -> None:
+    """Write the page, which holds its pictures and videos and needs nothing else."""
+    text = _PAGE.substitute(
+        contents="".join(
+            f'<a href="#{escape(each.table.title)}">{escape(each.table.heading)}</a>'
+            for each in sections
+            if each.pictures
+        ),
+        presets=_definitions({each.label: each.meaning for each in PRESETS.values()}),
+        sections="\n".join(map(_section, sections)),
+    )
+    file.write_text(text, encoding="utf-8")
+
+
+def _section(section: Section) -> str:
+    table = section.table
+    parts = [
+        f'<h2 id="{escape(table.title)}">{escape(table.heading)}</h2>',
+        f'<p class="caption">{escape(table.caption)}</p>',
+        f'<div class="wide">{table.html()}</div>',
+        *(_figure(file, caption) for file, caption in section.pictures),
+    ]
+    if section.columns:
+        meanings = _definitions({column.label: column.meaning for column in section.columns})
+        parts.append(
+            f"<details><summary>What the columns mean</summary><dl>{meanings}</dl></details>"
         )
-    for table in tables:
-        print_table(table, console)
-    (folder / "table.md").write_text("\n".join(map(markdown, tables)))
-    file, told = film_of(both, folder)
-    console.print(f"{file.name}: {told}")
-    return summaries
+    return "\n".join(parts)
+
+
+def _figure(file: Path, caption: str) -> str:
+    data = base64.b64encode(file.read_bytes()).decode()
+    if file.suffix == ".mp4":
+        shown = (
+            f'<video controls loop muted playsinline src="data:video/mp4;base64,{data}"></video>'
+        )
+    else:
+        shown = f'<img alt="{escape(caption)}" src="data:image/png;base64,{data}">'
+    return f"<figure>{shown}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def _definitions(meanings: Mapping[str, str]) -> str:
+    return "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in meanings.items())

@@ -1,12 +1,6 @@
-"""`python -m agents.export`, and `python -m surface_gym.agents.export` once installed."""
+"""`python -m agents.export`, which is `surface-gym export`."""
 
-from surface_gym.commands import start
-
-
-def main() -> None:
-    """Run the command, or say in one line what to install."""
-    start(str(__package__), "agents")
-
+from surface_gym.cli import run_command
 
 if __name__ == "__main__":
-    main()
+    run_command("export")

@@ -1,18 +1,55 @@
-"""The page that goes with an export: what goes in, what comes out, and what it was trained in."""
+"""The page that goes with an export: its input, its output, its training and its check."""
 
 import math
 from collections.abc import Iterable, Sequence
 
-from surface_gym.conditions import Condition
-from surface_gym.core.actions import ActionKind
+from surface_gym.core.actions import GROUPS, ActionKind, group_features
+from surface_gym.presets import Preset
 from surface_gym.tasks import Sort
+from surface_gym.tasks.base import Feature
 
-from .checking import TIE, Agreement
-from .graph import ANGLES, CHOICES, OBSERVATION, OPSET
-from .header import prefix_of
-from .needs import need_of
-from .source import Source
+from .c_header import make_prefix
+from .check import TIE, Agreement
+from .onnx_graph import ANGLES, CHOICES, OBSERVATION, OPSET
+from .policy import Source
 
+POSE = "the parcel's place and angle: a camera, or switches in the modules, and a filter"
+VELOCITY = "the parcel's velocity: a filter's, from its pose over time"
+BOTH = "the parcel's pose and velocity, as above, and its goal"
+OUTLINE = "the parcel's outline: a scale drawing, or a picture of it"
+POSE_AND_OUTLINE = "the parcel's pose and its outline"
+GOAL = "the goal of this parcel: the order"
+TO_GO = "the parcel's pose, and its goal"
+CLOCK = "a clock, started as the parcel enters"
+ENTRY = "the parcel's speed as it enters: the conveyor's before the surface"
+PATH = "the path to follow, and the parcel's place beside it"
+TILT = "the tilt of the surface: measured once"
+AXES = "each axis' angle: an encoder, or computed from its commands; and the parcel's pose"
+WINDOW = "the parcel's pose and outline, or a switch in each module"
+LOAD = "a filter that estimates the place of the load and the friction from the motion"
+UNKNOWN = "see its meaning"
+
+# By a feature's name, by how its name begins, or by its group.
+_NEED_BY_NAME = {
+    "lateral offset": POSE, "sine of theta": POSE, "cosine of theta": POSE,
+    "sine of phase x": POSE, "cosine of phase x": POSE,
+    "sine of phase y": POSE, "cosine of phase y": POSE,
+    "forward speed": VELOCITY, "lateral speed": VELOCITY, "turning speed": VELOCITY,
+    "size": OUTLINE, "length": OUTLINE, "width": OUTLINE, "fill": OUTLINE,
+    "clearance": POSE_AND_OUTLINE, "distance into zone": POSE_AND_OUTLINE,
+    "front in zone": POSE_AND_OUTLINE, "rear to go": POSE_AND_OUTLINE,
+    "side": GOAL, "asked ratio": GOAL, "asked angle": GOAL, "asked speed": GOAL,
+    "to go": TO_GO, "to go, near": TO_GO, "to go, nearest": TO_GO,
+    "angle to turn": TO_GO, "angle to turn, near": TO_GO,
+    "excess of speed": BOTH, "fine excess": BOTH, "speed error": BOTH,
+    "entry speed": ENTRY, "time": CLOCK, "tilt": TILT,
+    "cross error": PATH, "fine cross error": PATH,
+}  # fmt: skip
+_NEED_BY_PREFIX = {
+    "slope ": PATH, "occupied ": WINDOW, "rotors ": AXES, "cosine of rotors ": AXES,
+    "sine of rotors ": AXES, "cosine of axis ": AXES, "sine of axis ": AXES,
+}  # fmt: skip
+_LEARNED = tuple(name for name in GROUPS if name == "load")
 _PLACES = {
     "halves": ("ahead of the parcel's centre", "behind it"),
     "quadrants": (
@@ -28,45 +65,55 @@ _MIRRORED = (
 )
 
 
-def page_of(source: Source, told: dict[str, str], checked: dict[str, Agreement | None]) -> str:
-    """The page, in Markdown.
+def need_of(feature: Feature) -> str:
+    """Return what a machine has to know for a feature; `UNKNOWN` for one of a custom task."""
+    if feature.name in _NEED_BY_NAME:
+        return _NEED_BY_NAME[feature.name]
+    if any(feature.name == each.name for each in group_features(_LEARNED)):
+        return LOAD
+    found = (need for start, need in _NEED_BY_PREFIX.items() if feature.name.startswith(start))
+    return next(found, UNKNOWN)
+
+
+def make_page(
+    source: Source, metadata: dict[str, str], checked: dict[str, Agreement | None]
+) -> str:
+    """Return the page, in Markdown.
 
     Args:
         source: of the policy.
-        told: metadata.
-        checked: how each form agrees with the policy; None: it was not tried.
+        metadata: of the ONNX file.
+        checked: by "ONNX" and "C", as far as they are written: the agreement with the policy; None:
+            it was not tried.
     """
-    name = source.name
+    name, settings = source.name, source.settings
+    files = {
+        "ONNX": (f"`{name}.onnx`", f"a graph for any ONNX runtime, opset {OPSET}"),
+        "C": (f"`{name}.h`", f"a C99 header: `{make_prefix(name)}_decide(observation, angles)`"),
+    }
     parts = (
         f"# {name}, seed {source.seed}",
-        f"Decides axes for `{source.policy.env_id}` every "
-        f"{source.settings.control_period * 1e3:g} ms. Made by surface_gym from a trained policy; "
-        "each file decides as the policy does.",
-        _table(
-            ("file", "is"),
-            (
-                (f"`{name}.onnx`", f"a graph for any ONNX runtime, opset {OPSET}"),
-                (f"`{name}.h`", f"a C99 header: `{prefix_of(name)}_decide(observation, angles)`"),
-            ),
-        ),
+        f"Decides axes for `{source.policy.env_id}` every {settings.control_period * 1e3:g} ms. "
+        "Made by surface_gym from a trained policy; each file decides as the policy does.",
+        _table(("file", "content"), (files[each] for each in checked)),
         "## In",
-        f"`{OBSERVATION}`: float32, {len(source.settings.features)} numbers a parcel; in ONNX as "
-        "many rows as there are parcels.",
+        f"`{OBSERVATION}`: float32, {len(settings.features)} numbers a parcel; in ONNX as many "
+        "rows as there are parcels.",
         _features(source),
-        *((_MIRRORED,) if isinstance(source.settings.task, Sort) else ()),
+        *((_MIRRORED,) if isinstance(settings.task, Sort) else ()),
         "Outside of least and greatest the policy was never trained: stop there, or let a rule "
         "take over.",
         "## Out",
         _out(source),
-        f"- The control period is {source.settings.control_period:g} s: sense, decide, set the "
-        "axes, wait. A decision holds until the next one.\n- Only modules of the zone obey. Every "
-        f"other keeps its axis.\n- The plant is {_plant(source)}.",
+        f"- The control period is {settings.control_period:g} s: sense, decide, set the axes, "
+        "wait. A decision holds until the next one.\n- Only modules of the zone obey. Every other "
+        f"keeps its axis.\n- The surface is {_surface(source)}.",
         "## Trained in",
         _training(source),
         "## Checked",
         _checked(checked),
-        "## What the ONNX file says of itself",
-        _table(("key", "value"), ((f"`{key}`", f"`{value}`") for key, value in told.items())),
+        "## Metadata of the ONNX file",
+        _table(("key", "value"), ((f"`{key}`", f"`{value}`") for key, value in metadata.items())),
     )
     return "\n\n".join(parts) + "\n"
 
@@ -92,7 +139,7 @@ def _out(source: Source) -> str:
         ((str(k), f"{angle:.9g}", f"{math.degrees(angle):g}") for k, angle in enumerate(angles)),
     )
     return (
-        f"- `{CHOICES}`: int64, {kind.size} numbers, which orientation each part takes\n"
+        f"- `{CHOICES}`: int64, {kind.size} numbers, the orientation that each part takes\n"
         f"- `{ANGLES}`: float64 [rad], {kind.size} numbers, its axis angle; 0 along the line, "
         "anti-clockwise; a module brakes along its axis and lets roll across it\n\n"
         f"{offered}\n\n{_parts(kind)}"
@@ -100,7 +147,7 @@ def _out(source: Source) -> str:
 
 
 def _parts(kind: ActionKind) -> str:
-    """Which modules follow which part."""
+    """Describe which modules follow which part."""
     if kind.name in _PLACES:
         rows = ((str(k), f"modules {place}") for k, place in enumerate(_PLACES[kind.name]))
         return _table(("part", "followed by"), rows) + (
@@ -120,7 +167,7 @@ def _parts(kind: ActionKind) -> str:
     )
 
 
-def _plant(source: Source) -> str:
+def _surface(source: Source) -> str:
     plant = source.settings.chosen_plant
     return (
         f"`{type(plant).__name__}`: {plant.rows} x {plant.columns} elements, "
@@ -131,27 +178,27 @@ def _plant(source: Source) -> str:
 
 def _training(source: Source) -> str:
     training = source.training
-    lines = [f"Condition: {training.condition}. Its lanes were:"]
-    lines.append("\n".join(f"- {_condition(each)}" for each in training.practised))
+    lines = [f"Preset: {training.condition}. Its environments were:"]
+    lines.append("\n".join(f"- {_preset(each)}" for each in training.presets))
     if training.command is not None:
         lines.append(f"Trained by `{training.command}`.")
     if training.results:
         rows = ((name, f"{success:.3f}") for name, success in training.results)
-        lines.append(_table(("condition", "success"), rows))
+        lines.append(_table(("preset", "success"), rows))
     return "\n\n".join(lines)
 
 
-def _condition(condition: Condition) -> str:
-    return f"**{condition.label}**: {condition.meaning} Sensors: `{condition.sensors!r}`."
+def _preset(preset: Preset) -> str:
+    return f"**{preset.label}**: {preset.meaning} Sensors: `{preset.sensors!r}`."
 
 
 def _checked(checked: dict[str, Agreement | None]) -> str:
     lines = [
-        f"- {what}: " + ("not tried, there was no compiler" if each is None else each.told())
+        f"- {what}: " + ("not tried, there was no compiler" if each is None else each.summary())
         for what, each in checked.items()
     ]
     return "\n".join(lines) + (
-        "\n\nCompared with the policy, half along its own episodes, half at random. Scores that "
-        f"differ by less than {TIE:g} of the largest are a tie: single precision, summed in "
-        "another order, may decide either way."
+        "\n\nCompared with the policy on observations of its own episodes and random ones, half "
+        f"each. Scores that differ by less than {TIE:g} of the largest are a tie: single "
+        "precision, summed in another order, may decide either way."
     )

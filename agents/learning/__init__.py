@@ -1,1 +1,1 @@
-"""How agents learn: configuration, runs, checkpoints and the algorithms."""
+"""Training of policies: configuration, run folders and the algorithms."""

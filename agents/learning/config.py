@@ -1,81 +1,96 @@
-"""What a training run is made of; every field is a flag of `train.py`."""
+"""Configuration of a training run; every field is a flag of `train.py`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, TypeGuard, get_args
+from typing import TYPE_CHECKING, Literal, TypeGuard, get_args
+
+import gymnasium as gym
 
 from surface_gym import checks
-from surface_gym.core.actions import GROUPS
-from surface_gym.lines import Line
+from surface_gym.registration import env_id
 
-from ..policy_card import FLOW_TASK, PolicyCard
-from ..tasks import find_task, id_of
+from ..base import FLOW_TASK
+
+if TYPE_CHECKING:
+    from ..library import PolicyCard
 
 AlgoName = Literal["ppo", "dqn", "modules", "parcels"]
-ConditionName = Literal["nominal", "lab"]
-NOMINAL: ConditionName = "nominal"  # what one says that asks for nothing else
+PresetName = Literal["nominal", "lab"]
+NOMINAL: PresetName = "nominal"
 ActionName = Literal["halves", "quadrants", "window", "modules", "parcels"]
 DeviceName = Literal["cpu", "cuda"]
-CPU: DeviceName = "cpu"  # where one learns who says nothing else
+CPU: DeviceName = "cpu"
+
+# Earlier names of fields, which files and command lines may still have.
+RENAMED = {
+    "lanes": "num_envs",
+    "condition": "preset",
+    "seats": "slots",
+    "parted": "split_probability",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """What all algorithms have in common.
+    """Options of all algorithms.
 
     Raises:
         ValueError: a field is out of its range; the message names it.
     """
 
     task: str = "sort"
-    """What to learn: sort, slow, stop, track, orient, or one's own as path/to/file.py:Class."""
+    """Task to learn: sort, slow, stop, track, orient, or a user's as path/to/file.py:Class."""
     algo: AlgoName = "ppo"
-    """PPO, DQN with double Q, or (for Sort) PPO of modules that decide each for itself."""
+    """PPO; DQN with double Q; shared-policy PPO per module (modules, Sort) or parcel (parcels)."""
     seed: int = 0
-    """Of the starts, the network and the sampling; the first of `seeds`."""
+    """Seed of the starts, the network and the sampling; the first of `seeds`."""
     seeds: int = 1
-    """Trained in parallel processes, and summed up."""
+    """Number of seeds, trained in parallel processes and summarised."""
     steps: int = 1_000_000
-    """Control periods to learn from, all lanes together."""
+    """Control periods to learn from, of all environments together."""
     actions: ActionName = "halves"
-    """Kind of action, as the environment has it."""
+    """Kind of action, as in the environment."""
     control_period: float = 0.04
     """[s] between decisions."""
-    lanes: int = 64
-    """Parcels at a time."""
-    condition: ConditionName = NOMINAL
-    """What to be ready for: nominal, the two boxes and axes that turn at once; or lab."""
+    num_envs: int = 64
+    """Number of environments."""
+    preset: PresetName = NOMINAL
+    """Conditions to train for: nominal, the two boxes and axes that turn at once; or lab."""
     observe: tuple[str, ...] = ()
-    """Groups of features to see beside the task's: parcel, rotors, load."""
+    """Groups of features in the observation beside the task's: parcel, rotors, load."""
     camera_share: float = 0.5
-    """[-] of lanes seen by a camera, late and noisy, with varied friction, or in the lab; the
-    others exact."""
+    """[-] of environments with a late and noisy camera and varied friction, or the lab preset; the
+    others have exact sensors."""
     zones: tuple[int, ...] = ()
-    """Columns that obey, in turn, on half of the lanes seen exactly; none: all as the task has."""
+    """Columns of other zones, each on an equal share of half of the environments with exact
+    sensors; none: the task's zone on all."""
     friction: float = 0.2
-    """[-] spread of the friction in these lanes."""
+    """[-] spread of the varied friction."""
     hidden: tuple[int, ...] = (64, 64)
     """Units of the hidden layers, of policy and value alike."""
     learning_rate: float = 1e-3
-    """At the start; it falls to 0 over the run."""
+    """Learning rate at the start; it falls to 0 over the run."""
     gamma: float = 0.99
-    """Discount a control period."""
+    """Discount factor of a control period."""
     checkpoint_every: int = 500_000
-    """Control periods from checkpoint to checkpoint, where all lanes start anew."""
+    """Control periods between checkpoints, at which all environments start anew."""
     out: Path = Path("runs")
-    """Folder that run folders are made in."""
+    """Folder to make run folders in."""
     name: str | None = None
-    """Of the run's folder; by default the task, the algorithm, the seed and the time."""
+    """Name of the run's folder; by default the task, the algorithm, the seed and the time."""
 
     def __post_init__(self) -> None:
         self._check_task()
         named = [algo for algo, kind in CONFIGS.items() if kind is type(self)]
         checks.one_of("algo", self.algo, named)
         checks.one_of("actions", self.actions, get_args(ActionName))
-        checks.one_of("condition", self.condition, get_args(ConditionName))
-        checks.some_of("observe", self.observe, tuple(GROUPS))
+        checks.one_of("preset", self.preset, get_args(PresetName))
+        if self.observe:
+            from surface_gym.core.actions import GROUPS
+
+            checks.some_of("observe", self.observe, tuple(GROUPS))
         checks.integer("seed", self.seed, least=0)
-        for name in ("seeds", "steps", "lanes", "checkpoint_every"):
+        for name in ("seeds", "steps", "num_envs", "checkpoint_every"):
             checks.integer(name, getattr(self, name), least=1)
         checks.positive("control_period", self.control_period)
         checks.positive("learning_rate", self.learning_rate)
@@ -91,12 +106,18 @@ class TrainConfig:
             raise ValueError("hidden must be at least one layer, got none")
 
     def _check_task(self) -> None:
-        """Raise a ValueError where there is no such task, or it has no such zones."""
+        """Raise a ValueError if there is no such task, or if it has no such zones."""
+        if not self.zones and is_registered(self.task):
+            return
+        from surface_gym.lines import Line
+
+        from ..tasks import find_task
+
         if not isinstance(find_task(self.task).plant, Line):
             self._check_no_zones()
 
     def _check_no_zones(self) -> None:
-        """Raise a ValueError where there are zones: the task knows none."""
+        """Raise a ValueError if there are zones, for a task without any."""
         if self.zones:
             raise ValueError(f"zones must be none for {self.task}, got {self.zones}")
 
@@ -109,18 +130,18 @@ class PPOConfig(TrainConfig):
     """
 
     n_steps: int = 64
-    """Control periods of each lane between updates."""
+    """Control periods of each environment between updates."""
     batch_size: int = 1024
-    """Of a gradient step."""
+    """Samples of a gradient step."""
     n_epochs: int = 5
     """Passes over a rollout."""
     gae_lambda: float = 0.95
-    """Of the generalised advantage estimate."""
+    """Lambda of the generalised advantage estimate."""
     ent_coef: float = 0.003
     """Weight of the entropy bonus."""
     device: DeviceName = CPU
-    """Where the lanes are moved and the network learns: cpu, or cuda for PPO of lanes seen
-    exactly, with defaults from agents/hyperparams/ppo-cuda.yml."""
+    """Device of the environments and the network: cpu, or cuda for PPO with exact sensors, with
+    defaults from agents/hyperparams/ppo-cuda.yml."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -131,15 +152,15 @@ class PPOConfig(TrainConfig):
             checks.integer(name, getattr(self, name), least=1)
         if self._samples % self.batch_size:
             raise ValueError(
-                f"batch_size must be a factor of lanes x n_steps, {self._samples}, "
+                f"batch_size must be a factor of num_envs x n_steps, {self._samples}, "
                 f"got {self.batch_size!r}"
             )
         checks.within("gae_lambda", self.gae_lambda, 0.0, 1.0)
         checks.not_negative("ent_coef", self.ent_coef)
 
     def _check_on_device(self) -> None:
-        """Raise a ValueError where a field is not for a device, which knows no cameras or zones."""
-        only = {"algo": "ppo", "condition": NOMINAL, "camera_share": 0.0, "zones": ()}
+        """Raise a ValueError if a field is not for a device, which has no cameras or zones."""
+        only = {"algo": "ppo", "preset": NOMINAL, "camera_share": 0.0, "zones": ()}
         for name, allowed in only.items():
             if getattr(self, name) != allowed:
                 raise ValueError(
@@ -149,8 +170,8 @@ class PPOConfig(TrainConfig):
 
     @property
     def _samples(self) -> int:
-        """Of a rollout."""
-        return self.lanes * self.n_steps
+        """Samples of a rollout."""
+        return self.num_envs * self.n_steps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,25 +182,25 @@ class DQNConfig(TrainConfig):
     """
 
     algo: AlgoName = "dqn"
-    """PPO, DQN with double Q, or (for Sort) PPO of modules that decide each for itself."""
+    """PPO; DQN with double Q; shared-policy PPO per module (modules, Sort) or parcel (parcels)."""
     buffer_size: int = 500_000
-    """Control periods remembered."""
+    """Transitions in the replay buffer."""
     learning_starts: int = 5_000
     """Control periods before the first gradient step."""
     batch_size: int = 512
-    """Of a gradient step."""
+    """Samples of a gradient step."""
     n_steps: int = 3
-    """Control periods of reward summed before the network is asked for the rest."""
+    """Control periods of an n-step return."""
     gradient_steps: int = 8
-    """After every control period of all lanes."""
+    """Gradient steps after every control period of all environments."""
     tau: float = 0.005
-    """[-] share of the network that goes into its slow copy at an update."""
+    """[-] weight of the network in an update of the target network."""
     exploration_fraction: float = 0.15
-    """[-] of the run over which the share of random actions falls."""
+    """[-] of the run in which the share of random actions falls."""
     exploration_final_eps: float = 0.02
     """[-] share of random actions after that."""
     max_grad_norm: float = 1.0
-    """Gradients longer than this are shortened."""
+    """Maximum norm of a gradient."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -195,19 +216,19 @@ class DQNConfig(TrainConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class ModulesConfig(PPOConfig):
-    """Train modules that decide each for itself to sort, by PPO with draws they share, then compare
-    them with the paper's fixed layout.
+    """Train one policy shared by all modules to sort, by PPO with shared draws, then compare it
+    with the paper's fixed layout.
 
     Defaults are from agents/hyperparams/modules.yml.
     """
 
     algo: AlgoName = "modules"
-    """PPO, DQN with double Q, or (for Sort) PPO of modules that decide each for itself."""
+    """PPO; DQN with double Q; shared-policy PPO per module (modules, Sort) or parcel (parcels)."""
     actions: ActionName = "modules"
-    """Kind of action, as the environment has it."""
-    parted: float = 0.3
-    """[-] probability that a line through the parcel parts its modules into two sides, each with a
-    draw of its own; otherwise all modules share one."""
+    """Kind of action, as in the environment."""
+    split_probability: float = 0.3
+    """[-] that a line through the parcel splits its modules into two groups, each with a draw of
+    its own; otherwise all modules share one."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -216,36 +237,36 @@ class ModulesConfig(PPOConfig):
                 raise ValueError(
                     f"{name} must be {only!r} for modules, got {getattr(self, name)!r}"
                 )
-        checks.within("parted", self.parted, 0.0, 1.0)
+        checks.within("split_probability", self.split_probability, 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ParcelsConfig(PPOConfig):
-    """Train parcels of a flow that decide each by weights they share: they imitate a reservation,
-    then learn on by PPO. Then their capacity is measured.
+    """Train one policy shared by all parcels of a stream: it imitates a reservation rule, then
+    learns on by PPO. Then measure its capacity.
 
     Defaults are from agents/hyperparams/parcels.yml.
     """
 
     task: str = FLOW_TASK
-    """What to learn: flow."""
+    """Task to learn: flow."""
     algo: AlgoName = "parcels"
-    """PPO of a flow's parcels, by shared weights."""
+    """Shared-policy PPO per parcel."""
     actions: ActionName = "parcels"
-    """Kind of action, as the environment has it."""
-    seats: int = 20
-    """For parcels on a line at a time, and the one at its gate."""
+    """Kind of action, as in the environment."""
+    slots: int = 20
+    """Agent slots on each line, for the parcels on it and the one at its gate."""
     clip_range: float = 0.1
-    """[-] by which a choice's likelihood may change in an update and still earn."""
+    """Clip range of PPO's probability ratio."""
     imitation: int = 40
-    """Passes over what a reservation does, before; 0: none, learning begins with chance."""
+    """Passes over a reservation rule's demonstrations before PPO; 0: none, from random weights."""
     critic_first: int = 400_000
-    """Control periods at the start in which the value is learned alone."""
+    """Control periods at the start in which only the value network learns."""
 
     @property
     def _samples(self) -> int:
-        """Of a rollout: a sample a seat."""
-        return self.lanes * self.seats * self.n_steps
+        """Samples of a rollout, one for each slot."""
+        return self.num_envs * self.slots * self.n_steps
 
     def _check_task(self) -> None:
         self._check_no_zones()
@@ -254,27 +275,10 @@ class ParcelsConfig(PPOConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         checks.one_of("actions", self.actions, ("parcels",))
-        checks.integer("seats", self.seats, least=2)
+        checks.integer("slots", self.slots, least=2)
         for name in ("imitation", "critic_first"):
             checks.integer(name, getattr(self, name), least=0)
         checks.positive("clip_range", self.clip_range)
-
-
-def on_device(config: TrainConfig) -> TypeGuard[PPOConfig]:
-    """Whether a run's tensors stay on a device beside the CPU."""
-    return isinstance(config, PPOConfig) and config.device != CPU
-
-
-def card_of(config: TrainConfig) -> PolicyCard:
-    """What the policy of a run is for."""
-    return PolicyCard(
-        id_of(config.task),
-        config.algo,
-        config.actions,
-        config.control_period,
-        config.hidden,
-        config.observe,
-    )
 
 
 CONFIGS: dict[str, type[TrainConfig]] = {
@@ -283,3 +287,33 @@ CONFIGS: dict[str, type[TrainConfig]] = {
     "modules": ModulesConfig,
     "parcels": ParcelsConfig,
 }
+
+
+def is_registered(task: str) -> bool:
+    """Return whether a name is that of a single-parcel task of the package."""
+    return task.islower() and task != FLOW_TASK and env_id(task) in gym.registry
+
+
+def on_device(config: TrainConfig) -> TypeGuard[PPOConfig]:
+    """Return whether a run's tensors stay on a device other than the CPU."""
+    return isinstance(config, PPOConfig) and config.device != CPU
+
+
+def config_of_seed(config: TrainConfig, seed: int) -> TrainConfig:
+    """Return the configuration of one seed of several."""
+    return replace(config, seed=seed, seeds=1)
+
+
+def make_card(config: TrainConfig) -> "PolicyCard":
+    """Build the card of a run's policy."""
+    from ..library import PolicyCard
+    from ..tasks import card_env_id
+
+    return PolicyCard(
+        card_env_id(config.task),
+        config.algo,
+        config.actions,
+        config.control_period,
+        config.hidden,
+        config.observe,
+    )

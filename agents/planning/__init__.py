@@ -1,1 +1,1 @@
-"""What the planner is made of: the start it takes for true, its model, its aims and the search."""
+"""Planners: search through the simulator for plans and for layouts."""

@@ -3,23 +3,25 @@
 import math
 from functools import partial
 
-from .best_layout import BestSlowing, BestStopping, BestTurning
-from .best_sorting import BestSorting
+from .base import Rule, UniformLayout
 from .braking import SlowingRule, StoppingRule
-from .event import EventRule
-from .fixed import FixedLayout
-from .fixed_braking import FixedSlowing, FixedStopping
-from .fixed_turning import FixedTurning
-from .pid import PidRule
-from .rolling import Rolling
-from .rule import Rule
-from .sliding_mode import SlidingMode
-from .threshold import ThresholdRule
-from .turning import TurningRule
-from .uniform import UniformLayout
+from .layouts import (
+    BestSlowing,
+    BestStopping,
+    BestTurning,
+    FixedSlowing,
+    FixedStopping,
+    FixedTurning,
+)
+from .local import PidRule, ThresholdRule
+from .sorting import BestSorting, EventRule, FixedLayout
+from .steering import SlidingMode, TurningRule
 
 # The outline: how wide a base is, how round; and what sensors learn of friction and of the load.
 BRAKING = ("parcel", "load")
+# On a field every axis at 90 deg: a parcel rolls straight downhill. A field arranged along a path
+# would have to know the path, of which observations show the next 0.35 m.
+ROLLING = partial(UniformLayout, angle=math.pi / 2.0, tasks=("track",))
 
 RULES = (
     Rule("fixed layout", "sort", "modules", FixedLayout),
@@ -33,7 +35,7 @@ RULES = (
     Rule("fixed layout", "stop", "modules", FixedStopping),
     Rule("best fixed layout", "stop", "modules", BestStopping),
     Rule("braking rule", "stop", "modules", StoppingRule, BRAKING),
-    Rule("fixed layout", "track", "window", Rolling),
+    Rule("fixed layout", "track", "window", ROLLING),
     Rule("threshold logic", "track", "window", ThresholdRule),
     Rule("PID per module", "track", "window", PidRule),
     Rule("sliding mode", "track", "window", SlidingMode),
@@ -45,15 +47,15 @@ RULES = (
 )
 
 
-def rules_of(kind: str) -> list[Rule]:
-    """Those of a task of the package; of any other, layouts of axes that are all alike, the
-    conveyor's for the fixed one.
+def find_rules(task: str) -> list[Rule]:
+    """List the rules of a task of the package; of any other task, layouts of axes that are all
+    alike, the conveyor's for the fixed one.
     """
-    chosen = [rule for rule in RULES if rule.task == kind]
+    chosen = [rule for rule in RULES if rule.task == task]
     if chosen:
         return chosen
     layouts = {"fixed layout": 90.0, "all at 0 deg": 0.0, "all at 45": 45.0, "all at -45": -45.0}
     return [
-        Rule(name, kind, "halves", partial(UniformLayout, angle=math.radians(angle)))
+        Rule(name, task, "halves", partial(UniformLayout, angle=math.radians(angle)))
         for name, angle in layouts.items()
     ]

@@ -1,26 +1,83 @@
-"""How much a period of braking takes: the line's physics in one dimension."""
+"""A model of braking: a parcel that moves straight along a line, in one dimension."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from surface_gym.config import EnvConfig
+from surface_gym.lines import Line
 from surface_gym.physics.types import GRAVITY
-from surface_gym.settings import Settings
 from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
+from surface_gym.tasks.observed import LineObservation
 
-from .footing import Footing
-from .lane_rule import Numbers
+from .base import Booleans, Numbers
 
 MOST_AFTER = 24  # steps that axes are followed for after a period
 COM_HEIGHT = 0.1  # [m] of the centre of mass: Table 1
 SUPPORT_LOSS = 0.005 * GRAVITY  # [m/s^2] mu_support g of Table 1
+ON_EDGE = 1e-6  # [m] an element so near the outline bears: observations are single precision
+RECTANGLE = 0.999  # [-] of its rectangle that a base fills at least which is one
+# Exponents of the ovals |x / a|^p + |y / b|^p = 1 that others are taken for; how much they fill.
+POWERS = np.geomspace(1.2, 60.0, 200)
+FILLS = np.array([math.gamma(1.0 + 1.0 / p) ** 2 / math.gamma(1.0 + 2.0 / p) for p in POWERS])
+
+
+@dataclass(frozen=True, eq=False)
+class ContactSpan:
+    """Rows of elements under a parcel, rotors or supports, each as far as the base covers it."""
+
+    place: Numbers  # (num_envs,) [m] x of the base's centroid past the zone's first edge
+    middle: Numbers  # (num_envs,) [m] from the centroid to the middle of the base's length
+    load: Numbers  # (num_envs,) [m] from the centroid to the load, along x
+    half_length: Numbers  # (num_envs,) [m]
+    row_reach: Numbers  # (num_envs, rows) [m] covered of a row to either side of `middle`; -1: none
+    rotor: Booleans  # (num_envs, rows) the row is of rotors
+
+    @property
+    def rotor_share(self) -> Numbers:
+        """(num_envs,) [-] of the elements under the parcel that are rotors, on average."""
+        covered = np.maximum(0.0, self.row_reach)
+        return (covered * self.rotor).sum(axis=1) / np.maximum(covered.sum(axis=1), ON_EDGE)
+
+
+def contact_span(config: EnvConfig, seen: LineObservation) -> ContactSpan:
+    """Estimate the contact span of parcels on a line; a base that is no rectangle is taken for an
+    oval that fills as much.
+    """
+    line = config.chosen_plant
+    end = line.pitch_x * config.action_kind.columns
+    rear = end - seen.rear_to_go
+    # The size shown is the way from the rear to the centroid, straight on.
+    place = rear + seen.reach
+    half_length = np.maximum(0.5 * (seen.front_in_zone - rear), 0.5 * line.pitch_x)
+    rows = config.action_kind.rows + 2
+    y = line.pitch_y * (np.arange(rows) - (rows - 1) / 2.0) - seen.offset[:, np.newaxis]
+    aside = np.abs(y) / (seen.half_width[:, np.newaxis] + ON_EDGE)
+    power = np.interp(seen.fill, FILLS, POWERS)[:, np.newaxis]
+    part = np.maximum(0.0, 1.0 - np.minimum(aside, 1.0) ** power) ** (1.0 / power)
+    part = np.where(seen.fill[:, np.newaxis] > RECTANGLE, 1.0, part)
+    row_reach = np.where(aside <= 1.0, part * half_length[:, np.newaxis] + ON_EDGE, -1.0)
+    # Of a line, as many rows are of rotors as lie under the width.
+    half_rows = np.full(len(y), config.action_kind.rows // 2)
+    if isinstance(line, Line):
+        under = np.floor((seen.half_width + ON_EDGE) / line.pitch_y).astype(np.int64)
+        half_rows = np.clip(under, 1, half_rows)
+    from_middle = np.abs(np.arange(rows) - (rows - 1) / 2.0)
+    return ContactSpan(
+        place=place,
+        middle=0.5 * (rear + seen.front_in_zone) - place,
+        load=seen.load_ahead,
+        half_length=half_length,
+        row_reach=row_reach,
+        rotor=from_middle < half_rows[:, np.newaxis],
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Braked:
-    """How a period ends, with what its axes bring after it, and what took the speed in it; all
-    (lanes, ways).
+    """State after a period and what its axes bring after it, and what took the speed in it; all
+    (num_envs, options).
     """
 
     place: Numbers  # [m] of the centroid past the zone's first edge, once all axes have turned
@@ -31,7 +88,7 @@ class Braked:
 
 @dataclass(frozen=True, eq=False)
 class Frictions:
-    """Friction as it shows, in parts of the nominal; (lanes,) each."""
+    """Friction as estimated, in parts of the nominal; (num_envs,) each."""
 
     braking: Numbers  # [-] along axes
     rolling: Numbers  # [-] across them, and on supports
@@ -39,44 +96,44 @@ class Frictions:
 
 
 class BrakeModel:
-    """A parcel that moves straight along the line, its weight shared by what is under it.
+    """Predicts braking: the parcel's weight is shared by what is under it.
 
     Args:
-        settings: whose control period, zone and axes are meant.
+        config: whose control period, zone and axes are meant.
         then: [rad] off 90 deg, to which all axes turn after the period: half braking at most.
     """
 
-    def __init__(self, settings: Settings, then: float) -> None:
+    def __init__(self, config: EnvConfig, then: float) -> None:
         self._then = then
-        self._timing = settings.timing
-        self._columns = settings.action_kind.columns
-        self._pitch = settings.chosen_plant.pitch_x
-        self._turn = settings.actuators.axis_speed * settings.timing.dt  # [rad] a step
+        self._timing = config.timing
+        self._columns = config.action_kind.columns
+        self._pitch = config.chosen_plant.pitch_x
+        self._turn = config.actuators.axis_speed * config.timing.dt  # [rad] a step
         self._tail = 0  # steps in which axes turn after the period
         if self._turn != math.inf:
             self._tail = min(MOST_AFTER, math.ceil(0.25 * math.pi / self._turn))
 
-    def after_a_period(
+    def predict(
         self,
-        footing: Footing,
+        span: ContactSpan,
         speed: Numbers,
         frictions: Frictions,
         lean: Numbers,
         target: Numbers,
     ) -> Braked:
-        """A period on.
+        """Predict the state a control period on.
 
         Args:
-            footing: the parcels as they lie now.
-            speed: (lanes,) [m/s] now.
+            span: the parcels as they lie now.
+            speed: (num_envs,) [m/s] now.
             frictions: that act on them.
-            lean: (lanes, columns) [rad] of each column's axes off 90 deg now.
-            target: (lanes, ways, columns) [rad] to which they turn.
+            lean: (num_envs, columns) [rad] of each column's axes off 90 deg now.
+            target: (num_envs, options, columns) [rad] to which they turn.
         """
         dt, steps = self._timing.dt, self._timing.steps
-        place, half_length = footing.place, footing.half_length
+        place, half_length = span.place, span.half_length
         longest = 2.0 * half_length.max() + max(0.0, speed.max()) * dt * (steps + self._tail)
-        first = np.floor((place + footing.middle - half_length) / self._pitch).astype(np.int64)
+        first = np.floor((place + span.middle - half_length) / self._pitch).astype(np.int64)
         near = first[:, np.newaxis] + np.arange(math.ceil(longest / self._pitch) + 2)
         inside = (near >= 0) & (near < self._columns)
         column = np.clip(near, 0, self._columns - 1)
@@ -84,7 +141,7 @@ class BrakeModel:
         wide = np.broadcast_to(column[:, np.newaxis, :], (*target.shape[:2], near.shape[1]))
         to_turn = np.where(inside[:, np.newaxis], np.take_along_axis(target, wide, 2), 0.0) - start
         centre = self._pitch * (near + 0.5)[:, np.newaxis, :]
-        middle, load = footing.middle[:, np.newaxis], footing.load[:, np.newaxis, np.newaxis]
+        middle, load = span.middle[:, np.newaxis], span.load[:, np.newaxis, np.newaxis]
         along, across = (part[:, np.newaxis] for part in (frictions.braking, frictions.rolling))
         x = np.repeat(place[:, np.newaxis], target.shape[1], axis=1)
         v = np.repeat(speed[:, np.newaxis], target.shape[1], axis=1)
@@ -101,8 +158,8 @@ class BrakeModel:
                 leant = start + np.clip(to_turn, -turned, turned)
                 sine, cosine = np.sin(leant), np.cos(leant)
             arm = centre - (x + 0.5 * dt * v)[:, :, np.newaxis]
-            elements, rotors = _under(footing, arm - middle[..., np.newaxis])
-            per_rotor = _loads(arm - load, elements, loss)
+            elements, rotors = _count_under(span, arm - middle[..., np.newaxis])
+            per_rotor = _share_load(arm - load, elements, loss)
             per_element = per_rotor * elements
             per_rotor = per_rotor * rotors
             brake = BRAKING * (per_rotor * sine).sum(axis=-1)
@@ -118,21 +175,21 @@ class BrakeModel:
         return Braked(x, v, braking, rolling)
 
     def lean_after(self, lean: Numbers, target: Numbers) -> Numbers:
-        """(lanes, columns) [rad] off 90 deg a period on, of axes that turn to `target`, alike."""
+        """Predict (num_envs, columns) [rad] off 90 deg a period on, turning to `target`."""
         most = self._turn * self._timing.steps
         return lean + np.clip(target - lean, -most, most)
 
 
-def _under(footing: Footing, arm: Numbers) -> tuple[Numbers, Numbers]:
-    """(lanes, ways, columns) elements and rotors of each column that bear.
+def _count_under(span: ContactSpan, arm: Numbers) -> tuple[Numbers, Numbers]:
+    """Count (num_envs, options, columns) the elements and the rotors of each column that bear.
 
     Args:
-        footing: what lies where.
-        arm: (lanes, ways, columns) [m] of each column from the middle of the base's length.
+        span: what lies where.
+        arm: (num_envs, options, columns) [m] of each column from the middle of the base's length.
     """
     far = np.abs(arm)
     elements, rotors = np.zeros_like(arm), np.zeros_like(arm)
-    reach, rotor = footing.row_reach, footing.rotor
+    reach, rotor = span.row_reach, span.rotor
     for row in range(reach.shape[1]):
         covered = far <= reach[:, row, np.newaxis, np.newaxis]
         elements += covered
@@ -140,15 +197,15 @@ def _under(footing: Footing, arm: Numbers) -> tuple[Numbers, Numbers]:
     return elements, rotors
 
 
-def _loads(arm: Numbers, elements: Numbers, before: Numbers) -> Numbers:
-    """(lanes, ways, columns) [-] share of the weight that each element of a column bears.
-
-    It is shared as Eq. (1) has it, cut off at nothing.
+def _share_load(arm: Numbers, elements: Numbers, before: Numbers) -> Numbers:
+    """Share the weight among the elements of each column (num_envs, options, columns) [-], as
+    Eq. (1) does, cut off at nothing.
 
     Args:
-        arm: (lanes, ways, columns) [m] of each column from the load.
-        elements: (lanes, ways, columns) of each column that bear.
-        before: (lanes, ways) [m/s^2] the deceleration of the last step, which the load leans by.
+        arm: (num_envs, options, columns) [m] of each column from the load.
+        elements: (num_envs, options, columns) of each column that bear.
+        before: (num_envs, options) [m/s^2] the deceleration of the last step, by which the load
+            leans.
     """
     count = np.maximum(1.0, elements.sum(axis=-1))
     mean = (elements * arm).sum(axis=-1) / count

@@ -1,4 +1,4 @@
-"""The control loop in real time: a policy, a filter and a watchdog over a machine of any make.
+"""The control loop in real time: a policy, a state estimator and a watchdog, over any machine.
 
-`device` says what a machine's driver offers; `python -m agents.runtime` runs a policy on one.
+`protocol` has what a machine's driver offers; `python -m agents.runtime` runs a policy on one.
 """

@@ -1,14 +1,6 @@
-"""`python -m agents.runtime`."""
+"""`python -m agents.runtime`, which is `surface-gym runtime`."""
 
-from importlib import import_module
-
-from surface_gym.commands import run
-
-
-def main() -> None:
-    """Run the command, or say in one line what to install."""
-    run(lambda: import_module(".command", __package__).main(), f"python -m {__package__}", "agents")
-
+from surface_gym.cli import run_command
 
 if __name__ == "__main__":
-    main()
+    run_command("runtime")

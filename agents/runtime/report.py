@@ -1,4 +1,4 @@
-"""What came of a run: counts and a budget of time, as JSON and on screen."""
+"""The report of a run: counts and latencies, as JSON and on screen."""
 
 import json
 from collections.abc import Sequence
@@ -11,9 +11,9 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from surface_gym.whole_files import replacing
+from surface_gym.files import replacing
 
-from .counting import Counts, Latencies
+from .controller import Counts, Latencies
 
 FILE = "report.json"
 PERCENTILES = (50.0, 90.0, 99.0, 100.0)
@@ -22,8 +22,8 @@ STAGES = {
     "sensor": "from the latest frame to the estimate",
     "filter": "reading, estimating, observing",
     "policy": "deciding",
-    "send": "until the device took the axes",
-    "turn": "until the last axis has turned, as reckoned",
+    "send": "until the axes began to turn",
+    "turn": "until the last axis has turned, as computed",
     "whole": "from the latest frame until then",
     "late": "from when a period is due to its beginning",
     "work": "of a period, from its beginning to its end",
@@ -32,12 +32,12 @@ STAGES = {
 
 @dataclass(frozen=True)
 class Run:
-    """What was run."""
+    """The circumstances of a run."""
 
     agent: str
     seed: int  # of the policy
     task: str
-    condition: str
+    condition: str  # preset
     device: str  # the simulator, or an address
     period: float  # [s]
     watchdog: float  # [s]
@@ -46,33 +46,33 @@ class Run:
     cores: int  # of the machine
 
 
-def budget_of(latencies: Latencies) -> dict[str, list[float] | None]:
-    """[s] the percentiles of each stage; None: it was never measured."""
+def latency_percentiles(latencies: Latencies) -> dict[str, list[float] | None]:
+    """Return the percentiles [s] of each stage; None: it was never measured."""
     return {name: percentiles(getattr(latencies, name)) for name in STAGES}
 
 
 def percentiles(seconds: Sequence[float]) -> list[float] | None:
-    """[s] `PERCENTILES` of some times; None: there are none."""
+    """Compute `PERCENTILES` [s] of some times; None: there are none."""
     if not seconds:
         return None
     found: list[float] = np.percentile(np.array(seconds), PERCENTILES).tolist()
     return found
 
 
-def report_of(run: Run, counts: Counts, latencies: Latencies) -> dict[str, Any]:
-    """All of it, as it is written."""
+def make_report(run: Run, counts: Counts, latencies: Latencies) -> dict[str, Any]:
+    """Return the report as it is written."""
     parcels = sum(counts.parcels.values())
     return {
         "run": asdict(run),
         "counts": {**asdict(counts), "parcels": dict(counts.parcels.most_common())},
         "success": counts.parcels["success"] / parcels if parcels else None,
         "percentiles": list(NAMES),
-        "budget": budget_of(latencies),
+        "budget": latency_percentiles(latencies),
     }
 
 
 def write_report(report: dict[str, Any], folder: Path) -> Path:
-    """Write a report into a folder; the file."""
+    """Write a report into a folder, and return the file."""
     file = folder / FILE
     with replacing(file) as part:
         part.write_text(json.dumps(report, indent=2) + "\n")
@@ -93,15 +93,15 @@ def show_report(report: dict[str, Any], console: Console) -> None:
         budget.add_column(name, justify="right")
     budget.add_column("")
     for name, times in report["budget"].items():
-        told = ["-"] * len(NAMES) if times is None else [f"{1e3 * each:.2f}" for each in times]
-        budget.add_row(name, *told, STAGES[name])
+        row = ["-"] * len(NAMES) if times is None else [f"{1e3 * each:.2f}" for each in times]
+        budget.add_row(name, *row, STAGES[name])
     console.print(budget)
-    for line in sentences(run, counts, report["success"]):
+    for line in _sentences(run, counts, report["success"]):
         console.print(line, highlight=False, soft_wrap=True)
 
 
-def sentences(run: dict[str, Any], counts: dict[str, Any], success: float | None) -> list[str]:
-    """What was counted, in words."""
+def _sentences(run: dict[str, Any], counts: dict[str, Any], success: float | None) -> list[str]:
+    """Describe the counts."""
     parcels = ", ".join(f"{count} {outcome}" for outcome, count in counts["parcels"].items())
     load = ", ".join(f"{each:.2f}" for each in run["load"])
     return [
@@ -114,9 +114,9 @@ def sentences(run: dict[str, Any], counts: dict[str, Any], success: float | None
         f"{counts['sent']} axis commands sent, {counts['out_of_range']} out of range and not sent, "
         f"{counts['refused']} refused by the device; {counts['strayed']} observations out of "
         "bounds",
-        f"{counts['frames']} frames, {counts['frames_unused']} of no use; device killed "
-        f"{counts['kills']} times, lost {counts['lost']} times, found {counts['connected']} times "
-        f"in {counts['attempts']} attempts, away in {counts['unconnected']} periods",
+        f"{counts['frames']} frames, {counts['frames_unused']} of no use; device lost "
+        f"{counts['lost']} times, found {counts['connected']} times in {counts['attempts']} "
+        f"attempts, away in {counts['unconnected']} periods",
         f"{sum(counts['parcels'].values())} parcels"
         + ("" if success is None else f", success {success:.3f}: {parcels}")
         + (f"; {counts['unfit']} that do not fit" if counts["unfit"] else ""),

@@ -1,64 +1,317 @@
-"""`python -m agents.runtime.simulator`: a machine that is simulated, behind a socket."""
+"""The simulator: a machine on the package's physics, behind a socket, in a process of its own.
 
+`python -m agents.runtime.simulator` starts one; `SimulatorProcess` starts it from here.
+"""
+
+import heapq
+import math
 import os
+import select
 import socket
+import subprocess
 import sys
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 
-from surface_gym.commands import run
-from surface_gym.settings import Settings
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym.config import EnvConfig
+from surface_gym.core.actions import ANY
+from surface_gym.core.batch import Batch
+from surface_gym.layouts import ROLLING
+from surface_gym.parcel import Base, Disc, Parcel, Polygon
+from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
+from surface_gym.sensors import Exact
+from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, RUNNING, EnvState
 
 from ..tasks import find_task
-from .clock import WallClock
-from .serving import Server, serve
-from .world import World, WorldOptions
+from . import protocol
+from .config import SimulatorConfig, WorldOptions, parse_address
+from .connection import Connection, ConnectionLost
+from .controller import AxisLimits, Clock, WallClock
+from .estimator import device_camera, zone_angles
+from .protocol import Angles, AxesAcknowledged, Departed, Entered, Frame, Message, Triple
 
-HOST = "127.0.0.1"  # this machine only: its clock is part of what is said
+HOST = "127.0.0.1"  # this machine only: messages carry times of its clock
 LISTENING = "listening on "
+ONLY = np.zeros(1, dtype=np.int64)  # the environment
+MAX_BEHIND = 0.25  # [s] that the physics makes up for; beyond, the world stands still
+STOP_TIMEOUT = 5.0  # [s] that the process is given to end
 
 
-@dataclass(frozen=True)
-class SimulatorConfig:
-    """Run the physics of an environment in real time, and let a control loop connect to it."""
+class World:
+    """A surface, its parcels and a camera, in the caller's time.
 
-    task: str = "stop"
-    """The task, the package's or one's own as path/to/file.py:Class."""
-    condition: str = "lab"
-    """What is less kind than the ideal: a name of surface_gym.conditions."""
-    control_period: float = 0.04
-    """Between decisions [s]: the task's limit of time counts them."""
-    port: int = 0
-    """On this machine; 0: any that is free, which is told."""
-    seed: int = 0
-    """Of all that is drawn."""
-    parent: int | None = None
-    """Process without which it ends; None: it does not."""
-    world: WorldOptions = field(default_factory=WorldOptions)
+    The physics runs ahead of the caller's clock by a step at most, so that axes that are set now
+    turn no earlier than now. A frame is due as much later as the camera is late.
 
-    def settings(self) -> Settings:
-        """Of the environment.
+    Args:
+        settings: of the environment that it simulates, but for its actions: axes are set one by
+            one.
+        seed: of all random numbers.
+        begun: [s] start by the caller's clock.
+        options: of the machine.
 
-        Raises:
-            ValueError: there is no such task or condition.
-        """
-        return Settings(
-            task=find_task(self.task),
-            condition=self.condition,
-            control_period=self.control_period,
+    Raises:
+        ValueError: sensors without frames.
+    """
+
+    def __init__(self, settings: EnvConfig, seed: int, begun: float, options: WorldOptions) -> None:
+        self._camera = device_camera(settings.sensors)
+        self.dt = settings.timing.dt
+        self._every = self._camera.frame_steps(self.dt)
+        self._latency = self._camera.latency
+        if self._latency is None:
+            self._latency = self._every * self.dt
+        self._limit = settings.chosen_task.periods * settings.timing.steps
+        self._batch = Batch(
+            replace(
+                settings,
+                actions="modules",
+                orientations=ANY,
+                control_period=self.dt,
+                sensors=Exact(),
+                observe=(),
+                observe_axes=False,
+                info=(),
+            ),
+            1,
+        )
+        kind = self._batch.config.action_kind
+        self.shape = (kind.rows, kind.columns)
+        self._limits = AxisLimits(self.shape, None)
+        generator, self._noise = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2))
+        self._batch.seed(0, generator)
+        self._options = options
+        self._now = begun
+        self._step = 0
+        self._number = -1
+        self._present = False
+        self._enters = begun + options.pause
+        self._command = np.full((1, kind.size), ROLLING)
+
+    @property
+    def now(self) -> float:
+        """Time [s] to which the physics has run."""
+        return self._now
+
+    def stand_still(self, seconds: float) -> None:
+        """Let time [s] pass in which nothing moves, since the clock ran away from the physics."""
+        self._now += seconds
+        self._enters += seconds
+
+    def set_axes(self, command: int, angles: Angles) -> AxesAcknowledged:
+        """Turn the zone's modules to angles (rows, columns) [rad]; refused where out of range."""
+        fault = self._limits.fault(angles)
+        if not fault:
+            self._command[0] = angles.ravel()
+        return AxesAcknowledged(command, self._now, fault)
+
+    def advance(self, until: float) -> list[tuple[float, Message]]:
+        """Move on to a time [s], and return the messages, each with the time [s] it is due."""
+        messages: list[tuple[float, Message]] = []
+        while self._now <= until:
+            if not self._present and self._now >= self._enters:
+                messages.append((self._now, self._enter()))
+            if self._present:
+                self._batch.step(self._command)
+            self._now += self.dt
+            self._step += 1
+            if self._step % self._every == 0:
+                frame = self._take_frame()
+                if frame is not None:
+                    assert self._latency is not None
+                    messages.append((self._now + self._latency, frame))
+            if self._present:
+                ends = self._batch.outcome[0] != RUNNING
+                if ends or self._batch.parcels.steps[0] >= self._limit:
+                    messages.append((self._now, self._depart(bool(ends))))
+        return messages
+
+    def _enter(self) -> Entered:
+        self._command[:] = ROLLING
+        self._batch.reset(ONLY)
+        self._present = True
+        self._number += 1
+        state, entry = self._batch.view(0), self._camera.entry
+        spread = np.array(
+            [entry.position] * 2 + [entry.angle] + [entry.speed] * 2 + [entry.turning]
+        )
+        known = state.truth + spread * self._noise.standard_normal(6)
+        return Entered(
+            self._number,
+            self._now,
+            _known_parcel(state),
+            _triple(known[:3]),
+            _triple(known[3:]),
+            tuple(state.goal.tolist()),
+            math.atan2(state.surface[GRAVITY_ALONG], state.surface[GRAVITY_NORMAL]),
+            state.path.copy() if len(state.path) else None,
         )
 
+    def _depart(self, ends: bool) -> Departed:
+        lanes, task = self._batch.parcels, self._batch.task
+        self._present = False
+        self._enters = self._now + self._options.pause
+        outcome = self._batch.outcomes[int(lanes.outcome[0])] if ends else "out of time"
+        metrics = dict(zip(task.metrics, lanes.metrics[0].tolist(), strict=True))
+        return Departed(self._number, outcome, metrics)
 
-def simulate(config: SimulatorConfig) -> None:
-    """Serve until Ctrl-C, or until the parent has ended.
+    def _take_frame(self) -> Frame | None:
+        """Return a frame; None if it is lost."""
+        camera = self._camera
+        noise, lot = self._noise.standard_normal(3), self._noise.random()
+        if lot < camera.drop:
+            return None
+        if not self._present:
+            return Frame(self._now)
+        spread = np.array([camera.position_noise] * 2 + [camera.angle_noise])
+        pose = self._batch.parcels.truth[0, :3] + spread * noise
+        axes = None
+        if self._options.encoders:
+            axes = zone_angles(self._batch.axes(0), self._batch.view(0).zone, self.shape)
+        return Frame(self._now, self._number, _triple(pose), axes)
+
+
+def _known_parcel(state: EnvState) -> Parcel:
+    """Return an environment's parcel, with its load evenly spread: a device does not know it."""
+    corners: NDArray[np.float64] = state.corners
+    base: Base
+    if np.ptp(corners, axis=0).max() == 0.0:
+        base = Disc(float(state.body[RADIUS]))
+    else:
+        apart = np.abs(corners - np.roll(corners, 1, axis=0)).max(axis=1) > 0.0
+        base = Polygon(corners[apart])
+    return Parcel(base, mass=float(state.body[MASS]), com_height=float(state.body[COM_HEIGHT]))
+
+
+def _triple(values: NDArray[np.float64]) -> Triple:
+    first, second, third = values.tolist()
+    return (first, second, third)
+
+
+class Server:
+    """Sends a world's messages over a socket, and passes axis commands on to it.
+
+    One loop may be connected at a time; a later one takes its place.
+
+    Args:
+        world: to serve.
+        task: its name.
+        listener: a socket that listens, which becomes its own.
+    """
+
+    def __init__(self, world: World, task: str, listener: socket.socket) -> None:
+        self._world = world
+        self._task = task
+        self._listener = listener
+        self._listener.setblocking(False)
+        self._connection: Connection | None = None
+        self._outbox: list[tuple[float, int, Message]] = []  # by the time [s] each is due
+        self._count = 0
+        self.refused = 0  # commands that were not allowed
+
+    def step(self, now: float) -> None:
+        """Do all that is to be done at a time [s], and return at once."""
+        behind = now - self._world.now
+        if behind > MAX_BEHIND:
+            self._world.stand_still(behind)
+        for due, message in self._world.advance(now):
+            self._post(due, message)
+        self._accept()
+        self._set_axes()
+        while self._outbox and self._outbox[0][0] <= now:
+            self._send_message(heapq.heappop(self._outbox)[2])
+
+    def wait(self, now: float) -> None:
+        """Wait until there is something to do, from a time [s] on."""
+        due = self._outbox[0][0] if self._outbox else self._world.now
+        ready: list[socket.socket | Connection] = [self._listener]
+        if self._connection is not None:
+            ready.append(self._connection)
+        select.select(ready, [], [], max(0.0, min(due, self._world.now) - now))
+
+    def close(self) -> None:
+        """Close all sockets."""
+        self._drop()
+        self._listener.close()
+
+    def _accept(self) -> None:
+        try:
+            connected, _ = self._listener.accept()
+        except BlockingIOError:
+            return
+        self._drop()
+        self._connection = Connection(connected)
+        self._send(protocol.to_line(protocol.hello(self._task, self._world.shape)))
+
+    def _set_axes(self) -> None:
+        if self._connection is None:
+            return
+        try:
+            for line in self._connection.lines():
+                command, angles = protocol.axes_from_fields(
+                    protocol.from_line(line), self._world.shape
+                )
+                answer = self._world.set_axes(command, angles)
+                self.refused += bool(answer.refused)
+                self._send_message(answer)
+        except (ConnectionLost, ValueError):
+            self._drop()
+
+    def _post(self, due: float, message: Message) -> None:
+        self._count += 1
+        heapq.heappush(self._outbox, (due, self._count, message))
+
+    def _send_message(self, message: Message) -> None:
+        self._send(protocol.to_line(protocol.to_fields(message)))
+
+    def _send(self, line: bytes) -> None:
+        if self._connection is not None:
+            try:
+                self._connection.send(line)
+            except ConnectionLost:
+                self._drop()
+
+    def _drop(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+
+def serve(server: Server, clock: Clock, goes_on: Callable[[], bool]) -> None:
+    """Serve in real time as long as `goes_on` is true."""
+    while goes_on():
+        server.step(clock.now())
+        server.wait(clock.now())
+
+
+def make_settings(config: SimulatorConfig) -> EnvConfig:
+    """Return the configuration of the environment that is simulated.
+
+    Raises:
+        ValueError: there is no such task or preset.
+    """
+    return EnvConfig(
+        task=find_task(config.task),
+        condition=config.condition,
+        control_period=config.control_period,
+    )
+
+
+def run_simulator(config: SimulatorConfig) -> None:
+    """Serve until Ctrl-C, or until the parent process has ended.
 
     Raises:
         ValueError: a setting that is not allowed.
         OSError: the port is taken.
     """
-    settings = config.settings()
+    settings = make_settings(config)
     clock = WallClock()
     world = World(settings, config.seed, clock.now(), config.world)
-    world.advance(clock.now())  # what is slow the first time is slow now
+    world.advance(clock.now())  # compile now
     listener = socket.create_server((HOST, config.port))
     server = Server(world, settings.chosen_task.name, listener)
     print(f"{LISTENING}{HOST}:{listener.getsockname()[1]}", flush=True)
@@ -68,13 +321,58 @@ def simulate(config: SimulatorConfig) -> None:
         server.close()
 
 
-def main() -> None:
+class SimulatorProcess:
+    """A simulator in a process of its own, which ends with this context.
+
+    Args:
+        arguments: of the simulator's command.
+        log: file for its errors.
+
+    Raises:
+        ValueError: it does not start.
+    """
+
+    def __init__(self, arguments: list[str], log: Path) -> None:
+        module = f"{__name__.rpartition('.')[0]}.simulator"
+        with log.open("ab") as errors:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", module, *arguments, "--parent", str(os.getpid())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                start_new_session=True,  # Ctrl-C is for the loop, which ends it
+            )
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline().decode()
+        self._process.stdout.close()
+        if not line.startswith(LISTENING):
+            self.close()
+            raise ValueError(f"simulator must start, got: {log.read_text().strip()[-500:]}")
+        self.address = parse_address(line.removeprefix(LISTENING).strip())
+
+    def __enter__(self) -> "SimulatorProcess":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.terminate()
+        try:
+            self._process.wait(STOP_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; an error ends it with one line."""
     import tyro
 
-    config = tyro.cli(SimulatorConfig, prog=f"python -m {__package__}.simulator")
+    config = tyro.cli(SimulatorConfig, prog=f"python -m {__package__}.simulator", args=arguments)
     try:
-        simulate(config)
+        run_simulator(config)
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:
@@ -82,4 +380,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    run(main, f"python -m {__package__}.simulator", "agents")
+    main()

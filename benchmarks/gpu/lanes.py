@@ -74,7 +74,7 @@ class DeviceLanes:
         wait_for(env.device)
 
     def begun(self) -> int:
-        return int(self.env._batch.supply.taken.sum())
+        return int(self.env.batch.supply.taken.sum())
 
     def _reset(self) -> float:
         begin = time.perf_counter()

@@ -24,7 +24,7 @@ from benchmarks.gpu.resets import clock_of, resets_of
 from benchmarks.gpu.results import Results, on_cpu, on_gpu
 from benchmarks.gpu.warp_scene import MUJOCO_WARP, warp_rate
 from benchmarks.gpu.windows import Effort, Rate, rate_of
-from surface_gym.cores import usable_cores
+from surface_gym.parallel import usable_cores
 from surface_gym.tasks.sort import Sort
 
 HOST_LANES = 4096  # of the CPU's vector environment

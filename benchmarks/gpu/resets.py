@@ -111,7 +111,7 @@ def resets_of(contender: DeviceLanes, clock: Clock, steps: int = STEPS) -> Reset
         clock: of its device.
         steps: control periods over which it is watched.
     """
-    env, supply = contender.env, contender.env._batch.supply
+    env, supply = contender.env, contender.env.batch.supply
     again, follow = _Marked(env._begin_again, clock), _Marked(supply.follow, clock)
     laying = _Timed(supply._prepare)
     env._begin_again, supply.follow, supply._prepare = again, follow, laying

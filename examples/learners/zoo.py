@@ -15,9 +15,9 @@ from gymnasium.vector import AutoresetMode
 from rl_zoo3.exp_manager import ExperimentManager
 from rl_zoo3.train import train
 from stable_baselines3 import PPO
+from surface_gym.agents.rollout import env_arguments
+from surface_gym.agents.vec_env import SurfaceVecEnv
 
-from agents.episodes import arguments
-from agents.vec_env import SurfaceVecEnv
 from surface_gym import SmartSurfaceVectorEnv
 
 YAML = Path(__file__).parents[2] / "agents" / "hyperparams" / "ppo.yml"
@@ -32,7 +32,7 @@ class Lanes(SurfaceVecEnv):
             num_envs=len(makers),
             max_episode_steps=single.spec.max_episode_steps,
             autoreset_mode=AutoresetMode.SAME_STEP,
-            **arguments(single.unwrapped.settings),
+            **env_arguments(single.unwrapped.config),
         )
         single.close()
         super().__init__(env)

@@ -1,1 +1,1 @@
-"""Many environments at once: actions, resets, and the compiled kernel that steps them."""
+"""Batches of environments, and the functions and memory that they are assembled from."""

@@ -3,17 +3,18 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
+from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym.config import EnvConfig
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Parcel
 from surface_gym.physics.step import com_states, map_floats
 from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
-from surface_gym.settings import Settings
 from surface_gym.state import (
     GRAVITY_ALONG,
     GRAVITY_NORMAL,
@@ -109,17 +110,30 @@ def place_parcel(
     )
 
 
-def place_in(settings: Settings, parcel: Parcel) -> Placement:
+def place_in(settings: EnvConfig, parcel: Parcel) -> Placement:
     """Place a parcel in an environment.
 
     Raises:
         ValueError: the parcel does not fit the plant.
     """
     stuck = tuple(settings.actuators.stuck)
-    return place_parcel(parcel, settings.chosen_plant, settings.zone, stuck)
+    return place_parcel(parcel, settings.chosen_line, settings.zone, stuck)
 
 
 FEWEST_EDGES = 4
+_NEW = count(1)  # a number for every content that a site gets
+
+
+class HeldParcels(NamedTuple):
+    """Parcels of some environments, copied from their sites."""
+
+    body: Integers  # (count,)
+    parcel: NDArray[Any]  # (count,) of `Parcel`
+    obeys: Booleans  # (count, rows, columns), or none where all share their sites
+    content: Integers  # (count,) number of what the site held
+
+    def __len__(self) -> int:
+        return len(self.body)
 
 
 class BodyPlan:
@@ -145,6 +159,9 @@ class BodyPlan:
         self._shared = len(parcels)
         self._parcels: NDArray[Any] = np.full(self._shared + num_envs, None, dtype=object)
         self._site_of = {parcel: body for body, parcel in enumerate(parcels)}
+        self._content = np.zeros(self._shared + num_envs, dtype=np.int64)
+        # (sites, 4) length, width [m], mass [kg] and height of the centre of mass [m]
+        self.sizes: Array = np.zeros((self._shared + num_envs, 4))
         self.bodies = _make_bodies(self._shared, shape, FEWEST_EDGES)
         for body, parcel in enumerate(parcels):
             self._write(body, parcel)
@@ -163,11 +180,10 @@ class BodyPlan:
         return bodies
 
     def draw_stuck(self, lane: int, parcel: Parcel, working: Booleans) -> int:
-        """Return the environment's own row, in which modules not working (rows, columns) do not
-        obey.
-        """
+        """Return the environment's own row, with modules not working (rows, columns) not obeying."""
         body = self._own(lane, parcel)
         self.bodies.obeys[body] = self._place(parcel).obeys & working
+        self._content[body] = next(_NEW)
         return body
 
     def parcel(self, body: int) -> Parcel:
@@ -175,6 +191,27 @@ class BodyPlan:
         parcel = self._parcels[body]
         assert isinstance(parcel, Parcel)
         return parcel
+
+    def copy(self, bodies: Integers) -> HeldParcels:
+        """Copy the parcels of sites (count,), with the modules that obey under them."""
+        own = bool((bodies >= self._shared).any())
+        obeys = self.bodies.obeys[bodies if own else bodies[:0]]
+        return HeldParcels(bodies.copy(), self._parcels[bodies], obeys, self._content[bodies])
+
+    def put(self, chosen: Integers, held: HeldParcels) -> Integers:
+        """Give the chosen lanes (count,) parcels that were copied, as many or one for all; their
+        sites (count,).
+        """
+        bodies = np.broadcast_to(held.body, len(chosen)).copy()
+        for k in np.nonzero(bodies >= self._shared)[0].tolist():
+            source = k if len(held) > 1 else 0
+            body = bodies[k] = self._shared + int(chosen[k])
+            parcel, content = held.parcel[source], held.content[source]
+            if self._content[body] != content or self._parcels[body] is not parcel:
+                self._own(int(chosen[k]), parcel)
+                self.bodies.obeys[body] = held.obeys[source]
+                self._content[body] = content
+        return bodies
 
     def _own(self, lane: int, parcel: Parcel) -> int:
         body = self._shared + lane
@@ -193,7 +230,10 @@ class BodyPlan:
         self.bodies.rotor[body] = placement.rotor
         self.bodies.obeys[body] = placement.obeys
         self.bodies.zone[body] = placement.zone
+        length, width = np.ptp(parcel.base.outline, axis=0)
+        self.sizes[body] = length, width, parcel.mass, parcel.com_height
         self._parcels[body] = parcel
+        self._content[body] = next(_NEW)
 
 
 def with_body(bodies: BodyTable, body: int, placement: Placement) -> BodyTable:
@@ -234,12 +274,12 @@ class StartRows(NamedTuple):
     goal: Array  # (starts, goals)
 
 
-def draw_starts(settings: Settings, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
+def draw_starts(settings: EnvConfig, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
     """Let a task draw starts from numbers (starts, draws) and the options of each, or raise an
     error that names the task.
     """
-    task = settings.chosen_task
-    start = task.displaced_start(Draw(numbers, options, settings.chosen_plant, settings.zone))
+    task = settings.task
+    start = task.displaced_start(Draw(numbers, options, settings.chosen_line, settings.zone))
     if not isinstance(start, Start):
         raise ValueError(f"{type(task).__name__}.start must give a Start, got {start!r}")
     return start

@@ -19,7 +19,7 @@ from surface_gym.design.runs import LONGEST, Ends, OnProgress, make_runs
 from surface_gym.design.search import Effort, LayoutSpace, Score, search
 from surface_gym.layouts import ROLLING
 from surface_gym.lines import ORIENTATIONS
-from surface_gym.sharing import Workers, check_workers
+from surface_gym.parallel import Workers, check_workers
 
 Booleans = NDArray[np.bool_]
 Numbers = NDArray[np.float64]

@@ -14,10 +14,10 @@ from surface_gym import checks
 from surface_gym.design.line import DesignLine, line_for
 from surface_gym.design.purposes import Purpose, Sort
 from surface_gym.design.runs import STEP, Ends, OnProgress, Runs, make_runs, run_all
+from surface_gym.files import replacing
+from surface_gym.parallel import Workers
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.randomisation import RandomDraw, Randomisation
-from surface_gym.sharing import Workers
-from surface_gym.whole_files import replacing
 
 Booleans = NDArray[np.bool_]
 Numbers = NDArray[np.float64]

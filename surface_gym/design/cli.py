@@ -19,15 +19,14 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table as ScreenTable
 
 from surface_gym import checks, design
-from surface_gym.cores import usable_cores
 from surface_gym.design.columns import columns_report
 from surface_gym.design.report import DPI, Answer, Table, format_cell, write_csv
 from surface_gym.design.runs import STEP, OnProgress
 from surface_gym.design.search import Effort
 from surface_gym.layouts import box
 from surface_gym.lines import ORIENTATIONS
+from surface_gym.parallel import Workers, WorkFailed, choose_workers, usable_cores
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
-from surface_gym.sharing import Workers, WorkFailed, workers_of
 
 STOPPED = 130  # status of a command that Ctrl-C ends
 ZONE = 16  # default columns of a searched layout
@@ -156,7 +155,7 @@ class Question:
         Raises:
             ValueError: an address that cannot be used.
         """
-        return workers_of(self.cluster, self.workers)
+        return choose_workers(self.cluster, self.workers)
 
     def case(self) -> design.Case:
         """Build the case from the flags.

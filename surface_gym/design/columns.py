@@ -13,7 +13,7 @@ from surface_gym.design.case import SURE, TOGETHER, WORST, Case, Draws, is_relia
 from surface_gym.design.line import DesignLine
 from surface_gym.design.purposes import Purpose
 from surface_gym.design.runs import OnProgress, make_runs
-from surface_gym.sharing import Workers
+from surface_gym.parallel import Workers
 
 MOST = 30  # columns that are tried
 MORE = 3  # columns beyond the nominal ones that are tried for the worst draws

@@ -248,5 +248,5 @@ def _settings(
         orientations=contender.orientations,
         observe=contender.observe,
         randomisation=randomisation,
-        plant=plant,
+        line=plant,
     )

@@ -19,7 +19,7 @@ from surface_gym.design.sweep import (
     repeat_case,
     success_shares,
 )
-from surface_gym.sharing import Workers
+from surface_gym.parallel import Workers
 
 SPEED_STEP, SPEED_STEP_DRAWN = 0.01, 0.02  # [m/s] with nothing unknown, and with draws
 TILT_STEP, TILT_STEP_DRAWN = math.radians(0.1), math.radians(0.2)  # [rad] likewise

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surface_gym.design.line import DesignLine
+from surface_gym.parallel import Cluster, Workers, map_jobs, without_report
 from surface_gym.parcel import Parcel
 from surface_gym.physics.collision import read_body
 from surface_gym.physics.contacts import invalidate_contacts
@@ -49,7 +50,6 @@ from surface_gym.physics.types import (
     check_capacity,
     make_scratch,
 )
-from surface_gym.sharing import Cluster, Workers, quiet, share
 from surface_gym.simulation import base_motion
 from surface_gym.state import (
     ACROSS_FACTOR,
@@ -419,9 +419,11 @@ def _run_on_nodes(
     # Neighbours are alike, and bundles are to take equally long: so they take every n-th run.
     parts = [slice(first, None, bundles) for first in range(bundles)]
     given = [RunArrays._make(array[part] for array in runs) for part in parts]
-    jobs = [partial(quiet, partial(_run_bundle, surfaces, bodies, part, dt)) for part in given]
+    jobs = [
+        partial(without_report, partial(_run_bundle, surfaces, bodies, part, dt)) for part in given
+    ]
     done = 0
-    for place, (state, end) in share(jobs, cluster):
+    for place, (state, end) in map_jobs(jobs, cluster):
         runs.state[parts[place]] = state
         runs.end[parts[place]] = end
         done += len(end)

@@ -10,7 +10,7 @@ from surface_gym.design import report
 from surface_gym.design.case import NOTHING, SURE, WORST, Case, Unknown
 from surface_gym.design.runs import OnProgress, split_progress
 from surface_gym.design.sweep import Arrangement, arrange
-from surface_gym.sharing import Workers
+from surface_gym.parallel import Workers
 
 # Spreads that a field is drawn with where the case's own is 0.
 USUAL = Unknown(

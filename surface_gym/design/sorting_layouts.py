@@ -14,16 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.cores import usable_cores
 from surface_gym.design.best_layout import BestLayout, best_layout
 from surface_gym.design.case import Case
 from surface_gym.design.purposes import Sort
 from surface_gym.design.runs import OnProgress, split_progress
 from surface_gym.design.search import Effort
+from surface_gym.files import replacing
 from surface_gym.layouts import box
 from surface_gym.lines import ORIENTATIONS
-from surface_gym.sharing import Workers, workers_of
-from surface_gym.whole_files import replacing
+from surface_gym.parallel import Workers, choose_workers, usable_cores
 
 SPEEDS = np.arange(30, 271, 2) / 100.0  # [m/s] at which a layout has to sort, as many as it can
 COLUMNS = 16  # of the zone
@@ -170,7 +169,7 @@ def main() -> None:
         bar = progress.add_task("searching", total=None)
         found = find_sorting_layouts(
             options.offers,
-            workers=workers_of(options.cluster, options.workers),
+            workers=choose_workers(options.cluster, options.workers),
             checkpoints=options.checkpoints,
             on_progress=lambda done, total: progress.update(bar, completed=done, total=total),
         )

@@ -12,7 +12,7 @@ from surface_gym.design.columns import MOST, Columns, least_columns
 from surface_gym.design.line import DesignLine
 from surface_gym.design.purposes import Layout
 from surface_gym.design.runs import Ends, OnProgress, Runs, join_runs
-from surface_gym.sharing import Workers, check_workers
+from surface_gym.parallel import Workers, check_workers
 
 Numbers = NDArray[np.float64]
 

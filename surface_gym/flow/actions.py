@@ -1,4 +1,4 @@
-"""The actions of a flow: choices for modules or parcels, and when the gate opens."""
+"""The actions of a stream: choices for modules or parcels, and when the gate opens."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,43 +9,51 @@ from numpy.typing import NDArray
 
 from surface_gym.core.actions import ActionKind
 
+HALVES = 2  # parts of a parcel's command: the modules ahead of its centre, and those behind
+
 
 @dataclass(frozen=True)
-class FlowActions:
-    """An action says a choice for each part of its kind, and with a gate one number more."""
+class StreamActions(ActionKind):
+    """A choice for each part, module or half of a parcel, and with a gate one number more."""
 
-    kind: ActionKind  # its parts are modules, or the halves of each place's parcel
-    # how many ways to open the gate: 0 keeps it shut for the control period, k opens it for one
-    # parcel from the k-th physics step on; no ways: there is no gate
-    gates: int
+    # ways to open the gate: 0 keeps it shut for the control period, k opens it for one parcel from
+    # the k-th physics step on; no ways: there is no gate
+    gates: int = 0
+
+    @property
+    def parts(self) -> ActionKind:
+        """The actions without the gate."""
+        return ActionKind(self.name, self.choices, self.rows, self.columns)
 
     @property
     def size(self) -> int:
         """Numbers in a command."""
-        return self.kind.size + (1 if self.gates else 0)
+        return self.parts.size + (1 if self.gates else 0)
 
     def space(self) -> spaces.Space[Any]:
-        """What a policy chooses from."""
+        """The space of a surface's actions."""
         if not self.gates:
-            return self.kind.space()
-        return spaces.MultiDiscrete([self.kind.choices] * self.kind.size + [self.gates])
+            return self.parts.space()
+        return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])
 
     def commands(self, actions: Any, lanes: int) -> NDArray[Any]:
-        """Actions of all lanes as commands (lanes, size).
+        """Turn the actions of so many surfaces into commands (surfaces, size).
 
         Raises:
             ValueError: a wrong shape, not whole numbers or angles, or out of range.
         """
         if not self.gates:
-            return self.kind.commands(actions, lanes)
+            return self.parts.commands(actions, lanes)
         try:
             given = np.asarray(actions)
         except ValueError:  # parts of different lengths
             raise ValueError(f"action must be an array, got {actions!r}") from None
         if given.shape != (lanes, self.size):
-            raise ValueError(f"action must have the shape {(self.size,)} a lane, got {given.shape}")
+            raise ValueError(
+                f"action must have the shape {(self.size,)} in each environment, got {given.shape}"
+            )
         gate = given[:, -1]
-        choices = self.kind.commands(given[:, :-1], lanes)
+        choices = self.parts.commands(given[:, :-1], lanes)
         if ((gate < 0) | (gate >= self.gates)).any():
             raise ValueError(
                 f"action must say between 0 and {self.gates - 1} of the gate, got {gate.tolist()}"

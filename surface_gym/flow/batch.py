@@ -1,143 +1,393 @@
-"""A batch of flows: streams are drawn for them, commands move them."""
+"""A batch of streams: parcels to come are drawn for each surface, commands step it."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
-from surface_gym.core.batch import FEWEST, Workers
+from surface_gym.config import EnvConfig
+from surface_gym.core.assembly import (
+    choose_actuation,
+    compiled_function,
+    sensor_functions,
+)
+from surface_gym.core.batch import BaseBatch, Infos, Snapshot
 from surface_gym.core.kernel import EnvParams
-from surface_gym.core.resets import draw_noise
-from surface_gym.flow.episodes import FlowEpisodes
-from surface_gym.flow.kernel import make_flow_kernel
-from surface_gym.flow.making import stream_functions
-from surface_gym.flow.memory import FlowRules, Flows
-from surface_gym.flow.settings import FlowSettings
+from surface_gym.core.resets import FEWEST_EDGES, Placement, draw_noise, place_in, with_body
+from surface_gym.flow.arrivals import Arrivals
+from surface_gym.flow.kernel import (
+    StreamFunctions,
+    commanded_angle,
+    commanded_choice,
+    make_stream_kernel,
+    part_of_module,
+    part_of_owner,
+)
+from surface_gym.flow.state import (
+    ENTERED,
+    JAM,
+    NEVER,
+    NOBODY,
+    ON_ITS_WAY,
+    RIGHT,
+    TOUCHES,
+    TURNS,
+    WRONG,
+    StreamParams,
+    StreamState,
+    make_streams,
+    with_room,
+)
+from surface_gym.flow.statistics import compute_statistics
+from surface_gym.flow.task import StreamTask
+from surface_gym.parcel import Parcel
 from surface_gym.physics.collision import make_world_scratch
-from surface_gym.physics.jit import compile_for
-from surface_gym.physics.types import Array, Integers
+from surface_gym.physics.step import com_states
+from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
 from surface_gym.state import (
-    NOISE_ROWS,
+    BAD_REWARD,
+    GRAVITY_ALONG,
+    GRAVITY_NORMAL,
     RUNNING,
+    STARTING,
     BodyTable,
-    EnvState,
     ParcelState,
     SurfaceState,
-    env_state,
+    axis_angles,
 )
 
-NO_LANES: Integers = np.zeros(0, dtype=np.int64)
+_FIRST_ROOM = 16
 
 
-class FlowBatch(FlowEpisodes):
-    """Surfaces of one environment, each with a stream of parcels of its own.
+class BodyPool:
+    """Bodies of parcels, each once as long as an episode uses it: rows of `BodyTable` whose surface is
+    the same for all.
 
     Args:
-        settings: of the environment.
-        lanes: number of surfaces.
-        threads: that share them; results do not depend on their number.
-
-    Raises:
-        ValueError: the sensor lacks a compiled function, or it does not compile.
+        place: makes the placement of a parcel.
+        any_parcel: one of those to come, for rotors and zone, which all have in common.
     """
 
-    def __init__(self, settings: FlowSettings, lanes: int, threads: int = 1) -> None:
-        super().__init__(settings, lanes)
-        self._threads = min(threads, max(1, lanes // FEWEST))
-        steps = settings.timing.steps * self.rows  # of a parcel
-        self._workers = Workers(self._threads, steps, _Scratch(self.rows))
-        self._all = np.arange(lanes)
-        self._move = self._compile()
+    def __init__(self, place: Callable[[Parcel], Placement], any_parcel: Parcel) -> None:
+        self._place = place
+        common = place(any_parcel)
+        self.bodies = BodyTable(
+            rotor=common.rotor[np.newaxis].copy(),
+            obeys=common.obeys[np.newaxis].copy(),
+            body=np.zeros((_FIRST_ROOM, common.body.size)),
+            edges=np.zeros((_FIRST_ROOM, FEWEST_EDGES, 3)),
+            corners=np.zeros((_FIRST_ROOM, FEWEST_EDGES, 2)),
+            zone=common.zone[np.newaxis].copy(),
+        )
+        self._row_of: dict[Parcel, int] = {}
+        self._parcel_of: dict[int, Parcel] = {}
+        self._users: dict[int, int] = {}
+        self._free = list(range(_FIRST_ROOM))[::-1]
+
+    def take(self, parcel: Parcel) -> int:
+        """Get the row of a parcel's body, for one more user.
+
+        Raises:
+            ValueError: the parcel does not fit the plant.
+        """
+        row = self._row_of.get(parcel)
+        if row is None:
+            placement = self._place(parcel)
+            if not self._free:
+                self._double()
+            row = self._free.pop()
+            self.bodies = with_body(self.bodies, row, placement)
+            self._row_of[parcel] = row
+            self._parcel_of[row] = parcel
+            self._users[row] = 0
+        self._users[row] += 1
+        return row
+
+    def give_back(self, rows: Iterable[int]) -> None:
+        """Release rows, each as often as it stands there; one without users is free again."""
+        for row in rows:
+            self._users[row] -= 1
+            if self._users[row] == 0:
+                del self._users[row], self._row_of[self._parcel_of.pop(row)]
+                self._free.append(row)
+
+    def parcel(self, row: int) -> Parcel:
+        """The parcel of a row in use."""
+        return self._parcel_of[row]
+
+    def _double(self) -> None:
+        sites, room = self.bodies, len(self.bodies.body)
+        self.bodies = sites._replace(
+            **{
+                name: np.concatenate([getattr(sites, name), np.zeros_like(getattr(sites, name))])
+                for name in ("body", "edges", "corners")
+            }
+        )
+        self._free = list(range(room, 2 * room))[::-1]
+
+
+def stream_functions(config: EnvConfig) -> StreamFunctions:
+    """Collect the functions that the kernel of streams is built from.
+
+    Raises:
+        ValueError: a task or a sensor lacks one of its compiled functions.
+    """
+    task, kind = config.task, config.action_kind
+    begin, look, estimate = sensor_functions(config.sensors)
+    names = ("begin", "exit_taken", "reward", "observe", "observe_neighbour",
+             "observe_no_neighbour")  # fmt: skip
+    return StreamFunctions(
+        f"{type(task).__name__}-{type(config.sensors).__name__}-{config.actions}",
+        *(compiled_function(task, name, StreamTask) for name in names),
+        begin_sensor=begin,
+        look=look,
+        estimate=estimate,
+        watches=config.sensors.watches,
+        part_of=part_of_module if config.actions == "modules" else part_of_owner,
+        commanded=commanded_angle if kind.continuous else commanded_choice,
+        actuation=choose_actuation(kind.continuous, config.actuators.axis_speed != math.inf),
+    )
+
+
+def make_params(config: EnvConfig) -> StreamParams:
+    """Collect the numbers that all streams of a batch have in common."""
+    task = config.stream_task
+    return StreamParams(
+        exits=np.array(config.exits.table),
+        entry_gap=task.entry_gap,
+        rotors_end=config.rotors_end,
+        ahead=task.ahead,
+        duration=task.duration,
+        patience=task.patience,
+        gated=task.gate,
+        touching=task.touching,
+        waiting_reward=task.waiting_reward,
+        jam_reward=task.jam_reward,
+    )
+
+
+def _rear(parcel: Parcel, theta: float) -> float:
+    """[m] from the rearmost point of the base, turned by theta, to its frame's origin."""
+    outline = parcel.base.outline
+    return -float((math.cos(theta) * outline[:, 0] - math.sin(theta) * outline[:, 1]).min())
+
+
+class StreamBatch(BaseBatch):
+    """Environments of a task on streams of parcels, each a surface with a stream.
+
+    Arguments and errors are those of `BaseBatch`.
+    """
+
+    task: StreamTask
+
+    def __init__(
+        self,
+        config: EnvConfig,
+        num_envs: int,
+        threads: int = 1,
+        max_episode_steps: int | None = None,
+        compiles: bool = True,
+    ) -> None:
+        super().__init__(config, num_envs, threads, max_episode_steps)
+        task = config.stream_task
+        self.rows = task.rows
+        self.params = make_params(config)
+        self.surfaces.conditions[:, :3] = 1.0
+        self.surfaces.conditions[:, GRAVITY_NORMAL] = GRAVITY * math.cos(task.tilt)
+        self.surfaces.conditions[:, GRAVITY_ALONG] = GRAVITY * math.sin(task.tilt)
+        self._pool = BodyPool(partial(place_in, config), task.parcels[0])
+        obeys = self._pool.bodies.obeys
+        if config.actuators.stuck_share > 0.0:
+            obeys = np.repeat(obeys, num_envs, axis=0)
+        shape = self.surfaces.axis.shape[1:]
+        self.streams: StreamState = make_streams(num_envs, self.rows, shape, len(task.terms), obeys)
+        self._used: list[list[int]] = [[] for _ in range(num_envs)]  # rows of the pool, by surface
+        self._generators: list[np.random.Generator | None] = [None] * num_envs
+        if compiles:
+            make_scratch = partial(make_world_scratch, self.rows)
+            self._build(config.timing.steps * self.rows, make_scratch)
 
     @property
-    def outcome(self) -> Integers:
-        """(lanes,) how each episode stands, a place in `outcomes`."""
-        return self.streams.outcome
+    def sites(self) -> BodyTable:
+        return self._pool.bodies
+
+    @property
+    def episodes(self) -> StreamState:
+        return self.streams
 
     @property
     def observation(self) -> NDArray[np.float32]:
-        """(lanes, rows, features) what each shows: a view."""
-        return self.parcels.observation.reshape(len(self._all), self.rows, -1)
+        return self.parcels.observation.reshape(self.num_envs, self.rows, -1)
 
     @property
-    def reward(self) -> Array:
-        """(lanes,) of the last control period."""
-        return self.streams.reward
+    def _arrays(
+        self,
+    ) -> tuple[EnvParams, StreamParams, SurfaceState, ParcelState, BodyTable, StreamState]:
+        return self.rules, self.params, self.surfaces, self.parcels, self.bodies, self.streams
 
-    @property
-    def _arrays(self) -> tuple[EnvParams, FlowRules, SurfaceState, ParcelState, BodyTable, Flows]:
-        """What compiled code reads and writes."""
-        return self.rules, self.flow_rules, self.surfaces, self.parcels, self.bodies, self.streams
+    def _make_kernel(self) -> Any:
+        return make_stream_kernel(stream_functions(self.config))
 
-    def start(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Begin an episode on the chosen lanes (count,), which are seeded.
+    def seed(self, env_index: int, generator: np.random.Generator) -> None:
+        self._generators[env_index] = generator
 
-        Args:
-            chosen: lanes.
-            options: of each; none at all: no lane has any.
+    def generator(self, env_index: int) -> np.random.Generator | None:
+        return self._generators[env_index]
+
+    def infos(self) -> Infos:
+        streams = self.streams
+        tally = streams.tally
+        slots = self.task.max_parcels
+        return {
+            "time": streams.clock,
+            "parcels": np.where(streams.present, streams.number, NOBODY)[:, :slots],
+            "entered": tally[:, ENTERED],
+            "right": tally[:, RIGHT],
+            "wrong": tally[:, WRONG],
+            "touches": tally[:, TOUCHES],
+            "turns": tally[:, TURNS],
+            "waiting": streams.due - streams.coming,
+            **({"axes": axis_angles(self.surfaces)} if "axes" in self.config.info else {}),
+        }
+
+    def figures(self, ended: Booleans) -> Infos:
+        found: dict[str, Array] = {}
+        obeys = self.streams.obeys
+        for i in np.nonzero(ended)[0].tolist():
+            obeying = int(obeys[i if len(obeys) > 1 else 0].sum())
+            jammed = bool(self.streams.outcome[i] == JAM)
+            statistics = compute_statistics(self.streams, i, jammed, obeying)
+            for name, value in vars(statistics).items():
+                found.setdefault(name, np.full(len(ended), np.nan))[i] = value
+        return found
+
+    def parcel(self, env_index: int, row: int = 0) -> Parcel:
+        return self._pool.parcel(int(self.parcels.site[env_index * self.rows + row]))
+
+    def check(self, options: Sequence[dict[str, Any]]) -> None:
+        for each in options:
+            self.task.check_stream(each.get("stream", self.task.stream), self.config)
+
+    def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
+        """Draw an episode for each of the chosen surfaces (count,), from its generator: the
+        surface, the stream, the parcels, the stuck modules and the sensors' noise, in that order.
         """
-        self.place(chosen, options)
-        self._run(chosen)
+        given = options if options else [{}] * len(chosen)
+        for i, option in zip(chosen.tolist(), given, strict=True):
+            rng = self._generator(i)
+            self._draw_surface(i, rng)
+            stream = option.get("stream", self.task.stream)
+            arrivals = stream.draw(rng, self.task.duration, self.config.exits)
+            self._write(i, arrivals, rng)
+            share = self.config.actuators.stuck_share
+            if share > 0.0:
+                working = rng.random(self.streams.commanded.shape[1:]) >= share
+                self.streams.obeys[i] = self.bodies.obeys[0] & working
+            if self._draws:
+                for row in range(self.rows):
+                    draw_noise(self.parcels, i * self.rows + row, rng)
 
-    def advance(self, commands: NDArray[Any], anew: Integers = NO_LANES) -> None:
-        """Move every lane that has not ended over one control period.
+    def _draw_surface(self, i: int, rng: np.random.Generator) -> None:
+        randomisation = self.config.randomisation
+        self.surfaces.conditions[i, :3] = randomisation.draw_friction(rng)
+        stiffness = randomisation.draw_stiffness(rng, self.streams.commanded.shape[1:])
+        if stiffness is not None:
+            self.surfaces.stiffness[i] = stiffness
 
-        Args:
-            commands: (lanes, command size), of lanes that have ended without effect.
-            anew: (count,) lanes that have ended, to begin another episode instead.
+    def _write(self, i: int, arrivals: Arrivals, rng: np.random.Generator) -> None:
+        """Write the arrivals of a surface, with no parcel on it yet."""
+        count = len(arrivals)
+        self.streams = streams = with_room(self.streams, count)
+        streams.time[i, :count] = arrivals.time
+        streams.exit[i, :count] = arrivals.exit
+        streams.arrivals[i] = count
+        site, streams.start[i, :count] = self._entries(i, arrivals, rng)
+        streams.site[i, :count] = site
+        for name, value in (
+            ("entered", np.nan), ("left", np.nan), ("taken", ON_ITS_WAY), ("touches", 0),
+            ("number", NOBODY), ("present", False), ("touched_at", NEVER), ("coming", 0),
+            ("due", 0), ("clock", 0.0), ("steps", 0), ("still", 0.0), ("waited", 0.0),
+            ("tally", 0), ("outcome", STARTING),
+        ):  # fmt: skip
+            getattr(streams, name)[i] = value
+        row = i * self.rows
+        self.parcels.outcome[row : row + self.rows] = RUNNING
+
+    def _entries(
+        self, i: int, arrivals: Arrivals, rng: np.random.Generator
+    ) -> tuple[Integers, Array]:
+        """Sites (arrivals,) and states (arrivals, STATE_SIZE) in which parcels enter: the rear at
+        the line's edge, on its middle, but for the randomisation.
         """
-        self.surfaces.command[:] = commands
-        if self._draws:
-            rows = self.parcels.noise_row.reshape(-1, self.rows)
-            running = (self.streams.outcome == RUNNING)[:, np.newaxis]
-            short = running & (rows + self._draws > NOISE_ROWS)
-            for lane, place in np.argwhere(short).tolist():
-                draw_noise(self.parcels, lane * self.rows + place, self._generator(lane))
-        if len(anew) > 0:
-            self.place(anew)
-        self._run(self._all, self._threads)
+        randomisation, count = self.config.randomisation, len(arrivals)
+        middle = self.config.chosen_line.line_y
+        _, _, low, high = self.config.chosen_line.extent
+        room = (low - middle, high - middle)
+        self._pool.give_back(self._used[i])
+        self._used[i] = []
+        if randomisation.varies_parcels or randomisation.lateral or randomisation.heading:
+            drawn = [
+                randomisation.draw_entry(rng, arrivals.kinds[kind], room)
+                for kind in arrivals.parcel.tolist()
+            ]
+            parcels = [parcel for parcel, _, _ in drawn]
+            aside = np.array([aside for _, aside, _ in drawn])
+            turned = np.array([turned for _, _, turned in drawn])
+            site = np.array([self._pool.take(parcel) for parcel in parcels], dtype=np.int64)
+            self._used[i] = site.tolist()
+            rear = np.array([_rear(parcel, theta) for parcel, _, theta in drawn])
+            centre = np.array([parcel.centre_of_mass for parcel in parcels]).reshape(-1, 2)
+        else:
+            rows = [self._pool.take(kind) for kind in arrivals.kinds]
+            self._used[i] = rows
+            site = np.array(rows, dtype=np.int64)[arrivals.parcel]
+            aside = turned = np.zeros(count)
+            rear = np.array([kind.rear for kind in arrivals.kinds])[arrivals.parcel]
+            centre = np.array([kind.centre_of_mass for kind in arrivals.kinds])[arrivals.parcel]
+        pose = np.stack([self.config.entry_x + rear, middle + aside, turned], axis=-1)
+        velocity = np.zeros((count, 3))
+        velocity[:, 0] = arrivals.speed
+        return site, com_states(centre, pose, velocity)
 
-    def view(self, lane: int, place: int) -> EnvState:
-        """The parcel of a place as compiled functions see it, between two control periods."""
-        row = lane * self.rows + place
-        elements = self.rules.elements
-        seen: EnvState = env_state.py_func(
-            self.surfaces, self.parcels, self.bodies, lane, row, elements
-        )
-        return seen
+    def _state(self, axes: bool) -> dict[str, NDArray[Any]]:
+        found = super()._state(axes)
+        for name, array in self.streams._asdict().items():
+            if len(array) == self.num_envs:
+                found[f"streams.{name}"] = array
+        return found
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "_move"}
+    def restore(self, snapshot: Snapshot, chosen: Integers | int | None = None) -> None:
+        self.streams = with_room(self.streams, snapshot.arrays["streams.time"].shape[1])
+        super().restore(snapshot, chosen)
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._move = self._compile()
+    def _copy_parcels(self, chosen: Integers) -> list[dict[int, list[Parcel]]]:
+        """Copy the parcels of surfaces by their rows in the pool, as often as a row is used."""
+        held = []
+        for i in chosen.tolist():
+            parcels: dict[int, list[Parcel]] = {}
+            for row in self._used[i]:
+                parcels.setdefault(row, []).append(self._pool.parcel(row))
+            held.append(parcels)
+        return held
 
-    def _compile(self) -> Callable[..., int]:
-        settings = self.settings
-        kernel = make_flow_kernel(stream_functions(settings))
-        try:
-            return compile_for(kernel, *self._arrays, *self._workers.scratches, self._all)
-        except NumbaError as error:
-            raise ValueError(
-                f"{type(settings.sensors).__name__} does not compile: {error}"
-            ) from error
+    def _put_parcels(self, chosen: Integers, parcels: list[dict[int, list[Parcel]]]) -> None:
+        for k, i in enumerate(chosen.tolist()):
+            held = parcels[k if len(parcels) > 1 else 0]
+            taken = {old: [self._pool.take(each) for each in same] for old, same in held.items()}
+            self._pool.give_back(self._used[i])
+            self._used[i] = [row for rows in taken.values() for row in rows]
+            first, count = i * self.rows, int(self.streams.arrivals[i])
+            here = self.parcels.site[first : first + self.rows]
+            for sites in (self.streams.site[i, :count], here):
+                sites[:] = [taken[site][0] if site in taken else 0 for site in sites.tolist()]
 
-    def _run(self, chosen: Integers, threads: int = 1) -> None:
-        """Move the chosen lanes (count,), or begin those just placed."""
-        faults = self._workers.run(threads, self._move, self._arrays, chosen)
-        if faults:
-            sensor = type(self.settings.sensors).__name__
-            raise ValueError(f"{sensor} must write finite numbers, got others")
-
-
-class _Scratch:
-    """Makes the physics' scratch of one thread; a class, for it to be pickled."""
-
-    def __init__(self, places: int) -> None:
-        self._places = places
-
-    def __call__(self) -> Any:
-        return make_world_scratch(self._places)
+    def _fault(self) -> ValueError:
+        i, name = int(np.nonzero(self.streams.fault)[0][0]), type(self.task).__name__
+        if self.streams.fault[i] == BAD_REWARD:
+            terms = dict(zip(self.task.terms, self.terms[i].tolist(), strict=True))
+            return ValueError(f"{name}.reward must write finite terms, got {terms}")
+        sensor = type(self.config.sensors).__name__
+        return ValueError(f"{name}.observe, with {sensor}, must write finite numbers, got others")

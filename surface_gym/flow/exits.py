@@ -1,4 +1,4 @@
-"""Exits: where parcels may leave a line of modules, to either side or straight on."""
+"""The line that a stream runs on, and its exits, to either side or straight on."""
 
 import math
 from collections.abc import Iterator
@@ -10,6 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym.lines import Pattern
+
+LINE_ROWS = 20  # of the whole surface
+RUN_OUT = 6  # columns of supports after the last rotors, for parcels that go straight on
+PITCH = 0.1  # [m]
 
 SIDES = (-1, 0, 1)  # y < 0 (right), straight on, y > 0 (left)
 NOWHERE = -1  # the place of no exit: between two of them
@@ -169,3 +174,30 @@ def _check_apart(one: Exit, other: Exit) -> None:
             f"from {one.first:g} to {one.last:g} m and {other.name!r} "
             f"from {other.first:g} to {other.last:g} m"
         )
+
+
+def flow_line(length: float = 6.0, rotor_rows: int = 4, lead_in: int = 5) -> Pattern:
+    """Make a line of rotors with supports beside it and after it.
+
+    Args:
+        length: [m] of the rotors along x.
+        rotor_rows: rows of them, in the middle of 20.
+        lead_in: columns that stay at 90 deg, as the conveyor's before them: as many as the longest
+            parcel is long, 5 for the B-box.
+
+    Raises:
+        ValueError: a line shorter than its lead-in, or an odd number of rows or more than 12.
+    """
+    checks.integer("lead_in", lead_in, least=0, most=checks.ELEMENTS)
+    columns = round(checks.positive("length", length, *checks.LENGTH) / PITCH)
+    if columns <= lead_in:
+        raise ValueError(
+            f"length must be more than the lead-in's, {lead_in * PITCH:g} m, got {length!r}"
+        )
+    checks.integer("rotor_rows", rotor_rows, least=2)
+    if rotor_rows % 2 or rotor_rows > 12:
+        raise ValueError(f"rotor_rows must be even and at most 12, got {rotor_rows!r}")
+    first = (LINE_ROWS - rotor_rows) // 2
+    rotor = np.zeros((LINE_ROWS, columns + RUN_OUT), dtype=bool)
+    rotor[first : first + rotor_rows, :columns] = True
+    return Pattern(rotor=rotor, lead_in=lead_in)

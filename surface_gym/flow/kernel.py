@@ -1,37 +1,60 @@
-"""A batch of flows' compiled code: one control period of a surface with all the parcels on it.
+"""The compiled code of streams: one control period of a surface with all the parcels on it.
 
-Command, axes, entries, physics, exits, sensors, rewards: every face of a flow calls this.
+Command, axes, entries, physics, exits, sensors, rewards, observation. Only the functions of the
+batch's own task, sensor and kind of action are compiled into it.
 """
 
 import math
 from functools import lru_cache
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from surface_gym.core.actions import Acting
 from surface_gym.core.kernel import Actuation, EnvParams, Function
-from surface_gym.flow.claims import claim_modules, free_modules
-from surface_gym.flow.entering import count_due, let_in, places_of, show_next
-from surface_gym.flow.leaving import exit_taken, leave
-from surface_gym.flow.memory import (
+from surface_gym.flow.actions import HALVES
+from surface_gym.flow.state import (
+    ENTERED,
+    EXIT,
+    FIRST,
     JAM,
+    LAST,
+    LEFT_RIGHT,
+    LEFT_WRONG,
+    NEVER,
     NOBODY,
+    RIGHT,
+    SIDE,
+    TOUCHED,
+    TOUCHES,
     TURNS,
-    FlowRules,
-    Flows,
+    WRONG,
+    StreamParams,
+    StreamState,
 )
-from surface_gym.flow.obeying import is_turn
-from surface_gym.flow.rewards import JAM_REWARD, JAMMED, WAITING, WAITING_REWARD, reward_parcel
-from surface_gym.flow.seeing import show_parcels
-from surface_gym.flow.touches import APART, note_touches
 from surface_gym.layouts import ROLLING
 from surface_gym.physics.collision import World, WorldScratch, invalidate_world
 from surface_gym.physics.contact_solver import step_world
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.jit import compiled, inlined
 from surface_gym.physics.step import OFF_SURFACE
-from surface_gym.physics.types import Bodies, Integers, Scratch
+from surface_gym.physics.types import (
+    STATE_SIZE,
+    THETA,
+    VX,
+    VY,
+    Array,
+    Bodies,
+    Integers,
+    Places,
+    Scratch,
+    X,
+    Y,
+)
 from surface_gym.sensors.base import Physics
 from surface_gym.state import (
     BAD_OBSERVATION,
+    BAD_REWARD,
     COLUMNS,
     FIRST_COLUMN,
     FIRST_ROW,
@@ -41,82 +64,450 @@ from surface_gym.state import (
     RUNNING,
     STARTING,
     BodyTable,
+    EnvState,
     ParcelState,
     SurfaceState,
     env_state,
     is_slower,
+    reach_along,
     read_grid,
     read_truth,
 )
 from surface_gym.tasks.line import STALL_SPEED
 
+NEARER = 1e-6  # [s/m^2] of two that a module bears at once, the one with the nearer centre wins
 
-class FlowFunctions(NamedTuple):
-    """What a kernel is built from."""
+
+@inlined
+def free_modules(owner: Places, soonest: Array, state: EnvState) -> None:
+    """Let every module of the zone obey no parcel, so that any may claim it."""
+    zone = state.zone
+    for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
+        for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
+            owner[row, column] = NOBODY
+            soonest[row, column] = np.inf
+
+
+@inlined
+def _until(point: float, low: float, high: float, speed: float) -> float:
+    """[s] until an interval that moves at a speed [m/s] holds a point: 0 if it does already,
+    infinite if it never will.
+    """
+    if point > high:
+        return (point - high) / speed if speed > 0.0 else np.inf
+    if point < low:
+        return (low - point) / -speed if speed < 0.0 else np.inf
+    return 0.0
+
+
+@inlined
+def _after(point: float, low: float, high: float, speed: float) -> float:
+    """[s] until an interval that moves at a speed [m/s] has passed a point; infinite if never."""
+    if speed > 0.0:
+        return (point - low) / speed
+    return (high - point) / -speed if speed < 0.0 else np.inf
+
+
+@inlined
+def claim_modules(owner: Places, soonest: Array, state: EnvState, slot: int, ahead: float) -> None:
+    """Let the parcel in a slot claim every module of the zone that bears it, or that it will be the
+    first to bear on within `ahead` seconds, by its box as it is sensed and moves on.
+    """
+    sensed = state.sensed
+    theta = sensed[THETA]
+    vx, vy = sensed[VX], sensed[VY]
+    front = sensed[X] + reach_along(state, theta, 1.0, 0.0)
+    rear = sensed[X] - reach_along(state, theta, -1.0, 0.0)
+    left = sensed[Y] + reach_along(state, theta, 0.0, 1.0)
+    right = sensed[Y] - reach_along(state, theta, 0.0, -1.0)
+    zone, elements = state.zone, state.elements
+    first_row, first_column = zone[FIRST_ROW], zone[FIRST_COLUMN]
+    x0, y0 = elements.x0, elements.y0
+    low_x = (rear + min(0.0, vx * ahead) - x0) / elements.pitch_x
+    high_x = (front + max(0.0, vx * ahead) - x0) / elements.pitch_x
+    low_y = (right + min(0.0, vy * ahead) - y0) / elements.pitch_y
+    high_y = (left + max(0.0, vy * ahead) - y0) / elements.pitch_y
+    if not (abs(low_x) < 1e6 and abs(high_x) < 1e6 and abs(low_y) < 1e6 and abs(high_y) < 1e6):
+        return  # an estimate that has lost the parcel
+    for row in range(
+        max(first_row, math.ceil(low_y)), min(first_row + zone[ROWS], math.floor(high_y) + 1)
+    ):
+        y = y0 + elements.pitch_y * row
+        until_y = _until(y, right, left, vy)
+        after_y = _after(y, right, left, vy)
+        for column in range(
+            max(first_column, math.ceil(low_x)),
+            min(first_column + zone[COLUMNS], math.floor(high_x) + 1),
+        ):
+            x = x0 + elements.pitch_x * column
+            until = max(until_y, _until(x, rear, front, vx))
+            if until > min(ahead, after_y, _after(x, rear, front, vx)):
+                continue
+            until += NEARER * ((x - sensed[X]) ** 2 + (y - sensed[Y]) ** 2)
+            if until < soonest[row, column]:
+                soonest[row, column] = until
+                owner[row, column] = slot
+
+
+# Which part of the command a module follows; negative if none.
+
+
+@inlined
+def part_of_module(
+    state: EnvState, lanes: ParcelState, owner: Places, rows: int, row: int, column: int
+) -> int:
+    """Let each module follow a part of its own."""
+    return (row - state.zone[FIRST_ROW]) * state.zone[COLUMNS] + column - state.zone[FIRST_COLUMN]
+
+
+@inlined
+def part_of_owner(
+    state: EnvState, lanes: ParcelState, owner: Places, rows: int, row: int, column: int
+) -> int:
+    """Let a module follow the half of the parcel that it obeys; without one it stays as it is.
+
+    `rows` is the first row of the surface's parcels in `lanes`.
+    """
+    slot = owner[row, column]
+    if slot < 0:
+        return -1
+    x = state.elements.x0 + state.elements.pitch_x * column
+    return HALVES * slot + (1 if x < lanes.sensed[rows + slot, X] else 0)
+
+
+# The axis angle [rad] that a part of the command sets.
+
+
+@inlined
+def commanded_choice(acting: Acting, surfaces: SurfaceState, surface: int, part: int) -> float:
+    """Get the angle of the orientation that the part counts."""
+    return acting.orientations[surfaces.command[surface, part]]
+
+
+@inlined
+def commanded_angle(acting: Acting, surfaces: SurfaceState, surface: int, part: int) -> float:
+    """Get the angle that the part is."""
+    return surfaces.command[surface, part]
+
+
+@inlined
+def is_turn(angle: float, before: float) -> bool:
+    """Whether an axis has to turn from one angle to the other; one turned by pi is the same."""
+    apart = angle - before
+    return abs(apart - math.pi * math.floor(apart / math.pi + 0.5)) > 1e-9
+
+
+@inlined
+def count_due(streams: StreamState, i: int) -> None:
+    """Count the parcels whose time has come."""
+    while (
+        streams.due[i] < streams.arrivals[i] and streams.time[i, streams.due[i]] <= streams.clock[i]
+    ):
+        streams.due[i] += 1
+
+
+@inlined
+def count_slots(params: StreamParams, streams: StreamState) -> int:
+    """Count the rows of a surface that parcels on it may have."""
+    return streams.number.shape[1] - (1 if params.gated else 0)
+
+
+@inlined
+def _free_slot(streams: StreamState, i: int, slots: int) -> int:
+    """Find the first slot that is free, or NOBODY."""
+    for slot in range(slots):
+        if streams.number[i, slot] == NOBODY:
+            return slot
+    return NOBODY
+
+
+@inlined
+def _bars(other: EnvState, state: EnvState, gap: float) -> bool:
+    """Whether a parcel on the line is in the way of one about to enter, with a gap [m] ahead."""
+    front = state.truth[X] + reach_along(state, state.truth[THETA], 1.0, 0.0) + gap
+    if other.truth[X] - reach_along(other, other.truth[THETA], -1.0, 0.0) > front:
+        return False
+    left = state.truth[Y] + reach_along(state, state.truth[THETA], 0.0, 1.0)
+    right = state.truth[Y] - reach_along(state, state.truth[THETA], 0.0, -1.0)
+    other_left = other.truth[Y] + reach_along(other, other.truth[THETA], 0.0, 1.0)
+    other_right = other.truth[Y] - reach_along(other, other.truth[THETA], 0.0, -1.0)
+    return other_right < left + gap and right - gap < other_left
+
+
+@inlined
+def _put(
+    params: StreamParams, streams: StreamState, lanes: ParcelState, i: int, slot: int, arrival: int
+) -> None:
+    """Write an arrival into the row of a slot that is free."""
+    row = i * streams.number.shape[1] + slot
+    for k in range(STATE_SIZE):
+        lanes.state[row, k] = streams.start[i, arrival, k]
+    asked = streams.exit[i, arrival]
+    lanes.site[row] = streams.site[i, arrival]
+    lanes.goal[row, EXIT] = asked
+    lanes.goal[row, SIDE] = params.exits[asked, 0]
+    lanes.goal[row, FIRST] = params.exits[asked, 1]
+    lanes.goal[row, LAST] = params.exits[asked, 2]
+    lanes.clock[row] = 0.0
+    lanes.period[row] = 0.0
+    lanes.steps[row] = 0
+    lanes.on_rotors[row] = True
+    lanes.on_surface[row] = True
+    lanes.outcome[row] = RUNNING
+
+
+@inlined
+def show_next(
+    rules: EnvParams,
+    params: StreamParams,
+    surfaces: SurfaceState,
+    lanes: ParcelState,
+    sites: BodyTable,
+    streams: StreamState,
+    i: int,
+) -> None:
+    """Write the parcel that waits to enter, if any, into the last row, as it will enter: its pose
+    and its speed are known.
+    """
+    last = streams.number.shape[1] - 1
+    arrival = streams.coming[i]
+    if arrival == streams.due[i]:
+        streams.number[i, last] = NOBODY
+        return
+    _put(params, streams, lanes, i, last, arrival)
+    row = i * streams.number.shape[1] + last
+    streams.number[i, last] = arrival
+    lanes.clock[row] = streams.time[i, arrival] - streams.clock[i]
+    state = env_state(surfaces, lanes, sites, i, row, rules.elements)
+    read_truth(state)
+    for k in range(state.truth.shape[0]):
+        state.sensed[k] = state.truth[k]
+
+
+@inlined
+def let_in(
+    rules: EnvParams,
+    params: StreamParams,
+    surfaces: SurfaceState,
+    lanes: ParcelState,
+    sites: BodyTable,
+    streams: StreamState,
+    i: int,
+) -> int:
+    """Let the next parcel that is due enter if there is room, and give its slot, or NOBODY.
+
+    Its task and its sensor have yet to begin.
+    """
+    arrival = streams.coming[i]
+    if arrival == streams.due[i]:
+        return NOBODY
+    slot = _free_slot(streams, i, count_slots(params, streams))
+    if slot == NOBODY:
+        return NOBODY
+    first = i * streams.number.shape[1]
+    _put(params, streams, lanes, i, slot, arrival)
+    state = env_state(surfaces, lanes, sites, i, first + slot, rules.elements)
+    read_truth(state)
+    for k in range(streams.number.shape[1]):
+        if streams.present[i, k]:
+            other = env_state(surfaces, lanes, sites, i, first + k, rules.elements)
+            read_truth(other)
+            if _bars(other, state, params.entry_gap):
+                return NOBODY
+    streams.number[i, slot] = arrival
+    streams.present[i, slot] = True
+    streams.entered[i, arrival] = streams.clock[i]
+    streams.coming[i] = arrival + 1
+    streams.tally[i, ENTERED] += 1
+    for k in range(streams.number.shape[1]):
+        streams.touched_at[i, slot, k] = NEVER
+        streams.touched_at[i, k, slot] = NEVER
+    return slot
+
+
+@inlined
+def leave(streams: StreamState, lanes: ParcelState, i: int, slot: int, taken: int) -> None:
+    """Take a parcel off the line by an exit; its row is kept until the next decision."""
+    arrival = streams.number[i, slot]
+    right = taken == streams.exit[i, arrival]
+    streams.present[i, slot] = False
+    streams.left[i, arrival] = streams.clock[i]
+    streams.taken[i, arrival] = taken
+    streams.tally[i, RIGHT if right else WRONG] += 1
+    lanes.outcome[i * streams.number.shape[1] + slot] = LEFT_RIGHT if right else LEFT_WRONG
+
+
+APART = 0.2  # [s] two that have not pushed each other for so long touch anew
+
+
+@inlined
+def note_touches(
+    lanes: ParcelState, streams: StreamState, scratch: WorldScratch, i: int, pairs: int, apart: int
+) -> None:
+    """Count the pairs of parcels that begin to touch."""
+    rows = streams.number.shape[1]
+    for k in range(pairs):
+        a, b = scratch.pair[k, 0], scratch.pair[k, 1]
+        if streams.steps[i] - streams.touched_at[i, a, b] > apart:
+            streams.tally[i, TOUCHES] += 1
+            streams.touches[i, streams.number[i, a]] += 1
+            streams.touches[i, streams.number[i, b]] += 1
+            lanes.memory[i * rows + a, TOUCHED] += 1.0
+            lanes.memory[i * rows + b, TOUCHED] += 1.0
+        streams.touched_at[i, a, b] = streams.steps[i]
+        streams.touched_at[i, b, a] = streams.steps[i]
+
+
+@inlined
+def _nearest(streams: StreamState, lanes: ParcelState, i: int, slot: int, ahead: bool) -> int:
+    """Find the slot of the nearest parcel ahead along x, or behind, as sensed; or NOBODY.
+
+    Of two at the same x the one that came first is ahead.
+    """
+    first = i * streams.number.shape[1]
+    x = lanes.sensed[first + slot, X]
+    nearest = NOBODY
+    least = 0.0
+    for k in range(streams.number.shape[1]):
+        if not streams.present[i, k] or k == slot:
+            continue
+        apart = lanes.sensed[first + k, X] - x
+        is_ahead = apart > 0.0 or (apart == 0.0 and streams.number[i, k] < streams.number[i, slot])
+        if is_ahead == ahead and (nearest == NOBODY or abs(apart) < least):
+            nearest = k
+            least = abs(apart)
+    return nearest
+
+
+class StreamFunctions(NamedTuple):
+    """Functions that a kernel is built from."""
 
     label: str  # of its files in the cache
+    begin: Function  # the task's
+    exit_taken: Function
+    reward: Function
+    observe: Function
+    observe_neighbour: Function
+    observe_no_neighbour: Function
     begin_sensor: Function  # the sensor's
-    update_sensor: Function
-    read_sensor: Function
+    look: Function
+    estimate: Function
     watches: bool
     part_of: Function  # the kind of action's
-    told: Function
+    commanded: Function
     actuation: Actuation
 
 
-@lru_cache(maxsize=64)
-def make_flow_kernel(functions: FlowFunctions) -> Any:
-    """Build `move_flows(rules, flow_rules, surfaces, lanes, sites, flows, scratch, sensor's
-    scratch, chosen)`.
-
-    Of the chosen surfaces (count,) those placed begin, those that run move over one control
-    period, and those that have ended stay. It returns how many something has gone wrong on.
+def _obeying(functions: StreamFunctions) -> Any:
+    """Build `obey_command(rules, params, surfaces, lanes, sites, streams, i)`, which turns the
+    modules that the command of surface i turns, and counts them.
     """
-    sensor_begin, sensor_update = functions.begin_sensor, functions.update_sensor
-    sensor_read, watches = functions.read_sensor, functions.watches
-    part_of, told = functions.part_of, functions.told
-    obey, turn, straighten, turns = functions.actuation
+    part_of, commanded, obey = functions.part_of, functions.commanded, functions.actuation.obey
 
     @inlined
     def obey_command(
         rules: EnvParams,
-        flow_rules: FlowRules,
+        params: StreamParams,
         surfaces: SurfaceState,
         lanes: ParcelState,
         sites: BodyTable,
-        flows: Flows,
+        streams: StreamState,
         i: int,
     ) -> None:
-        """Turn what the command turns, and count it."""
-        rows = flows.number.shape[1]
+        rows = streams.number.shape[1]
         first = i * rows
-        lane = env_state(surfaces, lanes, sites, i, first, rules.elements)
-        owner, soonest = flows.owner[i], flows.soonest[i]
-        free_modules(owner, soonest, lane)
+        state = env_state(surfaces, lanes, sites, i, first, rules.elements)
+        owner, soonest = streams.owner[i], streams.soonest[i]
+        free_modules(owner, soonest, state)
         for k in range(rows):
-            if flows.present[i, k]:
+            if streams.present[i, k]:
                 parcel = env_state(surfaces, lanes, sites, i, first + k, rules.elements)
-                claim_modules(owner, soonest, parcel, k, flow_rules.ahead)
-        obeys = flows.obeys[i if flows.obeys.shape[0] > 1 else 0]
-        zone = lane.zone
+                claim_modules(owner, soonest, parcel, k, params.ahead)
+        obeys = streams.obeys[i if streams.obeys.shape[0] > 1 else 0]
+        zone = state.zone
         for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
             for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
-                part = part_of(lane, lanes, owner, first, row, column)
+                part = part_of(state, lanes, owner, first, row, column)
                 if part < 0 or not obeys[row, column]:
                     continue
-                angle = told(rules.acting, surfaces, i, part)
-                if is_turn(angle, flows.told[i, row, column]):
-                    flows.tally[i, TURNS] += 1
-                flows.told[i, row, column] = angle
+                angle = commanded(rules.acting, surfaces, i, part)
+                if is_turn(angle, streams.commanded[i, row, column]):
+                    streams.tally[i, TURNS] += 1
+                streams.commanded[i, row, column] = angle
                 obey(rules.acting, surfaces, i, row, column, part)
 
-    def move_flows(
+    return obey_command
+
+
+def _observing(functions: StreamFunctions) -> Any:
+    """Build `observe_parcels(rules, params, surfaces, lanes, sites, streams, i)`, which writes the
+    table of surface i: a row a parcel, with its neighbours along the line.
+    """
+    observe, observe_neighbour = functions.observe, functions.observe_neighbour
+    observe_no_neighbour = functions.observe_no_neighbour
+
+    @inlined
+    def observe_parcels(
         rules: EnvParams,
-        flow_rules: FlowRules,
+        params: StreamParams,
         surfaces: SurfaceState,
         lanes: ParcelState,
         sites: BodyTable,
-        flows: Flows,
+        streams: StreamState,
+        i: int,
+    ) -> None:
+        rows = streams.number.shape[1]
+        slots = count_slots(params, streams)
+        first = i * rows
+        for k in range(rows):
+            state = env_state(surfaces, lanes, sites, i, first + k, rules.elements)
+            waits = k >= slots and streams.number[i, k] != NOBODY
+            if not (streams.present[i, k] or waits):
+                for feature in range(state.observation.shape[0]):
+                    state.observation[feature] = 0.0
+                continue
+            observe(state, waits)
+            x, theta = state.sensed[X], state.sensed[THETA]
+            front = x + reach_along(state, theta, 1.0, 0.0)
+            rear = x - reach_along(state, theta, -1.0, 0.0)
+            for way in range(2):
+                ahead = way == 1
+                slot = _nearest(streams, lanes, i, k, ahead)
+                if slot == NOBODY:
+                    observe_no_neighbour(state, ahead)
+                    continue
+                other = env_state(surfaces, lanes, sites, i, first + slot, rules.elements)
+                other_x, other_theta = other.sensed[X], other.sensed[THETA]
+                if ahead:
+                    gap = other_x - reach_along(other, other_theta, -1.0, 0.0) - front
+                else:
+                    gap = rear - other_x - reach_along(other, other_theta, 1.0, 0.0)
+                observe_neighbour(state, other, gap, ahead)
+
+    return observe_parcels
+
+
+@lru_cache(maxsize=64)
+def make_stream_kernel(functions: StreamFunctions) -> Any:
+    """Build `step_streams(rules, params, surfaces, lanes, sites, streams, scratch, sensor's
+    scratch, chosen)`.
+
+    Of the chosen surfaces (count,) those placed begin, those that run are stepped by one control
+    period, and those that have ended stay. It returns how many have a fault.
+    """
+    task_begin, task_reward, task_exit = functions.begin, functions.reward, functions.exit_taken
+    sensor_begin, sensor_look = functions.begin_sensor, functions.look
+    sensor_estimate, watches = functions.estimate, functions.watches
+    _, turn, straighten, turns = functions.actuation
+    obey_command, observe_parcels = _obeying(functions), _observing(functions)
+
+    def step_streams(
+        rules: EnvParams,
+        params: StreamParams,
+        surfaces: SurfaceState,
+        lanes: ParcelState,
+        sites: BodyTable,
+        streams: StreamState,
         scratch: WorldScratch,
         sensor_scratch: Scratch,
         chosen: Integers,
@@ -124,58 +515,60 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
         faults = 0
         dt = rules.timing.dt
         apart = int(APART / dt)
-        rows = flows.number.shape[1]
-        places = places_of(flow_rules, flows)
+        rows = streams.number.shape[1]
+        slots = count_slots(params, streams)
         gate = surfaces.command.shape[1] - 1
+        jam_term = streams.terms.shape[1] - 1
+        waiting_term = jam_term - 1
         physics = Physics(rules.assumed, rules.stiffness, sensor_scratch, dt)
         bodies = Bodies(sites.body, sites.edges, sites.corners)
         for i in chosen:
             first = i * rows
-            begins = flows.outcome[i] == STARTING
+            begins = streams.outcome[i] == STARTING
             if begins:
                 straighten(rules.acting, surfaces, i)
-                for row in range(flows.told.shape[1]):
-                    for column in range(flows.told.shape[2]):
-                        flows.told[i, row, column] = ROLLING
-                        flows.owner[i, row, column] = NOBODY
-                flows.outcome[i] = RUNNING
-            elif flows.outcome[i] != RUNNING:
+                for row in range(streams.commanded.shape[1]):
+                    for column in range(streams.commanded.shape[2]):
+                        streams.commanded[i, row, column] = ROLLING
+                        streams.owner[i, row, column] = NOBODY
+                streams.outcome[i] = RUNNING
+            elif streams.outcome[i] != RUNNING:
                 continue
-            flows.fault[i] = NO_FAULT
-            for k in range(flows.terms.shape[1]):
-                flows.terms[i, k] = 0.0
+            streams.fault[i] = NO_FAULT
+            for k in range(streams.terms.shape[1]):
+                streams.terms[i, k] = 0.0
             for k in range(rows):
                 lanes.reward[first + k] = 0.0
                 lanes.period[first + k] = 0.0
-                if not flows.present[i, k]:
-                    flows.number[i, k] = NOBODY
+                if not streams.present[i, k]:
+                    streams.number[i, k] = NOBODY
             if not begins:
-                obey_command(rules, flow_rules, surfaces, lanes, sites, flows, i)
+                obey_command(rules, params, surfaces, lanes, sites, streams, i)
             invalidate_world(scratch)
             invalidate_contacts(sensor_scratch)
             grid = read_grid(surfaces, sites, i, 0, rules.elements, rules.friction)
             company = World(
                 lanes.state[first : first + rows],
-                flows.present[i],
-                lanes.body[first : first + rows],
+                streams.present[i],
+                lanes.site[first : first + rows],
                 bodies,
             )
             zone = sites.zone[0]
-            opens = int(surfaces.command[i, gate]) if flow_rules.gated else 1
+            opens = int(surfaces.command[i, gate]) if params.gated else 1
             entered = False
-            # Who may enter does so at a start, which is step 0 alone, and after every step.
+            # Parcels may enter at a start, which is step 0 alone, and after every step.
             for step in range(0 if begins else 1, 1 if begins else rules.timing.steps + 1):
                 if not begins:
                     if turns:
                         turn(rules.acting, surfaces, i, zone)
                         invalidate_world(scratch)
                         invalidate_contacts(sensor_scratch)
-                    pairs = step_world(grid, company, flow_rules.sides, scratch, dt)
-                    flows.clock[i] += dt
-                    flows.steps[i] += 1
-                    note_touches(lanes, flows, scratch, i, pairs, apart)
-                    for k in range(places):
-                        if not flows.present[i, k]:
+                    pairs = step_world(grid, company, params.touching, scratch, dt)
+                    streams.clock[i] += dt
+                    streams.steps[i] += 1
+                    note_touches(lanes, streams, scratch, i, pairs, apart)
+                    for k in range(slots):
+                        if not streams.present[i, k]:
                             continue
                         row = first + k
                         on_surface = scratch.report[k] < OFF_SURFACE
@@ -184,62 +577,69 @@ def make_flow_kernel(functions: FlowFunctions) -> Any:
                         lanes.clock[row] += dt
                         lanes.steps[row] += 1
                         lanes.period[row] += dt
-                        lane = env_state(surfaces, lanes, sites, i, row, rules.elements)
-                        if not lane.on_rotors:
-                            read_truth(lane)
-                            leave(flows, lanes, i, k, exit_taken(flow_rules, lane))
+                        state = env_state(surfaces, lanes, sites, i, row, rules.elements)
+                        if not state.on_rotors:
+                            read_truth(state)
+                            leave(streams, lanes, i, k, task_exit(params, state))
                         elif watches:
-                            read_truth(lane)
-                            sensor_update(rules.sensor, lane, physics)
-                    waiting = flows.due[i] - flows.coming[i]
-                    flows.waited[i] += dt * waiting
-                    flows.terms[i, WAITING] += WAITING_REWARD * dt * waiting
-                count_due(flows, i)
+                            read_truth(state)
+                            sensor_look(rules.sensor, state, physics)
+                    waiting = streams.due[i] - streams.coming[i]
+                    streams.waited[i] += dt * waiting
+                    streams.terms[i, waiting_term] += params.waiting_reward * dt * waiting
+                count_due(streams, i)
                 # A gate opens at a physics step of the period, for one parcel; or not at all.
-                if flow_rules.gated and (entered or opens == 0 or step < opens):
+                if params.gated and (entered or opens == 0 or step < opens):
                     continue
-                place = let_in(rules, flow_rules, surfaces, lanes, sites, flows, i)
-                if place != NOBODY:
+                slot = let_in(rules, params, surfaces, lanes, sites, streams, i)
+                if slot != NOBODY:
                     entered = True
-                    lane = env_state(surfaces, lanes, sites, i, first + place, rules.elements)
-                    sensor_begin(rules.sensor, lane)
-            anybody = False
+                    state = env_state(surfaces, lanes, sites, i, first + slot, rules.elements)
+                    state.memory[TOUCHED] = 0.0
+                    task_begin(state)
+                    sensor_begin(rules.sensor, state)
+            occupied = False
             moves = False
-            for k in range(places):
-                if flows.number[i, k] == NOBODY:
+            for k in range(slots):
+                if streams.number[i, k] == NOBODY:
                     continue
-                lane = env_state(surfaces, lanes, sites, i, first + k, rules.elements)
-                read_truth(lane)
-                outcome = lanes.outcome[first + k]
-                lanes.reward[first + k] = reward_parcel(lane, outcome)
-                for term in range(lane.terms.shape[0]):
-                    flows.terms[i, term] += lane.terms[term]
-                if flows.present[i, k]:
-                    anybody = True
-                    moves |= not is_slower(lane, STALL_SPEED)
-                    sensor_read(rules.sensor, lane)
-            if anybody and not moves and not begins:
-                flows.still[i] += dt * rules.timing.steps
+                state = env_state(surfaces, lanes, sites, i, first + k, rules.elements)
+                read_truth(state)
+                task_reward(state, lanes.outcome[first + k])
+                state.memory[TOUCHED] = 0.0
+                reward = 0.0
+                for term in range(state.terms.shape[0]):
+                    reward += state.terms[term]
+                    streams.terms[i, term] += state.terms[term]
+                lanes.reward[first + k] = reward
+                if streams.present[i, k]:
+                    occupied = True
+                    moves |= not is_slower(state, STALL_SPEED)
+                    sensor_estimate(rules.sensor, state)
+            if occupied and not moves and not begins:
+                streams.still[i] += dt * rules.timing.steps
             else:
-                flows.still[i] = 0.0
-            if flows.still[i] >= flow_rules.patience:
-                flows.outcome[i] = JAM
-                flows.terms[i, JAMMED] = JAM_REWARD
-            elif flows.clock[i] >= flow_rules.duration - 0.5 * dt:
-                flows.outcome[i] = OUT_OF_TIME
+                streams.still[i] = 0.0
+            if streams.still[i] >= params.patience:
+                streams.outcome[i] = JAM
+                streams.terms[i, jam_term] = params.jam_reward
+            elif streams.clock[i] >= params.duration - 0.5 * dt:
+                streams.outcome[i] = OUT_OF_TIME
             reward = 0.0
-            for k in range(flows.terms.shape[1]):
-                reward += flows.terms[i, k]
-            flows.reward[i] = reward
-            if flow_rules.gated:
-                show_next(rules, flow_rules, surfaces, lanes, sites, flows, i)
-                lanes.reward[first + places] = flows.terms[i, WAITING]
-            show_parcels(rules, flow_rules, surfaces, lanes, sites, flows, i)
+            for k in range(streams.terms.shape[1]):
+                reward += streams.terms[i, k]
+            streams.reward[i] = reward
+            if not math.isfinite(reward):
+                streams.fault[i] = BAD_REWARD
+            if params.gated:
+                show_next(rules, params, surfaces, lanes, sites, streams, i)
+                lanes.reward[first + slots] = streams.terms[i, waiting_term]
+            observe_parcels(rules, params, surfaces, lanes, sites, streams, i)
             for k in range(rows):
                 for feature in range(lanes.observation.shape[1]):
                     if not math.isfinite(lanes.observation[first + k, feature]):
-                        flows.fault[i] = BAD_OBSERVATION
-            faults += flows.fault[i] != NO_FAULT
+                        streams.fault[i] = BAD_OBSERVATION
+            faults += streams.fault[i] != NO_FAULT
         return faults
 
-    return compiled(move_flows, functions.label)
+    return compiled(step_streams, functions.label)

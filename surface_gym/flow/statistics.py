@@ -1,11 +1,11 @@
-"""What an episode of a flow comes to."""
+"""Figures of an episode of a stream."""
 
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from surface_gym.flow.arrivals import HOUR
-from surface_gym.flow.memory import TURNS, Flows
+from surface_gym.flow.state import TURNS, StreamState
 
 
 @dataclass(frozen=True)
@@ -30,36 +30,36 @@ class FlowStatistics:
 NAMES = tuple(field.name for field in fields(FlowStatistics))
 
 
-def statistics_of(
-    flows: Flows, surface: int, jammed: bool, obeying: int, warm_up: float = 0.0
+def compute_statistics(
+    streams: StreamState, surface: int, jammed: bool, obeying: int, warm_up: float = 0.0
 ) -> FlowStatistics:
-    """The figures of a surface's episode so far.
+    """Compute the figures of a surface's episode so far.
 
     A touch counts half for each of the two, as it leaves; jams and turns are of the whole episode.
 
     Args:
-        flows: their memory.
+        streams: their state.
         surface: which.
         jammed: whether the episode ended in a jam.
         obeying: modules that obey.
-        warm_up: [s] of the start in which nothing counts: who came then, and what left then.
+        warm_up: [s] of the start in which nothing counts: parcels that came or left then.
     """
-    count = int(flows.arrivals[surface])
+    count = int(streams.arrivals[surface])
     time, entered, left = (
-        values[surface, :count] for values in (flows.time, flows.entered, flows.left)
+        values[surface, :count] for values in (streams.time, streams.entered, streams.left)
     )
-    taken, asked = flows.taken[surface, :count], flows.exit[surface, :count]
-    clock = float(flows.clock[surface])
+    taken, asked = streams.taken[surface, :count], streams.exit[surface, :count]
+    clock = float(streams.clock[surface])
     counted = clock - warm_up
-    gone = left >= warm_up  # false for nan, who is there still
+    gone = left >= warm_up  # false for nan: the parcel is there still
     right = gone & (taken == asked)
     delivered = int(gone.sum())
-    gaps = [np.diff(np.sort(left[gone & (taken == place)])) for place in np.unique(taken[gone])]
+    gaps = [np.diff(np.sort(left[gone & (taken == exit_)])) for exit_ in np.unique(taken[gone])]
     gap = np.concatenate(gaps) if gaps else np.zeros(0)
     stay = (left - entered)[gone]
     came = (time >= warm_up) & (time <= clock)
     waiting = np.where(np.isnan(entered), clock, entered)[came] - time[came]
-    touches = int(flows.touches[surface, :count][gone].sum()) / 2.0
+    touches = int(streams.touches[surface, :count][gone].sum()) / 2.0
     per_parcel = 1000.0 / delivered if delivered else np.nan
     inside = came & ~np.isnan(entered)
     return FlowStatistics(
@@ -76,7 +76,7 @@ def statistics_of(
         waiting_mean=_mean((entered - time)[inside]),
         waiting_most=float(waiting.max()) if waiting.size else np.nan,
         turns_per_hour=(
-            HOUR * float(flows.tally[surface, TURNS]) / (obeying * clock)
+            HOUR * float(streams.tally[surface, TURNS]) / (obeying * clock)
             if clock > 0.0 and obeying
             else np.nan
         ),

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from surface_gym.cores import usable_cores
+from surface_gym.parallel import usable_cores
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         args=arguments,
         config=(tyro.conf.FlagCreatePairsOff,),
     )
-    from surface_gym.sharing import WorkFailed
+    from surface_gym.parallel import WorkFailed
 
     try:
         compare(options)
@@ -64,12 +64,12 @@ def compare(options: Options) -> None:
     from rich.console import Console
 
     from surface_gym import checks
-    from surface_gym.sharing import workers_of
+    from surface_gym.parallel import choose_workers
     from surface_gym.validation.report import as_data, print_report
     from surface_gym.validation.scene import load_mujoco
     from surface_gym.validation.study import run_study
 
-    workers = workers_of(options.cluster, checks.integer("workers", options.workers, least=1))
+    workers = choose_workers(options.cluster, checks.integer("workers", options.workers, least=1))
     checks.integer("seed", options.seed, least=0)
     if not options.tilts:
         raise ValueError("tilts must be at least one, got none")

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import track
 
 from surface_gym.paper.runs import Integration
-from surface_gym.sharing import Workers, quiet, share
+from surface_gym.parallel import Workers, map_jobs, without_report
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import comparison, touching, unevenness
 from surface_gym.validation.comparison import (
@@ -230,9 +230,13 @@ def run_study(
         (unevenness.run_draw, draws),
         (touching.run_meeting, meetings),
     )
-    jobs = [partial(quiet, partial(function, each)) for function, group in parts for each in group]
+    jobs = [
+        partial(without_report, partial(function, each))
+        for function, group in parts
+        for each in group
+    ]
     done = track(
-        share(jobs, workers),
+        map_jobs(jobs, workers),
         "MuJoCo and the analytic model",
         total=len(jobs),
         console=console,

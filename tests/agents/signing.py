@@ -5,9 +5,7 @@ from hashlib import sha256
 from pathlib import Path
 
 import yaml
-
-from agents.policy_card import CARD
-from agents.policy_files import WEIGHTS
+from surface_gym.agents.library import CARD, WEIGHTS
 
 
 def sign(folder: Path) -> None:

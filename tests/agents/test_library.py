@@ -1,4 +1,4 @@
-"""The agents that come with the package: each loads, acts and does what its card says."""
+"""The shipped agents: each loads, acts and succeeds as its card says."""
 
 import sys
 from pathlib import Path
@@ -7,18 +7,18 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import yaml
+from surface_gym.agents.library import SHELF, read
 
-import agents
-from agents.library import SHELF, read
+from surface_gym import agents
 from surface_gym.tasks import TASKS
 
 FLOW = "flow-ppo"
-OF_THE_LAB = {"sort-dqn-lab", *(f"{task}-ppo-lab" for task in TASKS)}
+FOR_THE_LAB = {"sort-dqn-lab", *(f"{task}-ppo-lab" for task in TASKS)}
 
 
 def test_a_ppo_and_a_dqn_for_each_task_and_one_each_for_modules_and_a_flow() -> None:
     of_tasks = {f"{task}-{algo}" for task in TASKS for algo in ("ppo", "dqn")}
-    wanted = of_tasks | OF_THE_LAB | {"sort-modules", FLOW}
+    wanted = of_tasks | FOR_THE_LAB | {"sort-modules", FLOW}
     assert set(agents.names()) == wanted
 
 
@@ -47,8 +47,8 @@ class TestEach:
         assert card["command"].startswith("python ")
         assert card["seeds"] == list(agents.seeds(name))
         assert len(card["steps"]) == len(card["seconds"]) == len(card["seeds"])
-        told = ("exact", "camera", "lab") if name in OF_THE_LAB else ("exact", "camera")
-        for condition in told:
+        presets = ("exact", "camera", "lab") if name in FOR_THE_LAB else ("exact", "camera")
+        for condition in presets:
             results = card["results"][condition]
             if name == FLOW:
                 for stream in results.values():
@@ -95,10 +95,10 @@ def test_a_few_starts_go_as_the_card_says(name: str) -> None:
         assert info["is_success"]
 
 
-def test_a_missing_library_is_told_with_the_extra_that_brings_it(
+def test_a_missing_library_is_reported_with_its_extra(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.delitem(sys.modules, "agents.policies.files", raising=False)
+    monkeypatch.delitem(sys.modules, "surface_gym.agents.policy", raising=False)
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(ImportError, match=r"needs torch, .*'surface_gym\[agents\]'"):
         agents.load("sort-ppo")

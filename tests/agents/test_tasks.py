@@ -1,12 +1,12 @@
-"""Tasks by name, those of one's own among them, from a file to its training and comparison."""
+"""Tasks by name, a user's own among them, from a file to its training and comparison."""
 
 from pathlib import Path
 
 import pytest
 import yaml
+from surface_gym.agents.tasks import card_env_id, find_task, task_kind, task_label
 
-import agents
-from agents.tasks import find_task, id_of, kind_of, label_of
+from surface_gym import agents
 from surface_gym.tasks import TASKS
 from tests.agents.test_doors import ROOT, door, inside
 
@@ -19,22 +19,26 @@ class TestNames:
     @pytest.mark.parametrize("name", TASKS)
     def test_the_packages(self, name: str) -> None:
         assert find_task(name) == TASKS[name]()
-        assert (kind_of(name), label_of(name)) == (name, name)
-        assert id_of(name) == f"SmartSurface/{name.capitalize()}-v0"
+        assert (task_kind(name), task_label(name)) == (name, name)
+        assert card_env_id(name) == f"SmartSurface/{name.capitalize()}-v0"
 
-    def test_ones_own(self) -> None:
+    def test_a_users_own(self) -> None:
         assert type(find_task(REACH)).__name__ == "Reach"
         assert find_task(REACH) == find_task(REACH)  # the file is run once
-        assert (kind_of(REACH), label_of(REACH), id_of(REACH)) == ("reach", "reach", "Own/Reach")
+        assert (task_kind(REACH), task_label(REACH), card_env_id(REACH)) == (
+            "reach",
+            "reach",
+            "Own/Reach",
+        )
 
     def test_one_that_inherits_from_the_packages_is_of_its_kind(self) -> None:
-        assert (kind_of(HASTE), id_of(HASTE)) == ("sort", "Own/Haste")
+        assert (task_kind(HASTE), card_env_id(HASTE)) == ("sort", "Own/Haste")
 
     @pytest.mark.parametrize(
         ("name", "named"),
         [
-            ("juggle", "task must be one of sort, slow, stop, track, orient, or one's own"),
-            ("nowhere.py:Reach", "task must be in a file that is there"),
+            ("juggle", "task must be one of sort, slow, stop, track, orient, or your own"),
+            ("nowhere.py:Reach", "task must be in a file that exists"),
             (REACH[:-6], "task must be one of"),
             (REACH + "er", "task must be a class of .* that inherits from Task, got 'Reacher'"),
             (REACH.replace(":Reach", ":math"), "task must be a class of"),
@@ -52,7 +56,7 @@ class TestNames:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of an own task, too short to learn anything."""
+    """A run of a user's own task, too short to learn anything."""
     folder = tmp_path_factory.mktemp("own")
     done = inside("train.py", "--task", REACH, *SHORT.split(), folder=folder)
     assert done.returncode == 0, done.stderr

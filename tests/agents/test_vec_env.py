@@ -6,63 +6,68 @@ import pytest
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor
+from surface_gym.agents.vec_env import ConcatVecEnv, SurfaceVecEnv
 
 import surface_gym as sg
-from agents.vec_env import SurfaceVecEnv
+from surface_gym.sensors import Camera
 
-LANES = 4
+NUM_ENVS = 4
 ROLL = 15  # halves, all axes at 90 deg
 
 
 def make(limit: int | None = 12, **settings: object) -> SurfaceVecEnv:
     return SurfaceVecEnv(
         sg.SmartSurfaceVectorEnv(
-            LANES, actions="halves", max_episode_steps=limit, autoreset_mode="SameStep", **settings
+            NUM_ENVS,
+            actions="halves",
+            max_episode_steps=limit,
+            autoreset_mode="SameStep",
+            **settings,
         )
     )
 
 
 def test_only_same_step_is_taken() -> None:
     with pytest.raises(ValueError, match="SAME_STEP"):
-        SurfaceVecEnv(sg.SmartSurfaceVectorEnv(LANES))
+        SurfaceVecEnv(sg.SmartSurfaceVectorEnv(NUM_ENVS))
 
 
-def test_lanes_are_single_envs_and_their_ends_are_told() -> None:
+def test_environments_are_single_ones_and_their_ends_are_reported() -> None:
     """Also that terminal observations are copies: they are compared after the steps that follow."""
     env = make()
     env.seed(3)
     observations = env.reset()
     singles = [
         gym.make("SmartSurface/Sort-v0", actions="halves", max_episode_steps=12)
-        for _ in range(LANES)
+        for _ in range(NUM_ENVS)
     ]
-    for lane, single in enumerate(singles):
-        np.testing.assert_array_equal(single.reset(seed=3 + lane)[0], observations[lane])
+    for i, single in enumerate(singles):
+        np.testing.assert_array_equal(single.reset(seed=3 + i)[0], observations[i])
     rng = np.random.default_rng(0)
     ends = []
-    lasted = np.zeros(LANES, dtype=np.int64)
+    lasted = np.zeros(NUM_ENVS, dtype=np.int64)
     for _ in range(60):
-        actions = rng.integers(0, 16, LANES)
+        actions = rng.integers(0, 16, NUM_ENVS)
         observations, rewards, dones, infos = env.step(actions)
         lasted += 1
-        for lane, single in enumerate(singles):
-            seen, reward, terminated, truncated, info = single.step(actions[lane])
-            assert rewards[lane] == np.float32(reward)
-            assert dones[lane] == (terminated or truncated)
-            if dones[lane]:
-                assert infos[lane]["episode"]["l"] == lasted[lane]
-                lasted[lane] = 0
-                ends.append((infos[lane], seen.copy(), terminated, truncated, info))
+        for i, single in enumerate(singles):
+            seen, reward, terminated, truncated, info = single.step(actions[i])
+            assert rewards[i] == np.float32(reward)
+            assert dones[i] == (terminated or truncated)
+            if dones[i]:
+                assert infos[i]["episode"]["l"] == lasted[i]
+                lasted[i] = 0
+                ends.append((infos[i], seen.copy(), terminated, truncated, info))
                 seen, _ = single.reset()
             else:
-                assert infos[lane] == {}
-            np.testing.assert_array_equal(observations[lane], seen)
+                assert infos[i] == {}
+            np.testing.assert_array_equal(observations[i], seen)
     assert {end[3] and not end[2] for end in ends} == {True, False}
-    for told, seen, terminated, truncated, info in ends:
-        np.testing.assert_array_equal(told["terminal_observation"], seen)
-        assert told["TimeLimit.truncated"] == (truncated and not terminated)
-        assert told["is_success"] == info["is_success"]
-        assert told["outcome"] == info["outcome"] or told["TimeLimit.truncated"]
+    for reported, seen, terminated, truncated, info in ends:
+        np.testing.assert_array_equal(reported["terminal_observation"], seen)
+        assert reported["TimeLimit.truncated"] == (truncated and not terminated)
+        assert reported["is_success"] == info["is_success"]
+        assert reported["outcome"] == info["outcome"] or reported["TimeLimit.truncated"]
 
 
 def test_what_comes_back_is_fresh_and_writable() -> None:
@@ -70,12 +75,12 @@ def test_what_comes_back_is_fresh_and_writable() -> None:
     first = env.reset()
     kept = first.copy()
     first[:] = 7.0
-    observations, rewards, dones, _ = env.step(np.full(LANES, ROLL))
+    observations, rewards, dones, _ = env.step(np.full(NUM_ENVS, ROLL))
     assert not (observations == 7.0).any()
     for array in (observations, rewards, dones):
         assert array.flags.writeable
         array[:] = 1
-    again, *_ = env.step(np.full(LANES, ROLL))
+    again, *_ = env.step(np.full(NUM_ENVS, ROLL))
     assert again is not observations
     assert not (again == 1.0).all()
     assert not (again == kept).all()
@@ -85,21 +90,21 @@ def test_seed_and_options_act_at_the_next_reset_alone() -> None:
     env = make()
     env.reset()
     env.seed(5)
-    env.set_options([{"speed": 0.5 + lane} for lane in range(LANES)])
-    before = env.env._batch.parcels.truth.copy()
-    env.step(np.full(LANES, ROLL))
-    assert (np.abs(env.env._batch.parcels.truth[:, 3] - before[:, 3]) < 0.1).all()
+    env.set_options([{"speed": 0.5 + i} for i in range(NUM_ENVS)])
+    before = env.env.batch.parcels.truth.copy()
+    env.step(np.full(NUM_ENVS, ROLL))
+    assert (np.abs(env.env.batch.parcels.truth[:, 3] - before[:, 3]) < 0.1).all()
     env.reset()
-    np.testing.assert_array_equal(env.env._batch.parcels.truth[:, 3], [0.5, 1.5, 2.5, 3.5])
+    np.testing.assert_array_equal(env.env.batch.parcels.truth[:, 3], [0.5, 1.5, 2.5, 3.5])
     env.reset()
-    assert (env.env._batch.parcels.truth[:, 3] != [0.5, 1.5, 2.5, 3.5]).any()
+    assert (env.env.batch.parcels.truth[:, 3] != [0.5, 1.5, 2.5, 3.5]).any()
 
 
 def test_indices_are_honoured() -> None:
     env = make()
-    assert env.get_attr("num_envs") == [LANES] * LANES
-    assert env.get_attr("num_envs", indices=[0, 2]) == [LANES] * 2
-    assert env.get_attr("num_envs", indices=1) == [LANES]
+    assert env.get_attr("num_envs") == [NUM_ENVS] * NUM_ENVS
+    assert env.get_attr("num_envs", indices=[0, 2]) == [NUM_ENVS] * 2
+    assert env.get_attr("num_envs", indices=1) == [NUM_ENVS]
     assert env.env_is_wrapped(gym.Wrapper, indices=[1, 2]) == [False, False]
     with pytest.raises(ValueError, match="indices"):
         env.set_attr("render_mode", None, indices=[0])
@@ -121,21 +126,21 @@ def test_episode_returns_are_the_monitors() -> None:
     env = VecMonitor(make())
     env.seed(0)
     env.reset()
-    returns, lengths = np.zeros(LANES), np.zeros(LANES, dtype=int)
+    returns, lengths = np.zeros(NUM_ENVS), np.zeros(NUM_ENVS, dtype=int)
     found = 0
     for _ in range(40):
-        _, rewards, dones, infos = env.step(np.full(LANES, 10))
+        _, rewards, dones, infos = env.step(np.full(NUM_ENVS, 10))
         returns += rewards
         lengths += 1
-        for lane in np.nonzero(dones)[0]:
+        for i in np.nonzero(dones)[0]:
             found += 1
-            assert infos[lane]["episode"]["r"] == pytest.approx(returns[lane], abs=1e-5)
-            assert infos[lane]["episode"]["l"] == lengths[lane]
-            terms = infos[lane]["reward_terms"]
+            assert infos[i]["episode"]["r"] == pytest.approx(returns[i], abs=1e-5)
+            assert infos[i]["episode"]["l"] == lengths[i]
+            terms = infos[i]["reward_terms"]
             assert set(terms) == {"reach", "time", "success", "haste", "failure"}
-            assert sum(terms.values()) == pytest.approx(returns[lane], abs=1e-5)
-            returns[lane] = lengths[lane] = 0
-    assert found > LANES
+            assert sum(terms.values()) == pytest.approx(returns[i], abs=1e-5)
+            returns[i] = lengths[i] = 0
+    assert found > NUM_ENVS
 
 
 def test_stable_baselines3_learns_on_it_and_evaluates_on_it() -> None:
@@ -153,8 +158,8 @@ def test_stable_baselines3_learns_on_it_and_evaluates_on_it() -> None:
 
 def test_attributes_and_methods_are_the_vector_envs() -> None:
     env = make()
-    env.set_attr("note", "all lanes")
-    assert env.get_attr("note") == ["all lanes"] * LANES
+    env.set_attr("note", "shared")
+    assert env.get_attr("note") == ["shared"] * NUM_ENVS
     assert env.has_attr("settings")
     assert not env.has_attr("no_such_thing")
     assert env.env_method("__str__", indices=[0, 1]) == [str(env.env)] * 2
@@ -163,9 +168,42 @@ def test_attributes_and_methods_are_the_vector_envs() -> None:
 def test_a_reset_starts_returns_anew() -> None:
     env = make(limit=3)
     env.reset()
-    env.step(np.full(LANES, ROLL))
+    env.step(np.full(NUM_ENVS, ROLL))
     env.reset()
     for _ in range(3):
-        _, _, dones, infos = env.step(np.full(LANES, ROLL))
+        _, _, dones, infos = env.step(np.full(NUM_ENVS, ROLL))
     assert dones.all()
-    assert [info["episode"]["l"] for info in infos] == [3] * LANES
+    assert [info["episode"]["l"] for info in infos] == [3] * NUM_ENVS
+
+
+def slow(count: int, **kwargs: object) -> SurfaceVecEnv:
+    return SurfaceVecEnv(
+        gym.make_vec(
+            "SmartSurface/Slow-v0",
+            num_envs=count,
+            actions="halves",
+            autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
+            **kwargs,
+        )
+    )
+
+
+def test_concatenated_environments_are_those_apart() -> None:
+    together = ConcatVecEnv([slow(3), slow(2, sensors=Camera())])
+    apart = [slow(3), slow(2, sensors=Camera())]
+    together.seed(10)
+    apart[0].seed(10)
+    apart[1].seed(13)
+    first = together.reset()
+    np.testing.assert_array_equal(first, np.concatenate([each.reset() for each in apart]))
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        actions = rng.integers(0, 16, 5)
+        observations, rewards, dones, infos = together.step(actions)
+        parts = [each.step(some) for each, some in zip(apart, np.split(actions, [3]), strict=True)]
+        np.testing.assert_array_equal(observations, np.concatenate([part[0] for part in parts]))
+        np.testing.assert_array_equal(rewards, np.concatenate([part[1] for part in parts]))
+        np.testing.assert_array_equal(dones, np.concatenate([part[2] for part in parts]))
+        assert [bool(info) for info in infos] == dones.tolist()
+    assert together.get_attr("num_envs", [0, 4]) == [3, 2]
+    assert together.env_is_wrapped(gym.Wrapper, [1]) == [False]

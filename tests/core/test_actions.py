@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.config import EnvConfig
 from surface_gym.core.actions import ActionKind
 from surface_gym.core.batch import Batch
 from surface_gym.lines import ORIENTATIONS
 from surface_gym.randomisation import Actuators
-from surface_gym.settings import Settings
 from surface_gym.tasks.base import Start
 from surface_gym.tasks.sort import FEATURES
 from tests.batches import batch_with, put
@@ -81,14 +81,14 @@ def test_each_module_turns_to_the_angle_its_part_says(actions: str) -> None:
 
 def assert_follows(batch: Batch, command: np.ndarray) -> None:
     """Each module of the zone turns as its part of the command says, every other stays."""
-    lane, any_angle = batch.view(0), batch.settings.action_kind.continuous
+    lane, any_angle = batch.view(0), batch.config.action_kind.continuous
     wanted = np.full(lane.rotor.shape, math.pi / 2)
     for row, column in zip(*np.nonzero(lane.obeys), strict=True):
-        part = part_of(batch.settings.actions, batch, int(row), int(column))
+        part = part_of(batch.config.actions, batch, int(row), int(column))
         if part is not None:
             says = command[0, part]
             wanted[row, column] = says if any_angle else ORIENTATIONS[says]
-    batch.advance(command)
+    batch.step(command)
     np.testing.assert_allclose(batch.axes(0), wanted, rtol=0.0, atol=1e-15)
 
 
@@ -156,8 +156,8 @@ class TestOccupancy:
     "change", [lambda surfaces: surfaces.angle, lambda surfaces: surfaces.target]
 )
 def test_instant_axes_take_no_memory_to_turn(change: Callable[[Any], np.ndarray]) -> None:
-    assert change(Batch(Settings(), 3).surfaces).shape == (3, 1, 1)
-    slow = Batch(Settings(actuators=Actuators(axis_speed=1.0)), 3)
+    assert change(Batch(EnvConfig(), 3).surfaces).shape == (3, 1, 1)
+    slow = Batch(EnvConfig(actuators=Actuators(axis_speed=1.0)), 3)
     assert change(slow.surfaces).shape == (3, 20, 30)
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch
 from surface_gym.core.resets import NO_EDGE, place_parcel
 from surface_gym.lines import Field, Line
 from surface_gym.physics.types import COM_X, COM_Y, HALF_LENGTH, RADIUS
-from surface_gym.settings import Settings
 from surface_gym.tasks.base import Start
 from tests.batches import batch_with, put
 from tests.environments import HEPTAGON, PARCELS, TRIANGLE
@@ -61,7 +61,7 @@ def test_a_lane_tells_the_pose_it_was_given(
 
 def test_a_lane_forgets_the_parcel_before() -> None:
     start = Start(sg.layouts.box("S"), (0.125, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,))
-    used, fresh = Batch(Settings(), 1), batch_with(start)
+    used, fresh = Batch(EnvConfig(), 1), batch_with(start)
     for parcel in (HEPTAGON, sg.layouts.box("B"), TRIANGLE):
         put(used, start._replace(parcel=parcel))
         used.advance(np.full((1, 64), 1))
@@ -77,7 +77,7 @@ def test_a_lane_forgets_the_parcel_before() -> None:
 
 
 def test_lanes_of_the_same_parcel_share_its_site() -> None:
-    batch = Batch(Settings(), 5)
+    batch = Batch(EnvConfig(), 5)
     mine = sg.Parcel(sg.Disc(0.12))
     names = ("S", "B", "S", "B", mine)
     for lane, parcel in enumerate(names):
@@ -91,7 +91,7 @@ def test_lanes_of_the_same_parcel_share_its_site() -> None:
 
 
 def test_parcels_that_do_not_fit_are_told_beforehand() -> None:
-    batch = Batch(Settings(), 1)
+    batch = Batch(EnvConfig(), 1)
     batch.check([{"parcel": "B"}])
     with pytest.raises(ValueError, match="parcel must be at most"):
         batch.check([{"parcel": "B"}, {"parcel": sg.Parcel(sg.Rectangle(3.0, 0.1))}])

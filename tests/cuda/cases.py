@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from surface_gym.config import EnvConfig
 from surface_gym.randomisation import Actuators
 from surface_gym.registration import env_id
-from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS
 from tests.flow.flows import DENSE, SHORT
 
@@ -27,7 +27,7 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 # Short lines with more parcels than can pass: some touch.
 DENSE_FLOW: dict[str, Any] = {
-    "plant": SHORT, "stream": DENSE, "places": 6, "duration": 0.8, "control_period": 0.04,
+    "line": SHORT, "stream": DENSE, "places": 6, "duration": 0.8, "control_period": 0.04,
 }  # fmt: skip
 FLOWS: dict[str, dict[str, Any]] = {
     "a flow of modules": {**DENSE_FLOW, "actions": "modules"},
@@ -40,9 +40,9 @@ needs_numba_cuda = pytest.mark.skipif(
 )
 
 
-def settings_of(name: str) -> Settings:
+def settings_of(name: str) -> EnvConfig:
     task, settings = CASES[name]
-    return Settings(task=task, **settings)
+    return EnvConfig(task=task, **settings)
 
 
 def id_of(name: str) -> str:

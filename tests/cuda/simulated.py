@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
 
-from surface_gym.devices import make_device_env, make_device_flow
 from surface_gym.registration import FLOW
+from surface_gym.vector_env import make_device_env
 from tests.cuda.cases import CASES, FLOWS, actions_of, id_of
 
 LANES, LIMIT, PERIODS = 3, 5, 12
@@ -45,7 +45,7 @@ def differences_of_flow(name: str, mode: AutoresetMode) -> list[str]:
     """What is not the same to the bit, over two episodes of a flow in which parcels touch."""
     given = {"autoreset_mode": mode, **FLOWS[name]}
     cpu = gym.make_vec(FLOW, num_envs=FLOW_LANES, **given)
-    device = make_device_flow(FLOW_LANES, "cpu", **given)
+    device = make_device_env(FLOW_LANES, "cpu", **given)
     periods = round(1.5 * FLOWS[name]["duration"] / device.settings.control_period)
     found, touches = begun(cpu, device), 0
     for period, action in enumerate(actions_of(cpu, periods)):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch
 from surface_gym.cuda.batch import CudaBatch
 from surface_gym.cuda.prefetch import AHEAD
-from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS
 from tests.cuda.cases import needs_numba_cuda
 
@@ -27,7 +27,7 @@ class StillBatch(Batch):
 
 def pair(task, seed=0):
     """A batch of each kind, seeded alike."""
-    settings = Settings(task=task)
+    settings = EnvConfig(task=task)
     batch, device = StillBatch(settings, LANES), CudaBatch(settings, LANES, CPU)
     for lane in range(LANES):
         batch.seed(lane, np.random.default_rng(seed + lane))

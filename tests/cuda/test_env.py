@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from surface_gym.config import EnvConfig
 from surface_gym.cuda.env import TensorActions
-from surface_gym.settings import Settings
 
 LANES = 5
 CPU = torch.device("cpu")
@@ -19,7 +19,7 @@ EVERY_KIND = [
 
 
 def kind_of(actions, orientations=None):
-    return Settings(actions=actions, orientations=orientations).action_kind
+    return EnvConfig(actions=actions, orientations=orientations).action_kind
 
 
 @pytest.mark.parametrize(("actions", "orientations"), EVERY_KIND)

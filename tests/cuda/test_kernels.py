@@ -6,7 +6,8 @@ import inspect
 
 import numpy as np
 
-from surface_gym.core.batch import Batch, functions_of
+from surface_gym.core.assembly import task_functions
+from surface_gym.core.batch import Batch
 from surface_gym.core.kernel import make_kernel
 from surface_gym.cuda.kernels import Source
 from surface_gym.cuda.memory import capacity_of, layout
@@ -30,7 +31,7 @@ def scratch_of(places) -> Scratch:
 def test_a_lane_moves_as_in_the_compiled_batch(name):
     settings = settings_of(name)
     places = layout(capacity_of(settings))
-    move_lanes = Source(places, plain).remade(make_kernel(functions_of(settings)))
+    move_lanes = Source(places, plain).remade(make_kernel(task_functions(settings)))
     assert inspect.isfunction(move_lanes)
     batches = [Batch(settings, 1) for _ in range(2)]
     compiled, python = batches

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import surface_gym as sg
-from surface_gym.core.batch import memory_of, rules_of
+from surface_gym.config import EnvConfig
+from surface_gym.core.assembly import make_rules, make_state
 from surface_gym.cuda.memory import (
     GRIDS,
     ROWS_OF_MARKS,
@@ -22,7 +23,6 @@ from surface_gym.cuda.memory import (
     to_device,
 )
 from surface_gym.physics import types
-from surface_gym.settings import Settings
 from surface_gym.tasks import TASKS
 from tests.cuda.cases import every_case, needs_numba_cuda, settings_of
 from tests.environments import PARCELS
@@ -46,7 +46,7 @@ def test_lanes_lie_side_by_side_but_for_grids_which_lie_together(name):
 @every_case
 def test_it_holds_what_the_cpus_does(name):
     settings = settings_of(name)
-    pairs = zip(make_memory(settings, LANES, CPU), memory_of(settings, LANES), strict=True)
+    pairs = zip(make_memory(settings, LANES, CPU), make_state(settings, LANES), strict=True)
     for here, there in pairs:
         for field, one, other in zip(here._fields, here, there, strict=True):
             if other.size:
@@ -57,7 +57,7 @@ def test_it_holds_what_the_cpus_does(name):
 @every_case
 def test_no_array_that_a_kernel_takes_is_empty(name):
     settings = settings_of(name)
-    for part in (*make_memory(settings, LANES, CPU), to_device(rules_of(settings), CPU)):
+    for part in (*make_memory(settings, LANES, CPU), to_device(make_rules(settings), CPU)):
         assert all(values.numel() for values in part if torch.is_tensor(values))
 
 
@@ -69,7 +69,7 @@ def test_a_kernel_sees_the_same_memory():
 
 
 def test_what_is_no_array_stays_as_it_is():
-    rules = rules_of(settings_of("sort"))
+    rules = make_rules(settings_of("sort"))
     assert to_device(rules, CPU).timing == rules.timing
     assert to_device(rules, CPU).outcomes == rules.outcomes
 
@@ -126,10 +126,10 @@ def test_no_base_covers_more_elements_than_there_is_room_for(name, theta, x, y, 
 
 @pytest.mark.parametrize("task", TASKS)
 def test_the_boxes_of_the_tasks_need_little(task):
-    assert 20 <= capacity_of(Settings(task=task)) <= 40
+    assert 20 <= capacity_of(EnvConfig(task=task)) <= 40
 
 
 def test_a_base_of_many_edges_has_room_for_them():
     angles = np.arange(60) * 2.0 * math.pi / 60
     parcel = sg.Parcel(sg.Polygon(0.1 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)))
-    assert capacity_of(Settings(task=sg.tasks.Sort(parcels=(parcel,)))) == 60
+    assert capacity_of(EnvConfig(task=sg.tasks.Sort(parcels=(parcel,)))) == 60

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numba import typeof, types
 
+from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch
-from surface_gym.flow.episodes import FlowEpisodes
-from surface_gym.flow.settings import FlowSettings
+from surface_gym.flow.batch import StreamBatch
 from surface_gym.tasks import TASKS
 from tests.cuda.cases import needs_numba_cuda, settings_of
 
@@ -65,8 +65,8 @@ def test_every_task_compiles_for_every_capability(name):
 def test_a_flow_compiles_for_every_capability():
     from surface_gym.cuda.kernels import make_scratch, move_flow_kernel, stream_capacity
 
-    settings = FlowSettings(places=16)
-    flows = FlowEpisodes(settings, 2)
+    settings = EnvConfig(places=16)
+    flows = StreamBatch(settings, 2)
     one = make_scratch(stream_capacity(settings, settings.stream.kinds), settings.rows)
     scratches = type(one)._make(np.stack([values, values]) for values in one)
     memory = (flows.surfaces, flows.lanes, flows.sites, flows.flows, scratches)

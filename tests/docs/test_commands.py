@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 import tyro
+from surface_gym.agents.tuning.sweep import read_sweep
 
-from agents.search.sweep import read_sweep
 from tests.docs.reading import PAGES, ROOT, blocks_of
 
 SHELL = ("sh", "")
@@ -77,7 +77,7 @@ def test_a_program_takes_the_command(
     if words[0] in OTHERS:
         return
     if words[0] == "surface-gym":
-        from surface_gym.console import COMMANDS as known
+        from surface_gym.cli import COMMANDS as known
 
         assert words[1] == "--help" or words[1] in known, page
         return

@@ -11,12 +11,12 @@ import pytest
 from numpy.typing import ArrayLike
 
 import surface_gym as sg
+from surface_gym.config import EnvConfig
+from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.arrivals import Poisson
-from surface_gym.flow.batch import FlowBatch
-from surface_gym.flow.env import FlowEnv
-from surface_gym.flow.line import flow_line
-from surface_gym.flow.memory import ENTERED
-from surface_gym.flow.settings import FlowSettings
+from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.exits import flow_line
+from surface_gym.flow.state import ENTERED
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.trace import Arrival, Trace
 from surface_gym.physics.step import com_states
@@ -54,13 +54,13 @@ def trace(*arrivals: tuple[float, str], parcel: sg.Parcel = BOX, speed: float = 
     return Stream(Trace(tuple(Arrival(time, parcel, speed, name) for time, name in arrivals)))
 
 
-def bare(**settings: Any) -> FlowEnv:
+def bare(**settings: Any) -> SmartSurfaceEnv:
     """A short flow with a dense stream, without Gymnasium's wrappers."""
-    settings = {"stream": DENSE, "duration": 2.0, "plant": SHORT, **settings}
+    settings = {"stream": DENSE, "duration": 2.0, "line": SHORT, **settings}
     return gym.make(FLOW, disable_env_checker=True, **settings).unwrapped
 
 
-def same_choice(env: FlowEnv, choice: int) -> Any:
+def same_choice(env: SmartSurfaceEnv, choice: int) -> Any:
     """The action that says one choice for every part."""
     return np.full(env.action_space.shape, choice)
 
@@ -68,7 +68,7 @@ def same_choice(env: FlowEnv, choice: int) -> Any:
 Step = tuple[np.ndarray, float, bool, bool, dict[str, Any]]
 
 
-def steps(env: FlowEnv, seed: int, hold: int = 5) -> Iterator[Step]:
+def steps(env: SmartSurfaceEnv, seed: int, hold: int = 5) -> Iterator[Step]:
     """Every step of an episode of random actions, each held for some periods."""
     env.action_space.seed(seed)
     env.reset(seed=seed)
@@ -83,7 +83,7 @@ def steps(env: FlowEnv, seed: int, hold: int = 5) -> Iterator[Step]:
         yield step
 
 
-def play(env: FlowEnv, choice: int, seed: int = 0) -> list[Step]:
+def play(env: SmartSurfaceEnv, choice: int, seed: int = 0) -> list[Step]:
     """Every step of an episode in which all modules are set to one choice."""
     env.reset(seed=seed)
     played = [env.step(same_choice(env, choice))]
@@ -92,15 +92,15 @@ def play(env: FlowEnv, choice: int, seed: int = 0) -> list[Step]:
     return played
 
 
-def batch_with(stream: Stream, **settings: Any) -> FlowBatch:
+def batch_with(stream: Stream, **settings: Any) -> StreamBatch:
     """A batch of one surface that has begun."""
-    batch = FlowBatch(FlowSettings(stream, **{"plant": SHORT, **settings}), 1)
+    batch = StreamBatch(EnvConfig("flow", stream=stream, **{"line": SHORT, **settings}), 1)
     batch.seed(0, np.random.default_rng(0))
-    batch.start(np.array([0]))
+    batch.reset(np.array([0]))
     return batch
 
 
-def set_down(batch: FlowBatch, poses: ArrayLike, velocities: ArrayLike | None = None) -> None:
+def set_down(batch: StreamBatch, poses: ArrayLike, velocities: ArrayLike | None = None) -> None:
     """Put the first arrivals down on the surface of a batch of one, wherever they have entered.
 
     Args:
@@ -116,7 +116,7 @@ def set_down(batch: FlowBatch, poses: ArrayLike, velocities: ArrayLike | None = 
     lanes.sensed[:count, 3:] = moving
     lanes.site[:count] = flows.site[0, :count]
     asked = flows.exit[0, :count]
-    lanes.goal[:count] = np.column_stack([asked, batch.flow_rules.exits[asked]])
+    lanes.goal[:count] = np.column_stack([asked, batch.params.exits[asked]])
     for values in (lanes.memory, lanes.clock, lanes.steps):
         values[:count] = 0
     flows.number[0, :count] = np.arange(count)
@@ -127,18 +127,18 @@ def set_down(batch: FlowBatch, poses: ArrayLike, velocities: ArrayLike | None = 
     flows.tally[0, ENTERED] = count
 
 
-def parcel_of(batch: FlowBatch, place: int, lane: int = 0) -> sg.Parcel:
+def parcel_of(batch: StreamBatch, place: int, lane: int = 0) -> sg.Parcel:
     """The parcel that has a place."""
     return batch._pool.parcel(int(batch.parcels.site[lane * batch.rows + place]))
 
 
-def surface_of(settings: FlowSettings, angle: float) -> sg.Surface:
+def surface_of(settings: EnvConfig, angle: float) -> sg.Surface:
     """The surface with the axes of all that obeys at an angle [rad], for `simulate`."""
-    first_row, rows, first, columns = settings.zone
-    axis = np.full(settings.rotor.shape, math.pi / 2)
+    first_row, rows, first, columns = settings.site.zone
+    axis = np.full(settings.site.rotor.shape, math.pi / 2)
     axis[first_row : first_row + rows, first : first + columns] = angle
-    level = settings.chosen_plant.surface(axis, settings.rotor)
-    return dataclasses.replace(level, tilt=settings.tilt)
+    level = settings.chosen_line.surface(axis, settings.site.rotor)
+    return dataclasses.replace(level, tilt=settings.stream_task.tilt)
 
 
 def assert_alike(first: Any, second: Any) -> None:
@@ -164,7 +164,7 @@ def box_of(parcel: sg.Parcel, pose: ArrayLike) -> tuple[float, float, float, flo
     return pose[X] + low[0], pose[X] + high[0], pose[Y] + low[1], pose[Y] + high[1]
 
 
-def truths(batch: FlowBatch, lane: int = 0) -> dict[int, Array]:
+def truths(batch: StreamBatch, lane: int = 0) -> dict[int, Array]:
     """Pose and velocity of who is there, by the number of arrival."""
     first = lane * batch.rows
     return {

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surface_gym.flow.batch import FlowBatch
-from surface_gym.flow.memory import NOBODY, TURNS
+from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.state import NOBODY, TURNS
 from surface_gym.physics.types import VX, VY, Array, X, Y
 from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Presence
@@ -25,10 +25,10 @@ def while_over(low: float, high: float, speed: float, place: float) -> tuple[flo
     return first, last
 
 
-def slow_claims(batch: FlowBatch, sensed: Array, present: Array, ahead: float) -> Array:
+def slow_claims(batch: StreamBatch, sensed: Array, present: Array, ahead: float) -> Array:
     """(rows, columns) the place that each module obeys, module by module and parcel by parcel."""
-    first_row, rows, first, columns = batch.settings.zone
-    owner = np.full(batch.settings.rotor.shape, NOBODY)
+    first_row, rows, first, columns = batch.config.site.zone
+    owner = np.full(batch.config.site.rotor.shape, NOBODY)
     for row in range(first_row, first_row + rows):
         for column in range(first, first + columns):
             x, y = 0.05 + 0.1 * column, 0.05 + 0.1 * row
@@ -62,7 +62,7 @@ class TestRule:
         batch = batch_with(FULL, actions="parcels", ahead=ahead, duration=9.0)
         claimed = 0
         for _ in range(12):
-            batch.start(np.array([0]))
+            batch.reset(np.array([0]))
             set_down(batch, scattered(rng, 12)[:, :3])
             # A sensor may see them anywhere; some stand still in x or in y.
             sensed = scattered(rng, 12)
@@ -71,7 +71,7 @@ class TestRule:
             batch.parcels.sensed[:12] = sensed
             batch.streams.present[0, 5] = False
             present = batch.streams.present[0].copy()
-            batch.advance(np.zeros((1, 48), dtype=np.int64))
+            batch.step(np.zeros((1, 48), dtype=np.int64))
             wanted = slow_claims(batch, sensed, present, ahead)
             np.testing.assert_array_equal(batch.streams.owner[0], wanted)
             claimed += int((wanted != NOBODY).sum())
@@ -82,14 +82,14 @@ class TestRule:
         batch = batch_with(FULL, actions="parcels", duration=9.0)
         set_down(batch, [(0.7, 1.0, 0.0), (1.5, 1.0, 0.0)])
         batch.parcels.sensed[0, X] = stray
-        batch.advance(np.zeros((1, 48), dtype=np.int64))
+        batch.step(np.zeros((1, 48), dtype=np.int64))
         assert set(np.unique(batch.streams.owner[0])) == {NOBODY, 1}
 
     def test_of_two_that_it_bears_the_nearer_is_obeyed(self) -> None:
         batch = batch_with(FULL, actions="parcels", duration=9.0)
         set_down(batch, [(0.75, 1.0, 0.0), (1.0, 1.0, 0.0)])
         batch.parcels.sensed[:2, X] = 0.80, 1.0  # seen to overlap around x = 0.9
-        batch.advance(np.zeros((1, 48), dtype=np.int64))
+        batch.step(np.zeros((1, 48), dtype=np.int64))
         assert (batch.streams.owner[0, 9:11, 8] == 0).all()  # at x = 0.85
         assert (batch.streams.owner[0, 9:11, 9] == 1).all()  # at x = 0.95
 
@@ -102,15 +102,15 @@ class TestCommands:
         if orientations == "any":
             settings["sensors"] = Presence()
         batch = batch_with(DENSE, actuators=Actuators(stuck=STUCK), duration=4.0, **settings)
-        kind = batch.settings.action_kind
+        kind = batch.config.action_kind
         rng = np.random.default_rng(2)
-        told = np.full(batch.settings.rotor.shape, math.pi / 2)
+        told = np.full(batch.config.site.rotor.shape, math.pi / 2)
         turns = 0
-        claimed = np.zeros_like(batch.settings.rotor)
+        claimed = np.zeros_like(batch.config.site.rotor)
         for period in range(75):
             if period % 4 == 0:
                 drawn = rng.integers(0, 4, (24, 2))
-                angles = np.array(batch.settings.chosen_orientations)[drawn]
+                angles = np.array(batch.config.chosen_orientations)[drawn]
                 if orientations == "any":
                     angles = drawn = rng.uniform(-1.5, 1.5, (24, 2))
             sensed = batch.parcels.sensed.copy()
@@ -118,13 +118,13 @@ class TestCommands:
             before = told.copy()
             for row, column in np.argwhere(owner != NOBODY):
                 place = owner[row, column]
-                if batch.settings.rotor[row, column] and (row, column) not in STUCK:
+                if batch.config.site.rotor[row, column] and (row, column) not in STUCK:
                     behind = 0.05 + 0.1 * column < sensed[place, X]
                     told[row, column] = angles[place, int(behind)]
             # An axis that was turned by pi is the same axis.
             turns += int((np.abs(np.sin(told - before)) > 1e-9).sum())
-            batch.advance(kind.commands(drawn.reshape(1, -1), 1))
-            np.testing.assert_array_equal(batch.streams.told[0], told)
+            batch.step(kind.commands(drawn.reshape(1, -1), 1))
+            np.testing.assert_array_equal(batch.streams.commanded[0], told)
             assert batch.streams.tally[0, TURNS] == turns
             claimed |= owner != NOBODY
         assert claimed[:, 5:19].sum() > 30
@@ -139,10 +139,10 @@ class TestCommands:
             other = commands.copy()
             free = ~batch.streams.present[0]
             other[free] = rng.integers(0, 4, (int(free.sum()), 2))
-            batch.advance(commands.reshape(1, -1))
+            batch.step(commands.reshape(1, -1))
             twin.advance(other.reshape(1, -1))
             np.testing.assert_array_equal(batch.parcels.state, twin.lanes.state)
-            np.testing.assert_array_equal(batch.streams.told, twin.flows.told)
+            np.testing.assert_array_equal(batch.streams.commanded, twin.streams.commanded)
 
     def test_boxes_are_those_of_turned_bases(self) -> None:
         """What the slow account rests on: a square turned by 45 deg is sqrt(2) as wide."""

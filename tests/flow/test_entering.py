@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from surface_gym.flow.arrivals import Poisson, Steady
-from surface_gym.flow.batch import FlowBatch
-from surface_gym.flow.features import PRESENT, WAITS
-from surface_gym.flow.memory import NOBODY
-from surface_gym.flow.statistics import statistics_of
+from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.state import NOBODY
+from surface_gym.flow.statistics import compute_statistics
 from surface_gym.flow.stream import Stream
+from surface_gym.flow.task import PRESENT, WAITS
 from surface_gym.physics.types import THETA, Array
 from surface_gym.randomisation import Randomisation
 from tests.flow.flows import BRAKE, DENSE, ROLL, batch_with, box_of, parcel_of, trace
@@ -19,23 +19,23 @@ DT = 0.005  # [s] also the control period: every physics step is seen
 RUSH = Stream(Poisson(20000.0, 0.05), parcels=("S", "B"), speeds=(0.8, 1.6))
 
 
-def rush(**settings: Any) -> FlowBatch:
+def rush(**settings: Any) -> StreamBatch:
     """More parcels than can enter, a control period a physics step."""
     settings = {"stream": RUSH, "control_period": DT, "duration": 2.0, **settings}
     return batch_with(**settings)
 
 
-def command(batch: FlowBatch, choice: int) -> Array:
-    return np.full((1, batch.settings.flow_actions.size), choice)
+def command(batch: StreamBatch, choice: int) -> Array:
+    return np.full((1, batch.config.action_kind.size), choice)
 
 
-def poses(batch: FlowBatch) -> dict[int, Array]:
+def poses(batch: StreamBatch) -> dict[int, Array]:
     """Of who is there, by place."""
     present = np.nonzero(batch.streams.present[0])[0]
     return {int(place): batch.parcels.truth[place, : THETA + 1].copy() for place in present}
 
 
-def clear(batch: FlowBatch, place: int, others: dict[int, Array], gap: float) -> bool:
+def clear(batch: StreamBatch, place: int, others: dict[int, Array], gap: float) -> bool:
     """Whether the box of the parcel of a place, with a gap around and ahead, is free of others."""
     _, front, right, left = box_of(parcel_of(batch, place), poses(batch)[place])
     for other, pose in others.items():
@@ -46,7 +46,7 @@ def clear(batch: FlowBatch, place: int, others: dict[int, Array], gap: float) ->
     return True
 
 
-def next_clear(batch: FlowBatch, others: dict[int, Array], gap: float) -> bool:
+def next_clear(batch: StreamBatch, others: dict[int, Array], gap: float) -> bool:
     """Whether the next to enter would find room."""
     flows = batch.streams
     arrival = int(flows.coming[0])
@@ -70,15 +70,15 @@ class TestRoom:
             {},
             {"entry_gap": 0.2},
             {"entry_gap": 0.0},
-            {"places": 2},
-            {"places": 1},
+            {"max_parcels": 2},
+            {"max_parcels": 1},
             {"randomisation": Randomisation(lateral=0.15, heading=0.1)},
         ],
         ids=repr,
     )
     def test_enters_at_the_first_step_with_room_and_a_place(self, settings: Any) -> None:
         batch = rush(**settings, duration=7.0)
-        gap = batch.settings.entry_gap
+        gap = batch.config.stream_task.entry_gap
         flows = batch.streams
         entered = barred = full = 0
         for step in range(1200):
@@ -86,7 +86,7 @@ class TestRoom:
             waiting -= int(flows.coming[0])
             held = (flows.number[0] != NOBODY) & flows.present[0]
             before = int(flows.coming[0])
-            batch.advance(command(batch, ROLL if step < 1050 else BRAKE))
+            batch.step(command(batch, ROLL if step < 1050 else BRAKE))
             flows = batch.streams
             now = poses(batch)
             if flows.coming[0] > before:
@@ -107,7 +107,7 @@ class TestRoom:
                     barred += 1
         assert entered >= 2
         assert barred + full > 100
-        assert full > 0 or batch.places > 2
+        assert full > 0 or batch.task.max_parcels > 2
 
     def test_nobody_is_dropped_and_order_is_kept(self) -> None:
         batch = rush()
@@ -115,7 +115,7 @@ class TestRoom:
         waited = 0.0
         for _ in range(390):
             waited += DT * int(flows.due[0] - flows.coming[0])
-            batch.advance(command(batch, ROLL))
+            batch.step(command(batch, ROLL))
             flows = batch.streams
             time = flows.time[0, : flows.arrivals[0]]
             due = int((time <= flows.clock[0]).sum())
@@ -128,7 +128,7 @@ class TestRoom:
         assert (np.diff(flows.entered[0, :entered]) > 0.0).all()
         late = np.maximum(flows.clock[0], 0.0) - time[entered:due]
         most = max((flows.entered[0, :entered] - time[:entered]).max(), late.max())
-        found = statistics_of(flows, 0, jammed=False, obeying=1)
+        found = compute_statistics(flows, 0, jammed=False, obeying=1)
         assert found.waiting_most == pytest.approx(most)
         # Each that waits adds to the sum what it has waited, but for a step's round-off.
         each = np.concatenate([flows.entered[0, :entered] - time[:entered], late])
@@ -138,7 +138,7 @@ class TestRoom:
         """At a gap of 3 s each enters in the first physics step after its time."""
         batch = batch_with(Stream(Steady(1200.0)), duration=9.5)
         while batch.streams.outcome[0] == 0:
-            batch.advance(command(batch, ROLL))
+            batch.step(command(batch, ROLL))
         np.testing.assert_allclose(
             batch.streams.entered[0, :4], [0.0, 3.0, 6.0, 9.0], atol=DT + 1e-9
         )
@@ -149,7 +149,7 @@ class TestRoom:
         batch = batch_with(DENSE, duration=3.0)
         place_of: dict[int, int] = {}
         for _ in range(74):
-            batch.advance(command(batch, ROLL))
+            batch.step(command(batch, ROLL))
             for place in np.nonzero(batch.streams.present[0])[0].tolist():
                 number = int(batch.streams.number[0, place])
                 assert place_of.setdefault(number, place) == place
@@ -157,19 +157,19 @@ class TestRoom:
 
 
 class TestGate:
-    def gated(self, *times: float, **settings: Any) -> FlowBatch:
+    def gated(self, *times: float, **settings: Any) -> StreamBatch:
         stream = trace(*[(time, "straight") for time in times])
         return batch_with(stream, gate=True, duration=4.0, **{"actions": "parcels", **settings})
 
-    def told(self, batch: FlowBatch, opens: int) -> Array:
+    def told(self, batch: StreamBatch, opens: int) -> Array:
         action = command(batch, ROLL)
         action[0, -1] = opens
-        return batch.settings.flow_actions.commands(action, 1)
+        return batch.config.action_kind.commands(action, 1)
 
     def test_shut_it_lets_nobody_in(self) -> None:
         batch = self.gated(0.0, 0.1)
         for _ in range(20):
-            batch.advance(self.told(batch, 0))
+            batch.step(self.told(batch, 0))
             assert not batch.streams.present.any()
         assert batch.streams.due[0] == 2
         # They are counted as due in the physics step in which their time comes.
@@ -178,7 +178,7 @@ class TestGate:
     @pytest.mark.parametrize("opens", [1, 3, 8])
     def test_opened_it_lets_one_in_from_that_step_on(self, opens: int) -> None:
         batch = self.gated(0.0, 0.0)
-        batch.advance(self.told(batch, opens))
+        batch.step(self.told(batch, opens))
         assert batch.streams.coming[0] == 1
         assert batch.streams.entered[0, 0] == pytest.approx(opens * DT)
 
@@ -187,9 +187,9 @@ class TestGate:
         waits = batch.observation[0, -1].copy()
         assert waits[PRESENT] == waits[WAITS] == 1.0
         assert waits[12] == 0.0
-        batch.advance(self.told(batch, 0))
+        batch.step(self.told(batch, 0))
         assert batch.observation[0, -1, 12] == pytest.approx(-0.04 / 4.0)
-        batch.advance(self.told(batch, 8))
+        batch.step(self.told(batch, 8))
         np.testing.assert_array_equal(batch.observation[0, 0, :12], waits[:12])
         assert batch.observation[0, 0, WAITS] == 0.0
         assert not batch.observation[0, -1].any()  # the second's time has yet to come
@@ -200,10 +200,10 @@ class TestGate:
             duration=4.0, actions="parcels",
         )  # fmt: skip
         free_action = command(free, ROLL)
-        batch.advance(self.told(batch, 1))
+        batch.step(self.told(batch, 1))
         free.advance(free_action)
         for _ in range(60):
-            batch.advance(self.told(batch, 1))
+            batch.step(self.told(batch, 1))
             free.advance(free_action)
         np.testing.assert_array_equal(batch.streams.entered[0, 1:3], free.flows.entered[0, 1:3])
 
@@ -213,4 +213,4 @@ class TestGate:
     def test_bad_actions_are_named(self, action: Any) -> None:
         batch = self.gated(0.0)
         with pytest.raises(ValueError, match="action"):
-            batch.settings.flow_actions.commands([action], 1)
+            batch.config.action_kind.commands([action], 1)

@@ -14,8 +14,8 @@ from stable_baselines3.common.env_checker import check_env as check_by_stable_ba
 
 import surface_gym as sg
 from surface_gym.flow.arrivals import Schedule
-from surface_gym.flow.features import FEATURES
 from surface_gym.flow.stream import Stream
+from surface_gym.flow.task import FEATURES
 from surface_gym.randomisation import Randomisation
 from tests.environments import TWINS
 from tests.flow.flows import (
@@ -73,13 +73,13 @@ class TestEpisodes:
             assert ("episode_figures" in info) == (terminated or truncated)
 
     def test_action_spaces(self) -> None:
-        modules, parcels = bare(actions="modules"), bare(actions="parcels", places=3)
+        modules, parcels = bare(actions="modules"), bare(actions="parcels", max_parcels=3)
         # 4 rows of rotors, and all columns after the lead-in; the run-out's obey nobody.
         assert modules.action_space == gym.spaces.MultiDiscrete([4] * 4 * (SHORT.columns - 5))
         assert parcels.action_space == gym.spaces.MultiDiscrete([4] * 6)
-        angles = bare(actions="parcels", places=3, orientations="any").action_space
+        angles = bare(actions="parcels", max_parcels=3, orientations="any").action_space
         assert angles == gym.spaces.Box(-np.float32(math.pi / 2), np.float32(math.pi / 2), (6,))
-        coarse = bare(actions="parcels", places=3, orientations=(0.0, 1.0)).action_space
+        coarse = bare(actions="parcels", max_parcels=3, orientations=(0.0, 1.0)).action_space
         assert coarse == gym.spaces.MultiDiscrete([2] * 6)
 
     @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ class TestEpisodes:
     )
     def test_lasts_its_duration(self, duration: float, period: float, periods: int) -> None:
         env = bare(actions="parcels", duration=duration, control_period=period)
-        assert env.settings.periods == periods
+        assert env.config.periods == periods
         played = play(env, ROLL)
         assert len(played) == periods
         assert [step[3] for step in played] == [False] * (periods - 1) + [True]
@@ -111,7 +111,7 @@ class TestEpisodes:
             assert_alike((reward, info), (wanted[1], wanted[4]))
 
     def test_a_gate_adds_a_row_and_a_number(self) -> None:
-        env = bare(actions="parcels", gate=True, places=3)
+        env = bare(actions="parcels", gate=True, max_parcels=3)
         assert env.observation_space.shape == (4, len(FEATURES))
         assert env.action_space == gym.spaces.MultiDiscrete([4] * 6 + [9])
         for observation, *_, info in steps(env, seed=0):
@@ -191,8 +191,8 @@ class TestEpisodes:
     def test_a_reset_may_bring_a_stream_of_its_own(self) -> None:
         env = bare(actions="parcels", duration=1.0)
         env.reset(seed=0, options={"stream": trace((0.0, "left 1"), (0.5, "right 2"))})
-        flows = env._batch.streams
-        names = env.settings.exits.names
+        flows = env.batch.streams
+        names = env.config.exits.names
         assert [names[place] for place in flows.exit[0, :2]] == ["left 1", "right 2"]
         assert flows.arrivals.tolist() == [2]
         env.reset(seed=0)
@@ -212,7 +212,7 @@ class TestSeeds:
         coming = []
         for seed in (0, 1, 2, None, None, None):
             env.reset(seed=seed)
-            coming.append(env._batch.streams.time[0, 1:6].copy())
+            coming.append(env.batch.streams.time[0, 1:6].copy())
         assert len(np.unique(coming, axis=0)) == 6
 
 
@@ -263,13 +263,11 @@ class TestMemory:
         tracemalloc.start()
         try:
             go(60)
-            before, rooms = tracemalloc.get_traced_memory()[0], len(env._batch.bodies.body)
+            before, rooms = tracemalloc.get_traced_memory()[0], len(env.batch.bodies.body)
             go(120)
             grown = tracemalloc.get_traced_memory()[0] - before
         finally:
             tracemalloc.stop()
         assert grown < 60_000  # [bytes] 500 an episode: less than a parcel
-        assert len(env._batch.bodies.body) == rooms
-        assert len(env._batch._pool._users) <= len(DENSE.kinds) + int(
-            env._batch.streams.arrivals[0]
-        )
+        assert len(env.batch.bodies.body) == rooms
+        assert len(env.batch._pool._users) <= len(DENSE.kinds) + int(env.batch.streams.arrivals[0])

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.arrivals import Steady
-from surface_gym.flow.env import FlowEnv
-from surface_gym.flow.memory import ENTERED
-from surface_gym.flow.rewards import ON_THE_WAY, PARCEL_TERMS
+from surface_gym.flow.state import ENTERED
 from surface_gym.flow.stream import Stream
+from surface_gym.flow.task import ON_THE_WAY, PARCEL_TERMS
 from surface_gym.physics.types import VX, X, Y
 from surface_gym.randomisation import Actuators, Randomisation
 from tests.flow.flows import (
@@ -43,7 +43,7 @@ class TestPhysics:
         box = sg.layouts.box(size)
         env = bare(stream=trace((0.0, "left 1"), parcel=box, speed=1.7), duration=10.0)
         env.reset(seed=0)
-        surface = surface_of(env.settings, env.settings.chosen_orientations[choice])
+        surface = surface_of(env.config, env.config.chosen_orientations[choice])
         start = (box.base.length / 2.0, SHORT.line_y, 0.0)
         run = sg.simulate(surface, box, start, (1.7, 0.0, 0.0), duration=10.0)
         period = 0
@@ -53,12 +53,12 @@ class TestPhysics:
             period += 1
             left = info["right"] + info["wrong"] > 0
             if not left:
-                truth = truths(env._batch)[0]
+                truth = truths(env.batch)[0]
                 np.testing.assert_array_equal(truth[:3], run.pose[8 * period])
                 np.testing.assert_array_equal(truth[3:], run.velocity[8 * period])
-        step = round(env._batch.streams.left[0, 0] / DT)
+        step = round(env.batch.streams.left[0, 0] / DT)
         assert 8 * (period - 1) < step <= 8 * period
-        np.testing.assert_array_equal(env._batch.parcels.truth[0, :3], run.pose[step])
+        np.testing.assert_array_equal(env.batch.parcels.truth[0, :3], run.pose[step])
 
     def test_two_move_as_by_simulate_together(self) -> None:
         """To the bit; and they begin to touch as often as it says."""
@@ -67,13 +67,13 @@ class TestPhysics:
         stream = trace((0.0, "straight"), (0.0, "straight"))
         batch = batch_with(stream, duration=5.0, restitution=0.5)
         set_down(batch, poses, velocities)
-        surface = surface_of(batch.settings, math.pi / 2)
+        surface = surface_of(batch.config, math.pi / 2)
         run = sg.simulate_together(
             surface, [BOX, BOX], poses, velocities, duration=1.0, restitution=0.5
         )
-        action = np.full((1, batch.settings.action_kind.size), ROLL)
+        action = np.full((1, batch.config.action_kind.size), ROLL)
         for period in range(1, 21):
-            batch.advance(action)
+            batch.step(action)
             for number, truth in truths(batch).items():
                 np.testing.assert_array_equal(truth[:3], run.trajectories[number].pose[8 * period])
         time = run.touches.time[run.touches.time < 20.5 * 0.04]
@@ -95,7 +95,7 @@ class TestMirror:
         env, mirror = (
             bare(stream=trace(*each), actions=actions, duration=2.4) for each in (coming, mirrored)
         )
-        kind = env.settings.action_kind
+        kind = env.config.action_kind
         line_y = SHORT.line_y
         env.action_space.seed(3)
         env.reset(seed=0)
@@ -109,7 +109,7 @@ class TestMirror:
             assert info["parcels"].tolist() == told["parcels"].tolist()
             assert reward == pytest.approx(paid, abs=1e-6)
             seen = truths(mirror._batch)
-            for number, truth in truths(env._batch).items():
+            for number, truth in truths(env.batch).items():
                 flip = truth * [1.0, -1.0, -1.0, 1.0, -1.0, -1.0] + [0, 2 * line_y, 0, 0, 0, 0]
                 np.testing.assert_allclose(seen[number], flip, rtol=0.0, atol=1e-7)
             # Whom a side is asked of is shown in a mirror, all but that side.
@@ -127,9 +127,9 @@ class TestEnds:
         still = 0
         terminated = False
         while not terminated:
-            before = truths(env._batch)
+            before = truths(env.batch)
             _, reward, terminated, truncated, info = env.step(same_choice(env, BRAKE))
-            now = truths(env._batch)
+            now = truths(env.batch)
             assert not truncated
             slow = all(np.hypot(*each[VX : VX + 2]) < 1e-3 for each in now.values())
             still = still + 1 if slow else 0
@@ -152,7 +152,7 @@ class TestEnds:
         assert touched > 0
 
 
-def out_and_halt(env: FlowEnv) -> Iterator[Step]:
+def out_and_halt(env: SmartSurfaceEnv) -> Iterator[Step]:
     """Every step of an episode in which parcels are let out to a side, and later run into others
     that brake.
     """
@@ -172,7 +172,7 @@ class TestRewards:
         randomisation = Randomisation(lateral=0.03) if varies else Randomisation()
         env = bare(actions="modules", duration=4.0, randomisation=randomisation)
         for _, reward, _, _, info in out_and_halt(env):
-            lanes, terms = env._batch.parcels, info["reward_terms"]
+            lanes, terms = env.batch.parcels, info["reward_terms"]
             shared = math.fsum(terms[name] for name in PARCEL_TERMS)
             assert lanes.reward.sum() == pytest.approx(shared, abs=1e-9)
             assert reward == pytest.approx(lanes.reward.sum() + terms["waiting"] + terms["jam"])
@@ -186,7 +186,7 @@ class TestRewards:
         for *_, info in out_and_halt(env):
             for name in totals:
                 totals[name] += info["reward_terms"][name]
-        flows = env._batch.streams
+        flows = env.batch.streams
         assert totals["right"] == info["right"]
         assert totals["wrong"] == -info["wrong"]
         assert totals["touch"] == pytest.approx(-0.5 * 2 * info["touches"])
@@ -207,8 +207,8 @@ class TestRewards:
         earned = sum(step[4]["reward_terms"]["reach"] for step in played)
         assert played[-1][4]["right"] == 0
         wanted = 0.0
-        for number, truth in truths(env._batch).items():
-            start = env._batch.streams.start[0, number]
+        for number, truth in truths(env.batch).items():
+            start = env.batch.streams.start[0, number]
             aside = abs(truth[Y] - SHORT.line_y) - abs(start[Y] - SHORT.line_y)
             wanted += ON_THE_WAY * (truth[X] - start[X]) - aside
         assert earned == pytest.approx(wanted, abs=1e-9)
@@ -221,20 +221,20 @@ class TestTouches:
         stream = trace(*[(0.0, "straight")] * 2)
         batch = batch_with(stream, duration=9.0, restitution=0.0)
         set_down(batch, [(0.7, 1.0, 0.0), (0.4, 1.0, 0.0)], [(0.3, 0, 0), (1.5, 0, 0)])
-        roll = np.full((1, batch.settings.action_kind.size), ROLL)
+        roll = np.full((1, batch.config.action_kind.size), ROLL)
         for _ in range(3):
-            batch.advance(roll)
+            batch.step(roll)
         assert batch.streams.touches[0].tolist()[:2] == [1, 1]
         # Taken apart for a moment too short to count, and then for one that counts.
         for periods, begun in ((2, 1), (6, 2)):
             batch.parcels.state[0, 0] += 0.1
             batch.parcels.state[:2, VX] = 0.5
             for _ in range(periods):
-                batch.advance(roll)
+                batch.step(roll)
             batch.parcels.state[0, 0] = batch.parcels.state[1, 0] + 0.255
             batch.parcels.state[:2, VX] = 0.1, 0.8
             for _ in range(4):
-                batch.advance(roll)
+                batch.step(roll)
             assert batch.streams.touches[0].tolist()[:2] == [begun, begun]
 
 
@@ -243,25 +243,25 @@ class TestModules:
         stuck = ((9, 7), (11, 19))
         env = bare(actions="modules", actuators=Actuators(stuck=stuck))
         env.reset(seed=0)
-        flows = env._batch.streams
-        first_row, rows, first, columns = env.settings.zone
-        expected = np.full(env.settings.rotor.shape, math.pi / 2)
+        flows = env.batch.streams
+        first_row, rows, first, columns = env.config.site.zone
+        expected = np.full(env.config.site.rotor.shape, math.pi / 2)
         env.action_space.seed(0)
         turns = 0
         for _ in range(5):
             action = env.action_space.sample()
             before = expected.copy()
-            angle = np.array(env.settings.chosen_orientations)[action.reshape(rows, columns)]
+            angle = np.array(env.config.chosen_orientations)[action.reshape(rows, columns)]
             expected[first_row : first_row + rows, first : first + columns] = angle
             for module in stuck:
                 expected[module] = math.pi / 2
             expected[:, 20:] = math.pi / 2  # no rotors
             turns += int((expected != before).sum())
             *_, info = env.step(action)
-            np.testing.assert_array_equal(flows.told[0], expected)
+            np.testing.assert_array_equal(streams.commanded[0], expected)
             assert info["turns"] == turns
-            surface = env._batch.surfaces
+            surface = env.batch.surfaces
             direction = surface.direction[0, surface.axis[0]]
-            rotor = env.settings.rotor
+            rotor = env.config.site.rotor
             wanted = np.stack([np.cos(expected), np.sin(expected)], axis=-1)
             np.testing.assert_allclose(direction[rotor], wanted[rotor], atol=1e-12)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from surface_gym.flow.arrivals import Steady
-from surface_gym.flow.batch import FlowBatch
-from surface_gym.flow.features import AHEAD, BEHIND, FEATURES, PRESENT, WAITS
+from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.stream import Stream
+from surface_gym.flow.task import AHEAD, BEHIND, FEATURES, PRESENT, WAITS
 from surface_gym.physics.types import Array
 from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Camera
@@ -22,7 +22,7 @@ CROWD = Stream(Steady(9000.0), parcels=("S", "B"), speeds=(1.0, 1.4))
 ROTORS = 0.15  # [m] from the middle to the outer rotors' centres
 
 
-def neighbour(batch: FlowBatch, place: int, other: int | None, ahead: bool, flip: float) -> list:
+def neighbour(batch: StreamBatch, place: int, other: int | None, ahead: bool, flip: float) -> list:
     """Gap, speed, offset, side and size of the next one; of nobody, if there is none."""
     if other is None:
         return [8.0, 0.0, 0.0, 0.0, 0.0]
@@ -30,7 +30,7 @@ def neighbour(batch: FlowBatch, place: int, other: int | None, ahead: bool, flip
     rear, front, _, _ = box_of(parcel_of(batch, place), own[:3])
     its_rear, its_front, _, _ = box_of(parcel_of(batch, other), its[:3])
     gap = its_rear - front if ahead else rear - its_front
-    exits = batch.settings.exits.exits
+    exits = batch.config.exits.exits
     side = exits[int(batch.streams.exit[0, batch.streams.number[0, other]])].side
     return [
         float(np.clip(gap / 0.5, -8.0, 8.0)),
@@ -41,11 +41,11 @@ def neighbour(batch: FlowBatch, place: int, other: int | None, ahead: bool, flip
     ]
 
 
-def row_of(batch: FlowBatch, place: int) -> Array:
+def row_of(batch: StreamBatch, place: int) -> Array:
     """What is to be shown of the parcel of a place, from what is sensed."""
     flows = batch.streams
     number = int(flows.number[0, place])
-    exit = batch.settings.exits.exits[int(flows.exit[0, number])]
+    exit = batch.config.exits.exits[int(flows.exit[0, number])]
     flip = -1.0 if exit.side < 0 else 1.0
     parcel = parcel_of(batch, place)
     x, y, theta, vx, vy, omega = batch.parcels.sensed[place]
@@ -83,7 +83,7 @@ def row_of(batch: FlowBatch, place: int) -> Array:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_rows_say_what_is_sensed(seed: int, settings: dict[str, Any]) -> None:
     env = bare(actions="parcels", stream=CROWD, duration=3.0, **settings)
-    batch = env._batch
+    batch = env.batch
     rng = np.random.default_rng(seed)
     seen = both = 0
     env.reset(seed=seed)
@@ -116,7 +116,7 @@ def test_the_first_are_those_of_sort() -> None:
 
 def test_with_a_gate_the_last_row_waits() -> None:
     env = bare(stream=DENSE, actions="parcels", gate=True, duration=2.0)
-    batch = env._batch
+    batch = env.batch
     waited = 0
     for observation, *_ in steps(env, seed=0):
         assert observation in env.observation_space

@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surface_gym.flow.batch import FlowBatch
-from surface_gym.flow.env import FlowEnv
-from surface_gym.flow.exits import Exit, Exits, chutes, sides
-from surface_gym.flow.line import flow_line
-from surface_gym.flow.memory import BETWEEN, LEFT_RIGHT, LEFT_WRONG, ON_ITS_WAY, RIGHT, WRONG
+from surface_gym.env import SmartSurfaceEnv
+from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.exits import Exit, Exits, chutes, flow_line, sides
+from surface_gym.flow.state import BETWEEN, LEFT_RIGHT, LEFT_WRONG, ON_ITS_WAY, RIGHT, WRONG
 from surface_gym.physics.types import X, Y
 from tests.flow.flows import (
     BOX,
@@ -43,8 +42,8 @@ class TestPlaces:
             x = rng.uniform(0.2, 2.5, 20)
             y = rng.choice([-1.0, 1.0], 20) * rng.uniform(0.35, 0.8, 20) + SHORT.line_y
             set_down(batch, np.column_stack([x, y, rng.uniform(-3.0, 3.0, 20)]))
-            batch.advance(np.full((1, batch.settings.flow_actions.size), BRAKE))
-            flows, lanes = batch.streams, batch.parcels
+            batch.step(np.full((1, batch.config.action_kind.size), BRAKE))
+            streams, lanes = batch.streams, batch.parcels
             for place in range(20):
                 truth = lanes.truth[place]
                 assert not flows.present[0, place]
@@ -66,15 +65,15 @@ class TestPlaces:
     def test_on_rotors_it_stays(self) -> None:
         batch = batch_with(trace(*[(0.0, "left 1")] * 3), duration=9.0)
         set_down(batch, [(0.5, 1.0, 0.2), (1.0, 1.27, 0.0), (1.9, 0.9, 0.0)])
-        batch.advance(np.full((1, batch.settings.flow_actions.size), BRAKE))
+        batch.step(np.full((1, batch.config.action_kind.size), BRAKE))
         assert batch.streams.present[0, :3].all()
         assert (batch.streams.taken[0, :3] == ON_ITS_WAY).all()
         assert np.isnan(batch.streams.left[0, :3]).all()
 
 
-def sent(choice: int, asked: str, exits: Any = "chutes") -> tuple[FlowEnv, dict[str, Any]]:
+def sent(choice: int, asked: str, exits: Any = "chutes") -> tuple[SmartSurfaceEnv, dict[str, Any]]:
     """One parcel over modules that are all alike, and the info of its end."""
-    env = bare(stream=trace((0.0, asked)), exits=exits, duration=4.0, plant=flow_line(3.0))
+    env = bare(stream=trace((0.0, asked)), exits=exits, duration=4.0, line=flow_line(3.0))
     return env, play(env, choice)[-1][4]
 
 
@@ -93,8 +92,8 @@ class TestWays:
     )
     def test_outcomes(self, choice: int, asked: str, taken: str) -> None:
         env, info = sent(choice, asked)
-        flows = env._batch.streams
-        exits = env.settings.exits
+        flows = env.batch.streams
+        exits = env.config.exits
         assert flows.taken[0, 0] == exits.place(taken)
         assert (info["right"], info["wrong"]) == ((1, 0) if asked == taken else (0, 1))
         assert flows.left[0, 0] > flows.entered[0, 0]
@@ -105,33 +104,33 @@ class TestWays:
         around = Exits((Exit("here", 1, x - 1e-6, x + 1e-6), Exit("other", -1)))
         beside = Exits((Exit("here", 1, x + 1e-6, x + 1.0), Exit("before", 1, 0.0, x - 1e-6)))
         env, info = sent(MINUS_45, "here", around)
-        assert env._batch.streams.taken[0, 0] == 0
+        assert env.batch.streams.taken[0, 0] == 0
         assert info["right"] == 1
         env, info = sent(MINUS_45, "here", beside)
-        assert env._batch.streams.taken[0, 0] == BETWEEN
+        assert env.batch.streams.taken[0, 0] == BETWEEN
         assert info["wrong"] == 1
 
     def test_straight_on_without_an_exit_is_between(self) -> None:
         env, info = sent(ROLL, "left", Exits((Exit("left", 1), Exit("right", -1))))
-        assert env._batch.streams.taken[0, 0] == BETWEEN
+        assert env.batch.streams.taken[0, 0] == BETWEEN
         assert info["wrong"] == 1
 
     def test_straight_on_it_leaves_with_its_rear_past_the_last_rotors(self) -> None:
         env, _ = sent(ROLL, "straight")
-        truth = env._batch.parcels.truth[0]
+        truth = env.batch.parcels.truth[0]
         rear = truth[X] - 0.125
         assert 2.95 < rear < 2.95 + 1.6 * 0.005 + 1e-6  # within a physics step
 
     def test_its_place_is_free_from_the_next_decision_on(self) -> None:
         stream = trace((0.0, "straight"), (0.0, "straight"))
-        batch: FlowBatch = batch_with(stream, places=2, duration=9.0)
+        batch: StreamBatch = batch_with(stream, max_parcels=2, duration=9.0)
         set_down(batch, [(2.07, 1.0, 0.0), (0.5, 1.0, 0.0)], [(1.0, 0.0, 0.0), (0.1, 0.0, 0.0)])
-        roll = np.full((1, batch.settings.flow_actions.size), ROLL)
-        batch.advance(roll)
+        roll = np.full((1, batch.config.action_kind.size), ROLL)
+        batch.step(roll)
         assert batch.streams.number[0].tolist() == [0, 1]
         assert batch.streams.present[0].tolist() == [False, True]
         assert not batch.observation[0, 0].any()
         assert batch.parcels.reward[0] > 0.9
-        batch.advance(roll)
+        batch.step(roll)
         assert batch.streams.number[0].tolist() == [-1, 1]
         assert batch.parcels.reward[0] == 0.0

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from surface_gym.flow.arrivals import Schedule, Steady
-from surface_gym.flow.memory import NOBODY
 from surface_gym.flow.parallel_env import FlowParallelEnv
+from surface_gym.flow.state import NOBODY
 from surface_gym.flow.stream import Stream
 from surface_gym.sensors import Presence
 from tests.environments import TWINS, assert_same
@@ -29,7 +29,7 @@ SPARSE = Stream(Steady(1800.0))  # one has left a short line before the next com
 
 def agents_of(**settings: Any) -> FlowParallelEnv:
     """A short flow with a dense stream."""
-    return FlowParallelEnv(**{"stream": DENSE, "duration": 2.0, "plant": SHORT, **settings})
+    return FlowParallelEnv(**{"stream": DENSE, "duration": 2.0, "line": SHORT, **settings})
 
 
 def all_say(env: FlowParallelEnv, choice: int) -> dict[str, np.ndarray]:
@@ -57,7 +57,7 @@ class TestContract:
         assert "Passed" in capsys.readouterr().out
 
     def test_spaces(self) -> None:
-        env, single = agents_of(places=3), bare(actions="parcels", places=3)
+        env, single = agents_of(max_parcels=3), bare(actions="parcels", max_parcels=3)
         for agent in ("parcel_0", "parcel_77"):
             seen = env.observation_space(agent)
             assert seen is env.observation_space("parcel_0")
@@ -76,7 +76,7 @@ class TestContract:
             importlib.import_module("surface_gym.flow.parallel_env")
 
     def test_bad_arguments_are_named(self) -> None:
-        for name, value in (("places", 0), ("stream", "S"), ("render_mode", "ansi")):
+        for name, value in (("max_parcels", 0), ("stream", "S"), ("render_mode", "ansi")):
             with pytest.raises(ValueError, match=name):
                 agents_of(**{name: value})
 
@@ -116,7 +116,7 @@ class TestBesideTheSingleEnv:
             there: set[int] = set(place_of)
             while True:
                 observation, _, jammed, late, info = single.step(said.reshape(-1))
-                flows, lanes = single._batch.streams, single._batch.parcels
+                flows, lanes = single.batch.streams, single.batch.parcels
                 for place in np.nonzero(flows.number[0] != NOBODY)[0].tolist():
                     number = int(flows.number[0, place])
                     place_of[number] = place
@@ -216,7 +216,7 @@ class TestAgents:
         env = agents_of()
         assert set(env.possible_agents) >= {"parcel_0", "parcel_1"}
         env.reset(seed=5)
-        flows = env._batch.streams
+        flows = env.batch.streams
         assert len(env.possible_agents) == flows.arrivals[0]
 
     def test_a_reset_may_bring_a_stream_of_its_own(self) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.core.resets import place_parcel
-from surface_gym.flow.pool import BodyPool
+from surface_gym.flow.batch import BodyPool
 from tests.environments import HEPTAGON, TRIANGLE
 from tests.flow.flows import BOX, LARGE_BOX, SHORT
 

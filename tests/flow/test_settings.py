@@ -8,15 +8,14 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import lines
-from surface_gym.flow.env import FlowEnv
-from surface_gym.flow.exits import Exit, Exits, chutes, sides
-from surface_gym.flow.features import FEATURES
-from surface_gym.flow.line import flow_line
-from surface_gym.flow.settings import FlowSettings
+from surface_gym.config import EnvConfig
+from surface_gym.env import SmartSurfaceEnv
+from surface_gym.flow.exits import Exit, Exits, chutes, flow_line, sides
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.vector_env import FlowVectorEnv
+from surface_gym.flow.task import FEATURES
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera
+from surface_gym.vector_env import SmartSurfaceVectorEnv
 from tests.flow.flows import SHORT, trace
 
 NARROW = sg.Parcel(sg.Rectangle(0.3, 0.08))
@@ -44,12 +43,12 @@ BAD: tuple[tuple[str, Any, str], ...] = (
     ("duration", 0.0, "duration"),
     ("duration", 0.03, "duration"),
     ("duration", math.inf, "duration"),
-    ("places", 0, "places"),
-    ("places", 257, "places"),
-    ("places", 2.0, "places"),
-    ("places", True, "places"),
-    ("plant", "line", "plant"),
-    ("plant", SHORT.rotor, "plant"),
+    ("max_parcels", 0, "max_parcels"),
+    ("max_parcels", 257, "max_parcels"),
+    ("max_parcels", 2.0, "max_parcels"),
+    ("max_parcels", True, "max_parcels"),
+    ("line", "line", "plant"),
+    ("line", SHORT.rotor, "plant"),
     ("tilt", math.radians(15.1), "tilt"),
     ("tilt", math.radians(-15.1), "tilt"),
     ("tilt", math.nan, "tilt"),
@@ -77,10 +76,10 @@ BAD: tuple[tuple[str, Any, str], ...] = (
 @pytest.mark.parametrize(("name", "value", "named"), BAD)
 def test_bad_arguments_are_named(name: str, value: Any, named: str) -> None:
     with pytest.raises(ValueError, match=named):
-        FlowSettings(**{name: value})
+        EnvConfig("flow", **{name: value})
 
 
-@pytest.mark.parametrize("face", [FlowEnv, FlowVectorEnv])
+@pytest.mark.parametrize("face", [SmartSurfaceEnv, SmartSurfaceVectorEnv])
 def test_every_face_checks_them(face: Any) -> None:
     for name, value, named in BAD[::6]:
         with pytest.raises(ValueError, match=named):
@@ -94,53 +93,57 @@ class TestTogether:
 
     def test_a_gate_counts_choices(self) -> None:
         with pytest.raises(ValueError, match="gate"):
-            FlowSettings(gate=True, orientations="any")
+            EnvConfig("flow", gate=True, orientations="any")
 
     def test_all_parcels_share_the_rotors(self) -> None:
         """A line as wide as its parcel has other rotors for another one."""
-        FlowSettings(plant=lines.Line())
-        FlowSettings(plant=lines.Field())
+        EnvConfig("flow", line=lines.Line())
+        EnvConfig("flow", line=lines.Field())
         with pytest.raises(ValueError, match="plant must have the same rotors"):
-            FlowSettings(Stream(parcels=("S", "B")), plant=lines.Line())
-        settings = FlowSettings(plant=lines.Line())
+            EnvConfig("flow", stream=Stream(parcels=("S", "B")), line=lines.Line())
+        settings = EnvConfig("flow", line=lines.Line())
         with pytest.raises(ValueError, match="plant must have the same rotors"):
             settings.check_stream(Stream(parcels=("B",)))
 
     def test_a_parcel_cannot_fall_between_rotors(self) -> None:
         least = Stream(parcels=(sg.Parcel(sg.Rectangle(0.1, 0.1)),))
-        FlowSettings(least)
+        EnvConfig("flow", stream=least)
         with pytest.raises(ValueError, match="parcels must be at least a pitch long"):
-            FlowSettings(least, randomisation=Randomisation(size=0.01))
+            EnvConfig("flow", stream=least, randomisation=Randomisation(size=0.01))
 
     def test_a_sensor_must_find_its_noise_in_a_control_period(self) -> None:
-        FlowSettings(sensors=FASTEST_CAMERA, control_period=0.31)
+        EnvConfig("flow", sensors=FASTEST_CAMERA, control_period=0.31)
         with pytest.raises(ValueError, match="sensors must use at most"):
-            FlowSettings(sensors=FASTEST_CAMERA, control_period=0.32)
+            EnvConfig("flow", sensors=FASTEST_CAMERA, control_period=0.32)
 
     def test_stuck_modules_are_modules_of_the_plant(self) -> None:
-        FlowSettings(plant=SHORT, actuators=Actuators(stuck=((9, 10),)))
+        EnvConfig("flow", line=SHORT, actuators=Actuators(stuck=((9, 10),)))
         with pytest.raises(ValueError, match="stuck"):
-            FlowSettings(plant=SHORT, actuators=Actuators(stuck=((9, 26),)))
+            EnvConfig("flow", line=SHORT, actuators=Actuators(stuck=((9, 26),)))
 
 
 class TestWhatFollows:
     def test_presets_are_as_long_as_the_line(self) -> None:
-        assert FlowSettings().exits == chutes(6.0)
-        short = FlowSettings(plant=SHORT, exits="sides")
+        assert EnvConfig("flow").exits == chutes(6.0)
+        short = EnvConfig("flow", line=SHORT, exits="sides")
         assert [exit.last for exit in short.exits] == pytest.approx([2.0, 2.0, math.inf])
         own = (Exit("a", 1), Exit("b", -1))
-        assert FlowSettings(exits=own).exits == FlowSettings(exits=Exits(own)).exits == Exits(own)
-        assert sides(6.0).names == FlowSettings(exits="sides").exits.names
+        assert (
+            EnvConfig("flow", exits=own).exits
+            == EnvConfig("flow", exits=Exits(own)).exits
+            == Exits(own)
+        )
+        assert sides(6.0).names == EnvConfig("flow", exits="sides").exits.names
 
     def test_of_a_line_that_begins_elsewhere(self) -> None:
         pattern = lines.Pattern(rotor=flow_line(2.0).rotor, lead_in=5, origin=(1.05, 3.05))
-        settings = FlowSettings(plant=pattern)
+        settings = EnvConfig("flow", line=pattern)
         assert settings.entry_x == pytest.approx(1.0)
         assert settings.rotors_end == pytest.approx(3.0)
 
     def test_bounds_are_those_of_the_features(self) -> None:
         for gate in (False, True):
-            space = FlowSettings(places=3, gate=gate).observation_space()
+            space = EnvConfig("flow", max_parcels=3, gate=gate).observation_space()
             assert space.dtype == np.float32
             assert space.shape == (3 + gate, len(FEATURES))
             for column, feature in enumerate(FEATURES):
@@ -152,10 +155,10 @@ class TestWhatFollows:
         ("period", "steps", "periods"), [(0.04, 8, 50), (0.005, 1, 400), (0.03, 6, 67)]
     )
     def test_timing(self, period: float, steps: int, periods: int) -> None:
-        settings = FlowSettings(control_period=period, duration=2.0)
+        settings = EnvConfig("flow", control_period=period, duration=2.0)
         assert settings.timing.steps == steps
         assert settings.periods == periods
-        assert FlowSettings(control_period=period, gate=True).flow_actions.gates == steps + 1
+        assert EnvConfig("flow", control_period=period, gate=True).action_kind.gates == steps + 1
 
     @pytest.mark.parametrize(
         ("length", "rotor_rows", "lead_in", "named"),

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from surface_gym.flow.memory import BETWEEN, ON_ITS_WAY, TURNS, Flows, make_flows, with_room
-from surface_gym.flow.statistics import NAMES, FlowStatistics, statistics_of
+from surface_gym.flow.state import BETWEEN, ON_ITS_WAY, TURNS, StreamState, make_streams, with_room
+from surface_gym.flow.statistics import NAMES, FlowStatistics, compute_statistics
 from surface_gym.randomisation import Randomisation
 from tests.flow.flows import MINUS_45, ROLL, bare, same_choice
 
@@ -17,12 +17,12 @@ NAN = math.nan
 
 def recorded(
     clock: float, *rows: tuple[float, float, float, int, int, int], turns: int = 0
-) -> Flows:
+) -> StreamState:
     """A surface on which parcels came [s], entered [s] and left [s], were to leave by an exit, took
     one, and touched others so often.
     """
     obeys = np.ones((1, 2, 2), dtype=bool)
-    flows = with_room(make_flows(1, 2, (2, 2), 7, obeys), len(rows))
+    flows = with_room(make_streams(1, 2, (2, 2), 7, obeys), len(rows))
     columns = ("time", "entered", "left", "exit", "taken", "touches")
     for name, values in zip(columns, zip(*rows, strict=True), strict=True):
         getattr(flows, name)[0, : len(rows)] = values
@@ -48,7 +48,7 @@ BY_HAND = recorded(
 
 class TestByHand:
     def test_of_a_whole_episode(self) -> None:
-        found = statistics_of(BY_HAND, 0, jammed=True, obeying=4)
+        found = compute_statistics(BY_HAND, 0, jammed=True, obeying=4)
         assert found.delivered == 5
         assert found.parcels_per_hour == pytest.approx(3 * 100.0)
         assert found.missort_rate == pytest.approx(2 / 5)
@@ -65,7 +65,7 @@ class TestByHand:
         assert found.turns_per_hour == pytest.approx(80 / 4 * 100.0)
 
     def test_after_a_warm_up(self) -> None:
-        found = statistics_of(BY_HAND, 0, jammed=False, obeying=4, warm_up=6.0)
+        found = compute_statistics(BY_HAND, 0, jammed=False, obeying=4, warm_up=6.0)
         assert found.delivered == 4
         assert found.parcels_per_hour == pytest.approx(2 * 120.0)
         assert found.missort_rate == pytest.approx(1 / 2)
@@ -76,7 +76,7 @@ class TestByHand:
 
     def test_where_nothing_happened(self) -> None:
         nothing = recorded(0.0, (1.0, NAN, NAN, 0, ON_ITS_WAY, 0))
-        found = statistics_of(nothing, 0, jammed=False, obeying=0)
+        found = compute_statistics(nothing, 0, jammed=False, obeying=0)
         assert found.delivered == 0
         for name in NAMES[1:]:
             assert math.isnan(getattr(found, name)), name
@@ -93,14 +93,14 @@ def test_played_episodes_come_to_what_their_steps_tell(seed: int, varies: bool) 
     period = 0.005  # one physics step: nothing happens between two looks
     env = bare(actions="modules", duration=5.0, control_period=period, randomisation=randomisation)
     env.reset(seed=seed)
-    flows = env._batch.streams
+    flows = env.batch.streams
     coming = flows.time[0, : flows.arrivals[0]].tolist()
     asked = flows.exit[0].tolist()
     entered: dict[int, float] = {0: 0.0}
     left: dict[int, tuple[float, int]] = {}
     there = {0}
     turns = right = touches = 0
-    told = flows.told[0].copy()
+    told = streams.commanded[0].copy()
     over = False
     step = 0
     while not over:
@@ -109,7 +109,7 @@ def test_played_episodes_come_to_what_their_steps_tell(seed: int, varies: bool) 
         step += 1
         over = terminated or truncated
         now = {number for number in info["parcels"].tolist() if number >= 0}
-        flows = env._batch.streams
+        flows = env.batch.streams
         for number in now - there:
             entered[number] = info["time"]
         for number in there - now:
@@ -117,8 +117,8 @@ def test_played_episodes_come_to_what_their_steps_tell(seed: int, varies: bool) 
             left[number] = (info["time"], taken)
             right += taken == asked[number]
         there = now
-        turns += int((np.abs(flows.told[0] - told) > 1e-9).sum())
-        told = flows.told[0].copy()
+        turns += int((np.abs(streams.commanded[0] - told) > 1e-9).sum())
+        told = streams.commanded[0].copy()
         touches = info["touches"]
         assert info["right"] == right
         assert info["wrong"] == len(left) - right

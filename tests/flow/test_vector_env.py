@@ -9,16 +9,16 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.vector_env import FlowVectorEnv
 from surface_gym.randomisation import Randomisation
 from surface_gym.registration import FLOW
+from surface_gym.vector_env import SmartSurfaceVectorEnv
 from tests.environments import TWINS, assert_same
 from tests.flow.flows import BRAKE, DENSE, KINDS, ROLL, SHORT, assert_alike, every_kind, trace
 from tests.test_vector_env import run_beside
 from tests.vector_environments import LANES, every_mode, native, singles
 
 LONG = 10_000  # control periods: a flow ends by itself before that
-EPISODE = {"stream": DENSE, "plant": SHORT, "duration": 0.6}  # 15 control periods
+EPISODE = {"stream": DENSE, "line": SHORT, "duration": 0.6}  # 15 control periods
 VARIED = KINDS["parcels, camera, all varies"]
 
 
@@ -97,7 +97,7 @@ class TestLanes:
         env = flows(actions="parcels")
         mine = trace((0.0, "left 1"), (0.3, "right 1"), speed=1.1)
         _, infos = env.reset(seed=0, options=[None, {"stream": mine}, {}])
-        batch = env._batch
+        batch = env.batch
         assert batch.streams.arrivals[1] == 2
         _, drawn = flows(actions="parcels").reset(seed=0)
         np.testing.assert_array_equal(infos["parcels"], drawn["parcels"])
@@ -124,7 +124,7 @@ class TestLanes:
 class TestContract:
     def test_make_vec_gives_the_native_one(self) -> None:
         env = flows()
-        assert type(env) is FlowVectorEnv
+        assert type(env) is SmartSurfaceVectorEnv
         assert env.spec is not None
         assert env.spec.id == FLOW
 
@@ -198,12 +198,12 @@ class TestContract:
             ({"autoreset_mode": "sometimes"}, "autoreset_mode"),
             ({"render_mode": "human"}, "render_mode"),
             ({"threads": 0}, "threads"),
-            ({"places": 0}, "places"),
+            ({"max_parcels": 0}, "max_parcels"),
         ],
     )
     def test_bad_arguments_are_named(self, argument: dict[str, Any], named: str) -> None:
         with pytest.raises(ValueError, match=named):
-            FlowVectorEnv(**argument)
+            SmartSurfaceVectorEnv(**argument)
 
     def test_steps_before_a_reset_are_refused(self) -> None:
         env = flows()
@@ -215,7 +215,7 @@ class TestContract:
         settings = {"autoreset_mode": "SameStep", "randomisation": Randomisation(size=0.05)}
         env = flows(actions="parcels", **settings)
         env.reset(seed=0)
-        batch = env._batch
+        batch = env.batch
         action = np.full(env.action_space.shape, ROLL)
         for period in range(600):
             env.step(action)

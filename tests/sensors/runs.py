@@ -15,7 +15,7 @@ def errors(sensors: Any, choice: int, lanes: int = 16, seed: int = 0, **start: A
         lanes, actions="quadrants", sensors=sensors, max_episode_steps=60, autoreset_mode="SameStep"
     )
     env.reset(seed=seed, options={"side": 1, **start})
-    memory = env._batch.parcels
+    memory = env.batch.parcels
     found = []
     running = np.ones(lanes, dtype=bool)
     while running.any():
@@ -33,7 +33,7 @@ def contradicts(env: Any, parcel: str, tolerance: float) -> np.ndarray:
     """(lanes,) whether the sensed pose of a box has other rotors covered than the true one has, by
     more than a tolerance [m]; by the base's own functions.
     """
-    elements, lanes, sites = env._batch.rules.elements, env._batch.parcels, env._batch.bodies
+    elements, lanes, sites = env.batch.rules.elements, env.batch.parcels, env.batch.bodies
     base = sg.layouts.box(parcel).base
     rows, columns = np.indices(sites.rotor.shape[1:])
     x, y = elements.x0 + elements.pitch_x * columns, elements.y0 + elements.pitch_y * rows

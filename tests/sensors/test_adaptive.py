@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.conditions import CONDITIONS
+from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch
+from surface_gym.presets import PRESETS
 from surface_gym.sensors import AdaptiveCamera, Camera
 from surface_gym.sensors.adaptive import CONSTANT, DOUBT, EFFECT
 from surface_gym.sensors.base import LEARNED
 from surface_gym.sensors.camera import SPREADS
 from surface_gym.sensors.kalman import DECAY
-from surface_gym.settings import Settings
 from surface_gym.tasks import Slow
 
 BRAKE, ROLL = 0, 3
@@ -26,12 +26,12 @@ def in_the_zone(axes: tuple[int, ...]) -> Batch:
     frame comes.
     """
     unseen = AdaptiveCamera(frame_rate=0.1)
-    batch = Batch(Settings("slow", "quadrants", unseen, control_period=0.005), 1)
+    batch = Batch(EnvConfig("slow", "quadrants", unseen, control_period=0.005), 1)
     batch.reserve.seed(0, np.random.default_rng(0))
-    batch.start(np.zeros(1, dtype=np.int64), [{"speed": 2.0, "parcel": "B"}])
+    batch.reset(np.zeros(1, dtype=np.int64), [{"speed": 2.0, "parcel": "B"}])
     for _ in range(104):
-        batch.advance(np.full((1, 4), ROLL))
-    batch.advance(np.array([axes]))
+        batch.step(np.full((1, 4), ROLL))
+    batch.step(np.array([axes]))
     return batch
 
 
@@ -49,7 +49,7 @@ def test_effects_are_the_derivatives_of_a_step(axes: tuple[int, ...]) -> None:
         for array, values in zip(batch.parcels, before, strict=True):
             array[:] = values
         kept[CONSTANT : CONSTANT + LEARNED] = constants
-        batch.advance(np.array([axes]))
+        batch.step(np.array([axes]))
         return kept[3:6].copy()
 
     constants = np.array([1.1, 0.02, -0.015])
@@ -67,7 +67,7 @@ def test_effects_are_the_derivatives_of_a_step(axes: tuple[int, ...]) -> None:
 
 def after_braking(sensors: Camera, lanes: int = 128) -> tuple[Any, sg.SmartSurfaceVectorEnv]:
     """What a filter has in mind of parcels of the lab that were braked and led aside a little."""
-    lab = replace(CONDITIONS["lab"], sensors=sensors, actuators=sg.Actuators())
+    lab = replace(PRESETS["lab"], sensors=sensors, actuators=sg.Actuators())
     env = sg.SmartSurfaceVectorEnv(
         lanes, Slow(speeds=(2.0, 2.4)), "quadrants", condition=lab, observe=("load",)
     )
@@ -82,10 +82,10 @@ def after_braking(sensors: Camera, lanes: int = 128) -> tuple[Any, sg.SmartSurfa
 
 def test_friction_and_load_are_learned_as_well_as_it_says() -> None:
     """Errors over the filter's own doubts are of order one, and doubts have shrunk."""
-    sensors = CONDITIONS["lab"].sensors
+    sensors = PRESETS["lab"].sensors
     assert isinstance(sensors, AdaptiveCamera)
     observation, env = after_braking(sensors)
-    batch = env._batch
+    batch = env.batch
     sites = batch.bodies.body[batch.parcels.site]
     true = np.column_stack([batch.surfaces.conditions[:, 0], sites[:, 1], sites[:, 2]])
     kept = batch.parcels.sensor_state
@@ -105,7 +105,7 @@ def test_friction_and_load_are_learned_as_well_as_it_says() -> None:
 
 
 def test_it_sees_better_in_the_lab_than_a_camera_that_does_not_learn() -> None:
-    lab = CONDITIONS["lab"].sensors
+    lab = PRESETS["lab"].sensors
     assert isinstance(lab, AdaptiveCamera)
     plain = Camera(
         latency=lab.latency, position_noise=lab.position_noise, entry=lab.entry, friction_error=0.1
@@ -113,7 +113,7 @@ def test_it_sees_better_in_the_lab_than_a_camera_that_does_not_learn() -> None:
     found = []
     for sensors in (lab, plain):
         _, env = after_braking(sensors)
-        memory = env._batch.parcels
+        memory = env.batch.parcels
         found.append(np.sqrt(((memory.sensed - memory.truth)[:, 3:] ** 2).mean(axis=0)))
     assert (found[0] < (0.85, 0.85, 0.6) * found[1]).all(), found
 

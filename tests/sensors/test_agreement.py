@@ -35,7 +35,7 @@ def placed(task: str, parcel: str) -> tuple[sg.SmartSurfaceVectorEnv, EnvState]:
     """An environment of one parcel, and its lane."""
     env = sg.SmartSurfaceVectorEnv(1, task, "quadrants", Presence())
     env.reset(seed=0, options={"parcel": parcel})
-    batch = env._batch
+    batch = env.batch
     arrays = (batch.surfaces, batch.parcels, batch.bodies)
     return env, env_state.py_func(*arrays, 0, 0, batch.rules.elements)
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch
 from surface_gym.sensors import Camera, Entry
 from surface_gym.sensors.camera import FRAME_SIZE, FRAMES, TAKEN
 from surface_gym.sensors.kalman import LAST
-from surface_gym.settings import Settings
 from tests.sensors.runs import BRAKE, PLUS_45, ROLL, errors, rms
 
 SURE = Entry(position=0.0, angle=0.0, speed=0.0, turning=0.0)
@@ -33,15 +33,15 @@ def test_a_jump_is_seen_after_the_latency_and_not_before(late: int) -> None:
         frame_rate=50.0, latency=late * period, position_noise=1e-4, angle_noise=1e-4, entry=SURE,
         acceleration_density=10.0,
     )  # fmt: skip
-    batch = Batch(Settings(actions="halves", sensors=camera, control_period=period), 1)
+    batch = Batch(EnvConfig(actions="halves", sensors=camera, control_period=period), 1)
     batch.reserve.seed(0, np.random.default_rng(0))
-    batch.start(np.zeros(1, dtype=np.int64), [{"speed": 0.5, "parcel": "S", "side": 1}])
+    batch.reset(np.zeros(1, dtype=np.int64), [{"speed": 0.5, "parcel": "S", "side": 1}])
     roll = np.full((1, 2), ROLL)
     for _ in range(8):
-        batch.advance(roll)
+        batch.step(roll)
     batch.parcels.state[0, 1] += 0.05
     for periods in range(1, late + 2):
-        batch.advance(roll)
+        batch.step(roll)
         seen = batch.parcels.sensed[0, 1] - 1.0
         # The first frame after the jump is that at the end of this period.
         assert (abs(seen) > 0.005) == (periods > late), (periods, seen)
@@ -68,7 +68,7 @@ def test_a_start_is_known_as_the_entry_says_and_no_noise_comes_twice() -> None:
     )  # fmt: skip
     env = sg.SmartSurfaceVectorEnv(512, actions="quadrants", sensors=blunt)
     env.reset(seed=0, options={"side": 1, "speed": 1.0, "parcel": "S"})
-    memory = env._batch.parcels
+    memory = env.batch.parcels
     found = [memory.sensed - memory.truth]
     np.testing.assert_allclose(found[0].std(axis=0), (0.004, 0.004, 0.03, 0.2, 0.2, 0.7), rtol=0.1)
     for _ in range(5):
@@ -87,7 +87,7 @@ def test_frames_are_lost_with_the_probability_asked(drop: float) -> None:
     taken = []
     for _ in range(20):
         env.step(np.full(64, 15))
-        memory = env._batch.parcels
+        memory = env.batch.parcels
         frames = memory.sensor_state[:, LAST:].reshape(64, FRAMES, FRAME_SIZE)
         newest = (memory.steps // 4) % FRAMES
         taken.append(frames[np.arange(64), newest, TAKEN] > 0)

@@ -38,7 +38,7 @@ def test_an_unsure_entry_is_made_up_for() -> None:
     vague = Presence(entry=Entry(position=0.02, angle=0.05, speed=0.2, turning=0.3))
     env = sg.SmartSurfaceVectorEnv(32, actions="quadrants", sensors=vague)
     env.reset(seed=0, options={"speed": 1.0, "parcel": "B", "side": 1})
-    memory = env._batch.parcels
+    memory = env.batch.parcels
     start = rms(memory.sensed - memory.truth)
     for _ in range(15):
         env.step(np.full((32, 4), ROLL))
@@ -53,10 +53,10 @@ def test_nothing_is_seen_between_switches() -> None:
     def sensed(shift: float) -> np.ndarray:
         env = sg.SmartSurfaceEnv(actions="quadrants", sensors=Presence())
         env.reset(seed=0, options={"speed": 0.3, "parcel": "S", "side": 1})
-        env._batch.parcels.state[0, 1] += shift  # 20 mm from the next module's centre
+        env.batch.parcels.state[0, 1] += shift  # 20 mm from the next module's centre
         for _ in range(2):
             env.step([ROLL] * 4)
-        return env._batch.parcels.sensed[0].copy()
+        return env.batch.parcels.sensed[0].copy()
 
     np.testing.assert_array_equal(sensed(0.0), sensed(0.004))
 

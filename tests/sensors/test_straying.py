@@ -44,7 +44,7 @@ def env_of(world: str, **settings: Any) -> sg.SmartSurfaceVectorEnv:
 @pytest.mark.parametrize("world", WORLDS)
 def test_the_estimate_stays_with_the_switches(world: str, parcel: str) -> None:
     env = env_of(world)
-    memory = env._batch.parcels
+    memory = env.batch.parcels
     row = np.zeros(LANES, dtype=int)
     space = env.single_observation_space
     for observations, running in drive(env, parcel):
@@ -59,7 +59,7 @@ def test_an_estimate_that_is_thrown_off_comes_back() -> None:
     env = env_of("load")
     for _ in drive(env, "B", periods=3):
         pass
-    memory = env._batch.parcels
+    memory = env.batch.parcels
     memory.sensor_state[:, :6] = np.array([1e9, -1e9, 1e3, 1e6, -1e6, 1e6])
     env.step(np.zeros_like(env.action_space.sample()))
     assert not contradicts(env, "B", 0.001).any()
@@ -70,7 +70,7 @@ def test_an_estimate_that_is_thrown_off_comes_back() -> None:
 def test_what_is_lost_of_the_samples_does_not_make_it_stray() -> None:
     sensors = Presence(sample_rate=50.0, drop=0.5, mu_max=NOMINAL / 0.8)
     env = sg.SmartSurfaceVectorEnv(LANES, "track", "quadrants", sensors)
-    memory = env._batch.parcels
+    memory = env.batch.parcels
     for _, running in drive(env, "B"):
         error = np.hypot(*(memory.sensed - memory.truth)[running, :2].T)
         assert error.max(initial=0.0) <= PITCH
@@ -79,4 +79,4 @@ def test_what_is_lost_of_the_samples_does_not_make_it_stray() -> None:
 def test_two_runs_are_the_same() -> None:
     first, second = (env_of("load", threads=threads) for threads in (1, 2))
     for _ in zip(drive(first, "B", 30), drive(second, "B", 30), strict=True):
-        np.testing.assert_array_equal(first._batch.parcels.sensed, second._batch.parcels.sensed)
+        np.testing.assert_array_equal(first.batch.parcels.sensed, second.batch.parcels.sensed)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from surface_gym.sharing import Tell
+from surface_gym.parallel import Report
 
 
-def draws(seed: int, tell: Tell) -> float:
+def draws(seed: int, tell: Report) -> float:
     """A sum of what is drawn, told number by number."""
     rng = np.random.default_rng(seed)
     total = 0.0
@@ -20,13 +20,13 @@ def draws(seed: int, tell: Tell) -> float:
     return total
 
 
-def own_process(tell: Tell) -> int:
+def own_process(tell: Report) -> int:
     del tell
     time.sleep(0.3)
     return os.getpid()
 
 
-def dies_at_first(folder: Path, name: str, tell: Tell) -> int:
+def dies_at_first(folder: Path, name: str, tell: Report) -> int:
     """Counts its beginnings in a file, and dies in the middle of the first."""
     with (folder / name).open("a") as file:
         file.write("begun\n")
@@ -37,12 +37,12 @@ def dies_at_first(folder: Path, name: str, tell: Tell) -> int:
     return begun
 
 
-def always_dies(tell: Tell) -> None:
+def always_dies(tell: Report) -> None:
     del tell
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def fails(message: str, tell: Tell) -> None:
+def fails(message: str, tell: Report) -> None:
     del tell
     raise ValueError(message)
 
@@ -54,12 +54,12 @@ class Stubborn(Exception):
         super().__init__(f"{first} and {second}")
 
 
-def fails_stubbornly(tell: Tell) -> None:
+def fails_stubbornly(tell: Report) -> None:
     del tell
     raise Stubborn(1, 2)
 
 
-def waits(file: Path, tell: Tell) -> str:
+def waits(file: Path, tell: Report) -> str:
     """Goes on until it is interrupted, which it writes down and tells."""
     try:
         tell("begun")
@@ -72,7 +72,7 @@ def waits(file: Path, tell: Tell) -> str:
         raise
 
 
-def counts_beginnings(folder: Path, name: str, tell: Tell) -> int:
+def counts_beginnings(folder: Path, name: str, tell: Report) -> int:
     """As `dies_at_first`, without dying, and long enough to see another die."""
     with (folder / name).open("a") as file:
         file.write("begun\n")
@@ -81,7 +81,7 @@ def counts_beginnings(folder: Path, name: str, tell: Tell) -> int:
     return len((folder / name).read_text().splitlines())
 
 
-def tells_its_process(folder: Path, tell: Tell) -> None:
+def tells_its_process(folder: Path, tell: Report) -> None:
     """Goes on for ever, telling; a file is named after its process."""
     (folder / f"{os.getpid()}.pid").touch()
     while True:
@@ -89,7 +89,7 @@ def tells_its_process(folder: Path, tell: Tell) -> None:
         time.sleep(0.05)
 
 
-def waits_for(folder: Path, name: str, sign: str, tell: Tell) -> int:
+def waits_for(folder: Path, name: str, sign: str, tell: Report) -> int:
     """Counts its beginnings in a file, and goes on until there is a sign in the folder."""
     with (folder / name).open("a") as file:
         file.write("begun\n")

@@ -16,22 +16,22 @@ import pytest
 import ray
 from ray.cluster_utils import Cluster as TwoNodes
 from rich.console import Console
+from surface_gym.agents.evaluation.benchmark import compute_results
+from surface_gym.agents.evaluation.methods import only, policy_folders, rules, trained
+from surface_gym.agents.learning.config import ModulesConfig, PPOConfig
+from surface_gym.agents.learning.runs import CARD as CARD_FILE
+from surface_gym.agents.learning.runs import CURVE, make_folder
+from surface_gym.agents.learning.train import train_seeds
+from surface_gym.agents.library import WEIGHTS
+from surface_gym.agents.search.command import go_on
+from surface_gym.agents.tasks import task_files
+from surface_gym.agents.tuning.study import run_trial
 
-from agents.evaluation.contenders import only, policies_of, rules, trained
-from agents.evaluation.work import compute_cells
-from agents.learning.card import FILE as CARD_FILE
-from agents.learning.config import ModulesConfig, PPOConfig
-from agents.learning.curve import FILE as CURVE
-from agents.learning.folder import make_folder
-from agents.learning.seeds import train_seeds
-from agents.policy_files import WEIGHTS
-from agents.search.command import go_on
-from agents.search.trial import run_trial
-from agents.tasks import files_of
+from surface_gym import ray_executor
 from surface_gym.design import Case, Sort, success_map
+from surface_gym.parallel import Cluster, WorkFailed, choose_workers, map_jobs
 from surface_gym.parcel import Parcel, Rectangle
-from surface_gym.sharing import Cluster, WorkFailed, ray_crew, share, workers_of
-from surface_gym.sharing.cluster import Build
+from surface_gym.ray_executor import Build
 from tests.agents.search.test_trial import SWEEP
 from tests.sharing import jobs
 
@@ -74,14 +74,14 @@ def cluster(nodes: Nodes) -> Cluster:
 def test_results_and_what_is_told_are_those_of_processes(cluster: Cluster) -> None:
     work = [partial(jobs.draws, seed) for seed in range(5)]
     heard: list[tuple[int, Any]] = []
-    found = dict(share(work, cluster, lambda *told: heard.append(told)))
-    assert found == dict(share(work, 1))
+    found = dict(map_jobs(work, cluster, lambda *told: heard.append(told)))
+    assert found == dict(map_jobs(work, 1))
     for place in range(5):
         assert [told[0] for where, told in heard if where == place] == list(range(5))
 
 
 def test_both_nodes_work(cluster: Cluster) -> None:
-    assert len({pid for _, pid in share([jobs.own_process] * 6, cluster)}) >= 2
+    assert len({pid for _, pid in map_jobs([jobs.own_process] * 6, cluster)}) >= 2
 
 
 def test_a_job_whose_process_dies_is_done_again(cluster: Cluster, tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_a_job_whose_process_dies_is_done_again(cluster: Cluster, tmp_path: Path
         partial(jobs.dies_at_first, tmp_path, "lost"),
         partial(jobs.counts_beginnings, tmp_path, "whole"),
     ]
-    assert dict(share(work, cluster)) == {0: 2, 1: 1}
+    assert dict(map_jobs(work, cluster)) == {0: 2, 1: 1}
 
 
 def test_a_job_whose_node_dies_is_done_again_and_only_that(
@@ -104,23 +104,23 @@ def test_a_job_whose_node_dies_is_done_again_and_only_that(
             (tmp_path / "sign").touch()
 
     work = [partial(jobs.waits_for, tmp_path, str(k), "sign") for k in range(4)]
-    found = dict(share(work, cluster, heard))
+    found = dict(map_jobs(work, cluster, heard))
     assert sorted(found) == [0, 1, 2, 3]
     assert sorted(found.values()) == [1, 1, 1, 2]
 
 
 def test_errors_are_raised_here_and_tell_where_they_came_from(cluster: Cluster) -> None:
     with pytest.raises(ValueError, match="seven") as raised:
-        dict(share([partial(jobs.fails, "seven")], cluster))
+        dict(map_jobs([partial(jobs.fails, "seven")], cluster))
     assert "in fails" in str(raised.value.__cause__)
 
 
 def test_a_job_that_always_dies_ends_the_work(
     cluster: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("surface_gym.sharing.jobs.LOSSES", 3)
+    monkeypatch.setattr("surface_gym.parallel.MAX_LOSSES", 3)
     with pytest.raises(WorkFailed, match="a job has cost 3 processes; the last: WorkerCrashed"):
-        dict(share([jobs.always_dies], cluster))
+        dict(map_jobs([jobs.always_dies], cluster))
 
 
 def test_ctrl_c_interrupts_the_jobs_on_the_nodes_too(cluster: Cluster, tmp_path: Path) -> None:
@@ -132,17 +132,17 @@ def test_ctrl_c_interrupts_the_jobs_on_the_nodes_too(cluster: Cluster, tmp_path:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        dict(share([partial(jobs.waits, tmp_path / f"{k}") for k in range(2)], cluster, hear))
+        dict(map_jobs([partial(jobs.waits, tmp_path / f"{k}") for k in range(2)], cluster, hear))
     assert sorted(heard[2:]) == [(0, "interrupted"), (1, "interrupted")]
 
 
 def test_a_node_with_another_version_is_refused_and_both_are_named(
     cluster: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ray_crew, "own_build", lambda: Build("0.0.1", "c0de", "9a9e"))
+    monkeypatch.setattr(ray_executor, "own_build", lambda: Build("0.0.1", "c0de", "9a9e"))
     named = r"has surface_gym version .* \(code .*version 0\.0\.1 \(code c0de, policies 9a9e\)"
     with pytest.raises(WorkFailed, match=named):
-        dict(share([partial(jobs.draws, 0)], cluster))
+        dict(map_jobs([partial(jobs.draws, 0)], cluster))
 
 
 @pytest.mark.parametrize("address", ["", "ray://head:10001"])
@@ -154,7 +154,7 @@ def test_addresses_that_cannot_be_used_are_refused(address: str) -> None:
 def test_without_ray_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ValueError, match=r"pip install 'surface_gym\[cluster\]'"):
-        dict(share([partial(jobs.draws, 0)], Cluster("auto")))
+        dict(map_jobs([partial(jobs.draws, 0)], Cluster("auto")))
 
 
 def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(
@@ -164,10 +164,10 @@ def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(
     for folder in folders:
         folder.mkdir()
     train_seeds(SMALL, folders[0], Console(quiet=True), 2)
-    usual = ray_crew.RayCrew.listen
+    usual = ray_executor.RayCrew.listen
     words = 0
 
-    def listen(crew: ray_crew.RayCrew) -> Iterator[Any]:
+    def listen(crew: ray_executor.RayCrew) -> Iterator[Any]:
         nonlocal words
         for word in usual(crew):
             words += 1
@@ -176,7 +176,7 @@ def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(
             yield word
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ray_crew.RayCrew, "listen", listen)
+        patch.setattr(ray_executor.RayCrew, "listen", listen)
         learned = train_seeds(SMALL, folders[1], Console(quiet=True), cluster)
     assert words > 20
     assert [each.interrupted for each in learned] == [False] * 2
@@ -193,10 +193,10 @@ def test_cells_are_the_same_those_of_a_runs_policies_too(cluster: Cluster, tmp_p
         task="slow", steps=512, lanes=8, n_steps=16, batch_size=64, n_epochs=1, hidden=(8,)
     )
     train_seeds(one, tmp_path, Console(quiet=True), 1)
-    run = replace(only(trained(policies_of(tmp_path)), ("exact",)), starts=6)
+    run = replace(only(trained(policy_folders(tmp_path)), ("exact",)), starts=6)
     who = [replace(only(rules("slow")[0], ("exact", "stuck")), starts=6), run]
     local, elsewhere = (
-        [replace(cell, decision_time=0.0) for cell in compute_cells(who, workers)]
+        [replace(cell, decision_time=0.0) for cell in compute_results(who, workers)]
         for workers in (1, cluster)
     )
     assert elsewhere == local
@@ -237,7 +237,10 @@ def test_a_command_that_was_killed_goes_on_with_a_task_of_ones_own(
     assert not any(folders[1].rglob(WEIGHTS))
     ray.shutdown()  # a task of one's own goes along when the cluster is joined
     train_seeds(
-        config, folders[1], Console(quiet=True), workers_of(cluster.address, 1, files_of(task))
+        config,
+        folders[1],
+        Console(quiet=True),
+        choose_workers(cluster.address, 1, task_files(task)),
     )
     for name in ("seed-0", "seed-1"):
         for file in (WEIGHTS, CURVE):

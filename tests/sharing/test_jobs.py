@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from surface_gym.sharing import WorkFailed, check_workers, quiet, share
+from surface_gym.parallel import WorkFailed, check_workers, map_jobs, without_report
 from tests.sharing import jobs
 
 
@@ -18,7 +18,7 @@ def test_results_and_what_is_told_do_not_depend_on_processes() -> None:
     heard: dict[int, list[tuple[Any, ...]]] = {1: [], 2: []}
     work = [partial(jobs.draws, seed) for seed in range(5)]
     found = {
-        workers: dict(share(work, workers, partial(kept, heard[workers]))) for workers in heard
+        workers: dict(map_jobs(work, workers, partial(kept, heard[workers]))) for workers in heard
     }
     assert found[1] == found[2]
     assert sorted(heard[1]) == sorted(heard[2])
@@ -32,16 +32,16 @@ def kept(heard: list[tuple[Any, ...]], place: int, told: Any) -> None:
 
 
 def test_two_processes_share_what_there_is_and_are_used_again() -> None:
-    found = [pid for _, pid in share([jobs.own_process] * 5, 2)]
+    found = [pid for _, pid in map_jobs([jobs.own_process] * 5, 2)]
     assert len(found) == 5
     assert len(set(found)) == 2
     assert os.getpid() not in found
 
 
 def test_one_worker_or_one_job_needs_no_process() -> None:
-    assert dict(share([jobs.own_process], 8)) == {0: os.getpid()}
-    assert dict(share([jobs.own_process] * 2, 1)) == {0: os.getpid(), 1: os.getpid()}
-    assert list(share([], 2)) == []
+    assert dict(map_jobs([jobs.own_process], 8)) == {0: os.getpid()}
+    assert dict(map_jobs([jobs.own_process] * 2, 1)) == {0: os.getpid(), 1: os.getpid()}
+    assert list(map_jobs([], 2)) == []
 
 
 def test_a_job_whose_process_dies_is_done_again_and_only_that(tmp_path: Path) -> None:
@@ -49,24 +49,24 @@ def test_a_job_whose_process_dies_is_done_again_and_only_that(tmp_path: Path) ->
         partial(jobs.dies_at_first, tmp_path, "lost"),
         partial(jobs.counts_beginnings, tmp_path, "whole"),
     ]
-    assert dict(share(work, 2)) == {0: 2, 1: 1}
+    assert dict(map_jobs(work, 2)) == {0: 2, 1: 1}
 
 
 def test_a_job_that_always_dies_ends_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("surface_gym.sharing.jobs.LOSSES", 3)
+    monkeypatch.setattr("surface_gym.parallel.MAX_LOSSES", 3)
     with pytest.raises(WorkFailed, match=r"a job has cost 3 processes; the last: exit code -9"):
-        dict(share([jobs.always_dies, partial(jobs.draws, 0)], 2))
+        dict(map_jobs([jobs.always_dies, partial(jobs.draws, 0)], 2))
 
 
 def test_an_error_is_raised_here_and_says_where_it_came_from() -> None:
     with pytest.raises(ValueError, match="seven") as raised:
-        dict(share([partial(jobs.fails, "seven"), jobs.own_process], 2))
+        dict(map_jobs([partial(jobs.fails, "seven"), jobs.own_process], 2))
     assert "in fails" in str(raised.value.__cause__)
 
 
 def test_an_error_that_cannot_be_sent_is_told_in_words() -> None:
     with pytest.raises(RuntimeError, match="Stubborn: 1 and 2"):
-        dict(share([jobs.fails_stubbornly, jobs.own_process], 2))
+        dict(map_jobs([jobs.fails_stubbornly, jobs.own_process], 2))
 
 
 @pytest.mark.parametrize("by", [KeyboardInterrupt, OSError])
@@ -81,14 +81,14 @@ def test_whatever_ends_the_work_interrupts_the_jobs_and_hears_them_out(
             raise by
 
     with pytest.raises(by):
-        dict(share([partial(jobs.waits, tmp_path / f"{k}") for k in range(2)], 2, hear))
+        dict(map_jobs([partial(jobs.waits, tmp_path / f"{k}") for k in range(2)], 2, hear))
     assert sorted(heard[2:]) == [(0, "interrupted"), (1, "interrupted")]
     assert sorted(file.name for file in tmp_path.iterdir()) == ["0", "1"]
 
 
 def test_who_stops_listening_ends_the_jobs(tmp_path: Path) -> None:
     work = [partial(jobs.draws, 0), partial(jobs.waits, tmp_path / "file")]
-    some = share(work, 2)
+    some = map_jobs(work, 2)
     assert next(some)[0] == 0
     some.close()  # type: ignore[attr-defined]
     assert not list(tmp_path.glob("*")) or (tmp_path / "file").read_text() == "interrupted\n"
@@ -130,7 +130,7 @@ def is_there(process: int) -> bool:
 
 
 def test_what_is_quiet_tells_nothing() -> None:
-    assert quiet(lambda: 5, pytest.fail) == 5
+    assert without_report(lambda: 5, pytest.fail) == 5
 
 
 @pytest.mark.parametrize("workers", [0, -1, 1.5, True])

@@ -67,7 +67,7 @@ def features_of(batch: Batch) -> dict[str, float]:
 
 def advanced(batch: Batch, choice: int) -> tuple[str, dict[str, float]]:
     """Outcome and reward terms after a control period with every axis alike."""
-    batch.advance(np.full((1, batch.surfaces.command.shape[1]), choice))
+    batch.step(np.full((1, batch.surfaces.command.shape[1]), choice))
     terms = dict(zip(batch.task.terms, batch.parcels.terms[0].tolist(), strict=True))
     return batch.outcomes[batch.parcels.outcome[0]], terms
 

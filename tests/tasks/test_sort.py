@@ -184,7 +184,7 @@ class TestSeen:
     def test_mirrored_episodes_look_alike(self) -> None:
         """Sorts to either side, +45 and -45 deg and the rows exchanged, differ in the side only."""
         episodes: list[Episode] = []
-        kind = bare(actions="quadrants").settings.action_kind
+        kind = bare(actions="quadrants").config.action_kind
         mirrored = np.array([0, 2, 1, 3])
         for side in (1, -1):
             env = bare(actions="quadrants")

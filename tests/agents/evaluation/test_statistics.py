@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from scipy.stats import binomtest
-
-from agents.evaluation.statistics import interval, wilson
+from surface_gym.agents.evaluation.statistics import interval, wilson
 
 
 @pytest.mark.parametrize(("successes", "count"), [(0, 20), (7, 20), (20, 20), (480, 500)])

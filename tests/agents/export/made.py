@@ -3,13 +3,10 @@
 import numpy as np
 import torch
 from stable_baselines3.common.policies import BasePolicy
-
-from agents.export.decision import Integers, Singles
-from agents.export.source import Source, Training
-from agents.modules.network import SharedNetwork
-from agents.modules.policy import ModulesPolicy
-from agents.policies.policy import Policy, make_network
-from agents.policy_card import PolicyCard
+from surface_gym.agents.export.policy import Integers, Singles, Source, Training
+from surface_gym.agents.library import PolicyCard
+from surface_gym.agents.module_policy import ModulePolicy, SharedNetwork
+from surface_gym.agents.policy import Policy, make_network
 
 GROUPS = ("parcel", "rotors")
 CARDS = {
@@ -26,9 +23,9 @@ def made(name: str) -> Source:
     card = CARDS[name]
     settings = card.settings()
     network = network_of(name)
-    policy: Policy | ModulesPolicy
+    policy: Policy | ModulePolicy
     if isinstance(network, SharedNetwork):
-        policy = ModulesPolicy(network, card)
+        policy = ModulePolicy(network, card)
     else:
         assert isinstance(network, BasePolicy)
         policy = Policy(network, card, settings)

@@ -1,4 +1,6 @@
-"""Configurations: bad fields are named, the YAML of every task is understood, files come back."""
+"""Configurations: bad fields are named; hyper-parameters of the package and of users are read, and
+come back from files as they were written.
+"""
 
 from dataclasses import fields, replace
 from pathlib import Path
@@ -6,9 +8,18 @@ from typing import Any
 
 import pytest
 import yaml
+from surface_gym.agents.learning.config import (
+    CONFIGS,
+    DQNConfig,
+    ModulesConfig,
+    ParcelsConfig,
+    PPOConfig,
+    TrainConfig,
+    config_of_seed,
+)
+from surface_gym.agents.learning.hyperparams import FOLDER, defaults, write_hyperparams
+from surface_gym.agents.learning.runs import read_config, write_config
 
-from agents.learning.config import CONFIGS, DQNConfig, ModulesConfig, PPOConfig
-from agents.learning.hyperparams import FOLDER, defaults, of_seed, read_config, write_config
 from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
 
@@ -18,7 +29,9 @@ BAD: tuple[dict[str, Any], ...] = (
     {"seed": -1},
     {"seeds": 0},
     {"steps": 0},
-    {"lanes": 0},
+    {"num_envs": 0},
+    {"preset": "field"},
+    {"observe": ("moon",)},
     {"checkpoint_every": 0},
     {"control_period": 0.0},
     {"camera_share": 1.5},
@@ -43,7 +56,15 @@ BAD_MODULES: tuple[dict[str, Any], ...] = (
     {"algo": "ppo"},
     {"task": "slow"},
     {"actions": "halves"},
-    {"parted": 1.5},
+    {"split_probability": 1.5},
+)
+BAD_PARCELS: tuple[dict[str, Any], ...] = (
+    {"task": "sort"},
+    {"actions": "halves"},
+    {"slots": 1, "batch_size": 1024},
+    {"imitation": -1},
+    {"clip_range": 0.0},
+    {"batch_size": 500},
 )
 BAD_DQN: tuple[dict[str, Any], ...] = (
     {"algo": "ppo"},
@@ -63,7 +84,8 @@ BAD_DQN: tuple[dict[str, Any], ...] = (
     [(kind, wrong) for kind in CONFIGS.values() for wrong in BAD]
     + [(PPOConfig, wrong) for wrong in BAD_PPO]
     + [(DQNConfig, wrong) for wrong in BAD_DQN]
-    + [(ModulesConfig, wrong) for wrong in BAD_MODULES],
+    + [(ModulesConfig, wrong) for wrong in BAD_MODULES]
+    + [(ParcelsConfig, wrong) for wrong in BAD_PARCELS],
     ids=lambda value: value.__name__ if isinstance(value, type) else str(value),
 )
 def test_bad_settings_are_named(kind: type[Any], wrong: dict[str, Any]) -> None:
@@ -80,7 +102,7 @@ class TestYaml:
         entry = yaml.safe_load((FOLDER / f"{algo}.yml").read_text())[env_id(task)]
         config = defaults(task, algo)
         assert (config.task, config.algo) == (task, algo)
-        assert config.lanes == entry["n_envs"]
+        assert config.num_envs == entry["n_envs"]
         assert config.steps == int(entry["n_timesteps"])
         assert config.hidden == tuple(entry["policy_kwargs"]["net_arch"])
         assert f"lin_{config.learning_rate:g}" == f"lin_{float(entry['learning_rate'][4:]):g}"
@@ -94,23 +116,14 @@ class TestYaml:
         assert read_config(tmp_path / "config.yaml") == config
 
 
-def test_a_setting_that_is_not_known_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "ppo.yml").write_text("SmartSurface/Sort-v0:\n  normalize: true\n")
-    monkeypatch.setattr("agents.learning.hyperparams.FOLDER", tmp_path)
-    with pytest.raises(ValueError, match="normalize"):
-        defaults("sort", "ppo")
-
-
 def test_modules_learn_no_task_but_sort() -> None:
     with pytest.raises(ValueError, match="task must be one of 'sort' for modules, got 'slow'"):
         defaults("slow", "modules")
 
 
-def test_the_run_of_one_seed() -> None:
+def test_the_configuration_of_one_seed() -> None:
     several = PPOConfig(seeds=3, steps=5)
-    assert of_seed(several, 2) == PPOConfig(seed=2, seeds=1, steps=5)
+    assert config_of_seed(several, 2) == PPOConfig(seed=2, seeds=1, steps=5)
 
 
 @pytest.mark.parametrize(
@@ -125,3 +138,131 @@ def test_a_foreign_file_is_refused(tmp_path: Path, text: str) -> None:
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="holds no run"):
         read_config(tmp_path / "config.yaml")
+
+
+ROOT = Path(__file__).parents[3]
+LEARNED = [
+    *((task, algo) for algo in ("ppo", "dqn") for task in TASKS),
+    ("sort", "modules"),
+    ("flow", "parcels"),
+    (f"{ROOT}/examples/reach.py:Reach", "ppo"),
+    (f"{ROOT}/examples/haste.py:Haste", "dqn"),
+]
+
+
+@pytest.mark.parametrize(("task", "algo"), LEARNED)
+def test_what_is_written_is_read_again(task: str, algo: str, tmp_path: Path) -> None:
+    config = replace(
+        defaults(task, algo), steps=123_456, learning_rate=1 / 3e4, gamma=0.1 + 0.2, friction=0.35,
+        control_period=0.02, hidden=(7, 9, 11), checkpoint_every=777,
+    )  # fmt: skip
+    write_hyperparams(config, tmp_path / "own.yml")
+    assert defaults(task, algo, tmp_path / "own.yml") == config
+
+
+def test_seeds_folder_and_name_are_no_hyperparameters(tmp_path: Path) -> None:
+    config = PPOConfig(seed=5, seeds=3, name="a", out=tmp_path)
+    write_hyperparams(config, tmp_path / "own.yml")
+    assert defaults("sort", "ppo", tmp_path / "own.yml") == PPOConfig()
+
+
+def test_it_is_the_zoos_schema(tmp_path: Path) -> None:
+    config: TrainConfig = DQNConfig(task="slow", num_envs=32, learning_rate=2e-5)
+    write_hyperparams(config, tmp_path / "own.yml")
+    entry = yaml.safe_load((tmp_path / "own.yml").read_text())["SmartSurface/Slow-v0"]
+    assert entry["n_envs"] == 32
+    assert entry["n_timesteps"] == 1_000_000
+    assert entry["learning_rate"] == "lin_2e-05"
+    assert entry["policy_kwargs"] == {"net_arch": [64, 64]}
+    assert entry["env_kwargs"] == {"actions": "halves", "control_period": 0.04}
+    assert not {"task", "algo", "seed", "seeds", "out", "name"} & entry.keys()
+
+
+@pytest.mark.parametrize(
+    ("entry", "named"),
+    [
+        ({"normalize": True}, "normalize must be a known setting"),
+        ({"seed": 3}, "seed must be a known setting"),
+        ({"policy": "CnnPolicy"}, "policy must be a known setting"),
+        ({"policy_kwargs": {"net_arch": 64}}, "policy_kwargs must be a known setting"),
+        ({"policy_kwargs": {}}, "policy_kwargs must be a known setting"),
+        ({"env_kwargs": {"task": "slow"}}, "env_kwargs must be a known setting"),
+        ({"env_kwargs": ["actions"]}, "env_kwargs must be a known setting"),
+        ({"learning_rate": 0.001}, "learning_rate must be lin_ and a number, .* got 0.001"),
+        ({"learning_rate": "lin_fast"}, "learning_rate must be lin_ and a number"),
+        ({"n_timesteps": "long"}, "n_timesteps must be a finite number"),
+        ({"gamma": 1.5}, "gamma must be between 0 and 1"),
+        (3, "SmartSurface/Sort-v0 must hold names and values"),
+    ],
+    ids=str,
+)
+def test_an_unknown_setting_is_named(entry: Any, named: str, tmp_path: Path) -> None:
+    (tmp_path / "own.yml").write_text(yaml.safe_dump({"SmartSurface/Sort-v0": entry}))
+    with pytest.raises(ValueError, match=r"own\.yml does not hold hyper-parameters: " + named):
+        defaults("sort", "ppo", tmp_path / "own.yml")
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("", "an entry a task"),
+        ("[1", "flow sequence"),
+        ("SmartSurface/Slow-v0: {}", "task must be one of 'slow' for ppo, got 'sort'"),
+        ("!!python/object/apply:os.getcwd []", "could not determine a constructor"),
+    ],
+)
+def test_a_foreign_file_of_hyperparameters_is_refused(
+    text: str, named: str, tmp_path: Path
+) -> None:
+    (tmp_path / "own.yml").write_text(text)
+    with pytest.raises(ValueError, match=r"own\.yml.*" + named):
+        defaults("sort", "ppo", tmp_path / "own.yml")
+
+
+def test_a_missing_file_of_hyperparameters_is_named() -> None:
+    with pytest.raises(ValueError, match=r"nowhere\.yml"):
+        defaults("sort", "ppo", Path("nowhere.yml"))
+
+
+def test_earlier_names_of_settings_are_read(tmp_path: Path) -> None:
+    config = defaults("sort", "modules")
+    write_hyperparams(config, tmp_path / "own.yml")
+    text = (tmp_path / "own.yml").read_text()
+    assert "split_probability" in text
+    (tmp_path / "own.yml").write_text(text.replace("split_probability", "parted"))
+    assert defaults("sort", "modules", tmp_path / "own.yml") == config
+
+
+@pytest.mark.parametrize("task", [*TASKS, f"{ROOT}/examples/reach.py:Reach"])
+def test_every_task_has_defaults_for_a_device(task: str, tmp_path: Path) -> None:
+    config = defaults(task, "ppo", device="cuda")
+    assert isinstance(config, PPOConfig)
+    assert (config.task, config.device, config.camera_share) == (task, "cuda", 0.0)
+    assert config.num_envs >= 16_384
+    assert (
+        config.checkpoint_every >= 10 * config.num_envs * config.n_steps
+    )  # checkpoints are many rollouts apart
+    write_hyperparams(config, tmp_path / "own.yml")
+    assert defaults(task, "ppo", tmp_path / "own.yml", device="cuda") == config
+
+
+def test_the_file_is_in_the_zoos_schema() -> None:
+    entries = yaml.safe_load((FOLDER / "ppo-cuda.yml").read_text())
+    of_cpu = yaml.safe_load((FOLDER / "ppo.yml").read_text())
+    assert set(entries) == {*of_cpu, "beside the zoo"}
+    assert set(entries[env_id("sort")]) == set(of_cpu[env_id("sort")])
+
+
+def test_an_unknown_device_is_refused() -> None:
+    with pytest.raises(ValueError, match="device must be one of 'cpu', 'cuda', got 'tpu'"):
+        replace(PPOConfig(), device="tpu")
+    with pytest.raises(ValueError, match="algo must be 'ppo' for device 'cuda', got 'modules'"):
+        ModulesConfig(device="cuda", camera_share=0.0)
+
+
+def test_a_run_from_before_there_were_devices_learns_on_the_cpu(tmp_path: Path) -> None:
+    write_config(PPOConfig(), tmp_path / "config.yaml")
+    plain = yaml.safe_load((tmp_path / "config.yaml").read_text())
+    del plain["device"]
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(plain))
+    assert read_config(tmp_path / "config.yaml") == PPOConfig()

@@ -1,106 +1,102 @@
-"""Parcels that learn: runs that are reproducible, and gone on from after a break."""
+"""Training of parcels: agent slots, each of which follows one parcel from the gate until it has
+left, and the order in which networks learn.
+"""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from surface_gym.agents.learning.config import ParcelsConfig
+from surface_gym.agents.learning.parcels import SlotVecEnv, densest_stream, training_settings
+from surface_gym.agents.learning.train import train
+from surface_gym.agents.library import WEIGHTS
+from surface_gym.agents.rules.streams import StreamEventRule
+from surface_gym.agents.symmetry import SIDE
 
-import agents
-from agents.flow.policy import FlowPolicy
-from agents.learning.checkpoint import FILE as CHECKPOINT
-from agents.learning.config import ParcelsConfig
-from agents.learning.curve import FILE as CURVE
-from agents.learning.parcels import CriticFirst
-from agents.learning.training import train
-from agents.policies.files import CARD, WEIGHTS
-from tests.agents.signing import sign
+from surface_gym.config import EnvConfig
+from surface_gym.flow.task import PRESENT, WAITS
 
 SMALL = ParcelsConfig(
-    steps=30_000, lanes=4, seats=8, n_steps=64, batch_size=512, n_epochs=1, hidden=(8,),
+    steps=4_000, num_envs=4, slots=8, n_steps=64, batch_size=512, n_epochs=1, hidden=(8,),
     imitation=0, critic_first=4_000, checkpoint_every=8_192,
 )  # fmt: skip
+SETTINGS = training_settings(0.04)
+SLOTS = 14
 
 
-def weights(folder: Path) -> dict[str, torch.Tensor]:
-    found: dict[str, torch.Tensor] = torch.load(folder / WEIGHTS, weights_only=True)
-    return found
+def make_slots(num_streams: int = 2, seed: int = 0) -> SlotVecEnv:
+    env = SlotVecEnv(SETTINGS, num_streams, SLOTS, lambda _: densest_stream(1.5, ("S", "B")))
+    env.seed(seed)
+    return env
 
 
-def folder(tmp_path: Path, name: str) -> Path:
-    made = tmp_path / name
-    made.mkdir()
-    return made
+@pytest.fixture(scope="module")
+def run() -> list[tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, object]]]]:
+    """Observations, rewards, ends and infos of 150 periods; all parcels obey the event rule."""
+    env = make_slots()
+    rule = StreamEventRule(EnvConfig(exits="sides", actions="parcels"))
+    seen = np.asarray(env.reset())
+    steps = []
+    for _ in range(150):
+        choices = np.ones((env.num_envs, 3), dtype=np.int64)
+        there = (seen[:, PRESENT] > 0.5) & (seen[:, WAITS] < 0.5)
+        if there.any():
+            choices[there, :2] = rule._halves(seen[there])
+        after, rewards, ends, infos = env.step(choices)
+        steps.append((seen, rewards, ends, infos))
+        seen = np.asarray(after)
+    return steps
 
 
-def test_a_run_broken_off_goes_on_to_the_same_weights_and_curve(tmp_path: Path) -> None:
-    whole, broken = folder(tmp_path, "whole"), folder(tmp_path, "broken")
-    train(SMALL, whole)
+def test_a_parcel_keeps_its_slot_until_it_has_left(run: list[tuple]) -> None:
+    for (seen, _, ends, _), (after, *_) in pairwise(run):
+        sat, sits = seen[:, PRESENT] > 0.5, after[:, PRESENT] > 0.5
+        # No parcel changes slots: one that stays has moved by no more than a period's way.
+        stays = sat & sits & ~ends
+        way = np.abs(after[stays, 13] - seen[stays, 13])
+        assert way.max(initial=0.0) < 0.25
+        assert not (sat & ~sits & ~ends).any()
 
-    def stop(steps: int, success: float) -> None:
-        del success  # it may be nan still
-        if steps > 12_000:
-            raise KeyboardInterrupt
 
-    assert train(SMALL, broken, stop).interrupted
-    assert (broken / CHECKPOINT).is_file()
-    train(SMALL, broken)
-    assert (broken / CURVE).read_bytes() == (whole / CURVE).read_bytes()
-    first, second = weights(whole), weights(broken)
-    assert all(torch.equal(values, second[name]) for name, values in first.items())
-    policy = agents.read(whole)
-    assert isinstance(policy, FlowPolicy)
-    assert policy.env_kwargs == {"actions": "parcels", "gate": True, "control_period": 0.04}
+def test_every_parcel_that_leaves_by_its_exit_is_a_success(run: list[tuple]) -> None:
+    ended = [info for *_, infos in run for info in infos if info]
+    assert len(ended) > 20
+    assert all(info["is_success"] for info in ended if not info["TimeLimit.truncated"])
+
+
+def test_a_free_slot_observes_and_earns_nothing(run: list[tuple]) -> None:
+    for seen, rewards, _, _ in run:
+        free = seen[:, PRESENT] < 0.5
+        assert not seen[free].any()
+        assert not rewards[free].any()
+
+
+def test_the_observed_side_is_mirrored(run: list[tuple]) -> None:
+    assert all((seen[:, SIDE] >= 0.0).all() for seen, *_ in run)
+
+
+def test_the_same_seed_gives_the_same_parcels() -> None:
+    one, other = make_slots(seed=4), make_slots(seed=4)
+    rng = np.random.default_rng(0)
+    assert np.array_equal(one.reset(), other.reset())
+    for _ in range(30):
+        choices = rng.integers(0, [4, 4, 9], (one.num_envs, 3))
+        for first, second in zip(one.step(choices)[:3], other.step(choices)[:3], strict=True):
+            assert np.array_equal(first, second)
 
 
 def test_the_actor_waits_for_the_critic(tmp_path: Path) -> None:
-    made = folder(tmp_path, "waiting")
-    config = replace(SMALL, steps=4_000, critic_first=1_000_000)
+    made, untaught = tmp_path / "waiting", tmp_path / "untaught"
+    config = replace(SMALL, critic_first=1_000_000)
+    for folder in (made, untaught):
+        folder.mkdir()
     train(config, made)
-    untaught = folder(tmp_path, "untaught")
     train(replace(config, steps=1, learning_rate=1e-30), untaught)
-    found, before = weights(made), weights(untaught)
+    found, before = (torch.load(folder / WEIGHTS, weights_only=True) for folder in (made, untaught))
     actor = [name for name in found if name.startswith(("action_net", "mlp_extractor.policy_net"))]
     assert actor
     assert all(torch.equal(found[name], before[name]) for name in actor)
     assert not torch.equal(found["value_net.weight"], before["value_net.weight"])
-    assert CriticFirst(1)
-
-
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        ({"task": "sort"}, "task"),
-        ({"actions": "halves"}, "actions"),
-        ({"seats": 1, "batch_size": 64}, "seats"),
-        ({"imitation": -1}, "imitation"),
-        ({"clip_range": 0.0}, "clip_range"),
-        ({"batch_size": 500}, "batch_size"),
-    ],
-)
-def test_what_is_not_allowed_is_named(change: dict[str, object], named: str) -> None:
-    with pytest.raises(ValueError, match=named):
-        replace(SMALL, **change)
-
-
-def test_a_policy_file_of_another_kind_is_refused(tmp_path: Path) -> None:
-    made = folder(tmp_path, "made")
-    train(replace(SMALL, steps=100), made)
-    card = (made / CARD).read_text()
-    (made / CARD).write_text(card.replace("algo: parcels", "algo: ppo"))
-    sign(made)
-    with pytest.raises(ValueError, match="algo must be 'parcels'"):
-        agents.read(made)
-
-
-def test_an_observation_of_one_flow_or_of_many(tmp_path: Path) -> None:
-    made = folder(tmp_path, "made")
-    train(replace(SMALL, steps=100), made)
-    policy = agents.read(made)
-    tables = np.random.default_rng(0).random((3, 25, 29), dtype=np.float32)
-    tables[..., 15] = 1.0
-    tables[..., 14] = -1.0
-    many, _ = policy.predict(tables)
-    assert many.shape == (3, 49)
-    assert np.array_equal(policy.predict(tables[1])[0], many[1])

@@ -1,15 +1,14 @@
-"""Running rules over starts, one lane each, for the tests."""
+"""Runs of rules over starts, one environment each, for the tests."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from surface_gym.agents.base import Controller
+from surface_gym.agents.rules import RULES, Rule
 
 import surface_gym as sg
-from agents.controller import Controller
-from agents.rules import RULES
-from agents.rules.rule import Rule
-from surface_gym.settings import Settings
+from surface_gym.config import EnvConfig
 from surface_gym.tasks.paths import Sine
 
 LIMIT = 300  # control periods, as many as the longest task has
@@ -17,27 +16,27 @@ LIMIT = 300  # control periods, as many as the longest task has
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """First episodes of some lanes."""
+    """First episodes of some environments."""
 
-    success: np.ndarray  # (lanes,)
-    outcome: np.ndarray  # (lanes,)
-    time: np.ndarray  # (lanes,) [s]
-    pose: np.ndarray  # (lanes, 3) at the end
-    velocity: np.ndarray  # (lanes, 3) at the end
-    figures: dict[str, np.ndarray]  # the task's own, (lanes,) each
+    success: np.ndarray  # (num_envs,)
+    outcome: np.ndarray  # (num_envs,)
+    time: np.ndarray  # (num_envs,) [s]
+    pose: np.ndarray  # (num_envs, 3) at the end
+    velocity: np.ndarray  # (num_envs, 3) at the end
+    figures: dict[str, np.ndarray]  # the task's own, (num_envs,) each
 
 
 def rule(task: str, name: str) -> Rule:
-    """The rule of a task with a name."""
+    """Find the rule of a task by name."""
     (found,) = (rule for rule in RULES if (rule.task, rule.name) == (task, name))
     return found
 
 
-def run(controller: Controller, settings: Settings, starts: list[dict[str, Any]]) -> Runs:
-    """One lane a start, each to the end of its episode."""
-    lanes = len(starts)
+def run(controller: Controller, settings: EnvConfig, starts: list[dict[str, Any]]) -> Runs:
+    """Run one environment per start, each to the end of its episode."""
+    num_envs = len(starts)
     env = sg.SmartSurfaceVectorEnv(
-        lanes,
+        num_envs,
         task=settings.task,
         actions=settings.actions,
         orientations=settings.orientations,
@@ -48,7 +47,7 @@ def run(controller: Controller, settings: Settings, starts: list[dict[str, Any]]
     observation, info = env.reset(seed=0, options=starts)
     names = ("is_success", "outcome", "time", "pose", "velocity", *settings.chosen_task.metrics)
     ends = {name: info[name].copy() for name in names}
-    running, state, begun = np.ones(lanes, dtype=bool), None, np.ones(lanes, dtype=bool)
+    running, state, begun = np.ones(num_envs, dtype=bool), None, np.ones(num_envs, dtype=bool)
     while running.any():
         action, state = controller.predict(observation, state=state, episode_start=begun)
         observation, _, terminated, truncated, info = env.step(action)
@@ -63,9 +62,9 @@ def run(controller: Controller, settings: Settings, starts: list[dict[str, Any]]
 
 
 def run_rule(task: str, name: str, starts: list[dict[str, Any]]) -> Runs:
-    """A rule, found by task and name, over some starts."""
+    """Run a rule, found by task and name, over some starts."""
     chosen = rule(task, name)
-    settings = Settings(task=task, actions=chosen.actions)
+    settings = EnvConfig(task=task, actions=chosen.actions)
     return run(chosen.make(settings), settings, starts)
 
 

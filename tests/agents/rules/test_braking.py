@@ -1,4 +1,4 @@
-"""Rules of Slow and Stop, and what they predict by."""
+"""Rules of Slow and Stop, and the model they predict by."""
 
 import math
 from dataclasses import replace
@@ -6,19 +6,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from surface_gym.agents.rollout import run_episodes
+from surface_gym.agents.rules.base import FULL, HALF, LEANS, ROLL, ColumnAxes
+from surface_gym.agents.rules.brake_model import Braked, BrakeModel, contact_span
+from surface_gym.agents.rules.braking import SLOW_GENTLY, TRIM_TIME, FrictionEstimate, SlowingRule
+from surface_gym.agents.rules.layouts import FixedSlowing
 
 import surface_gym as sg
-from agents.episodes import run_episodes
-from agents.rules.brake_model import Braked, BrakeModel
-from agents.rules.braking import SLOW_GENTLY, TRIM_TIME, SlowingRule
-from agents.rules.columns import FULL, HALF, LEANS, ROLL, ColumnAxes
-from agents.rules.fixed_braking import FixedSlowing
-from agents.rules.footing import footing
-from agents.rules.friction_estimate import FrictionEstimate
-from agents.sight import line_sight
+from surface_gym.config import EnvConfig
 from surface_gym.randomisation import Actuators
 from surface_gym.sensors import AdaptiveCamera
-from surface_gym.settings import Settings
 from surface_gym.tasks import Slow, Stop
 from surface_gym.tasks.line import BRAKING
 from tests.agents.rules.runs import rule, run_rule
@@ -50,9 +47,9 @@ def test_the_brake_model_agrees_with_the_simulator(
 ) -> None:
     """Every second column brakes, from before the zone to where the first is about to leave it.
 
-    Where loads lie is told, as a sensor that learns would.
+    The place of the load is given, as a sensor that learns would.
     """
-    settings = Settings(task=Slow(parcels=pair), observe=("parcel",))
+    settings = EnvConfig(task=Slow(parcels=pair), observe=("parcel",))
     load_ahead = np.array([parcel.com_offset[0] for parcel in pair])
     env = sg.SmartSurfaceVectorEnv(
         2, task=settings.task, observe=("parcel",), autoreset_mode="SameStep"
@@ -63,52 +60,52 @@ def test_the_brake_model_agrees_with_the_simulator(
     model, actions = BrakeModel(settings, LEANS[ROLL]), ColumnAxes(settings)(levels)
     target = LEANS[levels]
     for _ in range(18):
-        see = replace(line_sight(settings, observations), load_ahead=load_ahead)
-        under = footing(settings, see)
-        after = model.after_a_period(under, see.vx, NOMINAL, target, target[:, np.newaxis])
+        see = replace(settings.decode(observations), load_ahead=load_ahead)
+        under = contact_span(settings, see)
+        after = model.predict(under, see.vx, NOMINAL, target, target[:, np.newaxis])
         observations, *_ = env.step(actions)
-        now = line_sight(settings, observations)
+        now = settings.decode(observations)
         # It does not know how the parcel leant just before: a physics step of braking at most.
         most = BRAKING * settings.timing.dt
         np.testing.assert_allclose(after.speed[:, 0], now.vx, rtol=0, atol=most)
-        place = footing(settings, now).place
+        place = contact_span(settings, now).place
         np.testing.assert_allclose(after.place[:, 0], place, rtol=0, atol=0.04 * most)
         taken = after.braking + after.rolling
         np.testing.assert_allclose(taken[:, 0], see.vx - after.speed[:, 0], rtol=0, atol=1e-9)
 
 
 def test_the_brake_model_follows_axes_that_take_time() -> None:
-    """Half braking is told in a period and rolling thereafter: both are predicted, axes turning."""
+    """Half braking is commanded for a period, then rolling: both are predicted, axes turning."""
     actuators = Actuators(axis_speed=0.5 * math.pi / 0.1)
-    settings = Settings(task="slow", actuators=actuators)
+    settings = EnvConfig(task="slow", actuators=actuators)
     env = sg.SmartSurfaceVectorEnv(2, task="slow", actuators=actuators, autoreset_mode="SameStep")
     starts = [{"parcel": parcel, "speed": 2.2, "ratio": 0.5} for parcel in "SB"]
     observations, _ = env.reset(seed=0, options=starts)
     levels = np.full((2, COLUMNS), ROLL)
     for _ in range(12):
         observations, *_ = env.step(ColumnAxes(settings)(levels))
-    see = line_sight(settings, observations)
+    see = settings.decode(observations)
     model, target = BrakeModel(settings, LEANS[ROLL]), LEANS[np.full((2, 1, COLUMNS), HALF)]
-    after = model.after_a_period(footing(settings, see), see.vx, NOMINAL, LEANS[levels], target)
+    after = model.predict(contact_span(settings, see), see.vx, NOMINAL, LEANS[levels], target)
     observations, *_ = env.step(ColumnAxes(settings)(np.full((2, COLUMNS), HALF)))
     for _ in range(2):  # 45 deg take 50 ms
         observations, *_ = env.step(ColumnAxes(settings)(levels))
-    now = line_sight(settings, observations)
+    now = settings.decode(observations)
     assert (see.vx - now.vx > 0.1).all()
     np.testing.assert_allclose(after.speed[:, 0], now.vx, rtol=0, atol=0.01)
     lean = model.lean_after(LEANS[levels], target[:, 0])
     np.testing.assert_allclose(lean, math.pi / 5.0, rtol=1e-9)
 
 
-def test_friction_is_learnt_from_what_it_takes() -> None:
-    estimate = FrictionEstimate.of(Settings(task="stop"))
+def test_friction_is_estimated_from_the_speed_it_takes() -> None:
+    estimate = FrictionEstimate.for_sensors(EnvConfig(task="stop"))
     known = estimate.unknown(1)
     for braking, rolling in [(0.0, 0.004)] * 5 + [(0.14, 0.002)] * 30:
         parts = np.array([braking]), np.array([rolling])
-        known = estimate.learnt(known, 0.85 * parts[0] + 1.3 * parts[1], *parts)
-    learnt = estimate.frictions(known)
-    assert learnt.braking[0] == pytest.approx(0.85, abs=0.02)
-    assert learnt.rolling[0] == pytest.approx(1.3, abs=0.02)
+        known = estimate.update(known, 0.85 * parts[0] + 1.3 * parts[1], *parts)
+    estimated = estimate.frictions(known)
+    assert estimated.braking[0] == pytest.approx(0.85, abs=0.02)
+    assert estimated.rolling[0] == pytest.approx(1.3, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -118,12 +115,12 @@ def test_friction_is_learnt_from_what_it_takes() -> None:
         (Slow(parcels=(square(0.3), square(0.35))), {}),
         (Stop(), {"actuators": Actuators(axis_speed=0.5 * math.pi / 0.1)}),
         (Slow(), {"actuators": Actuators(axis_speed=0.5 * math.pi / 0.05)}),
-        (Slow(), {"plant": replace(Slow().plant, mu_min=0.013, mu_support=0.0065)}),
+        (Slow(), {"line": replace(Slow().plant, mu_min=0.013, mu_support=0.0065)}),
     ],
     ids=["large", "on supports", "slow axes, stop", "slow axes, slow", "rolling hard"],
 )
 def test_braking_holds_where_it_is_not_as_in_the_study(task: Stop | Slow, others: Any) -> None:
-    settings = Settings(task=task, **others)
+    settings = EnvConfig(task=task, **others)
     controller = rule(task.name, "braking rule").make(settings)
     assert run_episodes(controller, settings, [{}] * 40, seed=50).success.mean() >= 0.9
 
@@ -142,9 +139,9 @@ def test_slowing_hits_every_ratio() -> None:
 
 
 def test_a_parcel_that_is_seen_at_rest_asks_for_no_layout_and_warns_of_nothing() -> None:
-    settings = Settings(task="slow")
+    settings = EnvConfig(task="slow")
     observation, _ = sg.SmartSurfaceEnv(task="slow").reset(seed=0)
-    at_rest = replace(line_sight(settings, observation[np.newaxis]), vx=np.zeros(1))
+    at_rest = replace(settings.decode(observation[np.newaxis]), vx=np.zeros(1))
     slowing = FixedSlowing(settings)
     losses = np.ones((len(slowing._axes), 1000))
     assert np.isinf(slowing._regret(at_rest, losses)).all()
@@ -152,7 +149,7 @@ def test_a_parcel_that_is_seen_at_rest_asks_for_no_layout_and_warns_of_nothing()
 
 def test_slowing_brakes_late_yet_rolls_on_for_a_second() -> None:
     """It brakes in the last period before gentle braking would leave less than 1.2 s to trim."""
-    settings = Settings(task="slow")
+    settings = EnvConfig(task="slow")
     starts = [{"parcel": p, "speed": 1.2, "ratio": ratio} for p in "SB" for ratio in (0.3, 0.5)]
     runs = run_episodes(rule("slow", "braking rule").make(settings), settings, starts, seed=0)
     for start, x in zip(starts, runs.pose[:, :, 0].T, strict=True):
@@ -167,29 +164,29 @@ def test_slowing_brakes_late_yet_rolls_on_for_a_second() -> None:
         assert TRIM_TIME < left < TRIM_TIME + a_period
 
 
-def test_what_the_sensors_learned_of_friction_and_load_is_reckoned_with() -> None:
-    settings = Settings(task="stop", observe=("parcel", "load"), condition="lab")
+def test_friction_and_load_that_the_sensors_learned_are_used() -> None:
+    settings = EnvConfig(task="stop", observe=("parcel", "load"), preset="lab")
     observation = np.zeros((1, len(settings.features)), dtype=np.float32)
     place = {feature.name: k for k, feature in enumerate(settings.features)}
     observation[0, place["cosine of theta"]] = 1.0
     observation[0, place["friction learned"]] = 1.5
     observation[0, place["load learned, x"]] = -2.0
-    see = line_sight(settings, observation)
+    see = settings.decode(observation)
     sensors = settings.sensors
     assert isinstance(sensors, AdaptiveCamera)
     np.testing.assert_allclose(see.friction, 1.0 + 1.5 * sensors.friction_spread)
     np.testing.assert_allclose(see.load_ahead, -2.0 * sensors.load_spread)
-    np.testing.assert_allclose(footing(settings, see).load, see.load_ahead)
+    np.testing.assert_allclose(contact_span(settings, see).load, see.load_ahead)
 
 
 def test_where_a_load_lies_along_the_line_is_the_same_in_sorts_mirror() -> None:
-    settings = Settings(task="sort", observe=("parcel", "load"), condition="lab")
+    settings = EnvConfig(task="sort", observe=("parcel", "load"), preset="lab")
     place = {feature.name: k for k, feature in enumerate(settings.features)}
     seen = np.zeros((2, len(settings.features)), dtype=np.float32)
     seen[:, place["side"]] = (1.0, -1.0)
     seen[:, place["cosine of theta"]], seen[:, place["sine of theta"]] = 0.8, 0.6
     seen[:, place["load learned, y"]] = 2.0
-    see = line_sight(settings, seen)
+    see = settings.decode(seen)
     sensors = settings.sensors
     assert isinstance(sensors, AdaptiveCamera)
     np.testing.assert_allclose(see.theta, math.atan2(0.6, 0.8) * np.array([1.0, -1.0]), rtol=1e-6)
@@ -198,16 +195,16 @@ def test_where_a_load_lies_along_the_line_is_the_same_in_sorts_mirror() -> None:
 
 def test_beyond_the_end_of_the_zone_the_asked_speed_itself_is_best() -> None:
     """Nothing is left to roll: faster is as bad as it is too fast, slower worse."""
-    settings = Settings(task="slow")
+    settings = EnvConfig(task="slow")
     env = sg.SmartSurfaceVectorEnv(1, task="slow")
     start = {"parcel": "S", "speed": 2.0, "ratio": 0.5}
     observations, _ = env.reset(seed=0, options=start)
     slowing = SlowingRule(settings)
-    see = line_sight(settings, observations)
+    see = settings.decode(observations)
     frictions = FrictionEstimate.frictions(FrictionEstimate.unknown(1))
     none = np.zeros((1, 3))
     after = Braked(np.full((1, 3), 9.0), np.array([[0.9, 1.0, 1.1]]), none, none)
-    regret = slowing._regret(see, footing(settings, see), frictions, after)
+    regret = slowing._regret(see, contact_span(settings, see), frictions, after)
     assert regret[0, 0] > regret[0, 2]
     np.testing.assert_allclose(regret[0, 1:], [0.0, 0.1], atol=1e-5)
 
@@ -229,7 +226,7 @@ def test_stopping_hits_every_place() -> None:
 def test_a_fixed_layout_is_the_best_of_its_kind(parcel: str) -> None:
     """No other number of columns leaves nearer to the asked ratio, in the environment itself."""
     speed, ratio = 2.1, 0.55
-    settings = Settings(task="slow")
+    settings = EnvConfig(task="slow")
     start = {"parcel": parcel, "speed": speed, "ratio": ratio}
     chosen = run_rule("slow", "fixed layout", [start]).figures["ratio_error"][0]
     first = np.arange(COLUMNS) < np.arange(COLUMNS + 1)[:, np.newaxis]

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
+from surface_gym.agents.rules.sorting import BestSorting, GradedLayout
 
 import surface_gym as sg
-from agents.rules.best_sorting import BestSorting
-from agents.rules.graded import GradedLayout
+from surface_gym.config import EnvConfig
 from surface_gym.design.sorting_layouts import OFFERS, SortingLayout, sorting_layouts
 from surface_gym.lines import Line
-from surface_gym.settings import Settings
 from tests.agents.rules.runs import run, run_rule
 
 AFTER_THE_EVENT = ["event rule", "threshold logic", "PID per module"]
@@ -42,7 +41,7 @@ def test_straight_through_is_left_alone(name: str) -> None:
 
 def arranged(parcel: str, side: int, **others) -> np.ndarray:
     """Axes (rows, columns) [rad] that the best fixed layout sets for a start."""
-    settings = Settings(task="sort", actions="modules", **others)
+    settings = EnvConfig(task="sort", actions="modules", **others)
     env = sg.SmartSurfaceEnv(task="sort", actions="modules", **others)
     observation, _ = env.reset(seed=0, options={"speed": 1.5, "parcel": parcel, "side": side})
     action, _ = BestSorting(settings).predict(observation)
@@ -56,7 +55,7 @@ def shipped(box: str, offer: str) -> SortingLayout:
 
 @pytest.mark.parametrize("box", ["S", "B"])
 @pytest.mark.parametrize("side", [1, -1])
-def test_the_best_fixed_layout_sorts_as_slowly_as_it_ships(box: str, side: int) -> None:
+def test_the_best_fixed_layout_sorts_at_its_least_speed(box: str, side: int) -> None:
     least = shipped(box, "four").least_speed
     speeds = np.arange(round(100 * least), 271, 10) / 100
     some = [{"parcel": box, "speed": float(speed), "side": side} for speed in speeds]
@@ -74,7 +73,7 @@ def test_with_more_orientations_it_sorts_slower_boxes(box: str) -> None:
     some = [
         {"speed": float(speed), "side": side, "parcel": box} for speed in speeds for side in (1, -1)
     ]
-    settings = Settings("sort", "modules", orientations=eight)
+    settings = EnvConfig("sort", "modules", orientations=eight)
     assert run(BestSorting(settings), settings, some).success.all()
     assert least < shipped(box, "four").least_speed
 
@@ -91,7 +90,7 @@ def test_on_a_zone_of_another_size_it_is_cut_or_goes_on() -> None:
     whole = arranged("B", -1)
     shorter = arranged("B", -1, zone=(6, 15))
     np.testing.assert_array_equal(shorter, whole[:, :10])
-    longer = arranged("B", -1, plant=Line(columns=40, zone_columns=20, zone_rows=8))
+    longer = arranged("B", -1, line=Line(columns=40, zone_columns=20, zone_rows=8))
     np.testing.assert_array_equal(longer[2:6, :16], whole)
     np.testing.assert_array_equal(longer[:, 16:], np.repeat(longer[:, 15:16], 4, axis=1))
     np.testing.assert_array_equal(longer[:2], np.repeat(longer[2:3], 2, axis=0))
@@ -106,7 +105,7 @@ def test_in_the_middle_of_a_wider_zone_lies_the_small_box_s_layout() -> None:
 def test_at_any_angle_a_fixed_layout_sorts_as_slowly_as_rules_do(box: str) -> None:
     least = shipped(box, "any").least_speed
     speeds = np.arange(round(100 * least), 271, 10) / 100
-    settings = Settings("sort", "modules", orientations="any")
+    settings = EnvConfig("sort", "modules", orientations="any")
     starts_of_both = [start for speed in speeds for start in starts(box, float(speed))]
     assert run(GradedLayout(settings), settings, starts_of_both).success.all()
     assert least <= shipped(box, "four").least_speed / 1.8
@@ -116,15 +115,15 @@ def test_at_any_angle_a_fixed_layout_sorts_as_slowly_as_rules_do(box: str) -> No
 
 def test_a_layout_at_any_angle_is_for_axes_at_any_angle() -> None:
     with pytest.raises(ValueError, match="orientations must be one of 'any', got None"):
-        GradedLayout(Settings("sort", "modules"))
+        GradedLayout(EnvConfig("sort", "modules"))
     with pytest.raises(ValueError, match="actions must be one of 'modules', got 'halves'"):
-        GradedLayout(Settings("sort", "halves", orientations="any"))
+        GradedLayout(EnvConfig("sort", "halves", orientations="any"))
     with pytest.raises(ValueError, match="task must be one of 'sort', got 'slow'"):
-        GradedLayout(Settings("slow", "modules", orientations="any"))
+        GradedLayout(EnvConfig("slow", "modules", orientations="any"))
 
 
 def test_one_observation_gives_one_action() -> None:
-    settings = Settings("sort", "modules", orientations="any")
+    settings = EnvConfig("sort", "modules", orientations="any")
     env = sg.SmartSurfaceEnv(task="sort", actions="modules", orientations="any")
     observation, _ = env.reset(seed=0)
     one, state = GradedLayout(settings).predict(observation)

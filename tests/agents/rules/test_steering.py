@@ -1,15 +1,18 @@
-"""Rules of Track and Orient, and what they predict by."""
+"""Rules of Track and Orient, and the model they predict by."""
 
 import math
 
 import numpy as np
 import pytest
+from surface_gym.agents.rules.square_model import (
+    Motion,
+    SquareModel,
+    line_positions,
+    window_positions,
+)
 
 import surface_gym as sg
-from agents.rules.modules import Motion, line_places, window_places
-from agents.rules.sliding_square import SlidingSquare
-from agents.sight import line_sight, path_sight
-from surface_gym.settings import Settings
+from surface_gym.config import EnvConfig
 from surface_gym.tasks.paths import Sine
 from tests.agents.rules.runs import mirrored_starts, rule, run_rule
 from tests.environments import ROLL
@@ -61,17 +64,16 @@ def test_the_turning_rule_turns_to_any_angle() -> None:
 
 
 def test_modules_that_turn_a_parcel_drag_its_front_one_way_and_its_rear_the_other() -> None:
-    settings = Settings(task="orient")
+    settings = EnvConfig(task="orient")
     env = sg.SmartSurfaceVectorEnv(2, task="orient")
     starts = [{"parcel": parcel, "speed": 1.5, "angle": 0.3} for parcel in "SB"]
     observations, _ = env.reset(seed=0, options=starts)
     for _ in range(15):
         observations, *_ = env.step(np.full((2, 64), ROLL))
-    see = line_sight(settings, observations)
-    places = line_places(see, settings.action_kind)
-    for x, ways in zip(
-        places.x, rule("orient", "turning rule").make(settings)._ways(see, places), strict=True
-    ):
+    line = settings.decode(observations)
+    modules = line_positions(line, settings.action_kind)
+    options = rule("orient", "turning rule").make(settings)._options(line, modules)
+    for x, ways in zip(modules.x, options, strict=True):
         turned = [(set(way[x > 0]) - {ROLL}, set(way[x < 0]) - {ROLL}) for way in ways]
         assert turned[0] == (set(), set())
         assert all(len(front) <= 1 >= len(rear) for front, rear in turned)
@@ -85,27 +87,27 @@ def test_modules_by_themselves_turn_the_small_box(name: str) -> None:
     assert runs.success.mean() >= 0.75
 
 
-def test_places_are_the_modules_that_the_environment_sees_under_the_parcel() -> None:
-    settings = Settings(task="track", actions="window")
+def test_positions_are_the_modules_that_the_environment_sees_under_the_parcel() -> None:
+    settings = EnvConfig(task="track", actions="window")
     env = sg.SmartSurfaceVectorEnv(20, task="track", actions="window")
     observations, _ = env.reset(seed=5)
     rng = np.random.default_rng(0)
     for _ in range(10):
-        places = window_places(path_sight(settings, observations), settings.action_kind)
-        np.testing.assert_array_equal(places.under, observations[:, -25:] > 0.5)
+        modules = window_positions(settings.decode(observations), settings.action_kind)
+        np.testing.assert_array_equal(modules.under, observations[:, -25:] > 0.5)
         observations, *_ = env.step(rng.integers(0, 4, (20, 25)))
 
 
-def test_line_places_are_pitches_apart_and_centred_on_the_line() -> None:
-    settings = Settings(task="orient")
+def test_line_positions_are_pitches_apart_and_centred_on_the_line() -> None:
+    settings = EnvConfig(task="orient")
     env = sg.SmartSurfaceVectorEnv(2, task="orient")
     observations, info = env.reset(seed=0, options=[{"parcel": "S"}, {"parcel": "B"}])
-    places = line_places(line_sight(settings, observations), settings.action_kind)
+    modules = line_positions(settings.decode(observations), settings.action_kind)
     # The S-box's lead-in is 3 columns and the B-box's 5; the first rotor after it is at 0.35 m.
     first = np.array([0.35, 0.55]) - info["pose"][:, 0]
-    np.testing.assert_allclose(places.x.reshape(2, 4, 16)[:, 2, 0], first, atol=1e-6)
+    np.testing.assert_allclose(modules.x.reshape(2, 4, 16)[:, 2, 0], first, atol=1e-6)
     np.testing.assert_allclose(
-        places.y.reshape(2, 4, 16)[:, :, 3], [[-0.15, -0.05, 0.05, 0.15]] * 2, atol=1e-6
+        modules.y.reshape(2, 4, 16)[:, :, 3], [[-0.15, -0.05, 0.05, 0.15]] * 2, atol=1e-6
     )
 
 
@@ -118,14 +120,14 @@ def test_the_square_slides_as_in_the_simulator(angle: float) -> None:
     )
     box = sg.Parcel(sg.Rectangle(2.0 * half_length, 2.0 * half_length))
     truth = sg.simulate(surface, box, (1.0, 1.0, 0.0), velocity, duration=0.04).velocity[-1]
-    settings = Settings(task="track", actions="window")
+    settings = EnvConfig(task="track", actions="window")
     env = sg.SmartSurfaceVectorEnv(1, task="track", actions="window")
     start = {"parcel": "S", "path": [(1.0, 1.0), (5.0, 1.0)], "tilt": tilt, "speed": 0.8}
     observations, _ = env.reset(seed=0, options=start)
-    places = window_places(path_sight(settings, observations), settings.action_kind)
-    square = SlidingSquare(places, np.array([half_length]), np.array([tilt]))
+    modules = window_positions(settings.decode(observations), settings.action_kind)
+    square = SquareModel(modules, np.array([half_length]), np.array([tilt]))
     motion = Motion(*(np.array([part]) for part in velocity))
-    after = square.after(motion, np.full((1, 25), angle), period=0.04, steps=4)
+    after = square.predict(motion, np.full((1, 25), angle), period=0.04, steps=4)
     assert after.vx[0, 0] == pytest.approx(truth[0], abs=0.03)
     assert after.vy[0, 0] == pytest.approx(truth[1], abs=0.03)
     assert after.omega[0, 0] == pytest.approx(truth[2], abs=0.5)

@@ -1,4 +1,4 @@
-"""A clock that a test turns, a device that says what a test has it say, and a loop around them."""
+"""A clock and a device that tests control, a loop around them, and faults to try it with."""
 
 import math
 from dataclasses import dataclass, field
@@ -6,18 +6,24 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from surface_gym.agents.runtime.config import WorldOptions
+from surface_gym.agents.runtime.controller import AxisLimits, ControlLoop, LoopConfig
+from surface_gym.agents.runtime.decisions import (
+    Decider,
+    FixedLayouts,
+    LocalArranger,
+    allowed_angles,
+    observation_bounds,
+)
+from surface_gym.agents.runtime.estimator import StateEstimator
+from surface_gym.agents.runtime.protocol import Angles, DeviceLost, Entered, Frame, Message
+from surface_gym.agents.runtime.simulator import World
 
 import surface_gym as sg
-from agents.runtime.arranging import ArrangedHere
-from agents.runtime.axis_guard import AxisGuard
-from agents.runtime.deciding import Decider, FixedLayouts, bounds_of, on_offer
-from agents.runtime.device import Angles, DeviceLost, Entered, Frame, Message
-from agents.runtime.loop import Loop, LoopConfig
-from agents.runtime.shadow import Shadow
-from surface_gym.settings import Settings
+from surface_gym.config import EnvConfig
 
 QUARTER_TURN = 0.05  # [s]
-SETTINGS = Settings(
+SETTINGS = EnvConfig(
     task="stop",
     actions="halves",
     sensors=sg.sensors.Camera(latency=0.04),
@@ -35,20 +41,20 @@ def entered(number: int = 0, at: float = 0.0, **changed: Any) -> Entered:
     return Entered(number, at, SQUARE, **fields)
 
 
-def frame(taken: float, number: int | None = 0, x: float | None = None) -> Frame:
+def frame(taken_at: float, number: int | None = 0, x: float | None = None) -> Frame:
     """A frame of it as it rolls on."""
-    return Frame(taken, number, (POSE[0] + taken if x is None else x, 1.0, 0.0))
+    return Frame(taken_at, number, (POSE[0] + taken_at if x is None else x, 1.0, 0.0))
 
 
 @lru_cache(maxsize=1)
-def shadow() -> Shadow:
+def estimator() -> StateEstimator:
     """One for all tests, with no parcel."""
-    made = Shadow(SETTINGS)
-    made.leave()
+    made = StateEstimator(SETTINGS)
+    made.clear()
     return made
 
 
-class TurnedClock:
+class ManualClock:
     """Time passes by waiting, and by what is spent."""
 
     def __init__(self) -> None:
@@ -62,11 +68,11 @@ class TurnedClock:
 
 
 @dataclass
-class ToldDevice:
-    """Says what it is told to say, each at its time."""
+class ScriptedDevice:
+    """Gives the messages of a script, each at its time."""
 
-    clock: TurnedClock
-    says: list[tuple[float, Message]] = field(default_factory=list)
+    clock: ManualClock
+    script: list[tuple[float, Message]] = field(default_factory=list)
     away: list[tuple[float, float]] = field(default_factory=list)  # [s] from when to when
     sent: list[Angles] = field(default_factory=list)
     connects: list[float] = field(default_factory=list)  # [s] when it was tried
@@ -80,14 +86,14 @@ class ToldDevice:
             raise DeviceLost("away")
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Nothing is to be closed."""
 
     def read(self) -> list[Message]:
         if self.is_away():
             raise DeviceLost("away")
         now = self.clock.now()
-        due = [message for at, message in self.says if at <= now]
-        self.says = [each for each in self.says if each[0] > now]
+        due = [message for at, message in self.script if at <= now]
+        self.script = [each for each in self.script if each[0] > now]
         return due
 
     def set_axes(self, angles: Angles) -> int:
@@ -100,7 +106,7 @@ class ToldDevice:
 class Always:
     """A controller that always does the same, and takes a while for it."""
 
-    def __init__(self, action: Any, clock: TurnedClock, takes: float = 0.0) -> None:
+    def __init__(self, action: Any, clock: ManualClock, takes: float = 0.0) -> None:
         self.action, self.clock, self.takes = action, clock, takes
         self.begins: list[bool] = []
 
@@ -114,19 +120,19 @@ class Always:
 
 
 def loop_of(
-    device: ToldDevice, controller: Any, settings: Settings = SETTINGS, **config: float
-) -> Loop:
+    device: ScriptedDevice, controller: Any, settings: EnvConfig = SETTINGS, **config: float
+) -> ControlLoop:
     """A loop on a device."""
-    held = shadow()
-    held.leave()
+    held = estimator()
+    held.clear()
     layouts = FixedLayouts(held.settings)
-    return Loop(
+    return ControlLoop(
         device,
         held,
         Decider(controller, settings),
-        (ArrangedHere(layouts), held.resolver(layouts.kind)),
-        AxisGuard(held.shape, on_offer(settings)),
-        bounds_of(settings),
+        (LocalArranger(layouts), held.resolver(layouts.kind)),
+        AxisLimits(held.shape, allowed_angles(settings)),
+        observation_bounds(settings),
         device.clock,
         LoopConfig(**config),
     )
@@ -134,3 +140,21 @@ def loop_of(
 
 def nothing(now: float) -> None:
     """Between two periods."""
+
+
+class MuteWorld(World):
+    """A simulated machine whose camera gives no frames for a while.
+
+    Args:
+        mute: [s] from when to when.
+        options: of `World`.
+    """
+
+    def __init__(self, mute: tuple[float, float], options: WorldOptions) -> None:
+        super().__init__(SETTINGS, 0, 0.0, options)
+        self._mute = mute
+
+    def _take_frame(self) -> Frame | None:
+        first, last = self._mute
+        frame = super()._take_frame()
+        return None if first <= self.now < last else frame

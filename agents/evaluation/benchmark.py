@@ -1,0 +1,289 @@
+"""Running methods on the benchmarks of tasks; finished results are kept in a file.
+
+A result is one seed of a method on a task under a preset. A summary puts the seeds together.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+from gymnasium.utils.seeding import np_random
+from numpy.typing import NDArray
+
+from surface_gym.config import EnvConfig
+from surface_gym.core.resets import each_parcel
+from surface_gym.parallel import Workers, map_jobs, without_report
+from surface_gym.parcel import Parcel
+from surface_gym.presets import PRESETS, Preset
+from surface_gym.tasks.base import Draw
+from surface_gym.tasks.benchmark import Benchmark, Column
+
+from ..rollout import Episodes, run_episodes, run_sequentially
+from ..tasks import find_task
+from .methods import Method
+from .statistics import interval
+
+FILE = "results.jsonl"
+SEED = 20_261_121  # of every start's draws
+
+Numbers = NDArray[np.float64]
+Key = tuple[Any, ...]
+Advance = Callable[[int, int, str], None]  # how many are done, how many there are, the latest
+
+
+class Row(Protocol):
+    """A result that is kept in a file."""
+
+    @property
+    def key(self) -> Key:
+        """The job that gave it; the first three say so to a reader."""
+
+
+AnyRow = TypeVar("AnyRow", bound=Row)
+AnyKey = TypeVar("AnyKey", bound=Key)
+
+
+@dataclass(frozen=True)
+class Result:
+    """The episodes of one seed of a method; plain lists, as a file keeps them."""
+
+    task: str
+    method: str
+    preset: str
+    seed: int
+    success: list[bool]  # (starts,)
+    time: list[float]  # (starts,) [s]
+    metrics: dict[str, list[float]]  # the task's own, (starts,) each
+    decision_time: float  # [s] a decision of one environment
+
+    @property
+    def key(self) -> tuple[str, str, str, int]:
+        """Task, method, preset and seed."""
+        return (self.task, self.method, self.preset, self.seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """All seeds of one method on a task under one preset."""
+
+    results: tuple[Result, ...]
+
+    @property
+    def success(self) -> NDArray[np.bool_]:
+        """(seeds, starts)."""
+        return np.array([result.success for result in self.results])
+
+    @property
+    def rate(self) -> float:
+        """[-] over seeds and starts."""
+        return float(self.success.mean())
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """[-] 95 % of the rate."""
+        return interval(self.success)
+
+    @property
+    def time(self) -> Numbers:
+        """(seeds, starts) [s] until the end."""
+        return np.array([result.time for result in self.results])
+
+    @property
+    def decision_time(self) -> float:
+        """[s] of one environment's decision."""
+        return float(np.mean([result.decision_time for result in self.results]))
+
+    def metric(self, name: str) -> Numbers:
+        """Collect sizes (seeds, starts) of one of the task's metrics."""
+        return np.abs(np.array([result.metrics[name] for result in self.results]))
+
+    def value(self, column: Column, fixed: "Summary") -> float:
+        """Compute a column's number, unscaled, beside the fixed layout's results.
+
+        nan where it has none: it needs every start of both boxes, and this method ran on some, or
+        on other parcels.
+        """
+        fewer = self.success.shape[1] != fixed.success.shape[1]
+        others = bool(PRESETS[self.results[0].preset].parcels)
+        if column.every_start and (fewer or others):
+            return float("nan")
+        return column.value(self, fixed)
+
+
+Summaries = dict[tuple[str, str, str], Summary]  # by task, method and preset
+
+
+def summarise(results: Sequence[Result]) -> Summaries:
+    """Put the seeds of each method together, in the order of the results."""
+    found: dict[tuple[str, str, str], list[Result]] = {}
+    for result in results:
+        found.setdefault(result.key[:3], []).append(result)
+    return {key: Summary(tuple(group)) for key, group in found.items()}
+
+
+def find_benchmark(task: str) -> Benchmark:
+    """Find the benchmark of a task, the package's or the user's own."""
+    return find_task(task).benchmark()
+
+
+def choose_starts(
+    benchmark: Benchmark, count: int | None, preset: Preset
+) -> tuple[dict[str, Any], ...]:
+    """Choose the starts of a benchmark under a preset.
+
+    Args:
+        benchmark: of a task.
+        count: of starts, spread evenly over all; None: all of them.
+        preset: one with parcels of its own leaves open which parcel a start has.
+    """
+    starts = benchmark.starts
+    if count is not None:
+        places = np.linspace(0, len(starts) - 1, min(count, len(starts))).round()
+        starts = tuple(starts[place] for place in places.astype(int).tolist())
+    if not preset.parcels:
+        return starts
+    return tuple({key: start[key] for key in start if key != "parcel"} for start in starts)
+
+
+def play(method: Method, seed: int, preset_name: str) -> tuple[Result, Episodes]:
+    """Run a method's seed on its task under a preset."""
+    preset, benchmark = PRESETS[preset_name], find_benchmark(method.task)
+    starts = choose_starts(benchmark, method.starts, preset)
+    settings = method.settings(benchmark.task, preset)
+    controller = method.make(settings, seed)
+    run = run_episodes if method.starts is None else run_sequentially
+    episodes = run(controller, settings, starts, SEED)
+    result = Result(
+        task=method.task,
+        method=method.name,
+        preset=preset_name,
+        seed=seed,
+        success=episodes.success.tolist(),
+        time=episodes.time.tolist(),
+        metrics={name: values.tolist() for name, values in episodes.figures.items()}
+        | _path_metrics(settings, episodes, starts),
+        decision_time=episodes.decision_time,
+    )
+    return result, episodes
+
+
+def compute(method: Method, seed: int, preset: str) -> Result:
+    """`play` in a process of its own."""
+    return play(method, seed, preset)[0]
+
+
+def _path_metrics(
+    settings: EnvConfig, episodes: Episodes, starts: Sequence[dict[str, Any]]
+) -> dict[str, list[float]]:
+    task, line = settings.chosen_task, settings.chosen_plant
+    found: dict[str, list[float]] = {}
+    for k, parcel in enumerate(drawn_parcels(settings, starts, SEED)):
+        for name, value in task.path_metrics(episodes.path(k), parcel, line, None).items():
+            found.setdefault(name, []).append(value)
+    return found
+
+
+def drawn_parcels(
+    settings: EnvConfig, starts: Sequence[dict[str, Any]], seed: int
+) -> tuple[Parcel, ...]:
+    """List the parcel of each start before the randomisation; start k draws from `seed` + k."""
+    task = settings.chosen_task
+    numbers = np.array([np_random(seed + k)[0].random(task.draws) for k in range(len(starts))])
+    draw = Draw(numbers, starts, settings.chosen_plant, settings.zone)
+    parcels = each_parcel(task.start(draw).parcel, len(starts))
+    return tuple(parcels.kinds[kind] for kind in parcels.which.tolist())
+
+
+def list_jobs(methods: Sequence[Method]) -> list[tuple[Method, int, str]]:
+    """Every method, seed and preset to compute; the slowest first, to fill the cores."""
+    found = [
+        (method, seed, preset)
+        for method in methods
+        for seed in method.seeds
+        for preset in PRESETS
+        if method.presets is None or preset in method.presets
+    ]
+    return sorted(found, key=lambda job: job[0].starts is None)
+
+
+def compute_results(
+    methods: Sequence[Method],
+    workers: Workers,
+    folder: Path | None = None,
+    advance: Advance = lambda *_: None,
+) -> list[Result]:
+    """Compute the results of all methods, in an order that does not depend on the processes.
+
+    Args:
+        methods: to compare.
+        workers: processes to share the work among, or a cluster.
+        folder: results are kept in its results.jsonl; those found there are not computed again.
+        advance: called with results done, results in all and the name of the latest.
+    """
+    jobs = {
+        (method.task, method.name, preset, seed): partial(compute, method, seed, preset)
+        for method, seed, preset in list_jobs(methods)
+    }
+    file = None if folder is None else folder / FILE
+    found = compute_kept(jobs, Result, workers, file, advance)
+    order = {(method.task, method.name): k for k, method in enumerate(methods)}
+    presets = list(PRESETS)
+    return sorted(
+        found.values(), key=lambda row: (order[row.key[:2]], presets.index(row.preset), row.seed)
+    )
+
+
+def compute_kept(
+    jobs: Mapping[AnyKey, Callable[[], AnyRow]],
+    make: Callable[..., AnyRow],
+    workers: Workers,
+    file: Path | None,
+    advance: Advance,
+) -> dict[AnyKey, AnyRow]:
+    """Compute what is not kept yet.
+
+    Args:
+        jobs: to do, by the key of the dataclass that each gives; they do not depend on each other.
+        make: such a dataclass from its fields as JSON has them.
+        workers: processes to share the work among, or a cluster.
+        file: where results are kept, one in a line; those found there are not computed again.
+        advance: called with how many are done, how many there are and the name of the latest.
+
+    Returns:
+        All results by key, in the order of the jobs.
+    """
+    found: dict[Key, AnyRow] = {}
+    if file is not None:
+        found = {each.key: each for each in read_kept(file, make)}
+        # A line that was broken off must not spoil the next.
+        file.write_text("".join(map(_line, found.values())))
+    left = [partial(without_report, job) for key, job in jobs.items() if key not in found]
+    for done, (_, each) in enumerate(map_jobs(left, workers), len(jobs) - len(left) + 1):
+        found[each.key] = each
+        if file is not None:
+            with file.open("a") as kept:
+                kept.write(_line(each))
+        advance(done, len(jobs), ", ".join(map(str, each.key[:3])))
+    return {key: found[key] for key in jobs}
+
+
+def read_kept(file: Path, make: Callable[..., AnyRow]) -> list[AnyRow]:
+    """Read the results kept in a file; a line that was broken off is left out.
+
+    There are none where there is no file.
+    """
+    found = []
+    for line in file.read_text().splitlines() if file.is_file() else ():
+        try:
+            found.append(make(**json.loads(line)))
+        except (json.JSONDecodeError, TypeError, KeyError):
+            continue
+    return found
+
+
+def _line(each: Any) -> str:
+    return json.dumps(asdict(each)) + "\n"

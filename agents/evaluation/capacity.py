@@ -1,0 +1,267 @@
+"""Capacity of a line: the highest rate of parcels that a method sustains on a stream.
+
+A rate is sustained where nearly all deliveries are right and nothing jams.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from surface_gym.config import EnvConfig
+from surface_gym.flow.arrivals import HOUR, Steady
+from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.state import BETWEEN, JAM
+from surface_gym.flow.statistics import compute_statistics
+from surface_gym.flow.stream import Stream
+from surface_gym.layouts import box
+from surface_gym.presets import Preset
+from surface_gym.randomisation import Randomisation
+from surface_gym.sensors import Camera
+from surface_gym.state import RUNNING
+
+from ..base import Controller
+from .benchmark import SEED, Numbers
+from .statistics import half_interval
+
+SPEEDS = (1.0, 1.5, 2.0)  # [m/s]
+MIXES = {"S": ("S",), "S and B": ("S", "B")}  # parcels by name, of equal odds
+EXITS = "sides"  # left, right and straight on, at equal odds
+SPACING = 0.05  # [m] between parcels that follow each other at the ceiling
+EXACT = Preset("exact", "exact", "Sensors show pose and velocity as they are.")
+STREAM_PRESETS = {
+    "exact": EXACT,
+    "camera": Preset(
+        "camera",
+        "camera",
+        "A camera's frames, 1 mm and 0.5 deg off and 20 ms late, and a filter; mu_max differs from "
+        "parcel to parcel by up to 20 %.",
+        sensors=Camera(),
+        randomisation=Randomisation(friction=0.2),
+    ),
+}
+LEAST_RIGHT = {"exact": 0.999, "camera": 0.995}  # [-] of deliveries, for a rate to be sustained
+
+SECONDS = 30.0  # [s] of an episode
+REPLICATIONS = 30
+WARM_UP = 8.0  # [s] at least, in which nothing counts: at 1 m/s one takes 6.5 s to the line's end
+PRECISION = 1.02  # [-] between a rate that is sustained and one that is not
+LEAST = 1.0 / 16.0  # [-] of the ceiling: a method that does not sustain this has no capacity
+CARRIED = 0.98  # [-] of what is offered, so that the queue does not grow
+CHECK_EVERY = 10  # control periods between checks whether a rate can still be sustained
+
+
+@dataclass(frozen=True)
+class Case:
+    """Parcels at one speed under a preset, at whatever rate they are offered."""
+
+    mix: str  # one of MIXES
+    speed: float  # [m/s] at which they enter
+    preset: str = "exact"  # one of STREAM_PRESETS
+
+    @property
+    def label(self) -> str:
+        """For tables."""
+        return f"{self.mix}, {self.speed:g} m/s"
+
+    @property
+    def ceiling(self) -> float:
+        """[parcels/h] that a line could take at most, one behind the other."""
+        length = float(np.mean([np.ptp(box(kind).base.outline[:, 0]) for kind in MIXES[self.mix]]))
+        return HOUR * self.speed / (length + SPACING)
+
+
+@dataclass(frozen=True)
+class StreamMethod:
+    """A controller of streams of parcels."""
+
+    name: str
+    actions: str  # kind of action
+    gate: bool  # whether it says which parcel may enter when
+    # of the environment it acts in; None where it cannot sort such parcels
+    make: Callable[[EnvConfig], Controller | None]
+    presets: tuple[str, ...] = ("exact", "camera")
+    control_period: float = 0.04  # [s]
+
+    def settings(self, case: Case, rate: float) -> EnvConfig:
+        """Configure the environment it acts in, parcels coming evenly at a rate [parcels/h]."""
+        preset = STREAM_PRESETS[case.preset]
+        return EnvConfig(
+            Stream(Steady(rate), parcels=MIXES[case.mix], speeds=case.speed),
+            exits=EXITS,
+            actions=self.actions,
+            sensors=preset.sensors,
+            control_period=self.control_period,
+            duration=SECONDS,
+            actuators=preset.actuators,
+            randomisation=preset.randomisation,
+            gate=self.gate,
+        )
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Deliveries of parcels offered at one rate, replication by replication."""
+
+    offered: float  # [parcels/h]
+    right: list[int]  # (replications,) deliveries by the parcel's own exit, after the warm-up
+    delivered: list[int]  # (replications,) by any
+    touches: list[float]  # (replications,) times that two of these began to touch
+    waiting: list[float]  # (replications,) [s] at the entry, mean over those that came and entered
+    jams: int  # replications that ended in one
+    counted: float  # [s] after the warm-up
+
+    @property
+    def rates(self) -> Numbers:
+        """(replications,) [parcels/h] delivered right."""
+        return HOUR * np.array(self.right) / self.counted
+
+    @property
+    def rate(self) -> float:
+        """[parcels/h] delivered right, mean."""
+        return float(self.rates.mean())
+
+    @property
+    def margin(self) -> float:
+        """[parcels/h] half of the mean rate's 95 % interval, Student's."""
+        return half_interval(self.rates)
+
+    @property
+    def share_right(self) -> float:
+        """[-] of deliveries; 0 where there were none."""
+        return sum(self.right) / max(1, sum(self.delivered))
+
+    @property
+    def touches_per_1000(self) -> float:
+        """[-] deliveries."""
+        return 1000.0 * sum(self.touches) / max(1, sum(self.delivered))
+
+    @property
+    def waited(self) -> float:
+        """[s] at the entry, mean."""
+        return float(np.mean(self.waiting))
+
+    def is_sustained(self, case: Case) -> bool:
+        """Check whether nearly all deliveries were right."""
+        return self.jams == 0 and self.share_right >= LEAST_RIGHT[case.preset]
+
+
+def counted_time(duration: float, rate: float) -> float:
+    """Compute how much [s] of an episode's end counts.
+
+    It is whole gaps between parcels, at least one, so that it makes no difference when the first
+    parcel came.
+    """
+    gap = HOUR / rate
+    return min(duration, gap * max(1, math.floor((duration - WARM_UP) / gap + 1e-9)))
+
+
+def measure(
+    method: StreamMethod, controller: Controller, case: Case, rate: float, whole: bool = True
+) -> Measurement | None:
+    """Offer parcels at a rate [parcels/h].
+
+    Args:
+        method: that decides.
+        controller: the method's, made for the case.
+        case: which parcels, at what speed, and under what preset.
+        rate: [parcels/h] of the parcels that come, evenly.
+        whole: whether to go on to the end even where the rate is plainly not sustained.
+
+    Returns:
+        The deliveries; None where it was broken off.
+    """
+    settings = method.settings(case, rate)
+    batch = StreamBatch(settings, REPLICATIONS)
+    for k in range(REPLICATIONS):
+        batch.seed(k, np.random.default_rng((SEED, k)))
+    batch.reset(np.arange(REPLICATIONS))
+    counted = counted_time(settings.duration, rate)
+    begin = settings.duration - counted
+    arrivals = int(batch.streams.arrivals.sum())
+    most_wrong = (1.0 - LEAST_RIGHT[case.preset]) * arrivals
+    actions = settings.flow_actions
+    state, period = None, 0
+    while (batch.outcome == RUNNING).any():
+        action, state = controller.predict(batch.observation, state)
+        batch.step(actions.commands(action, REPLICATIONS))
+        period += 1
+        if not whole and period % CHECK_EVERY == 0 and _is_lost(batch, begin, most_wrong):
+            return None
+    return _count(batch, rate, counted)
+
+
+def _is_lost(batch: StreamBatch, begin: float, most_wrong: float) -> bool:
+    flows = batch.streams
+    wrong = (flows.left >= begin) & (flows.taken >= BETWEEN) & (flows.taken != flows.exit)
+    return bool((flows.outcome == JAM).any() or wrong.sum() > most_wrong)
+
+
+def _count(batch: StreamBatch, rate: float, counted: float) -> Measurement:
+    flows = batch.streams
+    begin = batch.config.duration - counted
+    right, delivered, touches, waiting = [], [], [], []
+    for k in range(REPLICATIONS):
+        found = compute_statistics(flows, k, bool(flows.outcome[k] == JAM), 1, begin)
+        some = found.delivered > 0
+        delivered.append(found.delivered)
+        right.append(round(found.delivered * (1.0 - found.missort_rate)) if some else 0)
+        touches.append(found.touches_per_1000 * found.delivered / 1000.0 if some else 0.0)
+        waiting.append(0.0 if math.isnan(found.waiting_mean) else found.waiting_mean)
+    jams = int((flows.outcome == JAM).sum())
+    return Measurement(rate, right, delivered, touches, waiting, jams, counted)
+
+
+def find_capacity(method: StreamMethod, controller: Controller, case: Case) -> Measurement | None:
+    """Search the greatest rate that a method sustains, to 2 %; None where it sustains none.
+
+    The ceiling comes first: a method that keeps parcels waiting at a gate may sustain whatever is
+    offered. One that sustains it without a gate, by parcels that push each other on, may deliver
+    more where fewer come. Else the rate is halved until it is sustained, and then searched for
+    between that and the last that was not.
+    """
+
+    def sustained(rate: float) -> Measurement | None:
+        found = measure(method, controller, case, rate, whole=False)
+        return found if found is not None and found.is_sustained(case) else None
+
+    high = low = case.ceiling
+    best = sustained(low)
+    if best is not None and not method.gate:
+        return _most_carried(sustained, best)
+    while best is None:
+        if low <= LEAST * case.ceiling:
+            return None
+        high, low = low, 0.5 * low
+        best = sustained(low)
+    while high > PRECISION * low:
+        middle = math.sqrt(low * high)
+        found = sustained(middle)
+        if found is None:
+            high = middle
+        else:
+            low, best = middle, found
+    return best
+
+
+def _most_carried(
+    sustained: Callable[[float], Measurement | None], most: Measurement
+) -> Measurement:
+    """Find the most delivered: at the ceiling, or at the greatest rate that is nearly all carried.
+
+    Args:
+        sustained: measures a rate [parcels/h]; None where it is not sustained.
+        most: the measurement at the ceiling.
+    """
+    low, high = most.rate, most.offered
+    while high > PRECISION * low:
+        middle = math.sqrt(low * high)
+        found = sustained(middle)
+        if found is not None and found.rate > most.rate:
+            most = found
+        if found is not None and found.rate >= CARRIED * middle:
+            low = middle
+        else:
+            high = middle
+    return most

@@ -1,0 +1,175 @@
+"""The command behind `python evaluate.py`: compare every controller and agent on every task."""
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+from rich.console import Console
+
+from surface_gym import checks
+from surface_gym.parallel import Workers, WorkFailed, choose_workers, usable_cores
+from surface_gym.tasks import TASKS
+
+from ..base import EVALUATE, FLOW_TASK, command_line
+from ..tasks import find_task, task_files
+
+if TYPE_CHECKING:
+    from .benchmark import Advance
+    from .methods import Method
+    from .report import Section
+
+TASK_NAMES = (FLOW_TASK, *TASKS)
+STARTS = 240  # of the sweep, at each level
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """Compare fixed layouts, rules, a planner and the shipped agents on every task, and on streams
+    of parcels.
+    """
+
+    out: Path = Path("runs/evaluation")
+    """Folder for tables, plots, videos and report.html."""
+    tasks: tuple[str, ...] = TASK_NAMES
+    """Tasks to compare on; "flow" is of streams of parcels."""
+    task: str | None = None
+    """Compare on this one task, of the package or of your own as path/to/file.py:Class, and the
+    latest policies of its runs."""
+    runs: Path = Path("runs")
+    """Folder of the runs that are searched for these policies."""
+    run: Path | None = None
+    """Folder of a training run: compare its policies with the fixed layout instead. For a task of
+    your own, --task says which code is run."""
+    workers: int = usable_cores()
+    """Processes to share the work among; results do not depend on it."""
+    cluster: str | None = None
+    """Address of a Ray cluster to share it among instead, "auto" for this machine's."""
+    resume: bool = False
+    """Keep the results that the folder has already, and go on."""
+    robustness: bool = False
+    """Sweep instead: success of rules and agents where one thing at a time differs from training,
+    and in the lab by shape of parcel."""
+    starts: int = STARTS
+    """Of the sweep: starts at each level of each factor."""
+
+    def __post_init__(self) -> None:
+        checks.integer("starts", self.starts, least=1)
+        if self.robustness and self.run is not None:
+            raise ValueError(f"run must be None where robustness is swept, got {self.run}")
+        for task in self.tasks:
+            checks.one_of("tasks", task, TASK_NAMES)
+        if self.task is not None:
+            find_task(self.task)
+        if not self.tasks:
+            raise ValueError(f"tasks must be at least one, got {self.tasks!r}")
+        checks.integer("workers", self.workers, least=1)
+        choose_workers(self.cluster, self.workers)
+
+
+def evaluate(config: EvaluateConfig, console: Console) -> None:
+    """Compare, and leave a folder with tables, plots, videos and a page.
+
+    Raises:
+        ValueError: the run holds no policy, or a damaged one.
+    """
+    workers = choose_workers(config.cluster, config.workers, task_files(config.task))
+    if config.run is not None:
+        from .runs import evaluate_run
+
+        evaluate_run(config.run, config.task, workers, console)
+        return
+    config.out.mkdir(parents=True, exist_ok=True)
+    if config.robustness:
+        _sweep(config, workers, console)
+    else:
+        _compare(config, workers, console)
+
+
+def _compare(config: EvaluateConfig, workers: Workers, console: Console) -> None:
+    from . import benchmark, report, streams
+
+    _forget(config, benchmark.FILE, streams.FILE)
+    methods = chosen_methods(config)
+    with _progress(console, "comparing") as advance:
+        sections: list[Section] = []
+        if config.task is None and FLOW_TASK in config.tasks:
+            several = streams.stream_methods()
+            rows = streams.compute_streams(several, workers, config.out, advance)
+            sections = report.write_stream_report(several, rows, config.out, console)
+        results = benchmark.compute_results(methods, workers, config.out, advance)
+        report.write_report(
+            methods,
+            results,
+            config.out,
+            console,
+            lambda part: advance(len(results), len(results), part),
+            sections,
+        )
+    console.print(f"everything is in {config.out}; open {config.out / 'report.html'}")
+
+
+def _sweep(config: EvaluateConfig, workers: Workers, console: Console) -> None:
+    from . import robustness, robustness_report
+
+    _forget(config, robustness.FILE)
+    methods = robustness.can_sweep(chosen_methods(config))
+    with _progress(console, "sweeping") as advance:
+        rows = robustness.compute_sweep(methods, config.starts, workers, config.out, advance)
+        robustness_report.write_sweep(rows, config.out, console)
+    picture = config.out / robustness_report.PICTURE
+    console.print(f"everything is in {config.out}; see {picture}")
+
+
+def chosen_methods(config: EvaluateConfig) -> "list[Method]":
+    """List the methods of single parcels that a command asks for."""
+    from .methods import all_methods, of_runs
+
+    if config.task is None:
+        tasks = [task for task in config.tasks if task != FLOW_TASK]
+        return [method for task in tasks for method in all_methods(task)]
+    known = all_methods(config.task)
+    names = {method.name for method in known}
+    found = [each for each in of_runs(config.task, config.runs) if each.name not in names]
+    return [*known, *found]
+
+
+def _forget(config: EvaluateConfig, *files: str) -> None:
+    """Remove the results of an earlier comparison, unless it is to go on."""
+    if not config.resume:
+        for file in files:
+            (config.out / file).unlink(missing_ok=True)
+
+
+@contextmanager
+def _progress(console: Console, title: str) -> "Iterator[Advance]":
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+    )  # fmt: skip
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task(title, total=None)
+
+        def advance(done: int, total: int, latest: str) -> None:
+            progress.update(bar, completed=done, total=total, description=latest)
+
+        yield advance
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Compare; an error ends it with one line.
+
+    Args:
+        arguments: of the command line; None: those of the process.
+    """
+    config = tyro.cli(EvaluateConfig, prog=command_line(EVALUATE), args=arguments)
+    try:
+        evaluate(config, Console())
+    except (ValueError, WorkFailed) as error:
+        sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        sys.exit("interrupted; --resume goes on with what is there")

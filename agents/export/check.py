@@ -1,0 +1,219 @@
+"""The check that an export decides as the policy does.
+
+Sums in single precision depend on their order, so that scores differ in their last digits. Where
+the best two scores are that close, either choice is right: such decisions are counted separately.
+Any other difference is an error.
+"""
+
+import math
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+
+from surface_gym import SmartSurfaceVectorEnv
+from surface_gym.presets import Preset
+
+from ..rollout import env_arguments
+from .c_header import make_prefix
+from .modules_onnx import ModulesDecision
+from .onnx_graph import ANGLES, CHOICES, OBSERVATION, need
+from .policy import Integers, NetworkDecision, Numbers, Singles, Source
+
+Decide = Callable[[Singles], tuple[Integers, Numbers]]  # choices, and angles [rad]
+
+TIE = 1e-6  # [-] of the largest score (at least 1): scores closer than this are a tie
+MAX_TIES = 1e-3  # [-] share of decisions that may differ by round-off alone
+NUM_ENVS = 50  # of the policy's episodes
+FARTHEST = 3.0  # [-] from 0 that a random number may be
+WHOLE_SHARE = 0.1  # [-] of the random numbers that are integers, where some comparisons jump
+COMPILERS = ("cc", "gcc", "clang")
+FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+_PROGRAM = """\
+#include <stdio.h>
+#include "{name}.h"
+
+/* Observations in; for each, choices and angles out. */
+int main(void) {{
+    float observation[{capital}_FEATURES];
+    int choices[{capital}_PARTS];
+    double angles[{capital}_PARTS];
+    while (fread(observation, sizeof observation, 1, stdin) == 1) {{
+        {prefix}_choose(observation, choices);
+        {prefix}_decide(observation, angles);
+        fwrite(choices, sizeof choices, 1, stdout);
+        fwrite(angles, sizeof angles, 1, stdout);
+    }}
+    return 0;
+}}
+"""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The result of a comparison; a decision is one part's choice for one observation."""
+
+    observations: int
+    parts: int  # of each decision
+    ties: int  # decisions that differ where the best two scores are equal but for round-off
+    close: int  # decisions where they are, whether they differ or not
+
+    def summary(self) -> str:
+        """Describe it in a sentence."""
+        same = "the same" if not self.ties else f"{self.ties} of them otherwise, all ties"
+        return (
+            f"{self.observations} observations, {self.observations * self.parts} choices: {same} "
+            f"({self.close} too close to call in single precision)"
+        )
+
+
+def compare(
+    what: str,
+    decision: NetworkDecision | ModulesDecision,
+    source: Source,
+    observations: Singles,
+    decide: Decide,
+) -> Agreement:
+    """Compare decisions with the policy's.
+
+    Args:
+        what: format of the export, for the message.
+        decision: that is exported.
+        source: of the policy.
+        observations: (count, features).
+        decide: computes choices and axis angles [rad], (count, parts) each.
+
+    Raises:
+        ValueError: they differ where scores are not close, too often where they are, or in an
+            angle.
+    """
+    actions, _ = source.policy.predict(observations, deterministic=True)
+    wanted = source.settings.action_kind.commands(actions, len(observations))
+    choices, angles = decide(observations)
+    differs = choices != wanted
+    close = decision.in_doubt(observations, TIE)
+    if (differs & ~close).any():
+        first = int(np.argmax((differs & ~close).any(axis=1)))
+        raise ValueError(
+            f"{what} must decide as the policy of {source.name} does, got "
+            f"{int((differs & ~close).any(axis=1).sum())} of {len(observations)} observations "
+            f"otherwise; of the first, {observations[first].tolist()}, choices "
+            f"{choices[first].tolist()} in place of {wanted[first].tolist()}"
+        )
+    ties = int((differs & close).sum())
+    if ties > math.ceil(MAX_TIES * differs.size):
+        raise ValueError(
+            f"{what} must decide as the policy of {source.name} does, got {ties} of "
+            f"{differs.size} choices otherwise, though all where scores are close"
+        )
+    if not np.array_equal(angles, np.array(decision.angles)[choices]):
+        raise ValueError(f"{what} must give the angles of what it chooses, got others")
+    return Agreement(len(observations), decision.parts, ties, int(close.sum()))
+
+
+def run_onnx(model: bytes) -> Decide:
+    """Return the decisions of an ONNX file's content, by onnxruntime on one core."""
+    onnxruntime = need("onnxruntime")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+
+    def decide(observations: Singles) -> tuple[Integers, Numbers]:
+        choices, angles = session.run([CHOICES, ANGLES], {OBSERVATION: observations})
+        return choices, angles
+
+    return decide
+
+
+def find_compiler() -> str | None:
+    """Return the path of a C compiler; None if there is none."""
+    return next((found for found in map(shutil.which, COMPILERS) if found), None)
+
+
+def run_c(compiler: str, header: str, name: str, parts: int) -> Decide:
+    """Return the decisions of a C header.
+
+    Args:
+        compiler: its path.
+        header: its text.
+        name: of the agent.
+        parts: size of a decision.
+
+    Raises:
+        ValueError: it does not compile without a warning.
+    """
+    prefix = make_prefix(name)
+
+    def decide(observations: Singles) -> tuple[Integers, Numbers]:
+        with tempfile.TemporaryDirectory() as made:
+            folder = Path(made)
+            (folder / f"{name}.h").write_text(header)
+            program = _PROGRAM.format(name=name, prefix=prefix, capital=prefix.upper())
+            (folder / "main.c").write_text(program)
+            built = subprocess.run(
+                [compiler, *FLAGS, "-o", "decide", "main.c", "-lm"],
+                cwd=folder,
+                capture_output=True,
+                text=True,
+            )
+            if built.returncode:
+                raise ValueError(f"header must compile without a warning, got {built.stderr}")
+            output = subprocess.run(
+                [folder / "decide"], input=observations.tobytes(), capture_output=True, check=True
+            ).stdout
+        row = np.dtype([("choices", np.intc, (parts,)), ("angles", np.float64, (parts,))])
+        rows = np.frombuffer(output, dtype=row)
+        return rows["choices"].astype(np.int64), rows["angles"]
+
+    return decide
+
+
+def make_observations(source: Source, count: int, seed: int = 0) -> Singles:
+    """Return (count, features), half from the policy's own episodes, half random.
+
+    Args:
+        source: of the policy.
+        count: of observations.
+        seed: of starts, noise and random numbers.
+    """
+    presets = source.training.presets
+    each = count // 2 // len(presets)
+    met = [_from_episodes(source, preset, each, seed) for preset in presets]
+    return np.concatenate([*met, random_observations(source, count - sum(map(len, met)), seed)])
+
+
+def _from_episodes(source: Source, preset: Preset, count: int, seed: int) -> Singles:
+    """Return (count, features) from episodes of the policy under a preset."""
+    num_envs = min(NUM_ENVS, count)
+    given = {**env_arguments(source.settings), "condition": preset}
+    for name in ("sensors", "actuators", "randomisation"):
+        del given[name]  # which the preset sets
+    env = SmartSurfaceVectorEnv(
+        num_envs=num_envs,
+        max_episode_steps=source.settings.chosen_task.periods,
+        autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
+        **given,
+    )
+    observations, _ = env.reset(seed=seed)
+    kept = [observations]
+    while len(kept) * num_envs < count:
+        action, _ = source.policy.predict(observations, deterministic=True)
+        observations, *_ = env.step(action)
+        kept.append(observations)
+    env.close()
+    return np.concatenate(kept)[:count]
+
+
+def random_observations(source: Source, count: int, seed: int) -> Singles:
+    """Return (count, features) from the part of the observation space that is near to 0."""
+    space = source.settings.observation_space()
+    low, high = np.maximum(space.low, -FARTHEST), np.minimum(space.high, FARTHEST)
+    rng = np.random.default_rng(seed)
+    drawn = rng.uniform(low, high, (count, len(low)))
+    drawn = np.where(rng.random(drawn.shape) < WHOLE_SHARE, np.round(drawn), drawn)
+    return drawn.astype(np.float32)

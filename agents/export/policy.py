@@ -1,0 +1,295 @@
+"""The policy that is exported, as plain arrays: where it comes from, its network, its decision."""
+
+import shlex
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import yaml
+from numpy.typing import NDArray
+from torch import nn
+
+from surface_gym import checks
+from surface_gym.config import EnvConfig
+from surface_gym.presets import PRESETS, Preset
+from surface_gym.tasks import Sort, Task
+
+from .. import library
+from ..evaluation.methods import policy_folders
+from ..learning.config import NOMINAL
+from ..learning.folder import open_folder
+from ..learning.runs import CARD as CARD_FILE
+from ..learning.runs import CONFIG
+from ..library import read_files
+from ..module_policy import ModulePolicy
+from ..policy import DIGEST, Policy, make_network
+from ..symmetry import SIDE, mirrored_orientations
+from ..tasks import find_task
+
+Singles = NDArray[np.float32]
+Numbers = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Presets of the environments that agents were trained in, by `train.py --condition`.
+TRAINED_IN: dict[str, tuple[str, ...]] = {NOMINAL: ("exact", "camera"), "lab": ("exact", "lab")}
+ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
+
+
+@dataclass(frozen=True, eq=False)
+class Training:
+    """The training of an agent, as far as its folder describes it."""
+
+    condition: str  # preset that it was trained for
+    command: str | None = None  # that trains it; None: not known
+    results: tuple[tuple[str, float], ...] = ()  # [-] success under presets; empty: not known
+
+    @property
+    def presets(self) -> tuple[Preset, ...]:
+        """Presets of the environments that it was trained in."""
+        names = TRAINED_IN.get(self.condition, (self.condition,))
+        return tuple(PRESETS[checks.one_of("condition", name, PRESETS)] for name in names)
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A policy to export."""
+
+    name: str
+    seed: int
+    policy: Policy | ModulePolicy
+    settings: EnvConfig  # of the environment it is for
+    weights: dict[str, torch.Tensor]
+    digest: str  # of card and weights
+    training: Training
+
+
+def shipped(name: str, seed: int | None = None) -> Source:
+    """Return an agent that comes with the package.
+
+    Raises:
+        ValueError: there is no agent of that name or seed, or it is of a kind that is not exported.
+    """
+    seeds = library.seeds(name)
+    chosen = seeds[0] if seed is None else int(checks.one_of("seed", seed, seeds))
+    folder = library.SHELF / name
+    return _read(name, chosen, folder / f"seed-{chosen}", None, _read_training(folder))
+
+
+def of_run(
+    run: Path, name: str | None = None, seed: int | None = None, task: str | None = None
+) -> Source:
+    """Return a policy of a training run.
+
+    Args:
+        run: its folder.
+        name: that the export is to have; None: the folder's.
+        seed: of several; None: the first.
+        task: custom task that it was trained on, as path/to/file.py:Class; None: of the package.
+
+    Raises:
+        ValueError: the folder holds no policy, or a damaged or foreign one, or one of another task
+            or seed; or of a kind that is not exported.
+    """
+    folders = policy_folders(run)
+    chosen = next(iter(folders)) if seed is None else int(checks.one_of("seed", seed, folders))
+    custom = None if task is None else find_task(task)
+    training = _read_training(run)
+    if training is None and (run / CONFIG).is_file():
+        training = Training(open_folder(run, task).condition)
+    return _read(name or run.resolve().name, chosen, folders[chosen], custom, training)
+
+
+def _read(
+    name: str, seed: int, folder: Path, task: Task | None, training: Training | None
+) -> Source:
+    files = read_files(folder)
+    policy = library.from_files(files, task)
+    if not isinstance(policy, (Policy, ModulePolicy)):
+        raise ValueError(
+            f"name must be that of an agent of single parcels (PPO, DQN or modules), got {name!r}: "
+            "in a stream of parcels the environment decides which module follows which parcel"
+        )
+    return Source(
+        name,
+        seed,
+        policy,
+        policy.card.settings(task),
+        torch.load(BytesIO(files.weights), map_location="cpu", weights_only=True),
+        str(yaml.safe_load(files.card.decode())[DIGEST]),
+        training or Training(NOMINAL),
+    )
+
+
+def _read_training(folder: Path) -> Training | None:
+    """Read the training from the card of a folder; None if there is none."""
+    file = folder / CARD_FILE
+    if not file.is_file():
+        return None
+    card: dict[str, Any] = yaml.safe_load(file.read_text())
+    command = str(card["command"])
+    words = shlex.split(command)
+    asked = words[words.index("--condition") + 1] if "--condition" in words else NOMINAL
+    results = tuple(
+        (name, float(figures["success"]))
+        for name, figures in card.get("results", {}).items()
+        if "success" in figures
+    )
+    return Training(str(card.get("condition", asked)), command, results)
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """A linear layer: weights times inputs, plus the bias."""
+
+    weights: Singles  # (outputs, inputs)
+    bias: Singles  # (outputs,)
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """Layers one after the other, with one activation between them and none at the end."""
+
+    layers: tuple[Layer, ...]
+    activation: str  # "tanh" or "relu"
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+        return int(self.layers[0].weights.shape[1])
+
+    @property
+    def outputs(self) -> int:
+        """Number of scores."""
+        return len(self.layers[-1].bias)
+
+    def scores(self, inputs: Numbers) -> Numbers:
+        """Compute (..., outputs) of inputs (..., inputs), in double precision."""
+        values = inputs
+        for k, layer in enumerate(self.layers):
+            if k:
+                values = np.tanh(values) if self.activation == "tanh" else np.maximum(values, 0.0)
+            values = values @ layer.weights.T.astype(np.float64) + layer.bias
+        return values
+
+
+def read_network(modules: nn.Module) -> Network:
+    """Read the weights of modules that follow each other.
+
+    Raises:
+        ValueError: it has other than linear layers with one kind of activation between them.
+    """
+    leaves = [each for each in modules.modules() if not list(each.children())]
+    linear, between = leaves[::2], leaves[1::2]
+    kinds = {type(each) for each in between}
+    if (
+        len(linear) != len(between) + 1
+        or not all(isinstance(each, nn.Linear) for each in linear)
+        or len(kinds) != 1
+        or not kinds <= set(ACTIVATIONS)
+    ):
+        raise ValueError(
+            "network must be linear layers with Tanh, or with ReLU, between each two, to be "
+            f"exported, got {', '.join(type(each).__name__ for each in leaves)}"
+        )
+    layers = tuple(
+        Layer(to_array(each.weight), to_array(each.bias))
+        for each in linear
+        if isinstance(each, nn.Linear)
+    )
+    return Network(layers, ACTIVATIONS[kinds.pop()])
+
+
+def to_array(weights: torch.Tensor) -> Singles:
+    """Copy weights to an array."""
+    copied: Singles = weights.detach().numpy().astype(np.float32, copy=True)
+    return copied
+
+
+def are_close(scores: Numbers, tie: float) -> NDArray[np.bool_]:
+    """Tell whether the best two of scores (..., options) are too close to tell apart.
+
+    Args:
+        scores: of each option.
+        tie: greatest distance, as a share of the largest score (at least 1).
+    """
+    best = np.sort(scores, axis=-1)
+    scale = np.maximum(1.0, np.abs(scores).max(axis=-1))
+    close: NDArray[np.bool_] = best[..., -1] - best[..., -2] <= tie * scale
+    return close
+
+
+@dataclass(frozen=True, eq=False)
+class Symmetry:
+    """Turns the choice for y > 0 back into the world if the asked side is y < 0."""
+
+    side: int  # index of the side in the observation
+    images: Integers  # (choices,) the mirror image of each orientation
+    parts: Integers  # (parts,) the mirror image of each part
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkDecision:
+    """The decision of PPO and DQN: the best score of each group says what some parts choose."""
+
+    network: Network
+    options: Integers  # (options, parts of a group) the choices that an option stands for
+    groups: int
+    angles: tuple[float, ...]  # [rad] of the orientations on offer
+    symmetry: Symmetry | None  # None: the observation is not mirrored
+
+    @property
+    def features(self) -> int:
+        """Size of an observation."""
+        return self.network.inputs
+
+    @property
+    def parts(self) -> int:
+        """Size of an action."""
+        return self.groups * self.options.shape[1]
+
+    def in_doubt(self, observations: Singles, tie: float) -> NDArray[np.bool_]:
+        """Tell for each part whether single precision may decide either way.
+
+        Args:
+            observations: (count, features).
+            tie: see `are_close`.
+        """
+        scores = self.network.scores(observations.astype(np.float64))
+        close = are_close(scores.reshape(len(observations), self.groups, -1), tie)
+        parts = close.repeat(self.options.shape[1], axis=1)
+        if self.symmetry is None:
+            return parts
+        mirrored = observations[:, self.symmetry.side : self.symmetry.side + 1] < 0.0
+        turned: NDArray[np.bool_] = np.where(mirrored, parts[:, self.symmetry.parts], parts)
+        return turned
+
+
+def network_decision(source: Source) -> NetworkDecision:
+    """Return the decision of a policy with one of Stable-Baselines3's networks.
+
+    Raises:
+        ValueError: its network or its actions are of a kind that is not exported.
+    """
+    settings, card = source.settings, source.policy.card
+    kind = settings.action_kind
+    if kind.continuous:
+        raise ValueError("orientations must be some to choose from, to be exported, got any angle")
+    module = make_network(card, settings)
+    module.load_state_dict(source.weights)
+    if card.algo == "dqn":
+        network = read_network(module.get_submodule("q_net.q_net"))
+    else:
+        hidden = module.get_submodule("mlp_extractor.policy_net")
+        network = read_network(nn.Sequential(hidden, module.get_submodule("action_net")))
+    orientations, symmetry = settings.chosen_orientations, None
+    if isinstance(settings.task, Sort):  # as `Policy`: a goal at y < 0 is shown in a mirror
+        parts = kind.flip(np.arange(kind.size)[np.newaxis])[0]
+        symmetry = Symmetry(SIDE, mirrored_orientations(orientations), parts)
+    if kind.space().shape == ():  # one number decides for all parts
+        options, groups = kind.commands(np.arange(network.outputs), network.outputs), 1
+    else:
+        options, groups = np.arange(kind.choices)[:, np.newaxis], kind.size
+    return NetworkDecision(network, options, groups, orientations, symmetry)

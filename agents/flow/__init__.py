@@ -1,1 +1,0 @@
-"""Controllers of a flow, how they are compared, and what no controller can exceed."""

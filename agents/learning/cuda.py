@@ -1,0 +1,418 @@
+"""PPO on tensors that stay on the environments' device.
+
+Loss, network and optimiser are those of Stable-Baselines3's PPO.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium import spaces
+from torch.nn.utils import clip_grad_norm_
+
+from surface_gym.config import EnvConfig
+from surface_gym.registration import env_id
+from surface_gym.tasks import Sort
+
+from ..policy import EqualCategoricals, EqualChoicesPolicy, make_network
+from ..symmetry import SIDE, ActionMirror, mirrored_orientations
+from ..tasks import find_task
+from .config import PPOConfig, is_registered, make_card
+from .envs import training_task
+from .ppo import MAX_GRAD_NORM, compute_advantages, learning_rate, ppo_loss, train_learner
+from .runs import RECENT_EPISODES, REWARD, Curve, OnProgress, TrainResult
+
+VALUE_COEF = 0.5  # as in Stable-Baselines3's PPO
+EPISODES = "episodes"  # their number, beside the sums over them
+
+
+class DeviceEnvs(Protocol):
+    """A vector env in SAME_STEP mode whose arrays are tensors on one device.
+
+    The next step may write over them.
+    """
+
+    num_envs: int
+    single_observation_space: spaces.Space[Any]
+    single_action_space: spaces.Space[Any]
+    settings: EnvConfig
+    device: Any  # an argument of `torch.device`
+
+    def reset(self, *, seed: int) -> tuple[torch.Tensor, dict[str, Any]]:
+        """Start environment i from `seed` + i; return observations (num_envs, features)."""
+
+    def step(
+        self, actions: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
+        """Step all environments by one control period."""
+
+    def close(self) -> None:
+        """Free all resources."""
+
+
+MakeDeviceEnvs = Callable[[PPOConfig, int], DeviceEnvs]  # for a configuration, so many
+
+
+def make_device_envs(config: PPOConfig, num_envs: int) -> DeviceEnvs:
+    """Make environments of a run on its device.
+
+    Raises:
+        ValueError: they cannot be on it; the message says why.
+    """
+    task = training_task(config.task)
+    try:
+        made: Any = gym.make_vec(
+            env_id(config.task if is_registered(config.task) else "sort"),  # the task is given
+            num_envs=num_envs,
+            device=config.device,
+            task=task,
+            max_episode_steps=task.periods,
+            actions=config.actions,
+            control_period=config.control_period,
+            observe=config.observe,
+            autoreset_mode="SameStep",
+        )
+    except (ImportError, RuntimeError) as error:
+        raise ValueError(f"device {config.device!r} cannot be used: {error}") from error
+    return made
+
+
+def check_device(config: PPOConfig) -> None:
+    """Raise a ValueError if environments cannot be on a run's device: one is tried."""
+    make_device_envs(config, 1).close()
+
+
+class TensorMirror:
+    """`ActionMirror` on tensors.
+
+    Args:
+        settings: of the environment; its actions are choices.
+        device: of the actions.
+    """
+
+    def __init__(self, settings: EnvConfig, device: torch.device) -> None:
+        kind, orientations = settings.action_kind, settings.chosen_orientations
+        space = kind.space()
+        if isinstance(space, spaces.Discrete):
+            every = np.arange(space.n)
+            images = ActionMirror(kind, orientations)(every, -np.ones(len(every), np.float32))
+            sources = np.zeros(1, dtype=np.int64)
+        else:
+            images = mirrored_orientations(orientations)
+            sources = kind.flip(np.arange(kind.size)[np.newaxis])[0]
+        self._images = torch.from_numpy(images).to(device)  # (options,) mirror image of each
+        self._sources = torch.from_numpy(sources).to(device)  # (parts,) mirror image of each
+
+    def __call__(self, actions: torch.Tensor, side: torch.Tensor) -> torch.Tensor:
+        """Return actions (num_envs, ...) in the world for the asked side (num_envs,) of each."""
+        parts = actions.reshape(len(actions), -1)
+        images = self._images[parts[:, self._sources]]
+        # Side 0, straight through, is not mirrored.
+        return torch.where((side >= 0.0).unsqueeze(1), parts, images).reshape(actions.shape)
+
+
+class EpisodeTotals:
+    """Sums over the episodes that ended since the last fetch, on the device.
+
+    Tens of thousands end in a rollout: they are not recorded one by one.
+
+    Args:
+        terms: names of the reward terms.
+        num_envs: number of environments.
+        device: of the environments.
+    """
+
+    def __init__(self, terms: tuple[str, ...], num_envs: int, device: torch.device) -> None:
+        self._terms = terms
+        self._names = (EPISODES, "success", "return", "length", *(REWARD + term for term in terms))
+        self._running = torch.zeros((2 + len(terms), num_envs), dtype=torch.float64, device=device)
+        self._ended = torch.zeros(len(self._names), dtype=torch.float64, device=device)
+
+    def reset(self) -> None:
+        """Forget the running episodes."""
+        self._running.zero_()
+
+    def add(self, rewards: torch.Tensor, ended: torch.Tensor, infos: dict[str, Any]) -> None:
+        """Add a control period: rewards (num_envs,) and which episodes ended (num_envs,)."""
+        final, now = infos["final_info"], infos["reward_terms"]
+        terms = [torch.where(ended, final["reward_terms"][name], now[name]) for name in self._terms]
+        self._running += torch.stack([rewards, torch.ones_like(rewards), *terms])
+        sums = torch.where(ended, self._running, 0.0).sum(dim=1)
+        counts = torch.stack([ended.sum(), (ended & final["is_success"]).sum()])
+        self._ended += torch.cat([counts, sums])
+        self._running = torch.where(ended, 0.0, self._running)
+
+    def fetch(self) -> dict[str, float]:
+        """Return the number of episodes that ended and the sums over them; forget them."""
+        totals = dict(zip(self._names, self._ended.tolist(), strict=True))
+        self._ended.zero_()
+        return totals
+
+
+class TotalsCurve(Curve):
+    """Learning curve from episode totals: means over the latest rollouts.
+
+    They are as few as hold `RECENT_EPISODES` and one for each environment: where all environments
+    have just started, only the shortest episodes have ended.
+
+    Args:
+        folder: of the run.
+        terms: names of the reward terms.
+        num_envs: number of environments.
+        steps: control periods done before; later rows in the files are dropped.
+        recent: totals of the latest rollouts before.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        terms: tuple[str, ...],
+        num_envs: int,
+        steps: int,
+        recent: list[dict[str, float]],
+    ) -> None:
+        super().__init__(folder, terms, steps, recent)
+        self._least = max(RECENT_EPISODES, num_envs)
+
+    def add_totals(self, totals: dict[str, float]) -> None:
+        """Add the result of `EpisodeTotals.fetch`."""
+        if totals[EPISODES] == 0.0:
+            return
+        self.recent.append(totals)
+        while self._sum(EPISODES) - self.recent[0][EPISODES] >= self._least:
+            self.recent.popleft()
+
+    def _mean(self, name: str) -> float:
+        return self._sum(name) / self._sum(EPISODES) if self.recent else float("nan")
+
+    def _sum(self, name: str) -> float:
+        return sum(rollout[name] for rollout in self.recent)
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceTransition:
+    """Result of a control period; tensors on the environments' device."""
+
+    observations: torch.Tensor  # (num_envs, features) of the next start where an episode ended
+    rewards: torch.Tensor  # (num_envs,) float64
+    terminated: torch.Tensor  # (num_envs,) ended by success or failure
+    ended: torch.Tensor  # (num_envs,) or by the time limit
+    last: torch.Tensor  # (num_envs, features) at the period's end, of an episode that ended too
+
+
+class DeviceTrainingEnvs:
+    """Environments with totals of their episodes, and with actions for y > 0 if the task is Sort.
+
+    Args:
+        envs: on a device.
+    """
+
+    def __init__(self, envs: DeviceEnvs) -> None:
+        self.device = torch.device(envs.device)
+        self.envs = envs
+        settings = envs.settings
+        self.totals = EpisodeTotals(settings.chosen_task.terms, envs.num_envs, self.device)
+        mirrored = isinstance(settings.task, Sort)
+        self._mirror = TensorMirror(settings, self.device) if mirrored else None
+        self._side = torch.ones(envs.num_envs, device=self.device)
+
+    def reset(self, seed: int) -> torch.Tensor:
+        """Start environment i from `seed` + i; return observations (num_envs, features)."""
+        observations, _ = self.envs.reset(seed=seed)
+        self.totals.reset()
+        return self._keep(observations)
+
+    def step(self, actions: torch.Tensor) -> DeviceTransition:
+        """Step all environments by one control period; nothing is copied from the device."""
+        if self._mirror is not None:
+            actions = self._mirror(actions, self._side)
+        observations, rewards, terminated, truncated, infos = self.envs.step(actions)
+        ended = terminated | truncated
+        self.totals.add(rewards, ended, infos)
+        last = torch.where(ended.unsqueeze(1), infos["final_obs"], observations)
+        return DeviceTransition(
+            self._keep(observations), rewards.clone(), terminated.clone(), ended, last
+        )
+
+    def _keep(self, observations: torch.Tensor) -> torch.Tensor:
+        """Copy observations, and remember the asked side of each."""
+        kept = observations.clone()
+        if self._mirror is not None:
+            self._side = kept[:, SIDE]
+        return kept
+
+
+class DevicePolicy(EqualChoicesPolicy):
+    """`EqualChoicesPolicy` that draws a single choice in the same way as several.
+
+    PyTorch's own draw checks its probabilities on the host and would wait for the device at every
+    control period. Log probabilities are for actions (num_envs, choices). Names and shapes of the
+    parameters are the same.
+    """
+
+    def _build(self, lr_schedule: Any) -> None:
+        if isinstance(self.action_space, spaces.Discrete):
+            self.action_dist = EqualCategoricals(1, int(self.action_space.n))
+        super()._build(lr_schedule)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Control periods of all environments, in a row."""
+
+    observations: torch.Tensor  # (samples, features)
+    actions: torch.Tensor  # (samples, choices)
+    log_prob: torch.Tensor  # (samples,) of the actions when they were chosen
+    advantage: torch.Tensor  # (samples,)
+    returns: torch.Tensor  # (samples,)
+
+    def select(self, chosen: torch.Tensor) -> "Samples":
+        """Return samples by index (count,)."""
+        return Samples(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+
+def policy_loss(policy: DevicePolicy, samples: Samples, ent_coef: float) -> torch.Tensor:
+    """Compute PPO's loss of a policy; the advantages are normalised here.
+
+    Args:
+        policy: that learns.
+        samples: to learn from.
+        ent_coef: weight of the entropy bonus.
+    """
+    value, log_prob, entropy = policy.evaluate_actions(samples.observations, samples.actions)
+    assert entropy is not None
+    advantage = samples.advantage
+    if len(advantage) > 1:
+        advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+    return ppo_loss(
+        log_prob, samples.log_prob, advantage, value.flatten(), samples.returns, entropy.mean(),
+        ent_coef, VALUE_COEF,
+    )  # fmt: skip
+
+
+def gradient_step(policy: DevicePolicy, samples: Samples, ent_coef: float) -> None:
+    """Take one step of a policy's optimiser."""
+    policy.optimizer.zero_grad()
+    torch.autograd.backward(policy_loss(policy, samples, ent_coef))
+    clip_grad_norm_(policy.parameters(), MAX_GRAD_NORM)
+    policy.optimizer.step()
+
+
+class DeviceLearner:
+    """The policy on the device, and its training.
+
+    Args:
+        config: of the run.
+        envs: to train on.
+    """
+
+    def __init__(self, config: PPOConfig, envs: DeviceTrainingEnvs) -> None:
+        self._config = config
+        self._envs = envs
+        torch.manual_seed(config.seed)
+        # Drawn on the CPU: a seed gives the same first weights on every device.
+        self._policy = DevicePolicy(
+            envs.envs.single_observation_space,
+            envs.envs.single_action_space,
+            lambda _: config.learning_rate,
+            net_arch=list(config.hidden),
+        ).to(envs.device)
+        self.steps = 0
+        self._seen = torch.empty(0)
+
+    @property
+    def network(self) -> torch.nn.Module:
+        network = make_network(make_card(self._config), self._envs.envs.settings)
+        network.load_state_dict(self._policy.state_dict())
+        return network
+
+    def begin(self, seed: int) -> None:
+        torch.manual_seed(seed)
+        self._seen = self._envs.reset(seed)
+
+    def learn(self, curve: TotalsCurve) -> None:
+        """Learn from one rollout and add the totals of its episodes to the curve."""
+        config = self._config
+        self._policy.optimizer.param_groups[0]["lr"] = learning_rate(config, self.steps)
+        samples = self.roll_out()
+        count = len(samples.returns)
+        for _ in range(config.n_epochs):
+            order = torch.randperm(count, device=self._envs.device)
+            for chosen in torch.split(order, config.batch_size):
+                gradient_step(self._policy, samples.select(chosen), config.ent_coef)
+        self.steps += count
+        curve.add_totals(self._envs.totals.fetch())
+
+    def state(self) -> dict[str, Any]:
+        return {
+            "policy": self._policy.state_dict(),
+            "optimizer": self._policy.optimizer.state_dict(),
+            "steps": self.steps,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self._policy.load_state_dict(state["policy"])
+        self._policy.optimizer.load_state_dict(state["optimizer"])
+        self.steps = int(state["steps"])
+
+    @torch.no_grad()
+    def roll_out(self) -> Samples:
+        """Collect `n_steps` control periods; nothing is copied from the device."""
+        config = self._config
+        seen, actions, log_probs = [], [], []
+        values, rewards, ended, next_values = [], [], [], []
+        for _ in range(config.n_steps):
+            chosen, value, log_prob = self._policy(self._seen)
+            moved = self._envs.step(chosen)
+            next_value = self._policy.predict_values(moved.last).flatten() * ~moved.terminated
+            seen.append(self._seen)
+            actions.append(chosen.reshape(len(chosen), -1))
+            log_probs.append(log_prob)
+            values.append(value.flatten())
+            rewards.append(moved.rewards)
+            ended.append(moved.ended)
+            next_values.append(next_value)
+            self._seen = moved.observations
+        value = torch.stack(values)
+        advantage = compute_advantages(
+            torch.stack(rewards), torch.stack(ended), value, torch.stack(next_values),
+            config.gamma, config.gae_lambda,
+        )  # fmt: skip
+        return Samples(
+            torch.cat(seen),
+            torch.cat(actions),
+            torch.cat(log_probs),
+            advantage.flatten().float(),
+            (advantage + value).flatten().float(),
+        )
+
+
+def train_on_device(
+    config: PPOConfig,
+    folder: Path,
+    on_progress: OnProgress = lambda *_: None,
+    make_envs: MakeDeviceEnvs = make_device_envs,
+) -> TrainResult:
+    """Train PPO on a device; see `train_learner`.
+
+    Args:
+        config: of the run.
+        folder: of the run.
+        on_progress: called after each rollout.
+        make_envs: makes the environments.
+
+    Raises:
+        ValueError: the checkpoint is damaged, or of another configuration; or the device cannot be
+            used.
+    """
+
+    def make_learner() -> DeviceLearner:
+        return DeviceLearner(config, DeviceTrainingEnvs(make_envs(config, config.num_envs)))
+
+    make_curve = partial(TotalsCurve, folder, find_task(config.task).terms, config.num_envs)
+    return train_learner(config, folder, on_progress, make_learner, make_curve)

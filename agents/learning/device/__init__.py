@@ -1,1 +1,0 @@
-"""PPO whose tensors stay on a device."""

@@ -1,0 +1,233 @@
+"""Shared-policy PPO per module, by the likelihood of all choices in an environment together."""
+
+from dataclasses import dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.nn.utils import clip_grad_norm_
+
+from surface_gym.tasks.sort import TERMS
+
+from ..module_policy import (
+    GROUPS,
+    SharedNetwork,
+    ValueNetwork,
+    draw_choices,
+    draw_groups,
+    log_likelihood,
+)  # fmt: skip
+from ..module_view import Integers, ModuleView, Numbers, Singles
+from ..vec_env import ConcatVecEnv
+from .config import ModulesConfig, make_card
+from .envs import make_training_envs
+from .ppo import MAX_GRAD_NORM, compute_advantages, learning_rate, ppo_loss, train_learner
+from .runs import Curve, OnProgress, TrainResult
+
+ADAM_EPS = 1e-5  # as in Stable-Baselines3's PPO
+
+Booleans = NDArray[np.bool_]
+
+
+class Transition(NamedTuple):
+    """Result of a control period."""
+
+    observations: Singles  # (num_envs, features) of the next start where an episode ended
+    rewards: Numbers  # (num_envs,)
+    terminated: Booleans  # (num_envs,) ended by success or failure
+    ended: Booleans  # (num_envs,) or by the time limit
+    last: Singles  # (num_envs, features) at the period's end, of an episode that ended too
+    infos: list[dict[str, Any]]  # of SurfaceVecEnv
+
+
+def step_envs(envs: ConcatVecEnv, actions: Integers) -> Transition:
+    """Step all environments by one control period."""
+    observations, rewards, ended, infos = envs.step(actions)
+    seen = np.asarray(observations)
+    last, terminated = seen.copy(), ended.copy()
+    for i in np.nonzero(ended)[0]:
+        last[i] = infos[i]["terminal_observation"]
+        terminated[i] = not infos[i]["TimeLimit.truncated"]
+    return Transition(seen, rewards.astype(np.float64), terminated, ended, last, infos)
+
+
+@dataclass(frozen=True, eq=False)
+class ModuleSamples:
+    """Samples, one for each environment and control period, and all their modules in a row."""
+
+    observations: torch.Tensor  # (samples, features)
+    shared: torch.Tensor  # (samples, shared features) of all modules of a sample
+    log_prob: torch.Tensor  # (samples,) of the choices together, when they were made
+    count: torch.Tensor  # (samples,) of modules
+    place: torch.Tensor  # (modules, place features)
+    group: torch.Tensor  # (modules,) within its sample
+    choice: torch.Tensor  # (modules,)
+
+    @property
+    def sample(self) -> torch.Tensor:
+        """Index of each module's sample (modules,)."""
+        return torch.arange(len(self.count)).repeat_interleave(self.count)
+
+    def select(self, samples: Integers) -> "ModuleSamples":
+        """Return samples by index, with their modules."""
+        chosen = torch.from_numpy(samples)
+        counts = self.count[chosen]
+        first = (self.count.cumsum(0) - self.count)[chosen]
+        skipped = counts.cumsum(0) - counts
+        modules = torch.arange(int(counts.sum())) + (first - skipped).repeat_interleave(counts)
+        tensors = self._tensors()
+        return ModuleSamples(
+            *(tensor[chosen] for tensor in tensors[:4]),
+            *(tensor[modules] for tensor in tensors[4:]),
+        )
+
+    @staticmethod
+    def concatenate(parts: "list[ModuleSamples]") -> "ModuleSamples":
+        """Join samples in a row."""
+        tensors = zip(*(part._tensors() for part in parts), strict=True)
+        return ModuleSamples(*map(torch.cat, tensors))
+
+    def _tensors(self) -> list[torch.Tensor]:
+        return [getattr(self, field.name) for field in fields(self)]
+
+
+class ModuleLearner:
+    """Networks of the modules' policy and value, and their training.
+
+    Args:
+        config: of the run.
+    """
+
+    def __init__(self, config: ModulesConfig) -> None:
+        self._config = config
+        self._envs = make_training_envs(config)
+        settings = make_card(config).env_config()
+        self._view = ModuleView(settings)
+        torch.manual_seed(config.seed)
+        self.network = SharedNetwork(
+            len(settings.chosen_orientations), config.hidden, settings.observe
+        )
+        self.value = ValueNetwork(config.hidden, settings.observe)
+        self._networks = (self.network, self.value)
+        self._optimisers = [
+            torch.optim.Adam(network.parameters(), config.learning_rate, eps=ADAM_EPS)
+            for network in self._networks
+        ]
+        self.steps = 0
+        self._rng = np.random.default_rng(config.seed)
+        self._seen: Singles = np.empty((0, 0), dtype=np.float32)
+
+    def begin(self, seed: int) -> None:
+        """Start all environments, environment i from `seed` + i, and random numbers anew."""
+        self._rng = np.random.default_rng(seed)
+        self._envs.seed(seed)
+        self._seen = np.asarray(self._envs.reset())
+
+    def learn(self, curve: Curve) -> None:
+        """Learn from one rollout and add the episodes that ended in it to the curve."""
+        for optimiser in self._optimisers:
+            optimiser.param_groups[0]["lr"] = learning_rate(self._config, self.steps)
+        samples, advantage, returns, infos = self._roll_out()
+        count = len(returns)
+        for _ in range(self._config.n_epochs):
+            order = self._rng.permutation(count)
+            for first in range(0, count, self._config.batch_size):
+                chosen = order[first : first + self._config.batch_size]
+                self._step(samples.select(chosen), advantage[chosen], returns[chosen])
+        self.steps += count
+        curve.add_episodes(infos)
+
+    def state(self) -> dict[str, Any]:
+        return {
+            "network": self.network.state_dict(),
+            "value": self.value.state_dict(),
+            "optimisers": [optimiser.state_dict() for optimiser in self._optimisers],
+            "steps": self.steps,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.network.load_state_dict(state["network"])
+        self.value.load_state_dict(state["value"])
+        for optimiser, saved in zip(self._optimisers, state["optimisers"], strict=True):
+            optimiser.load_state_dict(saved)
+        self.steps = int(state["steps"])
+
+    @torch.no_grad()
+    def _decide(self) -> tuple[ModuleSamples, Integers]:
+        """Draw the choices of all modules; return them as samples, and the actions."""
+        num_envs = len(self._seen)
+        seen = self._view(self._seen)
+        shared, env, place = map(torch.from_numpy, (seen.shared, seen.env, seen.place))
+        log_probability = self.network(shared, env, place)
+        probability = self._config.split_probability
+        groups = draw_groups(seen.env, seen.place, num_envs, probability, self._rng)
+        group = torch.from_numpy(groups)
+        uniform = torch.from_numpy(self._rng.random(GROUPS * num_envs, dtype=np.float32))
+        choice = draw_choices(log_probability, group, uniform)
+        samples = ModuleSamples(
+            torch.from_numpy(self._seen),
+            shared,
+            log_likelihood(log_probability, choice, group, GROUPS * num_envs),
+            torch.bincount(env, minlength=num_envs),
+            place,
+            group - GROUPS * env,
+            choice,
+        )
+        return samples, self._view.actions(self._seen, seen, choice.numpy())
+
+    @torch.no_grad()
+    def _roll_out(self) -> tuple[ModuleSamples, torch.Tensor, torch.Tensor, list[dict[str, Any]]]:
+        """Collect samples, their normalised advantages, their returns, and infos."""
+        parts, rewards, ended, next_value = [], [], [], []
+        infos: list[dict[str, Any]] = []
+        for _ in range(self._config.n_steps):
+            part, actions = self._decide()
+            moved = step_envs(self._envs, actions)
+            self._seen = moved.observations
+            infos += moved.infos
+            parts.append(part)
+            rewards.append(moved.rewards)
+            ended.append(moved.ended)
+            next_value.append(~moved.terminated * self.value(torch.from_numpy(moved.last)).numpy())
+        samples = ModuleSamples.concatenate(parts)
+        value = self.value(samples.observations).numpy().reshape(len(parts), -1).astype(np.float64)
+        arrays = (np.stack(rewards), np.stack(ended), value, np.stack(next_value))
+        advantage = compute_advantages(
+            *map(torch.from_numpy, arrays), self._config.gamma, self._config.gae_lambda
+        ).numpy()
+        returns = torch.from_numpy((advantage + value).ravel().astype(np.float32))
+        advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        return samples, torch.from_numpy(advantage.ravel().astype(np.float32)), returns, infos
+
+    def _step(self, samples: ModuleSamples, advantage: torch.Tensor, returns: torch.Tensor) -> None:
+        """Take one gradient step of each network."""
+        sample = samples.sample
+        log_probability = self.network(samples.shared, sample, samples.place)
+        group = GROUPS * sample + samples.group
+        loss = ppo_loss(
+            log_likelihood(log_probability, samples.choice, group, GROUPS * len(samples.count)),
+            samples.log_prob,
+            advantage,
+            self.value(samples.observations),
+            returns,
+            -(log_probability.exp() * log_probability).sum(dim=1).mean(),
+            self._config.ent_coef,
+            value_coef=1.0,  # the networks share no weights
+        )
+        for optimiser in self._optimisers:
+            optimiser.zero_grad()
+        torch.autograd.backward(loss)
+        for network, optimiser in zip(self._networks, self._optimisers, strict=True):
+            clip_grad_norm_(network.parameters(), MAX_GRAD_NORM)
+            optimiser.step()
+
+
+def train_modules(
+    config: ModulesConfig, folder: Path, on_progress: OnProgress = lambda *_: None
+) -> TrainResult:
+    """Train one policy shared by all modules; see `train_learner`."""
+    curve = partial(Curve, folder, TERMS)
+    return train_learner(config, folder, on_progress, partial(ModuleLearner, config), curve)

@@ -1,1 +1,0 @@
-"""Learning of modules that decide each for itself: PPO with draws they share."""

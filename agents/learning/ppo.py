@@ -1,0 +1,168 @@
+"""PPO of the package's own learners: advantages, loss, and the loop of a run.
+
+Schulman et al., Proximal policy optimization algorithms, 2017.
+"""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+
+from ..policy import save_policy
+from .config import TrainConfig, make_card
+from .runs import (
+    CHECKPOINT,
+    Curve,
+    OnProgress,
+    StopTraining,
+    TrainResult,
+    interval_at,
+    interval_seed,
+    read_state,
+    write_state,
+)  # fmt: skip
+
+# As in Stable-Baselines3's PPO.
+CLIP_RANGE = 0.2  # by which the probability ratio may differ from 1 and still earn
+MAX_GRAD_NORM = 0.5
+
+
+def compute_advantages(
+    rewards: torch.Tensor,
+    ended: torch.Tensor,
+    value: torch.Tensor,
+    next_value: torch.Tensor,
+    gamma: float,
+    gae_lambda: float,
+) -> torch.Tensor:
+    """Compute generalised advantage estimates; all tensors (periods, num_envs), on one device.
+
+    Schulman et al., High-dimensional continuous control using generalised advantage estimation,
+    ICLR 2016, Eq. (16).
+
+    Args:
+        rewards: of each period.
+        ended: whether the period was the last of an episode.
+        value: of the observation before each period.
+        next_value: of the observation after it, in the same episode; 0 after success or failure.
+        gamma: discount factor of a period.
+        gae_lambda: weight of the next period's temporal difference.
+    """
+    delta = rewards + gamma * next_value - value
+    advantage = torch.zeros_like(rewards)
+    following = torch.zeros_like(rewards[0])
+    for period in reversed(range(len(rewards))):
+        following = delta[period] + gamma * gae_lambda * following * ~ended[period]
+        advantage[period] = following
+    return advantage
+
+
+def ppo_loss(
+    log_prob: torch.Tensor,
+    old_log_prob: torch.Tensor,
+    advantage: torch.Tensor,
+    value: torch.Tensor,
+    returns: torch.Tensor,
+    entropy: torch.Tensor,
+    ent_coef: float,
+    value_coef: float,
+) -> torch.Tensor:
+    """Compute PPO's loss, with the clipped objective of Eq. (7).
+
+    Args:
+        log_prob: (samples,) of the actions, by the policy that learns.
+        old_log_prob: (samples,) of the actions when they were chosen.
+        advantage: (samples,) normalised.
+        value: (samples,) of the observations, by the value function that learns.
+        returns: (samples,) targets of the value.
+        entropy: mean over the samples.
+        ent_coef: weight of the entropy bonus.
+        value_coef: weight of the value loss.
+    """
+    ratio = (log_prob - old_log_prob).exp()
+    clipped = ratio.clamp(1.0 - CLIP_RANGE, 1.0 + CLIP_RANGE)
+    objective = torch.min(ratio * advantage, clipped * advantage).mean()
+    value_loss = (value - returns).square().mean()
+    return value_coef * value_loss - objective - ent_coef * entropy
+
+
+def learning_rate(config: TrainConfig, steps: int) -> float:
+    """Compute the learning rate after some control periods; it falls linearly to 0."""
+    return max(0.0, 1.0 - steps / config.steps) * config.learning_rate
+
+
+class Learner(Protocol):
+    """Learns from one rollout after another, and returns to the state of a checkpoint."""
+
+    steps: int  # control periods learned from
+
+    @property
+    def network(self) -> torch.nn.Module:
+        """Network of the policy, on the CPU."""
+
+    def begin(self, seed: int) -> None:
+        """Start all environments and random numbers anew."""
+
+    def learn(self, curve: Any) -> None:
+        """Learn from one rollout and add the episodes that ended in it to the curve."""
+
+    def state(self) -> dict[str, Any]:
+        """Return the state at a checkpoint: tensors and plain values, `steps` among them."""
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore the state of a checkpoint."""
+
+
+def train_learner(
+    config: TrainConfig,
+    folder: Path,
+    on_progress: OnProgress,
+    make_learner: Callable[[], Learner],
+    make_curve: Callable[[int, list[dict[str, float]]], Curve],
+) -> TrainResult:
+    """Train as the configuration says and leave a policy in `folder`.
+
+    A run with a checkpoint is resumed. An interrupt saves the policy as it is.
+
+    Args:
+        config: of the run.
+        folder: of the run.
+        on_progress: called after each rollout.
+        make_learner: makes the learner.
+        make_curve: makes its curve, from the control periods done and the latest episodes.
+
+    Raises:
+        ValueError: the checkpoint is damaged, or of another configuration.
+    """
+    torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
+    started = time.perf_counter()
+    learner = make_learner()
+
+    def restore(state: dict[str, Any]) -> list[dict[str, float]]:
+        learner.restore(state)
+        recent: list[dict[str, float]] = state["recent"]
+        return recent
+
+    def save() -> None:
+        write_state({**learner.state(), "recent": list(curve.recent)}, folder)
+
+    recent = read_state(folder, restore) if (folder / CHECKPOINT).is_file() else []
+    curve = make_curve(learner.steps, recent)
+    interrupted, interval = False, -1
+    try:
+        while learner.steps < config.steps:
+            if interval_at(config, learner.steps) != interval:
+                interval = interval_at(config, learner.steps)
+                save()
+                learner.begin(interval_seed(config, interval))
+            learner.learn(curve)
+            curve.write(learner.steps)
+            on_progress(learner.steps, curve.success)
+        save()
+    except (KeyboardInterrupt, StopTraining):
+        interrupted = True
+    curve.close()
+    save_policy(learner.network, make_card(config), folder)
+    return TrainResult(learner.steps, time.perf_counter() - started, interrupted)

@@ -1,0 +1,302 @@
+"""Folder of a training run: configuration, command, checkpoint, learning curve and card.
+
+A run goes from checkpoint to checkpoint. At each one it saves its state, seeds everything anew and
+starts all environments anew, so that a resumed run comes to the same result as an unbroken one.
+"""
+
+import csv
+import os
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from datetime import datetime
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import yaml
+
+from surface_gym.files import replacing
+
+from ..base import FLOW_TASK, TRAIN, command_line
+from ..library import DAMAGE, describe_damage
+from ..tasks import task_label
+from .config import (
+    CONFIGS,
+    CPU,
+    NOMINAL,
+    RENAMED,
+    TrainConfig,
+    config_of_seed,
+    is_registered,
+    on_device,
+)  # fmt: skip
+from .hyperparams import defaults
+
+CONFIG = "config.yaml"
+COMMAND = "command.txt"
+CHECKPOINT = "checkpoint.pt"
+CURVE = "curve.csv"
+CARD = "card.yaml"
+CURVE_EVERY = 10_000  # control periods from row to row of the curve
+REWARD = "reward_"  # before the name of a reward term, which may be "success" as well
+RECENT_EPISODES = 1000
+
+Restored = TypeVar("Restored")
+# Called with control periods done and the success rate of the latest episodes.
+OnProgress = Callable[[int, float], None]
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """End of a run."""
+
+    steps: int  # control periods learned from
+    seconds: float  # duration, since the last resume
+    interrupted: bool
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Report of a run in another process."""
+
+    steps: int  # control periods done
+    success: float | None  # of the latest episodes; None: unchanged
+    files: dict[str, bytes] = field(default_factory=dict)  # changed ones, if the folder is remote
+
+
+class StopTraining(Exception):
+    """Raised by `on_progress` to end a run early, as an interrupt does."""
+
+
+def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
+    """Make a new folder with the resolved configuration and the command.
+
+    Args:
+        config: of the run.
+        arguments: of the command line.
+
+    Raises:
+        ValueError: the folder exists.
+    """
+    which = f"seed{config.seed}" if config.seeds == 1 else f"{config.seeds}seeds"
+    name = (
+        config.name
+        or f"{task_label(config.task)}-{config.algo}-{which}-{datetime.now():%Y%m%d-%H%M%S}"
+    )
+    folder = config.out / name
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise ValueError(
+            f"name must be that of a new folder, got {folder}; --resume {folder} goes on with it"
+        ) from None
+    write_config(config, folder / CONFIG)
+    (folder / COMMAND).write_text(command_line(TRAIN, *arguments) + "\n")
+    return folder
+
+
+def seed_folders(config: TrainConfig, folder: Path) -> list[tuple[TrainConfig, Path]]:
+    """List the configuration and folder of each seed; a single seed has the run's own folder."""
+    if config.seeds == 1:
+        return [(config, folder)]
+    return [
+        (config_of_seed(config, seed), folder / f"seed-{seed}")
+        for seed in range(config.seed, config.seed + config.seeds)
+    ]
+
+
+def write_config(config: TrainConfig, file: Path) -> None:
+    """Write all fields of a configuration as YAML."""
+    plain = {}
+    for each in fields(config):
+        value = getattr(config, each.name)
+        if isinstance(value, tuple):
+            value = list(value)
+        plain[each.name] = str(value) if isinstance(value, Path) else value
+    file.write_text(yaml.safe_dump(plain, sort_keys=False))
+
+
+def read_config(file: Path, task: str | None = None) -> TrainConfig:
+    """Read a configuration written by `write_config`, also with earlier names of fields.
+
+    Args:
+        file: to read.
+        task: that it must be of; None: one of the package, since a file must not say what code is
+            run.
+
+    Raises:
+        ValueError: there is no such file, or it holds no configuration, or one of another task.
+    """
+    if not file.is_file():
+        raise ValueError(f"{file.parent} holds no run: {file.name} is missing")
+    try:
+        plain = yaml.safe_load(file.read_text())
+        plain = {RENAMED.get(name, name): value for name, value in plain.items()}
+        known = plain["task"] == FLOW_TASK or is_registered(plain["task"])
+        asked = plain["task"] if task is None and known else task
+        if plain["task"] != asked:
+            raise ValueError(
+                f"task must be {plain['task']!r}, which the run is of: name it by --task, got "
+                f"{task!r}"
+            )
+        for name in ("hidden", "observe", "zones"):
+            plain[name] = tuple(plain.get(name, ()))
+        plain["out"] = Path(plain["out"])
+        return CONFIGS[plain["algo"]](**plain)
+    except (yaml.YAMLError, TypeError, KeyError, ValueError, AttributeError) as error:
+        raise ValueError(f"{file} holds no run's configuration: {error}") from error
+
+
+def task_name(file: Path) -> str | None:
+    """Read the task's name from a run's configuration; None where it is damaged. Runs no code."""
+    try:
+        plain = yaml.safe_load(file.read_text())
+        return str(plain["task"])
+    except (yaml.YAMLError, TypeError, KeyError):
+        return None
+
+
+def training_command(config: TrainConfig) -> str:
+    """Build the command that trains the same again, with every option that is no default."""
+    device = config.device if on_device(config) else CPU
+    default = defaults(config.task, config.algo, preset=config.preset, device=device)
+    chosen = ["--task", config.task, "--algo", config.algo]
+    if config.preset != NOMINAL:
+        chosen += ["--preset", config.preset]
+    if device != CPU:
+        chosen += ["--device", device]
+    for each in fields(config):
+        value = getattr(config, each.name)
+        if each.name not in ("out", "name") and value != getattr(default, each.name):
+            values = value if isinstance(value, tuple) else (value,)
+            chosen += [f"--{each.name.replace('_', '-')}", *map(str, values)]
+    return command_line(TRAIN, *chosen)
+
+
+def write_card(
+    config: TrainConfig, trained: Sequence[TrainResult], results: dict[str, Any], folder: Path
+) -> None:
+    """Write a run's card: its command, its seeds, and the results of their evaluation."""
+    card = {
+        "command": training_command(config),
+        "seeds": list(range(config.seed, config.seed + config.seeds)),
+        "steps": [each.steps for each in trained],
+        "seconds": [round(each.seconds) for each in trained],  # of each seed, on a core or device
+        "results": results,
+    }
+    (folder / CARD).write_text(yaml.safe_dump(card, sort_keys=False))
+
+
+def interval_at(config: TrainConfig, steps: int) -> int:
+    """Return the number of the checkpoint interval after some control periods."""
+    return steps // config.checkpoint_every
+
+
+def interval_seed(config: TrainConfig, interval: int) -> int:
+    """Return the seed of all random numbers in a checkpoint interval."""
+    return config.seed + 1_000_003 * interval
+
+
+def write_state(state: dict[str, Any], folder: Path) -> None:
+    """Write tensors and plain values as a folder's checkpoint, whole or not at all."""
+    import torch
+
+    with replacing(folder / CHECKPOINT) as part, part.open("wb") as file:
+        torch.save(state, file)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def read_state(folder: Path, restore: Callable[[dict[str, Any]], Restored]) -> Restored:
+    """Pass a folder's checkpoint to `restore` and return its result. Runs no code from the file.
+
+    Raises:
+        ValueError: the checkpoint is damaged, or `restore` could not use it.
+    """
+    import torch
+
+    try:
+        return restore(torch.load(folder / CHECKPOINT, map_location="cpu", weights_only=True))
+    except DAMAGE as error:
+        raise ValueError(
+            f"{folder / CHECKPOINT} is damaged or of another run: {describe_damage(error)}"
+        ) from None
+
+
+class Curve:
+    """Learning curve in curve.csv and TensorBoard: means over the latest episodes.
+
+    Args:
+        folder: of the run.
+        terms: names of the reward terms.
+        steps: control periods done before; later rows in the files are dropped.
+        recent: the latest episodes before.
+    """
+
+    def __init__(
+        self, folder: Path, terms: tuple[str, ...], steps: int, recent: list[dict[str, float]]
+    ) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
+        self._file = folder / CURVE
+        self._columns = ("steps", "success", "return", "length", *(REWARD + term for term in terms))
+        self.recent: deque[dict[str, float]] = deque(recent, maxlen=RECENT_EPISODES)
+        self._writer: Any = SummaryWriter(str(folder / "tensorboard"), purge_step=steps or None)
+        kept = [row for row in read_curve(folder) if row["steps"] <= steps] if steps else []
+        with self._file.open("w", newline="") as file:
+            csv.writer(file).writerow(self._columns)
+        for row in kept:
+            self._append(row)
+
+    def add_episodes(self, infos: list[dict[str, Any]]) -> None:
+        """Add the episodes that ended in a step."""
+        for info in filter(None, infos):
+            self.recent.append(
+                {
+                    "success": float(info["is_success"]),
+                    "return": info["episode"]["r"],
+                    "length": float(info["episode"]["l"]),
+                    **{REWARD + term: value for term, value in info["reward_terms"].items()},
+                }
+            )
+
+    @property
+    def success(self) -> float:
+        """Success rate [-] of the latest episodes; nan before the first."""
+        return self._mean("success")
+
+    def write(self, steps: int) -> None:
+        """Write a row."""
+        row = {name: self._mean(name) for name in self._columns[1:]}
+        self._append({"steps": steps, **row})
+        for name, value in row.items():
+            term = name.removeprefix(REWARD)
+            group = "rollout" if term == name else "reward_terms"
+            self._writer.add_scalar(f"{group}/{term}", value, steps)
+
+    def close(self) -> None:
+        """Flush the file of TensorBoard."""
+        self._writer.close()
+
+    def _append(self, row: dict[str, float]) -> None:
+        with self._file.open("a", newline="") as file:
+            csv.writer(file).writerow(f"{row[name]:.8g}" for name in self._columns)
+
+    def _mean(self, name: str) -> float:
+        values = [episode[name] for episode in self.recent]
+        return float(np.mean(values)) if values else float("nan")
+
+
+def read_curve(folder: Path) -> list[dict[str, float]]:
+    """Read the rows of a run's curve, without a last line that was broken off."""
+    file = folder / CURVE
+    if not file.is_file():
+        return []
+    with file.open(newline="") as lines:
+        rows = list(csv.DictReader(lines))
+    return [
+        {name: float(value) for name, value in row.items()}
+        for row in rows
+        if None not in row.values() and "" not in row.values()
+    ]

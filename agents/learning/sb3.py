@@ -1,0 +1,257 @@
+"""PPO and DQN of Stable-Baselines3, with double Q, checkpoints and a learning curve.
+
+Double Q: one network chooses the next action, its slow copy estimates the value. With one network
+for both, the largest of its errors is taken for the truth, and it diverges late.
+van Hasselt, Guez and Silver, Deep Reinforcement Learning with Double Q-learning, AAAI 2016.
+"""
+
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import VecEnv
+from torch.nn.functional import smooth_l1_loss
+from torch.nn.utils import clip_grad_norm_
+
+from surface_gym.flow.task import PARCEL_TERMS
+
+from ..parcel_policy import ParcelNetwork
+from ..policy import EqualChoicesPolicy, save_policy
+from ..tasks import find_task
+from .config import DQNConfig, ParcelsConfig, PPOConfig, make_card
+from .envs import make_mirrored_envs
+from .parcels import CriticFirst, make_parcel_envs, pretrain
+from .ppo import CLIP_RANGE
+from .runs import (
+    CHECKPOINT,
+    CURVE_EVERY,
+    Curve,
+    OnProgress,
+    StopTraining,
+    TrainResult,
+    interval_at,
+    interval_seed,
+    read_state,
+    write_state,
+)  # fmt: skip
+
+_COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")
+_REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+class DoubleDQN(DQN):
+    """Stable-Baselines3's DQN with the double estimate as the target."""
+
+    def train(self, gradient_steps: int, batch_size: int = 100) -> None:
+        """Take gradient steps on batches of the replay buffer."""
+        assert self.replay_buffer is not None
+        self.policy.set_training_mode(True)
+        self._update_learning_rate(self.policy.optimizer)
+        losses = []
+        for _ in range(gradient_steps):
+            batch = self.replay_buffer.sample(batch_size, env=self._vec_normalize_env)
+            discount = self.gamma if batch.discounts is None else batch.discounts
+            with torch.no_grad():
+                chosen = self.q_net(batch.next_observations).argmax(dim=1, keepdim=True)
+                next_value = self.q_net_target(batch.next_observations).gather(1, chosen)
+                target = batch.rewards + (1.0 - batch.dones) * discount * next_value
+            value = self.q_net(batch.observations).gather(1, batch.actions.long())
+            loss = smooth_l1_loss(value, target)
+            losses.append(loss.detach())
+            self.policy.optimizer.zero_grad()
+            torch.autograd.backward(loss)
+            clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
+            self.policy.optimizer.step()
+        self._n_updates += gradient_steps
+        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+        self.logger.record("train/loss", float(np.mean(torch.stack(losses).numpy())))
+
+    @property
+    def memory(self) -> ReplayBuffer:
+        """The replay buffer, which is always there."""
+        assert self.replay_buffer is not None
+        return self.replay_buffer
+
+
+def truncate_last(model: DoubleDQN) -> None:
+    """Mark the latest transitions as truncated, for the environments start anew after them.
+
+    Without it, n-step returns would reach into other episodes.
+    """
+    buffer = model.memory
+    last = buffer.pos - 1
+    buffer.timeouts[last] = np.logical_or(buffer.timeouts[last], buffer.dones[last] == 0.0)
+
+
+def _initial_share(initial: float, left: float) -> float:
+    """Compute the learning rate where the share `left` of the run lies ahead."""
+    return initial * left
+
+
+def make_model(config: PPOConfig | DQNConfig, env: VecEnv) -> PPO | DoubleDQN:
+    """Build PPO or DQN, with weights drawn from the seed."""
+    common: dict[str, Any] = {
+        "learning_rate": partial(_initial_share, config.learning_rate),
+        "gamma": config.gamma,
+        "batch_size": config.batch_size,
+        "n_steps": config.n_steps,
+        "policy_kwargs": {"net_arch": list(config.hidden)},
+        "seed": config.seed,
+        "device": "cpu",
+    }
+    if isinstance(config, PPOConfig):
+        of_parcels = isinstance(config, ParcelsConfig)
+        return PPO(
+            ParcelNetwork if of_parcels else EqualChoicesPolicy,
+            env,
+            clip_range=config.clip_range if isinstance(config, ParcelsConfig) else CLIP_RANGE,
+            n_epochs=config.n_epochs,
+            gae_lambda=config.gae_lambda,
+            ent_coef=config.ent_coef,
+            **common,
+        )
+    return DoubleDQN(
+        "MlpPolicy",
+        env,
+        buffer_size=config.buffer_size,
+        learning_starts=config.learning_starts,
+        gradient_steps=config.gradient_steps,
+        train_freq=1,
+        tau=config.tau,
+        target_update_interval=config.num_envs,  # at every control period of all environments
+        exploration_fraction=config.exploration_fraction,
+        exploration_final_eps=config.exploration_final_eps,
+        max_grad_norm=config.max_grad_norm,
+        **common,
+    )
+
+
+def save_checkpoint(model: PPO | DoubleDQN, recent: list[dict[str, float]], folder: Path) -> None:
+    """Write networks, optimiser, counters, replay buffer and the latest episodes into a folder."""
+    state: dict[str, Any] = {
+        "policy": model.policy.state_dict(),
+        "optimizer": model.policy.optimizer.state_dict(),
+        "counters": {name: getattr(model, name) for name in _COUNTERS},
+        "recent": recent,
+    }
+    if isinstance(model, DoubleDQN):
+        buffer = model.memory
+        filled = buffer.buffer_size if buffer.full else buffer.pos
+        arrays = {name: torch.from_numpy(getattr(buffer, name)[:filled]) for name in _REPLAYED}
+        state["calls"] = model._n_calls
+        state["memory"] = {"pos": buffer.pos, "full": buffer.full, "arrays": arrays}
+    write_state(state, folder)
+
+
+def load_checkpoint(model: PPO | DoubleDQN, folder: Path) -> list[dict[str, float]]:
+    """Restore a model from a checkpoint and return the latest episodes.
+
+    Raises:
+        ValueError: the checkpoint is damaged, or of another configuration.
+    """
+
+    def restore(state: dict[str, Any]) -> list[dict[str, float]]:
+        model.policy.load_state_dict(state["policy"])
+        model.policy.optimizer.load_state_dict(state["optimizer"])
+        for name in _COUNTERS:
+            setattr(model, name, int(state["counters"][name]))
+        if isinstance(model, DoubleDQN):
+            model._n_calls = int(state["calls"])
+            buffer, memory = model.memory, state["memory"]
+            buffer.pos, buffer.full = int(memory["pos"]), bool(memory["full"])
+            for name in _REPLAYED:
+                values = memory["arrays"][name].numpy()
+                getattr(buffer, name)[: len(values)] = values
+        recent: list[dict[str, float]] = state["recent"]
+        return recent
+
+    return read_state(folder, restore)
+
+
+class _Checkpoints(BaseCallback):
+    """Checkpoints, where everything is seeded and started anew, and the learning curve."""
+
+    def __init__(
+        self, config: PPOConfig | DQNConfig, folder: Path, curve: Curve, on_progress: OnProgress
+    ) -> None:
+        super().__init__()
+        self._config = config
+        self._folder = folder
+        self._curve = curve
+        self._on_progress = on_progress
+        self._interval = -1
+        self._row = 0
+
+    def _on_training_start(self) -> None:
+        self._row = self.num_timesteps // CURVE_EVERY
+
+    def _on_rollout_start(self) -> None:
+        model: Any = self.model
+        interval = interval_at(self._config, model.num_timesteps)
+        if interval == self._interval:
+            return
+        self._interval = interval
+        save_checkpoint(model, list(self._curve.recent), self._folder)
+        seed = interval_seed(self._config, interval)
+        set_random_seed(seed)
+        model.action_space.seed(seed)
+        model.env.seed(seed)
+        model._last_obs = model.env.reset()
+        model._last_episode_starts[:] = True
+        if isinstance(model, DoubleDQN):
+            truncate_last(model)
+
+    def _on_step(self) -> bool:
+        self._curve.add_episodes(self.locals["infos"])
+        return True
+
+    def _on_rollout_end(self) -> None:
+        if self.num_timesteps // CURVE_EVERY > self._row:
+            self._row = self.num_timesteps // CURVE_EVERY
+            self._curve.write(self.num_timesteps)
+            self._on_progress(self.num_timesteps, self._curve.success)
+
+
+def train_sb3(
+    config: PPOConfig | DQNConfig, folder: Path, on_progress: OnProgress = lambda *_: None
+) -> TrainResult:
+    """Train PPO or DQN as the configuration says and leave a policy in `folder`.
+
+    A run with a checkpoint is resumed. An interrupt saves the policy as it is.
+
+    Raises:
+        ValueError: the checkpoint is damaged, or of another configuration.
+    """
+    torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
+    started = time.perf_counter()
+    resumed = (folder / CHECKPOINT).is_file()
+    callbacks: list[BaseCallback] = []
+    if isinstance(config, ParcelsConfig):
+        model, terms = make_model(config, make_parcel_envs(config)), PARCEL_TERMS
+        callbacks.append(CriticFirst(config.critic_first))
+        if not resumed:
+            pretrain(model, config)
+    else:
+        model, terms = make_model(config, make_mirrored_envs(config)), find_task(config.task).terms
+    recent = load_checkpoint(model, folder) if resumed else []
+    curve = Curve(folder, terms, model.num_timesteps, recent)
+    model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
+    callbacks.insert(0, _Checkpoints(config, folder, curve, on_progress))
+    interrupted = False
+    try:
+        if model.num_timesteps < config.steps:
+            model.learn(config.steps - model.num_timesteps, callbacks, reset_num_timesteps=False)
+            save_checkpoint(model, list(curve.recent), folder)
+    except (KeyboardInterrupt, StopTraining):
+        interrupted = True
+    curve.close()
+    save_policy(model.policy, make_card(config), folder)
+    return TrainResult(model.num_timesteps, time.perf_counter() - started, interrupted)

@@ -1,0 +1,203 @@
+"""One policy shared by all modules: its networks, shared draws, and the policy for any zone.
+
+Under a parcel lie 6 to 25 modules. If each drew its axis by itself, their deviations would cancel
+and none would ever be seen to pay. Instead the modules of a group look up one uniform number in
+their own cumulative probabilities: similar modules choose alike, and each still follows its own
+probabilities. The likelihood of a group's choices has a closed form: the uniform numbers that lead
+to just these choices make an interval, and its length is the likelihood.
+"""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from surface_gym.core.actions import group_features
+
+from .library import PolicyCard
+from .module_view import Integers, ModuleView, Singles, place_size, shared_size
+from .symmetry import SIDE
+
+GROUPS = 2  # of modules in an environment
+_SMALLEST = 1e-6  # length below which an interval counts as empty: single precision ends there
+_FARTHEST = 0.7  # half lengths from the parcel's centre that a line between groups may pass
+
+
+def draw_groups(
+    env: Integers, place: Singles, num_envs: int, probability: float, rng: np.random.Generator
+) -> Integers:
+    """Draw the group of each module (modules,): 2 i or 2 i + 1 in environment i.
+
+    Args:
+        env: (modules,) each module's environment index.
+        place: (modules, ...) first along and across the parcel, in half lengths.
+        num_envs: number of environments.
+        probability: that a random line through the parcel splits its modules into two groups.
+        rng: draws three numbers for each environment.
+    """
+    splits = rng.random(num_envs) < probability
+    angle = 2.0 * np.pi * rng.random(num_envs)
+    distance = rng.uniform(-_FARTHEST, _FARTHEST, num_envs)
+    across = np.cos(angle)[env] * place[:, 0] + np.sin(angle)[env] * place[:, 1]
+    return GROUPS * env + (splits[env] & (across > distance[env]))
+
+
+def draw_choices(
+    log_probability: torch.Tensor, group: torch.Tensor, uniform: torch.Tensor
+) -> torch.Tensor:
+    """Choose for each module (modules,) by its group's uniform number.
+
+    Args:
+        log_probability: (modules, choices).
+        group: (modules,) each module's.
+        uniform: (groups,) in [0, 1).
+    """
+    edges = log_probability.exp().cumsum(dim=1)[:, :-1]
+    return (uniform[group].unsqueeze(1) > edges).sum(dim=1)
+
+
+def log_likelihood(
+    log_probability: torch.Tensor, choice: torch.Tensor, group: torch.Tensor, groups: int
+) -> torch.Tensor:
+    """Compute the log likelihood (num_envs,) of an environment's choices (modules,) together.
+
+    It is 0 for an environment without modules. Where no uniform number leads to the choices any
+    more, it has its lowest value and no gradient.
+    """
+    edges = log_probability.exp().cumsum(dim=1)[:, :-1]
+    below = torch.nn.functional.pad(edges, (1, 0), value=0.0).gather(1, choice.unsqueeze(1))
+    above = torch.nn.functional.pad(edges, (0, 1), value=1.0).gather(1, choice.unsqueeze(1))
+    first = below.new_zeros(groups).scatter_reduce(0, group, below.squeeze(1), "amax")
+    last = above.new_ones(groups).scatter_reduce(0, group, above.squeeze(1), "amin")
+    return (last - first).clamp(min=_SMALLEST).log().reshape(-1, GROUPS).sum(dim=1)
+
+
+def _linear(inputs: int, outputs: int, gain: float = math.sqrt(2.0)) -> nn.Linear:
+    layer = nn.Linear(inputs, outputs)
+    nn.init.orthogonal_(layer.weight, gain)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
+def _layers(units: tuple[int, ...]) -> list[nn.Module]:
+    return [layer for sizes in pairwise(units) for layer in (_linear(*sizes), nn.Tanh())]
+
+
+class SharedNetwork(nn.Module):
+    """Actor of all modules: from the shared features and a module's own place to its logits.
+
+    Weights of the place start at zero: modules learn to act together before they learn to differ.
+    Otherwise they settle for the fixed layout.
+
+    Args:
+        choices: number of orientations to choose from.
+        hidden: units of the hidden layers.
+        observe: groups of features in the observation beside the task's.
+    """
+
+    def __init__(
+        self, choices: int, hidden: tuple[int, ...], observe: tuple[str, ...] = ()
+    ) -> None:
+        super().__init__()
+        # The names stand in files of weights.
+        self._alike = _linear(shared_size(observe), hidden[0])
+        self._apart = nn.Linear(place_size(observe), hidden[0], bias=False)
+        nn.init.zeros_(self._apart.weight)
+        self._between = nn.Sequential(*_layers(hidden))
+        self._logits = _linear(hidden[-1], choices, 0.01)
+
+    def forward(self, shared: torch.Tensor, env: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
+        """Compute log probabilities (modules, choices).
+
+        Args:
+            shared: (num_envs, shared features).
+            env: (modules,) each module's environment index.
+            place: (modules, place features).
+        """
+        first = torch.tanh(self._alike(shared)[env] + self._apart(place))
+        logits: torch.Tensor = self._logits(self._between(first))
+        return logits.log_softmax(dim=1)
+
+
+class ValueNetwork(nn.Module):
+    """Critic: the value of an environment's observation without the asked side.
+
+    Args:
+        hidden: units of the hidden layers.
+        observe: groups of features in the observation beside the task's.
+    """
+
+    def __init__(self, hidden: tuple[int, ...], observe: tuple[str, ...] = ()) -> None:
+        super().__init__()
+        inputs = SIDE + len(group_features(observe))
+        self._layers = nn.Sequential(*_layers((inputs, *hidden)), _linear(hidden[-1], 1, 1.0))
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Compute values (num_envs,) of observations (num_envs, features)."""
+        without_side = torch.cat([observations[:, :SIDE], observations[:, SIDE + 1 :]], dim=1)
+        value: torch.Tensor = self._layers(without_side)[:, 0]
+        return value
+
+
+class ModulePolicy:
+    """A policy of modules with shared weights.
+
+    Attributes:
+        env_id: id of the environment it was trained on.
+        env_kwargs: that environment's arguments.
+
+    Args:
+        network: with the weights.
+        card: what they are for.
+        zone: first and last column of controlled modules; None: those after the lead-in, as in
+            training.
+
+    Raises:
+        ValueError: the zone is not on the surface.
+    """
+
+    def __init__(
+        self, network: SharedNetwork, card: PolicyCard, zone: tuple[int, int] | None = None
+    ) -> None:
+        torch.set_num_threads(1)  # the network is small: more threads only wait for each other
+        self._network = network.eval()
+        self._view = ModuleView(replace(card.env_config(), zone=zone))
+        self.card = card
+        self.env_id = card.env_id
+        self.env_kwargs = card.env_kwargs if zone is None else {**card.env_kwargs, "zone": zone}
+
+    def for_zone(self, zone: tuple[int, int] | None) -> "ModulePolicy":
+        """Return a policy with the same weights for another zone."""
+        return ModulePolicy(self._network, self.card, zone)
+
+    @torch.no_grad()
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.int64], None]:
+        """Choose an action for an observation (features,), or actions for (num_envs, features).
+
+        If not deterministic, all modules of an environment share a draw, as in training.
+
+        Returns:
+            The actions, and None, as the policy has no memory.
+        """
+        del state, episode_start
+        observations = np.atleast_2d(observation)
+        seen = self._view(observations)
+        shared, env, place = map(torch.from_numpy, (seen.shared, seen.env, seen.place))
+        log_probability = self._network(shared, env, place)
+        if deterministic:
+            choices = log_probability.argmax(dim=1)
+        else:
+            uniform = torch.rand(GROUPS * len(observations))
+            choices = draw_choices(log_probability, GROUPS * env, uniform)
+        actions = self._view.actions(observations, seen, choices.numpy())
+        return (actions[0] if np.ndim(observation) == 1 else actions), None

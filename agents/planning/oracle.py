@@ -1,0 +1,228 @@
+"""The oracle: a planner that knows the true state and parameters, to find what can be reached."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym import checks
+from surface_gym.config import EnvConfig
+from surface_gym.parallel import Workers, check_workers, map_jobs, without_report
+from surface_gym.state import OUT_OF_TIME, RUNNING
+from surface_gym.tasks import stop
+from surface_gym.tasks.cost import PlanCost
+
+from ..rollout import Episodes, stack_poses
+from .models import TrueModel
+from .planner import make_plan, nodes_needed
+
+Numbers = NDArray[np.float64]
+
+BUDGET = 256  # nodes followed at a time at most
+LEAST = 8  # nodes followed at first: most starts need no more
+MORE = 4  # times as many, where those have found no success
+AT_ONCE = 5  # starts that a process is handed at a time
+FAR = 1000.0  # [m] beyond any line: what is not to be passed
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """One start, as it goes by the best plan found."""
+
+    outcome: str  # why it ended
+    time: float  # [s] until then
+    figures: tuple[float, ...]  # the task's own
+    poses: Numbers  # (periods + 1, 3) [m, m, rad] true
+    velocity: Numbers  # (3,) [m/s, m/s, rad/s] at the end
+    actions: tuple[int, ...]  # (periods,) given
+    width: int  # nodes that were followed at a time
+    seconds: float  # that the search took
+
+    @property
+    def success(self) -> bool:
+        """Whether the goal was reached."""
+        return self.outcome == "success"
+
+
+class Oracle:
+    """Searches for the actions of a front and a rear half that end a start best, in copies that
+    know all of it: parcel, load, friction, stuck modules, axes.
+
+    It needs no sensors: what comes of the plan is the result. A search that finds no success is
+    made again with more nodes, as long as the budget allows.
+
+    Args:
+        config: of the environment, with "halves" for actions, of orientations to choose from.
+        budget: nodes followed at a time at most, each with every action.
+
+    Raises:
+        ValueError: other actions, any angle, or a budget below 1.
+    """
+
+    def __init__(self, config: EnvConfig, budget: int = BUDGET) -> None:
+        checks.one_of("actions", config.actions, ("halves",))
+        if config.action_kind.continuous:
+            raise ValueError(
+                f"orientations must be some to choose from, got {config.orientations!r}"
+            )
+        self._config = config
+        # What is ahead is known: a path, too, is searched to its end at once. Light parcels leave a
+        # path too easily for that; then it is searched piece by piece.
+        task = config.chosen_task
+        cost = task.cost()
+        whole = replace(cost, horizon=task.periods, follow=task.periods)
+        self._costs = (whole, cost) if task.has_path else (whole,)
+        self._budget = checks.integer("budget", budget, least=1)
+        self._models: dict[int, TrueModel] = {}
+
+    def find(self, options: dict[str, Any], seed: int) -> Reached:
+        """Find the best episode for a start, that of `reset` with these arguments.
+
+        Args:
+            options: of the start; what they leave open is drawn.
+            seed: of the draws.
+        """
+        began = time.perf_counter()
+        for cost, width in product(self._costs, self._widths):
+            found = self._play(cost, width, options, seed)
+            if found.success:
+                break
+        return replace(found, seconds=time.perf_counter() - began)
+
+    @property
+    def _widths(self) -> list[int]:
+        """Nodes followed at a time, in one search after another."""
+        widths = [min(LEAST, self._budget)]
+        while widths[-1] < self._budget:
+            widths.append(min(MORE * widths[-1], self._budget))
+        return widths
+
+    def _play(self, cost: PlanCost, width: int, options: dict[str, Any], seed: int) -> Reached:
+        """Play an episode by plans that follow so many nodes."""
+        model = self._model(nodes_needed(cost, width, self._config.action_kind.choices**2))
+        model.begin(options, seed)
+        poses, actions = [model.parcels.truth[0, :3].copy()], list[int]()
+        running, left = True, self._config.chosen_task.periods
+        while running and len(actions) < left:
+            plan = make_plan(model, cost, width)
+            for action in plan.actions[: cost.follow].tolist():
+                parcels = model.step(action).parcels
+                poses.append(parcels.truth[0, :3].copy())
+                actions.append(action)
+                running = bool(parcels.outcome[0] == RUNNING)
+                if not running or len(actions) == left:
+                    break
+        parcels = model.parcels
+        return Reached(
+            outcome=model.outcomes[OUT_OF_TIME if running else int(parcels.outcome[0])],
+            time=float(parcels.clock[0]),
+            figures=tuple(parcels.metrics[0].tolist()),
+            poses=np.array(poses),
+            velocity=parcels.truth[0, 3:].copy(),
+            actions=tuple(actions),
+            width=width,
+            seconds=0.0,
+        )
+
+    def _model(self, size: int) -> TrueModel:
+        if size not in self._models:
+            self._models[size] = TrueModel(self._config, size)
+        return self._models[size]
+
+
+def find_reachable(
+    config: EnvConfig,
+    starts: Sequence[dict[str, Any]],
+    seed: int,
+    budget: int = BUDGET,
+    workers: Workers = 1,
+) -> list[Reached]:
+    """Find what can be reached from starts, with halves for actions, by an oracle.
+
+    Args:
+        config: of the environment; its time limit is the task's own.
+        starts: options of each start; what they leave open is drawn.
+        seed: start i draws from `seed` + i, as in `agents.rollout.run_episodes`.
+        budget: nodes followed at a time at most.
+        workers: processes to share the starts among, or a cluster; results do not depend on it.
+
+    Raises:
+        ValueError: config, a start or a number that is not allowed.
+    """
+    Oracle(config, budget)
+    check_workers(workers)
+    firsts = range(0, len(starts), AT_ONCE)
+    jobs = [
+        partial(without_report, partial(_find, config, starts[k : k + AT_ONCE], seed + k, budget))
+        for k in firsts
+    ]
+    found = dict(map_jobs(jobs, workers))
+    return [reached for k in range(len(jobs)) for reached in found[k]]
+
+
+def _find(
+    config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int
+) -> list[Reached]:
+    oracle = Oracle(config, budget)
+    return [oracle.find(start, seed + k) for k, start in enumerate(starts)]
+
+
+def run_oracle(
+    config: EnvConfig,
+    starts: Sequence[dict[str, Any]],
+    seed: int,
+    budget: int = BUDGET,
+    workers: Workers = 1,
+) -> Episodes:
+    """Run an oracle over starts, as `agents.rollout.run_episodes` runs a controller."""
+    runs = find_reachable(config, starts, seed, budget, workers)
+    names = config.chosen_task.metrics
+    figures = np.array([run.figures for run in runs]).T
+    return Episodes(
+        success=np.array([run.success for run in runs]),
+        outcome=tuple(run.outcome for run in runs),
+        time=np.array([run.time for run in runs]),
+        figures=dict(zip(names, figures, strict=True)),
+        pose=stack_poses([run.poses for run in runs]),
+        velocity=np.array([run.velocity for run in runs]),
+        decision_times=np.array([run.seconds / len(run.actions) for run in runs]),
+    )
+
+
+def stops_past(config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int) -> Numbers:
+    """Compute how far past the asked x starts of Stop end if every axis is at 0 deg all along.
+
+    Nothing takes more speed from a parcel that runs straight. Where this is more than the task
+    allows, only a parcel that could turn onto more rotors might be stopped.
+
+    Args:
+        config: of the environment, with "halves" for actions.
+        starts: options of each start; what they leave open is drawn.
+        seed: start i draws from `seed` + i.
+
+    Returns:
+        (starts,) [m], negative short of it.
+
+    Raises:
+        ValueError: another task, or other actions.
+    """
+    checks.one_of("task", config.task_name, ("stop",))
+    checks.one_of("actions", config.actions, ("halves",))
+    model = TrueModel(config, 1)
+    brake = model.uniform_action(0.0)
+    past = []
+    for k, options in enumerate(starts):
+        model.begin(options, seed + k)
+        asked = float(model.parcels.goal[0, stop.POSITION])
+        model.parcels.goal[0, stop.POSITION] = FAR
+        model.spread()
+        for _ in range(config.chosen_task.periods):
+            if model.step(brake).parcels.outcome[0] != RUNNING:
+                break
+        past.append(float(model.parcels.truth[0, 0]) - asked)
+    return np.array(past)

@@ -1,0 +1,207 @@
+"""Trained policies of Stable-Baselines3's networks, and policies of all algorithms on disk.
+
+A policy on disk is a file of weights and a YAML card; neither holds code.
+"""
+
+import json
+from dataclasses import asdict
+from hashlib import sha256
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import yaml
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.distributions import MultiCategoricalDistribution
+from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
+from stable_baselines3.dqn.policies import DQNPolicy
+from torch.distributions import Categorical
+
+from surface_gym.config import EnvConfig
+from surface_gym.files import replacing
+from surface_gym.tasks import TASKS, Task
+
+from .library import CARD, DAMAGE, WEIGHTS, PolicyCard, PolicyFiles, describe_damage, read_files
+from .module_policy import ModulePolicy, SharedNetwork
+from .parcel_policy import ParcelPolicy, make_parcel_network
+from .symmetry import SIDE, action_mirror
+
+DIGEST = "digest"  # field of the card: of its other fields and the weights
+
+
+class EqualCategoricals(MultiCategoricalDistribution):
+    """Independent choices, each among the same number of options, as one categorical of an array.
+
+    Stable-Baselines3 keeps a list of distributions and loops over it; with tens of choices that
+    costs more than the network.
+
+    Args:
+        choices: their number.
+        options: of each choice.
+    """
+
+    def __init__(self, choices: int, options: int) -> None:
+        super().__init__([options] * choices)
+        self._shape = (choices, options)
+
+    def proba_distribution(self, action_logits: torch.Tensor) -> "EqualCategoricals":
+        """Set the logits (num_envs, choices x options), those of a choice side by side."""
+        logits = action_logits.reshape(-1, *self._shape)
+        self._each: Any = Categorical(logits=logits, validate_args=False)  # its methods are untyped
+        return self
+
+    def log_prob(self, actions: torch.Tensor) -> torch.Tensor:
+        """Compute log probabilities (num_envs,) of actions (num_envs, choices)."""
+        each: torch.Tensor = self._each.log_prob(actions)
+        return each.sum(dim=1)
+
+    def entropy(self) -> torch.Tensor:
+        """Compute the entropy (num_envs,) of all choices together."""
+        each: torch.Tensor = self._each.entropy()
+        return each.sum(dim=1)
+
+    def sample(self) -> torch.Tensor:
+        """Draw actions (num_envs, choices) by inverting the cumulative probabilities."""
+        edges = self._each.probs.cumsum(dim=2)[:, :, :-1]
+        uniform = torch.rand((*edges.shape[:2], 1), device=edges.device)
+        return (uniform > edges).sum(dim=2)
+
+    def mode(self) -> torch.Tensor:
+        """Return the likeliest actions (num_envs, choices)."""
+        return self._each.logits.argmax(dim=2)
+
+
+class EqualChoicesPolicy(ActorCriticPolicy):
+    """Stable-Baselines3's actor and critic, with `EqualCategoricals` where the action space is a
+    MultiDiscrete of equal choices. Names and shapes of its parameters are the same.
+    """
+
+    def _build(self, lr_schedule: Any) -> None:
+        space = self.action_space
+        if isinstance(space, spaces.MultiDiscrete) and len(set(space.nvec.tolist())) == 1:
+            self.action_dist = EqualCategoricals(len(space.nvec), int(space.nvec[0]))
+        super()._build(lr_schedule)
+
+
+NETWORKS = {"ppo": EqualChoicesPolicy, "dqn": DQNPolicy}
+
+
+def make_network(card: PolicyCard, settings: EnvConfig) -> BasePolicy:
+    """Build the network of a card for an environment, its weights not set."""
+    return NETWORKS[card.algo](
+        settings.observation_space(),
+        settings.action_space(),
+        lambda _: 0.0,
+        net_arch=list(card.hidden),
+    )
+
+
+class Policy:
+    """A trained PPO or DQN policy.
+
+    Attributes:
+        env_id: id of the environment it was trained on.
+        env_kwargs: that environment's arguments.
+    """
+
+    def __init__(self, network: BasePolicy, card: PolicyCard, settings: EnvConfig) -> None:
+        torch.set_num_threads(1)  # the network is small: more threads only wait for each other
+        self._network = network
+        self._network.set_training_mode(False)
+        self._mirror = action_mirror(settings)
+        self.card = card
+        self.env_id = card.env_id
+        own = {} if card.task in TASKS else {"task": settings.task}
+        self.env_kwargs = {**own, **card.env_kwargs}
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, None]:
+        """Choose an action for an observation (features,), or actions for (num_envs, features).
+
+        Returns:
+            The actions, and None, as the policy has no memory.
+        """
+        del state, episode_start
+        single = observation.ndim == 1
+        observations = observation[np.newaxis] if single else observation
+        actions, _ = self._network.predict(observations, deterministic=deterministic)
+        if self._mirror is not None:
+            actions = self._mirror(actions, observations[:, SIDE])
+        return (actions[0] if single else actions), None
+
+
+def save_policy(network: torch.nn.Module, card: PolicyCard, folder: Path) -> None:
+    """Write weights and card into a folder, each whole or not at all."""
+    buffer = BytesIO()
+    torch.save(network.state_dict(), buffer)
+    weights = buffer.getvalue()
+    with replacing(folder / WEIGHTS) as part:
+        part.write_bytes(weights)
+    fields = {**asdict(card), "hidden": list(card.hidden), "observe": list(card.observe)}
+    fields[DIGEST] = _digest(fields, weights)
+    with replacing(folder / CARD) as part:
+        part.write_text(yaml.safe_dump(fields, sort_keys=False))
+
+
+def load_policy(folder: Path, task: Task | None = None) -> Policy | ModulePolicy | ParcelPolicy:
+    """Read the policy that a run of any algorithm left in a folder; see `library.read`."""
+    return build_policy(read_files(folder), task)
+
+
+def build_policy(
+    files: PolicyFiles, task: Task | None = None
+) -> Policy | ModulePolicy | ParcelPolicy:
+    """Build a policy from the content of its files. No code in them is run.
+
+    Args:
+        files: of the policy.
+        task: of a user, for a policy trained on it; None: one of the package.
+
+    Raises:
+        ValueError: they are damaged or foreign, or of another task.
+    """
+    try:
+        fields = yaml.safe_load(files.card.decode())
+        if fields.pop(DIGEST) != _digest(fields, files.weights):
+            raise ValueError(f"{WEIGHTS} or {CARD} is not as it was written: its digest differs")
+        arrays = {name: tuple(fields[name]) for name in ("hidden", "observe") if name in fields}
+        card = PolicyCard(**{**fields, **arrays})
+        weights = torch.load(BytesIO(files.weights), map_location="cpu", weights_only=True)
+        if card.algo == "parcels":
+            of_parcels = make_parcel_network(card)
+            _load_weights(of_parcels, weights)
+            return ParcelPolicy(of_parcels, card)
+        settings = card.env_config(task)
+        if card.algo == "modules":
+            shared = SharedNetwork(len(settings.chosen_orientations), card.hidden, card.observe)
+            _load_weights(shared, weights)
+            return ModulePolicy(shared, card)
+        network = make_network(card, settings)
+        _load_weights(network, weights)
+    except DAMAGE as error:
+        raise ValueError(
+            f"{files.folder} holds a damaged or foreign policy: {describe_damage(error)}"
+        ) from None
+    return Policy(network, card, settings)
+
+
+def _digest(fields: dict[str, Any], weights: bytes) -> str:
+    return sha256(json.dumps(fields, sort_keys=True).encode() + weights).hexdigest()
+
+
+def _load_weights(network: torch.nn.Module, weights: Any) -> None:
+    """Load finite weights of the network's own types, which PyTorch would convert otherwise."""
+    for name, wanted in network.state_dict().items():
+        if weights[name].dtype != wanted.dtype:
+            raise ValueError(f"{name} must be {wanted.dtype}, got {weights[name].dtype}")
+        if not bool(torch.isfinite(weights[name]).all()):
+            raise ValueError(f"{name} must be finite")
+    network.load_state_dict(weights)

@@ -1,0 +1,138 @@
+"""Episodes of a controller on many starts at once, and their results."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym import SmartSurfaceVectorEnv
+from surface_gym.config import EnvConfig
+
+from .base import Controller
+
+Numbers = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Episodes:
+    """Results of one episode from each start."""
+
+    success: NDArray[np.bool_]  # (starts,)
+    outcome: tuple[str, ...]  # (starts,) why it ended
+    time: Numbers  # (starts,) [s] until then
+    figures: dict[str, Numbers]  # metrics of the task, each (starts,)
+    pose: Numbers  # (periods + 1, starts, 3) [m, m, rad] true; nan after the end
+    velocity: Numbers  # (starts, 3) [m/s, m/s, rad/s] at the end
+    decision_times: Numbers  # [s] of each decision, or of a start's decisions on average
+
+    @property
+    def decision_time(self) -> float:
+        """Median time [s] of a decision for one environment: the first decision may compile."""
+        return float(np.median(self.decision_times))
+
+    def path(self, start: int) -> Numbers:
+        """Return the true poses (periods + 1, 3) [m, m, rad] of one episode, the last included."""
+        poses = self.pose[:, start]
+        return poses[~np.isnan(poses[:, 0])]
+
+
+def run_episodes(
+    controller: Controller, settings: EnvConfig, starts: Sequence[dict[str, Any]], seed: int
+) -> Episodes:
+    """Run a controller from every start, each in an environment of one batch.
+
+    Args:
+        controller: to run.
+        settings: of the environment; its time limit is the task's.
+        starts: reset options of each; what they leave open is drawn.
+        seed: environment i draws from `seed` + i.
+    """
+    count = len(starts)
+    env = SmartSurfaceVectorEnv(
+        num_envs=count,
+        max_episode_steps=settings.chosen_task.periods,
+        autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
+        **env_arguments(settings),
+    )
+    observation, info = env.reset(seed=seed, options=list(starts))
+    figures = settings.chosen_task.metrics
+    kept: dict[str, Any] = {
+        key: np.zeros_like(info[key])
+        for key in ("is_success", "outcome", "time", "velocity", *figures)
+    }
+    poses = [info["pose"].copy()]
+    running = np.ones(count, dtype=np.bool_)
+    begun = np.ones(count, dtype=np.bool_)
+    state: Any = None
+    seconds = []
+    while running.any():
+        before = time.perf_counter()
+        action, state = controller.predict(observation, state, begun, deterministic=True)
+        seconds.append(time.perf_counter() - before)
+        observation, _, terminated, truncated, info = env.step(action)
+        begun = terminated | truncated
+        ended = running & begun
+        pose = info["pose"].copy()
+        if begun.any():
+            final = info["final_info"]
+            pose[begun] = final["pose"][begun]
+            for key, values in kept.items():
+                values[ended] = final[key][ended]
+        pose[~running] = np.nan
+        poses.append(pose)
+        running &= ~begun
+    env.close()
+    return Episodes(
+        success=kept["is_success"],
+        outcome=tuple(kept["outcome"].tolist()),
+        time=kept["time"],
+        figures={name: kept[name] for name in figures},
+        pose=np.array(poses),
+        velocity=kept["velocity"],
+        decision_times=np.array(seconds) / count,
+    )
+
+
+def run_sequentially(
+    controller: Controller, settings: EnvConfig, starts: Sequence[dict[str, Any]], seed: int
+) -> Episodes:
+    """Run `run_episodes` from one start after the other, with the same results.
+
+    For a slow controller, which would decide for environments that have ended too.
+    """
+    runs = [run_episodes(controller, settings, [start], seed + k) for k, start in enumerate(starts)]
+    return Episodes(
+        success=np.concatenate([run.success for run in runs]),
+        outcome=tuple(outcome for run in runs for outcome in run.outcome),
+        time=np.concatenate([run.time for run in runs]),
+        figures={
+            name: np.concatenate([run.figures[name] for run in runs]) for name in runs[0].figures
+        },
+        pose=stack_poses([run.pose[:, 0] for run in runs]),
+        velocity=np.concatenate([run.velocity for run in runs]),
+        # A planner plans at some decisions only: those of an episode are averaged.
+        decision_times=np.array([run.decision_times.mean() for run in runs]),
+    )
+
+
+def stack_poses(paths: Sequence[Numbers]) -> Numbers:
+    """Stack paths (poses, 3) into poses (longest, paths, 3), nan after the end of each."""
+    pose = np.full((max(map(len, paths)), len(paths), 3), np.nan)
+    for k, path in enumerate(paths):
+        pose[: len(path), k] = path
+    return pose
+
+
+def env_arguments(settings: EnvConfig) -> dict[str, Any]:
+    """Convert settings to the arguments of an environment."""
+    return {
+        name: getattr(settings, name)
+        for name in (
+            "task", "actions", "sensors", "control_period", "zone", "orientations", "actuators",
+            "randomisation", "plant", "observe_axes", "info", "observe",
+        )
+    }  # fmt: skip

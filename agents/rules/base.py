@@ -1,0 +1,172 @@
+"""What rules share: they decide for many environments at once, by what the sensors say."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym import checks
+from surface_gym.config import EnvConfig
+
+from ..axes import find_axes, find_orientation
+from ..base import Controller
+
+Booleans = NDArray[np.bool_]
+Commands = NDArray[np.int64]
+Levels = NDArray[np.int64]
+Memory = NDArray[Any]
+Numbers = NDArray[np.float64]
+Observations = NDArray[np.float32]
+
+ROLL, HALF, FULL = range(3)  # level of a column: 90 deg; 45 and -45 deg in turn; 0 deg
+LEANS = np.array([0.0, math.pi / 4.0, math.pi / 2.0])  # [rad] of axes off 90 deg, by level
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A controller that does not learn, as the registry lists it."""
+
+    name: str
+    task: str  # its name
+    actions: str  # the kind of action it is for
+    make: Callable[[EnvConfig], Controller]
+    observe: tuple[str, ...] = ()  # groups of features it makes use of, where they are shown
+
+
+def is_fresh(num_envs: int, state: Any, episode_start: Booleans | None) -> Booleans:
+    """Tell (num_envs,) whose episode has just begun, by the arguments of `Controller.predict`."""
+    if state is None:
+        return np.ones(num_envs, dtype=np.bool_)
+    if episode_start is None:
+        return np.zeros(num_envs, dtype=np.bool_)
+    return np.atleast_1d(np.asarray(episode_start, dtype=np.bool_))
+
+
+class BaseRule(ABC):
+    """A rule of one parcel per environment.
+
+    Args:
+        config: of the environment it acts in.
+        tasks: names of the tasks it is made for.
+        actions: kinds of action it is made for; none: any.
+
+    Raises:
+        ValueError: another task or kind of action, or an offer of any angle.
+    """
+
+    def __init__(
+        self, config: EnvConfig, tasks: tuple[str, ...], actions: tuple[str, ...] = ()
+    ) -> None:
+        checks.one_of("task", config.task_name, tasks)
+        if actions:
+            checks.one_of("actions", config.actions, actions)
+        if config.action_kind.continuous:
+            raise ValueError(f"orientations must be some on offer, got {config.orientations!r}")
+        self._config = config
+        self._kind = config.action_kind
+
+    @abstractmethod
+    def _decide(
+        self, observations: Observations, memory: Memory | None, fresh: Booleans
+    ) -> tuple[Commands, Memory | None]:
+        """Choose commands (num_envs, size), and what to remember (num_envs, ...).
+
+        Args:
+            observations: (num_envs, features).
+            memory: (num_envs, ...) what was remembered; None where nothing was.
+            fresh: (num_envs,) an episode has just begun: the memory is of another.
+        """
+
+    def predict(
+        self,
+        observation: Observations,
+        state: Memory | None = None,
+        episode_start: Booleans | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, Memory | None]:
+        """Choose the action for an observation (features,), or actions for (num_envs, features).
+
+        See `agents.base.Controller`; a rule draws nothing, whatever `deterministic`.
+        """
+        del deterministic
+        observations = np.atleast_2d(observation)
+        fresh = is_fresh(len(observations), state, episode_start)
+        commands, memory = self._decide(observations, state, fresh)
+        actions = self._kind.encode(commands)
+        return (actions[0] if np.ndim(observation) == 1 else actions), memory
+
+
+class UniformRule(BaseRule):
+    """A rule that sets all modules alike, by what is seen now."""
+
+    @abstractmethod
+    def _choose(self, observations: Observations) -> Commands:
+        """Choose (num_envs,) for every module."""
+
+    def _decide(
+        self, observations: Observations, memory: Memory | None, fresh: Booleans
+    ) -> tuple[Commands, Memory | None]:
+        del memory, fresh
+        choice = self._choose(observations)
+        return np.repeat(choice[:, np.newaxis], self._kind.size, axis=1), None
+
+
+class UniformLayout(UniformRule):
+    """Any task with every axis at one angle, whatever the parcel does.
+
+    Args:
+        config: of the environment it acts in.
+        angle: [rad] of every axis, one of those on offer.
+        tasks: names of the tasks it is for; none: any.
+    """
+
+    def __init__(self, config: EnvConfig, angle: float, tasks: tuple[str, ...] = ()) -> None:
+        super().__init__(config, tasks or (config.task_name,))
+        self._choice = find_orientation(config, angle)
+
+    def _choose(self, observations: Observations) -> Commands:
+        return np.full(len(observations), self._choice)
+
+
+class FixedRule(BaseRule):
+    """A rule that arranges axes once, by what is seen at the start, and keeps them to the end."""
+
+    @abstractmethod
+    def _layout(self, observations: Observations) -> Commands:
+        """Choose commands (num_envs, size) for episodes that have just begun."""
+
+    def _decide(
+        self, observations: Observations, memory: Memory | None, fresh: Booleans
+    ) -> tuple[Commands, Memory | None]:
+        layout = np.empty((len(observations), self._kind.size), dtype=np.int64)
+        if memory is not None:
+            layout[~fresh] = memory[~fresh]
+        if fresh.any():
+            layout[fresh] = self._layout(observations[fresh])
+        return layout, layout
+
+
+class ColumnAxes:
+    """Turns the levels at which a zone's columns brake into commands of "modules".
+
+    Raises:
+        ValueError: an orientation that a level needs is not on offer.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        axes = find_axes(config)
+        rows = np.arange(config.action_kind.rows)
+        # In a column that brakes half, what pushes to the one side and to the other cancels out.
+        in_turn = np.where(rows % 2, axes.right, axes.left)
+        self._choice = np.stack(
+            [np.full(len(rows), axes.roll), in_turn, np.full(len(rows), axes.brake)]
+        )
+
+    def __call__(self, levels: Levels) -> Commands:
+        """Compute commands (num_envs, rows x columns) for the levels (num_envs, columns)."""
+        commands: Commands = self._choice[levels].swapaxes(1, 2).reshape(len(levels), -1)
+        return commands

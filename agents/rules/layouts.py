@@ -1,0 +1,394 @@
+"""Layouts arranged beforehand, for each start: those of the study, and the best there are.
+
+They are chosen by the simulator, as the study does. They know what the sensors say of the parcel at
+the start, the goal and the physics at nominal friction; not the noise, nor which modules are stuck.
+"""
+
+import math
+from abc import abstractmethod
+from functools import lru_cache
+
+import numpy as np
+
+import surface_gym as sg
+from surface_gym.config import EnvConfig
+from surface_gym.layouts import ROLLING
+from surface_gym.lines import BaseLine
+from surface_gym.physics.types import VX, VY
+from surface_gym.tasks import orient, slow, stop
+from surface_gym.tasks.base import Start
+from surface_gym.tasks.cost import Nodes
+from surface_gym.tasks.line import BRAKING
+from surface_gym.tasks.observed import LineObservation, square_reach
+
+from ..axes import find_axes
+from ..planning.layouts import (
+    LAYOUTS,
+    MISSED,
+    LayoutCost,
+    LayoutModel,
+    graded_cost,
+    search_layout,
+)
+from ..planning.path_layouts import ShownPath, path_model, search_path_layout
+from .base import FULL, HALF, ColumnAxes, Commands, FixedRule, Levels, Numbers, Observations
+
+SAME_SIZE = 0.005  # [m] half lengths are rounded to it; those of the study's boxes are multiples
+SAME_SPEED = 0.02  # [m/s] entry speeds are rounded down to it, so that none stalls for it
+FINE = 0.001  # [m] between the places that a loss is known at
+FAST = 6.0  # [m/s] entry speed of a run: enough to get through any layout of 16 columns at 0 deg
+FAST_STEP = 0.0005  # [s] of a run, as fine as FAST is fast
+STEP = 0.005  # [s] of a run at the parcel's own speed
+
+Row = tuple[float, ...]
+
+
+def round_sizes(half_length: Numbers) -> Numbers:
+    """Round half lengths (num_envs,) [m], so that a run serves all parcels of about a size."""
+    sizes: Numbers = SAME_SIZE * np.round(half_length / SAME_SIZE)
+    return sizes
+
+
+def _run(
+    zone_axis: Numbers,
+    half_length: float,
+    speed: float,
+    line: BaseLine,
+    zone: tuple[int, int] | None,
+    dt: float,
+) -> sg.Trajectory:
+    """Run a square box along a line, long enough to cross it by rolling.
+
+    Args:
+        zone_axis: (rows, columns) [rad] axes of the widest zone; all others roll along x.
+        half_length: [m] of the box.
+        speed: [m/s] at which it enters.
+        line: the line.
+        zone: first and last column that obey; None for the line's own.
+        dt: [s] step.
+    """
+    base = sg.Rectangle(2.0 * half_length, 2.0 * half_length)
+    rotor, (first_row, rows, first, columns) = line.site(base, zone)
+    margin = (len(zone_axis) - rows) // 2
+    axis = np.full(rotor.shape, ROLLING)
+    axis[first_row : first_row + rows, first : first + columns] = zone_axis[margin : margin + rows]
+    return sg.simulate(
+        line.surface(axis, rotor),
+        sg.Parcel(base),
+        (half_length, line.line_y, 0.0),
+        (speed, 0.0, 0.0),
+        duration=2.0 * line.length / speed,
+        dt=dt,
+    )
+
+
+@lru_cache(maxsize=1024)
+def loss_of_layout(
+    half_length: float, line: BaseLine, zone: tuple[int, int] | None, axes: tuple[Row, ...]
+) -> Numbers:
+    """Compute how much of the squared entry speed a box has lost (places,) [m^2/s^2], by the way it
+    went: 0, `FINE`, 2 `FINE` ... from the start.
+
+    On a flat surface friction takes the same work over the same way, however fast a parcel goes
+    that moves straight: one run of the simulator tells what a layout does to every entry speed.
+
+    Args:
+        half_length: [m] of the box, a square.
+        line: the line.
+        zone: first and last column that obey; None for the line's own.
+        axes: (rows, columns) [rad] axes of the widest zone.
+    """
+    run = _run(np.array(axes), half_length, FAST, line, zone, FAST_STEP)
+    way = np.arange(0.0, line.length - half_length, FINE)
+    loss: Numbers = np.interp(way, run.pose[:, 0] - half_length, FAST**2 - run.velocity[:, 0] ** 2)
+    return loss
+
+
+class FixedBraking(FixedRule):
+    """The layout, among some, that should do best by the simulator."""
+
+    def __init__(self, config: EnvConfig, task: str) -> None:
+        super().__init__(config, (task,), ("modules",))
+        self._layouts = ColumnAxes(config)(self._levels(self._kind.columns))
+        shape = (len(self._layouts), *self._kind.shape)
+        self._axes = np.array(config.chosen_orientations)[self._layouts].reshape(shape)
+
+    @abstractmethod
+    def _levels(self, columns: int) -> Levels:
+        """List (layouts, columns) what there is to choose from."""
+
+    @abstractmethod
+    def _regret(self, seen: LineObservation, losses: Numbers) -> Numbers:
+        """Compute (num_envs, layouts) how far from the goal each leads parcels of one size.
+
+        Args:
+            seen: the parcels at their starts, their rears at x = 0.
+            losses: (layouts, places) by `loss_of_layout`.
+        """
+
+    def _layout(self, observations: Observations) -> Commands:
+        seen = self._config.decode(observations)
+        sizes = round_sizes(seen.half_length)
+        best = np.zeros(len(sizes), dtype=np.int64)
+        for size in np.unique(sizes).tolist():
+            alike = sizes == size
+            best[alike] = self._regret(seen, self._losses(size))[alike].argmin(axis=1)
+        return self._layouts[best]
+
+    def _losses(self, half_length: float) -> Numbers:
+        line, zone = self._config.chosen_plant, self._config.zone
+        return np.stack(
+            [
+                loss_of_layout(half_length, line, zone, tuple(map(tuple, axes)))
+                for axes in self._axes.tolist()
+            ]
+        )
+
+
+class FixedSlowing(FixedBraking):
+    """Figure 6b and 6c: the zone's first columns at 0 deg, or at 45 and -45 deg in turn; so many
+    that the parcel should leave nearest to the asked ratio.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        super().__init__(config, "slow")
+
+    def _levels(self, columns: int) -> Levels:
+        first = np.arange(columns) < np.arange(columns + 1)[:, np.newaxis]
+        return np.concatenate([FULL * first, HALF * first])
+
+    def _regret(self, seen: LineObservation, losses: Numbers) -> Numbers:
+        # All the way, the rear goes from x = 0 to the zone's end.
+        way = seen.pitch[0] * self._kind.columns + seen.half_length - seen.into_zone
+        places = np.clip(np.round(way / FINE).astype(np.int64), 0, losses.shape[1] - 1)
+        left = seen.vx[:, np.newaxis] ** 2 - losses[:, places].T
+        leaves = left > 0.0
+        speed = np.where(leaves, seen.vx[:, np.newaxis], 1.0)
+        ratio = np.sqrt(np.maximum(0.0, left)) / speed
+        return np.where(leaves, np.abs(ratio - seen.ratio[:, np.newaxis]), np.inf)
+
+
+class FixedStopping(FixedBraking):
+    """The zone rolls up to a column and brakes from there on, at 0 deg or at 45 and -45 deg in
+    turn; the column is the one with which the parcel should rest nearest to the asked x.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        super().__init__(config, "stop")
+
+    def _levels(self, columns: int) -> Levels:
+        later = np.arange(columns) >= np.arange(columns + 1)[:, np.newaxis]
+        return np.concatenate([FULL * later, HALF * later])
+
+    def _regret(self, seen: LineObservation, losses: Numbers) -> Numbers:
+        rests = np.stack([np.searchsorted(loss, seen.vx**2) for loss in losses], axis=-1)
+        return np.abs(FINE * rests - seen.to_go[:, np.newaxis])
+
+
+@lru_cache(maxsize=4096)
+def angle_at_exit(
+    half_length: float,
+    speed: float,
+    line: BaseLine,
+    zone: tuple[int, int] | None,
+    shape: tuple[int, int],
+    turning: int,
+) -> float:
+    """Compute the angle [rad] to which a box has turned when its rear leaves the zone; infinite if
+    it never does.
+
+    Args:
+        half_length: [m] of the box, a square.
+        speed: [m/s] at which it enters.
+        line: the line.
+        zone: first and last column that obey; None for the line's own.
+        shape: rows of the widest zone, and columns.
+        turning: first columns of the zone whose left half is at 45 deg.
+    """
+    rows, columns = shape
+    axis = np.full(shape, ROLLING)
+    axis[rows // 2 :, :turning] = math.pi / 4.0
+    run = _run(axis, half_length, speed, line, zone, STEP)
+    theta = run.pose[:, 2]
+    reach = square_reach(half_length, theta)
+    # The rear enters at x = 0; the lead-in is as long as the box, in whole columns.
+    lead_in = math.ceil(2.0 * half_length / line.pitch_x - 1e-9) if zone is None else zone[0]
+    gone = run.pose[:, 0] - reach > line.pitch_x * (lead_in + columns)
+    return float(theta[gone.argmax()]) if gone.any() else math.inf
+
+
+class FixedTurning(FixedRule):
+    """The zone's first columns at 45 deg in the half of the rows that is on the asked side, all
+    others at 90 deg: as many as by the simulator leave the parcel nearest to the asked angle.
+
+    45 deg inside and 90 outside turns farther than 0, -45 or 45 deg against one another.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        super().__init__(config, ("orient",), ("modules",))
+        axes = find_axes(config)
+        rows, columns = self._kind.shape
+        turning = np.arange(columns) < np.arange(columns + 1)[:, np.newaxis, np.newaxis]
+        left = np.arange(rows)[:, np.newaxis] >= rows // 2
+        # (layouts, modules) to turn left, and their mirror images.
+        self._layouts = np.where(turning & left, axes.right, axes.roll).reshape(columns + 1, -1)
+        self._to_right = np.where(turning & ~left, axes.left, axes.roll).reshape(columns + 1, -1)
+
+    def _layout(self, observations: Observations) -> Commands:
+        seen = self._config.decode(observations)
+        speeds = np.maximum(SAME_SPEED, SAME_SPEED * np.floor(seen.vx / SAME_SPEED))
+        cases, case = np.unique(
+            np.stack([round_sizes(seen.half_length), speeds], axis=-1), axis=0, return_inverse=True
+        )
+        angles = np.stack([self._angles(*case) for case in cases.tolist()])[case.ravel()]
+        best = np.abs(angles - np.abs(seen.angle)[:, np.newaxis]).argmin(axis=1)
+        left = (seen.angle > 0.0)[:, np.newaxis]
+        return np.where(left, self._layouts[best], self._to_right[best])
+
+    def _angles(self, half_length: float, speed: float) -> Numbers:
+        """Compute (layouts,) [rad] the angle that each turns a box of a size and a speed to."""
+        line, zone, shape = self._config.chosen_plant, self._config.zone, self._kind.shape
+        return np.array(
+            [
+                angle_at_exit(half_length, speed, line, zone, shape, turning)
+                for turning in range(len(self._layouts))
+            ]
+        )
+
+
+class _LineSearch:
+    """A search for each start of a line, from known layouts (layouts, modules) on."""
+
+    def __init__(self, config: EnvConfig, cost: LayoutCost, known: Commands) -> None:
+        self._config = config
+        self._cost = cost
+        self._axes = find_axes(config)
+        self._known = known.reshape(len(known), *config.action_kind.shape)
+        self._model = LayoutModel(config, max(LAYOUTS, len(known)))
+
+    def __call__(self, observations: Observations) -> Commands:
+        """Choose commands (num_envs, modules) for episodes that have just begun."""
+        layouts = [self._one(self._config.decode_start(seen)) for seen in observations]
+        return np.stack(layouts).reshape(len(observations), -1)
+
+    def _one(self, start: Start) -> Commands:
+        """Choose (rows, columns)."""
+        self._model.begin_at(start)
+        return search_layout(self._model, self._cost, self._axes, self._known)
+
+
+class _Searched(FixedRule):
+    """Layouts that are searched for each start."""
+
+    _search: _LineSearch
+
+    def _layout(self, observations: Observations) -> Commands:
+        return self._search(observations)
+
+
+class BestSlowing(_Searched, FixedSlowing):
+    """Each module of the zone at 0, 45, -45 or 90 deg, so that the parcel should leave at the asked
+    ratio; at least as near to it as with any layout of `FixedSlowing`.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        super().__init__(config)
+        self._search = _LineSearch(config, LayoutCost(_slow_cost, 2e-4, False), self._layouts)
+
+
+class BestStopping(_Searched, FixedStopping):
+    """Each module of the zone at 0, 45, -45 or 90 deg, so that the parcel should rest at the asked
+    x; at least as near to it as with any layout of `FixedStopping`.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        super().__init__(config)
+        self._search = _LineSearch(config, LayoutCost(_stop_cost, 2e-5, False), self._layouts)
+
+
+class BestTurning(_Searched, FixedTurning):
+    """Each module of the zone at 0, 45, -45 or 90 deg, so that the parcel should leave at the asked
+    angle; at least as near to it as with any layout of `FixedTurning`.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        super().__init__(config)
+        self._search = _TurnSearch(config, LayoutCost(_orient_cost, 1e-3, True), self._layouts)
+
+
+class _TurnSearch(_LineSearch):
+    """A search for turns to the left; others are searched in a mirror."""
+
+    def _one(self, start: Start) -> Commands:
+        (angle,) = start.goal
+        if float(np.asarray(angle)) >= 0.0:
+            return super()._one(start)
+        image = _mirror(start, 2.0 * self._config.chosen_plant.line_y)
+        return self._axes.mirrored(super()._one(image._replace(goal=(-np.asarray(angle),))))
+
+
+def _slow_cost(nodes: Nodes) -> Numbers:
+    return graded_cost(nodes, slow.MISSED)
+
+
+def _stop_cost(nodes: Nodes) -> Numbers:
+    parcels = nodes.parcels
+    # One that has passed the asked x would rest this much farther at best.
+    farther = (parcels.truth[:, VX] ** 2 + parcels.truth[:, VY] ** 2) / (2.0 * BRAKING)
+    passed = MISSED + np.abs(parcels.metrics[:, stop.STOP_ERROR]) + farther
+    return np.where(parcels.outcome == stop.OVERSHOT, passed, graded_cost(nodes, stop.MISSED))
+
+
+def _orient_cost(nodes: Nodes) -> Numbers:
+    return graded_cost(nodes, orient.MISSED)
+
+
+class BestTracking(FixedRule):
+    """Two axes a column of the field, one left and one right of the path, so that the parcel should
+    follow it at the asked speed.
+
+    Raises:
+        ValueError: the task does not show its path, besides what `FixedRule` raises.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        super().__init__(config, ("track",), ("modules",))
+        if not isinstance(config.task, ShownPath):
+            raise ValueError(f"task must be a ShownPath, got {config.task!r}")
+        if config.zone is not None:
+            raise ValueError(f"zone must be None, the whole field, got {config.zone!r}")
+        self._model = path_model(config)
+        self._axes = find_axes(config)
+
+    def _layout(self, observations: Observations) -> Commands:
+        layouts = [self._search(self._config.decode_start(seen)) for seen in observations]
+        return np.stack(layouts).reshape(len(observations), -1)
+
+    def _search(self, start: Start) -> Commands:
+        """Choose (rows, columns); paths that first turn to the right are searched in a mirror."""
+        assert start.path is not None
+        aside = start.path - start.path[0]
+        if aside[np.argmax(np.abs(aside) > 1e-6)] >= 0.0:
+            return self._best(start)
+        image = _mirror(start, 2.0 * self._config.chosen_plant.line_y)
+        return self._axes.mirrored(self._best(image))
+
+    def _best(self, start: Start) -> Commands:
+        limit = self._config.chosen_task.periods * self._config.control_period
+        return search_path_layout(self._model, self._axes, start, limit)
+
+
+def _mirror(start: Start, across: float) -> Start:
+    """Mirror a start in the line's middle, all but its goal.
+
+    Args:
+        start: one.
+        across: [m] twice the y of the line's middle.
+    """
+    x, y, theta = start.pose
+    vx, vy, omega = start.velocity
+    return start._replace(
+        pose=(x, across - np.asarray(y), -np.asarray(theta)),
+        velocity=(vx, -np.asarray(vy), -np.asarray(omega)),
+        path=None if start.path is None else across - start.path,
+    )

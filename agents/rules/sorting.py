@@ -1,0 +1,151 @@
+"""Rules of Sort: layouts arranged beforehand, and one event."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from surface_gym import checks
+from surface_gym.config import EnvConfig
+from surface_gym.core.actions import ANY
+from surface_gym.design.sorting_layouts import SIDE, SortingLayout, sorting_layouts
+from surface_gym.layouts import ROLLING
+
+from ..axes import find_axes
+from ..base import SAME, axes_apart
+from .base import Booleans, Commands, FixedRule, Numbers, Observations, UniformRule
+
+
+class FixedLayout(UniformRule):
+    """Figure 6a: axes at -45 deg sort to y > 0, at +45 deg to y < 0, whatever the parcel does.
+
+    Straight through, the axes stay at 90 deg.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        super().__init__(config, ("sort",))
+        self._axes = find_axes(config)
+
+    def _choose(self, observations: Observations) -> Commands:
+        return self._axes.towards(self._config.decode(observations).side)
+
+
+class EventRule(FixedLayout):
+    """90 deg until the parcel is wholly in the zone, then 45 deg everywhere.
+
+    A lead-in module under the rear pins it while those of the zone push the front aside: what the
+    fixed layout loses to that, this rule does not. Straight through, the axes stay at 90 deg.
+    """
+
+    def _choose(self, observations: Observations) -> Commands:
+        seen = self._config.decode(observations)
+        return self._axes.towards(np.where(seen.wholly_in_zone, seen.side, 0.0))
+
+
+class BoxLayouts:
+    """Layouts that `surface_gym.design` found for the study's boxes, on a zone.
+
+    A longer zone goes on like a layout's last column, a shorter one has its first columns.
+
+    Args:
+        layouts: one per box.
+        shape: rows and columns of the zone.
+    """
+
+    def __init__(self, layouts: Sequence[SortingLayout], shape: tuple[int, int]) -> None:
+        self._half_lengths = np.array([layout.half_length for layout in layouts])
+        self._axes = np.stack([_fit(layout.axis, *shape) for layout in layouts])
+
+    def arrange(self, half_length: Numbers, side: Numbers) -> Numbers:
+        """Choose axes (num_envs, modules) [rad] by the box nearest in size, for the asked side.
+
+        Args:
+            half_length: (num_envs,) [m] of the parcels.
+            side: (num_envs,) +1 for y > 0, -1 for y < 0, 0 for straight through.
+        """
+        box = np.abs(half_length[:, np.newaxis] - self._half_lengths).argmin(axis=1)
+        found, mirrored = self._axes, -self._axes[:, ::-1]
+        to_left, to_right = (found, mirrored) if SIDE == 1 else (mirrored, found)
+        side = side[:, np.newaxis, np.newaxis]
+        axes = np.select([side > 0.0, side < 0.0], [to_left[box], to_right[box]], ROLLING)
+        arranged: Numbers = axes.reshape(len(box), -1)
+        return arranged
+
+
+class BestSorting(FixedRule):
+    """One layout for all entry speeds: the one that `surface_gym.design` found for the study's box
+    that is nearer in size, among the orientations on offer. It sorts to y < 0; mirrored, to y > 0.
+
+    Straight through, the axes stay at 90 deg.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        super().__init__(config, ("sort",), ("modules",))
+        find_axes(config)
+        self._angles = np.array(config.chosen_orientations)
+        self._layouts = BoxLayouts(_on_offer(self._angles), self._kind.shape)
+
+    def _layout(self, observations: Observations) -> Commands:
+        seen = self._config.decode(observations)
+        axes = self._layouts.arrange(seen.half_length, seen.side)
+        nearest: Commands = axes_apart(axes[..., np.newaxis], self._angles).argmin(axis=-1)
+        return nearest
+
+
+class GradedLayout:
+    """One layout for all entry speeds, whose axes turn little by little from column to column: the
+    one that `surface_gym.design` found for the study's box that is nearer in size.
+
+    Straight through, the axes stay at 90 deg.
+
+    Args:
+        config: of the environment it acts in, with "modules" for actions and "any" for
+            orientations.
+
+    Raises:
+        ValueError: another task, kind of action or orientations.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        checks.one_of("task", config.task_name, ("sort",))
+        checks.one_of("actions", config.actions, ("modules",))
+        checks.one_of("orientations", config.orientations, (ANY,))
+        self._config = config
+        chosen = [layout for layout in sorting_layouts() if layout.offer == "any"]
+        self._layouts = BoxLayouts(chosen, config.action_kind.shape)
+
+    def predict(
+        self,
+        observation: Observations,
+        state: None = None,
+        episode_start: Booleans | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, None]:
+        """Choose angles [rad] for an observation (features,), or for (num_envs, features).
+
+        See `agents.base.Controller`; a layout draws nothing, whatever `deterministic`.
+        """
+        del state, episode_start, deterministic
+        seen = self._config.decode(np.atleast_2d(observation))
+        angles = self._layouts.arrange(seen.half_length, seen.side)
+        return (angles[0] if np.ndim(observation) == 1 else angles), None
+
+
+def _on_offer(angles: Numbers) -> list[SortingLayout]:
+    """Choose for each box the layout that sorts it at the least speed, of those whose axes are all
+    on offer (angles,) [rad].
+    """
+    best: dict[str, SortingLayout] = {}
+    for layout in sorted(sorting_layouts(), key=lambda layout: layout.least_speed):
+        if axes_apart(layout.axis[..., np.newaxis], angles).min(axis=-1).max() <= SAME:
+            best.setdefault(layout.box, layout)
+    return list(best.values())
+
+
+def _fit(axis: Numbers, rows: int, columns: int) -> Numbers:
+    """Fit a layout (its rows, its columns) [rad] to a zone whose middle row is the layout's."""
+    row = np.arange(rows) + (len(axis) - rows) // 2
+    column = np.arange(columns)
+    own = np.ix_(row.clip(0, len(axis) - 1), column.clip(0, axis.shape[1] - 1))
+    fitted: Numbers = axis[own]
+    return fitted

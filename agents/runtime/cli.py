@@ -1,0 +1,193 @@
+"""`surface-gym runtime`: a policy in real time, on a machine or on the simulator."""
+
+import gc
+import os
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+
+from .config import RuntimeConfig, parse_address
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ..policy import Policy
+    from .controller import ControlLoop
+
+READY_TIMEOUT = 300.0  # [s] that fixed layouts may take to be ready, compiling included
+SHOW_EVERY = 1.0  # [s] between updates of the progress
+COLLECT_EVERY = 5.0  # [s] between collections of Python's garbage
+
+
+def load_policy(config: RuntimeConfig) -> "Policy | ModulesPolicy":
+    """Load the policy of a command.
+
+    Raises:
+        ValueError: there is none, or it is one for streams of parcels.
+    """
+    from .. import library
+    from ..parcel_policy import ParcelPolicy
+    from ..tasks import find_task
+
+    if config.name in library.names():
+        policy = library.load(config.name, config.seed)
+    elif Path(config.name).is_dir():
+        custom = None if config.task is None else find_task(config.task)
+        policy = library.read(config.name, custom)
+    else:
+        raise ValueError(
+            f"name must be a folder or one of {', '.join(library.names())}, got {config.name!r}"
+        )
+    if isinstance(policy, ParcelPolicy):
+        raise ValueError(f"name must be of one parcel at a time, got {config.name!r}")
+    return policy
+
+
+def make_settings(policy: "Policy | ModulesPolicy", condition: str) -> "Settings":
+    """Return the configuration of a policy's environment under a preset.
+
+    Raises:
+        ValueError: there is no such preset.
+    """
+    from surface_gym.config import EnvConfig
+
+    arguments = {"task": policy.card.task, **policy.env_kwargs, "condition": condition}
+    return EnvConfig(**arguments)
+
+
+def simulator_arguments(config: RuntimeConfig, settings: "Settings") -> list[str]:
+    """Return the arguments of the simulator's command, for a policy's environment."""
+    return [
+        *("--task", config.task or settings.chosen_task.name),
+        *("--condition", config.condition),
+        *("--control-period", repr(settings.control_period)),
+        *("--seed", str(config.start)),
+        *("--world.pause", repr(config.world.pause)),
+        "--world.encoders" if config.world.encoders else "--world.no-encoders",
+    ]
+
+
+def run_agent(config: RuntimeConfig, console: "Console") -> None:
+    """Run an agent and report on it; Ctrl-C ends the run early.
+
+    Raises:
+        ValueError: a setting that is not allowed, or a simulator that does not start.
+    """
+    from surface_gym.parallel import usable_cores
+
+    from . import controller, decisions, report
+    from .connection import SocketDevice
+    from .estimator import StateEstimator
+    from .simulator import SimulatorProcess
+
+    policy = load_policy(config)
+    settings = make_settings(policy, config.condition)
+    config.out.mkdir(parents=True, exist_ok=True)
+    clock = controller.WallClock()
+    with ExitStack() as stack:
+        if config.address is None:
+            console.print("starting the simulator")
+            arguments = simulator_arguments(config, settings)
+            log = config.out / "simulator.log"
+            address = stack.enter_context(SimulatorProcess(arguments, log)).address
+        else:
+            address = parse_address(config.address)
+        console.print("compiling")
+        estimator = StateEstimator(settings)
+        arranger = stack.enter_context(decisions.ProcessArranger(estimator.settings))
+        kind = decisions.FixedLayouts(estimator.settings).kind
+        decider = decisions.Decider(policy, settings)
+        bounds = decisions.observation_bounds(settings)
+        loop = controller.ControlLoop(
+            SocketDevice(address, settings.chosen_task.name, estimator.shape),
+            estimator,
+            decider,
+            (arranger, estimator.resolver(kind)),
+            controller.AxisLimits(estimator.shape, decisions.allowed_angles(settings)),
+            bounds,
+            clock,
+            controller.LoopConfig(settings.control_period, config.watchdog),
+        )
+        decider.decide(bounds.low.clip(-1.0, 1.0))  # the first decision is slow
+        if not arranger.wait_until_ready(READY_TIMEOUT):
+            raise ValueError(f"fixed layouts must be ready within {READY_TIMEOUT:g} s")
+        begun = clock.now()
+        try:
+            console.print(f"ready, for {config.minutes:g} minutes; Ctrl-C ends it")
+            _run(loop, 60.0 * config.minutes, console)
+        except KeyboardInterrupt:
+            console.print("stopped")
+        seconds = clock.now() - begun
+    run = report.Run(
+        agent=config.name,
+        seed=config.seed or 0,
+        task=settings.chosen_task.name,
+        condition=config.condition,
+        device=config.address or "simulator",
+        period=settings.control_period,
+        watchdog=config.watchdog,
+        seconds=seconds,
+        load=os.getloadavg(),
+        cores=usable_cores(),
+    )
+    made = report.make_report(run, loop.counts, loop.latencies)
+    report.show_report(made, console)
+    console.print(f"written: {report.write_report(made, config.out)}", soft_wrap=True)
+
+
+def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:
+    """Run with a progress bar; it is drawn, and garbage is collected, while there is no parcel."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from .controller import WallClock
+
+    columns = (
+        TextColumn("running"),
+        BarColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeElapsedColumn(),
+    )
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        with Progress(*columns, console=console, auto_refresh=False) as progress:
+            bar = progress.add_task("", total=seconds, note="")
+            begun = WallClock().now()
+            shown = collected = begun
+
+            def between(now: float) -> None:
+                nonlocal shown, collected
+                if loop.has_parcel:
+                    return
+                if now - shown >= SHOW_EVERY:
+                    shown = now
+                    parcels = sum(loop.counts.parcels.values())
+                    note = f"{parcels} parcels, {loop.counts.missed} deadlines missed"
+                    progress.update(bar, completed=now - begun, note=note)
+                    progress.refresh()
+                elif now - collected >= COLLECT_EVERY:
+                    collected = now
+                    gc.collect()
+
+            loop.run(seconds, between)
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command; an error ends it with one line."""
+    config = tyro.cli(RuntimeConfig, prog="surface-gym runtime", args=arguments)
+    from rich.console import Console
+
+    try:
+        run_agent(config, Console())
+    except (ValueError, OSError) as error:
+        sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        sys.exit("stopped before it began")

@@ -1,0 +1,87 @@
+"""The options of the commands: of the control loop, and of the simulator."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import tyro
+
+from surface_gym import checks
+
+
+@dataclass(frozen=True)
+class WorldOptions:
+    """Options of a simulated machine.
+
+    Raises:
+        ValueError: a number that is not allowed.
+    """
+
+    pause: float = 0.3  # [s] from a parcel's leaving to the next one's entering
+    encoders: bool = False  # frames have the angles of the axes, too
+
+    def __post_init__(self) -> None:
+        checks.not_negative("pause", self.pause)
+
+
+@dataclass(frozen=True)
+class RuntimeConfig:
+    """Run an agent in real time, on a simulator that is started, or on a device at an address."""
+
+    name: tyro.conf.Positional[str]
+    """Name of a shipped agent, as stop-ppo; or the folder of a policy of a training run."""
+    seed: int | None = None
+    """Seed of a shipped agent's policy; by default the first."""
+    task: str | None = None
+    """Custom task that the policy was trained on, as path/to/file.py:Class."""
+    minutes: float = 10.0
+    """Duration of the run."""
+    condition: str = "lab"
+    """Preset of the machine, a name of surface_gym.conditions: the friction, noise and turning axes
+    of the filter and of the simulator."""
+    address: str | None = None
+    """Address of a running device, host:port; by default a simulator is started."""
+    watchdog: float = 0.2
+    """Seconds without a frame after which the fixed layout replaces the policy."""
+    start: int = 0
+    """Seed of the simulator's parcels and noise."""
+    world: WorldOptions = field(default_factory=WorldOptions)
+    """Options of the simulator."""
+    out: Path = Path("runs/runtime")
+    """Folder for report.json and the simulator's log."""
+
+    def __post_init__(self) -> None:
+        checks.positive("minutes", self.minutes)
+        checks.positive("watchdog", self.watchdog)
+        if self.address is not None:
+            parse_address(self.address)
+
+
+@dataclass(frozen=True)
+class SimulatorConfig:
+    """Run the physics of an environment in real time, and let a control loop connect to it."""
+
+    task: str = "stop"
+    """Task of the package, or a custom one as path/to/file.py:Class."""
+    condition: str = "lab"
+    """Preset of the machine, a name of surface_gym.conditions."""
+    control_period: float = 0.04
+    """Seconds between decisions: the task's time limit counts them."""
+    port: int = 0
+    """Port on this machine; 0: any that is free, which is printed."""
+    seed: int = 0
+    """Seed of all random numbers."""
+    parent: int | None = None
+    """Process with which the simulator ends."""
+    world: WorldOptions = field(default_factory=WorldOptions)
+
+
+def parse_address(text: str) -> tuple[str, int]:
+    """Return the host and the port of "host:port".
+
+    Raises:
+        ValueError: it is not one.
+    """
+    host, colon, port = text.rpartition(":")
+    if not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise ValueError(f"address must be host:port, got {text!r}")
+    return host, int(port)

@@ -1,0 +1,362 @@
+"""The control loop: each period reads, estimates, decides and sends, and is counted."""
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from surface_gym import checks
+
+from .decisions import Arranger, Bounds, Command, Decider, Observation
+from .estimator import Resolver, StateEstimator
+from .protocol import (
+    Angles,
+    AxesAcknowledged,
+    Departed,
+    Device,
+    DeviceLost,
+    Entered,
+    Frame,
+    Message,
+)
+
+Between = Callable[[float], None]  # called after a period, with the time [s]
+RIGHT_ANGLE = 0.5 * np.pi + 1e-9  # [rad] the greatest angle of an axis
+
+
+class Clock(Protocol):
+    """The clock of the loop: the machine's, or one of a test."""
+
+    def now(self) -> float:
+        """Return the time [s] since some moment; it never goes back."""
+
+    def sleep_until(self, moment: float) -> None:
+        """Wait until a time [s], if it has not passed."""
+
+
+class WallClock:
+    """The machine's clock, `time.monotonic()`."""
+
+    def now(self) -> float:
+        """Return the time [s] since some moment."""
+        return time.monotonic()
+
+    def sleep_until(self, moment: float) -> None:
+        """Wait until a time [s]."""
+        left = moment - time.monotonic()
+        if left > 0.0:
+            time.sleep(left)
+
+
+@dataclass
+class Counts:
+    """Numbers of events."""
+
+    periods: int = 0  # control periods that were begun
+    kept: int = 0  # of them done before the next was due
+    missed: int = 0  # of them done later
+    skipped: int = 0  # that were not begun, since one before them took so long
+    decisions: int = 0  # by the policy
+    by_fixed_layout: int = 0  # periods in which the fixed layout replaced the policy
+    held: int = 0  # periods with a parcel in which the axes were left as they were
+    unconnected: int = 0  # periods without a device
+    sent: int = 0  # axis commands
+    out_of_range: int = 0  # axis commands that were refused here, and not sent
+    refused: int = 0  # axis commands that the device refused
+    strayed: int = 0  # observations beyond their bounds
+    frames: int = 0  # that arrived
+    frames_unused: int = 0  # of them of another parcel, or out of order
+    watchdog: int = 0  # times that frames stopped for too long
+    connected: int = 0  # times that the device was found
+    lost: int = 0  # times that it was lost
+    attempts: int = 0  # to find it
+    unfit: int = 0  # parcels that do not fit the surface or the task
+    parcels: Counter[str] = field(default_factory=Counter)  # by outcome
+
+
+@dataclass
+class Latencies:
+    """[s] of every decision that was sent."""
+
+    late: list[float] = field(default_factory=list)  # from when a period is due to its beginning
+    sensor: list[float] = field(default_factory=list)  # from the latest frame to the estimate
+    filter: list[float] = field(default_factory=list)  # reading, estimating, observing
+    policy: list[float] = field(default_factory=list)  # deciding
+    send: list[float] = field(default_factory=list)  # from there until the axes began to turn
+    turn: list[float] = field(default_factory=list)  # until the last axis has turned, as computed
+    whole: list[float] = field(default_factory=list)  # from the latest frame until there
+    work: list[float] = field(default_factory=list)  # of a period, from its beginning to its end
+
+
+class AxisLimits:
+    """The last check of axis commands: one that is not allowed is not changed, but not sent.
+
+    Args:
+        shape: (rows, columns) of the widest zone.
+        allowed: [rad] angles that may be sent; None: any from -pi/2 to pi/2.
+    """
+
+    def __init__(self, shape: tuple[int, int], allowed: tuple[float, ...] | None) -> None:
+        self._shape = shape
+        self._allowed = None if allowed is None else np.array(allowed)
+
+    def fault(self, angles: Angles) -> str:
+        """Describe what is wrong with angles (rows, columns) [rad]; empty: they may be sent."""
+        if angles.shape != self._shape:
+            return f"axes must have the shape {self._shape}, got {angles.shape}"
+        if not np.isfinite(angles).all():
+            return "axes must be finite"
+        if (np.abs(angles) > RIGHT_ANGLE).any():
+            return f"axes must be between -pi/2 and pi/2, got {np.abs(angles).max():g} in them"
+        if self._allowed is not None:
+            apart = np.abs(angles[..., np.newaxis] - self._allowed).min(axis=-1)
+            if apart.max() > 1e-9:
+                worst = angles.ravel()[int(apart.argmax())]
+                return f"axes must be some of those on offer, got {worst:g}"
+        return ""
+
+
+@dataclass
+class _Sent:
+    """A command that the device has not acknowledged yet."""
+
+    command: int
+    decided: float  # [s]
+    before: float  # [s] from the latest frame until then
+    turn: float  # [s] that the axes take
+
+
+@dataclass(frozen=True)
+class LoopConfig:
+    """Times of the loop.
+
+    Raises:
+        ValueError: a number that is not positive.
+    """
+
+    period: float = 0.04  # [s] between decisions
+    watchdog: float = 0.2  # [s] without a frame after which the fixed layout replaces the policy
+    first_wait: float = 0.1  # [s] from a device's loss to the second attempt to find it
+    longest_wait: float = 1.0  # [s] to which it doubles from attempt to attempt
+
+    def __post_init__(self) -> None:
+        for name in ("period", "watchdog", "first_wait", "longest_wait"):
+            checks.positive(name, getattr(self, name))
+
+
+class ControlLoop:
+    """Runs a policy on a device.
+
+    Args:
+        device: the machine; the loop connects and closes it.
+        estimator: of the parcel's state.
+        policy: that decides.
+        fixed: arranges fixed layouts; and the resolver of their commands.
+        limits: of the axes that are sent.
+        bounds: of observations.
+        clock: that of the device's times.
+        config: its times.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        estimator: StateEstimator,
+        policy: Decider,
+        fixed: tuple[Arranger, Resolver],
+        limits: AxisLimits,
+        bounds: Bounds,
+        clock: Clock,
+        config: LoopConfig,
+    ) -> None:
+        self._device, self._estimator, self._policy = device, estimator, policy
+        self._arranger, self._by_fixed = fixed
+        self._by_policy = estimator.resolver(policy.kind)
+        self._limits, self._bounds, self._clock, self._config = limits, bounds, clock, config
+        self.counts, self.latencies = Counts(), Latencies()
+        self._connected = False
+        self._next_attempt = -1e9
+        self._wait = config.first_wait
+        self._latest_arrival = 0.0  # [s] of a frame
+        self._latest_frame = 0.0  # [s] when it was taken
+        self._stopped = False  # frames have, for too long
+        self._sent: list[_Sent] = []
+
+    def run(self, seconds: float, between: Between) -> None:
+        """Run for some time [s], or until a KeyboardInterrupt; `between` is called each period."""
+        period = self._config.period
+        begun = self._clock.now() + period
+        number, last = 0, round(seconds / period)
+        try:
+            while number < last:
+                due = begun + number * period
+                self._clock.sleep_until(due)
+                self.step(due)
+                between(self._clock.now())
+                # Periods that are gone as a whole are not begun.
+                number += 1
+                gone = int((self._clock.now() - begun) / period)
+                if gone > number:
+                    self.counts.skipped += min(gone, last) - number
+                    number = gone
+        finally:
+            self._device.close()
+
+    def step(self, due: float) -> None:
+        """Carry out one period, due at a time [s]."""
+        woke = self._clock.now()
+        counts = self.counts
+        counts.periods += 1
+        try:
+            if self._connect(woke):
+                for message in self._device.read():
+                    self._handle(message)
+                if self._estimator.entered is not None:
+                    self._control(woke, due)
+            else:
+                counts.unconnected += 1
+        except DeviceLost:
+            self._lose()
+        done = self._clock.now()
+        self.latencies.work.append(done - woke)
+        if done <= due + self._config.period:
+            counts.kept += 1
+        else:
+            counts.missed += 1
+
+    @property
+    def has_parcel(self) -> bool:
+        """Whether a parcel is on the surface."""
+        return self._estimator.entered is not None
+
+    def _connect(self, now: float) -> bool:
+        """Connect the device if need be, and tell whether it is connected."""
+        if self._connected:
+            return True
+        if now < self._next_attempt:
+            return False
+        self.counts.attempts += 1
+        try:
+            self._device.connect()
+        except DeviceLost:
+            self._next_attempt = now + self._wait
+            self._wait = min(2.0 * self._wait, self._config.longest_wait)
+            return False
+        self._connected = True
+        self.counts.connected += 1
+        return True
+
+    def _lose(self) -> None:
+        """Give up the connection, and with it the parcel."""
+        self._device.close()
+        if self._connected:
+            self.counts.lost += 1
+        self._connected = False
+        self._next_attempt = self._clock.now() + self._wait
+        self._wait = min(2.0 * self._wait, self._config.longest_wait)
+        self._estimator.clear()
+        self._sent.clear()
+
+    def _handle(self, message: Message) -> None:
+        self._wait = self._config.first_wait
+        if isinstance(message, Frame):
+            self._correct(message)
+        elif isinstance(message, Entered):
+            self._enter(message)
+        elif isinstance(message, AxesAcknowledged):
+            self._acknowledge(message)
+        elif isinstance(message, Departed):
+            self.counts.parcels[message.outcome] += 1
+            self._estimator.clear()
+            self._sent.clear()
+
+    def _correct(self, frame: Frame) -> None:
+        self.counts.frames += 1
+        self._latest_arrival = self._clock.now()
+        if frame.number is None:
+            return
+        try:
+            used = self._estimator.correct(frame)
+        except ValueError as error:  # a driver that sends such a pose cannot be trusted
+            raise DeviceLost(str(error)) from None
+        if used:
+            self._latest_frame = frame.taken_at
+        else:
+            self.counts.frames_unused += 1
+
+    def _enter(self, entered: Entered) -> None:
+        try:
+            self._estimator.reset(entered)
+        except ValueError:
+            self.counts.unfit += 1
+            self._estimator.clear()
+            return
+        self._sent.clear()
+        self._latest_arrival = self._clock.now()
+        self._latest_frame = entered.at
+        self._stopped = False
+        self._policy.reset()
+        self._arranger.ask(self._estimator.observe(entered.at))
+
+    def _acknowledge(self, answer: AxesAcknowledged) -> None:
+        """Handle the device's answer to a command."""
+        if answer.refused:
+            self.counts.refused += 1
+            self._estimator.drop_command(answer.command)
+        else:
+            self._estimator.acknowledge(answer.command, answer.at)
+        for sent in self._sent:
+            if sent.command == answer.command and not answer.refused:
+                send = max(0.0, answer.at - sent.decided)
+                self.latencies.send.append(send)
+                self.latencies.whole.append(sent.before + send + sent.turn)
+        self._sent = [sent for sent in self._sent if sent.command > answer.command]
+
+    def _control(self, woke: float, due: float) -> None:
+        """Estimate, decide and send for the parcel on the surface."""
+        counts = self.counts
+        observation = self._estimator.observe(self._clock.now())
+        observed = self._clock.now()
+        stopped = observed - self._latest_arrival > self._config.watchdog
+        counts.watchdog += stopped and not self._stopped
+        self._stopped = stopped
+        within = self._bounds.contain(observation)
+        counts.strayed += not within
+        command, resolver = self._command(observation, within and not stopped)
+        if command is None:
+            counts.held += 1
+            return
+        angles = self._estimator.resolve(resolver, command)
+        if self._limits.fault(angles):
+            counts.out_of_range += 1
+            counts.held += 1
+            return
+        turn = self._estimator.longest_turn(angles)
+        decided = self._clock.now()
+        number = self._device.set_axes(angles)
+        self._estimator.note_sent(number, self._clock.now())
+        counts.sent += 1
+        if resolver is self._by_fixed:
+            counts.by_fixed_layout += 1
+            return
+        counts.decisions += 1
+        latencies = self.latencies
+        latencies.late.append(woke - due)
+        latencies.sensor.append(observed - self._latest_frame)
+        latencies.filter.append(observed - woke)
+        latencies.policy.append(decided - observed)
+        latencies.turn.append(turn)
+        self._sent.append(_Sent(number, decided, decided - self._latest_frame, turn))
+
+    def _command(self, observation: Observation, trusted: bool) -> tuple[Command | None, Resolver]:
+        """Return the command and its resolver; None: leave the axes as they are."""
+        if not trusted:
+            return self._arranger.layout(), self._by_fixed
+        try:
+            return self._policy.decide(observation), self._by_policy
+        except ValueError:  # the policy returned no action
+            self.counts.out_of_range += 1
+            return None, self._by_policy

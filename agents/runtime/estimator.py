@@ -1,0 +1,436 @@
+"""The state estimator: the parcel's state by the device's messages, and the task's observation.
+
+It holds two environments of the package's own state. `SEEN` stands at the latest frame: the physics
+moves it on from frame to frame, with the axes as they turned, and the environment's own filter
+corrects it there. `NOW` is a copy of it, moved on to the time of the decision. So a late frame
+corrects the estimate of the time it was taken at, and later commands are applied once more.
+
+Nothing of the physics, the filter or an observation is written here: the functions at the end are
+put together from the package's own.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym import checks
+from surface_gym.config import EnvConfig
+from surface_gym.core.actions import (
+    Acting,
+    ActionKind,
+    aim_at_angle,
+    aim_at_choice,
+    straighten_targets,
+    turn_axes,
+)
+from surface_gym.core.assembly import make_rules, make_state, task_functions
+from surface_gym.core.kernel import EnvParams, Function, KernelFunctions, obeying, showing
+from surface_gym.core.resets import BodyPlan, Placement, place_parcel
+from surface_gym.layouts import ROLLING
+from surface_gym.parcel import Parcel
+from surface_gym.physics.contacts import invalidate_contacts
+from surface_gym.physics.jit import compile_for, compiled
+from surface_gym.physics.step import axis_direction
+from surface_gym.physics.types import GRAVITY, Array, Integers, Scratch, make_scratch
+from surface_gym.presets import SURE
+from surface_gym.randomisation import Actuators, Randomisation
+from surface_gym.sensors import Camera, Exact, Sensor
+from surface_gym.sensors.base import Physics
+from surface_gym.sensors.camera import EVERY, LAG
+from surface_gym.state import (
+    COLUMNS,
+    FIRST_COLUMN,
+    FIRST_ROW,
+    GRAVITY_ALONG,
+    GRAVITY_NORMAL,
+    PATH_POINTS,
+    ROWS,
+    BodyTable,
+    ParcelState,
+    SurfaceState,
+    env_state,
+    read_truth,
+)
+from surface_gym.tasks.base import Parcels
+
+from .protocol import Angles, Entered, Frame
+
+SEEN, NOW = 0, 1  # the environments
+BOTH = np.array([SEEN, NOW])
+MAX_AHEAD = 1.0  # [s] from a frame that the estimate is moved on; it stands still thereafter
+MIN_APART = 1e-6  # [s] between frames that differ
+NOT_LOST = 1.0  # [-] a uniform number with which no frame is dropped
+NEVER = 2.0**40  # physics steps from frame to frame: none is taken
+IDEAL = Camera(latency=0.0, position_noise=0.0, angle_noise=0.0, entry=SURE)
+
+
+def device_camera(sensor: Sensor) -> Camera:
+    """Return the camera of an environment's sensor; of an exact one, without noise and delay.
+
+    Raises:
+        ValueError: a sensor without frames.
+    """
+    if isinstance(sensor, Camera):
+        return sensor
+    if isinstance(sensor, Exact):
+        return IDEAL
+    raise ValueError(f"sensors must be a Camera or Exact, which has frames, got {sensor!r}")
+
+
+def within_right_angles(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the same axes by angles [rad] from -pi/2 to pi/2: one turned by pi is the same."""
+    turned = angles - math.pi * np.floor(angles / math.pi + 0.5)
+    same: NDArray[np.float64] = np.where(np.abs(angles) <= 0.5 * math.pi, angles, turned)
+    return same
+
+
+def zone_angles(whole: NDArray[np.float64], zone: Integers, shape: tuple[int, int]) -> Angles:
+    """Cut the axes [rad] of the zone's modules out of those of the whole surface.
+
+    Args:
+        whole: (rows, columns) [rad] of the surface.
+        zone: (4,) that a parcel has, as `BodyTable.zone`.
+        shape: (rows, columns) of the widest zone. A narrower one is its middle rows; the places
+            beside it are at 90 deg.
+    """
+    angles = np.full(shape, ROLLING)
+    rows, first_row, first = int(zone[ROWS]), int(zone[FIRST_ROW]), int(zone[FIRST_COLUMN])
+    margin = (shape[0] - rows) // 2
+    part = whole[first_row : first_row + rows, first : first + int(zone[COLUMNS])]
+    angles[margin : margin + rows] = part
+    return angles
+
+
+@dataclass
+class _Command:
+    """Axes that the device was sent."""
+
+    number: int
+    at: float  # [s] from which on they turn
+    target: NDArray[np.float64]  # (rows, columns) [rad] of the whole surface
+
+
+@dataclass(frozen=True, eq=False)
+class Resolver:
+    """Turns commands of one kind of action into axes; see `StateEstimator.resolve`."""
+
+    obey: Callable[..., None]  # compiled
+    surfaces: SurfaceState  # the estimator's, with room for such commands
+
+
+class StateEstimator:
+    """Estimates the state of the parcel on the surface.
+
+    Args:
+        settings: of the environment that the policy is for, its sensors a `Camera` or `Exact`.
+
+    Raises:
+        ValueError: the sensors are others, or a task lacks one of its compiled functions.
+    """
+
+    def __init__(self, settings: EnvConfig) -> None:
+        self._axis_speed = min(settings.actuators.axis_speed, checks.AXIS_SPEED[1])
+        self.settings = replace(
+            settings,
+            sensors=device_camera(settings.sensors),
+            actuators=Actuators(axis_speed=self._axis_speed),
+            randomisation=Randomisation(),
+        )
+        rules = make_rules(self.settings)
+        offered = within_right_angles(rules.acting.orientations)
+        self._rules = rules._replace(acting=rules.acting._replace(orientations=offered))
+        self._looks = make_looks(rules.sensor)
+        self._surfaces, self._lanes = make_state(self.settings, len(BOTH))
+        self._lanes.noise[:, :, 3] = NOT_LOST
+        plant, kind = self.settings.chosen_plant, self.settings.action_kind
+        self._plan = BodyPlan((), self._placement, len(BOTH), (plant.rows, plant.columns))
+        self._scratch = make_scratch()
+        self._commands: deque[_Command] = deque()
+        self._at = 0.0  # [s] of the environment SEEN
+        self.shape = (kind.rows, kind.columns)  # of the widest zone
+        self.entered: Entered | None = None
+        # Any parcel, so that there is something to compile for.
+        self._settle(self.settings.chosen_task.parcels[0])
+        self._compile()
+
+    def _compile(self) -> None:
+        """Compile all that is called, so that nothing is compiled later."""
+        functions, given = task_functions(self.settings), self._arrays
+        self._mirror = functions.mirror
+        self._begin = compile_for(make_begin(functions), *given, SEEN)
+        self._show = compile_for(make_show(functions), *given, NOW)
+        move = make_move(functions.look, type(self.settings.sensors).__name__)
+        self._move = compile_for(move, *given, self._scratch, SEEN, 0.1, 1, 0.1, True, *self._looks)
+        sites, axes = self._plan.bodies, np.zeros(self.shape)
+        self._use_axes = compile_for(use_encoders, self._surfaces, sites, 0, SEEN, axes)
+
+    @property
+    def _arrays(self) -> tuple[Any, ...]:
+        return self._rules, self._surfaces, self._lanes, self._plan.bodies
+
+    def _placement(self, parcel: Parcel) -> Placement:
+        return place_parcel(parcel, self.settings.chosen_plant, self.settings.zone)
+
+    def _settle(self, parcel: Parcel) -> None:
+        parcels = Parcels((parcel,), np.zeros(len(BOTH), dtype=np.int64))
+        self._lanes.site[:] = self._plan.sites_of(BOTH, parcels)
+
+    def reset(self, entered: Entered) -> None:
+        """Start with a parcel.
+
+        Raises:
+            ValueError: the parcel does not fit the surface, or its goal or path is not the task's.
+        """
+        task = self.settings.chosen_task
+        goal = checks.array("goal", entered.goal, (task.goals,))
+        path = checks.array("path", entered.path, (PATH_POINTS,)) if task.has_path else None
+        pose = checks.pose("pose", entered.pose, (3,))
+        velocity = checks.velocity("velocity", entered.velocity, (3,))
+        # Its load may lie anywhere: it is taken as evenly spread.
+        self._settle(replace(entered.parcel, com_offset=(0.0, 0.0)))
+        lanes, conditions = self._lanes, self._surfaces.conditions
+        lanes.kept[:] = 0.0
+        lanes.state[:] = (*pose, *velocity, 0.0, 0.0)
+        lanes.goal[:] = goal
+        if path is not None:
+            lanes.path[:] = path
+        conditions[:] = 1.0
+        conditions[:, GRAVITY_ALONG] = GRAVITY * math.sin(entered.tilt)
+        conditions[:, GRAVITY_NORMAL] = GRAVITY * math.cos(entered.tilt)
+        for i in (SEEN, NOW):
+            self._begin(*self._arrays, i)
+        self._commands.clear()
+        self._at = entered.at
+        self.entered = entered
+
+    def clear(self) -> None:
+        """Forget the parcel, which has left."""
+        self.entered = None
+
+    def correct(self, frame: Frame) -> bool:
+        """Correct the estimate by a frame, and return whether it was used: one of another parcel is
+        not, nor one that is not later than the latest.
+
+        Raises:
+            ValueError: a pose or axes that are not allowed.
+        """
+        pose = checks.pose("pose", frame.pose, (3,))
+        axes = None if frame.axes is None else checks.array("axes", frame.axes, self.shape)
+        if self.entered is None or frame.number != self.entered.number:
+            return False
+        if frame.taken_at < self._at + MIN_APART:
+            return False
+        self._lanes.truth[SEEN, :3] = pose
+        self._advance(SEEN, max(self._at, frame.taken_at - MAX_AHEAD), frame.taken_at, looks=True)
+        self._at = frame.taken_at
+        while self._commands and self._commands[0].at <= self._at:
+            self._commands.popleft()
+        if axes is not None:
+            site = int(self._lanes.site[SEEN])
+            self._use_axes(self._surfaces, self._plan.bodies, site, SEEN, np.array(axes))
+        return True
+
+    def observe(self, now: float) -> NDArray[np.float32]:
+        """Return the task's observation (features,) of the parcel at a time [s]: a copy."""
+        lanes, surfaces = self._lanes, self._surfaces
+        for array in (lanes.kept, lanes.clock, lanes.steps):
+            array[NOW] = array[SEEN]
+        for array in (surfaces.angle, surfaces.target, surfaces.direction):
+            array[NOW] = array[SEEN]
+        self._advance(NOW, self._at, min(now, self._at + MAX_AHEAD), looks=False)
+        self._show(*self._arrays, NOW)
+        observation: NDArray[np.float32] = lanes.observation[NOW].copy()
+        return observation
+
+    @property
+    def estimate(self) -> NDArray[np.float64]:
+        """Pose and velocity (6,) [m, m, rad, m/s, m/s, rad/s] at the time last observed."""
+        sensed: NDArray[np.float64] = self._lanes.sensed[NOW].copy()
+        return sensed
+
+    def axes(self) -> Angles:
+        """Return the zone's axes (rows, columns) [rad] at the time last observed."""
+        return self._zone_angles(self._surfaces.angle[NOW])
+
+    def longest_turn(self, angles: Angles) -> float:
+        """Return the time [s] until all of the zone's modules have turned to angles [rad]."""
+        apart = angles - self.axes()
+        apart -= math.pi * np.floor(apart / math.pi + 0.5)
+        return float(np.abs(apart).max()) / self._axis_speed
+
+    def resolver(self, kind: ActionKind) -> Resolver:
+        """Compile the resolver of commands of a kind of action."""
+        dtype = np.float64 if kind.continuous else np.int64
+        surfaces = self._surfaces._replace(command=np.zeros((len(BOTH), kind.size), dtype=dtype))
+        obey = make_obey(kind, self._mirror)
+        rules, _, lanes, sites = self._arrays
+        return Resolver(compile_for(obey, rules, surfaces, lanes, sites, NOW), surfaces)
+
+    def resolve(self, resolver: Resolver, command: NDArray[Any]) -> Angles:
+        """Return the axes (rows, columns) [rad] of the zone's modules for a command (size,), by the
+        parcel's place at the time last observed.
+        """
+        resolver.surfaces.command[NOW] = command
+        resolver.obey(self._rules, resolver.surfaces, self._lanes, self._plan.bodies, NOW)
+        return self._zone_angles(self._surfaces.target[NOW])
+
+    def note_sent(self, number: int, at: float) -> None:
+        """Note that the axes as last resolved were sent as a command, and turn from a time [s]."""
+        self._commands.append(_Command(number, at, self._surfaces.target[NOW].copy()))
+
+    def acknowledge(self, number: int, at: float) -> None:
+        """Note when [s] the axes of a command began to turn by the device."""
+        earliest = self._at
+        for command in self._commands:
+            if command.number == number:
+                command.at = at
+            earliest = command.at = max(earliest, command.at)
+
+    def drop_command(self, number: int) -> None:
+        """Forget a command that the device did not accept."""
+        self._commands = deque(each for each in self._commands if each.number != number)
+
+    def _advance(self, i: int, begun: float, until: float, looks: bool) -> None:
+        """Move an environment on, with the commands in between."""
+        for command in self._commands:
+            if command.at >= until:
+                break
+            self._move_on(i, begun, command.at, looks=False)
+            begun = max(begun, command.at)
+            self._surfaces.target[i] = command.target
+        self._move_on(i, begun, until, looks)
+
+    def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
+        """Move an environment on in equal steps, none longer than the package's."""
+        steps = math.ceil((until - begun) / self._rules.timing.dt - 1e-6)
+        if steps > 0:
+            length = (until - begun) / steps
+            given = (length, steps, self._axis_speed, looks, *self._looks)
+            self._move(*self._arrays, self._scratch, i, *given)
+
+    def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:
+        """Cut the widest zone's axes out of the whole surface's (rows, columns)."""
+        return zone_angles(whole, self._plan.bodies.zone[self._lanes.site[NOW]], self.shape)
+
+
+def make_looks(numbers: Array) -> tuple[Array, Array]:
+    """Return a camera's settings without frames, and with a frame at each step, used at once."""
+    coasting, looking = np.array(numbers), np.array(numbers)
+    coasting[EVERY], coasting[LAG] = NEVER, 0.0
+    looking[EVERY], looking[LAG] = 1.0, 0.0
+    return coasting, looking
+
+
+@compiled
+def use_encoders(
+    surfaces: SurfaceState, sites: BodyTable, site: int, i: int, angles: Array
+) -> None:
+    """Put the axes of an environment's zone to angles (rows, columns) [rad] of the widest zone."""
+    zone = sites.zone[site]
+    margin = (angles.shape[0] - zone[ROWS]) // 2
+    for down in range(zone[ROWS]):
+        for along in range(zone[COLUMNS]):
+            row, column = zone[FIRST_ROW] + down, zone[FIRST_COLUMN] + along
+            angle = angles[margin + down, along]
+            axis = surfaces.axis[i, row, column]
+            surfaces.angle[i, row, column] = angle
+            cosine, sine = axis_direction(angle)
+            surfaces.direction[i, axis, 0] = cosine
+            surfaces.direction[i, axis, 1] = sine
+
+
+@lru_cache(maxsize=16)
+def make_begin(functions: KernelFunctions) -> Any:
+    """Compile `begin(rules, surfaces, lanes, sites, i)`: put the axes as the conveyor's, and the
+    estimate to what is known of the entry, which is in `lanes.state`.
+    """
+    task_begin, sensor_begin = functions.begin, functions.begin_sensor
+
+    def begin(
+        rules: EnvParams, surfaces: SurfaceState, lanes: ParcelState, sites: BodyTable, i: int
+    ) -> None:
+        straighten_targets(rules.acting, surfaces, i)
+        lanes.clock[i] = 0.0
+        lanes.steps[i] = 0
+        lanes.period[i] = 0.0
+        lanes.noise_row[i, 0] = 0
+        lane = env_state(surfaces, lanes, sites, i, i, rules.elements)
+        read_truth(lane)
+        sensor_begin(rules.sensor, lane)
+        task_begin(lane)
+
+    return compiled(begin, f"estimator-begin-{functions.label}")
+
+
+@lru_cache(maxsize=16)
+def make_move(look: Function, label: str) -> Any:
+    """Compile `move(rules, surfaces, lanes, sites, scratch, i, length, steps, axis_speed, looks,
+    coasting, looking)`: turn an environment's axes at a speed [rad/s] and predict, over some steps
+    of a length [s]; if it looks, correct at the end by the frame whose pose is in `lanes.truth`.
+    """
+
+    def move(
+        rules: EnvParams,
+        surfaces: SurfaceState,
+        lanes: ParcelState,
+        sites: BodyTable,
+        scratch: Scratch,
+        i: int,
+        length: float,
+        steps: int,
+        axis_speed: float,
+        looks: bool,
+        coasting: Array,
+        looking: Array,
+    ) -> None:
+        physics = Physics(rules.assumed, rules.stiffness, scratch, length)
+        acting = Acting(rules.acting.zone_rows, rules.acting.orientations, axis_speed * length)
+        invalidate_contacts(scratch)
+        lanes.noise_row[i, 0] = 0
+        for k in range(steps):
+            lanes.clock[i] += length
+            lanes.steps[i] += 1
+            lane = env_state(surfaces, lanes, sites, i, i, rules.elements)
+            if turn_axes(acting, surfaces, i, lane.zone):
+                invalidate_contacts(scratch)
+            look(looking if looks and k == steps - 1 else coasting, lane, physics)
+
+    return compiled(move, f"estimator-move-{label}")
+
+
+@lru_cache(maxsize=16)
+def make_show(functions: KernelFunctions) -> Any:
+    """Compile `show(rules, surfaces, lanes, sites, i)`: observe an environment's estimate."""
+    task_observe, task_mirror = functions.observe, functions.mirror
+    estimate, show_more = functions.estimate, showing(functions)
+
+    def show(
+        rules: EnvParams, surfaces: SurfaceState, lanes: ParcelState, sites: BodyTable, i: int
+    ) -> None:
+        lane = env_state(surfaces, lanes, sites, i, i, rules.elements)
+        estimate(rules.sensor, lane)
+        mirror = task_mirror(lane)
+        task_observe(lane)
+        show_more(rules, lane, mirror)
+
+    return compiled(show, f"estimator-show-{functions.label}")
+
+
+@lru_cache(maxsize=16)
+def make_obey(kind: ActionKind, mirror_of: Function) -> Any:
+    """Compile `obey(rules, surfaces, lanes, sites, i)`: set target axes by the command."""
+    obey_command = obeying(kind.part_of, aim_at_angle if kind.continuous else aim_at_choice)
+
+    def obey(
+        rules: EnvParams, surfaces: SurfaceState, lanes: ParcelState, sites: BodyTable, i: int
+    ) -> None:
+        lane = env_state(surfaces, lanes, sites, i, i, rules.elements)
+        obey_command(rules, surfaces, lane, i, mirror_of(lane))
+
+    return compiled(obey, f"estimator-{kind.name}-{'angles' if kind.continuous else 'choices'}")

@@ -1,0 +1,299 @@
+"""The messages between a machine and the control loop, and their form on a socket.
+
+A driver of a machine is a `Device`: four calls, none of which waits. All times are [s] by
+`time.monotonic()` of the machine that the loop runs on; a driver whose camera has a clock of its
+own converts. All poses are those of the centroid of a parcel's base.
+
+On a socket each message is a line of JSON with a `kind`: "hello", "entered", "frame", "taken" or
+"left" from the device, and "axes" to it. Lines are checked in full; reading runs no code.
+"""
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym import checks
+from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
+
+VERSION = 1  # of the protocol, which both sides must have
+MAX_LINE = 1_000_000  # [bytes]
+
+Angles = NDArray[np.float64]  # (rows, columns) [rad] of the zone's modules, row by row from y < 0
+Triple = tuple[float, float, float]
+
+
+class DeviceLost(ConnectionError):
+    """The device is not there, or its messages cannot be understood: connect anew."""
+
+
+@dataclass(frozen=True, eq=False)
+class Entered:
+    """A parcel enters."""
+
+    number: int  # of the parcel, which no other has
+    at: float  # [s] of the pose and the velocity
+    parcel: Parcel  # its base and mass; its load is taken as evenly spread
+    pose: Triple  # [m, m, rad] roughly, by the conveyor and its guides
+    velocity: Triple  # [m/s, m/s, rad/s] roughly
+    goal: tuple[float, ...]  # of the task, as its starts have it
+    tilt: float = 0.0  # [rad] of the surface
+    path: NDArray[np.float64] | None = None  # (PATH_POINTS,) [m] y of a path to follow
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A picture of the camera."""
+
+    taken_at: float  # [s]
+    number: int | None = None  # of the parcel seen; None: there is none on the surface
+    pose: Triple = (0.0, 0.0, 0.0)  # [m, m, rad]; the angle is continuous beyond pi
+    axes: Angles | None = None  # by encoders at that time; None: there are none
+
+
+@dataclass(frozen=True)
+class AxesAcknowledged:
+    """The device has answered a command of axes."""
+
+    command: int  # the number that `set_axes` returned
+    at: float  # [s] when the axes began to turn
+    refused: str = ""  # why the device did not accept them; empty: it did
+
+
+@dataclass(frozen=True)
+class Departed:
+    """A parcel has left."""
+
+    number: int  # of the parcel
+    outcome: str  # in words; "success" is one
+    metrics: dict[str, float] = field(default_factory=dict)  # of the task, as in `info`
+
+
+Message = Entered | Frame | AxesAcknowledged | Departed
+
+
+class Device(Protocol):
+    """A machine: a camera over a surface whose axes turn.
+
+    Each call returns at once. A lasting fault is a `DeviceLost`, after which the loop calls `close`
+    and, after a while, `connect` again.
+    """
+
+    def connect(self) -> None:
+        """Find the device and start anew.
+
+        Raises:
+            DeviceLost: it is not there.
+        """
+
+    def close(self) -> None:
+        """Disconnect, if it is connected."""
+
+    def read(self) -> list[Message]:
+        """Return the messages since the last call, in their order.
+
+        Raises:
+            DeviceLost: it is gone.
+        """
+
+    def set_axes(self, angles: Angles) -> int:
+        """Turn the zone's modules to angles (rows, columns) [rad] in -pi/2 to pi/2.
+
+        The zone is the widest there is; angles of places without a module have no effect.
+
+        Returns:
+            A number for the command, to which an `AxesAcknowledged` may refer later.
+
+        Raises:
+            DeviceLost: it is gone.
+        """
+
+
+def to_line(fields: dict[str, Any]) -> bytes:
+    """Return a message as a line.
+
+    Raises:
+        ValueError: a number that is not finite.
+    """
+    return json.dumps(fields, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+
+
+def from_line(line: bytes) -> dict[str, Any]:
+    """Return the fields of a line.
+
+    Raises:
+        ValueError: it is not an object of JSON with a kind.
+    """
+    try:
+        fields = json.loads(line, parse_constant=_refuse_constant)
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise ValueError(f"line must be JSON, got {line[:80]!r}: {error}") from None
+    if not isinstance(fields, dict) or not isinstance(fields.get("kind"), str):
+        raise ValueError(f"line must be an object with a kind, got {line[:80]!r}")
+    return fields
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"numbers must be finite, got {name}")
+
+
+def hello(task: str, shape: tuple[int, int]) -> dict[str, Any]:
+    """Return a device's first message: its version, its task and its widest zone."""
+    return {"kind": "hello", "protocol": VERSION, "task": task, "zone": list(shape)}
+
+
+def to_fields(message: Message) -> dict[str, Any]:
+    """Return the fields of a device's message."""
+    if isinstance(message, Frame):
+        return {
+            "kind": "frame",
+            "taken": message.taken_at,
+            "number": message.number,
+            "pose": list(message.pose),
+            "axes": None if message.axes is None else message.axes.tolist(),
+        }
+    if isinstance(message, Entered):
+        return {
+            "kind": "entered",
+            "number": message.number,
+            "at": message.at,
+            "base": _base_fields(message.parcel.base),
+            "mass": message.parcel.mass,
+            "com_height": message.parcel.com_height,
+            "pose": list(message.pose),
+            "velocity": list(message.velocity),
+            "goal": list(message.goal),
+            "tilt": message.tilt,
+            "path": None if message.path is None else message.path.tolist(),
+        }
+    if isinstance(message, AxesAcknowledged):
+        return {
+            "kind": "taken",
+            "command": message.command,
+            "at": message.at,
+            "refused": message.refused,
+        }
+    return {
+        "kind": "left",
+        "number": message.number,
+        "outcome": message.outcome,
+        "figures": message.metrics,
+    }
+
+
+def from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> Message:
+    """Return a device's message of its fields; `shape` is (rows, columns) of the widest zone.
+
+    Raises:
+        ValueError: it is no message of a device, or a field is missing or not allowed.
+    """
+    kind = checks.one_of("kind", fields["kind"], tuple(_READERS))
+    try:
+        return _READERS[kind](fields, shape)
+    except KeyError as error:
+        raise ValueError(f"{kind} must have {error}, got {', '.join(fields)}") from None
+
+
+def _frame(fields: dict[str, Any], shape: tuple[int, int]) -> Frame:
+    number, axes = fields["number"], fields["axes"]
+    return Frame(
+        taken_at=checks.number("taken", fields["taken"]),
+        number=None if number is None else checks.integer("number", number, least=0),
+        pose=_triple("pose", fields["pose"]),
+        axes=None if axes is None else np.array(checks.array("axes", axes, shape)),
+    )
+
+
+def _entered(fields: dict[str, Any], shape: tuple[int, int]) -> Entered:
+    del shape
+    path = fields["path"]
+    return Entered(
+        number=checks.integer("number", fields["number"], least=0),
+        at=checks.number("at", fields["at"]),
+        parcel=Parcel(_base(fields["base"]), mass=fields["mass"], com_height=fields["com_height"]),
+        pose=_triple("pose", fields["pose"]),
+        velocity=_triple("velocity", fields["velocity"]),
+        goal=tuple(checks.array("goal", np.array(fields["goal"], float), (None,)).tolist()),
+        tilt=checks.within("tilt", fields["tilt"], -0.5 * math.pi, 0.5 * math.pi),
+        path=None if path is None else checks.array("path", path, (None,)),
+    )
+
+
+def _acknowledged(fields: dict[str, Any], shape: tuple[int, int]) -> AxesAcknowledged:
+    del shape
+    return AxesAcknowledged(
+        command=checks.integer("command", fields["command"], least=0),
+        at=checks.number("at", fields["at"]),
+        refused=_text("refused", fields["refused"]),
+    )
+
+
+def _departed(fields: dict[str, Any], shape: tuple[int, int]) -> Departed:
+    del shape
+    figures = fields["figures"]
+    if not isinstance(figures, dict):
+        raise ValueError(f"figures must be an object, got {figures!r}")
+    return Departed(
+        number=checks.integer("number", fields["number"], least=0),
+        outcome=_text("outcome", fields["outcome"]),
+        metrics={name: checks.number(name, value) for name, value in figures.items()},
+    )
+
+
+_READERS: dict[str, Callable[[dict[str, Any], tuple[int, int]], Message]] = {
+    "entered": _entered,
+    "frame": _frame,
+    "taken": _acknowledged,
+    "left": _departed,
+}
+
+
+def axes_to_fields(command: int, angles: Angles) -> dict[str, Any]:
+    """Return the fields of a command of axes."""
+    return {"kind": "axes", "command": command, "angles": angles.tolist()}
+
+
+def axes_from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> tuple[int, Angles]:
+    """Return the number of a command and its angles (rows, columns) [rad], unchecked.
+
+    Raises:
+        ValueError: it is no such message.
+    """
+    checks.one_of("kind", fields["kind"], ("axes",))
+    number = checks.integer("command", fields.get("command"), least=0)
+    return number, np.array(checks.array("angles", fields.get("angles"), shape))
+
+
+def _text(name: str, value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"{name} must be text, got {value!r}")
+    return value
+
+
+def _triple(name: str, value: Any) -> tuple[float, float, float]:
+    first, second, third = checks.array(name, value, (3,)).tolist()
+    return (first, second, third)
+
+
+def _base_fields(base: Base) -> dict[str, Any]:
+    """Describe a base around its centroid."""
+    if isinstance(base, Disc):
+        return {"radius": base.radius}
+    if isinstance(base, Rectangle):
+        return {"length": base.length, "width": base.width}
+    return {"corners": (base.outline - np.array(base.centroid)).tolist()}
+
+
+def _base(fields: Any) -> Base:
+    if isinstance(fields, dict):
+        if set(fields) == {"radius"}:
+            return Disc(fields["radius"])
+        if set(fields) == {"length", "width"}:
+            return Rectangle(fields["length"], fields["width"])
+        if set(fields) == {"corners"}:
+            return Polygon(fields["corners"])
+    raise ValueError(f"base must have a radius, a length and a width, or corners, got {fields!r}")

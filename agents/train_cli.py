@@ -1,0 +1,197 @@
+"""`train.py`: train an agent, resume a run, or search hyper-parameters."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, make_dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import tyro
+
+from surface_gym.parallel import usable_cores
+
+from .base import FLOW_TASK, TRAIN, command_line
+from .learning.config import CONFIGS, CPU, NOMINAL, RENAMED, DeviceName, PresetName, TrainConfig
+from .learning.hyperparams import defaults
+
+SWEEP = "sweep.yml"  # in the folder of a search
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of the command that are not part of a run's configuration."""
+
+    resume: Path | None = None
+    """Alone: go on with a run or a search that was broken off. For a user's task --task must name
+    it too, since a file must not say what code is run."""
+    search: Path | None = None
+    """Search hyper-parameters as this file says; with --task, --out and --name only."""
+    hyperparams: Path | None = None
+    """File of hyper-parameters to take the defaults from."""
+    cluster: str | None = None
+    """Address of a Ray cluster to share the work with; auto: the one that this machine joined."""
+
+
+@dataclass(frozen=True)
+class _Selection(Options):
+    """Options that determine the defaults of all others."""
+
+    task: str | None = None
+    algo: str | None = None
+    preset: str | None = None
+    device: str | None = None
+    out: Path = Path("runs")
+    name: str | None = None
+
+
+@dataclass(frozen=True)
+class Request:
+    """The work that a command line asks for: a search or a run."""
+
+    cluster: str | None
+    task: str | None  # as on the command line
+    search: Path | None = None  # file of a search
+    config: TrainConfig | None = None  # of a run
+    folder: Path | None = None  # of a search, or of a run to resume; None: a new run
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Train, save and compare; an error ends the command with one line.
+
+    Args:
+        arguments: of the command line; None: those of the process.
+    """
+    from rich.console import Console
+
+    from surface_gym.parallel import WorkFailed
+
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        carry_out(parse_arguments(given), given, Console())
+    except (ValueError, WorkFailed) as error:
+        sys.exit(f"error: {error}")
+
+
+def parse_arguments(arguments: Sequence[str]) -> Request:
+    """Parse a command line.
+
+    Task, algorithm, preset, device and file of hyper-parameters are read first: they determine the
+    defaults of all other options.
+
+    Raises:
+        ValueError: options exclude each other, a field is out of its range, or a folder cannot be
+            used.
+    """
+    given = [_current_name(argument) for argument in arguments]
+    selection, others = tyro.cli(_Selection, args=given, return_unknown_args=True, add_help=False)
+    task = selection.task
+    if selection.search is not None:
+        _check_alone("search", ("task", "out", "name"), selection, others)
+        folder = selection.out / (selection.name or f"search-{selection.search.stem}")
+        if folder.exists():
+            raise ValueError(
+                f"name must be that of a new folder, got {folder}; --resume {folder} goes on "
+                "with it"
+            )
+        return Request(selection.cluster, task, search=selection.search, folder=folder)
+    if selection.resume is not None:
+        _check_alone("resume", ("task",), selection, others)
+        folder = selection.resume
+        if (folder / SWEEP).is_file():
+            return Request(selection.cluster, task, search=folder / SWEEP, folder=folder)
+        from .learning.runs import CONFIG, read_config
+
+        config = read_config(folder / CONFIG, task)
+        return Request(selection.cluster, task, config=config, folder=folder)
+    return Request(selection.cluster, task, config=_parse_config(selection, given))
+
+
+def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
+    """Carry out the work that a command line asks for.
+
+    Args:
+        request: the work.
+        arguments: of the command line, kept in the run's folder.
+        console: to print on.
+    """
+    from surface_gym.parallel import choose_workers
+
+    from .tasks import task_files
+
+    workers = choose_workers(request.cluster, usable_cores(), task_files(request.task))
+    if request.search is not None:
+        from .tuning.cli import search
+
+        assert request.folder is not None
+        search(request.search, request.folder, workers, console, request.task)
+        return
+    from .learning.config import on_device
+    from .learning.runs import make_folder, write_card
+    from .learning.train import train_seeds
+
+    config, folder = request.config, request.folder
+    assert config is not None
+    if folder is None:
+        if on_device(config):
+            from .learning.cuda import check_device
+
+            check_device(config)
+        folder = make_folder(config, arguments)
+    trained = train_seeds(config, folder, console, workers)
+    if len(trained) < config.seeds or any(each.interrupted for each in trained):
+        console.print(
+            f"interrupted: {folder} holds what was learned so far; "
+            f"{command_line(TRAIN, '--resume', str(folder))} goes on from the last checkpoint"
+        )
+        return
+    from .evaluation.runs import evaluate_run
+
+    write_card(config, trained, evaluate_run(folder, config.task, workers, console), folder)
+
+
+def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
+    """Parse the configuration of a new run, with its defaults from a YAML file."""
+    task = selection.task or "sort"
+    usual = "parcels" if task == FLOW_TASK else "ppo"
+    algo = selection.algo if selection.algo in CONFIGS else usual
+    preset = selection.preset if selection.preset in get_args(PresetName) else NOMINAL
+    device = selection.device if selection.device in get_args(DeviceName) else CPU
+    default = defaults(task, algo or usual, selection.hyperparams, preset or NOMINAL, device or CPU)
+    # The names of the fields are the headings of the help.
+    command = make_dataclass("Command", [("training", type(default)), ("command", Options)])
+    parsed: Any = tyro.cli(
+        tyro.conf.OmitArgPrefixes[command],
+        default=command(default, Options()),
+        args=arguments,
+        prog=command_line(TRAIN),
+        description="Train an agent, resume a run, or search hyper-parameters.",
+    )
+    config: TrainConfig = parsed.training
+    return config
+
+
+def _current_name(argument: str) -> str:
+    """Return an argument with the current name of its option, if it has an earlier one."""
+    option, equals, value = argument.partition("=")
+    name = option.removeprefix("--")
+    if option == name or name not in RENAMED:
+        return argument
+    return f"--{RENAMED[name].replace('_', '-')}{equals}{value}"
+
+
+def _check_alone(
+    name: str, beside: tuple[str, ...], selection: _Selection, others: list[str]
+) -> None:
+    """Raise a ValueError if other options than those `beside` it stand beside an option."""
+    allowed = {name, "cluster", *beside}
+    more = [
+        f"--{each.name}"
+        for each in fields(selection)
+        if each.name not in allowed and getattr(selection, each.name) != each.default
+    ]
+    if more or others:
+        names = ", ".join(f"--{each}" for each in beside)
+        raise ValueError(
+            f"--{name} must stand alone, or beside {names} and --cluster, got "
+            f"{' '.join([*more, *others])}"
+        )

@@ -1,0 +1,1 @@
+"""Tuning of hyper-parameters by Optuna: what to search, the study, its report, the command."""

@@ -1,0 +1,300 @@
+"""A study of Optuna: trials are asked for, carried out by workers, and kept in study.db.
+
+Only the process of the command reads and writes the study; a worker gets a copy of the finished
+trials, by which it may prune its own. A trial trains for a short time, is evaluated on the way, and
+is then judged on fresh starts that are the same for all trials.
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import optuna
+from optuna import distributions as ranges
+from optuna.pruners import BasePruner, MedianPruner, NopPruner, SuccessiveHalvingPruner
+from optuna.samplers import BaseSampler, RandomSampler, TPESampler
+from optuna.trial import FrozenTrial, TrialState
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from surface_gym.parallel import Report, Workers, map_jobs
+
+from ..learning.config import TrainConfig, config_of_seed
+from ..learning.envs import make_training_envs
+from ..learning.runs import StopTraining, read_curve
+from ..learning.train import train
+from ..policy import load_policy
+from ..tasks import find_task
+from .sweep import Choices, Span, Sweep
+
+FILE = "study.db"  # SQLite, which optuna-dashboard reads as well
+STARTS = 512  # that a policy is judged on
+JUDGE_SEED = 2**32  # first seed of these starts; PyTorch and NumPy learn with lower ones
+COMPLETE, PRUNED = "complete", "pruned"
+REFUSED = "refused"  # a configuration that is not allowed
+FAILED = "failed"  # weights became not finite
+REASON = "why"  # user attribute of a trial that was refused or failed
+_STATES = {COMPLETE: TrialState.COMPLETE, PRUNED: TrialState.PRUNED}  # of others: FAIL
+
+
+@dataclass(frozen=True)
+class TrialResult:
+    """The end of a trial."""
+
+    state: str  # COMPLETE, PRUNED, REFUSED or FAILED
+    value: float | None = None  # of a complete trial
+    why: str = ""  # it was refused or failed
+
+
+# Carries a trial out: of a search, with drawn values, beside the finished trials.
+RunTrial = Callable[[Sweep, dict[str, Any], tuple[FrozenTrial, ...], Report], TrialResult]
+
+
+@contextmanager
+def open_study(sweep: Sweep, folder: Path) -> Iterator[optuna.Study]:
+    """Open the study of a search in its folder, or make it.
+
+    Trials that were running when an earlier process ended are asked for once more.
+    """
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    storage = optuna.storages.RDBStorage(f"sqlite:///{(folder / FILE).resolve().as_posix()}")
+    try:
+        study = optuna.create_study(
+            storage=storage, study_name="search", direction="maximize", load_if_exists=True
+        )
+        for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+            study.tell(trial.number, state=TrialState.FAIL)
+            study.enqueue_trial(trial.params)
+        study.sampler = make_sampler(sweep, len(study.get_trials(deepcopy=False)))
+        study.pruner = make_pruner(sweep)
+        yield study
+    finally:
+        storage.remove_session()
+        storage.engine.dispose()
+
+
+def finished_trials(study: optuna.Study) -> list[FrozenTrial]:
+    """Return the trials that have ended, without those that were interrupted."""
+    return [
+        trial
+        for trial in study.get_trials(deepcopy=False)
+        if trial.state in _STATES.values() or REASON in trial.user_attrs
+    ]
+
+
+def best_trial(trials: list[FrozenTrial]) -> FrozenTrial | None:
+    """Return the complete trial of the highest value, the first of equals; None if none is."""
+    complete = [trial for trial in trials if trial.state == TrialState.COMPLETE]
+    return max(complete, key=lambda trial: (trial.value, -trial.number), default=None)
+
+
+def state_of(trial: FrozenTrial) -> str:
+    """Return the state of a trial in words, with the reason if it was refused or has failed."""
+    return str(trial.user_attrs.get(REASON, trial.state.name.lower()))
+
+
+def plain_params(sweep: Sweep, trial: FrozenTrial | optuna.Trial) -> dict[str, Any]:
+    """Return the values that were drawn, as a configuration takes them."""
+    return {
+        name: json.loads(trial.params[name]) if isinstance(values, Choices) else trial.params[name]
+        for name, values in sorted(sweep.space.items())
+    }
+
+
+def optimize(
+    sweep: Sweep, study: optuna.Study, workers: Workers, console: Console, run: "RunTrial"
+) -> None:
+    """Carry out the trials of a search that its study lacks, and keep each as it ends.
+
+    Args:
+        sweep: the request.
+        study: of the search.
+        workers: that trials are shared among.
+        console: for the progress.
+        run: carries a trial out; a function of a module, so that another process finds it.
+    """
+    done = finished_trials(study)
+    distributions = {name: _distribution(values) for name, values in sorted(sweep.space.items())}
+    asked: list[optuna.Trial] = []
+    bars = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.0f} of {task.total:.0f}  {task.fields[note]}"),
+        TimeElapsedColumn(),
+        console=console,
+    )
+    total = bars.add_task("trials", total=sweep.trials, completed=len(done), note=_note(done))
+    rows = []
+
+    def jobs() -> Iterator[partial[TrialResult]]:
+        for _ in range(sweep.trials - len(done)):
+            trial = study.ask(distributions)
+            asked.append(trial)
+            rows.append(bars.add_task(f"trial {trial.number}", total=sweep.max_reports, note=""))
+            states = tuple(_STATES.values())
+            past = tuple(study.get_trials(deepcopy=False, states=states))
+            yield partial(run, sweep, plain_params(sweep, trial), past)
+
+    def on_report(index: int, reported: tuple[int, float]) -> None:
+        number, value = reported
+        known = study.get_trials(deepcopy=False)[asked[index].number].intermediate_values
+        if number not in known:  # else the trial's process died and it has begun again
+            asked[index].report(value, number)
+            asked[index].should_prune()  # notes the rung of successive halving; the worker decides
+        bars.update(rows[index], completed=number, note=f"{sweep.metric} {value:.3f}")
+
+    with bars:
+        for index, result in map_jobs(jobs(), workers, on_report):
+            trial = asked[index]
+            if result.why:
+                trial.set_user_attr(REASON, f"{result.state}: {result.why}")
+            study.tell(trial, result.value, _STATES.get(result.state, TrialState.FAIL))
+            done = finished_trials(study)
+            bars.remove_task(rows[index])
+            bars.update(total, completed=len(done), note=_note(done))
+
+
+def run_trial(
+    sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
+) -> TrialResult:
+    """Carry a trial out, in a folder of its own.
+
+    Args:
+        sweep: the request of the search.
+        params: values that were drawn.
+        past: finished trials, by which it may be pruned.
+        report: called with the number of each evaluation, from 1, and its value.
+    """
+    try:
+        config = sweep.config(params)
+    except ValueError as error:
+        return TrialResult(REFUSED, why=str(error))
+    prune = Pruning(sweep, past, report)
+    try:
+        values = [_train_and_judge(sweep, config, k, prune) for k in range(sweep.seeds)]
+    except optuna.TrialPruned:
+        return TrialResult(PRUNED)
+    except (ValueError, ArithmeticError) as error:  # of weights that are not finite
+        return TrialResult(FAILED, why=" ".join(str(error).split())[:200])
+    return TrialResult(COMPLETE, float(np.mean(values)))
+
+
+class Pruning:
+    """The pruner of a search, asked about one trial.
+
+    Args:
+        sweep: the request of the search.
+        past: finished trials.
+        report: called with the number of each evaluation, from 1, and its value.
+    """
+
+    def __init__(self, sweep: Sweep, past: tuple[FrozenTrial, ...], report: Report) -> None:
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        sampler = RandomSampler(seed=0)  # which draws nothing
+        study = optuna.create_study(
+            direction="maximize", sampler=sampler, pruner=make_pruner(sweep)
+        )
+        study.add_trials(past)
+        self._trial, self._report = study.ask(), report
+
+    def __call__(self, number: int, value: float) -> bool:
+        """Report a value, and return whether the trial is to end."""
+        self._report((number, value))
+        self._trial.report(value, number)
+        return self._trial.should_prune()
+
+
+def _train_and_judge(sweep: Sweep, config: TrainConfig, place: int, prune: Pruning) -> float:
+    """Train with the seed at a place, and judge its policy.
+
+    Raises:
+        optuna.TrialPruned: an evaluation on the way was too bad.
+    """
+    run, pruned = config_of_seed(config, sweep.seed + place), False
+    spacing = sweep.steps / (sweep.evaluations + 1)
+    left = list(range(1, sweep.evaluations + 1))
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+
+        def on_progress(steps: int, success: float) -> None:
+            nonlocal pruned
+            del success  # the curve has it, and the return as well
+            while left and steps >= left[0] * spacing:
+                number = place * sweep.evaluations + left.pop(0)
+                value = read_curve(folder)[-1][sweep.metric]
+                if not np.isnan(value) and prune(number, value):  # nan: no episode has ended yet
+                    pruned = True
+                    raise StopTraining
+
+        result = train(run, folder, on_progress)
+        if pruned:
+            raise optuna.TrialPruned
+        if result.interrupted:
+            raise KeyboardInterrupt
+        return judge(run, sweep, folder)
+
+
+def judge(config: TrainConfig, sweep: Sweep, folder: Path) -> float:
+    """Return the mean over the greedy policy's first episodes on fresh starts.
+
+    Args:
+        config: that the policy was trained by.
+        sweep: the request of the search.
+        folder: that holds the policy.
+    """
+    policy = load_policy(folder, find_task(config.task))
+    # All trials are judged with the same share of cameras and the same friction.
+    usual: dict[str, Any] = {
+        name: sweep.fixed.get(name, getattr(sweep.default, name))
+        for name in ("camera_share", "friction")
+    }
+    usual |= {"lanes": STARTS, "batch_size": STARTS}  # the configuration checks that these go
+    env = make_training_envs(replace(config, **usual))
+    env.seed(JUDGE_SEED + sweep.seed)
+    observations = np.asarray(env.reset())
+    values = np.full(STARTS, np.nan)
+    while np.isnan(values).any():
+        action, _ = policy.predict(observations, deterministic=True)
+        stepped, _, dones, infos = env.step(action)
+        observations = np.asarray(stepped)
+        for i in np.nonzero(dones & np.isnan(values))[0]:
+            info = infos[i]
+            values[i] = info["is_success"] if sweep.metric == "success" else info["episode"]["r"]
+    env.close()
+    return float(values.mean())
+
+
+def make_sampler(sweep: Sweep, asked: int) -> BaseSampler:
+    """Make the sampler of a search, seeded by the trials that were asked for before."""
+    seed = int(np.random.SeedSequence((sweep.seed, asked)).generate_state(1)[0])
+    if sweep.sampler == "random":
+        return RandomSampler(seed=seed)
+    return TPESampler(seed=seed, n_startup_trials=sweep.startup_trials)
+
+
+def make_pruner(sweep: Sweep) -> BasePruner:
+    """Make the pruner of a search, as rl-baselines3-zoo has them."""
+    if sweep.pruner == "median":
+        return MedianPruner(sweep.startup_trials, n_warmup_steps=sweep.evaluations // 3)
+    if sweep.pruner == "halving":
+        return SuccessiveHalvingPruner(min_resource=1)
+    return NopPruner()
+
+
+def _distribution(values: Span | Choices) -> ranges.BaseDistribution:
+    if isinstance(values, Choices):  # as text, since Optuna takes no lists
+        return ranges.CategoricalDistribution([json.dumps(choice) for choice in values.choices])
+    if isinstance(values.low, int) and isinstance(values.high, int):
+        return ranges.IntDistribution(values.low, values.high, values.log)
+    return ranges.FloatDistribution(values.low, values.high, values.log)
+
+
+def _note(trials: list[FrozenTrial]) -> str:
+    best = best_trial(trials)
+    return "" if best is None else f"best {best.value:.3f}, trial {best.number}"

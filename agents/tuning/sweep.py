@@ -1,0 +1,216 @@
+"""The request of a search, as its YAML file has it."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from surface_gym import checks
+from surface_gym.tasks import TASKS
+
+from ..learning.config import TrainConfig
+from ..learning.hyperparams import defaults
+from ..learning.runs import CURVE_EVERY
+
+ALGOS = ("ppo", "dqn", "modules")
+METRICS = ("success", "return")
+SAMPLERS = ("tpe", "random")
+PRUNERS = ("median", "halving", "none")
+OF_THE_SEARCH = ("task", "algo", "device", "seed", "seeds", "steps", "out", "name")
+ROLLOUT = ("lanes", "n_steps", "batch_size")  # which must go together
+
+
+@dataclass(frozen=True)
+class Span:
+    """Numbers from `low` to `high`, integers if both are.
+
+    Raises:
+        ValueError: it holds less than two numbers, or logarithms of numbers that have none.
+    """
+
+    low: float
+    high: float
+    log: bool = False  # drawn evenly by logarithm
+
+    def __post_init__(self) -> None:
+        for name in ("low", "high"):
+            checks.number(name, getattr(self, name))
+        if self.low >= self.high:
+            raise ValueError(f"low must be less than high, {self.high!r}, got {self.low!r}")
+        if checks.one_of("log", self.log, (True, False)):
+            checks.positive("low where log is true", self.low)
+
+    @property
+    def ends(self) -> tuple[Any, ...]:
+        """Values that must be allowed if all are to be."""
+        return self.low, self.high
+
+
+@dataclass(frozen=True)
+class Choices:
+    """Some values.
+
+    Raises:
+        ValueError: they are less than two, not all different, or not plain JSON values.
+    """
+
+    choices: list[Any]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.choices, list) or len(self.choices) < 2:
+            raise ValueError(f"choices must be a list of two or more, got {self.choices!r}")
+        try:
+            texts = [json.dumps(choice) for choice in self.choices]
+        except TypeError as error:
+            raise ValueError(f"choices must be plain values, got {error}") from None
+        if len(set(texts)) < len(texts):
+            raise ValueError(f"choices must differ, got {self.choices!r}")
+
+    @property
+    def ends(self) -> tuple[Any, ...]:
+        """Values that must be allowed if all are to be."""
+        return tuple(self.choices)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweep:
+    """The request of a search; names in `space` and `fixed` are those of the algorithm's
+    configuration.
+
+    Raises:
+        ValueError: a field is out of its range, or a value that the configuration refuses whatever
+            it is drawn with; the message names it.
+    """
+
+    task: str = "sort"
+    algo: str = "ppo"
+    trials: int = 20
+    steps: int = 200_000  # control periods that a trial learns from, with each seed
+    evaluations: int = 5  # of a trial during training, where it may be pruned, with each seed
+    seeds: int = 1  # of a trial, whose mean counts
+    seed: int = 0  # of the sampler, and the first that trials learn with
+    metric: str = "success"  # or the return
+    sampler: str = "tpe"
+    pruner: str = "median"
+    startup_trials: int = 8  # before the sampler and the median pruner start
+    space: dict[str, Span | Choices] = field(default_factory=dict)
+    fixed: dict[str, Any] = field(default_factory=dict)  # that differs from the task's defaults
+
+    def __post_init__(self) -> None:
+        checks.one_of("algo", self.algo, ALGOS)
+        for name, allowed in (("metric", METRICS), ("sampler", SAMPLERS), ("pruner", PRUNERS)):
+            checks.one_of(name, getattr(self, name), allowed)
+        for name in ("trials", "evaluations", "seeds"):
+            checks.integer(name, getattr(self, name), least=1)
+        for name in ("seed", "startup_trials"):
+            checks.integer(name, getattr(self, name), least=0)
+        least = (self.evaluations + 1) * CURVE_EVERY  # each evaluation has a row of the curve
+        checks.integer(f"steps, with {self.evaluations} evaluations,", self.steps, least)
+        if not self.space:
+            raise ValueError("space must name what to search, got nothing")
+        known = [each.name for each in fields(self.default) if each.name not in OF_THE_SEARCH]
+        for where, named in (("space", self.space), ("fixed", self.fixed)):
+            for name in named:
+                checks.one_of(f"a name in {where}", name, known)
+        if both := sorted(self.space.keys() & self.fixed.keys()):
+            raise ValueError(f"fixed must name nothing that space does, got {', '.join(both)}")
+        # A batch must go with its rollout: if part of that is drawn, a trial is refused instead.
+        any_batch = {"batch_size": 1} if any(name in self.space for name in ROLLOUT) else {}
+        self._try("fixed", any_batch)
+        for name, values in self.space.items():
+            for value in values.ends:
+                if name == "batch_size":
+                    checks.integer("space: batch_size", value, least=1)
+                else:
+                    self._try("space", {name: value, **any_batch})
+
+    @property
+    def default(self) -> TrainConfig:
+        """The package's configuration of the task and the algorithm."""
+        return defaults(self.task, self.algo)
+
+    @property
+    def max_reports(self) -> int:
+        """Number of evaluations during a trial that is not pruned."""
+        return self.seeds * self.evaluations
+
+    def config(self, params: Mapping[str, Any]) -> TrainConfig:
+        """Return the configuration of drawn values, with the first seed.
+
+        Args:
+            params: value of each name in `space`, lists for tuples.
+
+        Raises:
+            ValueError: it refuses them.
+        """
+        chosen: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in {**self.fixed, **params}.items()
+        }
+        return replace(self.default, **chosen, steps=self.steps, seed=self.seed, seeds=1)
+
+    def _try(self, where: str, params: Mapping[str, Any]) -> None:
+        try:
+            self.config(params)
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{where}: {error}") from None
+
+
+def read_sweep(file: Path, task: str | None = None) -> Sweep:
+    """Read the request of a search. No code is run but that of `task`.
+
+    Args:
+        file: YAML, the fields of `Sweep`.
+        task: custom task that it is of; None: one of the package, since a file must not say what
+            code is run.
+
+    Raises:
+        ValueError: there is no such file, or its content is not understood or not allowed.
+    """
+    try:
+        return _read(yaml.safe_load(file.read_text()), task)
+    except (OSError, yaml.YAMLError, ValueError) as error:
+        raise ValueError(f"{file} is not a search's: {' '.join(str(error).split())}") from None
+
+
+def differences(sweep: Sweep, other: Sweep) -> list[str]:
+    """List the fields in which two searches differ, with both values."""
+    return [
+        f"{each.name} is {getattr(sweep, each.name)!r} there, {getattr(other, each.name)!r} here"
+        for each in fields(Sweep)
+        if getattr(sweep, each.name) != getattr(other, each.name)
+    ]
+
+
+def _read(plain: Any, task: str | None) -> Sweep:
+    if not isinstance(plain, dict):
+        raise ValueError(f"it must hold names and values, got {plain!r}")
+    known = [each.name for each in fields(Sweep)]
+    for name in plain:
+        checks.one_of("a name", name, known)
+    named = plain.get("task", Sweep.task)
+    if named != task and not (task is None and named in TASKS):
+        raise ValueError(
+            f"task must be one of {', '.join(TASKS)}, or a custom one that --task names too, "
+            f"got {named!r}"
+        )
+    for name in ("space", "fixed"):
+        if not isinstance(plain.get(name, {}), dict):
+            raise ValueError(f"{name} must hold names and values, got {plain[name]!r}")
+    space = {name: _values(name, values) for name, values in plain.get("space", {}).items()}
+    return Sweep(**{**plain, "space": space})
+
+
+def _values(name: str, values: Any) -> Span | Choices:
+    given = set(values) if isinstance(values, dict) else set()
+    try:
+        if given == {"choices"}:
+            return Choices(**values)
+        if {"low", "high"} <= given <= {"low", "high", "log"}:
+            return Span(**values)
+        raise ValueError(f"must be {{low, high, log}} or {{choices}}, got {values!r}")
+    except ValueError as error:
+        raise ValueError(f"space: {name}: {error}") from None

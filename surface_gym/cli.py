@@ -1,0 +1,87 @@
+"""`surface-gym`: every command of the package. A command's libraries are imported when it runs."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+
+from surface_gym.find_agents import import_agents
+
+NAME = "surface-gym"
+AGENTS = "surface_gym.agents."
+# Libraries that come with an extra.
+OPTIONAL = ("matplotlib", "moviepy", "mujoco", "rich", "stable_baselines3", "torch", "tyro", "yaml")
+
+
+@dataclass(frozen=True)
+class Command:
+    """One of the commands."""
+
+    summary: str
+    module: str  # with `main(arguments)`
+    extra: str = "agents"  # of surface_gym, which brings its libraries
+
+
+COMMANDS = {
+    "train": Command("train an agent, or search hyper-parameters", AGENTS + "learning.main"),
+    "tune": Command("search hyper-parameters, as a file says", AGENTS + "tuning.cli"),
+    "evaluate": Command("compare controllers and agents on every task", AGENTS + "evaluation.main"),
+    "design": Command("choose a surface for your own parcel", "surface_gym.design.cli"),
+    "export": Command("write an agent as ONNX and as C, checked", AGENTS + "export.cli"),
+    "runtime": Command("run an agent in real time, simulated or not", AGENTS + "runtime.cli"),
+    "play": Command("push a parcel with the mouse, turn axes by keys", "surface_gym.play"),
+    "paper": Command("compare the study's tables with ours", "surface_gym.paper.command"),
+    "validation": Command(
+        "compare the model with MuJoCo", "surface_gym.validation.command", "validation"
+    ),
+}  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run a command.
+
+    Args:
+        arguments: its name and its own arguments; None: those of the process.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    width = max(map(len, COMMANDS))
+    lines = (f"  {name:{width}}  {each.summary}" for name, each in COMMANDS.items())
+    parser = argparse.ArgumentParser(
+        prog=NAME,
+        description="A smart surface that steers parcels by friction.",
+        epilog="commands:\n" + "\n".join(lines) + f"\n\nSee also `{NAME} COMMAND --help`.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="store_true", help="show the version and exit")
+    parser.add_argument("command", choices=COMMANDS, metavar="COMMAND", help="one of those below")
+    if given[:1] == ["--version"]:
+        from surface_gym import __version__
+
+        print(f"{NAME} {__version__}")
+    else:
+        run_command(parser.parse_args(given[:1]).command, given[1:])
+
+
+def run_command(name: str, arguments: Sequence[str] | None = None) -> None:
+    """Run a command, or say in one line what to install.
+
+    Args:
+        name: of the command.
+        arguments: its own; None: those of the process.
+    """
+    command = COMMANDS[name]
+    try:
+        if command.module.startswith(AGENTS):
+            module = import_agents(command.module.removeprefix(AGENTS))
+        else:
+            module = import_module(command.module)
+        module.main(list(sys.argv[1:] if arguments is None else arguments))
+    except ModuleNotFoundError as error:
+        library = (error.name or "").partition(".")[0]
+        if library not in OPTIONAL:
+            raise
+        sys.exit(
+            f"error: {NAME} {name} needs {library}, which is not installed: "
+            f"pip install 'surface_gym[{command.extra}]'"
+        )

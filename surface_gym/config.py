@@ -1,0 +1,349 @@
+"""The configuration of an environment: its arguments, written down and checked once."""
+
+import inspect
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from surface_gym import checks
+from surface_gym.core.actions import ANY, AXIS_SIZE, GROUPS, ActionKind, group_features
+from surface_gym.flow.exits import Exits, exits_option
+from surface_gym.flow.task import Flow, StreamTask
+from surface_gym.lines import BaseLine, Site
+from surface_gym.presets import PRESETS, Preset
+from surface_gym.randomisation import Actuators, Randomisation
+from surface_gym.sensors import Exact, Sensor
+from surface_gym.state import Timing
+from surface_gym.tasks import TASKS, Sort, Task
+from surface_gym.tasks.base import Feature, draws_default_parcels
+
+LONGEST_STEP = 0.005  # [s]
+INFOS = ("axes", "normal_forces")  # that `info` carries on request
+ENV_TASKS: dict[str, type[Task]] = {**TASKS, "flow": Flow}  # that have an environment, by name
+RENAMED = {
+    "plant": "line",
+    "condition": "preset",
+    "places": "max_parcels",
+}  # old names of arguments
+
+
+@dataclass(frozen=True, init=False)
+class EnvConfig:
+    """Arguments of an environment: keywords of `gym.make` and of both environment classes.
+
+    Args:
+        task: its name, or one with parameters of its own.
+        preset: a name of `surface_gym.presets`, as "lab", or a `Preset`: it sets sensors, actuators
+            and randomisation, and the parcels of a task that draws the study's boxes.
+        arguments: the fields below, and any field of the task, as `stream` of Flow.
+
+    Raises:
+        ValueError: an argument is not allowed, or a number is beyond `surface_gym.checks`; the
+            message names it, what came and what may come.
+        TypeError: neither the environment nor the task has an argument of that name.
+    """
+
+    task: Task = Sort()  # a task's name, or a task with parameters of its own; set by the id
+    actions: str = "modules"  # kind of action
+    # `Exact()`, `Camera(...)`, `AdaptiveCamera(...)` or `Presence(...)` of `surface_gym.sensors`
+    sensors: Sensor = Exact()
+    control_period: float = 0.04  # [s] between decisions; cut into equal steps of at most 5 ms
+    # first and last column that obey; None: those after the lead-in
+    zone: tuple[int, int] | None = None
+    # [rad] axis angles on offer, at least two; None: the line's, 0, pi/4, -pi/4, pi/2; or "any"
+    orientations: tuple[float, ...] | str | None = None
+    actuators: Actuators = Actuators()  # `axis_speed` [rad/s], `stuck` modules, `stuck_share`
+    # spreads of friction, mass, size, load and start
+    randomisation: Randomisation = Randomisation()
+    # a `Line`, `Field` or `Pattern` of `surface_gym.lines`; None: the task's own
+    line: BaseLine | None = None
+    observe_axes: bool = False  # whether the observation shows the modules' axes
+    info: tuple[str, ...] = ()  # what `info` carries on request: "axes", "normal_forces"
+    # groups of features that the observation shows besides: "parcel", "rotors", "load"
+    observe: tuple[str, ...] = ()
+
+    def __init__(
+        self, task: str | Task = "sort", *, preset: str | Preset | None = None, **arguments: Any
+    ) -> None:
+        for name in arguments:
+            if name in RENAMED:
+                raise TypeError(f"argument {name!r} is now {RENAMED[name]!r}")
+        own = {
+            each.name: arguments.pop(each.name, each.default)
+            for each in fields(self)
+            if each.name != "task"
+        }
+        for name, value in {"task": _make_task(task, arguments), **own}.items():
+            object.__setattr__(self, name, value)
+        if preset is not None:
+            self._apply(preset)
+        self._check()
+
+    def replace(self, **changes: Any) -> "EnvConfig":
+        """Make a configuration with other arguments, fields of the task among them."""
+        own = {name: changes.pop(name, value) for name, value in self.arguments().items()}
+        return EnvConfig(**own, **changes)
+
+    def arguments(self) -> dict[str, Any]:
+        """The fields by name, as keyword arguments that make the same environment."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
+    def _apply(self, preset: str | Preset) -> None:
+        """Take over what a preset sets; a task with other parcels keeps them."""
+        if not isinstance(preset, Preset):
+            preset = PRESETS[checks.one_of("preset", preset, PRESETS)]
+        defaults = {each.name: each.default for each in fields(self)}
+        for name in ("sensors", "actuators", "randomisation"):
+            if getattr(self, name) != defaults[name]:
+                raise ValueError(
+                    f"preset must not be given beside {name}, which it sets, "
+                    f"got {preset.name!r} and {getattr(self, name)!r}"
+                )
+            object.__setattr__(self, name, getattr(preset, name))
+        task = self.task
+        drawn = not isinstance(task, StreamTask) and draws_default_parcels(task)
+        if preset.parcels and drawn:
+            object.__setattr__(self, "task", replace(task, parcels=preset.parcels))
+
+    def _check(self) -> None:
+        set_field = object.__setattr__
+        for name, kind, allowed in (
+            ("sensors", Sensor, "a Sensor"),
+            ("actuators", Actuators, "Actuators"),
+            ("randomisation", Randomisation, "a Randomisation"),
+            ("line", BaseLine | None, "a Plant"),
+        ):
+            if not isinstance(getattr(self, name), kind):
+                raise ValueError(f"{name} must be {allowed}, got {getattr(self, name)!r}")
+        if isinstance(self.orientations, str):
+            checks.one_of("orientations", self.orientations, (ANY,))
+        elif self.orientations is not None:
+            angles = checks.orientations("orientations", self.orientations)
+            set_field(self, "orientations", angles)
+        period = checks.positive("control_period", self.control_period, *checks.CONTROL_PERIOD)
+        set_field(self, "control_period", period)
+        checks.one_of("observe_axes", self.observe_axes, (False, True))
+        for name, allowed_names in (("info", INFOS), ("observe", tuple(GROUPS))):
+            checks.some_of(name, getattr(self, name), allowed_names)
+        set_field(self, "observe", tuple(name for name in GROUPS if name in self.observe))
+        self._check_places()
+        if isinstance(self.task, StreamTask):
+            self.task.check(self)
+        else:
+            self._check_size()
+        _ = self.action_kind, self.draws
+
+    def _check_places(self) -> None:
+        """Raise a ValueError where the zone or a stuck module is not on the surface."""
+        line = self.chosen_line
+        if self.zone is not None:
+            if not isinstance(self.zone, (tuple, list)) or len(self.zone) != 2:
+                raise ValueError(f"zone must be two columns, first and last, got {self.zone!r}")
+            first = checks.integer("zone", self.zone[0], least=0)
+            last = checks.integer("zone", self.zone[1], least=first)
+            if last >= line.columns:
+                most = line.columns - 1
+                raise ValueError(f"zone must lie in the columns 0 to {most}, got {self.zone!r}")
+            object.__setattr__(self, "zone", (first, last))
+        for row, column in self.actuators.stuck:
+            if row >= line.rows or column >= line.columns:
+                raise ValueError(
+                    f"stuck must lie in {line.rows} rows and {line.columns} columns, "
+                    f"got {(row, column)}"
+                )
+        self.randomisation.check_room(line.width)
+        if self.zone is not None and self.task.leaves_zone:
+            self._check_way_out(self.zone[1])
+
+    def _check_way_out(self, last: int) -> None:
+        """Raise a ValueError where the rear of a parcel cannot leave a zone that ends with a column
+        before its centre leaves the surface.
+        """
+        line = self.chosen_line
+        _, end, _, _ = line.extent
+        longest = max(parcel.rear + parcel.base.centroid[0] for parcel in self.task.parcels)
+        most = last
+        while most >= 0 and line.column_edge(most + 1) + longest > end + 1e-9:
+            most -= 1
+        if most < last:
+            raise ValueError(
+                f"zone must end at column {most} or before, so that every parcel leaves it before "
+                f"its centre leaves the surface, got {self.zone!r}"
+            )
+
+    def _check_size(self) -> None:
+        """Raise a ValueError where a parcel of the task may be larger than the line allows."""
+        for parcel in self.task.parcels:
+            try:
+                self.chosen_line.site(self.randomisation.largest(parcel.base), self.zone)
+                self.randomisation.least(parcel.base)
+            except ValueError as error:
+                raise ValueError(
+                    f"size must leave room for every parcel, got {self.randomisation.size!r}: "
+                    f"{error}"
+                ) from None
+
+    @property
+    def task_name(self) -> str:
+        """The name of the package's task that it is or inherits from; else its own."""
+        kinds = (name for name, kind in ENV_TASKS.items() if isinstance(self.task, kind))
+        return next(kinds, self.task.name)
+
+    @property
+    def chosen_line(self) -> BaseLine:
+        """The line: the one asked for, else the task's own."""
+        return self.task.plant if self.line is None else self.line
+
+    @property
+    def chosen_orientations(self) -> tuple[float, ...]:
+        """[rad] axis angles on offer; where any angle is, the line's."""
+        if self.orientations is None or isinstance(self.orientations, str):
+            return self.chosen_line.orientations
+        return self.orientations
+
+    @property
+    def action_kind(self) -> ActionKind:
+        """The kind of action, which turns actions into commands."""
+        choices = 0 if self.orientations == ANY else len(self.chosen_orientations)
+        if isinstance(self.task, StreamTask):
+            steps = self.timing.steps
+            return self.task.action_kind(self.actions, choices, self.site.zone, steps)
+        line = self.chosen_line
+        columns = line.zone_columns if self.zone is None else self.zone[1] - self.zone[0] + 1
+        return ActionKind(self.actions, choices, line.zone_rows, columns)
+
+    @property
+    def timing(self) -> Timing:
+        """The control period in equal physics steps of at most 5 ms."""
+        steps = math.ceil(self.control_period / LONGEST_STEP - 1e-9)
+        return Timing(self.control_period / steps, steps)
+
+    @property
+    def periods(self) -> int:
+        """Control periods of an episode at most."""
+        if isinstance(self.task, StreamTask):
+            return math.ceil(self.task.duration / self.control_period - 1e-9)
+        return self.task.periods
+
+    @property
+    def draws(self) -> int:
+        """Rows of noise that the sensor of a parcel uses at most in a control period."""
+        used = self.sensors.draws(self.timing.dt, self.timing.steps)
+        return self.task.noise_rows(used) if isinstance(self.task, StreamTask) else used
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """Features of a parcel's observation."""
+        if isinstance(self.task, StreamTask):
+            return self.task.features
+        kind = self.action_kind
+        window = tuple(
+            Feature(f"occupied {row}, {column}", 0.0, 1.0, "a module that obeys, under the parcel")
+            for row, column in np.ndindex(*kind.shape)
+        )
+        features = self.task.features + (window if kind.window_size else ())
+        axes = self._axis_features() if self.observe_axes else ()
+        return features + axes + group_features(self.observe)
+
+    def _axis_features(self) -> tuple[Feature, ...]:
+        """Features of the axes: an axis is the same turned by pi, so twice its angle is shown."""
+        kind = self.action_kind
+        window = kind.shape if kind.name == "window" else (kind.rows, kind.columns)
+        return tuple(
+            Feature(f"{part} of axis {row}, {column}", -1.0, 1.0, "of twice its angle; 0: no rotor")
+            for row, column in np.ndindex(*window)
+            for part in ("cosine", "sine")[:AXIS_SIZE]
+        )
+
+    def row_space(self) -> spaces.Box:
+        """The space of the observation of one parcel."""
+        return spaces.Box(
+            np.array([feature.low for feature in self.features], dtype=np.float32),
+            np.array([feature.high for feature in self.features], dtype=np.float32),
+        )
+
+    def observation_space(self) -> spaces.Box:
+        """The space of an environment's observation: of a stream, a row a parcel."""
+        row = self.row_space()
+        if not isinstance(self.task, StreamTask):
+            return row
+        rows = self.task.rows
+        return spaces.Box(np.tile(row.low, (rows, 1)), np.tile(row.high, (rows, 1)))
+
+    def action_space(self) -> spaces.Space[Any]:
+        """The space of an environment's action."""
+        return self.action_kind.space()
+
+    # Of tasks on a stream of parcels alone.
+
+    @property
+    def stream_task(self) -> StreamTask:
+        """The task on a stream of parcels.
+
+        Raises:
+            ValueError: the task is of one parcel.
+        """
+        if not isinstance(self.task, StreamTask):
+            raise ValueError(f"task must be one on a stream of parcels, got {self.task!r}")
+        return self.task
+
+    @cached_property
+    def site(self) -> Site:
+        """Rotors and zone, which are the same for every parcel of a stream."""
+        return self.chosen_line.site(self.stream_task.parcels[0].base, self.zone)
+
+    @property
+    def entry_x(self) -> float:
+        """[m] edge of the line, where the rear of a parcel is as it enters."""
+        return self.chosen_line.column_edge(0)
+
+    @property
+    def rotors_end(self) -> float:
+        """[m] x half a pitch past the last column with a rotor."""
+        last = int(np.nonzero(self.site.rotor.any(axis=0))[0][-1])
+        return self.chosen_line.column_edge(last + 1)
+
+    @cached_property
+    def exits(self) -> Exits:
+        """The exits of the stream's parcels, a preset's laid out along the rotors."""
+        return exits_option(self.stream_task.exits, self.rotors_end - self.entry_x)
+
+
+def _make_task(task: str | Task, arguments: dict[str, Any]) -> Task:
+    """Make a task by its name, or with other fields, or raise an error that lists these."""
+    if isinstance(task, str):
+        kind = ENV_TASKS[checks.one_of("task", task, ENV_TASKS)]
+    elif isinstance(task, Task):
+        kind = type(task)
+    else:
+        raise ValueError(f"task must be one of {', '.join(ENV_TASKS)} or a Task, got {task!r}")
+    known = [each.name for each in fields(kind) if each.init]
+    for name in arguments:
+        if name not in known:
+            raise TypeError(
+                f"unknown argument {name!r}: an environment has "
+                f"{', '.join(each.name for each in fields(EnvConfig))} and preset, "
+                f"and its task {kind.__name__} has {', '.join(known)}"
+            )
+    if isinstance(task, str):
+        return kind(**arguments)
+    return replace(task, **arguments) if arguments else task
+
+
+def with_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Show the arguments of `EnvConfig` in the signature of a function that takes them all."""
+    signature = inspect.signature(function)
+    named = [each for each in signature.parameters.values() if each.kind != each.VAR_KEYWORD]
+    defaults = {each.name: each.default for each in fields(EnvConfig)} | {"preset": None}
+    more = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default)
+        for name, default in defaults.items()
+        if name not in signature.parameters
+    ]
+    vars(function)["__signature__"] = signature.replace(parameters=[*named, *more])
+    return function

@@ -1,0 +1,136 @@
+"""The state of streams: parcels to come, parcels on each surface, and how each has left.
+
+Parcels lie in the rows of `Lanes`, as those of any batch do: surface i has its rows from i times
+the rows of a surface on, and `StreamState.number` says which arrival has which row.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from surface_gym.physics.collision import ContactMaterial
+from surface_gym.physics.types import STATE_SIZE, Array, Booleans, Integers, Places
+
+NOBODY = -1  # `number` of a row that is free, `owner` of a module that obeys no parcel
+# `taken` of a parcel that has not left, or left between exits; from 0 on places among the exits
+ON_ITS_WAY, BETWEEN = -2, -1
+
+JAM = 3  # the outcome of a surface, beside those of every environment; a stream has no success
+LEFT_RIGHT, LEFT_WRONG = 2, 3  # outcomes of a parcel, in `Lanes.outcome`
+
+ENTERED, RIGHT, WRONG, TOUCHES, TURNS = range(5)  # columns of `tally`
+EXIT, SIDE, FIRST, LAST = range(4)  # places in a parcel's goal: exit, and its side and span
+TOUCHED, OWN_MEMORY = range(2)  # places in its memory: touches begun since the last decision
+NEVER = -1_000_000  # `touched_at` of two that have not touched
+
+
+class StreamState(NamedTuple):
+    """State and results of every stream, beside its surface and the parcels on it."""
+
+    time: Array  # (surfaces, arrivals) [s] at which each parcel comes
+    start: Array  # (surfaces, arrivals, STATE_SIZE) of its centre of mass as it enters
+    site: Integers  # (surfaces, arrivals) its place among the sites
+    exit: Integers  # (surfaces, arrivals) that it is to leave by
+    arrivals: Integers  # (surfaces,) how many there are
+    coming: Integers  # (surfaces,) the next to enter
+    due: Integers  # (surfaces,) the next whose time has not come: those between the two wait
+    entered: Array  # (surfaces, arrivals) [s] when it did; nan before
+    left: Array  # (surfaces, arrivals) [s] when no rotor bore it any more; nan before
+    taken: Integers  # (surfaces, arrivals) the exit it left by, BETWEEN them, or ON_ITS_WAY
+    touches: Integers  # (surfaces, arrivals) how often it began to touch another
+    # (surfaces, rows) which arrival has each row, or NOBODY; with a gate, the last row is that of
+    # the parcel that waits to enter
+    number: Integers
+    present: Booleans  # (surfaces, rows) whether a parcel is there and has not left
+    touched_at: Integers  # (surfaces, rows, rows) physics step in which two touched last
+    clock: Array  # (surfaces,) [s]
+    steps: Integers  # (surfaces,) physics steps since the start
+    still: Array  # (surfaces,) [s] for which nothing has moved
+    waited: Array  # (surfaces,) [s] that parcels have waited to enter, all together
+    owner: Places  # (surfaces, rows, columns) the row of the parcel a module obeys, or NOBODY
+    soonest: Array  # (surfaces, rows, columns) [s] when that parcel will bear on it
+    commanded: Array  # (surfaces, rows, columns) [rad] axis angle that a module was last set to
+    obeys: Booleans  # (surfaces or 1, rows, columns) a rotor in the zone, not stuck
+    tally: Integers  # (surfaces, 5) ENTERED ... TURNS so far
+    terms: Array  # (surfaces, terms) of the reward
+    reward: Array  # (surfaces,) their sum
+    outcome: Integers  # (surfaces,)
+    fault: Integers  # (surfaces,)
+
+
+class StreamParams(NamedTuple):
+    """Numbers that all streams of a batch have in common."""
+
+    exits: Array  # (exits, 3) side, first and last x [m]
+    entry_gap: float  # [m] clear ahead of one that enters
+    rotors_end: float  # [m] x half a pitch past the last column with a rotor
+    ahead: float  # [s] in which a parcel must be about to bear on a module for it to obey
+    duration: float  # [s] of an episode
+    patience: float  # [s] without any motion that make a jam
+    gated: bool  # whether actions say when the next parcel may enter
+    touching: ContactMaterial  # how parcels' sides behave
+    waiting_reward: float  # per second of each parcel that waits to enter
+    jam_reward: float  # once, as nothing moves any more
+
+
+def make_streams(
+    surfaces: int, rows: int, shape: tuple[int, int], terms: int, obeys: Booleans
+) -> StreamState:
+    """Make the memory of streams, with room for one arrival each.
+
+    Args:
+        surfaces: their number.
+        rows: for parcels on each.
+        shape: (rows, columns) of each.
+        terms: of the reward.
+        obeys: (surfaces or 1, rows, columns) which modules do.
+    """
+    grid = (surfaces, *shape)
+    return StreamState(
+        **_arrivals(surfaces, 1),
+        arrivals=np.zeros(surfaces, dtype=np.int64),
+        coming=np.zeros(surfaces, dtype=np.int64),
+        due=np.zeros(surfaces, dtype=np.int64),
+        number=np.full((surfaces, rows), NOBODY),
+        present=np.zeros((surfaces, rows), dtype=np.bool_),
+        touched_at=np.full((surfaces, rows, rows), NEVER),
+        clock=np.zeros(surfaces),
+        steps=np.zeros(surfaces, dtype=np.int64),
+        still=np.zeros(surfaces),
+        waited=np.zeros(surfaces),
+        owner=np.full(grid, NOBODY, dtype=np.int32),
+        soonest=np.zeros(grid),
+        commanded=np.zeros(grid),
+        obeys=obeys,
+        tally=np.zeros((surfaces, 5), dtype=np.int64),
+        terms=np.zeros((surfaces, terms)),
+        reward=np.zeros(surfaces),
+        outcome=np.zeros(surfaces, dtype=np.int64),
+        fault=np.zeros(surfaces, dtype=np.int64),
+    )
+
+
+def with_room(streams: StreamState, arrivals: int) -> StreamState:
+    """Widen streams to hold so many arrivals; what is there is kept."""
+    surfaces, room = streams.time.shape
+    if arrivals <= room:
+        return streams
+    made = _arrivals(surfaces, max(arrivals, 2 * room))
+    for name, values in made.items():
+        values[:, :room] = getattr(streams, name)
+    return streams._replace(**made)
+
+
+def _arrivals(surfaces: int, room: int) -> dict[str, np.ndarray]:
+    """Make the arrays that have a column an arrival."""
+    shape = (surfaces, room)
+    return {
+        "time": np.zeros(shape),
+        "start": np.zeros((*shape, STATE_SIZE)),
+        "site": np.zeros(shape, dtype=np.int64),
+        "exit": np.zeros(shape, dtype=np.int64),
+        "entered": np.full(shape, np.nan),
+        "left": np.full(shape, np.nan),
+        "taken": np.full(shape, ON_ITS_WAY),
+        "touches": np.zeros(shape, dtype=np.int64),
+    }

@@ -1,0 +1,492 @@
+"""Tasks on a stream of parcels: what they have in common, and Flow, to sort a stream by exits."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from surface_gym import checks
+from surface_gym.core.actions import ANY
+from surface_gym.flow.actions import HALVES, StreamActions
+from surface_gym.flow.exits import flow_line
+from surface_gym.flow.state import (
+    BETWEEN,
+    FIRST,
+    LAST,
+    LEFT_RIGHT,
+    LEFT_WRONG,
+    OWN_MEMORY,
+    SIDE,
+    TOUCHED,
+    StreamParams,
+)
+from surface_gym.flow.stream import Stream
+from surface_gym.lines import BaseLine
+from surface_gym.physics.collision import ContactMaterial
+from surface_gym.physics.jit import inlined
+from surface_gym.physics.types import HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
+from surface_gym.sensors.base import ENTRY_ROWS
+from surface_gym.state import NOISE_ROWS, ROWS, EnvState, reach_along, zone_start
+from surface_gym.tasks.base import Feature, Task
+from surface_gym.tasks.sort import FEATURES as SORT_FEATURES
+from surface_gym.tasks.sort import HORIZON, lateral_reach
+
+ACTIONS = ("modules", "parcels")
+MOST_PARCELS = 256
+LEVELLING = 0.01  # [rad] a slope that makes up for what rolling costs: tan(tilt) = mu_min
+STEEPEST = math.radians(15.0)
+
+SURFACE_TERMS = ("waiting", "jam")  # of the reward, that the surface as a whole earns
+
+
+@dataclass(frozen=True)
+class StreamTask(Task):
+    """A task on a stream of parcels: many at once on one surface, each with an exit.
+
+    The kernel of streams lets parcels enter and leave, moves them, and counts touches, waiting and
+    jams. A task is one class that says what is observed and what is paid: the class variables of
+    `Task`, `parcel_terms`, the two rewards of the surface, and these compiled functions, which read
+    and write the `EnvState` of one parcel:
+
+    - `begin(state)`, as it enters: set `state.memory` from OWN_MEMORY on.
+    - `exit_taken(params, state) -> int`, where no rotor bears it any more: the exit by which it has
+      left, or BETWEEN them.
+    - `reward(state, outcome)`, after a control period: write `state.terms`, the `parcel_terms`.
+      The outcome is RUNNING, LEFT_RIGHT or LEFT_WRONG; `state.memory[TOUCHED]` counts touches.
+    - `observe(state, waits)`: write the features of its row from `state.sensed`; of a parcel that
+      waits at the gate, `state.sensed` is how it will enter.
+    - `observe_neighbour(state, other, gap, ahead)`, `observe_no_neighbour(state, ahead)`, then: write
+      the features of the next parcel ahead, clear by a gap [m] along x, and of the next behind.
+
+    A parcel's goal, `state.goal`, holds EXIT, SIDE, FIRST and LAST: its exit, the exit's side, and
+    its span of x.
+    """
+
+    parcels: Any = field(default=(), init=False, repr=False)  # those of the stream
+    stream: Stream = Stream()  # when parcels come, which, how fast, where to
+    exits: Any = "chutes"  # a preset, or `Exits`
+    duration: float = 60.0  # [s] of an episode
+    max_parcels: int = 24  # on the line at once
+    # [rad] downhill towards +x; the default makes up for what rolling costs: a parcel of 1 m/s
+    # would not reach the end of 6 m of a level line
+    tilt: float = LEVELLING
+    restitution: float = 0.0  # [-] of sides that touch
+    side_friction: float = 0.3  # [-] between them
+    gate: bool = False  # whether an action says when the next parcel may enter
+    entry_gap: float = 0.02  # [m] clear ahead of a parcel that enters
+    ahead: float = 0.1  # [s] within which a module may obey a parcel that it does not bear yet
+    patience: float = 2.0  # [s] without motion that make a jam
+
+    plant = flow_line()
+    parcel_terms: ClassVar[tuple[str, ...]]  # of the reward, that each parcel earns
+    waiting_reward: ClassVar[float] = -0.1  # per second of each parcel that waits to enter
+    jam_reward: ClassVar[float] = -10.0  # once, as nothing moves any more
+    outcomes = ("jam",)
+    options = ("stream",)
+    goals = 4
+    memories = 1
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.stream, Stream):
+            raise ValueError(f"stream must be a Stream, got {self.stream!r}")
+        set_field = object.__setattr__
+        set_field(self, "parcels", self.stream.kinds)
+        super().__post_init__()
+        for name, allowed in (("duration", (0.0, checks.EPISODE)), ("patience", checks.PATIENCE)):
+            set_field(self, name, checks.positive(name, getattr(self, name), *allowed))
+        for name, most in (
+            ("side_friction", checks.FRICTION),
+            ("entry_gap", checks.LENGTH[1]),
+            ("ahead", checks.AHEAD),
+        ):
+            set_field(self, name, checks.not_negative(name, getattr(self, name), most))
+        set_field(self, "tilt", checks.within("tilt", self.tilt, -STEEPEST, STEEPEST))
+        set_field(self, "restitution", checks.within("restitution", self.restitution, 0.0, 1.0))
+        checks.one_of("gate", self.gate, (False, True))
+        if checks.integer("max_parcels", self.max_parcels, least=1) > MOST_PARCELS:
+            raise ValueError(f"max_parcels must be at most {MOST_PARCELS}, got {self.max_parcels}")
+
+    @property
+    def rows(self) -> int:
+        """Rows of the observed table: one for each parcel, and with a gate one for the next."""
+        return self.max_parcels + (1 if self.gate else 0)
+
+    @property
+    def touching(self) -> ContactMaterial:
+        """How parcels' sides behave."""
+        return ContactMaterial(self.restitution, self.side_friction)
+
+    def action_kind(self, actions: str, choices: int, zone: Any, steps: int) -> StreamActions:
+        """The kind of action: a choice for each module of a zone, or two for each parcel.
+
+        Args:
+            actions: "modules" or "parcels".
+            choices: orientations on offer; 0: any angle.
+            zone: first row, rows, first column and columns that obey.
+            steps: physics steps of a control period.
+        """
+        parcels = actions == "parcels"
+        rows, columns = (self.max_parcels, HALVES) if parcels else (zone[1], zone[3])
+        return StreamActions("modules", choices, rows, columns, 1 + steps if self.gate else 0)
+
+    def noise_rows(self, used: int) -> int:
+        """Rows of noise for a parcel in a control period: those that it uses, and those of a start.
+
+        Raises:
+            ValueError: more than there are.
+        """
+        if used > NOISE_ROWS - ENTRY_ROWS:
+            raise ValueError(
+                f"sensors must use at most {NOISE_ROWS - ENTRY_ROWS} rows of noise in a control "
+                f"period, got {used}"
+            )
+        return used + ENTRY_ROWS if used else 0
+
+    def check(self, config: Any) -> None:
+        """Raise a ValueError where an environment's configuration does not suit the task."""
+        for name, only in (("observe", ()), ("observe_axes", False)):
+            given = getattr(config, name)
+            if given != only:
+                raise ValueError(f"{name} must be {only!r} for a stream of parcels, got {given!r}")
+        checks.some_of("info", config.info, ("axes",))
+        checks.one_of("actions", config.actions, ACTIONS)
+        if self.duration < config.control_period:
+            raise ValueError(
+                f"duration must be at least a control period, {config.control_period:g} s, "
+                f"got {self.duration!r}"
+            )
+        if self.gate and config.orientations == ANY:
+            raise ValueError("gate must be False where orientations are 'any', got True")
+        if not config.site.rotor.any():
+            raise ValueError("line must have a rotor, got none")
+        self.check_stream(self.stream, config)
+
+    def check_stream(self, stream: Any, config: Any) -> None:
+        """Raise a ValueError where it is no stream, or the exits or the line do not suit it."""
+        if not isinstance(stream, Stream):
+            raise ValueError(f"stream must be a Stream, got {stream!r}")
+        stream.check(config.exits)
+        line: BaseLine = config.chosen_line
+        for parcel in stream.kinds:
+            largest = config.randomisation.largest(parcel.base)
+            site = line.site(largest, config.zone)
+            if (site.rotor != config.site.rotor).any() or site.zone != config.site.zone:
+                raise ValueError(
+                    f"line must have the same rotors and zone for every parcel of the stream, "
+                    f"as flow_line() has, got {type(line).__name__}"
+                )
+            length, width = np.ptp(largest.outline, axis=0)
+            if length > line.length or width > line.width:
+                raise ValueError(
+                    f"parcels must be at most as long and wide as the line, {line.length:g} m x "
+                    f"{line.width:g} m, got {length:g} m x {width:g} m"
+                )
+            # A smaller one would lie between rotors, as if it had left.
+            least = config.randomisation.least(parcel.base)
+            length, width = np.ptp(least.outline, axis=0)
+            if length < line.pitch_x or width < line.pitch_y:
+                raise ValueError(
+                    f"parcels must be at least a pitch long and wide, {line.pitch_x:g} m x "
+                    f"{line.pitch_y:g} m, got {length:g} m x {width:g} m"
+                )
+
+
+# Features of a row of Flow's table. The first are those of Sort, so that a policy that sorts one
+# parcel can sort each of a stream.
+FAR = 4.0  # [m] to a neighbour that is not there, and the farthest that is shown of one
+NEIGHBOUR = (
+    ("gap", -20.0, 20.0, "clear along x / 0.5 m; 8: there is none"),
+    ("speed", -20.0, 20.0, "its vx over the own / 0.5 m/s"),
+    ("offset", -20.0, 20.0, "its y over the own, towards the asked side / 0.3 m"),
+    ("side", -1.0, 1.0, "it is to leave by: 1 as this one, -1 the other, 0 straight on"),
+    ("size", -10.0, 100.0, "of it, as of this one"),
+)
+NEIGHBOUR_SIZE = len(NEIGHBOUR)
+OWN = len(SORT_FEATURES)
+FEATURES: tuple[Feature, ...] = (
+    *SORT_FEATURES[:12],
+    Feature("time", -1000.0, 1000.0, "since it entered / 4 s; negative: since its time came"),
+    Feature(
+        "past the exit's start", -20.0, 20.0, "of its rear / 0.5 m; straight on: of the zone's"
+    ),
+    Feature("side", -1.0, 1.0, "of its exit: 1 for y > 0, -1 for y < 0, 0 for straight on"),
+    Feature("present", 0.0, 1.0, "1: there is a parcel; 0: none, and so is all else"),
+    Feature("width", -10.0, 100.0, "(half width - 0.175 m) / 0.05 m"),
+    Feature("to the exit's end", -20.0, 20.0, "from its centre / 0.5 m; straight on: 20"),
+    Feature("waits", 0.0, 1.0, "1: at the gate, to enter next; 0: on the line"),
+    *(
+        Feature(f"{name} {where}", low, high, meaning)
+        for where in ("ahead", "behind")
+        for name, low, high, meaning in NEIGHBOUR
+    ),
+)
+PRESENT = OWN
+WAITS = OWN + 3
+AHEAD = OWN + 4  # place of the first number of the neighbour ahead
+BEHIND = AHEAD + NEIGHBOUR_SIZE
+
+# Flow's reward, term by term; each parcel earns the first.
+PARCEL_TERMS: tuple[str, ...] = ("right", "wrong", "touch", "reach", "time")
+TERMS: tuple[str, ...] = (*PARCEL_TERMS, *SURFACE_TERMS)
+RIGHT_REWARD = 1.0  # once, as a parcel leaves by its exit
+WRONG_REWARD = -1.0  # once, as it leaves by another, or between exits
+TOUCH_REWARD = -0.5  # for each parcel that begins to touch another
+REACH_REWARD = 1.0  # per metre of reach gained
+ON_THE_WAY = 0.2  # [-] what a metre towards the exit's start, or the line's end, counts of it
+REACH_ENOUGH = 0.6  # [m] reach beyond this earns nothing more
+TIME_REWARD = -0.2  # per second of each parcel on the line
+REACH = OWN_MEMORY  # place in a parcel's memory: [m] its reach at the last decision
+
+ROUND_OFF = 1e-6  # [m]
+
+
+@inlined
+def _mirror(state: EnvState) -> float:
+    """-1 where a parcel's row is mirrored, else 1."""
+    return -1.0 if state.goal[SIDE] < 0.0 else 1.0
+
+
+@inlined
+def _within(value: float, most: float) -> float:
+    return min(most, max(-most, value))
+
+
+@inlined
+def _exit_start(state: EnvState) -> float:
+    """[m] x that a parcel's rear must be past before it may be turned off: its exit's first, or the
+    zone's where that comes later or it goes straight on.
+    """
+    start = zone_start(state)
+    return start if state.goal[SIDE] == 0.0 else max(start, state.goal[FIRST])
+
+
+@inlined
+def _reach(state: EnvState) -> float:
+    """[m] how far a parcel has come towards its exit: along the line, and from the exit's start on
+    in lateral reach to the asked side; straight on, how near the middle it has stayed.
+    """
+    truth = state.truth
+    side = state.goal[SIDE]
+    offset = truth[Y] - state.elements.line_y
+    rear = truth[X] - reach_along(state, truth[THETA], -1.0, 0.0)
+    if side == 0.0:
+        return ON_THE_WAY * rear - abs(offset)
+    start = _exit_start(state)
+    way = ON_THE_WAY * min(rear, start)
+    if rear < start:
+        return way
+    lateral = lateral_reach(side * offset, truth[VX], side * truth[VY])
+    return way + max(0.0, min(REACH_ENOUGH, lateral))
+
+
+@dataclass(frozen=True)
+class Flow(StreamTask):
+    """Sort a stream of parcels: each is to leave the line by its own exit.
+
+    What the surface is for: material flow. Parcels come in one after the other, mixed in size and
+    destination, several are on the line at once, and each is to leave it by its exit: a chute on
+    one side, or straight on. The modules drive none of them: they brake along their axis and roll
+    across it, so that a parcel's own speed has to carry it out. Parcels that touch push each other.
+
+    ### Stream and entry
+
+    `stream` says when parcels come, which, how fast and where to: see `surface_gym.flow.stream`. A
+    parcel comes onto the line with its rear at the edge, x = 0, on the line's middle, when its time
+    has come and there is room: its base and `entry_gap` ahead of it are clear, and fewer than
+    `max_parcels` are on the line. Until then it waits, and so do those after it; waiting is
+    counted.
+
+    ### Exits
+
+    A parcel is delivered when no rotor bears it any more: straight on where its rear is past the
+    last column of rotors, else to the side its centre is on, by the chute whose span of x holds its
+    centre. It leaves by its own exit, by another, or between exits. `exits="chutes"`, the default,
+    are two chutes a side and straight on; "sides" one chute a side, as long as the line, and
+    straight on; `surface_gym.flow.exits.Exits` has others.
+
+    ### Actions
+
+    Choices count the `orientations`, by default 0, 45, -45 and 90 deg; with "any" they are angles.
+    The lead-in, by default 5 columns, stays at 90 deg.
+
+    | `actions` | space | sets |
+    | --- | --- | --- |
+    | "modules" (default) | MultiDiscrete, zone rows x columns | every module's axis, row by row from y < 0 |
+    | "parcels" | MultiDiscrete, 2 a row of the table | for each parcel two choices: the modules ahead of its centre, and those behind |
+
+    With "parcels" a module obeys the parcel that it bears, or else the one that will bear on it
+    first, if within `ahead` seconds: by the parcels' boxes as they are sensed and move on; of two
+    that it bears at once, the one with the nearer centre. A module that no parcel claims stays as
+    it is.
+
+    With `gate` an action has one number more, the last: 0 keeps the gate shut for the control
+    period, k opens it for one parcel from the k-th physics step on.
+
+    ### Observation
+
+    A table, float32, (max_parcels, features): a row a parcel. A parcel keeps its row as long as it
+    is on the line; a free one is all 0. The row of a parcel that is to leave to y < 0 is mirrored,
+    so that a policy learned for one side serves both; choices are not mirrored.
+
+    | feature | meaning |
+    | --- | --- |
+    | 0 to 14 | what Sort shows of a parcel, its zone beginning where the exit's span does |
+    | 15 | 1 for a parcel, 0 for a free row |
+    | 16 | half its width |
+    | 17 | how far it is to the exit's end |
+    | 18 | 1 for the parcel that waits at the gate |
+    | 19 to 23 | the next parcel ahead: gap, speed, lateral offset, side of its exit, size |
+    | 24 to 28 | the next one behind |
+
+    With `gate` one row more, the last, shows the parcel that is to enter next, as it will enter.
+
+    ### Reward
+
+    | term | scale | meaning |
+    | --- | --- | --- |
+    | `right` | 1 | as a parcel leaves by its exit |
+    | `wrong` | -1 | as it leaves otherwise |
+    | `touch` | -0.5 | for each of two parcels that begin to touch |
+    | `reach` | 1 a metre | how far towards the asked exit: 0.2 of the way along the line up to the exit's start, from there on the gain of lateral reach, as in Sort. Straight on: 0.2 of the way, less the distance from the middle |
+    | `time` | -0.2 a second | of each parcel on the line |
+    | `waiting` | -0.1 a second | of each parcel that waits to enter |
+    | `jam` | -10 | once |
+
+    ### End
+
+    An episode is `duration` seconds of the line, then it is truncated. Parcels that touch do not
+    end it; a jam does, as `terminated`: parcels on the line, and none has moved for `patience`.
+
+    ### Info
+
+    `outcome`, `time` [s], `parcels` (max_parcels,) the numbers of the parcels in each row in the
+    order they came, -1 for a free one; `entered`, `right`, `wrong`, `touches`, `turns` so far and
+    how many are `waiting`; `reward_terms`. As an episode ends `episode_figures` come with it, the
+    fields of `surface_gym.flow.statistics.FlowStatistics`: parcels an hour, share missorted,
+    touches and jams per 1000 parcels, gaps, times on the surface and at the entry, turns of a
+    module an hour.
+
+    `reset(options={"stream": ...})` gives an episode a stream of its own, and
+    `surface_gym.flow.parallel_env.FlowParallelEnv` makes each parcel an agent. Sensors and
+    randomisation are those of each parcel, but friction and stiffness, which are the surface's.
+
+    ### Example
+
+        >>> import gymnasium as gym, surface_gym
+        >>> env = gym.make("SmartSurface/Flow-v0", actions="parcels", duration=4.0)
+        >>> observation, info = env.reset(seed=0)
+        >>> truncated = False
+        >>> while not truncated:  # every parcel straight on
+        ...     observation, reward, terminated, truncated, info = env.step([3] * 48)
+        >>> info["entered"], info["episode_figures"]["touches_per_1000"]
+        (2, 0.0)
+
+    ### Version history
+
+    - `v0`: first version.
+    """
+
+    features = FEATURES
+    parcel_terms = PARCEL_TERMS
+    terms = TERMS
+    memories = 2
+
+    @staticmethod
+    @inlined
+    def begin(state: EnvState) -> None:
+        """Remember the reach of a parcel that enters, which earns nothing."""
+        state.memory[REACH] = _reach(state)
+
+    @staticmethod
+    @inlined
+    def exit_taken(params: StreamParams, state: EnvState) -> int:
+        """Find the exit by which a parcel has left, or BETWEEN them.
+
+        Straight on it has left where its rear is past the last column of rotors, or its centre past
+        the rotors' end; else to the side that its centre is on.
+        """
+        truth = state.truth
+        last_column = params.rotors_end - 0.5 * state.elements.pitch_x - ROUND_OFF
+        rear = truth[X] - reach_along(state, truth[THETA], -1.0, 0.0)
+        straight = rear > last_column or truth[X] > params.rotors_end
+        towards = 1.0 if truth[Y] > state.elements.line_y else -1.0
+        side = 0.0 if straight else towards
+        for k in range(params.exits.shape[0]):
+            if params.exits[k, 0] == side and (
+                straight or params.exits[k, 1] <= truth[X] < params.exits[k, 2]
+            ):
+                return k
+        return BETWEEN
+
+    @staticmethod
+    @inlined
+    def reward(state: EnvState, outcome: int) -> None:
+        """Pay for delivery, reach and haste, and charge for touches."""
+        reach = _reach(state)
+        terms = state.terms
+        terms[0] = RIGHT_REWARD if outcome == LEFT_RIGHT else 0.0
+        terms[1] = WRONG_REWARD if outcome == LEFT_WRONG else 0.0
+        terms[2] = TOUCH_REWARD * state.memory[TOUCHED]
+        terms[3] = REACH_REWARD * (reach - state.memory[REACH])
+        terms[4] = TIME_REWARD * state.period
+        state.memory[REACH] = reach
+
+    @staticmethod
+    @inlined
+    def observe(state: EnvState, waits: bool) -> None:
+        """Show a parcel as it is sensed, mirrored so that its side is y > 0."""
+        sensed = state.sensed
+        mirror = _mirror(state)
+        x, theta = sensed[X], sensed[THETA]
+        offset = mirror * (sensed[Y] - state.elements.line_y)
+        turn_x = 2.0 * math.pi / state.elements.pitch_x
+        turn_y = 2.0 * math.pi / state.elements.pitch_y
+        half_line = 0.5 * state.elements.pitch_y * (state.zone[ROWS] - 1)
+        half_width = reach_along(state, 0.0, 0.0, 1.0)
+        rear = x - reach_along(state, theta, -1.0, 0.0)
+        side = state.goal[SIDE]
+        see = state.observation
+        see[0] = _within(offset / 0.3, 10.0)
+        see[1] = mirror * math.sin(theta)
+        see[2] = math.cos(theta)
+        see[3] = _within(sensed[VX] - 1.0, 10.0)
+        see[4] = _within(mirror * sensed[VY] / 0.5, 20.0)
+        see[5] = _within(mirror * sensed[OMEGA] / 3.0, 50.0)
+        see[6] = (state.body[HALF_LENGTH] - 0.175) / 0.05
+        clearance = offset - reach_along(state, theta, 0.0, -mirror) - half_line
+        see[7] = _within(clearance / 0.2, 20.0)
+        see[8] = math.sin(turn_x * (x - state.elements.x0))
+        see[9] = math.cos(turn_x * (x - state.elements.x0))
+        see[10] = math.sin(turn_y * offset)
+        see[11] = math.cos(turn_y * offset)
+        see[12] = state.clock / HORIZON
+        see[13] = _within((rear - _exit_start(state)) / 0.5, 20.0)
+        see[14] = side
+        see[PRESENT] = 1.0
+        see[PRESENT + 1] = (half_width - 0.175) / 0.05
+        see[PRESENT + 2] = 20.0 if side == 0.0 else _within((state.goal[LAST] - x) / 0.5, 20.0)
+        see[WAITS] = 1.0 if waits else 0.0
+
+    @staticmethod
+    @inlined
+    def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
+        """Show the next parcel ahead or behind, seen from this one."""
+        mirror = _mirror(state)
+        see = state.observation
+        first = AHEAD if ahead else BEHIND
+        see[first] = _within(gap / 0.5, 2.0 * FAR)
+        see[first + 1] = _within((other.sensed[VX] - state.sensed[VX]) / 0.5, 20.0)
+        see[first + 2] = _within(mirror * (other.sensed[Y] - state.sensed[Y]) / 0.3, 20.0)
+        see[first + 3] = mirror * other.goal[SIDE]
+        see[first + 4] = (other.body[HALF_LENGTH] - 0.175) / 0.05
+
+    @staticmethod
+    @inlined
+    def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
+        """Show that there is no parcel that way."""
+        see = state.observation
+        first = AHEAD if ahead else BEHIND
+        see[first] = 2.0 * FAR
+        for k in range(1, NEIGHBOUR_SIZE):
+            see[first + k] = 0.0

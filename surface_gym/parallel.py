@@ -1,0 +1,339 @@
+"""Independent jobs carried out in parallel: by processes of this machine, or by a Ray cluster.
+
+`map_jobs` runs the loop: it submits jobs to an executor, passes on what they report, and submits a
+job again if its process or node dies. Results do not depend on the number of workers.
+"""
+
+import os
+import pickle
+import signal
+import traceback
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from surface_gym import checks
+
+Result = TypeVar("Result")
+Result_co = TypeVar("Result_co", covariant=True)
+Report = Callable[[Any], None]  # called by a job with its progress
+OnReport = Callable[[int, Any], None]  # called with a job's index and what it reported
+Message = tuple[str, Any]  # its kind, and the report, the result, the error, or how it was lost
+Event = tuple[int, str, Any]  # a job's index, and its message
+
+REPORTED, DONE, FAILED, LOST = "reported", "done", "failed", "lost"
+READY = "ready"  # a local worker has unpacked its job
+MAX_LOSSES = 10  # processes that one job may cost without a report in between
+POLL = 0.2  # [s] that an executor waits for events at most
+
+# Spawned, not forked: a fork copies the locks of threads of libraries that are loaded here.
+_SPAWN = get_context("spawn")
+
+
+class WorkFailed(Exception):
+    """Work that could not be carried out, whatever the job is."""
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A Ray cluster that this machine has joined.
+
+    Raises:
+        ValueError: the address is empty, or one of Ray's client.
+    """
+
+    address: str  # host:port of its head, or "auto" for the one this machine has joined
+    files: tuple[Path, ...] = ()  # below the working folder, which the nodes need: custom tasks
+
+    def __post_init__(self) -> None:
+        if not self.address or self.address.startswith("ray://"):
+            raise ValueError(
+                "cluster must be host:port, or auto, of a cluster that this machine has joined by "
+                f"`ray start --address=...`, got {self.address!r}"
+            )
+
+
+Workers = int | Cluster  # processes of this machine, or a cluster
+
+
+class Job(Protocol[Result_co]):
+    """A function of a module, or a `functools.partial` of one, so that other processes find it."""
+
+    def __call__(self, report: Report, /) -> Result_co:
+        """Do the work; call `report` with its progress now and then."""
+
+
+class Executor(Protocol):
+    """Processes that carry jobs out."""
+
+    @property
+    def free(self) -> int:
+        """Number of jobs that can be submitted now."""
+
+    @property
+    def running(self) -> int:
+        """Number of jobs that were submitted and are not over."""
+
+    def submit(self, index: int, job: Job[Any]) -> None:
+        """Start a job."""
+
+    def events(self) -> Iterator[Event]:
+        """Yield what has happened to the jobs; wait for it for `POLL` at most."""
+
+    def interrupt(self) -> None:
+        """Interrupt all running jobs, as Ctrl-C would."""
+
+    def close(self) -> None:
+        """End all running jobs, and the processes."""
+
+
+def map_jobs(
+    jobs: Iterable[Job[Result]], workers: Workers, on_report: OnReport = lambda *_: None
+) -> Iterator[tuple[int, Result]]:
+    """Carry jobs out, and yield the index and the result of each as it is done, in any order.
+
+    A job whose process or node dies is started again, from its beginning or from what it left on
+    disk. An interrupt, or any other end of this iteration, interrupts the running jobs and waits
+    for their last reports.
+
+    Args:
+        jobs: each called with one argument, `report`. The next one is taken from the iterable only
+            when a worker is free.
+        workers: number of processes, or a cluster; with one process, jobs run in this process.
+        on_report: called with a job's index and what it reported.
+
+    Raises:
+        WorkFailed: a job has cost `MAX_LOSSES` processes without a report, or a node has another
+            version of the package.
+        ValueError: there is no cluster at the address.
+    """
+    if not isinstance(workers, Cluster):
+        known = len(jobs) if hasattr(jobs, "__len__") else workers
+        if min(workers, known) <= 1:
+            for index, job in enumerate(jobs):
+                yield index, job(partial(on_report, index))
+            return
+    executor = _make_executor(workers)
+    try:
+        yield from _map(enumerate(jobs), executor, on_report)
+    except BaseException:
+        executor.interrupt()
+        while executor.running:
+            for index, kind, value in executor.events():
+                if kind == REPORTED:
+                    on_report(index, value)
+        raise
+    finally:
+        executor.close()
+
+
+def _make_executor(workers: Workers) -> Executor:
+    if isinstance(workers, Cluster):
+        from surface_gym.ray_executor import RayExecutor
+
+        return RayExecutor(workers)
+    return ProcessExecutor(workers)
+
+
+def _map(
+    jobs: Iterator[tuple[int, Job[Result]]], executor: Executor, on_report: OnReport
+) -> Iterator[tuple[int, Result]]:
+    running: dict[int, Job[Result]] = {}
+    lost: deque[int] = deque()
+    losses = Counter[int]()
+    exhausted = False
+    while True:
+        for _ in range(executor.free):
+            if lost:
+                index = lost.popleft()
+            else:
+                following = None if exhausted else next(jobs, None)
+                if following is None:
+                    exhausted = True
+                    break
+                index, running[following[0]] = following[0], following[1]
+            executor.submit(index, running[index])
+        if not running:
+            return
+        for index, kind, value in executor.events():
+            if kind == REPORTED:
+                losses[index] = 0
+                on_report(index, value)
+            elif kind == DONE:
+                del running[index]
+                yield index, value
+            elif kind == LOST:
+                losses[index] += 1
+                if losses[index] == MAX_LOSSES:
+                    raise WorkFailed(f"a job has cost {MAX_LOSSES} processes; the last: {value}")
+                lost.append(index)
+            else:
+                raise value
+
+
+def without_report(job: Callable[[], Result], report: Report) -> Result:
+    """Run a job that reports nothing, called as `map_jobs` does."""
+    del report
+    return job()
+
+
+def check_workers(workers: Workers) -> Workers:
+    """Return a cluster, or a number of processes of at least one.
+
+    Raises:
+        ValueError: it is neither.
+    """
+    return workers if isinstance(workers, Cluster) else checks.integer("workers", workers, least=1)
+
+
+def choose_workers(cluster: str | None, processes: int, files: tuple[Path, ...] = ()) -> Workers:
+    """Return what a command's options name: a cluster if there is an address, else processes.
+
+    Args:
+        cluster: its address.
+        processes: on this machine.
+        files: that the nodes of a cluster need.
+
+    Raises:
+        ValueError: the address cannot be used.
+    """
+    return processes if cluster is None else Cluster(cluster, files)
+
+
+def usable_cores() -> int:
+    """Return how many cores this process may run on, as far as the system tells."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class RemoteTraceback(Exception):
+    """The traceback of an error that was raised in another process."""
+
+    def __str__(self) -> str:
+        return f"\n{self.args[0]}"
+
+
+def run_remotely(job: Job[Any], report: Report) -> Message:
+    """Run a job in the process it was sent to, and return its last message."""
+    try:
+        return DONE, job(report)
+    except BaseException as error:
+        return FAILED, (_picklable(error), traceback.format_exc())
+
+
+def received(message: Message) -> Message:
+    """Return a message as it is passed on: an error gets its traceback as the cause."""
+    kind, value = message
+    if kind != FAILED:
+        return message
+    error, where = value
+    error.__cause__ = RemoteTraceback(where)
+    return kind, error
+
+
+def _picklable(error: BaseException) -> BaseException:
+    """Return the error, or one of the same text if it cannot be sent to another process."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(f"{type(error).__name__}: {error}")
+    return error
+
+
+class _Worker:
+    """A process that does one job after the other."""
+
+    def __init__(self) -> None:
+        self.is_ready = False  # its first job is unpacked, with all imports that this takes
+        self.pipe, theirs = _SPAWN.Pipe()
+        self.process = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
+        self.process.start()
+        theirs.close()
+
+
+class ProcessExecutor:
+    """Processes of this machine, started as they are needed.
+
+    Args:
+        count: of processes at most.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._idle: list[_Worker] = []
+        self._busy: dict[Any, tuple[_Worker, int]] = {}  # by pipe: the worker and the job's index
+
+    @property
+    def free(self) -> int:
+        return self._count - len(self._busy)
+
+    @property
+    def running(self) -> int:
+        return len(self._busy)
+
+    def submit(self, index: int, job: Job[Any]) -> None:
+        worker = self._idle.pop() if self._idle else _Worker()
+        self._busy[worker.pipe] = worker, index
+        with suppress(OSError):  # it died while idle, which `events` reports
+            worker.pipe.send_bytes(pickle.dumps(job))
+
+    def events(self) -> Iterator[Event]:
+        for pipe in wait(list(self._busy), POLL):
+            worker, index = self._busy[pipe]
+            try:
+                message = worker.pipe.recv()
+            except (EOFError, OSError):
+                del self._busy[pipe]
+                worker.process.join()
+                yield index, LOST, f"exit code {worker.process.exitcode}"
+                continue
+            worker.is_ready = True
+            if message[0] not in (REPORTED, READY):
+                del self._busy[pipe]
+                self._idle.append(worker)
+            if message[0] != READY:
+                yield index, *received(message)
+
+    def interrupt(self) -> None:
+        if os.name == "posix":  # elsewhere Ctrl-C has reached them already
+            for worker, _ in self._busy.values():
+                if worker.is_ready and worker.process.pid is not None:
+                    os.kill(worker.process.pid, signal.SIGINT)
+                else:
+                    worker.process.terminate()
+
+    def close(self) -> None:
+        for worker, _ in self._busy.values():
+            worker.process.terminate()
+        for worker in [*self._idle, *(worker for worker, _ in self._busy.values())]:
+            worker.pipe.close()
+            worker.process.join()
+
+
+def _work(pipe: "Connection[Any, Any]") -> None:
+    """Do jobs until the process that submits them closes the pipe or ends."""
+    if os.name == "posix":
+        os.setpgid(0, 0)  # so that Ctrl-C comes from the submitting process alone, once
+    try:
+        while True:
+            job = partial(_unpack_and_run, pipe.recv_bytes(), pipe)
+            pipe.send(run_remotely(job, partial(_report, pipe)))
+    except (EOFError, BrokenPipeError, ConnectionResetError, KeyboardInterrupt):
+        return
+
+
+def _unpack_and_run(packed: bytes, pipe: "Connection[Any, Any]", report: Report) -> Any:
+    job = pickle.loads(packed)
+    pipe.send((READY, None))
+    return job(report)
+
+
+def _report(pipe: "Connection[Any, Any]", value: Any) -> None:
+    pipe.send((REPORTED, value))

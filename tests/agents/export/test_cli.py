@@ -1,0 +1,155 @@
+"""The command, what it writes, and what it refuses."""
+
+import json
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from surface_gym.agents.export.check import find_compiler
+from surface_gym.agents.export.cli import ExportConfig, export, main, make_metadata, make_model
+from surface_gym.agents.export.page import UNKNOWN, make_page, need_of
+from surface_gym.agents.export.policy import TRAINED_IN, Training, network_decision, of_run, shipped
+from surface_gym.agents.learning.config import PPOConfig
+from surface_gym.agents.learning.runs import write_config
+from surface_gym.agents.policy import save_policy
+
+from surface_gym.config import EnvConfig
+from surface_gym.core.actions import GROUPS, group_features
+from surface_gym.tasks import TASKS
+from surface_gym.tasks.base import Feature
+from tests.agents.export.made import CARDS, made, network_of
+
+
+def test_it_writes_three_files_that_it_has_checked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    onnx = pytest.importorskip("onnx", reason="onnx, of the extra `export`, is missing")
+    runtime = pytest.importorskip(
+        "onnxruntime", reason="onnxruntime, of the extra `export`, is missing"
+    )
+    main(["sort-ppo", "--seed", "1", "--out", str(tmp_path), "--observations", "400"])
+    printed = "".join(capsys.readouterr().out.split())
+    assert "ONNX:400observations,800choices:thesame" in printed
+    assert ("C:nottried" in printed) == (find_compiler() is None)
+    names = {file.name for file in tmp_path.iterdir()}
+    assert names == {"sort-ppo.onnx", "sort-ppo.h", "sort-ppo.md"}
+    model = onnx.load(tmp_path / "sort-ppo.onnx")
+    says = {each.key: each.value for each in model.metadata_props}
+    source = shipped("sort-ppo", 1)
+    assert says == make_metadata(source)
+    assert (says["agent"], says["seed"], says["control_period"]) == ("sort-ppo", "1", "0.04")
+    assert json.loads(says["orientations"]) == list(source.settings.chosen_orientations)
+    assert json.loads(says["features"])[14] == "side"
+    assert source.digest in (tmp_path / "sort-ppo.h").read_text()
+    assert [each.version for each in model.opset_import] == [17]
+    session = runtime.InferenceSession(
+        tmp_path / "sort-ppo.onnx", providers=["CPUExecutionProvider"]
+    )
+    (value,) = session.get_inputs()
+    assert (value.name, value.shape, value.type) == (
+        "observation", ["lanes", 15], "tensor(float)",
+    )  # fmt: skip
+    assert [(each.name, each.type) for each in session.get_outputs()] == [
+        ("choices", "tensor(int64)"),
+        ("angles", "tensor(double)"),
+    ]
+
+
+def test_modules_that_share_weights_have_no_c_header(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("onnx", reason="onnx, of the extra `export`, is missing")
+    with pytest.raises(SystemExit, match=r"formats must be onnx for sort-modules, .* ONNX alone"):
+        main(["sort-modules", "--formats", "c", "--out", str(tmp_path)])
+    assert list(tmp_path.iterdir()) == []
+    main(["sort-modules", "--out", str(tmp_path), "--observations", "200"])
+    names = {file.name for file in tmp_path.iterdir()}
+    assert names == {"sort-modules.onnx", "sort-modules.md"}
+    assert "sort-modules.h" not in (tmp_path / "sort-modules.md").read_text()
+    main(["slow-dqn", "--formats", "c", "--out", str(tmp_path / "c"), "--observations", "200"])
+    assert {file.name for file in (tmp_path / "c").iterdir()} == {"slow-dqn.h", "slow-dqn.md"}
+    capsys.readouterr()
+
+
+def test_a_run_is_exported_under_its_own_name_or_another(tmp_path: Path) -> None:
+    save_policy(network_of("window"), CARDS["window"], tmp_path / "window")
+    source = of_run(tmp_path / "window", "mine")
+    assert (source.name, source.seed, source.training.condition) == ("mine", 0, "nominal")
+    assert of_run(tmp_path / "window").name == "window"
+    write_config(PPOConfig(condition="lab"), tmp_path / "window" / "config.yaml")
+    lab = of_run(tmp_path / "window").training
+    assert [each.name for each in lab.presets] == list(TRAINED_IN["lab"])
+    (tmp_path / "window" / "card.yaml").write_text("command: python train.py --condition lab\n")
+    told = of_run(tmp_path / "window").training
+    assert (told.condition, told.command) == ("lab", "python train.py --condition lab")
+    with pytest.raises(ValueError, match="seed must be one of 0, got 3"):
+        of_run(tmp_path / "window", seed=3)
+
+
+@pytest.mark.parametrize("name", CARDS)
+def test_the_page_lists_every_feature_and_angle(name: str) -> None:
+    source = made(name)
+    page = make_page(source, make_metadata(source), {"ONNX": None, "C": None})
+    for each in source.settings.features:
+        assert f"| {each.name} | {each.low:g} | {each.high:g} | {each.meaning} |" in page
+    for angle in source.settings.chosen_orientations:
+        assert f"| {angle:.9g} | {np.degrees(angle):g} |" in page
+    assert f"every {source.settings.control_period * 1e3:g} ms" in page
+    assert "not tried" in page
+    assert ("shown in a mirror" in page) == (source.settings.task_name == "sort")
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_feature_of_the_package_says_what_it_needs(task: str) -> None:
+    settings = EnvConfig(task=task, actions="window", observe_axes=True)
+    shown = (*settings.features, *group_features(tuple(GROUPS)))
+    assert [each.name for each in shown if need_of(each) == UNKNOWN] == []
+    assert need_of(Feature("mood", 0.0, 1.0, "of the parcel")) == UNKNOWN
+
+
+def test_what_cannot_be_exported_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(ValueError, match=r"name must be one of 'flow-ppo', .*, got 'juggle-ppo'"):
+        ExportConfig("juggle-ppo")
+    with pytest.raises(ValueError, match=r"name must be one of .*, got None"):
+        ExportConfig()
+    with pytest.raises(ValueError, match="task must stand beside --run"):
+        ExportConfig("sort-ppo", task="mine.py:Mine")
+    with pytest.raises(ValueError, match="observations must be a whole number of at least 100"):
+        ExportConfig("sort-ppo", observations=3)
+    with pytest.raises(ValueError, match="condition must be one of"):
+        _ = Training("weather").presets
+    with pytest.raises(SystemExit, match="error: name must be that of an agent of single parcels"):
+        main(["flow-ppo", "--out", str(tmp_path / "out")])
+    with pytest.raises(SystemExit, match="holds no policy"):
+        main(["--run", str(tmp_path), "--out", str(tmp_path / "out")])
+    assert not (tmp_path / "out").exists()
+    capsys.readouterr()
+
+
+def test_a_missing_library_is_reported_with_the_extra_that_brings_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    wanted = r"needs onnx, .*'surface_gym\[agents,export\]'"
+    source = shipped("sort-ppo")
+    with pytest.raises(ImportError, match=wanted):
+        make_model(network_decision(source), {})
+    with pytest.raises(ImportError, match=wanted):
+        export(source, tmp_path)
+    with pytest.raises(SystemExit, match=wanted):
+        main(["sort-ppo", "--out", str(tmp_path)])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_python_m_takes_its_arguments(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["export", "--help"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_module("surface_gym.agents.export", run_name="__main__")
+    assert ended.value.code == 0
+    assert "surface-gym export" in capsys.readouterr().out

@@ -1,0 +1,43 @@
+"""Training of modules: samples with varying numbers of modules, and the lab preset."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from surface_gym.agents.learning.config import ModulesConfig
+from surface_gym.agents.learning.envs import make_training_envs
+from surface_gym.agents.learning.hyperparams import defaults
+from surface_gym.agents.learning.modules import ModuleSamples
+from surface_gym.agents.learning.train import train
+
+from surface_gym import agents
+
+
+def samples(counts: list[int], first: int) -> ModuleSamples:
+    """Samples numbered from `first`; each module carries its sample's number."""
+    number = torch.arange(first, first + len(counts))
+    modules = number.repeat_interleave(torch.tensor(counts))
+    return ModuleSamples(number, number, number, torch.tensor(counts), modules, modules, modules)
+
+
+def test_selected_samples_keep_their_modules() -> None:
+    whole = ModuleSamples.concatenate([samples([2, 0, 3], 0), samples([1, 4, 0], 3)])
+    some = whole.select(np.array([4, 1, 2, 4]))
+    assert some.observations.tolist() == [4, 1, 2, 4]
+    assert some.count.tolist() == [4, 0, 3, 4]
+    assert some.place.tolist() == [4, 4, 4, 4, 2, 2, 2, 4, 4, 4, 4]
+    assert some.sample.tolist() == [0, 0, 0, 0, 2, 2, 2, 3, 3, 3, 3]
+
+
+def test_it_learns_for_the_lab_from_more_features(tmp_path: Path) -> None:
+    lab = defaults("sort", "modules", preset="lab")
+    assert isinstance(lab, ModulesConfig)
+    small = replace(lab, steps=128, num_envs=8, n_steps=16, batch_size=64)
+    assert train(small, tmp_path).steps == 128
+    policy = agents.read(tmp_path)
+    assert policy.card.observe == lab.observe
+    envs = make_training_envs(small)
+    envs.seed(0)
+    actions, _ = policy.predict(np.asarray(envs.reset()))
+    assert actions.shape == (8, 64)

@@ -1,0 +1,170 @@
+"""The oracle: what it finds is what an environment does by the same actions."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from surface_gym.agents.planning.oracle import Oracle, find_reachable, run_oracle, stops_past
+from surface_gym.agents.rollout import run_episodes
+
+from surface_gym import Parcel, Rectangle
+from surface_gym.config import EnvConfig
+from surface_gym.layouts import box
+from surface_gym.lines import Line
+from surface_gym.randomisation import Actuators, Randomisation
+from surface_gym.tasks import Slow, Stop
+from surface_gym.tasks.line import BRAKING, zone_span
+
+SEED = 11
+WIDE = Parcel(Rectangle(0.5, 0.5))
+HARD = EnvConfig(
+    task=Slow(parcels=(Parcel(Rectangle(0.3, 0.22), com_offset=(0.03, -0.02)), WIDE)),
+    actions="halves",
+    actuators=Actuators(axis_speed=0.5 * math.pi / 0.05, stuck_share=0.02),
+    randomisation=Randomisation(friction=0.15, rolling=0.15, lateral=0.01, heading=0.05),
+)
+
+
+class Given:
+    """A controller that gives each environment a list of actions, one after the other."""
+
+    def __init__(self, actions: list[tuple[int, ...]]) -> None:
+        self._actions = actions
+
+    def predict(
+        self,
+        observation: np.ndarray,
+        state: int | None = None,
+        episode_start: np.ndarray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[np.ndarray, int]:
+        del observation, episode_start, deterministic
+        period = 0 if state is None else state
+        chosen = [actions[min(period, len(actions) - 1)] for actions in self._actions]
+        return np.array(chosen), period + 1
+
+
+def test_what_is_found_happens_in_the_environment() -> None:
+    found = find_reachable(HARD, [{}] * 3, SEED, budget=8)
+    episodes = run_episodes(Given([each.actions for each in found]), HARD, [{}] * 3, SEED)
+    assert [each.success for each in found] == episodes.success.tolist()
+    assert [each.outcome for each in found] == list(episodes.outcome)
+    assert episodes.success.any()
+    for i, each in enumerate(found):
+        np.testing.assert_array_equal(each.poses, episodes.path(i))
+        np.testing.assert_array_equal(each.velocity, episodes.velocity[i])
+        assert each.time == episodes.time[i]
+        assert each.figures == (episodes.figures["ratio_error"][i],)
+
+
+def test_its_episodes_are_like_a_controllers() -> None:
+    starts = [{"speed": 1.0}, {"speed": 2.0, "ratio": 0.5}]
+    found = find_reachable(HARD, starts, SEED, budget=8)
+    episodes = run_oracle(HARD, starts, SEED, budget=8)
+    assert episodes.success.tolist() == [each.success for each in found]
+    assert episodes.outcome == ("success", "success")
+    assert set(episodes.figures) == {"ratio_error"}
+    for i, each in enumerate(found):
+        np.testing.assert_array_equal(episodes.path(i), each.poses)
+        assert episodes.time[i] == each.time
+    assert episodes.decision_time > 0.0
+
+
+def test_each_start_is_found_as_if_it_were_alone() -> None:
+    settings = EnvConfig(task="stop", actions="halves", condition="stuck")
+    together = find_reachable(settings, [{}] * 7, SEED, budget=2)
+    for place in (0, 6):
+        alone = Oracle(settings, budget=2).find({}, SEED + place)
+        assert alone.actions == together[place].actions
+
+
+def test_processes_find_the_same() -> None:
+    settings = EnvConfig(task="stop", actions="halves")
+    alone, shared = (find_reachable(settings, [{}] * 6, SEED, 1, workers) for workers in (1, 2))
+    assert [each.actions for each in alone] == [each.actions for each in shared]
+
+
+def test_more_nodes_are_followed_only_where_fewer_find_no_success() -> None:
+    """A parcel that enters at 2.7 m/s cannot be stopped where the zone begins."""
+    settings = EnvConfig(task="stop", actions="halves")
+    within, beyond = find_reachable(
+        settings, [{"speed": 1.0}, {"speed": 2.7, "position": 0.5}], SEED, 24
+    )
+    assert (within.success, within.width) == (True, 8)
+    assert (beyond.success, beyond.width) == (False, 24)
+    assert beyond.outcome == "passed the asked x"
+
+
+def test_wide_parcels_are_stopped_though_supports_bear_some_of_them() -> None:
+    settings = EnvConfig(task=Stop(parcels=(WIDE,)), actions="halves")
+    found = find_reachable(settings, [{}] * 3, SEED, budget=8)
+    assert max(abs(each.figures[0]) for each in found) < 1e-3
+
+
+def test_a_path_in_a_lab_is_followed_to_its_end() -> None:
+    settings = EnvConfig(task="track", actions="halves", condition="lab")
+    start = {"tilt": 0.22, "speed": 0.8, "path": [(0.5, 1.0), (1.5, 1.05)]}
+    (found,) = find_reachable(settings, [start], SEED, budget=4)
+    assert found.success
+    assert found.figures[0] < 0.015
+
+
+def test_running_out_of_time_is_no_success() -> None:
+    """The limit is the task's own, in decisions: here a second."""
+    settings = EnvConfig(task="slow", actions="halves", control_period=0.01)
+    (found,) = find_reachable(settings, [{"speed": 0.9, "ratio": 0.3}], SEED, budget=1)
+    assert found.outcome == "out of time"
+    assert found.time == pytest.approx(1.0)
+    assert len(found.actions) == 100
+
+
+@pytest.mark.parametrize(
+    ("config", "budget", "message"),
+    [
+        (HARD, 0, "budget must be a whole number of at least 1"),
+        (HARD, 1.5, "budget must be a whole number of at least 1"),
+        (EnvConfig(task="slow", actions="modules"), 1, "actions must be one of 'halves'"),
+        (
+            EnvConfig(task="slow", actions="halves", orientations="any"),
+            1,
+            "orientations must be some to choose from, got 'any'",
+        ),
+    ],
+)
+def test_what_it_cannot_search_is_refused(config: EnvConfig, budget: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Oracle(config, budget)
+
+
+def test_no_process_is_an_error() -> None:
+    with pytest.raises(ValueError, match="workers must be a whole number of at least 1"):
+        find_reachable(HARD, [{}], SEED, workers=0)
+
+
+def test_full_braking_ends_where_the_law_of_motion_says() -> None:
+    """Half a pitch around where the box, as it comes in, is borne by the zone at last."""
+    settings = EnvConfig(task="stop", actions="halves")
+    speeds = np.array([1.5, 2.0, 2.5])
+    starts = [{"speed": speed, "position": 1.0, "parcel": "S"} for speed in speeds.tolist()]
+    begins, _ = zone_span(Line(), box("S"), None)
+    ends = 1.0 + stops_past(settings, starts, SEED)
+    np.testing.assert_allclose(ends, begins + speeds**2 / (2.0 * BRAKING), atol=0.1)
+
+
+def test_what_is_asked_counts() -> None:
+    settings = EnvConfig(task="stop", actions="halves", condition="lab")
+    near, far = (
+        stops_past(settings, [{"speed": 2.0, "position": 1.0}], SEED),
+        stops_past(settings, [{"speed": 2.0, "position": 1.5}], SEED),
+    )
+    np.testing.assert_allclose(near - far, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("task", "actions", "message"),
+    [("slow", "halves", "task must"), ("stop", "modules", "actions")],
+)
+def test_only_stops_by_halves_have_such_a_limit(task: str, actions: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        stops_past(EnvConfig(task=task, actions=actions), [{}], SEED)

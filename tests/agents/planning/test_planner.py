@@ -1,0 +1,246 @@
+"""The planner: the start that it decodes, the plans that it finds, and that it follows them."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from surface_gym.agents.planning.models import NominalModel
+from surface_gym.agents.planning.planner import Planner, keep_best
+from surface_gym.agents.rules.sorting import EventRule, FixedLayout
+
+import surface_gym as sg
+from surface_gym.config import EnvConfig
+from surface_gym.tasks import Sort, Task
+from surface_gym.tasks.paths import Sine
+from surface_gym.tasks.track import PLAN_CROSS_ERROR, PLAN_CROSS_SPEED, PLAN_SPEED_ERROR
+from tests.agents.rules.runs import Runs, run
+from tests.environments import PITCH
+
+WAVE = {"path": Sine(0.15, 2.2, start=0.5, end=2.0), "tilt": 0.22, "speed": 0.8}
+STARTS: dict[str, dict[str, Any]] = {
+    "sort": {"speed": 1.2, "side": -1},
+    "slow": {"speed": 1.5, "ratio": 0.45},
+    "stop": {"speed": 1.1, "position": 1.4},
+    "orient": {"speed": 1.5, "angle": -0.6},
+    "track": WAVE,
+}
+SMALL = 8  # a budget that finds something soon
+
+
+def planned(task: str, starts: list[dict[str, Any]], budget: int = SMALL) -> Runs:
+    settings = EnvConfig(task=task, actions="halves")
+    return run(Planner(settings, budget), settings, starts)
+
+
+def begun(task: str, parcel: str) -> tuple[sg.SmartSurfaceEnv, np.ndarray, dict[str, Any]]:
+    """An env some random periods after a start, where the parcel moves askew."""
+    env = sg.SmartSurfaceEnv(task=task, actions="halves")
+    observation, info = env.reset(seed=0, options={**STARTS[task], "parcel": parcel})
+    for action in np.random.default_rng(3).integers(16, size=8):
+        observation, _, ended, _, info = env.step(int(action))
+        assert not ended
+    return env, observation, info
+
+
+@pytest.mark.parametrize("parcel", ["S", "B"])
+@pytest.mark.parametrize("task", ["sort", "slow", "stop", "orient"])
+def test_what_is_seen_on_a_line_is_where_the_parcel_is(task: str, parcel: str) -> None:
+    env, observation, info = begun(task, parcel)
+    start = env.settings.decode_start(observation)
+    np.testing.assert_allclose(start.pose, info["pose"], atol=1e-6)
+    np.testing.assert_allclose(start.velocity, info["velocity"], atol=1e-6)
+    assert start.parcel is sg.layouts.box(parcel)
+    goals = [STARTS[task][name] for name in STARTS[task] if name != "speed"]
+    np.testing.assert_allclose(start.goal[0], goals[0], atol=1e-6)
+
+
+@pytest.mark.parametrize("parcel", ["S", "B"])
+def test_what_is_seen_on_a_field_is_the_place_within_a_pitch_and_beside_the_path(
+    parcel: str,
+) -> None:
+    env, observation, info = begun("track", parcel)
+    start = env.settings.decode_start(observation)
+    apart = (np.array(start.pose[:2]) - info["pose"][:2]) / PITCH
+    np.testing.assert_allclose(apart, np.round(apart), atol=1e-5)
+    np.testing.assert_allclose(start.pose[2], info["pose"][2], atol=1e-6)
+    np.testing.assert_allclose(start.velocity, info["velocity"], atol=1e-6)
+    assert start.tilt == pytest.approx(WAVE["tilt"], abs=1e-6)
+    # The path as rebuilt runs as far from the parcel as the true one, here and 0.3 m ahead.
+    speed, first_x, step = start.goal
+    assert speed == pytest.approx(WAVE["speed"], abs=1e-6)
+    assert start.path is not None
+    for ahead, exact in ((0.0, 1e-4), (0.3, 5e-3)):
+        x = first_x + step * np.arange(len(start.path))
+        rebuilt = np.interp(start.pose[0] + ahead, x, start.path) - start.pose[1]
+        true = WAVE["path"].y(info["pose"][0] + ahead) - info["pose"][1]
+        assert rebuilt == pytest.approx(true, abs=exact)
+
+
+@pytest.mark.parametrize(("parcel", "speed"), [("S", 0.36), ("B", 0.52)])
+def test_even_the_least_budget_sorts_what_the_best_event_does(parcel: str, speed: float) -> None:
+    starts = [{"parcel": parcel, "speed": speed, "side": side} for side in (1, -1)]
+    assert planned("sort", starts, budget=1).success.all()
+
+
+@pytest.mark.parametrize(("parcel", "speed"), [("S", 0.9), ("S", 2.7), ("B", 1.5)])
+def test_it_sorts_no_later_than_the_event_rule_and_the_fixed_layout(
+    parcel: str, speed: float
+) -> None:
+    start = {"parcel": parcel, "speed": speed, "side": 1}
+    halves, modules = EnvConfig(actions="halves"), EnvConfig(actions="modules")
+    found = planned("sort", [start])
+    assert found.success.all()
+    for other in (
+        run(EventRule(halves), halves, [start]),
+        run(FixedLayout(modules), modules, [start]),
+    ):
+        assert other.success.all()
+        assert found.time[0] <= other.time[0] + 1e-9
+
+
+def test_straight_through_it_leaves_the_parcel_on_the_line() -> None:
+    assert planned("sort", [{"parcel": "S", "speed": 1.5, "side": 0}]).success.all()
+
+
+@pytest.mark.parametrize("parcel", ["S", "B"])
+@pytest.mark.parametrize(
+    ("task", "figure", "most"),
+    [
+        ("slow", "ratio_error", 0.005),
+        ("stop", "stop_error", 0.0005),
+        ("orient", "angle_error", math.radians(1.0)),
+        ("track", "rms_error", 0.004),
+    ],
+)
+def test_it_is_exact(task: str, figure: str, most: float, parcel: str) -> None:
+    runs = planned(task, [{**STARTS[task], "parcel": parcel}], budget=24)
+    assert runs.success.all()
+    assert abs(runs.figures[figure][0]) <= most
+
+
+def test_on_a_path_nodes_cost_their_errors_so_far() -> None:
+    """By the task's own figures; on a straight path, where across it is across the line."""
+    config = EnvConfig(task="track", actions="halves")
+    env = sg.SmartSurfaceEnv(task="track", actions="halves")
+    start = {"parcel": "S", "path": [(0.5, 1.0), (4.0, 1.0)], "tilt": 0.1, "speed": 0.8}
+    observation, _ = env.reset(seed=0, options=start)
+    model = NominalModel(config, 3)
+    model.begin_at(config.decode_start(observation))
+    for actions in ([15, 5, 10], [6, 9, 0], [10, 1, 5]):
+        nodes = model.advance(np.arange(3), np.array(actions))
+    figures = dict(zip(config.chosen_task.metrics, nodes.parcels.metrics.T, strict=True))
+    terms = (
+        figures["rms_error"] / PLAN_CROSS_ERROR,
+        figures["speed_error"] / PLAN_SPEED_ERROR,
+        nodes.parcels.truth[:, 4] / PLAN_CROSS_SPEED,
+    )
+    assert min(np.abs(term).max() for term in terms) > 0.1
+    expected = sum(term**2 for term in terms)
+    np.testing.assert_allclose(config.chosen_task.cost().running(nodes), expected, rtol=1e-3)
+
+
+def test_of_nodes_that_are_alike_one_is_kept() -> None:
+    """A centimetre apart, or so far in any other coordinate, they are not alike."""
+    config = EnvConfig(task="stop", actions="halves")
+    env = sg.SmartSurfaceEnv(task="stop", actions="halves")
+    observation, _ = env.reset(seed=0, options={**STARTS["stop"], "parcel": "S"})
+    model = NominalModel(config, 8)
+    model.begin_at(config.decode_start(observation))
+    nodes = model.advance(np.zeros(8, dtype=np.int64), np.full(8, 15))
+    nodes.parcels.state[1:7, :6] += np.diag([0.01, 0.01, 0.05, 0.025, 0.025, 0.25])
+    cost, runs = config.chosen_task.cost(), np.ones(8, dtype=bool)
+    assert sorted(keep_best(cost, nodes, runs, 8)) == [0, 1, 2, 3, 4, 5, 6]
+    assert len(keep_best(cost, nodes, runs, 3)) == 3
+
+
+class Left(Sort):
+    """A user's task: Sort to the left alone, with a cost of its own."""
+
+    def cost(self) -> Any:
+        return replace(super().cost(), final=lambda nodes: -nodes.parcels.truth[:, 1])
+
+
+class Bare(Task):
+    """A user's task that says nothing to planners."""
+
+    features = Sort.features
+    terms = ("nothing",)
+    outcomes = ("nothing",)
+    goals = 1
+
+
+def test_a_task_of_the_users_has_a_planner_by_its_hooks() -> None:
+    """The way farthest to the left is not the fastest one."""
+    start = [{"speed": 1.2, "side": 1, "parcel": "S"}]
+    configs = [EnvConfig(task=task, actions="halves") for task in (Sort(), Left())]
+    fast, far = (run(Planner(config, SMALL), config, start) for config in configs)
+    assert far.success.all()
+    assert far.pose[0, 1] > fast.pose[0, 1]
+    assert far.time[0] >= fast.time[0]
+
+
+def test_a_task_without_hooks_is_an_error() -> None:
+    with pytest.raises(ValueError, match=r"Bare\.cost must be a method, as Task says"):
+        Bare().cost()
+    config = EnvConfig()
+    with pytest.raises(ValueError, match=r"Bare\.decode_start must be a method, as Task says"):
+        replace(config, task=Bare()).decode_start(np.zeros(len(config.features)))
+
+
+def test_each_environment_is_planned_by_itself() -> None:
+    starts = [
+        {"parcel": "S", "speed": 1.4, "angle": 0.3},
+        {"parcel": "B", "speed": 1.6, "angle": -0.5},
+    ]
+    together = planned("orient", starts)
+    for i, start in enumerate(starts):
+        alone = planned("orient", [start])
+        np.testing.assert_array_equal(alone.pose[0], together.pose[i])
+        np.testing.assert_array_equal(alone.velocity[0], together.velocity[i])
+
+
+def follow(planner: Planner, periods: int) -> tuple[Any, np.ndarray]:
+    """The planner's state after some periods of Stop, and all observations (periods + 1, ...)."""
+    env = sg.SmartSurfaceEnv(task="stop", actions="halves")
+    observation, _ = env.reset(seed=0, options={**STARTS["stop"], "parcel": "S"})
+    state, seen = None, [observation]
+    for _ in range(periods):
+        action, state = planner.predict(observation, state)
+        observation, *_ = env.step(action)
+        seen.append(observation)
+    return state, np.array(seen)
+
+
+def test_what_was_planned_happens_and_is_followed() -> None:
+    planner = Planner(EnvConfig(task="stop", actions="halves"), SMALL)
+    state, seen = follow(planner, periods=12)
+    _, later = planner.predict(seen[-1], state)
+    ((plan, given),), ((same_plan, given_later),) = state, later
+    assert same_plan is plan
+    assert (given, given_later) == (12, 13)
+    np.testing.assert_allclose(seen, plan.seen[: len(seen)], atol=1e-3)
+
+
+def test_what_was_not_planned_or_another_episode_is_planned_anew() -> None:
+    planner = Planner(EnvConfig(task="stop", actions="halves"), SMALL)
+    state, observations = follow(planner, periods=12)
+    observation = observations[-1]
+    slower = observation.copy()
+    slower[3] -= 0.1  # m/s
+    for seen, episode_start in ((slower, None), (observation, np.array([True]))):
+        ((plan, given),) = planner.predict(seen, state, episode_start)[1]
+        assert plan is not state[0][0]
+        assert given == 1
+
+
+@pytest.mark.parametrize("budget", [0, -3, 2.5, True])
+def test_a_budget_is_at_least_one_node(budget: Any) -> None:
+    with pytest.raises(ValueError, match="budget must be a whole number of at least 1"):
+        Planner(EnvConfig(task="sort", actions="halves"), budget)
+
+
+def test_other_actions_are_an_error() -> None:
+    with pytest.raises(ValueError, match="actions must be one of 'halves'"):
+        Planner(EnvConfig(task="sort", actions="modules"))

@@ -1,0 +1,171 @@
+"""Zones that turn as a whole: one parcel at a time, and the shortest that do."""
+
+import numpy as np
+import pytest
+from surface_gym.agents.rules.reservation import Reservation, list_asked
+from surface_gym.agents.rules.streams import PAST_START, SIDE
+from surface_gym.agents.rules.zones import (
+    TRIES,
+    ArrangedZone,
+    WholeZone,
+    find_best_zone,
+    measure_crossings,
+    zone_span,
+)
+
+from surface_gym.config import EnvConfig
+from surface_gym.flow.arrivals import Steady
+from surface_gym.flow.stream import Stream
+from surface_gym.flow.task import FEATURES, PRESENT, WAITS
+from surface_gym.randomisation import Randomisation
+from surface_gym.sensors import Camera
+from tests.agents.rules.lines import counts, gated, line, zoned
+
+SMALL = Stream(Steady(9000.0), parcels=("S",), speeds=1.0)
+COLUMNS = 5
+LEFT, RIGHT, ROLL = 2, 1, 3  # of the default orientations: -45, 45 and 90 deg
+SIZE = 1.0  # of an S-box's half of 0.125 m in its row: (0.125 - 0.175) / 0.05, but for the sign
+
+
+def table(
+    settings: EnvConfig, *parcels: tuple[float, float], waits: float | None = None
+) -> np.ndarray:
+    """S-boxes, by where the rear is past the zone's start [m] and the side of the exit; and the
+    side of the one at the gate, if there is one.
+    """
+    seen = np.zeros((settings.rows, len(FEATURES)), dtype=np.float32)
+    for row, (rear, side) in zip(seen, parcels, strict=False):
+        row[[PRESENT, PAST_START, SIDE, 6]] = 1.0, rear / 0.5, side, -SIZE
+    if waits is not None:
+        seen[-1, [PRESENT, WAITS, PAST_START, SIDE, 6]] = 1.0, 1.0, -1.0, waits, -SIZE
+    return seen
+
+
+def arranged(action: np.ndarray, settings: EnvConfig) -> list[list[int]]:
+    """The choices of the zone's columns, each once, and of the others."""
+    _, rows, _, columns = settings.zone
+    grid = action[:-1].reshape(rows, columns)
+    return [sorted(set(part.ravel().tolist())) for part in (grid[:, :COLUMNS], grid[:, COLUMNS:])]
+
+
+class TestTurned:
+    @pytest.mark.parametrize(
+        ("parcels", "choice"),
+        [
+            ([], ROLL),
+            ([(-0.01, 1.0)], ROLL),  # not yet wholly in it
+            ([(0.01, 1.0)], LEFT),
+            ([(0.01, -1.0)], RIGHT),
+            ([(0.01, 0.0)], ROLL),
+            ([(0.51, 1.0)], ROLL),  # out of it
+            ([(0.51, 1.0), (0.2, -1.0)], RIGHT),
+        ],
+    )
+    def test_it_leads_the_parcel_that_is_wholly_in_it(
+        self, parcels: list[tuple[float, float]], choice: int
+    ) -> None:
+        settings = zoned(SMALL)
+        zone = WholeZone(settings, COLUMNS, alone=True)
+        action, _ = zone.predict(table(settings, *parcels))
+        assert arranged(action, settings) == [[choice], [ROLL]]
+
+
+class TestArranged:
+    def test_it_is_arranged_while_it_is_free_and_stays_until_the_parcel_is_out(self) -> None:
+        settings = zoned(SMALL)
+        zone = ArrangedZone(settings, COLUMNS, alone=True)
+        state = None
+        for parcels, waits, choice in (
+            ([], None, ROLL),
+            ([], 1.0, LEFT),  # for the one at the gate
+            ([(-0.4, 1.0)], -1.0, LEFT),  # which is nearer than the next
+            ([(-0.2, 1.0), (-0.5, -1.0)], 0.0, LEFT),  # it has come into the zone
+            ([(0.49, 1.0), (-0.3, -1.0)], 0.0, LEFT),
+            ([(0.51, 1.0), (-0.3, -1.0)], 0.0, RIGHT),  # out: the next one's
+            ([(0.9, 1.0)], None, RIGHT),  # no other comes: as it was
+        ):
+            action, state = zone.predict(table(settings, *parcels, waits=waits), state)
+            assert arranged(action, settings) == [[choice], [ROLL]]
+
+    def test_each_environment_remembers_its_own_until_an_episode_begins(self) -> None:
+        settings = zoned(SMALL)
+        zone = ArrangedZone(settings, COLUMNS, alone=True)
+        inside = table(settings, (0.1, -1.0))
+        coming = np.stack([table(settings, (-0.4, side)) for side in (1.0, -1.0, 1.0)])
+        _, state = zone.predict(coming)
+        actions, _ = zone.predict(np.stack([inside] * 3), state, np.array([False, False, True]))
+        found = [arranged(action, settings)[0] for action in actions]
+        assert found == [[LEFT], [RIGHT], [ROLL]]
+
+
+@pytest.mark.parametrize("kind", [WholeZone, ArrangedZone])
+class TestBoth:
+    def test_a_crowd_is_sorted_one_at_a_time(self, kind: type[WholeZone]) -> None:
+        settings = zoned(SMALL)
+        columns = find_best_zone(kind, settings)
+        assert columns is not None
+        found = counts(kind(settings, columns), settings)
+        assert (found["wrong"], found["touches"]) == (0, 0)
+        each = gated(SMALL)
+        many = counts(Reservation(each), each)["right"]
+        assert 4 < found["right"] < many  # a rule that turns modules for each parcel lets in more
+
+    def test_one_column_less_than_the_shortest_does_not_sort(self, kind: type[WholeZone]) -> None:
+        settings = zoned(SMALL)
+        asked = list_asked(settings)
+
+        def sorts(columns: int) -> bool:
+            span = zone_span(settings, columns)
+            found = measure_crossings(lambda s: kind(s, columns, alone=True), settings, asked, span)
+            return bool(found.right.all())
+
+        best = find_best_zone(kind, settings)
+        assert best is not None
+        shortest = next(columns for columns in range(1, 22) if sorts(columns))
+        assert shortest <= best <= shortest + 2
+        with pytest.raises(ValueError, match="columns must be enough for every parcel"):
+            kind(settings, shortest - 1)
+
+    def test_what_a_camera_shows_is_sorted_too(self, kind: type[WholeZone]) -> None:
+        settings = zoned(SMALL, sensors=Camera(), randomisation=Randomisation(friction=0.2))
+        columns = find_best_zone(kind, settings)
+        assert columns is not None
+        found = counts(kind(settings, columns), settings)
+        assert found["right"] > 4
+        assert found["wrong"] == 0
+
+    @pytest.mark.parametrize(
+        ("settings", "columns", "told"),
+        [
+            (gated(), 5, "actions must be one of 'modules', got 'parcels'"),
+            (line(actions="modules"), 5, "gate must be True for a zone .*, got False"),
+            (zoned(), 0, "columns must be between 1 and 21, got 0"),
+            (zoned(), 22, "columns must be between 1 and 21, got 22"),
+            (zoned(exits="chutes"), 5, "exits must start at 0.5 m, where the zone does"),
+        ],
+    )
+    def test_what_it_cannot_act_in_is_refused(
+        self, kind: type[WholeZone], settings: EnvConfig, columns: int, told: str
+    ) -> None:
+        with pytest.raises(ValueError, match=told):
+            kind(settings, columns)
+
+
+def test_no_zone_sorts_parcels_that_come_to_rest_in_it() -> None:
+    slow = zoned(Stream(Steady(1000.0), speeds=0.2), duration=20.0)
+    assert find_best_zone(ArrangedZone, slow) is None
+
+
+def test_passing_is_that_of_the_motion() -> None:
+    """Straight on at 1 m/s on a slope that makes up for rolling: geometry says when."""
+    settings = zoned(Stream(Steady(1000.0), destinations={"straight": 1.0}, speeds=1.0))
+    span = 0.8, 1.2
+    found = measure_crossings(
+        lambda s: WholeZone(s, 5, alone=True), settings, list_asked(settings), span
+    )
+    entry = settings.entry_x
+    assert found.right.tolist() == [True]
+    assert found.enters[0] == pytest.approx(span[0] - entry - 0.25, abs=0.02)
+    assert found.leaves[0] == pytest.approx(span[1] - entry, abs=0.02)
+    assert found.gaps(0.04)[0, 0] == pytest.approx(0.4 + 0.25 + 0.04, abs=0.03)
+    assert settings.timing.steps <= TRIES

@@ -1,0 +1,283 @@
+"""Messages come out of the socket as they went in, or not at all."""
+
+import json
+import math
+import socket
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from surface_gym.agents.runtime.config import parse_address
+from surface_gym.agents.runtime.connection import Connection, ConnectionLost, SocketDevice
+from surface_gym.agents.runtime.protocol import (
+    MAX_LINE,
+    AxesAcknowledged,
+    Departed,
+    DeviceLost,
+    Entered,
+    Frame,
+    axes_from_fields,
+    axes_to_fields,
+    from_fields,
+    from_line,
+    hello,
+    to_fields,
+    to_line,
+)
+
+import surface_gym as sg
+
+SHAPE = (2, 3)
+TRIANGLE = sg.Polygon([[0.0, 0.0], [0.3, 0.0], [0.0, 0.3]])
+
+
+def again_and_again(call: Callable[[], Any]) -> None:
+    """The other side's end is not always noticed at once."""
+    for _ in range(1000):
+        call()
+
+
+def there_and_back(message: Any) -> Any:
+    line = to_line(to_fields(message))
+    assert line.endswith(b"\n")
+    assert line.count(b"\n") == 1
+    return from_fields(from_line(line), SHAPE)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Frame(1.25),
+        Frame(1.25, 3, (0.1, 1.0, 0.2)),
+        AxesAcknowledged(7, 2.5),
+        AxesAcknowledged(7, 2.5, "out of range"),
+        Departed(3, "success", {"stop_error": 0.001}),
+    ],
+)
+def test_messages_come_out_as_they_went_in(message: Any) -> None:
+    back = there_and_back(message)
+    assert type(back) is type(message)
+    assert vars(back) == vars(message)
+
+
+def test_encoders() -> None:
+    axes = np.arange(6.0).reshape(SHAPE) / 10.0
+    np.testing.assert_array_equal(there_and_back(Frame(0.0, 0, axes=axes)).axes, axes)
+
+
+@pytest.mark.parametrize("base", [sg.Rectangle(0.3, 0.2), sg.Disc(0.15), TRIANGLE])
+def test_a_parcel_has_the_same_base_around_its_centroid(base: Any) -> None:
+    path = np.linspace(0.0, 1.0, 4)
+    sent = Entered(
+        2, 1.5, sg.Parcel(base, mass=3.0), (0.1, 1.0, 0.0), (1.0, 0.0, 0.0), (0.5,), 0.1, path
+    )
+    back = there_and_back(sent)
+    assert (back.number, back.at, back.pose, back.velocity) == (2, 1.5, sent.pose, sent.velocity)
+    assert (back.goal, back.tilt, back.parcel.mass) == ((0.5,), 0.1, 3.0)
+    np.testing.assert_array_equal(back.path, path)
+    assert back.parcel.base.gyration == pytest.approx(base.gyration)
+    assert back.parcel.base.reach == pytest.approx(base.reach)
+    np.testing.assert_allclose(back.parcel.base.centroid, 0.0, atol=1e-12)
+
+
+def test_axis_commands() -> None:
+    angles = np.arange(6.0).reshape(SHAPE)
+    number, back = axes_from_fields(from_line(to_line(axes_to_fields(4, angles))), SHAPE)
+    assert number == 4
+    np.testing.assert_array_equal(back, angles)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"",
+        b"{",
+        b"[1, 2]",
+        b"{}",
+        b'{"kind": 3}',
+        b'{"kind": "frame", "taken": NaN}',
+        b"\xff\xfe",
+        b"[" * 100_000,
+        b"cos\nsystem\n(S'ls'\ntR.",  # what would be a pickle
+    ],
+)
+def test_a_line_that_is_no_message_is_refused(line: bytes) -> None:
+    with pytest.raises(ValueError, match=r"line must|numbers must"):
+        from_line(line)
+
+
+FRAME = to_fields(Frame(0.0, 0, axes=np.zeros(SHAPE)))
+ENTERED = to_fields(Entered(0, 0.0, sg.Parcel(sg.Disc(0.1)), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ()))
+ACKNOWLEDGED = to_fields(AxesAcknowledged(0, 0.0))
+DEPARTED = to_fields(Departed(0, "missed"))
+
+
+@pytest.mark.parametrize(
+    ("fields", "changed", "message"),
+    [
+        (FRAME, {"kind": "system"}, "kind must be one of"),
+        (FRAME, {"taken": "now"}, "taken"),
+        (FRAME, {"taken": None}, "taken"),
+        (FRAME, {"number": -1}, "number"),
+        (FRAME, {"pose": [0.0, 1.0]}, "pose"),
+        (FRAME, {"pose": ["0", 1.0, 2.0]}, "pose"),
+        (FRAME, {"axes": [[0.0]]}, "axes"),
+        (ENTERED, {"base": {"radius": -1.0}}, "radius"),
+        (ENTERED, {"base": {"shape": "disc"}}, "base"),
+        (ENTERED, {"base": "disc"}, "base"),
+        (ENTERED, {"base": {"corners": [[0, 0], [1, 1]]}}, "vertices"),
+        (ENTERED, {"mass": 0.0}, "mass"),
+        (ENTERED, {"goal": ["left"]}, "goal|could not convert"),
+        (ENTERED, {"tilt": 3.0}, "tilt"),
+        (ENTERED, {"path": [None]}, "path"),
+        (ACKNOWLEDGED, {"command": 0.5}, "command"),
+        (ACKNOWLEDGED, {"refused": 3}, "refused"),
+        (DEPARTED, {"outcome": 0}, "outcome"),
+        (DEPARTED, {"figures": []}, "figures"),
+        (DEPARTED, {"figures": {"error": "large"}}, "error"),
+    ],
+)
+def test_a_field_that_is_not_allowed_is_refused(fields: Any, changed: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        from_fields({**fields, **changed}, SHAPE)
+
+
+def test_a_field_that_is_missing_is_named() -> None:
+    with pytest.raises(ValueError, match="frame must have 'taken'"):
+        from_fields({"kind": "frame", "number": None, "axes": None}, SHAPE)
+
+
+def test_other_messages_than_axis_commands_are_refused() -> None:
+    for fields in (
+        {"kind": "axes"},
+        {"kind": "axes", "command": 0, "angles": [[1.0]]},
+        ACKNOWLEDGED,
+    ):
+        with pytest.raises(ValueError, match=r"must"):
+            axes_from_fields(fields, SHAPE)
+
+
+def test_what_is_not_finite_is_not_sent() -> None:
+    with pytest.raises(ValueError, match="JSON"):
+        to_line(axes_to_fields(0, np.array([[math.nan]])))
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[Connection, Connection]]:
+    here, there = map(Connection, socket.socketpair())
+    yield here, there
+    here.close()
+    there.close()
+
+
+def test_lines_arrive_whole(ends: tuple[Connection, Connection]) -> None:
+    here, there = ends
+    assert there.lines() == []
+    here.send(b"one\ntw")
+    assert there.lines() == [b"one"]
+    here.send(b"o\n")
+    assert there.lines() == [b"two"]
+
+
+def test_a_closed_connection_is_noticed_once_all_is_read(
+    ends: tuple[Connection, Connection],
+) -> None:
+    here, there = ends
+    here.send(b"last\n")
+    here.close()
+    assert there.lines() == [b"last"]
+    with pytest.raises(ConnectionLost, match="gone"):
+        there.lines()
+    with pytest.raises(ConnectionLost, match="gone"):
+        again_and_again(lambda: there.send(b"hello\n"))
+
+
+def test_a_side_that_does_not_read_is_given_up(ends: tuple[Connection, Connection]) -> None:
+    with pytest.raises(ConnectionLost, match="does not read"):
+        again_and_again(lambda: ends[0].send(b"x" * (MAX_LINE // 4)))
+
+
+def test_a_line_without_an_end_is_given_up(ends: tuple[Connection, Connection]) -> None:
+    here, there = ends
+
+    def send_and_read() -> None:
+        here.send(b"x" * 10_000)
+        there.lines()
+
+    with pytest.raises(ConnectionLost, match="line must have"):
+        again_and_again(send_and_read)
+
+
+@pytest.mark.parametrize("text", ["", "host", "host:", ":80", "host:0", "host:x", "host:99999"])
+def test_an_address_without_host_or_port_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="host:port"):
+        parse_address(text)
+
+
+class TestDevice:
+    """The driver, with the test as the machine."""
+
+    @pytest.fixture
+    def listener(self) -> Iterator[socket.socket]:
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            yield listener
+
+    @pytest.fixture
+    def device(self, listener: socket.socket) -> Iterator[SocketDevice]:
+        device = SocketDevice(listener.getsockname(), "stop", SHAPE)
+        yield device
+        device.close()
+
+    def receive(self, listener: socket.socket, device: SocketDevice, *lines: bytes) -> list[Any]:
+        """Messages that the device reads."""
+        device.connect()
+        connected, _ = listener.accept()
+        with connected:
+            connected.sendall(b"".join(lines))
+        return device.read()
+
+    def test_it_reads_messages(self, listener: socket.socket, device: SocketDevice) -> None:
+        lines = to_line(hello("stop", SHAPE)), to_line(FRAME), to_line(ACKNOWLEDGED)
+        assert [type(each) for each in self.receive(listener, device, *lines)] == [
+            Frame,
+            AxesAcknowledged,
+        ]
+
+    @pytest.mark.parametrize(
+        "line",
+        [
+            to_line(FRAME),  # before the greeting
+            to_line({**hello("stop", SHAPE), "protocol": 99}),
+            to_line(hello("sort", SHAPE)),
+            to_line(hello("stop", (4, 16))),
+            to_line({"kind": "hello", "protocol": 1, "task": "stop"}),
+            b"what\n",
+        ],
+    )
+    def test_another_device_is_refused(
+        self, listener: socket.socket, device: SocketDevice, line: bytes
+    ) -> None:
+        with pytest.raises(DeviceLost, match="must"):
+            self.receive(listener, device, line)
+
+    def test_one_that_is_not_there(self) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            address = listener.getsockname()
+        device = SocketDevice(address, "stop", SHAPE)
+        with pytest.raises(DeviceLost, match="not there"):
+            device.connect()
+        for call in (device.read, lambda: device.set_axes(np.zeros(SHAPE))):
+            with pytest.raises(DeviceLost, match="not connected"):
+                call()
+
+    def test_it_sends_axes(self, listener: socket.socket, device: SocketDevice) -> None:
+        device.connect()
+        connected, _ = listener.accept()
+        with connected:
+            assert device.set_axes(np.zeros(SHAPE)) == 1
+            assert device.set_axes(np.ones(SHAPE)) == 2
+            first = json.loads(connected.recv(4096).splitlines()[0])
+        assert first == {"kind": "axes", "command": 1, "angles": [[0.0] * 3] * 2}
+        with pytest.raises(DeviceLost):
+            again_and_again(lambda: device.set_axes(np.zeros(SHAPE)))

@@ -1,0 +1,308 @@
+"""Observations of modules, against the true parcel, and outlines, against the base itself."""
+
+import numpy as np
+import pytest
+from surface_gym.agents.module_view import (
+    ModuleView,
+    Outline,
+    outline_from_clearance,
+    outline_from_features,
+    place_size,
+    shared_size,
+)
+
+import surface_gym as sg
+from surface_gym.config import EnvConfig
+from surface_gym.layouts import LEAD_IN, LINE_ROWS, LINE_Y, ROWS, lead_in_under, rows_under
+from surface_gym.lines import Pattern
+from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
+from surface_gym.randomisation import Actuators, Randomisation
+from surface_gym.tasks.observed import decode_line
+from tests.environments import PITCH
+
+NUM_ENVS = 40
+HALF_LENGTH = {"S": 0.125, "B": 0.225}
+
+
+def on_the_way(parcel: str, side: int, zone: tuple[int, int] | None = None, seed: int = 0):
+    """Environments some control periods after their starts, with random axes."""
+    env = sg.SmartSurfaceVectorEnv(NUM_ENVS, zone=zone)
+    rng = np.random.default_rng(seed)
+    speed = rng.uniform(0.8, 2.5, NUM_ENVS)
+    starts = [{"speed": float(v), "parcel": parcel, "side": side} for v in speed]
+    observation, info = env.reset(seed=0, options=starts)
+    view = ModuleView(env.settings)
+    mirror = np.arange(4) if side > 0 else np.array([0, 2, 1, 3])
+    rows, columns = view._settings.action_kind.shape
+    for _ in range(6):
+        actions = rng.choice(4, p=[0.05, 0.25, 0.6, 0.1], size=(NUM_ENVS, rows, columns))
+        if side < 0:
+            actions = mirror[actions][:, ::-1]
+        observation, _, _, _, info = env.step(actions.reshape(NUM_ENVS, -1))
+    return view, observation, info["pose"]
+
+
+def under(pose: np.ndarray, parcel: str, zone: tuple[int, int]) -> list[set[tuple[int, int]]]:
+    """Rotors (row, column) of the zone whose centres lie under the base, in each environment."""
+    first_row = 10 - LINE_ROWS[parcel] // 2
+    found = []
+    for x, y, theta in pose:
+        turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
+        found.append(
+            {
+                (row, column)
+                for row in range(first_row, first_row + LINE_ROWS[parcel])
+                for column in range(zone[0], zone[1] + 1)
+                if np.abs(turn @ (PITCH * np.array([column + 0.5, row + 0.5]) - (x, y))).max()
+                <= HALF_LENGTH[parcel]
+            }
+        )
+    return found
+
+
+@pytest.mark.parametrize("zone", [None, (3, 29), (6, 12)])
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("parcel", ["S", "B"])
+def test_every_module_under_the_parcel_is_seen(
+    parcel: str, side: int, zone: tuple[int, int] | None
+) -> None:
+    view, observation, pose = on_the_way(parcel, side, zone)
+    first, last = zone or (LEAD_IN[parcel], LEAD_IN[parcel] + 15)
+    seen = view(observation)
+    row, column = np.divmod(seen.index, last - first + 1)
+    covered = seen.place[:, 4] == 1.0
+    bearing = under(pose, parcel, (first, last))
+    assert sum(map(len, bearing)) > 50
+    for i in range(NUM_ENVS):
+        of_env = (seen.env == i) & covered
+        places = zip(row[of_env] + 8, column[of_env] + first, strict=True)
+        assert set(places) == bearing[i]
+    # Where each is, in half lengths along and across the parcel.
+    x, y, theta = pose[seen.env].T
+    dx, dy = PITCH * (column + first + 0.5) - x, PITCH * (row + 8.5) - y
+    along = (np.cos(theta) * dx + np.sin(theta) * dy) / HALF_LENGTH[parcel]
+    across = side * (np.cos(theta) * dy - np.sin(theta) * dx) / HALF_LENGTH[parcel]
+    np.testing.assert_allclose(seen.place[:, :2], np.stack([along, across], -1), atol=2e-5)
+    # And along and across the line: from the parcel in 0.3 m, from the line's middle in 0.15 m.
+    beside = np.stack([dx / 0.3, side * dy / 0.3, side * (dy + y - LINE_Y) / 0.15], -1)
+    np.testing.assert_allclose(seen.place[:, 6:], beside, atol=2e-5)
+
+
+# Of both kinds of line, and what may be taken for a square of another width.
+BASES = (
+    Rectangle(0.4, 0.25), Rectangle(0.37, 0.27), Rectangle(0.25, 0.4), Rectangle(0.35, 0.2),
+    Rectangle(0.22, 0.34), Disc(0.15), Disc(0.22),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("observe", [(), ("parcel",)], ids=["guessed", "shown"])
+@pytest.mark.parametrize("side", [1, -1])
+def test_every_module_under_a_base_of_any_shape_is_seen(
+    side: int, observe: tuple[str, ...]
+) -> None:
+    """Rectangles once were taken for squares, and of some no module was seen at all."""
+    bases = [base for base in BASES for _ in range(8)]
+    env = sg.SmartSurfaceVectorEnv(len(bases), observe=observe)
+    view = ModuleView(env.settings)
+    starts = [{"speed": 2.5, "parcel": Parcel(base), "side": side} for base in bases]
+    rng = np.random.default_rng(0)
+    seen, info = env.reset(seed=0, options=starts)
+    for _ in range(7):
+        # Rows that differ turn the parcel.
+        rows = rng.choice(4, p=[0.1, 0.2, 0.2, 0.5], size=(len(bases), 4, 1))
+        seen, _, _, _, info = env.step(np.tile(rows, 16).reshape(len(bases), -1))
+    assert np.ptp(info["pose"][:, 2]) > 0.1
+    modules = view(seen)
+    row, column = np.divmod(modules.index, 16)
+    covered = modules.place[:, 4] == 1.0
+    total = 0
+    for i, base in enumerate(bases):
+        of_env = (modules.env == i) & covered
+        first = lead_in_under(np.ptp(base.outline[:, 0]), PITCH)
+        places = set(zip(row[of_env] + 8, column[of_env] + first, strict=True))
+        bearing = _under_base(base, info["pose"][i], first)
+        total += len(bearing)
+        # A disc is guessed to be the square around it.
+        assert places >= bearing if isinstance(base, Disc) and not observe else places == bearing
+    assert total > 6 * len(bases)
+
+
+def _under_base(base: Base, pose: np.ndarray, first: int) -> set[tuple[int, int]]:
+    """Rotors (row, column) of a base's zone whose centres lie under it."""
+    rows = rows_under(np.ptp(base.outline[:, 1]), PITCH)
+    (x, y, theta), places = pose, np.indices((ROWS, first + 16)).reshape(2, -1)
+    dx, dy = PITCH * (places[1] + 0.5) - x, PITCH * (places[0] + 0.5) - y
+    cosine, sine = np.cos(theta), np.sin(theta)
+    inside = base.functions(cosine * dx + sine * dy, cosine * dy - sine * dx).max(axis=0) <= 0.0
+    on_line = np.abs(places[0] - (ROWS - 1) / 2) < rows / 2
+    return set(map(tuple, places.T[inside & on_line & (places[1] >= first)].tolist()))
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_module_sees_the_axes_of_its_quadrant(side: int) -> None:
+    env = sg.SmartSurfaceVectorEnv(
+        1,
+        observe=("parcel", "rotors"),
+        info=("axes",),
+        actuators=Actuators(axis_speed=10.0),
+    )
+    view = ModuleView(env.settings)
+    seen, info = env.reset(seed=0, options={"speed": 2.5, "parcel": "B", "side": side})
+    rng = np.random.default_rng(1)
+    for _ in range(6):
+        seen, _, _, _, info = env.step(rng.integers(4, size=(1, 64)))
+    modules = view(seen)
+    assert modules.shared.shape == (1, shared_size(("parcel", "rotors")))
+    assert modules.place.shape == (len(modules.index), place_size(("parcel", "rotors")))
+    np.testing.assert_array_equal(modules.shared[0, -15:], seen[0, -15:])
+    axes = info["axes"][0]
+    dx, dy = 0.3 * modules.place[:, 6], 0.3 * modules.place[:, 7]
+    x, y = info["pose"][0, :2]
+    under = _under_base(Rectangle(0.45, 0.45), info["pose"][0], 0)
+    ahead, left = dx > 0.0, dy > 0.0
+    for quadrant in np.ndindex(2, 2):
+        mine = (ahead == quadrant[0]) & (left == quadrant[1])
+        twice = [
+            2.0 * axes[row, column]
+            for row, column in under
+            if ((PITCH * (column + 0.5) - x > 0.0) == quadrant[0])
+            and ((side * (PITCH * (row + 0.5) - y) > 0.0) == quadrant[1])
+        ]
+        assert mine.any()
+        assert twice
+        mean = [np.cos(twice).mean(), side * np.sin(twice).mean()]
+        np.testing.assert_allclose(
+            modules.place[mine, 10:], np.tile(mean, (mine.sum(), 1)), atol=1e-5
+        )
+
+
+def test_modules_that_will_be_under_the_parcel_are_seen() -> None:
+    """After a period at 90 deg a rolling parcel lies on modules that were seen before."""
+    env = sg.SmartSurfaceVectorEnv(NUM_ENVS)
+    starts = [{"speed": 2.7, "parcel": "S", "side": 1}] * NUM_ENVS
+    observation, _ = env.reset(seed=0, options=starts)
+    view = ModuleView(env.settings)
+    before = view(observation)
+    for _ in range(6):
+        observation, *_ = env.step(np.full((NUM_ENVS, 64), 3))
+        after = view(observation)
+        assert set(after.index[after.place[:, 4] == 1.0]) <= set(before.index)
+        before = after
+    assert len(after.index) > 0
+
+
+@pytest.mark.parametrize("parcel", ["S", "B"])
+def test_the_other_side_is_the_mirror_image(parcel: str) -> None:
+    view, left, pose = on_the_way(parcel, 1)
+    _, right, other = on_the_way(parcel, -1)
+    np.testing.assert_allclose(other[:, 1] - LINE_Y, LINE_Y - pose[:, 1], atol=1e-9)
+    one, two = view(left), view(right)
+    order = np.lexsort((one.place[:, 7], one.place[:, 6].round(3), one.env))
+    image = np.lexsort((two.place[:, 7], two.place[:, 6].round(3), two.env))
+    np.testing.assert_allclose(two.place[image], one.place[order], atol=1e-4)
+    np.testing.assert_allclose(two.shared, one.shared, atol=1e-4)
+    rng = np.random.default_rng(1)
+    choices = rng.integers(4, size=len(order))
+    towards, away = np.empty_like(choices), np.empty_like(choices)
+    towards[order], away[image] = choices, choices
+    actions = view.actions(left, one, towards).reshape(NUM_ENVS, 4, 16)
+    mirrored = view.actions(right, two, away).reshape(NUM_ENVS, 4, 16)
+    np.testing.assert_array_equal(mirrored, np.array([0, 2, 1, 3])[actions[:, ::-1]])
+
+
+def test_modules_away_from_the_parcel_stay_at_90_deg() -> None:
+    view, observation, _ = on_the_way("B", 1)
+    seen = view(observation)
+    actions = view.actions(observation, seen, np.zeros(len(seen.index), dtype=np.int64))
+    assert (actions == 0).sum() == len(seen.index)
+    assert (actions == 3).sum() == actions.size - len(seen.index)
+
+
+def test_other_settings_are_refused() -> None:
+    with pytest.raises(ValueError, match="task must be one of 'sort'"):
+        ModuleView(EnvConfig(task="slow", actions="modules"))
+    with pytest.raises(ValueError, match="actions must be one of 'modules'"):
+        ModuleView(EnvConfig(actions="halves"))
+
+
+SQUARES = tuple(Rectangle(side, side) for side in (0.15, 0.25, 0.4, 0.45, 0.55))
+RECTANGLES = (
+    Rectangle(0.4, 0.25), Rectangle(0.37, 0.27), Rectangle(0.25, 0.4), Rectangle(0.35, 0.2),
+    Rectangle(0.22, 0.34), Rectangle(0.2, 0.39), Rectangle(0.45, 0.399), Rectangle(0.3, 0.55),
+)  # fmt: skip
+DISCS = tuple(Disc(radius) for radius in (0.1, 0.15, 0.199, 0.2, 0.225))
+HEXAGON = Polygon(0.2 * np.array([(np.cos(k), np.sin(k)) for k in np.pi / 3.0 * np.arange(6)]))
+
+
+def seen_turned(
+    bases: tuple[Base, ...], observe: tuple[str, ...] = ()
+) -> tuple[EnvConfig, np.ndarray, list[Base]]:
+    """Settings, observations, and the base of each environment, turned at random."""
+    each = [base for base in bases for _ in range(20)]
+    env = sg.SmartSurfaceVectorEnv(
+        len(each), observe=observe, randomisation=Randomisation(lateral=0.05, heading=0.5)
+    )
+    starts = [{"speed": 2.0, "parcel": Parcel(base), "side": 1} for base in each]
+    seen, info = env.reset(seed=0, options=starts)
+    assert np.ptp(info["pose"][:, 2]) > 1.0
+    return env.settings, seen, each
+
+
+def by_clearance(settings: EnvConfig, seen: np.ndarray) -> Outline:
+    clearance = 0.2 * seen[:, 7].astype(np.float64)
+    return outline_from_clearance(decode_line(settings, seen), clearance, settings.chosen_plant)
+
+
+@pytest.mark.parametrize(
+    "bases", [SQUARES, RECTANGLES, DISCS], ids=["squares", "rectangles", "discs"]
+)
+def test_the_clearance_determines_width_and_rows(bases: tuple[Base, ...]) -> None:
+    settings, seen, each = seen_turned(bases)
+    outline = by_clearance(settings, seen)
+    half = np.array([np.ptp(base.outline, axis=0) / 2.0 for base in each]).T
+    np.testing.assert_allclose(outline.half, half, atol=2e-6)
+    assert outline.rows.tolist() == [rows_under(2.0 * width, PITCH) for width in half[1]]
+    assert not outline.roundness.any()
+
+
+def test_a_square_is_as_wide_as_long_to_the_last_bit() -> None:
+    settings, seen, _ = seen_turned(SQUARES)
+    see, outline = decode_line(settings, seen), by_clearance(settings, seen)
+    np.testing.assert_array_equal(outline.half, [see.half_length, see.half_length])
+    np.testing.assert_array_equal(outline.reach(see.theta), see.reach)
+
+
+@pytest.mark.parametrize(
+    ("bases", "roundness"),
+    [(SQUARES + RECTANGLES, 0.0), (DISCS, 1.0), ((HEXAGON,), 0.25 / (1.0 - np.pi / 4.0))],
+)
+def test_an_observed_outline_is_exact(bases: tuple[Base, ...], roundness: float) -> None:
+    settings, seen, each = seen_turned(bases, ("parcel",))
+    length, width, fill = seen[:, -3:].astype(np.float64).T
+    outline = outline_from_features(length, width, fill, settings.chosen_plant)
+    half = np.array([np.ptp(base.outline, axis=0) / 2.0 for base in each]).T
+    np.testing.assert_allclose(outline.half, half, atol=2e-6)
+    np.testing.assert_allclose(outline.roundness, min(roundness, 1.0), atol=1e-5)
+    assert outline.rows.tolist() == [rows_under(2.0 * width, PITCH) for width in half[1]]
+
+
+@pytest.mark.parametrize(("base", "roundness"), [(Rectangle(0.4, 0.25), 0.0), (Disc(0.17), 1.0)])
+def test_reach_and_distance_are_the_bases(base: Base, roundness: float) -> None:
+    rng = np.random.default_rng(0)
+    theta = rng.uniform(-np.pi, np.pi, 200)
+    half = np.ptp(base.outline, axis=0)[:, np.newaxis] / 2.0 + np.zeros(200)
+    outline = Outline(half, np.full(200, roundness), np.full(200, 2.0))
+    turned = np.stack([np.cos(theta), -np.sin(theta)])
+    np.testing.assert_allclose(outline.reach(theta), (base.outline @ turned).max(axis=0), atol=2e-3)
+    place = rng.uniform(-0.3, 0.3, (2, 200))
+    beyond = base.functions(*place).max(axis=0)
+    np.testing.assert_allclose(outline.distance(place), beyond, atol=1e-6)
+    np.testing.assert_array_equal(outline.select(np.array([3, 3])).half, half[:, [3, 3]])
+
+
+def test_rows_of_a_pattern_are_its_own() -> None:
+    rotor = np.zeros((20, 30), dtype=bool)
+    rotor[7:13] = True
+    half = np.zeros(3)  # as long and as wide as is between the boxes
+    outline = outline_from_features(half, half, half + 1.0, Pattern(rotor, lead_in=4))
+    assert outline.rows.tolist() == [6.0, 6.0, 6.0]

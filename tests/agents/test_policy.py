@@ -1,0 +1,302 @@
+"""Policies on disk: they come back as they were, and no code in their files is run; and the
+categorical distribution of Stable-Baselines3's networks, against Stable-Baselines3's own.
+"""
+
+import pickle
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+import yaml
+from gymnasium import spaces
+from stable_baselines3.common.distributions import MultiCategoricalDistribution
+from stable_baselines3.common.policies import ActorCriticPolicy
+from surface_gym.agents.library import CARD, WEIGHTS, PolicyCard
+from surface_gym.agents.module_policy import ModulePolicy, SharedNetwork
+from surface_gym.agents.policy import (
+    EqualCategoricals,
+    EqualChoicesPolicy,
+    Policy,
+    load_policy,
+    make_network,
+    save_policy,
+)
+
+from surface_gym.registration import env_id
+from surface_gym.tasks import TASKS
+from tests.agents.signing import sign
+
+CARDS = {
+    "ppo": PolicyCard("SmartSurface/Sort-v0", "ppo", "halves", 0.04, (8,)),
+    "dqn": PolicyCard("SmartSurface/Stop-v0", "dqn", "halves", 0.04, (8, 9)),
+    "modules": PolicyCard("SmartSurface/Sort-v0", "modules", "modules", 0.04, (8, 9)),
+}
+
+
+def policy_of(card: PolicyCard) -> Policy | ModulePolicy:
+    """With random weights."""
+    torch.manual_seed(0)
+    if card.algo == "modules":
+        network = SharedNetwork(4, card.hidden)
+        with torch.no_grad():
+            for weights in network.parameters():
+                weights.normal_()
+        return ModulePolicy(network, card)
+    settings = card.env_config()
+    return Policy(make_network(card, settings), card, settings)
+
+
+@pytest.fixture(params=CARDS)
+def card(request: pytest.FixtureRequest) -> PolicyCard:
+    return CARDS[request.param]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, card: PolicyCard) -> Path:
+    save_policy(policy_of(card)._network, card, tmp_path)
+    return tmp_path
+
+
+def test_a_round_trip_predicts_the_same(folder: Path, card: PolicyCard) -> None:
+    before, after = policy_of(card), load_policy(folder)
+    features = card.env_config().observation_space().shape[0]
+    observations = np.random.default_rng(0).normal(size=(50, features)).astype(np.float32)
+    actions, state = after.predict(observations)
+    np.testing.assert_array_equal(actions, before.predict(observations)[0])
+    assert state is None
+    assert len(np.unique(actions)) > 1
+    np.testing.assert_array_equal(after.predict(observations[0])[0], actions[0])
+    assert after.card == card
+    assert (after.env_id, after.env_kwargs) == (before.env_id, before.env_kwargs)
+
+
+@pytest.mark.parametrize("name", [WEIGHTS, CARD])
+def test_no_byte_can_change_unnoticed(folder: Path, name: str) -> None:
+    whole = (folder / name).read_bytes()
+    rng = np.random.default_rng(0)
+    for place in rng.integers(0, len(whole), 60):
+        changed = bytearray(whole)
+        changed[place] ^= 1 << int(rng.integers(8))
+        (folder / name).write_bytes(changed)
+        if name == CARD and yaml_of(bytes(changed)) == yaml_of(whole):
+            continue  # white space
+        with pytest.raises(ValueError, match="damaged or foreign"):
+            load_policy(folder)
+
+
+def yaml_of(content: bytes) -> object:
+    try:
+        return yaml.safe_load(content.decode())
+    except (UnicodeDecodeError, yaml.YAMLError):
+        return None
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda weights: weights.to(torch.complex64), "must be torch.float32, got torch.complex64"),
+        (lambda weights: weights.to(torch.float64), "must be torch.float32, got torch.float64"),
+        (lambda weights: weights * torch.nan, "must be finite"),
+        (lambda weights: weights[:-1], "size mismatch"),
+        (lambda weights: weights.tolist(), "has no attribute 'dtype'"),
+    ],
+    ids=["complex", "double", "nan", "short", "a list"],
+)
+def test_weights_of_another_kind_are_refused(
+    folder: Path, change: Callable[[torch.Tensor], object], told: str
+) -> None:
+    weights = torch.load(folder / WEIGHTS, weights_only=True)
+    name = next(iter(weights))
+    torch.save({**weights, name: change(weights[name])}, folder / WEIGHTS)
+    sign(folder)
+    with pytest.raises(ValueError, match=re.escape(told)):
+        load_policy(folder)
+
+
+def test_weights_that_lack_a_layer_are_refused(folder: Path) -> None:
+    weights = torch.load(folder / WEIGHTS, weights_only=True)
+    name = next(iter(weights))
+    del weights[name]
+    torch.save(weights, folder / WEIGHTS)
+    sign(folder)
+    with pytest.raises(ValueError, match=f"'{re.escape(name)}' is missing"):
+        load_policy(folder)
+
+
+class _Trap:
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (Path.touch, (self.mark,))
+
+
+def test_a_pickle_is_refused_and_not_run(folder: Path) -> None:
+    mark = folder / "ran"
+    (folder / WEIGHTS).write_bytes(pickle.dumps(_Trap(mark), protocol=2))
+    sign(folder)
+    with pytest.raises(ValueError, match=r"it holds more than tensors and plain values$"):
+        load_policy(folder)
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[1, 2", "hidden: [8]", "!!python/object/apply:os.system ['true']"]
+)
+def test_a_foreign_card_is_refused(folder: Path, text: str) -> None:
+    (folder / CARD).write_text(text)
+    with pytest.raises(ValueError, match="damaged or foreign"):
+        load_policy(folder)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        "env_id: Other-v0",
+        "env_id: SmartSurface/Slow-v0",
+        "algo: sac",
+        "actions: thirds",
+        "actions: window",
+        "control_period: -1.0",
+        "hidden: [9]",
+        "hidden: []",
+        "more: 1",
+    ],
+)
+def test_a_card_of_other_weights_is_refused(folder: Path, wrong: str) -> None:
+    name = wrong.split(":")[0]
+    lines = (folder / CARD).read_text().splitlines()
+    kept = [line for line in lines if not line.startswith((name, "-"))]
+    (folder / CARD).write_text("\n".join([*kept, wrong]))
+    sign(folder)
+    with pytest.raises(ValueError, match="damaged or foreign"):
+        load_policy(folder)
+
+
+def test_a_card_without_a_digest_is_refused(folder: Path) -> None:
+    lines = (folder / CARD).read_text().splitlines()
+    (folder / CARD).write_text("\n".join(line for line in lines if not line.startswith("digest")))
+    with pytest.raises(ValueError, match="'digest' is missing"):
+        load_policy(folder)
+
+
+@pytest.mark.parametrize("name", ["env_id", "algo", "actions", "control_period"])
+def test_a_card_that_lacks_a_field_is_refused(folder: Path, name: str) -> None:
+    lines = (folder / CARD).read_text().splitlines()
+    (folder / CARD).write_text("\n".join(line for line in lines if not line.startswith(name)))
+    sign(folder)
+    with pytest.raises(ValueError, match="damaged or foreign"):
+        load_policy(folder)
+
+
+def test_damage_and_absence_are_named(folder: Path) -> None:
+    whole = (folder / WEIGHTS).read_bytes()
+    (folder / WEIGHTS).write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ValueError, match="its digest differs"):
+        load_policy(folder)
+    sign(folder)
+    with pytest.raises(ValueError, match="failed reading zip archive"):
+        load_policy(folder)
+    (folder / WEIGHTS).unlink()
+    with pytest.raises(ValueError, match=f"{WEIGHTS} is missing"):
+        load_policy(folder)
+
+
+OF_TASKS = [
+    PolicyCard(env_id(task), algo, actions, 0.04, (8,))
+    for task in TASKS
+    for algo, actions in (("ppo", "halves"), ("ppo", "quadrants"), ("dqn", "halves"))
+] + [PolicyCard(env_id("sort"), "ppo", actions, 0.04, (8,)) for actions in ("modules", "window")]
+
+
+@pytest.mark.parametrize(
+    "card", OF_TASKS, ids=lambda card: f"{card.task} {card.algo} {card.actions}"
+)
+def test_it_takes_and_gives_what_its_environment_does(tmp_path: Path, card: PolicyCard) -> None:
+    save_policy(make_network(card, card.env_config()), card, tmp_path)
+    policy = load_policy(tmp_path)
+    assert policy.card == card
+    env = gym.make(policy.env_id, **policy.env_kwargs)
+    observation, _ = env.reset(seed=0)
+    assert policy.predict(observation)[0] in env.action_space
+    vector = gym.make_vec(policy.env_id, num_envs=5, **policy.env_kwargs)
+    observations, _ = vector.reset(seed=0)
+    chosen, _ = policy.predict(observations)
+    assert chosen in vector.action_space
+    for i, one in enumerate(observations):
+        np.testing.assert_array_equal(policy.predict(one)[0], chosen[i])
+
+
+CHOICES, OPTIONS, NUM_ENVS = 25, 4, 7
+
+
+@pytest.fixture
+def logits() -> torch.Tensor:
+    generator = torch.Generator().manual_seed(0)
+    return 2.0 * torch.randn((NUM_ENVS, CHOICES * OPTIONS), generator=generator)
+
+
+def both(logits: torch.Tensor) -> tuple[EqualCategoricals, MultiCategoricalDistribution]:
+    ours = EqualCategoricals(CHOICES, OPTIONS).proba_distribution(logits)
+    return ours, MultiCategoricalDistribution([OPTIONS] * CHOICES).proba_distribution(logits)
+
+
+def test_log_prob_entropy_and_mode_are_theirs(logits: torch.Tensor) -> None:
+    ours, theirs = both(logits)
+    actions = theirs.sample()
+    torch.testing.assert_close(ours.log_prob(actions), theirs.log_prob(actions))
+    torch.testing.assert_close(ours.entropy(), theirs.entropy())
+    assert torch.equal(ours.mode(), theirs.mode())
+
+
+def test_gradients_are_theirs(logits: torch.Tensor) -> None:
+    actions = both(logits)[1].sample()
+    gradients = []
+    for of in (0, 1):
+        leaf = logits.clone().requires_grad_()
+        distribution = both(leaf)[of]
+        (distribution.log_prob(actions).sum() + 0.1 * distribution.entropy().sum()).backward()
+        gradients.append(leaf.grad)
+    torch.testing.assert_close(gradients[0], gradients[1])
+
+
+def test_samples_fall_as_often_as_they_should() -> None:
+    """Each option's share lies within 5 standard errors of its probability."""
+    torch.manual_seed(0)
+    draws = 20_000
+    row = torch.randn((1, CHOICES * OPTIONS), generator=torch.Generator().manual_seed(1))
+    ours, theirs = both(row.expand(draws, -1))
+    wanted = torch.stack([each.probs[0] for each in theirs.distribution])
+    samples = ours.sample()
+    assert samples.shape == (draws, CHOICES)
+    share = torch.nn.functional.one_hot(samples, OPTIONS).double().mean(dim=0)
+    error = (wanted * (1.0 - wanted) / draws).sqrt()
+    assert bool(((share - wanted).abs() < 5.0 * error).all())
+
+
+def test_a_policy_is_theirs_to_the_weights() -> None:
+    observations, actions = spaces.Box(-1.0, 1.0, (3,)), spaces.MultiDiscrete([OPTIONS] * CHOICES)
+    ours = EqualChoicesPolicy(observations, actions, lambda _: 1e-3, net_arch=[8])
+    theirs = ActorCriticPolicy(observations, actions, lambda _: 1e-3, net_arch=[8])
+    theirs.load_state_dict(ours.state_dict())
+    assert isinstance(ours.action_dist, EqualCategoricals)
+    seen = np.random.default_rng(0).normal(size=(NUM_ENVS, 3)).astype(np.float32)
+    chosen, _ = ours.predict(seen, deterministic=True)
+    np.testing.assert_array_equal(chosen, theirs.predict(seen, deterministic=True)[0])
+    given = torch.from_numpy(seen), torch.from_numpy(chosen)
+    for mine, other in zip(
+        ours.evaluate_actions(*given), theirs.evaluate_actions(*given), strict=True
+    ):
+        torch.testing.assert_close(mine, other)
+    single, _ = ours.predict(seen[0], deterministic=True)
+    np.testing.assert_array_equal(single, chosen[0])
+
+
+@pytest.mark.parametrize("space", [spaces.Discrete(4), spaces.MultiDiscrete([2, 3])])
+def test_other_spaces_keep_their_distribution(space: spaces.Space[object]) -> None:
+    policy = EqualChoicesPolicy(spaces.Box(-1.0, 1.0, (3,)), space, lambda _: 1e-3, net_arch=[8])
+    assert not isinstance(policy.action_dist, EqualCategoricals)

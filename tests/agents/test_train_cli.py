@@ -1,0 +1,155 @@
+"""The command line of train.py: defaults of the task, resumed runs, searches, refusals."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+from surface_gym.agents import train_cli
+from surface_gym.agents.learning.config import DQNConfig, PPOConfig, TrainConfig
+from surface_gym.agents.learning.cuda import gym as gym_of_device
+from surface_gym.agents.learning.hyperparams import defaults, write_hyperparams
+from surface_gym.agents.learning.runs import (
+    TrainResult,
+    make_folder,
+    read_config,
+    training_command,
+    write_card,
+    write_config,
+)
+from surface_gym.agents.train_cli import SWEEP, Request, parse_arguments
+
+NO_GPU = "cuda must be there, got none"
+
+
+def config_of(*arguments: str) -> TrainConfig:
+    config = parse_arguments(arguments).config
+    assert config is not None
+    return config
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+
+
+def test_defaults_are_those_of_task_and_algorithm(tmp_path: Path) -> None:
+    config = config_of("--task", "track", "--algo", "dqn", "--seed", "3", "--out", str(tmp_path))
+    assert isinstance(config, DQNConfig)
+    assert config == replace(defaults("track", "dqn"), seed=3, out=tmp_path)
+    assert config_of("--algo", "modules") == defaults("sort", "modules")
+    assert config_of("--task", "flow") == defaults("flow", "parcels")
+    lab = config_of("--task=slow", "--preset=lab", "--hidden", "8", "9")
+    assert lab == replace(defaults("slow", "ppo", preset="lab"), hidden=(8, 9))
+
+
+def test_earlier_names_of_options_are_understood() -> None:
+    config = config_of("--lanes", "32", "--condition=lab")
+    assert config == replace(defaults("sort", "ppo", preset="lab"), num_envs=32)
+
+
+def test_a_new_run_has_a_new_folder_which_is_resumed_as_it_was_asked_for(tmp_path: Path) -> None:
+    arguments = ["--task", "slow", "--num-envs", "64", "--out", str(tmp_path)]
+    config = config_of(*arguments)
+    folder = make_folder(config, arguments)
+    assert folder.parent == tmp_path
+    assert folder.name.startswith("slow-ppo-seed0-")
+    assert (folder / "command.txt").read_text().startswith("python train.py --task slow")
+    assert parse_arguments(["--resume", str(folder)]) == Request(
+        None, None, config=config, folder=folder
+    )
+    named = replace(config, name="a")
+    make_folder(named, arguments)
+    with pytest.raises(ValueError, match="--resume"):
+        make_folder(named, arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ("--steps 0", "steps"),
+        ("--gamma 2", "gamma"),
+        ("--task juggle", "juggle"),
+        ("--algo sac", "sac"),
+        ("--hidden x", "hidden"),
+        ("--algo dqn --actions window", "actions"),
+        ("--algo modules --task slow", "task must be one of 'sort'"),
+        ("--resume nowhere", "nowhere"),
+        ("--resume nowhere --steps 5", "--resume must stand alone"),
+        ("--resume there --steps 5", "--resume must stand alone"),
+        ("--search wide.yml --steps 5", "--search must stand alone"),
+        ("--search wide.yml --resume there", "--search must stand alone"),
+        ("--search wide.yml --out . --name there", "--resume there goes on"),
+        ("--device cuda --algo dqn", "algo, on device 'cuda', must be one of 'ppo', got 'dqn'"),
+        ("--device cuda --task flow", "algo, on device 'cuda', must be one of 'ppo'"),
+        ("--device cuda --camera-share 0.5", "camera_share must be 0.0 for device 'cuda', got 0.5"),
+        ("--device cuda --zones 8", "zones must be () for device 'cuda', got (8,)"),
+        ("--device cuda --preset lab", "preset must be 'nominal' for device 'cuda', got 'lab'"),
+        ("--device tpu", "tpu"),
+        ("--device cuda", NO_GPU),
+    ],
+)
+def test_refusals_name_what_is_wrong_and_leave_no_folder(
+    arguments: str,
+    named: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise RuntimeError(NO_GPU)
+
+    monkeypatch.setattr(gym_of_device, "make_vec", refuse)
+    Path("there").mkdir()
+    Path("there", SWEEP).touch()
+    with pytest.raises(SystemExit) as raised:
+        train_cli.main(arguments.split())
+    message = str(raised.value) + capsys.readouterr().err
+    assert " ".join(named.split()) in " ".join(message.replace("│", " ").split())
+    assert [file.name for file in Path().iterdir()] == ["there"]
+
+
+def test_a_users_file_gives_the_defaults(tmp_path: Path) -> None:
+    own = replace(defaults("slow", "ppo"), gamma=0.9)
+    write_hyperparams(own, tmp_path / "own.yml")
+    flags = ["--task", "slow", "--hyperparams", str(tmp_path / "own.yml")]
+    assert config_of(*flags, "--seed", "4") == replace(own, seed=4)
+
+
+def test_the_cluster_is_no_part_of_a_run() -> None:
+    request = parse_arguments(["--cluster", "auto", "--seeds", "2"])
+    assert request.cluster == "auto"
+    assert request.config == replace(defaults("sort", "ppo"), seeds=2)
+
+
+def test_a_search_is_new_or_resumed(tmp_path: Path) -> None:
+    file, folder = tmp_path / "wide.yml", tmp_path / "search-wide"
+    request = parse_arguments(["--search", str(file), "--out", str(tmp_path)])
+    assert request == Request(None, None, search=file, folder=folder)
+    folder.mkdir()
+    (folder / SWEEP).touch()
+    found = parse_arguments(["--resume", str(folder)])
+    assert found == Request(None, None, search=folder / SWEEP, folder=folder)
+
+
+def test_the_command_of_a_card_trains_the_same(tmp_path: Path) -> None:
+    config = config_of("--device", "cuda", "--num-envs", "32768", "--out", str(tmp_path))
+    assert isinstance(config, PPOConfig)
+    command = training_command(config)
+    assert command.endswith("--task sort --algo ppo --device cuda --num-envs 32768")
+    assert config_of(*command.split()[2:]) == replace(config, out=Path("runs"))
+    trained = [TrainResult(steps=100, seconds=1.4, interrupted=False)]
+    write_card(config, trained, {"exact": {"success": 1.0}}, tmp_path)
+    assert yaml.safe_load((tmp_path / "card.yaml").read_text()) == {
+        "command": command, "seeds": [0], "steps": [100], "seconds": [1],
+        "results": {"exact": {"success": 1.0}},
+    }  # fmt: skip
+
+
+def test_a_users_task_must_be_named_when_its_run_is_resumed(tmp_path: Path) -> None:
+    task = f"{Path(__file__).parents[2]}/examples/haste.py:Haste"
+    write_config(PPOConfig(task=task), tmp_path / "config.yaml")
+    with pytest.raises(ValueError, match="name it by --task"):
+        read_config(tmp_path / "config.yaml")
+    resumed = parse_arguments(["--resume", str(tmp_path), "--task", task])
+    assert resumed.config == PPOConfig(task=task)

@@ -1,0 +1,68 @@
+"""A small search, and a trial of it that only computes."""
+
+import time
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from optuna.trial import FrozenTrial
+from rich.console import Console
+from surface_gym.agents.tuning.study import (
+    COMPLETE,
+    PRUNED,
+    Pruning,
+    TrialResult,
+    open_study,
+    optimize,
+)
+from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
+
+from surface_gym.parallel import Report, Workers
+
+QUIET = Console(quiet=True)
+SMALL = Sweep(
+    task="slow",
+    trials=14,
+    steps=40_000,
+    evaluations=3,
+    seed=2,
+    startup_trials=4,
+    space={
+        "learning_rate": Span(1e-4, 1e-2, log=True),
+        "n_epochs": Span(1, 9),
+        "hidden": Choices([[8], [8, 8]]),
+    },
+)
+
+
+def cheap_trial(
+    sweep: Sweep,
+    params: dict[str, Any],
+    past: tuple[FrozenTrial, ...],
+    report: Report,
+    seconds: float = 0.0,
+) -> TrialResult:
+    """The nearer to 1e-2 the learning rate is, the better; the rest matters little."""
+    value = params["learning_rate"] * 100.0 + 0.001 * params["n_epochs"]
+    prune = Pruning(sweep, past, report)
+    for number in range(1, sweep.max_reports + 1):
+        time.sleep(seconds)
+        if prune(number, value * number / sweep.max_reports):
+            return TrialResult(PRUNED)
+    return TrialResult(COMPLETE, value)
+
+
+def searched(
+    sweep: Sweep, folder: Path, run: Any = cheap_trial, workers: Workers = 1
+) -> list[FrozenTrial]:
+    """All trials of a search that is carried out in a folder, the interrupted ones included."""
+    with open_study(sweep, folder) as study:
+        with suppress(KeyboardInterrupt):
+            optimize(sweep, study, workers, QUIET, run)
+        return list(study.get_trials())
+
+
+def slow_search(folder: Path) -> None:
+    """A search to be killed."""
+    searched(SMALL, folder, partial(cheap_trial, seconds=0.2), 2)
