@@ -147,7 +147,7 @@ class ModuleView:
         self._settings = settings
         kind = settings.action_kind
         self._size = kind.size
-        self._plant = settings.chosen_plant
+        self._plant = settings.chosen_line
         # [m] from the zone's first edge, and from the line's middle.
         self._column = self._plant.pitch_x * (np.arange(kind.columns) + 0.5)
         self._row = self._plant.pitch_y * (np.arange(kind.rows) - (kind.rows - 1) / 2.0)

@@ -32,7 +32,7 @@ def parcel_spaces(settings: EnvConfig) -> tuple[spaces.Box, spaces.MultiDiscrete
 
     An action has three choices: the axes ahead, the axes behind, and the opening of the gate.
     """
-    choices, gates = settings.action_kind.choices, settings.flow_actions.gates
+    choices, gates = settings.action_kind.choices, settings.action_kind.gates
     return settings.row_space(), spaces.MultiDiscrete([choices, choices, gates])
 
 
@@ -138,7 +138,7 @@ def _log_prob(parts: list[Any], actions: torch.Tensor) -> torch.Tensor:
 
 def make_parcel_network(card: PolicyCard) -> ParcelNetwork:
     """Build the network of a card, its weights not set."""
-    space = parcel_spaces(EnvConfig(**card.env_kwargs))
+    space = parcel_spaces(EnvConfig("flow", **card.env_kwargs))
     return ParcelNetwork(*space, lambda _: 0.0, net_arch=list(card.hidden))
 
 
@@ -154,7 +154,7 @@ class ParcelPolicy:
         torch.set_num_threads(1)  # the network is small: more threads only wait for each other
         self._network = network
         self._network.set_training_mode(False)
-        self._actions = ParcelActions(EnvConfig(**card.env_kwargs))
+        self._actions = ParcelActions(EnvConfig("flow", **card.env_kwargs))
         self.card = card
         self.env_id = card.env_id
         self.env_kwargs = card.env_kwargs

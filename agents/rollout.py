@@ -54,12 +54,12 @@ def run_episodes(
     count = len(starts)
     env = SmartSurfaceVectorEnv(
         num_envs=count,
-        max_episode_steps=settings.chosen_task.periods,
+        max_episode_steps=settings.task.periods,
         autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
         **env_arguments(settings),
     )
     observation, info = env.reset(seed=seed, options=list(starts))
-    figures = settings.chosen_task.metrics
+    figures = settings.task.metrics
     kept: dict[str, Any] = {
         key: np.zeros_like(info[key])
         for key in ("is_success", "outcome", "time", "velocity", *figures)

@@ -8,11 +8,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
-from stable_baselines3.common.vec_env.base_vec_env import (
-    VecEnvIndices,
-    VecEnvObs,
-    VecEnvStepReturn,
-)
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 from surface_gym import SmartSurfaceVectorEnv
 
@@ -148,7 +144,7 @@ class SurfaceVecEnv(BatchVecEnv):
         self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._actions: NDArray[np.int64] | None = None
-        self._terms = env.config.chosen_task.terms
+        self._terms = env.config.task.terms
         self._recorder = EpisodeRecorder(env.num_envs, self._terms)
 
     @property

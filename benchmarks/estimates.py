@@ -6,9 +6,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
-from surface_gym.agents.base import Controller
 
 import surface_gym as sg
+from surface_gym.agents.base import Controller
 from surface_gym.physics.types import RADIUS, THETA, X, Y
 
 Numbers = NDArray[np.float64]

@@ -12,13 +12,13 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
+
+import surface_gym as sg
+from benchmarks.estimates import Watch, watch
 from surface_gym.agents.base import Controller
 from surface_gym.agents.library import load, names
 from surface_gym.agents.rollout import env_arguments
 from surface_gym.agents.rules import find_rules
-
-import surface_gym as sg
-from benchmarks.estimates import Watch, watch
 from surface_gym.config import EnvConfig
 from surface_gym.physics.types import THETA, X, Y
 from surface_gym.randomisation import Actuators, Randomisation
@@ -180,10 +180,10 @@ def measure(config: ObserverConfig, console: Console) -> dict[tuple[str, str], W
             )
             env = sg.SmartSurfaceVectorEnv(
                 config.lanes,
-                max_episode_steps=settings.chosen_task.periods,
+                max_episode_steps=settings.task.periods,
                 **env_arguments(settings),
             )
-            seen = watch(env, make(settings), settings.chosen_task.periods, config.seed)
+            seen = watch(env, make(settings), settings.task.periods, config.seed)
             found.setdefault((world.name, task), Watch()).add(seen)
             env.close()
     return found

@@ -179,26 +179,26 @@ def zone_and_modules(begin: float = 9.0, end: float = 15.0) -> list[Picture]:
         begin: [s] of the stream, where the film begins.
         end: [s] where it ends.
     """
-    from surface_gym.agents.evaluation import streams
-    from surface_gym.agents.evaluation.streams import CURVE
-    from surface_gym.agents.flow.showing import pictures_of
+    from surface_gym.agents.evaluation.report import stream_player
+    from surface_gym.agents.evaluation.streams import ARRANGED, CURVE, LEARNED, stream_methods
+    from surface_gym.agents.evaluation.video import play
 
     titles = {
-        methods.ARRANGED: "One zone, arranged as a whole for each parcel",
-        methods.LEARNED: "Every module obeys the parcel that it bears: flow-ppo",
+        ARRANGED: "One zone, arranged as a whole for each parcel",
+        LEARNED: "Every module obeys the parcel that it bears: flow-ppo",
     }
-    named = {each.name: each for each in streams.stream_methods()}
+    named = {each.name: each for each in stream_methods()}
     rows = []
     for name, title in titles.items():
-        contender = named[name]
-        period = contender.control_period
-        first, last = round(begin / period), round(end / period)
-        shown = []
-        for frame, picture in enumerate(pictures_of(contender, CURVE, rate=8500.0)):
-            if first <= frame < last and frame % round(0.08 / period) == 0:
-                shown.append(with_caption(picture, title))
-            if frame >= last:
-                break
+        method = named[name]
+        period = method.control_period
+        first, last, every = (round(time / period) for time in (begin, end, 0.08))
+        pictures = play(stream_player(method, CURVE, rate=8500.0), every=every)
+        shown = [
+            with_caption(picture, title)
+            for frame, (picture, _) in enumerate(islice(pictures, last))
+            if frame >= first and frame % every == 0
+        ]
         rows.append(shown)
     bar = np.full((BAR, rows[0][0].shape[1], 3), 255, dtype=np.uint8)
     return [np.concatenate([one, bar, other]) for one, other in zip(*rows, strict=True)]
@@ -212,29 +212,21 @@ def sort_still(file: Path) -> None:
 
 def flow_still(file: Path) -> None:
     """Draw the stream under the reservation, 12 s after its start."""
-    from surface_gym.agents.evaluation import streams
-    from surface_gym.agents.evaluation.report import SHOWN_AT
-    from surface_gym.agents.evaluation.streams import CURVE
-    from surface_gym.agents.flow.showing import pictures_of
+    from surface_gym.agents.evaluation.report import stream_picture
+    from surface_gym.agents.evaluation.streams import RESERVATION, stream_methods
 
-    named = {each.name: each for each in streams.stream_methods()}
-    contender = named[methods.RESERVATION]
-    frame = round(SHOWN_AT / contender.control_period)
-    write_still(next(islice(pictures_of(contender, CURVE, rate=8550.0), frame, None)), file)
+    method = next(each for each in stream_methods() if each.name == RESERVATION)
+    write_still(stream_picture(method, rate=8550.0), file)
 
 
 def trajectories(file: Path) -> None:
     """Draw the trajectories of sorted parcels under the fixed layout and under PPO."""
-    from surface_gym.agents.evaluation.benchmark import play
-    from surface_gym.agents.evaluation.methods import rivals
-    from surface_gym.agents.evaluation.plots import draw_trajectories
+    from surface_gym.agents.evaluation.methods import all_methods, rivals
+    from surface_gym.agents.evaluation.report import write_trajectories
 
-    both = rivals(streams.stream_methods("sort"))
     with replacing(file) as part:
         named = part.with_suffix(".png")
-        draw_trajectories(
-            {each.name: play(each, each.seeds[0], "exact")[1] for each in both}, named
-        )
+        write_trajectories(rivals(all_methods("sort")), named)
         named.replace(part)
 
 

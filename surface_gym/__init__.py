@@ -1,10 +1,10 @@
 """A smart surface that steers parcels by friction: the simulator and its environments."""
 
+from importlib import import_module
 from types import ModuleType
 
 from surface_gym import layouts, lines, sensors, tasks
 from surface_gym.env import SmartSurfaceEnv
-from surface_gym.find_agents import import_agents
 from surface_gym.parcel import Disc, Parcel, Polygon, Rectangle
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.registration import register, register_all
@@ -39,7 +39,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> ModuleType:
-    """`surface_gym.agents`, imported when it is asked for: nobody else needs what it brings."""
+    """Import `surface_gym.agents` when it is first asked for: its libraries are an extra."""
     if name == "agents":
-        return import_agents()
+        return import_module("surface_gym.agents")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

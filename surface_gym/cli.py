@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 
-from surface_gym.find_agents import import_agents
-
 NAME = "surface-gym"
 AGENTS = "surface_gym.agents."
 # Libraries that come with an extra.
@@ -24,9 +22,9 @@ class Command:
 
 
 COMMANDS = {
-    "train": Command("train an agent, or search hyper-parameters", AGENTS + "learning.main"),
+    "train": Command("train an agent, or search hyper-parameters", AGENTS + "train_cli"),
     "tune": Command("search hyper-parameters, as a file says", AGENTS + "tuning.cli"),
-    "evaluate": Command("compare controllers and agents on every task", AGENTS + "evaluation.main"),
+    "evaluate": Command("compare controllers and agents on every task", AGENTS + "evaluation.cli"),
     "design": Command("choose a surface for your own parcel", "surface_gym.design.cli"),
     "export": Command("write an agent as ONNX and as C, checked", AGENTS + "export.cli"),
     "runtime": Command("run an agent in real time, simulated or not", AGENTS + "runtime.cli"),
@@ -72,11 +70,7 @@ def run_command(name: str, arguments: Sequence[str] | None = None) -> None:
     """
     command = COMMANDS[name]
     try:
-        if command.module.startswith(AGENTS):
-            module = import_agents(command.module.removeprefix(AGENTS))
-        else:
-            module = import_module(command.module)
-        module.main(list(sys.argv[1:] if arguments is None else arguments))
+        import_module(command.module).main(list(sys.argv[1:] if arguments is None else arguments))
     except ModuleNotFoundError as error:
         library = (error.name or "").partition(".")[0]
         if library not in OPTIONAL:

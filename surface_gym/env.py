@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from surface_gym.config import EnvConfig, with_arguments
 from surface_gym.gym_base import RENDER_FPS, check_render_mode, make_batch
 from surface_gym.state import OUT_OF_TIME, RUNNING
-from surface_gym.tasks.base import check_options
+from surface_gym.tasks.base import Task
+from surface_gym.tasks.start import check_options
 
 __all__ = ["RENDER_FPS", "SmartSurfaceEnv"]
 
@@ -96,9 +97,11 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": RENDER_FPS}
 
     @with_arguments
-    def __init__(self, render_mode: str | None = None, **config: Any) -> None:
+    def __init__(
+        self, task: str | Task = "sort", *, render_mode: str | None = None, **config: Any
+    ) -> None:
         self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
-        self.config = EnvConfig(**config)
+        self.config = EnvConfig(task, **config)
         self.batch = make_batch(self.config, 1)
         self.observation_space = self.config.observation_space()
         self.action_space = self.config.action_space()

@@ -32,7 +32,7 @@ from surface_gym.rendering import Painter, Scene, Window
 from surface_gym.scenes import Renderer
 from surface_gym.state import RUNNING
 from surface_gym.tasks import TASKS
-from surface_gym.tasks.base import Draw, parcel_option
+from surface_gym.tasks.start import Draw, parcel_option
 
 FRAME_RATE = 25.0  # [1/s] real time at the control period of 40 ms
 AXIS_KEYS = (pygame.K_1, pygame.K_2, pygame.K_3, pygame.K_4)  # the default orientations
@@ -132,7 +132,7 @@ class TaskGame(Game):
         super().__init__(self._batch)
         self._batch.reserve.seed(0, np.random.default_rng(0))
         numbers = self._batch.reserve.take(ONLY)
-        self._start = settings.chosen_task.start(Draw(numbers, (), settings.chosen_plant))
+        self._start = settings.task.start(Draw(numbers, (), settings.chosen_line))
         self._command = np.full((1, 2), ROLL)  # ahead of the parcel's centre, and behind
         self._pressed: tuple[float, float] | None = None  # [m] where the mouse went down
         self._restart()
@@ -186,10 +186,10 @@ class StreamGame(Game):
     def __init__(self) -> None:
         # More than ever come: their times are set by the rate that the player asks for.
         stream = Stream(Steady(FASTEST), parcels=("S", "B"))
-        self._settings = EnvConfig(stream, duration=LONGEST)
+        self._settings = EnvConfig("flow", stream=stream, duration=LONGEST)
         self._batch = StreamBatch(self._settings, 1)
         super().__init__(self._batch)
-        _, rows, _, columns = self._settings.zone
+        _, rows, _, columns = self._settings.site.zone
         self._choice = np.full((rows, columns), ROLL)  # of each module of the zone
         self._brush = FIRST_BRUSH  # the choice that the mouse gives
         self._rate = FIRST_RATE
@@ -226,8 +226,8 @@ class StreamGame(Game):
 
     def _paint(self, centre: tuple[float, float]) -> None:
         """Turn the modules near a position (x, y) [m]."""
-        plant = self._settings.chosen_plant
-        first_row, rows, first_column, columns = self._settings.zone
+        plant = self._settings.chosen_line
+        first_row, rows, first_column, columns = self._settings.site.zone
         x = plant.origin[0] + plant.pitch_x * (first_column + np.arange(columns))
         y = plant.origin[1] + plant.pitch_y * (first_row + np.arange(rows))
         near = np.hypot(x - centre[0], (y - centre[1])[:, np.newaxis]) <= BRUSH

@@ -16,7 +16,6 @@ from typing import Any
 from uuid import uuid4
 
 from surface_gym import parallel
-from surface_gym.find_agents import agents_name
 from surface_gym.parallel import LOST, REPORTED, Cluster, Event, Job, Message, WorkFailed
 
 COUNT_EVERY = 1.0  # [s] between counts of the processors, since nodes come and go
@@ -68,7 +67,10 @@ def _digest(endings: tuple[str, ...]) -> str:
 def _package_files() -> dict[str, Path]:
     """Files of the package and its agents, by names that are the same in every installation."""
     files = {}
-    for package, label in ((__package__, "surface_gym"), (agents_name(), "surface_gym/agents")):
+    for package, label in (
+        (__package__, "surface_gym"),
+        ("surface_gym.agents", "surface_gym/agents"),
+    ):
         found = find_spec(package)
         for place in found.submodule_search_locations or () if found is not None else ():
             root = Path(place)

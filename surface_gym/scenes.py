@@ -41,7 +41,7 @@ class Renderer:
     def record(self, env_index: int, begins: bool) -> None:
         """Record an environment after its episode began or went on by a control period."""
         if env_index not in self._histories:
-            history = _StreamHistory if hasattr(self._batch, "flows") else _ParcelHistory
+            history = _StreamHistory if hasattr(self._batch, "streams") else _ParcelHistory
             self._histories[env_index] = history(self._batch, env_index)
         self._histories[env_index].record(begins)
 
@@ -87,7 +87,7 @@ class _ParcelHistory:
     def scene(self, title: str | None = None) -> Scene:
         """Describe what a picture of now shows."""
         batch, i = self._batch, self._index
-        view, plant, task = batch.view(i), batch.config.chosen_plant, batch.task
+        view, plant, task = batch.view(i), batch.config.chosen_line, batch.task
         truth, outcome = view.truth, int(batch.parcels.outcome[i])
         readings: list[tuple[str, str]] = [
             ("time", f"{self.clock:.2f} s"),
@@ -156,7 +156,7 @@ class _StreamHistory:
             self._departed.clear()
         self._departed = [each for each in self._departed if clock - each.left <= GLIDE]
         trails, self._trails = self._trails, {}
-        for slot in range(self._batch.places):
+        for slot in range(self._batch.task.max_parcels):
             number = int(flows.number[i, slot])
             if number == NOBODY:
                 continue
@@ -191,8 +191,8 @@ class _StreamHistory:
                 waiting=int(flows.due[i] - flows.coming[i]),
             ),
             touching=self._touching(slots, len(departed)),
-            pitch=settings.chosen_plant.pitch,
-            origin=settings.chosen_plant.origin,
+            pitch=settings.chosen_line.pitch,
+            origin=settings.chosen_line.origin,
             zone=settings.zone,
             tilt=settings.tilt,
             title="Flow" if title is None else title,
@@ -246,7 +246,7 @@ def exit_marks(settings: Any) -> tuple[ExitMark, ...]:
     Raises:
         ValueError: a chute lies past the rotors altogether.
     """
-    plant, rotors_end = settings.chosen_plant, settings.rotors_end
+    plant, rotors_end = settings.chosen_line, settings.rotors_end
     end = plant.column_edge(plant.columns)
     marks = []
     for each in settings.exits:

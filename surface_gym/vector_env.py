@@ -15,7 +15,8 @@ from surface_gym.config import EnvConfig, with_arguments
 from surface_gym.gym_base import RENDER_FPS, check_render_mode, make_batch
 from surface_gym.physics.types import Booleans, Integers
 from surface_gym.state import OUT_OF_TIME, RUNNING
-from surface_gym.tasks.base import check_options
+from surface_gym.tasks.base import Task
+from surface_gym.tasks.start import check_options
 
 DEVICES = ("cpu", "cuda")
 Observations = NDArray[np.float32]
@@ -148,6 +149,8 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
+        task: str | Task = "sort",
+        *,
         max_episode_steps: int | None = None,
         threads: int = 1,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -155,7 +158,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         **config: Any,
     ) -> None:
         super().__init__(num_envs, autoreset_mode, max_episode_steps, render_mode)
-        self.config = EnvConfig(**config)
+        self.config = EnvConfig(task, **config)
         threads = min(self.num_envs, checks.integer("threads", threads, least=1))
         self.batch = make_batch(self.config, self.num_envs, threads, max_episode_steps)
         self._set_spaces(self.config.observation_space(), self.config.action_space())

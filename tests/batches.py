@@ -6,7 +6,7 @@ import numpy as np
 
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch
-from surface_gym.tasks.base import Start
+from surface_gym.tasks.start import Start
 
 
 def put(batch: Batch, start: Start, lane: int = 0) -> None:

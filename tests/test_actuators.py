@@ -12,7 +12,7 @@ from surface_gym.core.batch import Batch
 from surface_gym.layouts import LINE_Y
 from surface_gym.randomisation import Actuators
 from surface_gym.state import RUNNING
-from surface_gym.tasks.base import Start
+from surface_gym.tasks.start import Start
 from tests.batches import put
 from tests.environments import MINUS_45, PLUS_45, ROLL, SORT, assert_same, bare, same_choice, steps
 

@@ -95,7 +95,7 @@ class TestSeenAxes:
             actuators=Actuators(axis_speed=5.0),
         )
         env.reset(seed=0, options={"parcel": "B", "side": side})
-        features = len(env.config.chosen_task.features)
+        features = len(env.config.task.features)
         for action in ([0, 1, 2, 3], [2, 2, 1, 1], [1, 0, 3, 2]):
             observation, *_, info = env.step(action)
             zone = info["axes"][8:12, 5:21]

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from surface_gym.agents.tasks import find_task
 
 import surface_gym as sg
+from surface_gym.agents.tasks import find_task
 from surface_gym.tasks import Sort
 
 ROOT = Path(__file__).parent.parent

@@ -128,7 +128,7 @@ def _env(task: str, lanes: int) -> sg.SmartSurfaceVectorEnv:
     # All of the lab but its sensors, so that what is sensed is the truth.
     preset = replace(LAB, sensors=Exact(), parcels=tuple(map(Parcel, BASES)))
     return sg.SmartSurfaceVectorEnv(
-        lanes, task, "halves", observe=BOTH, preset=preset, info=("axes",)
+        lanes, task, actions="halves", observe=BOTH, preset=preset, info=("axes",)
     )
 
 

@@ -9,7 +9,7 @@ from scipy import stats
 
 import surface_gym as sg
 from surface_gym.randomisation import RandomDraw, Randomisation
-from surface_gym.tasks.base import Start
+from surface_gym.tasks.start import Start
 from tests.batches import batch_with
 from tests.environments import PARCELS, TRIANGLE, assert_same, bare, steps
 

@@ -23,7 +23,7 @@ from surface_gym.registration import FLOW
 from surface_gym.rendering import Scene, SceneParcel
 from surface_gym.scenes import GLIDE, TRAIL, Renderer, exit_marks
 from surface_gym.tasks import TASKS
-from surface_gym.tasks.base import Start
+from surface_gym.tasks.start import Start
 from tests.batches import batch_with as batch_at
 from tests.batches import put
 from tests.environments import HEPTAGON, PARCELS

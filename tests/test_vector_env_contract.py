@@ -12,14 +12,7 @@ from gymnasium.vector import AutoresetMode
 
 import surface_gym as sg
 from surface_gym.randomisation import Randomisation
-from tests.environments import (
-    ACTIONS,
-    SENSORS,
-    TRIANGLE,
-    TWINS,
-    assert_same,
-    every_id,
-)
+from tests.environments import ACTIONS, SENSORS, TRIANGLE, TWINS, assert_same, every_id
 from tests.vector_environments import (
     EVERYTHING_VARIES,
     LANES,

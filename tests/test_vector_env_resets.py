@@ -9,15 +9,8 @@ import pytest
 from gymnasium.vector import VectorEnv
 
 import surface_gym as sg
-from tests.environments import (
-    SENSORS,
-    assert_same,
-    every_kind_of_action,
-)
-from tests.vector_environments import (
-    LANES,
-    native,
-)
+from tests.environments import SENSORS, assert_same, every_kind_of_action
+from tests.vector_environments import LANES, native
 
 
 class TestSeeds:

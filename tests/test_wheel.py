@@ -114,7 +114,7 @@ def test_no_module_of_it_takes_the_name_of_another_package(installed: Path) -> N
 
 @pytest.mark.parametrize("name", ["train", "evaluate"])
 def test_its_command_has_both_doors(name: str, installed: Path) -> None:
-    program = "from surface_gym.console import main; main()"
+    program = "from surface_gym.cli import main; main()"
     done = run(installed, "-c", program, name, "--help")
     assert done.returncode == 0, done.stderr
     assert f"usage: surface-gym {name}" in done.stdout

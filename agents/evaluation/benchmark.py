@@ -19,8 +19,8 @@ from surface_gym.core.resets import each_parcel
 from surface_gym.parallel import Workers, map_jobs, without_report
 from surface_gym.parcel import Parcel
 from surface_gym.presets import PRESETS, Preset
-from surface_gym.tasks.base import Draw
 from surface_gym.tasks.benchmark import Benchmark, Column
+from surface_gym.tasks.start import Draw
 
 from ..rollout import Episodes, run_episodes, run_sequentially
 from ..tasks import find_task
@@ -179,7 +179,7 @@ def compute(method: Method, seed: int, preset: str) -> Result:
 def _path_metrics(
     settings: EnvConfig, episodes: Episodes, starts: Sequence[dict[str, Any]]
 ) -> dict[str, list[float]]:
-    task, line = settings.chosen_task, settings.chosen_plant
+    task, line = settings.task, settings.chosen_line
     found: dict[str, list[float]] = {}
     for k, parcel in enumerate(drawn_parcels(settings, starts, SEED)):
         for name, value in task.path_metrics(episodes.path(k), parcel, line, None).items():
@@ -191,9 +191,9 @@ def drawn_parcels(
     settings: EnvConfig, starts: Sequence[dict[str, Any]], seed: int
 ) -> tuple[Parcel, ...]:
     """List the parcel of each start before the randomisation; start k draws from `seed` + k."""
-    task = settings.chosen_task
+    task = settings.task
     numbers = np.array([np_random(seed + k)[0].random(task.draws) for k in range(len(starts))])
-    draw = Draw(numbers, starts, settings.chosen_plant, settings.zone)
+    draw = Draw(numbers, starts, settings.chosen_line, settings.zone)
     parcels = each_parcel(task.start(draw).parcel, len(starts))
     return tuple(parcels.kinds[kind] for kind in parcels.which.tolist())
 

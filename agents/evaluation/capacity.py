@@ -15,6 +15,7 @@ from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import BETWEEN, JAM
 from surface_gym.flow.statistics import compute_statistics
 from surface_gym.flow.stream import Stream
+from surface_gym.gym_base import make_batch
 from surface_gym.layouts import box
 from surface_gym.presets import Preset
 from surface_gym.randomisation import Randomisation
@@ -88,7 +89,8 @@ class StreamMethod:
         """Configure the environment it acts in, parcels coming evenly at a rate [parcels/h]."""
         preset = STREAM_PRESETS[case.preset]
         return EnvConfig(
-            Stream(Steady(rate), parcels=MIXES[case.mix], speeds=case.speed),
+            "flow",
+            stream=Stream(Steady(rate), parcels=MIXES[case.mix], speeds=case.speed),
             exits=EXITS,
             actions=self.actions,
             sensors=preset.sensors,
@@ -173,15 +175,15 @@ def measure(
         The deliveries; None where it was broken off.
     """
     settings = method.settings(case, rate)
-    batch = StreamBatch(settings, REPLICATIONS)
+    batch = make_batch(settings, REPLICATIONS)
     for k in range(REPLICATIONS):
         batch.seed(k, np.random.default_rng((SEED, k)))
     batch.reset(np.arange(REPLICATIONS))
-    counted = counted_time(settings.duration, rate)
-    begin = settings.duration - counted
+    counted = counted_time(settings.stream_task.duration, rate)
+    begin = settings.stream_task.duration - counted
     arrivals = int(batch.streams.arrivals.sum())
     most_wrong = (1.0 - LEAST_RIGHT[case.preset]) * arrivals
-    actions = settings.flow_actions
+    actions = settings.action_kind
     state, period = None, 0
     while (batch.outcome == RUNNING).any():
         action, state = controller.predict(batch.observation, state)

@@ -51,7 +51,7 @@ class Method:
             control_period=self.control_period,
             orientations=self.orientations,
             observe=self.observe,
-            condition=preset,
+            preset=preset,
         )
 
     def under(self, *presets: str) -> "Method":

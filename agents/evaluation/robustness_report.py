@@ -18,17 +18,7 @@ from rich.console import Console
 from ..tasks import task_label
 from .methods import FIXED, PLANNER
 from .plots import DOTS, INK
-from .robustness import (
-    FACTORS,
-    LAB,
-    SHAPES,
-    TRAINED,
-    Factor,
-    Level,
-    Rate,
-    Sweep,
-    SweepResult,
-)
+from .robustness import FACTORS, LAB, SHAPES, TRAINED, Factor, Level, Rate, Sweep, SweepResult
 from .tables import NOTHING, Table, write_markdown, write_numbers
 
 PICTURE = "robustness.png"

@@ -160,7 +160,7 @@ def _make_env(settings: EnvConfig | EnvConfig) -> gym.Env[Any, Any]:
         values = {field.name: getattr(settings, field.name) for field in fields(settings)}
         return SmartSurfaceEnv(render_mode="rgb_array", **values)
     env = SmartSurfaceEnv(render_mode="rgb_array", **env_arguments(settings))
-    return gym.wrappers.TimeLimit(env, settings.chosen_task.periods)
+    return gym.wrappers.TimeLimit(env, settings.task.periods)
 
 
 def _repeated(items: Iterator[Any], times: int) -> Iterator[Any]:
@@ -215,7 +215,8 @@ class VideoConfig:
     def settings(self) -> EnvConfig:
         """The environment."""
         return EnvConfig(
-            Stream(Steady(self.rate), self.parcels, speeds=self.entry_speed),
+            "flow",
+            stream=Stream(Steady(self.rate), self.parcels, speeds=self.entry_speed),
             exits=self.exits,
             actions="parcels",
             duration=self.seconds,

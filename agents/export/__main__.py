@@ -1,4 +1,4 @@
-"""`python -m agents.export`, which is `surface-gym export`."""
+"""`python -m surface_gym.agents.export`, which is `surface-gym export`."""
 
 from surface_gym.cli import run_command
 

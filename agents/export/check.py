@@ -195,7 +195,7 @@ def _from_episodes(source: Source, preset: Preset, count: int, seed: int) -> Sin
         del given[name]  # which the preset sets
     env = SmartSurfaceVectorEnv(
         num_envs=num_envs,
-        max_episode_steps=source.settings.chosen_task.periods,
+        max_episode_steps=source.settings.task.periods,
         autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
         **given,
     )

@@ -46,7 +46,7 @@ def seen_by_modules(settings: EnvConfig, features: Sequence[Any]) -> SeenByModul
         features: of the observation, each (parcels, 1).
     """
     see = {each.name: feature for each, feature in zip(settings.features, features, strict=True)}
-    kind, plant, period = settings.action_kind, settings.chosen_plant, settings.control_period
+    kind, plant, period = settings.action_kind, settings.chosen_line, settings.control_period
     mirrored = features[SIDE] < 0.0
     offset = 0.3 * see["lateral offset"]
     vx, vy = 1.0 + see["forward speed"], 0.5 * see["lateral speed"]
@@ -110,7 +110,7 @@ def _lie(
     settings: EnvConfig, see: dict[str, Any], offset: Any, axes: tuple[Any, Any]
 ) -> tuple[_Outline, Any]:
     """Outline of the base, and [m] from the zone's first edge to its centre."""
-    plant = settings.chosen_plant
+    plant = settings.chosen_line
     least = 2.0 if isinstance(plant, Line) else float(plant.zone_rows)
 
     def rows(pairs: Any) -> Any:

@@ -168,7 +168,7 @@ def _parts(kind: ActionKind) -> str:
 
 
 def _surface(source: Source) -> str:
-    plant = source.settings.chosen_plant
+    plant = source.settings.chosen_line
     return (
         f"`{type(plant).__name__}`: {plant.rows} x {plant.columns} elements, "
         f"{plant.pitch_x:g} m x {plant.pitch_y:g} m apart, {plant.zone_columns} columns of which "

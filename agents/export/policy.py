@@ -20,9 +20,8 @@ from surface_gym.tasks import Sort, Task
 from .. import library
 from ..evaluation.methods import policy_folders
 from ..learning.config import NOMINAL
-from ..learning.folder import open_folder
 from ..learning.runs import CARD as CARD_FILE
-from ..learning.runs import CONFIG
+from ..learning.runs import CONFIG, read_config
 from ..library import read_files
 from ..module_policy import ModulePolicy
 from ..policy import DIGEST, Policy, make_network
@@ -98,7 +97,7 @@ def of_run(
     custom = None if task is None else find_task(task)
     training = _read_training(run)
     if training is None and (run / CONFIG).is_file():
-        training = Training(open_folder(run, task).condition)
+        training = Training(read_config(run / CONFIG, task).preset)
     return _read(name or run.resolve().name, chosen, folders[chosen], custom, training)
 
 

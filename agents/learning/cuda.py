@@ -216,7 +216,7 @@ class DeviceTrainingEnvs:
         self.device = torch.device(envs.device)
         self.envs = envs
         settings = envs.settings
-        self.totals = EpisodeTotals(settings.chosen_task.terms, envs.num_envs, self.device)
+        self.totals = EpisodeTotals(settings.task.terms, envs.num_envs, self.device)
         mirrored = isinstance(settings.task, Sort)
         self._mirror = TensorMirror(settings, self.device) if mirrored else None
         self._side = torch.ones(envs.num_envs, device=self.device)

@@ -69,6 +69,7 @@ def draw_stream(rng: np.random.Generator) -> Stream:
 def training_settings(control_period: float) -> EnvConfig:
     """Build the settings of the training line with exact sensors."""
     return EnvConfig(
+        "flow",
         stream=densest_stream(1.5, ("S", "B")),
         exits="sides",
         actions="parcels",
@@ -268,7 +269,7 @@ def demonstrate(control_period: float, seed: int) -> tuple[Rows, Choices]:
             settings = replace(
                 base, stream=densest_stream(speed, parcels), duration=SHOWN * base.duration
             )
-            rule, actions = Reservation(settings, margin=MARGIN), settings.flow_actions
+            rule, actions = Reservation(settings, margin=MARGIN), settings.action_kind
             conversion = ParcelActions(settings)
             batch = StreamBatch(settings, NUM_ENVS)
             for i in range(NUM_ENVS):

@@ -16,7 +16,7 @@ from surface_gym.state import OUT_OF_TIME, RUNNING, SUCCESS
 from surface_gym.tasks.cost import Nodes
 
 from ..axes import Axes
-from .models import NominalModel, _fork, _restore
+from .models import NominalModel
 from .nodes import SearchNodes
 
 Integers = NDArray[np.int64]
@@ -52,7 +52,7 @@ class LayoutModel(NominalModel):
 
     def fork(self, parents: Integers) -> None:
         """Make the first copies ones of their parents (count,), axes and all; park the others."""
-        _fork(self._batch, parents)
+        self._batch.fork(parents)
 
     def step(self) -> bool:
         """Move every copy that runs over a control period; tell whether one still does."""
@@ -67,10 +67,10 @@ class LayoutModel(NominalModel):
                 orientations; at most as many as there are copies.
         """
         count = len(layouts)
-        _restore(self._batch, self._begun, self.size)
+        self._batch.restore(self._begun)
         self.parcels.outcome[count:] = OUT_OF_TIME
         self.commands[:count] = layouts.reshape(count, -1)
-        for _ in range(self.config.chosen_task.periods):
+        for _ in range(self.config.task.periods):
             if not self.step():
                 break
         return self.nodes(count)

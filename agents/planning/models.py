@@ -9,50 +9,20 @@ from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
 from surface_gym.config import EnvConfig
-from surface_gym.core.batch import Batch
+from surface_gym.core.batch import Batch, Snapshot
 from surface_gym.physics.types import GYRATION, HALF_LENGTH, RADIUS
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Exact
 from surface_gym.state import OUT_OF_TIME, ParcelState
-from surface_gym.tasks.base import Start
+from surface_gym.tasks.start import Start
 
 from ..base import axes_apart
 from .nodes import BrakingProfile, SearchNodes, TurningAxes, braking_profile, is_under
 
-Arrays = list[NDArray[Any]]
 Integers = NDArray[np.int64]
 Numbers = NDArray[np.float64]
 
 FIRST = np.zeros(1, dtype=np.int64)
-
-
-def _arrays(batch: Batch) -> Arrays:
-    """List the arrays with a row per environment, whatever an episode changes among them."""
-    surfaces = batch.surfaces
-    each = [*batch.parcels, surfaces.axis, surfaces.angle, surfaces.target, surfaces.command]
-    for array in (surfaces.direction, surfaces.stiffness, surfaces.conditions):
-        if len(array) == len(batch.outcome):
-            each.append(array)
-    return each
-
-
-def _fork(batch: Batch, parents: Integers) -> None:
-    """Make the first environments copies of their parents (count,) and park all others."""
-    count = len(parents)
-    for array in _arrays(batch):
-        array[:count] = array[parents]
-    batch.parcels.outcome[count:] = OUT_OF_TIME
-
-
-def _snapshot(batch: Batch) -> Arrays:
-    """Copy the state of the first environment."""
-    return [array[:1].copy() for array in _arrays(batch)]
-
-
-def _restore(batch: Batch, snapshot: Arrays, count: int) -> None:
-    """Put the first environments where a snapshot was taken."""
-    for array, begun in zip(_arrays(batch), snapshot, strict=True):
-        array[:count] = begun
 
 
 class SearchModel:
@@ -67,7 +37,7 @@ class SearchModel:
         self.config = config
         self._kind = config.action_kind
         self._batch = Batch(config, num_envs)
-        self._begun: Arrays = []
+        self._begun: Snapshot | None = None
 
     @property
     def size(self) -> int:
@@ -103,8 +73,8 @@ class SearchModel:
 
     def spread(self) -> None:
         """Put every copy where the first one is, and remember that place."""
-        self._begun = _snapshot(self._batch)
-        _restore(self._batch, self._begun, self.size)
+        self._begun = self._batch.snapshot(0)
+        self._batch.restore(self._begun)
 
     def advance(self, parents: Integers, actions: Integers) -> SearchNodes:
         """Branch, and move over a control period.
@@ -114,23 +84,23 @@ class SearchModel:
             actions: (count,) of each.
         """
         count = len(parents)
-        _fork(self._batch, parents)
+        self._batch.fork(parents)
         commands = self._batch.surfaces.command.copy()
         commands[:count] = self._kind.commands(actions, count)
-        self._batch.advance(commands)
+        self._batch.step(commands)
         return self.nodes(count)
 
     def nodes(self, count: int) -> SearchNodes:
         """View the first copies as nodes."""
         parcels = ParcelState._make(array[:count] for array in self.parcels)
-        body, bodies = int(parcels.site[0]), self._batch.bodies
+        body, bodies = int(parcels.body[0]), self._batch.bodies
         # Zones that do not differ from parcel to parcel have one row.
         first_row, rows, first, columns = bodies.zone[body % len(bodies.zone)].tolist()
         return SearchNodes(
             parcels,
             float(bodies.body[body, HALF_LENGTH]),
             (first_row, rows, first, columns),
-            self.config.chosen_plant,
+            self.config.chosen_line,
             self._batch.surfaces.conditions[0],
         )
 
@@ -169,22 +139,22 @@ class TrueModel(SearchModel):
         batch = self._batch
         batch.parcels.outcome[:] = OUT_OF_TIME
         batch.seed(0, np_random(seed)[0])
-        batch.start(FIRST, [options] if options else ())
+        batch.reset(FIRST, [options] if options else ())
         self.spread()
         nodes = super().nodes(1)
         self._profile = braking_profile(
-            batch.bodies, int(batch.parcels.site[0]), nodes.line, nodes.braking, nodes.rolling_loss
+            batch.bodies, int(batch.parcels.body[0]), nodes.line, nodes.braking, nodes.rolling_loss
         )
 
     def rewind(self) -> None:
         """Put the first copy back to where it began, or was left."""
-        _restore(self._batch, self._begun, 1)
+        self._batch.restore(self._begun, 0)
 
     def step(self, action: int) -> SearchNodes:
         """Move the first copy over a control period, and leave it there."""
         self.rewind()
         nodes = self.advance(FIRST, np.array([action]))
-        self._begun = _snapshot(self._batch)
+        self._begun = self._batch.snapshot(0)
         return nodes
 
     def nodes(self, count: int) -> SearchNodes:
@@ -192,14 +162,14 @@ class TrueModel(SearchModel):
         nodes = super().nodes(count)
         return replace(
             nodes,
-            corners=self._batch.bodies.corners[nodes.parcels.site[0]],
+            corners=self._batch.bodies.corners[nodes.parcels.body[0]],
             profile=self._profile,
             turning=self._turning(nodes.parcels) if self._turns else None,
         )
 
     def _turning(self, parcels: ParcelState) -> TurningAxes:
         """Collect the axes beside some parcels."""
-        index, bodies, line = parcels.site[0], self._batch.bodies, self.config.chosen_plant
+        index, bodies, line = parcels.body[0], self._batch.bodies, self.config.chosen_line
         body = bodies.body[index]
         x, y, theta = parcels.truth[:, :3].T[..., np.newaxis]
         row, column = self._beside(x, y, float(body[RADIUS]))
@@ -224,7 +194,7 @@ class TrueModel(SearchModel):
         """List rows and columns (nodes, modules) of a square that holds all modules within a radius
         [m] of (x, y), each (nodes, 1) [m]; some may lie beyond the surface.
         """
-        line = self.config.chosen_plant
+        line = self.config.chosen_line
         away = math.ceil(radius / min(line.pitch_x, line.pitch_y))
         up, along = np.mgrid[-away : away + 1, -away : away + 1]
         row = np.rint((y - line.origin[1]) / line.pitch_y).astype(np.int64)

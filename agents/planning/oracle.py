@@ -73,7 +73,7 @@ class Oracle:
         self._config = config
         # What is ahead is known: a path, too, is searched to its end at once. Light parcels leave a
         # path too easily for that; then it is searched piece by piece.
-        task = config.chosen_task
+        task = config.task
         cost = task.cost()
         whole = replace(cost, horizon=task.periods, follow=task.periods)
         self._costs = (whole, cost) if task.has_path else (whole,)
@@ -107,7 +107,7 @@ class Oracle:
         model = self._model(nodes_needed(cost, width, self._config.action_kind.choices**2))
         model.begin(options, seed)
         poses, actions = [model.parcels.truth[0, :3].copy()], list[int]()
-        running, left = True, self._config.chosen_task.periods
+        running, left = True, self._config.task.periods
         while running and len(actions) < left:
             plan = make_plan(model, cost, width)
             for action in plan.actions[: cost.follow].tolist():
@@ -181,7 +181,7 @@ def run_oracle(
 ) -> Episodes:
     """Run an oracle over starts, as `agents.rollout.run_episodes` runs a controller."""
     runs = find_reachable(config, starts, seed, budget, workers)
-    names = config.chosen_task.metrics
+    names = config.task.metrics
     figures = np.array([run.figures for run in runs]).T
     return Episodes(
         success=np.array([run.success for run in runs]),
@@ -221,7 +221,7 @@ def stops_past(config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int) -
         asked = float(model.parcels.goal[0, stop.POSITION])
         model.parcels.goal[0, stop.POSITION] = FAR
         model.spread()
-        for _ in range(config.chosen_task.periods):
+        for _ in range(config.task.periods):
             if model.step(brake).parcels.outcome[0] != RUNNING:
                 break
         past.append(float(model.parcels.truth[0, 0]) - asked)

@@ -18,8 +18,9 @@ from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import OUT_OF_TIME, PATH_POINTS, RUNNING, SUCCESS, EnvState
 from surface_gym.tasks import track
-from surface_gym.tasks.base import Feature, Start
+from surface_gym.tasks.base import Feature
 from surface_gym.tasks.observed import Observed, square_reach
+from surface_gym.tasks.start import Start
 from surface_gym.tasks.track import Track
 
 from ..axes import Axes
@@ -82,7 +83,7 @@ def path_model(config: EnvConfig) -> LayoutModel:
     """Make a model for `search_path_layout`: two physics steps a period, and actions that set the
     last column only, which no parcel touches that follows its path.
     """
-    last = config.chosen_plant.columns - 1
+    last = config.chosen_line.columns - 1
     return LayoutModel(
         replace(
             config,
@@ -134,11 +135,11 @@ class _Beam:
 
     def __init__(self, model: LayoutModel, ways: Integers, limit: float) -> None:
         self._model = model
-        self._cost = model.config.chosen_task.cost()
+        self._cost = model.config.task.cost()
         self._ways = ways  # (ways, 2) to lay a column: right of the path and left of it
         self._width = model.size // len(ways)  # layouts that go on from a column
         self._limit = limit
-        self._line = model.config.chosen_plant
+        self._line = model.config.chosen_line
         nodes = model.nodes(1)
         self._half_length = nodes.half_length
         _, first_x, step = nodes.parcels.goal[0]
@@ -191,7 +192,7 @@ class _Beam:
         """Move the copies until each is about to touch a column, or has ended."""
         outcome = self._model.parcels.outcome
         waiting = np.zeros(count, dtype=np.bool_)
-        for _ in range(self._model.config.chosen_task.periods):
+        for _ in range(self._model.config.task.periods):
             there = (outcome[:count] == RUNNING) & (self._front(count) + NEAR >= centre)
             waiting |= there
             outcome[:count][there] = OUT_OF_TIME

@@ -56,7 +56,7 @@ class Planner:
     def __init__(self, config: EnvConfig, budget: int = BUDGET) -> None:
         checks.one_of("actions", config.actions, ("halves",))
         self._config = config
-        self._cost = cost = config.chosen_task.cost()
+        self._cost = cost = config.task.cost()
         self._width = max(1, checks.integer("budget", budget, least=1) // cost.share)
         zone = config.zone if cost.zone is None else cost.zone
         size = nodes_needed(cost, self._width, config.action_kind.choices**2)

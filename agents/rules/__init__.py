@@ -3,18 +3,22 @@
 import math
 from functools import partial
 
+from surface_gym.core.actions import ANY
+
+from ..planning.path_layouts import ShownPath
 from .base import Rule, UniformLayout
 from .braking import SlowingRule, StoppingRule
 from .layouts import (
     BestSlowing,
     BestStopping,
+    BestTracking,
     BestTurning,
     FixedSlowing,
     FixedStopping,
     FixedTurning,
 )
 from .local import PidRule, ThresholdRule
-from .sorting import BestSorting, EventRule, FixedLayout
+from .sorting import BestSorting, EventRule, FixedLayout, GradedLayout
 from .steering import SlidingMode, TurningRule
 
 # The outline: how wide a base is, how round; and what sensors learn of friction and of the load.
@@ -30,20 +34,33 @@ RULES = (
     Rule("threshold logic", "sort", "modules", ThresholdRule),
     Rule("PID per module", "sort", "modules", PidRule),
     Rule("fixed layout", "slow", "modules", FixedSlowing),
-    Rule("best fixed layout", "slow", "modules", BestSlowing),
+    Rule("best fixed layout", "slow", "modules", BestSlowing, searches=True),
     Rule("braking rule", "slow", "modules", SlowingRule, BRAKING),
     Rule("fixed layout", "stop", "modules", FixedStopping),
-    Rule("best fixed layout", "stop", "modules", BestStopping),
+    Rule("best fixed layout", "stop", "modules", BestStopping, searches=True),
     Rule("braking rule", "stop", "modules", StoppingRule, BRAKING),
     Rule("fixed layout", "track", "window", ROLLING),
     Rule("threshold logic", "track", "window", ThresholdRule),
     Rule("PID per module", "track", "window", PidRule),
     Rule("sliding mode", "track", "window", SlidingMode),
     Rule("fixed layout", "orient", "modules", FixedTurning),
-    Rule("best fixed layout", "orient", "modules", BestTurning),
+    Rule("best fixed layout", "orient", "modules", BestTurning, searches=True),
     Rule("threshold logic", "orient", "modules", ThresholdRule),
     Rule("PID per module", "orient", "modules", PidRule),
     Rule("turning rule", "orient", "modules", TurningRule),
+)
+
+# Rules in environments of their own: the whole path in the observation, axes at any angle.
+MORE_RULES = (
+    Rule(
+        "best fixed layout",
+        "track",
+        "modules",
+        BestTracking,
+        searches=True,
+        observed_task=ShownPath.of,
+    ),
+    Rule("fixed layout, any angle", "sort", "modules", GradedLayout, orientations=ANY),
 )
 
 

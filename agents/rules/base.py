@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
+from surface_gym.tasks import Task
 
 from ..axes import find_axes, find_orientation
 from ..base import Controller
@@ -35,6 +36,10 @@ class Rule:
     actions: str  # the kind of action it is for
     make: Callable[[EnvConfig], Controller]
     observe: tuple[str, ...] = ()  # groups of features it makes use of, where they are shown
+    searches: bool = False  # it searches a layout for each start, and is tried on fewer starts
+    orientations: str | None = None  # "any": axes at any angle; None: those of the line
+    # the task of the package whose observation shows it more; None: the task itself
+    observed_task: Callable[[Task], Task] | None = None
 
 
 def is_fresh(num_envs: int, state: Any, episode_start: Booleans | None) -> Booleans:

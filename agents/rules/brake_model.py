@@ -45,7 +45,7 @@ def contact_span(config: EnvConfig, seen: LineObservation) -> ContactSpan:
     """Estimate the contact span of parcels on a line; a base that is no rectangle is taken for an
     oval that fills as much.
     """
-    line = config.chosen_plant
+    line = config.chosen_line
     end = line.pitch_x * config.action_kind.columns
     rear = end - seen.rear_to_go
     # The size shown is the way from the rear to the centroid, straight on.
@@ -107,7 +107,7 @@ class BrakeModel:
         self._then = then
         self._timing = config.timing
         self._columns = config.action_kind.columns
-        self._pitch = config.chosen_plant.pitch_x
+        self._pitch = config.chosen_line.pitch_x
         self._turn = config.actuators.axis_speed * config.timing.dt  # [rad] a step
         self._tail = 0  # steps in which axes turn after the period
         if self._turn != math.inf:

@@ -16,20 +16,13 @@ from surface_gym.layouts import ROLLING
 from surface_gym.lines import BaseLine
 from surface_gym.physics.types import VX, VY
 from surface_gym.tasks import orient, slow, stop
-from surface_gym.tasks.base import Start
 from surface_gym.tasks.cost import Nodes
 from surface_gym.tasks.line import BRAKING
 from surface_gym.tasks.observed import LineObservation, square_reach
+from surface_gym.tasks.start import Start
 
 from ..axes import find_axes
-from ..planning.layouts import (
-    LAYOUTS,
-    MISSED,
-    LayoutCost,
-    LayoutModel,
-    graded_cost,
-    search_layout,
-)
+from ..planning.layouts import LAYOUTS, MISSED, LayoutCost, LayoutModel, graded_cost, search_layout
 from ..planning.path_layouts import ShownPath, path_model, search_path_layout
 from .base import FULL, HALF, ColumnAxes, Commands, FixedRule, Levels, Numbers, Observations
 
@@ -136,7 +129,7 @@ class FixedBraking(FixedRule):
         return self._layouts[best]
 
     def _losses(self, half_length: float) -> Numbers:
-        line, zone = self._config.chosen_plant, self._config.zone
+        line, zone = self._config.chosen_line, self._config.zone
         return np.stack(
             [
                 loss_of_layout(half_length, line, zone, tuple(map(tuple, axes)))
@@ -247,7 +240,7 @@ class FixedTurning(FixedRule):
 
     def _angles(self, half_length: float, speed: float) -> Numbers:
         """Compute (layouts,) [rad] the angle that each turns a box of a size and a speed to."""
-        line, zone, shape = self._config.chosen_plant, self._config.zone, self._kind.shape
+        line, zone, shape = self._config.chosen_line, self._config.zone, self._kind.shape
         return np.array(
             [
                 angle_at_exit(half_length, speed, line, zone, shape, turning)
@@ -323,7 +316,7 @@ class _TurnSearch(_LineSearch):
         (angle,) = start.goal
         if float(np.asarray(angle)) >= 0.0:
             return super()._one(start)
-        image = _mirror(start, 2.0 * self._config.chosen_plant.line_y)
+        image = _mirror(start, 2.0 * self._config.chosen_line.line_y)
         return self._axes.mirrored(super()._one(image._replace(goal=(-np.asarray(angle),))))
 
 
@@ -370,11 +363,11 @@ class BestTracking(FixedRule):
         aside = start.path - start.path[0]
         if aside[np.argmax(np.abs(aside) > 1e-6)] >= 0.0:
             return self._best(start)
-        image = _mirror(start, 2.0 * self._config.chosen_plant.line_y)
+        image = _mirror(start, 2.0 * self._config.chosen_line.line_y)
         return self._axes.mirrored(self._best(image))
 
     def _best(self, start: Start) -> Commands:
-        limit = self._config.chosen_task.periods * self._config.control_period
+        limit = self._config.task.periods * self._config.control_period
         return search_path_layout(self._model, self._axes, start, limit)
 
 

@@ -167,7 +167,7 @@ def run_alone(
         batch.seed(i, np.random.default_rng(seed))
     batch.start(np.arange(count), [{"stream": stream} for stream in streams])
     signature = batch.observation[:, -1, SIGNATURE].astype(np.float64)
-    controller, actions = make(alone), alone.flow_actions
+    controller, actions = make(alone), alone.action_kind
     state: Any = None
     times, poses = [], []
     while (batch.outcome == RUNNING).any() and np.isnan(batch.streams.left[:, 0]).any():
@@ -175,7 +175,7 @@ def run_alone(
         if opens is not None:
             action = np.asarray(action).copy()
             action[:, -1] = opens
-        batch.advance(actions.commands(action, count))
+        batch.step(actions.commands(action, count))
         times.append(batch.streams.clock.copy())
         poses.append(batch.parcels.truth.reshape(count, alone.rows, 6)[:, 0, :3].copy())
     return LoneRuns(

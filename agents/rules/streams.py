@@ -38,7 +38,7 @@ class ParcelRule(ABC):
         if config.action_kind.continuous:
             raise ValueError(f"orientations must be some on offer, got {config.orientations!r}")
         self._axes = find_axes(config)
-        self._places = config.places
+        self._places = config.stream_task.max_parcels
         self._gated = config.gate
 
     @abstractmethod
@@ -137,7 +137,7 @@ class StreamFixedLayout:
         checks.one_of("actions", config.actions, ("modules",))
         if config.gate:
             raise ValueError("gate must be False for a layout, which decides nothing, got True")
-        self._action = np.full(config.flow_actions.size, find_axes(config).left)
+        self._action = np.full(config.action_kind.size, find_axes(config).left)
 
     def predict(
         self,

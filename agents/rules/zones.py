@@ -141,7 +141,7 @@ class ArrangedZone(WholeZone):
 def zone_span(config: EnvConfig, columns: int) -> tuple[float, float]:
     """Compute the x [m] at which the first columns that obey begin and end."""
     _, _, first, _ = config.zone
-    line = config.chosen_plant
+    line = config.chosen_line
     return line.column_edge(first), line.column_edge(first + columns)
 
 

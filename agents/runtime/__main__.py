@@ -1,4 +1,4 @@
-"""`python -m agents.runtime`, which is `surface-gym runtime`."""
+"""`python -m surface_gym.agents.runtime`, which is `surface-gym runtime`."""
 
 from surface_gym.cli import run_command
 

@@ -15,6 +15,9 @@ from .config import RuntimeConfig, parse_address
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from surface_gym.config import EnvConfig
+
+    from ..module_policy import ModulePolicy
     from ..policy import Policy
     from .controller import ControlLoop
 
@@ -23,7 +26,7 @@ SHOW_EVERY = 1.0  # [s] between updates of the progress
 COLLECT_EVERY = 5.0  # [s] between collections of Python's garbage
 
 
-def load_policy(config: RuntimeConfig) -> "Policy | ModulesPolicy":
+def load_policy(config: RuntimeConfig) -> "Policy | ModulePolicy":
     """Load the policy of a command.
 
     Raises:
@@ -47,7 +50,7 @@ def load_policy(config: RuntimeConfig) -> "Policy | ModulesPolicy":
     return policy
 
 
-def make_settings(policy: "Policy | ModulesPolicy", condition: str) -> "Settings":
+def make_settings(policy: "Policy | ModulePolicy", condition: str) -> "EnvConfig":
     """Return the configuration of a policy's environment under a preset.
 
     Raises:
@@ -55,14 +58,14 @@ def make_settings(policy: "Policy | ModulesPolicy", condition: str) -> "Settings
     """
     from surface_gym.config import EnvConfig
 
-    arguments = {"task": policy.card.task, **policy.env_kwargs, "condition": condition}
+    arguments = {"task": policy.card.task, **policy.env_kwargs, "preset": condition}
     return EnvConfig(**arguments)
 
 
-def simulator_arguments(config: RuntimeConfig, settings: "Settings") -> list[str]:
+def simulator_arguments(config: RuntimeConfig, settings: "EnvConfig") -> list[str]:
     """Return the arguments of the simulator's command, for a policy's environment."""
     return [
-        *("--task", config.task or settings.chosen_task.name),
+        *("--task", config.task or settings.task.name),
         *("--condition", config.condition),
         *("--control-period", repr(settings.control_period)),
         *("--seed", str(config.start)),
@@ -103,7 +106,7 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
         decider = decisions.Decider(policy, settings)
         bounds = decisions.observation_bounds(settings)
         loop = controller.ControlLoop(
-            SocketDevice(address, settings.chosen_task.name, estimator.shape),
+            SocketDevice(address, settings.task.name, estimator.shape),
             estimator,
             decider,
             (arranger, estimator.resolver(kind)),
@@ -125,7 +128,7 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
     run = report.Run(
         agent=config.name,
         seed=config.seed or 0,
-        task=settings.chosen_task.name,
+        task=settings.task.name,
         condition=config.condition,
         device=config.address or "simulator",
         period=settings.control_period,

@@ -70,7 +70,7 @@ class FixedLayouts:
         rule = find_rules(settings.task_name)[0]  # the fixed layout comes first
         own = replace(settings, actions=rule.actions, observe=(), observe_axes=False)
         self._decider = Decider(rule.make(own), own)
-        self._own = len(own.chosen_task.features)
+        self._own = len(own.task.features)
         self._features = len(own.features)
         self.kind = self._decider.kind
 

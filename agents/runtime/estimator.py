@@ -57,7 +57,7 @@ from surface_gym.state import (
     env_state,
     read_truth,
 )
-from surface_gym.tasks.base import Parcels
+from surface_gym.tasks.start import Parcels
 
 from .protocol import Angles, Entered, Frame
 
@@ -148,7 +148,7 @@ class StateEstimator:
         self._looks = make_looks(rules.sensor)
         self._surfaces, self._lanes = make_state(self.settings, len(BOTH))
         self._lanes.noise[:, :, 3] = NOT_LOST
-        plant, kind = self.settings.chosen_plant, self.settings.action_kind
+        plant, kind = self.settings.chosen_line, self.settings.action_kind
         self._plan = BodyPlan((), self._placement, len(BOTH), (plant.rows, plant.columns))
         self._scratch = make_scratch()
         self._commands: deque[_Command] = deque()
@@ -156,7 +156,7 @@ class StateEstimator:
         self.shape = (kind.rows, kind.columns)  # of the widest zone
         self.entered: Entered | None = None
         # Any parcel, so that there is something to compile for.
-        self._settle(self.settings.chosen_task.parcels[0])
+        self._settle(self.settings.task.parcels[0])
         self._compile()
 
     def _compile(self) -> None:
@@ -175,7 +175,7 @@ class StateEstimator:
         return self._rules, self._surfaces, self._lanes, self._plan.bodies
 
     def _placement(self, parcel: Parcel) -> Placement:
-        return place_parcel(parcel, self.settings.chosen_plant, self.settings.zone)
+        return place_parcel(parcel, self.settings.chosen_line, self.settings.zone)
 
     def _settle(self, parcel: Parcel) -> None:
         parcels = Parcels((parcel,), np.zeros(len(BOTH), dtype=np.int64))
@@ -187,7 +187,7 @@ class StateEstimator:
         Raises:
             ValueError: the parcel does not fit the surface, or its goal or path is not the task's.
         """
-        task = self.settings.chosen_task
+        task = self.settings.task
         goal = checks.array("goal", entered.goal, (task.goals,))
         path = checks.array("path", entered.path, (PATH_POINTS,)) if task.has_path else None
         pose = checks.pose("pose", entered.pose, (3,))

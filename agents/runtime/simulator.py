@@ -65,7 +65,7 @@ class World:
         self._latency = self._camera.latency
         if self._latency is None:
             self._latency = self._every * self.dt
-        self._limit = settings.chosen_task.periods * settings.timing.steps
+        self._limit = settings.task.periods * settings.timing.steps
         self._batch = Batch(
             replace(
                 settings,
@@ -296,7 +296,7 @@ def make_settings(config: SimulatorConfig) -> EnvConfig:
     """
     return EnvConfig(
         task=find_task(config.task),
-        condition=config.condition,
+        preset=config.condition,
         control_period=config.control_period,
     )
 
@@ -313,7 +313,7 @@ def run_simulator(config: SimulatorConfig) -> None:
     world = World(settings, config.seed, clock.now(), config.world)
     world.advance(clock.now())  # compile now
     listener = socket.create_server((HOST, config.port))
-    server = Server(world, settings.chosen_task.name, listener)
+    server = Server(world, settings.task.name, listener)
     print(f"{LISTENING}{HOST}:{listener.getsockname()[1]}", flush=True)
     try:
         serve(server, clock, lambda: config.parent in (None, os.getppid()))

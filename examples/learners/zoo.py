@@ -15,10 +15,10 @@ from gymnasium.vector import AutoresetMode
 from rl_zoo3.exp_manager import ExperimentManager
 from rl_zoo3.train import train
 from stable_baselines3 import PPO
-from surface_gym.agents.rollout import env_arguments
-from surface_gym.agents.vec_env import SurfaceVecEnv
 
 from surface_gym import SmartSurfaceVectorEnv
+from surface_gym.agents.rollout import env_arguments
+from surface_gym.agents.vec_env import SurfaceVecEnv
 
 YAML = Path(__file__).parents[2] / "agents" / "hyperparams" / "ppo.yml"
 

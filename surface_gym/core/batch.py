@@ -59,7 +59,7 @@ from surface_gym.state import (
     read_body,
     read_grid,
 )
-from surface_gym.tasks.base import Parcels, Start
+from surface_gym.tasks.start import Parcels, Start
 
 NO_ENVS: Integers = np.zeros(0, dtype=np.int64)
 Infos = dict[str, NDArray[Any]]

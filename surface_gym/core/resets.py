@@ -23,7 +23,8 @@ from surface_gym.state import (
     BodyTable,
     ParcelState,
 )
-from surface_gym.tasks.base import Draw, Parcels, Start, Task
+from surface_gym.tasks.base import Task
+from surface_gym.tasks.start import Draw, Parcels, Start
 
 
 def draw_noise(parcels: ParcelState, row: int, generator: np.random.Generator) -> None:

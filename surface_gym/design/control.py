@@ -6,6 +6,7 @@ Rules and agents come with the `agents` package, which is imported only here.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,6 @@ from surface_gym.design.columns import least_columns
 from surface_gym.design.line import DesignLine
 from surface_gym.design.purposes import EnvGoal
 from surface_gym.design.runs import OnProgress
-from surface_gym.find_agents import import_agents
 from surface_gym.lines import Line
 from surface_gym.randomisation import Randomisation
 
@@ -144,7 +144,7 @@ def control_gain(
         ImportError: the package `agents` is not installed.
     """
     try:
-        contenders = import_agents("evaluation.contenders")
+        methods = import_module("surface_gym.agents.evaluation.methods")
     except ImportError as error:
         raise ImportError(
             f"controllers come with the package agents ({error}): pip install 'surface_gym[agents]'"
@@ -162,13 +162,13 @@ def control_gain(
     goal = case.purpose.env_goal(line)
     able: list[Any] = []
     left_out: list[Any] = []
-    for contender in (*contenders.rules(goal.task), *contenders.shipped(goal.task)):
-        settings = _settings(contender, case, line, goal, Randomisation())
-        (able if _fits(contender, settings) else left_out).append(contender)
+    for method in (*methods.rules(goal.task), *methods.shipped(goal.task)):
+        settings = _settings(method, case, line, goal, Randomisation())
+        (able if _fits(method, settings) else left_out).append(method)
     gains = []
-    for done, contender in enumerate(able):
+    for done, method in enumerate(able):
         on_progress(done, len(able))
-        gains.append(_try(contender, case, line, goal))
+        gains.append(_try(method, case, line, goal))
     return ControlGain(
         case=case,
         task=goal.task,
@@ -176,31 +176,31 @@ def control_gain(
         columns=columns,
         rows=line.rows,
         gains=tuple(gains),
-        left_out=tuple(contender.name for contender in left_out),
+        left_out=tuple(method.name for method in left_out),
     )
 
 
-def _fits(contender: Any, settings: Any) -> bool:
+def _fits(method: Any, settings: Any) -> bool:
     """Return whether a controller's actions are those of a zone of this size."""
     from surface_gym import SmartSurfaceVectorEnv
 
-    arguments = import_agents("episodes").arguments(settings)
+    arguments = import_module("surface_gym.agents.rollout").env_arguments(settings)
     env = SmartSurfaceVectorEnv(num_envs=1, **arguments)
     seen, _ = env.reset(seed=0)
-    action, _ = contender.make(settings, 0).predict(seen)
+    action, _ = method.make(settings, 0).predict(seen)
     env.close()
     return bool(np.shape(action)[1:] == settings.action_space().shape)
 
 
-def _try(contender: Any, case: Case, line: DesignLine, goal: EnvGoal) -> Gain:
-    run_episodes = import_agents("episodes").run_episodes
+def _try(method: Any, case: Case, line: DesignLine, goal: EnvGoal) -> Gain:
+    run_episodes = import_module("surface_gym.agents.rollout").run_episodes
 
     def run(speeds: Numbers, randomisation: Randomisation) -> Any:
-        settings = _settings(contender, case, line, goal, randomisation)
+        settings = _settings(method, case, line, goal, randomisation)
         starts = [{"speed": float(speed), goal.option: goal.value} for speed in speeds]
-        return run_episodes(contender.make(settings, 0), settings, starts, case.seed)
+        return run_episodes(method.make(settings, 0), settings, starts, case.seed)
 
-    searches = contender.starts is not None
+    searches = method.starts is not None
     draws = min(case.draws, FEW_DRAWS) if searches else case.draws
     rng = np.random.default_rng(case.seed)
     speeds = case.speed + case.unknown.speed * rng.standard_normal(draws)
@@ -213,8 +213,8 @@ def _try(contender: Any, case: Case, line: DesignLine, goal: EnvGoal) -> Gain:
     reached = len(slower) if len(fails) == 0 else int(fails[0])
     errors = [np.abs(values) for values in drawn.figures.values()]
     return Gain(
-        controller=contender.name,
-        arranged_once=FIXED in contender.name,
+        controller=method.name,
+        arranged_once=FIXED in method.name,
         draws=draws,
         success=float(drawn.success.mean()),
         least_speed=float(slower[reached - 1]) if reached else math.nan,
@@ -223,7 +223,7 @@ def _try(contender: Any, case: Case, line: DesignLine, goal: EnvGoal) -> Gain:
 
 
 def _settings(
-    contender: Any, case: Case, line: DesignLine, goal: EnvGoal, randomisation: Randomisation
+    method: Any, case: Case, line: DesignLine, goal: EnvGoal, randomisation: Randomisation
 ) -> Any:
     """Return the settings of an environment on the line."""
     from surface_gym.config import EnvConfig
@@ -243,10 +243,10 @@ def _settings(
     )
     return EnvConfig(
         task=TASKS[goal.task](parcels=(case.parcel,)),
-        actions=contender.actions,
-        control_period=contender.control_period,
-        orientations=contender.orientations,
-        observe=contender.observe,
+        actions=method.actions,
+        control_period=method.control_period,
+        orientations=method.orientations,
+        observe=method.observe,
         randomisation=randomisation,
         line=plant,
     )

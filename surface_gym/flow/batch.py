@@ -9,11 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym.config import EnvConfig
-from surface_gym.core.assembly import (
-    choose_actuation,
-    compiled_function,
-    sensor_functions,
-)
+from surface_gym.core.assembly import choose_actuation, compiled_function, sensor_functions
 from surface_gym.core.batch import BaseBatch, Infos, Snapshot
 from surface_gym.core.kernel import EnvParams
 from surface_gym.core.resets import FEWEST_EDGES, Placement, draw_noise, place_in, with_body

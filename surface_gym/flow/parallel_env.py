@@ -67,7 +67,7 @@ class FlowParallelEnv(ParallelEnv):
         for name, only in (("actions", "parcels"), ("gate", False)):
             if config.setdefault(name, only) != only:
                 raise ValueError(f"{name} must be {only!r} with agents, got {config[name]!r}")
-        self._env = SmartSurfaceEnv(render_mode, **{"task": "flow", **config})
+        self._env = SmartSurfaceEnv(**{"task": "flow", **config}, render_mode=render_mode)
         self.config = self._env.config
         self.task = self.config.stream_task
         self.render_mode = render_mode

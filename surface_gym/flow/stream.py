@@ -22,7 +22,7 @@ from surface_gym.flow.arrivals import (
 from surface_gym.flow.exits import Exits, check_name
 from surface_gym.flow.trace import Trace, read_trace
 from surface_gym.parcel import Parcel
-from surface_gym.tasks.base import parcel_option
+from surface_gym.tasks.start import parcel_option
 
 Of = TypeVar("Of")
 

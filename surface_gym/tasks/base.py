@@ -1,142 +1,19 @@
-"""The base class of tasks, and the starts they draw."""
+"""The base class of tasks."""
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
-from surface_gym.layouts import box
 from surface_gym.lines import BaseLine, Line
 from surface_gym.parcel import Parcel
 from surface_gym.physics.jit import kernel_function
 from surface_gym.state import FIRST_FAILURE, EnvState
-from surface_gym.tasks.benchmark import Benchmark, Numbers, default_benchmark
+from surface_gym.tasks.benchmark import Benchmark, default_benchmark
 from surface_gym.tasks.cost import PlanCost
 from surface_gym.tasks.observed import Observed, decode_line, line_start
-
-
-@dataclass(frozen=True, eq=False)
-class Parcels:
-    """The parcels of a number of starts."""
-
-    kinds: tuple[Parcel, ...]
-    which: NDArray[np.int64]  # (starts,) the place of each start's among the kinds
-
-    def of(self, function: Callable[[Parcel], ArrayLike]) -> Numbers:
-        """Return a function's value for each parcel, (starts, ...)."""
-        asked, places = np.unique(self.which, return_inverse=True)
-        values: Numbers = np.array([function(self.kinds[kind]) for kind in asked])[places]
-        return values
-
-    @property
-    def rear(self) -> Numbers:
-        """Return the distance (starts,) [m] from the rearmost point of the base to its frame's
-        origin.
-        """
-        return self.of(lambda parcel: parcel.rear)
-
-
-class Start(NamedTuple):
-    """Starts of episodes. A number holds for every start, an array (starts,) has one for each."""
-
-    parcel: Parcel | Parcels
-    pose: tuple[ArrayLike, ArrayLike, ArrayLike]  # [m, m, rad] of the base's frame
-    velocity: tuple[ArrayLike, ArrayLike, ArrayLike]  # [m/s, m/s, rad/s]
-    goal: tuple[ArrayLike, ...]  # the task's own: as many as its `goals`
-    tilt: ArrayLike = 0.0  # [rad] of the surface
-    path: Numbers | None = None  # (PATH_POINTS,) or (starts, PATH_POINTS) [m] y of a path to follow
-
-
-class Draw:
-    """The source of starts: uniform numbers, and options that fix what would be drawn.
-
-    Args:
-        numbers: (starts, draws) uniform in [0, 1).
-        options: of each start; none at all: no start has any.
-        plant: where the parcels run.
-        zone: first and last column that obey; None for the plant's own.
-    """
-
-    def __init__(
-        self,
-        numbers: Numbers,
-        options: Sequence[Mapping[str, Any]],
-        plant: BaseLine,
-        zone: tuple[int, int] | None = None,
-    ) -> None:
-        self.numbers = numbers.T  # (draws, starts)
-        self.plant = plant
-        self.zone = zone
-        self._starts = len(numbers)
-        self._options = options
-
-    def option(self, name: str, drawn: ArrayLike, check: Callable[[Any], float]) -> Numbers:
-        """Return what was drawn; where an option fixes it, the option as `check` returns it."""
-        values: Numbers = np.asarray(drawn, dtype=np.float64)
-        given = self.given(name)
-        if given:
-            values = np.full(self._starts, values)
-            for start, value in given:
-                values[start] = check(value)
-        return values
-
-    def within(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """Return `option` for a number in [low, high]."""
-        return self.option(name, drawn, lambda value: checks.within(name, value, low, high))
-
-    def one_of(self, name: str, drawn: ArrayLike, allowed: tuple[Any, ...]) -> Numbers:
-        """Return `option` for one of some numbers."""
-        return self.option(name, drawn, lambda value: float(checks.one_of(name, value, allowed)))
-
-    def parcel(self, parcels: tuple[Parcel, ...], number: Numbers) -> Parcels:
-        """Draw each start's parcel with equal odds, by a number (starts,); or take the option
-        "parcel".
-        """
-        which = (number * len(parcels)).astype(np.int64)
-        kinds = list(parcels)
-        for start, value in self.given("parcel"):
-            which[start] = len(kinds)
-            kinds.append(parcel_option(value))
-        return Parcels(tuple(kinds), which)
-
-    def given(self, name: str) -> list[tuple[int, Any]]:
-        """Return which starts an option fixes, and its values."""
-        return [(k, each[name]) for k, each in enumerate(self._options) if name in each]
-
-
-def between(low: float | Numbers, high: float | Numbers, number: Numbers) -> Numbers:
-    """Return uniform numbers (starts,) in [low, high), from numbers (starts,)."""
-    return low + (high - low) * number
-
-
-def parcel_option(value: Any) -> Parcel:
-    """Return the parcel an option asks for: "S", "B" or a Parcel."""
-    if isinstance(value, Parcel):
-        return value
-    if isinstance(value, str) and value in ("S", "B"):
-        return box(value)
-    raise ValueError(f"parcel must be 'S', 'B' or a Parcel, got {value!r}")
-
-
-def parcels_to_draw(parcels: Any) -> tuple[Parcel, ...]:
-    """Return the parcels of a task, or raise an error that names them."""
-    if not parcels:
-        raise ValueError(f"parcels must be at least one, got {parcels!r}")
-    return tuple(parcel_option(parcel) for parcel in parcels)
-
-
-def check_options(options: dict[str, Any] | None, allowed: tuple[str, ...]) -> dict[str, Any]:
-    """Return the options, or raise an error that names the unknown one."""
-    if options is None:
-        return {}
-    if not isinstance(options, dict):
-        raise ValueError(f"options must be a dict or None, got {options!r}")
-    for name in options:
-        checks.one_of("options", name, allowed)
-    return options
+from surface_gym.tasks.start import Draw, Numbers, Start, parcels_to_draw
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from surface_gym.state import (
     zone_end,
     zone_start,
 )
-from surface_gym.tasks.base import Draw, Feature, Numbers, Parcels, failures
+from surface_gym.tasks.base import Feature, failures
+from surface_gym.tasks.start import Draw, Numbers, Parcels
 
 BRAKING = 0.5 * GRAVITY  # [m/s^2] mu_max g of Table 1: every axis at 0 deg under a parcel
 ROLLING_LOSS = 0.01 * GRAVITY  # [m/s^2] mu_min g of Table 1: every axis at 90 deg

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Parcel
-from surface_gym.tasks.base import Start
+from surface_gym.tasks.start import Start
 
 Numbers = NDArray[np.float64]
 

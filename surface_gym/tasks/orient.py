@@ -9,7 +9,7 @@ import numpy as np
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import THETA
 from surface_gym.state import SUCCESS, EnvState
-from surface_gym.tasks.base import Draw, Feature, Start, Task, between, failures, rising
+from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import PARCELS, Benchmark, ErrorPlot, high_column, median_column
 from surface_gym.tasks.cost import (
     SETTLING,
@@ -29,6 +29,7 @@ from surface_gym.tasks.line import (
     see_parcel,
 )
 from surface_gym.tasks.observed import Observed, decode_line, line_start
+from surface_gym.tasks.start import Draw, Start, between
 
 ANGLE = 0  # place in the goal: [rad] asked theta
 LEFT_TO_TURN = 0  # place in the memory: [rad] at the last decision

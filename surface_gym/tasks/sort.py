@@ -23,11 +23,12 @@ from surface_gym.state import (
     zone_end,
     zone_start,
 )
-from surface_gym.tasks.base import Draw, Feature, Start, Task, between, failures, rising
+from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import PARCELS, Benchmark, Column, Numbers, SpeedGrid
 from surface_gym.tasks.cost import FAILED, Nodes, PlanCost, off_line, time_cost
 from surface_gym.tasks.line import STALL_SPEED, entry
 from surface_gym.tasks.observed import Observed, decode_line, line_start
+from surface_gym.tasks.start import Draw, Start, between
 
 SIDE = 0  # place in the goal: +1 for y > 0, -1 for y < 0, 0 for straight through
 REACH = 0  # place in the memory: [m] the lateral reach at the last decision

@@ -9,7 +9,7 @@ import numpy as np
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import VX, X
 from surface_gym.state import RUNNING, SUCCESS, EnvState
-from surface_gym.tasks.base import Draw, Feature, Start, Task, between, failures, rising
+from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, median_column
 from surface_gym.tasks.cost import Nodes, Numbers, PlanCost, askew, error_cost
 from surface_gym.tasks.line import (
@@ -24,6 +24,7 @@ from surface_gym.tasks.line import (
     zone_span,
 )
 from surface_gym.tasks.observed import Observed, decode_line, line_start
+from surface_gym.tasks.start import Draw, Start, between
 
 POSITION = 0  # place in the goal: [m] asked x of the centre
 SHORTFALL = 0  # place in the memory: [m] at the last decision

@@ -14,7 +14,7 @@ from surface_gym.physics.contacts import bounded
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
 from surface_gym.state import GRAVITY_ALONG, PATH_POINTS, RUNNING, SUCCESS, EnvState, planar_speed
-from surface_gym.tasks.base import Draw, Feature, Numbers, Start, Task, between, failures, rising
+from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import DRAWN, Benchmark, ErrorPlot, median_column
 from surface_gym.tasks.cost import FAILED, Nodes, PlanCost
 from surface_gym.tasks.observed import Observed, nearest_parcel
@@ -28,6 +28,7 @@ from surface_gym.tasks.paths import (
     random_path,
     sample,
 )
+from surface_gym.tasks.start import Draw, Numbers, Start, between
 
 SPEED, FIRST_X, STEP_X = range(3)  # places in the goal: [m/s] asked, [m] x of the path
 LAST_X, SQUARED_ERROR, SQUARED_SPEED_ERROR = range(3)  # places in the memory: sums over time

@@ -1,12 +1,6 @@
-"""`python -m surface_gym.validation`."""
+"""`python -m surface_gym.validation`, the same as `surface-gym validation`."""
 
-from surface_gym.commands import start
-
-
-def main() -> None:
-    """Run the command, or say in one line what to install."""
-    start("surface_gym.validation", "validation")
-
+from surface_gym.cli import run_command
 
 if __name__ == "__main__":
-    main()
+    run_command("validation")

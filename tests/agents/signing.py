@@ -5,6 +5,7 @@ from hashlib import sha256
 from pathlib import Path
 
 import yaml
+
 from surface_gym.agents.library import CARD, WEIGHTS
 
 

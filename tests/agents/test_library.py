@@ -7,9 +7,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import yaml
-from surface_gym.agents.library import SHELF, read
 
 from surface_gym import agents
+from surface_gym.agents.library import SHELF, read
 from surface_gym.tasks import TASKS
 
 FLOW = "flow-ppo"

@@ -7,6 +7,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+
 from surface_gym.agents.library import PolicyCard
 from surface_gym.agents.module_policy import (
     GROUPS,
@@ -16,7 +17,6 @@ from surface_gym.agents.module_policy import (
     draw_groups,
     log_likelihood,
 )
-
 from surface_gym.core.actions import group_features
 
 MODULES, CHOICES = 3, 4

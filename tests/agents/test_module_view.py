@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+
+import surface_gym as sg
 from surface_gym.agents.module_view import (
     ModuleView,
     Outline,
@@ -10,8 +12,6 @@ from surface_gym.agents.module_view import (
     place_size,
     shared_size,
 )
-
-import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.layouts import LEAD_IN, LINE_ROWS, LINE_Y, ROWS, lead_in_under, rows_under
 from surface_gym.lines import Pattern
@@ -250,7 +250,7 @@ def seen_turned(
 
 def by_clearance(settings: EnvConfig, seen: np.ndarray) -> Outline:
     clearance = 0.2 * seen[:, 7].astype(np.float64)
-    return outline_from_clearance(decode_line(settings, seen), clearance, settings.chosen_plant)
+    return outline_from_clearance(decode_line(settings, seen), clearance, settings.chosen_line)
 
 
 @pytest.mark.parametrize(
@@ -279,7 +279,7 @@ def test_a_square_is_as_wide_as_long_to_the_last_bit() -> None:
 def test_an_observed_outline_is_exact(bases: tuple[Base, ...], roundness: float) -> None:
     settings, seen, each = seen_turned(bases, ("parcel",))
     length, width, fill = seen[:, -3:].astype(np.float64).T
-    outline = outline_from_features(length, width, fill, settings.chosen_plant)
+    outline = outline_from_features(length, width, fill, settings.chosen_line)
     half = np.array([np.ptp(base.outline, axis=0) / 2.0 for base in each]).T
     np.testing.assert_allclose(outline.half, half, atol=2e-6)
     np.testing.assert_allclose(outline.roundness, min(roundness, 1.0), atol=1e-5)

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+
+from surface_gym import agents
 from surface_gym.agents.learning.parcels import training_settings
 from surface_gym.agents.library import CARD, PolicyCard
 from surface_gym.agents.parcel_policy import (
@@ -17,8 +19,6 @@ from surface_gym.agents.parcel_policy import (
 from surface_gym.agents.policy import save_policy
 from surface_gym.agents.rules.streams import StreamEventRule
 from surface_gym.agents.symmetry import SIDE
-
-from surface_gym import agents
 from surface_gym.config import EnvConfig
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import RIGHT
@@ -56,7 +56,7 @@ def test_choices_and_actions_are_inverse() -> None:
         action, state = rule.predict(tables, state)
         choices = mirror.to_parcels(tables, action)
         assert np.array_equal(mirror.to_env(tables, choices), action)
-        batch.advance(plain.flow_actions.commands(action, 1))
+        batch.step(plain.action_kind.commands(action, 1))
     assert batch.streams.tally[0, RIGHT] > 0
 
 

@@ -15,6 +15,7 @@ import yaml
 from gymnasium import spaces
 from stable_baselines3.common.distributions import MultiCategoricalDistribution
 from stable_baselines3.common.policies import ActorCriticPolicy
+
 from surface_gym.agents.library import CARD, WEIGHTS, PolicyCard
 from surface_gym.agents.module_policy import ModulePolicy, SharedNetwork
 from surface_gym.agents.policy import (
@@ -25,7 +26,6 @@ from surface_gym.agents.policy import (
     make_network,
     save_policy,
 )
-
 from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
 from tests.agents.signing import sign

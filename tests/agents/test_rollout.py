@@ -6,9 +6,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+
 from surface_gym.agents.rollout import Episodes, env_arguments, run_episodes, run_sequentially
 from surface_gym.agents.rules import RULES, Rule
-
 from surface_gym.config import EnvConfig
 from surface_gym.registration import env_id
 from surface_gym.sensors import Camera

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from surface_gym.agents.symmetry import SIDE, ActionMirror, mirrored_orientations
-from surface_gym.agents.vec_env import MirrorVecEnv, SurfaceVecEnv
 
 import surface_gym as sg
+from surface_gym.agents.symmetry import SIDE, ActionMirror, mirrored_orientations
+from surface_gym.agents.vec_env import MirrorVecEnv, SurfaceVecEnv
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import KINDS
 from surface_gym.layouts import LINE_Y

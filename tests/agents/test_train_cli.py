@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+
 from surface_gym.agents import train_cli
 from surface_gym.agents.learning.config import DQNConfig, PPOConfig, TrainConfig
 from surface_gym.agents.learning.cuda import gym as gym_of_device

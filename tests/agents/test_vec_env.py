@@ -6,9 +6,9 @@ import pytest
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor
-from surface_gym.agents.vec_env import ConcatVecEnv, SurfaceVecEnv
 
 import surface_gym as sg
+from surface_gym.agents.vec_env import ConcatVecEnv, SurfaceVecEnv
 from surface_gym.sensors import Camera
 
 NUM_ENVS = 4

@@ -13,8 +13,8 @@ from surface_gym.core.actions import ActionKind
 from surface_gym.core.batch import Batch
 from surface_gym.lines import ORIENTATIONS
 from surface_gym.randomisation import Actuators
-from surface_gym.tasks.base import Start
 from surface_gym.tasks.sort import FEATURES
+from surface_gym.tasks.start import Start
 from tests.batches import batch_with, put
 from tests.environments import ACTIONS, ORIGIN, PARCELS, PITCH
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 import tyro
-from surface_gym.agents.tuning.sweep import read_sweep
 
+from surface_gym.agents.tuning.sweep import read_sweep
 from tests.docs.reading import PAGES, ROOT, blocks_of
 
 SHELL = ("sh", "")

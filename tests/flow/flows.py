@@ -110,21 +110,21 @@ def set_down(batch: StreamBatch, poses: ArrayLike, velocities: ArrayLike | None 
     """
     given = np.asarray(poses, dtype=np.float64)
     moving = np.zeros_like(given) if velocities is None else np.asarray(velocities, dtype=float)
-    flows, lanes, count = batch.streams, batch.parcels, len(given)
-    lanes.state[:count] = com_states(np.zeros((count, 2)), given, moving)
-    lanes.sensed[:count, :3] = given
-    lanes.sensed[:count, 3:] = moving
-    lanes.site[:count] = flows.site[0, :count]
-    asked = flows.exit[0, :count]
-    lanes.goal[:count] = np.column_stack([asked, batch.params.exits[asked]])
-    for values in (lanes.memory, lanes.clock, lanes.steps):
+    streams, parcels, count = batch.streams, batch.parcels, len(given)
+    parcels.state[:count] = com_states(np.zeros((count, 2)), given, moving)
+    parcels.sensed[:count, :3] = given
+    parcels.sensed[:count, 3:] = moving
+    parcels.site[:count] = streams.site[0, :count]
+    asked = streams.exit[0, :count]
+    parcels.goal[:count] = np.column_stack([asked, batch.params.exits[asked]])
+    for values in (parcels.memory, parcels.clock, parcels.steps):
         values[:count] = 0
-    flows.number[0, :count] = np.arange(count)
-    flows.present[0, :count] = True
-    flows.entered[0, :count] = flows.clock[0]
-    flows.coming[0] = count
-    flows.due[0] = max(count, flows.due[0])
-    flows.tally[0, ENTERED] = count
+    streams.number[0, :count] = np.arange(count)
+    streams.present[0, :count] = True
+    streams.entered[0, :count] = streams.clock[0]
+    streams.coming[0] = count
+    streams.due[0] = max(count, streams.due[0])
+    streams.tally[0, ENTERED] = count
 
 
 def parcel_of(batch: StreamBatch, place: int, lane: int = 0) -> sg.Parcel:

@@ -48,12 +48,12 @@ def clear(batch: StreamBatch, place: int, others: dict[int, Array], gap: float) 
 
 def next_clear(batch: StreamBatch, others: dict[int, Array], gap: float) -> bool:
     """Whether the next to enter would find room."""
-    flows = batch.streams
-    arrival = int(flows.coming[0])
-    parcel = batch._pool.parcel(int(flows.site[0, arrival]))
-    place = int(np.nonzero(flows.number[0] == NOBODY)[0][0])
-    batch.parcels.site[place] = flows.site[0, arrival]
-    start = np.array([*flows.start[0, arrival, : THETA + 1]])
+    streams = batch.streams
+    arrival = int(streams.coming[0])
+    parcel = batch._pool.parcel(int(streams.site[0, arrival]))
+    place = int(np.nonzero(streams.number[0] == NOBODY)[0][0])
+    batch.parcels.site[place] = streams.site[0, arrival]
+    start = np.array([*streams.start[0, arrival, : THETA + 1]])
     _, front, right, left = box_of(parcel, start)
     return all(
         rear > front + gap or low >= left + gap or high <= right - gap
@@ -79,23 +79,23 @@ class TestRoom:
     def test_enters_at_the_first_step_with_room_and_a_place(self, settings: Any) -> None:
         batch = rush(**settings, duration=7.0)
         gap = batch.config.stream_task.entry_gap
-        flows = batch.streams
+        streams = batch.streams
         entered = barred = full = 0
         for step in range(1200):
-            waiting = int((flows.time[0, : flows.arrivals[0]] <= flows.clock[0] + DT).sum())
-            waiting -= int(flows.coming[0])
-            held = (flows.number[0] != NOBODY) & flows.present[0]
-            before = int(flows.coming[0])
+            waiting = int((streams.time[0, : streams.arrivals[0]] <= streams.clock[0] + DT).sum())
+            waiting -= int(streams.coming[0])
+            held = (streams.number[0] != NOBODY) & streams.present[0]
+            before = int(streams.coming[0])
             batch.step(command(batch, ROLL if step < 1050 else BRAKE))
-            flows = batch.streams
+            streams = batch.streams
             now = poses(batch)
-            if flows.coming[0] > before:
-                assert flows.coming[0] == before + 1
-                (place,) = np.nonzero(flows.present[0] & (flows.number[0] == before))[0]
+            if streams.coming[0] > before:
+                assert streams.coming[0] == before + 1
+                (place,) = np.nonzero(streams.present[0] & (streams.number[0] == before))[0]
                 others = {at: pose for at, pose in now.items() if at != place}
                 assert clear(batch, place, others, gap)
-                assert flows.entered[0, before] == flows.clock[0]
-                assert flows.entered[0, before] >= flows.time[0, before]
+                assert streams.entered[0, before] == streams.clock[0]
+                assert streams.entered[0, before] >= streams.time[0, before]
                 rear = box_of(parcel_of(batch, place), now[place])[0]
                 assert rear == pytest.approx(0.0, abs=1e-12)
                 entered += 1
@@ -111,27 +111,27 @@ class TestRoom:
 
     def test_nobody_is_dropped_and_order_is_kept(self) -> None:
         batch = rush()
-        flows = batch.streams
+        streams = batch.streams
         waited = 0.0
         for _ in range(390):
-            waited += DT * int(flows.due[0] - flows.coming[0])
+            waited += DT * int(streams.due[0] - streams.coming[0])
             batch.step(command(batch, ROLL))
-            flows = batch.streams
-            time = flows.time[0, : flows.arrivals[0]]
-            due = int((time <= flows.clock[0]).sum())
-            entered = int(flows.coming[0])
-            assert flows.due[0] == due
-            assert flows.tally[0, 0] == entered <= due
-            assert not np.isnan(flows.entered[0, :entered]).any()
-            assert np.isnan(flows.entered[0, entered:]).all()
-            assert flows.waited[0] == pytest.approx(waited)
-        assert (np.diff(flows.entered[0, :entered]) > 0.0).all()
-        late = np.maximum(flows.clock[0], 0.0) - time[entered:due]
-        most = max((flows.entered[0, :entered] - time[:entered]).max(), late.max())
-        found = compute_statistics(flows, 0, jammed=False, obeying=1)
+            streams = batch.streams
+            time = streams.time[0, : streams.arrivals[0]]
+            due = int((time <= streams.clock[0]).sum())
+            entered = int(streams.coming[0])
+            assert streams.due[0] == due
+            assert streams.tally[0, 0] == entered <= due
+            assert not np.isnan(streams.entered[0, :entered]).any()
+            assert np.isnan(streams.entered[0, entered:]).all()
+            assert streams.waited[0] == pytest.approx(waited)
+        assert (np.diff(streams.entered[0, :entered]) > 0.0).all()
+        late = np.maximum(streams.clock[0], 0.0) - time[entered:due]
+        most = max((streams.entered[0, :entered] - time[:entered]).max(), late.max())
+        found = compute_statistics(streams, 0, jammed=False, obeying=1)
         assert found.waiting_most == pytest.approx(most)
         # Each that waits adds to the sum what it has waited, but for a step's round-off.
-        each = np.concatenate([flows.entered[0, :entered] - time[:entered], late])
+        each = np.concatenate([streams.entered[0, :entered] - time[:entered], late])
         assert waited == pytest.approx(each.sum(), abs=DT * len(each))
 
     def test_alone_nobody_waits(self) -> None:

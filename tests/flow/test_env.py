@@ -191,10 +191,10 @@ class TestEpisodes:
     def test_a_reset_may_bring_a_stream_of_its_own(self) -> None:
         env = bare(actions="parcels", duration=1.0)
         env.reset(seed=0, options={"stream": trace((0.0, "left 1"), (0.5, "right 2"))})
-        flows = env.batch.streams
+        streams = env.batch.streams
         names = env.config.exits.names
-        assert [names[place] for place in flows.exit[0, :2]] == ["left 1", "right 2"]
-        assert flows.arrivals.tolist() == [2]
+        assert [names[place] for place in streams.exit[0, :2]] == ["left 1", "right 2"]
+        assert streams.arrivals.tolist() == [2]
         env.reset(seed=0)
         assert_alike(env.reset(seed=0), bare(actions="parcels", duration=1.0).reset(seed=0))
 

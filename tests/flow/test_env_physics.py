@@ -172,10 +172,10 @@ class TestRewards:
         randomisation = Randomisation(lateral=0.03) if varies else Randomisation()
         env = bare(actions="modules", duration=4.0, randomisation=randomisation)
         for _, reward, _, _, info in out_and_halt(env):
-            lanes, terms = env.batch.parcels, info["reward_terms"]
+            parcels, terms = env.batch.parcels, info["reward_terms"]
             shared = math.fsum(terms[name] for name in PARCEL_TERMS)
-            assert lanes.reward.sum() == pytest.approx(shared, abs=1e-9)
-            assert reward == pytest.approx(lanes.reward.sum() + terms["waiting"] + terms["jam"])
+            assert parcels.reward.sum() == pytest.approx(shared, abs=1e-9)
+            assert reward == pytest.approx(parcels.reward.sum() + terms["waiting"] + terms["jam"])
         assert info["touches"] > 0
         assert info["right"] + info["wrong"] > 0
 
@@ -186,15 +186,15 @@ class TestRewards:
         for *_, info in out_and_halt(env):
             for name in totals:
                 totals[name] += info["reward_terms"][name]
-        flows = env.batch.streams
+        streams = env.batch.streams
         assert totals["right"] == info["right"]
         assert totals["wrong"] == -info["wrong"]
         assert totals["touch"] == pytest.approx(-0.5 * 2 * info["touches"])
-        entered = int(flows.tally[0, ENTERED])
-        stay = np.where(np.isnan(flows.left), info["time"], flows.left) - flows.entered
+        entered = int(streams.tally[0, ENTERED])
+        stay = np.where(np.isnan(streams.left), info["time"], streams.left) - streams.entered
         assert totals["time"] == pytest.approx(-0.2 * stay[0, :entered].sum())
-        assert totals["waiting"] == pytest.approx(-0.1 * flows.waited[0])
-        assert flows.waited[0] > 0.0
+        assert totals["waiting"] == pytest.approx(-0.1 * streams.waited[0])
+        assert streams.waited[0] > 0.0
 
     def test_reach_is_earned_from_where_a_parcel_entered(self) -> None:
         """One that enters aside of the middle neither gains nor loses by it."""
@@ -243,7 +243,7 @@ class TestModules:
         stuck = ((9, 7), (11, 19))
         env = bare(actions="modules", actuators=Actuators(stuck=stuck))
         env.reset(seed=0)
-        flows = env.batch.streams
+        streams = env.batch.streams
         first_row, rows, first, columns = env.config.site.zone
         expected = np.full(env.config.site.rotor.shape, math.pi / 2)
         env.action_space.seed(0)

@@ -43,9 +43,9 @@ def neighbour(batch: StreamBatch, place: int, other: int | None, ahead: bool, fl
 
 def row_of(batch: StreamBatch, place: int) -> Array:
     """What is to be shown of the parcel of a place, from what is sensed."""
-    flows = batch.streams
-    number = int(flows.number[0, place])
-    exit = batch.config.exits.exits[int(flows.exit[0, number])]
+    streams = batch.streams
+    number = int(streams.number[0, place])
+    exit = batch.config.exits.exits[int(streams.exit[0, number])]
     flip = -1.0 if exit.side < 0 else 1.0
     parcel = parcel_of(batch, place)
     x, y, theta, vx, vy, omega = batch.parcels.sensed[place]
@@ -56,7 +56,7 @@ def row_of(batch: StreamBatch, place: int) -> Array:
     start = FIRST_OF_ZONE if exit.side == 0 else max(FIRST_OF_ZONE, exit.first)
     others = {
         other: batch.parcels.sensed[other, 0] - x
-        for other in np.nonzero(flows.present[0])[0].tolist()
+        for other in np.nonzero(streams.present[0])[0].tolist()
         if other != place
     }
     ahead = min((o for o in others if others[o] > 0.0), key=lambda o: others[o], default=None)
@@ -66,7 +66,7 @@ def row_of(batch: StreamBatch, place: int) -> Array:
         flip * omega / 3.0, (length / 2 - 0.175) / 0.05, (inner - ROTORS) / 0.2,
         math.sin(2 * math.pi * (x - 0.05) / 0.1), math.cos(2 * math.pi * (x - 0.05) / 0.1),
         math.sin(2 * math.pi * flip * y / 0.1), math.cos(2 * math.pi * y / 0.1),
-        (flows.clock[0] - flows.entered[0, number]) / 4.0, (rear - start) / 0.5, exit.side,
+        (streams.clock[0] - streams.entered[0, number]) / 4.0, (rear - start) / 0.5, exit.side,
         1.0, (width / 2 - 0.175) / 0.05,
         20.0 if exit.side == 0 else float(np.clip((exit.last - x) / 0.5, -20.0, 20.0)),
         0.0,
@@ -91,10 +91,10 @@ def test_rows_say_what_is_sensed(seed: int, settings: dict[str, Any]) -> None:
         # Most roll on, so that several are on the line.
         drawn = rng.integers(0, 4, env.action_space.shape)
         observation, *_ = env.step(np.where(rng.random(drawn.shape) < 0.8, ROLL, drawn))
-        flows = batch.streams
+        streams = batch.streams
         assert observation.shape == (24, len(FEATURES))
         for place in range(24):
-            if not flows.present[0, place]:
+            if not streams.present[0, place]:
                 assert not observation[place].any()
                 continue
             np.testing.assert_allclose(observation[place], row_of(batch, place), atol=2e-5)

@@ -43,23 +43,23 @@ class TestPlaces:
             y = rng.choice([-1.0, 1.0], 20) * rng.uniform(0.35, 0.8, 20) + SHORT.line_y
             set_down(batch, np.column_stack([x, y, rng.uniform(-3.0, 3.0, 20)]))
             batch.step(np.full((1, batch.config.action_kind.size), BRAKE))
-            streams, lanes = batch.streams, batch.parcels
+            streams, parcels = batch.streams, batch.parcels
             for place in range(20):
-                truth = lanes.truth[place]
-                assert not flows.present[0, place]
+                truth = parcels.truth[place]
+                assert not streams.present[0, place]
                 # No rotor bears it from x = 1.95 on, the last column: it is straight on.
                 rear = box_of(BOX, truth[:3])[0]
                 straight = rear > 1.95 or truth[X] > 2.0
                 side = 0 if straight else int(math.copysign(1, truth[Y] - SHORT.line_y))
                 wanted = exits.at(side, truth[X])
-                assert flows.taken[0, place] == wanted
+                assert streams.taken[0, place] == wanted
                 right = wanted == 0
-                assert lanes.outcome[place] == (LEFT_RIGHT if right else LEFT_WRONG)
-                assert 0.0 < flows.left[0, place] <= 0.04
+                assert parcels.outcome[place] == (LEFT_RIGHT if right else LEFT_WRONG)
+                assert 0.0 < streams.left[0, place] <= 0.04
                 seen.add(wanted)
-            taken = flows.taken[0, :20]
-            assert flows.tally[0, RIGHT] == (taken == 0).sum()
-            assert flows.tally[0, WRONG] == (taken != 0).sum()
+            taken = streams.taken[0, :20]
+            assert streams.tally[0, RIGHT] == (taken == 0).sum()
+            assert streams.tally[0, WRONG] == (taken != 0).sum()
         assert seen == {*range(len(exits)), BETWEEN} or exits is not OWN
 
     def test_on_rotors_it_stays(self) -> None:
@@ -92,11 +92,11 @@ class TestWays:
     )
     def test_outcomes(self, choice: int, asked: str, taken: str) -> None:
         env, info = sent(choice, asked)
-        flows = env.batch.streams
+        streams = env.batch.streams
         exits = env.config.exits
-        assert flows.taken[0, 0] == exits.place(taken)
+        assert streams.taken[0, 0] == exits.place(taken)
         assert (info["right"], info["wrong"]) == ((1, 0) if asked == taken else (0, 1))
-        assert flows.left[0, 0] > flows.entered[0, 0]
+        assert streams.left[0, 0] > streams.entered[0, 0]
         assert info["parcels"].tolist() == [-1] * 24
 
     def test_between_exits_is_wrong(self) -> None:

@@ -116,11 +116,11 @@ class TestBesideTheSingleEnv:
             there: set[int] = set(place_of)
             while True:
                 observation, _, jammed, late, info = single.step(said.reshape(-1))
-                flows, lanes = single.batch.streams, single.batch.parcels
-                for place in np.nonzero(flows.number[0] != NOBODY)[0].tolist():
-                    number = int(flows.number[0, place])
+                streams, parcels = single.batch.streams, single.batch.parcels
+                for place in np.nonzero(streams.number[0] != NOBODY)[0].tolist():
+                    number = int(streams.number[0, place])
                     place_of[number] = place
-                    paid[number] = float(lanes.reward[place])
+                    paid[number] = float(parcels.reward[place])
                 over = jammed or late
                 if (info["parcels"] >= 0).any() or over:
                     break
@@ -216,8 +216,8 @@ class TestAgents:
         env = agents_of()
         assert set(env.possible_agents) >= {"parcel_0", "parcel_1"}
         env.reset(seed=5)
-        flows = env.batch.streams
-        assert len(env.possible_agents) == flows.arrivals[0]
+        streams = env.batch.streams
+        assert len(env.possible_agents) == streams.arrivals[0]
 
     def test_a_reset_may_bring_a_stream_of_its_own(self) -> None:
         env = agents_of()

@@ -47,8 +47,8 @@ BAD: tuple[tuple[str, Any, str], ...] = (
     ("max_parcels", 257, "max_parcels"),
     ("max_parcels", 2.0, "max_parcels"),
     ("max_parcels", True, "max_parcels"),
-    ("line", "line", "plant"),
-    ("line", SHORT.rotor, "plant"),
+    ("line", "line", "line"),
+    ("line", SHORT.rotor, "line"),
     ("tilt", math.radians(15.1), "tilt"),
     ("tilt", math.radians(-15.1), "tilt"),
     ("tilt", math.nan, "tilt"),
@@ -83,9 +83,9 @@ def test_bad_arguments_are_named(name: str, value: Any, named: str) -> None:
 def test_every_face_checks_them(face: Any) -> None:
     for name, value, named in BAD[::6]:
         with pytest.raises(ValueError, match=named):
-            face(**{name: value})
+            face(task="flow", **{name: value})
     with pytest.raises(ValueError, match="render_mode"):
-        face(render_mode="ansi")
+        face(task="flow", render_mode="ansi")
 
 
 class TestTogether:
@@ -99,11 +99,11 @@ class TestTogether:
         """A line as wide as its parcel has other rotors for another one."""
         EnvConfig("flow", line=lines.Line())
         EnvConfig("flow", line=lines.Field())
-        with pytest.raises(ValueError, match="plant must have the same rotors"):
+        with pytest.raises(ValueError, match="line must have the same rotors"):
             EnvConfig("flow", stream=Stream(parcels=("S", "B")), line=lines.Line())
         settings = EnvConfig("flow", line=lines.Line())
-        with pytest.raises(ValueError, match="plant must have the same rotors"):
-            settings.check_stream(Stream(parcels=("B",)))
+        with pytest.raises(ValueError, match="line must have the same rotors"):
+            settings.stream_task.check_stream(Stream(parcels=("B",)), settings)
 
     def test_a_parcel_cannot_fall_between_rotors(self) -> None:
         least = Stream(parcels=(sg.Parcel(sg.Rectangle(0.1, 0.1)),))

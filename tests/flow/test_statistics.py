@@ -22,14 +22,14 @@ def recorded(
     one, and touched others so often.
     """
     obeys = np.ones((1, 2, 2), dtype=bool)
-    flows = with_room(make_streams(1, 2, (2, 2), 7, obeys), len(rows))
+    streams = with_room(make_streams(1, 2, (2, 2), 7, obeys), len(rows))
     columns = ("time", "entered", "left", "exit", "taken", "touches")
     for name, values in zip(columns, zip(*rows, strict=True), strict=True):
-        getattr(flows, name)[0, : len(rows)] = values
-    flows.arrivals[0] = len(rows)
-    flows.clock[0] = clock
-    flows.tally[0, TURNS] = turns
-    return flows
+        getattr(streams, name)[0, : len(rows)] = values
+    streams.arrivals[0] = len(rows)
+    streams.clock[0] = clock
+    streams.tally[0, TURNS] = turns
+    return streams
 
 
 BY_HAND = recorded(
@@ -93,9 +93,9 @@ def test_played_episodes_come_to_what_their_steps_tell(seed: int, varies: bool) 
     period = 0.005  # one physics step: nothing happens between two looks
     env = bare(actions="modules", duration=5.0, control_period=period, randomisation=randomisation)
     env.reset(seed=seed)
-    flows = env.batch.streams
-    coming = flows.time[0, : flows.arrivals[0]].tolist()
-    asked = flows.exit[0].tolist()
+    streams = env.batch.streams
+    coming = streams.time[0, : streams.arrivals[0]].tolist()
+    asked = streams.exit[0].tolist()
     entered: dict[int, float] = {0: 0.0}
     left: dict[int, tuple[float, int]] = {}
     there = {0}
@@ -109,11 +109,11 @@ def test_played_episodes_come_to_what_their_steps_tell(seed: int, varies: bool) 
         step += 1
         over = terminated or truncated
         now = {number for number in info["parcels"].tolist() if number >= 0}
-        flows = env.batch.streams
+        streams = env.batch.streams
         for number in now - there:
             entered[number] = info["time"]
         for number in there - now:
-            taken = int(flows.taken[0, number])
+            taken = int(streams.taken[0, number])
             left[number] = (info["time"], taken)
             right += taken == asked[number]
         there = now

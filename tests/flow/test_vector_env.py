@@ -22,8 +22,8 @@ EPISODE = {"stream": DENSE, "line": SHORT, "duration": 0.6}  # 15 control period
 VARIED = KINDS["parcels, camera, all varies"]
 
 
-def flows(lanes: int = LANES, **settings: Any) -> VectorEnv:
-    return native(FLOW, lanes, **{**EPISODE, **settings})
+def streams(parcels: int = LANES, **settings: Any) -> VectorEnv:
+    return native(FLOW, parcels, **{**EPISODE, **settings})
 
 
 def single_flows(mode: AutoresetMode, **settings: Any) -> SyncVectorEnv:
@@ -34,20 +34,20 @@ class TestBesideSingles:
     @every_mode
     @every_kind
     def test_each_lane_is_a_single_env(self, kind: dict[str, Any], mode: AutoresetMode) -> None:
-        one, other = flows(autoreset_mode=mode, **kind), single_flows(mode, **kind)
+        one, other = streams(autoreset_mode=mode, **kind), single_flows(mode, **kind)
         assert run_beside(one, other, mode, 40) >= 2 * LANES
 
     @every_mode
     def test_also_with_a_gate(self, mode: AutoresetMode) -> None:
         settings = {"actions": "parcels", "gate": True}
-        one, other = flows(autoreset_mode=mode, **settings), single_flows(mode, **settings)
+        one, other = streams(autoreset_mode=mode, **settings), single_flows(mode, **settings)
         assert run_beside(one, other, mode, 40) >= 2 * LANES
 
     @every_mode
     def test_also_where_jams_end_episodes(self, mode: AutoresetMode) -> None:
         settings = {"actions": "parcels", "orientations": (0.0, 0.1), "patience": 0.2}
         settings["duration"] = 3.0
-        one, other = flows(autoreset_mode=mode, **settings), single_flows(mode, **settings)
+        one, other = streams(autoreset_mode=mode, **settings), single_flows(mode, **settings)
         assert run_beside(one, other, mode, 100) >= LANES
 
     @every_mode
@@ -56,37 +56,37 @@ class TestBesideSingles:
         stream = Stream(DENSE.arrivals, destinations={"straight": 1.0})
         settings = {"stream": stream, "actions": "parcels", "duration": 0.12}
         settings["randomisation"] = Randomisation(lateral=0.05)
-        one, other = flows(autoreset_mode=mode, **settings), single_flows(mode, **settings)
+        one, other = streams(autoreset_mode=mode, **settings), single_flows(mode, **settings)
         assert run_beside(one, other, mode, 12) >= 2 * LANES
 
 
-def rollout(env: VectorEnv, lanes: slice, periods: int = 40) -> Iterator[tuple[Any, ...]]:
+def rollout(env: VectorEnv, parcels: slice, periods: int = 40) -> Iterator[tuple[Any, ...]]:
     """What some of the lanes give, each acting as it would in a smaller batch."""
     observations, _ = env.reset(seed=3)
-    yield (observations[lanes],)
+    yield (observations[parcels],)
     rng = np.random.default_rng(0)
     for _ in range(periods):
         actions = rng.integers(0, 4, (64, *env.single_action_space.shape))[: env.num_envs]
         observations, rewards, terminated, truncated, infos = env.step(actions)
         yield (
-            observations[lanes],
-            rewards[lanes],
-            terminated[lanes],
-            truncated[lanes],
-            infos["parcels"][lanes],
-            infos["touches"][lanes],
+            observations[parcels],
+            rewards[parcels],
+            terminated[parcels],
+            truncated[parcels],
+            infos["parcels"][parcels],
+            infos["touches"][parcels],
         )
 
 
 class TestLanes:
     def test_their_number_does_not_matter(self) -> None:
-        few, many = (flows(lanes, **VARIED) for lanes in (2, 9))
+        few, many = (streams(parcels, **VARIED) for parcels in (2, 9))
         for first, second in zip(rollout(few, slice(2)), rollout(many, slice(2)), strict=True):
             assert_same(first, second)
 
     @pytest.mark.parametrize("threads", [2, 3])
     def test_nor_does_that_of_threads(self, threads: int) -> None:
-        one, several = (flows(12, threads=count, **VARIED) for count in (1, threads))
+        one, several = (streams(12, threads=count, **VARIED) for count in (1, threads))
         assert several._batch._threads == threads
         for first, second in zip(
             rollout(one, slice(None)), rollout(several, slice(None)), strict=True
@@ -94,18 +94,18 @@ class TestLanes:
             assert_same(first, second)
 
     def test_every_lane_takes_its_own_stream(self) -> None:
-        env = flows(actions="parcels")
+        env = streams(actions="parcels")
         mine = trace((0.0, "left 1"), (0.3, "right 1"), speed=1.1)
         _, infos = env.reset(seed=0, options=[None, {"stream": mine}, {}])
         batch = env.batch
         assert batch.streams.arrivals[1] == 2
-        _, drawn = flows(actions="parcels").reset(seed=0)
+        _, drawn = streams(actions="parcels").reset(seed=0)
         np.testing.assert_array_equal(infos["parcels"], drawn["parcels"])
         np.testing.assert_array_equal(batch.parcels.truth[batch.rows, 3], 1.1)
 
     def test_partial_resets_leave_the_others(self) -> None:
-        env = flows(autoreset_mode="Disabled", **VARIED)
-        twin = flows(autoreset_mode="Disabled", **VARIED)
+        env = streams(autoreset_mode="Disabled", **VARIED)
+        twin = streams(autoreset_mode="Disabled", **VARIED)
         action = np.full(env.action_space.shape, ROLL)
         for each in (env, twin):
             each.reset(seed=0)
@@ -123,14 +123,14 @@ class TestLanes:
 
 class TestContract:
     def test_make_vec_gives_the_native_one(self) -> None:
-        env = flows()
+        env = streams()
         assert type(env) is SmartSurfaceVectorEnv
         assert env.spec is not None
         assert env.spec.id == FLOW
 
     @every_kind
     def test_spaces_are_those_of_single_ones(self, kind: dict[str, Any]) -> None:
-        env = flows(**kind)
+        env = streams(**kind)
         sync = single_flows(AutoresetMode.NEXT_STEP, **kind)
         for name in (
             "single_observation_space", "single_action_space", "observation_space", "action_space",
@@ -140,7 +140,7 @@ class TestContract:
 
     def test_what_it_returns_is_the_users_own(self) -> None:
         settings = {"actions": "parcels", "autoreset_mode": "SameStep", "duration": 0.12}
-        env, twin = flows(**settings), flows(**settings)
+        env, twin = streams(**settings), streams(**settings)
         action = np.full(env.action_space.shape, ROLL)
         for each in (env, twin):
             each.reset(seed=0)
@@ -155,7 +155,7 @@ class TestContract:
 
     @pytest.mark.parametrize("twin_of", TWINS)
     def test_twins_go_on_alike(self, twin_of: Any) -> None:
-        env = flows(autoreset_mode="SameStep", **VARIED)
+        env = streams(autoreset_mode="SameStep", **VARIED)
         env.reset(seed=0)
         env.action_space.seed(0)
         for _ in range(8):
@@ -167,14 +167,14 @@ class TestContract:
             assert_alike(first[:4], second[:4])
 
     def test_a_limit_of_ones_own_truncates(self) -> None:
-        env = flows(actions="parcels", max_episode_steps=4)
+        env = streams(actions="parcels", max_episode_steps=4)
         env.reset(seed=0)
         action = np.full(env.action_space.shape, ROLL)
         ends = [env.step(action)[3].all() for _ in range(5)]
         assert ends == [False, False, False, True, False]
 
     def test_bad_options_leave_all_lanes(self) -> None:
-        env, twin = flows(actions="parcels"), flows(actions="parcels")
+        env, twin = streams(actions="parcels"), streams(actions="parcels")
         action = np.full(env.action_space.shape, BRAKE)
         for each in (env, twin):
             each.reset(seed=0)
@@ -206,14 +206,14 @@ class TestContract:
             SmartSurfaceVectorEnv(**argument)
 
     def test_steps_before_a_reset_are_refused(self) -> None:
-        env = flows()
+        env = streams()
         with pytest.raises(gym.error.ResetNeeded, match="reset"):
             env.step(env.action_space.sample())
 
     def test_bodies_do_not_pile_up(self) -> None:
         """Of parcels drawn anew, each is kept as long as an episode has use for it."""
         settings = {"autoreset_mode": "SameStep", "randomisation": Randomisation(size=0.05)}
-        env = flows(actions="parcels", **settings)
+        env = streams(actions="parcels", **settings)
         env.reset(seed=0)
         batch = env.batch
         action = np.full(env.action_space.shape, ROLL)

@@ -10,7 +10,7 @@ import numpy as np
 import surface_gym as sg
 from surface_gym.core.batch import Batch
 from surface_gym.tasks import Task
-from surface_gym.tasks.base import Draw, Start
+from surface_gym.tasks.start import Draw, Start
 from tests.batches import batch_with
 from tests.environments import Step
 

@@ -11,7 +11,8 @@ import surface_gym as sg
 from surface_gym.registration import env_id
 from surface_gym.state import COMMON_OUTCOMES
 from surface_gym.tasks import TASKS, Orient, Slow, Sort, Stop, Track
-from surface_gym.tasks.base import Draw, check_options, parcel_option, rising
+from surface_gym.tasks.base import rising
+from surface_gym.tasks.start import Draw, check_options, parcel_option
 from tests.environments import TRIANGLE, assert_same, bare
 from tests.tasks import draws, nth, play
 

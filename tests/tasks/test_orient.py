@@ -7,7 +7,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.tasks import Orient
-from surface_gym.tasks.base import Start
+from surface_gym.tasks.start import Start
 from tests.environments import PLUS_45, ROLL, bare, same_choice
 from tests.tasks import (
     BRAKE,

@@ -7,7 +7,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.tasks import Sort
-from surface_gym.tasks.base import Start
+from surface_gym.tasks.start import Start
 from tests.environments import MINUS_45, PLUS_45, ROLL, TRIANGLE, bare, same_choice, steps
 from tests.tasks import (
     BRAKE,

@@ -7,8 +7,8 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.tasks import Track
-from surface_gym.tasks.base import Start
 from surface_gym.tasks.paths import LaneChange, Sine
+from surface_gym.tasks.start import Start
 from tests.environments import MINUS_45, ROLL, TRIANGLE, bare, same_choice
 from tests.tasks import (
     BRAKE,

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+
 from surface_gym.agents.evaluation.benchmark import Result
 from surface_gym.agents.evaluation.capacity import Measurement
 from surface_gym.agents.evaluation.methods import FIXED
@@ -20,7 +21,6 @@ from surface_gym.agents.evaluation.streams import (
     cases,
     stream_methods,
 )
-
 from surface_gym.tasks import Sort
 from surface_gym.tasks.benchmark import PARCELS, SpeedGrid
 

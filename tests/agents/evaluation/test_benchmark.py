@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents import library
 from surface_gym.agents.evaluation import benchmark as runs
 from surface_gym.agents.evaluation.benchmark import (
@@ -27,8 +29,6 @@ from surface_gym.agents.learning.config import PPOConfig
 from surface_gym.agents.learning.runs import CONFIG, write_config
 from surface_gym.agents.library import PolicyCard
 from surface_gym.agents.policy import make_network, save_policy
-
-from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.config import EnvConfig
 from surface_gym.presets import PRESETS, Preset
 from surface_gym.registration import env_id
@@ -107,7 +107,7 @@ class TestStarts:
     def test_parcels_are_those_that_the_environment_draws(self, task: str) -> None:
         """A parcel enters with its rear at x = 0."""
         starts = choose_starts(find_benchmark(task), None, LAB)[::7]
-        drawn = drawn_parcels(EnvConfig(task=task, condition=PARCELS_ALONE), starts, SEED)
+        drawn = drawn_parcels(EnvConfig(task=task, preset=PARCELS_ALONE), starts, SEED)
         env = SmartSurfaceVectorEnv(len(starts), task=task, condition=PARCELS_ALONE)
         _, info = env.reset(seed=SEED, options=list(starts))
         from_rear = [parcel.base.centroid[0] - parcel.base.outline[:, 0].min() for parcel in drawn]
@@ -115,7 +115,7 @@ class TestStarts:
         assert len(set(drawn)) > 0.3 * len(starts)
 
     def test_a_start_that_names_its_parcel_has_it(self) -> None:
-        settings = EnvConfig(task="sort", condition=LAB)
+        settings = EnvConfig(task="sort", preset=LAB)
         sizes = [parcel.rear for parcel in drawn_parcels(settings, [{"parcel": "S"}] * 3, SEED)]
         assert sizes == [0.125] * 3
 

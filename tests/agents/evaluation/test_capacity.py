@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from surface_gym.agents.evaluation import capacity
 from surface_gym.agents.evaluation.capacity import (
     LEAST,
@@ -19,7 +20,6 @@ from surface_gym.agents.evaluation.capacity import (
 from surface_gym.agents.evaluation.methods import FIXED
 from surface_gym.agents.evaluation.statistics import half_interval
 from surface_gym.agents.evaluation.streams import EVENT, RESERVATION, stream_methods
-
 from surface_gym.config import EnvConfig
 
 SMALL = Case("S", 1.5)
@@ -120,7 +120,7 @@ class TestMeasure:
             """Every axis at 0 deg."""
 
             def __init__(self, settings: EnvConfig) -> None:
-                self._size = settings.flow_actions.size
+                self._size = settings.action_kind.size
 
             def predict(self, observation: Any, state: Any = None, *_: Any) -> tuple[Any, Any]:
                 return np.zeros((len(observation), self._size), dtype=int), state

@@ -12,6 +12,7 @@ from typing import Any
 import imageio.v2 as imageio
 import pytest
 from rich.console import Console
+
 from surface_gym.agents.base import FLOW_TASK
 from surface_gym.agents.evaluation import capacity, report, runs, streams
 from surface_gym.agents.evaluation.capacity import Case
@@ -21,15 +22,8 @@ from surface_gym.agents.evaluation.robustness import FILE as SWEPT
 from surface_gym.agents.evaluation.runs import evaluate_run, is_of_streams
 from surface_gym.agents.evaluation.streams import BOUND, RESERVATION, StreamResults
 from surface_gym.agents.library import SHELF
-
 from surface_gym.tasks import TASKS
-from tests.agents.evaluation.made import (
-    RULES,
-    STARTS,
-    stream_results,
-    stream_rows,
-    sweep_results,
-)
+from tests.agents.evaluation.made import RULES, STARTS, stream_results, stream_rows, sweep_results
 
 
 def keep(rows: Sequence[Any], file: Path) -> list[str]:

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+
+from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents.evaluation import robustness
 from surface_gym.agents.evaluation.benchmark import compute_kept, find_benchmark
 from surface_gym.agents.evaluation.methods import PLANNER, Method, all_methods, rules, shipped
@@ -46,8 +48,6 @@ from surface_gym.agents.evaluation.robustness_report import (
 )
 from surface_gym.agents.evaluation.statistics import interval
 from surface_gym.agents.rollout import run_episodes
-
-from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.config import EnvConfig
 from surface_gym.lines import Line
 from surface_gym.parcel import Disc, Rectangle
@@ -80,8 +80,8 @@ def test_no_change_is_as_trained(task: str) -> None:
     settings = method.settings(benchmark.task, EVERYTHING_EXACT)
     for name in ("sensors", "control_period", "zone", "actuators", "randomisation", "actions"):
         assert getattr(true, name) == getattr(settings, name)
-    assert true.chosen_plant == settings.chosen_plant
-    assert true.chosen_task.periods == settings.chosen_task.periods
+    assert true.chosen_line == settings.chosen_line
+    assert true.task.periods == settings.task.periods
     assert true.task_name == task
 
 
@@ -96,23 +96,23 @@ def test_an_unchanged_environment_plays_the_same() -> None:
 
 def test_friction_is_unknown() -> None:
     assumed, true = situation(SLOW, BENCHMARK, Change(drag=1.2, rolling=0.5))
-    plant = true.chosen_plant
+    plant = true.chosen_line
     assert (plant.mu_max, plant.mu_min, plant.mu_support) == pytest.approx((0.6, 0.005, 0.0025))
-    assert (assumed.chosen_plant.mu_max, assumed.chosen_plant.mu_min) == (0.5, 0.01)
+    assert (assumed.chosen_line.mu_max, assumed.chosen_line.mu_min) == (0.5, 0.01)
 
 
 def test_a_zone_has_as_many_columns_behind_it_as_ever() -> None:
     for columns in (8, 24):
         assumed, true = situation(SLOW, BENCHMARK, Change(zone_columns=columns))
         assert assumed == true
-        plant = true.chosen_plant
+        plant = true.chosen_line
         assert isinstance(plant, Line)
         assert true.action_kind.columns == plant.zone_columns == columns
         assert plant.columns - plant.zone_columns == Line().columns - Line().zone_columns
 
 
 def test_an_episode_may_last_the_longer_where_the_zone_is() -> None:
-    periods = [true_of(Change(zone_columns=n)).chosen_task.periods for n in (8, 16, 24)]
+    periods = [true_of(Change(zone_columns=n)).task.periods for n in (8, 16, 24)]
     assert periods == [Slow.periods, Slow.periods, 1.5 * Slow.periods]
 
 
@@ -120,7 +120,7 @@ def test_an_episode_may_last_as_long_whatever_the_period() -> None:
     for period in (0.02, 0.06, 0.12):
         settings = true_of(Change(control_period=period))
         assert settings.control_period == period
-        lasts = settings.control_period * settings.chosen_task.periods
+        lasts = settings.control_period * settings.task.periods
         assert lasts == pytest.approx(0.04 * Slow.periods, abs=0.5 * period)
     assert Slow.periods == 100
 
@@ -181,7 +181,7 @@ def test_each_level_makes_an_environment(name: str) -> None:
 def test_the_trained_level_changes_nothing(name: str) -> None:
     factor = FACTORS[name]
     trained, task = true_of(factor.change(factor.trained)), Slow()
-    assert set(trained.chosen_task.parcels) == set(task.parcels)  # some more often than once
+    assert set(trained.task.parcels) == set(task.parcels)  # some more often than once
     assert replace(trained, task=task) == replace(true_of(Change()), task=task)
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.stats import binomtest
+
 from surface_gym.agents.evaluation.statistics import interval, wilson
 
 

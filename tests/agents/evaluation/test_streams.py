@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from surface_gym.agents.evaluation import capacity, streams
 from surface_gym.agents.evaluation.capacity import Case, Measurement, StreamMethod
 from surface_gym.agents.evaluation.methods import FIXED
@@ -38,7 +39,6 @@ from surface_gym.agents.evaluation.streams import (
     stream_numbers,
     stream_result,
 )
-
 from tests.agents.evaluation.made import RULES, SHARES, stream_results, stream_rows
 
 BY_NAME = {method.name: method for method in stream_methods()}

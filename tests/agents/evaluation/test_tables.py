@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
+
 from surface_gym.agents.evaluation.benchmark import find_benchmark, summarise
 from surface_gym.agents.evaluation.report import Section, write_page
 from surface_gym.agents.evaluation.tables import (
@@ -20,7 +21,6 @@ from surface_gym.agents.evaluation.tables import (
     write_markdown,
     write_numbers,
 )
-
 from tests.agents.evaluation.made import GRID, slow_result, sort_result
 
 SLOW = summarise(

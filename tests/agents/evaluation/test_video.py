@@ -10,18 +10,20 @@ import numpy as np
 import pytest
 from gymnasium.utils.seeding import np_random
 from moviepy.config import FFMPEG_BINARY
+
 from surface_gym.agents.evaluation.capacity import Case
 from surface_gym.agents.evaluation.report import stream_player
 from surface_gym.agents.evaluation.streams import ARRANGED, CURVE, EVENT
 from surface_gym.agents.evaluation.video import Player, main, write_comparison, write_episode
 from surface_gym.agents.rules.streams import StreamEventRule
-
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
 from tests.agents.evaluation.made import RULES
 from tests.flow.flows import DENSE, SHORT
 
-SETTINGS = EnvConfig(DENSE, exits="sides", actions="parcels", duration=2.0, line=SHORT)
+SETTINGS = EnvConfig(
+    "flow", stream=DENSE, exits="sides", actions="parcels", duration=2.0, line=SHORT
+)
 
 
 def read(file: Path) -> tuple[float, list[np.ndarray]]:

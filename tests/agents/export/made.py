@@ -3,6 +3,7 @@
 import numpy as np
 import torch
 from stable_baselines3.common.policies import BasePolicy
+
 from surface_gym.agents.export.policy import Integers, Singles, Source, Training
 from surface_gym.agents.library import PolicyCard
 from surface_gym.agents.module_policy import ModulePolicy, SharedNetwork

@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from torch import nn
+
 from surface_gym.agents.export.check import compare, random_observations
 from surface_gym.agents.export.policy import (
     Integers,
@@ -15,8 +17,6 @@ from surface_gym.agents.export.policy import (
     network_decision,
     read_network,
 )
-from torch import nn
-
 from tests.agents.export.made import made, wanted
 
 

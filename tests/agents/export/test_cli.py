@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from surface_gym.agents.export.check import find_compiler
 from surface_gym.agents.export.cli import ExportConfig, export, main, make_metadata, make_model
 from surface_gym.agents.export.page import UNKNOWN, make_page, need_of
@@ -14,7 +15,6 @@ from surface_gym.agents.export.policy import TRAINED_IN, Training, network_decis
 from surface_gym.agents.learning.config import PPOConfig
 from surface_gym.agents.learning.runs import write_config
 from surface_gym.agents.policy import save_policy
-
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS, group_features
 from surface_gym.tasks import TASKS

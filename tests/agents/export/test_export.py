@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+
+from surface_gym import agents
 from surface_gym.agents.export.c_header import make_header
 from surface_gym.agents.export.check import (
     compare,
@@ -14,8 +16,6 @@ from surface_gym.agents.export.cli import make_model
 from surface_gym.agents.export.modules_onnx import Watched, _angle, modules_decision
 from surface_gym.agents.export.onnx_graph import OBSERVATION, Graph, Traced, need
 from surface_gym.agents.export.policy import NetworkDecision, Source, network_decision, shipped
-
-from surface_gym import agents
 from tests.agents.export.made import CARDS, count_of_each, made, wanted
 
 COUNT = 1000

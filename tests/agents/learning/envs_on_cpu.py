@@ -4,10 +4,10 @@ from typing import Any
 
 import gymnasium as gym
 import torch
-from surface_gym.agents.learning.config import PPOConfig
-from surface_gym.agents.tasks import find_task
 
 from surface_gym import SmartSurfaceVectorEnv
+from surface_gym.agents.learning.config import PPOConfig
+from surface_gym.agents.tasks import find_task
 
 
 class EnvsOnCpu:
@@ -54,7 +54,7 @@ class EnvsOnCpu:
         self._env.close()
 
     def _tensors(self, infos: dict[str, Any]) -> dict[str, Any]:
-        terms = self.settings.chosen_task.terms
+        terms = self.settings.task.terms
         return {
             "is_success": torch.from_numpy(infos["is_success"]),
             "time": torch.from_numpy(infos["time"]),

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
+
 from surface_gym.agents.learning.config import (
     CONFIGS,
     DQNConfig,
@@ -19,7 +20,6 @@ from surface_gym.agents.learning.config import (
 )
 from surface_gym.agents.learning.hyperparams import FOLDER, defaults, write_hyperparams
 from surface_gym.agents.learning.runs import read_config, write_config
-
 from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
 

@@ -12,6 +12,8 @@ from gymnasium import spaces
 from stable_baselines3 import PPO
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.logger import configure
+
+from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents.learning.config import PPOConfig
 from surface_gym.agents.learning.cuda import (
     DeviceLearner,
@@ -33,8 +35,6 @@ from surface_gym.agents.learning.train import train
 from surface_gym.agents.library import WEIGHTS
 from surface_gym.agents.symmetry import ActionMirror
 from surface_gym.agents.vec_env import MirrorVecEnv, SurfaceVecEnv
-
-from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.config import EnvConfig
 from surface_gym.tasks import TASKS
 

@@ -3,9 +3,9 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+
 from surface_gym.agents.learning.config import DQNConfig, PPOConfig
 from surface_gym.agents.learning.envs import make_mirrored_envs, training_task
-
 from surface_gym.randomisation import Randomisation
 from surface_gym.registration import env_id
 from surface_gym.sensors import Exact
@@ -23,18 +23,16 @@ def test_a_share_has_a_camera(task: str, share: float) -> None:
     assert exact == [True] * round(8 * (1 - share)) + [False] * round(8 * share)
     for settings, is_exact in zip(settings_of_each, exact, strict=True):
         assert settings.randomisation == (Randomisation() if is_exact else Randomisation(0.2))
-        assert settings.chosen_task == training_task(task)
+        assert settings.task == training_task(task)
     assert envs.observation_space == gym.make(env_id(task), actions="halves").observation_space
 
 
 def test_half_of_the_environments_with_exact_sensors_have_zones_of_other_lengths() -> None:
     config = PPOConfig(task="slow", num_envs=32, batch_size=64, camera_share=0.5, zones=(8, 24))
     settings_of_each = make_mirrored_envs(config).get_attr("settings")
-    columns = [settings.chosen_plant.zone_columns for settings in settings_of_each]
+    columns = [settings.chosen_line.zone_columns for settings in settings_of_each]
     assert columns == [16] * 8 + [8] * 4 + [24] * 4 + [16] * 16
-    behind = {
-        each.chosen_plant.columns - each.chosen_plant.zone_columns for each in settings_of_each
-    }
+    behind = {each.chosen_line.columns - each.chosen_line.zone_columns for each in settings_of_each}
     assert len(behind) == 1
 
 

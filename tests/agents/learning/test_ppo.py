@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+
 from surface_gym.agents.learning.ppo import compute_advantages
 
 

@@ -16,6 +16,8 @@ import pytest
 import torch
 import yaml
 from rich.console import Console
+
+from surface_gym import agents
 from surface_gym.agents.learning.config import (
     DQNConfig,
     ModulesConfig,
@@ -39,8 +41,6 @@ from surface_gym.agents.learning.runs import (
 )
 from surface_gym.agents.learning.train import train, train_seeds
 from surface_gym.agents.library import WEIGHTS
-
-from surface_gym import agents
 from surface_gym.flow.task import PARCEL_TERMS
 from surface_gym.tasks.sort import TERMS
 from surface_gym.tasks.stop import TERMS as STOP_TERMS

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from surface_gym.agents.planning.models import TrueModel
-from surface_gym.agents.planning.nodes import BrakingProfile, SearchNodes, TurningAxes, is_under
 
 import surface_gym as sg
 from surface_gym import Disc, Parcel, Rectangle
+from surface_gym.agents.planning.models import TrueModel
+from surface_gym.agents.planning.nodes import BrakingProfile, SearchNodes, TurningAxes, is_under
 from surface_gym.config import EnvConfig
 from surface_gym.layouts import ROLLING
 from surface_gym.randomisation import Actuators, Randomisation
@@ -146,7 +146,7 @@ def begun(settings: EnvConfig, size: int = 4, options: dict[str, Any] | None = N
 
 @pytest.mark.parametrize("task", TASKS)
 def test_in_a_lab_it_is_the_start_of_the_environment_with_all_its_noise(task: str) -> None:
-    model = begun(EnvConfig(task=task, actions="halves", condition="lab"))
+    model = begun(EnvConfig(task=task, actions="halves", preset="lab"))
     env = sg.SmartSurfaceVectorEnv(3, task=task, actions="halves", condition="lab")
     for i in range(3):
         model.begin({}, SEED + i)
@@ -160,7 +160,7 @@ def test_whatever_the_sensors_say_it_moves_as_the_environment_does(task: str) ->
     """Where both halves get the same command, their border does not matter: parcel,
     friction, stuck modules and axes are the environment's.
     """
-    settings = EnvConfig(task=task, actions="halves", condition="lab")
+    settings = EnvConfig(task=task, actions="halves", preset="lab")
     model = begun(settings)
     env = sg.SmartSurfaceEnv(task=task, actions="halves", condition="lab")
     env.reset(seed=SEED)
@@ -201,7 +201,7 @@ def test_copies_take_their_parents_axes_with_them() -> None:
 
 
 def test_rewound_it_goes_the_same_way_again() -> None:
-    model = begun(EnvConfig(task="slow", actions="halves", condition="lab"))
+    model = begun(EnvConfig(task="slow", actions="halves", preset="lab"))
     model.step(6)
     ends = []
     for _ in range(2):

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from surface_gym.agents.planning.oracle import Oracle, find_reachable, run_oracle, stops_past
-from surface_gym.agents.rollout import run_episodes
 
 from surface_gym import Parcel, Rectangle
+from surface_gym.agents.planning.oracle import Oracle, find_reachable, run_oracle, stops_past
+from surface_gym.agents.rollout import run_episodes
 from surface_gym.config import EnvConfig
 from surface_gym.layouts import box
 from surface_gym.lines import Line
@@ -72,7 +72,7 @@ def test_its_episodes_are_like_a_controllers() -> None:
 
 
 def test_each_start_is_found_as_if_it_were_alone() -> None:
-    settings = EnvConfig(task="stop", actions="halves", condition="stuck")
+    settings = EnvConfig(task="stop", actions="halves", preset="stuck")
     together = find_reachable(settings, [{}] * 7, SEED, budget=2)
     for place in (0, 6):
         alone = Oracle(settings, budget=2).find({}, SEED + place)
@@ -103,7 +103,7 @@ def test_wide_parcels_are_stopped_though_supports_bear_some_of_them() -> None:
 
 
 def test_a_path_in_a_lab_is_followed_to_its_end() -> None:
-    settings = EnvConfig(task="track", actions="halves", condition="lab")
+    settings = EnvConfig(task="track", actions="halves", preset="lab")
     start = {"tilt": 0.22, "speed": 0.8, "path": [(0.5, 1.0), (1.5, 1.05)]}
     (found,) = find_reachable(settings, [start], SEED, budget=4)
     assert found.success
@@ -153,7 +153,7 @@ def test_full_braking_ends_where_the_law_of_motion_says() -> None:
 
 
 def test_what_is_asked_counts() -> None:
-    settings = EnvConfig(task="stop", actions="halves", condition="lab")
+    settings = EnvConfig(task="stop", actions="halves", preset="lab")
     near, far = (
         stops_past(settings, [{"speed": 2.0, "position": 1.0}], SEED),
         stops_past(settings, [{"speed": 2.0, "position": 1.5}], SEED),

@@ -17,8 +17,8 @@ EVERYBODY = Stream(Steady(2000.0), parcels=("S", "B"), speeds=1.5)
 
 def line(stream: Stream = EVERYBODY, **settings: Any) -> EnvConfig:
     """Of a short line with a chute on either side."""
-    given = {"exits": "sides", "actions": "parcels", "duration": 6.0, "plant": SHORT}
-    return EnvConfig(stream, **{**given, **settings})
+    given = {"exits": "sides", "actions": "parcels", "duration": 6.0, "line": SHORT}
+    return EnvConfig("flow", stream=stream, **{**given, **settings})
 
 
 def gated(stream: Stream = EVERYBODY, **settings: Any) -> EnvConfig:
@@ -36,11 +36,11 @@ def counts(controller: Any, settings: EnvConfig, num_envs: int = 4) -> dict[str,
     batch = StreamBatch(settings, num_envs)
     for i in range(num_envs):
         batch.seed(i, np.random.default_rng((1, i)))
-    batch.start(np.arange(num_envs))
+    batch.reset(np.arange(num_envs))
     state = None
     while (batch.outcome == RUNNING).any():
         action, state = controller.predict(batch.observation, state)
-        batch.advance(settings.flow_actions.commands(action, num_envs))
+        batch.step(settings.action_kind.commands(action, num_envs))
     tally = batch.streams.tally.sum(axis=0)
     return {
         "right": int(tally[RIGHT]),

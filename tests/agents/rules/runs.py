@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from surface_gym.agents.base import Controller
-from surface_gym.agents.rules import RULES, Rule
 
 import surface_gym as sg
+from surface_gym.agents.base import Controller
+from surface_gym.agents.rules import RULES, Rule
 from surface_gym.config import EnvConfig
 from surface_gym.tasks.paths import Sine
 
@@ -45,7 +45,7 @@ def run(controller: Controller, settings: EnvConfig, starts: list[dict[str, Any]
         autoreset_mode="SameStep",
     )
     observation, info = env.reset(seed=0, options=starts)
-    names = ("is_success", "outcome", "time", "pose", "velocity", *settings.chosen_task.metrics)
+    names = ("is_success", "outcome", "time", "pose", "velocity", *settings.task.metrics)
     ends = {name: info[name].copy() for name in names}
     running, state, begun = np.ones(num_envs, dtype=bool), None, np.ones(num_envs, dtype=bool)
     while running.any():
@@ -57,7 +57,7 @@ def run(controller: Controller, settings: EnvConfig, starts: list[dict[str, Any]
             if ended.any():
                 ends[name][ended] = info["final_info"][name][ended]
         running &= ~begun
-    figures = {name: ends[name] for name in settings.chosen_task.metrics}
+    figures = {name: ends[name] for name in settings.task.metrics}
     return Runs(*(ends[name] for name in names[:5]), figures)
 
 

@@ -4,13 +4,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+import surface_gym as sg
 from surface_gym.agents.evaluation.benchmark import find_benchmark
-from surface_gym.agents.evaluation.methods import BEST_FIXED, FIXED, best_on_path
+from surface_gym.agents.evaluation.methods import BEST_FIXED, FIXED, rules
 from surface_gym.agents.planning.path_layouts import ShownPath
 from surface_gym.agents.rules.base import FixedRule
 from surface_gym.agents.rules.layouts import BestSlowing, BestStopping, BestTracking, BestTurning
-
-import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.layouts import LINE_Y, box
 from surface_gym.presets import PRESETS
@@ -120,7 +120,9 @@ def test_a_shown_path_is_the_path_and_the_rest_is_tracks() -> None:
 
 def test_in_the_benchmark_its_task_is_the_same_with_the_path_shown() -> None:
     trial = find_benchmark("track")
-    settings = best_on_path().settings(trial, PRESETS["camera"])
+    settings = next(m for m in rules("track") if m.observed_task is not None).settings(
+        trial, PRESETS["camera"]
+    )
     assert isinstance(settings.task, ShownPath)
     assert isinstance(trial.task, Track)
     assert (settings.task.tilts, settings.task.kinds) == (trial.task.tilts, trial.task.kinds)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from surface_gym.agents.rules.reservation import (
     FINE,
     MARGIN,
@@ -23,7 +24,6 @@ from surface_gym.agents.rules.reservation import (
     steady_rate,
 )
 from surface_gym.agents.rules.streams import StreamEventRule
-
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream
@@ -72,7 +72,7 @@ def test_trajectories_lead_to_the_exits_and_are_mirror_images() -> None:
     trajectories = found(settings)
     assert trajectories.right == (True, True, True)
     left, right, straight = trajectories.each
-    middle = settings.chosen_plant.line_y
+    middle = settings.chosen_line.line_y
     np.testing.assert_allclose(left.pose[:, 1] - middle, middle - right.pose[:, 1], atol=1e-9)
     np.testing.assert_allclose(left.time, right.time)
     np.testing.assert_allclose(straight.pose[:, 1], middle, atol=1e-9)

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from surface_gym.agents.rules import ROLLING, RULES, Rule, find_rules
-from surface_gym.agents.rules.sorting import EventRule, FixedLayout
 
 import surface_gym as sg
+from surface_gym.agents.rules import ROLLING, RULES, Rule, find_rules
+from surface_gym.agents.rules.sorting import EventRule, FixedLayout
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import KINDS
 from surface_gym.layouts import LINE_Y

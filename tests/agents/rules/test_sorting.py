@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from surface_gym.agents.rules.sorting import BestSorting, GradedLayout
 
 import surface_gym as sg
+from surface_gym.agents.rules.sorting import BestSorting, GradedLayout
 from surface_gym.config import EnvConfig
 from surface_gym.design.sorting_layouts import OFFERS, SortingLayout, sorting_layouts
 from surface_gym.lines import Line

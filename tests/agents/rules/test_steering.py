@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 import pytest
+
+import surface_gym as sg
 from surface_gym.agents.rules.square_model import (
     Motion,
     SquareModel,
     line_positions,
     window_positions,
 )
-
-import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.tasks.paths import Sine
 from tests.agents.rules.runs import mirrored_starts, rule, run_rule

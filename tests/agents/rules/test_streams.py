@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from surface_gym.agents import library
 from surface_gym.agents.rules.streams import (
     OPEN,
@@ -14,7 +15,6 @@ from surface_gym.agents.rules.streams import (
     StreamEventRule,
     StreamFixedLayout,
 )
-
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.task import FEATURES, OWN, PRESENT, WAITS
 from tests.agents.rules.lines import counts, gated, line
@@ -81,7 +81,7 @@ def test_for_each_parcel_the_agent_of_sort_decides_by_its_row() -> None:
             else:
                 assert halves.tolist() == list(divmod(int(agent.predict(row[:OWN])[0]), 4))
                 met.add(row[SIDE])
-        batch.advance(config.flow_actions.commands(action[np.newaxis], 1))
+        batch.step(config.action_kind.commands(action[np.newaxis], 1))
     assert met == {1.0, -1.0}
 
 
@@ -92,7 +92,7 @@ def test_a_fixed_layout_sorts_to_the_left_alone() -> None:
             "right": right, "wrong": wrong, "touches": 0,
         }  # fmt: skip
     actions, _ = StreamFixedLayout(config).predict(table(3)[np.newaxis].repeat(2, axis=0))
-    assert actions.shape == (2, config.flow_actions.size)
+    assert actions.shape == (2, config.action_kind.size)
     assert (actions == LEFT).all()
     assert StreamFixedLayout(config).predict(table(3))[0].tolist() == actions[0].tolist()
 

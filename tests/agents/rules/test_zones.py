@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from surface_gym.agents.rules.reservation import Reservation, list_asked
 from surface_gym.agents.rules.streams import PAST_START, SIDE
 from surface_gym.agents.rules.zones import (
@@ -12,7 +13,6 @@ from surface_gym.agents.rules.zones import (
     measure_crossings,
     zone_span,
 )
-
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream

@@ -6,6 +6,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+
+import surface_gym as sg
 from surface_gym.agents.runtime.config import WorldOptions
 from surface_gym.agents.runtime.controller import AxisLimits, ControlLoop, LoopConfig
 from surface_gym.agents.runtime.decisions import (
@@ -18,8 +20,6 @@ from surface_gym.agents.runtime.decisions import (
 from surface_gym.agents.runtime.estimator import StateEstimator
 from surface_gym.agents.runtime.protocol import Angles, DeviceLost, Entered, Frame, Message
 from surface_gym.agents.runtime.simulator import World
-
-import surface_gym as sg
 from surface_gym.config import EnvConfig
 
 QUARTER_TURN = 0.05  # [s]

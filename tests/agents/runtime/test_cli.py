@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import tyro
 from rich.console import Console
+
 from surface_gym.agents.runtime import simulator
 from surface_gym.agents.runtime.cli import load_policy, main, make_settings, simulator_arguments
 from surface_gym.agents.runtime.config import RuntimeConfig, SimulatorConfig
@@ -34,7 +35,6 @@ from surface_gym.agents.runtime.report import (
     write_report,
 )
 from surface_gym.agents.runtime.simulator import SimulatorProcess
-
 from surface_gym.config import EnvConfig
 from tests.agents.runtime.made import SETTINGS, entered, estimator
 
@@ -93,7 +93,7 @@ class TestConfig:
     def test_the_environment_is_the_policy_s(self) -> None:
         policy = load_policy(RuntimeConfig("slow-dqn", seed=1))
         settings = make_settings(policy, "lab")
-        assert settings == EnvConfig(task="slow", condition="lab", **policy.env_kwargs)
+        assert settings == EnvConfig(task="slow", preset="lab", **policy.env_kwargs)
 
     def test_a_run_s_folder_holds_a_policy(self) -> None:
         from surface_gym import agents

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from surface_gym.agents.runtime.controller import AxisLimits, LoopConfig
 from surface_gym.agents.runtime.decisions import allowed_angles
 from surface_gym.agents.runtime.protocol import AxesAcknowledged, Departed
-
 from tests.agents.runtime.made import (
     BRAKE,
     ROLL,
@@ -171,7 +171,7 @@ def test_an_observation_out_of_bounds_is_not_for_the_policy(device: ScriptedDevi
     assert loop.counts.strayed == loop.counts.by_fixed_layout == 1
 
 
-def test_a_frame_with_numbers_that_are_not_finite_ends_the_connection(
+def test_a_frame_that_is_not_finite_ends_the_connection(
     device: ScriptedDevice,
 ) -> None:
     device.script = [(0.0, entered()), (0.06, frame(0.02, x=math.nan))]

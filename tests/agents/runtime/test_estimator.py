@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
+import surface_gym as sg
 from surface_gym.agents.runtime.estimator import (
     IDEAL,
     MAX_AHEAD,
@@ -13,8 +15,6 @@ from surface_gym.agents.runtime.estimator import (
     within_right_angles,
 )
 from surface_gym.agents.runtime.protocol import Entered, Frame
-
-import surface_gym as sg
 from surface_gym.core.batch import Batch
 from tests.agents.runtime.made import (
     BRAKE,
@@ -54,7 +54,7 @@ def filtered() -> tuple[Entered, list[np.ndarray], list[Frame], list[np.ndarray]
     spread = np.array([CAMERA.position_noise] * 2 + [CAMERA.angle_noise])
     for k in range(20):
         sent.append(commands([int(rng.integers(16))]))
-        batch.advance(sent[-1])
+        batch.step(sent[-1])
         noise = lanes.noise[0, lanes.noise_row[0, 0] - 1, :3]
         pose = lanes.truth[0, :3] + spread * noise
         frames.append(Frame(AT + PERIOD * (k + 1), 0, tuple(pose.tolist())))
@@ -86,7 +86,7 @@ def test_late_frames_lead_to_the_same_estimate(filtered) -> None:
             if not late:
                 held.observe(taken.taken_at)
             assert held.correct(taken)
-        held.observe(frames[-1].taken + 0.03)
+        held.observe(frames[-1].taken_at + 0.03)
         estimates.append(held.estimate)
     np.testing.assert_array_equal(*estimates)
 

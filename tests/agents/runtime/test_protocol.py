@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+import surface_gym as sg
 from surface_gym.agents.runtime.config import parse_address
 from surface_gym.agents.runtime.connection import Connection, ConnectionLost, SocketDevice
 from surface_gym.agents.runtime.protocol import (
@@ -25,8 +27,6 @@ from surface_gym.agents.runtime.protocol import (
     to_fields,
     to_line,
 )
-
-import surface_gym as sg
 
 SHAPE = (2, 3)
 TRIANGLE = sg.Polygon([[0.0, 0.0], [0.3, 0.0], [0.0, 0.3]])
@@ -180,7 +180,7 @@ def test_lines_arrive_whole(ends: tuple[Connection, Connection]) -> None:
     assert there.lines() == [b"two"]
 
 
-def test_a_closed_connection_is_noticed_once_all_is_read(
+def test_a_closed_one_is_noticed_once_all_is_read(
     ends: tuple[Connection, Connection],
 ) -> None:
     here, there = ends

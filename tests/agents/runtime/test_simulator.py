@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from surface_gym.agents.runtime.config import WorldOptions
 from surface_gym.agents.runtime.connection import SocketDevice
 from surface_gym.agents.runtime.controller import ControlLoop, LoopConfig
@@ -19,7 +20,6 @@ from surface_gym.agents.runtime.protocol import (
     to_line,
 )
 from surface_gym.agents.runtime.simulator import MAX_BEHIND, Server, World, serve
-
 from tests.agents.runtime.made import (
     SETTINGS,
     Always,
@@ -168,9 +168,7 @@ class TestOverASocket:
         second.close()
 
     @pytest.mark.parametrize("line", [b"stop!\n", to_line({"kind": "axes", "command": 1})])
-    def test_a_loop_that_sends_something_else_is_disconnected(
-        self, server: Server, line: bytes
-    ) -> None:
+    def test_a_loop_that_sends_another_line_is_cut_off(self, server: Server, line: bytes) -> None:
         with socket.create_connection(self.address(server)) as connected:
             server.step(0.0)
             assert from_line(connected.recv(4096).splitlines()[0])["task"] == "stop"

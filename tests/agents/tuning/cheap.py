@@ -8,6 +8,7 @@ from typing import Any
 
 from optuna.trial import FrozenTrial
 from rich.console import Console
+
 from surface_gym.agents.tuning.study import (
     COMPLETE,
     PRUNED,
@@ -17,7 +18,6 @@ from surface_gym.agents.tuning.study import (
     optimize,
 )
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
-
 from surface_gym.parallel import Report, Workers
 
 QUIET = Console(quiet=True)

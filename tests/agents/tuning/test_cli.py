@@ -9,6 +9,7 @@ import optuna
 import pytest
 from optuna.trial import FrozenTrial, TrialState, create_trial
 from rich.console import Console
+
 from surface_gym.agents.learning.config import PPOConfig
 from surface_gym.agents.learning.hyperparams import defaults
 from surface_gym.agents.tuning import cli
@@ -22,7 +23,6 @@ from surface_gym.agents.tuning.study import (
     plain_params,
 )
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
-
 from tests.agents.tuning.cheap import QUIET, SMALL, searched
 
 SHORT = """

@@ -14,6 +14,7 @@ import numpy as np
 import optuna
 import pytest
 from optuna.trial import FrozenTrial, TrialState, create_trial
+
 from surface_gym.agents.evaluation.benchmark import SEED
 from surface_gym.agents.learning.config import PPOConfig, make_card
 from surface_gym.agents.learning.runs import TrainResult
@@ -40,7 +41,6 @@ from surface_gym.agents.tuning.study import (
     state_of,
 )  # fmt: skip
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
-
 from surface_gym.parallel import Report
 from surface_gym.tasks.benchmark import DRAWN
 from tests.agents.tuning.cheap import SMALL, cheap_trial, searched

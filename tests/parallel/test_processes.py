@@ -1,9 +1,10 @@
-"""Jobs handed out to processes: each done once, lost ones again, errors and Ctrl-C passed on."""
+"""Jobs in processes: each done once, lost ones again, errors and Ctrl-C passed on."""
 
 import os
 import subprocess
 import sys
 import time
+from collections.abc import Generator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,10 @@ from typing import Any
 import pytest
 
 from surface_gym.parallel import WorkFailed, check_workers, map_jobs, without_report
-from tests.sharing import jobs
+from tests.parallel import jobs
 
 
-def test_results_and_what_is_told_do_not_depend_on_processes() -> None:
+def test_results_and_reports_do_not_depend_on_processes() -> None:
     heard: dict[int, list[tuple[Any, ...]]] = {1: [], 2: []}
     work = [partial(jobs.draws, seed) for seed in range(5)]
     found = {
@@ -23,12 +24,12 @@ def test_results_and_what_is_told_do_not_depend_on_processes() -> None:
     assert found[1] == found[2]
     assert sorted(heard[1]) == sorted(heard[2])
     assert len(heard[2]) == 25
-    for place in range(5):
-        assert [told[1] for told in heard[2] if told[0] == place] == list(range(5))
+    for index in range(5):
+        assert [each[1] for each in heard[2] if each[0] == index] == list(range(5))
 
 
-def kept(heard: list[tuple[Any, ...]], place: int, told: Any) -> None:
-    heard.append((place, *told))
+def kept(heard: list[tuple[Any, ...]], index: int, value: Any) -> None:
+    heard.append((index, *value))
 
 
 def test_two_processes_share_what_there_is_and_are_used_again() -> None:
@@ -64,7 +65,7 @@ def test_an_error_is_raised_here_and_says_where_it_came_from() -> None:
     assert "in fails" in str(raised.value.__cause__)
 
 
-def test_an_error_that_cannot_be_sent_is_told_in_words() -> None:
+def test_an_error_that_cannot_be_pickled_keeps_its_text() -> None:
     with pytest.raises(RuntimeError, match="Stubborn: 1 and 2"):
         dict(map_jobs([jobs.fails_stubbornly, jobs.own_process], 2))
 
@@ -75,8 +76,8 @@ def test_whatever_ends_the_work_interrupts_the_jobs_and_hears_them_out(
 ) -> None:
     heard: list[tuple[int, Any]] = []
 
-    def hear(place: int, told: Any) -> None:
-        heard.append((place, told))
+    def hear(index: int, value: Any) -> None:
+        heard.append((index, value))
         if len(heard) == 2:
             raise by
 
@@ -86,24 +87,25 @@ def test_whatever_ends_the_work_interrupts_the_jobs_and_hears_them_out(
     assert sorted(file.name for file in tmp_path.iterdir()) == ["0", "1"]
 
 
-def test_who_stops_listening_ends_the_jobs(tmp_path: Path) -> None:
+def test_closing_the_iteration_ends_the_jobs(tmp_path: Path) -> None:
     work = [partial(jobs.draws, 0), partial(jobs.waits, tmp_path / "file")]
     some = map_jobs(work, 2)
     assert next(some)[0] == 0
-    some.close()  # type: ignore[attr-defined]
+    assert isinstance(some, Generator)
+    some.close()
     assert not list(tmp_path.glob("*")) or (tmp_path / "file").read_text() == "interrupted\n"
 
 
-def test_jobs_end_when_who_handed_them_out_is_killed(tmp_path: Path) -> None:
+def test_jobs_end_when_the_submitting_process_is_killed(tmp_path: Path) -> None:
     code = (
         "from functools import partial\nfrom pathlib import Path\n"
-        "from surface_gym.sharing import share\nfrom tests.sharing import jobs\n"
+        "from surface_gym.parallel import map_jobs\nfrom tests.parallel import jobs\n"
         "if __name__ == '__main__':\n"
-        f"    dict(share([partial(jobs.tells_its_process, Path({str(tmp_path)!r}))] * 2, 2))\n"
+        f"    dict(map_jobs([partial(jobs.reports_for_ever, Path({str(tmp_path)!r}))] * 2, 2))\n"
     )
-    (tmp_path / "hands_out.py").write_text(code)
+    (tmp_path / "driver.py").write_text(code)
     driver = subprocess.Popen(
-        [sys.executable, str(tmp_path / "hands_out.py")],
+        [sys.executable, str(tmp_path / "driver.py")],
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
     )
     until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
@@ -129,7 +131,7 @@ def is_there(process: int) -> bool:
     return "State:\tZ" not in Path(f"/proc/{process}/status").read_text()
 
 
-def test_what_is_quiet_tells_nothing() -> None:
+def test_a_job_without_reports() -> None:
     assert without_report(lambda: 5, pytest.fail) == 5
 
 
@@ -137,3 +139,20 @@ def test_what_is_quiet_tells_nothing() -> None:
 def test_workers_are_at_least_one(workers: Any) -> None:
     with pytest.raises(ValueError, match="workers must be a whole number of at least 1"):
         check_workers(workers)
+
+
+def test_the_next_job_is_taken_when_a_worker_is_free() -> None:
+    """So that a job may be made by results of those before."""
+    done: list[int] = []
+    seen: list[int] = []
+
+    def work() -> Any:
+        for seed in range(4):
+            seen.append(len(done))
+            yield partial(jobs.draws, seed)
+
+    for index, _ in map_jobs(work(), 2):
+        done.append(index)
+    assert sorted(done) == [0, 1, 2, 3]
+    assert seen[:2] == [0, 0]
+    assert seen[2] >= 1

@@ -16,24 +16,24 @@ import pytest
 import ray
 from ray.cluster_utils import Cluster as TwoNodes
 from rich.console import Console
+
+from surface_gym import ray_executor
 from surface_gym.agents.evaluation.benchmark import compute_results
-from surface_gym.agents.evaluation.methods import only, policy_folders, rules, trained
+from surface_gym.agents.evaluation.methods import policy_folders, rules, trained
 from surface_gym.agents.learning.config import ModulesConfig, PPOConfig
 from surface_gym.agents.learning.runs import CARD as CARD_FILE
 from surface_gym.agents.learning.runs import CURVE, make_folder
 from surface_gym.agents.learning.train import train_seeds
 from surface_gym.agents.library import WEIGHTS
-from surface_gym.agents.search.command import go_on
 from surface_gym.agents.tasks import task_files
 from surface_gym.agents.tuning.study import run_trial
-
-from surface_gym import ray_executor
 from surface_gym.design import Case, Sort, success_map
 from surface_gym.parallel import Cluster, WorkFailed, choose_workers, map_jobs
 from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.ray_executor import Build
-from tests.agents.search.test_trial import SWEEP
-from tests.sharing import jobs
+from tests.agents.tuning.cheap import searched
+from tests.agents.tuning.test_study import SWEEP
+from tests.parallel import jobs
 
 ROOT = Path(__file__).parents[2]
 SMALL = ModulesConfig(
@@ -71,13 +71,13 @@ def cluster(nodes: Nodes) -> Cluster:
     return Cluster(nodes.cluster.address)
 
 
-def test_results_and_what_is_told_are_those_of_processes(cluster: Cluster) -> None:
+def test_results_and_reports_are_those_of_processes(cluster: Cluster) -> None:
     work = [partial(jobs.draws, seed) for seed in range(5)]
     heard: list[tuple[int, Any]] = []
-    found = dict(map_jobs(work, cluster, lambda *told: heard.append(told)))
+    found = dict(map_jobs(work, cluster, lambda *each: heard.append(each)))
     assert found == dict(map_jobs(work, 1))
-    for place in range(5):
-        assert [told[0] for where, told in heard if where == place] == list(range(5))
+    for index in range(5):
+        assert [value[0] for where, value in heard if where == index] == list(range(5))
 
 
 def test_both_nodes_work(cluster: Cluster) -> None:
@@ -97,8 +97,8 @@ def test_a_job_whose_node_dies_is_done_again_and_only_that(
 ) -> None:
     begun: list[int] = []
 
-    def heard(place: int, _: Any) -> None:
-        begun.append(place)
+    def heard(index: int, _: Any) -> None:
+        begun.append(index)
         if len(begun) == 2:  # one on each node
             nodes.replace_one()
             (tmp_path / "sign").touch()
@@ -126,8 +126,8 @@ def test_a_job_that_always_dies_ends_the_work(
 def test_ctrl_c_interrupts_the_jobs_on_the_nodes_too(cluster: Cluster, tmp_path: Path) -> None:
     heard: list[tuple[int, Any]] = []
 
-    def hear(place: int, told: Any) -> None:
-        heard.append((place, told))
+    def hear(index: int, value: Any) -> None:
+        heard.append((index, value))
         if len(heard) == 2:
             raise KeyboardInterrupt
 
@@ -164,19 +164,19 @@ def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(
     for folder in folders:
         folder.mkdir()
     train_seeds(SMALL, folders[0], Console(quiet=True), 2)
-    usual = ray_executor.RayCrew.listen
+    usual = ray_executor.RayExecutor.events
     words = 0
 
-    def listen(crew: ray_executor.RayCrew) -> Iterator[Any]:
+    def events(executor: ray_executor.RayExecutor) -> Iterator[Any]:
         nonlocal words
-        for word in usual(crew):
+        for word in usual(executor):
             words += 1
             if words in (6, 20):
                 nodes.replace_one()
             yield word
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ray_executor.RayCrew, "listen", listen)
+        patch.setattr(ray_executor.RayExecutor, "events", events)
         learned = train_seeds(SMALL, folders[1], Console(quiet=True), cluster)
     assert words > 20
     assert [each.interrupted for each in learned] == [False] * 2
@@ -193,8 +193,8 @@ def test_cells_are_the_same_those_of_a_runs_policies_too(cluster: Cluster, tmp_p
         task="slow", steps=512, lanes=8, n_steps=16, batch_size=64, n_epochs=1, hidden=(8,)
     )
     train_seeds(one, tmp_path, Console(quiet=True), 1)
-    run = replace(only(trained(policy_folders(tmp_path)), ("exact",)), starts=6)
-    who = [replace(only(rules("slow")[0], ("exact", "stuck")), starts=6), run]
+    run = replace(trained(policy_folders(tmp_path)), presets=("exact",), starts=6)
+    who = [replace(rules("slow")[0], presets=("exact", "stuck"), starts=6), run]
     local, elsewhere = (
         [replace(cell, decision_time=0.0) for cell in compute_results(who, workers)]
         for workers in (1, cluster)
@@ -210,7 +210,7 @@ def test_a_design_map_is_the_same(cluster: Cluster) -> None:
     np.testing.assert_array_equal(elsewhere.nominal, local.nominal)
 
 
-def test_a_command_that_was_killed_goes_on_with_a_task_of_ones_own(
+def test_a_command_that_was_killed_goes_on_with_a_custom_task(
     cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(ROOT)
@@ -235,7 +235,7 @@ def test_a_command_that_was_killed_goes_on_with_a_task_of_ones_own(
     assert broken.returncode == -signal.SIGKILL
     assert any(folders[1].rglob(CURVE))
     assert not any(folders[1].rglob(WEIGHTS))
-    ray.shutdown()  # a task of one's own goes along when the cluster is joined
+    ray.shutdown()  # a custom task is sent when the cluster is joined
     train_seeds(
         config,
         folders[1],
@@ -249,12 +249,11 @@ def test_a_command_that_was_killed_goes_on_with_a_task_of_ones_own(
     ray.shutdown()
 
 
-def test_a_search_is_the_same(cluster: Cluster, tmp_path: Path) -> None:
-    sweep = replace(SWEEP, trials=2, generation=2, startup_trials=2)
-    console = Console(quiet=True)
+def test_a_search_has_trials_of_the_nodes(cluster: Cluster, tmp_path: Path) -> None:
+    sweep = replace(SWEEP, trials=2, startup_trials=2, sampler="random", pruner="none")
     found = []
     for name, workers in (("local", 1), ("cluster", cluster)):
         (tmp_path / name).mkdir()
-        trials = go_on(sweep, tmp_path / name, workers, console, run_trial)
-        found.append([replace(trial, seconds=0.0) for trial in trials])
+        trials = searched(sweep, tmp_path / name, run_trial, workers)
+        found.append([(each.params, each.values, each.intermediate_values) for each in trials])
     assert found[0] == found[1]

@@ -10,40 +10,40 @@ import numpy as np
 from surface_gym.parallel import Report
 
 
-def draws(seed: int, tell: Report) -> float:
-    """A sum of what is drawn, told number by number."""
+def draws(seed: int, report: Report) -> float:
+    """Sum random numbers, and report each partial sum."""
     rng = np.random.default_rng(seed)
     total = 0.0
     for number in range(5):
         total += float(rng.standard_normal())
-        tell((number, total))
+        report((number, total))
     return total
 
 
-def own_process(tell: Report) -> int:
-    del tell
+def own_process(report: Report) -> int:
+    del report
     time.sleep(0.3)
     return os.getpid()
 
 
-def dies_at_first(folder: Path, name: str, tell: Report) -> int:
+def dies_at_first(folder: Path, name: str, report: Report) -> int:
     """Counts its beginnings in a file, and dies in the middle of the first."""
     with (folder / name).open("a") as file:
         file.write("begun\n")
-    tell("begun")
+    report("begun")
     begun = len((folder / name).read_text().splitlines())
     if begun == 1:
         os.kill(os.getpid(), signal.SIGKILL)
     return begun
 
 
-def always_dies(tell: Report) -> None:
-    del tell
+def always_dies(report: Report) -> None:
+    del report
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def fails(message: str, tell: Report) -> None:
-    del tell
+def fails(message: str, report: Report) -> None:
+    del report
     raise ValueError(message)
 
 
@@ -54,46 +54,46 @@ class Stubborn(Exception):
         super().__init__(f"{first} and {second}")
 
 
-def fails_stubbornly(tell: Report) -> None:
-    del tell
+def fails_stubbornly(report: Report) -> None:
+    del report
     raise Stubborn(1, 2)
 
 
-def waits(file: Path, tell: Report) -> str:
-    """Goes on until it is interrupted, which it writes down and tells."""
+def waits(file: Path, report: Report) -> str:
+    """Goes on until it is interrupted, which it writes down and reports."""
     try:
-        tell("begun")
+        report("begun")
         while True:
             time.sleep(0.01)
     except KeyboardInterrupt:
-        tell("interrupted")
+        report("interrupted")
         with file.open("a") as kept:
             kept.write("interrupted\n")
         raise
 
 
-def counts_beginnings(folder: Path, name: str, tell: Report) -> int:
+def counts_beginnings(folder: Path, name: str, report: Report) -> int:
     """As `dies_at_first`, without dying, and long enough to see another die."""
     with (folder / name).open("a") as file:
         file.write("begun\n")
-    tell("begun")
+    report("begun")
     time.sleep(1.0)
     return len((folder / name).read_text().splitlines())
 
 
-def tells_its_process(folder: Path, tell: Report) -> None:
-    """Goes on for ever, telling; a file is named after its process."""
+def reports_for_ever(folder: Path, report: Report) -> None:
+    """Goes on for ever, reporting; a file is named after its process."""
     (folder / f"{os.getpid()}.pid").touch()
     while True:
-        tell("here")
+        report("here")
         time.sleep(0.05)
 
 
-def waits_for(folder: Path, name: str, sign: str, tell: Report) -> int:
-    """Counts its beginnings in a file, and goes on until there is a sign in the folder."""
+def waits_for(folder: Path, name: str, sign: str, report: Report) -> int:
+    """Counts its beginnings in a file, and goes on until a file appears in the folder."""
     with (folder / name).open("a") as file:
         file.write("begun\n")
-    tell("begun")
+    report("begun")
     while not (folder / sign).exists():
         time.sleep(0.05)
     return len((folder / name).read_text().splitlines())

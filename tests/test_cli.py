@@ -1,0 +1,81 @@
+"""`surface-gym`, the one command of the package, and `python -m` of its parts."""
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from surface_gym import __version__
+from surface_gym.cli import COMMANDS, main
+
+MODULES = ("paper", "validation", "design")
+# The validation asks for matplotlib when it draws, after its runs.
+MISSING = [
+    (name, library)
+    for name in MODULES
+    for library in ("matplotlib", "rich", "tyro")
+    if (name, library) != ("validation", "matplotlib")
+]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([name, "--help"])
+    assert not ended.value.code
+    assert "usage:" in capsys.readouterr().out
+
+
+def test_help_lists_all_commands_and_there_is_a_version(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--help"])
+    assert not ended.value.code
+    printed = capsys.readouterr().out
+    assert all(f"\n  {name} " in printed for name in COMMANDS)
+    main(["--version"])
+    assert capsys.readouterr().out == f"surface-gym {__version__}\n"
+
+
+@pytest.mark.parametrize("arguments", [[], ["juggle"]])
+def test_another_command_is_refused(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert "COMMAND" in capsys.readouterr().err
+
+
+def test_a_command_gets_its_own_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[Sequence[str]] = []
+    before = list(sys.argv)
+    monkeypatch.setattr("surface_gym.play.main", given.append)
+    main(["play", "--task", "slow"])
+    assert given == [["--task", "slow"]]
+    assert sys.argv == before
+
+
+@pytest.mark.parametrize(("name", "library"), MISSING)
+def test_a_missing_library_is_reported_in_one_line(name: str, library: str, tmp_path: Path) -> None:
+    program = (
+        f"import runpy, sys; sys.modules[{library!r}] = None; sys.argv = ['it', '--figures', 'f']; "
+        f"runpy.run_module('surface_gym.{name}', run_name='__main__')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.returncode == 1
+    assert done.stderr == (
+        f"error: surface-gym {name} needs {library}, which is not installed: "
+        f"pip install 'surface_gym[{COMMANDS[name].extra}]'\n"
+    )
+
+
+def test_another_missing_module_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "surface_gym.play", None)
+    with pytest.raises(ModuleNotFoundError):
+        main(["play"])
