@@ -12,7 +12,7 @@ from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS, QUADRANT_SIZE, QUADRANTS, group_features
 from surface_gym.lines import BaseLine, Line
-from surface_gym.tasks.observed import LineObservation, decode_line
+from surface_gym.tasks.observed import LineObservation
 from surface_gym.tasks.sort import FEATURES
 
 from .symmetry import SIDE, mirrored_orientations
@@ -167,7 +167,7 @@ class ModuleView:
 
     def __call__(self, observations: Singles) -> ModuleObservations:
         """Compute the modules' observations from those of environments (num_envs, features)."""
-        see = _mirrored_to_left(decode_line(self._settings, observations))
+        see = _mirrored_to_left(self._settings.decode(observations))
         outlines, into_zone = self._locate(see, observations)
         env, index, x, y = self._find_near(see, outlines, into_zone)
         outline = outlines.select(env)

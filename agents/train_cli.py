@@ -158,10 +158,11 @@ def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
     device = selection.device if selection.device in get_args(DeviceName) else CPU
     default = defaults(task, algo or usual, selection.hyperparams, preset or NOMINAL, device or CPU)
     # The names of the fields are the headings of the help.
-    command = make_dataclass("Command", [("training", type(default)), ("command", Options)])
+    command: Any = make_dataclass("Command", [("training", type(default)), ("command", Options)])
     parsed: Any = tyro.cli(
-        tyro.conf.OmitArgPrefixes[command],
+        command,
         default=command(default, Options()),
+        config=(tyro.conf.OmitArgPrefixes,),
         args=arguments,
         prog=command_line(TRAIN),
         description="Train an agent, resume a run, or search hyper-parameters.",

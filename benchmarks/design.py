@@ -45,7 +45,7 @@ def _best(case: Case) -> float:
 
 
 def _beside_mujoco() -> list[Figure]:
-    """Run the same sorting, each program at its largest step within 1 % of its own fine solution."""
+    """Run the same sorting, each program at its largest step within 1 % of its fine solution."""
     from surface_gym import validation
     from surface_gym.validation.scene import RECIPE
     from surface_gym.validation.study import METHODS, measure

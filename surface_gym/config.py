@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import ArrayLike
 
 from surface_gym import checks
 from surface_gym.core.actions import ANY, AXIS_SIZE, GROUPS, ActionKind, group_features
@@ -17,10 +18,12 @@ from surface_gym.flow.task import Flow, StreamTask
 from surface_gym.lines import BaseLine, Site
 from surface_gym.presets import PRESETS, Preset
 from surface_gym.randomisation import Actuators, Randomisation
-from surface_gym.sensors import Exact, Sensor
+from surface_gym.sensors import AdaptiveCamera, Exact, Sensor
 from surface_gym.state import Timing
 from surface_gym.tasks import TASKS, Sort, Task
 from surface_gym.tasks.base import Feature, draws_default_parcels
+from surface_gym.tasks.observed import Observed
+from surface_gym.tasks.start import Start
 
 LONGEST_STEP = 0.005  # [s]
 INFOS = ("axes", "normal_forces")  # that `info` carries on request
@@ -265,6 +268,26 @@ class EnvConfig:
         return spaces.Box(
             np.array([feature.low for feature in self.features], dtype=np.float32),
             np.array([feature.high for feature in self.features], dtype=np.float32),
+        )
+
+    def decode(self, observations: ArrayLike) -> Any:
+        """Decode observations (num_envs, features) into SI units, as the task does."""
+        return self.task.decode(self._observed(observations))
+
+    def decode_start(self, observation: ArrayLike) -> Start:
+        """Decode an observation (features,) into the start that it shows, as the task does."""
+        return self.task.decode_start(self._observed(observation))
+
+    def _observed(self, observations: ArrayLike) -> Observed:
+        sensors, spreads = self.sensors, (0.0, 0.0)
+        if isinstance(sensors, AdaptiveCamera):
+            spreads = sensors.friction_spread, sensors.load_spread
+        return Observed(
+            np.atleast_2d(np.asarray(observations, dtype=np.float64)),
+            {feature.name: k for k, feature in enumerate(self.features)},
+            self.chosen_line,
+            self.zone,
+            *spreads,
         )
 
     def observation_space(self) -> spaces.Box:

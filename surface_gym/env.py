@@ -182,7 +182,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         info["outcome"] = batch.outcomes[outcome]
         info["reward_terms"] = dict(zip(batch.task.terms, batch.terms[0].tolist(), strict=True))
         if outcome != RUNNING:
-            figures = batch.figures(np.ones(1, dtype=np.bool_))
+            figures = batch.metrics(np.ones(1, dtype=np.bool_))
             if figures:
                 info["episode_figures"] = {name: each[0].item() for name, each in figures.items()}
         return info

@@ -9,7 +9,7 @@ import pickle
 import signal
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -114,7 +114,7 @@ def map_jobs(
         ValueError: there is no cluster at the address.
     """
     if not isinstance(workers, Cluster):
-        known = len(jobs) if hasattr(jobs, "__len__") else workers
+        known = len(jobs) if isinstance(jobs, Sized) else workers
         if min(workers, known) <= 1:
             for index, job in enumerate(jobs):
                 yield index, job(partial(on_report, index))

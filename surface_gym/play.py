@@ -17,28 +17,26 @@ import math
 import sys
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from surface_gym.config import EnvConfig
-from surface_gym.core.batch import Batch
+from surface_gym.config import ENV_TASKS, EnvConfig
+from surface_gym.core.batch import BaseBatch, Batch
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.stream import Stream
+from surface_gym.flow.task import StreamTask
 from surface_gym.rendering import Painter, Scene, Window
 from surface_gym.scenes import Renderer
 from surface_gym.state import RUNNING
-from surface_gym.tasks import TASKS
 from surface_gym.tasks.start import Draw, parcel_option
 
 FRAME_RATE = 25.0  # [1/s] real time at the control period of 40 ms
 AXIS_KEYS = (pygame.K_1, pygame.K_2, pygame.K_3, pygame.K_4)  # the default orientations
 ROLL = 3  # the choice that all modules begin with
 ONLY = np.zeros(1, dtype=np.int64)  # index of a batch's only environment
-FLOW = "flow"
 
 DRAG_SPEED = 2.0  # [m/s] a metre dragged
 TURN = math.radians(15.0)
@@ -59,7 +57,7 @@ class Game(ABC):
         batch: of one environment, which the game steps.
     """
 
-    def __init__(self, batch: Any) -> None:
+    def __init__(self, batch: BaseBatch) -> None:
         self._renderer = Renderer(batch)
         self._painter = Painter()
         self._paused = False
@@ -127,12 +125,12 @@ class TaskGame(Game):
     """
 
     def __init__(self, task: str) -> None:
-        settings = EnvConfig(task, actions="halves")
-        self._batch = Batch(settings, 1)
+        config = EnvConfig(task, actions="halves")
+        self._batch = Batch(config, 1)
         super().__init__(self._batch)
         self._batch.reserve.seed(0, np.random.default_rng(0))
         numbers = self._batch.reserve.take(ONLY)
-        self._start = settings.task.start(Draw(numbers, (), settings.chosen_line))
+        self._start = config.task.start(Draw(numbers, (), config.chosen_line))
         self._command = np.full((1, 2), ROLL)  # ahead of the parcel's centre, and behind
         self._pressed: tuple[float, float] | None = None  # [m] where the mouse went down
         self._restart()
@@ -181,15 +179,19 @@ class TaskGame(Game):
 
 
 class StreamGame(Game):
-    """A stream of parcels on a line with chutes, whose modules the player turns."""
+    """A stream of parcels on a line with chutes, whose modules the player turns.
 
-    def __init__(self) -> None:
+    Args:
+        task: name of the task on streams.
+    """
+
+    def __init__(self, task: str = "flow") -> None:
         # More than ever come: their times are set by the rate that the player asks for.
         stream = Stream(Steady(FASTEST), parcels=("S", "B"))
-        self._settings = EnvConfig("flow", stream=stream, duration=LONGEST)
-        self._batch = StreamBatch(self._settings, 1)
+        self._config = EnvConfig(task, stream=stream, duration=LONGEST)
+        self._batch = StreamBatch(self._config, 1)
         super().__init__(self._batch)
-        _, rows, _, columns = self._settings.site.zone
+        _, rows, _, columns = self._config.site.zone
         self._choice = np.full((rows, columns), ROLL)  # of each module of the zone
         self._brush = FIRST_BRUSH  # the choice that the mouse gives
         self._rate = FIRST_RATE
@@ -226,24 +228,24 @@ class StreamGame(Game):
 
     def _paint(self, centre: tuple[float, float]) -> None:
         """Turn the modules near a position (x, y) [m]."""
-        plant = self._settings.chosen_line
-        first_row, rows, first_column, columns = self._settings.site.zone
-        x = plant.origin[0] + plant.pitch_x * (first_column + np.arange(columns))
-        y = plant.origin[1] + plant.pitch_y * (first_row + np.arange(rows))
+        line = self._config.chosen_line
+        first_row, rows, first_column, columns = self._config.site.zone
+        x = line.origin[0] + line.pitch_x * (first_column + np.arange(columns))
+        y = line.origin[1] + line.pitch_y * (first_row + np.arange(rows))
         near = np.hypot(x - centre[0], (y - centre[1])[:, np.newaxis]) <= BRUSH
         self._choice[near] = self._brush
 
     def _time_arrivals(self) -> None:
         """Let the parcels still to come arrive one after the other at the rate asked for."""
-        flows = self._batch.streams
-        due, gap = int(flows.due[0]), HOUR / self._rate
-        coming = flows.time[0, due:]
-        last = flows.time[0, due - 1]  # the first has come at the start
-        coming[:] = max(last + gap, float(flows.clock[0])) + gap * np.arange(len(coming))
+        streams = self._batch.streams
+        due, gap = int(streams.due[0]), HOUR / self._rate
+        coming = streams.time[0, due:]
+        last = streams.time[0, due - 1]  # the first has come at the start
+        coming[:] = max(last + gap, float(streams.clock[0])) + gap * np.arange(len(coming))
 
     def _scene(self) -> Scene:
         scene = self._renderer.scene()
-        angles = np.array(self._settings.chosen_orientations)
+        angles = np.array(self._config.chosen_orientations)
         axis = scene.axis.copy()
         axis[scene.obeys] = angles[self._choice].ravel()  # as painted, while paused too
         readings = (
@@ -261,9 +263,10 @@ def main(arguments: list[str] | None = None) -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--task", choices=(*TASKS, FLOW), default="sort", help="surface and goal")
+    parser.add_argument("--task", choices=ENV_TASKS, default="sort", help="surface and goal")
     task = parser.parse_args(arguments).task
-    game: Game = StreamGame() if task == FLOW else TaskGame(task)
+    stream = issubclass(ENV_TASKS[task], StreamTask)
+    game: Game = StreamGame(task) if stream else TaskGame(task)
     window = Window("Smart surface", FRAME_RATE)
     try:
         window.show(game.draw())

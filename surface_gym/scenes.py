@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym.config import EnvConfig
+from surface_gym.core.batch import BaseBatch
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.state import BETWEEN, NOBODY, TOUCHES, WRONG
 from surface_gym.physics.types import RADIUS, VX
 from surface_gym.rendering import ExitMark, Painter, Scene, SceneParcel, TilePainter, Traffic
-from surface_gym.state import GRAVITY_ALONG, RUNNING, EnvState, axis_angles
+from surface_gym.state import GRAVITY_ALONG, RUNNING, EnvState
 
 Numbers = NDArray[np.float64]
 Picture = NDArray[np.uint8]  # (height, width, 3)
@@ -32,7 +34,7 @@ class Renderer:
         batch: of single parcels or of streams.
     """
 
-    def __init__(self, batch: Any) -> None:
+    def __init__(self, batch: BaseBatch) -> None:
         self._batch = batch
         self._histories: dict[int, _ParcelHistory | _StreamHistory] = {}
         self._painter: Painter | None = None
@@ -87,7 +89,7 @@ class _ParcelHistory:
     def scene(self, title: str | None = None) -> Scene:
         """Describe what a picture of now shows."""
         batch, i = self._batch, self._index
-        view, plant, task = batch.view(i), batch.config.chosen_line, batch.task
+        view, line, task = batch.view(i), batch.config.chosen_line, batch.task
         truth, outcome = view.truth, int(batch.parcels.outcome[i])
         readings: list[tuple[str, str]] = [
             ("time", f"{self.clock:.2f} s"),
@@ -104,8 +106,8 @@ class _ParcelHistory:
             rotor=view.rotor,
             parcels=(_parcel(view, trail=np.array(self._trail).reshape(-1, 2)),),
             goal=task.goal(view),
-            pitch=plant.pitch,
-            origin=plant.origin,
+            pitch=line.pitch,
+            origin=line.origin,
             zone=tuple(view.zone.tolist()),
             tilt=float(np.arcsin(min(1.0, steepness))),
             title=type(task).__name__ if title is None else title,
@@ -150,79 +152,75 @@ class _StreamHistory:
 
     def record(self, begins: bool) -> None:
         """Append the positions of the parcels."""
-        flows, i, clock = self._batch.streams, self._index, self.clock
+        streams, i, clock = self._batch.streams, self._index, self.clock
         if begins:
             self._trails.clear()
             self._departed.clear()
         self._departed = [each for each in self._departed if clock - each.left <= GLIDE]
         trails, self._trails = self._trails, {}
         for slot in range(self._batch.task.max_parcels):
-            number = int(flows.number[i, slot])
+            number = int(streams.number[i, slot])
             if number == NOBODY:
                 continue
             truth = self._batch.view(i, slot).truth
             self._trails[number] = _latest([*trails.get(number, []), truth[:2].copy()])
-            if not flows.present[i, slot]:  # it has left since the last decision
+            if not streams.present[i, slot]:  # it has left since the last decision
                 gone = replace(self._parcel(slot), sensed_pose=None)
-                left = float(flows.left[i, number])
+                left = float(streams.left[i, number])
                 self._departed.append(_Departed(gone, truth[VX:].copy(), left))
 
     def scene(self, title: str | None = None) -> Scene:
         """Describe what a picture of now shows."""
-        batch, i, settings, flows = (
-            self._batch,
-            self._index,
-            self._batch.config,
-            self._batch.streams,
-        )
-        slots = np.nonzero(flows.present[i])[0]
-        count = int(flows.arrivals[i])
-        taken, asked = flows.taken[i, :count], flows.exit[i, :count]
+        batch, i, streams = self._batch, self._index, self._batch.streams
+        config, line = batch.config, batch.config.chosen_line
+        slots = np.nonzero(streams.present[i])[0]
+        count = int(streams.arrivals[i])
+        taken, asked = streams.taken[i, :count], streams.exit[i, :count]
         delivered = np.bincount(taken[taken == asked], minlength=len(self._exits))
         departed = tuple(each.at(self.clock) for each in self._departed)
         return Scene(
-            axis=axis_angles(batch.surfaces, slice(i, i + 1))[0],
-            rotor=settings.rotor,
+            axis=batch.axes(i),
+            rotor=config.site.rotor,
             parcels=departed + tuple(self._parcel(slot) for slot in slots.tolist()),
             traffic=Traffic(
                 self._exits,
                 tuple(delivered.tolist()),
-                missorted=int(flows.tally[i, WRONG]),
-                waiting=int(flows.due[i] - flows.coming[i]),
+                missorted=int(streams.tally[i, WRONG]),
+                waiting=int(streams.due[i] - streams.coming[i]),
             ),
             touching=self._touching(slots, len(departed)),
-            pitch=settings.chosen_line.pitch,
-            origin=settings.chosen_line.origin,
-            zone=settings.zone,
-            tilt=settings.tilt,
-            title="Flow" if title is None else title,
+            pitch=line.pitch,
+            origin=line.origin,
+            zone=config.site.zone,
+            tilt=batch.task.tilt,
+            title=type(batch.task).__name__ if title is None else title,
             readings=self._readings(),
         )
 
     def _parcel(self, slot: int) -> SceneParcel:
-        flows, i = self._batch.streams, self._index
-        number = int(flows.number[i, slot])
-        asked = int(flows.exit[i, number])
+        streams, i = self._batch.streams, self._index
+        number = int(streams.number[i, slot])
+        asked = int(streams.exit[i, number])
         trail = np.array(self._trails.get(number, [])).reshape(-1, 2)
         return _parcel(self._batch.view(i, slot), trail, asked, self._labels[asked])
 
     def _touching(self, slots: NDArray[np.int64], first: int) -> tuple[tuple[int, int], ...]:
         """Find pairs of parcels in these slots that touched lately, counted from a first index."""
-        flows, i = self._batch.streams, self._index
-        since = flows.steps[i] - flows.touched_at[i][np.ix_(slots, slots)]
+        streams, i = self._batch.streams, self._index
+        since = streams.steps[i] - streams.touched_at[i][np.ix_(slots, slots)]
         lately = since * self._batch.rules.timing.dt <= FLASH + 1e-9
         pairs = first + np.argwhere(np.triu(lately, 1))
         return tuple((one, other) for one, other in pairs.tolist())
 
     def _readings(self) -> tuple[tuple[str, str], ...]:
-        flows, i, rate = self._batch.streams, self._index, self._rate()
+        streams, i, rate = self._batch.streams, self._index, self._rate()
         readings = [
             ("time", f"{self.clock:.1f} s"),
             ("parcels an hour", "\N{EN DASH}" if math.isnan(rate) else f"{round(rate, -1):.0f}"),
-            ("touches", str(int(flows.tally[i, TOUCHES]))),
+            ("touches", str(int(streams.tally[i, TOUCHES]))),
         ]
-        if flows.outcome[i] != RUNNING:
-            readings.append(("end", self._batch.outcomes[flows.outcome[i]]))
+        if streams.outcome[i] != RUNNING:
+            readings.append(("end", self._batch.outcomes[streams.outcome[i]]))
         return tuple(readings)
 
     def _rate(self) -> float:
@@ -230,30 +228,30 @@ class _StreamHistory:
 
         The rate never counts from before the first one left: until then the line was filling.
         """
-        flows, i = self._batch.streams, self._index
-        gone = flows.taken[i] >= BETWEEN
-        left = flows.left[i, gone]
+        streams, i = self._batch.streams, self._index
+        gone = streams.taken[i] >= BETWEEN
+        left = streams.left[i, gone]
         since = max(self.clock - RATE_OVER, float(left.min(initial=math.inf)))
         if self.clock - since < SOONEST_RATE:
             return math.nan
-        right = flows.taken[i, gone] == flows.exit[i, gone]
+        right = streams.taken[i, gone] == streams.exit[i, gone]
         return HOUR * int((right & (left > since)).sum()) / (self.clock - since)
 
 
-def exit_marks(settings: Any) -> tuple[ExitMark, ...]:
+def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:
     """Describe the exits of a stream as they are drawn: chutes beside the rotors, straight on past.
 
     Raises:
         ValueError: a chute lies past the rotors altogether.
     """
-    plant, rotors_end = settings.chosen_line, settings.rotors_end
-    end = plant.column_edge(plant.columns)
+    line, rotors_end = config.chosen_line, config.rotors_end
+    end = line.column_edge(line.columns)
     marks = []
-    for each in settings.exits:
+    for each in config.exits:
         if each.side == 0:  # over the last column where nothing comes after the rotors
-            first, last = min(rotors_end, end - plant.pitch_x), end
+            first, last = min(rotors_end, end - line.pitch_x), end
         else:
-            first, last = max(each.first, settings.entry_x), min(each.last, rotors_end)
+            first, last = max(each.first, config.entry_x), min(each.last, rotors_end)
         marks.append(ExitMark(each.name, each.side, first, last))
     return tuple(marks)
 

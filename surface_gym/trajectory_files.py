@@ -179,7 +179,7 @@ def _run_fields(parts: Parts, rows: int) -> Fields | None:
     if len(missing) == len(ALL):
         return None
     _check_missing(missing)
-    plain = {
+    plain: Fields = {
         name: parts[name].item() if parts[name].ndim == 0 else parts[name]
         for name in (*ALL, *MAY_BE_NONE)
         if name in parts

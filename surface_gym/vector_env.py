@@ -246,7 +246,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
             "reward_terms": with_masks(terms, mask),
         }
         ended = mask & (batch.outcome != RUNNING)
-        figures = batch.figures(ended) if ended.any() else {}
+        figures = batch.metrics(ended) if ended.any() else {}
         infos = with_masks(infos, mask)
         if figures:
             infos.update(with_masks({"episode_figures": with_masks(figures, ended)}, ended))

@@ -144,15 +144,15 @@ class TestStream:
         press(game, pygame.K_3, pygame.KMOD_LSHIFT)  # all to the left
         while game._batch.streams.tally[0, 1:3].sum() == 0:
             game.advance()
-        assert game._batch.streams.taken[0, 0] == game._settings.exits.place("left 1")
+        assert game._batch.streams.taken[0, 0] == game._config.exits.place("left 1")
 
     def test_the_rate_follows_plus_and_minus(self, game: StreamGame) -> None:
-        flows = game._batch.streams
+        streams = game._batch.streams
         for _ in range(50):
             game.advance()
         press(game, pygame.K_PLUS)
-        due, clock = int(flows.due[0]), float(flows.clock[0])
-        time = flows.time[0, due:]
+        due, clock = int(streams.due[0]), float(streams.clock[0])
+        time = streams.time[0, due:]
         gap = 3600.0 / (FIRST_RATE + RATE_STEP)
         assert clock <= time[0] <= clock + gap
         np.testing.assert_allclose(np.diff(time), gap)
@@ -160,7 +160,7 @@ class TestStream:
             for _ in range(40):
                 press(game, key)
             assert dict(game._scene().readings)["coming an hour"] == str(rate)
-            np.testing.assert_allclose(np.diff(flows.time[0, due:]), 3600.0 / rate)
+            np.testing.assert_allclose(np.diff(streams.time[0, due:]), 3600.0 / rate)
 
     def test_as_many_come_as_asked_for(self, game: StreamGame) -> None:
         for _ in range(500):  # 20 s
@@ -179,13 +179,13 @@ class TestStream:
     def test_r_starts_again_with_other_parcels_and_the_same_axes(self, game: StreamGame) -> None:
         game.advance()
         self.touch(game, 2.0)
-        flows = game._batch.streams
-        choice, exits = game._choice.copy(), flows.exit[0].copy()
+        streams = game._batch.streams
+        choice, exits = game._choice.copy(), streams.exit[0].copy()
         press(game, pygame.K_r)
-        assert flows.clock[0] == 0.0
-        assert (flows.exit[0] != exits).any()
+        assert streams.clock[0] == 0.0
+        assert (streams.exit[0] != exits).any()
         assert (game._choice == choice).all()
-        np.testing.assert_allclose(np.diff(flows.time[0, 1:]), 3600.0 / FIRST_RATE)
+        np.testing.assert_allclose(np.diff(streams.time[0, 1:]), 3600.0 / FIRST_RATE)
 
     def test_a_jam_stays_until_r(self, game: StreamGame) -> None:
         game._batch.streams.outcome[0] = JAM

@@ -199,7 +199,7 @@ class TestObserve:
         """Left and right exchanged, and with them 45 and -45 deg; axes that take time turn by
         90 deg the same way round in the mirror, so that here they turn at once.
         """
-        both = sg.SmartSurfaceVectorEnv(2, "sort", "halves", observe=BOTH)
+        both = sg.SmartSurfaceVectorEnv(2, "sort", actions="halves", observe=BOTH)
         start: dict[str, Any] = {"parcel": "B", "speed": 1.5}
         seen, _ = both.reset(seed=[7, 7], options=[{**start, "side": side} for side in (1, -1)])
         image = np.array([0, 2, 1, 3])  # of 0, 45, -45 and 90 deg

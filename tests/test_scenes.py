@@ -13,7 +13,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.config import EnvConfig
-from surface_gym.core.batch import Batch
+from surface_gym.core.batch import BaseBatch, Batch
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.exits import Exit, Exits
 from surface_gym.flow.state import BETWEEN, JAM, ON_ITS_WAY, TOUCHES
@@ -55,7 +55,7 @@ def pair_of(parcel: sg.Parcel, task: str = "sort") -> Batch:
     return batch
 
 
-def shown(batch: Batch | StreamBatch, i: int = 0) -> Scene:
+def shown(batch: BaseBatch, i: int = 0) -> Scene:
     """What a picture of an environment shows that has just begun."""
     return opened(batch, i).scene(i)
 
@@ -69,7 +69,7 @@ def stream_of(stream: Stream, **settings: Any) -> StreamBatch:
     return batch_with(stream, **{"exits": Exits(THREE), "duration": 120.0, **settings})
 
 
-def opened(batch: Batch | StreamBatch, i: int = 0) -> Renderer:
+def opened(batch: BaseBatch, i: int = 0) -> Renderer:
     """The renderer of a batch whose environment has just begun."""
     renderer = Renderer(batch)
     renderer.record(i, begins=True)
@@ -204,7 +204,7 @@ class TestTrails:
         assert min(lengths[10:]) > TRAIL - 1.5 * PERIOD
 
     def test_a_place_used_again_does_not_join_them(self) -> None:
-        batch = stream_of(trace((0.0, "straight"), (0.0, "straight")), places=1)
+        batch = stream_of(trace((0.0, "straight"), (0.0, "straight")), max_parcels=1)
         renderer = opened(batch)
         while batch.streams.number[0, 0] != 1:
             go_on(batch, renderer, 1)
@@ -266,7 +266,7 @@ class TestExits:
         exits = Exits(
             (Exit("a", 1, -3.0, 0.5), Exit("b", 1, 0.5), Exit("c", -1, 0.5, 9.0), Exit("on", 0))
         )
-        marks = exit_marks(EnvConfig(line=SHORT, exits=exits))
+        marks = exit_marks(EnvConfig("flow", line=SHORT, exits=exits))
         spans = {mark.name: (mark.side, mark.first, mark.last) for mark in marks}
         assert spans["a"] == pytest.approx((1, 0.0, 0.5))
         assert spans["b"] == pytest.approx((1, 0.5, 2.0))  # the rotors' end
@@ -276,14 +276,14 @@ class TestExits:
     def test_where_rotors_end_with_the_surface_the_way_on_is_the_last_column(self) -> None:
         rotor = np.zeros((20, 20), dtype=bool)
         rotor[8:12] = True
-        settings = EnvConfig(line=Pattern(rotor=rotor, lead_in=5), exits="sides")
+        settings = EnvConfig("flow", line=Pattern(rotor=rotor, lead_in=5), exits="sides")
         on = exit_marks(settings)[-1]
         assert (on.first, on.last) == pytest.approx((1.9, 2.0))
 
     def test_a_chute_past_the_rotors_cannot_be_drawn(self) -> None:
         exits = Exits((Exit("beyond", 1, 2.5, 3.0),))
         with pytest.raises(ValueError, match=r"last must be greater than first, 2\.5"):
-            exit_marks(EnvConfig(line=SHORT, exits=exits))
+            exit_marks(EnvConfig("flow", line=SHORT, exits=exits))
 
 
 class TestReadings:
@@ -293,7 +293,7 @@ class TestReadings:
         go_on(batch, renderer, 3, PLUS_45)
         scene = renderer.scene(0, "env 0")
         assert (scene.title, scene.tilt) == ("env 0", 0.05)
-        assert scene.zone == batch.config.zone
+        assert scene.zone == batch.config.site.zone
         expected = np.where(scene.obeys & scene.rotor, math.pi / 4, math.pi / 2)
         np.testing.assert_allclose(scene.axis, expected)
         assert reading(scene, "time") == "0.1 s"

@@ -202,7 +202,7 @@ def _is_lost(batch: StreamBatch, begin: float, most_wrong: float) -> bool:
 
 def _count(batch: StreamBatch, rate: float, counted: float) -> Measurement:
     flows = batch.streams
-    begin = batch.config.duration - counted
+    begin = batch.config.stream_task.duration - counted
     right, delivered, touches, waiting = [], [], [], []
     for k in range(REPLICATIONS):
         found = compute_statistics(flows, k, bool(flows.outcome[k] == JAM), 1, begin)

@@ -3,7 +3,7 @@
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import islice, repeat, zip_longest
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,11 @@ from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream
+from surface_gym.flow.task import StreamTask
 from surface_gym.gym_base import RENDER_FPS
 from surface_gym.rendering import with_caption
 
 from ..base import Controller
-from ..rollout import env_arguments
 from ..rules.streams import SortEach, StreamEventRule
 
 Picture = NDArray[np.uint8]
@@ -97,7 +97,7 @@ def write_episode(
     """
     if not file.parent.is_dir():
         raise ValueError(f"file must be in a folder that there is, got {str(file)!r}")
-    duration = getattr(player.settings, "duration", math.inf)
+    duration = getattr(player.settings.task, "duration", math.inf)
     checks.within("seconds", checks.positive("seconds", seconds), 0.0, duration)
     period = player.settings.control_period
     every = math.ceil(checks.positive("speed", speed) / (period * RENDER_FPS) - 1e-9)
@@ -155,12 +155,11 @@ def play(
     env.close()
 
 
-def _make_env(settings: EnvConfig | EnvConfig) -> gym.Env[Any, Any]:
-    if isinstance(settings, EnvConfig):
-        values = {field.name: getattr(settings, field.name) for field in fields(settings)}
-        return SmartSurfaceEnv(render_mode="rgb_array", **values)
-    env = SmartSurfaceEnv(render_mode="rgb_array", **env_arguments(settings))
-    return gym.wrappers.TimeLimit(env, settings.task.periods)
+def _make_env(settings: EnvConfig) -> gym.Env[Any, Any]:
+    env = SmartSurfaceEnv(render_mode="rgb_array", **settings.arguments())
+    if isinstance(settings.task, StreamTask):  # it ends by itself
+        return env
+    return gym.wrappers.TimeLimit(env, settings.periods)
 
 
 def _repeated(items: Iterator[Any], times: int) -> Iterator[Any]:

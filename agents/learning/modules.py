@@ -194,9 +194,13 @@ class ModuleLearner:
             next_value.append(~moved.terminated * self.value(torch.from_numpy(moved.last)).numpy())
         samples = ModuleSamples.concatenate(parts)
         value = self.value(samples.observations).numpy().reshape(len(parts), -1).astype(np.float64)
-        arrays = (np.stack(rewards), np.stack(ended), value, np.stack(next_value))
         advantage = compute_advantages(
-            *map(torch.from_numpy, arrays), self._config.gamma, self._config.gae_lambda
+            torch.from_numpy(np.stack(rewards)),
+            torch.from_numpy(np.stack(ended)),
+            torch.from_numpy(value),
+            torch.from_numpy(np.stack(next_value)),
+            self._config.gamma,
+            self._config.gae_lambda,
         ).numpy()
         returns = torch.from_numpy((advantage + value).ravel().astype(np.float32))
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)

@@ -47,20 +47,20 @@ def task_functions(config: EnvConfig) -> KernelFunctions:
         ValueError: a task or a sensor lacks one of its compiled functions.
     """
     task, sensor, kind = config.task, config.sensors, config.action_kind
-    begin_sensor, look, estimate = sensor_functions(sensor)
+    begin_sensor, update, read = sensor_functions(sensor)
     window = kind.name == "window"
     show_axes = show_window_axes if window else show_zone_axes
     return KernelFunctions(
         label=f"{type(task).__name__}-{type(sensor).__name__}-{kind.name}",
         begin=compiled_function(task, "begin", Task),
-        over=compiled_function(task, "over", Task),
-        judge=compiled_function(task, "judge", Task),
+        is_done=compiled_function(task, "is_done", Task),
+        outcome=compiled_function(task, "outcome", Task),
         reward=compiled_function(task, "reward", Task),
         observe=compiled_function(task, "observe", Task),
         mirror=compiled_function(task, "mirror", Task),
         begin_sensor=begin_sensor,
-        look=look,
-        estimate=estimate,
+        update_sensor=update,
+        read_sensor=read,
         watches=sensor.watches,
         part_of=kind.part_of,
         actuation=choose_actuation(kind.continuous, config.actuators.axis_speed != math.inf),
@@ -82,15 +82,15 @@ def choose_actuation(any_angle: bool, turning: bool) -> Actuation:
 
 
 def sensor_functions(sensor: Sensor) -> tuple[Function, Function, Function]:
-    """Collect a sensor's `begin`, `look` and `estimate`.
+    """Collect a sensor's `begin`, `update` and `read`.
 
     Raises:
         ValueError: it lacks one of them.
     """
-    begin, look, estimate = (
-        compiled_function(sensor, name, Sensor) for name in ("begin", "look", "estimate")
+    begin, update, read = (
+        compiled_function(sensor, name, Sensor) for name in ("begin", "update", "read")
     )
-    return begin, look, estimate
+    return begin, update, read
 
 
 def compiled_function(owner: Any, name: str, kind: type[Any]) -> Function:
@@ -131,7 +131,7 @@ def make_state(config: EnvConfig, num_envs: int) -> tuple[SurfaceState, ParcelSt
     task, line, kind = config.task, config.chosen_line, config.action_kind
     stream = isinstance(task, StreamTask)
     sizes = Sizes(
-        lanes=num_envs,
+        num_envs=num_envs,
         rows=line.rows,
         columns=line.columns,
         command=kind.size,
@@ -140,13 +140,13 @@ def make_state(config: EnvConfig, num_envs: int) -> tuple[SurfaceState, ParcelSt
         terms=len(task.parcel_terms if stream else task.terms),
         goals=task.goals,
         memories=task.memories,
-        figures=len(task.metrics),
-        kept=config.sensors.kept,
+        metrics=len(task.metrics),
+        sensor_state=config.sensors.sensor_size,
         path=task.has_path,
         noise=config.draws > 0,
         turning=config.actuators.axis_speed != math.inf,
         stiffness=config.randomisation.stiffness > 0.0,
-        places=task.rows if stream else 1,
+        max_parcels=task.rows if stream else 1,
     )
     surfaces = make_surfaces(sizes)
     surfaces.direction[:] = CONVEYOR

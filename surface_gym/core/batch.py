@@ -89,10 +89,10 @@ class BaseBatch(ABC):
         ValueError: the task or the sensor lacks a compiled function, or one does not compile.
     """
 
-    lanes: ParcelState  # state of every parcel
+    parcels: ParcelState  # state of every parcel
     surfaces: SurfaceState  # state of every surface
     rules: EnvParams  # what all environments have in common
-    rows: int = 1  # of each environment in `lanes`
+    rows: int = 1  # of each environment in `parcels`
 
     def __init__(
         self,
@@ -130,7 +130,7 @@ class BaseBatch(ABC):
 
     @property
     @abstractmethod
-    def sites(self) -> BodyTable:
+    def bodies(self) -> BodyTable:
         """Bodies of all parcels, and rotors and zones that they meet."""
 
     @property
@@ -200,7 +200,7 @@ class BaseBatch(ABC):
     def infos(self) -> Infos:
         """Collect the infos of all environments by name, each (num_envs, ...), partly views."""
 
-    def figures(self, ended: Booleans) -> Infos:
+    def metrics(self, ended: Booleans) -> Infos:
         """Collect figures of the episodes that have ended (num_envs,) by name; most tasks have
         none.
         """
@@ -320,7 +320,7 @@ class BaseBatch(ABC):
         found: dict[str, NDArray[Any]] = {"steps_left": self._steps_left}
         for name, array in self.parcels._asdict().items():
             if array.size:
-                found[f"lanes.{name}"] = array.reshape(self.num_envs, self.rows, *array.shape[1:])
+                found[f"parcels.{name}"] = array.reshape(self.num_envs, self.rows, *array.shape[1:])
         for name, array in self.surfaces._asdict().items():
             if len(array) == self.num_envs and (axes or name in ("conditions", "stiffness")):
                 found[f"surfaces.{name}"] = array
@@ -415,7 +415,7 @@ class Batch(BaseBatch):
         self._build(config.timing.steps, make_scratch)
 
     @property
-    def sites(self) -> BodyTable:
+    def bodies(self) -> BodyTable:
         return self._plan.bodies
 
     @property
@@ -442,33 +442,33 @@ class Batch(BaseBatch):
             self._placement(parcel)
 
     def infos(self) -> Infos:
-        lanes = self.parcels
+        state = self.parcels
         return {
-            "is_success": lanes.outcome == SUCCESS,
-            "time": lanes.clock,
-            "pose": lanes.truth[:, :3],
-            "velocity": lanes.truth[:, 3:],
-            "parcel": self._plan.sizes[lanes.site],
-            **{name: lanes.metrics[:, k] for k, name in enumerate(self.task.metrics)},
+            "is_success": state.outcome == SUCCESS,
+            "time": state.clock,
+            "pose": state.truth[:, :3],
+            "velocity": state.truth[:, 3:],
+            "parcel": self._plan.sizes[state.body],
+            **{name: state.metrics[:, k] for k, name in enumerate(self.task.metrics)},
             **(self._on_request() if self.config.info else {}),
         }
 
     def parcel(self, env_index: int, row: int = 0) -> Parcel:
         del row
-        return self._plan.parcel(int(self.parcels.site[env_index]))
+        return self._plan.parcel(int(self.parcels.body[env_index]))
 
     def _copy_parcels(self, chosen: Integers) -> Any:
-        return self._plan.copy(self.parcels.site[chosen])
+        return self._plan.copy(self.parcels.body[chosen])
 
     def _put_parcels(self, chosen: Integers, parcels: Any) -> None:
-        self.parcels.site[chosen] = self._plan.put(chosen, parcels)
+        self.parcels.body[chosen] = self._plan.put(chosen, parcels)
 
     def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
         if options or not self._lays_out:
             self.place(chosen, draw_starts(self.config, self.reserve.take(chosen), options))
             return
         rows = self.reserve.take_rows(chosen, self._lay_out)
-        if rows.site.min() < 0:  # the task's starts come with parcels of their own
+        if rows.body.min() < 0:  # the task's starts come with parcels of their own
             self._lays_out = False
             self.place(chosen, draw_starts(self.config, self.reserve.taken(chosen), options))
         else:
@@ -478,7 +478,7 @@ class Batch(BaseBatch):
         """Lay out starts of the task's own parcels, by numbers (starts, draws)."""
         start = draw_starts(self.config, numbers, ())
         parcels = each_parcel(start.parcel, len(numbers))
-        return start_rows(self.task, start, parcels, self._plan.shared_sites_of(parcels))
+        return start_rows(self.task, start, parcels, self._plan.shared_bodies_of(parcels))
 
     def place(self, chosen: Integers, start: Start) -> None:
         """Put a start into each of the chosen environments (count,), every axis at 90 deg as the
@@ -492,7 +492,7 @@ class Batch(BaseBatch):
         factors = np.ones((count, 3))
         if self._varies:
             parcels, start = self._vary(chosen, parcels, start, factors)
-        rows = start_rows(self.task, start, parcels, self._plan.sites_of(chosen, parcels))
+        rows = start_rows(self.task, start, parcels, self._plan.bodies_of(chosen, parcels))
         rows.conditions[:, :3] = factors
         self._put(chosen, rows)
         if self.task.has_path:
@@ -505,12 +505,12 @@ class Batch(BaseBatch):
 
     def _put(self, chosen: Integers, rows: StartRows) -> None:
         """Write starts into the memory of the chosen environments (count,)."""
-        lanes = self.parcels
-        lanes.site[chosen] = rows.site
-        lanes.state[chosen] = rows.state
+        state = self.parcels
+        state.body[chosen] = rows.body
+        state.state[chosen] = rows.state
         self.surfaces.conditions[chosen] = rows.conditions
-        lanes.goal[chosen] = rows.goal
-        lanes.outcome[chosen] = STARTING
+        state.goal[chosen] = rows.goal
+        state.outcome[chosen] = STARTING
 
     def _vary(
         self, chosen: Integers, parcels: Parcels, start: Start, factors: Array
@@ -539,7 +539,7 @@ class Batch(BaseBatch):
         for k, i in enumerate(chosen.tolist()):
             working = self._generator(i).random(shape) >= share
             parcel = parcels.kinds[parcels.which[k]]
-            self.parcels.site[i] = self._plan.draw_stuck(i, parcel, working)
+            self.parcels.body[i] = self._plan.draw_stuck(i, parcel, working)
 
     def _on_request(self) -> Infos:
         """Collect the infos asked for by name, each (num_envs, rows, columns): axis angles [rad],
@@ -551,25 +551,25 @@ class Batch(BaseBatch):
         if "normal_forces" in self.config.info:
             loads = np.zeros(self.surfaces.axis.shape)
             map_normal_forces(*self._arrays, self._workers.scratches[0], loads)
-            sites, which = np.unique(self.parcels.site, return_inverse=True)
-            mass = np.array([self._plan.parcel(site).mass for site in sites])[which]
+            used, which = np.unique(self.parcels.body, return_inverse=True)
+            mass = np.array([self._plan.parcel(body).mass for body in used])[which]
             found["normal_forces"] = loads * mass[:, np.newaxis, np.newaxis]
         return found
 
     def _fault(self) -> ValueError:
-        lanes, task = self.parcels, self.task
-        i = int(np.nonzero(lanes.fault)[0][0])
+        state, task = self.parcels, self.task
+        i = int(np.nonzero(state.fault)[0][0])
         name = type(task).__name__
-        if lanes.fault[i] == UNKNOWN_OUTCOME:
+        if state.fault[i] == UNKNOWN_OUTCOME:
             return ValueError(
-                f"{name}.judge must return RUNNING, SUCCESS or a failure, one of the numbers of "
-                f"{self.outcomes}, got {lanes.outcome[i]}"
+                f"{name}.outcome must return RUNNING, SUCCESS or a failure, one of the numbers of "
+                f"{self.outcomes}, got {state.outcome[i]}"
             )
-        if lanes.fault[i] == BAD_REWARD:
-            terms = dict(zip(task.terms, lanes.terms[i].tolist(), strict=True))
+        if state.fault[i] == BAD_REWARD:
+            terms = dict(zip(task.terms, state.terms[i].tolist(), strict=True))
             return ValueError(f"{name}.reward must write finite terms, got {terms}")
-        assert lanes.fault[i] == BAD_OBSERVATION
-        bad = ~np.isfinite(lanes.observation[i])
+        assert state.fault[i] == BAD_OBSERVATION
+        bad = ~np.isfinite(state.observation[i])
         listed = ", ".join(
             feature.name for feature, wrong in zip(self.config.features, bad, strict=True) if wrong
         )
@@ -583,8 +583,8 @@ class Batch(BaseBatch):
 def map_normal_forces(
     rules: EnvParams,
     surfaces: SurfaceState,
-    lanes: ParcelState,
-    sites: BodyTable,
+    parcels: ParcelState,
+    bodies: BodyTable,
     scratch: Scratch,
     loads: Array,
 ) -> None:
@@ -593,14 +593,14 @@ def map_normal_forces(
     """
     table = scratch.table
     elements = rules.elements
-    for i in range(lanes.clock.shape[0]):
+    for i in range(parcels.clock.shape[0]):
         for row in range(loads.shape[1]):
             for column in range(loads.shape[2]):
                 loads[i, row, column] = 0.0
-        site = lanes.site[i]
-        grid = read_grid(surfaces, sites, i, site, elements, rules.friction)
-        body = read_body(sites, site)
-        state = lanes.state[i]
+        row = parcels.body[i]
+        grid = read_grid(surfaces, bodies, i, row, elements, rules.friction)
+        body = read_body(bodies, row)
+        state = parcels.state[i]
         invalidate_contacts(scratch)
         contacts = find_support(grid, body, state, scratch, 0.0)
         if contacts.total == 0:

@@ -258,7 +258,7 @@ def _numbers(name: str, parts: Sequence[str]) -> list[float]:
 
 @dataclass(frozen=True)
 class AskColumns(Question):
-    """How many columns, and rows, does it take?"""
+    """Find the fewest columns and rows for the purpose."""
 
     def answer(self, on_progress: OnProgress) -> Answer:
         if self.columns is not None:
@@ -268,7 +268,7 @@ class AskColumns(Question):
 
 @dataclass(frozen=True)
 class AskSpeed(Question):
-    """How slow may it come, and how fast?"""
+    """Find the least and the greatest entry speed."""
 
     highest: MaybeFloat = None
     """[m/s] entry speed to try; else 3, or half as much again as --speed."""
@@ -281,7 +281,7 @@ class AskSpeed(Question):
 
 @dataclass(frozen=True)
 class AskTilt(Question):
-    """How flat may the surface be, and how steep? With --speed 0, from rest."""
+    """Find the least and the greatest tilt of the surface; with --speed 0, from rest."""
 
     highest_deg: MaybeDegrees = None
     """Tilt to try; else 15, or half as much again as --tilt-deg."""
@@ -295,7 +295,7 @@ class AskTilt(Question):
 
 @dataclass(frozen=True)
 class AskFriction(Question):
-    """How far may friction be off?"""
+    """Find the limits of friction along and across the axes."""
 
     def answer(self, on_progress: OnProgress) -> Answer:
         return design.friction_range(
@@ -305,7 +305,7 @@ class AskFriction(Question):
 
 @dataclass(frozen=True)
 class AskMap(Question):
-    """Which entry speeds and sizes of the parcel does one surface serve?"""
+    """Map the success of one surface over entry speeds and sizes of the parcel."""
 
     speeds: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="LOW HIGH")] = None
     """[m/s] least and most; else 0.1 and 3, or half as much again as --speed."""
@@ -341,7 +341,7 @@ class AskMap(Question):
 
 @dataclass(frozen=True)
 class AskSensitivity(Question):
-    """Which unknown quantity matters most?"""
+    """Find the effect of each unknown quantity alone."""
 
     def answer(self, on_progress: OnProgress) -> Answer:
         return design.sensitivity(self.case(), self.columns, self.rows, self.shared_by, on_progress)
@@ -349,7 +349,7 @@ class AskSensitivity(Question):
 
 @dataclass(frozen=True)
 class AskLayout(Question):
-    """Which fixed layout does best over a range of entry speeds?"""
+    """Search the fixed layout that does best over a range of entry speeds."""
 
     speeds: tuple[float, float] = (0.3, 2.7)
     """[m/s] least and most; --speed does not count."""
@@ -393,7 +393,7 @@ class AskLayout(Question):
 
 @dataclass(frozen=True)
 class AskControl(Question):
-    """What do axes gain that follow the parcel? Needs the package `agents`."""
+    """Compare axes that follow the parcel with fixed layouts; needs the package `agents`."""
 
     def answer(self, on_progress: OnProgress) -> Answer:
         if self.rows is not None:

@@ -36,24 +36,24 @@ class StreamActions(ActionKind):
             return self.parts.space()
         return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])
 
-    def commands(self, actions: Any, lanes: int) -> NDArray[Any]:
+    def commands(self, actions: Any, parcels: int) -> NDArray[Any]:
         """Turn the actions of so many surfaces into commands (surfaces, size).
 
         Raises:
             ValueError: a wrong shape, not whole numbers or angles, or out of range.
         """
         if not self.gates:
-            return self.parts.commands(actions, lanes)
+            return self.parts.commands(actions, parcels)
         try:
             given = np.asarray(actions)
         except ValueError:  # parts of different lengths
             raise ValueError(f"action must be an array, got {actions!r}") from None
-        if given.shape != (lanes, self.size):
+        if given.shape != (parcels, self.size):
             raise ValueError(
                 f"action must have the shape {(self.size,)} in each environment, got {given.shape}"
             )
         gate = given[:, -1]
-        choices = self.parts.commands(given[:, :-1], lanes)
+        choices = self.parts.commands(given[:, :-1], parcels)
         if ((gate < 0) | (gate >= self.gates)).any():
             raise ValueError(
                 f"action must say between 0 and {self.gates - 1} of the gate, got {gate.tolist()}"

@@ -115,10 +115,10 @@ class BodyPool:
         return self._parcel_of[row]
 
     def _double(self) -> None:
-        sites, room = self.bodies, len(self.bodies.body)
-        self.bodies = sites._replace(
+        table, room = self.bodies, len(self.bodies.body)
+        self.bodies = table._replace(
             **{
-                name: np.concatenate([getattr(sites, name), np.zeros_like(getattr(sites, name))])
+                name: np.concatenate([getattr(table, name), np.zeros_like(getattr(table, name))])
                 for name in ("body", "edges", "corners")
             }
         )
@@ -132,15 +132,15 @@ def stream_functions(config: EnvConfig) -> StreamFunctions:
         ValueError: a task or a sensor lacks one of its compiled functions.
     """
     task, kind = config.task, config.action_kind
-    begin, look, estimate = sensor_functions(config.sensors)
+    begin, update, read = sensor_functions(config.sensors)
     names = ("begin", "exit_taken", "reward", "observe", "observe_neighbour",
              "observe_no_neighbour")  # fmt: skip
     return StreamFunctions(
         f"{type(task).__name__}-{type(config.sensors).__name__}-{config.actions}",
         *(compiled_function(task, name, StreamTask) for name in names),
         begin_sensor=begin,
-        look=look,
-        estimate=estimate,
+        update_sensor=update,
+        read_sensor=read,
         watches=config.sensors.watches,
         part_of=part_of_module if config.actions == "modules" else part_of_owner,
         commanded=commanded_angle if kind.continuous else commanded_choice,
@@ -207,7 +207,7 @@ class StreamBatch(BaseBatch):
             self._build(config.timing.steps * self.rows, make_scratch)
 
     @property
-    def sites(self) -> BodyTable:
+    def bodies(self) -> BodyTable:
         return self._pool.bodies
 
     @property
@@ -249,7 +249,7 @@ class StreamBatch(BaseBatch):
             **({"axes": axis_angles(self.surfaces)} if "axes" in self.config.info else {}),
         }
 
-    def figures(self, ended: Booleans) -> Infos:
+    def metrics(self, ended: Booleans) -> Infos:
         found: dict[str, Array] = {}
         obeys = self.streams.obeys
         for i in np.nonzero(ended)[0].tolist():
@@ -261,7 +261,7 @@ class StreamBatch(BaseBatch):
         return found
 
     def parcel(self, env_index: int, row: int = 0) -> Parcel:
-        return self._pool.parcel(int(self.parcels.site[env_index * self.rows + row]))
+        return self._pool.parcel(int(self.parcels.body[env_index * self.rows + row]))
 
     def check(self, options: Sequence[dict[str, Any]]) -> None:
         for each in options:
@@ -301,7 +301,7 @@ class StreamBatch(BaseBatch):
         streams.exit[i, :count] = arrivals.exit
         streams.arrivals[i] = count
         site, streams.start[i, :count] = self._entries(i, arrivals, rng)
-        streams.site[i, :count] = site
+        streams.body[i, :count] = site
         for name, value in (
             ("entered", np.nan), ("left", np.nan), ("taken", ON_ITS_WAY), ("touches", 0),
             ("number", NOBODY), ("present", False), ("touched_at", NEVER), ("coming", 0),
@@ -376,9 +376,9 @@ class StreamBatch(BaseBatch):
             self._pool.give_back(self._used[i])
             self._used[i] = [row for rows in taken.values() for row in rows]
             first, count = i * self.rows, int(self.streams.arrivals[i])
-            here = self.parcels.site[first : first + self.rows]
-            for sites in (self.streams.site[i, :count], here):
-                sites[:] = [taken[site][0] if site in taken else 0 for site in sites.tolist()]
+            here = self.parcels.body[first : first + self.rows]
+            for used in (self.streams.body[i, :count], here):
+                used[:] = [taken[row][0] if row in taken else 0 for row in used.tolist()]
 
     def _fault(self) -> ValueError:
         i, name = int(np.nonzero(self.streams.fault)[0][0]), type(self.task).__name__

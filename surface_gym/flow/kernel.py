@@ -154,7 +154,7 @@ def claim_modules(owner: Places, soonest: Array, state: EnvState, slot: int, ahe
 
 @inlined
 def part_of_module(
-    state: EnvState, lanes: ParcelState, owner: Places, rows: int, row: int, column: int
+    state: EnvState, parcels: ParcelState, owner: Places, rows: int, row: int, column: int
 ) -> int:
     """Let each module follow a part of its own."""
     return (row - state.zone[FIRST_ROW]) * state.zone[COLUMNS] + column - state.zone[FIRST_COLUMN]
@@ -162,17 +162,17 @@ def part_of_module(
 
 @inlined
 def part_of_owner(
-    state: EnvState, lanes: ParcelState, owner: Places, rows: int, row: int, column: int
+    state: EnvState, parcels: ParcelState, owner: Places, rows: int, row: int, column: int
 ) -> int:
     """Let a module follow the half of the parcel that it obeys; without one it stays as it is.
 
-    `rows` is the first row of the surface's parcels in `lanes`.
+    `rows` is the first row of the surface's parcels in `parcels`.
     """
     slot = owner[row, column]
     if slot < 0:
         return -1
     x = state.elements.x0 + state.elements.pitch_x * column
-    return HALVES * slot + (1 if x < lanes.sensed[rows + slot, X] else 0)
+    return HALVES * slot + (1 if x < parcels.sensed[rows + slot, X] else 0)
 
 
 # The axis angle [rad] that a part of the command sets.
@@ -236,24 +236,29 @@ def _bars(other: EnvState, state: EnvState, gap: float) -> bool:
 
 @inlined
 def _put(
-    params: StreamParams, streams: StreamState, lanes: ParcelState, i: int, slot: int, arrival: int
+    params: StreamParams,
+    streams: StreamState,
+    parcels: ParcelState,
+    i: int,
+    slot: int,
+    arrival: int,
 ) -> None:
     """Write an arrival into the row of a slot that is free."""
     row = i * streams.number.shape[1] + slot
     for k in range(STATE_SIZE):
-        lanes.state[row, k] = streams.start[i, arrival, k]
+        parcels.state[row, k] = streams.start[i, arrival, k]
     asked = streams.exit[i, arrival]
-    lanes.site[row] = streams.site[i, arrival]
-    lanes.goal[row, EXIT] = asked
-    lanes.goal[row, SIDE] = params.exits[asked, 0]
-    lanes.goal[row, FIRST] = params.exits[asked, 1]
-    lanes.goal[row, LAST] = params.exits[asked, 2]
-    lanes.clock[row] = 0.0
-    lanes.period[row] = 0.0
-    lanes.steps[row] = 0
-    lanes.on_rotors[row] = True
-    lanes.on_surface[row] = True
-    lanes.outcome[row] = RUNNING
+    parcels.body[row] = streams.body[i, arrival]
+    parcels.goal[row, EXIT] = asked
+    parcels.goal[row, SIDE] = params.exits[asked, 0]
+    parcels.goal[row, FIRST] = params.exits[asked, 1]
+    parcels.goal[row, LAST] = params.exits[asked, 2]
+    parcels.clock[row] = 0.0
+    parcels.period[row] = 0.0
+    parcels.steps[row] = 0
+    parcels.on_rotors[row] = True
+    parcels.on_surface[row] = True
+    parcels.outcome[row] = RUNNING
 
 
 @inlined
@@ -261,8 +266,8 @@ def show_next(
     rules: EnvParams,
     params: StreamParams,
     surfaces: SurfaceState,
-    lanes: ParcelState,
-    sites: BodyTable,
+    parcels: ParcelState,
+    bodies: BodyTable,
     streams: StreamState,
     i: int,
 ) -> None:
@@ -274,11 +279,11 @@ def show_next(
     if arrival == streams.due[i]:
         streams.number[i, last] = NOBODY
         return
-    _put(params, streams, lanes, i, last, arrival)
+    _put(params, streams, parcels, i, last, arrival)
     row = i * streams.number.shape[1] + last
     streams.number[i, last] = arrival
-    lanes.clock[row] = streams.time[i, arrival] - streams.clock[i]
-    state = env_state(surfaces, lanes, sites, i, row, rules.elements)
+    parcels.clock[row] = streams.time[i, arrival] - streams.clock[i]
+    state = env_state(surfaces, parcels, bodies, i, row, rules.elements)
     read_truth(state)
     for k in range(state.truth.shape[0]):
         state.sensed[k] = state.truth[k]
@@ -289,8 +294,8 @@ def let_in(
     rules: EnvParams,
     params: StreamParams,
     surfaces: SurfaceState,
-    lanes: ParcelState,
-    sites: BodyTable,
+    parcels: ParcelState,
+    bodies: BodyTable,
     streams: StreamState,
     i: int,
 ) -> int:
@@ -305,12 +310,12 @@ def let_in(
     if slot == NOBODY:
         return NOBODY
     first = i * streams.number.shape[1]
-    _put(params, streams, lanes, i, slot, arrival)
-    state = env_state(surfaces, lanes, sites, i, first + slot, rules.elements)
+    _put(params, streams, parcels, i, slot, arrival)
+    state = env_state(surfaces, parcels, bodies, i, first + slot, rules.elements)
     read_truth(state)
     for k in range(streams.number.shape[1]):
         if streams.present[i, k]:
-            other = env_state(surfaces, lanes, sites, i, first + k, rules.elements)
+            other = env_state(surfaces, parcels, bodies, i, first + k, rules.elements)
             read_truth(other)
             if _bars(other, state, params.entry_gap):
                 return NOBODY
@@ -326,7 +331,7 @@ def let_in(
 
 
 @inlined
-def leave(streams: StreamState, lanes: ParcelState, i: int, slot: int, taken: int) -> None:
+def leave(streams: StreamState, parcels: ParcelState, i: int, slot: int, taken: int) -> None:
     """Take a parcel off the line by an exit; its row is kept until the next decision."""
     arrival = streams.number[i, slot]
     right = taken == streams.exit[i, arrival]
@@ -334,7 +339,7 @@ def leave(streams: StreamState, lanes: ParcelState, i: int, slot: int, taken: in
     streams.left[i, arrival] = streams.clock[i]
     streams.taken[i, arrival] = taken
     streams.tally[i, RIGHT if right else WRONG] += 1
-    lanes.outcome[i * streams.number.shape[1] + slot] = LEFT_RIGHT if right else LEFT_WRONG
+    parcels.outcome[i * streams.number.shape[1] + slot] = LEFT_RIGHT if right else LEFT_WRONG
 
 
 APART = 0.2  # [s] two that have not pushed each other for so long touch anew
@@ -342,7 +347,12 @@ APART = 0.2  # [s] two that have not pushed each other for so long touch anew
 
 @inlined
 def note_touches(
-    lanes: ParcelState, streams: StreamState, scratch: WorldScratch, i: int, pairs: int, apart: int
+    parcels: ParcelState,
+    streams: StreamState,
+    scratch: WorldScratch,
+    i: int,
+    pairs: int,
+    apart: int,
 ) -> None:
     """Count the pairs of parcels that begin to touch."""
     rows = streams.number.shape[1]
@@ -352,26 +362,26 @@ def note_touches(
             streams.tally[i, TOUCHES] += 1
             streams.touches[i, streams.number[i, a]] += 1
             streams.touches[i, streams.number[i, b]] += 1
-            lanes.memory[i * rows + a, TOUCHED] += 1.0
-            lanes.memory[i * rows + b, TOUCHED] += 1.0
+            parcels.memory[i * rows + a, TOUCHED] += 1.0
+            parcels.memory[i * rows + b, TOUCHED] += 1.0
         streams.touched_at[i, a, b] = streams.steps[i]
         streams.touched_at[i, b, a] = streams.steps[i]
 
 
 @inlined
-def _nearest(streams: StreamState, lanes: ParcelState, i: int, slot: int, ahead: bool) -> int:
+def _nearest(streams: StreamState, parcels: ParcelState, i: int, slot: int, ahead: bool) -> int:
     """Find the slot of the nearest parcel ahead along x, or behind, as sensed; or NOBODY.
 
     Of two at the same x the one that came first is ahead.
     """
     first = i * streams.number.shape[1]
-    x = lanes.sensed[first + slot, X]
+    x = parcels.sensed[first + slot, X]
     nearest = NOBODY
     least = 0.0
     for k in range(streams.number.shape[1]):
         if not streams.present[i, k] or k == slot:
             continue
-        apart = lanes.sensed[first + k, X] - x
+        apart = parcels.sensed[first + k, X] - x
         is_ahead = apart > 0.0 or (apart == 0.0 and streams.number[i, k] < streams.number[i, slot])
         if is_ahead == ahead and (nearest == NOBODY or abs(apart) < least):
             nearest = k
@@ -390,8 +400,8 @@ class StreamFunctions(NamedTuple):
     observe_neighbour: Function
     observe_no_neighbour: Function
     begin_sensor: Function  # the sensor's
-    look: Function
-    estimate: Function
+    update_sensor: Function
+    read_sensor: Function
     watches: bool
     part_of: Function  # the kind of action's
     commanded: Function
@@ -399,7 +409,7 @@ class StreamFunctions(NamedTuple):
 
 
 def _obeying(functions: StreamFunctions) -> Any:
-    """Build `obey_command(rules, params, surfaces, lanes, sites, streams, i)`, which turns the
+    """Build `obey_command(rules, params, surfaces, parcels, bodies, streams, i)`, which turns the
     modules that the command of surface i turns, and counts them.
     """
     part_of, commanded, obey = functions.part_of, functions.commanded, functions.actuation.obey
@@ -409,25 +419,25 @@ def _obeying(functions: StreamFunctions) -> Any:
         rules: EnvParams,
         params: StreamParams,
         surfaces: SurfaceState,
-        lanes: ParcelState,
-        sites: BodyTable,
+        parcels: ParcelState,
+        bodies: BodyTable,
         streams: StreamState,
         i: int,
     ) -> None:
         rows = streams.number.shape[1]
         first = i * rows
-        state = env_state(surfaces, lanes, sites, i, first, rules.elements)
+        state = env_state(surfaces, parcels, bodies, i, first, rules.elements)
         owner, soonest = streams.owner[i], streams.soonest[i]
         free_modules(owner, soonest, state)
         for k in range(rows):
             if streams.present[i, k]:
-                parcel = env_state(surfaces, lanes, sites, i, first + k, rules.elements)
+                parcel = env_state(surfaces, parcels, bodies, i, first + k, rules.elements)
                 claim_modules(owner, soonest, parcel, k, params.ahead)
         obeys = streams.obeys[i if streams.obeys.shape[0] > 1 else 0]
         zone = state.zone
         for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
             for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
-                part = part_of(state, lanes, owner, first, row, column)
+                part = part_of(state, parcels, owner, first, row, column)
                 if part < 0 or not obeys[row, column]:
                     continue
                 angle = commanded(rules.acting, surfaces, i, part)
@@ -440,7 +450,7 @@ def _obeying(functions: StreamFunctions) -> Any:
 
 
 def _observing(functions: StreamFunctions) -> Any:
-    """Build `observe_parcels(rules, params, surfaces, lanes, sites, streams, i)`, which writes the
+    """Build `observe_parcels(rules, params, surfaces, parcels, bodies, streams, i)`, which writes the
     table of surface i: a row a parcel, with its neighbours along the line.
     """
     observe, observe_neighbour = functions.observe, functions.observe_neighbour
@@ -451,8 +461,8 @@ def _observing(functions: StreamFunctions) -> Any:
         rules: EnvParams,
         params: StreamParams,
         surfaces: SurfaceState,
-        lanes: ParcelState,
-        sites: BodyTable,
+        parcels: ParcelState,
+        bodies: BodyTable,
         streams: StreamState,
         i: int,
     ) -> None:
@@ -460,7 +470,7 @@ def _observing(functions: StreamFunctions) -> Any:
         slots = count_slots(params, streams)
         first = i * rows
         for k in range(rows):
-            state = env_state(surfaces, lanes, sites, i, first + k, rules.elements)
+            state = env_state(surfaces, parcels, bodies, i, first + k, rules.elements)
             waits = k >= slots and streams.number[i, k] != NOBODY
             if not (streams.present[i, k] or waits):
                 for feature in range(state.observation.shape[0]):
@@ -472,11 +482,11 @@ def _observing(functions: StreamFunctions) -> Any:
             rear = x - reach_along(state, theta, -1.0, 0.0)
             for way in range(2):
                 ahead = way == 1
-                slot = _nearest(streams, lanes, i, k, ahead)
+                slot = _nearest(streams, parcels, i, k, ahead)
                 if slot == NOBODY:
                     observe_no_neighbour(state, ahead)
                     continue
-                other = env_state(surfaces, lanes, sites, i, first + slot, rules.elements)
+                other = env_state(surfaces, parcels, bodies, i, first + slot, rules.elements)
                 other_x, other_theta = other.sensed[X], other.sensed[THETA]
                 if ahead:
                     gap = other_x - reach_along(other, other_theta, -1.0, 0.0) - front
@@ -489,15 +499,15 @@ def _observing(functions: StreamFunctions) -> Any:
 
 @lru_cache(maxsize=64)
 def make_stream_kernel(functions: StreamFunctions) -> Any:
-    """Build `step_streams(rules, params, surfaces, lanes, sites, streams, scratch, sensor's
+    """Build `step_streams(rules, params, surfaces, parcels, bodies, streams, scratch, sensor's
     scratch, chosen)`.
 
     Of the chosen surfaces (count,) those placed begin, those that run are stepped by one control
     period, and those that have ended stay. It returns how many have a fault.
     """
     task_begin, task_reward, task_exit = functions.begin, functions.reward, functions.exit_taken
-    sensor_begin, sensor_look = functions.begin_sensor, functions.look
-    sensor_estimate, watches = functions.estimate, functions.watches
+    sensor_begin, sensor_update = functions.begin_sensor, functions.update_sensor
+    sensor_read, watches = functions.read_sensor, functions.watches
     _, turn, straighten, turns = functions.actuation
     obey_command, observe_parcels = _obeying(functions), _observing(functions)
 
@@ -505,8 +515,8 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
         rules: EnvParams,
         params: StreamParams,
         surfaces: SurfaceState,
-        lanes: ParcelState,
-        sites: BodyTable,
+        parcels: ParcelState,
+        bodies: BodyTable,
         streams: StreamState,
         scratch: WorldScratch,
         sensor_scratch: Scratch,
@@ -521,7 +531,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
         jam_term = streams.terms.shape[1] - 1
         waiting_term = jam_term - 1
         physics = Physics(rules.assumed, rules.stiffness, sensor_scratch, dt)
-        bodies = Bodies(sites.body, sites.edges, sites.corners)
+        shapes = Bodies(bodies.body, bodies.edges, bodies.corners)
         for i in chosen:
             first = i * rows
             begins = streams.outcome[i] == STARTING
@@ -538,22 +548,22 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
             for k in range(streams.terms.shape[1]):
                 streams.terms[i, k] = 0.0
             for k in range(rows):
-                lanes.reward[first + k] = 0.0
-                lanes.period[first + k] = 0.0
+                parcels.reward[first + k] = 0.0
+                parcels.period[first + k] = 0.0
                 if not streams.present[i, k]:
                     streams.number[i, k] = NOBODY
             if not begins:
-                obey_command(rules, params, surfaces, lanes, sites, streams, i)
+                obey_command(rules, params, surfaces, parcels, bodies, streams, i)
             invalidate_world(scratch)
             invalidate_contacts(sensor_scratch)
-            grid = read_grid(surfaces, sites, i, 0, rules.elements, rules.friction)
+            grid = read_grid(surfaces, bodies, i, 0, rules.elements, rules.friction)
             company = World(
-                lanes.state[first : first + rows],
+                parcels.state[first : first + rows],
                 streams.present[i],
-                lanes.site[first : first + rows],
-                bodies,
+                parcels.body[first : first + rows],
+                shapes,
             )
-            zone = sites.zone[0]
+            zone = bodies.zone[0]
             opens = int(surfaces.command[i, gate]) if params.gated else 1
             entered = False
             # Parcels may enter at a start, which is step 0 alone, and after every step.
@@ -566,24 +576,24 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                     pairs = step_world(grid, company, params.touching, scratch, dt)
                     streams.clock[i] += dt
                     streams.steps[i] += 1
-                    note_touches(lanes, streams, scratch, i, pairs, apart)
+                    note_touches(parcels, streams, scratch, i, pairs, apart)
                     for k in range(slots):
                         if not streams.present[i, k]:
                             continue
                         row = first + k
                         on_surface = scratch.report[k] < OFF_SURFACE
-                        lanes.on_surface[row] = on_surface
-                        lanes.on_rotors[row] = on_surface and scratch.rotors[k] > 0
-                        lanes.clock[row] += dt
-                        lanes.steps[row] += 1
-                        lanes.period[row] += dt
-                        state = env_state(surfaces, lanes, sites, i, row, rules.elements)
+                        parcels.on_surface[row] = on_surface
+                        parcels.on_rotors[row] = on_surface and scratch.rotors[k] > 0
+                        parcels.clock[row] += dt
+                        parcels.steps[row] += 1
+                        parcels.period[row] += dt
+                        state = env_state(surfaces, parcels, bodies, i, row, rules.elements)
                         if not state.on_rotors:
                             read_truth(state)
-                            leave(streams, lanes, i, k, task_exit(params, state))
+                            leave(streams, parcels, i, k, task_exit(params, state))
                         elif watches:
                             read_truth(state)
-                            sensor_look(rules.sensor, state, physics)
+                            sensor_update(rules.sensor, state, physics)
                     waiting = streams.due[i] - streams.coming[i]
                     streams.waited[i] += dt * waiting
                     streams.terms[i, waiting_term] += params.waiting_reward * dt * waiting
@@ -591,10 +601,10 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                 # A gate opens at a physics step of the period, for one parcel; or not at all.
                 if params.gated and (entered or opens == 0 or step < opens):
                     continue
-                slot = let_in(rules, params, surfaces, lanes, sites, streams, i)
+                slot = let_in(rules, params, surfaces, parcels, bodies, streams, i)
                 if slot != NOBODY:
                     entered = True
-                    state = env_state(surfaces, lanes, sites, i, first + slot, rules.elements)
+                    state = env_state(surfaces, parcels, bodies, i, first + slot, rules.elements)
                     state.memory[TOUCHED] = 0.0
                     task_begin(state)
                     sensor_begin(rules.sensor, state)
@@ -603,19 +613,19 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
             for k in range(slots):
                 if streams.number[i, k] == NOBODY:
                     continue
-                state = env_state(surfaces, lanes, sites, i, first + k, rules.elements)
+                state = env_state(surfaces, parcels, bodies, i, first + k, rules.elements)
                 read_truth(state)
-                task_reward(state, lanes.outcome[first + k])
+                task_reward(state, parcels.outcome[first + k])
                 state.memory[TOUCHED] = 0.0
                 reward = 0.0
                 for term in range(state.terms.shape[0]):
                     reward += state.terms[term]
                     streams.terms[i, term] += state.terms[term]
-                lanes.reward[first + k] = reward
+                parcels.reward[first + k] = reward
                 if streams.present[i, k]:
                     occupied = True
                     moves |= not is_slower(state, STALL_SPEED)
-                    sensor_estimate(rules.sensor, state)
+                    sensor_read(rules.sensor, state)
             if occupied and not moves and not begins:
                 streams.still[i] += dt * rules.timing.steps
             else:
@@ -632,12 +642,12 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
             if not math.isfinite(reward):
                 streams.fault[i] = BAD_REWARD
             if params.gated:
-                show_next(rules, params, surfaces, lanes, sites, streams, i)
-                lanes.reward[first + slots] = streams.terms[i, waiting_term]
-            observe_parcels(rules, params, surfaces, lanes, sites, streams, i)
+                show_next(rules, params, surfaces, parcels, bodies, streams, i)
+                parcels.reward[first + slots] = streams.terms[i, waiting_term]
+            observe_parcels(rules, params, surfaces, parcels, bodies, streams, i)
             for k in range(rows):
-                for feature in range(lanes.observation.shape[1]):
-                    if not math.isfinite(lanes.observation[first + k, feature]):
+                for feature in range(parcels.observation.shape[1]):
+                    if not math.isfinite(parcels.observation[first + k, feature]):
                         streams.fault[i] = BAD_OBSERVATION
             faults += streams.fault[i] != NO_FAULT
         return faults

@@ -29,7 +29,7 @@ class StreamState(NamedTuple):
 
     time: Array  # (surfaces, arrivals) [s] at which each parcel comes
     start: Array  # (surfaces, arrivals, STATE_SIZE) of its centre of mass as it enters
-    site: Integers  # (surfaces, arrivals) its place among the sites
+    body: Integers  # (surfaces, arrivals) its row in the body table
     exit: Integers  # (surfaces, arrivals) that it is to leave by
     arrivals: Integers  # (surfaces,) how many there are
     coming: Integers  # (surfaces,) the next to enter
@@ -127,7 +127,7 @@ def _arrivals(surfaces: int, room: int) -> dict[str, np.ndarray]:
     return {
         "time": np.zeros(shape),
         "start": np.zeros((*shape, STATE_SIZE)),
-        "site": np.zeros(shape, dtype=np.int64),
+        "body": np.zeros(shape, dtype=np.int64),
         "exit": np.zeros(shape, dtype=np.int64),
         "entered": np.full(shape, np.nan),
         "left": np.full(shape, np.nan),

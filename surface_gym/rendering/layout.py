@@ -44,10 +44,8 @@ class Layout:
             hidden = scene.rows - sum(band)  # rows above the picture
             left += round(_ENTRY * cell)
             top += round(_LABEL * cell) - hidden * height
-        return cls(
-            *(scene.rows, scene.columns, scene.pitches, scene.origin),
-            *(cell, height, left, top, line, band, box),
-        )
+        rows, columns, pitch, origin = scene.rows, scene.columns, scene.pitches, scene.origin
+        return cls(rows, columns, pitch, origin, cell, height, left, top, line, band, box)
 
     @staticmethod
     def extent(scene: Scene, cell: int) -> tuple[int, int]:

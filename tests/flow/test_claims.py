@@ -140,7 +140,7 @@ class TestCommands:
             free = ~batch.streams.present[0]
             other[free] = rng.integers(0, 4, (int(free.sum()), 2))
             batch.step(commands.reshape(1, -1))
-            twin.advance(other.reshape(1, -1))
+            twin.step(other.reshape(1, -1))
             np.testing.assert_array_equal(batch.parcels.state, twin.lanes.state)
             np.testing.assert_array_equal(batch.streams.commanded, twin.streams.commanded)
 

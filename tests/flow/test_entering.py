@@ -201,11 +201,11 @@ class TestGate:
         )  # fmt: skip
         free_action = command(free, ROLL)
         batch.step(self.told(batch, 1))
-        free.advance(free_action)
+        free.step(free_action)
         for _ in range(60):
             batch.step(self.told(batch, 1))
-            free.advance(free_action)
-        np.testing.assert_array_equal(batch.streams.entered[0, 1:3], free.flows.entered[0, 1:3])
+            free.step(free_action)
+        np.testing.assert_array_equal(batch.streams.entered[0, 1:3], free.streams.entered[0, 1:3])
 
     @pytest.mark.parametrize(
         "action", [[3] * 48 + [9], [3] * 48 + [-1], [3] * 48, [[3, 3], 1], [3.0] * 49], ids=repr

@@ -108,7 +108,7 @@ class TestMirror:
             observed, paid, *_, told = mirror.step(MIRRORED[other])
             assert info["parcels"].tolist() == told["parcels"].tolist()
             assert reward == pytest.approx(paid, abs=1e-6)
-            seen = truths(mirror._batch)
+            seen = truths(mirror.batch)
             for number, truth in truths(env.batch).items():
                 flip = truth * [1.0, -1.0, -1.0, 1.0, -1.0, -1.0] + [0, 2 * line_y, 0, 0, 0, 0]
                 np.testing.assert_allclose(seen[number], flip, rtol=0.0, atol=1e-7)

@@ -100,7 +100,7 @@ class TestWays:
         assert info["parcels"].tolist() == [-1] * 24
 
     def test_between_exits_is_wrong(self) -> None:
-        x = float(sent(MINUS_45, "left 1")[0]._batch.parcels.truth[0, X])
+        x = float(sent(MINUS_45, "left 1")[0].batch.parcels.truth[0, X])
         around = Exits((Exit("here", 1, x - 1e-6, x + 1e-6), Exit("other", -1)))
         beside = Exits((Exit("here", 1, x + 1e-6, x + 1.0), Exit("before", 1, 0.0, x - 1e-6)))
         env, info = sent(MINUS_45, "here", around)

@@ -203,7 +203,7 @@ class TestContract:
     )
     def test_bad_arguments_are_named(self, argument: dict[str, Any], named: str) -> None:
         with pytest.raises(ValueError, match=named):
-            SmartSurfaceVectorEnv(**argument)
+            SmartSurfaceVectorEnv(task="flow", **argument)
 
     def test_steps_before_a_reset_are_refused(self) -> None:
         env = streams()

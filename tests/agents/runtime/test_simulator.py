@@ -145,13 +145,13 @@ class TestOverASocket:
     def test_a_mute_camera_brings_the_fixed_layout(self) -> None:
         options = WorldOptions(pause=PAUSE)
         server = Server(
-            MuteWorld((0.3, 0.8), options), "stop", socket.create_server(("127.0.0.1", 0))
+            MuteWorld((0.2, 0.6), options), "stop", socket.create_server(("127.0.0.1", 0))
         )
         counts = self.run(server, 200).counts
         server.close()
         assert counts.watchdog == 1
         # From 0.2 s without a frame on, with the camera's delay, until the first one after.
-        assert counts.by_fixed_layout == pytest.approx((0.5 - 0.2) / 0.04, abs=2)
+        assert counts.by_fixed_layout == pytest.approx((0.4 - 0.2) / 0.04, abs=1)
         assert counts.decisions > 5
 
     def test_a_later_loop_takes_the_place(self, server: Server) -> None:
