@@ -24,8 +24,8 @@ class BenchmarkConfig:
     """Measure cost and accuracy, warmed up; or decisions a second on a GPU."""
 
     device: Literal["cpu", "cuda"] = "cpu"
-    """"cuda" measures the vector environment on a GPU, beside the CPU's: only num-envs, beside, json
-    and picture are read then."""
+    """"cuda" measures the vector environment on a GPU, beside the CPU's, and reads only num-envs,
+    beside, json and picture."""
     num_envs: Annotated[tuple[int, ...], tyro.conf.arg(aliases=("--lanes",))] = (
         1024, 4096, 16384, 65536, 262144,
     )  # fmt: skip

@@ -1,8 +1,8 @@
 """A mutation test: how many small faults, put into the code one at a time, the tests detect.
 
-`python -m benchmarks.mutation --help`. It works in a copy of the repository and can be interrupted
-and resumed: a detected mutant stays so while its module is the same, and one that survived is tested
-again after a test has changed.
+`python -m benchmarks.mutation --help`. It works in a copy of the repository, and can be interrupted
+and resumed: a mutant that was detected stays so while its module is the same, and one that survived
+is tested again after a test has changed.
 """
 
 import ast
@@ -230,7 +230,7 @@ class Workspace:
         )
 
     def _check(self, target: Target) -> None:
-        """Raise an error unless the tests pass without a mutant; fill the cache of compiled code."""
+        """Raise an error unless the tests pass without a mutant, and fill the compiler's cache."""
         near = [self._copy / path.split("::")[0] for path in (target.module, *target.near)]
         key = f"{target.module} {_digest(*near)}"
         if key in self._known:

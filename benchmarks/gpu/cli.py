@@ -138,9 +138,7 @@ def _measure_host(name: str, task: Sort, threads: int, results: Results) -> None
     env.close()
 
 
-def _measure_device(
-    name: str, task: Sort, num_envs: int, effort: Effort, results: Results
-) -> None:
+def _measure_device(name: str, task: Sort, num_envs: int, effort: Effort, results: Results) -> None:
     """Measure the GPU's vector environment, and its resets."""
     env = make_sort(task, num_envs, device="cuda")
     try:

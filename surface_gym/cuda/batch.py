@@ -32,14 +32,7 @@ from surface_gym.cuda.prefetch import Prefetch
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import ENTERED, RIGHT, TOUCHES, TURNS, WRONG
 from surface_gym.physics.types import Array, Integers
-from surface_gym.state import (
-    COMMON_OUTCOMES,
-    NO_FAULT,
-    OUT_OF_TIME,
-    PATH_POINTS,
-    RUNNING,
-    SUCCESS,
-)
+from surface_gym.state import COMMON_OUTCOMES, NO_FAULT, OUT_OF_TIME, PATH_POINTS, RUNNING, SUCCESS
 
 Tensors = dict[str, torch.Tensor]
 

@@ -36,9 +36,7 @@ NUM_ENVS = 64
 @every_case
 def test_device_state_equals_the_cpus_with_environments_adjacent_except_in_grids(name):
     config = make_config(name)
-    pairs = zip(
-        make_device_state(config, NUM_ENVS, CPU), make_state(config, NUM_ENVS), strict=True
-    )
+    pairs = zip(make_device_state(config, NUM_ENVS, CPU), make_state(config, NUM_ENVS), strict=True)
     for tensors, arrays in pairs:
         for field, tensor, array in zip(tensors._fields, tensors, arrays, strict=True):
             assert tensor.numel() > 0  # a kernel takes no empty array
