@@ -74,18 +74,18 @@ class Outline:
 
 
 def outline_from_features(
-    length: Numbers, width: Numbers, fill: Numbers, plant: BaseLine
+    length: Numbers, width: Numbers, fill: Numbers, line: BaseLine
 ) -> Outline:
     """Compute the outlines of bases from the features (num_envs,) of the group "parcel"."""
     half = 0.175 + 0.05 * np.stack([length, width])
     return Outline(
         half,
         np.clip((1.0 - fill) / (1.0 - ELLIPSE), 0.0, 1.0),
-        _count_rows(plant, half[1] / plant.pitch_y + EXACT),
+        _count_rows(line, half[1] / line.pitch_y + EXACT),
     )
 
 
-def outline_from_clearance(see: LineObservation, clearance: Numbers, plant: BaseLine) -> Outline:
+def outline_from_clearance(see: LineObservation, clearance: Numbers, line: BaseLine) -> Outline:
     """Infer the outlines of bases from their half length alone, as rectangles or discs.
 
     The clearance lacks the half line and the half extent of the base across it. A wider base has a
@@ -94,13 +94,13 @@ def outline_from_clearance(see: LineObservation, clearance: Numbers, plant: Base
     Args:
         see: the parcels, to be sorted to y > 0.
         clearance: (num_envs,) [m] between the base and the line's rotors.
-        plant: the line.
+        line: the line.
     """
-    length, pitch = see.half_length, plant.pitch_y
+    length, pitch = see.half_length, line.pitch_y
     cosine, sine = np.abs([np.cos(see.theta), np.sin(see.theta)])
     total = see.offset - clearance  # half line and half extent
     across = total - length * sine  # half line and the half width's part
-    rows = _count_rows(plant, (across / pitch + 1.5 - ROUND) / (1.0 + cosine))
+    rows = _count_rows(line, (across / pitch + 1.5 - ROUND) / (1.0 + cosine))
     half_line = 0.5 * pitch * (rows - 1.0)
     extent = across - half_line
     as_wide = np.abs(extent - length * cosine) < EXACT
@@ -110,10 +110,10 @@ def outline_from_clearance(see: LineObservation, clearance: Numbers, plant: Base
     return Outline(np.stack([length, width]), np.zeros_like(length), rows)
 
 
-def _count_rows(plant: BaseLine, pairs: Numbers) -> Numbers:
+def _count_rows(line: BaseLine, pairs: Numbers) -> Numbers:
     """Count the rows (num_envs,) of a line under which `pairs` of rows fit; else the layout's."""
-    least = 2.0 if isinstance(plant, Line) else plant.zone_rows
-    return np.clip(2.0 * np.floor(pairs), least, plant.zone_rows)
+    least = 2.0 if isinstance(line, Line) else line.zone_rows
+    return np.clip(2.0 * np.floor(pairs), least, line.zone_rows)
 
 
 @dataclass(frozen=True, eq=False)

@@ -207,7 +207,7 @@ def seen_by_modules(settings: EnvConfig, features: Sequence[Any]) -> SeenByModul
         features: of the observation, each (parcels, 1).
     """
     see = {each.name: feature for each, feature in zip(settings.features, features, strict=True)}
-    kind, plant, period = settings.action_kind, settings.chosen_line, settings.control_period
+    kind, line, period = settings.action_kind, settings.chosen_line, settings.control_period
     mirrored = features[SIDE] < 0.0
     offset = 0.3 * see["lateral offset"]
     vx, vy = 1.0 + see["forward speed"], 0.5 * see["lateral speed"]
@@ -220,8 +220,8 @@ def seen_by_modules(settings: EnvConfig, features: Sequence[Any]) -> SeenByModul
     c, s = np.cos(turn), np.sin(turn)
     later_axes = (cosine * c - sine * s, sine * c + cosine * s)
     row, column = np.divmod(np.arange(kind.size), kind.columns)
-    line_y = plant.pitch_y * (row - (kind.rows - 1) / 2.0)[np.newaxis]
-    x = plant.pitch_x * (column + 0.5)[np.newaxis] - into_zone
+    line_y = line.pitch_y * (row - (kind.rows - 1) / 2.0)[np.newaxis]
+    x = line.pitch_x * (column + 0.5)[np.newaxis] - into_zone
     y = np.where(mirrored, -1.0, 1.0) * line_y - offset
     now = _from_parcel(x, y, (cosine, sine))
     later = _from_parcel(x - period * vx, y - period * vy, later_axes)
@@ -236,7 +236,7 @@ def seen_by_modules(settings: EnvConfig, features: Sequence[Any]) -> SeenByModul
     close = _hypot(*outline.half) + period * (abs(vx) + abs(vy)) + 2.0 * MARGIN
     bears = (
         (np.minimum(outside, outside_later) <= MARGIN)
-        & (np.absolute(line_y) < 0.5 * plant.pitch_y * outline.rows)
+        & (np.absolute(line_y) < 0.5 * line.pitch_y * outline.rows)
         & (abs(x) < close)
         & (abs(y) < close)
     )
@@ -271,28 +271,28 @@ def _lie(
     settings: EnvConfig, see: dict[str, Any], offset: Any, axes: tuple[Any, Any]
 ) -> tuple[_Outline, Any]:
     """Outline of the base, and [m] from the zone's first edge to its centre."""
-    plant = settings.chosen_line
-    least = 2.0 if isinstance(plant, Line) else float(plant.zone_rows)
+    line = settings.chosen_line
+    least = 2.0 if isinstance(line, Line) else float(line.zone_rows)
 
     def rows(pairs: Any) -> Any:
-        return _clip(2.0 * np.floor(pairs), least, float(plant.zone_rows))
+        return _clip(2.0 * np.floor(pairs), least, float(line.zone_rows))
 
     cosine, sine = abs(axes[0]), abs(axes[1])
     if "parcel" in settings.observe:
         length, width = (0.175 + 0.05 * see[name] for name in ("length", "width"))
         roundness = _clip((1.0 - see["fill"]) / (1.0 - ELLIPSE), 0.0, 1.0)
-        outline = _Outline((length, width), roundness, rows(width / plant.pitch_y + EXACT))
+        outline = _Outline((length, width), roundness, rows(width / line.pitch_y + EXACT))
         into_zone = 0.5 * see["distance into zone"] + outline.reach(*axes)
         # The nearest place whose phase within a pitch is the one that is shown.
         phase = _angle(see["sine of phase x"], see["cosine of phase x"])
         in_pitch = 0.5 + phase / (2.0 * math.pi)
-        pitch = plant.pitch_x
+        pitch = line.pitch_x
         return outline, pitch * (np.rint(into_zone / pitch - in_pitch) + in_pitch)
     length = 0.175 + 0.05 * see["size"]
     beyond = offset - 0.2 * see["clearance"]
     across = beyond - length * sine
-    count = rows((across / plant.pitch_y + (1.5 - ROUND)) / (1.0 + cosine))
-    half_line = 0.5 * plant.pitch_y * (count - 1.0)
+    count = rows((across / line.pitch_y + (1.5 - ROUND)) / (1.0 + cosine))
+    half_line = 0.5 * line.pitch_y * (count - 1.0)
     reach = across - half_line
     as_wide = abs(reach - length * cosine) < EXACT
     is_disc = abs(beyond - half_line - length) < EXACT

@@ -168,10 +168,10 @@ def _parts(kind: ActionKind) -> str:
 
 
 def _surface(source: Source) -> str:
-    plant = source.settings.chosen_line
+    line = source.settings.chosen_line
     return (
-        f"`{type(plant).__name__}`: {plant.rows} x {plant.columns} elements, "
-        f"{plant.pitch_x:g} m x {plant.pitch_y:g} m apart, {plant.zone_columns} columns of which "
+        f"`{type(line).__name__}`: {line.rows} x {line.columns} elements, "
+        f"{line.pitch_x:g} m x {line.pitch_y:g} m apart, {line.zone_columns} columns of which "
         "obey"
     )
 

@@ -101,17 +101,17 @@ def _make_envs(
 ) -> SurfaceVecEnv:
     """Make environments under a condition, with a zone of so many columns or the task's own."""
     task = training_task(config.task)
-    plant, periods = task.plant, task.periods
+    line, periods = task.line, task.periods
     if columns is not None:
-        assert isinstance(plant, Line)
-        periods = round(periods * time_for(plant, columns))
-        plant = with_zone(plant, columns)
+        assert isinstance(line, Line)
+        periods = round(periods * time_for(line, columns))
+        line = with_zone(line, columns)
     return SurfaceVecEnv(
         SmartSurfaceVectorEnv(
             num_envs=num_envs,
             max_episode_steps=periods,
             task=task,
-            plant=plant,
+            line=line,
             actions=config.actions,
             control_period=config.control_period,
             observe=config.observe,

@@ -29,7 +29,7 @@ from surface_gym.core.actions import (
     straighten_targets,
     turn_axes,
 )
-from surface_gym.core.assembly import make_rules, make_state, task_functions
+from surface_gym.core.assembly import make_env_params, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, Function, KernelFunctions, obeying, showing
 from surface_gym.core.resets import BodyPlan, Placement, place_parcel
 from surface_gym.layouts import ROLLING
@@ -141,14 +141,14 @@ class StateEstimator:
             actuators=Actuators(axis_speed=self._axis_speed),
             randomisation=Randomisation(),
         )
-        rules = make_rules(self.settings)
+        rules = make_env_params(self.settings)
         offered = within_right_angles(rules.acting.orientations)
         self._rules = rules._replace(acting=rules.acting._replace(orientations=offered))
         self._looks = make_looks(rules.sensor)
         self._surfaces, self._lanes = make_state(self.settings, len(BOTH))
         self._lanes.noise[:, :, 3] = NOT_LOST
-        plant, kind = self.settings.chosen_line, self.settings.action_kind
-        self._plan = BodyPlan((), self._placement, len(BOTH), (plant.rows, plant.columns))
+        line, kind = self.settings.chosen_line, self.settings.action_kind
+        self._plan = BodyPlan((), self._placement, len(BOTH), (line.rows, line.columns))
         self._scratch = make_scratch()
         self._commands: deque[_Command] = deque()
         self._at = 0.0  # [s] of the environment SEEN
