@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 
 import surface_gym as sg
-from tests.companies import G, supports
+from tests.worlds import G, supports
 from tests.strategies import Scene, scenes
 
 BOX = sg.layouts.box("S")
