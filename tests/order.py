@@ -39,7 +39,7 @@ SMOKE = (
     "tests/test_settings.py",
     "tests/test_simulation.py",
     "tests/test_surface.py",
-    "tests/test_vector_env.py::TestBesideSingles::test_lane_by_lane",
+    "tests/test_vector_env.py::TestBesideSingles::test_one_by_one",
 )
 
 

@@ -97,11 +97,11 @@ def test_environments(task: str, kind: type[Sensor], actions: str) -> None:
     @given(
         settings=st.fixed_dictionaries({"sensors": SENSORS[kind], **COMMON}),
         seed=st.integers(0, 1000),
-        lanes=st.integers(0, 3),
+        num_envs=st.integers(0, 3),
     )
-    def check(settings: dict[str, Any], seed: int, lanes: int) -> None:
-        if lanes:
-            play(sg.SmartSurfaceVectorEnv(lanes, task, actions, **settings), seed)
+    def check(settings: dict[str, Any], seed: int, num_envs: int) -> None:
+        if num_envs:
+            play(sg.SmartSurfaceVectorEnv(num_envs, task, actions, **settings), seed)
         else:
             play(sg.SmartSurfaceEnv(task, actions, **settings), seed)
 
@@ -117,7 +117,10 @@ def test_flows(kind: type[Sensor]) -> None:
         seed=st.integers(0, 1000),
     )
     def check(settings: dict[str, Any], duration: float, seed: int) -> None:
-        play(SmartSurfaceEnv(line=SHORT, places=4, duration=min(duration, 20.0), **settings), seed)
+        play(
+            SmartSurfaceEnv(line=SHORT, max_parcels=4, duration=min(duration, 20.0), **settings),
+            seed,
+        )
 
     check()
 

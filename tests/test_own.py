@@ -1,4 +1,4 @@
-"""Tasks, rewards and sensors of one's own: found through themselves, and told what is wrong."""
+"""Tasks, rewards and sensors of your own: they run, and an error names what is wrong."""
 
 import pickle
 import subprocess
@@ -43,16 +43,16 @@ class TestTask:
             del gym.registry["Tests/Cross-v0"]
 
     @pytest.mark.parametrize("actions", KINDS)
-    def test_each_lane_is_a_single_env(self, actions: str) -> None:
-        lanes = sg.SmartSurfaceVectorEnv(3, own.Cross(), actions, sensors=own.Guess())
+    def test_each_environment_is_a_single_env(self, actions: str) -> None:
+        envs = sg.SmartSurfaceVectorEnv(3, own.Cross(), actions, sensors=own.Guess())
         singles = [sg.SmartSurfaceEnv(own.Cross(), actions, own.Guess()) for _ in range(3)]
-        observations, _ = lanes.reset(seed=5)
-        lanes.action_space.seed(0)
+        observations, _ = envs.reset(seed=5)
+        envs.action_space.seed(0)
         for state, env in enumerate(singles):
             assert_same(observations[state], env.reset(seed=5 + state)[0])
         for _ in range(5):
-            chosen = lanes.action_space.sample()
-            observations, rewards, terminated, _, info = lanes.step(chosen)
+            chosen = envs.action_space.sample()
+            observations, rewards, terminated, _, info = envs.step(chosen)
             for state, env in enumerate(singles):
                 one = env.step(chosen[state])
                 assert_same(observations[state], one[0])
@@ -60,14 +60,14 @@ class TestTask:
                 assert_same(info["pose"][state], one[4]["pose"])
 
     def test_its_starts_may_come_with_parcels_of_their_own(self) -> None:
-        lanes = sg.SmartSurfaceVectorEnv(4, own.Assorted(far=0.1), "halves")
+        envs = sg.SmartSurfaceVectorEnv(4, own.Assorted(far=0.1), "halves")
         singles = [sg.SmartSurfaceEnv(own.Assorted(far=0.1), "halves") for _ in range(4)]
-        lanes.reset(seed=5)
+        envs.reset(seed=5)
         for state, env in enumerate(singles):
             env.reset(seed=5 + state)
         ended = np.zeros(4, dtype=bool)
         for _ in range(40):
-            _, _, terminated, _, info = lanes.step(np.full(4, 15))
+            _, _, terminated, _, info = envs.step(np.full(4, 15))
             for state, env in enumerate(singles):
                 one = env.reset()[1] if ended[state] else env.step(15)[4]
                 assert_same(info["pose"][state], one["pose"])
@@ -101,7 +101,7 @@ class TestTask:
 
 def base_of(env: sg.SmartSurfaceEnv) -> sg.Rectangle:
     batch = env.batch
-    return batch._plan.parcel(int(batch.parcels.site[0])).base
+    return batch._plan.parcel(int(batch.parcels.body[0])).base
 
 
 class Doubled(Sort):
@@ -127,10 +127,10 @@ def test_a_reward_of_ones_own_changes_nothing_else() -> None:
 
 class TestFaults:
     @pytest.mark.parametrize("task", own.FAULTY, ids=lambda task: task.__name__)
-    @pytest.mark.parametrize("lanes", [1, 16])
-    def test_they_are_named(self, task: type[own.Cross], lanes: int) -> None:
+    @pytest.mark.parametrize("num_envs", [1, 16])
+    def test_they_are_named(self, task: type[own.Cross], num_envs: int) -> None:
         with pytest.raises(ValueError, match=own.FAULTY[task]):
-            run(task, lanes)
+            run(task, num_envs)
 
     def test_a_sensor_without_an_estimate(self) -> None:
         with pytest.raises(ValueError, match=r"Senseless\.estimate must be a static method"):
@@ -148,7 +148,7 @@ class TestFaults:
                 sg.SmartSurfaceEnv(task)
 
     def test_others_are_as_they_were(self) -> None:
-        """A fault on one lane is raised; what the batch holds of others can go on."""
+        """A fault on one environment is raised; what the batch holds of others can go on."""
         env = sg.SmartSurfaceEnv(own.Cross(), actions="halves")
         env.reset(seed=0)
         with pytest.raises(ValueError, match="speed"):
@@ -156,8 +156,8 @@ class TestFaults:
         assert env.step(0)[4]["time"] == pytest.approx(0.04)
 
 
-def run(task: type[own.Cross], lanes: int) -> None:
-    env = sg.SmartSurfaceVectorEnv(lanes, task(), "halves", threads=2)
+def run(task: type[own.Cross], num_envs: int) -> None:
+    env = sg.SmartSurfaceVectorEnv(num_envs, task(), "halves", threads=2)
     env.reset(seed=0)
     env.step(env.action_space.sample())
 
@@ -191,8 +191,8 @@ class Mine(Sort):
 
     @staticmethod
     @kernel_function
-    def reward(lane: EnvState, outcome: int) -> None:
-        lane.terms[0] = PRICE + fee()
+    def reward(state: EnvState, outcome: int) -> None:
+        state.terms[0] = PRICE + fee()
 """
 PRICES = """
 from surface_gym.extend import kernel_function

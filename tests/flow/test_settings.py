@@ -116,7 +116,7 @@ class TestTogether:
         with pytest.raises(ValueError, match="sensors must use at most"):
             EnvConfig("flow", sensors=FASTEST_CAMERA, control_period=0.32)
 
-    def test_stuck_modules_are_modules_of_the_plant(self) -> None:
+    def test_stuck_modules_are_modules_of_the_line(self) -> None:
         EnvConfig("flow", line=SHORT, actuators=Actuators(stuck=((9, 10),)))
         with pytest.raises(ValueError, match="stuck"):
             EnvConfig("flow", line=SHORT, actuators=Actuators(stuck=((9, 26),)))

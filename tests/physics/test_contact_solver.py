@@ -12,8 +12,8 @@ from surface_gym.physics.rollout import distance_between
 from surface_gym.physics.signed_distance import CONTACT_DISTANCE
 from surface_gym.physics.step import BALANCED, OFF_SURFACE, UNSUPPORTED
 from surface_gym.physics.types import AX, AY, VX, Array, X
-from tests.worlds import G, Meeting, ice, supports
 from tests.strategies import parcels
+from tests.worlds import G, Meeting, ice, supports
 
 BOX = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=2.0)
 DT = 0.005  # [s]

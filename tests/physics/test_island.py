@@ -1,4 +1,4 @@
-"""Impulses between sides, against other solvers and what can be told by hand."""
+"""Impulses between sides, against other solvers and what is known by hand."""
 
 import math
 
