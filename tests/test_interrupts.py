@@ -145,7 +145,7 @@ def test_the_pieces_of_a_control_period_are_one(
         if flows:
             stream = Stream(Steady(5000.0))
             envs = SmartSurfaceVectorEnv(
-                9, stream=stream, actions="parcels", max_parcels=4, threads=threads
+                9, "flow", stream=stream, actions="parcels", max_parcels=4, threads=threads
             )
         else:
             envs = sg.SmartSurfaceVectorEnv(9, threads=threads)

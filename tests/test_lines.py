@@ -110,7 +110,7 @@ class TestACustomLine:
     def test_every_task_and_sensor_runs_on_it(self, line: BaseLine) -> None:
         for name in TASKS:
             for sensor in (Exact(), Camera(), Presence()):
-                env = sg.SmartSurfaceEnv(name, "window", sensor, line=line)
+                env = sg.SmartSurfaceEnv(name, actions="window", sensors=sensor, line=line)
                 for observation, *_ in steps(env, seed=0, longest=10):
                     assert observation in env.observation_space
 
@@ -119,7 +119,7 @@ def test_a_line_elsewhere_is_the_same_line() -> None:
     """Moved by whole rows and by its origin."""
     ends = []
     for line in (Line(), Line(line_y=0.7, origin=(1.05, 0.05))):
-        env = sg.SmartSurfaceEnv("sort", "quadrants", line=line)
+        env = sg.SmartSurfaceEnv("sort", actions="quadrants", line=line)
         _, start = env.reset(seed=0, options={"speed": 1.2, "parcel": "B", "side": 0})
         # The rear enters at x = 0, wherever the line begins.
         ahead = round(start["pose"][0] - line.column_edge(0), 9)

@@ -44,8 +44,10 @@ class TestTask:
 
     @pytest.mark.parametrize("actions", KINDS)
     def test_each_environment_is_a_single_env(self, actions: str) -> None:
-        envs = sg.SmartSurfaceVectorEnv(3, own.Cross(), actions, sensors=own.Guess())
-        singles = [sg.SmartSurfaceEnv(own.Cross(), actions, own.Guess()) for _ in range(3)]
+        envs = sg.SmartSurfaceVectorEnv(3, own.Cross(), actions=actions, sensors=own.Guess())
+        singles = [
+            sg.SmartSurfaceEnv(own.Cross(), actions=actions, sensors=own.Guess()) for _ in range(3)
+        ]
         observations, _ = envs.reset(seed=5)
         envs.action_space.seed(0)
         for state, env in enumerate(singles):
@@ -60,8 +62,8 @@ class TestTask:
                 assert_same(info["pose"][state], one[4]["pose"])
 
     def test_its_starts_may_come_with_parcels_of_their_own(self) -> None:
-        envs = sg.SmartSurfaceVectorEnv(4, own.Assorted(far=0.1), "halves")
-        singles = [sg.SmartSurfaceEnv(own.Assorted(far=0.1), "halves") for _ in range(4)]
+        envs = sg.SmartSurfaceVectorEnv(4, own.Assorted(far=0.1), actions="halves")
+        singles = [sg.SmartSurfaceEnv(own.Assorted(far=0.1), actions="halves") for _ in range(4)]
         envs.reset(seed=5)
         for state, env in enumerate(singles):
             env.reset(seed=5 + state)
@@ -77,7 +79,7 @@ class TestTask:
     def test_threads_do_not_matter(self) -> None:
         runs = []
         for threads in (1, 2, 3):
-            env = sg.SmartSurfaceVectorEnv(32, own.Cross(), "halves", threads=threads)
+            env = sg.SmartSurfaceVectorEnv(32, own.Cross(), actions="halves", threads=threads)
             env.reset(seed=0)
             env.action_space.seed(0)
             runs.append(tuple(env.step(env.action_space.sample())[:4] for _ in range(30)))
@@ -138,7 +140,7 @@ class TestFaults:
 
     @pytest.mark.parametrize("actions", ["modules", "window"])
     def test_a_sensor_that_says_what_is_no_number(self, actions: str) -> None:
-        env = sg.SmartSurfaceEnv(own.Cross(), actions, own.Nonsense())
+        env = sg.SmartSurfaceEnv(own.Cross(), actions=actions, sensors=own.Nonsense())
         with pytest.raises(ValueError, match="of what Nonsense says, must write finite features"):
             env.reset(seed=0)
 
@@ -157,7 +159,7 @@ class TestFaults:
 
 
 def run(task: type[own.Cross], num_envs: int) -> None:
-    env = sg.SmartSurfaceVectorEnv(num_envs, task(), "halves", threads=2)
+    env = sg.SmartSurfaceVectorEnv(num_envs, task(), actions="halves", threads=2)
     env.reset(seed=0)
     env.step(env.action_space.sample())
 

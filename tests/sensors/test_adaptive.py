@@ -24,7 +24,7 @@ def in_the_zone(axes: tuple[int, ...]) -> Batch:
     frame comes.
     """
     unseen = AdaptiveCamera(frame_rate=0.1)
-    batch = Batch(EnvConfig("slow", "quadrants", unseen, control_period=0.005), 1)
+    batch = Batch(EnvConfig("slow", actions="quadrants", sensors=unseen, control_period=0.005), 1)
     batch.reserve.seed(0, np.random.default_rng(0))
     batch.reset(np.zeros(1, dtype=np.int64), [{"speed": 2.0, "parcel": "B"}])
     for _ in range(104):
@@ -67,7 +67,7 @@ def after_braking(sensors: Camera, num_envs: int = 128) -> tuple[Any, sg.SmartSu
     """What a filter has in mind of parcels of the lab that were braked and led aside a little."""
     lab = replace(PRESETS["lab"], sensors=sensors, actuators=sg.Actuators())
     env = sg.SmartSurfaceVectorEnv(
-        num_envs, Slow(speeds=(2.0, 2.4)), "quadrants", preset=lab, observe=("load",)
+        num_envs, Slow(speeds=(2.0, 2.4)), actions="quadrants", preset=lab, observe=("load",)
     )
     observation, _ = env.reset(seed=3)
     halves = ((BRAKE, BRAKE, ROLL, ROLL), (ROLL, ROLL, BRAKE, BRAKE), (BRAKE,) * 4)

@@ -36,7 +36,12 @@ def drive(env: sg.SmartSurfaceVectorEnv, parcel: str, periods: int = PERIODS) ->
 def env_of(world: str, **settings: Any) -> sg.SmartSurfaceVectorEnv:
     sensors, randomisation = WORLDS[world]
     return sg.SmartSurfaceVectorEnv(
-        NUM_ENVS, "track", "quadrants", sensors, randomisation=randomisation, **settings
+        NUM_ENVS,
+        "track",
+        actions="quadrants",
+        sensors=sensors,
+        randomisation=randomisation,
+        **settings,
     )
 
 
@@ -69,7 +74,7 @@ def test_an_estimate_that_is_thrown_off_comes_back() -> None:
 
 def test_what_is_lost_of_the_samples_does_not_make_it_stray() -> None:
     sensors = Presence(sample_rate=50.0, drop=0.5, mu_max=NOMINAL / 0.8)
-    env = sg.SmartSurfaceVectorEnv(NUM_ENVS, "track", "quadrants", sensors)
+    env = sg.SmartSurfaceVectorEnv(NUM_ENVS, "track", actions="quadrants", sensors=sensors)
     memory = env.batch.parcels
     for _, running in drive(env, "B"):
         error = np.hypot(*(memory.sensed - memory.truth)[running, :2].T)
