@@ -62,7 +62,7 @@ def test_a_start_forgets_the_parcel_before() -> None:
     used, fresh = Batch(EnvConfig(), 1), batch_with(start)
     for parcel in (HEPTAGON, sg.layouts.box("B"), TRIANGLE):
         put(used, start._replace(parcel=parcel))
-        used.advance(np.full((1, 64), 1))
+        used.step(np.full((1, 64), 1))
     put(used, start)
     view = used.view(0)
     for name, found, wanted in zip(view._fields, view, fresh.view(0), strict=True):

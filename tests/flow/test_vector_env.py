@@ -89,7 +89,7 @@ class TestLanes:
     @pytest.mark.parametrize("threads", [2, 3])
     def test_nor_does_that_of_threads(self, threads: int) -> None:
         one, several = (streams(12, threads=count, **VARIED) for count in (1, threads))
-        assert several._batch._threads == threads
+        assert several.batch._threads == threads
         for first, second in zip(
             rollout(one, slice(None)), rollout(several, slice(None)), strict=True
         ):
