@@ -180,8 +180,8 @@ class ActionMirror:
         return np.where(unchanged, actions, image)
 
 
-def action_mirror(settings: EnvConfig) -> ActionMirror | None:
+def action_mirror(config: EnvConfig) -> ActionMirror | None:
     """Build the mirror for an environment's actions; None where its task is not symmetric."""
-    if not isinstance(settings.task, Sort):
+    if not isinstance(config.task, Sort):
         return None
-    return ActionMirror(settings.action_kind, settings.chosen_orientations)
+    return ActionMirror(config.action_kind, config.chosen_orientations)

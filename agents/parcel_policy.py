@@ -27,24 +27,24 @@ def mirrored_rows(rows: NDArray[np.float32]) -> NDArray[np.float32]:
     return seen
 
 
-def parcel_spaces(settings: EnvConfig) -> tuple[spaces.Box, spaces.MultiDiscrete]:
+def parcel_spaces(config: EnvConfig) -> tuple[spaces.Box, spaces.MultiDiscrete]:
     """Build a parcel's observation space and its action space.
 
     An action has three choices: the axes ahead, the axes behind, and the opening of the gate.
     """
-    choices, gates = settings.action_kind.choices, settings.action_kind.gates
-    return settings.row_space(), spaces.MultiDiscrete([choices, choices, gates])
+    choices, gates = config.action_kind.choices, config.action_kind.gates
+    return config.row_space(), spaces.MultiDiscrete([choices, choices, gates])
 
 
 class ParcelActions:
     """Conversion between the parcels' mirrored choices and actions of the stream's environment.
 
     Args:
-        settings: of the stream, with "parcels" for actions and a gate.
+        config: of the stream, with "parcels" for actions and a gate.
     """
 
-    def __init__(self, settings: EnvConfig) -> None:
-        self._image = mirrored_orientations(settings.chosen_orientations)
+    def __init__(self, config: EnvConfig) -> None:
+        self._image = mirrored_orientations(config.chosen_orientations)
 
     def to_env(self, rows: NDArray[np.float32], choices: NDArray[np.int64]) -> NDArray[np.int64]:
         """Convert choices (num_envs, rows, 3) to actions (num_envs, 2 max_parcels + 1).

@@ -42,7 +42,7 @@ class Method:
     orientations: str | None = None  # "any": axes at any angle; None: those of the line
     observe: tuple[str, ...] = ()  # groups of features it sees beside the task's
 
-    def settings(self, task: Task, preset: Preset) -> EnvConfig:
+    def config(self, task: Task, preset: Preset) -> EnvConfig:
         """Configure the environment it acts in."""
         return EnvConfig(
             task=task if self.observed_task is None else self.observed_task(task),
@@ -128,7 +128,7 @@ def of_run(run: Path, task: str | None = None) -> Method:
     """
     agent = trained(policy_folders(run), task)
     config = run / CONFIG
-    preset = read_config(config, task_name(config)).condition if config.is_file() else NOMINAL
+    preset = read_config(config, task_name(config)).preset if config.is_file() else NOMINAL
     return agent if preset == NOMINAL else replace(agent, name=f"{agent.name}, {preset}")
 
 
@@ -173,34 +173,34 @@ def _of_rule(rule: Rule, task: str) -> Method:
     )  # fmt: skip
 
 
-def _ruled(make: Callable[[EnvConfig], Controller], settings: EnvConfig, seed: int) -> Controller:
+def _ruled(make: Callable[[EnvConfig], Controller], config: EnvConfig, seed: int) -> Controller:
     del seed  # a rule has none
-    return make(settings)
+    return make(config)
 
 
-def _planned(settings: EnvConfig, seed: int) -> Controller:
+def _planned(config: EnvConfig, seed: int) -> Controller:
     from ..planning.planner import Planner
 
     del seed
-    return Planner(settings)
+    return Planner(config)
 
 
-def _loaded(name: str, settings: EnvConfig, seed: int) -> Controller:
-    return _for_zone(library.load(name, seed), settings)
+def _loaded(name: str, config: EnvConfig, seed: int) -> Controller:
+    return _for_zone(library.load(name, seed), config)
 
 
 def _read(
-    files: dict[int, PolicyFiles], task: str | None, settings: EnvConfig, seed: int
+    files: dict[int, PolicyFiles], task: str | None, config: EnvConfig, seed: int
 ) -> Controller:
-    return _for_zone(library.from_files(files[seed], _own(task)), settings)
+    return _for_zone(library.from_files(files[seed], _own(task)), config)
 
 
-def _for_zone(policy: Any, settings: EnvConfig) -> Controller:
+def _for_zone(policy: Any, config: EnvConfig) -> Controller:
     """Fit a policy whose weights all modules share to the zone; leave others as they are."""
     found: Controller = policy
-    columns = settings.action_kind.columns
-    if policy.card.algo == SHARED and columns != policy.card.settings().action_kind.columns:
-        found = policy.on((0, columns - 1))
+    columns = config.action_kind.columns
+    if policy.card.algo == SHARED and columns != policy.card.env_config().action_kind.columns:
+        found = policy.for_zone((0, columns - 1))
     return found
 
 

@@ -154,10 +154,10 @@ def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
     benchmark = find_benchmark(task)
     players = []
     for method in methods:
-        settings = method.settings(benchmark.task, PRESETS["exact"])
-        controller = method.make(settings, method.seeds[0])
+        config = method.config(benchmark.task, PRESETS["exact"])
+        controller = method.make(config, method.seeds[0])
         rng = np_random(runs.SEED)[0]
-        players.append(Player(method.name, controller, settings, rng, benchmark.example))
+        players.append(Player(method.name, controller, config, rng, benchmark.example))
     file = folder / f"{task_label(task)}.mp4"
     outcomes = ", ".join(
         f"{player.name} {'succeeds' if success else 'fails'}"
@@ -220,11 +220,11 @@ def stream_player(method: StreamMethod, case: Case, rate: float) -> Player:
     Raises:
         ValueError: the method cannot sort such parcels.
     """
-    settings = method.settings(case, rate)
-    controller = method.make(settings)
+    config = method.config(case, rate)
+    controller = method.make(config)
     if controller is None:
         raise ValueError(f"method must be able to sort {case.label}, got {method.name!r}")
-    return Player(method.name, controller, settings, np.random.default_rng((runs.SEED, 0)))
+    return Player(method.name, controller, config, np.random.default_rng((runs.SEED, 0)))
 
 
 def stream_picture(method: StreamMethod, rate: float) -> np.ndarray:
@@ -273,7 +273,7 @@ the sensors say.</p>
 <h2>How it is measured</h2>
 <p>Success is given with a 95 % interval over seeds and starts: Wilson's, at the number of
 independent starts that would spread the mean as the seeds and the starts together do. All other
-figures of a table are those of exact sensors. Presets:</p>
+metrics of a table are those of exact sensors. Presets:</p>
 <dl>$presets</dl>
 $sections
 </body>

@@ -126,8 +126,8 @@ def _of_seeds(folders: dict[int, Path]) -> list[StreamMethod]:
     ]
 
 
-def _read(files: PolicyFiles, settings: EnvConfig) -> Controller:
-    del settings
+def _read(files: PolicyFiles, config: EnvConfig) -> Controller:
+    del config
     return library.from_files(files)
 
 

@@ -112,7 +112,7 @@ def export(
         decide = check.run_onnx(contents["onnx"])
         checked["ONNX"] = check.compare("ONNX", decision, source, examples, decide)
     if isinstance(decision, policy.NetworkDecision) and (not formats or "c" in formats):
-        period, compiler = source.settings.control_period, check.find_compiler()
+        period, compiler = source.config.control_period, check.find_compiler()
         header = c_header.make_header(decision, source.name, period, metadata)
         contents["h"], checked["C"] = header.encode(), None
         if compiler is not None:
@@ -146,18 +146,18 @@ def make_metadata(source: "Source") -> dict[str, str]:
     """Return the metadata of an ONNX file; lists are JSON."""
     import surface_gym
 
-    settings, policy = source.settings, source.policy
+    config, policy = source.config, source.policy
     return {
         "agent": source.name,
         "seed": str(source.seed),
         "task": policy.env_id,
         "algorithm": policy.card.algo,
-        "actions": settings.actions,
-        "control_period": repr(settings.control_period),
-        "orientations": json.dumps(settings.chosen_orientations),
-        "observe": json.dumps(settings.observe),
-        "features": json.dumps([each.name for each in settings.features]),
-        "condition": source.training.condition,
+        "actions": config.actions,
+        "control_period": repr(config.control_period),
+        "orientations": json.dumps(config.chosen_orientations),
+        "observe": json.dumps(config.observe),
+        "features": json.dumps([each.name for each in config.features]),
+        "preset": source.training.preset,
         "digest": source.digest,
         "surface_gym": surface_gym.__version__,
     }

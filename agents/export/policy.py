@@ -31,7 +31,7 @@ Singles = NDArray[np.float32]
 Numbers = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# Presets of the environments that agents were trained in, by `train.py --condition`.
+# Presets of the environments that agents were trained in, by `train.py --preset`.
 TRAINED_IN: dict[str, tuple[str, ...]] = {NOMINAL: ("exact", "camera"), "lab": ("exact", "lab")}
 ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
@@ -40,15 +40,15 @@ ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 class Training:
     """The training of an agent, as far as its folder describes it."""
 
-    condition: str  # preset that it was trained for
+    preset: str  # that it was trained for
     command: str | None = None  # that trains it; None: not known
     results: tuple[tuple[str, float], ...] = ()  # [-] success under presets; empty: not known
 
     @property
     def presets(self) -> tuple[Preset, ...]:
         """Presets of the environments that it was trained in."""
-        names = TRAINED_IN.get(self.condition, (self.condition,))
-        return tuple(PRESETS[checks.one_of("condition", name, PRESETS)] for name in names)
+        names = TRAINED_IN.get(self.preset, (self.preset,))
+        return tuple(PRESETS[checks.one_of("preset", name, PRESETS)] for name in names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class Source:
     name: str
     seed: int
     policy: Policy | ModulePolicy
-    settings: EnvConfig  # of the environment it is for
+    config: EnvConfig  # of the environment it is for
     weights: dict[str, torch.Tensor]
     digest: str  # of card and weights
     training: Training
@@ -114,7 +114,7 @@ def _read(
         name,
         seed,
         policy,
-        policy.card.settings(task),
+        policy.card.env_config(task),
         torch.load(BytesIO(files.weights), map_location="cpu", weights_only=True),
         str(yaml.safe_load(files.card.decode())[DIGEST]),
         training or Training(NOMINAL),
@@ -129,13 +129,14 @@ def _read_training(folder: Path) -> Training | None:
     card: dict[str, Any] = yaml.safe_load(file.read_text())
     command = str(card["command"])
     words = shlex.split(command)
-    asked = words[words.index("--condition") + 1] if "--condition" in words else NOMINAL
+    flags = [word for word in ("--preset", "--condition") if word in words]  # "--condition" earlier
+    asked = words[words.index(flags[0]) + 1] if flags else NOMINAL
     results = tuple(
-        (name, float(figures["success"]))
-        for name, figures in card.get("results", {}).items()
-        if "success" in figures
+        (name, float(found["success"]))
+        for name, found in card.get("results", {}).items()
+        if "success" in found
     )
-    return Training(str(card.get("condition", asked)), command, results)
+    return Training(str(card.get("preset", asked)), command, results)
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,19 +272,19 @@ def network_decision(source: Source) -> NetworkDecision:
     Raises:
         ValueError: its network or its actions are of a kind that is not exported.
     """
-    settings, card = source.settings, source.policy.card
-    kind = settings.action_kind
+    config, card = source.config, source.policy.card
+    kind = config.action_kind
     if kind.continuous:
         raise ValueError("orientations must be some to choose from, to be exported, got any angle")
-    module = make_network(card, settings)
+    module = make_network(card, config)
     module.load_state_dict(source.weights)
     if card.algo == "dqn":
         network = read_network(module.get_submodule("q_net.q_net"))
     else:
         hidden = module.get_submodule("mlp_extractor.policy_net")
         network = read_network(nn.Sequential(hidden, module.get_submodule("action_net")))
-    orientations, symmetry = settings.chosen_orientations, None
-    if isinstance(settings.task, Sort):  # as `Policy`: a goal at y < 0 is shown in a mirror
+    orientations, symmetry = config.chosen_orientations, None
+    if isinstance(config.task, Sort):  # as `Policy`: a goal at y < 0 is shown in a mirror
         parts = kind.flip(np.arange(kind.size)[np.newaxis])[0]
         symmetry = Symmetry(SIDE, mirrored_orientations(orientations), parts)
     if kind.space().shape == ():  # one number decides for all parts

@@ -40,7 +40,7 @@ class DeviceEnvs(Protocol):
     num_envs: int
     single_observation_space: spaces.Space[Any]
     single_action_space: spaces.Space[Any]
-    settings: EnvConfig
+    env_config: EnvConfig
     device: Any  # an argument of `torch.device`
 
     def reset(self, *, seed: int) -> tuple[torch.Tensor, dict[str, Any]]:
@@ -91,12 +91,12 @@ class TensorMirror:
     """`ActionMirror` on tensors.
 
     Args:
-        settings: of the environment; its actions are choices.
+        env_config: of the environment; its actions are choices.
         device: of the actions.
     """
 
-    def __init__(self, settings: EnvConfig, device: torch.device) -> None:
-        kind, orientations = settings.action_kind, settings.chosen_orientations
+    def __init__(self, env_config: EnvConfig, device: torch.device) -> None:
+        kind, orientations = env_config.action_kind, env_config.chosen_orientations
         space = kind.space()
         if isinstance(space, spaces.Discrete):
             every = np.arange(space.n)
@@ -215,10 +215,10 @@ class DeviceTrainingEnvs:
     def __init__(self, envs: DeviceEnvs) -> None:
         self.device = torch.device(envs.device)
         self.envs = envs
-        settings = envs.settings
-        self.totals = EpisodeTotals(settings.task.terms, envs.num_envs, self.device)
-        mirrored = isinstance(settings.task, Sort)
-        self._mirror = TensorMirror(settings, self.device) if mirrored else None
+        env_config = envs.config
+        self.totals = EpisodeTotals(env_config.task.terms, envs.num_envs, self.device)
+        mirrored = isinstance(env_config.task, Sort)
+        self._mirror = TensorMirror(env_config, self.device) if mirrored else None
         self._side = torch.ones(envs.num_envs, device=self.device)
 
     def reset(self, seed: int) -> torch.Tensor:
@@ -327,7 +327,7 @@ class DeviceLearner:
 
     @property
     def network(self) -> torch.nn.Module:
-        network = make_network(make_card(self._config), self._envs.envs.settings)
+        network = make_network(make_card(self._config), self._envs.envs.config)
         network.load_state_dict(self._policy.state_dict())
         return network
 

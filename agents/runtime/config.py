@@ -35,8 +35,8 @@ class RuntimeConfig:
     """Custom task that the policy was trained on, as path/to/file.py:Class."""
     minutes: float = 10.0
     """Duration of the run."""
-    condition: str = "lab"
-    """Preset of the machine, a name of surface_gym.conditions: the friction, noise and turning axes
+    preset: str = "lab"
+    """Preset of the machine, a name of surface_gym.config.PRESETS: the friction, noise and turning axes
     of the filter and of the simulator."""
     address: str | None = None
     """Address of a running device, host:port; by default a simulator is started."""
@@ -62,8 +62,8 @@ class SimulatorConfig:
 
     task: str = "stop"
     """Task of the package, or a custom one as path/to/file.py:Class."""
-    condition: str = "lab"
-    """Preset of the machine, a name of surface_gym.conditions."""
+    preset: str = "lab"
+    """Preset of the machine, a name of surface_gym.config.PRESETS."""
     control_period: float = 0.04
     """Seconds between decisions: the task's time limit counts them."""
     port: int = 0

@@ -57,7 +57,7 @@ class World:
     turn no earlier than now. A frame is due as much later as the camera is late.
 
     Args:
-        settings: of the environment that it simulates, but for its actions: axes are set one by
+        env_config: of the environment that it simulates, but for its actions: axes are set one by
             one.
         seed: of all random numbers.
         begun: [s] start by the caller's clock.
@@ -67,17 +67,19 @@ class World:
         ValueError: sensors without frames.
     """
 
-    def __init__(self, settings: EnvConfig, seed: int, begun: float, options: WorldOptions) -> None:
-        self._camera = device_camera(settings.sensors)
-        self.dt = settings.timing.dt
+    def __init__(
+        self, env_config: EnvConfig, seed: int, begun: float, options: WorldOptions
+    ) -> None:
+        self._camera = device_camera(env_config.sensors)
+        self.dt = env_config.timing.dt
         self._every = self._camera.frame_steps(self.dt)
         self._latency = self._camera.latency
         if self._latency is None:
             self._latency = self._every * self.dt
-        self._limit = settings.task.periods * settings.timing.steps
+        self._limit = env_config.task.periods * env_config.timing.steps
         self._batch = Batch(
             replace(
-                settings,
+                env_config,
                 actions="modules",
                 orientations=ANY,
                 control_period=self.dt,
@@ -161,11 +163,11 @@ class World:
         )
 
     def _depart(self, ends: bool) -> Departed:
-        lanes, task = self._batch.parcels, self._batch.task
+        parcels, task = self._batch.parcels, self._batch.task
         self._present = False
         self._enters = self._now + self._options.pause
-        outcome = self._batch.outcomes[int(lanes.outcome[0])] if ends else "out of time"
-        metrics = dict(zip(task.metrics, lanes.metrics[0].tolist(), strict=True))
+        outcome = self._batch.outcomes[int(parcels.outcome[0])] if ends else "out of time"
+        metrics = dict(zip(task.metrics, parcels.metrics[0].tolist(), strict=True))
         return Departed(self._number, outcome, metrics)
 
     def _take_frame(self) -> Frame | None:
@@ -297,7 +299,7 @@ def serve(server: Server, clock: Clock, goes_on: Callable[[], bool]) -> None:
         server.wait(clock.now())
 
 
-def make_settings(config: SimulatorConfig) -> EnvConfig:
+def make_env_config(config: SimulatorConfig) -> EnvConfig:
     """Return the configuration of the environment that is simulated.
 
     Raises:
@@ -305,7 +307,7 @@ def make_settings(config: SimulatorConfig) -> EnvConfig:
     """
     return EnvConfig(
         task=find_task(config.task),
-        preset=config.condition,
+        preset=config.preset,
         control_period=config.control_period,
     )
 
@@ -317,12 +319,12 @@ def run_simulator(config: SimulatorConfig) -> None:
         ValueError: a setting that is not allowed.
         OSError: the port is taken.
     """
-    settings = make_settings(config)
+    env_config = make_env_config(config)
     clock = WallClock()
-    world = World(settings, config.seed, clock.now(), config.world)
+    world = World(env_config, config.seed, clock.now(), config.world)
     world.advance(clock.now())  # compile now
     listener = socket.create_server((HOST, config.port))
-    server = Server(world, settings.task.name, listener)
+    server = Server(world, env_config.task.name, listener)
     print(f"{LISTENING}{HOST}:{listener.getsockname()[1]}", flush=True)
     try:
         serve(server, clock, lambda: config.parent in (None, os.getppid()))

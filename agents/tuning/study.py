@@ -261,7 +261,7 @@ def judge(config: TrainConfig, sweep: Sweep, folder: Path) -> float:
         name: sweep.fixed.get(name, getattr(sweep.default, name))
         for name in ("camera_share", "friction")
     }
-    usual |= {"lanes": STARTS, "batch_size": STARTS}  # the configuration checks that these go
+    usual |= {"num_envs": STARTS, "batch_size": STARTS}  # the configuration checks that these go
     env = make_training_envs(replace(config, **usual))
     env.seed(JUDGE_SEED + sweep.seed)
     observations = np.asarray(env.reset())

@@ -19,7 +19,7 @@ METRICS = ("success", "return")
 SAMPLERS = ("tpe", "random")
 PRUNERS = ("median", "halving", "none")
 OF_THE_SEARCH = ("task", "algo", "device", "seed", "seeds", "steps", "out", "name")
-ROLLOUT = ("lanes", "n_steps", "batch_size")  # which must go together
+ROLLOUT = ("num_envs", "n_steps", "batch_size")  # which must go together
 
 
 @dataclass(frozen=True)
