@@ -137,8 +137,7 @@ class ModuleView:
         config: of the environment, with any zone.
 
     Raises:
-        ValueError: the configuration is of another task or kind of action, or lack a mirror image of
-            an orientation.
+        ValueError: another task or kind of action, or an orientation without its mirror image.
     """
 
     def __init__(self, config: EnvConfig) -> None:

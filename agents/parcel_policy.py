@@ -14,7 +14,7 @@ from stable_baselines3.common.type_aliases import PyTorchObs
 from torch.distributions import Categorical
 
 from surface_gym.config import EnvConfig
-from surface_gym.flow.task import PRESENT, WAITS
+from surface_gym.flow.task import PRESENT, WAITS, StreamActions
 
 from .base import SIDE, mirrored_orientations
 from .library import PolicyCard
@@ -32,8 +32,9 @@ def parcel_spaces(config: EnvConfig) -> tuple[spaces.Box, spaces.MultiDiscrete]:
 
     An action has three choices: the axes ahead, the axes behind, and the opening of the gate.
     """
-    choices, gates = config.action_kind.choices, config.action_kind.gates
-    return config.row_space(), spaces.MultiDiscrete([choices, choices, gates])
+    kind = config.action_kind
+    assert isinstance(kind, StreamActions)
+    return config.row_space(), spaces.MultiDiscrete([kind.choices, kind.choices, kind.gates])
 
 
 class ParcelActions:

@@ -283,7 +283,7 @@ def make_vector_env(num_envs: int = 1, device: str = "cpu", **arguments: Any) ->
     """
     if checks.one_of("device", device, DEVICES) == "cpu":
         return SmartSurfaceVectorEnv(num_envs, **arguments)
-    from surface_gym.cuda.env import check_device
+    from surface_gym.cuda import check_device
 
     check_device()
     return make_device_env(num_envs, device, **arguments)

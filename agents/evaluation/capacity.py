@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from surface_gym.config import EnvConfig, Preset
-from surface_gym.env import make_batch
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import BETWEEN, JAM, compute_statistics
@@ -172,7 +171,7 @@ def measure(
         The deliveries; None where it was broken off.
     """
     config = method.config(case, rate)
-    batch = make_batch(config, REPLICATIONS)
+    batch = StreamBatch(config, REPLICATIONS)
     for k in range(REPLICATIONS):
         batch.seed(k, np.random.default_rng((SEED, k)))
     batch.reset(np.arange(REPLICATIONS))

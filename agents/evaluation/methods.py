@@ -14,7 +14,8 @@ from ..base import Controller
 from ..learning.config import NOMINAL
 from ..learning.runs import CONFIG, read_config, task_name
 from ..library import CARD, PolicyFiles, read_files
-from ..rules import MORE_RULES, Rule, find_rules
+from ..rules import MORE_RULES, find_rules
+from ..rules.base import Rule
 from ..tasks import find_task, task_kind
 
 FIXED = "fixed layout"

@@ -70,7 +70,7 @@ def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation
     """Make the environment of a method on a benchmark under a change."""
     period = change.control_period or method.control_period
     task = benchmark.task
-    line = EnvConfig(task=task).chosen_line
+    line = task.line
     slower = method.control_period / period
     if change.zone_columns is not None:
         assert isinstance(line, Line)
@@ -210,9 +210,7 @@ def can_sweep(methods: Sequence[Method]) -> list[Method]:
 
 def levels_for(method: Method, factor: Factor) -> tuple[Level, ...]:
     """List levels of a factor that a method runs at; none where the factor does not concern it."""
-    if factor.of_lines and not isinstance(
-        EnvConfig(task=find_benchmark(method.task).task).chosen_line, Line
-    ):
+    if factor.of_lines and not isinstance(find_benchmark(method.task).task.line, Line):
         return ()
     if method.name != PLANNER:
         return factor.swept

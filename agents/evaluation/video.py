@@ -1,4 +1,6 @@
-"""Videos of episodes: one, or several side by side; `python -m surface_gym.agents.evaluation.video --help`."""
+"""Videos of episodes, one or several side by side; `python -m surface_gym.agents.evaluation.video`
+films a stream.
+"""
 
 import math
 import sys

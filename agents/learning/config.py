@@ -114,7 +114,7 @@ class TrainConfig:
 
         from ..tasks import find_task
 
-        if not isinstance(EnvConfig(task=find_task(self.task)).chosen_line, Line):
+        if not isinstance(find_task(self.task).line, Line):
             self._check_no_zones()
 
     def _check_no_zones(self) -> None:

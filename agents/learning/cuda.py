@@ -40,7 +40,7 @@ class DeviceEnvs(Protocol):
     num_envs: int
     single_observation_space: spaces.Space[Any]
     single_action_space: spaces.Space[Any]
-    env_config: EnvConfig
+    config: EnvConfig
     device: Any  # an argument of `torch.device`
 
     def reset(self, *, seed: int) -> tuple[torch.Tensor, dict[str, Any]]:

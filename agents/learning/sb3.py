@@ -101,7 +101,7 @@ def _make_envs(
 ) -> SurfaceVecEnv:
     """Make environments under a preset, with a zone of so many columns or the task's own."""
     task = training_task(config.task)
-    line, periods = EnvConfig(task=task).chosen_line, task.periods
+    line, periods = task.line, task.periods
     if columns is not None:
         assert isinstance(line, Line)
         periods = round(periods * time_for(line, columns))

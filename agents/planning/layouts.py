@@ -18,7 +18,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import OUT_OF_TIME, PATH_POINTS, RUNNING, SUCCESS, EnvState
-from surface_gym.tasks import track
+from surface_gym.tasks import Task, track
 from surface_gym.tasks.base import Feature
 from surface_gym.tasks.planning import Nodes, Observed, square_reach
 from surface_gym.tasks.start import Start
@@ -208,8 +208,8 @@ class ShownPath(Track):
     )
 
     @classmethod
-    def of(cls, task: Track) -> "ShownPath":
-        """Make the same task with its whole path shown."""
+    def of(cls, task: Task) -> "ShownPath":
+        """Make the same Track with its whole path shown."""
         return cls(**{each.name: getattr(task, each.name) for each in fields(task)})
 
     def decode_start(self, seen: Observed) -> Start:

@@ -225,7 +225,7 @@ class SearchModel:
         self.config = config
         self._kind = config.action_kind
         self._batch = Batch(config, num_envs)
-        self._begun: Snapshot | None = None
+        self._begun: Snapshot  # where a search begins
 
     @property
     def size(self) -> int:

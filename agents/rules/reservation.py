@@ -159,12 +159,12 @@ def run_alone(
         opens: (runs,) physics step at which each gate opens; None: as the controller says.
     """
     streams = [Stream(Trace((Arrival(0.0, *one),))) for one in asked]
-    alone = replace(config, places=1, gate=True, stream=streams[0])
+    alone = config.replace(max_parcels=1, gate=True, stream=streams[0])
     count = len(asked)
     batch = StreamBatch(alone, count)
     for i, seed in enumerate(seeds):
         batch.seed(i, np.random.default_rng(seed))
-    batch.start(np.arange(count), [{"stream": stream} for stream in streams])
+    batch.reset(np.arange(count), [{"stream": stream} for stream in streams])
     signature = batch.observation[:, -1, SIGNATURE].astype(np.float64)
     controller, actions = make(alone), alone.action_kind
     state: Any = None
@@ -176,7 +176,7 @@ def run_alone(
             action[:, -1] = opens
         batch.step(actions.commands(action, count))
         times.append(batch.streams.clock.copy())
-        poses.append(batch.parcels.truth.reshape(count, alone.rows, 6)[:, 0, :3].copy())
+        poses.append(batch.parcels.truth.reshape(count, alone.stream_task.rows, 6)[:, 0, :3].copy())
     return LoneRuns(
         np.array(times),
         np.array(poses),
@@ -191,7 +191,7 @@ def list_asked(config: EnvConfig) -> list[Asked]:
     """List every parcel, speed and exit of a stream; of speeds that vary, some from the least to
     the greatest.
     """
-    stream = config.stream
+    stream = config.stream_task.stream
     if isinstance(stream.arrivals, Trace):
         return list(dict.fromkeys((a.parcel, a.speed, a.exit) for a in stream.arrivals.arrivals))
     if isinstance(stream.speeds, tuple):
@@ -334,7 +334,7 @@ class Reservation(ParcelRule):
         margin: float = MARGIN,
     ) -> None:
         super().__init__(config)
-        if not config.gate:
+        if not config.stream_task.gate:
             raise ValueError("gate must be True for a reservation, got False")
         found = find_trajectories(lead, config, list_asked(config))
         self._lead = lead(config)

@@ -57,11 +57,11 @@ class WholeZone:
 
     def __init__(self, config: EnvConfig, columns: int, alone: bool = False) -> None:
         checks.one_of("actions", config.actions, ("modules",))
-        if not config.gate:
+        if not config.stream_task.gate:
             raise ValueError(
                 "gate must be True for a zone that one parcel has at a time, got False"
             )
-        _, self._rows, _, self._obeying = config.zone
+        _, self._rows, _, self._obeying = config.site.zone
         if not 1 <= columns <= self._obeying:
             raise ValueError(f"columns must be between 1 and {self._obeying}, got {columns!r}")
         span = zone_span(config, columns)
@@ -139,7 +139,7 @@ class ArrangedZone(WholeZone):
 
 def zone_span(config: EnvConfig, columns: int) -> tuple[float, float]:
     """Compute the x [m] at which the first columns that obey begin and end."""
-    _, _, first, _ = config.zone
+    _, _, first, _ = config.site.zone
     line = config.chosen_line
     return line.column_edge(first), line.column_edge(first + columns)
 
@@ -154,7 +154,7 @@ def find_best_zone(kind: type[WholeZone], config: EnvConfig) -> int | None:
         kind: of zone.
         config: of the environment, with "modules" for actions and a gate.
     """
-    _, _, _, obeying = config.zone
+    _, _, _, obeying = config.site.zone
     rates: dict[int, float] = {}
     for columns in range(1, obeying + 1):
         if rates and columns > min(rates) + LONGER:

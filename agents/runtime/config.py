@@ -36,8 +36,7 @@ class RuntimeConfig:
     minutes: float = 10.0
     """Duration of the run."""
     preset: str = "lab"
-    """Preset of the machine, a name of surface_gym.config.PRESETS: the friction, noise and turning axes
-    of the filter and of the simulator."""
+    """Preset of the machine: friction, noise and turning axes of the filter and the simulator."""
     address: str | None = None
     """Address of a running device, host:port; by default a simulator is started."""
     watchdog: float = 0.2
@@ -63,7 +62,7 @@ class SimulatorConfig:
     task: str = "stop"
     """Task of the package, or a custom one as path/to/file.py:Class."""
     preset: str = "lab"
-    """Preset of the machine, a name of surface_gym.config.PRESETS."""
+    """Preset of the machine."""
     control_period: float = 0.04
     """Seconds between decisions: the task's time limit counts them."""
     port: int = 0

@@ -346,8 +346,8 @@ def use_encoders(
 
 @lru_cache(maxsize=16)
 def make_begin(functions: KernelFunctions) -> Any:
-    """Compile `begin(params, surfaces, parcels, bodies, i)`: put the axes as the conveyor's, and the
-    estimate to what is known of the entry, which is in `parcels.state`.
+    """Compile `begin`: put the axes as the conveyor's, and the estimate to what is known of the
+    entry, which is in `parcels.state`.
     """
     task_begin, sensor_begin = functions.begin, functions.begin_sensor
 
@@ -369,9 +369,8 @@ def make_begin(functions: KernelFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_move(look: Function, label: str) -> Any:
-    """Compile `move(params, surfaces, parcels, bodies, scratch, i, length, steps, axis_speed, looks,
-    coasting, looking)`: turn an environment's axes at a speed [rad/s] and predict, over some steps
-    of a length [s]; if it looks, correct at the end by the frame whose pose is in `parcels.truth`.
+    """Compile `move`: turn an environment's axes at a speed [rad/s] and predict, over some steps of
+    a length [s]; if it looks, correct at the end by the frame whose pose is in `parcels.truth`.
     """
 
     def move(
@@ -405,7 +404,7 @@ def make_move(look: Function, label: str) -> Any:
 
 @lru_cache(maxsize=16)
 def make_show(functions: KernelFunctions) -> Any:
-    """Compile `show(params, surfaces, parcels, bodies, i)`: observe an environment's estimate."""
+    """Compile `show`: observe an environment's estimate."""
     task_observe, task_mirror = functions.observe, functions.mirror
     read_sensor, show_more = functions.read_sensor, showing(functions)
 
@@ -423,7 +422,7 @@ def make_show(functions: KernelFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_obey(kind: ActionKind, mirror_of: Function) -> Any:
-    """Compile `obey(params, surfaces, parcels, bodies, i)`: set target axes by the command."""
+    """Compile `obey`: set target axes by the command."""
     obey_command = obeying(kind.part_of, aim_at_angle if kind.continuous else aim_at_choice)
 
     def obey(
