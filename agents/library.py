@@ -96,10 +96,6 @@ class PolicyCard:
     def env_config(self, task: Task | None = None) -> EnvConfig:
         """Build the configuration of the environment that the policy is for.
 
-        Args:
-            task: of a user, for a policy trained on it; None: one of the package. A card names a
-                user's task but runs no code for it.
-
         Raises:
             ValueError: the policy was trained on another task, or on streams of parcels.
         """
@@ -154,7 +150,6 @@ def load(name: str, seed: int | None = None) -> "Policy | ModulePolicy | ParcelP
     """Load a shipped policy, with `predict`, `env_id` and `env_kwargs`.
 
     Args:
-        name: one of `names()`.
         seed: one of `seeds(name)`; None: the first.
 
     Raises:
@@ -168,10 +163,6 @@ def load(name: str, seed: int | None = None) -> "Policy | ModulePolicy | ParcelP
 
 def read(folder: str | Path, task: Task | None = None) -> "Policy | ModulePolicy | ParcelPolicy":
     """Read the policy that a run of any algorithm left in a folder.
-
-    Args:
-        folder: of the run.
-        task: of a user, for a policy trained on it; None: one of the package.
 
     Raises:
         ValueError: the folder holds no policy, or a damaged or foreign one, or one of another task.

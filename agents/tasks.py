@@ -15,12 +15,7 @@ from .library import OWN
 
 
 def find_task(name: str) -> Task:
-    """Make the task of a name; a file in the name is run.
-
-    Raises:
-        ValueError: no task of the package has that name, and it holds no file and class; the file
-            does not exist or does not run, or has no such task.
-    """
+    """Make the task of a name; a file in the name is run."""
     if name in TASKS:
         return TASKS[name]()
     file, colon, kind = name.rpartition(":")

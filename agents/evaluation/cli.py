@@ -71,11 +71,7 @@ class EvaluateConfig:
 
 
 def evaluate(config: EvaluateConfig, console: Console) -> None:
-    """Compare, and leave a folder with tables, plots, videos and a page.
-
-    Raises:
-        ValueError: the run holds no policy, or a damaged one.
-    """
+    """Compare, and leave a folder with tables, plots, videos and a page."""
     workers = choose_workers(config.cluster, config.workers, task_files(config.task))
     if config.run is not None:
         from .runs import evaluate_run
@@ -161,11 +157,7 @@ def _progress(console: Console, title: str) -> "Iterator[Advance]":
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Compare; an error ends it with one line.
-
-    Args:
-        arguments: of the command line; None: those of the process.
-    """
+    """Compare; an error ends it with one line."""
     config = tyro.cli(EvaluateConfig, prog=command_line(EVALUATE), args=arguments)
     try:
         evaluate(config, Console())

@@ -71,11 +71,6 @@ def write_report(
     """Write everything of a comparison into a folder, and show its tables.
 
     Args:
-        methods: that were compared.
-        results: of all of them.
-        folder: to write into.
-        console: to show on.
-        advance: called with what is drawn next.
         streams: the comparison on streams of parcels, which comes first on the page.
     """
     summaries = summarise(results)
@@ -174,12 +169,6 @@ def write_stream_report(
 ) -> list[Section]:
     """Write flow.md, flow.csv, plots, a picture and a video into a folder, and show tables.
 
-    Args:
-        methods: that were compared.
-        rows: results of all of them.
-        folder: to write into.
-        console: to show on.
-
     Returns:
         The sections of the page.
     """
@@ -215,11 +204,7 @@ def _draw_streams(
 
 
 def stream_player(method: StreamMethod, case: Case, rate: float) -> Player:
-    """Put a method on the first replication of a stream, at a rate [parcels/h].
-
-    Raises:
-        ValueError: the method cannot sort such parcels.
-    """
+    """Put a method on the first replication of a stream, at a rate [parcels/h]."""
     config = method.config(case, rate)
     controller = method.make(config)
     if controller is None:

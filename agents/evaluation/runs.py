@@ -42,17 +42,8 @@ def evaluate_run(
     table.md, the trajectories of Sort and a video go into the run's folder, the same byte for byte
     each time.
 
-    Args:
-        run: its folder.
-        task: of the user's own that it is of; None: one of the package.
-        workers: processes to share the work among, or a cluster.
-        console: to show on.
-
     Returns:
         The results that stand on an agent's card, by preset.
-
-    Raises:
-        ValueError: the folder holds no policy, or a damaged one, or one of another task.
     """
     if is_of_streams(run):
         results = _stream_run(run, workers, console)
@@ -100,11 +91,7 @@ def is_of_streams(run: Path) -> bool:
 
 
 def compare_streams(run: Path, workers: Workers, console: Console) -> StreamResults:
-    """Measure the policies of a run on streams, into the run's folder.
-
-    Raises:
-        ValueError: the folder holds no policy, or a damaged one.
-    """
+    """Measure the policies of a run on streams, into the run's folder."""
     reservation = next(each for each in stream_methods() if each.name == RESERVATION)
     methods = [reservation, *_of_seeds(policy_folders(run))]
     results = StreamResults.of(methods, compute_streams(methods, workers, loads=()))

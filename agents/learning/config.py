@@ -342,15 +342,7 @@ def defaults(
     """Read the default configuration of a task and an algorithm.
 
     Args:
-        task: to learn.
-        algo: to learn it by.
         file: of a user, in the same schema; None: the package's.
-        preset: conditions to train for.
-        device: to learn on.
-
-    Raises:
-        ValueError: the algorithm does not learn the task, or not on the device, or the file holds
-            something unknown or not allowed.
     """
     given = {"task": task, "algo": algo, "preset": preset}
     if device != CPU:
