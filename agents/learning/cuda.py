@@ -193,7 +193,7 @@ class DeviceTransition:
 
 
 class DeviceTrainingEnvs:
-    """Environments with totals of their episodes, and with actions for y > 0 if the task is Sort."""
+    """Environments with totals of their episodes, and with actions for y > 0 in Sort."""
 
     def __init__(self, envs: DeviceEnvs) -> None:
         self.device = torch.device(envs.device)
