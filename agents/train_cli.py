@@ -114,7 +114,7 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
     """
     from surface_gym.parallel import choose_workers
 
-    from .tasks import task_files
+    from .library import task_files
 
     workers = choose_workers(request.cluster, usable_cores(), task_files(request.task))
     if request.search is not None:
@@ -142,7 +142,7 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
             f"{command_line(TRAIN, '--resume', str(folder))} goes on from the last checkpoint"
         )
         return
-    from .evaluation.runs import evaluate_run
+    from .evaluation.report import evaluate_run
 
     write_card(config, trained, evaluate_run(folder, config.task, workers, console), folder)
 

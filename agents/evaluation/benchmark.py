@@ -20,8 +20,8 @@ from surface_gym.parcel import Parcel
 from surface_gym.tasks import Task
 from surface_gym.tasks.benchmark import Benchmark, Column
 
+from ..library import find_task
 from ..rollout import Episodes, run_episodes, run_sequentially
-from ..tasks import find_task
 from .methods import Method
 
 CONFIDENCE = 0.95

@@ -15,7 +15,7 @@ from surface_gym.parallel import Workers, WorkFailed, choose_workers, usable_cor
 from surface_gym.tasks import TASKS
 
 from ..base import EVALUATE, FLOW_TASK, command_line
-from ..tasks import find_task, task_files
+from ..library import find_task, task_files
 
 if TYPE_CHECKING:
     from .benchmark import Advance
@@ -74,7 +74,7 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
     """Compare, and leave a folder with tables, plots, videos and a page."""
     workers = choose_workers(config.cluster, config.workers, task_files(config.task))
     if config.run is not None:
-        from .runs import evaluate_run
+        from .report import evaluate_run
 
         evaluate_run(config.run, config.task, workers, console)
         return

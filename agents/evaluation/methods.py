@@ -13,10 +13,8 @@ from .. import library
 from ..base import Controller
 from ..learning.config import NOMINAL
 from ..learning.runs import CONFIG, read_config, task_name
-from ..library import CARD, PolicyFiles, read_files
-from ..rules import MORE_RULES, find_rules
-from ..rules.base import Rule
-from ..tasks import find_task, task_kind
+from ..library import CARD, PolicyFiles, find_task, read_files, task_kind
+from ..rules import MORE_RULES, Rule, find_rules
 
 FIXED = "fixed layout"
 BEST_FIXED = "best fixed layout"

@@ -22,10 +22,9 @@ from ..evaluation.methods import policy_folders
 from ..learning.config import NOMINAL
 from ..learning.runs import CARD as CARD_FILE
 from ..learning.runs import CONFIG, read_config
-from ..library import read_files
+from ..library import find_task, read_files
 from ..module_policy import ModulePolicy
 from ..policy import DIGEST, Policy, make_network
-from ..tasks import find_task
 
 Singles = NDArray[np.float32]
 Numbers = NDArray[np.float64]

@@ -20,8 +20,8 @@ from surface_gym.registration import env_id
 from surface_gym.tasks import Sort
 
 from ..base import SIDE, ActionMirror, mirrored_orientations
+from ..library import find_task
 from ..policy import EqualCategoricals, EqualChoicesPolicy, make_network
-from ..tasks import find_task
 from .config import PPOConfig, is_registered, make_card
 from .ppo import MAX_GRAD_NORM, compute_advantages, learning_rate, ppo_loss, train_learner
 from .runs import RECENT_EPISODES, REWARD, Curve, OnProgress, TrainResult

@@ -19,8 +19,7 @@ import yaml
 from surface_gym.files import replacing
 
 from ..base import FLOW_TASK, TRAIN, command_line
-from ..library import DAMAGE, describe_damage
-from ..tasks import task_label
+from ..library import DAMAGE, describe_damage, task_label
 from .config import (
     CONFIGS,
     CPU,

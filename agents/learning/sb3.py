@@ -29,9 +29,9 @@ from surface_gym.randomisation import Randomisation
 from surface_gym.tasks import Task, Track
 
 from ..base import action_mirror, time_for, with_zone
+from ..library import find_task
 from ..parcel_policy import ParcelNetwork
 from ..policy import EqualChoicesPolicy, save_policy
-from ..tasks import find_task
 from ..vec_env import ConcatVecEnv, MirrorVecEnv, SurfaceVecEnv
 from .config import DQNConfig, ParcelsConfig, PPOConfig, TrainConfig, make_card
 from .parcels import CriticFirst, make_parcel_envs, pretrain

@@ -29,8 +29,8 @@ COLLECT_EVERY = 5.0  # [s] between collections of Python's garbage
 def load_policy(config: RuntimeConfig) -> "Policy | ModulePolicy":
     """Load the policy of a command."""
     from .. import library
+    from ..library import find_task
     from ..parcel_policy import ParcelPolicy
-    from ..tasks import find_task
 
     if config.name in library.names():
         policy = library.load(config.name, config.seed)

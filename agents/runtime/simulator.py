@@ -26,7 +26,7 @@ from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
 from surface_gym.sensors import Exact
 from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, RUNNING, EnvState
 
-from ..tasks import find_task
+from ..library import find_task
 from . import protocol
 from .config import SimulatorConfig, WorldOptions, parse_address
 from .controller import AxisLimits, Clock, WallClock

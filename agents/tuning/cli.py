@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     from rich.console import Console
 
-    from ..tasks import task_files
+    from ..library import task_files
 
     folder = given.out / (given.name or f"search-{given.file.stem}")
     try:

@@ -36,8 +36,8 @@ from ..learning.config import TrainConfig, config_of_seed, write_hyperparams
 from ..learning.runs import StopTraining, read_curve
 from ..learning.sb3 import make_training_envs
 from ..learning.train import train
+from ..library import find_task
 from ..policy import load_policy
-from ..tasks import find_task
 from .sweep import Choices, Span, Sweep
 
 FILE = "study.db"  # SQLite, which optuna-dashboard reads as well
