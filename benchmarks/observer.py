@@ -134,7 +134,7 @@ def _distances(env: sg.SmartSurfaceVectorEnv, pose: Numbers, columns: Any, rows:
     Returns:
         (num_envs, modules).
     """
-    bodies, elements = env.batch.bodies, env.batch.rules.elements
+    bodies, elements = env.batch.bodies, env.batch.params.elements
     body = env.batch.parcels.body
     dx = elements.x0 + elements.pitch_x * columns - pose[:, X, None]
     dy = elements.y0 + elements.pitch_y * rows - pose[:, Y, None]
@@ -152,7 +152,7 @@ def contradicts(env: sg.SmartSurfaceVectorEnv, tolerance: float) -> Booleans:
     tolerance [m].
     """
     batch = env.batch
-    parcels, bodies, elements = batch.parcels, batch.bodies, batch.rules.elements
+    parcels, bodies, elements = batch.parcels, batch.bodies, batch.params.elements
     layout = parcels.body if len(bodies.rotor) > 1 else np.zeros_like(parcels.body)
     rotor = bodies.rotor[layout]
     reach = int(np.ceil(bodies.body[:, RADIUS].max() / min(elements.pitch_x, elements.pitch_y))) + 1
@@ -205,7 +205,7 @@ def run_controller(
         running &= ~begun
         if not running.any():
             break
-    errors.lost = int((worst > env.batch.rules.elements.pitch_x).sum())
+    errors.lost = int((worst > env.batch.params.elements.pitch_x).sum())
     return errors
 
 

@@ -178,7 +178,7 @@ def compiled_function(owner: Any, name: str, kind: type[Any]) -> Function:
     return function
 
 
-def make_rules(config: EnvConfig) -> EnvParams:
+def make_env_params(config: EnvConfig) -> EnvParams:
     """Collect the numbers that all environments of a batch have in common."""
     line, timing, kind = config.chosen_line, config.timing, config.action_kind
     features = len(config.task.features)

@@ -67,7 +67,7 @@ class Placement(NamedTuple):
 @lru_cache(maxsize=64)
 def place_parcel(
     parcel: Parcel,
-    plant: BaseLine,
+    line: BaseLine,
     zone: tuple[int, int] | None,
     stuck: tuple[tuple[int, int], ...] = (),
 ) -> Placement:
@@ -75,14 +75,14 @@ def place_parcel(
 
     Args:
         parcel: of any base.
-        plant: where it runs.
-        zone: first and last column that obey; None for the plant's own.
+        line: where it runs.
+        zone: first and last column that obey; None for the line's own.
         stuck: (row, column) of modules that do not obey.
 
     Raises:
-        ValueError: the parcel does not fit the plant.
+        ValueError: the parcel does not fit the line.
     """
-    placed = plant.site(parcel.base, zone)
+    placed = line.site(parcel.base, zone)
     first_row, rows, first_column, columns = placed.zone
     obeys = np.zeros_like(placed.rotor)
     obeys[first_row : first_row + rows, first_column : first_column + columns] = True
@@ -115,7 +115,7 @@ def place_in(settings: EnvConfig, parcel: Parcel) -> Placement:
     """Place a parcel in an environment.
 
     Raises:
-        ValueError: the parcel does not fit the plant.
+        ValueError: the parcel does not fit the line.
     """
     stuck = tuple(settings.actuators.stuck)
     return place_parcel(parcel, settings.chosen_line, settings.zone, stuck)
@@ -145,7 +145,7 @@ class BodyPlan:
         parcels: that the task draws.
         place: the placement of a parcel.
         lanes: their number.
-        shape: (rows, columns) of the plant.
+        shape: (rows, columns) of the line.
     """
 
     def __init__(

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from surface_gym.config import EnvConfig
-from surface_gym.core.assembly import make_rules
+from surface_gym.core.assembly import make_env_params
 from surface_gym.core.resets import (
     BodyPlan,
     StartRows,
@@ -168,7 +168,7 @@ class CudaBatch(BaseCudaBatch):
             self._task.parcels, partial(place_in, config), 1, (line.rows, line.columns)
         )
         self._sizes = torch.from_numpy(self._plan.sizes).to(device)  # (bodies, 4) of the parcels
-        params = to_device(make_rules(config), device)
+        params = to_device(make_env_params(config), device)
         self._bodies = to_device(self._plan.bodies, device)
         self._parcels: Any  # as `ParcelState`, of tensors
         self._surfaces, self._parcels = make_device_state(config, num_envs, device)
@@ -295,8 +295,8 @@ class CudaStreamBatch(BaseCudaBatch):
         self.outcomes, self.options = self._host.outcomes, self._host.options
         self.author = type(task).__name__
         self._capacity = stream_capacity(config, task.stream.kinds)
-        self._params = to_device(self._host.rules, device)
-        self._stream_params = to_device(self._host.params, device)
+        self._params = to_device(self._host.params, device)
+        self._stream_params = to_device(self._host.stream_params, device)
         self._surfaces = to_device(self._host.surfaces, device)
         self._parcels = to_device(self._host.parcels, device)
         self._episodes = to_device(self._host.streams, device)

@@ -229,7 +229,7 @@ def _settings(
     from surface_gym.config import EnvConfig
     from surface_gym.tasks import TASKS
 
-    plant = Line(
+    base_line = Line(
         rows=line.shape[0],
         columns=line.shape[1],
         zone_rows=line.rows,
@@ -248,5 +248,5 @@ def _settings(
         orientations=method.orientations,
         observe=method.observe,
         randomisation=randomisation,
-        line=plant,
+        line=base_line,
     )

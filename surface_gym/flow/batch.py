@@ -87,7 +87,7 @@ class BodyPool:
         """Get the row of a parcel's body, for one more user.
 
         Raises:
-            ValueError: the parcel does not fit the plant.
+            ValueError: the parcel does not fit the line.
         """
         row = self._row_of.get(parcel)
         if row is None:
@@ -148,7 +148,7 @@ def stream_functions(config: EnvConfig) -> StreamFunctions:
     )
 
 
-def make_params(config: EnvConfig) -> StreamParams:
+def make_stream_params(config: EnvConfig) -> StreamParams:
     """Collect the numbers that all streams of a batch have in common."""
     task = config.stream_task
     return StreamParams(
@@ -190,7 +190,7 @@ class StreamBatch(BaseBatch):
         super().__init__(config, num_envs, threads, max_episode_steps)
         task = config.stream_task
         self.rows = task.rows
-        self.params = make_params(config)
+        self.stream_params = make_stream_params(config)
         self.surfaces.conditions[:, :3] = 1.0
         self.surfaces.conditions[:, GRAVITY_NORMAL] = GRAVITY * math.cos(task.tilt)
         self.surfaces.conditions[:, GRAVITY_ALONG] = GRAVITY * math.sin(task.tilt)
@@ -222,7 +222,14 @@ class StreamBatch(BaseBatch):
     def _arrays(
         self,
     ) -> tuple[EnvParams, StreamParams, SurfaceState, ParcelState, BodyTable, StreamState]:
-        return self.rules, self.params, self.surfaces, self.parcels, self.bodies, self.streams
+        return (
+            self.params,
+            self.stream_params,
+            self.surfaces,
+            self.parcels,
+            self.bodies,
+            self.streams,
+        )
 
     def _make_kernel(self) -> Any:
         return make_stream_kernel(stream_functions(self.config))

@@ -207,9 +207,9 @@ def count_due(streams: StreamState, i: int) -> None:
 
 
 @inlined
-def count_slots(params: StreamParams, streams: StreamState) -> int:
+def count_slots(stream_params: StreamParams, streams: StreamState) -> int:
     """Count the rows of a surface that parcels on it may have."""
-    return streams.number.shape[1] - (1 if params.gated else 0)
+    return streams.number.shape[1] - (1 if stream_params.gated else 0)
 
 
 @inlined
@@ -236,7 +236,7 @@ def _bars(other: EnvState, state: EnvState, gap: float) -> bool:
 
 @inlined
 def _put(
-    params: StreamParams,
+    stream_params: StreamParams,
     streams: StreamState,
     parcels: ParcelState,
     i: int,
@@ -250,9 +250,9 @@ def _put(
     asked = streams.exit[i, arrival]
     parcels.body[row] = streams.body[i, arrival]
     parcels.goal[row, EXIT] = asked
-    parcels.goal[row, SIDE] = params.exits[asked, 0]
-    parcels.goal[row, FIRST] = params.exits[asked, 1]
-    parcels.goal[row, LAST] = params.exits[asked, 2]
+    parcels.goal[row, SIDE] = stream_params.exits[asked, 0]
+    parcels.goal[row, FIRST] = stream_params.exits[asked, 1]
+    parcels.goal[row, LAST] = stream_params.exits[asked, 2]
     parcels.clock[row] = 0.0
     parcels.period[row] = 0.0
     parcels.steps[row] = 0
@@ -263,8 +263,8 @@ def _put(
 
 @inlined
 def show_next(
-    rules: EnvParams,
-    params: StreamParams,
+    params: EnvParams,
+    stream_params: StreamParams,
     surfaces: SurfaceState,
     parcels: ParcelState,
     bodies: BodyTable,
@@ -279,11 +279,11 @@ def show_next(
     if arrival == streams.due[i]:
         streams.number[i, last] = NOBODY
         return
-    _put(params, streams, parcels, i, last, arrival)
+    _put(stream_params, streams, parcels, i, last, arrival)
     row = i * streams.number.shape[1] + last
     streams.number[i, last] = arrival
     parcels.clock[row] = streams.time[i, arrival] - streams.clock[i]
-    state = env_state(surfaces, parcels, bodies, i, row, rules.elements)
+    state = env_state(surfaces, parcels, bodies, i, row, params.elements)
     read_truth(state)
     for k in range(state.truth.shape[0]):
         state.sensed[k] = state.truth[k]
@@ -291,8 +291,8 @@ def show_next(
 
 @inlined
 def let_in(
-    rules: EnvParams,
-    params: StreamParams,
+    params: EnvParams,
+    stream_params: StreamParams,
     surfaces: SurfaceState,
     parcels: ParcelState,
     bodies: BodyTable,
@@ -306,18 +306,18 @@ def let_in(
     arrival = streams.coming[i]
     if arrival == streams.due[i]:
         return NOBODY
-    slot = _free_slot(streams, i, count_slots(params, streams))
+    slot = _free_slot(streams, i, count_slots(stream_params, streams))
     if slot == NOBODY:
         return NOBODY
     first = i * streams.number.shape[1]
-    _put(params, streams, parcels, i, slot, arrival)
-    state = env_state(surfaces, parcels, bodies, i, first + slot, rules.elements)
+    _put(stream_params, streams, parcels, i, slot, arrival)
+    state = env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
     read_truth(state)
     for k in range(streams.number.shape[1]):
         if streams.present[i, k]:
-            other = env_state(surfaces, parcels, bodies, i, first + k, rules.elements)
+            other = env_state(surfaces, parcels, bodies, i, first + k, params.elements)
             read_truth(other)
-            if _bars(other, state, params.entry_gap):
+            if _bars(other, state, stream_params.entry_gap):
                 return NOBODY
     streams.number[i, slot] = arrival
     streams.present[i, slot] = True
@@ -409,15 +409,15 @@ class StreamFunctions(NamedTuple):
 
 
 def _obeying(functions: StreamFunctions) -> Any:
-    """Build `obey_command(rules, params, surfaces, parcels, bodies, streams, i)`, which turns the
+    """Build `obey_command(params, stream_params, ..., i)`, which turns the
     modules that the command of surface i turns, and counts them.
     """
     part_of, commanded, obey = functions.part_of, functions.commanded, functions.actuation.obey
 
     @inlined
     def obey_command(
-        rules: EnvParams,
-        params: StreamParams,
+        params: EnvParams,
+        stream_params: StreamParams,
         surfaces: SurfaceState,
         parcels: ParcelState,
         bodies: BodyTable,
@@ -426,13 +426,13 @@ def _obeying(functions: StreamFunctions) -> Any:
     ) -> None:
         rows = streams.number.shape[1]
         first = i * rows
-        state = env_state(surfaces, parcels, bodies, i, first, rules.elements)
+        state = env_state(surfaces, parcels, bodies, i, first, params.elements)
         owner, soonest = streams.owner[i], streams.soonest[i]
         free_modules(owner, soonest, state)
         for k in range(rows):
             if streams.present[i, k]:
-                parcel = env_state(surfaces, parcels, bodies, i, first + k, rules.elements)
-                claim_modules(owner, soonest, parcel, k, params.ahead)
+                parcel = env_state(surfaces, parcels, bodies, i, first + k, params.elements)
+                claim_modules(owner, soonest, parcel, k, stream_params.ahead)
         obeys = streams.obeys[i if streams.obeys.shape[0] > 1 else 0]
         zone = state.zone
         for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
@@ -440,17 +440,17 @@ def _obeying(functions: StreamFunctions) -> Any:
                 part = part_of(state, parcels, owner, first, row, column)
                 if part < 0 or not obeys[row, column]:
                     continue
-                angle = commanded(rules.acting, surfaces, i, part)
+                angle = commanded(params.acting, surfaces, i, part)
                 if is_turn(angle, streams.commanded[i, row, column]):
                     streams.tally[i, TURNS] += 1
                 streams.commanded[i, row, column] = angle
-                obey(rules.acting, surfaces, i, row, column, part)
+                obey(params.acting, surfaces, i, row, column, part)
 
     return obey_command
 
 
 def _observing(functions: StreamFunctions) -> Any:
-    """Build `observe_parcels(rules, params, surfaces, parcels, bodies, streams, i)`, which writes the
+    """Build `observe_parcels(params, stream_params, ..., i)`, which writes the
     table of surface i: a row a parcel, with its neighbours along the line.
     """
     observe, observe_neighbour = functions.observe, functions.observe_neighbour
@@ -458,8 +458,8 @@ def _observing(functions: StreamFunctions) -> Any:
 
     @inlined
     def observe_parcels(
-        rules: EnvParams,
-        params: StreamParams,
+        params: EnvParams,
+        stream_params: StreamParams,
         surfaces: SurfaceState,
         parcels: ParcelState,
         bodies: BodyTable,
@@ -467,10 +467,10 @@ def _observing(functions: StreamFunctions) -> Any:
         i: int,
     ) -> None:
         rows = streams.number.shape[1]
-        slots = count_slots(params, streams)
+        slots = count_slots(stream_params, streams)
         first = i * rows
         for k in range(rows):
-            state = env_state(surfaces, parcels, bodies, i, first + k, rules.elements)
+            state = env_state(surfaces, parcels, bodies, i, first + k, params.elements)
             waits = k >= slots and streams.number[i, k] != NOBODY
             if not (streams.present[i, k] or waits):
                 for feature in range(state.observation.shape[0]):
@@ -486,7 +486,7 @@ def _observing(functions: StreamFunctions) -> Any:
                 if slot == NOBODY:
                     observe_no_neighbour(state, ahead)
                     continue
-                other = env_state(surfaces, parcels, bodies, i, first + slot, rules.elements)
+                other = env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
                 other_x, other_theta = other.sensed[X], other.sensed[THETA]
                 if ahead:
                     gap = other_x - reach_along(other, other_theta, -1.0, 0.0) - front
@@ -499,7 +499,7 @@ def _observing(functions: StreamFunctions) -> Any:
 
 @lru_cache(maxsize=64)
 def make_stream_kernel(functions: StreamFunctions) -> Any:
-    """Build `step_streams(rules, params, surfaces, parcels, bodies, streams, scratch, sensor's
+    """Build `step_streams(params, stream_params, surfaces, parcels, bodies, streams, scratch, sensor's
     scratch, chosen)`.
 
     Of the chosen surfaces (count,) those placed begin, those that run are stepped by one control
@@ -512,8 +512,8 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
     obey_command, observe_parcels = _obeying(functions), _observing(functions)
 
     def step_streams(
-        rules: EnvParams,
-        params: StreamParams,
+        params: EnvParams,
+        stream_params: StreamParams,
         surfaces: SurfaceState,
         parcels: ParcelState,
         bodies: BodyTable,
@@ -523,20 +523,20 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
         chosen: Integers,
     ) -> int:
         faults = 0
-        dt = rules.timing.dt
+        dt = params.timing.dt
         apart = int(APART / dt)
         rows = streams.number.shape[1]
-        slots = count_slots(params, streams)
+        slots = count_slots(stream_params, streams)
         gate = surfaces.command.shape[1] - 1
         jam_term = streams.terms.shape[1] - 1
         waiting_term = jam_term - 1
-        physics = Physics(rules.assumed, rules.stiffness, sensor_scratch, dt)
+        physics = Physics(params.assumed, params.stiffness, sensor_scratch, dt)
         shapes = Bodies(bodies.body, bodies.edges, bodies.corners)
         for i in chosen:
             first = i * rows
             begins = streams.outcome[i] == STARTING
             if begins:
-                straighten(rules.acting, surfaces, i)
+                straighten(params.acting, surfaces, i)
                 for row in range(streams.commanded.shape[1]):
                     for column in range(streams.commanded.shape[2]):
                         streams.commanded[i, row, column] = ROLLING
@@ -553,10 +553,10 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                 if not streams.present[i, k]:
                     streams.number[i, k] = NOBODY
             if not begins:
-                obey_command(rules, params, surfaces, parcels, bodies, streams, i)
+                obey_command(params, stream_params, surfaces, parcels, bodies, streams, i)
             invalidate_world(scratch)
             invalidate_contacts(sensor_scratch)
-            grid = read_grid(surfaces, bodies, i, 0, rules.elements, rules.friction)
+            grid = read_grid(surfaces, bodies, i, 0, params.elements, params.friction)
             company = World(
                 parcels.state[first : first + rows],
                 streams.present[i],
@@ -564,16 +564,16 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                 shapes,
             )
             zone = bodies.zone[0]
-            opens = int(surfaces.command[i, gate]) if params.gated else 1
+            opens = int(surfaces.command[i, gate]) if stream_params.gated else 1
             entered = False
             # Parcels may enter at a start, which is step 0 alone, and after every step.
-            for step in range(0 if begins else 1, 1 if begins else rules.timing.steps + 1):
+            for step in range(0 if begins else 1, 1 if begins else params.timing.steps + 1):
                 if not begins:
                     if turns:
-                        turn(rules.acting, surfaces, i, zone)
+                        turn(params.acting, surfaces, i, zone)
                         invalidate_world(scratch)
                         invalidate_contacts(sensor_scratch)
-                    pairs = step_world(grid, company, params.touching, scratch, dt)
+                    pairs = step_world(grid, company, stream_params.touching, scratch, dt)
                     streams.clock[i] += dt
                     streams.steps[i] += 1
                     note_touches(parcels, streams, scratch, i, pairs, apart)
@@ -587,33 +587,33 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                         parcels.clock[row] += dt
                         parcels.steps[row] += 1
                         parcels.period[row] += dt
-                        state = env_state(surfaces, parcels, bodies, i, row, rules.elements)
+                        state = env_state(surfaces, parcels, bodies, i, row, params.elements)
                         if not state.on_rotors:
                             read_truth(state)
-                            leave(streams, parcels, i, k, task_exit(params, state))
+                            leave(streams, parcels, i, k, task_exit(stream_params, state))
                         elif watches:
                             read_truth(state)
-                            sensor_update(rules.sensor, state, physics)
+                            sensor_update(params.sensor, state, physics)
                     waiting = streams.due[i] - streams.coming[i]
                     streams.waited[i] += dt * waiting
-                    streams.terms[i, waiting_term] += params.waiting_reward * dt * waiting
+                    streams.terms[i, waiting_term] += stream_params.waiting_reward * dt * waiting
                 count_due(streams, i)
                 # A gate opens at a physics step of the period, for one parcel; or not at all.
-                if params.gated and (entered or opens == 0 or step < opens):
+                if stream_params.gated and (entered or opens == 0 or step < opens):
                     continue
-                slot = let_in(rules, params, surfaces, parcels, bodies, streams, i)
+                slot = let_in(params, stream_params, surfaces, parcels, bodies, streams, i)
                 if slot != NOBODY:
                     entered = True
-                    state = env_state(surfaces, parcels, bodies, i, first + slot, rules.elements)
+                    state = env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
                     state.memory[TOUCHED] = 0.0
                     task_begin(state)
-                    sensor_begin(rules.sensor, state)
+                    sensor_begin(params.sensor, state)
             occupied = False
             moves = False
             for k in range(slots):
                 if streams.number[i, k] == NOBODY:
                     continue
-                state = env_state(surfaces, parcels, bodies, i, first + k, rules.elements)
+                state = env_state(surfaces, parcels, bodies, i, first + k, params.elements)
                 read_truth(state)
                 task_reward(state, parcels.outcome[first + k])
                 state.memory[TOUCHED] = 0.0
@@ -625,15 +625,15 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                 if streams.present[i, k]:
                     occupied = True
                     moves |= not is_slower(state, STALL_SPEED)
-                    sensor_read(rules.sensor, state)
+                    sensor_read(params.sensor, state)
             if occupied and not moves and not begins:
-                streams.still[i] += dt * rules.timing.steps
+                streams.still[i] += dt * params.timing.steps
             else:
                 streams.still[i] = 0.0
-            if streams.still[i] >= params.patience:
+            if streams.still[i] >= stream_params.patience:
                 streams.outcome[i] = JAM
-                streams.terms[i, jam_term] = params.jam_reward
-            elif streams.clock[i] >= params.duration - 0.5 * dt:
+                streams.terms[i, jam_term] = stream_params.jam_reward
+            elif streams.clock[i] >= stream_params.duration - 0.5 * dt:
                 streams.outcome[i] = OUT_OF_TIME
             reward = 0.0
             for k in range(streams.terms.shape[1]):
@@ -641,10 +641,10 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
             streams.reward[i] = reward
             if not math.isfinite(reward):
                 streams.fault[i] = BAD_REWARD
-            if params.gated:
-                show_next(rules, params, surfaces, parcels, bodies, streams, i)
+            if stream_params.gated:
+                show_next(params, stream_params, surfaces, parcels, bodies, streams, i)
                 parcels.reward[first + slots] = streams.terms[i, waiting_term]
-            observe_parcels(rules, params, surfaces, parcels, bodies, streams, i)
+            observe_parcels(params, stream_params, surfaces, parcels, bodies, streams, i)
             for k in range(rows):
                 for feature in range(parcels.observation.shape[1]):
                     if not math.isfinite(parcels.observation[first + k, feature]):

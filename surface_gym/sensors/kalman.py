@@ -69,9 +69,9 @@ class Observer(Sensor):
 
     watches = True
 
-    def friction(self, plant: BaseLine) -> Array:
+    def friction(self, line: BaseLine) -> Array:
         """Return the line's friction where a coefficient is None, else the same everywhere."""
-        assumed = plant.friction.copy()
+        assumed = line.friction.copy()
         for k, name in enumerate(("mu_max", "mu_min", "mu_support")):
             if getattr(self, name) is not None:
                 assumed[:, :, k] = getattr(self, name)

@@ -47,23 +47,23 @@ PARCEL_FEATURES = (
 )
 
 
-def zone_span(plant: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
+def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
     """Return where [m] the zone of a parcel starts and ends; `zone` holds its columns, None: the
     line's.
 
     Raises:
-        ValueError: the parcel does not fit the plant.
+        ValueError: the parcel does not fit the line.
     """
-    _, _, first, columns = plant.site(parcel.base, zone).zone
-    start = plant.column_edge(first)
-    return start, start + plant.pitch_x * columns
+    _, _, first, columns = line.site(parcel.base, zone).zone
+    start = line.column_edge(first)
+    return start, start + line.pitch_x * columns
 
 
 def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
     """Return the pose [m, m, rad] at which parcels enter: the rear at the line's edge, x = 0 by
     default, on the line's middle.
     """
-    return (draw.plant.column_edge(0) + parcels.rear, draw.plant.line_y, 0.0)
+    return (draw.line.column_edge(0) + parcels.rear, draw.line.line_y, 0.0)
 
 
 @kernel_function

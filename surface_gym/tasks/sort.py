@@ -186,15 +186,15 @@ distance from the line's middle takes its place |
         )
 
     def path_metrics(
-        self, path: Numbers, parcel: Parcel, plant: BaseLine, zone: tuple[int, int] | None
+        self, path: Numbers, parcel: Parcel, line: BaseLine, zone: tuple[int, int] | None
     ) -> dict[str, float]:
         """`columns` of the zone that the front edge reached."""
         base = parcel.base
-        _, (_, _, first, _) = plant.site(base, zone)
+        _, (_, _, first, _) = line.site(base, zone)
         x, _, theta = path.T
         from_centre = base.outline - base.centroid
         reach = (from_centre @ np.array([np.cos(theta), -np.sin(theta)])).max(axis=0)
-        return {"columns": math.floor((x + reach).max() / plant.pitch_x + 0.5) - first}
+        return {"columns": math.floor((x + reach).max() / line.pitch_x + 0.5) - first}
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
         """Return the asked side."""
@@ -321,8 +321,8 @@ def _time_to_leave(nodes: Nodes) -> Numbers:
     if side[0] == 0.0:
         return off_line(nodes) - 0.1 * nodes.parcels.truth[:, 0]
     vy = side * vy
-    half_line = 0.5 * nodes.plant.pitch_y * (nodes.zone[1] - 1)
-    left = nodes.reach(0.0, -side[0]) + half_line - side * (y - nodes.plant.line_y)
+    half_line = 0.5 * nodes.line.pitch_y * (nodes.zone[1] - 1)
+    left = nodes.reach(0.0, -side[0]) + half_line - side * (y - nodes.line.line_y)
     left = np.maximum(0.0, left)
     kept = np.maximum(0.0, np.where(vx > vy, 0.5 * (vx + vy), vy))
     vy = np.clip(vy, 0.0, kept)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import surface_gym as sg
 from surface_gym.config import EnvConfig
-from surface_gym.core.assembly import make_rules, make_state
+from surface_gym.core.assembly import make_env_params, make_state
 from surface_gym.cuda.memory import (
     GRIDS,
     MARK_ROWS,
@@ -55,7 +55,7 @@ def test_a_kernel_sees_the_same_memory():
 
 
 def test_numbers_stay_as_they_are():
-    params = make_rules(make_config("sort"))
+    params = make_env_params(make_config("sort"))
     assert to_device(params, CPU).timing == params.timing
     assert to_device(params, CPU).outcomes == params.outcomes
 

@@ -115,7 +115,7 @@ def test_friction_is_estimated_from_the_speed_it_takes() -> None:
         (Slow(parcels=(square(0.3), square(0.35))), {}),
         (Stop(), {"actuators": Actuators(axis_speed=0.5 * math.pi / 0.1)}),
         (Slow(), {"actuators": Actuators(axis_speed=0.5 * math.pi / 0.05)}),
-        (Slow(), {"line": replace(Slow().plant, mu_min=0.013, mu_support=0.0065)}),
+        (Slow(), {"line": replace(Slow().line, mu_min=0.013, mu_support=0.0065)}),
     ],
     ids=["large", "on supports", "slow axes, stop", "slow axes, slow", "rolling hard"],
 )
