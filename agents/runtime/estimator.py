@@ -29,7 +29,7 @@ from surface_gym.core.actions import (
     straighten_targets,
     turn_axes,
 )
-from surface_gym.core.assembly import make_rules, make_state, task_functions
+from surface_gym.core.assembly import make_env_params, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, Function, KernelFunctions, obeying, showing
 from surface_gym.core.resets import BodyPlan, Placement, place_parcel
 from surface_gym.layouts import ROLLING
@@ -141,7 +141,7 @@ class StateEstimator:
             actuators=Actuators(axis_speed=self._axis_speed),
             randomisation=Randomisation(),
         )
-        params = make_rules(self.config)
+        params = make_env_params(self.config)
         offered = within_right_angles(params.acting.orientations)
         self._params = params._replace(acting=params.acting._replace(orientations=offered))
         self._looks = make_looks(params.sensor)

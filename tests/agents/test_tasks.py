@@ -12,7 +12,7 @@ from tests.agents.test_doors import ROOT, door, inside
 
 REACH = str(ROOT / "examples" / "reach.py") + ":Reach"
 HASTE = str(ROOT / "examples" / "haste.py") + ":Haste"
-SHORT = "--steps 512 --lanes 8 --n-steps 16 --batch-size 64 --n-epochs 1 --hidden 8 --name a"
+SHORT = "--steps 512 --num-envs 8 --n-steps 16 --batch-size 64 --n-epochs 1 --hidden 8 --name a"
 
 
 class TestNames:

@@ -62,7 +62,7 @@ def test_every_method_acts_in_its_own_environment() -> None:
     assert list(BY_NAME)[:6] == [FIXED, ARRANGED, TURNED, EVENT, EACH, RESERVATION]
     for method in stream_methods():
         for preset in method.presets:
-            settings = method.settings(Case("S and B", 1.0, preset), 2000.0)
+            settings = method.config(Case("S and B", 1.0, preset), 2000.0)
             assert (settings.actions, settings.gate) == (method.actions, method.gate)
             assert settings.exits.names == ("left", "right", "straight")
             varies = settings.randomisation.friction
@@ -71,7 +71,7 @@ def test_every_method_acts_in_its_own_environment() -> None:
 
 @pytest.mark.parametrize("method", stream_methods(), ids=lambda method: method.name)
 def test_every_method_can_be_made(method: StreamMethod) -> None:
-    settings = method.settings(Case("S", 1.5), 2000.0)
+    settings = method.config(Case("S", 1.5), 2000.0)
     controller = method.make(settings)
     assert controller is not None
     space = settings.observation_space()

@@ -12,7 +12,7 @@ import torch
 
 from surface_gym.agents.base import SIDE
 from surface_gym.agents.learning.config import ParcelsConfig
-from surface_gym.agents.learning.parcels import SlotVecEnv, densest_stream, training_settings
+from surface_gym.agents.learning.parcels import SlotVecEnv, densest_stream, training_env_config
 from surface_gym.agents.learning.train import train
 from surface_gym.agents.library import WEIGHTS
 from surface_gym.agents.rules.streams import StreamEventRule
@@ -23,7 +23,7 @@ SMALL = ParcelsConfig(
     steps=4_000, num_envs=4, slots=8, n_steps=64, batch_size=512, n_epochs=1, hidden=(8,),
     imitation=0, critic_first=4_000, checkpoint_every=8_192,
 )  # fmt: skip
-SETTINGS = training_settings(0.04)
+SETTINGS = training_env_config(0.04)
 SLOTS = 14
 
 

@@ -152,7 +152,7 @@ def begun(settings: EnvConfig, size: int = 4, options: dict[str, Any] | None = N
 @pytest.mark.parametrize("task", TASKS)
 def test_in_a_lab_it_is_the_start_of_the_environment_with_all_its_noise(task: str) -> None:
     model = begun(EnvConfig(task=task, actions="halves", preset="lab"))
-    env = sg.SmartSurfaceVectorEnv(3, task=task, actions="halves", condition="lab")
+    env = sg.SmartSurfaceVectorEnv(3, task=task, actions="halves", preset="lab")
     for i in range(3):
         model.begin({}, SEED + i)
         _, info = env.reset(seed=SEED)
@@ -167,7 +167,7 @@ def test_whatever_the_sensors_say_it_moves_as_the_environment_does(task: str) ->
     """
     settings = EnvConfig(task=task, actions="halves", preset="lab")
     model = begun(settings)
-    env = sg.SmartSurfaceEnv(task=task, actions="halves", condition="lab")
+    env = sg.SmartSurfaceEnv(task=task, actions="halves", preset="lab")
     env.reset(seed=SEED)
     for angle in (0.5, 0.25, -0.25, 0.5, 0.0, -0.25):
         action = model.uniform_action(math.pi * angle)
