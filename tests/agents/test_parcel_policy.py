@@ -45,7 +45,9 @@ def test_mirrored_choices_come_back_as_they_were() -> None:
 
 def test_choices_and_actions_are_inverse() -> None:
     """An event rule delivers the same by either."""
-    plain = EnvConfig(stream=SETTINGS.stream_task.stream, exits="sides", actions="parcels", gate=True)
+    plain = EnvConfig(
+        "flow", stream=SETTINGS.stream_task.stream, exits="sides", actions="parcels", gate=True
+    )
     batch = StreamBatch(plain, 1)
     batch.seed(0, np.random.default_rng(3))
     batch.reset(np.arange(1))

@@ -51,7 +51,7 @@ def test_defaults_are_those_of_task_and_algorithm(tmp_path: Path) -> None:
 
 
 def test_earlier_names_of_options_are_understood() -> None:
-    config = config_of("--num-envs", "32", "--preset=lab")
+    config = config_of("--lanes", "32", "--condition=lab")
     assert config == replace(defaults("sort", "ppo", preset="lab"), num_envs=32)
 
 

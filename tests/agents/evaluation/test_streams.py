@@ -63,7 +63,7 @@ def test_every_method_acts_in_its_own_environment() -> None:
     for method in stream_methods():
         for preset in method.presets:
             settings = method.config(Case("S and B", 1.0, preset), 2000.0)
-            assert (settings.actions, settings.gate) == (method.actions, method.gate)
+            assert (settings.actions, settings.stream_task.gate) == (method.actions, method.gate)
             assert settings.exits.names == ("left", "right", "straight")
             varies = settings.randomisation.friction
             assert varies == (0.2 if preset == "camera" else 0.0)
@@ -80,7 +80,7 @@ def test_every_method_can_be_made(method: StreamMethod) -> None:
 
 
 def test_a_method_that_cannot_sort_has_no_capacity(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("surface_gym.agents.evaluation.streams.best_zone", lambda *_: None)
+    monkeypatch.setattr("surface_gym.agents.evaluation.streams.find_best_zone", lambda *_: None)
     result = compute_stream(BY_NAME[ARRANGED], Case("S", 1.5), SEARCHED)
     assert (result.can, result.capacity, result.eased) == (False, None, None)
 

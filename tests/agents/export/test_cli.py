@@ -81,9 +81,9 @@ def test_a_run_is_exported_under_its_own_name_or_another(tmp_path: Path) -> None
     write_config(PPOConfig(preset="lab"), tmp_path / "window" / "config.yaml")
     lab = of_run(tmp_path / "window").training
     assert [each.name for each in lab.presets] == list(TRAINED_IN["lab"])
-    (tmp_path / "window" / "card.yaml").write_text("command: python train.py --preset lab\n")
+    (tmp_path / "window" / "card.yaml").write_text("command: python train.py --condition lab\n")
     told = of_run(tmp_path / "window").training
-    assert (told.preset, told.command) == ("lab", "python train.py --preset lab")
+    assert (told.preset, told.command) == ("lab", "python train.py --condition lab")
     with pytest.raises(ValueError, match="seed must be one of 0, got 3"):
         of_run(tmp_path / "window", seed=3)
 

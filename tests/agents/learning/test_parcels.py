@@ -37,14 +37,14 @@ def make_slots(num_streams: int = 2, seed: int = 0) -> SlotVecEnv:
 def run() -> list[tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, object]]]]:
     """Observations, rewards, ends and infos of 150 periods; all parcels obey the event rule."""
     env = make_slots()
-    rule = StreamEventRule(EnvConfig(exits="sides", actions="parcels"))
+    rule = StreamEventRule(EnvConfig("flow", exits="sides", actions="parcels"))
     seen = np.asarray(env.reset())
     steps = []
     for _ in range(150):
         choices = np.ones((env.num_envs, 3), dtype=np.int64)
         there = (seen[:, PRESENT] > 0.5) & (seen[:, WAITS] < 0.5)
         if there.any():
-            choices[there, :2] = rule._halves(seen[there])
+            choices[there, :2] = rule.halves(seen[there])
         after, rewards, ends, infos = env.step(choices)
         steps.append((seen, rewards, ends, infos))
         seen = np.asarray(after)

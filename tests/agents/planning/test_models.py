@@ -135,8 +135,8 @@ def test_points_are_under_a_base_where_its_functions_say_so() -> None:
         x, y = np.meshgrid(np.linspace(-0.29, 0.3, 41), np.linspace(-0.29, 0.3, 41))
         centre = np.array(base.centroid)
         inside = base.functions(x + centre[0], y + centre[1]).max(axis=0) <= 0.0
-        sites, site = model._batch.bodies, int(model.parcels.site[0])
-        np.testing.assert_array_equal(is_under(sites, site, x, y), inside)
+        bodies, body = model._batch.bodies, int(model.parcels.body[0])
+        np.testing.assert_array_equal(is_under(bodies, body, x, y), inside)
 
 
 SEED = 31

@@ -254,7 +254,7 @@ class TestTrial:
         assert "invalid values" in result.why
 
     def test_an_interrupt_is_passed_on(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(study, "start", lambda *_: TrainResult(0, 0.0, True))
+        monkeypatch.setattr(study, "train", lambda *_: TrainResult(0, 0.0, True))
         with pytest.raises(KeyboardInterrupt):
             self.run()
 
