@@ -76,7 +76,7 @@ def test_no_change_is_as_trained(task: str) -> None:
     benchmark = find_benchmark(task)
     assumed, true = situation(method, benchmark, FACTORS[TRAINED].change(TRAINED))
     assert assumed == true
-    settings = method.settings(benchmark.task, EVERYTHING_EXACT)
+    settings = method.config(benchmark.task, EVERYTHING_EXACT)
     for name in ("sensors", "control_period", "zone", "actuators", "randomisation", "actions"):
         assert getattr(true, name) == getattr(settings, name)
     assert true.chosen_line == settings.chosen_line
@@ -85,7 +85,7 @@ def test_no_change_is_as_trained(task: str) -> None:
 
 
 def test_an_unchanged_environment_plays_the_same() -> None:
-    settings = SLOW.settings(BENCHMARK.task, EVERYTHING_EXACT)
+    settings = SLOW.config(BENCHMARK.task, EVERYTHING_EXACT)
     (first, second) = (
         run_episodes(SLOW.make(each, 0), each, [{}] * 8, 3)
         for each in (settings, true_of(Change()))
