@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.parcel import Parcel
+from surface_gym.physics import types as ty
 from surface_gym.physics.references import find_support
 from surface_gym.physics.rollout import (
     ContactForces,
@@ -21,20 +22,7 @@ from surface_gym.physics.rollout import (
     repeat_implicit,
     support_loads,
 )
-from surface_gym.physics.types import (
-    AX,
-    AY,
-    NORMAL,
-    OMEGA,
-    THETA,
-    VX,
-    Array,
-    Integers,
-    Scratch,
-    X,
-    make_scratch,
-    table_row,
-)
+from surface_gym.physics.types import Array, Integers, Scratch, make_scratch, table_row
 from surface_gym.surface import Surface
 
 if TYPE_CHECKING:
@@ -216,8 +204,8 @@ class Trajectory:
         """
         run = self._known_run("acceleration")
         turning = np.zeros(len(self.time))
-        turning[1:] = np.diff(run.states[:, OMEGA]) / run.lengths(self.time)[1:]
-        return np.column_stack([run.states[:, AX : AY + 1], turning])
+        turning[1:] = np.diff(run.states[:, ty.OMEGA]) / run.lengths(self.time)[1:]
+        return np.column_stack([run.states[:, ty.AX : ty.AY + 1], turning])
 
     @cached_property
     def energy(self) -> Energy:
@@ -351,7 +339,7 @@ def _bear_by_reference(
         state, first = run.states[k - 1], steps.first[k]
         count = find_support(grid, body, state, scratch, float(steps.lead[k])).total
         support_load_by(run.normal_forces, grid, body, state, scratch, count)
-        observed.normal[first : first + count] = table_row(scratch, NORMAL, count)
+        observed.normal[first : first + count] = table_row(scratch, ty.NORMAL, count)
 
 
 def _compute_contacts(run: Run, time: Array) -> ContactRecord:
@@ -368,7 +356,7 @@ def _compute_contacts(run: Run, time: Array) -> ContactRecord:
     place = np.column_stack([surface.x[column], surface.y[row]])
     force = mass * observed.force
     along, across = _along_and_across(surface, observed.element, force)
-    slide = _slip_velocity(run, time, step, place, run.states[:, VX : OMEGA + 1])
+    slide = _slip_velocity(run, time, step, place, run.states[:, ty.VX : ty.OMEGA + 1])
     return ContactRecord(
         step=step,
         time=time[step],
@@ -406,7 +394,7 @@ def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity
     """
     before = run.states[step - 1]
     lead = run.leads(time)[step, np.newaxis]
-    arm = place - (before[:, X:THETA] + lead * before[:, VX:OMEGA])
+    arm = place - (before[:, ty.X : ty.THETA] + lead * before[:, ty.VX : ty.OMEGA])
     vx, vy, omega = velocity[step].T
     return np.column_stack([vx - omega * arm[:, 1], vy + omega * arm[:, 0]])
 
@@ -414,7 +402,7 @@ def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity
 def _compute_energy(run: Run, time: Array, contacts: ContactRecord) -> Energy:
     """Compute the energy of a run from its states (T, 8) and contacts; time is (T,) [s]."""
     surface, parcel = run.surface, run.parcel
-    velocity = run.states[:, VX : OMEGA + 1]
+    velocity = run.states[:, ty.VX : ty.OMEGA + 1]
     mean = np.zeros_like(velocity)
     mean[1:] = 0.5 * (velocity[1:] + velocity[:-1])
     slide = _slip_velocity(run, time, contacts.step, contacts.place, mean)
@@ -432,7 +420,7 @@ def _compute_energy(run: Run, time: Array, contacts: ContactRecord) -> Energy:
 
     return Energy(
         kinetic=0.5 * parcel.mass * (vx**2 + vy**2 + turning),
-        potential=pull * (run.states[0, X] - run.states[:, X]),
+        potential=pull * (run.states[0, ty.X] - run.states[:, ty.X]),
         along=cumulate(np.where(rotor, power_along, 0.0)),
         across=cumulate(np.where(rotor, power_across, 0.0)),
         supports=cumulate(np.where(rotor, 0.0, power_along + power_across)),

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from surface_gym.design.line import DesignLine
 from surface_gym.parallel import Cluster, Workers, map_jobs, without_report
 from surface_gym.parcel import Parcel
+from surface_gym.physics import types as ty
 from surface_gym.physics.collision import read_body
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.jit import compiled, inlined
@@ -30,17 +31,6 @@ from surface_gym.physics.step import (
     step_implicit,
 )
 from surface_gym.physics.types import (
-    AX,
-    AY,
-    GRAVITY,
-    OMEGA,
-    RADIUS,
-    SPAN_FIRST,
-    SPAN_LAST,
-    SPAN_ROW,
-    SPANS,
-    VX,
-    VY,
     Array,
     Bodies,
     Booleans,
@@ -279,10 +269,10 @@ def _rotor_span(rotor: Booleans, scratch: Scratch) -> tuple[int, int]:
     marks = scratch.marks
     lowest = rotor.shape[1]
     highest = -1
-    for k in range(marks[SPANS]):
-        row = marks[SPAN_ROW + k]
-        first = marks[SPAN_FIRST + k]
-        last = marks[SPAN_LAST + k]
+    for k in range(marks[ty.SPANS]):
+        row = marks[ty.SPAN_ROW + k]
+        first = marks[ty.SPAN_FIRST + k]
+        last = marks[ty.SPAN_LAST + k]
         while first <= last and not rotor[row, first]:
             first += 1
         while first <= last and not rotor[row, last]:
@@ -309,14 +299,14 @@ def _run_range(
         state = runs.state[run]
         grid = _make_grid(surfaces, number, runs.condition[run])
         body = read_body(bodies, number[PARCEL])
-        radius = bodies.body[number[PARCEL], RADIUS]
+        radius = bodies.body[number[PARCEL], ty.RADIUS]
         invalidate_contacts(scratch)
         reason = OUT_OF_TIME
         touched = -1
         tipped = 0
         steps = 0
         while steps < number[STEPS]:
-            omega = state[OMEGA]
+            omega = state[ty.OMEGA]
             report, _ = step_implicit(grid, body, state, scratch, dt)
             if report >= OFF_SURFACE:
                 reason = OFF
@@ -331,8 +321,10 @@ def _run_range(
             if lowest >= number[EXIT]:
                 reason = PAST
                 break
-            speed = abs(state[VX]) + abs(state[VY]) + abs(state[OMEGA]) * radius
-            change = abs(state[AX]) + abs(state[AY]) + abs(state[OMEGA] - omega) * radius / dt
+            speed = abs(state[ty.VX]) + abs(state[ty.VY]) + abs(state[ty.OMEGA]) * radius
+            change = (
+                abs(state[ty.AX]) + abs(state[ty.AY]) + abs(state[ty.OMEGA] - omega) * radius / dt
+            )
             if speed < REST_SPEED and change < REST_CHANGE:
                 reason = AT_REST
                 break
@@ -367,7 +359,7 @@ def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: fl
     number[:, PARCEL] = runs.parcel
     number[:, EXIT] = np.where(runs.columns < 0, line.shape[1], line.lead_in + runs.columns)
     number[:, STEPS] = round(LONGEST / dt)
-    gravity = [GRAVITY * map_floats(function, runs.tilt) for function in (math.sin, math.cos)]
+    gravity = [ty.GRAVITY * map_floats(function, runs.tilt) for function in (math.sin, math.cos)]
     starts = np.array([line.start(parcel) for parcel in parcels])[runs.parcel]
     starts[:, 1] += runs.lateral
     starts[:, 2] += runs.heading
