@@ -11,8 +11,15 @@ import numpy as np
 from benchmarks.gpu.windows import Effort, Rate, rate_of
 from surface_gym.physics.types import GRAVITY
 from surface_gym.validation.comparison import PARCEL, PUSHED
-from surface_gym.validation.scene import RECIPE, Recipe, build, load_mujoco
-from surface_gym.validation.simulation import elements_under, reachable, static_sag
+from surface_gym.validation.simulation import (
+    RECIPE,
+    Recipe,
+    build,
+    elements_under,
+    load_mujoco,
+    reachable,
+    static_sag,
+)
 
 MUJOCO_WARP = find_spec("mujoco_warp") is not None  # which needs mujoco and warp
 PERIOD = 0.04  # [s] of a decision, as Sort's
