@@ -1,13 +1,23 @@
-"""Common ground of all agents: the controller's interface, axis angles, zones, command lines."""
+"""What controllers share: their interface, axis orientations, and the symmetry of the line.
 
+The environment mirrors Sort's observation already, so that the goal lies at y > 0; the last of its
+features is the asked side. Here actions are mirrored back into the world.
+"""
+
+import math
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from surface_gym.config import EnvConfig
+from surface_gym.core.actions import ActionKind
+from surface_gym.tasks import Sort
+from surface_gym.tasks.sort import FEATURES
 
 if TYPE_CHECKING:
     from surface_gym.lines import Line
@@ -69,3 +79,109 @@ def with_zone(line: "Line", columns: int) -> "Line":
 def time_for(line: "Line", columns: int) -> float:
     """Compute the factor [-] on an episode's time limit for a zone of so many columns."""
     return max(1.0, columns / line.zone_columns)
+
+
+class Offer(Protocol):
+    """A configuration that offers orientations."""
+
+    @property
+    def chosen_orientations(self) -> tuple[float, ...]:
+        """[rad] axis angles on offer."""
+
+
+def find_orientation(config: Offer, angle: float) -> int:
+    """Find the index of an axis angle [rad] on offer; an axis turned by pi is the same.
+
+    Raises:
+        ValueError: it is not on offer.
+    """
+    angles = np.array(config.chosen_orientations)
+    apart = axes_apart(angles, angle)
+    if apart.min() > SAME:
+        raise ValueError(
+            f"orientations must hold {math.degrees(angle):g} deg, "
+            f"got {np.degrees(angles).tolist()} deg"
+        )
+    return int(apart.argmin())
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Choices by what they do to a parcel that moves along the line."""
+
+    roll: int  # 90 deg: it rolls on
+    brake: int  # 0 deg: it is braked
+    left: int  # -45 deg: it is led towards y > 0
+    right: int  # 45 deg: it is led towards y < 0
+
+    def towards(self, side: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Choose what leads to each side (...): left where positive, right where negative."""
+        return np.select([side > 0.0, side < 0.0], [self.left, self.right], self.roll)
+
+    def mirrored(self, layout: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Mirror choices (rows, columns) in the middle row."""
+        flipped = layout[::-1]
+        return np.select(
+            [flipped == self.left, flipped == self.right], [self.right, self.left], flipped
+        )
+
+
+def find_axes(config: Offer) -> Axes:
+    """Find the four orientations of the paper's Figure 2b.
+
+    Raises:
+        ValueError: one of them is not on offer.
+    """
+    quarter = math.pi / 4.0
+    return Axes(
+        roll=find_orientation(config, 2.0 * quarter),
+        brake=find_orientation(config, 0.0),
+        left=find_orientation(config, -quarter),
+        right=find_orientation(config, quarter),
+    )
+
+
+SIDE = len(FEATURES) - 1  # index of the asked side in the observation
+
+
+def mirrored_orientations(orientations: tuple[float, ...]) -> NDArray[np.int64]:
+    """(choices,) index of each axis angle's mirror image, -angle, among the orientations [rad].
+
+    Raises:
+        ValueError: the mirror image of an angle is not among them.
+    """
+    angles = np.array(orientations)
+    apart = axes_apart(-angles[:, np.newaxis], angles)
+    nearest = apart.argmin(axis=1)
+    if (apart[np.arange(len(angles)), nearest] > SAME).any():
+        raise ValueError(f"orientations must hold the mirror image of each, got {orientations}")
+    return nearest
+
+
+class ActionMirror:
+    """Mirror for actions that were chosen for y > 0, where the asked side is y < 0.
+
+    Args:
+        kind: of the actions.
+        orientations: [rad] axis angles to choose from; continuous actions ignore them.
+    """
+
+    def __init__(self, kind: ActionKind, orientations: tuple[float, ...]) -> None:
+        self._kind = kind
+        self._image = None if kind.continuous else mirrored_orientations(orientations)
+
+    def __call__(self, actions: NDArray[Any], side: NDArray[np.float32]) -> NDArray[Any]:
+        """Return actions (num_envs, ...) in the world for the asked side (num_envs,) of each."""
+        commands = self._kind.commands(actions, len(side))
+        flipped = self._kind.flip(commands)
+        image = self._kind.encode(-flipped if self._image is None else self._image[flipped])
+        # Side 0, straight through, is not mirrored.
+        unchanged = (side >= 0.0).reshape(-1, *[1] * (np.ndim(actions) - 1))
+        return np.where(unchanged, actions, image)
+
+
+def action_mirror(settings: EnvConfig) -> ActionMirror | None:
+    """Build the mirror for an environment's actions; None where its task is not symmetric."""
+    if not isinstance(settings.task, Sort):
+        return None
+    return ActionMirror(settings.action_kind, settings.chosen_orientations)

@@ -12,10 +12,10 @@ from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS, QUADRANT_SIZE, QUADRANTS, group_features
 from surface_gym.lines import BaseLine, Line
-from surface_gym.tasks.observed import LineObservation
+from surface_gym.tasks.planning import LineObservation
 from surface_gym.tasks.sort import FEATURES
 
-from .symmetry import SIDE, mirrored_orientations
+from .base import SIDE, mirrored_orientations
 
 Numbers = NDArray[np.float64]
 Singles = NDArray[np.float32]

@@ -16,8 +16,8 @@ from torch.distributions import Categorical
 from surface_gym.config import EnvConfig
 from surface_gym.flow.task import PRESENT, WAITS
 
+from .base import SIDE, mirrored_orientations
 from .library import PolicyCard
-from .symmetry import SIDE, mirrored_orientations
 
 
 def mirrored_rows(rows: NDArray[np.float32]) -> NDArray[np.float32]:

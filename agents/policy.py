@@ -24,10 +24,10 @@ from surface_gym.config import EnvConfig
 from surface_gym.files import replacing
 from surface_gym.tasks import TASKS, Task
 
+from .base import SIDE, action_mirror
 from .library import CARD, DAMAGE, WEIGHTS, PolicyCard, PolicyFiles, describe_damage, read_files
 from .module_policy import ModulePolicy, SharedNetwork
 from .parcel_policy import ParcelPolicy, make_parcel_network
-from .symmetry import SIDE, action_mirror
 
 DIGEST = "digest"  # field of the card: of its other fields and the weights
 

@@ -11,8 +11,16 @@ import tyro
 from surface_gym.parallel import usable_cores
 
 from .base import FLOW_TASK, TRAIN, command_line
-from .learning.config import CONFIGS, CPU, NOMINAL, RENAMED, DeviceName, PresetName, TrainConfig
-from .learning.hyperparams import defaults
+from .learning.config import (
+    CONFIGS,
+    CPU,
+    NOMINAL,
+    RENAMED,
+    DeviceName,
+    PresetName,
+    TrainConfig,
+    defaults,
+)
 
 SWEEP = "sweep.yml"  # in the folder of a search
 

@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 
 from surface_gym import SmartSurfaceVectorEnv
 
-from .symmetry import SIDE, ActionMirror
+from .base import SIDE, ActionMirror
 
 Infos = list[dict[str, Any]]
 

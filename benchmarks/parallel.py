@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.figure import Figure
-from surface_gym.agents.learning.config import TrainConfig
-from surface_gym.agents.learning.hyperparams import defaults
+from surface_gym.agents.learning.config import TrainConfig, defaults
 from surface_gym.agents.learning.runs import CHECKPOINT
 from surface_gym.agents.learning.train import put_files, read_files, train
 from surface_gym.design.line import line_for

@@ -8,9 +8,8 @@ from surface_gym.env import SmartSurfaceEnv
 from surface_gym.parcel import Disc, Parcel, Polygon, Rectangle
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.registration import register, register_all
-from surface_gym.simulation import simulate
+from surface_gym.simulation import simulate, simulate_together
 from surface_gym.surface import Surface
-from surface_gym.together import simulate_together
 from surface_gym.trajectory import Trajectory
 from surface_gym.vector_env import SmartSurfaceVectorEnv
 

@@ -1,18 +1,39 @@
-"""The environment of every task: one surface with a parcel or a stream of parcels."""
+"""The parts that the single and the vector environment share."""
 
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym import checks
 from surface_gym.config import EnvConfig, with_arguments
-from surface_gym.gym_base import RENDER_FPS, check_render_mode, make_batch
+from surface_gym.core.batch import BaseBatch, Batch
+from surface_gym.flow.task import StreamTask
 from surface_gym.state import OUT_OF_TIME, RUNNING
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.start import check_options
 
-__all__ = ["RENDER_FPS", "SmartSurfaceEnv"]
+RENDER_FPS = 25  # pictures a second at the default control period of 40 ms: real time
+
+Picture = NDArray[Any]
+
+
+def make_batch(
+    config: EnvConfig, num_envs: int, threads: int = 1, max_episode_steps: int | None = None
+) -> BaseBatch:
+    """Make the batch of environments that a task needs: of one parcel each, or of a stream."""
+    kind: Callable[..., BaseBatch] = Batch
+    if isinstance(config.task, StreamTask):
+        from surface_gym.flow.batch import StreamBatch as kind
+    return kind(config, num_envs, threads, max_episode_steps)
+
+
+def check_render_mode(render_mode: str | None, modes: list[str]) -> str | None:
+    """A render mode, or an error that names those there are."""
+    checks.one_of("render_mode", render_mode, (None, *modes))
+    return render_mode
 
 
 class SmartSurfaceEnv(gym.Env[Any, Any]):
@@ -69,7 +90,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     Keywords of `gym.make`, `gym.make_vec` and the classes are the fields of
     `surface_gym.config.EnvConfig` and any field of the task, as `stream` of Flow. `preset`, a name
-    of `surface_gym.presets` such as "lab", sets sensors, actuators and randomisation, and the
+    of `surface_gym.config` such as "lab", sets sensors, actuators and randomisation, and the
     parcels of a task that draws the study's boxes. `render_mode` is None, "rgb_array", without a
     display, or "human".
 

@@ -1,20 +1,31 @@
-"""`simulate`: one parcel on one surface, from start to end."""
+"""`simulate` and `simulate_together`: parcels on one surface, from start to end."""
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
+from surface_gym.core.resets import NO_EDGE
 from surface_gym.parcel import Parcel
+from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
 from surface_gym.physics.references import (
     advance_explicit,
     advance_implicit,
     explain_unsupported,
     find_support,
 )
-from surface_gym.physics.rollout import run_explicit, run_implicit
+from surface_gym.physics.rollout import (
+    Records,
+    distance_between,
+    run_explicit,
+    run_implicit,
+    run_world,
+)
+from surface_gym.physics.signed_distance import CONTACT_DISTANCE
 from surface_gym.physics.step import (
     BALANCED,
     OFF_SURFACE,
@@ -29,6 +40,7 @@ from surface_gym.physics.types import (
     THETA,
     VX,
     Array,
+    Bodies,
     Body,
     Grid,
     Scratch,
@@ -225,3 +237,230 @@ def _reference_step(
     advance = advance_explicit if explicit else advance_implicit
     advance(grid, body, state, scratch, contacts, dt)
     return TIPPING if degenerate else BALANCED
+
+
+@dataclass(frozen=True, eq=False)
+class Touches:
+    """Touches of pairs of parcels, a row a pair and step."""
+
+    time: NDArray[np.float64]  # (touches,) [s] end of the step
+    pair: NDArray[np.int64]  # (touches, 2) which of the parcels, the first below the second
+    impulse: NDArray[np.float64]  # (touches,) [N s] that pressed them apart in the step
+
+
+@dataclass(frozen=True, eq=False)
+class Encounter:
+    """Result of several parcels on one surface."""
+
+    trajectories: tuple[Trajectory, ...]  # one a parcel
+    touches: Touches
+
+
+def simulate_together(
+    surface: Surface,
+    parcels: Sequence[Parcel],
+    poses: ArrayLike,
+    velocities: ArrayLike | None = None,
+    duration: float = 1.0,
+    dt: float = 0.005,
+    restitution: float = 0.0,
+    side_friction: float = 0.3,
+) -> Encounter:
+    """Move parcels over a surface whose axes stay as they are; they push each other by their sides.
+
+    Sides press at the height of the centre of mass, so they tip nobody. A parcel that touches no
+    other moves as by `simulate` with the implicit method, to the bit.
+
+    Args:
+        surface: the surface.
+        parcels: the parcels.
+        poses: (parcels, 3) [m, m, rad] x, y, theta of the bases' frames at the start.
+        velocities: (parcels, 3) [m/s, m/s, rad/s] of those frames at the start; None: at rest.
+        duration: [s] simulated; the last step is shortened to end there.
+        dt: [s] step.
+        restitution: [-] 0: sides that hit each other stay together; 1: they part as fast as they
+            met.
+        side_friction: [-] between sides.
+
+    Returns:
+        The trajectories and the touches. The trajectory of a parcel whose centre of mass passes the
+        edge of the surface, or under whose base no element lies, ends there; the others go on.
+
+    Raises:
+        ValueError: an argument is not allowed, a number is beyond `surface_gym.checks`, a parcel
+            starts off the surface, on no element or overlapping with another, or a step moves a
+            parcel past a pitch.
+
+    >>> import surface_gym as sg
+    >>> box = sg.layouts.box("S")
+    >>> surface = sg.layouts.line([[sg.layouts.ROLLING]])
+    >>> encounter = sg.simulate_together(
+    ...     surface,
+    ...     [box, box],
+    ...     poses=[(0.5, 1.0, 0.0), (1.0, 1.0, 0.0)],
+    ...     velocities=[(1.0, 0.0, 0.0), (0.0, 0.0, 0.0)],
+    ... )
+    >>> encounter.touches.time[0].round(2)  # after 0.25 m
+    np.float64(0.26)
+    >>> ends = [trajectory.pose[-1, 0] for trajectory in encounter.trajectories]
+    >>> round(ends[1] - ends[0], 3)  # they go on side by side
+    np.float64(0.25)
+    """
+    company = _company(surface, parcels, poses, velocities)
+    duration = checks.positive("duration", duration, *checks.DURATION)
+    dt = checks.positive("dt", dt, *checks.STEP)
+    if duration / dt > MAX_STEPS:
+        raise ValueError(f"dt must be at least duration / {MAX_STEPS:_}, got {dt!r}")
+    touching = ContactMaterial(
+        checks.within("restitution", restitution, 0.0, 1.0),
+        checks.not_negative("side_friction", side_friction, checks.FRICTION),
+    )
+    _check_starts(surface, parcels, poses, company)
+    time = sample_times(duration, dt)
+    records = _run_together(surface.grid, company, touching, time, dt)
+    trajectories = tuple(
+        _trajectory(surface, parcel, time, dt, records.state[:, k], records.report[:, k])
+        for k, parcel in enumerate(parcels)
+    )
+    touches = Touches(time[records.step], records.pair, records.impulse)
+    return Encounter(trajectories, touches)
+
+
+def make_bodies(parcels: Sequence[Parcel]) -> Bodies:
+    """Return parcels as the compiled physics reads them, a row each."""
+    corners = [_corners(parcel) for parcel in parcels]
+    sides = max(map(len, corners))
+    edges = np.empty((len(parcels), sides, 3))
+    edges[:] = NO_EDGE
+    filled = np.empty((len(parcels), sides, 2))
+    rows = np.empty((len(parcels), 7))
+    for k, parcel in enumerate(parcels):
+        body = parcel.body
+        edges[k, : len(body.edges)] = body.edges
+        filled[k] = corners[k][0]
+        filled[k, : len(corners[k])] = corners[k]
+        rows[k] = (
+            body.radius,
+            body.com_x,
+            body.com_y,
+            body.com_height,
+            body.gyration,
+            -float((parcel.base.outline - np.array(parcel.base.centroid))[:, 0].min()),
+            parcel.mass,
+        )
+    return Bodies(rows, edges, filled)
+
+
+def _corners(parcel: Parcel) -> Array:
+    """Return the corners (corners, 2) [m] from the centroid; a disc's lie at the centroid."""
+    if len(parcel.body.edges) == 0:
+        return np.zeros((3, 2))
+    return np.asarray(parcel.base.outline - np.array(parcel.base.centroid))
+
+
+def _company(
+    surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, velocities: ArrayLike | None
+) -> World:
+    """Return the world at the start, of arguments that are checked but for the places they give."""
+    if not isinstance(surface, Surface):
+        raise ValueError(f"surface must be a Surface, got {surface!r}")
+    if not isinstance(parcels, Sequence) or not all(isinstance(each, Parcel) for each in parcels):
+        raise ValueError(f"parcels must be a sequence of Parcel, got {parcels!r}")
+    if len(parcels) == 0:
+        raise ValueError("parcels must be at least one, got none")
+    pose = checks.pose("poses", poses, (len(parcels), 3))
+    still = np.zeros((len(parcels), 3))
+    given = still if velocities is None else velocities
+    velocity = checks.velocity("velocities", given, still.shape)
+    bodies = make_bodies(parcels)
+    state = np.stack([start_state(*each) for each in zip(parcels, pose, velocity, strict=True)])
+    count = len(parcels)
+    return World(state, np.ones(count, dtype=np.bool_), np.arange(count), bodies)
+
+
+def _check_starts(
+    surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, company: World
+) -> None:
+    """Raise a ValueError where a parcel has no place to start from."""
+    grid = surface.grid
+    scratch = make_scratch()
+    for k, parcel in enumerate(parcels):
+        body, start = parcel.body, company.state[k]
+        check_capacity(
+            company.bodies.edges.shape[1],
+            body.radius,
+            (grid.pitch_x, grid.pitch_y),
+            (surface.columns, surface.rows),
+        )
+        if find_support(grid, body, start, scratch, 0.0).total == 0:
+            over = explain_unsupported(grid, start, 0.0) == UNSUPPORTED
+            wanted = "over an element" if over else "on the surface"
+            pose = tuple(np.asarray(poses)[k].tolist())
+            raise ValueError(f"poses must be {wanted}, got {pose} of parcel {k}")
+        for other in range(k):
+            width = distance_between(company, other, k)
+            if width < -CONTACT_DISTANCE:
+                raise ValueError(
+                    f"poses must leave parcels apart, got {other} and {k} that overlap by "
+                    f"{-width:g} m"
+                )
+
+
+def _run_together(
+    grid: Grid, company: World, touching: ContactMaterial, time: Array, dt: float
+) -> Records:
+    """Do all steps, and cut the rows of touches to those there are."""
+    count = len(company.present)
+    scratch = make_world_scratch(count)
+    room = 1024 + 2 * len(scratch.pair)
+    records = Records(
+        np.zeros((len(time), count, STATE_SIZE)),
+        np.zeros((len(time), count), dtype=np.int64),
+        np.zeros(room, dtype=np.int64),
+        np.zeros((room, 2), dtype=np.int64),
+        np.zeros(room),
+    )
+    records.state[0] = company.state
+    touches = 0
+    most = max(1, PIECE // count)
+    for first, last, step in _stretches(time, dt):
+        following = first
+        while following <= last:
+            end = min(last, following + most - 1)
+            following, touches = run_world(
+                grid, company, touching, scratch, records, following, end, touches, step
+            )
+            if following <= end:
+                records = records._replace(
+                    step=np.concatenate([records.step, np.zeros_like(records.step)]),
+                    pair=np.concatenate([records.pair, np.zeros_like(records.pair)]),
+                    impulse=np.concatenate([records.impulse, np.zeros_like(records.impulse)]),
+                )
+    return records._replace(
+        step=records.step[:touches], pair=records.pair[:touches], impulse=records.impulse[:touches]
+    )
+
+
+def _stretches(time: Array, dt: float) -> list[tuple[int, int, float]]:
+    """Return first step, last step and their length [s]: the steps of dt, then a shortened one."""
+    last = len(time) - 1
+    if time[-1] == dt * last:
+        return [(1, last, dt)]
+    return [(1, last - 1, dt), (last, last, float(time[-1] - time[-2]))]
+
+
+def _trajectory(
+    surface: Surface,
+    parcel: Parcel,
+    time: Array,
+    dt: float,
+    states: Array,
+    reports: NDArray[np.int64],
+) -> Trajectory:
+    """Return a parcel's trajectory, up to where it left the surface."""
+    left = np.flatnonzero(reports >= OFF_SURFACE)
+    done = slice(0, int(left[0]) if len(left) else len(time))
+    end = ENDS[int(reports[left[0]])] if len(left) else "duration"
+    check_steps(parcel, min(surface.pitch_x, surface.pitch_y), states[done], dt)
+    pose, velocity = base_motion(parcel, states[done])
+    return Trajectory(time[done], pose, velocity, reports[done] == TIPPING, end)

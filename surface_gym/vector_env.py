@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig, with_arguments
-from surface_gym.gym_base import RENDER_FPS, check_render_mode, make_batch
+from surface_gym.env import RENDER_FPS, check_render_mode, make_batch
 from surface_gym.physics.types import Booleans, Integers
 from surface_gym.state import OUT_OF_TIME, RUNNING
 from surface_gym.tasks.base import Task

@@ -8,8 +8,7 @@ from surface_gym.physics import collision, contact_solver
 from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
 from surface_gym.physics.jit import compiled
 from surface_gym.physics.types import OMEGA, THETA, VX, Array, X
-from surface_gym.simulation import start_state
-from surface_gym.together import make_bodies
+from surface_gym.simulation import make_bodies, start_state
 
 G = 9.81  # [m/s^2]
 step_together = compiled(contact_solver.step_world.py_func)

@@ -11,10 +11,9 @@ import pytest
 import surface_gym as sg
 from surface_gym import checks
 from surface_gym.env import SmartSurfaceEnv
-from surface_gym.flow.arrivals import Poisson, Schedule, Spread, Steady
+from surface_gym.flow.arrivals import Arrival, Poisson, Schedule, Spread, Steady
 from surface_gym.flow.exits import Exit, flow_line
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.trace import Arrival
 from surface_gym.lines import Field, Line
 from surface_gym.sensors import Camera, Entry, Presence
 from surface_gym.tasks.paths import LaneChange, Polyline, Sine

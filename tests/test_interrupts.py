@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym import simulation, together
+from surface_gym import simulation
 from surface_gym.core import batch
 from surface_gym.design import runs
 from surface_gym.design.case import Case
@@ -116,7 +116,7 @@ def test_a_run_that_ends_early_ends_in_any_piece(monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_pieces_of_a_run_together_are_one_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    def run() -> together.Encounter:
+    def run() -> simulation.Encounter:
         return sg.simulate_together(
             sg.layouts.line([[sg.layouts.ROLLING]]),
             [BOX, BOX],
@@ -128,7 +128,7 @@ def test_the_pieces_of_a_run_together_are_one_run(monkeypatch: pytest.MonkeyPatc
     whole = run()
     assert len(whole.touches.time) > 0
     for piece in (1, 6, 50):
-        monkeypatch.setattr(together, "PIECE", piece)
+        monkeypatch.setattr(simulation, "PIECE", piece)
         pieces = run()
         for one, other in zip(whole.trajectories, pieces.trajectories, strict=True):
             assert one.pose.tobytes() == other.pose.tobytes()

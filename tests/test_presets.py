@@ -11,10 +11,9 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 import surface_gym as sg
-from surface_gym.config import EnvConfig
+from surface_gym.config import LAB_PARCELS, PRESETS, EnvConfig, Preset
 from surface_gym.core.actions import GROUPS, PARCEL_FEATURES, QUADRANTS, ROTOR_FEATURES
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
-from surface_gym.presets import LAB_PARCELS, PRESETS, Preset
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera, Exact
 from surface_gym.tasks import Slow

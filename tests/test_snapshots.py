@@ -8,7 +8,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import BaseBatch
-from surface_gym.gym_base import make_batch
+from surface_gym.env import make_batch
 from surface_gym.sensors import Camera
 from tests.flow.flows import DENSE, SHORT
 

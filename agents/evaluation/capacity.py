@@ -9,22 +9,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surface_gym.config import EnvConfig
+from surface_gym.config import EnvConfig, Preset
+from surface_gym.env import make_batch
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.state import BETWEEN, JAM
-from surface_gym.flow.statistics import compute_statistics
+from surface_gym.flow.state import BETWEEN, JAM, compute_statistics
 from surface_gym.flow.stream import Stream
-from surface_gym.gym_base import make_batch
 from surface_gym.layouts import box
-from surface_gym.presets import Preset
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Camera
 from surface_gym.state import RUNNING
 
 from ..base import Controller
-from .benchmark import SEED, Numbers
-from .statistics import half_interval
+from .benchmark import SEED, Numbers, half_interval
 
 SPEEDS = (1.0, 1.5, 2.0)  # [m/s]
 MIXES = {"S": ("S",), "S and B": ("S", "B")}  # parcels by name, of equal odds

@@ -6,8 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from surface_gym.config import EnvConfig
-from surface_gym.presets import Preset
+from surface_gym.config import EnvConfig, Preset
 from surface_gym.tasks import TASKS, Task
 
 from .. import library

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon as Patch
 
+from surface_gym.config import PRESETS
 from surface_gym.layouts import LINE_Y, box
 from surface_gym.lines import Line
-from surface_gym.presets import PRESETS
 from surface_gym.tasks.benchmark import PARCELS, SIDES, ErrorPlot, SpeedGrid
 
 from ..rollout import Episodes

@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from rich.console import Console
 
-from surface_gym.presets import PRESETS
+from surface_gym.config import PRESETS
 from surface_gym.tasks.benchmark import Column
 
 from ..tasks import task_label

@@ -10,12 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.config import EnvConfig
+from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.layouts import box
 from surface_gym.lines import BaseLine, Line
 from surface_gym.parallel import Workers
 from surface_gym.parcel import Base, Disc, Parcel, Rectangle
-from surface_gym.presets import PRESETS, Preset
 from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Camera, Exact, Presence
 from surface_gym.tasks.benchmark import Benchmark
@@ -23,9 +22,8 @@ from surface_gym.tasks.benchmark import Benchmark
 from ..base import time_for, with_zone
 from ..planning.oracle import run_oracle
 from ..rollout import Episodes, run_episodes, run_sequentially
-from .benchmark import SEED, Advance, compute_kept, drawn_parcels, find_benchmark
+from .benchmark import SEED, Advance, compute_kept, drawn_parcels, find_benchmark, interval
 from .methods import ANY_ANGLE, BEST_FIXED, PLANNER, Method
-from .statistics import interval
 
 FILE = "robustness.jsonl"
 # Made for one parcel or zone, or a search for each start.

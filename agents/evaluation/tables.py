@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table as Screen
 from rich.text import Text
 
-from surface_gym.presets import PRESETS
+from surface_gym.config import PRESETS
 from surface_gym.tasks.benchmark import PARCELS, Column, SpeedGrid
 
 from ..tasks import task_label

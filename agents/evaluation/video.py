@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
-from surface_gym.env import SmartSurfaceEnv
+from surface_gym.env import RENDER_FPS, SmartSurfaceEnv
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.task import StreamTask
-from surface_gym.gym_base import RENDER_FPS
 from surface_gym.rendering import with_caption
 
 from ..base import Controller

@@ -17,12 +17,11 @@ import gymnasium as gym
 import numpy as np
 
 from surface_gym import SmartSurfaceVectorEnv
-from surface_gym.presets import Preset
+from surface_gym.config import Preset
 
 from ..rollout import env_arguments
 from .c_header import make_prefix
-from .modules_onnx import ModulesDecision
-from .onnx_graph import ANGLES, CHOICES, OBSERVATION, need
+from .onnx import ANGLES, CHOICES, OBSERVATION, ModulesDecision, need
 from .policy import Integers, NetworkDecision, Numbers, Singles, Source
 
 Decide = Callable[[Singles], tuple[Integers, Numbers]]  # choices, and angles [rad]

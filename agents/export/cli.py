@@ -14,7 +14,7 @@ from surface_gym.files import replacing
 
 if TYPE_CHECKING:
     from .check import Agreement
-    from .modules_onnx import ModulesDecision
+    from .onnx import ModulesDecision
     from .policy import NetworkDecision, Source
 
 Format = Literal["onnx", "c"]
@@ -93,7 +93,7 @@ def export(
             differs.
         ImportError: ONNX or its runtime is missing, which the extra `export` brings.
     """
-    from . import c_header, check, modules_onnx, page, policy
+    from . import c_header, check, onnx, page, policy
 
     checks.integer("observations", observations, least=100)
     is_modules = source.policy.card.algo == "modules"
@@ -104,7 +104,7 @@ def export(
         )
     metadata, contents = make_metadata(source), {}
     checked: dict[str, Agreement | None] = {}
-    make = modules_onnx.modules_decision if is_modules else policy.network_decision
+    make = onnx.modules_decision if is_modules else policy.network_decision
     decision: NetworkDecision | ModulesDecision = make(source)
     examples = check.make_observations(source, observations)
     if not formats or "onnx" in formats:
@@ -132,13 +132,13 @@ def make_model(decision: "NetworkDecision | ModulesDecision", metadata: dict[str
     Raises:
         ImportError: ONNX is missing, which the extra `export` brings.
     """
-    from . import modules_onnx, onnx_graph
+    from . import onnx
 
-    graph = onnx_graph.Graph()
-    if isinstance(decision, modules_onnx.ModulesDecision):
-        choices = modules_onnx.add_modules_decision(graph, decision)
+    graph = onnx.Graph()
+    if isinstance(decision, onnx.ModulesDecision):
+        choices = onnx.add_modules_decision(graph, decision)
     else:
-        choices = onnx_graph.add_network_decision(graph, decision)
+        choices = onnx.add_network_decision(graph, decision)
     return graph.model((decision.features, decision.parts), decision.angles, choices, metadata)
 
 

@@ -3,14 +3,14 @@
 import math
 from collections.abc import Iterable, Sequence
 
+from surface_gym.config import Preset
 from surface_gym.core.actions import GROUPS, ActionKind, group_features
-from surface_gym.presets import Preset
 from surface_gym.tasks import Sort
 from surface_gym.tasks.base import Feature
 
 from .c_header import make_prefix
 from .check import TIE, Agreement
-from .onnx_graph import ANGLES, CHOICES, OBSERVATION, OPSET
+from .onnx import ANGLES, CHOICES, OBSERVATION, OPSET
 from .policy import Source
 
 POSE = "the parcel's place and angle: a camera, or switches in the modules, and a filter"

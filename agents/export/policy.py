@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from torch import nn
 
 from surface_gym import checks
-from surface_gym.config import EnvConfig
-from surface_gym.presets import PRESETS, Preset
+from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.tasks import Sort, Task
 
 from .. import library
+from ..base import SIDE, mirrored_orientations
 from ..evaluation.methods import policy_folders
 from ..learning.config import NOMINAL
 from ..learning.runs import CARD as CARD_FILE
@@ -25,7 +25,6 @@ from ..learning.runs import CONFIG, read_config
 from ..library import read_files
 from ..module_policy import ModulePolicy
 from ..policy import DIGEST, Policy, make_network
-from ..symmetry import SIDE, mirrored_orientations
 from ..tasks import find_task
 
 Singles = NDArray[np.float32]

@@ -19,13 +19,13 @@ from surface_gym.config import EnvConfig
 from surface_gym.registration import env_id
 from surface_gym.tasks import Sort
 
+from ..base import SIDE, ActionMirror, mirrored_orientations
 from ..policy import EqualCategoricals, EqualChoicesPolicy, make_network
-from ..symmetry import SIDE, ActionMirror, mirrored_orientations
 from ..tasks import find_task
 from .config import PPOConfig, is_registered, make_card
-from .envs import training_task
 from .ppo import MAX_GRAD_NORM, compute_advantages, learning_rate, ppo_loss, train_learner
 from .runs import RECENT_EPISODES, REWARD, Curve, OnProgress, TrainResult
+from .sb3 import training_task
 
 VALUE_COEF = 0.5  # as in Stable-Baselines3's PPO
 EPISODES = "episodes"  # their number, beside the sums over them

@@ -23,9 +23,9 @@ from ..module_policy import (
 from ..module_view import Integers, ModuleView, Numbers, Singles
 from ..vec_env import ConcatVecEnv
 from .config import ModulesConfig, make_card
-from .envs import make_training_envs
 from .ppo import MAX_GRAD_NORM, compute_advantages, learning_rate, ppo_loss, train_learner
 from .runs import Curve, OnProgress, TrainResult
+from .sb3 import make_training_envs
 
 ADAM_EPS = 1e-5  # as in Stable-Baselines3's PPO
 

@@ -28,10 +28,10 @@ from .config import (
     RENAMED,
     TrainConfig,
     config_of_seed,
+    defaults,
     is_registered,
     on_device,
 )  # fmt: skip
-from .hyperparams import defaults
 
 CONFIG = "config.yaml"
 COMMAND = "command.txt"

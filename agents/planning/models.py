@@ -1,7 +1,7 @@
-"""Models that planners search: copies of an environment that begin as one and then branch."""
+"""Nodes of a search: environments of the simulator as they stand, and what braking can still do."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,17 +10,205 @@ from numpy.typing import NDArray
 
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch, Snapshot
+from surface_gym.lines import BaseLine
 from surface_gym.physics.types import GYRATION, HALF_LENGTH, RADIUS
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Exact
-from surface_gym.state import OUT_OF_TIME, ParcelState
+from surface_gym.state import ACROSS_FACTOR, ALONG_FACTOR, OUT_OF_TIME, BodyTable, ParcelState
+from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
+from surface_gym.tasks.planning import square_reach
 from surface_gym.tasks.start import Start
 
 from ..base import axes_apart
-from .nodes import BrakingProfile, SearchNodes, TurningAxes, braking_profile, is_under
+
+Booleans = NDArray[np.bool_]
+Numbers = NDArray[np.float64]
+
+PIECE = 0.005  # [m] along the line, of a braking profile
+ON_EDGE = 1e-9  # [m] round-off, by which a point on an edge may lie beyond it
+PARTS = 8  # that the time of a quarter turn is computed in
+
+
+@dataclass(frozen=True, eq=False)
+class BrakingProfile:
+    """Full braking along a line: less where supports or stuck modules bear a share of a parcel that
+    runs straight along the line's middle.
+    """
+
+    x: Numbers  # (places,) [m] of its centre, rising
+    braking: Numbers  # (places,) [m/s^2]
+    spent: Numbers  # (places,) [m^2/s^2] what of half the speed's square braking takes up to there
+
+    def braking_at(self, x: Numbers) -> Numbers:
+        """Interpolate the deceleration [m/s^2] at places (nodes,) [m]."""
+        return np.interp(x, self.x, self.braking)
+
+    def braking_distance(self, x: Numbers, speed: Numbers) -> Numbers:
+        """Compute the way [m] that full braking takes from places (nodes,) [m] and speeds [m/s]."""
+        spent = np.interp(x, self.x, self.spent) + 0.5 * speed**2
+        ends = np.interp(spent, self.spent, self.x)
+        # Past the last place there is nothing to brake.
+        beyond = np.maximum(0.0, spent - self.spent[-1])
+        return np.maximum(0.0, ends - x) + 1e3 * beyond
+
+
+def braking_profile(
+    bodies: BodyTable, body: int, line: BaseLine, braking: float, rolling_loss: float
+) -> BrakingProfile:
+    """Compute the braking profile of a parcel, every element under it bearing as much.
+
+    Args:
+        bodies: parcels as they run on the line.
+        body: index of the parcel.
+        line: the line.
+        braking: [m/s^2] where rotors bear it all, all axes at 0 deg.
+        rolling_loss: [m/s^2] of axes at 90 deg.
+    """
+    x = np.arange(line.column_edge(0), line.column_edge(line.columns), PIECE)
+    row, column = np.indices((line.rows, line.columns)).reshape(2, -1)
+    arm_x = line.origin[0] + line.pitch_x * column - x[:, np.newaxis]
+    arm_y = line.origin[1] + line.pitch_y * row - line.line_y
+    under = is_under(bodies, body, arm_x, np.broadcast_to(arm_y, arm_x.shape))
+    obeying = (under & bodies.obeys[body].ravel()).sum(axis=1)
+    share = obeying / np.maximum(1, under.sum(axis=1))
+    # Nowhere nothing, so that what is spent rises.
+    each = np.maximum(rolling_loss, share * braking)
+    spent = np.concatenate([[0.0], np.cumsum(0.5 * (each[1:] + each[:-1]) * PIECE)])
+    return BrakingProfile(x, each, spent)
+
+
+def is_under(bodies: BodyTable, body: int, ahead: Numbers, left: Numbers) -> Booleans:
+    """Test whether points, of any shape, are under the base of a parcel.
+
+    Args:
+        bodies: parcels.
+        body: index of the parcel.
+        ahead: [m] of the base's centroid, in its own frame.
+        left: [m].
+    """
+    under: Booleans = np.hypot(ahead, left) <= bodies.body[body, RADIUS] + ON_EDGE
+    for normal_x, normal_y, distance in bodies.edges[body]:
+        under &= normal_x * ahead + normal_y * left <= distance + ON_EDGE
+    return under
+
+
+@dataclass(frozen=True, eq=False)
+class TurningAxes:
+    """Axes that are still turning: the rotors of a zone beside some parcels, one per node."""
+
+    angle: Numbers  # (nodes, rotors) [rad] of each axis
+    arm_x: Numbers  # (nodes, rotors) [m] from a parcel's centre of mass
+    arm_y: Numbers  # (nodes, rotors) [m]
+    share: Numbers  # (nodes, rotors) [-] of its parcel that a rotor that obeys bears
+    speed: float  # [rad/s] at which axes turn
+    gyration: float  # [m^2] inertia / mass
+
+    @property
+    def quarter_turn(self) -> float:
+        """[s] that an axis takes to turn by 90 deg."""
+        return 0.5 * math.pi / self.speed
+
+    def velocity_changes(self, braking: float) -> Numbers:
+        """Compute the changes (nodes, 3) [m/s, m/s, rad/s] of velocity, along the line, across it
+        and of turning, until all axes have turned on to 90 deg; of parcels that run straight along
+        the line meanwhile.
+
+        Args:
+            braking: [m/s^2] of axes at 0 deg.
+        """
+        most = self.share * (braking / self.speed)
+        side = np.sign(np.sin(2.0 * self.angle))
+        along = -most * (1.0 - np.abs(np.sin(self.angle)))
+        across = -most * side * np.abs(np.cos(self.angle))
+        turn = (self.arm_x * across - self.arm_y * along).sum(axis=1) / self.gyration
+        return np.stack([along.sum(axis=1), across.sum(axis=1), turn], axis=-1)
+
+    def braking_distance(self, x: Numbers, speed: Numbers, profile: BrakingProfile) -> Numbers:
+        """Compute the way (nodes,) [m] that parcels go on for if all axes turn to 0 deg now.
+
+        Args:
+            x: (nodes,) [m] of their centres.
+            speed: (nodes,) [m/s] along the line.
+            profile: of axes at 0 deg.
+        """
+        apart = np.abs(self.angle - math.pi * np.round(self.angle / math.pi))
+        shared = self.share / np.maximum(1e-9, self.share.sum(axis=1, keepdims=True))
+        step = self.quarter_turn / PARTS
+        way = np.zeros_like(speed)
+        left = np.maximum(0.0, speed)
+        for k in range(PARTS):
+            then = np.maximum(0.0, apart - (k + 0.5) * step * self.speed)
+            turned = (shared * np.cos(then)).sum(axis=1)
+            taken = step * turned * profile.braking_at(x + way + 0.5 * step * left)
+            after = np.maximum(0.0, left - taken)
+            # A parcel that comes to rest within the part does not move for all of it.
+            lasts = np.where(taken > left, left / np.maximum(taken, 1e-12), 1.0)
+            way += 0.5 * (left + after) * step * lasts
+            left = after
+        return way + profile.braking_distance(x + way, left)
+
+
+@dataclass(frozen=True, eq=False)
+class SearchNodes:
+    """Nodes of a search, as a task's cost sees them (`surface_gym.tasks.planning.Nodes`)."""
+
+    parcels: ParcelState  # state arrays, one row per node
+    half_length: float  # [m] of the base
+    zone: tuple[int, int, int, int]  # first row, rows, first column, columns that obey
+    line: BaseLine
+    conditions: Numbers  # (5,) factors of friction [-], gravity [m/s^2], as `Surfaces` has them
+    corners: Numbers | None = None  # (corners, 2) [m] of the base; None: a square
+    profile: BrakingProfile | None = None  # None: that of rotors alone
+    turning: TurningAxes | None = None  # None: axes obey at once
+
+    @property
+    def braking(self) -> float:
+        """[m/s^2] of a parcel over axes at 0 deg."""
+        return BRAKING * float(self.conditions[ALONG_FACTOR])
+
+    @property
+    def rolling_loss(self) -> float:
+        """[m/s^2] of a parcel over axes at 90 deg."""
+        return ROLLING_LOSS * float(self.conditions[ACROSS_FACTOR])
+
+    @property
+    def quarter_turn(self) -> float:
+        """[s] that an axis takes to turn by 90 deg; 0: axes obey at once."""
+        return 0.0 if self.turning is None else self.turning.quarter_turn
+
+    @property
+    def vx(self) -> Numbers:
+        """(nodes,) [m/s] speed along x that remains once all axes have turned to 90 deg."""
+        vx = self.parcels.truth[:, 3]
+        if self.turning is None:
+            return vx
+        left: Numbers = vx + self.turning.velocity_changes(self.braking)[:, 0]
+        return np.maximum(np.minimum(0.0, vx), left)
+
+    @property
+    def braking_distance(self) -> Numbers:
+        """(nodes,) [m] along x that parcels go on for if all axes turn to 0 deg from now on."""
+        x, vx = self.parcels.truth[:, 0], self.parcels.truth[:, 3]
+        if self.profile is None:
+            way: Numbers = vx**2 / (2.0 * self.braking)
+            return way
+        if self.turning is None:
+            return self.profile.braking_distance(x, vx)
+        return self.turning.braking_distance(x, vx, self.profile)
+
+    def reach(self, x: float, y: float) -> Numbers:
+        """(nodes,) [m] reach of the base from its centre in a direction (x, y)."""
+        theta = self.parcels.truth[:, 2]
+        if self.corners is None:
+            return square_reach(self.half_length, theta)
+        cosine, sine = np.cos(theta), np.sin(theta)
+        directions = np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=-1)
+        farthest: Numbers = (directions @ self.corners.T).max(axis=1)
+        # A disc has all its corners at its centre.
+        return np.where(farthest > 0.0, farthest, self.half_length)
+
 
 Integers = NDArray[np.int64]
-Numbers = NDArray[np.float64]
 
 FIRST = np.zeros(1, dtype=np.int64)
 

@@ -15,7 +15,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.parallel import Workers, check_workers, map_jobs, without_report
 from surface_gym.state import OUT_OF_TIME, RUNNING
 from surface_gym.tasks import stop
-from surface_gym.tasks.cost import PlanCost
+from surface_gym.tasks.planning import PlanCost
 
 from ..rollout import Episodes, stack_poses
 from .models import TrueModel

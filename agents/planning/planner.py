@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.state import RUNNING
-from surface_gym.tasks.cost import PlanCost
+from surface_gym.tasks.planning import PlanCost
 
-from .models import FIRST, NominalModel, SearchModel
-from .nodes import SearchNodes
+from .models import FIRST, NominalModel, SearchModel, SearchNodes
 
 Booleans = NDArray[np.bool_]
 Integers = NDArray[np.int64]

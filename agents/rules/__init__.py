@@ -5,7 +5,7 @@ from functools import partial
 
 from surface_gym.core.actions import ANY
 
-from ..planning.path_layouts import ShownPath
+from ..planning.layouts import ShownPath
 from .base import Rule, UniformLayout
 from .braking import SlowingRule, StoppingRule
 from .layouts import (

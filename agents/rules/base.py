@@ -13,8 +13,7 @@ from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.tasks import Task
 
-from ..axes import find_axes, find_orientation
-from ..base import Controller
+from ..base import Controller, find_axes, find_orientation
 
 Booleans = NDArray[np.bool_]
 Commands = NDArray[np.int64]

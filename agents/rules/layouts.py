@@ -16,14 +16,22 @@ from surface_gym.layouts import ROLLING
 from surface_gym.lines import BaseLine
 from surface_gym.physics.types import VX, VY
 from surface_gym.tasks import orient, slow, stop
-from surface_gym.tasks.cost import Nodes
 from surface_gym.tasks.line import BRAKING
-from surface_gym.tasks.observed import LineObservation, square_reach
+from surface_gym.tasks.planning import LineObservation, Nodes, square_reach
 from surface_gym.tasks.start import Start
 
-from ..axes import find_axes
-from ..planning.layouts import LAYOUTS, MISSED, LayoutCost, LayoutModel, graded_cost, search_layout
-from ..planning.path_layouts import ShownPath, path_model, search_path_layout
+from ..base import find_axes
+from ..planning.layouts import (
+    LAYOUTS,
+    MISSED,
+    LayoutCost,
+    LayoutModel,
+    ShownPath,
+    graded_cost,
+    path_model,
+    search_layout,
+    search_path_layout,
+)
 from .base import FULL, HALF, ColumnAxes, Commands, FixedRule, Levels, Numbers, Observations
 
 SAME_SIZE = 0.005  # [m] half lengths are rounded to it; those of the study's boxes are multiples

@@ -10,12 +10,12 @@ import numpy as np
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.tasks.line import BRAKING
-from surface_gym.tasks.observed import LineObservation
+from surface_gym.tasks.planning import LineObservation
 from surface_gym.tasks.track import PathObservation
 
-from ..axes import find_axes
+from ..base import find_axes
 from .base import BaseRule, Booleans, Commands, Memory, Numbers, Observations
-from .square_model import ModulePositions, Motion, line_positions, window_positions
+from .brake_model import ModulePositions, Motion, line_positions, window_positions
 
 # Found by trying, on other starts than any reported.
 ASIDE = 5.0  # [m/s] to the side where Sort wants the parcel off: more than there ever is

@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym.config import EnvConfig
-from surface_gym.flow.arrivals import HOUR
+from surface_gym.flow.arrivals import HOUR, Arrival, Trace
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import RIGHT
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.task import PRESENT
-from surface_gym.flow.trace import Arrival, Trace
 from surface_gym.parcel import Parcel
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Exact

@@ -11,8 +11,7 @@ from surface_gym.core.actions import ANY
 from surface_gym.design.sorting_layouts import SIDE, SortingLayout, sorting_layouts
 from surface_gym.layouts import ROLLING
 
-from ..axes import find_axes
-from ..base import SAME, axes_apart
+from ..base import SAME, axes_apart, find_axes
 from .base import Booleans, Commands, FixedRule, Numbers, Observations, UniformRule
 
 

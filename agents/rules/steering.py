@@ -3,12 +3,12 @@
 import numpy as np
 
 from surface_gym.config import EnvConfig
-from surface_gym.tasks.observed import LineObservation
+from surface_gym.tasks.planning import LineObservation
 from surface_gym.tasks.track import AHEAD, PathObservation
 
-from ..axes import find_axes
+from ..base import find_axes
 from .base import BaseRule, Booleans, Commands, Memory, Numbers, Observations
-from .square_model import ModulePositions, Motion, SquareModel, line_positions, window_positions
+from .brake_model import ModulePositions, Motion, SquareModel, line_positions, window_positions
 
 STEPS = 4  # that a period is predicted in
 PARTS = 6  # that the modules are shared in

@@ -11,7 +11,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow.task import OWN, PRESENT, WAITS
 
 from .. import library
-from ..axes import find_axes
+from ..base import find_axes
 from .base import Booleans, is_fresh
 
 Rows = NDArray[np.float32]

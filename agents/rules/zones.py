@@ -11,8 +11,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow.task import PRESENT, WAITS
 from surface_gym.parcel import Parcel
 
-from ..axes import find_axes
-from ..base import Controller
+from ..base import Controller, find_axes
 from .base import Booleans, Numbers, is_fresh
 from .reservation import (
     MARGIN,

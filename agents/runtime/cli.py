@@ -82,9 +82,9 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
     """
     from surface_gym.parallel import usable_cores
 
-    from . import controller, decisions, report
-    from .connection import SocketDevice
+    from . import controller, report
     from .estimator import StateEstimator
+    from .protocol import SocketDevice
     from .simulator import SimulatorProcess
 
     policy = load_policy(config)
@@ -101,16 +101,16 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
             address = parse_address(config.address)
         console.print("compiling")
         estimator = StateEstimator(settings)
-        arranger = stack.enter_context(decisions.ProcessArranger(estimator.settings))
-        kind = decisions.FixedLayouts(estimator.settings).kind
-        decider = decisions.Decider(policy, settings)
-        bounds = decisions.observation_bounds(settings)
+        arranger = stack.enter_context(controller.ProcessArranger(estimator.settings))
+        kind = controller.FixedLayouts(estimator.settings).kind
+        decider = controller.Decider(policy, settings)
+        bounds = controller.observation_bounds(settings)
         loop = controller.ControlLoop(
             SocketDevice(address, settings.task.name, estimator.shape),
             estimator,
             decider,
             (arranger, estimator.resolver(kind)),
-            controller.AxisLimits(estimator.shape, decisions.allowed_angles(settings)),
+            controller.AxisLimits(estimator.shape, controller.allowed_angles(settings)),
             bounds,
             clock,
             controller.LoopConfig(settings.control_period, config.watchdog),

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.config import EnvConfig
+from surface_gym.config import SURE, EnvConfig
 from surface_gym.core.actions import (
     Acting,
     ActionKind,
@@ -38,7 +38,6 @@ from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.jit import compile_for, compiled
 from surface_gym.physics.step import axis_direction
 from surface_gym.physics.types import GRAVITY, Array, Integers, Scratch, make_scratch
-from surface_gym.presets import SURE
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera, Exact, Sensor
 from surface_gym.sensors.base import Physics

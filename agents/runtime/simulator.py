@@ -29,10 +29,19 @@ from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, RUNNING, EnvState
 from ..tasks import find_task
 from . import protocol
 from .config import SimulatorConfig, WorldOptions, parse_address
-from .connection import Connection, ConnectionLost
 from .controller import AxisLimits, Clock, WallClock
 from .estimator import device_camera, zone_angles
-from .protocol import Angles, AxesAcknowledged, Departed, Entered, Frame, Message, Triple
+from .protocol import (
+    Angles,
+    AxesAcknowledged,
+    Connection,
+    ConnectionLost,
+    Departed,
+    Entered,
+    Frame,
+    Message,
+    Triple,
+)
 
 HOST = "127.0.0.1"  # this machine only: messages carry times of its clock
 LISTENING = "listening on "

@@ -62,7 +62,7 @@ def search(
         raise ValueError(
             "search needs optuna, which is not installed: pip install 'surface_gym[search]'"
         )
-    from . import report, study
+    from . import study
 
     sweep = open_folder(file, folder, task)
     with study.open_study(sweep, folder) as opened:
@@ -76,11 +76,11 @@ def search(
                 soft_wrap=True,
             )
             return
-        report.write_report(sweep, opened, folder)
+        study.write_report(sweep, opened, folder)
         trials = study.finished_trials(opened)
-    console.print(report.summary(sweep, trials))
-    best = "" if study.best_trial(trials) is None else f" and {report.BEST}"
-    console.print(f"{folder} holds {report.PAGE}{best}", soft_wrap=True)
+    console.print(study.summary(sweep, trials))
+    best = "" if study.best_trial(trials) is None else f" and {study.BEST}"
+    console.print(f"{folder} holds {study.PAGE}{best}", soft_wrap=True)
 
 
 def open_folder(file: Path, folder: Path, task: str | None = None) -> "Sweep":

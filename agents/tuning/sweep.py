@@ -11,8 +11,7 @@ import yaml
 from surface_gym import checks
 from surface_gym.tasks import TASKS
 
-from ..learning.config import TrainConfig
-from ..learning.hyperparams import defaults
+from ..learning.config import TrainConfig, defaults
 from ..learning.runs import CURVE_EVERY
 
 ALGOS = ("ppo", "dqn", "modules")

@@ -10,7 +10,7 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from surface_gym.config import EnvConfig
-from surface_gym.core.assembly import make_rules, make_state, task_functions
+from surface_gym.core.assembly import FEWEST, Workers, make_rules, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, make_kernel
 from surface_gym.core.resets import (
     BodyPlan,
@@ -23,7 +23,6 @@ from surface_gym.core.resets import (
     start_paths,
     start_rows,
 )
-from surface_gym.core.workers import FEWEST, Workers
 from surface_gym.parcel import Parcel
 from surface_gym.physics.contacts import bounded, invalidate_contacts
 from surface_gym.physics.jit import compile_for, compiled

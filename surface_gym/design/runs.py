@@ -50,7 +50,7 @@ from surface_gym.physics.types import (
     check_capacity,
     make_scratch,
 )
-from surface_gym.simulation import base_motion
+from surface_gym.simulation import base_motion, make_bodies
 from surface_gym.state import (
     ACROSS_FACTOR,
     ALONG_FACTOR,
@@ -58,7 +58,6 @@ from surface_gym.state import (
     GRAVITY_NORMAL,
     SUPPORT_FACTOR,
 )
-from surface_gym.together import make_bodies
 
 Numbers = NDArray[np.float64]
 Integers = NDArray[np.int64]

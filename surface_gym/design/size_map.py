@@ -21,7 +21,7 @@ from surface_gym.design.case import (
 )
 from surface_gym.design.line import DesignLine, line_for
 from surface_gym.design.runs import OnProgress, split_progress
-from surface_gym.design.sweep import Arrangement, arrange, repeat_case, success_shares
+from surface_gym.design.sensitivity import Arrangement, arrange, repeat_case, success_shares
 from surface_gym.parallel import Workers
 from surface_gym.parcel import Parcel
 from surface_gym.physics.types import check_capacity

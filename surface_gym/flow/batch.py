@@ -34,10 +34,10 @@ from surface_gym.flow.state import (
     WRONG,
     StreamParams,
     StreamState,
+    compute_statistics,
     make_streams,
     with_room,
 )
-from surface_gym.flow.statistics import compute_statistics
 from surface_gym.flow.task import StreamTask
 from surface_gym.parcel import Parcel
 from surface_gym.physics.collision import make_world_scratch

@@ -12,7 +12,6 @@ import numpy as np
 
 from surface_gym.core.actions import Acting
 from surface_gym.core.kernel import Actuation, EnvParams, Function
-from surface_gym.flow.actions import HALVES
 from surface_gym.flow.state import (
     ENTERED,
     EXIT,
@@ -32,6 +31,7 @@ from surface_gym.flow.state import (
     StreamParams,
     StreamState,
 )
+from surface_gym.flow.task import HALVES
 from surface_gym.layouts import ROLLING
 from surface_gym.physics.collision import World, WorldScratch, invalidate_world
 from surface_gym.physics.contact_solver import step_world

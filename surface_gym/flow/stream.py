@@ -17,10 +17,11 @@ from surface_gym.flow.arrivals import (
     Poisson,
     Spread,
     Steady,
+    Trace,
     check_speed,
+    read_trace,
 )
 from surface_gym.flow.exits import Exits, check_name
-from surface_gym.flow.trace import Trace, read_trace
 from surface_gym.parcel import Parcel
 from surface_gym.tasks.start import parcel_option
 

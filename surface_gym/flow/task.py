@@ -1,14 +1,15 @@
-"""Tasks on a stream of parcels: what they have in common, and Flow, to sort a stream by exits."""
+"""The actions of a stream: choices for modules or parcels, and when the gate opens."""
 
 import math
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.core.actions import ANY
-from surface_gym.flow.actions import HALVES, StreamActions
+from surface_gym.core.actions import ANY, ActionKind
 from surface_gym.flow.exits import flow_line
 from surface_gym.flow.state import (
     BETWEEN,
@@ -31,6 +32,58 @@ from surface_gym.state import NOISE_ROWS, ROWS, EnvState, reach_along, zone_star
 from surface_gym.tasks.base import Feature, Task
 from surface_gym.tasks.sort import FEATURES as SORT_FEATURES
 from surface_gym.tasks.sort import HORIZON, lateral_reach
+
+HALVES = 2  # parts of a parcel's command: the modules ahead of its centre, and those behind
+
+
+@dataclass(frozen=True)
+class StreamActions(ActionKind):
+    """A choice for each part, module or half of a parcel, and with a gate one number more."""
+
+    # ways to open the gate: 0 keeps it shut for the control period, k opens it for one parcel from
+    # the k-th physics step on; no ways: there is no gate
+    gates: int = 0
+
+    @property
+    def parts(self) -> ActionKind:
+        """The actions without the gate."""
+        return ActionKind(self.name, self.choices, self.rows, self.columns)
+
+    @property
+    def size(self) -> int:
+        """Numbers in a command."""
+        return self.parts.size + (1 if self.gates else 0)
+
+    def space(self) -> spaces.Space[Any]:
+        """The space of a surface's actions."""
+        if not self.gates:
+            return self.parts.space()
+        return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])
+
+    def commands(self, actions: Any, parcels: int) -> NDArray[Any]:
+        """Turn the actions of so many surfaces into commands (surfaces, size).
+
+        Raises:
+            ValueError: a wrong shape, not whole numbers or angles, or out of range.
+        """
+        if not self.gates:
+            return self.parts.commands(actions, parcels)
+        try:
+            given = np.asarray(actions)
+        except ValueError:  # parts of different lengths
+            raise ValueError(f"action must be an array, got {actions!r}") from None
+        if given.shape != (parcels, self.size):
+            raise ValueError(
+                f"action must have the shape {(self.size,)} in each environment, got {given.shape}"
+            )
+        gate = given[:, -1]
+        choices = self.parts.commands(given[:, :-1], parcels)
+        if ((gate < 0) | (gate >= self.gates)).any():
+            raise ValueError(
+                f"action must say between 0 and {self.gates - 1} of the gate, got {gate.tolist()}"
+            )
+        return np.concatenate([choices, gate[:, np.newaxis]], axis=1)
+
 
 ACTIONS = ("modules", "parcels")
 MOST_PARCELS = 256
@@ -363,7 +416,7 @@ class Flow(StreamTask):
     `outcome`, `time` [s], `parcels` (max_parcels,) the numbers of the parcels in each row in the
     order they came, -1 for a free one; `entered`, `right`, `wrong`, `touches`, `turns` so far and
     how many are `waiting`; `reward_terms`. As an episode ends `episode_figures` come with it, the
-    fields of `surface_gym.flow.statistics.FlowStatistics`: parcels an hour, share missorted,
+    fields of `surface_gym.flow.state.FlowStatistics`: parcels an hour, share missorted,
     touches and jams per 1000 parcels, gaps, times on the surface and at the entry, turns of a
     module an hour.
 

@@ -45,8 +45,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import layouts
-from surface_gym.paper.runs import NONE, Integration, rotor_columns, tipping_share
-from surface_gym.paper.targets import SIZES
+from surface_gym.paper.runs import NONE, SIZES, Integration, rotor_columns, tipping_share
 from surface_gym.physics.friction import ROUNDING
 from surface_gym.simulation import simulate
 from surface_gym.surface import Surface

@@ -13,8 +13,16 @@ from numpy.typing import ArrayLike
 from surface_gym import layouts
 from surface_gym.paper.claims import INWARDS, OFFSETS, OUTWARDS, TURNS, Zone, cross
 from surface_gym.paper.reproduction import NAMES, TILTS, Reproduction
-from surface_gym.paper.runs import COARSE, CONVERGED, SortingCase, rotor_columns, run_table2
-from surface_gym.paper.targets import SIZES, SortingRun, load_targets
+from surface_gym.paper.runs import (
+    COARSE,
+    CONVERGED,
+    SIZES,
+    SortingCase,
+    SortingRun,
+    load_targets,
+    rotor_columns,
+    run_table2,
+)
 from surface_gym.parcel import Base
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory

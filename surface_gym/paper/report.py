@@ -9,8 +9,19 @@ from rich.text import Text
 
 from surface_gym.paper.claims import INWARDS, OFFSETS, TURNS, Aligned, SelfStop
 from surface_gym.paper.reproduction import NAMES, Reproduction
-from surface_gym.paper.runs import COARSE, CONVERGED, SMOOTH, SortingCase
-from surface_gym.paper.targets import SIZES, Cell, Found, SlowingLayout, Table, Value, load_targets
+from surface_gym.paper.runs import (
+    COARSE,
+    CONVERGED,
+    SIZES,
+    SMOOTH,
+    Cell,
+    Found,
+    SlowingLayout,
+    SortingCase,
+    Table,
+    Value,
+    load_targets,
+)
 
 COARSE_NAME = NAMES[0]
 OURS = NAMES[:2]  # columns of a table

@@ -9,11 +9,15 @@ from typing import Any
 
 from surface_gym import layouts
 from surface_gym.paper import claims, runs
-from surface_gym.paper.runs import COARSE, CONVERGED, INTEGRATIONS, Integration, Integrations
-from surface_gym.paper.targets import (
+from surface_gym.paper.runs import (
+    COARSE,
+    CONVERGED,
+    INTEGRATIONS,
     SIZES,
     Cell,
     Found,
+    Integration,
+    Integrations,
     SlowingLayout,
     SortingRun,
     Table,

@@ -4,7 +4,7 @@ import os
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # standard output belongs to the caller
 
-from surface_gym.rendering.painter import Painter, TilePainter, draw, with_caption
+from surface_gym.rendering.painter import Painter, TilePainter, Window, draw, with_caption
 from surface_gym.rendering.scene import (
     ExitMark,
     ExitSide,
@@ -16,7 +16,6 @@ from surface_gym.rendering.scene import (
     StopLine,
     Traffic,
 )
-from surface_gym.rendering.window import Window
 
 __all__ = [
     "ExitMark",

@@ -13,8 +13,7 @@ import pygame
 from numpy.typing import NDArray
 
 from surface_gym.rendering import ink
-from surface_gym.rendering.layout import Layout
-from surface_gym.rendering.palette import (
+from surface_gym.rendering.ink import (
     GOAL,
     INK,
     PAPER,
@@ -25,7 +24,7 @@ from surface_gym.rendering.palette import (
     mixed,
     text_on,
 )
-from surface_gym.rendering.scene import Pose, Scene, SceneParcel
+from surface_gym.rendering.scene import Layout, Pose, Scene, SceneParcel
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,7 @@ import numpy as np
 import pygame
 
 from surface_gym.rendering import ink
-from surface_gym.rendering.layout import Layout
-from surface_gym.rendering.palette import (
+from surface_gym.rendering.ink import (
     FAINT_INK,
     GOAL,
     INK,
@@ -18,7 +17,7 @@ from surface_gym.rendering.palette import (
     Colour,
     exit_colour,
 )
-from surface_gym.rendering.scene import Scene
+from surface_gym.rendering.scene import Layout, Scene
 from surface_gym.rendering.surface_marks import ANGLES, ModuleSprites
 
 _LEGEND = (

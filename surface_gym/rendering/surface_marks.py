@@ -6,15 +6,15 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from surface_gym.rendering import ink, palette
-from surface_gym.rendering.layout import Layout
-from surface_gym.rendering.palette import FAINT_INK, GOAL, INK, PAPER, PLATE, Colour, mixed
+from surface_gym.rendering import ink
+from surface_gym.rendering.ink import FAINT_INK, GOAL, INK, PAPER, PLATE, Colour, mixed
 from surface_gym.rendering.parcel_marks import centroid, draw_heading, placed
 from surface_gym.rendering.scene import (
     ExitMark,
     ExitSide,
     ExitSpeed,
     Heading,
+    Layout,
     Path,
     Scene,
     SceneParcel,
@@ -51,7 +51,7 @@ class ModuleSprites:
         return self._sprites[key]
 
     def _painted(self, angle: float, pale: bool) -> pygame.Surface:
-        colour, bar = palette.axis_colour(angle), PAPER
+        colour, bar = ink.axis_colour(angle), PAPER
         if pale:
             colour, bar = mixed(colour, PLATE, _PALE), mixed(bar, PLATE, _PALE)
         picture = pygame.Surface((self.cell, self.cell), pygame.SRCALPHA)
@@ -72,9 +72,9 @@ def paint_ground(layout: Layout, scene: Scene) -> pygame.Surface:
     sheet.blit(_paint_plate(layout, scene), layout.surface)
     sheet.set_clip(None)
     if scene.traffic is not None:
-        pygame.draw.rect(sheet, palette.PLATE_EDGE, layout.plate, 1)
+        pygame.draw.rect(sheet, ink.PLATE_EDGE, layout.plate, 1)
     for index, mark in enumerate(scene.exits):
-        _paint_exit(sheet, layout, mark, palette.exit_colour(index))
+        _paint_exit(sheet, layout, mark, ink.exit_colour(index))
     return sheet.subsurface(layout.area).copy()
 
 
@@ -85,15 +85,15 @@ def _paint_plate(layout: Layout, scene: Scene) -> pygame.Surface:
     zone = None
     if scene.zone is not None:
         zone = layout.cells(*scene.zone).move(-layout.left, -layout.top)
-        plate.fill(palette.ZONE, zone)
+        plate.fill(ink.ZONE, zone)
     radius = max(0.07 * layout.cell, 0.6)
     for row, column in np.argwhere(~scene.rotor).tolist():
         cell = layout.cells(row, 1, column, 1).move(-layout.left, -layout.top)
         centre = np.array([cell.x + 0.5 * cell.width, cell.y + 0.5 * cell.height])
-        ink.disc(plate, centre, radius, palette.SUPPORT)
-    pygame.draw.rect(plate, palette.PLATE_EDGE, plate.get_rect(), 1)
+        ink.disc(plate, centre, radius, ink.SUPPORT)
+    pygame.draw.rect(plate, ink.PLATE_EDGE, plate.get_rect(), 1)
     if zone is not None:
-        pygame.draw.rect(plate, palette.ZONE_EDGE, zone, max(1, round(0.75 * layout.stroke)))
+        pygame.draw.rect(plate, ink.ZONE_EDGE, zone, max(1, round(0.75 * layout.stroke)))
     return plate
 
 
@@ -171,9 +171,7 @@ def draw_counts(canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
     if scene.traffic is None:
         return
     for index, mark in enumerate(scene.exits):
-        _write_label(
-            canvas, layout, mark, palette.exit_colour(index), scene.traffic.delivered[index]
-        )
+        _write_label(canvas, layout, mark, ink.exit_colour(index), scene.traffic.delivered[index])
     _draw_queue(canvas, layout, scene.traffic.waiting)
 
 
@@ -288,7 +286,7 @@ def _write_label(
     canvas: pygame.Surface, layout: Layout, mark: ExitMark, colour: Colour, count: int
 ) -> None:
     """Write an exit's name and its count of parcels; what has no room is cut."""
-    label, size, text = layout.label(mark), layout.label_size, palette.text_on(colour)
+    label, size, text = layout.label(mark), layout.label_size, ink.text_on(colour)
     number, large = str(count), round(1.25 * size)
     if mark.side == 0:
         room = round(0.75 * label.width)
@@ -315,7 +313,7 @@ def _draw_queue(canvas: pygame.Surface, layout: Layout, waiting: int) -> None:
     for k in range(shown):
         box = pygame.Rect(0, 0, side, side)
         box.midtop = (x + k * step, rotors.bottom + cell // 2)
-        pygame.draw.rect(canvas, mixed(palette.PARCEL, PLATE, 0.3), box, border_radius=rounded)
+        pygame.draw.rect(canvas, mixed(ink.PARCEL, PLATE, 0.3), box, border_radius=rounded)
         pygame.draw.rect(canvas, INK, box, max(1, cell // 10), border_radius=rounded)
     colour, room = INK if waiting else FAINT_INK, right - left
     place = (middle, rotors.bottom + round(1.6 * cell))

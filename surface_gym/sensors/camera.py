@@ -7,17 +7,22 @@ from surface_gym import checks
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import Array
 from surface_gym.sensors import kalman
-from surface_gym.sensors.adaptive import (
+from surface_gym.sensors.base import LEARNED, Entry, Physics
+from surface_gym.sensors.kalman import (
     CONSTANT,
     DOUBT,
+    GAIN,
+    LAST,
     LEARNING_LAST,
+    MODEL_SIZE,
+    Observer,
     begin_learning,
+    correct,
     correct_constants,
+    measure,
     measure_constants,
     predict_learning,
 )
-from surface_gym.sensors.base import LEARNED, Entry, Physics
-from surface_gym.sensors.kalman import GAIN, LAST, MODEL_SIZE, Observer, correct, measure
 from surface_gym.state import NOISE_ROWS, EnvState
 
 FRAMES = 16  # that can be under way at a time
@@ -243,7 +248,7 @@ class AdaptiveCamera(Camera):
 
     Both are constant while a parcel is on the surface, and known at a start to the spreads given.
     A parcel that is braked harder than was reckoned, or that turns where it should not, tells of
-    them; see `surface_gym.sensors.adaptive`. The argument `observe=("load",)` shows them.
+    them; see `surface_gym.sensors.kalman`. The argument `observe=("load",)` shows them.
 
     Raises:
         ValueError: as a Camera, or a spread that is not positive.

@@ -11,8 +11,7 @@ from surface_gym.parcel import Parcel
 from surface_gym.physics.jit import kernel_function
 from surface_gym.state import FIRST_FAILURE, EnvState
 from surface_gym.tasks.benchmark import Benchmark, default_benchmark
-from surface_gym.tasks.cost import PlanCost
-from surface_gym.tasks.observed import Observed, decode_line, line_start
+from surface_gym.tasks.planning import Observed, PlanCost, decode_line, line_start
 from surface_gym.tasks.start import Draw, Numbers, Start, parcels_to_draw
 
 

@@ -11,15 +11,6 @@ from surface_gym.physics.types import THETA
 from surface_gym.state import SUCCESS, EnvState
 from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import PARCELS, Benchmark, ErrorPlot, high_column, median_column
-from surface_gym.tasks.cost import (
-    SETTLING,
-    Nodes,
-    Numbers,
-    PlanCost,
-    error_cost,
-    off_line,
-    way_to_leave,
-)
 from surface_gym.tasks.line import (
     LINE_OUTCOMES,
     PARCEL_FEATURES,
@@ -28,7 +19,18 @@ from surface_gym.tasks.line import (
     over_zone_end,
     see_parcel,
 )
-from surface_gym.tasks.observed import Observed, decode_line, line_start
+from surface_gym.tasks.planning import (
+    SETTLING,
+    Nodes,
+    Numbers,
+    Observed,
+    PlanCost,
+    decode_line,
+    error_cost,
+    line_start,
+    off_line,
+    way_to_leave,
+)
 from surface_gym.tasks.start import Draw, Start, between
 
 ANGLE = 0  # place in the goal: [rad] asked theta

@@ -11,7 +11,6 @@ from surface_gym.physics.types import THETA, VX, VY, X
 from surface_gym.state import SUCCESS, EnvState, planar_speed
 from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, median_column
-from surface_gym.tasks.cost import Nodes, Numbers, PlanCost, askew, error_cost, way_to_leave
 from surface_gym.tasks.line import (
     LINE_OUTCOMES,
     PARCEL_FEATURES,
@@ -23,7 +22,17 @@ from surface_gym.tasks.line import (
     see_parcel,
     zone_span,
 )
-from surface_gym.tasks.observed import Observed, decode_line, line_start
+from surface_gym.tasks.planning import (
+    Nodes,
+    Numbers,
+    Observed,
+    PlanCost,
+    askew,
+    decode_line,
+    error_cost,
+    line_start,
+    way_to_leave,
+)
 from surface_gym.tasks.start import Draw, Start, between
 
 RATIO, ENTRY_SPEED = range(2)  # places in the goal: [-] asked, [m/s]

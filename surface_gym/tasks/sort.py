@@ -25,9 +25,17 @@ from surface_gym.state import (
 )
 from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import PARCELS, Benchmark, Column, Numbers, SpeedGrid
-from surface_gym.tasks.cost import FAILED, Nodes, PlanCost, off_line, time_cost
 from surface_gym.tasks.line import STALL_SPEED, entry
-from surface_gym.tasks.observed import Observed, decode_line, line_start
+from surface_gym.tasks.planning import (
+    FAILED,
+    Nodes,
+    Observed,
+    PlanCost,
+    decode_line,
+    line_start,
+    off_line,
+    time_cost,
+)
 from surface_gym.tasks.start import Draw, Start, between
 
 SIDE = 0  # place in the goal: +1 for y > 0, -1 for y < 0, 0 for straight through

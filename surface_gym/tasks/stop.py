@@ -11,7 +11,6 @@ from surface_gym.physics.types import VX, X
 from surface_gym.state import RUNNING, SUCCESS, EnvState
 from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, median_column
-from surface_gym.tasks.cost import Nodes, Numbers, PlanCost, askew, error_cost
 from surface_gym.tasks.line import (
     BRAKING,
     LINE_OUTCOMES,
@@ -23,7 +22,16 @@ from surface_gym.tasks.line import (
     see_parcel,
     zone_span,
 )
-from surface_gym.tasks.observed import Observed, decode_line, line_start
+from surface_gym.tasks.planning import (
+    Nodes,
+    Numbers,
+    Observed,
+    PlanCost,
+    askew,
+    decode_line,
+    error_cost,
+    line_start,
+)
 from surface_gym.tasks.start import Draw, Start, between
 
 POSITION = 0  # place in the goal: [m] asked x of the centre

@@ -16,8 +16,6 @@ from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY
 from surface_gym.state import GRAVITY_ALONG, PATH_POINTS, RUNNING, SUCCESS, EnvState, planar_speed
 from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import DRAWN, Benchmark, ErrorPlot, median_column
-from surface_gym.tasks.cost import FAILED, Nodes, PlanCost
-from surface_gym.tasks.observed import Observed, nearest_parcel
 from surface_gym.tasks.paths import (
     DRAWS,
     KINDS,
@@ -28,6 +26,7 @@ from surface_gym.tasks.paths import (
     random_path,
     sample,
 )
+from surface_gym.tasks.planning import FAILED, Nodes, Observed, PlanCost, nearest_parcel
 from surface_gym.tasks.start import Draw, Numbers, Start, between
 
 SPEED, FIRST_X, STEP_X = range(3)  # places in the goal: [m/s] asked, [m] x of the path

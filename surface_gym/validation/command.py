@@ -78,7 +78,7 @@ def compare(options: Options) -> None:
     load_mujoco()
     if options.figures is not None:
         options.figures.mkdir(parents=True, exist_ok=True)
-        from surface_gym.validation.figures import draw_all
+        from surface_gym.validation.report import draw_all
     if options.json is not None:
         options.json.open("a").close()  # fails now rather than after the runs
     progress = Console(stderr=True)

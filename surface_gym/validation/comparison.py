@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import layouts
-from surface_gym.paper.runs import COARSE, Integration
-from surface_gym.paper.targets import load_data
+from surface_gym.paper.runs import COARSE, Integration, load_data
 from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.simulation import simulate
 from surface_gym.surface import Surface

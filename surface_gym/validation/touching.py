@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
+from surface_gym.simulation import Encounter, simulate_together
 from surface_gym.surface import Surface
-from surface_gym.together import Encounter, simulate_together
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import simulation
 from surface_gym.validation.scene import SIDES

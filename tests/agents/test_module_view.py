@@ -17,7 +17,7 @@ from surface_gym.layouts import LEAD_IN, LINE_ROWS, LINE_Y, ROWS, lead_in_under,
 from surface_gym.lines import Pattern
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.randomisation import Actuators, Randomisation
-from surface_gym.tasks.observed import decode_line
+from surface_gym.tasks.planning import decode_line
 from tests.environments import PITCH
 
 NUM_ENVS = 40

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from surface_gym import agents
+from surface_gym.agents.base import SIDE
 from surface_gym.agents.learning.parcels import training_settings
 from surface_gym.agents.library import CARD, PolicyCard
 from surface_gym.agents.parcel_policy import (
@@ -18,7 +19,6 @@ from surface_gym.agents.parcel_policy import (
 )
 from surface_gym.agents.policy import save_policy
 from surface_gym.agents.rules.streams import StreamEventRule
-from surface_gym.agents.symmetry import SIDE
 from surface_gym.config import EnvConfig
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import RIGHT

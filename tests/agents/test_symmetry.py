@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents.symmetry import SIDE, ActionMirror, mirrored_orientations
+from surface_gym.agents.base import SIDE, ActionMirror, mirrored_orientations
 from surface_gym.agents.vec_env import MirrorVecEnv, SurfaceVecEnv
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import KINDS

@@ -7,9 +7,14 @@ import pytest
 import yaml
 
 from surface_gym.agents import train_cli
-from surface_gym.agents.learning.config import DQNConfig, PPOConfig, TrainConfig
+from surface_gym.agents.learning.config import (
+    DQNConfig,
+    PPOConfig,
+    TrainConfig,
+    defaults,
+    write_hyperparams,
+)
 from surface_gym.agents.learning.cuda import gym as gym_of_device
-from surface_gym.agents.learning.hyperparams import defaults, write_hyperparams
 from surface_gym.agents.learning.runs import (
     TrainResult,
     make_folder,

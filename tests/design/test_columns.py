@@ -10,7 +10,7 @@ from surface_gym import layouts
 from surface_gym.design.case import NOTHING, Case, Unknown
 from surface_gym.design.columns import columns_by_rows, columns_by_speed, least_columns
 from surface_gym.design.purposes import Slow, Sort, Stop, Turn
-from surface_gym.paper.targets import SlowingLayout, load_targets
+from surface_gym.paper.runs import SlowingLayout, load_targets
 
 TARGETS = load_targets()
 FINE = 0.0005  # [s]

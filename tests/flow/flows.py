@@ -13,12 +13,11 @@ from numpy.typing import ArrayLike
 import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
-from surface_gym.flow.arrivals import Poisson
+from surface_gym.flow.arrivals import Arrival, Poisson, Trace
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.exits import flow_line
 from surface_gym.flow.state import ENTERED
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.trace import Arrival, Trace
 from surface_gym.physics.step import com_states
 from surface_gym.physics.types import THETA, Array, X, Y
 from surface_gym.registration import FLOW

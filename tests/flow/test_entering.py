@@ -7,8 +7,7 @@ import pytest
 
 from surface_gym.flow.arrivals import Poisson, Steady
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.state import NOBODY
-from surface_gym.flow.statistics import compute_statistics
+from surface_gym.flow.state import NOBODY, compute_statistics
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.task import PRESENT, WAITS
 from surface_gym.physics.types import THETA, Array

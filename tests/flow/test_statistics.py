@@ -7,8 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from surface_gym.flow.state import BETWEEN, ON_ITS_WAY, TURNS, StreamState, make_streams, with_room
-from surface_gym.flow.statistics import NAMES, FlowStatistics, compute_statistics
+from surface_gym.flow.state import (
+    BETWEEN,
+    NAMES,
+    ON_ITS_WAY,
+    TURNS,
+    FlowStatistics,
+    StreamState,
+    compute_statistics,
+    make_streams,
+    with_room,
+)
 from surface_gym.randomisation import Randomisation
 from tests.flow.flows import MINUS_45, ROLL, bare, same_choice
 

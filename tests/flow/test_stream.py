@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.flow.arrivals import Arrivals, Poisson, Schedule, Spread, Steady
+from surface_gym.flow.arrivals import Arrival, Arrivals, Poisson, Schedule, Spread, Steady, Trace
 from surface_gym.flow.exits import Exits, chutes, sides
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.trace import Arrival, Trace
 
 LONG = 3600.0 * 5  # [s] for statistics: some 6000 parcels
 SMALL, LARGE = sg.layouts.box("S"), sg.layouts.box("B")

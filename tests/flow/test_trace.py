@@ -10,10 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import surface_gym as sg
-from surface_gym.flow.arrivals import Arrivals, Poisson, Schedule
+from surface_gym.flow.arrivals import (
+    COLUMNS,
+    Arrival,
+    Arrivals,
+    Poisson,
+    Schedule,
+    Trace,
+    read_trace,
+    write_trace,
+)
 from surface_gym.flow.exits import Exit, Exits, chutes, sides
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.trace import COLUMNS, Arrival, Trace, read_trace, write_trace
 
 HEADER = "time,length,width,mass,speed,exit\n"
 FIRST = "0,0.25,0.25,10,1.5,left\n"

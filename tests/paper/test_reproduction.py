@@ -8,8 +8,7 @@ from surface_gym.paper.reproduction import (
     POSITION_TOLERANCE,
     run_turned,
 )
-from surface_gym.paper.runs import COARSE
-from surface_gym.paper.targets import SIZES, Cell, Found, SlowingLayout, Table, load_targets
+from surface_gym.paper.runs import COARSE, SIZES, Cell, Found, SlowingLayout, Table, load_targets
 
 
 def make_cell(paper, *ours, **options):

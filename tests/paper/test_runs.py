@@ -12,11 +12,11 @@ from surface_gym.paper.runs import (
     NONE,
     SMOOTH,
     Integration,
+    SlowingLayout,
     rotor_columns,
     slowing_surface,
     tipping_share,
 )
-from surface_gym.paper.targets import SlowingLayout
 from surface_gym.trajectory import Trajectory
 
 GRAVITY = 9.81

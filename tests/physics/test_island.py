@@ -14,7 +14,7 @@ from surface_gym.physics.collision import make_world_scratch
 from surface_gym.physics.island import Island
 from surface_gym.physics.jit import compiled
 from surface_gym.physics.types import Array
-from surface_gym.together import make_bodies
+from surface_gym.simulation import make_bodies
 from tests.companies import G, Meeting, ice, supports
 
 

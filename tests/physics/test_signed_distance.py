@@ -15,7 +15,7 @@ from surface_gym.physics.jit import compiled
 from surface_gym.physics.references import step_implicit
 from surface_gym.physics.signed_distance import Outline, Sweep
 from surface_gym.physics.types import OMEGA, STATE_SIZE, THETA, VX, VY, Array, X, Y, make_scratch
-from surface_gym.together import make_bodies
+from surface_gym.simulation import make_bodies
 from tests.strategies import angles, bases, speeds, spins
 
 gap_between = compiled(signed_distance.signed_distance.py_func)

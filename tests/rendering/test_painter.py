@@ -22,7 +22,7 @@ from surface_gym.rendering import (
     Traffic,
     draw,
 )
-from surface_gym.rendering.palette import GOAL, INK, PLATE_EDGE, SENSED, axis_colour
+from surface_gym.rendering.ink import GOAL, INK, PLATE_EDGE, SENSED, axis_colour
 from tests.rendering.conftest import EXITS
 
 GOALS = {

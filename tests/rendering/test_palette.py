@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surface_gym.rendering.palette import EXITS, INK, PAPER, axis_colours, exit_colour, text_on
+from surface_gym.rendering.ink import EXITS, INK, PAPER, axis_colours, exit_colour, text_on
 
 FOUR = np.radians([0.0, 45.0, -45.0, 90.0])
 

@@ -8,8 +8,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.rendering import ExitMark, Scene, SceneParcel, Traffic, draw
-from surface_gym.rendering.ink import inset
-from surface_gym.rendering.palette import GOAL, PLATE, PLATE_EDGE, axis_colour, exit_colour
+from surface_gym.rendering.ink import GOAL, PLATE, PLATE_EDGE, axis_colour, exit_colour, inset
 from surface_gym.rendering.parcel_marks import contact_point
 from tests.rendering.conftest import EXITS, LONG, SMALL
 

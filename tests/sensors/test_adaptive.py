@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.config import EnvConfig
+from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.core.batch import Batch
-from surface_gym.presets import PRESETS
 from surface_gym.sensors import AdaptiveCamera, Camera
-from surface_gym.sensors.adaptive import CONSTANT, DOUBT, EFFECT
 from surface_gym.sensors.base import LEARNED
 from surface_gym.sensors.camera import SPREADS
-from surface_gym.sensors.kalman import DECAY
+from surface_gym.sensors.kalman import CONSTANT, DECAY, DOUBT, EFFECT
 from surface_gym.tasks import Slow
 
 BRAKE, ROLL = 0, 3

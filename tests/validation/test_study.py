@@ -10,8 +10,7 @@ from rich.console import Console
 import surface_gym as sg
 from surface_gym import validation
 from surface_gym.validation import command, study, touching, unevenness
-from surface_gym.validation.figures import draw_all
-from surface_gym.validation.report import as_data, print_report
+from surface_gym.validation.report import as_data, draw_all, print_report
 
 from .test_comparison import trajectory
 

@@ -29,8 +29,7 @@ from surface_gym.agents.learning.config import PPOConfig
 from surface_gym.agents.learning.runs import CONFIG, write_config
 from surface_gym.agents.library import PolicyCard
 from surface_gym.agents.policy import make_network, save_policy
-from surface_gym.config import EnvConfig
-from surface_gym.presets import PRESETS, Preset
+from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
 from tests.agents.evaluation.made import GRID, slow_result, sort_result

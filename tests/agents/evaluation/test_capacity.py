@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.evaluation import capacity
+from surface_gym.agents.evaluation.benchmark import half_interval
 from surface_gym.agents.evaluation.capacity import (
     LEAST,
     Case,
@@ -18,7 +19,6 @@ from surface_gym.agents.evaluation.capacity import (
     measure,
 )
 from surface_gym.agents.evaluation.methods import FIXED
-from surface_gym.agents.evaluation.statistics import half_interval
 from surface_gym.agents.evaluation.streams import EVENT, RESERVATION, stream_methods
 from surface_gym.config import EnvConfig
 

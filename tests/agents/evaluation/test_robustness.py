@@ -13,7 +13,7 @@ from rich.console import Console
 
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents.evaluation import robustness
-from surface_gym.agents.evaluation.benchmark import compute_kept, find_benchmark
+from surface_gym.agents.evaluation.benchmark import compute_kept, find_benchmark, interval
 from surface_gym.agents.evaluation.methods import PLANNER, Method, all_methods, rules, shipped
 from surface_gym.agents.evaluation.robustness import (
     FACTORS,
@@ -46,7 +46,6 @@ from surface_gym.agents.evaluation.robustness_report import (
     square_table,
     write_sweep,
 )
-from surface_gym.agents.evaluation.statistics import interval
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.config import EnvConfig
 from surface_gym.lines import Line

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from surface_gym.agents.evaluation.statistics import interval, wilson
+from surface_gym.agents.evaluation.benchmark import interval, wilson
 
 
 @pytest.mark.parametrize(("successes", "count"), [(0, 20), (7, 20), (20, 20), (480, 500)])

@@ -13,8 +13,15 @@ from surface_gym.agents.export.check import (
     run_onnx,
 )
 from surface_gym.agents.export.cli import make_model
-from surface_gym.agents.export.modules_onnx import Watched, _angle, modules_decision
-from surface_gym.agents.export.onnx_graph import OBSERVATION, Graph, Traced, need
+from surface_gym.agents.export.onnx import (
+    OBSERVATION,
+    Graph,
+    Traced,
+    Watched,
+    _angle,
+    modules_decision,
+    need,
+)
 from surface_gym.agents.export.policy import NetworkDecision, Source, network_decision, shipped
 from tests.agents.export.made import CARDS, count_of_each, made, wanted
 

@@ -11,14 +11,16 @@ import yaml
 
 from surface_gym.agents.learning.config import (
     CONFIGS,
+    FOLDER,
     DQNConfig,
     ModulesConfig,
     ParcelsConfig,
     PPOConfig,
     TrainConfig,
     config_of_seed,
+    defaults,
+    write_hyperparams,
 )
-from surface_gym.agents.learning.hyperparams import FOLDER, defaults, write_hyperparams
 from surface_gym.agents.learning.runs import read_config, write_config
 from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS

@@ -14,7 +14,8 @@ from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.logger import configure
 
 from surface_gym import SmartSurfaceVectorEnv
-from surface_gym.agents.learning.config import PPOConfig
+from surface_gym.agents.base import ActionMirror
+from surface_gym.agents.learning.config import PPOConfig, defaults
 from surface_gym.agents.learning.cuda import (
     DeviceLearner,
     DevicePolicy,
@@ -27,13 +28,10 @@ from surface_gym.agents.learning.cuda import (
     policy_loss,
     train_on_device,
 )
-from surface_gym.agents.learning.envs import make_mirrored_envs
-from surface_gym.agents.learning.hyperparams import defaults
 from surface_gym.agents.learning.runs import read_curve
-from surface_gym.agents.learning.sb3 import make_model
+from surface_gym.agents.learning.sb3 import make_mirrored_envs, make_model
 from surface_gym.agents.learning.train import train
 from surface_gym.agents.library import WEIGHTS
-from surface_gym.agents.symmetry import ActionMirror
 from surface_gym.agents.vec_env import MirrorVecEnv, SurfaceVecEnv
 from surface_gym.config import EnvConfig
 from surface_gym.tasks import TASKS

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.learning.config import DQNConfig, PPOConfig
-from surface_gym.agents.learning.envs import make_mirrored_envs, training_task
+from surface_gym.agents.learning.sb3 import make_mirrored_envs, training_task
 from surface_gym.randomisation import Randomisation
 from surface_gym.registration import env_id
 from surface_gym.sensors import Exact

@@ -7,10 +7,9 @@ import numpy as np
 import torch
 
 from surface_gym import agents
-from surface_gym.agents.learning.config import ModulesConfig
-from surface_gym.agents.learning.envs import make_training_envs
-from surface_gym.agents.learning.hyperparams import defaults
+from surface_gym.agents.learning.config import ModulesConfig, defaults
 from surface_gym.agents.learning.modules import ModuleSamples
+from surface_gym.agents.learning.sb3 import make_training_envs
 from surface_gym.agents.learning.train import train
 
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 
+from surface_gym.agents.base import SIDE
 from surface_gym.agents.learning.config import ParcelsConfig
 from surface_gym.agents.learning.parcels import SlotVecEnv, densest_stream, training_settings
 from surface_gym.agents.learning.train import train
 from surface_gym.agents.library import WEIGHTS
 from surface_gym.agents.rules.streams import StreamEventRule
-from surface_gym.agents.symmetry import SIDE
 from surface_gym.config import EnvConfig
 from surface_gym.flow.task import PRESENT, WAITS
 

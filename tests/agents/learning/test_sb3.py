@@ -7,8 +7,7 @@ from stable_baselines3.common.utils import set_random_seed
 from torch.nn.functional import smooth_l1_loss
 
 from surface_gym.agents.learning.config import DQNConfig
-from surface_gym.agents.learning.envs import make_mirrored_envs
-from surface_gym.agents.learning.sb3 import DoubleDQN, make_model, truncate_last
+from surface_gym.agents.learning.sb3 import DoubleDQN, make_mirrored_envs, make_model, truncate_last
 
 NUM_ENVS = 4
 

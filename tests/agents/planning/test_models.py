@@ -8,8 +8,13 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import Disc, Parcel, Rectangle
-from surface_gym.agents.planning.models import TrueModel
-from surface_gym.agents.planning.nodes import BrakingProfile, SearchNodes, TurningAxes, is_under
+from surface_gym.agents.planning.models import (
+    BrakingProfile,
+    SearchNodes,
+    TrueModel,
+    TurningAxes,
+    is_under,
+)
 from surface_gym.config import EnvConfig
 from surface_gym.layouts import ROLLING
 from surface_gym.randomisation import Actuators, Randomisation

@@ -13,8 +13,8 @@ from surface_gym.agents.planning.planner import Planner, keep_best
 from surface_gym.agents.rules.sorting import EventRule, FixedLayout
 from surface_gym.config import EnvConfig
 from surface_gym.tasks import Sort, Task
-from surface_gym.tasks.cost import time_cost
 from surface_gym.tasks.paths import Sine
+from surface_gym.tasks.planning import time_cost
 from surface_gym.tasks.track import PLAN_CROSS_ERROR, PLAN_CROSS_SPEED, PLAN_SPEED_ERROR
 from tests.agents.rules.runs import Runs, run
 from tests.environments import PITCH

@@ -8,12 +8,11 @@ import pytest
 import surface_gym as sg
 from surface_gym.agents.evaluation.benchmark import find_benchmark
 from surface_gym.agents.evaluation.methods import BEST_FIXED, FIXED, rules
-from surface_gym.agents.planning.path_layouts import ShownPath
+from surface_gym.agents.planning.layouts import ShownPath
 from surface_gym.agents.rules.base import FixedRule
 from surface_gym.agents.rules.layouts import BestSlowing, BestStopping, BestTracking, BestTurning
-from surface_gym.config import EnvConfig
+from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.layouts import LINE_Y, box
-from surface_gym.presets import PRESETS
 from surface_gym.tasks import Track
 from surface_gym.tasks.paths import LaneChange, Sine
 from tests.agents.rules.runs import mirrored_starts, run, run_rule

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents.rules.square_model import (
+from surface_gym.agents.rules.brake_model import (
     Motion,
     SquareModel,
     line_positions,

@@ -9,11 +9,13 @@ import numpy as np
 
 import surface_gym as sg
 from surface_gym.agents.runtime.config import WorldOptions
-from surface_gym.agents.runtime.controller import AxisLimits, ControlLoop, LoopConfig
-from surface_gym.agents.runtime.decisions import (
+from surface_gym.agents.runtime.controller import (
+    AxisLimits,
+    ControlLoop,
     Decider,
     FixedLayouts,
     LocalArranger,
+    LoopConfig,
     allowed_angles,
     observation_bounds,
 )

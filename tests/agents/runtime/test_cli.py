@@ -18,15 +18,15 @@ from rich.console import Console
 from surface_gym.agents.runtime import simulator
 from surface_gym.agents.runtime.cli import load_policy, main, make_settings, simulator_arguments
 from surface_gym.agents.runtime.config import RuntimeConfig, SimulatorConfig
-from surface_gym.agents.runtime.connection import SocketDevice
-from surface_gym.agents.runtime.controller import Counts, Latencies
-from surface_gym.agents.runtime.decisions import (
+from surface_gym.agents.runtime.controller import (
+    Counts,
     FixedLayouts,
+    Latencies,
     ProcessArranger,
     allowed_angles,
     observation_bounds,
 )
-from surface_gym.agents.runtime.protocol import DeviceLost, Frame, Message
+from surface_gym.agents.runtime.protocol import DeviceLost, Frame, Message, SocketDevice
 from surface_gym.agents.runtime.report import (
     Run,
     make_report,

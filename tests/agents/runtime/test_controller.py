@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surface_gym.agents.runtime.controller import AxisLimits, LoopConfig
-from surface_gym.agents.runtime.decisions import allowed_angles
+from surface_gym.agents.runtime.controller import AxisLimits, LoopConfig, allowed_angles
 from surface_gym.agents.runtime.protocol import AxesAcknowledged, Departed
 from tests.agents.runtime.made import (
     BRAKE,

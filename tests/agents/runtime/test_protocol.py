@@ -11,14 +11,16 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.runtime.config import parse_address
-from surface_gym.agents.runtime.connection import Connection, ConnectionLost, SocketDevice
 from surface_gym.agents.runtime.protocol import (
     MAX_LINE,
     AxesAcknowledged,
+    Connection,
+    ConnectionLost,
     Departed,
     DeviceLost,
     Entered,
     Frame,
+    SocketDevice,
     axes_from_fields,
     axes_to_fields,
     from_fields,

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.runtime.config import WorldOptions
-from surface_gym.agents.runtime.connection import SocketDevice
 from surface_gym.agents.runtime.controller import ControlLoop, LoopConfig
 from surface_gym.agents.runtime.protocol import (
     AxesAcknowledged,
     Departed,
     Entered,
     Frame,
+    SocketDevice,
     from_line,
     to_line,
 )

@@ -10,17 +10,18 @@ import pytest
 from optuna.trial import FrozenTrial, TrialState, create_trial
 from rich.console import Console
 
-from surface_gym.agents.learning.config import PPOConfig
-from surface_gym.agents.learning.hyperparams import defaults
+from surface_gym.agents.learning.config import PPOConfig, defaults
 from surface_gym.agents.tuning import cli
 from surface_gym.agents.tuning.cli import main, open_folder, search
-from surface_gym.agents.tuning.report import MIN_COMPLETE, importance, write_report
 from surface_gym.agents.tuning.study import (
+    MIN_COMPLETE,
     REASON,
     best_trial,
     finished_trials,
+    importance,
     open_study,
     plain_params,
+    write_report,
 )
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
 from tests.agents.tuning.cheap import QUIET, SMALL, searched

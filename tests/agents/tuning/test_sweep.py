@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 import yaml
 
-from surface_gym.agents.learning.config import PPOConfig
-from surface_gym.agents.learning.hyperparams import defaults
+from surface_gym.agents.learning.config import PPOConfig, defaults
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep, differences, read_sweep
 
 ROOT = Path(__file__).parents[3]
