@@ -5,7 +5,7 @@ sensor's assumptions, over all tasks, controllers and both boxes.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Annotated, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -69,7 +69,7 @@ WORLDS = (
 class ObserverConfig:
     """Measure a sensor's estimate where the world differs from its assumptions."""
 
-    num_envs: Annotated[int, tyro.conf.arg(aliases=("--lanes",))] = 48
+    num_envs: int = 48
     """Starts of every task, controller and world."""
     seed: int = 0
     """Of the first start."""
