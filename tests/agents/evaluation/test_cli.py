@@ -47,12 +47,12 @@ class TestConfig:
             ),
         ],
     )
-    def test_errors(self, given: dict[str, Any], message: str) -> None:
+    def test_errors(self, given, message) -> None:
         with pytest.raises(ValueError, match=message):
             EvaluateConfig(**given)
 
 
-def test_results_of_streams_become_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_of_streams_become_a_page(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(streams, "stream_methods", lambda: RULES)
     monkeypatch.setattr(StreamResults, "of", lambda *_: stream_results())
     monkeypatch.setattr(report, "FILMED", 0.4)
@@ -81,7 +81,7 @@ def test_results_of_streams_become_a_page(tmp_path: Path, monkeypatch: pytest.Mo
         assert video.get_data(0).shape[0] > 2 * imageio.imread(tmp_path / "flow.png").shape[0]
 
 
-def test_a_sweep_becomes_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sweep_becomes_tables(tmp_path, monkeypatch) -> None:
     fixed = rules("slow")[:1]
     monkeypatch.setattr("surface_gym.agents.evaluation.methods.all_methods", lambda _: fixed)
     keep(sweep_results("slow", {"fixed layout": 0.5}), tmp_path / SWEPT)
@@ -108,9 +108,7 @@ class TestARunOfStreams:
         monkeypatch.setattr(capacity, "WARM_UP", 4.0)
         monkeypatch.setattr(capacity, "SECONDS", 12.0)
 
-    def test_every_seed_is_measured_beside_the_reservation(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_every_seed_is_measured_beside_the_reservation(self, tmp_path, monkeypatch) -> None:
         for seed in (0, 1):
             copytree(SHELF / "flow-ppo" / f"seed-{seed}", tmp_path / f"seed-{seed}")
         seen: list[StreamResults] = []
@@ -133,7 +131,7 @@ class TestARunOfStreams:
             assert min(stream["right_at_80_percent"]) > 0.99
 
     @pytest.mark.parametrize("text", ["", "[1", "env_id: SmartSurface/Sort-v0", "- a"])
-    def test_other_runs(self, tmp_path: Path, text: str) -> None:
+    def test_other_runs(self, tmp_path, text) -> None:
         (tmp_path / "policy.yaml").write_text(text)
         assert not is_of_streams(tmp_path)
         empty = tmp_path / "empty"
