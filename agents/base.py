@@ -48,7 +48,6 @@ class Controller(Protocol):
             observation: of one environment or of several.
             state: returned by the last call; None at first, and always without memory.
             episode_start: (num_envs,) whether an episode has just begun; None only if `state` is.
-            deterministic: choose the best action, or draw one.
 
         Returns:
             The actions, and the state for the next call.
@@ -162,7 +161,6 @@ class ActionMirror:
     """Mirror for actions that were chosen for y > 0, where the asked side is y < 0.
 
     Args:
-        kind: of the actions.
         orientations: [rad] axis angles to choose from; continuous actions ignore them.
     """
 

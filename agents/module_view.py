@@ -92,9 +92,7 @@ def outline_from_clearance(see: LineObservation, clearance: Numbers, line: BaseL
     wider line, so that both follow.
 
     Args:
-        see: the parcels, to be sorted to y > 0.
         clearance: (num_envs,) [m] between the base and the line's rotors.
-        line: the line.
     """
     length, pitch = see.half_length, line.pitch_y
     cosine, sine = np.abs([np.cos(see.theta), np.sin(see.theta)])
@@ -132,9 +130,6 @@ class ModuleView:
     Where the observation has the group "parcel", it gives the outline of the base; else the base is
     taken for a rectangle as wide as the clearance implies. Where it has "rotors", a module sees the
     axes of its own quadrant of the parcel.
-
-    Args:
-        config: of the environment, with any zone.
 
     Raises:
         ValueError: another task or kind of action, or an orientation without its mirror image.

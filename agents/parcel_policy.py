@@ -38,11 +38,7 @@ def parcel_spaces(config: EnvConfig) -> tuple[spaces.Box, spaces.MultiDiscrete]:
 
 
 class ParcelActions:
-    """Conversion between the parcels' mirrored choices and actions of the stream's environment.
-
-    Args:
-        config: of the stream, with "parcels" for actions and a gate.
-    """
+    """Conversion between the parcels' mirrored choices and actions of the stream's environment."""
 
     def __init__(self, config: EnvConfig) -> None:
         self._image = mirrored_orientations(config.chosen_orientations)
@@ -52,7 +48,6 @@ class ParcelActions:
 
         Args:
             rows: observations (num_envs, rows, features), not mirrored.
-            choices: of each row.
         """
         axes = self._mirror(rows, choices[:, :-1, :2])
         return np.concatenate([axes.reshape(len(choices), -1), choices[:, -1:, 2]], axis=1)

@@ -37,10 +37,6 @@ class EqualCategoricals(MultiCategoricalDistribution):
 
     Stable-Baselines3 keeps a list of distributions and loops over it; with tens of choices that
     costs more than the network.
-
-    Args:
-        choices: their number.
-        options: of each choice.
     """
 
     def __init__(self, choices: int, options: int) -> None:
@@ -160,10 +156,6 @@ def build_policy(
     files: PolicyFiles, task: Task | None = None
 ) -> Policy | ModulePolicy | ParcelPolicy:
     """Build a policy from the content of its files. No code in them is run.
-
-    Args:
-        files: of the policy.
-        task: of a user, for a policy trained on it; None: one of the package.
 
     Raises:
         ValueError: they are damaged or foreign, or of another task.

@@ -46,8 +46,6 @@ def run_episodes(
     """Run a controller from every start, each in an environment of one batch.
 
     Args:
-        controller: to run.
-        config: of the environment; its time limit is the task's.
         starts: reset options of each; what they leave open is drawn.
         seed: environment i draws from `seed` + i.
     """

@@ -20,8 +20,8 @@ from surface_gym.parcel import Parcel
 from surface_gym.tasks import Task
 from surface_gym.tasks.benchmark import Benchmark, Column
 
+from ..library import find_task
 from ..rollout import Episodes, run_episodes, run_sequentially
-from ..tasks import find_task
 from .methods import Method
 
 CONFIDENCE = 0.95
@@ -174,7 +174,6 @@ def choose_starts(
     """Choose the starts of a benchmark under a preset.
 
     Args:
-        benchmark: of a task.
         count: of starts, spread evenly over all; None: all of them.
         preset: one with parcels of its own leaves open which parcel a start has.
     """
@@ -260,10 +259,7 @@ def compute_results(
     """Compute the results of all methods, in an order that does not depend on the processes.
 
     Args:
-        methods: to compare.
-        workers: processes to share the work among, or a cluster.
         folder: results are kept in its results.jsonl; those found there are not computed again.
-        advance: called with results done, results in all and the name of the latest.
     """
     jobs = {
         (method.task, method.name, preset, seed): partial(compute, method, seed, preset)
@@ -290,9 +286,7 @@ def compute_kept(
     Args:
         jobs: to do, by the key of the dataclass that each gives; they do not depend on each other.
         make: such a dataclass from its fields as JSON has them.
-        workers: processes to share the work among, or a cluster.
         file: where results are kept, one in a line; those found there are not computed again.
-        advance: called with how many are done, how many there are and the name of the latest.
 
     Returns:
         All results by key, in the order of the jobs.

@@ -161,8 +161,6 @@ def measure(
     """Offer parcels at a rate [parcels/h].
 
     Args:
-        method: that decides.
-        controller: the method's, made for the case.
         case: which parcels, at what speed, and under what preset.
         rate: [parcels/h] of the parcels that come, evenly.
         whole: whether to go on to the end even where the rate is plainly not sustained.
@@ -250,7 +248,6 @@ def _most_carried(
 
     Args:
         sustained: measures a rate [parcels/h]; None where it is not sustained.
-        most: the measurement at the ceiling.
     """
     low, high = most.rate, most.offered
     while high > PRECISION * low:

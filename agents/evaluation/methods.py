@@ -13,10 +13,8 @@ from .. import library
 from ..base import Controller
 from ..learning.config import NOMINAL
 from ..learning.runs import CONFIG, read_config, task_name
-from ..library import CARD, PolicyFiles, read_files
-from ..rules import MORE_RULES, find_rules
-from ..rules.base import Rule
-from ..tasks import find_task, task_kind
+from ..library import CARD, PolicyFiles, find_task, read_files, task_kind
+from ..rules import MORE_RULES, Rule, find_rules
 
 FIXED = "fixed layout"
 BEST_FIXED = "best fixed layout"
@@ -102,11 +100,7 @@ def shipped(task: str) -> list[Method]:
 
 
 def of_runs(task: str, folder: Path) -> list[Method]:
-    """Find the policies of a task that runs left below `folder`, the latest of each kind.
-
-    Raises:
-        ValueError: a run's policies are damaged.
-    """
+    """Find the policies of a task that runs left below `folder`, the latest of each kind."""
     latest: dict[str, Method] = {}
     for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
         run = config.parent
@@ -118,15 +112,7 @@ def of_runs(task: str, folder: Path) -> list[Method]:
 
 
 def of_run(run: Path, task: str | None = None) -> Method:
-    """Find the policies that a run left, named by the preset they were trained for.
-
-    Args:
-        run: its folder.
-        task: of the user's own that they were trained on; None: one of the package.
-
-    Raises:
-        ValueError: a folder holds no policy, or a damaged one, or one of another task.
-    """
+    """Find the policies that a run left, named by the preset they were trained for."""
     agent = trained(policy_folders(run), task)
     config = run / CONFIG
     preset = read_config(config, task_name(config)).preset if config.is_file() else NOMINAL
@@ -140,15 +126,7 @@ def policy_folders(run: Path) -> dict[int, Path]:
 
 
 def trained(folders: dict[int, Path], task: str | None = None) -> Method:
-    """Read the policies that a run left, a folder for each seed.
-
-    Args:
-        folders: by seed.
-        task: of the user's own that they were trained on; None: one of the package.
-
-    Raises:
-        ValueError: a folder holds no policy, or a damaged one, or one of another task.
-    """
+    """Read the policies that a run left, a folder for each seed."""
     files = {seed: read_files(folder) for seed, folder in folders.items()}
     card = library.from_files(next(iter(files.values())), _own(task)).card
     return Method(

@@ -272,11 +272,8 @@ def compute_sweep(
     """Compute all results, in an order that does not depend on the processes.
 
     Args:
-        methods: that run on any parcel.
         starts: at each level.
-        workers: processes to share the work among, or a cluster.
         folder: results are kept in its robustness.jsonl; those found there are not computed again.
-        advance: called with results done, results in all and the name of the latest.
     """
     file = None if folder is None else folder / FILE
     found = compute_kept(sweep_jobs(methods, starts), SweepResult, workers, file, advance)

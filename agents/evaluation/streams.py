@@ -172,10 +172,7 @@ def compute_streams(
     """Compute all results, in an order that does not depend on the processes.
 
     Args:
-        methods: to compare.
-        workers: processes to share the work among, or a cluster.
         folder: results are kept in its flow.jsonl; those found there are not computed again.
-        advance: called with results done, results in all and the name of the latest.
         loads: [-] of the ceiling, at which rates are measured; None: LOADS.
     """
     file = None if folder is None else folder / FILE
@@ -256,7 +253,7 @@ def bound_of(method: StreamMethod, case: Case) -> float:
     """
     config = method.config(case, case.ceiling)
     asked = list_asked(config)
-    gaps = least_gaps(list(find_trajectories(StreamEventRule, config, asked).ways), MARGIN)
+    gaps = least_gaps(find_trajectories(StreamEventRule, config, asked).each, MARGIN)
     return packed_rate(gaps, np.ones(len(asked)))
 
 

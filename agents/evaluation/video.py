@@ -54,8 +54,6 @@ def write_comparison(
 
     Args:
         players: control periods are multiples of the shortest.
-        file: to write.
-        seconds: [s] to show at most.
 
     Returns:
         Whether each succeeded, as far as it was shown.
@@ -84,16 +82,8 @@ def write_episode(
     """Write an mp4 of a stream's episode, or of its first part.
 
     Args:
-        player: the controller, and its episode.
-        file: to write.
-        seconds: [s] of the episode to show.
         speed: [-] seconds of the episode in a second of the video. All control periods are shown,
             or as many as make 25 pictures a second.
-
-    Raises:
-        ValueError: no time to show or more than the episode lasts, a speed that is not positive, or
-            a file in no folder.
-        OSError: the file cannot be written.
     """
     if not file.parent.is_dir():
         raise ValueError(f"file must be in a folder that there is, got {str(file)!r}")
@@ -131,7 +121,6 @@ def play(
     """Play an episode: the picture and `info` at the start and after each control period.
 
     Args:
-        player: the controller, and its episode.
         periods: control periods to play at most; None: until the episode ends.
         every: pictures of the control periods between are not drawn, and the latest is repeated.
     """

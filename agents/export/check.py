@@ -80,15 +80,7 @@ def compare(
     """Compare decisions with the policy's.
 
     Args:
-        what: format of the export, for the message.
-        decision: that is exported.
-        source: of the policy.
-        observations: (count, features).
         decide: computes choices and axis angles [rad], (count, parts) each.
-
-    Raises:
-        ValueError: they differ where scores are not close, too often where they are, or in an
-            angle.
     """
     actions, _ = source.policy.predict(observations, deterministic=True)
     wanted = source.config.action_kind.commands(actions, len(observations))
@@ -134,17 +126,7 @@ def find_compiler() -> str | None:
 
 
 def run_c(compiler: str, header: str, name: str, parts: int) -> Decide:
-    """Return the decisions of a C header.
-
-    Args:
-        compiler: its path.
-        header: its text.
-        name: of the agent.
-        parts: size of a decision.
-
-    Raises:
-        ValueError: it does not compile without a warning.
-    """
+    """Return the decisions of a C header."""
     prefix = make_prefix(name)
 
     def decide(observations: Singles) -> tuple[Integers, Numbers]:
@@ -172,13 +154,7 @@ def run_c(compiler: str, header: str, name: str, parts: int) -> Decide:
 
 
 def make_observations(source: Source, count: int, seed: int = 0) -> Singles:
-    """Return (count, features), half from the policy's own episodes, half random.
-
-    Args:
-        source: of the policy.
-        count: of observations.
-        seed: of starts, noise and random numbers.
-    """
+    """Return (count, features), half from the policy's own episodes, half random."""
     presets = source.training.presets
     each = count // 2 // len(presets)
     met = [_from_episodes(source, preset, each, seed) for preset in presets]

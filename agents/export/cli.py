@@ -53,11 +53,7 @@ class ExportConfig:
         checks.integer("observations", self.observations, least=100)
 
     def source(self) -> "Source":
-        """Return the policy to export.
-
-        Raises:
-            ValueError: it does not exist, is damaged, or is not exported.
-        """
+        """Return the policy to export."""
         from . import policy
 
         if self.run is None:
@@ -83,15 +79,7 @@ def export(
     """Write NAME.onnx, NAME.h and NAME.md, if they decide as the policy does.
 
     Args:
-        source: of the policy.
-        folder: for the files.
         observations: number of them to compare decisions on.
-        formats: to write; empty: all that there are for the policy.
-
-    Raises:
-        ValueError: the policy is of a kind that is not exported, or not in a format, or a decision
-            differs.
-        ImportError: ONNX or its runtime is missing, which the extra `export` brings.
     """
     from . import c_header, check, onnx, page, policy
 
@@ -127,11 +115,7 @@ def export(
 
 
 def make_model(decision: "NetworkDecision | ModulesDecision", metadata: dict[str, str]) -> bytes:
-    """Return a decision as an ONNX file's content.
-
-    Raises:
-        ImportError: ONNX is missing, which the extra `export` brings.
-    """
+    """Return a decision as an ONNX file's content."""
     from . import onnx
 
     graph = onnx.Graph()

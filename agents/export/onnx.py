@@ -37,11 +37,7 @@ _OPERATORS: dict[Any, str] = {
 
 
 def need(package: str) -> Any:
-    """Import a library of the extra `export`.
-
-    Raises:
-        ImportError: it is missing; the message says what to install.
-    """
+    """Import a library of the extra `export`."""
     try:
         return import_module(package)
     except ModuleNotFoundError as error:
@@ -106,9 +102,7 @@ class Graph:
 
         Args:
             shape: (features, parts), sizes of an observation and of a decision.
-            orientations: [rad] of the choices.
             choices: name of the choices (parcels, parts).
-            metadata: names and values.
         """
         onnx = self._onnx
         self.add("Identity", choices, output=CHOICES)
@@ -137,12 +131,7 @@ class Graph:
 
 
 class Traced(NDArrayOperatorsMixin):
-    """An array of a graph: NumPy's functions and operators on it add nodes.
-
-    Args:
-        graph: that it is of.
-        name: in the graph.
-    """
+    """An array of a graph: NumPy's functions and operators on it add nodes."""
 
     def __init__(self, graph: Graph, name: str) -> None:
         self.graph, self.name = graph, name
@@ -203,7 +192,6 @@ def seen_by_modules(config: EnvConfig, features: Sequence[Any]) -> SeenByModules
     """Compute what each module sees, in the action's order.
 
     Args:
-        config: of the environment.
         features: of the observation, each (parcels, 1).
     """
     see = {each.name: feature for each, feature in zip(config.features, features, strict=True)}

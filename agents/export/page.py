@@ -81,8 +81,6 @@ def make_page(
     """Return the page, in Markdown.
 
     Args:
-        source: of the policy.
-        metadata: of the ONNX file.
         checked: by "ONNX" and "C", as far as they are written: the agreement with the policy; None:
             it was not tried.
     """

@@ -22,10 +22,9 @@ from ..evaluation.methods import policy_folders
 from ..learning.config import NOMINAL
 from ..learning.runs import CARD as CARD_FILE
 from ..learning.runs import CONFIG, read_config
-from ..library import read_files
+from ..library import find_task, read_files
 from ..module_policy import ModulePolicy
 from ..policy import DIGEST, Policy, make_network
-from ..tasks import find_task
 
 Singles = NDArray[np.float32]
 Numbers = NDArray[np.float64]
@@ -65,11 +64,7 @@ class Source:
 
 
 def shipped(name: str, seed: int | None = None) -> Source:
-    """Return an agent that comes with the package.
-
-    Raises:
-        ValueError: there is no agent of that name or seed, or it is of a kind that is not exported.
-    """
+    """Return an agent that comes with the package."""
     seeds = library.seeds(name)
     chosen = seeds[0] if seed is None else int(checks.one_of("seed", seed, seeds))
     folder = library.SHELF / name
@@ -82,14 +77,8 @@ def of_run(
     """Return a policy of a training run.
 
     Args:
-        run: its folder.
         name: that the export is to have; None: the folder's.
         seed: of several; None: the first.
-        task: custom task that it was trained on, as path/to/file.py:Class; None: of the package.
-
-    Raises:
-        ValueError: the folder holds no policy, or a damaged or foreign one, or one of another task
-            or seed; or of a kind that is not exported.
     """
     folders = policy_folders(run)
     chosen = next(iter(folders)) if seed is None else int(checks.one_of("seed", seed, folders))
@@ -175,11 +164,7 @@ class Network:
 
 
 def read_network(modules: nn.Module) -> Network:
-    """Read the weights of modules that follow each other.
-
-    Raises:
-        ValueError: it has other than linear layers with one kind of activation between them.
-    """
+    """Read the weights of modules that follow each other."""
     leaves = [each for each in modules.modules() if not list(each.children())]
     linear, between = leaves[::2], leaves[1::2]
     kinds = {type(each) for each in between}
@@ -211,7 +196,6 @@ def are_close(scores: Numbers, tie: float) -> NDArray[np.bool_]:
     """Tell whether the best two of scores (..., options) are too close to tell apart.
 
     Args:
-        scores: of each option.
         tie: greatest distance, as a share of the largest score (at least 1).
     """
     best = np.sort(scores, axis=-1)
@@ -250,12 +234,7 @@ class NetworkDecision:
         return self.groups * self.options.shape[1]
 
     def in_doubt(self, observations: Singles, tie: float) -> NDArray[np.bool_]:
-        """Tell for each part whether single precision may decide either way.
-
-        Args:
-            observations: (count, features).
-            tie: see `are_close`.
-        """
+        """Tell for each part whether single precision may decide either way."""
         scores = self.network.scores(observations.astype(np.float64))
         close = are_close(scores.reshape(len(observations), self.groups, -1), tie)
         parts = close.repeat(self.options.shape[1], axis=1)
@@ -267,11 +246,7 @@ class NetworkDecision:
 
 
 def network_decision(source: Source) -> NetworkDecision:
-    """Return the decision of a policy with one of Stable-Baselines3's networks.
-
-    Raises:
-        ValueError: its network or its actions are of a kind that is not exported.
-    """
+    """Return the decision of a policy with one of Stable-Baselines3's networks."""
     config, card = source.config, source.policy.card
     kind = config.action_kind
     if kind.continuous:

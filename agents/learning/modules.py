@@ -95,11 +95,7 @@ class ModuleSamples:
 
 
 class ModuleLearner:
-    """Networks of the modules' policy and value, and their training.
-
-    Args:
-        config: of the run.
-    """
+    """Networks of the modules' policy and value, and their training."""
 
     def __init__(self, config: ModulesConfig) -> None:
         self._config = config

@@ -81,14 +81,7 @@ def training_env_config(control_period: float) -> EnvConfig:
 
 
 class SlotVecEnv(BatchVecEnv):
-    """Agent slots on environments of one stream as a VecEnv, each slot one environment.
-
-    Args:
-        env_config: of the stream, with "parcels" for actions and a gate.
-        num_streams: number of lines.
-        slots: on each.
-        draw: draws the stream of an episode.
-    """
+    """Agent slots on environments of one stream as a VecEnv, each slot one environment."""
 
     def __init__(
         self,
@@ -228,9 +221,6 @@ class CriticFirst(BaseCallback):
     """Training of the value network alone, until it knows the value of the imitated policy.
 
     Advantages by an untrained value network would undo the imitation.
-
-    Args:
-        steps: control periods until then.
     """
 
     def __init__(self, steps: int) -> None:
@@ -291,11 +281,8 @@ def imitate(policy: ParcelNetwork, seen: Rows, chosen: Choices, epochs: int, see
     """Maximise the likelihood of demonstrated choices.
 
     Args:
-        policy: to train.
         seen: (samples, features).
         chosen: (samples, 3).
-        epochs: passes over the samples.
-        seed: of the draws.
     """
     generator = torch.Generator().manual_seed(seed)
     observations, choices = torch.from_numpy(seen), torch.from_numpy(chosen)

@@ -29,9 +29,9 @@ from surface_gym.randomisation import Randomisation
 from surface_gym.tasks import Task, Track
 
 from ..base import action_mirror, time_for, with_zone
+from ..library import find_task
 from ..parcel_policy import ParcelNetwork
 from ..policy import EqualChoicesPolicy, save_policy
-from ..tasks import find_task
 from ..vec_env import ConcatVecEnv, MirrorVecEnv, SurfaceVecEnv
 from .config import DQNConfig, ParcelsConfig, PPOConfig, TrainConfig, make_card
 from .parcels import CriticFirst, make_parcel_envs, pretrain
@@ -230,11 +230,7 @@ def save_checkpoint(model: PPO | DoubleDQN, recent: list[dict[str, float]], fold
 
 
 def load_checkpoint(model: PPO | DoubleDQN, folder: Path) -> list[dict[str, float]]:
-    """Restore a model from a checkpoint and return the latest episodes.
-
-    Raises:
-        ValueError: the checkpoint is damaged, or of another configuration.
-    """
+    """Restore a model from a checkpoint and return the latest episodes."""
 
     def restore(state: dict[str, Any]) -> list[dict[str, float]]:
         model.policy.load_state_dict(state["policy"])
@@ -304,9 +300,6 @@ def train_sb3(
     """Train PPO or DQN as the configuration says and leave a policy in `folder`.
 
     A run with a checkpoint is resumed. An interrupt saves the policy as it is.
-
-    Raises:
-        ValueError: the checkpoint is damaged, or of another configuration.
     """
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     started = time.perf_counter()

@@ -99,7 +99,6 @@ def graded_cost(nodes: Nodes, missed: int) -> Numbers:
     a success.
 
     Args:
-        nodes: ended.
         missed: outcome of an end at another ratio, place or angle.
     """
     parcels = nodes.parcels
@@ -118,9 +117,6 @@ def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Int
     """Search for the best layout from the model's start; the result is always the same.
 
     Args:
-        model: begun.
-        search: what is minimised.
-        axes: orientations to choose from.
         known: (layouts, rows, columns) to begin with, choices of the widest zone; the best found is
             as good as the best of these at least.
 
@@ -255,9 +251,6 @@ def search_path_layout(model: LayoutModel, axes: Axes, start: Start, limit: floa
     that leads to the path's end, it is one with one axis a column, of which more can be tried.
 
     Args:
-        model: by `path_model`.
-        axes: orientations to choose from.
-        start: with its path.
         limit: [s] an episode may take.
 
     Returns:

@@ -81,12 +81,7 @@ class Oracle:
         self._models: dict[int, TrueModel] = {}
 
     def find(self, options: dict[str, Any], seed: int) -> Reached:
-        """Find the best episode for a start, that of `reset` with these arguments.
-
-        Args:
-            options: of the start; what they leave open is drawn.
-            seed: of the draws.
-        """
+        """Find the best episode for a start, that of `reset` with these arguments."""
         began = time.perf_counter()
         for cost, width in product(self._costs, self._widths):
             found = self._play(cost, width, options, seed)
@@ -145,7 +140,6 @@ def find_reachable(
     """Find what can be reached from starts, with halves for actions, by an oracle.
 
     Args:
-        config: of the environment; its time limit is the task's own.
         starts: options of each start; what they leave open is drawn.
         seed: start i draws from `seed` + i, as in `agents.rollout.run_episodes`.
         budget: nodes followed at a time at most.
@@ -201,7 +195,6 @@ def stops_past(config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int) -
     allows, only a parcel that could turn onto more rotors might be stopped.
 
     Args:
-        config: of the environment, with "halves" for actions.
         starts: options of each start; what they leave open is drawn.
         seed: start i draws from `seed` + i.
 

@@ -152,9 +152,6 @@ def run_alone(
     """Run parcels, each alone on a line with a gate.
 
     Args:
-        make: the controller, of the configuration it acts in.
-        config: of the environment; its stream does not matter.
-        asked: the parcels.
         seeds: of each run, for what varies.
         opens: (runs,) physics step at which each gate opens; None: as the controller says.
     """
@@ -222,9 +219,7 @@ def find_trajectories(
     """Find the trajectories of parcels, each alone on the line, seen as they are.
 
     Args:
-        make: the controller, of the configuration it acts in.
         config: of the environment; its stream, its sensors and what varies do not matter.
-        asked: the parcels.
     """
     exact = replace(config, sensors=Exact(), randomisation=Randomisation())
     runs = run_alone(make, exact, asked, range(len(asked)))
@@ -320,7 +315,6 @@ class Reservation(ParcelRule):
 
     Args:
         config: of the environment, with "parcels" for actions and a gate.
-        lead: the rule, of a configuration.
         margin: [m] that trajectories are kept apart.
 
     Raises:

@@ -105,7 +105,6 @@ class SortEach(ParcelRule):
     Args:
         config: of the environment, with "parcels" for actions.
         name: of the agent, one whose actions are halves.
-        seed: of its weights.
     """
 
     def __init__(self, config: EnvConfig, name: str = "sort-ppo", seed: int = 0) -> None:

@@ -47,7 +47,6 @@ class WholeZone:
 
     Args:
         config: of the environment, with "modules" for actions and a gate.
-        columns: of the zone.
         alone: whether parcels come one by one, so that none needs to be held at the gate.
 
     Raises:
@@ -151,7 +150,6 @@ def find_best_zone(kind: type[WholeZone], config: EnvConfig) -> int | None:
     The parcels are tried alone on the line, whenever they come and whatever varies.
 
     Args:
-        kind: of zone.
         config: of the environment, with "modules" for actions and a gate.
     """
     _, _, _, obeying = config.site.zone
@@ -206,9 +204,7 @@ def measure_crossings(
     """Try parcels, each alone on the line, as the sensors see it and with all that varies.
 
     Args:
-        make: the controller, of the configuration it acts in.
         config: of the environment, with a gate; its stream does not matter.
-        asked: the parcels.
         span: [m] of x over which the zone lies.
     """
     each = [one for one in asked for _ in range(TRIES)]

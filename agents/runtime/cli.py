@@ -27,14 +27,10 @@ COLLECT_EVERY = 5.0  # [s] between collections of Python's garbage
 
 
 def load_policy(config: RuntimeConfig) -> "Policy | ModulePolicy":
-    """Load the policy of a command.
-
-    Raises:
-        ValueError: there is none, or it is one for streams of parcels.
-    """
+    """Load the policy of a command."""
     from .. import library
+    from ..library import find_task
     from ..parcel_policy import ParcelPolicy
-    from ..tasks import find_task
 
     if config.name in library.names():
         policy = library.load(config.name, config.seed)
@@ -51,11 +47,7 @@ def load_policy(config: RuntimeConfig) -> "Policy | ModulePolicy":
 
 
 def make_env_config(policy: "Policy | ModulePolicy", preset: str) -> "EnvConfig":
-    """Return the configuration of a policy's environment under a preset.
-
-    Raises:
-        ValueError: there is no such preset.
-    """
+    """Return the configuration of a policy's environment under a preset."""
     from surface_gym.config import EnvConfig
 
     arguments = {"task": policy.card.task, **policy.env_kwargs, "preset": preset}
@@ -75,11 +67,7 @@ def simulator_arguments(config: RuntimeConfig, env_config: "EnvConfig") -> list[
 
 
 def run_agent(config: RuntimeConfig, console: "Console") -> None:
-    """Run an agent and report on it; Ctrl-C ends the run early.
-
-    Raises:
-        ValueError: a setting that is not allowed, or a simulator that does not start.
-    """
+    """Run an agent and report on it; Ctrl-C ends the run early."""
     from surface_gym.parallel import usable_cores
 
     from . import controller, report

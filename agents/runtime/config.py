@@ -75,11 +75,7 @@ class SimulatorConfig:
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Return the host and the port of "host:port".
-
-    Raises:
-        ValueError: it is not one.
-    """
+    """Return the host and the port of "host:port"."""
     host, colon, port = text.rpartition(":")
     if not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise ValueError(f"address must be host:port, got {text!r}")

@@ -39,12 +39,7 @@ STOP_TIMEOUT = 5.0  # [s] that the process is given to end
 
 
 class Decider:
-    """A controller, asked about one parcel after the other.
-
-    Args:
-        controller: that decides.
-        config: of the environment that it is for.
-    """
+    """A controller, asked about one parcel after the other."""
 
     def __init__(self, controller: Controller, config: EnvConfig) -> None:
         self._controller = controller
@@ -57,11 +52,7 @@ class Decider:
         self._state, self._is_first = None, True
 
     def decide(self, observation: Observation) -> Command:
-        """Return the command for an observation.
-
-        Raises:
-            ValueError: the controller returned no action of its environment.
-        """
+        """Return the command for an observation."""
         action, self._state = self._controller.predict(
             observation[np.newaxis],
             self._state,
@@ -74,11 +65,7 @@ class Decider:
 
 
 class FixedLayouts:
-    """The fixed layout of a task, arranged for each parcel by its observation as it enters.
-
-    Args:
-        config: of the policy's environment.
-    """
+    """The fixed layout of a task, arranged for each parcel by its observation as it enters."""
 
     def __init__(self, config: EnvConfig) -> None:
         rule = find_rules(config.task_name)[0]  # the fixed layout comes first
@@ -152,11 +139,7 @@ class LocalArranger:
 
 
 class ProcessArranger:
-    """Arranges layouts in a process of its own, which ends with this context.
-
-    Args:
-        config: of the policy's environment.
-    """
+    """Arranges layouts in a process of its own, which ends with this context."""
 
     def __init__(self, config: EnvConfig) -> None:
         context = get_context("spawn")
@@ -340,14 +323,7 @@ class ControlLoop:
     """Runs a policy on a device.
 
     Args:
-        device: the machine; the loop connects and closes it.
-        estimator: of the parcel's state.
-        policy: that decides.
         fixed: arranges fixed layouts; and the resolver of their commands.
-        limits: of the axes that are sent.
-        bounds: of observations.
-        clock: that of the device's times.
-        config: its times.
     """
 
     def __init__(

@@ -70,11 +70,7 @@ IDEAL = Camera(latency=0.0, position_noise=0.0, angle_noise=0.0, entry=SURE)
 
 
 def device_camera(sensor: Sensor) -> Camera:
-    """Return the camera of an environment's sensor; of an exact one, without noise and delay.
-
-    Raises:
-        ValueError: a sensor without frames.
-    """
+    """Return the camera of an environment's sensor; of an exact one, without noise and delay."""
     if isinstance(sensor, Camera):
         return sensor
     if isinstance(sensor, Exact):
@@ -181,11 +177,7 @@ class StateEstimator:
         self._parcels.body[:] = self._plan.bodies_of(BOTH, parcels)
 
     def reset(self, entered: Entered) -> None:
-        """Start with a parcel.
-
-        Raises:
-            ValueError: the parcel does not fit the surface, or its goal or path is not the task's.
-        """
+        """Start with a parcel."""
         task = self.config.task
         goal = checks.array("goal", entered.goal, (task.goals,))
         path = checks.array("path", entered.path, (PATH_POINTS,)) if task.has_path else None
@@ -215,9 +207,6 @@ class StateEstimator:
     def correct(self, frame: Frame) -> bool:
         """Correct the estimate by a frame, and return whether it was used: one of another parcel is
         not, nor one that is not later than the latest.
-
-        Raises:
-            ValueError: a pose or axes that are not allowed.
         """
         pose = checks.pose("pose", frame.pose, (3,))
         axes = None if frame.axes is None else checks.array("axes", frame.axes, self.shape)

@@ -26,7 +26,7 @@ from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
 from surface_gym.sensors import Exact
 from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, RUNNING, EnvState
 
-from ..tasks import find_task
+from ..library import find_task
 from . import protocol
 from .config import SimulatorConfig, WorldOptions, parse_address
 from .controller import AxisLimits, Clock, WallClock
@@ -59,9 +59,6 @@ class World:
     Args:
         env_config: of the environment that it simulates, but for its actions: axes are set one by
             one.
-        seed: of all random numbers.
-        begun: [s] start by the caller's clock.
-        options: of the machine.
 
     Raises:
         ValueError: sensors without frames.
@@ -209,7 +206,6 @@ class Server:
     One loop may be connected at a time; a later one takes its place.
 
     Args:
-        world: to serve.
         task: its name.
         listener: a socket that listens, which becomes its own.
     """
@@ -300,11 +296,7 @@ def serve(server: Server, clock: Clock, goes_on: Callable[[], bool]) -> None:
 
 
 def make_env_config(config: SimulatorConfig) -> EnvConfig:
-    """Return the configuration of the environment that is simulated.
-
-    Raises:
-        ValueError: there is no such task or preset.
-    """
+    """Return the configuration of the environment that is simulated."""
     return EnvConfig(
         task=find_task(config.task),
         preset=config.preset,
@@ -313,12 +305,7 @@ def make_env_config(config: SimulatorConfig) -> EnvConfig:
 
 
 def run_simulator(config: SimulatorConfig) -> None:
-    """Serve until Ctrl-C, or until the parent process has ended.
-
-    Raises:
-        ValueError: a setting that is not allowed.
-        OSError: the port is taken.
-    """
+    """Serve until Ctrl-C, or until the parent process has ended."""
     env_config = make_env_config(config)
     clock = WallClock()
     world = World(env_config, config.seed, clock.now(), config.world)
@@ -334,10 +321,6 @@ def run_simulator(config: SimulatorConfig) -> None:
 
 class SimulatorProcess:
     """A simulator in a process of its own, which ends with this context.
-
-    Args:
-        arguments: of the simulator's command.
-        log: file for its errors.
 
     Raises:
         ValueError: it does not start.

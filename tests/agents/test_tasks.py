@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from surface_gym import agents
-from surface_gym.agents.tasks import card_env_id, find_task, task_kind, task_label
+from surface_gym.agents.library import card_env_id, find_task, task_kind, task_label
 from surface_gym.tasks import TASKS
 from tests.agents.test_doors import ROOT, door, inside
 

@@ -7,7 +7,7 @@ import torch
 
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents.learning.config import PPOConfig
-from surface_gym.agents.tasks import find_task
+from surface_gym.agents.library import find_task
 
 
 class EnvsOnCpu:
