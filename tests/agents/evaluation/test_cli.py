@@ -14,7 +14,7 @@ import pytest
 from rich.console import Console
 
 from surface_gym.agents.base import FLOW_TASK
-from surface_gym.agents.evaluation import capacity, report, runs, streams
+from surface_gym.agents.evaluation import capacity, report, streams
 from surface_gym.agents.evaluation.capacity import Case
 from surface_gym.agents.evaluation.cli import TASK_NAMES, EvaluateConfig, evaluate
 from surface_gym.agents.evaluation.methods import rules
@@ -98,11 +98,7 @@ def test_a_sweep_becomes_tables(tmp_path, monkeypatch) -> None:
 class TestARunOfStreams:
     @pytest.fixture(autouse=True)
     def small(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        def one(preset: str = "exact") -> list[Case]:
-            return [Case("S", 2.0, preset)]
-
-        for module in (streams, runs):
-            monkeypatch.setattr(module, "cases", one)
+        monkeypatch.setattr(streams, "cases", lambda preset="exact": [Case("S", 2.0, preset)])
         monkeypatch.setattr(streams, "CURVE", Case("S", 2.0))
         monkeypatch.setattr(capacity, "REPLICATIONS", 2)
         monkeypatch.setattr(capacity, "WARM_UP", 4.0)
@@ -112,19 +108,19 @@ class TestARunOfStreams:
         for seed in (0, 1):
             copytree(SHELF / "flow-ppo" / f"seed-{seed}", tmp_path / f"seed-{seed}")
         seen: list[StreamResults] = []
-        compare = runs.compare_streams
+        compare = report.compare_streams
 
         def watched(*given: Any) -> StreamResults:
             seen.append(compare(*given))
             return seen[0]
 
-        monkeypatch.setattr(runs, "compare_streams", watched)
+        monkeypatch.setattr(report, "compare_streams", watched)
         card = evaluate_run(tmp_path, None, 1, Console(quiet=True))
         (found,), case = seen, Case("S", 2.0)
         assert set(found.names) == {RESERVATION, "seed 0", "seed 1"}
         for name in found.names:
             assert found.rate(name, case) > 0.7 * found.rate(BOUND, case)
-        assert "seed 1" in (tmp_path / runs.TABLE).read_text()
+        assert "seed 1" in (tmp_path / report.TABLE).read_text()
         for preset in ("exact", "camera"):
             (stream,) = card[preset].values()
             assert len(stream["capacity_of_each_seed"]) == 2

@@ -118,7 +118,7 @@ class TestComputing:
             (streams.TURNED, "camera", streams.SEARCHED),
         ]
 
-        monkeypatch.setattr(streams, "measure", None)  # nothing is left to compute
+        monkeypatch.setattr(capacity, "measure", None)  # nothing is left to compute
         assert streams.compute_streams(some, 1, tmp_path) == both
 
 
