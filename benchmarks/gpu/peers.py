@@ -21,7 +21,7 @@ PERIOD = 0.04  # [s] of a decision, as Sort's
 REACH = 0.4  # [s] of motion for which elements are built
 MOST_CONTACTS = 32  # of the box: 9 elements lie under it at most
 MOST_ROWS = 3 * MOST_CONTACTS  # of constraints: a normal force and two of friction
-WARP_EFFORT = Effort(windows=3, steps=1, seconds=1.0, chunk=1, settling=1)
+WARP_EFFORT = Effort(windows=3, steps=1, seconds=1.0, chunk=1, warm_up=1)
 
 
 class CartPole:

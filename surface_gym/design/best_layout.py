@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.design import report
 from surface_gym.design.case import SURE, WORST, Case, is_reliable
-from surface_gym.design.line import DesignLine
-from surface_gym.design.runs import LONGEST, Ends, OnProgress, make_runs
+from surface_gym.design.runs import LONGEST, DesignLine, Ends, OnProgress, make_runs
 from surface_gym.design.search import Effort, LayoutSpace, Score, search
 from surface_gym.layouts import ROLLING
 from surface_gym.lines import ORIENTATIONS

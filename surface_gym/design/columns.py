@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.design import report
-from surface_gym.design.case import SURE, TOGETHER, WORST, Case, Draws, is_reliable
-from surface_gym.design.line import DesignLine
-from surface_gym.design.purposes import Purpose
-from surface_gym.design.runs import OnProgress, make_runs
+from surface_gym.design.case import SURE, TOGETHER, WORST, Case, Draws, Purpose, is_reliable
+from surface_gym.design.runs import DesignLine, OnProgress, make_runs
 from surface_gym.parallel import Workers
 
 MOST = 30  # columns that are tried

@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.design import report
-from surface_gym.design.case import Case
+from surface_gym.design.case import Case, EnvGoal
 from surface_gym.design.columns import least_columns
-from surface_gym.design.line import DesignLine
-from surface_gym.design.purposes import EnvGoal
-from surface_gym.design.runs import OnProgress
+from surface_gym.design.runs import DesignLine, OnProgress
 from surface_gym.lines import Line
 from surface_gym.randomisation import Randomisation
 

@@ -12,13 +12,7 @@ from surface_gym import checks
 from surface_gym.design import report
 from surface_gym.design.case import NOMINAL, SURE, TOGETHER, WORST, Case, Unknown, is_reliable
 from surface_gym.design.runs import OnProgress, split_progress
-from surface_gym.design.sensitivity import (
-    Arrangement,
-    SweepPoints,
-    arrange,
-    repeat_case,
-    success_shares,
-)
+from surface_gym.design.sweep import Arrangement, SweepPoints, arrange, repeat_case, success_shares
 from surface_gym.parallel import Workers
 
 SPEED_STEP, SPEED_STEP_DRAWN = 0.01, 0.02  # [m/s] with nothing unknown, and with draws

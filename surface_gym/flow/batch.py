@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym import state as st
 from surface_gym.config import EnvConfig
 from surface_gym.core.assembly import choose_actuation, compiled_function, sensor_functions
 from surface_gym.core.batch import BaseBatch, Infos, Snapshot
@@ -43,17 +44,7 @@ from surface_gym.parcel import Parcel
 from surface_gym.physics.collision import make_world_scratch
 from surface_gym.physics.step import com_states
 from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
-from surface_gym.state import (
-    BAD_REWARD,
-    GRAVITY_ALONG,
-    GRAVITY_NORMAL,
-    RUNNING,
-    STARTING,
-    BodyTable,
-    ParcelState,
-    SurfaceState,
-    axis_angles,
-)
+from surface_gym.state import BodyTable, ParcelState, SurfaceState
 
 _FIRST_ROOM = 16
 
@@ -192,8 +183,8 @@ class StreamBatch(BaseBatch):
         self.rows = task.rows
         self.stream_params = make_stream_params(config)
         self.surfaces.conditions[:, :3] = 1.0
-        self.surfaces.conditions[:, GRAVITY_NORMAL] = GRAVITY * math.cos(task.tilt)
-        self.surfaces.conditions[:, GRAVITY_ALONG] = GRAVITY * math.sin(task.tilt)
+        self.surfaces.conditions[:, st.GRAVITY_NORMAL] = GRAVITY * math.cos(task.tilt)
+        self.surfaces.conditions[:, st.GRAVITY_ALONG] = GRAVITY * math.sin(task.tilt)
         self._pool = BodyPool(partial(place_in, config), task.parcels[0])
         obeys = self._pool.bodies.obeys
         if config.actuators.stuck_share > 0.0:
@@ -253,7 +244,7 @@ class StreamBatch(BaseBatch):
             "touches": tally[:, TOUCHES],
             "turns": tally[:, TURNS],
             "waiting": streams.due - streams.coming,
-            **({"axes": axis_angles(self.surfaces)} if "axes" in self.config.info else {}),
+            **({"axes": st.axis_angles(self.surfaces)} if "axes" in self.config.info else {}),
         }
 
     def metrics(self, ended: Booleans) -> Infos:
@@ -313,11 +304,11 @@ class StreamBatch(BaseBatch):
             ("entered", np.nan), ("left", np.nan), ("taken", ON_ITS_WAY), ("touches", 0),
             ("number", NOBODY), ("present", False), ("touched_at", NEVER), ("coming", 0),
             ("due", 0), ("clock", 0.0), ("steps", 0), ("still", 0.0), ("waited", 0.0),
-            ("tally", 0), ("outcome", STARTING),
+            ("tally", 0), ("outcome", st.STARTING),
         ):  # fmt: skip
             getattr(streams, name)[i] = value
         row = i * self.rows
-        self.parcels.outcome[row : row + self.rows] = RUNNING
+        self.parcels.outcome[row : row + self.rows] = st.RUNNING
 
     def _entries(
         self, i: int, arrivals: Arrivals, rng: np.random.Generator
@@ -389,7 +380,7 @@ class StreamBatch(BaseBatch):
 
     def _fault(self) -> ValueError:
         i, name = int(np.nonzero(self.streams.fault)[0][0]), type(self.task).__name__
-        if self.streams.fault[i] == BAD_REWARD:
+        if self.streams.fault[i] == st.BAD_REWARD:
             terms = dict(zip(self.task.terms, self.terms[i].tolist(), strict=True))
             return ValueError(f"{name}.reward must write finite terms, got {terms}")
         sensor = type(self.config.sensors).__name__

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surface_gym import state as st
 from surface_gym.core.actions import Acting
 from surface_gym.core.kernel import Actuation, EnvParams, Function
 from surface_gym.flow.state import (
@@ -33,46 +34,15 @@ from surface_gym.flow.state import (
 )
 from surface_gym.flow.task import HALVES
 from surface_gym.layouts import ROLLING
+from surface_gym.physics import types as ph
 from surface_gym.physics.collision import World, WorldScratch, invalidate_world
 from surface_gym.physics.contact_solver import step_world
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.jit import compiled, inlined
 from surface_gym.physics.step import OFF_SURFACE
-from surface_gym.physics.types import (
-    STATE_SIZE,
-    THETA,
-    VX,
-    VY,
-    Array,
-    Bodies,
-    Integers,
-    Places,
-    Scratch,
-    X,
-    Y,
-)
+from surface_gym.physics.types import Array, Bodies, Integers, Places, Scratch
 from surface_gym.sensors.base import Physics
-from surface_gym.state import (
-    BAD_OBSERVATION,
-    BAD_REWARD,
-    COLUMNS,
-    FIRST_COLUMN,
-    FIRST_ROW,
-    NO_FAULT,
-    OUT_OF_TIME,
-    ROWS,
-    RUNNING,
-    STARTING,
-    BodyTable,
-    EnvState,
-    ParcelState,
-    SurfaceState,
-    env_state,
-    is_slower,
-    reach_along,
-    read_grid,
-    read_truth,
-)
+from surface_gym.state import BodyTable, EnvState, ParcelState, SurfaceState
 from surface_gym.tasks.line import STALL_SPEED
 
 NEARER = 1e-6  # [s/m^2] of two that a module bears at once, the one with the nearer centre wins
@@ -82,8 +52,8 @@ NEARER = 1e-6  # [s/m^2] of two that a module bears at once, the one with the ne
 def free_modules(owner: Places, soonest: Array, state: EnvState) -> None:
     """Let every module of the zone obey no parcel, so that any may claim it."""
     zone = state.zone
-    for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
-        for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
+    for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
+        for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
             owner[row, column] = NOBODY
             soonest[row, column] = np.inf
 
@@ -114,14 +84,14 @@ def claim_modules(owner: Places, soonest: Array, state: EnvState, slot: int, ahe
     first to bear on within `ahead` seconds, by its box as it is sensed and moves on.
     """
     sensed = state.sensed
-    theta = sensed[THETA]
-    vx, vy = sensed[VX], sensed[VY]
-    front = sensed[X] + reach_along(state, theta, 1.0, 0.0)
-    rear = sensed[X] - reach_along(state, theta, -1.0, 0.0)
-    left = sensed[Y] + reach_along(state, theta, 0.0, 1.0)
-    right = sensed[Y] - reach_along(state, theta, 0.0, -1.0)
+    theta = sensed[ph.THETA]
+    vx, vy = sensed[ph.VX], sensed[ph.VY]
+    front = sensed[ph.X] + st.reach_along(state, theta, 1.0, 0.0)
+    rear = sensed[ph.X] - st.reach_along(state, theta, -1.0, 0.0)
+    left = sensed[ph.Y] + st.reach_along(state, theta, 0.0, 1.0)
+    right = sensed[ph.Y] - st.reach_along(state, theta, 0.0, -1.0)
     zone, elements = state.zone, state.elements
-    first_row, first_column = zone[FIRST_ROW], zone[FIRST_COLUMN]
+    first_row, first_column = zone[st.FIRST_ROW], zone[st.FIRST_COLUMN]
     x0, y0 = elements.x0, elements.y0
     low_x = (rear + min(0.0, vx * ahead) - x0) / elements.pitch_x
     high_x = (front + max(0.0, vx * ahead) - x0) / elements.pitch_x
@@ -130,20 +100,20 @@ def claim_modules(owner: Places, soonest: Array, state: EnvState, slot: int, ahe
     if not (abs(low_x) < 1e6 and abs(high_x) < 1e6 and abs(low_y) < 1e6 and abs(high_y) < 1e6):
         return  # an estimate that has lost the parcel
     for row in range(
-        max(first_row, math.ceil(low_y)), min(first_row + zone[ROWS], math.floor(high_y) + 1)
+        max(first_row, math.ceil(low_y)), min(first_row + zone[st.ROWS], math.floor(high_y) + 1)
     ):
         y = y0 + elements.pitch_y * row
         until_y = _until(y, right, left, vy)
         after_y = _after(y, right, left, vy)
         for column in range(
             max(first_column, math.ceil(low_x)),
-            min(first_column + zone[COLUMNS], math.floor(high_x) + 1),
+            min(first_column + zone[st.COLUMNS], math.floor(high_x) + 1),
         ):
             x = x0 + elements.pitch_x * column
             until = max(until_y, _until(x, rear, front, vx))
             if until > min(ahead, after_y, _after(x, rear, front, vx)):
                 continue
-            until += NEARER * ((x - sensed[X]) ** 2 + (y - sensed[Y]) ** 2)
+            until += NEARER * ((x - sensed[ph.X]) ** 2 + (y - sensed[ph.Y]) ** 2)
             if until < soonest[row, column]:
                 soonest[row, column] = until
                 owner[row, column] = slot
@@ -157,7 +127,11 @@ def part_of_module(
     state: EnvState, parcels: ParcelState, owner: Places, rows: int, row: int, column: int
 ) -> int:
     """Let each module follow a part of its own."""
-    return (row - state.zone[FIRST_ROW]) * state.zone[COLUMNS] + column - state.zone[FIRST_COLUMN]
+    return (
+        (row - state.zone[st.FIRST_ROW]) * state.zone[st.COLUMNS]
+        + column
+        - state.zone[st.FIRST_COLUMN]
+    )
 
 
 @inlined
@@ -172,7 +146,7 @@ def part_of_owner(
     if slot < 0:
         return -1
     x = state.elements.x0 + state.elements.pitch_x * column
-    return HALVES * slot + (1 if x < parcels.sensed[rows + slot, X] else 0)
+    return HALVES * slot + (1 if x < parcels.sensed[rows + slot, ph.X] else 0)
 
 
 # The axis angle [rad] that a part of the command sets.
@@ -224,13 +198,13 @@ def _free_slot(streams: StreamState, i: int, slots: int) -> int:
 @inlined
 def _bars(other: EnvState, state: EnvState, gap: float) -> bool:
     """Whether a parcel on the line is in the way of one about to enter, with a gap [m] ahead."""
-    front = state.truth[X] + reach_along(state, state.truth[THETA], 1.0, 0.0) + gap
-    if other.truth[X] - reach_along(other, other.truth[THETA], -1.0, 0.0) > front:
+    front = state.truth[ph.X] + st.reach_along(state, state.truth[ph.THETA], 1.0, 0.0) + gap
+    if other.truth[ph.X] - st.reach_along(other, other.truth[ph.THETA], -1.0, 0.0) > front:
         return False
-    left = state.truth[Y] + reach_along(state, state.truth[THETA], 0.0, 1.0)
-    right = state.truth[Y] - reach_along(state, state.truth[THETA], 0.0, -1.0)
-    other_left = other.truth[Y] + reach_along(other, other.truth[THETA], 0.0, 1.0)
-    other_right = other.truth[Y] - reach_along(other, other.truth[THETA], 0.0, -1.0)
+    left = state.truth[ph.Y] + st.reach_along(state, state.truth[ph.THETA], 0.0, 1.0)
+    right = state.truth[ph.Y] - st.reach_along(state, state.truth[ph.THETA], 0.0, -1.0)
+    other_left = other.truth[ph.Y] + st.reach_along(other, other.truth[ph.THETA], 0.0, 1.0)
+    other_right = other.truth[ph.Y] - st.reach_along(other, other.truth[ph.THETA], 0.0, -1.0)
     return other_right < left + gap and right - gap < other_left
 
 
@@ -245,7 +219,7 @@ def _put(
 ) -> None:
     """Write an arrival into the row of a slot that is free."""
     row = i * streams.number.shape[1] + slot
-    for k in range(STATE_SIZE):
+    for k in range(ph.STATE_SIZE):
         parcels.state[row, k] = streams.start[i, arrival, k]
     asked = streams.exit[i, arrival]
     parcels.body[row] = streams.body[i, arrival]
@@ -258,7 +232,7 @@ def _put(
     parcels.steps[row] = 0
     parcels.on_rotors[row] = True
     parcels.on_surface[row] = True
-    parcels.outcome[row] = RUNNING
+    parcels.outcome[row] = st.RUNNING
 
 
 @inlined
@@ -283,8 +257,8 @@ def show_next(
     row = i * streams.number.shape[1] + last
     streams.number[i, last] = arrival
     parcels.clock[row] = streams.time[i, arrival] - streams.clock[i]
-    state = env_state(surfaces, parcels, bodies, i, row, params.elements)
-    read_truth(state)
+    state = st.env_state(surfaces, parcels, bodies, i, row, params.elements)
+    st.read_truth(state)
     for k in range(state.truth.shape[0]):
         state.sensed[k] = state.truth[k]
 
@@ -311,12 +285,12 @@ def let_in(
         return NOBODY
     first = i * streams.number.shape[1]
     _put(stream_params, streams, parcels, i, slot, arrival)
-    state = env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
-    read_truth(state)
+    state = st.env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
+    st.read_truth(state)
     for k in range(streams.number.shape[1]):
         if streams.present[i, k]:
-            other = env_state(surfaces, parcels, bodies, i, first + k, params.elements)
-            read_truth(other)
+            other = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
+            st.read_truth(other)
             if _bars(other, state, stream_params.entry_gap):
                 return NOBODY
     streams.number[i, slot] = arrival
@@ -375,13 +349,13 @@ def _nearest(streams: StreamState, parcels: ParcelState, i: int, slot: int, ahea
     Of two at the same x the one that came first is ahead.
     """
     first = i * streams.number.shape[1]
-    x = parcels.sensed[first + slot, X]
+    x = parcels.sensed[first + slot, ph.X]
     nearest = NOBODY
     least = 0.0
     for k in range(streams.number.shape[1]):
         if not streams.present[i, k] or k == slot:
             continue
-        apart = parcels.sensed[first + k, X] - x
+        apart = parcels.sensed[first + k, ph.X] - x
         is_ahead = apart > 0.0 or (apart == 0.0 and streams.number[i, k] < streams.number[i, slot])
         if is_ahead == ahead and (nearest == NOBODY or abs(apart) < least):
             nearest = k
@@ -426,17 +400,17 @@ def _obeying(functions: StreamFunctions) -> Any:
     ) -> None:
         rows = streams.number.shape[1]
         first = i * rows
-        state = env_state(surfaces, parcels, bodies, i, first, params.elements)
+        state = st.env_state(surfaces, parcels, bodies, i, first, params.elements)
         owner, soonest = streams.owner[i], streams.soonest[i]
         free_modules(owner, soonest, state)
         for k in range(rows):
             if streams.present[i, k]:
-                parcel = env_state(surfaces, parcels, bodies, i, first + k, params.elements)
+                parcel = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
                 claim_modules(owner, soonest, parcel, k, stream_params.ahead)
         obeys = streams.obeys[i if streams.obeys.shape[0] > 1 else 0]
         zone = state.zone
-        for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
-            for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
+        for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
+            for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
                 part = part_of(state, parcels, owner, first, row, column)
                 if part < 0 or not obeys[row, column]:
                     continue
@@ -470,28 +444,28 @@ def _observing(functions: StreamFunctions) -> Any:
         slots = count_slots(stream_params, streams)
         first = i * rows
         for k in range(rows):
-            state = env_state(surfaces, parcels, bodies, i, first + k, params.elements)
+            state = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
             waits = k >= slots and streams.number[i, k] != NOBODY
             if not (streams.present[i, k] or waits):
                 for feature in range(state.observation.shape[0]):
                     state.observation[feature] = 0.0
                 continue
             observe(state, waits)
-            x, theta = state.sensed[X], state.sensed[THETA]
-            front = x + reach_along(state, theta, 1.0, 0.0)
-            rear = x - reach_along(state, theta, -1.0, 0.0)
+            x, theta = state.sensed[ph.X], state.sensed[ph.THETA]
+            front = x + st.reach_along(state, theta, 1.0, 0.0)
+            rear = x - st.reach_along(state, theta, -1.0, 0.0)
             for way in range(2):
                 ahead = way == 1
                 slot = _nearest(streams, parcels, i, k, ahead)
                 if slot == NOBODY:
                     observe_no_neighbour(state, ahead)
                     continue
-                other = env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
-                other_x, other_theta = other.sensed[X], other.sensed[THETA]
+                other = st.env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
+                other_x, other_theta = other.sensed[ph.X], other.sensed[ph.THETA]
                 if ahead:
-                    gap = other_x - reach_along(other, other_theta, -1.0, 0.0) - front
+                    gap = other_x - st.reach_along(other, other_theta, -1.0, 0.0) - front
                 else:
-                    gap = rear - other_x - reach_along(other, other_theta, 1.0, 0.0)
+                    gap = rear - other_x - st.reach_along(other, other_theta, 1.0, 0.0)
                 observe_neighbour(state, other, gap, ahead)
 
     return observe_parcels
@@ -534,17 +508,17 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
         shapes = Bodies(bodies.body, bodies.edges, bodies.corners)
         for i in chosen:
             first = i * rows
-            begins = streams.outcome[i] == STARTING
+            begins = streams.outcome[i] == st.STARTING
             if begins:
                 straighten(params.acting, surfaces, i)
                 for row in range(streams.commanded.shape[1]):
                     for column in range(streams.commanded.shape[2]):
                         streams.commanded[i, row, column] = ROLLING
                         streams.owner[i, row, column] = NOBODY
-                streams.outcome[i] = RUNNING
-            elif streams.outcome[i] != RUNNING:
+                streams.outcome[i] = st.RUNNING
+            elif streams.outcome[i] != st.RUNNING:
                 continue
-            streams.fault[i] = NO_FAULT
+            streams.fault[i] = st.NO_FAULT
             for k in range(streams.terms.shape[1]):
                 streams.terms[i, k] = 0.0
             for k in range(rows):
@@ -556,7 +530,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                 obey_command(params, stream_params, surfaces, parcels, bodies, streams, i)
             invalidate_world(scratch)
             invalidate_contacts(sensor_scratch)
-            grid = read_grid(surfaces, bodies, i, 0, params.elements, params.friction)
+            grid = st.read_grid(surfaces, bodies, i, 0, params.elements, params.friction)
             company = World(
                 parcels.state[first : first + rows],
                 streams.present[i],
@@ -587,12 +561,12 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                         parcels.clock[row] += dt
                         parcels.steps[row] += 1
                         parcels.period[row] += dt
-                        state = env_state(surfaces, parcels, bodies, i, row, params.elements)
+                        state = st.env_state(surfaces, parcels, bodies, i, row, params.elements)
                         if not state.on_rotors:
-                            read_truth(state)
+                            st.read_truth(state)
                             leave(streams, parcels, i, k, task_exit(stream_params, state))
                         elif watches:
-                            read_truth(state)
+                            st.read_truth(state)
                             sensor_update(params.sensor, state, physics)
                     waiting = streams.due[i] - streams.coming[i]
                     streams.waited[i] += dt * waiting
@@ -604,7 +578,9 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                 slot = let_in(params, stream_params, surfaces, parcels, bodies, streams, i)
                 if slot != NOBODY:
                     entered = True
-                    state = env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
+                    state = st.env_state(
+                        surfaces, parcels, bodies, i, first + slot, params.elements
+                    )
                     state.memory[TOUCHED] = 0.0
                     task_begin(state)
                     sensor_begin(params.sensor, state)
@@ -613,8 +589,8 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
             for k in range(slots):
                 if streams.number[i, k] == NOBODY:
                     continue
-                state = env_state(surfaces, parcels, bodies, i, first + k, params.elements)
-                read_truth(state)
+                state = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
+                st.read_truth(state)
                 task_reward(state, parcels.outcome[first + k])
                 state.memory[TOUCHED] = 0.0
                 reward = 0.0
@@ -624,7 +600,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                 parcels.reward[first + k] = reward
                 if streams.present[i, k]:
                     occupied = True
-                    moves |= not is_slower(state, STALL_SPEED)
+                    moves |= not st.is_slower(state, STALL_SPEED)
                     sensor_read(params.sensor, state)
             if occupied and not moves and not begins:
                 streams.still[i] += dt * params.timing.steps
@@ -634,13 +610,13 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                 streams.outcome[i] = JAM
                 streams.terms[i, jam_term] = stream_params.jam_reward
             elif streams.clock[i] >= stream_params.duration - 0.5 * dt:
-                streams.outcome[i] = OUT_OF_TIME
+                streams.outcome[i] = st.OUT_OF_TIME
             reward = 0.0
             for k in range(streams.terms.shape[1]):
                 reward += streams.terms[i, k]
             streams.reward[i] = reward
             if not math.isfinite(reward):
-                streams.fault[i] = BAD_REWARD
+                streams.fault[i] = st.BAD_REWARD
             if stream_params.gated:
                 show_next(params, stream_params, surfaces, parcels, bodies, streams, i)
                 parcels.reward[first + slots] = streams.terms[i, waiting_term]
@@ -648,8 +624,8 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
             for k in range(rows):
                 for feature in range(parcels.observation.shape[1]):
                     if not math.isfinite(parcels.observation[first + k, feature]):
-                        streams.fault[i] = BAD_OBSERVATION
-            faults += streams.fault[i] != NO_FAULT
+                        streams.fault[i] = st.BAD_OBSERVATION
+            faults += streams.fault[i] != st.NO_FAULT
         return faults
 
     return compiled(step_streams, functions.label)

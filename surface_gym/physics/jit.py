@@ -1,4 +1,4 @@
-"""The one compiler setting of the physics, and a cache that notices edits in any function used.
+"""Compiler options of the physics, and a cache that notices edits in any function used.
 
 The digest of a function covers its code and that of all it calls. The walk follows names as the
 compiler does: from a function to the functions and constants it refers to, whichever files they
@@ -177,7 +177,7 @@ class _DigestCache(FunctionCache):
 
 
 class _NoCache(NullCache):
-    """Cache in name only, for where no folder can be written."""
+    """Cache for where no folder can be written: it keeps nothing."""
 
     def save_overload(self, *_: Any) -> None:
         _warn("no folder for it can be written")
@@ -209,7 +209,7 @@ _OPTIONS: Any = {
     "no_cfunc_wrapper": True,
     "_nrt": False,
 }
-# A function that compiled code alone calls needs none of Python's way in, which can take longer to
+# A function that compiled code alone calls needs none of Python's wrapper, which can take longer to
 # compile than the function.
 _INTERNAL: Any = {"no_cpython_wrapper": True, **_OPTIONS}
 
@@ -233,8 +233,8 @@ def inlined(function: Callable[..., Any]) -> Any:
     """Compile a function into each of its compiled callers, arrays and all kept in registers.
 
     It needs no cache of its own, since its machine code is part of theirs. Called instead, it would
-    cost more to hand its tuples of arrays over than most such functions take. Python enters them by
-    `dynamics.entries`.
+    cost more to pass its tuples of arrays than most such functions take. Python calls them through
+    `physics.references`.
     """
     return njit(forceinline=True, **_INTERNAL)(function)
 
@@ -260,7 +260,7 @@ def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
     """Compile a function for arguments of these types, or load it from the cache.
 
     Called so it takes the arguments as they are: finding out what kinds dozens of arrays are, as
-    the dispatcher does, takes longer than a control period of one lane.
+    the dispatcher does, takes longer than a control period of one environment.
     """
     collects = gc.isenabled()
     gc.disable()  # the compiler makes millions of objects, and leaves none of them behind

@@ -16,7 +16,7 @@ from surface_gym.simulation import simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import simulation
-from surface_gym.validation.scene import RECIPE, Recipe
+from surface_gym.validation.simulation import RECIPE, Recipe
 
 Array = NDArray[np.float64]
 

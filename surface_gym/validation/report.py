@@ -32,9 +32,8 @@ from surface_gym.validation.comparison import (
     is_sorted,
     load_paper_errors,
 )
+from surface_gym.validation.drawn import STEPS, MeetingRun, Spread, apart, root_mean_square
 from surface_gym.validation.study import Study
-from surface_gym.validation.touching import STEPS, MeetingRun, apart
-from surface_gym.validation.unevenness import Spread, root_mean_square
 
 ABSOLUTE = ("x\n[mm]", "y\n[mm]", "theta\n[deg]")
 PERCENT = ("x\n[%]", "y\n[%]", "theta\n[%]")

@@ -13,7 +13,7 @@ from rich.progress import track
 from surface_gym.paper.runs import Integration
 from surface_gym.parallel import Workers, map_jobs, without_report
 from surface_gym.trajectory import Trajectory
-from surface_gym.validation import comparison, touching, unevenness
+from surface_gym.validation import comparison, drawn
 from surface_gym.validation.comparison import (
     EXPLICIT,
     IMPLICIT,
@@ -29,7 +29,7 @@ from surface_gym.validation.comparison import (
     compute_errors,
     displacement,
 )
-from surface_gym.validation.scene import RECIPE, Recipe
+from surface_gym.validation.simulation import RECIPE, Recipe
 
 DRAWS = 20  # surfaces for each unevenness
 MEETINGS = 30  # of two parcels that push each other
@@ -165,8 +165,8 @@ class Study:
     long: Run  # Figure 12c
     convergence: tuple[Variant, ...]
     speeds: tuple[Speed, ...]
-    spreads: tuple[unevenness.Spread, ...]  # empty if not asked for
-    meetings: tuple[touching.MeetingRun, ...] = ()  # empty if not asked for
+    spreads: tuple[drawn.Spread, ...]  # empty if not asked for
+    meetings: tuple[drawn.MeetingRun, ...] = ()  # empty if not asked for
 
     @property
     def implicit(self) -> Errors:
@@ -222,13 +222,13 @@ def run_study(
         console: where the progress is drawn.
     """
     cases = (*(Case(tilt) for tilt in tilts), PUSHED, LONG)
-    draws = unevenness.draw_surfaces(DRAWS, seed) if with_unevenness else ()
-    meetings = [touching.Meeting(seed + k) for k in range(MEETINGS if with_touching else 0)]
+    draws = drawn.draw_surfaces(DRAWS, seed) if with_unevenness else ()
+    meetings = [drawn.Meeting(seed + k) for k in range(MEETINGS if with_touching else 0)]
     parts: tuple[tuple[Any, Sequence[Any]], ...] = (
         (comparison.run_case, cases),
         (run_variant, JOBS),
-        (unevenness.run_draw, draws),
-        (touching.run_meeting, meetings),
+        (drawn.run_draw, draws),
+        (drawn.run_meeting, meetings),
     )
     jobs = [
         partial(without_report, partial(function, each))
@@ -254,6 +254,6 @@ def run_study(
         long=runs[-1],
         convergence=compare_variants(variants),
         speeds=speeds,
-        spreads=unevenness.compare_draws(draws, ends) if draws else (),
+        spreads=drawn.compare_draws(draws, ends) if draws else (),
         meetings=tuple(meeting_runs),
     )
