@@ -88,10 +88,7 @@ NETWORKS = {"ppo": EqualChoicesPolicy, "dqn": DQNPolicy}
 def make_network(card: PolicyCard, config: EnvConfig) -> BasePolicy:
     """Build the network of a card for an environment, its weights not set."""
     return NETWORKS[card.algo](
-        config.observation_space(),
-        config.action_space(),
-        lambda _: 0.0,
-        net_arch=list(card.hidden),
+        config.observation_space(), config.action_space(), lambda _: 0.0, net_arch=list(card.hidden)
     )
 
 

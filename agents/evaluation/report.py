@@ -158,10 +158,7 @@ def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
 
 
 def write_stream_report(
-    methods: Sequence[StreamMethod],
-    rows: Sequence[StreamResult],
-    folder: Path,
-    console: Console,
+    methods: Sequence[StreamMethod], rows: Sequence[StreamResult], folder: Path, console: Console
 ) -> list[Section]:
     """Write flow.md, flow.csv, plots, a picture and a video into a folder, and show tables.
 

@@ -1,14 +1,13 @@
 """Episodes: those of a single environment stepped by hand, to the bit."""
 
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from surface_gym.agents.rollout import Episodes, run_episodes, run_sequentially
-from surface_gym.agents.rules import RULES, Rule
+from surface_gym.agents.rollout import run_episodes, run_sequentially
+from surface_gym.agents.rules import RULES
 from surface_gym.config import EnvConfig
 from surface_gym.registration import env_id
 from surface_gym.sensors import Camera
@@ -17,7 +16,7 @@ ONE_A_TASK = {rule.task: rule for rule in RULES}
 
 
 @pytest.mark.parametrize("rule", ONE_A_TASK.values(), ids=ONE_A_TASK)
-def test_they_are_a_single_environments(rule: Rule) -> None:
+def test_they_are_a_single_environments(rule) -> None:
     settings = EnvConfig(task=rule.task, actions=rule.actions, sensors=Camera())
     starts = [{"parcel": "S"}, {}, {"parcel": "B"}]
     found = run_episodes(rule.make(settings), settings, starts, seed=30)
@@ -55,9 +54,7 @@ def test_one_after_the_other_they_are_the_same() -> None:
 
 
 @pytest.mark.parametrize("run", [run_episodes, run_sequentially])
-def test_a_decisions_time_is_the_usual_one(
-    run: Callable[..., Episodes], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_decisions_time_is_the_usual_one(run, monkeypatch) -> None:
     """The first decision compiles; the median leaves it out."""
     settings = EnvConfig(task="slow", actions="modules")
     rule = ONE_A_TASK["slow"].make(settings)
@@ -72,8 +69,3 @@ def test_a_decisions_time_is_the_usual_one(
     found = run(SlowAtFirst(), settings, [{"parcel": "S"}] * 3, seed=3)
     num_envs = 3 if run is run_episodes else 1
     assert found.decision_time == 0.5 / num_envs
-
-
-@pytest.mark.parametrize("task", ONE_A_TASK)
-def test_a_settings_task_has_a_name(task: str) -> None:
-    assert EnvConfig(task=task).task_name == task

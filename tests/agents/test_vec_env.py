@@ -118,7 +118,6 @@ def test_render_mode_is_read_and_pictures_come() -> None:
     assert env.render_mode == "rgb_array"
     env.reset()
     (picture,) = env.get_images()
-    assert picture is not None
     assert picture.dtype == np.uint8
 
 

@@ -8,7 +8,7 @@ from surface_gym.agents.evaluation.benchmark import interval, wilson
 
 
 @pytest.mark.parametrize(("successes", "count"), [(0, 20), (7, 20), (20, 20), (480, 500)])
-def test_one_seed_has_wilsons_interval(successes: int, count: int) -> None:
+def test_one_seed_has_wilsons_interval(successes, count) -> None:
     known = binomtest(successes, count).proportion_ci(method="wilson")
     assert wilson(successes / count, count) == pytest.approx((known.low, known.high), abs=1e-12)
     found = interval(np.arange(count)[np.newaxis] < successes)

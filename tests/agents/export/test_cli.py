@@ -3,7 +3,6 @@
 import json
 import runpy
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,9 +21,7 @@ from surface_gym.tasks.base import Feature
 from tests.agents.export.made import CARDS, made, network_of
 
 
-def test_it_writes_three_files_that_it_has_checked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_writes_three_files_that_it_has_checked(tmp_path, capsys) -> None:
     onnx = pytest.importorskip("onnx", reason="onnx, of the extra `export`, is missing")
     runtime = pytest.importorskip(
         "onnxruntime", reason="onnxruntime, of the extra `export`, is missing"
@@ -57,9 +54,7 @@ def test_it_writes_three_files_that_it_has_checked(
     ]
 
 
-def test_modules_that_share_weights_have_no_c_header(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_modules_that_share_weights_have_no_c_header(tmp_path, capsys) -> None:
     pytest.importorskip("onnx", reason="onnx, of the extra `export`, is missing")
     with pytest.raises(SystemExit, match=r"formats must be onnx for sort-modules, .* ONNX alone"):
         main(["sort-modules", "--formats", "c", "--out", str(tmp_path)])
@@ -73,7 +68,7 @@ def test_modules_that_share_weights_have_no_c_header(
     capsys.readouterr()
 
 
-def test_a_run_is_exported_under_its_own_name_or_another(tmp_path: Path) -> None:
+def test_a_run_is_exported_under_its_own_name_or_another(tmp_path) -> None:
     save_policy(network_of("window"), CARDS["window"], tmp_path / "window")
     source = of_run(tmp_path / "window", "mine")
     assert (source.name, source.seed, source.training.preset) == ("mine", 0, "nominal")
@@ -89,7 +84,7 @@ def test_a_run_is_exported_under_its_own_name_or_another(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("name", CARDS)
-def test_the_page_lists_every_feature_and_angle(name: str) -> None:
+def test_the_page_lists_every_feature_and_angle(name) -> None:
     source = made(name)
     page = make_page(source, make_metadata(source), {"ONNX": None, "C": None})
     for each in source.config.features:
@@ -102,16 +97,14 @@ def test_the_page_lists_every_feature_and_angle(name: str) -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_every_feature_of_the_package_says_what_it_needs(task: str) -> None:
+def test_every_feature_of_the_package_says_what_it_needs(task) -> None:
     settings = EnvConfig(task=task, actions="window", observe_axes=True)
     shown = (*settings.features, *group_features(tuple(GROUPS)))
     assert [each.name for each in shown if need_of(each) == UNKNOWN] == []
     assert need_of(Feature("mood", 0.0, 1.0, "of the parcel")) == UNKNOWN
 
 
-def test_what_cannot_be_exported_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_exported_is_refused(tmp_path, capsys) -> None:
     with pytest.raises(ValueError, match=r"name must be one of 'flow-ppo', .*, got 'juggle-ppo'"):
         ExportConfig("juggle-ppo")
     with pytest.raises(ValueError, match=r"name must be one of .*, got None"):
@@ -130,9 +123,7 @@ def test_what_cannot_be_exported_is_refused(
     capsys.readouterr()
 
 
-def test_a_missing_library_is_reported_with_the_extra_that_brings_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_library_is_reported_with_the_extra_that_brings_it(tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "onnx", None)
     wanted = r"needs onnx, .*'surface_gym\[agents,export\]'"
     source = shipped("sort-ppo")
@@ -145,9 +136,7 @@ def test_a_missing_library_is_reported_with_the_extra_that_brings_it(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_python_m_takes_its_arguments(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_python_m_takes_its_arguments(monkeypatch, capsys) -> None:
     monkeypatch.setattr(sys, "argv", ["export", "--help"])
     with pytest.raises(SystemExit) as ended:
         runpy.run_module("surface_gym.agents.export", run_name="__main__")

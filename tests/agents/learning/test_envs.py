@@ -14,7 +14,7 @@ from surface_gym.tasks import TASKS
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("task", TASKS)
-def test_a_share_has_a_camera(task: str, share: float) -> None:
+def test_a_share_has_a_camera(task, share) -> None:
     config = PPOConfig(task=task, num_envs=8, batch_size=64, camera_share=share)
     envs = make_mirrored_envs(config)
     assert envs.num_envs == 8

@@ -1,7 +1,6 @@
 """Training of modules: samples with varying numbers of modules, and the lab preset."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -29,7 +28,7 @@ def test_selected_samples_keep_their_modules() -> None:
     assert some.sample.tolist() == [0, 0, 0, 0, 2, 2, 2, 3, 3, 3, 3]
 
 
-def test_it_learns_for_the_lab_from_more_features(tmp_path: Path) -> None:
+def test_it_learns_for_the_lab_from_more_features(tmp_path) -> None:
     lab = defaults("sort", "modules", preset="lab")
     assert isinstance(lab, ModulesConfig)
     small = replace(lab, steps=128, num_envs=8, n_steps=16, batch_size=64)

@@ -8,7 +8,7 @@ from surface_gym.agents.learning.ppo import compute_advantages
 
 
 @pytest.mark.parametrize("gae_lambda", [0.0, 0.9, 1.0])
-def test_advantages_are_weighted_sums_of_temporal_differences(gae_lambda: float) -> None:
+def test_advantages_are_weighted_sums_of_temporal_differences(gae_lambda) -> None:
     rng = np.random.default_rng(0)
     shape = (6, 3)
     rewards, value, next_value = rng.normal(size=(3, *shape))

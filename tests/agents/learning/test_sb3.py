@@ -33,7 +33,6 @@ def filled(n_steps: int, steps: int = 40) -> DoubleDQN:
 def test_a_gradient_step_is_the_double_estimates() -> None:
     model = filled(n_steps=1)
     buffer = model.replay_buffer
-    assert buffer is not None
     set_random_seed(0)
     batch = buffer.sample(32)
     set_random_seed(0)
@@ -57,7 +56,6 @@ def test_a_gradient_step_is_the_double_estimates() -> None:
 def test_no_return_reaches_into_another_episode() -> None:
     model = filled(n_steps=3)
     buffer = model.replay_buffer
-    assert buffer is not None
     last = buffer.pos - 1
     buffer.dones[last - 5 : last + 1] = 0.0
     buffer.timeouts[last - 5 : last + 1] = 0.0
@@ -66,6 +64,5 @@ def test_no_return_reaches_into_another_episode() -> None:
     buffer.pos += 3
     several = buffer._get_samples(np.array([last - 1] * 8))
     assert several.rewards.abs().max() < 1e3
-    assert several.discounts is not None
     np.testing.assert_allclose(several.discounts.numpy(), model.gamma**2, rtol=1e-6)
     assert not several.dones.any()  # cut off, not failed: the rest is asked of the network

@@ -1,7 +1,6 @@
 """The oracle: what it finds is what an environment does by the same actions."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -132,7 +131,7 @@ def test_running_out_of_time_is_no_success() -> None:
         ),
     ],
 )
-def test_what_it_cannot_search_is_refused(config: EnvConfig, budget: Any, message: str) -> None:
+def test_what_it_cannot_search_is_refused(config, budget, message) -> None:
     with pytest.raises(ValueError, match=message):
         Oracle(config, budget)
 
@@ -165,6 +164,6 @@ def test_what_is_asked_counts() -> None:
     ("task", "actions", "message"),
     [("slow", "halves", "task must"), ("stop", "modules", "actions")],
 )
-def test_only_stops_by_halves_have_such_a_limit(task: str, actions: str, message: str) -> None:
+def test_only_stops_by_halves_have_such_a_limit(task, actions, message) -> None:
     with pytest.raises(ValueError, match=message):
         stops_past(EnvConfig(task=task, actions=actions), [{}], SEED)

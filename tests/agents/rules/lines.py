@@ -42,8 +42,4 @@ def counts(controller: Any, settings: EnvConfig, num_envs: int = 4) -> dict[str,
         action, state = controller.predict(batch.observation, state)
         batch.step(settings.action_kind.commands(action, num_envs))
     tally = batch.streams.tally.sum(axis=0)
-    return {
-        "right": int(tally[RIGHT]),
-        "wrong": int(tally[WRONG]),
-        "touches": int(tally[TOUCHES]),
-    }
+    return {"right": int(tally[RIGHT]), "wrong": int(tally[WRONG]), "touches": int(tally[TOUCHES])}

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -42,9 +41,7 @@ def square(side: float) -> sg.Parcel:
     ],
     ids=["of the study", "partly on supports", "a rectangle and a disc", "loads off centre"],
 )
-def test_the_brake_model_agrees_with_the_simulator(
-    level: int, pair: tuple[sg.Parcel, sg.Parcel]
-) -> None:
+def test_the_brake_model_agrees_with_the_simulator(level, pair) -> None:
     """Every second column brakes, from before the zone to where the first is about to leave it.
 
     The place of the load is given, as a sensor that learns would.
@@ -119,7 +116,7 @@ def test_friction_is_estimated_from_the_speed_it_takes() -> None:
     ],
     ids=["large", "on supports", "slow axes, stop", "slow axes, slow", "rolling hard"],
 )
-def test_braking_holds_where_it_is_not_as_in_the_study(task: Stop | Slow, others: Any) -> None:
+def test_braking_holds_where_it_is_not_as_in_the_study(task, others) -> None:
     settings = EnvConfig(task=task, **others)
     controller = rule(task.name, "braking rule").make(settings)
     assert run_episodes(controller, settings, [{}] * 40, seed=50).success.mean() >= 0.9
@@ -223,7 +220,7 @@ def test_stopping_hits_every_place() -> None:
 
 
 @pytest.mark.parametrize("parcel", ["S", "B"])
-def test_a_fixed_layout_is_the_best_of_its_kind(parcel: str) -> None:
+def test_a_fixed_layout_is_the_best_of_its_kind(parcel) -> None:
     """No other number of columns leaves nearer to the asked ratio, in the environment itself."""
     speed, ratio = 2.1, 0.55
     settings = EnvConfig(task="slow")

@@ -9,7 +9,6 @@ import surface_gym as sg
 from surface_gym.agents.evaluation.benchmark import find_benchmark
 from surface_gym.agents.evaluation.methods import BEST_FIXED, FIXED, rules
 from surface_gym.agents.planning.layouts import ShownPath
-from surface_gym.agents.rules.base import FixedRule
 from surface_gym.agents.rules.layouts import BestSlowing, BestStopping, BestTracking, BestTurning
 from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.layouts import LINE_Y, box
@@ -48,7 +47,7 @@ def observed(settings: EnvConfig, start: dict[str, Any], seed: int = 0) -> np.nd
 
 
 @pytest.mark.parametrize("task", STARTS)
-def test_none_of_the_studys_kind_does_better(task: str) -> None:
+def test_none_of_the_studys_kind_does_better(task) -> None:
     best, fixed = (run_rule(task, name, STARTS[task]) for name in (BEST_FIXED, FIXED))
     assert (best.success >= fixed.success).all()
     assert best.success.sum() >= 2
@@ -61,9 +60,7 @@ def test_none_of_the_studys_kind_does_better(task: str) -> None:
 @pytest.mark.parametrize(
     ("task", "make"), [("slow", BestSlowing), ("stop", BestStopping), ("orient", BestTurning)]
 )
-def test_the_same_start_has_the_same_layout_whatever_was_before(
-    task: str, make: type[FixedRule]
-) -> None:
+def test_the_same_start_has_the_same_layout_whatever_was_before(task, make) -> None:
     settings = EnvConfig(task=task)
     seen = [observed(settings, start) for start in STARTS[task][:2]]
     rule = make(settings)
@@ -138,6 +135,6 @@ def test_in_the_benchmark_its_task_is_the_same_with_the_path_shown() -> None:
     ],
     ids=["task", "path", "actions", "zone", "orientations"],
 )
-def test_tracking_refuses_what_it_is_not_made_for(settings: EnvConfig, named: str) -> None:
+def test_tracking_refuses_what_it_is_not_made_for(settings, named) -> None:
     with pytest.raises(ValueError, match=named):
         BestTracking(settings)

@@ -21,19 +21,19 @@ def starts(parcel: str, speed: float) -> list[dict]:
 @pytest.mark.parametrize(
     ("parcel", "speed"), [("S", 0.36), ("S", 0.4), ("S", 0.7), ("B", 0.52), ("B", 0.9)]
 )
-def test_they_sort_where_the_fixed_layout_stalls(name: str, parcel: str, speed: float) -> None:
+def test_they_sort_where_the_fixed_layout_stalls(name, parcel, speed) -> None:
     assert not run_rule("sort", "fixed layout", starts(parcel, speed)).success.any()
     assert run_rule("sort", name, starts(parcel, speed)).success.all()
 
 
 @pytest.mark.parametrize("name", ["fixed layout", "best fixed layout", *AFTER_THE_EVENT])
 @pytest.mark.parametrize("parcel", ["S", "B"])
-def test_all_sort_a_fast_parcel(name: str, parcel: str) -> None:
+def test_all_sort_a_fast_parcel(name, parcel) -> None:
     assert run_rule("sort", name, starts(parcel, 1.5)).success.all()
 
 
 @pytest.mark.parametrize("name", ["fixed layout", "best fixed layout", *AFTER_THE_EVENT])
-def test_straight_through_is_left_alone(name: str) -> None:
+def test_straight_through_is_left_alone(name) -> None:
     runs = run_rule("sort", name, [{"parcel": "S", "speed": 1.5, "side": 0}])
     assert runs.outcome.tolist() == ["success"]
     np.testing.assert_allclose(runs.pose[:, 1:], [[1.0, 0.0]], atol=1e-6)
@@ -55,7 +55,7 @@ def shipped(box: str, offer: str) -> SortingLayout:
 
 @pytest.mark.parametrize("box", ["S", "B"])
 @pytest.mark.parametrize("side", [1, -1])
-def test_the_best_fixed_layout_sorts_at_its_least_speed(box: str, side: int) -> None:
+def test_the_best_fixed_layout_sorts_at_its_least_speed(box, side) -> None:
     least = shipped(box, "four").least_speed
     speeds = np.arange(round(100 * least), 271, 10) / 100
     some = [{"parcel": box, "speed": float(speed), "side": side} for speed in speeds]
@@ -65,7 +65,7 @@ def test_the_best_fixed_layout_sorts_at_its_least_speed(box: str, side: int) -> 
 
 
 @pytest.mark.parametrize("box", ["S", "B"])
-def test_with_more_orientations_it_sorts_slower_boxes(box: str) -> None:
+def test_with_more_orientations_it_sorts_slower_boxes(box) -> None:
     eight = OFFERS["eight"]
     assert eight is not None
     least = shipped(box, "eight").least_speed
@@ -79,7 +79,7 @@ def test_with_more_orientations_it_sorts_slower_boxes(box: str) -> None:
 
 
 @pytest.mark.parametrize("box", ["S", "B"])
-def test_the_best_fixed_layout_is_mirrored_for_the_other_side(box: str) -> None:
+def test_the_best_fixed_layout_is_mirrored_for_the_other_side(box) -> None:
     to_right, to_left = arranged(box, -1), arranged(box, 1)
     np.testing.assert_allclose(np.sin(to_left + to_right[::-1]), 0.0, atol=1e-12)
     through = arranged(box, 0)
@@ -102,7 +102,7 @@ def test_in_the_middle_of_a_wider_zone_lies_the_small_box_s_layout() -> None:
 
 
 @pytest.mark.parametrize("box", ["S", "B"])
-def test_at_any_angle_a_fixed_layout_sorts_as_slowly_as_rules_do(box: str) -> None:
+def test_at_any_angle_a_fixed_layout_sorts_as_slowly_as_rules_do(box) -> None:
     least = shipped(box, "any").least_speed
     speeds = np.arange(round(100 * least), 271, 10) / 100
     settings = EnvConfig("sort", actions="modules", orientations="any")

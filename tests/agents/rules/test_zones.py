@@ -3,16 +3,9 @@
 import numpy as np
 import pytest
 
+from surface_gym.agents.rules import zones
 from surface_gym.agents.rules.reservation import Reservation, list_asked
 from surface_gym.agents.rules.streams import PAST_START, SIDE
-from surface_gym.agents.rules.zones import (
-    TRIES,
-    ArrangedZone,
-    WholeZone,
-    find_best_zone,
-    measure_crossings,
-    zone_span,
-)
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream
@@ -61,11 +54,9 @@ class TestTurned:
             ([(0.51, 1.0), (0.2, -1.0)], RIGHT),
         ],
     )
-    def test_it_leads_the_parcel_that_is_wholly_in_it(
-        self, parcels: list[tuple[float, float]], choice: int
-    ) -> None:
+    def test_it_leads_the_parcel_that_is_wholly_in_it(self, parcels, choice) -> None:
         settings = zoned(SMALL)
-        zone = WholeZone(settings, COLUMNS, alone=True)
+        zone = zones.WholeZone(settings, COLUMNS, alone=True)
         action, _ = zone.predict(table(settings, *parcels))
         assert arranged(action, settings) == [[choice], [ROLL]]
 
@@ -73,7 +64,7 @@ class TestTurned:
 class TestArranged:
     def test_it_is_arranged_while_it_is_free_and_stays_until_the_parcel_is_out(self) -> None:
         settings = zoned(SMALL)
-        zone = ArrangedZone(settings, COLUMNS, alone=True)
+        zone = zones.ArrangedZone(settings, COLUMNS, alone=True)
         state = None
         for parcels, waits, choice in (
             ([], None, ROLL),
@@ -89,7 +80,7 @@ class TestArranged:
 
     def test_each_environment_remembers_its_own_until_an_episode_begins(self) -> None:
         settings = zoned(SMALL)
-        zone = ArrangedZone(settings, COLUMNS, alone=True)
+        zone = zones.ArrangedZone(settings, COLUMNS, alone=True)
         inside = table(settings, (0.1, -1.0))
         coming = np.stack([table(settings, (-0.4, side)) for side in (1.0, -1.0, 1.0)])
         _, state = zone.predict(coming)
@@ -98,11 +89,11 @@ class TestArranged:
         assert found == [[LEFT], [RIGHT], [ROLL]]
 
 
-@pytest.mark.parametrize("kind", [WholeZone, ArrangedZone])
+@pytest.mark.parametrize("kind", [zones.WholeZone, zones.ArrangedZone])
 class TestBoth:
-    def test_a_crowd_is_sorted_one_at_a_time(self, kind: type[WholeZone]) -> None:
+    def test_a_crowd_is_sorted_one_at_a_time(self, kind) -> None:
         settings = zoned(SMALL)
-        columns = find_best_zone(kind, settings)
+        columns = zones.find_best_zone(kind, settings)
         assert columns is not None
         found = counts(kind(settings, columns), settings)
         assert (found["wrong"], found["touches"]) == (0, 0)
@@ -110,25 +101,27 @@ class TestBoth:
         many = counts(Reservation(each), each)["right"]
         assert 4 < found["right"] < many  # a rule that turns modules for each parcel lets in more
 
-    def test_one_column_less_than_the_shortest_does_not_sort(self, kind: type[WholeZone]) -> None:
+    def test_one_column_less_than_the_shortest_does_not_sort(self, kind) -> None:
         settings = zoned(SMALL)
         asked = list_asked(settings)
 
         def sorts(columns: int) -> bool:
-            span = zone_span(settings, columns)
-            found = measure_crossings(lambda s: kind(s, columns, alone=True), settings, asked, span)
+            span = zones.zone_span(settings, columns)
+            found = zones.measure_crossings(
+                lambda s: kind(s, columns, alone=True), settings, asked, span
+            )
             return bool(found.right.all())
 
-        best = find_best_zone(kind, settings)
+        best = zones.find_best_zone(kind, settings)
         assert best is not None
         shortest = next(columns for columns in range(1, 22) if sorts(columns))
         assert shortest <= best <= shortest + 2
         with pytest.raises(ValueError, match="columns must be enough for every parcel"):
             kind(settings, shortest - 1)
 
-    def test_what_a_camera_shows_is_sorted_too(self, kind: type[WholeZone]) -> None:
+    def test_what_a_camera_shows_is_sorted_too(self, kind) -> None:
         settings = zoned(SMALL, sensors=Camera(), randomisation=Randomisation(friction=0.2))
-        columns = find_best_zone(kind, settings)
+        columns = zones.find_best_zone(kind, settings)
         assert columns is not None
         found = counts(kind(settings, columns), settings)
         assert found["right"] > 4
@@ -144,28 +137,26 @@ class TestBoth:
             (zoned(exits="chutes"), 5, "exits must start at 0.5 m, where the zone does"),
         ],
     )
-    def test_what_it_cannot_act_in_is_refused(
-        self, kind: type[WholeZone], settings: EnvConfig, columns: int, told: str
-    ) -> None:
+    def test_what_it_cannot_act_in_is_refused(self, kind, settings, columns, told) -> None:
         with pytest.raises(ValueError, match=told):
             kind(settings, columns)
 
 
 def test_no_zone_sorts_parcels_that_come_to_rest_in_it() -> None:
     slow = zoned(Stream(Steady(1000.0), speeds=0.2), duration=20.0)
-    assert find_best_zone(ArrangedZone, slow) is None
+    assert zones.find_best_zone(zones.ArrangedZone, slow) is None
 
 
 def test_passing_is_that_of_the_motion() -> None:
     """Straight on at 1 m/s on a slope that makes up for rolling: geometry says when."""
     settings = zoned(Stream(Steady(1000.0), destinations={"straight": 1.0}, speeds=1.0))
     span = 0.8, 1.2
-    found = measure_crossings(
-        lambda s: WholeZone(s, 5, alone=True), settings, list_asked(settings), span
+    found = zones.measure_crossings(
+        lambda s: zones.WholeZone(s, 5, alone=True), settings, list_asked(settings), span
     )
     entry = settings.entry_x
     assert found.right.tolist() == [True]
     assert found.enters[0] == pytest.approx(span[0] - entry - 0.25, abs=0.02)
     assert found.leaves[0] == pytest.approx(span[1] - entry, abs=0.02)
     assert found.gaps(0.04)[0, 0] == pytest.approx(0.4 + 0.25 + 0.04, abs=0.03)
-    assert settings.timing.steps <= TRIES
+    assert settings.timing.steps <= zones.TRIES
