@@ -45,8 +45,8 @@ def policy_of(card: PolicyCard) -> Policy | ModulePolicy:
             for weights in network.parameters():
                 weights.normal_()
         return ModulePolicy(network, card)
-    settings = card.env_config()
-    return Policy(make_network(card, settings), card, settings)
+    config = card.env_config()
+    return Policy(make_network(card, config), card, config)
 
 
 @pytest.fixture(params=CARDS)

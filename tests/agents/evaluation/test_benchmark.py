@@ -102,9 +102,10 @@ class TestStarts:
         assert len(set(drawn)) > 0.3 * len(starts)
 
     def test_a_start_that_names_its_parcel_has_it(self) -> None:
-        settings = EnvConfig(task="sort", preset=LAB)
+        env_config = EnvConfig(task="sort", preset=LAB)
         sizes = [
-            parcel.rear for parcel in runs.drawn_parcels(settings, [{"parcel": "S"}] * 3, runs.SEED)
+            parcel.rear
+            for parcel in runs.drawn_parcels(env_config, [{"parcel": "S"}] * 3, runs.SEED)
         ]
         assert sizes == [0.125] * 3
 
@@ -143,12 +144,12 @@ class TestAgents:
         assert (nominal.name, lab.name) == ("PPO", "PPO, lab")
         assert (nominal.observe, lab.observe) == ((), ("parcel", "rotors"))
         assert lab.seeds == (0, 1)
-        settings = lab.config(TASKS["slow"](), LAB)
+        env_config = lab.config(TASKS["slow"](), LAB)
         env = SmartSurfaceVectorEnv(
-            2, task="slow", actions="halves", observe=settings.observe, preset=LAB
+            2, task="slow", actions="halves", observe=env_config.observe, preset=LAB
         )
         observation, _ = env.reset(seed=0)
-        assert lab.make(settings, 1).predict(observation)[0] in env.action_space
+        assert lab.make(env_config, 1).predict(observation)[0] in env.action_space
 
     def test_a_run_is_named_by_its_preset(self, tmp_path) -> None:
         _leave(tmp_path / "run", "slow", ("parcel",))

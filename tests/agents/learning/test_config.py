@@ -90,7 +90,7 @@ BAD_DQN: tuple[dict[str, Any], ...] = (
     + [(ParcelsConfig, wrong) for wrong in BAD_PARCELS],
     ids=lambda value: value.__name__ if isinstance(value, type) else str(value),
 )
-def test_bad_settings_are_named(kind, wrong) -> None:
+def test_bad_fields_are_named(kind, wrong) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         kind(**wrong)
 
@@ -198,7 +198,7 @@ def test_it_is_the_zoos_schema(tmp_path) -> None:
     ],
     ids=str,
 )
-def test_an_unknown_setting_is_named(entry, named, tmp_path) -> None:
+def test_an_unknown_field_is_named(entry, named, tmp_path) -> None:
     (tmp_path / "own.yml").write_text(yaml.safe_dump({"SmartSurface/Sort-v0": entry}))
     with pytest.raises(ValueError, match=r"own\.yml does not hold hyper-parameters: " + named):
         defaults("sort", "ppo", tmp_path / "own.yml")
@@ -224,7 +224,7 @@ def test_a_missing_file_of_hyperparameters_is_named() -> None:
         defaults("sort", "ppo", Path("nowhere.yml"))
 
 
-def test_earlier_names_of_settings_are_read(tmp_path) -> None:
+def test_earlier_names_of_fields_are_read(tmp_path) -> None:
     config = defaults("sort", "modules")
     write_hyperparams(config, tmp_path / "own.yml")
     text = (tmp_path / "own.yml").read_text()

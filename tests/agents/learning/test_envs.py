@@ -19,18 +19,18 @@ def test_a_share_has_a_camera(task, share) -> None:
     envs = make_mirrored_envs(config)
     assert envs.num_envs == 8
     config_of_each = envs.get_attr("config")
-    exact = [settings.sensors == Exact() for settings in config_of_each]
+    exact = [env_config.sensors == Exact() for env_config in config_of_each]
     assert exact == [True] * round(8 * (1 - share)) + [False] * round(8 * share)
-    for settings, is_exact in zip(config_of_each, exact, strict=True):
-        assert settings.randomisation == (Randomisation() if is_exact else Randomisation(0.2))
-        assert settings.task == training_task(task)
+    for env_config, is_exact in zip(config_of_each, exact, strict=True):
+        assert env_config.randomisation == (Randomisation() if is_exact else Randomisation(0.2))
+        assert env_config.task == training_task(task)
     assert envs.observation_space == gym.make(env_id(task), actions="halves").observation_space
 
 
 def test_half_of_the_environments_with_exact_sensors_have_zones_of_other_lengths() -> None:
     config = PPOConfig(task="slow", num_envs=32, batch_size=64, camera_share=0.5, zones=(8, 24))
     config_of_each = make_mirrored_envs(config).get_attr("config")
-    columns = [settings.chosen_line.zone_columns for settings in config_of_each]
+    columns = [env_config.chosen_line.zone_columns for env_config in config_of_each]
     assert columns == [16] * 8 + [8] * 4 + [24] * 4 + [16] * 16
     behind = {each.chosen_line.columns - each.chosen_line.zone_columns for each in config_of_each}
     assert len(behind) == 1

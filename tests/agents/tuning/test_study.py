@@ -280,8 +280,8 @@ class TestJudgement:
         self, folder, monkeypatch
     ) -> None:
         monkeypatch.setattr(study, "STARTS", 100)
-        settings = make_card(self.config).env_config()
-        alone = run_episodes(load_policy(folder), settings, [{}] * 100, studies.JUDGE_SEED + 5)
+        env_config = make_card(self.config).env_config()
+        alone = run_episodes(load_policy(folder), env_config, [{}] * 100, studies.JUDGE_SEED + 5)
         judged = studies.judge(self.config, self.sweep, folder)
         assert judged == alone.success.mean()
         assert 0.0 < judged < 1.0
