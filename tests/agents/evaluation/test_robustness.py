@@ -53,15 +53,6 @@ def test_no_change_is_as_trained(task) -> None:
     assert true.task_name == task
 
 
-def test_an_unchanged_environment_plays_the_same() -> None:
-    config = SLOW.config(BENCHMARK.task, EVERYTHING_EXACT)
-    (first, second) = (
-        run_episodes(SLOW.make(each, 0), each, [{}] * 8, 3)
-        for each in (config, true_of(robustness.Change()))
-    )
-    np.testing.assert_array_equal(first.pose, second.pose)
-
-
 def test_friction_is_unknown() -> None:
     assumed, true = robustness.situation(SLOW, BENCHMARK, robustness.Change(drag=1.2, rolling=0.5))
     line = true.chosen_line
@@ -317,19 +308,3 @@ class TestReport:
         assert "## Slow: lab" in text
         assert "## Track: squares" in text
         assert (tmp_path / report.PICTURE).read_bytes().startswith(b"\x89PNG")
-
-    def test_the_picture_is_the_same_each_time(self, tmp_path) -> None:
-        small = robustness.Sweep(tuple(row for row in ROWS if row.task == "track"))
-        for name in ("a.png", "b.png"):
-            report.draw_sweep(small, tmp_path / name)
-        assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-
-    def test_an_agent_of_the_lab_has_its_algorithms_colour(self) -> None:
-        nominal, lab = report.find_style("PPO"), report.find_style("PPO, lab")
-        assert nominal.colour == lab.colour
-        assert lab.width > nominal.width
-        assert lab.label == "PPO, trained for the lab"
-        assert report.find_style("all at 45").label == "all at 45"
-        assert (
-            len({style.colour for style in report.STYLES.values()}) == 8
-        )  # rules of a task share one
