@@ -17,7 +17,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import RIGHT
 from surface_gym.flow.task import PRESENT, WAITS
-from tests.agents.signing import sign
+from tests.agents.test_policy import sign
 
 CONFIG = training_env_config(0.04)
 FLOW_CARD = PolicyCard("SmartSurface/Flow-v0", "parcels", "parcels", 0.04, (8,))
