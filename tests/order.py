@@ -22,7 +22,7 @@ FIRST = (
 # Of each part those that fail first when it breaks, and one environment of each face.
 SMOKE = (
     "tests/agents/learning/test_config.py",
-    "tests/agents/policies/test_files.py",
+    "tests/agents/test_policy.py",
     "tests/agents/rules/test_sorting.py",
     "tests/design/test_search.py",
     "tests/physics/test_step.py",
