@@ -207,7 +207,7 @@ def choose_workers(cluster: str | None, processes: int, files: tuple[Path, ...] 
 
 
 def usable_cores() -> int:
-    """Return how many cores this process may run on, as far as the system tells."""
+    """Return how many cores this process may run on, as far as the system says."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

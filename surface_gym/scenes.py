@@ -284,7 +284,7 @@ def _outline(view: EnvState) -> Numbers:
 
 
 def _labels(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Abbreviate the exits' names to initials for parcels, where these tell the exits apart."""
+    """Abbreviate the exits' names to initials for parcels, where these differ between exits."""
     initials = tuple("".join(word[0] for word in name.split()).upper() for name in names)
     return initials if len(set(initials)) == len(initials) else names
 

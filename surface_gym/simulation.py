@@ -299,7 +299,7 @@ def simulate_together(
     >>> round(ends[1] - ends[0], 3)  # they go on side by side
     np.float64(0.25)
     """
-    company = _company(surface, parcels, poses, velocities)
+    world = _make_world(surface, parcels, poses, velocities)
     duration = checks.positive("duration", duration, *checks.DURATION)
     dt = checks.positive("dt", dt, *checks.STEP)
     if duration / dt > MAX_STEPS:
@@ -308,9 +308,9 @@ def simulate_together(
         checks.within("restitution", restitution, 0.0, 1.0),
         checks.not_negative("side_friction", side_friction, checks.FRICTION),
     )
-    _check_starts(surface, parcels, poses, company)
+    _check_starts(surface, parcels, poses, world)
     time = sample_times(duration, dt)
-    records = _run_together(surface.grid, company, touching, time, dt)
+    records = _run_together(surface.grid, world, touching, time, dt)
     trajectories = tuple(
         _trajectory(surface, parcel, time, dt, records.state[:, k], records.report[:, k])
         for k, parcel in enumerate(parcels)
@@ -351,7 +351,7 @@ def _corners(parcel: Parcel) -> Array:
     return np.asarray(parcel.base.outline - np.array(parcel.base.centroid))
 
 
-def _company(
+def _make_world(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, velocities: ArrayLike | None
 ) -> World:
     """Return the world at the start, of arguments that are checked but for the places they give."""
@@ -372,15 +372,15 @@ def _company(
 
 
 def _check_starts(
-    surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, company: World
+    surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, world: World
 ) -> None:
     """Raise a ValueError where a parcel has no place to start from."""
     grid = surface.grid
     scratch = ph.make_scratch()
     for k, parcel in enumerate(parcels):
-        body, start = parcel.body, company.state[k]
+        body, start = parcel.body, world.state[k]
         ph.check_capacity(
-            company.bodies.edges.shape[1],
+            world.bodies.edges.shape[1],
             body.radius,
             (grid.pitch_x, grid.pitch_y),
             (surface.columns, surface.rows),
@@ -391,7 +391,7 @@ def _check_starts(
             pose = tuple(np.asarray(poses)[k].tolist())
             raise ValueError(f"poses must be {wanted}, got {pose} of parcel {k}")
         for other in range(k):
-            width = distance_between(company, other, k)
+            width = distance_between(world, other, k)
             if width < -CONTACT_DISTANCE:
                 raise ValueError(
                     f"poses must leave parcels apart, got {other} and {k} that overlap by "
@@ -400,10 +400,10 @@ def _check_starts(
 
 
 def _run_together(
-    grid: Grid, company: World, touching: ContactMaterial, time: Array, dt: float
+    grid: Grid, world: World, touching: ContactMaterial, time: Array, dt: float
 ) -> Records:
     """Do all steps, and cut the rows of touches to those there are."""
-    count = len(company.present)
+    count = len(world.present)
     scratch = make_world_scratch(count)
     room = 1024 + 2 * len(scratch.pair)
     records = Records(
@@ -413,7 +413,7 @@ def _run_together(
         np.zeros((room, 2), dtype=np.int64),
         np.zeros(room),
     )
-    records.state[0] = company.state
+    records.state[0] = world.state
     touches = 0
     most = max(1, PIECE // count)
     for first, last, step in _stretches(time, dt):
@@ -421,7 +421,7 @@ def _run_together(
         while following <= last:
             end = min(last, following + most - 1)
             following, touches = run_world(
-                grid, company, touching, scratch, records, following, end, touches, step
+                grid, world, touching, scratch, records, following, end, touches, step
             )
             if following <= end:
                 records = records._replace(

@@ -86,11 +86,11 @@ class FlowParallelEnv(ParallelEnv):
         return [_name(number) for number in range(self._possible)]
 
     def observation_space(self, agent: str) -> spaces.Box:  # noqa: ARG002
-        """The same space for every agent."""
+        """Return the space, the same for every agent."""
         return self._observation_space
 
     def action_space(self, agent: str) -> spaces.Space[Any]:  # noqa: ARG002
-        """The same space for every agent."""
+        """Return the space, the same for every agent."""
         return self._action_space
 
     def reset(
@@ -178,5 +178,5 @@ class FlowParallelEnv(ParallelEnv):
 
 
 def _name(number: int) -> str:
-    """The id of the parcel that comes after so many others."""
+    """Return the id of the parcel that comes after so many others."""
     return f"parcel_{number}"

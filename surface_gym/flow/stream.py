@@ -9,18 +9,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from surface_gym import checks
-from surface_gym.flow.arrivals import (
-    Arrivals,
-    Law,
-    Numbers,
-    Places,
-    Poisson,
-    Spread,
-    Steady,
-    Trace,
-    check_speed,
-    read_trace,
-)
+from surface_gym.flow import arrivals as laws
+from surface_gym.flow.arrivals import Arrivals, Law, Numbers, Places, Poisson, Spread, Steady, Trace
 from surface_gym.flow.exits import Exits, check_name
 from surface_gym.parcel import Parcel
 from surface_gym.tasks.start import parcel_option
@@ -80,7 +70,7 @@ class Stream:
     @classmethod
     def from_csv(cls, path: str | PathLike[str], exits: Exits | None = None) -> "Stream":
         """The stream recorded in a file, as `read_trace` reads it."""
-        return cls(read_trace(path, exits))
+        return cls(laws.read_trace(path, exits))
 
     @cached_property
     def kinds(self) -> tuple[Parcel, ...]:
@@ -204,10 +194,10 @@ def _with_odds(name: str, pair: Any, check: Callable[[Any], Of]) -> tuple[Of, fl
 
 def _speeds(given: Any) -> float | tuple[float, float]:
     if not isinstance(given, (tuple, list)):
-        return check_speed("speeds", given)
+        return laws.check_speed("speeds", given)
     if len(given) != 2:
         raise ValueError(f"speeds must be one number or two, least and greatest, got {given!r}")
-    low, high = (check_speed("speeds", speed) for speed in given)
+    low, high = (laws.check_speed("speeds", speed) for speed in given)
     if low > high:
         raise ValueError(f"speeds must be the least and then the greatest, got {given!r}")
     return low, high

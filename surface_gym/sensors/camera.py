@@ -28,7 +28,7 @@ from surface_gym.state import NOISE_ROWS, EnvState
 FRAMES = 16  # that can be under way at a time
 MOST_LATE = 8  # frames, however the periods are rounded
 
-# Columns of the settings; the Entry comes last.
+# Columns of the params; the Entry comes last.
 (
     EVERY,  # physics steps from frame to frame
     LAG,  # physics steps from a frame to its arrival
@@ -112,7 +112,7 @@ class Camera(Observer):
         return steps
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the settings as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the params as compiled code reads them, for physics steps of `dt` [s]."""
         every = self.frame_steps(dt)
         lag = every if self.latency is None else math.ceil(self.latency / dt - 1e-9)
         return (
@@ -124,7 +124,7 @@ class Camera(Observer):
             self.acceleration_density,
             self.turn_density,
             self.friction_error,
-            *self.entry.settings,
+            *self.entry.params,
         )
 
     def draws(self, dt: float, steps: int) -> int:
@@ -238,7 +238,7 @@ def weigh(numbers: Array, state: EnvState, place: int, k: int, lead: float) -> t
     return state.sensor_state[place + SURPRISE + k] * per_surprise, per_surprise
 
 
-SPREADS = ENTRY + 4  # columns of the settings, after those of a Camera
+SPREADS = ENTRY + 4  # columns of the params, after those of a Camera
 
 
 @dataclass(frozen=True)
@@ -247,7 +247,7 @@ class AdaptiveCamera(Camera):
     place of the centre of mass over the base.
 
     Both are constant while a parcel is on the surface, and known at a start to the spreads given.
-    A parcel that is braked harder than was reckoned, or that turns where it should not, tells of
+    A parcel that is braked harder than predicted, or that turns where it should not, shows
     them; see `surface_gym.sensors.kalman`. The argument `observe=("load",)` shows them.
 
     Raises:
@@ -267,7 +267,7 @@ class AdaptiveCamera(Camera):
         checks.positive("load_spread", self.load_spread, *checks.LEARNED_SPREAD)
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the settings as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the params as compiled code reads them, for physics steps of `dt` [s]."""
         return (*super().numbers(dt), self.friction_spread, self.load_spread)
 
     @staticmethod

@@ -26,8 +26,8 @@ MOST_TURN = 32.0 * math.pi  # [rad] of theta; whole turns beyond are not counted
 def most_energy(state: EnvState) -> float:
     """Return the most energy [m^2/s^2] of a parcel, vx^2 + vy^2 + (gyration radius x omega)^2.
 
-    Modules brake and do not push, so that it is what the entry, which `state.sensor_state` holds, and the
-    way down the whole surface give.
+    Modules brake and do not push, so that no energy comes on top of that of the entry, which
+    `state.sensor_state` holds, and of the way down the whole surface.
     """
     estimate = state.sensor_state
     energy = 2.0 * abs(state.surface[GRAVITY_ALONG]) * state.elements.pitch_x * state.rotor.shape[1]
@@ -68,7 +68,7 @@ def _keep_within(estimate: Array, k: int, low: float, high: float) -> None:
         estimate[k] = high
 
 
-# Columns of the settings; the Entry comes last.
+# Columns of the params; the Entry comes last.
 (
     EVERY,  # physics steps from sample to sample
     DROP,
@@ -151,7 +151,7 @@ class Presence(Observer):
         return steps
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the settings as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the params as compiled code reads them, for physics steps of `dt` [s]."""
         return (
             self.sample_steps(dt),
             self.drop,
@@ -159,7 +159,7 @@ class Presence(Observer):
             self.acceleration_density,
             self.turn_density,
             self.friction_error,
-            *self.entry.settings,
+            *self.entry.params,
         )
 
     def draws(self, dt: float, steps: int) -> int:
