@@ -1,5 +1,8 @@
 """Checks of arguments, and the bounds that numbers must keep.
 
+Every class and function of the package raises a ValueError that names a wrong argument, what came
+and what is allowed.
+
 Within these bounds every step stays finite; beyond them squares and quotients overflow, or round
 to nothing. Each bound is generous: beyond one stands a wrong unit or a typing error.
 """

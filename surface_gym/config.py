@@ -378,11 +378,7 @@ class EnvConfig:
 
     @property
     def stream_task(self) -> StreamTask:
-        """The task on a stream of parcels.
-
-        Raises:
-            ValueError: the task is of one parcel.
-        """
+        """The task on a stream of parcels."""
         if not isinstance(self.task, StreamTask):
             raise ValueError(f"task must be one on a stream of parcels, got {self.task!r}")
         return self.task

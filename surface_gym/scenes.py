@@ -239,11 +239,7 @@ class _StreamHistory:
 
 
 def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:
-    """Describe the exits of a stream as they are drawn: chutes beside the rotors, straight on past.
-
-    Raises:
-        ValueError: a chute lies past the rotors altogether.
-    """
+    """Describe the marks of a stream's exits: chutes beside the rotors, straight on past them."""
     line, rotors_end = config.chosen_line, config.rotors_end
     end = line.column_edge(line.columns)
     marks = []

@@ -59,12 +59,7 @@ def save_trajectory(trajectory: "Trajectory", path: str | PathLike[str]) -> None
 
 
 def load_fields(path: str | PathLike[str]) -> tuple[Fields, Fields | None]:
-    """Read the fields of a trajectory without its run, and those of its run if there is one.
-
-    Raises:
-        ValueError: the path ends otherwise, or the file does not hold a trajectory.
-        OSError: there is no such file, or it cannot be read.
-    """
+    """Read the fields of a trajectory without its run, and those of its run if there is one."""
     file = _checked_file(path)
     try:
         return (_read_table(file), None) if file.suffix == ".csv" else _read_arrays(file)
@@ -136,11 +131,7 @@ def _check_missing(missing: list[str]) -> None:
 
 
 def _run_parts(run: "Run") -> Parts:
-    """Convert a run to arrays by name.
-
-    Raises:
-        ValueError: base, parcel or surface is of a user-defined class, which arrays do not hold.
-    """
+    """Convert a run to arrays by name."""
     surface, parcel = run.surface, run.parcel
     for name, part, kind in (("surface", surface, Surface), ("parcel", parcel, Parcel)):
         if type(part) is not kind:

@@ -290,11 +290,7 @@ def make_vector_env(num_envs: int = 1, device: str = "cpu", **arguments: Any) ->
 
 
 def make_device_env(num_envs: int, device: str, **arguments: Any) -> Any:
-    """Make the vector environment of tensors on a device, whatever it is.
-
-    Raises:
-        ValueError: an argument is not allowed, or not on this device.
-    """
+    """Make the vector environment of tensors on a device, whatever it is."""
     import torch
 
     from surface_gym.cuda.env import CudaVectorEnv

@@ -426,11 +426,7 @@ RIGHT_ANGLE = np.float32(math.pi / 2.0)  # [rad] an axis turned further is one t
 
 @dataclass(frozen=True)
 class ActionKind:
-    """A kind of action: how it sets the axes of a zone's modules.
-
-    Raises:
-        ValueError: an unknown name.
-    """
+    """A kind of action: how it sets the axes of a zone's modules."""
 
     name: str  # "modules", "halves", "quadrants" or "window"
     choices: int  # orientations on offer; 0: any angle
@@ -486,9 +482,6 @@ class ActionKind:
     def commands(self, actions: Any, num_envs: int) -> NDArray[Any]:
         """Return the actions of all environments as commands (num_envs, size): choices, or
         angles [rad].
-
-        Raises:
-            ValueError: a wrong shape, not whole numbers or angles, or out of range.
         """
         try:
             given = np.asarray(actions)

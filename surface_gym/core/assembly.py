@@ -13,7 +13,7 @@ from surface_gym import state as st
 from surface_gym.config import EnvConfig
 from surface_gym.core import actions
 from surface_gym.core.actions import Acting
-from surface_gym.core.kernel import Actuation, EnvParams, Function, KernelFunctions
+from surface_gym.core.kernel import Actuation, EnvParams, KernelFunctions
 from surface_gym.flow.task import StreamTask
 from surface_gym.physics.step import axis_directions
 from surface_gym.physics.types import Integers, Scratch, make_scratch
@@ -93,32 +93,20 @@ class Workers:
 
 
 def task_functions(config: EnvConfig) -> KernelFunctions:
-    """Collect the functions that the kernel of one parcel is built from.
-
-    Raises:
-        ValueError: a task or a sensor lacks one of its compiled functions.
-    """
+    """Collect the functions that the kernel of one parcel is built from."""
     task, sensor, kind = config.task, config.sensors, config.action_kind
-    begin_sensor, update, read = sensor_functions(sensor)
     window = kind.name == "window"
     show_axes = actions.show_window_axes if window else actions.show_zone_axes
     return KernelFunctions(
         label=f"{type(task).__name__}-{type(sensor).__name__}-{kind.name}",
-        begin=compiled_function(task, "begin", Task),
-        is_done=compiled_function(task, "is_done", Task),
-        outcome=compiled_function(task, "outcome", Task),
-        reward=compiled_function(task, "reward", Task),
-        observe=compiled_function(task, "observe", Task),
-        mirror=compiled_function(task, "mirror", Task),
-        begin_sensor=begin_sensor,
-        update_sensor=update,
-        read_sensor=read,
+        **compiled_functions(task, Task, "begin is_done outcome reward observe mirror"),
+        **compiled_functions(sensor, Sensor, "begin update read", "_sensor"),
+        **compiled_functions(sensor, Sensor, "learned"),
         watches=sensor.watches,
         part_of=kind.part_of,
         actuation=choose_actuation(kind.continuous, config.actuators.axis_speed != math.inf),
         show_modules=actions.show_occupancy if window else actions.show_nothing,
         show_axes=show_axes if config.observe_axes else actions.show_nothing,
-        learned=compiled_function(sensor, "learned", Sensor),
         more=actions.shown(config.observe),
     )
 
@@ -128,36 +116,26 @@ def choose_actuation(any_angle: bool, turning: bool) -> Actuation:
     if turning:
         aim = actions.aim_at_angle if any_angle else actions.aim_at_choice
         return Actuation(aim, actions.turn_axes, actions.straighten_targets, turns=True)
+    set_axis, straighten = actions.set_choice, actions.straighten_choices
     if any_angle:
-        return Actuation(
-            actions.set_angle, actions.leave_axes, actions.straighten_angles, turns=False
-        )
-    return Actuation(
-        actions.set_choice, actions.leave_axes, actions.straighten_choices, turns=False
-    )
+        set_axis, straighten = actions.set_angle, actions.straighten_angles
+    return Actuation(set_axis, actions.leave_axes, straighten, turns=False)
 
 
-def sensor_functions(sensor: Sensor) -> tuple[Function, Function, Function]:
-    """Collect a sensor's `begin`, `update` and `read`.
+def compiled_functions(owner: Any, kind: type[Any], names: str, ending: str = "") -> dict[str, Any]:
+    """Collect compiled functions of a task or a sensor by their names, with an ending.
 
     Raises:
-        ValueError: it lacks one of them.
+        ValueError: one is none; the message names it.
     """
-    begin, update, read = (
-        compiled_function(sensor, name, Sensor) for name in ("begin", "update", "read")
-    )
-    return begin, update, read
-
-
-def compiled_function(owner: Any, name: str, kind: type[Any]) -> Function:
-    """Get a compiled function of a task or a sensor, or raise an error that names it."""
-    function: Function | None = getattr(owner, name, None)
-    if not isinstance(function, Dispatcher):
-        raise ValueError(
-            f"{type(owner).__name__}.{name} must be a static method and a kernel_function, as "
-            f"{kind.__name__} says, got {function!r}"
-        )
-    return function
+    found = {name + ending: getattr(owner, name, None) for name in names.split()}
+    for name, function in found.items():
+        if not isinstance(function, Dispatcher):
+            raise ValueError(
+                f"{type(owner).__name__}.{name.removesuffix(ending)} must be a static method and a "
+                f"kernel_function, as {kind.__name__} says, got {function!r}"
+            )
+    return found
 
 
 def make_env_params(config: EnvConfig) -> EnvParams:
@@ -185,7 +163,7 @@ def make_env_params(config: EnvConfig) -> EnvParams:
 def make_state(config: EnvConfig, num_envs: int) -> tuple[SurfaceState, ParcelState]:
     """Make the memory of surfaces and parcels, every axis the conveyor's."""
     task, line, kind = config.task, config.chosen_line, config.action_kind
-    stream = isinstance(task, StreamTask)
+    stream = task if isinstance(task, StreamTask) else None
     sizes = st.Sizes(
         num_envs=num_envs,
         rows=line.rows,
@@ -193,7 +171,7 @@ def make_state(config: EnvConfig, num_envs: int) -> tuple[SurfaceState, ParcelSt
         command=kind.size,
         choices=kind.choices,
         observation=len(config.features),
-        terms=len(task.parcel_terms if stream else task.terms),
+        terms=len(stream.parcel_terms if stream else task.terms),
         goals=task.goals,
         memories=task.memories,
         metrics=len(task.metrics),
@@ -202,7 +180,7 @@ def make_state(config: EnvConfig, num_envs: int) -> tuple[SurfaceState, ParcelSt
         noise=config.draws > 0,
         turning=config.actuators.axis_speed != math.inf,
         stiffness=config.randomisation.stiffness > 0.0,
-        max_parcels=task.rows if stream else 1,
+        max_parcels=stream.rows if stream else 1,
     )
     surfaces = st.make_surfaces(sizes)
     surfaces.direction[:] = actions.CONVEYOR

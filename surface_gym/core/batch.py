@@ -1,7 +1,7 @@
 """Batches: environments of one configuration, stepped together by compiled code."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -33,7 +33,7 @@ class Snapshot(NamedTuple):
 
     arrays: dict[str, NDArray[Any]]  # by name, (count, ...)
     parcels: Any  # of each environment, as its kind of batch keeps them
-    generators: list[dict[str, Any]]  # states of these, where sensors draw noise in an episode
+    generators: list[Mapping[str, Any]]  # states of these, where sensors draw noise in an episode
 
     def __len__(self) -> int:
         return len(self.parcels)
@@ -47,6 +47,7 @@ class BaseBatch(ABC):
         num_envs: their number.
         threads: that share them; results do not depend on their number.
         max_episode_steps: control periods after which an episode is truncated; None: no limit.
+        compiles: whether to make the kernel; a batch without one only holds memory.
 
     Raises:
         ValueError: the task or the sensor lacks a compiled function, or one does not compile.
@@ -63,6 +64,7 @@ class BaseBatch(ABC):
         num_envs: int,
         threads: int = 1,
         max_episode_steps: int | None = None,
+        compiles: bool = True,
     ) -> None:
         self.config = config
         self.task = config.task
@@ -75,16 +77,19 @@ class BaseBatch(ABC):
         self._steps_left = np.zeros(num_envs, dtype=np.int64)
         self.params = make_env_params(config)
         self.surfaces, self.parcels = make_state(config, num_envs)
+        self._make_memory()
+        if compiles:
+            steps = config.timing.steps * self.rows
+            self._workers = Workers(self._threads, steps, self._make_scratch)
+            self._kernel = self._compile()
 
-    def _build(self, steps: int, new_scratch: Callable[[], Any]) -> None:
-        """Make workers and kernel, once the memory is there.
+    @abstractmethod
+    def _make_memory(self) -> None:
+        """Make what is beside the state arrays of surfaces and parcels."""
 
-        Args:
-            steps: of parcels, that an environment takes in a control period.
-            new_scratch: makes the physics' scratch of one thread.
-        """
-        self._workers = Workers(self._threads, steps, new_scratch)
-        self._kernel = self._compile()
+    @abstractmethod
+    def _make_scratch(self) -> Any:
+        """Make the physics' scratch of one thread."""
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -356,26 +361,19 @@ class BaseBatch(ABC):
 class Batch(BaseBatch):
     """Environments of a task of one parcel. Arguments and errors are those of `BaseBatch`."""
 
-    def __init__(
-        self,
-        config: EnvConfig,
-        num_envs: int,
-        threads: int = 1,
-        max_episode_steps: int | None = None,
-    ) -> None:
-        super().__init__(config, num_envs, threads, max_episode_steps)
-        line = config.chosen_line
+    def _make_memory(self) -> None:
+        config, line = self.config, self.config.chosen_line
         self._randomisation = config.randomisation
         self._varies = config.randomisation.varies
         shared = self._varies or self._draws > 0 or config.actuators.stuck_share > 0.0
-        self.reset_cache = ResetCache(num_envs, self.task.draws, shared)
+        self.reset_cache = ResetCache(self.num_envs, self.task.draws, shared)
         # A path takes too much memory to lay it out ahead.
         self._lays_out = not (shared or self.task.has_path)
-        self._placement = partial(resets.place_in, config)
-        self._plan = BodyPlan(
-            self.task.parcels, self._placement, num_envs, (line.rows, line.columns)
-        )
-        self._build(config.timing.steps, ph.make_scratch)
+        place, shape = partial(resets.place_in, config), (line.rows, line.columns)
+        self._plan = BodyPlan(self.task.parcels, place, self.num_envs, shape)
+
+    def _make_scratch(self) -> Any:
+        return ph.make_scratch()
 
     @property
     def bodies(self) -> BodyTable:
@@ -402,7 +400,7 @@ class Batch(BaseBatch):
         numbers = np.full((len(options), self.task.draws), 0.5)
         start = resets.draw_starts(self.config, numbers, options)
         for parcel in resets.each_parcel(start.parcel, len(options)).kinds:
-            self._placement(parcel)
+            resets.place_in(self.config, parcel)
 
     def infos(self) -> Infos:
         state = self.parcels

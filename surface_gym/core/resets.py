@@ -72,9 +72,6 @@ def place_parcel(
         line: where it runs.
         zone: first and last column that obey; None for the line's own.
         stuck: (row, column) of modules that do not obey.
-
-    Raises:
-        ValueError: the parcel does not fit the line.
     """
     placed = line.site(parcel.base, zone)
     first_row, rows, first_column, columns = placed.zone
@@ -106,11 +103,7 @@ def place_parcel(
 
 
 def place_in(config: EnvConfig, parcel: Parcel) -> Placement:
-    """Place a parcel in an environment.
-
-    Raises:
-        ValueError: the parcel does not fit the line.
-    """
+    """Place a parcel in an environment."""
     stuck = tuple(config.actuators.stuck)
     return place_parcel(parcel, config.chosen_line, config.zone, stuck)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from surface_gym import state as st
 from surface_gym.config import EnvConfig
-from surface_gym.core.assembly import choose_actuation, compiled_function, sensor_functions
+from surface_gym.core.assembly import choose_actuation, compiled_functions
 from surface_gym.core.batch import BaseBatch, Infos, Snapshot
 from surface_gym.core.kernel import EnvParams
 from surface_gym.core.resets import FEWEST_EDGES, Placement, draw_noise, place_in, with_body
@@ -24,6 +24,7 @@ from surface_gym.parcel import Parcel
 from surface_gym.physics.collision import make_world_scratch
 from surface_gym.physics.step import com_states
 from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
+from surface_gym.sensors.base import Sensor
 from surface_gym.state import BodyTable, ParcelState, SurfaceState
 
 _FIRST_ROOM = 16
@@ -54,11 +55,7 @@ class BodyPool:
         self._free = list(range(_FIRST_ROOM))[::-1]
 
     def take(self, parcel: Parcel) -> int:
-        """Get the row of a parcel's body, for one more user.
-
-        Raises:
-            ValueError: the parcel does not fit the line.
-        """
+        """Get the row of a parcel's body, for one more user."""
         row = self._row_of.get(parcel)
         if row is None:
             placement = self._place(parcel)
@@ -96,21 +93,13 @@ class BodyPool:
 
 
 def stream_functions(config: EnvConfig) -> StreamFunctions:
-    """Collect the functions that the kernel of streams is built from.
-
-    Raises:
-        ValueError: a task or a sensor lacks one of its compiled functions.
-    """
+    """Collect the functions that the kernel of streams is built from."""
     task, kind = config.task, config.action_kind
-    begin, update, read = sensor_functions(config.sensors)
-    names = ("begin", "exit_taken", "reward", "observe", "observe_neighbour",
-             "observe_no_neighbour")  # fmt: skip
+    names = "begin exit_taken reward observe observe_neighbour observe_no_neighbour"
     return StreamFunctions(
         f"{type(task).__name__}-{type(config.sensors).__name__}-{config.actions}",
-        *(compiled_function(task, name, StreamTask) for name in names),
-        begin_sensor=begin,
-        update_sensor=update,
-        read_sensor=read,
+        **compiled_functions(task, StreamTask, names),
+        **compiled_functions(config.sensors, Sensor, "begin update read", "_sensor"),
         watches=config.sensors.watches,
         part_of=kernel.part_of_module if config.actions == "modules" else kernel.part_of_owner,
         commanded=kernel.commanded_angle if kind.continuous else kernel.commanded_choice,
@@ -149,16 +138,8 @@ class StreamBatch(BaseBatch):
 
     task: StreamTask
 
-    def __init__(
-        self,
-        config: EnvConfig,
-        num_envs: int,
-        threads: int = 1,
-        max_episode_steps: int | None = None,
-        compiles: bool = True,
-    ) -> None:
-        super().__init__(config, num_envs, threads, max_episode_steps)
-        task = config.stream_task
+    def _make_memory(self) -> None:
+        config, task, num_envs = self.config, self.config.stream_task, self.num_envs
         self.rows = task.rows
         self.stream_params = make_stream_params(config)
         self.surfaces.conditions[:, :3] = 1.0
@@ -174,9 +155,9 @@ class StreamBatch(BaseBatch):
         )
         self._used: list[list[int]] = [[] for _ in range(num_envs)]  # rows of the pool, by surface
         self._generators: list[np.random.Generator | None] = [None] * num_envs
-        if compiles:
-            make_scratch = partial(make_world_scratch, self.rows)
-            self._build(config.timing.steps * self.rows, make_scratch)
+
+    def _make_scratch(self) -> Any:
+        return make_world_scratch(self.rows)
 
     @property
     def bodies(self) -> BodyTable:

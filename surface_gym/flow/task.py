@@ -52,11 +52,7 @@ class StreamActions(ActionKind):
         return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])
 
     def commands(self, actions: Any, parcels: int) -> NDArray[Any]:
-        """Turn the actions of so many surfaces into commands (surfaces, size).
-
-        Raises:
-            ValueError: a wrong shape, not whole numbers or angles, or out of range.
-        """
+        """Turn the actions of so many surfaces into commands (surfaces, size)."""
         if not self.gates:
             return self.parts.commands(actions, parcels)
         try:
@@ -175,11 +171,7 @@ class StreamTask(Task):
         return StreamActions("modules", choices, rows, columns, 1 + steps if self.gate else 0)
 
     def noise_rows(self, used: int) -> int:
-        """Rows of noise for a parcel in a control period: those that it uses, and those of a start.
-
-        Raises:
-            ValueError: more than there are.
-        """
+        """Rows of noise for a parcel in a control period: those that it uses, and those of a start."""
         if used > NOISE_ROWS - ENTRY_ROWS:
             raise ValueError(
                 f"sensors must use at most {NOISE_ROWS - ENTRY_ROWS} rows of noise in a control "

@@ -43,7 +43,7 @@ class Sensor:
     watches: ClassVar[bool] = False  # it looks between decisions
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the params as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the parameters as compiled code reads them, for physics steps of `dt` [s]."""
         del dt
         return ()
 
@@ -84,9 +84,6 @@ class Entry:
 
     The conveyor before the surface has a known speed and its guides align the parcel, so that the
     first estimate is the truth with Gaussian errors of these standard deviations.
-
-    Raises:
-        ValueError: a negative one, or one beyond `surface_gym.checks`.
     """
 
     position: float = 0.002  # [m] in x and in y

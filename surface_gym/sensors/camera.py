@@ -60,11 +60,6 @@ class Camera(Observer):
 
     `friction_error` stands for friction that is not nominal, the densities for what else the
     physics leaves out: loads off centre, elements that bear unequally.
-
-    Raises:
-        ValueError: a rate or density that is not positive, a negative latency or one of more than
-            8 frames, negative noise or friction, a `drop` outside [0, 1), or a number
-            beyond `surface_gym.checks`.
     """
 
     frame_rate: float = 50.0  # [Hz]
@@ -98,11 +93,7 @@ class Camera(Observer):
             raise ValueError(f"entry must be an Entry, got {self.entry!r}")
 
     def frame_steps(self, dt: float) -> int:
-        """Return the physics steps of `dt` [s] from frame to frame.
-
-        Raises:
-            ValueError: frames come faster than physics steps.
-        """
+        """Return the physics steps of `dt` [s] from frame to frame."""
         steps = round(1.0 / (self.frame_rate * dt))
         if steps == 0:
             raise ValueError(
@@ -112,7 +103,7 @@ class Camera(Observer):
         return steps
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the params as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the parameters as compiled code reads them, for physics steps of `dt` [s]."""
         every = self.frame_steps(dt)
         lag = every if self.latency is None else math.ceil(self.latency / dt - 1e-9)
         return (
@@ -128,11 +119,7 @@ class Camera(Observer):
         )
 
     def draws(self, dt: float, steps: int) -> int:
-        """Return one row of noise a frame.
-
-        Raises:
-            ValueError: a control period has more frames than noise is drawn ahead for.
-        """
+        """Return one row of noise a frame."""
         frames = math.ceil(steps / self.frame_steps(dt))
         if frames > NOISE_ROWS:
             raise ValueError(
@@ -249,9 +236,6 @@ class AdaptiveCamera(Camera):
     Both are constant while a parcel is on the surface, and known at a start to the spreads given.
     A parcel that is braked harder than predicted, or that turns where it should not, shows
     them; see `surface_gym.sensors.kalman`. The argument `observe=("load",)` shows them.
-
-    Raises:
-        ValueError: as a Camera, or a spread that is not positive.
     """
 
     acceleration_density: float = 0.0001  # [m^2/s^3] less than a Camera's: the load is known of
@@ -267,7 +251,7 @@ class AdaptiveCamera(Camera):
         checks.positive("load_spread", self.load_spread, *checks.LEARNED_SPREAD)
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the params as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the parameters as compiled code reads them, for physics steps of `dt` [s]."""
         return (*super().numbers(dt), self.friction_spread, self.load_spread)
 
     @staticmethod
