@@ -11,30 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from surface_gym import checks
 from surface_gym.core.resets import NO_EDGE
 from surface_gym.parcel import Parcel
+from surface_gym.physics import references, rollout
+from surface_gym.physics import step as stepping
 from surface_gym.physics import types as ph
 from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
-from surface_gym.physics.references import (
-    advance_explicit,
-    advance_implicit,
-    explain_unsupported,
-    find_support,
-)
-from surface_gym.physics.rollout import (
-    Records,
-    distance_between,
-    run_explicit,
-    run_implicit,
-    run_world,
-)
+from surface_gym.physics.rollout import Records
 from surface_gym.physics.signed_distance import CONTACT_DISTANCE
-from surface_gym.physics.step import (
-    BALANCED,
-    OFF_SURFACE,
-    STOPPED,
-    TIPPING,
-    UNSUPPORTED,
-    com_states,
-)
 from surface_gym.physics.types import Array, Bodies, Body, Grid, Scratch
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Run, Trajectory
@@ -43,7 +25,11 @@ METHODS = ("implicit", "explicit")
 PIECE = 2000  # steps in a row: Ctrl-C waits for no more
 MAX_STEPS = 100_000_000  # of one run; its trajectory already takes 15 GB
 NORMAL_FORCES = ("dual", "osqp", "scipy")
-ENDS = {OFF_SURFACE: "left the surface", UNSUPPORTED: "nothing bears it", STOPPED: "stopped"}
+ENDS = {
+    stepping.OFF_SURFACE: "left the surface",
+    stepping.UNSUPPORTED: "nothing bears it",
+    stepping.STOPPED: "stopped",
+}
 
 
 def simulate(
@@ -104,8 +90,8 @@ def simulate(
         len(body.edges), body.radius, (grid.pitch_x, grid.pitch_y), (surface.columns, surface.rows)
     )
     scratch = ph.make_scratch()
-    if find_support(grid, body, start, scratch, 0.0).total == 0:
-        over = explain_unsupported(grid, start, 0.0) == UNSUPPORTED
+    if references.find_support(grid, body, start, scratch, 0.0).total == 0:
+        over = references.explain_unsupported(grid, start, 0.0) == stepping.UNSUPPORTED
         wanted = "over an element" if over else "on the surface"
         raise ValueError(f"pose must be {wanted}, got {tuple(np.asarray(pose).tolist())}")
     if (
@@ -129,7 +115,9 @@ def simulate(
     end = "duration" if steps == len(time) - 1 else ENDS[int(reports[steps + 1])]
     pose_done, velocity_done = base_motion(parcel, states[done])
     how = Run(surface, parcel, dt, method, normal_forces, states[done])
-    return Trajectory(time[done], pose_done, velocity_done, reports[done] == TIPPING, end, how)
+    return Trajectory(
+        time[done], pose_done, velocity_done, reports[done] == stepping.TIPPING, end, how
+    )
 
 
 def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
@@ -153,7 +141,7 @@ def sample_times(duration: float, dt: float) -> NDArray[np.float64]:
 def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
     """Return the state vector of the centre of mass."""
     centre = np.array([parcel.centre_of_mass])
-    state: Array = com_states(centre, pose[np.newaxis], velocity[np.newaxis])[0]
+    state: Array = stepping.com_states(centre, pose[np.newaxis], velocity[np.newaxis])[0]
     return state
 
 
@@ -185,7 +173,7 @@ def _run(
     """Fill states and reports, and return the number of steps done."""
     whole = len(time) if time[-1] == dt * (len(time) - 1) else len(time) - 1
     if normal_forces == "dual":
-        run = run_implicit if method == "implicit" else run_explicit
+        run = rollout.run_implicit if method == "implicit" else rollout.run_explicit
         steps = 0
         for first in range(0, whole - 1, PIECE):
             piece = slice(first, min(first + PIECE + 1, whole))
@@ -201,7 +189,7 @@ def _run(
         states[k] = states[k - 1]
         step = dt if k < whole else time[-1] - time[-2]
         reports[k] = _reference_step(grid, body, states[k], scratch, step, method, normal_forces)
-        if reports[k] >= OFF_SURFACE:
+        if reports[k] >= stepping.OFF_SURFACE:
             return k - 1
     return len(time) - 1
 
@@ -220,16 +208,16 @@ def _reference_step(
 
     explicit = method == "explicit"
     if explicit and state[ph.VX] <= 0.0 and grid.gravity_along == 0.0:
-        return STOPPED
+        return stepping.STOPPED
     lead = 0.0 if explicit else 0.5 * dt
-    contacts = find_support(grid, body, state, scratch, lead)
+    contacts = references.find_support(grid, body, state, scratch, lead)
     count = contacts.total
     if count == 0:
-        return int(explain_unsupported(grid, state, lead))
+        return int(references.explain_unsupported(grid, state, lead))
     degenerate = support_load_by(normal_forces, grid, body, state, scratch, count)
-    advance = advance_explicit if explicit else advance_implicit
+    advance = references.advance_explicit if explicit else references.advance_implicit
     advance(grid, body, state, scratch, contacts, dt)
-    return TIPPING if degenerate else BALANCED
+    return stepping.TIPPING if degenerate else stepping.BALANCED
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,13 +373,13 @@ def _check_starts(
             (grid.pitch_x, grid.pitch_y),
             (surface.columns, surface.rows),
         )
-        if find_support(grid, body, start, scratch, 0.0).total == 0:
-            over = explain_unsupported(grid, start, 0.0) == UNSUPPORTED
+        if references.find_support(grid, body, start, scratch, 0.0).total == 0:
+            over = references.explain_unsupported(grid, start, 0.0) == stepping.UNSUPPORTED
             wanted = "over an element" if over else "on the surface"
             pose = tuple(np.asarray(poses)[k].tolist())
             raise ValueError(f"poses must be {wanted}, got {pose} of parcel {k}")
         for other in range(k):
-            width = distance_between(world, other, k)
+            width = rollout.distance_between(world, other, k)
             if width < -CONTACT_DISTANCE:
                 raise ValueError(
                     f"poses must leave parcels apart, got {other} and {k} that overlap by "
@@ -420,7 +408,7 @@ def _run_together(
         following = first
         while following <= last:
             end = min(last, following + most - 1)
-            following, touches = run_world(
+            following, touches = rollout.run_world(
                 grid, world, touching, scratch, records, following, end, touches, step
             )
             if following <= end:
@@ -451,9 +439,9 @@ def _trajectory(
     reports: NDArray[np.int64],
 ) -> Trajectory:
     """Return a parcel's trajectory, up to where it left the surface."""
-    left = np.flatnonzero(reports >= OFF_SURFACE)
+    left = np.flatnonzero(reports >= stepping.OFF_SURFACE)
     done = slice(0, int(left[0]) if len(left) else len(time))
     end = ENDS[int(reports[left[0]])] if len(left) else "duration"
     check_steps(parcel, min(surface.pitch_x, surface.pitch_y), states[done], dt)
     pose, velocity = base_motion(parcel, states[done])
-    return Trajectory(time[done], pose, velocity, reports[done] == TIPPING, end)
+    return Trajectory(time[done], pose, velocity, reports[done] == stepping.TIPPING, end)

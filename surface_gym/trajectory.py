@@ -12,16 +12,10 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.parcel import Parcel
+from surface_gym.physics import rollout
 from surface_gym.physics import types as ph
 from surface_gym.physics.references import find_support
-from surface_gym.physics.rollout import (
-    ContactForces,
-    RecordedSteps,
-    count_contacts,
-    repeat_explicit,
-    repeat_implicit,
-    support_loads,
-)
+from surface_gym.physics.rollout import ContactForces, RecordedSteps
 from surface_gym.physics.types import Array, Integers, Scratch
 from surface_gym.surface import Surface
 
@@ -285,7 +279,7 @@ def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
     count = np.zeros(len(time), dtype=np.int64)
     first = np.zeros(len(time) + 1, dtype=np.int64)
     steps = RecordedSteps(run.states, run.lengths(time), run.leads(time), first)
-    count_contacts(grid, body, steps, scratch, count)
+    rollout.count_contacts(grid, body, steps, scratch, count)
     if not count[1:].all():
         step = 1 + int(np.argmin(count[1:]))
         raise ValueError(f"states must be over elements in every step, got none in step {step}")
@@ -298,14 +292,14 @@ def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
         np.zeros((total, 2)),
     )
     if run.normal_forces == "dual":
-        support_loads(grid, body, steps, scratch, observed)
+        rollout.support_loads(grid, body, steps, scratch, observed)
     else:
         _bear_by_reference(run, steps, scratch, observed)
     if run.method == "implicit":
-        repeat_implicit(grid, body, steps, scratch, observed)
+        rollout.repeat_implicit(grid, body, steps, scratch, observed)
     else:
         level = grid._replace(gravity_along=0.0)
-        repeat_explicit(grid, level, body, steps, scratch, observed)
+        rollout.repeat_explicit(grid, level, body, steps, scratch, observed)
     return steps, observed
 
 

@@ -8,21 +8,7 @@ from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import Array
 from surface_gym.sensors import kalman
 from surface_gym.sensors.base import LEARNED, Entry, Physics
-from surface_gym.sensors.kalman import (
-    CONSTANT,
-    DOUBT,
-    GAIN,
-    LAST,
-    LEARNING_LAST,
-    MODEL_SIZE,
-    Observer,
-    begin_learning,
-    correct,
-    correct_constants,
-    measure,
-    measure_constants,
-    predict_learning,
-)
+from surface_gym.sensors.kalman import Observer
 from surface_gym.state import NOISE_ROWS, EnvState
 
 FRAMES = 16  # that can be under way at a time
@@ -37,7 +23,7 @@ MOST_LATE = 8  # frames, however the periods are rounded
     DROP,
     MODEL,  # what the observer doubts
 ) = range(6)
-ENTRY = MODEL + MODEL_SIZE
+ENTRY = MODEL + kalman.MODEL_SIZE
 
 # A frame under way, of FRAMES that follow the observer's numbers: the physics step it was taken at,
 # 0 for none; then by how much its pose differs from what is estimated of that step.
@@ -75,7 +61,7 @@ class Camera(Observer):
     turn_density: float = 0.03  # [rad^2/s^3] of the physics' other error in turning
     entry: Entry = field(default_factory=Entry)  # what is known of a parcel as it enters
 
-    sensor_size = LAST + FRAMES * FRAME_SIZE
+    sensor_size = kalman.LAST + FRAMES * FRAME_SIZE
 
     def __post_init__(self) -> None:
         checks.positive("frame_rate", self.frame_rate, *checks.FRAME_RATE)
@@ -134,7 +120,7 @@ class Camera(Observer):
         """Reset the filter; frames from before never arrive."""
         kalman.begin(numbers, ENTRY, state)
         for k in range(FRAMES):
-            state.sensor_state[LAST + FRAME_SIZE * k + TAKEN] = 0.0
+            state.sensor_state[kalman.LAST + FRAME_SIZE * k + TAKEN] = 0.0
 
     @staticmethod
     @kernel_function
@@ -143,7 +129,7 @@ class Camera(Observer):
         arrives.
         """
         kalman.predict(numbers, MODEL, state, physics)
-        place = watch(numbers, state, LAST)
+        place = watch(numbers, state, kalman.LAST)
         if place > 0:
             _use(numbers, state, place, physics.dt)
 
@@ -189,7 +175,7 @@ def shift_frames(state: EnvState, first: int, shift: float, dt: float) -> None:
     """Bring the innovations of all frames, from `first` on, up to date with a correction of `shift`
     times GAIN.
     """
-    gain = state.sensor_state[GAIN:]
+    gain = state.sensor_state[kalman.GAIN :]
     for number in range(FRAMES):
         place = _place(first, number)
         lead = age(state, place, dt)
@@ -203,8 +189,8 @@ def _use(numbers: Array, state: EnvState, place: int, dt: float) -> None:
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)
-        correct(state.sensor_state, shift, shrink)
-        shift_frames(state, LAST, shift, dt)
+        kalman.correct(state.sensor_state, shift, shrink)
+        shift_frames(state, kalman.LAST, shift, dt)
 
 
 @kernel_function
@@ -220,7 +206,7 @@ def weigh(numbers: Array, state: EnvState, place: int, k: int, lead: float) -> t
     """
     noise = max(SHARPEST, numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE])
     by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0
-    variance = measure(state.sensor_state, by_x, by_y, 1.0 if k == 2 else 0.0, lead)
+    variance = kalman.measure(state.sensor_state, by_x, by_y, 1.0 if k == 2 else 0.0, lead)
     per_surprise = 1.0 / (variance + noise * noise)
     return state.sensor_state[place + SURPRISE + k] * per_surprise, per_surprise
 
@@ -243,7 +229,7 @@ class AdaptiveCamera(Camera):
     friction_spread: float = 0.1  # [-] standard deviation of the factor of mu_max from 1
     load_spread: float = 0.015  # [m] of the centre of mass from the base's centroid, in x and in y
 
-    sensor_size = LEARNING_LAST + FRAMES * FRAME_SIZE
+    sensor_size = kalman.LEARNING_LAST + FRAMES * FRAME_SIZE
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -259,16 +245,16 @@ class AdaptiveCamera(Camera):
     def begin(numbers: Array, state: EnvState) -> None:
         """Reset the filter; frames from before never arrive."""
         kalman.begin(numbers, ENTRY, state)
-        begin_learning(numbers, SPREADS, state)
+        kalman.begin_learning(numbers, SPREADS, state)
         for k in range(FRAMES):
-            state.sensor_state[LEARNING_LAST + FRAME_SIZE * k + TAKEN] = 0.0
+            state.sensor_state[kalman.LEARNING_LAST + FRAME_SIZE * k + TAKEN] = 0.0
 
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
         """Predict, take and correct as a Camera does, the constants included."""
-        predict_learning(numbers, MODEL, state, physics)
-        place = watch(numbers, state, LEARNING_LAST)
+        kalman.predict_learning(numbers, MODEL, state, physics)
+        place = watch(numbers, state, kalman.LEARNING_LAST)
         if place > 0:
             _use_adaptive(numbers, state, place, physics.dt)
 
@@ -279,9 +265,9 @@ class AdaptiveCamera(Camera):
         estimate, see = state.sensor_state, state.observation
         for j in range(LEARNED):
             spread = numbers[SPREADS + min(j, 1)]
-            apart = estimate[CONSTANT + j] - (1.0 if j == 0 else 0.0)
+            apart = estimate[kalman.CONSTANT + j] - (1.0 if j == 0 else 0.0)
             see[first + j] = (mirror if j == 2 else 1.0) * apart / spread
-            left = max(0.0, estimate[DOUBT + (LEARNED + 1) * j]) ** 0.5 / spread
+            left = max(0.0, estimate[kalman.DOUBT + (LEARNED + 1) * j]) ** 0.5 / spread
             see[first + LEARNED + j] = min(1.0, left)
 
 
@@ -291,7 +277,7 @@ def _use_adaptive(numbers: Array, state: EnvState, place: int, dt: float) -> Non
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)
-        measure_constants(state.sensor_state, k, lead)
-        correct(state.sensor_state, shift, shrink)
-        correct_constants(state, shift, shrink)
-        shift_frames(state, LEARNING_LAST, shift, dt)
+        kalman.measure_constants(state.sensor_state, k, lead)
+        kalman.correct(state.sensor_state, shift, shrink)
+        kalman.correct_constants(state, shift, shrink)
+        shift_frames(state, kalman.LEARNING_LAST, shift, dt)
