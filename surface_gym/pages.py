@@ -21,12 +21,12 @@ EXAMPLE = re.compile(r"^>>> .*(?:\n.+)*", re.MULTILINE)
 
 
 def _described(kind: type[Any]) -> str:
-    """A class's docstring, its examples fenced as code."""
+    """Read a class's docstring, its examples fenced as code."""
     return EXAMPLE.sub(r"```pycon\n\g<0>\n```", inspect.cleandoc(kind.__doc__ or ""))
 
 
-def _film(name: str, told: str) -> str:
-    return f"![{told}](../images/{name}.webp)"
+def _film(name: str, alt: str) -> str:
+    return f"![{alt}](../images/{name}.webp)"
 
 
 def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
@@ -71,7 +71,7 @@ def _argument_table(kind: type[Any]) -> str:
 
 
 def page(name: str) -> str:
-    """The Markdown page of a task's environment."""
+    """Write the Markdown page of a task's environment."""
     task_class = TASKS[name]
     task = task_class()
     period = inspect.signature(SmartSurfaceEnv).parameters["control_period"].default
@@ -102,7 +102,7 @@ def page(name: str) -> str:
 
 
 def environment_page() -> str:
-    """The Markdown page of what all environments share."""
+    """Write the Markdown page of what all environments share."""
     listed = "\n".join(f"- [{env_id(name)}]({name}.md)" for name in TASKS)
     return (
         f"# SmartSurfaceEnv\n\n{_described(SmartSurfaceEnv)}\n\n"
@@ -112,7 +112,7 @@ def environment_page() -> str:
 
 
 def flow_page() -> str:
-    """The Markdown page of the environment of many parcels."""
+    """Write the Markdown page of the environment of many parcels."""
     return (
         "\n\n".join(
             (

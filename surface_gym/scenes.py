@@ -239,11 +239,7 @@ class _StreamHistory:
 
 
 def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:
-    """Describe the exits of a stream as they are drawn: chutes beside the rotors, straight on past.
-
-    Raises:
-        ValueError: a chute lies past the rotors altogether.
-    """
+    """Describe the marks of a stream's exits: chutes beside the rotors, straight on past them."""
     line, rotors_end = config.chosen_line, config.rotors_end
     end = line.column_edge(line.columns)
     marks = []
@@ -284,7 +280,7 @@ def _outline(view: EnvState) -> Numbers:
 
 
 def _labels(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Abbreviate the exits' names to initials for parcels, where these tell the exits apart."""
+    """Abbreviate the exits' names to initials for parcels, where these differ between exits."""
     initials = tuple("".join(word[0] for word in name.split()).upper() for name in names)
     return initials if len(set(initials)) == len(initials) else names
 

@@ -103,11 +103,7 @@ class ContactRecord:
         return len(self.step)
 
     def of_step(self, step: int) -> "ContactRecord":
-        """Select the contacts of one step, which led to that row of the trajectory.
-
-        Raises:
-            ValueError: no such step; the first is 1.
-        """
+        """Select the contacts of one step, which led to that row of the trajectory."""
         checks.integer("step", step, least=1)
         first, end = np.searchsorted(self.step, (step, step + 1)).tolist()
         if first == end:
@@ -198,12 +194,7 @@ class Trajectory:
 
     @cached_property
     def contacts(self) -> ContactRecord:
-        """Contacts and friction forces of each step.
-
-        Raises:
-            ValueError: the trajectory has no `run`, or one from a file whose states leave the
-                elements.
-        """
+        """Contacts and friction forces of each step."""
         return _compute_contacts(self._known_run("contacts"), self.time)
 
     @cached_property
@@ -212,9 +203,6 @@ class Trajectory:
 
         Times mass and moment of inertia it is the sum of gravity and friction. The first row, which
         no step led to, is zero: the normal forces of the first step assume so.
-
-        Raises:
-            ValueError: the trajectory has no `run`.
         """
         run = self._known_run("acceleration")
         turning = np.zeros(len(self.time))
@@ -223,11 +211,7 @@ class Trajectory:
 
     @cached_property
     def energy(self) -> Energy:
-        """Kinetic and potential energy, and dissipation by friction.
-
-        Raises:
-            ValueError: the trajectory has no `run`.
-        """
+        """Kinetic and potential energy, and dissipation by friction."""
         return _compute_energy(self._known_run("energy"), self.time, self.contacts)
 
     def plot(self, path: str | PathLike[str] | None = None) -> "Figure":
@@ -305,16 +289,13 @@ def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
     Args:
         run: whose steps to repeat.
         time: (T,) [s] their ends, the start first.
-
-    Raises:
-        ValueError: nothing bears the parcel in a step, so the states are not those of a run.
     """
     grid, body = run.surface.grid, run.parcel.body
     scratch = make_scratch()
     count = np.zeros(len(time), dtype=np.int64)
     first = np.zeros(len(time) + 1, dtype=np.int64)
     steps = RecordedSteps(run.states, run.lengths(time), run.leads(time), first)
-    count_contacts(grid, body, steps, scratch, count)
+    rollout.count_contacts(grid, body, steps, scratch, count)
     if not count[1:].all():
         step = 1 + int(np.argmin(count[1:]))
         raise ValueError(f"states must be over elements in every step, got none in step {step}")
@@ -327,14 +308,14 @@ def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
         np.zeros((total, 2)),
     )
     if run.normal_forces == "dual":
-        support_loads(grid, body, steps, scratch, observed)
+        rollout.support_loads(grid, body, steps, scratch, observed)
     else:
         _bear_by_reference(run, steps, scratch, observed)
     if run.method == "implicit":
-        repeat_implicit(grid, body, steps, scratch, observed)
+        rollout.repeat_implicit(grid, body, steps, scratch, observed)
     else:
         level = grid._replace(gravity_along=0.0)
-        repeat_explicit(grid, level, body, steps, scratch, observed)
+        rollout.repeat_explicit(grid, level, body, steps, scratch, observed)
     return steps, observed
 
 
