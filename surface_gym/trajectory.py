@@ -71,7 +71,7 @@ class Run:
         return length
 
     def leads(self, time: Array) -> Array:
-        """Compute the time (T,) [s] from each step's start to the pose whose contacts bear it."""
+        """Compute the time (T,) [s] from each step's start to the pose of its contacts."""
         return (0.5 if self.method == "implicit" else 0.0) * self.lengths(time)
 
 
@@ -87,7 +87,7 @@ class ContactRecord:
     even so, that rule holds the parcel against it, and the forces do not add up along x.
     """
 
-    step: NDArray[np.int64]  # (rows,) that the contact bore: the row of the trajectory it led to
+    step: NDArray[np.int64]  # (rows,) of the contact: the row of the trajectory it led to
     time: NDArray[np.float64]  # (rows,) [s] the step's end
     element: NDArray[np.int64]  # (rows, 2) row and column in the surface's grid
     place: NDArray[np.float64]  # (rows, 2) [m] the element's centre, x and y
@@ -176,7 +176,7 @@ class Trajectory:
     >>> box = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=10.0)
     >>> run = sg.simulate(sg.layouts.sorting(), box, (0.125, 1.0, 0.0), (1.5, 0.0, 0.0))
     >>> contacts = run.contacts.of_step(10)
-    >>> contacts.element.tolist()  # row and column of those that bore the box in step 10
+    >>> contacts.element.tolist()  # row and column of those under the box in step 10
     [[9, 1], [9, 2], [10, 1], [10, 2]]
     >>> float(contacts.normal.sum().round(3))  # [N] m g
     98.1
@@ -307,7 +307,7 @@ def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
         time: (T,) [s] their ends, the start first.
 
     Raises:
-        ValueError: nothing bears the parcel in a step, so the states are not those of a run.
+        ValueError: no element is under the parcel in a step, so the states are not those of a run.
     """
     grid, body = run.surface.grid, run.parcel.body
     scratch = make_scratch()
@@ -329,7 +329,7 @@ def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
     if run.normal_forces == "dual":
         support_loads(grid, body, steps, scratch, observed)
     else:
-        _bear_by_reference(run, steps, scratch, observed)
+        _load_by_reference(run, steps, scratch, observed)
     if run.method == "implicit":
         repeat_implicit(grid, body, steps, scratch, observed)
     else:
@@ -338,7 +338,7 @@ def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
     return steps, observed
 
 
-def _bear_by_reference(
+def _load_by_reference(
     run: Run, steps: RecordedSteps, scratch: Scratch, observed: ContactForces
 ) -> None:
     """Write the normal forces of all steps as computed by OSQP or SciPy."""
@@ -396,7 +396,7 @@ def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity
     Args:
         run: whose steps to repeat.
         time: (T,) [s] their ends, the start first.
-        step: (rows,) that each contact bore.
+        step: (rows,) that of each contact.
         place: (rows, 2) [m] of the elements.
         velocity: (T, 3) [m/s, m/s, rad/s] of the centre of mass, to be taken for each step.
     """

@@ -161,8 +161,8 @@ def control_gain(
     able: list[Any] = []
     left_out: list[Any] = []
     for method in (*methods.rules(goal.task), *methods.shipped(goal.task)):
-        settings = _settings(method, case, line, goal, Randomisation())
-        (able if _fits(method, settings) else left_out).append(method)
+        config = _make_config(method, case, line, goal, Randomisation())
+        (able if _fits(method, config) else left_out).append(method)
     gains = []
     for done, method in enumerate(able):
         on_progress(done, len(able))
@@ -178,25 +178,25 @@ def control_gain(
     )
 
 
-def _fits(method: Any, settings: Any) -> bool:
+def _fits(method: Any, config: Any) -> bool:
     """Return whether a controller's actions are those of a zone of this size."""
     from surface_gym import SmartSurfaceVectorEnv
 
-    arguments = import_module("surface_gym.agents.rollout").env_arguments(settings)
+    arguments = import_module("surface_gym.agents.rollout").env_arguments(config)
     env = SmartSurfaceVectorEnv(num_envs=1, **arguments)
     seen, _ = env.reset(seed=0)
-    action, _ = method.make(settings, 0).predict(seen)
+    action, _ = method.make(config, 0).predict(seen)
     env.close()
-    return bool(np.shape(action)[1:] == settings.action_space().shape)
+    return bool(np.shape(action)[1:] == config.action_space().shape)
 
 
 def _try(method: Any, case: Case, line: DesignLine, goal: EnvGoal) -> Gain:
     run_episodes = import_module("surface_gym.agents.rollout").run_episodes
 
     def run(speeds: Numbers, randomisation: Randomisation) -> Any:
-        settings = _settings(method, case, line, goal, randomisation)
+        config = _make_config(method, case, line, goal, randomisation)
         starts = [{"speed": float(speed), goal.option: goal.value} for speed in speeds]
-        return run_episodes(method.make(settings, 0), settings, starts, case.seed)
+        return run_episodes(method.make(config, 0), config, starts, case.seed)
 
     searches = method.starts is not None
     draws = min(case.draws, FEW_DRAWS) if searches else case.draws
@@ -220,14 +220,14 @@ def _try(method: Any, case: Case, line: DesignLine, goal: EnvGoal) -> Gain:
     )
 
 
-def _settings(
+def _make_config(
     method: Any, case: Case, line: DesignLine, goal: EnvGoal, randomisation: Randomisation
 ) -> Any:
-    """Return the settings of an environment on the line."""
+    """Make the configuration of an environment on the line."""
     from surface_gym.config import EnvConfig
     from surface_gym.tasks import TASKS
 
-    plant = Line(
+    env_line = Line(
         rows=line.shape[0],
         columns=line.shape[1],
         zone_rows=line.rows,
@@ -246,5 +246,5 @@ def _settings(
         orientations=method.orientations,
         observe=method.observe,
         randomisation=randomisation,
-        line=plant,
+        line=env_line,
     )

@@ -58,7 +58,7 @@ RUN_OUT = 1.0  # [m] of rolling columns behind the zone, beyond the base's lengt
 class DesignLine(Pitched):
     """A line of rotors amid supports: a lead-in, a zone with task axes, and a run-out.
 
-    Lead-in and run-out roll along x. The supports on either side bear a parcel that has left the
+    Lead-in and run-out roll along x. The supports on either side carry a parcel that has left the
     line. The first column and the first row lie half a pitch from 0.
 
     Raises:
@@ -206,8 +206,8 @@ LEAST_BUNDLE = 500  # below which runs are not distributed
 # Reasons for the end of a run, and their descriptions.
 OUT, PAST, AT_REST, OFF, OUT_OF_TIME = range(5)
 ENDS = (
-    "out of the line",  # no rotor bears the parcel
-    "past the zone",  # every rotor that bears it lies behind the zone
+    "out of the line",  # no rotor under the parcel
+    "past the zone",  # every rotor under it lies behind the zone
     "at rest",
     "off the surface",
     "out of time",
@@ -279,7 +279,7 @@ class Ends:
     line: DesignLine
     runs: Runs  # that were requested
     reason: Integers  # (runs,) index into `ENDS`
-    touched: Integers  # (runs,) columns from the first of the zone to the last that bore the parcel
+    touched: Integers  # (runs,) columns from the first of the zone to the last under the parcel
     time: Numbers  # (runs,) [s] until the end
     pose: Numbers  # (runs, 3) [m, m, rad] of the base's frame at the end
     velocity: Numbers  # (runs, 3) [m/s, m/s, rad/s]
@@ -317,7 +317,7 @@ def run_all(
         line: the line.
         layouts: (layouts, rows, columns) [rad] axes of the zone.
         parcels: the parcels that the runs refer to.
-        runs: the parcel, the layout and the conditions of each run.
+        runs: the parcel, the layout and the start of each run.
         stiffness: (maps, rows, columns) [-] of the whole surface's elements; None: all alike.
         dt: [s] time step.
         workers: threads that share the runs, or a cluster.
@@ -373,14 +373,14 @@ class RunArrays(NamedTuple):
 
     # (runs, 5) indices of layout, stiffness and parcel; first column behind the zone; most steps
     number: Integers
-    condition: Array  # (runs, 5) as `Surfaces.conditions`
+    conditions: Array  # (runs, 5) as `SurfaceState.conditions`
     state: Array  # (runs, STATE_SIZE) at the start, and in its place at the end
-    # (runs, 4) reason of the end; last column with a rotor that bore it; steps taken, steps tipping
+    # (runs, 4) reason of the end; last column with a rotor under it; steps taken, steps tipping
     end: Integers
 
 
 @inlined
-def _make_grid(surfaces: SurfaceSet, number: Integers, condition: Array) -> Grid:
+def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Grid:
     """Return the surface of a run."""
     return Grid(
         surfaces.axis[number[LAYOUT]],
@@ -392,11 +392,11 @@ def _make_grid(surfaces: SurfaceSet, number: Integers, condition: Array) -> Grid
         surfaces.y0,
         surfaces.pitch_x,
         surfaces.pitch_y,
-        condition[ALONG_FACTOR],
-        condition[ACROSS_FACTOR],
-        condition[SUPPORT_FACTOR],
-        condition[GRAVITY_ALONG],
-        condition[GRAVITY_NORMAL],
+        conditions[ALONG_FACTOR],
+        conditions[ACROSS_FACTOR],
+        conditions[SUPPORT_FACTOR],
+        conditions[GRAVITY_ALONG],
+        conditions[GRAVITY_NORMAL],
     )
 
 
@@ -437,7 +437,7 @@ def _run_range(
     for run in range(first, last):
         number = runs.number[run]
         state = runs.state[run]
-        grid = _make_grid(surfaces, number, runs.condition[run])
+        grid = _make_grid(surfaces, number, runs.conditions[run])
         body = read_body(bodies, number[PARCEL])
         radius = bodies.body[number[PARCEL], ty.RADIUS]
         invalidate_contacts(scratch)
@@ -508,7 +508,7 @@ def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: fl
     velocity[:, 0] = runs.speed
     return RunArrays(
         number=number,
-        condition=np.column_stack([runs.friction, *gravity]),
+        conditions=np.column_stack([runs.friction, *gravity]),
         state=com_states(centres, starts, velocity),
         end=np.zeros((count, 4), dtype=np.int64),
     )

@@ -1,12 +1,9 @@
 """The search for a layout: differential evolution, then a descent column by column.
 
-The best axes are a question of dozens of whole numbers whose cost jumps where a parcel just gets
-off the line: there are no derivatives and no model to fit. SciPy's differential evolution needs
-neither and takes whole numbers. It hands over a population at a time, which `run_all` shares among
-threads, begins with given layouts, gives the same result for the same seed, and comes with SciPy,
-on which this package depends anyway; CMA-ES and Optuna would be new dependencies, the one for
-continuous axes, the other one trial at a time. Where few members differ any more, the descent tries
-all axes of one column after another.
+The axes are dozens of whole numbers, and the cost jumps where a parcel just gets off the line, so
+there are no derivatives. SciPy's differential evolution takes whole numbers, evaluates a population
+at a time, which `run_all` shares among threads, and begins with given layouts. Where few members
+still differ, the descent tries all axes of one column after another.
 """
 
 import itertools

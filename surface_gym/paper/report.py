@@ -77,7 +77,7 @@ def print_report(reproduction: Reproduction, console: Console) -> None:
 
 
 def _caption(table: Table) -> str:
-    """Rule of a table, how many cells agree, and the share of steps without a solution."""
+    """Write a table's rule, how many cells agree, and the share of steps without a solution."""
     count = len(table.cells)
     shares = [table.tipping(k) for k in range(len(NAMES))]
     boxes = []
@@ -96,7 +96,7 @@ def _caption(table: Table) -> str:
 
 
 def _percent(least: float, largest: float) -> str:
-    """Two shares as a range."""
+    """Write two shares as a range."""
     low, high = f"{100.0 * least:.0f}", f"{100.0 * largest:.0f}"
     return f"{low} %" if low == high else f"{low} to {high} %"
 
@@ -114,7 +114,7 @@ def _mark(text: str, agrees: bool) -> Text:
 
 
 def _decimals(cell: Cell) -> int:
-    """One more than the paper prints, if it prints any."""
+    """Return one decimal more than the paper prints, if it prints any."""
     return cell.decimals + 1 if cell.decimals else 0
 
 
@@ -131,7 +131,7 @@ def _difference(ours: Found, cell: Cell) -> str:
 
 
 def _by_cell(table: Table) -> TextTable:
-    """One line per cell, with differences."""
+    """Make a table with a line per cell, and differences."""
     columns = ("", "", "paper", OURS[0], "- paper", OURS[1], "- paper")
     result = make_table(table.title, *columns, caption=_caption(table), labels=2)
     row = ""
@@ -153,7 +153,7 @@ def _by_cell(table: Table) -> TextTable:
 
 
 def _by_speed(table: Table) -> TextTable:
-    """One line per speed, both boxes side by side."""
+    """Make a table with a line per speed, both boxes side by side."""
     columns = [
         name for size in SIZES for name in (f"{size}-box\npaper", f"\n{OURS[0]}", f"\n{OURS[1]}")
     ]
@@ -167,7 +167,7 @@ def _by_speed(table: Table) -> TextTable:
 
 
 def _rates(reproduction: Reproduction) -> TextTable:
-    """Figure 8, of which the paper prints no numbers but a band."""
+    """Tabulate Figure 8, of which the paper prints a band alone."""
     low, high = load_targets().medium_rates
     by_input = {"v0": reproduction.sorted_by_speed, "tilt": reproduction.sorted_by_tilt}
     counts = "\n".join(
@@ -213,7 +213,7 @@ def _count_medium(cases: Sequence[SortingCase]) -> str:
 
 
 def _self_stops(cases: Sequence[SelfStop]) -> TextTable:
-    """Steepest tilt at which a pushed box stops by itself."""
+    """Tabulate the steepest tilt at which a pushed box stops by itself."""
     result = make_table(
         "Section 6.2: steepest tilt at which the S-box stops by itself",
         "axes",
@@ -275,7 +275,7 @@ def _counts(reproduction: Reproduction) -> TextTable:
 
 
 def _other_steps(reproduction: Reproduction) -> TextTable:
-    """Count of cells that agree, by step."""
+    """Tabulate the cells that agree, by step."""
     counts = {
         f"{1000 * each.integration.dt:g}": list(each.agreeing.values())
         for each in reproduction.by_step

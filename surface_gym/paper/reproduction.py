@@ -143,7 +143,7 @@ def reproduce(track: claims.Track = untracked) -> Reproduction:
 def build_table2(
     targets: Targets, integrations: Integrations, track: claims.Track = untracked
 ) -> Table:
-    """End poses of the sorting runs."""
+    """Build Table 2: end poses of the sorting runs."""
     cells = []
     for run in track(targets.sorting_runs, "Table 2"):
         push = f"{run.speed:g} m/s" if run.speed > 0.0 else f"{run.tilt:g}°"
@@ -168,7 +168,7 @@ def build_table2(
 
 
 def build_passing(targets: Targets) -> Table:
-    """State in which the parcel at 10 deg passes the one at 5 deg."""
+    """Compare the state in which the parcel at 10 deg passes the one at 5 deg."""
     case = targets.passing
     row = f"y = {case.y:g}"
     x, theta, time = zip(*(runs.pass_by(case, each) for each in INTEGRATIONS), strict=True)
@@ -185,7 +185,7 @@ def build_passing(targets: Targets) -> Table:
 
 
 def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> Table:
-    """Columns to sort, of cases in the order of the paper's sizes and speeds."""
+    """Build Table 3: columns to sort, of cases in the order of the paper's sizes and speeds."""
     paper = [columns for size in SIZES for columns in targets.sorting_columns[size]]
     return Table(
         "table3",
@@ -200,7 +200,7 @@ def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> Table:
 
 
 def build_slowest_sorted(targets: Targets, track: claims.Track) -> Table:
-    """Speeds below which sorting fails."""
+    """Compare the speeds below which sorting fails."""
     return Table(
         "slowest_sorted",
         "Section 5.1: slowest v0 [m/s] that sorts",
@@ -222,7 +222,7 @@ def build_slowest_sorted(targets: Targets, track: claims.Track) -> Table:
 def build_table4(
     targets: Targets, integrations: Integrations, track: claims.Track = untracked
 ) -> Table:
-    """Columns to slow."""
+    """Build Table 4: columns to slow."""
     return Table(
         "table4",
         "Table 4: columns to slow, and axes, by v0 [m/s]",
@@ -241,7 +241,7 @@ def build_table4(
 
 
 def build_slowing_ratios(targets: Targets) -> Table:
-    """Share of the speed that two columns leave."""
+    """Compare the shares of the speed that two columns leave."""
     cells = []
     speed = targets.ratio_speed
     for angle, size in product(runs.ANGLES, SIZES):
@@ -260,7 +260,7 @@ def build_slowing_ratios(targets: Targets) -> Table:
 
 
 def build_stopping(targets: Targets, track: claims.Track) -> Table:
-    """Speed left behind Table 4's layout and one more column; the paper says none is."""
+    """Compare the speed left behind Table 4's layout and one more column with the paper's 0."""
     cells = []
     for size, speed, layout in track(_slowing_cases(targets), "Stopping"):
         surface = runs.stopping_surface(size, layout)
@@ -317,7 +317,7 @@ def compare_steps(rows: Sequence[SortingRun], integrations: tuple[Integration, .
 def run_turned(
     row: SortingRun, turn: float, integration: Integration
 ) -> tuple[float, float, float]:
-    """End of a row of Table 2, (x, y, theta) [m, m, deg], with all axes turned by `turn` [rad].
+    """Run a row of Table 2 with all axes turned by `turn` [rad]; return its end [m, m, deg].
 
     cos(90 deg) as float64 has it, 6e-17, is round-off of this kind. Rotors that lie across the
     motion then drag sideways with all of mu_max, one way or the other, by its sign.
@@ -328,7 +328,7 @@ def run_turned(
 
 
 def _widest(ends: Iterable[Sequence[tuple[float, float, float]]]) -> tuple[float, float]:
-    """Largest distance [mm] and angle [deg] between ends of the same row."""
+    """Find the largest distance [mm] and angle [deg] between ends of the same row."""
     pairs = [pair for row in ends for pair in combinations(row, 2)]
     return (
         max(1000.0 * math.dist(one[:2], other[:2]) for one, other in pairs),

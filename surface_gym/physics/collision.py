@@ -67,44 +67,24 @@ class WorldScratch(NamedTuple):
 
 def make_world_scratch(parcels: int) -> WorldScratch:
     """Make scratch for a number of parcels, with no contacts in it."""
-    pairs = parcels * (parcels - 1) // 2
-    marks = np.zeros((parcels, ty.MARKS_SIZE), dtype=np.int64)
-    marks[:, ty.SPANS] = -1
-
-    def integers(*shape: int) -> Integers:
-        return np.zeros(shape, dtype=np.int64)
-
-    return WorldScratch(
-        tables=np.zeros((parcels, ty.TABLE_SIZE)),
-        marks=marks,
-        report=integers(parcels),
-        rotors=integers(parcels),
-        pair=integers(pairs, 2),
-        impulse=np.zeros(pairs),
-        before=np.zeros((parcels, ty.STATE_SIZE)),
-        floor=integers(parcels),
-        nothing=integers(parcels),
-        reach=np.zeros(parcels),
-        near=integers(pairs, 2),
-        when=np.zeros(pairs),
-        push=np.zeros(pairs),
-        since=np.zeros(parcels),
-        root=integers(parcels),
-        member=integers(parcels),
-        slot=integers(parcels),
-        low=integers(parcels),
-        contact=integers(2 * pairs),
-        ends=integers(2 * pairs, 3),
-        point=np.zeros((2 * pairs, ty.POINT_SIZE)),
-        met=np.zeros((parcels, 3)),
-        start=np.zeros((parcels, 3)),
-        velocity=np.zeros((parcels, 3)),
-        target=np.zeros((parcels, 3)),
-        trial=np.zeros((parcels, 3)),
-        gradient=np.zeros((parcels, 3)),
-        direction=np.zeros((parcels, 3)),
-        matrix=np.zeros((3 * parcels, 3 * parcels)),
+    n, pairs, points = parcels, parcels * (parcels - 1) // 2, parcels * (parcels - 1)
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(WorldScratch._fields, (n,))
+    shapes |= dict.fromkeys(("met", "start", "velocity", "target"), (n, 3))
+    shapes |= dict.fromkeys(("trial", "gradient", "direction"), (n, 3))
+    shapes |= dict.fromkeys(("pair", "near"), (pairs, 2))
+    shapes |= dict.fromkeys(("impulse", "when", "push"), (pairs,))
+    shapes |= {"tables": (n, ty.TABLE_SIZE), "marks": (n, ty.MARKS_SIZE)}
+    shapes |= {"before": (n, ty.STATE_SIZE), "matrix": (3 * n, 3 * n)}
+    shapes |= {"contact": (points,), "ends": (points, 3), "point": (points, ty.POINT_SIZE)}
+    kinds = WorldScratch.__annotations__
+    scratch = WorldScratch(
+        **{
+            name: np.zeros(shape, np.int64 if kinds[name] is Integers else np.float64)
+            for name, shape in shapes.items()
+        }
     )
+    scratch.marks[:, ty.SPANS] = -1
+    return scratch
 
 
 @inlined

@@ -165,7 +165,7 @@ def _meetings(runs: Sequence[MeetingRun]) -> Table:
 
 
 def _table7(summaries: Iterable[Summary], runs: int) -> Table:
-    """Mean and standard deviation over the tilts."""
+    """Tabulate mean and standard deviation over the tilts."""
     table = make_table(
         f"Table 7: errors over {runs} tilts, Eq. (5)", "", "", *PERCENT, *ABSOLUTE, labels=2
     )
@@ -182,7 +182,7 @@ def _table7(summaries: Iterable[Summary], runs: int) -> Table:
 
 
 def _single_runs(study: Study) -> Table:
-    """Errors of the two runs for which the paper prints them."""
+    """Tabulate the errors of the two runs for which the paper prints them."""
     table = make_table(
         "Single runs: errors without sign, as Section 6.2 prints them", "", *ABSOLUTE, *PERCENT
     )
@@ -205,7 +205,7 @@ def _single_runs(study: Study) -> Table:
 
 
 def _beside_adams(study: Study) -> Table:
-    """Displacements after 1 s: Adams's, as far as they are printed, and ours."""
+    """Tabulate displacements after 1 s: Adams's, as far as they are printed, and ours."""
     table = make_table(
         "Displacements after 1 s, without sign; Adams's are what its printed errors in mm, deg "
         "and % leave open",
@@ -235,7 +235,7 @@ def _beside_adams(study: Study) -> Table:
 
 
 def _printed_runs(study: Study) -> list[Run]:
-    """Figure 12a, if the sweep holds it, and 12b."""
+    """Select the runs of Figure 12a, if the sweep holds it, and 12b."""
     return [*(run for run in study.sweep if run.case.tilt == 10.0), study.pushed]
 
 
@@ -325,7 +325,7 @@ AXES = ("x [m]", "y [m]", "theta [deg]")
 
 
 def draw_all(study: Study, folder: Path) -> list[Path]:
-    """Write the figures as PNG; the paths."""
+    """Write the figures as PNG, and return their paths."""
     drawn = {
         "figure12": trajectories(study),
         "figure13": final_positions(study),
@@ -343,7 +343,7 @@ def draw_all(study: Study, folder: Path) -> list[Path]:
 
 
 def trajectories(study: Study) -> Figure:
-    """Figure 12: plan views of MuJoCo's runs at 10 deg, with a push, and at 5 deg for 1.8 s."""
+    """Draw Figure 12: plan views of MuJoCo's runs at 10 deg, pushed, and at 5 deg for 1.8 s."""
     runs = [*_at_ten_degrees(study), study.pushed, study.long]
     figure = Figure(figsize=(4.6 * len(runs), 4.0), layout="constrained")
     for axes, run in zip(_row(figure, len(runs)), runs, strict=True):
@@ -356,7 +356,7 @@ def trajectories(study: Study) -> Figure:
 
 
 def final_positions(study: Study) -> Figure:
-    """Figure 13: where the box ends in each run that completes the sort."""
+    """Draw Figure 13: where the box ends in each run that completes the sort."""
     figure = Figure(figsize=(10.0, 4.3), layout="constrained")
     sides: tuple[tuple[str, str, Model], ...] = (
         ("MuJoCo", MUJOCO, lambda run: run.mujoco),
@@ -374,7 +374,7 @@ def final_positions(study: Study) -> Figure:
 
 
 def compared_trajectories(study: Study) -> Figure:
-    """Figure 14: the paths of Figure 12a and 12b over the analytic model's."""
+    """Draw Figure 14: the paths of Figure 12a and 12b over the analytic model's."""
     runs = [*_at_ten_degrees(study), study.pushed]
     figure = Figure(figsize=(5.5 * len(runs), 4.6), layout="constrained")
     for axes, run in zip(_row(figure, len(runs)), runs, strict=True):
@@ -387,7 +387,7 @@ def compared_trajectories(study: Study) -> Figure:
 
 
 def final_displacements(study: Study) -> Figure:
-    """Figure 15: displacements after 1 s over the tilt."""
+    """Draw Figure 15: displacements after 1 s over the tilt."""
     figure = Figure(figsize=(12.0, 3.8), layout="constrained")
     tilts = [run.case.tilt for run in study.sweep]
     mujoco = np.array([displacement(run.mujoco) for run in study.sweep])
@@ -402,7 +402,7 @@ def final_displacements(study: Study) -> Figure:
 
 
 def displacement_errors(study: Study) -> Figure:
-    """Figure 16: absolute and percentage errors over the tilt, Eq. (5)."""
+    """Draw Figure 16: absolute and percentage errors over the tilt, Eq. (5)."""
     figure = Figure(figsize=(13.0, 3.8), layout="constrained")
     tilts = [run.case.tilt for run in study.sweep]
     error = compute_errors(study.sweep, lambda run: run.implicit)
@@ -420,7 +420,7 @@ def displacement_errors(study: Study) -> Figure:
 
 
 def end_places(spreads: Sequence[Spread]) -> Figure:
-    """End places on unequal supports; a line joins the two methods on the same supports."""
+    """Draw end places on uneven supports, joined by a line where the supports are the same."""
     rows = math.ceil(len(spreads) / 3)
     figure = Figure(figsize=(12.0, 3.6 * rows), layout="constrained")
     grid = figure.subplots(rows, 3, sharex=True, sharey=True)

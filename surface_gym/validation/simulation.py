@@ -122,7 +122,7 @@ SIDES = Sides()
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A compiled MuJoCo model of parcels on a surface, and the meaning of its bodies.
+    """A compiled MuJoCo model of parcels on a surface, and its rotors' degrees of freedom.
 
     The parcels' free joints come first, so qpos[:7] and qvel[:6] are the first base frame's.
     """
@@ -335,7 +335,7 @@ def _add_element(
 
 
 def _constant_impedance(impedance: float) -> list[float]:
-    """MuJoCo's solimp of an impedance that does not depend on the penetration."""
+    """Return MuJoCo's solimp of an impedance that does not depend on the penetration."""
     return [impedance, impedance, 0.001, 0.5, 2.0]
 
 
@@ -487,7 +487,7 @@ def reachable(
 
 
 def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
-    """[m] by which a level base sinks below the plane until the springs under it carry it.
+    """Return the depth [m] below the plane at which the springs under a level base carry it.
 
     Args:
         tops: (contacts,) [m] above the plane.
@@ -502,7 +502,7 @@ def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
 
 
 def normal_forces(data: Any) -> tuple[NDArray[np.int64], Array]:
-    """Geoms (contacts, 2) of the pairs that touch, and the normal forces [N] between them."""
+    """Return the geoms (contacts, 2) of the pairs that touch, and their normal forces [N]."""
     contact = data.contact
     row = contact.efc_address
     touching = row >= 0
@@ -561,7 +561,7 @@ def _run(
 def _make_trajectory(
     surface: Surface, parcel: Parcel, theta: float, time: Array, place: Array, speed: Array
 ) -> Trajectory:
-    """Motion in the plane, up to where the centre of mass leaves the surface.
+    """Make the trajectory in the plane, up to where the centre of mass leaves the surface.
 
     Args:
         surface: the surface.

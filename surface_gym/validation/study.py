@@ -57,7 +57,7 @@ class Variant:
 
 
 def run_variant(job: tuple[Case, Recipe]) -> Array:
-    """Run a job; its displacement (3,) [m, m, deg]."""
+    """Run a job, and return its displacement (3,) [m, m, deg]."""
     case, recipe = job
     return displacement(case.mujoco(recipe))
 
@@ -140,7 +140,7 @@ def measure(method: Method) -> Speed:
 
 
 def _ends(method: Method, step: float) -> Array:
-    """(cases, 3) [m, m, deg]."""
+    """Return the displacements (cases, 3) [m, m, deg]."""
     return np.array([displacement(method.run(case, step)) for case in CASES])
 
 
