@@ -18,25 +18,11 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
+from surface_gym.physics import rollout
 from surface_gym.physics import types as ty
 from surface_gym.physics.references import find_support, support_load_by
-from surface_gym.physics.rollout import (
-    ContactForces,
-    RecordedSteps,
-    count_contacts,
-    repeat_explicit,
-    repeat_implicit,
-    support_loads,
-)
-from surface_gym.physics.types import (
-    STATE_SIZE,
-    Array,
-    Integers,
-    Scratch,
-    check_capacity,
-    make_scratch,
-    table_row,
-)
+from surface_gym.physics.rollout import ContactForces, RecordedSteps
+from surface_gym.physics.types import Array, Integers, Scratch
 from surface_gym.surface import Surface
 
 if TYPE_CHECKING:
@@ -310,11 +296,11 @@ def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
         ValueError: no element is under the parcel in a step, so the states are not those of a run.
     """
     grid, body = run.surface.grid, run.parcel.body
-    scratch = make_scratch()
+    scratch = ty.make_scratch()
     count = np.zeros(len(time), dtype=np.int64)
     first = np.zeros(len(time) + 1, dtype=np.int64)
     steps = RecordedSteps(run.states, run.lengths(time), run.leads(time), first)
-    count_contacts(grid, body, steps, scratch, count)
+    rollout.count_contacts(grid, body, steps, scratch, count)
     if not count[1:].all():
         step = 1 + int(np.argmin(count[1:]))
         raise ValueError(f"states must be over elements in every step, got none in step {step}")
@@ -327,14 +313,14 @@ def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
         np.zeros((total, 2)),
     )
     if run.normal_forces == "dual":
-        support_loads(grid, body, steps, scratch, observed)
+        rollout.support_loads(grid, body, steps, scratch, observed)
     else:
         _load_by_reference(run, steps, scratch, observed)
     if run.method == "implicit":
-        repeat_implicit(grid, body, steps, scratch, observed)
+        rollout.repeat_implicit(grid, body, steps, scratch, observed)
     else:
         level = grid._replace(gravity_along=0.0)
-        repeat_explicit(grid, level, body, steps, scratch, observed)
+        rollout.repeat_explicit(grid, level, body, steps, scratch, observed)
     return steps, observed
 
 
@@ -347,7 +333,7 @@ def _load_by_reference(
         state, first = run.states[k - 1], steps.first[k]
         count = find_support(grid, body, state, scratch, float(steps.lead[k])).total
         support_load_by(run.normal_forces, grid, body, state, scratch, count)
-        observed.normal[first : first + count] = table_row(scratch, ty.NORMAL, count)
+        observed.normal[first : first + count] = ty.table_row(scratch, ty.NORMAL, count)
 
 
 def _compute_contacts(run: Run, time: Array) -> ContactRecord:
@@ -610,7 +596,7 @@ def _run_fields(parts: Parts, rows: int) -> Fields | None:
             f"base_lengths must be those of a {plain['base']}, got {lengths}"
         ) from None
     parcel = Parcel(base, **{name: plain[name] for name in PARCEL}, inertia=plain.get("inertia"))
-    check_capacity(
+    ty.check_capacity(
         len(parcel.body.edges),
         parcel.body.radius,
         (surface.pitch_x, surface.pitch_y),
@@ -624,7 +610,7 @@ def _run_fields(parts: Parts, rows: int) -> Fields | None:
         "normal_forces": checks.one_of(
             "normal_forces", plain["normal_forces"], ("dual", "osqp", "scipy")
         ),
-        "states": _checked_rows("states", parts["states"], (rows, STATE_SIZE)),
+        "states": _checked_rows("states", parts["states"], (rows, ty.STATE_SIZE)),
     }
 
 

@@ -10,7 +10,6 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.design import report
@@ -18,6 +17,7 @@ from surface_gym.design.case import Case, EnvGoal
 from surface_gym.design.columns import least_columns
 from surface_gym.design.runs import DesignLine, OnProgress
 from surface_gym.lines import Line
+from surface_gym.physics.types import Array
 from surface_gym.randomisation import Randomisation
 
 SPEED_STEP = 0.02  # [m/s] between the entry speeds that are tried
@@ -26,8 +26,6 @@ FEW_DRAWS = 20
 WIDE_STEP = 0.1  # [m/s]
 SLOWEST = 0.1  # [m/s]
 FIXED = "fixed"  # part of the names of controllers that never turn an axis under the parcel
-
-Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -193,7 +191,7 @@ def _fits(method: Any, config: Any) -> bool:
 def _try(method: Any, case: Case, line: DesignLine, goal: EnvGoal) -> Gain:
     run_episodes = import_module("surface_gym.agents.rollout").run_episodes
 
-    def run(speeds: Numbers, randomisation: Randomisation) -> Any:
+    def run(speeds: Array, randomisation: Randomisation) -> Any:
         config = _make_config(method, case, line, goal, randomisation)
         starts = [{"speed": float(speed), goal.option: goal.value} for speed in speeds]
         return run_episodes(method.make(config, 0), config, starts, case.seed)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.design import report
@@ -14,14 +13,12 @@ from surface_gym.design.case import NOMINAL, SURE, TOGETHER, WORST, Case, Unknow
 from surface_gym.design.runs import OnProgress, split_progress
 from surface_gym.design.sweep import Arrangement, SweepPoints, arrange, repeat_case, success_shares
 from surface_gym.parallel import Workers
+from surface_gym.physics.types import Array, Booleans
 
 SPEED_STEP, SPEED_STEP_DRAWN = 0.01, 0.02  # [m/s] with nothing unknown, and with draws
 TILT_STEP, TILT_STEP_DRAWN = math.radians(0.1), math.radians(0.2)  # [rad] likewise
 FACTOR_RANGE = 16.0  # [-] greatest factor on friction that is tried, and one over the least
 FACTOR_PARTS, FACTOR_PARTS_DRAWN = 48, 8  # factors to a doubling, likewise
-
-Booleans = NDArray[np.bool_]
-Numbers = NDArray[np.float64]
 
 
 class Quantity(NamedTuple):
@@ -47,8 +44,8 @@ class Span:
     # `WORST` of the draws. None: not even the case's own does.
     least: float | None
     most: float | None
-    values: Numbers  # (values,) that were tried
-    share: Numbers  # (values,) of the draws that succeed
+    values: Array  # (values,) that were tried
+    share: Array  # (values,) of the draws that succeed
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,7 +353,7 @@ def friction_range(
         question = f"How far may {name} be off for it to"
         quantity = Quantity(f"friction_{name}", f"factor on {name}", "-", 1.0, question)
 
-        def at(values: Numbers) -> SweepPoints:
+        def at(values: Array) -> SweepPoints:
             points = repeat_case(case, len(values))
             points.friction[:, place] = values
             return points
@@ -394,8 +391,8 @@ def _sweep(
         apart = np.abs(multiples - own) > 0.01 * step
         grids.append(np.unique(np.append(multiples[apart].round(9), own)))
 
-    def at(values: Numbers) -> SweepPoints:
-        swept: dict[str, Numbers] = {quantity.name: values}
+    def at(values: Array) -> SweepPoints:
+        swept: dict[str, Array] = {quantity.name: values}
         return replace(repeat_case(case, len(values)), **swept)
 
     return _limits(arrangement, quantity, own, grids, case.unknown, at, workers, on_progress)
@@ -405,9 +402,9 @@ def _limits(
     arrangement: Arrangement,
     quantity: Quantity,
     own: float,
-    grids: list[Numbers],
+    grids: list[Array],
     unknown: Unknown,
-    at: Callable[[Numbers], SweepPoints],
+    at: Callable[[Array], SweepPoints],
     workers: Workers,
     on_progress: OnProgress,
 ) -> Limits:

@@ -13,7 +13,7 @@ from queue import SimpleQueue
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from surface_gym import checks
 from surface_gym.layouts import ROLLING, lead_in_under, rows_under
@@ -31,16 +31,7 @@ from surface_gym.physics.step import (
     map_floats,
     step_implicit,
 )
-from surface_gym.physics.types import (
-    Array,
-    Bodies,
-    Booleans,
-    Grid,
-    Places,
-    Scratch,
-    check_capacity,
-    make_scratch,
-)
+from surface_gym.physics.types import Array, Bodies, Booleans, Grid, Integers, Places, Scratch
 from surface_gym.simulation import base_motion, make_bodies
 from surface_gym.state import (
     ACROSS_FACTOR,
@@ -114,19 +105,19 @@ class DesignLine(Pitched):
         )
 
     @cached_property
-    def rotor(self) -> NDArray[np.bool_]:
+    def rotor(self) -> Booleans:
         """Mask (rows, columns) of the rotors; all other elements are supports."""
         rotor = np.zeros(self.shape, dtype=np.bool_)
         rotor[self.beside : self.beside + self.rows] = True
         return rotor
 
-    def axes(self, zone_axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    def axes(self, zone_axis: Array) -> Array:
         """Return the surface's axes (..., rows, columns) [rad] for zone axes of that form."""
         axis = np.full((*zone_axis.shape[:-2], *self.shape), ROLLING)
         axis[(..., *self.zone)] = zone_axis
         return axis
 
-    def surface(self, zone_axis: NDArray[np.float64], tilt: float = 0.0) -> Surface:
+    def surface(self, zone_axis: Array, tilt: float = 0.0) -> Surface:
         """Build the surface for `simulate` from zone axes (rows, columns) [rad].
 
         Raises:
@@ -189,8 +180,6 @@ def line_for(
     )
 
 
-Numbers = NDArray[np.float64]
-Integers = NDArray[np.int64]
 OnProgress = Callable[[int, int], None]  # called with the work done and the total
 
 STEP = 0.005  # [s] default time step of a run
@@ -222,14 +211,14 @@ REASON, TOUCHED, DONE, TIPPED = range(4)
 class Runs:
     """Requested runs, a row each; built by `make_runs`."""
 
-    speed: Numbers  # (runs,) [m/s] along x at the start
-    tilt: Numbers  # (runs,) [rad]
+    speed: Array  # (runs,) [m/s] along x at the start
+    tilt: Array  # (runs,) [rad]
     layout: Integers  # (runs,) index of the layout
     stiffness: Integers  # (runs,) index of the stiffness map
     parcel: Integers  # (runs,) index of the parcel
-    friction: Numbers  # (runs, 3) [-] factors of mu_max, mu_min and mu_support
-    lateral: Numbers  # (runs,) [m] offset of the start in y
-    heading: Numbers  # (runs,) [rad] of the start
+    friction: Array  # (runs, 3) [-] factors of mu_max, mu_min and mu_support
+    lateral: Array  # (runs,) [m] offset of the start in y
+    heading: Array  # (runs,) [rad] of the start
     columns: Integers  # (runs,) of the zone, behind which a run ends; -1: the zone has no end
 
     def __len__(self) -> int:
@@ -280,10 +269,10 @@ class Ends:
     runs: Runs  # that were requested
     reason: Integers  # (runs,) index into `ENDS`
     touched: Integers  # (runs,) columns from the first of the zone to the last under the parcel
-    time: Numbers  # (runs,) [s] until the end
-    pose: Numbers  # (runs, 3) [m, m, rad] of the base's frame at the end
-    velocity: Numbers  # (runs, 3) [m/s, m/s, rad/s]
-    tipping: Numbers  # (runs,) [-] share of the steps in which a real parcel would tip
+    time: Array  # (runs,) [s] until the end
+    pose: Array  # (runs, 3) [m, m, rad] of the base's frame at the end
+    velocity: Array  # (runs, 3) [m/s, m/s, rad/s]
+    tipping: Array  # (runs,) [-] share of the steps in which a real parcel would tip
     steps: Integers  # (runs,) that were taken
 
     def describe(self, run: int) -> str:
@@ -303,10 +292,10 @@ def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnPro
 
 def run_all(
     line: DesignLine,
-    layouts: Numbers,
+    layouts: Array,
     parcels: Sequence[Parcel],
     runs: Runs,
-    stiffness: Numbers | None = None,
+    stiffness: Array | None = None,
     dt: float = STEP,
     workers: Workers = 1,
     on_progress: OnProgress = lambda *_: None,
@@ -324,7 +313,7 @@ def run_all(
         on_progress: called with the runs done and their total.
     """
     for parcel in parcels:
-        check_capacity(
+        ty.check_capacity(
             len(parcel.body.edges), parcel.body.radius, (line.pitch_x, line.pitch_y),
             line.shape[::-1],
         )  # fmt: skip
@@ -474,7 +463,7 @@ def _run_range(
         runs.end[run, TIPPED] = tipped
 
 
-def _make_surfaces(line: DesignLine, layouts: Numbers, stiffness: Numbers | None) -> SurfaceSet:
+def _make_surfaces(line: DesignLine, layouts: Array, stiffness: Array | None) -> SurfaceSet:
     axes = line.axes(np.asarray(layouts, dtype=np.float64))
     angles, places = np.unique(axes, return_inverse=True)
     mu = np.array((line.mu_max, line.mu_min, line.mu_support))
@@ -523,7 +512,7 @@ def _run_in_threads(
     chunk = max(1, min(CHUNK, MOST_STEPS // int(runs.number[:, STEPS].max(initial=1))))
     spare: SimpleQueue[Scratch] = SimpleQueue()
     for _ in range(threads):
-        spare.put(make_scratch())
+        spare.put(ty.make_scratch())
 
     def work(first: int) -> int:
         scratch = spare.get()
@@ -563,7 +552,7 @@ def _run_on_nodes(
 
 def _run_bundle(
     surfaces: SurfaceSet, bodies: Bodies, runs: RunArrays, dt: float
-) -> tuple[Numbers, Integers]:
+) -> tuple[Array, Integers]:
     """Simulate runs on a node, and return their states and ends."""
-    _run_range(surfaces, bodies, runs, make_scratch(), dt, 0, len(runs.state))
+    _run_range(surfaces, bodies, runs, ty.make_scratch(), dt, 0, len(runs.state))
     return runs.state, runs.end

@@ -7,18 +7,16 @@ from decimal import Decimal
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import layouts
 from surface_gym.paper.runs import COARSE, Integration, load_data
 from surface_gym.parcel import Parcel, Rectangle
+from surface_gym.physics.types import Array
 from surface_gym.simulation import simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import simulation
 from surface_gym.validation.simulation import RECIPE, Recipe
-
-Array = NDArray[np.float64]
 
 PARCEL = Parcel(Rectangle(0.25, 0.25), mass=5.48, com_height=0.1, inertia=5.70e-2)  # Table 5
 IMPLICIT = Integration("implicit", 1e-3)

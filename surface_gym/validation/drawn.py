@@ -19,21 +19,19 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
 from surface_gym import checks
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.physics.references import advance_implicit, find_support, load_point
-from surface_gym.physics.types import ARM_X, ARM_Y, NORMAL, make_scratch, table_row
+from surface_gym.physics.types import ARM_X, ARM_Y, NORMAL, Array, make_scratch, table_row
 from surface_gym.simulation import Encounter, simulate, simulate_together, start_state
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import simulation
 from surface_gym.validation.comparison import IMPLICIT, PARCEL, PUSHED, Case
 from surface_gym.validation.simulation import RECIPE, SIDES, TOGETHER_RECIPE
-
-Array = NDArray[np.float64]
 
 CASES = (Case(10.0), PUSHED)
 

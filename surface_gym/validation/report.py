@@ -18,20 +18,8 @@ from surface_gym.paper import figures
 from surface_gym.paper.report import make_table
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
-from surface_gym.validation.comparison import (
-    PARCEL,
-    PUSHED,
-    Array,
-    Errors,
-    Model,
-    Run,
-    Summary,
-    adams_displacement,
-    compute_errors,
-    displacement,
-    is_sorted,
-    load_paper_errors,
-)
+from surface_gym.validation import comparison
+from surface_gym.validation.comparison import Array, Errors, Model, Run, Summary
 from surface_gym.validation.drawn import STEPS, MeetingRun, Spread, apart, root_mean_square
 from surface_gym.validation.study import Study
 
@@ -53,7 +41,7 @@ def print_report(study: Study, console: Console) -> None:
 
 
 def _parts(study: Study) -> Iterator[RenderableType]:
-    paper = load_paper_errors()
+    paper = comparison.load_paper_errors()
     yield _table7((paper.table7, *study.summaries), len(study.sweep))
     yield _single_runs(study)
     yield _beside_adams(study)
@@ -186,13 +174,16 @@ def _single_runs(study: Study) -> Table:
     table = make_table(
         "Single runs: errors without sign, as Section 6.2 prints them", "", *ABSOLUTE, *PERCENT
     )
-    paper = load_paper_errors()
+    paper = comparison.load_paper_errors()
     for run in _printed_runs(study):
         name = run.case.name
         rows: list[tuple[str, Errors]] = [
-            ("Adams / MATLAB, printed", paper.pushed if run.case == PUSHED else paper.tilted),
-            ("MuJoCo / implicit", compute_errors([run], lambda run: run.implicit)),
-            ("MuJoCo / explicit", compute_errors([run], lambda run: run.explicit)),
+            (
+                "Adams / MATLAB, printed",
+                paper.pushed if run.case == comparison.PUSHED else paper.tilted,
+            ),
+            ("MuJoCo / implicit", comparison.compute_errors([run], lambda run: run.implicit)),
+            ("MuJoCo / explicit", comparison.compute_errors([run], lambda run: run.explicit)),
         ]
         for k, (title, error) in enumerate(rows):
             table.add_row(
@@ -217,7 +208,9 @@ def _beside_adams(study: Study) -> Table:
         labels=2,
     )
     for run in _printed_runs(study):
-        low_high = adams_displacement("v09" if run.case == PUSHED else "gamma10")
+        low_high = comparison.adams_displacement(
+            "v09" if run.case == comparison.PUSHED else "gamma10"
+        )
         shown = [
             f"{low:.{digits}f} to {high:.{digits}f}"
             for low, high, digits in zip(*low_high, (3, 3, 2), strict=True)
@@ -228,7 +221,7 @@ def _beside_adams(study: Study) -> Table:
             ("implicit, 1 ms", run.implicit),
             ("explicit, 5 ms", run.explicit),
         ):
-            x, y, theta = np.abs(displacement(trajectory))
+            x, y, theta = np.abs(comparison.displacement(trajectory))
             table.add_row("", name, f"{x:.3f}", f"{y:.3f}", f"{theta:.2f}")
         table.add_section()
     return table
@@ -246,7 +239,7 @@ def _numbers(values: Iterable[float], digits: int = 2) -> list[str]:
 
 def as_data(study: Study) -> dict[str, Any]:
     """List a study as numbers, strings, lists and mappings; displacements in m and degrees."""
-    paper = load_paper_errors()
+    paper = comparison.load_paper_errors()
     return {
         "table7": [_summary_data(summary) for summary in (paper.table7, *study.summaries)],
         "runs": [
@@ -254,9 +247,9 @@ def as_data(study: Study) -> dict[str, Any]:
                 "tilt_deg": run.case.tilt,
                 "speed_m_per_s": run.case.speed,
                 "duration_s": run.case.duration,
-                "mujoco": displacement(run.mujoco).tolist(),
-                "implicit": displacement(run.implicit).tolist(),
-                "explicit": displacement(run.explicit).tolist(),
+                "mujoco": comparison.displacement(run.mujoco).tolist(),
+                "implicit": comparison.displacement(run.implicit).tolist(),
+                "explicit": comparison.displacement(run.explicit).tolist(),
             }
             for run in (*study.sweep, study.pushed, study.long)
         ],
@@ -266,7 +259,7 @@ def as_data(study: Study) -> dict[str, Any]:
             run: dict(
                 zip(
                     ("low", "high"),
-                    (bound.tolist() for bound in adams_displacement(run)),
+                    (bound.tolist() for bound in comparison.adams_displacement(run)),
                     strict=True,
                 )
             )
@@ -363,7 +356,7 @@ def final_positions(study: Study) -> Figure:
         ("implicit", MODEL, lambda run: run.implicit),
     )
     for axes, (name, colour, side) in zip(_row(figure, 2), sides, strict=True):
-        done = [run for run in study.sweep if is_sorted(run.case, side(run))]
+        done = [run for run in study.sweep if comparison.is_sorted(run.case, side(run))]
         _draw_surface(axes, study.pushed.case.surface)
         for run in done:
             _draw_box(axes, side(run).pose[-1], colour)
@@ -390,8 +383,8 @@ def final_displacements(study: Study) -> Figure:
     """Draw Figure 15: displacements after 1 s over the tilt."""
     figure = Figure(figsize=(12.0, 3.8), layout="constrained")
     tilts = [run.case.tilt for run in study.sweep]
-    mujoco = np.array([displacement(run.mujoco) for run in study.sweep])
-    implicit = np.array([displacement(run.implicit) for run in study.sweep])
+    mujoco = np.array([comparison.displacement(run.mujoco) for run in study.sweep])
+    implicit = np.array([comparison.displacement(run.implicit) for run in study.sweep])
     for k, axes in enumerate(_row(figure, 3)):
         axes.plot(tilts, mujoco[:, k], "o-", color=MUJOCO, markersize=4, label="MuJoCo")
         axes.plot(tilts, implicit[:, k], "x--", color=MODEL, markersize=5, label="implicit")
@@ -405,7 +398,7 @@ def displacement_errors(study: Study) -> Figure:
     """Draw Figure 16: absolute and percentage errors over the tilt, Eq. (5)."""
     figure = Figure(figsize=(13.0, 3.8), layout="constrained")
     tilts = [run.case.tilt for run in study.sweep]
-    error = compute_errors(study.sweep, lambda run: run.implicit)
+    error = comparison.compute_errors(study.sweep, lambda run: run.implicit)
     names = ("x", "y", "theta")
     for k, axes in enumerate(_row(figure, 3)):
         unit = "deg" if k == 2 else "mm"
@@ -456,7 +449,7 @@ def _draw_surface(axes: Axes, surface: Surface) -> None:
 
 
 def _draw_box(axes: Axes, pose: Sequence[float], colour: str) -> None:
-    figures.draw_base(axes, PARCEL.base, pose, colour, width=1.0)
+    figures.draw_base(axes, comparison.PARCEL.base, pose, colour, width=1.0)
 
 
 def _draw_path(

@@ -65,12 +65,12 @@ def test_compiled_code_is_reused_until_a_file_it_is_inlined_from_changes(copied:
     assert probe(copied) == (first, 1)
 
     # `run_implicit` lives in run.py; its friction comes from another file.
-    edit(copied / "dynamics" / "friction.py", "ROUNDING = 1e-5", "ROUNDING = 1e-2")
+    edit(copied / "physics" / "friction.py", "ROUNDING = 1e-5", "ROUNDING = 1e-2")
     edited, hits = probe(copied)
     assert hits == 0
     assert edited != first
 
-    edit(copied / "dynamics" / "friction.py", "ROUNDING = 1e-2", "ROUNDING = 1e-5")
+    edit(copied / "physics" / "friction.py", "ROUNDING = 1e-2", "ROUNDING = 1e-5")
     assert probe(copied) == (first, 1)  # which is still in the cache
 
 
