@@ -260,7 +260,7 @@ def least_speed(
 
     Args:
         case: the parcel, its entry and its purpose; its own speed is among those tried.
-        columns: of the zone; None: as `sweep.arrange` finds them.
+        columns: of the zone; see `arrange`.
         rows: of rotors; None: as many as lie under the parcel.
         highest: [m/s] entry speed to try; None: 3, or half as much again as the case's.
         workers: threads that share the runs, or a cluster.
@@ -270,7 +270,7 @@ def least_speed(
         Speeds [m/s], every 0.01 with nothing unknown, every 0.02 with draws.
 
     Raises:
-        ValueError: `highest` is below the case's speed or above 20, or see `sweep.arrange`.
+        ValueError: `highest` is below the case's speed or above 20, or see `arrange`.
 
     >>> from surface_gym import layouts
     >>> from surface_gym.design.case import NOTHING
@@ -296,7 +296,7 @@ def least_tilt(
 
     Args:
         case: the parcel, its entry and its purpose; its own tilt is among those tried.
-        columns: of the zone; None: as `sweep.arrange` finds them.
+        columns: of the zone; see `arrange`.
         rows: of rotors; None: as many as lie under the parcel.
         highest: [rad] tilt to try; None: 15 deg, or half as much again as the case's.
         workers: threads that share the runs, or a cluster.
@@ -306,7 +306,7 @@ def least_tilt(
         Tilts [rad], every 0.1 deg with nothing unknown, every 0.2 deg with draws.
 
     Raises:
-        ValueError: `highest` is below the case's tilt or not below 45 deg, or see `sweep.arrange`.
+        ValueError: `highest` is below the case's tilt or not below 45 deg, or see `arrange`.
     """
     usual = max(math.radians(15.0), 1.5 * case.tilt)
     top = max(case.tilt, min(math.radians(44.0), usual)) if highest is None else highest
@@ -330,7 +330,7 @@ def friction_range(
 
     Args:
         case: the parcel, its entry and its purpose; friction is not among the unknown quantities.
-        columns: of the zone; None: as `sweep.arrange` finds them.
+        columns: of the zone; see `arrange`.
         rows: of rotors; None: as many as lie under the parcel.
         workers: threads that share the runs, or a cluster.
         on_progress: called with the runs done and their total.
@@ -339,7 +339,7 @@ def friction_range(
         Factors [-] from 1/16 to 16, 48 to a doubling; 8 with draws.
 
     Raises:
-        ValueError: see `sweep.arrange`.
+        ValueError: see `arrange`.
     """
     arrangement = arrange(case, columns, rows, workers)
     unknown = replace(case.unknown, friction=0.0, rolling=0.0)

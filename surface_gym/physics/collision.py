@@ -1,7 +1,7 @@
 """Broad phase and contact points of the parcels on one surface."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,9 +41,7 @@ class WorldScratch(NamedTuple):
     before: Array  # (P, STATE_SIZE) states at the start
     floor: Integers  # (P,) contacts of each parcel with elements
     nothing: Integers  # (P,) zeros: no contacts with elements while sides hit each other
-    reach: (
-        Array  # (P,) [m] from a centre of mass at the start to the farthest point its base reaches
-    )
+    reach: Array  # (P,) [m] from a centre of mass at the start to its base's farthest point
     near: Integers  # (most pairs, 2) rows of parcels whose bases may touch
     when: Array  # (most pairs,) [s] from which on they touch; infinite: they do not
     push: Array  # (most pairs,) [N s] impulse along the normal
@@ -77,12 +75,11 @@ def make_world_scratch(parcels: int) -> WorldScratch:
     shapes |= {"before": (n, ty.STATE_SIZE), "matrix": (3 * n, 3 * n)}
     shapes |= {"contact": (points,), "ends": (points, 3), "point": (points, ty.POINT_SIZE)}
     kinds = WorldScratch.__annotations__
-    scratch = WorldScratch(
-        **{
-            name: np.zeros(shape, np.int64 if kinds[name] is Integers else np.float64)
-            for name, shape in shapes.items()
-        }
-    )
+    arrays: dict[str, Any] = {
+        name: np.zeros(shape, np.int64 if kinds[name] is Integers else np.float64)
+        for name, shape in shapes.items()
+    }
+    scratch = WorldScratch(**arrays)
     scratch.marks[:, ty.SPANS] = -1
     return scratch
 

@@ -96,12 +96,12 @@ class Strips:
             x = self._write_stroke(canvas, area, "goal", ink.GOAL, x)
         if any(parcel.sensed_pose is not None for scene in scenes for parcel in scene.parcels):
             x = self._write_stroke(canvas, area, "sensed", ink.SENSED, x)
-        marks = max((scene.exits for scene in scenes), key=len)
+        exits = max((scene.exits for scene in scenes), key=len)
         gap, middle = self._gap, self._middle_below(area)
-        if marks:
+        if exits:
             after = (x + 3 * gap, middle)
             x = ink.write(canvas, "exit", self.small, ink.FAINT_INK, midleft=after).right + gap // 2
-        for index, mark in enumerate(marks):
+        for index, mark in enumerate(exits):
             if x + gap // 2 + ink.badge_width(mark.name, self.small) > end:
                 break
             after, colour = (x + gap // 2, middle), ink.exit_colour(index)
