@@ -170,13 +170,14 @@ def _draw_axes(axes: "report.Axes", line: DesignLine, layout: LayoutResult, colo
     """Draw a stroke along each module's axis: along it a rotor drags, across it rolls."""
     from matplotlib.collections import LineCollection
 
+    from surface_gym.trajectory_plot import axis_strokes
+
     rows, columns = layout.axis.shape
     pitch = np.array([line.pitch_x, line.pitch_y])
     x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) - 0.5 * (rows - 1))
     centre = np.stack([x, y], axis=-1) * pitch
-    half = STROKE * pitch.min() * np.stack([np.cos(layout.axis), np.sin(layout.axis)], axis=-1)
-    strokes = np.stack([centre - half, centre + half], axis=-2).reshape(-1, 2, 2)
-    axes.add_collection(LineCollection(list(strokes), colors=colour, linewidths=2.5))
+    strokes = axis_strokes(centre, layout.axis, STROKE * pitch.min())
+    axes.add_collection(LineCollection(strokes, colors=colour, linewidths=2.5))
     axes.set(xlim=(0.0, columns * pitch[0]), ylim=(-0.5 * rows * pitch[1], 0.5 * rows * pitch[1]))
     axes.set(aspect="equal", ylabel="y [m]")
     axes.set_title(layout.name, fontsize="small")

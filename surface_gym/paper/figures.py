@@ -26,6 +26,7 @@ from surface_gym.paper.runs import (
 from surface_gym.parcel import Base
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
+from surface_gym.trajectory_plot import axis_strokes, outline_at
 
 SUFFIXES = (".png", ".pdf")
 ROTOR = "red"
@@ -70,20 +71,16 @@ def draw_surface(
     is_rotor = surface.rotor
     panel.plot(x[~is_rotor], y[~is_rotor], ".", color=support, markersize=4)
     panel.plot(x[is_rotor], y[is_rotor], ".", color=rotor, markersize=4)
-    half = 0.03 * np.stack([np.cos(surface.axis), np.sin(surface.axis)], axis=-1)[is_rotor]
-    centre = np.stack([x, y], axis=-1)[is_rotor]
-    axes = np.stack([centre - half, centre + half], axis=1)
-    panel.add_collection(LineCollection(list(axes), color=rotor, linewidth=width))
+    strokes = axis_strokes(np.stack([x, y], axis=-1)[is_rotor], surface.axis[is_rotor], 0.03)
+    panel.add_collection(LineCollection(strokes, color=rotor, linewidth=width))
 
 
 def draw_base(
     panel: Axes, base: Base, pose: ArrayLike, colour: str, style: str = "-", width: float = 2.0
 ) -> None:
     """Draw the perimeter of a base at (x, y, theta) [m, m, rad]."""
-    x, y, theta = np.asarray(pose)
-    cosine, sine = math.cos(theta), math.sin(theta)
-    outline = base.outline @ np.array([[cosine, sine], [-sine, cosine]])
-    corners = np.vstack([outline, outline[:1]]) + np.array([x, y])
+    outline = outline_at(base, pose)
+    corners = np.vstack([outline, outline[:1]])
     panel.plot(corners[:, 0], corners[:, 1], style, color=colour, linewidth=width)
 
 
