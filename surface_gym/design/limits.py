@@ -260,7 +260,7 @@ def least_speed(
 
     Args:
         case: the parcel, its entry and its purpose; its own speed is among those tried.
-        columns: of the zone; see `arrange`.
+        columns: of the zone; None: the fewest that all but 5 % of the draws need.
         rows: of rotors; None: as many as lie under the parcel.
         highest: [m/s] entry speed to try; None: 3, or half as much again as the case's.
         workers: threads that share the runs, or a cluster.
@@ -270,7 +270,7 @@ def least_speed(
         Speeds [m/s], every 0.01 with nothing unknown, every 0.02 with draws.
 
     Raises:
-        ValueError: `highest` is below the case's speed or above 20, or see `arrange`.
+        ValueError: `highest` is below the case's speed or above 20, or no columns are enough.
 
     >>> from surface_gym import layouts
     >>> from surface_gym.design.case import NOTHING
@@ -296,7 +296,7 @@ def least_tilt(
 
     Args:
         case: the parcel, its entry and its purpose; its own tilt is among those tried.
-        columns: of the zone; see `arrange`.
+        columns: of the zone; None: the fewest that all but 5 % of the draws need.
         rows: of rotors; None: as many as lie under the parcel.
         highest: [rad] tilt to try; None: 15 deg, or half as much again as the case's.
         workers: threads that share the runs, or a cluster.
@@ -306,7 +306,8 @@ def least_tilt(
         Tilts [rad], every 0.1 deg with nothing unknown, every 0.2 deg with draws.
 
     Raises:
-        ValueError: `highest` is below the case's tilt or not below 45 deg, or see `arrange`.
+        ValueError: `highest` is below the case's tilt or not below 45 deg, or no columns
+            are enough.
     """
     usual = max(math.radians(15.0), 1.5 * case.tilt)
     top = max(case.tilt, min(math.radians(44.0), usual)) if highest is None else highest
@@ -330,7 +331,7 @@ def friction_range(
 
     Args:
         case: the parcel, its entry and its purpose; friction is not among the unknown quantities.
-        columns: of the zone; see `arrange`.
+        columns: of the zone; None: the fewest that all but 5 % of the draws need.
         rows: of rotors; None: as many as lie under the parcel.
         workers: threads that share the runs, or a cluster.
         on_progress: called with the runs done and their total.
@@ -339,7 +340,7 @@ def friction_range(
         Factors [-] from 1/16 to 16, 48 to a doubling; 8 with draws.
 
     Raises:
-        ValueError: see `arrange`.
+        ValueError: no number of columns is enough, or `columns` is below 1.
     """
     arrangement = arrange(case, columns, rows, workers)
     unknown = replace(case.unknown, friction=0.0, rolling=0.0)

@@ -315,13 +315,13 @@ def sensitivity(
 
     Args:
         case: the parcel, its entry and its purpose.
-        columns: of the zone; see `arrange`.
+        columns: of the zone; None: the fewest that all but 5 % of the draws need.
         rows: of rotors; None: as many as lie under the parcel.
         workers: threads that share the runs, or a cluster.
         on_progress: called with the runs done and their total.
 
     Raises:
-        ValueError: see `arrange`.
+        ValueError: no number of columns is enough, or `columns` is below 1.
     """
     arrangement = arrange(case, columns, rows, workers)
     progress = split_progress(on_progress, [1] + [case.draws] * len(FIELDS))
@@ -455,7 +455,7 @@ def success_map(
 
     Args:
         case: the parcel, its entry and its purpose.
-        columns: of the zone; see `arrange`.
+        columns: of the zone; None: the fewest that all but 5 % of the draws need.
         speeds: [m/s] at entry; None: 40 from 0.1 to 3, or to half as much again as the case's.
         sizes: [-] factors on the base's lengths; None: 40 from 0.5 to 1.5.
         rows: of rotors; None: as many as lie under the case's parcel.
@@ -465,7 +465,7 @@ def success_map(
 
     Raises:
         ValueError: a speed that is not from 0 to 20, a size that is not positive or too large, a
-            checkpoint of another map or none at all, or see `arrange`.
+            checkpoint of another map or none at all, or no columns are enough.
     """
     wanted_speeds = np.linspace(0.1, max(3.0, 1.5 * case.speed), 40) if speeds is None else speeds
     wanted_sizes = np.linspace(0.5, 1.5, 40) if sizes is None else sizes

@@ -18,9 +18,7 @@ BY_SPEED = ("table3", "table4", "stopping")  # long tables, printed with both bo
 
 
 def make_table(title: str, *columns: str, caption: str = "", labels: int = 1) -> TextTable:
-    """Make a table with a title above and a caption below; its first columns are labels, the
-    others numbers.
-    """
+    """Make a table with title and caption; its first columns are labels, the others numbers."""
     table = TextTable(  # Text, for a bracketed unit in a str would be read as markup
         title=Text(title, style="bold not italic"),
         caption=Text(caption, style="not italic not dim") if caption else None,
