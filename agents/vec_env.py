@@ -18,12 +18,7 @@ Infos = list[dict[str, Any]]
 
 
 class EpisodeRecorder:
-    """Returns, lengths and reward terms of the running episodes.
-
-    Args:
-        num_envs: number of environments.
-        terms: names of the reward terms.
-    """
+    """Returns, lengths and reward terms of the running episodes."""
 
     def __init__(self, num_envs: int, terms: tuple[str, ...]) -> None:
         self._names = terms

@@ -1,6 +1,6 @@
 """`python -m benchmarks`."""
 
-from benchmarks.command import main
+from benchmarks.cli import main
 
 if __name__ == "__main__":
     main()

@@ -1,4 +1,4 @@
-"""A figure and what is asked of it."""
+"""Measured figures beside the requirements, as every benchmark gives them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,32 +8,32 @@ from rich.table import Table
 
 @dataclass(frozen=True)
 class Figure:
-    """A measured figure beside the one asked for."""
+    """A measured figure, with the requirement on it if there is one."""
 
     name: str
     value: float
     unit: str
-    most: float | None = None  # asked for, at most
-    least: float | None = None  # asked for, at least
+    most: float | None = None  # required, at most
+    least: float | None = None  # required, at least
 
     @property
-    def asked(self) -> str:
-        """The bound in words."""
+    def required(self) -> str:
+        """Return the requirement as text."""
         if self.most is not None:
             return f"<= {self.most:g}"
         return f">= {self.least:g}" if self.least is not None else ""
 
 
-def written(value: float) -> str:
-    """A number for a table."""
+def format_number(value: float) -> str:
+    """Format a number for a table."""
     return f"{value:,.0f}" if value >= 1000.0 else f"{value:.3g}"
 
 
-def table_of(figures: Sequence[Figure], title: str) -> Table:
-    """Figures beside what is asked of them."""
+def figure_table(figures: Sequence[Figure], title: str) -> Table:
+    """Make a table of figures and requirements."""
     table = Table("figure", title=title)
-    for column in ("measured", "unit", "asked"):
+    for column in ("measured", "unit", "required"):
         table.add_column(column, justify="right")
     for figure in figures:
-        table.add_row(figure.name, written(figure.value), figure.unit, figure.asked)
+        table.add_row(figure.name, format_number(figure.value), figure.unit, figure.required)
     return table

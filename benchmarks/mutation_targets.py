@@ -1,4 +1,6 @@
-"""The modules of a mutation trial, and the tests that are to notice a fault in each."""
+"""Modules of the mutation test with the tests that should detect a fault in each, and the mutants
+that none can detect.
+"""
 
 from dataclasses import dataclass
 
@@ -10,47 +12,61 @@ class Target:
     area: str
     module: str
     near: tuple[str, ...]  # its own tests, run first, after the examples in its text
-    wide: tuple[str, ...]  # those of what is built on it, for what is left; may be none
+    wide: tuple[str, ...] = ()  # of what is built on it, run for the mutants that are left
 
 
-_STEPS = ("tests/dynamics", "tests/test_simulation.py")
-_TOGETHER = ("tests/physics/test_contact_solver.py", "tests/test_together.py")
-_LANES = (
+_STEPS = ("tests/physics", "tests/test_simulation.py")
+_WORLDS = ("tests/physics/test_contact_solver.py", "tests/test_together.py")
+_ENVS = (
     "tests/test_env_physics.py",
     "tests/test_env.py",
     "tests/test_vector_env.py",
     "tests/test_vector_env_resets.py",
     "tests/test_axes.py",
 )
-_PAGES = "tests/test_pages.py"  # of the environments: what they show is told there
+_PAGES = "tests/test_pages.py"  # what the environments show is checked there
 _TASKS = ("tests/tasks", "tests/test_env.py")
-_RULES = ("tests/agents/rules/test_rules.py",)
 
 
-def _physics(name: str, *wide: str) -> Target:
-    near = (f"tests/dynamics/test_{name}.py",)
-    return Target("physics", f"surface_gym/dynamics/{name}.py", near, wide or _STEPS)
+def _physics(name: str, *wide: str, near: str = "") -> Target:
+    """Make the target of a module of the physics."""
+    tests = (f"tests/physics/test_{near or name}.py",)
+    return Target("physics", f"surface_gym/physics/{name}.py", tests, wide or _STEPS)
 
 
 def _task(name: str) -> Target:
+    """Make the target of a task."""
     near = (f"tests/tasks/test_{name}.py", _PAGES)
     return Target("tasks", f"surface_gym/tasks/{name}.py", near, _TASKS)
 
 
+def _env(module: str, near: tuple[str, ...], *wide: str) -> Target:
+    """Make the target of a module that environments are made of."""
+    tests = tuple(f"tests/{name}.py" for name in near)
+    return Target("environments", f"surface_gym/{module}.py", tests, wide)
+
+
+def _sensor(name: str, near: str, *wide: str) -> Target:
+    """Make the target of a module of the sensors."""
+    tests = (f"tests/sensors/test_{near}.py",)
+    return Target("sensors", f"surface_gym/sensors/{name}.py", tests, ("tests/sensors", *wide))
+
+
 def _agent(module: str, *near: str, wide: tuple[str, ...] = ()) -> Target:
-    return Target("agents", f"agents/{module}.py", tuple(f"tests/agents/{n}" for n in near), wide)
+    """Make the target of a module of the agents."""
+    tests = tuple(f"tests/agents/{name}" for name in near)
+    return Target("agents", f"agents/{module}.py", tests, tuple(f"tests/agents/{w}" for w in wide))
 
 
 TARGETS = (
     _physics("normal_forces"),
     _physics("friction"),
     _physics("contacts"),
-    _physics("step"),
-    _physics("explicit"),
-    _physics("axes", *_STEPS, "tests/test_axes.py"),
-    _physics("gap", *_TOGETHER),
-    _physics("solving", *_TOGETHER),
-    Target("physics", "surface_gym/physics/contact_solver.py", _TOGETHER[:1], _TOGETHER[1:]),
+    _physics("step", *_STEPS, "tests/test_axes.py"),
+    _physics("references", near="step"),
+    _physics("signed_distance", *_WORLDS),
+    _physics("island", *_WORLDS),
+    _physics("contact_solver", *_WORLDS[1:]),
     _task("sort"),
     _task("slow"),
     _task("stop"),
@@ -59,104 +75,129 @@ TARGETS = (
     Target(
         "tasks",
         "surface_gym/tasks/line.py",
-        (
-            "surface_gym/tasks/slow.py",
-            "tests/tasks/test_slow.py",
-            "tests/tasks/test_stop.py",
-            _PAGES,
-        ),
+        ("surface_gym/tasks/slow.py", "tests/tasks/test_slow.py", "tests/tasks/test_stop.py",
+         _PAGES),
         _TASKS,
     ),
-    Target(
-        "sensors",
-        "surface_gym/sensors/camera.py",
-        ("tests/sensors/test_camera.py",),
-        ("tests/sensors", "tests/test_settings.py"),
+    _sensor("base", "camera", "tests/test_config.py"),
+    _sensor("camera", "camera", "tests/test_config.py", "tests/agents/runtime/test_estimator.py"),
+    _env("parcel", ("test_parcel",), "tests/test_presets.py"),
+    _env("state", ("tasks/test_base", "tasks/test_sort"), *_TASKS, *_ENVS),
+    _env(
+        "vector_env", ("test_vector_env_resets",),
+        "tests/test_vector_env.py", "tests/test_vector_env_contract.py", "tests/test_own.py",
     ),
-    Target(
-        "sensors",
-        "surface_gym/sensors/base.py",
-        ("tests/sensors/test_camera.py",),
-        ("tests/sensors", "tests/test_settings.py"),
-    ),
-    Target(
-        "sensors",
-        "surface_gym/sensors/kalman.py",
-        ("tests/sensors/test_adaptive.py",),
-        ("tests/sensors", "tests/agents/runtime/test_shadow.py"),
-    ),
-    Target(
-        "sensors",
-        "surface_gym/sensors/camera.py",
-        ("tests/sensors/test_adaptive.py",),
-        ("tests/sensors", "tests/agents/runtime/test_shadow.py"),
-    ),
-    Target(
-        "environments",
-        "surface_gym/parcel.py",
-        ("tests/test_parcel.py",),
-        ("tests/test_conditions.py",),
-    ),
-    Target(
-        "environments",
-        "surface_gym/state.py",
-        ("tests/tasks/test_base.py", "tests/tasks/test_sort.py"),
-        (*_TASKS, *_LANES),
-    ),
-    Target(
-        "environments",
-        "surface_gym/faces/vector.py",
-        ("tests/test_vector_env_resets.py",),
-        ("tests/test_vector_env.py", "tests/test_vector_env_contract.py", "tests/test_own.py"),
-    ),
-    Target(
-        "environments",
-        "surface_gym/core/resets.py",
-        ("tests/core/test_resets.py",),
-        _LANES,
-    ),
-    Target(
-        "environments",
-        "surface_gym/core/actions.py",
-        ("tests/core/test_actions.py",),
-        ("tests/actions", "tests/test_actuators.py", "tests/test_axes.py"),
-    ),
-    Target(
-        "environments",
-        "surface_gym/randomisation.py",
-        ("tests/test_actuators.py",),
-        ("tests/test_settings.py",),
-    ),
-    Target(
-        "environments",
-        "surface_gym/randomisation.py",
-        ("tests/test_randomisation.py",),
-        ("tests/test_env_starts.py", "tests/test_settings.py"),
+    _env("core/resets", ("core/test_resets",), *_ENVS),
+    _env("core/actions", ("core/test_actions",), "tests/test_actuators.py", "tests/test_axes.py"),
+    _env(
+        "randomisation", ("test_actuators", "test_randomisation"),
+        "tests/test_env_starts.py", "tests/test_config.py",
     ),
     *(
-        _agent(f"rules/{name}", "rules/test_braking.py", wide=_RULES)
-        for name in ("braking", "brake_model", "footing", "friction_estimate")
+        _agent(f"rules/{name}", "rules/test_braking.py", wide=("rules/test_rules.py",))
+        for name in ("braking", "brake_model", "base")
     ),
     _agent(
-        "rules/turning",
+        "rules/steering",
         "rules/test_steering.py::test_the_turning_rule_turns_to_any_angle",
         "rules/test_steering.py::test_modules_that_turn_a_parcel_drag_its_front_one_way_and_its_rear"
         "_the_other",
-        wide=_RULES,
+        wide=("rules/test_rules.py",),
     ),
-    _agent("planning/search", "test_planner.py"),
-    _agent("planning/aims", "test_planner.py"),
-    _agent("planning/known", "planning/test_known.py", wide=("tests/agents/planning",)),
-    _agent("planning/knowing", "planning/test_knowing.py", wide=("tests/agents/planning",)),
-    _agent("vec_env", "test_vec_env.py", wide=("tests/agents/test_mirror.py",)),
-    _agent("mirror", "test_mirror.py", wide=("tests/agents/test_vec_env.py",)),
-    _agent("episodes", "test_episodes.py", wide=("tests/agents/evaluation",)),
-    _agent("modules/view", "modules/test_view.py", wide=("tests/agents/modules",)),
-    _agent("modules/outline", "modules/test_outline.py", wide=("tests/agents/modules",)),
-    _agent("export/formula", "export/test_formula.py", wide=("tests/agents/export",)),
-    _agent("runtime/loop", "runtime/test_loop.py", wide=("tests/agents/runtime",)),
-    _agent("learning/checkpoint", "learning/test_resume.py", wide=("tests/agents/learning",)),
-    _agent(
-        "evaluation/statistics", "evaluation/test_statistics.py", wide=("tests/agents/evaluation",)
+    _agent("planning/planner", "planning/test_planner.py"),
+    _agent("planning/models", "planning/test_models.py", wide=("planning",)),
+    _agent("planning/oracle", "planning/test_oracle.py", wide=("planning",)),
+    _agent("vec_env", "test_vec_env.py", wide=("test_symmetry.py",)),
+    _agent("base", "test_symmetry.py", wide=("test_vec_env.py",)),
+    _agent("rollout", "test_rollout.py", wide=("evaluation",)),
+    _agent("module_view", "test_module_view.py", wide=("test_module_policy.py",)),
+    _agent("export/onnx", "export/test_export.py", wide=("export",)),
+    _agent("runtime/controller", "runtime/test_controller.py", wide=("runtime",)),
+    _agent("learning/runs", "learning/test_runs.py", wide=("learning",)),
+    _agent("evaluation/benchmark", "evaluation/test_statistics.py", wide=("evaluation",)),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Equivalent:
+    """A mutant that no test can distinguish from the code."""
+
+    module: str  # path from the repository's root
+    function: str  # that the line is in
+    was: str
+    becomes: str
+    why: str
+
+
+EQUIVALENTS = (
+    Equivalent(
+        "surface_gym/physics/friction.py",
+        "",
+        "MAX_ITERATIONS = 100",
+        "MAX_ITERATIONS = 99",
+        "a guard: Newton ends after a few of them",
+    ),
+    Equivalent(
+        "surface_gym/physics/step.py",
+        "axis_direction",
+        "sine = (place == 2.0) * 1.0 - (place == 6.0) * 1.0",
+        "sine = (place == 2.0) / 1.0 - (place == 6.0) * 1.0",
+        "over 1 is times 1",
+    ),
+    Equivalent(
+        "surface_gym/physics/contact_solver.py",
+        "resolve_overlaps",
+        "apart = True",
+        "apart = False",
+        "further sweeps find every pair apart and move nothing",
+    ),
+    Equivalent(
+        "surface_gym/core/resets.py",
+        "",
+        "NO_EDGE = (0.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges up",
+        "NO_EDGE = ( 1.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges up",
+        "at such a distance an edge of any direction bounds nothing",
+    ),
+    Equivalent(
+        "surface_gym/state.py",
+        "reach_along",
+        "farthest = -1.0",
+        "farthest = - 0.0",
+        "corners are about their centroid: one of them reaches beyond 0, or all are a disc's, at 0",
+    ),
+    Equivalent(
+        "surface_gym/sensors/camera.py",
+        "watch",
+        "if state.sensor_state[place + TAKEN] > 0.0:",
+        "if state.sensor_state[place - TAKEN] > 0.0:",
+        "TAKEN is 0",
+    ),
+    Equivalent(
+        "surface_gym/sensors/camera.py",
+        "_take",
+        "row = state.noise_row[0]",
+        "row = state.noise_row[ -1]",
+        "the array has one number, which is its first and its last",
+    ),
+    Equivalent(
+        "surface_gym/sensors/base.py",
+        "enter",
+        "state.sensor_state[3 + k] = state.truth[3 + k] + velocity_error * state.noise[row + 1, k]",
+        "state.sensor_state[3 + k] = state.truth[3 + k] - velocity_error * state.noise[row + 1, k]",
+        "the noise is as likely to be the other way round",
+    ),
+    Equivalent(
+        "agents/vec_env.py",
+        "finish",
+        '"reward_terms": dict(zip(self._names, self._terms[i].tolist(), strict=True)),',
+        '"reward_terms": dict(zip(self._names, self._terms[i].tolist(), strict=False)),',
+        "there are as many sums as names",
+    ),
+    Equivalent(
+        "agents/base.py",
+        "mirrored_orientations",
+        "if (apart[np.arange(len(angles)), nearest] > SAME).any():",
+        "if (apart[np.arange(len(angles)), nearest] >= SAME).any():",
+        "angles exactly 1e-6 rad apart: their round-off is on either side of it",
     ),
 )

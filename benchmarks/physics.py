@@ -1,12 +1,18 @@
-"""What a physics step costs, and how long a first one takes."""
+"""Cost of a physics step and of a first one, and how far the implicit step is from the paper's
+explicit one at 10 microseconds.
+"""
 
 import os
 import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 
 import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
 
 import surface_gym as sg
 from benchmarks.figure import Figure
@@ -16,19 +22,24 @@ from surface_gym.physics.types import STATE_SIZE, VX, X, Y, make_scratch
 DT = 0.005  # [s]
 REPEATS = 300
 
-# What the project asks of itself.
+# Requirements.
 MOST_STEP = {"S": 0.40, "B": 1.10}  # [us]
 MOST_IMPORT = 0.6  # [s]
 MOST_FIRST_STEP = 8.0  # [s] in an empty cache
-MOST_FIRST_ENV = 8.0  # [s] the import included
+MOST_FIRST_ENV = 8.0  # [s] with the import
 MOST_CACHED = 1.0  # [s]
 MOST_SIZE_RATIO = 1.10
+
+# Of the comparison with the explicit step.
+STEPS = (0.010, 0.005, 0.002, 0.001)  # [s]
+FINE = 1e-5  # [s]
+AXES = np.radians([0.0, 45.0, -45.0, 90.0])
 
 
 def _step_time(
     surface: sg.Surface, size: str, y: float, speed: float, steps: int, dt: float
 ) -> float:
-    """[us] a step, the median of repeated runs from the same start on one core."""
+    """Return the time of a step [us], the median of repeated runs from one start on one core."""
     parcel = sg.layouts.box(size)
     grid, body = surface.grid, parcel.body
     scratch = make_scratch()
@@ -44,22 +55,18 @@ def _step_time(
 
 
 def step_figures() -> list[Figure]:
-    """Cost of a 5 ms step while the paper's layout sorts a box at 1.5 m/s."""
-    return [
-        Figure(
-            f"step of {1000 * DT:g} ms, {size}-box",
-            _step_time(
-                sg.layouts.sorting(size), size, sg.layouts.LINE_Y, speed=1.5, steps=200, dt=DT
-            ),
-            "us",
-            most=MOST_STEP[size],
-        )
-        for size in ("S", "B")
-    ]
+    """Measure a 5 ms step while the paper's layout sorts a box at 1.5 m/s."""
+    figures = []
+    for size in ("S", "B"):
+        surface = sg.layouts.sorting(size)
+        taken = _step_time(surface, size, sg.layouts.LINE_Y, speed=1.5, steps=200, dt=DT)
+        name = f"step of {1000 * DT:g} ms, {size}-box"
+        figures.append(Figure(name, taken, "us", most=MOST_STEP[size]))
+    return figures
 
 
 def size_figures() -> list[Figure]:
-    """The same motion on 10 x 10 and on 2000 x 2000 modules: the ratio of the step's costs."""
+    """Measure the same motion on 10 x 10 and on 2000 x 2000 modules: the ratio of the costs."""
     rng = np.random.default_rng(0)
     pattern = rng.choice([0.0, np.pi / 4, -np.pi / 4, np.pi / 2], (10, 10))
     times = []
@@ -72,7 +79,34 @@ def size_figures() -> list[Figure]:
     ]
 
 
+IMPORTING = """
+import time
+begin = time.perf_counter()
+import surface_gym
+print(time.perf_counter() - begin)
+"""
+MAKING = """
+import time
+begin = time.perf_counter()
+import gymnasium as gym
+import surface_gym
+env = gym.make("SmartSurface/Sort-v0")
+env.reset(seed=0)
+env.step(env.action_space.sample())
+print(time.perf_counter() - begin)
+"""
+STEPPING = """
+import time
+import surface_gym as sg
+scene = sg.layouts.sorting(), sg.layouts.box("S"), sg.layouts.start("S")
+begin = time.perf_counter()
+sg.simulate(*scene, velocity=(1.5, 0.0, 0.0), duration=0.005)
+print(time.perf_counter() - begin)
+"""
+
+
 def _seconds(code: str, environment: dict[str, str]) -> float:
+    """Return the number [s] that code prints in a new process."""
     result = subprocess.run(
         [sys.executable, "-c", code],
         env={**os.environ, **environment},
@@ -84,49 +118,87 @@ def _seconds(code: str, environment: dict[str, str]) -> float:
 
 
 def start_figures() -> list[Figure]:
-    """Import, and the first step of a new process with an empty and with a filled cache: of a
-    simulation, and of an environment with its import.
+    """Measure the import, and the first step of a new process with an empty and with a filled
+    cache: of a simulation, and of an environment with its import.
     """
-    importing = """
-import time
-begin = time.perf_counter()
-import surface_gym
-print(time.perf_counter() - begin)
-"""
-    making = """
-import time
-begin = time.perf_counter()
-import gymnasium as gym
-import surface_gym
-env = gym.make("SmartSurface/Sort-v0")
-env.reset(seed=0)
-env.step(env.action_space.sample())
-print(time.perf_counter() - begin)
-"""
-    stepping = """
-import time
-import surface_gym as sg
-scene = sg.layouts.sorting(), sg.layouts.box("S"), sg.layouts.start("S")
-begin = time.perf_counter()
-sg.simulate(*scene, velocity=(1.5, 0.0, 0.0), duration=0.005)
-print(time.perf_counter() - begin)
-"""
-    figures = [
-        Figure(
-            "import surface_gym",
-            float(np.median([_seconds(importing, {}) for _ in range(5)])),
-            "s",
-            most=MOST_IMPORT,
-        )
-    ]
-    for name, code, most, most_cached in (
-        ("first simulated step", stepping, MOST_FIRST_STEP, MOST_CACHED),
-        ("first gym.make, reset and step", making, MOST_FIRST_ENV, MOST_CACHED),
+    importing = float(np.median([_seconds(IMPORTING, {}) for _ in range(5)]))
+    figures = [Figure("import surface_gym", importing, "s", most=MOST_IMPORT)]
+    for name, code, most in (
+        ("first simulated step", STEPPING, MOST_FIRST_STEP),
+        ("first gym.make, reset and step", MAKING, MOST_FIRST_ENV),
     ):
         with tempfile.TemporaryDirectory() as folder:
             cache = {"NUMBA_CACHE_DIR": folder}
             first = _seconds(code, cache)
             cached = float(np.median([_seconds(code, cache) for _ in range(3)]))
         figures.append(Figure(f"{name}, empty cache", first, "s", most=most))
-        figures.append(Figure(f"{name}, from the cache", cached, "s", most=most_cached))
+        figures.append(Figure(f"{name}, from the cache", cached, "s", most=MOST_CACHED))
     return figures
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A random surface, parcel and start."""
+
+    surface: sg.Surface
+    parcel: sg.Parcel
+    pose: tuple[float, float, float]
+    velocity: tuple[float, float, float]
+    duration: float  # [s]
+
+
+def draw_scene(rng: np.random.Generator) -> Scene:
+    """Draw an axis for each module, one of both boxes, a tilt of 0-15 deg, sliding and spinning."""
+    surface = sg.Surface(
+        axis=rng.choice(AXES, size=(30, 60)),
+        rotor=rng.random((30, 60)) < 0.8,
+        tilt=rng.choice([0.0, rng.uniform(0.0, np.radians(15.0))]),
+    )
+    return Scene(
+        surface=surface,
+        parcel=sg.layouts.box(str(rng.choice(["S", "B"]))),
+        pose=(1.0, 1.5 + rng.uniform(-0.1, 0.1), rng.uniform(-np.pi, np.pi)),
+        velocity=(rng.uniform(0.5, 2.7), rng.uniform(-0.5, 0.5), rng.uniform(-3.0, 3.0)),
+        duration=rng.uniform(0.4, 1.0),
+    )
+
+
+def explicit_end(scene: Scene) -> np.ndarray | None:
+    """Return the end pose of the explicit method at 10 us; None outside of its domain.
+
+    The paper's rules assume motion towards +x, so a scene in which vx does not stay positive, or
+    in which the parcel leaves the surface, is drawn again.
+    """
+    start = scene.pose, scene.velocity, scene.duration
+    run = sg.simulate(scene.surface, scene.parcel, *start, FINE, method="explicit")
+    return run.pose[-1] if run.end == "duration" and run.velocity[:, 0].min() > 0.0 else None
+
+
+def measure_accuracy(scenes: int, seed: int, console: Console) -> dict[float, np.ndarray]:
+    """Return the errors (scenes, 2) of position [mm] and angle [deg] by step [s]."""
+    rng = np.random.default_rng(seed)
+    errors: dict[float, list[tuple[float, float]]] = {dt: [] for dt in STEPS}
+    for _ in track(range(scenes), "scenes at 10 microseconds", console=console, transient=True):
+        fine = None
+        while fine is None:
+            scene = draw_scene(rng)
+            fine = explicit_end(scene)
+        start = scene.pose, scene.velocity, scene.duration
+        for dt in STEPS:
+            end = sg.simulate(scene.surface, scene.parcel, *start, dt).pose[-1]
+            position = 1000.0 * np.hypot(*(end - fine)[:2])
+            errors[dt].append((position, np.degrees(abs(end[2] - fine[2]))))
+    return {dt: np.array(rows) for dt, rows in errors.items()}
+
+
+def accuracy_table(errors: dict[float, np.ndarray]) -> Table:
+    """Make a table of the median, 90th percentile and largest error by step."""
+    count = len(next(iter(errors.values())))
+    table = Table("step [ms]", title=f"implicit against explicit at 10 us, {count} random scenes")
+    for quantity in ("position [mm]", "angle [deg]"):
+        for statistic in ("median", "p90", "max"):
+            table.add_column(f"{quantity}\n{statistic}", justify="right")
+    for dt, rows in errors.items():
+        percentiles = np.percentile(rows, (50, 90, 100), axis=0).T.ravel()
+        table.add_row(f"{1000 * dt:g}", *(f"{value:.2f}" for value in percentiles))
+    return table

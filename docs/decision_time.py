@@ -1,7 +1,7 @@
-"""What one decision takes, asked for one parcel at a time: `python docs/decision_time.py`.
+"""Time of one decision, for one parcel at a time: `python docs/decision_time.py`.
 
-It is measured as a control loop asks: one observation in, one action out, without any other lane.
-Time on the clock has in it what else the machine does; the processor's time has not.
+It is measured as in a control loop: one observation in, one action out, in one environment. Time on
+the clock includes whatever else the machine does; the processor's time does not.
 """
 
 import argparse
@@ -18,12 +18,12 @@ ASIDE = 50  # decisions that are not counted: the first ones load and warm up
 
 
 def decision_times(policy: Any, decisions: int) -> tuple[list[float], list[float]]:
-    """[s] that each of some decisions takes, on the clock and of the processor's time, along
-    episodes of the policy's environment.
+    """Measure the time [s] of each decision, on the clock and of the processor, along episodes of
+    the policy's environment.
 
     Args:
-        policy: that `agents.load` has given.
-        decisions: how many to count.
+        policy: from `agents.load`.
+        decisions: number to count.
     """
     env = gym.make(policy.env_id, **policy.env_kwargs)
     observation, _ = env.reset(seed=0)
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         choices=agents.names(),
         default=agents.names(),
         metavar="NAME",
-        help="who decides; by default all that come with the package",
+        help="agents to measure; by default all that come with the package",
     )
     parser.add_argument("--decisions", type=int, default=2000, help="to count, of each")
     given = parser.parse_args(arguments)

@@ -1,4 +1,4 @@
-"""For the reference: what docstrings and comments say, as the site shows it. Used by mkdocs.yml."""
+"""Docstrings and comments as the site's reference shows them. Used by mkdocs.yml."""
 
 import re
 from typing import Any
@@ -10,7 +10,7 @@ EXAMPLE = re.compile(r"^>>> .*(?:\n.+)*", re.MULTILINE)
 
 
 class Examples(Extension):
-    """Fences the examples of every docstring, `>>> ...`, as code."""
+    """Fence the examples of every docstring, `>>> ...`, as code."""
 
     def on_object(self, *, obj: Object, **kwargs: Any) -> None:
         """Fence those of one object."""
@@ -20,7 +20,7 @@ class Examples(Extension):
 
 
 class Fields(Extension):
-    """Lists the fields of a dataclass with the comments behind or above them: units and shapes."""
+    """List the fields of a dataclass with the comments behind or above them: units and shapes."""
 
     def on_class(self, *, cls: Class, **kwargs: Any) -> None:
         """List those of one class."""

@@ -1,4 +1,4 @@
-"""A plant of one's own: a line of rotors and supports like a chessboard, closer in x than in y,
+"""A line of your own: a line of rotors and supports like a chessboard, closer in x than in y,
 partly worn.
 
 python examples/checkered.py
@@ -30,10 +30,10 @@ def main() -> None:
     )
     for parcel in ("S", "B"):
         _, info = env.reset(seed=0, options={"speed": 1.5, "parcel": parcel, "side": 1})
-        ended = False
-        while not ended:
+        done = False
+        while not done:
             _, _, terminated, truncated, info = env.step([1, 1, 1, 1])
-            ended = terminated or truncated
+            done = terminated or truncated
         print(f"{parcel}-box: {info['outcome']} after {info['time']:.2f} s")
     picture = np.asarray(env.render()).swapaxes(0, 1)
     pygame.image.save(pygame.surfarray.make_surface(picture), "checkered.png")

@@ -1,4 +1,4 @@
-"""A reward of one's own: Sort, paid for success alone, and the more the sooner it comes.
+"""A reward of your own: Sort, paid for success alone, and the more the sooner it comes.
 
 python train.py --task examples/haste.py:Haste
 """

@@ -1,4 +1,4 @@
-"""A task of one's own: reach a point at a heading, on a field of rotors tilted downhill.
+"""A task of your own: reach a point at a heading, on a field of rotors tilted downhill.
 
 python train.py --task examples/reach.py:Reach
 python evaluate.py --task examples/reach.py:Reach
@@ -11,8 +11,8 @@ from typing import Any
 import surface_gym.extend as own
 from surface_gym.extend import THETA, EnvState, X, Y, kernel_function
 
-GOAL_X, GOAL_Y, HEADING = range(3)  # places in the goal: [m], [m], [rad]
-LEFT = 0  # place in the memory: [m] left to go at the last decision
+GOAL_X, GOAL_Y, HEADING = range(3)  # indices in the goal: [m], [m], [rad]
+LEFT = 0  # index in the memory: [m] left to go at the last decision
 NEAR = 0.03  # [m] from the point that is reached
 TURNED = math.radians(5.0)  # [rad] off the heading that is as good as on it
 ARM = 0.1  # [m] an angle off the heading counts for as much way, a radian
@@ -29,7 +29,7 @@ class Reach(own.Task):
     aside: float = 0.2  # [m] of the point from straight ahead, at most
     headings: tuple[float, float] = (-math.pi / 6, math.pi / 6)  # [rad] asked
 
-    plant = own.Field(rows=16, columns=30)
+    line = own.Field(rows=16, columns=30)
     features = (
         own.Feature("to go along", -10.0, 10.0, "x to the point / 1 m"),
         own.Feature("to go across", -20.0, 20.0, "y to the point / 0.2 m"),
@@ -54,7 +54,7 @@ class Reach(own.Task):
         pace, size, way, turn = draw.numbers
         speed = draw.within("speed", own.between(*self.speeds, pace), 0.1, 3.0)
         heading = draw.within("heading", own.between(*self.headings, turn), -math.pi, math.pi)
-        middle = draw.plant.line_y
+        middle = draw.line.line_y
         goal = (2.2, middle + self.aside * (2.0 * way - 1.0), heading)
         parcel = draw.parcel(self.parcels, size)
         return own.Start(
@@ -76,12 +76,12 @@ class Reach(own.Task):
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        truth, goal, figures = state.truth, state.goal, state.metrics
-        figures[0] = math.hypot(goal[GOAL_X] - truth[X], goal[GOAL_Y] - truth[Y])
-        figures[1] = abs(goal[HEADING] - truth[THETA])
+        truth, goal, metrics = state.truth, state.goal, state.metrics
+        metrics[0] = math.hypot(goal[GOAL_X] - truth[X], goal[GOAL_Y] - truth[Y])
+        metrics[1] = abs(goal[HEADING] - truth[THETA])
         if not state.on_surface:
             return OFF_SURFACE
-        if figures[0] < NEAR and figures[1] < TURNED:
+        if metrics[0] < NEAR and metrics[1] < TURNED:
             return own.SUCCESS
         if truth[X] > goal[GOAL_X] + NEAR:
             return PASSED

@@ -1,4 +1,4 @@
-"""A sensor of one's own: it reads the pose off a ruler, and the velocity off two readings.
+"""A sensor of your own: it reads the pose off a ruler, and the velocity off two readings.
 
 >>> import gymnasium as gym, surface_gym
 >>> env = gym.make("SmartSurface/Sort-v0", sensors=Ruled(line=0.02))
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 from surface_gym.extend import VX, Array, EnvState, Sensor, kernel_function
 
-LINE, TURN = range(2)  # places in the numbers
-READ, WHEN = 0, 3  # places in what is kept: the last reading [m, m, rad], and its time [s]
+LINE, TURN = range(2)  # indices in the numbers
+READ, WHEN = 0, 3  # indices in the sensor state: the last reading [m, m, rad], and its time [s]
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Ruled(Sensor):
     line: float = 0.005  # [m] from line to line, in x and in y
     turn: float = 0.02  # [rad] from angle to angle
 
-    kept = 4
+    sensor_size = 4
 
     def numbers(self, dt: float) -> tuple[float, ...]:
         return (self.line, self.turn)
@@ -34,7 +34,7 @@ class Ruled(Sensor):
 
     @staticmethod
     @kernel_function
-    def estimate(numbers: Array, state: EnvState) -> None:
+    def read(numbers: Array, state: EnvState) -> None:
         passed = state.clock - state.sensor_state[WHEN]
         for k in range(3):
             reading = _read(numbers, state, k)

@@ -48,7 +48,7 @@ DENSITY = (1e-12, 1e9)
 # [-] of a friction's factor and [m] of a load's place: from known to wholly unknown
 LEARNED_SPREAD = (1e-6, 1.0)
 FRICTION_ERROR = 10.0  # [-] share by which friction may be off
-ELEMENTS = 1_000_000  # of a plant, whose lanes have arrays of as many
+ELEMENTS = 1_000_000  # of a line, whose lanes have arrays of as many
 ORIENTATIONS = 1000  # on offer: an axis told to a fifth of a degree; "any" tells it finer
 
 

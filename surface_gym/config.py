@@ -191,7 +191,7 @@ class EnvConfig:
             ("sensors", Sensor, "a Sensor"),
             ("actuators", Actuators, "Actuators"),
             ("randomisation", Randomisation, "a Randomisation"),
-            ("line", BaseLine | None, "a Plant"),
+            ("line", BaseLine | None, "a BaseLine"),
         ):
             if not isinstance(getattr(self, name), kind):
                 raise ValueError(f"{name} must be {allowed}, got {getattr(self, name)!r}")
@@ -272,7 +272,7 @@ class EnvConfig:
     @property
     def chosen_line(self) -> BaseLine:
         """The line: the one asked for, else the task's own."""
-        return self.task.plant if self.line is None else self.line
+        return self.task.line if self.line is None else self.line
 
     @property
     def chosen_orientations(self) -> tuple[float, ...]:

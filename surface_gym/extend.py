@@ -1,4 +1,4 @@
-"""What a task, a sensor or a plant of one's own is made of.
+"""What a task, a sensor or a line of one's own is made of.
 
 A task or a sensor is a frozen dataclass that inherits from `Task` or `Sensor`; `Task` and `Sensor`
 say what it has to bring. Its compiled functions are static methods and `kernel_function`s:
@@ -19,7 +19,7 @@ They read and write a `EnvState`, one parcel on one surface, and may use `math`,
 - `reach_along`, `zone_start`, `zone_end`, `speed`, `is_slower`, and `read_truth` for `is_done`.
 
 A task's Python half deals in `Feature`, `Draw`, `Parcels` and `Start`; `entry` is the pose at which
-parcels enter a line. Plants are a `Line`, a `Field`, a `Pattern`, or a class that inherits from
+parcels enter a line. Lines are a `Line`, a `Field`, a `Pattern`, or a class that inherits from
 `BaseLine`.
 """
 
@@ -81,14 +81,14 @@ __all__ = [
     "VX",
     "VY",
     "Array",
+    "BaseLine",
     "Draw",
+    "EnvState",
     "Feature",
     "Field",
-    "EnvState",
     "Line",
     "Parcels",
     "Pattern",
-    "BaseLine",
     "Sensor",
     "Start",
     "Task",
@@ -99,9 +99,9 @@ __all__ = [
     "failures",
     "is_slower",
     "kernel_function",
+    "planar_speed",
     "reach_along",
     "read_truth",
-    "planar_speed",
     "zone_end",
     "zone_start",
 ]

@@ -207,7 +207,7 @@ class _StreamHistory:
         """Find pairs of parcels in these slots that touched lately, counted from a first index."""
         streams, i = self._batch.streams, self._index
         since = streams.steps[i] - streams.touched_at[i][np.ix_(slots, slots)]
-        lately = since * self._batch.rules.timing.dt <= FLASH + 1e-9
+        lately = since * self._batch.params.timing.dt <= FLASH + 1e-9
         pairs = first + np.argwhere(np.triu(lately, 1))
         return tuple((one, other) for one, other in pairs.tolist())
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from surface_gym import checks
 from surface_gym.core.resets import NO_EDGE
 from surface_gym.parcel import Parcel
+from surface_gym.physics import types as ph
 from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
 from surface_gym.physics.references import (
     advance_explicit,
@@ -34,20 +35,7 @@ from surface_gym.physics.step import (
     UNSUPPORTED,
     com_states,
 )
-from surface_gym.physics.types import (
-    OMEGA,
-    STATE_SIZE,
-    THETA,
-    VX,
-    Array,
-    Bodies,
-    Body,
-    Grid,
-    Scratch,
-    X,
-    check_capacity,
-    make_scratch,
-)
+from surface_gym.physics.types import Array, Bodies, Body, Grid, Scratch
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Run, Trajectory
 
@@ -112,22 +100,27 @@ def simulate(
     if method == "explicit" and surface.tilt < 0.0:
         raise ValueError(f"tilt must be at least 0 for the explicit method, got {surface.tilt!r}")
     grid, body = surface.grid, parcel.body
-    check_capacity(
+    ph.check_capacity(
         len(body.edges), body.radius, (grid.pitch_x, grid.pitch_y), (surface.columns, surface.rows)
     )
-    scratch = make_scratch()
+    scratch = ph.make_scratch()
     if find_support(grid, body, start, scratch, 0.0).total == 0:
         over = explain_unsupported(grid, start, 0.0) == UNSUPPORTED
         wanted = "over an element" if over else "on the surface"
         raise ValueError(f"pose must be {wanted}, got {tuple(np.asarray(pose).tolist())}")
-    if method == "explicit" and surface.tilt == 0.0 and start[VX] <= 0.0 and start[VX:].any():
+    if (
+        method == "explicit"
+        and surface.tilt == 0.0
+        and start[ph.VX] <= 0.0
+        and start[ph.VX :].any()
+    ):
         raise ValueError(
             "velocity must be towards +x for the explicit method on a level surface, "
             f"got {tuple(np.asarray(velocity).tolist())}"
         )
 
     time = sample_times(duration, dt)
-    states = np.zeros((len(time), STATE_SIZE))
+    states = np.zeros((len(time), ph.STATE_SIZE))
     states[0] = start
     reports = np.zeros(len(time), dtype=np.int64)
     steps = _run(grid, body, states, reports, scratch, time, dt, method, normal_forces)
@@ -141,7 +134,7 @@ def simulate(
 
 def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
     """Raise a ValueError where a step moves a point of the base past a pitch [m]."""
-    moved = np.abs(np.diff(states[:, X : THETA + 1], axis=0))
+    moved = np.abs(np.diff(states[:, ph.X : ph.THETA + 1], axis=0))
     farthest = np.hypot(moved[:, 0], moved[:, 1]) + moved[:, 2] * parcel.body.radius
     if not farthest.max(initial=0.0) <= pitch:  # nor is one that is not a number
         raise ValueError(
@@ -166,7 +159,7 @@ def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
 
 def base_motion(parcel: Parcel, states: Array) -> tuple[Array, Array]:
     """Return pose and velocity of the base's frame, from those of the centre of mass."""
-    pose, velocity = states[:, X : THETA + 1].copy(), states[:, VX : OMEGA + 1].copy()
+    pose, velocity = states[:, ph.X : ph.THETA + 1].copy(), states[:, ph.VX : ph.OMEGA + 1].copy()
     com_x, com_y = parcel.centre_of_mass
     if (com_x, com_y) != (0.0, 0.0):
         cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
@@ -226,7 +219,7 @@ def _reference_step(
     from surface_gym.physics.references import support_load_by
 
     explicit = method == "explicit"
-    if explicit and state[VX] <= 0.0 and grid.gravity_along == 0.0:
+    if explicit and state[ph.VX] <= 0.0 and grid.gravity_along == 0.0:
         return STOPPED
     lead = 0.0 if explicit else 0.5 * dt
     contacts = find_support(grid, body, state, scratch, lead)
@@ -383,10 +376,10 @@ def _check_starts(
 ) -> None:
     """Raise a ValueError where a parcel has no place to start from."""
     grid = surface.grid
-    scratch = make_scratch()
+    scratch = ph.make_scratch()
     for k, parcel in enumerate(parcels):
         body, start = parcel.body, company.state[k]
-        check_capacity(
+        ph.check_capacity(
             company.bodies.edges.shape[1],
             body.radius,
             (grid.pitch_x, grid.pitch_y),
@@ -414,7 +407,7 @@ def _run_together(
     scratch = make_world_scratch(count)
     room = 1024 + 2 * len(scratch.pair)
     records = Records(
-        np.zeros((len(time), count, STATE_SIZE)),
+        np.zeros((len(time), count, ph.STATE_SIZE)),
         np.zeros((len(time), count), dtype=np.int64),
         np.zeros(room, dtype=np.int64),
         np.zeros((room, 2), dtype=np.int64),

@@ -10,28 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym.physics import types as ph
 from surface_gym.physics.jit import inlined
-from surface_gym.physics.types import (
-    COM_HEIGHT,
-    COM_X,
-    COM_Y,
-    GYRATION,
-    HALF_LENGTH,
-    OMEGA,
-    RADIUS,
-    STATE_SIZE,
-    THETA,
-    VX,
-    VY,
-    Array,
-    Body,
-    Booleans,
-    Grid,
-    Integers,
-    Places,
-    X,
-    Y,
-)
+from surface_gym.physics.types import Array, Body, Booleans, Grid, Integers, Places
 
 # Columns of `SurfaceState.conditions`.
 ALONG_FACTOR, ACROSS_FACTOR, SUPPORT_FACTOR, GRAVITY_ALONG, GRAVITY_NORMAL = range(5)
@@ -169,7 +150,7 @@ def make_parcels(sizes: Sizes) -> ParcelState:
     """Make the arrays for the parcels of a batch, with nothing placed yet."""
     rows = sizes.num_envs * sizes.max_parcels
     return ParcelState(
-        state=np.zeros((rows, STATE_SIZE)),
+        state=np.zeros((rows, ph.STATE_SIZE)),
         truth=np.zeros((rows, 6)),
         sensed=np.zeros((rows, 6)),
         clock=np.zeros(rows),
@@ -227,11 +208,11 @@ def read_body(bodies: BodyTable, body: int) -> Body:
     """Read a row of the body table as the physics of one parcel takes it."""
     return Body(
         bodies.edges[body],
-        bodies.body[body, RADIUS],
-        bodies.body[body, COM_X],
-        bodies.body[body, COM_Y],
-        bodies.body[body, COM_HEIGHT],
-        bodies.body[body, GYRATION],
+        bodies.body[body, ph.RADIUS],
+        bodies.body[body, ph.COM_X],
+        bodies.body[body, ph.COM_Y],
+        bodies.body[body, ph.COM_HEIGHT],
+        bodies.body[body, ph.GYRATION],
     )
 
 
@@ -323,16 +304,16 @@ def read_truth(state: EnvState) -> None:
     """
     com = state.com
     truth = state.truth
-    cosine = math.cos(com[THETA])
-    sine = math.sin(com[THETA])
-    arm_x = cosine * state.body[COM_X] - sine * state.body[COM_Y]
-    arm_y = sine * state.body[COM_X] + cosine * state.body[COM_Y]
-    truth[X] = com[X] - arm_x
-    truth[Y] = com[Y] - arm_y
-    truth[THETA] = com[THETA]
-    truth[VX] = com[VX] + com[OMEGA] * arm_y
-    truth[VY] = com[VY] - com[OMEGA] * arm_x
-    truth[OMEGA] = com[OMEGA]
+    cosine = math.cos(com[ph.THETA])
+    sine = math.sin(com[ph.THETA])
+    arm_x = cosine * state.body[ph.COM_X] - sine * state.body[ph.COM_Y]
+    arm_y = sine * state.body[ph.COM_X] + cosine * state.body[ph.COM_Y]
+    truth[ph.X] = com[ph.X] - arm_x
+    truth[ph.Y] = com[ph.Y] - arm_y
+    truth[ph.THETA] = com[ph.THETA]
+    truth[ph.VX] = com[ph.VX] + com[ph.OMEGA] * arm_y
+    truth[ph.VY] = com[ph.VY] - com[ph.OMEGA] * arm_x
+    truth[ph.OMEGA] = com[ph.OMEGA]
 
 
 @inlined
@@ -349,7 +330,7 @@ def reach_along(state: EnvState, theta: float, nx: float, ny: float) -> float:
     farthest = -1.0
     for k in range(corners.shape[0]):
         farthest = max(farthest, corners[k, 0] * along_x + corners[k, 1] * along_y)
-    return farthest if farthest > 0.0 else state.body[RADIUS]
+    return farthest if farthest > 0.0 else state.body[ph.RADIUS]
 
 
 @inlined
@@ -368,14 +349,14 @@ def zone_end(state: EnvState) -> float:
 @inlined
 def planar_speed(motion: Array) -> float:
     """Return the speed [m/s] of `state.truth` or `state.sensed`."""
-    return math.sqrt(motion[VX] * motion[VX] + motion[VY] * motion[VY])
+    return math.sqrt(motion[ph.VX] * motion[ph.VX] + motion[ph.VY] * motion[ph.VY])
 
 
 @inlined
 def is_slower(state: EnvState, speed: float) -> bool:
     """Return whether every point of the parcel moves slower than a speed [m/s]."""
     truth = state.truth
-    return planar_speed(truth) + abs(truth[OMEGA]) * state.body[HALF_LENGTH] < speed
+    return planar_speed(truth) + abs(truth[ph.OMEGA]) * state.body[ph.HALF_LENGTH] < speed
 
 
 ALL = slice(None)

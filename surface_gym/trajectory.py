@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.physics import rollout
-from surface_gym.physics import types as ty
+from surface_gym.physics import types as ph
 from surface_gym.physics.references import find_support, support_load_by
 from surface_gym.physics.rollout import ContactForces, RecordedSteps
 from surface_gym.physics.types import Array, Integers, Scratch
@@ -204,8 +204,8 @@ class Trajectory:
         """
         run = self._known_run("acceleration")
         turning = np.zeros(len(self.time))
-        turning[1:] = np.diff(run.states[:, ty.OMEGA]) / run.lengths(self.time)[1:]
-        return np.column_stack([run.states[:, ty.AX : ty.AY + 1], turning])
+        turning[1:] = np.diff(run.states[:, ph.OMEGA]) / run.lengths(self.time)[1:]
+        return np.column_stack([run.states[:, ph.AX : ph.AY + 1], turning])
 
     @cached_property
     def energy(self) -> Energy:
@@ -296,7 +296,7 @@ def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
         ValueError: no element is under the parcel in a step, so the states are not those of a run.
     """
     grid, body = run.surface.grid, run.parcel.body
-    scratch = ty.make_scratch()
+    scratch = ph.make_scratch()
     count = np.zeros(len(time), dtype=np.int64)
     first = np.zeros(len(time) + 1, dtype=np.int64)
     steps = RecordedSteps(run.states, run.lengths(time), run.leads(time), first)
@@ -333,7 +333,7 @@ def _load_by_reference(
         state, first = run.states[k - 1], steps.first[k]
         count = find_support(grid, body, state, scratch, float(steps.lead[k])).total
         support_load_by(run.normal_forces, grid, body, state, scratch, count)
-        observed.normal[first : first + count] = ty.table_row(scratch, ty.NORMAL, count)
+        observed.normal[first : first + count] = ph.table_row(scratch, ph.NORMAL, count)
 
 
 def _compute_contacts(run: Run, time: Array) -> ContactRecord:
@@ -350,7 +350,7 @@ def _compute_contacts(run: Run, time: Array) -> ContactRecord:
     place = np.column_stack([surface.x[column], surface.y[row]])
     force = mass * observed.force
     along, across = _along_and_across(surface, observed.element, force)
-    slide = _slip_velocity(run, time, step, place, run.states[:, ty.VX : ty.OMEGA + 1])
+    slide = _slip_velocity(run, time, step, place, run.states[:, ph.VX : ph.OMEGA + 1])
     return ContactRecord(
         step=step,
         time=time[step],
@@ -388,7 +388,7 @@ def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity
     """
     before = run.states[step - 1]
     lead = run.leads(time)[step, np.newaxis]
-    arm = place - (before[:, ty.X : ty.THETA] + lead * before[:, ty.VX : ty.OMEGA])
+    arm = place - (before[:, ph.X : ph.THETA] + lead * before[:, ph.VX : ph.OMEGA])
     vx, vy, omega = velocity[step].T
     return np.column_stack([vx - omega * arm[:, 1], vy + omega * arm[:, 0]])
 
@@ -396,7 +396,7 @@ def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity
 def _compute_energy(run: Run, time: Array, contacts: ContactRecord) -> Energy:
     """Compute the energy of a run from its states (T, 8) and contacts; time is (T,) [s]."""
     surface, parcel = run.surface, run.parcel
-    velocity = run.states[:, ty.VX : ty.OMEGA + 1]
+    velocity = run.states[:, ph.VX : ph.OMEGA + 1]
     mean = np.zeros_like(velocity)
     mean[1:] = 0.5 * (velocity[1:] + velocity[:-1])
     slide = _slip_velocity(run, time, contacts.step, contacts.place, mean)
@@ -414,7 +414,7 @@ def _compute_energy(run: Run, time: Array, contacts: ContactRecord) -> Energy:
 
     return Energy(
         kinetic=0.5 * parcel.mass * (vx**2 + vy**2 + turning),
-        potential=pull * (run.states[0, ty.X] - run.states[:, ty.X]),
+        potential=pull * (run.states[0, ph.X] - run.states[:, ph.X]),
         along=cumulate(np.where(rotor, power_along, 0.0)),
         across=cumulate(np.where(rotor, power_across, 0.0)),
         supports=cumulate(np.where(rotor, 0.0, power_along + power_across)),
@@ -596,7 +596,7 @@ def _run_fields(parts: Parts, rows: int) -> Fields | None:
             f"base_lengths must be those of a {plain['base']}, got {lengths}"
         ) from None
     parcel = Parcel(base, **{name: plain[name] for name in PARCEL}, inertia=plain.get("inertia"))
-    ty.check_capacity(
+    ph.check_capacity(
         len(parcel.body.edges),
         parcel.body.radius,
         (surface.pitch_x, surface.pitch_y),
@@ -610,7 +610,7 @@ def _run_fields(parts: Parts, rows: int) -> Fields | None:
         "normal_forces": checks.one_of(
             "normal_forces", plain["normal_forces"], ("dual", "osqp", "scipy")
         ),
-        "states": _checked_rows("states", parts["states"], (rows, ty.STATE_SIZE)),
+        "states": _checked_rows("states", parts["states"], (rows, ph.STATE_SIZE)),
     }
 
 

@@ -45,7 +45,7 @@ every_seen_id = pytest.mark.parametrize(
     ],
 )
 
-PITCH, ORIGIN = 0.1, 0.05  # [m] between elements of the tasks' plants, and of the first
+PITCH, ORIGIN = 0.1, 0.05  # [m] between elements of the tasks' lines, and of the first
 
 # Choices of the default orientations, by the angle of the axis.
 ROLL, MINUS_45, PLUS_45 = 3, 2, 1

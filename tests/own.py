@@ -20,7 +20,7 @@ class Cross(own.Task):
 
     far: float = 1.0  # [m]
 
-    plant = own.Field(rows=8, columns=20)
+    line = own.Field(rows=8, columns=20)
     features = (own.Feature("to go", -10.0, 10.0, "1 m"), own.Feature("y", -10.0, 10.0, "1 m"))
     terms = ("way", "success")
     outcomes = OUTCOMES
@@ -33,9 +33,7 @@ class Cross(own.Task):
     def start(self, draw: own.Draw) -> own.Start:
         speed = draw.within("speed", own.between(1.0, 2.0, draw.numbers[0]), 0.1, 3.0)
         parcel = draw.parcel(self.parcels[:1], draw.numbers[0])
-        return own.Start(
-            parcel, (0.3, draw.plant.line_y, 0.0), (speed, 0.0, 0.0), (0.3 + self.far,)
-        )
+        return own.Start(parcel, (0.3, draw.line.line_y, 0.0), (speed, 0.0, 0.0), (0.3 + self.far,))
 
     @staticmethod
     @kernel_function

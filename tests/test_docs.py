@@ -2,18 +2,18 @@
 
 import contextlib
 import io
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from surface_gym import pages
-from surface_gym.config import EnvConfig
-from surface_gym.flow.task import FEATURES, TERMS
-from tests.docs.reading import PAGES, blocks_of
+from surface_gym.flow.task import FEATURES, TERMS, Flow
+from tests.docs.reading import PAGES, code_blocks
 
 # Pages that need a package, and the extra that has it.
 NEEDS = {"docs/flow.md": ("pettingzoo", "multi"), "docs/validation.md": ("mujoco", "validation")}
-WITH_CODE = [page for page in PAGES if "python" in dict(blocks_of(page))]
+WITH_CODE = [page for page in PAGES if "python" in dict(code_blocks(page))]
 
 
 @pytest.mark.parametrize("page", WITH_CODE)
@@ -26,7 +26,7 @@ def test_the_code_of_a_page_runs(
         pytest.importorskip(package, reason=f"{package}, of the extra `{extra}`, is missing")
     monkeypatch.chdir(tmp_path)
     names, printed = {"__name__": "__main__"}, ""
-    blocks = blocks_of(page)
+    blocks = code_blocks(page)
     for language, text in blocks:
         if language == "python":
             with contextlib.redirect_stdout(io.StringIO()) as out:
@@ -40,5 +40,5 @@ def test_the_page_of_a_flow_lists_every_feature_term_and_argument() -> None:
     page = pages.flow_page()
     for feature in FEATURES:
         assert f"| {feature.name} |" in page
-    for word in (*TERMS, *EnvConfig.__dataclass_fields__):
+    for word in (*TERMS, *(field.name for field in fields(Flow) if field.init)):
         assert f"| `{word}` |" in page

@@ -50,7 +50,7 @@ class TestPhysics:
         """A conveyor all the way: the frame's pose agrees, the centroid's is what `info` has."""
         env = bare(zone=(29, 29))
         _, info = env.reset(seed=0, options={"parcel": parcel, "speed": 1.2, "side": 1})
-        rotor = env.config.task.plant.site(parcel.base, None).rotor
+        rotor = env.config.task.line.site(parcel.base, None).rotor
         conveyor = sg.Surface(np.full(rotor.shape, math.pi / 2), rotor)
         start = np.array(info["pose"]) - (*parcel.base.centroid, 0.0)
         run = sg.simulate(conveyor, parcel, start, (1.2, 0.0, 0.0), duration=1.0)

@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents.tasks import find_task
+from surface_gym.agents.library import find_task
 from surface_gym.tasks import Sort
 
 ROOT = Path(__file__).parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
-def names_of(example: str) -> dict[str, Any]:
+def run_example(example: str) -> dict[str, Any]:
+    """Return the names that an example defines."""
     return runpy.run_path(str(ROOT / "examples" / f"{example}.py"))
 
 
@@ -33,7 +34,7 @@ def test_it_is_short(example: str, lines: int) -> None:
 
 class TestReach:
     def test_the_goal_is_where_and_how_it_says(self) -> None:
-        env = sg.SmartSurfaceEnv(find_task(f"{ROOT}/examples/reach.py:Reach"), "quadrants")
+        env = sg.SmartSurfaceEnv(find_task(f"{ROOT}/examples/reach.py:Reach"), actions="quadrants")
         observation, info = env.reset(seed=3, options={"heading": 0.3, "parcel": "S"})
         x, y, theta = info["pose"]
         ahead, aside = observation[0], 0.2 * observation[1]
@@ -47,9 +48,9 @@ class TestReach:
         assert info["outcome"] == "passed the point"
 
     def test_a_parcel_sent_straight_at_it_succeeds(self) -> None:
-        """Where the point lies straight ahead and the heading is the parcel's own."""
+        """The point lies straight ahead and the heading is that of the parcel."""
         env = sg.SmartSurfaceEnv(
-            find_task(f"{ROOT}/examples/reach.py:Reach"), "halves", control_period=0.02
+            find_task(f"{ROOT}/examples/reach.py:Reach"), actions="halves", control_period=0.02
         )
         for seed in range(400):
             observation, _ = env.reset(seed=seed, options={"heading": 0.0, "parcel": "S"})
@@ -61,8 +62,8 @@ class TestReach:
         assert info["outcome"] == "success"
 
 
-def test_haste_is_paid_for_success_and_soon() -> None:
-    haste = names_of("haste")["Haste"]()
+def test_haste_rewards_early_success() -> None:
+    haste = run_example("haste")["Haste"]()
     assert isinstance(haste, Sort)
     env = sg.SmartSurfaceEnv(haste, actions="halves")
     env.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
@@ -76,26 +77,26 @@ def test_haste_is_paid_for_success_and_soon() -> None:
 
 class TestRuled:
     def test_its_docstring_runs(self) -> None:
-        names = names_of("ruled")
+        names = run_example("ruled")
         text = doctest.DocTestParser().get_doctest(names["__doc__"], names, "ruled", None, 0)
         assert len(text.examples) > 2
         assert doctest.DocTestRunner().run(text).failed == 0
 
     def test_it_sees_the_nearest_line_and_the_mean_velocity_since(self) -> None:
-        ruled = names_of("ruled")["Ruled"](line=0.02, turn=0.05)
+        ruled = run_example("ruled")["Ruled"](line=0.02, turn=0.05)
         env = sg.SmartSurfaceEnv("sort", actions="quadrants", sensors=ruled)
         env.reset(seed=0, options={"speed": 1.5, "parcel": "B", "side": 1})
-        lane = env.batch.view(0)
-        seen = [lane.sensed.copy()]
+        state = env.batch.view(0)
+        seen = [state.sensed.copy()]
         for action in np.random.default_rng(0).integers(4, size=(12, 4)):
             if env.step(action)[2]:
                 break
             units = np.array([0.02, 0.02, 0.05])
-            nearest = units * np.round(lane.truth[:3] / units)
-            np.testing.assert_allclose(lane.sensed[:3], nearest, atol=1e-12)
-            mean = (lane.sensed[:3] - seen[-1][:3]) / 0.04
-            np.testing.assert_allclose(lane.sensed[3:], mean, atol=1e-9)
-            seen.append(lane.sensed.copy())
+            nearest = units * np.round(state.truth[:3] / units)
+            np.testing.assert_allclose(state.sensed[:3], nearest, atol=1e-12)
+            mean = (state.sensed[:3] - seen[-1][:3]) / 0.04
+            np.testing.assert_allclose(state.sensed[3:], mean, atol=1e-9)
+            seen.append(state.sensed.copy())
         assert len(seen) > 8
 
 
@@ -103,8 +104,8 @@ def test_the_checkered_line_sorts_and_is_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    names_of("checkered")["main"]()
-    told = capsys.readouterr().out.splitlines()
-    assert told[0].startswith("S-box: success after")
-    assert told[1].startswith("B-box: success after")
+    run_example("checkered")["main"]()
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0].startswith("S-box: success after")
+    assert printed[1].startswith("B-box: success after")
     assert (tmp_path / "checkered.png").read_bytes().startswith(b"\x89PNG")

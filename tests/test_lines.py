@@ -1,4 +1,4 @@
-"""The plants: lines as in the paper's Figure 6, and fields of rotors."""
+"""The lines: as in the paper's Figure 6, and fields of rotors."""
 
 import math
 from typing import Any
@@ -80,17 +80,17 @@ OWN = {
 
 @pytest.mark.parametrize("line", OWN.values(), ids=OWN)
 class TestAPlantOfOnesOwn:
-    def test_moves_a_parcel_as_simulate_does(self, plant: BaseLine) -> None:
+    def test_moves_a_parcel_as_simulate_does(self, line: BaseLine) -> None:
         """To the bit, on its pitch, rotors and friction."""
-        env = sg.SmartSurfaceEnv("sort", actions="quadrants", line=plant)
+        env = sg.SmartSurfaceEnv("sort", actions="quadrants", line=line)
         box = sg.layouts.box("B")
         _, info = env.reset(seed=0, options={"speed": 1.6, "parcel": box, "side": 1})
-        site = plant.site(box.base)
+        site = line.site(box.base)
         first_row, rows, first_column, columns = site.zone
-        axis = np.full(site.rotor.shape, plant.orientations[3])
+        axis = np.full(site.rotor.shape, line.orientations[3])
         zone = np.s_[first_row : first_row + rows, first_column : first_column + columns]
-        axis[zone] = plant.orientations[2]
-        surface = plant.surface(axis, site.rotor)
+        axis[zone] = line.orientations[2]
+        surface = line.surface(axis, site.rotor)
         run = sg.simulate(surface, box, info["pose"], info["velocity"], duration=1.0)
         for period in range(1, 25):
             *_, terminated, _, info = env.step([2, 2, 2, 2])
@@ -99,18 +99,18 @@ class TestAPlantOfOnesOwn:
             np.testing.assert_array_equal(info["pose"], run.pose[8 * period])
         assert period > 8
 
-    def test_is_drawn(self, plant: BaseLine) -> None:
-        env = sg.SmartSurfaceEnv("sort", line=plant, render_mode="rgb_array")
+    def test_is_drawn(self, line: BaseLine) -> None:
+        env = sg.SmartSurfaceEnv("sort", line=line, render_mode="rgb_array")
         env.reset(seed=0)
         picture = env.render()
         assert picture is not None
-        width, height = plant.pitch_x * plant.columns, plant.pitch_y * plant.rows
+        width, height = line.pitch_x * line.columns, line.pitch_y * line.rows
         assert (picture.shape[1] > picture.shape[0]) == (width > 1.2 * height)
 
-    def test_every_task_and_sensor_runs_on_it(self, plant: BaseLine) -> None:
+    def test_every_task_and_sensor_runs_on_it(self, line: BaseLine) -> None:
         for name in TASKS:
             for sensor in (Exact(), Camera(), Presence()):
-                env = sg.SmartSurfaceEnv(name, "window", sensor, line=plant)
+                env = sg.SmartSurfaceEnv(name, "window", sensor, line=line)
                 for observation, *_ in steps(env, seed=0, longest=10):
                     assert observation in env.observation_space
 
@@ -118,12 +118,12 @@ class TestAPlantOfOnesOwn:
 def test_a_line_elsewhere_is_the_same_line() -> None:
     """Moved by whole rows and by its origin."""
     ends = []
-    for plant in (Line(), Line(line_y=0.7, origin=(1.05, 0.05))):
-        env = sg.SmartSurfaceEnv("sort", "quadrants", line=plant)
+    for line in (Line(), Line(line_y=0.7, origin=(1.05, 0.05))):
+        env = sg.SmartSurfaceEnv("sort", "quadrants", line=line)
         _, start = env.reset(seed=0, options={"speed": 1.2, "parcel": "B", "side": 0})
         # The rear enters at x = 0, wherever the line begins.
-        ahead = round(start["pose"][0] - plant.column_edge(0), 9)
-        ends.append((ahead, start["pose"][1] - plant.line_y))
+        ahead = round(start["pose"][0] - line.column_edge(0), 9)
+        ends.append((ahead, start["pose"][1] - line.line_y))
     assert ends[0][1] == ends[1][1] == 0.0
 
 

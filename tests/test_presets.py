@@ -235,16 +235,16 @@ def _rotors(
     mirror: int,
 ) -> NDArray[np.float64]:
     """What `observe=("rotors",)` shows: elements under the base, by `Base.functions`."""
-    plant = settings.chosen_line
+    line = settings.chosen_line
     x, y, theta = pose
-    column, row = np.meshgrid(np.arange(plant.columns), np.arange(plant.rows))
-    dx = plant.origin[0] + plant.pitch_x * column - x
-    dy = plant.origin[1] + plant.pitch_y * row - y
+    column, row = np.meshgrid(np.arange(line.columns), np.arange(line.rows))
+    dx = line.origin[0] + line.pitch_x * column - x
+    dy = line.origin[1] + line.pitch_y * row - y
     cosine, sine = math.cos(theta), math.sin(theta)
     own_x = cosine * dx + sine * dy + base.centroid[0]
     own_y = cosine * dy - sine * dx + base.centroid[1]
     under = base.functions(own_x, own_y).max(axis=0) <= 0.0
-    rotor = plant.site(base, settings.zone).rotor
+    rotor = line.site(base, settings.zone).rotor
     shown: list[float] = []
     for quadrant in QUADRANTS:
         along = dx >= 0.0 if "ahead" in quadrant else dx < 0.0

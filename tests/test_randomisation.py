@@ -231,17 +231,17 @@ class TestLateral:
             Randomisation(lateral=0.3).draw_entry(rng, BOX, (0.1, 0.05))
 
     def test_every_lane_starts_on_the_surface(self) -> None:
-        plant = sg.lines.Line(rows=8, line_y=0.4)
+        line = sg.lines.Line(rows=8, line_y=0.4)
         lanes = sg.SmartSurfaceVectorEnv(
-            300, randomisation=Randomisation(lateral=0.2, heading=1.0), line=plant
+            300, randomisation=Randomisation(lateral=0.2, heading=1.0), line=line
         )
-        aside = lanes.reset(seed=0)[1]["pose"][:, 1] - plant.line_y
+        aside = lanes.reset(seed=0)[1]["pose"][:, 1] - line.line_y
         assert 0.35 < np.abs(aside).max() <= 0.4
 
     def test_a_spread_for_which_the_surface_is_too_narrow_is_refused(self) -> None:
-        plant = sg.lines.Line(rows=8, line_y=0.4)
+        line = sg.lines.Line(rows=8, line_y=0.4)
         with pytest.raises(ValueError, match=r"^lateral must be at most a quarter of .*, 0\.2 m"):
-            sg.SmartSurfaceEnv(randomisation=Randomisation(lateral=0.21), line=plant)
+            sg.SmartSurfaceEnv(randomisation=Randomisation(lateral=0.21), line=line)
 
 
 @pytest.mark.parametrize("name", ["mass", "size"])

@@ -70,25 +70,25 @@ def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation
     """Make the environment of a method on a benchmark under a change."""
     period = change.control_period or method.control_period
     task = benchmark.task
-    plant = task.plant
+    line = task.line
     slower = method.control_period / period
     if change.zone_columns is not None:
-        assert isinstance(plant, Line)
-        slower *= time_for(plant, change.zone_columns)
-        plant = with_zone(plant, change.zone_columns)
+        assert isinstance(line, Line)
+        slower *= time_for(line, change.zone_columns)
+        line = with_zone(line, change.zone_columns)
     limit = None if slower == 1.0 else round(task.periods * slower)
     task = replace(task, entry_offset=change.offset, entry_turn=change.turn, time_limit=limit)
-    settings = method.settings(task, change.preset)
-    assumed = replace(settings, control_period=period, line=plant)
-    return Situation(assumed, replace(assumed, line=_with_friction(plant, change)))
+    config = method.config(task, change.preset)
+    assumed = replace(config, control_period=period, line=line)
+    return Situation(assumed, replace(assumed, line=_with_friction(line, change)))
 
 
-def _with_friction(plant: BaseLine, change: Change) -> BaseLine:
+def _with_friction(line: BaseLine, change: Change) -> BaseLine:
     return replace(
-        plant,
-        mu_max=np.multiply(plant.mu_max, change.drag),
-        mu_min=np.multiply(plant.mu_min, change.rolling),
-        mu_support=np.multiply(plant.mu_support, change.rolling),
+        line,
+        mu_max=np.multiply(line.mu_max, change.drag),
+        mu_min=np.multiply(line.mu_min, change.rolling),
+        mu_support=np.multiply(line.mu_support, change.rolling),
     )
 
 
@@ -210,7 +210,7 @@ def can_sweep(methods: Sequence[Method]) -> list[Method]:
 
 def levels_for(method: Method, factor: Factor) -> tuple[Level, ...]:
     """List levels of a factor that a method runs at; none where the factor does not concern it."""
-    if factor.of_lines and not isinstance(find_benchmark(method.task).task.plant, Line):
+    if factor.of_lines and not isinstance(find_benchmark(method.task).task.line, Line):
         return ()
     if method.name != PLANNER:
         return factor.swept
@@ -232,7 +232,7 @@ def compute_factor(
         where = situation(method, benchmark, FACTORS[name].change(level))
         episodes = _run(method, seed, where, starts)
         success.append("".join("1" if each else "0" for each in episodes.success))
-        metric = next(iter(episodes.figures.values()), np.zeros(1))
+        metric = next(iter(episodes.metrics.values()), np.zeros(1))
         errors.append(float(np.median(np.abs(metric))))
     return SweepResult(method.task, method.name, name, seed, starts, list(levels), success, errors)
 
@@ -272,11 +272,8 @@ def compute_sweep(
     """Compute all results, in an order that does not depend on the processes.
 
     Args:
-        methods: that run on any parcel.
         starts: at each level.
-        workers: processes to share the work among, or a cluster.
         folder: results are kept in its robustness.jsonl; those found there are not computed again.
-        advance: called with results done, results in all and the name of the latest.
     """
     file = None if folder is None else folder / FILE
     found = compute_kept(sweep_jobs(methods, starts), SweepResult, workers, file, advance)
@@ -372,6 +369,6 @@ def name_shape(base: Base) -> str:
 @lru_cache(maxsize=16)
 def lab_shapes(task: str, starts: int) -> tuple[str, ...]:
     """Name the shape of each start's parcel, as the lab draws it."""
-    settings = EnvConfig(task=find_benchmark(task).task, preset=PRESETS[LAB])
-    drawn = drawn_parcels(settings, [{}] * starts, SEED)
+    config = EnvConfig(task=find_benchmark(task).task, preset=PRESETS[LAB])
+    drawn = drawn_parcels(config, [{}] * starts, SEED)
     return tuple(name_shape(each.base) for each in drawn)

@@ -86,13 +86,13 @@ def stream_methods() -> list[StreamMethod]:
     return found
 
 
-def _zone(kind: type[WholeZone], settings: EnvConfig) -> WholeZone | None:
-    columns = find_best_zone(kind, settings)
-    return None if columns is None else kind(settings, columns)
+def _zone(kind: type[WholeZone], config: EnvConfig) -> WholeZone | None:
+    columns = find_best_zone(kind, config)
+    return None if columns is None else kind(config, columns)
 
 
-def _learned(settings: EnvConfig) -> Controller:
-    del settings
+def _learned(config: EnvConfig) -> Controller:
+    del config
     return library.load(LEARNED)
 
 
@@ -126,7 +126,7 @@ def stream_result(**plain: Any) -> StreamResult:
 
 def compute_stream(method: StreamMethod, case: Case, load: float) -> StreamResult:
     """Measure a method on one stream."""
-    controller = method.make(method.settings(case, case.ceiling))
+    controller = method.make(method.config(case, case.ceiling))
     capacity = eased = None
     if controller is not None and load == SEARCHED:
         capacity = find_capacity(method, controller, case)
@@ -172,10 +172,7 @@ def compute_streams(
     """Compute all results, in an order that does not depend on the processes.
 
     Args:
-        methods: to compare.
-        workers: processes to share the work among, or a cluster.
         folder: results are kept in its flow.jsonl; those found there are not computed again.
-        advance: called with results done, results in all and the name of the latest.
         loads: [-] of the ceiling, at which rates are measured; None: LOADS.
     """
     file = None if folder is None else folder / FILE
@@ -254,9 +251,9 @@ def bound_of(method: StreamMethod, case: Case) -> float:
 
     The event rule leads each parcel alone; 2 cm stay between them.
     """
-    settings = method.settings(case, case.ceiling)
-    asked = list_asked(settings)
-    gaps = least_gaps(list(find_trajectories(StreamEventRule, settings, asked).ways), MARGIN)
+    config = method.config(case, case.ceiling)
+    asked = list_asked(config)
+    gaps = least_gaps(find_trajectories(StreamEventRule, config, asked).each, MARGIN)
     return packed_rate(gaps, np.ones(len(asked)))
 
 

@@ -18,7 +18,7 @@ from rich.text import Text
 from surface_gym.config import PRESETS
 from surface_gym.tasks.benchmark import PARCELS, Column, SpeedGrid
 
-from ..tasks import task_label
+from ..library import task_label
 from .benchmark import Summaries, Summary, find_benchmark
 from .methods import FIXED
 

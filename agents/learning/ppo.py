@@ -47,7 +47,6 @@ def compute_advantages(
         ended: whether the period was the last of an episode.
         value: of the observation before each period.
         next_value: of the observation after it, in the same episode; 0 after success or failure.
-        gamma: discount factor of a period.
         gae_lambda: weight of the next period's temporal difference.
     """
     delta = rewards + gamma * next_value - value
@@ -77,9 +76,6 @@ def ppo_loss(
         advantage: (samples,) normalised.
         value: (samples,) of the observations, by the value function that learns.
         returns: (samples,) targets of the value.
-        entropy: mean over the samples.
-        ent_coef: weight of the entropy bonus.
-        value_coef: weight of the value loss.
     """
     ratio = (log_prob - old_log_prob).exp()
     clipped = ratio.clamp(1.0 - CLIP_RANGE, 1.0 + CLIP_RANGE)
@@ -127,14 +123,7 @@ def train_learner(
     A run with a checkpoint is resumed. An interrupt saves the policy as it is.
 
     Args:
-        config: of the run.
-        folder: of the run.
-        on_progress: called after each rollout.
-        make_learner: makes the learner.
         make_curve: makes its curve, from the control periods done and the latest episodes.
-
-    Raises:
-        ValueError: the checkpoint is damaged, or of another configuration.
     """
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     started = time.perf_counter()

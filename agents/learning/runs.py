@@ -19,8 +19,7 @@ import yaml
 from surface_gym.files import replacing
 
 from ..base import FLOW_TASK, TRAIN, command_line
-from ..library import DAMAGE, describe_damage
-from ..tasks import task_label
+from ..library import DAMAGE, describe_damage, task_label
 from .config import (
     CONFIGS,
     CPU,
@@ -70,15 +69,7 @@ class StopTraining(Exception):
 
 
 def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
-    """Make a new folder with the resolved configuration and the command.
-
-    Args:
-        config: of the run.
-        arguments: of the command line.
-
-    Raises:
-        ValueError: the folder exists.
-    """
+    """Make a new folder with the resolved configuration and the command."""
     which = f"seed{config.seed}" if config.seeds == 1 else f"{config.seeds}seeds"
     name = (
         config.name
@@ -121,12 +112,8 @@ def read_config(file: Path, task: str | None = None) -> TrainConfig:
     """Read a configuration written by `write_config`, also with earlier names of fields.
 
     Args:
-        file: to read.
         task: that it must be of; None: one of the package, since a file must not say what code is
             run.
-
-    Raises:
-        ValueError: there is no such file, or it holds no configuration, or one of another task.
     """
     if not file.is_file():
         raise ValueError(f"{file.parent} holds no run: {file.name} is missing")
@@ -209,11 +196,7 @@ def write_state(state: dict[str, Any], folder: Path) -> None:
 
 
 def read_state(folder: Path, restore: Callable[[dict[str, Any]], Restored]) -> Restored:
-    """Pass a folder's checkpoint to `restore` and return its result. Runs no code from the file.
-
-    Raises:
-        ValueError: the checkpoint is damaged, or `restore` could not use it.
-    """
+    """Pass a folder's checkpoint to `restore` and return its result. Runs no code from the file."""
     import torch
 
     try:
@@ -228,8 +211,6 @@ class Curve:
     """Learning curve in curve.csv and TensorBoard: means over the latest episodes.
 
     Args:
-        folder: of the run.
-        terms: names of the reward terms.
         steps: control periods done before; later rows in the files are dropped.
         recent: the latest episodes before.
     """

@@ -29,9 +29,9 @@ from surface_gym.randomisation import Randomisation
 from surface_gym.tasks import Task, Track
 
 from ..base import action_mirror, time_for, with_zone
+from ..library import find_task
 from ..parcel_policy import ParcelNetwork
 from ..policy import EqualChoicesPolicy, save_policy
-from ..tasks import find_task
 from ..vec_env import ConcatVecEnv, MirrorVecEnv, SurfaceVecEnv
 from .config import DQNConfig, ParcelsConfig, PPOConfig, TrainConfig, make_card
 from .parcels import CriticFirst, make_parcel_envs, pretrain
@@ -74,7 +74,7 @@ def make_mirrored_envs(config: TrainConfig) -> VecEnv:
 def make_training_envs(config: TrainConfig) -> ConcatVecEnv:
     """Make the environments of a configuration, with actions in the world."""
     by_camera = round(config.camera_share * config.num_envs)
-    exact, other = _conditions(config)
+    exact, other = _presets(config)
     with_exact = config.num_envs - by_camera
     each_zone = with_exact // (2 * len(config.zones)) if config.zones else 0
     shares = [
@@ -85,8 +85,8 @@ def make_training_envs(config: TrainConfig) -> ConcatVecEnv:
     return ConcatVecEnv([_make_envs(config, *share) for share in shares if share[0]])
 
 
-def _conditions(config: TrainConfig) -> tuple[Preset, Preset]:
-    """Return the conditions of the environments with exact sensors, and of the others."""
+def _presets(config: TrainConfig) -> tuple[Preset, Preset]:
+    """Return the presets of the environments with exact sensors, and of the others."""
     exact = PRESETS["exact"]
     if config.preset == "lab":
         lab = PRESETS["lab"]
@@ -97,25 +97,25 @@ def _conditions(config: TrainConfig) -> tuple[Preset, Preset]:
 
 
 def _make_envs(
-    config: TrainConfig, num_envs: int, condition: Preset, columns: int | None
+    config: TrainConfig, num_envs: int, preset: Preset, columns: int | None
 ) -> SurfaceVecEnv:
-    """Make environments under a condition, with a zone of so many columns or the task's own."""
+    """Make environments under a preset, with a zone of so many columns or the task's own."""
     task = training_task(config.task)
-    plant, periods = task.plant, task.periods
+    line, periods = task.line, task.periods
     if columns is not None:
-        assert isinstance(plant, Line)
-        periods = round(periods * time_for(plant, columns))
-        plant = with_zone(plant, columns)
+        assert isinstance(line, Line)
+        periods = round(periods * time_for(line, columns))
+        line = with_zone(line, columns)
     return SurfaceVecEnv(
         SmartSurfaceVectorEnv(
             num_envs=num_envs,
             max_episode_steps=periods,
             task=task,
-            plant=plant,
+            line=line,
             actions=config.actions,
             control_period=config.control_period,
             observe=config.observe,
-            condition=condition,
+            preset=preset,
             autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
         )
     )
@@ -230,11 +230,7 @@ def save_checkpoint(model: PPO | DoubleDQN, recent: list[dict[str, float]], fold
 
 
 def load_checkpoint(model: PPO | DoubleDQN, folder: Path) -> list[dict[str, float]]:
-    """Restore a model from a checkpoint and return the latest episodes.
-
-    Raises:
-        ValueError: the checkpoint is damaged, or of another configuration.
-    """
+    """Restore a model from a checkpoint and return the latest episodes."""
 
     def restore(state: dict[str, Any]) -> list[dict[str, float]]:
         model.policy.load_state_dict(state["policy"])
@@ -304,9 +300,6 @@ def train_sb3(
     """Train PPO or DQN as the configuration says and leave a policy in `folder`.
 
     A run with a checkpoint is resumed. An interrupt saves the policy as it is.
-
-    Raises:
-        ValueError: the checkpoint is damaged, or of another configuration.
     """
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     started = time.perf_counter()

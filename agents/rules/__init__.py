@@ -21,6 +21,8 @@ from .local import PidRule, ThresholdRule
 from .sorting import BestSorting, EventRule, FixedLayout, GradedLayout
 from .steering import SlidingMode, TurningRule
 
+__all__ = ["MORE_RULES", "ROLLING", "RULES", "Rule", "find_rules"]
+
 # The outline: how wide a base is, how round; and what sensors learn of friction and of the load.
 BRAKING = ("parcel", "load")
 # On a field every axis at 90 deg: a parcel rolls straight downhill. A field arranged along a path

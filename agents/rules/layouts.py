@@ -62,11 +62,6 @@ def _run(
 
     Args:
         zone_axis: (rows, columns) [rad] axes of the widest zone; all others roll along x.
-        half_length: [m] of the box.
-        speed: [m/s] at which it enters.
-        line: the line.
-        zone: first and last column that obey; None for the line's own.
-        dt: [s] step.
     """
     base = sg.Rectangle(2.0 * half_length, 2.0 * half_length)
     rotor, (first_row, rows, first, columns) = line.site(base, zone)
@@ -94,9 +89,6 @@ def loss_of_layout(
     that moves straight: one run of the simulator tells what a layout does to every entry speed.
 
     Args:
-        half_length: [m] of the box, a square.
-        line: the line.
-        zone: first and last column that obey; None for the line's own.
         axes: (rows, columns) [rad] axes of the widest zone.
     """
     run = _run(np.array(axes), half_length, FAST, line, zone, FAST_STEP)
@@ -199,10 +191,6 @@ def angle_at_exit(
     it never does.
 
     Args:
-        half_length: [m] of the box, a square.
-        speed: [m/s] at which it enters.
-        line: the line.
-        zone: first and last column that obey; None for the line's own.
         shape: rows of the widest zone, and columns.
         turning: first columns of the zone whose left half is at 45 deg.
     """
@@ -383,7 +371,6 @@ def _mirror(start: Start, across: float) -> Start:
     """Mirror a start in the line's middle, all but its goal.
 
     Args:
-        start: one.
         across: [m] twice the y of the line's middle.
     """
     x, y, theta = start.pose

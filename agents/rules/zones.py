@@ -47,7 +47,6 @@ class WholeZone:
 
     Args:
         config: of the environment, with "modules" for actions and a gate.
-        columns: of the zone.
         alone: whether parcels come one by one, so that none needs to be held at the gate.
 
     Raises:
@@ -57,11 +56,11 @@ class WholeZone:
 
     def __init__(self, config: EnvConfig, columns: int, alone: bool = False) -> None:
         checks.one_of("actions", config.actions, ("modules",))
-        if not config.gate:
+        if not config.stream_task.gate:
             raise ValueError(
                 "gate must be True for a zone that one parcel has at a time, got False"
             )
-        _, self._rows, _, self._obeying = config.zone
+        _, self._rows, _, self._obeying = config.site.zone
         if not 1 <= columns <= self._obeying:
             raise ValueError(f"columns must be between 1 and {self._obeying}, got {columns!r}")
         span = zone_span(config, columns)
@@ -139,7 +138,7 @@ class ArrangedZone(WholeZone):
 
 def zone_span(config: EnvConfig, columns: int) -> tuple[float, float]:
     """Compute the x [m] at which the first columns that obey begin and end."""
-    _, _, first, _ = config.zone
+    _, _, first, _ = config.site.zone
     line = config.chosen_line
     return line.column_edge(first), line.column_edge(first + columns)
 
@@ -151,10 +150,9 @@ def find_best_zone(kind: type[WholeZone], config: EnvConfig) -> int | None:
     The parcels are tried alone on the line, whenever they come and whatever varies.
 
     Args:
-        kind: of zone.
         config: of the environment, with "modules" for actions and a gate.
     """
-    _, _, _, obeying = config.zone
+    _, _, _, obeying = config.site.zone
     rates: dict[int, float] = {}
     for columns in range(1, obeying + 1):
         if rates and columns > min(rates) + LONGER:
@@ -206,9 +204,7 @@ def measure_crossings(
     """Try parcels, each alone on the line, as the sensors see it and with all that varies.
 
     Args:
-        make: the controller, of the configuration it acts in.
         config: of the environment, with a gate; its stream does not matter.
-        asked: the parcels.
         span: [m] of x over which the zone lies.
     """
     each = [one for one in asked for _ in range(TRIES)]

@@ -39,16 +39,11 @@ STOP_TIMEOUT = 5.0  # [s] that the process is given to end
 
 
 class Decider:
-    """A controller, asked about one parcel after the other.
+    """A controller, asked about one parcel after the other."""
 
-    Args:
-        controller: that decides.
-        settings: of the environment that it is for.
-    """
-
-    def __init__(self, controller: Controller, settings: EnvConfig) -> None:
+    def __init__(self, controller: Controller, config: EnvConfig) -> None:
         self._controller = controller
-        self.kind = settings.action_kind
+        self.kind = config.action_kind
         self._state: Any = None
         self._is_first = True
 
@@ -57,11 +52,7 @@ class Decider:
         self._state, self._is_first = None, True
 
     def decide(self, observation: Observation) -> Command:
-        """Return the command for an observation.
-
-        Raises:
-            ValueError: the controller returned no action of its environment.
-        """
+        """Return the command for an observation."""
         action, self._state = self._controller.predict(
             observation[np.newaxis],
             self._state,
@@ -74,15 +65,11 @@ class Decider:
 
 
 class FixedLayouts:
-    """The fixed layout of a task, arranged for each parcel by its observation as it enters.
+    """The fixed layout of a task, arranged for each parcel by its observation as it enters."""
 
-    Args:
-        settings: of the policy's environment.
-    """
-
-    def __init__(self, settings: EnvConfig) -> None:
-        rule = find_rules(settings.task_name)[0]  # the fixed layout comes first
-        own = replace(settings, actions=rule.actions, observe=(), observe_axes=False)
+    def __init__(self, config: EnvConfig) -> None:
+        rule = find_rules(config.task_name)[0]  # the fixed layout comes first
+        own = replace(config, actions=rule.actions, observe=(), observe_axes=False)
         self._decider = Decider(rule.make(own), own)
         self._own = len(own.task.features)
         self._features = len(own.features)
@@ -99,11 +86,11 @@ class FixedLayouts:
         return self._decider.decide(shown)
 
 
-def allowed_angles(settings: EnvConfig) -> tuple[float, ...] | None:
+def allowed_angles(config: EnvConfig) -> tuple[float, ...] | None:
     """Return the axes [rad] that may be sent: those on offer, and the conveyor's; None: any."""
-    if settings.action_kind.continuous:
+    if config.action_kind.continuous:
         return None
-    offered = within_right_angles(np.array(settings.chosen_orientations))
+    offered = within_right_angles(np.array(config.chosen_orientations))
     return (*offered.tolist(), ROLLING)
 
 
@@ -119,9 +106,9 @@ class Bounds:
         return bool(((self.low <= observation) & (observation <= self.high)).all())
 
 
-def observation_bounds(settings: EnvConfig) -> Bounds:
+def observation_bounds(config: EnvConfig) -> Bounds:
     """Return the bounds of an environment's observation."""
-    low, high = np.array([(each.low, each.high) for each in settings.features], np.float32).T
+    low, high = np.array([(each.low, each.high) for each in config.features], np.float32).T
     return Bounds(low, high)
 
 
@@ -152,16 +139,12 @@ class LocalArranger:
 
 
 class ProcessArranger:
-    """Arranges layouts in a process of its own, which ends with this context.
+    """Arranges layouts in a process of its own, which ends with this context."""
 
-    Args:
-        settings: of the policy's environment.
-    """
-
-    def __init__(self, settings: EnvConfig) -> None:
+    def __init__(self, config: EnvConfig) -> None:
         context = get_context("spawn")
         self._here, there = context.Pipe()
-        self._process = context.Process(target=_arrange, args=(settings, there), daemon=True)
+        self._process = context.Process(target=_arrange, args=(config, there), daemon=True)
         self._process.start()
         there.close()
         self._asked = 0
@@ -197,10 +180,10 @@ class ProcessArranger:
         return self._layout
 
 
-def _arrange(settings: EnvConfig, connection: Connection) -> None:
+def _arrange(config: EnvConfig, connection: Connection) -> None:
     """Arrange layouts until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop ends this process
-    layouts = FixedLayouts(settings)
+    layouts = FixedLayouts(config)
     connection.send(0)
     try:
         while True:
@@ -340,14 +323,7 @@ class ControlLoop:
     """Runs a policy on a device.
 
     Args:
-        device: the machine; the loop connects and closes it.
-        estimator: of the parcel's state.
-        policy: that decides.
         fixed: arranges fixed layouts; and the resolver of their commands.
-        limits: of the axes that are sent.
-        bounds: of observations.
-        clock: that of the device's times.
-        config: its times.
     """
 
     def __init__(

@@ -26,7 +26,7 @@ from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
 from surface_gym.sensors import Exact
 from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, RUNNING, EnvState
 
-from ..tasks import find_task
+from ..library import find_task
 from . import protocol
 from .config import SimulatorConfig, WorldOptions, parse_address
 from .controller import AxisLimits, Clock, WallClock
@@ -57,27 +57,26 @@ class World:
     turn no earlier than now. A frame is due as much later as the camera is late.
 
     Args:
-        settings: of the environment that it simulates, but for its actions: axes are set one by
+        env_config: of the environment that it simulates, but for its actions: axes are set one by
             one.
-        seed: of all random numbers.
-        begun: [s] start by the caller's clock.
-        options: of the machine.
 
     Raises:
         ValueError: sensors without frames.
     """
 
-    def __init__(self, settings: EnvConfig, seed: int, begun: float, options: WorldOptions) -> None:
-        self._camera = device_camera(settings.sensors)
-        self.dt = settings.timing.dt
+    def __init__(
+        self, env_config: EnvConfig, seed: int, begun: float, options: WorldOptions
+    ) -> None:
+        self._camera = device_camera(env_config.sensors)
+        self.dt = env_config.timing.dt
         self._every = self._camera.frame_steps(self.dt)
         self._latency = self._camera.latency
         if self._latency is None:
             self._latency = self._every * self.dt
-        self._limit = settings.task.periods * settings.timing.steps
+        self._limit = env_config.task.periods * env_config.timing.steps
         self._batch = Batch(
             replace(
-                settings,
+                env_config,
                 actions="modules",
                 orientations=ANY,
                 control_period=self.dt,
@@ -161,11 +160,11 @@ class World:
         )
 
     def _depart(self, ends: bool) -> Departed:
-        lanes, task = self._batch.parcels, self._batch.task
+        parcels, task = self._batch.parcels, self._batch.task
         self._present = False
         self._enters = self._now + self._options.pause
-        outcome = self._batch.outcomes[int(lanes.outcome[0])] if ends else "out of time"
-        metrics = dict(zip(task.metrics, lanes.metrics[0].tolist(), strict=True))
+        outcome = self._batch.outcomes[int(parcels.outcome[0])] if ends else "out of time"
+        metrics = dict(zip(task.metrics, parcels.metrics[0].tolist(), strict=True))
         return Departed(self._number, outcome, metrics)
 
     def _take_frame(self) -> Frame | None:
@@ -207,7 +206,6 @@ class Server:
     One loop may be connected at a time; a later one takes its place.
 
     Args:
-        world: to serve.
         task: its name.
         listener: a socket that listens, which becomes its own.
     """
@@ -297,32 +295,23 @@ def serve(server: Server, clock: Clock, goes_on: Callable[[], bool]) -> None:
         server.wait(clock.now())
 
 
-def make_settings(config: SimulatorConfig) -> EnvConfig:
-    """Return the configuration of the environment that is simulated.
-
-    Raises:
-        ValueError: there is no such task or preset.
-    """
+def make_env_config(config: SimulatorConfig) -> EnvConfig:
+    """Return the configuration of the environment that is simulated."""
     return EnvConfig(
         task=find_task(config.task),
-        preset=config.condition,
+        preset=config.preset,
         control_period=config.control_period,
     )
 
 
 def run_simulator(config: SimulatorConfig) -> None:
-    """Serve until Ctrl-C, or until the parent process has ended.
-
-    Raises:
-        ValueError: a setting that is not allowed.
-        OSError: the port is taken.
-    """
-    settings = make_settings(config)
+    """Serve until Ctrl-C, or until the parent process has ended."""
+    env_config = make_env_config(config)
     clock = WallClock()
-    world = World(settings, config.seed, clock.now(), config.world)
+    world = World(env_config, config.seed, clock.now(), config.world)
     world.advance(clock.now())  # compile now
     listener = socket.create_server((HOST, config.port))
-    server = Server(world, settings.task.name, listener)
+    server = Server(world, env_config.task.name, listener)
     print(f"{LISTENING}{HOST}:{listener.getsockname()[1]}", flush=True)
     try:
         serve(server, clock, lambda: config.parent in (None, os.getppid()))
@@ -332,10 +321,6 @@ def run_simulator(config: SimulatorConfig) -> None:
 
 class SimulatorProcess:
     """A simulator in a process of its own, which ends with this context.
-
-    Args:
-        arguments: of the simulator's command.
-        log: file for its errors.
 
     Raises:
         ValueError: it does not start.

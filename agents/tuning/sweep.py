@@ -19,7 +19,7 @@ METRICS = ("success", "return")
 SAMPLERS = ("tpe", "random")
 PRUNERS = ("median", "halving", "none")
 OF_THE_SEARCH = ("task", "algo", "device", "seed", "seeds", "steps", "out", "name")
-ROLLOUT = ("lanes", "n_steps", "batch_size")  # which must go together
+ROLLOUT = ("num_envs", "n_steps", "batch_size")  # which must go together
 
 
 @dataclass(frozen=True)
@@ -141,9 +141,6 @@ class Sweep:
 
         Args:
             params: value of each name in `space`, lists for tuples.
-
-        Raises:
-            ValueError: it refuses them.
         """
         chosen: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value
@@ -163,11 +160,6 @@ def read_sweep(file: Path, task: str | None = None) -> Sweep:
 
     Args:
         file: YAML, the fields of `Sweep`.
-        task: custom task that it is of; None: one of the package, since a file must not say what
-            code is run.
-
-    Raises:
-        ValueError: there is no such file, or its content is not understood or not allowed.
     """
     try:
         return _read(yaml.safe_load(file.read_text()), task)

@@ -1,1 +1,5 @@
-"""`python -m benchmarks --device cuda`: what a GPU makes of the same physics."""
+"""`python -m benchmarks --device cuda`: speed of the vector environment on a GPU."""
+
+
+class NotMeasured(RuntimeError):
+    """Error: a measurement of ours failed."""

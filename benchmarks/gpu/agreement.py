@@ -1,4 +1,4 @@
-"""How far lanes on a GPU end from the same lanes on the CPU."""
+"""Differences between episodes on a GPU and the same episodes on the CPU."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,96 +7,97 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-LANES = 10_000
+NUM_ENVS = 10_000
 CLOSE = 1e-8  # [m]
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Two batches that were given the same seeds and actions, over an episode of each lane."""
+    """Differences over an episode of each environment, with equal seeds and actions."""
 
-    lanes: int
-    apart: int  # lanes that end further apart than CLOSE
-    other_outcomes: int  # lanes with another outcome
-    other_lengths: int  # lanes whose episodes have another number of control periods
+    num_envs: int
+    apart: int  # environments that end further apart than CLOSE
+    other_outcomes: int  # environments with another outcome
+    other_lengths: int  # environments whose episodes have another number of control periods
     median: float  # [m] distance between the ends
-    largest: float  # [m] the same, of lanes with equal outcomes
+    largest: float  # [m] the same, of environments with equal outcomes
 
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """How the first episode of each lane ended."""
+    """Ends of the first episode of each environment."""
 
-    place: NDArray[np.float64]  # (lanes, 2) [m]
-    outcome: NDArray[np.str_]  # (lanes,)
-    periods: NDArray[np.int64]  # (lanes,)
+    position: NDArray[np.float64]  # (num_envs, 2) [m]
+    outcome: NDArray[np.str_]  # (num_envs,)
+    periods: NDArray[np.int64]  # (num_envs,)
 
 
-def ends_of(env: Any, actions: NDArray[np.int64], seed: int) -> Ends:
-    """Run the first episode of each lane.
+def run_episodes(env: Any, actions: NDArray[np.int64], seed: int) -> Ends:
+    """Run the first episode of each environment.
 
     Args:
         env: of the CPU or of a device, with autoreset in the next step.
-        actions: (control periods, lanes), of "halves"; no episode is longer.
-        seed: of the first lane.
+        actions: (control periods, num_envs), of "halves"; no episode is longer.
+        seed: of the first environment.
 
     Raises:
         ValueError: an episode has not ended.
     """
-    lanes = env.num_envs
-    place, periods = np.zeros((lanes, 2)), np.zeros(lanes, dtype=np.int64)
-    outcome = np.full(lanes, "", dtype="U40")
+    num_envs = env.num_envs
+    position, periods = np.zeros((num_envs, 2)), np.zeros(num_envs, dtype=np.int64)
+    outcome = np.full(num_envs, "", dtype="U40")
     env.reset(seed=seed)
     for count, row in enumerate(actions, 1):
         given = torch.from_numpy(row).to(env.device) if hasattr(env, "device") else row
         _, _, terminated, truncated, infos = env.step(given)
-        now = (_on_host(terminated) | _on_host(truncated)) & (periods == 0)
-        place[now] = _on_host(infos["pose"])[now, :2]
-        outcome[now] = _names(env, infos["outcome"])[now]
-        periods[now] = count
+        ended = (_to_host(terminated) | _to_host(truncated)) & (periods == 0)
+        position[ended] = _to_host(infos["pose"])[ended, :2]
+        outcome[ended] = _outcome_names(env, infos["outcome"])[ended]
+        periods[ended] = count
         if periods.all():
-            return Ends(place, outcome, periods)
+            return Ends(position, outcome, periods)
     raise ValueError(
         f"actions must be of as many control periods as an episode may have, got {len(actions)}: "
-        f"{int((periods == 0).sum())} lanes have not ended"
+        f"{int((periods == 0).sum())} environments have not ended"
     )
 
 
 def compare(one: Ends, other: Ends) -> Agreement:
-    """How far two runs of the same lanes are apart."""
-    distance = np.hypot(*(one.place - other.place).T)
-    alike = one.outcome == other.outcome
+    """Count the differences between two runs of the same environments."""
+    distance = np.hypot(*(one.position - other.position).T)
+    same = one.outcome == other.outcome
     return Agreement(
         len(distance),
         int((distance > CLOSE).sum()),
-        int((~alike).sum()),
+        int((~same).sum()),
         int((one.periods != other.periods).sum()),
         float(np.median(distance)),
-        float(distance[alike].max(initial=0.0)),
+        float(distance[same].max(initial=0.0)),
     )
 
 
-def agreement_of(device_env: Any, host_env: Any, periods: int, seed: int = 0) -> Agreement:
-    """Give both the same seeds and random actions of "halves".
+def measure_agreement(device_env: Any, host_env: Any, periods: int, seed: int = 0) -> Agreement:
+    """Run both with the same seeds and random actions of "halves", and compare.
 
     Args:
         device_env: of tensors.
-        host_env: of the CPU, with as many lanes.
+        host_env: of the CPU, with as many environments.
         periods: an episode's limit.
-        seed: of the first lane and of the actions.
+        seed: of the first environment and of the actions.
     """
     choices = int(host_env.single_action_space.n)
     rng = np.random.default_rng(seed)
     actions = rng.integers(0, choices, (periods, host_env.num_envs))
-    return compare(ends_of(device_env, actions, seed), ends_of(host_env, actions, seed))
+    return compare(run_episodes(device_env, actions, seed), run_episodes(host_env, actions, seed))
 
 
-def _on_host(values: Any) -> NDArray[Any]:
+def _to_host(values: Any) -> NDArray[Any]:
+    """Return a tensor or an array as an array."""
     numbers: NDArray[Any] = values.cpu().numpy() if torch.is_tensor(values) else values
     return numbers
 
 
-def _names(env: Any, outcomes: Any) -> NDArray[Any]:
-    """Outcomes by name: a device has numbers."""
-    found = _on_host(outcomes)
+def _outcome_names(env: Any, outcomes: Any) -> NDArray[Any]:
+    """Return outcomes by name; those of a device are numbers."""
+    found = _to_host(outcomes)
     return np.array(env.outcomes)[found] if np.issubdtype(found.dtype, np.integer) else found

@@ -1,72 +1,73 @@
-"""What was measured on a GPU, as figures, a table and data."""
+"""Results of the GPU's benchmark, as figures, a table, a plot and data."""
 
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+import numpy as np
 from rich.table import Table
 
 from benchmarks.environments import TASKS
-from benchmarks.figure import Figure, written
+from benchmarks.figure import Figure, format_number
 from benchmarks.gpu.agreement import CLOSE, Agreement
-from benchmarks.gpu.resets import Resets
-from benchmarks.gpu.windows import Rate
+from benchmarks.gpu.timing import Rate, ResetCost
 
-# What the project asks of itself, of a data-centre card and the S-box alone.
+# Requirements, of a data-centre card and the S-box alone.
 SMALL = "Sort, S-box alone"
 LEAST_DECISIONS = 40e6  # [1/s]
 LEAST_OVER_CORE = 150.0
-MOST_OFF = 0.001  # share of the lanes that may end elsewhere, or otherwise
+MOST_APART = 0.001  # share of the environments that may end elsewhere, or otherwise
+DPI = 150  # of the plot
 
 
-def on_gpu(task: str) -> str:
-    """A task's lanes on the GPU, by name."""
+def gpu_name(task: str) -> str:
+    """Return the name of a task's environments on the GPU."""
     return f"{task}, GPU"
 
 
-def on_cpu(task: str, threads: int) -> str:
-    """A task's lanes on the CPU, by name."""
+def cpu_name(task: str, threads: int) -> str:
+    """Return the name of a task's environments on the CPU."""
     return f"{task}, CPU, " + ("one core" if threads == 1 else f"{threads} threads")
 
 
 @dataclass
 class Results:
-    """What was measured so far."""
+    """Results measured so far."""
 
-    machine: str  # GPU, CPU and what drives them
+    machine: str  # GPU, CPU and their software
     rates: list[Rate] = field(default_factory=list)
-    resets: list[Resets] = field(default_factory=list)
+    resets: list[ResetCost] = field(default_factory=list)
     agreement: list[Agreement] = field(default_factory=list)  # one, where it was measured
-    left_out: list[str] = field(default_factory=list)  # of other packages: what, and why
-    failed: list[str] = field(default_factory=list)  # of our own: what, and why
+    left_out: list[str] = field(default_factory=list)  # other packages, with the reason
+    failed: list[str] = field(default_factory=list)  # our own measurements, with the reason
 
     def over_core(self, rate: Rate) -> float | None:
-        """A rate of our lanes over one core's in the same task; None for another's."""
+        """Return the ratio of a rate of ours to one core's in the same task; None for others."""
         for task in TASKS:
-            cores = [each for each in self.rates if each.name == on_cpu(task, 1)]
+            cores = [each for each in self.rates if each.name == cpu_name(task, 1)]
             if cores and rate.name.startswith((f"{task}, GPU", f"{task}, CPU")):
                 return rate.decisions / cores[0].decisions
         return None
 
     def figures(self) -> list[Figure]:
-        """The figures that something is asked of."""
+        """Return the figures that have requirements."""
         figures = []
         for task in TASKS:
-            rates = [rate for rate in self.rates if rate.name == on_gpu(task)]
+            rates = [rate for rate in self.rates if rate.name == gpu_name(task)]
             if not rates:
                 continue
-            best, asked = max(rates, key=lambda rate: rate.decisions), task == SMALL
-            name = f"{task}, {best.lanes:,} lanes, halves, resets included"
+            best, required = max(rates, key=lambda rate: rate.decisions), task == SMALL
+            name = f"{task}, {best.num_envs:,} environments, halves, resets included"
             figures.append(
-                Figure(name, best.decisions, "1/s", least=LEAST_DECISIONS if asked else None)
+                Figure(name, best.decisions, "1/s", least=LEAST_DECISIONS if required else None)
             )
             ratio = self.over_core(best)
             if ratio is not None:
-                least = LEAST_OVER_CORE if asked else None
+                least = LEAST_OVER_CORE if required else None
                 figures.append(Figure(f"{task}, over one core", ratio, "", least=least))
         for agreement in self.agreement:
-            of, most = f"lanes of {agreement.lanes:,}", MOST_OFF * agreement.lanes
+            of, most = f"environments of {agreement.num_envs:,}", MOST_APART * agreement.num_envs
             figures += [
                 Figure(f"{of} that end {CLOSE:g} m and more from the CPU's", agreement.apart, "",
                        most=most),
@@ -78,15 +79,15 @@ class Results:
         return figures
 
     def write(self, file: Path) -> None:
-        """Write all as JSON."""
+        """Write all results as JSON."""
         data = {**asdict(self), "figures": [asdict(figure) for figure in self.figures()]}
         file.write_text(json.dumps(data, indent=1) + "\n")
 
     def table(self) -> Table:
-        """Rates, beside what resets cost."""
-        table = Table("lanes of", title=self.machine)
+        """Make a table of the rates and the cost of resets."""
+        table = Table("program", title=self.machine)
         columns = (
-            "lanes", "decisions/s", "over one core", "episodes/s", "in resets",
+            "environments", "decisions/s", "over one core", "episodes/s", "in resets",
             "starts laid out/s", "reset of all", "first reset",
         )  # fmt: skip
         for column in columns:
@@ -95,18 +96,44 @@ class Results:
             ratio = self.over_core(rate)
             table.add_row(
                 rate.name,
-                f"{rate.lanes:,}",
-                written(rate.decisions),
-                "" if ratio is None else f"{written(ratio)} x",
-                written(rate.episodes) if rate.episodes else "",
+                f"{rate.num_envs:,}",
+                format_number(rate.decisions),
+                "" if ratio is None else f"{format_number(ratio)} x",
+                format_number(rate.episodes) if rate.episodes else "",
                 *_reset_cells(rate, self.resets),
                 f"{rate.first:.3g} s",
             )
         return table
 
 
-def _reset_cells(rate: Rate, resets: Sequence[Resets]) -> tuple[str, str, str]:
+def _reset_cells(rate: Rate, resets: Sequence[ResetCost]) -> tuple[str, str, str]:
+    """Return the cells on the resets of a rate's environments, empty where there are none."""
     for each in resets:
-        if (each.name, each.lanes) == (rate.name, rate.lanes):
-            return f"{100.0 * each.share:.3g} %", written(each.laid_out), f"{each.reset:.3g} s"
+        if (each.name, each.num_envs) == (rate.name, rate.num_envs):
+            starts = format_number(each.starts)
+            return f"{100.0 * each.share:.3g} %", starts, f"{each.reset:.3g} s"
     return "", "", ""
+
+
+def plot_rates(rates: Sequence[Rate], file: Path) -> None:
+    """Plot decisions a second against the number of environments: a line for a program measured
+    with several numbers, a dashed level for one measured once, such as the CPU's.
+    """
+    from matplotlib import colormaps
+    from matplotlib.figure import Figure as Plot
+
+    names = list(dict.fromkeys(rate.name for rate in rates))
+    plot = Plot(figsize=(9.0, 4.4), layout="constrained")
+    axes = plot.subplots()
+    colours = colormaps["viridis"](np.linspace(0.0, 0.92, len(names)))
+    for name, colour in zip(names, colours, strict=True):
+        points = sorted((rate.num_envs, rate.decisions) for rate in rates if rate.name == name)
+        if len(points) == 1:
+            axes.axhline(points[0][1], color=colour, linestyle="--", linewidth=1.0, label=name)
+        else:
+            axes.plot(*zip(*points, strict=True), "o-", color=colour, label=name)
+    axes.set(xscale="log", yscale="log", xlabel="environments", ylabel="decisions a second")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(which="major", color="#dddddd", linewidth=0.6)
+    plot.legend(loc="outside right center", frameon=False)
+    plot.savefig(file, dpi=DPI)

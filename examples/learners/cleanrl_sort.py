@@ -11,7 +11,7 @@ from fresh_starts import Act, run, success
 from gymnasium.vector import AutoresetMode
 from torch import Tensor, nn
 
-LANES, PERIODS, BATCH, EPOCHS = 64, 64, 1024, 5
+NUM_ENVS, PERIODS, BATCH, EPOCHS = 64, 64, 1024, 5
 GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.99, 0.95, 0.2, 0.005, 1e-3
 
 
@@ -23,11 +23,11 @@ def network(inputs: int, outputs: int) -> nn.Sequential:
 
 def learn(steps: int) -> Act:
     """The policy that so many control periods lead to; the learning rate falls to 0 over them."""
-    turns = -(-steps // (LANES * PERIODS))
+    turns = -(-steps // (NUM_ENVS * PERIODS))
     torch.manual_seed(0)
     torch.set_num_threads(1)  # the networks are small
-    mode = AutoresetMode.SAME_STEP  # an ended lane shows its next start at once: no step is lost
-    env = gym.make_vec("SmartSurface/Sort-v0", LANES, actions="halves", autoreset_mode=mode)
+    mode = AutoresetMode.SAME_STEP  # what has ended shows its next start at once: no step is lost
+    env = gym.make_vec("SmartSurface/Sort-v0", NUM_ENVS, actions="halves", autoreset_mode=mode)
     actor, critic = network(15, 16), network(15, 1)
     weights = [*actor.parameters(), *critic.parameters()]
     adam = torch.optim.Adam(weights, RATE, eps=1e-5)
@@ -39,12 +39,12 @@ def learn(steps: int) -> Act:
             for _ in range(PERIODS):
                 odds, value = actor(seen).log_softmax(1), critic(seen)[:, 0]
                 action = odds.exp().multinomial(1)
-                told, paid, terminated, truncated, _ = env.step(action[:, 0].numpy())
+                after_step, paid, terminated, truncated, _ = env.step(action[:, 0].numpy())
                 over = torch.from_numpy(terminated | truncated)
                 reward = torch.from_numpy(paid).float()
                 kept.append((seen, action, odds.gather(1, action), value, reward, over))
-                seen = torch.from_numpy(told)
-            after, gain, gains = critic(seen)[:, 0], torch.zeros(LANES), []
+                seen = torch.from_numpy(after_step)
+            after, gain, gains = critic(seen)[:, 0], torch.zeros(NUM_ENVS), []
             for *_, value, reward, over in reversed(kept):
                 gain = reward - value + GAMMA * ~over * (after + LAMBDA * gain)
                 gains.append(gain)

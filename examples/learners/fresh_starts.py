@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from surface_gym.tasks import Sort
 from surface_gym.tasks.sort import FEATURES
 
-Act = Callable[[NDArray[np.float32]], NDArray[Any]]  # (lanes, features) to (lanes,) of "halves"
+# From observations (num_envs, features) to actions (num_envs,) of "halves".
+Act = Callable[[NDArray[np.float32]], NDArray[Any]]
 
 SIZE = [feature.name for feature in FEATURES].index("size")  # below 0 for the S-box
 STARTS = {"as they come": Sort(), "0.3 to 2.7 m/s evenly": Sort(slow_share=0.0)}
@@ -31,7 +32,7 @@ def run(learn: Callable[[int], Any], measure: Callable[[Any], Any], steps: int, 
         learn: from so many control periods; gives what is measured.
         measure: gives the figures.
         steps: control periods, unless `--steps` says otherwise.
-        used: names of packages whose versions are told.
+        used: names of packages whose versions are reported.
     """
     parser = argparse.ArgumentParser()
     parser.add_argument("--steps", type=int, default=steps, help="control periods to learn from")
@@ -55,22 +56,22 @@ def run(learn: Callable[[int], Any], measure: Callable[[Any], Any], steps: int, 
         asked.keep.write_text(text)
 
 
-def success(act: Act, lanes: int = 2000) -> dict[str, dict[str, float]]:
+def success(act: Act, num_envs: int = 2000) -> dict[str, dict[str, float]]:
     """The share of starts that are sorted: as the environment draws them, and of even speeds.
 
     Args:
         act: decides.
-        lanes: starts of each kind, an episode each.
+        num_envs: starts of each kind, an episode each.
 
     Returns:
         Share by the kind of starts, then by parcel: "S", "B" or "both".
     """
     shares = {}
     for name, task in STARTS.items():
-        env = gym.make_vec("SmartSurface/Sort-v0", num_envs=lanes, task=task, actions="halves")
+        env = gym.make_vec("SmartSurface/Sort-v0", num_envs=num_envs, task=task, actions="halves")
         seen, _ = env.reset(seed=1_000_000)
         small = seen[:, SIZE] < 0.0
-        won, ended = np.zeros((2, lanes), np.bool_)
+        won, ended = np.zeros((2, num_envs), np.bool_)
         while not ended.all():
             seen, _, terminated, truncated, info = env.step(act(seen))
             won |= ~ended & info["is_success"]

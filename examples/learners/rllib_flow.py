@@ -41,11 +41,11 @@ class FlowOfAgents(MultiAgentEnv):
         self.agents = self._flow.agents
         paid = {a: paid[a] - (infos[a].get("outcome") == "jam") for a in paid}
         over = not set(self.agents) & set(action_dict)
-        told: Any = (self._seen, paid, *ends, infos)
+        result: Any = (self._seen, paid, *ends, infos)
         if over:
-            told = tuple({a: each[a] for a in action_dict} for each in told)
-        told[2]["__all__"], told[3]["__all__"] = over, False
-        return told
+            result = tuple({a: each[a] for a in action_dict} for each in result)
+        result[2]["__all__"], result[3]["__all__"] = over, False
+        return result
 
 
 def learn(steps: int) -> Act:

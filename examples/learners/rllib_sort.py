@@ -13,7 +13,7 @@ from fresh_starts import Act, run, success
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 
-ROLLOUT = 64 * 64  # control periods: of 64 lanes, 64 each
+ROLLOUT = 64 * 64  # control periods: of 64 environments, 64 each
 
 
 def ppo(steps: int, rollout: int) -> PPOConfig:
@@ -38,13 +38,13 @@ def ppo(steps: int, rollout: int) -> PPOConfig:
 
 
 def train(config: PPOConfig, steps: int, rollout: int, policy: str) -> Callable[[Any], Any]:
-    """Train, and give the logits of the actions for observations (lanes, features)."""
+    """Train, and give the logits of the actions for observations (num_envs, features)."""
     algo = config.build_algo()
     for turn in range(-(-steps // rollout)):
-        told = algo.train()
+        report = algo.train()
         if turn % 25 == 0:
-            mean = told["env_runners"]["episode_return_mean"]
-            loss = told["learners"][policy]["total_loss"]
+            mean = report["env_runners"]["episode_return_mean"]
+            loss = report["learners"][policy]["total_loss"]
             print(f"{(turn + 1) * rollout:8} periods: return {mean:.2f}, loss {loss:.3f}")
     module: Any = algo.get_module(policy)
     algo.stop()

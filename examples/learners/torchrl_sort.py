@@ -18,7 +18,7 @@ from torchrl.modules import ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-LANES, ROLLOUT, BATCH, EPOCHS, RATE = 64, 64 * 64, 1024, 5, 1e-3
+NUM_ENVS, ROLLOUT, BATCH, EPOCHS, RATE = 64, 64 * 64, 1024, 5, 1e-3
 
 
 def network(inputs: int, outputs: int) -> nn.Sequential:
@@ -31,9 +31,9 @@ def learn(steps: int) -> Act:
     """The policy that so many control periods lead to; the learning rate falls to 0 over them."""
     torch.manual_seed(0)
     torch.set_num_threads(1)  # the networks are small
-    mode = AutoresetMode.DISABLED  # TorchRL resets ended lanes itself
-    lanes = gym.make_vec("SmartSurface/Sort-v0", LANES, actions="halves", autoreset_mode=mode)
-    env = GymWrapper(lanes, categorical_action_encoding=True)
+    mode = AutoresetMode.DISABLED  # TorchRL resets ended environments itself
+    envs = gym.make_vec("SmartSurface/Sort-v0", NUM_ENVS, actions="halves", autoreset_mode=mode)
+    env = GymWrapper(envs, categorical_action_encoding=True)
     env.set_seed(0)
     odds = network(15, 16)
     logits = TensorDictModule(odds, ["observation"], ["logits"])
@@ -57,8 +57,8 @@ def learn(steps: int) -> Act:
             flat = gains(rollout).reshape(-1)
         orders = [torch.randperm(ROLLOUT) for _ in range(EPOCHS)]
         for rows in torch.cat(orders).view(-1, BATCH):
-            told = losses(flat[rows])
-            loss = told["loss_objective"] + told["loss_critic"] + told["loss_entropy"]
+            terms = losses(flat[rows])
+            loss = terms["loss_objective"] + terms["loss_critic"] + terms["loss_entropy"]
             adam.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(losses.parameters(), 0.5)

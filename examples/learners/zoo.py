@@ -17,14 +17,13 @@ from rl_zoo3.train import train
 from stable_baselines3 import PPO
 
 from surface_gym import SmartSurfaceVectorEnv
-from surface_gym.agents.rollout import env_arguments
 from surface_gym.agents.vec_env import SurfaceVecEnv
 
 YAML = Path(__file__).parents[2] / "agents" / "hyperparams" / "ppo.yml"
 
 
-class Lanes(SurfaceVecEnv):
-    """A lane for each single environment that the zoo would make, of the first one's settings."""
+class NativeVecEnv(SurfaceVecEnv):
+    """As many environments as the zoo would make single ones, configured as the first."""
 
     def __init__(self, makers: list[Callable[[], Any]]) -> None:
         single = makers[0]()
@@ -32,7 +31,7 @@ class Lanes(SurfaceVecEnv):
             num_envs=len(makers),
             max_episode_steps=single.spec.max_episode_steps,
             autoreset_mode=AutoresetMode.SAME_STEP,
-            **env_arguments(single.unwrapped.config),
+            **single.unwrapped.config.arguments(),
         )
         single.close()
         super().__init__(env)
@@ -40,7 +39,7 @@ class Lanes(SurfaceVecEnv):
 
 def learn(steps: int) -> Act:
     """The policy that the zoo's command, `python -m rl_zoo3.train`, leaves in its folder."""
-    ExperimentManager.default_vec_env_cls = Lanes  # else as many single environments, one by one
+    ExperimentManager.default_vec_env_cls = NativeVecEnv  # else single environments, one by one
     with TemporaryDirectory() as folder:
         sys.argv = ["train", "--algo", "ppo", "--env", "SmartSurface/Sort-v0"]
         sys.argv += ["--conf-file", str(YAML), "--n-timesteps", str(steps), "--eval-freq", "-1"]

@@ -17,20 +17,13 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym import state as st
 from surface_gym.layouts import ROLLING
 from surface_gym.physics.contacts import bounded
 from surface_gym.physics.jit import inlined
 from surface_gym.physics.step import axis_direction
 from surface_gym.physics.types import RADIUS, THETA, Array, Integers, X, Y
-from surface_gym.state import (
-    COLUMNS,
-    FIRST_COLUMN,
-    FIRST_ROW,
-    ROWS,
-    EnvState,
-    SurfaceState,
-    reach_along,
-)
+from surface_gym.state import EnvState, SurfaceState
 from surface_gym.tasks.base import Feature
 
 WINDOW_SIDE = 5  # modules
@@ -77,9 +70,9 @@ def window_corner(state: EnvState, mirror: float) -> Corner:
 @inlined
 def part_of_modules(acting: Acting, state: EnvState, corner: Corner, row: int, column: int) -> int:
     """Give each module a part of its own. A narrow zone is the middle rows of the widest."""
-    margin = (acting.zone_rows - state.zone[ROWS]) // 2
-    place = margin + row - state.zone[FIRST_ROW]
-    return place * state.zone[COLUMNS] + column - state.zone[FIRST_COLUMN]
+    margin = (acting.zone_rows - state.zone[st.ROWS]) // 2
+    place = margin + row - state.zone[st.FIRST_ROW]
+    return place * state.zone[st.COLUMNS] + column - state.zone[st.FIRST_COLUMN]
 
 
 @inlined
@@ -158,8 +151,8 @@ def turn_axes(acting: Acting, surfaces: SurfaceState, i: int, zone: Integers) ->
     return whether any axis turned.
     """
     turned = False
-    for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
-        for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
+    for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
+        for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
             apart = surfaces.target[i, row, column] - surfaces.angle[i, row, column]
             if apart == 0.0:
                 continue
@@ -273,14 +266,14 @@ def show_window_axes(acting: Acting, state: EnvState, first: int, mirror: float)
 @inlined
 def show_zone_axes(acting: Acting, state: EnvState, first: int, mirror: float) -> None:
     """Write the axes of the zone's modules into the observation from `first` on."""
-    columns = state.zone[COLUMNS]
-    margin = (acting.zone_rows - state.zone[ROWS]) // 2
+    columns = state.zone[st.COLUMNS]
+    margin = (acting.zone_rows - state.zone[st.ROWS]) // 2
     for place in range(acting.zone_rows):
-        down = place - margin if mirror > 0.0 else state.zone[ROWS] - 1 - (place - margin)
-        inside = 0 <= down < state.zone[ROWS]
-        row = state.zone[FIRST_ROW] + down if inside else -1
+        down = place - margin if mirror > 0.0 else state.zone[st.ROWS] - 1 - (place - margin)
+        inside = 0 <= down < state.zone[st.ROWS]
+        row = state.zone[st.FIRST_ROW] + down if inside else -1
         for along in range(columns):
-            column = state.zone[FIRST_COLUMN] + along
+            column = state.zone[st.FIRST_COLUMN] + along
             _show_axis(state, row, column, first + AXIS_SIZE * (place * columns + along), mirror)
 
 
@@ -315,8 +308,8 @@ LOAD_FEATURES = (
 @inlined
 def show_parcel(acting: Acting, state: EnvState, first: int, mirror: float) -> None:
     """Write `PARCEL_FEATURES` into the observation from `first` on."""
-    front, rear = reach_along(state, 0.0, 1.0, 0.0), reach_along(state, 0.0, -1.0, 0.0)
-    left, right = reach_along(state, 0.0, 0.0, 1.0), reach_along(state, 0.0, 0.0, -1.0)
+    front, rear = st.reach_along(state, 0.0, 1.0, 0.0), st.reach_along(state, 0.0, -1.0, 0.0)
+    left, right = st.reach_along(state, 0.0, 0.0, 1.0), st.reach_along(state, 0.0, 0.0, -1.0)
     corners = state.corners
     last = corners.shape[0] - 1
     twice = 0.0  # the area

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 
+from surface_gym import state as st
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import (
     CONVEYOR,
@@ -33,14 +34,7 @@ from surface_gym.flow.task import StreamTask
 from surface_gym.physics.step import axis_directions
 from surface_gym.physics.types import Integers, Scratch, make_scratch
 from surface_gym.sensors.base import Sensor
-from surface_gym.state import (
-    COMMON_OUTCOMES,
-    ParcelState,
-    Sizes,
-    SurfaceState,
-    make_parcels,
-    make_surfaces,
-)
+from surface_gym.state import ParcelState, SurfaceState
 from surface_gym.tasks.base import Task
 
 FEWEST = 4  # lanes that a thread is worth its while for
@@ -178,7 +172,7 @@ def compiled_function(owner: Any, name: str, kind: type[Any]) -> Function:
     return function
 
 
-def make_rules(config: EnvConfig) -> EnvParams:
+def make_env_params(config: EnvConfig) -> EnvParams:
     """Collect the numbers that all environments of a batch have in common."""
     line, timing, kind = config.chosen_line, config.timing, config.action_kind
     features = len(config.task.features)
@@ -196,7 +190,7 @@ def make_rules(config: EnvConfig) -> EnvParams:
         sensor=np.array(config.sensors.numbers(timing.dt), dtype=np.float64),
         features=features,
         axes_from=features + kind.window_size,
-        outcomes=len(COMMON_OUTCOMES) + len(config.task.outcomes),
+        outcomes=len(st.COMMON_OUTCOMES) + len(config.task.outcomes),
     )
 
 
@@ -204,7 +198,7 @@ def make_state(config: EnvConfig, num_envs: int) -> tuple[SurfaceState, ParcelSt
     """Make the memory of surfaces and parcels, every axis the conveyor's."""
     task, line, kind = config.task, config.chosen_line, config.action_kind
     stream = isinstance(task, StreamTask)
-    sizes = Sizes(
+    sizes = st.Sizes(
         num_envs=num_envs,
         rows=line.rows,
         columns=line.columns,
@@ -222,10 +216,10 @@ def make_state(config: EnvConfig, num_envs: int) -> tuple[SurfaceState, ParcelSt
         stiffness=config.randomisation.stiffness > 0.0,
         max_parcels=task.rows if stream else 1,
     )
-    surfaces = make_surfaces(sizes)
+    surfaces = st.make_surfaces(sizes)
     surfaces.direction[:] = CONVEYOR
     if sizes.choices and not sizes.turning:  # axes count the orientations on offer
         angles = np.array(config.chosen_orientations)
         surfaces.direction[0, :-1] = axis_directions(angles)
         surfaces.axis[:] = len(angles)
-    return surfaces, make_parcels(sizes)
+    return surfaces, st.make_parcels(sizes)

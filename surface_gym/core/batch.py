@@ -10,7 +10,7 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from surface_gym.config import EnvConfig
-from surface_gym.core.assembly import FEWEST, Workers, make_rules, make_state, task_functions
+from surface_gym.core.assembly import FEWEST, Workers, make_env_params, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, make_kernel
 from surface_gym.core.resets import (
     BodyPlan,
@@ -90,7 +90,7 @@ class BaseBatch(ABC):
 
     parcels: ParcelState  # state of every parcel
     surfaces: SurfaceState  # state of every surface
-    rules: EnvParams  # what all environments have in common
+    params: EnvParams  # what all environments have in common
     rows: int = 1  # of each environment in `parcels`
 
     def __init__(
@@ -109,7 +109,7 @@ class BaseBatch(ABC):
         self._all = np.arange(num_envs)
         self._limit = max_episode_steps
         self._steps_left = np.zeros(num_envs, dtype=np.int64)
-        self.rules = make_rules(config)
+        self.params = make_env_params(config)
         self.surfaces, self.parcels = make_state(config, num_envs)
 
     def _build(self, steps: int, make_scratch: Callable[[], Any]) -> None:
@@ -346,7 +346,7 @@ class BaseBatch(ABC):
             row: of a stream, the parcel's row of the table.
         """
         place = env_index * self.rows + row
-        elements = self.rules.elements
+        elements = self.params.elements
         seen: EnvState = env_state.py_func(
             self.surfaces, self.parcels, self.bodies, env_index, place, elements
         )
@@ -423,7 +423,7 @@ class Batch(BaseBatch):
 
     @property
     def _arrays(self) -> tuple[EnvParams, SurfaceState, ParcelState, BodyTable]:
-        return self.rules, self.surfaces, self.parcels, self.bodies
+        return self.params, self.surfaces, self.parcels, self.bodies
 
     def _make_kernel(self) -> Any:
         return make_kernel(task_functions(self.config))
@@ -580,7 +580,7 @@ class Batch(BaseBatch):
 
 @compiled
 def map_normal_forces(
-    rules: EnvParams,
+    params: EnvParams,
     surfaces: SurfaceState,
     parcels: ParcelState,
     bodies: BodyTable,
@@ -591,13 +591,13 @@ def map_normal_forces(
     columns); 0 where there is none.
     """
     table = scratch.table
-    elements = rules.elements
+    elements = params.elements
     for i in range(parcels.clock.shape[0]):
         for row in range(loads.shape[1]):
             for column in range(loads.shape[2]):
                 loads[i, row, column] = 0.0
         row = parcels.body[i]
-        grid = read_grid(surfaces, bodies, i, row, elements, rules.friction)
+        grid = read_grid(surfaces, bodies, i, row, elements, params.friction)
         body = read_body(bodies, row)
         state = parcels.state[i]
         invalidate_contacts(scratch)

@@ -9,35 +9,14 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
+from surface_gym import state as st
 from surface_gym.core.actions import Acting, FeatureGroup, window_corner
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.jit import compiled, inlined
 from surface_gym.physics.step import OFF_SURFACE, step_implicit
 from surface_gym.physics.types import Array, Integers, Scratch
 from surface_gym.sensors.base import Physics
-from surface_gym.state import (
-    BAD_OBSERVATION,
-    BAD_REWARD,
-    COLUMNS,
-    FIRST_COLUMN,
-    FIRST_ROW,
-    NO_FAULT,
-    OUT_OF_TIME,
-    ROWS,
-    RUNNING,
-    STARTING,
-    UNKNOWN_OUTCOME,
-    BodyTable,
-    EnvState,
-    Geometry,
-    ParcelState,
-    SurfaceState,
-    Timing,
-    env_state,
-    read_body,
-    read_grid,
-    read_truth,
-)
+from surface_gym.state import BodyTable, EnvState, Geometry, ParcelState, SurfaceState, Timing
 
 Function = Callable[..., Any]
 
@@ -100,8 +79,8 @@ def obeying(part_of: Function, obey: Function) -> Any:
     ) -> None:
         corner = window_corner(state, mirror)
         zone = state.zone
-        for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
-            for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
+        for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
+            for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
                 part = part_of(params.acting, state, corner, row, column)
                 if part >= 0 and state.obeys[row, column]:
                     obey(params.acting, surfaces, i, row, column, part)
@@ -159,31 +138,31 @@ def make_kernel(functions: KernelFunctions) -> Any:
         dt = params.timing.dt
         physics = Physics(params.assumed, params.stiffness, sensor_scratch, dt)
         for i in chosen:
-            if parcels.outcome[i] == STARTING:
+            if parcels.outcome[i] == st.STARTING:
                 straighten(params.acting, surfaces, i)
                 parcels.clock[i] = 0.0
                 parcels.steps[i] = 0
-            elif parcels.outcome[i] != RUNNING:
+            elif parcels.outcome[i] != st.RUNNING:
                 continue
-            parcels.fault[i] = NO_FAULT
+            parcels.fault[i] = st.NO_FAULT
             parcels.period[i] = 0.0
             parcels.on_rotors[i] = True
             parcels.on_surface[i] = True
-            state = env_state(surfaces, parcels, bodies, i, i, params.elements)
+            state = st.env_state(surfaces, parcels, bodies, i, i, params.elements)
             mirror = task_mirror(state)
-            if parcels.outcome[i] == STARTING:
-                parcels.outcome[i] = RUNNING
+            if parcels.outcome[i] == st.STARTING:
+                parcels.outcome[i] = st.RUNNING
                 parcels.reward[i] = 0.0
                 for k in range(state.terms.shape[0]):
                     state.terms[k] = 0.0
-                read_truth(state)
+                st.read_truth(state)
                 sensor_begin(params.sensor, state)
                 task_begin(state)
             else:
                 obey_command(params, surfaces, state, i, mirror)
                 row = parcels.body[i]
-                grid = read_grid(surfaces, bodies, i, row, params.elements, params.friction)
-                body = read_body(bodies, row)
+                grid = st.read_grid(surfaces, bodies, i, row, params.elements, params.friction)
+                body = st.read_body(bodies, row)
                 start = parcels.clock[i]
                 invalidate_contacts(scratch)
                 invalidate_contacts(sensor_scratch)
@@ -199,15 +178,15 @@ def make_kernel(functions: KernelFunctions) -> Any:
                         parcels.steps[i] += 1
                         parcels.period[i] = parcels.clock[i] - start
                         parcels.on_rotors[i] = contacts.total > contacts.supports
-                    state = env_state(surfaces, parcels, bodies, i, i, params.elements)
+                    state = st.env_state(surfaces, parcels, bodies, i, i, params.elements)
                     if not on_surface:
                         break
                     if watches:
-                        read_truth(state)
+                        st.read_truth(state)
                         sensor_update(params.sensor, state, physics)
                     if task_is_done(state):
                         break
-                read_truth(state)
+                st.read_truth(state)
                 outcome = task_outcome(state)
                 task_reward(state, outcome)
                 parcels.outcome[i] = outcome
@@ -216,16 +195,16 @@ def make_kernel(functions: KernelFunctions) -> Any:
                     reward += state.terms[k]
                 parcels.reward[i] = reward
                 if not math.isfinite(reward):
-                    parcels.fault[i] = BAD_REWARD
-                if not 0 <= outcome < params.outcomes or outcome == OUT_OF_TIME:
-                    parcels.fault[i] = UNKNOWN_OUTCOME
+                    parcels.fault[i] = st.BAD_REWARD
+                if not 0 <= outcome < params.outcomes or outcome == st.OUT_OF_TIME:
+                    parcels.fault[i] = st.UNKNOWN_OUTCOME
             sensor_read(params.sensor, state)
             task_observe(state)
             show_more(params, state, mirror)
             for k in range(state.observation.shape[0]):
                 if not math.isfinite(state.observation[k]):
-                    parcels.fault[i] = BAD_OBSERVATION
-            faults += parcels.fault[i] != NO_FAULT
+                    parcels.fault[i] = st.BAD_OBSERVATION
+            faults += parcels.fault[i] != st.NO_FAULT
         return faults
 
     return compiled(step_envs, functions.label)

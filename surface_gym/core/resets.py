@@ -10,19 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym import state as st
 from surface_gym.config import EnvConfig
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Parcel
 from surface_gym.physics.step import com_states, map_floats
 from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
-from surface_gym.state import (
-    GRAVITY_ALONG,
-    GRAVITY_NORMAL,
-    NOISE_ROWS,
-    PATH_POINTS,
-    BodyTable,
-    ParcelState,
-)
+from surface_gym.state import BodyTable, ParcelState
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.start import Draw, Parcels, Start
 
@@ -30,8 +24,8 @@ from surface_gym.tasks.start import Draw, Parcels, Start
 def draw_noise(parcels: ParcelState, row: int, generator: np.random.Generator) -> None:
     """Draw noise, three standard normals and a uniform a row, for a row of `parcels`."""
     noise = parcels.noise[row]
-    noise[:, :3] = generator.standard_normal((NOISE_ROWS, 3))
-    noise[:, 3] = generator.random(NOISE_ROWS)
+    noise[:, :3] = generator.standard_normal((st.NOISE_ROWS, 3))
+    noise[:, 3] = generator.random(st.NOISE_ROWS)
     parcels.noise_row[row] = 0
 
 
@@ -67,7 +61,7 @@ class Placement(NamedTuple):
 @lru_cache(maxsize=64)
 def place_parcel(
     parcel: Parcel,
-    plant: BaseLine,
+    line: BaseLine,
     zone: tuple[int, int] | None,
     stuck: tuple[tuple[int, int], ...] = (),
 ) -> Placement:
@@ -75,14 +69,14 @@ def place_parcel(
 
     Args:
         parcel: of any base.
-        plant: where it runs.
-        zone: first and last column that obey; None for the plant's own.
+        line: where it runs.
+        zone: first and last column that obey; None for the line's own.
         stuck: (row, column) of modules that do not obey.
 
     Raises:
-        ValueError: the parcel does not fit the plant.
+        ValueError: the parcel does not fit the line.
     """
-    placed = plant.site(parcel.base, zone)
+    placed = line.site(parcel.base, zone)
     first_row, rows, first_column, columns = placed.zone
     obeys = np.zeros_like(placed.rotor)
     obeys[first_row : first_row + rows, first_column : first_column + columns] = True
@@ -115,7 +109,7 @@ def place_in(settings: EnvConfig, parcel: Parcel) -> Placement:
     """Place a parcel in an environment.
 
     Raises:
-        ValueError: the parcel does not fit the plant.
+        ValueError: the parcel does not fit the line.
     """
     stuck = tuple(settings.actuators.stuck)
     return place_parcel(parcel, settings.chosen_line, settings.zone, stuck)
@@ -145,7 +139,7 @@ class BodyPlan:
         parcels: that the task draws.
         place: the placement of a parcel.
         lanes: their number.
-        shape: (rows, columns) of the plant.
+        shape: (rows, columns) of the line.
     """
 
     def __init__(
@@ -294,8 +288,8 @@ def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> 
     velocity = _columns(task, "velocity", start.velocity, 3, count)
     _check_physical(task, "velocity", velocity, (checks.SPEED, checks.SPEED, checks.SPIN))
     conditions = np.ones((count, 5))
-    conditions[:, GRAVITY_ALONG] = GRAVITY * map_floats(math.sin, start.tilt)
-    conditions[:, GRAVITY_NORMAL] = GRAVITY * map_floats(math.cos, start.tilt)
+    conditions[:, st.GRAVITY_ALONG] = GRAVITY * map_floats(math.sin, start.tilt)
+    conditions[:, st.GRAVITY_NORMAL] = GRAVITY * map_floats(math.cos, start.tilt)
     goal = _columns(task, "goal", start.goal, task.goals, count)
     state = com_states(parcels.of(lambda parcel: parcel.centre_of_mass), pose, velocity)
     return StartRows(bodies, state, conditions, goal)
@@ -331,9 +325,9 @@ def _check_physical(task: Task, name: str, columns: Array, most: tuple[float, ..
 def start_paths(task: Task, start: Start, count: int) -> Array:
     """Return the path (PATH_POINTS,) or (count, PATH_POINTS) of a start, or raise an error."""
     path = start.path
-    if path is None or path.shape not in ((PATH_POINTS,), (count, PATH_POINTS)):
+    if path is None or path.shape not in ((st.PATH_POINTS,), (count, st.PATH_POINTS)):
         raise ValueError(
-            f"{type(task).__name__}.start must give a path of {PATH_POINTS} points, "
+            f"{type(task).__name__}.start must give a path of {st.PATH_POINTS} points, "
             f"got {None if path is None else path.shape}"
         )
     return path

@@ -1,1 +1,24 @@
-"""The batch on a GPU, from the same source, compiled for another machine. Experimental."""
+"""Batches of environments on a GPU, compiled from the CPU's source. Experimental."""
+
+from importlib.util import find_spec
+
+EXTRA = 'pip install "surface_gym[gpu]"'
+
+
+class DeviceMissing(RuntimeError):
+    """Error: there is no GPU to run on, or a library to use it is missing."""
+
+
+def check_device() -> None:
+    """Raise DeviceMissing where there is no GPU, or a library to use it is not installed."""
+    for module in ("torch", "numba_cuda"):
+        if find_spec(module) is None:
+            raise DeviceMissing(f"device='cuda' needs {module}, which is not installed: {EXTRA}")
+    import torch
+    from numba import cuda
+
+    if not torch.cuda.is_available():
+        why = "was built without CUDA" if torch.version.cuda is None else "finds none"
+        raise DeviceMissing(f"device='cuda' needs an NVIDIA GPU; torch {torch.__version__} {why}")
+    if not cuda.is_available():
+        raise DeviceMissing("device='cuda' needs an NVIDIA GPU that Numba can use; it finds none")

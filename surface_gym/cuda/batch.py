@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from surface_gym.config import EnvConfig
-from surface_gym.core.assembly import make_rules
+from surface_gym.core.assembly import make_env_params
 from surface_gym.core.resets import (
     BodyPlan,
     StartRows,
@@ -21,47 +21,48 @@ from surface_gym.core.resets import (
 )
 from surface_gym.cuda.kernels import (
     Launch,
-    make_scratch,
-    move_flow_kernel,
-    move_kernel,
-    place,
+    make_stream_scratch,
+    place_starts,
+    step_kernel,
     stream_capacity,
+    stream_step_kernel,
 )
-from surface_gym.cuda.memory import make_memory, sent, side_by_side, to_device
+from surface_gym.cuda.memory import interleave, make_device_state, send, to_device
 from surface_gym.cuda.prefetch import Prefetch
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import ENTERED, RIGHT, TOUCHES, TURNS, WRONG
 from surface_gym.physics.types import Array, Integers
 from surface_gym.state import COMMON_OUTCOMES, NO_FAULT, OUT_OF_TIME, PATH_POINTS, RUNNING, SUCCESS
 
+Tensors = dict[str, torch.Tensor]
 
-class CudaEnvs(ABC):
-    """Environments on a device that are started, stepped and observed; all arrays are tensors on
-    it.
+
+class BaseCudaBatch(ABC):
+    """Environments on a device: placed, stepped and observed; all arrays are tensors on it.
 
     Args:
-        lanes: their number.
+        num_envs: number of environments.
         device: where they are.
     """
 
-    outcomes: tuple[str, ...]  # how an episode may stand
+    outcomes: tuple[str, ...]  # by the numbers of `outcome`
     options: tuple[str, ...]  # what `reset(options=...)` may fix
-    author: str  # whose functions may have gone wrong
-    _surfaces: Any  # as `Surfaces`, of tensors
-    _episodes: Any  # what holds outcome, reward and fault of each lane, of tensors
-    _move: Launch  # of what the mask says, in the order
+    author: str  # the class named where a compiled function makes an error
+    _surfaces: Any  # as `SurfaceState`, of tensors
+    _episodes: Any  # has outcome, reward and fault of each environment, as tensors
+    _step: Launch  # of the environments in `_mask`, in the order of `_order`
 
-    def __init__(self, lanes: int, device: torch.device) -> None:
+    def __init__(self, num_envs: int, device: torch.device) -> None:
         self._device = device
-        # (lanes,) what a function was the first to do wrong
-        self.first_fault = torch.zeros(lanes, dtype=torch.int64, device=device)
-        # What kernels read of each call: (lanes,) which lane a thread is for, and who is meant.
-        self._order = torch.arange(lanes, device=device)
-        self._mask = torch.zeros(lanes, dtype=torch.bool, device=device)
+        # (num_envs,) the first fault that a compiled function made
+        self.first_fault = torch.zeros(num_envs, dtype=torch.int64, device=device)
+        # What kernels read: (num_envs,) the environment of each thread, and which to step.
+        self._order = torch.arange(num_envs, device=device)
+        self._mask = torch.zeros(num_envs, dtype=torch.bool, device=device)
 
     @property
     def command(self) -> torch.Tensor:
-        """Return the commands (num_envs, command size), to write before a move."""
+        """Return the commands (num_envs, command size), to write before a step."""
         command: torch.Tensor = self._surfaces.command
         return command
 
@@ -77,17 +78,17 @@ class CudaEnvs(ABC):
         reward: torch.Tensor = self._episodes.reward
         return reward
 
-    def move(self, mask: torch.Tensor) -> None:
+    def step(self, mask: torch.Tensor) -> None:
         """Step the environments in the mask (num_envs,) by one control period, or begin those
         placed.
         """
         self._mask.copy_(mask)
-        self._move()
+        self._step()
         fault = torch.where(mask, self._episodes.fault, NO_FAULT)
         torch.where(self.first_fault == NO_FAULT, fault, self.first_fault, out=self.first_fault)
 
     def truncate(self, late: torch.Tensor) -> None:
-        """End the episodes that still run of the environments in the mask (lanes,)."""
+        """End the running episodes of the environments in the mask (num_envs,)."""
         outcome = self.outcome
         outcome.masked_fill_(late & (outcome == RUNNING), OUT_OF_TIME)
 
@@ -97,142 +98,146 @@ class CudaEnvs(ABC):
         """Return the observations (num_envs, ...)."""
 
     @abstractmethod
-    def told(self) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
-        """Return copies of the infos, (num_envs, ...) by name, and the terms of the reward."""
+    def infos(self) -> tuple[Tensors, Tensors]:
+        """Return copies of the infos (num_envs, ...) and of the reward's terms (num_envs,), by
+        name.
+        """
 
     @abstractmethod
-    def is_seeded(self, lane: int) -> bool:
+    def is_seeded(self, env_index: int) -> bool:
         """Return whether an environment has a generator."""
 
     @abstractmethod
     def check(self, options: Sequence[dict[str, Any]]) -> None:
-        """Raise what `start` would for options of as many environments, and draw nothing."""
+        """Raise the errors of a reset with options, each of one environment; draw nothing."""
 
     @abstractmethod
-    def start(
+    def place_drawn(
         self,
         generators: Mapping[int, np.random.Generator],
         chosen: Integers,
         options: Sequence[dict[str, Any]],
     ) -> None:
-        """Put the next start on some environments; `move` begins it.
+        """Put the next start into some environments; `step` begins it.
 
         Args:
-            generators: that some lanes, by their number, draw their starts from anew.
-            chosen: (count,) the lanes, all of which have a generator.
-            options: of each of these; none at all: none has any.
+            generators: new ones, by the index of their environment.
+            chosen: (count,) the environments, all of which have a generator.
+            options: of each of these, or empty.
         """
 
     @abstractmethod
-    def place(self, mask: torch.Tensor) -> None:
-        """Put the next start on each environment in the mask (num_envs,); `move` begins it."""
+    def place_next(self, mask: torch.Tensor) -> None:
+        """Put the next start into each environment in the mask (num_envs,); `step` begins it."""
 
-    @abstractmethod
-    def follow(self) -> None:
+    def prepare_starts(self) -> None:
         """Prepare later starts; called after every control period."""
+        return
 
-    @abstractmethod
     def close(self) -> None:
-        """Release what is held."""
+        """End the threads of the host."""
+        return
 
 
-GROUPED_EVERY = 8  # control periods
+SORT_EVERY = 8  # control periods
 
 
-class CudaBatch(CudaEnvs):
+class CudaBatch(BaseCudaBatch):
     """The environments of `core.batch.Batch` on a device.
 
     Kernels are compiled when they are first called, which takes tens of seconds.
 
     Args:
-        settings: of the environment, which `needs.check_settings` has passed.
-        lanes: their number.
+        config: of each environment, which `env.check_config` accepts.
+        num_envs: number of environments.
         device: where they are.
 
     Raises:
         ValueError: the task or the sensor lacks a compiled function.
     """
 
-    def __init__(self, settings: EnvConfig, lanes: int, device: torch.device) -> None:
-        super().__init__(lanes, device)
-        self._settings = settings
-        self._task = settings.task
+    def __init__(self, config: EnvConfig, num_envs: int, device: torch.device) -> None:
+        super().__init__(num_envs, device)
+        self._config = config
+        self._task = config.task
         self.outcomes = COMMON_OUTCOMES + self._task.outcomes
         self.options = self._task.options
         self.author = type(self._task).__name__
-        plant = settings.chosen_line
+        line = config.chosen_line
         self._plan = BodyPlan(
-            self._task.parcels, partial(place_in, settings), 1, (plant.rows, plant.columns)
+            self._task.parcels, partial(place_in, config), 1, (line.rows, line.columns)
         )
-        self._rules = to_device(make_rules(settings), device)
-        self._sites = to_device(self._plan.bodies, device)
-        self._lanes: Any  # as `Lanes`, of tensors
-        self._surfaces, self._lanes = make_memory(settings, lanes, device)
-        self._episodes = self._lanes
-        self.supply = Prefetch(self._task, self._lay_out, lanes, device)
+        self._sizes = torch.from_numpy(self._plan.sizes).to(device)  # (bodies, 4) of the parcels
+        params = to_device(make_env_params(config), device)
+        self._bodies = to_device(self._plan.bodies, device)
+        self._parcels: Any  # as `ParcelState`, of tensors
+        self._surfaces, self._parcels = make_device_state(config, num_envs, device)
+        self._episodes = self._parcels
+        self.prefetch = Prefetch(self._task, self._make_rows, num_envs, device)
         self._periods = 0
-        # What kernels are called with never changes but in its content.
-        memory = (self._rules, self._surfaces, self._lanes, self._sites)
-        supply = self.supply
-        held = (self._surfaces, self._lanes, supply.starts, supply.taken)
-        self._move = Launch(move_kernel(settings), (*memory, self._order, self._mask), lanes)
-        self._place = Launch(place, (*held, self._mask), lanes)
+        # Kernels are always called with the same arrays; only their content changes.
+        state = (params, self._surfaces, self._parcels, self._bodies)
+        self._step = Launch(step_kernel(config), (*state, self._order, self._mask), num_envs)
+        rings = self.prefetch.rings, self.prefetch.starts_taken
+        placed = (self._surfaces, self._parcels, *rings, self._mask)
+        self._place = Launch(place_starts, placed, num_envs)
 
     @property
     def observation(self) -> torch.Tensor:
-        observation: torch.Tensor = self._lanes.observation
+        observation: torch.Tensor = self._parcels.observation
         return observation
 
-    def told(self) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
-        lanes, task = self._lanes, self._task
+    def infos(self) -> tuple[Tensors, Tensors]:
+        parcels, task = self._parcels, self._task
         infos = {
-            "is_success": lanes.outcome == SUCCESS,
-            "outcome": lanes.outcome.clone(),
-            "time": lanes.clock.clone(),
-            "pose": lanes.truth[:, :3].clone(),
-            "velocity": lanes.truth[:, 3:].clone(),
-            **{name: lanes.metrics[:, k].clone() for k, name in enumerate(task.metrics)},
+            "is_success": parcels.outcome == SUCCESS,
+            "outcome": parcels.outcome.clone(),
+            "time": parcels.clock.clone(),
+            "pose": parcels.truth[:, :3].clone(),
+            "velocity": parcels.truth[:, 3:].clone(),
+            "parcel": self._sizes[parcels.body],
+            **{name: parcels.metrics[:, k].clone() for k, name in enumerate(task.metrics)},
         }
-        return infos, {name: lanes.terms[:, k].clone() for k, name in enumerate(task.terms)}
+        return infos, {name: parcels.terms[:, k].clone() for k, name in enumerate(task.terms)}
 
-    def is_seeded(self, lane: int) -> bool:
-        return self.supply.is_seeded(lane)
+    def is_seeded(self, env_index: int) -> bool:
+        return self.prefetch.is_seeded(env_index)
 
     def check(self, options: Sequence[dict[str, Any]]) -> None:
-        self._lay_out(np.full((len(options), self._task.draws), 0.5), options)
+        self._make_rows(np.full((len(options), self._task.draws), 0.5), options)
 
-    def start(
+    def place_drawn(
         self,
         generators: Mapping[int, np.random.Generator],
         chosen: Integers,
         options: Sequence[dict[str, Any]],
     ) -> None:
-        self.supply.renew(generators, chosen, options)
+        self.prefetch.refill(generators, chosen, options)
         mask = torch.zeros_like(self._mask)
-        mask[sent(chosen, self._device)] = True
-        self.place(mask)
+        mask[send(chosen, self._device)] = True
+        self.place_next(mask)
 
-    def place(self, mask: torch.Tensor) -> None:
+    def place_next(self, mask: torch.Tensor) -> None:
         self._mask.copy_(mask)
         self._place()
 
-    def follow(self) -> None:
-        self.supply.follow()
+    def prepare_starts(self) -> None:
+        self.prefetch.update()
         self._periods += 1
-        if self._periods % GROUPED_EVERY == 0:
-            self._group()
+        if self._periods % SORT_EVERY == 0:
+            self._sort()
 
     def close(self) -> None:
-        self.supply.close()
+        self.prefetch.close()
 
-    def _group(self) -> None:
-        """Sort environments by parcel, so that neighbouring threads take as many turns in each
-        loop.
+    def _sort(self) -> None:
+        """Sort environments by parcel, so that the loops of neighbouring threads are equally
+        long.
         """
-        if len(self._sites.zone) > 1:
-            self._order.copy_(torch.argsort(self._lanes.site, stable=True))
+        if len(self._bodies.zone) > 1:
+            self._order.copy_(torch.argsort(self._parcels.body, stable=True))
 
-    def _lay_out(
+    def _make_rows(
         self, numbers: Array, options: Sequence[dict[str, Any]]
     ) -> tuple[StartRows, Array]:
         """Return rows and paths (starts, PATH_POINTS or 0) of the starts from numbers (starts,
@@ -241,12 +246,12 @@ class CudaBatch(CudaEnvs):
         Raises:
             ValueError: an option is not allowed, or a parcel is none that the task draws.
         """
-        settings, count = self._settings, len(numbers)
-        start = draw_starts(settings, numbers, options)
+        config, count = self._config, len(numbers)
+        start = draw_starts(config, numbers, options)
         parcels = each_parcel(start.parcel, count)
-        sites: Integers = self._plan.shared_bodies_of(parcels)
-        if (sites < 0).any():
-            first = int(np.nonzero(sites < 0)[0][0])
+        bodies: Integers = self._plan.shared_bodies_of(parcels)
+        if (bodies < 0).any():
+            first = int(np.nonzero(bodies < 0)[0][0])
             raise ValueError(
                 f"parcel must be one that the task draws where device is {str(self._device)!r}, "
                 f"got {parcels.kinds[parcels.which[first]]!r}; a task with parcels=... draws it"
@@ -254,119 +259,109 @@ class CudaBatch(CudaEnvs):
         path = np.zeros((count, 0))
         if self._task.has_path:
             path = np.broadcast_to(start_paths(self._task, start, count), (count, PATH_POINTS))
-        return start_rows(self._task, start, parcels, sites), path
+        return start_rows(self._task, start, parcels, bodies), path
 
 
-# What drawing an episode writes, by the tuple that holds it; the kernel begins the rest.
-OF_SURFACES = ("stiffness", "conditions")
-OF_FLOWS = (
-    "time", "start", "site", "exit", "arrivals", "coming", "due", "entered", "left", "taken",
+# The arrays that drawing an episode writes; the kernel begins the others.
+DRAWN_SURFACES = ("stiffness", "conditions")
+DRAWN_STREAMS = (
+    "time", "start", "body", "exit", "arrivals", "coming", "due", "entered", "left", "taken",
     "touches", "number", "present", "touched_at", "clock", "steps", "still", "waited", "obeys",
     "tally", "outcome",
 )  # fmt: skip
+TALLIED = {"entered": ENTERED, "right": RIGHT, "wrong": WRONG, "touches": TOUCHES, "turns": TURNS}
 
 
-class CudaStreamBatch(CudaEnvs):
+class CudaStreamBatch(BaseCudaBatch):
     """The environments of `flow.batch.StreamBatch` on a device.
 
-    Episodes are long, so what is to come is drawn by the host when a lane begins, for which it
-    waits to know which lanes have ended.
+    Episodes are long, so the host draws the arrivals when an environment begins, and waits to know
+    which environments have ended.
 
     Args:
-        settings: of the environment, whose sensor has no noise.
-        lanes: number of surfaces.
+        config: of each environment, whose sensor has no noise.
+        num_envs: number of surfaces.
         device: where they are.
 
     Raises:
         ValueError: the sensor lacks a compiled function.
     """
 
-    def __init__(self, settings: EnvConfig, lanes: int, device: torch.device) -> None:
-        super().__init__(lanes, device)
-        self._settings = settings
-        self._host = StreamBatch(settings, lanes, compiles=False)
+    def __init__(self, config: EnvConfig, num_envs: int, device: torch.device) -> None:
+        super().__init__(num_envs, device)
+        self._config = config
+        self._task = task = config.stream_task
+        self._host = StreamBatch(config, num_envs, compiles=False)
         self.outcomes, self.options = self._host.outcomes, self._host.options
-        self.author = type(settings.task).__name__
-        self._capacity = stream_capacity(settings, settings.stream_task.stream.kinds)
-        self._rules = to_device(self._host.rules, device)
+        self.author = type(task).__name__
+        self._capacity = stream_capacity(config, task.stream.kinds)
         self._params = to_device(self._host.params, device)
+        self._stream_params = to_device(self._host.stream_params, device)
         self._surfaces = to_device(self._host.surfaces, device)
-        self._lanes = to_device(self._host.parcels, device)
+        self._parcels = to_device(self._host.parcels, device)
         self._episodes = to_device(self._host.streams, device)
-        one = to_device(make_scratch(self._capacity, settings.stream_task.rows), device)
-        self._scratches = type(one)._make(side_by_side(values, lanes) for values in one)
-        self._move = Launch(move_flow_kernel(settings), self._arguments(), lanes)
+        scratch = to_device(make_stream_scratch(self._capacity, task.rows), device)
+        self._scratches = type(scratch)._make(interleave(values, num_envs) for values in scratch)
+        self._step = Launch(stream_step_kernel(config), self._arguments(), num_envs)
 
     def _arguments(self) -> tuple[Any, ...]:
-        sites = to_device(self._host.bodies, self._device)
-        rules = (self._rules, self._params)
-        memory = (self._surfaces, self._lanes, sites, self._episodes, self._scratches)
-        return (*rules, *memory, self._order, self._mask)
+        bodies = to_device(self._host.bodies, self._device)
+        params = (self._params, self._stream_params)
+        state = (self._surfaces, self._parcels, bodies, self._episodes, self._scratches)
+        return (*params, *state, self._order, self._mask)
 
     @property
     def observation(self) -> torch.Tensor:
-        seen: torch.Tensor = self._lanes.observation
-        return seen.reshape(len(self._mask), self._settings.stream_task.rows, -1)
+        observation: torch.Tensor = self._parcels.observation
+        return observation.reshape(len(self._mask), self._task.rows, -1)
 
-    def told(self) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
-        flows = self._episodes
-        there = torch.where(flows.present, flows.number, -1)[
-            :, : self._settings.stream_task.max_parcels
-        ]
-        tallied = {"entered": ENTERED, "right": RIGHT, "wrong": WRONG, "touches": TOUCHES,
-                   "turns": TURNS}  # fmt: skip
+    def infos(self) -> tuple[Tensors, Tensors]:
+        streams, task = self._episodes, self._task
+        numbers = torch.where(streams.present, streams.number, -1)
         infos = {
-            "outcome": flows.outcome.clone(),
-            "time": flows.clock.clone(),
-            "parcels": there,
-            **{name: flows.tally[:, place].clone() for name, place in tallied.items()},
-            "waiting": flows.due - flows.coming,
+            "outcome": streams.outcome.clone(),
+            "time": streams.clock.clone(),
+            "parcels": numbers[:, : task.max_parcels],
+            **{name: streams.tally[:, column].clone() for name, column in TALLIED.items()},
+            "waiting": streams.due - streams.coming,
         }
-        return infos, {
-            name: flows.terms[:, k].clone() for k, name in enumerate(self._settings.task.terms)
-        }
+        return infos, {name: streams.terms[:, k].clone() for k, name in enumerate(task.terms)}
 
-    def is_seeded(self, lane: int) -> bool:
-        return self._host.is_seeded(lane)
+    def is_seeded(self, env_index: int) -> bool:
+        return self._host.is_seeded(env_index)
 
     def check(self, options: Sequence[dict[str, Any]]) -> None:
         self._host.check(options)
         for each in options:
-            stream = each.get("stream", self._settings.stream_task.stream)
-            if stream_capacity(self._settings, stream.kinds) > self._capacity:
+            stream = each.get("stream", self._task.stream)
+            if stream_capacity(self._config, stream.kinds) > self._capacity:
                 raise ValueError(
                     f"stream must have parcels no larger than those of the environment's where "
                     f"device is {str(self._device)!r}, got {stream.kinds}"
                 )
 
-    def start(
+    def place_drawn(
         self,
         generators: Mapping[int, np.random.Generator],
         chosen: Integers,
         options: Sequence[dict[str, Any]],
     ) -> None:
-        for lane, generator in generators.items():
-            self._host.seed(lane, generator)
+        for i, generator in generators.items():
+            self._host.seed(i, generator)
         self._host.place_drawn(chosen, options)
-        self._make_room()
+        self._widen()
         self._send(chosen)
-        self._move.call_with(self._arguments())
+        self._step.set_arguments(self._arguments())
 
-    def place(self, mask: torch.Tensor) -> None:
+    def place_next(self, mask: torch.Tensor) -> None:
         chosen = np.nonzero(mask.cpu().numpy())[0]
         if len(chosen) > 0:
-            self.start({}, chosen, ())
+            self.place_drawn({}, chosen, ())
 
-    def follow(self) -> None:
-        """Prepare later starts; called after every control period."""
-
-    def close(self) -> None:
-        """Release what is held."""
-
-    def _make_room(self) -> None:
-        """Widen the arrays to as many arrivals as the host's have, and keep what they hold."""
-        had = self._episodes.time.shape[1]
-        if self._host.streams.time.shape[1] == had:
+    def _widen(self) -> None:
+        """Widen the arrays to the host's number of arrivals, and keep their values."""
+        width = self._episodes.time.shape[1]
+        if self._host.streams.time.shape[1] == width:
             return
         made = to_device(self._host.streams, self._device)
         wider = {
@@ -375,22 +370,21 @@ class CudaStreamBatch(CudaEnvs):
             if new.shape != old.shape
         }
         for name, new in wider.items():
-            new[:, :had] = getattr(self._episodes, name)
+            new[:, :width] = getattr(self._episodes, name)
         self._episodes = self._episodes._replace(**wider)
 
     def _send(self, chosen: Integers) -> None:
         """Send what was drawn for the chosen environments (count,)."""
-        host, lanes = self._host, len(self._mask)
-        where = sent(chosen, self._device)
-        drawn: list[tuple[Any, Any, str]] = [
-            (self._episodes, host.streams, name) for name in OF_FLOWS
-        ]
-        drawn += [(self._surfaces, host.surfaces, name) for name in OF_SURFACES]
-        for ours, theirs, name in drawn:
-            values = getattr(theirs, name)
-            if len(values) == lanes:
-                getattr(ours, name)[where] = sent(values[chosen], self._device)
-        rows = self._settings.stream_task.rows
-        of_parcels = (chosen[:, np.newaxis] * rows + np.arange(rows)).ravel()
-        outcome = sent(host.parcels.outcome[of_parcels], self._device)
-        self._lanes.outcome[sent(of_parcels, self._device)] = outcome
+        host, rows = self._host, self._task.rows
+        env_indices = send(chosen, self._device)
+        for state, source, names in (
+            (self._episodes, host.streams, DRAWN_STREAMS),
+            (self._surfaces, host.surfaces, DRAWN_SURFACES),
+        ):
+            for name in names:
+                values = getattr(source, name)
+                if len(values) == len(self._mask):
+                    getattr(state, name)[env_indices] = send(values[chosen], self._device)
+        parcel_rows = (chosen[:, np.newaxis] * rows + np.arange(rows)).ravel()
+        outcome = send(host.parcels.outcome[parcel_rows], self._device)
+        self._parcels.outcome[send(parcel_rows, self._device)] = outcome

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from importlib.util import find_spec
 from typing import Any
 
 import gymnasium as gym
@@ -13,91 +12,78 @@ from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode
 
 from surface_gym.config import EnvConfig
-from surface_gym.cuda.batch import CudaEnvs
-from surface_gym.cuda.memory import Note
+from surface_gym.cuda.batch import BaseCudaBatch, CudaBatch, CudaStreamBatch
+from surface_gym.cuda.memory import DelayedCopy
 from surface_gym.flow.task import StreamTask
 from surface_gym.state import NO_FAULT, OUT_OF_TIME, RUNNING
 from surface_gym.vector_env import BaseVectorEnv
 
-EXTRA = 'pip install "surface_gym[gpu]"'
 
+def make_device_batch(config: EnvConfig, num_envs: int, device: torch.device) -> BaseCudaBatch:
+    """Make the batch of a device: of one parcel for each environment, or of streams.
 
-class DeviceMissing(RuntimeError):
-    """Error: there is no GPU to run on, or a library to use it is missing."""
-
-
-def check_device() -> None:
-    """Raise DeviceMissing where there is no GPU, or a library to use it is not installed."""
-    for module in ("torch", "numba_cuda"):
-        if find_spec(module) is None:
-            raise DeviceMissing(f"device='cuda' needs {module}, which is not installed: {EXTRA}")
-    import torch
-    from numba import cuda
-
-    if not torch.cuda.is_available():
-        why = "was built without CUDA" if torch.version.cuda is None else "finds none"
-        raise DeviceMissing(f"device='cuda' needs an NVIDIA GPU; torch {torch.__version__} {why}")
-    if not cuda.is_available():
-        raise DeviceMissing("device='cuda' needs an NVIDIA GPU that Numba can use; it finds none")
-
-
-def check_settings(settings: EnvConfig) -> None:
-    """Raise a ValueError for what a GPU does not support yet: noise and all else drawn after a
-    start, and infos on request.
+    Raises:
+        ValueError: the configuration is not supported on a device.
     """
-    check_sensor(settings)
-    varies, share = settings.randomisation, settings.actuators.stuck_share
+    check_config(config)
+    kind = CudaStreamBatch if isinstance(config.task, StreamTask) else CudaBatch
+    return kind(config, num_envs, device)
+
+
+def check_config(config: EnvConfig) -> None:
+    """Raise a ValueError for what a GPU does not support yet: noise, infos on request, and for one
+    parcel randomisation and stuck modules that are drawn.
+    """
+    if config.draws > 0:
+        raise ValueError(
+            f"sensors must be one without noise, such as Exact(), where device is 'cuda', "
+            f"got {config.sensors!r}"
+        )
+    stream = isinstance(config.task, StreamTask)
+    varies, share = config.randomisation, config.actuators.stuck_share
     for name, refused, allowed, value in (
-        ("randomisation", varies.varies, "Randomisation(), without variation", varies),
-        ("stuck_share", share > 0.0, "0; stuck names modules that are", share),
-        ("info", bool(settings.info), "()", settings.info),
-    ):
+        ("info", bool(config.info), "()", config.info),
+        ("randomisation", varies.varies and not stream, "Randomisation(), without variation",
+         varies),
+        ("stuck_share", share > 0.0 and not stream, "0; stuck names modules that are", share),
+    ):  # fmt: skip
         if refused:
             raise ValueError(f"{name} must be {allowed}, where device is 'cuda', got {value!r}")
 
 
-def check_sensor(settings: EnvConfig) -> None:
-    """Raise a ValueError for a sensor with noise."""
-    if settings.draws > 0:
-        raise ValueError(
-            f"sensors must be one without noise, such as Exact(), where device is 'cuda', "
-            f"got {settings.sensors!r}"
-        )
-
-
 class TensorActions:
-    """Turns actions of all environments into commands, as `ActionKind.commands` does.
+    """Converts actions of all environments to commands, as `ActionKind.commands` does.
 
-    To look at numbers, the host would have to wait for the device. So a number out of range is
-    noted, not raised at once: the lane gets the first choice, or 0 rad, and `wrong` tells.
+    To look at values, the host would have to wait for the device. So a value out of range is
+    recorded in `wrong` and not raised at once: the environment gets the first choice, or 0 rad.
 
     Args:
-        space: of one lane's action, as an action kind gives it.
-        lanes: their number.
+        space: of one environment's action, as an action kind gives it.
+        num_envs: number of environments.
         device: where the actions are.
     """
 
-    def __init__(self, space: spaces.Space[Any], lanes: int, device: torch.device) -> None:
-        self._shape = (lanes, *(space.shape or ()))
-        # () whether a number was out of range
+    def __init__(self, space: spaces.Space[Any], num_envs: int, device: torch.device) -> None:
+        self._shape = (num_envs, *(space.shape or ()))
+        # () whether a value was out of range
         self.wrong = torch.zeros((), dtype=torch.bool, device=device)
-        self._angles = isinstance(space, spaces.Box)
-        self._pairs = isinstance(space, spaces.Discrete)  # a number says two choices
+        self._continuous = isinstance(space, spaces.Box)
+        self._paired = isinstance(space, spaces.Discrete)  # a number stands for two choices
         if isinstance(space, spaces.Box):
-            self._right_angle = float(space.high.max())
+            self._max_angle = float(space.high.max())
             self.allowed = "-pi/2 and pi/2"
             return
         assert isinstance(space, spaces.Discrete | spaces.MultiDiscrete)
-        most = np.asarray(space.n if isinstance(space, spaces.Discrete) else space.nvec)
-        self._choices = torch.from_numpy(most.astype(np.int64)).to(device)
-        self._side = math.isqrt(int(most.max()))
-        self.allowed = f"0 and {int(most.max()) - 1}"
+        counts = np.asarray(space.n if isinstance(space, spaces.Discrete) else space.nvec)
+        self._counts = torch.from_numpy(counts.astype(np.int64)).to(device)
+        self._per_side = math.isqrt(int(counts.max()))
+        self.allowed = f"0 and {int(counts.max()) - 1}"
 
     def commands(self, actions: Any) -> torch.Tensor:
-        """Return actions as commands (num_envs, size): choices, or angles [rad].
+        """Return the commands (num_envs, size): choices, or angles [rad].
 
         Raises:
-            ValueError: no tensor, on another device, of a wrong shape or kind of number.
+            ValueError: not a tensor, on another device, of a wrong shape or type.
         """
         device = self.wrong.device
         if not isinstance(actions, torch.Tensor):
@@ -106,57 +92,57 @@ class TensorActions:
             raise ValueError(f"action must be a tensor on {device}, got one on {actions.device}")
         if tuple(actions.shape) != self._shape:
             raise ValueError(
-                f"action must have the shape {self._shape[1:]} a lane, "
-                f"got {tuple(actions.shape)} of all"
+                f"action must have the shape {self._shape[1:]} for each environment, "
+                f"got {tuple(actions.shape)} for all"
             )
-        return self._turned(actions) if self._angles else self._chosen(actions)
+        return self._angles(actions) if self._continuous else self._choices(actions)
 
-    def _turned(self, actions: torch.Tensor) -> torch.Tensor:
+    def _angles(self, actions: torch.Tensor) -> torch.Tensor:
         if not actions.is_floating_point():
             raise ValueError(f"action must be angles, got {actions.dtype}")
-        right = actions.abs() <= self._right_angle
-        self.wrong |= ~right.all()
-        return torch.where(right, actions, 0.0).to(torch.float64)
+        valid = actions.abs() <= self._max_angle
+        self.wrong |= ~valid.all()
+        return torch.where(valid, actions, 0.0).to(torch.float64)
 
-    def _chosen(self, actions: torch.Tensor) -> torch.Tensor:
+    def _choices(self, actions: torch.Tensor) -> torch.Tensor:
         if actions.is_floating_point() or actions.is_complex() or actions.dtype == torch.bool:
             raise ValueError(f"action must be whole numbers, got {actions.dtype}")
-        right = (actions >= 0) & (actions < self._choices)
-        self.wrong |= ~right.all()
-        chosen = torch.where(right, actions, 0).to(torch.int64)
-        if not self._pairs:
-            return chosen
-        return torch.stack([chosen // self._side, chosen % self._side], dim=1)
+        valid = (actions >= 0) & (actions < self._counts)
+        self.wrong |= ~valid.all()
+        choices = torch.where(valid, actions, 0).to(torch.int64)
+        if not self._paired:
+            return choices
+        return torch.stack([choices // self._per_side, choices % self._per_side], dim=1)
 
 
-LOOK_EVERY = 32  # control periods from one look for errors to the next, which tells what was seen
+CHECK_EVERY = 32  # control periods between two checks for errors; a check raises the last one's
 
 
 class CudaVectorEnv(BaseVectorEnv):
-    """`SmartSurfaceVectorEnv` on a GPU; `gym.make_vec(..., device="cuda")` gives it. Experimental.
+    """`SmartSurfaceVectorEnv` on a GPU; `gym.make_vec(..., device="cuda")` makes it. Experimental.
 
-    The source of physics, sensors and tasks is the CPU's, compiled for the GPU, and lane i seeded
-    s + i begins as the CPU's. What follows agrees with the CPU but for the last digits: a GPU
-    rounds a product and a sum once, and has sines of its own.
+    The source of physics, sensors and tasks is the CPU's, compiled for the GPU, and environment i
+    seeded s + i begins as on the CPU. What follows agrees with the CPU except for the last digits:
+    a GPU rounds a product and a sum once, and has other sines.
 
-    Actions, observations, rewards and all else are torch tensors on the device; none goes through
-    the host, and `step` does not wait for the device. What it returns is the caller's to keep.
-    Differences to `SmartSurfaceVectorEnv`:
+    Actions, observations, rewards and infos are torch tensors on the device; none passes through
+    the host, and `step` does not wait for the device. Returned tensors are copies.
+    Differences from `SmartSurfaceVectorEnv`:
 
-    - infos name tensors (lanes, ...); "outcome" is a number, the place in `outcomes`;
+    - infos are tensors (num_envs, ...); "outcome" is a number, an index into `outcomes`;
     - in SAME_STEP mode "final_obs" and "final_info" are there at every step, and hold for the
-      lanes in "_final_obs";
-    - an action out of range, or a number of a task's own that is not finite, is an error within
-      64 control periods; an index of a task's own beyond an array is not seen: try a task on the
-      CPU first;
+      environments in "_final_obs";
+    - an action out of range, or a number of a custom task that is not finite, is an error within
+      64 control periods; an index of a custom task beyond an array is not detected: try a task on
+      the CPU first;
     - there are no pictures, noise, randomisation or infos on request; parcels are the task's;
-    - a flow's episodes are drawn as lanes begin, so that its `step` waits for the device to say
-      which do; they may vary, and tell no "episode_figures".
+    - episodes of a stream are drawn by the host as environments begin, so that `step` waits for the
+      device to say which do; they may vary, and give no "episode_figures".
 
     Args:
-        num_envs: number of lanes; 30 000 and more fill a data-centre card.
+        num_envs: number of environments; 30 000 and more fill a data-centre card.
         device: where it runs.
-        max_episode_steps: control periods after which a lane is truncated; None for no limit.
+        max_episode_steps: control periods after which an episode is truncated; None for no limit.
         autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED, which makes the host
             wait for the device in every step.
         config: the other arguments, those of `SmartSurfaceEnv`.
@@ -176,14 +162,14 @@ class CudaVectorEnv(BaseVectorEnv):
         super().__init__(num_envs, autoreset_mode, max_episode_steps, None)
         self.config = EnvConfig(**config)
         self.device = device
-        self.batch = _make_batch(self.config, self.num_envs, device)
-        self.outcomes = self.batch.outcomes  # how an episode may stand
+        self.batch = make_device_batch(self.config, self.num_envs, device)
+        self.outcomes = self.batch.outcomes  # names by the numbers of infos["outcome"]
         self._set_spaces(self.config.observation_space(), self.config.action_space())
         self._actions = TensorActions(self.single_action_space, self.num_envs, device)
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=device)
         self._steps_left = torch.zeros(self.num_envs, dtype=torch.int64, device=device)
         self._steps = 0
-        self._seen: Note | None = None  # whether anything was wrong at the last look
+        self._last_errors: DelayedCopy | None = None  # as of the last check
 
     def reset(
         self,
@@ -191,21 +177,22 @@ class CudaVectorEnv(BaseVectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | Sequence[dict[str, Any] | None] | None = None,
     ) -> tuple[torch.Tensor, dict[str, Any]]:
+        """Begin an episode in all environments, or in those of `options["reset_mask"]`."""
         batch = self.batch
         if isinstance(options, dict) and torch.is_tensor(options.get("reset_mask")):
             options = {**options, "reset_mask": options["reset_mask"].cpu().numpy()}
-        asked = self._check_reset(seed, options, batch.options)
-        if asked.options:  # a bad option of one lane leaves all as they were
-            batch.check(asked.options)
-        self._check()
+        given = self._check_reset(seed, options, batch.options)
+        if given.options:  # a bad option of one environment leaves all as they were
+            batch.check(given.options)
+        self._raise_errors()
         generators = {
-            lane: np_random(asked.seeds[lane])[0]
-            for lane in asked.chosen.tolist()
-            if asked.seeds[lane] is not None or not batch.is_seeded(lane)
+            i: np_random(given.seeds[i])[0]
+            for i in given.chosen.tolist()
+            if given.seeds[i] is not None or not batch.is_seeded(i)
         }
-        batch.reset(generators, asked.chosen, asked.options)
-        begun = torch.from_numpy(asked.mask).to(self.device)
-        batch.move(begun)
+        batch.place_drawn(generators, given.chosen, given.options)
+        begun = torch.from_numpy(given.mask).to(self.device)
+        batch.step(begun)
         self._steps_left.masked_fill_(begun, self._limit)
         self._started = True
         return self._observation(), self._infos(begun)
@@ -213,6 +200,7 @@ class CudaVectorEnv(BaseVectorEnv):
     def step(
         self, actions: Any
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
+        """Step every environment by one control period, or begin its next episode."""
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before step.")
         batch = self.batch
@@ -220,11 +208,13 @@ class CudaVectorEnv(BaseVectorEnv):
         ended = outcome != RUNNING
         if self.autoreset_mode == AutoresetMode.DISABLED and ended.any():
             which = torch.nonzero(ended).flatten().tolist()
-            raise gym.error.ResetNeeded(f"Lanes {which} have ended: reset them with reset_mask.")
+            raise gym.error.ResetNeeded(
+                f"Environments {which} have ended: reset them with reset_mask."
+            )
         batch.command.copy_(self._actions.commands(actions))
         if self.autoreset_mode == AutoresetMode.NEXT_STEP:  # this step is their reset
-            batch.place(ended)
-        batch.move(self._all)
+            batch.place_next(ended)
+        batch.step(self._all)
         self._steps_left -= 1
         self._steps_left.masked_fill_(ended, self._limit)
         late = self._steps_left <= 0
@@ -234,91 +224,77 @@ class CudaVectorEnv(BaseVectorEnv):
         rewards = batch.reward.clone()
         infos: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
-            infos = self._begin_again(truncated | terminated)
+            infos = self._reset_ended(truncated | terminated)
         infos.update(self._infos(self._all))
-        batch.follow()
+        batch.prepare_starts()
         self._steps += 1
-        if self._steps % LOOK_EVERY == 0:
-            self._look()
+        if self._steps % CHECK_EVERY == 0:
+            self._check_errors()
         return self._observation(), rewards, terminated, truncated, infos
 
     def close_extras(self, **kwargs: Any) -> None:
         """Raise errors not yet raised, and end the thread that draws starts."""
         del kwargs
         self.batch.close()
-        self._check()
+        self._raise_errors()
 
-    def _begin_again(self, over: torch.Tensor) -> dict[str, Any]:
-        """Reset the environments whose episodes have ended, and return the infos of the ended
-        ones.
+    def _reset_ended(self, ended: torch.Tensor) -> dict[str, Any]:
+        """Reset the environments whose episodes have ended, and return the infos of these
+        episodes.
         """
-        ended = {
+        final = {
             "final_obs": self._observation(),
-            "_final_obs": over,
-            "final_info": self._infos(over),
-            "_final_info": over,
+            "_final_obs": ended,
+            "final_info": self._infos(ended),
+            "_final_info": ended,
         }
-        self.batch.place(over)
-        self.batch.move(over)
-        self._steps_left.masked_fill_(over, self._limit)
-        return ended
+        self.batch.place_next(ended)
+        self.batch.step(ended)
+        self._steps_left.masked_fill_(ended, self._limit)
+        return final
 
     def _observation(self) -> torch.Tensor:
+        """Copy the observations."""
         return self.batch.observation.clone(memory_format=torch.contiguous_format)
 
     def _infos(self, mask: torch.Tensor) -> dict[str, Any]:
-        """Infos of the lanes in the mask: tensors and, as Gymnasium has it, whose they are."""
-        told, terms = self.batch.told()
-        infos = {**told, "reward_terms": {**terms, **{f"_{name}": mask for name in terms}}}
-        return {**infos, **{f"_{name}": mask for name in infos}}
+        """Return the infos of the environments in the mask: tensors, and Gymnasium's masks."""
+        infos, terms = self.batch.infos()
+        with_terms = {**infos, "reward_terms": {**terms, **{f"_{name}": mask for name in terms}}}
+        return {**with_terms, **{f"_{name}": mask for name in with_terms}}
 
-    def _wrong(self) -> torch.Tensor:
-        """(2,) whether an action was out of range, and whether a function of a task went wrong."""
-        return torch.stack([self._actions.wrong, (self.batch.first_fault != NO_FAULT).any()])
+    def _errors(self) -> DelayedCopy:
+        """Return two flags: an action was out of range, a compiled function made an error."""
+        faulty = (self.batch.first_fault != NO_FAULT).any()
+        return DelayedCopy(torch.stack([self._actions.wrong, faulty]))
 
-    def _look(self) -> None:
-        """Raise errors that the last check has found, and check again."""
-        seen, self._seen = self._seen, Note(self._wrong())
-        if seen is not None:
-            self._raise(*seen.read().tolist())
+    def _check_errors(self) -> None:
+        """Raise the errors of the last check, and check again."""
+        last, self._last_errors = self._last_errors, self._errors()
+        if last is not None:
+            self._raise(*last.read().tolist())
 
-    def _check(self) -> None:
-        """Raise errors found by now."""
-        self._seen = None
-        self._raise(*Note(self._wrong()).read().tolist())
+    def _raise_errors(self) -> None:
+        """Raise all errors so far."""
+        self._last_errors = None
+        self._raise(*self._errors().read().tolist())
 
     def _raise(self, action: bool, function: bool) -> None:
+        """Raise an error for the flags that are set, and clear them."""
         if not (action or function):
             return
-        self._seen = None
+        self._last_errors = None
         self._actions.wrong.zero_()
         fault = self.batch.first_fault
-        lanes = torch.nonzero(fault).flatten().tolist()
+        faulty = torch.nonzero(fault).flatten().tolist()
         fault.zero_()
         if action:
             raise ValueError(
                 f"action must be between {self._actions.allowed}, got another in the last "
-                f"{2 * LOOK_EVERY} control periods"
+                f"{2 * CHECK_EVERY} control periods"
             )
         raise ValueError(
-            f"{self.batch.author} gave an outcome that it does not have, or a "
-            f"reward or feature that is not finite, on lane {lanes[0]} in the last "
-            f"{2 * LOOK_EVERY} control periods; the same lane on the CPU says which"
+            f"{self.batch.author} gave an outcome that it does not have, or a reward or feature "
+            f"that is not finite, in environment {faulty[0]} in the last {2 * CHECK_EVERY} control "
+            f"periods; the same environment on the CPU says which"
         )
-
-
-def _make_batch(config: EnvConfig, num_envs: int, device: torch.device) -> CudaEnvs:
-    """Make the batch of a device that a task needs: of one parcel each, or of a stream.
-
-    Raises:
-        ValueError: an argument is not allowed on a device.
-    """
-    if isinstance(config.task, StreamTask):
-        from surface_gym.cuda.batch import CudaStreamBatch
-
-        check_sensor(config)
-        return CudaStreamBatch(config, num_envs, device)
-    from surface_gym.cuda.batch import CudaBatch
-
-    check_settings(config)
-    return CudaBatch(config, num_envs, device)

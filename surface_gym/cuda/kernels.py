@@ -1,7 +1,7 @@
-"""CUDA kernels built from the functions of the CPU's kernels.
+"""CUDA kernels, compiled from the functions of the CPU's kernels.
 
-Compiled functions are walked as the digest walks them, from a function to those it refers to, and
-each is made again from the same code: with other constants, and wrapped for the other compiler.
+The compiled functions are walked from each to those it calls, as the cache's digest walks them, and
+each is translated from the same code: with other constants, and wrapped for the other compiler.
 Nothing is written twice.
 """
 
@@ -18,8 +18,8 @@ from numba.core.dispatcher import Dispatcher
 from surface_gym.config import EnvConfig
 from surface_gym.core.assembly import task_functions
 from surface_gym.core.kernel import EnvParams, KernelFunctions, make_kernel
-from surface_gym.cuda.memory import capacity_for, capacity_of, layout, seen
-from surface_gym.cuda.prefetch import Starts
+from surface_gym.cuda.memory import kernel_view, required_capacity, scratch_layout, task_capacity
+from surface_gym.cuda.prefetch import StartRings
 from surface_gym.flow.batch import stream_functions
 from surface_gym.flow.kernel import StreamFunctions, make_stream_kernel
 from surface_gym.flow.state import StreamParams, StreamState
@@ -33,34 +33,32 @@ from surface_gym.state import STARTING, BodyTable, ParcelState, SurfaceState
 Wrap = Callable[[Callable[..., Any]], Any]
 
 
-class Source:
-    """CPU functions made again for the device, each once.
+class Translator:
+    """Functions of the CPU translated for another compiler, each once.
 
     Args:
-        constants: of `dynamics.types`, by name, in place of those there.
-        wrap: makes a function that others call one of the other compiler's.
+        constants: by name, replacing those of `physics.types`.
+        wrap: compiles a function for the callers among the translated functions.
     """
 
     def __init__(self, constants: Mapping[str, int], wrap: Wrap) -> None:
         self._constants = constants
         self._wrap = wrap
-        self._made: dict[int, Any] = {}
-        self._kept: list[Any] = []  # what `_made` knows by its address
+        self._translated: dict[int, Any] = {}
+        self._originals: list[Any] = []  # keeps the addresses in `_translated` valid
 
-    def remade(self, function: Any) -> Any:
-        """Return a function of the physics, a task or a sensor, made again for the other
-        compiler.
-        """
-        if id(function) not in self._made:
+    def translate(self, function: Any) -> Any:
+        """Return a function of the physics, a task or a sensor for the other compiler."""
+        if id(function) not in self._translated:
             plain = function.py_func if isinstance(function, Dispatcher) else function
             copy = _empty_copy(plain)
-            self._kept.append(function)
-            self._made[id(function)] = self._wrap(copy)
+            self._originals.append(function)
+            self._translated[id(function)] = self._wrap(copy)
             self._fill(copy, plain)
-        return self._made[id(function)]
+        return self._translated[id(function)]
 
     def _fill(self, copy: FunctionType, plain: FunctionType) -> None:
-        """Let a copy refer to what its original refers to, made again."""
+        """Give a copy the translated values of the names that its original uses."""
         for name in referenced_names(plain.__code__):
             if name in plain.__globals__:
                 copy.__globals__[name] = self._value(name, plain.__globals__[name])
@@ -69,15 +67,16 @@ class Source:
             cell.cell_contents = self._value(name, original.cell_contents)
 
     def _value(self, name: str, value: Any) -> Any:
+        """Translate a function, replace a constant, and leave any other value as it is."""
         if isinstance(value, Dispatcher):
-            return self.remade(value)
+            return self.translate(value)
         if name in self._constants and value == getattr(types, name):
             return self._constants[name]
         return value
 
 
 def _empty_copy(function: FunctionType) -> FunctionType:
-    """Return a function with the same code that refers to nothing yet."""
+    """Return a function with the same code and no globals yet."""
     known = {"__name__": function.__module__, "__builtins__": __builtins__}
     cells = tuple(CellType() for _ in function.__code__.co_freevars)
     copy = FunctionType(function.__code__, known, function.__name__, function.__defaults__, cells)
@@ -85,36 +84,36 @@ def _empty_copy(function: FunctionType) -> FunctionType:
     return copy
 
 
-THREADS = 64  # of a block; a lane takes so many registers that more would not run at a time
+THREADS = 64  # of a block; a thread takes so many registers that more would not run at a time
 
 
 class Launch:
     """A kernel that is called with the same arguments each time, on torch's current stream.
 
-    Finding out what dozens of arrays are takes longer than a control period of many lanes: it is
+    Analysing dozens of arrays takes longer than a control period of many environments, so it is
     done once. The kernel is compiled at the first call, which takes tens of seconds.
 
     Args:
-        kernel: as `cuda.jit` makes it, a thread a lane.
+        kernel: made by `cuda.jit`, one thread for each environment.
         arguments: tensors, numbers, and tuples of them.
-        lanes: their number.
+        num_envs: number of environments.
     """
 
-    def __init__(self, kernel: Any, arguments: tuple[Any, ...], lanes: int) -> None:
+    def __init__(self, kernel: Any, arguments: tuple[Any, ...], num_envs: int) -> None:
         self._kernel = kernel
-        self._blocks = -(-lanes // THREADS)
-        self._special: Any = None
-        self.call_with(arguments)
+        self._blocks = -(-num_envs // THREADS)
+        self._specialized: Any = None
+        self.set_arguments(arguments)
 
-    def call_with(self, arguments: tuple[Any, ...]) -> None:
-        """Call the kernel with other arguments of the same types from now on."""
-        self._held = arguments  # the tensors, as long as kernels read their memory
-        self._arguments = tuple(map(seen, arguments))
+    def set_arguments(self, arguments: tuple[Any, ...]) -> None:
+        """Use other arguments of the same types from now on."""
+        self._tensors = arguments  # kept as long as kernels read their memory
+        self._arguments = tuple(map(kernel_view, arguments))
 
     def __call__(self) -> None:
-        if self._special is None:
-            self._special = self._kernel.specialize(*self._arguments)
-        self._special[self._blocks, THREADS, _stream()](*self._arguments)
+        if self._specialized is None:
+            self._specialized = self._kernel.specialize(*self._arguments)
+        self._specialized[self._blocks, THREADS, _stream()](*self._arguments)
 
 
 def _stream() -> Any:
@@ -131,40 +130,41 @@ def device_function(function: Any) -> Any:
 
 
 @lru_cache(maxsize=16)
-def device_source(capacity: int) -> Source:
-    """Return the functions for a GPU whose scratch has room for some contacts; functions that
-    several tasks call are compiled once.
+def device_translator(capacity: int) -> Translator:
+    """Return the translator for scratch with room for so many contacts; functions that several
+    tasks call are compiled once.
     """
-    return Source(layout(capacity), device_function)
+    return Translator(scratch_layout(capacity), device_function)
 
 
-def move_kernel(settings: EnvConfig) -> Any:
-    """Return the kernel of an environment: see `make_move_kernel`."""
-    return make_move_kernel(task_functions(settings), capacity_of(settings))
+def step_kernel(config: EnvConfig) -> Any:
+    """Build the kernel of environments of one parcel: see `make_step_kernel`."""
+    return make_step_kernel(task_functions(config), task_capacity(config))
 
 
 @lru_cache(maxsize=64)
-def make_move_kernel(functions: KernelFunctions, capacity: int) -> Any:
-    """Build `move(rules, surfaces, lanes, sites, order, mask)`, compiled when it is first called.
+def make_step_kernel(functions: KernelFunctions, capacity: int) -> Any:
+    """Build `step(params, surfaces, parcels, bodies, order, mask)`, compiled at its first call.
 
-    Thread t moves lane order[t], if it is in the mask (lanes,): see `batch.kernels.make_kernel`.
+    Thread t steps environment order[t], if it is in the mask (num_envs,), as
+    `core.kernel.make_kernel` says.
 
     Args:
         functions: of the environment.
         capacity: contacts that a scratch has room for.
     """
-    places = layout(capacity)
-    move_lanes = device_source(capacity).remade(make_kernel(functions))
-    # A thread's local memory lies interleaved with its neighbours'.
-    table_size, marks_size, spans = places["TABLE_SIZE"], places["MARKS_SIZE"], places["SPANS"]
-    # A sensor that does not watch never looks at its table.
-    sensor_size = table_size if functions.watches else 1
+    layout = scratch_layout(capacity)
+    step_envs = device_translator(capacity).translate(make_kernel(functions))
+    # A thread's local memory is interleaved with its neighbours'.
+    table_size, marks_size, spans = layout["TABLE_SIZE"], layout["MARKS_SIZE"], layout["SPANS"]
+    # The table of a sensor that is not updated every physics step is never read.
+    sensor_table_size = table_size if functions.watches else 1
 
-    def move(
-        rules: EnvParams,
+    def step(
+        params: EnvParams,
         surfaces: SurfaceState,
-        lanes: ParcelState,
-        sites: BodyTable,
+        parcels: ParcelState,
+        bodies: BodyTable,
         order: Integers,
         mask: Booleans,
     ) -> None:
@@ -175,85 +175,79 @@ def make_move_kernel(functions: KernelFunctions, capacity: int) -> Any:
             cuda.local.array(table_size, np.float64), cuda.local.array(marks_size, np.int64)
         )
         scratch.marks[spans] = -1
-        of_sensor = Scratch(
-            cuda.local.array(sensor_size, np.float64), cuda.local.array(marks_size, np.int64)
+        sensor_scratch = Scratch(
+            cuda.local.array(sensor_table_size, np.float64), cuda.local.array(marks_size, np.int64)
         )
-        of_sensor.marks[spans] = -1
-        own = order[thread : thread + 1]
-        move_lanes(rules, surfaces, lanes, sites, scratch, of_sensor, own)
+        sensor_scratch.marks[spans] = -1
+        env_index = order[thread : thread + 1]
+        step_envs(params, surfaces, parcels, bodies, scratch, sensor_scratch, env_index)
 
-    return cuda.jit(move)
+    return cuda.jit(step)
 
 
 @cuda.jit
-def place(
-    surfaces: SurfaceState, lanes: ParcelState, starts: Starts, taken: Integers, mask: Booleans
+def place_starts(
+    surfaces: SurfaceState,
+    parcels: ParcelState,
+    rings: StartRings,
+    starts_taken: Integers,
+    mask: Booleans,
 ) -> None:
-    """Put the next start on each environment in the mask (num_envs,), as `Batch.place` does.
-
-    Args:
-        surfaces: of the batch.
-        lanes: of the batch.
-        starts: laid out ahead.
-        taken: (lanes,) starts that each lane has taken.
-        mask: (lanes,)
-    """
+    """Put the next start into each environment in the mask (num_envs,), as `Batch.place` does."""
     i = cuda.grid(1)
     if i >= mask.shape[0] or not mask[i]:
         return
-    k = taken[i] % starts.site.shape[1]
-    taken[i] += 1
-    lanes.site[i] = starts.site[i, k]
-    for n in range(starts.state.shape[2]):
-        lanes.state[i, n] = starts.state[i, k, n]
-    for n in range(starts.conditions.shape[2]):
-        surfaces.conditions[i, n] = starts.conditions[i, k, n]
-    for n in range(starts.goal.shape[2]):
-        lanes.goal[i, n] = starts.goal[i, k, n]
-    for n in range(starts.path.shape[2]):
-        lanes.path[i, n] = starts.path[i, k, n]
-    lanes.outcome[i] = STARTING
+    k = starts_taken[i] % rings.body.shape[1]
+    starts_taken[i] += 1
+    parcels.body[i] = rings.body[i, k]
+    for n in range(rings.state.shape[2]):
+        parcels.state[i, n] = rings.state[i, k, n]
+    for n in range(rings.conditions.shape[2]):
+        surfaces.conditions[i, n] = rings.conditions[i, k, n]
+    for n in range(rings.goal.shape[2]):
+        parcels.goal[i, n] = rings.goal[i, k, n]
+    for n in range(rings.path.shape[2]):
+        parcels.path[i, n] = rings.path[i, k, n]
+    parcels.outcome[i] = STARTING
 
 
-def stream_capacity(settings: EnvConfig, kinds: tuple[Parcel, ...]) -> int:
+def stream_capacity(config: EnvConfig, kinds: tuple[Parcel, ...]) -> int:
     """Return the room for the contacts and edges of some parcels at their largest size."""
-    bases = [settings.randomisation.largest(parcel.base) for parcel in kinds]
-    return capacity_for(bases, settings.chosen_line)
+    bases = [config.randomisation.largest(parcel.base) for parcel in kinds]
+    return required_capacity(bases, config.chosen_line)
 
 
-def move_flow_kernel(settings: EnvConfig) -> Any:
-    """The kernel of an environment: see `make_move_flow_kernel`."""
-    capacity = stream_capacity(settings, settings.stream_task.stream.kinds)
-    return make_move_flow_kernel(stream_functions(settings), capacity)
+def stream_step_kernel(config: EnvConfig) -> Any:
+    """Build the kernel of streams: see `make_stream_step_kernel`."""
+    capacity = stream_capacity(config, config.stream_task.stream.kinds)
+    return make_stream_step_kernel(stream_functions(config), capacity)
 
 
 @lru_cache(maxsize=16)
-def make_move_flow_kernel(functions: StreamFunctions, capacity: int) -> Any:
-    """Build `move(rules, flow_rules, surfaces, lanes, sites, flows, scratches, order, mask)`,
-    compiled when it is first called.
+def make_stream_step_kernel(functions: StreamFunctions, capacity: int) -> Any:
+    """Build `step(params, stream_params, surfaces, parcels, bodies, streams, scratches, order,
+    mask)`, compiled at its first call.
 
-    Thread t moves surface order[t], if it is in the mask (surfaces,): see
-    `flow.kernel.make_stream_kernel`.
+    Thread t steps surface order[t], if it is in the mask (num_envs,), as
+    `flow.kernel.make_stream_kernel` says.
 
     Args:
         functions: of the environment.
         capacity: contacts that a parcel's scratch has room for.
     """
-    places = layout(capacity)
-    source = device_source(capacity)
-    move_flows, own_scratch = (
-        source.remade(make_stream_kernel(functions)),
-        source.remade(world_scratch),
-    )
-    table_size, marks_size, spans = places["TABLE_SIZE"], places["MARKS_SIZE"], places["SPANS"]
+    layout = scratch_layout(capacity)
+    translator = device_translator(capacity)
+    step_streams = translator.translate(make_stream_kernel(functions))
+    select_scratch = translator.translate(world_scratch)
+    table_size, marks_size, spans = layout["TABLE_SIZE"], layout["MARKS_SIZE"], layout["SPANS"]
 
-    def move(
-        rules: EnvParams,
-        flow_rules: StreamParams,
+    def step(
+        params: EnvParams,
+        stream_params: StreamParams,
         surfaces: SurfaceState,
-        lanes: ParcelState,
-        sites: BodyTable,
-        flows: StreamState,
+        parcels: ParcelState,
+        bodies: BodyTable,
+        streams: StreamState,
         scratches: WorldScratch,
         order: Integers,
         mask: Booleans,
@@ -261,19 +255,22 @@ def make_move_flow_kernel(functions: StreamFunctions, capacity: int) -> Any:
         thread = cuda.grid(1)
         if thread >= order.shape[0] or not mask[order[thread]]:
             return
-        of_sensor = Scratch(
+        sensor_scratch = Scratch(
             cuda.local.array(table_size, np.float64), cuda.local.array(marks_size, np.int64)
         )
-        of_sensor.marks[spans] = -1
-        scratch = own_scratch(scratches, order[thread])
-        own = order[thread : thread + 1]
-        move_flows(rules, flow_rules, surfaces, lanes, sites, flows, scratch, of_sensor, own)
+        sensor_scratch.marks[spans] = -1
+        scratch = select_scratch(scratches, order[thread])
+        env_index = order[thread : thread + 1]
+        step_streams(
+            params, stream_params, surfaces, parcels, bodies, streams, scratch, sensor_scratch,
+            env_index,
+        )  # fmt: skip
 
-    return cuda.jit(move)
+    return cuda.jit(step)
 
 
-def make_scratch(capacity: int, parcels: int) -> WorldScratch:
-    """Make a surface's scratch for a number of parcels, with room for some contacts of each."""
-    source = Source(layout(capacity), lambda function: function)
-    scratch: WorldScratch = source.remade(make_world_scratch)(parcels)
+def make_stream_scratch(capacity: int, parcels: int) -> WorldScratch:
+    """Make a surface's scratch for some parcels, with room for so many contacts of each."""
+    translator = Translator(scratch_layout(capacity), lambda function: function)
+    scratch: WorldScratch = translator.translate(make_world_scratch)(parcels)
     return scratch

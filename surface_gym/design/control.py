@@ -225,7 +225,7 @@ def _make_config(
     from surface_gym.config import EnvConfig
     from surface_gym.tasks import TASKS
 
-    env_line = Line(
+    base_line = Line(
         rows=line.shape[0],
         columns=line.shape[1],
         zone_rows=line.rows,
@@ -244,5 +244,5 @@ def _make_config(
         orientations=method.orientations,
         observe=method.observe,
         randomisation=randomisation,
-        line=env_line,
+        line=base_line,
     )

@@ -19,7 +19,7 @@ from surface_gym import checks
 from surface_gym.layouts import ROLLING, lead_in_under, rows_under
 from surface_gym.parallel import Cluster, Workers, map_jobs, without_report
 from surface_gym.parcel import Parcel
-from surface_gym.physics import types as ty
+from surface_gym.physics import types as ph
 from surface_gym.physics.collision import read_body
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.jit import compiled, inlined
@@ -313,7 +313,7 @@ def run_all(
         on_progress: called with the runs done and their total.
     """
     for parcel in parcels:
-        ty.check_capacity(
+        ph.check_capacity(
             len(parcel.body.edges), parcel.body.radius, (line.pitch_x, line.pitch_y),
             line.shape[::-1],
         )  # fmt: skip
@@ -398,10 +398,10 @@ def _rotor_span(rotor: Booleans, scratch: Scratch) -> tuple[int, int]:
     marks = scratch.marks
     lowest = rotor.shape[1]
     highest = -1
-    for k in range(marks[ty.SPANS]):
-        row = marks[ty.SPAN_ROW + k]
-        first = marks[ty.SPAN_FIRST + k]
-        last = marks[ty.SPAN_LAST + k]
+    for k in range(marks[ph.SPANS]):
+        row = marks[ph.SPAN_ROW + k]
+        first = marks[ph.SPAN_FIRST + k]
+        last = marks[ph.SPAN_LAST + k]
         while first <= last and not rotor[row, first]:
             first += 1
         while first <= last and not rotor[row, last]:
@@ -428,14 +428,14 @@ def _run_range(
         state = runs.state[run]
         grid = _make_grid(surfaces, number, runs.conditions[run])
         body = read_body(bodies, number[PARCEL])
-        radius = bodies.body[number[PARCEL], ty.RADIUS]
+        radius = bodies.body[number[PARCEL], ph.RADIUS]
         invalidate_contacts(scratch)
         reason = OUT_OF_TIME
         touched = -1
         tipped = 0
         steps = 0
         while steps < number[STEPS]:
-            omega = state[ty.OMEGA]
+            omega = state[ph.OMEGA]
             report, _ = step_implicit(grid, body, state, scratch, dt)
             if report >= OFF_SURFACE:
                 reason = OFF
@@ -450,9 +450,9 @@ def _run_range(
             if lowest >= number[EXIT]:
                 reason = PAST
                 break
-            speed = abs(state[ty.VX]) + abs(state[ty.VY]) + abs(state[ty.OMEGA]) * radius
+            speed = abs(state[ph.VX]) + abs(state[ph.VY]) + abs(state[ph.OMEGA]) * radius
             change = (
-                abs(state[ty.AX]) + abs(state[ty.AY]) + abs(state[ty.OMEGA] - omega) * radius / dt
+                abs(state[ph.AX]) + abs(state[ph.AY]) + abs(state[ph.OMEGA] - omega) * radius / dt
             )
             if speed < REST_SPEED and change < REST_CHANGE:
                 reason = AT_REST
@@ -488,7 +488,7 @@ def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: fl
     number[:, PARCEL] = runs.parcel
     number[:, EXIT] = np.where(runs.columns < 0, line.shape[1], line.lead_in + runs.columns)
     number[:, STEPS] = round(LONGEST / dt)
-    gravity = [ty.GRAVITY * map_floats(function, runs.tilt) for function in (math.sin, math.cos)]
+    gravity = [ph.GRAVITY * map_floats(function, runs.tilt) for function in (math.sin, math.cos)]
     starts = np.array([line.start(parcel) for parcel in parcels])[runs.parcel]
     starts[:, 1] += runs.lateral
     starts[:, 2] += runs.heading
@@ -512,7 +512,7 @@ def _run_in_threads(
     chunk = max(1, min(CHUNK, MOST_STEPS // int(runs.number[:, STEPS].max(initial=1))))
     spare: SimpleQueue[Scratch] = SimpleQueue()
     for _ in range(threads):
-        spare.put(ty.make_scratch())
+        spare.put(ph.make_scratch())
 
     def work(first: int) -> int:
         scratch = spare.get()
@@ -554,5 +554,5 @@ def _run_bundle(
     surfaces: SurfaceSet, bodies: Bodies, runs: RunArrays, dt: float
 ) -> tuple[Array, Integers]:
     """Simulate runs on a node, and return their states and ends."""
-    _run_range(surfaces, bodies, runs, ty.make_scratch(), dt, 0, len(runs.state))
+    _run_range(surfaces, bodies, runs, ph.make_scratch(), dt, 0, len(runs.state))
     return runs.state, runs.end

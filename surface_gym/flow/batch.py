@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym import state as st
 from surface_gym.config import EnvConfig
 from surface_gym.core.assembly import choose_actuation, compiled_function, sensor_functions
 from surface_gym.core.batch import BaseBatch, Infos, Snapshot
@@ -43,17 +44,7 @@ from surface_gym.parcel import Parcel
 from surface_gym.physics.collision import make_world_scratch
 from surface_gym.physics.step import com_states
 from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
-from surface_gym.state import (
-    BAD_REWARD,
-    GRAVITY_ALONG,
-    GRAVITY_NORMAL,
-    RUNNING,
-    STARTING,
-    BodyTable,
-    ParcelState,
-    SurfaceState,
-    axis_angles,
-)
+from surface_gym.state import BodyTable, ParcelState, SurfaceState
 
 _FIRST_ROOM = 16
 
@@ -87,7 +78,7 @@ class BodyPool:
         """Get the row of a parcel's body, for one more user.
 
         Raises:
-            ValueError: the parcel does not fit the plant.
+            ValueError: the parcel does not fit the line.
         """
         row = self._row_of.get(parcel)
         if row is None:
@@ -148,7 +139,7 @@ def stream_functions(config: EnvConfig) -> StreamFunctions:
     )
 
 
-def make_params(config: EnvConfig) -> StreamParams:
+def make_stream_params(config: EnvConfig) -> StreamParams:
     """Collect the numbers that all streams of a batch have in common."""
     task = config.stream_task
     return StreamParams(
@@ -190,10 +181,10 @@ class StreamBatch(BaseBatch):
         super().__init__(config, num_envs, threads, max_episode_steps)
         task = config.stream_task
         self.rows = task.rows
-        self.params = make_params(config)
+        self.stream_params = make_stream_params(config)
         self.surfaces.conditions[:, :3] = 1.0
-        self.surfaces.conditions[:, GRAVITY_NORMAL] = GRAVITY * math.cos(task.tilt)
-        self.surfaces.conditions[:, GRAVITY_ALONG] = GRAVITY * math.sin(task.tilt)
+        self.surfaces.conditions[:, st.GRAVITY_NORMAL] = GRAVITY * math.cos(task.tilt)
+        self.surfaces.conditions[:, st.GRAVITY_ALONG] = GRAVITY * math.sin(task.tilt)
         self._pool = BodyPool(partial(place_in, config), task.parcels[0])
         obeys = self._pool.bodies.obeys
         if config.actuators.stuck_share > 0.0:
@@ -222,7 +213,14 @@ class StreamBatch(BaseBatch):
     def _arrays(
         self,
     ) -> tuple[EnvParams, StreamParams, SurfaceState, ParcelState, BodyTable, StreamState]:
-        return self.rules, self.params, self.surfaces, self.parcels, self.bodies, self.streams
+        return (
+            self.params,
+            self.stream_params,
+            self.surfaces,
+            self.parcels,
+            self.bodies,
+            self.streams,
+        )
 
     def _make_kernel(self) -> Any:
         return make_stream_kernel(stream_functions(self.config))
@@ -246,7 +244,7 @@ class StreamBatch(BaseBatch):
             "touches": tally[:, TOUCHES],
             "turns": tally[:, TURNS],
             "waiting": streams.due - streams.coming,
-            **({"axes": axis_angles(self.surfaces)} if "axes" in self.config.info else {}),
+            **({"axes": st.axis_angles(self.surfaces)} if "axes" in self.config.info else {}),
         }
 
     def metrics(self, ended: Booleans) -> Infos:
@@ -306,11 +304,11 @@ class StreamBatch(BaseBatch):
             ("entered", np.nan), ("left", np.nan), ("taken", ON_ITS_WAY), ("touches", 0),
             ("number", NOBODY), ("present", False), ("touched_at", NEVER), ("coming", 0),
             ("due", 0), ("clock", 0.0), ("steps", 0), ("still", 0.0), ("waited", 0.0),
-            ("tally", 0), ("outcome", STARTING),
+            ("tally", 0), ("outcome", st.STARTING),
         ):  # fmt: skip
             getattr(streams, name)[i] = value
         row = i * self.rows
-        self.parcels.outcome[row : row + self.rows] = RUNNING
+        self.parcels.outcome[row : row + self.rows] = st.RUNNING
 
     def _entries(
         self, i: int, arrivals: Arrivals, rng: np.random.Generator
@@ -382,7 +380,7 @@ class StreamBatch(BaseBatch):
 
     def _fault(self) -> ValueError:
         i, name = int(np.nonzero(self.streams.fault)[0][0]), type(self.task).__name__
-        if self.streams.fault[i] == BAD_REWARD:
+        if self.streams.fault[i] == st.BAD_REWARD:
             terms = dict(zip(self.task.terms, self.terms[i].tolist(), strict=True))
             return ValueError(f"{name}.reward must write finite terms, got {terms}")
         sensor = type(self.config.sensors).__name__

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surface_gym import state as st
 from surface_gym.core.actions import Acting
 from surface_gym.core.kernel import Actuation, EnvParams, Function
 from surface_gym.flow.state import (
@@ -33,46 +34,15 @@ from surface_gym.flow.state import (
 )
 from surface_gym.flow.task import HALVES
 from surface_gym.layouts import ROLLING
+from surface_gym.physics import types as ph
 from surface_gym.physics.collision import World, WorldScratch, invalidate_world
 from surface_gym.physics.contact_solver import step_world
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.jit import compiled, inlined
 from surface_gym.physics.step import OFF_SURFACE
-from surface_gym.physics.types import (
-    STATE_SIZE,
-    THETA,
-    VX,
-    VY,
-    Array,
-    Bodies,
-    Integers,
-    Places,
-    Scratch,
-    X,
-    Y,
-)
+from surface_gym.physics.types import Array, Bodies, Integers, Places, Scratch
 from surface_gym.sensors.base import Physics
-from surface_gym.state import (
-    BAD_OBSERVATION,
-    BAD_REWARD,
-    COLUMNS,
-    FIRST_COLUMN,
-    FIRST_ROW,
-    NO_FAULT,
-    OUT_OF_TIME,
-    ROWS,
-    RUNNING,
-    STARTING,
-    BodyTable,
-    EnvState,
-    ParcelState,
-    SurfaceState,
-    env_state,
-    is_slower,
-    reach_along,
-    read_grid,
-    read_truth,
-)
+from surface_gym.state import BodyTable, EnvState, ParcelState, SurfaceState
 from surface_gym.tasks.line import STALL_SPEED
 
 NEARER = 1e-6  # [s/m^2] of two that a module bears at once, the one with the nearer centre wins
@@ -82,8 +52,8 @@ NEARER = 1e-6  # [s/m^2] of two that a module bears at once, the one with the ne
 def free_modules(owner: Places, soonest: Array, state: EnvState) -> None:
     """Let every module of the zone obey no parcel, so that any may claim it."""
     zone = state.zone
-    for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
-        for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
+    for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
+        for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
             owner[row, column] = NOBODY
             soonest[row, column] = np.inf
 
@@ -114,14 +84,14 @@ def claim_modules(owner: Places, soonest: Array, state: EnvState, slot: int, ahe
     first to bear on within `ahead` seconds, by its box as it is sensed and moves on.
     """
     sensed = state.sensed
-    theta = sensed[THETA]
-    vx, vy = sensed[VX], sensed[VY]
-    front = sensed[X] + reach_along(state, theta, 1.0, 0.0)
-    rear = sensed[X] - reach_along(state, theta, -1.0, 0.0)
-    left = sensed[Y] + reach_along(state, theta, 0.0, 1.0)
-    right = sensed[Y] - reach_along(state, theta, 0.0, -1.0)
+    theta = sensed[ph.THETA]
+    vx, vy = sensed[ph.VX], sensed[ph.VY]
+    front = sensed[ph.X] + st.reach_along(state, theta, 1.0, 0.0)
+    rear = sensed[ph.X] - st.reach_along(state, theta, -1.0, 0.0)
+    left = sensed[ph.Y] + st.reach_along(state, theta, 0.0, 1.0)
+    right = sensed[ph.Y] - st.reach_along(state, theta, 0.0, -1.0)
     zone, elements = state.zone, state.elements
-    first_row, first_column = zone[FIRST_ROW], zone[FIRST_COLUMN]
+    first_row, first_column = zone[st.FIRST_ROW], zone[st.FIRST_COLUMN]
     x0, y0 = elements.x0, elements.y0
     low_x = (rear + min(0.0, vx * ahead) - x0) / elements.pitch_x
     high_x = (front + max(0.0, vx * ahead) - x0) / elements.pitch_x
@@ -130,20 +100,20 @@ def claim_modules(owner: Places, soonest: Array, state: EnvState, slot: int, ahe
     if not (abs(low_x) < 1e6 and abs(high_x) < 1e6 and abs(low_y) < 1e6 and abs(high_y) < 1e6):
         return  # an estimate that has lost the parcel
     for row in range(
-        max(first_row, math.ceil(low_y)), min(first_row + zone[ROWS], math.floor(high_y) + 1)
+        max(first_row, math.ceil(low_y)), min(first_row + zone[st.ROWS], math.floor(high_y) + 1)
     ):
         y = y0 + elements.pitch_y * row
         until_y = _until(y, right, left, vy)
         after_y = _after(y, right, left, vy)
         for column in range(
             max(first_column, math.ceil(low_x)),
-            min(first_column + zone[COLUMNS], math.floor(high_x) + 1),
+            min(first_column + zone[st.COLUMNS], math.floor(high_x) + 1),
         ):
             x = x0 + elements.pitch_x * column
             until = max(until_y, _until(x, rear, front, vx))
             if until > min(ahead, after_y, _after(x, rear, front, vx)):
                 continue
-            until += NEARER * ((x - sensed[X]) ** 2 + (y - sensed[Y]) ** 2)
+            until += NEARER * ((x - sensed[ph.X]) ** 2 + (y - sensed[ph.Y]) ** 2)
             if until < soonest[row, column]:
                 soonest[row, column] = until
                 owner[row, column] = slot
@@ -157,7 +127,11 @@ def part_of_module(
     state: EnvState, parcels: ParcelState, owner: Places, rows: int, row: int, column: int
 ) -> int:
     """Let each module follow a part of its own."""
-    return (row - state.zone[FIRST_ROW]) * state.zone[COLUMNS] + column - state.zone[FIRST_COLUMN]
+    return (
+        (row - state.zone[st.FIRST_ROW]) * state.zone[st.COLUMNS]
+        + column
+        - state.zone[st.FIRST_COLUMN]
+    )
 
 
 @inlined
@@ -172,7 +146,7 @@ def part_of_owner(
     if slot < 0:
         return -1
     x = state.elements.x0 + state.elements.pitch_x * column
-    return HALVES * slot + (1 if x < parcels.sensed[rows + slot, X] else 0)
+    return HALVES * slot + (1 if x < parcels.sensed[rows + slot, ph.X] else 0)
 
 
 # The axis angle [rad] that a part of the command sets.
@@ -207,9 +181,9 @@ def count_due(streams: StreamState, i: int) -> None:
 
 
 @inlined
-def count_slots(params: StreamParams, streams: StreamState) -> int:
+def count_slots(stream_params: StreamParams, streams: StreamState) -> int:
     """Count the rows of a surface that parcels on it may have."""
-    return streams.number.shape[1] - (1 if params.gated else 0)
+    return streams.number.shape[1] - (1 if stream_params.gated else 0)
 
 
 @inlined
@@ -224,19 +198,19 @@ def _free_slot(streams: StreamState, i: int, slots: int) -> int:
 @inlined
 def _bars(other: EnvState, state: EnvState, gap: float) -> bool:
     """Whether a parcel on the line is in the way of one about to enter, with a gap [m] ahead."""
-    front = state.truth[X] + reach_along(state, state.truth[THETA], 1.0, 0.0) + gap
-    if other.truth[X] - reach_along(other, other.truth[THETA], -1.0, 0.0) > front:
+    front = state.truth[ph.X] + st.reach_along(state, state.truth[ph.THETA], 1.0, 0.0) + gap
+    if other.truth[ph.X] - st.reach_along(other, other.truth[ph.THETA], -1.0, 0.0) > front:
         return False
-    left = state.truth[Y] + reach_along(state, state.truth[THETA], 0.0, 1.0)
-    right = state.truth[Y] - reach_along(state, state.truth[THETA], 0.0, -1.0)
-    other_left = other.truth[Y] + reach_along(other, other.truth[THETA], 0.0, 1.0)
-    other_right = other.truth[Y] - reach_along(other, other.truth[THETA], 0.0, -1.0)
+    left = state.truth[ph.Y] + st.reach_along(state, state.truth[ph.THETA], 0.0, 1.0)
+    right = state.truth[ph.Y] - st.reach_along(state, state.truth[ph.THETA], 0.0, -1.0)
+    other_left = other.truth[ph.Y] + st.reach_along(other, other.truth[ph.THETA], 0.0, 1.0)
+    other_right = other.truth[ph.Y] - st.reach_along(other, other.truth[ph.THETA], 0.0, -1.0)
     return other_right < left + gap and right - gap < other_left
 
 
 @inlined
 def _put(
-    params: StreamParams,
+    stream_params: StreamParams,
     streams: StreamState,
     parcels: ParcelState,
     i: int,
@@ -245,26 +219,26 @@ def _put(
 ) -> None:
     """Write an arrival into the row of a slot that is free."""
     row = i * streams.number.shape[1] + slot
-    for k in range(STATE_SIZE):
+    for k in range(ph.STATE_SIZE):
         parcels.state[row, k] = streams.start[i, arrival, k]
     asked = streams.exit[i, arrival]
     parcels.body[row] = streams.body[i, arrival]
     parcels.goal[row, EXIT] = asked
-    parcels.goal[row, SIDE] = params.exits[asked, 0]
-    parcels.goal[row, FIRST] = params.exits[asked, 1]
-    parcels.goal[row, LAST] = params.exits[asked, 2]
+    parcels.goal[row, SIDE] = stream_params.exits[asked, 0]
+    parcels.goal[row, FIRST] = stream_params.exits[asked, 1]
+    parcels.goal[row, LAST] = stream_params.exits[asked, 2]
     parcels.clock[row] = 0.0
     parcels.period[row] = 0.0
     parcels.steps[row] = 0
     parcels.on_rotors[row] = True
     parcels.on_surface[row] = True
-    parcels.outcome[row] = RUNNING
+    parcels.outcome[row] = st.RUNNING
 
 
 @inlined
 def show_next(
-    rules: EnvParams,
-    params: StreamParams,
+    params: EnvParams,
+    stream_params: StreamParams,
     surfaces: SurfaceState,
     parcels: ParcelState,
     bodies: BodyTable,
@@ -279,20 +253,20 @@ def show_next(
     if arrival == streams.due[i]:
         streams.number[i, last] = NOBODY
         return
-    _put(params, streams, parcels, i, last, arrival)
+    _put(stream_params, streams, parcels, i, last, arrival)
     row = i * streams.number.shape[1] + last
     streams.number[i, last] = arrival
     parcels.clock[row] = streams.time[i, arrival] - streams.clock[i]
-    state = env_state(surfaces, parcels, bodies, i, row, rules.elements)
-    read_truth(state)
+    state = st.env_state(surfaces, parcels, bodies, i, row, params.elements)
+    st.read_truth(state)
     for k in range(state.truth.shape[0]):
         state.sensed[k] = state.truth[k]
 
 
 @inlined
 def let_in(
-    rules: EnvParams,
-    params: StreamParams,
+    params: EnvParams,
+    stream_params: StreamParams,
     surfaces: SurfaceState,
     parcels: ParcelState,
     bodies: BodyTable,
@@ -306,18 +280,18 @@ def let_in(
     arrival = streams.coming[i]
     if arrival == streams.due[i]:
         return NOBODY
-    slot = _free_slot(streams, i, count_slots(params, streams))
+    slot = _free_slot(streams, i, count_slots(stream_params, streams))
     if slot == NOBODY:
         return NOBODY
     first = i * streams.number.shape[1]
-    _put(params, streams, parcels, i, slot, arrival)
-    state = env_state(surfaces, parcels, bodies, i, first + slot, rules.elements)
-    read_truth(state)
+    _put(stream_params, streams, parcels, i, slot, arrival)
+    state = st.env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
+    st.read_truth(state)
     for k in range(streams.number.shape[1]):
         if streams.present[i, k]:
-            other = env_state(surfaces, parcels, bodies, i, first + k, rules.elements)
-            read_truth(other)
-            if _bars(other, state, params.entry_gap):
+            other = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
+            st.read_truth(other)
+            if _bars(other, state, stream_params.entry_gap):
                 return NOBODY
     streams.number[i, slot] = arrival
     streams.present[i, slot] = True
@@ -375,13 +349,13 @@ def _nearest(streams: StreamState, parcels: ParcelState, i: int, slot: int, ahea
     Of two at the same x the one that came first is ahead.
     """
     first = i * streams.number.shape[1]
-    x = parcels.sensed[first + slot, X]
+    x = parcels.sensed[first + slot, ph.X]
     nearest = NOBODY
     least = 0.0
     for k in range(streams.number.shape[1]):
         if not streams.present[i, k] or k == slot:
             continue
-        apart = parcels.sensed[first + k, X] - x
+        apart = parcels.sensed[first + k, ph.X] - x
         is_ahead = apart > 0.0 or (apart == 0.0 and streams.number[i, k] < streams.number[i, slot])
         if is_ahead == ahead and (nearest == NOBODY or abs(apart) < least):
             nearest = k
@@ -409,15 +383,15 @@ class StreamFunctions(NamedTuple):
 
 
 def _obeying(functions: StreamFunctions) -> Any:
-    """Build `obey_command(rules, params, surfaces, parcels, bodies, streams, i)`, which turns the
+    """Build `obey_command(params, stream_params, ..., i)`, which turns the
     modules that the command of surface i turns, and counts them.
     """
     part_of, commanded, obey = functions.part_of, functions.commanded, functions.actuation.obey
 
     @inlined
     def obey_command(
-        rules: EnvParams,
-        params: StreamParams,
+        params: EnvParams,
+        stream_params: StreamParams,
         surfaces: SurfaceState,
         parcels: ParcelState,
         bodies: BodyTable,
@@ -426,31 +400,31 @@ def _obeying(functions: StreamFunctions) -> Any:
     ) -> None:
         rows = streams.number.shape[1]
         first = i * rows
-        state = env_state(surfaces, parcels, bodies, i, first, rules.elements)
+        state = st.env_state(surfaces, parcels, bodies, i, first, params.elements)
         owner, soonest = streams.owner[i], streams.soonest[i]
         free_modules(owner, soonest, state)
         for k in range(rows):
             if streams.present[i, k]:
-                parcel = env_state(surfaces, parcels, bodies, i, first + k, rules.elements)
-                claim_modules(owner, soonest, parcel, k, params.ahead)
+                parcel = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
+                claim_modules(owner, soonest, parcel, k, stream_params.ahead)
         obeys = streams.obeys[i if streams.obeys.shape[0] > 1 else 0]
         zone = state.zone
-        for row in range(zone[FIRST_ROW], zone[FIRST_ROW] + zone[ROWS]):
-            for column in range(zone[FIRST_COLUMN], zone[FIRST_COLUMN] + zone[COLUMNS]):
+        for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
+            for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
                 part = part_of(state, parcels, owner, first, row, column)
                 if part < 0 or not obeys[row, column]:
                     continue
-                angle = commanded(rules.acting, surfaces, i, part)
+                angle = commanded(params.acting, surfaces, i, part)
                 if is_turn(angle, streams.commanded[i, row, column]):
                     streams.tally[i, TURNS] += 1
                 streams.commanded[i, row, column] = angle
-                obey(rules.acting, surfaces, i, row, column, part)
+                obey(params.acting, surfaces, i, row, column, part)
 
     return obey_command
 
 
 def _observing(functions: StreamFunctions) -> Any:
-    """Build `observe_parcels(rules, params, surfaces, parcels, bodies, streams, i)`, which writes the
+    """Build `observe_parcels(params, stream_params, ..., i)`, which writes the
     table of surface i: a row a parcel, with its neighbours along the line.
     """
     observe, observe_neighbour = functions.observe, functions.observe_neighbour
@@ -458,8 +432,8 @@ def _observing(functions: StreamFunctions) -> Any:
 
     @inlined
     def observe_parcels(
-        rules: EnvParams,
-        params: StreamParams,
+        params: EnvParams,
+        stream_params: StreamParams,
         surfaces: SurfaceState,
         parcels: ParcelState,
         bodies: BodyTable,
@@ -467,31 +441,31 @@ def _observing(functions: StreamFunctions) -> Any:
         i: int,
     ) -> None:
         rows = streams.number.shape[1]
-        slots = count_slots(params, streams)
+        slots = count_slots(stream_params, streams)
         first = i * rows
         for k in range(rows):
-            state = env_state(surfaces, parcels, bodies, i, first + k, rules.elements)
+            state = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
             waits = k >= slots and streams.number[i, k] != NOBODY
             if not (streams.present[i, k] or waits):
                 for feature in range(state.observation.shape[0]):
                     state.observation[feature] = 0.0
                 continue
             observe(state, waits)
-            x, theta = state.sensed[X], state.sensed[THETA]
-            front = x + reach_along(state, theta, 1.0, 0.0)
-            rear = x - reach_along(state, theta, -1.0, 0.0)
+            x, theta = state.sensed[ph.X], state.sensed[ph.THETA]
+            front = x + st.reach_along(state, theta, 1.0, 0.0)
+            rear = x - st.reach_along(state, theta, -1.0, 0.0)
             for way in range(2):
                 ahead = way == 1
                 slot = _nearest(streams, parcels, i, k, ahead)
                 if slot == NOBODY:
                     observe_no_neighbour(state, ahead)
                     continue
-                other = env_state(surfaces, parcels, bodies, i, first + slot, rules.elements)
-                other_x, other_theta = other.sensed[X], other.sensed[THETA]
+                other = st.env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
+                other_x, other_theta = other.sensed[ph.X], other.sensed[ph.THETA]
                 if ahead:
-                    gap = other_x - reach_along(other, other_theta, -1.0, 0.0) - front
+                    gap = other_x - st.reach_along(other, other_theta, -1.0, 0.0) - front
                 else:
-                    gap = rear - other_x - reach_along(other, other_theta, 1.0, 0.0)
+                    gap = rear - other_x - st.reach_along(other, other_theta, 1.0, 0.0)
                 observe_neighbour(state, other, gap, ahead)
 
     return observe_parcels
@@ -499,7 +473,7 @@ def _observing(functions: StreamFunctions) -> Any:
 
 @lru_cache(maxsize=64)
 def make_stream_kernel(functions: StreamFunctions) -> Any:
-    """Build `step_streams(rules, params, surfaces, parcels, bodies, streams, scratch, sensor's
+    """Build `step_streams(params, stream_params, surfaces, parcels, bodies, streams, scratch, sensor's
     scratch, chosen)`.
 
     Of the chosen surfaces (count,) those placed begin, those that run are stepped by one control
@@ -512,8 +486,8 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
     obey_command, observe_parcels = _obeying(functions), _observing(functions)
 
     def step_streams(
-        rules: EnvParams,
-        params: StreamParams,
+        params: EnvParams,
+        stream_params: StreamParams,
         surfaces: SurfaceState,
         parcels: ParcelState,
         bodies: BodyTable,
@@ -523,28 +497,28 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
         chosen: Integers,
     ) -> int:
         faults = 0
-        dt = rules.timing.dt
+        dt = params.timing.dt
         apart = int(APART / dt)
         rows = streams.number.shape[1]
-        slots = count_slots(params, streams)
+        slots = count_slots(stream_params, streams)
         gate = surfaces.command.shape[1] - 1
         jam_term = streams.terms.shape[1] - 1
         waiting_term = jam_term - 1
-        physics = Physics(rules.assumed, rules.stiffness, sensor_scratch, dt)
+        physics = Physics(params.assumed, params.stiffness, sensor_scratch, dt)
         shapes = Bodies(bodies.body, bodies.edges, bodies.corners)
         for i in chosen:
             first = i * rows
-            begins = streams.outcome[i] == STARTING
+            begins = streams.outcome[i] == st.STARTING
             if begins:
-                straighten(rules.acting, surfaces, i)
+                straighten(params.acting, surfaces, i)
                 for row in range(streams.commanded.shape[1]):
                     for column in range(streams.commanded.shape[2]):
                         streams.commanded[i, row, column] = ROLLING
                         streams.owner[i, row, column] = NOBODY
-                streams.outcome[i] = RUNNING
-            elif streams.outcome[i] != RUNNING:
+                streams.outcome[i] = st.RUNNING
+            elif streams.outcome[i] != st.RUNNING:
                 continue
-            streams.fault[i] = NO_FAULT
+            streams.fault[i] = st.NO_FAULT
             for k in range(streams.terms.shape[1]):
                 streams.terms[i, k] = 0.0
             for k in range(rows):
@@ -553,10 +527,10 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                 if not streams.present[i, k]:
                     streams.number[i, k] = NOBODY
             if not begins:
-                obey_command(rules, params, surfaces, parcels, bodies, streams, i)
+                obey_command(params, stream_params, surfaces, parcels, bodies, streams, i)
             invalidate_world(scratch)
             invalidate_contacts(sensor_scratch)
-            grid = read_grid(surfaces, bodies, i, 0, rules.elements, rules.friction)
+            grid = st.read_grid(surfaces, bodies, i, 0, params.elements, params.friction)
             company = World(
                 parcels.state[first : first + rows],
                 streams.present[i],
@@ -564,16 +538,16 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                 shapes,
             )
             zone = bodies.zone[0]
-            opens = int(surfaces.command[i, gate]) if params.gated else 1
+            opens = int(surfaces.command[i, gate]) if stream_params.gated else 1
             entered = False
             # Parcels may enter at a start, which is step 0 alone, and after every step.
-            for step in range(0 if begins else 1, 1 if begins else rules.timing.steps + 1):
+            for step in range(0 if begins else 1, 1 if begins else params.timing.steps + 1):
                 if not begins:
                     if turns:
-                        turn(rules.acting, surfaces, i, zone)
+                        turn(params.acting, surfaces, i, zone)
                         invalidate_world(scratch)
                         invalidate_contacts(sensor_scratch)
-                    pairs = step_world(grid, company, params.touching, scratch, dt)
+                    pairs = step_world(grid, company, stream_params.touching, scratch, dt)
                     streams.clock[i] += dt
                     streams.steps[i] += 1
                     note_touches(parcels, streams, scratch, i, pairs, apart)
@@ -587,34 +561,36 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                         parcels.clock[row] += dt
                         parcels.steps[row] += 1
                         parcels.period[row] += dt
-                        state = env_state(surfaces, parcels, bodies, i, row, rules.elements)
+                        state = st.env_state(surfaces, parcels, bodies, i, row, params.elements)
                         if not state.on_rotors:
-                            read_truth(state)
-                            leave(streams, parcels, i, k, task_exit(params, state))
+                            st.read_truth(state)
+                            leave(streams, parcels, i, k, task_exit(stream_params, state))
                         elif watches:
-                            read_truth(state)
-                            sensor_update(rules.sensor, state, physics)
+                            st.read_truth(state)
+                            sensor_update(params.sensor, state, physics)
                     waiting = streams.due[i] - streams.coming[i]
                     streams.waited[i] += dt * waiting
-                    streams.terms[i, waiting_term] += params.waiting_reward * dt * waiting
+                    streams.terms[i, waiting_term] += stream_params.waiting_reward * dt * waiting
                 count_due(streams, i)
                 # A gate opens at a physics step of the period, for one parcel; or not at all.
-                if params.gated and (entered or opens == 0 or step < opens):
+                if stream_params.gated and (entered or opens == 0 or step < opens):
                     continue
-                slot = let_in(rules, params, surfaces, parcels, bodies, streams, i)
+                slot = let_in(params, stream_params, surfaces, parcels, bodies, streams, i)
                 if slot != NOBODY:
                     entered = True
-                    state = env_state(surfaces, parcels, bodies, i, first + slot, rules.elements)
+                    state = st.env_state(
+                        surfaces, parcels, bodies, i, first + slot, params.elements
+                    )
                     state.memory[TOUCHED] = 0.0
                     task_begin(state)
-                    sensor_begin(rules.sensor, state)
+                    sensor_begin(params.sensor, state)
             occupied = False
             moves = False
             for k in range(slots):
                 if streams.number[i, k] == NOBODY:
                     continue
-                state = env_state(surfaces, parcels, bodies, i, first + k, rules.elements)
-                read_truth(state)
+                state = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
+                st.read_truth(state)
                 task_reward(state, parcels.outcome[first + k])
                 state.memory[TOUCHED] = 0.0
                 reward = 0.0
@@ -624,32 +600,32 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                 parcels.reward[first + k] = reward
                 if streams.present[i, k]:
                     occupied = True
-                    moves |= not is_slower(state, STALL_SPEED)
-                    sensor_read(rules.sensor, state)
+                    moves |= not st.is_slower(state, STALL_SPEED)
+                    sensor_read(params.sensor, state)
             if occupied and not moves and not begins:
-                streams.still[i] += dt * rules.timing.steps
+                streams.still[i] += dt * params.timing.steps
             else:
                 streams.still[i] = 0.0
-            if streams.still[i] >= params.patience:
+            if streams.still[i] >= stream_params.patience:
                 streams.outcome[i] = JAM
-                streams.terms[i, jam_term] = params.jam_reward
-            elif streams.clock[i] >= params.duration - 0.5 * dt:
-                streams.outcome[i] = OUT_OF_TIME
+                streams.terms[i, jam_term] = stream_params.jam_reward
+            elif streams.clock[i] >= stream_params.duration - 0.5 * dt:
+                streams.outcome[i] = st.OUT_OF_TIME
             reward = 0.0
             for k in range(streams.terms.shape[1]):
                 reward += streams.terms[i, k]
             streams.reward[i] = reward
             if not math.isfinite(reward):
-                streams.fault[i] = BAD_REWARD
-            if params.gated:
-                show_next(rules, params, surfaces, parcels, bodies, streams, i)
+                streams.fault[i] = st.BAD_REWARD
+            if stream_params.gated:
+                show_next(params, stream_params, surfaces, parcels, bodies, streams, i)
                 parcels.reward[first + slots] = streams.terms[i, waiting_term]
-            observe_parcels(rules, params, surfaces, parcels, bodies, streams, i)
+            observe_parcels(params, stream_params, surfaces, parcels, bodies, streams, i)
             for k in range(rows):
                 for feature in range(parcels.observation.shape[1]):
                     if not math.isfinite(parcels.observation[first + k, feature]):
-                        streams.fault[i] = BAD_OBSERVATION
-            faults += streams.fault[i] != NO_FAULT
+                        streams.fault[i] = st.BAD_OBSERVATION
+            faults += streams.fault[i] != st.NO_FAULT
         return faults
 
     return compiled(step_streams, functions.label)

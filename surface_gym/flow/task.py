@@ -131,7 +131,7 @@ class StreamTask(Task):
     ahead: float = 0.1  # [s] within which a module may obey a parcel that it does not bear yet
     patience: float = 2.0  # [s] without motion that make a jam
 
-    plant = flow_line()
+    line = flow_line()
     parcel_terms: ClassVar[tuple[str, ...]]  # of the reward, that each parcel earns
     waiting_reward: ClassVar[float] = -0.1  # per second of each parcel that waits to enter
     jam_reward: ClassVar[float] = -10.0  # once, as nothing moves any more

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surface_gym.physics import signed_distance as sd
-from surface_gym.physics import types as ty
+from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.jit import inlined, linked
 from surface_gym.physics.step import OFF_SURFACE
@@ -71,16 +71,16 @@ def make_world_scratch(parcels: int) -> WorldScratch:
     shapes |= dict.fromkeys(("trial", "gradient", "direction"), (n, 3))
     shapes |= dict.fromkeys(("pair", "near"), (pairs, 2))
     shapes |= dict.fromkeys(("impulse", "when", "push"), (pairs,))
-    shapes |= {"tables": (n, ty.TABLE_SIZE), "marks": (n, ty.MARKS_SIZE)}
-    shapes |= {"before": (n, ty.STATE_SIZE), "matrix": (3 * n, 3 * n)}
-    shapes |= {"contact": (points,), "ends": (points, 3), "point": (points, ty.POINT_SIZE)}
+    shapes |= {"tables": (n, ph.TABLE_SIZE), "marks": (n, ph.MARKS_SIZE)}
+    shapes |= {"before": (n, ph.STATE_SIZE), "matrix": (3 * n, 3 * n)}
+    shapes |= {"contact": (points,), "ends": (points, 3), "point": (points, ph.POINT_SIZE)}
     kinds = WorldScratch.__annotations__
     arrays: dict[str, Any] = {
         name: np.zeros(shape, np.int64 if kinds[name] is Integers else np.float64)
         for name, shape in shapes.items()
     }
     scratch = WorldScratch(**arrays)
-    scratch.marks[:, ty.SPANS] = -1
+    scratch.marks[:, ph.SPANS] = -1
     return scratch
 
 
@@ -133,11 +133,11 @@ def read_body(bodies: Bodies, site: int) -> Body:
     row = bodies.body[site]
     return Body(
         bodies.edges[site],
-        row[ty.RADIUS],
-        row[ty.COM_X],
-        row[ty.COM_Y],
-        row[ty.COM_HEIGHT],
-        row[ty.GYRATION],
+        row[ph.RADIUS],
+        row[ph.COM_X],
+        row[ph.COM_Y],
+        row[ph.COM_HEIGHT],
+        row[ph.GYRATION],
     )
 
 
@@ -153,11 +153,11 @@ def find_near_pairs(world: World, scratch: WorldScratch) -> int:
         reach[k] = -math.inf  # an absent parcel touches none
         if world.present[k] and scratch.report[k] < OFF_SURFACE:
             body = world.bodies.body[world.body[k]]
-            moved = abs(after[k, ty.X] - before[k, ty.X]) + abs(after[k, ty.Y] - before[k, ty.Y])
+            moved = abs(after[k, ph.X] - before[k, ph.X]) + abs(after[k, ph.Y] - before[k, ph.Y])
             reach[k] = (
-                body[ty.RADIUS]
-                + abs(body[ty.COM_X])
-                + abs(body[ty.COM_Y])
+                body[ph.RADIUS]
+                + abs(body[ph.COM_X])
+                + abs(body[ph.COM_Y])
                 + moved
                 + sd.CONTACT_DISTANCE
             )
@@ -166,8 +166,8 @@ def find_near_pairs(world: World, scratch: WorldScratch) -> int:
         if reach[i] < 0.0:
             continue
         for j in range(i + 1, rows):
-            dx = before[i, ty.X] - before[j, ty.X]
-            dy = before[i, ty.Y] - before[j, ty.Y]
+            dx = before[i, ph.X] - before[j, ph.X]
+            dy = before[i, ph.Y] - before[j, ph.Y]
             most = reach[i] + reach[j]
             if most > 0.0 and dx * dx + dy * dy <= most * most:
                 scratch.near[pairs, 0] = i
@@ -238,9 +238,9 @@ def find_contact_points(world: World, scratch: WorldScratch, pairs: int, dt: flo
             if n == 1:
                 x, y, width = manifold.second_x, manifold.second_y, manifold.second_width
             _write_point(world, scratch, points, e, x, y)
-            scratch.point[points, ty.NORMAL_X] = gap.nx
-            scratch.point[points, ty.NORMAL_Y] = gap.ny
-            scratch.point[points, ty.CLOSING] = max(0.0, width - sd.CONTACT_DISTANCE) / rest
+            scratch.point[points, ph.NORMAL_X] = gap.nx
+            scratch.point[points, ph.NORMAL_Y] = gap.ny
+            scratch.point[points, ph.CLOSING] = max(0.0, width - sd.CONTACT_DISTANCE) / rest
             points += 1
     return points
 
@@ -256,11 +256,11 @@ def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, 
         arm_x = x - motion.x - scratch.since[k] * motion.vx
         arm_y = y - motion.y - scratch.since[k] * motion.vy
         if end == 0:
-            scratch.point[c, ty.FIRST_X] = arm_x
-            scratch.point[c, ty.FIRST_Y] = arm_y
+            scratch.point[c, ph.FIRST_X] = arm_x
+            scratch.point[c, ph.FIRST_Y] = arm_y
         else:
-            scratch.point[c, ty.SECOND_X] = arm_x
-            scratch.point[c, ty.SECOND_Y] = arm_y
+            scratch.point[c, ph.SECOND_X] = arm_x
+            scratch.point[c, ph.SECOND_Y] = arm_y
 
 
 @inlined
@@ -275,7 +275,7 @@ def gather_island(scratch: WorldScratch, root: int, points: int) -> tuple[int, i
             slot = members
             while (
                 slot > 0
-                and scratch.before[scratch.member[slot - 1], ty.X] > scratch.before[k, ty.X]
+                and scratch.before[scratch.member[slot - 1], ph.X] > scratch.before[k, ph.X]
             ):
                 scratch.member[slot] = scratch.member[slot - 1]
                 slot -= 1

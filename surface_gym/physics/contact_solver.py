@@ -21,7 +21,7 @@ import math
 from surface_gym.physics import collision
 from surface_gym.physics import island as islands
 from surface_gym.physics import signed_distance as sd
-from surface_gym.physics import types as ty
+from surface_gym.physics import types as ph
 from surface_gym.physics.collision import ContactMaterial, World, WorldScratch
 from surface_gym.physics.friction import implicit_velocity, load_contacts
 from surface_gym.physics.island import Island
@@ -56,13 +56,13 @@ def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
                 continue
             apart = False
             overlap = -gap.width - 0.5 * sd.CONTACT_DISTANCE
-            mass = bodies.body[world.body[i], ty.MASS]
-            other_mass = bodies.body[world.body[j], ty.MASS]
+            mass = bodies.body[world.body[i], ph.MASS]
+            other_mass = bodies.body[world.body[j], ph.MASS]
             share = other_mass / (mass + other_mass)
-            state[i, ty.X] -= share * overlap * gap.nx
-            state[i, ty.Y] -= share * overlap * gap.ny
-            state[j, ty.X] += (1.0 - share) * overlap * gap.nx
-            state[j, ty.Y] += (1.0 - share) * overlap * gap.ny
+            state[i, ph.X] -= share * overlap * gap.nx
+            state[i, ph.Y] -= share * overlap * gap.ny
+            state[j, ph.X] += (1.0 - share) * overlap * gap.nx
+            state[j, ph.Y] += (1.0 - share) * overlap * gap.ny
         if apart:
             break
 
@@ -140,11 +140,11 @@ def _begin(world: World, scratch: WorldScratch, island: Island, dt: float) -> No
     for n in range(island.members):
         k = island.member[n]
         share = scratch.since[k] / dt
-        for axis in range(ty.VX, ty.OMEGA + 1):
+        for axis in range(ph.VX, ph.OMEGA + 1):
             old = scratch.before[k, axis]
-            scratch.start[k, axis - ty.VX] = old + share * (world.state[k, axis] - old)
-            scratch.velocity[k, axis - ty.VX] = world.state[k, axis]
-            scratch.met[k, axis - ty.VX] = scratch.start[k, axis - ty.VX]
+            scratch.start[k, axis - ph.VX] = old + share * (world.state[k, axis] - old)
+            scratch.velocity[k, axis - ph.VX] = world.state[k, axis]
+            scratch.met[k, axis - ph.VX] = scratch.start[k, axis - ph.VX]
         elements, contacts = islands.floor_contacts(island, k)
         load_contacts(elements, contacts, dt - scratch.since[k])
 
@@ -155,7 +155,7 @@ def _closes_fast(island: Island, start: Array) -> bool:
     for m in range(island.contacts):
         c = island.contact[m]
         normal, _ = islands.relative_velocity(island, c, start)
-        if normal + island.point[c, ty.CLOSING] < -RESTING:
+        if normal + island.point[c, ph.CLOSING] < -RESTING:
             return True
     return False
 
@@ -169,18 +169,18 @@ def _apply_impulses(scratch: WorldScratch, island: Island, times: float) -> None
             change[island.member[n], axis] = 0.0
     for m in range(island.contacts):
         c = island.contact[m]
-        impulse = island.point[c, ty.NORMAL_IMPULSE]
-        if impulse > PUSHED * island.point[c, ty.NORMAL_STIFFNESS] / islands.STIFFNESS:
+        impulse = island.point[c, ph.NORMAL_IMPULSE]
+        if impulse > PUSHED * island.point[c, ph.NORMAL_STIFFNESS] / islands.STIFFNESS:
             islands.add_impulse(
-                island, c, impulse, island.point[c, ty.TANGENT_IMPULSE], change, times
+                island, c, impulse, island.point[c, ph.TANGENT_IMPULSE], change, times
             )
             scratch.push[island.ends[c, 2]] += times * impulse
     for n in range(island.members):
         k = island.member[n]
         body = island.bodies.body[island.body[k]]
-        scratch.start[k, 0] += change[k, 0] / body[ty.MASS]
-        scratch.start[k, 1] += change[k, 1] / body[ty.MASS]
-        scratch.start[k, 2] += change[k, 2] / (body[ty.MASS] * body[ty.GYRATION])
+        scratch.start[k, 0] += change[k, 0] / body[ph.MASS]
+        scratch.start[k, 1] += change[k, 1] / body[ph.MASS]
+        scratch.start[k, 2] += change[k, 2] / (body[ph.MASS] * body[ph.GYRATION])
 
 
 @linked
@@ -234,9 +234,9 @@ def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool,
     rest = dt - alone
     vx, vy, omega = implicit_velocity(
         grid,
-        world.bodies.body[world.body[k], ty.GYRATION],
+        world.bodies.body[world.body[k], ph.GYRATION],
         Scratch(scratch.tables[k], scratch.marks[k]),
-        Contacts(scratch.floor[k], scratch.marks[k, ty.SUPPORTS]),
+        Contacts(scratch.floor[k], scratch.marks[k, ph.SUPPORTS]),
         rest,
         start[0],
         start[1],
@@ -245,14 +245,14 @@ def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool,
     # The mean, as in the implicit step, where sides that touched before press on.
     new = 1.0 if hit else 0.5
     old = 1.0 - new
-    state[ty.X] = motion.x + alone * motion.vx + rest * (new * vx + old * met[0])
-    state[ty.Y] = motion.y + alone * motion.vy + rest * (new * vy + old * met[1])
-    state[ty.THETA] = motion.theta + alone * motion.omega + rest * (new * omega + old * met[2])
-    state[ty.AX] = (vx - start[0] + met[0] - scratch.before[k, ty.VX]) / dt
-    state[ty.AY] = (vy - start[1] + met[1] - scratch.before[k, ty.VY]) / dt
-    state[ty.VX] = vx
-    state[ty.VY] = vy
-    state[ty.OMEGA] = omega
+    state[ph.X] = motion.x + alone * motion.vx + rest * (new * vx + old * met[0])
+    state[ph.Y] = motion.y + alone * motion.vy + rest * (new * vy + old * met[1])
+    state[ph.THETA] = motion.theta + alone * motion.omega + rest * (new * omega + old * met[2])
+    state[ph.AX] = (vx - start[0] + met[0] - scratch.before[k, ph.VX]) / dt
+    state[ph.AY] = (vy - start[1] + met[1] - scratch.before[k, ph.VY]) / dt
+    state[ph.VX] = vx
+    state[ph.VY] = vy
+    state[ph.OMEGA] = omega
 
 
 @linked
@@ -269,7 +269,7 @@ def step_world(
     for k in range(world.present.shape[0]):
         if world.present[k]:
             state = world.state[k]
-            for j in range(ty.STATE_SIZE):
+            for j in range(ph.STATE_SIZE):
                 scratch.before[k, j] = state[j]
             report, contacts = step_implicit(
                 grid,

@@ -13,7 +13,7 @@ the first kind the compiler takes several at a time, and no sum depends on how m
 
 import math
 
-from surface_gym.physics import types as ty
+from surface_gym.physics import types as ph
 from surface_gym.physics.jit import inlined, linked
 from surface_gym.physics.types import Array, Contacts, Grid, Scratch
 
@@ -36,10 +36,10 @@ def _prepare(
     """Write each contact's velocity, its change along the search, and its kinks."""
     table = scratch.table
     for i in range(contacts.total):
-        x = table[ty.ARM_X + i]
-        y = table[ty.ARM_Y + i]
-        ax = table[ty.AXIS_X + i]
-        ay = table[ty.AXIS_Y + i]
+        x = table[ph.ARM_X + i]
+        y = table[ph.ARM_Y + i]
+        ax = table[ph.AXIS_X + i]
+        ay = table[ph.AXIS_Y + i]
         ux = vx - omega * y
         uy = vy + omega * x
         sx = dx - dw * y
@@ -48,15 +48,15 @@ def _prepare(
         along_rate = ax * sx + ay * sy
         across = ax * uy - ay * ux
         across_rate = ax * sy - ay * sx
-        table[ty.SLIDE_ALONG + i] = along
-        table[ty.RATE_ALONG + i] = along_rate
-        table[ty.SLIDE_ACROSS + i] = across
-        table[ty.RATE_ACROSS + i] = across_rate
+        table[ph.SLIDE_ALONG + i] = along
+        table[ph.RATE_ALONG + i] = along_rate
+        table[ph.SLIDE_ACROSS + i] = across
+        table[ph.RATE_ACROSS + i] = across_rate
         # Where a rate is 0 these are infinite or not a number, so near to nothing.
-        table[ty.KINK_1 + i] = (-rounding - along) / along_rate
-        table[ty.KINK_2 + i] = (rounding - along) / along_rate
-        table[ty.KINK_3 + i] = (-rounding - across) / across_rate
-        table[ty.KINK_4 + i] = (rounding - across) / across_rate
+        table[ph.KINK_1 + i] = (-rounding - along) / along_rate
+        table[ph.KINK_2 + i] = (rounding - along) / along_rate
+        table[ph.KINK_3 + i] = (-rounding - across) / across_rate
+        table[ph.KINK_4 + i] = (rounding - across) / across_rate
 
 
 @inlined
@@ -65,26 +65,26 @@ def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> f
     table = scratch.table
     per_rounding = 1.0 / rounding
     for i in range(contacts.total):
-        u = table[ty.SLIDE_ALONG + i] + t * table[ty.RATE_ALONG + i]
-        v = table[ty.SLIDE_ACROSS + i] + t * table[ty.RATE_ACROSS + i]
-        along = table[ty.MU_ALONG + i] * min(1.0, max(-1.0, u * per_rounding))
-        across = table[ty.MU_ACROSS + i] * min(1.0, max(-1.0, v * per_rounding))
-        table[ty.SLOPE + i] = table[ty.NORMAL + i] * (
-            along * table[ty.RATE_ALONG + i] + across * table[ty.RATE_ACROSS + i]
+        u = table[ph.SLIDE_ALONG + i] + t * table[ph.RATE_ALONG + i]
+        v = table[ph.SLIDE_ACROSS + i] + t * table[ph.RATE_ACROSS + i]
+        along = table[ph.MU_ALONG + i] * min(1.0, max(-1.0, u * per_rounding))
+        across = table[ph.MU_ACROSS + i] * min(1.0, max(-1.0, v * per_rounding))
+        table[ph.SLOPE + i] = table[ph.NORMAL + i] * (
+            along * table[ph.RATE_ALONG + i] + across * table[ph.RATE_ACROSS + i]
         )
     for k in range(contacts.supports):
-        i = scratch.marks[ty.SUPPORT + k]
-        u = table[ty.SLIDE_ALONG + i] + t * table[ty.RATE_ALONG + i]
-        v = table[ty.SLIDE_ACROSS + i] + t * table[ty.RATE_ACROSS + i]
-        share = table[ty.MU_ALONG + i] / max(rounding, math.sqrt(u * u + v * v))
+        i = scratch.marks[ph.SUPPORT + k]
+        u = table[ph.SLIDE_ALONG + i] + t * table[ph.RATE_ALONG + i]
+        v = table[ph.SLIDE_ACROSS + i] + t * table[ph.RATE_ACROSS + i]
+        share = table[ph.MU_ALONG + i] / max(rounding, math.sqrt(u * u + v * v))
         along = share * u
         across = share * v
-        table[ty.SLOPE + i] = table[ty.NORMAL + i] * (
-            along * table[ty.RATE_ALONG + i] + across * table[ty.RATE_ACROSS + i]
+        table[ph.SLOPE + i] = table[ph.NORMAL + i] * (
+            along * table[ph.RATE_ALONG + i] + across * table[ph.RATE_ACROSS + i]
         )
     total = 0.0
     for i in range(contacts.total):
-        total += table[ty.SLOPE + i]
+        total += table[ph.SLOPE + i]
     return total
 
 
@@ -97,9 +97,9 @@ def _keep_kinks(scratch: Scratch, count: int) -> int:
     table = scratch.table
     found = 0
     for i in range(count):
-        for kink in (ty.KINK_1, ty.KINK_2, ty.KINK_3, ty.KINK_4):
+        for kink in (ph.KINK_1, ph.KINK_2, ph.KINK_3, ph.KINK_4):
             t = table[kink + i]
-            table[ty.KINKS + found] = t
+            table[ph.KINKS + found] = t
             found += (t > 0.0) & (t < 1.0)
     return found
 
@@ -111,7 +111,7 @@ def _kink_nearest_middle(scratch: Scratch, kinks: int, low: float, high: float) 
     distance = 0.5 * (high - low) * (1.0 - 1e-9)
     nearest = -1.0
     for k in range(kinks):
-        t = scratch.table[ty.KINKS + k]
+        t = scratch.table[ph.KINKS + k]
         if abs(t - middle) < distance:
             distance = abs(t - middle)
             nearest = t
@@ -182,9 +182,9 @@ def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
     """Write the most that friction can do at each contact in a step."""
     table = scratch.table
     for i in range(contacts.total):
-        load = dt * table[ty.NORMAL + i]
-        table[ty.MOST_ALONG + i] = load * table[ty.MU_ALONG + i]
-        table[ty.MOST_ACROSS + i] = load * table[ty.MU_ACROSS + i]
+        load = dt * table[ph.NORMAL + i]
+        table[ph.MOST_ALONG + i] = load * table[ph.MU_ALONG + i]
+        table[ph.MOST_ACROSS + i] = load * table[ph.MU_ACROSS + i]
 
 
 @inlined
@@ -196,57 +196,57 @@ def friction_gradient(
     per_rounding = 1.0 / ROUNDING
     held = 0
     for i in range(contacts.total):
-        x = table[ty.ARM_X + i]
-        y = table[ty.ARM_Y + i]
-        ax = table[ty.AXIS_X + i]
-        ay = table[ty.AXIS_Y + i]
+        x = table[ph.ARM_X + i]
+        y = table[ph.ARM_Y + i]
+        ax = table[ph.AXIS_X + i]
+        ay = table[ph.AXIS_Y + i]
         ux = vx - omega * y
         uy = vy + omega * x
         along = (ax * ux + ay * uy) * per_rounding
         across = (ax * uy - ay * ux) * per_rounding
-        f_along = table[ty.MOST_ALONG + i] * min(1.0, max(-1.0, along))
-        f_across = table[ty.MOST_ACROSS + i] * min(1.0, max(-1.0, across))
+        f_along = table[ph.MOST_ALONG + i] * min(1.0, max(-1.0, along))
+        f_across = table[ph.MOST_ACROSS + i] * min(1.0, max(-1.0, across))
         fx = f_along * ax - f_across * ay
         fy = f_along * ay + f_across * ax
-        table[ty.SLIP_ALONG + i] = along
-        table[ty.SLIP_ACROSS + i] = across
-        table[ty.FORCE_X + i] = fx
-        table[ty.FORCE_Y + i] = fy
-        table[ty.TORQUE + i] = x * fy - y * fx
+        table[ph.SLIP_ALONG + i] = along
+        table[ph.SLIP_ACROSS + i] = across
+        table[ph.FORCE_X + i] = fx
+        table[ph.FORCE_Y + i] = fy
+        table[ph.TORQUE + i] = x * fy - y * fx
         held += (abs(along) < 1.0) | (abs(across) < 1.0)
     for k in range(contacts.supports):
-        i = scratch.marks[ty.SUPPORT + k]
-        x = table[ty.ARM_X + i]
-        y = table[ty.ARM_Y + i]
+        i = scratch.marks[ph.SUPPORT + k]
+        x = table[ph.ARM_X + i]
+        y = table[ph.ARM_Y + i]
         ux = vx - omega * y
         uy = vy + omega * x
-        share = table[ty.MOST_ALONG + i] / max(ROUNDING, math.sqrt(ux * ux + uy * uy))
+        share = table[ph.MOST_ALONG + i] / max(ROUNDING, math.sqrt(ux * ux + uy * uy))
         fx = share * ux
         fy = share * uy
-        table[ty.FORCE_X + i] = fx
-        table[ty.FORCE_Y + i] = fy
-        table[ty.TORQUE + i] = x * fy - y * fx
+        table[ph.FORCE_X + i] = fx
+        table[ph.FORCE_Y + i] = fy
+        table[ph.TORQUE + i] = x * fy - y * fx
     gx = gy = gw = 0.0
     for i in range(contacts.total):
-        gx += table[ty.FORCE_X + i]
-        gy += table[ty.FORCE_Y + i]
-        gw += table[ty.TORQUE + i]
+        gx += table[ph.FORCE_X + i]
+        gy += table[ph.FORCE_Y + i]
+        gw += table[ph.TORQUE + i]
     return gx, gy, gw, held + contacts.supports == 0
 
 
 @inlined
 def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
     """Write a contact's part of the Hessian, from that of its velocity."""
-    x = table[ty.ARM_X + i]
-    y = table[ty.ARM_Y + i]
+    x = table[ph.ARM_X + i]
+    y = table[ph.ARM_Y + i]
     kxw = x * kxy - y * kxx
     kyw = x * kyy - y * kxy
-    table[ty.CURVE_XX + i] = kxx
-    table[ty.CURVE_XY + i] = kxy
-    table[ty.CURVE_XW + i] = kxw
-    table[ty.CURVE_YY + i] = kyy
-    table[ty.CURVE_YW + i] = kyw
-    table[ty.CURVE_WW + i] = x * kyw - y * kxw
+    table[ph.CURVE_XX + i] = kxx
+    table[ph.CURVE_XY + i] = kxy
+    table[ph.CURVE_XW + i] = kxw
+    table[ph.CURVE_YY + i] = kyy
+    table[ph.CURVE_YW + i] = kyw
+    table[ph.CURVE_WW + i] = x * kyw - y * kxw
 
 
 @inlined
@@ -257,24 +257,24 @@ def friction_curvature(
     table = scratch.table
     per_rounding = 1.0 / ROUNDING
     for i in range(contacts.total):
-        ax = table[ty.AXIS_X + i]
-        ay = table[ty.AXIS_Y + i]
-        held_along = abs(table[ty.SLIP_ALONG + i]) < 1.0
-        held_across = abs(table[ty.SLIP_ACROSS + i]) < 1.0
-        k_along = held_along * table[ty.MOST_ALONG + i] * per_rounding
-        k_across = held_across * table[ty.MOST_ACROSS + i] * per_rounding
+        ax = table[ph.AXIS_X + i]
+        ay = table[ph.AXIS_Y + i]
+        held_along = abs(table[ph.SLIP_ALONG + i]) < 1.0
+        held_across = abs(table[ph.SLIP_ACROSS + i]) < 1.0
+        k_along = held_along * table[ph.MOST_ALONG + i] * per_rounding
+        k_across = held_across * table[ph.MOST_ACROSS + i] * per_rounding
         kxx = k_along * ax * ax + k_across * ay * ay
         kxy = (k_along - k_across) * ax * ay
         kyy = k_along * ay * ay + k_across * ax * ax
         _write_curvature(table, i, kxx, kxy, kyy)
     for k in range(contacts.supports):
-        i = scratch.marks[ty.SUPPORT + k]
-        x = table[ty.ARM_X + i]
-        y = table[ty.ARM_Y + i]
+        i = scratch.marks[ph.SUPPORT + k]
+        x = table[ph.ARM_X + i]
+        y = table[ph.ARM_Y + i]
         ux = vx - omega * y
         uy = vy + omega * x
         speed = math.sqrt(ux * ux + uy * uy)
-        share = table[ty.MOST_ALONG + i] / max(ROUNDING, speed)
+        share = table[ph.MOST_ALONG + i] / max(ROUNDING, speed)
         kxx = kyy = share
         kxy = 0.0
         if speed >= ROUNDING:
@@ -285,12 +285,12 @@ def friction_curvature(
         _write_curvature(table, i, kxx, kxy, kyy)
     hxx = hxy = hxw = hyy = hyw = hww = 0.0
     for i in range(contacts.total):
-        hxx += table[ty.CURVE_XX + i]
-        hxy += table[ty.CURVE_XY + i]
-        hxw += table[ty.CURVE_XW + i]
-        hyy += table[ty.CURVE_YY + i]
-        hyw += table[ty.CURVE_YW + i]
-        hww += table[ty.CURVE_WW + i]
+        hxx += table[ph.CURVE_XX + i]
+        hxy += table[ph.CURVE_XY + i]
+        hxw += table[ph.CURVE_XW + i]
+        hyy += table[ph.CURVE_YY + i]
+        hyw += table[ph.CURVE_YW + i]
+        hww += table[ph.CURVE_WW + i]
     return hxx, hxy, hxw, hyy, hyw, hww
 
 

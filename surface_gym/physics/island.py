@@ -17,7 +17,7 @@ it, `Island.low`, and the factors fill no more than that.
 import math
 from typing import NamedTuple
 
-from surface_gym.physics import types as ty
+from surface_gym.physics import types as ph
 from surface_gym.physics.friction import friction_curvature, friction_gradient
 from surface_gym.physics.jit import inlined, linked
 from surface_gym.physics.types import Array, Bodies, Contacts, Integers, Scratch
@@ -56,23 +56,23 @@ def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, f
     point = island.point
     i = island.ends[c, 0]
     j = island.ends[c, 1]
-    ux = velocity[j, 0] - velocity[j, 2] * point[c, ty.SECOND_Y]
-    uy = velocity[j, 1] + velocity[j, 2] * point[c, ty.SECOND_X]
-    ux -= velocity[i, 0] - velocity[i, 2] * point[c, ty.FIRST_Y]
-    uy -= velocity[i, 1] + velocity[i, 2] * point[c, ty.FIRST_X]
-    nx = point[c, ty.NORMAL_X]
-    ny = point[c, ty.NORMAL_Y]
+    ux = velocity[j, 0] - velocity[j, 2] * point[c, ph.SECOND_Y]
+    uy = velocity[j, 1] + velocity[j, 2] * point[c, ph.SECOND_X]
+    ux -= velocity[i, 0] - velocity[i, 2] * point[c, ph.FIRST_Y]
+    uy -= velocity[i, 1] + velocity[i, 2] * point[c, ph.FIRST_X]
+    nx = point[c, ph.NORMAL_X]
+    ny = point[c, ph.NORMAL_Y]
     return nx * ux + ny * uy, nx * uy - ny * ux
 
 
 @inlined
 def contact_impulse(point: Array, c: int, normal: float, side: float) -> tuple[float, float]:
     """Return the normal and tangential impulse of a point at these speeds."""
-    pn = point[c, ty.NORMAL_IMPULSE] - point[c, ty.NORMAL_STIFFNESS] * (
-        normal + point[c, ty.CLOSING]
+    pn = point[c, ph.NORMAL_IMPULSE] - point[c, ph.NORMAL_STIFFNESS] * (
+        normal + point[c, ph.CLOSING]
     )
-    pt = point[c, ty.TANGENT_IMPULSE] - point[c, ty.TANGENT_STIFFNESS] * side
-    limit = point[c, ty.FRICTION_LIMIT]
+    pt = point[c, ph.TANGENT_IMPULSE] - point[c, ph.TANGENT_STIFFNESS] * side
+    limit = point[c, ph.FRICTION_LIMIT]
     return max(0.0, pn), min(limit, max(-limit, pt))
 
 
@@ -80,18 +80,18 @@ def contact_impulse(point: Array, c: int, normal: float, side: float) -> tuple[f
 def add_impulse(island: Island, c: int, pn: float, pt: float, values: Array, sign: float) -> None:
     """Add an impulse at a point to momenta (P, 3) of both parcels, with a sign."""
     point = island.point
-    nx = point[c, ty.NORMAL_X]
-    ny = point[c, ty.NORMAL_Y]
+    nx = point[c, ph.NORMAL_X]
+    ny = point[c, ph.NORMAL_Y]
     px = sign * (pn * nx - pt * ny)
     py = sign * (pn * ny + pt * nx)
     i = island.ends[c, 0]
     j = island.ends[c, 1]
     values[i, 0] -= px
     values[i, 1] -= py
-    values[i, 2] -= point[c, ty.FIRST_X] * py - point[c, ty.FIRST_Y] * px
+    values[i, 2] -= point[c, ph.FIRST_X] * py - point[c, ph.FIRST_Y] * px
     values[j, 0] += px
     values[j, 1] += py
-    values[j, 2] += point[c, ty.SECOND_X] * py - point[c, ty.SECOND_Y] * px
+    values[j, 2] += point[c, ph.SECOND_X] * py - point[c, ph.SECOND_Y] * px
 
 
 @inlined
@@ -102,22 +102,22 @@ def set_contact_stiffness(island: Island) -> None:
         c = island.contact[m]
         first = island.bodies.body[island.body[island.ends[c, 0]]]
         second = island.bodies.body[island.body[island.ends[c, 1]]]
-        nx = point[c, ty.NORMAL_X]
-        ny = point[c, ty.NORMAL_Y]
-        per_mass = 1.0 / first[ty.MASS] + 1.0 / second[ty.MASS]
-        per_first = 1.0 / (first[ty.MASS] * first[ty.GYRATION])
-        per_second = 1.0 / (second[ty.MASS] * second[ty.GYRATION])
-        turn = point[c, ty.FIRST_X] * ny - point[c, ty.FIRST_Y] * nx
-        twist = point[c, ty.SECOND_X] * ny - point[c, ty.SECOND_Y] * nx
+        nx = point[c, ph.NORMAL_X]
+        ny = point[c, ph.NORMAL_Y]
+        per_mass = 1.0 / first[ph.MASS] + 1.0 / second[ph.MASS]
+        per_first = 1.0 / (first[ph.MASS] * first[ph.GYRATION])
+        per_second = 1.0 / (second[ph.MASS] * second[ph.GYRATION])
+        turn = point[c, ph.FIRST_X] * ny - point[c, ph.FIRST_Y] * nx
+        twist = point[c, ph.SECOND_X] * ny - point[c, ph.SECOND_Y] * nx
         moved = per_mass + turn * turn * per_first + twist * twist * per_second
-        point[c, ty.NORMAL_STIFFNESS] = STIFFNESS / moved
-        turn = point[c, ty.FIRST_X] * nx + point[c, ty.FIRST_Y] * ny
-        twist = point[c, ty.SECOND_X] * nx + point[c, ty.SECOND_Y] * ny
+        point[c, ph.NORMAL_STIFFNESS] = STIFFNESS / moved
+        turn = point[c, ph.FIRST_X] * nx + point[c, ph.FIRST_Y] * ny
+        twist = point[c, ph.SECOND_X] * nx + point[c, ph.SECOND_Y] * ny
         moved = per_mass + turn * turn * per_first + twist * twist * per_second
-        point[c, ty.TANGENT_STIFFNESS] = STIFFNESS / moved
-        point[c, ty.NORMAL_IMPULSE] = 0.0
-        point[c, ty.TANGENT_IMPULSE] = 0.0
-        point[c, ty.FRICTION_LIMIT] = 0.0
+        point[c, ph.TANGENT_STIFFNESS] = STIFFNESS / moved
+        point[c, ph.NORMAL_IMPULSE] = 0.0
+        point[c, ph.TANGENT_IMPULSE] = 0.0
+        point[c, ph.FRICTION_LIMIT] = 0.0
 
 
 @inlined
@@ -132,18 +132,18 @@ def update_impulses(island: Island, friction: float, share: float) -> float:
         c = island.contact[m]
         normal, side = relative_velocity(island, c, island.velocity)
         pn, pt = contact_impulse(point, c, normal, side)
-        most = max(most, abs(pn - point[c, ty.NORMAL_IMPULSE]) / point[c, ty.NORMAL_STIFFNESS])
+        most = max(most, abs(pn - point[c, ph.NORMAL_IMPULSE]) / point[c, ph.NORMAL_STIFFNESS])
         limit = friction * pn
-        if abs(pt) < point[c, ty.FRICTION_LIMIT]:
+        if abs(pt) < point[c, ph.FRICTION_LIMIT]:
             most = max(
-                most, abs(pt - point[c, ty.TANGENT_IMPULSE]) / point[c, ty.TANGENT_STIFFNESS]
+                most, abs(pt - point[c, ph.TANGENT_IMPULSE]) / point[c, ph.TANGENT_STIFFNESS]
             )
         elif abs(pt) > 0.0 or abs(side) > VELOCITY_TOLERANCE:
-            change = abs(limit - point[c, ty.FRICTION_LIMIT])
-            most = max(most, change * STIFFNESS / point[c, ty.TANGENT_STIFFNESS])
-        point[c, ty.NORMAL_IMPULSE] = pn
-        point[c, ty.TANGENT_IMPULSE] = pt
-        point[c, ty.FRICTION_LIMIT] += share * (limit - point[c, ty.FRICTION_LIMIT])
+            change = abs(limit - point[c, ph.FRICTION_LIMIT])
+            most = max(most, change * STIFFNESS / point[c, ph.TANGENT_STIFFNESS])
+        point[c, ph.NORMAL_IMPULSE] = pn
+        point[c, ph.TANGENT_IMPULSE] = pt
+        point[c, ph.FRICTION_LIMIT] += share * (limit - point[c, ph.FRICTION_LIMIT])
     return most
 
 
@@ -210,7 +210,7 @@ SEARCHED_SLOPE = 0.05
 def floor_contacts(island: Island, k: int) -> tuple[Scratch, Contacts]:
     """Return the contacts of a member with the elements."""
     total = island.floor[k]
-    supports = island.marks[k, ty.SUPPORTS] if total > 0 else 0
+    supports = island.marks[k, ph.SUPPORTS] if total > 0 else 0
     return Scratch(island.tables[k], island.marks[k]), Contacts(total, supports)
 
 
@@ -220,8 +220,8 @@ def _slope(island: Island, step: float) -> float:
     gradient, trial, direction = island.gradient, island.trial, island.direction
     for n in range(island.members):
         k = island.member[n]
-        mass = island.bodies.body[island.body[k], ty.MASS]
-        gyration = island.bodies.body[island.body[k], ty.GYRATION]
+        mass = island.bodies.body[island.body[k], ph.MASS]
+        gyration = island.bodies.body[island.body[k], ph.GYRATION]
         for axis in range(3):
             trial[k, axis] = island.velocity[k, axis] + step * direction[k, axis]
         scratch, floor = floor_contacts(island, k)
@@ -263,8 +263,8 @@ def _add_point(island: Island, c: int, stiffness: float, ex: float, ey: float) -
     point = island.point
     i = island.slot[island.ends[c, 0]]
     j = island.slot[island.ends[c, 1]]
-    first = (-ex, -ey, point[c, ty.FIRST_Y] * ex - point[c, ty.FIRST_X] * ey)
-    second = (ex, ey, point[c, ty.SECOND_X] * ey - point[c, ty.SECOND_Y] * ex)
+    first = (-ex, -ey, point[c, ph.FIRST_Y] * ex - point[c, ph.FIRST_X] * ey)
+    second = (ex, ey, point[c, ph.SECOND_X] * ey - point[c, ph.SECOND_Y] * ex)
     _add_product(island.matrix, i, i, stiffness, first, first)
     _add_product(island.matrix, j, j, stiffness, second, second)
     if i > j:
@@ -281,7 +281,7 @@ def _write_matrix(island: Island) -> None:
     velocity, point = island.velocity, island.point
     for n in range(island.members):
         k = island.member[n]
-        mass = island.bodies.body[island.body[k], ty.MASS]
+        mass = island.bodies.body[island.body[k], ph.MASS]
         scratch, floor = floor_contacts(island, k)
         hxx, hxy, hxw, hyy, hyw, hww = friction_curvature(
             scratch, floor, velocity[k, 0], velocity[k, 1], velocity[k, 2]
@@ -292,17 +292,17 @@ def _write_matrix(island: Island) -> None:
         matrix[at + 1, at + 1] = mass * (1.0 + hyy)
         matrix[at + 2, at] = mass * hxw
         matrix[at + 2, at + 1] = mass * hyw
-        matrix[at + 2, at + 2] = mass * (island.bodies.body[island.body[k], ty.GYRATION] + hww)
+        matrix[at + 2, at + 2] = mass * (island.bodies.body[island.body[k], ph.GYRATION] + hww)
     for m in range(island.contacts):
         c = island.contact[m]
-        nx = point[c, ty.NORMAL_X]
-        ny = point[c, ty.NORMAL_Y]
+        nx = point[c, ph.NORMAL_X]
+        ny = point[c, ph.NORMAL_Y]
         normal, side = relative_velocity(island, c, velocity)
         pn, pt = contact_impulse(point, c, normal, side)
         if pn > 0.0:
-            _add_point(island, c, point[c, ty.NORMAL_STIFFNESS], nx, ny)
-        if abs(pt) < point[c, ty.FRICTION_LIMIT]:
-            _add_point(island, c, point[c, ty.TANGENT_STIFFNESS], -ny, nx)
+            _add_point(island, c, point[c, ph.NORMAL_STIFFNESS], nx, ny)
+        if abs(pt) < point[c, ph.FRICTION_LIMIT]:
+            _add_point(island, c, point[c, ph.TANGENT_STIFFNESS], -ny, nx)
 
 
 @inlined
@@ -312,9 +312,9 @@ def _residual(island: Island) -> float:
     for n in range(island.members):
         k = island.member[n]
         gx, gy, gw = island.gradient[k, 0], island.gradient[k, 1], island.gradient[k, 2]
-        radius = math.sqrt(island.bodies.body[island.body[k], ty.GYRATION])
+        radius = math.sqrt(island.bodies.body[island.body[k], ph.GYRATION])
         residual = (abs(gx) + abs(gy) + abs(gw) / radius) / island.bodies.body[
-            island.body[k], ty.MASS
+            island.body[k], ph.MASS
         ]
         most = max(most, residual)
     return most

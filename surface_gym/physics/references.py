@@ -13,7 +13,7 @@ from scipy import sparse
 from scipy.optimize import nnls
 
 from surface_gym.physics import contacts, friction, normal_forces, step
-from surface_gym.physics import types as ty
+from surface_gym.physics import types as ph
 from surface_gym.physics.jit import compiled
 from surface_gym.physics.types import Array, Body, Grid, Scratch, table_row
 
@@ -126,10 +126,10 @@ def support_load_by(
         count: of the contacts, at least one.
     """
     arms = np.column_stack(
-        [table_row(scratch, ty.ARM_X, count), table_row(scratch, ty.ARM_Y, count)]
+        [table_row(scratch, ph.ARM_X, count), table_row(scratch, ph.ARM_Y, count)]
     )
     load = np.array(load_point(grid, body, state))
-    stiffness = table_row(scratch, ty.STIFFNESS, count)
+    stiffness = table_row(scratch, ph.STIFFNESS, count)
     normal, degenerate = SOLVERS[solver](arms, grid.gravity_normal, load, stiffness)
-    table_row(scratch, ty.NORMAL, count)[:] = normal
+    table_row(scratch, ph.NORMAL, count)[:] = normal
     return degenerate

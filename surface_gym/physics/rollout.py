@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surface_gym.physics import signed_distance as sd
 from surface_gym.physics import step
-from surface_gym.physics import types as ty
+from surface_gym.physics import types as ph
 from surface_gym.physics.collision import ContactMaterial, World, WorldScratch
 from surface_gym.physics.contact_solver import step_world
 from surface_gym.physics.friction import friction_gradient
@@ -29,7 +29,7 @@ def run_implicit(
         The steps done; fewer than asked for where a report ended the run.
     """
     for k in range(1, states.shape[0]):
-        for j in range(ty.STATE_SIZE):
+        for j in range(ph.STATE_SIZE):
             states[k, j] = states[k - 1, j]
         reports[k], _ = step.step_implicit(grid, body, states[k], scratch, dt)
         if reports[k] >= step.OFF_SURFACE:
@@ -43,7 +43,7 @@ def run_explicit(
 ) -> int:
     """Fill states and reports as `run_implicit` does, by the paper's loop."""
     for k in range(1, states.shape[0]):
-        for j in range(ty.STATE_SIZE):
+        for j in range(ph.STATE_SIZE):
             states[k, j] = states[k - 1, j]
         reports[k], _ = step.step_explicit(grid, body, states[k], scratch, dt)
         if reports[k] >= step.OFF_SURFACE:
@@ -97,7 +97,7 @@ def run_world(
         for i in range(rows):
             records.report[k, i] = scratch.report[i]
             world.present[i] &= scratch.report[i] < step.OFF_SURFACE
-            for j in range(ty.STATE_SIZE):
+            for j in range(ph.STATE_SIZE):
                 records.state[k, i, j] = world.state[i, j]
     return last + 1, touches
 
@@ -153,7 +153,7 @@ def support_loads(
         contacts = step.find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
         step.support_load(grid, body, steps.before[k - 1], scratch, contacts)
         for i in range(contacts.total):
-            observed.normal[steps.first[k] + i] = scratch.table[ty.NORMAL + i]
+            observed.normal[steps.first[k] + i] = scratch.table[ph.NORMAL + i]
 
 
 @inlined
@@ -162,16 +162,16 @@ def _begin(
 ) -> Contacts:
     """Load a step's state, contacts and normal forces."""
     state, first = observed.state[k], steps.first[k]
-    for j in range(ty.STATE_SIZE):
+    for j in range(ph.STATE_SIZE):
         state[j] = steps.before[k - 1, j]
     contacts = step.find_support(grid, body, state, scratch, steps.lead[k])
     for i in range(contacts.total):
-        scratch.table[ty.NORMAL + i] = observed.normal[first + i]
+        scratch.table[ph.NORMAL + i] = observed.normal[first + i]
     i = first
-    for span in range(scratch.marks[ty.SPANS]):
-        row = scratch.marks[ty.SPAN_ROW + span]
+    for span in range(scratch.marks[ph.SPANS]):
+        row = scratch.marks[ph.SPAN_ROW + span]
         for column in range(
-            scratch.marks[ty.SPAN_FIRST + span], scratch.marks[ty.SPAN_LAST + span] + 1
+            scratch.marks[ph.SPAN_FIRST + span], scratch.marks[ph.SPAN_LAST + span] + 1
         ):
             observed.element[i, 0] = row
             observed.element[i, 1] = column
@@ -188,10 +188,10 @@ def repeat_implicit(
         state, first, length = observed.state[k], steps.first[k], steps.length[k]
         contacts = _begin(grid, body, steps, k, scratch, observed)
         step.advance_implicit(grid, body, state, scratch, contacts, length)
-        friction_gradient(scratch, contacts, state[ty.VX], state[ty.VY], state[ty.OMEGA])
+        friction_gradient(scratch, contacts, state[ph.VX], state[ph.VY], state[ph.OMEGA])
         for i in range(contacts.total):
-            observed.force[first + i, 0] = -scratch.table[ty.FORCE_X + i] / length
-            observed.force[first + i, 1] = -scratch.table[ty.FORCE_Y + i] / length
+            observed.force[first + i, 0] = -scratch.table[ph.FORCE_X + i] / length
+            observed.force[first + i, 1] = -scratch.table[ph.FORCE_Y + i] / length
 
 
 @compiled
@@ -213,22 +213,22 @@ def repeat_explicit(
         before, state, first = steps.before[k - 1], observed.state[k], steps.first[k]
         contacts = _begin(grid, body, steps, k, scratch, observed)
         step.advance_explicit(grid, body, state, scratch, contacts, steps.length[k])
-        standing = before[ty.VX] <= 0.0
-        vx = step.RESTART_SPEED if standing else before[ty.VX]
+        standing = before[ph.VX] <= 0.0
+        vx = step.RESTART_SPEED if standing else before[ph.VX]
         along_x = 0.0
         other_x = grid.gravity_along
         for i in range(contacts.total):
             # The law for one contact at a time, which begins the tables.
             one = Scratch(scratch.table[i:], scratch.marks[i:])
             fx, fy, _, _ = step.explicit_acceleration(
-                level, body.gyration, one, Contacts(1, 0), vx, before[ty.VY], before[ty.OMEGA]
+                level, body.gyration, one, Contacts(1, 0), vx, before[ph.VY], before[ph.OMEGA]
             )
             observed.force[first + i, 0] = fx
             observed.force[first + i, 1] = fy
-            pull = _along(scratch, i, fx, fy) * scratch.table[ty.AXIS_X + i]
+            pull = _along(scratch, i, fx, fy) * scratch.table[ph.AXIS_X + i]
             along_x += pull
             other_x += fx - pull
-        if standing and state[ty.VX] == 0.0:  # Figure 5b's rule held it
+        if standing and state[ph.VX] == 0.0:  # Figure 5b's rule held it
             share = step.held_share(along_x, other_x)
             _scale_along(scratch, contacts, observed.force[first:], share)
 
@@ -236,8 +236,8 @@ def repeat_explicit(
 @inlined
 def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
     """Return the part of a contact's friction along a rotor's axis; 0 for a support."""
-    axis_x, axis_y = scratch.table[ty.AXIS_X + i], scratch.table[ty.AXIS_Y + i]
-    return scratch.marks[ty.ROTOR + i] * (axis_x * fx + axis_y * fy)
+    axis_x, axis_y = scratch.table[ph.AXIS_X + i], scratch.table[ph.AXIS_Y + i]
+    return scratch.marks[ph.ROTOR + i] * (axis_x * fx + axis_y * fy)
 
 
 @inlined
@@ -245,5 +245,5 @@ def _scale_along(scratch: Scratch, contacts: Contacts, force: Array, share: floa
     """Scale the friction along the axes, and leave all other friction as it is."""
     for i in range(contacts.total):
         change = (share - 1.0) * _along(scratch, i, force[i, 0], force[i, 1])
-        force[i, 0] += change * scratch.table[ty.AXIS_X + i]
-        force[i, 1] += change * scratch.table[ty.AXIS_Y + i]
+        force[i, 0] += change * scratch.table[ph.AXIS_X + i]
+        force[i, 1] += change * scratch.table[ph.AXIS_Y + i]

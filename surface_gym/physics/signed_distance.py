@@ -8,7 +8,7 @@ polygons is exact. Where corner faces corner, the true distance is larger.
 import math
 from typing import NamedTuple
 
-from surface_gym.physics import types as ty
+from surface_gym.physics import types as ph
 from surface_gym.physics.jit import inlined, linked
 from surface_gym.physics.types import Array, Bodies
 
@@ -58,9 +58,9 @@ def read_outline(bodies: Bodies, site: int) -> Outline:
     is_disc = corners[0, 0] == 0.0 and corners[0, 1] == 0.0
     return Outline(
         corners,
-        bodies.body[site, ty.RADIUS] if is_disc else 0.0,
-        bodies.body[site, ty.COM_X],
-        bodies.body[site, ty.COM_Y],
+        bodies.body[site, ph.RADIUS] if is_disc else 0.0,
+        bodies.body[site, ph.COM_X],
+        bodies.body[site, ph.COM_Y],
     )
 
 
@@ -81,19 +81,19 @@ def transform_at(outline: Outline, motion: Sweep, time: float) -> Transform:
 @inlined
 def sweep_at_rest(state: Array) -> Sweep:
     """Return the sweep of a state that does not move."""
-    return Sweep(state[ty.X], state[ty.Y], state[ty.THETA], 0.0, 0.0, 0.0)
+    return Sweep(state[ph.X], state[ph.Y], state[ph.THETA], 0.0, 0.0, 0.0)
 
 
 @inlined
 def sweep_between(before: Array, after: Array) -> Sweep:
     """Return the sweep of a step, at the mean of its velocities as the implicit step's is."""
     return Sweep(
-        before[ty.X],
-        before[ty.Y],
-        before[ty.THETA],
-        0.5 * (before[ty.VX] + after[ty.VX]),
-        0.5 * (before[ty.VY] + after[ty.VY]),
-        0.5 * (before[ty.OMEGA] + after[ty.OMEGA]),
+        before[ph.X],
+        before[ph.Y],
+        before[ph.THETA],
+        0.5 * (before[ph.VX] + after[ph.VX]),
+        0.5 * (before[ph.VY] + after[ph.VY]),
+        0.5 * (before[ph.OMEGA] + after[ph.OMEGA]),
     )
 
 

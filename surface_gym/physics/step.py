@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym.physics import types as ty
+from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import find_contacts
 from surface_gym.physics.friction import implicit_velocity
 from surface_gym.physics.jit import compiled, inlined, linked
@@ -71,17 +71,17 @@ def com_states(centre: Array, pose: Array, velocity: Array) -> Array:
         pose: (count, 3) of the frame.
         velocity: (count, 3) of the frame.
     """
-    state = np.zeros((len(pose), ty.STATE_SIZE))
-    state[:, ty.X : ty.THETA + 1] = pose
-    state[:, ty.VX : ty.OMEGA + 1] = velocity
+    state = np.zeros((len(pose), ph.STATE_SIZE))
+    state[:, ph.X : ph.THETA + 1] = pose
+    state[:, ph.VX : ph.OMEGA + 1] = velocity
     if centre.any():
         cosine, sine = map_floats(math.cos, pose[:, 2]), map_floats(math.sin, pose[:, 2])
         arm_x = cosine * centre[:, 0] - sine * centre[:, 1]
         arm_y = sine * centre[:, 0] + cosine * centre[:, 1]
-        state[:, ty.X] += arm_x
-        state[:, ty.Y] += arm_y
-        state[:, ty.VX] -= velocity[:, 2] * arm_y
-        state[:, ty.VY] += velocity[:, 2] * arm_x
+        state[:, ph.X] += arm_x
+        state[:, ph.Y] += arm_y
+        state[:, ph.VX] -= velocity[:, 2] * arm_y
+        state[:, ph.VY] += velocity[:, 2] * arm_x
     return state
 
 
@@ -131,25 +131,25 @@ def explicit_acceleration(
     other_x = other_y = other_w = 0.0
     table = scratch.table
     for i in range(contacts.total):
-        x = table[ty.ARM_X + i]
-        y = table[ty.ARM_Y + i]
+        x = table[ph.ARM_X + i]
+        y = table[ph.ARM_Y + i]
         ux = vx - omega * y
         uy = vy + omega * x
         speed = math.sqrt(ux * ux + uy * uy)
-        smooth = table[ty.NORMAL + i] * math.tanh(STEEPNESS * speed)
-        if scratch.marks[ty.ROTOR + i]:
-            ax = table[ty.AXIS_X + i]
-            ay = table[ty.AXIS_Y + i]
+        smooth = table[ph.NORMAL + i] * math.tanh(STEEPNESS * speed)
+        if scratch.marks[ph.ROTOR + i]:
+            ax = table[ph.AXIS_X + i]
+            ay = table[ph.AXIS_Y + i]
             # cos(alpha) = a . V / |V|, and sin(alpha).
-            f_par = table[ty.MU_ALONG + i] * smooth * _sign(ax * ux + ay * uy)
-            f_perp = table[ty.MU_ACROSS + i] * smooth * _sign(ay * ux - ax * uy)
+            f_par = table[ph.MU_ALONG + i] * smooth * _sign(ax * ux + ay * uy)
+            f_perp = table[ph.MU_ACROSS + i] * smooth * _sign(ay * ux - ax * uy)
             along_x -= f_par * ax
             along_y -= f_par * ay
             along_w -= f_par * (x * ay - y * ax)
             fx = -f_perp * ay
             fy = f_perp * ax
         else:
-            share = table[ty.MU_ALONG + i] * smooth / speed if speed > 0.0 else 0.0
+            share = table[ph.MU_ALONG + i] * smooth / speed if speed > 0.0 else 0.0
             fx = -share * ux
             fy = -share * uy
         other_x += fx
@@ -170,7 +170,7 @@ BALANCED, TIPPING, OFF_SURFACE, UNSUPPORTED, STOPPED = range(5)
 def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
     """Return where the load acts, from the centre of mass: b_eq of Eq. (1) over m g cos(gamma)."""
     per_weight = body.com_height / grid.gravity_normal
-    return (grid.gravity_along - state[ty.AX]) * per_weight, -state[ty.AY] * per_weight
+    return (grid.gravity_along - state[ph.AX]) * per_weight, -state[ph.AY] * per_weight
 
 
 @inlined
@@ -187,17 +187,17 @@ def on_surface(grid: Grid, x: float, y: float) -> bool:
 @inlined
 def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: float) -> Contacts:
     """Find the contacts at the pose the parcel has `lead` seconds on; none off the surface."""
-    x = state[ty.X] + lead * state[ty.VX]
-    y = state[ty.Y] + lead * state[ty.VY]
+    x = state[ph.X] + lead * state[ph.VX]
+    y = state[ph.Y] + lead * state[ph.VY]
     if not on_surface(grid, x, y):
         return Contacts(0, 0)
-    return find_contacts(grid, body, x, y, state[ty.THETA] + lead * state[ty.OMEGA], scratch)
+    return find_contacts(grid, body, x, y, state[ph.THETA] + lead * state[ph.OMEGA], scratch)
 
 
 @inlined
 def explain_unsupported(grid: Grid, state: Array, lead: float) -> int:
     """Return the report for a parcel without contacts: off the surface, or on no element."""
-    over = on_surface(grid, state[ty.X] + lead * state[ty.VX], state[ty.Y] + lead * state[ty.VY])
+    over = on_surface(grid, state[ph.X] + lead * state[ph.VX], state[ph.Y] + lead * state[ph.VY])
     return UNSUPPORTED if over else OFF_SURFACE
 
 
@@ -223,18 +223,18 @@ def advance_implicit(
 ) -> None:
     """Move the state by one step, with contacts and normal forces given in `scratch`."""
     vx, vy, omega = implicit_velocity(
-        grid, body.gyration, scratch, contacts, dt, state[ty.VX], state[ty.VY], state[ty.OMEGA]
+        grid, body.gyration, scratch, contacts, dt, state[ph.VX], state[ph.VY], state[ph.OMEGA]
     )
     half = 0.5 * dt
     per_dt = 1.0 / dt
-    state[ty.X] += half * (state[ty.VX] + vx)
-    state[ty.Y] += half * (state[ty.VY] + vy)
-    state[ty.THETA] += half * (state[ty.OMEGA] + omega)
-    state[ty.AX] = (vx - state[ty.VX]) * per_dt
-    state[ty.AY] = (vy - state[ty.VY]) * per_dt
-    state[ty.VX] = vx
-    state[ty.VY] = vy
-    state[ty.OMEGA] = omega
+    state[ph.X] += half * (state[ph.VX] + vx)
+    state[ph.Y] += half * (state[ph.VY] + vy)
+    state[ph.THETA] += half * (state[ph.OMEGA] + omega)
+    state[ph.AX] = (vx - state[ph.VX]) * per_dt
+    state[ph.AY] = (vy - state[ph.VY]) * per_dt
+    state[ph.VX] = vx
+    state[ph.VY] = vy
+    state[ph.OMEGA] = omega
 
 
 @inlined
@@ -243,16 +243,16 @@ def advance_explicit(
 ) -> None:
     """Integrate Eq. (4) twice as the paper does: the velocity, then the position with it."""
     ax, ay, aw, vx = explicit_acceleration(
-        grid, body.gyration, scratch, contacts, state[ty.VX], state[ty.VY], state[ty.OMEGA]
+        grid, body.gyration, scratch, contacts, state[ph.VX], state[ph.VY], state[ph.OMEGA]
     )
-    state[ty.VX] = vx + dt * ax
-    state[ty.VY] += dt * ay
-    state[ty.OMEGA] += dt * aw
-    state[ty.X] += dt * state[ty.VX]
-    state[ty.Y] += dt * state[ty.VY]
-    state[ty.THETA] += dt * state[ty.OMEGA]
-    state[ty.AX] = ax
-    state[ty.AY] = ay
+    state[ph.VX] = vx + dt * ax
+    state[ph.VY] += dt * ay
+    state[ph.OMEGA] += dt * aw
+    state[ph.X] += dt * state[ph.VX]
+    state[ph.Y] += dt * state[ph.VY]
+    state[ph.THETA] += dt * state[ph.OMEGA]
+    state[ph.AX] = ax
+    state[ph.AY] = ay
 
 
 @linked
@@ -276,7 +276,7 @@ def step_explicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
 ) -> tuple[int, Contacts]:
     """Do one step of the paper's loop, Figure 5a, its stopping rule included."""
-    if state[ty.VX] <= 0.0 and grid.gravity_along == 0.0:
+    if state[ph.VX] <= 0.0 and grid.gravity_along == 0.0:
         return STOPPED, Contacts(0, 0)
     contacts = find_support(grid, body, state, scratch, 0.0)
     if contacts.total == 0:

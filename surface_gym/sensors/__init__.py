@@ -6,4 +6,4 @@ from surface_gym.sensors.presence import Presence
 
 KINDS = (Exact, Camera, AdaptiveCamera, Presence)
 
-__all__ = ["KINDS", "Camera", "Entry", "Exact", "AdaptiveCamera", "Presence", "Sensor"]
+__all__ = ["KINDS", "AdaptiveCamera", "Camera", "Entry", "Exact", "Presence", "Sensor"]

@@ -52,9 +52,9 @@ class Sensor:
         del dt, steps
         return 0
 
-    def friction(self, plant: BaseLine) -> Array:
+    def friction(self, line: BaseLine) -> Array:
         """Return the friction (rows, columns, 3) [-] that `update` may predict by."""
-        return plant.friction
+        return line.friction
 
     @staticmethod
     @kernel_function

@@ -72,7 +72,7 @@ class Camera(Observer):
     position_noise: float = 0.001  # [m] standard deviation in x and in y
     angle_noise: float = math.radians(0.5)  # [rad] standard deviation
     drop: float = 0.0  # [-] probability of a frame to be lost
-    mu_max: float | None = None  # [-] friction the filter assumes; None: the plant's own
+    mu_max: float | None = None  # [-] friction the filter assumes; None: the line's own
     mu_min: float | None = None  # [-]
     mu_support: float | None = None  # [-]
     friction_error: float = 0.05  # [-] share by which what friction does may be off

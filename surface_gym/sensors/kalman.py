@@ -12,45 +12,17 @@ import math
 from dataclasses import dataclass
 
 from surface_gym.lines import BaseLine
+from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import bounded
 from surface_gym.physics.friction import friction_gradient
 from surface_gym.physics.jit import inlined, kernel_function
 from surface_gym.physics.step import OFF_SURFACE, step_implicit
-from surface_gym.physics.types import (
-    ARM_X,
-    ARM_Y,
-    AX,
-    AXIS_X,
-    AXIS_Y,
-    AY,
-    COM_HEIGHT,
-    FORCE_X,
-    FORCE_Y,
-    GYRATION,
-    HALF_LENGTH,
-    MU_ALONG,
-    NORMAL,
-    OMEGA,
-    RADIUS,
-    ROTOR,
-    STATE_SIZE,
-    THETA,
-    TORQUE,
-    VX,
-    VY,
-    Array,
-    Body,
-    Contacts,
-    Grid,
-    Scratch,
-    X,
-    Y,
-)
+from surface_gym.physics.types import Array, Body, Grid, Scratch
 from surface_gym.sensors.base import LEARNED, Physics, Sensor, enter
 from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, EnvState
 
 SIZE = 6  # of pose and velocity
-COVARIANCE = STATE_SIZE  # first column; row by row
+COVARIANCE = ph.STATE_SIZE  # first column; row by row
 GAIN = COVARIANCE + SIZE * SIZE  # first column of a correction's own memory
 DECAY = GAIN + SIZE  # first column of a prediction's own memory, 3 x 3
 LAST = DECAY + 9
@@ -69,9 +41,9 @@ class Observer(Sensor):
 
     watches = True
 
-    def friction(self, plant: BaseLine) -> Array:
+    def friction(self, line: BaseLine) -> Array:
         """Return the line's friction where a coefficient is None, else the same everywhere."""
-        assumed = plant.friction.copy()
+        assumed = line.friction.copy()
         for k, name in enumerate(("mu_max", "mu_min", "mu_support")):
             if getattr(self, name) is not None:
                 assumed[:, :, k] = getattr(self, name)
@@ -92,8 +64,8 @@ def begin(settings: Array, first: int, state: EnvState) -> None:
     """
     enter(settings, first, state)
     estimate = state.sensor_state
-    estimate[AX] = 0.0
-    estimate[AY] = 0.0
+    estimate[ph.AX] = 0.0
+    estimate[ph.AY] = 0.0
     for k in range(SIZE * SIZE):
         estimate[COVARIANCE + k] = 0.0
     for k in range(SIZE):
@@ -102,7 +74,7 @@ def begin(settings: Array, first: int, state: EnvState) -> None:
 
 
 @kernel_function
-def _damp(body: Body, estimate: Array, scratch: Scratch, contacts: Contacts, dt: float) -> None:
+def _damp(body: Body, estimate: Array, scratch: Scratch, contacts: ph.Contacts, dt: float) -> None:
     """Write how a step damps errors in velocity, (M + dt S)^-1 M, into `estimate` from DECAY on.
 
     S is the friction's slope over the slip along each rotor's axis: steep where it holds.
@@ -110,13 +82,15 @@ def _damp(body: Body, estimate: Array, scratch: Scratch, contacts: Contacts, dt:
     table = scratch.table
     xx, xy, yy, xt, yt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(contacts.total):
-        if not scratch.marks[ROTOR + i]:
+        if not scratch.marks[ph.ROTOR + i]:
             continue
-        ux, uy = table[AXIS_X + i], table[AXIS_Y + i]
-        lever = uy * table[ARM_X + i] - ux * table[ARM_Y + i]
-        slip = (ux * estimate[VX] + uy * estimate[VY] + lever * estimate[OMEGA]) / STICTION_SPEED
+        ux, uy = table[ph.AXIS_X + i], table[ph.AXIS_Y + i]
+        lever = uy * table[ph.ARM_X + i] - ux * table[ph.ARM_Y + i]
+        slip = (
+            ux * estimate[ph.VX] + uy * estimate[ph.VY] + lever * estimate[ph.OMEGA]
+        ) / STICTION_SPEED
         shrunk = 1.0 + slip * slip
-        most = dt * table[MU_ALONG + i] * table[NORMAL + i]
+        most = dt * table[ph.MU_ALONG + i] * table[ph.NORMAL + i]
         slope = most / (STICTION_SPEED * shrunk * shrunk)
         xx += slope * ux * ux
         xy += slope * ux * uy
@@ -194,7 +168,7 @@ def predict(settings: Array, first: int, state: EnvState, physics: Physics) -> N
     velocity.
     """
     estimate = state.sensor_state
-    vx, vy, omega = estimate[VX], estimate[VY], estimate[OMEGA]
+    vx, vy, omega = estimate[ph.VX], estimate[ph.VY], estimate[ph.OMEGA]
     move(state, physics, 1.0, assumed_body(state, 0.0, 0.0))
     widen_by_doubt(settings, first, estimate, physics.dt, vx, vy, omega)
 
@@ -204,16 +178,16 @@ def assumed_body(state: EnvState, com_x: float, com_y: float) -> Body:
     """Return the parcel with its centre of mass assumed at a place [m] from the centroid."""
     return Body(
         state.edges,
-        state.body[RADIUS],
+        state.body[ph.RADIUS],
         com_x,
         com_y,
-        state.body[COM_HEIGHT],
-        state.body[GYRATION],
+        state.body[ph.COM_HEIGHT],
+        state.body[ph.GYRATION],
     )
 
 
 @kernel_function
-def move(state: EnvState, physics: Physics, factor: float, body: Body) -> Contacts:
+def move(state: EnvState, physics: Physics, factor: float, body: Body) -> ph.Contacts:
     """Move the state in `state.sensor_state`, the centre of mass's, over one step; write how that
     damps errors; return the step's contacts.
 
@@ -242,9 +216,9 @@ def move(state: EnvState, physics: Physics, factor: float, body: Body) -> Contac
     )
     report, contacts = step_implicit(grid, body, estimate, physics.scratch, dt)
     if report >= OFF_SURFACE:
-        estimate[X] += dt * estimate[VX]
-        estimate[Y] += dt * estimate[VY]
-        estimate[THETA] += dt * estimate[OMEGA]
+        estimate[ph.X] += dt * estimate[ph.VX]
+        estimate[ph.Y] += dt * estimate[ph.VY]
+        estimate[ph.THETA] += dt * estimate[ph.OMEGA]
     _damp(body, estimate, physics.scratch, contacts, dt)
     return contacts
 
@@ -260,8 +234,9 @@ def widen_by_doubt(
     _widen(
         estimate,
         dt,
-        settings[first + DENSITY] + doubt * ((estimate[VX] - vx) ** 2 + (estimate[VY] - vy) ** 2),
-        settings[first + TURN_DENSITY] + doubt * (estimate[OMEGA] - omega) ** 2,
+        settings[first + DENSITY]
+        + doubt * ((estimate[ph.VX] - vx) ** 2 + (estimate[ph.VY] - vy) ** 2),
+        settings[first + TURN_DENSITY] + doubt * (estimate[ph.OMEGA] - omega) ** 2,
     )
 
 
@@ -327,12 +302,12 @@ def begin_learning(settings: Array, first: int, state: EnvState) -> None:
 def predict_learning(settings: Array, first: int, state: EnvState, physics: Physics) -> None:
     """Predict as `kalman.predict` does, by the estimated constants, and carry on their effect."""
     estimate, scratch, dt = state.sensor_state, physics.scratch, physics.dt
-    vx, vy, omega = estimate[VX], estimate[VY], estimate[OMEGA]
+    vx, vy, omega = estimate[ph.VX], estimate[ph.VY], estimate[ph.OMEGA]
     body = assumed_body(state, estimate[CONSTANT + 1], estimate[CONSTANT + 2])
     _to_load(estimate, 1.0)
     contacts = move(state, physics, estimate[CONSTANT], body)
     weight = state.surface[GRAVITY_NORMAL]
-    _effect(body, weight, estimate, scratch, contacts, estimate[OMEGA] - omega)
+    _effect(body, weight, estimate, scratch, contacts, estimate[ph.OMEGA] - omega)
     _to_load(estimate, -1.0)
     widen_by_doubt(settings, first, estimate, dt, vx, vy, omega)
     _widen_by_constants(estimate, dt)
@@ -343,18 +318,18 @@ def _to_load(estimate: Array, way: float) -> None:
     """Turn the state of the base's centroid into that of the centre of mass; `way` -1 turns it
     back.
     """
-    cosine, sine = math.cos(estimate[THETA]), math.sin(estimate[THETA])
+    cosine, sine = math.cos(estimate[ph.THETA]), math.sin(estimate[ph.THETA])
     arm_x = way * (cosine * estimate[CONSTANT + 1] - sine * estimate[CONSTANT + 2])
     arm_y = way * (sine * estimate[CONSTANT + 1] + cosine * estimate[CONSTANT + 2])
-    estimate[X] += arm_x
-    estimate[Y] += arm_y
-    estimate[VX] -= estimate[OMEGA] * arm_y
-    estimate[VY] += estimate[OMEGA] * arm_x
+    estimate[ph.X] += arm_x
+    estimate[ph.Y] += arm_y
+    estimate[ph.VX] -= estimate[ph.OMEGA] * arm_y
+    estimate[ph.VY] += estimate[ph.OMEGA] * arm_x
 
 
 @kernel_function
 def _effect(
-    body: Body, weight: float, estimate: Array, scratch: Scratch, contacts: Contacts, turn: float
+    body: Body, weight: float, estimate: Array, scratch: Scratch, contacts: ph.Contacts, turn: float
 ) -> None:
     """Write the derivatives of a step's velocities by each constant into `estimate` from EFFECT on.
 
@@ -367,26 +342,26 @@ def _effect(
         turn: [rad/s] by which the step changed the speed of turning.
     """
     table = scratch.table
-    friction_gradient(scratch, contacts, estimate[VX], estimate[VY], estimate[OMEGA])
+    friction_gradient(scratch, contacts, estimate[ph.VX], estimate[ph.VY], estimate[ph.OMEGA])
     drag_x, drag_y, drag_turn, all_x, all_y = 0.0, 0.0, 0.0, 0.0, 0.0
     count, mean_x, mean_y = 0, 0.0, 0.0
     for i in range(contacts.total):
-        if scratch.marks[ROTOR + i]:
-            drag_x += table[FORCE_X + i]
-            drag_y += table[FORCE_Y + i]
-            drag_turn += table[TORQUE + i]
-        all_x += table[FORCE_X + i]
-        all_y += table[FORCE_Y + i]
-        if table[NORMAL + i] > 0.0:
+        if scratch.marks[ph.ROTOR + i]:
+            drag_x += table[ph.FORCE_X + i]
+            drag_y += table[ph.FORCE_Y + i]
+            drag_turn += table[ph.TORQUE + i]
+        all_x += table[ph.FORCE_X + i]
+        all_y += table[ph.FORCE_Y + i]
+        if table[ph.NORMAL + i] > 0.0:
             count += 1
-            mean_x += table[ARM_X + i]
-            mean_y += table[ARM_Y + i]
+            mean_x += table[ph.ARM_X + i]
+            mean_y += table[ph.ARM_Y + i]
     mean_x /= max(1, count)
     mean_y /= max(1, count)
     xx, xy, yy = THINNEST, 0.0, THINNEST
     for i in range(contacts.total):
-        if table[NORMAL + i] > 0.0:
-            x, y = table[ARM_X + i] - mean_x, table[ARM_Y + i] - mean_y
+        if table[ph.NORMAL + i] > 0.0:
+            x, y = table[ph.ARM_X + i] - mean_x, table[ph.ARM_Y + i] - mean_y
             xx += x * x
             xy += x * y
             yy += y * y
@@ -394,19 +369,19 @@ def _effect(
     # [1/s] and [rad/(m s)] by a metre of the load in x, and in y
     vx_x, vx_y, vy_x, vy_y, turn_x, turn_y = 0.0, 0.0, 0.0, 0.0, -all_y, all_x
     for i in range(contacts.total):
-        if table[NORMAL + i] > 0.0:
-            x, y = table[ARM_X + i] - mean_x, table[ARM_Y + i] - mean_y
-            per_normal = per_determinant / table[NORMAL + i]
+        if table[ph.NORMAL + i] > 0.0:
+            x, y = table[ph.ARM_X + i] - mean_x, table[ph.ARM_Y + i] - mean_y
+            per_normal = per_determinant / table[ph.NORMAL + i]
             by_x = (yy * x - xy * y) * per_normal
             by_y = (xx * y - xy * x) * per_normal
-            vx_x += table[FORCE_X + i] * by_x
-            vx_y += table[FORCE_X + i] * by_y
-            vy_x += table[FORCE_Y + i] * by_x
-            vy_y += table[FORCE_Y + i] * by_y
-            turn_x += table[TORQUE + i] * by_x
-            turn_y += table[TORQUE + i] * by_y
+            vx_x += table[ph.FORCE_X + i] * by_x
+            vx_y += table[ph.FORCE_X + i] * by_y
+            vy_x += table[ph.FORCE_Y + i] * by_x
+            vy_y += table[ph.FORCE_Y + i] * by_y
+            turn_x += table[ph.TORQUE + i] * by_x
+            turn_y += table[ph.TORQUE + i] * by_y
     per_gyration = 1.0 / body.gyration
-    cosine, sine = math.cos(estimate[THETA]), math.sin(estimate[THETA])
+    cosine, sine = math.cos(estimate[ph.THETA]), math.sin(estimate[ph.THETA])
     per_factor = 1.0 / estimate[CONSTANT]
     estimate[EFFECT] = -drag_x * per_factor
     estimate[EFFECT + 3] = -drag_y * per_factor
@@ -487,7 +462,7 @@ def correct_constants(state: EnvState, shift: float, shrink: float) -> None:
             estimate[CROSS + LEARNED * i + j] -= shrink * estimate[GAIN + i] * estimate[PULL + j]
         for k in range(LEARNED):
             estimate[DOUBT + LEARNED * j + k] -= shrink * estimate[PULL + j] * estimate[PULL + k]
-    farthest = FARTHEST_LOAD * state.body[HALF_LENGTH]
+    farthest = FARTHEST_LOAD * state.body[ph.HALF_LENGTH]
     estimate[CONSTANT] = bounded(estimate[CONSTANT], LEAST_FACTOR, MOST_FACTOR)
     for j in range(1, LEARNED):
         estimate[CONSTANT + j] = bounded(estimate[CONSTANT + j], -farthest, farthest)

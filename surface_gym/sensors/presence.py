@@ -113,7 +113,7 @@ class Presence(Observer):
 
     sample_rate: float = 200.0  # [Hz] of all sensors together; at most one sample a physics step
     drop: float = 0.0  # [-] probability of a sample to be lost
-    mu_max: float | None = None  # [-] friction the observer assumes; None: the plant's own
+    mu_max: float | None = None  # [-] friction the observer assumes; None: the line's own
     mu_min: float | None = None  # [-]
     mu_support: float | None = None  # [-]
     friction_error: float = 0.0  # [-] share by which what friction does may be off

@@ -69,7 +69,7 @@ class Task:
     # control periods after which an episode is truncated; None: `periods`
     time_limit: int | None = field(default=None, kw_only=True)
 
-    plant: ClassVar[BaseLine] = Line()
+    line: ClassVar[BaseLine] = Line()
     features: ClassVar[tuple[Feature, ...]]
     terms: ClassVar[tuple[str, ...]]  # of the reward, in the order of `state.terms`
     outcomes: ClassVar[tuple[str, ...]]  # how it may fail
@@ -122,10 +122,10 @@ class Task:
         return default_benchmark(self)
 
     def path_metrics(
-        self, path: Numbers, parcel: Parcel, plant: BaseLine, zone: tuple[int, int] | None
+        self, path: Numbers, parcel: Parcel, line: BaseLine, zone: tuple[int, int] | None
     ) -> dict[str, float]:
         """Metrics of a benchmark episode beside those in `info`, from its true poses (times, 3)."""
-        del path, parcel, plant, zone
+        del path, parcel, line, zone
         return {}
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:

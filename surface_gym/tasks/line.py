@@ -2,20 +2,12 @@
 
 import math
 
+from surface_gym import state as st
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Parcel
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
-from surface_gym.state import (
-    RUNNING,
-    SUCCESS,
-    EnvState,
-    is_slower,
-    reach_along,
-    read_truth,
-    zone_end,
-    zone_start,
-)
+from surface_gym.state import EnvState
 from surface_gym.tasks.base import Feature, failures
 from surface_gym.tasks.start import Draw, Numbers, Parcels
 
@@ -47,29 +39,29 @@ PARCEL_FEATURES = (
 )
 
 
-def zone_span(plant: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
+def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
     """Return where [m] the zone of a parcel starts and ends; `zone` holds its columns, None: the
     line's.
 
     Raises:
-        ValueError: the parcel does not fit the plant.
+        ValueError: the parcel does not fit the line.
     """
-    _, _, first, columns = plant.site(parcel.base, zone).zone
-    start = plant.column_edge(first)
-    return start, start + plant.pitch_x * columns
+    _, _, first, columns = line.site(parcel.base, zone).zone
+    start = line.column_edge(first)
+    return start, start + line.pitch_x * columns
 
 
 def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
     """Return the pose [m, m, rad] at which parcels enter: the rear at the line's edge, x = 0 by
     default, on the line's middle.
     """
-    return (draw.plant.column_edge(0) + parcels.rear, draw.plant.line_y, 0.0)
+    return (draw.line.column_edge(0) + parcels.rear, draw.line.line_y, 0.0)
 
 
 @kernel_function
 def rear_to_go(state: EnvState, x: float, theta: float) -> float:
     """Return the distance [m] from the rear of a parcel at x, turned by theta, to the zone's end."""
-    return zone_end(state) - x + reach_along(state, theta, -1.0, 0.0)
+    return st.zone_end(state) - x + st.reach_along(state, theta, -1.0, 0.0)
 
 
 @kernel_function
@@ -77,9 +69,9 @@ def over_zone_end(state: EnvState) -> bool:
     """Return whether the parcel is off the rotors, or its rear past the zone's end."""
     if not state.on_rotors:
         return True
-    if state.com[X] <= zone_end(state):
+    if state.com[X] <= st.zone_end(state):
         return False
-    read_truth(state)
+    st.read_truth(state)
     return rear_to_go(state, state.truth[X], state.truth[THETA]) < 0.0
 
 
@@ -90,7 +82,7 @@ def failure(state: EnvState) -> int:
         return OFF_SURFACE
     if not state.on_rotors:
         return OFF_LINE
-    return STALLED if is_slower(state, STALL_SPEED) else RUNNING
+    return STALLED if st.is_slower(state, STALL_SPEED) else st.RUNNING
 
 
 @kernel_function
@@ -100,7 +92,7 @@ def leaving(state: EnvState, reached: bool, missed: int) -> int:
     """
     truth = state.truth
     if state.on_rotors and state.on_surface and rear_to_go(state, truth[X], truth[THETA]) < 0.0:
-        return SUCCESS if reached else missed
+        return st.SUCCESS if reached else missed
     return failure(state)
 
 
@@ -124,5 +116,5 @@ def see_parcel(state: EnvState) -> None:
     see[8] = math.cos(turn_x * (x - state.elements.x0))
     see[9] = math.sin(turn_y * offset)
     see[10] = math.cos(turn_y * offset)
-    see[11] = (x + reach_along(state, theta, 1.0, 0.0) - zone_start(state)) / 0.5
+    see[11] = (x + st.reach_along(state, theta, 1.0, 0.0) - st.zone_start(state)) / 0.5
     see[12] = rear_to_go(state, x, theta) / 0.5

@@ -28,8 +28,8 @@ class Observed:
 
     values: Numbers  # (num_envs, features)
     columns: Mapping[str, int]  # of `values`, by the name of the feature
-    plant: BaseLine
-    zone: tuple[int, int] | None  # first and last column that obey; None: the plant's own
+    line: BaseLine
+    zone: tuple[int, int] | None  # first and last column that obey; None: the line's own
     friction_spread: float = 0.0  # [-] scale of "friction learned"; 0 where nothing is learned
     load_spread: float = 0.0  # [m] scale of "load learned, x" and "load learned, y"
 
@@ -53,13 +53,13 @@ class Observed:
     @property
     def pitch(self) -> tuple[float, float]:
         """[m] between modules, along x and along y."""
-        return self.plant.pitch_x, self.plant.pitch_y
+        return self.line.pitch_x, self.line.pitch_y
 
     @property
     def zone_length(self) -> float:
         """[m] along x of the widest zone."""
-        plant, zone = self.plant, self.zone
-        return plant.pitch_x * (plant.zone_columns if zone is None else zone[1] - zone[0] + 1)
+        line, zone = self.line, self.zone
+        return line.pitch_x * (line.zone_columns if zone is None else zone[1] - zone[0] + 1)
 
     def in_pitch(self, axis: str, pitch: float) -> Numbers:
         """(num_envs,) [m] the position within a pitch, from -pitch / 2 to pitch / 2."""
@@ -78,7 +78,7 @@ class LineObservation:
     vy: Numbers  # [m/s]
     omega: Numbers  # [rad/s]
     half_length: Numbers  # [m] of the base, taken as a square
-    pitch: tuple[float, float]  # [m] of the plant, in x and in y
+    pitch: tuple[float, float]  # [m] of the line, in x and in y
     side: Numbers  # asked: +1 for y > 0, -1 for y < 0, 0 for straight through or no side
     ratio: Numbers  # [-] asked of the entry speed; else 0
     entry_speed: Numbers  # [m/s] where a ratio is asked; else 0
@@ -163,14 +163,14 @@ def line_start(
         parcels: that the task draws.
         goal: the task's own numbers.
     """
-    plant = seen.plant
+    base_line = seen.line
     parcel = nearest_parcel(parcels, float(line.half_length[0]))
-    first_column = plant.site(parcel.base, seen.zone).zone[2]
+    first_column = base_line.site(parcel.base, seen.zone).zone[2]
     return Start(
         parcel,
         (
-            plant.column_edge(first_column) + float(line.into_zone[0]),
-            plant.line_y + float(line.offset[0]),
+            base_line.column_edge(first_column) + float(line.into_zone[0]),
+            base_line.line_y + float(line.offset[0]),
             float(line.theta[0]),
         ),
         (float(line.vx[0]), float(line.vy[0]), float(line.omega[0])),
@@ -191,7 +191,7 @@ class Nodes(Protocol):
         """State arrays, one row per node."""
 
     @property
-    def plant(self) -> BaseLine:
+    def line(self) -> BaseLine:
         """The line or field."""
 
     @property
@@ -245,13 +245,13 @@ class PlanCost:
 def way_to_leave(nodes: Nodes) -> Numbers:
     """Compute the way [m] from the rear to the zone's end, at least 0."""
     _, _, first, columns = nodes.zone
-    end = nodes.plant.column_edge(first + columns)
+    end = nodes.line.column_edge(first + columns)
     return np.maximum(0.0, end - nodes.parcels.truth[:, 0] + nodes.reach(-1.0, 0.0))
 
 
 def off_line(nodes: Nodes) -> Numbers:
     """Compute the distance [m] from the line's middle."""
-    return np.abs(nodes.parcels.truth[:, 1] - nodes.plant.line_y)
+    return np.abs(nodes.parcels.truth[:, 1] - nodes.line.line_y)
 
 
 def askew(nodes: Nodes) -> Numbers:

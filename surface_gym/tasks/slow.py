@@ -151,7 +151,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         pace, size, share = draw.numbers
         speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)
         parcel = draw.parcel(self.parcels, size)
-        way = parcel.of(lambda each: zone_span(draw.plant, each, draw.zone)[1])
+        way = parcel.of(lambda each: zone_span(draw.line, each, draw.zone)[1])
         rolling = np.sqrt(np.maximum(0.0, 1.0 - 2.0 * ROLLING_LOSS * way / speed**2))
         low, high = self.ratios
         highest = np.maximum(low, np.minimum(high, 0.98 * rolling))

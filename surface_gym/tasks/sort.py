@@ -7,22 +7,13 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks
+from surface_gym import state as st
 from surface_gym.layouts import ROLLING
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Parcel
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
-from surface_gym.state import (
-    ROWS,
-    RUNNING,
-    SUCCESS,
-    EnvState,
-    ParcelState,
-    is_slower,
-    reach_along,
-    zone_end,
-    zone_start,
-)
+from surface_gym.state import EnvState, ParcelState
 from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import PARCELS, Benchmark, Column, Numbers, SpeedGrid
 from surface_gym.tasks.line import STALL_SPEED, entry
@@ -186,15 +177,15 @@ distance from the line's middle takes its place |
         )
 
     def path_metrics(
-        self, path: Numbers, parcel: Parcel, plant: BaseLine, zone: tuple[int, int] | None
+        self, path: Numbers, parcel: Parcel, line: BaseLine, zone: tuple[int, int] | None
     ) -> dict[str, float]:
         """`columns` of the zone that the front edge reached."""
         base = parcel.base
-        _, (_, _, first, _) = plant.site(base, zone)
+        _, (_, _, first, _) = line.site(base, zone)
         x, _, theta = path.T
         from_centre = base.outline - base.centroid
         reach = (from_centre @ np.array([np.cos(theta), -np.sin(theta)])).max(axis=0)
-        return {"columns": math.floor((x + reach).max() / plant.pitch_x + 0.5) - first}
+        return {"columns": math.floor((x + reach).max() / line.pitch_x + 0.5) - first}
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
         """Return the asked side."""
@@ -238,10 +229,10 @@ distance from the line's middle takes its place |
             return OFF_SURFACE
         if not state.on_rotors:
             towards = side * (truth[Y] - state.elements.line_y)
-            return SUCCESS if towards > 0.0 else WRONG_SIDE
-        if truth[X] - reach_along(state, truth[THETA], -1.0, 0.0) > zone_end(state):
-            return SUCCESS if side == 0.0 else PASSED
-        return STALLED if is_slower(state, STALL_SPEED) else RUNNING
+            return st.SUCCESS if towards > 0.0 else WRONG_SIDE
+        if truth[X] - st.reach_along(state, truth[THETA], -1.0, 0.0) > st.zone_end(state):
+            return st.SUCCESS if side == 0.0 else PASSED
+        return STALLED if st.is_slower(state, STALL_SPEED) else st.RUNNING
 
     @staticmethod
     @kernel_function
@@ -251,9 +242,9 @@ distance from the line's middle takes its place |
         terms = state.terms
         terms[0] = REACH_REWARD * (reach - state.memory[REACH])
         terms[1] = TIME_REWARD * state.period
-        terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
-        terms[3] = HASTE_REWARD / state.clock if outcome == SUCCESS else 0.0
-        terms[4] = FAILURE_REWARD if outcome > SUCCESS else 0.0
+        terms[2] = SUCCESS_REWARD if outcome == st.SUCCESS else 0.0
+        terms[3] = HASTE_REWARD / state.clock if outcome == st.SUCCESS else 0.0
+        terms[4] = FAILURE_REWARD if outcome > st.SUCCESS else 0.0
         state.memory[REACH] = reach
 
     @staticmethod
@@ -266,8 +257,8 @@ distance from the line's middle takes its place |
         offset = side * (sensed[Y] - state.elements.line_y)
         turn_x = 2.0 * math.pi / state.elements.pitch_x
         turn_y = 2.0 * math.pi / state.elements.pitch_y
-        half_line = 0.5 * state.elements.pitch_y * (state.zone[ROWS] - 1)
-        rear = x - reach_along(state, theta, -1.0, 0.0)
+        half_line = 0.5 * state.elements.pitch_y * (state.zone[st.ROWS] - 1)
+        rear = x - st.reach_along(state, theta, -1.0, 0.0)
         see = state.observation
         see[0] = offset / 0.3
         see[1] = side * math.sin(theta)
@@ -276,13 +267,13 @@ distance from the line's middle takes its place |
         see[4] = side * sensed[VY] / 0.5
         see[5] = side * sensed[OMEGA] / 3.0
         see[6] = (state.body[HALF_LENGTH] - 0.175) / 0.05
-        see[7] = (offset - reach_along(state, theta, 0.0, -side) - half_line) / 0.2
+        see[7] = (offset - st.reach_along(state, theta, 0.0, -side) - half_line) / 0.2
         see[8] = math.sin(turn_x * (x - state.elements.x0))
         see[9] = math.cos(turn_x * (x - state.elements.x0))
         see[10] = math.sin(turn_y * offset)
         see[11] = math.cos(turn_y * offset)
         see[12] = state.clock / HORIZON
-        see[13] = (rear - zone_start(state)) / 0.5
+        see[13] = (rear - st.zone_start(state)) / 0.5
         see[14] = state.goal[SIDE]
 
 
@@ -321,8 +312,8 @@ def _time_to_leave(nodes: Nodes) -> Numbers:
     if side[0] == 0.0:
         return off_line(nodes) - 0.1 * nodes.parcels.truth[:, 0]
     vy = side * vy
-    half_line = 0.5 * nodes.plant.pitch_y * (nodes.zone[1] - 1)
-    left = nodes.reach(0.0, -side[0]) + half_line - side * (y - nodes.plant.line_y)
+    half_line = 0.5 * nodes.line.pitch_y * (nodes.zone[1] - 1)
+    left = nodes.reach(0.0, -side[0]) + half_line - side * (y - nodes.line.line_y)
     left = np.maximum(0.0, left)
     kept = np.maximum(0.0, np.where(vx > vy, 0.5 * (vx + vy), vy))
     vy = np.clip(vy, 0.0, kept)

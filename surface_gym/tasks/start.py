@@ -53,19 +53,19 @@ class Draw:
     Args:
         numbers: (starts, draws) uniform in [0, 1).
         options: of each start; none at all: no start has any.
-        plant: where the parcels run.
-        zone: first and last column that obey; None for the plant's own.
+        line: where the parcels run.
+        zone: first and last column that obey; None for the line's own.
     """
 
     def __init__(
         self,
         numbers: Numbers,
         options: Sequence[Mapping[str, Any]],
-        plant: BaseLine,
+        line: BaseLine,
         zone: tuple[int, int] | None = None,
     ) -> None:
         self.numbers = numbers.T  # (draws, starts)
-        self.plant = plant
+        self.line = line
         self.zone = zone
         self._starts = len(numbers)
         self._options = options

@@ -145,11 +145,11 @@ class Stop(Task):
         speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
         parcel = draw.parcel(self.parcels, size)
         half_length = parcel.rear
-        zone_start, zone_end = parcel.of(lambda each: zone_span(draw.plant, each, draw.zone)).T
+        zone_start, zone_end = parcel.of(lambda each: zone_span(draw.line, each, draw.zone)).T
         rolled = half_length + 0.8 * speed**2 / (2.0 * ROLLING_LOSS)
         last = np.minimum(zone_end - half_length, rolled)
         first = np.minimum(zone_start + half_length + speed**2 / (2.0 * BRAKING), last)
-        position = draw.within("position", between(first, last, share), 0.0, draw.plant.length)
+        position = draw.within("position", between(first, last, share), 0.0, draw.line.length)
         return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (position,))
 
     def decode_start(self, seen: Observed) -> Start:

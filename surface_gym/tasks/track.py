@@ -158,7 +158,7 @@ asked one |
     tilts: tuple[float, float] = (0.0, math.radians(15.0))  # [rad]
     kinds: tuple[str, ...] = KINDS  # of paths to draw
 
-    plant = Field()
+    line = Field()
     features = FEATURES
     terms = TERMS
     outcomes = OUTCOMES
@@ -192,7 +192,7 @@ asked one |
         first = np.array([path.start for path in paths])
         step = np.array([path.end - path.start for path in paths]) / (PATH_POINTS - 1)
         y = np.array([sample(path, PATH_POINTS) for path in paths])
-        _check_paths(first, step, y, draw.plant)
+        _check_paths(first, step, y, draw.line)
         slope = (y[:, 1] - y[:, 0]) / step
         vx = speed / np.sqrt(1.0 + slope * slope)
         x0, y0 = parcel.of(lambda each: each.base.centroid).T
@@ -201,8 +201,8 @@ asked one |
 
     def _paths(self, draw: Draw, which: Numbers) -> list[Path]:
         """Return each start's path: an option, or one drawn and laid onto the line."""
-        first, last, _, _ = draw.plant.extent
-        aside = draw.plant.line_y - LINE_Y
+        first, last, _, _ = draw.line.extent
+        aside = draw.line.line_y - LINE_Y
         given = {start: path_option(value) for start, value in draw.given("path")}
         kinds = [self.kinds[k] for k in (which * len(self.kinds)).astype(int)]
         drawn = enumerate(zip(kinds, draw.numbers[4:].T, strict=True))
@@ -233,9 +233,9 @@ asked one |
         """Decode the first observation into a start somewhere on the field; beyond what is shown
         of it, the path goes on straight.
         """
-        shown, plant = self.decode(seen), seen.plant
-        x = plant.origin[0] + plant.pitch_x * PLAN_COLUMN + float(shown.x_in_pitch[0])
-        y = plant.origin[1] + plant.pitch_y * PLAN_ROW + float(shown.y_in_pitch[0])
+        shown, line = self.decode(seen), seen.line
+        x = line.origin[0] + line.pitch_x * PLAN_COLUMN + float(shown.x_in_pitch[0])
+        y = line.origin[1] + line.pitch_y * PLAN_ROW + float(shown.y_in_pitch[0])
         # The centre is over the middle of a piece.
         from_centre = PIECE * (np.arange(PATH_POINTS) - BEHIND - 0.5)
         slope = np.interp(from_centre[:-1] + 0.5 * PIECE, AHEAD, shown.slope[0])
@@ -368,19 +368,19 @@ asked one |
         see[17] = math.cos(turn_y * (y - state.elements.y0))
 
 
-def _check_paths(first: Numbers, step: Numbers, y: Numbers, plant: BaseLine) -> None:
+def _check_paths(first: Numbers, step: Numbers, y: Numbers, line: BaseLine) -> None:
     """Raise a ValueError for a path that leaves the line's surface or is too steep.
 
     Args:
         first: (paths,) [m] x of the first point.
         step: (paths,) [m] from point to point.
         y: (paths, PATH_POINTS) [m].
-        plant: where they lie.
+        line: where they lie.
     """
     last = first + (PATH_POINTS - 1) * step
     low, high = y.min(axis=1), y.max(axis=1)
-    left, right, bottom, top = plant.extent
-    outside = (first < left) | (last > right + 1e-12 * plant.length)
+    left, right, bottom, top = line.extent
+    outside = (first < left) | (last > right + 1e-12 * line.length)
     for k in np.nonzero(outside | (low < bottom) | (high > top))[0]:
         raise ValueError(
             f"path must lie in x from {left:g} to {right:g} m and in y from {bottom:g} to {top:g} "
@@ -426,7 +426,7 @@ class PathObservation:
     theta: Numbers  # [rad]
     omega: Numbers  # [rad/s]
     half_length: Numbers  # [m] of the base, taken as a square
-    pitch: tuple[float, float]  # [m] of the plant, in x and in y
+    pitch: tuple[float, float]  # [m] of the line, in x and in y
     x_in_pitch: Numbers  # [m] of the centre past the nearest module's, in -pitch/2 to pitch/2
     y_in_pitch: Numbers  # [m]
 

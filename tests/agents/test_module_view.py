@@ -17,7 +17,6 @@ from surface_gym.layouts import LEAD_IN, LINE_ROWS, LINE_Y, ROWS, lead_in_under,
 from surface_gym.lines import Pattern
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.randomisation import Actuators, Randomisation
-from surface_gym.tasks.planning import decode_line
 from tests.environments import PITCH
 
 NUM_ENVS = 40
@@ -31,9 +30,9 @@ def on_the_way(parcel: str, side: int, zone: tuple[int, int] | None = None, seed
     speed = rng.uniform(0.8, 2.5, NUM_ENVS)
     starts = [{"speed": float(v), "parcel": parcel, "side": side} for v in speed]
     observation, info = env.reset(seed=0, options=starts)
-    view = ModuleView(env.settings)
+    view = ModuleView(env.config)
     mirror = np.arange(4) if side > 0 else np.array([0, 2, 1, 3])
-    rows, columns = view._settings.action_kind.shape
+    rows, columns = view._config.action_kind.shape
     for _ in range(6):
         actions = rng.choice(4, p=[0.05, 0.25, 0.6, 0.1], size=(NUM_ENVS, rows, columns))
         if side < 0:
@@ -103,7 +102,7 @@ def test_every_module_under_a_base_of_any_shape_is_seen(
     """Rectangles once were taken for squares, and of some no module was seen at all."""
     bases = [base for base in BASES for _ in range(8)]
     env = sg.SmartSurfaceVectorEnv(len(bases), observe=observe)
-    view = ModuleView(env.settings)
+    view = ModuleView(env.config)
     starts = [{"speed": 2.5, "parcel": Parcel(base), "side": side} for base in bases]
     rng = np.random.default_rng(0)
     seen, info = env.reset(seed=0, options=starts)
@@ -146,7 +145,7 @@ def test_a_module_sees_the_axes_of_its_quadrant(side: int) -> None:
         info=("axes",),
         actuators=Actuators(axis_speed=10.0),
     )
-    view = ModuleView(env.settings)
+    view = ModuleView(env.config)
     seen, info = env.reset(seed=0, options={"speed": 2.5, "parcel": "B", "side": side})
     rng = np.random.default_rng(1)
     for _ in range(6):
@@ -181,7 +180,7 @@ def test_modules_that_will_be_under_the_parcel_are_seen() -> None:
     env = sg.SmartSurfaceVectorEnv(NUM_ENVS)
     starts = [{"speed": 2.7, "parcel": "S", "side": 1}] * NUM_ENVS
     observation, _ = env.reset(seed=0, options=starts)
-    view = ModuleView(env.settings)
+    view = ModuleView(env.config)
     before = view(observation)
     for _ in range(6):
         observation, *_ = env.step(np.full((NUM_ENVS, 64), 3))
@@ -245,12 +244,12 @@ def seen_turned(
     starts = [{"speed": 2.0, "parcel": Parcel(base), "side": 1} for base in each]
     seen, info = env.reset(seed=0, options=starts)
     assert np.ptp(info["pose"][:, 2]) > 1.0
-    return env.settings, seen, each
+    return env.config, seen, each
 
 
 def by_clearance(settings: EnvConfig, seen: np.ndarray) -> Outline:
     clearance = 0.2 * seen[:, 7].astype(np.float64)
-    return outline_from_clearance(decode_line(settings, seen), clearance, settings.chosen_line)
+    return outline_from_clearance(settings.decode(seen), clearance, settings.chosen_line)
 
 
 @pytest.mark.parametrize(
@@ -267,7 +266,7 @@ def test_the_clearance_determines_width_and_rows(bases: tuple[Base, ...]) -> Non
 
 def test_a_square_is_as_wide_as_long_to_the_last_bit() -> None:
     settings, seen, _ = seen_turned(SQUARES)
-    see, outline = decode_line(settings, seen), by_clearance(settings, seen)
+    see, outline = settings.decode(seen), by_clearance(settings, seen)
     np.testing.assert_array_equal(outline.half, [see.half_length, see.half_length])
     np.testing.assert_array_equal(outline.reach(see.theta), see.reach)
 

@@ -8,7 +8,7 @@ import torch
 
 from surface_gym import agents
 from surface_gym.agents.base import SIDE
-from surface_gym.agents.learning.parcels import training_settings
+from surface_gym.agents.learning.parcels import training_env_config
 from surface_gym.agents.library import CARD, PolicyCard
 from surface_gym.agents.parcel_policy import (
     ParcelActions,
@@ -25,7 +25,7 @@ from surface_gym.flow.state import RIGHT
 from surface_gym.flow.task import PRESENT, WAITS
 from tests.agents.signing import sign
 
-SETTINGS = training_settings(0.04)
+SETTINGS = training_env_config(0.04)
 FLOW_CARD = PolicyCard("SmartSurface/Flow-v0", "parcels", "parcels", 0.04, (8,))
 
 
@@ -33,7 +33,7 @@ def test_mirrored_choices_come_back_as_they_were() -> None:
     batch = StreamBatch(SETTINGS, 2)
     for i in range(2):
         batch.seed(i, np.random.default_rng(i))
-    batch.start(np.arange(2))
+    batch.reset(np.arange(2))
     tables = batch.observation.copy()
     tables[..., SIDE] = np.random.default_rng(0).integers(-1, 2, tables.shape[:2])
     actions = ParcelActions(SETTINGS)
@@ -45,10 +45,12 @@ def test_mirrored_choices_come_back_as_they_were() -> None:
 
 def test_choices_and_actions_are_inverse() -> None:
     """An event rule delivers the same by either."""
-    plain = EnvConfig(stream=SETTINGS.stream, exits="sides", actions="parcels", gate=True)
+    plain = EnvConfig(
+        "flow", stream=SETTINGS.stream_task.stream, exits="sides", actions="parcels", gate=True
+    )
     batch = StreamBatch(plain, 1)
     batch.seed(0, np.random.default_rng(3))
-    batch.start(np.arange(1))
+    batch.reset(np.arange(1))
     rule, state = StreamEventRule(plain), None
     mirror = ParcelActions(plain)
     for _ in range(120):

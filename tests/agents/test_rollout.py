@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from surface_gym.agents.rollout import Episodes, env_arguments, run_episodes, run_sequentially
+from surface_gym.agents.rollout import Episodes, run_episodes, run_sequentially
 from surface_gym.agents.rules import RULES, Rule
 from surface_gym.config import EnvConfig
 from surface_gym.registration import env_id
@@ -22,7 +22,7 @@ def test_they_are_a_single_environments(rule: Rule) -> None:
     starts = [{"parcel": "S"}, {}, {"parcel": "B"}]
     found = run_episodes(rule.make(settings), settings, starts, seed=30)
     for k, start in enumerate(starts):
-        env = gym.make(env_id(rule.task), **env_arguments(settings))
+        env = gym.make(env_id(rule.task), **settings.arguments())
         observation, info = env.reset(seed=30 + k, options=start)
         poses, over, state = [info["pose"]], False, None
         controller = rule.make(settings)
@@ -38,7 +38,7 @@ def test_they_are_a_single_environments(rule: Rule) -> None:
         assert found.success[k] == info["is_success"]
         assert found.time[k] == info["time"]
         assert found.outcome[k] in (info["outcome"], "out of time")
-        for name, values in found.figures.items():
+        for name, values in found.metrics.items():
             assert values[k] == info[name]
 
 
@@ -50,7 +50,7 @@ def test_one_after_the_other_they_are_the_same() -> None:
     apart = run_sequentially(rule.make(settings), settings, starts, seed=3)
     np.testing.assert_array_equal(together.pose, apart.pose)
     np.testing.assert_array_equal(together.success, apart.success)
-    np.testing.assert_array_equal(together.figures["ratio_error"], apart.figures["ratio_error"])
+    np.testing.assert_array_equal(together.metrics["ratio_error"], apart.metrics["ratio_error"])
     assert together.outcome == apart.outcome
 
 
@@ -64,9 +64,9 @@ def test_a_decisions_time_is_the_usual_one(
     clock = [0.0]
 
     class SlowAtFirst:
-        def predict(self, *env_arguments: Any, **options: Any) -> tuple[Any, Any]:
+        def predict(self, *arguments: Any, **options: Any) -> tuple[Any, Any]:
             clock[0] += 0.5 if clock[0] else 30.0
-            return rule.predict(*env_arguments, **options)
+            return rule.predict(*arguments, **options)
 
     monkeypatch.setattr("surface_gym.agents.rollout.time.perf_counter", lambda: clock[0])
     found = run(SlowAtFirst(), settings, [{"parcel": "S"}] * 3, seed=3)

@@ -6,13 +6,13 @@ import pytest
 import yaml
 
 from surface_gym import agents
-from surface_gym.agents.tasks import card_env_id, find_task, task_kind, task_label
+from surface_gym.agents.library import card_env_id, find_task, task_kind, task_label
 from surface_gym.tasks import TASKS
 from tests.agents.test_doors import ROOT, door, inside
 
 REACH = str(ROOT / "examples" / "reach.py") + ":Reach"
 HASTE = str(ROOT / "examples" / "haste.py") + ":Haste"
-SHORT = "--steps 512 --lanes 8 --n-steps 16 --batch-size 64 --n-epochs 1 --hidden 8 --name a"
+SHORT = "--steps 512 --num-envs 8 --n-steps 16 --batch-size 64 --n-epochs 1 --hidden 8 --name a"
 
 
 class TestNames:
@@ -75,9 +75,9 @@ class TestARun:
     def test_its_policy_plays_where_the_task_is_said(self, run: Path) -> None:
         policy = agents.read(run, find_task(REACH))
         assert policy.env_kwargs["task"] == find_task(REACH)
-        with pytest.raises(ValueError, match="task must be Reach, of one's own"):
+        with pytest.raises(ValueError, match="task must be Reach, a user's own"):
             agents.read(run)
-        with pytest.raises(ValueError, match="task must be Reach, of one's own"):
+        with pytest.raises(ValueError, match="task must be Reach, a user's own"):
             agents.read(run, find_task(HASTE))
 
     def test_no_code_is_run_for_what_its_folder_says(self, run: Path) -> None:
@@ -118,10 +118,10 @@ class TestARun:
 
 def test_a_faulty_task_ends_without_a_traceback(tmp_path: Path) -> None:
     (tmp_path / "faulty.py").write_text(
-        "from surface_gym.tasks import Sort\nclass Faulty(Sort):\n    judge = None\n"
+        "from surface_gym.tasks import Sort\nclass Faulty(Sort):\n    outcome = None\n"
     )
     done = inside("train.py", "--task", "faulty.py:Faulty", *SHORT.split(), folder=tmp_path)
     assert done.returncode != 0
-    assert "Faulty.judge must be a static method and a kernel_function" in done.stderr
+    assert "Faulty.outcome must be a static method and a kernel_function" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "runs" / "a" / "policy.pt").exists()

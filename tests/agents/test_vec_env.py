@@ -160,7 +160,7 @@ def test_attributes_and_methods_are_the_vector_envs() -> None:
     env = make()
     env.set_attr("note", "shared")
     assert env.get_attr("note") == ["shared"] * NUM_ENVS
-    assert env.has_attr("settings")
+    assert env.has_attr("config")
     assert not env.has_attr("no_such_thing")
     assert env.env_method("__str__", indices=[0, 1]) == [str(env.env)] * 2
 

@@ -1,112 +1,270 @@
-"""The GPU's benchmark as a command: what it needs, what it tells and what it writes."""
+"""The GPU's benchmark on stand-ins: its timing, its comparison, its results and its command."""
 
 import json
-import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from rich.console import Console
 
-from benchmarks.command import main
-from benchmarks.gpu import command, measuring
-from benchmarks.gpu.measuring import Job, jobs
-from benchmarks.gpu.picture import draw
-from benchmarks.gpu.resets import Resets
-from benchmarks.gpu.results import SMALL, Results, on_cpu, on_gpu
-from benchmarks.gpu.windows import Rate
-from surface_gym.cuda.env import DeviceMissing
+from benchmarks.cli import main
+from benchmarks.gpu import NotMeasured, cli, timing
+from benchmarks.gpu.agreement import Ends, compare, run_episodes
+from benchmarks.gpu.results import SMALL, Results, cpu_name, gpu_name, plot_rates
+from benchmarks.gpu.timing import (
+    DeviceProgram,
+    Effort,
+    HostClock,
+    HostProgram,
+    Rate,
+    ResetCost,
+    make_sort,
+    measure_rate,
+    measure_resets,
+)
+from surface_gym import SmartSurfaceVectorEnv
+from surface_gym.cuda import DeviceMissing
+from surface_gym.tasks.sort import Sort
+
+NUM_ENVS = 4
+LIMIT = 6  # control periods of an episode
+QUIET = Console(quiet=True)
 
 
-class TestWithoutAGpu:
-    @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-    def test_the_command_says_what_is_missing(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(sys, "argv", ["benchmarks", "--device", "cuda"])
-        with pytest.raises(SystemExit, match=r"^error: device='cuda' needs .*$"):
-            main()
+class ManualTime:
+    """A clock that advances only where a test sets it."""
 
-    def test_nothing_is_measured_before(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        def check() -> None:
-            raise DeviceMissing("no GPU")
-
-        monkeypatch.setattr(command, "check_device", check)
-        monkeypatch.setattr(measuring, "jobs", lambda *_: pytest.fail("measures"))
-        with pytest.raises(DeviceMissing):
-            command.measure_device((4,), True, None, None, Console(quiet=True))
-
-    @pytest.mark.parametrize("lanes", [(), (4, 0)])
-    def test_lanes_must_be_numbers(self, lanes: tuple[int, ...]) -> None:
-        with pytest.raises(ValueError, match="lanes must be positive numbers, one at least"):
-            command.measure_device(lanes, True, None, None, Console(quiet=True))
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 0.0
+        monkeypatch.setattr(timing, "time", SimpleNamespace(perf_counter=lambda: self.now))
 
 
+class Prefetch:
+    """The prefetch of a stand-in: three starts in half a second at each update."""
+
+    def __init__(self, clock: Any) -> None:
+        self.starts_taken = torch.zeros(NUM_ENVS, dtype=torch.int64)
+        self._clock = clock
+
+    def _prepare(self) -> SimpleNamespace:
+        self._clock.now += 0.5
+        return SimpleNamespace(env_indices=[0, 1, 2])
+
+    def update(self) -> None:
+        self._prepare()
+
+
+class StandIn:
+    """The CPU's environment with the interface of a GPU's: tensors, on the CPU."""
+
+    device = torch.device("cpu")
+
+    def __init__(self, mode: str = "SameStep", clock: Any = None) -> None:
+        self._env = SmartSurfaceVectorEnv(
+            NUM_ENVS, actions="halves", max_episode_steps=LIMIT, autoreset_mode=mode
+        )
+        self.num_envs = NUM_ENVS
+        self.single_action_space = self._env.single_action_space
+        self.outcomes = self._env.batch.outcomes
+        self._clock = clock or SimpleNamespace(now=0.0)
+        self.batch = SimpleNamespace(prefetch=Prefetch(self._clock))
+        self.seeds: list[int] = []
+
+    def reset(self, seed: int) -> None:
+        self.seeds.append(seed)
+        self._env.reset(seed=seed)
+        self.batch.prefetch.starts_taken += 1
+
+    def step(self, actions: torch.Tensor) -> tuple[Any, ...]:
+        observation, reward, terminated, truncated, infos = self._env.step(actions.numpy())
+        self._clock.now += 2.0
+        self._reset_ended(terminated | truncated)
+        self.batch.prefetch.update()
+        names = list(self.outcomes)
+        infos["outcome"] = torch.tensor([names.index(name) for name in infos["outcome"]])
+        infos["pose"] = torch.from_numpy(infos["pose"])
+        flags = (torch.from_numpy(each) for each in (terminated, truncated))
+        return torch.from_numpy(observation), torch.from_numpy(reward), *flags, infos
+
+    def _reset_ended(self, ended: Any) -> None:
+        self.batch.prefetch.starts_taken += torch.from_numpy(ended)
+        self._clock.now += 1.5
+
+
+class Scripted:
+    """A program whose calls take given times."""
+
+    name, num_envs, first = "scripted", 10, 3.0
+
+    def __init__(self, clock: ManualTime, *seconds: float) -> None:
+        self._clock = clock
+        self._seconds = list(seconds)
+        self.chunks: list[int] = []
+
+    def step(self, steps: int) -> None:
+        self.chunks.append(steps)
+        self._clock.now += self._seconds.pop(0) if len(self._seconds) > 1 else self._seconds[0]
+
+    def episodes(self) -> int:
+        return 4 * len(self.chunks)
+
+
+class TestTiming:
+    def test_the_median_window_counts_after_warm_up(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        program = Scripted(ManualTime(monkeypatch), 100.0, 1.0, 8.0, 2.0)
+        effort = Effort(windows=3, steps=64, seconds=0.5, chunk=64, warm_up=128)
+        rate = measure_rate(program, effort)
+        assert rate == Rate("scripted", 10, 64 * 10 / 2.0, 4 / 2.0, 3.0)
+        assert program.chunks == [128, 64, 64, 64]
+
+    def test_a_window_lasts_as_long_as_required(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        program = Scripted(ManualTime(monkeypatch), 0.1)
+        measure_rate(program, Effort(windows=1, steps=8, seconds=0.95, chunk=8, warm_up=8))
+        assert program.chunks == [8] * 11
+
+    def test_a_device_is_reset_twice_alike_and_its_starts_are_counted(self) -> None:
+        env = StandIn()
+        program = DeviceProgram("stand-in", env)
+        assert env.seeds == [0, 0]
+        before = program.episodes()
+        program.step(LIMIT)
+        assert program.episodes() - before >= NUM_ENVS  # all have ended, at the limit or before
+        assert program.num_envs == NUM_ENVS
+
+    def test_the_host_counts_the_episodes_that_end(self) -> None:
+        program = HostProgram("host", make_sort(Sort(), NUM_ENVS, max_episode_steps=LIMIT))
+        assert program.episodes() == 0
+        program.step(2 * LIMIT)
+        assert program.episodes() >= 2 * NUM_ENVS
+
+    def test_the_share_of_resets_is_of_the_parts_that_serve_them(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        env = StandIn(clock=ManualTime(monkeypatch))
+        cost = measure_resets(DeviceProgram("stand-in", env), HostClock(), steps=5)
+        # A period takes 2 s to step, 1.5 s to reset and 0.5 s to prepare three starts.
+        assert cost.share == pytest.approx((1.5 + 0.5) / 4.0)
+        assert cost.starts == pytest.approx(3 / 0.5)
+        assert "_reset_ended" not in vars(env)
+
+
+class TestAgreement:
+    ACTIONS = np.random.default_rng(0).integers(0, 16, (LIMIT, NUM_ENVS))
+
+    def test_the_same_environments_end_alike_as_arrays_and_as_tensors(self) -> None:
+        host = SmartSurfaceVectorEnv(NUM_ENVS, actions="halves", max_episode_steps=LIMIT)
+        ends = run_episodes(host, self.ACTIONS, seed=3)
+        assert ends.position.any(axis=1).all()
+        found = compare(run_episodes(StandIn("NextStep"), self.ACTIONS, seed=3), ends)
+        assert (found.apart, found.other_outcomes, found.other_lengths) == (0, 0, 0)
+        assert found.largest == 0.0
+
+    def test_distances_and_other_outcomes_are_counted(self) -> None:
+        ends = Ends(np.zeros((4, 2)), np.array(["success"] * 4), np.full(4, 9))
+        position = np.array([[0.0, 5e-9], [0.0, 3e-8], [4.0, 3.0], [0.0, 0.0]])
+        outcome = np.array(["success", "success", "stalled", "success"])
+        found = compare(replace(ends, position=position, outcome=outcome), ends)
+        assert (found.num_envs, found.apart, found.other_outcomes) == (4, 2, 1)
+        assert found.largest == 3e-8
+        assert found.median == pytest.approx(1.75e-8)
+
+    def test_an_episode_that_does_not_end_is_an_error(self) -> None:
+        with pytest.raises(ValueError, match="got 1: 4 environments have not ended"):
+            run_episodes(StandIn("NextStep"), self.ACTIONS[:1], seed=3)
+
+
+@pytest.fixture
 def results() -> Results:
-    found = Results("a machine")
-    found.rates = [
-        Rate(on_cpu(SMALL, 1), 8, 100.0, 5.0, 0.1),
-        Rate(on_cpu("Sort", 1), 8, 50.0, 5.0, 0.1),
-        Rate(on_gpu(SMALL), 1024, 2e4, 9.0, 30.0),
-        Rate(on_gpu(SMALL), 4096, 3e4, 9.0, 30.0),
-        Rate("another's", 4096, 7.0, 0.0, 1.0),
-    ]
-    found.resets = [Resets(on_gpu(SMALL), 4096, 0.25, 1e6, 2.0)]
-    return found
+    return Results(
+        "a machine",
+        rates=[
+            Rate(cpu_name(SMALL, 1), 8, 100.0, 5.0, 0.1),
+            Rate(cpu_name("Sort", 1), 8, 50.0, 5.0, 0.1),
+            Rate(gpu_name(SMALL), 1024, 2e4, 9.0, 30.0),
+            Rate(gpu_name(SMALL), 4096, 3e4, 9.0, 30.0),
+            Rate("another", 4096, 7.0, 0.0, 1.0),
+        ],
+        resets=[ResetCost(gpu_name(SMALL), 4096, 0.25, 1e6, 2.0)],
+    )
 
 
 class TestResults:
-    def test_each_task_is_held_against_one_core_of_its_own(self) -> None:
-        found = results()
-        assert [found.over_core(rate) for rate in found.rates] == [1.0, 1.0, 200.0, 300.0, None]
+    def test_each_task_is_compared_to_one_core(self, results: Results) -> None:
+        assert [results.over_core(rate) for rate in results.rates] == [1.0, 1.0, 200.0, 300.0, None]
 
-    def test_the_best_number_of_lanes_counts(self) -> None:
-        best, ratio = results().figures()
+    def test_the_best_number_of_environments_counts(self, results: Results) -> None:
+        best, ratio = results.figures()
         assert (best.value, best.least) == (3e4, 40e6)
         assert (ratio.value, ratio.least) == (300.0, 150.0)
-        assert "4,096 lanes" in best.name
+        assert "4,096 environments" in best.name
 
-    def test_all_is_written_printed_and_drawn(self, tmp_path: Path) -> None:
-        found = results()
-        found.write(tmp_path / "gpu.json")
+    def test_results_are_written_printed_and_plotted(
+        self, results: Results, tmp_path: Path
+    ) -> None:
+        results.write(tmp_path / "gpu.json")
         data = json.loads((tmp_path / "gpu.json").read_text(encoding="utf-8"))
         assert data["rates"][3]["decisions"] == 3e4
         assert len(data["figures"]) == 2
         console = Console(width=200)
         with console.capture() as capture:
-            console.print(found.table())
+            console.print(results.table())
         assert [word in capture.get() for word in ("300 x", "25 %", "2 s")] == [True] * 3
-        draw(found.rates, tmp_path / "gpu.png")
+        plot_rates(results.rates, tmp_path / "gpu.png")
         assert (tmp_path / "gpu.png").stat().st_size > 0
 
 
-class TestJobs:
-    def test_a_package_that_is_not_installed_is_left_out_with_its_name(
+class TestCommand:
+    @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+    def test_a_missing_gpu_is_an_error(self) -> None:
+        with pytest.raises(SystemExit, match=r"^error: device='cuda' needs .*$"):
+            main(["--device", "cuda"])
+
+    def test_nothing_is_measured_without_a_device(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        def check() -> None:
+            raise DeviceMissing("no GPU")
+
+        monkeypatch.setattr(cli, "check_device", check)
+        monkeypatch.setattr(cli, "list_jobs", lambda *_: pytest.fail("measures"))
+        with pytest.raises(DeviceMissing):
+            cli.measure_device((4,), True, None, None, QUIET)
+
+    @pytest.mark.parametrize("num_envs", [(), (4, 0)])
+    def test_numbers_of_environments_must_be_positive(self, num_envs: tuple[int, ...]) -> None:
+        with pytest.raises(ValueError, match="num_envs must be positive numbers, one at least"):
+            cli.measure_device(num_envs, True, None, None, QUIET)
+
+    def test_a_package_that_is_not_installed_is_left_out_by_name(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(measuring, "GYMNAX", False)
-        monkeypatch.setattr(measuring, "MUJOCO_WARP", False)
-        found = Results("a machine")
-        for job in jobs((4,), beside=True):
+        monkeypatch.setattr(cli, "GYMNAX", False)
+        monkeypatch.setattr(cli, "MUJOCO_WARP", False)
+        results = Results("a machine")
+        for job in cli.list_jobs((4,), beside=True):
             if not job.ours:
-                job.run(found)
-        assert found.left_out == ["not installed: gymnax", "not installed: mujoco-warp"]
-        assert all(job.ours for job in jobs((4,), beside=False))
+                job.run(results)
+        assert results.left_out == ["not installed: gymnax", "not installed: mujoco-warp"]
+        assert all(job.ours for job in cli.list_jobs((4,), beside=False))
 
-    def test_what_fails_is_told_and_the_rest_is_written(
+    def test_a_failure_is_reported_and_the_rest_is_written(
         self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:
         def fail(_: Results) -> None:
-            raise MemoryError("too many lanes")
+            raise MemoryError("too many environments")
 
-        def measure(found: Results) -> None:
-            found.rates.append(Rate("measured", 4, 1.0, 0.0, 0.0))
+        def measure(results: Results) -> None:
+            results.rates.append(Rate("measured", 4, 1.0, 0.0, 0.0))
 
-        made = [Job("theirs", fail, ours=False), Job("ours", fail), Job("good", measure)]
-        monkeypatch.setattr(command, "check_device", lambda: None)
-        monkeypatch.setattr(measuring, "machine", lambda: "a machine")
-        monkeypatch.setattr(measuring, "jobs", lambda *_: made)
+        jobs = [cli.Job("theirs", fail, ours=False), cli.Job("ours", fail), cli.Job("ok", measure)]
+        monkeypatch.setattr(cli, "check_device", lambda: None)
+        monkeypatch.setattr(cli, "describe_machine", lambda: "a machine")
+        monkeypatch.setattr(cli, "list_jobs", lambda *_: jobs)
         file = tmp_path / "gpu.json"
-        with pytest.raises(command.NotMeasured, match=r"^ours: MemoryError: too many lanes$"):
-            command.measure_device((4,), True, file, None, Console(quiet=True))
+        with pytest.raises(NotMeasured, match=r"^ours: MemoryError: too many environments$"):
+            cli.measure_device((4,), True, file, None, QUIET)
         data = json.loads(file.read_text(encoding="utf-8"))
-        assert data["left_out"] == ["theirs: MemoryError: too many lanes"]
+        assert data["left_out"] == ["theirs: MemoryError: too many environments"]
         assert [rate["name"] for rate in data["rates"]] == ["measured"]

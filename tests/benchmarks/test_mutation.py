@@ -1,15 +1,15 @@
-"""The mutation trial: what it changes, what it leaves, and what it says of a fault."""
+"""The mutation test: the changes it makes, and its verdict on each."""
 
 import ast
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from benchmarks import mutation, mutation_trial
-from benchmarks.mutation_equivalents import EQUIVALENTS
-from benchmarks.mutation_sample import Mutant, sample_of
-from benchmarks.mutation_targets import TARGETS, Target
+from benchmarks import mutation
+from benchmarks.mutation import Mutant, Workspace, sample_mutants
+from benchmarks.mutation_targets import EQUIVALENTS, TARGETS, Target
 
 REPOSITORY = Path(__file__).parents[2]
 SOURCE = '''
@@ -19,7 +19,7 @@ Number = int | float
 
 
 @dataclass(frozen=True)
-class Kept:
+class Held:
     value: int | None
 
 
@@ -30,7 +30,7 @@ def twice(value: int | float = 3) -> int | float:
 '''
 
 
-def test_every_module_and_test_of_the_table_is_there() -> None:
+def test_every_module_and_test_of_the_table_exists() -> None:
     for target in TARGETS:
         for path in (target.module, *target.near, *target.wide):
             assert (REPOSITORY / path.split("::")[0]).exists(), path
@@ -50,7 +50,7 @@ class TestSample:
 
     def test_each_mutant_is_the_module_with_one_line_changed(self) -> None:
         lines = SOURCE.splitlines()
-        for mutant in sample_of(SOURCE, 100, "0"):
+        for mutant in sample_mutants(SOURCE, 100, "0"):
             ast.parse(mutant.text)
             changed = mutant.text.splitlines()
             differ = [k for k, line in enumerate(lines) if line != changed[k]]
@@ -60,76 +60,71 @@ class TestSample:
                 changed[mutant.line - 1].strip(),
             )
 
-    def test_types_decorators_and_errors_are_left_as_they_are(self) -> None:
-        changed = {mutant.was for mutant in sample_of(SOURCE, 100, "0")}
+    def test_types_decorators_and_errors_are_never_changed(self) -> None:
+        changed = {mutant.was for mutant in sample_mutants(SOURCE, 100, "0")}
         assert changed == {
             "def twice(value: int | float = 3) -> int | float:",
             "if value < 0:",
             "return value * 2",
         }
-        defaults = [m.becomes for m in sample_of(SOURCE, 100, "0") if m.was.startswith("def")]
+        defaults = [m.becomes for m in sample_mutants(SOURCE, 100, "0") if m.was.startswith("def")]
         assert all("int | float =" in line for line in defaults)
 
     def test_it_follows_from_the_seed_and_grows_at_its_end(self) -> None:
-        assert sample_of(SOURCE, 2, "1") == sample_of(SOURCE, 4, "1")[:2]
-        assert len({tuple(sample_of(SOURCE, 2, str(seed))) for seed in range(9)}) > 1
+        assert sample_mutants(SOURCE, 2, "1") == sample_mutants(SOURCE, 4, "1")[:2]
+        assert len({tuple(sample_mutants(SOURCE, 2, str(seed))) for seed in range(9)}) > 1
 
 
-def test_without_cosmic_ray_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_cosmic_ray_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cosmic_ray.plugins", None)
     with pytest.raises(ImportError, match="pip install cosmic-ray"):
-        sample_of(SOURCE, 1, "0")
+        sample_mutants(SOURCE, 1, "0")
 
 
-def test_a_module_that_is_not_in_the_table_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["mutation", "--modules", "tasks/sort", "nowhere"])
+def test_a_module_that_is_not_in_the_table_is_named() -> None:
     with pytest.raises(SystemExit, match=r"modules must be in .*, got 'nowhere'"):
-        mutation.main()
+        mutation.main(["--modules", "tasks/sort", "nowhere"])
 
 
-class TestTrial:
-    """Of a repository of one function and one test."""
+class TestWorkspace:
+    """A repository of one function and one test."""
 
-    TARGET = Target("all", "kept/twice.py", ("tests/test_twice.py",), ())
-    TEST = "from kept.twice import twice\n\n\ndef test_twice():\n    assert twice({}) == {}\n"
+    TARGET = Target("all", "package/twice.py", ("tests/test_twice.py",), ())
+    TEST = "from package.twice import twice\n\n\ndef test_twice():\n    assert twice({}) == {}\n"
 
     @pytest.fixture
     def repository(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         repository = tmp_path / "repository"
-        for name in ("kept", "tests"):
+        for name in ("package", "tests"):
             (repository / name).mkdir(parents=True)
-        (repository / "kept" / "twice.py").write_text("def twice(x):\n    return x * 2\n")
+        (repository / "package" / "twice.py").write_text("def twice(x):\n    return x * 2\n")
         (repository / "tests" / "test_twice.py").write_text(self.TEST.format(2, 4))
-        monkeypatch.setattr(mutation_trial, "REPOSITORY", repository)
-        monkeypatch.setattr(mutation_trial, "COPIED", ("kept", "tests"))
+        monkeypatch.setattr(mutation, "REPOSITORY", repository)
+        monkeypatch.setattr(mutation, "COPIED", ("package", "tests"))
         return repository
 
-    def trial(self, repository: Path) -> mutation_trial.Trial:
-        return mutation_trial.Trial(repository.parent, limit=60)
+    def run(self, repository: Path, becomes: str) -> dict[str, Any]:
+        """Test a mutant in a new workspace."""
+        return Workspace(repository.parent, limit=60).test(self.TARGET, self.mutant(becomes))
 
     @staticmethod
     def mutant(becomes: str) -> Mutant:
         text = f"def twice(x):\n    {becomes}\n"
         return Mutant(becomes, 0, 2, "twice", "return x * 2", becomes, text)
 
-    def test_what_a_test_notices_is_killed_and_the_rest_tried_again_when_tests_change(
-        self, repository: Path
-    ) -> None:
-        trial = self.trial(repository)
-        killed = trial.outcome(self.TARGET, self.mutant("return x / 2"))
+    def test_a_survivor_is_tested_again_when_tests_change(self, repository: Path) -> None:
+        killed = self.run(repository, "return x / 2")
         assert killed["outcome"] == "killed"
         assert killed["by"] == "tests/test_twice.py::test_twice"
-        assert trial.outcome(self.TARGET, self.mutant("return x + 2"))["outcome"] == "survived"
+        assert self.run(repository, "return x + 2")["outcome"] == "survived"
         written = (repository.parent / "results.jsonl").read_text()
-        again = self.trial(repository)
-        assert again.outcome(self.TARGET, self.mutant("return x + 2"))["outcome"] == "survived"
+        assert self.run(repository, "return x + 2")["outcome"] == "survived"
         assert (repository.parent / "results.jsonl").read_text() == written
         (repository / "tests" / "test_twice.py").write_text(self.TEST.format(3, 6))
-        last = self.trial(repository)
-        assert last.outcome(self.TARGET, self.mutant("return x + 2"))["outcome"] == "killed"
-        assert (repository / "kept" / "twice.py").read_text().endswith("x * 2\n")
+        assert self.run(repository, "return x + 2")["outcome"] == "killed"
+        assert (repository / "package" / "twice.py").read_text().endswith("x * 2\n")
 
-    def test_tests_that_fail_anyway_are_told(self, repository: Path) -> None:
+    def test_tests_that_fail_without_a_mutant_are_an_error(self, repository: Path) -> None:
         (repository / "tests" / "test_twice.py").write_text(self.TEST.format(2, 5))
         with pytest.raises(RuntimeError, match="fail without a mutant"):
-            self.trial(repository).outcome(self.TARGET, self.mutant("return x / 2"))
+            self.run(repository, "return x / 2")

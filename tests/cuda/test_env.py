@@ -1,15 +1,24 @@
-""""""
+"""The vector environment of tensors: its arguments, its actions, and errors that name the cause."""
 
 import math
+from importlib.util import find_spec
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 
+import surface_gym as sg
+from surface_gym import cuda
 from surface_gym.config import EnvConfig
+from surface_gym.cuda import DeviceMissing, check_device
 from surface_gym.cuda.env import TensorActions
+from surface_gym.registration import DEVICES, make_device_env, make_vector_env
+from surface_gym.sensors import Camera
+from tests.cuda.cases import needs_numba_cuda
 
-LANES = 5
+SORT = "SmartSurface/Sort-v0"
+NUM_ENVS = 5
 CPU = torch.device("cpu")
 EVERY_KIND = [
     (kind, orientations)
@@ -18,59 +27,112 @@ EVERY_KIND = [
 ]
 
 
-def kind_of(actions, orientations=None):
+class TestDevice:
+    def test_the_default_is_the_cpu(self):
+        assert isinstance(gym.make_vec(SORT, num_envs=2), sg.SmartSurfaceVectorEnv)
+        assert isinstance(gym.make_vec(SORT, num_envs=2, device="cpu"), sg.SmartSurfaceVectorEnv)
+        assert DEVICES == ("cpu", "cuda")
+
+    def test_an_unknown_device_is_an_error(self):
+        with pytest.raises(ValueError, match="device must be one of 'cpu', 'cuda', got 'tpu'"):
+            make_vector_env(2, "tpu")
+
+    @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+    @needs_numba_cuda
+    def test_a_missing_gpu_is_an_error(self):
+        with pytest.raises(DeviceMissing, match="needs an NVIDIA GPU; torch"):
+            gym.make_vec(SORT, num_envs=2, device="cuda")
+
+    @pytest.mark.parametrize("module", ["torch", "numba_cuda"])
+    def test_a_missing_library_is_named(self, monkeypatch, module):
+        def found(name):
+            return None if name == module else find_spec(name)
+
+        monkeypatch.setattr(cuda, "find_spec", found)
+        with pytest.raises(DeviceMissing, match=rf"{module}, which is not installed: .*\[gpu\]"):
+            check_device()
+
+
+@needs_numba_cuda
+class TestArguments:
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            ({"sensors": Camera()}, "sensors must be one without noise.* got Camera"),
+            ({"task": "flow", "sensors": Camera()}, "sensors must be one without noise"),
+            ({"preset": "lab"}, "sensors must be one without noise"),
+            ({"randomisation": sg.Randomisation(mass=0.1)}, "randomisation must be .* mass=0.1"),
+            ({"actuators": sg.Actuators(stuck_share=0.1)}, "stuck_share must be 0.*, got 0.1"),
+            ({"info": ("axes",)}, r"info must be \(\), where device is 'cuda', got \('axes',\)"),
+            ({"task": "flow", "info": ("axes",)}, r"info must be \(\)"),
+            ({"render_mode": "rgb_array"}, "render_mode must be None"),
+            ({"threads": 2}, "threads must be 1"),
+            ({"num_envs": 0}, "num_envs must be"),
+            ({"autoreset_mode": "Never"}, "autoreset_mode must be one of"),
+            ({"max_episode_steps": 0}, "max_episode_steps must be"),
+            ({"actions": "thirds"}, "actions must be one of"),
+        ],
+    )
+    def test_an_argument_that_is_not_supported_is_named(self, arguments, message):
+        given = {"num_envs": 2, "device": "cpu", "task": "sort", **arguments}
+        with pytest.raises(ValueError, match=message):
+            make_device_env(**given)
+
+    def test_a_parcel_that_the_task_does_not_draw_is_refused_and_nothing_begins(self):
+        env = make_device_env(2, "cpu", task="sort")
+        with pytest.raises(ValueError, match="parcel must be one that the task draws"):
+            env.reset(seed=0, options={"parcel": sg.Parcel(sg.Disc(0.1))})
+        with pytest.raises(gym.error.ResetNeeded):
+            env.step(torch.zeros(2, dtype=torch.int64))
+        env.close()
+
+
+def action_kind(actions, orientations=None):
     return EnvConfig(actions=actions, orientations=orientations).action_kind
 
 
-@pytest.mark.parametrize(("actions", "orientations"), EVERY_KIND)
-def test_commands_are_those_of_the_cpu(actions, orientations):
-    kind = kind_of(actions, orientations)
-    space = kind.space()
-    space.seed(0)
-    given = np.array([space.sample() for _ in range(LANES)])
-    tensor = TensorActions(space, LANES, CPU)
-    commands = tensor.commands(torch.from_numpy(given))
-    np.testing.assert_array_equal(commands, kind.commands(given, LANES))
-    assert commands.dtype == (torch.float64 if orientations == "any" else torch.int64)
-    assert not tensor.wrong
+class TestActions:
+    @pytest.mark.parametrize(("actions", "orientations"), EVERY_KIND)
+    def test_commands_are_those_of_the_cpu(self, actions, orientations):
+        kind = action_kind(actions, orientations)
+        space = kind.space()
+        space.seed(0)
+        given = np.array([space.sample() for _ in range(NUM_ENVS)])
+        converter = TensorActions(space, NUM_ENVS, CPU)
+        commands = converter.commands(torch.from_numpy(given))
+        np.testing.assert_array_equal(commands, kind.commands(given, NUM_ENVS))
+        assert commands.dtype == (torch.float64 if orientations == "any" else torch.int64)
+        assert not converter.wrong
 
+    @pytest.mark.parametrize("bad", [-1, 16, 2**40])
+    def test_a_choice_out_of_range_is_recorded_and_replaced(self, bad):
+        converter = TensorActions(action_kind("halves").space(), NUM_ENVS, CPU)
+        actions = torch.full((NUM_ENVS,), 5)
+        actions[3] = bad
+        commands = converter.commands(actions)
+        assert converter.wrong
+        assert commands.tolist() == [[1, 1]] * 3 + [[0, 0], [1, 1]]
+        assert converter.allowed == "0 and 15"
 
-@pytest.mark.parametrize("bad", [-1, 16, 2**40])
-def test_a_choice_that_is_none_is_noted_and_never_reaches_the_lane(bad):
-    tensor = TensorActions(kind_of("halves").space(), LANES, CPU)
-    actions = torch.full((LANES,), 5)
-    actions[3] = bad
-    commands = tensor.commands(actions)
-    assert tensor.wrong
-    assert commands.tolist() == [[1, 1]] * 3 + [[0, 0], [1, 1]]
-    assert tensor.allowed == "0 and 15"
+    @pytest.mark.parametrize("bad", [math.nan, math.inf, 1.6, -1.6])
+    def test_an_angle_out_of_range_is_recorded_and_replaced(self, bad):
+        converter = TensorActions(action_kind("halves", "any").space(), NUM_ENVS, CPU)
+        commands = converter.commands(torch.full((NUM_ENVS, 2), bad))
+        assert converter.wrong
+        assert (commands == 0.0).all()
 
-
-@pytest.mark.parametrize("bad", [math.nan, math.inf, 1.6, -1.6])
-def test_an_angle_that_is_none_is_noted_and_never_reaches_the_lane(bad):
-    tensor = TensorActions(kind_of("halves", "any").space(), LANES, CPU)
-    commands = tensor.commands(torch.full((LANES, 2), bad))
-    assert tensor.wrong
-    assert (commands == 0.0).all()
-
-
-@pytest.mark.parametrize(
-    ("actions", "message"),
-    [
-        (np.zeros(LANES, dtype=np.int64), "action must be a torch tensor on cpu, got"),
-        (torch.zeros(LANES, dtype=torch.int64, device="meta"), "on cpu, got one on meta"),
-        (torch.zeros(LANES + 1, dtype=torch.int64), r"shape \(\) a lane, got \(6,\)"),
-        (torch.zeros(LANES), "whole numbers, got torch.float32"),
-        (torch.zeros(LANES, dtype=torch.bool), "whole numbers, got torch.bool"),
-    ],
-)
-def test_what_is_no_action_is_an_error_at_once(actions, message):
-    with pytest.raises(ValueError, match=message):
-        TensorActions(kind_of("halves").space(), LANES, CPU).commands(actions)
-
-
-def test_whole_numbers_are_no_angles():
-    with pytest.raises(ValueError, match=r"action must be angles, got torch\.int64"):
-        TensorActions(kind_of("halves", "any").space(), LANES, CPU).commands(
-            torch.zeros((LANES, 2), dtype=torch.int64)
-        )
+    @pytest.mark.parametrize(
+        ("orientations", "actions", "message"),
+        [
+            (None, np.zeros(NUM_ENVS, dtype=np.int64), "must be a torch tensor on cpu, got"),
+            (None, torch.zeros(NUM_ENVS, device="meta"), "on cpu, got one on meta"),
+            (None, torch.zeros(NUM_ENVS + 1), r"shape \(\) for each environment, got \(6,\)"),
+            (None, torch.zeros(NUM_ENVS), "whole numbers, got torch.float32"),
+            (None, torch.zeros(NUM_ENVS, dtype=torch.bool), "whole numbers, got torch.bool"),
+            ("any", torch.zeros((NUM_ENVS, 2), dtype=torch.int64), "angles, got torch.int64"),
+        ],
+    )
+    def test_a_wrong_type_or_shape_is_an_error_at_once(self, orientations, actions, message):
+        converter = TensorActions(action_kind("halves", orientations).space(), NUM_ENVS, CPU)
+        with pytest.raises(ValueError, match=message):
+            converter.commands(actions)

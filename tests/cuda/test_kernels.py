@@ -1,6 +1,4 @@
-"""Functions made again, with less scratch, do what the compiled ones do: to the bit, in plain
-Python.
-"""
+"""Translated functions, with less scratch, equal the compiled ones to the bit, in plain Python."""
 
 import inspect
 
@@ -9,66 +7,67 @@ import numpy as np
 from surface_gym.core.assembly import task_functions
 from surface_gym.core.batch import Batch
 from surface_gym.core.kernel import make_kernel
-from surface_gym.cuda.kernels import Source
-from surface_gym.cuda.memory import capacity_of, layout
+from surface_gym.cuda.kernels import Translator
+from surface_gym.cuda.memory import scratch_layout, task_capacity
 from surface_gym.physics import types
 from surface_gym.physics.jit import inlined
 from surface_gym.physics.types import Scratch
-from tests.cuda.cases import every_case, settings_of
+from tests.cuda.cases import every_case, make_config
 
 
-def plain(function):
-    return function
+def make_translator(capacity=8):
+    return Translator(scratch_layout(capacity), lambda function: function)
 
 
-def scratch_of(places) -> Scratch:
-    marks = np.zeros(places["MARKS_SIZE"], dtype=np.int64)
-    marks[places["SPANS"]] = -1
-    return Scratch(np.zeros(places["TABLE_SIZE"]), marks)
+def make_small_scratch(capacity):
+    layout = scratch_layout(capacity)
+    marks = np.zeros(layout["MARKS_SIZE"], dtype=np.int64)
+    marks[layout["SPANS"]] = -1
+    return Scratch(np.zeros(layout["TABLE_SIZE"]), marks)
 
 
 @every_case
-def test_a_lane_moves_as_in_the_compiled_batch(name):
-    settings = settings_of(name)
-    places = layout(capacity_of(settings))
-    move_lanes = Source(places, plain).remade(make_kernel(task_functions(settings)))
-    assert inspect.isfunction(move_lanes)
-    batches = [Batch(settings, 1) for _ in range(2)]
+def test_an_environment_is_stepped_as_in_the_compiled_batch(name):
+    config = make_config(name)
+    capacity = task_capacity(config)
+    step_envs = make_translator(capacity).translate(make_kernel(task_functions(config)))
+    assert inspect.isfunction(step_envs)
+    batches = [Batch(config, 1) for _ in range(2)]
     compiled, python = batches
     for batch in batches:
         batch.seed(0, np.random.default_rng(4))
-    lane, scratches = np.arange(1), (scratch_of(places), scratch_of(places))
-    compiled.start(lane)
-    python._place_drawn(lane)
-    space = settings.action_space()
+    chosen, scratches = np.arange(1), [make_small_scratch(capacity) for _ in range(2)]
+    compiled.reset(chosen)
+    python.place_drawn(chosen)
+    space = config.action_space()
     space.seed(0)
-    with np.errstate(all="ignore"):  # as compiled code has it
+    with np.errstate(all="ignore"):  # as in compiled code
         for _ in range(5):
-            assert move_lanes(*python._arrays, *scratches, lane) == 0
-            for one, other in zip(compiled.lanes, python.lanes, strict=True):
-                np.testing.assert_array_equal(one, other)
-            commands = settings.action_kind.commands([space.sample()], 1)
-            compiled.advance(commands)
+            assert step_envs(*python._arrays, *scratches, chosen) == 0
+            for expected, given in zip(compiled.parcels, python.parcels, strict=True):
+                np.testing.assert_array_equal(expected, given)
+            commands = config.action_kind.commands([space.sample()], 1)
+            compiled.step(commands)
             python.surfaces.command[:] = commands
 
 
-def test_a_function_is_made_once_and_its_callees_with_it():
-    source = Source(layout(8), plain)
-    made = source.remade(twice)
-    assert made is source.remade(twice)
-    assert made(3) == 2 * (3 + 8)
-    assert made.__globals__["once"] is source.remade(once)
-    assert twice.py_func.__globals__["once"] is once  # the original refers to what it did
+def test_a_function_is_translated_once_with_those_it_calls():
+    translator = make_translator()
+    translated = translator.translate(twice)
+    assert translated is translator.translate(twice)
+    assert translated(3) == 2 * (3 + 8)
+    assert translated.__globals__["once"] is translator.translate(once)
+    assert twice.py_func.__globals__["once"] is once  # the original is as before
 
 
-def test_only_constants_of_the_scratch_are_exchanged():
-    source = Source(layout(8), plain)
-    assert source.remade(of_its_own)() == "mine"
-    assert source.remade(through_a_closure(ARM_Y))() == 8
+def test_only_constants_of_the_scratch_are_replaced():
+    translator = make_translator()
+    assert translator.translate(other_constant)() == "mine"
+    assert translator.translate(make_closure(ARM_Y))() == 8
 
 
 def test_functions_may_call_themselves():
-    assert Source(layout(8), plain).remade(factorial)(5) == 120
+    assert make_translator().translate(factorial)(5) == 120
 
 
 CAPACITY = types.CAPACITY
@@ -87,7 +86,7 @@ def twice(value):
 
 
 @inlined
-def of_its_own():
+def other_constant():
     return NORMAL
 
 
@@ -96,9 +95,9 @@ def factorial(n):
     return 1 if n < 2 else n * factorial(n - 1)
 
 
-def through_a_closure(ARM_Y):
+def make_closure(ARM_Y):
     @inlined
-    def place():
+    def row():
         return ARM_Y
 
-    return place
+    return row

@@ -10,16 +10,16 @@ from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.tasks import TASKS
-from tests.cuda.cases import needs_numba_cuda, settings_of
+from tests.cuda.cases import make_config, needs_numba_cuda
 
-pytestmark = needs_numba_cuda
+pytestmark = [needs_numba_cuda, pytest.mark.usefixtures("assumed_device")]
 
 CAPABILITIES = ((8, 0), (9, 0))  # A100, H100 and H200
 
 
 @pytest.fixture
-def without_a_device(monkeypatch):
-    """Functions that kernels call ask for the device at hand; none is, so it is made up."""
+def assumed_device(monkeypatch):
+    """Answer functions that ask for the device's capability, where there is none."""
     from numba.cuda import dispatcher
 
     device = SimpleNamespace(compute_capability=CAPABILITIES[0])
@@ -27,7 +27,7 @@ def without_a_device(monkeypatch):
 
 
 def strided(kind):
-    """The type of an argument, its arrays of any layout."""
+    """Return the type of an argument, its arrays of any layout."""
     if isinstance(kind, types.Array):
         return kind.copy(layout="A")
     if isinstance(kind, types.NamedTuple):
@@ -35,58 +35,52 @@ def strided(kind):
     return kind
 
 
-def ptx_of(kernel, arguments, capability, opt=True):
+def check_ptx(kernel, arguments, opt=True):
+    """Compile a kernel for every capability, and return the code of each."""
     from numba import cuda
 
     signature = types.void(*(strided(typeof(argument)) for argument in arguments))
-    ptx, _ = cuda.compile_ptx(kernel.py_func, signature, cc=capability, opt=opt)
-    return ptx
-
-
-@pytest.mark.usefixtures("without_a_device")
-@pytest.mark.parametrize("name", TASKS)
-def test_every_task_compiles_for_every_capability(name):
-    from surface_gym.cuda.kernels import move_kernel
-
-    settings = settings_of(name)
-    batch = Batch(settings, 2)
-    order, mask = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.bool_)
-    kernel = move_kernel(settings)
+    found = []
     for major, minor in CAPABILITIES:
-        # One as it is made fast: that takes the compiler seconds, and no other code.
-        fast = name == "sort"
-        ptx = ptx_of(kernel, (*batch._arrays, order, mask), (major, minor), opt=fast)
+        ptx, _ = cuda.compile_ptx(kernel.py_func, signature, cc=(major, minor), opt=opt)
         assert f".target sm_{major}{minor}" in ptx
         assert ".visible .entry" in ptx
+        found.append(ptx)
+    return found
+
+
+def order_and_mask():
+    return np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.bool_)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_every_task_compiles(name):
+    from surface_gym.cuda.kernels import step_kernel
+
+    config = make_config(name)
+    arguments = (*Batch(config, 2)._arrays, *order_and_mask())
+    # One task optimised: that takes the compiler seconds, for the same code.
+    for ptx in check_ptx(step_kernel(config), arguments, opt=name == "sort"):
         assert ".local" in ptx  # a thread's scratch
 
 
-@pytest.mark.usefixtures("without_a_device")
-def test_a_flow_compiles_for_every_capability():
-    from surface_gym.cuda.kernels import make_scratch, move_flow_kernel, stream_capacity
+def test_streams_compile():
+    from surface_gym.cuda.kernels import make_stream_scratch, stream_capacity, stream_step_kernel
 
-    settings = EnvConfig(places=16)
-    flows = StreamBatch(settings, 2)
-    one = make_scratch(stream_capacity(settings, settings.stream.kinds), settings.rows)
+    config = EnvConfig("flow", max_parcels=16)
+    task = config.stream_task
+    batch = StreamBatch(config, 2, compiles=False)
+    one = make_stream_scratch(stream_capacity(config, task.stream.kinds), task.rows)
     scratches = type(one)._make(np.stack([values, values]) for values in one)
-    memory = (flows.surfaces, flows.lanes, flows.sites, flows.flows, scratches)
-    order, mask = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.bool_)
-    arguments = (flows.rules, flows.flow_rules, *memory, order, mask)
-    for major, minor in CAPABILITIES:
-        # As it is written: to make it fast takes the compiler half a minute, and no other code.
-        ptx = ptx_of(move_flow_kernel(settings), arguments, (major, minor), opt=False)
-        assert f".target sm_{major}{minor}" in ptx
+    arguments = (*batch._arrays, scratches, *order_and_mask())
+    # Not optimised: that takes the compiler half a minute, for the same code.
+    check_ptx(stream_step_kernel(config), arguments, opt=False)
 
 
-@pytest.mark.usefixtures("without_a_device")
 def test_placing_compiles():
-    from surface_gym.cuda.kernels import place
-    from surface_gym.cuda.prefetch import Starts
+    from surface_gym.cuda.kernels import place_starts
+    from surface_gym.cuda.prefetch import StartRings
 
-    batch = Batch(settings_of("track"), 2)
-    starts = Starts(np.zeros((2, 4), dtype=np.int64), *(np.zeros((2, 4, 8)) for _ in range(4)))
-    taken, mask = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.bool_)
-    for capability in CAPABILITIES:
-        assert ".visible .entry" in ptx_of(
-            place, (batch.surfaces, batch.parcels, starts, taken, mask), capability
-        )
+    batch = Batch(make_config("track"), 2)
+    rings = StartRings(np.zeros((2, 4), dtype=np.int64), *(np.zeros((2, 4, 8)) for _ in range(4)))
+    check_ptx(place_starts, (batch.surfaces, batch.parcels, rings, *order_and_mask()))

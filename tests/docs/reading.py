@@ -1,4 +1,4 @@
-"""Pages as tests read them."""
+"""Pages, as tests read them."""
 
 import re
 from pathlib import Path
@@ -9,11 +9,11 @@ BLOCK = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PAGES = sorted(str(file.relative_to(ROOT)) for file in (ROOT / "README.md", *DOCS.glob("**/*.md")))
 
 
-def blocks_of(page: str) -> list[tuple[str, str]]:
-    """The language and the text of each block of code."""
+def code_blocks(page: str) -> list[tuple[str, str]]:
+    """Return the language and the text of each block of code."""
     return BLOCK.findall((ROOT / page).read_text())
 
 
-def prose_of(page: str) -> str:
-    """A page without its blocks of code and what stands in backticks."""
+def prose(page: str) -> str:
+    """Return a page without its code, in blocks and in backticks."""
     return re.sub(r"`[^`\n]*`", "", BLOCK.sub("", (ROOT / page).read_text()))

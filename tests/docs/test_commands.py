@@ -1,37 +1,41 @@
-"""Each command that a page shows is one that its own program takes; none is run."""
+"""Each command that a page shows is accepted by its own program; none is run."""
 
 import argparse
 import runpy
 import shlex
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pytest
 import tyro
 
+from surface_gym import cli
 from surface_gym.agents.tuning.sweep import read_sweep
-from tests.docs.reading import PAGES, ROOT, blocks_of
+from tests.docs.reading import PAGES, ROOT, code_blocks
 
 SHELL = ("sh", "")
 # Programs of others, and learners that need environments of their own.
 OTHERS = ("pip", "ray", "export", "source", "zensical", "jupyter", "pytest", "git", "cd")
 APART = ("rl_zoo3.train", "venv", "examples/learners/")
-STANDS_FOR = {
+# Stand-ins for files that only a reader has.
+STAND_INS = {
     "path/to/file.py:Class": "examples/reach.py:Reach",
     "runs/search-sweep/best.yml": "agents/hyperparams/ppo.yml",
 }
-GONE_ON_WITH = ("runs/NAME", "runs/search-sweep", "runs/first")  # folders that only a reader has
+RESUMED = ("runs/NAME", "runs/search-sweep", "runs/first")
 
 
 class Parsed(BaseException):
-    """A program has taken its arguments, and would begin."""
+    """A program has parsed its arguments, and would begin."""
 
 
-def commands_of(page: str) -> Iterator[str]:
-    """Each command of a page by itself, comments and broken lines taken away."""
-    for language, text in blocks_of(page):
+def find_commands(page: str) -> Iterator[str]:
+    """Yield each command of a page by itself, without comments and line breaks."""
+    for language, text in code_blocks(page):
         if language in SHELL:
             for line in text.replace("\\\n", " ").splitlines():
                 words = shlex.split(line, comments=True)
@@ -40,20 +44,22 @@ def commands_of(page: str) -> Iterator[str]:
                         yield part.strip()
 
 
-COMMANDS = sorted({(page, command) for page in PAGES for command in commands_of(page)})
+COMMANDS = sorted({(page, command) for page in PAGES for command in find_commands(page)})
 
 
 def then_stop(parse: Callable[..., Any]) -> Callable[..., Any]:
     def parse_and_stop(*args: Any, **kwargs: Any) -> Any:
-        parse(*args, **kwargs)
+        parsed = parse(*args, **kwargs)
+        if kwargs.get("return_unknown_args"):
+            return parsed  # the others are parsed next
         raise Parsed
 
     return parse_and_stop
 
 
 @pytest.fixture
-def parsing_alone(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
-    """Programs stop when their arguments are taken."""
+def stopping(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """Make programs stop when they have parsed their arguments."""
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(tyro, "cli", then_stop(tyro.cli))
     by_name = tyro.extras.subcommand_cli_from_dict
@@ -62,61 +68,69 @@ def parsing_alone(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     return monkeypatch
 
 
-def program_of(words: list[str]) -> tuple[str, bool, list[str]]:
-    """Of `python ...`: the file or module, whether it is a module, and the arguments."""
+def split_program(words: list[str]) -> tuple[str, bool, list[str]]:
+    """Return of `python ...` the file or module, whether it is a module, and the arguments."""
     if words[1] == "-m":
         return words[2], True, words[3:]
     return words[1], False, words[2:]
 
 
 @pytest.mark.parametrize(("page", "command"), COMMANDS)
-def test_a_program_takes_the_command(
-    page: str, command: str, parsing_alone: pytest.MonkeyPatch
+def test_a_program_accepts_the_command(
+    page: str, command: str, stopping: pytest.MonkeyPatch
 ) -> None:
-    words = [STANDS_FOR.get(word, word) for word in shlex.split(command)]
-    if words[0] in OTHERS:
+    words = [STAND_INS.get(word, word) for word in shlex.split(command)]
+    if words[0] in OTHERS or "QUESTION" in words:
         return
+    if "--cluster" in words:  # which asks whether Ray is there
+        place = words.index("--cluster")
+        words = words[:place] + words[place + 2 :]
     if words[0] == "surface-gym":
-        from surface_gym.cli import COMMANDS as known
+        program, arguments, begin = words[1], words[2:], partial(cli.main, words[1:])
+        if program == "--help":
+            return
+        if program == "play":  # which parses by argparse, as `cli.main` does
+            begin = partial(import_module("surface_gym.play").main, arguments)
+    else:
+        assert words[0] == "python", page
+        program, is_module, arguments = split_program(words)
+        if program.startswith(APART):
+            assert is_module or (ROOT / program).is_file()
+            return
+        stopping.setattr(sys, "argv", [program, *arguments])
+        stopping.delitem(sys.modules, program, raising=False)  # runpy begins with a fresh one
 
-        assert words[1] == "--help" or words[1] in known, page
-        return
-    assert words[0] == "python", page
-    program, is_module, arguments = program_of(words)
-    if program.startswith(APART):
-        assert is_module or (ROOT / program).is_file()
-        return
-    if "--cluster" in arguments:  # which asks whether Ray is there
-        place = arguments.index("--cluster")
-        arguments = arguments[:place] + arguments[place + 2 :]
-    if "--resume" in arguments and program == "train.py":
-        assert arguments in [["--resume", folder] for folder in GONE_ON_WITH]
+        def begin() -> Any:
+            if is_module:
+                return runpy.run_module(program, run_name="__main__")
+            return runpy.run_path(str(ROOT / program), run_name="__main__")
+
+    if program in ("train.py", "train") and "--resume" in arguments:
+        assert arguments in [["--resume", folder] for folder in RESUMED]
         return
     if "--search" in arguments:
         assert read_sweep(Path(arguments[1])).trials > 0
         assert len(arguments) == 2
         return
-    if "QUESTION" in arguments or program == "docs/pictures.py":
+    if program == "docs/pictures.py":
         return
-    take = argparse.ArgumentParser.parse_args
-    parsing_alone.setattr(argparse.ArgumentParser, "parse_args", then_stop(take))
-    parsing_alone.setattr(sys, "argv", [program, *arguments])
-    parsing_alone.delitem(sys.modules, program, raising=False)  # runpy begins with a fresh one
-    begin = runpy.run_module if is_module else runpy.run_path
+    if words[0] == "python" or program == "play":
+        take = argparse.ArgumentParser.parse_args
+        stopping.setattr(argparse.ArgumentParser, "parse_args", then_stop(take))
     with pytest.raises(Parsed):
-        begin(program if is_module else str(ROOT / program), run_name="__main__")
+        begin()
 
 
 def test_the_commands_are_found() -> None:
-    told = [command for _, command in COMMANDS]
-    for program in ("train.py", "evaluate.py", "surface_gym.design", "surface_gym.paper"):
-        assert any(program in command for command in told)
+    commands = [command for _, command in COMMANDS]
+    for program in ("train.py", "evaluate.py", "surface-gym design", "surface-gym paper"):
+        assert any(program in command for command in commands)
 
 
-def test_a_flag_that_there_is_not_is_refused(
-    parsing_alone: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_an_unknown_flag_is_refused(
+    stopping: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    parsing_alone.setattr(sys, "argv", ["train.py", "--no-such-flag", "3"])
+    stopping.setattr(sys, "argv", ["train.py", "--no-such-flag", "3"])
     with pytest.raises(SystemExit):
         runpy.run_path(str(ROOT / "train.py"), run_name="__main__")
     assert "no-such-flag" in "".join(capsys.readouterr())

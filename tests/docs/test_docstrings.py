@@ -43,8 +43,8 @@ def parcel(tmp_path: Path):
 
 
 def test_an_example_is_fenced_and_the_text_after_it_is_not(parcel) -> None:
-    told = parcel.docstring.value
-    assert "```pycon\n>>> Parcel(1.0)\nParcel(mass=1.0)\n```\n\nIt has a mass." in told
+    text = parcel.docstring.value
+    assert "```pycon\n>>> Parcel(1.0)\nParcel(mass=1.0)\n```\n\nIt has a mass." in text
 
 
 def test_fields_are_listed_with_their_comments(parcel) -> None:

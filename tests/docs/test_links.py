@@ -4,20 +4,23 @@ import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from pkgutil import resolve_name
 
 import pytest
 
-from tests.docs.reading import DOCS, PAGES, ROOT, prose_of
+from tests.docs.reading import DOCS, PAGES, ROOT, prose
 
 LINK = re.compile(r"\]\(([^()\s]+)\)")
 ELSEWHERE = ("https://", "http://", "mailto:")
-FILM = 400_000  # [bytes] that one takes at most
+VIDEO = 400_000  # [bytes] at most
+DOTTED = re.compile(r"\bsurface_gym(?:\.[A-Za-z_]\w*)+")
+FILE = re.compile(r"`((?:surface_gym|agents|tests|examples|benchmarks|docs)/[\w./*-]+)`")
 NAMED = re.compile(r"images/([\w-]+\.\w+)")
 
 
 @pytest.fixture
 def pictures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Callable[[Path], None]]:
-    """What `docs/pictures.py` makes."""
+    """Functions of `docs/pictures.py` that make a picture, by its name."""
     monkeypatch.syspath_prepend(DOCS)
     monkeypatch.delitem(sys.modules, "pictures", raising=False)
     import pictures
@@ -25,8 +28,8 @@ def pictures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Callable[[Path], None
     return pictures.PICTURES
 
 
-def anchors_of(page: Path) -> set[str]:
-    """Names of a page's headings, as Markdown makes them."""
+def find_anchors(page: Path) -> set[str]:
+    """Return the anchors of a page's headings, as Markdown makes them."""
     headings = re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
     plain = [re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower() for heading in headings]
     return {re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", heading).strip()) for heading in plain}
@@ -34,14 +37,26 @@ def anchors_of(page: Path) -> set[str]:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_each_link_leads_somewhere(page: str) -> None:
-    for link in LINK.findall(prose_of(page)):
+    for link in LINK.findall(prose(page)):
         if link.startswith(ELSEWHERE):
             continue
         path, _, anchor = link.partition("#")
         target = (ROOT / page).parent / path if path else ROOT / page
         assert target.exists(), link
         if anchor and target.suffix == ".md":
-            assert anchor in anchors_of(target), link
+            assert anchor in find_anchors(target), link
+
+
+@pytest.mark.parametrize("page", [*PAGES, "CONTRIBUTING.md"])
+def test_each_file_that_is_named_exists(page: str) -> None:
+    for path in FILE.findall((ROOT / page).read_text()):
+        assert "NAME" in path or any(ROOT.glob(path)), path
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_each_name_of_the_package_exists(page: str) -> None:
+    for name in DOTTED.findall((ROOT / page).read_text()):
+        assert resolve_name(name) is not None
 
 
 def test_every_picture_is_made_by_the_command(
@@ -56,11 +71,11 @@ def test_every_picture_is_shown(pictures: dict[str, Callable[[Path], None]]) -> 
     assert shown >= set(pictures)
 
 
-def test_films_are_small() -> None:
-    films = list((DOCS / "images").glob("*.webp"))
-    assert len(films) == 7
-    for film in films:
-        assert film.stat().st_size <= FILM, film.name
+def test_videos_are_small() -> None:
+    videos = list((DOCS / "images").glob("*.webp"))
+    assert len(videos) == 7
+    for video in videos:
+        assert video.stat().st_size <= VIDEO, video.name
 
 
 @pytest.mark.parametrize("name", ["sort.png", "checkered.png", "alignment.png"])
@@ -71,7 +86,7 @@ def test_a_picture_is_made_the_same_again(
     assert (tmp_path / name).read_bytes() == (DOCS / "images" / name).read_bytes()
 
 
-def test_the_command_tells_what_it_makes(
+def test_the_help_lists_every_picture(
     pictures: dict[str, Callable[[Path], None]], capsys: pytest.CaptureFixture[str]
 ) -> None:
     from pictures import main
@@ -81,6 +96,6 @@ def test_the_command_tells_what_it_makes(
     assert "invalid choice: 'nothing.png'" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["--help"])
-    told = "".join(capsys.readouterr().out.split())  # lines may break at a hyphen
+    help_text = "".join(capsys.readouterr().out.split())  # lines may break at a hyphen
     for name in pictures:
-        assert name in told
+        assert name in help_text

@@ -115,7 +115,7 @@ def set_down(batch: StreamBatch, poses: ArrayLike, velocities: ArrayLike | None 
     parcels.sensed[:count, 3:] = moving
     parcels.site[:count] = streams.site[0, :count]
     asked = streams.exit[0, :count]
-    parcels.goal[:count] = np.column_stack([asked, batch.params.exits[asked]])
+    parcels.goal[:count] = np.column_stack([asked, batch.stream_params.exits[asked]])
     for values in (parcels.memory, parcels.clock, parcels.steps):
         values[:count] = 0
     streams.number[0, :count] = np.arange(count)

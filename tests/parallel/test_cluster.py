@@ -24,8 +24,7 @@ from surface_gym.agents.learning.config import ModulesConfig, PPOConfig
 from surface_gym.agents.learning.runs import CARD as CARD_FILE
 from surface_gym.agents.learning.runs import CURVE, make_folder
 from surface_gym.agents.learning.train import train_seeds
-from surface_gym.agents.library import WEIGHTS
-from surface_gym.agents.tasks import task_files
+from surface_gym.agents.library import WEIGHTS, task_files
 from surface_gym.agents.tuning.study import run_trial
 from surface_gym.design import Case, Sort, success_map
 from surface_gym.parallel import Cluster, WorkFailed, choose_workers, map_jobs
@@ -37,7 +36,7 @@ from tests.parallel import jobs
 
 ROOT = Path(__file__).parents[2]
 SMALL = ModulesConfig(
-    seeds=2, lanes=8, steps=2_560, n_steps=16, batch_size=64, n_epochs=1, hidden=(8,),
+    seeds=2, num_envs=8, steps=2_560, n_steps=16, batch_size=64, n_epochs=1, hidden=(8,),
     checkpoint_every=1_024,
 )  # fmt: skip
 
@@ -190,7 +189,7 @@ def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(
 
 def test_cells_are_the_same_those_of_a_runs_policies_too(cluster: Cluster, tmp_path: Path) -> None:
     one = PPOConfig(
-        task="slow", steps=512, lanes=8, n_steps=16, batch_size=64, n_epochs=1, hidden=(8,)
+        task="slow", steps=512, num_envs=8, n_steps=16, batch_size=64, n_epochs=1, hidden=(8,)
     )
     train_seeds(one, tmp_path, Console(quiet=True), 1)
     run = replace(trained(policy_folders(tmp_path)), presets=("exact",), starts=6)
@@ -216,7 +215,7 @@ def test_a_command_that_was_killed_goes_on_with_a_custom_task(
     monkeypatch.chdir(ROOT)
     task = "examples/reach.py:Reach"
     config = PPOConfig(
-        task=task, seeds=2, lanes=8, steps=12_288, n_steps=32, batch_size=64, n_epochs=1,
+        task=task, seeds=2, num_envs=8, steps=12_288, n_steps=32, batch_size=64, n_epochs=1,
         hidden=(8,), checkpoint_every=4_096, out=tmp_path, name="run",
     )  # fmt: skip
     folders = [tmp_path / "local", make_folder(config)]

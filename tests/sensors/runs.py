@@ -33,7 +33,7 @@ def contradicts(env: Any, parcel: str, tolerance: float) -> np.ndarray:
     """(lanes,) whether the sensed pose of a box has other rotors covered than the true one has, by
     more than a tolerance [m]; by the base's own functions.
     """
-    elements, lanes, sites = env.batch.rules.elements, env.batch.parcels, env.batch.bodies
+    elements, lanes, sites = env.batch.params.elements, env.batch.parcels, env.batch.bodies
     base = sg.layouts.box(parcel).base
     rows, columns = np.indices(sites.rotor.shape[1:])
     x, y = elements.x0 + elements.pitch_x * columns, elements.y0 + elements.pitch_y * rows

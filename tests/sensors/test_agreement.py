@@ -37,7 +37,7 @@ def placed(task: str, parcel: str) -> tuple[sg.SmartSurfaceVectorEnv, EnvState]:
     env.reset(seed=0, options={"parcel": parcel})
     batch = env.batch
     arrays = (batch.surfaces, batch.parcels, batch.bodies)
-    return env, env_state.py_func(*arrays, 0, 0, batch.rules.elements)
+    return env, env_state.py_func(*arrays, 0, 0, batch.params.elements)
 
 
 def disagrees(env: sg.SmartSurfaceVectorEnv, state: EnvState, parcel: str) -> bool:

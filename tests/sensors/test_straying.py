@@ -11,7 +11,7 @@ from tests.sensors.runs import contradicts
 
 LANES, PERIODS, HELD = 48, 75, 5
 PITCH = 0.1  # [m]
-NOMINAL = 0.5  # [-] mu_max of every plant
+NOMINAL = 0.5  # [-] mu_max of every line
 
 WORLDS = {
     "load": (Presence(), sg.Randomisation(com_offset=0.5)),

@@ -81,7 +81,7 @@ def draws(
 ) -> list[Start]:
     """Starts of a task, one by one."""
     numbers = np.random.default_rng(seed).random((count, task.draws))
-    starts = task.start(Draw(numbers, [options] * count if options else (), task.plant, zone))
+    starts = task.start(Draw(numbers, [options] * count if options else (), task.line, zone))
     return [nth(starts, k, count) for k in range(count)]
 
 

@@ -118,9 +118,9 @@ class TestStarts:
         """A lane's start does not depend on how many others start with it."""
         task = TASKS[name]()
         numbers = np.random.default_rng(1).random((5, task.draws))
-        together = task.start(Draw(numbers, (), task.plant))
+        together = task.start(Draw(numbers, (), task.line))
         for k in range(5):
-            alone = task.start(Draw(numbers[k : k + 1], (), task.plant))
+            alone = task.start(Draw(numbers[k : k + 1], (), task.line))
             assert_same(tuple(nth(alone, 0, 1)), tuple(nth(together, k, 5)))
 
 

@@ -107,7 +107,7 @@ class TestStarts:
         """A parcel enters with its rear at x = 0."""
         starts = choose_starts(find_benchmark(task), None, LAB)[::7]
         drawn = drawn_parcels(EnvConfig(task=task, preset=PARCELS_ALONE), starts, SEED)
-        env = SmartSurfaceVectorEnv(len(starts), task=task, condition=PARCELS_ALONE)
+        env = SmartSurfaceVectorEnv(len(starts), task=task, preset=PARCELS_ALONE)
         _, info = env.reset(seed=SEED, options=list(starts))
         from_rear = [parcel.base.centroid[0] - parcel.base.outline[:, 0].min() for parcel in drawn]
         np.testing.assert_allclose(info["pose"][:, 0], from_rear, atol=1e-12)
@@ -139,7 +139,7 @@ def _leave(folder: Path, task: str, observe: tuple[str, ...] = ()) -> None:
     """A policy that has learned nothing."""
     card = PolicyCard(env_id(task), "ppo", "halves", 0.04, (8,), observe)
     folder.mkdir(parents=True)
-    save_policy(make_network(card, card.settings()), card, folder)
+    save_policy(make_network(card, card.env_config()), card, folder)
 
 
 class TestAgents:
@@ -155,9 +155,9 @@ class TestAgents:
         assert (nominal.name, lab.name) == ("PPO", "PPO, lab")
         assert (nominal.observe, lab.observe) == ((), ("parcel", "rotors"))
         assert lab.seeds == (0, 1)
-        settings = lab.settings(TASKS["slow"](), LAB)
+        settings = lab.config(TASKS["slow"](), LAB)
         env = SmartSurfaceVectorEnv(
-            2, task="slow", actions="halves", observe=settings.observe, condition=LAB
+            2, task="slow", actions="halves", observe=settings.observe, preset=LAB
         )
         observation, _ = env.reset(seed=0)
         assert lab.make(settings, 1).predict(observation)[0] in env.action_space

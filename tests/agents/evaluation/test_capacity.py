@@ -33,7 +33,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def offer(method: StreamMethod, case: Case, rate: float, whole: bool = True) -> Measurement | None:
-    controller = method.make(method.settings(case, rate))
+    controller = method.make(method.config(case, rate))
     assert controller is not None
     return measure(method, controller, case, rate, whole)
 

@@ -18,8 +18,8 @@ from surface_gym.agents.evaluation import capacity, report, runs, streams
 from surface_gym.agents.evaluation.capacity import Case
 from surface_gym.agents.evaluation.cli import TASK_NAMES, EvaluateConfig, evaluate
 from surface_gym.agents.evaluation.methods import rules
+from surface_gym.agents.evaluation.report import evaluate_run, is_of_streams
 from surface_gym.agents.evaluation.robustness import FILE as SWEPT
-from surface_gym.agents.evaluation.runs import evaluate_run, is_of_streams
 from surface_gym.agents.evaluation.streams import BOUND, RESERVATION, StreamResults
 from surface_gym.agents.library import SHELF
 from surface_gym.tasks import TASKS

@@ -65,7 +65,7 @@ def true_of(change: Change, method: Method = SLOW) -> EnvConfig:
 def starts_of(settings: EnvConfig, count: int = 64) -> np.ndarray:
     """(count, 3) poses that an environment begins at."""
     env = SmartSurfaceVectorEnv(
-        count, task=settings.task, actions=settings.actions, line=settings.plant
+        count, task=settings.task, actions=settings.actions, line=settings.line
     )
     return env.reset(seed=1)[1]["pose"]
 
@@ -76,7 +76,7 @@ def test_no_change_is_as_trained(task: str) -> None:
     benchmark = find_benchmark(task)
     assumed, true = situation(method, benchmark, FACTORS[TRAINED].change(TRAINED))
     assert assumed == true
-    settings = method.settings(benchmark.task, EVERYTHING_EXACT)
+    settings = method.config(benchmark.task, EVERYTHING_EXACT)
     for name in ("sensors", "control_period", "zone", "actuators", "randomisation", "actions"):
         assert getattr(true, name) == getattr(settings, name)
     assert true.chosen_line == settings.chosen_line
@@ -85,7 +85,7 @@ def test_no_change_is_as_trained(task: str) -> None:
 
 
 def test_an_unchanged_environment_plays_the_same() -> None:
-    settings = SLOW.settings(BENCHMARK.task, EVERYTHING_EXACT)
+    settings = SLOW.config(BENCHMARK.task, EVERYTHING_EXACT)
     (first, second) = (
         run_episodes(SLOW.make(each, 0), each, [{}] * 8, 3)
         for each in (settings, true_of(Change()))
@@ -95,8 +95,8 @@ def test_an_unchanged_environment_plays_the_same() -> None:
 
 def test_friction_is_unknown() -> None:
     assumed, true = situation(SLOW, BENCHMARK, Change(drag=1.2, rolling=0.5))
-    plant = true.chosen_line
-    assert (plant.mu_max, plant.mu_min, plant.mu_support) == pytest.approx((0.6, 0.005, 0.0025))
+    line = true.chosen_line
+    assert (line.mu_max, line.mu_min, line.mu_support) == pytest.approx((0.6, 0.005, 0.0025))
     assert (assumed.chosen_line.mu_max, assumed.chosen_line.mu_min) == (0.5, 0.01)
 
 
@@ -104,10 +104,10 @@ def test_a_zone_has_as_many_columns_behind_it_as_ever() -> None:
     for columns in (8, 24):
         assumed, true = situation(SLOW, BENCHMARK, Change(zone_columns=columns))
         assert assumed == true
-        plant = true.chosen_line
-        assert isinstance(plant, Line)
-        assert true.action_kind.columns == plant.zone_columns == columns
-        assert plant.columns - plant.zone_columns == Line().columns - Line().zone_columns
+        line = true.chosen_line
+        assert isinstance(line, Line)
+        assert true.action_kind.columns == line.zone_columns == columns
+        assert line.columns - line.zone_columns == Line().columns - Line().zone_columns
 
 
 def test_an_episode_may_last_the_longer_where_the_zone_is() -> None:

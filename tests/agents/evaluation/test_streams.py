@@ -62,8 +62,8 @@ def test_every_method_acts_in_its_own_environment() -> None:
     assert list(BY_NAME)[:6] == [FIXED, ARRANGED, TURNED, EVENT, EACH, RESERVATION]
     for method in stream_methods():
         for preset in method.presets:
-            settings = method.settings(Case("S and B", 1.0, preset), 2000.0)
-            assert (settings.actions, settings.gate) == (method.actions, method.gate)
+            settings = method.config(Case("S and B", 1.0, preset), 2000.0)
+            assert (settings.actions, settings.stream_task.gate) == (method.actions, method.gate)
             assert settings.exits.names == ("left", "right", "straight")
             varies = settings.randomisation.friction
             assert varies == (0.2 if preset == "camera" else 0.0)
@@ -71,7 +71,7 @@ def test_every_method_acts_in_its_own_environment() -> None:
 
 @pytest.mark.parametrize("method", stream_methods(), ids=lambda method: method.name)
 def test_every_method_can_be_made(method: StreamMethod) -> None:
-    settings = method.settings(Case("S", 1.5), 2000.0)
+    settings = method.config(Case("S", 1.5), 2000.0)
     controller = method.make(settings)
     assert controller is not None
     space = settings.observation_space()
@@ -80,7 +80,7 @@ def test_every_method_can_be_made(method: StreamMethod) -> None:
 
 
 def test_a_method_that_cannot_sort_has_no_capacity(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("surface_gym.agents.evaluation.streams.best_zone", lambda *_: None)
+    monkeypatch.setattr("surface_gym.agents.evaluation.streams.find_best_zone", lambda *_: None)
     result = compute_stream(BY_NAME[ARRANGED], Case("S", 1.5), SEARCHED)
     assert (result.can, result.capacity, result.eased) == (False, None, None)
 

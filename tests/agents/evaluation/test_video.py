@@ -48,7 +48,7 @@ def test_it_shows_what_the_environment_draws(tmp_path: Path) -> None:
     assert rate == 25.0
     assert len(pictures) == 1 + 10 + 25  # the start, the control periods, and the last one stays
     env = SmartSurfaceEnv(
-        DENSE, exits="sides", actions="parcels", duration=2.0, line=SHORT, render_mode="rgb_array"
+        "flow", stream=DENSE, exits="sides", actions="parcels", duration=2.0, line=SHORT, render_mode="rgb_array"
     )
     rule = StreamEventRule(SETTINGS)
     observation, _ = env.reset(seed=3)
@@ -105,7 +105,7 @@ def test_a_slower_decider_is_filmed_no_faster(tmp_path: Path) -> None:
 
 
 def test_a_method_that_cannot_sort_cannot_be_filmed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("surface_gym.agents.evaluation.streams.best_zone", lambda *_: None)
+    monkeypatch.setattr("surface_gym.agents.evaluation.streams.find_best_zone", lambda *_: None)
     zone = next(method for method in RULES if method.name == ARRANGED)
     with pytest.raises(ValueError, match=r"method must be able to sort S, 1\.5 m/s"):
         stream_player(zone, Case("S", 1.5), 3000.0)

@@ -26,7 +26,7 @@ def stop() -> Source:
 
 
 def deciding(choices: Integers, source: Source) -> Callable[[Singles], tuple[Integers, Numbers]]:
-    angles: Numbers = np.array(source.settings.chosen_orientations)
+    angles: Numbers = np.array(source.config.chosen_orientations)
     return lambda _: (choices, angles[choices])
 
 

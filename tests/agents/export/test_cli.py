@@ -40,7 +40,7 @@ def test_it_writes_three_files_that_it_has_checked(
     source = shipped("sort-ppo", 1)
     assert says == make_metadata(source)
     assert (says["agent"], says["seed"], says["control_period"]) == ("sort-ppo", "1", "0.04")
-    assert json.loads(says["orientations"]) == list(source.settings.chosen_orientations)
+    assert json.loads(says["orientations"]) == list(source.config.chosen_orientations)
     assert json.loads(says["features"])[14] == "side"
     assert source.digest in (tmp_path / "sort-ppo.h").read_text()
     assert [each.version for each in model.opset_import] == [17]
@@ -49,7 +49,7 @@ def test_it_writes_three_files_that_it_has_checked(
     )
     (value,) = session.get_inputs()
     assert (value.name, value.shape, value.type) == (
-        "observation", ["lanes", 15], "tensor(float)",
+        "observation", ["num_envs", 15], "tensor(float)",
     )  # fmt: skip
     assert [(each.name, each.type) for each in session.get_outputs()] == [
         ("choices", "tensor(int64)"),
@@ -76,14 +76,14 @@ def test_modules_that_share_weights_have_no_c_header(
 def test_a_run_is_exported_under_its_own_name_or_another(tmp_path: Path) -> None:
     save_policy(network_of("window"), CARDS["window"], tmp_path / "window")
     source = of_run(tmp_path / "window", "mine")
-    assert (source.name, source.seed, source.training.condition) == ("mine", 0, "nominal")
+    assert (source.name, source.seed, source.training.preset) == ("mine", 0, "nominal")
     assert of_run(tmp_path / "window").name == "window"
-    write_config(PPOConfig(condition="lab"), tmp_path / "window" / "config.yaml")
+    write_config(PPOConfig(preset="lab"), tmp_path / "window" / "config.yaml")
     lab = of_run(tmp_path / "window").training
     assert [each.name for each in lab.presets] == list(TRAINED_IN["lab"])
     (tmp_path / "window" / "card.yaml").write_text("command: python train.py --condition lab\n")
     told = of_run(tmp_path / "window").training
-    assert (told.condition, told.command) == ("lab", "python train.py --condition lab")
+    assert (told.preset, told.command) == ("lab", "python train.py --condition lab")
     with pytest.raises(ValueError, match="seed must be one of 0, got 3"):
         of_run(tmp_path / "window", seed=3)
 
@@ -92,13 +92,13 @@ def test_a_run_is_exported_under_its_own_name_or_another(tmp_path: Path) -> None
 def test_the_page_lists_every_feature_and_angle(name: str) -> None:
     source = made(name)
     page = make_page(source, make_metadata(source), {"ONNX": None, "C": None})
-    for each in source.settings.features:
+    for each in source.config.features:
         assert f"| {each.name} | {each.low:g} | {each.high:g} | {each.meaning} |" in page
-    for angle in source.settings.chosen_orientations:
+    for angle in source.config.chosen_orientations:
         assert f"| {angle:.9g} | {np.degrees(angle):g} |" in page
-    assert f"every {source.settings.control_period * 1e3:g} ms" in page
+    assert f"every {source.config.control_period * 1e3:g} ms" in page
     assert "not tried" in page
-    assert ("shown in a mirror" in page) == (source.settings.task_name == "sort")
+    assert ("shown in a mirror" in page) == (source.config.task_name == "sort")
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -120,7 +120,7 @@ def test_what_cannot_be_exported_is_refused(
         ExportConfig("sort-ppo", task="mine.py:Mine")
     with pytest.raises(ValueError, match="observations must be a whole number of at least 100"):
         ExportConfig("sort-ppo", observations=3)
-    with pytest.raises(ValueError, match="condition must be one of"):
+    with pytest.raises(ValueError, match="preset must be one of"):
         _ = Training("weather").presets
     with pytest.raises(SystemExit, match="error: name must be that of an agent of single parcels"):
         main(["flow-ppo", "--out", str(tmp_path / "out")])

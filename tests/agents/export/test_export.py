@@ -41,7 +41,7 @@ def test_it_decides_as_the_policy(name: str) -> None:
     seen = random_observations(source, COUNT, seed=1)
     compiler = find_compiler()
     if isinstance(decision, NetworkDecision) and compiler is not None:
-        header = make_header(decision, name, source.settings.control_period, {"of": "a */ test"})
+        header = make_header(decision, name, source.config.control_period, {"of": "a */ test"})
         decide = run_c(compiler, header, name, decision.parts)
         assert compare("C", decision, source, seen, decide).observations == COUNT
     pytest.importorskip("onnx", reason="onnx, of the extra `export`, is missing")
@@ -62,7 +62,7 @@ def test_random_observations_ask_for_every_choice(name: str) -> None:
     source = made(name)
     seen = random_observations(source, COUNT, seed=0)
     assert min(count_of_each(wanted(source, seen))) > 10
-    names = [each.name for each in source.settings.features]
+    names = [each.name for each in source.config.features]
     if "side" in names:
         assert {-1.0, 0.0, 1.0} <= set(seen[:, names.index("side")].tolist())
 
@@ -100,7 +100,7 @@ def test_a_graph_computes_in_double_precision_what_numpy_does() -> None:
     made = onnx.helper.make_graph(
         graph._nodes,
         "angle",
-        [onnx.helper.make_tensor_value_info(OBSERVATION, kinds.FLOAT, ["lanes", 2])],
+        [onnx.helper.make_tensor_value_info(OBSERVATION, kinds.FLOAT, ["num_envs", 2])],
         [onnx.helper.make_tensor_value_info(traced.name, kinds.DOUBLE, ["lanes", 3])],
         graph._constants,
     )

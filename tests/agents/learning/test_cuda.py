@@ -98,7 +98,7 @@ def test_a_rollout_has_the_returns_of_stable_baselines3(actions: str) -> None:
     samples = learning.roll_out()
     policy = learning.network
     vector_env = env(actions)
-    settings = vector_env.settings
+    settings = vector_env.config
     others = MirrorVecEnv(
         SurfaceVecEnv(vector_env), ActionMirror(settings.action_kind, settings.chosen_orientations)
     )

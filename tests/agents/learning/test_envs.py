@@ -18,10 +18,10 @@ def test_a_share_has_a_camera(task: str, share: float) -> None:
     config = PPOConfig(task=task, num_envs=8, batch_size=64, camera_share=share)
     envs = make_mirrored_envs(config)
     assert envs.num_envs == 8
-    settings_of_each = envs.get_attr("settings")
-    exact = [settings.sensors == Exact() for settings in settings_of_each]
+    config_of_each = envs.get_attr("config")
+    exact = [settings.sensors == Exact() for settings in config_of_each]
     assert exact == [True] * round(8 * (1 - share)) + [False] * round(8 * share)
-    for settings, is_exact in zip(settings_of_each, exact, strict=True):
+    for settings, is_exact in zip(config_of_each, exact, strict=True):
         assert settings.randomisation == (Randomisation() if is_exact else Randomisation(0.2))
         assert settings.task == training_task(task)
     assert envs.observation_space == gym.make(env_id(task), actions="halves").observation_space
@@ -29,10 +29,10 @@ def test_a_share_has_a_camera(task: str, share: float) -> None:
 
 def test_half_of_the_environments_with_exact_sensors_have_zones_of_other_lengths() -> None:
     config = PPOConfig(task="slow", num_envs=32, batch_size=64, camera_share=0.5, zones=(8, 24))
-    settings_of_each = make_mirrored_envs(config).get_attr("settings")
-    columns = [settings.chosen_line.zone_columns for settings in settings_of_each]
+    config_of_each = make_mirrored_envs(config).get_attr("config")
+    columns = [settings.chosen_line.zone_columns for settings in config_of_each]
     assert columns == [16] * 8 + [8] * 4 + [24] * 4 + [16] * 16
-    behind = {each.chosen_line.columns - each.chosen_line.zone_columns for each in settings_of_each}
+    behind = {each.chosen_line.columns - each.chosen_line.zone_columns for each in config_of_each}
     assert len(behind) == 1
 
 

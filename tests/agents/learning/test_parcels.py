@@ -12,7 +12,7 @@ import torch
 
 from surface_gym.agents.base import SIDE
 from surface_gym.agents.learning.config import ParcelsConfig
-from surface_gym.agents.learning.parcels import SlotVecEnv, densest_stream, training_settings
+from surface_gym.agents.learning.parcels import SlotVecEnv, densest_stream, training_env_config
 from surface_gym.agents.learning.train import train
 from surface_gym.agents.library import WEIGHTS
 from surface_gym.agents.rules.streams import StreamEventRule
@@ -23,7 +23,7 @@ SMALL = ParcelsConfig(
     steps=4_000, num_envs=4, slots=8, n_steps=64, batch_size=512, n_epochs=1, hidden=(8,),
     imitation=0, critic_first=4_000, checkpoint_every=8_192,
 )  # fmt: skip
-SETTINGS = training_settings(0.04)
+SETTINGS = training_env_config(0.04)
 SLOTS = 14
 
 
@@ -37,14 +37,14 @@ def make_slots(num_streams: int = 2, seed: int = 0) -> SlotVecEnv:
 def run() -> list[tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, object]]]]:
     """Observations, rewards, ends and infos of 150 periods; all parcels obey the event rule."""
     env = make_slots()
-    rule = StreamEventRule(EnvConfig(exits="sides", actions="parcels"))
+    rule = StreamEventRule(EnvConfig("flow", exits="sides", actions="parcels"))
     seen = np.asarray(env.reset())
     steps = []
     for _ in range(150):
         choices = np.ones((env.num_envs, 3), dtype=np.int64)
         there = (seen[:, PRESENT] > 0.5) & (seen[:, WAITS] < 0.5)
         if there.any():
-            choices[there, :2] = rule._halves(seen[there])
+            choices[there, :2] = rule.halves(seen[there])
         after, rewards, ends, infos = env.step(choices)
         steps.append((seen, rewards, ends, infos))
         seen = np.asarray(after)

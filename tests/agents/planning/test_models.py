@@ -135,8 +135,8 @@ def test_points_are_under_a_base_where_its_functions_say_so() -> None:
         x, y = np.meshgrid(np.linspace(-0.29, 0.3, 41), np.linspace(-0.29, 0.3, 41))
         centre = np.array(base.centroid)
         inside = base.functions(x + centre[0], y + centre[1]).max(axis=0) <= 0.0
-        sites, site = model._batch.bodies, int(model.parcels.site[0])
-        np.testing.assert_array_equal(is_under(sites, site, x, y), inside)
+        bodies, body = model._batch.bodies, int(model.parcels.body[0])
+        np.testing.assert_array_equal(is_under(bodies, body, x, y), inside)
 
 
 SEED = 31
@@ -152,7 +152,7 @@ def begun(settings: EnvConfig, size: int = 4, options: dict[str, Any] | None = N
 @pytest.mark.parametrize("task", TASKS)
 def test_in_a_lab_it_is_the_start_of_the_environment_with_all_its_noise(task: str) -> None:
     model = begun(EnvConfig(task=task, actions="halves", preset="lab"))
-    env = sg.SmartSurfaceVectorEnv(3, task=task, actions="halves", condition="lab")
+    env = sg.SmartSurfaceVectorEnv(3, task=task, actions="halves", preset="lab")
     for i in range(3):
         model.begin({}, SEED + i)
         _, info = env.reset(seed=SEED)
@@ -167,7 +167,7 @@ def test_whatever_the_sensors_say_it_moves_as_the_environment_does(task: str) ->
     """
     settings = EnvConfig(task=task, actions="halves", preset="lab")
     model = begun(settings)
-    env = sg.SmartSurfaceEnv(task=task, actions="halves", condition="lab")
+    env = sg.SmartSurfaceEnv(task=task, actions="halves", preset="lab")
     env.reset(seed=SEED)
     for angle in (0.5, 0.25, -0.25, 0.5, 0.0, -0.25):
         action = model.uniform_action(math.pi * angle)

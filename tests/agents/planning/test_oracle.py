@@ -55,7 +55,7 @@ def test_what_is_found_happens_in_the_environment() -> None:
         np.testing.assert_array_equal(each.poses, episodes.path(i))
         np.testing.assert_array_equal(each.velocity, episodes.velocity[i])
         assert each.time == episodes.time[i]
-        assert each.figures == (episodes.figures["ratio_error"][i],)
+        assert each.metrics == (episodes.metrics["ratio_error"][i],)
 
 
 def test_its_episodes_are_like_a_controllers() -> None:
@@ -64,7 +64,7 @@ def test_its_episodes_are_like_a_controllers() -> None:
     episodes = run_oracle(HARD, starts, SEED, budget=8)
     assert episodes.success.tolist() == [each.success for each in found]
     assert episodes.outcome == ("success", "success")
-    assert set(episodes.figures) == {"ratio_error"}
+    assert set(episodes.metrics) == {"ratio_error"}
     for i, each in enumerate(found):
         np.testing.assert_array_equal(episodes.path(i), each.poses)
         assert episodes.time[i] == each.time
@@ -99,7 +99,7 @@ def test_more_nodes_are_followed_only_where_fewer_find_no_success() -> None:
 def test_wide_parcels_are_stopped_though_supports_bear_some_of_them() -> None:
     settings = EnvConfig(task=Stop(parcels=(WIDE,)), actions="halves")
     found = find_reachable(settings, [{}] * 3, SEED, budget=8)
-    assert max(abs(each.figures[0]) for each in found) < 1e-3
+    assert max(abs(each.metrics[0]) for each in found) < 1e-3
 
 
 def test_a_path_in_a_lab_is_followed_to_its_end() -> None:
@@ -107,7 +107,7 @@ def test_a_path_in_a_lab_is_followed_to_its_end() -> None:
     start = {"tilt": 0.22, "speed": 0.8, "path": [(0.5, 1.0), (1.5, 1.05)]}
     (found,) = find_reachable(settings, [start], SEED, budget=4)
     assert found.success
-    assert found.figures[0] < 0.015
+    assert found.metrics[0] < 0.015
 
 
 def test_running_out_of_time_is_no_success() -> None:

@@ -49,7 +49,7 @@ def begun(task: str, parcel: str) -> tuple[sg.SmartSurfaceEnv, np.ndarray, dict[
 @pytest.mark.parametrize("task", ["sort", "slow", "stop", "orient"])
 def test_what_is_seen_on_a_line_is_where_the_parcel_is(task: str, parcel: str) -> None:
     env, observation, info = begun(task, parcel)
-    start = env.settings.decode_start(observation)
+    start = env.config.decode_start(observation)
     np.testing.assert_allclose(start.pose, info["pose"], atol=1e-6)
     np.testing.assert_allclose(start.velocity, info["velocity"], atol=1e-6)
     assert start.parcel is sg.layouts.box(parcel)
@@ -62,7 +62,7 @@ def test_what_is_seen_on_a_field_is_the_place_within_a_pitch_and_beside_the_path
     parcel: str,
 ) -> None:
     env, observation, info = begun("track", parcel)
-    start = env.settings.decode_start(observation)
+    start = env.config.decode_start(observation)
     apart = (np.array(start.pose[:2]) - info["pose"][:2]) / PITCH
     np.testing.assert_allclose(apart, np.round(apart), atol=1e-5)
     np.testing.assert_allclose(start.pose[2], info["pose"][2], atol=1e-6)
@@ -118,7 +118,7 @@ def test_straight_through_it_leaves_the_parcel_on_the_line() -> None:
 def test_it_is_exact(task: str, figure: str, most: float, parcel: str) -> None:
     runs = planned(task, [{**STARTS[task], "parcel": parcel}], budget=24)
     assert runs.success.all()
-    assert abs(runs.figures[figure][0]) <= most
+    assert abs(runs.metrics[figure][0]) <= most
 
 
 def test_on_a_path_nodes_cost_their_errors_so_far() -> None:

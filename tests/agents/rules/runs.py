@@ -23,7 +23,7 @@ class Runs:
     time: np.ndarray  # (num_envs,) [s]
     pose: np.ndarray  # (num_envs, 3) at the end
     velocity: np.ndarray  # (num_envs, 3) at the end
-    figures: dict[str, np.ndarray]  # the task's own, (num_envs,) each
+    metrics: dict[str, np.ndarray]  # the task's own, (num_envs,) each
 
 
 def rule(task: str, name: str) -> Rule:
@@ -57,8 +57,8 @@ def run(controller: Controller, settings: EnvConfig, starts: list[dict[str, Any]
             if ended.any():
                 ends[name][ended] = info["final_info"][name][ended]
         running &= ~begun
-    figures = {name: ends[name] for name in settings.task.metrics}
-    return Runs(*(ends[name] for name in names[:5]), figures)
+    metrics = {name: ends[name] for name in settings.task.metrics}
+    return Runs(*(ends[name] for name in names[:5]), metrics)
 
 
 def run_rule(task: str, name: str, starts: list[dict[str, Any]]) -> Runs:

@@ -115,7 +115,7 @@ def test_friction_is_estimated_from_the_speed_it_takes() -> None:
         (Slow(parcels=(square(0.3), square(0.35))), {}),
         (Stop(), {"actuators": Actuators(axis_speed=0.5 * math.pi / 0.1)}),
         (Slow(), {"actuators": Actuators(axis_speed=0.5 * math.pi / 0.05)}),
-        (Slow(), {"line": replace(Slow().plant, mu_min=0.013, mu_support=0.0065)}),
+        (Slow(), {"line": replace(Slow().line, mu_min=0.013, mu_support=0.0065)}),
     ],
     ids=["large", "on supports", "slow axes, stop", "slow axes, slow", "rolling hard"],
 )
@@ -218,7 +218,7 @@ def test_stopping_hits_every_place() -> None:
     ]
     by_rule, fixed = (run_rule("stop", name, starts) for name in ("braking rule", "fixed layout"))
     assert by_rule.success.all()
-    assert np.median(np.abs(by_rule.figures["stop_error"])) < 5e-4
+    assert np.median(np.abs(by_rule.metrics["stop_error"])) < 5e-4
     assert fixed.success.mean() < 0.5
 
 
@@ -228,7 +228,7 @@ def test_a_fixed_layout_is_the_best_of_its_kind(parcel: str) -> None:
     speed, ratio = 2.1, 0.55
     settings = EnvConfig(task="slow")
     start = {"parcel": parcel, "speed": speed, "ratio": ratio}
-    chosen = run_rule("slow", "fixed layout", [start]).figures["ratio_error"][0]
+    chosen = run_rule("slow", "fixed layout", [start]).metrics["ratio_error"][0]
     first = np.arange(COLUMNS) < np.arange(COLUMNS + 1)[:, np.newaxis]
     actions = ColumnAxes(settings)(np.concatenate([FULL * first, HALF * first]))
     env = sg.SmartSurfaceVectorEnv(len(actions), task="slow", autoreset_mode="Disabled")

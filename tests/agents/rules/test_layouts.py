@@ -53,7 +53,7 @@ def test_none_of_the_studys_kind_does_better(task: str) -> None:
     assert (best.success >= fixed.success).all()
     assert best.success.sum() >= 2
     assert not fixed.success.all()
-    errors, studys = (np.abs(each.figures[FIGURES[task]]) for each in (best, fixed))
+    errors, studys = (np.abs(each.metrics[FIGURES[task]]) for each in (best, fixed))
     ended = (best.outcome == fixed.outcome) | best.success
     assert (errors <= studys + 1e-6)[ended].all()
 
@@ -90,7 +90,7 @@ def test_it_leads_along_a_path_that_rolling_strays_from() -> None:
     assert found.success.all()
     assert not rolling.success.all()
     for figure in ("rms_error", "speed_error"):
-        assert (found.figures[figure] < 0.5 * rolling.figures[figure]).all()
+        assert (found.metrics[figure] < 0.5 * rolling.metrics[figure]).all()
 
 
 def test_on_mirrored_paths_it_ends_in_mirror_images() -> None:
@@ -119,7 +119,7 @@ def test_a_shown_path_is_the_path_and_the_rest_is_tracks() -> None:
 
 def test_in_the_benchmark_its_task_is_the_same_with_the_path_shown() -> None:
     trial = find_benchmark("track")
-    settings = next(m for m in rules("track") if m.observed_task is not None).settings(
+    settings = next(m for m in rules("track") if m.observed_task is not None).config(
         trial, PRESETS["camera"]
     )
     assert isinstance(settings.task, ShownPath)

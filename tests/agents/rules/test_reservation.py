@@ -187,7 +187,7 @@ def booking() -> Booking:
 
 def waiting(way: int | None, since: float = 0.0) -> np.ndarray:
     """A table with a parcel at the gate that is to go a way, its time come so long ago [s]."""
-    table = np.zeros((1, SETTINGS.rows, len(FEATURES)), dtype=np.float32)
+    table = np.zeros((1, SETTINGS.stream_task.rows, len(FEATURES)), dtype=np.float32)
     if way is not None:
         table[0, -1, [PRESENT, WAITS]] = 1.0
         table[0, -1, 6] = 2.0 * way
@@ -284,7 +284,7 @@ def test_it_comes_near_the_packed_ways_and_not_above() -> None:
     gaps = least_gaps(found(settings).each, MARGIN)
     bound = packed_rate(gaps, np.ones(len(gaps)))
     count = counts(Reservation(settings), settings, num_envs=8)
-    rate = 3600.0 * count["right"] / (8 * settings.duration)
+    rate = 3600.0 * count["right"] / (8 * settings.stream_task.duration)
     assert 0.8 * bound < rate < 1.02 * bound
 
 

@@ -73,7 +73,7 @@ def test_with_more_orientations_it_sorts_slower_boxes(box: str) -> None:
     some = [
         {"speed": float(speed), "side": side, "parcel": box} for speed in speeds for side in (1, -1)
     ]
-    settings = EnvConfig("sort", "modules", orientations=eight)
+    settings = EnvConfig("sort", actions="modules", orientations=eight)
     assert run(BestSorting(settings), settings, some).success.all()
     assert least < shipped(box, "four").least_speed
 
@@ -105,7 +105,7 @@ def test_in_the_middle_of_a_wider_zone_lies_the_small_box_s_layout() -> None:
 def test_at_any_angle_a_fixed_layout_sorts_as_slowly_as_rules_do(box: str) -> None:
     least = shipped(box, "any").least_speed
     speeds = np.arange(round(100 * least), 271, 10) / 100
-    settings = EnvConfig("sort", "modules", orientations="any")
+    settings = EnvConfig("sort", actions="modules", orientations="any")
     starts_of_both = [start for speed in speeds for start in starts(box, float(speed))]
     assert run(GradedLayout(settings), settings, starts_of_both).success.all()
     assert least <= shipped(box, "four").least_speed / 1.8
@@ -115,15 +115,15 @@ def test_at_any_angle_a_fixed_layout_sorts_as_slowly_as_rules_do(box: str) -> No
 
 def test_a_layout_at_any_angle_is_for_axes_at_any_angle() -> None:
     with pytest.raises(ValueError, match="orientations must be one of 'any', got None"):
-        GradedLayout(EnvConfig("sort", "modules"))
+        GradedLayout(EnvConfig("sort", actions="modules"))
     with pytest.raises(ValueError, match="actions must be one of 'modules', got 'halves'"):
-        GradedLayout(EnvConfig("sort", "halves", orientations="any"))
+        GradedLayout(EnvConfig("sort", actions="halves", orientations="any"))
     with pytest.raises(ValueError, match="task must be one of 'sort', got 'slow'"):
-        GradedLayout(EnvConfig("slow", "modules", orientations="any"))
+        GradedLayout(EnvConfig("slow", actions="modules", orientations="any"))
 
 
 def test_one_observation_gives_one_action() -> None:
-    settings = EnvConfig("sort", "modules", orientations="any")
+    settings = EnvConfig("sort", actions="modules", orientations="any")
     env = sg.SmartSurfaceEnv(task="sort", actions="modules", orientations="any")
     observation, _ = env.reset(seed=0)
     one, state = GradedLayout(settings).predict(observation)

@@ -42,9 +42,9 @@ TURNS = [
 def test_rules_follow_waves_that_rolling_leaves(name: str, farthest: float, slowest: float) -> None:
     runs = run_rule("track", name, WAVES)
     assert runs.success.mean() > 0.9
-    assert runs.figures["rms_error"].mean() < farthest
-    assert runs.figures["speed_error"].mean() < slowest
-    assert np.median(run_rule("track", "fixed layout", WAVES).figures["rms_error"]) > 0.06
+    assert runs.metrics["rms_error"].mean() < farthest
+    assert runs.metrics["speed_error"].mean() < slowest
+    assert np.median(run_rule("track", "fixed layout", WAVES).metrics["rms_error"]) > 0.06
 
 
 def test_sliding_mode_does_as_well_on_mirrored_paths() -> None:
@@ -54,7 +54,7 @@ def test_sliding_mode_does_as_well_on_mirrored_paths() -> None:
     assert here.success.all()
     assert there.success.all()
     for figure in ("rms_error", "speed_error"):
-        error, image = here.figures[figure].mean(), there.figures[figure].mean()
+        error, image = here.metrics[figure].mean(), there.metrics[figure].mean()
         assert error == pytest.approx(image, rel=0.25)
 
 

@@ -33,7 +33,7 @@ def table(rows: int, *parcels: tuple[float, float]) -> np.ndarray:
 
 def test_each_rolls_until_it_is_past_its_exits_start() -> None:
     seen = table(5, (-0.1, 1.0), (0.1, 1.0), (0.1, -1.0), (0.1, 0.0))
-    action, state = StreamEventRule(line(places=5)).predict(seen)
+    action, state = StreamEventRule(line(max_parcels=5)).predict(seen)
     assert action.reshape(5, 2).tolist() == [
         [ROLL, ROLL], [LEFT, LEFT], [RIGHT, RIGHT], [ROLL, ROLL], [ROLL, ROLL],
     ]  # fmt: skip
@@ -41,14 +41,14 @@ def test_each_rolls_until_it_is_past_its_exits_start() -> None:
 
 
 def test_many_environments_are_decided_as_each_alone() -> None:
-    rule = StreamEventRule(line(places=2))
+    rule = StreamEventRule(line(max_parcels=2))
     tables = np.stack([table(2, (0.1, 1.0)), table(2, (0.1, -1.0), (0.1, 1.0)), table(2)])
     actions, _ = rule.predict(tables)
     assert actions.tolist() == [rule.predict(each)[0].tolist() for each in tables]
 
 
 def test_a_gate_is_opened_at_once_and_a_parcel_that_waits_there_has_no_halves() -> None:
-    config = gated(places=2)
+    config = gated(max_parcels=2)
     seen = table(3, (0.1, 1.0))
     seen[-1, [PRESENT, WAITS, PAST_START, SIDE]] = 1.0, 1.0, 5.0, 1.0
     action, _ = StreamEventRule(config).predict(seen)
@@ -58,7 +58,7 @@ def test_a_gate_is_opened_at_once_and_a_parcel_that_waits_there_has_no_halves() 
 
 @pytest.mark.parametrize(("make", "touches"), [(StreamEventRule, 0), (SortEach, None)])
 def test_a_thin_stream_is_sorted(make: Any, touches: int | None) -> None:
-    config = line(line().stream.with_rate(900.0))
+    config = line(line().stream_task.stream.with_rate(900.0))
     found = counts(make(config), config)
     assert found["right"] >= 4
     assert found["wrong"] == 0
@@ -66,11 +66,11 @@ def test_a_thin_stream_is_sorted(make: Any, touches: int | None) -> None:
 
 
 def test_for_each_parcel_the_agent_of_sort_decides_by_its_row() -> None:
-    config = line(trace((0.0, "right"), (0.4, "left"), (0.8, "straight")), places=4)
+    config = line(trace((0.0, "right"), (0.4, "left"), (0.8, "straight")), max_parcels=4)
     each, agent = SortEach(config), library.load("sort-ppo", 0)
     batch = StreamBatch(config, 1)
     batch.seed(0, np.random.default_rng(0))
-    batch.start(np.array([0]))
+    batch.reset(np.array([0]))
     met = set()
     for _ in range(30):
         seen = batch.observation[0]

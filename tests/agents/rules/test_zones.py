@@ -33,7 +33,7 @@ def table(
     """S-boxes, by where the rear is past the zone's start [m] and the side of the exit; and the
     side of the one at the gate, if there is one.
     """
-    seen = np.zeros((settings.rows, len(FEATURES)), dtype=np.float32)
+    seen = np.zeros((settings.stream_task.rows, len(FEATURES)), dtype=np.float32)
     for row, (rear, side) in zip(seen, parcels, strict=False):
         row[[PRESENT, PAST_START, SIDE, 6]] = 1.0, rear / 0.5, side, -SIZE
     if waits is not None:
@@ -43,7 +43,7 @@ def table(
 
 def arranged(action: np.ndarray, settings: EnvConfig) -> list[list[int]]:
     """The choices of the zone's columns, each once, and of the others."""
-    _, rows, _, columns = settings.zone
+    _, rows, _, columns = settings.site.zone
     grid = action[:-1].reshape(rows, columns)
     return [sorted(set(part.ravel().tolist())) for part in (grid[:, :COLUMNS], grid[:, COLUMNS:])]
 

@@ -127,7 +127,7 @@ def loop_of(
     """A loop on a device."""
     held = estimator()
     held.clear()
-    layouts = FixedLayouts(held.settings)
+    layouts = FixedLayouts(held.config)
     return ControlLoop(
         device,
         held,

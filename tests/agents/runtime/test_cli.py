@@ -16,7 +16,7 @@ import tyro
 from rich.console import Console
 
 from surface_gym.agents.runtime import simulator
-from surface_gym.agents.runtime.cli import load_policy, main, make_settings, simulator_arguments
+from surface_gym.agents.runtime.cli import load_policy, main, make_env_config, simulator_arguments
 from surface_gym.agents.runtime.config import RuntimeConfig, SimulatorConfig
 from surface_gym.agents.runtime.controller import (
     Counts,
@@ -92,7 +92,7 @@ class TestConfig:
 
     def test_the_environment_is_the_policy_s(self) -> None:
         policy = load_policy(RuntimeConfig("slow-dqn", seed=1))
-        settings = make_settings(policy, "lab")
+        settings = make_env_config(policy, "lab")
         assert settings == EnvConfig(task="slow", preset="lab", **policy.env_kwargs)
 
     def test_a_run_s_folder_holds_a_policy(self) -> None:
@@ -102,14 +102,14 @@ class TestConfig:
         assert load_policy(RuntimeConfig(str(folder))).card.task == "stop"
 
     def test_the_simulator_is_of_the_same_environment(self) -> None:
-        config = RuntimeConfig("stop-ppo", condition="camera", start=3)
+        config = RuntimeConfig("stop-ppo", preset="camera", start=3)
         policy = load_policy(config)
-        settings = make_settings(policy, config.condition)
+        settings = make_env_config(policy, config.preset)
         given = tyro.cli(SimulatorConfig, args=simulator_arguments(config, settings))
         assert given == SimulatorConfig(
-            task="stop", condition="camera", control_period=0.04, seed=3
+            task="stop", preset="camera", control_period=0.04, seed=3
         )
-        assert simulator.make_settings(given).actuators == settings.actuators
+        assert simulator.make_env_config(given).actuators == settings.actuators
 
     def test_an_error_ends_the_command_with_one_line(self) -> None:
         with pytest.raises(SystemExit, match="error: name must be"):
@@ -136,12 +136,12 @@ class TestDecisions:
         held = estimator()
         held.reset(entered())
         observation = held.observe(0.0)
-        with ProcessArranger(held.settings) as arranger:
+        with ProcessArranger(held.config) as arranger:
             assert arranger.wait_until_ready(PATIENCE)
             arranger.ask(np.zeros_like(observation))  # one that is asked for too late
             arranger.ask(observation)
             layout = until(arranger.layout)
-        expected = FixedLayouts(held.settings).arrange(observation)
+        expected = FixedLayouts(held.config).arrange(observation)
         np.testing.assert_array_equal(layout, expected)
 
 
@@ -173,7 +173,7 @@ class TestProcess:
         return until(find)
 
     def test_it_is_there_again_at_the_same_address(self, tmp_path: Path) -> None:
-        arguments = ["--task", "stop", "--condition", "camera"]
+        arguments = ["--task", "stop", "--preset", "camera"]
         with SimulatorProcess(arguments, tmp_path / "log") as process:
             device = SocketDevice(process.address, "stop", (4, 16))
             first = self.frame_of(device)
@@ -207,7 +207,7 @@ def test_ctrl_c_ends_a_run_with_its_report(tmp_path: Path) -> None:
         "-m",
         "surface_gym.agents.runtime",
         "stop-ppo",
-        "--condition",
+        "--preset",
         "camera",
         "--out",
         str(tmp_path),

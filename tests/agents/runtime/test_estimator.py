@@ -43,9 +43,9 @@ def filtered() -> tuple[Entered, list[np.ndarray], list[Frame], list[np.ndarray]
     """
     batch = Batch(replace(SETTINGS, sensors=CAMERA, control_period=PERIOD), 1)
     batch.seed(0, np.random.default_rng(3))
-    batch.start(np.array([0]))
+    batch.reset(np.array([0]))
     lanes = batch.parcels
-    about = lanes.kept[0, :6].copy()
+    about = lanes.sensor_state[0, :6].copy()
     size = 2.0 * float(-batch.view(0).corners[:, 0].min())
     parcel = sg.Parcel(sg.Rectangle(size, size))
     start = Entered(0, AT, parcel, about[:3], about[3:], tuple(lanes.goal[0]))

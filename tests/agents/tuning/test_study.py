@@ -254,7 +254,7 @@ class TestTrial:
         assert "invalid values" in result.why
 
     def test_an_interrupt_is_passed_on(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(study, "start", lambda *_: TrainResult(0, 0.0, True))
+        monkeypatch.setattr(study, "train", lambda *_: TrainResult(0, 0.0, True))
         with pytest.raises(KeyboardInterrupt):
             self.run()
 
@@ -293,12 +293,12 @@ class TestJudgement:
         self, folder: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(study, "STARTS", 100)
-        settings = make_card(self.config).settings()
+        settings = make_card(self.config).env_config()
         alone = run_episodes(load_policy(folder), settings, [{}] * 100, JUDGE_SEED + 5)
         judged = judge(self.config, self.sweep, folder)
         assert judged == alone.success.mean()
         assert 0.0 < judged < 1.0
-        other = replace(self.config, camera_share=1.0, friction=0.9, lanes=128, seed=9)
+        other = replace(self.config, camera_share=1.0, friction=0.9, num_envs=128, seed=9)
         assert judge(other, self.sweep, folder) == judged
 
     def test_nothing_is_learned_or_compared_on_these_starts(self) -> None:

@@ -1,4 +1,4 @@
-"""What it costs to share work: on a Ray cluster of two nodes of one core each, and in processes."""
+"""Cost of parallel work: on a Ray cluster of two nodes of one core each, and in processes."""
 
 import importlib.util
 import logging
@@ -22,37 +22,38 @@ from surface_gym.layouts import box
 from surface_gym.parallel import Cluster, Workers, map_jobs, without_report
 
 RAY = importlib.util.find_spec("ray") is not None
-CELLS = 500
+JOBS = 500
 RUNS = 10_000  # of a design
-ROUNDS = 7  # of either side, in turn; the medians count
+ROUNDS = 7  # of both sides in turn; the medians count
 
-# What the project asks of itself.
-MOST_OF_A_CELL = 20.0  # [ms] to hand it out
-LEAST_OF_LOCAL = 0.9  # of the local rate, small design runs
+# Requirements.
+MOST_PER_JOB = 20.0  # [ms] to submit a job and get its result
+LEAST_OF_LOCAL = 0.9  # over the local rate, of small design runs
 
 
-def sharing_figures() -> list[Figure]:
-    """The cost of a cell, the rate of a design's runs, and what a run of PPO and DQN leaves."""
+def parallel_figures() -> list[Figure]:
+    """Measure the cost of a job, the rate of a design's runs, and runs of PPO and DQN."""
     with _two_nodes() as cluster:
         figures = [
-            Figure("handing out a cell, two processes", _each(2), "ms"),
-            Figure("handing out a cell, two nodes", _each(cluster), "ms", most=MOST_OF_A_CELL),
+            Figure("job without work, two processes", _job_time(2), "ms"),
+            Figure("job without work, two nodes", _job_time(cluster), "ms", most=MOST_PER_JOB),
         ]
-        local, elsewhere = _rates(cluster)
+        local, remote = _design_rates(cluster)
     figures += [
         Figure("10 000 design runs a second, two threads", local, "1/s"),
         Figure(
-            "10 000 design runs, two nodes over two threads", elsewhere / local, "",
+            "10 000 design runs, two nodes over two threads", remote / local, "",
             least=LEAST_OF_LOCAL,
         ),
     ]  # fmt: skip
     for algo in ("ppo", "dqn"):
-        figures += _run(algo)
+        figures += _training_figures(algo)
     return figures
 
 
 @contextmanager
 def _two_nodes() -> Iterator[Cluster]:
+    """Start a Ray cluster of two nodes on this machine, and end it afterwards."""
     import ray
     from ray.cluster_utils import Cluster as Nodes
 
@@ -67,23 +68,23 @@ def _two_nodes() -> Iterator[Cluster]:
         nodes.shutdown()
 
 
-def _nothing() -> None:
-    """The least cell there is."""
+def _no_work() -> None:
+    """Return at once."""
 
 
-def _each(workers: Workers) -> float:
-    """[ms] a cell that takes no time, processes warm."""
-    jobs = [partial(without_report, _nothing)] * (CELLS + 1)
-    answers = iter(map_jobs(jobs, workers))
-    next(answers)  # processes are there
+def _job_time(workers: Workers) -> float:
+    """Return the time [ms] of a job without work, processes warm."""
+    jobs = [partial(without_report, _no_work)] * (JOBS + 1)
+    results = iter(map_jobs(jobs, workers))
+    next(results)  # processes have started
     begin = time.perf_counter()
-    for _ in answers:
+    for _ in results:
         pass
-    return 1e3 * (time.perf_counter() - begin) / CELLS
+    return 1e3 * (time.perf_counter() - begin) / JOBS
 
 
-def _rates(cluster: Cluster) -> tuple[float, float]:
-    """Runs a second on two threads and on two nodes, in turn."""
+def _design_rates(cluster: Cluster) -> tuple[float, float]:
+    """Return the design runs a second [1/s] on two threads and on two nodes, timed in turn."""
     parcel = box("S")
     line = line_for(parcel, 10)
     axes = np.full((1, line.rows, line.columns), np.pi / 4)
@@ -94,22 +95,22 @@ def _rates(cluster: Cluster) -> tuple[float, float]:
             begin = time.perf_counter()
             run_all(line, axes, [parcel], runs, workers=workers)
             times.append(time.perf_counter() - begin)
-    local, elsewhere = (RUNS / float(np.median(times[1:])) for times in taken.values())
-    return local, elsewhere
+    local, remote = (RUNS / float(np.median(times[1:])) for times in taken.values())
+    return local, remote
 
 
-def _run(algo: str) -> list[Figure]:
-    """A run of Sort, one core: its rate, and the checkpoint it leaves."""
+def _training_figures(algo: str) -> list[Figure]:
+    """Train on Sort on one core: its rate, and the cost of its checkpoint."""
     config: TrainConfig = replace(defaults("sort", algo), steps=60_000)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        told: list[tuple[int, float]] = []
-        train(config, folder, lambda steps, _: told.append((steps, time.perf_counter())))
+        progress: list[tuple[int, float]] = []
+        train(config, folder, lambda steps, _: progress.append((steps, time.perf_counter())))
         size = (folder / CHECKPOINT).stat().st_size
         begin = time.perf_counter()
         put_files(read_files(folder), folder)
         taken = time.perf_counter() - begin
-    (first, begin), (last, end) = told[0], told[-1]
+    (first, begin), (last, end) = progress[0], progress[-1]
     rate = (last - first) / (end - begin)
     return [
         Figure(f"{algo}: control periods learned from, one core", rate, "1/s"),
