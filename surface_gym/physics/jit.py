@@ -248,12 +248,7 @@ class _CompilerForCallers(Compiler):
 # function is inlined into, which is what keeps `simulate`, the single and the vector env equal
 # to the bit. Nothing here allocates, so Numba's reference counts (_nrt) are left out as well:
 # they would cost more than the arithmetic.
-_OPTIONS: Any = {
-    "nogil": True,
-    "error_model": "numpy",
-    "no_cfunc_wrapper": True,
-    "_nrt": False,
-}
+_OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
 # A function that compiled code alone calls needs none of Python's wrapper, which can take longer to
 # compile than the function.
 _INTERNAL: Any = {"no_cpython_wrapper": True, **_OPTIONS}
