@@ -19,6 +19,6 @@ def put(batch: Batch, start: Start, i: int = 0) -> None:
 def batch_with(start: Start, seed: int = 0, **settings: Any) -> Batch:
     """A batch of one environment on which a start was put; what it draws comes from the seed."""
     batch = Batch(EnvConfig(**settings), 1)
-    batch.reserve.seed(0, np.random.default_rng(seed))
+    batch.reset_cache.seed(0, np.random.default_rng(seed))
     put(batch, start)
     return batch

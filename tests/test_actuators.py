@@ -26,7 +26,7 @@ class Bench:
     def __init__(self, actions: str = "modules", **settings: Any) -> None:
         self.settings = EnvConfig(actions=actions, **settings)
         self.batch = Batch(self.settings, 1)
-        self.batch.reserve.seed(0, np.random.default_rng(0))
+        self.batch.reset_cache.seed(0, np.random.default_rng(0))
         self.place()
 
     def place(self, speed: float = 0.0, parcel: sg.Parcel = FLAT_BOX, x: float = 0.6) -> None:

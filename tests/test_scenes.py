@@ -50,7 +50,7 @@ def pair_of(parcel: sg.Parcel, task: str = "sort") -> Batch:
     """Two environments with one parcel each."""
     batch = Batch(EnvConfig(task=task), 2)
     for i in (0, 1):
-        batch.reserve.seed(i, np.random.default_rng(i))
+        batch.reset_cache.seed(i, np.random.default_rng(i))
     batch.reset(np.arange(2), [{"speed": 1.0, "parcel": parcel}] * 2)
     return batch
 

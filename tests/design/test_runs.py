@@ -7,8 +7,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.line import DesignLine, line_for
-from surface_gym.design.runs import REST_SPEED, make_runs, run_all
+from surface_gym.design.runs import REST_SPEED, DesignLine, line_for, make_runs, run_all
 
 
 @pytest.mark.parametrize(("size", "rows", "lead_in"), [("S", 2, 3), ("B", 4, 5)])

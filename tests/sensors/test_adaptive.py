@@ -25,7 +25,7 @@ def in_the_zone(axes: tuple[int, ...]) -> Batch:
     """
     unseen = AdaptiveCamera(frame_rate=0.1)
     batch = Batch(EnvConfig("slow", actions="quadrants", sensors=unseen, control_period=0.005), 1)
-    batch.reserve.seed(0, np.random.default_rng(0))
+    batch.reset_cache.seed(0, np.random.default_rng(0))
     batch.reset(np.zeros(1, dtype=np.int64), [{"speed": 2.0, "parcel": "B"}])
     for _ in range(104):
         batch.step(np.full((1, 4), ROLL))

@@ -34,7 +34,7 @@ def test_a_jump_is_seen_after_the_latency_and_not_before(late: int) -> None:
         acceleration_density=10.0,
     )  # fmt: skip
     batch = Batch(EnvConfig(actions="halves", sensors=camera, control_period=period), 1)
-    batch.reserve.seed(0, np.random.default_rng(0))
+    batch.reset_cache.seed(0, np.random.default_rng(0))
     batch.reset(np.zeros(1, dtype=np.int64), [{"speed": 0.5, "parcel": "S", "side": 1}])
     roll = np.full((1, 2), ROLL)
     for _ in range(8):
