@@ -5,10 +5,13 @@ import pickle
 import subprocess
 import sys
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.tasks import TASKS
+from tests.environments import IDS, every_id
 
 HEAVY = {
     "torch", "pygame", "matplotlib", "stable_baselines3", "mujoco", "rich", "tyro", "pandas", "ray",
@@ -18,9 +21,7 @@ SIMULATE = (
     "sg.simulate(sg.layouts.sorting(), sg.layouts.box('S'), (1.0, 1.0, 0.0), duration=0.1)"
 )
 HELP = (
-    "from surface_gym.agents.train_cli import main\n"
-    "try: main(['--help'])\n"
-    "except SystemExit: pass"
+    "from surface_gym.agents.train_cli import main\ntry: main(['--help'])\nexcept SystemExit: pass"
 )
 
 
@@ -97,3 +98,35 @@ def test_twins_are_read_only_too(twin: object) -> None:
     for array in (surface.axis, surface.rotor, polygon.vertices):
         with pytest.raises(ValueError, match="read-only"):
             array[0, 0] = True
+
+
+def test_every_task_has_its_id() -> None:
+    assert [f"SmartSurface/{name.capitalize()}-v0" for name in sorted(TASKS)] == IDS
+
+
+@every_id
+def test_an_id_makes_its_task(env_id: str) -> None:
+    env = gym.make(env_id)
+    assert type(env.unwrapped) is sg.SmartSurfaceEnv
+    assert type(env.unwrapped.config.task) is TASKS[env_id[13:-3].lower()]
+
+
+@every_id
+def test_an_id_limits_episodes_for_both_faces(env_id: str) -> None:
+    limit = gym.spec(env_id).max_episode_steps
+    assert limit is not None
+    assert gym.make(env_id).spec.max_episode_steps == limit
+    assert gym.make_vec(env_id, num_envs=2).spec.max_episode_steps == limit
+
+
+def test_the_module_may_be_named_in_the_id() -> None:
+    code = (
+        "import gymnasium as gym\n"
+        "env = gym.make('surface_gym:SmartSurface/Sort-v0')\n"
+        "vector = gym.make_vec('surface_gym:SmartSurface/Sort-v0', num_envs=2)\n"
+        "print(type(env.unwrapped).__name__, type(vector).__name__)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["SmartSurfaceEnv", "SmartSurfaceVectorEnv"]

@@ -9,8 +9,7 @@ import pytest
 from gymnasium.vector import VectorEnv
 
 import surface_gym as sg
-from tests.environments import SENSORS, assert_same, every_kind_of_action
-from tests.vector_environments import NUM_ENVS, native
+from tests.environments import NUM_ENVS, SENSORS, assert_same, every_kind_of_action, native
 
 
 class TestSeeds:

@@ -12,8 +12,7 @@ from surface_gym.core.resets import NO_EDGE, place_parcel
 from surface_gym.lines import Field, Line
 from surface_gym.physics.types import COM_X, COM_Y, HALF_LENGTH, RADIUS
 from surface_gym.tasks.start import Start
-from tests.batches import batch_with, put
-from tests.environments import HEPTAGON, PARCELS, TRIANGLE
+from tests.environments import HEPTAGON, PARCELS, TRIANGLE, batch_with, put
 
 every_parcel = pytest.mark.parametrize("parcel", PARCELS.values(), ids=PARCELS)
 
