@@ -112,7 +112,7 @@ def test_an_id_makes_its_task(env_id: str) -> None:
 
 
 @every_id
-def test_an_id_limits_episodes_for_both_faces(env_id: str) -> None:
+def test_an_id_limits_episodes_of_both_environments(env_id: str) -> None:
     limit = gym.spec(env_id).max_episode_steps
     assert limit is not None
     assert gym.make(env_id).spec.max_episode_steps == limit

@@ -178,7 +178,7 @@ def rollout(env: VectorEnv, chosen: slice, periods: int = 60) -> Iterator[tuple[
         )
 
 
-class TestLanes:
+class TestBatchSize:
     @every_varying
     def test_their_number_does_not_matter(self, env_id: str, sensor: Any) -> None:
         settings = {"actions": "quadrants", "sensors": sensor(), **EVERYTHING_VARIES}
