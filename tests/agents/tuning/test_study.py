@@ -61,7 +61,7 @@ class TestTrials:
 
     def test_refused_and_failed_trials_are_kept_with_their_reasons(self, tmp_path) -> None:
         trials = searched(RANDOM, tmp_path, refused_or_failed)
-        assert {studies.state_of(each) for each in trials} == {
+        assert {studies.describe_state(each) for each in trials} == {
             "refused: no",
             "failed: nan",
             "complete",
