@@ -36,7 +36,7 @@ from tests.strategies import Scene, scenes
 G = 9.81  # [m/s^2]
 
 
-def describe_state(pose: tuple[float, ...], velocity: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Array:
+def state_of(pose: tuple[float, ...], velocity: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Array:
     """State vector of a parcel whose centre of mass is over its base frame's origin."""
     state = np.zeros(STATE_SIZE)
     state[[X, Y, THETA]] = pose
@@ -60,7 +60,7 @@ def test_a_loop_over_steps_equals_simulate_to_the_bit(
     surface, parcel = sg.layouts.sorting(tilt=math.radians(5.0)), sg.layouts.box("S")
     pose, velocity, dt = (0.5, 1.01, 0.3), (1.2, 0.1, -0.5), 0.005
     run = sg.simulate(surface, parcel, pose, velocity, duration, dt, method=method)
-    state = describe_state(pose, velocity)
+    state = state_of(pose, velocity)
     scratch = make_scratch()
     for k in range(1, len(run.time)):
         left = duration - run.time[k - 1]
@@ -76,7 +76,7 @@ def test_steps_do_not_depend_on_what_the_scratch_held(scene: Scene) -> None:
     for field in used:
         field.fill(7)
     invalidate_contacts.py_func(used)
-    first, second = describe_state(scene.pose, scene.velocity), describe_state(scene.pose, scene.velocity)
+    first, second = state_of(scene.pose, scene.velocity), state_of(scene.pose, scene.velocity)
     for _ in range(20):
         one = step_implicit(grid, body, first, used, 0.005)
         other = step_implicit(grid, body, second, fresh, 0.005)
@@ -92,7 +92,7 @@ def test_a_step_reports_how_it_went_and_on_how_many_contacts() -> None:
         step: object, pose: tuple[float, ...], velocity: tuple[float, ...]
     ) -> tuple[int, int]:
         outcome, contacts = step(
-            surface.grid, parcel.body, describe_state(pose, velocity), scratch, 0.005
+            surface.grid, parcel.body, state_of(pose, velocity), scratch, 0.005
         )
         return outcome, contacts.total
 
@@ -109,14 +109,14 @@ def test_a_step_reports_how_it_went_and_on_how_many_contacts() -> None:
 @pytest.mark.parametrize("step", [step_implicit, step_explicit])
 def test_a_base_between_the_elements_is_told_from_one_off_the_surface(step: object) -> None:
     surface, coin = sg.layouts.sorting(), sg.Parcel(sg.Disc(0.04))
-    state, scratch = describe_state((1.0, 1.0, 0.0), (0.5, 0.0, 0.0)), make_scratch()
+    state, scratch = state_of((1.0, 1.0, 0.0), (0.5, 0.0, 0.0)), make_scratch()
     assert step(surface.grid, coin.body, state, scratch, 0.005) == (UNSUPPORTED, (0, 0))
 
 
 @pytest.mark.parametrize("step", [step_implicit, step_explicit])
 def test_a_single_element_bears_a_coin(step: object) -> None:
     surface, coin = sg.layouts.sorting(), sg.Parcel(sg.Disc(0.04))
-    state, scratch = describe_state((1.05, 1.05, 0.0), (0.5, 0.0, 0.0)), make_scratch()
+    state, scratch = state_of((1.05, 1.05, 0.0), (0.5, 0.0, 0.0)), make_scratch()
     assert step(surface.grid, coin.body, state, scratch, 0.005) == (TIPPING, (1, 0))
 
 
@@ -132,14 +132,14 @@ def test_the_edge_itself_is_of_the_surface(x: float, y: float) -> None:
     parcel, scratch = sg.Parcel(sg.Rectangle(0.6, 0.6)), make_scratch()
     beyond = (3.0 + 1.0001 * (x - 3.0), 2.0 + 1.0001 * (y - 2.0))
     for place, expected in (((x, y), TIPPING), (beyond, OFF_SURFACE)):
-        state = describe_state((*place, 0.0), (0.1, 0.0, 0.0))
+        state = state_of((*place, 0.0), (0.1, 0.0, 0.0))
         assert step_explicit(surface.grid, parcel.body, state, scratch, 0.005)[0] == expected
 
 
 @pytest.mark.parametrize("step", [step_implicit, step_explicit])
 def test_a_step_off_the_surface_leaves_the_state_as_it_was(step: object) -> None:
     surface, parcel = sg.layouts.sorting(tilt=0.1), sg.layouts.box("S")
-    state = describe_state((9.0, 1.0, 0.2), (0.5, 0.1, 0.3))
+    state = state_of((9.0, 1.0, 0.2), (0.5, 0.1, 0.3))
     before = state.copy()
     scratch = make_scratch()
     assert step(surface.grid, parcel.body, state, scratch, 0.005)[0] == OFF_SURFACE
@@ -153,7 +153,7 @@ def test_sliding_over_supports_is_uniformly_accelerated(dt: float, degrees: floa
     surface = supports_only(mu, math.radians(degrees))
     parcel = sg.Parcel(sg.Rectangle(0.4, 0.4))
     scratch = make_scratch()
-    state = describe_state((1.5, 1.0, 0.0), (speed, 0.0, 0.0))
+    state = state_of((1.5, 1.0, 0.0), (speed, 0.0, 0.0))
     acceleration = G * (math.sin(surface.tilt) - mu * math.cos(surface.tilt))
     for _ in range(steps):
         step_implicit(surface.grid, parcel.body, state, scratch, dt)
