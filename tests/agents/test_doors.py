@@ -120,20 +120,6 @@ def test_the_comparison_of_a_task(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "shown"),
-    [
-        (("train.py", "--help"), "--learning-rate"),
-        (("train.py", "--algo", "dqn", "--help"), "--buffer-size"),
-        (("evaluate.py", "--help"), "--run"),
-    ],
-)
-def test_help(arguments, shown, tmp_path) -> None:
-    done = inside(*arguments, folder=tmp_path)
-    assert done.returncode == 0
-    assert shown in done.stdout
-
-
-@pytest.mark.parametrize(
     ("arguments", "named"),
     [
         (("evaluate.py", "--run", "nowhere"), "nowhere"),

@@ -17,20 +17,20 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import RIGHT
 from surface_gym.flow.task import PRESENT, WAITS
-from tests.agents.signing import sign
+from tests.agents.test_policy import sign
 
-SETTINGS = training_env_config(0.04)
+CONFIG = training_env_config(0.04)
 FLOW_CARD = PolicyCard("SmartSurface/Flow-v0", "parcels", "parcels", 0.04, (8,))
 
 
 def test_mirrored_choices_come_back_as_they_were() -> None:
-    batch = StreamBatch(SETTINGS, 2)
+    batch = StreamBatch(CONFIG, 2)
     for i in range(2):
         batch.seed(i, np.random.default_rng(i))
     batch.reset(np.arange(2))
     tables = batch.observation.copy()
     tables[..., SIDE] = np.random.default_rng(0).integers(-1, 2, tables.shape[:2])
-    actions = parcel_policy.ParcelActions(SETTINGS)
+    actions = parcel_policy.ParcelActions(CONFIG)
     choices = np.random.default_rng(1).integers(0, [4, 4, 9], (*tables.shape[:2], 3))
     back = actions.to_parcels(tables, actions.to_env(tables, choices))
     assert np.array_equal(back[:, :-1, :2], choices[:, :-1, :2])
@@ -40,7 +40,7 @@ def test_mirrored_choices_come_back_as_they_were() -> None:
 def test_choices_and_actions_are_inverse() -> None:
     """An event rule delivers the same by either."""
     plain = EnvConfig(
-        "flow", stream=SETTINGS.stream_task.stream, exits="sides", actions="parcels", gate=True
+        "flow", stream=CONFIG.stream_task.stream, exits="sides", actions="parcels", gate=True
     )
     batch = StreamBatch(plain, 1)
     batch.seed(0, np.random.default_rng(3))
@@ -60,14 +60,14 @@ def test_choices_and_actions_are_inverse() -> None:
 def policy() -> parcel_policy.ParcelNetwork:
     torch.manual_seed(0)
     return parcel_policy.ParcelNetwork(
-        *parcel_policy.parcel_spaces(SETTINGS), lambda _: 0.0, net_arch=[8]
+        *parcel_policy.parcel_spaces(CONFIG), lambda _: 0.0, net_arch=[8]
     )
 
 
 class TestPolicy:
     @staticmethod
     def rows(present: float, waits: float) -> torch.Tensor:
-        seen = torch.rand((5, parcel_policy.parcel_spaces(SETTINGS)[0].shape[0]))
+        seen = torch.rand((5, parcel_policy.parcel_spaces(CONFIG)[0].shape[0]))
         seen[:, PRESENT], seen[:, WAITS] = present, waits
         return seen
 

@@ -2,8 +2,10 @@
 categorical distribution of Stable-Baselines3's networks, against Stable-Baselines3's own.
 """
 
+import json
 import pickle
 import re
+from hashlib import sha256
 from pathlib import Path
 
 import gymnasium as gym
@@ -27,7 +29,16 @@ from surface_gym.agents.policy import (
 )
 from surface_gym.core.actions import KINDS
 from surface_gym.registration import env_id
-from tests.agents.signing import sign
+
+
+def sign(folder: Path) -> None:
+    """Give the card the digest that its fields and the weights have now."""
+    fields = yaml.safe_load((folder / CARD).read_text())
+    fields.pop("digest", None)
+    content = json.dumps(fields, sort_keys=True).encode() + (folder / WEIGHTS).read_bytes()
+    fields["digest"] = sha256(content).hexdigest()
+    (folder / CARD).write_text(yaml.safe_dump(fields))
+
 
 CARDS = {
     "ppo": PolicyCard("SmartSurface/Sort-v0", "ppo", "halves", 0.04, (8,)),
@@ -45,8 +56,8 @@ def policy_of(card: PolicyCard) -> Policy | ModulePolicy:
             for weights in network.parameters():
                 weights.normal_()
         return ModulePolicy(network, card)
-    settings = card.env_config()
-    return Policy(make_network(card, settings), card, settings)
+    config = card.env_config()
+    return Policy(make_network(card, config), card, config)
 
 
 @pytest.fixture(params=CARDS)

@@ -19,8 +19,8 @@ BOTH_SIDES = np.array([1.0, -1.0], dtype=np.float32)
 @pytest.mark.parametrize("actions", KINDS)
 @pytest.mark.parametrize("parcel", ["S", "B"])
 def test_trajectories_are_mirror_images(actions, parcel) -> None:
-    settings = EnvConfig(actions=actions)
-    mirror = ActionMirror(settings.action_kind, settings.chosen_orientations)
+    config = EnvConfig(actions=actions)
+    mirror = ActionMirror(config.action_kind, config.chosen_orientations)
     env = sg.SmartSurfaceVectorEnv(2, actions=actions, autoreset_mode="Disabled")
     start = {"speed": 1.6, "parcel": parcel}
     observations, info = env.reset(seed=0, options=[{**start, "side": 1}, {**start, "side": -1}])
@@ -45,9 +45,9 @@ def test_trajectories_are_mirror_images(actions, parcel) -> None:
 
 @pytest.mark.parametrize("actions", KINDS)
 def test_a_mirror_image_of_a_mirror_image_is_the_action_itself(actions) -> None:
-    settings = EnvConfig(actions=actions)
-    mirror = ActionMirror(settings.action_kind, settings.chosen_orientations)
-    space = settings.action_space()
+    config = EnvConfig(actions=actions)
+    mirror = ActionMirror(config.action_kind, config.chosen_orientations)
+    space = config.action_space()
     space.seed(0)
     given = np.array([space.sample() for _ in range(40)])
     to_the_right = np.full(40, -1.0, dtype=np.float32)

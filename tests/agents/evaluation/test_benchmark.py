@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import binomtest
 
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents import library
@@ -102,9 +103,10 @@ class TestStarts:
         assert len(set(drawn)) > 0.3 * len(starts)
 
     def test_a_start_that_names_its_parcel_has_it(self) -> None:
-        settings = EnvConfig(task="sort", preset=LAB)
+        env_config = EnvConfig(task="sort", preset=LAB)
         sizes = [
-            parcel.rear for parcel in runs.drawn_parcels(settings, [{"parcel": "S"}] * 3, runs.SEED)
+            parcel.rear
+            for parcel in runs.drawn_parcels(env_config, [{"parcel": "S"}] * 3, runs.SEED)
         ]
         assert sizes == [0.125] * 3
 
@@ -143,12 +145,12 @@ class TestAgents:
         assert (nominal.name, lab.name) == ("PPO", "PPO, lab")
         assert (nominal.observe, lab.observe) == ((), ("parcel", "rotors"))
         assert lab.seeds == (0, 1)
-        settings = lab.config(TASKS["slow"](), LAB)
+        env_config = lab.config(TASKS["slow"](), LAB)
         env = SmartSurfaceVectorEnv(
-            2, task="slow", actions="halves", observe=settings.observe, preset=LAB
+            2, task="slow", actions="halves", observe=env_config.observe, preset=LAB
         )
         observation, _ = env.reset(seed=0)
-        assert lab.make(settings, 1).predict(observation)[0] in env.action_space
+        assert lab.make(env_config, 1).predict(observation)[0] in env.action_space
 
     def test_a_run_is_named_by_its_preset(self, tmp_path) -> None:
         _leave(tmp_path / "run", "slow", ("parcel",))
@@ -202,3 +204,45 @@ class TestSummaries:
         assert first.rate == 0.5
         assert first.success.shape == (2, 2)
         np.testing.assert_array_equal(first.metric("ratio_error"), [[0.001, 0.02]] * 2)
+
+
+@pytest.mark.parametrize(("successes", "count"), [(0, 20), (7, 20), (20, 20), (480, 500)])
+def test_one_seed_has_wilsons_interval(successes, count) -> None:
+    known = binomtest(successes, count).proportion_ci(method="wilson")
+    assert runs.wilson(successes / count, count) == pytest.approx(
+        (known.low, known.high), abs=1e-12
+    )
+    found = runs.interval(np.arange(count)[np.newaxis] < successes)
+    # A sample's spread counts one start less.
+    assert found == pytest.approx((known.low, known.high), abs=0.01)
+
+
+def test_round_off_takes_no_interval_beyond_what_a_share_can_be() -> None:
+    for count in range(1, 100):
+        for share in (0.0, 1.0):
+            low, high = runs.wilson(share, count)
+            assert 0.0 <= low <= high <= 1.0
+
+
+def test_seeds_alike_are_no_surer_than_one() -> None:
+    """The same starts again say nothing new."""
+    one = np.random.default_rng(0).random((1, 400)) < 0.9
+    assert runs.interval(np.repeat(one, 3, axis=0)) == pytest.approx(runs.interval(one), abs=1e-12)
+
+
+def test_a_seed_that_fails_widens_it() -> None:
+    good, bad = np.ones((1, 500), bool), np.zeros((1, 500), bool)
+    low, high = runs.interval(np.concatenate([good, good, bad]))
+    assert low < 0.2
+    assert high > 0.9
+
+
+def test_it_holds_the_truth_about_as_often_as_it_says() -> None:
+    """Seeds and starts of their own difficulty, drawn anew many times."""
+    rng = np.random.default_rng(1)
+    held = 0
+    for _ in range(400):
+        chance = 0.8 + 0.05 * rng.standard_normal((5, 1)) + 0.1 * rng.standard_normal((1, 200))
+        low, high = runs.interval(rng.random((5, 200)) < chance)
+        held += low <= 0.8 <= high
+    assert held / 400 > 0.88

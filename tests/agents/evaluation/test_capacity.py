@@ -109,8 +109,8 @@ class TestMeasure:
         class Brake:
             """Every axis at 0 deg."""
 
-            def __init__(self, settings: EnvConfig) -> None:
-                self._size = settings.action_kind.size
+            def __init__(self, config: EnvConfig) -> None:
+                self._size = config.action_kind.size
 
             def predict(self, observation: Any, state: Any = None, *_: Any) -> tuple[Any, Any]:
                 return np.zeros((len(observation), self._size), dtype=int), state

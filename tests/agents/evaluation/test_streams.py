@@ -40,20 +40,20 @@ def test_every_method_acts_in_its_own_environment() -> None:
     ]
     for method in streams.stream_methods():
         for preset in method.presets:
-            settings = method.config(Case("S and B", 1.0, preset), 2000.0)
-            assert (settings.actions, settings.stream_task.gate) == (method.actions, method.gate)
-            assert settings.exits.names == ("left", "right", "straight")
-            varies = settings.randomisation.friction
+            config = method.config(Case("S and B", 1.0, preset), 2000.0)
+            assert (config.actions, config.stream_task.gate) == (method.actions, method.gate)
+            assert config.exits.names == ("left", "right", "straight")
+            varies = config.randomisation.friction
             assert varies == (0.2 if preset == "camera" else 0.0)
 
 
 @pytest.mark.parametrize("method", streams.stream_methods(), ids=lambda method: method.name)
 def test_every_method_can_be_made(method) -> None:
-    settings = method.config(Case("S", 1.5), 2000.0)
-    controller = method.make(settings)
-    space = settings.observation_space()
+    config = method.config(Case("S", 1.5), 2000.0)
+    controller = method.make(config)
+    space = config.observation_space()
     action, _ = controller.predict(0.0 * space.low)
-    assert settings.action_space().contains(action)
+    assert config.action_space().contains(action)
 
 
 def test_a_method_that_cannot_sort_has_no_capacity(monkeypatch) -> None:

@@ -21,9 +21,7 @@ from surface_gym.env import SmartSurfaceEnv
 from tests.agents.evaluation.made import RULES
 from tests.flow.flows import DENSE, SHORT
 
-SETTINGS = EnvConfig(
-    "flow", stream=DENSE, exits="sides", actions="parcels", duration=2.0, line=SHORT
-)
+CONFIG = EnvConfig("flow", stream=DENSE, exits="sides", actions="parcels", duration=2.0, line=SHORT)
 
 
 def read(file: Path) -> tuple[float, list[np.ndarray]]:
@@ -37,7 +35,7 @@ def read(file: Path) -> tuple[float, list[np.ndarray]]:
 
 
 def film(file: Path, seconds: float, speed: float = 1.0) -> tuple[float, list[np.ndarray]]:
-    player = Player("event", StreamEventRule(SETTINGS), SETTINGS, np_random(3)[0])
+    player = Player("event", StreamEventRule(CONFIG), CONFIG, np_random(3)[0])
     write_episode(player, file, seconds, speed)
     return read(file)
 
@@ -55,7 +53,7 @@ def test_it_shows_what_the_environment_draws(tmp_path) -> None:
         line=SHORT,
         render_mode="rgb_array",
     )
-    rule = StreamEventRule(SETTINGS)
+    rule = StreamEventRule(CONFIG)
     observation, _ = env.reset(seed=3)
     for picture in pictures[:11]:
         drawn = env.render()

@@ -98,8 +98,8 @@ def test_the_page_lists_every_feature_and_angle(name) -> None:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_every_feature_of_the_package_says_what_it_needs(task) -> None:
-    settings = EnvConfig(task=task, actions="window", observe_axes=True)
-    shown = (*settings.features, *group_features(tuple(GROUPS)))
+    config = EnvConfig(task=task, actions="window", observe_axes=True)
+    shown = (*config.features, *group_features(tuple(GROUPS)))
     assert [each.name for each in shown if find_need(each) == UNKNOWN] == []
     assert find_need(Feature("mood", 0.0, 1.0, "of the parcel")) == UNKNOWN
 

@@ -86,9 +86,10 @@ def test_a_rollout_has_the_returns_of_stable_baselines3(actions) -> None:
     samples = learning.roll_out()
     policy = learning.network
     vector_env = env(actions)
-    settings = vector_env.config
+    env_config = vector_env.config
     others = MirrorVecEnv(
-        SurfaceVecEnv(vector_env), ActionMirror(settings.action_kind, settings.chosen_orientations)
+        SurfaceVecEnv(vector_env),
+        ActionMirror(env_config.action_kind, env_config.chosen_orientations),
     )
     others.seed(7)
     seen = np.asarray(others.reset())
@@ -144,13 +145,13 @@ def test_a_single_choice_is_drawn_as_often_as_it_is_likely() -> None:
 
 @pytest.mark.parametrize("actions", ["halves", "quadrants", "window", "modules"])
 def test_actions_are_mirrored_as_on_the_cpu(actions) -> None:
-    settings = EnvConfig(actions=actions)
+    env_config = EnvConfig(actions=actions)
     rng = np.random.default_rng(0)
-    shape = (300, *settings.action_space().shape)
-    given = rng.integers(len(settings.chosen_orientations), size=shape)
+    shape = (300, *env_config.action_space().shape)
+    given = rng.integers(len(env_config.chosen_orientations), size=shape)
     side = rng.integers(-1, 2, size=300).astype(np.float32)
-    expected = ActionMirror(settings.action_kind, settings.chosen_orientations)(given, side)
-    mirror = cuda.TensorMirror(settings, torch.device("cpu"))
+    expected = ActionMirror(env_config.action_kind, env_config.chosen_orientations)(given, side)
+    mirror = cuda.TensorMirror(env_config, torch.device("cpu"))
     found = mirror(torch.from_numpy(given), torch.from_numpy(side))
     np.testing.assert_array_equal(found.numpy(), expected)
     assert (expected != given).any()

@@ -22,12 +22,12 @@ SMALL = ParcelsConfig(
     steps=4_000, num_envs=4, slots=8, n_steps=64, batch_size=512, n_epochs=1, hidden=(8,),
     imitation=0, critic_first=4_000, checkpoint_every=8_192,
 )  # fmt: skip
-SETTINGS = training_env_config(0.04)
+CONFIG = training_env_config(0.04)
 SLOTS = 14
 
 
 def make_slots(num_streams: int = 2, seed: int = 0) -> SlotVecEnv:
-    env = SlotVecEnv(SETTINGS, num_streams, SLOTS, lambda _: densest_stream(1.5, ("S", "B")))
+    env = SlotVecEnv(CONFIG, num_streams, SLOTS, lambda _: densest_stream(1.5, ("S", "B")))
     env.seed(seed)
     return env
 

@@ -23,13 +23,13 @@ def model_of(
 ) -> models.TrueModel:
     """A parcel that enters at 1.5 m/s; a quarter turn of its axes takes so long [s]."""
     actuators = Actuators() if quarter is None else Actuators(axis_speed=0.5 * math.pi / quarter)
-    settings = EnvConfig(
+    config = EnvConfig(
         task=Stop(parcels=(parcel,)),
         actions="halves",
         actuators=actuators,
         randomisation=Randomisation(friction=friction),
     )
-    model = models.TrueModel(settings, 2)
+    model = models.TrueModel(config, 2)
     model.begin({"speed": 1.5}, seed=4)
     model.parcels.goal[0] = FAR
     model.spread()
@@ -139,9 +139,9 @@ SLOW_AXES = Actuators(axis_speed=0.5 * math.pi / 0.1, stuck=((9, 8), (10, 11)))
 
 
 def begun(
-    settings: EnvConfig, size: int = 4, options: dict[str, Any] | None = None
+    config: EnvConfig, size: int = 4, options: dict[str, Any] | None = None
 ) -> models.TrueModel:
-    model = models.TrueModel(settings, size)
+    model = models.TrueModel(config, size)
     model.begin(options or {}, SEED)
     return model
 
@@ -162,8 +162,8 @@ def test_whatever_the_sensors_say_it_moves_as_the_environment_does(task) -> None
     """Where both halves get the same command, their border does not matter: parcel,
     friction, stuck modules and axes are the environment's.
     """
-    settings = EnvConfig(task=task, actions="halves", preset="lab")
-    model = begun(settings)
+    config = EnvConfig(task=task, actions="halves", preset="lab")
+    model = begun(config)
     env = sg.SmartSurfaceEnv(task=task, actions="halves", preset="lab")
     env.reset(seed=SEED)
     for angle in (0.5, 0.25, -0.25, 0.5, 0.0, -0.25):
@@ -184,9 +184,9 @@ def test_what_an_option_fixes_is_fixed() -> None:
 
 def test_copies_take_their_parents_axes_with_them() -> None:
     """Each of three ends where an environment does that got the same commands."""
-    settings = EnvConfig(task="orient", actions="halves", actuators=SLOW_AXES)
+    config = EnvConfig(task="orient", actions="halves", actuators=SLOW_AXES)
     ways = np.array([[15, 6, 2, 15, 9, 9], [15, 6, 13, 1, 9, 4], [15, 3, 7, 8, 4, 2]])
-    model = begun(settings)
+    model = begun(config)
     place = np.zeros(3, dtype=np.int64)  # of the copy that goes each way
     orders = [[0, 1, 2], [2, 0, 1], [1, 2, 0], [2, 1, 0], [1, 0, 2], [0, 2, 1]]
     for period, order in enumerate(orders):
@@ -216,8 +216,8 @@ def test_rewound_it_goes_the_same_way_again() -> None:
 
 
 def test_another_start_forgets_what_was_stuck_before() -> None:
-    settings = EnvConfig(task="slow", actions="halves", actuators=Actuators(stuck_share=0.2))
-    used, fresh = models.TrueModel(settings, 3), models.TrueModel(settings, 3)
+    config = EnvConfig(task="slow", actions="halves", actuators=Actuators(stuck_share=0.2))
+    used, fresh = models.TrueModel(config, 3), models.TrueModel(config, 3)
     for seed in (1, 2):
         used.begin({}, seed)
         for action in (0, 5):

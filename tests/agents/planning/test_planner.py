@@ -31,8 +31,8 @@ SMALL = 8  # a budget that finds something soon
 
 
 def planned(task: str, starts: list[dict[str, Any]], budget: int = SMALL) -> Runs:
-    settings = EnvConfig(task=task, actions="halves")
-    return run(Planner(settings, budget), settings, starts)
+    env_config = EnvConfig(task=task, actions="halves")
+    return run(Planner(env_config, budget), env_config, starts)
 
 
 def begun(task: str, parcel: str) -> tuple[sg.SmartSurfaceEnv, np.ndarray, dict[str, Any]]:

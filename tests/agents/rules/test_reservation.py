@@ -46,23 +46,21 @@ def test_without_destinations_every_exit_is_asked_for() -> None:
     assert {name for _, _, name in asked} == {"left", "right", "straight"}
 
 
-def found(settings: EnvConfig) -> reservation.Trajectories:
+def found(config: EnvConfig) -> reservation.Trajectories:
     """Find the trajectories of a stream that the event rule leads."""
-    return reservation.find_trajectories(
-        StreamEventRule, settings, reservation.list_asked(settings)
-    )
+    return reservation.find_trajectories(StreamEventRule, config, reservation.list_asked(config))
 
 
 def test_trajectories_lead_to_the_exits_and_are_mirror_images() -> None:
-    settings = line(Stream(Steady(1000.0), speeds=1.5))
-    trajectories = found(settings)
+    config = line(Stream(Steady(1000.0), speeds=1.5))
+    trajectories = found(config)
     assert trajectories.right == (True, True, True)
     left, right, straight = trajectories.each
-    middle = settings.chosen_line.line_y
+    middle = config.chosen_line.line_y
     np.testing.assert_allclose(left.pose[:, 1] - middle, middle - right.pose[:, 1], atol=1e-9)
     np.testing.assert_allclose(left.time, right.time)
     np.testing.assert_allclose(straight.pose[:, 1], middle, atol=1e-9)
-    assert straight.pose[-1, 0] > settings.rotors_end
+    assert straight.pose[-1, 0] > config.rotors_end
     for each in trajectories.each:
         assert each.time[0] >= 0.0
         assert (np.diff(each.time) > 0.0).all()
@@ -77,15 +75,15 @@ def test_they_are_those_of_exact_sensors_whatever_varies() -> None:
 
 
 def test_signatures_tell_them_apart() -> None:
-    settings = line(Stream(Steady(1000.0), parcels=("S", "B"), speeds=(1.0, 1.2)))
-    signature = found(settings).signature
+    config = line(Stream(Steady(1000.0), parcels=("S", "B"), speeds=(1.0, 1.2)))
+    signature = found(config).signature
     apart = np.abs(signature[:, None] - signature[None]).max(axis=2)
     assert apart[~np.eye(len(apart), dtype=bool)].min() > 0.05
 
 
 def test_a_parcel_that_comes_to_rest_is_not_right() -> None:
-    settings = line(Stream(Steady(1000.0), speeds=0.05), duration=3.0)
-    assert found(settings).right == (False, False, False)
+    config = line(Stream(Steady(1000.0), speeds=0.05), duration=3.0)
+    assert found(config).right == (False, False, False)
 
 
 SQUARE = np.array([(-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1)])  # [m]
@@ -163,8 +161,8 @@ def test_rates_are_those_of_the_gaps() -> None:
     assert reservation.steady_rate(gaps) == pytest.approx(3600.0 / 0.2, rel=0.02)
 
 
-SETTINGS = gated()
-PERIOD, DT = SETTINGS.control_period, SETTINGS.timing.dt
+CONFIG = gated()
+PERIOD, DT = CONFIG.control_period, CONFIG.timing.dt
 GAPS = np.array([[0.3, 0.05], [1.0, 0.5]])  # [s] of way 0 and 1 (column) behind each (row)
 FRESH, GOES_ON = np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
 
@@ -173,12 +171,12 @@ def booking() -> reservation.Booking:
     """Of two ways that are told apart by the parcel's size."""
     signature = np.zeros((2, len(reservation.SIGNATURE)))
     signature[1, reservation.SIGNATURE.index(6)] = 2.0
-    return reservation.Booking(SETTINGS, signature, GAPS)
+    return reservation.Booking(CONFIG, signature, GAPS)
 
 
 def waiting(way: int | None, since: float = 0.0) -> np.ndarray:
     """A table with a parcel at the gate that is to go a way, its time come so long ago [s]."""
-    table = np.zeros((1, SETTINGS.stream_task.rows, len(FEATURES)), dtype=np.float32)
+    table = np.zeros((1, CONFIG.stream_task.rows, len(FEATURES)), dtype=np.float32)
     if way is not None:
         table[0, -1, [PRESENT, WAITS]] = 1.0
         table[0, -1, 6] = 2.0 * way
@@ -262,8 +260,8 @@ CROWD = Stream(Steady(15000.0), parcels=("S",), speeds=1.5)
 
 
 def test_more_than_a_line_takes_is_sorted_without_a_touch() -> None:
-    settings = gated(CROWD)
-    count = counts(reservation.Reservation(settings), settings)
+    config = gated(CROWD)
+    count = counts(reservation.Reservation(config), config)
     assert (count["wrong"], count["touches"]) == (0, 0)
     assert count["right"] > 4 * 12
     alone = counts(StreamEventRule(line(CROWD)), line(CROWD))
@@ -271,26 +269,26 @@ def test_more_than_a_line_takes_is_sorted_without_a_touch() -> None:
 
 
 def test_it_comes_near_the_packed_ways_and_not_above() -> None:
-    settings = gated(CROWD, duration=20.0)
-    gaps = reservation.least_gaps(found(settings).each, reservation.MARGIN)
+    config = gated(CROWD, duration=20.0)
+    gaps = reservation.least_gaps(found(config).each, reservation.MARGIN)
     bound = reservation.packed_rate(gaps, np.ones(len(gaps)))
-    count = counts(reservation.Reservation(settings), settings, num_envs=8)
-    rate = 3600.0 * count["right"] / (8 * settings.stream_task.duration)
+    count = counts(reservation.Reservation(config), config, num_envs=8)
+    rate = 3600.0 * count["right"] / (8 * config.stream_task.duration)
     assert 0.8 * bound < rate < 1.02 * bound
 
 
 def test_a_wider_margin_lets_fewer_in() -> None:
-    settings = gated(CROWD)
+    config = gated(CROWD)
     near, wide = (
-        counts(reservation.Reservation(settings, margin=m), settings)["right"] for m in (0.02, 0.2)
+        counts(reservation.Reservation(config, margin=m), config)["right"] for m in (0.02, 0.2)
     )
     assert wide < near
 
 
 def test_on_the_line_it_does_what_its_lead_does() -> None:
-    settings = gated(CROWD)
+    config = gated(CROWD)
     rows = np.random.default_rng(0).normal(size=(20, 29)).astype(np.float32)
-    rule, lead = reservation.Reservation(settings), StreamEventRule(settings)
+    rule, lead = reservation.Reservation(config), StreamEventRule(config)
     np.testing.assert_array_equal(rule.halves(rows), lead.halves(rows))
 
 

@@ -41,11 +41,11 @@ def test_straight_through_is_left_alone(name) -> None:
 
 def arranged(parcel: str, side: int, **others) -> np.ndarray:
     """Axes (rows, columns) [rad] that the best fixed layout sets for a start."""
-    settings = EnvConfig(task="sort", actions="modules", **others)
+    config = EnvConfig(task="sort", actions="modules", **others)
     env = sg.SmartSurfaceEnv(task="sort", actions="modules", **others)
     observation, _ = env.reset(seed=0, options={"speed": 1.5, "parcel": parcel, "side": side})
-    action, _ = BestSorting(settings).predict(observation)
-    return np.array(settings.chosen_orientations)[np.reshape(action, settings.action_kind.shape)]
+    action, _ = BestSorting(config).predict(observation)
+    return np.array(config.chosen_orientations)[np.reshape(action, config.action_kind.shape)]
 
 
 def shipped(box: str, offer: str) -> SortingLayout:
@@ -73,8 +73,8 @@ def test_with_more_orientations_it_sorts_slower_boxes(box) -> None:
     some = [
         {"speed": float(speed), "side": side, "parcel": box} for speed in speeds for side in (1, -1)
     ]
-    settings = EnvConfig("sort", actions="modules", orientations=eight)
-    assert run(BestSorting(settings), settings, some).success.all()
+    config = EnvConfig("sort", actions="modules", orientations=eight)
+    assert run(BestSorting(config), config, some).success.all()
     assert least < shipped(box, "four").least_speed
 
 
@@ -105,11 +105,11 @@ def test_in_the_middle_of_a_wider_zone_lies_the_small_box_s_layout() -> None:
 def test_at_any_angle_a_fixed_layout_sorts_as_slowly_as_rules_do(box) -> None:
     least = shipped(box, "any").least_speed
     speeds = np.arange(round(100 * least), 271, 10) / 100
-    settings = EnvConfig("sort", actions="modules", orientations="any")
+    config = EnvConfig("sort", actions="modules", orientations="any")
     starts_of_both = [start for speed in speeds for start in starts(box, float(speed))]
-    assert run(GradedLayout(settings), settings, starts_of_both).success.all()
+    assert run(GradedLayout(config), config, starts_of_both).success.all()
     assert least <= shipped(box, "four").least_speed / 1.8
-    through = run(GradedLayout(settings), settings, [{"parcel": box, "speed": 1.5, "side": 0}])
+    through = run(GradedLayout(config), config, [{"parcel": box, "speed": 1.5, "side": 0}])
     assert through.success.all()
 
 
@@ -123,11 +123,11 @@ def test_a_layout_at_any_angle_is_for_axes_at_any_angle() -> None:
 
 
 def test_one_observation_gives_one_action() -> None:
-    settings = EnvConfig("sort", actions="modules", orientations="any")
+    config = EnvConfig("sort", actions="modules", orientations="any")
     env = sg.SmartSurfaceEnv(task="sort", actions="modules", orientations="any")
     observation, _ = env.reset(seed=0)
-    one, state = GradedLayout(settings).predict(observation)
-    many, _ = GradedLayout(settings).predict(observation[np.newaxis])
+    one, state = GradedLayout(config).predict(observation)
+    many, _ = GradedLayout(config).predict(observation[np.newaxis])
     assert state is None
     assert env.action_space.contains(one.astype(np.float32))
     np.testing.assert_array_equal(many, one[np.newaxis])

@@ -59,15 +59,15 @@ def test_the_turning_rule_turns_to_any_angle() -> None:
 
 
 def test_modules_that_turn_a_parcel_drag_its_front_one_way_and_its_rear_the_other() -> None:
-    settings = EnvConfig(task="orient")
+    config = EnvConfig(task="orient")
     env = sg.SmartSurfaceVectorEnv(2, task="orient")
     starts = [{"parcel": parcel, "speed": 1.5, "angle": 0.3} for parcel in "SB"]
     observations, _ = env.reset(seed=0, options=starts)
     for _ in range(15):
         observations, *_ = env.step(np.full((2, 64), ROLL))
-    line = settings.decode(observations)
-    modules = brake_model.line_positions(line, settings.action_kind)
-    options = rule("orient", "turning rule").make(settings)._options(line, modules)
+    line = config.decode(observations)
+    modules = brake_model.line_positions(line, config.action_kind)
+    options = rule("orient", "turning rule").make(config)._options(line, modules)
     for x, ways in zip(modules.x, options, strict=True):
         turned = [(set(way[x > 0]) - {ROLL}, set(way[x < 0]) - {ROLL}) for way in ways]
         assert turned[0] == (set(), set())
@@ -83,21 +83,21 @@ def test_modules_by_themselves_turn_the_small_box(name) -> None:
 
 
 def test_positions_are_the_modules_that_the_environment_sees_under_the_parcel() -> None:
-    settings = EnvConfig(task="track", actions="window")
+    config = EnvConfig(task="track", actions="window")
     env = sg.SmartSurfaceVectorEnv(20, task="track", actions="window")
     observations, _ = env.reset(seed=5)
     rng = np.random.default_rng(0)
     for _ in range(10):
-        modules = brake_model.window_positions(settings.decode(observations), settings.action_kind)
+        modules = brake_model.window_positions(config.decode(observations), config.action_kind)
         np.testing.assert_array_equal(modules.under, observations[:, -25:] > 0.5)
         observations, *_ = env.step(rng.integers(0, 4, (20, 25)))
 
 
 def test_line_positions_are_pitches_apart_and_centred_on_the_line() -> None:
-    settings = EnvConfig(task="orient")
+    config = EnvConfig(task="orient")
     env = sg.SmartSurfaceVectorEnv(2, task="orient")
     observations, info = env.reset(seed=0, options=[{"parcel": "S"}, {"parcel": "B"}])
-    modules = brake_model.line_positions(settings.decode(observations), settings.action_kind)
+    modules = brake_model.line_positions(config.decode(observations), config.action_kind)
     # The S-box's lead-in is 3 columns and the B-box's 5; the first rotor after it is at 0.35 m.
     first = np.array([0.35, 0.55]) - info["pose"][:, 0]
     np.testing.assert_allclose(modules.x.reshape(2, 4, 16)[:, 2, 0], first, atol=1e-6)
@@ -115,11 +115,11 @@ def test_the_square_slides_as_in_the_simulator(angle) -> None:
     )
     box = sg.Parcel(sg.Rectangle(2.0 * half_length, 2.0 * half_length))
     truth = sg.simulate(surface, box, (1.0, 1.0, 0.0), velocity, duration=0.04).velocity[-1]
-    settings = EnvConfig(task="track", actions="window")
+    config = EnvConfig(task="track", actions="window")
     env = sg.SmartSurfaceVectorEnv(1, task="track", actions="window")
     start = {"parcel": "S", "path": [(1.0, 1.0), (5.0, 1.0)], "tilt": tilt, "speed": 0.8}
     observations, _ = env.reset(seed=0, options=start)
-    modules = brake_model.window_positions(settings.decode(observations), settings.action_kind)
+    modules = brake_model.window_positions(config.decode(observations), config.action_kind)
     square = brake_model.SquareModel(modules, np.array([half_length]), np.array([tilt]))
     motion = brake_model.Motion(*(np.array([part]) for part in velocity))
     after = square.predict(motion, np.full((1, 25), angle), period=0.04, steps=4)

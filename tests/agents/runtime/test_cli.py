@@ -22,7 +22,7 @@ from surface_gym.agents.runtime.config import RuntimeConfig, SimulatorConfig
 from surface_gym.agents.runtime.protocol import DeviceLost, Frame, Message, SocketDevice
 from surface_gym.agents.runtime.simulator import SimulatorProcess
 from surface_gym.config import EnvConfig
-from tests.agents.runtime.made import SETTINGS, entered, estimator
+from tests.agents.runtime.made import CONFIG, entered, estimator
 
 PATIENCE = 120.0  # [s] for another process, on a computer that does other work
 
@@ -81,8 +81,8 @@ class TestConfig:
 
     def test_the_environment_is_the_policy_s(self) -> None:
         policy = load_policy(RuntimeConfig("slow-dqn", seed=1))
-        settings = make_env_config(policy, "lab")
-        assert settings == EnvConfig(task="slow", preset="lab", **policy.env_kwargs)
+        env_config = make_env_config(policy, "lab")
+        assert env_config == EnvConfig(task="slow", preset="lab", **policy.env_kwargs)
 
     def test_a_run_s_folder_holds_a_policy(self) -> None:
         from surface_gym import agents
@@ -93,10 +93,10 @@ class TestConfig:
     def test_the_simulator_is_of_the_same_environment(self) -> None:
         config = RuntimeConfig("stop-ppo", preset="camera", start=3)
         policy = load_policy(config)
-        settings = make_env_config(policy, config.preset)
-        given = tyro.cli(SimulatorConfig, args=simulator_arguments(config, settings))
+        env_config = make_env_config(policy, config.preset)
+        given = tyro.cli(SimulatorConfig, args=simulator_arguments(config, env_config))
         assert given == SimulatorConfig(task="stop", preset="camera", control_period=0.04, seed=3)
-        assert simulator.make_env_config(given).actuators == settings.actuators
+        assert simulator.make_env_config(given).actuators == env_config.actuators
 
     def test_an_error_ends_the_command_with_one_line(self) -> None:
         with pytest.raises(SystemExit, match="error: name must be"):
@@ -107,14 +107,14 @@ class TestConfig:
 
 class TestDecisions:
     def test_axes_on_offer_and_the_conveyors(self) -> None:
-        assert controller.allowed_angles(SETTINGS) == (*SETTINGS.chosen_orientations, np.pi / 2.0)
-        assert controller.allowed_angles(replace(SETTINGS, orientations="any")) is None
+        assert controller.allowed_angles(CONFIG) == (*CONFIG.chosen_orientations, np.pi / 2.0)
+        assert controller.allowed_angles(replace(CONFIG, orientations="any")) is None
 
     @pytest.mark.parametrize("task", ["sort", "track"])
     def test_the_fixed_layout_of_a_task(self, task) -> None:
-        settings = EnvConfig(task=task, actions="halves", observe=("parcel",))
-        layouts = controller.FixedLayouts(settings)
-        bounds = controller.observation_bounds(settings)
+        env_config = EnvConfig(task=task, actions="halves", observe=("parcel",))
+        layouts = controller.FixedLayouts(env_config)
+        bounds = controller.observation_bounds(env_config)
         command = layouts.arrange(np.clip(0.0, bounds.low, bounds.high))
         assert command.shape == (layouts.kind.size,)
         assert len(np.unique(command)) == 1

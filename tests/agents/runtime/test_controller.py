@@ -137,7 +137,7 @@ def test_an_action_that_does_not_exist_is_not_sent(device, action) -> None:
 
 def test_an_axis_that_is_not_on_offer_is_not_sent(device) -> None:
     device.script = [(0.0, made.entered())]
-    others = replace(made.SETTINGS, orientations=(0.1, 0.2, 0.3, 0.4))
+    others = replace(made.CONFIG, orientations=(0.1, 0.2, 0.3, 0.4))
     loop = made.loop_of(device, made.Always(made.BRAKE, device.clock))
     loop._limits = AxisLimits(made.estimator().shape, allowed_angles(others))
     loop.run(0.2, made.nothing)

@@ -18,7 +18,7 @@ PERIOD = 0.02  # [s] that of the camera
 
 
 def commands(actions: list[int]) -> np.ndarray:
-    return made.SETTINGS.action_kind.commands(np.array(actions), len(actions))
+    return made.CONFIG.action_kind.commands(np.array(actions), len(actions))
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def filtered() -> tuple[Entered, list[np.ndarray], list[Frame], list[np.ndarray]
     """What the environment's own filter makes of frames that are not late: the entry, and for each
     period the command, the frame at its end and the observation then.
     """
-    batch = Batch(replace(made.SETTINGS, sensors=CAMERA, control_period=PERIOD), 1)
+    batch = Batch(replace(made.CONFIG, sensors=CAMERA, control_period=PERIOD), 1)
     batch.seed(0, np.random.default_rng(3))
     batch.reset(np.array([0]))
     lanes = batch.parcels
@@ -50,7 +50,7 @@ def filtered() -> tuple[Entered, list[np.ndarray], list[Frame], list[np.ndarray]
 def test_it_observes_what_the_environment_does(filtered) -> None:
     start, sent, frames, seen = filtered
     held = made.estimator()
-    resolver = held.resolver(made.SETTINGS.action_kind)
+    resolver = held.resolver(made.CONFIG.action_kind)
     held.reset(start)
     np.testing.assert_allclose(held.observe(AT), seen[0], rtol=0.0, atol=1e-6)
     for k, (command, taken) in enumerate(zip(sent, frames, strict=True)):
@@ -99,7 +99,7 @@ def test_a_frame_draws_the_estimate_towards_it() -> None:
 
 def test_axes_turn_as_fast_as_the_machine_says() -> None:
     held = made.estimator()
-    resolver = held.resolver(made.SETTINGS.action_kind)
+    resolver = held.resolver(made.CONFIG.action_kind)
     held.reset(made.entered())
     held.observe(0.0)
     angles = held.resolve(resolver, commands([made.BRAKE])[0])
@@ -116,7 +116,7 @@ def test_axes_turn_as_fast_as_the_machine_says() -> None:
 
 def test_the_device_reports_when_axes_began_to_turn() -> None:
     held = made.estimator()
-    resolver = held.resolver(made.SETTINGS.action_kind)
+    resolver = held.resolver(made.CONFIG.action_kind)
     for at, expected in ((0.01, math.pi / 4.0), (0.01 + 0.5 * made.QUARTER_TURN, math.pi / 2.0)):
         held.reset(made.entered())
         held.observe(0.0)
@@ -179,7 +179,7 @@ def test_a_frame_with_numbers_that_are_not_allowed_is_refused() -> None:
 
 def test_the_camera_of_an_exact_sensor_is_ideal() -> None:
     assert estimators.device_camera(sg.sensors.Exact()) is estimators.IDEAL
-    assert estimators.device_camera(made.SETTINGS.sensors) is made.SETTINGS.sensors
+    assert estimators.device_camera(made.CONFIG.sensors) is made.CONFIG.sensors
 
 
 def test_an_axis_turned_by_half_a_turn_is_the_same() -> None:
@@ -190,12 +190,12 @@ def test_an_axis_turned_by_half_a_turn_is_the_same() -> None:
 
 def test_a_sensor_without_frames_is_refused() -> None:
     with pytest.raises(ValueError, match="sensors must be a Camera"):
-        estimators.StateEstimator(replace(made.SETTINGS, sensors=sg.sensors.Presence()))
+        estimators.StateEstimator(replace(made.CONFIG, sensors=sg.sensors.Presence()))
 
 
 def test_rolling_on_is_an_action_that_turns_nothing() -> None:
     held = made.estimator()
     held.reset(made.entered())
     held.observe(0.0)
-    angles = held.resolve(held.resolver(made.SETTINGS.action_kind), commands([made.ROLL])[0])
+    angles = held.resolve(held.resolver(made.CONFIG.action_kind), commands([made.ROLL])[0])
     assert held.longest_turn(angles) == 0.0

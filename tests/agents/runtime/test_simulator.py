@@ -20,7 +20,7 @@ BRAKE = 0
 
 
 def world(seed: int = 0, **options: float) -> World:
-    return World(made.SETTINGS, seed, 0.0, WorldOptions(**{"pause": PAUSE, **options}))
+    return World(made.CONFIG, seed, 0.0, WorldOptions(**{"pause": PAUSE, **options}))
 
 
 def of_kind(kind: type, said: list) -> list:
@@ -57,8 +57,8 @@ def test_frames_come_at_the_cameras_rate_and_late() -> None:
 
 
 def test_a_camera_that_drops_frames_drops_some() -> None:
-    camera = replace(made.SETTINGS.sensors, drop=0.5)
-    dropping = World(replace(made.SETTINGS, sensors=camera), 0, 0.0, WorldOptions())
+    camera = replace(made.CONFIG.sensors, drop=0.5)
+    dropping = World(replace(made.CONFIG, sensors=camera), 0, 0.0, WorldOptions())
     assert 15 < len(dropping.advance(1.0)) < 35
 
 

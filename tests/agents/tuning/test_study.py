@@ -22,7 +22,6 @@ from surface_gym.agents.learning.train import train
 from surface_gym.agents.policy import load_policy
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.agents.tuning import study
-from surface_gym.agents.tuning import study as studies
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
 from surface_gym.parallel import Report
 from surface_gym.tasks.benchmark import DRAWN
@@ -44,7 +43,7 @@ class TestTrials:
         trials = searched(sweep, tmp_path)
         assert [each.number for each in trials] == list(range(40))
         for each in trials:
-            params = studies.plain_params(sweep, each)
+            params = study.plain_params(sweep, each)
             assert 1e-4 <= params["learning_rate"] <= 1e-2
             assert params["n_epochs"] in range(1, 10)
             assert params["hidden"] in ([8], [8, 8])
@@ -61,39 +60,39 @@ class TestTrials:
 
     def test_refused_and_failed_trials_are_kept_with_their_reasons(self, tmp_path) -> None:
         trials = searched(RANDOM, tmp_path, refused_or_failed)
-        assert {studies.describe_state(each) for each in trials} == {
+        assert {study.describe_state(each) for each in trials} == {
             "refused: no",
             "failed: nan",
             "complete",
         }
-        with studies.open_study(RANDOM, tmp_path) as kept:
-            assert len(studies.finished_trials(kept)) == len(trials) == 12
+        with study.open_study(RANDOM, tmp_path) as kept:
+            assert len(study.finished_trials(kept)) == len(trials) == 12
 
     def test_the_best_is_the_first_of_equals(self) -> None:
         trials = [trial({1: 0.2}), trial({1: 0.9}, TrialState.PRUNED), trial({1: 0.5})]
         trials.append(trial({1: 0.5}))
         for number, each in enumerate(trials):
             each.number = number
-        assert studies.best_trial(trials) is trials[2]
-        assert studies.best_trial(trials[1:2]) is None
+        assert study.best_trial(trials) is trials[2]
+        assert study.best_trial(trials[1:2]) is None
 
 
 def refused_or_failed(
     sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
-) -> studies.TrialResult:
+) -> study.TrialResult:
     """Two trials of three end otherwise."""
     if params["n_epochs"] % 3 == 0:
-        return studies.TrialResult(studies.REFUSED, why="no")
+        return study.TrialResult(study.REFUSED, why="no")
     if params["n_epochs"] % 3 == 1:
-        return studies.TrialResult(studies.FAILED, why="nan")
+        return study.TrialResult(study.FAILED, why="nan")
     return cheap_trial(sweep, params, past, report)
 
 
 class TestPruning:
     past = tuple(trial({1: 0.1 * k, 2: 0.2 * k, 3: 0.3 * k}) for k in range(4))
 
-    def pruning(self, pruner: str, past: tuple[FrozenTrial, ...]) -> studies.Pruning:
-        return studies.Pruning(replace(SMALL, pruner=pruner), past, lambda _: None)
+    def pruning(self, pruner: str, past: tuple[FrozenTrial, ...]) -> study.Pruning:
+        return study.Pruning(replace(SMALL, pruner=pruner), past, lambda _: None)
 
     @pytest.mark.parametrize("pruner", ["median", "halving", "none"])
     def test_nothing_is_pruned_without_others(self, pruner) -> None:
@@ -111,8 +110,8 @@ class TestPruning:
 
     def test_halving_lets_the_best_quarter_of_a_rung_on(self, tmp_path) -> None:
         searched(replace(SMALL, pruner="halving"), tmp_path)
-        with studies.open_study(SMALL, tmp_path) as kept:
-            past = tuple(studies.finished_trials(kept))
+        with study.open_study(SMALL, tmp_path) as kept:
+            past = tuple(study.finished_trials(kept))
         rungs = sorted(each.system_attrs["completed_rung_0"] for each in past)
         assert self.pruning("halving", past)(1, rungs[0])
         assert not self.pruning("halving", past)(1, rungs[-1] + 0.1)
@@ -137,8 +136,8 @@ class TestResuming:
         ]
         assert trials[at].state == TrialState.FAIL
         assert trials[at + 1].params == trials[at].params == before[at].params
-        with studies.open_study(SMALL, tmp_path) as kept:
-            assert len(studies.finished_trials(kept)) == 14
+        with study.open_study(SMALL, tmp_path) as kept:
+            assert len(study.finished_trials(kept)) == 14
         assert searched(SMALL, tmp_path) == trials  # nothing is left to do
 
     def test_a_killed_search_is_resumed(self, tmp_path) -> None:
@@ -151,26 +150,26 @@ class TestResuming:
             [sys.executable, str(tmp_path / "go.py"), str(tmp_path)],
             env={**os.environ, "PYTHONPATH": str(ROOT)},
         )
-        url = f"sqlite:///{tmp_path / studies.FILE}"
+        url = f"sqlite:///{tmp_path / study.FILE}"
         found: list[FrozenTrial] = []
         while process.poll() is None and len(found) < 2:
             time.sleep(0.2)
-            if (tmp_path / studies.FILE).exists():
+            if (tmp_path / study.FILE).exists():
                 found = look(url)
         process.send_signal(signal.SIGKILL)
         assert process.wait() == -signal.SIGKILL  # before it was done
         trials = searched(SMALL, tmp_path)
         for each in found:
             assert trials[each.number].value == each.value
-        with studies.open_study(SMALL, tmp_path) as kept:
-            assert len(studies.finished_trials(kept)) == 14
+        with study.open_study(SMALL, tmp_path) as kept:
+            assert len(study.finished_trials(kept)) == 14
 
 
 def look(url: str) -> list[FrozenTrial]:
     """Trials that have ended, by another connection."""
     storage = optuna.storages.RDBStorage(url, skip_table_creation=True)
     try:
-        return studies.finished_trials(optuna.load_study(study_name="search", storage=storage))
+        return study.finished_trials(optuna.load_study(study_name="search", storage=storage))
     except Exception:  # it is being made
         return []
     finally:
@@ -180,7 +179,7 @@ def look(url: str) -> list[FrozenTrial]:
 
 def stopping(
     at: int, sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
-) -> studies.TrialResult:
+) -> study.TrialResult:
     if len(past) == at:
         raise KeyboardInterrupt
     return cheap_trial(sweep, params, past, report)
@@ -203,13 +202,13 @@ class TestTrial:
 
     def run(
         self, sweep: Sweep = SWEEP, past: Any = (), **changed: Any
-    ) -> tuple[studies.TrialResult, Any]:
+    ) -> tuple[study.TrialResult, Any]:
         reported: list[tuple[int, float]] = []
-        return studies.run_trial(sweep, {**PARAMS, **changed}, past, reported.append), reported
+        return study.run_trial(sweep, {**PARAMS, **changed}, past, reported.append), reported
 
     def test_it_is_complete_and_the_same_again(self) -> None:
         result, reported = self.run()
-        assert (result.state, result.why) == (studies.COMPLETE, "")
+        assert (result.state, result.why) == (study.COMPLETE, "")
         assert result.value is not None
         assert np.isfinite(result.value)
         assert [number for number, _ in reported] == [1, 2]
@@ -226,18 +225,18 @@ class TestTrial:
 
     def test_below_the_median_it_ends(self) -> None:
         result, reported = self.run(past=(trial({1: 100.0, 2: 100.0}),))
-        assert result == studies.TrialResult(studies.PRUNED)
+        assert result == study.TrialResult(study.PRUNED)
         assert [number for number, _ in reported] == [1]
 
     def test_a_configuration_that_is_not_allowed_is_refused(self) -> None:
         result, reported = self.run(n_steps=25)
-        assert (result.state, result.value, reported) == (studies.REFUSED, None, [])
+        assert (result.state, result.value, reported) == (study.REFUSED, None, [])
         assert "batch_size must be a factor" in result.why
 
     @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numbers that grow too large
     def test_weights_that_are_not_finite_fail_the_trial_alone(self) -> None:
         result, _ = self.run(learning_rate=1e30)
-        assert (result.state, result.value) == (studies.FAILED, None)
+        assert (result.state, result.value) == (study.FAILED, None)
         assert "invalid values" in result.why
 
     def test_an_interrupt_is_passed_on(self, monkeypatch) -> None:
@@ -258,8 +257,8 @@ class TestTrial:
             space={"gamma": Choices([0.9, 0.99])}, fixed=fixed,
         )  # fmt: skip
         reported: list[tuple[int, float]] = []
-        result = studies.run_trial(sweep, {"gamma": 0.9}, (), reported.append)
-        assert result.state == studies.COMPLETE
+        result = study.run_trial(sweep, {"gamma": 0.9}, (), reported.append)
+        assert result.state == study.COMPLETE
         assert result.value is not None
         assert 0.0 <= result.value <= 1.0
         assert [number for number, _ in reported] == [1]
@@ -280,15 +279,15 @@ class TestJudgement:
         self, folder, monkeypatch
     ) -> None:
         monkeypatch.setattr(study, "STARTS", 100)
-        settings = make_card(self.config).env_config()
-        alone = run_episodes(load_policy(folder), settings, [{}] * 100, studies.JUDGE_SEED + 5)
-        judged = studies.judge(self.config, self.sweep, folder)
+        env_config = make_card(self.config).env_config()
+        alone = run_episodes(load_policy(folder), env_config, [{}] * 100, study.JUDGE_SEED + 5)
+        judged = study.judge(self.config, self.sweep, folder)
         assert judged == alone.success.mean()
         assert 0.0 < judged < 1.0
         other = replace(self.config, camera_share=1.0, friction=0.9, num_envs=128, seed=9)
-        assert studies.judge(other, self.sweep, folder) == judged
+        assert study.judge(other, self.sweep, folder) == judged
 
     def test_nothing_is_learned_or_compared_on_these_starts(self) -> None:
         with pytest.raises(ValueError, match="between 0 and 2"):
-            np.random.RandomState(studies.JUDGE_SEED)  # what Stable-Baselines3 learns by
-        assert SEED + DRAWN + studies.STARTS < studies.JUDGE_SEED
+            np.random.RandomState(study.JUDGE_SEED)  # what Stable-Baselines3 learns by
+        assert SEED + DRAWN + study.STARTS < study.JUDGE_SEED
