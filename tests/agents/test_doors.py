@@ -31,10 +31,10 @@ def door(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
 def inside(program: str, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """As `door`, but in this process, which has what is needed imported, and with one processor.
 
-    An error that is raised instead of told is raised here too.
+    An error that is raised instead of reported is raised here too.
     """
-    shown, told, code = io.StringIO(), io.StringIO(), 0
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(shown), redirect_stderr(told):
+    shown, errors, code = io.StringIO(), io.StringIO(), 0
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(shown), redirect_stderr(errors):
         patch.chdir(folder)
         patch.setenv("COLUMNS", "100")
         patch.setattr(sys, "argv", [program, *arguments])
@@ -45,7 +45,7 @@ def inside(program: str, *arguments: str, folder: Path) -> subprocess.CompletedP
             code = int(end.code or 0) if not isinstance(end.code, str) else 1
             if isinstance(end.code, str):
                 print(end.code, file=sys.stderr)
-    return subprocess.CompletedProcess([program], code, shown.getvalue(), told.getvalue())
+    return subprocess.CompletedProcess([program], code, shown.getvalue(), errors.getvalue())
 
 
 @pytest.fixture(scope="module")

@@ -106,7 +106,7 @@ def yaml_of(content: bytes) -> object:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (lambda weights: weights.to(torch.complex64), "must be torch.float32, got torch.complex64"),
         (lambda weights: weights.to(torch.float64), "must be torch.float32, got torch.float64"),
@@ -116,12 +116,12 @@ def yaml_of(content: bytes) -> object:
     ],
     ids=["complex", "double", "nan", "short", "a list"],
 )
-def test_weights_of_another_kind_are_refused(folder, change, told) -> None:
+def test_weights_of_another_kind_are_refused(folder, change, message) -> None:
     weights = torch.load(folder / WEIGHTS, weights_only=True)
     name = next(iter(weights))
     torch.save({**weights, name: change(weights[name])}, folder / WEIGHTS)
     sign(folder)
-    with pytest.raises(ValueError, match=re.escape(told)):
+    with pytest.raises(ValueError, match=re.escape(message)):
         load_policy(folder)
 
 

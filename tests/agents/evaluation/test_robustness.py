@@ -119,9 +119,9 @@ def test_loads_lie_off_centre_in_every_direction_and_boxes_are_drawn_as_ever() -
 
 
 def test_axes_turn_by_90_deg_in_the_time_said() -> None:
-    for told in (25, 200):
-        speed = true_of(robustness.FACTORS["axis"].change(told)).actuators.axis_speed
-        assert 0.5 * math.pi / speed == pytest.approx(1e-3 * told)
+    for asked in (25, 200):
+        speed = true_of(robustness.FACTORS["axis"].change(asked)).actuators.axis_speed
+        assert 0.5 * math.pi / speed == pytest.approx(1e-3 * asked)
     assert true_of(robustness.FACTORS["axis"].change(0)) == true_of(robustness.Change())
 
 

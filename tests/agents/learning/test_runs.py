@@ -198,16 +198,14 @@ def test_code_in_a_checkpoint_is_not_run(tmp_path) -> None:
 
 
 def test_a_configuration_with_earlier_names_is_resumed(tmp_path) -> None:
-    from surface_gym.agents.learning.runs import read_config
-
     config = configs.ParcelsConfig(slots=8, batch_size=512)
     runs.write_config(config, tmp_path / "config.yaml")
     text = (tmp_path / "config.yaml").read_text()
-    for old, new in (("lanes", "num_envs"), ("condition", "preset"), ("seats", "slots")):
-        text = text.replace(f"{new}:", f"{old}:")
-    assert set(yaml.safe_load(text)) >= {"lanes", "condition", "seats"}
+    for earlier, name in configs.RENAMED.items():
+        text = text.replace(f"{name}:", f"{earlier}:")
+    assert len(set(yaml.safe_load(text)) & set(configs.RENAMED)) == 3
     (tmp_path / "config.yaml").write_text(text)
-    assert read_config(tmp_path / "config.yaml") == config
+    assert runs.read_config(tmp_path / "config.yaml") == config
 
 
 def test_seeds_in_parallel_give_the_result_of_each_alone(tmp_path) -> None:

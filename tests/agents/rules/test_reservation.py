@@ -168,7 +168,7 @@ FRESH, GOES_ON = np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
 
 
 def booking() -> reservation.Booking:
-    """Of two ways that are told apart by the parcel's size."""
+    """Of two ways that are kept apart by the parcel's size."""
     signature = np.zeros((2, len(reservation.SIGNATURE)))
     signature[1, reservation.SIGNATURE.index(6)] = 2.0
     return reservation.Booking(CONFIG, signature, GAPS)
