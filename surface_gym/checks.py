@@ -1,7 +1,10 @@
 """Checks of arguments, and the bounds that numbers must keep.
 
+Every class and function of the package raises a ValueError that names a wrong argument, what came
+and what is allowed.
+
 Within these bounds every step stays finite; beyond them squares and quotients overflow, or round
-to nothing. Each bound is generous: whoever meets one has a wrong unit or a slip of the pen.
+to nothing. Each bound is generous: beyond one stands a wrong unit or a typing error.
 """
 
 import math
@@ -48,8 +51,8 @@ DENSITY = (1e-12, 1e9)
 # [-] of a friction's factor and [m] of a load's place: from known to wholly unknown
 LEARNED_SPREAD = (1e-6, 1.0)
 FRICTION_ERROR = 10.0  # [-] share by which friction may be off
-ELEMENTS = 1_000_000  # of a line, whose lanes have arrays of as many
-ORIENTATIONS = 1000  # on offer: an axis told to a fifth of a degree; "any" tells it finer
+ELEMENTS = 1_000_000  # of a line, whose state arrays are as large
+ORIENTATIONS = 1000  # on offer: a fifth of a degree apart; "any" is finer
 
 
 def number(name: str, value: Any) -> float:

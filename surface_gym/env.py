@@ -31,7 +31,7 @@ def make_batch(
 
 
 def check_render_mode(render_mode: str | None, modes: list[str]) -> str | None:
-    """A render mode, or an error that names those there are."""
+    """Return a render mode, or raise an error that lists the modes."""
     checks.one_of("render_mode", render_mode, (None, *modes))
     return render_mode
 
@@ -79,7 +79,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     `is_success`, `outcome` (why the episode ended, or "running"), `time` [s], the true `pose`
     (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid, `parcel` (length, width [m],
     mass [kg] and height of the centre of mass [m]), `reward_terms` (named terms whose sum is the
-    reward), and the task's own figures. On request, by `info=("axes", "normal_forces")`, the axis
+    reward), and the task's own metrics. On request, by `info=("axes", "normal_forces")`, the axis
     angles [rad] of all elements, (rows, columns), and the normal force [N] of the parcel on each.
 
     ## End

@@ -169,12 +169,7 @@ class Disc:
 
 @dataclass(frozen=True, eq=False)
 class Polygon:
-    """A convex base given by its vertices, in either sense of rotation.
-
-    Raises:
-        ValueError: fewer than three vertices, two in one place, or the polygon is not convex, or
-            smaller or larger than any base.
-    """
+    """A convex base given by its vertices, in either sense of rotation."""
 
     vertices: NDArray[np.float64]  # (vertices, 2) [m] in the base's frame
 
@@ -339,9 +334,6 @@ def assortment(
         seed: of the draws.
         sizes: [m] least and greatest length and width.
         load: [m] how far off centre the load may lie.
-
-    Raises:
-        ValueError: a number that is not allowed.
     """
     checks.integer("count", count, least=1)
     low, high = checks.array("sizes", sizes, (2,)).tolist()

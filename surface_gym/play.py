@@ -128,8 +128,8 @@ class TaskGame(Game):
         config = EnvConfig(task, actions="halves")
         self._batch = Batch(config, 1)
         super().__init__(self._batch)
-        self._batch.reserve.seed(0, np.random.default_rng(0))
-        numbers = self._batch.reserve.take(ONLY)
+        self._batch.reset_cache.seed(0, np.random.default_rng(0))
+        numbers = self._batch.reset_cache.take(ONLY)
         self._start = config.task.start(Draw(numbers, (), config.chosen_line))
         self._command = np.full((1, 2), ROLL)  # ahead of the parcel's centre, and behind
         self._pressed: tuple[float, float] | None = None  # [m] where the mouse went down

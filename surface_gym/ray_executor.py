@@ -44,11 +44,7 @@ def own_build() -> Build:
 
 
 def check_build(wanted: Build) -> None:
-    """Refuse work from a process of another build.
-
-    Raises:
-        WorkFailed: it differs; the message names both.
-    """
+    """Refuse work from a process of another build."""
     if own_build() != wanted:
         raise WorkFailed(
             f"the node {socket.gethostname()} has surface_gym {own_build()}, the submitting "

@@ -18,25 +18,11 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
+from surface_gym.physics import rollout
 from surface_gym.physics import types as ph
 from surface_gym.physics.references import find_support, support_load_by
-from surface_gym.physics.rollout import (
-    ContactForces,
-    RecordedSteps,
-    count_contacts,
-    repeat_explicit,
-    repeat_implicit,
-    support_loads,
-)
-from surface_gym.physics.types import (
-    STATE_SIZE,
-    Array,
-    Integers,
-    Scratch,
-    check_capacity,
-    make_scratch,
-    table_row,
-)
+from surface_gym.physics.rollout import ContactForces, RecordedSteps
+from surface_gym.physics.types import Array, Integers, Scratch
 from surface_gym.surface import Surface
 
 if TYPE_CHECKING:
@@ -71,7 +57,7 @@ class Run:
         return length
 
     def leads(self, time: Array) -> Array:
-        """Compute the time (T,) [s] from each step's start to the pose whose contacts bear it."""
+        """Compute the time (T,) [s] from each step's start to the pose of its contacts."""
         return (0.5 if self.method == "implicit" else 0.0) * self.lengths(time)
 
 
@@ -87,7 +73,7 @@ class ContactRecord:
     even so, that rule holds the parcel against it, and the forces do not add up along x.
     """
 
-    step: NDArray[np.int64]  # (rows,) that the contact bore: the row of the trajectory it led to
+    step: NDArray[np.int64]  # (rows,) of the contact: the row of the trajectory it led to
     time: NDArray[np.float64]  # (rows,) [s] the step's end
     element: NDArray[np.int64]  # (rows, 2) row and column in the surface's grid
     place: NDArray[np.float64]  # (rows, 2) [m] the element's centre, x and y
@@ -103,11 +89,7 @@ class ContactRecord:
         return len(self.step)
 
     def of_step(self, step: int) -> "ContactRecord":
-        """Select the contacts of one step, which led to that row of the trajectory.
-
-        Raises:
-            ValueError: no such step; the first is 1.
-        """
+        """Select the contacts of one step, which led to that row of the trajectory."""
         checks.integer("step", step, least=1)
         first, end = np.searchsorted(self.step, (step, step + 1)).tolist()
         if first == end:
@@ -176,7 +158,7 @@ class Trajectory:
     >>> box = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=10.0)
     >>> run = sg.simulate(sg.layouts.sorting(), box, (0.125, 1.0, 0.0), (1.5, 0.0, 0.0))
     >>> contacts = run.contacts.of_step(10)
-    >>> contacts.element.tolist()  # row and column of those that bore the box in step 10
+    >>> contacts.element.tolist()  # row and column of those under the box in step 10
     [[9, 1], [9, 2], [10, 1], [10, 2]]
     >>> float(contacts.normal.sum().round(3))  # [N] m g
     98.1
@@ -198,12 +180,7 @@ class Trajectory:
 
     @cached_property
     def contacts(self) -> ContactRecord:
-        """Contacts and friction forces of each step.
-
-        Raises:
-            ValueError: the trajectory has no `run`, or one from a file whose states leave the
-                elements.
-        """
+        """Contacts and friction forces of each step."""
         return _compute_contacts(self._known_run("contacts"), self.time)
 
     @cached_property
@@ -212,9 +189,6 @@ class Trajectory:
 
         Times mass and moment of inertia it is the sum of gravity and friction. The first row, which
         no step led to, is zero: the normal forces of the first step assume so.
-
-        Raises:
-            ValueError: the trajectory has no `run`.
         """
         run = self._known_run("acceleration")
         turning = np.zeros(len(self.time))
@@ -223,11 +197,7 @@ class Trajectory:
 
     @cached_property
     def energy(self) -> Energy:
-        """Kinetic and potential energy, and dissipation by friction.
-
-        Raises:
-            ValueError: the trajectory has no `run`.
-        """
+        """Kinetic and potential energy, and dissipation by friction."""
         return _compute_energy(self._known_run("energy"), self.time, self.contacts)
 
     def plot(self, path: str | PathLike[str] | None = None) -> "Figure":
@@ -307,14 +277,14 @@ def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
         time: (T,) [s] their ends, the start first.
 
     Raises:
-        ValueError: nothing bears the parcel in a step, so the states are not those of a run.
+        ValueError: no element is under the parcel in a step, so the states are not those of a run.
     """
     grid, body = run.surface.grid, run.parcel.body
-    scratch = make_scratch()
+    scratch = ph.make_scratch()
     count = np.zeros(len(time), dtype=np.int64)
     first = np.zeros(len(time) + 1, dtype=np.int64)
     steps = RecordedSteps(run.states, run.lengths(time), run.leads(time), first)
-    count_contacts(grid, body, steps, scratch, count)
+    rollout.count_contacts(grid, body, steps, scratch, count)
     if not count[1:].all():
         step = 1 + int(np.argmin(count[1:]))
         raise ValueError(f"states must be over elements in every step, got none in step {step}")
@@ -327,18 +297,18 @@ def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
         np.zeros((total, 2)),
     )
     if run.normal_forces == "dual":
-        support_loads(grid, body, steps, scratch, observed)
+        rollout.support_loads(grid, body, steps, scratch, observed)
     else:
-        _bear_by_reference(run, steps, scratch, observed)
+        _load_by_reference(run, steps, scratch, observed)
     if run.method == "implicit":
-        repeat_implicit(grid, body, steps, scratch, observed)
+        rollout.repeat_implicit(grid, body, steps, scratch, observed)
     else:
         level = grid._replace(gravity_along=0.0)
-        repeat_explicit(grid, level, body, steps, scratch, observed)
+        rollout.repeat_explicit(grid, level, body, steps, scratch, observed)
     return steps, observed
 
 
-def _bear_by_reference(
+def _load_by_reference(
     run: Run, steps: RecordedSteps, scratch: Scratch, observed: ContactForces
 ) -> None:
     """Write the normal forces of all steps as computed by OSQP or SciPy."""
@@ -347,7 +317,7 @@ def _bear_by_reference(
         state, first = run.states[k - 1], steps.first[k]
         count = find_support(grid, body, state, scratch, float(steps.lead[k])).total
         support_load_by(run.normal_forces, grid, body, state, scratch, count)
-        observed.normal[first : first + count] = table_row(scratch, ph.NORMAL, count)
+        observed.normal[first : first + count] = ph.table_row(scratch, ph.NORMAL, count)
 
 
 def _compute_contacts(run: Run, time: Array) -> ContactRecord:
@@ -396,7 +366,7 @@ def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity
     Args:
         run: whose steps to repeat.
         time: (T,) [s] their ends, the start first.
-        step: (rows,) that each contact bore.
+        step: (rows,) that of each contact.
         place: (rows, 2) [m] of the elements.
         velocity: (T, 3) [m/s, m/s, rad/s] of the centre of mass, to be taken for each step.
     """
@@ -610,7 +580,7 @@ def _run_fields(parts: Parts, rows: int) -> Fields | None:
             f"base_lengths must be those of a {plain['base']}, got {lengths}"
         ) from None
     parcel = Parcel(base, **{name: plain[name] for name in PARCEL}, inertia=plain.get("inertia"))
-    check_capacity(
+    ph.check_capacity(
         len(parcel.body.edges),
         parcel.body.radius,
         (surface.pitch_x, surface.pitch_y),
@@ -624,7 +594,7 @@ def _run_fields(parts: Parts, rows: int) -> Fields | None:
         "normal_forces": checks.one_of(
             "normal_forces", plain["normal_forces"], ("dual", "osqp", "scipy")
         ),
-        "states": _checked_rows("states", parts["states"], (rows, STATE_SIZE)),
+        "states": _checked_rows("states", parts["states"], (rows, ph.STATE_SIZE)),
     }
 
 

@@ -31,14 +31,7 @@ class ResetArguments(NamedTuple):
 
 
 class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
-    """A vector environment of any device: its arguments and those of its resets, checked.
-
-    Args:
-        num_envs: number of environments.
-        autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED.
-        max_episode_steps: control periods after which an episode is truncated; None for no limit.
-        render_mode: "rgb_array" or None.
-    """
+    """A vector environment of any device: its arguments and those of its resets, checked."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
 

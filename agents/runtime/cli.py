@@ -173,7 +173,9 @@ def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; an error ends it with one line."""
-    config = tyro.cli(RuntimeConfig, prog="surface-gym runtime", args=arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    given = [each.replace("--condition", "--preset") for each in given]  # an earlier name
+    config = tyro.cli(RuntimeConfig, prog="surface-gym runtime", args=given)
     from rich.console import Console
 
     try:

@@ -32,6 +32,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from surface_gym.parallel import Report, Workers, map_jobs
 
 from ..base import TRAIN, command_line
+from ..evaluation.tables import markdown
 from ..learning.config import TrainConfig, config_of_seed, write_hyperparams
 from ..learning.runs import StopTraining, read_curve
 from ..learning.sb3 import make_training_envs
@@ -382,7 +383,7 @@ def _best(sweep: Sweep, best: FrozenTrial | None) -> list[str]:
     params = plain_params(sweep, best)
     return [
         f"## Best: trial {best.number}, {sweep.metric} {best.value:.4g}",
-        _table(["hyper-parameter", "value"], [[name, _text(v)] for name, v in params.items()]),
+        markdown(["hyper-parameter", "value"], [[name, _text(v)] for name, v in params.items()]),
         f"`{command}` trains with it for {sweep.default.steps:,} control periods, as long as the "
         "task is usually learned.",
     ]
@@ -398,7 +399,7 @@ def _importance(shares: dict[str, float] | None) -> list[str]:
         "How much each decides whether a complete trial is among the best quarter (PED-ANOVA). "
         "With so few trials it is a hint.",
         "![](importance.png)",
-        _table(
+        markdown(
             ["hyper-parameter", "importance"],
             [[name, f"{100.0 * share:.0f} %"] for name, share in shares.items()],
         ),
@@ -413,12 +414,9 @@ def _trials(sweep: Sweep, trials: Sequence[FrozenTrial]) -> str:
         state = state_of(trial).replace("|", "/")
         values = [_text(each) for each in plain_params(sweep, trial).values()]
         rows.append([str(trial.number), state, _text(value), _text(latest), *values])
-    return _table(["trial", "state", sweep.metric, "latest on the way", *sorted(sweep.space)], rows)
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return markdown(
+        ["trial", "state", sweep.metric, "latest on the way", *sorted(sweep.space)], rows
+    )
 
 
 def _text(value: Any) -> str:

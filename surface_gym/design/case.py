@@ -29,10 +29,8 @@ from surface_gym.files import replacing
 from surface_gym.layouts import ROLLING
 from surface_gym.parallel import Workers
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
+from surface_gym.physics.types import Array, Booleans
 from surface_gym.randomisation import RandomDraw, Randomisation
-
-Booleans = NDArray[np.bool_]
-Numbers = NDArray[np.float64]
 
 EIGHTH = math.pi / 4  # [rad] 45 deg
 
@@ -42,7 +40,7 @@ class Layout:
     """Axes of a zone, and their name."""
 
     name: str
-    axis: Numbers  # (rows, columns) [rad]
+    axis: Array  # (rows, columns) [rad]
 
 
 class EnvGoal(NamedTuple):
@@ -92,17 +90,17 @@ class Purpose(ABC):
         """Return the success (runs,) of each run."""
 
     @abstractmethod
-    def measure(self, ends: Ends) -> Numbers:
+    def measure(self, ends: Ends) -> Array:
         """Return the measured result (runs,) in SI units; nan where a run has none."""
 
-    def shortfall(self, ends: Ends) -> Numbers:
+    def shortfall(self, ends: Ends) -> Array:
         """Return the distance (runs,) [-] from success, 0 to 1: the slope that a search descends.
 
         By default success alone counts.
         """
         return np.where(self.succeeds(ends), 0.0, 1.0)
 
-    def search_starts(self, line: DesignLine) -> list[Numbers]:
+    def search_starts(self, line: DesignLine) -> list[Array]:
         """Return further axes (rows, columns) [rad] with which a search for a layout begins."""
         del line
         return []
@@ -141,17 +139,17 @@ class Sort(Purpose):
     def succeeds(self, ends: Ends) -> Booleans:
         return (ends.reason == OUT) & (self.side * (ends.pose[:, 1] - ends.line.line_y) > 0.0)
 
-    def measure(self, ends: Ends) -> Numbers:
+    def measure(self, ends: Ends) -> Array:
         return np.where(self.succeeds(ends), ends.time, math.nan)
 
-    def shortfall(self, ends: Ends) -> Numbers:
+    def shortfall(self, ends: Ends) -> Array:
         """Return the rest of the way across, to a line's width past the last rotor."""
         enough = 1.5 * ends.line.pitch_y * ends.line.rows  # ample for any parcel
         across = self.side * (ends.pose[:, 1] - ends.line.line_y)
         left = 1.0 - np.clip(across / enough, 0.0, 1.0)
         return np.where(self.succeeds(ends), 0.0, left)
 
-    def search_starts(self, line: DesignLine) -> list[Numbers]:
+    def search_starts(self, line: DesignLine) -> list[Array]:
         """Return axes that turn from column to column, which lead a parcel aside bit by bit."""
         starts = []
         for turned in np.radians([15.0, 30.0, 45.0, 60.0, 75.0, 90.0]).tolist():
@@ -215,12 +213,12 @@ class Slow(_Braking):
             return np.abs(left - self.ratio) <= self.tolerance
         return (left > 0.0) & (left <= self.ratio)
 
-    def measure(self, ends: Ends) -> Numbers:
+    def measure(self, ends: Ends) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = ends.velocity[:, 0] / ends.runs.speed
         return np.where((ends.reason == PAST) & (ends.runs.speed > 0.0), ratio, math.nan)
 
-    def shortfall(self, ends: Ends) -> Numbers:
+    def shortfall(self, ends: Ends) -> Array:
         """Return the error of the ratio; at rest on the zone, half plus half the way to go."""
         error = self.measure(ends) - self.ratio
         error = np.maximum(0.0, error) if self.tolerance is None else np.abs(error)
@@ -262,11 +260,11 @@ class Stop(_Braking):
             return ~np.isnan(rest)
         return np.abs(rest - self.place) <= self.tolerance
 
-    def measure(self, ends: Ends) -> Numbers:
+    def measure(self, ends: Ends) -> Array:
         on_zone = (ends.reason == AT_REST) & (ends.touched > 0)
         return np.where(on_zone, ends.pose[:, 0] - ends.line.zone_x[0], math.nan)
 
-    def shortfall(self, ends: Ends) -> Numbers:
+    def shortfall(self, ends: Ends) -> Array:
         """Return the error of the place over the zone's length.
 
         Past the zone, half plus half the share of the speed that is left.
@@ -323,10 +321,10 @@ class Turn(Purpose):
     def succeeds(self, ends: Ends) -> Booleans:
         return np.abs(self.measure(ends) - self.angle) <= self.tolerance
 
-    def measure(self, ends: Ends) -> Numbers:
+    def measure(self, ends: Ends) -> Array:
         return np.where(ends.reason == PAST, ends.pose[:, 2], math.nan)
 
-    def shortfall(self, ends: Ends) -> Numbers:
+    def shortfall(self, ends: Ends) -> Array:
         """Return the error of the angle over 180 deg; at rest, half plus half the way to go."""
         error = np.abs(self.measure(ends) - self.angle) / np.pi
         return np.where(np.isnan(error), _way_to_go(ends), np.minimum(0.5, error))
@@ -337,7 +335,7 @@ class Turn(Purpose):
         return EnvGoal("orient", "angle", self.angle, success)
 
 
-def _way_to_go(ends: Ends) -> Numbers:
+def _way_to_go(ends: Ends) -> Array:
     """Return half plus half the share of the zone left to a parcel at rest; 1 for all others."""
     first, last = ends.line.zone_x
     to_go = (last - ends.pose[:, 0]) / (last - first)
@@ -468,7 +466,7 @@ class Case:
     def run(
         self,
         line: DesignLine,
-        axes: Numbers,
+        axes: Array,
         runs: Runs,
         drawn: "Draws | None" = None,
         workers: Workers = 1,
@@ -494,12 +492,12 @@ class Draws:
     """Draws of the unknown quantities: the same wherever a case is evaluated."""
 
     parcels: tuple[Parcel, ...]  # (draws,)
-    stiffness: Numbers | None  # (draws, rows, columns) [-]; None: all elements alike
-    friction: Numbers  # (draws, 3) [-] factors of mu_max, mu_min and mu_support
-    lateral: Numbers  # (draws,) [m] offset of the start in y
-    heading: Numbers  # (draws,) [rad] of the start
-    speed: Numbers  # (draws,) [m/s] added to the entry speed
-    tilt: Numbers  # (draws,) [rad] added to the tilt
+    stiffness: Array | None  # (draws, rows, columns) [-]; None: all elements alike
+    friction: Array  # (draws, 3) [-] factors of mu_max, mu_min and mu_support
+    lateral: Array  # (draws,) [m] offset of the start in y
+    heading: Array  # (draws,) [rad] of the start
+    speed: Array  # (draws,) [m/s] added to the entry speed
+    tilt: Array  # (draws,) [rad] added to the tilt
 
     def __len__(self) -> int:
         return len(self.parcels)

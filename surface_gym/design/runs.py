@@ -13,7 +13,7 @@ from queue import SimpleQueue
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from surface_gym import checks
 from surface_gym.layouts import ROLLING, lead_in_under, rows_under
@@ -31,16 +31,7 @@ from surface_gym.physics.step import (
     map_floats,
     step_implicit,
 )
-from surface_gym.physics.types import (
-    Array,
-    Bodies,
-    Booleans,
-    Grid,
-    Places,
-    Scratch,
-    check_capacity,
-    make_scratch,
-)
+from surface_gym.physics.types import Array, Bodies, Booleans, Grid, Integers, Places, Scratch
 from surface_gym.simulation import base_motion, make_bodies
 from surface_gym.state import (
     ACROSS_FACTOR,
@@ -58,7 +49,7 @@ RUN_OUT = 1.0  # [m] of rolling columns behind the zone, beyond the base's lengt
 class DesignLine(Pitched):
     """A line of rotors amid supports: a lead-in, a zone with task axes, and a run-out.
 
-    Lead-in and run-out roll along x. The supports on either side bear a parcel that has left the
+    Lead-in and run-out roll along x. The supports on either side carry a parcel that has left the
     line. The first column and the first row lie half a pitch from 0.
 
     Raises:
@@ -114,19 +105,19 @@ class DesignLine(Pitched):
         )
 
     @cached_property
-    def rotor(self) -> NDArray[np.bool_]:
+    def rotor(self) -> Booleans:
         """Mask (rows, columns) of the rotors; all other elements are supports."""
         rotor = np.zeros(self.shape, dtype=np.bool_)
         rotor[self.beside : self.beside + self.rows] = True
         return rotor
 
-    def axes(self, zone_axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    def axes(self, zone_axis: Array) -> Array:
         """Return the surface's axes (..., rows, columns) [rad] for zone axes of that form."""
         axis = np.full((*zone_axis.shape[:-2], *self.shape), ROLLING)
         axis[(..., *self.zone)] = zone_axis
         return axis
 
-    def surface(self, zone_axis: NDArray[np.float64], tilt: float = 0.0) -> Surface:
+    def surface(self, zone_axis: Array, tilt: float = 0.0) -> Surface:
         """Build the surface for `simulate` from zone axes (rows, columns) [rad].
 
         Raises:
@@ -189,8 +180,6 @@ def line_for(
     )
 
 
-Numbers = NDArray[np.float64]
-Integers = NDArray[np.int64]
 OnProgress = Callable[[int, int], None]  # called with the work done and the total
 
 STEP = 0.005  # [s] default time step of a run
@@ -206,8 +195,8 @@ LEAST_BUNDLE = 500  # below which runs are not distributed
 # Reasons for the end of a run, and their descriptions.
 OUT, PAST, AT_REST, OFF, OUT_OF_TIME = range(5)
 ENDS = (
-    "out of the line",  # no rotor bears the parcel
-    "past the zone",  # every rotor that bears it lies behind the zone
+    "out of the line",  # no rotor under the parcel
+    "past the zone",  # every rotor under it lies behind the zone
     "at rest",
     "off the surface",
     "out of time",
@@ -222,14 +211,14 @@ REASON, TOUCHED, DONE, TIPPED = range(4)
 class Runs:
     """Requested runs, a row each; built by `make_runs`."""
 
-    speed: Numbers  # (runs,) [m/s] along x at the start
-    tilt: Numbers  # (runs,) [rad]
+    speed: Array  # (runs,) [m/s] along x at the start
+    tilt: Array  # (runs,) [rad]
     layout: Integers  # (runs,) index of the layout
     stiffness: Integers  # (runs,) index of the stiffness map
     parcel: Integers  # (runs,) index of the parcel
-    friction: Numbers  # (runs, 3) [-] factors of mu_max, mu_min and mu_support
-    lateral: Numbers  # (runs,) [m] offset of the start in y
-    heading: Numbers  # (runs,) [rad] of the start
+    friction: Array  # (runs, 3) [-] factors of mu_max, mu_min and mu_support
+    lateral: Array  # (runs,) [m] offset of the start in y
+    heading: Array  # (runs,) [rad] of the start
     columns: Integers  # (runs,) of the zone, behind which a run ends; -1: the zone has no end
 
     def __len__(self) -> int:
@@ -279,11 +268,11 @@ class Ends:
     line: DesignLine
     runs: Runs  # that were requested
     reason: Integers  # (runs,) index into `ENDS`
-    touched: Integers  # (runs,) columns from the first of the zone to the last that bore the parcel
-    time: Numbers  # (runs,) [s] until the end
-    pose: Numbers  # (runs, 3) [m, m, rad] of the base's frame at the end
-    velocity: Numbers  # (runs, 3) [m/s, m/s, rad/s]
-    tipping: Numbers  # (runs,) [-] share of the steps in which a real parcel would tip
+    touched: Integers  # (runs,) columns from the first of the zone to the last under the parcel
+    time: Array  # (runs,) [s] until the end
+    pose: Array  # (runs, 3) [m, m, rad] of the base's frame at the end
+    velocity: Array  # (runs, 3) [m/s, m/s, rad/s]
+    tipping: Array  # (runs,) [-] share of the steps in which a real parcel would tip
     steps: Integers  # (runs,) that were taken
 
     def describe(self, run: int) -> str:
@@ -303,10 +292,10 @@ def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnPro
 
 def run_all(
     line: DesignLine,
-    layouts: Numbers,
+    layouts: Array,
     parcels: Sequence[Parcel],
     runs: Runs,
-    stiffness: Numbers | None = None,
+    stiffness: Array | None = None,
     dt: float = STEP,
     workers: Workers = 1,
     on_progress: OnProgress = lambda *_: None,
@@ -317,14 +306,14 @@ def run_all(
         line: the line.
         layouts: (layouts, rows, columns) [rad] axes of the zone.
         parcels: the parcels that the runs refer to.
-        runs: the parcel, the layout and the conditions of each run.
+        runs: the parcel, the layout and the start of each run.
         stiffness: (maps, rows, columns) [-] of the whole surface's elements; None: all alike.
         dt: [s] time step.
         workers: threads that share the runs, or a cluster.
         on_progress: called with the runs done and their total.
     """
     for parcel in parcels:
-        check_capacity(
+        ph.check_capacity(
             len(parcel.body.edges), parcel.body.radius, (line.pitch_x, line.pitch_y),
             line.shape[::-1],
         )  # fmt: skip
@@ -373,14 +362,14 @@ class RunArrays(NamedTuple):
 
     # (runs, 5) indices of layout, stiffness and parcel; first column behind the zone; most steps
     number: Integers
-    condition: Array  # (runs, 5) as `Surfaces.conditions`
+    conditions: Array  # (runs, 5) as `SurfaceState.conditions`
     state: Array  # (runs, STATE_SIZE) at the start, and in its place at the end
-    # (runs, 4) reason of the end; last column with a rotor that bore it; steps taken, steps tipping
+    # (runs, 4) reason of the end; last column with a rotor under it; steps taken, steps tipping
     end: Integers
 
 
 @inlined
-def _make_grid(surfaces: SurfaceSet, number: Integers, condition: Array) -> Grid:
+def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Grid:
     """Return the surface of a run."""
     return Grid(
         surfaces.axis[number[LAYOUT]],
@@ -392,11 +381,11 @@ def _make_grid(surfaces: SurfaceSet, number: Integers, condition: Array) -> Grid
         surfaces.y0,
         surfaces.pitch_x,
         surfaces.pitch_y,
-        condition[ALONG_FACTOR],
-        condition[ACROSS_FACTOR],
-        condition[SUPPORT_FACTOR],
-        condition[GRAVITY_ALONG],
-        condition[GRAVITY_NORMAL],
+        conditions[ALONG_FACTOR],
+        conditions[ACROSS_FACTOR],
+        conditions[SUPPORT_FACTOR],
+        conditions[GRAVITY_ALONG],
+        conditions[GRAVITY_NORMAL],
     )
 
 
@@ -437,7 +426,7 @@ def _run_range(
     for run in range(first, last):
         number = runs.number[run]
         state = runs.state[run]
-        grid = _make_grid(surfaces, number, runs.condition[run])
+        grid = _make_grid(surfaces, number, runs.conditions[run])
         body = read_body(bodies, number[PARCEL])
         radius = bodies.body[number[PARCEL], ph.RADIUS]
         invalidate_contacts(scratch)
@@ -474,7 +463,7 @@ def _run_range(
         runs.end[run, TIPPED] = tipped
 
 
-def _make_surfaces(line: DesignLine, layouts: Numbers, stiffness: Numbers | None) -> SurfaceSet:
+def _make_surfaces(line: DesignLine, layouts: Array, stiffness: Array | None) -> SurfaceSet:
     axes = line.axes(np.asarray(layouts, dtype=np.float64))
     angles, places = np.unique(axes, return_inverse=True)
     mu = np.array((line.mu_max, line.mu_min, line.mu_support))
@@ -508,7 +497,7 @@ def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: fl
     velocity[:, 0] = runs.speed
     return RunArrays(
         number=number,
-        condition=np.column_stack([runs.friction, *gravity]),
+        conditions=np.column_stack([runs.friction, *gravity]),
         state=com_states(centres, starts, velocity),
         end=np.zeros((count, 4), dtype=np.int64),
     )
@@ -523,7 +512,7 @@ def _run_in_threads(
     chunk = max(1, min(CHUNK, MOST_STEPS // int(runs.number[:, STEPS].max(initial=1))))
     spare: SimpleQueue[Scratch] = SimpleQueue()
     for _ in range(threads):
-        spare.put(make_scratch())
+        spare.put(ph.make_scratch())
 
     def work(first: int) -> int:
         scratch = spare.get()
@@ -563,7 +552,7 @@ def _run_on_nodes(
 
 def _run_bundle(
     surfaces: SurfaceSet, bodies: Bodies, runs: RunArrays, dt: float
-) -> tuple[Numbers, Integers]:
+) -> tuple[Array, Integers]:
     """Simulate runs on a node, and return their states and ends."""
-    _run_range(surfaces, bodies, runs, make_scratch(), dt, 0, len(runs.state))
+    _run_range(surfaces, bodies, runs, ph.make_scratch(), dt, 0, len(runs.state))
     return runs.state, runs.end

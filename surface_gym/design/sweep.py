@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.design import report
@@ -34,9 +33,7 @@ from surface_gym.design.runs import (
 )
 from surface_gym.parallel import Workers, check_workers
 from surface_gym.parcel import Parcel
-from surface_gym.physics.types import check_capacity
-
-Numbers = NDArray[np.float64]
+from surface_gym.physics.types import Array, Booleans, check_capacity
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +74,9 @@ class Arrangement:
 class SweepPoints:
     """Points of a sweep, a row each."""
 
-    speed: Numbers  # (points,) [m/s]
-    tilt: Numbers  # (points,) [rad]
-    friction: Numbers  # (points, 3) [-] factors of mu_max, mu_min and mu_support
+    speed: Array  # (points,) [m/s]
+    tilt: Array  # (points,) [rad]
+    friction: Array  # (points, 3) [-] factors of mu_max, mu_min and mu_support
 
     def __len__(self) -> int:
         return len(self.speed)
@@ -142,7 +139,7 @@ def success_shares(
     points: SweepPoints,
     workers: Workers = 1,
     on_progress: OnProgress = lambda *_: None,
-) -> Numbers:
+) -> Array:
     """Return the share (points,) of the draws that succeed, with the same draws at every point."""
     each_point = []
     for k in range(len(points)):
@@ -151,7 +148,7 @@ def success_shares(
     runs = join_runs(each_point)
     ends = arrangement.run(drawn, runs, workers, on_progress)
     done = arrangement.case.purpose.succeeds(ends)
-    share: Numbers = done.reshape(len(points), len(drawn)).mean(axis=1)
+    share: Array = done.reshape(len(points), len(drawn)).mean(axis=1)
     return share
 
 
@@ -318,18 +315,18 @@ def sensitivity(
 
     Args:
         case: the parcel, its entry and its purpose.
-        columns: of the zone; None: as `sweep.arrange` finds them.
+        columns: of the zone; None: the fewest that all but 5 % of the draws need.
         rows: of rotors; None: as many as lie under the parcel.
         workers: threads that share the runs, or a cluster.
         on_progress: called with the runs done and their total.
 
     Raises:
-        ValueError: see `sweep.arrange`.
+        ValueError: no number of columns is enough, or `columns` is below 1.
     """
     arrangement = arrange(case, columns, rows, workers)
     progress = split_progress(on_progress, [1] + [case.draws] * len(FIELDS))
 
-    def results(unknown: Unknown, part: OnProgress) -> tuple[Numbers, NDArray[np.bool_]]:
+    def results(unknown: Unknown, part: OnProgress) -> tuple[Array, Booleans]:
         """Return the purpose's measure (draws,) of each draw, and its success."""
         drawn = case.draw(arrangement.line, unknown)
         runs = drawn.runs(case.speed, case.tilt, arrangement.passed)
@@ -350,17 +347,15 @@ def sensitivity(
 
 SHOWN = 11  # sizes that a terminal shows
 
-Booleans = NDArray[np.bool_]
-
 
 @dataclass(frozen=True, eq=False)
 class SuccessMap(report.Answer):
     """Success over entry speeds and sizes."""
 
-    speeds: Numbers  # (speeds,) [m/s]
-    sizes: Numbers  # (sizes,) [-] lengths of the base over the case's
+    speeds: Array  # (speeds,) [m/s]
+    sizes: Array  # (sizes,) [-] lengths of the base over the case's
     nominal: Booleans  # (sizes, speeds) success with nothing unknown
-    share: Numbers  # (sizes, speeds) of the draws that succeed
+    share: Array  # (sizes, speeds) of the draws that succeed
     arrangement: Arrangement
 
     name = "map"
@@ -460,7 +455,7 @@ def success_map(
 
     Args:
         case: the parcel, its entry and its purpose.
-        columns: of the zone; None: as `sweep.arrange` finds them.
+        columns: of the zone; None: the fewest that all but 5 % of the draws need.
         speeds: [m/s] at entry; None: 40 from 0.1 to 3, or to half as much again as the case's.
         sizes: [-] factors on the base's lengths; None: 40 from 0.5 to 1.5.
         rows: of rotors; None: as many as lie under the case's parcel.
@@ -470,7 +465,7 @@ def success_map(
 
     Raises:
         ValueError: a speed that is not from 0 to 20, a size that is not positive or too large, a
-            checkpoint of another map or none at all, or see `sweep.arrange`.
+            checkpoint of another map or none at all, or no columns are enough.
     """
     wanted_speeds = np.linspace(0.1, max(3.0, 1.5 * case.speed), 40) if speeds is None else speeds
     wanted_sizes = np.linspace(0.5, 1.5, 40) if sizes is None else sizes

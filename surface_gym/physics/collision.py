@@ -1,7 +1,7 @@
 """Broad phase and contact points of the parcels on one surface."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,9 +41,7 @@ class WorldScratch(NamedTuple):
     before: Array  # (P, STATE_SIZE) states at the start
     floor: Integers  # (P,) contacts of each parcel with elements
     nothing: Integers  # (P,) zeros: no contacts with elements while sides hit each other
-    reach: (
-        Array  # (P,) [m] from a centre of mass at the start to the farthest point its base reaches
-    )
+    reach: Array  # (P,) [m] from a centre of mass at the start to its base's farthest point
     near: Integers  # (most pairs, 2) rows of parcels whose bases may touch
     when: Array  # (most pairs,) [s] from which on they touch; infinite: they do not
     push: Array  # (most pairs,) [N s] impulse along the normal
@@ -67,44 +65,23 @@ class WorldScratch(NamedTuple):
 
 def make_world_scratch(parcels: int) -> WorldScratch:
     """Make scratch for a number of parcels, with no contacts in it."""
-    pairs = parcels * (parcels - 1) // 2
-    marks = np.zeros((parcels, ph.MARKS_SIZE), dtype=np.int64)
-    marks[:, ph.SPANS] = -1
-
-    def integers(*shape: int) -> Integers:
-        return np.zeros(shape, dtype=np.int64)
-
-    return WorldScratch(
-        tables=np.zeros((parcels, ph.TABLE_SIZE)),
-        marks=marks,
-        report=integers(parcels),
-        rotors=integers(parcels),
-        pair=integers(pairs, 2),
-        impulse=np.zeros(pairs),
-        before=np.zeros((parcels, ph.STATE_SIZE)),
-        floor=integers(parcels),
-        nothing=integers(parcels),
-        reach=np.zeros(parcels),
-        near=integers(pairs, 2),
-        when=np.zeros(pairs),
-        push=np.zeros(pairs),
-        since=np.zeros(parcels),
-        root=integers(parcels),
-        member=integers(parcels),
-        slot=integers(parcels),
-        low=integers(parcels),
-        contact=integers(2 * pairs),
-        ends=integers(2 * pairs, 3),
-        point=np.zeros((2 * pairs, ph.POINT_SIZE)),
-        met=np.zeros((parcels, 3)),
-        start=np.zeros((parcels, 3)),
-        velocity=np.zeros((parcels, 3)),
-        target=np.zeros((parcels, 3)),
-        trial=np.zeros((parcels, 3)),
-        gradient=np.zeros((parcels, 3)),
-        direction=np.zeros((parcels, 3)),
-        matrix=np.zeros((3 * parcels, 3 * parcels)),
-    )
+    n, pairs, points = parcels, parcels * (parcels - 1) // 2, parcels * (parcels - 1)
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(WorldScratch._fields, (n,))
+    shapes |= dict.fromkeys(("met", "start", "velocity", "target"), (n, 3))
+    shapes |= dict.fromkeys(("trial", "gradient", "direction"), (n, 3))
+    shapes |= dict.fromkeys(("pair", "near"), (pairs, 2))
+    shapes |= dict.fromkeys(("impulse", "when", "push"), (pairs,))
+    shapes |= {"tables": (n, ph.TABLE_SIZE), "marks": (n, ph.MARKS_SIZE)}
+    shapes |= {"before": (n, ph.STATE_SIZE), "matrix": (3 * n, 3 * n)}
+    shapes |= {"contact": (points,), "ends": (points, 3), "point": (points, ph.POINT_SIZE)}
+    kinds = WorldScratch.__annotations__
+    arrays: dict[str, Any] = {
+        name: np.zeros(shape, np.int64 if kinds[name] is Integers else np.float64)
+        for name, shape in shapes.items()
+    }
+    scratch = WorldScratch(**arrays)
+    scratch.marks[:, ph.SPANS] = -1
+    return scratch
 
 
 @inlined

@@ -225,12 +225,8 @@ def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool,
     """Move a parcel that is pushed: alone until it touches, then with its new velocity.
 
     Args:
-        grid: the surface.
-        world: of the parcel.
         scratch: with its velocity at the touch, impulses added.
-        k: its row.
         hit: whether velocities change at the touch, rather than over the step.
-        dt: [s] step.
     """
     state, start, met = world.state[k], scratch.start[k], scratch.met[k]
     motion = sd.sweep_between(scratch.before[k], state)
@@ -267,15 +263,8 @@ def step_world(
 
     A parcel whose report is OFF_SURFACE or UNSUPPORTED keeps its state and touches none.
 
-    Args:
-        grid: the surface that all are on.
-        world: whose states are moved on.
-        material: how sides behave.
-        scratch: for as many parcels as the world has rows.
-        dt: [s] step.
-
     Returns:
-        How many pairs pushed each other: the first entries of `scratch.pair` and `impulse`.
+        Number of pairs that pushed each other: the first entries of `scratch.pair` and `impulse`.
     """
     for k in range(world.present.shape[0]):
         if world.present[k]:

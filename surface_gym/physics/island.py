@@ -373,12 +373,8 @@ def solve_velocities(island: Island, friction: float) -> int:
     hundred is left off the limit of friction, by up to 1e-4 m/s. Whatever the rounds, the
     velocities are those that the impulses make.
 
-    Args:
-        island: with velocities to begin from, targets and points.
-        friction: [-] between sides.
-
     Returns:
-        The rounds that it took.
+        Number of rounds.
     """
     set_contact_stiffness(island)
     for n in range(island.members):

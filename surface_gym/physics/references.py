@@ -121,8 +121,6 @@ def support_load_by(
 
     Args:
         solver: a key of `SOLVERS`.
-        grid: the surface.
-        body: the parcel.
         state: (STATE_SIZE,) at the start of the step.
         scratch: that holds the contacts.
         count: of the contacts, at least one.

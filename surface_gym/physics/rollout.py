@@ -76,15 +76,8 @@ def run_world(
     """Do the steps from `first` to `last`; a parcel that leaves the surface is present no more.
 
     Args:
-        grid: the surface that all are on.
-        world: that takes the steps.
-        material: how sides behave.
-        scratch: for as many parcels.
         records: to be written from `first` on.
-        first: step.
-        last: step.
         touches: contacts of parcels in the records already.
-        dt: [s] step.
 
     Returns:
         The next step to be done, at most `last` where the records may have no room for its
@@ -213,11 +206,7 @@ def repeat_explicit(
     """Do the explicit steps with normal forces given, and record the friction at their starts.
 
     Args:
-        grid: the surface.
-        level: the same without the pull of gravity along it, so that friction alone is left.
-        body: the parcel.
-        steps: to do.
-        scratch: of the steps.
+        level: the grid without the pull of gravity along it, so that friction alone is left.
         observed: normal forces in, all else out.
     """
     for k in range(1, steps.before.shape[0]):

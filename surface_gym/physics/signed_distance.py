@@ -179,14 +179,7 @@ def _polygon_to_disc(
 def signed_distance(
     first: Outline, pose: Transform, second: Outline, other_pose: Transform
 ) -> SignedDistance:
-    """Return the signed distance from one base to another.
-
-    Args:
-        first: a base.
-        pose: of it.
-        second: another.
-        other_pose: of that.
-    """
+    """Return the signed distance from one base to another, at their poses."""
     if first.disc > 0.0 and second.disc > 0.0:
         nx = other_pose.x - pose.x
         ny = other_pose.y - pose.y
@@ -221,10 +214,7 @@ class Manifold(NamedTuple):
 @inlined
 def _corner(outline: Outline, pose: Transform, k: int) -> tuple[float, float]:
     x, y = outline.corners[k, 0], outline.corners[k, 1]
-    return (
-        pose.x + pose.cosine * x - pose.sine * y,
-        pose.y + pose.sine * x + pose.cosine * y,
-    )
+    return (pose.x + pose.cosine * x - pose.sine * y, pose.y + pose.sine * x + pose.cosine * y)
 
 
 @inlined
@@ -297,12 +287,7 @@ def find_manifold(
 ) -> Manifold:
     """Find the contact manifold of two bases: two points where edge meets edge, else one.
 
-    Args:
-        first: a base.
-        pose: of it.
-        second: another.
-        other_pose: of that.
-        gap: between them, as `signed_distance` gives it.
+    The gap is their `signed_distance`.
     """
     corners = first.corners.shape[0]
     if gap.edge >= corners:
@@ -342,13 +327,6 @@ def time_of_impact(
 
     Conservative advancement: the bases close no faster than their centres of mass do along the
     normal, plus their farthest corners by turning, so they may advance for the gap over that speed.
-
-    Args:
-        first: a base.
-        sweep: of it.
-        second: another.
-        other_sweep: of that.
-        dt: [s] of the step.
     """
     turning = abs(sweep.omega) * _reach(first) + abs(other_sweep.omega) * _reach(second)
     time = 0.0

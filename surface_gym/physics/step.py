@@ -22,20 +22,20 @@ ROUND_OFF = 1e-15  # [-] of an angle: what float64 leaves of a multiple of 45 de
 def axis_direction(angle: float) -> tuple[float, float]:
     """Return cosine and sine of an axis angle [rad]; at multiples of 45 deg they are exact.
 
-    math.cos(pi / 2) is 6e-17: enough to tell a rotor that lies across the motion that it drags.
+    math.cos(pi / 2) is 6e-17, and a rotor across the motion would drag aside by its sign.
     """
     eighths = math.floor(angle / EIGHTH + 0.5)
     if abs(angle - eighths * EIGHTH) > ROUND_OFF * abs(angle):
         return math.cos(angle), math.sin(angle)
-    place = eighths % 8.0
+    octant = eighths % 8.0
     cosine = sine = HALF_ROOT
-    if place % 2.0 == 0.0:
-        cosine = (place == 0.0) * 1.0 - (place == 4.0) * 1.0
-        sine = (place == 2.0) * 1.0 - (place == 6.0) * 1.0
+    if octant % 2.0 == 0.0:
+        cosine = (octant == 0.0) * 1.0 - (octant == 4.0) * 1.0
+        sine = (octant == 2.0) * 1.0 - (octant == 6.0) * 1.0
         return cosine, sine
-    if 2.0 < place < 6.0:
+    if 2.0 < octant < 6.0:
         cosine = -cosine
-    if place > 4.0:
+    if octant > 4.0:
         sine = -sine
     return cosine, sine
 

@@ -10,22 +10,10 @@ from itertools import pairwise
 
 import numpy as np
 import pygame
-from numpy.typing import NDArray
 
+from surface_gym.physics.types import Array
 from surface_gym.rendering import ink
-from surface_gym.rendering.ink import (
-    FAINT_INK,
-    GOAL,
-    INK,
-    PAPER,
-    PARCEL,
-    PLATE,
-    SENSED,
-    Colour,
-    exit_colour,
-    mixed,
-    text_on,
-)
+from surface_gym.rendering.ink import Colour
 from surface_gym.rendering.scene import (
     ExitMark,
     ExitSide,
@@ -38,8 +26,6 @@ from surface_gym.rendering.scene import (
     SceneParcel,
     StopLine,
 )
-
-Array = NDArray[np.float64]
 
 _FINE_STEP, _COARSE_STEP = 3.0, 7.0  # [px] between the points of a trail: faded, coloured
 _TRAIL_PIECE = 8  # points of one opacity
@@ -74,16 +60,16 @@ def draw_trail(canvas: pygame.Surface, layout: Layout, parcel: SceneParcel) -> N
         for first in range(0, len(points) - 1, _TRAIL_PIECE):
             piece = points[first : first + _TRAIL_PIECE + 1]
             age = 1.0 - first / len(points)
-            ink.line(canvas, piece, 2.2 * layout.stroke, PAPER, 0.6)
-            ink.line(canvas, piece, layout.stroke, INK, 1.0 - 0.6 * age)
+            ink.line(canvas, piece, 2.2 * layout.stroke, ink.PAPER, 0.6)
+            ink.line(canvas, piece, layout.stroke, ink.INK, 1.0 - 0.6 * age)
         return
     points = ink.thinned(layout.pixels(parcel.trail), _COARSE_STEP)
-    colour = exit_colour(parcel.exit)
+    colour = ink.exit_colour(parcel.exit)
     wide = max(2, round(0.25 * layout.cell))
     ends = np.linspace(0, len(points) - 1, wide + 1).astype(np.int64).tolist()
     for width, (first, last) in enumerate(pairwise(ends), start=1):
         piece = points[first : last + 1]
-        ink.stroke(canvas, piece, width + 2, mixed(colour, INK, 0.75))
+        ink.stroke(canvas, piece, width + 2, ink.mixed(colour, ink.INK, 0.75))
         ink.stroke(canvas, piece, width, colour)
 
 
@@ -91,17 +77,17 @@ def draw_parcel(canvas: pygame.Surface, layout: Layout, scene: Scene, parcel: Sc
     """Draw the base: translucent with an arrow, or in its exit's colour with front and label."""
     corners = layout.pixels(placed(parcel.outline, parcel.pose))
     if parcel.exit is None:
-        ink.polygon(canvas, corners, PARCEL, 0.45)
-        ink.outline(canvas, corners, layout.stroke, INK)
-        draw_heading(canvas, layout, parcel.outline, parcel.pose, INK)
+        ink.polygon(canvas, corners, ink.PARCEL, 0.45)
+        ink.outline(canvas, corners, layout.stroke, ink.INK)
+        draw_heading(canvas, layout, parcel.outline, parcel.pose, ink.INK)
         return
-    colour = exit_colour(parcel.exit)
+    colour = ink.exit_colour(parcel.exit)
     rim = max(1, round(0.22 * layout.cell))
     inside = ink.inset(corners, 0.5 * rim + 0.5)
     ink.wash(canvas, inside, colour, _OPACITY)
     ink.border(canvas, inside, rim + 1, colour)
-    ink.border(canvas, corners, max(1, round(0.13 * layout.cell)), INK)
-    _draw_front(canvas, layout, parcel, text_on(colour))
+    ink.border(canvas, corners, max(1, round(0.13 * layout.cell)), ink.INK)
+    _draw_front(canvas, layout, parcel, ink.text_on(colour))
     _draw_label(canvas, layout, parcel, parcel.label or scene.exits[parcel.exit].name, colour)
 
 
@@ -113,7 +99,7 @@ def draw_heading(
     nose = centre + np.array([0.72 * (outline[:, 0].max() - centre[0]), 0.0])
     tail, tip = layout.pixels(placed(np.array([centre, nose]), pose))
     halo = np.array([tail, tail + 0.9 * (tip - tail)])
-    ink.line(canvas, halo, 3.0 * layout.stroke, PAPER, 0.6)
+    ink.line(canvas, halo, 3.0 * layout.stroke, ink.PAPER, 0.6)
     ink.arrow(canvas, tail, tip, 1.3 * layout.stroke, colour)
     ink.disc(canvas, tail, 1.7 * layout.stroke, colour)
 
@@ -123,7 +109,7 @@ def draw_sensed(canvas: pygame.Surface, layout: Layout, parcel: SceneParcel) -> 
     if parcel.sensed_pose is not None:
         corners = layout.pixels(placed(parcel.outline, parcel.sensed_pose))
         width = max(1, round(0.1 * layout.cell))
-        ink.dashed_border(canvas, corners, width, SENSED, max(6.0, 0.6 * layout.cell))
+        ink.dashed_border(canvas, corners, width, ink.SENSED, max(6.0, 0.6 * layout.cell))
 
 
 def draw_touch(
@@ -179,10 +165,10 @@ def _draw_label(
 def _flash(radius: int) -> pygame.Surface:
     """Paint a star of a radius [px]."""
     picture = pygame.Surface((2 * radius + 2, 2 * radius + 2), pygame.SRCALPHA)
-    picture.fill((*PAPER, 0))
+    picture.fill((*ink.PAPER, 0))
     angles = np.pi * np.arange(2 * _SPIKES) / _SPIKES
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    for share, colour in ((1.0, PAPER), (0.8, GOAL), (0.4, PAPER)):
+    for share, colour in ((1.0, ink.PAPER), (0.8, ink.GOAL), (0.4, ink.PAPER)):
         reach = share * radius * np.where(np.arange(2 * _SPIKES) % 2, 0.5, 1.0)
         ink.polygon(picture, radius + 1.0 + reach[:, np.newaxis] * rays, colour)
     return picture
@@ -216,9 +202,9 @@ class ModuleSprites:
         return self._sprites[key]
 
     def _painted(self, angle: float, pale: bool) -> pygame.Surface:
-        colour, bar = ink.axis_colour(angle), PAPER
+        colour, bar = ink.axis_colour(angle), ink.PAPER
         if pale:
-            colour, bar = mixed(colour, PLATE, _PALE), mixed(bar, PLATE, _PALE)
+            colour, bar = ink.mixed(colour, ink.PLATE, _PALE), ink.mixed(bar, ink.PLATE, _PALE)
         picture = pygame.Surface((self.cell, self.cell), pygame.SRCALPHA)
         picture.fill((*colour, 0))
         half = 0.5 * self.cell
@@ -232,7 +218,7 @@ class ModuleSprites:
 def paint_ground(layout: Layout, scene: Scene) -> pygame.Surface:
     """Paint all that never changes: supports, zone, exits and the grounds of their labels."""
     sheet = pygame.Surface(layout.area.bottomright, depth=32)
-    sheet.fill(PAPER)
+    sheet.fill(ink.PAPER)
     sheet.set_clip(layout.plate)
     sheet.blit(_paint_plate(layout, scene), layout.surface)
     sheet.set_clip(None)
@@ -246,7 +232,7 @@ def paint_ground(layout: Layout, scene: Scene) -> pygame.Surface:
 def _paint_plate(layout: Layout, scene: Scene) -> pygame.Surface:
     """Paint the supports' plate and the zone, of the size of the whole surface."""
     plate = pygame.Surface(layout.surface.size, depth=32)
-    plate.fill(PLATE)
+    plate.fill(ink.PLATE)
     zone = None
     if scene.zone is not None:
         zone = layout.cells(*scene.zone).move(-layout.left, -layout.top)
@@ -286,12 +272,12 @@ def draw_goal(canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
         _draw_gate(canvas, layout, scene, 0)
     elif isinstance(goal, StopLine):
         line = _stop_line(layout, scene, goal)
-        ink.dashes(canvas, line, layout.stroke, GOAL, 4.0 * layout.stroke)
+        ink.dashes(canvas, line, layout.stroke, ink.GOAL, 4.0 * layout.stroke)
     elif isinstance(goal, Path):
         points = ink.thinned(layout.pixels(goal.points), _PATH_STEP)
-        ink.line(canvas, points, 2.6 * layout.stroke, PAPER, 0.7)
-        ink.dashes(canvas, points, layout.stroke, GOAL, 7.0 * layout.stroke)
-        ink.disc(canvas, points[-1], 2.5 * layout.stroke, GOAL)
+        ink.line(canvas, points, 2.6 * layout.stroke, ink.PAPER, 0.7)
+        ink.dashes(canvas, points, layout.stroke, ink.GOAL, 7.0 * layout.stroke)
+        ink.disc(canvas, points[-1], 2.5 * layout.stroke, ink.GOAL)
 
 
 def label_goal(canvas: pygame.Surface, layout: Layout, scene: Scene, size: int) -> None:
@@ -301,12 +287,12 @@ def label_goal(canvas: pygame.Surface, layout: Layout, scene: Scene, size: int) 
         top = _stop_line(layout, scene, goal)[1]
         place = (round(top[0]), round(top[1]) - 5)
         text = f"stop at x = {goal.x:.2f} m"
-        ink.write_on_plate(canvas, text, size, GOAL, layout.surface, midbottom=place)
+        ink.write_on_plate(canvas, text, size, ink.GOAL, layout.surface, midbottom=place)
     elif isinstance(goal, ExitSpeed):
         band, _ = _gate(layout, scene, 0)
         text = f"leave at {goal.speed:.2f} m/s ({goal.ratio:.2f} of entry)"
         place = (band.right, band.top - 7)
-        ink.write_on_plate(canvas, text, size, GOAL, layout.surface, bottomright=place)
+        ink.write_on_plate(canvas, text, size, ink.GOAL, layout.surface, bottomright=place)
 
 
 def draw_asked_heading(
@@ -322,13 +308,13 @@ def draw_asked_heading(
     asked = (float(x), float(y), angle)
     corners = layout.pixels(placed(outline, asked))
     closed = np.vstack([corners, corners[:1]])
-    ink.dashes(canvas, closed, layout.stroke, GOAL, 4.0 * layout.stroke)
-    draw_heading(canvas, layout, outline, asked, GOAL)
+    ink.dashes(canvas, closed, layout.stroke, ink.GOAL, 4.0 * layout.stroke)
+    draw_heading(canvas, layout, outline, asked, ink.GOAL)
     turn = math.remainder(angle - pose[2], 2.0 * math.pi)
     radius = 0.4 * (outline[:, 0].max() - local[0])
     headings = pose[2] + np.linspace(0.0, turn, 24)
     arc = centre + radius * np.stack([np.cos(headings), np.sin(headings)], axis=-1)
-    ink.line(canvas, layout.pixels(arc), layout.stroke, GOAL)
+    ink.line(canvas, layout.pixels(arc), layout.stroke, ink.GOAL)
 
 
 def draw_counts(canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
@@ -371,12 +357,12 @@ def _draw_gate(canvas: pygame.Surface, layout: Layout, scene: Scene, side: int) 
         [getattr(band, corner) for corner in ends.get(side, ("topleft", "topright"))],
         dtype=np.float64,
     )
-    ink.hatching(canvas, band, 0.28 * layout.cell, 0.6 * layout.stroke, GOAL, 0.55)
-    ink.line(canvas, edge, layout.stroke, GOAL)
+    ink.hatching(canvas, band, 0.28 * layout.cell, 0.6 * layout.stroke, ink.GOAL, 0.55)
+    ink.line(canvas, edge, layout.stroke, ink.GOAL)
     reach = _ARROW * layout.cell * np.array(outward)
     surface = layout.surface
     tip = np.clip(edge.mean(axis=0) + reach, surface.topleft, surface.bottomright)
-    ink.arrow(canvas, tip - reach, tip, 2.0 * layout.stroke, GOAL)
+    ink.arrow(canvas, tip - reach, tip, 2.0 * layout.stroke, ink.GOAL)
 
 
 def _stop_line(layout: Layout, scene: Scene, goal: StopLine) -> Array:
@@ -416,7 +402,7 @@ def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: 
     """Fill an exit with a colour that grows outwards."""
     length = area.height if side else area.width
     for k in range(length):
-        shade = mixed(colour, PLATE, _PALEST + (_DARKEST - _PALEST) * (k + 0.5) / length)
+        shade = ink.mixed(colour, ink.PLATE, _PALEST + (_DARKEST - _PALEST) * (k + 0.5) / length)
         if side:
             y = area.bottom - 1 - k if side > 0 else area.top + k
             canvas.fill(shade, pygame.Rect(area.left, y, area.width, 1))
@@ -478,9 +464,9 @@ def _draw_queue(canvas: pygame.Surface, layout: Layout, waiting: int) -> None:
     for k in range(shown):
         box = pygame.Rect(0, 0, side, side)
         box.midtop = (x + k * step, rotors.bottom + cell // 2)
-        pygame.draw.rect(canvas, mixed(ink.PARCEL, PLATE, 0.3), box, border_radius=rounded)
-        pygame.draw.rect(canvas, INK, box, max(1, cell // 10), border_radius=rounded)
-    colour, room = INK if waiting else FAINT_INK, right - left
+        pygame.draw.rect(canvas, ink.mixed(ink.PARCEL, ink.PLATE, 0.3), box, border_radius=rounded)
+        pygame.draw.rect(canvas, ink.INK, box, max(1, cell // 10), border_radius=rounded)
+    colour, room = ink.INK if waiting else ink.FAINT_INK, right - left
     place = (middle, rotors.bottom + round(1.6 * cell))
     number = ink.write(canvas, str(waiting), round(1.5 * size), colour, room, midtop=place)
     if ink.text_width("waiting", size) <= room:

@@ -9,32 +9,9 @@ import pygame
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.rendering import ink
-from surface_gym.rendering.ink import (
-    FAINT_INK,
-    GOAL,
-    INK,
-    PAPER,
-    SENSED,
-    ZONE,
-    ZONE_EDGE,
-    Colour,
-    exit_colour,
-)
-from surface_gym.rendering.marks import (
-    ANGLES,
-    ModuleSprites,
-    draw_asked_heading,
-    draw_counts,
-    draw_goal,
-    draw_modules,
-    draw_parcel,
-    draw_sensed,
-    draw_touch,
-    draw_trail,
-    label_goal,
-    paint_ground,
-)
+from surface_gym.rendering import ink, marks
+from surface_gym.rendering.ink import Colour
+from surface_gym.rendering.marks import ModuleSprites
 from surface_gym.rendering.scene import Heading, Layout, Scene
 
 _LEGEND = (
@@ -69,7 +46,7 @@ class Strips:
 
     def write_head(self, canvas: pygame.Surface, area: pygame.Rect, scene: Scene) -> None:
         """Write title and readings above an area; with traffic also the parcels right and wrong."""
-        numbers = [(label, text, INK) for label, text in scene.readings]
+        numbers = [(label, text, ink.INK) for label, text in scene.readings]
         middle, title, slots = self.head // 2, scene.title, len(numbers)
         if scene.traffic is None:  # equal slots
             size, lift, room = self.middle, 1, area.width
@@ -83,13 +60,15 @@ class Strips:
         else:  # slots as wide as their texts
             size, lift = self.large, 3
             wrong = scene.traffic.missorted
-            numbers.append(("right", str(sum(scene.traffic.delivered)), INK))
-            numbers.append(("wrong", str(wrong), GOAL if wrong else INK))
+            numbers.append(("right", str(sum(scene.traffic.delivered)), ink.INK))
+            numbers.append(("wrong", str(wrong), ink.GOAL if wrong else ink.INK))
             room = min(ink.text_width(title, self.large), area.width // 3)
             starts, rooms = self._fitted_slots(area, numbers, room)
-        ink.write(canvas, title, self.large, INK, room, midleft=(area.left, middle))
+        ink.write(canvas, title, self.large, ink.INK, room, midleft=(area.left, middle))
         for (label, text, colour), x, width in zip(numbers, starts, rooms, strict=True):
-            ink.write(canvas, label, self.small, FAINT_INK, width, bottomleft=(x, middle - lift))
+            ink.write(
+                canvas, label, self.small, ink.FAINT_INK, width, bottomleft=(x, middle - lift)
+            )
             ink.write(canvas, text, size, colour, width, topleft=(x, middle + 2 - lift))
 
     def write_foot(self, canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
@@ -114,18 +93,18 @@ class Strips:
         """
         x = self._write_axes(canvas, area, any(scene.zone is not None for scene in scenes))
         if any(scene.goal is not None for scene in scenes):
-            x = self._write_stroke(canvas, area, "goal", GOAL, x)
+            x = self._write_stroke(canvas, area, "goal", ink.GOAL, x)
         if any(parcel.sensed_pose is not None for scene in scenes for parcel in scene.parcels):
-            x = self._write_stroke(canvas, area, "sensed", SENSED, x)
-        marks = max((scene.exits for scene in scenes), key=len)
+            x = self._write_stroke(canvas, area, "sensed", ink.SENSED, x)
+        exits = max((scene.exits for scene in scenes), key=len)
         gap, middle = self._gap, self._middle_below(area)
-        if marks:
+        if exits:
             after = (x + 3 * gap, middle)
-            x = ink.write(canvas, "exit", self.small, FAINT_INK, midleft=after).right + gap // 2
-        for index, mark in enumerate(marks):
+            x = ink.write(canvas, "exit", self.small, ink.FAINT_INK, midleft=after).right + gap // 2
+        for index, mark in enumerate(exits):
             if x + gap // 2 + ink.badge_width(mark.name, self.small) > end:
                 break
-            after, colour = (x + gap // 2, middle), exit_colour(index)
+            after, colour = (x + gap // 2, middle), ink.exit_colour(index)
             x = ink.draw_badge(canvas, mark.name, self.small, colour, midleft=after).right
 
     def _fitted_slots(
@@ -150,20 +129,20 @@ class Strips:
         """Write the meaning of the modules' colours and of a zone's; the x at its end."""
         middle, gap, icons = self._middle_below(area), self._gap, self._icons
         place = (area.left, middle)
-        x = ink.write(canvas, "rotor axis", self.small, FAINT_INK, midleft=place).right
+        x = ink.write(canvas, "rotor axis", self.small, ink.FAINT_INK, midleft=place).right
         for name, angle in _LEGEND:
-            icon = icons.sprite(round(math.degrees(angle)) % ANGLES, pale=False)
+            icon = icons.sprite(round(math.degrees(angle)) % marks.ANGLES, pale=False)
             drawn = icon.get_rect(midleft=(x + gap, middle))
             canvas.blit(icon, drawn)
             after = (drawn.right + gap // 2, middle)
-            x = ink.write(canvas, name, self.small, INK, midleft=after).right
+            x = ink.write(canvas, name, self.small, ink.INK, midleft=after).right
         if zone:
             swatch = pygame.Rect(0, 0, round(1.2 * icons.cell), round(0.7 * icons.cell))
             swatch.midleft = (x + 2 * gap, middle)
-            pygame.draw.rect(canvas, ZONE, swatch)
-            pygame.draw.rect(canvas, ZONE_EDGE, swatch, 1)
+            pygame.draw.rect(canvas, ink.ZONE, swatch)
+            pygame.draw.rect(canvas, ink.ZONE_EDGE, swatch, 1)
             after = (swatch.right + gap // 2, middle)
-            x = ink.write(canvas, "zone", self.small, INK, midleft=after).right
+            x = ink.write(canvas, "zone", self.small, ink.INK, midleft=after).right
         return x
 
     def _write_stroke(
@@ -174,7 +153,7 @@ class Strips:
         stroke = np.array([[x + 2 * gap, middle], [x + 4 * gap, middle]], dtype=np.float64)
         ink.dashes(canvas, stroke, 0.12 * self.small, colour, 0.5 * self.small)
         after = (x + 4 * gap + gap // 2, middle)
-        return ink.write(canvas, name, self.small, INK, midleft=after).right
+        return ink.write(canvas, name, self.small, ink.INK, midleft=after).right
 
     def _write_scale(self, canvas: pygame.Surface, area: pygame.Rect, layout: Layout) -> int:
         """Draw the scale bar; the x where it begins."""
@@ -182,19 +161,19 @@ class Strips:
         metres = next((length for length in _BARS if length <= third), _BARS[-1])
         width, middle, right = round(layout.length(metres)), self._middle_below(area), area.right
         bar = pygame.Rect(right - width, middle + self.small // 3, width, max(2, self.small // 6))
-        pygame.draw.rect(canvas, INK, bar)
+        pygame.draw.rect(canvas, ink.INK, bar)
         place = (bar.centerx, bar.top - 2)
-        text = ink.write(canvas, f"{metres:g} m", self.small, INK, midbottom=place)
+        text = ink.write(canvas, f"{metres:g} m", self.small, ink.INK, midbottom=place)
         return min(bar.left, text.left)
 
     def _write_tilt(self, canvas: pygame.Surface, tilt: float, midright: tuple[int, int]) -> int:
         """Write the tilt with an arrow that points downhill; the x where it begins."""
         text = f"downhill {abs(math.degrees(tilt)):.1f}°"
-        area = ink.write(canvas, text, self.small, INK, midright=midright)
+        area = ink.write(canvas, text, self.small, ink.INK, midright=midright)
         tip, begin = area.left - 8, area.left - 8 - 2 * self.small
         ends = np.array([[begin, area.centery], [tip, area.centery]], dtype=np.float64)
         tail, head = ends if tilt > 0.0 else ends[::-1]
-        ink.arrow(canvas, tail, head, 0.13 * self.small, INK)
+        ink.arrow(canvas, tail, head, 0.13 * self.small, ink.INK)
         return begin
 
     def _middle_below(self, area: pygame.Rect) -> int:
@@ -245,7 +224,7 @@ class Painter:
         strips.write_foot(canvas, layout, scene)
         canvas.set_clip(area.inflate(2 * strips.margin, 0))
         field.draw(canvas, scene)
-        label_goal(canvas, layout, scene, strips.small)
+        marks.label_goal(canvas, layout, scene, strips.small)
         return _pixels(canvas)
 
     def metres(self, pixel: tuple[float, float], scene: Scene) -> tuple[float, float]:
@@ -276,7 +255,7 @@ class Painter:
         if self._canvas is None or self._canvas.get_size() != size:
             self._canvas = pygame.Surface(size, depth=32)
         self._canvas.set_clip(None)
-        self._canvas.fill(PAPER)
+        self._canvas.fill(ink.PAPER)
         return self._canvas
 
 
@@ -309,7 +288,7 @@ class TilePainter:
         margin = self._strips.margin
         height = margin + plan.height + self._strips.foot
         canvas = pygame.Surface((self.width, height + height % 2), depth=32)
-        canvas.fill(PAPER)
+        canvas.fill(ink.PAPER)
         tiles = pygame.Rect((self.width - plan.width) // 2, margin, plan.width, plan.height)
         for field, scene in zip(self._fields, scenes, strict=True):
             area = field.layout.area
@@ -376,8 +355,8 @@ def with_caption(picture: Picture, text: str) -> Picture:
     height, size, margin = _CAPTION
     width = picture.shape[1]
     canvas = pygame.Surface((width, height))
-    canvas.fill(PAPER)
-    ink.write(canvas, text, size, INK, width - 2 * margin, midleft=(margin, height // 2 + 4))
+    canvas.fill(ink.PAPER)
+    ink.write(canvas, text, size, ink.INK, width - 2 * margin, midleft=(margin, height // 2 + 4))
     return np.concatenate([np.swapaxes(pygame.surfarray.array3d(canvas), 0, 1), picture])
 
 
@@ -395,27 +374,27 @@ class _Field:
         layout, clip = self.layout, canvas.get_clip()
         canvas.blit(self._painted_ground(scene), layout.area)
         canvas.set_clip(layout.plate.clip(clip))
-        draw_modules(canvas, layout, self._sprites, scene)
+        marks.draw_modules(canvas, layout, self._sprites, scene)
         canvas.set_clip(clip)
-        draw_counts(canvas, layout, scene)
+        marks.draw_counts(canvas, layout, scene)
         if scene.traffic is not None:
             canvas.set_clip(layout.passable.clip(clip))
-        draw_goal(canvas, layout, scene)
+        marks.draw_goal(canvas, layout, scene)
         for parcel in scene.parcels:
-            draw_trail(canvas, layout, parcel)
+            marks.draw_trail(canvas, layout, parcel)
         for parcel in scene.parcels:
-            draw_parcel(canvas, layout, scene, parcel)
-            draw_sensed(canvas, layout, parcel)
+            marks.draw_parcel(canvas, layout, scene, parcel)
+            marks.draw_sensed(canvas, layout, parcel)
             if isinstance(scene.goal, Heading):
-                draw_asked_heading(canvas, layout, scene.goal, parcel)
+                marks.draw_asked_heading(canvas, layout, scene.goal, parcel)
         for first, second in scene.touching:
-            draw_touch(canvas, layout, scene.parcels[first], scene.parcels[second])
+            marks.draw_touch(canvas, layout, scene.parcels[first], scene.parcels[second])
         canvas.set_clip(clip)
 
     def _painted_ground(self, scene: Scene) -> pygame.Surface:
         key = (scene.rotor.tobytes(), scene.zone, scene.exits)
         if self._ground is None or key != self._ground_key:
-            self._ground, self._ground_key = paint_ground(self.layout, scene), key
+            self._ground, self._ground_key = marks.paint_ground(self.layout, scene), key
         return self._ground
 
 

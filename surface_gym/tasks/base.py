@@ -118,7 +118,7 @@ class Task:
         return start._replace(pose=(x, y, theta))
 
     def benchmark(self) -> Benchmark:
-        """The starts that methods are compared on, and the columns of the task's table."""
+        """Describe the starts that methods are compared on, and the columns of the task's table."""
         return default_benchmark(self)
 
     def path_metrics(

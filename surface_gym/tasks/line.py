@@ -42,9 +42,6 @@ PARCEL_FEATURES = (
 def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
     """Return where [m] the zone of a parcel starts and ends; `zone` holds its columns, None: the
     line's.
-
-    Raises:
-        ValueError: the parcel does not fit the line.
     """
     _, _, first, columns = line.site(parcel.base, zone).zone
     start = line.column_edge(first)

@@ -208,11 +208,7 @@ _CLASSES = (Sine, LaneChange, Polyline, Spline)
 
 
 def path_option(value: Any) -> Path:
-    """Return the path an option asks for: one of this module's, or points (n, 2) [m] of a polyline.
-
-    Raises:
-        ValueError: it is neither.
-    """
+    """Return the path an option asks for: one of this module's, or points (n, 2) [m] of a polyline."""
     if isinstance(value, _CLASSES):
         return value
     try:

@@ -19,21 +19,19 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
 from surface_gym import checks
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.physics.references import advance_implicit, find_support, load_point
-from surface_gym.physics.types import ARM_X, ARM_Y, NORMAL, make_scratch, table_row
+from surface_gym.physics.types import ARM_X, ARM_Y, NORMAL, Array, make_scratch, table_row
 from surface_gym.simulation import Encounter, simulate, simulate_together, start_state
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import simulation
 from surface_gym.validation.comparison import IMPLICIT, PARCEL, PUSHED, Case
 from surface_gym.validation.simulation import RECIPE, SIDES, TOGETHER_RECIPE
-
-Array = NDArray[np.float64]
 
 CASES = (Case(10.0), PUSHED)
 
@@ -77,7 +75,7 @@ def end_pose(
     stiffness: float,
     dt: float = 1e-3,
 ) -> Array:
-    """Run the implicit model with the normal forces of uneven supports; its end pose.
+    """Run the implicit model with the normal forces of uneven supports to its end pose.
 
     Args:
         surface: the surface; its `stiffness` multiplies that of a contact.
@@ -193,7 +191,7 @@ def draw_surfaces(draws: int, seed: int) -> tuple[Draw, ...]:
 
 
 def run_draw(draw: Draw) -> Array:
-    """Run MuJoCo and the analytic model; their end poses (2, 3) [m, m, rad]."""
+    """Run MuJoCo and the analytic model to their end poses (2, 3) [m, m, rad]."""
     case, surface, heights = draw.case, draw.surface, draw.heights
     start = (case.pose, case.velocity, case.duration)
     mujoco = simulation.simulate(surface, PARCEL, *start, heights=heights).pose[-1]
@@ -219,7 +217,7 @@ def compare_draws(draws: Sequence[Draw], results: Sequence[Array]) -> tuple[Spre
 
 
 def root_mean_square(shifts: Array) -> tuple[float, float]:
-    """Root mean square distance [mm] and angle [deg] of shifts (draws, 3) [mm, mm, deg]."""
+    """Compute root mean square distance [mm] and angle [deg] of shifts (draws, 3) [mm, mm, deg]."""
     x, y, theta = np.mean(shifts**2, axis=0)
     return math.sqrt(x + y), math.sqrt(theta)
 
@@ -239,8 +237,9 @@ class Meeting:
 
     @cached_property
     def drawn(self) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
-        """Surface, parcels, poses (2, 3) and velocities (2, 3): the first ones drawn with which
-        the parcels touch, stay on the surface and do not tip.
+        """Surface, parcels, poses (2, 3) and velocities (2, 3).
+
+        They are the first drawn with which parcels touch, stay on the surface and do not tip.
         """
         rng = np.random.default_rng(self.seed)
         while True:
@@ -320,7 +319,7 @@ class MeetingRun:
 
 
 def run_meeting(meeting: Meeting) -> MeetingRun:
-    """Run a meeting by all of them."""
+    """Run a meeting in MuJoCo, twice, and by the analytic model."""
     mujoco = meeting.mujoco()
     reference = _ends(mujoco)
     analytic = [_ends(meeting.analytic(dt).trajectories) for dt in STEPS]
@@ -330,11 +329,11 @@ def run_meeting(meeting: Meeting) -> MeetingRun:
 
 
 def _ends(trajectories: tuple[Trajectory, ...]) -> Array:
-    """(2, 3) [m, m, rad]."""
+    """Return the end poses (2, 3) [m, m, rad]."""
     return np.array([trajectory.pose[-1] for trajectory in trajectories])
 
 
 def apart(differences: Array) -> tuple[float, float]:
-    """Distance [mm] and angle [deg] of the worse parcel, of differences (2, 3) [mm, mm, deg]."""
+    """Return distance [mm] and angle [deg] of the worse of two differences (2, 3) [mm, mm, deg]."""
     distance = np.hypot(differences[:, 0], differences[:, 1])
     return float(distance.max()), float(np.abs(differences[:, 2]).max())

@@ -8,12 +8,12 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from surface_gym import checks
 from surface_gym.parcel import Base, Disc, Parcel, Rectangle
 from surface_gym.physics.contacts import EDGE_TOLERANCE
-from surface_gym.physics.types import GRAVITY
+from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 
@@ -122,13 +122,13 @@ SIDES = Sides()
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A compiled MuJoCo model of parcels on a surface, and the meaning of its bodies.
+    """A compiled MuJoCo model of parcels on a surface, and its rotors' degrees of freedom.
 
     The parcels' free joints come first, so qpos[:7] and qvel[:6] are the first base frame's.
     """
 
     model: Any  # mujoco.MjModel
-    rotor_dof: NDArray[np.int64]  # (geoms,) degree of freedom of the rotor, -1 for others
+    rotor_dof: Integers  # (geoms,) degree of freedom of the rotor, -1 for others
 
 
 def load_mujoco() -> ModuleType:
@@ -335,11 +335,9 @@ def _add_element(
 
 
 def _constant_impedance(impedance: float) -> list[float]:
-    """MuJoCo's solimp of an impedance that does not depend on the penetration."""
+    """Return MuJoCo's solimp of an impedance that does not depend on the penetration."""
     return [impedance, impedance, 0.001, 0.5, 2.0]
 
-
-Array = NDArray[np.float64]
 
 TIPPING = 1e-3  # [rad] out of level; the contacts' springs give way by some 1e-5
 # The sides stop each other within 0.2 ms. Rotors without inertia, as the analytic model has none.
@@ -407,7 +405,7 @@ def simulate_together(
     poses: ArrayLike,
     velocities: ArrayLike,
     duration: float,
-    within: NDArray[np.bool_],
+    within: Booleans,
     recipe: Recipe = TOGETHER_RECIPE,
     sides: Sides = SIDES,
 ) -> tuple[Trajectory, ...]:
@@ -444,7 +442,7 @@ def simulate_together(
     return _run(scene, surface, parcels, start, motion, sags, duration, recipe)
 
 
-def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> NDArray[np.bool_]:
+def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> Booleans:
     """Find the elements under a base, (rows, columns): Section 3.2's F_lambda <= 0.
 
     Args:
@@ -461,7 +459,7 @@ def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> NDArray
 
 def reachable(
     surface: Surface, parcel: Parcel, pose: ArrayLike, velocity: ArrayLike, duration: float
-) -> NDArray[np.bool_]:
+) -> Booleans:
     """Find the elements, (rows, columns), that a parcel's energy can take it to, without friction.
 
     Args:
@@ -487,7 +485,7 @@ def reachable(
 
 
 def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
-    """[m] by which a level base sinks below the plane until the springs under it carry it.
+    """Return the depth [m] below the plane at which the springs under a level base carry it.
 
     Args:
         tops: (contacts,) [m] above the plane.
@@ -501,8 +499,8 @@ def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
     return float(alone.min())
 
 
-def normal_forces(data: Any) -> tuple[NDArray[np.int64], Array]:
-    """Geoms (contacts, 2) of the pairs that touch, and the normal forces [N] between them."""
+def normal_forces(data: Any) -> tuple[Integers, Array]:
+    """Return the geoms (contacts, 2) of the pairs that touch, and their normal forces [N]."""
     contact = data.contact
     row = contact.efc_address
     touching = row >= 0
@@ -561,7 +559,7 @@ def _run(
 def _make_trajectory(
     surface: Surface, parcel: Parcel, theta: float, time: Array, place: Array, speed: Array
 ) -> Trajectory:
-    """Motion in the plane, up to where the centre of mass leaves the surface.
+    """Make the trajectory in the plane, up to where the centre of mass leaves the surface.
 
     Args:
         surface: the surface.
@@ -583,7 +581,7 @@ def _make_trajectory(
     return Trajectory(time[done], pose[done], velocity[done], tipping[done], end)
 
 
-def _is_over(surface: Surface, parcel: Parcel, pose: Array) -> NDArray[np.bool_]:
+def _is_over(surface: Surface, parcel: Parcel, pose: Array) -> Booleans:
     """Check at poses (T, 3) whether the centre of mass is over the surface, (T,)."""
     com_x, com_y = parcel.centre_of_mass
     cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
