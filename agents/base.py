@@ -1,4 +1,4 @@
-"""What controllers share: their interface, axis orientations, and the symmetry of the line.
+"""Shared parts of controllers: their interface, axis orientations, and the symmetry of the line.
 
 The environment mirrors Sort's observation already, so that the goal lies at y > 0; the last of its
 features is the asked side. Here actions are mirrored back into the world.

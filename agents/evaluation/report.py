@@ -140,7 +140,7 @@ def write_trajectories(methods: Iterable[Method], file: Path) -> bool:
 
 
 def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
-    """Film methods of a task side by side, the first seed of each; the file and what it shows."""
+    """Film methods of a task side by side, the first seed of each; return file and caption."""
     task = methods[0].task
     benchmark = find_benchmark(task)
     players = []

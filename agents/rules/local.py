@@ -49,7 +49,7 @@ class Gains:
 
 @dataclass(frozen=True)
 class LocalTask:
-    """What local rules need of a task."""
+    """The part of a task that local rules need."""
 
     actions: str  # kind of action
     positions: Callable[[Any, Any], ModulePositions]

@@ -102,7 +102,7 @@ def best_trial(trials: list[FrozenTrial]) -> FrozenTrial | None:
     return max(complete, key=lambda trial: (trial.value, -trial.number), default=None)
 
 
-def state_of(trial: FrozenTrial) -> str:
+def describe_state(trial: FrozenTrial) -> str:
     """Return the state of a trial in words, with the reason if it was refused or has failed."""
     return str(trial.user_attrs.get(REASON, trial.state.name.lower()))
 
@@ -349,7 +349,7 @@ def importance(sweep: Sweep, study: optuna.Study) -> dict[str, float] | None:
 
 def summary(sweep: Sweep, trials: Sequence[FrozenTrial]) -> str:
     """Count the trials by state and name the best, in a sentence."""
-    counts = Counter(state_of(trial).partition(":")[0] for trial in trials)
+    counts = Counter(describe_state(trial).partition(":")[0] for trial in trials)
     states = ", ".join(f"{count} {state}" for state, count in sorted(counts.items()))
     best = best_trial(list(trials))
     if best is None:
@@ -411,7 +411,7 @@ def _trials(sweep: Sweep, trials: Sequence[FrozenTrial]) -> str:
     for trial in trials:
         value = trial.value if trial.state == TrialState.COMPLETE else None
         latest = trial.intermediate_values.get(max(trial.intermediate_values, default=0))
-        state = state_of(trial).replace("|", "/")
+        state = describe_state(trial).replace("|", "/")
         values = [_text(each) for each in plain_params(sweep, trial).values()]
         rows.append([str(trial.number), state, _text(value), _text(latest), *values])
     return markdown(

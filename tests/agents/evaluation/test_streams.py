@@ -204,7 +204,9 @@ class TestBounds:
     def test_the_bound_lies_below_the_ceiling(self) -> None:
         for case in (Case("S", 1.5), Case("S and B", 1.5)):
             assert (
-                0.5 * case.ceiling < streams.bound_of(BY_NAME[streams.EVENT], case) < case.ceiling
+                0.5 * case.ceiling
+                < streams.packing_bound(BY_NAME[streams.EVENT], case)
+                < case.ceiling
             )
 
     def test_every_stream_has_one(self, monkeypatch) -> None:
@@ -214,7 +216,7 @@ class TestBounds:
             seen.append((method, case))
             return 100.0
 
-        monkeypatch.setattr(streams, "bound_of", known)
+        monkeypatch.setattr(streams, "packing_bound", known)
         results = streams.StreamResults.of(RULES, stream_rows())
         assert [case for _, case in seen] == streams.cases()
         assert results.rate(streams.BOUND, streams.CURVE) == 100.0

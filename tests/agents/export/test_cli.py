@@ -8,7 +8,7 @@ import pytest
 
 from surface_gym.agents.export.check import find_compiler
 from surface_gym.agents.export.cli import ExportConfig, export, main, make_metadata, make_model
-from surface_gym.agents.export.page import UNKNOWN, make_page, need_of
+from surface_gym.agents.export.page import UNKNOWN, find_need, make_page
 from surface_gym.agents.export.policy import TRAINED_IN, Training, network_decision, of_run, shipped
 from surface_gym.agents.learning.config import RENAMED, PPOConfig
 from surface_gym.agents.learning.runs import write_config
@@ -101,8 +101,8 @@ def test_the_page_lists_every_feature_and_angle(name) -> None:
 def test_every_feature_of_the_package_says_what_it_needs(task) -> None:
     config = EnvConfig(task=task, actions="window", observe_axes=True)
     shown = (*config.features, *group_features(tuple(GROUPS)))
-    assert [each.name for each in shown if need_of(each) == UNKNOWN] == []
-    assert need_of(Feature("mood", 0.0, 1.0, "of the parcel")) == UNKNOWN
+    assert [each.name for each in shown if find_need(each) == UNKNOWN] == []
+    assert find_need(Feature("mood", 0.0, 1.0, "of the parcel")) == UNKNOWN
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path, capsys) -> None:

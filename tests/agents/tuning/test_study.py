@@ -60,7 +60,7 @@ class TestTrials:
 
     def test_refused_and_failed_trials_are_kept_with_their_reasons(self, tmp_path) -> None:
         trials = searched(RANDOM, tmp_path, refused_or_failed)
-        assert {study.state_of(each) for each in trials} == {
+        assert {study.describe_state(each) for each in trials} == {
             "refused: no",
             "failed: nan",
             "complete",
