@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def run_program(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a program in a process of its own."""
     return subprocess.run(
         [sys.executable, *arguments],
         cwd=folder,
@@ -29,7 +30,7 @@ def run_program(*arguments: str, folder: Path) -> subprocess.CompletedProcess[st
 
 
 def run_in_process(program: str, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """As `run_program`, but in this process, which has what is needed imported, and with one processor.
+    """Run a program in this process, which has its imports, with one processor.
 
     An error that is raised instead of reported is raised here too.
     """
