@@ -160,11 +160,7 @@ def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
 def write_stream_report(
     methods: Sequence[StreamMethod], rows: Sequence[StreamResult], folder: Path, console: Console
 ) -> list[Section]:
-    """Write flow.md, flow.csv, plots, a picture and a video into a folder, and show tables.
-
-    Returns:
-        The sections of the page.
-    """
+    """Write flow.md, flow.csv, plots, a picture and a video, and show tables; return sections."""
     results = StreamResults.of(methods, rows)
     tables = streams.stream_tables(results)
     for table in tables[:PRINTED]:
