@@ -180,7 +180,7 @@ def run_trial(
         return TrialResult(REFUSED, why=str(error))
     prune = Pruning(sweep, past, report)
     try:
-        values = [_train_and_judge(sweep, config, k, prune) for k in range(sweep.seeds)]
+        values = [_train_and_score(sweep, config, k, prune) for k in range(sweep.seeds)]
     except optuna.TrialPruned:
         return TrialResult(PRUNED)
     except (ValueError, ArithmeticError) as error:  # of weights that are not finite
@@ -211,8 +211,8 @@ class Pruning:
         return self._trial.should_prune()
 
 
-def _train_and_judge(sweep: Sweep, config: TrainConfig, place: int, prune: Pruning) -> float:
-    """Train with the seed at a place, and judge its policy."""
+def _train_and_score(sweep: Sweep, config: TrainConfig, place: int, prune: Pruning) -> float:
+    """Train with the seed at a place, and score its policy."""
     run, pruned = config_of_seed(config, sweep.seed + place), False
     spacing = sweep.steps / (sweep.evaluations + 1)
     left = list(range(1, sweep.evaluations + 1))
@@ -234,10 +234,10 @@ def _train_and_judge(sweep: Sweep, config: TrainConfig, place: int, prune: Pruni
             raise optuna.TrialPruned
         if result.interrupted:
             raise KeyboardInterrupt
-        return judge(run, sweep, folder)
+        return score_policy(run, sweep, folder)
 
 
-def judge(config: TrainConfig, sweep: Sweep, folder: Path) -> float:
+def score_policy(config: TrainConfig, sweep: Sweep, folder: Path) -> float:
     """Return the mean over the greedy policy's first episodes on fresh starts."""
     policy = load_policy(folder, find_task(config.task))
     # All trials are judged with the same share of cameras and the same friction.

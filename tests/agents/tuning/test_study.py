@@ -280,11 +280,11 @@ class TestJudgement:
         monkeypatch.setattr(study, "STARTS", 100)
         env_config = make_card(self.config).env_config()
         alone = run_episodes(load_policy(folder), env_config, [{}] * 100, study.JUDGE_SEED + 5)
-        judged = study.judge(self.config, self.sweep, folder)
+        judged = study.score_policy(self.config, self.sweep, folder)
         assert judged == alone.success.mean()
         assert 0.0 < judged < 1.0
         other = replace(self.config, camera_share=1.0, friction=0.9, num_envs=128, seed=9)
-        assert study.judge(other, self.sweep, folder) == judged
+        assert study.score_policy(other, self.sweep, folder) == judged
 
     def test_nothing_is_learned_or_compared_on_these_starts(self) -> None:
         with pytest.raises(ValueError, match="between 0 and 2"):
