@@ -22,6 +22,7 @@ from surface_gym.agents.learning.train import train
 from surface_gym.agents.policy import load_policy
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.agents.tuning import study
+from surface_gym.agents.tuning.study import TrialResult
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
 from surface_gym.parallel import Report
 from surface_gym.tasks.benchmark import DRAWN
@@ -79,12 +80,12 @@ class TestTrials:
 
 def refused_or_failed(
     sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
-) -> study.TrialResult:
+) -> TrialResult:
     """Two trials of three end otherwise."""
     if params["n_epochs"] % 3 == 0:
-        return study.TrialResult(study.REFUSED, why="no")
+        return TrialResult(study.REFUSED, why="no")
     if params["n_epochs"] % 3 == 1:
-        return study.TrialResult(study.FAILED, why="nan")
+        return TrialResult(study.FAILED, why="nan")
     return cheap_trial(sweep, params, past, report)
 
 
@@ -179,7 +180,7 @@ def look(url: str) -> list[FrozenTrial]:
 
 def stopping(
     at: int, sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
-) -> study.TrialResult:
+) -> TrialResult:
     if len(past) == at:
         raise KeyboardInterrupt
     return cheap_trial(sweep, params, past, report)
@@ -200,9 +201,7 @@ class TestTrial:
     def few_starts(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(study, "STARTS", 32)
 
-    def run(
-        self, sweep: Sweep = SWEEP, past: Any = (), **changed: Any
-    ) -> tuple[study.TrialResult, Any]:
+    def run(self, sweep: Sweep = SWEEP, past: Any = (), **changed: Any) -> tuple[TrialResult, Any]:
         reported: list[tuple[int, float]] = []
         return study.run_trial(sweep, {**PARAMS, **changed}, past, reported.append), reported
 
@@ -225,7 +224,7 @@ class TestTrial:
 
     def test_below_the_median_it_ends(self) -> None:
         result, reported = self.run(past=(trial({1: 100.0, 2: 100.0}),))
-        assert result == study.TrialResult(study.PRUNED)
+        assert result == TrialResult(study.PRUNED)
         assert [number for number, _ in reported] == [1]
 
     def test_a_configuration_that_is_not_allowed_is_refused(self) -> None:
