@@ -228,9 +228,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return (self._renderer.draw_all(),)
 
     def _infos(self, mask: Booleans) -> dict[str, Any]:
-        """Collect the infos of the environments in the mask: arrays and masks, as Gymnasium has
-        them.
-        """
+        """Collect the infos of the environments in the mask: arrays with their masks."""
         batch = self.batch
         terms = {name: batch.terms[:, k].copy() for k, name in enumerate(batch.task.terms)}
         infos: dict[str, Any] = {

@@ -169,9 +169,7 @@ class BaseBatch(ABC):
         """Collect the infos of all environments by name, each (num_envs, ...), partly views."""
 
     def metrics(self, ended: Booleans) -> Infos:
-        """Collect metrics of the episodes that have ended (num_envs,) by name; most tasks have
-        none.
-        """
+        """Collect metrics of the episodes that have ended (num_envs,), by name, if any."""
         del ended
         return {}
 
@@ -553,9 +551,7 @@ def map_normal_forces(
     scratch: Scratch,
     loads: Array,
 ) -> None:
-    """Write the normal force over the mass [m/s^2] on each element into `loads` (num_envs, rows,
-    columns); 0 where there is none.
-    """
+    """Write normal forces over mass [m/s^2] into `loads` (num_envs, rows, columns)."""
     table = scratch.table
     elements = params.elements
     for i in range(parcels.clock.shape[0]):

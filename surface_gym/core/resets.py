@@ -187,9 +187,7 @@ class BodyPlan:
         return HeldParcels(bodies.copy(), self._parcels[bodies], obeys, self._content[bodies])
 
     def put(self, chosen: Integers, held: HeldParcels) -> Integers:
-        """Give the chosen environments (count,) parcels that were copied, as many or one for all;
-        return their rows (count,).
-        """
+        """Give the chosen environments (count,) copied parcels; return their rows (count,)."""
         bodies = np.broadcast_to(held.body, len(chosen)).copy()
         for k in np.nonzero(bodies >= self._shared)[0].tolist():
             source = k if len(held) > 1 else 0
@@ -225,9 +223,7 @@ class BodyPlan:
 
 
 def with_body(bodies: BodyTable, body: int, placement: Placement) -> BodyTable:
-    """Return a body table with a placement in one of its rows, made wider where its edges need
-    room.
-    """
+    """Return a body table with a placement in one of its rows, wider if its edges need room."""
     wide = bodies.edges.shape[1]
     more = placement.sides - wide
     if more > 0:
@@ -263,9 +259,7 @@ class StartRows(NamedTuple):
 
 
 def draw_starts(config: EnvConfig, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
-    """Let a task draw starts from numbers (starts, draws) and the options of each, or raise an
-    error that names the task.
-    """
+    """Let a task draw starts from numbers (starts, draws) and the options of each."""
     task = config.task
     start = task.displaced_start(Draw(numbers, options, config.chosen_line, config.zone))
     if not isinstance(start, Start):
@@ -289,9 +283,7 @@ def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> 
 
 
 def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: int) -> Array:
-    """Return a start's numbers, or arrays (count,), of a name as (count, wanted), or raise an
-    error.
-    """
+    """Return a start's numbers of a name as (count, wanted), or raise an error."""
     expected = f"{type(task).__name__}.start must give a {name} of"
     if len(values) != wanted:
         raise ValueError(f"{expected} {wanted} numbers, got {len(values)}")
@@ -360,17 +352,13 @@ class ResetCache:
         self._laid = np.zeros(num_envs, dtype=np.bool_)  # whether an environment's are up to date
 
     def seed(self, i: int, generator: np.random.Generator) -> None:
-        """Draw an environment's numbers from a generator; a generator that it has already goes
-        on.
-        """
+        """Draw an environment's numbers from a generator; one that it has already goes on."""
         if self.generators[i] is not generator:
             self.generators[i] = generator
             self._used[i] = self._ahead
 
     def take(self, chosen: Integers) -> Array:
-        """Return the next numbers (count, draws) of the chosen environments (count,), which are
-        seeded.
-        """
+        """Return the next numbers (count, draws) of the chosen, seeded environments (count,)."""
         return self._numbers[chosen, self._next(chosen)]
 
     def taken(self, chosen: Integers) -> Array:

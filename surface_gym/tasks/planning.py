@@ -98,9 +98,7 @@ class LineObservation:
 
     @property
     def wholly_in_zone(self) -> NDArray[np.bool_]:
-        """(num_envs,) no module of the lead-in bears the parcel: the last one is centred half a
-        pitch before the zone.
-        """
+        """Return whether no module of the lead-in bears the parcel, (num_envs,)."""
         inside: NDArray[np.bool_] = self.into_zone - self.reach > -self.pitch[0] / 2.0
         return inside
 
