@@ -182,12 +182,7 @@ class BaseBatch(ABC):
         return self.generator(env_index) is not None
 
     def reset(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Begin an episode in the chosen environments (count,), which are seeded.
-
-        Args:
-            chosen: indices.
-            options: of each; empty: none has any.
-        """
+        """Begin an episode in the chosen environments (count,), which are seeded."""
         self.place_drawn(chosen, options)
         self.begin(chosen)
 
@@ -306,12 +301,7 @@ class BaseBatch(ABC):
         return angles
 
     def view(self, env_index: int, row: int = 0) -> EnvState:
-        """View a parcel as compiled functions see it, between two control periods.
-
-        Args:
-            env_index: the environment.
-            row: of a stream, the parcel's row of the table.
-        """
+        """View a parcel as compiled functions see it, between two control periods."""
         place = env_index * self.rows + row
         elements = self.params.elements
         seen: EnvState = st.env_state.py_func(

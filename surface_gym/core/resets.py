@@ -65,14 +65,7 @@ def place_parcel(
     zone: tuple[int, int] | None,
     stuck: tuple[tuple[int, int], ...] = (),
 ) -> Placement:
-    """Place a parcel on a line.
-
-    Args:
-        parcel: of any base.
-        line: where it runs.
-        zone: first and last column that obey; None for the line's own.
-        stuck: (row, column) of modules that do not obey.
-    """
+    """Place a parcel on a line."""
     placed = line.site(parcel.base, zone)
     first_row, rows, first_column, columns = placed.zone
     obeys = np.zeros_like(placed.rotor)
@@ -127,12 +120,6 @@ class HeldParcels(NamedTuple):
 class BodyPlan:
     """The body table of a batch. The task's own parcels have a row each; any other parcel takes
     the row of its environment.
-
-    Args:
-        parcels: that the task draws.
-        place: the placement of a parcel.
-        num_envs: number of environments.
-        shape: (rows, columns) of the line.
     """
 
     def __init__(
@@ -368,10 +355,6 @@ class ResetCache:
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:
         """Return the rows of the next starts of the chosen environments (count,), which are
         seeded.
-
-        Args:
-            chosen: indices.
-            lay_out: makes rows of numbers (starts, draws).
         """
         used = self._next(chosen)
         stale = chosen[~self._laid[chosen]]

@@ -153,14 +153,7 @@ def nearest_parcel(parcels: tuple[Parcel, ...], half_length: float) -> Parcel:
 def line_start(
     seen: Observed, line: LineObservation, parcels: tuple[Parcel, ...], goal: tuple[float, ...]
 ) -> Start:
-    """Build the start that the first observation shows, its parcel one of some.
-
-    Args:
-        seen: the observations.
-        line: the same, decoded.
-        parcels: that the task draws.
-        goal: the task's own numbers.
-    """
+    """Build the start that the first observation shows, its parcel one of some."""
     base_line = seen.line
     parcel = nearest_parcel(parcels, float(line.half_length[0]))
     first_column = base_line.site(parcel.base, seen.zone).zone[2]
