@@ -48,7 +48,6 @@ class Controller(Protocol):
             observation: of one environment or of several.
             state: returned by the last call; None at first, and always without memory.
             episode_start: (num_envs,) whether an episode has just begun; None only if `state` is.
-            deterministic: choose the best action, or draw one.
 
         Returns:
             The actions, and the state for the next call.
@@ -162,7 +161,6 @@ class ActionMirror:
     """Mirror for actions that were chosen for y > 0, where the asked side is y < 0.
 
     Args:
-        kind: of the actions.
         orientations: [rad] axis angles to choose from; continuous actions ignore them.
     """
 
@@ -180,8 +178,8 @@ class ActionMirror:
         return np.where(unchanged, actions, image)
 
 
-def action_mirror(settings: EnvConfig) -> ActionMirror | None:
+def action_mirror(config: EnvConfig) -> ActionMirror | None:
     """Build the mirror for an environment's actions; None where its task is not symmetric."""
-    if not isinstance(settings.task, Sort):
+    if not isinstance(config.task, Sort):
         return None
-    return ActionMirror(settings.action_kind, settings.chosen_orientations)
+    return ActionMirror(config.action_kind, config.chosen_orientations)

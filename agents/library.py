@@ -1,8 +1,11 @@
-"""Policy files, and the trained policies that come with the package.
+"""Tasks and trained policies by name: the package's, and a user's own.
 
 Reading a policy runs no code from its files. Nothing here imports PyTorch until a policy is loaded.
 """
 
+import hashlib
+import importlib.util
+import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -30,6 +33,66 @@ CARD = "policy.yaml"
 ALGOS = ("ppo", "dqn", "modules", "parcels")
 OWN = "Own/"  # before the class of a user's task, in place of an id
 _NAMES = {**{env_id(name): name for name in TASKS}, FLOW: FLOW_TASK}
+
+
+def find_task(name: str) -> Task:
+    """Make the task of a name; a file in the name is run."""
+    if name in TASKS:
+        return TASKS[name]()
+    file, colon, kind = name.rpartition(":")
+    if not colon or not file.endswith(".py"):
+        raise ValueError(
+            f"task must be one of {', '.join(TASKS)}, or your own as path/to/file.py:Class, "
+            f"got {name!r}"
+        )
+    found = getattr(_load_module(Path(file)), kind, None)
+    if not (isinstance(found, type) and issubclass(found, Task)):
+        raise ValueError(f"task must be a class of {file} that inherits from Task, got {kind!r}")
+    return found()
+
+
+def task_kind(name: str) -> str:
+    """Name the package's task that a task is or inherits from; else the task itself."""
+    return name if name in TASKS else EnvConfig(task=find_task(name)).task_name
+
+
+def task_label(name: str) -> str:
+    """Shorten a task's name for tables and names of files."""
+    return name.rpartition(":")[2].lower()
+
+
+def card_env_id(name: str) -> str:
+    """Name the environment of a task for a policy's card: its id, or "Own/Class"."""
+    if name == FLOW_TASK:
+        return FLOW
+    return env_id(name) if name in TASKS else OWN + name.rpartition(":")[2]
+
+
+def task_files(name: str | None) -> tuple[Path, ...]:
+    """List the file of a user's own task, which other machines need; none for the package's."""
+    return (Path(name.rpartition(":")[0]),) if name is not None and ":" in name else ()
+
+
+def _load_module(file: Path) -> Any:
+    """Run a file's module, once in a process."""
+    if not file.is_file():
+        raise ValueError(f"task must be in a file that exists, got {file}")
+    place = str(file.resolve())
+    name = f"_own_{file.stem}_{hashlib.sha256(place.encode()).hexdigest()[:8]}"
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, place)
+        assert spec is not None
+        assert spec.loader is not None
+        module = sys.modules[name] = importlib.util.module_from_spec(spec)
+        try:
+            spec.loader.exec_module(module)
+        except Exception as error:
+            del sys.modules[name]
+            raise ValueError(
+                f"task must be in a file that runs, got {file}: {type(error).__name__}: {error}"
+            ) from error
+    return sys.modules[name]
+
 
 # Errors of reading a damaged file, by PyYAML, by PyTorch and here.
 DAMAGE = (
@@ -96,10 +159,6 @@ class PolicyCard:
     def env_config(self, task: Task | None = None) -> EnvConfig:
         """Build the configuration of the environment that the policy is for.
 
-        Args:
-            task: of a user, for a policy trained on it; None: one of the package. A card names a
-                user's task but runs no code for it.
-
         Raises:
             ValueError: the policy was trained on another task, or on streams of parcels.
         """
@@ -154,7 +213,6 @@ def load(name: str, seed: int | None = None) -> "Policy | ModulePolicy | ParcelP
     """Load a shipped policy, with `predict`, `env_id` and `env_kwargs`.
 
     Args:
-        name: one of `names()`.
         seed: one of `seeds(name)`; None: the first.
 
     Raises:
@@ -168,10 +226,6 @@ def load(name: str, seed: int | None = None) -> "Policy | ModulePolicy | ParcelP
 
 def read(folder: str | Path, task: Task | None = None) -> "Policy | ModulePolicy | ParcelPolicy":
     """Read the policy that a run of any algorithm left in a folder.
-
-    Args:
-        folder: of the run.
-        task: of a user, for a policy trained on it; None: one of the package.
 
     Raises:
         ValueError: the folder holds no policy, or a damaged or foreign one, or one of another task.

@@ -35,7 +35,6 @@ def draw_groups(
     Args:
         env: (modules,) each module's environment index.
         place: (modules, ...) first along and across the parcel, in half lengths.
-        num_envs: number of environments.
         probability: that a random line through the parcel splits its modules into two groups.
         rng: draws three numbers for each environment.
     """
@@ -95,8 +94,6 @@ class SharedNetwork(nn.Module):
 
     Args:
         choices: number of orientations to choose from.
-        hidden: units of the hidden layers.
-        observe: groups of features in the observation beside the task's.
     """
 
     def __init__(
@@ -124,12 +121,7 @@ class SharedNetwork(nn.Module):
 
 
 class ValueNetwork(nn.Module):
-    """Critic: the value of an environment's observation without the asked side.
-
-    Args:
-        hidden: units of the hidden layers.
-        observe: groups of features in the observation beside the task's.
-    """
+    """Critic: the value of an environment's observation without the asked side."""
 
     def __init__(self, hidden: tuple[int, ...], observe: tuple[str, ...] = ()) -> None:
         super().__init__()
@@ -151,8 +143,6 @@ class ModulePolicy:
         env_kwargs: that environment's arguments.
 
     Args:
-        network: with the weights.
-        card: what they are for.
         zone: first and last column of controlled modules; None: those after the lead-in, as in
             training.
 

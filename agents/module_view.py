@@ -92,9 +92,7 @@ def outline_from_clearance(see: LineObservation, clearance: Numbers, line: BaseL
     wider line, so that both follow.
 
     Args:
-        see: the parcels, to be sorted to y > 0.
         clearance: (num_envs,) [m] between the base and the line's rotors.
-        line: the line.
     """
     length, pitch = see.half_length, line.pitch_y
     cosine, sine = np.abs([np.cos(see.theta), np.sin(see.theta)])
@@ -133,32 +131,28 @@ class ModuleView:
     taken for a rectangle as wide as the clearance implies. Where it has "rotors", a module sees the
     axes of its own quadrant of the parcel.
 
-    Args:
-        settings: of the environment, with any zone.
-
     Raises:
-        ValueError: the settings are of another task or kind of action, or lack a mirror image of
-            an orientation.
+        ValueError: another task or kind of action, or an orientation without its mirror image.
     """
 
-    def __init__(self, settings: EnvConfig) -> None:
-        checks.one_of("task", settings.task_name, ("sort",))
-        checks.one_of("actions", settings.actions, ("modules",))
-        self._settings = settings
-        kind = settings.action_kind
+    def __init__(self, config: EnvConfig) -> None:
+        checks.one_of("task", config.task_name, ("sort",))
+        checks.one_of("actions", config.actions, ("modules",))
+        self._config = config
+        kind = config.action_kind
         self._size = kind.size
-        self._plant = settings.chosen_line
+        self._line = config.chosen_line
         # [m] from the zone's first edge, and from the line's middle.
-        self._column = self._plant.pitch_x * (np.arange(kind.columns) + 0.5)
-        self._row = self._plant.pitch_y * (np.arange(kind.rows) - (kind.rows - 1) / 2.0)
-        self._image = mirrored_orientations(settings.chosen_orientations)
-        angles = np.array(settings.chosen_orientations)
+        self._column = self._line.pitch_x * (np.arange(kind.columns) + 0.5)
+        self._row = self._line.pitch_y * (np.arange(kind.rows) - (kind.rows - 1) / 2.0)
+        self._image = mirrored_orientations(config.chosen_orientations)
+        angles = np.array(config.chosen_orientations)
         self._rest = int(np.abs(np.sin(angles)).argmax())  # the choice nearest to 90 deg
-        columns = {feature.name: k for k, feature in enumerate(settings.features)}
-        of_groups = [columns[feature.name] for feature in group_features(settings.observe)]
+        columns = {feature.name: k for k, feature in enumerate(config.features)}
+        of_groups = [columns[feature.name] for feature in group_features(config.observe)]
         self._shared = np.array([*_SHARED, *of_groups])
         self._columns = columns
-        exact = "parcel" in settings.observe
+        exact = "parcel" in config.observe
         self._locate = self._locate_exactly if exact else self._locate_by_clearance
         # (QUADRANTS, QUADRANT_SIZE) feature columns of each; (QUADRANTS, 0) if not observed.
         rotors = [name for name in columns if name in _ROTORS]
@@ -167,11 +161,11 @@ class ModuleView:
 
     def __call__(self, observations: Singles) -> ModuleObservations:
         """Compute the modules' observations from those of environments (num_envs, features)."""
-        see = _mirrored_to_left(self._settings.decode(observations))
+        see = _mirrored_to_left(self._config.decode(observations))
         outlines, into_zone = self._locate(see, observations)
         env, index, x, y = self._find_near(see, outlines, into_zone)
         outline = outlines.select(env)
-        period = self._settings.control_period
+        period = self._config.control_period
         now = _in_parcel_frame(x, y, see.theta[env])
         later = _in_parcel_frame(
             x - period * see.vx[env],
@@ -184,10 +178,7 @@ class ModuleView:
         place = np.concatenate([*parts, self._axes(observations, env, x, y)]).T
         bears = distance.min(axis=0) <= MARGIN
         return ModuleObservations(
-            observations[:, self._shared],
-            env[bears],
-            place[bears].astype(np.float32),
-            index[bears],
+            observations[:, self._shared], env[bears], place[bears].astype(np.float32), index[bears]
         )
 
     def _locate_by_clearance(
@@ -195,7 +186,7 @@ class ModuleView:
     ) -> tuple[Outline, Numbers]:
         """Infer outlines, and x [m] of the bases' centres (num_envs,) past the zone's edge."""
         clearance = 0.2 * observations[:, self._columns["clearance"]].astype(np.float64)
-        outline = outline_from_clearance(see, clearance, self._plant)
+        outline = outline_from_clearance(see, clearance, self._line)
         return outline, see.into_zone + (outline.reach(see.theta) - see.reach)
 
     def _locate_exactly(
@@ -206,8 +197,8 @@ class ModuleView:
         length, width, fill, sine, cosine = (
             observations[:, self._columns[name]].astype(np.float64) for name in names
         )
-        outline = outline_from_features(length, width, fill, self._plant)
-        pitch = self._plant.pitch_x
+        outline = outline_from_features(length, width, fill, self._line)
+        pitch = self._line.pitch_x
         into_zone = see.into_zone + (outline.reach(see.theta) - see.reach)
         in_pitch = 0.5 + np.arctan2(sine, cosine) / (2.0 * np.pi)  # from a column's first edge
         return outline, pitch * (np.round(into_zone / pitch - in_pitch) + in_pitch)
@@ -232,10 +223,10 @@ class ModuleView:
         row = mirror * self._row
         x = self._column - into_zone[:, np.newaxis]
         y = row - see.offset[:, np.newaxis]
-        moved = self._settings.control_period * (np.abs(see.vx) + np.abs(see.vy))
+        moved = self._config.control_period * (np.abs(see.vx) + np.abs(see.vy))
         close = (np.hypot(*outline.half) + moved + 2.0 * MARGIN)[:, np.newaxis]
         # Only the line's rotors bear.
-        line = np.abs(row) < 0.5 * self._plant.pitch_y * outline.rows[:, np.newaxis]
+        line = np.abs(row) < 0.5 * self._line.pitch_y * outline.rows[:, np.newaxis]
         rows = line & (np.abs(y) < close)
         columns = np.abs(x) < close
         env, place, column = np.nonzero(rows[:, :, np.newaxis] & columns[:, np.newaxis, :])

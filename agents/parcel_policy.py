@@ -14,7 +14,7 @@ from stable_baselines3.common.type_aliases import PyTorchObs
 from torch.distributions import Categorical
 
 from surface_gym.config import EnvConfig
-from surface_gym.flow.task import PRESENT, WAITS
+from surface_gym.flow.task import PRESENT, WAITS, StreamActions
 
 from .base import SIDE, mirrored_orientations
 from .library import PolicyCard
@@ -27,31 +27,27 @@ def mirrored_rows(rows: NDArray[np.float32]) -> NDArray[np.float32]:
     return seen
 
 
-def parcel_spaces(settings: EnvConfig) -> tuple[spaces.Box, spaces.MultiDiscrete]:
+def parcel_spaces(config: EnvConfig) -> tuple[spaces.Box, spaces.MultiDiscrete]:
     """Build a parcel's observation space and its action space.
 
     An action has three choices: the axes ahead, the axes behind, and the opening of the gate.
     """
-    choices, gates = settings.action_kind.choices, settings.action_kind.gates
-    return settings.row_space(), spaces.MultiDiscrete([choices, choices, gates])
+    kind = config.action_kind
+    assert isinstance(kind, StreamActions)
+    return config.row_space(), spaces.MultiDiscrete([kind.choices, kind.choices, kind.gates])
 
 
 class ParcelActions:
-    """Conversion between the parcels' mirrored choices and actions of the stream's environment.
+    """Conversion between the parcels' mirrored choices and actions of the stream's environment."""
 
-    Args:
-        settings: of the stream, with "parcels" for actions and a gate.
-    """
-
-    def __init__(self, settings: EnvConfig) -> None:
-        self._image = mirrored_orientations(settings.chosen_orientations)
+    def __init__(self, config: EnvConfig) -> None:
+        self._image = mirrored_orientations(config.chosen_orientations)
 
     def to_env(self, rows: NDArray[np.float32], choices: NDArray[np.int64]) -> NDArray[np.int64]:
         """Convert choices (num_envs, rows, 3) to actions (num_envs, 2 max_parcels + 1).
 
         Args:
             rows: observations (num_envs, rows, features), not mirrored.
-            choices: of each row.
         """
         axes = self._mirror(rows, choices[:, :-1, :2])
         return np.concatenate([axes.reshape(len(choices), -1), choices[:, -1:, 2]], axis=1)

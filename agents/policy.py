@@ -37,10 +37,6 @@ class EqualCategoricals(MultiCategoricalDistribution):
 
     Stable-Baselines3 keeps a list of distributions and loops over it; with tens of choices that
     costs more than the network.
-
-    Args:
-        choices: their number.
-        options: of each choice.
     """
 
     def __init__(self, choices: int, options: int) -> None:
@@ -89,13 +85,10 @@ class EqualChoicesPolicy(ActorCriticPolicy):
 NETWORKS = {"ppo": EqualChoicesPolicy, "dqn": DQNPolicy}
 
 
-def make_network(card: PolicyCard, settings: EnvConfig) -> BasePolicy:
+def make_network(card: PolicyCard, config: EnvConfig) -> BasePolicy:
     """Build the network of a card for an environment, its weights not set."""
     return NETWORKS[card.algo](
-        settings.observation_space(),
-        settings.action_space(),
-        lambda _: 0.0,
-        net_arch=list(card.hidden),
+        config.observation_space(), config.action_space(), lambda _: 0.0, net_arch=list(card.hidden)
     )
 
 
@@ -107,14 +100,14 @@ class Policy:
         env_kwargs: that environment's arguments.
     """
 
-    def __init__(self, network: BasePolicy, card: PolicyCard, settings: EnvConfig) -> None:
+    def __init__(self, network: BasePolicy, card: PolicyCard, config: EnvConfig) -> None:
         torch.set_num_threads(1)  # the network is small: more threads only wait for each other
         self._network = network
         self._network.set_training_mode(False)
-        self._mirror = action_mirror(settings)
+        self._mirror = action_mirror(config)
         self.card = card
         self.env_id = card.env_id
-        own = {} if card.task in TASKS else {"task": settings.task}
+        own = {} if card.task in TASKS else {"task": config.task}
         self.env_kwargs = {**own, **card.env_kwargs}
 
     def predict(
@@ -161,10 +154,6 @@ def build_policy(
 ) -> Policy | ModulePolicy | ParcelPolicy:
     """Build a policy from the content of its files. No code in them is run.
 
-    Args:
-        files: of the policy.
-        task: of a user, for a policy trained on it; None: one of the package.
-
     Raises:
         ValueError: they are damaged or foreign, or of another task.
     """
@@ -179,18 +168,18 @@ def build_policy(
             of_parcels = make_parcel_network(card)
             _load_weights(of_parcels, weights)
             return ParcelPolicy(of_parcels, card)
-        settings = card.env_config(task)
+        config = card.env_config(task)
         if card.algo == "modules":
-            shared = SharedNetwork(len(settings.chosen_orientations), card.hidden, card.observe)
+            shared = SharedNetwork(len(config.chosen_orientations), card.hidden, card.observe)
             _load_weights(shared, weights)
             return ModulePolicy(shared, card)
-        network = make_network(card, settings)
+        network = make_network(card, config)
         _load_weights(network, weights)
     except DAMAGE as error:
         raise ValueError(
             f"{files.folder} holds a damaged or foreign policy: {describe_damage(error)}"
         ) from None
-    return Policy(network, card, settings)
+    return Policy(network, card, config)
 
 
 def _digest(fields: dict[str, Any], weights: bytes) -> str:

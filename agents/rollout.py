@@ -24,7 +24,7 @@ class Episodes:
     success: NDArray[np.bool_]  # (starts,)
     outcome: tuple[str, ...]  # (starts,) why it ended
     time: Numbers  # (starts,) [s] until then
-    figures: dict[str, Numbers]  # metrics of the task, each (starts,)
+    metrics: dict[str, Numbers]  # metrics of the task, each (starts,)
     pose: Numbers  # (periods + 1, starts, 3) [m, m, rad] true; nan after the end
     velocity: Numbers  # (starts, 3) [m/s, m/s, rad/s] at the end
     decision_times: Numbers  # [s] of each decision, or of a start's decisions on average
@@ -41,28 +41,26 @@ class Episodes:
 
 
 def run_episodes(
-    controller: Controller, settings: EnvConfig, starts: Sequence[dict[str, Any]], seed: int
+    controller: Controller, config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int
 ) -> Episodes:
     """Run a controller from every start, each in an environment of one batch.
 
     Args:
-        controller: to run.
-        settings: of the environment; its time limit is the task's.
         starts: reset options of each; what they leave open is drawn.
         seed: environment i draws from `seed` + i.
     """
     count = len(starts)
     env = SmartSurfaceVectorEnv(
         num_envs=count,
-        max_episode_steps=settings.task.periods,
+        max_episode_steps=config.task.periods,
         autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
-        **env_arguments(settings),
+        **config.arguments(),
     )
     observation, info = env.reset(seed=seed, options=list(starts))
-    figures = settings.task.metrics
+    metrics = config.task.metrics
     kept: dict[str, Any] = {
         key: np.zeros_like(info[key])
-        for key in ("is_success", "outcome", "time", "velocity", *figures)
+        for key in ("is_success", "outcome", "time", "velocity", *metrics)
     }
     poses = [info["pose"].copy()]
     running = np.ones(count, dtype=np.bool_)
@@ -90,7 +88,7 @@ def run_episodes(
         success=kept["is_success"],
         outcome=tuple(kept["outcome"].tolist()),
         time=kept["time"],
-        figures={name: kept[name] for name in figures},
+        metrics={name: kept[name] for name in metrics},
         pose=np.array(poses),
         velocity=kept["velocity"],
         decision_times=np.array(seconds) / count,
@@ -98,19 +96,19 @@ def run_episodes(
 
 
 def run_sequentially(
-    controller: Controller, settings: EnvConfig, starts: Sequence[dict[str, Any]], seed: int
+    controller: Controller, config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int
 ) -> Episodes:
     """Run `run_episodes` from one start after the other, with the same results.
 
     For a slow controller, which would decide for environments that have ended too.
     """
-    runs = [run_episodes(controller, settings, [start], seed + k) for k, start in enumerate(starts)]
+    runs = [run_episodes(controller, config, [start], seed + k) for k, start in enumerate(starts)]
     return Episodes(
         success=np.concatenate([run.success for run in runs]),
         outcome=tuple(outcome for run in runs for outcome in run.outcome),
         time=np.concatenate([run.time for run in runs]),
-        figures={
-            name: np.concatenate([run.figures[name] for run in runs]) for name in runs[0].figures
+        metrics={
+            name: np.concatenate([run.metrics[name] for run in runs]) for name in runs[0].metrics
         },
         pose=stack_poses([run.pose[:, 0] for run in runs]),
         velocity=np.concatenate([run.velocity for run in runs]),
@@ -125,14 +123,3 @@ def stack_poses(paths: Sequence[Numbers]) -> Numbers:
     for k, path in enumerate(paths):
         pose[: len(path), k] = path
     return pose
-
-
-def env_arguments(settings: EnvConfig) -> dict[str, Any]:
-    """Convert settings to the arguments of an environment."""
-    return {
-        name: getattr(settings, name)
-        for name in (
-            "task", "actions", "sensors", "control_period", "zone", "orientations", "actuators",
-            "randomisation", "plant", "observe_axes", "info", "observe",
-        )
-    }  # fmt: skip

@@ -64,11 +64,7 @@ class Request:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Train, save and compare; an error ends the command with one line.
-
-    Args:
-        arguments: of the command line; None: those of the process.
-    """
+    """Train, save and compare; an error ends the command with one line."""
     from rich.console import Console
 
     from surface_gym.parallel import WorkFailed
@@ -85,10 +81,6 @@ def parse_arguments(arguments: Sequence[str]) -> Request:
 
     Task, algorithm, preset, device and file of hyper-parameters are read first: they determine the
     defaults of all other options.
-
-    Raises:
-        ValueError: options exclude each other, a field is out of its range, or a folder cannot be
-            used.
     """
     given = [_current_name(argument) for argument in arguments]
     selection, others = tyro.cli(_Selection, args=given, return_unknown_args=True, add_help=False)
@@ -118,13 +110,11 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
     """Carry out the work that a command line asks for.
 
     Args:
-        request: the work.
         arguments: of the command line, kept in the run's folder.
-        console: to print on.
     """
     from surface_gym.parallel import choose_workers
 
-    from .tasks import task_files
+    from .library import task_files
 
     workers = choose_workers(request.cluster, usable_cores(), task_files(request.task))
     if request.search is not None:
@@ -152,7 +142,7 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
             f"{command_line(TRAIN, '--resume', str(folder))} goes on from the last checkpoint"
         )
         return
-    from .evaluation.runs import evaluate_run
+    from .evaluation.report import evaluate_run
 
     write_card(config, trained, evaluate_run(folder, config.task, workers, console), folder)
 

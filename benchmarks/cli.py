@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 import tyro
@@ -26,9 +26,7 @@ class BenchmarkConfig:
     device: Literal["cpu", "cuda"] = "cpu"
     """"cuda" measures the vector environment on a GPU, beside the CPU's, and reads only num-envs,
     beside, json and picture."""
-    num_envs: Annotated[tuple[int, ...], tyro.conf.arg(aliases=("--lanes",))] = (
-        1024, 4096, 16384, 65536, 262144,
-    )  # fmt: skip
+    num_envs: tuple[int, ...] = (1024, 4096, 16384, 65536, 262144)
     """Numbers of environments on the GPU."""
     beside: bool = True
     """MuJoCo Warp and gymnax on the GPU, where they are installed."""

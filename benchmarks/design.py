@@ -11,8 +11,7 @@ import surface_gym as sg
 from benchmarks.figure import Figure
 from surface_gym.design.case import Case
 from surface_gym.design.columns import least_columns
-from surface_gym.design.line import line_for
-from surface_gym.design.runs import make_runs, run_all
+from surface_gym.design.runs import line_for, make_runs, run_all
 
 MUJOCO = importlib.util.find_spec("mujoco") is not None
 SPEEDS = np.linspace(1.0, 2.7, 6)  # [m/s] at which the S-box is sorted
@@ -47,7 +46,7 @@ def _best(case: Case) -> float:
 def _beside_mujoco() -> list[Figure]:
     """Run the same sorting, each program at its largest step within 1 % of its fine solution."""
     from surface_gym import validation
-    from surface_gym.validation.scene import RECIPE
+    from surface_gym.validation.simulation import RECIPE
     from surface_gym.validation.study import METHODS, measure
 
     steps = {method.name: measure(method).step for method in METHODS if method.name != "explicit"}

@@ -80,8 +80,7 @@ TARGETS = (
         _TASKS,
     ),
     _sensor("base", "camera", "tests/test_config.py"),
-    _sensor("camera", "camera", "tests/test_config.py"),
-    _sensor("adaptive", "adaptive", "tests/agents/runtime/test_estimator.py"),
+    _sensor("camera", "camera", "tests/test_config.py", "tests/agents/runtime/test_estimator.py"),
     _env("parcel", ("test_parcel",), "tests/test_presets.py"),
     _env("state", ("tasks/test_base", "tasks/test_sort"), *_TASKS, *_ENVS),
     _env(
@@ -109,13 +108,13 @@ TARGETS = (
     _agent("planning/models", "planning/test_models.py", wide=("planning",)),
     _agent("planning/oracle", "planning/test_oracle.py", wide=("planning",)),
     _agent("vec_env", "test_vec_env.py", wide=("test_symmetry.py",)),
-    _agent("symmetry", "test_symmetry.py", wide=("test_vec_env.py",)),
+    _agent("base", "test_symmetry.py", wide=("test_vec_env.py",)),
     _agent("rollout", "test_rollout.py", wide=("evaluation",)),
     _agent("module_view", "test_module_view.py", wide=("test_module_policy.py",)),
-    _agent("export/modules_onnx", "export/test_export.py", wide=("export",)),
+    _agent("export/onnx", "export/test_export.py", wide=("export",)),
     _agent("runtime/controller", "runtime/test_controller.py", wide=("runtime",)),
     _agent("learning/runs", "learning/test_runs.py", wide=("learning",)),
-    _agent("evaluation/statistics", "evaluation/test_statistics.py", wide=("evaluation",)),
+    _agent("evaluation/benchmark", "evaluation/test_statistics.py", wide=("evaluation",)),
 )  # fmt: skip
 
 
@@ -195,7 +194,7 @@ EQUIVALENTS = (
         "there are as many sums as names",
     ),
     Equivalent(
-        "agents/symmetry.py",
+        "agents/base.py",
         "mirrored_orientations",
         "if (apart[np.arange(len(angles)), nearest] > SAME).any():",
         "if (apart[np.arange(len(angles)), nearest] >= SAME).any():",

@@ -5,7 +5,7 @@ sensor's assumptions, over all tasks, controllers and both boxes.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Annotated, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -69,7 +69,7 @@ WORLDS = (
 class ObserverConfig:
     """Measure a sensor's estimate where the world differs from its assumptions."""
 
-    num_envs: Annotated[int, tyro.conf.arg(aliases=("--lanes",))] = 48
+    num_envs: int = 48
     """Starts of every task, controller and world."""
     seed: int = 0
     """Of the first start."""
@@ -257,6 +257,7 @@ class Method:
     actions: str
     control_period: float  # [s]
     make: Callable[[EnvConfig], Controller]
+    observe: tuple[str, ...] = ()  # groups of features beside the task's
 
 
 def list_methods(task: str, config: ObserverConfig) -> Iterator[Method]:
@@ -271,7 +272,8 @@ def list_methods(task: str, config: ObserverConfig) -> Iterator[Method]:
         if name.startswith(f"{task}-"):
             policy: Any = load(name)
             card = policy.card
-            yield Method(card.actions, card.control_period, partial(_return_policy, policy))
+            make = partial(_return_policy, policy)
+            yield Method(card.actions, card.control_period, make, card.observe)
 
 
 def _return_policy(policy: Any, config: EnvConfig) -> Controller:
@@ -305,6 +307,7 @@ def measure(config: ObserverConfig, console: Console) -> dict[tuple[str, str], E
                 control_period=method.control_period,
                 randomisation=world.randomisation,
                 actuators=world.actuators,
+                observe=method.observe,
             )
             periods = env_config.periods
             env = sg.SmartSurfaceVectorEnv(

@@ -1,17 +1,22 @@
-"""A smart surface that steers parcels by friction: the simulator and its environments."""
+"""A smart surface that steers parcels by friction: the simulator and its environments.
+
+A name is imported from its module when it is first asked for.
+"""
 
 from importlib import import_module
-from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
-from surface_gym import layouts, lines, sensors, tasks
-from surface_gym.env import SmartSurfaceEnv
-from surface_gym.parcel import Disc, Parcel, Polygon, Rectangle
-from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.registration import register, register_all
-from surface_gym.simulation import simulate, simulate_together
-from surface_gym.surface import Surface
-from surface_gym.trajectory import Trajectory
-from surface_gym.vector_env import SmartSurfaceVectorEnv
+
+if TYPE_CHECKING:
+    from surface_gym import layouts, lines, sensors, tasks
+    from surface_gym.env import SmartSurfaceEnv
+    from surface_gym.parcel import Disc, Parcel, Polygon, Rectangle
+    from surface_gym.randomisation import Actuators, Randomisation
+    from surface_gym.simulation import simulate, simulate_together
+    from surface_gym.surface import Surface
+    from surface_gym.trajectory import Trajectory
+    from surface_gym.vector_env import SmartSurfaceVectorEnv
 
 register_all()
 
@@ -35,10 +40,27 @@ __all__ = [
     "simulate_together",
     "tasks",
 ]
+_NAMES = {
+    "env": ("SmartSurfaceEnv",),
+    "parcel": ("Disc", "Parcel", "Polygon", "Rectangle"),
+    "randomisation": ("Actuators", "Randomisation"),
+    "simulation": ("simulate", "simulate_together"),
+    "surface": ("Surface",),
+    "trajectory": ("Trajectory",),
+    "vector_env": ("SmartSurfaceVectorEnv",),
+}
+_MODULES = ("agents", "layouts", "lines", "sensors", "tasks")  # agents need the extra of that name
 
 
-def __getattr__(name: str) -> ModuleType:
-    """Import `surface_gym.agents` when it is first asked for: its libraries are an extra."""
-    if name == "agents":
-        return import_module("surface_gym.agents")
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return import_module(f"{__name__}.{name}")
+    for module, names in _NAMES.items():
+        if name in names:
+            value = globals()[name] = getattr(import_module(f"{__name__}.{module}"), name)
+            return value
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -21,12 +21,12 @@ EXAMPLE = re.compile(r"^>>> .*(?:\n.+)*", re.MULTILINE)
 
 
 def _described(kind: type[Any]) -> str:
-    """Read a class's docstring, its examples fenced as code."""
+    """Return a class's docstring, its examples fenced as code."""
     return EXAMPLE.sub(r"```pycon\n\g<0>\n```", inspect.cleandoc(kind.__doc__ or ""))
 
 
-def _film(name: str, alt: str) -> str:
-    return f"![{alt}](../images/{name}.webp)"
+def _film(name: str, caption: str) -> str:
+    return f"![{caption}](../images/{name}.webp)"
 
 
 def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
@@ -43,7 +43,7 @@ def _feature_table(features: Iterable[Feature]) -> str:
 
 
 def _argument_table(kind: type[Any]) -> str:
-    """Fields of a dataclass with their defaults and the comments behind or above them."""
+    """Tabulate a dataclass's fields, their defaults and the comments behind or above them."""
     source = [
         line.strip()
         for each in kind.__mro__
@@ -70,71 +70,68 @@ def _argument_table(kind: type[Any]) -> str:
     return _table(("argument", "default", "meaning"), rows)
 
 
+ENVIRONMENT = "[the environment](environment.md)."
+
+
+def _join(*parts: str) -> str:
+    return "\n\n".join(parts) + "\n"
+
+
 def page(name: str) -> str:
     """Write the Markdown page of a task's environment."""
     task_class = TASKS[name]
     task = task_class()
     period = inspect.signature(SmartSurfaceEnv).parameters["control_period"].default
     limit = task_class.periods
-    return (
-        "\n\n".join(
-            (
-                f"# {env_id(name)}",
-                _film(name, f"Episodes of {env_id(name)}"),
-                _described(task_class),
-                "## Observation",
-                _feature_table(task.features),
-                'With `actions="window"` 25 more follow: the occupancy of the window.',
-                "## Reward terms",
-                ", ".join(f"`{term}`" for term in task.terms)
-                + ', as dict in `info["reward_terms"]`.',
-                "## Options of `reset`",
-                ", ".join(f"`{option}`" for option in task.options),
-                "## Arguments of the task",
-                _argument_table(task_class),
-                f"Episodes are truncated after {limit} control periods, {limit * period:g} s.",
-                "Actions, sensors and the environment's own arguments: "
-                "[the environment](environment.md).",
-            )
-        )
-        + "\n"
+    return _join(
+        f"# {env_id(name)}",
+        _film(name, f"Episodes of {env_id(name)}"),
+        _described(task_class),
+        "## Observation",
+        _feature_table(task.features),
+        'With `actions="window"` 25 more follow: the occupancy of the window.',
+        "## Reward terms",
+        ", ".join(f"`{term}`" for term in task.terms) + ', as dict in `info["reward_terms"]`.',
+        "## Options of `reset`",
+        ", ".join(f"`{option}`" for option in task.options),
+        "## Arguments of the task",
+        _argument_table(task_class),
+        f"Episodes are truncated after {limit} control periods, {limit * period:g} s.",
+        f"Actions, sensors and the environment's own arguments: {ENVIRONMENT}",
     )
 
 
 def environment_page() -> str:
     """Write the Markdown page of what all environments share."""
-    listed = "\n".join(f"- [{env_id(name)}]({name}.md)" for name in TASKS)
-    return (
-        f"# SmartSurfaceEnv\n\n{_described(SmartSurfaceEnv)}\n\n"
-        f"## Arguments of every environment\n\n{_argument_table(EnvConfig)}\n\n"
-        f"## Tasks\n\n{listed}\n\nMany parcels at once: [{FLOW}](flow.md).\n"
+    return _join(
+        "# SmartSurfaceEnv",
+        _described(SmartSurfaceEnv),
+        "## Arguments of every environment",
+        _argument_table(EnvConfig),
+        "## Tasks",
+        "\n".join(f"- [{env_id(name)}]({name}.md)" for name in TASKS),
+        f"Many parcels at once: [{FLOW}](flow.md).",
     )
 
 
 def flow_page() -> str:
     """Write the Markdown page of the environment of many parcels."""
-    return (
-        "\n\n".join(
-            (
-                f"# {FLOW}",
-                _film("flow", f"A stream of {FLOW}"),
-                _described(Flow),
-                "## Features of a row",
-                _feature_table(Flow.features),
-                "## Arguments of the task",
-                _argument_table(Flow),
-                "Actions, sensors and the environment's other arguments: "
-                "[the environment](environment.md).",
-                "Streams, exits, the physics of parcels that touch, and controllers: "
-                "[a flow of parcels](../flow.md).",
-            )
-        )
-        + "\n"
+    return _join(
+        f"# {FLOW}",
+        _film("flow", f"A stream of {FLOW}"),
+        _described(Flow),
+        "## Features of a row",
+        _feature_table(Flow.features),
+        "## Arguments of the task",
+        _argument_table(Flow),
+        f"Actions, sensors and the environment's other arguments: {ENVIRONMENT}",
+        "Streams, exits, the physics of parcels that touch, and controllers: "
+        "[a flow of parcels](../flow.md).",
     )
 
 
 def pages() -> dict[str, str]:
-    """Every page by its file's name."""
+    """Write every page, by its file's name."""
     return {
         "environment.md": environment_page(),
         **{f"{name}.md": page(name) for name in TASKS},

@@ -4,6 +4,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from surface_gym import checks
 from surface_gym.config import ENV_TASKS
 from surface_gym.flow.task import StreamTask
 from surface_gym.tasks.base import Task
@@ -15,6 +16,7 @@ def env_id(task: str) -> str:
 
 
 FLOW = env_id("flow")
+DEVICES = ("cpu", "cuda")
 
 
 def register(task: type[Task], name: str) -> None:
@@ -32,8 +34,47 @@ def _register(name: str, given: Any, task: type[Task]) -> None:
     gym.register(
         id=name,
         entry_point="surface_gym.env:SmartSurfaceEnv",
-        vector_entry_point="surface_gym.vector_env:make_vector_env",
+        vector_entry_point="surface_gym.registration:make_vector_env",
         # A stream ends by itself, after its duration.
         max_episode_steps=None if issubclass(task, StreamTask) else task.periods,
         kwargs={"task": given},
     )
+
+
+def make_vector_env(num_envs: int = 1, device: str = "cpu", **arguments: Any) -> Any:
+    """Make the vector environment of `gym.make_vec`, on the CPU or on a GPU.
+
+    Args:
+        num_envs: number of environments.
+        device: "cpu" or "cuda".
+        arguments: those of `SmartSurfaceVectorEnv`.
+
+    Raises:
+        ValueError: an argument is not allowed, or not on this device.
+        DeviceMissing: there is no GPU, or a library to use it is missing.
+    """
+    if checks.one_of("device", device, DEVICES) == "cpu":
+        from surface_gym.vector_env import SmartSurfaceVectorEnv
+
+        return SmartSurfaceVectorEnv(num_envs, **arguments)
+    from surface_gym.cuda import check_device
+
+    check_device()
+    return make_device_env(num_envs, device, **arguments)
+
+
+def make_device_env(num_envs: int, device: str, **arguments: Any) -> Any:
+    """Make the vector environment of tensors on a device of torch.
+
+    Raises:
+        ValueError: an argument is not allowed, or not on this device.
+    """
+    import torch
+
+    from surface_gym.cuda.env import CudaVectorEnv
+
+    for name, only in (("threads", 1), ("render_mode", None)):
+        given = arguments.pop(name, only)
+        if given != only:
+            raise ValueError(f"{name} must be {only} where device is {device!r}, got {given!r}")
+    return CudaVectorEnv(num_envs, device=torch.device(device), **arguments)

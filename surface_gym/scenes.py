@@ -11,11 +11,10 @@ from surface_gym.config import EnvConfig
 from surface_gym.core.batch import BaseBatch
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.state import BETWEEN, NOBODY, TOUCHES, WRONG
-from surface_gym.physics.types import RADIUS, VX
+from surface_gym.physics.types import RADIUS, VX, Array, Integers
 from surface_gym.rendering import ExitMark, Painter, Scene, SceneParcel, TilePainter, Traffic
 from surface_gym.state import GRAVITY_ALONG, RUNNING, EnvState
 
-Numbers = NDArray[np.float64]
 Picture = NDArray[np.uint8]  # (height, width, 3)
 
 TRAIL = 0.6  # [m] shown of the way of a stream's parcel
@@ -69,7 +68,7 @@ class _ParcelHistory:
     def __init__(self, batch: Any, env_index: int) -> None:
         self._batch = batch
         self._index = env_index
-        self._trail: list[Numbers] = []
+        self._trail: list[Array] = []
 
     @property
     def clock(self) -> float:
@@ -116,7 +115,7 @@ class _Departed:
     """A parcel that has left, as it did."""
 
     parcel: SceneParcel
-    velocity: Numbers  # (3,) [m/s, m/s, rad/s]
+    velocity: Array  # (3,) [m/s, m/s, rad/s]
     left: float  # [s] when
 
     def at(self, clock: float) -> SceneParcel:
@@ -138,7 +137,7 @@ class _StreamHistory:
         self._index = env_index
         self._exits = exit_marks(batch.config)
         self._labels = _labels(batch.config.exits.names)
-        self._trails: dict[int, list[Numbers]] = {}  # by number of arrival, (2,) [m], oldest first
+        self._trails: dict[int, list[Array]] = {}  # by number of arrival, (2,) [m], oldest first
         self._departed: list[_Departed] = []
 
     @property
@@ -200,7 +199,7 @@ class _StreamHistory:
         trail = np.array(self._trails.get(number, [])).reshape(-1, 2)
         return _parcel(self._batch.view(i, slot), trail, asked, self._labels[asked])
 
-    def _touching(self, slots: NDArray[np.int64], first: int) -> tuple[tuple[int, int], ...]:
+    def _touching(self, slots: Integers, first: int) -> tuple[tuple[int, int], ...]:
         """Find pairs of parcels in these slots that touched lately, counted from a first index."""
         streams, i = self._batch.streams, self._index
         since = streams.steps[i] - streams.touched_at[i][np.ix_(slots, slots)]
@@ -248,9 +247,7 @@ def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:
     return tuple(marks)
 
 
-def _parcel(
-    view: EnvState, trail: Numbers, asked: int | None = None, label: str = ""
-) -> SceneParcel:
+def _parcel(view: EnvState, trail: Array, asked: int | None = None, label: str = "") -> SceneParcel:
     """Describe the parcel of a view as it is drawn."""
     true, sensed = view.truth[:VX], view.sensed[:VX]
     apart = np.abs(true - sensed).max() > APART
@@ -264,14 +261,14 @@ def _parcel(
     )
 
 
-def _outline(view: EnvState) -> Numbers:
+def _outline(view: EnvState) -> Array:
     """Compute the perimeter (points, 2) [m] of the base from its centroid."""
     corners = view.corners
     if np.abs(corners).max() > 0.0:
         keep = np.ones(len(corners), dtype=bool)
         keep[1:] = (corners[1:] != corners[0]).any(axis=1)
         return corners[keep]
-    circle: Numbers = view.body[RADIUS] * np.stack([np.cos(_DISC), np.sin(_DISC)], axis=-1)
+    circle: Array = view.body[RADIUS] * np.stack([np.cos(_DISC), np.sin(_DISC)], axis=-1)
     return circle
 
 
@@ -281,7 +278,7 @@ def _labels(names: tuple[str, ...]) -> tuple[str, ...]:
     return initials if len(set(initials)) == len(initials) else names
 
 
-def _latest(points: list[Numbers]) -> list[Numbers]:
+def _latest(points: list[Array]) -> list[Array]:
     """Select the last points (2,) [m] of a way, as far back as the trail goes."""
     steps = np.hypot(*np.diff(points, axis=0).T)
     back = np.cumsum(steps[::-1])  # from the latest to each before it

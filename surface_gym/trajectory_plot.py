@@ -9,7 +9,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
+from numpy.typing import ArrayLike
 
+from surface_gym.parcel import Base
 from surface_gym.physics.types import Array
 from surface_gym.surface import Surface
 
@@ -54,13 +56,22 @@ def _outlines(trajectory: "Trajectory") -> list[Array]:
     """Compute outlines (points, 2) [m] of the base at instants evenly spaced in time."""
     if trajectory.run is None:
         return []
-    base = trajectory.run.parcel.base.outline
+    base = trajectory.run.parcel.base
     shown = np.unique(np.linspace(0, len(trajectory.time) - 1, OUTLINES).round().astype(int))
-    outlines = []
-    for x, y, theta in trajectory.pose[shown]:
-        cosine, sine = math.cos(theta), math.sin(theta)
-        outlines.append(base @ np.array([[cosine, sine], [-sine, cosine]]) + np.array([x, y]))
-    return outlines
+    return [outline_at(base, pose) for pose in trajectory.pose[shown]]
+
+
+def outline_at(base: Base, pose: ArrayLike) -> Array:
+    """Compute the outline (points, 2) [m] of a base at a pose (x, y, theta) [m, m, rad]."""
+    x, y, theta = np.asarray(pose)
+    cosine, sine = math.cos(theta), math.sin(theta)
+    return base.outline @ np.array([[cosine, sine], [-sine, cosine]]) + np.array([x, y])
+
+
+def axis_strokes(centre: Array, axis: Array, half: float) -> list[Array]:
+    """Compute strokes (2, 2) [m] along axes (...) [rad], `half` [m] to either side of centres."""
+    reach = half * np.stack([np.cos(axis), np.sin(axis)], axis=-1)
+    return list(np.stack([centre - reach, centre + reach], axis=-2).reshape(-1, 2, 2))
 
 
 def _window(trajectory: "Trajectory", outlines: list[Array]) -> tuple[Array, Array]:
@@ -89,10 +100,8 @@ def _draw_elements(panel: Axes, surface: Surface, low: Array, high: Array, pitch
     panel.plot(x[~rotor], y[~rotor], ".", color="0.65", markersize=size, zorder=1)
     centre = np.stack([x[rotor], y[rotor]], axis=-1)
     half = 0.5 * STROKE * min(surface.pitch_x, surface.pitch_y)
-    reach = half * np.stack([np.cos(axis[rotor]), np.sin(axis[rotor])], axis=-1)
-    strokes = np.stack([centre - reach, centre + reach], axis=1)
-    width = min(1.6, 0.08 * pitch)
-    panel.add_collection(LineCollection(list(strokes), color="red", linewidth=width, zorder=1))
+    strokes, width = axis_strokes(centre, axis[rotor], half), min(1.6, 0.08 * pitch)
+    panel.add_collection(LineCollection(strokes, color="red", linewidth=width, zorder=1))
 
 
 def _within(centres: Array, low: float, high: float, pitch: float) -> slice:

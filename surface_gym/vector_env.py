@@ -18,7 +18,6 @@ from surface_gym.state import OUT_OF_TIME, RUNNING
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.start import check_options
 
-DEVICES = ("cpu", "cuda")
 Observations = NDArray[np.float32]
 
 
@@ -258,36 +257,3 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
 def with_masks(values: dict[str, Any], mask: Booleans) -> dict[str, Any]:
     """Add to arrays by name the mask of the environments that they are of, as Gymnasium has it."""
     return {**values, **{f"_{name}": mask.copy() for name in values}}
-
-
-def make_vector_env(num_envs: int = 1, device: str = "cpu", **arguments: Any) -> Any:
-    """Make the vector environment of `gym.make_vec`, on the CPU or on a GPU.
-
-    Args:
-        num_envs: number of environments.
-        device: "cpu" or "cuda".
-        arguments: those of `SmartSurfaceVectorEnv`.
-
-    Raises:
-        ValueError: an argument is not allowed, or not on this device.
-        DeviceMissing: there is no GPU, or not what it takes to use it.
-    """
-    if checks.one_of("device", device, DEVICES) == "cpu":
-        return SmartSurfaceVectorEnv(num_envs, **arguments)
-    from surface_gym.cuda import check_device
-
-    check_device()
-    return make_device_env(num_envs, device, **arguments)
-
-
-def make_device_env(num_envs: int, device: str, **arguments: Any) -> Any:
-    """Make the vector environment of tensors on a device, whatever it is."""
-    import torch
-
-    from surface_gym.cuda.env import CudaVectorEnv
-
-    for name, only in (("threads", 1), ("render_mode", None)):
-        given = arguments.pop(name, only)
-        if given != only:
-            raise ValueError(f"{name} must be {only} where device is {device!r}, got {given!r}")
-    return CudaVectorEnv(num_envs, device=torch.device(device), **arguments)

@@ -1,4 +1,4 @@
-"""Settings of every test."""
+"""Configuration of every test."""
 
 import os
 

@@ -13,7 +13,7 @@ import surface_gym as sg
 from surface_gym import registration, sensors
 from surface_gym.core import actions
 
-# Those of one parcel a lane; a flow has tests of its own.
+# Those of one parcel an environment; a flow has tests of its own.
 IDS = sorted(
     name for name in gym.registry if name.startswith("SmartSurface/") and name != registration.FLOW
 )

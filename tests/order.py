@@ -11,7 +11,7 @@ FIRST = (
     "tests/test_own.py",
     "tests/agents/test_doors.py",
     "tests/agents/test_tasks.py",
-    "tests/sharing/",
+    "tests/parallel/",
     "tests/agents/learning/",
     "tests/design/test_control.py",
     "tests/agents/evaluation/",
@@ -22,13 +22,12 @@ FIRST = (
 # Of each part those that fail first when it breaks, and one environment of each face.
 SMOKE = (
     "tests/agents/learning/test_config.py",
-    "tests/agents/policies/test_files.py",
+    "tests/agents/test_library.py",
     "tests/agents/rules/test_sorting.py",
     "tests/design/test_search.py",
     "tests/physics/test_step.py",
     "tests/physics/test_friction.py",
     "tests/physics/test_signed_distance.py",
-    "tests/physics/test_step.py",
     "tests/flow/test_env.py::TestEpisodes::test_action_spaces",
     "tests/flow/test_exits.py",
     "tests/flow/test_stream.py",
@@ -36,10 +35,10 @@ SMOKE = (
     "tests/test_env.py::TestEpisodes::test_outcomes_of_sort",
     "tests/test_layouts.py",
     "tests/test_parcel.py",
-    "tests/test_settings.py",
+    "tests/test_config.py",
     "tests/test_simulation.py",
     "tests/test_surface.py",
-    "tests/test_vector_env.py::TestBesideSingles::test_lane_by_lane",
+    "tests/test_vector_env.py::TestBesideSingles::test_one_by_one",
 )
 
 

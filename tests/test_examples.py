@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents.tasks import find_task
+from surface_gym.agents.library import find_task
 from surface_gym.tasks import Sort
 
 ROOT = Path(__file__).parent.parent

@@ -151,7 +151,7 @@ def test_lengths_that_are_not_allowed(value: object) -> None:
 
 @dataclass(frozen=True)
 class Tile:
-    """A base of one's own: a rectangle, by what the protocol asks for and nothing else."""
+    """A base of your own: a rectangle, by what the protocol asks for and nothing else."""
 
     length: float
     width: float

@@ -100,7 +100,7 @@ class TestOneParcel:
     @pytest.mark.parametrize("parcel", PARCELS.values(), ids=PARCELS)
     def test_the_outline_is_the_bases(self, parcel: sg.Parcel) -> None:
         batch = pair_of(parcel)
-        put(batch, Start(HEPTAGON, (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), lane=1)
+        put(batch, Start(HEPTAGON, (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), i=1)
         outline = only(shown(batch)).outline
         if isinstance(parcel.base, sg.Disc):
             np.testing.assert_allclose(np.hypot(*outline.T), parcel.base.radius)
@@ -163,7 +163,7 @@ class TestParcelsOfAStream:
         np.testing.assert_allclose(np.hypot(*outline.T), 0.15)
 
     def test_names_whose_initials_are_the_same_are_written_in_full(self) -> None:
-        exits = Exits((Exit("lane", 1), Exit("left", -1)))
+        exits = Exits((Exit("chute", 1), Exit("left", -1)))
         renderer = opened(stream_of(trace((0.0, "left")), exits=exits))
         assert renderer.scene().parcels[0].label == "left"
 

@@ -11,30 +11,48 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 BUILD = (
-    "import sys; from hatchling.builders.wheel import WheelBuilder; "
-    "from hatchling.builders.sdist import SdistBuilder; "
-    "kinds = {'wheel': WheelBuilder, 'sdist': SdistBuilder}; "
-    "print(next(kinds[sys.argv[1]](sys.argv[2]).build(directory=sys.argv[3])))"
+    "import sys; from setuptools import build_meta; "
+    "print(getattr(build_meta, f'build_{sys.argv[1]}')(sys.argv[2]))"
 )
 
 
-def build(kind: str, source: Path, folder: Path) -> Path:
+def run(folder: Path, *arguments: str, **environment: str) -> str:
+    """Run Python in a folder and return what it prints; an error of it fails the test."""
     done = subprocess.run(
-        [sys.executable, "-c", BUILD, kind, str(source), str(folder)],
+        [sys.executable, *arguments],
         cwd=folder,
+        env={**os.environ, **environment},
         capture_output=True,
         text=True,
-        check=True,
     )
-    return Path(done.stdout.splitlines()[-1])
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def build(kind: str, source: Path, folder: Path) -> Path:
+    return folder / run(source, "-c", BUILD, kind, str(folder)).splitlines()[-1]
 
 
 @pytest.fixture(scope="module")
-def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files that git lists, since a build writes beside its sources."""
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
+    if listed.returncode:
+        pytest.skip("not a checkout of git")
+    folder = tmp_path_factory.mktemp("checkout")
+    for name in listed.stdout.splitlines():
+        if (ROOT / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes((ROOT / name).read_bytes())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def sdist(checkout: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The source distribution, unpacked."""
     folder = tmp_path_factory.mktemp("sdist")
-    with tarfile.open(build("sdist", ROOT, folder)) as packed:
-        packed.extractall(folder)
+    with tarfile.open(build("sdist", checkout, folder)) as packed:
+        packed.extractall(folder, filter="data")
     (source,) = (each for each in folder.iterdir() if each.is_dir())
     return source
 
@@ -48,38 +66,30 @@ def installed(sdist: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "site"
 
 
-def run(installed: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-W", "error", *arguments],
-        cwd=installed.parent,
-        env={**os.environ, "PYTHONPATH": str(installed)},
-        capture_output=True,
-        text=True,
-    )
+def run_installed(installed: Path, *arguments: str) -> str:
+    return run(installed.parent, "-W", "error", *arguments, PYTHONPATH=str(installed))
 
 
-def test_it_brings_one_package_alone(installed: Path) -> None:
-    brought = {each.name for each in installed.iterdir() if each.suffix != ".dist-info"}
-    assert brought == {"surface_gym"}
-    assert not list(installed.rglob("__pycache__"))
+def test_it_brings_every_file_of_the_packages_and_nothing_else(
+    checkout: Path, installed: Path
+) -> None:
+    """So `packages` and `package-data` in pyproject.toml are complete."""
+    expected = {
+        ("" if folder == "surface_gym" else "surface_gym/") + str(file.relative_to(checkout))
+        for folder in ("surface_gym", "agents")
+        for file in (checkout / folder).rglob("*")
+        if file.is_file()
+    }
+    found = {str(file.relative_to(installed)) for file in installed.rglob("*") if file.is_file()}
+    assert {name for name in found if ".dist-info/" not in name} == expected
 
 
-def test_it_brings_every_file_of_the_checkouts_packages(installed: Path) -> None:
-    listed = subprocess.run(
-        ["git", "ls-files", "surface_gym", "agents"], cwd=ROOT, capture_output=True, text=True
-    )
-    if listed.returncode:
-        pytest.skip("not a checkout of git")
-    names = [name for name in listed.stdout.split() if (ROOT / name).exists()]
-    places = [
-        installed / ("surface_gym" if name.startswith("agents/") else "") / name for name in names
-    ]
-    assert [str(each) for each in places if not each.is_file()] == []
-
-
-def test_the_source_distribution_has_what_tests_need(sdist: Path) -> None:
-    for name in ("pyproject.toml", "README.md", "train.py", "evaluate.py", "tests", "docs"):
-        assert (sdist / name).exists()
+def test_the_source_distribution_has_every_file_that_tests_need(
+    checkout: Path, sdist: Path
+) -> None:
+    files = [file.relative_to(checkout) for file in checkout.rglob("*") if file.is_file()]
+    missing = [str(name) for name in files if not (sdist / name).exists()]
+    assert [name for name in missing if not name.startswith(".")] == []
 
 
 def test_environment_and_shipped_agent_work(installed: Path) -> None:
@@ -93,9 +103,7 @@ def test_environment_and_shipped_agent_work(installed: Path) -> None:
         "env.step(action)\n"
         "print(agents.__name__, agents.__file__)\n"
     )
-    done = run(installed, "-c", program)
-    assert done.returncode == 0, done.stderr
-    name, file = done.stdout.split()
+    name, file = run_installed(installed, "-c", program).split()
     assert name == "surface_gym.agents"
     assert Path(file).is_relative_to(installed)
 
@@ -103,18 +111,16 @@ def test_environment_and_shipped_agent_work(installed: Path) -> None:
 def test_no_module_of_it_takes_the_name_of_another_package(installed: Path) -> None:
     program = (
         "import importlib, pkgutil, sys\n"
-        "sys.modules['agents'] = None  # whoever else has it\n"
+        "sys.modules['agents'] = None  # another package's\n"
         "from surface_gym import agents\n"
         "for module in pkgutil.walk_packages(agents.__path__, 'surface_gym.agents.'):\n"
         "    importlib.import_module(module.name)\n"
     )
-    done = run(installed, "-c", program)
-    assert done.returncode == 0, done.stderr
+    run_installed(installed, "-c", program)
 
 
 @pytest.mark.parametrize("name", ["train", "evaluate"])
-def test_its_command_has_both_doors(name: str, installed: Path) -> None:
+def test_a_command_has_help(name: str, installed: Path) -> None:
     program = "from surface_gym.cli import main; main()"
-    done = run(installed, "-c", program, name, "--help")
-    assert done.returncode == 0, done.stderr
-    assert f"usage: surface-gym {name}" in done.stdout
+    printed = run_installed(installed, "-c", program, name, "--help")
+    assert f"usage: surface-gym {name}" in printed

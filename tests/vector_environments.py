@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from surface_gym.randomisation import Actuators, Randomisation
 from tests.environments import IDS, SENSORS, SORT
 
-LANES = 3
+NUM_ENVS = 3
 LIMIT = 14  # control periods of an episode, so that some run out of time
 every_mode = pytest.mark.parametrize("mode", AutoresetMode, ids=lambda mode: mode.name)
 EVERYTHING_VARIES: dict[str, Any] = {
@@ -32,8 +32,8 @@ every_varying = pytest.mark.parametrize(
 )
 
 
-def native(env_id: str = SORT, lanes: int = LANES, **settings: Any) -> VectorEnv:
-    return gym.make_vec(env_id, num_envs=lanes, **settings)
+def native(env_id: str = SORT, num_envs: int = NUM_ENVS, **settings: Any) -> VectorEnv:
+    return gym.make_vec(env_id, num_envs=num_envs, **settings)
 
 
 def single_of(env_id: str, limit: int, settings: dict[str, Any]) -> gym.Env:
@@ -41,7 +41,7 @@ def single_of(env_id: str, limit: int, settings: dict[str, Any]) -> gym.Env:
 
 
 def singles(
-    env_id: str, mode: AutoresetMode, limit: int = LIMIT, lanes: int = LANES, **settings: Any
+    env_id: str, mode: AutoresetMode, limit: int = LIMIT, num_envs: int = NUM_ENVS, **settings: Any
 ) -> SyncVectorEnv:
     make = partial(single_of, env_id, limit, settings)
-    return SyncVectorEnv([make] * lanes, autoreset_mode=mode)
+    return SyncVectorEnv([make] * num_envs, autoreset_mode=mode)

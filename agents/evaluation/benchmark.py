@@ -9,20 +9,19 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 from scipy.stats import norm
 from scipy.stats import t as student
 
+from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.config import PRESETS, EnvConfig, Preset
-from surface_gym.core.resets import each_parcel
 from surface_gym.parallel import Workers, map_jobs, without_report
 from surface_gym.parcel import Parcel
+from surface_gym.tasks import Task
 from surface_gym.tasks.benchmark import Benchmark, Column
-from surface_gym.tasks.start import Draw
 
+from ..library import find_task
 from ..rollout import Episodes, run_episodes, run_sequentially
-from ..tasks import find_task
 from .methods import Method
 
 CONFIDENCE = 0.95
@@ -175,7 +174,6 @@ def choose_starts(
     """Choose the starts of a benchmark under a preset.
 
     Args:
-        benchmark: of a task.
         count: of starts, spread evenly over all; None: all of them.
         preset: one with parcels of its own leaves open which parcel a start has.
     """
@@ -192,10 +190,10 @@ def play(method: Method, seed: int, preset_name: str) -> tuple[Result, Episodes]
     """Run a method's seed on its task under a preset."""
     preset, benchmark = PRESETS[preset_name], find_benchmark(method.task)
     starts = choose_starts(benchmark, method.starts, preset)
-    settings = method.settings(benchmark.task, preset)
-    controller = method.make(settings, seed)
+    config = method.config(benchmark.task, preset)
+    controller = method.make(config, seed)
     run = run_episodes if method.starts is None else run_sequentially
-    episodes = run(controller, settings, starts, SEED)
+    episodes = run(controller, config, starts, SEED)
     result = Result(
         task=method.task,
         method=method.name,
@@ -203,8 +201,8 @@ def play(method: Method, seed: int, preset_name: str) -> tuple[Result, Episodes]
         seed=seed,
         success=episodes.success.tolist(),
         time=episodes.time.tolist(),
-        metrics={name: values.tolist() for name, values in episodes.figures.items()}
-        | _path_metrics(settings, episodes, starts),
+        metrics={name: values.tolist() for name, values in episodes.metrics.items()}
+        | _path_metrics(config, episodes, starts),
         decision_time=episodes.decision_time,
     )
     return result, episodes
@@ -216,25 +214,28 @@ def compute(method: Method, seed: int, preset: str) -> Result:
 
 
 def _path_metrics(
-    settings: EnvConfig, episodes: Episodes, starts: Sequence[dict[str, Any]]
+    config: EnvConfig, episodes: Episodes, starts: Sequence[dict[str, Any]]
 ) -> dict[str, list[float]]:
-    task, line = settings.task, settings.chosen_line
+    """Compute what the task measures on whole paths; most tasks measure nothing there."""
+    task, line = config.task, config.chosen_line
     found: dict[str, list[float]] = {}
-    for k, parcel in enumerate(drawn_parcels(settings, starts, SEED)):
+    if type(task).path_metrics is Task.path_metrics:
+        return found
+    for k, parcel in enumerate(drawn_parcels(config, starts, SEED)):
         for name, value in task.path_metrics(episodes.path(k), parcel, line, None).items():
             found.setdefault(name, []).append(value)
     return found
 
 
 def drawn_parcels(
-    settings: EnvConfig, starts: Sequence[dict[str, Any]], seed: int
+    config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int
 ) -> tuple[Parcel, ...]:
-    """List the parcel of each start before the randomisation; start k draws from `seed` + k."""
-    task = settings.task
-    numbers = np.array([np_random(seed + k)[0].random(task.draws) for k in range(len(starts))])
-    draw = Draw(numbers, starts, settings.chosen_line, settings.zone)
-    parcels = each_parcel(task.start(draw).parcel, len(starts))
-    return tuple(parcels.kinds[kind] for kind in parcels.which.tolist())
+    """List the parcel of each start; start k draws from `seed` + k."""
+    env = SmartSurfaceVectorEnv(num_envs=len(starts), **config.arguments())
+    env.reset(seed=seed, options=list(starts))
+    parcels = tuple(env.batch.parcel(i) for i in range(len(starts)))
+    env.close()
+    return parcels
 
 
 def list_jobs(methods: Sequence[Method]) -> list[tuple[Method, int, str]]:
@@ -258,10 +259,7 @@ def compute_results(
     """Compute the results of all methods, in an order that does not depend on the processes.
 
     Args:
-        methods: to compare.
-        workers: processes to share the work among, or a cluster.
         folder: results are kept in its results.jsonl; those found there are not computed again.
-        advance: called with results done, results in all and the name of the latest.
     """
     jobs = {
         (method.task, method.name, preset, seed): partial(compute, method, seed, preset)
@@ -288,9 +286,7 @@ def compute_kept(
     Args:
         jobs: to do, by the key of the dataclass that each gives; they do not depend on each other.
         make: such a dataclass from its fields as JSON has them.
-        workers: processes to share the work among, or a cluster.
         file: where results are kept, one in a line; those found there are not computed again.
-        advance: called with how many are done, how many there are and the name of the latest.
 
     Returns:
         All results by key, in the order of the jobs.

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from surface_gym.config import EnvConfig, Preset
-from surface_gym.env import make_batch
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import BETWEEN, JAM, compute_statistics
@@ -82,7 +81,7 @@ class StreamMethod:
     presets: tuple[str, ...] = ("exact", "camera")
     control_period: float = 0.04  # [s]
 
-    def settings(self, case: Case, rate: float) -> EnvConfig:
+    def config(self, case: Case, rate: float) -> EnvConfig:
         """Configure the environment it acts in, parcels coming evenly at a rate [parcels/h]."""
         preset = STREAM_PRESETS[case.preset]
         return EnvConfig(
@@ -162,8 +161,6 @@ def measure(
     """Offer parcels at a rate [parcels/h].
 
     Args:
-        method: that decides.
-        controller: the method's, made for the case.
         case: which parcels, at what speed, and under what preset.
         rate: [parcels/h] of the parcels that come, evenly.
         whole: whether to go on to the end even where the rate is plainly not sustained.
@@ -171,16 +168,16 @@ def measure(
     Returns:
         The deliveries; None where it was broken off.
     """
-    settings = method.settings(case, rate)
-    batch = make_batch(settings, REPLICATIONS)
+    config = method.config(case, rate)
+    batch = StreamBatch(config, REPLICATIONS)
     for k in range(REPLICATIONS):
         batch.seed(k, np.random.default_rng((SEED, k)))
     batch.reset(np.arange(REPLICATIONS))
-    counted = counted_time(settings.stream_task.duration, rate)
-    begin = settings.stream_task.duration - counted
+    counted = counted_time(config.stream_task.duration, rate)
+    begin = config.stream_task.duration - counted
     arrivals = int(batch.streams.arrivals.sum())
     most_wrong = (1.0 - LEAST_RIGHT[case.preset]) * arrivals
-    actions = settings.action_kind
+    actions = config.action_kind
     state, period = None, 0
     while (batch.outcome == RUNNING).any():
         action, state = controller.predict(batch.observation, state)
@@ -192,23 +189,23 @@ def measure(
 
 
 def _is_lost(batch: StreamBatch, begin: float, most_wrong: float) -> bool:
-    flows = batch.streams
-    wrong = (flows.left >= begin) & (flows.taken >= BETWEEN) & (flows.taken != flows.exit)
-    return bool((flows.outcome == JAM).any() or wrong.sum() > most_wrong)
+    streams = batch.streams
+    wrong = (streams.left >= begin) & (streams.taken >= BETWEEN) & (streams.taken != streams.exit)
+    return bool((streams.outcome == JAM).any() or wrong.sum() > most_wrong)
 
 
 def _count(batch: StreamBatch, rate: float, counted: float) -> Measurement:
-    flows = batch.streams
+    streams = batch.streams
     begin = batch.config.stream_task.duration - counted
     right, delivered, touches, waiting = [], [], [], []
     for k in range(REPLICATIONS):
-        found = compute_statistics(flows, k, bool(flows.outcome[k] == JAM), 1, begin)
+        found = compute_statistics(streams, k, bool(streams.outcome[k] == JAM), 1, begin)
         some = found.delivered > 0
         delivered.append(found.delivered)
         right.append(round(found.delivered * (1.0 - found.missort_rate)) if some else 0)
         touches.append(found.touches_per_1000 * found.delivered / 1000.0 if some else 0.0)
         waiting.append(0.0 if math.isnan(found.waiting_mean) else found.waiting_mean)
-    jams = int((flows.outcome == JAM).sum())
+    jams = int((streams.outcome == JAM).sum())
     return Measurement(rate, right, delivered, touches, waiting, jams, counted)
 
 
@@ -251,7 +248,6 @@ def _most_carried(
 
     Args:
         sustained: measures a rate [parcels/h]; None where it is not sustained.
-        most: the measurement at the ceiling.
     """
     low, high = most.rate, most.offered
     while high > PRECISION * low:

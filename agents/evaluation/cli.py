@@ -15,7 +15,7 @@ from surface_gym.parallel import Workers, WorkFailed, choose_workers, usable_cor
 from surface_gym.tasks import TASKS
 
 from ..base import EVALUATE, FLOW_TASK, command_line
-from ..tasks import find_task, task_files
+from ..library import find_task, task_files
 
 if TYPE_CHECKING:
     from .benchmark import Advance
@@ -71,14 +71,10 @@ class EvaluateConfig:
 
 
 def evaluate(config: EvaluateConfig, console: Console) -> None:
-    """Compare, and leave a folder with tables, plots, videos and a page.
-
-    Raises:
-        ValueError: the run holds no policy, or a damaged one.
-    """
+    """Compare, and leave a folder with tables, plots, videos and a page."""
     workers = choose_workers(config.cluster, config.workers, task_files(config.task))
     if config.run is not None:
-        from .runs import evaluate_run
+        from .report import evaluate_run
 
         evaluate_run(config.run, config.task, workers, console)
         return
@@ -161,11 +157,7 @@ def _progress(console: Console, title: str) -> "Iterator[Advance]":
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Compare; an error ends it with one line.
-
-    Args:
-        arguments: of the command line; None: those of the process.
-    """
+    """Compare; an error ends it with one line."""
     config = tyro.cli(EvaluateConfig, prog=command_line(EVALUATE), args=arguments)
     try:
         evaluate(config, Console())

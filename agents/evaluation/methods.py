@@ -13,9 +13,8 @@ from .. import library
 from ..base import Controller
 from ..learning.config import NOMINAL
 from ..learning.runs import CONFIG, read_config, task_name
-from ..library import CARD, PolicyFiles, read_files
+from ..library import CARD, PolicyFiles, find_task, read_files, task_kind
 from ..rules import MORE_RULES, Rule, find_rules
-from ..tasks import find_task, task_kind
 
 FIXED = "fixed layout"
 BEST_FIXED = "best fixed layout"
@@ -42,7 +41,7 @@ class Method:
     orientations: str | None = None  # "any": axes at any angle; None: those of the line
     observe: tuple[str, ...] = ()  # groups of features it sees beside the task's
 
-    def settings(self, task: Task, preset: Preset) -> EnvConfig:
+    def config(self, task: Task, preset: Preset) -> EnvConfig:
         """Configure the environment it acts in."""
         return EnvConfig(
             task=task if self.observed_task is None else self.observed_task(task),
@@ -101,11 +100,7 @@ def shipped(task: str) -> list[Method]:
 
 
 def of_runs(task: str, folder: Path) -> list[Method]:
-    """Find the policies of a task that runs left below `folder`, the latest of each kind.
-
-    Raises:
-        ValueError: a run's policies are damaged.
-    """
+    """Find the policies of a task that runs left below `folder`, the latest of each kind."""
     latest: dict[str, Method] = {}
     for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
         run = config.parent
@@ -117,18 +112,10 @@ def of_runs(task: str, folder: Path) -> list[Method]:
 
 
 def of_run(run: Path, task: str | None = None) -> Method:
-    """Find the policies that a run left, named by the preset they were trained for.
-
-    Args:
-        run: its folder.
-        task: of the user's own that they were trained on; None: one of the package.
-
-    Raises:
-        ValueError: a folder holds no policy, or a damaged one, or one of another task.
-    """
+    """Find the policies that a run left, named by the preset they were trained for."""
     agent = trained(policy_folders(run), task)
     config = run / CONFIG
-    preset = read_config(config, task_name(config)).condition if config.is_file() else NOMINAL
+    preset = read_config(config, task_name(config)).preset if config.is_file() else NOMINAL
     return agent if preset == NOMINAL else replace(agent, name=f"{agent.name}, {preset}")
 
 
@@ -139,15 +126,7 @@ def policy_folders(run: Path) -> dict[int, Path]:
 
 
 def trained(folders: dict[int, Path], task: str | None = None) -> Method:
-    """Read the policies that a run left, a folder for each seed.
-
-    Args:
-        folders: by seed.
-        task: of the user's own that they were trained on; None: one of the package.
-
-    Raises:
-        ValueError: a folder holds no policy, or a damaged one, or one of another task.
-    """
+    """Read the policies that a run left, a folder for each seed."""
     files = {seed: read_files(folder) for seed, folder in folders.items()}
     card = library.from_files(next(iter(files.values())), _own(task)).card
     return Method(
@@ -173,34 +152,34 @@ def _of_rule(rule: Rule, task: str) -> Method:
     )  # fmt: skip
 
 
-def _ruled(make: Callable[[EnvConfig], Controller], settings: EnvConfig, seed: int) -> Controller:
+def _ruled(make: Callable[[EnvConfig], Controller], config: EnvConfig, seed: int) -> Controller:
     del seed  # a rule has none
-    return make(settings)
+    return make(config)
 
 
-def _planned(settings: EnvConfig, seed: int) -> Controller:
+def _planned(config: EnvConfig, seed: int) -> Controller:
     from ..planning.planner import Planner
 
     del seed
-    return Planner(settings)
+    return Planner(config)
 
 
-def _loaded(name: str, settings: EnvConfig, seed: int) -> Controller:
-    return _for_zone(library.load(name, seed), settings)
+def _loaded(name: str, config: EnvConfig, seed: int) -> Controller:
+    return _for_zone(library.load(name, seed), config)
 
 
 def _read(
-    files: dict[int, PolicyFiles], task: str | None, settings: EnvConfig, seed: int
+    files: dict[int, PolicyFiles], task: str | None, config: EnvConfig, seed: int
 ) -> Controller:
-    return _for_zone(library.from_files(files[seed], _own(task)), settings)
+    return _for_zone(library.from_files(files[seed], _own(task)), config)
 
 
-def _for_zone(policy: Any, settings: EnvConfig) -> Controller:
+def _for_zone(policy: Any, config: EnvConfig) -> Controller:
     """Fit a policy whose weights all modules share to the zone; leave others as they are."""
     found: Controller = policy
-    columns = settings.action_kind.columns
-    if policy.card.algo == SHARED and columns != policy.card.settings().action_kind.columns:
-        found = policy.on((0, columns - 1))
+    columns = config.action_kind.columns
+    if policy.card.algo == SHARED and columns != policy.card.env_config().action_kind.columns:
+        found = policy.for_zone((0, columns - 1))
     return found
 
 

@@ -116,13 +116,7 @@ def _is_whole(grid: SpeedGrid, success: np.ndarray) -> bool:
 
 
 def draw_trajectories(grid: SpeedGrid, runs: dict[str, Episodes], file: Path) -> None:
-    """Draw trajectories to y > 0 by entry speed: a row for each method, a column for each parcel.
-
-    Args:
-        grid: of the starts.
-        runs: episodes on all of them, by the name of the method.
-        file: to write.
-    """
+    """Draw trajectories to y > 0 by entry speed: a row a method, a column a parcel."""
     figure = Figure(figsize=(12.0, 3.4 * len(runs)), layout="constrained")
     panels = figure.subplots(len(runs), len(PARCELS), sharex=True, sharey=True, squeeze=False)
     for row, (name, episodes) in zip(panels, runs.items(), strict=True):

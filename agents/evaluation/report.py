@@ -1,45 +1,39 @@
-"""The folder of a comparison: tables, plots, videos, and one web page that holds them all."""
+"""The folder of a comparison: tables, plots, videos, and one web page that holds them all; and the
+comparison of a training run's policies, for its folder and its card.
+"""
 
 import base64
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from html import escape
 from itertools import islice
 from pathlib import Path
 from string import Template
+from typing import Any
 
 import imageio.v2 as imageio
 import numpy as np
+import yaml
 from gymnasium.utils.seeding import np_random
 from rich.console import Console
 
-from surface_gym.config import PRESETS
+from surface_gym.config import PRESETS, EnvConfig
+from surface_gym.parallel import Workers
+from surface_gym.registration import FLOW
 from surface_gym.tasks.benchmark import Column
 
-from ..tasks import task_label
-from . import benchmark as runs
+from .. import library
+from ..base import Controller
+from ..library import CARD, PolicyFiles, read_files, task_label
+from . import plots, streams
 from . import tables as texts
-from .benchmark import Result, Summaries, find_benchmark, summarise
-from .capacity import Case, StreamMethod
-from .methods import PLANNER, Method, rivals
-from .plots import (
-    draw_capacities,
-    draw_errors,
-    draw_rates,
-    draw_success,
-    draw_times,
-    draw_trajectories,
-)
-from .streams import (
-    CURVE,
-    EVENT,
-    LEARNED,
-    RESERVATION,
-    StreamResult,
-    StreamResults,
-    stream_numbers,
-    stream_tables,
-)
+from .benchmark import SEED, Result, Summaries, compute_results, find_benchmark, summarise
+from .benchmark import play as play_benchmark
+from .capacity import STREAM_PRESETS, Case, StreamMethod
+from .methods import FIXED, PLANNER, Method, of_run, policy_folders, rivals, rules
+from .streams import CURVE, EVENT, LEARNED, RESERVATION, StreamResult, StreamResults
 from .tables import Table
 from .video import Player, play, write_comparison
 
@@ -47,6 +41,8 @@ PRINTED = 4  # tables of streams that are shown on screen
 NEAR = 0.95  # [-] of the reservation's capacity, at which the video shows all methods
 FILMED = 20.0  # [s] of a stream
 SHOWN_AT = 12.0  # [s] since the start of a stream, of the picture
+TABLE = "table.md"  # of a run
+COMPARED = ("exact", "camera", "lab")  # presets under which a run's policies are compared
 
 Pictures = list[tuple[Path, str]]  # files, and what each shows
 
@@ -66,17 +62,12 @@ def write_report(
     folder: Path,
     console: Console,
     advance: Callable[[str], None] = lambda _: None,
-    streams: Sequence[Section] = (),
+    first: Sequence[Section] = (),
 ) -> None:
     """Write everything of a comparison into a folder, and show its tables.
 
     Args:
-        methods: that were compared.
-        results: of all of them.
-        folder: to write into.
-        console: to show on.
-        advance: called with what is drawn next.
-        streams: the comparison on streams of parcels, which comes first on the page.
+        first: sections that come first on the page.
     """
     summaries = summarise(results)
     tasks = list(dict.fromkeys(method.task for method in methods))
@@ -99,7 +90,7 @@ def write_report(
         sections.append(Section(decisions, []))
     for section in sections:
         section.table.show(console)
-    write_page([*streams, *sections], folder / "report.html")
+    write_page([*first, *sections], folder / "report.html")
 
 
 def speed_tables(task: str, summaries: Summaries) -> list[Table]:
@@ -120,12 +111,12 @@ def _draw_task(methods: Sequence[Method], summaries: Summaries, folder: Path) ->
     task = methods[0].task
     benchmark, label = find_benchmark(task), task_label(task)
     success = folder / f"{label}-success.png"
-    draw_success(task, summaries, success)
+    plots.draw_success(task, summaries, success)
     pictures = [(success, "Success by preset, with 95 % intervals.")]
     both = rivals(methods)
     if benchmark.grid is not None:
         times, paths = folder / f"{label}-times.png", folder / f"{label}-trajectories.png"
-        draw_times(task, benchmark.grid, summaries, times)
+        plots.draw_times(task, benchmark.grid, summaries, times)
         pictures.append(
             (times, "Time to sort by entry speed; no line where a parcel is not sorted.")
         )
@@ -133,7 +124,7 @@ def _draw_task(methods: Sequence[Method], summaries: Summaries, folder: Path) ->
         pictures.append((paths, "Trajectories by entry speed; dotted where it is not sorted."))
     elif benchmark.error is not None:
         errors = folder / f"{label}-errors.png"
-        draw_errors(task, benchmark.error, summaries, errors)
+        plots.draw_errors(task, benchmark.error, summaries, errors)
         pictures.append((errors, "Share of starts by the size of the error, exact sensors."))
     return [*pictures, write_example(both, folder)]
 
@@ -143,8 +134,8 @@ def write_trajectories(methods: Iterable[Method], file: Path) -> bool:
     several = list(methods)
     grid = find_benchmark(several[0].task).grid
     if grid is not None:
-        episodes = {each.name: runs.play(each, each.seeds[0], "exact")[1] for each in several}
-        draw_trajectories(grid, episodes, file)
+        episodes = {each.name: play_benchmark(each, each.seeds[0], "exact")[1] for each in several}
+        plots.draw_trajectories(grid, episodes, file)
     return grid is not None
 
 
@@ -154,10 +145,10 @@ def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
     benchmark = find_benchmark(task)
     players = []
     for method in methods:
-        settings = method.settings(benchmark.task, PRESETS["exact"])
-        controller = method.make(settings, method.seeds[0])
-        rng = np_random(runs.SEED)[0]
-        players.append(Player(method.name, controller, settings, rng, benchmark.example))
+        config = method.config(benchmark.task, PRESETS["exact"])
+        controller = method.make(config, method.seeds[0])
+        rng = np_random(SEED)[0]
+        players.append(Player(method.name, controller, config, rng, benchmark.example))
     file = folder / f"{task_label(task)}.mp4"
     outcomes = ", ".join(
         f"{player.name} {'succeeds' if success else 'fails'}"
@@ -167,28 +158,19 @@ def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
 
 
 def write_stream_report(
-    methods: Sequence[StreamMethod],
-    rows: Sequence[StreamResult],
-    folder: Path,
-    console: Console,
+    methods: Sequence[StreamMethod], rows: Sequence[StreamResult], folder: Path, console: Console
 ) -> list[Section]:
     """Write flow.md, flow.csv, plots, a picture and a video into a folder, and show tables.
-
-    Args:
-        methods: that were compared.
-        rows: results of all of them.
-        folder: to write into.
-        console: to show on.
 
     Returns:
         The sections of the page.
     """
     results = StreamResults.of(methods, rows)
-    tables = stream_tables(results)
+    tables = streams.stream_tables(results)
     for table in tables[:PRINTED]:
         table.show(console)
     texts.write_markdown(tables, folder / "flow.md")
-    texts.write_numbers(stream_numbers(results), folder / "flow.csv")
+    texts.write_numbers(streams.stream_numbers(results), folder / "flow.csv")
     pictures = _draw_streams(methods, results, folder)
     return [Section(tables[0], pictures), *(Section(table, []) for table in tables[1:])]
 
@@ -197,8 +179,8 @@ def _draw_streams(
     methods: Sequence[StreamMethod], results: StreamResults, folder: Path
 ) -> Pictures:
     rates, capacities = folder / "flow-rate.png", folder / "flow-capacity.png"
-    draw_rates(results, rates)
-    draw_capacities(results, capacities)
+    plots.draw_rates(results, rates)
+    plots.draw_capacities(results, capacities)
     rate = NEAR * results.rate(RESERVATION, CURVE)
     named = {method.name: method for method in methods}
     picture, video = folder / "flow.png", folder / "flow.mp4"
@@ -215,16 +197,12 @@ def _draw_streams(
 
 
 def stream_player(method: StreamMethod, case: Case, rate: float) -> Player:
-    """Put a method on the first replication of a stream, at a rate [parcels/h].
-
-    Raises:
-        ValueError: the method cannot sort such parcels.
-    """
-    settings = method.settings(case, rate)
-    controller = method.make(settings)
+    """Put a method on the first replication of a stream, at a rate [parcels/h]."""
+    config = method.config(case, rate)
+    controller = method.make(config)
     if controller is None:
         raise ValueError(f"method must be able to sort {case.label}, got {method.name!r}")
-    return Player(method.name, controller, settings, np.random.default_rng((runs.SEED, 0)))
+    return Player(method.name, controller, config, np.random.default_rng((SEED, 0)))
 
 
 def stream_picture(method: StreamMethod, rate: float) -> np.ndarray:
@@ -273,7 +251,7 @@ the sensors say.</p>
 <h2>How it is measured</h2>
 <p>Success is given with a 95 % interval over seeds and starts: Wilson's, at the number of
 independent starts that would spread the mean as the seeds and the starts together do. All other
-figures of a table are those of exact sensors. Presets:</p>
+metrics of a table are those of exact sensors. Presets:</p>
 <dl>$presets</dl>
 $sections
 </body>
@@ -324,3 +302,111 @@ def _figure(file: Path, caption: str) -> str:
 
 def _definitions(meanings: Mapping[str, str]) -> str:
     return "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in meanings.items())
+
+
+def evaluate_run(
+    run: Path, task: str | None, workers: Workers, console: Console
+) -> dict[str, dict[str, Any]]:
+    """Compare the policies of a run with the fixed layout, of streams with the reservation.
+
+    table.md, the trajectories of Sort and a video go into the run's folder, the same byte for byte
+    each time.
+
+    Returns:
+        The results that stand on an agent's card, by preset.
+    """
+    if is_of_streams(run):
+        results = _stream_run(run, workers, console)
+    else:
+        results = _parcel_run(of_run(run, task), run, workers, console)
+    console.print(f"everything is in {run}")
+    return results
+
+
+def _parcel_run(
+    agent: Method, folder: Path, workers: Workers, console: Console
+) -> dict[str, dict[str, Any]]:
+    both = [each.under(*COMPARED) for each in (rules(agent.task)[0], agent)]
+    summaries = summarise(compute_results(both, workers))
+    tables = [texts.task_table(agent.task, summaries), *speed_tables(agent.task, summaries)]
+    write_trajectories(both, folder / "trajectories.png")
+    for table in tables:
+        table.show(console)
+    texts.write_markdown(tables, folder / TABLE)
+    file, caption = write_example(both, folder)
+    console.print(f"{file.name}: {caption}")
+    return {preset: _card_results(summaries, agent, preset) for preset in COMPARED}
+
+
+def _card_results(summaries: Summaries, agent: Method, preset: str) -> dict[str, Any]:
+    summary = summaries[agent.task, agent.name, preset]
+    fixed = summaries[agent.task, FIXED, preset]
+    low, high = summary.interval
+    values = {c.name: summary.value(c, fixed) for c in find_benchmark(agent.task).columns}
+    return {
+        "success": round(summary.rate, 4),
+        "interval": [round(low, 4), round(high, 4)],
+        "success_of_each_seed": [round(float(each.mean()), 4) for each in summary.success],
+        **{name: round(value, 5) for name, value in values.items() if not math.isnan(value)},
+    }
+
+
+def is_of_streams(run: Path) -> bool:
+    """Check whether the first policy of a run is for streams; a damaged one is not."""
+    folder = next(iter(policy_folders(run).values()))
+    try:
+        return bool(yaml.safe_load((folder / CARD).read_text())["env_id"] == FLOW)
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+        return False
+
+
+def compare_streams(run: Path, workers: Workers, console: Console) -> StreamResults:
+    """Measure the policies of a run on streams, into the run's folder."""
+    reservation = next(each for each in streams.stream_methods() if each.name == RESERVATION)
+    methods = [reservation, *_of_seeds(policy_folders(run))]
+    results = StreamResults.of(methods, streams.compute_streams(methods, workers, loads=()))
+    tables = [
+        make(results, preset)
+        for preset in STREAM_PRESETS
+        for make in (streams.capacity_table, streams.eased_table)
+    ]
+    texts.write_markdown(tables, run / TABLE)
+    for table in tables:
+        table.show(console)
+    return results
+
+
+def _of_seeds(folders: dict[int, Path]) -> list[StreamMethod]:
+    files = {seed: read_files(folder) for seed, folder in folders.items()}
+    period = library.from_files(next(iter(files.values()))).card.control_period
+    return [
+        StreamMethod(f"seed {seed}", "parcels", True, partial(_read, each), control_period=period)
+        for seed, each in files.items()
+    ]
+
+
+def _read(files: PolicyFiles, config: EnvConfig) -> Controller:
+    del config
+    return library.from_files(files)
+
+
+def _stream_run(run: Path, workers: Workers, console: Console) -> dict[str, dict[str, Any]]:
+    results = compare_streams(run, workers, console)
+    return {
+        preset: {case.label: _stream_card(results, case) for case in streams.cases(preset)}
+        for preset in STREAM_PRESETS
+    }
+
+
+def _stream_card(results: StreamResults, case: Case) -> dict[str, Any]:
+    names = [name for name in results.names if name != RESERVATION]
+    found = [row for name in names if (row := results.find(name, case)) is not None]
+    return {
+        "capacity_of_each_seed": [
+            0 if row.capacity is None else round(row.capacity.rate) for row in found
+        ],
+        "reservation": round(results.rate(RESERVATION, case)),
+        "right_at_80_percent": [
+            None if row.eased is None else round(row.eased.share_right, 5) for row in found
+        ],
+    }

@@ -78,8 +78,8 @@ def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation
         line = with_zone(line, change.zone_columns)
     limit = None if slower == 1.0 else round(task.periods * slower)
     task = replace(task, entry_offset=change.offset, entry_turn=change.turn, time_limit=limit)
-    settings = method.settings(task, change.preset)
-    assumed = replace(settings, control_period=period, line=line)
+    config = method.config(task, change.preset)
+    assumed = replace(config, control_period=period, line=line)
     return Situation(assumed, replace(assumed, line=_with_friction(line, change)))
 
 
@@ -232,7 +232,7 @@ def compute_factor(
         where = situation(method, benchmark, FACTORS[name].change(level))
         episodes = _run(method, seed, where, starts)
         success.append("".join("1" if each else "0" for each in episodes.success))
-        metric = next(iter(episodes.figures.values()), np.zeros(1))
+        metric = next(iter(episodes.metrics.values()), np.zeros(1))
         errors.append(float(np.median(np.abs(metric))))
     return SweepResult(method.task, method.name, name, seed, starts, list(levels), success, errors)
 
@@ -272,11 +272,8 @@ def compute_sweep(
     """Compute all results, in an order that does not depend on the processes.
 
     Args:
-        methods: that run on any parcel.
         starts: at each level.
-        workers: processes to share the work among, or a cluster.
         folder: results are kept in its robustness.jsonl; those found there are not computed again.
-        advance: called with results done, results in all and the name of the latest.
     """
     file = None if folder is None else folder / FILE
     found = compute_kept(sweep_jobs(methods, starts), SweepResult, workers, file, advance)
@@ -372,6 +369,6 @@ def name_shape(base: Base) -> str:
 @lru_cache(maxsize=16)
 def lab_shapes(task: str, starts: int) -> tuple[str, ...]:
     """Name the shape of each start's parcel, as the lab draws it."""
-    settings = EnvConfig(task=find_benchmark(task).task, preset=PRESETS[LAB])
-    drawn = drawn_parcels(settings, [{}] * starts, SEED)
+    config = EnvConfig(task=find_benchmark(task).task, preset=PRESETS[LAB])
+    drawn = drawn_parcels(config, [{}] * starts, SEED)
     return tuple(name_shape(each.base) for each in drawn)

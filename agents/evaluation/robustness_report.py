@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from rich.console import Console
 
-from ..tasks import task_label
+from ..library import task_label
 from .methods import FIXED, PLANNER
 from .plots import DOTS, INK
 from .robustness import FACTORS, LAB, SHAPES, TRAINED, Factor, Level, Rate, Sweep, SweepResult

@@ -18,13 +18,19 @@ from rich.text import Text
 from surface_gym.config import PRESETS
 from surface_gym.tasks.benchmark import PARCELS, Column, SpeedGrid
 
-from ..tasks import task_label
+from ..library import task_label
 from .benchmark import Summaries, Summary, find_benchmark
 from .methods import FIXED
 
 NOTHING = "-"
 SHOWN_SPEEDS = np.arange(3, 28, 2) / 10.0  # [m/s] rows of the table by entry speed
 DECISIONS = "decisions.md"
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str = "---") -> str:
+    """Write rows as a Markdown table; `others` aligns all columns but the first."""
+    lines = [header, ["---"] + [others] * (len(header) - 1), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 @dataclass(frozen=True)
@@ -43,8 +49,7 @@ class Table:
 
     def markdown(self) -> str:
         """Write the table as Markdown."""
-        lines = [self.header, ["---"] + ["---:"] * (len(self.header) - 1), *self.rows]
-        text = "\n".join("| " + " | ".join(line) + " |" for line in lines)
+        text = markdown(self.header, self.rows, "---:")
         return f"## {self.heading}\n\n{self.caption}\n\n{text}\n"
 
     def html(self) -> str:

@@ -1,4 +1,6 @@
-"""Videos of episodes: one, or several side by side; `python -m agents.evaluation.video --help`."""
+"""Videos of episodes, one or several side by side; `python -m surface_gym.agents.evaluation.video`
+films a stream.
+"""
 
 import math
 import sys
@@ -38,7 +40,7 @@ class Player:
 
     name: str  # written over its pictures
     controller: Controller
-    settings: EnvConfig | EnvConfig
+    config: EnvConfig
     rng: np.random.Generator  # what the options leave open is drawn from
     options: dict[str, Any] | None = None
 
@@ -52,16 +54,13 @@ def write_comparison(
 
     Args:
         players: control periods are multiples of the shortest.
-        file: to write.
-        seconds: [s] to show at most.
 
     Returns:
         Whether each succeeded, as far as it was shown.
     """
-    period = min(player.settings.control_period for player in players)
+    period = min(player.config.control_period for player in players)
     episodes = [
-        _repeated(play(player), round(player.settings.control_period / period))
-        for player in players
+        _repeated(play(player), round(player.config.control_period / period)) for player in players
     ]
     last: list[Any] = [None] * len(players)
 
@@ -83,22 +82,14 @@ def write_episode(
     """Write an mp4 of a stream's episode, or of its first part.
 
     Args:
-        player: the controller, and its episode.
-        file: to write.
-        seconds: [s] of the episode to show.
         speed: [-] seconds of the episode in a second of the video. All control periods are shown,
             or as many as make 25 pictures a second.
-
-    Raises:
-        ValueError: no time to show or more than the episode lasts, a speed that is not positive, or
-            a file in no folder.
-        OSError: the file cannot be written.
     """
     if not file.parent.is_dir():
         raise ValueError(f"file must be in a folder that there is, got {str(file)!r}")
-    duration = getattr(player.settings.task, "duration", math.inf)
+    duration = getattr(player.config.task, "duration", math.inf)
     checks.within("seconds", checks.positive("seconds", seconds), 0.0, duration)
-    period = player.settings.control_period
+    period = player.config.control_period
     every = math.ceil(checks.positive("speed", speed) / (period * RENDER_FPS) - 1e-9)
     last = math.ceil(seconds / period - 1e-9)
     write_video(
@@ -130,11 +121,10 @@ def play(
     """Play an episode: the picture and `info` at the start and after each control period.
 
     Args:
-        player: the controller, and its episode.
         periods: control periods to play at most; None: until the episode ends.
         every: pictures of the control periods between are not drawn, and the latest is repeated.
     """
-    env = _make_env(player.settings)
+    env = _make_env(player.config)
     env.unwrapped.np_random = player.rng
     observation, info = env.reset(options=player.options)
     picture: Any = env.render()
@@ -154,11 +144,11 @@ def play(
     env.close()
 
 
-def _make_env(settings: EnvConfig) -> gym.Env[Any, Any]:
-    env = SmartSurfaceEnv(render_mode="rgb_array", **settings.arguments())
-    if isinstance(settings.task, StreamTask):  # it ends by itself
+def _make_env(config: EnvConfig) -> gym.Env[Any, Any]:
+    env = SmartSurfaceEnv(render_mode="rgb_array", **config.arguments())
+    if isinstance(config.task, StreamTask):  # it ends by itself
         return env
-    return gym.wrappers.TimeLimit(env, settings.periods)
+    return gym.wrappers.TimeLimit(env, config.periods)
 
 
 def _repeated(items: Iterator[Any], times: int) -> Iterator[Any]:
@@ -207,10 +197,10 @@ class VideoConfig:
 
     def __post_init__(self) -> None:
         checks.one_of("controller", self.controller, CONTROLLERS)
-        _ = self.settings
+        _ = self.config
 
     @property
-    def settings(self) -> EnvConfig:
+    def config(self) -> EnvConfig:
         """The environment."""
         return EnvConfig(
             "flow",
@@ -221,14 +211,16 @@ class VideoConfig:
         )
 
 
-def main(env_arguments: Sequence[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Film a stream; an error ends it with one line."""
     try:
-        config = tyro.cli(VideoConfig, prog="python -m agents.evaluation.video", args=env_arguments)
-        settings = config.settings
-        controller = CONTROLLERS[config.controller](settings)
-        player = Player(config.controller, controller, settings, np_random(config.seed)[0])
-        write_episode(player, config.file, config.seconds, config.speed)
+        command = tyro.cli(
+            VideoConfig, prog="python -m surface_gym.agents.evaluation.video", args=arguments
+        )
+        config = command.config
+        controller = CONTROLLERS[command.controller](config)
+        player = Player(command.controller, controller, config, np_random(command.seed)[0])
+        write_episode(player, command.file, command.seconds, command.speed)
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
 

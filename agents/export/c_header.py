@@ -45,14 +45,7 @@ def make_prefix(name: str) -> str:
 def make_header(
     decision: NetworkDecision, name: str, control_period: float, metadata: Mapping[str, str]
 ) -> str:
-    """Return the text of the header.
-
-    Args:
-        decision: that it makes.
-        name: of the agent.
-        control_period: [s] between decisions.
-        metadata: names and values for the comment at its top.
-    """
+    """Return the text of the header."""
     prefix = make_prefix(name)
     capital = prefix.upper()
     tables, statements = _choices(decision, prefix)

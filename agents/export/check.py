@@ -19,7 +19,6 @@ import numpy as np
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.config import Preset
 
-from ..rollout import env_arguments
 from .c_header import make_prefix
 from .onnx import ANGLES, CHOICES, OBSERVATION, ModulesDecision, need
 from .policy import Integers, NetworkDecision, Numbers, Singles, Source
@@ -81,18 +80,10 @@ def compare(
     """Compare decisions with the policy's.
 
     Args:
-        what: format of the export, for the message.
-        decision: that is exported.
-        source: of the policy.
-        observations: (count, features).
         decide: computes choices and axis angles [rad], (count, parts) each.
-
-    Raises:
-        ValueError: they differ where scores are not close, too often where they are, or in an
-            angle.
     """
     actions, _ = source.policy.predict(observations, deterministic=True)
-    wanted = source.settings.action_kind.commands(actions, len(observations))
+    wanted = source.config.action_kind.commands(actions, len(observations))
     choices, angles = decide(observations)
     differs = choices != wanted
     close = decision.in_doubt(observations, TIE)
@@ -135,17 +126,7 @@ def find_compiler() -> str | None:
 
 
 def run_c(compiler: str, header: str, name: str, parts: int) -> Decide:
-    """Return the decisions of a C header.
-
-    Args:
-        compiler: its path.
-        header: its text.
-        name: of the agent.
-        parts: size of a decision.
-
-    Raises:
-        ValueError: it does not compile without a warning.
-    """
+    """Return the decisions of a C header."""
     prefix = make_prefix(name)
 
     def decide(observations: Singles) -> tuple[Integers, Numbers]:
@@ -173,13 +154,7 @@ def run_c(compiler: str, header: str, name: str, parts: int) -> Decide:
 
 
 def make_observations(source: Source, count: int, seed: int = 0) -> Singles:
-    """Return (count, features), half from the policy's own episodes, half random.
-
-    Args:
-        source: of the policy.
-        count: of observations.
-        seed: of starts, noise and random numbers.
-    """
+    """Return (count, features), half from the policy's own episodes, half random."""
     presets = source.training.presets
     each = count // 2 // len(presets)
     met = [_from_episodes(source, preset, each, seed) for preset in presets]
@@ -189,12 +164,12 @@ def make_observations(source: Source, count: int, seed: int = 0) -> Singles:
 def _from_episodes(source: Source, preset: Preset, count: int, seed: int) -> Singles:
     """Return (count, features) from episodes of the policy under a preset."""
     num_envs = min(NUM_ENVS, count)
-    given = {**env_arguments(source.settings), "condition": preset}
+    given = {**source.config.arguments(), "preset": preset}
     for name in ("sensors", "actuators", "randomisation"):
         del given[name]  # which the preset sets
     env = SmartSurfaceVectorEnv(
         num_envs=num_envs,
-        max_episode_steps=source.settings.task.periods,
+        max_episode_steps=source.config.task.periods,
         autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
         **given,
     )
@@ -210,7 +185,7 @@ def _from_episodes(source: Source, preset: Preset, count: int, seed: int) -> Sin
 
 def random_observations(source: Source, count: int, seed: int) -> Singles:
     """Return (count, features) from the part of the observation space that is near to 0."""
-    space = source.settings.observation_space()
+    space = source.config.observation_space()
     low, high = np.maximum(space.low, -FARTHEST), np.minimum(space.high, FARTHEST)
     rng = np.random.default_rng(seed)
     drawn = rng.uniform(low, high, (count, len(low)))

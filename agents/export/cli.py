@@ -53,11 +53,7 @@ class ExportConfig:
         checks.integer("observations", self.observations, least=100)
 
     def source(self) -> "Source":
-        """Return the policy to export.
-
-        Raises:
-            ValueError: it does not exist, is damaged, or is not exported.
-        """
+        """Return the policy to export."""
         from . import policy
 
         if self.run is None:
@@ -75,23 +71,12 @@ class Exported:
 
 
 def export(
-    source: "Source",
-    folder: Path,
-    observations: int = OBSERVATIONS,
-    formats: Sequence[Format] = (),
+    source: "Source", folder: Path, observations: int = OBSERVATIONS, formats: Sequence[Format] = ()
 ) -> Exported:
     """Write NAME.onnx, NAME.h and NAME.md, if they decide as the policy does.
 
     Args:
-        source: of the policy.
-        folder: for the files.
         observations: number of them to compare decisions on.
-        formats: to write; empty: all that there are for the policy.
-
-    Raises:
-        ValueError: the policy is of a kind that is not exported, or not in a format, or a decision
-            differs.
-        ImportError: ONNX or its runtime is missing, which the extra `export` brings.
     """
     from . import c_header, check, onnx, page, policy
 
@@ -112,7 +97,7 @@ def export(
         decide = check.run_onnx(contents["onnx"])
         checked["ONNX"] = check.compare("ONNX", decision, source, examples, decide)
     if isinstance(decision, policy.NetworkDecision) and (not formats or "c" in formats):
-        period, compiler = source.settings.control_period, check.find_compiler()
+        period, compiler = source.config.control_period, check.find_compiler()
         header = c_header.make_header(decision, source.name, period, metadata)
         contents["h"], checked["C"] = header.encode(), None
         if compiler is not None:
@@ -127,11 +112,7 @@ def export(
 
 
 def make_model(decision: "NetworkDecision | ModulesDecision", metadata: dict[str, str]) -> bytes:
-    """Return a decision as an ONNX file's content.
-
-    Raises:
-        ImportError: ONNX is missing, which the extra `export` brings.
-    """
+    """Return a decision as an ONNX file's content."""
     from . import onnx
 
     graph = onnx.Graph()
@@ -146,18 +127,18 @@ def make_metadata(source: "Source") -> dict[str, str]:
     """Return the metadata of an ONNX file; lists are JSON."""
     import surface_gym
 
-    settings, policy = source.settings, source.policy
+    config, policy = source.config, source.policy
     return {
         "agent": source.name,
         "seed": str(source.seed),
         "task": policy.env_id,
         "algorithm": policy.card.algo,
-        "actions": settings.actions,
-        "control_period": repr(settings.control_period),
-        "orientations": json.dumps(settings.chosen_orientations),
-        "observe": json.dumps(settings.observe),
-        "features": json.dumps([each.name for each in settings.features]),
-        "condition": source.training.condition,
+        "actions": config.actions,
+        "control_period": repr(config.control_period),
+        "orientations": json.dumps(config.chosen_orientations),
+        "observe": json.dumps(config.observe),
+        "features": json.dumps([each.name for each in config.features]),
+        "preset": source.training.preset,
         "digest": source.digest,
         "surface_gym": surface_gym.__version__,
     }

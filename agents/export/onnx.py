@@ -37,11 +37,7 @@ _OPERATORS: dict[Any, str] = {
 
 
 def need(package: str) -> Any:
-    """Import a library of the extra `export`.
-
-    Raises:
-        ImportError: it is missing; the message says what to install.
-    """
+    """Import a library of the extra `export`."""
     try:
         return import_module(package)
     except ModuleNotFoundError as error:
@@ -106,9 +102,7 @@ class Graph:
 
         Args:
             shape: (features, parts), sizes of an observation and of a decision.
-            orientations: [rad] of the choices.
             choices: name of the choices (parcels, parts).
-            metadata: names and values.
         """
         onnx = self._onnx
         self.add("Identity", choices, output=CHOICES)
@@ -117,10 +111,10 @@ class Graph:
         graph = onnx.helper.make_graph(
             self._nodes,
             "decide",
-            [value(OBSERVATION, kinds.FLOAT, ["lanes", shape[0]])],
+            [value(OBSERVATION, kinds.FLOAT, ["num_envs", shape[0]])],
             [
-                value(CHOICES, kinds.INT64, ["lanes", shape[1]]),
-                value(ANGLES, kinds.DOUBLE, ["lanes", shape[1]]),
+                value(CHOICES, kinds.INT64, ["num_envs", shape[1]]),
+                value(ANGLES, kinds.DOUBLE, ["num_envs", shape[1]]),
             ],
             self._constants,
         )
@@ -137,12 +131,7 @@ class Graph:
 
 
 class Traced(NDArrayOperatorsMixin):
-    """An array of a graph: NumPy's functions and operators on it add nodes.
-
-    Args:
-        graph: that it is of.
-        name: in the graph.
-    """
+    """An array of a graph: NumPy's functions and operators on it add nodes."""
 
     def __init__(self, graph: Graph, name: str) -> None:
         self.graph, self.name = graph, name
@@ -199,15 +188,14 @@ class SeenByModules:
     mirrored: Any  # whether the asked side is y < 0
 
 
-def seen_by_modules(settings: EnvConfig, features: Sequence[Any]) -> SeenByModules:
+def seen_by_modules(config: EnvConfig, features: Sequence[Any]) -> SeenByModules:
     """Compute what each module sees, in the action's order.
 
     Args:
-        settings: of the environment.
         features: of the observation, each (parcels, 1).
     """
-    see = {each.name: feature for each, feature in zip(settings.features, features, strict=True)}
-    kind, line, period = settings.action_kind, settings.chosen_line, settings.control_period
+    see = {each.name: feature for each, feature in zip(config.features, features, strict=True)}
+    kind, line, period = config.action_kind, config.chosen_line, config.control_period
     mirrored = features[SIDE] < 0.0
     offset = 0.3 * see["lateral offset"]
     vx, vy = 1.0 + see["forward speed"], 0.5 * see["lateral speed"]
@@ -215,7 +203,7 @@ def seen_by_modules(settings: EnvConfig, features: Sequence[Any]) -> SeenByModul
     length = _hypot(sine, cosine)
     turned = length > 0.0
     cosine, sine = np.where(turned, cosine / length, 1.0), np.where(turned, sine / length, 0.0)
-    outline, into_zone = _lie(settings, see, offset, (cosine, sine))
+    outline, into_zone = _lie(config, see, offset, (cosine, sine))
     turn = period * 3.0 * see["turning speed"]
     c, s = np.cos(turn), np.sin(turn)
     later_axes = (cosine * c - sine * s, sine * c + cosine * s)
@@ -231,7 +219,7 @@ def seen_by_modules(settings: EnvConfig, features: Sequence[Any]) -> SeenByModul
         later[0] / outline.half[0], later[1] / outline.half[1],
         np.where(outside <= 0.0, 1.0, 0.0), np.where(outside_later <= 0.0, 1.0, 0.0),
         x / 0.3, y / 0.3, (y + offset) / 0.15,
-        *_axes_around(settings, see, x, y),
+        *_axes_around(config, see, x, y),
     )  # fmt: skip
     close = _hypot(*outline.half) + period * (abs(vx) + abs(vy)) + 2.0 * MARGIN
     bears = (
@@ -268,17 +256,17 @@ class _Outline:
 
 
 def _lie(
-    settings: EnvConfig, see: dict[str, Any], offset: Any, axes: tuple[Any, Any]
+    config: EnvConfig, see: dict[str, Any], offset: Any, axes: tuple[Any, Any]
 ) -> tuple[_Outline, Any]:
     """Outline of the base, and [m] from the zone's first edge to its centre."""
-    line = settings.chosen_line
+    line = config.chosen_line
     least = 2.0 if isinstance(line, Line) else float(line.zone_rows)
 
     def rows(pairs: Any) -> Any:
         return _clip(2.0 * np.floor(pairs), least, float(line.zone_rows))
 
     cosine, sine = abs(axes[0]), abs(axes[1])
-    if "parcel" in settings.observe:
+    if "parcel" in config.observe:
         length, width = (0.175 + 0.05 * see[name] for name in ("length", "width"))
         roundness = _clip((1.0 - see["fill"]) / (1.0 - ELLIPSE), 0.0, 1.0)
         outline = _Outline((length, width), roundness, rows(width / line.pitch_y + EXACT))
@@ -301,9 +289,9 @@ def _lie(
     return outline, 0.5 * see["distance into zone"] + outline.reach(*axes)
 
 
-def _axes_around(settings: EnvConfig, see: dict[str, Any], x: Any, y: Any) -> tuple[Any, ...]:
+def _axes_around(config: EnvConfig, see: dict[str, Any], x: Any, y: Any) -> tuple[Any, ...]:
     """Return what is shown of the rotors in a module's quadrant; nothing if none is."""
-    if "rotors" not in settings.observe:
+    if "rotors" not in config.observe:
         return ()
     shown = [see[each.name] for each in GROUPS["rotors"].features]
     behind, right, size = x < 0.0, y < 0.0, QUADRANT_SIZE
@@ -379,7 +367,7 @@ class ModulesDecision:
     """The decision of modules: each that bears the parcel chooses by one shared network."""
 
     network: Network
-    settings: EnvConfig  # of the environment
+    config: EnvConfig  # of the environment
     shared: Integers  # (shared,) indices of the features that all modules see
     images: Integers  # (choices,) the mirror image of each orientation
     rest: int  # choice of the other modules
@@ -388,12 +376,12 @@ class ModulesDecision:
     @property
     def features(self) -> int:
         """Size of an observation."""
-        return len(self.settings.features)
+        return len(self.config.features)
 
     @property
     def parts(self) -> int:
         """Size of an action."""
-        return self.settings.action_kind.size
+        return self.config.action_kind.size
 
     def in_doubt(self, observations: Singles, tie: float) -> NDArray[np.bool_]:
         """Tell for each module whether round-off may decide either way; see `NetworkDecision`."""
@@ -401,7 +389,7 @@ class ModulesDecision:
         columns = observations.astype(np.float64).T[..., np.newaxis]
         with np.errstate(divide="ignore", invalid="ignore"):  # of what is not chosen
             seen = seen_by_modules(
-                self.settings, [Watched(column, doubts, exact=True) for column in columns]
+                self.config, [Watched(column, doubts, exact=True) for column in columns]
             )
         shape = (len(observations), self.parts)
         place = np.stack([np.broadcast_to(each.value, shape) for each in seen.place], axis=2)
@@ -417,7 +405,7 @@ class ModulesDecision:
 
 def add_modules_decision(graph: Graph, decision: ModulesDecision) -> str:
     """Add the decision of modules; returns the name of the choices (parcels, parts)."""
-    seen = seen_by_modules(decision.settings, graph.features(decision.features))
+    seen = seen_by_modules(decision.config, graph.features(decision.features))
     last = graph.integers(2)
     place = [graph.add("Unsqueeze", each.name, last) for each in seen.place]
     alike = graph.add("Gather", OBSERVATION, graph.array(decision.shared), axis=1)
@@ -434,9 +422,9 @@ def add_modules_decision(graph: Graph, decision: ModulesDecision) -> str:
 
 def modules_decision(source: Source) -> ModulesDecision:
     """Return the decision of modules that share weights, for the zone they were trained on."""
-    settings = source.settings
-    angles = settings.chosen_orientations
-    names = [each.name for each in settings.features]
+    config = source.config
+    angles = config.chosen_orientations
+    names = [each.name for each in config.features]
     arrays = {name: to_array(values) for name, values in source.weights.items()}
     # The weights of what all see and of what each sees, side by side.
     first = np.concatenate([arrays["_alike.weight"], arrays["_apart.weight"]], axis=1)
@@ -445,7 +433,7 @@ def modules_decision(source: Source) -> ModulesDecision:
     layers = [Layer(arrays[f"{name}.weight"], arrays[f"{name}.bias"]) for name in later]
     return ModulesDecision(
         Network((Layer(first, arrays["_alike.bias"]), *layers), "tanh"),
-        settings,
+        config,
         np.array([k for k, name in enumerate(names) if name not in _APART], dtype=np.int64),
         mirrored_orientations(angles),
         int(np.abs(np.sin(angles)).argmax()),

@@ -1,13 +1,13 @@
 """The page that goes with an export: its input, its output, its training and its check."""
 
 import math
-from collections.abc import Iterable, Sequence
 
 from surface_gym.config import Preset
 from surface_gym.core.actions import GROUPS, ActionKind, group_features
 from surface_gym.tasks import Sort
 from surface_gym.tasks.base import Feature
 
+from ..evaluation.tables import markdown
 from .c_header import make_prefix
 from .check import TIE, Agreement
 from .onnx import ANGLES, CHOICES, OBSERVATION, OPSET
@@ -81,31 +81,29 @@ def make_page(
     """Return the page, in Markdown.
 
     Args:
-        source: of the policy.
-        metadata: of the ONNX file.
         checked: by "ONNX" and "C", as far as they are written: the agreement with the policy; None:
             it was not tried.
     """
-    name, settings = source.name, source.settings
+    name, config = source.name, source.config
     files = {
         "ONNX": (f"`{name}.onnx`", f"a graph for any ONNX runtime, opset {OPSET}"),
         "C": (f"`{name}.h`", f"a C99 header: `{make_prefix(name)}_decide(observation, angles)`"),
     }
     parts = (
         f"# {name}, seed {source.seed}",
-        f"Decides axes for `{source.policy.env_id}` every {settings.control_period * 1e3:g} ms. "
+        f"Decides axes for `{source.policy.env_id}` every {config.control_period * 1e3:g} ms. "
         "Made by surface_gym from a trained policy; each file decides as the policy does.",
-        _table(("file", "content"), (files[each] for each in checked)),
+        markdown(("file", "content"), (files[each] for each in checked)),
         "## In",
-        f"`{OBSERVATION}`: float32, {len(settings.features)} numbers a parcel; in ONNX as many "
+        f"`{OBSERVATION}`: float32, {len(config.features)} numbers a parcel; in ONNX as many "
         "rows as there are parcels.",
         _features(source),
-        *((_MIRRORED,) if isinstance(settings.task, Sort) else ()),
+        *((_MIRRORED,) if isinstance(config.task, Sort) else ()),
         "Outside of least and greatest the policy was never trained: stop there, or let a rule "
         "take over.",
         "## Out",
         _out(source),
-        f"- The control period is {settings.control_period:g} s: sense, decide, set the axes, "
+        f"- The control period is {config.control_period:g} s: sense, decide, set the axes, "
         "wait. A decision holds until the next one.\n- Only modules of the zone obey. Every other "
         f"keeps its axis.\n- The surface is {_surface(source)}.",
         "## Trained in",
@@ -113,28 +111,23 @@ def make_page(
         "## Checked",
         _checked(checked),
         "## Metadata of the ONNX file",
-        _table(("key", "value"), ((f"`{key}`", f"`{value}`") for key, value in metadata.items())),
+        markdown(("key", "value"), ((f"`{key}`", f"`{value}`") for key, value in metadata.items())),
     )
     return "\n\n".join(parts) + "\n"
-
-
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def _features(source: Source) -> str:
     rows = (
         (str(place), each.name, f"{each.low:g}", f"{each.high:g}", each.meaning, need_of(each))
-        for place, each in enumerate(source.settings.features)
+        for place, each in enumerate(source.config.features)
     )
-    return _table(("place", "feature", "least", "greatest", "meaning", "a machine needs"), rows)
+    return markdown(("place", "feature", "least", "greatest", "meaning", "a machine needs"), rows)
 
 
 def _out(source: Source) -> str:
-    kind = source.settings.action_kind
-    angles = source.settings.chosen_orientations
-    offered = _table(
+    kind = source.config.action_kind
+    angles = source.config.chosen_orientations
+    offered = markdown(
         ("choice", "axis angle [rad]", "[deg]"),
         ((str(k), f"{angle:.9g}", f"{math.degrees(angle):g}") for k, angle in enumerate(angles)),
     )
@@ -150,7 +143,7 @@ def _parts(kind: ActionKind) -> str:
     """Describe which modules follow which part."""
     if kind.name in _PLACES:
         rows = ((str(k), f"modules {place}") for k, place in enumerate(_PLACES[kind.name]))
-        return _table(("part", "followed by"), rows) + (
+        return markdown(("part", "followed by"), rows) + (
             "\n\nThe centre is the one that is sensed. A module just at it is ahead and left."
         )
     if kind.name == "window":
@@ -168,7 +161,7 @@ def _parts(kind: ActionKind) -> str:
 
 
 def _surface(source: Source) -> str:
-    line = source.settings.chosen_line
+    line = source.config.chosen_line
     return (
         f"`{type(line).__name__}`: {line.rows} x {line.columns} elements, "
         f"{line.pitch_x:g} m x {line.pitch_y:g} m apart, {line.zone_columns} columns of which "
@@ -178,13 +171,13 @@ def _surface(source: Source) -> str:
 
 def _training(source: Source) -> str:
     training = source.training
-    lines = [f"Preset: {training.condition}. Its environments were:"]
+    lines = [f"Preset: {training.preset}. Its environments were:"]
     lines.append("\n".join(f"- {_preset(each)}" for each in training.presets))
     if training.command is not None:
         lines.append(f"Trained by `{training.command}`.")
     if training.results:
         rows = ((name, f"{success:.3f}") for name, success in training.results)
-        lines.append(_table(("preset", "success"), rows))
+        lines.append(markdown(("preset", "success"), rows))
     return "\n\n".join(lines)
 
 

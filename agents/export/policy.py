@@ -22,16 +22,15 @@ from ..evaluation.methods import policy_folders
 from ..learning.config import NOMINAL
 from ..learning.runs import CARD as CARD_FILE
 from ..learning.runs import CONFIG, read_config
-from ..library import read_files
+from ..library import find_task, read_files
 from ..module_policy import ModulePolicy
 from ..policy import DIGEST, Policy, make_network
-from ..tasks import find_task
 
 Singles = NDArray[np.float32]
 Numbers = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# Presets of the environments that agents were trained in, by `train.py --condition`.
+# Presets of the environments that agents were trained in, by `train.py --preset`.
 TRAINED_IN: dict[str, tuple[str, ...]] = {NOMINAL: ("exact", "camera"), "lab": ("exact", "lab")}
 ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
@@ -40,15 +39,15 @@ ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 class Training:
     """The training of an agent, as far as its folder describes it."""
 
-    condition: str  # preset that it was trained for
+    preset: str  # that it was trained for
     command: str | None = None  # that trains it; None: not known
     results: tuple[tuple[str, float], ...] = ()  # [-] success under presets; empty: not known
 
     @property
     def presets(self) -> tuple[Preset, ...]:
         """Presets of the environments that it was trained in."""
-        names = TRAINED_IN.get(self.condition, (self.condition,))
-        return tuple(PRESETS[checks.one_of("condition", name, PRESETS)] for name in names)
+        names = TRAINED_IN.get(self.preset, (self.preset,))
+        return tuple(PRESETS[checks.one_of("preset", name, PRESETS)] for name in names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,18 +57,14 @@ class Source:
     name: str
     seed: int
     policy: Policy | ModulePolicy
-    settings: EnvConfig  # of the environment it is for
+    config: EnvConfig  # of the environment it is for
     weights: dict[str, torch.Tensor]
     digest: str  # of card and weights
     training: Training
 
 
 def shipped(name: str, seed: int | None = None) -> Source:
-    """Return an agent that comes with the package.
-
-    Raises:
-        ValueError: there is no agent of that name or seed, or it is of a kind that is not exported.
-    """
+    """Return an agent that comes with the package."""
     seeds = library.seeds(name)
     chosen = seeds[0] if seed is None else int(checks.one_of("seed", seed, seeds))
     folder = library.SHELF / name
@@ -82,14 +77,8 @@ def of_run(
     """Return a policy of a training run.
 
     Args:
-        run: its folder.
         name: that the export is to have; None: the folder's.
         seed: of several; None: the first.
-        task: custom task that it was trained on, as path/to/file.py:Class; None: of the package.
-
-    Raises:
-        ValueError: the folder holds no policy, or a damaged or foreign one, or one of another task
-            or seed; or of a kind that is not exported.
     """
     folders = policy_folders(run)
     chosen = next(iter(folders)) if seed is None else int(checks.one_of("seed", seed, folders))
@@ -114,7 +103,7 @@ def _read(
         name,
         seed,
         policy,
-        policy.card.settings(task),
+        policy.card.env_config(task),
         torch.load(BytesIO(files.weights), map_location="cpu", weights_only=True),
         str(yaml.safe_load(files.card.decode())[DIGEST]),
         training or Training(NOMINAL),
@@ -129,13 +118,14 @@ def _read_training(folder: Path) -> Training | None:
     card: dict[str, Any] = yaml.safe_load(file.read_text())
     command = str(card["command"])
     words = shlex.split(command)
-    asked = words[words.index("--condition") + 1] if "--condition" in words else NOMINAL
+    flags = [word for word in ("--preset", "--condition") if word in words]  # "--condition" earlier
+    asked = words[words.index(flags[0]) + 1] if flags else NOMINAL
     results = tuple(
-        (name, float(figures["success"]))
-        for name, figures in card.get("results", {}).items()
-        if "success" in figures
+        (name, float(found["success"]))
+        for name, found in card.get("results", {}).items()
+        if "success" in found
     )
-    return Training(str(card.get("condition", asked)), command, results)
+    return Training(str(card.get("preset", asked)), command, results)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,11 +164,7 @@ class Network:
 
 
 def read_network(modules: nn.Module) -> Network:
-    """Read the weights of modules that follow each other.
-
-    Raises:
-        ValueError: it has other than linear layers with one kind of activation between them.
-    """
+    """Read the weights of modules that follow each other."""
     leaves = [each for each in modules.modules() if not list(each.children())]
     linear, between = leaves[::2], leaves[1::2]
     kinds = {type(each) for each in between}
@@ -210,7 +196,6 @@ def are_close(scores: Numbers, tie: float) -> NDArray[np.bool_]:
     """Tell whether the best two of scores (..., options) are too close to tell apart.
 
     Args:
-        scores: of each option.
         tie: greatest distance, as a share of the largest score (at least 1).
     """
     best = np.sort(scores, axis=-1)
@@ -249,12 +234,7 @@ class NetworkDecision:
         return self.groups * self.options.shape[1]
 
     def in_doubt(self, observations: Singles, tie: float) -> NDArray[np.bool_]:
-        """Tell for each part whether single precision may decide either way.
-
-        Args:
-            observations: (count, features).
-            tie: see `are_close`.
-        """
+        """Tell for each part whether single precision may decide either way."""
         scores = self.network.scores(observations.astype(np.float64))
         close = are_close(scores.reshape(len(observations), self.groups, -1), tie)
         parts = close.repeat(self.options.shape[1], axis=1)
@@ -266,24 +246,20 @@ class NetworkDecision:
 
 
 def network_decision(source: Source) -> NetworkDecision:
-    """Return the decision of a policy with one of Stable-Baselines3's networks.
-
-    Raises:
-        ValueError: its network or its actions are of a kind that is not exported.
-    """
-    settings, card = source.settings, source.policy.card
-    kind = settings.action_kind
+    """Return the decision of a policy with one of Stable-Baselines3's networks."""
+    config, card = source.config, source.policy.card
+    kind = config.action_kind
     if kind.continuous:
         raise ValueError("orientations must be some to choose from, to be exported, got any angle")
-    module = make_network(card, settings)
+    module = make_network(card, config)
     module.load_state_dict(source.weights)
     if card.algo == "dqn":
         network = read_network(module.get_submodule("q_net.q_net"))
     else:
         hidden = module.get_submodule("mlp_extractor.policy_net")
         network = read_network(nn.Sequential(hidden, module.get_submodule("action_net")))
-    orientations, symmetry = settings.chosen_orientations, None
-    if isinstance(settings.task, Sort):  # as `Policy`: a goal at y < 0 is shown in a mirror
+    orientations, symmetry = config.chosen_orientations, None
+    if isinstance(config.task, Sort):  # as `Policy`: a goal at y < 0 is shown in a mirror
         parts = kind.flip(np.arange(kind.size)[np.newaxis])[0]
         symmetry = Symmetry(SIDE, mirrored_orientations(orientations), parts)
     if kind.space().shape == ():  # one number decides for all parts

@@ -112,7 +112,7 @@ class TrainConfig:
             return
         from surface_gym.lines import Line
 
-        from ..tasks import find_task
+        from ..library import find_task
 
         if not isinstance(find_task(self.task).line, Line):
             self._check_no_zones()
@@ -307,8 +307,7 @@ def config_of_seed(config: TrainConfig, seed: int) -> TrainConfig:
 
 def make_card(config: TrainConfig) -> "PolicyCard":
     """Build the card of a run's policy."""
-    from ..library import PolicyCard
-    from ..tasks import card_env_id
+    from ..library import PolicyCard, card_env_id
 
     return PolicyCard(
         card_env_id(config.task),
@@ -342,15 +341,7 @@ def defaults(
     """Read the default configuration of a task and an algorithm.
 
     Args:
-        task: to learn.
-        algo: to learn it by.
         file: of a user, in the same schema; None: the package's.
-        preset: conditions to train for.
-        device: to learn on.
-
-    Raises:
-        ValueError: the algorithm does not learn the task, or not on the device, or the file holds
-            something unknown or not allowed.
     """
     given = {"task": task, "algo": algo, "preset": preset}
     if device != CPU:
@@ -397,7 +388,7 @@ def _entry_name(task: str) -> str:
         return FLOW
     if is_registered(task):
         return env_id(task)
-    from ..tasks import task_kind
+    from ..library import task_kind
 
     kind = task_kind(task)
     return env_id(kind) if is_registered(kind) else OWN

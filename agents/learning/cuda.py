@@ -20,8 +20,8 @@ from surface_gym.registration import env_id
 from surface_gym.tasks import Sort
 
 from ..base import SIDE, ActionMirror, mirrored_orientations
+from ..library import find_task
 from ..policy import EqualCategoricals, EqualChoicesPolicy, make_network
-from ..tasks import find_task
 from .config import PPOConfig, is_registered, make_card
 from .ppo import MAX_GRAD_NORM, compute_advantages, learning_rate, ppo_loss, train_learner
 from .runs import RECENT_EPISODES, REWARD, Curve, OnProgress, TrainResult
@@ -40,7 +40,7 @@ class DeviceEnvs(Protocol):
     num_envs: int
     single_observation_space: spaces.Space[Any]
     single_action_space: spaces.Space[Any]
-    settings: EnvConfig
+    config: EnvConfig
     device: Any  # an argument of `torch.device`
 
     def reset(self, *, seed: int) -> tuple[torch.Tensor, dict[str, Any]]:
@@ -59,11 +59,7 @@ MakeDeviceEnvs = Callable[[PPOConfig, int], DeviceEnvs]  # for a configuration, 
 
 
 def make_device_envs(config: PPOConfig, num_envs: int) -> DeviceEnvs:
-    """Make environments of a run on its device.
-
-    Raises:
-        ValueError: they cannot be on it; the message says why.
-    """
+    """Make environments of a run on its device."""
     task = training_task(config.task)
     try:
         made: Any = gym.make_vec(
@@ -91,12 +87,11 @@ class TensorMirror:
     """`ActionMirror` on tensors.
 
     Args:
-        settings: of the environment; its actions are choices.
-        device: of the actions.
+        env_config: of the environment; its actions are choices.
     """
 
-    def __init__(self, settings: EnvConfig, device: torch.device) -> None:
-        kind, orientations = settings.action_kind, settings.chosen_orientations
+    def __init__(self, env_config: EnvConfig, device: torch.device) -> None:
+        kind, orientations = env_config.action_kind, env_config.chosen_orientations
         space = kind.space()
         if isinstance(space, spaces.Discrete):
             every = np.arange(space.n)
@@ -120,11 +115,6 @@ class EpisodeTotals:
     """Sums over the episodes that ended since the last fetch, on the device.
 
     Tens of thousands end in a rollout: they are not recorded one by one.
-
-    Args:
-        terms: names of the reward terms.
-        num_envs: number of environments.
-        device: of the environments.
     """
 
     def __init__(self, terms: tuple[str, ...], num_envs: int, device: torch.device) -> None:
@@ -161,9 +151,6 @@ class TotalsCurve(Curve):
     have just started, only the shortest episodes have ended.
 
     Args:
-        folder: of the run.
-        terms: names of the reward terms.
-        num_envs: number of environments.
         steps: control periods done before; later rows in the files are dropped.
         recent: totals of the latest rollouts before.
     """
@@ -206,19 +193,15 @@ class DeviceTransition:
 
 
 class DeviceTrainingEnvs:
-    """Environments with totals of their episodes, and with actions for y > 0 if the task is Sort.
-
-    Args:
-        envs: on a device.
-    """
+    """Environments with totals of their episodes, and with actions for y > 0 in Sort."""
 
     def __init__(self, envs: DeviceEnvs) -> None:
         self.device = torch.device(envs.device)
         self.envs = envs
-        settings = envs.settings
-        self.totals = EpisodeTotals(settings.task.terms, envs.num_envs, self.device)
-        mirrored = isinstance(settings.task, Sort)
-        self._mirror = TensorMirror(settings, self.device) if mirrored else None
+        env_config = envs.config
+        self.totals = EpisodeTotals(env_config.task.terms, envs.num_envs, self.device)
+        mirrored = isinstance(env_config.task, Sort)
+        self._mirror = TensorMirror(env_config, self.device) if mirrored else None
         self._side = torch.ones(envs.num_envs, device=self.device)
 
     def reset(self, seed: int) -> torch.Tensor:
@@ -277,13 +260,7 @@ class Samples:
 
 
 def policy_loss(policy: DevicePolicy, samples: Samples, ent_coef: float) -> torch.Tensor:
-    """Compute PPO's loss of a policy; the advantages are normalised here.
-
-    Args:
-        policy: that learns.
-        samples: to learn from.
-        ent_coef: weight of the entropy bonus.
-    """
+    """Compute PPO's loss of a policy; the advantages are normalised here."""
     value, log_prob, entropy = policy.evaluate_actions(samples.observations, samples.actions)
     assert entropy is not None
     advantage = samples.advantage
@@ -304,12 +281,7 @@ def gradient_step(policy: DevicePolicy, samples: Samples, ent_coef: float) -> No
 
 
 class DeviceLearner:
-    """The policy on the device, and its training.
-
-    Args:
-        config: of the run.
-        envs: to train on.
-    """
+    """The policy on the device, and its training."""
 
     def __init__(self, config: PPOConfig, envs: DeviceTrainingEnvs) -> None:
         self._config = config
@@ -327,7 +299,7 @@ class DeviceLearner:
 
     @property
     def network(self) -> torch.nn.Module:
-        network = make_network(make_card(self._config), self._envs.envs.settings)
+        network = make_network(make_card(self._config), self._envs.envs.config)
         network.load_state_dict(self._policy.state_dict())
         return network
 
@@ -398,18 +370,7 @@ def train_on_device(
     on_progress: OnProgress = lambda *_: None,
     make_envs: MakeDeviceEnvs = make_device_envs,
 ) -> TrainResult:
-    """Train PPO on a device; see `train_learner`.
-
-    Args:
-        config: of the run.
-        folder: of the run.
-        on_progress: called after each rollout.
-        make_envs: makes the environments.
-
-    Raises:
-        ValueError: the checkpoint is damaged, or of another configuration; or the device cannot be
-            used.
-    """
+    """Train PPO on a device; see `train_learner`."""
 
     def make_learner() -> DeviceLearner:
         return DeviceLearner(config, DeviceTrainingEnvs(make_envs(config, config.num_envs)))

@@ -95,22 +95,18 @@ class ModuleSamples:
 
 
 class ModuleLearner:
-    """Networks of the modules' policy and value, and their training.
-
-    Args:
-        config: of the run.
-    """
+    """Networks of the modules' policy and value, and their training."""
 
     def __init__(self, config: ModulesConfig) -> None:
         self._config = config
         self._envs = make_training_envs(config)
-        settings = make_card(config).env_config()
-        self._view = ModuleView(settings)
+        env_config = make_card(config).env_config()
+        self._view = ModuleView(env_config)
         torch.manual_seed(config.seed)
         self.network = SharedNetwork(
-            len(settings.chosen_orientations), config.hidden, settings.observe
+            len(env_config.chosen_orientations), config.hidden, env_config.observe
         )
-        self.value = ValueNetwork(config.hidden, settings.observe)
+        self.value = ValueNetwork(config.hidden, env_config.observe)
         self._networks = (self.network, self.value)
         self._optimisers = [
             torch.optim.Adam(network.parameters(), config.learning_rate, eps=ADAM_EPS)

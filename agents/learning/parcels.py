@@ -6,6 +6,7 @@ observation of a free slot is zero, and its actions have no effect.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -66,8 +67,8 @@ def draw_stream(rng: np.random.Generator) -> Stream:
     return densest_stream(speed, MIXES[int(rng.integers(len(MIXES)))])
 
 
-def training_settings(control_period: float) -> EnvConfig:
-    """Build the settings of the training line with exact sensors."""
+def training_env_config(control_period: float) -> EnvConfig:
+    """Build the configuration of the training line with exact sensors."""
     return EnvConfig(
         "flow",
         stream=densest_stream(1.5, ("S", "B")),
@@ -81,37 +82,30 @@ def training_settings(control_period: float) -> EnvConfig:
 
 
 class SlotVecEnv(BatchVecEnv):
-    """Agent slots on environments of one stream as a VecEnv, each slot one environment.
-
-    Args:
-        settings: of the stream, with "parcels" for actions and a gate.
-        num_streams: number of lines.
-        slots: on each.
-        draw: draws the stream of an episode.
-    """
+    """Agent slots on environments of one stream as a VecEnv, each slot one environment."""
 
     def __init__(
         self,
-        settings: EnvConfig,
+        env_config: EnvConfig,
         num_streams: int,
         slots: int,
         draw: Callable[[np.random.Generator], Stream],
     ) -> None:
-        self._batch = StreamBatch(settings, num_streams)
+        self._batch = StreamBatch(env_config, num_streams)
         self._draw = draw
-        self._actions = ParcelActions(settings)
-        self._streams, self._slots, self._rows = num_streams, slots, settings.rows
-        self._period = settings.control_period
+        self._actions = ParcelActions(env_config)
+        self._streams, self._slots, self._rows = num_streams, slots, env_config.stream_task.rows
+        self._period = env_config.control_period
         self._arrival = np.full((num_streams, slots), NOBODY)  # number of the arrival in a slot
         self._row = np.zeros((num_streams, slots), dtype=np.int64)  # its row in the observation
         self._recorder = EpisodeRecorder(num_streams * slots, PARCEL_TERMS)
         self._rng = np.random.default_rng(0)
         self.render_mode = None
-        super().__init__(num_streams * slots, *parcel_spaces(settings))
+        super().__init__(num_streams * slots, *parcel_spaces(env_config))
 
     @property
-    def _shared(self) -> "SlotVecEnv":
-        return self
+    def batches(self) -> list[tuple[Any, int]]:
+        return [(self, self.num_envs)]
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         self._rng = np.random.default_rng(seed)
@@ -135,17 +129,17 @@ class SlotVecEnv(BatchVecEnv):
         self._batch.step(self._actions.to_env(self._batch.observation, choices))
 
     def step_wait(self) -> VecEnvStepReturn:
-        flows = self._batch.streams
+        streams = self._batch.streams
         taken = self._arrival != NOBODY
         i, slot = np.nonzero(taken)
         arrival, row = self._arrival[i, slot], self._row[i, slot]
         waited = row == self._rows - 1
-        left = ~waited & ~flows.present[i, row]
-        entered = waited & (arrival < flows.coming[i])
+        left = ~waited & ~streams.present[i, row]
+        entered = waited & (arrival < streams.coming[i])
         # A parcel that entered has a row on the line now.
-        found = (flows.number[i][:, :-1] == arrival[:, np.newaxis]).argmax(axis=1)
+        found = (streams.number[i][:, :-1] == arrival[:, np.newaxis]).argmax(axis=1)
         row = np.where(entered, found, row)
-        left |= entered & ~flows.present[i, row]
+        left |= entered & ~streams.present[i, row]
         self._row[i, slot] = row
         terms = self._batch.parcels.terms.reshape(self._streams, self._rows, -1)[i, row]
         scaled = terms * SCALES
@@ -155,7 +149,7 @@ class SlotVecEnv(BatchVecEnv):
         earned = np.zeros((self._streams, self._slots, len(SCALES)))
         earned[i, slot] = scaled
         rewards = earned.sum(axis=2)
-        outcome = flows.outcome
+        outcome = streams.outcome
         rewards[taken & (outcome == JAM)[:, np.newaxis]] += JAM_REWARD
         self._recorder.add(rewards.ravel(), earned.reshape(self.num_envs, -1), taken.ravel())
         gone = np.zeros((self._streams, self._slots), dtype=np.bool_)
@@ -170,7 +164,7 @@ class SlotVecEnv(BatchVecEnv):
             ((outcome == OUT_OF_TIME)[:, np.newaxis] & ~gone).ravel(),
             success.ravel(),
             np.repeat([self._batch.outcomes[code] for code in outcome], self._slots),
-            np.repeat(flows.clock, self._slots),
+            np.repeat(streams.clock, self._slots),
         )
         self._arrival[ends] = NOBODY
         if over.any():
@@ -211,14 +205,14 @@ class SlotVecEnv(BatchVecEnv):
 
 def make_parcel_envs(config: ParcelsConfig) -> VecEnv:
     """Make the lines of a configuration, a share of them with a camera and varied friction."""
-    exact = training_settings(config.control_period)
+    exact = training_env_config(config.control_period)
     camera = replace(exact, sensors=Camera(), randomisation=Randomisation(friction=config.friction))
     by_camera = round(config.camera_share * config.num_envs)
     shares = ((exact, config.num_envs - by_camera), (camera, by_camera))
     return ConcatVecEnv(
         [
-            SlotVecEnv(settings, count, config.slots, draw_stream)
-            for settings, count in shares
+            SlotVecEnv(env_config, count, config.slots, draw_stream)
+            for env_config, count in shares
             if count
         ]
     )
@@ -228,9 +222,6 @@ class CriticFirst(BaseCallback):
     """Training of the value network alone, until it knows the value of the imitated policy.
 
     Advantages by an untrained value network would undo the imitation.
-
-    Args:
-        steps: control periods until then.
     """
 
     def __init__(self, steps: int) -> None:
@@ -262,16 +253,16 @@ def pretrain(model: BaseAlgorithm, config: ParcelsConfig) -> None:
 def demonstrate(control_period: float, seed: int) -> tuple[Rows, Choices]:
     """Collect observations (samples, features) and choices (samples, 3) of a reservation rule."""
     seen, chosen = [], []
-    base = training_settings(control_period)
+    base = training_env_config(control_period)
     speeds = np.arange(SPEEDS[0], SPEEDS[1] + 1e-9, SPEED_STEP)
     for number, speed in enumerate(speeds.round(3).tolist()):
         for mix, parcels in enumerate(MIXES):
-            settings = replace(
-                base, stream=densest_stream(speed, parcels), duration=SHOWN * base.duration
+            env_config = base.replace(
+                stream=densest_stream(speed, parcels), duration=SHOWN * base.stream_task.duration
             )
-            rule, actions = Reservation(settings, margin=MARGIN), settings.action_kind
-            conversion = ParcelActions(settings)
-            batch = StreamBatch(settings, NUM_ENVS)
+            rule, actions = Reservation(env_config, margin=MARGIN), env_config.action_kind
+            conversion = ParcelActions(env_config)
+            batch = StreamBatch(env_config, NUM_ENVS)
             for i in range(NUM_ENVS):
                 batch.seed(i, np.random.default_rng((seed, number, mix, i)))
             streams = [densest_stream(speed, parcels, load) for load in LOADS]
@@ -291,11 +282,8 @@ def imitate(policy: ParcelNetwork, seen: Rows, chosen: Choices, epochs: int, see
     """Maximise the likelihood of demonstrated choices.
 
     Args:
-        policy: to train.
         seen: (samples, features).
         chosen: (samples, 3).
-        epochs: passes over the samples.
-        seed: of the draws.
     """
     generator = torch.Generator().manual_seed(seed)
     observations, choices = torch.from_numpy(seen), torch.from_numpy(chosen)

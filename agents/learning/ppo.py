@@ -11,18 +11,8 @@ from typing import Any, Protocol
 import torch
 
 from ..policy import save_policy
+from . import runs
 from .config import TrainConfig, make_card
-from .runs import (
-    CHECKPOINT,
-    Curve,
-    OnProgress,
-    StopTraining,
-    TrainResult,
-    interval_at,
-    interval_seed,
-    read_state,
-    write_state,
-)  # fmt: skip
 
 # As in Stable-Baselines3's PPO.
 CLIP_RANGE = 0.2  # by which the probability ratio may differ from 1 and still earn
@@ -47,7 +37,6 @@ def compute_advantages(
         ended: whether the period was the last of an episode.
         value: of the observation before each period.
         next_value: of the observation after it, in the same episode; 0 after success or failure.
-        gamma: discount factor of a period.
         gae_lambda: weight of the next period's temporal difference.
     """
     delta = rewards + gamma * next_value - value
@@ -77,9 +66,6 @@ def ppo_loss(
         advantage: (samples,) normalised.
         value: (samples,) of the observations, by the value function that learns.
         returns: (samples,) targets of the value.
-        entropy: mean over the samples.
-        ent_coef: weight of the entropy bonus.
-        value_coef: weight of the value loss.
     """
     ratio = (log_prob - old_log_prob).exp()
     clipped = ratio.clamp(1.0 - CLIP_RANGE, 1.0 + CLIP_RANGE)
@@ -118,23 +104,16 @@ class Learner(Protocol):
 def train_learner(
     config: TrainConfig,
     folder: Path,
-    on_progress: OnProgress,
+    on_progress: runs.OnProgress,
     make_learner: Callable[[], Learner],
-    make_curve: Callable[[int, list[dict[str, float]]], Curve],
-) -> TrainResult:
+    make_curve: Callable[[int, list[dict[str, float]]], runs.Curve],
+) -> runs.TrainResult:
     """Train as the configuration says and leave a policy in `folder`.
 
     A run with a checkpoint is resumed. An interrupt saves the policy as it is.
 
     Args:
-        config: of the run.
-        folder: of the run.
-        on_progress: called after each rollout.
-        make_learner: makes the learner.
         make_curve: makes its curve, from the control periods done and the latest episodes.
-
-    Raises:
-        ValueError: the checkpoint is damaged, or of another configuration.
     """
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     started = time.perf_counter()
@@ -146,23 +125,23 @@ def train_learner(
         return recent
 
     def save() -> None:
-        write_state({**learner.state(), "recent": list(curve.recent)}, folder)
+        runs.write_state({**learner.state(), "recent": list(curve.recent)}, folder)
 
-    recent = read_state(folder, restore) if (folder / CHECKPOINT).is_file() else []
+    recent = runs.read_state(folder, restore) if (folder / runs.CHECKPOINT).is_file() else []
     curve = make_curve(learner.steps, recent)
     interrupted, interval = False, -1
     try:
         while learner.steps < config.steps:
-            if interval_at(config, learner.steps) != interval:
-                interval = interval_at(config, learner.steps)
+            if runs.interval_at(config, learner.steps) != interval:
+                interval = runs.interval_at(config, learner.steps)
                 save()
-                learner.begin(interval_seed(config, interval))
+                learner.begin(runs.interval_seed(config, interval))
             learner.learn(curve)
             curve.write(learner.steps)
             on_progress(learner.steps, curve.success)
         save()
-    except (KeyboardInterrupt, StopTraining):
+    except (KeyboardInterrupt, runs.StopTraining):
         interrupted = True
     curve.close()
     save_policy(learner.network, make_card(config), folder)
-    return TrainResult(learner.steps, time.perf_counter() - started, interrupted)
+    return runs.TrainResult(learner.steps, time.perf_counter() - started, interrupted)

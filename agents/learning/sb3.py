@@ -29,25 +29,14 @@ from surface_gym.randomisation import Randomisation
 from surface_gym.tasks import Task, Track
 
 from ..base import action_mirror, time_for, with_zone
+from ..library import find_task
 from ..parcel_policy import ParcelNetwork
 from ..policy import EqualChoicesPolicy, save_policy
-from ..tasks import find_task
 from ..vec_env import ConcatVecEnv, MirrorVecEnv, SurfaceVecEnv
+from . import runs
 from .config import DQNConfig, ParcelsConfig, PPOConfig, TrainConfig, make_card
 from .parcels import CriticFirst, make_parcel_envs, pretrain
 from .ppo import CLIP_RANGE
-from .runs import (
-    CHECKPOINT,
-    CURVE_EVERY,
-    Curve,
-    OnProgress,
-    StopTraining,
-    TrainResult,
-    interval_at,
-    interval_seed,
-    read_state,
-    write_state,
-)
 
 # Below 10 deg of tilt keeping a heading costs more speed than the slope gives.
 _TASKS: dict[str, Task] = {"track": Track(tilts=(math.radians(10.0), math.radians(15.0)))}
@@ -74,7 +63,7 @@ def make_mirrored_envs(config: TrainConfig) -> VecEnv:
 def make_training_envs(config: TrainConfig) -> ConcatVecEnv:
     """Make the environments of a configuration, with actions in the world."""
     by_camera = round(config.camera_share * config.num_envs)
-    exact, other = _conditions(config)
+    exact, other = _presets(config)
     with_exact = config.num_envs - by_camera
     each_zone = with_exact // (2 * len(config.zones)) if config.zones else 0
     shares = [
@@ -85,8 +74,8 @@ def make_training_envs(config: TrainConfig) -> ConcatVecEnv:
     return ConcatVecEnv([_make_envs(config, *share) for share in shares if share[0]])
 
 
-def _conditions(config: TrainConfig) -> tuple[Preset, Preset]:
-    """Return the conditions of the environments with exact sensors, and of the others."""
+def _presets(config: TrainConfig) -> tuple[Preset, Preset]:
+    """Return the presets of the environments with exact sensors, and of the others."""
     exact = PRESETS["exact"]
     if config.preset == "lab":
         lab = PRESETS["lab"]
@@ -97,9 +86,9 @@ def _conditions(config: TrainConfig) -> tuple[Preset, Preset]:
 
 
 def _make_envs(
-    config: TrainConfig, num_envs: int, condition: Preset, columns: int | None
+    config: TrainConfig, num_envs: int, preset: Preset, columns: int | None
 ) -> SurfaceVecEnv:
-    """Make environments under a condition, with a zone of so many columns or the task's own."""
+    """Make environments under a preset, with a zone of so many columns or the task's own."""
     task = training_task(config.task)
     line, periods = task.line, task.periods
     if columns is not None:
@@ -115,7 +104,7 @@ def _make_envs(
             actions=config.actions,
             control_period=config.control_period,
             observe=config.observe,
-            condition=condition,
+            preset=preset,
             autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
         )
     )
@@ -226,15 +215,11 @@ def save_checkpoint(model: PPO | DoubleDQN, recent: list[dict[str, float]], fold
         arrays = {name: torch.from_numpy(getattr(buffer, name)[:filled]) for name in _REPLAYED}
         state["calls"] = model._n_calls
         state["memory"] = {"pos": buffer.pos, "full": buffer.full, "arrays": arrays}
-    write_state(state, folder)
+    runs.write_state(state, folder)
 
 
 def load_checkpoint(model: PPO | DoubleDQN, folder: Path) -> list[dict[str, float]]:
-    """Restore a model from a checkpoint and return the latest episodes.
-
-    Raises:
-        ValueError: the checkpoint is damaged, or of another configuration.
-    """
+    """Restore a model from a checkpoint and return the latest episodes."""
 
     def restore(state: dict[str, Any]) -> list[dict[str, float]]:
         model.policy.load_state_dict(state["policy"])
@@ -251,14 +236,18 @@ def load_checkpoint(model: PPO | DoubleDQN, folder: Path) -> list[dict[str, floa
         recent: list[dict[str, float]] = state["recent"]
         return recent
 
-    return read_state(folder, restore)
+    return runs.read_state(folder, restore)
 
 
 class _Checkpoints(BaseCallback):
     """Checkpoints, where everything is seeded and started anew, and the learning curve."""
 
     def __init__(
-        self, config: PPOConfig | DQNConfig, folder: Path, curve: Curve, on_progress: OnProgress
+        self,
+        config: PPOConfig | DQNConfig,
+        folder: Path,
+        curve: runs.Curve,
+        on_progress: runs.OnProgress,
     ) -> None:
         super().__init__()
         self._config = config
@@ -269,16 +258,16 @@ class _Checkpoints(BaseCallback):
         self._row = 0
 
     def _on_training_start(self) -> None:
-        self._row = self.num_timesteps // CURVE_EVERY
+        self._row = self.num_timesteps // runs.CURVE_EVERY
 
     def _on_rollout_start(self) -> None:
         model: Any = self.model
-        interval = interval_at(self._config, model.num_timesteps)
+        interval = runs.interval_at(self._config, model.num_timesteps)
         if interval == self._interval:
             return
         self._interval = interval
         save_checkpoint(model, list(self._curve.recent), self._folder)
-        seed = interval_seed(self._config, interval)
+        seed = runs.interval_seed(self._config, interval)
         set_random_seed(seed)
         model.action_space.seed(seed)
         model.env.seed(seed)
@@ -292,25 +281,22 @@ class _Checkpoints(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        if self.num_timesteps // CURVE_EVERY > self._row:
-            self._row = self.num_timesteps // CURVE_EVERY
+        if self.num_timesteps // runs.CURVE_EVERY > self._row:
+            self._row = self.num_timesteps // runs.CURVE_EVERY
             self._curve.write(self.num_timesteps)
             self._on_progress(self.num_timesteps, self._curve.success)
 
 
 def train_sb3(
-    config: PPOConfig | DQNConfig, folder: Path, on_progress: OnProgress = lambda *_: None
-) -> TrainResult:
+    config: PPOConfig | DQNConfig, folder: Path, on_progress: runs.OnProgress = lambda *_: None
+) -> runs.TrainResult:
     """Train PPO or DQN as the configuration says and leave a policy in `folder`.
 
     A run with a checkpoint is resumed. An interrupt saves the policy as it is.
-
-    Raises:
-        ValueError: the checkpoint is damaged, or of another configuration.
     """
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     started = time.perf_counter()
-    resumed = (folder / CHECKPOINT).is_file()
+    resumed = (folder / runs.CHECKPOINT).is_file()
     callbacks: list[BaseCallback] = []
     if isinstance(config, ParcelsConfig):
         model, terms = make_model(config, make_parcel_envs(config)), PARCEL_TERMS
@@ -320,7 +306,7 @@ def train_sb3(
     else:
         model, terms = make_model(config, make_mirrored_envs(config)), find_task(config.task).terms
     recent = load_checkpoint(model, folder) if resumed else []
-    curve = Curve(folder, terms, model.num_timesteps, recent)
+    curve = runs.Curve(folder, terms, model.num_timesteps, recent)
     model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
     callbacks.insert(0, _Checkpoints(config, folder, curve, on_progress))
     interrupted = False
@@ -328,8 +314,8 @@ def train_sb3(
         if model.num_timesteps < config.steps:
             model.learn(config.steps - model.num_timesteps, callbacks, reset_num_timesteps=False)
             save_checkpoint(model, list(curve.recent), folder)
-    except (KeyboardInterrupt, StopTraining):
+    except (KeyboardInterrupt, runs.StopTraining):
         interrupted = True
     curve.close()
     save_policy(model.policy, make_card(config), folder)
-    return TrainResult(model.num_timesteps, time.perf_counter() - started, interrupted)
+    return runs.TrainResult(model.num_timesteps, time.perf_counter() - started, interrupted)

@@ -25,10 +25,6 @@ def train(
 
     A run with a checkpoint is resumed. An interrupt, or `StopTraining` raised by `on_progress`,
     saves the policy as it is.
-
-    Raises:
-        ValueError: the checkpoint is damaged, or of another configuration; or the device cannot be
-            used.
     """
     if isinstance(config, ModulesConfig):
         from .modules import train_modules
@@ -52,13 +48,7 @@ def train_seeds(
     An interrupt ends all of them, each with what it has learned so far; then there are fewer.
 
     Args:
-        config: of the run.
         folder: of the run; nodes of a cluster need not see it.
-        console: to show progress bars on.
-        workers: processes to share the seeds among, or a cluster.
-
-    Raises:
-        ValueError: a checkpoint is damaged, or of another configuration.
     """
     runs = seed_folders(config, folder)
     for _, own in runs:

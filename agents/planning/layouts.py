@@ -18,7 +18,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import OUT_OF_TIME, PATH_POINTS, RUNNING, SUCCESS, EnvState
-from surface_gym.tasks import track
+from surface_gym.tasks import Task, track
 from surface_gym.tasks.base import Feature
 from surface_gym.tasks.planning import Nodes, Observed, square_reach
 from surface_gym.tasks.start import Start
@@ -99,7 +99,6 @@ def graded_cost(nodes: Nodes, missed: int) -> Numbers:
     a success.
 
     Args:
-        nodes: ended.
         missed: outcome of an end at another ratio, place or angle.
     """
     parcels = nodes.parcels
@@ -118,9 +117,6 @@ def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Int
     """Search for the best layout from the model's start; the result is always the same.
 
     Args:
-        model: begun.
-        search: what is minimised.
-        axes: orientations to choose from.
         known: (layouts, rows, columns) to begin with, choices of the widest zone; the best found is
             as good as the best of these at least.
 
@@ -208,8 +204,8 @@ class ShownPath(Track):
     )
 
     @classmethod
-    def of(cls, task: Track) -> "ShownPath":
-        """Make the same task with its whole path shown."""
+    def of(cls, task: Task) -> "ShownPath":
+        """Make the same Track with its whole path shown."""
         return cls(**{each.name: getattr(task, each.name) for each in fields(task)})
 
     def decode_start(self, seen: Observed) -> Start:
@@ -255,9 +251,6 @@ def search_path_layout(model: LayoutModel, axes: Axes, start: Start, limit: floa
     that leads to the path's end, it is one with one axis a column, of which more can be tried.
 
     Args:
-        model: by `path_model`.
-        axes: orientations to choose from.
-        start: with its path.
         limit: [s] an episode may take.
 
     Returns:

@@ -58,9 +58,6 @@ def braking_profile(
     """Compute the braking profile of a parcel, every element under it bearing as much.
 
     Args:
-        bodies: parcels as they run on the line.
-        body: index of the parcel.
-        line: the line.
         braking: [m/s^2] where rotors bear it all, all axes at 0 deg.
         rolling_loss: [m/s^2] of axes at 90 deg.
     """
@@ -81,8 +78,6 @@ def is_under(bodies: BodyTable, body: int, ahead: Numbers, left: Numbers) -> Boo
     """Test whether points, of any shape, are under the base of a parcel.
 
     Args:
-        bodies: parcels.
-        body: index of the parcel.
         ahead: [m] of the base's centroid, in its own frame.
         left: [m].
     """
@@ -214,18 +209,13 @@ FIRST = np.zeros(1, dtype=np.int64)
 
 
 class SearchModel:
-    """Copies of an environment that a search branches.
-
-    Args:
-        config: of the environment as it is simulated.
-        num_envs: copies.
-    """
+    """Copies of an environment that a search branches."""
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
         self.config = config
         self._kind = config.action_kind
         self._batch = Batch(config, num_envs)
-        self._begun: Snapshot | None = None
+        self._begun: Snapshot  # where a search begins
 
     @property
     def size(self) -> int:
@@ -294,12 +284,7 @@ class SearchModel:
 
 
 class NominalModel(SearchModel):
-    """A model of what an observation says: nominal friction, every module obeying at once.
-
-    Args:
-        config: of the environment that a planner acts in.
-        num_envs: copies.
-    """
+    """A model of what an observation says: nominal friction, every module obeying at once."""
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
         nominal = replace(
@@ -311,10 +296,6 @@ class NominalModel(SearchModel):
 class TrueModel(SearchModel):
     """A model of an environment as it is: parcel, friction, stiffness, stuck modules and axes.
     Sensors are exact; what they draw comes after all else that a start draws.
-
-    Args:
-        config: of the environment, with "halves" for actions.
-        num_envs: copies.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:

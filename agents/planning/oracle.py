@@ -36,7 +36,7 @@ class Reached:
 
     outcome: str  # why it ended
     time: float  # [s] until then
-    figures: tuple[float, ...]  # the task's own
+    metrics: tuple[float, ...]  # the task's own
     poses: Numbers  # (periods + 1, 3) [m, m, rad] true
     velocity: Numbers  # (3,) [m/s, m/s, rad/s] at the end
     actions: tuple[int, ...]  # (periods,) given
@@ -81,12 +81,7 @@ class Oracle:
         self._models: dict[int, TrueModel] = {}
 
     def find(self, options: dict[str, Any], seed: int) -> Reached:
-        """Find the best episode for a start, that of `reset` with these arguments.
-
-        Args:
-            options: of the start; what they leave open is drawn.
-            seed: of the draws.
-        """
+        """Find the best episode for a start, that of `reset` with these arguments."""
         began = time.perf_counter()
         for cost, width in product(self._costs, self._widths):
             found = self._play(cost, width, options, seed)
@@ -121,7 +116,7 @@ class Oracle:
         return Reached(
             outcome=model.outcomes[OUT_OF_TIME if running else int(parcels.outcome[0])],
             time=float(parcels.clock[0]),
-            figures=tuple(parcels.metrics[0].tolist()),
+            metrics=tuple(parcels.metrics[0].tolist()),
             poses=np.array(poses),
             velocity=parcels.truth[0, 3:].copy(),
             actions=tuple(actions),
@@ -145,7 +140,6 @@ def find_reachable(
     """Find what can be reached from starts, with halves for actions, by an oracle.
 
     Args:
-        config: of the environment; its time limit is the task's own.
         starts: options of each start; what they leave open is drawn.
         seed: start i draws from `seed` + i, as in `agents.rollout.run_episodes`.
         budget: nodes followed at a time at most.
@@ -182,12 +176,12 @@ def run_oracle(
     """Run an oracle over starts, as `agents.rollout.run_episodes` runs a controller."""
     runs = find_reachable(config, starts, seed, budget, workers)
     names = config.task.metrics
-    figures = np.array([run.figures for run in runs]).T
+    metrics = np.array([run.metrics for run in runs]).T
     return Episodes(
         success=np.array([run.success for run in runs]),
         outcome=tuple(run.outcome for run in runs),
         time=np.array([run.time for run in runs]),
-        figures=dict(zip(names, figures, strict=True)),
+        metrics=dict(zip(names, metrics, strict=True)),
         pose=stack_poses([run.poses for run in runs]),
         velocity=np.array([run.velocity for run in runs]),
         decision_times=np.array([run.seconds / len(run.actions) for run in runs]),
@@ -201,7 +195,6 @@ def stops_past(config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int) -
     allows, only a parcel that could turn onto more rotors might be stopped.
 
     Args:
-        config: of the environment, with "halves" for actions.
         starts: options of each start; what they leave open is drawn.
         seed: start i draws from `seed` + i.
 

@@ -133,7 +133,6 @@ def make_plan(model: SearchModel, cost: PlanCost, width: int) -> Plan:
 
     Args:
         model: begun, of `nodes_needed` copies.
-        cost: what is minimised.
         width: nodes that go on from a period.
     """
     first_seen = model.parcels.observation[0].copy()

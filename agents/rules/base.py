@@ -54,7 +54,6 @@ class BaseRule(ABC):
     """A rule of one parcel per environment.
 
     Args:
-        config: of the environment it acts in.
         tasks: names of the tasks it is made for.
         actions: kinds of action it is made for; none: any.
 
@@ -123,7 +122,6 @@ class UniformLayout(UniformRule):
     """Any task with every axis at one angle, whatever the parcel does.
 
     Args:
-        config: of the environment it acts in.
         angle: [rad] of every axis, one of those on offer.
         tasks: names of the tasks it is for; none: any.
     """

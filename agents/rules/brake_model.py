@@ -91,7 +91,6 @@ class SquareModel:
     Args:
         modules: taken to stay where they are under the parcel.
         half_length: (num_envs,) [m] of the base.
-        tilt: (num_envs,) [rad] of the surface, downhill towards +x.
     """
 
     def __init__(self, modules: ModulePositions, half_length: Numbers, tilt: Numbers) -> None:
@@ -105,10 +104,7 @@ class SquareModel:
         """Predict the motion a period on, in (num_envs, options).
 
         Args:
-            motion: now.
             angles: (options, modules) or (num_envs, options, modules) [rad] axes to predict for.
-            period: [s] predicted.
-            steps: that it is cut into.
         """
         dt = period / steps
         cosine, sine = np.cos(angles), np.sin(angles)
@@ -215,7 +211,6 @@ class BrakeModel:
     """Predicts braking: the parcel's weight is shared by what is under it.
 
     Args:
-        config: whose control period, zone and axes are meant.
         then: [rad] off 90 deg, to which all axes turn after the period: half braking at most.
     """
 
@@ -240,9 +235,7 @@ class BrakeModel:
         """Predict the state a control period on.
 
         Args:
-            span: the parcels as they lie now.
             speed: (num_envs,) [m/s] now.
-            frictions: that act on them.
             lean: (num_envs, columns) [rad] of each column's axes off 90 deg now.
             target: (num_envs, options, columns) [rad] to which they turn.
         """
@@ -300,7 +293,6 @@ def _count_under(span: ContactSpan, arm: Numbers) -> tuple[Numbers, Numbers]:
     """Count (num_envs, options, columns) the elements and the rotors of each column that bear.
 
     Args:
-        span: what lies where.
         arm: (num_envs, options, columns) [m] of each column from the middle of the base's length.
     """
     far = np.abs(arm)

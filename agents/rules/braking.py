@@ -232,7 +232,6 @@ def decelerations(share: Numbers, frictions: Frictions) -> tuple[Numbers, Number
 
     Args:
         share: (num_envs,) [-] of the elements under the parcel that are rotors.
-        frictions: that act on them.
     """
     supports = SUPPORT_LOSS * (1.0 - share)
     lean = LEANS[HALF]

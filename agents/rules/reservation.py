@@ -152,19 +152,16 @@ def run_alone(
     """Run parcels, each alone on a line with a gate.
 
     Args:
-        make: the controller, of the configuration it acts in.
-        config: of the environment; its stream does not matter.
-        asked: the parcels.
         seeds: of each run, for what varies.
         opens: (runs,) physics step at which each gate opens; None: as the controller says.
     """
     streams = [Stream(Trace((Arrival(0.0, *one),))) for one in asked]
-    alone = replace(config, places=1, gate=True, stream=streams[0])
+    alone = config.replace(max_parcels=1, gate=True, stream=streams[0])
     count = len(asked)
     batch = StreamBatch(alone, count)
     for i, seed in enumerate(seeds):
         batch.seed(i, np.random.default_rng(seed))
-    batch.start(np.arange(count), [{"stream": stream} for stream in streams])
+    batch.reset(np.arange(count), [{"stream": stream} for stream in streams])
     signature = batch.observation[:, -1, SIGNATURE].astype(np.float64)
     controller, actions = make(alone), alone.action_kind
     state: Any = None
@@ -176,7 +173,7 @@ def run_alone(
             action[:, -1] = opens
         batch.step(actions.commands(action, count))
         times.append(batch.streams.clock.copy())
-        poses.append(batch.parcels.truth.reshape(count, alone.rows, 6)[:, 0, :3].copy())
+        poses.append(batch.parcels.truth.reshape(count, alone.stream_task.rows, 6)[:, 0, :3].copy())
     return LoneRuns(
         np.array(times),
         np.array(poses),
@@ -191,7 +188,7 @@ def list_asked(config: EnvConfig) -> list[Asked]:
     """List every parcel, speed and exit of a stream; of speeds that vary, some from the least to
     the greatest.
     """
-    stream = config.stream
+    stream = config.stream_task.stream
     if isinstance(stream.arrivals, Trace):
         return list(dict.fromkeys((a.parcel, a.speed, a.exit) for a in stream.arrivals.arrivals))
     if isinstance(stream.speeds, tuple):
@@ -222,9 +219,7 @@ def find_trajectories(
     """Find the trajectories of parcels, each alone on the line, seen as they are.
 
     Args:
-        make: the controller, of the configuration it acts in.
         config: of the environment; its stream, its sensors and what varies do not matter.
-        asked: the parcels.
     """
     exact = replace(config, sensors=Exact(), randomisation=Randomisation())
     runs = run_alone(make, exact, asked, range(len(asked)))
@@ -320,7 +315,6 @@ class Reservation(ParcelRule):
 
     Args:
         config: of the environment, with "parcels" for actions and a gate.
-        lead: the rule, of a configuration.
         margin: [m] that trajectories are kept apart.
 
     Raises:
@@ -334,7 +328,7 @@ class Reservation(ParcelRule):
         margin: float = MARGIN,
     ) -> None:
         super().__init__(config)
-        if not config.gate:
+        if not config.stream_task.gate:
             raise ValueError("gate must be True for a reservation, got False")
         found = find_trajectories(lead, config, list_asked(config))
         self._lead = lead(config)

@@ -45,10 +45,6 @@ class BoxLayouts:
     """Layouts that `surface_gym.design` found for the study's boxes, on a zone.
 
     A longer zone goes on like a layout's last column, a shorter one has its first columns.
-
-    Args:
-        layouts: one per box.
-        shape: rows and columns of the zone.
     """
 
     def __init__(self, layouts: Sequence[SortingLayout], shape: tuple[int, int]) -> None:

@@ -39,7 +39,7 @@ class ParcelRule(ABC):
             raise ValueError(f"orientations must be some on offer, got {config.orientations!r}")
         self._axes = find_axes(config)
         self._places = config.stream_task.max_parcels
-        self._gated = config.gate
+        self._gated = config.stream_task.gate
 
     @abstractmethod
     def halves(self, rows: Rows) -> Halves:
@@ -105,7 +105,6 @@ class SortEach(ParcelRule):
     Args:
         config: of the environment, with "parcels" for actions.
         name: of the agent, one whose actions are halves.
-        seed: of its weights.
     """
 
     def __init__(self, config: EnvConfig, name: str = "sort-ppo", seed: int = 0) -> None:
@@ -135,7 +134,7 @@ class StreamFixedLayout:
 
     def __init__(self, config: EnvConfig) -> None:
         checks.one_of("actions", config.actions, ("modules",))
-        if config.gate:
+        if config.stream_task.gate:
             raise ValueError("gate must be False for a layout, which decides nothing, got True")
         self._action = np.full(config.action_kind.size, find_axes(config).left)
 

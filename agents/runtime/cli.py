@@ -27,14 +27,10 @@ COLLECT_EVERY = 5.0  # [s] between collections of Python's garbage
 
 
 def load_policy(config: RuntimeConfig) -> "Policy | ModulePolicy":
-    """Load the policy of a command.
-
-    Raises:
-        ValueError: there is none, or it is one for streams of parcels.
-    """
+    """Load the policy of a command."""
     from .. import library
+    from ..library import find_task
     from ..parcel_policy import ParcelPolicy
-    from ..tasks import find_task
 
     if config.name in library.names():
         policy = library.load(config.name, config.seed)
@@ -50,24 +46,20 @@ def load_policy(config: RuntimeConfig) -> "Policy | ModulePolicy":
     return policy
 
 
-def make_settings(policy: "Policy | ModulePolicy", condition: str) -> "EnvConfig":
-    """Return the configuration of a policy's environment under a preset.
-
-    Raises:
-        ValueError: there is no such preset.
-    """
+def make_env_config(policy: "Policy | ModulePolicy", preset: str) -> "EnvConfig":
+    """Return the configuration of a policy's environment under a preset."""
     from surface_gym.config import EnvConfig
 
-    arguments = {"task": policy.card.task, **policy.env_kwargs, "preset": condition}
+    arguments = {"task": policy.card.task, **policy.env_kwargs, "preset": preset}
     return EnvConfig(**arguments)
 
 
-def simulator_arguments(config: RuntimeConfig, settings: "EnvConfig") -> list[str]:
+def simulator_arguments(config: RuntimeConfig, env_config: "EnvConfig") -> list[str]:
     """Return the arguments of the simulator's command, for a policy's environment."""
     return [
-        *("--task", config.task or settings.task.name),
-        *("--condition", config.condition),
-        *("--control-period", repr(settings.control_period)),
+        *("--task", config.task or env_config.task.name),
+        *("--preset", config.preset),
+        *("--control-period", repr(env_config.control_period)),
         *("--seed", str(config.start)),
         *("--world.pause", repr(config.world.pause)),
         "--world.encoders" if config.world.encoders else "--world.no-encoders",
@@ -75,11 +67,7 @@ def simulator_arguments(config: RuntimeConfig, settings: "EnvConfig") -> list[st
 
 
 def run_agent(config: RuntimeConfig, console: "Console") -> None:
-    """Run an agent and report on it; Ctrl-C ends the run early.
-
-    Raises:
-        ValueError: a setting that is not allowed, or a simulator that does not start.
-    """
+    """Run an agent and report on it; Ctrl-C ends the run early."""
     from surface_gym.parallel import usable_cores
 
     from . import controller, report
@@ -88,32 +76,32 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
     from .simulator import SimulatorProcess
 
     policy = load_policy(config)
-    settings = make_settings(policy, config.condition)
+    env_config = make_env_config(policy, config.preset)
     config.out.mkdir(parents=True, exist_ok=True)
     clock = controller.WallClock()
     with ExitStack() as stack:
         if config.address is None:
             console.print("starting the simulator")
-            arguments = simulator_arguments(config, settings)
+            arguments = simulator_arguments(config, env_config)
             log = config.out / "simulator.log"
             address = stack.enter_context(SimulatorProcess(arguments, log)).address
         else:
             address = parse_address(config.address)
         console.print("compiling")
-        estimator = StateEstimator(settings)
-        arranger = stack.enter_context(controller.ProcessArranger(estimator.settings))
-        kind = controller.FixedLayouts(estimator.settings).kind
-        decider = controller.Decider(policy, settings)
-        bounds = controller.observation_bounds(settings)
+        estimator = StateEstimator(env_config)
+        arranger = stack.enter_context(controller.ProcessArranger(estimator.config))
+        kind = controller.FixedLayouts(estimator.config).kind
+        decider = controller.Decider(policy, env_config)
+        bounds = controller.observation_bounds(env_config)
         loop = controller.ControlLoop(
-            SocketDevice(address, settings.task.name, estimator.shape),
+            SocketDevice(address, env_config.task.name, estimator.shape),
             estimator,
             decider,
             (arranger, estimator.resolver(kind)),
-            controller.AxisLimits(estimator.shape, controller.allowed_angles(settings)),
+            controller.AxisLimits(estimator.shape, controller.allowed_angles(env_config)),
             bounds,
             clock,
-            controller.LoopConfig(settings.control_period, config.watchdog),
+            controller.LoopConfig(env_config.control_period, config.watchdog),
         )
         decider.decide(bounds.low.clip(-1.0, 1.0))  # the first decision is slow
         if not arranger.wait_until_ready(READY_TIMEOUT):
@@ -128,10 +116,10 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
     run = report.Run(
         agent=config.name,
         seed=config.seed or 0,
-        task=settings.task.name,
-        condition=config.condition,
+        task=env_config.task.name,
+        preset=config.preset,
         device=config.address or "simulator",
-        period=settings.control_period,
+        period=env_config.control_period,
         watchdog=config.watchdog,
         seconds=seconds,
         load=os.getloadavg(),
@@ -185,7 +173,9 @@ def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; an error ends it with one line."""
-    config = tyro.cli(RuntimeConfig, prog="surface-gym runtime", args=arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    given = [each.replace("--condition", "--preset") for each in given]  # an earlier name
+    config = tyro.cli(RuntimeConfig, prog="surface-gym runtime", args=given)
     from rich.console import Console
 
     try:

@@ -35,9 +35,8 @@ class RuntimeConfig:
     """Custom task that the policy was trained on, as path/to/file.py:Class."""
     minutes: float = 10.0
     """Duration of the run."""
-    condition: str = "lab"
-    """Preset of the machine, a name of surface_gym.conditions: the friction, noise and turning axes
-    of the filter and of the simulator."""
+    preset: str = "lab"
+    """Preset of the machine: friction, noise and turning axes of the filter and the simulator."""
     address: str | None = None
     """Address of a running device, host:port; by default a simulator is started."""
     watchdog: float = 0.2
@@ -62,8 +61,8 @@ class SimulatorConfig:
 
     task: str = "stop"
     """Task of the package, or a custom one as path/to/file.py:Class."""
-    condition: str = "lab"
-    """Preset of the machine, a name of surface_gym.conditions."""
+    preset: str = "lab"
+    """Preset of the machine."""
     control_period: float = 0.04
     """Seconds between decisions: the task's time limit counts them."""
     port: int = 0
@@ -76,11 +75,7 @@ class SimulatorConfig:
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Return the host and the port of "host:port".
-
-    Raises:
-        ValueError: it is not one.
-    """
+    """Return the host and the port of "host:port"."""
     host, colon, port = text.rpartition(":")
     if not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise ValueError(f"address must be host:port, got {text!r}")

@@ -21,17 +21,8 @@ from surface_gym.layouts import ROLLING
 
 from ..base import Controller
 from ..rules import find_rules
+from . import protocol
 from .estimator import Resolver, StateEstimator, within_right_angles
-from .protocol import (
-    Angles,
-    AxesAcknowledged,
-    Departed,
-    Device,
-    DeviceLost,
-    Entered,
-    Frame,
-    Message,
-)
 
 Command = NDArray[Any]  # (size,) choices, or angles [rad]
 Observation = NDArray[np.float32]  # (features,)
@@ -39,16 +30,11 @@ STOP_TIMEOUT = 5.0  # [s] that the process is given to end
 
 
 class Decider:
-    """A controller, asked about one parcel after the other.
+    """A controller, asked about one parcel after the other."""
 
-    Args:
-        controller: that decides.
-        settings: of the environment that it is for.
-    """
-
-    def __init__(self, controller: Controller, settings: EnvConfig) -> None:
+    def __init__(self, controller: Controller, config: EnvConfig) -> None:
         self._controller = controller
-        self.kind = settings.action_kind
+        self.kind = config.action_kind
         self._state: Any = None
         self._is_first = True
 
@@ -57,11 +43,7 @@ class Decider:
         self._state, self._is_first = None, True
 
     def decide(self, observation: Observation) -> Command:
-        """Return the command for an observation.
-
-        Raises:
-            ValueError: the controller returned no action of its environment.
-        """
+        """Return the command for an observation."""
         action, self._state = self._controller.predict(
             observation[np.newaxis],
             self._state,
@@ -74,15 +56,11 @@ class Decider:
 
 
 class FixedLayouts:
-    """The fixed layout of a task, arranged for each parcel by its observation as it enters.
+    """The fixed layout of a task, arranged for each parcel by its observation as it enters."""
 
-    Args:
-        settings: of the policy's environment.
-    """
-
-    def __init__(self, settings: EnvConfig) -> None:
-        rule = find_rules(settings.task_name)[0]  # the fixed layout comes first
-        own = replace(settings, actions=rule.actions, observe=(), observe_axes=False)
+    def __init__(self, config: EnvConfig) -> None:
+        rule = find_rules(config.task_name)[0]  # the fixed layout comes first
+        own = replace(config, actions=rule.actions, observe=(), observe_axes=False)
         self._decider = Decider(rule.make(own), own)
         self._own = len(own.task.features)
         self._features = len(own.features)
@@ -99,11 +77,11 @@ class FixedLayouts:
         return self._decider.decide(shown)
 
 
-def allowed_angles(settings: EnvConfig) -> tuple[float, ...] | None:
+def allowed_angles(config: EnvConfig) -> tuple[float, ...] | None:
     """Return the axes [rad] that may be sent: those on offer, and the conveyor's; None: any."""
-    if settings.action_kind.continuous:
+    if config.action_kind.continuous:
         return None
-    offered = within_right_angles(np.array(settings.chosen_orientations))
+    offered = within_right_angles(np.array(config.chosen_orientations))
     return (*offered.tolist(), ROLLING)
 
 
@@ -119,9 +97,9 @@ class Bounds:
         return bool(((self.low <= observation) & (observation <= self.high)).all())
 
 
-def observation_bounds(settings: EnvConfig) -> Bounds:
+def observation_bounds(config: EnvConfig) -> Bounds:
     """Return the bounds of an environment's observation."""
-    low, high = np.array([(each.low, each.high) for each in settings.features], np.float32).T
+    low, high = np.array([(each.low, each.high) for each in config.features], np.float32).T
     return Bounds(low, high)
 
 
@@ -152,16 +130,12 @@ class LocalArranger:
 
 
 class ProcessArranger:
-    """Arranges layouts in a process of its own, which ends with this context.
+    """Arranges layouts in a process of its own, which ends with this context."""
 
-    Args:
-        settings: of the policy's environment.
-    """
-
-    def __init__(self, settings: EnvConfig) -> None:
+    def __init__(self, config: EnvConfig) -> None:
         context = get_context("spawn")
         self._here, there = context.Pipe()
-        self._process = context.Process(target=_arrange, args=(settings, there), daemon=True)
+        self._process = context.Process(target=_arrange, args=(config, there), daemon=True)
         self._process.start()
         there.close()
         self._asked = 0
@@ -197,10 +171,10 @@ class ProcessArranger:
         return self._layout
 
 
-def _arrange(settings: EnvConfig, connection: Connection) -> None:
+def _arrange(config: EnvConfig, connection: Connection) -> None:
     """Arrange layouts until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop ends this process
-    layouts = FixedLayouts(settings)
+    layouts = FixedLayouts(config)
     connection.send(0)
     try:
         while True:
@@ -292,7 +266,7 @@ class AxisLimits:
         self._shape = shape
         self._allowed = None if allowed is None else np.array(allowed)
 
-    def fault(self, angles: Angles) -> str:
+    def fault(self, angles: protocol.Angles) -> str:
         """Describe what is wrong with angles (rows, columns) [rad]; empty: they may be sent."""
         if angles.shape != self._shape:
             return f"axes must have the shape {self._shape}, got {angles.shape}"
@@ -340,19 +314,12 @@ class ControlLoop:
     """Runs a policy on a device.
 
     Args:
-        device: the machine; the loop connects and closes it.
-        estimator: of the parcel's state.
-        policy: that decides.
         fixed: arranges fixed layouts; and the resolver of their commands.
-        limits: of the axes that are sent.
-        bounds: of observations.
-        clock: that of the device's times.
-        config: its times.
     """
 
     def __init__(
         self,
-        device: Device,
+        device: protocol.Device,
         estimator: StateEstimator,
         policy: Decider,
         fixed: tuple[Arranger, Resolver],
@@ -407,7 +374,7 @@ class ControlLoop:
                     self._control(woke, due)
             else:
                 counts.unconnected += 1
-        except DeviceLost:
+        except protocol.DeviceLost:
             self._lose()
         done = self._clock.now()
         self.latencies.work.append(done - woke)
@@ -430,7 +397,7 @@ class ControlLoop:
         self.counts.attempts += 1
         try:
             self._device.connect()
-        except DeviceLost:
+        except protocol.DeviceLost:
             self._next_attempt = now + self._wait
             self._wait = min(2.0 * self._wait, self._config.longest_wait)
             return False
@@ -449,20 +416,20 @@ class ControlLoop:
         self._estimator.clear()
         self._sent.clear()
 
-    def _handle(self, message: Message) -> None:
+    def _handle(self, message: protocol.Message) -> None:
         self._wait = self._config.first_wait
-        if isinstance(message, Frame):
+        if isinstance(message, protocol.Frame):
             self._correct(message)
-        elif isinstance(message, Entered):
+        elif isinstance(message, protocol.Entered):
             self._enter(message)
-        elif isinstance(message, AxesAcknowledged):
+        elif isinstance(message, protocol.AxesAcknowledged):
             self._acknowledge(message)
-        elif isinstance(message, Departed):
+        elif isinstance(message, protocol.Departed):
             self.counts.parcels[message.outcome] += 1
             self._estimator.clear()
             self._sent.clear()
 
-    def _correct(self, frame: Frame) -> None:
+    def _correct(self, frame: protocol.Frame) -> None:
         self.counts.frames += 1
         self._latest_arrival = self._clock.now()
         if frame.number is None:
@@ -470,13 +437,13 @@ class ControlLoop:
         try:
             used = self._estimator.correct(frame)
         except ValueError as error:  # a driver that sends such a pose cannot be trusted
-            raise DeviceLost(str(error)) from None
+            raise protocol.DeviceLost(str(error)) from None
         if used:
             self._latest_frame = frame.taken_at
         else:
             self.counts.frames_unused += 1
 
-    def _enter(self, entered: Entered) -> None:
+    def _enter(self, entered: protocol.Entered) -> None:
         try:
             self._estimator.reset(entered)
         except ValueError:
@@ -490,7 +457,7 @@ class ControlLoop:
         self._policy.reset()
         self._arranger.ask(self._estimator.observe(entered.at))
 
-    def _acknowledge(self, answer: AxesAcknowledged) -> None:
+    def _acknowledge(self, answer: protocol.AxesAcknowledged) -> None:
         """Handle the device's answer to a command."""
         if answer.refused:
             self.counts.refused += 1

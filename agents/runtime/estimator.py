@@ -70,11 +70,7 @@ IDEAL = Camera(latency=0.0, position_noise=0.0, angle_noise=0.0, entry=SURE)
 
 
 def device_camera(sensor: Sensor) -> Camera:
-    """Return the camera of an environment's sensor; of an exact one, without noise and delay.
-
-    Raises:
-        ValueError: a sensor without frames.
-    """
+    """Return the camera of an environment's sensor; of an exact one, without noise and delay."""
     if isinstance(sensor, Camera):
         return sensor
     if isinstance(sensor, Exact):
@@ -127,27 +123,27 @@ class StateEstimator:
     """Estimates the state of the parcel on the surface.
 
     Args:
-        settings: of the environment that the policy is for, its sensors a `Camera` or `Exact`.
+        config: of the environment that the policy is for, its sensors a `Camera` or `Exact`.
 
     Raises:
         ValueError: the sensors are others, or a task lacks one of its compiled functions.
     """
 
-    def __init__(self, settings: EnvConfig) -> None:
-        self._axis_speed = min(settings.actuators.axis_speed, checks.AXIS_SPEED[1])
-        self.settings = replace(
-            settings,
-            sensors=device_camera(settings.sensors),
+    def __init__(self, config: EnvConfig) -> None:
+        self._axis_speed = min(config.actuators.axis_speed, checks.AXIS_SPEED[1])
+        self.config = replace(
+            config,
+            sensors=device_camera(config.sensors),
             actuators=Actuators(axis_speed=self._axis_speed),
             randomisation=Randomisation(),
         )
-        rules = make_env_params(self.settings)
-        offered = within_right_angles(rules.acting.orientations)
-        self._rules = rules._replace(acting=rules.acting._replace(orientations=offered))
-        self._looks = make_looks(rules.sensor)
-        self._surfaces, self._lanes = make_state(self.settings, len(BOTH))
-        self._lanes.noise[:, :, 3] = NOT_LOST
-        line, kind = self.settings.chosen_line, self.settings.action_kind
+        params = make_env_params(self.config)
+        offered = within_right_angles(params.acting.orientations)
+        self._params = params._replace(acting=params.acting._replace(orientations=offered))
+        self._looks = make_looks(params.sensor)
+        self._surfaces, self._parcels = make_state(self.config, len(BOTH))
+        self._parcels.noise[:, :, 3] = NOT_LOST
+        line, kind = self.config.chosen_line, self.config.action_kind
         self._plan = BodyPlan((), self._placement, len(BOTH), (line.rows, line.columns))
         self._scratch = make_scratch()
         self._commands: deque[_Command] = deque()
@@ -155,50 +151,46 @@ class StateEstimator:
         self.shape = (kind.rows, kind.columns)  # of the widest zone
         self.entered: Entered | None = None
         # Any parcel, so that there is something to compile for.
-        self._settle(self.settings.task.parcels[0])
+        self._settle(self.config.task.parcels[0])
         self._compile()
 
     def _compile(self) -> None:
         """Compile all that is called, so that nothing is compiled later."""
-        functions, given = task_functions(self.settings), self._arrays
+        functions, given = task_functions(self.config), self._arrays
         self._mirror = functions.mirror
         self._begin = compile_for(make_begin(functions), *given, SEEN)
         self._show = compile_for(make_show(functions), *given, NOW)
-        move = make_move(functions.look, type(self.settings.sensors).__name__)
+        move = make_move(functions.update_sensor, type(self.config.sensors).__name__)
         self._move = compile_for(move, *given, self._scratch, SEEN, 0.1, 1, 0.1, True, *self._looks)
-        sites, axes = self._plan.bodies, np.zeros(self.shape)
-        self._use_axes = compile_for(use_encoders, self._surfaces, sites, 0, SEEN, axes)
+        bodies, axes = self._plan.bodies, np.zeros(self.shape)
+        self._use_axes = compile_for(use_encoders, self._surfaces, bodies, 0, SEEN, axes)
 
     @property
     def _arrays(self) -> tuple[Any, ...]:
-        return self._rules, self._surfaces, self._lanes, self._plan.bodies
+        return self._params, self._surfaces, self._parcels, self._plan.bodies
 
     def _placement(self, parcel: Parcel) -> Placement:
-        return place_parcel(parcel, self.settings.chosen_line, self.settings.zone)
+        return place_parcel(parcel, self.config.chosen_line, self.config.zone)
 
     def _settle(self, parcel: Parcel) -> None:
         parcels = Parcels((parcel,), np.zeros(len(BOTH), dtype=np.int64))
-        self._lanes.site[:] = self._plan.sites_of(BOTH, parcels)
+        self._parcels.body[:] = self._plan.bodies_of(BOTH, parcels)
 
     def reset(self, entered: Entered) -> None:
-        """Start with a parcel.
-
-        Raises:
-            ValueError: the parcel does not fit the surface, or its goal or path is not the task's.
-        """
-        task = self.settings.task
+        """Start with a parcel."""
+        task = self.config.task
         goal = checks.array("goal", entered.goal, (task.goals,))
         path = checks.array("path", entered.path, (PATH_POINTS,)) if task.has_path else None
         pose = checks.pose("pose", entered.pose, (3,))
         velocity = checks.velocity("velocity", entered.velocity, (3,))
         # Its load may lie anywhere: it is taken as evenly spread.
         self._settle(replace(entered.parcel, com_offset=(0.0, 0.0)))
-        lanes, conditions = self._lanes, self._surfaces.conditions
-        lanes.kept[:] = 0.0
-        lanes.state[:] = (*pose, *velocity, 0.0, 0.0)
-        lanes.goal[:] = goal
+        parcels, conditions = self._parcels, self._surfaces.conditions
+        parcels.sensor_state[:] = 0.0
+        parcels.state[:] = (*pose, *velocity, 0.0, 0.0)
+        parcels.goal[:] = goal
         if path is not None:
-            lanes.path[:] = path
+            parcels.path[:] = path
         conditions[:] = 1.0
         conditions[:, GRAVITY_ALONG] = GRAVITY * math.sin(entered.tilt)
         conditions[:, GRAVITY_NORMAL] = GRAVITY * math.cos(entered.tilt)
@@ -215,9 +207,6 @@ class StateEstimator:
     def correct(self, frame: Frame) -> bool:
         """Correct the estimate by a frame, and return whether it was used: one of another parcel is
         not, nor one that is not later than the latest.
-
-        Raises:
-            ValueError: a pose or axes that are not allowed.
         """
         pose = checks.pose("pose", frame.pose, (3,))
         axes = None if frame.axes is None else checks.array("axes", frame.axes, self.shape)
@@ -225,32 +214,32 @@ class StateEstimator:
             return False
         if frame.taken_at < self._at + MIN_APART:
             return False
-        self._lanes.truth[SEEN, :3] = pose
+        self._parcels.truth[SEEN, :3] = pose
         self._advance(SEEN, max(self._at, frame.taken_at - MAX_AHEAD), frame.taken_at, looks=True)
         self._at = frame.taken_at
         while self._commands and self._commands[0].at <= self._at:
             self._commands.popleft()
         if axes is not None:
-            site = int(self._lanes.site[SEEN])
-            self._use_axes(self._surfaces, self._plan.bodies, site, SEEN, np.array(axes))
+            body = int(self._parcels.body[SEEN])
+            self._use_axes(self._surfaces, self._plan.bodies, body, SEEN, np.array(axes))
         return True
 
     def observe(self, now: float) -> NDArray[np.float32]:
         """Return the task's observation (features,) of the parcel at a time [s]: a copy."""
-        lanes, surfaces = self._lanes, self._surfaces
-        for array in (lanes.kept, lanes.clock, lanes.steps):
+        parcels, surfaces = self._parcels, self._surfaces
+        for array in (parcels.sensor_state, parcels.clock, parcels.steps):
             array[NOW] = array[SEEN]
         for array in (surfaces.angle, surfaces.target, surfaces.direction):
             array[NOW] = array[SEEN]
         self._advance(NOW, self._at, min(now, self._at + MAX_AHEAD), looks=False)
         self._show(*self._arrays, NOW)
-        observation: NDArray[np.float32] = lanes.observation[NOW].copy()
+        observation: NDArray[np.float32] = parcels.observation[NOW].copy()
         return observation
 
     @property
     def estimate(self) -> NDArray[np.float64]:
         """Pose and velocity (6,) [m, m, rad, m/s, m/s, rad/s] at the time last observed."""
-        sensed: NDArray[np.float64] = self._lanes.sensed[NOW].copy()
+        sensed: NDArray[np.float64] = self._parcels.sensed[NOW].copy()
         return sensed
 
     def axes(self) -> Angles:
@@ -268,15 +257,15 @@ class StateEstimator:
         dtype = np.float64 if kind.continuous else np.int64
         surfaces = self._surfaces._replace(command=np.zeros((len(BOTH), kind.size), dtype=dtype))
         obey = make_obey(kind, self._mirror)
-        rules, _, lanes, sites = self._arrays
-        return Resolver(compile_for(obey, rules, surfaces, lanes, sites, NOW), surfaces)
+        params, _, parcels, bodies = self._arrays
+        return Resolver(compile_for(obey, params, surfaces, parcels, bodies, NOW), surfaces)
 
     def resolve(self, resolver: Resolver, command: NDArray[Any]) -> Angles:
         """Return the axes (rows, columns) [rad] of the zone's modules for a command (size,), by the
         parcel's place at the time last observed.
         """
         resolver.surfaces.command[NOW] = command
-        resolver.obey(self._rules, resolver.surfaces, self._lanes, self._plan.bodies, NOW)
+        resolver.obey(self._params, resolver.surfaces, self._parcels, self._plan.bodies, NOW)
         return self._zone_angles(self._surfaces.target[NOW])
 
     def note_sent(self, number: int, at: float) -> None:
@@ -307,7 +296,7 @@ class StateEstimator:
 
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
         """Move an environment on in equal steps, none longer than the package's."""
-        steps = math.ceil((until - begun) / self._rules.timing.dt - 1e-6)
+        steps = math.ceil((until - begun) / self._params.timing.dt - 1e-6)
         if steps > 0:
             length = (until - begun) / steps
             given = (length, steps, self._axis_speed, looks, *self._looks)
@@ -315,11 +304,11 @@ class StateEstimator:
 
     def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:
         """Cut the widest zone's axes out of the whole surface's (rows, columns)."""
-        return zone_angles(whole, self._plan.bodies.zone[self._lanes.site[NOW]], self.shape)
+        return zone_angles(whole, self._plan.bodies.zone[self._parcels.body[NOW]], self.shape)
 
 
 def make_looks(numbers: Array) -> tuple[Array, Array]:
-    """Return a camera's settings without frames, and with a frame at each step, used at once."""
+    """Return a camera's parameters without frames, and with a frame at each step, used at once."""
     coasting, looking = np.array(numbers), np.array(numbers)
     coasting[EVERY], coasting[LAG] = NEVER, 0.0
     looking[EVERY], looking[LAG] = 1.0, 0.0
@@ -328,10 +317,10 @@ def make_looks(numbers: Array) -> tuple[Array, Array]:
 
 @compiled
 def use_encoders(
-    surfaces: SurfaceState, sites: BodyTable, site: int, i: int, angles: Array
+    surfaces: SurfaceState, bodies: BodyTable, body: int, i: int, angles: Array
 ) -> None:
     """Put the axes of an environment's zone to angles (rows, columns) [rad] of the widest zone."""
-    zone = sites.zone[site]
+    zone = bodies.zone[body]
     margin = (angles.shape[0] - zone[ROWS]) // 2
     for down in range(zone[ROWS]):
         for along in range(zone[COLUMNS]):
@@ -346,39 +335,38 @@ def use_encoders(
 
 @lru_cache(maxsize=16)
 def make_begin(functions: KernelFunctions) -> Any:
-    """Compile `begin(rules, surfaces, lanes, sites, i)`: put the axes as the conveyor's, and the
-    estimate to what is known of the entry, which is in `lanes.state`.
+    """Compile `begin`: put the axes as the conveyor's, and the estimate to what is known of the
+    entry, which is in `parcels.state`.
     """
     task_begin, sensor_begin = functions.begin, functions.begin_sensor
 
     def begin(
-        rules: EnvParams, surfaces: SurfaceState, lanes: ParcelState, sites: BodyTable, i: int
+        params: EnvParams, surfaces: SurfaceState, parcels: ParcelState, bodies: BodyTable, i: int
     ) -> None:
-        straighten_targets(rules.acting, surfaces, i)
-        lanes.clock[i] = 0.0
-        lanes.steps[i] = 0
-        lanes.period[i] = 0.0
-        lanes.noise_row[i, 0] = 0
-        lane = env_state(surfaces, lanes, sites, i, i, rules.elements)
-        read_truth(lane)
-        sensor_begin(rules.sensor, lane)
-        task_begin(lane)
+        straighten_targets(params.acting, surfaces, i)
+        parcels.clock[i] = 0.0
+        parcels.steps[i] = 0
+        parcels.period[i] = 0.0
+        parcels.noise_row[i, 0] = 0
+        state = env_state(surfaces, parcels, bodies, i, i, params.elements)
+        read_truth(state)
+        sensor_begin(params.sensor, state)
+        task_begin(state)
 
     return compiled(begin, f"estimator-begin-{functions.label}")
 
 
 @lru_cache(maxsize=16)
 def make_move(look: Function, label: str) -> Any:
-    """Compile `move(rules, surfaces, lanes, sites, scratch, i, length, steps, axis_speed, looks,
-    coasting, looking)`: turn an environment's axes at a speed [rad/s] and predict, over some steps
-    of a length [s]; if it looks, correct at the end by the frame whose pose is in `lanes.truth`.
+    """Compile `move`: turn an environment's axes at a speed [rad/s] and predict, over some steps of
+    a length [s]; if it looks, correct at the end by the frame whose pose is in `parcels.truth`.
     """
 
     def move(
-        rules: EnvParams,
+        params: EnvParams,
         surfaces: SurfaceState,
-        lanes: ParcelState,
-        sites: BodyTable,
+        parcels: ParcelState,
+        bodies: BodyTable,
         scratch: Scratch,
         i: int,
         length: float,
@@ -388,48 +376,48 @@ def make_move(look: Function, label: str) -> Any:
         coasting: Array,
         looking: Array,
     ) -> None:
-        physics = Physics(rules.assumed, rules.stiffness, scratch, length)
-        acting = Acting(rules.acting.zone_rows, rules.acting.orientations, axis_speed * length)
+        physics = Physics(params.assumed, params.stiffness, scratch, length)
+        acting = Acting(params.acting.zone_rows, params.acting.orientations, axis_speed * length)
         invalidate_contacts(scratch)
-        lanes.noise_row[i, 0] = 0
+        parcels.noise_row[i, 0] = 0
         for k in range(steps):
-            lanes.clock[i] += length
-            lanes.steps[i] += 1
-            lane = env_state(surfaces, lanes, sites, i, i, rules.elements)
-            if turn_axes(acting, surfaces, i, lane.zone):
+            parcels.clock[i] += length
+            parcels.steps[i] += 1
+            state = env_state(surfaces, parcels, bodies, i, i, params.elements)
+            if turn_axes(acting, surfaces, i, state.zone):
                 invalidate_contacts(scratch)
-            look(looking if looks and k == steps - 1 else coasting, lane, physics)
+            look(looking if looks and k == steps - 1 else coasting, state, physics)
 
     return compiled(move, f"estimator-move-{label}")
 
 
 @lru_cache(maxsize=16)
 def make_show(functions: KernelFunctions) -> Any:
-    """Compile `show(rules, surfaces, lanes, sites, i)`: observe an environment's estimate."""
+    """Compile `show`: observe an environment's estimate."""
     task_observe, task_mirror = functions.observe, functions.mirror
-    estimate, show_more = functions.estimate, showing(functions)
+    read_sensor, show_more = functions.read_sensor, showing(functions)
 
     def show(
-        rules: EnvParams, surfaces: SurfaceState, lanes: ParcelState, sites: BodyTable, i: int
+        params: EnvParams, surfaces: SurfaceState, parcels: ParcelState, bodies: BodyTable, i: int
     ) -> None:
-        lane = env_state(surfaces, lanes, sites, i, i, rules.elements)
-        estimate(rules.sensor, lane)
-        mirror = task_mirror(lane)
-        task_observe(lane)
-        show_more(rules, lane, mirror)
+        state = env_state(surfaces, parcels, bodies, i, i, params.elements)
+        read_sensor(params.sensor, state)
+        mirror = task_mirror(state)
+        task_observe(state)
+        show_more(params, state, mirror)
 
     return compiled(show, f"estimator-show-{functions.label}")
 
 
 @lru_cache(maxsize=16)
 def make_obey(kind: ActionKind, mirror_of: Function) -> Any:
-    """Compile `obey(rules, surfaces, lanes, sites, i)`: set target axes by the command."""
+    """Compile `obey`: set target axes by the command."""
     obey_command = obeying(kind.part_of, aim_at_angle if kind.continuous else aim_at_choice)
 
     def obey(
-        rules: EnvParams, surfaces: SurfaceState, lanes: ParcelState, sites: BodyTable, i: int
+        params: EnvParams, surfaces: SurfaceState, parcels: ParcelState, bodies: BodyTable, i: int
     ) -> None:
-        lane = env_state(surfaces, lanes, sites, i, i, rules.elements)
-        obey_command(rules, surfaces, lane, i, mirror_of(lane))
+        state = env_state(surfaces, parcels, bodies, i, i, params.elements)
+        obey_command(params, surfaces, state, i, mirror_of(state))
 
     return compiled(obey, f"estimator-{kind.name}-{'angles' if kind.continuous else 'choices'}")

@@ -118,20 +118,12 @@ class Device(Protocol):
 
 
 def to_line(fields: dict[str, Any]) -> bytes:
-    """Return a message as a line.
-
-    Raises:
-        ValueError: a number that is not finite.
-    """
+    """Return a message as a line."""
     return json.dumps(fields, allow_nan=False, separators=(",", ":")).encode() + b"\n"
 
 
 def from_line(line: bytes) -> dict[str, Any]:
-    """Return the fields of a line.
-
-    Raises:
-        ValueError: it is not an object of JSON with a kind.
-    """
+    """Return the fields of a line."""
     try:
         fields = json.loads(line, parse_constant=_refuse_constant)
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
@@ -190,11 +182,7 @@ def to_fields(message: Message) -> dict[str, Any]:
 
 
 def from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> Message:
-    """Return a device's message of its fields; `shape` is (rows, columns) of the widest zone.
-
-    Raises:
-        ValueError: it is no message of a device, or a field is missing or not allowed.
-    """
+    """Return a device's message of its fields; `shape` is (rows, columns) of the widest zone."""
     kind = checks.one_of("kind", fields["kind"], tuple(_READERS))
     try:
         return _READERS[kind](fields, shape)
@@ -262,11 +250,7 @@ def axes_to_fields(command: int, angles: Angles) -> dict[str, Any]:
 
 
 def axes_from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> tuple[int, Angles]:
-    """Return the number of a command and its angles (rows, columns) [rad], unchecked.
-
-    Raises:
-        ValueError: it is no such message.
-    """
+    """Return the number of a command and its angles (rows, columns) [rad], unchecked."""
     checks.one_of("kind", fields["kind"], ("axes",))
     number = checks.integer("command", fields.get("command"), least=0)
     return number, np.array(checks.array("angles", fields.get("angles"), shape))
@@ -331,11 +315,7 @@ class Connection:
         return self._socket.fileno()
 
     def lines(self) -> list[bytes]:
-        """Return the lines since the last call.
-
-        Raises:
-            ConnectionLost: the other side is gone and no line is left, or a line is too long.
-        """
+        """Return the lines since the last call."""
         gone = False
         while True:
             try:
@@ -356,11 +336,7 @@ class Connection:
         return whole
 
     def send(self, line: bytes) -> None:
-        """Send a line; the part that cannot be sent now is sent before the next.
-
-        Raises:
-            ConnectionLost: the other side is gone, or has not read for long.
-        """
+        """Send a line; the part that cannot be sent now is sent before the next."""
         self._waiting += line
         try:
             while self._waiting:
@@ -380,8 +356,6 @@ class SocketDevice:
     """The `Device` behind a socket: the simulator, or a machine that speaks the protocol.
 
     Args:
-        address: host and port.
-        task: name of the task that it must do.
         shape: (rows, columns) of the widest zone that it must have.
     """
 
@@ -394,11 +368,7 @@ class SocketDevice:
         self._command = 0
 
     def connect(self) -> None:
-        """Connect to the device.
-
-        Raises:
-            DeviceLost: it is not there.
-        """
+        """Connect to the device."""
         self.close()
         try:
             connected = socket.create_connection(self._address, timeout=TIMEOUT)
@@ -414,11 +384,7 @@ class SocketDevice:
             self._connection = None
 
     def read(self) -> list[Message]:
-        """Return the messages since the last call.
-
-        Raises:
-            DeviceLost: it is gone, is another than expected, or breaks the protocol.
-        """
+        """Return the messages since the last call."""
         if self._connection is None:
             raise DeviceLost("not connected")
         messages = []
@@ -440,11 +406,7 @@ class SocketDevice:
         return messages
 
     def set_axes(self, angles: Angles) -> int:
-        """Turn the zone's modules to angles (rows, columns) [rad].
-
-        Raises:
-            DeviceLost: it is gone.
-        """
+        """Turn the zone's modules to angles (rows, columns) [rad]."""
         if self._connection is None:
             raise DeviceLost("not connected")
         self._command += 1

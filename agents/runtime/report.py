@@ -37,7 +37,7 @@ class Run:
     agent: str
     seed: int  # of the policy
     task: str
-    condition: str  # preset
+    preset: str  # of the machine
     device: str  # the simulator, or an address
     period: float  # [s]
     watchdog: float  # [s]

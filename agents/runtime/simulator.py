@@ -26,22 +26,11 @@ from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
 from surface_gym.sensors import Exact
 from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, RUNNING, EnvState
 
-from ..tasks import find_task
-from . import protocol
+from ..library import find_task
+from . import protocol as wire
 from .config import SimulatorConfig, WorldOptions, parse_address
 from .controller import AxisLimits, Clock, WallClock
 from .estimator import device_camera, zone_angles
-from .protocol import (
-    Angles,
-    AxesAcknowledged,
-    Connection,
-    ConnectionLost,
-    Departed,
-    Entered,
-    Frame,
-    Message,
-    Triple,
-)
 
 HOST = "127.0.0.1"  # this machine only: messages carry times of its clock
 LISTENING = "listening on "
@@ -57,27 +46,26 @@ class World:
     turn no earlier than now. A frame is due as much later as the camera is late.
 
     Args:
-        settings: of the environment that it simulates, but for its actions: axes are set one by
+        env_config: of the environment that it simulates, but for its actions: axes are set one by
             one.
-        seed: of all random numbers.
-        begun: [s] start by the caller's clock.
-        options: of the machine.
 
     Raises:
         ValueError: sensors without frames.
     """
 
-    def __init__(self, settings: EnvConfig, seed: int, begun: float, options: WorldOptions) -> None:
-        self._camera = device_camera(settings.sensors)
-        self.dt = settings.timing.dt
+    def __init__(
+        self, env_config: EnvConfig, seed: int, begun: float, options: WorldOptions
+    ) -> None:
+        self._camera = device_camera(env_config.sensors)
+        self.dt = env_config.timing.dt
         self._every = self._camera.frame_steps(self.dt)
         self._latency = self._camera.latency
         if self._latency is None:
             self._latency = self._every * self.dt
-        self._limit = settings.task.periods * settings.timing.steps
+        self._limit = env_config.task.periods * env_config.timing.steps
         self._batch = Batch(
             replace(
-                settings,
+                env_config,
                 actions="modules",
                 orientations=ANY,
                 control_period=self.dt,
@@ -111,16 +99,16 @@ class World:
         self._now += seconds
         self._enters += seconds
 
-    def set_axes(self, command: int, angles: Angles) -> AxesAcknowledged:
+    def set_axes(self, command: int, angles: wire.Angles) -> wire.AxesAcknowledged:
         """Turn the zone's modules to angles (rows, columns) [rad]; refused where out of range."""
         fault = self._limits.fault(angles)
         if not fault:
             self._command[0] = angles.ravel()
-        return AxesAcknowledged(command, self._now, fault)
+        return wire.AxesAcknowledged(command, self._now, fault)
 
-    def advance(self, until: float) -> list[tuple[float, Message]]:
+    def advance(self, until: float) -> list[tuple[float, wire.Message]]:
         """Move on to a time [s], and return the messages, each with the time [s] it is due."""
-        messages: list[tuple[float, Message]] = []
+        messages: list[tuple[float, wire.Message]] = []
         while self._now <= until:
             if not self._present and self._now >= self._enters:
                 messages.append((self._now, self._enter()))
@@ -139,7 +127,7 @@ class World:
                     messages.append((self._now, self._depart(bool(ends))))
         return messages
 
-    def _enter(self) -> Entered:
+    def _enter(self) -> wire.Entered:
         self._command[:] = ROLLING
         self._batch.reset(ONLY)
         self._present = True
@@ -149,7 +137,7 @@ class World:
             [entry.position] * 2 + [entry.angle] + [entry.speed] * 2 + [entry.turning]
         )
         known = state.truth + spread * self._noise.standard_normal(6)
-        return Entered(
+        return wire.Entered(
             self._number,
             self._now,
             _known_parcel(state),
@@ -160,28 +148,28 @@ class World:
             state.path.copy() if len(state.path) else None,
         )
 
-    def _depart(self, ends: bool) -> Departed:
-        lanes, task = self._batch.parcels, self._batch.task
+    def _depart(self, ends: bool) -> wire.Departed:
+        parcels, task = self._batch.parcels, self._batch.task
         self._present = False
         self._enters = self._now + self._options.pause
-        outcome = self._batch.outcomes[int(lanes.outcome[0])] if ends else "out of time"
-        metrics = dict(zip(task.metrics, lanes.metrics[0].tolist(), strict=True))
-        return Departed(self._number, outcome, metrics)
+        outcome = self._batch.outcomes[int(parcels.outcome[0])] if ends else "out of time"
+        metrics = dict(zip(task.metrics, parcels.metrics[0].tolist(), strict=True))
+        return wire.Departed(self._number, outcome, metrics)
 
-    def _take_frame(self) -> Frame | None:
+    def _take_frame(self) -> wire.Frame | None:
         """Return a frame; None if it is lost."""
         camera = self._camera
         noise, lot = self._noise.standard_normal(3), self._noise.random()
         if lot < camera.drop:
             return None
         if not self._present:
-            return Frame(self._now)
+            return wire.Frame(self._now)
         spread = np.array([camera.position_noise] * 2 + [camera.angle_noise])
         pose = self._batch.parcels.truth[0, :3] + spread * noise
         axes = None
         if self._options.encoders:
             axes = zone_angles(self._batch.axes(0), self._batch.view(0).zone, self.shape)
-        return Frame(self._now, self._number, _triple(pose), axes)
+        return wire.Frame(self._now, self._number, _triple(pose), axes)
 
 
 def _known_parcel(state: EnvState) -> Parcel:
@@ -196,7 +184,7 @@ def _known_parcel(state: EnvState) -> Parcel:
     return Parcel(base, mass=float(state.body[MASS]), com_height=float(state.body[COM_HEIGHT]))
 
 
-def _triple(values: NDArray[np.float64]) -> Triple:
+def _triple(values: NDArray[np.float64]) -> wire.Triple:
     first, second, third = values.tolist()
     return (first, second, third)
 
@@ -207,7 +195,6 @@ class Server:
     One loop may be connected at a time; a later one takes its place.
 
     Args:
-        world: to serve.
         task: its name.
         listener: a socket that listens, which becomes its own.
     """
@@ -217,8 +204,8 @@ class Server:
         self._task = task
         self._listener = listener
         self._listener.setblocking(False)
-        self._connection: Connection | None = None
-        self._outbox: list[tuple[float, int, Message]] = []  # by the time [s] each is due
+        self._connection: wire.Connection | None = None
+        self._outbox: list[tuple[float, int, wire.Message]] = []  # by the time [s] each is due
         self._count = 0
         self.refused = 0  # commands that were not allowed
 
@@ -237,7 +224,7 @@ class Server:
     def wait(self, now: float) -> None:
         """Wait until there is something to do, from a time [s] on."""
         due = self._outbox[0][0] if self._outbox else self._world.now
-        ready: list[socket.socket | Connection] = [self._listener]
+        ready: list[socket.socket | wire.Connection] = [self._listener]
         if self._connection is not None:
             ready.append(self._connection)
         select.select(ready, [], [], max(0.0, min(due, self._world.now) - now))
@@ -253,35 +240,33 @@ class Server:
         except BlockingIOError:
             return
         self._drop()
-        self._connection = Connection(connected)
-        self._send(protocol.to_line(protocol.hello(self._task, self._world.shape)))
+        self._connection = wire.Connection(connected)
+        self._send(wire.to_line(wire.hello(self._task, self._world.shape)))
 
     def _set_axes(self) -> None:
         if self._connection is None:
             return
         try:
             for line in self._connection.lines():
-                command, angles = protocol.axes_from_fields(
-                    protocol.from_line(line), self._world.shape
-                )
+                command, angles = wire.axes_from_fields(wire.from_line(line), self._world.shape)
                 answer = self._world.set_axes(command, angles)
                 self.refused += bool(answer.refused)
                 self._send_message(answer)
-        except (ConnectionLost, ValueError):
+        except (wire.ConnectionLost, ValueError):
             self._drop()
 
-    def _post(self, due: float, message: Message) -> None:
+    def _post(self, due: float, message: wire.Message) -> None:
         self._count += 1
         heapq.heappush(self._outbox, (due, self._count, message))
 
-    def _send_message(self, message: Message) -> None:
-        self._send(protocol.to_line(protocol.to_fields(message)))
+    def _send_message(self, message: wire.Message) -> None:
+        self._send(wire.to_line(wire.to_fields(message)))
 
     def _send(self, line: bytes) -> None:
         if self._connection is not None:
             try:
                 self._connection.send(line)
-            except ConnectionLost:
+            except wire.ConnectionLost:
                 self._drop()
 
     def _drop(self) -> None:
@@ -297,32 +282,21 @@ def serve(server: Server, clock: Clock, goes_on: Callable[[], bool]) -> None:
         server.wait(clock.now())
 
 
-def make_settings(config: SimulatorConfig) -> EnvConfig:
-    """Return the configuration of the environment that is simulated.
-
-    Raises:
-        ValueError: there is no such task or preset.
-    """
+def make_env_config(config: SimulatorConfig) -> EnvConfig:
+    """Return the configuration of the environment that is simulated."""
     return EnvConfig(
-        task=find_task(config.task),
-        preset=config.condition,
-        control_period=config.control_period,
+        task=find_task(config.task), preset=config.preset, control_period=config.control_period
     )
 
 
 def run_simulator(config: SimulatorConfig) -> None:
-    """Serve until Ctrl-C, or until the parent process has ended.
-
-    Raises:
-        ValueError: a setting that is not allowed.
-        OSError: the port is taken.
-    """
-    settings = make_settings(config)
+    """Serve until Ctrl-C, or until the parent process has ended."""
+    env_config = make_env_config(config)
     clock = WallClock()
-    world = World(settings, config.seed, clock.now(), config.world)
+    world = World(env_config, config.seed, clock.now(), config.world)
     world.advance(clock.now())  # compile now
     listener = socket.create_server((HOST, config.port))
-    server = Server(world, settings.task.name, listener)
+    server = Server(world, env_config.task.name, listener)
     print(f"{LISTENING}{HOST}:{listener.getsockname()[1]}", flush=True)
     try:
         serve(server, clock, lambda: config.parent in (None, os.getppid()))
@@ -332,10 +306,6 @@ def run_simulator(config: SimulatorConfig) -> None:
 
 class SimulatorProcess:
     """A simulator in a process of its own, which ends with this context.
-
-    Args:
-        arguments: of the simulator's command.
-        log: file for its errors.
 
     Raises:
         ValueError: it does not start.

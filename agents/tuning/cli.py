@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     from rich.console import Console
 
-    from ..tasks import task_files
+    from ..library import task_files
 
     folder = given.out / (given.name or f"search-{given.file.stem}")
     try:
@@ -48,14 +48,6 @@ def search(
 
     Args:
         file: what to search, as `Sweep` has it.
-        folder: of the search; one that holds the same search is resumed.
-        workers: that trials are shared among.
-        console: for the progress.
-        task: custom task of the search; None: one of the package.
-
-    Raises:
-        ValueError: Optuna is missing, the file is not understood, or the folder holds another
-            search or something else.
     """
     check_workers(workers)
     if find_spec("optuna") is None:
@@ -84,12 +76,7 @@ def search(
 
 
 def open_folder(file: Path, folder: Path, task: str | None = None) -> "Sweep":
-    """Read the request of a search and keep it in the search's folder, which is made if need be.
-
-    Raises:
-        ValueError: the file is not understood, or the folder holds another search or something
-            else.
-    """
+    """Read the request of a search and keep it in the search's folder, which is made if need be."""
     from .sweep import differences, read_sweep
 
     sweep = read_sweep(file, task)

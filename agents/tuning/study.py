@@ -32,12 +32,13 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from surface_gym.parallel import Report, Workers, map_jobs
 
 from ..base import TRAIN, command_line
+from ..evaluation.tables import markdown
 from ..learning.config import TrainConfig, config_of_seed, write_hyperparams
 from ..learning.runs import StopTraining, read_curve
 from ..learning.sb3 import make_training_envs
 from ..learning.train import train
+from ..library import find_task
 from ..policy import load_policy
-from ..tasks import find_task
 from .sweep import Choices, Span, Sweep
 
 FILE = "study.db"  # SQLite, which optuna-dashboard reads as well
@@ -120,10 +121,6 @@ def optimize(
     """Carry out the trials of a search that its study lacks, and keep each as it ends.
 
     Args:
-        sweep: the request.
-        study: of the search.
-        workers: that trials are shared among.
-        console: for the progress.
         run: carries a trial out; a function of a module, so that another process finds it.
     """
     done = finished_trials(study)
@@ -173,7 +170,6 @@ def run_trial(
     """Carry a trial out, in a folder of its own.
 
     Args:
-        sweep: the request of the search.
         params: values that were drawn.
         past: finished trials, by which it may be pruned.
         report: called with the number of each evaluation, from 1, and its value.
@@ -196,8 +192,6 @@ class Pruning:
     """The pruner of a search, asked about one trial.
 
     Args:
-        sweep: the request of the search.
-        past: finished trials.
         report: called with the number of each evaluation, from 1, and its value.
     """
 
@@ -218,11 +212,7 @@ class Pruning:
 
 
 def _train_and_judge(sweep: Sweep, config: TrainConfig, place: int, prune: Pruning) -> float:
-    """Train with the seed at a place, and judge its policy.
-
-    Raises:
-        optuna.TrialPruned: an evaluation on the way was too bad.
-    """
+    """Train with the seed at a place, and judge its policy."""
     run, pruned = config_of_seed(config, sweep.seed + place), False
     spacing = sweep.steps / (sweep.evaluations + 1)
     left = list(range(1, sweep.evaluations + 1))
@@ -248,20 +238,14 @@ def _train_and_judge(sweep: Sweep, config: TrainConfig, place: int, prune: Pruni
 
 
 def judge(config: TrainConfig, sweep: Sweep, folder: Path) -> float:
-    """Return the mean over the greedy policy's first episodes on fresh starts.
-
-    Args:
-        config: that the policy was trained by.
-        sweep: the request of the search.
-        folder: that holds the policy.
-    """
+    """Return the mean over the greedy policy's first episodes on fresh starts."""
     policy = load_policy(folder, find_task(config.task))
     # All trials are judged with the same share of cameras and the same friction.
     usual: dict[str, Any] = {
         name: sweep.fixed.get(name, getattr(sweep.default, name))
         for name in ("camera_share", "friction")
     }
-    usual |= {"lanes": STARTS, "batch_size": STARTS}  # the configuration checks that these go
+    usual |= {"num_envs": STARTS, "batch_size": STARTS}  # the configuration checks that these go
     env = make_training_envs(replace(config, **usual))
     env.seed(JUDGE_SEED + sweep.seed)
     observations = np.asarray(env.reset())
@@ -399,7 +383,7 @@ def _best(sweep: Sweep, best: FrozenTrial | None) -> list[str]:
     params = plain_params(sweep, best)
     return [
         f"## Best: trial {best.number}, {sweep.metric} {best.value:.4g}",
-        _table(["hyper-parameter", "value"], [[name, _text(v)] for name, v in params.items()]),
+        markdown(["hyper-parameter", "value"], [[name, _text(v)] for name, v in params.items()]),
         f"`{command}` trains with it for {sweep.default.steps:,} control periods, as long as the "
         "task is usually learned.",
     ]
@@ -415,7 +399,7 @@ def _importance(shares: dict[str, float] | None) -> list[str]:
         "How much each decides whether a complete trial is among the best quarter (PED-ANOVA). "
         "With so few trials it is a hint.",
         "![](importance.png)",
-        _table(
+        markdown(
             ["hyper-parameter", "importance"],
             [[name, f"{100.0 * share:.0f} %"] for name, share in shares.items()],
         ),
@@ -430,12 +414,9 @@ def _trials(sweep: Sweep, trials: Sequence[FrozenTrial]) -> str:
         state = state_of(trial).replace("|", "/")
         values = [_text(each) for each in plain_params(sweep, trial).values()]
         rows.append([str(trial.number), state, _text(value), _text(latest), *values])
-    return _table(["trial", "state", sweep.metric, "latest on the way", *sorted(sweep.space)], rows)
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return markdown(
+        ["trial", "state", sweep.metric, "latest on the way", *sorted(sweep.space)], rows
+    )
 
 
 def _text(value: Any) -> str:

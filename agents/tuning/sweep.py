@@ -11,7 +11,7 @@ import yaml
 from surface_gym import checks
 from surface_gym.tasks import TASKS
 
-from ..learning.config import TrainConfig, defaults
+from ..learning.config import RENAMED, TrainConfig, defaults
 from ..learning.runs import CURVE_EVERY
 
 ALGOS = ("ppo", "dqn", "modules")
@@ -19,7 +19,7 @@ METRICS = ("success", "return")
 SAMPLERS = ("tpe", "random")
 PRUNERS = ("median", "halving", "none")
 OF_THE_SEARCH = ("task", "algo", "device", "seed", "seeds", "steps", "out", "name")
-ROLLOUT = ("lanes", "n_steps", "batch_size")  # which must go together
+ROLLOUT = ("num_envs", "n_steps", "batch_size")  # which must go together
 
 
 @dataclass(frozen=True)
@@ -141,9 +141,6 @@ class Sweep:
 
         Args:
             params: value of each name in `space`, lists for tuples.
-
-        Raises:
-            ValueError: it refuses them.
         """
         chosen: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value
@@ -163,11 +160,6 @@ def read_sweep(file: Path, task: str | None = None) -> Sweep:
 
     Args:
         file: YAML, the fields of `Sweep`.
-        task: custom task that it is of; None: one of the package, since a file must not say what
-            code is run.
-
-    Raises:
-        ValueError: there is no such file, or its content is not understood or not allowed.
     """
     try:
         return _read(yaml.safe_load(file.read_text()), task)
@@ -199,8 +191,12 @@ def _read(plain: Any, task: str | None) -> Sweep:
     for name in ("space", "fixed"):
         if not isinstance(plain.get(name, {}), dict):
             raise ValueError(f"{name} must hold names and values, got {plain[name]!r}")
-    space = {name: _values(name, values) for name, values in plain.get("space", {}).items()}
-    return Sweep(**{**plain, "space": space})
+    space, fixed = (
+        {RENAMED.get(name, name): value for name, value in plain.get(part, {}).items()}
+        for part in ("space", "fixed")
+    )
+    space = {name: _values(name, values) for name, values in space.items()}
+    return Sweep(**{**plain, "space": space, "fixed": fixed})
 
 
 def _values(name: str, values: Any) -> Span | Choices:

@@ -37,10 +37,10 @@ from surface_gym.tasks.sort import Sort
 
 HOST_NUM_ENVS = 4096  # of the CPU's vector environment
 # A window of as many decisions as a GPU's would take the CPU half a minute.
-HOST_EFFORT = Effort(steps=64, settling=64)
+HOST_EFFORT = Effort(steps=64, warm_up=64)
 STREAM_NUM_ENVS = (1024, 4096)  # lines of 16 parcels
 # A line's first minute, in which its parcels come.
-STREAM_EFFORT = Effort(windows=3, steps=128, chunk=32, settling=128)
+STREAM_EFFORT = Effort(windows=3, steps=128, chunk=32, warm_up=128)
 WORLDS = (1024, 4096, 16384)  # of MuJoCo Warp, which is at its best with thousands
 
 

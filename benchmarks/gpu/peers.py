@@ -12,8 +12,15 @@ import numpy as np
 from benchmarks.gpu.timing import Effort, Rate, measure_rate
 from surface_gym.physics.types import GRAVITY
 from surface_gym.validation.comparison import PARCEL, PUSHED
-from surface_gym.validation.scene import RECIPE, Recipe, build, load_mujoco
-from surface_gym.validation.simulation import elements_under, reachable, static_sag
+from surface_gym.validation.simulation import (
+    RECIPE,
+    Recipe,
+    build,
+    elements_under,
+    load_mujoco,
+    reachable,
+    static_sag,
+)
 
 GYMNAX = find_spec("gymnax") is not None
 MUJOCO_WARP = find_spec("mujoco_warp") is not None  # which needs mujoco and warp
@@ -21,7 +28,7 @@ PERIOD = 0.04  # [s] of a decision, as Sort's
 REACH = 0.4  # [s] of motion for which elements are built
 MOST_CONTACTS = 32  # of the box: 9 elements lie under it at most
 MOST_ROWS = 3 * MOST_CONTACTS  # of constraints: a normal force and two of friction
-WARP_EFFORT = Effort(windows=3, steps=1, seconds=1.0, chunk=1, settling=1)
+WARP_EFFORT = Effort(windows=3, steps=1, seconds=1.0, chunk=1, warm_up=1)
 
 
 class CartPole:

@@ -41,7 +41,7 @@ class Effort:
     chunk: int = 64  # decisions between two readings of the clock
     # Decisions before the first window, so that environments that began together end at different
     # times.
-    settling: int = 192
+    warm_up: int = 192
 
 
 class Program(Protocol):
@@ -71,7 +71,7 @@ class Rate:
 
 def measure_rate(program: Program, effort: Effort) -> Rate:
     """Time a program, warmed up."""
-    program.step(effort.settling)
+    program.step(effort.warm_up)
     decisions, episodes = [], []
     for _ in range(effort.windows):
         before, steps, begin = program.episodes(), 0, time.perf_counter()

@@ -1,7 +1,7 @@
 """Answers to the question which surface a parcel needs."""
 
 from surface_gym.design.best_layout import BestLayout, EveryLayout, best_layout, every_layout
-from surface_gym.design.case import Case, Unknown
+from surface_gym.design.case import Case, Purpose, Slow, Sort, Stop, Turn, Unknown
 from surface_gym.design.columns import Columns, columns_by_rows, columns_by_speed, least_columns
 from surface_gym.design.control import ControlGain, control_gain
 from surface_gym.design.limits import (
@@ -12,10 +12,8 @@ from surface_gym.design.limits import (
     least_speed,
     least_tilt,
 )
-from surface_gym.design.line import DesignLine, line_for
-from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
-from surface_gym.design.sensitivity import Sensitivity, sensitivity
-from surface_gym.design.size_map import SuccessMap, success_map
+from surface_gym.design.runs import DesignLine, line_for
+from surface_gym.design.sweep import Sensitivity, SuccessMap, sensitivity, success_map
 
 __all__ = [
     "BestLayout",

@@ -9,20 +9,16 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.design import report
 from surface_gym.design.case import SURE, WORST, Case, is_reliable
-from surface_gym.design.line import DesignLine
-from surface_gym.design.runs import LONGEST, Ends, OnProgress, make_runs
+from surface_gym.design.runs import LONGEST, DesignLine, Ends, OnProgress, make_runs
 from surface_gym.design.search import Effort, LayoutSpace, Score, search
 from surface_gym.layouts import ROLLING
 from surface_gym.lines import ORIENTATIONS
 from surface_gym.parallel import Workers, check_workers
-
-Booleans = NDArray[np.bool_]
-Numbers = NDArray[np.float64]
+from surface_gym.physics.types import Array, Booleans
 
 NEAR, HASTE = 0.9, 0.09  # [-] greatest costs of shortfall and of time, over that of a failure
 AT_ONCE = 4096  # runs of `every_layout` in one go, about
@@ -34,12 +30,12 @@ class LayoutResult:
     """Results of a layout over entry speeds."""
 
     name: str
-    axis: Numbers  # (rows, columns) [rad] of the zone
-    speeds: Numbers  # (speeds,) [m/s], rising
+    axis: Array  # (rows, columns) [rad] of the zone
+    speeds: Array  # (speeds,) [m/s], rising
     success: Booleans  # (speeds,) with nothing unknown
-    time: Numbers  # (speeds,) [s] of the run
-    measure: Numbers  # (speeds,) by the purpose's `measured`; nan: none
-    share: Numbers  # (speeds,) [-] of the draws of unknown quantities that succeed
+    time: Array  # (speeds,) [s] of the run
+    measure: Array  # (speeds,) by the purpose's `measured`; nan: none
+    share: Array  # (speeds,) [-] of the draws of unknown quantities that succeed
 
     @property
     def successes(self) -> float:
@@ -174,13 +170,14 @@ def _draw_axes(axes: "report.Axes", line: DesignLine, layout: LayoutResult, colo
     """Draw a stroke along each module's axis: along it a rotor drags, across it rolls."""
     from matplotlib.collections import LineCollection
 
+    from surface_gym.trajectory_plot import axis_strokes
+
     rows, columns = layout.axis.shape
     pitch = np.array([line.pitch_x, line.pitch_y])
     x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) - 0.5 * (rows - 1))
     centre = np.stack([x, y], axis=-1) * pitch
-    half = STROKE * pitch.min() * np.stack([np.cos(layout.axis), np.sin(layout.axis)], axis=-1)
-    strokes = np.stack([centre - half, centre + half], axis=-2).reshape(-1, 2, 2)
-    axes.add_collection(LineCollection(list(strokes), colors=colour, linewidths=2.5))
+    strokes = axis_strokes(centre, layout.axis, STROKE * pitch.min())
+    axes.add_collection(LineCollection(strokes, colors=colour, linewidths=2.5))
     axes.set(xlim=(0.0, columns * pitch[0]), ylim=(-0.5 * rows * pitch[1], 0.5 * rows * pitch[1]))
     axes.set(aspect="equal", ylabel="y [m]")
     axes.set_title(layout.name, fontsize="small")
@@ -188,7 +185,7 @@ def _draw_axes(axes: "report.Axes", line: DesignLine, layout: LayoutResult, colo
 
 def best_layout(
     case: Case,
-    speeds: Sequence[float] | Numbers,
+    speeds: Sequence[float] | Array,
     columns: int = 16,
     rows: int | None = None,
     orientations: Sequence[float] | None = ORIENTATIONS,
@@ -251,7 +248,7 @@ def best_layout(
 
 
 def evaluate_layout(
-    name: str, axis: Numbers, case: Case, line: DesignLine, speeds: Numbers, workers: Workers = 1
+    name: str, axis: Array, case: Case, line: DesignLine, speeds: Array, workers: Workers = 1
 ) -> LayoutResult:
     """Evaluate a layout (rows, columns) [rad] of a line's zone over speeds (speeds,) [m/s]."""
     axes = axis[np.newaxis]
@@ -268,7 +265,7 @@ def evaluate_layout(
     return LayoutResult(name, axis, speeds, success, ends.time, measure, share)
 
 
-def _tidy(axis: Numbers, plain: Numbers, score: Score) -> Numbers:
+def _tidy(axis: Array, plain: Array, score: Score) -> Array:
     """Return a layout (rows, columns) [rad] with the study's axes wherever they cost nothing."""
     tidy = axis.copy()
     cost = score(tidy[np.newaxis])[0]
@@ -282,7 +279,7 @@ def _tidy(axis: Numbers, plain: Numbers, score: Score) -> Numbers:
 
 
 def _run_layouts(
-    case: Case, line: DesignLine, axes: Numbers, speeds: Numbers, workers: Workers
+    case: Case, line: DesignLine, axes: Array, speeds: Array, workers: Workers
 ) -> Ends:
     """Run every layout (layouts, rows, columns) [rad] at every speed, layout by layout."""
     runs = make_runs(
@@ -294,10 +291,10 @@ def _run_layouts(
     return case.run(line, axes, runs, workers=workers)
 
 
-def _make_score(case: Case, line: DesignLine, speeds: Numbers, workers: Workers) -> Score:
+def _make_score(case: Case, line: DesignLine, speeds: Array, workers: Workers) -> Score:
     """Return the cost of layouts: a failure outweighs all shortfalls, and these all time."""
 
-    def score(axes: Numbers) -> Numbers:
+    def score(axes: Array) -> Array:
         ends = _run_layouts(case, line, axes, speeds, workers)
         shape = (len(axes), len(speeds))
         failed = ~case.purpose.succeeds(ends).reshape(shape)
@@ -315,7 +312,7 @@ class EveryLayout:
     """Result of trying every layout."""
 
     speed: float  # [m/s] at entry
-    axis: Numbers | None  # (rows, columns) [rad] of one that succeeds; None: none does
+    axis: Array | None  # (rows, columns) [rad] of one that succeeds; None: none does
     complete: bool  # whether one was found or every one was tried: else the answer is not known
     runs: int  # that were simulated
 

@@ -5,22 +5,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.design import report
-from surface_gym.design.case import SURE, TOGETHER, WORST, Case, Draws, is_reliable
-from surface_gym.design.line import DesignLine
-from surface_gym.design.purposes import Purpose
-from surface_gym.design.runs import OnProgress, make_runs
+from surface_gym.design.case import SURE, TOGETHER, WORST, Case, Draws, Purpose, is_reliable
+from surface_gym.design.runs import DesignLine, OnProgress, make_runs
 from surface_gym.parallel import Workers
+from surface_gym.physics.types import Array, Integers
 
 MOST = 30  # columns that are tried
 MORE = 3  # columns beyond the nominal ones that are tried for the worst draws
 SPEED_STEP = 0.1  # [m/s] between the speeds of a report
-
-Numbers = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -169,7 +164,7 @@ def _leaving(case: Case, line: DesignLine, workers: Workers) -> Columns:
 
 
 def _worst_leaving(
-    case: Case, line: DesignLine, axes: Numbers, used: Integers, first: int, group: str,
+    case: Case, line: DesignLine, axes: Array, used: Integers, first: int, group: str,
     drawn: Draws, workers: Workers,
 ) -> Worst:  # fmt: skip
     """Find the first layout, from the nominal one on, that serves all but `WORST` of the draws."""

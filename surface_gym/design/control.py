@@ -10,16 +10,14 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.design import report
-from surface_gym.design.case import Case
+from surface_gym.design.case import Case, EnvGoal
 from surface_gym.design.columns import least_columns
-from surface_gym.design.line import DesignLine
-from surface_gym.design.purposes import EnvGoal
-from surface_gym.design.runs import OnProgress
+from surface_gym.design.runs import DesignLine, OnProgress
 from surface_gym.lines import Line
+from surface_gym.physics.types import Array
 from surface_gym.randomisation import Randomisation
 
 SPEED_STEP = 0.02  # [m/s] between the entry speeds that are tried
@@ -28,8 +26,6 @@ FEW_DRAWS = 20
 WIDE_STEP = 0.1  # [m/s]
 SLOWEST = 0.1  # [m/s]
 FIXED = "fixed"  # part of the names of controllers that never turn an axis under the parcel
-
-Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -163,8 +159,8 @@ def control_gain(
     able: list[Any] = []
     left_out: list[Any] = []
     for method in (*methods.rules(goal.task), *methods.shipped(goal.task)):
-        settings = _settings(method, case, line, goal, Randomisation())
-        (able if _fits(method, settings) else left_out).append(method)
+        config = _make_config(method, case, line, goal, Randomisation())
+        (able if _fits(method, config) else left_out).append(method)
     gains = []
     for done, method in enumerate(able):
         on_progress(done, len(able))
@@ -180,25 +176,25 @@ def control_gain(
     )
 
 
-def _fits(method: Any, settings: Any) -> bool:
+def _fits(method: Any, config: Any) -> bool:
     """Return whether a controller's actions are those of a zone of this size."""
     from surface_gym import SmartSurfaceVectorEnv
 
-    arguments = import_module("surface_gym.agents.rollout").env_arguments(settings)
+    arguments = import_module("surface_gym.agents.rollout").env_arguments(config)
     env = SmartSurfaceVectorEnv(num_envs=1, **arguments)
     seen, _ = env.reset(seed=0)
-    action, _ = method.make(settings, 0).predict(seen)
+    action, _ = method.make(config, 0).predict(seen)
     env.close()
-    return bool(np.shape(action)[1:] == settings.action_space().shape)
+    return bool(np.shape(action)[1:] == config.action_space().shape)
 
 
 def _try(method: Any, case: Case, line: DesignLine, goal: EnvGoal) -> Gain:
     run_episodes = import_module("surface_gym.agents.rollout").run_episodes
 
-    def run(speeds: Numbers, randomisation: Randomisation) -> Any:
-        settings = _settings(method, case, line, goal, randomisation)
+    def run(speeds: Array, randomisation: Randomisation) -> Any:
+        config = _make_config(method, case, line, goal, randomisation)
         starts = [{"speed": float(speed), goal.option: goal.value} for speed in speeds]
-        return run_episodes(method.make(settings, 0), settings, starts, case.seed)
+        return run_episodes(method.make(config, 0), config, starts, case.seed)
 
     searches = method.starts is not None
     draws = min(case.draws, FEW_DRAWS) if searches else case.draws
@@ -222,10 +218,10 @@ def _try(method: Any, case: Case, line: DesignLine, goal: EnvGoal) -> Gain:
     )
 
 
-def _settings(
+def _make_config(
     method: Any, case: Case, line: DesignLine, goal: EnvGoal, randomisation: Randomisation
 ) -> Any:
-    """Return the settings of an environment on the line."""
+    """Make the configuration of an environment on the line."""
     from surface_gym.config import EnvConfig
     from surface_gym.tasks import TASKS
 

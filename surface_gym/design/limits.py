@@ -6,28 +6,19 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.design import report
 from surface_gym.design.case import NOMINAL, SURE, TOGETHER, WORST, Case, Unknown, is_reliable
 from surface_gym.design.runs import OnProgress, split_progress
-from surface_gym.design.sensitivity import (
-    Arrangement,
-    SweepPoints,
-    arrange,
-    repeat_case,
-    success_shares,
-)
+from surface_gym.design.sweep import Arrangement, SweepPoints, arrange, repeat_case, success_shares
 from surface_gym.parallel import Workers
+from surface_gym.physics.types import Array, Booleans
 
 SPEED_STEP, SPEED_STEP_DRAWN = 0.01, 0.02  # [m/s] with nothing unknown, and with draws
 TILT_STEP, TILT_STEP_DRAWN = math.radians(0.1), math.radians(0.2)  # [rad] likewise
 FACTOR_RANGE = 16.0  # [-] greatest factor on friction that is tried, and one over the least
 FACTOR_PARTS, FACTOR_PARTS_DRAWN = 48, 8  # factors to a doubling, likewise
-
-Booleans = NDArray[np.bool_]
-Numbers = NDArray[np.float64]
 
 
 class Quantity(NamedTuple):
@@ -53,8 +44,8 @@ class Span:
     # `WORST` of the draws. None: not even the case's own does.
     least: float | None
     most: float | None
-    values: Numbers  # (values,) that were tried
-    share: Numbers  # (values,) of the draws that succeed
+    values: Array  # (values,) that were tried
+    share: Array  # (values,) of the draws that succeed
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +260,7 @@ def least_speed(
 
     Args:
         case: the parcel, its entry and its purpose; its own speed is among those tried.
-        columns: of the zone; None: as `sweep.arrange` finds them.
+        columns: of the zone; None: the fewest that all but 5 % of the draws need.
         rows: of rotors; None: as many as lie under the parcel.
         highest: [m/s] entry speed to try; None: 3, or half as much again as the case's.
         workers: threads that share the runs, or a cluster.
@@ -279,7 +270,7 @@ def least_speed(
         Speeds [m/s], every 0.01 with nothing unknown, every 0.02 with draws.
 
     Raises:
-        ValueError: `highest` is below the case's speed or above 20, or see `sweep.arrange`.
+        ValueError: `highest` is below the case's speed or above 20, or no columns are enough.
 
     >>> from surface_gym import layouts
     >>> from surface_gym.design.case import NOTHING
@@ -305,7 +296,7 @@ def least_tilt(
 
     Args:
         case: the parcel, its entry and its purpose; its own tilt is among those tried.
-        columns: of the zone; None: as `sweep.arrange` finds them.
+        columns: of the zone; None: the fewest that all but 5 % of the draws need.
         rows: of rotors; None: as many as lie under the parcel.
         highest: [rad] tilt to try; None: 15 deg, or half as much again as the case's.
         workers: threads that share the runs, or a cluster.
@@ -315,7 +306,8 @@ def least_tilt(
         Tilts [rad], every 0.1 deg with nothing unknown, every 0.2 deg with draws.
 
     Raises:
-        ValueError: `highest` is below the case's tilt or not below 45 deg, or see `sweep.arrange`.
+        ValueError: `highest` is below the case's tilt or not below 45 deg, or no columns
+            are enough.
     """
     usual = max(math.radians(15.0), 1.5 * case.tilt)
     top = max(case.tilt, min(math.radians(44.0), usual)) if highest is None else highest
@@ -339,7 +331,7 @@ def friction_range(
 
     Args:
         case: the parcel, its entry and its purpose; friction is not among the unknown quantities.
-        columns: of the zone; None: as `sweep.arrange` finds them.
+        columns: of the zone; None: the fewest that all but 5 % of the draws need.
         rows: of rotors; None: as many as lie under the parcel.
         workers: threads that share the runs, or a cluster.
         on_progress: called with the runs done and their total.
@@ -348,7 +340,7 @@ def friction_range(
         Factors [-] from 1/16 to 16, 48 to a doubling; 8 with draws.
 
     Raises:
-        ValueError: see `sweep.arrange`.
+        ValueError: no number of columns is enough, or `columns` is below 1.
     """
     arrangement = arrange(case, columns, rows, workers)
     unknown = replace(case.unknown, friction=0.0, rolling=0.0)
@@ -362,7 +354,7 @@ def friction_range(
         question = f"How far may {name} be off for it to"
         quantity = Quantity(f"friction_{name}", f"factor on {name}", "-", 1.0, question)
 
-        def at(values: Numbers) -> SweepPoints:
+        def at(values: Array) -> SweepPoints:
             points = repeat_case(case, len(values))
             points.friction[:, place] = values
             return points
@@ -400,8 +392,8 @@ def _sweep(
         apart = np.abs(multiples - own) > 0.01 * step
         grids.append(np.unique(np.append(multiples[apart].round(9), own)))
 
-    def at(values: Numbers) -> SweepPoints:
-        swept: dict[str, Numbers] = {quantity.name: values}
+    def at(values: Array) -> SweepPoints:
+        swept: dict[str, Array] = {quantity.name: values}
         return replace(repeat_case(case, len(values)), **swept)
 
     return _limits(arrangement, quantity, own, grids, case.unknown, at, workers, on_progress)
@@ -411,9 +403,9 @@ def _limits(
     arrangement: Arrangement,
     quantity: Quantity,
     own: float,
-    grids: list[Numbers],
+    grids: list[Array],
     unknown: Unknown,
-    at: Callable[[Numbers], SweepPoints],
+    at: Callable[[Array], SweepPoints],
     workers: Workers,
     on_progress: OnProgress,
 ) -> Limits:

@@ -108,7 +108,7 @@ def new_figure(width: float, height: float, title: str, fontsize: str = "large")
 
 
 def new_panel(title: str, subtitle: str) -> "tuple[Figure, Axes]":
-    """Make a figure of one panel with a question and the conditions below it."""
+    """Make a figure of one panel with a question and a subtitle below it."""
     figure = new_figure(7.2, 4.8, title)
     axes = figure.subplots()
     axes.set_title(subtitle, fontsize="small")

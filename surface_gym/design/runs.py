@@ -1,4 +1,4 @@
-"""Runs of parcels over a line, compiled and shared among threads or the nodes of a cluster.
+"""Lines sized for a parcel, and runs over them, shared among threads or the nodes of a cluster.
 
 A run takes the implicit step of `simulate`, to the bit, until the parcel has left the line, passed
 the zone or come to rest. Results do not depend on the number of workers.
@@ -8,16 +8,18 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from queue import SimpleQueue
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from surface_gym.design.line import DesignLine
+from surface_gym import checks
+from surface_gym.layouts import ROLLING, lead_in_under, rows_under
 from surface_gym.parallel import Cluster, Workers, map_jobs, without_report
 from surface_gym.parcel import Parcel
+from surface_gym.physics import types as ph
 from surface_gym.physics.collision import read_body
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.jit import compiled, inlined
@@ -29,27 +31,7 @@ from surface_gym.physics.step import (
     map_floats,
     step_implicit,
 )
-from surface_gym.physics.types import (
-    AX,
-    AY,
-    GRAVITY,
-    OMEGA,
-    RADIUS,
-    SPAN_FIRST,
-    SPAN_LAST,
-    SPAN_ROW,
-    SPANS,
-    VX,
-    VY,
-    Array,
-    Bodies,
-    Booleans,
-    Grid,
-    Places,
-    Scratch,
-    check_capacity,
-    make_scratch,
-)
+from surface_gym.physics.types import Array, Bodies, Booleans, Grid, Integers, Places, Scratch
 from surface_gym.simulation import base_motion, make_bodies
 from surface_gym.state import (
     ACROSS_FACTOR,
@@ -58,9 +40,146 @@ from surface_gym.state import (
     GRAVITY_NORMAL,
     SUPPORT_FACTOR,
 )
+from surface_gym.surface import Pitched, Surface
 
-Numbers = NDArray[np.float64]
-Integers = NDArray[np.int64]
+RUN_OUT = 1.0  # [m] of rolling columns behind the zone, beyond the base's length
+
+
+@dataclass(frozen=True)
+class DesignLine(Pitched):
+    """A line of rotors amid supports: a lead-in, a zone with task axes, and a run-out.
+
+    Lead-in and run-out roll along x. The supports on either side carry a parcel that has left the
+    line. The first column and the first row lie half a pitch from 0.
+
+    Raises:
+        ValueError: a count below 1, a pitch that is not positive, negative friction, `mu_min`
+            greater than `mu_max`, or a number beyond `surface_gym.checks`.
+    """
+
+    rows: int  # of rotors
+    columns: int  # of the zone
+    lead_in: int  # columns before it
+    run_out: int  # columns behind it
+    beside: int  # rows of supports on either side
+    pitch: float | tuple[float, float] = 0.1  # [m] between neighbours: one, or in x and in y
+    mu_max: float = 0.5  # [-] friction along a rotor's axis
+    mu_min: float = 0.01  # [-] friction across it
+    mu_support: float = 0.005  # [-] friction of a support
+
+    def __post_init__(self) -> None:
+        for name in ("rows", "columns", "lead_in", "run_out", "beside"):
+            checks.integer(name, getattr(self, name), least=1, most=checks.ELEMENTS)
+        object.__setattr__(self, "pitch", checks.pitch("pitch", self.pitch))
+        for name in ("mu_max", "mu_min", "mu_support"):
+            mu = checks.not_negative(name, getattr(self, name), checks.FRICTION)
+            object.__setattr__(self, name, mu)
+        checks.rolling(self.mu_max, self.mu_min)
+        if math.prod(self.shape) > checks.ELEMENTS:
+            raise ValueError(
+                f"rows times columns must be at most {checks.ELEMENTS:_}, got {self.shape}"
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the whole surface."""
+        return self.rows + 2 * self.beside, self.lead_in + self.columns + self.run_out
+
+    @property
+    def line_y(self) -> float:
+        """Middle of the line [m]."""
+        return 0.5 * self.pitch_y * self.shape[0]
+
+    @property
+    def zone_x(self) -> tuple[float, float]:
+        """Start and end of the zone [m], half a pitch before and behind its columns."""
+        first = self.pitch_x * self.lead_in
+        return first, first + self.pitch_x * self.columns
+
+    @property
+    def zone(self) -> tuple[slice, slice]:
+        """Slices of the surface's rows and columns that form the zone."""
+        return (
+            slice(self.beside, self.beside + self.rows),
+            slice(self.lead_in, self.lead_in + self.columns),
+        )
+
+    @cached_property
+    def rotor(self) -> Booleans:
+        """Mask (rows, columns) of the rotors; all other elements are supports."""
+        rotor = np.zeros(self.shape, dtype=np.bool_)
+        rotor[self.beside : self.beside + self.rows] = True
+        return rotor
+
+    def axes(self, zone_axis: Array) -> Array:
+        """Return the surface's axes (..., rows, columns) [rad] for zone axes of that form."""
+        axis = np.full((*zone_axis.shape[:-2], *self.shape), ROLLING)
+        axis[(..., *self.zone)] = zone_axis
+        return axis
+
+    def surface(self, zone_axis: Array, tilt: float = 0.0) -> Surface:
+        """Build the surface for `simulate` from zone axes (rows, columns) [rad].
+
+        Raises:
+            ValueError: axes of another shape, or a tilt that is not allowed.
+        """
+        axis = checks.array("zone_axis", zone_axis, (self.rows, self.columns))
+        origin = (0.5 * self.pitch_x, 0.5 * self.pitch_y)
+        return Surface(
+            self.axes(axis), self.rotor, self.pitch, origin,
+            self.mu_max, self.mu_min, self.mu_support, tilt,
+        )  # fmt: skip
+
+    def start(self, parcel: Parcel) -> tuple[float, float, float]:
+        """Return the pose (x, y, theta) [m, m, rad] of a parcel whose rear is at x = 0."""
+        return (parcel.rear, self.line_y - parcel.base.centroid[1], 0.0)
+
+
+def line_for(
+    parcel: Parcel,
+    columns: int,
+    rows: int | None = None,
+    pitch: float | tuple[float, float] = 0.1,
+    mu_max: float = 0.5,
+    mu_min: float = 0.01,
+    mu_support: float = 0.005,
+) -> DesignLine:
+    """Size a line for a parcel by the rule that the study's two boxes follow.
+
+    The rows of rotors are the greatest even number that lies under the parcel. The lead-in is as
+    long as the parcel, which therefore starts wholly on it.
+
+    Args:
+        parcel: the largest that runs on the line.
+        columns: number of columns in the zone.
+        rows: number of rows of rotors; None: by the rule.
+        pitch: [m] between neighbours: one, or in x and in y.
+        mu_max: [-] friction along a rotor's axis.
+        mu_min: [-] friction across it.
+        mu_support: [-] friction of a support.
+
+    >>> from surface_gym import layouts
+    >>> [(line.rows, line.lead_in) for line in (line_for(layouts.box(size), 8) for size in "SB")]
+    [(2, 3), (4, 5)]
+    """
+    pitch = checks.pitch("pitch", pitch)
+    pitch_x, pitch_y = pitch if isinstance(pitch, tuple) else (pitch, pitch)
+    length, width = np.ptp(parcel.base.outline, axis=0).tolist()
+    lead_in = lead_in_under(length, pitch_x)
+    reach = 2.0 * parcel.base.reach
+    return DesignLine(
+        rows=rows_under(width, pitch_y) if rows is None else rows,
+        columns=columns,
+        lead_in=lead_in,
+        run_out=lead_in + math.ceil(RUN_OUT / pitch_x),
+        beside=math.ceil(reach / pitch_y) + 2,
+        pitch=pitch,
+        mu_max=mu_max,
+        mu_min=mu_min,
+        mu_support=mu_support,
+    )
+
+
 OnProgress = Callable[[int, int], None]  # called with the work done and the total
 
 STEP = 0.005  # [s] default time step of a run
@@ -76,8 +195,8 @@ LEAST_BUNDLE = 500  # below which runs are not distributed
 # Reasons for the end of a run, and their descriptions.
 OUT, PAST, AT_REST, OFF, OUT_OF_TIME = range(5)
 ENDS = (
-    "out of the line",  # no rotor bears the parcel
-    "past the zone",  # every rotor that bears it lies behind the zone
+    "out of the line",  # no rotor under the parcel
+    "past the zone",  # every rotor under it lies behind the zone
     "at rest",
     "off the surface",
     "out of time",
@@ -92,14 +211,14 @@ REASON, TOUCHED, DONE, TIPPED = range(4)
 class Runs:
     """Requested runs, a row each; built by `make_runs`."""
 
-    speed: Numbers  # (runs,) [m/s] along x at the start
-    tilt: Numbers  # (runs,) [rad]
+    speed: Array  # (runs,) [m/s] along x at the start
+    tilt: Array  # (runs,) [rad]
     layout: Integers  # (runs,) index of the layout
     stiffness: Integers  # (runs,) index of the stiffness map
     parcel: Integers  # (runs,) index of the parcel
-    friction: Numbers  # (runs, 3) [-] factors of mu_max, mu_min and mu_support
-    lateral: Numbers  # (runs,) [m] offset of the start in y
-    heading: Numbers  # (runs,) [rad] of the start
+    friction: Array  # (runs, 3) [-] factors of mu_max, mu_min and mu_support
+    lateral: Array  # (runs,) [m] offset of the start in y
+    heading: Array  # (runs,) [rad] of the start
     columns: Integers  # (runs,) of the zone, behind which a run ends; -1: the zone has no end
 
     def __len__(self) -> int:
@@ -149,11 +268,11 @@ class Ends:
     line: DesignLine
     runs: Runs  # that were requested
     reason: Integers  # (runs,) index into `ENDS`
-    touched: Integers  # (runs,) columns from the first of the zone to the last that bore the parcel
-    time: Numbers  # (runs,) [s] until the end
-    pose: Numbers  # (runs, 3) [m, m, rad] of the base's frame at the end
-    velocity: Numbers  # (runs, 3) [m/s, m/s, rad/s]
-    tipping: Numbers  # (runs,) [-] share of the steps in which a real parcel would tip
+    touched: Integers  # (runs,) columns from the first of the zone to the last under the parcel
+    time: Array  # (runs,) [s] until the end
+    pose: Array  # (runs, 3) [m, m, rad] of the base's frame at the end
+    velocity: Array  # (runs, 3) [m/s, m/s, rad/s]
+    tipping: Array  # (runs,) [-] share of the steps in which a real parcel would tip
     steps: Integers  # (runs,) that were taken
 
     def describe(self, run: int) -> str:
@@ -173,10 +292,10 @@ def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnPro
 
 def run_all(
     line: DesignLine,
-    layouts: Numbers,
+    layouts: Array,
     parcels: Sequence[Parcel],
     runs: Runs,
-    stiffness: Numbers | None = None,
+    stiffness: Array | None = None,
     dt: float = STEP,
     workers: Workers = 1,
     on_progress: OnProgress = lambda *_: None,
@@ -187,14 +306,14 @@ def run_all(
         line: the line.
         layouts: (layouts, rows, columns) [rad] axes of the zone.
         parcels: the parcels that the runs refer to.
-        runs: the parcel, the layout and the conditions of each run.
+        runs: the parcel, the layout and the start of each run.
         stiffness: (maps, rows, columns) [-] of the whole surface's elements; None: all alike.
         dt: [s] time step.
         workers: threads that share the runs, or a cluster.
         on_progress: called with the runs done and their total.
     """
     for parcel in parcels:
-        check_capacity(
+        ph.check_capacity(
             len(parcel.body.edges), parcel.body.radius, (line.pitch_x, line.pitch_y),
             line.shape[::-1],
         )  # fmt: skip
@@ -243,14 +362,14 @@ class RunArrays(NamedTuple):
 
     # (runs, 5) indices of layout, stiffness and parcel; first column behind the zone; most steps
     number: Integers
-    condition: Array  # (runs, 5) as `Surfaces.conditions`
+    conditions: Array  # (runs, 5) as `SurfaceState.conditions`
     state: Array  # (runs, STATE_SIZE) at the start, and in its place at the end
-    # (runs, 4) reason of the end; last column with a rotor that bore it; steps taken, steps tipping
+    # (runs, 4) reason of the end; last column with a rotor under it; steps taken, steps tipping
     end: Integers
 
 
 @inlined
-def _make_grid(surfaces: SurfaceSet, number: Integers, condition: Array) -> Grid:
+def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Grid:
     """Return the surface of a run."""
     return Grid(
         surfaces.axis[number[LAYOUT]],
@@ -262,11 +381,11 @@ def _make_grid(surfaces: SurfaceSet, number: Integers, condition: Array) -> Grid
         surfaces.y0,
         surfaces.pitch_x,
         surfaces.pitch_y,
-        condition[ALONG_FACTOR],
-        condition[ACROSS_FACTOR],
-        condition[SUPPORT_FACTOR],
-        condition[GRAVITY_ALONG],
-        condition[GRAVITY_NORMAL],
+        conditions[ALONG_FACTOR],
+        conditions[ACROSS_FACTOR],
+        conditions[SUPPORT_FACTOR],
+        conditions[GRAVITY_ALONG],
+        conditions[GRAVITY_NORMAL],
     )
 
 
@@ -279,10 +398,10 @@ def _rotor_span(rotor: Booleans, scratch: Scratch) -> tuple[int, int]:
     marks = scratch.marks
     lowest = rotor.shape[1]
     highest = -1
-    for k in range(marks[SPANS]):
-        row = marks[SPAN_ROW + k]
-        first = marks[SPAN_FIRST + k]
-        last = marks[SPAN_LAST + k]
+    for k in range(marks[ph.SPANS]):
+        row = marks[ph.SPAN_ROW + k]
+        first = marks[ph.SPAN_FIRST + k]
+        last = marks[ph.SPAN_LAST + k]
         while first <= last and not rotor[row, first]:
             first += 1
         while first <= last and not rotor[row, last]:
@@ -307,16 +426,16 @@ def _run_range(
     for run in range(first, last):
         number = runs.number[run]
         state = runs.state[run]
-        grid = _make_grid(surfaces, number, runs.condition[run])
+        grid = _make_grid(surfaces, number, runs.conditions[run])
         body = read_body(bodies, number[PARCEL])
-        radius = bodies.body[number[PARCEL], RADIUS]
+        radius = bodies.body[number[PARCEL], ph.RADIUS]
         invalidate_contacts(scratch)
         reason = OUT_OF_TIME
         touched = -1
         tipped = 0
         steps = 0
         while steps < number[STEPS]:
-            omega = state[OMEGA]
+            omega = state[ph.OMEGA]
             report, _ = step_implicit(grid, body, state, scratch, dt)
             if report >= OFF_SURFACE:
                 reason = OFF
@@ -331,8 +450,10 @@ def _run_range(
             if lowest >= number[EXIT]:
                 reason = PAST
                 break
-            speed = abs(state[VX]) + abs(state[VY]) + abs(state[OMEGA]) * radius
-            change = abs(state[AX]) + abs(state[AY]) + abs(state[OMEGA] - omega) * radius / dt
+            speed = abs(state[ph.VX]) + abs(state[ph.VY]) + abs(state[ph.OMEGA]) * radius
+            change = (
+                abs(state[ph.AX]) + abs(state[ph.AY]) + abs(state[ph.OMEGA] - omega) * radius / dt
+            )
             if speed < REST_SPEED and change < REST_CHANGE:
                 reason = AT_REST
                 break
@@ -342,7 +463,7 @@ def _run_range(
         runs.end[run, TIPPED] = tipped
 
 
-def _make_surfaces(line: DesignLine, layouts: Numbers, stiffness: Numbers | None) -> SurfaceSet:
+def _make_surfaces(line: DesignLine, layouts: Array, stiffness: Array | None) -> SurfaceSet:
     axes = line.axes(np.asarray(layouts, dtype=np.float64))
     angles, places = np.unique(axes, return_inverse=True)
     mu = np.array((line.mu_max, line.mu_min, line.mu_support))
@@ -367,7 +488,7 @@ def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: fl
     number[:, PARCEL] = runs.parcel
     number[:, EXIT] = np.where(runs.columns < 0, line.shape[1], line.lead_in + runs.columns)
     number[:, STEPS] = round(LONGEST / dt)
-    gravity = [GRAVITY * map_floats(function, runs.tilt) for function in (math.sin, math.cos)]
+    gravity = [ph.GRAVITY * map_floats(function, runs.tilt) for function in (math.sin, math.cos)]
     starts = np.array([line.start(parcel) for parcel in parcels])[runs.parcel]
     starts[:, 1] += runs.lateral
     starts[:, 2] += runs.heading
@@ -376,7 +497,7 @@ def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: fl
     velocity[:, 0] = runs.speed
     return RunArrays(
         number=number,
-        condition=np.column_stack([runs.friction, *gravity]),
+        conditions=np.column_stack([runs.friction, *gravity]),
         state=com_states(centres, starts, velocity),
         end=np.zeros((count, 4), dtype=np.int64),
     )
@@ -391,7 +512,7 @@ def _run_in_threads(
     chunk = max(1, min(CHUNK, MOST_STEPS // int(runs.number[:, STEPS].max(initial=1))))
     spare: SimpleQueue[Scratch] = SimpleQueue()
     for _ in range(threads):
-        spare.put(make_scratch())
+        spare.put(ph.make_scratch())
 
     def work(first: int) -> int:
         scratch = spare.get()
@@ -431,7 +552,7 @@ def _run_on_nodes(
 
 def _run_bundle(
     surfaces: SurfaceSet, bodies: Bodies, runs: RunArrays, dt: float
-) -> tuple[Numbers, Integers]:
+) -> tuple[Array, Integers]:
     """Simulate runs on a node, and return their states and ends."""
-    _run_range(surfaces, bodies, runs, make_scratch(), dt, 0, len(runs.state))
+    _run_range(surfaces, bodies, runs, ph.make_scratch(), dt, 0, len(runs.state))
     return runs.state, runs.end

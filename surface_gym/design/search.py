@@ -1,12 +1,9 @@
 """The search for a layout: differential evolution, then a descent column by column.
 
-The best axes are a question of dozens of whole numbers whose cost jumps where a parcel just gets
-off the line: there are no derivatives and no model to fit. SciPy's differential evolution needs
-neither and takes whole numbers. It hands over a population at a time, which `run_all` shares among
-threads, begins with given layouts, gives the same result for the same seed, and comes with SciPy,
-on which this package depends anyway; CMA-ES and Optuna would be new dependencies, the one for
-continuous axes, the other one trial at a time. Where few members differ any more, the descent tries
-all axes of one column after another.
+The axes are dozens of whole numbers, and the cost jumps where a parcel just gets off the line, so
+there are no derivatives. SciPy's differential evolution takes whole numbers, evaluates a population
+at a time, which `run_all` shares among threads, and begins with given layouts. Where few members
+still differ, the descent tries all axes of one column after another.
 """
 
 import itertools
@@ -17,14 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.design.case import load_checkpoint, save_checkpoint
 from surface_gym.design.runs import OnProgress
+from surface_gym.physics.types import Array
 
-Numbers = NDArray[np.float64]
-Score = Callable[[Numbers], Numbers]  # costs (layouts,) of axes (layouts, rows, columns) [rad]
+Score = Callable[[Array], Array]  # costs (layouts,) of axes (layouts, rows, columns) [rad]
 
 RECOMBINATION = 0.3  # [-] of a layout's modules that a trial changes: more would undo the rest
 CHANGES = (0.1, 0.3, 0.6)  # [-] of the modules in which first members differ from the given layouts
@@ -56,14 +52,14 @@ class LayoutSpace:
         """Least and greatest number of a module."""
         return (-QUARTER, QUARTER) if self.orientations is None else (0, len(self.orientations) - 1)
 
-    def axes(self, members: Numbers) -> Numbers:
+    def axes(self, members: Array) -> Array:
         """Return the axes (members, rows, columns) [rad] of members (members, modules)."""
         shape = (len(members), self.rows, self.columns)
         if self.orientations is None:
             return np.radians(np.degrees(members).round(DECIMALS)).reshape(shape)
         return np.array(self.orientations)[np.rint(members).astype(int)].reshape(shape)
 
-    def members(self, axes: Numbers) -> Numbers:
+    def members(self, axes: Array) -> Array:
         """Return the members (layouts, modules) nearest to axes (layouts, rows, columns) [rad]."""
         flat = axes.reshape(len(axes), -1)
         if self.orientations is None:
@@ -71,14 +67,14 @@ class LayoutSpace:
         apart = np.abs(np.sin(flat[..., np.newaxis] - np.array(self.orientations)))
         return apart.argmin(axis=-1).astype(np.float64)
 
-    def sample(self, rng: np.random.Generator, count: int) -> Numbers:
+    def sample(self, rng: np.random.Generator, count: int) -> Array:
         """Draw random members (count, modules)."""
         low, high = self.bounds
         if self.orientations is None:
             return rng.uniform(low, high, (count, self.modules))
         return rng.integers(0, len(self.orientations), (count, self.modules)).astype(np.float64)
 
-    def neighbours(self, member: Numbers, column: int) -> Numbers:
+    def neighbours(self, member: Array, column: int) -> Array:
         """Return members (some, modules) that differ from one (modules,) in a column."""
         own = np.arange(self.rows) * self.columns + column
         if self.orientations is None:
@@ -123,8 +119,8 @@ class Effort:
 class SearchState:
     """State of a search: all that it needs to be resumed."""
 
-    population: Numbers  # (members, modules), the best first
-    cost: Numbers  # (members,) [-]; infinite: not known yet
+    population: Array  # (members, modules), the best first
+    cost: Array  # (members,) [-]; infinite: not known yet
     epoch: int  # of the evolution, done
     column: int  # of the descent, done, counted on from round to round
     unchanged: int  # columns in turn that changed nothing
@@ -134,13 +130,13 @@ class SearchState:
 def search(
     space: LayoutSpace,
     score: Score,
-    known: Numbers,
+    known: Array,
     effort: Effort,
     seed: int,
     checkpoint: Path | str | None = None,
     identity: Mapping[str, str] | None = None,
     on_progress: OnProgress = lambda *_: None,
-) -> tuple[Numbers, int]:
+) -> tuple[Array, int]:
     """Search the layout of least cost.
 
     The result does not depend on whether the search was interrupted and resumed.
@@ -173,7 +169,7 @@ def search(
     steps = effort.epochs + effort.rounds * space.columns
     remembered: dict[bytes, float] = {}
 
-    def cost(members: Numbers) -> Numbers:
+    def cost(members: Array) -> Array:
         """Return the costs (members,); those computed before are remembered."""
         members = np.ascontiguousarray(members)
         names = [member.tobytes() for member in members]
@@ -197,7 +193,7 @@ def search(
     return space.axes(state.population[:1])[0], state.evaluations
 
 
-def _begin(space: LayoutSpace, known: Numbers, effort: Effort, seed: int) -> SearchState:
+def _begin(space: LayoutSpace, known: Array, effort: Effort, seed: int) -> SearchState:
     """Begin with known layouts, and with others that differ from them in more and more modules."""
     rng = np.random.default_rng((seed, effort.epochs))
     members = space.members(known)[: effort.members]

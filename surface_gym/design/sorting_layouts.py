@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.design.best_layout import BestLayout, best_layout
-from surface_gym.design.case import Case
-from surface_gym.design.purposes import Sort
+from surface_gym.design.case import Case, Sort
 from surface_gym.design.runs import OnProgress, split_progress
 from surface_gym.design.search import Effort
 from surface_gym.files import replacing

@@ -1,38 +1,7 @@
 """Two claims of the paper, tested: that axes at 45 deg align a box, and which tilts stop it.
 
-Alignment. Section 5.2 finds that axes at +-45 deg in alternate rows seem "promising for the
-self-alignment of the conveyed material in the center of the transport line". Each rotor drags a box
-that moves along x to the side that its axis points to, so that two rows drag against each other and
-the one that bears more wins. At +45 deg in the upper row they push inwards: a box that is off
-centre loads the row on its own side more, and is pushed back. At -45 deg there they push outwards.
-
-The result in short zones: inwards, a box whose base lies on the rows alone (the S-box up to 25 mm
-off) is brought towards the middle, by six columns past it, and a turned box is turned further.
-Outwards it is the other way about: straighter, and farther off. Of boxes that come both off the
-middle and turned, at most 2 in 12 end nearer in both by a tenth. The B-box on its four rows hardly
-feels either. A zone much longer than the box makes it swing, spin and, outwards, leave the line.
-
-Standstill. Section 6.2 says that the motion on axes at 45 deg does not stop by itself where
-(sqrt(2) / 2) mu_min < sin(gamma). Axes at +45 deg everywhere, a box of weight W = m g cos(gamma) on
-them, gravity m g sin(gamma) along x. Each rotor resists in two directions: along its axis with
-mu_max N at most, across it with mu_min N. Half of gravity's effect lies along the axes and half
-across, m g sin(gamma) / sqrt(2) each way.
-
-- Along the axes friction holds it: mu_max is large, so F_par = m g sin(gamma) / sqrt(2), no more.
-- Across them the box rolls, and stops if mu_min W >= m g sin(gamma) / sqrt(2):
-
-      tan(gamma) <= sqrt(2) mu_min.
-
-The paper's threshold sets the rolling friction's part along x, mu_min W / sqrt(2), against all of
-gravity, as if F_par had no part along x. But F_par holds the box against sliding downhill along the
-axes, and its part along x, m g sin(gamma) / 2, carries half of gravity: the other half is left for
-the rolling friction. The paper's threshold does tell where F_par = 0 solves the rule of Figure 5b,
-sum F_x = 0: below it that rule would need axes that push.
-
-In alternate rows at +45 and -45 deg no direction rolls on both kinds. Straight ahead every rotor
-resists with (mu_max + mu_min) N / sqrt(2), so that the box stops up to
-
-      tan(gamma) = (mu_max + mu_min) / sqrt(2).
+docs/reproduction.md derives the steepest tilt gamma at which a box stops by itself: tan(gamma) =
+sqrt(2) mu_min on axes at +45 deg, (mu_max + mu_min) / sqrt(2) on alternate rows at +45 and -45 deg.
 """
 
 import math
@@ -165,7 +134,7 @@ def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
 
 
 def end_of_run(run: Trajectory) -> tuple[float, float]:
-    """Offset from the middle [m] and turn [deg] at the end."""
+    """Return the offset from the middle [m] and the turn [deg] at the end."""
     return float(run.pose[-1, 1]) - layouts.LINE_Y, math.degrees(run.pose[-1, 2])
 
 
@@ -176,17 +145,17 @@ class SelfStop:
     layout: str
     integration: Integration
     measured: float  # [deg]
-    expected: float  # [deg] by the balance above
+    expected: float  # [deg] by the balance of forces
     study: float | None  # [deg] as Section 6.2 says; None: it does not speak of this layout
 
 
 def uniform_field(tilt: float) -> Surface:
-    """Axes at +45 deg on a wide field tilted by `tilt` [rad]."""
+    """Build axes at +45 deg on a wide field tilted by `tilt` [rad]."""
     return _field(np.full((ELEMENTS, ELEMENTS), 0.25 * math.pi), tilt)
 
 
 def alternate_field(tilt: float) -> Surface:
-    """Axes at +45 and -45 deg in alternate rows of a wide field tilted by `tilt` [rad]."""
+    """Build axes at +45 and -45 deg in alternate rows of a wide field, tilted by `tilt` [rad]."""
     rows = np.where(np.arange(ELEMENTS) % 2, 0.25 * math.pi, -0.25 * math.pi)
     return _field(np.tile(rows[:, np.newaxis], ELEMENTS), tilt)
 
@@ -226,7 +195,7 @@ def steepest_stop(field: Callable[[float], Surface], integration: Integration) -
 
 
 def _stops(surface: Surface, integration: Integration) -> bool:
-    """Push the S-box; whether it stands in the last quarter of the time."""
+    """Push the S-box, and return whether it stands in the last quarter of the time."""
     run = simulate(
         surface,
         layouts.box("S"),
@@ -241,7 +210,7 @@ def _stops(surface: Surface, integration: Integration) -> bool:
 
 
 def creep_speed(tilt: float, friction: float) -> float:
-    """[m/s] Speed of a parcel that friction holds in the direction of the slope.
+    """Return the speed [m/s] of a parcel that friction holds on a slope.
 
     Friction is rounded below a contact speed of 1e-5 m/s, in proportion to the speed; a held parcel
     creeps at the speed at which it balances gravity.

@@ -26,6 +26,7 @@ from surface_gym.paper.runs import (
 from surface_gym.parcel import Base
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
+from surface_gym.trajectory_plot import axis_strokes, outline_at
 
 SUFFIXES = (".png", ".pdf")
 ROTOR = "red"
@@ -44,7 +45,7 @@ COLOURS = ("#1b6ca8", "#e07a1f", "#7a3b8f")
 
 
 def draw_figures(reproduction: Reproduction, folder: Path) -> list[Path]:
-    """Write the figures into the folder; their paths."""
+    """Write the figures into the folder, and return their paths."""
     figures = {
         "figure6": draw_kinds(),
         "figure7": draw_trajectories(),
@@ -70,20 +71,16 @@ def draw_surface(
     is_rotor = surface.rotor
     panel.plot(x[~is_rotor], y[~is_rotor], ".", color=support, markersize=4)
     panel.plot(x[is_rotor], y[is_rotor], ".", color=rotor, markersize=4)
-    half = 0.03 * np.stack([np.cos(surface.axis), np.sin(surface.axis)], axis=-1)[is_rotor]
-    centre = np.stack([x, y], axis=-1)[is_rotor]
-    axes = np.stack([centre - half, centre + half], axis=1)
-    panel.add_collection(LineCollection(list(axes), color=rotor, linewidth=width))
+    strokes = axis_strokes(np.stack([x, y], axis=-1)[is_rotor], surface.axis[is_rotor], 0.03)
+    panel.add_collection(LineCollection(strokes, color=rotor, linewidth=width))
 
 
 def draw_base(
     panel: Axes, base: Base, pose: ArrayLike, colour: str, style: str = "-", width: float = 2.0
 ) -> None:
     """Draw the perimeter of a base at (x, y, theta) [m, m, rad]."""
-    x, y, theta = np.asarray(pose)
-    cosine, sine = math.cos(theta), math.sin(theta)
-    outline = base.outline @ np.array([[cosine, sine], [-sine, cosine]])
-    corners = np.vstack([outline, outline[:1]]) + np.array([x, y])
+    outline = outline_at(base, pose)
+    corners = np.vstack([outline, outline[:1]])
     panel.plot(corners[:, 0], corners[:, 1], style, color=colour, linewidth=width)
 
 
@@ -94,7 +91,7 @@ def _draw_box(
 
 
 def _element_marks() -> list[Line2D]:
-    """Entries of a legend for rotors and supports."""
+    """Make entries of a legend for rotors and supports."""
     return [
         Line2D([], [], marker="|", color=ROTOR, markersize=10, linestyle="", label="rotor axis"),
         Line2D([], [], marker=".", color=SUPPORT, linestyle="", label="support"),
@@ -102,7 +99,7 @@ def _element_marks() -> list[Line2D]:
 
 
 def draw_trajectories() -> Figure:
-    """Figure 7: trajectories and end poses of the sorting runs in Table 2."""
+    """Draw Figure 7: trajectories and end poses of the sorting runs in Table 2."""
     figure = Figure(figsize=(13.0, 6.0), layout="constrained")
     panels = figure.subplots(1, 3, sharey=True)
     for letter, panel in zip("abc", panels, strict=True):
@@ -135,7 +132,7 @@ def _draw_sorting_run(panel: Axes, run: SortingRun) -> None:
 
 
 def draw_rates(reproduction: Reproduction) -> Figure:
-    """Figure 8: sorting rates over v0 (red) and over tilt (blue), one panel a box."""
+    """Draw Figure 8: sorting rates over v0 (red) and over tilt (blue), one panel a box."""
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     for letter, size, panel in zip("ab", SIZES, panels, strict=True):
@@ -162,7 +159,7 @@ def draw_rates(reproduction: Reproduction) -> Figure:
 def _draw_cases(
     panel: Axes, cases: tuple[SortingCase, ...], size: str, over: str, colour: str
 ) -> None:
-    """Dots at the coarse step, crosses converged; a box that is not sorted has none."""
+    """Draw dots at the coarse step, crosses converged, and none for boxes not sorted."""
     mine = [case for case in cases if case.size == size]
     x = [getattr(case, over) for case in mine]
     panel.plot(x, [case.ours[0].rate or math.nan for case in mine], "o", color=colour)
@@ -170,7 +167,7 @@ def _draw_cases(
 
 
 def draw_slowing() -> Figure:
-    """Figure 10: velocity while slowing and stopping, at 0 deg (red) and +-45 deg (blue)."""
+    """Draw Figure 10: velocity while slowing and stopping, at 0 deg (red) and +-45 deg (blue)."""
     figure = Figure(figsize=(10.0, 7.0), layout="constrained")
     panels = figure.subplots(2, 2, sharex=True, sharey=True)
     tasks = (("slowing", layouts.slowing, 0), ("stopping", layouts.stopping, 1))
@@ -200,7 +197,7 @@ def draw_slowing() -> Figure:
 def _draw_velocity(
     panel: Axes, surface: Surface, size: str, task_columns: int, colour: str
 ) -> None:
-    """Velocity at both steps, and when the base is first and last over the task's columns."""
+    """Draw the velocity at both steps, and the times of the task's columns."""
     speed = load_targets().ratio_speed
     coarse = COARSE.run(surface, size, speed, SLOWING_TIME)
     fine = CONVERGED.run(surface, size, speed, SLOWING_TIME)
@@ -214,7 +211,7 @@ def _draw_velocity(
 
 
 def _velocity(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Time and velocity along x; a stopped parcel rests to the end."""
+    """Return time and velocity along x; a stopped parcel rests to the end."""
     time, velocity = trajectory.time, trajectory.velocity[:, 0]
     if trajectory.end == "stopped":
         time = np.append(time, [time[-1], SLOWING_TIME])
@@ -223,7 +220,7 @@ def _velocity(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 
 def draw_kinds() -> Figure:
-    """Figure 6: sorting, slowing at 0 deg and at +-45 deg."""
+    """Draw Figure 6: sorting, slowing at 0 deg and at +-45 deg."""
     figure = Figure(figsize=(13.0, 3.9), layout="constrained")
     kinds = (
         ("(a) sorting", layouts.sorting("S", task_columns=SHOWN - 3, columns=SHOWN)),
@@ -237,7 +234,7 @@ def draw_kinds() -> Figure:
 
 
 def draw_slowing_layouts() -> Figure:
-    """Figure 9: slowing layouts of both boxes."""
+    """Draw Figure 9: slowing layouts of both boxes."""
     figure = Figure(figsize=(11.0, 8.0), layout="constrained")
     columns = load_targets().ratio_columns
     cases = [(size, angle) for size in SIZES for angle in (0.0, EIGHTH)]
@@ -270,7 +267,7 @@ def _finish(figure: Figure) -> None:
 
 
 def draw_alignment() -> Figure:
-    """From above, off the middle and turned, for rows that push inwards and outwards."""
+    """Draw boxes from above, off the middle and turned, for rows that push in- and outwards."""
     figure = Figure(figsize=(11.0, 8.4), layout="constrained")
     panels = figure.subplots(
         3, 2, sharex=True, sharey="row", gridspec_kw={"height_ratios": (1.25, 1.0, 1.0)}

@@ -7,21 +7,10 @@ from rich.console import Console
 from rich.table import Table as TextTable
 from rich.text import Text
 
+from surface_gym.paper import runs
 from surface_gym.paper.claims import INWARDS, OFFSETS, TURNS, Aligned, SelfStop
 from surface_gym.paper.reproduction import NAMES, Reproduction
-from surface_gym.paper.runs import (
-    COARSE,
-    CONVERGED,
-    SIZES,
-    SMOOTH,
-    Cell,
-    Found,
-    SlowingLayout,
-    SortingCase,
-    Table,
-    Value,
-    load_targets,
-)
+from surface_gym.paper.runs import Cell, Found, SlowingLayout, SortingCase, Table, Value
 
 COARSE_NAME = NAMES[0]
 OURS = NAMES[:2]  # columns of a table
@@ -29,9 +18,7 @@ BY_SPEED = ("table3", "table4", "stopping")  # long tables, printed with both bo
 
 
 def make_table(title: str, *columns: str, caption: str = "", labels: int = 1) -> TextTable:
-    """Make a table with a title above and a caption below; its first columns are labels, the
-    others numbers.
-    """
+    """Make a table with title and caption; its first columns are labels, the others numbers."""
     table = TextTable(  # Text, for a bracketed unit in a str would be read as markup
         title=Text(title, style="bold not italic"),
         caption=Text(caption, style="not italic not dim") if caption else None,
@@ -50,13 +37,13 @@ def make_table(title: str, *columns: str, caption: str = "", labels: int = 1) ->
 def print_report(reproduction: Reproduction, console: Console) -> None:
     """Print every table, the sorting rates, how many cells agree, and what the steps do."""
     console.print(
-        f"{load_targets().source}\n\n"
-        f"The paper prints no step. Ours at {COARSE_NAME} ({COARSE}), which we infer that it took, "
-        f"and converged ({CONVERGED}).\n"
+        f"{runs.load_targets().source}\n\n"
+        f"The paper prints no step. Ours at {COARSE_NAME} ({runs.COARSE}), which we infer that it "
+        f"took, and converged ({runs.CONVERGED}).\n"
         "* differs from the paper; / is the paper's mark for a task that fails.\n"
         "Where Eq. (1) has no solution the box would tip; taken instead are the forces that bear "
         "its weight and come nearest to the moments. Shares of the steps up to the value stand "
-        f"below each table, as well by the method that does not chatter ({SMOOTH}).\n",
+        f"below each table, as well by the method that does not chatter ({runs.SMOOTH}).\n",
         highlight=False,
     )
     for part in (
@@ -77,11 +64,11 @@ def print_report(reproduction: Reproduction, console: Console) -> None:
 
 
 def _caption(table: Table) -> str:
-    """Rule of a table, how many cells agree, and the share of steps without a solution."""
+    """Write a table's rule, how many cells agree, and the share of steps without a solution."""
     count = len(table.cells)
     shares = [table.tipping(k) for k in range(len(NAMES))]
     boxes = []
-    for size in SIZES:
+    for size in runs.SIZES:
         ranges = [
             f"{name} {_percent(*share[size])}"
             for name, share in zip(NAMES, shares, strict=True)
@@ -96,7 +83,7 @@ def _caption(table: Table) -> str:
 
 
 def _percent(least: float, largest: float) -> str:
-    """Two shares as a range."""
+    """Write two shares as a range."""
     low, high = f"{100.0 * least:.0f}", f"{100.0 * largest:.0f}"
     return f"{low} %" if low == high else f"{low} to {high} %"
 
@@ -114,7 +101,7 @@ def _mark(text: str, agrees: bool) -> Text:
 
 
 def _decimals(cell: Cell) -> int:
-    """One more than the paper prints, if it prints any."""
+    """Return one decimal more than the paper prints, if it prints any."""
     return cell.decimals + 1 if cell.decimals else 0
 
 
@@ -131,7 +118,7 @@ def _difference(ours: Found, cell: Cell) -> str:
 
 
 def _by_cell(table: Table) -> TextTable:
-    """One line per cell, with differences."""
+    """Make a table with a line per cell, and differences."""
     columns = ("", "", "paper", OURS[0], "- paper", OURS[1], "- paper")
     result = make_table(table.title, *columns, caption=_caption(table), labels=2)
     row = ""
@@ -153,9 +140,11 @@ def _by_cell(table: Table) -> TextTable:
 
 
 def _by_speed(table: Table) -> TextTable:
-    """One line per speed, both boxes side by side."""
+    """Make a table with a line per speed, both boxes side by side."""
     columns = [
-        name for size in SIZES for name in (f"{size}-box\npaper", f"\n{OURS[0]}", f"\n{OURS[1]}")
+        name
+        for size in runs.SIZES
+        for name in (f"{size}-box\npaper", f"\n{OURS[0]}", f"\n{OURS[1]}")
     ]
     result = make_table(table.title, "\nv0", *columns, caption=_caption(table))
     rows: dict[str, list[str | Text]] = {}
@@ -167,23 +156,23 @@ def _by_speed(table: Table) -> TextTable:
 
 
 def _rates(reproduction: Reproduction) -> TextTable:
-    """Figure 8, of which the paper prints no numbers but a band."""
-    low, high = load_targets().medium_rates
+    """Tabulate Figure 8, of which the paper prints a band alone."""
+    low, high = runs.load_targets().medium_rates
     by_input = {"v0": reproduction.sorted_by_speed, "tilt": reproduction.sorted_by_tilt}
     counts = "\n".join(
         f"  {size}-box by {name}: {_count_medium([case for case in cases if case.size == size])}"
         for name, cases in by_input.items()
-        for size in SIZES
+        for size in runs.SIZES
     )
     result = make_table(
         "Figure 8: sorting rate [pcs/h], by v0 on the level or by tilt from standstill",
         "\nv0 or tilt",
-        *(name for size in SIZES for name in (f"{size}-box\n{OURS[0]}", f"\n{OURS[1]}")),
+        *(name for size in runs.SIZES for name in (f"{size}-box\n{OURS[0]}", f"\n{OURS[1]}")),
         caption=f"* outside the paper's band for torsional discs, {low:g} to {high:g} pcs/h\n"
         f"in the band at {COARSE_NAME}, and converged:\n{counts}",
     )
     for cases in by_input.values():
-        half = len(cases) // len(SIZES)
+        half = len(cases) // len(runs.SIZES)
         for small, big in zip(cases[:half], cases[half:], strict=True):
             row = f"{small.speed:.1f} m/s" if small.speed > 0.0 else f"{small.tilt:g}°"
             found = [done.rate for case in (small, big) for done in case.ours[: len(OURS)]]
@@ -199,7 +188,7 @@ def _rates(reproduction: Reproduction) -> TextTable:
 
 
 def _is_medium(rate: float) -> bool:
-    low, high = load_targets().medium_rates
+    low, high = runs.load_targets().medium_rates
     return low <= rate <= high
 
 
@@ -213,7 +202,7 @@ def _count_medium(cases: Sequence[SortingCase]) -> str:
 
 
 def _self_stops(cases: Sequence[SelfStop]) -> TextTable:
-    """Steepest tilt at which a pushed box stops by itself."""
+    """Tabulate the steepest tilt at which a pushed box stops by itself."""
     result = make_table(
         "Section 6.2: steepest tilt at which the S-box stops by itself",
         "axes",
@@ -275,7 +264,7 @@ def _counts(reproduction: Reproduction) -> TextTable:
 
 
 def _other_steps(reproduction: Reproduction) -> TextTable:
-    """Count of cells that agree, by step."""
+    """Tabulate the cells that agree, by step."""
     counts = {
         f"{1000 * each.integration.dt:g}": list(each.agreeing.values())
         for each in reproduction.by_step
@@ -310,7 +299,7 @@ def _spreads(reproduction: Reproduction) -> Iterator[str]:
     )
     last = reproduction.last_digits
     yield (
-        f"Table 2, {COARSE}, all axes turned by 4e-15 rad either way: up to "
+        f"Table 2, {runs.COARSE}, all axes turned by 4e-15 rad either way: up to "
         f"{last.position:.0f} mm and {last.angle:.1f}° apart; cos(90°) as computers round it is "
         "off by as little."
     )

@@ -10,10 +10,6 @@ from typing import Any
 from surface_gym import layouts
 from surface_gym.paper import claims, runs
 from surface_gym.paper.runs import (
-    COARSE,
-    CONVERGED,
-    INTEGRATIONS,
-    SIZES,
     Cell,
     Found,
     Integration,
@@ -22,10 +18,9 @@ from surface_gym.paper.runs import (
     SortingRun,
     Table,
     Targets,
-    load_targets,
 )
 
-NAMES = (f"{1000 * COARSE.dt:g} ms", "converged", "implicit")  # of INTEGRATIONS
+NAMES = (f"{1000 * runs.COARSE.dt:g} ms", "converged", "implicit")  # of INTEGRATIONS
 TILTS = tuple(range(5, 16))  # [deg] of Figure 8; Table 5's range
 POSITION_TOLERANCE = 0.010  # [m]
 ANGLE_TOLERANCE = 3.5  # [deg]
@@ -34,13 +29,13 @@ MILLISECONDS = (0.5, 1, 2, 3, 4, 5, 6, 7, 8, 10)  # steps tried
 
 # Halving the step, and another method altogether.
 NEAR_THE_LIMIT = (
-    (CONVERGED, Integration("explicit", CONVERGED.dt / 2.0)),
-    (CONVERGED, Integration("implicit", 1e-3)),
+    (runs.CONVERGED, Integration("explicit", runs.CONVERGED.dt / 2.0)),
+    (runs.CONVERGED, Integration("implicit", 1e-3)),
 )
 # A tenth to either side: the sign function of Eq. (2) chatters, so a coarse step ends by chance
 # somewhere within this.
 ABOUT_COARSE = tuple(
-    Integration("explicit", COARSE.dt * percent / 100.0) for percent in range(90, 111, 2)
+    Integration("explicit", runs.COARSE.dt * percent / 100.0) for percent in range(90, 111, 2)
 )
 # [rad] more than the 1e-15 within which an axis counts as at 90 deg.
 LAST_DIGITS = (-4e-15, 0.0, 4e-15)
@@ -100,11 +95,11 @@ def reproduce(track: claims.Track = untracked) -> Reproduction:
     Args:
         track: wraps a sequence of cases and its description, to show progress.
     """
-    targets = load_targets()
+    targets = runs.load_targets()
     by_speed, by_tilt = (
         tuple(
-            runs.sort_case(size, speed, tilt, INTEGRATIONS)
-            for size, (speed, tilt) in track(tuple(product(SIZES, inputs)), title)
+            runs.sort_case(size, speed, tilt, runs.INTEGRATIONS)
+            for size, (speed, tilt) in track(tuple(product(runs.SIZES, inputs)), title)
         )
         for title, inputs in (
             ("Table 3", [(speed, 0.0) for speed in targets.sorting_speeds]),
@@ -113,11 +108,11 @@ def reproduce(track: claims.Track = untracked) -> Reproduction:
     )
     return Reproduction(
         tables=(
-            build_table2(targets, INTEGRATIONS, track),
+            build_table2(targets, runs.INTEGRATIONS, track),
             build_passing(targets),
             build_table3(targets, by_speed),
             build_slowest_sorted(targets, track),
-            build_table4(targets, INTEGRATIONS, track),
+            build_table4(targets, runs.INTEGRATIONS, track),
             build_slowing_ratios(targets),
             build_stopping(targets, track),
         ),
@@ -130,7 +125,7 @@ def reproduce(track: claims.Track = untracked) -> Reproduction:
         about_coarse=compare_steps(targets.sorting_runs, ABOUT_COARSE),
         last_digits=Spread(
             *_widest(
-                [run_turned(run, turn, COARSE) for turn in LAST_DIGITS]
+                [run_turned(run, turn, runs.COARSE) for turn in LAST_DIGITS]
                 for run in targets.sorting_runs
             )
         ),
@@ -143,7 +138,7 @@ def reproduce(track: claims.Track = untracked) -> Reproduction:
 def build_table2(
     targets: Targets, integrations: Integrations, track: claims.Track = untracked
 ) -> Table:
-    """End poses of the sorting runs."""
+    """Build Table 2: end poses of the sorting runs."""
     cells = []
     for run in track(targets.sorting_runs, "Table 2"):
         push = f"{run.speed:g} m/s" if run.speed > 0.0 else f"{run.tilt:g}°"
@@ -168,10 +163,10 @@ def build_table2(
 
 
 def build_passing(targets: Targets) -> Table:
-    """State in which the parcel at 10 deg passes the one at 5 deg."""
+    """Compare the state in which the parcel at 10 deg passes the one at 5 deg."""
     case = targets.passing
     row = f"y = {case.y:g}"
-    x, theta, time = zip(*(runs.pass_by(case, each) for each in INTEGRATIONS), strict=True)
+    x, theta, time = zip(*(runs.pass_by(case, each) for each in runs.INTEGRATIONS), strict=True)
     return Table(
         "passing",
         "Section 5.1: the S-box at 10° on its way",
@@ -185,8 +180,8 @@ def build_passing(targets: Targets) -> Table:
 
 
 def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> Table:
-    """Columns to sort, of cases in the order of the paper's sizes and speeds."""
-    paper = [columns for size in SIZES for columns in targets.sorting_columns[size]]
+    """Build Table 3: columns to sort, of cases in the order of the paper's sizes and speeds."""
+    paper = [columns for size in runs.SIZES for columns in targets.sorting_columns[size]]
     return Table(
         "table3",
         "Table 3: columns to sort, by v0 [m/s]",
@@ -200,7 +195,7 @@ def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> Table:
 
 
 def build_slowest_sorted(targets: Targets, track: claims.Track) -> Table:
-    """Speeds below which sorting fails."""
+    """Compare the speeds below which sorting fails."""
     return Table(
         "slowest_sorted",
         "Section 5.1: slowest v0 [m/s] that sorts",
@@ -211,10 +206,10 @@ def build_slowest_sorted(targets: Targets, track: claims.Track) -> Table:
                 f"{size}-box",
                 size,
                 targets.slowest_sorted[size],
-                tuple(runs.slowest_sorted(size, each) for each in INTEGRATIONS),
+                tuple(runs.slowest_sorted(size, each) for each in runs.INTEGRATIONS),
                 1,
             )
-            for size in track(SIZES, "Slowest speed sorted")
+            for size in track(runs.SIZES, "Slowest speed sorted")
         ),
     )
 
@@ -222,7 +217,7 @@ def build_slowest_sorted(targets: Targets, track: claims.Track) -> Table:
 def build_table4(
     targets: Targets, integrations: Integrations, track: claims.Track = untracked
 ) -> Table:
-    """Columns to slow."""
+    """Build Table 4: columns to slow."""
     return Table(
         "table4",
         "Table 4: columns to slow, and axes, by v0 [m/s]",
@@ -241,13 +236,13 @@ def build_table4(
 
 
 def build_slowing_ratios(targets: Targets) -> Table:
-    """Share of the speed that two columns leave."""
+    """Compare the shares of the speed that two columns leave."""
     cells = []
     speed = targets.ratio_speed
-    for angle, size in product(runs.ANGLES, SIZES):
+    for angle, size in product(runs.ANGLES, runs.SIZES):
         layout = SlowingLayout(targets.ratio_columns, angle)
         surface = runs.slowing_surface(size, layout)
-        exits = [runs.leave(surface, size, speed, each) for each in INTEGRATIONS]
+        exits = [runs.leave(surface, size, speed, each) for each in runs.INTEGRATIONS]
         ours = tuple(Found(done.speed / speed, done.tipping) for done in exits)
         paper = targets.slowing_ratios[size][angle]
         cells.append(Cell(f"columns: {layout}", f"{size}-box", size, paper, ours, 2))
@@ -260,11 +255,11 @@ def build_slowing_ratios(targets: Targets) -> Table:
 
 
 def build_stopping(targets: Targets, track: claims.Track) -> Table:
-    """Speed left behind Table 4's layout and one more column; the paper says none is."""
+    """Compare the speed left behind Table 4's layout and one more column with the paper's 0."""
     cells = []
     for size, speed, layout in track(_slowing_cases(targets), "Stopping"):
         surface = runs.stopping_surface(size, layout)
-        exits = [runs.leave(surface, size, speed, each) for each in INTEGRATIONS]
+        exits = [runs.leave(surface, size, speed, each) for each in runs.INTEGRATIONS]
         cells.append(_cell(speed, size, 0.0, exits, 3))
     return Table(
         "stopping",
@@ -286,7 +281,7 @@ def _cell(
 def _slowing_cases(targets: Targets) -> tuple[tuple[str, float, SlowingLayout], ...]:
     return tuple(
         (size, speed, layout)
-        for size in SIZES
+        for size in runs.SIZES
         for speed, layout in zip(targets.slowing_speeds, targets.slowing_layouts[size], strict=True)
     )
 
@@ -296,7 +291,7 @@ def count_agreements(targets: Targets, track: claims.Track) -> tuple[Agreement, 
     found = []
     for integration in track([Integration("explicit", 1e-3 * ms) for ms in MILLISECONDS], "Steps"):
         only = (integration,)
-        sorting = product(SIZES, targets.sorting_speeds)
+        sorting = product(runs.SIZES, targets.sorting_speeds)
         tables = (
             build_table2(targets, only),
             build_table3(targets, [runs.sort_case(*each, 0.0, only) for each in sorting]),
@@ -317,7 +312,7 @@ def compare_steps(rows: Sequence[SortingRun], integrations: tuple[Integration, .
 def run_turned(
     row: SortingRun, turn: float, integration: Integration
 ) -> tuple[float, float, float]:
-    """End of a row of Table 2, (x, y, theta) [m, m, deg], with all axes turned by `turn` [rad].
+    """Run a row of Table 2 with all axes turned by `turn` [rad]; return its end [m, m, deg].
 
     cos(90 deg) as float64 has it, 6e-17, is round-off of this kind. Rotors that lie across the
     motion then drag sideways with all of mu_max, one way or the other, by its sign.
@@ -328,7 +323,7 @@ def run_turned(
 
 
 def _widest(ends: Iterable[Sequence[tuple[float, float, float]]]) -> tuple[float, float]:
-    """Largest distance [mm] and angle [deg] between ends of the same row."""
+    """Find the largest distance [mm] and angle [deg] between ends of the same row."""
     pairs = [pair for row in ends for pair in combinations(row, 2)]
     return (
         max(1000.0 * math.dist(one[:2], other[:2]) for one, other in pairs),
@@ -338,12 +333,12 @@ def _widest(ends: Iterable[Sequence[tuple[float, float, float]]]) -> tuple[float
 
 def to_json(reproduction: Reproduction) -> str:
     """Write every number as JSON, unrounded; `ours` are in the order of `integrations`."""
-    targets = load_targets()
+    targets = runs.load_targets()
     report = {
         "source": targets.source,
         "integrations": [
             {"name": name, **asdict(integration)}
-            for name, integration in zip(NAMES, INTEGRATIONS, strict=True)
+            for name, integration in zip(NAMES, runs.INTEGRATIONS, strict=True)
         ],
         "step": "The paper prints none; that it took about 5 ms is inferred.",
         "tipping": "Share of the steps up to a value in which Eq. (1) has no solution. Taken "
@@ -366,7 +361,7 @@ def to_json(reproduction: Reproduction) -> str:
 
 
 def _table_data(table: Table) -> dict[str, Any]:
-    count = len(INTEGRATIONS)
+    count = len(runs.INTEGRATIONS)
     return {
         "title": table.title,
         "rule": table.rule,

@@ -166,7 +166,7 @@ class Table:
         return sum(cell.agrees(integration) for cell in self.cells)
 
     def tipping(self, integration: int) -> dict[str, tuple[float, float]]:
-        """Range of the shares of a run's steps that would tip the box, by the box's size."""
+        """Find the range of the shares of a run's steps that would tip the box, by its size."""
         shares: dict[str, list[float]] = {}
         for cell in self.cells:
             share = cell.ours[integration].tipping
@@ -216,7 +216,7 @@ Integrations = Sequence[Integration]
 
 
 def tipping_share(trajectory: Trajectory, end: int | None = None) -> float | None:
-    """[-] Share of the steps up to a row, or to the last, in which the parcel would tip.
+    """Return the share [-] of the steps up to a row, or to the last, that would tip the parcel.
 
     Eq. (1) has no solution there; the simulation takes the forces that bear the weight and come
     nearest to its moments. None where there is no step.
@@ -226,7 +226,7 @@ def tipping_share(trajectory: Trajectory, end: int | None = None) -> float | Non
 
 
 def displacement(trajectory: Trajectory) -> tuple[float, float, float]:
-    """(x, y, theta) [m, m, deg] from start to end."""
+    """Return (x, y, theta) [m, m, deg] from start to end."""
     x, y, theta = (trajectory.pose[-1] - trajectory.pose[0]).tolist()
     return x, y, math.degrees(theta)
 
@@ -295,7 +295,7 @@ def run_table2(case: SortingRun, integration: Integration) -> Trajectory:
 
 
 def pass_by(case: Passing, integration: Integration) -> tuple[Found, Found, Found]:
-    """Displacement x [m], theta [deg] and time [s] at which the displacement y is reached."""
+    """Find displacement x [m], theta [deg] and time [s] where the displacement y is reached."""
     surface = layouts.sorting("S", side=-1, tilt=math.radians(case.tilt))
     trajectory = integration.run(surface, "S", speed=0.0, duration=2.0 * case.time)
     moved = trajectory.pose - trajectory.pose[0]

@@ -1,51 +1,16 @@
 """Broad phase and contact points of the parcels on one surface."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from surface_gym.physics import signed_distance as sd
+from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import invalidate_contacts
-from surface_gym.physics.island import (
-    CLOSING,
-    FIRST_X,
-    FIRST_Y,
-    NORMAL_X,
-    NORMAL_Y,
-    POINT_SIZE,
-    SECOND_X,
-    SECOND_Y,
-)
 from surface_gym.physics.jit import inlined, linked
-from surface_gym.physics.signed_distance import (
-    CONTACT_DISTANCE,
-    find_manifold,
-    read_outline,
-    signed_distance,
-    sweep_between,
-    time_of_impact,
-    transform_at,
-)
 from surface_gym.physics.step import OFF_SURFACE
-from surface_gym.physics.types import (
-    COM_HEIGHT,
-    COM_X,
-    COM_Y,
-    GYRATION,
-    MARKS_SIZE,
-    RADIUS,
-    SPANS,
-    STATE_SIZE,
-    TABLE_SIZE,
-    Array,
-    Bodies,
-    Body,
-    Booleans,
-    Integers,
-    Scratch,
-    X,
-    Y,
-)
+from surface_gym.physics.types import Array, Bodies, Body, Booleans, Integers, Scratch
 
 
 class World(NamedTuple):
@@ -60,7 +25,7 @@ class World(NamedTuple):
 class ContactMaterial(NamedTuple):
     """Restitution and friction between the sides of parcels."""
 
-    restitution: float  # [-] 0: they stay together; 1: they part as fast as they met
+    restitution: float  # [-] 0: they stay together; 1: they separate as fast as they met
     friction: float  # [-] between sides
 
 
@@ -69,20 +34,20 @@ class WorldScratch(NamedTuple):
 
     tables: Array  # (P, TABLE_SIZE) a `Scratch` a parcel
     marks: Integers  # (P, MARKS_SIZE)
-    report: Integers  # (P,) of each parcel's own step
-    rotors: Integers  # (P,) that bore each parcel in it
+    report: Integers  # (P,) of each parcel's step alone
+    rotors: Integers  # (P,) under each parcel in it
     pair: Integers  # (most pairs, 2) rows of parcels that pushed each other
     impulse: Array  # (most pairs,) [N s] along the normal
     before: Array  # (P, STATE_SIZE) states at the start
     floor: Integers  # (P,) contacts of each parcel with elements
     nothing: Integers  # (P,) zeros: no contacts with elements while sides hit each other
-    reach: Array  # (P,) [m] from a centre of mass at the start to wherever its base came
-    near: Integers  # (most pairs, 2) rows of parcels whose bases may meet
+    reach: Array  # (P,) [m] from a centre of mass at the start to its base's farthest point
+    near: Integers  # (most pairs, 2) rows of parcels whose bases may touch
     when: Array  # (most pairs,) [s] from which on they touch; infinite: they do not
     push: Array  # (most pairs,) [N s] impulse along the normal
     since: Array  # (P,) [s] from which on each parcel touches another; infinite: it does not
     root: Integers  # (P,) the island of each parcel: its least row
-    member: Integers  # (P,) and so on: as in `Group`
+    member: Integers  # (P,) this and the fields down to `point`: as in `Island`
     slot: Integers  # (P,)
     low: Integers  # (P,)
     contact: Integers  # (most points,)
@@ -100,44 +65,23 @@ class WorldScratch(NamedTuple):
 
 def make_world_scratch(parcels: int) -> WorldScratch:
     """Make scratch for a number of parcels, with no contacts in it."""
-    pairs = parcels * (parcels - 1) // 2
-    marks = np.zeros((parcels, MARKS_SIZE), dtype=np.int64)
-    marks[:, SPANS] = -1
-
-    def integers(*shape: int) -> Integers:
-        return np.zeros(shape, dtype=np.int64)
-
-    return WorldScratch(
-        tables=np.zeros((parcels, TABLE_SIZE)),
-        marks=marks,
-        report=integers(parcels),
-        rotors=integers(parcels),
-        pair=integers(pairs, 2),
-        impulse=np.zeros(pairs),
-        before=np.zeros((parcels, STATE_SIZE)),
-        floor=integers(parcels),
-        nothing=integers(parcels),
-        reach=np.zeros(parcels),
-        near=integers(pairs, 2),
-        when=np.zeros(pairs),
-        push=np.zeros(pairs),
-        since=np.zeros(parcels),
-        root=integers(parcels),
-        member=integers(parcels),
-        slot=integers(parcels),
-        low=integers(parcels),
-        contact=integers(2 * pairs),
-        ends=integers(2 * pairs, 3),
-        point=np.zeros((2 * pairs, POINT_SIZE)),
-        met=np.zeros((parcels, 3)),
-        start=np.zeros((parcels, 3)),
-        velocity=np.zeros((parcels, 3)),
-        target=np.zeros((parcels, 3)),
-        trial=np.zeros((parcels, 3)),
-        gradient=np.zeros((parcels, 3)),
-        direction=np.zeros((parcels, 3)),
-        matrix=np.zeros((3 * parcels, 3 * parcels)),
-    )
+    n, pairs, points = parcels, parcels * (parcels - 1) // 2, parcels * (parcels - 1)
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(WorldScratch._fields, (n,))
+    shapes |= dict.fromkeys(("met", "start", "velocity", "target"), (n, 3))
+    shapes |= dict.fromkeys(("trial", "gradient", "direction"), (n, 3))
+    shapes |= dict.fromkeys(("pair", "near"), (pairs, 2))
+    shapes |= dict.fromkeys(("impulse", "when", "push"), (pairs,))
+    shapes |= {"tables": (n, ph.TABLE_SIZE), "marks": (n, ph.MARKS_SIZE)}
+    shapes |= {"before": (n, ph.STATE_SIZE), "matrix": (3 * n, 3 * n)}
+    shapes |= {"contact": (points,), "ends": (points, 3), "point": (points, ph.POINT_SIZE)}
+    kinds = WorldScratch.__annotations__
+    arrays: dict[str, Any] = {
+        name: np.zeros(shape, np.int64 if kinds[name] is Integers else np.float64)
+        for name, shape in shapes.items()
+    }
+    scratch = WorldScratch(**arrays)
+    scratch.marks[:, ph.SPANS] = -1
+    return scratch
 
 
 @inlined
@@ -188,7 +132,12 @@ def read_body(bodies: Bodies, site: int) -> Body:
     """Read a row of the bodies as the physics of one parcel takes it."""
     row = bodies.body[site]
     return Body(
-        bodies.edges[site], row[RADIUS], row[COM_X], row[COM_Y], row[COM_HEIGHT], row[GYRATION]
+        bodies.edges[site],
+        row[ph.RADIUS],
+        row[ph.COM_X],
+        row[ph.COM_Y],
+        row[ph.COM_HEIGHT],
+        row[ph.GYRATION],
     )
 
 
@@ -197,22 +146,28 @@ LEAST_REST = 1e-9  # [s] that a step has left when two touch
 
 @linked
 def find_near_pairs(world: World, scratch: WorldScratch) -> int:
-    """Broad phase: write the pairs whose bases may meet in the step, and return their number."""
+    """Broad phase: write the pairs whose bases may touch in the step, and return their number."""
     before, after, reach = scratch.before, world.state, scratch.reach
     rows = world.present.shape[0]
     for k in range(rows):
-        reach[k] = -math.inf  # an absent parcel meets none
+        reach[k] = -math.inf  # an absent parcel touches none
         if world.present[k] and scratch.report[k] < OFF_SURFACE:
             body = world.bodies.body[world.body[k]]
-            moved = abs(after[k, X] - before[k, X]) + abs(after[k, Y] - before[k, Y])
-            reach[k] = body[RADIUS] + abs(body[COM_X]) + abs(body[COM_Y]) + moved + CONTACT_DISTANCE
+            moved = abs(after[k, ph.X] - before[k, ph.X]) + abs(after[k, ph.Y] - before[k, ph.Y])
+            reach[k] = (
+                body[ph.RADIUS]
+                + abs(body[ph.COM_X])
+                + abs(body[ph.COM_Y])
+                + moved
+                + sd.CONTACT_DISTANCE
+            )
     pairs = 0
     for i in range(rows):
         if reach[i] < 0.0:
             continue
         for j in range(i + 1, rows):
-            dx = before[i, X] - before[j, X]
-            dy = before[i, Y] - before[j, Y]
+            dx = before[i, ph.X] - before[j, ph.X]
+            dy = before[i, ph.Y] - before[j, ph.Y]
             most = reach[i] + reach[j]
             if most > 0.0 and dx * dx + dy * dy <= most * most:
                 scratch.near[pairs, 0] = i
@@ -228,25 +183,25 @@ def find_impacts(world: World, scratch: WorldScratch, pairs: int, dt: float) -> 
     for k in range(world.present.shape[0]):
         scratch.since[k] = math.inf
         scratch.root[k] = k
-    meet = False
+    touching = False
     for e in range(pairs):
         i = scratch.near[e, 0]
         j = scratch.near[e, 1]
-        when = time_of_impact(
-            read_outline(bodies, world.body[i]),
-            sweep_between(before[i], after[i]),
-            read_outline(bodies, world.body[j]),
-            sweep_between(before[j], after[j]),
+        when = sd.time_of_impact(
+            sd.read_outline(bodies, world.body[i]),
+            sd.sweep_between(before[i], after[i]),
+            sd.read_outline(bodies, world.body[j]),
+            sd.sweep_between(before[j], after[j]),
             dt,
         )
         scratch.when[e] = when
         scratch.push[e] = 0.0
         if when < math.inf:
-            meet = True
+            touching = True
             scratch.since[i] = min(scratch.since[i], when)
             scratch.since[j] = min(scratch.since[j], when)
             _join(scratch, i, j)
-    return meet
+    return touching
 
 
 @inlined
@@ -271,21 +226,21 @@ def find_contact_points(world: World, scratch: WorldScratch, pairs: int, dt: flo
             continue
         i = scratch.near[e, 0]
         j = scratch.near[e, 1]
-        first = read_outline(bodies, world.body[i])
-        second = read_outline(bodies, world.body[j])
-        place = transform_at(first, sweep_between(before[i], after[i]), when)
-        at = transform_at(second, sweep_between(before[j], after[j]), when)
-        gap = signed_distance(first, place, second, at)
-        facing = find_manifold(first, place, second, at, gap)
+        first = sd.read_outline(bodies, world.body[i])
+        second = sd.read_outline(bodies, world.body[j])
+        pose = sd.transform_at(first, sd.sweep_between(before[i], after[i]), when)
+        other_pose = sd.transform_at(second, sd.sweep_between(before[j], after[j]), when)
+        gap = sd.signed_distance(first, pose, second, other_pose)
+        manifold = sd.find_manifold(first, pose, second, other_pose, gap)
         rest = max(dt - when, LEAST_REST)
-        for n in range(facing.points):
-            x, y, width = facing.x, facing.y, facing.width
+        for n in range(manifold.points):
+            x, y, width = manifold.x, manifold.y, manifold.width
             if n == 1:
-                x, y, width = facing.second_x, facing.second_y, facing.second_width
+                x, y, width = manifold.second_x, manifold.second_y, manifold.second_width
             _write_point(world, scratch, points, e, x, y)
-            scratch.point[points, NORMAL_X] = gap.nx
-            scratch.point[points, NORMAL_Y] = gap.ny
-            scratch.point[points, CLOSING] = max(0.0, width - CONTACT_DISTANCE) / rest
+            scratch.point[points, ph.NORMAL_X] = gap.nx
+            scratch.point[points, ph.NORMAL_Y] = gap.ny
+            scratch.point[points, ph.CLOSING] = max(0.0, width - sd.CONTACT_DISTANCE) / rest
             points += 1
     return points
 
@@ -297,33 +252,37 @@ def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, 
     for end in range(2):
         k = scratch.near[e, end]
         scratch.ends[c, end] = k
-        motion = sweep_between(scratch.before[k], world.state[k])
+        motion = sd.sweep_between(scratch.before[k], world.state[k])
         arm_x = x - motion.x - scratch.since[k] * motion.vx
         arm_y = y - motion.y - scratch.since[k] * motion.vy
         if end == 0:
-            scratch.point[c, FIRST_X] = arm_x
-            scratch.point[c, FIRST_Y] = arm_y
+            scratch.point[c, ph.FIRST_X] = arm_x
+            scratch.point[c, ph.FIRST_Y] = arm_y
         else:
-            scratch.point[c, SECOND_X] = arm_x
-            scratch.point[c, SECOND_Y] = arm_y
+            scratch.point[c, ph.SECOND_X] = arm_x
+            scratch.point[c, ph.SECOND_Y] = arm_y
 
 
 @inlined
 def gather_island(scratch: WorldScratch, root: int, points: int) -> tuple[int, int]:
-    """Write the members and the contact points of a root's island; return the number of both.
-    Members stand in the order of x, so that parcels that touch have indices near each other.
+    """Write the members and the contact points of a root's island; return their numbers.
+
+    Members are sorted by x, so that parcels that touch have slots near each other.
     """
     members = 0
     for k in range(scratch.root.shape[0]):
         if scratch.root[k] == root:
-            place = members
-            while place > 0 and scratch.before[scratch.member[place - 1], X] > scratch.before[k, X]:
-                scratch.member[place] = scratch.member[place - 1]
-                place -= 1
-            scratch.member[place] = k
+            slot = members
+            while (
+                slot > 0
+                and scratch.before[scratch.member[slot - 1], ph.X] > scratch.before[k, ph.X]
+            ):
+                scratch.member[slot] = scratch.member[slot - 1]
+                slot -= 1
+            scratch.member[slot] = k
             members += 1
-    for place in range(members):
-        scratch.slot[scratch.member[place]] = place
+    for slot in range(members):
+        scratch.slot[scratch.member[slot]] = slot
     contacts = 0
     for c in range(points):
         if scratch.root[scratch.ends[c, 0]] == root:

@@ -1,6 +1,6 @@
 """One step of all parcels on a surface, which may push each other.
 
-Each parcel first steps as if it were alone. Parcels whose bases meet on these ways push each other;
+Each parcel first steps as if it were alone. Parcels whose bases meet on the way push each other;
 all others stay where their steps led, to the bit. Parcels that touch, directly or through others,
 form an island. In each island
     1. sides that close fast rebound, with no time for friction below: the impulses that stop them
@@ -18,58 +18,16 @@ out of it, and pushes it in the next.
 
 import math
 
-from surface_gym.physics.collision import (
-    ContactMaterial,
-    World,
-    WorldScratch,
-    find_contact_points,
-    find_impacts,
-    find_near_pairs,
-    gather_island,
-    read_body,
-)
+from surface_gym.physics import collision
+from surface_gym.physics import island as islands
+from surface_gym.physics import signed_distance as sd
+from surface_gym.physics import types as ph
+from surface_gym.physics.collision import ContactMaterial, World, WorldScratch
 from surface_gym.physics.friction import implicit_velocity, load_contacts
-from surface_gym.physics.island import (
-    CLOSING,
-    NORMAL_IMPULSE,
-    NORMAL_STIFFNESS,
-    STIFFNESS,
-    TANGENT_IMPULSE,
-    Island,
-    add_impulse,
-    floor_contacts,
-    relative_velocity,
-    solve_velocities,
-)
+from surface_gym.physics.island import Island
 from surface_gym.physics.jit import inlined, linked
-from surface_gym.physics.signed_distance import (
-    CONTACT_DISTANCE,
-    read_outline,
-    signed_distance,
-    sweep_at_rest,
-    sweep_between,
-    transform_at,
-)
 from surface_gym.physics.step import step_implicit
-from surface_gym.physics.types import (
-    AX,
-    AY,
-    GYRATION,
-    MASS,
-    OMEGA,
-    STATE_SIZE,
-    SUPPORTS,
-    THETA,
-    VX,
-    VY,
-    Array,
-    Contacts,
-    Grid,
-    Integers,
-    Scratch,
-    X,
-    Y,
-)
+from surface_gym.physics.types import Array, Contacts, Grid, Integers, Scratch
 
 MAX_SWEEPS = 20
 
@@ -86,25 +44,25 @@ def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
         for e in range(pairs):
             i = scratch.near[e, 0]
             j = scratch.near[e, 1]
-            first = read_outline(bodies, world.body[i])
-            second = read_outline(bodies, world.body[j])
-            gap = signed_distance(
+            first = sd.read_outline(bodies, world.body[i])
+            second = sd.read_outline(bodies, world.body[j])
+            gap = sd.signed_distance(
                 first,
-                transform_at(first, sweep_at_rest(state[i]), 0.0),
+                sd.transform_at(first, sd.sweep_at_rest(state[i]), 0.0),
                 second,
-                transform_at(second, sweep_at_rest(state[j]), 0.0),
+                sd.transform_at(second, sd.sweep_at_rest(state[j]), 0.0),
             )
-            if gap.width >= -CONTACT_DISTANCE:
+            if gap.width >= -sd.CONTACT_DISTANCE:
                 continue
             apart = False
-            overlap = -gap.width - 0.5 * CONTACT_DISTANCE
-            own = bodies.body[world.body[i], MASS]
-            other = bodies.body[world.body[j], MASS]
-            share = other / (own + other)
-            state[i, X] -= share * overlap * gap.nx
-            state[i, Y] -= share * overlap * gap.ny
-            state[j, X] += (1.0 - share) * overlap * gap.nx
-            state[j, Y] += (1.0 - share) * overlap * gap.ny
+            overlap = -gap.width - 0.5 * sd.CONTACT_DISTANCE
+            mass = bodies.body[world.body[i], ph.MASS]
+            other_mass = bodies.body[world.body[j], ph.MASS]
+            share = other_mass / (mass + other_mass)
+            state[i, ph.X] -= share * overlap * gap.nx
+            state[i, ph.Y] -= share * overlap * gap.ny
+            state[j, ph.X] += (1.0 - share) * overlap * gap.nx
+            state[j, ph.Y] += (1.0 - share) * overlap * gap.ny
         if apart:
             break
 
@@ -123,17 +81,17 @@ def solve_contacts(
     dt: float,
 ) -> int:
     """Solve the contacts of all islands, and return the number of pairs that pushed each other."""
-    points = find_contact_points(world, scratch, pairs, dt)
+    points = collision.find_contact_points(world, scratch, pairs, dt)
     for first in range(world.present.shape[0]):
         if scratch.root[first] == first and scratch.since[first] < math.inf:
-            members, contacts = gather_island(scratch, first, points)
+            members, contacts = collision.gather_island(scratch, first, points)
             island = _make_island(world, scratch, scratch.floor, members, contacts)
             _begin(world, scratch, island, dt)
             hit = _closes_fast(island, scratch.start)
             if hit and material.restitution > 0.0:
                 free = _make_island(world, scratch, scratch.nothing, members, contacts)
                 _rebound(scratch, free, material)
-            _go_on(grid, material, scratch, island, dt)
+            _continue(grid, material, scratch, island, dt)
             for n in range(members):
                 k = scratch.member[n]
                 if _is_pushed(scratch, island, k):
@@ -182,13 +140,13 @@ def _begin(world: World, scratch: WorldScratch, island: Island, dt: float) -> No
     for n in range(island.members):
         k = island.member[n]
         share = scratch.since[k] / dt
-        for axis in range(VX, OMEGA + 1):
+        for axis in range(ph.VX, ph.OMEGA + 1):
             old = scratch.before[k, axis]
-            scratch.start[k, axis - VX] = old + share * (world.state[k, axis] - old)
-            scratch.velocity[k, axis - VX] = world.state[k, axis]
-            scratch.met[k, axis - VX] = scratch.start[k, axis - VX]
-        borne, contacts = floor_contacts(island, k)
-        load_contacts(borne, contacts, dt - scratch.since[k])
+            scratch.start[k, axis - ph.VX] = old + share * (world.state[k, axis] - old)
+            scratch.velocity[k, axis - ph.VX] = world.state[k, axis]
+            scratch.met[k, axis - ph.VX] = scratch.start[k, axis - ph.VX]
+        elements, contacts = islands.floor_contacts(island, k)
+        load_contacts(elements, contacts, dt - scratch.since[k])
 
 
 @inlined
@@ -196,14 +154,14 @@ def _closes_fast(island: Island, start: Array) -> bool:
     """Return whether any sides of an island close fast."""
     for m in range(island.contacts):
         c = island.contact[m]
-        normal, _ = relative_velocity(island, c, start)
-        if normal + island.point[c, CLOSING] < -RESTING:
+        normal, _ = islands.relative_velocity(island, c, start)
+        if normal + island.point[c, ph.CLOSING] < -RESTING:
             return True
     return False
 
 
 @inlined
-def _take_impulses(scratch: WorldScratch, island: Island, times: float) -> None:
+def _apply_impulses(scratch: WorldScratch, island: Island, times: float) -> None:
     """Add the impulses of an island, times a factor, to the velocities at the start."""
     change = scratch.gradient
     for n in range(island.members):
@@ -211,16 +169,18 @@ def _take_impulses(scratch: WorldScratch, island: Island, times: float) -> None:
             change[island.member[n], axis] = 0.0
     for m in range(island.contacts):
         c = island.contact[m]
-        press = island.point[c, NORMAL_IMPULSE]
-        if press > PUSHED * island.point[c, NORMAL_STIFFNESS] / STIFFNESS:
-            add_impulse(island, c, press, island.point[c, TANGENT_IMPULSE], change, times)
-            scratch.push[island.ends[c, 2]] += times * press
+        impulse = island.point[c, ph.NORMAL_IMPULSE]
+        if impulse > PUSHED * island.point[c, ph.NORMAL_STIFFNESS] / islands.STIFFNESS:
+            islands.add_impulse(
+                island, c, impulse, island.point[c, ph.TANGENT_IMPULSE], change, times
+            )
+            scratch.push[island.ends[c, 2]] += times * impulse
     for n in range(island.members):
         k = island.member[n]
         body = island.bodies.body[island.body[k]]
-        scratch.start[k, 0] += change[k, 0] / body[MASS]
-        scratch.start[k, 1] += change[k, 1] / body[MASS]
-        scratch.start[k, 2] += change[k, 2] / (body[MASS] * body[GYRATION])
+        scratch.start[k, 0] += change[k, 0] / body[ph.MASS]
+        scratch.start[k, 1] += change[k, 1] / body[ph.MASS]
+        scratch.start[k, 2] += change[k, 2] / (body[ph.MASS] * body[ph.GYRATION])
 
 
 @linked
@@ -231,12 +191,12 @@ def _rebound(scratch: WorldScratch, island: Island, material: ContactMaterial) -
         for axis in range(3):
             scratch.target[k, axis] = scratch.start[k, axis]
             scratch.velocity[k, axis] = scratch.start[k, axis]
-    solve_velocities(island, material.friction)
-    _take_impulses(scratch, island, 1.0 + material.restitution)
+    islands.solve_velocities(island, material.friction)
+    _apply_impulses(scratch, island, 1.0 + material.restitution)
 
 
 @linked
-def _go_on(
+def _continue(
     grid: Grid, material: ContactMaterial, scratch: WorldScratch, island: Island, dt: float
 ) -> None:
     """Solve the velocities of an island while friction acts below."""
@@ -245,8 +205,8 @@ def _go_on(
         for axis in range(3):
             scratch.target[k, axis] = scratch.start[k, axis]
         scratch.target[k, 0] += (dt - scratch.since[k]) * grid.gravity_along
-    solve_velocities(island, material.friction)
-    _take_impulses(scratch, island, 1.0)
+    islands.solve_velocities(island, material.friction)
+    _apply_impulses(scratch, island, 1.0)
 
 
 @inlined
@@ -254,33 +214,29 @@ def _is_pushed(scratch: WorldScratch, island: Island, k: int) -> bool:
     """Return whether any parcel pushes a parcel of an island."""
     for m in range(island.contacts):
         c = island.contact[m]
-        ours = island.ends[c, 0] == k or island.ends[c, 1] == k
-        if ours and scratch.push[island.ends[c, 2]] > 0.0:
+        involved = island.ends[c, 0] == k or island.ends[c, 1] == k
+        if involved and scratch.push[island.ends[c, 2]] > 0.0:
             return True
     return False
 
 
 @linked
 def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool, dt: float) -> None:
-    """Move a parcel that is pushed: alone until it touches, then on with its new velocity.
+    """Move a parcel that is pushed: alone until it touches, then with its new velocity.
 
     Args:
-        grid: the surface.
-        world: that it is of.
-        scratch: with its velocity where it touches, impulses taken in.
-        k: its row.
+        scratch: with its velocity at the touch, impulses added.
         hit: whether velocities change at the touch, rather than over the step.
-        dt: [s] step.
     """
     state, start, met = world.state[k], scratch.start[k], scratch.met[k]
-    motion = sweep_between(scratch.before[k], state)
+    motion = sd.sweep_between(scratch.before[k], state)
     alone = scratch.since[k]
     rest = dt - alone
     vx, vy, omega = implicit_velocity(
         grid,
-        world.bodies.body[world.body[k], GYRATION],
+        world.bodies.body[world.body[k], ph.GYRATION],
         Scratch(scratch.tables[k], scratch.marks[k]),
-        Contacts(scratch.floor[k], scratch.marks[k, SUPPORTS]),
+        Contacts(scratch.floor[k], scratch.marks[k, ph.SUPPORTS]),
         rest,
         start[0],
         start[1],
@@ -289,14 +245,14 @@ def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool,
     # The mean, as in the implicit step, where sides that touched before press on.
     new = 1.0 if hit else 0.5
     old = 1.0 - new
-    state[X] = motion.x + alone * motion.vx + rest * (new * vx + old * met[0])
-    state[Y] = motion.y + alone * motion.vy + rest * (new * vy + old * met[1])
-    state[THETA] = motion.theta + alone * motion.omega + rest * (new * omega + old * met[2])
-    state[AX] = (vx - start[0] + met[0] - scratch.before[k, VX]) / dt
-    state[AY] = (vy - start[1] + met[1] - scratch.before[k, VY]) / dt
-    state[VX] = vx
-    state[VY] = vy
-    state[OMEGA] = omega
+    state[ph.X] = motion.x + alone * motion.vx + rest * (new * vx + old * met[0])
+    state[ph.Y] = motion.y + alone * motion.vy + rest * (new * vy + old * met[1])
+    state[ph.THETA] = motion.theta + alone * motion.omega + rest * (new * omega + old * met[2])
+    state[ph.AX] = (vx - start[0] + met[0] - scratch.before[k, ph.VX]) / dt
+    state[ph.AY] = (vy - start[1] + met[1] - scratch.before[k, ph.VY]) / dt
+    state[ph.VX] = vx
+    state[ph.VY] = vy
+    state[ph.OMEGA] = omega
 
 
 @linked
@@ -305,26 +261,19 @@ def step_world(
 ) -> int:
     """Step all parcels present by one implicit step.
 
-    A parcel whose report is OFF_SURFACE or UNBORNE keeps its state and touches nobody.
-
-    Args:
-        grid: the surface that all are on.
-        world: whose states are moved on.
-        material: how sides behave.
-        scratch: for as many parcels as the world has rows.
-        dt: [s] step.
+    A parcel whose report is OFF_SURFACE or UNSUPPORTED keeps its state and touches none.
 
     Returns:
-        How many pairs pushed each other: the first entries of `scratch.pair` and `impulse`.
+        Number of pairs that pushed each other: the first entries of `scratch.pair` and `impulse`.
     """
     for k in range(world.present.shape[0]):
         if world.present[k]:
             state = world.state[k]
-            for j in range(STATE_SIZE):
+            for j in range(ph.STATE_SIZE):
                 scratch.before[k, j] = state[j]
             report, contacts = step_implicit(
                 grid,
-                read_body(world.bodies, world.body[k]),
+                collision.read_body(world.bodies, world.body[k]),
                 state,
                 Scratch(scratch.tables[k], scratch.marks[k]),
                 dt,
@@ -332,7 +281,7 @@ def step_world(
             scratch.report[k] = report
             scratch.floor[k] = contacts.total
             scratch.rotors[k] = contacts.total - contacts.supports
-    pairs = find_near_pairs(world, scratch)
-    if pairs == 0 or not find_impacts(world, scratch, pairs, dt):
+    pairs = collision.find_near_pairs(world, scratch)
+    if pairs == 0 or not collision.find_impacts(world, scratch, pairs, dt):
         return 0
     return solve_contacts(grid, world, material, scratch, pairs, dt)

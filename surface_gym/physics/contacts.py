@@ -2,32 +2,9 @@
 
 import math
 
+from surface_gym.physics import types as ph
 from surface_gym.physics.jit import inlined
-from surface_gym.physics.types import (
-    ARM_X,
-    ARM_Y,
-    AXIS_X,
-    AXIS_Y,
-    BOUND_SIDE,
-    BOUND_SLOPE,
-    BOUND_START,
-    CAPACITY,
-    MU_ACROSS,
-    MU_ALONG,
-    ROTOR,
-    SPAN_FIRST,
-    SPAN_LAST,
-    SPAN_ROW,
-    SPANS,
-    STIFFNESS,
-    SUPPORT,
-    SUPPORTS,
-    Array,
-    Body,
-    Contacts,
-    Grid,
-    Scratch,
-)
+from surface_gym.physics.types import Array, Body, Contacts, Grid, Scratch
 
 
 @inlined
@@ -59,13 +36,13 @@ def _turn_edges(body: Body, cosine: float, sine: float, table: Array) -> None:
         distance = body.edges[k, 2] + EDGE_TOLERANCE
         if abs(nx) > 1e-12:
             per_nx = 1.0 / nx
-            table[BOUND_START + k] = distance * per_nx
-            table[BOUND_SLOPE + k] = -ny * per_nx
-            table[BOUND_SIDE + k] = nx
+            table[ph.BOUND_START + k] = distance * per_nx
+            table[ph.BOUND_SLOPE + k] = -ny * per_nx
+            table[ph.BOUND_SIDE + k] = nx
         else:  # an edge along the row bounds y alone
-            table[BOUND_START + k] = distance
-            table[BOUND_SLOPE + k] = ny
-            table[BOUND_SIDE + k] = 0.0
+            table[ph.BOUND_START + k] = distance
+            table[ph.BOUND_SLOPE + k] = ny
+            table[ph.BOUND_SIDE + k] = 0.0
 
 
 @inlined
@@ -75,13 +52,13 @@ def _row_interval(body: Body, table: Array, dy: float) -> tuple[float, float]:
     high = math.sqrt(max(0.0, reach * reach - dy * dy))
     low = -high
     for k in range(body.edges.shape[0]):
-        side = table[BOUND_SIDE + k]
-        bound = table[BOUND_START + k] + table[BOUND_SLOPE + k] * dy
+        side = table[ph.BOUND_SIDE + k]
+        bound = table[ph.BOUND_START + k] + table[ph.BOUND_SLOPE + k] * dy
         if side > 0.0:
             high = min(high, bound)
         elif side < 0.0:
             low = max(low, bound)
-        elif table[BOUND_SLOPE + k] * dy > table[BOUND_START + k]:
+        elif table[ph.BOUND_SLOPE + k] * dy > table[ph.BOUND_START + k]:
             low = high + 1.0
     return low, high
 
@@ -92,24 +69,24 @@ def _gather(grid: Grid, scratch: Scratch) -> int:
     table, marks = scratch.table, scratch.marks
     i = 0
     supports = 0
-    for k in range(marks[SPANS]):
-        row = marks[SPAN_ROW + k]
-        for column in range(marks[SPAN_FIRST + k], marks[SPAN_LAST + k] + 1):
-            table[STIFFNESS + i] = grid.stiffness[row, column]
-            marks[ROTOR + i] = grid.rotor[row, column]
+    for k in range(marks[ph.SPANS]):
+        row = marks[ph.SPAN_ROW + k]
+        for column in range(marks[ph.SPAN_FIRST + k], marks[ph.SPAN_LAST + k] + 1):
+            table[ph.STIFFNESS + i] = grid.stiffness[row, column]
+            marks[ph.ROTOR + i] = grid.rotor[row, column]
             if grid.rotor[row, column]:
                 axis = grid.axis[row, column]
-                table[AXIS_X + i] = grid.direction[axis, 0]
-                table[AXIS_Y + i] = grid.direction[axis, 1]
-                table[MU_ALONG + i] = grid.friction[row, column, 0] * grid.along_factor
-                table[MU_ACROSS + i] = grid.friction[row, column, 1] * grid.across_factor
+                table[ph.AXIS_X + i] = grid.direction[axis, 0]
+                table[ph.AXIS_Y + i] = grid.direction[axis, 1]
+                table[ph.MU_ALONG + i] = grid.friction[row, column, 0] * grid.along_factor
+                table[ph.MU_ACROSS + i] = grid.friction[row, column, 1] * grid.across_factor
             else:
-                table[AXIS_X + i] = 1.0
-                table[AXIS_Y + i] = 0.0
+                table[ph.AXIS_X + i] = 1.0
+                table[ph.AXIS_Y + i] = 0.0
                 mu = grid.friction[row, column, 2] * grid.support_factor
-                table[MU_ALONG + i] = mu
-                table[MU_ACROSS + i] = mu
-                marks[SUPPORT + supports] = i
+                table[ph.MU_ALONG + i] = mu
+                table[ph.MU_ACROSS + i] = mu
+                marks[ph.SUPPORT + supports] = i
                 supports += 1
             i += 1
     return supports
@@ -118,7 +95,7 @@ def _gather(grid: Grid, scratch: Scratch) -> int:
 @inlined
 def invalidate_contacts(scratch: Scratch) -> None:
     """Forget all contacts: the surface is another one, or its axes have turned."""
-    scratch.marks[SPANS] = -1
+    scratch.marks[ph.SPANS] = -1
 
 
 @inlined
@@ -128,8 +105,8 @@ def find_contacts(
     """Find the elements under the base of a parcel whose centre of mass is at (x, y).
 
     Only the rows and columns around the base are looked at, so the cost does not depend on the
-    size of the surface. Writes what each contact is into `scratch`; that is left out where the
-    same elements lay under the base at the last call, unless `invalidate_contacts` came between.
+    size of the surface. Writes the contacts' data into `scratch`, unless the same elements lay
+    under the base at the last call and `invalidate_contacts` was not called since.
     """
     table, marks = scratch.table, scratch.marks
     cosine = math.cos(theta)
@@ -158,20 +135,20 @@ def find_contacts(
         to_column = bounded((high - grid_x) * per_pitch_x, -1.0, columns)
         first = max(0, math.ceil(from_column))
         last = min(columns - 1, math.floor(to_column))
-        last = min(last, first + CAPACITY - 1 - count)  # whatever numbers came in
+        last = min(last, first + ph.CAPACITY - 1 - count)  # whatever numbers came in
         if first > last:
             continue
         for column in range(first, last + 1):
-            table[ARM_X + count] = grid_x + grid.pitch_x * column - offset_x
-            table[ARM_Y + count] = dy - offset_y
+            table[ph.ARM_X + count] = grid_x + grid.pitch_x * column - offset_x
+            table[ph.ARM_Y + count] = dy - offset_y
             count += 1
-        changed |= (marks[SPAN_ROW + spans] != row) | (marks[SPAN_FIRST + spans] != first)
-        changed |= marks[SPAN_LAST + spans] != last
-        marks[SPAN_ROW + spans] = row
-        marks[SPAN_FIRST + spans] = first
-        marks[SPAN_LAST + spans] = last
+        changed |= (marks[ph.SPAN_ROW + spans] != row) | (marks[ph.SPAN_FIRST + spans] != first)
+        changed |= marks[ph.SPAN_LAST + spans] != last
+        marks[ph.SPAN_ROW + spans] = row
+        marks[ph.SPAN_FIRST + spans] = first
+        marks[ph.SPAN_LAST + spans] = last
         spans += 1
-    if changed or marks[SPANS] != spans:
-        marks[SPANS] = spans
-        marks[SUPPORTS] = _gather(grid, scratch)
-    return Contacts(count, marks[SUPPORTS])
+    if changed or marks[ph.SPANS] != spans:
+        marks[ph.SPANS] = spans
+        marks[ph.SUPPORTS] = _gather(grid, scratch)
+    return Contacts(count, marks[ph.SUPPORTS])

@@ -13,44 +13,9 @@ the first kind the compiler takes several at a time, and no sum depends on how m
 
 import math
 
+from surface_gym.physics import types as ph
 from surface_gym.physics.jit import inlined, linked
-from surface_gym.physics.types import (
-    ARM_X,
-    ARM_Y,
-    AXIS_X,
-    AXIS_Y,
-    CURVE_WW,
-    CURVE_XW,
-    CURVE_XX,
-    CURVE_XY,
-    CURVE_YW,
-    CURVE_YY,
-    FORCE_X,
-    FORCE_Y,
-    KINK_1,
-    KINK_2,
-    KINK_3,
-    KINK_4,
-    KINKS,
-    MOST_ACROSS,
-    MOST_ALONG,
-    MU_ACROSS,
-    MU_ALONG,
-    NORMAL,
-    RATE_ACROSS,
-    RATE_ALONG,
-    SLIDE_ACROSS,
-    SLIDE_ALONG,
-    SLIP_ACROSS,
-    SLIP_ALONG,
-    SLOPE,
-    SUPPORT,
-    TORQUE,
-    Array,
-    Contacts,
-    Grid,
-    Scratch,
-)
+from surface_gym.physics.types import Array, Contacts, Grid, Scratch
 
 MAX_SEARCHES = 60
 SEARCH_SLOPE = 0.01  # share of the starting slope that may be left
@@ -71,10 +36,10 @@ def _prepare(
     """Write each contact's velocity, its change along the search, and its kinks."""
     table = scratch.table
     for i in range(contacts.total):
-        x = table[ARM_X + i]
-        y = table[ARM_Y + i]
-        ax = table[AXIS_X + i]
-        ay = table[AXIS_Y + i]
+        x = table[ph.ARM_X + i]
+        y = table[ph.ARM_Y + i]
+        ax = table[ph.AXIS_X + i]
+        ay = table[ph.AXIS_Y + i]
         ux = vx - omega * y
         uy = vy + omega * x
         sx = dx - dw * y
@@ -83,15 +48,15 @@ def _prepare(
         along_rate = ax * sx + ay * sy
         across = ax * uy - ay * ux
         across_rate = ax * sy - ay * sx
-        table[SLIDE_ALONG + i] = along
-        table[RATE_ALONG + i] = along_rate
-        table[SLIDE_ACROSS + i] = across
-        table[RATE_ACROSS + i] = across_rate
+        table[ph.SLIDE_ALONG + i] = along
+        table[ph.RATE_ALONG + i] = along_rate
+        table[ph.SLIDE_ACROSS + i] = across
+        table[ph.RATE_ACROSS + i] = across_rate
         # Where a rate is 0 these are infinite or not a number, so near to nothing.
-        table[KINK_1 + i] = (-rounding - along) / along_rate
-        table[KINK_2 + i] = (rounding - along) / along_rate
-        table[KINK_3 + i] = (-rounding - across) / across_rate
-        table[KINK_4 + i] = (rounding - across) / across_rate
+        table[ph.KINK_1 + i] = (-rounding - along) / along_rate
+        table[ph.KINK_2 + i] = (rounding - along) / along_rate
+        table[ph.KINK_3 + i] = (-rounding - across) / across_rate
+        table[ph.KINK_4 + i] = (rounding - across) / across_rate
 
 
 @inlined
@@ -100,26 +65,26 @@ def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> f
     table = scratch.table
     per_rounding = 1.0 / rounding
     for i in range(contacts.total):
-        u = table[SLIDE_ALONG + i] + t * table[RATE_ALONG + i]
-        v = table[SLIDE_ACROSS + i] + t * table[RATE_ACROSS + i]
-        along = table[MU_ALONG + i] * min(1.0, max(-1.0, u * per_rounding))
-        across = table[MU_ACROSS + i] * min(1.0, max(-1.0, v * per_rounding))
-        table[SLOPE + i] = table[NORMAL + i] * (
-            along * table[RATE_ALONG + i] + across * table[RATE_ACROSS + i]
+        u = table[ph.SLIDE_ALONG + i] + t * table[ph.RATE_ALONG + i]
+        v = table[ph.SLIDE_ACROSS + i] + t * table[ph.RATE_ACROSS + i]
+        along = table[ph.MU_ALONG + i] * min(1.0, max(-1.0, u * per_rounding))
+        across = table[ph.MU_ACROSS + i] * min(1.0, max(-1.0, v * per_rounding))
+        table[ph.SLOPE + i] = table[ph.NORMAL + i] * (
+            along * table[ph.RATE_ALONG + i] + across * table[ph.RATE_ACROSS + i]
         )
     for k in range(contacts.supports):
-        i = scratch.marks[SUPPORT + k]
-        u = table[SLIDE_ALONG + i] + t * table[RATE_ALONG + i]
-        v = table[SLIDE_ACROSS + i] + t * table[RATE_ACROSS + i]
-        share = table[MU_ALONG + i] / max(rounding, math.sqrt(u * u + v * v))
+        i = scratch.marks[ph.SUPPORT + k]
+        u = table[ph.SLIDE_ALONG + i] + t * table[ph.RATE_ALONG + i]
+        v = table[ph.SLIDE_ACROSS + i] + t * table[ph.RATE_ACROSS + i]
+        share = table[ph.MU_ALONG + i] / max(rounding, math.sqrt(u * u + v * v))
         along = share * u
         across = share * v
-        table[SLOPE + i] = table[NORMAL + i] * (
-            along * table[RATE_ALONG + i] + across * table[RATE_ACROSS + i]
+        table[ph.SLOPE + i] = table[ph.NORMAL + i] * (
+            along * table[ph.RATE_ALONG + i] + across * table[ph.RATE_ACROSS + i]
         )
     total = 0.0
     for i in range(contacts.total):
-        total += table[SLOPE + i]
+        total += table[ph.SLOPE + i]
     return total
 
 
@@ -132,9 +97,9 @@ def _keep_kinks(scratch: Scratch, count: int) -> int:
     table = scratch.table
     found = 0
     for i in range(count):
-        for kink in (KINK_1, KINK_2, KINK_3, KINK_4):
+        for kink in (ph.KINK_1, ph.KINK_2, ph.KINK_3, ph.KINK_4):
             t = table[kink + i]
-            table[KINKS + found] = t
+            table[ph.KINKS + found] = t
             found += (t > 0.0) & (t < 1.0)
     return found
 
@@ -146,7 +111,7 @@ def _kink_nearest_middle(scratch: Scratch, kinks: int, low: float, high: float) 
     distance = 0.5 * (high - low) * (1.0 - 1e-9)
     nearest = -1.0
     for k in range(kinks):
-        t = scratch.table[KINKS + k]
+        t = scratch.table[ph.KINKS + k]
         if abs(t - middle) < distance:
             distance = abs(t - middle)
             nearest = t
@@ -217,9 +182,9 @@ def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
     """Write the most that friction can do at each contact in a step."""
     table = scratch.table
     for i in range(contacts.total):
-        load = dt * table[NORMAL + i]
-        table[MOST_ALONG + i] = load * table[MU_ALONG + i]
-        table[MOST_ACROSS + i] = load * table[MU_ACROSS + i]
+        load = dt * table[ph.NORMAL + i]
+        table[ph.MOST_ALONG + i] = load * table[ph.MU_ALONG + i]
+        table[ph.MOST_ACROSS + i] = load * table[ph.MU_ACROSS + i]
 
 
 @inlined
@@ -231,57 +196,57 @@ def friction_gradient(
     per_rounding = 1.0 / ROUNDING
     held = 0
     for i in range(contacts.total):
-        x = table[ARM_X + i]
-        y = table[ARM_Y + i]
-        ax = table[AXIS_X + i]
-        ay = table[AXIS_Y + i]
+        x = table[ph.ARM_X + i]
+        y = table[ph.ARM_Y + i]
+        ax = table[ph.AXIS_X + i]
+        ay = table[ph.AXIS_Y + i]
         ux = vx - omega * y
         uy = vy + omega * x
         along = (ax * ux + ay * uy) * per_rounding
         across = (ax * uy - ay * ux) * per_rounding
-        f_along = table[MOST_ALONG + i] * min(1.0, max(-1.0, along))
-        f_across = table[MOST_ACROSS + i] * min(1.0, max(-1.0, across))
+        f_along = table[ph.MOST_ALONG + i] * min(1.0, max(-1.0, along))
+        f_across = table[ph.MOST_ACROSS + i] * min(1.0, max(-1.0, across))
         fx = f_along * ax - f_across * ay
         fy = f_along * ay + f_across * ax
-        table[SLIP_ALONG + i] = along
-        table[SLIP_ACROSS + i] = across
-        table[FORCE_X + i] = fx
-        table[FORCE_Y + i] = fy
-        table[TORQUE + i] = x * fy - y * fx
+        table[ph.SLIP_ALONG + i] = along
+        table[ph.SLIP_ACROSS + i] = across
+        table[ph.FORCE_X + i] = fx
+        table[ph.FORCE_Y + i] = fy
+        table[ph.TORQUE + i] = x * fy - y * fx
         held += (abs(along) < 1.0) | (abs(across) < 1.0)
     for k in range(contacts.supports):
-        i = scratch.marks[SUPPORT + k]
-        x = table[ARM_X + i]
-        y = table[ARM_Y + i]
+        i = scratch.marks[ph.SUPPORT + k]
+        x = table[ph.ARM_X + i]
+        y = table[ph.ARM_Y + i]
         ux = vx - omega * y
         uy = vy + omega * x
-        share = table[MOST_ALONG + i] / max(ROUNDING, math.sqrt(ux * ux + uy * uy))
+        share = table[ph.MOST_ALONG + i] / max(ROUNDING, math.sqrt(ux * ux + uy * uy))
         fx = share * ux
         fy = share * uy
-        table[FORCE_X + i] = fx
-        table[FORCE_Y + i] = fy
-        table[TORQUE + i] = x * fy - y * fx
+        table[ph.FORCE_X + i] = fx
+        table[ph.FORCE_Y + i] = fy
+        table[ph.TORQUE + i] = x * fy - y * fx
     gx = gy = gw = 0.0
     for i in range(contacts.total):
-        gx += table[FORCE_X + i]
-        gy += table[FORCE_Y + i]
-        gw += table[TORQUE + i]
+        gx += table[ph.FORCE_X + i]
+        gy += table[ph.FORCE_Y + i]
+        gw += table[ph.TORQUE + i]
     return gx, gy, gw, held + contacts.supports == 0
 
 
 @inlined
 def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
     """Write a contact's part of the Hessian, from that of its velocity."""
-    x = table[ARM_X + i]
-    y = table[ARM_Y + i]
+    x = table[ph.ARM_X + i]
+    y = table[ph.ARM_Y + i]
     kxw = x * kxy - y * kxx
     kyw = x * kyy - y * kxy
-    table[CURVE_XX + i] = kxx
-    table[CURVE_XY + i] = kxy
-    table[CURVE_XW + i] = kxw
-    table[CURVE_YY + i] = kyy
-    table[CURVE_YW + i] = kyw
-    table[CURVE_WW + i] = x * kyw - y * kxw
+    table[ph.CURVE_XX + i] = kxx
+    table[ph.CURVE_XY + i] = kxy
+    table[ph.CURVE_XW + i] = kxw
+    table[ph.CURVE_YY + i] = kyy
+    table[ph.CURVE_YW + i] = kyw
+    table[ph.CURVE_WW + i] = x * kyw - y * kxw
 
 
 @inlined
@@ -292,24 +257,24 @@ def friction_curvature(
     table = scratch.table
     per_rounding = 1.0 / ROUNDING
     for i in range(contacts.total):
-        ax = table[AXIS_X + i]
-        ay = table[AXIS_Y + i]
-        held_along = abs(table[SLIP_ALONG + i]) < 1.0
-        held_across = abs(table[SLIP_ACROSS + i]) < 1.0
-        k_along = held_along * table[MOST_ALONG + i] * per_rounding
-        k_across = held_across * table[MOST_ACROSS + i] * per_rounding
+        ax = table[ph.AXIS_X + i]
+        ay = table[ph.AXIS_Y + i]
+        held_along = abs(table[ph.SLIP_ALONG + i]) < 1.0
+        held_across = abs(table[ph.SLIP_ACROSS + i]) < 1.0
+        k_along = held_along * table[ph.MOST_ALONG + i] * per_rounding
+        k_across = held_across * table[ph.MOST_ACROSS + i] * per_rounding
         kxx = k_along * ax * ax + k_across * ay * ay
         kxy = (k_along - k_across) * ax * ay
         kyy = k_along * ay * ay + k_across * ax * ax
         _write_curvature(table, i, kxx, kxy, kyy)
     for k in range(contacts.supports):
-        i = scratch.marks[SUPPORT + k]
-        x = table[ARM_X + i]
-        y = table[ARM_Y + i]
+        i = scratch.marks[ph.SUPPORT + k]
+        x = table[ph.ARM_X + i]
+        y = table[ph.ARM_Y + i]
         ux = vx - omega * y
         uy = vy + omega * x
         speed = math.sqrt(ux * ux + uy * uy)
-        share = table[MOST_ALONG + i] / max(ROUNDING, speed)
+        share = table[ph.MOST_ALONG + i] / max(ROUNDING, speed)
         kxx = kyy = share
         kxy = 0.0
         if speed >= ROUNDING:
@@ -320,12 +285,12 @@ def friction_curvature(
         _write_curvature(table, i, kxx, kxy, kyy)
     hxx = hxy = hxw = hyy = hyw = hww = 0.0
     for i in range(contacts.total):
-        hxx += table[CURVE_XX + i]
-        hxy += table[CURVE_XY + i]
-        hxw += table[CURVE_XW + i]
-        hyy += table[CURVE_YY + i]
-        hyw += table[CURVE_YW + i]
-        hww += table[CURVE_WW + i]
+        hxx += table[ph.CURVE_XX + i]
+        hxy += table[ph.CURVE_XY + i]
+        hxw += table[ph.CURVE_XW + i]
+        hyy += table[ph.CURVE_YY + i]
+        hyw += table[ph.CURVE_YW + i]
+        hww += table[ph.CURVE_WW + i]
     return hxx, hxy, hxw, hyy, hyw, hww
 
 

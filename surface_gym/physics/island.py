@@ -10,42 +10,17 @@ and T (augmented Lagrangian) they soon leave no closing speed. The friction limi
 round.
 
 A Newton direction of the island is a symmetric system, solved by Cholesky's factors. Parcels far
-from each other share no derivatives. Each member's rows begin at the first member that it or its
-like touches, `Island.low`, and the factors fill no more than that.
+from each other share no derivatives. Each member's rows begin at the first member in contact with
+it, `Island.low`, and the factors fill no more than that.
 """
 
 import math
 from typing import NamedTuple
 
+from surface_gym.physics import types as ph
 from surface_gym.physics.friction import friction_curvature, friction_gradient
 from surface_gym.physics.jit import inlined, linked
-from surface_gym.physics.types import (
-    GYRATION,
-    MASS,
-    SUPPORTS,
-    Array,
-    Bodies,
-    Contacts,
-    Integers,
-    Scratch,
-)
-
-# Columns of `Island.point`.
-(
-    NORMAL_X,  # unit normal from the first parcel to the second; the side is a quarter turn on
-    NORMAL_Y,
-    FIRST_X,  # [m] arm from the first's centre of mass
-    FIRST_Y,
-    SECOND_X,  # [m] from the second's
-    SECOND_Y,
-    CLOSING,  # [m/s] at which the point may close
-    NORMAL_IMPULSE,  # [N s] impulse along the normal
-    TANGENT_IMPULSE,  # [N s] along the side
-    FRICTION_LIMIT,  # [N s] the most along the side
-    NORMAL_STIFFNESS,  # [kg] k along the normal
-    TANGENT_STIFFNESS,  # [kg] along the side
-) = range(12)
-POINT_SIZE = 12
+from surface_gym.physics.types import Array, Bodies, Contacts, Integers, Scratch
 
 STIFFNESS = 1e5  # [-] k over the mass that an impulse between free parcels moves
 VELOCITY_TOLERANCE = 1e-9  # [m/s] left of any condition
@@ -62,15 +37,15 @@ class Island(NamedTuple):
     marks: Integers  # (P, MARKS_SIZE) the same
     floor: Integers  # (P,) contacts of each parcel with elements
     member: Integers  # (P,) which parcels are in it
-    slot: Integers  # (P,) the place of each among them
-    low: Integers  # (P,) by place: the first of those that it touches, or itself
+    slot: Integers  # (P,) the index of each among them
+    low: Integers  # (P,) by slot: the first of those that it touches, or itself
     contact: Integers  # (most points,) which points are in it
     ends: Integers  # (most points, 3) the parcels each point lies between, and the pair they are
     point: Array  # (most points, POINT_SIZE)
     velocity: Array  # (P, 3) [m/s, m/s, rad/s]
-    target: Array  # (P, 3) that each would have if nothing bore it and nobody touched it
-    trial: Array  # (P, 3) where the potential was looked at last
-    gradient: Array  # (P, 3) [N s, N s, N m s] of it there
+    target: Array  # (P, 3) of each with neither friction below nor contacts
+    trial: Array  # (P, 3) where the potential was last evaluated
+    gradient: Array  # (P, 3) [N s, N s, N m s] of the potential there
     direction: Array  # (P, 3) of a search
     matrix: Array  # (3 P, 3 P) second derivatives, the lower triangle
 
@@ -81,42 +56,42 @@ def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, f
     point = island.point
     i = island.ends[c, 0]
     j = island.ends[c, 1]
-    ux = velocity[j, 0] - velocity[j, 2] * point[c, SECOND_Y]
-    uy = velocity[j, 1] + velocity[j, 2] * point[c, SECOND_X]
-    ux -= velocity[i, 0] - velocity[i, 2] * point[c, FIRST_Y]
-    uy -= velocity[i, 1] + velocity[i, 2] * point[c, FIRST_X]
-    nx = point[c, NORMAL_X]
-    ny = point[c, NORMAL_Y]
+    ux = velocity[j, 0] - velocity[j, 2] * point[c, ph.SECOND_Y]
+    uy = velocity[j, 1] + velocity[j, 2] * point[c, ph.SECOND_X]
+    ux -= velocity[i, 0] - velocity[i, 2] * point[c, ph.FIRST_Y]
+    uy -= velocity[i, 1] + velocity[i, 2] * point[c, ph.FIRST_X]
+    nx = point[c, ph.NORMAL_X]
+    ny = point[c, ph.NORMAL_Y]
     return nx * ux + ny * uy, nx * uy - ny * ux
 
 
 @inlined
 def contact_impulse(point: Array, c: int, normal: float, side: float) -> tuple[float, float]:
-    """Return the impulse of a point along the normal and the side, at these speeds."""
-    press = point[c, NORMAL_IMPULSE] - point[c, NORMAL_STIFFNESS] * (normal + point[c, CLOSING])
-    rub = point[c, TANGENT_IMPULSE] - point[c, TANGENT_STIFFNESS] * side
-    limit = point[c, FRICTION_LIMIT]
-    return max(0.0, press), min(limit, max(-limit, rub))
+    """Return the normal and tangential impulse of a point at these speeds."""
+    pn = point[c, ph.NORMAL_IMPULSE] - point[c, ph.NORMAL_STIFFNESS] * (
+        normal + point[c, ph.CLOSING]
+    )
+    pt = point[c, ph.TANGENT_IMPULSE] - point[c, ph.TANGENT_STIFFNESS] * side
+    limit = point[c, ph.FRICTION_LIMIT]
+    return max(0.0, pn), min(limit, max(-limit, pt))
 
 
 @inlined
-def add_impulse(
-    island: Island, c: int, press: float, rub: float, values: Array, sign: float
-) -> None:
+def add_impulse(island: Island, c: int, pn: float, pt: float, values: Array, sign: float) -> None:
     """Add an impulse at a point to momenta (P, 3) of both parcels, with a sign."""
     point = island.point
-    nx = point[c, NORMAL_X]
-    ny = point[c, NORMAL_Y]
-    px = sign * (press * nx - rub * ny)
-    py = sign * (press * ny + rub * nx)
+    nx = point[c, ph.NORMAL_X]
+    ny = point[c, ph.NORMAL_Y]
+    px = sign * (pn * nx - pt * ny)
+    py = sign * (pn * ny + pt * nx)
     i = island.ends[c, 0]
     j = island.ends[c, 1]
     values[i, 0] -= px
     values[i, 1] -= py
-    values[i, 2] -= point[c, FIRST_X] * py - point[c, FIRST_Y] * px
+    values[i, 2] -= point[c, ph.FIRST_X] * py - point[c, ph.FIRST_Y] * px
     values[j, 0] += px
     values[j, 1] += py
-    values[j, 2] += point[c, SECOND_X] * py - point[c, SECOND_Y] * px
+    values[j, 2] += point[c, ph.SECOND_X] * py - point[c, ph.SECOND_Y] * px
 
 
 @inlined
@@ -127,22 +102,22 @@ def set_contact_stiffness(island: Island) -> None:
         c = island.contact[m]
         first = island.bodies.body[island.body[island.ends[c, 0]]]
         second = island.bodies.body[island.body[island.ends[c, 1]]]
-        nx = point[c, NORMAL_X]
-        ny = point[c, NORMAL_Y]
-        per_mass = 1.0 / first[MASS] + 1.0 / second[MASS]
-        per_first = 1.0 / (first[MASS] * first[GYRATION])
-        per_second = 1.0 / (second[MASS] * second[GYRATION])
-        turn = point[c, FIRST_X] * ny - point[c, FIRST_Y] * nx
-        twist = point[c, SECOND_X] * ny - point[c, SECOND_Y] * nx
+        nx = point[c, ph.NORMAL_X]
+        ny = point[c, ph.NORMAL_Y]
+        per_mass = 1.0 / first[ph.MASS] + 1.0 / second[ph.MASS]
+        per_first = 1.0 / (first[ph.MASS] * first[ph.GYRATION])
+        per_second = 1.0 / (second[ph.MASS] * second[ph.GYRATION])
+        turn = point[c, ph.FIRST_X] * ny - point[c, ph.FIRST_Y] * nx
+        twist = point[c, ph.SECOND_X] * ny - point[c, ph.SECOND_Y] * nx
         moved = per_mass + turn * turn * per_first + twist * twist * per_second
-        point[c, NORMAL_STIFFNESS] = STIFFNESS / moved
-        turn = point[c, FIRST_X] * nx + point[c, FIRST_Y] * ny
-        twist = point[c, SECOND_X] * nx + point[c, SECOND_Y] * ny
+        point[c, ph.NORMAL_STIFFNESS] = STIFFNESS / moved
+        turn = point[c, ph.FIRST_X] * nx + point[c, ph.FIRST_Y] * ny
+        twist = point[c, ph.SECOND_X] * nx + point[c, ph.SECOND_Y] * ny
         moved = per_mass + turn * turn * per_first + twist * twist * per_second
-        point[c, TANGENT_STIFFNESS] = STIFFNESS / moved
-        point[c, NORMAL_IMPULSE] = 0.0
-        point[c, TANGENT_IMPULSE] = 0.0
-        point[c, FRICTION_LIMIT] = 0.0
+        point[c, ph.TANGENT_STIFFNESS] = STIFFNESS / moved
+        point[c, ph.NORMAL_IMPULSE] = 0.0
+        point[c, ph.TANGENT_IMPULSE] = 0.0
+        point[c, ph.FRICTION_LIMIT] = 0.0
 
 
 @inlined
@@ -156,17 +131,19 @@ def update_impulses(island: Island, friction: float, share: float) -> float:
     for m in range(island.contacts):
         c = island.contact[m]
         normal, side = relative_velocity(island, c, island.velocity)
-        press, rub = contact_impulse(point, c, normal, side)
-        most = max(most, abs(press - point[c, NORMAL_IMPULSE]) / point[c, NORMAL_STIFFNESS])
-        limit = friction * press
-        if abs(rub) < point[c, FRICTION_LIMIT]:
-            most = max(most, abs(rub - point[c, TANGENT_IMPULSE]) / point[c, TANGENT_STIFFNESS])
-        elif abs(rub) > 0.0 or abs(side) > VELOCITY_TOLERANCE:
-            change = abs(limit - point[c, FRICTION_LIMIT])
-            most = max(most, change * STIFFNESS / point[c, TANGENT_STIFFNESS])
-        point[c, NORMAL_IMPULSE] = press
-        point[c, TANGENT_IMPULSE] = rub
-        point[c, FRICTION_LIMIT] += share * (limit - point[c, FRICTION_LIMIT])
+        pn, pt = contact_impulse(point, c, normal, side)
+        most = max(most, abs(pn - point[c, ph.NORMAL_IMPULSE]) / point[c, ph.NORMAL_STIFFNESS])
+        limit = friction * pn
+        if abs(pt) < point[c, ph.FRICTION_LIMIT]:
+            most = max(
+                most, abs(pt - point[c, ph.TANGENT_IMPULSE]) / point[c, ph.TANGENT_STIFFNESS]
+            )
+        elif abs(pt) > 0.0 or abs(side) > VELOCITY_TOLERANCE:
+            change = abs(limit - point[c, ph.FRICTION_LIMIT])
+            most = max(most, change * STIFFNESS / point[c, ph.TANGENT_STIFFNESS])
+        point[c, ph.NORMAL_IMPULSE] = pn
+        point[c, ph.TANGENT_IMPULSE] = pt
+        point[c, ph.FRICTION_LIMIT] += share * (limit - point[c, ph.FRICTION_LIMIT])
     return most
 
 
@@ -188,7 +165,7 @@ def clear_matrix(island: Island) -> None:
 
 @inlined
 def _factorise(island: Island) -> None:
-    """Factorise the matrix by Cholesky, in the place of the lower triangle."""
+    """Factorise the matrix by Cholesky, in place."""
     matrix, low = island.matrix, island.low
     for row in range(3 * island.members):
         first = 3 * low[row // 3]
@@ -221,7 +198,7 @@ def solve_direction(island: Island) -> None:
 
 
 MAX_ROUNDS = 60
-HASTY_ROUNDS = 8  # after which limits go half the way, lest they swing
+FULL_ROUNDS = 8  # after which limits go half the way, so that they do not oscillate
 MAX_ITERATIONS = 60
 MAX_TRIALS = 40
 # A full Newton step may leave this share of the starting slope, a search that.
@@ -233,7 +210,7 @@ SEARCHED_SLOPE = 0.05
 def floor_contacts(island: Island, k: int) -> tuple[Scratch, Contacts]:
     """Return the contacts of a member with the elements."""
     total = island.floor[k]
-    supports = island.marks[k, SUPPORTS] if total > 0 else 0
+    supports = island.marks[k, ph.SUPPORTS] if total > 0 else 0
     return Scratch(island.tables[k], island.marks[k]), Contacts(total, supports)
 
 
@@ -243,8 +220,8 @@ def _slope(island: Island, step: float) -> float:
     gradient, trial, direction = island.gradient, island.trial, island.direction
     for n in range(island.members):
         k = island.member[n]
-        mass = island.bodies.body[island.body[k], MASS]
-        gyration = island.bodies.body[island.body[k], GYRATION]
+        mass = island.bodies.body[island.body[k], ph.MASS]
+        gyration = island.bodies.body[island.body[k], ph.GYRATION]
         for axis in range(3):
             trial[k, axis] = island.velocity[k, axis] + step * direction[k, axis]
         scratch, floor = floor_contacts(island, k)
@@ -255,8 +232,8 @@ def _slope(island: Island, step: float) -> float:
     for m in range(island.contacts):
         c = island.contact[m]
         normal, side = relative_velocity(island, c, trial)
-        press, rub = contact_impulse(island.point, c, normal, side)
-        add_impulse(island, c, press, rub, gradient, -1.0)
+        pn, pt = contact_impulse(island.point, c, normal, side)
+        add_impulse(island, c, pn, pt, gradient, -1.0)
     slope = 0.0
     for n in range(island.members):
         k = island.member[n]
@@ -286,8 +263,8 @@ def _add_point(island: Island, c: int, stiffness: float, ex: float, ey: float) -
     point = island.point
     i = island.slot[island.ends[c, 0]]
     j = island.slot[island.ends[c, 1]]
-    first = (-ex, -ey, point[c, FIRST_Y] * ex - point[c, FIRST_X] * ey)
-    second = (ex, ey, point[c, SECOND_X] * ey - point[c, SECOND_Y] * ex)
+    first = (-ex, -ey, point[c, ph.FIRST_Y] * ex - point[c, ph.FIRST_X] * ey)
+    second = (ex, ey, point[c, ph.SECOND_X] * ey - point[c, ph.SECOND_Y] * ex)
     _add_product(island.matrix, i, i, stiffness, first, first)
     _add_product(island.matrix, j, j, stiffness, second, second)
     if i > j:
@@ -304,7 +281,7 @@ def _write_matrix(island: Island) -> None:
     velocity, point = island.velocity, island.point
     for n in range(island.members):
         k = island.member[n]
-        mass = island.bodies.body[island.body[k], MASS]
+        mass = island.bodies.body[island.body[k], ph.MASS]
         scratch, floor = floor_contacts(island, k)
         hxx, hxy, hxw, hyy, hyw, hww = friction_curvature(
             scratch, floor, velocity[k, 0], velocity[k, 1], velocity[k, 2]
@@ -315,29 +292,31 @@ def _write_matrix(island: Island) -> None:
         matrix[at + 1, at + 1] = mass * (1.0 + hyy)
         matrix[at + 2, at] = mass * hxw
         matrix[at + 2, at + 1] = mass * hyw
-        matrix[at + 2, at + 2] = mass * (island.bodies.body[island.body[k], GYRATION] + hww)
+        matrix[at + 2, at + 2] = mass * (island.bodies.body[island.body[k], ph.GYRATION] + hww)
     for m in range(island.contacts):
         c = island.contact[m]
-        nx = point[c, NORMAL_X]
-        ny = point[c, NORMAL_Y]
+        nx = point[c, ph.NORMAL_X]
+        ny = point[c, ph.NORMAL_Y]
         normal, side = relative_velocity(island, c, velocity)
-        press, rub = contact_impulse(point, c, normal, side)
-        if press > 0.0:
-            _add_point(island, c, point[c, NORMAL_STIFFNESS], nx, ny)
-        if abs(rub) < point[c, FRICTION_LIMIT]:
-            _add_point(island, c, point[c, TANGENT_STIFFNESS], -ny, nx)
+        pn, pt = contact_impulse(point, c, normal, side)
+        if pn > 0.0:
+            _add_point(island, c, point[c, ph.NORMAL_STIFFNESS], nx, ny)
+        if abs(pt) < point[c, ph.FRICTION_LIMIT]:
+            _add_point(island, c, point[c, ph.TANGENT_STIFFNESS], -ny, nx)
 
 
 @inlined
-def _left(island: Island) -> float:
+def _residual(island: Island) -> float:
     """Return the largest residual [m/s] of the optimality condition of any member."""
     most = 0.0
     for n in range(island.members):
         k = island.member[n]
         gx, gy, gw = island.gradient[k, 0], island.gradient[k, 1], island.gradient[k, 2]
-        radius = math.sqrt(island.bodies.body[island.body[k], GYRATION])
-        left = (abs(gx) + abs(gy) + abs(gw) / radius) / island.bodies.body[island.body[k], MASS]
-        most = max(most, left)
+        radius = math.sqrt(island.bodies.body[island.body[k], ph.GYRATION])
+        residual = (abs(gx) + abs(gy) + abs(gw) / radius) / island.bodies.body[
+            island.body[k], ph.MASS
+        ]
+        most = max(most, residual)
     return most
 
 
@@ -368,7 +347,7 @@ def _minimise(island: Island) -> None:
     """Move the velocities to the minimum of the potential."""
     _slope(island, 0.0)
     for _ in range(MAX_ITERATIONS):
-        if _left(island) < VELOCITY_TOLERANCE:
+        if _residual(island) < VELOCITY_TOLERANCE:
             break
         _write_matrix(island)
         solve_direction(island)
@@ -390,16 +369,12 @@ def _minimise(island: Island) -> None:
 def solve_velocities(island: Island, friction: float) -> int:
     """Solve the velocity constraints of an island: impulses at its points, and velocities.
 
-    They settle to 1e-9 m/s within some ten rounds; at a friction of 0.8 or more, one island of a
+    They converge to 1e-9 m/s within some ten rounds; at a friction of 0.8 or more, one island of a
     hundred is left off the limit of friction, by up to 1e-4 m/s. Whatever the rounds, the
     velocities are those that the impulses make.
 
-    Args:
-        island: with velocities to begin from, targets and points.
-        friction: [-] between sides.
-
     Returns:
-        The rounds that it took.
+        Number of rounds.
     """
     set_contact_stiffness(island)
     for n in range(island.members):
@@ -407,7 +382,7 @@ def solve_velocities(island: Island, friction: float) -> int:
             island.direction[island.member[n], axis] = 0.0
     for rounds in range(1, MAX_ROUNDS + 1):
         _minimise(island)
-        share = 1.0 if rounds < HASTY_ROUNDS else 0.5
+        share = 1.0 if rounds < FULL_ROUNDS else 0.5
         if update_impulses(island, friction, share) < VELOCITY_TOLERANCE:
             return rounds
     return MAX_ROUNDS

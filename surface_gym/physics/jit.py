@@ -1,4 +1,4 @@
-"""The one compiler setting of the physics, and a cache that notices edits in any function used.
+"""Compiler options of the physics, and a cache that notices edits in any function used.
 
 The digest of a function covers its code and that of all it calls. The walk follows names as the
 compiler does: from a function to the functions and constants it refers to, whichever files they
@@ -17,9 +17,13 @@ from pickle import UnpicklingError
 from typing import Any
 
 import numpy as np
-from numba import njit, typeof
+from numba import _dynfunc, njit, typeof
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
+from numba.core.codegen import CPUCodeLibrary
+from numba.core.compiler import Compiler
+from numba.core.compiler_machinery import register_pass
 from numba.core.dispatcher import Dispatcher
+from numba.core.typed_passes import NativeLowering
 
 LENGTH = 16  # hexadecimal digits
 
@@ -177,7 +181,7 @@ class _DigestCache(FunctionCache):
 
 
 class _NoCache(NullCache):
-    """Cache in name only, for where no folder can be written."""
+    """Cache for where no folder can be written: it keeps nothing."""
 
     def save_overload(self, *_: Any) -> None:
         _warn("no folder for it can be written")
@@ -199,17 +203,53 @@ def _fields(kind: Any) -> Any:
     return [names, [_fields(each) for each in getattr(kind, "types", ())]]
 
 
+class _LinkedCode(CPUCodeLibrary):
+    """Optimised code of a function for its compiled callers, never made into machine code."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _LowerForCallers(NativeLowering):
+    """Numba's lowering without the machine code, which takes a third of the compiler's time."""
+
+    _name = "lower_for_callers"
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = _LinkedCode(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.flags.no_compile = True
+        super().run_pass(state)
+        lowered = state["cr"]
+        module, name = lowered.fndesc.lookup_module(), lowered.fndesc.qualname
+        entry = _dynfunc.make_function(module, name, "", 0, lowered.env, (state.library,))
+        state.targetctx.insert_user_function(entry, lowered.fndesc, [state.library])
+        state.reload_init.extend(state.library._reload_init)
+        state["cr"] = lowered._replace(cfunc=entry)
+        return True
+
+
+class _CompilerForCallers(Compiler):
+    """Compiler of functions that only compiled code calls."""
+
+    def define_pipelines(self) -> list[Any]:
+        managers = super().define_pipelines()
+        for manager in managers:
+            manager.passes = [
+                (_LowerForCallers, told) if each is NativeLowering else (each, told)
+                for each, told in manager.passes
+            ]
+            manager.finalize()
+        return managers
+
+
 # No fast-math flag is set: strict IEEE arithmetic makes a result independent of the caller a
 # function is inlined into, which is what keeps `simulate`, the single and the vector env equal
 # to the bit. Nothing here allocates, so Numba's reference counts (_nrt) are left out as well:
 # they would cost more than the arithmetic.
-_OPTIONS: Any = {
-    "nogil": True,
-    "error_model": "numpy",
-    "no_cfunc_wrapper": True,
-    "_nrt": False,
-}
-# A function that compiled code alone calls needs none of Python's way in, which can take longer to
+_OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
+# A function that compiled code alone calls needs none of Python's wrapper, which can take longer to
 # compile than the function.
 _INTERNAL: Any = {"no_cpython_wrapper": True, **_OPTIONS}
 
@@ -233,10 +273,10 @@ def inlined(function: Callable[..., Any]) -> Any:
     """Compile a function into each of its compiled callers, arrays and all kept in registers.
 
     It needs no cache of its own, since its machine code is part of theirs. Called instead, it would
-    cost more to hand its tuples of arrays over than most such functions take. Python enters them by
-    `dynamics.entries`.
+    cost more to pass its tuples of arrays than most such functions take. Python calls them through
+    `physics.references`.
     """
-    return njit(forceinline=True, **_INTERNAL)(function)
+    return njit(forceinline=True, pipeline_class=_CompilerForCallers, **_INTERNAL)(function)
 
 
 def kernel_function(function: Callable[..., Any]) -> Any:
@@ -245,7 +285,8 @@ def kernel_function(function: Callable[..., Any]) -> Any:
     What such a function may use are numbers, `math`, the arrays of its arguments, constants, and
     other functions compiled so. Reading or writing beyond the end of an array is an IndexError.
     """
-    return njit(forceinline=True, boundscheck=True, **_INTERNAL)(function)
+    options = {"forceinline": True, "boundscheck": True, **_INTERNAL}
+    return njit(pipeline_class=_CompilerForCallers, **options)(function)
 
 
 def _cached(dispatcher: Any, label: str = "") -> Any:
@@ -260,7 +301,7 @@ def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
     """Compile a function for arguments of these types, or load it from the cache.
 
     Called so it takes the arguments as they are: finding out what kinds dozens of arrays are, as
-    the dispatcher does, takes longer than a control period of one lane.
+    the dispatcher does, takes longer than a control period of one environment.
     """
     collects = gc.isenabled()
     gc.disable()  # the compiler makes millions of objects, and leaves none of them behind

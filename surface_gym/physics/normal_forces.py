@@ -103,12 +103,7 @@ def _loaded_sums(
 
 @inlined
 def dual_normal_forces(
-    scratch: Scratch,
-    contacts: int,
-    weight: float,
-    load_x: float,
-    load_y: float,
-    pitch: float,
+    scratch: Scratch, contacts: int, weight: float, load_x: float, load_y: float, pitch: float
 ) -> bool:
     """Write the normal forces of Eq. (1) into `scratch` by a semismooth Newton on its dual.
 

@@ -13,18 +13,9 @@ from scipy import sparse
 from scipy.optimize import nnls
 
 from surface_gym.physics import contacts, friction, normal_forces, step
+from surface_gym.physics import types as ph
 from surface_gym.physics.jit import compiled
-from surface_gym.physics.types import (
-    ARM_X,
-    ARM_Y,
-    NORMAL,
-    STIFFNESS,
-    Array,
-    Body,
-    Grid,
-    Scratch,
-    table_row,
-)
+from surface_gym.physics.types import Array, Body, Grid, Scratch, table_row
 
 find_contacts = compiled(contacts.find_contacts.py_func)
 dual_normal_forces = compiled(normal_forces.dual_normal_forces.py_func)
@@ -38,7 +29,6 @@ step_implicit = compiled(step.step_implicit.py_func)
 step_explicit = compiled(step.step_explicit.py_func)
 advance_implicit = compiled(step.advance_implicit.py_func)
 advance_explicit = compiled(step.advance_explicit.py_func)
-
 
 Solver = Callable[[Array, float, Array, Array], tuple[Array, bool]]
 
@@ -130,18 +120,16 @@ def support_load_by(
     """Solve the normal forces of the contacts in `scratch`; return whether they are degenerate.
 
     Args:
-        solver: a key of `references.SOLVERS`.
-        grid: the surface.
-        body: the parcel.
+        solver: a key of `SOLVERS`.
         state: (STATE_SIZE,) at the start of the step.
         scratch: that holds the contacts.
         count: of the contacts, at least one.
     """
-    from surface_gym.physics import references
-
-    arms = np.column_stack([table_row(scratch, ARM_X, count), table_row(scratch, ARM_Y, count)])
+    arms = np.column_stack(
+        [table_row(scratch, ph.ARM_X, count), table_row(scratch, ph.ARM_Y, count)]
+    )
     load = np.array(load_point(grid, body, state))
-    stiffness = table_row(scratch, STIFFNESS, count)
-    normal, degenerate = references.SOLVERS[solver](arms, grid.gravity_normal, load, stiffness)
-    table_row(scratch, NORMAL, count)[:] = normal
+    stiffness = table_row(scratch, ph.STIFFNESS, count)
+    normal, degenerate = SOLVERS[solver](arms, grid.gravity_normal, load, stiffness)
+    table_row(scratch, ph.NORMAL, count)[:] = normal
     return degenerate

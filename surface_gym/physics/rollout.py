@@ -9,50 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym.physics import signed_distance as sd
+from surface_gym.physics import step
+from surface_gym.physics import types as ph
 from surface_gym.physics.collision import ContactMaterial, World, WorldScratch
 from surface_gym.physics.contact_solver import step_world
 from surface_gym.physics.friction import friction_gradient
 from surface_gym.physics.jit import compiled, inlined
-from surface_gym.physics.signed_distance import (
-    read_outline,
-    signed_distance,
-    sweep_at_rest,
-    transform_at,
-)
-from surface_gym.physics.step import (
-    OFF_SURFACE,
-    RESTART_SPEED,
-    advance_explicit,
-    advance_implicit,
-    explicit_acceleration,
-    find_support,
-    held_share,
-    step_explicit,
-    step_implicit,
-    support_load,
-)
-from surface_gym.physics.types import (
-    AXIS_X,
-    AXIS_Y,
-    FORCE_X,
-    FORCE_Y,
-    NORMAL,
-    OMEGA,
-    ROTOR,
-    SPAN_FIRST,
-    SPAN_LAST,
-    SPAN_ROW,
-    SPANS,
-    STATE_SIZE,
-    VX,
-    VY,
-    Array,
-    Body,
-    Contacts,
-    Grid,
-    Integers,
-    Scratch,
-)
+from surface_gym.physics.types import Array, Body, Contacts, Grid, Integers, Scratch
 
 
 @compiled
@@ -65,10 +29,10 @@ def run_implicit(
         The steps done; fewer than asked for where a report ended the run.
     """
     for k in range(1, states.shape[0]):
-        for j in range(STATE_SIZE):
+        for j in range(ph.STATE_SIZE):
             states[k, j] = states[k - 1, j]
-        reports[k], _ = step_implicit(grid, body, states[k], scratch, dt)
-        if reports[k] >= OFF_SURFACE:
+        reports[k], _ = step.step_implicit(grid, body, states[k], scratch, dt)
+        if reports[k] >= step.OFF_SURFACE:
             return k - 1
     return states.shape[0] - 1
 
@@ -79,22 +43,22 @@ def run_explicit(
 ) -> int:
     """Fill states and reports as `run_implicit` does, by the paper's loop."""
     for k in range(1, states.shape[0]):
-        for j in range(STATE_SIZE):
+        for j in range(ph.STATE_SIZE):
             states[k, j] = states[k - 1, j]
-        reports[k], _ = step_explicit(grid, body, states[k], scratch, dt)
-        if reports[k] >= OFF_SURFACE:
+        reports[k], _ = step.step_explicit(grid, body, states[k], scratch, dt)
+        if reports[k] >= step.OFF_SURFACE:
             return k - 1
     return states.shape[0] - 1
 
 
 class Records(NamedTuple):
-    """Record of a run: a row a step, the start first; and a row a touch."""
+    """Record of a run: a row a step, the start first; and a row a contact of two parcels."""
 
     state: Array  # (steps + 1, P, STATE_SIZE)
     report: Integers  # (steps + 1, P)
-    step: Integers  # (most touches,) in which parcels pushed each other
-    pair: Integers  # (most touches, 2) their rows
-    impulse: Array  # (most touches,) [N s] along the normal
+    step: Integers  # (most contacts,) in which parcels pushed each other
+    pair: Integers  # (most contacts, 2) their rows
+    impulse: Array  # (most contacts,) [N s] along the normal
 
 
 @compiled
@@ -112,19 +76,12 @@ def run_world(
     """Do the steps from `first` to `last`; a parcel that leaves the surface is present no more.
 
     Args:
-        grid: the surface that all are on.
-        world: that takes the steps.
-        material: how sides behave.
-        scratch: for as many parcels.
         records: to be written from `first` on.
-        first: step.
-        last: step.
-        touches: that stand in the records already.
-        dt: [s] step.
+        touches: contacts of parcels in the records already.
 
     Returns:
-        The next step to be done, which is not past `last` where the records of touches may not
-        have room for it; and how many touches stand in them.
+        The next step to be done, at most `last` where the records may have no room for its
+        contacts; and the number of contacts of parcels in them.
     """
     rows = world.present.shape[0]
     for k in range(first, last + 1):
@@ -139,8 +96,8 @@ def run_world(
             touches += 1
         for i in range(rows):
             records.report[k, i] = scratch.report[i]
-            world.present[i] &= scratch.report[i] < OFF_SURFACE
-            for j in range(STATE_SIZE):
+            world.present[i] &= scratch.report[i] < step.OFF_SURFACE
+            for j in range(ph.STATE_SIZE):
                 records.state[k, i, j] = world.state[i, j]
     return last + 1, touches
 
@@ -148,13 +105,13 @@ def run_world(
 @compiled
 def distance_between(world: World, i: int, j: int) -> float:
     """Return the signed distance [m] of two parcels, negative where they overlap."""
-    first = read_outline(world.bodies, world.body[i])
-    second = read_outline(world.bodies, world.body[j])
-    gap = signed_distance(
+    first = sd.read_outline(world.bodies, world.body[i])
+    second = sd.read_outline(world.bodies, world.body[j])
+    gap = sd.signed_distance(
         first,
-        transform_at(first, sweep_at_rest(world.state[i]), 0.0),
+        sd.transform_at(first, sd.sweep_at_rest(world.state[i]), 0.0),
         second,
-        transform_at(second, sweep_at_rest(world.state[j]), 0.0),
+        sd.transform_at(second, sd.sweep_at_rest(world.state[j]), 0.0),
     )
     return gap.width
 
@@ -183,7 +140,7 @@ def count_contacts(
 ) -> None:
     """Write the number of contacts of each step (T,); what follows needs at least one."""
     for k in range(1, steps.before.shape[0]):
-        contacts = find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
+        contacts = step.find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
         count[k] = contacts.total
 
 
@@ -193,27 +150,29 @@ def support_loads(
 ) -> None:
     """Solve the normal forces of all steps by the dual of Eq. (1)."""
     for k in range(1, steps.before.shape[0]):
-        contacts = find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
-        support_load(grid, body, steps.before[k - 1], scratch, contacts)
+        contacts = step.find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
+        step.support_load(grid, body, steps.before[k - 1], scratch, contacts)
         for i in range(contacts.total):
-            observed.normal[steps.first[k] + i] = scratch.table[NORMAL + i]
+            observed.normal[steps.first[k] + i] = scratch.table[ph.NORMAL + i]
 
 
 @inlined
 def _begin(
     grid: Grid, body: Body, steps: RecordedSteps, k: int, scratch: Scratch, observed: ContactForces
 ) -> Contacts:
-    """Put a step's state, contacts and normal forces where the step takes them from."""
+    """Load a step's state, contacts and normal forces."""
     state, first = observed.state[k], steps.first[k]
-    for j in range(STATE_SIZE):
+    for j in range(ph.STATE_SIZE):
         state[j] = steps.before[k - 1, j]
-    contacts = find_support(grid, body, state, scratch, steps.lead[k])
+    contacts = step.find_support(grid, body, state, scratch, steps.lead[k])
     for i in range(contacts.total):
-        scratch.table[NORMAL + i] = observed.normal[first + i]
+        scratch.table[ph.NORMAL + i] = observed.normal[first + i]
     i = first
-    for span in range(scratch.marks[SPANS]):
-        row = scratch.marks[SPAN_ROW + span]
-        for column in range(scratch.marks[SPAN_FIRST + span], scratch.marks[SPAN_LAST + span] + 1):
+    for span in range(scratch.marks[ph.SPANS]):
+        row = scratch.marks[ph.SPAN_ROW + span]
+        for column in range(
+            scratch.marks[ph.SPAN_FIRST + span], scratch.marks[ph.SPAN_LAST + span] + 1
+        ):
             observed.element[i, 0] = row
             observed.element[i, 1] = column
             i += 1
@@ -228,11 +187,11 @@ def repeat_implicit(
     for k in range(1, steps.before.shape[0]):
         state, first, length = observed.state[k], steps.first[k], steps.length[k]
         contacts = _begin(grid, body, steps, k, scratch, observed)
-        advance_implicit(grid, body, state, scratch, contacts, length)
-        friction_gradient(scratch, contacts, state[VX], state[VY], state[OMEGA])
+        step.advance_implicit(grid, body, state, scratch, contacts, length)
+        friction_gradient(scratch, contacts, state[ph.VX], state[ph.VY], state[ph.OMEGA])
         for i in range(contacts.total):
-            observed.force[first + i, 0] = -scratch.table[FORCE_X + i] / length
-            observed.force[first + i, 1] = -scratch.table[FORCE_Y + i] / length
+            observed.force[first + i, 0] = -scratch.table[ph.FORCE_X + i] / length
+            observed.force[first + i, 1] = -scratch.table[ph.FORCE_Y + i] / length
 
 
 @compiled
@@ -247,42 +206,38 @@ def repeat_explicit(
     """Do the explicit steps with normal forces given, and record the friction at their starts.
 
     Args:
-        grid: the surface.
-        level: the same without the pull of gravity along it, so that friction alone is left.
-        body: the parcel.
-        steps: to do.
-        scratch: of the steps.
+        level: the grid without the pull of gravity along it, so that friction alone is left.
         observed: normal forces in, all else out.
     """
     for k in range(1, steps.before.shape[0]):
         before, state, first = steps.before[k - 1], observed.state[k], steps.first[k]
         contacts = _begin(grid, body, steps, k, scratch, observed)
-        advance_explicit(grid, body, state, scratch, contacts, steps.length[k])
-        standing = before[VX] <= 0.0
-        vx = RESTART_SPEED if standing else before[VX]
+        step.advance_explicit(grid, body, state, scratch, contacts, steps.length[k])
+        standing = before[ph.VX] <= 0.0
+        vx = step.RESTART_SPEED if standing else before[ph.VX]
         along_x = 0.0
         other_x = grid.gravity_along
         for i in range(contacts.total):
             # The law for one contact at a time, which begins the tables.
             one = Scratch(scratch.table[i:], scratch.marks[i:])
-            fx, fy, _, _ = explicit_acceleration(
-                level, body.gyration, one, Contacts(1, 0), vx, before[VY], before[OMEGA]
+            fx, fy, _, _ = step.explicit_acceleration(
+                level, body.gyration, one, Contacts(1, 0), vx, before[ph.VY], before[ph.OMEGA]
             )
             observed.force[first + i, 0] = fx
             observed.force[first + i, 1] = fy
-            pull = _along(scratch, i, fx, fy) * scratch.table[AXIS_X + i]
+            pull = _along(scratch, i, fx, fy) * scratch.table[ph.AXIS_X + i]
             along_x += pull
             other_x += fx - pull
-        if standing and state[VX] == 0.0:  # Figure 5b's rule held it
-            share = held_share(along_x, other_x)
+        if standing and state[ph.VX] == 0.0:  # Figure 5b's rule held it
+            share = step.held_share(along_x, other_x)
             _scale_along(scratch, contacts, observed.force[first:], share)
 
 
 @inlined
 def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
     """Return the part of a contact's friction along a rotor's axis; 0 for a support."""
-    axis_x, axis_y = scratch.table[AXIS_X + i], scratch.table[AXIS_Y + i]
-    return scratch.marks[ROTOR + i] * (axis_x * fx + axis_y * fy)
+    axis_x, axis_y = scratch.table[ph.AXIS_X + i], scratch.table[ph.AXIS_Y + i]
+    return scratch.marks[ph.ROTOR + i] * (axis_x * fx + axis_y * fy)
 
 
 @inlined
@@ -290,5 +245,5 @@ def _scale_along(scratch: Scratch, contacts: Contacts, force: Array, share: floa
     """Scale the friction along the axes, and leave all other friction as it is."""
     for i in range(contacts.total):
         change = (share - 1.0) * _along(scratch, i, force[i, 0], force[i, 1])
-        force[i, 0] += change * scratch.table[AXIS_X + i]
-        force[i, 1] += change * scratch.table[AXIS_Y + i]
+        force[i, 0] += change * scratch.table[ph.AXIS_X + i]
+        force[i, 1] += change * scratch.table[ph.AXIS_Y + i]

@@ -1,27 +1,16 @@
 """Signed distance, contact manifold and time of impact of two bases.
 
 A base is a convex polygon by its corners, or a disc: a point with a radius. Polygons lie apart if
-and only if the normal of some edge of theirs parts them, so that the sign of the gap between two
-polygons is exact; apart from corner to corner, their distance is more.
+and only if the normal of an edge of either separates them, so the sign of the distance of two
+polygons is exact. Where corner faces corner, the true distance is larger.
 """
 
 import math
 from typing import NamedTuple
 
+from surface_gym.physics import types as ph
 from surface_gym.physics.jit import inlined, linked
-from surface_gym.physics.types import (
-    COM_X,
-    COM_Y,
-    OMEGA,
-    RADIUS,
-    THETA,
-    VX,
-    VY,
-    Array,
-    Bodies,
-    X,
-    Y,
-)
+from surface_gym.physics.types import Array, Bodies
 
 
 class Outline(NamedTuple):
@@ -69,9 +58,9 @@ def read_outline(bodies: Bodies, site: int) -> Outline:
     is_disc = corners[0, 0] == 0.0 and corners[0, 1] == 0.0
     return Outline(
         corners,
-        bodies.body[site, RADIUS] if is_disc else 0.0,
-        bodies.body[site, COM_X],
-        bodies.body[site, COM_Y],
+        bodies.body[site, ph.RADIUS] if is_disc else 0.0,
+        bodies.body[site, ph.COM_X],
+        bodies.body[site, ph.COM_Y],
     )
 
 
@@ -92,19 +81,19 @@ def transform_at(outline: Outline, motion: Sweep, time: float) -> Transform:
 @inlined
 def sweep_at_rest(state: Array) -> Sweep:
     """Return the sweep of a state that does not move."""
-    return Sweep(state[X], state[Y], state[THETA], 0.0, 0.0, 0.0)
+    return Sweep(state[ph.X], state[ph.Y], state[ph.THETA], 0.0, 0.0, 0.0)
 
 
 @inlined
 def sweep_between(before: Array, after: Array) -> Sweep:
     """Return the sweep of a step, at the mean of its velocities as the implicit step's is."""
     return Sweep(
-        before[X],
-        before[Y],
-        before[THETA],
-        0.5 * (before[VX] + after[VX]),
-        0.5 * (before[VY] + after[VY]),
-        0.5 * (before[OMEGA] + after[OMEGA]),
+        before[ph.X],
+        before[ph.Y],
+        before[ph.THETA],
+        0.5 * (before[ph.VX] + after[ph.VX]),
+        0.5 * (before[ph.VY] + after[ph.VY]),
+        0.5 * (before[ph.OMEGA] + after[ph.OMEGA]),
     )
 
 
@@ -115,10 +104,10 @@ def next_corner(corners: Array, k: int) -> int:
 
 
 @inlined
-def _parting_edge(
-    outline: Outline, place: Transform, other: Outline, at: Transform
+def _separating_edge(
+    outline: Outline, pose: Transform, other: Outline, other_pose: Transform
 ) -> SignedDistance:
-    """Return the edge that lies farthest from the other base, of which only corners count."""
+    """Return the edge of a base farthest from the corners of another."""
     corners = outline.corners
     width = -math.inf
     nx = ny = 0.0
@@ -132,14 +121,14 @@ def _parting_edge(
             continue
         own_x = side_y / length
         own_y = -side_x / length
-        x = place.cosine * own_x - place.sine * own_y
-        y = place.sine * own_x + place.cosine * own_y
-        their_x = at.cosine * x + at.sine * y
-        their_y = at.cosine * y - at.sine * x
+        x = pose.cosine * own_x - pose.sine * own_y
+        y = pose.sine * own_x + pose.cosine * own_y
+        turned_x = other_pose.cosine * x + other_pose.sine * y
+        turned_y = other_pose.cosine * y - other_pose.sine * x
         nearest = math.inf
         for j in range(other.corners.shape[0]):
-            nearest = min(nearest, their_x * other.corners[j, 0] + their_y * other.corners[j, 1])
-        beyond = x * (at.x - place.x) + y * (at.y - place.y) + nearest
+            nearest = min(nearest, turned_x * other.corners[j, 0] + turned_y * other.corners[j, 1])
+        beyond = x * (other_pose.x - pose.x) + y * (other_pose.y - pose.y) + nearest
         beyond -= own_x * corners[k, 0] + own_y * corners[k, 1]
         if beyond > width:
             width, nx, ny, edge = beyond, x, y, k
@@ -147,11 +136,11 @@ def _parting_edge(
 
 
 @inlined
-def _to_point(outline: Outline, place: Transform, x: float, y: float) -> tuple[float, float, float]:
+def _to_point(outline: Outline, pose: Transform, x: float, y: float) -> tuple[float, float, float]:
     """Return the distance [m] and unit normal from a polygon to a point outside it."""
     corners = outline.corners
-    dx = place.cosine * (x - place.x) + place.sine * (y - place.y)
-    dy = place.cosine * (y - place.y) - place.sine * (x - place.x)
+    dx = pose.cosine * (x - pose.x) + pose.sine * (y - pose.y)
+    dy = pose.cosine * (y - pose.y) - pose.sine * (x - pose.x)
     least = math.inf
     nx = ny = 0.0
     for k in range(corners.shape[0]):
@@ -172,46 +161,39 @@ def _to_point(outline: Outline, place: Transform, x: float, y: float) -> tuple[f
     least = math.sqrt(least)
     nx /= least
     ny /= least
-    return least, place.cosine * nx - place.sine * ny, place.sine * nx + place.cosine * ny
+    return least, pose.cosine * nx - pose.sine * ny, pose.sine * nx + pose.cosine * ny
 
 
 @inlined
 def _polygon_to_disc(
-    polygon: Outline, place: Transform, disc: Outline, at: Transform
+    polygon: Outline, pose: Transform, disc: Outline, other_pose: Transform
 ) -> SignedDistance:
-    inside = _parting_edge(polygon, place, disc, at)
+    inside = _separating_edge(polygon, pose, disc, other_pose)
     width, nx, ny = inside.width, inside.nx, inside.ny
     if width > 0.0:
-        width, nx, ny = _to_point(polygon, place, at.x, at.y)
+        width, nx, ny = _to_point(polygon, pose, other_pose.x, other_pose.y)
     return SignedDistance(width - disc.disc, nx, ny, -1)
 
 
 @linked
 def signed_distance(
-    first: Outline, place: Transform, second: Outline, at: Transform
+    first: Outline, pose: Transform, second: Outline, other_pose: Transform
 ) -> SignedDistance:
-    """Return the signed distance from one base to another.
-
-    Args:
-        first: a base.
-        place: where it lies.
-        second: another.
-        at: where that lies.
-    """
+    """Return the signed distance from one base to another, at their poses."""
     if first.disc > 0.0 and second.disc > 0.0:
-        nx = at.x - place.x
-        ny = at.y - place.y
+        nx = other_pose.x - pose.x
+        ny = other_pose.y - pose.y
         distance = math.sqrt(nx * nx + ny * ny)
         if distance == 0.0:
             return SignedDistance(-first.disc - second.disc, 1.0, 0.0, -1)
         return SignedDistance(distance - first.disc - second.disc, nx / distance, ny / distance, -1)
     if second.disc > 0.0:
-        return _polygon_to_disc(first, place, second, at)
+        return _polygon_to_disc(first, pose, second, other_pose)
     if first.disc > 0.0:
-        back = _polygon_to_disc(second, at, first, place)
+        back = _polygon_to_disc(second, other_pose, first, pose)
         return SignedDistance(back.width, -back.nx, -back.ny, -1)
-    gap = _parting_edge(first, place, second, at)
-    back = _parting_edge(second, at, first, place)
+    gap = _separating_edge(first, pose, second, other_pose)
+    back = _separating_edge(second, other_pose, first, pose)
     if back.width > gap.width:
         return SignedDistance(back.width, -back.nx, -back.ny, first.corners.shape[0] + back.edge)
     return gap
@@ -230,20 +212,17 @@ class Manifold(NamedTuple):
 
 
 @inlined
-def _corner(outline: Outline, place: Transform, k: int) -> tuple[float, float]:
+def _corner(outline: Outline, pose: Transform, k: int) -> tuple[float, float]:
     x, y = outline.corners[k, 0], outline.corners[k, 1]
-    return (
-        place.x + place.cosine * x - place.sine * y,
-        place.y + place.sine * x + place.cosine * y,
-    )
+    return (pose.x + pose.cosine * x - pose.sine * y, pose.y + pose.sine * x + pose.cosine * y)
 
 
 @inlined
-def _opposite_edge(outline: Outline, place: Transform, nx: float, ny: float) -> int:
+def _opposite_edge(outline: Outline, pose: Transform, nx: float, ny: float) -> int:
     """Return the edge whose normal is most against (nx, ny)."""
     corners = outline.corners
-    own_x = place.cosine * nx + place.sine * ny
-    own_y = place.cosine * ny - place.sine * nx
+    own_x = pose.cosine * nx + pose.sine * ny
+    own_y = pose.cosine * ny - pose.sine * nx
     least = math.inf
     edge = 0
     for k in range(corners.shape[0]):
@@ -260,20 +239,20 @@ def _opposite_edge(outline: Outline, place: Transform, nx: float, ny: float) -> 
 @inlined
 def _facing_edges(
     outline: Outline,
-    place: Transform,
+    pose: Transform,
     edge: int,
     other: Outline,
-    at: Transform,
+    other_pose: Transform,
     nx: float,
     ny: float,
 ) -> Manifold:
     """Return the part of the other's opposite edge that lies over an edge of normal (nx, ny)."""
-    x0, y0 = _corner(outline, place, edge)
-    x1, y1 = _corner(outline, place, next_corner(outline.corners, edge))
+    x0, y0 = _corner(outline, pose, edge)
+    x1, y1 = _corner(outline, pose, next_corner(outline.corners, edge))
     length = math.sqrt((x1 - x0) * (x1 - x0) + (y1 - y0) * (y1 - y0))
-    across = _opposite_edge(other, at, nx, ny)
-    ax, ay = _corner(other, at, across)
-    bx, by = _corner(other, at, next_corner(other.corners, across))
+    across = _opposite_edge(other, other_pose, nx, ny)
+    ax, ay = _corner(other, other_pose, across)
+    bx, by = _corner(other, other_pose, next_corner(other.corners, across))
     # Along the edge and away from it; the edge itself runs along (-ny, nx).
     a_along = nx * (ay - y0) - ny * (ax - x0)
     b_along = nx * (by - y0) - ny * (bx - x0)
@@ -304,33 +283,28 @@ def _facing_edges(
 
 @linked
 def find_manifold(
-    first: Outline, place: Transform, second: Outline, at: Transform, gap: SignedDistance
+    first: Outline, pose: Transform, second: Outline, other_pose: Transform, gap: SignedDistance
 ) -> Manifold:
     """Find the contact manifold of two bases: two points where edge meets edge, else one.
 
-    Args:
-        first: a base.
-        place: where it lies.
-        second: another.
-        at: where that lies.
-        gap: between them, as `gap_between` gives it.
+    The gap is their `signed_distance`.
     """
     corners = first.corners.shape[0]
     if gap.edge >= corners:
-        return _facing_edges(second, at, gap.edge - corners, first, place, -gap.nx, -gap.ny)
+        return _facing_edges(second, other_pose, gap.edge - corners, first, pose, -gap.nx, -gap.ny)
     if gap.edge >= 0:
-        return _facing_edges(first, place, gap.edge, second, at, gap.nx, gap.ny)
+        return _facing_edges(first, pose, gap.edge, second, other_pose, gap.nx, gap.ny)
     half = 0.5 * gap.width
     if first.disc > 0.0:
         out = first.disc + half
-        x, y = place.x + out * gap.nx, place.y + out * gap.ny
+        x, y = pose.x + out * gap.nx, pose.y + out * gap.ny
     else:
         out = second.disc + half
-        x, y = at.x - out * gap.nx, at.y - out * gap.ny
+        x, y = other_pose.x - out * gap.nx, other_pose.y - out * gap.ny
     return Manifold(1, x, y, gap.width, 0.0, 0.0, 0.0)
 
 
-CONTACT_DISTANCE = 1e-6  # [m] a gap that counts as none, and an overlap that is left
+CONTACT_DISTANCE = 1e-6  # [m] a gap below it is a contact; the overlap that may be left
 MAX_ADVANCES = 64
 
 
@@ -347,30 +321,23 @@ def _reach(outline: Outline) -> float:
 
 @linked
 def time_of_impact(
-    first: Outline, moved: Sweep, second: Outline, shifted: Sweep, dt: float
+    first: Outline, sweep: Sweep, second: Outline, other_sweep: Sweep, dt: float
 ) -> float:
     """Return the time [s] until two bases touch, at most dt; infinite if they do not.
 
-    No point of a base nears the other faster than its centre of mass does along the normal and its
-    farthest corner by turning, so that they may go on for as long as their gap takes at that speed.
-
-    Args:
-        first: a base.
-        moved: its motion.
-        second: another.
-        shifted: the motion of that.
-        dt: [s] of the step.
+    Conservative advancement: the bases close no faster than their centres of mass do along the
+    normal, plus their farthest corners by turning, so they may advance for the gap over that speed.
     """
-    turning = abs(moved.omega) * _reach(first) + abs(shifted.omega) * _reach(second)
+    turning = abs(sweep.omega) * _reach(first) + abs(other_sweep.omega) * _reach(second)
     time = 0.0
     for _ in range(MAX_ADVANCES):
         gap = signed_distance(
-            first, transform_at(first, moved, time), second, transform_at(second, shifted, time)
+            first, transform_at(first, sweep, time), second, transform_at(second, other_sweep, time)
         )
         if gap.width <= CONTACT_DISTANCE:
             return time
         speed = turning
-        speed += gap.nx * (moved.vx - shifted.vx) + gap.ny * (moved.vy - shifted.vy)
+        speed += gap.nx * (sweep.vx - other_sweep.vx) + gap.ny * (sweep.vy - other_sweep.vy)
         if speed * (dt - time) <= gap.width:
             return math.inf
         time += (gap.width - 0.5 * CONTACT_DISTANCE) / speed

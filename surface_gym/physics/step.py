@@ -6,34 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import find_contacts
 from surface_gym.physics.friction import implicit_velocity
 from surface_gym.physics.jit import compiled, inlined, linked
 from surface_gym.physics.normal_forces import dual_normal_forces
-from surface_gym.physics.types import (
-    ARM_X,
-    ARM_Y,
-    AX,
-    AXIS_X,
-    AXIS_Y,
-    AY,
-    MU_ACROSS,
-    MU_ALONG,
-    NORMAL,
-    OMEGA,
-    ROTOR,
-    STATE_SIZE,
-    THETA,
-    VX,
-    VY,
-    Array,
-    Body,
-    Contacts,
-    Grid,
-    Scratch,
-    X,
-    Y,
-)
+from surface_gym.physics.types import Array, Body, Contacts, Grid, Scratch
 
 EIGHTH = 0.25 * math.pi  # [rad] 45 deg
 HALF_ROOT = math.sqrt(0.5)
@@ -44,20 +22,20 @@ ROUND_OFF = 1e-15  # [-] of an angle: what float64 leaves of a multiple of 45 de
 def axis_direction(angle: float) -> tuple[float, float]:
     """Return cosine and sine of an axis angle [rad]; at multiples of 45 deg they are exact.
 
-    math.cos(pi / 2) is 6e-17: enough to tell a rotor that lies across the motion that it drags.
+    math.cos(pi / 2) is 6e-17, and a rotor across the motion would drag aside by its sign.
     """
     eighths = math.floor(angle / EIGHTH + 0.5)
     if abs(angle - eighths * EIGHTH) > ROUND_OFF * abs(angle):
         return math.cos(angle), math.sin(angle)
-    place = eighths % 8.0
+    octant = eighths % 8.0
     cosine = sine = HALF_ROOT
-    if place % 2.0 == 0.0:
-        cosine = (place == 0.0) * 1.0 - (place == 4.0) * 1.0
-        sine = (place == 2.0) * 1.0 - (place == 6.0) * 1.0
+    if octant % 2.0 == 0.0:
+        cosine = (octant == 0.0) * 1.0 - (octant == 4.0) * 1.0
+        sine = (octant == 2.0) * 1.0 - (octant == 6.0) * 1.0
         return cosine, sine
-    if 2.0 < place < 6.0:
+    if 2.0 < octant < 6.0:
         cosine = -cosine
-    if place > 4.0:
+    if octant > 4.0:
         sine = -sine
     return cosine, sine
 
@@ -76,8 +54,9 @@ def axis_directions(angles: Array) -> Array:
 
 
 def map_floats(function: Callable[[float], float], values: Any) -> Any:
-    """Apply Python's own function to a number or to each of (count,). NumPy's functions differ in
-    the last digit between machines.
+    """Apply Python's own function to a number or to each of (count,).
+
+    NumPy's functions differ in the last digit between machines.
     """
     if np.ndim(values) == 0:
         return function(values)
@@ -92,17 +71,17 @@ def com_states(centre: Array, pose: Array, velocity: Array) -> Array:
         pose: (count, 3) of the frame.
         velocity: (count, 3) of the frame.
     """
-    state = np.zeros((len(pose), STATE_SIZE))
-    state[:, X : THETA + 1] = pose
-    state[:, VX : OMEGA + 1] = velocity
+    state = np.zeros((len(pose), ph.STATE_SIZE))
+    state[:, ph.X : ph.THETA + 1] = pose
+    state[:, ph.VX : ph.OMEGA + 1] = velocity
     if centre.any():
         cosine, sine = map_floats(math.cos, pose[:, 2]), map_floats(math.sin, pose[:, 2])
         arm_x = cosine * centre[:, 0] - sine * centre[:, 1]
         arm_y = sine * centre[:, 0] + cosine * centre[:, 1]
-        state[:, X] += arm_x
-        state[:, Y] += arm_y
-        state[:, VX] -= velocity[:, 2] * arm_y
-        state[:, VY] += velocity[:, 2] * arm_x
+        state[:, ph.X] += arm_x
+        state[:, ph.Y] += arm_y
+        state[:, ph.VX] -= velocity[:, 2] * arm_y
+        state[:, ph.VY] += velocity[:, 2] * arm_x
     return state
 
 
@@ -152,25 +131,25 @@ def explicit_acceleration(
     other_x = other_y = other_w = 0.0
     table = scratch.table
     for i in range(contacts.total):
-        x = table[ARM_X + i]
-        y = table[ARM_Y + i]
+        x = table[ph.ARM_X + i]
+        y = table[ph.ARM_Y + i]
         ux = vx - omega * y
         uy = vy + omega * x
         speed = math.sqrt(ux * ux + uy * uy)
-        smooth = table[NORMAL + i] * math.tanh(STEEPNESS * speed)
-        if scratch.marks[ROTOR + i]:
-            ax = table[AXIS_X + i]
-            ay = table[AXIS_Y + i]
+        smooth = table[ph.NORMAL + i] * math.tanh(STEEPNESS * speed)
+        if scratch.marks[ph.ROTOR + i]:
+            ax = table[ph.AXIS_X + i]
+            ay = table[ph.AXIS_Y + i]
             # cos(alpha) = a . V / |V|, and sin(alpha).
-            f_par = table[MU_ALONG + i] * smooth * _sign(ax * ux + ay * uy)
-            f_perp = table[MU_ACROSS + i] * smooth * _sign(ay * ux - ax * uy)
+            f_par = table[ph.MU_ALONG + i] * smooth * _sign(ax * ux + ay * uy)
+            f_perp = table[ph.MU_ACROSS + i] * smooth * _sign(ay * ux - ax * uy)
             along_x -= f_par * ax
             along_y -= f_par * ay
             along_w -= f_par * (x * ay - y * ax)
             fx = -f_perp * ay
             fy = f_perp * ax
         else:
-            share = table[MU_ALONG + i] * smooth / speed if speed > 0.0 else 0.0
+            share = table[ph.MU_ALONG + i] * smooth / speed if speed > 0.0 else 0.0
             fx = -share * ux
             fy = -share * uy
         other_x += fx
@@ -183,7 +162,7 @@ def explicit_acceleration(
     return along_x + other_x, along_y + other_y, (along_w + other_w) / gyration, vx
 
 
-# What a step reports. From OFF_SURFACE on, it left the state as it was.
+# Reports of a step. From OFF_SURFACE on, the state stays as it was.
 BALANCED, TIPPING, OFF_SURFACE, UNSUPPORTED, STOPPED = range(5)
 
 
@@ -191,7 +170,7 @@ BALANCED, TIPPING, OFF_SURFACE, UNSUPPORTED, STOPPED = range(5)
 def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
     """Return where the load acts, from the centre of mass: b_eq of Eq. (1) over m g cos(gamma)."""
     per_weight = body.com_height / grid.gravity_normal
-    return (grid.gravity_along - state[AX]) * per_weight, -state[AY] * per_weight
+    return (grid.gravity_along - state[ph.AX]) * per_weight, -state[ph.AY] * per_weight
 
 
 @inlined
@@ -208,17 +187,17 @@ def on_surface(grid: Grid, x: float, y: float) -> bool:
 @inlined
 def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: float) -> Contacts:
     """Find the contacts at the pose the parcel has `lead` seconds on; none off the surface."""
-    x = state[X] + lead * state[VX]
-    y = state[Y] + lead * state[VY]
+    x = state[ph.X] + lead * state[ph.VX]
+    y = state[ph.Y] + lead * state[ph.VY]
     if not on_surface(grid, x, y):
         return Contacts(0, 0)
-    return find_contacts(grid, body, x, y, state[THETA] + lead * state[OMEGA], scratch)
+    return find_contacts(grid, body, x, y, state[ph.THETA] + lead * state[ph.OMEGA], scratch)
 
 
 @inlined
 def explain_unsupported(grid: Grid, state: Array, lead: float) -> int:
     """Return the report for a parcel without contacts: off the surface, or on no element."""
-    over = on_surface(grid, state[X] + lead * state[VX], state[Y] + lead * state[VY])
+    over = on_surface(grid, state[ph.X] + lead * state[ph.VX], state[ph.Y] + lead * state[ph.VY])
     return UNSUPPORTED if over else OFF_SURFACE
 
 
@@ -244,18 +223,18 @@ def advance_implicit(
 ) -> None:
     """Move the state by one step, with contacts and normal forces given in `scratch`."""
     vx, vy, omega = implicit_velocity(
-        grid, body.gyration, scratch, contacts, dt, state[VX], state[VY], state[OMEGA]
+        grid, body.gyration, scratch, contacts, dt, state[ph.VX], state[ph.VY], state[ph.OMEGA]
     )
     half = 0.5 * dt
     per_dt = 1.0 / dt
-    state[X] += half * (state[VX] + vx)
-    state[Y] += half * (state[VY] + vy)
-    state[THETA] += half * (state[OMEGA] + omega)
-    state[AX] = (vx - state[VX]) * per_dt
-    state[AY] = (vy - state[VY]) * per_dt
-    state[VX] = vx
-    state[VY] = vy
-    state[OMEGA] = omega
+    state[ph.X] += half * (state[ph.VX] + vx)
+    state[ph.Y] += half * (state[ph.VY] + vy)
+    state[ph.THETA] += half * (state[ph.OMEGA] + omega)
+    state[ph.AX] = (vx - state[ph.VX]) * per_dt
+    state[ph.AY] = (vy - state[ph.VY]) * per_dt
+    state[ph.VX] = vx
+    state[ph.VY] = vy
+    state[ph.OMEGA] = omega
 
 
 @inlined
@@ -264,16 +243,16 @@ def advance_explicit(
 ) -> None:
     """Integrate Eq. (4) twice as the paper does: the velocity, then the position with it."""
     ax, ay, aw, vx = explicit_acceleration(
-        grid, body.gyration, scratch, contacts, state[VX], state[VY], state[OMEGA]
+        grid, body.gyration, scratch, contacts, state[ph.VX], state[ph.VY], state[ph.OMEGA]
     )
-    state[VX] = vx + dt * ax
-    state[VY] += dt * ay
-    state[OMEGA] += dt * aw
-    state[X] += dt * state[VX]
-    state[Y] += dt * state[VY]
-    state[THETA] += dt * state[OMEGA]
-    state[AX] = ax
-    state[AY] = ay
+    state[ph.VX] = vx + dt * ax
+    state[ph.VY] += dt * ay
+    state[ph.OMEGA] += dt * aw
+    state[ph.X] += dt * state[ph.VX]
+    state[ph.Y] += dt * state[ph.VY]
+    state[ph.THETA] += dt * state[ph.OMEGA]
+    state[ph.AX] = ax
+    state[ph.AY] = ay
 
 
 @linked
@@ -297,7 +276,7 @@ def step_explicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
 ) -> tuple[int, Contacts]:
     """Do one step of the paper's loop, Figure 5a, its stopping rule included."""
-    if state[VX] <= 0.0 and grid.gravity_along == 0.0:
+    if state[ph.VX] <= 0.0 and grid.gravity_along == 0.0:
         return STOPPED, Contacts(0, 0)
     contacts = find_support(grid, body, state, scratch, 0.0)
     if contacts.total == 0:

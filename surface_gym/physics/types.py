@@ -15,12 +15,12 @@ Places = NDArray[np.int32]
 
 
 class Grid(NamedTuple):
-    """A surface as the physics of one parcel takes it."""
+    """Surface under one parcel."""
 
-    axis: Places  # (rows, columns) the place of each rotor's axis in `direction`
+    axis: Places  # (rows, columns) the index of each rotor's axis in `direction`
     direction: Array  # (directions, 2) cosine and sine
     rotor: Booleans  # (rows, columns) a rotor, else a support
-    stiffness: Array  # (rows, columns) [-] of an element against the others; what Eq. (1) weighs by
+    stiffness: Array  # (rows, columns) [-] of an element against the others; the weights of Eq. (1)
     friction: Array  # (rows, columns, 3) [-] along a rotor's axis, across it, and of a support
     x0: float  # [m] centre of element [0, 0]
     y0: float  # [m]
@@ -34,7 +34,7 @@ class Grid(NamedTuple):
 
 
 class Body(NamedTuple):
-    """A parcel as its physics takes it. Mass cancels out of Eq. (1)-(4), so there is none here."""
+    """Parcel on a surface. Mass cancels out of Eq. (1)-(4), so there is none here."""
 
     edges: Array  # (edges, 3) outward normal and distance from the centroid: inside is n . p <= d
     radius: float  # [m] of the circle around the centroid that holds the base
@@ -49,7 +49,7 @@ RADIUS, COM_X, COM_Y, COM_HEIGHT, GYRATION, HALF_LENGTH, MASS = range(7)
 
 
 class Bodies(NamedTuple):
-    """Parcels as rows: the fields of a `Body`, and those needed where parcels touch."""
+    """Parcels as rows: the fields of a `Body`, and those for contacts between parcels."""
 
     # (bodies, 7) [m] radius, centre of mass x, y and height; [m^2] gyration; [m] from the centroid
     # to the rearmost point; [kg] mass
@@ -63,7 +63,7 @@ class Scratch(NamedTuple):
     """Memory of one step, made once by the caller: the contacts, in the order of the grid."""
 
     table: Array  # (TABLE_SIZE,) a row a quantity, a column a contact: see below
-    marks: Integers  # (MARKS_SIZE,) what is counted, in the same manner
+    marks: Integers  # (MARKS_SIZE,) counts and indices, in the same manner
 
 
 class Contacts(NamedTuple):
@@ -92,7 +92,7 @@ STRIDE = CAPACITY + 8
     MOST_ACROSS,  # [m/s] across it
     SLIP_ALONG,  # [-] velocity along the axis, over the rounding
     SLIP_ACROSS,  # [-] across it
-    FORCE_X,  # [m/s] what friction takes in a step
+    FORCE_X,  # [m/s] impulse of friction in a step
     FORCE_Y,  # [m/s]
     TORQUE,  # [m^2/s]
     CURVE_XX,  # the contact's share of the potential's second derivatives
@@ -122,12 +122,29 @@ TABLE_SIZE = KINKS + 4 * CAPACITY
     SPAN_ROW,  # the contacts lie in spans, a column each: their row,
     SPAN_FIRST,  # first column
     SPAN_LAST,  # and last
-    COUNTS,  # of spans, negative if what is said of the contacts holds no more; and of supports
+    COUNTS,  # of spans, negative once the contacts are invalid; and of supports
 ) = range(0, 6 * STRIDE, STRIDE)
 SPANS, SUPPORTS = COUNTS, COUNTS + 1
 MARKS_SIZE = COUNTS + 2
 
-# Places in a parcel's state vector, float64. Velocity and acceleration are the centre of mass's.
+# Columns of a point between two parcels.
+(
+    NORMAL_X,  # unit normal from the first parcel to the second; the side is a quarter turn on
+    NORMAL_Y,
+    FIRST_X,  # [m] arm from the first's centre of mass
+    FIRST_Y,
+    SECOND_X,  # [m] from the second's
+    SECOND_Y,
+    CLOSING,  # [m/s] at which the point may close
+    NORMAL_IMPULSE,  # [N s] impulse along the normal
+    TANGENT_IMPULSE,  # [N s] along the side
+    FRICTION_LIMIT,  # [N s] the most along the side
+    NORMAL_STIFFNESS,  # [kg] k along the normal
+    TANGENT_STIFFNESS,  # [kg] along the side
+) = range(12)
+POINT_SIZE = 12
+
+# Indices into a parcel's state vector, float64. Velocity and acceleration are the centre of mass's.
 X, Y, THETA, VX, VY, OMEGA, AX, AY = range(8)
 STATE_SIZE = 8
 

@@ -1,4 +1,4 @@
-"""Pictures of scenes, and the window that shows them."""
+"""Pictures of scenes with their strips of text, and the window that shows them."""
 
 import math
 from collections.abc import Sequence
@@ -9,20 +9,177 @@ import pygame
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.rendering import ink
-from surface_gym.rendering.ink import INK, PAPER
-from surface_gym.rendering.parcel_marks import draw_parcel, draw_sensed, draw_touch, draw_trail
+from surface_gym.rendering import ink, marks
+from surface_gym.rendering.ink import Colour
+from surface_gym.rendering.marks import ModuleSprites
 from surface_gym.rendering.scene import Heading, Layout, Scene
-from surface_gym.rendering.strips import Strips
-from surface_gym.rendering.surface_marks import (
-    ModuleSprites,
-    draw_asked_heading,
-    draw_counts,
-    draw_goal,
-    draw_modules,
-    label_goal,
-    paint_ground,
+
+_LEGEND = (
+    ("0°", 0.0),
+    ("45°", math.pi / 4),
+    ("\N{MINUS SIGN}45°", -math.pi / 4),
+    ("90°", math.pi / 2),
 )
+_BARS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01)  # [m] lengths a scale bar may have
+_GAP = 1.4  # [font sizes] between the readings of a stream
+
+
+class Strips:
+    """Writes above and below a surface, in sizes proportional to the picture's width.
+
+    Args:
+        width: [px] of the picture.
+    """
+
+    def __init__(self, width: int) -> None:
+        unit = width / 960.0
+        self.width = width
+        self.head = round(62 * unit)  # [px] height above the surface
+        self.foot = round(48 * unit)  # [px] height below it
+        self.margin = round(24 * unit)  # [px] least room beside the surface
+        self.small = round(18 * unit)  # [px] font sizes
+        self.middle = round(22 * unit)
+        self.large = round(27 * unit)
+        self._slot = round(104 * unit)  # [px] of a reading, at most
+        self._icons = ModuleSprites(round(20 * unit))
+        self._gap = self._icons.cell // 2  # [px] between a legend's signs and words
+
+    def write_head(self, canvas: pygame.Surface, area: pygame.Rect, scene: Scene) -> None:
+        """Write title and readings above an area; with traffic also the parcels right and wrong."""
+        numbers = [(label, text, ink.INK) for label, text in scene.readings]
+        middle, title, slots = self.head // 2, scene.title, len(numbers)
+        if scene.traffic is None:  # equal slots
+            size, lift, room = self.middle, 1, area.width
+            starts, rooms = [], []
+            if numbers:
+                title_width = min(ink.text_width(title, self.large) + self.margin, area.width // 4)
+                slot = min(self._slot, (area.width - title_width) // slots)
+                starts = [area.right - slot * (slots - k) for k in range(slots)]
+                rooms = [slot - 6] * slots
+                room = area.width - slots * slot - self.margin
+        else:  # slots as wide as their texts
+            size, lift = self.large, 3
+            wrong = scene.traffic.missorted
+            numbers.append(("right", str(sum(scene.traffic.delivered)), ink.INK))
+            numbers.append(("wrong", str(wrong), ink.GOAL if wrong else ink.INK))
+            room = min(ink.text_width(title, self.large), area.width // 3)
+            starts, rooms = self._fitted_slots(area, numbers, room)
+        ink.write(canvas, title, self.large, ink.INK, room, midleft=(area.left, middle))
+        for (label, text, colour), x, width in zip(numbers, starts, rooms, strict=True):
+            ink.write(
+                canvas, label, self.small, ink.FAINT_INK, width, bottomleft=(x, middle - lift)
+            )
+            ink.write(canvas, text, size, colour, width, topleft=(x, middle + 2 - lift))
+
+    def write_foot(self, canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
+        """Write legend, tilt and scale bar below a surface."""
+        area = layout.area
+        end = self._write_scale(canvas, area, layout)
+        if scene.tilt != 0.0:
+            place = (end - self.margin, self._middle_below(area))
+            end = self._write_tilt(canvas, scene.tilt, place)
+        self.write_legend(canvas, area, [scene], end - self.margin)
+
+    def write_legend(
+        self, canvas: pygame.Surface, area: pygame.Rect, scenes: Sequence[Scene], end: int
+    ) -> None:
+        """Write the meaning of the colours in some scenes, below an area.
+
+        Args:
+            canvas: to write on.
+            area: below which to write.
+            scenes: whose marks to explain.
+            end: [px] x where the room ends; exits beyond are left out.
+        """
+        x = self._write_axes(canvas, area, any(scene.zone is not None for scene in scenes))
+        if any(scene.goal is not None for scene in scenes):
+            x = self._write_stroke(canvas, area, "goal", ink.GOAL, x)
+        if any(parcel.sensed_pose is not None for scene in scenes for parcel in scene.parcels):
+            x = self._write_stroke(canvas, area, "sensed", ink.SENSED, x)
+        exits = max((scene.exits for scene in scenes), key=len)
+        gap, middle = self._gap, self._middle_below(area)
+        if exits:
+            after = (x + 3 * gap, middle)
+            x = ink.write(canvas, "exit", self.small, ink.FAINT_INK, midleft=after).right + gap // 2
+        for index, mark in enumerate(exits):
+            if x + gap // 2 + ink.badge_width(mark.name, self.small) > end:
+                break
+            after, colour = (x + gap // 2, middle), ink.exit_colour(index)
+            x = ink.draw_badge(canvas, mark.name, self.small, colour, midleft=after).right
+
+    def _fitted_slots(
+        self, area: pygame.Rect, numbers: Sequence[tuple[str, str, Colour]], title: int
+    ) -> tuple[list[int], list[int]]:
+        """Compute the x of each reading of a stream, and its room [px], at the right of an area."""
+        widths = [
+            max(
+                ink.text_width(label, self.small),
+                ink.text_width("0" * max(3, len(text)), self.large),
+            )
+            for label, text, _ in numbers
+        ]
+        gap = round(_GAP * self.small)
+        excess = sum(widths) + gap * len(widths) - (area.width - title - gap)
+        slots = [width - max(0, -(-excess // len(widths))) for width in widths]
+        first = area.right - sum(slots) - gap * (len(slots) - 1)
+        starts = [first + sum(slots[:k]) + gap * k for k in range(len(slots))]
+        return starts, [max(1, slot) for slot in slots]
+
+    def _write_axes(self, canvas: pygame.Surface, area: pygame.Rect, zone: bool) -> int:
+        """Write the meaning of the modules' colours and of a zone's; the x at its end."""
+        middle, gap, icons = self._middle_below(area), self._gap, self._icons
+        place = (area.left, middle)
+        x = ink.write(canvas, "rotor axis", self.small, ink.FAINT_INK, midleft=place).right
+        for name, angle in _LEGEND:
+            icon = icons.sprite(round(math.degrees(angle)) % marks.ANGLES, pale=False)
+            drawn = icon.get_rect(midleft=(x + gap, middle))
+            canvas.blit(icon, drawn)
+            after = (drawn.right + gap // 2, middle)
+            x = ink.write(canvas, name, self.small, ink.INK, midleft=after).right
+        if zone:
+            swatch = pygame.Rect(0, 0, round(1.2 * icons.cell), round(0.7 * icons.cell))
+            swatch.midleft = (x + 2 * gap, middle)
+            pygame.draw.rect(canvas, ink.ZONE, swatch)
+            pygame.draw.rect(canvas, ink.ZONE_EDGE, swatch, 1)
+            after = (swatch.right + gap // 2, middle)
+            x = ink.write(canvas, "zone", self.small, ink.INK, midleft=after).right
+        return x
+
+    def _write_stroke(
+        self, canvas: pygame.Surface, area: pygame.Rect, name: str, colour: Colour, x: int
+    ) -> int:
+        """Write the meaning of a dashed stroke after an x; the x at its end."""
+        middle, gap = self._middle_below(area), self._gap
+        stroke = np.array([[x + 2 * gap, middle], [x + 4 * gap, middle]], dtype=np.float64)
+        ink.dashes(canvas, stroke, 0.12 * self.small, colour, 0.5 * self.small)
+        after = (x + 4 * gap + gap // 2, middle)
+        return ink.write(canvas, name, self.small, ink.INK, midleft=after).right
+
+    def _write_scale(self, canvas: pygame.Surface, area: pygame.Rect, layout: Layout) -> int:
+        """Draw the scale bar; the x where it begins."""
+        third = layout.columns * layout.pitch[0] / 3.0
+        metres = next((length for length in _BARS if length <= third), _BARS[-1])
+        width, middle, right = round(layout.length(metres)), self._middle_below(area), area.right
+        bar = pygame.Rect(right - width, middle + self.small // 3, width, max(2, self.small // 6))
+        pygame.draw.rect(canvas, ink.INK, bar)
+        place = (bar.centerx, bar.top - 2)
+        text = ink.write(canvas, f"{metres:g} m", self.small, ink.INK, midbottom=place)
+        return min(bar.left, text.left)
+
+    def _write_tilt(self, canvas: pygame.Surface, tilt: float, midright: tuple[int, int]) -> int:
+        """Write the tilt with an arrow that points downhill; the x where it begins."""
+        text = f"downhill {abs(math.degrees(tilt)):.1f}°"
+        area = ink.write(canvas, text, self.small, ink.INK, midright=midright)
+        tip, begin = area.left - 8, area.left - 8 - 2 * self.small
+        ends = np.array([[begin, area.centery], [tip, area.centery]], dtype=np.float64)
+        tail, head = ends if tilt > 0.0 else ends[::-1]
+        ink.arrow(canvas, tail, head, 0.13 * self.small, ink.INK)
+        return begin
+
+    def _middle_below(self, area: pygame.Rect) -> int:
+        """Compute the height [px] of the legend's middle below an area."""
+        return area.bottom + self.foot // 2
+
 
 Picture = NDArray[np.uint8]  # (height, width, 3)
 
@@ -67,7 +224,7 @@ class Painter:
         strips.write_foot(canvas, layout, scene)
         canvas.set_clip(area.inflate(2 * strips.margin, 0))
         field.draw(canvas, scene)
-        label_goal(canvas, layout, scene, strips.small)
+        marks.label_goal(canvas, layout, scene, strips.small)
         return _pixels(canvas)
 
     def metres(self, pixel: tuple[float, float], scene: Scene) -> tuple[float, float]:
@@ -98,7 +255,7 @@ class Painter:
         if self._canvas is None or self._canvas.get_size() != size:
             self._canvas = pygame.Surface(size, depth=32)
         self._canvas.set_clip(None)
-        self._canvas.fill(PAPER)
+        self._canvas.fill(ink.PAPER)
         return self._canvas
 
 
@@ -131,7 +288,7 @@ class TilePainter:
         margin = self._strips.margin
         height = margin + plan.height + self._strips.foot
         canvas = pygame.Surface((self.width, height + height % 2), depth=32)
-        canvas.fill(PAPER)
+        canvas.fill(ink.PAPER)
         tiles = pygame.Rect((self.width - plan.width) // 2, margin, plan.width, plan.height)
         for field, scene in zip(self._fields, scenes, strict=True):
             area = field.layout.area
@@ -198,8 +355,8 @@ def with_caption(picture: Picture, text: str) -> Picture:
     height, size, margin = _CAPTION
     width = picture.shape[1]
     canvas = pygame.Surface((width, height))
-    canvas.fill(PAPER)
-    ink.write(canvas, text, size, INK, width - 2 * margin, midleft=(margin, height // 2 + 4))
+    canvas.fill(ink.PAPER)
+    ink.write(canvas, text, size, ink.INK, width - 2 * margin, midleft=(margin, height // 2 + 4))
     return np.concatenate([np.swapaxes(pygame.surfarray.array3d(canvas), 0, 1), picture])
 
 
@@ -217,27 +374,27 @@ class _Field:
         layout, clip = self.layout, canvas.get_clip()
         canvas.blit(self._painted_ground(scene), layout.area)
         canvas.set_clip(layout.plate.clip(clip))
-        draw_modules(canvas, layout, self._sprites, scene)
+        marks.draw_modules(canvas, layout, self._sprites, scene)
         canvas.set_clip(clip)
-        draw_counts(canvas, layout, scene)
+        marks.draw_counts(canvas, layout, scene)
         if scene.traffic is not None:
             canvas.set_clip(layout.passable.clip(clip))
-        draw_goal(canvas, layout, scene)
+        marks.draw_goal(canvas, layout, scene)
         for parcel in scene.parcels:
-            draw_trail(canvas, layout, parcel)
+            marks.draw_trail(canvas, layout, parcel)
         for parcel in scene.parcels:
-            draw_parcel(canvas, layout, scene, parcel)
-            draw_sensed(canvas, layout, parcel)
+            marks.draw_parcel(canvas, layout, scene, parcel)
+            marks.draw_sensed(canvas, layout, parcel)
             if isinstance(scene.goal, Heading):
-                draw_asked_heading(canvas, layout, scene.goal, parcel)
+                marks.draw_asked_heading(canvas, layout, scene.goal, parcel)
         for first, second in scene.touching:
-            draw_touch(canvas, layout, scene.parcels[first], scene.parcels[second])
+            marks.draw_touch(canvas, layout, scene.parcels[first], scene.parcels[second])
         canvas.set_clip(clip)
 
     def _painted_ground(self, scene: Scene) -> pygame.Surface:
         key = (scene.rotor.tobytes(), scene.zone, scene.exits)
         if self._ground is None or key != self._ground_key:
-            self._ground, self._ground_key = paint_ground(self.layout, scene), key
+            self._ground, self._ground_key = marks.paint_ground(self.layout, scene), key
         return self._ground
 
 

@@ -4,7 +4,6 @@
 checked; `python -m surface_gym.validation` repeats the paper's comparison.
 """
 
-from surface_gym.validation.scene import Recipe, Scene, build
-from surface_gym.validation.simulation import reachable, simulate
+from surface_gym.validation.simulation import Recipe, Scene, build, reachable, simulate
 
 __all__ = ["Recipe", "Scene", "build", "reachable", "simulate"]

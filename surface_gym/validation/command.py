@@ -66,7 +66,7 @@ def compare(options: Options) -> None:
     from surface_gym import checks
     from surface_gym.parallel import choose_workers
     from surface_gym.validation.report import as_data, print_report
-    from surface_gym.validation.scene import load_mujoco
+    from surface_gym.validation.simulation import load_mujoco
     from surface_gym.validation.study import run_study
 
     workers = choose_workers(options.cluster, checks.integer("workers", options.workers, least=1))

@@ -7,18 +7,16 @@ from decimal import Decimal
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import layouts
 from surface_gym.paper.runs import COARSE, Integration, load_data
 from surface_gym.parcel import Parcel, Rectangle
+from surface_gym.physics.types import Array
 from surface_gym.simulation import simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import simulation
-from surface_gym.validation.scene import RECIPE, Recipe
-
-Array = NDArray[np.float64]
+from surface_gym.validation.simulation import RECIPE, Recipe
 
 PARCEL = Parcel(Rectangle(0.25, 0.25), mass=5.48, com_height=0.1, inertia=5.70e-2)  # Table 5
 IMPLICIT = Integration("implicit", 1e-3)
@@ -89,7 +87,7 @@ def run_case(case: Case) -> Run:
 
 
 def displacement(trajectory: Trajectory) -> Array:
-    """(3,) [m, m, deg] from the start to the end."""
+    """Return the displacement (3,) [m, m, deg] from start to end."""
     x, y, theta = trajectory.pose[-1] - trajectory.pose[0]
     return np.array([x, y, math.degrees(theta)])
 
@@ -127,7 +125,7 @@ class Errors:
     percent: Array  # (runs, 3) [%] of MuJoCo's, Eq. (5b)
 
     def summary(self, title: str) -> Summary:
-        """Mean and standard deviation over the runs."""
+        """Compute mean and standard deviation over the runs."""
 
         def rows(values: Array) -> Array:
             deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(3)
@@ -159,7 +157,7 @@ class Target:
 
 
 def check_targets(sweep: Errors, pushed: Errors) -> tuple[Target, ...]:
-    """Hold MuJoCo against the implicit method at 1 ms.
+    """Check bounds on MuJoCo against the implicit method at 1 ms.
 
     Args:
         sweep: of the tilts.
@@ -206,7 +204,7 @@ def load_paper_errors() -> PaperErrors:
 
 
 def adams_displacement(run: str) -> tuple[Array, Array]:
-    """Bounds (3,) [m, m, deg] of Adams's displacement without sign, as printed errors are rounded.
+    """Return bounds (3,) [m, m, deg] of Adams's displacement without sign, by its printed errors.
 
     Section 6.2 prints the error |e| and |e %| = 100 |e| / |displacement by Adams| of the runs
     "gamma10", 10 deg, and "v09", 0.9 m/s on the level.
@@ -221,6 +219,6 @@ def adams_displacement(run: str) -> tuple[Array, Array]:
 
 
 def _half_digits(values: Array) -> Array:
-    """Half a unit of the last digit that is printed."""
+    """Return half a unit of the last digit that is printed."""
     digits = [Decimal(repr(value)).as_tuple().exponent for value in values.tolist()]
     return np.array([0.5 * 10.0 ** int(digit) for digit in digits])

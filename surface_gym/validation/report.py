@@ -18,23 +18,10 @@ from surface_gym.paper import figures
 from surface_gym.paper.report import make_table
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
-from surface_gym.validation.comparison import (
-    PARCEL,
-    PUSHED,
-    Array,
-    Errors,
-    Model,
-    Run,
-    Summary,
-    adams_displacement,
-    compute_errors,
-    displacement,
-    is_sorted,
-    load_paper_errors,
-)
+from surface_gym.validation import comparison
+from surface_gym.validation.comparison import Array, Errors, Model, Run, Summary
+from surface_gym.validation.drawn import STEPS, MeetingRun, Spread, apart, root_mean_square
 from surface_gym.validation.study import Study
-from surface_gym.validation.touching import STEPS, MeetingRun, apart
-from surface_gym.validation.unevenness import Spread, root_mean_square
 
 ABSOLUTE = ("x\n[mm]", "y\n[mm]", "theta\n[deg]")
 PERCENT = ("x\n[%]", "y\n[%]", "theta\n[%]")
@@ -54,7 +41,7 @@ def print_report(study: Study, console: Console) -> None:
 
 
 def _parts(study: Study) -> Iterator[RenderableType]:
-    paper = load_paper_errors()
+    paper = comparison.load_paper_errors()
     yield _table7((paper.table7, *study.summaries), len(study.sweep))
     yield _single_runs(study)
     yield _beside_adams(study)
@@ -166,7 +153,7 @@ def _meetings(runs: Sequence[MeetingRun]) -> Table:
 
 
 def _table7(summaries: Iterable[Summary], runs: int) -> Table:
-    """Mean and standard deviation over the tilts."""
+    """Tabulate mean and standard deviation over the tilts."""
     table = make_table(
         f"Table 7: errors over {runs} tilts, Eq. (5)", "", "", *PERCENT, *ABSOLUTE, labels=2
     )
@@ -183,17 +170,20 @@ def _table7(summaries: Iterable[Summary], runs: int) -> Table:
 
 
 def _single_runs(study: Study) -> Table:
-    """Errors of the two runs for which the paper prints them."""
+    """Tabulate the errors of the two runs for which the paper prints them."""
     table = make_table(
         "Single runs: errors without sign, as Section 6.2 prints them", "", *ABSOLUTE, *PERCENT
     )
-    paper = load_paper_errors()
+    paper = comparison.load_paper_errors()
     for run in _printed_runs(study):
         name = run.case.name
         rows: list[tuple[str, Errors]] = [
-            ("Adams / MATLAB, printed", paper.pushed if run.case == PUSHED else paper.tilted),
-            ("MuJoCo / implicit", compute_errors([run], lambda run: run.implicit)),
-            ("MuJoCo / explicit", compute_errors([run], lambda run: run.explicit)),
+            (
+                "Adams / MATLAB, printed",
+                paper.pushed if run.case == comparison.PUSHED else paper.tilted,
+            ),
+            ("MuJoCo / implicit", comparison.compute_errors([run], lambda run: run.implicit)),
+            ("MuJoCo / explicit", comparison.compute_errors([run], lambda run: run.explicit)),
         ]
         for k, (title, error) in enumerate(rows):
             table.add_row(
@@ -206,7 +196,7 @@ def _single_runs(study: Study) -> Table:
 
 
 def _beside_adams(study: Study) -> Table:
-    """Displacements after 1 s: Adams's, as far as they are printed, and ours."""
+    """Tabulate displacements after 1 s: Adams's, as far as they are printed, and ours."""
     table = make_table(
         "Displacements after 1 s, without sign; Adams's are what its printed errors in mm, deg "
         "and % leave open",
@@ -218,7 +208,9 @@ def _beside_adams(study: Study) -> Table:
         labels=2,
     )
     for run in _printed_runs(study):
-        low_high = adams_displacement("v09" if run.case == PUSHED else "gamma10")
+        low_high = comparison.adams_displacement(
+            "v09" if run.case == comparison.PUSHED else "gamma10"
+        )
         shown = [
             f"{low:.{digits}f} to {high:.{digits}f}"
             for low, high, digits in zip(*low_high, (3, 3, 2), strict=True)
@@ -229,14 +221,14 @@ def _beside_adams(study: Study) -> Table:
             ("implicit, 1 ms", run.implicit),
             ("explicit, 5 ms", run.explicit),
         ):
-            x, y, theta = np.abs(displacement(trajectory))
+            x, y, theta = np.abs(comparison.displacement(trajectory))
             table.add_row("", name, f"{x:.3f}", f"{y:.3f}", f"{theta:.2f}")
         table.add_section()
     return table
 
 
 def _printed_runs(study: Study) -> list[Run]:
-    """Figure 12a, if the sweep holds it, and 12b."""
+    """Select the runs of Figure 12a, if the sweep holds it, and 12b."""
     return [*(run for run in study.sweep if run.case.tilt == 10.0), study.pushed]
 
 
@@ -247,7 +239,7 @@ def _numbers(values: Iterable[float], digits: int = 2) -> list[str]:
 
 def as_data(study: Study) -> dict[str, Any]:
     """List a study as numbers, strings, lists and mappings; displacements in m and degrees."""
-    paper = load_paper_errors()
+    paper = comparison.load_paper_errors()
     return {
         "table7": [_summary_data(summary) for summary in (paper.table7, *study.summaries)],
         "runs": [
@@ -255,9 +247,9 @@ def as_data(study: Study) -> dict[str, Any]:
                 "tilt_deg": run.case.tilt,
                 "speed_m_per_s": run.case.speed,
                 "duration_s": run.case.duration,
-                "mujoco": displacement(run.mujoco).tolist(),
-                "implicit": displacement(run.implicit).tolist(),
-                "explicit": displacement(run.explicit).tolist(),
+                "mujoco": comparison.displacement(run.mujoco).tolist(),
+                "implicit": comparison.displacement(run.implicit).tolist(),
+                "explicit": comparison.displacement(run.explicit).tolist(),
             }
             for run in (*study.sweep, study.pushed, study.long)
         ],
@@ -267,7 +259,7 @@ def as_data(study: Study) -> dict[str, Any]:
             run: dict(
                 zip(
                     ("low", "high"),
-                    (bound.tolist() for bound in adams_displacement(run)),
+                    (bound.tolist() for bound in comparison.adams_displacement(run)),
                     strict=True,
                 )
             )
@@ -326,7 +318,7 @@ AXES = ("x [m]", "y [m]", "theta [deg]")
 
 
 def draw_all(study: Study, folder: Path) -> list[Path]:
-    """Write the figures as PNG; the paths."""
+    """Write the figures as PNG, and return their paths."""
     drawn = {
         "figure12": trajectories(study),
         "figure13": final_positions(study),
@@ -344,7 +336,7 @@ def draw_all(study: Study, folder: Path) -> list[Path]:
 
 
 def trajectories(study: Study) -> Figure:
-    """Figure 12: plan views of MuJoCo's runs at 10 deg, with a push, and at 5 deg for 1.8 s."""
+    """Draw Figure 12: plan views of MuJoCo's runs at 10 deg, pushed, and at 5 deg for 1.8 s."""
     runs = [*_at_ten_degrees(study), study.pushed, study.long]
     figure = Figure(figsize=(4.6 * len(runs), 4.0), layout="constrained")
     for axes, run in zip(_row(figure, len(runs)), runs, strict=True):
@@ -357,14 +349,14 @@ def trajectories(study: Study) -> Figure:
 
 
 def final_positions(study: Study) -> Figure:
-    """Figure 13: where the box ends in each run that completes the sort."""
+    """Draw Figure 13: where the box ends in each run that completes the sort."""
     figure = Figure(figsize=(10.0, 4.3), layout="constrained")
     sides: tuple[tuple[str, str, Model], ...] = (
         ("MuJoCo", MUJOCO, lambda run: run.mujoco),
         ("implicit", MODEL, lambda run: run.implicit),
     )
     for axes, (name, colour, side) in zip(_row(figure, 2), sides, strict=True):
-        done = [run for run in study.sweep if is_sorted(run.case, side(run))]
+        done = [run for run in study.sweep if comparison.is_sorted(run.case, side(run))]
         _draw_surface(axes, study.pushed.case.surface)
         for run in done:
             _draw_box(axes, side(run).pose[-1], colour)
@@ -375,7 +367,7 @@ def final_positions(study: Study) -> Figure:
 
 
 def compared_trajectories(study: Study) -> Figure:
-    """Figure 14: the paths of Figure 12a and 12b over the analytic model's."""
+    """Draw Figure 14: the paths of Figure 12a and 12b over the analytic model's."""
     runs = [*_at_ten_degrees(study), study.pushed]
     figure = Figure(figsize=(5.5 * len(runs), 4.6), layout="constrained")
     for axes, run in zip(_row(figure, len(runs)), runs, strict=True):
@@ -388,11 +380,11 @@ def compared_trajectories(study: Study) -> Figure:
 
 
 def final_displacements(study: Study) -> Figure:
-    """Figure 15: displacements after 1 s over the tilt."""
+    """Draw Figure 15: displacements after 1 s over the tilt."""
     figure = Figure(figsize=(12.0, 3.8), layout="constrained")
     tilts = [run.case.tilt for run in study.sweep]
-    mujoco = np.array([displacement(run.mujoco) for run in study.sweep])
-    implicit = np.array([displacement(run.implicit) for run in study.sweep])
+    mujoco = np.array([comparison.displacement(run.mujoco) for run in study.sweep])
+    implicit = np.array([comparison.displacement(run.implicit) for run in study.sweep])
     for k, axes in enumerate(_row(figure, 3)):
         axes.plot(tilts, mujoco[:, k], "o-", color=MUJOCO, markersize=4, label="MuJoCo")
         axes.plot(tilts, implicit[:, k], "x--", color=MODEL, markersize=5, label="implicit")
@@ -403,10 +395,10 @@ def final_displacements(study: Study) -> Figure:
 
 
 def displacement_errors(study: Study) -> Figure:
-    """Figure 16: absolute and percentage errors over the tilt, Eq. (5)."""
+    """Draw Figure 16: absolute and percentage errors over the tilt, Eq. (5)."""
     figure = Figure(figsize=(13.0, 3.8), layout="constrained")
     tilts = [run.case.tilt for run in study.sweep]
-    error = compute_errors(study.sweep, lambda run: run.implicit)
+    error = comparison.compute_errors(study.sweep, lambda run: run.implicit)
     names = ("x", "y", "theta")
     for k, axes in enumerate(_row(figure, 3)):
         unit = "deg" if k == 2 else "mm"
@@ -421,7 +413,7 @@ def displacement_errors(study: Study) -> Figure:
 
 
 def end_places(spreads: Sequence[Spread]) -> Figure:
-    """End places on unequal supports; a line joins the two methods on the same supports."""
+    """Draw end places on uneven supports, joined by a line where the supports are the same."""
     rows = math.ceil(len(spreads) / 3)
     figure = Figure(figsize=(12.0, 3.6 * rows), layout="constrained")
     grid = figure.subplots(rows, 3, sharex=True, sharey=True)
@@ -457,7 +449,7 @@ def _draw_surface(axes: Axes, surface: Surface) -> None:
 
 
 def _draw_box(axes: Axes, pose: Sequence[float], colour: str) -> None:
-    figures.draw_base(axes, PARCEL.base, pose, colour, width=1.0)
+    figures.draw_base(axes, comparison.PARCEL.base, pose, colour, width=1.0)
 
 
 def _draw_path(

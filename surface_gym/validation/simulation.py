@@ -1,21 +1,343 @@
-"""`simulate` and `simulate_together` with MuJoCo in place of the analytic model."""
+"""The scene of Tables 5 and 6 in MuJoCo, and runs of parcels in it."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import combinations
+from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from surface_gym import checks
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Base, Disc, Parcel, Rectangle
 from surface_gym.physics.contacts import EDGE_TOLERANCE
-from surface_gym.physics.types import GRAVITY
+from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
-from surface_gym.validation.scene import RECIPE, SIDES, Recipe, Scene, Sides, build, load_mujoco
 
-Array = NDArray[np.float64]
+MAX_TILT = math.radians(15.0)  # [rad] end of Table 5's range
+# MuJoCo reserves memory with the square of the degrees of freedom: 0.9 GB for this many.
+MAX_ROTORS = 4_000
+MAX_ELEMENTS = 40_000
+
+BASE = "base"  # name of the first parcel's shape
+BELT = 0.01  # [m] of a parcel's height, around its centre of mass, at which its sides touch
+LEAST_BODY_HEIGHT = 0.02  # [m] of the parcel's shape; only its underside touches anything
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """The rotors of Table 5, and contact parameters by which MuJoCo converges to Coulomb's law on
+    stiff springs.
+
+    MuJoCo's contact is a spring and damper behind an impedance d: with d near 0 the penetration
+    sets the force, so that every contact has the same stiffness, as Eq. (1) assumes. With the
+    defaults, d near 1, the friction cone lifts sliding contacts.
+
+    Raises:
+        ValueError: a value is not positive, or an impedance not one that MuJoCo can have.
+    """
+
+    step: float = 1e-4  # [s]
+    # [1/s^2] of a contact / parcel mass; 3e6 N/m under 5.48 kg. The surface's own `stiffness`, a
+    # ratio, multiplies it.
+    stiffness: float = 5.474e5
+    damping: float = 391.5  # [1/s] of a contact / parcel mass
+    impedance: float = 1e-4  # [-] d of a contact, MuJoCo's least
+    # [1/s] by which a contact comes to hold, in impedance / creep_damping = 2 ms. A sliding one
+    # carries mu creep_damping v more per unit mass, the rest of what lifts it.
+    creep_damping: float = 0.05
+    friction_stiffening: float = 1e5  # [-] MuJoCo's impratio
+    bearing_impedance: float = 0.9999  # [-] d of a rotor's bearing friction
+    tolerance: float = 1e-12  # [-] of the constraint solver
+    rotor_radius: float = 0.01  # [m] Table 5
+    rotor_mass: float = 8.61e-3  # [kg] Table 5
+    rotor_inertia: float = 4.30e-7  # [kg m^2] about the axis, Table 5
+    rotor_cross_inertia: float = 2.87e-7  # [kg m^2] across it; Table 5 prints e-2 for y, a misprint
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = checks.positive(field.name, getattr(self, field.name))
+            object.__setattr__(self, field.name, value)
+        for name in ("impedance", "bearing_impedance"):
+            checks.within(name, getattr(self, name), 1e-4, 0.9999)
+
+    def stiffer(self, factor: float) -> "Recipe":
+        """Multiply the contact stiffness, at the same damping ratio."""
+        return replace(
+            self, stiffness=factor * self.stiffness, damping=math.sqrt(factor) * self.damping
+        )
+
+    def finer(self, factor: float) -> "Recipe":
+        """Divide the step."""
+        return replace(self, step=self.step / factor)
+
+    def lighter_rotors(self, factor: float) -> "Recipe":
+        """Divide the rotors' inertia, which the model of Eq. (2)-(4) leaves out."""
+        return replace(
+            self,
+            rotor_mass=self.rotor_mass / factor,
+            rotor_inertia=self.rotor_inertia / factor,
+            rotor_cross_inertia=self.rotor_cross_inertia / factor,
+        )
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Contact parameters between the sides of parcels, by which they hit without rebound.
+
+    Springs behind the recipe's low impedance, as under the base, but damped so much that what has
+    hit stays: the damper stops a closing speed v within 1 / damping, the sides then v / damping
+    deep in each other, and the spring pushes them out at v stiffness / damping^2.
+
+    Raises:
+        ValueError: a value is not positive, or the friction negative.
+    """
+
+    stiffness: float = 1e5  # [1/s^2] of a contact / effective mass
+    damping: float = 5e3  # [1/s] of a contact / effective mass
+    creep_damping: float = 2.5  # [1/s] sides come to hold in impedance / creep_damping = 0.04 ms
+    friction: float = 0.3  # [-]
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            allowed = checks.not_negative if field.name == "friction" else checks.positive
+            object.__setattr__(self, field.name, allowed(field.name, getattr(self, field.name)))
+
+    def harder(self, factor: float) -> "Sides":
+        """Divide the time in which what has hit is stopped."""
+        return replace(
+            self,
+            stiffness=factor * self.stiffness,
+            damping=factor * self.damping,
+            creep_damping=factor * self.creep_damping,
+        )
+
+
+RECIPE = Recipe()
+SIDES = Sides()
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A compiled MuJoCo model of parcels on a surface, and its rotors' degrees of freedom.
+
+    The parcels' free joints come first, so qpos[:7] and qvel[:6] are the first base frame's.
+    """
+
+    model: Any  # mujoco.MjModel
+    rotor_dof: Integers  # (geoms,) degree of freedom of the rotor, -1 for others
+
+
+def load_mujoco() -> ModuleType:
+    """Import the mujoco package.
+
+    Raises:
+        ImportError: it is not installed; the message says what to install.
+    """
+    try:
+        import mujoco
+    except ImportError as error:
+        raise ImportError(
+            f"the validation needs MuJoCo ({error}): pip install 'surface_gym[validation]'"
+        ) from None
+    return mujoco
+
+
+def build(
+    surface: Surface,
+    parcels: Parcel | Sequence[Parcel],
+    recipe: Recipe = RECIPE,
+    heights: ArrayLike | None = None,
+    within: ArrayLike | None = None,
+    sides: Sides = SIDES,
+) -> Scene:
+    """Build a parcel, a hinged sphere for each rotor and a fixed sphere for each support.
+
+    The tops of the spheres lie in the plane z = 0 and the surface's tilt is in the direction of
+    gravity, as in Section 6.1. Several parcels push each other by belts at the height of their
+    centres of mass, where the analytic model has them do so.
+
+    Args:
+        surface: the surface.
+        parcels: the parcel or parcels; prisms twice as high as their centres of mass.
+        recipe: rotors and contact parameters.
+        heights: (rows, columns) [m] of the tops of the elements above the plane; None: flat.
+        within: (rows, columns) the elements to build; None: all. `reachable` gives those that a
+            run can touch.
+        sides: contact parameters between parcels.
+
+    Raises:
+        ValueError: the tilt is beyond the recipe, there are more elements than MuJoCo can hold in
+            memory, or an array has another shape.
+        ImportError: MuJoCo is not installed.
+    """
+    if abs(surface.tilt) > MAX_TILT + 1e-12:
+        raise ValueError(
+            f"tilt must be between -15 and 15 deg, where the recipe holds, "
+            f"got {math.degrees(surface.tilt):g} deg"
+        )
+    shape = (surface.rows, surface.columns)
+    top = np.zeros(shape) if heights is None else checks.array("heights", heights, shape)
+    built = np.ones(shape, dtype=bool) if within is None else np.asarray(within, dtype=bool)
+    if built.shape != shape:
+        raise ValueError(f"within must have the shape {shape}, got {built.shape}")
+    rotors, elements = int((built & surface.rotor).sum()), int(built.sum())
+    if rotors > MAX_ROTORS or elements > MAX_ELEMENTS:
+        raise ValueError(
+            f"surface must have at most {MAX_ROTORS} rotors and {MAX_ELEMENTS} elements in reach "
+            f"for MuJoCo's memory, got {rotors} and {elements}: make the surface smaller or the "
+            f"run shorter"
+        )
+    mujoco = load_mujoco()
+    spec = mujoco.MjSpec()
+    _set_options(mujoco, spec, surface, recipe)
+    parcels = [parcels] if isinstance(parcels, Parcel) else parcels
+    bases = [f"{BASE}{k or ''}" for k in range(len(parcels))]
+    belts = [f"belt{k}" for k in range(len(parcels))] if len(parcels) > 1 else []
+    for k, parcel in enumerate(parcels):
+        body = _add_parcel(mujoco, spec, parcel, bases[k])
+        if belts:
+            _add_belt(mujoco, spec, body, parcel, belts[k])
+    for row, column in zip(*np.nonzero(built), strict=True):
+        _add_element(mujoco, spec, surface, recipe, row, column, top[row, column], bases)
+    for one, other in combinations(belts, 2):
+        pair = spec.add_pair(geomname1=one, geomname2=other, condim=3)
+        pair.friction = [sides.friction, sides.friction, 0.0, 0.0, 0.0]
+        pair.solref = [-sides.stiffness, -sides.damping]
+        pair.solreffriction = [-1e-9, -sides.creep_damping]
+        pair.solimp = _constant_impedance(recipe.impedance)
+    model = spec.compile()
+    dof = np.where(model.geom_bodyid > 0, model.body_dofadr[model.geom_bodyid], -1)
+    dof[np.isin(model.geom_bodyid, np.flatnonzero(model.body_dofnum == 6))] = -1
+    return Scene(model, dof.astype(np.int64))
+
+
+def _set_options(mujoco: Any, spec: Any, surface: Surface, recipe: Recipe) -> None:
+    option = spec.option
+    option.timestep = recipe.step
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    # MuJoCo 4.0.0 factorises sparse Newton systems wrongly (mended in 4.0.1, its issue 3767).
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = recipe.friction_stiffening
+    option.tolerance = recipe.tolerance
+    option.gravity = [GRAVITY * math.sin(surface.tilt), 0.0, -GRAVITY * math.cos(surface.tilt)]
+
+
+def _add_parcel(mujoco: Any, spec: Any, parcel: Parcel, name: str) -> Any:
+    """Add a prism on its base. Only its vertical inertia is the parcel's; the others decide how
+    fast it settles, not where it goes, and are those of a prism of even density.
+    """
+    body = spec.worldbody.add_body()
+    body.add_freejoint()
+    vertical = parcel.moment_of_inertia
+    level = 0.5 * vertical + parcel.mass * parcel.com_height**2 / 3.0
+    body.explicitinertial = True
+    body.mass = parcel.mass
+    body.ipos = [*parcel.centre_of_mass, parcel.com_height]
+    body.iquat = [1.0, 0.0, 0.0, 0.0]
+    body.inertia = [level, level, vertical]
+    height = max(2.0 * parcel.com_height, LEAST_BODY_HEIGHT)
+    _add_prism(mujoco, spec, body, parcel.base, name, 0.0, height)
+    return body
+
+
+def _add_prism(
+    mujoco: Any, spec: Any, body: Any, base: Base, name: str, low: float, height: float
+) -> None:
+    """Add a shape to a body; it touches only what it is paired with."""
+    half = 0.5 * height
+    shape: dict[str, Any]
+    if isinstance(base, Rectangle):
+        shape = {
+            "type": mujoco.mjtGeom.mjGEOM_BOX,
+            "size": [base.length / 2.0, base.width / 2.0, half],
+            "pos": [0.0, 0.0, low + half],
+        }
+    elif isinstance(base, Disc):
+        shape = {
+            "type": mujoco.mjtGeom.mjGEOM_CYLINDER,
+            "size": [base.radius, half, 0.0],
+            "pos": [0.0, 0.0, low + half],
+        }
+    else:
+        corners = [[*corner, z] for z in (low, low + height) for corner in base.outline]
+        spec.add_mesh(name=name, uservert=np.ravel(corners))
+        shape = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name}
+    body.add_geom(name=name, contype=0, conaffinity=0, **shape)
+
+
+def _add_belt(mujoco: Any, spec: Any, body: Any, parcel: Parcel, name: str) -> None:
+    """Add the shape that touches other parcels. A disc has a sphere, whose equator is at that
+    height and whose contacts MuJoCo finds to the last digit, where a cylinder's normals may be off.
+    """
+    if isinstance(parcel.base, Disc):
+        body.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[parcel.base.radius, 0.0, 0.0],
+            pos=[0.0, 0.0, parcel.com_height],
+            contype=0,
+            conaffinity=0,
+        )
+    else:
+        low = parcel.com_height - 0.5 * BELT
+        _add_prism(mujoco, spec, body, parcel.base, name, low, BELT)
+
+
+def _add_element(
+    mujoco: Any,
+    spec: Any,
+    surface: Surface,
+    recipe: Recipe,
+    row: int,
+    column: int,
+    top: float,
+    bases: Sequence[str],
+) -> None:
+    """Add a sphere, on a hinge along the rotor's axis or fixed, that touches only the bases."""
+    name = f"{row},{column}"
+    place = [surface.x[column], surface.y[row], top - recipe.rotor_radius]
+    sphere = {"name": name, "size": [recipe.rotor_radius, 0, 0], "contype": 0, "conaffinity": 0}
+    if surface.rotor[row, column]:
+        half_turn = 0.5 * surface.axis[row, column]
+        rotor = spec.worldbody.add_body(
+            name=name, pos=place, quat=[math.cos(half_turn), 0.0, 0.0, math.sin(half_turn)]
+        )
+        rotor.add_joint(
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=[1.0, 0.0, 0.0],
+            solimp_friction=_constant_impedance(recipe.bearing_impedance),
+        )
+        rotor.explicitinertial = True
+        rotor.mass = recipe.rotor_mass
+        rotor.ipos = [0.0, 0.0, 0.0]
+        rotor.iquat = [1.0, 0.0, 0.0, 0.0]
+        across = recipe.rotor_cross_inertia
+        rotor.inertia = [recipe.rotor_inertia, across, across]
+        rotor.add_geom(**sphere)
+        friction = surface.mu_max
+    else:
+        spec.worldbody.add_geom(pos=place, **sphere)
+        friction = surface.mu_support
+    ratio = surface.grid.stiffness[row, column]
+    for base in bases:
+        pair = spec.add_pair(geomname1=name, geomname2=base, condim=3)
+        pair.friction = [friction, friction, 0.0, 0.0, 0.0]
+        pair.solref = [-recipe.stiffness * ratio, -recipe.damping * math.sqrt(ratio)]
+        # A held contact has no spring (zero would select the contact's own solref).
+        pair.solreffriction = [-1e-9, -recipe.creep_damping]
+        pair.solimp = _constant_impedance(recipe.impedance)
+
+
+def _constant_impedance(impedance: float) -> list[float]:
+    """Return MuJoCo's solimp of an impedance that does not depend on the penetration."""
+    return [impedance, impedance, 0.001, 0.5, 2.0]
+
 
 TIPPING = 1e-3  # [rad] out of level; the contacts' springs give way by some 1e-5
 # The sides stop each other within 0.2 ms. Rotors without inertia, as the analytic model has none.
@@ -83,7 +405,7 @@ def simulate_together(
     poses: ArrayLike,
     velocities: ArrayLike,
     duration: float,
-    within: NDArray[np.bool_],
+    within: Booleans,
     recipe: Recipe = TOGETHER_RECIPE,
     sides: Sides = SIDES,
 ) -> tuple[Trajectory, ...]:
@@ -120,7 +442,7 @@ def simulate_together(
     return _run(scene, surface, parcels, start, motion, sags, duration, recipe)
 
 
-def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> NDArray[np.bool_]:
+def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> Booleans:
     """Find the elements under a base, (rows, columns): Section 3.2's F_lambda <= 0.
 
     Args:
@@ -137,7 +459,7 @@ def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> NDArray
 
 def reachable(
     surface: Surface, parcel: Parcel, pose: ArrayLike, velocity: ArrayLike, duration: float
-) -> NDArray[np.bool_]:
+) -> Booleans:
     """Find the elements, (rows, columns), that a parcel's energy can take it to, without friction.
 
     Args:
@@ -163,7 +485,7 @@ def reachable(
 
 
 def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
-    """[m] by which a level base sinks below the plane until the springs under it carry it.
+    """Return the depth [m] below the plane at which the springs under a level base carry it.
 
     Args:
         tops: (contacts,) [m] above the plane.
@@ -177,8 +499,8 @@ def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
     return float(alone.min())
 
 
-def normal_forces(data: Any) -> tuple[NDArray[np.int64], Array]:
-    """Geoms (contacts, 2) of the pairs that touch, and the normal forces [N] between them."""
+def normal_forces(data: Any) -> tuple[Integers, Array]:
+    """Return the geoms (contacts, 2) of the pairs that touch, and their normal forces [N]."""
     contact = data.contact
     row = contact.efc_address
     touching = row >= 0
@@ -237,7 +559,7 @@ def _run(
 def _make_trajectory(
     surface: Surface, parcel: Parcel, theta: float, time: Array, place: Array, speed: Array
 ) -> Trajectory:
-    """Motion in the plane, up to where the centre of mass leaves the surface.
+    """Make the trajectory in the plane, up to where the centre of mass leaves the surface.
 
     Args:
         surface: the surface.
@@ -259,7 +581,7 @@ def _make_trajectory(
     return Trajectory(time[done], pose[done], velocity[done], tipping[done], end)
 
 
-def _is_over(surface: Surface, parcel: Parcel, pose: Array) -> NDArray[np.bool_]:
+def _is_over(surface: Surface, parcel: Parcel, pose: Array) -> Booleans:
     """Check at poses (T, 3) whether the centre of mass is over the surface, (T,)."""
     com_x, com_y = parcel.centre_of_mass
     cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])

@@ -13,28 +13,14 @@ from rich.progress import track
 from surface_gym.paper.runs import Integration
 from surface_gym.parallel import Workers, map_jobs, without_report
 from surface_gym.trajectory import Trajectory
-from surface_gym.validation import comparison, touching, unevenness
-from surface_gym.validation.comparison import (
-    EXPLICIT,
-    IMPLICIT,
-    LONG,
-    PUSHED,
-    UNIT,
-    Array,
-    Case,
-    Errors,
-    Run,
-    Summary,
-    Target,
-    compute_errors,
-    displacement,
-)
-from surface_gym.validation.scene import RECIPE, Recipe
+from surface_gym.validation import comparison, drawn
+from surface_gym.validation.comparison import Array, Case, Errors, Run, Summary, Target
+from surface_gym.validation.simulation import RECIPE, Recipe
 
 DRAWS = 20  # surfaces for each unevenness
 MEETINGS = 30  # of two parcels that push each other
 
-CASES = (Case(5.0), Case(14.0), PUSHED)
+CASES = (Case(5.0), Case(14.0), comparison.PUSHED)
 VARIANTS = {
     "recipe": RECIPE,
     "step / 2": RECIPE.finer(2.0),
@@ -57,16 +43,21 @@ class Variant:
 
 
 def run_variant(job: tuple[Case, Recipe]) -> Array:
-    """Run a job; its displacement (3,) [m, m, deg]."""
+    """Run a job, and return its displacement (3,) [m, m, deg]."""
     case, recipe = job
-    return displacement(case.mujoco(recipe))
+    return comparison.displacement(case.mujoco(recipe))
 
 
 def compare_variants(ends: Sequence[Array]) -> tuple[Variant, ...]:
     """Compare the displacements of JOBS."""
     table = np.reshape(ends, (len(CASES), len(VARIANTS), 3))
     return tuple(
-        Variant(case, change, UNIT * (end - rows[0]), UNIT * (end - displacement(case.analytic())))
+        Variant(
+            case,
+            change,
+            comparison.UNIT * (end - rows[0]),
+            comparison.UNIT * (end - comparison.displacement(case.analytic())),
+        )
         for case, rows in zip(CASES, table, strict=True)
         for change, end in zip(VARIANTS, rows, strict=True)
     )
@@ -140,8 +131,8 @@ def measure(method: Method) -> Speed:
 
 
 def _ends(method: Method, step: float) -> Array:
-    """(cases, 3) [m, m, deg]."""
-    return np.array([displacement(method.run(case, step)) for case in CASES])
+    """Return the displacements (cases, 3) [m, m, deg]."""
+    return np.array([comparison.displacement(method.run(case, step)) for case in CASES])
 
 
 def _rate(method: Method, step: float) -> float:
@@ -165,32 +156,32 @@ class Study:
     long: Run  # Figure 12c
     convergence: tuple[Variant, ...]
     speeds: tuple[Speed, ...]
-    spreads: tuple[unevenness.Spread, ...]  # empty if not asked for
-    meetings: tuple[touching.MeetingRun, ...] = ()  # empty if not asked for
+    spreads: tuple[drawn.Spread, ...]  # empty if not asked for
+    meetings: tuple[drawn.MeetingRun, ...] = ()  # empty if not asked for
 
     @property
     def implicit(self) -> Errors:
         """Errors over the tilts."""
-        return compute_errors(self.sweep, lambda run: run.implicit)
+        return comparison.compute_errors(self.sweep, lambda run: run.implicit)
 
     @property
     def explicit(self) -> Errors:
         """Errors over the tilts."""
-        return compute_errors(self.sweep, lambda run: run.explicit)
+        return comparison.compute_errors(self.sweep, lambda run: run.explicit)
 
     @property
     def summaries(self) -> tuple[Summary, Summary]:
         """Table 7 against `implicit` and against `explicit`."""
         return (
-            self.implicit.summary(f"MuJoCo / implicit, {1e3 * IMPLICIT.dt:g} ms"),
-            self.explicit.summary(f"MuJoCo / explicit, {1e3 * EXPLICIT.dt:g} ms"),
+            self.implicit.summary(f"MuJoCo / implicit, {1e3 * comparison.IMPLICIT.dt:g} ms"),
+            self.explicit.summary(f"MuJoCo / explicit, {1e3 * comparison.EXPLICIT.dt:g} ms"),
         )
 
     @property
     def targets(self) -> tuple[Target, ...]:
         """Bounds on MuJoCo against the implicit method."""
         return comparison.check_targets(
-            self.implicit, compute_errors([self.pushed], lambda run: run.implicit)
+            self.implicit, comparison.compute_errors([self.pushed], lambda run: run.implicit)
         )
 
     @property
@@ -221,14 +212,14 @@ def run_study(
         seed: of the uneven supports and of those parcels.
         console: where the progress is drawn.
     """
-    cases = (*(Case(tilt) for tilt in tilts), PUSHED, LONG)
-    draws = unevenness.draw_surfaces(DRAWS, seed) if with_unevenness else ()
-    meetings = [touching.Meeting(seed + k) for k in range(MEETINGS if with_touching else 0)]
+    cases = (*(Case(tilt) for tilt in tilts), comparison.PUSHED, comparison.LONG)
+    draws = drawn.draw_surfaces(DRAWS, seed) if with_unevenness else ()
+    meetings = [drawn.Meeting(seed + k) for k in range(MEETINGS if with_touching else 0)]
     parts: tuple[tuple[Any, Sequence[Any]], ...] = (
         (comparison.run_case, cases),
         (run_variant, JOBS),
-        (unevenness.run_draw, draws),
-        (touching.run_meeting, meetings),
+        (drawn.run_draw, draws),
+        (drawn.run_meeting, meetings),
     )
     jobs = [
         partial(without_report, partial(function, each))
@@ -254,6 +245,6 @@ def run_study(
         long=runs[-1],
         convergence=compare_variants(variants),
         speeds=speeds,
-        spreads=unevenness.compare_draws(draws, ends) if draws else (),
+        spreads=drawn.compare_draws(draws, ends) if draws else (),
         meetings=tuple(meeting_runs),
     )

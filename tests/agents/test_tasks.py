@@ -6,18 +6,18 @@ import pytest
 import yaml
 
 from surface_gym import agents
-from surface_gym.agents.tasks import card_env_id, find_task, task_kind, task_label
+from surface_gym.agents.library import card_env_id, find_task, task_kind, task_label
 from surface_gym.tasks import TASKS
 from tests.agents.test_doors import ROOT, door, inside
 
 REACH = str(ROOT / "examples" / "reach.py") + ":Reach"
 HASTE = str(ROOT / "examples" / "haste.py") + ":Haste"
-SHORT = "--steps 512 --lanes 8 --n-steps 16 --batch-size 64 --n-epochs 1 --hidden 8 --name a"
+SHORT = "--steps 512 --num-envs 8 --n-steps 16 --batch-size 64 --n-epochs 1 --hidden 8 --name a"
 
 
 class TestNames:
     @pytest.mark.parametrize("name", TASKS)
-    def test_the_packages(self, name: str) -> None:
+    def test_the_packages(self, name) -> None:
         assert find_task(name) == TASKS[name]()
         assert (task_kind(name), task_label(name)) == (name, name)
         assert card_env_id(name) == f"SmartSurface/{name.capitalize()}-v0"
@@ -45,9 +45,7 @@ class TestNames:
             ("broken.py:Reach", "task must be in a file that runs, got broken.py: ZeroDivision"),
         ],
     )
-    def test_others_are_named(
-        self, name: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_others_are_named(self, name, named, tmp_path, monkeypatch) -> None:
         (tmp_path / "broken.py").write_text("1 / 0\n")
         monkeypatch.chdir(tmp_path)
         with pytest.raises(ValueError, match=named):
@@ -64,7 +62,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class TestARun:
-    def test_holds_everything(self, run: Path) -> None:
+    def test_holds_everything(self, run) -> None:
         card = yaml.safe_load((run / "policy.yaml").read_text())
         assert card["env_id"] == "Own/Reach"
         table = (run / "table.md").read_text()
@@ -72,15 +70,15 @@ class TestARun:
         assert "PPO" in table
         assert (run / "reach.mp4").stat().st_size > 0
 
-    def test_its_policy_plays_where_the_task_is_said(self, run: Path) -> None:
+    def test_its_policy_plays_where_the_task_is_said(self, run) -> None:
         policy = agents.read(run, find_task(REACH))
         assert policy.env_kwargs["task"] == find_task(REACH)
-        with pytest.raises(ValueError, match="task must be Reach, of one's own"):
+        with pytest.raises(ValueError, match="task must be Reach, a user's own"):
             agents.read(run)
-        with pytest.raises(ValueError, match="task must be Reach, of one's own"):
+        with pytest.raises(ValueError, match="task must be Reach, a user's own"):
             agents.read(run, find_task(HASTE))
 
-    def test_no_code_is_run_for_what_its_folder_says(self, run: Path) -> None:
+    def test_no_code_is_run_for_what_its_folder_says(self, run) -> None:
         """Whose code is to be run stands on the command line, not in the folder."""
         mark = run / "ran"
         trap = run / "trap.py"
@@ -99,13 +97,13 @@ class TestARun:
         assert not mark.exists()
         config.write_text(whole)
 
-    def test_goes_on_where_the_task_is_said(self, run: Path) -> None:
+    def test_goes_on_where_the_task_is_said(self, run) -> None:
         before = (run / "policy.pt").read_bytes()
         done = inside("train.py", "--resume", str(run), "--task", REACH, folder=run)
         assert done.returncode == 0, done.stderr
         assert (run / "policy.pt").read_bytes() == before
 
-    def test_is_compared(self, run: Path) -> None:
+    def test_is_compared(self, run) -> None:
         """By processes of their own, which find the task's code again."""
         folder = run.parents[1]
         done = door(str(ROOT / "evaluate.py"), "--task", REACH, "--out", "out", folder=folder)
@@ -116,12 +114,12 @@ class TestARun:
         assert (folder / "out" / "report.html").stat().st_size > 0
 
 
-def test_a_faulty_task_ends_without_a_traceback(tmp_path: Path) -> None:
+def test_a_faulty_task_ends_without_a_traceback(tmp_path) -> None:
     (tmp_path / "faulty.py").write_text(
-        "from surface_gym.tasks import Sort\nclass Faulty(Sort):\n    judge = None\n"
+        "from surface_gym.tasks import Sort\nclass Faulty(Sort):\n    outcome = None\n"
     )
     done = inside("train.py", "--task", "faulty.py:Faulty", *SHORT.split(), folder=tmp_path)
     assert done.returncode != 0
-    assert "Faulty.judge must be a static method and a kernel_function" in done.stderr
+    assert "Faulty.outcome must be a static method and a kernel_function" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "runs" / "a" / "policy.pt").exists()

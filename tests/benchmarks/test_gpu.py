@@ -36,7 +36,7 @@ QUIET = Console(quiet=True)
 
 
 class ManualTime:
-    """A clock that advances only where it is told to."""
+    """A clock that advances only where a test sets it."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 0.0
@@ -114,16 +114,16 @@ class Scripted:
 
 
 class TestTiming:
-    def test_the_median_window_counts_after_settling(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_the_median_window_counts_after_warm_up(self, monkeypatch: pytest.MonkeyPatch) -> None:
         program = Scripted(ManualTime(monkeypatch), 100.0, 1.0, 8.0, 2.0)
-        effort = Effort(windows=3, steps=64, seconds=0.5, chunk=64, settling=128)
+        effort = Effort(windows=3, steps=64, seconds=0.5, chunk=64, warm_up=128)
         rate = measure_rate(program, effort)
         assert rate == Rate("scripted", 10, 64 * 10 / 2.0, 4 / 2.0, 3.0)
         assert program.chunks == [128, 64, 64, 64]
 
     def test_a_window_lasts_as_long_as_required(self, monkeypatch: pytest.MonkeyPatch) -> None:
         program = Scripted(ManualTime(monkeypatch), 0.1)
-        measure_rate(program, Effort(windows=1, steps=8, seconds=0.95, chunk=8, settling=8))
+        measure_rate(program, Effort(windows=1, steps=8, seconds=0.95, chunk=8, warm_up=8))
         assert program.chunks == [8] * 11
 
     def test_a_device_is_reset_twice_alike_and_its_starts_are_counted(self) -> None:

@@ -8,10 +8,20 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.case import GROUPS, NOTHING, TOGETHER, Case, Unknown, draw
-from surface_gym.design.line import line_for
-from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
-from surface_gym.design.runs import make_runs, run_all
+from surface_gym.design.case import (
+    GROUPS,
+    NOTHING,
+    TOGETHER,
+    Case,
+    Purpose,
+    Slow,
+    Sort,
+    Stop,
+    Turn,
+    Unknown,
+    draw,
+)
+from surface_gym.design.runs import line_for, make_runs, run_all
 
 BOX = layouts.box("S")
 

@@ -14,8 +14,8 @@ import tyro
 
 import surface_gym as sg
 from surface_gym.design import cli
+from surface_gym.design.case import Purpose, Slow, Sort, Stop, Turn
 from surface_gym.design.cli import AskFriction
-from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
 from surface_gym.parallel import usable_cores
 
 

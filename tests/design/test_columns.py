@@ -7,9 +7,8 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.case import NOTHING, Case, Unknown
+from surface_gym.design.case import NOTHING, Case, Slow, Sort, Stop, Turn, Unknown
 from surface_gym.design.columns import columns_by_rows, columns_by_speed, least_columns
-from surface_gym.design.purposes import Slow, Sort, Stop, Turn
 from surface_gym.paper.runs import SlowingLayout, load_targets
 
 TARGETS = load_targets()

@@ -8,11 +8,10 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.case import NOTHING, Case
+from surface_gym.design.case import NOTHING, Case, Purpose, Slow, Sort, Stop, Turn
 from surface_gym.design.cli import main
 from surface_gym.design.columns import least_columns
 from surface_gym.design.control import ControlGain, Gain, control_gain
-from surface_gym.design.purposes import Purpose, Slow, Sort, Stop, Turn
 from surface_gym.design.runs import make_runs
 
 BOX = layouts.box("S")

@@ -8,11 +8,10 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.case import NOMINAL, NOTHING, TOGETHER, Case, Unknown
+from surface_gym.design.case import NOMINAL, NOTHING, TOGETHER, Case, Slow, Sort, Stop, Unknown
 from surface_gym.design.columns import least_columns
 from surface_gym.design.limits import friction_range, least_speed, least_tilt, span_around
-from surface_gym.design.purposes import Slow, Sort, Stop
-from surface_gym.design.sensitivity import Arrangement, arrange
+from surface_gym.design.sweep import Arrangement, arrange
 from surface_gym.physics.types import GRAVITY
 
 OWN = sg.Parcel(sg.Rectangle(0.3, 0.4), mass=12.0)

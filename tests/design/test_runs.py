@@ -7,8 +7,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.line import DesignLine, line_for
-from surface_gym.design.runs import REST_SPEED, make_runs, run_all
+from surface_gym.design.runs import REST_SPEED, DesignLine, line_for, make_runs, run_all
 
 
 @pytest.mark.parametrize(("size", "rows", "lead_in"), [("S", 2, 3), ("B", 4, 5)])
@@ -109,7 +108,7 @@ def test_a_run_is_simulate_s_to_the_bit() -> None:
         np.testing.assert_array_equal(ends.velocity[0], trajectory.velocity[steps])
 
 
-def test_runs_do_not_depend_on_threads_or_company() -> None:
+def test_runs_do_not_depend_on_threads_or_other_bodies() -> None:
     parcel = layouts.box("S")
     line = line_for(parcel, 8)
     zones = np.stack([np.full((2, 8), EIGHTH), np.full((2, 8), 0.0)])

@@ -7,9 +7,8 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.case import NOTHING, Case, Unknown, draw
-from surface_gym.design.purposes import Sort, Stop
-from surface_gym.design.sensitivity import FIELDS, USUAL, sensitivity
+from surface_gym.design.case import NOTHING, Case, Sort, Stop, Unknown, draw
+from surface_gym.design.sweep import FIELDS, USUAL, sensitivity
 
 CASE = Case(layouts.box("S"), Stop(), speed=1.5, draws=6)
 

@@ -8,11 +8,10 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.case import NOMINAL, NOTHING, Case, Unknown
+from surface_gym.design.case import NOMINAL, NOTHING, Case, Sort, Stop, Unknown
 from surface_gym.design.limits import least_speed
-from surface_gym.design.line import line_for
-from surface_gym.design.purposes import Sort, Stop
-from surface_gym.design.size_map import SuccessMap, success_map
+from surface_gym.design.runs import line_for
+from surface_gym.design.sweep import SuccessMap, success_map
 
 SPEEDS = (0.5, 1.0, 1.5)
 SIZES = (0.7, 1.0, 1.3)

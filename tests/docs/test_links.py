@@ -4,6 +4,7 @@ import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from pkgutil import resolve_name
 
 import pytest
 
@@ -12,6 +13,7 @@ from tests.docs.reading import DOCS, PAGES, ROOT, prose
 LINK = re.compile(r"\]\(([^()\s]+)\)")
 ELSEWHERE = ("https://", "http://", "mailto:")
 VIDEO = 400_000  # [bytes] at most
+DOTTED = re.compile(r"\bsurface_gym(?:\.[A-Za-z_]\w*)+")
 FILE = re.compile(r"`((?:surface_gym|agents|tests|examples|benchmarks|docs)/[\w./*-]+)`")
 NAMED = re.compile(r"images/([\w-]+\.\w+)")
 
@@ -49,6 +51,12 @@ def test_each_link_leads_somewhere(page: str) -> None:
 def test_each_file_that_is_named_exists(page: str) -> None:
     for path in FILE.findall((ROOT / page).read_text()):
         assert "NAME" in path or any(ROOT.glob(path)), path
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_each_name_of_the_package_exists(page: str) -> None:
+    for name in DOTTED.findall((ROOT / page).read_text()):
+        assert resolve_name(name) is not None
 
 
 def test_every_picture_is_made_by_the_command(

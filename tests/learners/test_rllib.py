@@ -27,7 +27,7 @@ def test_it_learns_of_agents(tmp_path: Path) -> None:
     assert 0.0 <= told.figures["left by their exit"] <= 1.0
 
 
-def test_its_lanes_are_those_of_the_native_vector_env() -> None:
+def test_its_environments_are_those_of_the_native_vector_env() -> None:
     """Each episode that is learned from is one of a single environment."""
     from ray.rllib.algorithms.ppo import PPOConfig
     from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner

@@ -65,12 +65,12 @@ def test_compiled_code_is_reused_until_a_file_it_is_inlined_from_changes(copied:
     assert probe(copied) == (first, 1)
 
     # `run_implicit` lives in run.py; its friction comes from another file.
-    edit(copied / "dynamics" / "friction.py", "ROUNDING = 1e-5", "ROUNDING = 1e-2")
+    edit(copied / "physics" / "friction.py", "ROUNDING = 1e-5", "ROUNDING = 1e-2")
     edited, hits = probe(copied)
     assert hits == 0
     assert edited != first
 
-    edit(copied / "dynamics" / "friction.py", "ROUNDING = 1e-2", "ROUNDING = 1e-5")
+    edit(copied / "physics" / "friction.py", "ROUNDING = 1e-2", "ROUNDING = 1e-5")
     assert probe(copied) == (first, 1)  # which is still in the cache
 
 
@@ -98,14 +98,16 @@ def test_a_cache_cut_short_is_made_anew(ending: str, left: int, cache: Path) -> 
 
 
 @pytest.mark.usefixtures("cache")
-def test_a_full_disk_is_told_once_and_nothing_else_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_reported_once_and_nothing_else_fails(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(IndexDataCacheFile, "save", full)
-    with pytest.warns(RuntimeWarning, match=r"not kept.*No space left on device") as told:
+    with pytest.warns(RuntimeWarning, match=r"not kept.*No space left on device") as warned:
         assert [hits_of(1.5), hits_of(1.5)] == [0, 0]
-    assert len(told) == 1
+    assert len(warned) == 1
 
 
 def test_where_no_folder_can_be_written_it_is_compiled_all_the_same(

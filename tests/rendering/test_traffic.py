@@ -9,7 +9,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.rendering import ExitMark, Scene, SceneParcel, Traffic, draw
 from surface_gym.rendering.ink import GOAL, PLATE, PLATE_EDGE, axis_colour, exit_colour, inset
-from surface_gym.rendering.parcel_marks import contact_point
+from surface_gym.rendering.marks import contact_point
 from tests.rendering.conftest import EXITS, LONG, SMALL
 
 HIGHEST, LOWEST = 1.7, 0.3  # [m] shown of the surface: 0.5 m beside the rotor rows

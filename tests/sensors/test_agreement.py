@@ -32,8 +32,8 @@ def between_places(low: float, high: float, count: int) -> tuple[int, int]:
 
 
 def placed(task: str, parcel: str) -> tuple[sg.SmartSurfaceVectorEnv, EnvState]:
-    """An environment of one parcel, and its lane."""
-    env = sg.SmartSurfaceVectorEnv(1, task, "quadrants", Presence())
+    """An environment of one parcel, and its state."""
+    env = sg.SmartSurfaceVectorEnv(1, task, actions="quadrants", sensors=Presence())
     env.reset(seed=0, options={"parcel": parcel})
     batch = env.batch
     arrays = (batch.surfaces, batch.parcels, batch.bodies)

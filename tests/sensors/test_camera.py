@@ -53,7 +53,7 @@ def test_noise_has_its_law() -> None:
         frame_rate=25.0, latency=0.0, position_noise=0.004, angle_noise=0.02,
         acceleration_density=1e6, turn_density=1e6,
     )  # fmt: skip
-    found = errors(blunt, ROLL, lanes=64, speed=1.0, parcel="S")
+    found = errors(blunt, ROLL, num_envs=64, speed=1.0, parcel="S")
     assert len(found) > 1500
     for column, spread in ((0, 0.004), (1, 0.004), (2, 0.02)):
         assert found[:, column].std() == pytest.approx(spread, rel=0.08)

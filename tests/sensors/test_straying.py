@@ -9,7 +9,7 @@ import surface_gym as sg
 from surface_gym.sensors import Presence
 from tests.sensors.runs import contradicts
 
-LANES, PERIODS, HELD = 48, 75, 5
+NUM_ENVS, PERIODS, HELD = 48, 75, 5
 PITCH = 0.1  # [m]
 NOMINAL = 0.5  # [-] mu_max of every line
 
@@ -21,7 +21,7 @@ WORLDS = {
 
 
 def drive(env: sg.SmartSurfaceVectorEnv, parcel: str, periods: int = PERIODS) -> Any:
-    """Random actions, each held a while; after each period the lanes that still run."""
+    """Random actions, each held a while; after each period the environments that still run."""
     env.reset(seed=0, options={"parcel": parcel})
     env.action_space.seed(0)
     running = np.ones(env.num_envs, dtype=bool)
@@ -36,7 +36,12 @@ def drive(env: sg.SmartSurfaceVectorEnv, parcel: str, periods: int = PERIODS) ->
 def env_of(world: str, **settings: Any) -> sg.SmartSurfaceVectorEnv:
     sensors, randomisation = WORLDS[world]
     return sg.SmartSurfaceVectorEnv(
-        LANES, "track", "quadrants", sensors, randomisation=randomisation, **settings
+        NUM_ENVS,
+        "track",
+        actions="quadrants",
+        sensors=sensors,
+        randomisation=randomisation,
+        **settings,
     )
 
 
@@ -45,7 +50,7 @@ def env_of(world: str, **settings: Any) -> sg.SmartSurfaceVectorEnv:
 def test_the_estimate_stays_with_the_switches(world: str, parcel: str) -> None:
     env = env_of(world)
     memory = env.batch.parcels
-    row = np.zeros(LANES, dtype=int)
+    row = np.zeros(NUM_ENVS, dtype=int)
     space = env.single_observation_space
     for observations, running in drive(env, parcel):
         error = np.hypot(*(memory.sensed - memory.truth)[running, :2].T)
@@ -69,7 +74,7 @@ def test_an_estimate_that_is_thrown_off_comes_back() -> None:
 
 def test_what_is_lost_of_the_samples_does_not_make_it_stray() -> None:
     sensors = Presence(sample_rate=50.0, drop=0.5, mu_max=NOMINAL / 0.8)
-    env = sg.SmartSurfaceVectorEnv(LANES, "track", "quadrants", sensors)
+    env = sg.SmartSurfaceVectorEnv(NUM_ENVS, "track", actions="quadrants", sensors=sensors)
     memory = env.batch.parcels
     for _, running in drive(env, "B"):
         error = np.hypot(*(memory.sensed - memory.truth)[running, :2].T)

@@ -8,17 +8,17 @@ import pytest
 import surface_gym as sg
 from surface_gym.sensors import KINDS, Exact
 
-LANES = 64
+NUM_ENVS = 64
 
 
 def first_ends(sensors: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Outcome, time and pose at each lane's first end; "modules" does not depend on sensing."""
-    env = sg.SmartSurfaceVectorEnv(LANES, sensors=sensors, max_episode_steps=60)
+    """Outcome, time and pose at each environment's first end; "modules" depends on no sensing."""
+    env = sg.SmartSurfaceVectorEnv(NUM_ENVS, sensors=sensors, max_episode_steps=60)
     env.reset(seed=0, options={"side": 1})
     minus_45 = np.full(env.action_space.shape, 2)  # sorts, so that rotors are left behind
-    outcome = np.empty(LANES, dtype=object)
-    time, pose = np.zeros(LANES), np.zeros((LANES, 3))
-    running = np.ones(LANES, dtype=bool)
+    outcome = np.empty(NUM_ENVS, dtype=object)
+    time, pose = np.zeros(NUM_ENVS), np.zeros((NUM_ENVS, 3))
+    running = np.ones(NUM_ENVS, dtype=bool)
     while running.any():
         _, _, terminated, truncated, info = env.step(minus_45)
         ended = running & (terminated | truncated)

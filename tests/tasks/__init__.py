@@ -55,12 +55,12 @@ def play(
 
 
 def placed(task: Task, start: Start) -> Batch:
-    """A batch of one lane on which a start was put."""
+    """A batch of one environment on which a start was put."""
     return batch_with(start, task=task)
 
 
 def features_of(batch: Batch) -> dict[str, float]:
-    """What the lane observes, by name."""
+    """What the environment observes, by name."""
     names = [feature.name for feature in batch.task.features]
     return dict(zip(names, batch.parcels.observation[0].tolist(), strict=True))
 

@@ -115,7 +115,7 @@ class TestStarts:
 
     @every_task
     def test_one_at_a_time_they_are_the_same(self, name: str) -> None:
-        """A lane's start does not depend on how many others start with it."""
+        """An environment's start does not depend on how many others start with it."""
         task = TASKS[name]()
         numbers = np.random.default_rng(1).random((5, task.draws))
         together = task.start(Draw(numbers, (), task.line))

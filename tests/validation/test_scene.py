@@ -10,9 +10,15 @@ import surface_gym as sg
 from surface_gym import validation
 from surface_gym.physics.references import scipy_normal_forces
 from surface_gym.physics.types import GRAVITY
-from surface_gym.validation.scene import BASE, RECIPE, Sides
-from surface_gym.validation.simulation import elements_under, normal_forces, reachable
-from surface_gym.validation.unevenness import uneven_normal_forces
+from surface_gym.validation.drawn import uneven_normal_forces
+from surface_gym.validation.simulation import (
+    BASE,
+    RECIPE,
+    Sides,
+    elements_under,
+    normal_forces,
+    reachable,
+)
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
 

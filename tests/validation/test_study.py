@@ -9,7 +9,7 @@ from rich.console import Console
 
 import surface_gym as sg
 from surface_gym import validation
-from surface_gym.validation import command, study, touching, unevenness
+from surface_gym.validation import command, drawn, study
 from surface_gym.validation.report import as_data, draw_all, print_report
 
 from .test_comparison import trajectory
@@ -18,7 +18,7 @@ from .test_comparison import trajectory
 @pytest.fixture(scope="module")
 def found(tilted, pushed) -> study.Study:
     """Two real runs; the other parts are numbers to print."""
-    draws = unevenness.draw_surfaces(draws=2, seed=0)
+    draws = drawn.draw_surfaces(draws=2, seed=0)
     rng = np.random.default_rng(0)
     return study.Study(
         sweep=(tilted,),
@@ -26,10 +26,10 @@ def found(tilted, pushed) -> study.Study:
         long=tilted,
         convergence=study.compare_variants([np.zeros(3) for _ in study.JOBS]),
         speeds=(study.Speed("implicit", 3e-3, 0.72, 7000.0),),
-        spreads=unevenness.compare_draws(draws, [rng.normal(size=(2, 3)) for _ in draws]),
+        spreads=drawn.compare_draws(draws, [rng.normal(size=(2, 3)) for _ in draws]),
         meetings=tuple(
-            touching.MeetingRun(
-                touching.Meeting(k), rng.normal(size=(2, 2, 3)), rng.normal(size=(2, 3)), k == 1
+            drawn.MeetingRun(
+                drawn.Meeting(k), rng.normal(size=(2, 2, 3)), rng.normal(size=(2, 3)), k == 1
             )
             for k in range(3)
         ),
@@ -76,7 +76,7 @@ def test_the_data_is_json(found):
     data = json.loads(json.dumps(as_data(found)))
     assert data["runs"][0]["mujoco"] == pytest.approx([0.451, -0.214, -26.4], rel=0.01)
     assert [target["reached"] for target in data["targets"]] == [True] * 9
-    assert len(data["uneven_supports"]) == len(unevenness.CASES) * len(unevenness.UNEVEN)
+    assert len(data["uneven_supports"]) == len(drawn.CASES) * len(drawn.UNEVEN)
     assert [each["tips_in_mujoco"] for each in data["meetings"]] == [False, True, False]
     np.testing.assert_allclose(data["meetings"][2]["error_mm_mm_deg"], found.meetings[2].analytic)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.validation import touching
+from surface_gym.validation import drawn
 from surface_gym.validation.simulation import simulate_together
 
 pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
@@ -16,11 +16,11 @@ PARCEL = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=2.0, com_height=0.05)
 
 @pytest.mark.parametrize("seed", [3, 6, 8, 19])
 def test_drawn_meetings_end_as_in_mujoco(seed):
-    meeting = touching.Meeting(seed)
+    meeting = drawn.Meeting(seed)
     mujoco = np.array([trajectory.pose[-1] for trajectory in meeting.mujoco()])
     for dt, distance, angle in ((1e-3, 1.0, 0.5), (5e-3, 2.0, 1.0)):
         ends = [trajectory.pose[-1] for trajectory in meeting.analytic(dt).trajectories]
-        millimetres, degrees = touching.apart(touching.UNIT * (np.array(ends) - mujoco))
+        millimetres, degrees = drawn.apart(drawn.UNIT * (np.array(ends) - mujoco))
         assert millimetres < distance
         assert degrees < angle
 
@@ -28,7 +28,7 @@ def test_drawn_meetings_end_as_in_mujoco(seed):
 def test_the_parcels_of_a_meeting_touch_on_the_surface():
     seen = set()
     for seed in range(8):
-        meeting = touching.Meeting(seed)
+        meeting = drawn.Meeting(seed)
         _, parcels, poses, velocities = meeting.drawn
         encounter = meeting.analytic(2e-3)
         seen |= {type(parcel.base) for parcel in parcels}

@@ -8,7 +8,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.physics.references import scipy_normal_forces
-from surface_gym.validation.unevenness import (
+from surface_gym.validation.drawn import (
     CASES,
     EVEN,
     UNEVEN,

@@ -22,16 +22,16 @@ CARDS = {
 def made(name: str) -> Source:
     """The policy of a card, its weights at random."""
     card = CARDS[name]
-    settings = card.settings()
+    config = card.env_config()
     network = network_of(name)
     policy: Policy | ModulePolicy
     if isinstance(network, SharedNetwork):
         policy = ModulePolicy(network, card)
     else:
         assert isinstance(network, BasePolicy)
-        policy = Policy(network, card, settings)
+        policy = Policy(network, card, config)
     weights = network.state_dict()
-    return Source(name, 0, policy, settings, weights, "none", Training("nominal"))
+    return Source(name, 0, policy, config, weights, "none", Training("nominal"))
 
 
 def network_of(name: str) -> torch.nn.Module:
@@ -41,7 +41,7 @@ def network_of(name: str) -> torch.nn.Module:
     network: torch.nn.Module = (
         SharedNetwork(4, card.hidden, card.observe)
         if card.algo == "modules"
-        else make_network(card, card.settings())
+        else make_network(card, card.env_config())
     )
     with torch.no_grad():
         for weights in network.parameters():
@@ -52,7 +52,7 @@ def network_of(name: str) -> torch.nn.Module:
 def wanted(source: Source, observations: Singles) -> Integers:
     """What the policy chooses."""
     actions, _ = source.policy.predict(observations)
-    chosen: Integers = source.settings.action_kind.commands(actions, len(observations))
+    chosen: Integers = source.config.action_kind.commands(actions, len(observations))
     return chosen
 
 

@@ -3,7 +3,6 @@
 import json
 import runpy
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,9 +21,7 @@ from surface_gym.tasks.base import Feature
 from tests.agents.export.made import CARDS, made, network_of
 
 
-def test_it_writes_three_files_that_it_has_checked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_writes_three_files_that_it_has_checked(tmp_path, capsys) -> None:
     onnx = pytest.importorskip("onnx", reason="onnx, of the extra `export`, is missing")
     runtime = pytest.importorskip(
         "onnxruntime", reason="onnxruntime, of the extra `export`, is missing"
@@ -40,7 +37,7 @@ def test_it_writes_three_files_that_it_has_checked(
     source = shipped("sort-ppo", 1)
     assert says == make_metadata(source)
     assert (says["agent"], says["seed"], says["control_period"]) == ("sort-ppo", "1", "0.04")
-    assert json.loads(says["orientations"]) == list(source.settings.chosen_orientations)
+    assert json.loads(says["orientations"]) == list(source.config.chosen_orientations)
     assert json.loads(says["features"])[14] == "side"
     assert source.digest in (tmp_path / "sort-ppo.h").read_text()
     assert [each.version for each in model.opset_import] == [17]
@@ -49,7 +46,7 @@ def test_it_writes_three_files_that_it_has_checked(
     )
     (value,) = session.get_inputs()
     assert (value.name, value.shape, value.type) == (
-        "observation", ["lanes", 15], "tensor(float)",
+        "observation", ["num_envs", 15], "tensor(float)",
     )  # fmt: skip
     assert [(each.name, each.type) for each in session.get_outputs()] == [
         ("choices", "tensor(int64)"),
@@ -57,9 +54,7 @@ def test_it_writes_three_files_that_it_has_checked(
     ]
 
 
-def test_modules_that_share_weights_have_no_c_header(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_modules_that_share_weights_have_no_c_header(tmp_path, capsys) -> None:
     pytest.importorskip("onnx", reason="onnx, of the extra `export`, is missing")
     with pytest.raises(SystemExit, match=r"formats must be onnx for sort-modules, .* ONNX alone"):
         main(["sort-modules", "--formats", "c", "--out", str(tmp_path)])
@@ -73,45 +68,43 @@ def test_modules_that_share_weights_have_no_c_header(
     capsys.readouterr()
 
 
-def test_a_run_is_exported_under_its_own_name_or_another(tmp_path: Path) -> None:
+def test_a_run_is_exported_under_its_own_name_or_another(tmp_path) -> None:
     save_policy(network_of("window"), CARDS["window"], tmp_path / "window")
     source = of_run(tmp_path / "window", "mine")
-    assert (source.name, source.seed, source.training.condition) == ("mine", 0, "nominal")
+    assert (source.name, source.seed, source.training.preset) == ("mine", 0, "nominal")
     assert of_run(tmp_path / "window").name == "window"
-    write_config(PPOConfig(condition="lab"), tmp_path / "window" / "config.yaml")
+    write_config(PPOConfig(preset="lab"), tmp_path / "window" / "config.yaml")
     lab = of_run(tmp_path / "window").training
     assert [each.name for each in lab.presets] == list(TRAINED_IN["lab"])
     (tmp_path / "window" / "card.yaml").write_text("command: python train.py --condition lab\n")
     told = of_run(tmp_path / "window").training
-    assert (told.condition, told.command) == ("lab", "python train.py --condition lab")
+    assert (told.preset, told.command) == ("lab", "python train.py --condition lab")
     with pytest.raises(ValueError, match="seed must be one of 0, got 3"):
         of_run(tmp_path / "window", seed=3)
 
 
 @pytest.mark.parametrize("name", CARDS)
-def test_the_page_lists_every_feature_and_angle(name: str) -> None:
+def test_the_page_lists_every_feature_and_angle(name) -> None:
     source = made(name)
     page = make_page(source, make_metadata(source), {"ONNX": None, "C": None})
-    for each in source.settings.features:
+    for each in source.config.features:
         assert f"| {each.name} | {each.low:g} | {each.high:g} | {each.meaning} |" in page
-    for angle in source.settings.chosen_orientations:
+    for angle in source.config.chosen_orientations:
         assert f"| {angle:.9g} | {np.degrees(angle):g} |" in page
-    assert f"every {source.settings.control_period * 1e3:g} ms" in page
+    assert f"every {source.config.control_period * 1e3:g} ms" in page
     assert "not tried" in page
-    assert ("shown in a mirror" in page) == (source.settings.task_name == "sort")
+    assert ("shown in a mirror" in page) == (source.config.task_name == "sort")
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_every_feature_of_the_package_says_what_it_needs(task: str) -> None:
-    settings = EnvConfig(task=task, actions="window", observe_axes=True)
-    shown = (*settings.features, *group_features(tuple(GROUPS)))
+def test_every_feature_of_the_package_says_what_it_needs(task) -> None:
+    config = EnvConfig(task=task, actions="window", observe_axes=True)
+    shown = (*config.features, *group_features(tuple(GROUPS)))
     assert [each.name for each in shown if need_of(each) == UNKNOWN] == []
     assert need_of(Feature("mood", 0.0, 1.0, "of the parcel")) == UNKNOWN
 
 
-def test_what_cannot_be_exported_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_exported_is_refused(tmp_path, capsys) -> None:
     with pytest.raises(ValueError, match=r"name must be one of 'flow-ppo', .*, got 'juggle-ppo'"):
         ExportConfig("juggle-ppo")
     with pytest.raises(ValueError, match=r"name must be one of .*, got None"):
@@ -120,7 +113,7 @@ def test_what_cannot_be_exported_is_refused(
         ExportConfig("sort-ppo", task="mine.py:Mine")
     with pytest.raises(ValueError, match="observations must be a whole number of at least 100"):
         ExportConfig("sort-ppo", observations=3)
-    with pytest.raises(ValueError, match="condition must be one of"):
+    with pytest.raises(ValueError, match="preset must be one of"):
         _ = Training("weather").presets
     with pytest.raises(SystemExit, match="error: name must be that of an agent of single parcels"):
         main(["flow-ppo", "--out", str(tmp_path / "out")])
@@ -130,9 +123,7 @@ def test_what_cannot_be_exported_is_refused(
     capsys.readouterr()
 
 
-def test_a_missing_library_is_reported_with_the_extra_that_brings_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_library_is_reported_with_the_extra_that_brings_it(tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "onnx", None)
     wanted = r"needs onnx, .*'surface_gym\[agents,export\]'"
     source = shipped("sort-ppo")
@@ -145,9 +136,7 @@ def test_a_missing_library_is_reported_with_the_extra_that_brings_it(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_python_m_takes_its_arguments(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_python_m_takes_its_arguments(monkeypatch, capsys) -> None:
     monkeypatch.setattr(sys, "argv", ["export", "--help"])
     with pytest.raises(SystemExit) as ended:
         runpy.run_module("surface_gym.agents.export", run_name="__main__")

@@ -7,7 +7,7 @@ import torch
 
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents.learning.config import PPOConfig
-from surface_gym.agents.tasks import find_task
+from surface_gym.agents.library import find_task
 
 
 class EnvsOnCpu:
@@ -21,7 +21,7 @@ class EnvsOnCpu:
         self.num_envs = env.num_envs
         self.single_observation_space = env.single_observation_space
         self.single_action_space = env.single_action_space
-        self.settings = env.settings
+        self.config = env.config
         self.device = "cpu"
         self._given: list[torch.Tensor] = []
 
@@ -54,7 +54,7 @@ class EnvsOnCpu:
         self._env.close()
 
     def _tensors(self, infos: dict[str, Any]) -> dict[str, Any]:
-        terms = self.settings.task.terms
+        terms = self.config.task.terms
         return {
             "is_success": torch.from_numpy(infos["is_success"]),
             "time": torch.from_numpy(infos["time"]),

@@ -1,7 +1,8 @@
-"""Uneven supports: Eq. (1) on them, and what they do to the end pose in MuJoCo and in the model.
+"""Drawn surfaces in MuJoCo and in the model: uneven supports, and parcels that push each other.
 
-Eq. (1) is what a rigid flat base does on equal springs: the minimum of the sum of N^2 / (2 k) under
-the balance of forces. If a spring's top stands h above the plane, it is pressed in h further, and
+Uneven supports. Eq. (1) is what a rigid flat base does on equal springs: the minimum of the sum of
+N^2 / (2 k) under the balance of forces. If a spring's top stands h above the plane, it is pressed
+in h further, and
     minimise  sum of N_i^2 / (2 k_i) - N_i h_i   under vertical and moment balance,  N >= 0,
 so that N_i = max(0, k_i (plane_i + h_i)): the pressure plane of Eq. (1) with an offset k h at each
 contact. With all h equal and all k equal it is Eq. (1); where k h spreads far beyond the mean load,
@@ -15,22 +16,22 @@ distribution; beside the heights they show which spread of it stands for how man
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
 from surface_gym import checks
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.physics.references import advance_implicit, find_support, load_point
-from surface_gym.physics.types import ARM_X, ARM_Y, NORMAL, make_scratch, table_row
-from surface_gym.simulation import simulate, start_state
+from surface_gym.physics.types import ARM_X, ARM_Y, NORMAL, Array, make_scratch, table_row
+from surface_gym.simulation import Encounter, simulate, simulate_together, start_state
 from surface_gym.surface import Surface
+from surface_gym.trajectory import Trajectory
 from surface_gym.validation import simulation
 from surface_gym.validation.comparison import IMPLICIT, PARCEL, PUSHED, Case
-from surface_gym.validation.scene import RECIPE
-
-Array = NDArray[np.float64]
+from surface_gym.validation.simulation import RECIPE, SIDES, TOGETHER_RECIPE
 
 CASES = (Case(10.0), PUSHED)
 
@@ -74,7 +75,7 @@ def end_pose(
     stiffness: float,
     dt: float = 1e-3,
 ) -> Array:
-    """Run the implicit model with the normal forces of uneven supports; its end pose.
+    """Run the implicit model with the normal forces of uneven supports to its end pose.
 
     Args:
         surface: the surface; its `stiffness` multiplies that of a contact.
@@ -190,7 +191,7 @@ def draw_surfaces(draws: int, seed: int) -> tuple[Draw, ...]:
 
 
 def run_draw(draw: Draw) -> Array:
-    """Run MuJoCo and the analytic model; their end poses (2, 3) [m, m, rad]."""
+    """Run MuJoCo and the analytic model to their end poses (2, 3) [m, m, rad]."""
     case, surface, heights = draw.case, draw.surface, draw.heights
     start = (case.pose, case.velocity, case.duration)
     mujoco = simulation.simulate(surface, PARCEL, *start, heights=heights).pose[-1]
@@ -216,6 +217,123 @@ def compare_draws(draws: Sequence[Draw], results: Sequence[Array]) -> tuple[Spre
 
 
 def root_mean_square(shifts: Array) -> tuple[float, float]:
-    """Root mean square distance [mm] and angle [deg] of shifts (draws, 3) [mm, mm, deg]."""
+    """Compute root mean square distance [mm] and angle [deg] of shifts (draws, 3) [mm, mm, deg]."""
     x, y, theta = np.mean(shifts**2, axis=0)
     return math.sqrt(x + y), math.sqrt(theta)
+
+
+DURATION = 0.5  # [s]
+STEPS = (1e-3, 5e-3)  # [s] of the analytic model
+COM_HEIGHT = 0.05  # [m] of both, so that they press at one height
+MARGIN = 0.12  # [m] beyond the analytic model's paths within which elements are built
+UNIT = np.array([1e3, 1e3, 180.0 / math.pi])  # [m, m, rad] in [mm, mm, deg]
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """A drawn surface and two drawn parcels, one of which runs into the other at 0.5 to 2 m/s."""
+
+    seed: int
+
+    @cached_property
+    def drawn(self) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
+        """Surface, parcels, poses (2, 3) and velocities (2, 3).
+
+        They are the first drawn with which parcels touch, stay on the surface and do not tip.
+        """
+        rng = np.random.default_rng(self.seed)
+        while True:
+            drawn = _draw(rng)
+            encounter = simulate_together(*drawn, DURATION, STEPS[0])
+            ends = {trajectory.end for trajectory in encounter.trajectories}
+            tips = any(trajectory.tipping.any() for trajectory in encounter.trajectories)
+            if len(encounter.touches.time) > 0 and ends == {"duration"} and not tips:
+                return drawn
+
+    def analytic(self, dt: float) -> Encounter:
+        """Run the meeting by the analytic model."""
+        return simulate_together(*self.drawn, DURATION, dt)
+
+    def mujoco(self, harder: float = 1.0) -> tuple[Trajectory, ...]:
+        """Run the meeting in MuJoCo, its step divided and its sides harder by a factor."""
+        surface, parcels, poses, velocities = self.drawn
+        within = np.zeros((surface.rows, surface.columns), dtype=bool)
+        paths = self.analytic(STEPS[0]).trajectories
+        for parcel, path in zip(parcels, paths, strict=True):
+            for x, y, _ in path.pose[::10]:
+                away = np.hypot(*np.meshgrid(surface.x - x, surface.y - y))
+                within |= away < parcel.base.reach + MARGIN
+        return simulation.simulate_together(
+            surface,
+            parcels,
+            poses,
+            velocities,
+            DURATION,
+            within,
+            TOGETHER_RECIPE.finer(harder),
+            SIDES.harder(harder),
+        )
+
+
+def _draw(rng: np.random.Generator) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
+    """Draw a surface, two parcels and their starts, one behind the other."""
+    shape = (20, 24)
+    surface = Surface(
+        axis=rng.uniform(-math.pi, math.pi, shape),
+        rotor=rng.random(shape) < rng.uniform(0.2, 0.8),
+        mu_max=rng.uniform(0.1, 0.5),
+        tilt=math.radians(rng.uniform(0.0, 8.0)),
+    )
+    parcels = (_draw_parcel(rng), _draw_parcel(rng))
+    apart = sum(parcel.base.reach for parcel in parcels) + rng.uniform(0.01, 0.1)
+    turns = rng.uniform(-math.pi, math.pi, 2)
+    poses = np.array([[0.5, 1.0, turns[0]], [0.5 + apart, 1.0 + rng.uniform(-0.1, 0.1), turns[1]]])
+    velocities = np.zeros((2, 3))
+    velocities[0] = rng.uniform(0.5, 2.0), rng.uniform(-0.1, 0.1), rng.uniform(-1.0, 1.0)
+    return surface, parcels, poses, velocities
+
+
+def _draw_parcel(rng: np.random.Generator) -> Parcel:
+    kind = rng.integers(3)
+    base: Base
+    if kind == 0:
+        base = Rectangle(rng.uniform(0.2, 0.4), rng.uniform(0.2, 0.4))
+    elif kind == 1:
+        base = Disc(rng.uniform(0.12, 0.2))
+    else:
+        corners = rng.integers(4, 8)
+        angle = 2.0 * math.pi * (np.arange(corners) + rng.uniform(-0.3, 0.3, corners)) / corners
+        reach = rng.uniform(0.15, 0.22)
+        base = Polygon(reach * np.column_stack([np.cos(angle), np.sin(angle)]))
+    return Parcel(base, mass=math.exp(rng.uniform(0.0, 2.5)), com_height=COM_HEIGHT)
+
+
+@dataclass(frozen=True, eq=False)
+class MeetingRun:
+    """Differences of a meeting's ends from MuJoCo's, [mm, mm, deg]."""
+
+    meeting: Meeting
+    analytic: Array  # (steps, 2, 3) by the analytic model's step and by parcel
+    harder: Array  # (2, 3) of MuJoCo with half the step and sides twice as hard
+    tips: bool  # MuJoCo's parcels come more than 1 mrad out of level
+
+
+def run_meeting(meeting: Meeting) -> MeetingRun:
+    """Run a meeting in MuJoCo, twice, and by the analytic model."""
+    mujoco = meeting.mujoco()
+    reference = _ends(mujoco)
+    analytic = [_ends(meeting.analytic(dt).trajectories) for dt in STEPS]
+    tips = any(bool(trajectory.tipping.any()) for trajectory in mujoco)
+    harder = UNIT * (_ends(meeting.mujoco(2.0)) - reference)
+    return MeetingRun(meeting, UNIT * (np.array(analytic) - reference), harder, tips)
+
+
+def _ends(trajectories: tuple[Trajectory, ...]) -> Array:
+    """Return the end poses (2, 3) [m, m, rad]."""
+    return np.array([trajectory.pose[-1] for trajectory in trajectories])
+
+
+def apart(differences: Array) -> tuple[float, float]:
+    """Return distance [mm] and angle [deg] of the worse of two differences (2, 3) [mm, mm, deg]."""
+    distance = np.hypot(differences[:, 0], differences[:, 1])
+    return float(distance.max()), float(np.abs(differences[:, 2]).max())

@@ -1,14 +1,19 @@
-"""The surface: supports, zone, modules, goals, and the exits and the queue beside the line."""
+"""Marks of a picture: parcels, supports, zone, modules, goals, exits and queue.
+
+A parcel without an exit is drawn in grey with an arrow along its heading. A parcel of a stream is
+drawn in the colour of its exit, quickly, as there are many.
+"""
 
 import math
+from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 import pygame
-from numpy.typing import NDArray
 
+from surface_gym.physics.types import Array
 from surface_gym.rendering import ink
-from surface_gym.rendering.ink import FAINT_INK, GOAL, INK, PAPER, PLATE, Colour, mixed
-from surface_gym.rendering.parcel_marks import centroid, draw_heading, placed
+from surface_gym.rendering.ink import Colour
 from surface_gym.rendering.scene import (
     ExitMark,
     ExitSide,
@@ -16,12 +21,158 @@ from surface_gym.rendering.scene import (
     Heading,
     Layout,
     Path,
+    Pose,
     Scene,
     SceneParcel,
     StopLine,
 )
 
-Array = NDArray[np.float64]
+_FINE_STEP, _COARSE_STEP = 3.0, 7.0  # [px] between the points of a trail: faded, coloured
+_TRAIL_PIECE = 8  # points of one opacity
+_OPACITY = 0.55  # of a coloured base: the modules under it are seen
+_NEAR = 0.01  # [m] beyond the least distance, within which two parcels count as touching
+_SPIKES = 8
+_FRONT = 0.32  # length of the triangle at a base's front, over the distance from its centre
+_ROOM = 1.2  # a label's width, at most, over the least distance from the centre to a corner
+
+
+def centroid(outline: Array) -> Array:
+    """Compute the centre (2,) [m] of the area within an outline."""
+    start = outline - outline[0]
+    end = np.roll(start, -1, axis=0)
+    area = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
+    return outline[0] + area @ (start + end) / (3.0 * area.sum())
+
+
+def placed(points: Array, pose: Pose) -> Array:
+    """Transform points (..., 2) [m] from the base's frame to the surface."""
+    x, y, theta = pose
+    cosine, sine = math.cos(theta), math.sin(theta)
+    return points @ np.array([[cosine, sine], [-sine, cosine]]) + np.array([x, y])
+
+
+def draw_trail(canvas: pygame.Surface, layout: Layout, parcel: SceneParcel) -> None:
+    """Draw the recent path of the centre: fading, or coloured and thinner towards the oldest."""
+    if len(parcel.trail) < 2:
+        return
+    if parcel.exit is None:
+        points = ink.thinned(layout.pixels(parcel.trail), _FINE_STEP)
+        for first in range(0, len(points) - 1, _TRAIL_PIECE):
+            piece = points[first : first + _TRAIL_PIECE + 1]
+            age = 1.0 - first / len(points)
+            ink.line(canvas, piece, 2.2 * layout.stroke, ink.PAPER, 0.6)
+            ink.line(canvas, piece, layout.stroke, ink.INK, 1.0 - 0.6 * age)
+        return
+    points = ink.thinned(layout.pixels(parcel.trail), _COARSE_STEP)
+    colour = ink.exit_colour(parcel.exit)
+    wide = max(2, round(0.25 * layout.cell))
+    ends = np.linspace(0, len(points) - 1, wide + 1).astype(np.int64).tolist()
+    for width, (first, last) in enumerate(pairwise(ends), start=1):
+        piece = points[first : last + 1]
+        ink.stroke(canvas, piece, width + 2, ink.mixed(colour, ink.INK, 0.75))
+        ink.stroke(canvas, piece, width, colour)
+
+
+def draw_parcel(canvas: pygame.Surface, layout: Layout, scene: Scene, parcel: SceneParcel) -> None:
+    """Draw the base: translucent with an arrow, or in its exit's colour with front and label."""
+    corners = layout.pixels(placed(parcel.outline, parcel.pose))
+    if parcel.exit is None:
+        ink.polygon(canvas, corners, ink.PARCEL, 0.45)
+        ink.outline(canvas, corners, layout.stroke, ink.INK)
+        draw_heading(canvas, layout, parcel.outline, parcel.pose, ink.INK)
+        return
+    colour = ink.exit_colour(parcel.exit)
+    rim = max(1, round(0.22 * layout.cell))
+    inside = ink.inset(corners, 0.5 * rim + 0.5)
+    ink.wash(canvas, inside, colour, _OPACITY)
+    ink.border(canvas, inside, rim + 1, colour)
+    ink.border(canvas, corners, max(1, round(0.13 * layout.cell)), ink.INK)
+    _draw_front(canvas, layout, parcel, ink.text_on(colour))
+    _draw_label(canvas, layout, parcel, parcel.label or scene.exits[parcel.exit].name, colour)
+
+
+def draw_heading(
+    canvas: pygame.Surface, layout: Layout, outline: Array, pose: Pose, colour: Colour
+) -> None:
+    """Draw an arrow from the base's centre along its frame's x."""
+    centre = centroid(outline)
+    nose = centre + np.array([0.72 * (outline[:, 0].max() - centre[0]), 0.0])
+    tail, tip = layout.pixels(placed(np.array([centre, nose]), pose))
+    halo = np.array([tail, tail + 0.9 * (tip - tail)])
+    ink.line(canvas, halo, 3.0 * layout.stroke, ink.PAPER, 0.6)
+    ink.arrow(canvas, tail, tip, 1.3 * layout.stroke, colour)
+    ink.disc(canvas, tail, 1.7 * layout.stroke, colour)
+
+
+def draw_sensed(canvas: pygame.Surface, layout: Layout, parcel: SceneParcel) -> None:
+    """Draw the outline of the base where the sensors see it."""
+    if parcel.sensed_pose is not None:
+        corners = layout.pixels(placed(parcel.outline, parcel.sensed_pose))
+        width = max(1, round(0.1 * layout.cell))
+        ink.dashed_border(canvas, corners, width, ink.SENSED, max(6.0, 0.6 * layout.cell))
+
+
+def draw_touch(
+    canvas: pygame.Surface, layout: Layout, first: SceneParcel, second: SceneParcel
+) -> None:
+    """Draw a flash where two parcels touch."""
+    x, y = layout.pixels(contact_point(first, second)).tolist()
+    flash = _flash(max(9, round(0.85 * layout.cell)))
+    canvas.blit(flash, flash.get_rect(center=(round(x), round(y))))
+
+
+def contact_point(first: SceneParcel, second: SceneParcel) -> Array:
+    """Compute the middle (2,) [m] of the region where two bases are nearest to each other."""
+    one, other = placed(first.outline, first.pose), placed(second.outline, second.pose)
+    distances, middles = [], []
+    for points, corners in ((one, other), (other, one)):
+        along = np.roll(corners, -1, axis=0) - corners
+        away = points[:, np.newaxis] - corners  # (points, edges, 2)
+        length = np.maximum((along**2).sum(axis=-1), np.finfo(np.float64).tiny)
+        share = np.clip((away * along).sum(axis=-1) / length, 0.0, 1.0)
+        foot = corners + share[..., np.newaxis] * along
+        nearest = points[:, np.newaxis] - foot
+        distances.append(np.hypot(nearest[..., 0], nearest[..., 1]).ravel())
+        middles.append((foot + 0.5 * nearest).reshape(-1, 2))
+    distance, middle = np.concatenate(distances), np.concatenate(middles)
+    near = middle[distance <= distance.min() + _NEAR]
+    return 0.5 * (near.min(axis=0) + near.max(axis=0))
+
+
+def _draw_front(
+    canvas: pygame.Surface, layout: Layout, parcel: SceneParcel, colour: Colour
+) -> None:
+    """Draw a triangle that points along the base's own x, at its front."""
+    centre, front = centroid(parcel.outline), parcel.outline[:, 0].max()
+    reach = front - centre[0]
+    tip = np.array([centre[0] + 0.88 * reach, centre[1]])
+    corners = tip + _FRONT * reach * np.array([[-1.0, 0.7], [0.0, 0.0], [-1.0, -0.7]])
+    ink.polygon(canvas, layout.pixels(placed(corners, parcel.pose)), colour)
+
+
+def _draw_label(
+    canvas: pygame.Surface, layout: Layout, parcel: SceneParcel, text: str, colour: Colour
+) -> None:
+    """Draw a label in the middle of a base that has room for it."""
+    size, centre = layout.label_size, centroid(parcel.outline)
+    clear = float(np.hypot(*(parcel.outline - centre).T).min())
+    if text and ink.badge_width(text, size) <= _ROOM * layout.length(clear):
+        x, y = layout.pixels(placed(centre, parcel.pose)).tolist()
+        ink.draw_badge(canvas, text, size, colour, center=(round(x), round(y)))
+
+
+@lru_cache(maxsize=16)
+def _flash(radius: int) -> pygame.Surface:
+    """Paint a star of a radius [px]."""
+    picture = pygame.Surface((2 * radius + 2, 2 * radius + 2), pygame.SRCALPHA)
+    picture.fill((*ink.PAPER, 0))
+    angles = np.pi * np.arange(2 * _SPIKES) / _SPIKES
+    rays = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    for share, colour in ((1.0, ink.PAPER), (0.8, ink.GOAL), (0.4, ink.PAPER)):
+        reach = share * radius * np.where(np.arange(2 * _SPIKES) % 2, 0.5, 1.0)
+        ink.polygon(picture, radius + 1.0 + reach[:, np.newaxis] * rays, colour)
+    return picture
+
 
 ANGLES = 180  # pictures of a module in half a turn
 _PALE = 0.62  # share of the plate's colour in a module that does not obey
@@ -51,9 +202,9 @@ class ModuleSprites:
         return self._sprites[key]
 
     def _painted(self, angle: float, pale: bool) -> pygame.Surface:
-        colour, bar = ink.axis_colour(angle), PAPER
+        colour, bar = ink.axis_colour(angle), ink.PAPER
         if pale:
-            colour, bar = mixed(colour, PLATE, _PALE), mixed(bar, PLATE, _PALE)
+            colour, bar = ink.mixed(colour, ink.PLATE, _PALE), ink.mixed(bar, ink.PLATE, _PALE)
         picture = pygame.Surface((self.cell, self.cell), pygame.SRCALPHA)
         picture.fill((*colour, 0))
         half = 0.5 * self.cell
@@ -67,7 +218,7 @@ class ModuleSprites:
 def paint_ground(layout: Layout, scene: Scene) -> pygame.Surface:
     """Paint all that never changes: supports, zone, exits and the grounds of their labels."""
     sheet = pygame.Surface(layout.area.bottomright, depth=32)
-    sheet.fill(PAPER)
+    sheet.fill(ink.PAPER)
     sheet.set_clip(layout.plate)
     sheet.blit(_paint_plate(layout, scene), layout.surface)
     sheet.set_clip(None)
@@ -81,7 +232,7 @@ def paint_ground(layout: Layout, scene: Scene) -> pygame.Surface:
 def _paint_plate(layout: Layout, scene: Scene) -> pygame.Surface:
     """Paint the supports' plate and the zone, of the size of the whole surface."""
     plate = pygame.Surface(layout.surface.size, depth=32)
-    plate.fill(PLATE)
+    plate.fill(ink.PLATE)
     zone = None
     if scene.zone is not None:
         zone = layout.cells(*scene.zone).move(-layout.left, -layout.top)
@@ -121,12 +272,12 @@ def draw_goal(canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
         _draw_gate(canvas, layout, scene, 0)
     elif isinstance(goal, StopLine):
         line = _stop_line(layout, scene, goal)
-        ink.dashes(canvas, line, layout.stroke, GOAL, 4.0 * layout.stroke)
+        ink.dashes(canvas, line, layout.stroke, ink.GOAL, 4.0 * layout.stroke)
     elif isinstance(goal, Path):
         points = ink.thinned(layout.pixels(goal.points), _PATH_STEP)
-        ink.line(canvas, points, 2.6 * layout.stroke, PAPER, 0.7)
-        ink.dashes(canvas, points, layout.stroke, GOAL, 7.0 * layout.stroke)
-        ink.disc(canvas, points[-1], 2.5 * layout.stroke, GOAL)
+        ink.line(canvas, points, 2.6 * layout.stroke, ink.PAPER, 0.7)
+        ink.dashes(canvas, points, layout.stroke, ink.GOAL, 7.0 * layout.stroke)
+        ink.disc(canvas, points[-1], 2.5 * layout.stroke, ink.GOAL)
 
 
 def label_goal(canvas: pygame.Surface, layout: Layout, scene: Scene, size: int) -> None:
@@ -136,12 +287,12 @@ def label_goal(canvas: pygame.Surface, layout: Layout, scene: Scene, size: int) 
         top = _stop_line(layout, scene, goal)[1]
         place = (round(top[0]), round(top[1]) - 5)
         text = f"stop at x = {goal.x:.2f} m"
-        ink.write_on_plate(canvas, text, size, GOAL, layout.surface, midbottom=place)
+        ink.write_on_plate(canvas, text, size, ink.GOAL, layout.surface, midbottom=place)
     elif isinstance(goal, ExitSpeed):
         band, _ = _gate(layout, scene, 0)
         text = f"leave at {goal.speed:.2f} m/s ({goal.ratio:.2f} of entry)"
         place = (band.right, band.top - 7)
-        ink.write_on_plate(canvas, text, size, GOAL, layout.surface, bottomright=place)
+        ink.write_on_plate(canvas, text, size, ink.GOAL, layout.surface, bottomright=place)
 
 
 def draw_asked_heading(
@@ -157,13 +308,13 @@ def draw_asked_heading(
     asked = (float(x), float(y), angle)
     corners = layout.pixels(placed(outline, asked))
     closed = np.vstack([corners, corners[:1]])
-    ink.dashes(canvas, closed, layout.stroke, GOAL, 4.0 * layout.stroke)
-    draw_heading(canvas, layout, outline, asked, GOAL)
+    ink.dashes(canvas, closed, layout.stroke, ink.GOAL, 4.0 * layout.stroke)
+    draw_heading(canvas, layout, outline, asked, ink.GOAL)
     turn = math.remainder(angle - pose[2], 2.0 * math.pi)
     radius = 0.4 * (outline[:, 0].max() - local[0])
     headings = pose[2] + np.linspace(0.0, turn, 24)
     arc = centre + radius * np.stack([np.cos(headings), np.sin(headings)], axis=-1)
-    ink.line(canvas, layout.pixels(arc), layout.stroke, GOAL)
+    ink.line(canvas, layout.pixels(arc), layout.stroke, ink.GOAL)
 
 
 def draw_counts(canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
@@ -206,12 +357,12 @@ def _draw_gate(canvas: pygame.Surface, layout: Layout, scene: Scene, side: int) 
         [getattr(band, corner) for corner in ends.get(side, ("topleft", "topright"))],
         dtype=np.float64,
     )
-    ink.hatching(canvas, band, 0.28 * layout.cell, 0.6 * layout.stroke, GOAL, 0.55)
-    ink.line(canvas, edge, layout.stroke, GOAL)
+    ink.hatching(canvas, band, 0.28 * layout.cell, 0.6 * layout.stroke, ink.GOAL, 0.55)
+    ink.line(canvas, edge, layout.stroke, ink.GOAL)
     reach = _ARROW * layout.cell * np.array(outward)
     surface = layout.surface
     tip = np.clip(edge.mean(axis=0) + reach, surface.topleft, surface.bottomright)
-    ink.arrow(canvas, tip - reach, tip, 2.0 * layout.stroke, GOAL)
+    ink.arrow(canvas, tip - reach, tip, 2.0 * layout.stroke, ink.GOAL)
 
 
 def _stop_line(layout: Layout, scene: Scene, goal: StopLine) -> Array:
@@ -251,7 +402,7 @@ def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: 
     """Fill an exit with a colour that grows outwards."""
     length = area.height if side else area.width
     for k in range(length):
-        shade = mixed(colour, PLATE, _PALEST + (_DARKEST - _PALEST) * (k + 0.5) / length)
+        shade = ink.mixed(colour, ink.PLATE, _PALEST + (_DARKEST - _PALEST) * (k + 0.5) / length)
         if side:
             y = area.bottom - 1 - k if side > 0 else area.top + k
             canvas.fill(shade, pygame.Rect(area.left, y, area.width, 1))
@@ -313,9 +464,9 @@ def _draw_queue(canvas: pygame.Surface, layout: Layout, waiting: int) -> None:
     for k in range(shown):
         box = pygame.Rect(0, 0, side, side)
         box.midtop = (x + k * step, rotors.bottom + cell // 2)
-        pygame.draw.rect(canvas, mixed(ink.PARCEL, PLATE, 0.3), box, border_radius=rounded)
-        pygame.draw.rect(canvas, INK, box, max(1, cell // 10), border_radius=rounded)
-    colour, room = INK if waiting else FAINT_INK, right - left
+        pygame.draw.rect(canvas, ink.mixed(ink.PARCEL, ink.PLATE, 0.3), box, border_radius=rounded)
+        pygame.draw.rect(canvas, ink.INK, box, max(1, cell // 10), border_radius=rounded)
+    colour, room = ink.INK if waiting else ink.FAINT_INK, right - left
     place = (middle, rotors.bottom + round(1.6 * cell))
     number = ink.write(canvas, str(waiting), round(1.5 * size), colour, room, midtop=place)
     if ink.text_width("waiting", size) <= room:
