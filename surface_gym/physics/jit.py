@@ -16,8 +16,9 @@ from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
 
+import numba._dynfunc as _dynfunc
 import numpy as np
-from numba import _dynfunc, njit, typeof
+from numba import njit, typeof
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.compiler import Compiler
