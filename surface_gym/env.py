@@ -203,9 +203,9 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         info["outcome"] = batch.outcomes[outcome]
         info["reward_terms"] = dict(zip(batch.task.terms, batch.terms[0].tolist(), strict=True))
         if outcome != RUNNING:
-            figures = batch.metrics(np.ones(1, dtype=np.bool_))
-            if figures:
-                info["episode_figures"] = {name: each[0].item() for name, each in figures.items()}
+            metrics = batch.metrics(np.ones(1, dtype=np.bool_))
+            if metrics:
+                info["episode_figures"] = {name: each[0].item() for name, each in metrics.items()}
         return info
 
     def _record(self, begins: bool) -> None:

@@ -236,10 +236,10 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
             "reward_terms": with_masks(terms, mask),
         }
         ended = mask & (batch.outcome != RUNNING)
-        figures = batch.metrics(ended) if ended.any() else {}
+        metrics = batch.metrics(ended) if ended.any() else {}
         infos = with_masks(infos, mask)
-        if figures:
-            infos.update(with_masks({"episode_figures": with_masks(figures, ended)}, ended))
+        if metrics:
+            infos.update(with_masks({"episode_figures": with_masks(metrics, ended)}, ended))
         return infos
 
     def _record(self, chosen: Integers, begins: bool) -> None:

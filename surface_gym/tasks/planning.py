@@ -262,5 +262,5 @@ def time_cost(nodes: Nodes) -> Numbers:
 
 
 def error_cost(nodes: Nodes) -> Numbers:
-    """Compute the size of the task's first figure at a success; `FAILED` comes on top else."""
+    """Compute the size of the task's first metric at a success; `FAILED` comes on top else."""
     return failure_cost(nodes) + np.abs(nodes.parcels.metrics[:, 0])
