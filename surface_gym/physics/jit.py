@@ -238,8 +238,8 @@ class _CompilerForCallers(Compiler):
         managers = super().define_pipelines()
         for manager in managers:
             manager.passes = [
-                (_LowerForCallers, told) if each is NativeLowering else (each, told)
-                for each, told in manager.passes
+                (_LowerForCallers, text) if each is NativeLowering else (each, text)
+                for each, text in manager.passes
             ]
             manager.finalize()
         return managers
