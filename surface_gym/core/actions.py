@@ -1,4 +1,4 @@
-"""Actions: what they mean for the modules, and what the observation shows of the modules.
+"""Actions: their meaning for the modules, and features of the modules in the observation.
 
 A command is one number a part: an index into the orientations on offer, or an angle. Which part a
 module follows, what a number says and how an axis turns are functions that a batch's kernel is

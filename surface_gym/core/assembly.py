@@ -47,7 +47,7 @@ class Workers:
 
     @property
     def scratches(self) -> tuple[Any, Scratch]:
-        """Those of the first thread."""
+        """Scratches of the first thread."""
         return self._scratches[0]
 
     def run(

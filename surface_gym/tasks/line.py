@@ -1,4 +1,4 @@
-"""What tasks on a line share: entry, features of the parcel, the way out of the zone, failures."""
+"""Parts that tasks on a line share: entry, features, the way out of the zone, failures."""
 
 import math
 

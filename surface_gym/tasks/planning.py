@@ -1,4 +1,4 @@
-"""What planners ask of a task: its observation decoded, and a cost."""
+"""Decoded observations and costs of tasks, for rules and planners."""
 
 import math
 from collections.abc import Callable, Mapping
