@@ -162,7 +162,7 @@ class TestBadInput:
 
     @pytest.mark.parametrize(("options", "named"), BAD_OPTIONS)
     def test_bad_options_are_named(self, options: Any, named: str) -> None:
-        """The episodes go on as if nothing had been asked, in the environments before the bad one too."""
+        """The episodes go on as if nothing had been asked, before the bad environment too."""
         env, twin = (native(actions="halves") for _ in range(2))
         for each in (env, twin):
             each.reset(seed=0)
