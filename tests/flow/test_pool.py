@@ -43,24 +43,24 @@ def test_more_parcels_take_more_rows_and_leave_the_others() -> None:
     parcels = sizes(40)
     rows = [bodies.take(parcel) for parcel in parcels]
     assert len(set(rows)) == 40
-    assert len(bodies.sites.body) == 64
+    assert len(bodies.bodies.body) == 64
     for row, parcel in zip(rows, parcels, strict=True):
         placement = place_parcel(parcel, SHORT, None)
-        np.testing.assert_array_equal(bodies.sites.body[row], placement.body)
-        np.testing.assert_array_equal(bodies.sites.corners[row], placement.corners)
+        np.testing.assert_array_equal(bodies.bodies.body[row], placement.body)
+        np.testing.assert_array_equal(bodies.bodies.corners[row], placement.corners)
         assert bodies.parcel(row) == parcel
 
 
 def test_more_edges_widen_the_rows_of_all() -> None:
     bodies = pool()
     row = bodies.take(BOX)
-    narrow = bodies.sites.corners[row].copy()
+    narrow = bodies.bodies.corners[row].copy()
     wide = bodies.take(HEPTAGON)
-    assert bodies.sites.edges.shape[1] == bodies.sites.corners.shape[1] == 7
-    np.testing.assert_array_equal(bodies.sites.corners[row, :4], narrow)
-    np.testing.assert_array_equal(bodies.sites.corners[row, 4:], np.tile(narrow[:1], (3, 1)))
+    assert bodies.bodies.edges.shape[1] == bodies.bodies.corners.shape[1] == 7
+    np.testing.assert_array_equal(bodies.bodies.corners[row, :4], narrow)
+    np.testing.assert_array_equal(bodies.bodies.corners[row, 4:], np.tile(narrow[:1], (3, 1)))
     np.testing.assert_array_equal(
-        bodies.sites.corners[wide], place_parcel(HEPTAGON, SHORT, None).corners
+        bodies.bodies.corners[wide], place_parcel(HEPTAGON, SHORT, None).corners
     )
 
 
@@ -69,7 +69,7 @@ def test_rows_do_not_run_out_where_all_are_given_back() -> None:
     for _ in range(30):
         rows = [bodies.take(parcel) for parcel in (*sizes(12), TRIANGLE, HEPTAGON)]
         bodies.give_back(rows)
-    assert len(bodies.sites.body) == 16
+    assert len(bodies.bodies.body) == 16
 
 
 def test_a_parcel_that_does_not_fit_takes_nothing() -> None:
