@@ -117,11 +117,7 @@ class Policy:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[Any, None]:
-        """Choose an action for an observation (features,), or actions for (num_envs, features).
-
-        Returns:
-            The actions, and None, as the policy has no memory.
-        """
+        """Choose an action for an observation (features,), or actions for (num_envs, features)."""
         del state, episode_start
         single = observation.ndim == 1
         observations = observation[np.newaxis] if single else observation

@@ -236,9 +236,7 @@ class EnvConfig:
             self._check_way_out(self.zone[1])
 
     def _check_way_out(self, last: int) -> None:
-        """Raise a ValueError where the rear of a parcel cannot leave a zone that ends with a column
-        before its centre leaves the surface.
-        """
+        """Raise a ValueError where a parcel may leave the surface before it leaves the zone."""
         line = self.chosen_line
         _, end, _, _ = line.extent
         longest = max(parcel.rear + parcel.base.centroid[0] for parcel in self.task.parcels)

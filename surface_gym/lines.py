@@ -76,23 +76,17 @@ class BaseLine(Elements):
 
     @property
     def length(self) -> float:
-        """Return the distance [m] from half a pitch before the first column to half a pitch past
-        the last.
-        """
+        """Return the distance [m] along x between the outer edges of the elements."""
         return self.pitch_x * self.columns
 
     @property
     def width(self) -> float:
-        """Return the distance [m] from half a pitch beside the first row to half a pitch past
-        the last.
-        """
+        """Return the distance [m] along y between the outer edges of the elements."""
         return self.pitch_y * self.rows
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """Return least x, greatest x, least y, greatest y [m]: half a pitch beyond the outer
-        elements.
-        """
+        """Return least x, greatest x, least y, greatest y [m] of the elements' outer edges."""
         left, low = self.column_edge(0), self.origin[1] - 0.5 * self.pitch_y
         return left, left + self.length, low, low + self.width
 

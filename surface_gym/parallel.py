@@ -185,13 +185,7 @@ def check_workers(workers: Workers) -> Workers:
 
 
 def choose_workers(cluster: str | None, processes: int, files: tuple[Path, ...] = ()) -> Workers:
-    """Return what a command's options name: a cluster if there is an address, else processes.
-
-    Args:
-        cluster: its address.
-        processes: on this machine.
-        files: that the nodes of a cluster need.
-    """
+    """Return what a command's options name: a cluster if there is an address, else processes."""
     return processes if cluster is None else Cluster(cluster, files)
 
 
@@ -248,11 +242,7 @@ class _Worker:
 
 
 class ProcessExecutor:
-    """Processes of this machine, started as they are needed.
-
-    Args:
-        count: of processes at most.
-    """
+    """Processes of this machine, started as they are needed."""
 
     def __init__(self, count: int) -> None:
         self._count = count

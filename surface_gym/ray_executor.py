@@ -76,7 +76,7 @@ def _package_files() -> dict[str, Path]:
 
 
 class RayExecutor:
-    """As many jobs at a time as the cluster has processors; nodes may come and go.
+    """An executor of as many jobs as the cluster has processors; nodes may come and go.
 
     Raises:
         ValueError: there is no cluster at the address, or Ray is not installed.

@@ -27,11 +27,7 @@ _DISC = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
 
 
 class Renderer:
-    """Draws the environments of a batch, and records what their pictures show of the past.
-
-    Args:
-        batch: of single parcels or of streams.
-    """
+    """Draws the environments of a batch, and records what their pictures show of the past."""
 
     def __init__(self, batch: BaseBatch) -> None:
         self._batch = batch

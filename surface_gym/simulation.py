@@ -249,7 +249,7 @@ def simulate_together(
 ) -> Encounter:
     """Move parcels over a surface whose axes stay as they are; they push each other by their sides.
 
-    Sides press at the height of the centre of mass, so they tip nobody. A parcel that touches no
+    Sides press at the height of the centre of mass, so they tip no parcel. A parcel that touches no
     other moves as by `simulate` with the implicit method, to the bit.
 
     Args:

@@ -321,12 +321,7 @@ def _load_by_reference(
 
 
 def _compute_contacts(run: Run, time: Array) -> ContactRecord:
-    """Compute the contacts of a run by repeating its steps.
-
-    Args:
-        run: whose steps to repeat.
-        time: (T,) [s] their ends, the start first.
-    """
+    """Compute the contacts of a run by repeating its steps."""
     steps, observed = repeat(run, time)
     surface, mass = run.surface, run.parcel.mass
     row, column = observed.element.T

@@ -9,7 +9,7 @@ FIRST = (
     "tests/test_axes.py",
     "tests/agents/rules/",
     "tests/test_own.py",
-    "tests/agents/test_doors.py",
+    "tests/agents/test_programs.py",
     "tests/agents/test_tasks.py",
     "tests/parallel/",
     "tests/agents/learning/",

@@ -70,9 +70,9 @@ class TestNames:
     )
     def test_nothing_that_it_sets_may_stand_beside_it(self, beside: dict[str, Any]) -> None:
         (name,) = beside
-        told = f"^preset must not be given beside {name}, which it sets, got 'lab' and"
+        expected = f"^preset must not be given beside {name}, which it sets, got 'lab' and"
         for make in (EnvConfig, sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv):
-            with pytest.raises(ValueError, match=told):
+            with pytest.raises(ValueError, match=expected):
                 make(preset="lab", **beside)
 
 

@@ -1,4 +1,4 @@
-"""`simulate_together` against `simulate`, what can be told by hand, and bad arguments."""
+"""`simulate_together` against `simulate`, what can be computed by hand, and bad arguments."""
 
 import math
 

@@ -177,7 +177,7 @@ class StreamResults:
         """Put results together, and compute the bounds by a method with actions for parcels."""
         method = next(each for each in methods if each.actions == "parcels")
         return cls(
-            tuple(rows), {(case.mix, case.speed): bound_of(method, case) for case in cases()}
+            tuple(rows), {(case.mix, case.speed): packing_bound(method, case) for case in cases()}
         )
 
     @cached_property
@@ -227,7 +227,7 @@ class StreamResults:
         return [None if row is None else row.eased for row in rows]
 
 
-def bound_of(method: StreamMethod, case: Case) -> float:
+def packing_bound(method: StreamMethod, case: Case) -> float:
     """Compute the rate [parcels/h] of single parcels' paths, packed as close as they go.
 
     The event rule leads each parcel alone; 2 cm stay between them.

@@ -112,7 +112,7 @@ def write_numbers(rows: Sequence[dict[str, Any]], *files: Path) -> None:
             table.writerows(finite)
 
 
-def methods_of(task: str, summaries: Summaries) -> list[str]:
+def list_methods(task: str, summaries: Summaries) -> list[str]:
     """List the methods that ran on a task, in their order."""
     return list(dict.fromkeys(method for of_task, method, _ in summaries if of_task == task))
 
@@ -122,7 +122,7 @@ def task_table(task: str, summaries: Summaries) -> Table:
 
     Decision times stand in a table of their own, since they are never the same.
     """
-    benchmark, methods = find_benchmark(task), methods_of(task, summaries)
+    benchmark, methods = find_benchmark(task), list_methods(task, summaries)
     fixed = summaries[task, FIXED, "exact"]
     shown = [
         preset

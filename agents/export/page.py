@@ -65,7 +65,7 @@ _MIRRORED = (
 )
 
 
-def need_of(feature: Feature) -> str:
+def find_need(feature: Feature) -> str:
     """Return what a machine has to know for a feature; `UNKNOWN` for one of a custom task."""
     if feature.name in _NEED_BY_NAME:
         return _NEED_BY_NAME[feature.name]
@@ -118,7 +118,7 @@ def make_page(
 
 def _features(source: Source) -> str:
     rows = (
-        (str(place), each.name, f"{each.low:g}", f"{each.high:g}", each.meaning, need_of(each))
+        (str(place), each.name, f"{each.low:g}", f"{each.high:g}", each.meaning, find_need(each))
         for place, each in enumerate(source.config.features)
     )
     return markdown(("place", "feature", "least", "greatest", "meaning", "a machine needs"), rows)

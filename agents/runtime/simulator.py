@@ -1,6 +1,6 @@
 """The simulator: a machine on the package's physics, behind a socket, in a process of its own.
 
-`python -m agents.runtime.simulator` starts one; `SimulatorProcess` starts it from here.
+`python -m surface_gym.agents.runtime.simulator` starts one; `SimulatorProcess` starts it from here.
 """
 
 import heapq

@@ -1,4 +1,4 @@
-"""Actions: what they mean for the modules, and what the observation shows of the modules.
+"""Actions: their meaning for the modules, and features of the modules in the observation.
 
 A command is one number a part: an index into the orientations on offer, or an angle. Which part a
 module follows, what a number says and how an axis turns are functions that a batch's kernel is
@@ -147,9 +147,7 @@ def leave_axes(acting: Acting, surfaces: SurfaceState, i: int, zone: Integers) -
 
 @inlined
 def turn_axes(acting: Acting, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """Turn each axis of the zone towards its target, the shorter way, for one physics step;
-    return whether any axis turned.
-    """
+    """Turn each axis of the zone towards its target for a physics step; return whether any did."""
     turned = False
     for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
         for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
@@ -325,9 +323,7 @@ def show_parcel(acting: Acting, state: EnvState, first: int, mirror: float) -> N
 
 @inlined
 def show_rotors(acting: Acting, state: EnvState, first: int, mirror: float) -> None:
-    """Write `ROTOR_FEATURES` into the observation from `first` on, left and right exchanged if
-    `mirror` is negative.
-    """
+    """Write `ROTOR_FEATURES` into the observation from `first` on, mirrored if `mirror` < 0."""
     see = state.observation
     for k in range(4 * QUADRANT_SIZE):
         see[first + k] = 0.0
@@ -480,9 +476,7 @@ class ActionKind:
         return spaces.MultiDiscrete(np.full(self.size, self.choices))
 
     def commands(self, actions: Any, num_envs: int) -> NDArray[Any]:
-        """Return the actions of all environments as commands (num_envs, size): choices, or
-        angles [rad].
-        """
+        """Turn the actions of all environments into commands (num_envs, size)."""
         try:
             given = np.asarray(actions)
         except ValueError:  # parts of different lengths
@@ -514,9 +508,7 @@ class ActionKind:
         return commands
 
     def flip(self, commands: NDArray[Any]) -> NDArray[Any]:
-        """Return commands (num_envs, size) with the parts' places mirrored in y, choices
-        unchanged.
-        """
+        """Return commands (num_envs, size) with their parts mirrored in y, choices unchanged."""
         if self.name == "quadrants":
             return commands[:, [1, 0, 3, 2]]
         return commands.reshape(-1, *self.shape)[:, ::-1].reshape(commands.shape)

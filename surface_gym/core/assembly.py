@@ -46,17 +46,13 @@ class Workers:
 
     @property
     def scratches(self) -> tuple[Any, Scratch]:
-        """Those of the first thread."""
+        """Scratches of the first thread."""
         return self._scratches[0]
 
     def run(
         self, threads: int, step: Callable[..., int], arrays: tuple[Any, ...], chosen: Integers
     ) -> int:
-        """Call `step(*arrays, scratch, sensor's scratch, chosen)` over the chosen environments.
-
-        Returns:
-            The sum of what it returns.
-        """
+        """Call `step(*arrays, scratch, sensor's scratch, chosen)` over the chosen environments."""
         if threads == 1:
             return self._in_pieces(step, (*arrays, *self._scratches[0]), chosen)
         if self._pool is None or self._process != os.getpid():  # a fork has none of the threads

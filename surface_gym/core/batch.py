@@ -169,9 +169,7 @@ class BaseBatch(ABC):
         """Collect the infos of all environments by name, each (num_envs, ...), partly views."""
 
     def metrics(self, ended: Booleans) -> Infos:
-        """Collect metrics of the episodes that have ended (num_envs,) by name; most tasks have
-        none.
-        """
+        """Collect metrics of the episodes that have ended (num_envs,), by name, if any."""
         del ended
         return {}
 
@@ -184,12 +182,7 @@ class BaseBatch(ABC):
         return self.generator(env_index) is not None
 
     def reset(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Begin an episode in the chosen environments (count,), which are seeded.
-
-        Args:
-            chosen: indices.
-            options: of each; empty: none has any.
-        """
+        """Begin an episode in the chosen environments (count,), which are seeded."""
         self.place_drawn(chosen, options)
         self.begin(chosen)
 
@@ -308,12 +301,7 @@ class BaseBatch(ABC):
         return angles
 
     def view(self, env_index: int, row: int = 0) -> EnvState:
-        """View a parcel as compiled functions see it, between two control periods.
-
-        Args:
-            env_index: the environment.
-            row: of a stream, the parcel's row of the table.
-        """
+        """View a parcel as compiled functions see it, between two control periods."""
         place = env_index * self.rows + row
         elements = self.params.elements
         seen: EnvState = st.env_state.py_func(
@@ -553,9 +541,7 @@ def map_normal_forces(
     scratch: Scratch,
     loads: Array,
 ) -> None:
-    """Write the normal force over the mass [m/s^2] on each element into `loads` (num_envs, rows,
-    columns); 0 where there is none.
-    """
+    """Write normal forces over mass [m/s^2] into `loads` (num_envs, rows, columns)."""
     table = scratch.table
     elements = params.elements
     for i in range(parcels.clock.shape[0]):

@@ -69,9 +69,7 @@ class EnvParams(NamedTuple):
 
 @lru_cache(maxsize=64)
 def obeying(part_of: Function, obey: Function) -> Any:
-    """Build `obey_command(params, surfaces, state, i, mirror)`, which applies surface i's
-    command to the axes of the zone.
-    """
+    """Build `obey_command(params, surfaces, state, i, mirror)`, which sets the zone's axes."""
 
     @inlined
     def obey_command(

@@ -65,14 +65,7 @@ def place_parcel(
     zone: tuple[int, int] | None,
     stuck: tuple[tuple[int, int], ...] = (),
 ) -> Placement:
-    """Place a parcel on a line.
-
-    Args:
-        parcel: of any base.
-        line: where it runs.
-        zone: first and last column that obey; None for the line's own.
-        stuck: (row, column) of modules that do not obey.
-    """
+    """Place a parcel on a line."""
     placed = line.site(parcel.base, zone)
     first_row, rows, first_column, columns = placed.zone
     obeys = np.zeros_like(placed.rotor)
@@ -127,12 +120,6 @@ class HeldParcels(NamedTuple):
 class BodyPlan:
     """The body table of a batch. The task's own parcels have a row each; any other parcel takes
     the row of its environment.
-
-    Args:
-        parcels: that the task draws.
-        place: the placement of a parcel.
-        num_envs: number of environments.
-        shape: (rows, columns) of the line.
     """
 
     def __init__(
@@ -187,9 +174,7 @@ class BodyPlan:
         return HeldParcels(bodies.copy(), self._parcels[bodies], obeys, self._content[bodies])
 
     def put(self, chosen: Integers, held: HeldParcels) -> Integers:
-        """Give the chosen environments (count,) parcels that were copied, as many or one for all;
-        return their rows (count,).
-        """
+        """Give the chosen environments (count,) copied parcels; return their rows (count,)."""
         bodies = np.broadcast_to(held.body, len(chosen)).copy()
         for k in np.nonzero(bodies >= self._shared)[0].tolist():
             source = k if len(held) > 1 else 0
@@ -225,9 +210,7 @@ class BodyPlan:
 
 
 def with_body(bodies: BodyTable, body: int, placement: Placement) -> BodyTable:
-    """Return a body table with a placement in one of its rows, made wider where its edges need
-    room.
-    """
+    """Return a body table with a placement in one of its rows, wider if its edges need room."""
     wide = bodies.edges.shape[1]
     more = placement.sides - wide
     if more > 0:
@@ -263,9 +246,7 @@ class StartRows(NamedTuple):
 
 
 def draw_starts(config: EnvConfig, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
-    """Let a task draw starts from numbers (starts, draws) and the options of each, or raise an
-    error that names the task.
-    """
+    """Let a task draw starts from numbers (starts, draws) and the options of each."""
     task = config.task
     start = task.displaced_start(Draw(numbers, options, config.chosen_line, config.zone))
     if not isinstance(start, Start):
@@ -289,9 +270,7 @@ def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> 
 
 
 def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: int) -> Array:
-    """Return a start's numbers, or arrays (count,), of a name as (count, wanted), or raise an
-    error.
-    """
+    """Return a start's numbers of a name as (count, wanted), or raise an error."""
     expected = f"{type(task).__name__}.start must give a {name} of"
     if len(values) != wanted:
         raise ValueError(f"{expected} {wanted} numbers, got {len(values)}")
@@ -360,17 +339,13 @@ class ResetCache:
         self._laid = np.zeros(num_envs, dtype=np.bool_)  # whether an environment's are up to date
 
     def seed(self, i: int, generator: np.random.Generator) -> None:
-        """Draw an environment's numbers from a generator; a generator that it has already goes
-        on.
-        """
+        """Draw an environment's numbers from a generator; one that it has already goes on."""
         if self.generators[i] is not generator:
             self.generators[i] = generator
             self._used[i] = self._ahead
 
     def take(self, chosen: Integers) -> Array:
-        """Return the next numbers (count, draws) of the chosen environments (count,), which are
-        seeded.
-        """
+        """Return the next numbers (count, draws) of the chosen, seeded environments (count,)."""
         return self._numbers[chosen, self._next(chosen)]
 
     def taken(self, chosen: Integers) -> Array:
@@ -380,10 +355,6 @@ class ResetCache:
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:
         """Return the rows of the next starts of the chosen environments (count,), which are
         seeded.
-
-        Args:
-            chosen: indices.
-            lay_out: makes rows of numbers (starts, draws).
         """
         used = self._next(chosen)
         stale = chosen[~self._laid[chosen]]

@@ -31,12 +31,7 @@ _FIRST_ROOM = 16
 
 
 class BodyPool:
-    """A table of bodies, each there as long as an episode uses it; all meet the same surface.
-
-    Args:
-        place: makes the placement of a parcel.
-        any_parcel: one of those to come, for rotors and zone, which all have in common.
-    """
+    """A table of bodies, each there as long as an episode uses it; all meet the same surface."""
 
     def __init__(self, place: Callable[[Parcel], Placement], any_parcel: Parcel) -> None:
         self._place = place

@@ -43,9 +43,7 @@ def free_modules(owner: Places, soonest: Array, state: EnvState) -> None:
 
 @inlined
 def _until(point: float, low: float, high: float, speed: float) -> float:
-    """[s] until an interval that moves at a speed [m/s] holds a point: 0 if it does already,
-    infinite if it never will.
-    """
+    """Return the time [s] until an interval moving at a speed [m/s] holds a point, or infinity."""
     if point > high:
         return (point - high) / speed if speed > 0.0 else np.inf
     if point < low:
@@ -228,9 +226,7 @@ def show_next(
     streams: StreamState,
     i: int,
 ) -> None:
-    """Write the parcel that waits to enter, if any, into the last row, as it will enter: its pose
-    and its speed are known.
-    """
+    """Write the parcel that waits to enter, if any, into the last row, as it will enter."""
     last = streams.number.shape[1] - 1
     arrival = streams.coming[i]
     if arrival == streams.due[i]:
@@ -366,9 +362,7 @@ class StreamFunctions(NamedTuple):
 
 
 def _obeying(functions: StreamFunctions) -> Any:
-    """Build `obey_command(params, stream_params, ..., i)`, which turns the
-    modules that the command of surface i turns, and counts them.
-    """
+    """Build `obey_command`, which turns surface i's modules by its command, and counts them."""
     part_of, commanded, obey = functions.part_of, functions.commanded, functions.actuation.obey
 
     @inlined
@@ -407,9 +401,7 @@ def _obeying(functions: StreamFunctions) -> Any:
 
 
 def _observing(functions: StreamFunctions) -> Any:
-    """Build `observe_parcels(params, stream_params, ..., i)`, which writes the
-    table of surface i: a row a parcel, with its neighbours along the line.
-    """
+    """Build `observe_parcels`, which writes surface i's table: a row a parcel."""
     observe, observe_neighbour = functions.observe, functions.observe_neighbour
     observe_no_neighbour = functions.observe_no_neighbour
 

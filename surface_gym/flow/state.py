@@ -78,15 +78,7 @@ class StreamParams(NamedTuple):
 def make_streams(
     surfaces: int, rows: int, shape: tuple[int, int], terms: int, obeys: Booleans
 ) -> StreamState:
-    """Make the memory of streams, with room for one arrival each.
-
-    Args:
-        surfaces: their number.
-        rows: for parcels on each.
-        shape: (rows, columns) of each.
-        terms: of the reward.
-        obeys: (surfaces or 1, rows, columns) which modules do.
-    """
+    """Make the memory of streams, with room for one arrival each."""
     grid = (surfaces, *shape)
     return StreamState(
         **_arrivals(surfaces, 1),

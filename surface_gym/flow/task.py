@@ -1,4 +1,4 @@
-"""The actions of a stream: choices for modules or parcels, and when the gate opens."""
+"""Tasks on streams of parcels: their actions, features, rewards and parameters."""
 
 import math
 from dataclasses import dataclass, field
@@ -154,7 +154,7 @@ class StreamTask(Task):
 
     @property
     def touching(self) -> ContactMaterial:
-        """How parcels' sides behave."""
+        """Material of parcels' sides where they touch."""
         return ContactMaterial(self.restitution, self.side_friction)
 
     def action_kind(self, actions: str, choices: int, zone: Any, steps: int) -> StreamActions:

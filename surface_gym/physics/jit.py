@@ -16,8 +16,9 @@ from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
 
+import numba._dynfunc as _dynfunc
 import numpy as np
-from numba import _dynfunc, njit, typeof
+from numba import njit, typeof
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.compiler import Compiler
@@ -237,8 +238,8 @@ class _CompilerForCallers(Compiler):
         managers = super().define_pipelines()
         for manager in managers:
             manager.passes = [
-                (_LowerForCallers, told) if each is NativeLowering else (each, told)
-                for each, told in manager.passes
+                (_LowerForCallers, text) if each is NativeLowering else (each, text)
+                for each, text in manager.passes
             ]
             manager.finalize()
         return managers

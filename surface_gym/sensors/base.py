@@ -23,7 +23,7 @@ class Physics(NamedTuple):
 
 @dataclass(frozen=True)
 class Sensor:
-    """What a controller sees of the parcel: the base class of sensors.
+    """The base class of sensors, which report the motion of the parcel to a controller.
 
     A sensor is one class. Its fields are its parameters. Its static methods are `kernel_function`s,
     compiled into every batch that uses it, and write `state.sensed`, which is all that a task

@@ -125,9 +125,7 @@ class Camera(Observer):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict over a physics step, take a frame if one is due, and correct by the one that
-        arrives.
-        """
+        """Predict over a physics step, take a frame if due, and correct by the one that arrives."""
         kalman.predict(numbers, MODEL, state, physics)
         place = watch(numbers, state, kalman.LAST)
         if place > 0:
@@ -172,9 +170,7 @@ def _take(numbers: Array, state: EnvState, first: int) -> None:
 
 @kernel_function
 def shift_frames(state: EnvState, first: int, shift: float, dt: float) -> None:
-    """Bring the innovations of all frames, from `first` on, up to date with a correction of `shift`
-    times GAIN.
-    """
+    """Update the innovations of all frames, from `first` on, for a shift of `shift` x GAIN."""
     gain = state.sensor_state[kalman.GAIN :]
     for number in range(FRAMES):
         place = _place(first, number)

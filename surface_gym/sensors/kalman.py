@@ -59,9 +59,7 @@ class Observer(Sensor):
 
 @kernel_function
 def begin(params: Array, first: int, state: EnvState) -> None:
-    """Set an estimate to its prior at a start, and its covariance to that of the Entry, which is in
-    `params` from `first` on.
-    """
+    """Set estimate and covariance to the Entry, which is in `params` from `first` on."""
     enter(params, first, state)
     estimate = state.sensor_state
     estimate[ph.AX] = 0.0
@@ -315,9 +313,7 @@ def predict_learning(params: Array, first: int, state: EnvState, physics: Physic
 
 @kernel_function
 def _to_load(estimate: Array, way: float) -> None:
-    """Turn the state of the base's centroid into that of the centre of mass; `way` -1 turns it
-    back.
-    """
+    """Turn the state of the base's centroid into the centre of mass's; `way` -1: back."""
     cosine, sine = math.cos(estimate[ph.THETA]), math.sin(estimate[ph.THETA])
     arm_x = way * (cosine * estimate[CONSTANT + 1] - sine * estimate[CONSTANT + 2])
     arm_y = way * (sine * estimate[CONSTANT + 1] + cosine * estimate[CONSTANT + 2])
@@ -452,9 +448,7 @@ def measure_constants(estimate: Array, k: int, lead: float) -> None:
 
 @kernel_function
 def correct_constants(state: EnvState, shift: float, shrink: float) -> None:
-    """Move the constants by `shift` and shrink their covariances by `shrink`, along the
-    measurement.
-    """
+    """Move the constants by `shift` and shrink their covariances by `shrink`."""
     estimate = state.sensor_state
     for j in range(LEARNED):
         estimate[CONSTANT + j] += shift * estimate[PULL + j]

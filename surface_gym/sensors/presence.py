@@ -39,9 +39,7 @@ def most_energy(state: EnvState) -> float:
 
 @kernel_function
 def keep_possible(state: EnvState, energy: float) -> None:
-    """Bring the estimate in `state.sensor_state` back over the surface, and slow it down to an
-    energy [m^2/s^2].
-    """
+    """Bring the estimate back over the surface, and slow it down to an energy [m^2/s^2]."""
     estimate = state.sensor_state
     rows, columns = state.rotor.shape
     elements, reach = state.elements, state.body[RADIUS]

@@ -26,9 +26,7 @@ class Feature:
 
 
 def failures(outcomes: tuple[str, ...]) -> range:
-    """Return the numbers of a task's failures, in the order of their names, for `outcome` to
-    return.
-    """
+    """Return the numbers of a task's failures, in order of their names, for `outcome`."""
     return range(FIRST_FAILURE, FIRST_FAILURE + len(outcomes))
 
 

@@ -213,9 +213,7 @@ class Orient(Task):
 
 
 def _angle_to_turn(nodes: Nodes) -> Numbers:
-    """Compute the angle [rad] left to turn; with speed enough to turn it and to leave the zone, and
-    on the line.
-    """
+    """Compute the angle [rad] left to turn, with a lack of speed and the offset on top."""
     _, _, theta, _, vy, omega = nodes.parcels.truth.T
     vx = nodes.vx
     left = np.abs(nodes.parcels.goal[:, ANGLE] - theta - planning.SETTLING * omega)

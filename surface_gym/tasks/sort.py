@@ -106,7 +106,7 @@ distance from the line's middle takes its place |
 
     ### Info
 
-    The task adds no figure of its own to what every environment reports.
+    The task adds no metric of its own to what every environment reports.
 
     ### Example
 

@@ -30,9 +30,9 @@ class TestEach:
         observation, _ = env.reset(seed=0)
         action, _ = policy.predict(observation, deterministic=True)
         assert action in env.action_space
-        lanes = gym.make_vec(policy.env_id, num_envs=3, **policy.env_kwargs)
-        observations, _ = lanes.reset(seed=0)
-        assert policy.predict(observations)[0] in lanes.action_space
+        vector_env = gym.make_vec(policy.env_id, num_envs=3, **policy.env_kwargs)
+        observations, _ = vector_env.reset(seed=0)
+        assert policy.predict(observations)[0] in vector_env.action_space
 
     def test_seeds_differ(self, name) -> None:
         first, second, *_ = (agents.load(name, seed) for seed in agents.seeds(name))

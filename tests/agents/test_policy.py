@@ -106,7 +106,7 @@ def yaml_of(content: bytes) -> object:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (lambda weights: weights.to(torch.complex64), "must be torch.float32, got torch.complex64"),
         (lambda weights: weights.to(torch.float64), "must be torch.float32, got torch.float64"),
@@ -116,12 +116,12 @@ def yaml_of(content: bytes) -> object:
     ],
     ids=["complex", "double", "nan", "short", "a list"],
 )
-def test_weights_of_another_kind_are_refused(folder, change, told) -> None:
+def test_weights_of_another_kind_are_refused(folder, change, message) -> None:
     weights = torch.load(folder / WEIGHTS, weights_only=True)
     name = next(iter(weights))
     torch.save({**weights, name: change(weights[name])}, folder / WEIGHTS)
     sign(folder)
-    with pytest.raises(ValueError, match=re.escape(told)):
+    with pytest.raises(ValueError, match=re.escape(message)):
         load_policy(folder)
 
 
@@ -164,21 +164,11 @@ def test_a_foreign_card_is_refused(folder, text) -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        "env_id: Other-v0",
-        "env_id: SmartSurface/Slow-v0",
-        "algo: sac",
-        "actions: thirds",
-        "actions: window",
-        "control_period: -1.0",
-        "hidden: [9]",
-        "hidden: []",
-        "more: 1",
-        "env_id",
-        "algo",
-        "actions",
-        "control_period",
+        "env_id: Other-v0", "env_id: SmartSurface/Slow-v0", "algo: sac", "actions: thirds",
+        "actions: window", "control_period: -1.0", "hidden: [9]", "hidden: []", "more: 1", "env_id",
+        "algo", "actions", "control_period",
     ],
-)
+)  # fmt: skip
 def test_a_card_of_other_weights_or_that_lacks_a_field_is_refused(folder, wrong) -> None:
     name, given, _ = wrong.partition(":")
     lines = (folder / CARD).read_text().splitlines()

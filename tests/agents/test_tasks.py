@@ -8,7 +8,7 @@ import yaml
 from surface_gym import agents
 from surface_gym.agents.library import card_env_id, find_task, task_kind, task_label
 from surface_gym.tasks import TASKS
-from tests.agents.test_doors import ROOT, door, inside
+from tests.agents.test_programs import ROOT, run_in_process, run_program
 
 REACH = str(ROOT / "examples" / "reach.py") + ":Reach"
 HASTE = str(ROOT / "examples" / "haste.py") + ":Haste"
@@ -56,7 +56,7 @@ class TestNames:
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of a user's own task, too short to learn anything."""
     folder = tmp_path_factory.mktemp("own")
-    done = inside("train.py", "--task", REACH, *SHORT.split(), folder=folder)
+    done = run_in_process("train.py", "--task", REACH, *SHORT.split(), folder=folder)
     assert done.returncode == 0, done.stderr
     return folder / "runs" / "a"
 
@@ -90,7 +90,7 @@ class TestARun:
         whole = config.read_text()
         config.write_text(whole.replace(REACH, f"{trap}:Reach"))
         for arguments in (("train.py", "--resume"), ("evaluate.py", "--run")):
-            done = inside(*arguments, str(run), folder=run)
+            done = run_in_process(*arguments, str(run), folder=run)
             assert done.returncode != 0
             assert "task" in done.stderr
             assert "Traceback" not in done.stderr
@@ -99,14 +99,16 @@ class TestARun:
 
     def test_goes_on_where_the_task_is_said(self, run) -> None:
         before = (run / "policy.pt").read_bytes()
-        done = inside("train.py", "--resume", str(run), "--task", REACH, folder=run)
+        done = run_in_process("train.py", "--resume", str(run), "--task", REACH, folder=run)
         assert done.returncode == 0, done.stderr
         assert (run / "policy.pt").read_bytes() == before
 
     def test_is_compared(self, run) -> None:
         """By processes of their own, which find the task's code again."""
         folder = run.parents[1]
-        done = door(str(ROOT / "evaluate.py"), "--task", REACH, "--out", "out", folder=folder)
+        done = run_program(
+            str(ROOT / "evaluate.py"), "--task", REACH, "--out", "out", folder=folder
+        )
         assert done.returncode == 0, done.stderr
         table = (folder / "out" / "comparison.md").read_text()
         assert "fixed layout" in table
@@ -118,7 +120,7 @@ def test_a_faulty_task_ends_without_a_traceback(tmp_path) -> None:
     (tmp_path / "faulty.py").write_text(
         "from surface_gym.tasks import Sort\nclass Faulty(Sort):\n    outcome = None\n"
     )
-    done = inside("train.py", "--task", "faulty.py:Faulty", *SHORT.split(), folder=tmp_path)
+    done = run_in_process("train.py", "--task", "faulty.py:Faulty", *SHORT.split(), folder=tmp_path)
     assert done.returncode != 0
     assert "Faulty.outcome must be a static method and a kernel_function" in done.stderr
     assert "Traceback" not in done.stderr

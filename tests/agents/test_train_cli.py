@@ -38,7 +38,8 @@ def test_defaults_are_those_of_task_and_algorithm(tmp_path) -> None:
 
 
 def test_earlier_names_of_options_are_understood() -> None:
-    config = config_of("--lanes", "32", "--condition=lab")
+    earlier = {name: f"--{before}" for before, name in configs.RENAMED.items()}
+    config = config_of(earlier["num_envs"], "32", f"{earlier['preset']}=lab")
     assert config == replace(configs.defaults("sort", "ppo", preset="lab"), num_envs=32)
 
 

@@ -181,15 +181,15 @@ def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(
     assert not list(folders[1].rglob(CARD_FILE))
 
 
-def test_cells_are_the_same_those_of_a_runs_policies_too(cluster, tmp_path) -> None:
+def test_results_are_the_same_those_of_a_runs_policies_too(cluster, tmp_path) -> None:
     one = PPOConfig(
         task="slow", steps=512, num_envs=8, n_steps=16, batch_size=64, n_epochs=1, hidden=(8,)
     )
     train_seeds(one, tmp_path, Console(quiet=True), 1)
     run = replace(trained(policy_folders(tmp_path)), presets=("exact",), starts=6)
-    who = [replace(rules("slow")[0], presets=("exact", "stuck"), starts=6), run]
+    methods = [replace(rules("slow")[0], presets=("exact", "stuck"), starts=6), run]
     local, elsewhere = (
-        [replace(cell, decision_time=0.0) for cell in compute_results(who, workers)]
+        [replace(result, decision_time=0.0) for result in compute_results(methods, workers)]
         for workers in (1, cluster)
     )
     assert elsewhere == local

@@ -9,6 +9,7 @@ from surface_gym.agents.evaluation.benchmark import Result
 from surface_gym.agents.evaluation.capacity import Measurement
 from surface_gym.agents.evaluation.methods import FIXED
 from surface_gym.agents.evaluation.robustness import FACTORS, Factor, Level, SweepResult
+from surface_gym.agents.evaluation.streams import CURVE, StreamResult, cases
 from surface_gym.tasks import Sort
 from surface_gym.tasks.benchmark import PARCELS, SpeedGrid
 
@@ -91,32 +92,28 @@ def at(rate: float, touches: float = 0.0, right: float = 1.0) -> Measurement:
     )  # fmt: skip
 
 
-def stream_rows() -> list[streams.StreamResult]:
+def stream_rows() -> list[StreamResult]:
     """The layout sustains nothing, one zone cannot sort, the others sustain a share."""
     made = []
     for name, share in SHARES.items():
         can = name != streams.ARRANGED
-        for case in (*streams.cases(), *(streams.cases("camera") if name != FIXED else ())):
+        for case in (*cases(), *(cases("camera") if name != FIXED else ())):
             rate = share * case.ceiling
             capacity = at(rate, touches=1.0) if share else None
             least = at(0.8 * rate) if share else at(case.ceiling / 16.0, right=1 / 3)
             made.append(
-                streams.StreamResult(
+                StreamResult(
                     name, case.preset, case.mix, case.speed, streams.SEARCHED, can, capacity,
                     least if can else None,
                 )
             )  # fmt: skip
         for load in streams.LOADS:
-            point = at(min(load, share) * streams.CURVE.ceiling) if can else None
-            made.append(
-                streams.StreamResult(
-                    name, "exact", streams.CURVE.mix, streams.CURVE.speed, load, can, None, point
-                )
-            )
+            point = at(min(load, share) * CURVE.ceiling) if can else None
+            made.append(StreamResult(name, "exact", CURVE.mix, CURVE.speed, load, can, None, point))
     return made
 
 
 def stream_results() -> streams.StreamResults:
     """With bounds at 0.8 of the ceiling."""
-    bounds = {(case.mix, case.speed): 0.8 * case.ceiling for case in streams.cases()}
+    bounds = {(case.mix, case.speed): 0.8 * case.ceiling for case in cases()}
     return streams.StreamResults(tuple(stream_rows()), bounds)

@@ -9,6 +9,7 @@ import pytest
 
 from surface_gym.agents.evaluation import capacity
 from surface_gym.agents.evaluation.benchmark import half_interval
+from surface_gym.agents.evaluation.capacity import Measurement
 from surface_gym.agents.evaluation.methods import FIXED
 from surface_gym.agents.evaluation.streams import EVENT, RESERVATION, stream_methods
 from surface_gym.config import EnvConfig
@@ -25,7 +26,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def offer(
     method: capacity.StreamMethod, case: capacity.Case, rate: float, whole: bool = True
-) -> capacity.Measurement | None:
+) -> Measurement | None:
     controller = method.make(method.config(case, rate))
     assert controller is not None
     return capacity.measure(method, controller, case, rate, whole)
@@ -33,13 +34,13 @@ def offer(
 
 def delivery(
     offered: float, right: int = 1000, delivered: int = 1000, jams: int = 0
-) -> capacity.Measurement:
-    return capacity.Measurement(offered, [right], [delivered], [0.0], [0.0], jams, 20.0)
+) -> Measurement:
+    return Measurement(offered, [right], [delivered], [0.0], [0.0], jams, 20.0)
 
 
 class TestMeasurement:
     def test_figures_are_those_of_all_replications(self) -> None:
-        found = capacity.Measurement(3000.0, [10, 12], [10, 15], [1.0, 0.0], [0.2, 0.4], 0, 20.0)
+        found = Measurement(3000.0, [10, 12], [10, 15], [1.0, 0.0], [0.2, 0.4], 0, 20.0)
         assert found.rates.tolist() == [1800.0, 2160.0]
         assert found.rate == pytest.approx(1980.0)
         assert found.share_right == pytest.approx(22 / 25)
@@ -128,12 +129,10 @@ class TestSearch:
 
     def search(
         self, monkeypatch: pytest.MonkeyPatch, most: float, name: str = RESERVATION
-    ) -> tuple[capacity.Measurement | None, list[float]]:
+    ) -> tuple[Measurement | None, list[float]]:
         tried: list[float] = []
 
-        def known(
-            _: Any, __: Any, ___: Any, rate: float, whole: bool = True
-        ) -> capacity.Measurement | None:
+        def known(_: Any, __: Any, ___: Any, rate: float, whole: bool = True) -> Measurement | None:
             assert not whole
             tried.append(rate)
             return delivery(rate) if rate <= most else delivery(rate, right=500)
@@ -151,13 +150,11 @@ class TestSearch:
     ) -> None:
         """Beyond what is carried parcels hinder each other: less is delivered the more come."""
 
-        def known(
-            _: Any, __: Any, ___: Any, rate: float, whole: bool = True
-        ) -> capacity.Measurement | None:
+        def known(_: Any, __: Any, ___: Any, rate: float, whole: bool = True) -> Measurement | None:
             del whole
             delivered = rate if rate <= carried else carried - 0.1 * (rate - carried)
             right = round(delivered * 1000.0)
-            return capacity.Measurement(rate, [right], [right], [0.0], [0.0], 0, 3600.0 * 1000.0)
+            return Measurement(rate, [right], [right], [0.0], [0.0], 0, 3600.0 * 1000.0)
 
         monkeypatch.setattr(capacity, "measure", known)
         found = capacity.find_capacity(BY_NAME[EVENT], NOBODY, SMALL)

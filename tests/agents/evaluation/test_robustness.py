@@ -15,6 +15,7 @@ from surface_gym.agents.evaluation import robustness
 from surface_gym.agents.evaluation import robustness_report as report
 from surface_gym.agents.evaluation.benchmark import compute_kept, find_benchmark, interval
 from surface_gym.agents.evaluation.methods import PLANNER, Method, all_methods, rules, shipped
+from surface_gym.agents.evaluation.robustness import TRAINED, Change, situation, sweep_jobs
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.config import EnvConfig
 from surface_gym.lines import Line
@@ -24,11 +25,11 @@ from tests.agents.evaluation.made import STARTS, sweep_result, sweep_results
 
 SLOW = rules("slow")[0]
 BENCHMARK = find_benchmark("slow")
-EVERYTHING_EXACT = robustness.Change().preset
+EVERYTHING_EXACT = Change().preset
 
 
-def true_of(change: robustness.Change, method: Method = SLOW) -> EnvConfig:
-    return robustness.situation(method, find_benchmark(method.task), change).true
+def true_of(change: Change, method: Method = SLOW) -> EnvConfig:
+    return situation(method, find_benchmark(method.task), change).true
 
 
 def starts_of(config: EnvConfig, count: int = 64) -> np.ndarray:
@@ -41,9 +42,7 @@ def starts_of(config: EnvConfig, count: int = 64) -> np.ndarray:
 def test_no_change_is_as_trained(task) -> None:
     method = next(each for each in all_methods(task) if each.starts is None)
     benchmark = find_benchmark(task)
-    assumed, true = robustness.situation(
-        method, benchmark, robustness.FACTORS[robustness.TRAINED].change(robustness.TRAINED)
-    )
+    assumed, true = situation(method, benchmark, robustness.FACTORS[TRAINED].change(TRAINED))
     assert assumed == true
     config = method.config(benchmark.task, EVERYTHING_EXACT)
     for name in ("sensors", "control_period", "zone", "actuators", "randomisation", "actions"):
@@ -54,7 +53,7 @@ def test_no_change_is_as_trained(task) -> None:
 
 
 def test_friction_is_unknown() -> None:
-    assumed, true = robustness.situation(SLOW, BENCHMARK, robustness.Change(drag=1.2, rolling=0.5))
+    assumed, true = situation(SLOW, BENCHMARK, Change(drag=1.2, rolling=0.5))
     line = true.chosen_line
     assert (line.mu_max, line.mu_min, line.mu_support) == pytest.approx((0.6, 0.005, 0.0025))
     assert (assumed.chosen_line.mu_max, assumed.chosen_line.mu_min) == (0.5, 0.01)
@@ -62,9 +61,7 @@ def test_friction_is_unknown() -> None:
 
 def test_a_zone_has_as_many_columns_behind_it_as_ever() -> None:
     for columns in (8, 24):
-        assumed, true = robustness.situation(
-            SLOW, BENCHMARK, robustness.Change(zone_columns=columns)
-        )
+        assumed, true = situation(SLOW, BENCHMARK, Change(zone_columns=columns))
         assert assumed == true
         line = true.chosen_line
         assert isinstance(line, Line)
@@ -73,13 +70,13 @@ def test_a_zone_has_as_many_columns_behind_it_as_ever() -> None:
 
 
 def test_an_episode_may_last_the_longer_where_the_zone_is() -> None:
-    periods = [true_of(robustness.Change(zone_columns=n)).task.periods for n in (8, 16, 24)]
+    periods = [true_of(Change(zone_columns=n)).task.periods for n in (8, 16, 24)]
     assert periods == [Slow.periods, Slow.periods, 1.5 * Slow.periods]
 
 
 def test_an_episode_may_last_as_long_whatever_the_period() -> None:
     for period in (0.02, 0.06, 0.12):
-        config = true_of(robustness.Change(control_period=period))
+        config = true_of(Change(control_period=period))
         assert config.control_period == period
         lasts = config.control_period * config.task.periods
         assert lasts == pytest.approx(0.04 * Slow.periods, abs=0.5 * period)
@@ -89,8 +86,8 @@ def test_an_episode_may_last_as_long_whatever_the_period() -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_entries_are_aside_and_turned_by_just_so_much(task) -> None:
     method = rules(task)[0]
-    straight = starts_of(true_of(robustness.Change(), method))
-    moved = starts_of(true_of(robustness.Change(offset=0.03, turn=0.1), method))
+    straight = starts_of(true_of(Change(), method))
+    moved = starts_of(true_of(Change(offset=0.03, turn=0.1), method))
     off = moved - straight
     np.testing.assert_allclose(np.abs(off[:, 1]), 0.03, atol=1e-12)
     np.testing.assert_allclose(off[:, 2], off[:, 1] / 0.3, atol=1e-12)
@@ -101,9 +98,7 @@ def test_entries_are_aside_and_turned_by_just_so_much(task) -> None:
 def test_modules_that_share_weights_run_on_any_zone() -> None:
     modules = next(each for each in shipped("sort") if each.name == "PPO per module")
     for columns in (8, 20):
-        assumed, true = robustness.situation(
-            modules, find_benchmark("sort"), robustness.Change(zone_columns=columns)
-        )
+        assumed, true = situation(modules, find_benchmark("sort"), Change(zone_columns=columns))
         starts = [{"speed": 1.5, "parcel": "S", "side": side} for side in (1, -1)]
         assert run_episodes(modules.make(assumed, 0), true, starts, 0).success.all()
 
@@ -119,10 +114,10 @@ def test_loads_lie_off_centre_in_every_direction_and_boxes_are_drawn_as_ever() -
 
 
 def test_axes_turn_by_90_deg_in_the_time_said() -> None:
-    for told in (25, 200):
-        speed = true_of(robustness.FACTORS["axis"].change(told)).actuators.axis_speed
-        assert 0.5 * math.pi / speed == pytest.approx(1e-3 * told)
-    assert true_of(robustness.FACTORS["axis"].change(0)) == true_of(robustness.Change())
+    for asked in (25, 200):
+        speed = true_of(robustness.FACTORS["axis"].change(asked)).actuators.axis_speed
+        assert 0.5 * math.pi / speed == pytest.approx(1e-3 * asked)
+    assert true_of(robustness.FACTORS["axis"].change(0)) == true_of(Change())
 
 
 @pytest.mark.parametrize("name", robustness.FACTORS)
@@ -145,7 +140,7 @@ def test_the_trained_level_changes_nothing(name) -> None:
     factor = robustness.FACTORS[name]
     trained, task = true_of(factor.change(factor.trained)), Slow()
     assert set(trained.task.parcels) == set(task.parcels)  # some more often than once
-    assert replace(trained, task=task) == replace(true_of(robustness.Change()), task=task)
+    assert replace(trained, task=task) == replace(true_of(Change()), task=task)
 
 
 FIXED = rules("slow")[0]
@@ -154,7 +149,7 @@ FIXED = rules("slow")[0]
 @pytest.fixture
 def two_factors(monkeypatch: pytest.MonkeyPatch) -> None:
     few = {
-        robustness.TRAINED: robustness.FACTORS[robustness.TRAINED],
+        TRAINED: robustness.FACTORS[TRAINED],
         "square": replace(robustness.FACTORS["square"], levels=(0.2, 0.4), shown=(0.4,)),
     }
     monkeypatch.setattr(robustness, "FACTORS", few)
@@ -165,7 +160,7 @@ class TestComputing:
     def test_finished_results_are_kept(self, tmp_path, monkeypatch) -> None:
         rows = robustness.compute_sweep([FIXED], 6, 1, tmp_path)
         assert [(row.factor, row.levels) for row in rows] == [
-            (robustness.TRAINED, [robustness.TRAINED]),
+            (TRAINED, [TRAINED]),
             ("square", [0.2, 0.4]),
         ]
         assert all(len(line) == row.starts == 6 for row in rows for line in row.success)
@@ -175,9 +170,7 @@ class TestComputing:
 
     @pytest.mark.usefixtures("two_factors")
     def test_other_starts_make_other_results(self) -> None:
-        assert (
-            not robustness.sweep_jobs([FIXED], 6).keys() & robustness.sweep_jobs([FIXED], 7).keys()
-        )
+        assert not sweep_jobs([FIXED], 6).keys() & sweep_jobs([FIXED], 7).keys()
 
     def test_processes_make_no_difference(self, tmp_path) -> None:
         (few,) = (each for each in rules("stop") if each.name == "fixed layout")
@@ -186,9 +179,7 @@ class TestComputing:
             robustness.compute_factor(few, 0, name, robustness.FACTORS[name].swept, 4)
             for name in factors
         ]
-        jobs = {
-            key: job for key, job in robustness.sweep_jobs([few], 4).items() if key[2] in factors
-        }
+        jobs = {key: job for key, job in sweep_jobs([few], 4).items() if key[2] in factors}
         shared = compute_kept(
             jobs, robustness.SweepResult, 2, tmp_path / robustness.FILE, lambda *_: None
         )
@@ -222,7 +213,7 @@ class TestComputing:
         assert robustness.starts_for(planner, 240) == 40
         assert robustness.starts_for(planner, 5) == 1
         assert robustness.starts_for(FIXED, 240) == 240
-        first = next(iter(robustness.sweep_jobs([FIXED, planner], 240)))
+        first = next(iter(sweep_jobs([FIXED, planner], 240)))
         assert first[1] == PLANNER
 
 
@@ -230,7 +221,7 @@ SQUARE = robustness.FACTORS["square"]
 ROWS = [
     *sweep_results("slow", {"fixed layout": 0.25, "PPO": 0.5, "PPO, lab": 1.0}, seeds=2),
     *sweep_results("track", {"PPO": 0.75}),
-    sweep_result("slow", PLANNER, robustness.FACTORS[robustness.TRAINED], 1.0, starts=6),
+    sweep_result("slow", PLANNER, robustness.FACTORS[TRAINED], 1.0, starts=6),
     sweep_result("slow", PLANNER, SQUARE, 1.0, levels=SQUARE.shown, starts=6),
 ]
 SWEEP = robustness.Sweep(tuple(ROWS))
@@ -244,11 +235,11 @@ class TestReport:
         assert (rate.value, rate.low, rate.high) == (success.mean(), *interval(success))
 
     def test_the_level_that_is_as_trained_is_the_same_for_every_factor(self) -> None:
-        trained = SWEEP.rate("slow", "PPO", robustness.TRAINED, robustness.TRAINED)
+        trained = SWEEP.rate("slow", "PPO", TRAINED, TRAINED)
         for factor in robustness.FACTORS.values():
             if factor.trained is not None:
                 assert SWEEP.rate("slow", "PPO", factor.name, factor.trained) == trained
-        assert SWEEP.rate("slow", "nobody", robustness.TRAINED, robustness.TRAINED) is None
+        assert SWEEP.rate("slow", "nobody", TRAINED, TRAINED) is None
         assert SWEEP.rate("track", "PPO", "zone", 8) is None
 
     def test_a_row_for_each_method_and_a_column_for_each_factor(self) -> None:

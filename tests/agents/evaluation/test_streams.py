@@ -10,6 +10,7 @@ import pytest
 from surface_gym.agents.evaluation import capacity, streams
 from surface_gym.agents.evaluation.capacity import Case, Measurement
 from surface_gym.agents.evaluation.methods import FIXED
+from surface_gym.agents.evaluation.streams import ARRANGED, CURVE, RESERVATION, SEARCHED
 from tests.agents.evaluation.made import RULES, SHARES, stream_results, stream_rows
 
 BY_NAME = {method.name: method for method in streams.stream_methods()}
@@ -32,11 +33,11 @@ def test_the_ceiling_is_parcels_end_to_end() -> None:
 def test_every_method_acts_in_its_own_environment() -> None:
     assert list(BY_NAME)[:6] == [
         FIXED,
-        streams.ARRANGED,
+        ARRANGED,
         streams.TURNED,
         streams.EVENT,
         streams.EACH,
-        streams.RESERVATION,
+        RESERVATION,
     ]
     for method in streams.stream_methods():
         for preset in method.presets:
@@ -58,19 +59,17 @@ def test_every_method_can_be_made(method) -> None:
 
 def test_a_method_that_cannot_sort_has_no_capacity(monkeypatch) -> None:
     monkeypatch.setattr("surface_gym.agents.evaluation.streams.find_best_zone", lambda *_: None)
-    result = streams.compute_stream(BY_NAME[streams.ARRANGED], Case("S", 1.5), streams.SEARCHED)
+    result = streams.compute_stream(BY_NAME[ARRANGED], Case("S", 1.5), SEARCHED)
     assert (result.can, result.capacity, result.eased) == (False, None, None)
 
 
 def test_every_result_is_computed_once() -> None:
     jobs = streams.stream_jobs(streams.stream_methods())
-    searched = [key for key in jobs if key[-1] == streams.SEARCHED]
+    searched = [key for key in jobs if key[-1] == SEARCHED]
     count = sum(len(method.presets) for method in streams.stream_methods())
     assert len(searched) == 6 * count
     assert len(jobs) - len(searched) == len(streams.LOADS) * len(streams.stream_methods())
-    assert {key[3:5] for key in jobs if key[-1] != streams.SEARCHED} == {
-        (streams.CURVE.mix, streams.CURVE.speed)
-    }
+    assert {key[3:5] for key in jobs if key[-1] != SEARCHED} == {(CURVE.mix, CURVE.speed)}
     assert {(mix, speed) for _, _, _, mix, speed, _ in searched} == {
         (case.mix, case.speed) for case in streams.cases()
     }
@@ -79,9 +78,9 @@ def test_every_result_is_computed_once() -> None:
 def test_a_result_comes_back_from_a_file() -> None:
     measured = Measurement(900.0, [1, 2], [1, 3], [0.0, 0.5], [0.1, 0.0], 0, 22.0)
     for result in (
-        streams.StreamResult("one", "exact", "S", 1.5, streams.SEARCHED, True, measured, measured),
+        streams.StreamResult("one", "exact", "S", 1.5, SEARCHED, True, measured, measured),
         streams.StreamResult("one", "exact", "S", 1.5, 0.5, True, None, measured),
-        streams.StreamResult("one", "camera", "S", 1.0, streams.SEARCHED, False, None, None),
+        streams.StreamResult("one", "camera", "S", 1.0, SEARCHED, False, None, None),
     ):
         assert streams.stream_result(**json.loads(json.dumps(asdict(result)))) == result
 
@@ -89,15 +88,13 @@ def test_a_result_comes_back_from_a_file() -> None:
 @pytest.mark.usefixtures("small")
 class TestComputing:
     def test_at_80_percent_of_the_capacity(self) -> None:
-        result = streams.compute_stream(
-            BY_NAME[streams.RESERVATION], Case("S", 2.0), streams.SEARCHED
-        )
+        result = streams.compute_stream(BY_NAME[RESERVATION], Case("S", 2.0), SEARCHED)
         assert result.eased.offered == pytest.approx(0.8 * result.capacity.rate)
         assert result.eased.share_right == 1.0
 
     def test_without_a_capacity_the_least_rate_is_measured(self) -> None:
         case = Case("S", 2.0)
-        result = streams.compute_stream(BY_NAME[FIXED], case, streams.SEARCHED)
+        result = streams.compute_stream(BY_NAME[FIXED], case, SEARCHED)
         assert (result.can, result.capacity) == (True, None)
         assert result.eased.offered == pytest.approx(case.ceiling / 16.0)
 
@@ -113,9 +110,9 @@ class TestComputing:
         assert both[:2] == first
         assert seen == [(done, 5) for done in (3, 4, 5)]
         assert [(result.method, result.preset, result.load) for result in both[2:]] == [
-            (streams.TURNED, "exact", streams.SEARCHED),
+            (streams.TURNED, "exact", SEARCHED),
             (streams.TURNED, "exact", 0.25),
-            (streams.TURNED, "camera", streams.SEARCHED),
+            (streams.TURNED, "camera", SEARCHED),
         ]
 
         monkeypatch.setattr(capacity, "measure", None)  # nothing is left to compute
@@ -133,28 +130,22 @@ class TestTables:
     def test_rates_and_ratios(self) -> None:
         results = stream_results()
         assert results.names == tuple(SHARES)
-        assert results.rate(streams.RESERVATION, streams.CURVE) == pytest.approx(
-            0.6 * streams.CURVE.ceiling, rel=0.02
-        )
-        assert results.ratio(streams.RESERVATION, streams.EVENT, streams.CURVE) == pytest.approx(
-            1.5, rel=0.02
-        )
-        assert results.ratio(streams.RESERVATION, streams.BOUND, streams.CURVE) == pytest.approx(
-            0.75, rel=0.02
-        )
-        assert results.ratio(streams.BOUND, streams.CEILING, streams.CURVE) == pytest.approx(0.8)
-        assert results.ratio(streams.EVENT, streams.ARRANGED, streams.CURVE) == math.inf
-        assert math.isnan(results.ratio(FIXED, streams.ARRANGED, streams.CURVE))
-        assert math.isnan(results.rate("nobody", streams.CURVE))
+        assert results.rate(RESERVATION, CURVE) == pytest.approx(0.6 * CURVE.ceiling, rel=0.02)
+        assert results.ratio(RESERVATION, streams.EVENT, CURVE) == pytest.approx(1.5, rel=0.02)
+        assert results.ratio(RESERVATION, streams.BOUND, CURVE) == pytest.approx(0.75, rel=0.02)
+        assert results.ratio(streams.BOUND, streams.CEILING, CURVE) == pytest.approx(0.8)
+        assert results.ratio(streams.EVENT, ARRANGED, CURVE) == math.inf
+        assert math.isnan(results.ratio(FIXED, ARRANGED, CURVE))
+        assert math.isnan(results.rate("nobody", CURVE))
 
     def test_the_first_table(self) -> None:
         table = streams.headline(stream_results())
         rows = {row[0]: dict(zip(table.header, row, strict=True)) for row in table.rows}
         assert list(rows) == [*SHARES, streams.BOUND, streams.CEILING]
         assert rows[FIXED]["parcels/h"] == "0"
-        assert rows[streams.ARRANGED]["parcels/h"] == "cannot"
-        assert rows[streams.ARRANGED]["95 %"] == "-"
-        best = rows[streams.RESERVATION]
+        assert rows[ARRANGED]["parcels/h"] == "cannot"
+        assert rows[ARRANGED]["95 %"] == "-"
+        best = rows[RESERVATION]
         assert best["parcels/h"] == "8100"
         # 180 parcels/h either way, ten times: 2.262 * 189.7 / sqrt(10)
         assert best["95 %"] == "±136"
@@ -168,10 +159,10 @@ class TestTables:
         table = streams.capacity_table(results, "camera")
         assert table.header[1:] == tuple(case.label for case in streams.cases())
         names = [
-            streams.ARRANGED,
+            ARRANGED,
             streams.TURNED,
             streams.EVENT,
-            streams.RESERVATION,
+            RESERVATION,
             streams.BOUND,
             streams.CEILING,
         ]
@@ -179,11 +170,7 @@ class TestTables:
         assert set(table.rows[0][1:]) == {"cannot"}
         assert table.rows[1][1].startswith(("2340 ±", "2400 ±"))
         ratios = streams.ratio_table(results, streams.EVENT)
-        assert [row[0] for row in ratios.rows] == [
-            streams.ARRANGED,
-            streams.TURNED,
-            streams.RESERVATION,
-        ]
+        assert [row[0] for row in ratios.rows] == [ARRANGED, streams.TURNED, RESERVATION]
         eased = streams.eased_table(results, "exact")
         assert eased.rows[1][1] == "cannot"
         assert 0.25 < float(eased.rows[0][1].split(",")[0]) < 0.4  # a third
@@ -204,7 +191,9 @@ class TestBounds:
     def test_the_bound_lies_below_the_ceiling(self) -> None:
         for case in (Case("S", 1.5), Case("S and B", 1.5)):
             assert (
-                0.5 * case.ceiling < streams.bound_of(BY_NAME[streams.EVENT], case) < case.ceiling
+                0.5 * case.ceiling
+                < streams.packing_bound(BY_NAME[streams.EVENT], case)
+                < case.ceiling
             )
 
     def test_every_stream_has_one(self, monkeypatch) -> None:
@@ -214,7 +203,7 @@ class TestBounds:
             seen.append((method, case))
             return 100.0
 
-        monkeypatch.setattr(streams, "bound_of", known)
+        monkeypatch.setattr(streams, "packing_bound", known)
         results = streams.StreamResults.of(RULES, stream_rows())
         assert [case for _, case in seen] == streams.cases()
-        assert results.rate(streams.BOUND, streams.CURVE) == 100.0
+        assert results.rate(streams.BOUND, CURVE) == 100.0

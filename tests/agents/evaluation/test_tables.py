@@ -12,6 +12,7 @@ from rich.console import Console
 from surface_gym.agents.evaluation import tables
 from surface_gym.agents.evaluation.benchmark import find_benchmark, summarise
 from surface_gym.agents.evaluation.report import Section, write_page
+from surface_gym.agents.evaluation.tables import task_table
 from tests.agents.evaluation.made import GRID, slow_result, sort_result
 
 SLOW = summarise(
@@ -26,7 +27,7 @@ SLOW = summarise(
 
 
 def test_a_row_for_each_method() -> None:
-    table = tables.task_table("slow", SLOW)
+    table = task_table("slow", SLOW)
     assert table.header[:4] == ("controller", "seeds", "success (95 % interval)", "camera")
     fixed, rule, planner = table.rows
     assert fixed[0] == "fixed layout"
@@ -52,10 +53,7 @@ def test_a_wide_table_is_shown_in_parts_that_repeat_the_first_column() -> None:
 
 
 def test_files_agree(tmp_path) -> None:
-    table, files = (
-        tables.task_table("slow", SLOW),
-        [tmp_path / f"a.{end}" for end in ("csv", "json")],
-    )
+    table, files = (task_table("slow", SLOW), [tmp_path / f"a.{end}" for end in ("csv", "json")])
     tables.write_markdown([table], tmp_path / "a.md")
     tables.write_numbers(tables.task_numbers("slow", SLOW), *files)
     numbers = json.loads(files[1].read_text())
@@ -74,7 +72,7 @@ def test_files_agree(tmp_path) -> None:
 
 
 def test_decision_times_stand_apart() -> None:
-    assert not any("decision" in name for name in tables.task_table("slow", SLOW).header)
+    assert not any("decision" in name for name in task_table("slow", SLOW).header)
     table = tables.decision_table(["slow"], SLOW)
     assert table.header == ("controller", "slow")
     times = {row[0]: row[1] for row in table.rows}
@@ -96,7 +94,7 @@ def test_the_page_needs_nothing_else(tmp_path) -> None:
     Figure().savefig(picture)
     film = tmp_path / "a.mp4"
     film.write_bytes(b"film")
-    table = tables.task_table("slow", SLOW)
+    table = task_table("slow", SLOW)
     section = Section(table, [(picture, "a > b"), (film, "both")], find_benchmark("slow").columns)
     write_page([section], tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text()

@@ -28,10 +28,10 @@ def read(file: Path) -> tuple[float, list[np.ndarray]]:
     """[1/s] pictures of a film, and the pictures."""
     asked = [FFMPEG_BINARY, "-i", str(file), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     found = subprocess.run(asked, capture_output=True, check=True)
-    told = re.search(rb"Video: .* (\d+)x(\d+).* ([\d.]+) fps", found.stderr)
-    width, height = int(told[1]), int(told[2])
+    described = re.search(rb"Video: .* (\d+)x(\d+).* ([\d.]+) fps", found.stderr)
+    width, height = int(described[1]), int(described[2])
     pictures = np.frombuffer(found.stdout, dtype=np.uint8).reshape(-1, height, width, 3)
-    return float(told[3]), list(pictures.astype(float))
+    return float(described[3]), list(pictures.astype(float))
 
 
 def film(file: Path, seconds: float, speed: float = 1.0) -> tuple[float, list[np.ndarray]]:

@@ -1,4 +1,4 @@
-"""Mistakes are found, and told apart from ties."""
+"""Mistakes are found, and kept apart from ties."""
 
 from collections.abc import Callable
 from dataclasses import replace

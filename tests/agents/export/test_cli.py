@@ -1,7 +1,6 @@
 """The command, what it writes, and what it refuses."""
 
 import json
-import runpy
 import sys
 
 import numpy as np
@@ -9,9 +8,9 @@ import pytest
 
 from surface_gym.agents.export.check import find_compiler
 from surface_gym.agents.export.cli import ExportConfig, export, main, make_metadata, make_model
-from surface_gym.agents.export.page import UNKNOWN, make_page, need_of
+from surface_gym.agents.export.page import UNKNOWN, find_need, make_page
 from surface_gym.agents.export.policy import TRAINED_IN, Training, network_decision, of_run, shipped
-from surface_gym.agents.learning.config import PPOConfig
+from surface_gym.agents.learning.config import RENAMED, PPOConfig
 from surface_gym.agents.learning.runs import write_config
 from surface_gym.agents.policy import save_policy
 from surface_gym.config import EnvConfig
@@ -76,9 +75,11 @@ def test_a_run_is_exported_under_its_own_name_or_another(tmp_path) -> None:
     write_config(PPOConfig(preset="lab"), tmp_path / "window" / "config.yaml")
     lab = of_run(tmp_path / "window").training
     assert [each.name for each in lab.presets] == list(TRAINED_IN["lab"])
-    (tmp_path / "window" / "card.yaml").write_text("command: python train.py --condition lab\n")
-    told = of_run(tmp_path / "window").training
-    assert (told.preset, told.command) == ("lab", "python train.py --condition lab")
+    for flag in ("preset", next(old for old, name in RENAMED.items() if name == "preset")):
+        command = f"python train.py --{flag} lab"
+        (tmp_path / "window" / "card.yaml").write_text(f"command: {command}\n")
+        training = of_run(tmp_path / "window").training
+        assert (training.preset, training.command) == ("lab", command)
     with pytest.raises(ValueError, match="seed must be one of 0, got 3"):
         of_run(tmp_path / "window", seed=3)
 
@@ -100,8 +101,8 @@ def test_the_page_lists_every_feature_and_angle(name) -> None:
 def test_every_feature_of_the_package_says_what_it_needs(task) -> None:
     config = EnvConfig(task=task, actions="window", observe_axes=True)
     shown = (*config.features, *group_features(tuple(GROUPS)))
-    assert [each.name for each in shown if need_of(each) == UNKNOWN] == []
-    assert need_of(Feature("mood", 0.0, 1.0, "of the parcel")) == UNKNOWN
+    assert [each.name for each in shown if find_need(each) == UNKNOWN] == []
+    assert find_need(Feature("mood", 0.0, 1.0, "of the parcel")) == UNKNOWN
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path, capsys) -> None:
@@ -134,11 +135,3 @@ def test_a_missing_library_is_reported_with_the_extra_that_brings_it(tmp_path, m
     with pytest.raises(SystemExit, match=wanted):
         main(["sort-ppo", "--out", str(tmp_path)])
     assert list(tmp_path.iterdir()) == []
-
-
-def test_python_m_takes_its_arguments(monkeypatch, capsys) -> None:
-    monkeypatch.setattr(sys, "argv", ["export", "--help"])
-    with pytest.raises(SystemExit) as ended:
-        runpy.run_module("surface_gym.agents.export", run_name="__main__")
-    assert ended.value.code == 0
-    assert "surface-gym export" in capsys.readouterr().out

@@ -89,7 +89,7 @@ def test_a_graph_computes_in_double_precision_what_numpy_does() -> None:
         graph._nodes,
         "angle",
         [onnx.helper.make_tensor_value_info(graphs.OBSERVATION, kinds.FLOAT, ["num_envs", 2])],
-        [onnx.helper.make_tensor_value_info(traced.name, kinds.DOUBLE, ["lanes", 3])],
+        [onnx.helper.make_tensor_value_info(traced.name, kinds.DOUBLE, ["num_envs", 3])],
         graph._constants,
     )
     model = onnx.helper.make_model(

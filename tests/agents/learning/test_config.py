@@ -26,59 +26,28 @@ from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
 
 BAD: tuple[dict[str, Any], ...] = (
-    {"task": "juggle"},
-    {"actions": "thirds"},
-    {"seed": -1},
-    {"seeds": 0},
-    {"steps": 0},
-    {"num_envs": 0},
-    {"preset": "field"},
-    {"observe": ("moon",)},
-    {"checkpoint_every": 0},
-    {"control_period": 0.0},
-    {"camera_share": 1.5},
-    {"zones": (0,)},
-    {"zones": (8,), "task": "track"},
-    {"friction": 1.0},
-    {"hidden": (0,)},
-    {"hidden": ()},
-    {"learning_rate": 0.0},
-    {"gamma": 1.1},
-    {"batch_size": 0},
-    {"n_steps": 0},
-)
+    {"task": "juggle"}, {"actions": "thirds"}, {"seed": -1}, {"seeds": 0}, {"steps": 0},
+    {"num_envs": 0}, {"preset": "field"}, {"observe": ("moon",)}, {"checkpoint_every": 0},
+    {"control_period": 0.0}, {"camera_share": 1.5}, {"zones": (0,)},
+    {"zones": (8,), "task": "track"}, {"friction": 1.0}, {"hidden": (0,)}, {"hidden": ()},
+    {"learning_rate": 0.0}, {"gamma": 1.1}, {"batch_size": 0}, {"n_steps": 0},
+)  # fmt: skip
 BAD_PPO: tuple[dict[str, Any], ...] = (
-    {"algo": "dqn"},
-    {"n_epochs": 0},
-    {"batch_size": 1000},
-    {"gae_lambda": -0.1},
+    {"algo": "dqn"}, {"n_epochs": 0}, {"batch_size": 1000}, {"gae_lambda": -0.1},
     {"ent_coef": -1.0},
-)
+)  # fmt: skip
 BAD_MODULES: tuple[dict[str, Any], ...] = (
-    {"algo": "ppo"},
-    {"task": "slow"},
-    {"actions": "halves"},
-    {"split_probability": 1.5},
-)
+    {"algo": "ppo"}, {"task": "slow"}, {"actions": "halves"}, {"split_probability": 1.5},
+)  # fmt: skip
 BAD_PARCELS: tuple[dict[str, Any], ...] = (
-    {"task": "sort"},
-    {"actions": "halves"},
-    {"slots": 1, "batch_size": 1024},
-    {"imitation": -1},
-    {"clip_range": 0.0},
-    {"batch_size": 500},
-)
+    {"task": "sort"}, {"actions": "halves"}, {"slots": 1, "batch_size": 1024}, {"imitation": -1},
+    {"clip_range": 0.0}, {"batch_size": 500},
+)  # fmt: skip
 BAD_DQN: tuple[dict[str, Any], ...] = (
-    {"algo": "ppo"},
-    {"actions": "modules"},
-    {"buffer_size": 0},
-    {"learning_starts": -1},
-    {"gradient_steps": 0},
-    {"tau": 2.0},
-    {"exploration_fraction": -0.1},
-    {"exploration_final_eps": 1.1},
-    {"max_grad_norm": 0.0},
-)
+    {"algo": "ppo"}, {"actions": "modules"}, {"buffer_size": 0}, {"learning_starts": -1},
+    {"gradient_steps": 0}, {"tau": 2.0}, {"exploration_fraction": -0.1},
+    {"exploration_final_eps": 1.1}, {"max_grad_norm": 0.0},
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(

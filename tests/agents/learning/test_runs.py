@@ -21,6 +21,7 @@ from surface_gym import agents
 from surface_gym.agents.learning import config as configs
 from surface_gym.agents.learning import runs
 from surface_gym.agents.learning.cuda import train_on_device
+from surface_gym.agents.learning.runs import read_curve
 from surface_gym.agents.learning.train import train, train_seeds
 from surface_gym.agents.library import WEIGHTS
 from surface_gym.flow.task import PARCEL_TERMS
@@ -127,7 +128,7 @@ def test_an_interrupted_run_is_resumed_to_the_same_result(whole, tmp_path) -> No
 
 def test_the_curve_has_success_and_every_reward_term(whole) -> None:
     terms = RUNS[whole.name][2]
-    rows = runs.read_curve(whole)
+    rows = read_curve(whole)
     columns = {"steps", "success", "return", "length", *(f"reward_{term}" for term in terms)}
     assert set(rows[0]) == columns
     last = rows[-1]
@@ -160,9 +161,7 @@ def test_a_killed_run_is_resumed_to_the_same_result(tmp_path) -> None:
         [sys.executable, "-c", TRAIN, str(broken)],
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3]), "OMP_NUM_THREADS": "1"},
     )
-    while process.poll() is None and not any(
-        row["steps"] > 7_500 for row in runs.read_curve(broken)
-    ):
+    while process.poll() is None and not any(row["steps"] > 7_500 for row in read_curve(broken)):
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL  # before it was done
@@ -198,16 +197,14 @@ def test_code_in_a_checkpoint_is_not_run(tmp_path) -> None:
 
 
 def test_a_configuration_with_earlier_names_is_resumed(tmp_path) -> None:
-    from surface_gym.agents.learning.runs import read_config
-
     config = configs.ParcelsConfig(slots=8, batch_size=512)
     runs.write_config(config, tmp_path / "config.yaml")
     text = (tmp_path / "config.yaml").read_text()
-    for old, new in (("lanes", "num_envs"), ("condition", "preset"), ("seats", "slots")):
-        text = text.replace(f"{new}:", f"{old}:")
-    assert set(yaml.safe_load(text)) >= {"lanes", "condition", "seats"}
+    for earlier, name in configs.RENAMED.items():
+        text = text.replace(f"{name}:", f"{earlier}:")
+    assert len(set(yaml.safe_load(text)) & set(configs.RENAMED)) == 3
     (tmp_path / "config.yaml").write_text(text)
-    assert read_config(tmp_path / "config.yaml") == config
+    assert runs.read_config(tmp_path / "config.yaml") == config
 
 
 def test_seeds_in_parallel_give_the_result_of_each_alone(tmp_path) -> None:
@@ -236,7 +233,7 @@ def episode(success: bool, total: float) -> dict[str, Any]:
 
 
 def test_a_row_holds_means_of_the_latest_episodes(tmp_path) -> None:
-    assert runs.read_curve(tmp_path) == []
+    assert read_curve(tmp_path) == []
     curve = runs.Curve(tmp_path, ("success", "reach"), 0, [])
     assert math.isnan(curve.success)
     curve.add_episodes([{}, episode(True, 2.0), {}, episode(False, 4.0)])
@@ -244,7 +241,7 @@ def test_a_row_holds_means_of_the_latest_episodes(tmp_path) -> None:
     curve.add_episodes([episode(True, 1.0)] * runs.RECENT_EPISODES)  # more than are averaged
     curve.write(128)
     curve.close()
-    first, second = runs.read_curve(tmp_path)
+    first, second = read_curve(tmp_path)
     assert first == {
         "steps": 64, "success": 0.5, "return": 3.0, "length": 10, "reward_success": 1.0,
         "reward_reach": 4.0,
@@ -260,8 +257,8 @@ def test_rows_after_the_checkpoint_are_dropped(tmp_path) -> None:
     curve.close()
     with (tmp_path / runs.CURVE).open("a") as file:
         file.write("40,1")  # a line broken off
-    assert [row["steps"] for row in runs.read_curve(tmp_path)] == [10, 20, 30]
+    assert [row["steps"] for row in read_curve(tmp_path)] == [10, 20, 30]
     again = runs.Curve(tmp_path, ("success", "reach"), 20, list(curve.recent))
-    assert [row["steps"] for row in runs.read_curve(tmp_path)] == [10, 20]
+    assert [row["steps"] for row in read_curve(tmp_path)] == [10, 20]
     assert again.success == 1.0
     again.close()

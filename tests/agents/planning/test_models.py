@@ -9,6 +9,7 @@ import pytest
 import surface_gym as sg
 from surface_gym import Disc, Parcel, Rectangle
 from surface_gym.agents.planning import models
+from surface_gym.agents.planning.models import TrueModel
 from surface_gym.config import EnvConfig
 from surface_gym.layouts import ROLLING
 from surface_gym.randomisation import Actuators, Randomisation
@@ -18,9 +19,7 @@ FAR = 100.0  # [m] beyond any line
 EITHER_WAY = 6  # the action of 45 deg ahead and -45 deg behind
 
 
-def model_of(
-    parcel: Parcel, quarter: float | None = None, friction: float = 0.0
-) -> models.TrueModel:
+def model_of(parcel: Parcel, quarter: float | None = None, friction: float = 0.0) -> TrueModel:
     """A parcel that enters at 1.5 m/s; a quarter turn of its axes takes so long [s]."""
     actuators = Actuators() if quarter is None else Actuators(axis_speed=0.5 * math.pi / quarter)
     config = EnvConfig(
@@ -29,14 +28,14 @@ def model_of(
         actuators=actuators,
         randomisation=Randomisation(friction=friction),
     )
-    model = models.TrueModel(config, 2)
+    model = TrueModel(config, 2)
     model.begin({"speed": 1.5}, seed=4)
     model.parcels.goal[0] = FAR
     model.spread()
     return model
 
 
-def rolled_in(model: models.TrueModel) -> models.SearchNodes:
+def rolled_in(model: TrueModel) -> models.SearchNodes:
     """Once the parcel is wholly in the zone."""
     for _ in range(10):
         nodes = model.step(model.uniform_action(ROLLING))
@@ -138,10 +137,8 @@ SEED = 31
 SLOW_AXES = Actuators(axis_speed=0.5 * math.pi / 0.1, stuck=((9, 8), (10, 11)))
 
 
-def begun(
-    config: EnvConfig, size: int = 4, options: dict[str, Any] | None = None
-) -> models.TrueModel:
-    model = models.TrueModel(config, size)
+def begun(config: EnvConfig, size: int = 4, options: dict[str, Any] | None = None) -> TrueModel:
+    model = TrueModel(config, size)
     model.begin(options or {}, SEED)
     return model
 
@@ -217,7 +214,7 @@ def test_rewound_it_goes_the_same_way_again() -> None:
 
 def test_another_start_forgets_what_was_stuck_before() -> None:
     config = EnvConfig(task="slow", actions="halves", actuators=Actuators(stuck_share=0.2))
-    used, fresh = models.TrueModel(config, 3), models.TrueModel(config, 3)
+    used, fresh = TrueModel(config, 3), TrueModel(config, 3)
     for seed in (1, 2):
         used.begin({}, seed)
         for action in (0, 5):

@@ -115,13 +115,12 @@ def test_a_shown_path_is_the_path_and_the_rest_is_tracks() -> None:
 
 
 def test_in_the_benchmark_its_task_is_the_same_with_the_path_shown() -> None:
-    trial = find_benchmark("track")
-    config = next(m for m in rules("track") if m.observed_task is not None).config(
-        trial, PRESETS["camera"]
-    )
+    task = find_benchmark("track").task
+    method = next(each for each in rules("track") if each.observed_task is not None)
+    config = method.config(task, PRESETS["camera"])
     assert isinstance(config.task, ShownPath)
-    assert isinstance(trial.task, Track)
-    assert (config.task.tilts, config.task.kinds) == (trial.task.tilts, trial.task.kinds)
+    assert isinstance(task, Track)
+    assert (config.task.tilts, config.task.kinds) == (task.tilts, task.kinds)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.rules import reservation
+from surface_gym.agents.rules.reservation import Reservation, least_gap
 from surface_gym.agents.rules.streams import StreamEventRule
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import Steady
@@ -126,27 +127,24 @@ def test_the_clearance_of_corners_is_never_too_large() -> None:
 
 @pytest.mark.parametrize(("speed", "margin"), [(1.0, 0.0), (2.0, 0.0), (1.0, 0.05)])
 def test_equal_speeds_need_a_length_and_the_margin(speed, margin) -> None:
-    gap = reservation.least_gap(straight(speed), straight(speed), margin)
+    gap = least_gap(straight(speed), straight(speed), margin)
     assert gap == pytest.approx((0.2 + margin) / speed, abs=2.0 * reservation.FINE)
 
 
 def test_a_faster_one_must_not_catch_up() -> None:
     """It may only be a length behind as the slower one leaves, after 4 s at x = 4 m."""
-    gap = reservation.least_gap(straight(1.0), straight(2.0, seconds=2.0))
+    gap = least_gap(straight(1.0), straight(2.0, seconds=2.0))
     assert gap == pytest.approx(4.0 - (4.0 - 0.2) / 2.0, abs=2.0 * reservation.FINE)
 
 
 def test_trajectories_beside_each_other_need_no_gap() -> None:
-    assert (
-        reservation.least_gap(straight(1.0, aside=0.0), straight(1.0, aside=0.3))
-        <= reservation.FINE
-    )
+    assert least_gap(straight(1.0, aside=0.0), straight(1.0, aside=0.3)) <= reservation.FINE
 
 
 def test_a_parcel_that_never_leaves_lets_no_other_in() -> None:
     stands = reservation.ParcelTrajectory(SQUARE, np.array([0.0, 60.0]), np.zeros((2, 3)))
     with pytest.raises(ValueError, match="trajectories must have a gap of at most 20 s, got none"):
-        reservation.least_gap(stands, straight(1.0))
+        least_gap(stands, straight(1.0))
 
 
 def test_rates_are_those_of_the_gaps() -> None:
@@ -168,7 +166,7 @@ FRESH, GOES_ON = np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
 
 
 def booking() -> reservation.Booking:
-    """Of two ways that are told apart by the parcel's size."""
+    """Of two ways that are kept apart by the parcel's size."""
     signature = np.zeros((2, len(reservation.SIGNATURE)))
     signature[1, reservation.SIGNATURE.index(6)] = 2.0
     return reservation.Booking(CONFIG, signature, GAPS)
@@ -261,7 +259,7 @@ CROWD = Stream(Steady(15000.0), parcels=("S",), speeds=1.5)
 
 def test_more_than_a_line_takes_is_sorted_without_a_touch() -> None:
     config = gated(CROWD)
-    count = counts(reservation.Reservation(config), config)
+    count = counts(Reservation(config), config)
     assert (count["wrong"], count["touches"]) == (0, 0)
     assert count["right"] > 4 * 12
     alone = counts(StreamEventRule(line(CROWD)), line(CROWD))
@@ -272,26 +270,24 @@ def test_it_comes_near_the_packed_ways_and_not_above() -> None:
     config = gated(CROWD, duration=20.0)
     gaps = reservation.least_gaps(found(config).each, reservation.MARGIN)
     bound = reservation.packed_rate(gaps, np.ones(len(gaps)))
-    count = counts(reservation.Reservation(config), config, num_envs=8)
+    count = counts(Reservation(config), config, num_envs=8)
     rate = 3600.0 * count["right"] / (8 * config.stream_task.duration)
     assert 0.8 * bound < rate < 1.02 * bound
 
 
 def test_a_wider_margin_lets_fewer_in() -> None:
     config = gated(CROWD)
-    near, wide = (
-        counts(reservation.Reservation(config, margin=m), config)["right"] for m in (0.02, 0.2)
-    )
+    near, wide = (counts(Reservation(config, margin=m), config)["right"] for m in (0.02, 0.2))
     assert wide < near
 
 
 def test_on_the_line_it_does_what_its_lead_does() -> None:
     config = gated(CROWD)
     rows = np.random.default_rng(0).normal(size=(20, 29)).astype(np.float32)
-    rule, lead = reservation.Reservation(config), StreamEventRule(config)
+    rule, lead = Reservation(config), StreamEventRule(config)
     np.testing.assert_array_equal(rule.halves(rows), lead.halves(rows))
 
 
 def test_a_gate_is_needed() -> None:
     with pytest.raises(ValueError, match="gate must be True for a reservation, got False"):
-        reservation.Reservation(line())
+        Reservation(line())

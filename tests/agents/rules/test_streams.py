@@ -7,6 +7,7 @@ import pytest
 
 from surface_gym.agents import library
 from surface_gym.agents.rules import streams
+from surface_gym.agents.rules.streams import StreamEventRule, StreamFixedLayout
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.task import FEATURES, OWN, PRESENT, WAITS
 from tests.agents.rules.lines import counts, gated, line
@@ -25,7 +26,7 @@ def table(rows: int, *parcels: tuple[float, float]) -> np.ndarray:
 
 def test_each_rolls_until_it_is_past_its_exits_start() -> None:
     seen = table(5, (-0.1, 1.0), (0.1, 1.0), (0.1, -1.0), (0.1, 0.0))
-    action, state = streams.StreamEventRule(line(max_parcels=5)).predict(seen)
+    action, state = StreamEventRule(line(max_parcels=5)).predict(seen)
     assert action.reshape(5, 2).tolist() == [
         [ROLL, ROLL], [LEFT, LEFT], [RIGHT, RIGHT], [ROLL, ROLL], [ROLL, ROLL],
     ]  # fmt: skip
@@ -33,7 +34,7 @@ def test_each_rolls_until_it_is_past_its_exits_start() -> None:
 
 
 def test_many_environments_are_decided_as_each_alone() -> None:
-    rule = streams.StreamEventRule(line(max_parcels=2))
+    rule = StreamEventRule(line(max_parcels=2))
     tables = np.stack([table(2, (0.1, 1.0)), table(2, (0.1, -1.0), (0.1, 1.0)), table(2)])
     actions, _ = rule.predict(tables)
     assert actions.tolist() == [rule.predict(each)[0].tolist() for each in tables]
@@ -43,14 +44,12 @@ def test_a_gate_is_opened_at_once_and_a_parcel_that_waits_there_has_no_halves() 
     config = gated(max_parcels=2)
     seen = table(3, (0.1, 1.0))
     seen[-1, [PRESENT, WAITS, streams.PAST_START, streams.SIDE]] = 1.0, 1.0, 5.0, 1.0
-    action, _ = streams.StreamEventRule(config).predict(seen)
+    action, _ = StreamEventRule(config).predict(seen)
     assert action.tolist() == [LEFT, LEFT, ROLL, ROLL, streams.OPEN]
     assert config.action_space().contains(action)
 
 
-@pytest.mark.parametrize(
-    ("make", "touches"), [(streams.StreamEventRule, 0), (streams.SortEach, None)]
-)
+@pytest.mark.parametrize(("make", "touches"), [(StreamEventRule, 0), (streams.SortEach, None)])
 def test_a_thin_stream_is_sorted(make, touches) -> None:
     config = line(line().stream_task.stream.with_rate(900.0))
     found = counts(make(config), config)
@@ -82,40 +81,32 @@ def test_for_each_parcel_the_agent_of_sort_decides_by_its_row() -> None:
 def test_a_fixed_layout_sorts_to_the_left_alone() -> None:
     for name, right, wrong in (("left", 1, 0), ("right", 0, 1), ("straight", 0, 1)):
         config = line(trace((0.0, name)), actions="modules", duration=4.0)
-        assert counts(streams.StreamFixedLayout(config), config, num_envs=1) == {
+        assert counts(StreamFixedLayout(config), config, num_envs=1) == {
             "right": right, "wrong": wrong, "touches": 0,
         }  # fmt: skip
-    actions, _ = streams.StreamFixedLayout(config).predict(table(3)[np.newaxis].repeat(2, axis=0))
+    actions, _ = StreamFixedLayout(config).predict(table(3)[np.newaxis].repeat(2, axis=0))
     assert actions.shape == (2, config.action_kind.size)
     assert (actions == LEFT).all()
-    assert streams.StreamFixedLayout(config).predict(table(3))[0].tolist() == actions[0].tolist()
+    assert StreamFixedLayout(config).predict(table(3))[0].tolist() == actions[0].tolist()
 
 
 @pytest.mark.parametrize(
     ("make", "arguments", "message"),
     [
-        (streams.StreamEventRule, {"actions": "modules"}, "actions must be one of 'parcels', got"),
+        (StreamEventRule, {"actions": "modules"}, "actions must be one of 'parcels', got"),
+        (StreamEventRule, {"orientations": "any"}, "orientations must be some on offer, got 'any'"),
         (
-            streams.StreamEventRule,
-            {"orientations": "any"},
-            "orientations must be some on offer, got 'any'",
-        ),
-        (
-            streams.StreamEventRule,
+            StreamEventRule,
             {"orientations": (0.0, math.pi / 2)},
             "orientations must hold 45 deg|-45",
         ),
-        (streams.StreamFixedLayout, {}, "actions must be one of 'modules', got 'parcels'"),
+        (StreamFixedLayout, {}, "actions must be one of 'modules', got 'parcels'"),
         (
-            streams.StreamFixedLayout,
+            StreamFixedLayout,
             {"actions": "modules", "gate": True},
             "gate must be False for a layout",
         ),
-        (
-            streams.StreamFixedLayout,
-            {"actions": "modules", "orientations": (0.0, 1.0)},
-            "must hold",
-        ),
+        (StreamFixedLayout, {"actions": "modules", "orientations": (0.0, 1.0)}, "must hold"),
     ],
 )
 def test_what_they_cannot_act_in_is_refused(make, arguments, message) -> None:

@@ -128,7 +128,7 @@ class TestBoth:
         assert found["wrong"] == 0
 
     @pytest.mark.parametrize(
-        ("config", "columns", "told"),
+        ("config", "columns", "named"),
         [
             (gated(), 5, "actions must be one of 'modules', got 'parcels'"),
             (line(actions="modules"), 5, "gate must be True for a zone .*, got False"),
@@ -137,8 +137,8 @@ class TestBoth:
             (zoned(exits="chutes"), 5, "exits must start at 0.5 m, where the zone does"),
         ],
     )
-    def test_what_it_cannot_act_in_is_refused(self, kind, config, columns, told) -> None:
-        with pytest.raises(ValueError, match=told):
+    def test_what_it_cannot_act_in_is_refused(self, kind, config, columns, named) -> None:
+        with pytest.raises(ValueError, match=named):
             kind(config, columns)
 
 

@@ -190,17 +190,9 @@ def reconnect(device: SocketDevice) -> None:
 
 
 def test_ctrl_c_ends_a_run_with_its_report(tmp_path) -> None:
-    command = [
-        "-m",
-        "surface_gym.agents.runtime",
-        "stop-ppo",
-        "--preset",
-        "camera",
-        "--out",
-        str(tmp_path),
-    ]
+    program = [sys.executable, "-c", "from surface_gym.cli import main; main()"]
     with subprocess.Popen(
-        [sys.executable, *command],
+        [*program, "runtime", "stop-ppo", "--preset", "camera", "--out", str(tmp_path)],
         cwd=Path(__file__).parents[3],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -212,9 +204,9 @@ def test_ctrl_c_ends_a_run_with_its_report(tmp_path) -> None:
                 break
         time.sleep(1.0)
         process.send_signal(signal.SIGINT)
-        told = process.stdout.read()
-        assert process.wait(PATIENCE) == 0, told
-    assert "stopped" in told
+        printed = process.stdout.read()
+        assert process.wait(PATIENCE) == 0, printed
+    assert "stopped" in printed
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["counts"]["missed"] <= report["counts"]["periods"]
     assert report["counts"]["out_of_range"] == report["counts"]["refused"] == 0

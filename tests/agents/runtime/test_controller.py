@@ -9,6 +9,7 @@ import pytest
 from surface_gym.agents.runtime.controller import AxisLimits, LoopConfig, allowed_angles
 from surface_gym.agents.runtime.protocol import AxesAcknowledged, Departed
 from tests.agents.runtime import made
+from tests.agents.runtime.made import Always, entered
 
 PERIOD = 0.04
 
@@ -24,8 +25,8 @@ def frames(first: float, last: float, late: float = 0.02) -> list:
 
 
 def test_a_decision_a_period(device) -> None:
-    device.script = [(0.0, made.entered()), *frames(0.02, 0.8)]
-    controller = made.Always(made.BRAKE, device.clock)
+    device.script = [(0.0, entered()), *frames(0.02, 0.8)]
+    controller = Always(made.BRAKE, device.clock)
     loop = made.loop_of(device, controller)
     loop.run(0.8, made.nothing)
     counts = loop.counts
@@ -38,8 +39,8 @@ def test_a_decision_a_period(device) -> None:
 
 
 def test_a_deadline_that_is_missed_is_counted(device) -> None:
-    device.script = [(0.0, made.entered()), *frames(0.02, 0.9)]
-    loop = made.loop_of(device, made.Always(made.BRAKE, device.clock, takes=0.05))
+    device.script = [(0.0, entered()), *frames(0.02, 0.9)]
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock, takes=0.05))
     loop.run(0.8, made.nothing)
     counts = loop.counts
     assert counts.kept == 0
@@ -50,8 +51,8 @@ def test_a_deadline_that_is_missed_is_counted(device) -> None:
 
 
 def test_the_fixed_layout_replaces_the_policy_while_no_frames_come(device) -> None:
-    device.script = [(0.0, made.entered()), *frames(0.02, 0.2), *frames(0.6, 0.9)]
-    loop = made.loop_of(device, made.Always(made.BRAKE, device.clock), watchdog=0.15)
+    device.script = [(0.0, entered()), *frames(0.02, 0.2), *frames(0.6, 0.9)]
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock), watchdog=0.15)
     loop.run(0.88, made.nothing)
     counts = loop.counts
     assert counts.watchdog == 1
@@ -65,7 +66,7 @@ def test_the_fixed_layout_replaces_the_policy_while_no_frames_come(device) -> No
 
 def test_no_parcel_no_commands(device) -> None:
     device.script = [(taken, made.frame(taken, number=None)) for taken in np.arange(0.0, 0.4, 0.02)]
-    loop = made.loop_of(device, made.Always(made.BRAKE, device.clock))
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock))
     loop.run(0.4, made.nothing)
     assert loop.counts.sent == loop.counts.watchdog == 0
     assert loop.counts.frames == 20
@@ -74,12 +75,12 @@ def test_no_parcel_no_commands(device) -> None:
 
 def test_parcels_are_counted_by_how_they_left(device) -> None:
     device.script = [
-        (0.0, made.entered(0)),
+        (0.0, entered(0)),
         (0.2, Departed(0, "success")),
-        (0.24, made.entered(1, at=0.24)),
+        (0.24, entered(1, at=0.24)),
         (0.4, Departed(1, "missed")),
     ]
-    controller = made.Always(made.ROLL, device.clock)
+    controller = Always(made.ROLL, device.clock)
     loop = made.loop_of(device, controller)
     loop.run(0.48, made.nothing)
     assert dict(loop.counts.parcels) == {"success": 1, "missed": 1}
@@ -87,11 +88,9 @@ def test_parcels_are_counted_by_how_they_left(device) -> None:
 
 
 def test_a_device_that_is_lost_is_found_again(device) -> None:
-    device.script = [(0.0, made.entered()), (3.0, made.entered(1, at=3.0))]
+    device.script = [(0.0, entered()), (3.0, entered(1, at=3.0))]
     device.away = [(0.2, 2.5)]
-    loop = made.loop_of(
-        device, made.Always(made.BRAKE, device.clock), first_wait=0.1, longest_wait=0.8
-    )
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock), first_wait=0.1, longest_wait=0.8)
     loop.run(4.0, made.nothing)
     counts = loop.counts
     assert (counts.lost, counts.connected) == (1, 2)
@@ -104,8 +103,8 @@ def test_a_device_that_is_lost_is_found_again(device) -> None:
 
 
 def test_a_device_that_is_lost_while_axes_are_sent(device) -> None:
-    device.script = [(0.0, made.entered())]
-    loop = made.loop_of(device, made.Always(made.BRAKE, device.clock, takes=0.01))
+    device.script = [(0.0, entered())]
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock, takes=0.01))
     device.away = [(0.0805, 0.5)]  # after it was read from
     loop.run(0.4, made.nothing)
     assert loop.counts.lost == 1
@@ -114,11 +113,11 @@ def test_a_device_that_is_lost_while_axes_are_sent(device) -> None:
 
 def test_what_the_device_refuses_is_counted_and_forgotten(device) -> None:
     device.script = [
-        (0.0, made.entered()),
+        (0.0, entered()),
         (0.06, AxesAcknowledged(1, 0.05, "no")),
         (0.1, AxesAcknowledged(2, 0.09)),
     ]
-    loop = made.loop_of(device, made.Always(made.BRAKE, device.clock))
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock))
     loop.run(0.2, made.nothing)
     assert loop.counts.refused == 1
     assert loop.latencies.send == pytest.approx([0.01])
@@ -128,17 +127,17 @@ def test_what_the_device_refuses_is_counted_and_forgotten(device) -> None:
 
 @pytest.mark.parametrize("action", [16, -1, 0.5])
 def test_an_action_that_does_not_exist_is_not_sent(device, action) -> None:
-    device.script = [(0.0, made.entered())]
-    loop = made.loop_of(device, made.Always(action, device.clock))
+    device.script = [(0.0, entered())]
+    loop = made.loop_of(device, Always(action, device.clock))
     loop.run(0.2, made.nothing)
     assert device.sent == []
     assert loop.counts.out_of_range == loop.counts.held == 5
 
 
 def test_an_axis_that_is_not_on_offer_is_not_sent(device) -> None:
-    device.script = [(0.0, made.entered())]
+    device.script = [(0.0, entered())]
     others = replace(made.CONFIG, orientations=(0.1, 0.2, 0.3, 0.4))
-    loop = made.loop_of(device, made.Always(made.BRAKE, device.clock))
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock))
     loop._limits = AxisLimits(made.estimator().shape, allowed_angles(others))
     loop.run(0.2, made.nothing)
     assert device.sent == []
@@ -146,23 +145,23 @@ def test_an_axis_that_is_not_on_offer_is_not_sent(device) -> None:
 
 
 def test_a_parcel_with_no_place_here_is_left_alone(device) -> None:
-    device.script = [(0.0, made.entered(goal=())), (0.2, made.entered(1, at=0.2))]
-    loop = made.loop_of(device, made.Always(made.BRAKE, device.clock))
+    device.script = [(0.0, entered(goal=())), (0.2, entered(1, at=0.2))]
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock))
     loop.run(0.4, made.nothing)
     assert loop.counts.unfit == 1
     assert loop.counts.decisions == 6
 
 
 def test_an_observation_out_of_bounds_is_not_for_the_policy(device) -> None:
-    device.script = [(0.0, made.entered(velocity=(19.0, 0.0, 0.0)))]
-    loop = made.loop_of(device, made.Always(made.BRAKE, device.clock))
+    device.script = [(0.0, entered(velocity=(19.0, 0.0, 0.0)))]
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock))
     loop.run(0.04, made.nothing)
     assert loop.counts.strayed == loop.counts.by_fixed_layout == 1
 
 
 def test_a_frame_that_is_not_finite_ends_the_connection(device) -> None:
-    device.script = [(0.0, made.entered()), (0.06, made.frame(0.02, x=math.nan))]
-    loop = made.loop_of(device, made.Always(made.BRAKE, device.clock))
+    device.script = [(0.0, entered()), (0.06, made.frame(0.02, x=math.nan))]
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock))
     loop.run(0.2, made.nothing)
     assert loop.counts.lost == 1
 

@@ -29,21 +29,21 @@ def filtered() -> tuple[Entered, list[np.ndarray], list[Frame], list[np.ndarray]
     batch = Batch(replace(made.CONFIG, sensors=CAMERA, control_period=PERIOD), 1)
     batch.seed(0, np.random.default_rng(3))
     batch.reset(np.array([0]))
-    lanes = batch.parcels
-    about = lanes.sensor_state[0, :6].copy()
+    parcels = batch.parcels
+    about = parcels.sensor_state[0, :6].copy()
     size = 2.0 * float(-batch.view(0).corners[:, 0].min())
     parcel = sg.Parcel(sg.Rectangle(size, size))
-    start = Entered(0, AT, parcel, about[:3], about[3:], tuple(lanes.goal[0]))
-    sent, frames, seen = [], [], [lanes.observation[0].copy()]
+    start = Entered(0, AT, parcel, about[:3], about[3:], tuple(parcels.goal[0]))
+    sent, frames, seen = [], [], [parcels.observation[0].copy()]
     rng = np.random.default_rng(0)
     spread = np.array([CAMERA.position_noise] * 2 + [CAMERA.angle_noise])
     for k in range(20):
         sent.append(commands([int(rng.integers(16))]))
         batch.step(sent[-1])
-        noise = lanes.noise[0, lanes.noise_row[0, 0] - 1, :3]
-        pose = lanes.truth[0, :3] + spread * noise
+        noise = parcels.noise[0, parcels.noise_row[0, 0] - 1, :3]
+        pose = parcels.truth[0, :3] + spread * noise
         frames.append(Frame(AT + PERIOD * (k + 1), 0, tuple(pose.tolist())))
-        seen.append(lanes.observation[0].copy())
+        seen.append(parcels.observation[0].copy())
     return start, sent, frames, seen
 
 

@@ -12,6 +12,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.agents.runtime import protocol
 from surface_gym.agents.runtime.config import parse_address
+from surface_gym.agents.runtime.protocol import to_line
 
 SHAPE = (2, 3)
 TRIANGLE = sg.Polygon([[0.0, 0.0], [0.3, 0.0], [0.0, 0.3]])
@@ -24,7 +25,7 @@ def again_and_again(call: Callable[[], Any]) -> None:
 
 
 def there_and_back(message: Any) -> Any:
-    line = protocol.to_line(protocol.to_fields(message))
+    line = to_line(protocol.to_fields(message))
     assert line.endswith(b"\n")
     assert line.count(b"\n") == 1
     return protocol.from_fields(protocol.from_line(line), SHAPE)
@@ -69,7 +70,7 @@ def test_a_parcel_has_the_same_base_around_its_centroid(base) -> None:
 def test_axis_commands() -> None:
     angles = np.arange(6.0).reshape(SHAPE)
     number, back = protocol.axes_from_fields(
-        protocol.from_line(protocol.to_line(protocol.axes_to_fields(4, angles))), SHAPE
+        protocol.from_line(to_line(protocol.axes_to_fields(4, angles))), SHAPE
     )
     assert number == 4
     np.testing.assert_array_equal(back, angles)
@@ -149,7 +150,7 @@ def test_other_messages_than_axis_commands_are_refused() -> None:
 
 def test_what_is_not_finite_is_not_sent() -> None:
     with pytest.raises(ValueError, match="JSON"):
-        protocol.to_line(protocol.axes_to_fields(0, np.array([[math.nan]])))
+        to_line(protocol.axes_to_fields(0, np.array([[math.nan]])))
 
 
 @pytest.fixture
@@ -227,11 +228,7 @@ class TestDevice:
         return device.read()
 
     def test_it_reads_messages(self, listener, device) -> None:
-        lines = (
-            protocol.to_line(protocol.hello("stop", SHAPE)),
-            protocol.to_line(FRAME),
-            protocol.to_line(ACKNOWLEDGED),
-        )
+        lines = (to_line(protocol.hello("stop", SHAPE)), to_line(FRAME), to_line(ACKNOWLEDGED))
         assert [type(each) for each in self.receive(listener, device, *lines)] == [
             protocol.Frame,
             protocol.AxesAcknowledged,
@@ -240,11 +237,11 @@ class TestDevice:
     @pytest.mark.parametrize(
         "line",
         [
-            protocol.to_line(FRAME),  # before the greeting
-            protocol.to_line({**protocol.hello("stop", SHAPE), "protocol": 99}),
-            protocol.to_line(protocol.hello("sort", SHAPE)),
-            protocol.to_line(protocol.hello("stop", (4, 16))),
-            protocol.to_line({"kind": "hello", "protocol": 1, "task": "stop"}),
+            to_line(FRAME),  # before the greeting
+            to_line({**protocol.hello("stop", SHAPE), "protocol": 99}),
+            to_line(protocol.hello("sort", SHAPE)),
+            to_line(protocol.hello("stop", (4, 16))),
+            to_line({"kind": "hello", "protocol": 1, "task": "stop"}),
             b"what\n",
         ],
     )

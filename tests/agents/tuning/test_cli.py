@@ -121,7 +121,7 @@ def table(page: str, head: str) -> list[list[str]]:
     for line in lines[first + 2 :]:
         if not line.startswith("|"):
             break
-        rows.append([cell.strip() for cell in line.strip("|").split("|")])
+        rows.append([value.strip() for value in line.strip("|").split("|")])
     return rows
 
 

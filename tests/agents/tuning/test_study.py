@@ -22,6 +22,7 @@ from surface_gym.agents.learning.train import train
 from surface_gym.agents.policy import load_policy
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.agents.tuning import study
+from surface_gym.agents.tuning.study import TrialResult
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
 from surface_gym.parallel import Report
 from surface_gym.tasks.benchmark import DRAWN
@@ -60,7 +61,7 @@ class TestTrials:
 
     def test_refused_and_failed_trials_are_kept_with_their_reasons(self, tmp_path) -> None:
         trials = searched(RANDOM, tmp_path, refused_or_failed)
-        assert {study.state_of(each) for each in trials} == {
+        assert {study.describe_state(each) for each in trials} == {
             "refused: no",
             "failed: nan",
             "complete",
@@ -79,12 +80,12 @@ class TestTrials:
 
 def refused_or_failed(
     sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
-) -> study.TrialResult:
+) -> TrialResult:
     """Two trials of three end otherwise."""
     if params["n_epochs"] % 3 == 0:
-        return study.TrialResult(study.REFUSED, why="no")
+        return TrialResult(study.REFUSED, why="no")
     if params["n_epochs"] % 3 == 1:
-        return study.TrialResult(study.FAILED, why="nan")
+        return TrialResult(study.FAILED, why="nan")
     return cheap_trial(sweep, params, past, report)
 
 
@@ -179,7 +180,7 @@ def look(url: str) -> list[FrozenTrial]:
 
 def stopping(
     at: int, sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
-) -> study.TrialResult:
+) -> TrialResult:
     if len(past) == at:
         raise KeyboardInterrupt
     return cheap_trial(sweep, params, past, report)
@@ -200,9 +201,7 @@ class TestTrial:
     def few_starts(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(study, "STARTS", 32)
 
-    def run(
-        self, sweep: Sweep = SWEEP, past: Any = (), **changed: Any
-    ) -> tuple[study.TrialResult, Any]:
+    def run(self, sweep: Sweep = SWEEP, past: Any = (), **changed: Any) -> tuple[TrialResult, Any]:
         reported: list[tuple[int, float]] = []
         return study.run_trial(sweep, {**PARAMS, **changed}, past, reported.append), reported
 
@@ -225,7 +224,7 @@ class TestTrial:
 
     def test_below_the_median_it_ends(self) -> None:
         result, reported = self.run(past=(trial({1: 100.0, 2: 100.0}),))
-        assert result == study.TrialResult(study.PRUNED)
+        assert result == TrialResult(study.PRUNED)
         assert [number for number, _ in reported] == [1]
 
     def test_a_configuration_that_is_not_allowed_is_refused(self) -> None:
@@ -281,11 +280,11 @@ class TestJudgement:
         monkeypatch.setattr(study, "STARTS", 100)
         env_config = make_card(self.config).env_config()
         alone = run_episodes(load_policy(folder), env_config, [{}] * 100, study.JUDGE_SEED + 5)
-        judged = study.judge(self.config, self.sweep, folder)
+        judged = study.score_policy(self.config, self.sweep, folder)
         assert judged == alone.success.mean()
         assert 0.0 < judged < 1.0
         other = replace(self.config, camera_share=1.0, friction=0.9, num_envs=128, seed=9)
-        assert study.judge(other, self.sweep, folder) == judged
+        assert study.score_policy(other, self.sweep, folder) == judged
 
     def test_nothing_is_learned_or_compared_on_these_starts(self) -> None:
         with pytest.raises(ValueError, match="between 0 and 2"):

@@ -126,7 +126,7 @@ def test_a_missing_file_is_named() -> None:
         read_sweep(Path("nowhere.yml"))
 
 
-def test_a_task_of_ones_own_is_named_twice(tmp_path) -> None:
+def test_a_custom_task_is_named_twice(tmp_path) -> None:
     task = f"{ROOT}/examples/reach.py:Reach"
     file = tmp_path / "sweep.yml"
     file.write_text(f"task: {task}\nspace: {{gamma: {{low: 0.9, high: 0.99}}}}\n")
@@ -135,7 +135,7 @@ def test_a_task_of_ones_own_is_named_twice(tmp_path) -> None:
         read_sweep(file)
 
 
-def test_differences_are_told() -> None:
+def test_differences_are_named() -> None:
     assert differences(Sweep(space=RATE), Sweep(space=RATE)) == []
-    (told,) = differences(Sweep(space=RATE), Sweep(space=RATE, trials=30))
-    assert told == "trials is 20 there, 30 here"
+    (found,) = differences(Sweep(space=RATE), Sweep(space=RATE, trials=30))
+    assert found == "trials is 20 there, 30 here"

@@ -17,7 +17,8 @@ import yaml
 ROOT = Path(__file__).parents[2]
 
 
-def door(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+def run_program(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a program in a process of its own."""
     return subprocess.run(
         [sys.executable, *arguments],
         cwd=folder,
@@ -28,13 +29,13 @@ def door(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def inside(program: str, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """As `door`, but in this process, which has what is needed imported, and with one processor.
+def run_in_process(program: str, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a program in this process, which has its imports, with one processor.
 
-    An error that is raised instead of told is raised here too.
+    An error that is raised instead of reported is raised here too.
     """
-    shown, told, code = io.StringIO(), io.StringIO(), 0
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(shown), redirect_stderr(told):
+    shown, errors, code = io.StringIO(), io.StringIO(), 0
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(shown), redirect_stderr(errors):
         patch.chdir(folder)
         patch.setenv("COLUMNS", "100")
         patch.setattr(sys, "argv", [program, *arguments])
@@ -45,7 +46,7 @@ def inside(program: str, *arguments: str, folder: Path) -> subprocess.CompletedP
             code = int(end.code or 0) if not isinstance(end.code, str) else 1
             if isinstance(end.code, str):
                 print(end.code, file=sys.stderr)
-    return subprocess.CompletedProcess([program], code, shown.getvalue(), told.getvalue())
+    return subprocess.CompletedProcess([program], code, shown.getvalue(), errors.getvalue())
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +57,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "--seeds 2 --name a --steps 512 --num-envs 8 --n-steps 16 "
         "--batch-size 64 --n-epochs 1 --hidden 8 --camera-share 0"
     )
-    done = door(str(ROOT / "train.py"), *flags.split(), folder=folder)
+    done = run_program(str(ROOT / "train.py"), *flags.split(), folder=folder)
     assert done.returncode == 0, done.stderr
     assert "sorting by entry speed" in done.stdout.lower()
     return folder / "runs" / "a"
@@ -80,20 +81,20 @@ def test_the_folder_holds_everything(run) -> None:
 
 def test_evaluate_gives_the_same_table_twice(run) -> None:
     first = (run / "table.md").read_bytes()
-    done = inside("evaluate.py", "--run", str(run), "--workers", "1", folder=run)
+    done = run_in_process("evaluate.py", "--run", str(run), "--workers", "1", folder=run)
     assert done.returncode == 0, done.stderr
     assert (run / "table.md").read_bytes() == first
 
 
 def test_a_run_that_is_done_is_gone_on_with_to_the_same(run) -> None:
     before = (run / "seed-1" / "policy.pt").read_bytes()
-    done = inside("train.py", "--resume", str(run), folder=run)
+    done = run_in_process("train.py", "--resume", str(run), folder=run)
     assert done.returncode == 0, done.stderr
     assert (run / "seed-1" / "policy.pt").read_bytes() == before
 
 
 def test_the_comparison_of_a_task(tmp_path) -> None:
-    """Everything but the waiting: the cells are there already, of few starts."""
+    """Everything but the waiting: the results are there already, of few starts."""
     from surface_gym.agents.evaluation.benchmark import compute_results
     from surface_gym.agents.evaluation.methods import all_methods
 
@@ -102,7 +103,7 @@ def test_the_comparison_of_a_task(tmp_path) -> None:
     few = [replace(each, starts=1) for each in all_methods("stop")]
     compute_results(few, 1, out)
     flags = ("--tasks", "stop", "--out", str(out), "--resume", "--workers", "1")
-    done = inside("evaluate.py", *flags, folder=tmp_path)
+    done = run_in_process("evaluate.py", *flags, folder=tmp_path)
     assert done.returncode == 0, done.stderr
     for name in (
         "comparison.md",
@@ -128,7 +129,7 @@ def test_the_comparison_of_a_task(tmp_path) -> None:
     ],
 )
 def test_bad_input_ends_without_a_traceback(arguments, named, tmp_path) -> None:
-    done = inside(*arguments, folder=tmp_path)
+    done = run_in_process(*arguments, folder=tmp_path)
     assert done.returncode != 0
     assert named in done.stderr
     assert "Traceback" not in done.stderr
