@@ -304,6 +304,16 @@ class EnvConfig:
         return self.task.periods
 
     @property
+    def rows(self) -> int:
+        """Rows of parcels of an environment: one, or those of a stream."""
+        return self.task.rows if isinstance(self.task, StreamTask) else 1
+
+    @property
+    def parcel_terms(self) -> tuple[str, ...]:
+        """Terms of the reward that a parcel earns."""
+        return self.task.parcel_terms if isinstance(self.task, StreamTask) else self.task.terms
+
+    @property
     def draws(self) -> int:
         """Rows of noise that the sensor of a parcel uses at most in a control period."""
         used = self.sensors.draws(self.timing.dt, self.timing.steps)
@@ -365,8 +375,7 @@ class EnvConfig:
         row = self.row_space()
         if not isinstance(self.task, StreamTask):
             return row
-        rows = self.task.rows
-        return spaces.Box(np.tile(row.low, (rows, 1)), np.tile(row.high, (rows, 1)))
+        return spaces.Box(np.tile(row.low, (self.rows, 1)), np.tile(row.high, (self.rows, 1)))
 
     def action_space(self) -> spaces.Space[Any]:
         """Make the space of an environment's action."""

@@ -19,7 +19,7 @@ FIRST = (
     "tests/cuda/test_ptx.py",
 )
 
-# Of each part those that fail first when it breaks, and one environment of each face.
+# Of each part those that fail first when it breaks, and one environment of each class.
 SMOKE = (
     "tests/agents/learning/test_config.py",
     "tests/agents/test_library.py",

@@ -13,8 +13,17 @@ from surface_gym.layouts import LINE_Y
 from surface_gym.randomisation import Actuators
 from surface_gym.state import RUNNING
 from surface_gym.tasks.start import Start
-from tests.batches import put
-from tests.environments import MINUS_45, PLUS_45, ROLL, SORT, assert_same, bare, same_choice, steps
+from tests.environments import (
+    MINUS_45,
+    PLUS_45,
+    ROLL,
+    SORT,
+    assert_same,
+    bare,
+    put,
+    same_choice,
+    steps,
+)
 
 ZERO = 0  # the choice of the axis along x
 FLAT_BOX = sg.Parcel(sg.Rectangle(0.25, 0.25), com_height=0.0)  # nothing shifts its load

@@ -38,7 +38,7 @@ class TestAnyAngle:
     ) -> None:
         settings = {"actions": actions, "actuators": Actuators(axis_speed=axis_speed)}
         any_angle, choices = bare(orientations="any", **settings), bare(**settings)
-        kind = choices.settings.action_kind
+        kind = choices.config.action_kind
         for env in (any_angle, choices):
             env.reset(seed=2)
         rng = np.random.default_rng(0)

@@ -17,7 +17,7 @@ from surface_gym.lines import Field, Line
 from surface_gym.sensors import Camera, Entry, Presence
 from surface_gym.tasks.paths import LaneChange, Polyline, Sine
 from surface_gym.tasks.start import Start
-from tests.batches import batch_with
+from tests.environments import batch_with
 from tests.extremes import run_or_refusal
 from tests.flow.flows import SHORT
 

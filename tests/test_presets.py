@@ -17,7 +17,7 @@ from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera, Exact
 from surface_gym.tasks import Slow
-from tests.vector_environments import native, singles
+from tests.environments import native, singles
 
 SLOW, SORT = "SmartSurface/Slow-v0", "SmartSurface/Sort-v0"
 LAB = PRESETS["lab"]

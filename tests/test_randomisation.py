@@ -10,8 +10,7 @@ from scipy import stats
 import surface_gym as sg
 from surface_gym.randomisation import RandomDraw, Randomisation
 from surface_gym.tasks.start import Start
-from tests.batches import batch_with
-from tests.environments import PARCELS, TRIANGLE, assert_same, bare, steps
+from tests.environments import PARCELS, TRIANGLE, assert_same, bare, batch_with, steps
 
 COUNT = 2000
 SHAPE = (20, 30)

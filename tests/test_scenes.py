@@ -24,9 +24,8 @@ from surface_gym.rendering import Scene, SceneParcel
 from surface_gym.scenes import GLIDE, TRAIL, Renderer, exit_marks
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.start import Start
-from tests.batches import batch_with as batch_at
-from tests.batches import put
-from tests.environments import HEPTAGON, PARCELS
+from tests.environments import HEPTAGON, PARCELS, put
+from tests.environments import batch_with as batch_at
 from tests.flow.flows import (
     BOX,
     LARGE_BOX,

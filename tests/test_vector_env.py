@@ -11,7 +11,10 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, VectorEnv
 
 import surface_gym as sg
 from tests.environments import (
+    EVERYTHING_VARIES,
+    LIMIT,
     MINUS_45,
+    NUM_ENVS,
     OPTIONS,
     PARCELS,
     SENSORS,
@@ -19,15 +22,10 @@ from tests.environments import (
     assert_same,
     every_cell,
     every_id,
-    same_choice,
-)
-from tests.vector_environments import (
-    EVERYTHING_VARIES,
-    LIMIT,
-    NUM_ENVS,
     every_mode,
     every_varying,
     native,
+    same_choice,
     single_of,
     singles,
 )
@@ -180,7 +178,7 @@ def rollout(env: VectorEnv, chosen: slice, periods: int = 60) -> Iterator[tuple[
         )
 
 
-class TestLanes:
+class TestBatchSize:
     @every_varying
     def test_their_number_does_not_matter(self, env_id: str, sensor: Any) -> None:
         settings = {"actions": "quadrants", "sensors": sensor(), **EVERYTHING_VARIES}

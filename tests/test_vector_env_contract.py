@@ -12,10 +12,15 @@ from gymnasium.vector import AutoresetMode
 
 import surface_gym as sg
 from surface_gym.randomisation import Randomisation
-from tests.environments import ACTIONS, SENSORS, TRIANGLE, TWINS, assert_same, every_id
-from tests.vector_environments import (
+from tests.environments import (
+    ACTIONS,
     EVERYTHING_VARIES,
     NUM_ENVS,
+    SENSORS,
+    TRIANGLE,
+    TWINS,
+    assert_same,
+    every_id,
     every_mode,
     every_varying,
     native,

@@ -9,8 +9,7 @@ import pytest
 from gymnasium.vector import VectorEnv
 
 import surface_gym as sg
-from tests.environments import SENSORS, assert_same, every_kind_of_action
-from tests.vector_environments import NUM_ENVS, native
+from tests.environments import NUM_ENVS, SENSORS, assert_same, every_kind_of_action, native
 
 
 class TestSeeds:
@@ -162,7 +161,7 @@ class TestBadInput:
 
     @pytest.mark.parametrize(("options", "named"), BAD_OPTIONS)
     def test_bad_options_are_named(self, options: Any, named: str) -> None:
-        """The episodes go on as if nothing had been asked, before the bad environment too."""
+        """The episodes go on as if nothing had been asked, also in those before the bad one."""
         env, twin = (native(actions="halves") for _ in range(2))
         for each in (env, twin):
             each.reset(seed=0)

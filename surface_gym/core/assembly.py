@@ -14,7 +14,6 @@ from surface_gym.config import EnvConfig
 from surface_gym.core import actions
 from surface_gym.core.actions import Acting
 from surface_gym.core.kernel import Actuation, EnvParams, KernelFunctions
-from surface_gym.flow.task import StreamTask
 from surface_gym.physics.step import axis_directions
 from surface_gym.physics.types import Integers, Scratch, make_scratch
 from surface_gym.sensors.base import Sensor
@@ -159,7 +158,6 @@ def make_env_params(config: EnvConfig) -> EnvParams:
 def make_state(config: EnvConfig, num_envs: int) -> tuple[SurfaceState, ParcelState]:
     """Make the memory of surfaces and parcels, every axis the conveyor's."""
     task, line, kind = config.task, config.chosen_line, config.action_kind
-    stream = task if isinstance(task, StreamTask) else None
     sizes = st.Sizes(
         num_envs=num_envs,
         rows=line.rows,
@@ -167,7 +165,7 @@ def make_state(config: EnvConfig, num_envs: int) -> tuple[SurfaceState, ParcelSt
         command=kind.size,
         choices=kind.choices,
         observation=len(config.features),
-        terms=len(stream.parcel_terms if stream else task.terms),
+        terms=len(config.parcel_terms),
         goals=task.goals,
         memories=task.memories,
         metrics=len(task.metrics),
@@ -176,7 +174,7 @@ def make_state(config: EnvConfig, num_envs: int) -> tuple[SurfaceState, ParcelSt
         noise=config.draws > 0,
         turning=config.actuators.axis_speed != math.inf,
         stiffness=config.randomisation.stiffness > 0.0,
-        max_parcels=stream.rows if stream else 1,
+        max_parcels=config.rows,
     )
     surfaces = st.make_surfaces(sizes)
     surfaces.direction[:] = actions.CONVEYOR

@@ -15,8 +15,7 @@ from surface_gym.lines import ORIENTATIONS
 from surface_gym.randomisation import Actuators
 from surface_gym.tasks.sort import FEATURES
 from surface_gym.tasks.start import Start
-from tests.batches import batch_with, put
-from tests.environments import ACTIONS, ORIGIN, PARCELS, PITCH
+from tests.environments import ACTIONS, ORIGIN, PARCELS, PITCH, batch_with, put
 
 POSES = [
     (1.0, 1.0, 0.0),

@@ -12,8 +12,7 @@ from surface_gym.core.resets import NO_EDGE, place_parcel
 from surface_gym.lines import Field, Line
 from surface_gym.physics.types import COM_X, COM_Y, HALF_LENGTH, RADIUS
 from surface_gym.tasks.start import Start
-from tests.batches import batch_with, put
-from tests.environments import HEPTAGON, PARCELS, TRIANGLE
+from tests.environments import HEPTAGON, PARCELS, TRIANGLE, batch_with, put
 
 every_parcel = pytest.mark.parametrize("parcel", PARCELS.values(), ids=PARCELS)
 
@@ -62,7 +61,7 @@ def test_a_start_forgets_the_parcel_before() -> None:
     used, fresh = Batch(EnvConfig(), 1), batch_with(start)
     for parcel in (HEPTAGON, sg.layouts.box("B"), TRIANGLE):
         put(used, start._replace(parcel=parcel))
-        used.advance(np.full((1, 64), 1))
+        used.step(np.full((1, 64), 1))
     put(used, start)
     view = used.view(0)
     for name, found, wanted in zip(view._fields, view, fresh.view(0), strict=True):

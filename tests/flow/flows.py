@@ -22,8 +22,7 @@ from surface_gym.physics.step import com_states
 from surface_gym.physics.types import THETA, Array, X, Y
 from surface_gym.registration import FLOW
 from surface_gym.sensors import Camera, Presence
-from tests.environments import assert_same
-from tests.vector_environments import EVERYTHING_VARIES
+from tests.environments import EVERYTHING_VARIES, assert_same
 
 BRAKE, PLUS_45, MINUS_45, ROLL = range(4)  # choices of the default orientations
 MIRRORED = np.array([BRAKE, MINUS_45, PLUS_45, ROLL])  # the choice that each is in a mirror

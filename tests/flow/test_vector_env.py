@@ -12,10 +12,9 @@ from surface_gym.flow.stream import Stream
 from surface_gym.randomisation import Randomisation
 from surface_gym.registration import FLOW
 from surface_gym.vector_env import SmartSurfaceVectorEnv
-from tests.environments import TWINS, assert_same
+from tests.environments import NUM_ENVS, TWINS, assert_same, every_mode, native, singles
 from tests.flow.flows import BRAKE, DENSE, KINDS, ROLL, SHORT, assert_alike, every_kind, trace
 from tests.test_vector_env import run_beside
-from tests.vector_environments import NUM_ENVS, every_mode, native, singles
 
 LONG = 10_000  # control periods: a flow ends by itself before that
 EPISODE = {"stream": DENSE, "line": SHORT, "duration": 0.6}  # 15 control periods
@@ -89,7 +88,7 @@ class TestLanes:
     @pytest.mark.parametrize("threads", [2, 3])
     def test_nor_does_that_of_threads(self, threads: int) -> None:
         one, several = (streams(12, threads=count, **VARIED) for count in (1, threads))
-        assert several._batch._threads == threads
+        assert several.batch._threads == threads
         for first, second in zip(
             rollout(one, slice(None)), rollout(several, slice(None)), strict=True
         ):

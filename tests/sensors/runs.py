@@ -39,9 +39,9 @@ def contradicts(env: Any, parcel: str, tolerance: float) -> np.ndarray:
     """Whether the sensed pose of each box has other rotors covered than the true one has, by
     more than a tolerance [m]; by the base's own functions.
     """
-    elements, parcels, sites = env.batch.params.elements, env.batch.parcels, env.batch.bodies
+    elements, parcels, bodies = env.batch.params.elements, env.batch.parcels, env.batch.bodies
     base = sg.layouts.box(parcel).base
-    rows, columns = np.indices(sites.rotor.shape[1:])
+    rows, columns = np.indices(bodies.rotor.shape[1:])
     x, y = elements.x0 + elements.pitch_x * columns, elements.y0 + elements.pitch_y * rows
 
     def outside(motion: np.ndarray) -> np.ndarray:
@@ -54,5 +54,5 @@ def contradicts(env: Any, parcel: str, tolerance: float) -> np.ndarray:
         covered = outside(parcels.truth[i]) <= 0.0
         beyond = outside(parcels.sensed[i])
         wrong = np.where(covered, beyond, -beyond) > tolerance
-        found.append((wrong & sites.rotor[parcels.body[i] if len(sites.rotor) > 1 else 0]).any())
+        found.append((wrong & bodies.rotor[parcels.body[i] if len(bodies.rotor) > 1 else 0]).any())
     return np.array(found)

@@ -84,8 +84,8 @@ def test_friction_and_load_are_learned_as_well_as_it_says() -> None:
     assert isinstance(sensors, AdaptiveCamera)
     observation, env = after_braking(sensors)
     batch = env.batch
-    sites = batch.bodies.body[batch.parcels.body]
-    true = np.column_stack([batch.surfaces.conditions[:, 0], sites[:, 1], sites[:, 2]])
+    bodies = batch.bodies.body[batch.parcels.body]
+    true = np.column_stack([batch.surfaces.conditions[:, 0], bodies[:, 1], bodies[:, 2]])
     kept = batch.parcels.sensor_state
     errors = kept[:, CONSTANT : CONSTANT + LEARNED] - true
     doubts = np.sqrt(kept[:, DOUBT : DOUBT + 9 : LEARNED + 1])

@@ -11,8 +11,7 @@ import surface_gym as sg
 from surface_gym.core.batch import Batch
 from surface_gym.tasks import Task
 from surface_gym.tasks.start import Draw, Start
-from tests.batches import batch_with
-from tests.environments import Step
+from tests.environments import Step, batch_with
 
 BRAKE = 0  # choice of the default orientations: the axis at 0 deg
 ROLLING_LOSS = 0.01 * 9.81  # [m/s^2] of a parcel that rolls, mu_min g of Table 1
