@@ -9,7 +9,7 @@ FIRST = (
     "tests/test_axes.py",
     "tests/agents/rules/",
     "tests/test_own.py",
-    "tests/agents/test_doors.py",
+    "tests/agents/test_programs.py",
     "tests/agents/test_tasks.py",
     "tests/parallel/",
     "tests/agents/learning/",
@@ -19,7 +19,7 @@ FIRST = (
     "tests/cuda/test_ptx.py",
 )
 
-# Of each part those that fail first when it breaks, and one environment of each face.
+# Of each part those that fail first when it breaks, and one environment of each class.
 SMOKE = (
     "tests/agents/learning/test_config.py",
     "tests/agents/test_policy.py",
@@ -38,14 +38,14 @@ SMOKE = (
     "tests/test_config.py",
     "tests/test_simulation.py",
     "tests/test_surface.py",
-    "tests/test_vector_env.py::TestBesideSingles::test_lane_by_lane",
+    "tests/test_vector_env.py::TestBesideSingles::test_one_by_one",
 )
 
 # Long proofs of which the rest of the tests hold a short form: `pytest -m nightly`.
 NIGHTLY = (
-    "tests/cuda/test_ptx.py::test_a_flow_compiles_for_every_capability",
+    "tests/cuda/test_ptx.py::test_streams_compile",
     *(
-        f"tests/cuda/test_ptx.py::test_every_task_compiles_for_every_capability[{task}"
+        f"tests/cuda/test_ptx.py::test_every_task_compiles[{task}"
         for task in ("stop", "track", "slow", "orient")
     ),
     "tests/docs/test_notebooks.py::test_it_runs",
@@ -54,7 +54,7 @@ NIGHTLY = (
     "tests/parallel/test_cluster.py::test_a_design_map_is_the_same",
     "tests/parallel/test_cluster.py::test_a_job_whose_node_dies_is_done_again_and_only_that",
     "tests/parallel/test_cluster.py::test_a_search_has_trials_of_the_nodes",
-    "tests/parallel/test_cluster.py::test_cells_are_the_same_those_of_a_runs_policies_too",
+    "tests/parallel/test_cluster.py::test_results_are_the_same_those_of_a_runs_policies_too",
     "tests/parallel/test_cluster.py::test_seeds_with_nodes_dying_come_to_the_same_files_as_in_"
     "processes",
 )
