@@ -1,4 +1,4 @@
-"""The arguments of a flow, checked once for all its faces."""
+"""The arguments of a flow, checked once for both environments."""
 
 import math
 from typing import Any

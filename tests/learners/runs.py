@@ -24,7 +24,7 @@ class Run:
     kept: dict[str, Any]  # in its file
 
     @property
-    def figures(self) -> dict[str, Any]:
+    def results(self) -> dict[str, Any]:
         return self.kept["figures"]
 
 
@@ -49,7 +49,7 @@ def check_sort(run: Run, *packages: str) -> None:
     """It got better, by finite losses, and sorts more than chance does; versions are kept."""
     assert all(math.isfinite(loss) for loss in run.losses)
     assert run.returns[-1] > run.returns[0] + 1.0
-    shares = run.figures["0.3 to 2.7 m/s evenly"]
+    shares = run.results["0.3 to 2.7 m/s evenly"]
     assert shares["both"] > 0.4
     assert min(shares["S"], shares["B"]) <= shares["both"] <= max(shares["S"], shares["B"])
     assert set(packages) < set(run.kept["versions"])
