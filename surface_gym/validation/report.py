@@ -16,10 +16,11 @@ from rich.text import Text
 
 from surface_gym.paper import figures
 from surface_gym.paper.report import make_table
+from surface_gym.physics.types import Array
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import comparison
-from surface_gym.validation.comparison import Array, Errors, Model, Run, Summary
+from surface_gym.validation.comparison import Errors, Model, Run, Summary
 from surface_gym.validation.drawn import STEPS, MeetingRun, Spread, apart, root_mean_square
 from surface_gym.validation.study import Study
 

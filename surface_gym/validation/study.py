@@ -12,9 +12,10 @@ from rich.progress import track
 
 from surface_gym.paper.runs import Integration
 from surface_gym.parallel import Workers, map_jobs, without_report
+from surface_gym.physics.types import Array
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import comparison, drawn
-from surface_gym.validation.comparison import Array, Case, Errors, Run, Summary, Target
+from surface_gym.validation.comparison import Case, Errors, Run, Summary, Target
 from surface_gym.validation.simulation import RECIPE, Recipe
 
 DRAWS = 20  # surfaces for each unevenness
