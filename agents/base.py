@@ -1,4 +1,4 @@
-"""What controllers share: their interface, axis orientations, and the symmetry of the line.
+"""Shared parts of controllers: their interface, axis orientations, and the symmetry of the line.
 
 The environment mirrors Sort's observation already, so that the goal lies at y > 0; the last of its
 features is the asked side. Here actions are mirrored back into the world.
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 FLOW_TASK = "flow"  # the task of streams of parcels
 
 # A file of the checkout, or the command of the installed package.
-_IN_CHECKOUT = (Path(__file__).parents[1] / "train.py").is_file()
+_IN_CHECKOUT = (Path(__file__).resolve().parents[1] / "train.py").is_file()
 TRAIN = ("python", "train.py") if _IN_CHECKOUT else ("surface-gym", "train")
 EVALUATE = ("python", "evaluate.py") if _IN_CHECKOUT else ("surface-gym", "evaluate")
 

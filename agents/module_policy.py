@@ -175,9 +175,6 @@ class ModulePolicy:
         """Choose an action for an observation (features,), or actions for (num_envs, features).
 
         If not deterministic, all modules of an environment share a draw, as in training.
-
-        Returns:
-            The actions, and None, as the policy has no memory.
         """
         del state, episode_start
         observations = np.atleast_2d(observation)

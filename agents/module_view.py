@@ -178,10 +178,7 @@ class ModuleView:
         place = np.concatenate([*parts, self._axes(observations, env, x, y)]).T
         bears = distance.min(axis=0) <= MARGIN
         return ModuleObservations(
-            observations[:, self._shared],
-            env[bears],
-            place[bears].astype(np.float32),
-            index[bears],
+            observations[:, self._shared], env[bears], place[bears].astype(np.float32), index[bears]
         )
 
     def _locate_by_clearance(

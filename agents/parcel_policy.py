@@ -162,11 +162,7 @@ class ParcelPolicy:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[Any, None]:
-        """Choose an action for an observation (rows, features), or actions for several.
-
-        Returns:
-            The actions, and None, as the policy has no memory.
-        """
+        """Choose an action for an observation (rows, features), or actions for several."""
         del state, episode_start
         tables = observation.reshape(-1, *observation.shape[-2:])
         present = tables[..., PRESENT] > 0.5

@@ -88,10 +88,7 @@ NETWORKS = {"ppo": EqualChoicesPolicy, "dqn": DQNPolicy}
 def make_network(card: PolicyCard, config: EnvConfig) -> BasePolicy:
     """Build the network of a card for an environment, its weights not set."""
     return NETWORKS[card.algo](
-        config.observation_space(),
-        config.action_space(),
-        lambda _: 0.0,
-        net_arch=list(card.hidden),
+        config.observation_space(), config.action_space(), lambda _: 0.0, net_arch=list(card.hidden)
     )
 
 
@@ -120,11 +117,7 @@ class Policy:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[Any, None]:
-        """Choose an action for an observation (features,), or actions for (num_envs, features).
-
-        Returns:
-            The actions, and None, as the policy has no memory.
-        """
+        """Choose an action for an observation (features,), or actions for (num_envs, features)."""
         del state, episode_start
         single = observation.ndim == 1
         observations = observation[np.newaxis] if single else observation

@@ -15,10 +15,10 @@ from .learning.config import (
     CONFIGS,
     CPU,
     NOMINAL,
-    RENAMED,
     DeviceName,
     PresetName,
     TrainConfig,
+    current_option,
     defaults,
 )
 
@@ -82,7 +82,7 @@ def parse_arguments(arguments: Sequence[str]) -> Request:
     Task, algorithm, preset, device and file of hyper-parameters are read first: they determine the
     defaults of all other options.
     """
-    given = [_current_name(argument) for argument in arguments]
+    given = [current_option(argument) for argument in arguments]
     selection, others = tyro.cli(_Selection, args=given, return_unknown_args=True, add_help=False)
     task = selection.task
     if selection.search is not None:
@@ -167,15 +167,6 @@ def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
     )
     config: TrainConfig = parsed.training
     return config
-
-
-def _current_name(argument: str) -> str:
-    """Return an argument with the current name of its option, if it has an earlier one."""
-    option, equals, value = argument.partition("=")
-    name = option.removeprefix("--")
-    if option == name or name not in RENAMED:
-        return argument
-    return f"--{RENAMED[name].replace('_', '-')}{equals}{value}"
 
 
 def _check_alone(

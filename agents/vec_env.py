@@ -1,7 +1,7 @@
 """Stable-Baselines3's VecEnv for the native vector env: adapter, concatenation and mirror."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -83,16 +83,19 @@ class EpisodeRecorder:
 
 
 class BatchVecEnv(VecEnv):
-    """A VecEnv of one batch: all environments share its attributes and methods."""
+    """A VecEnv of batches: all environments of a batch share its attributes and methods."""
 
     @property
     @abstractmethod
-    def _shared(self) -> Any:
-        """The object that has them."""
+    def batches(self) -> list[tuple[Any, int]]:
+        """The objects that have them, and the number of environments of each."""
+
+    def _each(self, read: Callable[[Any], Any], indices: VecEnvIndices) -> list[Any]:
+        every = [value for b, n in self.batches for value in [read(b)] * n]
+        return [every[i] for i in self._get_indices(indices)]
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        value = getattr(self._shared, attr_name)
-        return [value for _ in self._get_indices(indices)]
+        return self._each(lambda batch: getattr(batch, attr_name), indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set an attribute of all environments.
@@ -104,18 +107,14 @@ class BatchVecEnv(VecEnv):
             raise ValueError(
                 f"indices must be all environments, which share {attr_name}, got {indices}"
             )
-        setattr(self._shared, attr_name, value)
+        for batch, _ in self.batches:
+            setattr(batch, attr_name, value)
 
     def env_method(
-        self,
-        method_name: str,
-        *method_args: Any,
-        indices: VecEnvIndices = None,
-        **method_kwargs: Any,
+        self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Call a method once and repeat its result for each of the environments."""
-        result = getattr(self._shared, method_name)(*method_args, **method_kwargs)
-        return [result for _ in self._get_indices(indices)]
+        """Call a method of each batch once; its result stands for each of the environments."""
+        return self._each(lambda batch: getattr(batch, method_name)(*args, **kwargs), indices)
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
@@ -143,8 +142,8 @@ class SurfaceVecEnv(BatchVecEnv):
         self._recorder = EpisodeRecorder(env.num_envs, self._terms)
 
     @property
-    def _shared(self) -> SmartSurfaceVectorEnv:
-        return self.env
+    def batches(self) -> list[tuple[Any, int]]:
+        return [(self.env, self.num_envs)]
 
     def reset(self) -> VecEnvObs:
         observations, _ = self.env.reset(seed=self._seeds, options=self._options)
@@ -183,10 +182,10 @@ class SurfaceVecEnv(BatchVecEnv):
         return list(self.env.render() or [])
 
 
-class ConcatVecEnv(VecEnv):
+class ConcatVecEnv(BatchVecEnv):
     """Several VecEnvs with the same spaces as one; their environments in a row."""
 
-    def __init__(self, parts: Sequence[VecEnv]) -> None:
+    def __init__(self, parts: Sequence[BatchVecEnv]) -> None:
         self._parts = parts
         first = parts[0]
         counts = [part.num_envs for part in parts]
@@ -222,35 +221,9 @@ class ConcatVecEnv(VecEnv):
         for part in self._parts:
             part.close()
 
-    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        values = [value for part in self._parts for value in part.get_attr(attr_name)]
-        return [values[i] for i in self._get_indices(indices)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of all environments; each part refuses `indices` of only some."""
-        for part in self._parts:
-            part.set_attr(attr_name, value, indices)
-
-    def env_method(
-        self,
-        method_name: str,
-        *method_args: Any,
-        indices: VecEnvIndices = None,
-        **method_kwargs: Any,
-    ) -> list[Any]:
-        """Call a method of every part and repeat its result for each of the environments."""
-        results = [
-            result
-            for part in self._parts
-            for result in part.env_method(method_name, *method_args, **method_kwargs)
-        ]
-        return [results[i] for i in self._get_indices(indices)]
-
-    def env_is_wrapped(
-        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
-    ) -> list[bool]:
-        del wrapper_class  # environments of a batch have no wrappers
-        return [False for _ in self._get_indices(indices)]
+    @property
+    def batches(self) -> list[tuple[Any, int]]:
+        return [batch for part in self._parts for batch in part.batches]
 
 
 class MirrorVecEnv(VecEnvWrapper):

@@ -1,7 +1,10 @@
 """Checks of arguments, and the bounds that numbers must keep.
 
+Every class and function of the package raises a ValueError that names a wrong argument, what came
+and what is allowed.
+
 Within these bounds every step stays finite; beyond them squares and quotients overflow, or round
-to nothing. Each bound is generous: whoever meets one has a wrong unit or a slip of the pen.
+to nothing. Each bound is generous: beyond one stands a wrong unit or a typing error.
 """
 
 import math
@@ -48,8 +51,8 @@ DENSITY = (1e-12, 1e9)
 # [-] of a friction's factor and [m] of a load's place: from known to wholly unknown
 LEARNED_SPREAD = (1e-6, 1.0)
 FRICTION_ERROR = 10.0  # [-] share by which friction may be off
-ELEMENTS = 1_000_000  # of a line, whose lanes have arrays of as many
-ORIENTATIONS = 1000  # on offer: an axis told to a fifth of a degree; "any" tells it finer
+ELEMENTS = 1_000_000  # of a line, whose state arrays are as large
+ORIENTATIONS = 1000  # on offer: a fifth of a degree apart; "any" is finer
 
 
 def number(name: str, value: Any) -> float:
@@ -92,9 +95,7 @@ def _limited(name: str, value: Any, result: float, low: float, high: float) -> f
 
 
 def integer(name: str, value: Any, least: int, most: int | None = None) -> int:
-    """Return a whole number of at least `least`, or raise an error; True and 1.0 are not whole
-    numbers.
-    """
+    """Return a whole number of at least `least`, which True and 1.0 are not, or raise an error."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
     if most is not None and value > most:
@@ -103,9 +104,7 @@ def integer(name: str, value: Any, least: int, most: int | None = None) -> int:
 
 
 def one_of(name: str, value: Any, allowed: Iterable[Any]) -> Any:
-    """Return one of the allowed values, or raise an error that lists them; NumPy's scalars count
-    as Python's.
-    """
+    """Return one of the allowed values, of Python's or NumPy's, or raise an error."""
     choices = tuple(allowed)
     plain = value.item() if isinstance(value, np.generic) else value
     if not any(type(plain) is type(choice) and plain == choice for choice in choices):
@@ -121,9 +120,7 @@ def some_of(name: str, value: Any, allowed: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return a read-only copy as finite float64 of a shape (None: any length), or raise an
-    error.
-    """
+    """Return a read-only float64 copy, finite, of a shape (None: any length)."""
     try:
         given = np.asarray(value)
     except ValueError:  # rows of different lengths
@@ -144,9 +141,7 @@ def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.fl
 
 
 def limited(name: str, values: NDArray[np.float64], most: ArrayLike) -> NDArray[np.float64]:
-    """Return an array whose numbers are no farther from 0 than `most`, one or one each; or raise
-    an error.
-    """
+    """Return an array with numbers no farther from 0 than `most`, or raise an error."""
     beyond = np.abs(values) > most
     if beyond.any():
         bound = np.broadcast_to(most, values.shape)[beyond][0]
@@ -174,9 +169,7 @@ def place(name: str, value: ArrayLike) -> tuple[float, float]:
 
 
 def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
-    """Return a read-only copy as an array (rows, columns) of booleans, not empty, or raise an
-    error.
-    """
+    """Return a read-only copy as an array (rows, columns) of booleans, not empty."""
     try:
         given = np.array(value)
     except ValueError:  # rows of different lengths
@@ -199,9 +192,7 @@ def pitch(name: str, value: Any) -> float | tuple[float, float]:
 
 
 def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return coefficients of at least zero: one (), or one an element (rows, columns); or raise
-    an error.
-    """
+    """Return coefficients of at least zero: one (), or one an element (rows, columns)."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if value is None or np.isscalar(value):

@@ -37,11 +37,7 @@ COMMANDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run a command.
-
-    Args:
-        arguments: its name and its own arguments; None: those of the process.
-    """
+    """Run a command."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     width = max(map(len, COMMANDS))
     lines = (f"  {name:{width}}  {each.summary}" for name, each in COMMANDS.items())
@@ -62,12 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def run_command(name: str, arguments: Sequence[str] | None = None) -> None:
-    """Run a command, or say in one line what to install.
-
-    Args:
-        name: of the command.
-        arguments: its own; None: those of the process.
-    """
+    """Run a command, or say in one line what to install."""
     command = COMMANDS[name]
     try:
         import_module(command.module).main(list(sys.argv[1:] if arguments is None else arguments))

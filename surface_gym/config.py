@@ -65,7 +65,7 @@ _EACH = (
         "latency",
         "80 ms late",
         "Frames without noise, 80 ms late, with friction that differs by up to 20 % from what the "
-        "filter assumes, so that it cannot reckon the delay away.",
+        "filter assumes, so that it cannot compensate the delay.",
         sensors=Camera(latency=LATENCY, position_noise=0.0, angle_noise=0.0, entry=SURE),
         randomisation=Randomisation(friction=0.2),
     ),
@@ -165,7 +165,7 @@ class EnvConfig:
         return EnvConfig(**own, **changes)
 
     def arguments(self) -> dict[str, Any]:
-        """The fields by name, as keyword arguments that make the same environment."""
+        """Return the fields by name, as keyword arguments that make the same environment."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     def _apply(self, preset: str | Preset) -> None:
@@ -236,9 +236,7 @@ class EnvConfig:
             self._check_way_out(self.zone[1])
 
     def _check_way_out(self, last: int) -> None:
-        """Raise a ValueError where the rear of a parcel cannot leave a zone that ends with a column
-        before its centre leaves the surface.
-        """
+        """Raise a ValueError where a parcel may leave the surface before it leaves the zone."""
         line = self.chosen_line
         _, end, _, _ = line.extent
         longest = max(parcel.rear + parcel.base.centroid[0] for parcel in self.task.parcels)
@@ -306,6 +304,16 @@ class EnvConfig:
         return self.task.periods
 
     @property
+    def rows(self) -> int:
+        """Rows of parcels of an environment: one, or those of a stream."""
+        return self.task.rows if isinstance(self.task, StreamTask) else 1
+
+    @property
+    def parcel_terms(self) -> tuple[str, ...]:
+        """Terms of the reward that a parcel earns."""
+        return self.task.parcel_terms if isinstance(self.task, StreamTask) else self.task.terms
+
+    @property
     def draws(self) -> int:
         """Rows of noise that the sensor of a parcel uses at most in a control period."""
         used = self.sensors.draws(self.timing.dt, self.timing.steps)
@@ -336,7 +344,7 @@ class EnvConfig:
         )
 
     def row_space(self) -> spaces.Box:
-        """The space of the observation of one parcel."""
+        """Make the space of the observation of one parcel."""
         return spaces.Box(
             np.array([feature.low for feature in self.features], dtype=np.float32),
             np.array([feature.high for feature in self.features], dtype=np.float32),
@@ -363,26 +371,21 @@ class EnvConfig:
         )
 
     def observation_space(self) -> spaces.Box:
-        """The space of an environment's observation: of a stream, a row a parcel."""
+        """Make the space of an environment's observation: of a stream, a row a parcel."""
         row = self.row_space()
         if not isinstance(self.task, StreamTask):
             return row
-        rows = self.task.rows
-        return spaces.Box(np.tile(row.low, (rows, 1)), np.tile(row.high, (rows, 1)))
+        return spaces.Box(np.tile(row.low, (self.rows, 1)), np.tile(row.high, (self.rows, 1)))
 
     def action_space(self) -> spaces.Space[Any]:
-        """The space of an environment's action."""
+        """Make the space of an environment's action."""
         return self.action_kind.space()
 
     # Of tasks on a stream of parcels alone.
 
     @property
     def stream_task(self) -> StreamTask:
-        """The task on a stream of parcels.
-
-        Raises:
-            ValueError: the task is of one parcel.
-        """
+        """The task on a stream of parcels."""
         if not isinstance(self.task, StreamTask):
             raise ValueError(f"task must be one on a stream of parcels, got {self.task!r}")
         return self.task

@@ -30,12 +30,6 @@ def make_batch(
     return kind(config, num_envs, threads, max_episode_steps)
 
 
-def check_render_mode(render_mode: str | None, modes: list[str]) -> str | None:
-    """A render mode, or an error that names those there are."""
-    checks.one_of("render_mode", render_mode, (None, *modes))
-    return render_mode
-
-
 class SmartSurfaceEnv(gym.Env[Any, Any]):
     """A smart surface under a parcel or a stream of parcels: actions turn the rotors' axes.
 
@@ -79,7 +73,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     `is_success`, `outcome` (why the episode ended, or "running"), `time` [s], the true `pose`
     (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid, `parcel` (length, width [m],
     mass [kg] and height of the centre of mass [m]), `reward_terms` (named terms whose sum is the
-    reward), and the task's own figures. On request, by `info=("axes", "normal_forces")`, the axis
+    reward), and the task's own metrics. On request, by `info=("axes", "normal_forces")`, the axis
     angles [rad] of all elements, (rows, columns), and the normal force [N] of the parcel on each.
 
     ## End
@@ -121,7 +115,8 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     def __init__(
         self, task: str | Task = "sort", *, render_mode: str | None = None, **config: Any
     ) -> None:
-        self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
+        modes = (None, *self.metadata["render_modes"])
+        self.render_mode = checks.one_of("render_mode", render_mode, modes)
         self.config = EnvConfig(task, **config)
         self.batch = make_batch(self.config, 1)
         self.observation_space = self.config.observation_space()
@@ -203,9 +198,9 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         info["outcome"] = batch.outcomes[outcome]
         info["reward_terms"] = dict(zip(batch.task.terms, batch.terms[0].tolist(), strict=True))
         if outcome != RUNNING:
-            figures = batch.metrics(np.ones(1, dtype=np.bool_))
-            if figures:
-                info["episode_figures"] = {name: each[0].item() for name, each in figures.items()}
+            metrics = batch.metrics(np.ones(1, dtype=np.bool_))
+            if metrics:
+                info["episode_figures"] = {name: each[0].item() for name, each in metrics.items()}
         return info
 
     def _record(self, begins: bool) -> None:

@@ -1,14 +1,14 @@
-"""What a task, a sensor or a line of one's own is made of.
+"""Parts for tasks, sensors and lines of your own.
 
 A task or a sensor is a frozen dataclass that inherits from `Task` or `Sensor`; `Task` and `Sensor`
 say what it has to bring. Its compiled functions are static methods and `kernel_function`s:
 
     @staticmethod
     @kernel_function
-    def outcome(lane: EnvState) -> int:
-        return SUCCESS if lane.truth[X] > lane.goal[0] else RUNNING
+    def outcome(state: EnvState) -> int:
+        return SUCCESS if state.truth[X] > state.goal[0] else RUNNING
 
-They read and write a `EnvState`, one parcel on one surface, and may use `math`, constants, other
+They read and write an `EnvState`, one parcel on one surface, and may use `math`, constants, other
 `kernel_function`s and what stands here:
 
 - places in `state.truth` and `state.sensed`: `X`, `Y`, `THETA`, `VX`, `VY`, `OMEGA`;
@@ -16,7 +16,8 @@ They read and write a `EnvState`, one parcel on one surface, and may use `math`,
   `MASS`;
 - places in `state.zone`: `FIRST_ROW`, `ROWS`, `FIRST_COLUMN`, `COLUMNS`;
 - what `outcome` returns: `RUNNING`, `SUCCESS`, or one of `failures(outcomes)`;
-- `reach_along`, `zone_start`, `zone_end`, `speed`, `is_slower`, and `read_truth` for `is_done`.
+- `reach_along`, `zone_start`, `zone_end`, `planar_speed`, `is_slower`, and in `is_done` also
+  `read_truth`.
 
 A task's Python half deals in `Feature`, `Draw`, `Parcels` and `Start`; `entry` is the pose at which
 parcels enter a line. Lines are a `Line`, a `Field`, a `Pattern`, or a class that inherits from
@@ -63,45 +64,9 @@ from surface_gym.tasks.line import entry
 from surface_gym.tasks.start import Draw, Parcels, Start, between
 
 __all__ = [
-    "COLUMNS",
-    "COM_HEIGHT",
-    "COM_X",
-    "COM_Y",
-    "FIRST_COLUMN",
-    "FIRST_ROW",
-    "GYRATION",
-    "HALF_LENGTH",
-    "MASS",
-    "OMEGA",
-    "RADIUS",
-    "ROWS",
-    "RUNNING",
-    "SUCCESS",
-    "THETA",
-    "VX",
-    "VY",
-    "Array",
-    "BaseLine",
-    "Draw",
-    "EnvState",
-    "Feature",
-    "Field",
-    "Line",
-    "Parcels",
-    "Pattern",
-    "Sensor",
-    "Start",
-    "Task",
-    "X",
-    "Y",
-    "between",
-    "entry",
-    "failures",
-    "is_slower",
-    "kernel_function",
-    "planar_speed",
-    "reach_along",
-    "read_truth",
-    "zone_end",
-    "zone_start",
-]
+    "COLUMNS", "COM_HEIGHT", "COM_X", "COM_Y", "FIRST_COLUMN", "FIRST_ROW", "GYRATION",
+    "HALF_LENGTH", "MASS", "OMEGA", "RADIUS", "ROWS", "RUNNING", "SUCCESS", "THETA", "VX", "VY",
+    "Array", "BaseLine", "Draw", "EnvState", "Feature", "Field", "Line", "Parcels", "Pattern",
+    "Sensor", "Start", "Task", "X", "Y", "between", "entry", "failures", "is_slower",
+    "kernel_function", "planar_speed", "reach_along", "read_truth", "zone_end", "zone_start",
+]  # fmt: skip

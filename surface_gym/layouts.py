@@ -51,9 +51,7 @@ def box(size: str) -> Parcel:
 
 
 def start(size: str) -> tuple[float, float, float]:
-    """Return the pose (x, y, theta) [m, m, rad] at which the paper starts a box: x = b / 2, on
-    the line.
-    """
+    """Return the pose (x, y, theta) [m, m, rad] at which the paper starts a box, x = b / 2."""
     base = box(size).base
     assert isinstance(base, Rectangle)
     return (base.length / 2.0, LINE_Y, 0.0)
@@ -85,9 +83,7 @@ def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float =
 def sorting(
     size: str = "S", side: int = -1, task_columns: int = 30, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return Figure 6a: axes at +45 deg sort to y < 0 (`side` -1), at -45 deg to y > 0 (`side`
-    +1).
-    """
+    """Return Figure 6a: axes at +45 deg for y < 0 (`side` -1), at -45 deg for y > 0 (+1)."""
     checks.one_of("side", side, (-1, 1))
     checks.integer("task_columns", task_columns, least=1)
     return line([[-side * math.pi / 4] * task_columns], size, columns, tilt)

@@ -31,11 +31,6 @@ class BaseLine(Elements):
     """Elements on a grid, their friction, and the axes on offer; subclasses place the rotors.
 
     A friction coefficient is one number, or an array (rows, columns) with one for each element.
-
-    Raises:
-        ValueError: a pitch that is not positive, negative friction or friction of another shape,
-            fewer than two orientations, `mu_min` greater than `mu_max`, or a number beyond
-            `surface_gym.checks`.
     """
 
     pitch: float | tuple[float, float] = 0.1  # [m] between neighbours: one, or in x and in y
@@ -72,11 +67,7 @@ class BaseLine(Elements):
 
     @abstractmethod
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """Return the site for a base; `zone` holds the first and last column that obey.
-
-        Raises:
-            ValueError: the base is too large.
-        """
+        """Return the site for a base; `zone` holds the first and last column that obey."""
 
     @property
     def line_y(self) -> float:
@@ -85,23 +76,17 @@ class BaseLine(Elements):
 
     @property
     def length(self) -> float:
-        """Return the distance [m] from half a pitch before the first column to half a pitch past
-        the last.
-        """
+        """Return the distance [m] along x between the outer edges of the elements."""
         return self.pitch_x * self.columns
 
     @property
     def width(self) -> float:
-        """Return the distance [m] from half a pitch beside the first row to half a pitch past
-        the last.
-        """
+        """Return the distance [m] along y between the outer edges of the elements."""
         return self.pitch_y * self.rows
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """Return least x, greatest x, least y, greatest y [m]: half a pitch beyond the outer
-        elements.
-        """
+        """Return least x, greatest x, least y, greatest y [m] of the elements' outer edges."""
         left, low = self.column_edge(0), self.origin[1] - 0.5 * self.pitch_y
         return left, left + self.length, low, low + self.width
 
@@ -158,11 +143,7 @@ class Line(BaseLine):
             )
 
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """Return the line for a base.
-
-        Raises:
-            ValueError: the base is too long or too wide for the line.
-        """
+        """Return the line for a base."""
         length, width = np.ptp(base.outline, axis=0)
         rows, lead_in = rows_under(width, self.pitch_y), lead_in_under(length, self.pitch_x)
         longest = self.columns - self.zone_columns
@@ -213,10 +194,6 @@ class Pattern(BaseLine):
 
     The rows of the zone are those from the first with a rotor to the last. Parcels enter at the
     middle of these.
-
-    Raises:
-        ValueError: a pattern that is no array (rows, columns) of booleans, or without a rotor
-            after the lead-in.
     """
 
     rotor: ArrayLike  # (rows, columns) of booleans: a rotor, else a support

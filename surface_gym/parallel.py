@@ -42,11 +42,7 @@ class WorkFailed(Exception):
 
 @dataclass(frozen=True)
 class Cluster:
-    """A Ray cluster that this machine has joined.
-
-    Raises:
-        ValueError: the address is empty, or one of Ray's client.
-    """
+    """A Ray cluster that this machine has joined."""
 
     address: str  # host:port of its head, or "auto" for the one this machine has joined
     files: tuple[Path, ...] = ()  # below the working folder, which the nodes need: custom tasks
@@ -184,30 +180,17 @@ def without_report(job: Callable[[], Result], report: Report) -> Result:
 
 
 def check_workers(workers: Workers) -> Workers:
-    """Return a cluster, or a number of processes of at least one.
-
-    Raises:
-        ValueError: it is neither.
-    """
+    """Return a cluster, or a number of processes of at least one."""
     return workers if isinstance(workers, Cluster) else checks.integer("workers", workers, least=1)
 
 
 def choose_workers(cluster: str | None, processes: int, files: tuple[Path, ...] = ()) -> Workers:
-    """Return what a command's options name: a cluster if there is an address, else processes.
-
-    Args:
-        cluster: its address.
-        processes: on this machine.
-        files: that the nodes of a cluster need.
-
-    Raises:
-        ValueError: the address cannot be used.
-    """
+    """Return what a command's options name: a cluster if there is an address, else processes."""
     return processes if cluster is None else Cluster(cluster, files)
 
 
 def usable_cores() -> int:
-    """Return how many cores this process may run on, as far as the system tells."""
+    """Return how many cores this process may run on, as far as the system says."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -259,11 +242,7 @@ class _Worker:
 
 
 class ProcessExecutor:
-    """Processes of this machine, started as they are needed.
-
-    Args:
-        count: of processes at most.
-    """
+    """Processes of this machine, started as they are needed."""
 
     def __init__(self, count: int) -> None:
         self._count = count

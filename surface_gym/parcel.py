@@ -54,7 +54,7 @@ def check_base(base: Any) -> None:
     if lacks:
         raise ValueError(
             f"base must be a Rectangle, a Disc or a Polygon, got {base!r}; "
-            f"a Base of one's own must have {', '.join(lacks)} too"
+            f"a Base of your own must have {', '.join(lacks)} too"
         )
     if not isinstance(base, (Rectangle, Disc, Polygon)):
         checks.array("base.edges", base.edges, (None, 3))
@@ -169,12 +169,7 @@ class Disc:
 
 @dataclass(frozen=True, eq=False)
 class Polygon:
-    """A convex base given by its vertices, in either sense of rotation.
-
-    Raises:
-        ValueError: fewer than three vertices, two in one place, or the polygon is not convex, or
-            smaller or larger than any base.
-    """
+    """A convex base given by its vertices, in either sense of rotation."""
 
     vertices: NDArray[np.float64]  # (vertices, 2) [m] in the base's frame
 
@@ -215,9 +210,7 @@ class Polygon:
 
     @cached_property
     def _triangles(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return twice the area of each triangle (first vertex, side), and the side's ends from
-        there.
-        """
+        """Return twice the area of each triangle (first vertex, side), and the side's ends."""
         start = self.outline - self.outline[0]
         end = np.roll(start, -1, axis=0)
         return start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0], start, end
@@ -296,9 +289,7 @@ class Parcel:
 
     @cached_property
     def rear(self) -> float:
-        """Return the distance [m] from the rearmost point of the base to its frame's origin, at
-        theta = 0.
-        """
+        """Return the distance [m] from the base's rearmost point to its frame's origin."""
         return -float(self.base.outline[:, 0].min())
 
     @property
@@ -339,9 +330,6 @@ def assortment(
         seed: of the draws.
         sizes: [m] least and greatest length and width.
         load: [m] how far off centre the load may lie.
-
-    Raises:
-        ValueError: a number that is not allowed.
     """
     checks.integer("count", count, least=1)
     low, high = checks.array("sizes", sizes, (2,)).tolist()

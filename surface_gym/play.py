@@ -51,11 +51,7 @@ FEWER = (pygame.K_MINUS, pygame.K_KP_MINUS)
 
 
 class Game(ABC):
-    """A surface that a player commands by keys and mouse.
-
-    Args:
-        batch: of one environment, which the game steps.
-    """
+    """A surface that a player commands by keys and mouse."""
 
     def __init__(self, batch: BaseBatch) -> None:
         self._renderer = Renderer(batch)
@@ -118,18 +114,14 @@ class Game(ABC):
 
 
 class TaskGame(Game):
-    """One parcel on the surface of a task.
-
-    Args:
-        task: name of the task whose surface and goal are shown.
-    """
+    """One parcel on the surface of a task."""
 
     def __init__(self, task: str) -> None:
         config = EnvConfig(task, actions="halves")
         self._batch = Batch(config, 1)
         super().__init__(self._batch)
-        self._batch.reserve.seed(0, np.random.default_rng(0))
-        numbers = self._batch.reserve.take(ONLY)
+        self._batch.reset_cache.seed(0, np.random.default_rng(0))
+        numbers = self._batch.reset_cache.take(ONLY)
         self._start = config.task.start(Draw(numbers, (), config.chosen_line))
         self._command = np.full((1, 2), ROLL)  # ahead of the parcel's centre, and behind
         self._pressed: tuple[float, float] | None = None  # [m] where the mouse went down
@@ -179,11 +171,7 @@ class TaskGame(Game):
 
 
 class StreamGame(Game):
-    """A stream of parcels on a line with chutes, whose modules the player turns.
-
-    Args:
-        task: name of the task on streams.
-    """
+    """A stream of parcels on a line with chutes, whose modules the player turns."""
 
     def __init__(self, task: str = "flow") -> None:
         # More than ever come: their times are set by the rate that the player asks for.

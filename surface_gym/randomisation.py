@@ -13,12 +13,7 @@ from surface_gym.parcel import Base, Parcel
 
 @dataclass(frozen=True)
 class Actuators:
-    """The modules' actuators.
-
-    Raises:
-        ValueError: a speed that is not positive, a share outside [0, 1], or a stuck module that
-            is not a pair of a row and a column.
-    """
+    """The modules' actuators."""
 
     axis_speed: float = math.inf  # [rad/s] at which an axis turns, through the angles between
     stuck: tuple[tuple[int, int], ...] = ()  # (row, column) of modules that ignore commands
@@ -67,7 +62,9 @@ class Randomisation:
     # [-] centre of mass, x and y uniform within this share of half the base's extent; drawn again
     # where that is not over the base
     com_offset: float = 0.0
-    stiffness: float = 0.0  # [-] log-normal spread of each element's, who bears how much
+    stiffness: float = (
+        0.0  # [-] log-normal spread of each element's, by which it bears more or less
+    )
     # [m] normal spread of the start in y, at most a quarter of the surface's width; drawn again
     # where the centre of mass would not be over the surface
     lateral: float = 0.0
@@ -144,11 +141,7 @@ class Randomisation:
     def draw_entry(
         self, rng: np.random.Generator, parcel: Parcel, room: tuple[float, float] = ANYWHERE
     ) -> tuple[Parcel, float, float]:
-        """Draw a parcel, how far [m] aside and how far [rad] turned it starts.
-
-        Raises:
-            ValueError: there is hardly room [m] for the parcel to start in.
-        """
+        """Draw a parcel, how far [m] aside and how far [rad] turned it starts."""
         if self.varies_parcels:
             parcel = self._draw_parcel(rng, parcel)
         aside = self._draw_aside(rng, parcel, room) if self.lateral else 0.0

@@ -44,11 +44,7 @@ def own_build() -> Build:
 
 
 def check_build(wanted: Build) -> None:
-    """Refuse work from a process of another build.
-
-    Raises:
-        WorkFailed: it differs; the message names both.
-    """
+    """Refuse work from a process of another build."""
     if own_build() != wanted:
         raise WorkFailed(
             f"the node {socket.gethostname()} has surface_gym {own_build()}, the submitting "
@@ -80,7 +76,7 @@ def _package_files() -> dict[str, Path]:
 
 
 class RayExecutor:
-    """As many jobs at a time as the cluster has processors; nodes may come and go.
+    """An executor of as many jobs as the cluster has processors; nodes may come and go.
 
     Raises:
         ValueError: there is no cluster at the address, or Ray is not installed.

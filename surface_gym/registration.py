@@ -11,7 +11,7 @@ from surface_gym.tasks.base import Task
 
 
 def env_id(task: str) -> str:
-    """The id of one of the package's environments, by its task's name."""
+    """Return the id of one of the package's environments, by its task's name."""
     return f"SmartSurface/{task.capitalize()}-v0"
 
 

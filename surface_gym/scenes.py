@@ -27,11 +27,7 @@ _DISC = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
 
 
 class Renderer:
-    """Draws the environments of a batch, and records what their pictures show of the past.
-
-    Args:
-        batch: of single parcels or of streams.
-    """
+    """Draws the environments of a batch, and records what their pictures show of the past."""
 
     def __init__(self, batch: BaseBatch) -> None:
         self._batch = batch
@@ -238,11 +234,7 @@ class _StreamHistory:
 
 
 def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:
-    """Describe the exits of a stream as they are drawn: chutes beside the rotors, straight on past.
-
-    Raises:
-        ValueError: a chute lies past the rotors altogether.
-    """
+    """Describe the marks of a stream's exits: chutes beside the rotors, straight on past them."""
     line, rotors_end = config.chosen_line, config.rotors_end
     end = line.column_edge(line.columns)
     marks = []
@@ -281,7 +273,7 @@ def _outline(view: EnvState) -> Array:
 
 
 def _labels(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Abbreviate the exits' names to initials for parcels, where these tell the exits apart."""
+    """Abbreviate the exits' names to initials for parcels, where these differ between exits."""
     initials = tuple("".join(word[0] for word in name.split()).upper() for name in names)
     return initials if len(set(initials)) == len(initials) else names
 

@@ -11,30 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from surface_gym import checks
 from surface_gym.core.resets import NO_EDGE
 from surface_gym.parcel import Parcel
+from surface_gym.physics import references, rollout
+from surface_gym.physics import step as stepping
 from surface_gym.physics import types as ph
 from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
-from surface_gym.physics.references import (
-    advance_explicit,
-    advance_implicit,
-    explain_unsupported,
-    find_support,
-)
-from surface_gym.physics.rollout import (
-    Records,
-    distance_between,
-    run_explicit,
-    run_implicit,
-    run_world,
-)
+from surface_gym.physics.rollout import Records
 from surface_gym.physics.signed_distance import CONTACT_DISTANCE
-from surface_gym.physics.step import (
-    BALANCED,
-    OFF_SURFACE,
-    STOPPED,
-    TIPPING,
-    UNSUPPORTED,
-    com_states,
-)
 from surface_gym.physics.types import Array, Bodies, Body, Grid, Scratch
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Run, Trajectory
@@ -43,7 +25,11 @@ METHODS = ("implicit", "explicit")
 PIECE = 2000  # steps in a row: Ctrl-C waits for no more
 MAX_STEPS = 100_000_000  # of one run; its trajectory already takes 15 GB
 NORMAL_FORCES = ("dual", "osqp", "scipy")
-ENDS = {OFF_SURFACE: "left the surface", UNSUPPORTED: "nothing bears it", STOPPED: "stopped"}
+ENDS = {
+    stepping.OFF_SURFACE: "left the surface",
+    stepping.UNSUPPORTED: "nothing bears it",
+    stepping.STOPPED: "stopped",
+}
 
 
 def simulate(
@@ -104,8 +90,8 @@ def simulate(
         len(body.edges), body.radius, (grid.pitch_x, grid.pitch_y), (surface.columns, surface.rows)
     )
     scratch = ph.make_scratch()
-    if find_support(grid, body, start, scratch, 0.0).total == 0:
-        over = explain_unsupported(grid, start, 0.0) == UNSUPPORTED
+    if references.find_support(grid, body, start, scratch, 0.0).total == 0:
+        over = references.explain_unsupported(grid, start, 0.0) == stepping.UNSUPPORTED
         wanted = "over an element" if over else "on the surface"
         raise ValueError(f"pose must be {wanted}, got {tuple(np.asarray(pose).tolist())}")
     if (
@@ -129,7 +115,9 @@ def simulate(
     end = "duration" if steps == len(time) - 1 else ENDS[int(reports[steps + 1])]
     pose_done, velocity_done = base_motion(parcel, states[done])
     how = Run(surface, parcel, dt, method, normal_forces, states[done])
-    return Trajectory(time[done], pose_done, velocity_done, reports[done] == TIPPING, end, how)
+    return Trajectory(
+        time[done], pose_done, velocity_done, reports[done] == stepping.TIPPING, end, how
+    )
 
 
 def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
@@ -153,7 +141,7 @@ def sample_times(duration: float, dt: float) -> NDArray[np.float64]:
 def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
     """Return the state vector of the centre of mass."""
     centre = np.array([parcel.centre_of_mass])
-    state: Array = com_states(centre, pose[np.newaxis], velocity[np.newaxis])[0]
+    state: Array = stepping.com_states(centre, pose[np.newaxis], velocity[np.newaxis])[0]
     return state
 
 
@@ -185,7 +173,7 @@ def _run(
     """Fill states and reports, and return the number of steps done."""
     whole = len(time) if time[-1] == dt * (len(time) - 1) else len(time) - 1
     if normal_forces == "dual":
-        run = run_implicit if method == "implicit" else run_explicit
+        run = rollout.run_implicit if method == "implicit" else rollout.run_explicit
         steps = 0
         for first in range(0, whole - 1, PIECE):
             piece = slice(first, min(first + PIECE + 1, whole))
@@ -201,7 +189,7 @@ def _run(
         states[k] = states[k - 1]
         step = dt if k < whole else time[-1] - time[-2]
         reports[k] = _reference_step(grid, body, states[k], scratch, step, method, normal_forces)
-        if reports[k] >= OFF_SURFACE:
+        if reports[k] >= stepping.OFF_SURFACE:
             return k - 1
     return len(time) - 1
 
@@ -220,16 +208,16 @@ def _reference_step(
 
     explicit = method == "explicit"
     if explicit and state[ph.VX] <= 0.0 and grid.gravity_along == 0.0:
-        return STOPPED
+        return stepping.STOPPED
     lead = 0.0 if explicit else 0.5 * dt
-    contacts = find_support(grid, body, state, scratch, lead)
+    contacts = references.find_support(grid, body, state, scratch, lead)
     count = contacts.total
     if count == 0:
-        return int(explain_unsupported(grid, state, lead))
+        return int(references.explain_unsupported(grid, state, lead))
     degenerate = support_load_by(normal_forces, grid, body, state, scratch, count)
-    advance = advance_explicit if explicit else advance_implicit
+    advance = references.advance_explicit if explicit else references.advance_implicit
     advance(grid, body, state, scratch, contacts, dt)
-    return TIPPING if degenerate else BALANCED
+    return stepping.TIPPING if degenerate else stepping.BALANCED
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +249,7 @@ def simulate_together(
 ) -> Encounter:
     """Move parcels over a surface whose axes stay as they are; they push each other by their sides.
 
-    Sides press at the height of the centre of mass, so they tip nobody. A parcel that touches no
+    Sides press at the height of the centre of mass, so they tip no parcel. A parcel that touches no
     other moves as by `simulate` with the implicit method, to the bit.
 
     Args:
@@ -299,7 +287,7 @@ def simulate_together(
     >>> round(ends[1] - ends[0], 3)  # they go on side by side
     np.float64(0.25)
     """
-    company = _company(surface, parcels, poses, velocities)
+    world = _make_world(surface, parcels, poses, velocities)
     duration = checks.positive("duration", duration, *checks.DURATION)
     dt = checks.positive("dt", dt, *checks.STEP)
     if duration / dt > MAX_STEPS:
@@ -308,9 +296,9 @@ def simulate_together(
         checks.within("restitution", restitution, 0.0, 1.0),
         checks.not_negative("side_friction", side_friction, checks.FRICTION),
     )
-    _check_starts(surface, parcels, poses, company)
+    _check_starts(surface, parcels, poses, world)
     time = sample_times(duration, dt)
-    records = _run_together(surface.grid, company, touching, time, dt)
+    records = _run_together(surface.grid, world, touching, time, dt)
     trajectories = tuple(
         _trajectory(surface, parcel, time, dt, records.state[:, k], records.report[:, k])
         for k, parcel in enumerate(parcels)
@@ -351,7 +339,7 @@ def _corners(parcel: Parcel) -> Array:
     return np.asarray(parcel.base.outline - np.array(parcel.base.centroid))
 
 
-def _company(
+def _make_world(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, velocities: ArrayLike | None
 ) -> World:
     """Return the world at the start, of arguments that are checked but for the places they give."""
@@ -372,26 +360,26 @@ def _company(
 
 
 def _check_starts(
-    surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, company: World
+    surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, world: World
 ) -> None:
     """Raise a ValueError where a parcel has no place to start from."""
     grid = surface.grid
     scratch = ph.make_scratch()
     for k, parcel in enumerate(parcels):
-        body, start = parcel.body, company.state[k]
+        body, start = parcel.body, world.state[k]
         ph.check_capacity(
-            company.bodies.edges.shape[1],
+            world.bodies.edges.shape[1],
             body.radius,
             (grid.pitch_x, grid.pitch_y),
             (surface.columns, surface.rows),
         )
-        if find_support(grid, body, start, scratch, 0.0).total == 0:
-            over = explain_unsupported(grid, start, 0.0) == UNSUPPORTED
+        if references.find_support(grid, body, start, scratch, 0.0).total == 0:
+            over = references.explain_unsupported(grid, start, 0.0) == stepping.UNSUPPORTED
             wanted = "over an element" if over else "on the surface"
             pose = tuple(np.asarray(poses)[k].tolist())
             raise ValueError(f"poses must be {wanted}, got {pose} of parcel {k}")
         for other in range(k):
-            width = distance_between(company, other, k)
+            width = rollout.distance_between(world, other, k)
             if width < -CONTACT_DISTANCE:
                 raise ValueError(
                     f"poses must leave parcels apart, got {other} and {k} that overlap by "
@@ -400,10 +388,10 @@ def _check_starts(
 
 
 def _run_together(
-    grid: Grid, company: World, touching: ContactMaterial, time: Array, dt: float
+    grid: Grid, world: World, touching: ContactMaterial, time: Array, dt: float
 ) -> Records:
     """Do all steps, and cut the rows of touches to those there are."""
-    count = len(company.present)
+    count = len(world.present)
     scratch = make_world_scratch(count)
     room = 1024 + 2 * len(scratch.pair)
     records = Records(
@@ -413,15 +401,15 @@ def _run_together(
         np.zeros((room, 2), dtype=np.int64),
         np.zeros(room),
     )
-    records.state[0] = company.state
+    records.state[0] = world.state
     touches = 0
     most = max(1, PIECE // count)
     for first, last, step in _stretches(time, dt):
         following = first
         while following <= last:
             end = min(last, following + most - 1)
-            following, touches = run_world(
-                grid, company, touching, scratch, records, following, end, touches, step
+            following, touches = rollout.run_world(
+                grid, world, touching, scratch, records, following, end, touches, step
             )
             if following <= end:
                 records = records._replace(
@@ -451,9 +439,9 @@ def _trajectory(
     reports: NDArray[np.int64],
 ) -> Trajectory:
     """Return a parcel's trajectory, up to where it left the surface."""
-    left = np.flatnonzero(reports >= OFF_SURFACE)
+    left = np.flatnonzero(reports >= stepping.OFF_SURFACE)
     done = slice(0, int(left[0]) if len(left) else len(time))
     end = ENDS[int(reports[left[0]])] if len(left) else "duration"
     check_steps(parcel, min(surface.pitch_x, surface.pitch_y), states[done], dt)
     pose, velocity = base_motion(parcel, states[done])
-    return Trajectory(time[done], pose, velocity, reports[done] == TIPPING, end)
+    return Trajectory(time[done], pose, velocity, reports[done] == stepping.TIPPING, end)

@@ -261,7 +261,7 @@ def env_state(
     row: int,
     elements: Geometry,
 ) -> EnvState:
-    """The view of the parcel in a row of `parcels` on the surface in a row of `surfaces`."""
+    """View the parcel in a row of `parcels` on the surface in a row of `surfaces`."""
     body = parcels.body[row]
     layout = body if bodies.rotor.shape[0] > 1 else 0
     return EnvState(

@@ -89,11 +89,7 @@ class ContactRecord:
         return len(self.step)
 
     def of_step(self, step: int) -> "ContactRecord":
-        """Select the contacts of one step, which led to that row of the trajectory.
-
-        Raises:
-            ValueError: no such step; the first is 1.
-        """
+        """Select the contacts of one step, which led to that row of the trajectory."""
         checks.integer("step", step, least=1)
         first, end = np.searchsorted(self.step, (step, step + 1)).tolist()
         if first == end:
@@ -184,12 +180,7 @@ class Trajectory:
 
     @cached_property
     def contacts(self) -> ContactRecord:
-        """Contacts and friction forces of each step.
-
-        Raises:
-            ValueError: the trajectory has no `run`, or one from a file whose states leave the
-                elements.
-        """
+        """Contacts and friction forces of each step."""
         return _compute_contacts(self._known_run("contacts"), self.time)
 
     @cached_property
@@ -198,9 +189,6 @@ class Trajectory:
 
         Times mass and moment of inertia it is the sum of gravity and friction. The first row, which
         no step led to, is zero: the normal forces of the first step assume so.
-
-        Raises:
-            ValueError: the trajectory has no `run`.
         """
         run = self._known_run("acceleration")
         turning = np.zeros(len(self.time))
@@ -209,11 +197,7 @@ class Trajectory:
 
     @cached_property
     def energy(self) -> Energy:
-        """Kinetic and potential energy, and dissipation by friction.
-
-        Raises:
-            ValueError: the trajectory has no `run`.
-        """
+        """Kinetic and potential energy, and dissipation by friction."""
         return _compute_energy(self._known_run("energy"), self.time, self.contacts)
 
     def plot(self, path: str | PathLike[str] | None = None) -> "Figure":
@@ -337,12 +321,7 @@ def _load_by_reference(
 
 
 def _compute_contacts(run: Run, time: Array) -> ContactRecord:
-    """Compute the contacts of a run by repeating its steps.
-
-    Args:
-        run: whose steps to repeat.
-        time: (T,) [s] their ends, the start first.
-    """
+    """Compute the contacts of a run by repeating its steps."""
     steps, observed = repeat(run, time)
     surface, mass = run.surface, run.parcel.mass
     row, column = observed.element.T

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig, with_arguments
-from surface_gym.env import RENDER_FPS, check_render_mode, make_batch
+from surface_gym.env import RENDER_FPS, make_batch
 from surface_gym.physics.types import Booleans, Integers
 from surface_gym.state import OUT_OF_TIME, RUNNING
 from surface_gym.tasks.base import Task
@@ -31,14 +31,7 @@ class ResetArguments(NamedTuple):
 
 
 class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
-    """A vector environment of any device: its arguments and those of its resets, checked.
-
-    Args:
-        num_envs: number of environments.
-        autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED.
-        max_episode_steps: control periods after which an episode is truncated; None for no limit.
-        render_mode: "rgb_array" or None.
-    """
+    """A vector environment of any device: its arguments and those of its resets, checked."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
 
@@ -57,7 +50,8 @@ class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             checks.one_of("autoreset_mode", autoreset_mode, modes)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        self.render_mode = check_render_mode(render_mode, type(self).metadata["render_modes"])
+        pictures = (None, *type(self).metadata["render_modes"])
+        self.render_mode = checks.one_of("render_mode", render_mode, pictures)
         self._limit = np.iinfo(np.int64).max if max_episode_steps is None else max_episode_steps
         self._started = False
 
@@ -234,9 +228,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return (self._renderer.draw_all(),)
 
     def _infos(self, mask: Booleans) -> dict[str, Any]:
-        """Collect the infos of the environments in the mask: arrays and masks, as Gymnasium has
-        them.
-        """
+        """Collect the infos of the environments in the mask: arrays with their masks."""
         batch = self.batch
         terms = {name: batch.terms[:, k].copy() for k, name in enumerate(batch.task.terms)}
         infos: dict[str, Any] = {
@@ -245,10 +237,10 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
             "reward_terms": with_masks(terms, mask),
         }
         ended = mask & (batch.outcome != RUNNING)
-        figures = batch.metrics(ended) if ended.any() else {}
+        metrics = batch.metrics(ended) if ended.any() else {}
         infos = with_masks(infos, mask)
-        if figures:
-            infos.update(with_masks({"episode_figures": with_masks(figures, ended)}, ended))
+        if metrics:
+            infos.update(with_masks({"episode_figures": with_masks(metrics, ended)}, ended))
         return infos
 
     def _record(self, chosen: Integers, begins: bool) -> None:

@@ -1,14 +1,14 @@
-"""Settings of every test."""
+"""Configuration of every test."""
 
 import os
 
 import pytest
 from hypothesis import settings
 
-from tests.order import SMOKE, place_of
+from tests.order import NIGHTLY, SMOKE, place_of
 
 # The same examples from run to run; the first one may wait for the compiler.
-settings.register_profile("surface_gym", deadline=None, derandomize=True, max_examples=60)
+settings.register_profile("surface_gym", deadline=None, derandomize=True, max_examples=25)
 # Others every night, and many: HYPOTHESIS_PROFILE=nightly.
 settings.register_profile("nightly", deadline=None, max_examples=10_000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "surface_gym"))
@@ -16,10 +16,13 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "surface_gym"))
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "smoke: enough for a first look, in a minute")
+    config.addinivalue_line("markers", "nightly: long proofs, left out unless -m asks for them")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.nodeid.startswith(SMOKE):
             item.add_marker("smoke")
+        if item.nodeid.startswith(NIGHTLY):
+            item.add_marker("nightly")
     items.sort(key=lambda item: place_of(item.nodeid))

@@ -39,8 +39,8 @@ def run_or_refusal(run: Callable[[], Any]) -> Any:
     try:
         return run()
     except ValueError as error:
-        told = str(error)
-        if not told.startswith(PLACE) or " nan " in told or " inf " in told:
+        message = str(error)
+        if not message.startswith(PLACE) or " nan " in message or " inf " in message:
             raise
     return None
 

@@ -1,4 +1,4 @@
-"""Which tests go first, and which are enough for a first look."""
+"""Which tests go first, which are enough for a first look, and which only run at night."""
 
 # By the beginning of their names: those that compile most, then those that take longest. Whoever
 # comes later finds the code compiled, and short tests at the end leave no processor waiting.
@@ -11,7 +11,7 @@ FIRST = (
     "tests/test_own.py",
     "tests/agents/test_doors.py",
     "tests/agents/test_tasks.py",
-    "tests/sharing/",
+    "tests/parallel/",
     "tests/agents/learning/",
     "tests/design/test_control.py",
     "tests/agents/evaluation/",
@@ -22,10 +22,9 @@ FIRST = (
 # Of each part those that fail first when it breaks, and one environment of each face.
 SMOKE = (
     "tests/agents/learning/test_config.py",
-    "tests/agents/policies/test_files.py",
+    "tests/agents/test_policy.py",
     "tests/agents/rules/test_sorting.py",
     "tests/design/test_search.py",
-    "tests/physics/test_step.py",
     "tests/physics/test_friction.py",
     "tests/physics/test_signed_distance.py",
     "tests/physics/test_step.py",
@@ -36,10 +35,28 @@ SMOKE = (
     "tests/test_env.py::TestEpisodes::test_outcomes_of_sort",
     "tests/test_layouts.py",
     "tests/test_parcel.py",
-    "tests/test_settings.py",
+    "tests/test_config.py",
     "tests/test_simulation.py",
     "tests/test_surface.py",
     "tests/test_vector_env.py::TestBesideSingles::test_lane_by_lane",
+)
+
+# Long proofs of which the rest of the tests hold a short form: `pytest -m nightly`.
+NIGHTLY = (
+    "tests/cuda/test_ptx.py::test_a_flow_compiles_for_every_capability",
+    *(
+        f"tests/cuda/test_ptx.py::test_every_task_compiles_for_every_capability[{task}"
+        for task in ("stop", "track", "slow", "orient")
+    ),
+    "tests/docs/test_notebooks.py::test_it_runs",
+    "tests/docs/test_site.py",
+    "tests/parallel/test_cluster.py::test_a_command_that_was_killed_goes_on_with_a_custom_task",
+    "tests/parallel/test_cluster.py::test_a_design_map_is_the_same",
+    "tests/parallel/test_cluster.py::test_a_job_whose_node_dies_is_done_again_and_only_that",
+    "tests/parallel/test_cluster.py::test_a_search_has_trials_of_the_nodes",
+    "tests/parallel/test_cluster.py::test_cells_are_the_same_those_of_a_runs_policies_too",
+    "tests/parallel/test_cluster.py::test_seeds_with_nodes_dying_come_to_the_same_files_as_in_"
+    "processes",
 )
 
 

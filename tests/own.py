@@ -1,4 +1,4 @@
-"""A task of one's own, as small as a task can be, and the ways it may be wrong."""
+"""A task of your own, as small as a task can be, and the ways it may be wrong."""
 
 import math
 from dataclasses import dataclass

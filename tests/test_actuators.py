@@ -13,20 +13,29 @@ from surface_gym.layouts import LINE_Y
 from surface_gym.randomisation import Actuators
 from surface_gym.state import RUNNING
 from surface_gym.tasks.start import Start
-from tests.batches import put
-from tests.environments import MINUS_45, PLUS_45, ROLL, SORT, assert_same, bare, same_choice, steps
+from tests.environments import (
+    MINUS_45,
+    PLUS_45,
+    ROLL,
+    SORT,
+    assert_same,
+    bare,
+    put,
+    same_choice,
+    steps,
+)
 
 ZERO = 0  # the choice of the axis along x
 FLAT_BOX = sg.Parcel(sg.Rectangle(0.25, 0.25), com_height=0.0)  # nothing shifts its load
 
 
 class Bench:
-    """One lane whose axes can be looked at."""
+    """One environment whose axes can be looked at."""
 
     def __init__(self, actions: str = "modules", **settings: Any) -> None:
         self.settings = EnvConfig(actions=actions, **settings)
         self.batch = Batch(self.settings, 1)
-        self.batch.reserve.seed(0, np.random.default_rng(0))
+        self.batch.reset_cache.seed(0, np.random.default_rng(0))
         self.place()
 
     def place(self, speed: float = 0.0, parcel: sg.Parcel = FLAT_BOX, x: float = 0.6) -> None:
@@ -118,8 +127,8 @@ class TestAxisSpeed:
         speed = math.radians(200.0)
         bench = Bench(actuators=Actuators(axis_speed=speed))
         bench.place(speed=1.0)
-        lanes = bench.batch.parcels
-        pose, velocity = lanes.truth[0, :3].copy(), lanes.truth[0, 3:].copy()
+        parcels = bench.batch.parcels
+        pose, velocity = parcels.truth[0, :3].copy(), parcels.truth[0, 3:].copy()
         for number in range(1, 41):
             turned = min(math.pi / 4, number * speed * 0.005)
             axis = np.where(bench.obeying, math.pi / 2 + turned, math.pi / 2)
@@ -128,7 +137,7 @@ class TestAxisSpeed:
             pose, velocity = run.pose[-1], run.velocity[-1]
             if number % 8 == 0:
                 bench.step(MINUS_45)
-                np.testing.assert_allclose(lanes.truth[0, :3], pose, rtol=0, atol=1e-10)
+                np.testing.assert_allclose(parcels.truth[0, :3], pose, rtol=0, atol=1e-10)
         assert pose[1] > LINE_Y + 0.01  # it did act
 
     def test_the_faster_the_closer_to_instant(self) -> None:

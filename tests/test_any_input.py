@@ -97,13 +97,13 @@ def test_environments(task: str, kind: type[Sensor], actions: str) -> None:
     @given(
         settings=st.fixed_dictionaries({"sensors": SENSORS[kind], **COMMON}),
         seed=st.integers(0, 1000),
-        lanes=st.integers(0, 3),
+        num_envs=st.integers(0, 3),
     )
-    def check(settings: dict[str, Any], seed: int, lanes: int) -> None:
-        if lanes:
-            play(sg.SmartSurfaceVectorEnv(lanes, task, actions, **settings), seed)
+    def check(settings: dict[str, Any], seed: int, num_envs: int) -> None:
+        if num_envs:
+            play(sg.SmartSurfaceVectorEnv(num_envs, task, actions=actions, **settings), seed)
         else:
-            play(sg.SmartSurfaceEnv(task, actions, **settings), seed)
+            play(sg.SmartSurfaceEnv(task, actions=actions, **settings), seed)
 
     check()
 
@@ -117,7 +117,12 @@ def test_flows(kind: type[Sensor]) -> None:
         seed=st.integers(0, 1000),
     )
     def check(settings: dict[str, Any], duration: float, seed: int) -> None:
-        play(SmartSurfaceEnv(line=SHORT, places=4, duration=min(duration, 20.0), **settings), seed)
+        play(
+            SmartSurfaceEnv(
+                "flow", line=SHORT, max_parcels=4, duration=min(duration, 20.0), **settings
+            ),
+            seed,
+        )
 
     check()
 
@@ -139,14 +144,14 @@ class Wild(Sensor):
 
     @staticmethod
     @kernel_function
-    def estimate(numbers: Array, state: EnvState) -> None:
+    def read(numbers: Array, state: EnvState) -> None:
         for k in range(state.sensed.shape[0]):
             state.sensed[k] = state.truth[k] if state.steps == 0 else numbers[0]
 
 
 @pytest.mark.parametrize("says", [math.nan, math.inf, -math.inf, 1e308, -1e308, 1e19, 0.0])
 def test_whatever_a_sensor_says_reaches_no_other_memory(says: float) -> None:
-    env = sg.SmartSurfaceEnv("sort", "window", Wild(says), observe_axes=True)
+    env = sg.SmartSurfaceEnv("sort", actions="window", sensors=Wild(says), observe_axes=True)
     if abs(says) < 1e30:  # an observation is float32
         play(env, seed=0)
         return

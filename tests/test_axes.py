@@ -38,7 +38,7 @@ class TestAnyAngle:
     ) -> None:
         settings = {"actions": actions, "actuators": Actuators(axis_speed=axis_speed)}
         any_angle, choices = bare(orientations="any", **settings), bare(**settings)
-        kind = choices.settings.action_kind
+        kind = choices.config.action_kind
         for env in (any_angle, choices):
             env.reset(seed=2)
         rng = np.random.default_rng(0)
@@ -105,7 +105,7 @@ class TestSeenAxes:
             np.testing.assert_allclose(observation[features:], shown.ravel(), atol=1e-6)
 
     def test_turning_axes_are_hidden_otherwise(self) -> None:
-        """Two lanes that look alike, whose axes are under way to different places."""
+        """Two environments that look alike, whose axes are under way to different places."""
         slow = {"actuators": Actuators(axis_speed=0.5), "actions": "halves"}
         for seen in (False, True):
             one, other = (bare(observe_axes=seen, **slow) for _ in range(2))
@@ -139,14 +139,14 @@ class TestOnRequest:
             centre = [0.05 + 0.1 * np.average(k, weights=loads) for k in (columns, rows)]
             assert centre == pytest.approx([com_x, com_y], abs=1e-6)
 
-    def test_a_vector_env_has_them_lane_by_lane(self) -> None:
-        lanes = gym.make_vec(SORT, num_envs=3, info=("axes", "normal_forces"))
-        _, info = lanes.reset(seed=0)
+    def test_a_vector_env_has_them_one_by_one(self) -> None:
+        envs = gym.make_vec(SORT, num_envs=3, info=("axes", "normal_forces"))
+        _, info = envs.reset(seed=0)
         assert info["axes"].shape == info["normal_forces"].shape == (3, 20, 30)
-        for lane in range(3):
-            single = bare(info=("axes", "normal_forces")).reset(seed=lane)[1]
-            assert_same(info["axes"][lane], single["axes"])
-            assert_same(info["normal_forces"][lane], single["normal_forces"])
+        for i in range(3):
+            single = bare(info=("axes", "normal_forces")).reset(seed=i)[1]
+            assert_same(info["axes"][i], single["axes"])
+            assert_same(info["normal_forces"][i], single["normal_forces"])
 
     @pytest.mark.parametrize("wrong", ["axes", ("torque",), 3, None])
     def test_others_are_named(self, wrong: Any) -> None:

@@ -10,7 +10,6 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import checks
-from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.arrivals import Arrival, Poisson, Schedule, Spread, Steady
 from surface_gym.flow.exits import Exit, flow_line
 from surface_gym.flow.stream import Stream
@@ -18,7 +17,7 @@ from surface_gym.lines import Field, Line
 from surface_gym.sensors import Camera, Entry, Presence
 from surface_gym.tasks.paths import LaneChange, Polyline, Sine
 from surface_gym.tasks.start import Start
-from tests.batches import batch_with
+from tests.environments import batch_with
 from tests.extremes import run_or_refusal
 from tests.flow.flows import SHORT
 
@@ -172,6 +171,10 @@ def surface(**fields: Any) -> sg.Surface:
     return sg.Surface(AXES, ROTORS, **fields)
 
 
+def flow(**arguments: Any) -> sg.SmartSurfaceEnv:
+    return sg.SmartSurfaceEnv("flow", line=SHORT, **arguments)
+
+
 def uneven(most: Any) -> sg.Surface:
     return surface(stiffness=[[1.0, 1.0, 1.0], [1.0, 1.0, most]])
 
@@ -260,13 +263,13 @@ NUMBERS: dict[str, tuple[Callable[[Any], Any], float, float]] = {
     "Arrival.time": (lambda v: Arrival(v, ON_IT[1], 1.0, "left"), 0.0, 1e9),
     "Exit.first": (lambda v: Exit("left", 1, v), -1e4, 1e4),
     "flow_line length": (flow_line, 0.5505, 1e3),
-    "flow duration": (lambda v: SmartSurfaceEnv(line=SHORT, duration=v), 0.04, 86_400.0),
-    "flow control_period": (lambda v: SmartSurfaceEnv(line=SHORT, control_period=v), 1e-6, 10.0),
-    "flow patience": (lambda v: SmartSurfaceEnv(line=SHORT, patience=v), 1e-6, 86_400.0),
-    "flow tilt": (lambda v: SmartSurfaceEnv(line=SHORT, tilt=v), -0.2617, 0.2617),
-    "flow entry_gap": (lambda v: SmartSurfaceEnv(line=SHORT, entry_gap=v), 0.0, 1e3),
-    "flow ahead": (lambda v: SmartSurfaceEnv(line=SHORT, ahead=v), 0.0, 100.0),
-    "flow side_friction": (lambda v: SmartSurfaceEnv(line=SHORT, side_friction=v), 0.0, 100.0),
+    "flow duration": (lambda v: flow(duration=v), 0.04, 86_400.0),
+    "flow control_period": (lambda v: flow(control_period=v), 1e-6, 10.0),
+    "flow patience": (lambda v: flow(patience=v), 1e-6, 86_400.0),
+    "flow tilt": (lambda v: flow(tilt=v), -0.2617, 0.2617),
+    "flow entry_gap": (lambda v: flow(entry_gap=v), 0.0, 1e3),
+    "flow ahead": (lambda v: flow(ahead=v), 0.0, 100.0),
+    "flow side_friction": (lambda v: flow(side_friction=v), 0.0, 100.0),
     "Sine.amplitude": (lambda v: Sine(amplitude=v), -1e4, 1e4),
     "Sine.wavelength": (lambda v: Sine(wavelength=v), 1e-4, 1e3),
     "LaneChange.length": (lambda v: LaneChange(length=v), 1e-4, 1e3),
@@ -332,7 +335,7 @@ CROSSED = "mu_min must be at most mu_max, got 0.2 and 0.1"
             "control_period must be between 1e-06 and 10, got 1000000.0",
         ),
         (
-            lambda: SmartSurfaceEnv(duration=2e6),
+            lambda: sg.SmartSurfaceEnv("flow", duration=2e6),
             "duration must be between 0 and 86400, got 2000000.0",
         ),
         (
@@ -352,7 +355,7 @@ CROSSED = "mu_min must be at most mu_max, got 0.2 and 0.1"
             "lateral must be at most a quarter of the surface's width, 0.5 m, got 0.6",
         ),
         (
-            lambda: SmartSurfaceEnv(randomisation=sg.Randomisation(lateral=0.6)),
+            lambda: sg.SmartSurfaceEnv("flow", randomisation=sg.Randomisation(lateral=0.6)),
             "lateral must be at most a quarter of the surface's width, 0.5 m, got 0.6",
         ),
         (lambda: Stream(speeds=0.0), "speeds must be greater than 0, got 0.0"),

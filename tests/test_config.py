@@ -1,4 +1,4 @@
-"""The arguments of an environment, checked once for both faces."""
+"""The arguments of an environment, checked once for both classes."""
 
 import math
 

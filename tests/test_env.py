@@ -26,10 +26,10 @@ from tests.environments import (
     every_id,
     every_seen_id,
     every_sensor,
+    every_varying,
     same_choice,
     steps,
 )
-from tests.vector_environments import every_varying
 
 
 class TestCheckers:

@@ -232,10 +232,10 @@ class TestBadArguments:
     )
 
     @pytest.mark.parametrize(("argument", "named"), BAD)
-    @pytest.mark.parametrize("face", [sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv])
-    def test_they_are_named(self, face: Callable[..., Any], argument: Any, named: str) -> None:
+    @pytest.mark.parametrize("env_type", [sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv])
+    def test_they_are_named(self, env_type: Callable[..., Any], argument: Any, named: str) -> None:
         with pytest.raises(ValueError, match=named):
-            face(**argument)
+            env_type(**argument)
 
     def test_an_unknown_argument_is_a_type_error(self) -> None:
         with pytest.raises(TypeError, match="friction"):

@@ -11,7 +11,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import simulation
-from surface_gym.core import batch
+from surface_gym.core import assembly
 from surface_gym.design import runs
 from surface_gym.design.case import Case
 from surface_gym.flow.arrivals import Steady
@@ -34,9 +34,9 @@ box, surface = sg.layouts.box("S"), sg.layouts.sorting()
 case = Case(box)
 line = case.line(4)
 axes = np.zeros((1, line.rows, line.columns))
-lanes = sg.SmartSurfaceVectorEnv(10_000, control_period=10.0)
-lanes.reset(seed=0)
-actions = np.zeros(lanes.action_space.shape, dtype=np.int64)
+envs = sg.SmartSurfaceVectorEnv(10_000, control_period=10.0)
+envs.reset(seed=0)
+actions = np.zeros(envs.action_space.shape, dtype=np.int64)
 
 
 def simulate(duration):
@@ -56,7 +56,7 @@ def design(duration):
 
 def step(duration):
     for _ in range(int(duration)):
-        lanes.step(actions)
+        envs.step(actions)
 
 
 for run in (simulate, simulate_together, design, step):
@@ -137,27 +137,27 @@ def test_the_pieces_of_a_run_together_are_one_run(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("flows", [False, True], ids=["lanes", "flows"])
+@pytest.mark.parametrize("flows", [False, True], ids=["parcels", "streams"])
 def test_the_pieces_of_a_control_period_are_one(
     flows: bool, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def run() -> bytes:
         if flows:
             stream = Stream(Steady(5000.0))
-            lanes = SmartSurfaceVectorEnv(
-                9, stream=stream, actions="parcels", places=4, threads=threads
+            envs = SmartSurfaceVectorEnv(
+                9, "flow", stream=stream, actions="parcels", max_parcels=4, threads=threads
             )
         else:
-            lanes = sg.SmartSurfaceVectorEnv(9, threads=threads)
-        lanes.action_space.seed(0)
-        seen = [lanes.reset(seed=3)[0].tobytes()]
+            envs = sg.SmartSurfaceVectorEnv(9, threads=threads)
+        envs.action_space.seed(0)
+        seen = [envs.reset(seed=3)[0].tobytes()]
         for _ in range(5):
-            observation, reward, *_ = lanes.step(lanes.action_space.sample())
+            observation, reward, *_ = envs.step(envs.action_space.sample())
             seen += [observation.tobytes(), reward.tobytes()]
         return b"".join(seen)
 
     whole = run()
-    monkeypatch.setattr(batch, "LOOK", 1)  # a lane at a time
+    monkeypatch.setattr(assembly, "LOOK", 1)  # an environment at a time
     assert run() == whole
 
 

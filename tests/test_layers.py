@@ -87,7 +87,7 @@ def room_of(module: str) -> str:
 
 def edges() -> dict[str, set[str]]:
     """The rooms that each room imports."""
-    found = defaultdict(set)
+    found: dict[str, set[str]] = defaultdict(set)
     for module, others in IMPORTS.items():
         found[room_of(module)] |= {room_of(each) for each in others} - {room_of(module)}
     return dict(found)

@@ -79,7 +79,7 @@ OWN = {
 
 
 @pytest.mark.parametrize("line", OWN.values(), ids=OWN)
-class TestAPlantOfOnesOwn:
+class TestACustomLine:
     def test_moves_a_parcel_as_simulate_does(self, line: BaseLine) -> None:
         """To the bit, on its pitch, rotors and friction."""
         env = sg.SmartSurfaceEnv("sort", actions="quadrants", line=line)
@@ -110,7 +110,7 @@ class TestAPlantOfOnesOwn:
     def test_every_task_and_sensor_runs_on_it(self, line: BaseLine) -> None:
         for name in TASKS:
             for sensor in (Exact(), Camera(), Presence()):
-                env = sg.SmartSurfaceEnv(name, "window", sensor, line=line)
+                env = sg.SmartSurfaceEnv(name, actions="window", sensors=sensor, line=line)
                 for observation, *_ in steps(env, seed=0, longest=10):
                     assert observation in env.observation_space
 
@@ -119,7 +119,7 @@ def test_a_line_elsewhere_is_the_same_line() -> None:
     """Moved by whole rows and by its origin."""
     ends = []
     for line in (Line(), Line(line_y=0.7, origin=(1.05, 0.05))):
-        env = sg.SmartSurfaceEnv("sort", "quadrants", line=line)
+        env = sg.SmartSurfaceEnv("sort", actions="quadrants", line=line)
         _, start = env.reset(seed=0, options={"speed": 1.2, "parcel": "B", "side": 0})
         # The rear enters at x = 0, wherever the line begins.
         ahead = round(start["pose"][0] - line.column_edge(0), 9)
@@ -127,13 +127,13 @@ def test_a_line_elsewhere_is_the_same_line() -> None:
     assert ends[0][1] == ends[1][1] == 0.0
 
 
-def test_plants_compare_and_hash() -> None:
+def test_lines_compare_and_hash() -> None:
     assert Pattern(ROTORS) == Pattern(ROTORS.tolist())
     assert hash(Pattern(ROTORS)) == hash(Pattern(ROTORS.copy()))
     assert Field(mu_max=WORN[:2, :3], rows=2, columns=3) != Field(rows=2, columns=3)
 
 
-BAD_PLANTS: tuple[tuple[type[BaseLine], dict[str, Any], str], ...] = (
+BAD_LINES: tuple[tuple[type[BaseLine], dict[str, Any], str], ...] = (
     (Field, {"rows": 0}, "rows"),
     (Field, {"columns": 1.5}, "columns"),
     (Field, {"pitch": 0.0}, "pitch"),
@@ -155,7 +155,7 @@ BAD_PLANTS: tuple[tuple[type[BaseLine], dict[str, Any], str], ...] = (
 )
 
 
-@pytest.mark.parametrize(("kind", "fields", "named"), BAD_PLANTS)
+@pytest.mark.parametrize(("kind", "fields", "named"), BAD_LINES)
 def test_bad_fields_are_named(kind: type[BaseLine], fields: dict[str, Any], named: str) -> None:
     with pytest.raises(ValueError, match=named):
         kind(**fields)

@@ -1,4 +1,4 @@
-"""Tasks, rewards and sensors of one's own: found through themselves, and told what is wrong."""
+"""Tasks, rewards and sensors of your own: they run, and an error names what is wrong."""
 
 import pickle
 import subprocess
@@ -43,16 +43,18 @@ class TestTask:
             del gym.registry["Tests/Cross-v0"]
 
     @pytest.mark.parametrize("actions", KINDS)
-    def test_each_lane_is_a_single_env(self, actions: str) -> None:
-        lanes = sg.SmartSurfaceVectorEnv(3, own.Cross(), actions, sensors=own.Guess())
-        singles = [sg.SmartSurfaceEnv(own.Cross(), actions, own.Guess()) for _ in range(3)]
-        observations, _ = lanes.reset(seed=5)
-        lanes.action_space.seed(0)
+    def test_each_environment_is_a_single_env(self, actions: str) -> None:
+        envs = sg.SmartSurfaceVectorEnv(3, own.Cross(), actions=actions, sensors=own.Guess())
+        singles = [
+            sg.SmartSurfaceEnv(own.Cross(), actions=actions, sensors=own.Guess()) for _ in range(3)
+        ]
+        observations, _ = envs.reset(seed=5)
+        envs.action_space.seed(0)
         for state, env in enumerate(singles):
             assert_same(observations[state], env.reset(seed=5 + state)[0])
         for _ in range(5):
-            chosen = lanes.action_space.sample()
-            observations, rewards, terminated, _, info = lanes.step(chosen)
+            chosen = envs.action_space.sample()
+            observations, rewards, terminated, _, info = envs.step(chosen)
             for state, env in enumerate(singles):
                 one = env.step(chosen[state])
                 assert_same(observations[state], one[0])
@@ -60,14 +62,14 @@ class TestTask:
                 assert_same(info["pose"][state], one[4]["pose"])
 
     def test_its_starts_may_come_with_parcels_of_their_own(self) -> None:
-        lanes = sg.SmartSurfaceVectorEnv(4, own.Assorted(far=0.1), "halves")
-        singles = [sg.SmartSurfaceEnv(own.Assorted(far=0.1), "halves") for _ in range(4)]
-        lanes.reset(seed=5)
+        envs = sg.SmartSurfaceVectorEnv(4, own.Assorted(far=0.1), actions="halves")
+        singles = [sg.SmartSurfaceEnv(own.Assorted(far=0.1), actions="halves") for _ in range(4)]
+        envs.reset(seed=5)
         for state, env in enumerate(singles):
             env.reset(seed=5 + state)
         ended = np.zeros(4, dtype=bool)
         for _ in range(40):
-            _, _, terminated, _, info = lanes.step(np.full(4, 15))
+            _, _, terminated, _, info = envs.step(np.full(4, 15))
             for state, env in enumerate(singles):
                 one = env.reset()[1] if ended[state] else env.step(15)[4]
                 assert_same(info["pose"][state], one["pose"])
@@ -77,7 +79,7 @@ class TestTask:
     def test_threads_do_not_matter(self) -> None:
         runs = []
         for threads in (1, 2, 3):
-            env = sg.SmartSurfaceVectorEnv(32, own.Cross(), "halves", threads=threads)
+            env = sg.SmartSurfaceVectorEnv(32, own.Cross(), actions="halves", threads=threads)
             env.reset(seed=0)
             env.action_space.seed(0)
             runs.append(tuple(env.step(env.action_space.sample())[:4] for _ in range(30)))
@@ -101,7 +103,7 @@ class TestTask:
 
 def base_of(env: sg.SmartSurfaceEnv) -> sg.Rectangle:
     batch = env.batch
-    return batch._plan.parcel(int(batch.parcels.site[0])).base
+    return batch._plan.parcel(int(batch.parcels.body[0])).base
 
 
 class Doubled(Sort):
@@ -127,10 +129,10 @@ def test_a_reward_of_ones_own_changes_nothing_else() -> None:
 
 class TestFaults:
     @pytest.mark.parametrize("task", own.FAULTY, ids=lambda task: task.__name__)
-    @pytest.mark.parametrize("lanes", [1, 16])
-    def test_they_are_named(self, task: type[own.Cross], lanes: int) -> None:
+    @pytest.mark.parametrize("num_envs", [1, 16])
+    def test_they_are_named(self, task: type[own.Cross], num_envs: int) -> None:
         with pytest.raises(ValueError, match=own.FAULTY[task]):
-            run(task, lanes)
+            run(task, num_envs)
 
     def test_a_sensor_without_an_estimate(self) -> None:
         with pytest.raises(ValueError, match=r"Senseless\.estimate must be a static method"):
@@ -138,7 +140,7 @@ class TestFaults:
 
     @pytest.mark.parametrize("actions", ["modules", "window"])
     def test_a_sensor_that_says_what_is_no_number(self, actions: str) -> None:
-        env = sg.SmartSurfaceEnv(own.Cross(), actions, own.Nonsense())
+        env = sg.SmartSurfaceEnv(own.Cross(), actions=actions, sensors=own.Nonsense())
         with pytest.raises(ValueError, match="of what Nonsense says, must write finite features"):
             env.reset(seed=0)
 
@@ -148,7 +150,7 @@ class TestFaults:
                 sg.SmartSurfaceEnv(task)
 
     def test_others_are_as_they_were(self) -> None:
-        """A fault on one lane is raised; what the batch holds of others can go on."""
+        """A fault on one environment is raised; what the batch holds of others can go on."""
         env = sg.SmartSurfaceEnv(own.Cross(), actions="halves")
         env.reset(seed=0)
         with pytest.raises(ValueError, match="speed"):
@@ -156,8 +158,8 @@ class TestFaults:
         assert env.step(0)[4]["time"] == pytest.approx(0.04)
 
 
-def run(task: type[own.Cross], lanes: int) -> None:
-    env = sg.SmartSurfaceVectorEnv(lanes, task(), "halves", threads=2)
+def run(task: type[own.Cross], num_envs: int) -> None:
+    env = sg.SmartSurfaceVectorEnv(num_envs, task(), actions="halves", threads=2)
     env.reset(seed=0)
     env.step(env.action_space.sample())
 
@@ -191,8 +193,8 @@ class Mine(Sort):
 
     @staticmethod
     @kernel_function
-    def reward(lane: EnvState, outcome: int) -> None:
-        lane.terms[0] = PRICE + fee()
+    def reward(state: EnvState, outcome: int) -> None:
+        state.terms[0] = PRICE + fee()
 """
 PRICES = """
 from surface_gym.extend import kernel_function

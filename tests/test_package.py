@@ -5,39 +5,55 @@ import pickle
 import subprocess
 import sys
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.tasks import TASKS
+from tests.environments import IDS, every_id
 
-HEAVY = ("torch", "pygame", "matplotlib", "stable_baselines3", "mujoco", "rich", "tyro")
+HEAVY = {
+    "torch", "pygame", "matplotlib", "stable_baselines3", "mujoco", "rich", "tyro", "pandas", "ray",
+}  # fmt: skip
+SIMULATE = (
+    "import surface_gym as sg\n"
+    "sg.simulate(sg.layouts.sorting(), sg.layouts.box('S'), (1.0, 1.0, 0.0), duration=0.1)"
+)
+HELP = (
+    "from surface_gym.agents.train_cli import main\ntry: main(['--help'])\nexcept SystemExit: pass"
+)
 
 
-def test_importing_it_imports_nothing_that_only_training_or_drawing_needs() -> None:
-    code = f"import sys, surface_gym; print([name for name in {HEAVY!r} if name in sys.modules])"
+@pytest.mark.parametrize(
+    ("program", "most", "needed"),
+    [
+        ("import surface_gym", 50, set()),
+        (SIMULATE, 65, set()),
+        (HELP, 55, {"tyro", "rich"}),
+    ],
+    ids=["import", "simulate", "train --help"],
+)
+def test_few_modules_are_loaded_and_none_that_is_not_needed(
+    program: str, most: int, needed: set[str]
+) -> None:
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True
+        [sys.executable, "-W", "error", "-c", f"{program}\nimport sys; print(*sys.modules)"],
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    assert done.stdout.strip() == "[]"
-
-
-def test_simulating_imports_none_of_them_either() -> None:
-    code = (
-        "import sys, surface_gym as sg\n"
-        "sg.simulate(sg.layouts.sorting(), sg.layouts.box('S'), (1.0, 1.0, 0.0), duration=0.1)\n"
-        f"print([name for name in {HEAVY!r} if name in sys.modules])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "[]"
+    loaded = done.stdout.splitlines()[-1].split()
+    assert set(loaded) & HEAVY <= needed
+    assert sum(name.startswith("surface_gym") for name in loaded) <= most
 
 
 def test_every_public_name_is_there() -> None:
+    assert set(sg.__all__) <= set(dir(sg))
     assert all(hasattr(sg, name) for name in sg.__all__)
-    assert {"Surface", "Parcel", "Rectangle", "Disc", "Polygon", "simulate", "layouts"} <= set(
-        sg.__all__
-    )
+    assert callable(sg.simulate)
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        _ = sg.nothing
 
 
 SURFACE = sg.layouts.sorting("B", tilt=0.1)
@@ -82,3 +98,35 @@ def test_twins_are_read_only_too(twin: object) -> None:
     for array in (surface.axis, surface.rotor, polygon.vertices):
         with pytest.raises(ValueError, match="read-only"):
             array[0, 0] = True
+
+
+def test_every_task_has_its_id() -> None:
+    assert [f"SmartSurface/{name.capitalize()}-v0" for name in sorted(TASKS)] == IDS
+
+
+@every_id
+def test_an_id_makes_its_task(env_id: str) -> None:
+    env = gym.make(env_id)
+    assert type(env.unwrapped) is sg.SmartSurfaceEnv
+    assert type(env.unwrapped.config.task) is TASKS[env_id[13:-3].lower()]
+
+
+@every_id
+def test_an_id_limits_episodes_of_both_environments(env_id: str) -> None:
+    limit = gym.spec(env_id).max_episode_steps
+    assert limit is not None
+    assert gym.make(env_id).spec.max_episode_steps == limit
+    assert gym.make_vec(env_id, num_envs=2).spec.max_episode_steps == limit
+
+
+def test_the_module_may_be_named_in_the_id() -> None:
+    code = (
+        "import gymnasium as gym\n"
+        "env = gym.make('surface_gym:SmartSurface/Sort-v0')\n"
+        "vector = gym.make_vec('surface_gym:SmartSurface/Sort-v0', num_envs=2)\n"
+        "print(type(env.unwrapped).__name__, type(vector).__name__)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["SmartSurfaceEnv", "SmartSurfaceVectorEnv"]

@@ -151,7 +151,7 @@ def test_lengths_that_are_not_allowed(value: object) -> None:
 
 @dataclass(frozen=True)
 class Tile:
-    """A base of one's own: a rectangle, by what the protocol asks for and nothing else."""
+    """A base of your own: a rectangle, by what the protocol asks for and nothing else."""
 
     length: float
     width: float
@@ -367,7 +367,7 @@ def test_polygons_are_convex_and_hold_their_centroid() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "expected"),
     [
         ({"count": 0}, "count must be a whole number of at least 1, got 0"),
         ({"count": 2.0}, "count must be a whole number of at least 1, got 2.0"),
@@ -380,6 +380,6 @@ def test_polygons_are_convex_and_hold_their_centroid() -> None:
         ({"load": 50.0}, "load must lie over most bases, got 50 m"),
     ],
 )
-def test_what_is_not_allowed(arguments: dict[str, object], told: str) -> None:
-    with pytest.raises(ValueError, match=f"^{re.escape(told)}"):
+def test_what_is_not_allowed(arguments: dict[str, object], expected: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(expected)}"):
         assortment(**{"count": 4, "seed": 0, **arguments})  # type: ignore[arg-type]

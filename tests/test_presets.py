@@ -1,4 +1,4 @@
-"""Presets by name, what they set, and what `observe` shows, against NumPy's own reckoning."""
+"""Presets by name, what they set, and what `observe` shows, against NumPy."""
 
 import math
 from dataclasses import replace
@@ -17,7 +17,7 @@ from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera, Exact
 from surface_gym.tasks import Slow
-from tests.vector_environments import native, singles
+from tests.environments import native, singles
 
 SLOW, SORT = "SmartSurface/Slow-v0", "SmartSurface/Sort-v0"
 LAB = PRESETS["lab"]
@@ -70,9 +70,9 @@ class TestNames:
     )
     def test_nothing_that_it_sets_may_stand_beside_it(self, beside: dict[str, Any]) -> None:
         (name,) = beside
-        told = f"^preset must not be given beside {name}, which it sets, got 'lab' and"
+        expected = f"^preset must not be given beside {name}, which it sets, got 'lab' and"
         for make in (EnvConfig, sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv):
-            with pytest.raises(ValueError, match=told):
+            with pytest.raises(ValueError, match=expected):
                 make(preset="lab", **beside)
 
 
@@ -107,27 +107,27 @@ class TestLab:
         assert found == Slow(speeds=(1.0, 1.2), parcels=LAB.parcels)
 
     @pytest.mark.parametrize("env_id", [SLOW, SORT])
-    def test_lanes_equal_single_environments_to_the_bit(self, env_id: str) -> None:
+    def test_batches_equal_single_environments_to_the_bit(self, env_id: str) -> None:
         arguments: dict[str, Any] = {"preset": "lab", "observe": BOTH, "actions": "halves"}
         mode = AutoresetMode.NEXT_STEP
-        lanes = native(env_id, max_episode_steps=14, autoreset_mode=mode, **arguments)
+        envs = native(env_id, max_episode_steps=14, autoreset_mode=mode, **arguments)
         others = singles(env_id, mode, **arguments)
-        (seen, _), (wanted, _) = lanes.reset(seed=5), others.reset(seed=5)
+        (seen, _), (wanted, _) = envs.reset(seed=5), others.reset(seed=5)
         np.testing.assert_array_equal(seen, wanted)
         rng = np.random.default_rng(0)
         for _ in range(20):
-            action = rng.integers(0, 16, lanes.num_envs)
-            given, expected = lanes.step(action), others.step(action)
+            action = rng.integers(0, 16, envs.num_envs)
+            given, expected = envs.step(action), others.step(action)
             for mine, theirs in zip(given[:4], expected[:4], strict=True):
                 np.testing.assert_array_equal(mine, theirs)
 
 
 @lru_cache
-def _env(task: str, lanes: int) -> sg.SmartSurfaceVectorEnv:
+def _env(task: str, num_envs: int) -> sg.SmartSurfaceVectorEnv:
     # All of the lab but its sensors, so that what is sensed is the truth.
     preset = replace(LAB, sensors=Exact(), parcels=tuple(map(Parcel, BASES)))
     return sg.SmartSurfaceVectorEnv(
-        lanes, task, actions="halves", observe=BOTH, preset=preset, info=("axes",)
+        num_envs, task, actions="halves", observe=BOTH, preset=preset, info=("axes",)
     )
 
 

@@ -10,8 +10,7 @@ from scipy import stats
 import surface_gym as sg
 from surface_gym.randomisation import RandomDraw, Randomisation
 from surface_gym.tasks.start import Start
-from tests.batches import batch_with
-from tests.environments import PARCELS, TRIANGLE, assert_same, bare, steps
+from tests.environments import PARCELS, TRIANGLE, assert_same, bare, batch_with, steps
 
 COUNT = 2000
 SHAPE = (20, 30)
@@ -230,12 +229,12 @@ class TestLateral:
         with pytest.raises(ValueError, match=r"^lateral must leave a parcel over the surface"):
             Randomisation(lateral=0.3).draw_entry(rng, BOX, (0.1, 0.05))
 
-    def test_every_lane_starts_on_the_surface(self) -> None:
+    def test_every_environment_starts_on_the_surface(self) -> None:
         line = sg.lines.Line(rows=8, line_y=0.4)
-        lanes = sg.SmartSurfaceVectorEnv(
+        envs = sg.SmartSurfaceVectorEnv(
             300, randomisation=Randomisation(lateral=0.2, heading=1.0), line=line
         )
-        aside = lanes.reset(seed=0)[1]["pose"][:, 1] - line.line_y
+        aside = envs.reset(seed=0)[1]["pose"][:, 1] - line.line_y
         assert 0.35 < np.abs(aside).max() <= 0.4
 
     def test_a_spread_for_which_the_surface_is_too_narrow_is_refused(self) -> None:

@@ -24,9 +24,8 @@ from surface_gym.rendering import Scene, SceneParcel
 from surface_gym.scenes import GLIDE, TRAIL, Renderer, exit_marks
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.start import Start
-from tests.batches import batch_with as batch_at
-from tests.batches import put
-from tests.environments import HEPTAGON, PARCELS
+from tests.environments import HEPTAGON, PARCELS, put
+from tests.environments import batch_with as batch_at
 from tests.flow.flows import (
     BOX,
     LARGE_BOX,
@@ -50,7 +49,7 @@ def pair_of(parcel: sg.Parcel, task: str = "sort") -> Batch:
     """Two environments with one parcel each."""
     batch = Batch(EnvConfig(task=task), 2)
     for i in (0, 1):
-        batch.reserve.seed(i, np.random.default_rng(i))
+        batch.reset_cache.seed(i, np.random.default_rng(i))
     batch.reset(np.arange(2), [{"speed": 1.0, "parcel": parcel}] * 2)
     return batch
 
@@ -100,7 +99,7 @@ class TestOneParcel:
     @pytest.mark.parametrize("parcel", PARCELS.values(), ids=PARCELS)
     def test_the_outline_is_the_bases(self, parcel: sg.Parcel) -> None:
         batch = pair_of(parcel)
-        put(batch, Start(HEPTAGON, (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), lane=1)
+        put(batch, Start(HEPTAGON, (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), i=1)
         outline = only(shown(batch)).outline
         if isinstance(parcel.base, sg.Disc):
             np.testing.assert_allclose(np.hypot(*outline.T), parcel.base.radius)
@@ -163,7 +162,7 @@ class TestParcelsOfAStream:
         np.testing.assert_allclose(np.hypot(*outline.T), 0.15)
 
     def test_names_whose_initials_are_the_same_are_written_in_full(self) -> None:
-        exits = Exits((Exit("lane", 1), Exit("left", -1)))
+        exits = Exits((Exit("chute", 1), Exit("left", -1)))
         renderer = opened(stream_of(trace((0.0, "left")), exits=exits))
         assert renderer.scene().parcels[0].label == "left"
 

@@ -81,11 +81,11 @@ def test_a_fork_goes_on_as_its_parent_and_the_others_stop(config: EnvConfig) -> 
     batch.restore(snapshot)
     batch.fork(np.array([2, 0]))
     assert batch.truncated.tolist() == [False, False, True]
-    told = []
+    given = []
     for each in commands[BEFORE:]:
-        told.append(each.copy())
-        told[-1][:2] = each[[2, 0]]
-    again = ran(batch, told)
+        given.append(each.copy())
+        given[-1][:2] = each[[2, 0]]
+    again = ran(batch, given)
     assert_equal(first, again, 2, 0)
     assert_equal(first, again, 0, 1)
 

@@ -1,4 +1,4 @@
-"""`simulate_together` against `simulate`, what can be told by hand, and bad arguments."""
+"""`simulate_together` against `simulate`, what can be computed by hand, and bad arguments."""
 
 import math
 
@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 
 import surface_gym as sg
-from tests.companies import G, supports
 from tests.strategies import Scene, scenes
+from tests.worlds import G, supports
 
 BOX = sg.layouts.box("S")
 POSES = [(1.0, 1.0, 0.0), (1.5, 1.0, 0.0)]

@@ -11,7 +11,10 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, VectorEnv
 
 import surface_gym as sg
 from tests.environments import (
+    EVERYTHING_VARIES,
+    LIMIT,
     MINUS_45,
+    NUM_ENVS,
     OPTIONS,
     PARCELS,
     SENSORS,
@@ -19,15 +22,10 @@ from tests.environments import (
     assert_same,
     every_cell,
     every_id,
-    same_choice,
-)
-from tests.vector_environments import (
-    EVERYTHING_VARIES,
-    LANES,
-    LIMIT,
     every_mode,
     every_varying,
     native,
+    same_choice,
     single_of,
     singles,
 )
@@ -37,7 +35,7 @@ def assert_infos_same(found: dict[str, Any], wanted: dict[str, Any], late: np.nd
     """Infos of the native env agree with those Gymnasium gathered from single ones.
 
     Values count where the mask says so. A single env knows of no time limit, so the outcome of
-    the lanes that ran out of time is its one difference.
+    the environments that ran out of time is its one difference.
     """
     assert set(found) == set(wanted)
     for name, value in wanted.items():
@@ -47,8 +45,8 @@ def assert_infos_same(found: dict[str, Any], wanted: dict[str, Any], late: np.nd
             continue
         mask = wanted[f"_{name}"]
         if name == "final_obs":
-            for lane in range(len(mask)):
-                assert_same(found[name][lane], value[lane])
+            for i in range(len(mask)):
+                assert_same(found[name][i], value[i])
         elif isinstance(value, dict):
             assert_infos_same(found[name], value, late)
         else:
@@ -76,7 +74,7 @@ def run_beside(one: VectorEnv, other: VectorEnv, mode: AutoresetMode, periods: i
         _, _, terminated, truncated = results
         over = terminated | truncated
         late = truncated & ~terminated
-        if mode == AutoresetMode.SAME_STEP:  # the lanes' infos are those of their next start
+        if mode == AutoresetMode.SAME_STEP:  # the environments' infos are those of their next start
             assert_infos_same(infos.pop("final_info", {}), same_infos.pop("final_info", {}), late)
             late = nobody
         assert_infos_same(infos, same_infos, late)
@@ -92,48 +90,48 @@ def run_beside(one: VectorEnv, other: VectorEnv, mode: AutoresetMode, periods: i
 class TestBesideSingles:
     @every_mode
     @every_cell
-    def test_each_lane_is_a_single_env(
+    def test_each_environment_is_a_single_env(
         self, env_id: str, actions: str, sensor: Any, mode: AutoresetMode
     ) -> None:
         settings = {"actions": actions, "sensors": sensor()}
         one = native(env_id, max_episode_steps=LIMIT, autoreset_mode=mode, **settings)
         other = singles(env_id, mode, **settings)
-        assert run_beside(one, other, mode, 40) >= 2 * LANES
+        assert run_beside(one, other, mode, 40) >= 2 * NUM_ENVS
 
     @every_mode
     @every_id
     def test_also_where_everything_varies(self, env_id: str, mode: AutoresetMode) -> None:
         settings = {"actions": "quadrants", "sensors": SENSORS[-1](), **EVERYTHING_VARIES}
         one = native(env_id, max_episode_steps=LIMIT, autoreset_mode=mode, **settings)
-        assert run_beside(one, singles(env_id, mode, **settings), mode, 40) >= 2 * LANES
+        assert run_beside(one, singles(env_id, mode, **settings), mode, 40) >= 2 * NUM_ENVS
 
     @every_mode
     def test_also_over_whole_episodes(self, mode: AutoresetMode) -> None:
         one = native(actions="halves", autoreset_mode=mode)
-        assert run_beside(one, singles(SORT, mode, 100, actions="halves"), mode, 300) >= LANES
+        assert run_beside(one, singles(SORT, mode, 100, actions="halves"), mode, 300) >= NUM_ENVS
 
-    def test_lane_by_lane(self) -> None:
+    def test_one_by_one(self) -> None:
         """What the above says, spelled out for the mode that needs no reset of its own."""
-        env = native(lanes=4, actions="halves", autoreset_mode="SameStep")
+        env = native(num_envs=4, actions="halves", autoreset_mode="SameStep")
         env.action_space.seed(0)
         actions = [env.action_space.sample() for _ in range(150)]
         observations, _ = env.reset(seed=20)
         seen = [observations]
         for action in actions:
             seen.append(env.step(action)[0])
-        for lane in range(4):
+        for i in range(4):
             one = gym.make(SORT, actions="halves")
-            observation, _ = one.reset(seed=20 + lane)
-            np.testing.assert_array_equal(seen[0][lane], observation)
+            observation, _ = one.reset(seed=20 + i)
+            np.testing.assert_array_equal(seen[0][i], observation)
             for period, action in enumerate(actions, start=1):
-                observation, _, terminated, truncated, _ = one.step(action[lane])
+                observation, _, terminated, truncated, _ = one.step(action[i])
                 if terminated or truncated:
                     observation, _ = one.reset()
-                np.testing.assert_array_equal(seen[period][lane], observation)
+                np.testing.assert_array_equal(seen[period][i], observation)
 
     @every_mode
     def test_ending_at_the_limit_is_both(self, mode: AutoresetMode) -> None:
-        """As with Gymnasium's TimeLimit: a lane that ends in its last period is truncated too."""
+        """As with Gymnasium's TimeLimit: an end in the last period is truncated too."""
         single = gym.make(SORT, actions="halves", max_episode_steps=1000)
         action = same_choice(single.unwrapped, MINUS_45)
         single.reset(seed=11, options={"speed": 2.0, "side": 1})
@@ -142,8 +140,8 @@ class TestBesideSingles:
             length += 1
         results = []
         for env in (
-            native(lanes=1, actions="halves", max_episode_steps=length, autoreset_mode=mode),
-            singles(SORT, mode, length, lanes=1, actions="halves"),
+            native(num_envs=1, actions="halves", max_episode_steps=length, autoreset_mode=mode),
+            singles(SORT, mode, length, num_envs=1, actions="halves"),
         ):
             env.reset(seed=11, options={"speed": 2.0, "side": 1})
             for _ in range(length):
@@ -156,41 +154,41 @@ class TestBesideSingles:
         settings = {"actions": "halves", "sensors": SENSORS[-1]()}
         make = partial(single_of, SORT, LIMIT, settings)
         apart = AsyncVectorEnv([make] * 2, context=context)
-        together = native(lanes=2, max_episode_steps=LIMIT, **settings)
+        together = native(num_envs=2, max_episode_steps=LIMIT, **settings)
         try:
             assert run_beside(together, apart, AutoresetMode.NEXT_STEP, 20) >= 2
         finally:
             apart.close()
 
 
-def rollout(env: VectorEnv, lanes: slice, periods: int = 60) -> Iterator[tuple[Any, ...]]:
-    """What some of the lanes give, each lane acting as it would in a smaller batch."""
+def rollout(env: VectorEnv, chosen: slice, periods: int = 60) -> Iterator[tuple[Any, ...]]:
+    """What some of the environments give, each acting as it would in a smaller batch."""
     observations, _ = env.reset(seed=3)
-    yield (observations[lanes],)
+    yield (observations[chosen],)
     rng = np.random.default_rng(0)
     for _ in range(periods):
         actions = rng.integers(0, 4, (64, *env.single_action_space.shape))[: env.num_envs]
         observations, rewards, terminated, truncated, infos = env.step(actions)
         yield (
-            observations[lanes],
-            rewards[lanes],
-            terminated[lanes],
-            truncated[lanes],
-            infos["pose"][lanes],
+            observations[chosen],
+            rewards[chosen],
+            terminated[chosen],
+            truncated[chosen],
+            infos["pose"][chosen],
         )
 
 
-class TestLanes:
+class TestBatchSize:
     @every_varying
     def test_their_number_does_not_matter(self, env_id: str, sensor: Any) -> None:
         settings = {"actions": "quadrants", "sensors": sensor(), **EVERYTHING_VARIES}
-        few, many = (native(env_id, lanes, **settings) for lanes in (4, 16))
+        few, many = (native(env_id, num_envs, **settings) for num_envs in (4, 16))
         for first, second in zip(rollout(few, slice(4)), rollout(many, slice(4)), strict=True):
             assert_same(first, second)
 
-    def test_a_lane_is_not_touched_by_the_parcels_of_others(self) -> None:
-        """A base of more edges and contacts than any before widens the memory of all lanes."""
-        alone, among = native(lanes=1, actions="halves"), native(lanes=3, actions="halves")
+    def test_an_environment_is_not_touched_by_the_parcels_of_others(self) -> None:
+        """A base of more edges and contacts than any before widens the memory of all."""
+        alone, among = native(num_envs=1, actions="halves"), native(num_envs=3, actions="halves")
         options = {"speed": 1.0, "side": 1, "parcel": "S"}
         alone.reset(seed=0, options=options)
         among.reset(seed=[0, 1, 2], options=[options, None, None])
@@ -206,15 +204,15 @@ class TestLanes:
             assert_same(found[0][:1], wanted[0])
             assert_same(found[4]["pose"][:1], wanted[4]["pose"])
 
-    def test_every_lane_takes_its_own_options(self) -> None:
-        env = native(lanes=4)
+    def test_every_environment_takes_its_own_options(self) -> None:
+        env = native(num_envs=4)
         speeds = [0.5, 1.0, 1.5, 2.0]
         starts = [{"speed": speed, "side": -1} for speed in speeds]
         observations, infos = env.reset(seed=0, options=starts)
         np.testing.assert_array_equal(infos["velocity"][:, 0], speeds)
         np.testing.assert_array_equal(observations[:, -1], -1.0)
         _, infos = env.reset(seed=0, options=[None, {"speed": 0.7}, None, {}])
-        drawn = native(lanes=4).reset(seed=0)[1]["velocity"][:, 0]
+        drawn = native(num_envs=4).reset(seed=0)[1]["velocity"][:, 0]
         drawn[1] = 0.7
         np.testing.assert_array_equal(infos["velocity"][:, 0], drawn)
 
@@ -227,7 +225,7 @@ class TestLanes:
 
     @every_id
     def test_the_time_limit_is_the_registered_one(self, env_id: str) -> None:
-        env = native(env_id, lanes=1, zone=(26, 26), autoreset_mode="Disabled")
+        env = native(env_id, num_envs=1, zone=(26, 26), autoreset_mode="Disabled")
         limit = gym.spec(env_id).max_episode_steps
         env.reset(seed=0)
         for period in range(1, limit + 1):

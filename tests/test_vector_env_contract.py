@@ -12,10 +12,15 @@ from gymnasium.vector import AutoresetMode
 
 import surface_gym as sg
 from surface_gym.randomisation import Randomisation
-from tests.environments import ACTIONS, SENSORS, TRIANGLE, TWINS, assert_same, every_id
-from tests.vector_environments import (
+from tests.environments import (
+    ACTIONS,
     EVERYTHING_VARIES,
-    LANES,
+    NUM_ENVS,
+    SENSORS,
+    TRIANGLE,
+    TWINS,
+    assert_same,
+    every_id,
     every_mode,
     every_varying,
     native,
@@ -30,7 +35,7 @@ class TestContract:
         assert type(env) is sg.SmartSurfaceVectorEnv
         assert env.spec is not None
         assert env.spec.id == env_id
-        assert env.num_envs == LANES
+        assert env.num_envs == NUM_ENVS
 
     @pytest.mark.parametrize("actions", ACTIONS)
     @every_id
@@ -69,7 +74,7 @@ class TestContract:
                 assert array.flags.writeable
                 array[:] = 0
             if mode == AutoresetMode.DISABLED and env.num_envs and len(kept) % 3 == 0:
-                mask = np.ones(LANES, dtype=bool)
+                mask = np.ones(NUM_ENVS, dtype=bool)
                 for each in (env, twin):
                     each.reset(options={"reset_mask": mask})
 
@@ -124,7 +129,7 @@ class TestMemory:
     )
     def test_does_not_grow(self, sensor: Any, mode: AutoresetMode) -> None:
         env = native(
-            lanes=8,
+            num_envs=8,
             actions="halves",
             sensors=sensor(),
             autoreset_mode=mode,
@@ -148,11 +153,11 @@ class TestMemory:
             grown = tracemalloc.get_traced_memory()[0] - before
         finally:
             tracemalloc.stop()
-        assert grown < 200_000  # [bytes] 17 a lane and step
+        assert grown < 200_000  # [bytes] 17 an environment and step
 
 
 class TestDrawing:
-    def test_all_lanes_in_one_picture(self) -> None:
+    def test_all_environments_in_one_picture(self) -> None:
         env = native(render_mode="rgb_array")
         env.reset(seed=0)
         (first,) = env.render()

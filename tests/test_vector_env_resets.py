@@ -9,12 +9,11 @@ import pytest
 from gymnasium.vector import VectorEnv
 
 import surface_gym as sg
-from tests.environments import SENSORS, assert_same, every_kind_of_action
-from tests.vector_environments import LANES, native
+from tests.environments import NUM_ENVS, SENSORS, assert_same, every_kind_of_action, native
 
 
 class TestSeeds:
-    def test_a_number_is_for_the_first_lane(self) -> None:
+    def test_a_number_is_for_the_first_environment(self) -> None:
         one, listed = native(), native()
         assert_same(one.reset(seed=7), listed.reset(seed=[7, 8, 9]))
         assert_same(one.reset(seed=np.int64(7)), listed.reset(seed=(7, 8, 9)))
@@ -30,7 +29,7 @@ class TestSeeds:
 
     def test_unseeded_envs_differ(self) -> None:
         starts = [native().reset()[0] for _ in range(2)]
-        assert len(np.unique(np.concatenate(starts), axis=0)) == 2 * LANES
+        assert len(np.unique(np.concatenate(starts), axis=0)) == 2 * NUM_ENVS
 
     @pytest.mark.parametrize(
         "seed", [[1, 2], [1, 2, 3, 4], [], 1.5, "seed", [1, 2, -3], -1, [0.5] * 3], ids=repr
@@ -70,7 +69,7 @@ class TestPartialResets:
         np.testing.assert_array_equal(infos["_pose"], mask)
         np.testing.assert_array_equal(infos["velocity"][mask], [[1.25, 0.0, 0.0]])
 
-    def test_seed_the_lanes_they_reset(self) -> None:
+    def test_seed_the_environments_they_reset(self) -> None:
         env = self.disabled()
         mask = np.array([False, True, True])
         observations, _ = env.reset(seed=40, options={"reset_mask": mask})
@@ -106,7 +105,7 @@ class TestPartialResets:
         with pytest.raises(gym.error.ResetNeeded):
             env.reset(options={"reset_mask": np.array([True, False, False])})
 
-    def test_ended_lanes_wait_for_theirs(self) -> None:
+    def test_ended_environments_wait_for_theirs(self) -> None:
         env = native(actions="halves", autoreset_mode="Disabled", max_episode_steps=1)
         env.reset(seed=0)
         env.step(np.array([0, 0, 0]))
@@ -134,7 +133,7 @@ class TestBadInput:
             assert_same(env.step(np.array([1, 2, 3])), twin.step(np.array([1, 2, 3])))
 
     @every_kind_of_action
-    def test_one_bad_lane_moves_none(self, actions: str) -> None:
+    def test_one_bad_environment_moves_none(self, actions: str) -> None:
         env, twin = (native(actions=actions) for _ in range(2))
         for each in (env, twin):
             each.reset(seed=0)
@@ -162,7 +161,7 @@ class TestBadInput:
 
     @pytest.mark.parametrize(("options", "named"), BAD_OPTIONS)
     def test_bad_options_are_named(self, options: Any, named: str) -> None:
-        """The episodes go on as if nothing had been asked, in the lanes before the bad one too."""
+        """The episodes go on as if nothing had been asked, also in those before the bad one."""
         env, twin = (native(actions="halves") for _ in range(2))
         for each in (env, twin):
             each.reset(seed=0)

@@ -16,7 +16,7 @@ RENAMED = r'"\w+": "(line|preset|max_parcels|num_envs|slots|split_probability)"'
 GONE = {
     r"\b[Ll]anes?\b|(?<![a-z])lanes?_|_lanes?\b|LANES?\b": (
         "environment",
-        r"change of lane|lane change",
+        r"changes? of lanes?|lane change",
     ),
     r"\b[Pp]lants?\b|_plant\b": ("line", ""),
     r"\b(Shadow|SideBySide|LearningCamera|FlowEnv|FlowVectorEnv|FlowSettings)\b": ("", ""),
@@ -34,7 +34,8 @@ GONE = {
     r"\b(bear_load|bear_lanes|forget_contacts|facing|settling)\b": ("contact solver's words", ""),
     r"\bone's own\b": ("custom, your own", ""),
     r"\baims\b|\bfooting\b|\bknowing\b(?! all)": ("cost, contact span, oracle", ""),
-    r"surface_gym\.(settings|conditions|presets|plants|dynamics|gpu|lanes|batch|faces|record|sharing)\b": (
+    r"surface_gym\.(settings|conditions|presets|plants|dynamics|gpu|lanes|batch|faces)\b"
+    r"|surface_gym\.(record|sharing)\b": (
         "config, presets, lines, physics, cuda, state, core, trajectory, parallel",
         "",
     ),

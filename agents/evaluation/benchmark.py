@@ -281,7 +281,7 @@ def compute_kept(
     file: Path | None,
     advance: Advance,
 ) -> dict[AnyKey, AnyRow]:
-    """Compute what is not kept yet.
+    """Compute the results that are not kept yet.
 
     Args:
         jobs: to do, by the key of the dataclass that each gives; they do not depend on each other.

@@ -20,7 +20,7 @@ from ..rollout import Episodes
 from .benchmark import Summaries
 from .methods import FIXED
 from .streams import BOUND, CANNOT, CURVE, LOADS, StreamResults, cases
-from .tables import methods_of
+from .tables import list_methods
 
 DOTS = 150  # to the inch
 LIMIT, INK, PALE = "#be1848", "#333333", "#eeeeee"
@@ -46,7 +46,7 @@ def _save(figure: Figure, file: Path, *panels: Axes, legend: Axes | None = None)
 
 def draw_success(task: str, summaries: Summaries, file: Path) -> None:
     """Draw success rates by preset with their 95 % intervals, a bar for each method."""
-    names = methods_of(task, summaries)
+    names = list_methods(task, summaries)
     colours = _colours(names)
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
     panel = figure.subplots()
@@ -69,7 +69,7 @@ def draw_success(task: str, summaries: Summaries, file: Path) -> None:
 
 def draw_errors(task: str, error: ErrorPlot, summaries: Summaries, file: Path) -> None:
     """Draw the share of starts by the size of their error, exact sensors."""
-    names = methods_of(task, summaries)
+    names = list_methods(task, summaries)
     colours = _colours(names)
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
     panel = figure.subplots()
@@ -95,7 +95,7 @@ def draw_times(task: str, grid: SpeedGrid, summaries: Summaries, file: Path) -> 
 
     A line has gaps where the method fails; methods that did not run on all starts have none.
     """
-    runs = {name: summaries[task, name, "exact"] for name in methods_of(task, summaries)}
+    runs = {name: summaries[task, name, "exact"] for name in list_methods(task, summaries)}
     whole = {name: each for name, each in runs.items() if _is_whole(grid, each.success)}
     colours = _colours(whole)
     figure = Figure(figsize=(12.0, 4.0), layout="constrained")

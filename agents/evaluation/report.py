@@ -140,7 +140,7 @@ def write_trajectories(methods: Iterable[Method], file: Path) -> bool:
 
 
 def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
-    """Film methods of a task side by side, the first seed of each; the file and what it shows."""
+    """Film methods of a task side by side, the first seed of each; return file and caption."""
     task = methods[0].task
     benchmark = find_benchmark(task)
     players = []
@@ -158,16 +158,9 @@ def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
 
 
 def write_stream_report(
-    methods: Sequence[StreamMethod],
-    rows: Sequence[StreamResult],
-    folder: Path,
-    console: Console,
+    methods: Sequence[StreamMethod], rows: Sequence[StreamResult], folder: Path, console: Console
 ) -> list[Section]:
-    """Write flow.md, flow.csv, plots, a picture and a video into a folder, and show tables.
-
-    Returns:
-        The sections of the page.
-    """
+    """Write flow.md, flow.csv, plots, a picture and a video, and show tables; return sections."""
     results = StreamResults.of(methods, rows)
     tables = streams.stream_tables(results)
     for table in tables[:PRINTED]:

@@ -14,31 +14,12 @@ from surface_gym.parallel import Workers
 
 from .. import library
 from ..base import Controller
-from ..rules.reservation import (
-    MARGIN,
-    Reservation,
-    find_trajectories,
-    least_gaps,
-    list_asked,
-    packed_rate,
-)
+from ..rules import reservation
 from ..rules.streams import SortEach, StreamEventRule, StreamFixedLayout
 from ..rules.zones import ArrangedZone, WholeZone, find_best_zone
+from . import capacity as limits
 from .benchmark import Advance, compute_kept
-from .capacity import (
-    EXACT,
-    LEAST,
-    LEAST_RIGHT,
-    MIXES,
-    REPLICATIONS,
-    SPEEDS,
-    STREAM_PRESETS,
-    Case,
-    Measurement,
-    StreamMethod,
-    find_capacity,
-    measure,
-)
+from .capacity import Case, Measurement, StreamMethod
 from .methods import FIXED
 from .tables import NOTHING, Table
 
@@ -67,7 +48,7 @@ StreamKey = tuple[str, str, str, str, float, float]
 
 def cases(preset: str = "exact") -> list[Case]:
     """List all mixes and speeds under a preset."""
-    return [Case(mix, speed, preset) for mix in MIXES for speed in SPEEDS]
+    return [Case(mix, speed, preset) for mix in limits.MIXES for speed in limits.SPEEDS]
 
 
 def stream_methods() -> list[StreamMethod]:
@@ -78,7 +59,7 @@ def stream_methods() -> list[StreamMethod]:
         StreamMethod(TURNED, "modules", True, partial(_zone, WholeZone)),
         StreamMethod(EVENT, "parcels", False, StreamEventRule),
         StreamMethod(EACH, "parcels", False, SortEach, ("exact",)),
-        StreamMethod(RESERVATION, "parcels", True, Reservation),
+        StreamMethod(RESERVATION, "parcels", True, reservation.Reservation),
     ]
     if LEARNED in library.names():
         period = library.load(LEARNED).card.control_period
@@ -129,11 +110,11 @@ def compute_stream(method: StreamMethod, case: Case, load: float) -> StreamResul
     controller = method.make(method.config(case, case.ceiling))
     capacity = eased = None
     if controller is not None and load == SEARCHED:
-        capacity = find_capacity(method, controller, case)
-        rate = EASED * capacity.rate if capacity is not None else LEAST * case.ceiling
-        eased = measure(method, controller, case, rate)
+        capacity = limits.find_capacity(method, controller, case)
+        rate = EASED * capacity.rate if capacity is not None else limits.LEAST * case.ceiling
+        eased = limits.measure(method, controller, case, rate)
     elif controller is not None:
-        eased = measure(method, controller, case, load * case.ceiling)
+        eased = limits.measure(method, controller, case, load * case.ceiling)
     return StreamResult(
         method.name, case.preset, case.mix, case.speed, load, controller is not None, capacity,
         eased,
@@ -177,7 +158,7 @@ def compute_streams(
     """
     file = None if folder is None else folder / FILE
     found = compute_kept(stream_jobs(methods, loads), stream_result, workers, file, advance)
-    names, presets = [method.name for method in methods], list(STREAM_PRESETS)
+    names, presets = [method.name for method in methods], list(limits.STREAM_PRESETS)
     return sorted(
         found.values(),
         key=lambda row: (names.index(row.method), presets.index(row.preset), *row.key[3:]),
@@ -196,7 +177,7 @@ class StreamResults:
         """Put results together, and compute the bounds by a method with actions for parcels."""
         method = next(each for each in methods if each.actions == "parcels")
         return cls(
-            tuple(rows), {(case.mix, case.speed): bound_of(method, case) for case in cases()}
+            tuple(rows), {(case.mix, case.speed): packing_bound(method, case) for case in cases()}
         )
 
     @cached_property
@@ -246,24 +227,26 @@ class StreamResults:
         return [None if row is None else row.eased for row in rows]
 
 
-def bound_of(method: StreamMethod, case: Case) -> float:
+def packing_bound(method: StreamMethod, case: Case) -> float:
     """Compute the rate [parcels/h] of single parcels' paths, packed as close as they go.
 
     The event rule leads each parcel alone; 2 cm stay between them.
     """
     config = method.config(case, case.ceiling)
-    asked = list_asked(config)
-    gaps = least_gaps(find_trajectories(StreamEventRule, config, asked).each, MARGIN)
-    return packed_rate(gaps, np.ones(len(asked)))
+    asked = reservation.list_asked(config)
+    gaps = reservation.least_gaps(
+        reservation.find_trajectories(StreamEventRule, config, asked).each, reservation.MARGIN
+    )
+    return reservation.packed_rate(gaps, np.ones(len(asked)))
 
 
 def stream_tables(results: StreamResults) -> list[Table]:
     """Make all tables, the one that says most first."""
     return [
         headline(results),
-        *(capacity_table(results, preset) for preset in STREAM_PRESETS),
-        *(eased_table(results, preset) for preset in STREAM_PRESETS),
-        *(touch_table(results, preset) for preset in STREAM_PRESETS),
+        *(capacity_table(results, preset) for preset in limits.STREAM_PRESETS),
+        *(eased_table(results, preset) for preset in limits.STREAM_PRESETS),
+        *(touch_table(results, preset) for preset in limits.STREAM_PRESETS),
         *(ratio_table(results, over) for over in REFERENCES),
     ]
 
@@ -286,7 +269,7 @@ def headline(results: StreamResults) -> Table:
     return Table(
         "flow",
         f"{case.label}, 6 m of line, to leave left, right or straight on at equal odds. "
-        f"{_meaning(EXACT.name)} "
+        f"{_meaning(limits.EXACT.name)} "
         "Behind the strokes: over the capacities of the two zones and the event rule, over single "
         "parcels' ways packed as close as they go, and over parcels end to end, 5 cm apart.",
         (
@@ -307,8 +290,10 @@ def capacity_table(results: StreamResults, preset: str) -> Table:
         return f"{capacity.rate:.0f} ±{capacity.margin:.0f}"
 
     names = [*_tried(results, preset), BOUND, CEILING]
-    caption = f"{_meaning(preset)} {STREAM_PRESETS[preset].meaning}"
-    return _grid(f"flow: capacity, {STREAM_PRESETS[preset].label}", caption, names, preset, text)
+    caption = f"{_meaning(preset)} {limits.STREAM_PRESETS[preset].meaning}"
+    return _grid(
+        f"flow: capacity, {limits.STREAM_PRESETS[preset].label}", caption, names, preset, text
+    )
 
 
 def touch_table(results: StreamResults, preset: str) -> Table:
@@ -320,7 +305,7 @@ def touch_table(results: StreamResults, preset: str) -> Table:
             return _rate(results, name, case)
         return f"{capacity.touches_per_1000:.0f}"
 
-    title = f"flow: touches at the capacity, {STREAM_PRESETS[preset].label}"
+    title = f"flow: touches at the capacity, {limits.STREAM_PRESETS[preset].label}"
     caption = "times that two begin to touch, per 1000 deliveries, at the capacity"
     return _grid(title, caption, _tried(results, preset), preset, text)
 
@@ -330,7 +315,7 @@ def ratio_table(results: StreamResults, over: str) -> Table:
     names = [name for name in results.names if name not in (over, FIXED)]
     caption = f"capacity over that of: {over}; exact sensors"
     return _grid(
-        f"flow: over {over}", caption, names, EXACT.name,
+        f"flow: over {over}", caption, names, limits.EXACT.name,
         lambda name, case: _ratio(results, name, over, case),
     )  # fmt: skip
 
@@ -349,7 +334,7 @@ def eased_table(results: StreamResults, preset: str) -> Table:
         "share of deliveries that are right, touches per 1000, and seconds waited at the entry, "
         "offered 80 % of the capacity; a method that has none is offered a sixteenth of the ceiling"
     )
-    title = f"flow: at 80 % of the capacity, {STREAM_PRESETS[preset].label}"
+    title = f"flow: at 80 % of the capacity, {limits.STREAM_PRESETS[preset].label}"
     return _grid(title, caption, _tried(results, preset), preset, text)
 
 
@@ -366,8 +351,8 @@ def _grid(
 def _meaning(preset: str) -> str:
     return (
         "Right deliveries an hour at the highest steady rate at which "
-        f"{100.0 * LEAST_RIGHT[preset]:g} % of deliveries are right and nothing jams, "
-        f"with Student's 95 % interval over {REPLICATIONS} replications."
+        f"{100.0 * limits.LEAST_RIGHT[preset]:g} % of deliveries are right and nothing jams, "
+        f"with Student's 95 % interval over {limits.REPLICATIONS} replications."
     )
 
 

@@ -27,6 +27,12 @@ SHOWN_SPEEDS = np.arange(3, 28, 2) / 10.0  # [m/s] rows of the table by entry sp
 DECISIONS = "decisions.md"
 
 
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str = "---") -> str:
+    """Write rows as a Markdown table; `others` aligns all columns but the first."""
+    lines = [header, ["---"] + [others] * (len(header) - 1), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
 @dataclass(frozen=True)
 class Table:
     """Texts in rows and columns; the first column names the rows."""
@@ -43,8 +49,7 @@ class Table:
 
     def markdown(self) -> str:
         """Write the table as Markdown."""
-        lines = [self.header, ["---"] + ["---:"] * (len(self.header) - 1), *self.rows]
-        text = "\n".join("| " + " | ".join(line) + " |" for line in lines)
+        text = markdown(self.header, self.rows, "---:")
         return f"## {self.heading}\n\n{self.caption}\n\n{text}\n"
 
     def html(self) -> str:
@@ -107,7 +112,7 @@ def write_numbers(rows: Sequence[dict[str, Any]], *files: Path) -> None:
             table.writerows(finite)
 
 
-def methods_of(task: str, summaries: Summaries) -> list[str]:
+def list_methods(task: str, summaries: Summaries) -> list[str]:
     """List the methods that ran on a task, in their order."""
     return list(dict.fromkeys(method for of_task, method, _ in summaries if of_task == task))
 
@@ -117,7 +122,7 @@ def task_table(task: str, summaries: Summaries) -> Table:
 
     Decision times stand in a table of their own, since they are never the same.
     """
-    benchmark, methods = find_benchmark(task), methods_of(task, summaries)
+    benchmark, methods = find_benchmark(task), list_methods(task, summaries)
     fixed = summaries[task, FIXED, "exact"]
     shown = [
         preset

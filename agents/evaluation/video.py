@@ -179,7 +179,7 @@ class VideoConfig:
     file: tyro.conf.Positional[Path]
     """To write, an mp4."""
     controller: str = "event"
-    """What decides: "event", the rule; or "sort", an agent that learned to sort one parcel."""
+    """The controller: "event", the rule; or "sort", an agent that learned to sort one parcel."""
     rate: float = 5000.0
     """[parcels/h] that come."""
     parcels: tuple[str, ...] = ("S", "B")

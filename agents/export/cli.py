@@ -71,10 +71,7 @@ class Exported:
 
 
 def export(
-    source: "Source",
-    folder: Path,
-    observations: int = OBSERVATIONS,
-    formats: Sequence[Format] = (),
+    source: "Source", folder: Path, observations: int = OBSERVATIONS, formats: Sequence[Format] = ()
 ) -> Exported:
     """Write NAME.onnx, NAME.h and NAME.md, if they decide as the policy does.
 

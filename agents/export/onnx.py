@@ -140,7 +140,7 @@ class Traced(NDArrayOperatorsMixin):
         if method != "__call__" or options:
             return NotImplemented
         if function is np.arctan:  # onnxruntime has it in single precision alone
-            single = self.graph.cast(self._name_of(inputs[0]), "FLOAT")
+            single = self.graph.cast(self._node_name(inputs[0]), "FLOAT")
             return Traced(self.graph, self.graph.cast(self.graph.add("Atan", single), "DOUBLE"))
         return self._added(_OPERATORS[function], inputs)
 
@@ -148,9 +148,9 @@ class Traced(NDArrayOperatorsMixin):
         return self._added("Where", inputs) if function is np.where else NotImplemented
 
     def _added(self, kind: str, inputs: Sequence[Any]) -> "Traced":
-        return Traced(self.graph, self.graph.add(kind, *map(self._name_of, inputs)))
+        return Traced(self.graph, self.graph.add(kind, *map(self._node_name, inputs)))
 
-    def _name_of(self, value: Any) -> str:
+    def _node_name(self, value: Any) -> str:
         if isinstance(value, Traced):
             return value.name
         return self.graph.array(np.asarray(value, dtype=np.float64))
@@ -290,7 +290,7 @@ def _lie(
 
 
 def _axes_around(config: EnvConfig, see: dict[str, Any], x: Any, y: Any) -> tuple[Any, ...]:
-    """Return what is shown of the rotors in a module's quadrant; nothing if none is."""
+    """Select the features of the rotors in a module's quadrant; none where none are observed."""
     if "rotors" not in config.observe:
         return ()
     shown = [see[each.name] for each in GROUPS["rotors"].features]

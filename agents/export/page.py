@@ -1,13 +1,13 @@
 """The page that goes with an export: its input, its output, its training and its check."""
 
 import math
-from collections.abc import Iterable, Sequence
 
 from surface_gym.config import Preset
 from surface_gym.core.actions import GROUPS, ActionKind, group_features
 from surface_gym.tasks import Sort
 from surface_gym.tasks.base import Feature
 
+from ..evaluation.tables import markdown
 from .c_header import make_prefix
 from .check import TIE, Agreement
 from .onnx import ANGLES, CHOICES, OBSERVATION, OPSET
@@ -65,7 +65,7 @@ _MIRRORED = (
 )
 
 
-def need_of(feature: Feature) -> str:
+def find_need(feature: Feature) -> str:
     """Return what a machine has to know for a feature; `UNKNOWN` for one of a custom task."""
     if feature.name in _NEED_BY_NAME:
         return _NEED_BY_NAME[feature.name]
@@ -93,7 +93,7 @@ def make_page(
         f"# {name}, seed {source.seed}",
         f"Decides axes for `{source.policy.env_id}` every {config.control_period * 1e3:g} ms. "
         "Made by surface_gym from a trained policy; each file decides as the policy does.",
-        _table(("file", "content"), (files[each] for each in checked)),
+        markdown(("file", "content"), (files[each] for each in checked)),
         "## In",
         f"`{OBSERVATION}`: float32, {len(config.features)} numbers a parcel; in ONNX as many "
         "rows as there are parcels.",
@@ -111,28 +111,23 @@ def make_page(
         "## Checked",
         _checked(checked),
         "## Metadata of the ONNX file",
-        _table(("key", "value"), ((f"`{key}`", f"`{value}`") for key, value in metadata.items())),
+        markdown(("key", "value"), ((f"`{key}`", f"`{value}`") for key, value in metadata.items())),
     )
     return "\n\n".join(parts) + "\n"
 
 
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
 def _features(source: Source) -> str:
     rows = (
-        (str(place), each.name, f"{each.low:g}", f"{each.high:g}", each.meaning, need_of(each))
+        (str(place), each.name, f"{each.low:g}", f"{each.high:g}", each.meaning, find_need(each))
         for place, each in enumerate(source.config.features)
     )
-    return _table(("place", "feature", "least", "greatest", "meaning", "a machine needs"), rows)
+    return markdown(("place", "feature", "least", "greatest", "meaning", "a machine needs"), rows)
 
 
 def _out(source: Source) -> str:
     kind = source.config.action_kind
     angles = source.config.chosen_orientations
-    offered = _table(
+    offered = markdown(
         ("choice", "axis angle [rad]", "[deg]"),
         ((str(k), f"{angle:.9g}", f"{math.degrees(angle):g}") for k, angle in enumerate(angles)),
     )
@@ -148,7 +143,7 @@ def _parts(kind: ActionKind) -> str:
     """Describe which modules follow which part."""
     if kind.name in _PLACES:
         rows = ((str(k), f"modules {place}") for k, place in enumerate(_PLACES[kind.name]))
-        return _table(("part", "followed by"), rows) + (
+        return markdown(("part", "followed by"), rows) + (
             "\n\nThe centre is the one that is sensed. A module just at it is ahead and left."
         )
     if kind.name == "window":
@@ -182,7 +177,7 @@ def _training(source: Source) -> str:
         lines.append(f"Trained by `{training.command}`.")
     if training.results:
         rows = ((name, f"{success:.3f}") for name, success in training.results)
-        lines.append(_table(("preset", "success"), rows))
+        lines.append(markdown(("preset", "success"), rows))
     return "\n\n".join(lines)
 
 

@@ -19,7 +19,7 @@ from surface_gym.tasks import Sort, Task
 from .. import library
 from ..base import SIDE, mirrored_orientations
 from ..evaluation.methods import policy_folders
-from ..learning.config import NOMINAL
+from ..learning.config import NOMINAL, current_option
 from ..learning.runs import CARD as CARD_FILE
 from ..learning.runs import CONFIG, read_config
 from ..library import find_task, read_files
@@ -117,9 +117,8 @@ def _read_training(folder: Path) -> Training | None:
         return None
     card: dict[str, Any] = yaml.safe_load(file.read_text())
     command = str(card["command"])
-    words = shlex.split(command)
-    flags = [word for word in ("--preset", "--condition") if word in words]  # "--condition" earlier
-    asked = words[words.index(flags[0]) + 1] if flags else NOMINAL
+    words = list(map(current_option, shlex.split(command)))
+    asked = words[words.index("--preset") + 1] if "--preset" in words else NOMINAL
     results = tuple(
         (name, float(found["success"]))
         for name, found in card.get("results", {}).items()

@@ -31,6 +31,15 @@ RENAMED = {
 }
 
 
+def current_option(argument: str) -> str:
+    """Return an argument with the current name of its option, if it has an earlier one."""
+    option, equals, value = argument.partition("=")
+    name = option.removeprefix("--")
+    if option == name or name not in RENAMED:
+        return argument
+    return f"--{RENAMED[name].replace('_', '-')}{equals}{value}"
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
     """Options of all algorithms.
@@ -127,7 +136,7 @@ class TrainConfig:
 class PPOConfig(TrainConfig):
     """Train PPO on a task, then compare it with the paper's fixed layout.
 
-    Defaults are the task's, from agents/hyperparams/ppo.yml.
+    Defaults are the task's, in agents/hyperparams/ppo.yml.
     """
 
     n_steps: int = 64
@@ -142,7 +151,7 @@ class PPOConfig(TrainConfig):
     """Weight of the entropy bonus."""
     device: DeviceName = CPU
     """Device of the environments and the network: cpu, or cuda for PPO with exact sensors, with
-    defaults from agents/hyperparams/ppo-cuda.yml."""
+    defaults in agents/hyperparams/ppo-cuda.yml."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -179,7 +188,7 @@ class PPOConfig(TrainConfig):
 class DQNConfig(TrainConfig):
     """Train DQN with double Q on a task, then compare it with the paper's fixed layout.
 
-    Defaults are the task's, from agents/hyperparams/dqn.yml.
+    Defaults are the task's, in agents/hyperparams/dqn.yml.
     """
 
     algo: AlgoName = "dqn"
@@ -220,7 +229,7 @@ class ModulesConfig(PPOConfig):
     """Train one policy shared by all modules to sort, by PPO with shared draws, then compare it
     with the paper's fixed layout.
 
-    Defaults are from agents/hyperparams/modules.yml.
+    Defaults are in agents/hyperparams/modules.yml.
     """
 
     algo: AlgoName = "modules"
@@ -246,7 +255,7 @@ class ParcelsConfig(PPOConfig):
     """Train one policy shared by all parcels of a stream: it imitates a reservation rule, then
     learns on by PPO. Then measure its capacity.
 
-    Defaults are from agents/hyperparams/parcels.yml.
+    Defaults are in agents/hyperparams/parcels.yml.
     """
 
     task: str = FLOW_TASK

@@ -6,6 +6,7 @@ observation of a free slot is zero, and its actions have no effect.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -103,8 +104,8 @@ class SlotVecEnv(BatchVecEnv):
         super().__init__(num_streams * slots, *parcel_spaces(env_config))
 
     @property
-    def _shared(self) -> "SlotVecEnv":
-        return self
+    def batches(self) -> list[tuple[Any, int]]:
+        return [(self, self.num_envs)]
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         self._rng = np.random.default_rng(seed)

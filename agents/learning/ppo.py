@@ -11,18 +11,8 @@ from typing import Any, Protocol
 import torch
 
 from ..policy import save_policy
+from . import runs
 from .config import TrainConfig, make_card
-from .runs import (
-    CHECKPOINT,
-    Curve,
-    OnProgress,
-    StopTraining,
-    TrainResult,
-    interval_at,
-    interval_seed,
-    read_state,
-    write_state,
-)  # fmt: skip
 
 # As in Stable-Baselines3's PPO.
 CLIP_RANGE = 0.2  # by which the probability ratio may differ from 1 and still earn
@@ -114,10 +104,10 @@ class Learner(Protocol):
 def train_learner(
     config: TrainConfig,
     folder: Path,
-    on_progress: OnProgress,
+    on_progress: runs.OnProgress,
     make_learner: Callable[[], Learner],
-    make_curve: Callable[[int, list[dict[str, float]]], Curve],
-) -> TrainResult:
+    make_curve: Callable[[int, list[dict[str, float]]], runs.Curve],
+) -> runs.TrainResult:
     """Train as the configuration says and leave a policy in `folder`.
 
     A run with a checkpoint is resumed. An interrupt saves the policy as it is.
@@ -135,23 +125,23 @@ def train_learner(
         return recent
 
     def save() -> None:
-        write_state({**learner.state(), "recent": list(curve.recent)}, folder)
+        runs.write_state({**learner.state(), "recent": list(curve.recent)}, folder)
 
-    recent = read_state(folder, restore) if (folder / CHECKPOINT).is_file() else []
+    recent = runs.read_state(folder, restore) if (folder / runs.CHECKPOINT).is_file() else []
     curve = make_curve(learner.steps, recent)
     interrupted, interval = False, -1
     try:
         while learner.steps < config.steps:
-            if interval_at(config, learner.steps) != interval:
-                interval = interval_at(config, learner.steps)
+            if runs.interval_at(config, learner.steps) != interval:
+                interval = runs.interval_at(config, learner.steps)
                 save()
-                learner.begin(interval_seed(config, interval))
+                learner.begin(runs.interval_seed(config, interval))
             learner.learn(curve)
             curve.write(learner.steps)
             on_progress(learner.steps, curve.success)
         save()
-    except (KeyboardInterrupt, StopTraining):
+    except (KeyboardInterrupt, runs.StopTraining):
         interrupted = True
     curve.close()
     save_policy(learner.network, make_card(config), folder)
-    return TrainResult(learner.steps, time.perf_counter() - started, interrupted)
+    return runs.TrainResult(learner.steps, time.perf_counter() - started, interrupted)

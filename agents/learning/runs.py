@@ -20,17 +20,8 @@ from surface_gym.files import replacing
 
 from ..base import FLOW_TASK, TRAIN, command_line
 from ..library import DAMAGE, describe_damage, task_label
-from .config import (
-    CONFIGS,
-    CPU,
-    NOMINAL,
-    RENAMED,
-    TrainConfig,
-    config_of_seed,
-    defaults,
-    is_registered,
-    on_device,
-)  # fmt: skip
+from . import config as configs
+from .config import TrainConfig
 
 CONFIG = "config.yaml"
 COMMAND = "command.txt"
@@ -92,7 +83,7 @@ def seed_folders(config: TrainConfig, folder: Path) -> list[tuple[TrainConfig, P
     if config.seeds == 1:
         return [(config, folder)]
     return [
-        (config_of_seed(config, seed), folder / f"seed-{seed}")
+        (configs.config_of_seed(config, seed), folder / f"seed-{seed}")
         for seed in range(config.seed, config.seed + config.seeds)
     ]
 
@@ -119,8 +110,8 @@ def read_config(file: Path, task: str | None = None) -> TrainConfig:
         raise ValueError(f"{file.parent} holds no run: {file.name} is missing")
     try:
         plain = yaml.safe_load(file.read_text())
-        plain = {RENAMED.get(name, name): value for name, value in plain.items()}
-        known = plain["task"] == FLOW_TASK or is_registered(plain["task"])
+        plain = {configs.RENAMED.get(name, name): value for name, value in plain.items()}
+        known = plain["task"] == FLOW_TASK or configs.is_registered(plain["task"])
         asked = plain["task"] if task is None and known else task
         if plain["task"] != asked:
             raise ValueError(
@@ -130,7 +121,7 @@ def read_config(file: Path, task: str | None = None) -> TrainConfig:
         for name in ("hidden", "observe", "zones"):
             plain[name] = tuple(plain.get(name, ()))
         plain["out"] = Path(plain["out"])
-        return CONFIGS[plain["algo"]](**plain)
+        return configs.CONFIGS[plain["algo"]](**plain)
     except (yaml.YAMLError, TypeError, KeyError, ValueError, AttributeError) as error:
         raise ValueError(f"{file} holds no run's configuration: {error}") from error
 
@@ -146,12 +137,12 @@ def task_name(file: Path) -> str | None:
 
 def training_command(config: TrainConfig) -> str:
     """Build the command that trains the same again, with every option that is no default."""
-    device = config.device if on_device(config) else CPU
-    default = defaults(config.task, config.algo, preset=config.preset, device=device)
+    device = config.device if configs.on_device(config) else configs.CPU
+    default = configs.defaults(config.task, config.algo, preset=config.preset, device=device)
     chosen = ["--task", config.task, "--algo", config.algo]
-    if config.preset != NOMINAL:
+    if config.preset != configs.NOMINAL:
         chosen += ["--preset", config.preset]
-    if device != CPU:
+    if device != configs.CPU:
         chosen += ["--device", device]
     for each in fields(config):
         value = getattr(config, each.name)

@@ -33,21 +33,10 @@ from ..library import find_task
 from ..parcel_policy import ParcelNetwork
 from ..policy import EqualChoicesPolicy, save_policy
 from ..vec_env import ConcatVecEnv, MirrorVecEnv, SurfaceVecEnv
+from . import runs
 from .config import DQNConfig, ParcelsConfig, PPOConfig, TrainConfig, make_card
 from .parcels import CriticFirst, make_parcel_envs, pretrain
 from .ppo import CLIP_RANGE
-from .runs import (
-    CHECKPOINT,
-    CURVE_EVERY,
-    Curve,
-    OnProgress,
-    StopTraining,
-    TrainResult,
-    interval_at,
-    interval_seed,
-    read_state,
-    write_state,
-)
 
 # Below 10 deg of tilt keeping a heading costs more speed than the slope gives.
 _TASKS: dict[str, Task] = {"track": Track(tilts=(math.radians(10.0), math.radians(15.0)))}
@@ -226,7 +215,7 @@ def save_checkpoint(model: PPO | DoubleDQN, recent: list[dict[str, float]], fold
         arrays = {name: torch.from_numpy(getattr(buffer, name)[:filled]) for name in _REPLAYED}
         state["calls"] = model._n_calls
         state["memory"] = {"pos": buffer.pos, "full": buffer.full, "arrays": arrays}
-    write_state(state, folder)
+    runs.write_state(state, folder)
 
 
 def load_checkpoint(model: PPO | DoubleDQN, folder: Path) -> list[dict[str, float]]:
@@ -247,14 +236,18 @@ def load_checkpoint(model: PPO | DoubleDQN, folder: Path) -> list[dict[str, floa
         recent: list[dict[str, float]] = state["recent"]
         return recent
 
-    return read_state(folder, restore)
+    return runs.read_state(folder, restore)
 
 
 class _Checkpoints(BaseCallback):
     """Checkpoints, where everything is seeded and started anew, and the learning curve."""
 
     def __init__(
-        self, config: PPOConfig | DQNConfig, folder: Path, curve: Curve, on_progress: OnProgress
+        self,
+        config: PPOConfig | DQNConfig,
+        folder: Path,
+        curve: runs.Curve,
+        on_progress: runs.OnProgress,
     ) -> None:
         super().__init__()
         self._config = config
@@ -265,16 +258,16 @@ class _Checkpoints(BaseCallback):
         self._row = 0
 
     def _on_training_start(self) -> None:
-        self._row = self.num_timesteps // CURVE_EVERY
+        self._row = self.num_timesteps // runs.CURVE_EVERY
 
     def _on_rollout_start(self) -> None:
         model: Any = self.model
-        interval = interval_at(self._config, model.num_timesteps)
+        interval = runs.interval_at(self._config, model.num_timesteps)
         if interval == self._interval:
             return
         self._interval = interval
         save_checkpoint(model, list(self._curve.recent), self._folder)
-        seed = interval_seed(self._config, interval)
+        seed = runs.interval_seed(self._config, interval)
         set_random_seed(seed)
         model.action_space.seed(seed)
         model.env.seed(seed)
@@ -288,22 +281,22 @@ class _Checkpoints(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        if self.num_timesteps // CURVE_EVERY > self._row:
-            self._row = self.num_timesteps // CURVE_EVERY
+        if self.num_timesteps // runs.CURVE_EVERY > self._row:
+            self._row = self.num_timesteps // runs.CURVE_EVERY
             self._curve.write(self.num_timesteps)
             self._on_progress(self.num_timesteps, self._curve.success)
 
 
 def train_sb3(
-    config: PPOConfig | DQNConfig, folder: Path, on_progress: OnProgress = lambda *_: None
-) -> TrainResult:
+    config: PPOConfig | DQNConfig, folder: Path, on_progress: runs.OnProgress = lambda *_: None
+) -> runs.TrainResult:
     """Train PPO or DQN as the configuration says and leave a policy in `folder`.
 
     A run with a checkpoint is resumed. An interrupt saves the policy as it is.
     """
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     started = time.perf_counter()
-    resumed = (folder / CHECKPOINT).is_file()
+    resumed = (folder / runs.CHECKPOINT).is_file()
     callbacks: list[BaseCallback] = []
     if isinstance(config, ParcelsConfig):
         model, terms = make_model(config, make_parcel_envs(config)), PARCEL_TERMS
@@ -313,7 +306,7 @@ def train_sb3(
     else:
         model, terms = make_model(config, make_mirrored_envs(config)), find_task(config.task).terms
     recent = load_checkpoint(model, folder) if resumed else []
-    curve = Curve(folder, terms, model.num_timesteps, recent)
+    curve = runs.Curve(folder, terms, model.num_timesteps, recent)
     model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
     callbacks.insert(0, _Checkpoints(config, folder, curve, on_progress))
     interrupted = False
@@ -321,8 +314,8 @@ def train_sb3(
         if model.num_timesteps < config.steps:
             model.learn(config.steps - model.num_timesteps, callbacks, reset_num_timesteps=False)
             save_checkpoint(model, list(curve.recent), folder)
-    except (KeyboardInterrupt, StopTraining):
+    except (KeyboardInterrupt, runs.StopTraining):
         interrupted = True
     curve.close()
     save_policy(model.policy, make_card(config), folder)
-    return TrainResult(model.num_timesteps, time.perf_counter() - started, interrupted)
+    return runs.TrainResult(model.num_timesteps, time.perf_counter() - started, interrupted)

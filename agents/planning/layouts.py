@@ -87,7 +87,7 @@ class LayoutModel(NominalModel):
 
 @dataclass(frozen=True)
 class LayoutCost:
-    """What a search of layouts minimises, and how it changes them."""
+    """Cost that a search of layouts minimises, and the way it changes them."""
 
     cost: Callable[[Nodes], Numbers]  # (nodes,) of episodes that have ended
     enough: float  # cost at which the search ends
@@ -95,7 +95,7 @@ class LayoutCost:
 
 
 def graded_cost(nodes: Nodes, missed: int) -> Numbers:
-    """Compute the size of the task's first figure; a failure's grows with what it lacks, to lead to
+    """Compute the size of the task's first metric; a failure's grows with what it lacks, to lead to
     a success.
 
     Args:

@@ -6,20 +6,8 @@ from functools import partial
 from surface_gym.core.actions import ANY
 
 from ..planning.layouts import ShownPath
+from . import braking, layouts, local, sorting, steering
 from .base import Rule, UniformLayout
-from .braking import SlowingRule, StoppingRule
-from .layouts import (
-    BestSlowing,
-    BestStopping,
-    BestTracking,
-    BestTurning,
-    FixedSlowing,
-    FixedStopping,
-    FixedTurning,
-)
-from .local import PidRule, ThresholdRule
-from .sorting import BestSorting, EventRule, FixedLayout, GradedLayout
-from .steering import SlidingMode, TurningRule
 
 __all__ = ["MORE_RULES", "ROLLING", "RULES", "Rule", "find_rules"]
 
@@ -30,26 +18,26 @@ BRAKING = ("parcel", "load")
 ROLLING = partial(UniformLayout, angle=math.pi / 2.0, tasks=("track",))
 
 RULES = (
-    Rule("fixed layout", "sort", "modules", FixedLayout),
-    Rule("best fixed layout", "sort", "modules", BestSorting),
-    Rule("event rule", "sort", "halves", EventRule),
-    Rule("threshold logic", "sort", "modules", ThresholdRule),
-    Rule("PID per module", "sort", "modules", PidRule),
-    Rule("fixed layout", "slow", "modules", FixedSlowing),
-    Rule("best fixed layout", "slow", "modules", BestSlowing, searches=True),
-    Rule("braking rule", "slow", "modules", SlowingRule, BRAKING),
-    Rule("fixed layout", "stop", "modules", FixedStopping),
-    Rule("best fixed layout", "stop", "modules", BestStopping, searches=True),
-    Rule("braking rule", "stop", "modules", StoppingRule, BRAKING),
+    Rule("fixed layout", "sort", "modules", sorting.FixedLayout),
+    Rule("best fixed layout", "sort", "modules", sorting.BestSorting),
+    Rule("event rule", "sort", "halves", sorting.EventRule),
+    Rule("threshold logic", "sort", "modules", local.ThresholdRule),
+    Rule("PID per module", "sort", "modules", local.PidRule),
+    Rule("fixed layout", "slow", "modules", layouts.FixedSlowing),
+    Rule("best fixed layout", "slow", "modules", layouts.BestSlowing, searches=True),
+    Rule("braking rule", "slow", "modules", braking.SlowingRule, BRAKING),
+    Rule("fixed layout", "stop", "modules", layouts.FixedStopping),
+    Rule("best fixed layout", "stop", "modules", layouts.BestStopping, searches=True),
+    Rule("braking rule", "stop", "modules", braking.StoppingRule, BRAKING),
     Rule("fixed layout", "track", "window", ROLLING),
-    Rule("threshold logic", "track", "window", ThresholdRule),
-    Rule("PID per module", "track", "window", PidRule),
-    Rule("sliding mode", "track", "window", SlidingMode),
-    Rule("fixed layout", "orient", "modules", FixedTurning),
-    Rule("best fixed layout", "orient", "modules", BestTurning, searches=True),
-    Rule("threshold logic", "orient", "modules", ThresholdRule),
-    Rule("PID per module", "orient", "modules", PidRule),
-    Rule("turning rule", "orient", "modules", TurningRule),
+    Rule("threshold logic", "track", "window", local.ThresholdRule),
+    Rule("PID per module", "track", "window", local.PidRule),
+    Rule("sliding mode", "track", "window", steering.SlidingMode),
+    Rule("fixed layout", "orient", "modules", layouts.FixedTurning),
+    Rule("best fixed layout", "orient", "modules", layouts.BestTurning, searches=True),
+    Rule("threshold logic", "orient", "modules", local.ThresholdRule),
+    Rule("PID per module", "orient", "modules", local.PidRule),
+    Rule("turning rule", "orient", "modules", steering.TurningRule),
 )
 
 # Rules in environments of their own: the whole path in the observation, axes at any angle.
@@ -58,11 +46,11 @@ MORE_RULES = (
         "best fixed layout",
         "track",
         "modules",
-        BestTracking,
+        layouts.BestTracking,
         searches=True,
         observed_task=ShownPath.of,
     ),
-    Rule("fixed layout, any angle", "sort", "modules", GradedLayout, orientations=ANY),
+    Rule("fixed layout, any angle", "sort", "modules", sorting.GradedLayout, orientations=ANY),
 )
 
 
@@ -73,8 +61,8 @@ def find_rules(task: str) -> list[Rule]:
     chosen = [rule for rule in RULES if rule.task == task]
     if chosen:
         return chosen
-    layouts = {"fixed layout": 90.0, "all at 0 deg": 0.0, "all at 45": 45.0, "all at -45": -45.0}
+    angles = {"fixed layout": 90.0, "all at 0 deg": 0.0, "all at 45": 45.0, "all at -45": -45.0}
     return [
         Rule(name, task, "halves", partial(UniformLayout, angle=math.radians(angle)))
-        for name, angle in layouts.items()
+        for name, angle in angles.items()
     ]

@@ -1,4 +1,4 @@
-"""What rules share: they decide for many environments at once, by what the sensors say."""
+"""Base classes of rules, which decide for many environments at once, by the sensors alone."""
 
 import math
 from abc import ABC, abstractmethod

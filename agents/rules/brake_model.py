@@ -77,7 +77,7 @@ class Motion:
     vy: Numbers  # [m/s]
     omega: Numbers  # [rad/s]
 
-    def over(self, modules: ModulePositions) -> Numbers:
+    def above(self, modules: ModulePositions) -> Numbers:
         """Compute (num_envs, modules, 2) [m/s] of the parcel's point above each module."""
         omega = self.omega[:, np.newaxis]
         vx = self.vx[:, np.newaxis] - omega * modules.y

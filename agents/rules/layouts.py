@@ -6,7 +6,7 @@ the start, the goal and the physics at nominal friction; not the noise, nor whic
 
 import math
 from abc import abstractmethod
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -21,17 +21,7 @@ from surface_gym.tasks.planning import LineObservation, Nodes, square_reach
 from surface_gym.tasks.start import Start
 
 from ..base import find_axes
-from ..planning.layouts import (
-    LAYOUTS,
-    MISSED,
-    LayoutCost,
-    LayoutModel,
-    ShownPath,
-    graded_cost,
-    path_model,
-    search_layout,
-    search_path_layout,
-)
+from ..planning import layouts as search
 from .base import FULL, HALF, ColumnAxes, Commands, FixedRule, Levels, Numbers, Observations
 
 SAME_SIZE = 0.005  # [m] half lengths are rounded to it; those of the study's boxes are multiples
@@ -248,12 +238,12 @@ class FixedTurning(FixedRule):
 class _LineSearch:
     """A search for each start of a line, from known layouts (layouts, modules) on."""
 
-    def __init__(self, config: EnvConfig, cost: LayoutCost, known: Commands) -> None:
+    def __init__(self, config: EnvConfig, cost: search.LayoutCost, known: Commands) -> None:
         self._config = config
         self._cost = cost
         self._axes = find_axes(config)
         self._known = known.reshape(len(known), *config.action_kind.shape)
-        self._model = LayoutModel(config, max(LAYOUTS, len(known)))
+        self._model = search.LayoutModel(config, max(search.LAYOUTS, len(known)))
 
     def __call__(self, observations: Observations) -> Commands:
         """Choose commands (num_envs, modules) for episodes that have just begun."""
@@ -263,7 +253,7 @@ class _LineSearch:
     def _one(self, start: Start) -> Commands:
         """Choose (rows, columns)."""
         self._model.begin_at(start)
-        return search_layout(self._model, self._cost, self._axes, self._known)
+        return search.search_layout(self._model, self._cost, self._axes, self._known)
 
 
 class _Searched(FixedRule):
@@ -282,7 +272,7 @@ class BestSlowing(_Searched, FixedSlowing):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
-        self._search = _LineSearch(config, LayoutCost(_slow_cost, 2e-4, False), self._layouts)
+        self._search = _LineSearch(config, _graded(slow.MISSED, 2e-4), self._layouts)
 
 
 class BestStopping(_Searched, FixedStopping):
@@ -292,7 +282,8 @@ class BestStopping(_Searched, FixedStopping):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
-        self._search = _LineSearch(config, LayoutCost(_stop_cost, 2e-5, False), self._layouts)
+        cost = search.LayoutCost(_stop_cost, 2e-5, False)
+        self._search = _LineSearch(config, cost, self._layouts)
 
 
 class BestTurning(_Searched, FixedTurning):
@@ -302,7 +293,7 @@ class BestTurning(_Searched, FixedTurning):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
-        self._search = _TurnSearch(config, LayoutCost(_orient_cost, 1e-3, True), self._layouts)
+        self._search = _TurnSearch(config, _graded(orient.MISSED, 1e-3, True), self._layouts)
 
 
 class _TurnSearch(_LineSearch):
@@ -316,20 +307,17 @@ class _TurnSearch(_LineSearch):
         return self._axes.mirrored(super()._one(image._replace(goal=(-np.asarray(angle),))))
 
 
-def _slow_cost(nodes: Nodes) -> Numbers:
-    return graded_cost(nodes, slow.MISSED)
+def _graded(missed: int, enough: float, halves: bool = False) -> search.LayoutCost:
+    return search.LayoutCost(partial(search.graded_cost, missed=missed), enough, halves)
 
 
 def _stop_cost(nodes: Nodes) -> Numbers:
     parcels = nodes.parcels
     # One that has passed the asked x would rest this much farther at best.
     farther = (parcels.truth[:, VX] ** 2 + parcels.truth[:, VY] ** 2) / (2.0 * BRAKING)
-    passed = MISSED + np.abs(parcels.metrics[:, stop.STOP_ERROR]) + farther
-    return np.where(parcels.outcome == stop.OVERSHOT, passed, graded_cost(nodes, stop.MISSED))
-
-
-def _orient_cost(nodes: Nodes) -> Numbers:
-    return graded_cost(nodes, orient.MISSED)
+    passed = search.MISSED + np.abs(parcels.metrics[:, stop.STOP_ERROR]) + farther
+    graded = search.graded_cost(nodes, stop.MISSED)
+    return np.where(parcels.outcome == stop.OVERSHOT, passed, graded)
 
 
 class BestTracking(FixedRule):
@@ -342,11 +330,11 @@ class BestTracking(FixedRule):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, ("track",), ("modules",))
-        if not isinstance(config.task, ShownPath):
+        if not isinstance(config.task, search.ShownPath):
             raise ValueError(f"task must be a ShownPath, got {config.task!r}")
         if config.zone is not None:
             raise ValueError(f"zone must be None, the whole field, got {config.zone!r}")
-        self._model = path_model(config)
+        self._model = search.path_model(config)
         self._axes = find_axes(config)
 
     def _layout(self, observations: Observations) -> Commands:
@@ -364,7 +352,7 @@ class BestTracking(FixedRule):
 
     def _best(self, start: Start) -> Commands:
         limit = self._config.task.periods * self._config.control_period
-        return search_path_layout(self._model, self._axes, start, limit)
+        return search.search_path_layout(self._model, self._axes, start, limit)
 
 
 def _mirror(start: Start, across: float) -> Start:

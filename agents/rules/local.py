@@ -49,7 +49,7 @@ class Gains:
 
 @dataclass(frozen=True)
 class LocalTask:
-    """What local rules need of a task."""
+    """The part of a task that local rules need."""
 
     actions: str  # kind of action
     positions: Callable[[Any, Any], ModulePositions]
@@ -147,8 +147,8 @@ class LocalRule(BaseRule):
     ) -> tuple[Commands, Memory | None]:
         seen, task = self._config.decode(observations), self._task
         modules = task.positions(seen, self._kind)
-        velocity = task.motion(seen).over(modules)
-        above = Above(velocity, task.wanted(seen).over(modules) - velocity, modules.under)
+        velocity = task.motion(seen).above(modules)
+        above = Above(velocity, task.wanted(seen).above(modules) - velocity, modules.under)
         return self._turn(above, memory, fresh)
 
 

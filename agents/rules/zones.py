@@ -12,18 +12,8 @@ from surface_gym.flow.task import PRESENT, WAITS
 from surface_gym.parcel import Parcel
 
 from ..base import Controller, find_axes
+from . import reservation
 from .base import Booleans, Numbers, is_fresh
-from .reservation import (
-    MARGIN,
-    Asked,
-    Book,
-    Booking,
-    find_trajectories,
-    least_gaps,
-    list_asked,
-    packed_rate,
-    run_alone,
-)
 from .streams import PAST_START, SIDE, Rows
 
 LENGTH, HALF, FIFTH = 6, 0.175, 0.05  # of a parcel in its row: (half of it - 0.175 m) / 0.05 m
@@ -36,7 +26,7 @@ TRIES = 32  # of each parcel: what varies is drawn anew, and it enters at anothe
 class ZoneMemory(NamedTuple):
     """Memory of a zone's controller, per environment."""
 
-    book: Book | None  # None where parcels come one by one
+    book: reservation.Book | None  # None where parcels come one by one
     side: Numbers  # (num_envs,) that the zone leads to: 1 left, -1 right, 0 straight on
 
 
@@ -73,14 +63,14 @@ class WholeZone:
         self._axes = find_axes(config)
         self._columns = columns
         self._length = span[1] - span[0]
-        self._booking: Booking | None = None
+        self._booking: reservation.Booking | None = None
         if not alone:
             booking = _plan(type(self), config, columns)
             if booking is None:
                 raise ValueError(
                     f"columns must be enough for every parcel to leave by its exit, got {columns!r}"
                 )
-            self._booking = Booking(config, *booking)
+            self._booking = reservation.Booking(config, *booking)
 
     def predict(
         self,
@@ -159,7 +149,7 @@ def find_best_zone(kind: type[WholeZone], config: EnvConfig) -> int | None:
             break
         booking = _plan(kind, config, columns)
         if booking is not None:
-            rates[columns] = packed_rate(booking[1], np.ones(len(booking[1])))
+            rates[columns] = reservation.packed_rate(booking[1], np.ones(len(booking[1])))
     return max(rates, key=lambda columns: rates[columns]) if rates else None
 
 
@@ -171,12 +161,12 @@ def _plan(kind: type[WholeZone], config: EnvConfig, columns: int) -> tuple[Numbe
     def alone(lone: EnvConfig) -> WholeZone:
         return kind(lone, columns, alone=True)
 
-    asked = list_asked(config)
+    asked = reservation.list_asked(config)
     crossing = measure_crossings(alone, config, asked, zone_span(config, columns))
     if not crossing.right.all():
         return None
-    found = find_trajectories(alone, config, asked)
-    clear = least_gaps(found.each, MARGIN)
+    found = reservation.find_trajectories(alone, config, asked)
+    clear = reservation.least_gaps(found.each, reservation.MARGIN)
     return found.signature, np.maximum(clear, crossing.gaps(config.control_period))
 
 
@@ -198,7 +188,7 @@ class Crossings:
 def measure_crossings(
     make: Callable[[EnvConfig], Controller],
     config: EnvConfig,
-    asked: Sequence[Asked],
+    asked: Sequence[reservation.Asked],
     span: tuple[float, float],
 ) -> Crossings:
     """Try parcels, each alone on the line, as the sensors see it and with all that varies.
@@ -210,7 +200,7 @@ def measure_crossings(
     each = [one for one in asked for _ in range(TRIES)]
     attempt = np.tile(np.arange(TRIES), len(asked))
     opens = 1 + attempt % config.timing.steps
-    runs = run_alone(make, config, each, attempt.tolist(), opens)
+    runs = reservation.run_alone(make, config, each, attempt.tolist(), opens)
     enters, leaves = np.empty(len(each)), np.empty(len(each))
     for i, (parcel, _, _) in enumerate(each):
         clock, entered, departed = runs.time[:, i], runs.entered[i], runs.departed[i]

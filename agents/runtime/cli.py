@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from ..learning.config import current_option
 from .config import RuntimeConfig, parse_address
 
 if TYPE_CHECKING:
@@ -173,7 +174,8 @@ def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; an error ends it with one line."""
-    config = tyro.cli(RuntimeConfig, prog="surface-gym runtime", args=arguments)
+    given = map(current_option, sys.argv[1:] if arguments is None else arguments)
+    config = tyro.cli(RuntimeConfig, prog="surface-gym runtime", args=list(given))
     from rich.console import Console
 
     try:

@@ -21,17 +21,8 @@ from surface_gym.layouts import ROLLING
 
 from ..base import Controller
 from ..rules import find_rules
+from . import protocol
 from .estimator import Resolver, StateEstimator, within_right_angles
-from .protocol import (
-    Angles,
-    AxesAcknowledged,
-    Departed,
-    Device,
-    DeviceLost,
-    Entered,
-    Frame,
-    Message,
-)
 
 Command = NDArray[Any]  # (size,) choices, or angles [rad]
 Observation = NDArray[np.float32]  # (features,)
@@ -275,7 +266,7 @@ class AxisLimits:
         self._shape = shape
         self._allowed = None if allowed is None else np.array(allowed)
 
-    def fault(self, angles: Angles) -> str:
+    def fault(self, angles: protocol.Angles) -> str:
         """Describe what is wrong with angles (rows, columns) [rad]; empty: they may be sent."""
         if angles.shape != self._shape:
             return f"axes must have the shape {self._shape}, got {angles.shape}"
@@ -328,7 +319,7 @@ class ControlLoop:
 
     def __init__(
         self,
-        device: Device,
+        device: protocol.Device,
         estimator: StateEstimator,
         policy: Decider,
         fixed: tuple[Arranger, Resolver],
@@ -383,7 +374,7 @@ class ControlLoop:
                     self._control(woke, due)
             else:
                 counts.unconnected += 1
-        except DeviceLost:
+        except protocol.DeviceLost:
             self._lose()
         done = self._clock.now()
         self.latencies.work.append(done - woke)
@@ -406,7 +397,7 @@ class ControlLoop:
         self.counts.attempts += 1
         try:
             self._device.connect()
-        except DeviceLost:
+        except protocol.DeviceLost:
             self._next_attempt = now + self._wait
             self._wait = min(2.0 * self._wait, self._config.longest_wait)
             return False
@@ -425,20 +416,20 @@ class ControlLoop:
         self._estimator.clear()
         self._sent.clear()
 
-    def _handle(self, message: Message) -> None:
+    def _handle(self, message: protocol.Message) -> None:
         self._wait = self._config.first_wait
-        if isinstance(message, Frame):
+        if isinstance(message, protocol.Frame):
             self._correct(message)
-        elif isinstance(message, Entered):
+        elif isinstance(message, protocol.Entered):
             self._enter(message)
-        elif isinstance(message, AxesAcknowledged):
+        elif isinstance(message, protocol.AxesAcknowledged):
             self._acknowledge(message)
-        elif isinstance(message, Departed):
+        elif isinstance(message, protocol.Departed):
             self.counts.parcels[message.outcome] += 1
             self._estimator.clear()
             self._sent.clear()
 
-    def _correct(self, frame: Frame) -> None:
+    def _correct(self, frame: protocol.Frame) -> None:
         self.counts.frames += 1
         self._latest_arrival = self._clock.now()
         if frame.number is None:
@@ -446,13 +437,13 @@ class ControlLoop:
         try:
             used = self._estimator.correct(frame)
         except ValueError as error:  # a driver that sends such a pose cannot be trusted
-            raise DeviceLost(str(error)) from None
+            raise protocol.DeviceLost(str(error)) from None
         if used:
             self._latest_frame = frame.taken_at
         else:
             self.counts.frames_unused += 1
 
-    def _enter(self, entered: Entered) -> None:
+    def _enter(self, entered: protocol.Entered) -> None:
         try:
             self._estimator.reset(entered)
         except ValueError:
@@ -466,7 +457,7 @@ class ControlLoop:
         self._policy.reset()
         self._arranger.ask(self._estimator.observe(entered.at))
 
-    def _acknowledge(self, answer: AxesAcknowledged) -> None:
+    def _acknowledge(self, answer: protocol.AxesAcknowledged) -> None:
         """Handle the device's answer to a command."""
         if answer.refused:
             self.counts.refused += 1

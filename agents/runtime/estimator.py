@@ -357,7 +357,7 @@ def make_begin(functions: KernelFunctions) -> Any:
 
 
 @lru_cache(maxsize=16)
-def make_move(look: Function, label: str) -> Any:
+def make_move(update: Function, label: str) -> Any:
     """Compile `move`: turn an environment's axes at a speed [rad/s] and predict, over some steps of
     a length [s]; if it looks, correct at the end by the frame whose pose is in `parcels.truth`.
     """
@@ -386,7 +386,7 @@ def make_move(look: Function, label: str) -> Any:
             state = env_state(surfaces, parcels, bodies, i, i, params.elements)
             if turn_axes(acting, surfaces, i, state.zone):
                 invalidate_contacts(scratch)
-            look(looking if looks and k == steps - 1 else coasting, state, physics)
+            update(looking if looks and k == steps - 1 else coasting, state, physics)
 
     return compiled(move, f"estimator-move-{label}")
 

@@ -177,7 +177,7 @@ def to_fields(message: Message) -> dict[str, Any]:
         "kind": "left",
         "number": message.number,
         "outcome": message.outcome,
-        "figures": message.metrics,
+        "figures": message.metrics,  # so called since the protocol's first version
     }
 
 
@@ -226,13 +226,13 @@ def _acknowledged(fields: dict[str, Any], shape: tuple[int, int]) -> AxesAcknowl
 
 def _departed(fields: dict[str, Any], shape: tuple[int, int]) -> Departed:
     del shape
-    figures = fields["figures"]
-    if not isinstance(figures, dict):
-        raise ValueError(f"figures must be an object, got {figures!r}")
+    metrics = fields["figures"]
+    if not isinstance(metrics, dict):
+        raise ValueError(f"figures must be an object, got {metrics!r}")
     return Departed(
         number=checks.integer("number", fields["number"], least=0),
         outcome=_text("outcome", fields["outcome"]),
-        metrics={name: checks.number(name, value) for name, value in figures.items()},
+        metrics={name: checks.number(name, value) for name, value in metrics.items()},
     )
 
 

@@ -1,6 +1,6 @@
 """The simulator: a machine on the package's physics, behind a socket, in a process of its own.
 
-`python -m agents.runtime.simulator` starts one; `SimulatorProcess` starts it from here.
+`python -m surface_gym.agents.runtime.simulator` starts one; `SimulatorProcess` starts it from here.
 """
 
 import heapq
@@ -27,21 +27,10 @@ from surface_gym.sensors import Exact
 from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, RUNNING, EnvState
 
 from ..library import find_task
-from . import protocol
+from . import protocol as wire
 from .config import SimulatorConfig, WorldOptions, parse_address
 from .controller import AxisLimits, Clock, WallClock
 from .estimator import device_camera, zone_angles
-from .protocol import (
-    Angles,
-    AxesAcknowledged,
-    Connection,
-    ConnectionLost,
-    Departed,
-    Entered,
-    Frame,
-    Message,
-    Triple,
-)
 
 HOST = "127.0.0.1"  # this machine only: messages carry times of its clock
 LISTENING = "listening on "
@@ -110,16 +99,16 @@ class World:
         self._now += seconds
         self._enters += seconds
 
-    def set_axes(self, command: int, angles: Angles) -> AxesAcknowledged:
+    def set_axes(self, command: int, angles: wire.Angles) -> wire.AxesAcknowledged:
         """Turn the zone's modules to angles (rows, columns) [rad]; refused where out of range."""
         fault = self._limits.fault(angles)
         if not fault:
             self._command[0] = angles.ravel()
-        return AxesAcknowledged(command, self._now, fault)
+        return wire.AxesAcknowledged(command, self._now, fault)
 
-    def advance(self, until: float) -> list[tuple[float, Message]]:
+    def advance(self, until: float) -> list[tuple[float, wire.Message]]:
         """Move on to a time [s], and return the messages, each with the time [s] it is due."""
-        messages: list[tuple[float, Message]] = []
+        messages: list[tuple[float, wire.Message]] = []
         while self._now <= until:
             if not self._present and self._now >= self._enters:
                 messages.append((self._now, self._enter()))
@@ -138,7 +127,7 @@ class World:
                     messages.append((self._now, self._depart(bool(ends))))
         return messages
 
-    def _enter(self) -> Entered:
+    def _enter(self) -> wire.Entered:
         self._command[:] = ROLLING
         self._batch.reset(ONLY)
         self._present = True
@@ -148,7 +137,7 @@ class World:
             [entry.position] * 2 + [entry.angle] + [entry.speed] * 2 + [entry.turning]
         )
         known = state.truth + spread * self._noise.standard_normal(6)
-        return Entered(
+        return wire.Entered(
             self._number,
             self._now,
             _known_parcel(state),
@@ -159,28 +148,28 @@ class World:
             state.path.copy() if len(state.path) else None,
         )
 
-    def _depart(self, ends: bool) -> Departed:
+    def _depart(self, ends: bool) -> wire.Departed:
         parcels, task = self._batch.parcels, self._batch.task
         self._present = False
         self._enters = self._now + self._options.pause
         outcome = self._batch.outcomes[int(parcels.outcome[0])] if ends else "out of time"
         metrics = dict(zip(task.metrics, parcels.metrics[0].tolist(), strict=True))
-        return Departed(self._number, outcome, metrics)
+        return wire.Departed(self._number, outcome, metrics)
 
-    def _take_frame(self) -> Frame | None:
+    def _take_frame(self) -> wire.Frame | None:
         """Return a frame; None if it is lost."""
         camera = self._camera
         noise, lot = self._noise.standard_normal(3), self._noise.random()
         if lot < camera.drop:
             return None
         if not self._present:
-            return Frame(self._now)
+            return wire.Frame(self._now)
         spread = np.array([camera.position_noise] * 2 + [camera.angle_noise])
         pose = self._batch.parcels.truth[0, :3] + spread * noise
         axes = None
         if self._options.encoders:
             axes = zone_angles(self._batch.axes(0), self._batch.view(0).zone, self.shape)
-        return Frame(self._now, self._number, _triple(pose), axes)
+        return wire.Frame(self._now, self._number, _triple(pose), axes)
 
 
 def _known_parcel(state: EnvState) -> Parcel:
@@ -195,7 +184,7 @@ def _known_parcel(state: EnvState) -> Parcel:
     return Parcel(base, mass=float(state.body[MASS]), com_height=float(state.body[COM_HEIGHT]))
 
 
-def _triple(values: NDArray[np.float64]) -> Triple:
+def _triple(values: NDArray[np.float64]) -> wire.Triple:
     first, second, third = values.tolist()
     return (first, second, third)
 
@@ -215,8 +204,8 @@ class Server:
         self._task = task
         self._listener = listener
         self._listener.setblocking(False)
-        self._connection: Connection | None = None
-        self._outbox: list[tuple[float, int, Message]] = []  # by the time [s] each is due
+        self._connection: wire.Connection | None = None
+        self._outbox: list[tuple[float, int, wire.Message]] = []  # by the time [s] each is due
         self._count = 0
         self.refused = 0  # commands that were not allowed
 
@@ -235,7 +224,7 @@ class Server:
     def wait(self, now: float) -> None:
         """Wait until there is something to do, from a time [s] on."""
         due = self._outbox[0][0] if self._outbox else self._world.now
-        ready: list[socket.socket | Connection] = [self._listener]
+        ready: list[socket.socket | wire.Connection] = [self._listener]
         if self._connection is not None:
             ready.append(self._connection)
         select.select(ready, [], [], max(0.0, min(due, self._world.now) - now))
@@ -251,35 +240,33 @@ class Server:
         except BlockingIOError:
             return
         self._drop()
-        self._connection = Connection(connected)
-        self._send(protocol.to_line(protocol.hello(self._task, self._world.shape)))
+        self._connection = wire.Connection(connected)
+        self._send(wire.to_line(wire.hello(self._task, self._world.shape)))
 
     def _set_axes(self) -> None:
         if self._connection is None:
             return
         try:
             for line in self._connection.lines():
-                command, angles = protocol.axes_from_fields(
-                    protocol.from_line(line), self._world.shape
-                )
+                command, angles = wire.axes_from_fields(wire.from_line(line), self._world.shape)
                 answer = self._world.set_axes(command, angles)
                 self.refused += bool(answer.refused)
                 self._send_message(answer)
-        except (ConnectionLost, ValueError):
+        except (wire.ConnectionLost, ValueError):
             self._drop()
 
-    def _post(self, due: float, message: Message) -> None:
+    def _post(self, due: float, message: wire.Message) -> None:
         self._count += 1
         heapq.heappush(self._outbox, (due, self._count, message))
 
-    def _send_message(self, message: Message) -> None:
-        self._send(protocol.to_line(protocol.to_fields(message)))
+    def _send_message(self, message: wire.Message) -> None:
+        self._send(wire.to_line(wire.to_fields(message)))
 
     def _send(self, line: bytes) -> None:
         if self._connection is not None:
             try:
                 self._connection.send(line)
-            except ConnectionLost:
+            except wire.ConnectionLost:
                 self._drop()
 
     def _drop(self) -> None:
@@ -298,9 +285,7 @@ def serve(server: Server, clock: Clock, goes_on: Callable[[], bool]) -> None:
 def make_env_config(config: SimulatorConfig) -> EnvConfig:
     """Return the configuration of the environment that is simulated."""
     return EnvConfig(
-        task=find_task(config.task),
-        preset=config.preset,
-        control_period=config.control_period,
+        task=find_task(config.task), preset=config.preset, control_period=config.control_period
     )
 
 

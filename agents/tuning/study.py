@@ -32,6 +32,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from surface_gym.parallel import Report, Workers, map_jobs
 
 from ..base import TRAIN, command_line
+from ..evaluation.tables import markdown
 from ..learning.config import TrainConfig, config_of_seed, write_hyperparams
 from ..learning.runs import StopTraining, read_curve
 from ..learning.sb3 import make_training_envs
@@ -101,7 +102,7 @@ def best_trial(trials: list[FrozenTrial]) -> FrozenTrial | None:
     return max(complete, key=lambda trial: (trial.value, -trial.number), default=None)
 
 
-def state_of(trial: FrozenTrial) -> str:
+def describe_state(trial: FrozenTrial) -> str:
     """Return the state of a trial in words, with the reason if it was refused or has failed."""
     return str(trial.user_attrs.get(REASON, trial.state.name.lower()))
 
@@ -179,7 +180,7 @@ def run_trial(
         return TrialResult(REFUSED, why=str(error))
     prune = Pruning(sweep, past, report)
     try:
-        values = [_train_and_judge(sweep, config, k, prune) for k in range(sweep.seeds)]
+        values = [_train_and_score(sweep, config, k, prune) for k in range(sweep.seeds)]
     except optuna.TrialPruned:
         return TrialResult(PRUNED)
     except (ValueError, ArithmeticError) as error:  # of weights that are not finite
@@ -210,8 +211,8 @@ class Pruning:
         return self._trial.should_prune()
 
 
-def _train_and_judge(sweep: Sweep, config: TrainConfig, place: int, prune: Pruning) -> float:
-    """Train with the seed at a place, and judge its policy."""
+def _train_and_score(sweep: Sweep, config: TrainConfig, place: int, prune: Pruning) -> float:
+    """Train with the seed at a place, and score its policy."""
     run, pruned = config_of_seed(config, sweep.seed + place), False
     spacing = sweep.steps / (sweep.evaluations + 1)
     left = list(range(1, sweep.evaluations + 1))
@@ -233,10 +234,10 @@ def _train_and_judge(sweep: Sweep, config: TrainConfig, place: int, prune: Pruni
             raise optuna.TrialPruned
         if result.interrupted:
             raise KeyboardInterrupt
-        return judge(run, sweep, folder)
+        return score_policy(run, sweep, folder)
 
 
-def judge(config: TrainConfig, sweep: Sweep, folder: Path) -> float:
+def score_policy(config: TrainConfig, sweep: Sweep, folder: Path) -> float:
     """Return the mean over the greedy policy's first episodes on fresh starts."""
     policy = load_policy(folder, find_task(config.task))
     # All trials are judged with the same share of cameras and the same friction.
@@ -348,7 +349,7 @@ def importance(sweep: Sweep, study: optuna.Study) -> dict[str, float] | None:
 
 def summary(sweep: Sweep, trials: Sequence[FrozenTrial]) -> str:
     """Count the trials by state and name the best, in a sentence."""
-    counts = Counter(state_of(trial).partition(":")[0] for trial in trials)
+    counts = Counter(describe_state(trial).partition(":")[0] for trial in trials)
     states = ", ".join(f"{count} {state}" for state, count in sorted(counts.items()))
     best = best_trial(list(trials))
     if best is None:
@@ -382,7 +383,7 @@ def _best(sweep: Sweep, best: FrozenTrial | None) -> list[str]:
     params = plain_params(sweep, best)
     return [
         f"## Best: trial {best.number}, {sweep.metric} {best.value:.4g}",
-        _table(["hyper-parameter", "value"], [[name, _text(v)] for name, v in params.items()]),
+        markdown(["hyper-parameter", "value"], [[name, _text(v)] for name, v in params.items()]),
         f"`{command}` trains with it for {sweep.default.steps:,} control periods, as long as the "
         "task is usually learned.",
     ]
@@ -398,7 +399,7 @@ def _importance(shares: dict[str, float] | None) -> list[str]:
         "How much each decides whether a complete trial is among the best quarter (PED-ANOVA). "
         "With so few trials it is a hint.",
         "![](importance.png)",
-        _table(
+        markdown(
             ["hyper-parameter", "importance"],
             [[name, f"{100.0 * share:.0f} %"] for name, share in shares.items()],
         ),
@@ -410,15 +411,12 @@ def _trials(sweep: Sweep, trials: Sequence[FrozenTrial]) -> str:
     for trial in trials:
         value = trial.value if trial.state == TrialState.COMPLETE else None
         latest = trial.intermediate_values.get(max(trial.intermediate_values, default=0))
-        state = state_of(trial).replace("|", "/")
+        state = describe_state(trial).replace("|", "/")
         values = [_text(each) for each in plain_params(sweep, trial).values()]
         rows.append([str(trial.number), state, _text(value), _text(latest), *values])
-    return _table(["trial", "state", sweep.metric, "latest on the way", *sorted(sweep.space)], rows)
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return markdown(
+        ["trial", "state", sweep.metric, "latest on the way", *sorted(sweep.space)], rows
+    )
 
 
 def _text(value: Any) -> str:

@@ -11,7 +11,7 @@ import yaml
 from surface_gym import checks
 from surface_gym.tasks import TASKS
 
-from ..learning.config import TrainConfig, defaults
+from ..learning.config import RENAMED, TrainConfig, defaults
 from ..learning.runs import CURVE_EVERY
 
 ALGOS = ("ppo", "dqn", "modules")
@@ -191,8 +191,12 @@ def _read(plain: Any, task: str | None) -> Sweep:
     for name in ("space", "fixed"):
         if not isinstance(plain.get(name, {}), dict):
             raise ValueError(f"{name} must hold names and values, got {plain[name]!r}")
-    space = {name: _values(name, values) for name, values in plain.get("space", {}).items()}
-    return Sweep(**{**plain, "space": space})
+    space, fixed = (
+        {RENAMED.get(name, name): value for name, value in plain.get(part, {}).items()}
+        for part in ("space", "fixed")
+    )
+    space = {name: _values(name, values) for name, values in space.items()}
+    return Sweep(**{**plain, "space": space, "fixed": fixed})
 
 
 def _values(name: str, values: Any) -> Span | Choices:

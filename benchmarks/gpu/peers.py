@@ -12,8 +12,15 @@ import numpy as np
 from benchmarks.gpu.timing import Effort, Rate, measure_rate
 from surface_gym.physics.types import GRAVITY
 from surface_gym.validation.comparison import PARCEL, PUSHED
-from surface_gym.validation.scene import RECIPE, Recipe, build, load_mujoco
-from surface_gym.validation.simulation import elements_under, reachable, static_sag
+from surface_gym.validation.simulation import (
+    RECIPE,
+    Recipe,
+    build,
+    elements_under,
+    load_mujoco,
+    reachable,
+    static_sag,
+)
 
 GYMNAX = find_spec("gymnax") is not None
 MUJOCO_WARP = find_spec("mujoco_warp") is not None  # which needs mujoco and warp

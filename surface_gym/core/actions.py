@@ -1,4 +1,4 @@
-"""Actions: what they mean for the modules, and what the observation shows of the modules.
+"""Actions: their meaning for the modules, and features of the modules in the observation.
 
 A command is one number a part: an index into the orientations on offer, or an angle. Which part a
 module follows, what a number says and how an axis turns are functions that a batch's kernel is
@@ -28,11 +28,11 @@ from surface_gym.tasks.base import Feature
 
 WINDOW_SIDE = 5  # modules
 _HALF = 0.5 + 1e-9  # midway between two rows, whatever the round-off
-CONVEYOR = (0.0, 1.0)  # cosine and sine of `ROLLING`, an axis that is not told
+CONVEYOR = (0.0, 1.0)  # cosine and sine of `ROLLING`, an axis without a command
 
 
 class Acting(NamedTuple):
-    """Settings by which commands turn axes."""
+    """Parameters by which commands turn axes."""
 
     zone_rows: int  # rows of the widest zone, for which there are commands
     orientations: Array  # (choices,) [rad] axis angles on offer
@@ -51,7 +51,7 @@ def window_corner(state: EnvState, mirror: float) -> Corner:
     """Return the window's first module; the parcel is sensed over its middle one.
 
     Midway between two rows it is the one to the left, seen in the mirror if there is one: a
-    mirrored lane must have the mirrored window.
+    mirrored environment must have the mirrored window.
     """
     rows, columns = state.rotor.shape
     up = (state.sensed[Y] - state.elements.y0) / state.elements.pitch_y
@@ -147,9 +147,7 @@ def leave_axes(acting: Acting, surfaces: SurfaceState, i: int, zone: Integers) -
 
 @inlined
 def turn_axes(acting: Acting, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """Turn each axis of the zone towards its target, the shorter way, for one physics step;
-    return whether any axis turned.
-    """
+    """Turn each axis of the zone towards its target for a physics step; return whether any did."""
     turned = False
     for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
         for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
@@ -325,9 +323,7 @@ def show_parcel(acting: Acting, state: EnvState, first: int, mirror: float) -> N
 
 @inlined
 def show_rotors(acting: Acting, state: EnvState, first: int, mirror: float) -> None:
-    """Write `ROTOR_FEATURES` into the observation from `first` on, left and right exchanged if
-    `mirror` is negative.
-    """
+    """Write `ROTOR_FEATURES` into the observation from `first` on, mirrored if `mirror` < 0."""
     see = state.observation
     for k in range(4 * QUADRANT_SIZE):
         see[first + k] = 0.0
@@ -382,7 +378,7 @@ class Group(NamedTuple):
 GROUPS = {
     # The parcel's outline, by a scale drawing or a picture; not where its load lies.
     "parcel": Group(PARCEL_FEATURES, show_parcel),
-    # Each axis' angle, by encoders or reckoned from what it was told; and where supports are.
+    # Each axis' angle, by encoders or computed from its commands; and where supports are.
     "rotors": Group(ROTOR_FEATURES, show_rotors),
     # What a sensor that learns has learned; its own function writes it.
     "load": Group(LOAD_FEATURES, show_nothing),
@@ -426,11 +422,7 @@ RIGHT_ANGLE = np.float32(math.pi / 2.0)  # [rad] an axis turned further is one t
 
 @dataclass(frozen=True)
 class ActionKind:
-    """A kind of action: how it sets the axes of a zone's modules.
-
-    Raises:
-        ValueError: an unknown name.
-    """
+    """A kind of action: how it sets the axes of a zone's modules."""
 
     name: str  # "modules", "halves", "quadrants" or "window"
     choices: int  # orientations on offer; 0: any angle
@@ -483,20 +475,17 @@ class ActionKind:
             return spaces.Discrete(self.choices**2)
         return spaces.MultiDiscrete(np.full(self.size, self.choices))
 
-    def commands(self, actions: Any, lanes: int) -> NDArray[Any]:
-        """Return the actions of all environments as commands (num_envs, size): choices, or
-        angles [rad].
-
-        Raises:
-            ValueError: a wrong shape, not whole numbers or angles, or out of range.
-        """
+    def commands(self, actions: Any, num_envs: int) -> NDArray[Any]:
+        """Turn the actions of all environments into commands (num_envs, size)."""
         try:
             given = np.asarray(actions)
         except ValueError:  # parts of different lengths
             raise ValueError(f"action must be an array, got {actions!r}") from None
-        shape = (lanes,) if self._single else (lanes, self.size)
+        shape = (num_envs,) if self._single else (num_envs, self.size)
         if given.shape != shape:
-            raise ValueError(f"action must have the shape {shape[1:]} a lane, got {given.shape}")
+            raise ValueError(
+                f"action must have the shape {shape[1:]} an environment, got {given.shape}"
+            )
         if self.continuous:
             return _angles(given, actions)
         most = self.choices**2 if self._single else self.choices
@@ -506,7 +495,7 @@ class ActionKind:
         if chosen.view(np.uint64).max() >= most:  # as which negative ones are the largest
             raise ValueError(f"action must be between 0 and {most - 1}, got {actions!r}")
         if self._single:
-            halves = np.empty((lanes, 2), dtype=np.int64)
+            halves = np.empty((num_envs, 2), dtype=np.int64)
             np.divmod(chosen, self.choices, out=(halves[:, 0], halves[:, 1]))
             return halves
         return chosen
@@ -519,9 +508,7 @@ class ActionKind:
         return commands
 
     def flip(self, commands: NDArray[Any]) -> NDArray[Any]:
-        """Return commands (num_envs, size) with the parts' places mirrored in y, choices
-        unchanged.
-        """
+        """Return commands (num_envs, size) with their parts mirrored in y, choices unchanged."""
         if self.name == "quadrants":
             return commands[:, [1, 0, 3, 2]]
         return commands.reshape(-1, *self.shape)[:, ::-1].reshape(commands.shape)

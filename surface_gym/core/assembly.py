@@ -11,35 +11,18 @@ from numba.core.dispatcher import Dispatcher
 
 from surface_gym import state as st
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import (
-    CONVEYOR,
-    Acting,
-    aim_at_angle,
-    aim_at_choice,
-    leave_axes,
-    set_angle,
-    set_choice,
-    show_nothing,
-    show_occupancy,
-    show_window_axes,
-    show_zone_axes,
-    shown,
-    straighten_angles,
-    straighten_choices,
-    straighten_targets,
-    turn_axes,
-)
-from surface_gym.core.kernel import Actuation, EnvParams, Function, KernelFunctions
-from surface_gym.flow.task import StreamTask
+from surface_gym.core import actions
+from surface_gym.core.actions import Acting
+from surface_gym.core.kernel import Actuation, EnvParams, KernelFunctions
 from surface_gym.physics.step import axis_directions
 from surface_gym.physics.types import Integers, Scratch, make_scratch
 from surface_gym.sensors.base import Sensor
 from surface_gym.state import ParcelState, SurfaceState
 from surface_gym.tasks.base import Task
 
-FEWEST = 4  # lanes that a thread is worth its while for
+FEWEST = 4  # environments that a thread is worth its while for
 LOOK = 20_000  # steps of a parcel that a thread takes in a row: Ctrl-C waits for no more
-PARTS = 16  # of a thread's share of the lanes; the last two are taken by whoever is done early
+PARTS = 16  # of a thread's share of environments; a thread done early takes some of the last two
 
 
 class Workers:
@@ -47,12 +30,12 @@ class Workers:
 
     Args:
         threads: their number.
-        steps: of parcels, that a lane takes in a call.
+        steps: of parcels, that an environment takes in a call.
         make: makes the physics' scratch of one.
     """
 
     def __init__(self, threads: int, steps: int, make: Callable[[], Any] = make_scratch) -> None:
-        self._most = max(1, LOOK // steps)  # lanes in a row
+        self._most = max(1, LOOK // steps)  # environments in a row
         self._pool: ThreadPoolExecutor | None = None
         self._process = os.getpid()
         # Of the physics, and of the sensor.
@@ -63,23 +46,19 @@ class Workers:
 
     @property
     def scratches(self) -> tuple[Any, Scratch]:
-        """Those of the first thread."""
+        """Scratches of the first thread."""
         return self._scratches[0]
 
     def run(
-        self, threads: int, move: Callable[..., int], arrays: tuple[Any, ...], chosen: Integers
+        self, threads: int, step: Callable[..., int], arrays: tuple[Any, ...], chosen: Integers
     ) -> int:
-        """Call `move(*arrays, scratch, sensor's scratch, chosen)` over the chosen lanes.
-
-        Returns:
-            The sum of what it returns.
-        """
+        """Call `step(*arrays, scratch, sensor's scratch, chosen)` over the chosen environments."""
         if threads == 1:
-            return self._in_pieces(move, (*arrays, *self._scratches[0]), chosen)
+            return self._in_pieces(step, (*arrays, *self._scratches[0]), chosen)
         if self._pool is None or self._process != os.getpid():  # a fork has none of the threads
             self._pool = ThreadPoolExecutor(len(self._scratches) - 1)
             self._process = os.getpid()
-        # A thread has the same lanes each time, which its core has in its memory still.
+        # A thread has the same environments each time, which its core has in its memory still.
         cuts = [k * len(chosen) // (PARTS * threads) for k in range(PARTS * threads + 1)]
         firsts = range(0, PARTS * threads, PARTS)
         left = iter(
@@ -94,82 +73,64 @@ class Workers:
             scratches = self._scratches[thread]
             own = chosen[cuts[PARTS * thread] : cuts[PARTS * thread + PARTS - 2]]
             given = (*arrays, *scratches)
-            done = self._in_pieces(move, given, own)
-            return done + sum(self._in_pieces(move, given, part) for part in left)
+            done = self._in_pieces(step, given, own)
+            return done + sum(self._in_pieces(step, given, part) for part in left)
 
         others = [self._pool.submit(work, thread) for thread in range(1, threads)]
         return work(0) + sum(other.result() for other in others)
 
-    def _in_pieces(self, move: Callable[..., int], given: tuple[Any, ...], chosen: Integers) -> int:
-        """Call `move(*given, chosen)`, some lanes at a time, between which Python sees Ctrl-C."""
+    def _in_pieces(self, step: Callable[..., int], given: tuple[Any, ...], chosen: Integers) -> int:
+        """Call `step(*given, chosen)` for a few environments at a time, so that Ctrl-C is seen."""
         if len(chosen) <= self._most:
-            return move(*given, chosen)
+            return step(*given, chosen)
         firsts = range(0, len(chosen), self._most)
-        return sum(move(*given, chosen[first : first + self._most]) for first in firsts)
+        return sum(step(*given, chosen[first : first + self._most]) for first in firsts)
 
 
 def task_functions(config: EnvConfig) -> KernelFunctions:
-    """Collect the functions that the kernel of one parcel is built from.
-
-    Raises:
-        ValueError: a task or a sensor lacks one of its compiled functions.
-    """
+    """Collect the functions that the kernel of one parcel is built from."""
     task, sensor, kind = config.task, config.sensors, config.action_kind
-    begin_sensor, update, read = sensor_functions(sensor)
     window = kind.name == "window"
-    show_axes = show_window_axes if window else show_zone_axes
+    show_axes = actions.show_window_axes if window else actions.show_zone_axes
     return KernelFunctions(
         label=f"{type(task).__name__}-{type(sensor).__name__}-{kind.name}",
-        begin=compiled_function(task, "begin", Task),
-        is_done=compiled_function(task, "is_done", Task),
-        outcome=compiled_function(task, "outcome", Task),
-        reward=compiled_function(task, "reward", Task),
-        observe=compiled_function(task, "observe", Task),
-        mirror=compiled_function(task, "mirror", Task),
-        begin_sensor=begin_sensor,
-        update_sensor=update,
-        read_sensor=read,
+        **compiled_functions(task, Task, "begin is_done outcome reward observe mirror"),
+        **compiled_functions(sensor, Sensor, "begin update read", "_sensor"),
+        **compiled_functions(sensor, Sensor, "learned"),
         watches=sensor.watches,
         part_of=kind.part_of,
         actuation=choose_actuation(kind.continuous, config.actuators.axis_speed != math.inf),
-        show_modules=show_occupancy if window else show_nothing,
-        show_axes=show_axes if config.observe_axes else show_nothing,
-        learned=compiled_function(sensor, "learned", Sensor),
-        more=shown(config.observe),
+        show_modules=actions.show_occupancy if window else actions.show_nothing,
+        show_axes=show_axes if config.observe_axes else actions.show_nothing,
+        more=actions.shown(config.observe),
     )
 
 
 def choose_actuation(any_angle: bool, turning: bool) -> Actuation:
     """Choose how axes obey: at any angle or one of those on offer, at once or by turning."""
     if turning:
-        aim = aim_at_angle if any_angle else aim_at_choice
-        return Actuation(aim, turn_axes, straighten_targets, turns=True)
+        aim = actions.aim_at_angle if any_angle else actions.aim_at_choice
+        return Actuation(aim, actions.turn_axes, actions.straighten_targets, turns=True)
+    set_axis, straighten = actions.set_choice, actions.straighten_choices
     if any_angle:
-        return Actuation(set_angle, leave_axes, straighten_angles, turns=False)
-    return Actuation(set_choice, leave_axes, straighten_choices, turns=False)
+        set_axis, straighten = actions.set_angle, actions.straighten_angles
+    return Actuation(set_axis, actions.leave_axes, straighten, turns=False)
 
 
-def sensor_functions(sensor: Sensor) -> tuple[Function, Function, Function]:
-    """Collect a sensor's `begin`, `update` and `read`.
+def compiled_functions(owner: Any, kind: type[Any], names: str, ending: str = "") -> dict[str, Any]:
+    """Collect compiled functions of a task or a sensor by their names, with an ending.
 
     Raises:
-        ValueError: it lacks one of them.
+        ValueError: one is none; the message names it.
     """
-    begin, update, read = (
-        compiled_function(sensor, name, Sensor) for name in ("begin", "update", "read")
-    )
-    return begin, update, read
-
-
-def compiled_function(owner: Any, name: str, kind: type[Any]) -> Function:
-    """Get a compiled function of a task or a sensor, or raise an error that names it."""
-    function: Function | None = getattr(owner, name, None)
-    if not isinstance(function, Dispatcher):
-        raise ValueError(
-            f"{type(owner).__name__}.{name} must be a static method and a kernel_function, as "
-            f"{kind.__name__} says, got {function!r}"
-        )
-    return function
+    found = {name + ending: getattr(owner, name, None) for name in names.split()}
+    for name, function in found.items():
+        if not isinstance(function, Dispatcher):
+            raise ValueError(
+                f"{type(owner).__name__}.{name.removesuffix(ending)} must be a static method and a "
+                f"kernel_function, as {kind.__name__} says, got {function!r}"
+            )
+    return found
 
 
 def make_env_params(config: EnvConfig) -> EnvParams:
@@ -197,7 +158,6 @@ def make_env_params(config: EnvConfig) -> EnvParams:
 def make_state(config: EnvConfig, num_envs: int) -> tuple[SurfaceState, ParcelState]:
     """Make the memory of surfaces and parcels, every axis the conveyor's."""
     task, line, kind = config.task, config.chosen_line, config.action_kind
-    stream = isinstance(task, StreamTask)
     sizes = st.Sizes(
         num_envs=num_envs,
         rows=line.rows,
@@ -205,7 +165,7 @@ def make_state(config: EnvConfig, num_envs: int) -> tuple[SurfaceState, ParcelSt
         command=kind.size,
         choices=kind.choices,
         observation=len(config.features),
-        terms=len(task.parcel_terms if stream else task.terms),
+        terms=len(config.parcel_terms),
         goals=task.goals,
         memories=task.memories,
         metrics=len(task.metrics),
@@ -214,10 +174,10 @@ def make_state(config: EnvConfig, num_envs: int) -> tuple[SurfaceState, ParcelSt
         noise=config.draws > 0,
         turning=config.actuators.axis_speed != math.inf,
         stiffness=config.randomisation.stiffness > 0.0,
-        max_parcels=task.rows if stream else 1,
+        max_parcels=config.rows,
     )
     surfaces = st.make_surfaces(sizes)
-    surfaces.direction[:] = CONVEYOR
+    surfaces.direction[:] = actions.CONVEYOR
     if sizes.choices and not sizes.turning:  # axes count the orientations on offer
         angles = np.array(config.chosen_orientations)
         surfaces.direction[0, :-1] = axis_directions(angles)

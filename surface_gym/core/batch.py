@@ -1,7 +1,7 @@
 """Batches: environments of one configuration, stepped together by compiled code."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -9,55 +9,19 @@ import numpy as np
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
+from surface_gym import state as st
 from surface_gym.config import EnvConfig
+from surface_gym.core import resets
 from surface_gym.core.assembly import FEWEST, Workers, make_env_params, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, make_kernel
-from surface_gym.core.resets import (
-    BodyPlan,
-    ResetCache,
-    StartRows,
-    draw_noise,
-    draw_starts,
-    each_parcel,
-    place_in,
-    start_paths,
-    start_rows,
-)
+from surface_gym.core.resets import BodyPlan, ResetCache, StartRows
 from surface_gym.parcel import Parcel
+from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import bounded, invalidate_contacts
 from surface_gym.physics.jit import compile_for, compiled
 from surface_gym.physics.step import find_support, support_load
-from surface_gym.physics.types import (
-    ARM_X,
-    ARM_Y,
-    NORMAL,
-    Array,
-    Booleans,
-    Integers,
-    Scratch,
-    X,
-    Y,
-    make_scratch,
-)
-from surface_gym.state import (
-    BAD_OBSERVATION,
-    BAD_REWARD,
-    COMMON_OUTCOMES,
-    NOISE_ROWS,
-    OUT_OF_TIME,
-    RUNNING,
-    STARTING,
-    SUCCESS,
-    UNKNOWN_OUTCOME,
-    BodyTable,
-    EnvState,
-    ParcelState,
-    SurfaceState,
-    axis_angles,
-    env_state,
-    read_body,
-    read_grid,
-)
+from surface_gym.physics.types import Array, Booleans, Integers, Scratch
+from surface_gym.state import BodyTable, EnvState, ParcelState, SurfaceState
 from surface_gym.tasks.start import Parcels, Start
 
 NO_ENVS: Integers = np.zeros(0, dtype=np.int64)
@@ -69,7 +33,7 @@ class Snapshot(NamedTuple):
 
     arrays: dict[str, NDArray[Any]]  # by name, (count, ...)
     parcels: Any  # of each environment, as its kind of batch keeps them
-    generators: list[dict[str, Any]]  # states of these, where sensors draw noise in an episode
+    generators: list[Mapping[str, Any]]  # states of these, where sensors draw noise in an episode
 
     def __len__(self) -> int:
         return len(self.parcels)
@@ -83,6 +47,7 @@ class BaseBatch(ABC):
         num_envs: their number.
         threads: that share them; results do not depend on their number.
         max_episode_steps: control periods after which an episode is truncated; None: no limit.
+        compiles: whether to make the kernel; a batch without one only holds memory.
 
     Raises:
         ValueError: the task or the sensor lacks a compiled function, or one does not compile.
@@ -99,11 +64,12 @@ class BaseBatch(ABC):
         num_envs: int,
         threads: int = 1,
         max_episode_steps: int | None = None,
+        compiles: bool = True,
     ) -> None:
         self.config = config
         self.task = config.task
         self.num_envs = num_envs
-        self.outcomes = COMMON_OUTCOMES + config.task.outcomes  # by the numbers of `outcome`
+        self.outcomes = st.COMMON_OUTCOMES + config.task.outcomes  # by the numbers of `outcome`
         self._draws = config.draws
         self._threads = min(threads, max(1, num_envs // FEWEST))
         self._all = np.arange(num_envs)
@@ -111,16 +77,19 @@ class BaseBatch(ABC):
         self._steps_left = np.zeros(num_envs, dtype=np.int64)
         self.params = make_env_params(config)
         self.surfaces, self.parcels = make_state(config, num_envs)
+        self._make_memory()
+        if compiles:
+            steps = config.timing.steps * self.rows
+            self._workers = Workers(self._threads, steps, self._make_scratch)
+            self._kernel = self._compile()
 
-    def _build(self, steps: int, make_scratch: Callable[[], Any]) -> None:
-        """Make workers and kernel, once the memory is there.
+    @abstractmethod
+    def _make_memory(self) -> None:
+        """Make what is beside the state arrays of surfaces and parcels."""
 
-        Args:
-            steps: of parcels, that an environment takes in a control period.
-            make_scratch: makes the physics' scratch of one thread.
-        """
-        self._workers = Workers(self._threads, steps, make_scratch)
-        self._kernel = self._compile()
+    @abstractmethod
+    def _make_scratch(self) -> Any:
+        """Make the physics' scratch of one thread."""
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -163,7 +132,7 @@ class BaseBatch(ABC):
     @property
     def truncated(self) -> Booleans:
         """(num_envs,) whether time is over."""
-        late: Booleans = self.outcome == OUT_OF_TIME
+        late: Booleans = self.outcome == st.OUT_OF_TIME
         return late if self._limit is None else late | (self._steps_left <= 0)
 
     @property
@@ -200,27 +169,20 @@ class BaseBatch(ABC):
         """Collect the infos of all environments by name, each (num_envs, ...), partly views."""
 
     def metrics(self, ended: Booleans) -> Infos:
-        """Collect figures of the episodes that have ended (num_envs,) by name; most tasks have
-        none.
-        """
+        """Collect metrics of the episodes that have ended (num_envs,), by name, if any."""
         del ended
         return {}
 
     @abstractmethod
     def parcel(self, env_index: int, row: int = 0) -> Parcel:
-        """The parcel of an environment, of a stream the one in a row, after the randomisation."""
+        """Get the parcel, of a stream the one in a row, after the randomisation."""
 
     def is_seeded(self, env_index: int) -> bool:
-        """Whether an environment has a generator."""
+        """Return whether an environment has a generator."""
         return self.generator(env_index) is not None
 
     def reset(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Begin an episode in the chosen environments (count,), which are seeded.
-
-        Args:
-            chosen: indices.
-            options: of each; empty: none has any.
-        """
+        """Begin an episode in the chosen environments (count,), which are seeded."""
         self.place_drawn(chosen, options)
         self.begin(chosen)
 
@@ -246,7 +208,7 @@ class BaseBatch(ABC):
             self._steps_left -= 1
             self._restart_clock(anew)
             outcome = self.outcome
-            outcome[(self._steps_left <= 0) & (outcome == RUNNING)] = OUT_OF_TIME
+            outcome[(self._steps_left <= 0) & (outcome == st.RUNNING)] = st.OUT_OF_TIME
 
     def _restart_clock(self, chosen: Integers) -> None:
         if self._limit is not None:
@@ -257,9 +219,9 @@ class BaseBatch(ABC):
         next start must find the generator as a single environment would.
         """
         used = self.parcels.noise_row.reshape(-1, self.rows)
-        running = (self.outcome == RUNNING)[:, np.newaxis]
-        for i, row in np.argwhere(running & (used + self._draws > NOISE_ROWS)).tolist():
-            draw_noise(self.parcels, i * self.rows + row, self._generator(i))
+        running = (self.outcome == st.RUNNING)[:, np.newaxis]
+        for i, row in np.argwhere(running & (used + self._draws > st.NOISE_ROWS)).tolist():
+            resets.draw_noise(self.parcels, i * self.rows + row, self._generator(i))
 
     def _generator(self, env_index: int) -> np.random.Generator:
         generator = self.generator(env_index)
@@ -312,7 +274,7 @@ class BaseBatch(ABC):
         """
         count = len(parents)
         self.restore(self.snapshot(parents, axes), self._all[:count])
-        self.outcome[count:] = OUT_OF_TIME
+        self.outcome[count:] = st.OUT_OF_TIME
 
     def _state(self, axes: bool) -> dict[str, NDArray[Any]]:
         """Collect views of the arrays that hold the environments' states, a row an environment."""
@@ -335,19 +297,14 @@ class BaseBatch(ABC):
 
     def axes(self, env_index: int) -> Array:
         """(rows, columns) [rad] axis angles of an environment."""
-        angles: Array = axis_angles(self.surfaces, slice(env_index, env_index + 1))[0]
+        angles: Array = st.axis_angles(self.surfaces, slice(env_index, env_index + 1))[0]
         return angles
 
     def view(self, env_index: int, row: int = 0) -> EnvState:
-        """A parcel as compiled functions see it, between two control periods.
-
-        Args:
-            env_index: the environment.
-            row: of a stream, the parcel's row of the table.
-        """
+        """View a parcel as compiled functions see it, between two control periods."""
         place = env_index * self.rows + row
         elements = self.params.elements
-        seen: EnvState = env_state.py_func(
+        seen: EnvState = st.env_state.py_func(
             self.surfaces, self.parcels, self.bodies, env_index, place, elements
         )
         return seen
@@ -392,26 +349,19 @@ class BaseBatch(ABC):
 class Batch(BaseBatch):
     """Environments of a task of one parcel. Arguments and errors are those of `BaseBatch`."""
 
-    def __init__(
-        self,
-        config: EnvConfig,
-        num_envs: int,
-        threads: int = 1,
-        max_episode_steps: int | None = None,
-    ) -> None:
-        super().__init__(config, num_envs, threads, max_episode_steps)
-        line = config.chosen_line
+    def _make_memory(self) -> None:
+        config, line = self.config, self.config.chosen_line
         self._randomisation = config.randomisation
         self._varies = config.randomisation.varies
         shared = self._varies or self._draws > 0 or config.actuators.stuck_share > 0.0
-        self.reserve = ResetCache(num_envs, self.task.draws, shared)
+        self.reset_cache = ResetCache(self.num_envs, self.task.draws, shared)
         # A path takes too much memory to lay it out ahead.
         self._lays_out = not (shared or self.task.has_path)
-        self._placement = partial(place_in, config)
-        self._plan = BodyPlan(
-            self.task.parcels, self._placement, num_envs, (line.rows, line.columns)
-        )
-        self._build(config.timing.steps, make_scratch)
+        place, shape = partial(resets.place_in, config), (line.rows, line.columns)
+        self._plan = BodyPlan(self.task.parcels, place, self.num_envs, shape)
+
+    def _make_scratch(self) -> Any:
+        return ph.make_scratch()
 
     @property
     def bodies(self) -> BodyTable:
@@ -429,21 +379,21 @@ class Batch(BaseBatch):
         return make_kernel(task_functions(self.config))
 
     def seed(self, env_index: int, generator: np.random.Generator) -> None:
-        self.reserve.seed(env_index, generator)
+        self.reset_cache.seed(env_index, generator)
 
     def generator(self, env_index: int) -> np.random.Generator | None:
-        return self.reserve.generators[env_index]
+        return self.reset_cache.generators[env_index]
 
     def check(self, options: Sequence[dict[str, Any]]) -> None:
         numbers = np.full((len(options), self.task.draws), 0.5)
-        start = draw_starts(self.config, numbers, options)
-        for parcel in each_parcel(start.parcel, len(options)).kinds:
-            self._placement(parcel)
+        start = resets.draw_starts(self.config, numbers, options)
+        for parcel in resets.each_parcel(start.parcel, len(options)).kinds:
+            resets.place_in(self.config, parcel)
 
     def infos(self) -> Infos:
         state = self.parcels
         return {
-            "is_success": state.outcome == SUCCESS,
+            "is_success": state.outcome == st.SUCCESS,
             "time": state.clock,
             "pose": state.truth[:, :3],
             "velocity": state.truth[:, 3:],
@@ -464,20 +414,24 @@ class Batch(BaseBatch):
 
     def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
         if options or not self._lays_out:
-            self.place(chosen, draw_starts(self.config, self.reserve.take(chosen), options))
+            self.place(
+                chosen, resets.draw_starts(self.config, self.reset_cache.take(chosen), options)
+            )
             return
-        rows = self.reserve.take_rows(chosen, self._lay_out)
+        rows = self.reset_cache.take_rows(chosen, self._lay_out)
         if rows.body.min() < 0:  # the task's starts come with parcels of their own
             self._lays_out = False
-            self.place(chosen, draw_starts(self.config, self.reserve.taken(chosen), options))
+            self.place(
+                chosen, resets.draw_starts(self.config, self.reset_cache.taken(chosen), options)
+            )
         else:
             self._put(chosen, rows)
 
     def _lay_out(self, numbers: Array) -> StartRows:
         """Lay out starts of the task's own parcels, by numbers (starts, draws)."""
-        start = draw_starts(self.config, numbers, ())
-        parcels = each_parcel(start.parcel, len(numbers))
-        return start_rows(self.task, start, parcels, self._plan.shared_bodies_of(parcels))
+        start = resets.draw_starts(self.config, numbers, ())
+        parcels = resets.each_parcel(start.parcel, len(numbers))
+        return resets.start_rows(self.task, start, parcels, self._plan.shared_bodies_of(parcels))
 
     def place(self, chosen: Integers, start: Start) -> None:
         """Put a start into each of the chosen environments (count,), every axis at 90 deg as the
@@ -487,20 +441,20 @@ class Batch(BaseBatch):
         generator, in that order.
         """
         count = len(chosen)
-        parcels = each_parcel(start.parcel, count)
+        parcels = resets.each_parcel(start.parcel, count)
         factors = np.ones((count, 3))
         if self._varies:
             parcels, start = self._vary(chosen, parcels, start, factors)
-        rows = start_rows(self.task, start, parcels, self._plan.bodies_of(chosen, parcels))
+        rows = resets.start_rows(self.task, start, parcels, self._plan.bodies_of(chosen, parcels))
         rows.conditions[:, :3] = factors
         self._put(chosen, rows)
         if self.task.has_path:
-            self.parcels.path[chosen] = start_paths(self.task, start, count)
+            self.parcels.path[chosen] = resets.start_paths(self.task, start, count)
         if self.config.actuators.stuck_share:
             self._draw_stuck(chosen, parcels)
         if self._draws:
             for i in chosen.tolist():
-                draw_noise(self.parcels, i, self._generator(i))
+                resets.draw_noise(self.parcels, i, self._generator(i))
 
     def _put(self, chosen: Integers, rows: StartRows) -> None:
         """Write starts into the memory of the chosen environments (count,)."""
@@ -509,7 +463,7 @@ class Batch(BaseBatch):
         state.state[chosen] = rows.state
         self.surfaces.conditions[chosen] = rows.conditions
         state.goal[chosen] = rows.goal
-        state.outcome[chosen] = STARTING
+        state.outcome[chosen] = st.STARTING
 
     def _vary(
         self, chosen: Integers, parcels: Parcels, start: Start, factors: Array
@@ -546,7 +500,7 @@ class Batch(BaseBatch):
         """
         found = {}
         if "axes" in self.config.info:
-            found["axes"] = axis_angles(self.surfaces)
+            found["axes"] = st.axis_angles(self.surfaces)
         if "normal_forces" in self.config.info:
             loads = np.zeros(self.surfaces.axis.shape)
             map_normal_forces(*self._arrays, self._workers.scratches[0], loads)
@@ -559,15 +513,15 @@ class Batch(BaseBatch):
         state, task = self.parcels, self.task
         i = int(np.nonzero(state.fault)[0][0])
         name = type(task).__name__
-        if state.fault[i] == UNKNOWN_OUTCOME:
+        if state.fault[i] == st.UNKNOWN_OUTCOME:
             return ValueError(
                 f"{name}.outcome must return RUNNING, SUCCESS or a failure, one of the numbers of "
                 f"{self.outcomes}, got {state.outcome[i]}"
             )
-        if state.fault[i] == BAD_REWARD:
+        if state.fault[i] == st.BAD_REWARD:
             terms = dict(zip(task.terms, state.terms[i].tolist(), strict=True))
             return ValueError(f"{name}.reward must write finite terms, got {terms}")
-        assert state.fault[i] == BAD_OBSERVATION
+        assert state.fault[i] == st.BAD_OBSERVATION
         bad = ~np.isfinite(state.observation[i])
         listed = ", ".join(
             feature.name for feature, wrong in zip(self.config.features, bad, strict=True) if wrong
@@ -587,9 +541,7 @@ def map_normal_forces(
     scratch: Scratch,
     loads: Array,
 ) -> None:
-    """Write the normal force over the mass [m/s^2] on each element into `loads` (num_envs, rows,
-    columns); 0 where there is none.
-    """
+    """Write normal forces over mass [m/s^2] into `loads` (num_envs, rows, columns)."""
     table = scratch.table
     elements = params.elements
     for i in range(parcels.clock.shape[0]):
@@ -597,8 +549,8 @@ def map_normal_forces(
             for column in range(loads.shape[2]):
                 loads[i, row, column] = 0.0
         row = parcels.body[i]
-        grid = read_grid(surfaces, bodies, i, row, elements, params.friction)
-        body = read_body(bodies, row)
+        grid = st.read_grid(surfaces, bodies, i, row, elements, params.friction)
+        body = st.read_body(bodies, row)
         state = parcels.state[i]
         invalidate_contacts(scratch)
         contacts = find_support(grid, body, state, scratch, 0.0)
@@ -606,8 +558,8 @@ def map_normal_forces(
             continue
         support_load(grid, body, state, scratch, contacts)
         for k in range(contacts.total):
-            along = (state[X] + table[ARM_X + k] - elements.x0) / elements.pitch_x
-            across = (state[Y] + table[ARM_Y + k] - elements.y0) / elements.pitch_y
+            along = (state[ph.X] + table[ph.ARM_X + k] - elements.x0) / elements.pitch_x
+            across = (state[ph.Y] + table[ph.ARM_Y + k] - elements.y0) / elements.pitch_y
             column = round(bounded(along, 0.0, loads.shape[2] - 1))
             row = round(bounded(across, 0.0, loads.shape[1] - 1))
-            loads[i, int(row), int(column)] = table[NORMAL + k]
+            loads[i, int(row), int(column)] = table[ph.NORMAL + k]

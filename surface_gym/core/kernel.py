@@ -1,7 +1,7 @@
 """The compiled kernel: one control period of an environment, built from the parts of its batch.
 
-Command, axes, physics, sensor, task: all faces call this. Only the functions of the batch's own
-task, sensor and kind of action are compiled into it.
+It applies the command, turns the axes, steps the physics and calls sensor and task. Only the
+functions of the batch's own task, sensor and kind of action are compiled into it.
 """
 
 import math
@@ -61,7 +61,7 @@ class EnvParams(NamedTuple):
     friction: Array  # (rows, columns, 3) [-] of the elements
     assumed: Array  # (rows, columns, 3) [-] as the sensor has it
     stiffness: Array  # (rows, columns) [-] as the sensor has it
-    sensor: Array  # its settings
+    sensor: Array  # its parameters
     features: int  # that the task observes
     axes_from: int  # place in the observation from which axes are shown
     outcomes: int  # that there are
@@ -69,9 +69,7 @@ class EnvParams(NamedTuple):
 
 @lru_cache(maxsize=64)
 def obeying(part_of: Function, obey: Function) -> Any:
-    """Build `obey_command(params, surfaces, state, i, mirror)`, which applies surface i's
-    command to the axes of the zone.
-    """
+    """Build `obey_command(params, surfaces, state, i, mirror)`, which sets the zone's axes."""
 
     @inlined
     def obey_command(
@@ -113,9 +111,8 @@ def showing(functions: KernelFunctions) -> Any:
 def make_kernel(functions: KernelFunctions) -> Any:
     """Build `step_envs(params, surfaces, parcels, bodies, scratch, sensor's scratch, chosen)`.
 
-    Of the chosen lanes (count,) those placed begin, those that run move over one control period,
-    and those that have ended stay. It returns how many a task's function has gone wrong on, and is
-    compiled for a batch's arrays by `entry_of`.
+    Of the chosen environments (count,) those placed begin, those that run are stepped by one
+    control period, and those that have ended stay. It returns how many have a fault.
     """
     task_begin, task_is_done, task_outcome = functions.begin, functions.is_done, functions.outcome
     task_reward, task_observe, task_mirror = functions.reward, functions.observe, functions.mirror

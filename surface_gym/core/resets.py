@@ -65,17 +65,7 @@ def place_parcel(
     zone: tuple[int, int] | None,
     stuck: tuple[tuple[int, int], ...] = (),
 ) -> Placement:
-    """Place a parcel on a line.
-
-    Args:
-        parcel: of any base.
-        line: where it runs.
-        zone: first and last column that obey; None for the line's own.
-        stuck: (row, column) of modules that do not obey.
-
-    Raises:
-        ValueError: the parcel does not fit the line.
-    """
+    """Place a parcel on a line."""
     placed = line.site(parcel.base, zone)
     first_row, rows, first_column, columns = placed.zone
     obeys = np.zeros_like(placed.rotor)
@@ -105,27 +95,23 @@ def place_parcel(
     )
 
 
-def place_in(settings: EnvConfig, parcel: Parcel) -> Placement:
-    """Place a parcel in an environment.
-
-    Raises:
-        ValueError: the parcel does not fit the line.
-    """
-    stuck = tuple(settings.actuators.stuck)
-    return place_parcel(parcel, settings.chosen_line, settings.zone, stuck)
+def place_in(config: EnvConfig, parcel: Parcel) -> Placement:
+    """Place a parcel in an environment."""
+    stuck = tuple(config.actuators.stuck)
+    return place_parcel(parcel, config.chosen_line, config.zone, stuck)
 
 
 FEWEST_EDGES = 4
-_NEW = count(1)  # a number for every content that a site gets
+_NEW = count(1)  # a number for every content that a row gets
 
 
 class HeldParcels(NamedTuple):
-    """Parcels of some environments, copied from their sites."""
+    """Parcels of some environments, copied from their rows."""
 
     body: Integers  # (count,)
     parcel: NDArray[Any]  # (count,) of `Parcel`
-    obeys: Booleans  # (count, rows, columns), or none where all share their sites
-    content: Integers  # (count,) number of what the site held
+    obeys: Booleans  # (count, rows, columns), or none where all share their rows
+    content: Integers  # (count,) number of what the row held
 
     def __len__(self) -> int:
         return len(self.body)
@@ -134,12 +120,6 @@ class HeldParcels(NamedTuple):
 class BodyPlan:
     """The body table of a batch. The task's own parcels have a row each; any other parcel takes
     the row of its environment.
-
-    Args:
-        parcels: that the task draws.
-        place: the placement of a parcel.
-        lanes: their number.
-        shape: (rows, columns) of the line.
     """
 
     def __init__(
@@ -153,9 +133,9 @@ class BodyPlan:
         self._num_envs = num_envs
         self._shared = len(parcels)
         self._parcels: NDArray[Any] = np.full(self._shared + num_envs, None, dtype=object)
-        self._site_of = {parcel: body for body, parcel in enumerate(parcels)}
+        self._row_of = {parcel: body for body, parcel in enumerate(parcels)}
         self._content = np.zeros(self._shared + num_envs, dtype=np.int64)
-        # (sites, 4) length, width [m], mass [kg] and height of the centre of mass [m]
+        # (rows, 4) length, width [m], mass [kg] and height of the centre of mass [m]
         self.sizes: Array = np.zeros((self._shared + num_envs, 4))
         self.bodies = _make_bodies(self._shared, shape, FEWEST_EDGES)
         for body, parcel in enumerate(parcels):
@@ -163,7 +143,7 @@ class BodyPlan:
 
     def shared_bodies_of(self, parcels: Parcels) -> Integers:
         """Return the rows (count,) of parcels that the task draws; -1 for any other."""
-        found = np.array([self._site_of.get(parcel, -1) for parcel in parcels.kinds])
+        found = np.array([self._row_of.get(parcel, -1) for parcel in parcels.kinds])
         bodies: Integers = found[parcels.which]
         return bodies
 
@@ -174,9 +154,9 @@ class BodyPlan:
             bodies[k] = self._own(int(chosen[k]), parcels.kinds[parcels.which[k]])
         return bodies
 
-    def draw_stuck(self, lane: int, parcel: Parcel, working: Booleans) -> int:
-        """Return the environment's own row, with modules not working (rows, columns) not obeying."""
-        body = self._own(lane, parcel)
+    def draw_stuck(self, i: int, parcel: Parcel, working: Booleans) -> int:
+        """Return the own row of environment i, where only working modules (rows, columns) obey."""
+        body = self._own(i, parcel)
         self.bodies.obeys[body] = self._place(parcel).obeys & working
         self._content[body] = next(_NEW)
         return body
@@ -188,15 +168,13 @@ class BodyPlan:
         return parcel
 
     def copy(self, bodies: Integers) -> HeldParcels:
-        """Copy the parcels of sites (count,), with the modules that obey under them."""
+        """Copy the parcels of rows (count,), with the modules that obey under them."""
         own = bool((bodies >= self._shared).any())
         obeys = self.bodies.obeys[bodies if own else bodies[:0]]
         return HeldParcels(bodies.copy(), self._parcels[bodies], obeys, self._content[bodies])
 
     def put(self, chosen: Integers, held: HeldParcels) -> Integers:
-        """Give the chosen lanes (count,) parcels that were copied, as many or one for all; their
-        sites (count,).
-        """
+        """Give the chosen environments (count,) copied parcels; return their rows (count,)."""
         bodies = np.broadcast_to(held.body, len(chosen)).copy()
         for k in np.nonzero(bodies >= self._shared)[0].tolist():
             source = k if len(held) > 1 else 0
@@ -208,8 +186,8 @@ class BodyPlan:
                 self._content[body] = content
         return bodies
 
-    def _own(self, lane: int, parcel: Parcel) -> int:
-        body = self._shared + lane
+    def _own(self, i: int, parcel: Parcel) -> int:
+        body = self._shared + i
         if len(self.bodies.zone) == self._shared:
             more = _make_bodies(
                 self._num_envs, self.bodies.rotor.shape[1:], self.bodies.edges.shape[1]
@@ -232,9 +210,7 @@ class BodyPlan:
 
 
 def with_body(bodies: BodyTable, body: int, placement: Placement) -> BodyTable:
-    """Return a body table with a placement in one of its rows, made wider where its edges need
-    room.
-    """
+    """Return a body table with a placement in one of its rows, wider if its edges need room."""
     wide = bodies.edges.shape[1]
     more = placement.sides - wide
     if more > 0:
@@ -269,12 +245,10 @@ class StartRows(NamedTuple):
     goal: Array  # (starts, goals)
 
 
-def draw_starts(settings: EnvConfig, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
-    """Let a task draw starts from numbers (starts, draws) and the options of each, or raise an
-    error that names the task.
-    """
-    task = settings.task
-    start = task.displaced_start(Draw(numbers, options, settings.chosen_line, settings.zone))
+def draw_starts(config: EnvConfig, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
+    """Let a task draw starts from numbers (starts, draws) and the options of each."""
+    task = config.task
+    start = task.displaced_start(Draw(numbers, options, config.chosen_line, config.zone))
     if not isinstance(start, Start):
         raise ValueError(f"{type(task).__name__}.start must give a Start, got {start!r}")
     return start
@@ -296,20 +270,18 @@ def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> 
 
 
 def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: int) -> Array:
-    """Return a start's numbers, or arrays (count,), of a name as (count, wanted), or raise an
-    error.
-    """
-    told = f"{type(task).__name__}.start must give a {name} of"
+    """Return a start's numbers of a name as (count, wanted), or raise an error."""
+    expected = f"{type(task).__name__}.start must give a {name} of"
     if len(values) != wanted:
-        raise ValueError(f"{told} {wanted} numbers, got {len(values)}")
+        raise ValueError(f"{expected} {wanted} numbers, got {len(values)}")
     columns = np.empty((count, wanted))
     for k, value in enumerate(values):
         try:
             columns[:, k] = value
         except (TypeError, ValueError):
-            raise ValueError(f"{told} numbers or arrays ({count},), got {value!r}") from None
+            raise ValueError(f"{expected} numbers or arrays ({count},), got {value!r}") from None
     if not np.isfinite(columns).all():
-        raise ValueError(f"{told} finite numbers, got {tuple(values)!r}")
+        raise ValueError(f"{expected} finite numbers, got {tuple(values)!r}")
     return columns
 
 
@@ -340,8 +312,10 @@ def each_parcel(parcel: Parcel | Parcels, count: int) -> Parcels:
     return Parcels((parcel,), np.zeros(count, dtype=np.int64))
 
 
-MOST_AHEAD = 64  # starts of a lane drawn at a time, where nothing else is drawn from its generator
-MOST_KEPT = 65536  # starts of all lanes
+MOST_AHEAD = (
+    64  # starts of an environment drawn at a time, where nothing else is drawn from its generator
+)
+MOST_KEPT = 65536  # starts of all environments
 
 
 class ResetCache:
@@ -349,10 +323,10 @@ class ResetCache:
     generator, and the starts they give.
 
     Args:
-        lanes: their number.
+        num_envs: number of environments.
         draws: numbers of a start.
         shared: whether the generators are shared with other draws, which come between two starts.
-        most_kept: starts of all lanes.
+        most_kept: starts of all environments.
     """
 
     def __init__(self, num_envs: int, draws: int, shared: bool, most_kept: int = MOST_KEPT) -> None:
@@ -361,21 +335,17 @@ class ResetCache:
         self._numbers = np.zeros((num_envs, ahead, draws))
         self._used = np.full(num_envs, ahead)
         self._ahead = ahead
-        self._rows: StartRows | None = None  # of all lanes' starts, one after another
-        self._laid = np.zeros(num_envs, dtype=np.bool_)  # whether a lane's are up to date
+        self._rows: StartRows | None = None  # of all environments' starts, one after another
+        self._laid = np.zeros(num_envs, dtype=np.bool_)  # whether an environment's are up to date
 
-    def seed(self, lane: int, generator: np.random.Generator) -> None:
-        """Draw an environment's numbers from a generator; a generator that it has already goes
-        on.
-        """
-        if self.generators[lane] is not generator:
-            self.generators[lane] = generator
-            self._used[lane] = self._ahead
+    def seed(self, i: int, generator: np.random.Generator) -> None:
+        """Draw an environment's numbers from a generator; one that it has already goes on."""
+        if self.generators[i] is not generator:
+            self.generators[i] = generator
+            self._used[i] = self._ahead
 
     def take(self, chosen: Integers) -> Array:
-        """Return the next numbers (count, draws) of the chosen environments (count,), which are
-        seeded.
-        """
+        """Return the next numbers (count, draws) of the chosen, seeded environments (count,)."""
         return self._numbers[chosen, self._next(chosen)]
 
     def taken(self, chosen: Integers) -> Array:
@@ -385,10 +355,6 @@ class ResetCache:
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:
         """Return the rows of the next starts of the chosen environments (count,), which are
         seeded.
-
-        Args:
-            chosen: lanes.
-            lay_out: makes rows of numbers (starts, draws).
         """
         used = self._next(chosen)
         stale = chosen[~self._laid[chosen]]
@@ -411,12 +377,12 @@ class ResetCache:
         """Return the index (count,) of each environment's next start."""
         used = self._used[chosen]
         if used.max(initial=0) == self._ahead:
-            for lane in chosen[used == self._ahead].tolist():
-                generator = self.generators[lane]
+            for i in chosen[used == self._ahead].tolist():
+                generator = self.generators[i]
                 assert generator is not None
-                self._numbers[lane] = generator.random(self._numbers.shape[1:])
-                self._used[lane] = 0
-                self._laid[lane] = False
+                self._numbers[i] = generator.random(self._numbers.shape[1:])
+                self._used[i] = 0
+                self._laid[i] = False
             used = self._used[chosen]
         self._used[chosen] += 1
         return used

@@ -1,17 +1,16 @@
-"""Arrivals of parcels: regular, random, in slugs, or by a trace from a file.
+"""Arrivals of parcels: at a rate, by a schedule, or from a recorded trace.
 
-By every law the first parcel comes at time 0, or as soon as a schedule lets any come: the line is
-empty before it, and waiting for it would only shift the episode.
+The first parcel arrives at time 0, or as soon as the rate of a schedule is above 0.
 """
 
 import csv
 import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,65 +23,58 @@ Numbers = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 HOUR = 3600.0  # [s]
-LATEST = 1e9  # [s] that a rate may change at, or a recorded parcel come: 30 years
-FASTEST = 5.0  # [m/s] that a parcel may come in at
+LATEST = 1e9  # [s] latest change of a rate or arrival in a trace: 30 years
+FASTEST = 5.0  # [m/s] at arrival
 
 
 @dataclass(frozen=True, eq=False)
 class Arrivals:
-    """The parcels of one episode, in the order they come."""
+    """Parcels of one episode, in order of their arrival."""
 
-    time: Numbers  # (parcels,) [s] none falls, all within the episode
-    parcel: Places  # (parcels,) the place of each among the kinds
+    time: Numbers  # (parcels,) [s] in ascending order, within the episode
+    parcel: Places  # (parcels,) index among the kinds
     kinds: tuple[Parcel, ...]
     speed: Numbers  # (parcels,) [m/s] along the line
-    exit: Places  # (parcels,) the place of each one's among the exits
+    exit: Places  # (parcels,) index among the exits
 
     def __len__(self) -> int:
         return len(self.time)
 
 
 class Law(ABC):
-    """When parcels come."""
+    """A law of arrival times."""
 
     @abstractmethod
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:
-        """Draw an episode's times of arrival.
+        """Draw the arrival times of an episode.
 
         Args:
-            rng: the only source of chance.
+            rng: the source of all random numbers.
             duration: [s] of the episode, greater than 0.
 
         Returns:
-            (parcels,) [s] rising, from 0 and less than the duration.
+            (parcels,) [s] in ascending order, at least 0 and less than the duration.
         """
 
 
 @dataclass(frozen=True)
 class Steady(Law):
-    """Equal gaps: parcel k comes at k * 3600 / rate. Nothing is drawn.
-
-    Raises:
-        ValueError: a rate that is not positive.
-    """
+    """Equal gaps: parcel k arrives at k * 3600 / rate."""
 
     rate: float  # [parcels/h]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rate", checks.positive("rate", self.rate, *checks.RATE))
 
-    def times(self, rng: np.random.Generator, duration: float) -> Numbers:  # noqa: ARG002
+    def times(self, rng: np.random.Generator, duration: float) -> Numbers:
+        del rng
         gap = HOUR / self.rate
         return _before(duration, gap * np.arange(int(duration / gap) + 2.0))
 
 
 @dataclass(frozen=True)
 class Spread(Law):
-    """Gaps uniform between 1 - spread and 1 + spread times the mean, 3600 / rate.
-
-    Raises:
-        ValueError: a rate that is not positive, a spread outside [0, 1).
-    """
+    """Gaps uniform between 1 - spread and 1 + spread times the mean, 3600 / rate."""
 
     rate: float  # [parcels/h] mean
     spread: float  # [-]
@@ -102,10 +94,6 @@ class Poisson(Law):
     """Gaps of `least_gap` and an exponential number beyond it, their mean 3600 / rate in all.
 
     Without a least gap, the arrivals after the first are a Poisson process.
-
-    Raises:
-        ValueError: a rate that is not positive, a least gap that is negative or longer than the
-            mean gap.
     """
 
     rate: float  # [parcels/h] mean
@@ -129,17 +117,13 @@ class Poisson(Law):
 
 @dataclass(frozen=True)
 class Schedule(Law):
-    """A rate that changes at given times; the last goes on, and at a rate of 0 nobody comes.
+    """A rate that changes at given times; the last one holds to the end of the episode.
 
-    Parcel k comes when the integral of the rate reaches the sum of k numbers, each uniform between
-    1 - spread and 1 + spread: so at a constant rate the gaps are those of `Spread`.
-
-    Raises:
-        ValueError: rates that are no pairs, times that do not rise from 0, a negative rate, rates
-            that are all 0, a spread outside [0, 1).
+    Parcel k arrives when the integral of the rate reaches the sum of k numbers, each uniform
+    between 1 - spread and 1 + spread. At a constant rate the gaps are those of `Spread`.
     """
 
-    rates: tuple[tuple[float, float], ...]  # [s] from when on, and [parcels/h] how many come
+    rates: tuple[tuple[float, float], ...]  # [s] start of a rate, and the rate [parcels/h]
     spread: float = 0.0  # [-]
 
     def __post_init__(self) -> None:
@@ -158,7 +142,7 @@ class Schedule(Law):
 
     @cached_property
     def _steps(self) -> tuple[Numbers, Numbers, Numbers]:
-        """(rates,) time [s], rate [parcels/s], and how many parcels are due by that time."""
+        """Start [s] and rate [parcels/s] of each step, and the parcels due by its start."""
         time, rate = np.array(self.rates).T
         rate = rate / HOUR
         return time, rate, np.concatenate([[0.0], np.cumsum(rate[:-1] * np.diff(time))])
@@ -169,13 +153,13 @@ class Schedule(Law):
         all_due = due[last] + rate[last] * (duration - time[last])
         low, high = 1.0 - self.spread, 1.0 + self.spread
         count = _sums(lambda number: rng.uniform(low, high, number), 1.0, all_due)
-        # The last of the steps that fewer are due by: where nobody comes, the one that ends it.
+        # The last step by whose start fewer are due: after steps of rate 0, the one that follows.
         step = np.searchsorted(due, count, side="right") - 1
         return _before(duration, time[step] + (count - due[step]) / rate[step])
 
 
 def check_speed(name: str, value: Any) -> float:
-    """A speed [m/s] that a parcel may come in at, or an error."""
+    """Return a speed [m/s] at which a parcel may arrive."""
     return checks.within(name, checks.positive(name, value), 0.0, FASTEST)
 
 
@@ -186,9 +170,9 @@ def _spread(value: Any) -> float:
 
 
 def _sums(draw: Callable[[int], Numbers], mean: float, end: float) -> Numbers:
-    """(n,) 0 and the sums of the first 1, 2, ... gaps drawn, as far as they are below an end.
+    """Return 0 and the sums of the first 1, 2, ... gaps drawn that are below an end; (n,).
 
-    The gaps are drawn in blocks: one is nearly always enough.
+    The gaps are drawn in blocks; one block is nearly always enough.
     """
     block = int(1.1 * end / mean) + 16
     sums = np.concatenate([[0.0], np.cumsum(draw(block))])
@@ -206,17 +190,12 @@ COLUMNS = ("time", "length", "width", "mass", "speed", "exit")  # [s, m, m, kg, 
 
 @dataclass(frozen=True)
 class Arrival:
-    """One parcel of a trace.
-
-    Raises:
-        ValueError: a negative time, a parcel that is none, a speed that is not positive or more
-            than 5 m/s, an exit's name that is no text or empty.
-    """
+    """One parcel of a trace."""
 
     time: float  # [s]
     parcel: Parcel
     speed: float  # [m/s] along the line
-    exit: str  # name of the exit it is to leave by
+    exit: str  # name of its destination
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", checks.not_negative("time", self.time, LATEST))
@@ -228,11 +207,7 @@ class Arrival:
 
 @dataclass(frozen=True)
 class Trace:
-    """A recorded stream: who came when, how fast and where to. Nothing is drawn.
-
-    Raises:
-        ValueError: no arrival at all, something that is none, or a time that falls.
-    """
+    """A recorded stream: arrivals with their parcels, speeds and destinations."""
 
     arrivals: tuple[Arrival, ...]
 
@@ -250,17 +225,17 @@ class Trace:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of the exits that parcels leave by, each once."""
+        """Names of the destinations, each once."""
         return tuple(dict.fromkeys(each.exit for each in self.arrivals))
 
     @property
     def kinds(self) -> tuple[Parcel, ...]:
-        """The parcels, each once however many are alike."""
+        """The different parcels, each once."""
         return self._recorded.kinds
 
     @cached_property
     def _recorded(self) -> Arrivals:
-        """All of them, the exits by their places among the names."""
+        """All arrivals; their exits are indices among the names."""
         kinds = tuple(dict.fromkeys(each.parcel for each in self.arrivals))
         kind = {parcel: place for place, parcel in enumerate(kinds)}
         name = {name: place for place, name in enumerate(self.names)}
@@ -273,16 +248,12 @@ class Trace:
         )
 
     def check(self, exits: Exits) -> None:
-        """Raise a ValueError that names an exit of the trace that is none of some exits."""
+        """Raise a ValueError if a destination is not among the exits."""
         for name in self.names:
             exits.place(name)
 
     def within(self, duration: float, exits: Exits) -> Arrivals:
-        """The arrivals before a duration [s].
-
-        Raises:
-            ValueError: an exit of the trace is none of these.
-        """
+        """Return the arrivals before a duration [s]."""
         recorded = self._recorded
         count = int(np.searchsorted(recorded.time, duration))
         place = np.array([exits.place(name) for name in self.names])
@@ -300,11 +271,7 @@ def read_trace(path: str | PathLike[str], exits: Exits | None = None) -> Trace:
 
     The first line names the columns, in any order: time [s], length [m], width [m], mass [kg],
     speed [m/s] and exit, a name. Each further line is a parcel, in order of time; blank ones are
-    skipped.
-
-    Args:
-        path: of the file.
-        exits: that the parcels may leave by; None: not known yet.
+    skipped. With `exits`, every destination must be among them.
 
     Raises:
         ValueError: what the file holds is not allowed; the error names the line.
@@ -334,12 +301,7 @@ def read_trace(path: str | PathLike[str], exits: Exits | None = None) -> Trace:
 
 
 def write_trace(path: str | PathLike[str], arrivals: Arrivals, exits: Exits) -> None:
-    """Write the arrivals of an episode, so that `read_trace` reads back the same.
-
-    Args:
-        path: of the file; one that is there is replaced.
-        arrivals: of the episode.
-        exits: that they were drawn with.
+    """Write the arrivals of an episode, drawn with these exits, in the format of `read_trace`.
 
     Raises:
         ValueError: no arrivals, or a parcel that is more than a length, a width and a mass.
@@ -348,23 +310,18 @@ def write_trace(path: str | PathLike[str], arrivals: Arrivals, exits: Exits) -> 
     if len(arrivals) == 0:
         raise ValueError("arrivals must be at least one parcel, got none")
     sizes = [_size(parcel) for parcel in arrivals.kinds]
+    times, speeds = arrivals.time.tolist(), arrivals.speed.tolist()
     with open(path, "w", encoding="utf-8", newline="") as file:
-        _write(file, arrivals, sizes, exits.names)
-
-
-def _write(
-    file: TextIO, arrivals: Arrivals, sizes: Sequence[tuple[float, ...]], names: Sequence[str]
-) -> None:
-    rows = csv.writer(file, lineterminator="\n")
-    rows.writerow(COLUMNS)
-    for time, kind, speed, leaving in zip(
-        arrivals.time.tolist(), arrivals.parcel, arrivals.speed.tolist(), arrivals.exit, strict=True
-    ):
-        rows.writerow([time, *sizes[kind], speed, names[leaving]])
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(COLUMNS)
+        for time, kind, speed, leaving in zip(
+            times, arrivals.parcel, speeds, arrivals.exit, strict=True
+        ):
+            rows.writerow([time, *sizes[kind], speed, exits.names[leaving]])
 
 
 def _size(parcel: Parcel) -> tuple[float, float, float]:
-    """[m, m, kg] the length, width and mass of a parcel that is nothing but these."""
+    """Return the length [m], width [m] and mass [kg] of a parcel that has nothing else."""
     base = parcel.base
     if not isinstance(base, Rectangle) or parcel != Parcel(base, parcel.mass):
         raise ValueError(

@@ -10,53 +10,28 @@ from numpy.typing import NDArray
 
 from surface_gym import state as st
 from surface_gym.config import EnvConfig
-from surface_gym.core.assembly import choose_actuation, compiled_function, sensor_functions
+from surface_gym.core.assembly import choose_actuation, compiled_functions
 from surface_gym.core.batch import BaseBatch, Infos, Snapshot
 from surface_gym.core.kernel import EnvParams
 from surface_gym.core.resets import FEWEST_EDGES, Placement, draw_noise, place_in, with_body
+from surface_gym.flow import kernel
+from surface_gym.flow import state as fs
 from surface_gym.flow.arrivals import Arrivals
-from surface_gym.flow.kernel import (
-    StreamFunctions,
-    commanded_angle,
-    commanded_choice,
-    make_stream_kernel,
-    part_of_module,
-    part_of_owner,
-)
-from surface_gym.flow.state import (
-    ENTERED,
-    JAM,
-    NEVER,
-    NOBODY,
-    ON_ITS_WAY,
-    RIGHT,
-    TOUCHES,
-    TURNS,
-    WRONG,
-    StreamParams,
-    StreamState,
-    compute_statistics,
-    make_streams,
-    with_room,
-)
+from surface_gym.flow.kernel import StreamFunctions
+from surface_gym.flow.state import StreamParams, StreamState
 from surface_gym.flow.task import StreamTask
 from surface_gym.parcel import Parcel
 from surface_gym.physics.collision import make_world_scratch
 from surface_gym.physics.step import com_states
 from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
+from surface_gym.sensors.base import Sensor
 from surface_gym.state import BodyTable, ParcelState, SurfaceState
 
 _FIRST_ROOM = 16
 
 
 class BodyPool:
-    """Bodies of parcels, each once as long as an episode uses it: rows of `BodyTable` whose surface is
-    the same for all.
-
-    Args:
-        place: makes the placement of a parcel.
-        any_parcel: one of those to come, for rotors and zone, which all have in common.
-    """
+    """A table of bodies, each there as long as an episode uses it; all meet the same surface."""
 
     def __init__(self, place: Callable[[Parcel], Placement], any_parcel: Parcel) -> None:
         self._place = place
@@ -75,11 +50,7 @@ class BodyPool:
         self._free = list(range(_FIRST_ROOM))[::-1]
 
     def take(self, parcel: Parcel) -> int:
-        """Get the row of a parcel's body, for one more user.
-
-        Raises:
-            ValueError: the parcel does not fit the line.
-        """
+        """Get the row of a parcel's body, for one more user."""
         row = self._row_of.get(parcel)
         if row is None:
             placement = self._place(parcel)
@@ -102,7 +73,7 @@ class BodyPool:
                 self._free.append(row)
 
     def parcel(self, row: int) -> Parcel:
-        """The parcel of a row in use."""
+        """Return the parcel of a row in use."""
         return self._parcel_of[row]
 
     def _double(self) -> None:
@@ -117,24 +88,16 @@ class BodyPool:
 
 
 def stream_functions(config: EnvConfig) -> StreamFunctions:
-    """Collect the functions that the kernel of streams is built from.
-
-    Raises:
-        ValueError: a task or a sensor lacks one of its compiled functions.
-    """
+    """Collect the functions that the kernel of streams is built from."""
     task, kind = config.task, config.action_kind
-    begin, update, read = sensor_functions(config.sensors)
-    names = ("begin", "exit_taken", "reward", "observe", "observe_neighbour",
-             "observe_no_neighbour")  # fmt: skip
+    names = "begin exit_taken reward observe observe_neighbour observe_no_neighbour"
     return StreamFunctions(
         f"{type(task).__name__}-{type(config.sensors).__name__}-{config.actions}",
-        *(compiled_function(task, name, StreamTask) for name in names),
-        begin_sensor=begin,
-        update_sensor=update,
-        read_sensor=read,
+        **compiled_functions(task, StreamTask, names),
+        **compiled_functions(config.sensors, Sensor, "begin update read", "_sensor"),
         watches=config.sensors.watches,
-        part_of=part_of_module if config.actions == "modules" else part_of_owner,
-        commanded=commanded_angle if kind.continuous else commanded_choice,
+        part_of=kernel.part_of_module if config.actions == "modules" else kernel.part_of_owner,
+        commanded=kernel.commanded_angle if kind.continuous else kernel.commanded_choice,
         actuation=choose_actuation(kind.continuous, config.actuators.axis_speed != math.inf),
     )
 
@@ -170,16 +133,8 @@ class StreamBatch(BaseBatch):
 
     task: StreamTask
 
-    def __init__(
-        self,
-        config: EnvConfig,
-        num_envs: int,
-        threads: int = 1,
-        max_episode_steps: int | None = None,
-        compiles: bool = True,
-    ) -> None:
-        super().__init__(config, num_envs, threads, max_episode_steps)
-        task = config.stream_task
+    def _make_memory(self) -> None:
+        config, task, num_envs = self.config, self.config.stream_task, self.num_envs
         self.rows = task.rows
         self.stream_params = make_stream_params(config)
         self.surfaces.conditions[:, :3] = 1.0
@@ -190,12 +145,14 @@ class StreamBatch(BaseBatch):
         if config.actuators.stuck_share > 0.0:
             obeys = np.repeat(obeys, num_envs, axis=0)
         shape = self.surfaces.axis.shape[1:]
-        self.streams: StreamState = make_streams(num_envs, self.rows, shape, len(task.terms), obeys)
+        self.streams: StreamState = fs.make_streams(
+            num_envs, self.rows, shape, len(task.terms), obeys
+        )
         self._used: list[list[int]] = [[] for _ in range(num_envs)]  # rows of the pool, by surface
         self._generators: list[np.random.Generator | None] = [None] * num_envs
-        if compiles:
-            make_scratch = partial(make_world_scratch, self.rows)
-            self._build(config.timing.steps * self.rows, make_scratch)
+
+    def _make_scratch(self) -> Any:
+        return make_world_scratch(self.rows)
 
     @property
     def bodies(self) -> BodyTable:
@@ -223,7 +180,7 @@ class StreamBatch(BaseBatch):
         )
 
     def _make_kernel(self) -> Any:
-        return make_stream_kernel(stream_functions(self.config))
+        return kernel.make_stream_kernel(stream_functions(self.config))
 
     def seed(self, env_index: int, generator: np.random.Generator) -> None:
         self._generators[env_index] = generator
@@ -237,12 +194,12 @@ class StreamBatch(BaseBatch):
         slots = self.task.max_parcels
         return {
             "time": streams.clock,
-            "parcels": np.where(streams.present, streams.number, NOBODY)[:, :slots],
-            "entered": tally[:, ENTERED],
-            "right": tally[:, RIGHT],
-            "wrong": tally[:, WRONG],
-            "touches": tally[:, TOUCHES],
-            "turns": tally[:, TURNS],
+            "parcels": np.where(streams.present, streams.number, fs.NOBODY)[:, :slots],
+            "entered": tally[:, fs.ENTERED],
+            "right": tally[:, fs.RIGHT],
+            "wrong": tally[:, fs.WRONG],
+            "touches": tally[:, fs.TOUCHES],
+            "turns": tally[:, fs.TURNS],
             "waiting": streams.due - streams.coming,
             **({"axes": st.axis_angles(self.surfaces)} if "axes" in self.config.info else {}),
         }
@@ -252,8 +209,8 @@ class StreamBatch(BaseBatch):
         obeys = self.streams.obeys
         for i in np.nonzero(ended)[0].tolist():
             obeying = int(obeys[i if len(obeys) > 1 else 0].sum())
-            jammed = bool(self.streams.outcome[i] == JAM)
-            statistics = compute_statistics(self.streams, i, jammed, obeying)
+            jammed = bool(self.streams.outcome[i] == fs.JAM)
+            statistics = fs.compute_statistics(self.streams, i, jammed, obeying)
             for name, value in vars(statistics).items():
                 found.setdefault(name, np.full(len(ended), np.nan))[i] = value
         return found
@@ -294,15 +251,15 @@ class StreamBatch(BaseBatch):
     def _write(self, i: int, arrivals: Arrivals, rng: np.random.Generator) -> None:
         """Write the arrivals of a surface, with no parcel on it yet."""
         count = len(arrivals)
-        self.streams = streams = with_room(self.streams, count)
+        self.streams = streams = fs.with_room(self.streams, count)
         streams.time[i, :count] = arrivals.time
         streams.exit[i, :count] = arrivals.exit
         streams.arrivals[i] = count
-        site, streams.start[i, :count] = self._entries(i, arrivals, rng)
-        streams.body[i, :count] = site
+        body, streams.start[i, :count] = self._entries(i, arrivals, rng)
+        streams.body[i, :count] = body
         for name, value in (
-            ("entered", np.nan), ("left", np.nan), ("taken", ON_ITS_WAY), ("touches", 0),
-            ("number", NOBODY), ("present", False), ("touched_at", NEVER), ("coming", 0),
+            ("entered", np.nan), ("left", np.nan), ("taken", fs.ON_ITS_WAY), ("touches", 0),
+            ("number", fs.NOBODY), ("present", False), ("touched_at", fs.NEVER), ("coming", 0),
             ("due", 0), ("clock", 0.0), ("steps", 0), ("still", 0.0), ("waited", 0.0),
             ("tally", 0), ("outcome", st.STARTING),
         ):  # fmt: skip
@@ -313,8 +270,8 @@ class StreamBatch(BaseBatch):
     def _entries(
         self, i: int, arrivals: Arrivals, rng: np.random.Generator
     ) -> tuple[Integers, Array]:
-        """Sites (arrivals,) and states (arrivals, STATE_SIZE) in which parcels enter: the rear at
-        the line's edge, on its middle, but for the randomisation.
+        """Return rows of the body table (arrivals,) and states (arrivals, STATE_SIZE) of parcels as
+        they enter: the rear at the line's edge, on its middle, but for the randomisation.
         """
         randomisation, count = self.config.randomisation, len(arrivals)
         middle = self.config.chosen_line.line_y
@@ -330,21 +287,21 @@ class StreamBatch(BaseBatch):
             parcels = [parcel for parcel, _, _ in drawn]
             aside = np.array([aside for _, aside, _ in drawn])
             turned = np.array([turned for _, _, turned in drawn])
-            site = np.array([self._pool.take(parcel) for parcel in parcels], dtype=np.int64)
-            self._used[i] = site.tolist()
+            body = np.array([self._pool.take(parcel) for parcel in parcels], dtype=np.int64)
+            self._used[i] = body.tolist()
             rear = np.array([_rear(parcel, theta) for parcel, _, theta in drawn])
             centre = np.array([parcel.centre_of_mass for parcel in parcels]).reshape(-1, 2)
         else:
             rows = [self._pool.take(kind) for kind in arrivals.kinds]
             self._used[i] = rows
-            site = np.array(rows, dtype=np.int64)[arrivals.parcel]
+            body = np.array(rows, dtype=np.int64)[arrivals.parcel]
             aside = turned = np.zeros(count)
             rear = np.array([kind.rear for kind in arrivals.kinds])[arrivals.parcel]
             centre = np.array([kind.centre_of_mass for kind in arrivals.kinds])[arrivals.parcel]
         pose = np.stack([self.config.entry_x + rear, middle + aside, turned], axis=-1)
         velocity = np.zeros((count, 3))
         velocity[:, 0] = arrivals.speed
-        return site, com_states(centre, pose, velocity)
+        return body, com_states(centre, pose, velocity)
 
     def _state(self, axes: bool) -> dict[str, NDArray[Any]]:
         found = super()._state(axes)
@@ -354,7 +311,7 @@ class StreamBatch(BaseBatch):
         return found
 
     def restore(self, snapshot: Snapshot, chosen: Integers | int | None = None) -> None:
-        self.streams = with_room(self.streams, snapshot.arrays["streams.time"].shape[1])
+        self.streams = fs.with_room(self.streams, snapshot.arrays["streams.time"].shape[1])
         super().restore(snapshot, chosen)
 
     def _copy_parcels(self, chosen: Integers) -> list[dict[int, list[Parcel]]]:

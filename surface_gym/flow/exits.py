@@ -17,21 +17,16 @@ RUN_OUT = 6  # columns of supports after the last rotors, for parcels that go st
 PITCH = 0.1  # [m]
 
 SIDES = (-1, 0, 1)  # y < 0 (right), straight on, y > 0 (left)
-NOWHERE = -1  # the place of no exit: between two of them
+NOWHERE = -1  # index of a parcel that leaves between two exits
 
 
 @dataclass(frozen=True)
 class Exit:
-    """Where parcels may leave. One whose centre is at `first` is within the span, at `last` past.
-
-    Raises:
-        ValueError: a name that is no text or empty, a side other than -1, 0 and 1, a span that
-            does not rise.
-    """
+    """A place where parcels may leave; its span holds `first` and not `last`."""
 
     name: str  # "left 1"
     side: int  # +1: y > 0 (left), -1: y < 0 (right), 0: straight on, at the line's end
-    # [m] span of x in which a parcel's centre must leave the rotors; of no account straight on
+    # [m] span of x in which a parcel's centre must leave the rotors; unused straight on
     first: float = 0.0
     last: float = math.inf
 
@@ -51,11 +46,7 @@ class Exit:
 
 @dataclass(frozen=True)
 class Exits:
-    """The exits of a line. Other things name one by its place among them.
-
-    Raises:
-        ValueError: no exit at all, something that is none, two of one name, two straight on, or
-            two of one side whose spans overlap.
+    """The exits of a line, counted by their index.
 
     >>> exits = Exits([Exit("left", 1, 0.5, 2.0), Exit("straight", 0)])
     >>> exits.at(1, x=1.2), exits.at(1, x=2.5), exits.at(0, x=3.0)
@@ -83,7 +74,7 @@ class Exits:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of each exit."""
+        """Names of the exits."""
         return tuple(each.name for each in self.exits)
 
     @cached_property
@@ -94,19 +85,15 @@ class Exits:
         return table
 
     def place(self, name: str) -> int:
-        """The place of the exit of a name.
-
-        Raises:
-            ValueError: none has that name.
-        """
+        """Return the index of the exit of a name."""
         return self.names.index(checks.one_of("exit", name, self.names))
 
     def at(self, side: int, x: float) -> int:
-        """The place of the exit a parcel takes, or -1 between exits: the rule compiled code keeps.
+        """Return the index of the exit that a parcel takes, or -1 between exits.
 
         Args:
-            side: the parcel leaves to: +1 left, -1 right, 0 at the line's end.
-            x: [m] of its centre; of no account at the line's end.
+            side: on which the parcel leaves: +1 left, -1 right, 0 at the line's end.
+            x: [m] of its centre; unused at the line's end.
         """
         for place, each in enumerate(self.exits):
             if each.side == side and (side == 0 or each.first <= x < each.last):
@@ -115,7 +102,7 @@ class Exits:
 
 
 def chutes(length: float = 6.0) -> Exits:
-    """Two chutes to either side and straight on, of a line of a length [m]."""
+    """Make two chutes on either side and an exit straight on, for a line of a length [m]."""
     scale = checks.positive("length", length, *checks.LENGTH) / 6.0
     spans = ((0.6 * scale, 2.8 * scale), (3.2 * scale, 5.8 * scale))
     aside = tuple(
@@ -127,7 +114,7 @@ def chutes(length: float = 6.0) -> Exits:
 
 
 def sides(length: float = 6.0) -> Exits:
-    """A chute to either side, as long as the line [m], and straight on."""
+    """Make a chute on either side, as long as the line [m], and an exit straight on."""
     last = checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("left", 1, 0.0, last), Exit("right", -1, 0.0, last), Exit("straight", 0)))
 
@@ -136,11 +123,7 @@ EXITS = {"chutes": chutes, "sides": sides}  # presets by name, each of the line'
 
 
 def exits_option(value: Any, length: float) -> Exits:
-    """The exits asked for: the name of a preset, for a line of a length [m], or one's own.
-
-    Raises:
-        ValueError: neither a preset's name, nor Exits, nor a tuple of Exit.
-    """
+    """Return the exits of an argument: a preset by name, for a line of a length [m], or Exits."""
     if isinstance(value, Exits):
         return value
     if isinstance(value, (tuple, list)):
@@ -149,7 +132,7 @@ def exits_option(value: Any, length: float) -> Exits:
 
 
 def check_name(name: str, value: Any) -> str:
-    """An exit's name, or an error: text without spaces at its ends, not empty."""
+    """Return the name of an exit: text without spaces at its ends, not empty."""
     if not isinstance(value, str) or not value or value != value.strip():
         raise ValueError(f"{name} must be text without spaces at its ends, got {value!r}")
     return value

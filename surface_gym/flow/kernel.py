@@ -13,25 +13,8 @@ import numpy as np
 from surface_gym import state as st
 from surface_gym.core.actions import Acting
 from surface_gym.core.kernel import Actuation, EnvParams, Function
-from surface_gym.flow.state import (
-    ENTERED,
-    EXIT,
-    FIRST,
-    JAM,
-    LAST,
-    LEFT_RIGHT,
-    LEFT_WRONG,
-    NEVER,
-    NOBODY,
-    RIGHT,
-    SIDE,
-    TOUCHED,
-    TOUCHES,
-    TURNS,
-    WRONG,
-    StreamParams,
-    StreamState,
-)
+from surface_gym.flow import state as fs
+from surface_gym.flow.state import StreamParams, StreamState
 from surface_gym.flow.task import HALVES
 from surface_gym.layouts import ROLLING
 from surface_gym.physics import types as ph
@@ -54,15 +37,13 @@ def free_modules(owner: Places, soonest: Array, state: EnvState) -> None:
     zone = state.zone
     for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
         for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
-            owner[row, column] = NOBODY
+            owner[row, column] = fs.NOBODY
             soonest[row, column] = np.inf
 
 
 @inlined
 def _until(point: float, low: float, high: float, speed: float) -> float:
-    """[s] until an interval that moves at a speed [m/s] holds a point: 0 if it does already,
-    infinite if it never will.
-    """
+    """Return the time [s] until an interval moving at a speed [m/s] holds a point, or infinity."""
     if point > high:
         return (point - high) / speed if speed > 0.0 else np.inf
     if point < low:
@@ -190,9 +171,9 @@ def count_slots(stream_params: StreamParams, streams: StreamState) -> int:
 def _free_slot(streams: StreamState, i: int, slots: int) -> int:
     """Find the first slot that is free, or NOBODY."""
     for slot in range(slots):
-        if streams.number[i, slot] == NOBODY:
+        if streams.number[i, slot] == fs.NOBODY:
             return slot
-    return NOBODY
+    return fs.NOBODY
 
 
 @inlined
@@ -223,10 +204,10 @@ def _put(
         parcels.state[row, k] = streams.start[i, arrival, k]
     asked = streams.exit[i, arrival]
     parcels.body[row] = streams.body[i, arrival]
-    parcels.goal[row, EXIT] = asked
-    parcels.goal[row, SIDE] = stream_params.exits[asked, 0]
-    parcels.goal[row, FIRST] = stream_params.exits[asked, 1]
-    parcels.goal[row, LAST] = stream_params.exits[asked, 2]
+    parcels.goal[row, fs.EXIT] = asked
+    parcels.goal[row, fs.SIDE] = stream_params.exits[asked, 0]
+    parcels.goal[row, fs.FIRST] = stream_params.exits[asked, 1]
+    parcels.goal[row, fs.LAST] = stream_params.exits[asked, 2]
     parcels.clock[row] = 0.0
     parcels.period[row] = 0.0
     parcels.steps[row] = 0
@@ -245,13 +226,11 @@ def show_next(
     streams: StreamState,
     i: int,
 ) -> None:
-    """Write the parcel that waits to enter, if any, into the last row, as it will enter: its pose
-    and its speed are known.
-    """
+    """Write the parcel that waits to enter, if any, into the last row, as it will enter."""
     last = streams.number.shape[1] - 1
     arrival = streams.coming[i]
     if arrival == streams.due[i]:
-        streams.number[i, last] = NOBODY
+        streams.number[i, last] = fs.NOBODY
         return
     _put(stream_params, streams, parcels, i, last, arrival)
     row = i * streams.number.shape[1] + last
@@ -279,10 +258,10 @@ def let_in(
     """
     arrival = streams.coming[i]
     if arrival == streams.due[i]:
-        return NOBODY
+        return fs.NOBODY
     slot = _free_slot(streams, i, count_slots(stream_params, streams))
-    if slot == NOBODY:
-        return NOBODY
+    if slot == fs.NOBODY:
+        return fs.NOBODY
     first = i * streams.number.shape[1]
     _put(stream_params, streams, parcels, i, slot, arrival)
     state = st.env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
@@ -292,15 +271,15 @@ def let_in(
             other = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
             st.read_truth(other)
             if _bars(other, state, stream_params.entry_gap):
-                return NOBODY
+                return fs.NOBODY
     streams.number[i, slot] = arrival
     streams.present[i, slot] = True
     streams.entered[i, arrival] = streams.clock[i]
     streams.coming[i] = arrival + 1
-    streams.tally[i, ENTERED] += 1
+    streams.tally[i, fs.ENTERED] += 1
     for k in range(streams.number.shape[1]):
-        streams.touched_at[i, slot, k] = NEVER
-        streams.touched_at[i, k, slot] = NEVER
+        streams.touched_at[i, slot, k] = fs.NEVER
+        streams.touched_at[i, k, slot] = fs.NEVER
     return slot
 
 
@@ -312,8 +291,8 @@ def leave(streams: StreamState, parcels: ParcelState, i: int, slot: int, taken: 
     streams.present[i, slot] = False
     streams.left[i, arrival] = streams.clock[i]
     streams.taken[i, arrival] = taken
-    streams.tally[i, RIGHT if right else WRONG] += 1
-    parcels.outcome[i * streams.number.shape[1] + slot] = LEFT_RIGHT if right else LEFT_WRONG
+    streams.tally[i, fs.RIGHT if right else fs.WRONG] += 1
+    parcels.outcome[i * streams.number.shape[1] + slot] = fs.LEFT_RIGHT if right else fs.LEFT_WRONG
 
 
 APART = 0.2  # [s] two that have not pushed each other for so long touch anew
@@ -333,11 +312,11 @@ def note_touches(
     for k in range(pairs):
         a, b = scratch.pair[k, 0], scratch.pair[k, 1]
         if streams.steps[i] - streams.touched_at[i, a, b] > apart:
-            streams.tally[i, TOUCHES] += 1
+            streams.tally[i, fs.TOUCHES] += 1
             streams.touches[i, streams.number[i, a]] += 1
             streams.touches[i, streams.number[i, b]] += 1
-            parcels.memory[i * rows + a, TOUCHED] += 1.0
-            parcels.memory[i * rows + b, TOUCHED] += 1.0
+            parcels.memory[i * rows + a, fs.TOUCHED] += 1.0
+            parcels.memory[i * rows + b, fs.TOUCHED] += 1.0
         streams.touched_at[i, a, b] = streams.steps[i]
         streams.touched_at[i, b, a] = streams.steps[i]
 
@@ -350,14 +329,14 @@ def _nearest(streams: StreamState, parcels: ParcelState, i: int, slot: int, ahea
     """
     first = i * streams.number.shape[1]
     x = parcels.sensed[first + slot, ph.X]
-    nearest = NOBODY
+    nearest = fs.NOBODY
     least = 0.0
     for k in range(streams.number.shape[1]):
         if not streams.present[i, k] or k == slot:
             continue
         apart = parcels.sensed[first + k, ph.X] - x
         is_ahead = apart > 0.0 or (apart == 0.0 and streams.number[i, k] < streams.number[i, slot])
-        if is_ahead == ahead and (nearest == NOBODY or abs(apart) < least):
+        if is_ahead == ahead and (nearest == fs.NOBODY or abs(apart) < least):
             nearest = k
             least = abs(apart)
     return nearest
@@ -383,9 +362,7 @@ class StreamFunctions(NamedTuple):
 
 
 def _obeying(functions: StreamFunctions) -> Any:
-    """Build `obey_command(params, stream_params, ..., i)`, which turns the
-    modules that the command of surface i turns, and counts them.
-    """
+    """Build `obey_command`, which turns surface i's modules by its command, and counts them."""
     part_of, commanded, obey = functions.part_of, functions.commanded, functions.actuation.obey
 
     @inlined
@@ -416,7 +393,7 @@ def _obeying(functions: StreamFunctions) -> Any:
                     continue
                 angle = commanded(params.acting, surfaces, i, part)
                 if is_turn(angle, streams.commanded[i, row, column]):
-                    streams.tally[i, TURNS] += 1
+                    streams.tally[i, fs.TURNS] += 1
                 streams.commanded[i, row, column] = angle
                 obey(params.acting, surfaces, i, row, column, part)
 
@@ -424,9 +401,7 @@ def _obeying(functions: StreamFunctions) -> Any:
 
 
 def _observing(functions: StreamFunctions) -> Any:
-    """Build `observe_parcels(params, stream_params, ..., i)`, which writes the
-    table of surface i: a row a parcel, with its neighbours along the line.
-    """
+    """Build `observe_parcels`, which writes surface i's table: a row a parcel."""
     observe, observe_neighbour = functions.observe, functions.observe_neighbour
     observe_no_neighbour = functions.observe_no_neighbour
 
@@ -445,7 +420,7 @@ def _observing(functions: StreamFunctions) -> Any:
         first = i * rows
         for k in range(rows):
             state = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
-            waits = k >= slots and streams.number[i, k] != NOBODY
+            waits = k >= slots and streams.number[i, k] != fs.NOBODY
             if not (streams.present[i, k] or waits):
                 for feature in range(state.observation.shape[0]):
                     state.observation[feature] = 0.0
@@ -457,7 +432,7 @@ def _observing(functions: StreamFunctions) -> Any:
             for way in range(2):
                 ahead = way == 1
                 slot = _nearest(streams, parcels, i, k, ahead)
-                if slot == NOBODY:
+                if slot == fs.NOBODY:
                     observe_no_neighbour(state, ahead)
                     continue
                 other = st.env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
@@ -473,8 +448,7 @@ def _observing(functions: StreamFunctions) -> Any:
 
 @lru_cache(maxsize=64)
 def make_stream_kernel(functions: StreamFunctions) -> Any:
-    """Build `step_streams(params, stream_params, surfaces, parcels, bodies, streams, scratch, sensor's
-    scratch, chosen)`.
+    """Build `step_streams(params, stream_params, *arrays, scratch, sensor's scratch, chosen)`.
 
     Of the chosen surfaces (count,) those placed begin, those that run are stepped by one control
     period, and those that have ended stay. It returns how many have a fault.
@@ -514,7 +488,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                 for row in range(streams.commanded.shape[1]):
                     for column in range(streams.commanded.shape[2]):
                         streams.commanded[i, row, column] = ROLLING
-                        streams.owner[i, row, column] = NOBODY
+                        streams.owner[i, row, column] = fs.NOBODY
                 streams.outcome[i] = st.RUNNING
             elif streams.outcome[i] != st.RUNNING:
                 continue
@@ -525,13 +499,13 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                 parcels.reward[first + k] = 0.0
                 parcels.period[first + k] = 0.0
                 if not streams.present[i, k]:
-                    streams.number[i, k] = NOBODY
+                    streams.number[i, k] = fs.NOBODY
             if not begins:
                 obey_command(params, stream_params, surfaces, parcels, bodies, streams, i)
             invalidate_world(scratch)
             invalidate_contacts(sensor_scratch)
             grid = st.read_grid(surfaces, bodies, i, 0, params.elements, params.friction)
-            company = World(
+            world = World(
                 parcels.state[first : first + rows],
                 streams.present[i],
                 parcels.body[first : first + rows],
@@ -547,7 +521,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                         turn(params.acting, surfaces, i, zone)
                         invalidate_world(scratch)
                         invalidate_contacts(sensor_scratch)
-                    pairs = step_world(grid, company, stream_params.touching, scratch, dt)
+                    pairs = step_world(grid, world, stream_params.touching, scratch, dt)
                     streams.clock[i] += dt
                     streams.steps[i] += 1
                     note_touches(parcels, streams, scratch, i, pairs, apart)
@@ -576,23 +550,23 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                 if stream_params.gated and (entered or opens == 0 or step < opens):
                     continue
                 slot = let_in(params, stream_params, surfaces, parcels, bodies, streams, i)
-                if slot != NOBODY:
+                if slot != fs.NOBODY:
                     entered = True
                     state = st.env_state(
                         surfaces, parcels, bodies, i, first + slot, params.elements
                     )
-                    state.memory[TOUCHED] = 0.0
+                    state.memory[fs.TOUCHED] = 0.0
                     task_begin(state)
                     sensor_begin(params.sensor, state)
             occupied = False
             moves = False
             for k in range(slots):
-                if streams.number[i, k] == NOBODY:
+                if streams.number[i, k] == fs.NOBODY:
                     continue
                 state = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
                 st.read_truth(state)
                 task_reward(state, parcels.outcome[first + k])
-                state.memory[TOUCHED] = 0.0
+                state.memory[fs.TOUCHED] = 0.0
                 reward = 0.0
                 for term in range(state.terms.shape[0]):
                     reward += state.terms[term]
@@ -607,7 +581,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
             else:
                 streams.still[i] = 0.0
             if streams.still[i] >= stream_params.patience:
-                streams.outcome[i] = JAM
+                streams.outcome[i] = fs.JAM
                 streams.terms[i, jam_term] = stream_params.jam_reward
             elif streams.clock[i] >= stream_params.duration - 0.5 * dt:
                 streams.outcome[i] = st.OUT_OF_TIME

@@ -71,8 +71,9 @@ class FlowParallelEnv(ParallelEnv):
         self.config = self._env.config
         self.task = self.config.stream_task
         self.render_mode = render_mode
-        self.batch = self._env.batch
-        assert isinstance(self.batch, StreamBatch)
+        batch = self._env.batch
+        assert isinstance(batch, StreamBatch)
+        self.batch = batch
         self._kind = ActionKind("modules", self.config.action_kind.choices, 1, HALVES)
         self._observation_space = self.config.row_space()
         self._action_space = self._kind.space()
@@ -85,12 +86,14 @@ class FlowParallelEnv(ParallelEnv):
         """The ids of all that come or may still come in this episode."""
         return [_name(number) for number in range(self._possible)]
 
-    def observation_space(self, agent: str) -> spaces.Box:  # noqa: ARG002
-        """The same space for every agent."""
+    def observation_space(self, agent: str) -> spaces.Box:
+        """Return the space, the same for every agent."""
+        del agent
         return self._observation_space
 
-    def action_space(self, agent: str) -> spaces.Space[Any]:  # noqa: ARG002
-        """The same space for every agent."""
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        """Return the space, the same for every agent."""
+        del agent
         return self._action_space
 
     def reset(
@@ -178,5 +181,5 @@ class FlowParallelEnv(ParallelEnv):
 
 
 def _name(number: int) -> str:
-    """The id of the parcel that comes after so many others."""
+    """Return the id of the parcel that comes after so many others."""
     return f"parcel_{number}"

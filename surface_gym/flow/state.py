@@ -1,7 +1,7 @@
 """The state arrays of streams, and the statistics of an episode.
 
-Parcels lie in the rows of `Lanes`, as those of any batch do: surface i has its rows from i times
-the rows of a surface on, and `StreamState.number` says which arrival has which row.
+Parcels lie in rows of `ParcelState`, as those of any batch do: with R rows a surface, surface i has
+those from i R on, and `StreamState.number` says which arrival has which row.
 """
 
 from dataclasses import dataclass, fields
@@ -18,7 +18,7 @@ NOBODY = -1  # `number` of a row that is free, `owner` of a module that obeys no
 ON_ITS_WAY, BETWEEN = -2, -1
 
 JAM = 3  # the outcome of a surface, beside those of every environment; a stream has no success
-LEFT_RIGHT, LEFT_WRONG = 2, 3  # outcomes of a parcel, in `Lanes.outcome`
+LEFT_RIGHT, LEFT_WRONG = 2, 3  # outcomes of a parcel, in `ParcelState.outcome`
 
 ENTERED, RIGHT, WRONG, TOUCHES, TURNS = range(5)  # columns of `tally`
 EXIT, SIDE, FIRST, LAST = range(4)  # places in a parcel's goal: exit, and its side and span
@@ -78,15 +78,7 @@ class StreamParams(NamedTuple):
 def make_streams(
     surfaces: int, rows: int, shape: tuple[int, int], terms: int, obeys: Booleans
 ) -> StreamState:
-    """Make the memory of streams, with room for one arrival each.
-
-    Args:
-        surfaces: their number.
-        rows: for parcels on each.
-        shape: (rows, columns) of each.
-        terms: of the reward.
-        obeys: (surfaces or 1, rows, columns) which modules do.
-    """
+    """Make the memory of streams, with room for one arrival each."""
     grid = (surfaces, *shape)
     return StreamState(
         **_arrivals(surfaces, 1),
@@ -140,7 +132,7 @@ def _arrivals(surfaces: int, room: int) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class FlowStatistics:
-    """Figures of one episode, or of its part after a warm-up; nan where nothing happened."""
+    """Statistics of one episode, or of its part after a warm-up; nan where nothing happened."""
 
     delivered: int  # parcels that left the line
     parcels_per_hour: float  # [1/h] that left by their own exit
@@ -163,7 +155,7 @@ NAMES = tuple(field.name for field in fields(FlowStatistics))
 def compute_statistics(
     streams: StreamState, surface: int, jammed: bool, obeying: int, warm_up: float = 0.0
 ) -> FlowStatistics:
-    """Compute the figures of a surface's episode so far.
+    """Compute the statistics of a surface's episode so far.
 
     A touch counts half for each of the two, as it leaves; jams and turns are of the whole episode.
 

@@ -1,4 +1,4 @@
-"""Streams: which parcels come in when, how fast, and where each is to leave."""
+"""Streams of parcels: their arrivals, kinds, speeds and destinations."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -9,18 +9,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from surface_gym import checks
-from surface_gym.flow.arrivals import (
-    Arrivals,
-    Law,
-    Numbers,
-    Places,
-    Poisson,
-    Spread,
-    Steady,
-    Trace,
-    check_speed,
-    read_trace,
-)
+from surface_gym.flow import arrivals as laws
+from surface_gym.flow.arrivals import Arrivals, Law, Numbers, Places, Poisson, Spread, Steady, Trace
 from surface_gym.flow.exits import Exits, check_name
 from surface_gym.parcel import Parcel
 from surface_gym.tasks.start import parcel_option
@@ -32,14 +22,9 @@ EVERY_THREE_SECONDS = Steady(rate=1200.0)
 
 @dataclass(frozen=True)
 class Stream:
-    """A stream of parcels. Each one's kind, exit and speed are drawn apart from all the others'.
+    """A stream of parcels: kind, destination and speed of each are drawn independently.
 
-    A recorded stream, a `Trace`, brings its own parcels, destinations and speeds.
-
-    Raises:
-        ValueError: arrivals of no known kind, no parcels, odds that are not positive, an exit
-            named twice, speeds that are not positive or more than 5 m/s, or anything beside a
-            trace.
+    A recorded stream, a `Trace`, has its own parcels, destinations and speeds.
 
     >>> import numpy as np
     >>> from surface_gym.flow.exits import sides
@@ -57,11 +42,11 @@ class Stream:
     """
 
     arrivals: Law | Trace = EVERY_THREE_SECONDS
-    # "S", "B" or a Parcel, or a pair of it and its odds, which are 1 otherwise
+    # "S", "B" or a Parcel, or a pair of one and its odds, by default 1
     parcels: Any = ("S",)
-    # the odds of exits by name, as a mapping or as pairs; None: equal odds among all exits
+    # odds of exits by name, as a mapping or as pairs; None: equal odds of all exits
     destinations: Any = None
-    speeds: Any = 1.5  # [m/s] of every parcel, or the least and the greatest, uniform between them
+    speeds: Any = 1.5  # [m/s] of every parcel, or the bounds of a uniform draw
 
     def __post_init__(self) -> None:
         if not isinstance(self.arrivals, (Law, Trace)):
@@ -79,23 +64,18 @@ class Stream:
 
     @classmethod
     def from_csv(cls, path: str | PathLike[str], exits: Exits | None = None) -> "Stream":
-        """The stream recorded in a file, as `read_trace` reads it."""
-        return cls(read_trace(path, exits))
+        """Read a recorded stream from a file of the format of `read_trace`."""
+        return cls(laws.read_trace(path, exits))
 
     @cached_property
     def kinds(self) -> tuple[Parcel, ...]:
-        """Of the parcels that may come."""
+        """The different parcels that may arrive."""
         if isinstance(self.arrivals, Trace):
             return self.arrivals.kinds
         return tuple(parcel for parcel, _ in self.parcels)
 
     def with_rate(self, rate: float) -> "Stream":
-        """The same stream at another mean rate [parcels/h].
-
-        Raises:
-            ValueError: a rate that is not allowed, or arrivals that have no one rate: a Schedule
-                or a Trace.
-        """
+        """Return the same stream at another mean rate [parcels/h]; not of a Schedule or a Trace."""
         if not isinstance(self.arrivals, (Steady, Spread, Poisson)):
             raise ValueError(
                 f"arrivals must be Steady, Spread or Poisson to have another rate, "
@@ -104,28 +84,17 @@ class Stream:
         return replace(self, arrivals=replace(self.arrivals, rate=rate))
 
     def check(self, exits: Exits) -> None:
-        """Raise a ValueError that names a destination that is none of some exits."""
+        """Raise a ValueError if a destination is not among the exits."""
         if isinstance(self.arrivals, Trace):
             self.arrivals.check(exits)
         for name, _ in self.destinations or ():
             checks.one_of("destinations", name, exits.names)
 
     def draw(self, rng: np.random.Generator, duration: float, exits: Exits) -> Arrivals:
-        """Draw the arrivals of one episode: first every time, then three numbers a parcel.
+        """Draw the arrivals of an episode of a duration [s].
 
-        The three are, in this order, of its kind, its exit and its speed, whether or not there is
-        a choice: so another mix or other speeds leave all else as it was.
-
-        Args:
-            rng: the only source of chance.
-            duration: [s] of the episode; all come before it ends.
-            exits: that the parcels may leave by.
-
-        Returns:
-            The arrivals, in order of time; there may be none.
-
-        Raises:
-            ValueError: a duration that is not positive, a destination that is none of the exits.
+        All times are drawn first, then three numbers a parcel, of its kind, its exit and its speed,
+        even where there is no choice: another mix or other speeds leave all else as it was.
         """
         duration = checks.positive("duration", duration, most=checks.EPISODE)
         self.check(exits)
@@ -153,13 +122,13 @@ class Stream:
 
 
 def _drawn(odds: list[float], number: Numbers) -> Places:
-    """(n,) places among the odds, by numbers (n,) uniform in [0, 1)."""
+    """Return indices among the odds, by numbers (n,) uniform in [0, 1)."""
     shares = np.cumsum(odds)
     return np.searchsorted(shares[:-1], number * shares[-1], side="right")
 
 
 def _check_nothing_beside(stream: Stream) -> None:
-    """A trace has parcels, destinations and speeds of its own: no others may be given."""
+    """Raise a ValueError if parcels, destinations or speeds are given beside a trace."""
     usual = Stream()
     for name in ("parcels", "destinations", "speeds"):
         if getattr(stream, name) != getattr(usual, name):
@@ -204,10 +173,10 @@ def _with_odds(name: str, pair: Any, check: Callable[[Any], Of]) -> tuple[Of, fl
 
 def _speeds(given: Any) -> float | tuple[float, float]:
     if not isinstance(given, (tuple, list)):
-        return check_speed("speeds", given)
+        return laws.check_speed("speeds", given)
     if len(given) != 2:
         raise ValueError(f"speeds must be one number or two, least and greatest, got {given!r}")
-    low, high = (check_speed("speeds", speed) for speed in given)
+    low, high = (laws.check_speed("speeds", speed) for speed in given)
     if low > high:
         raise ValueError(f"speeds must be the least and then the greatest, got {given!r}")
     return low, high

@@ -1,4 +1,4 @@
-"""The actions of a stream: choices for modules or parcels, and when the gate opens."""
+"""Tasks on streams of parcels: their actions, features, rewards and parameters."""
 
 import math
 from dataclasses import dataclass, field
@@ -10,18 +10,9 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.core.actions import ANY, ActionKind
+from surface_gym.flow import state as fs
 from surface_gym.flow.exits import flow_line
-from surface_gym.flow.state import (
-    BETWEEN,
-    FIRST,
-    LAST,
-    LEFT_RIGHT,
-    LEFT_WRONG,
-    OWN_MEMORY,
-    SIDE,
-    TOUCHED,
-    StreamParams,
-)
+from surface_gym.flow.state import StreamParams
 from surface_gym.flow.stream import Stream
 from surface_gym.lines import BaseLine
 from surface_gym.physics.collision import ContactMaterial
@@ -55,17 +46,13 @@ class StreamActions(ActionKind):
         return self.parts.size + (1 if self.gates else 0)
 
     def space(self) -> spaces.Space[Any]:
-        """The space of a surface's actions."""
+        """Make the space of a surface's actions."""
         if not self.gates:
             return self.parts.space()
         return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])
 
     def commands(self, actions: Any, parcels: int) -> NDArray[Any]:
-        """Turn the actions of so many surfaces into commands (surfaces, size).
-
-        Raises:
-            ValueError: a wrong shape, not whole numbers or angles, or out of range.
-        """
+        """Turn the actions of so many surfaces into commands (surfaces, size)."""
         if not self.gates:
             return self.parts.commands(actions, parcels)
         try:
@@ -167,11 +154,11 @@ class StreamTask(Task):
 
     @property
     def touching(self) -> ContactMaterial:
-        """How parcels' sides behave."""
+        """Material of parcels' sides where they touch."""
         return ContactMaterial(self.restitution, self.side_friction)
 
     def action_kind(self, actions: str, choices: int, zone: Any, steps: int) -> StreamActions:
-        """The kind of action: a choice for each module of a zone, or two for each parcel.
+        """Return the kind of action: a choice for each module of a zone, or two for each parcel.
 
         Args:
             actions: "modules" or "parcels".
@@ -184,11 +171,7 @@ class StreamTask(Task):
         return StreamActions("modules", choices, rows, columns, 1 + steps if self.gate else 0)
 
     def noise_rows(self, used: int) -> int:
-        """Rows of noise for a parcel in a control period: those that it uses, and those of a start.
-
-        Raises:
-            ValueError: more than there are.
-        """
+        """Rows of noise for a parcel in a control period: those that it uses, and those of a start."""
         if used > NOISE_ROWS - ENTRY_ROWS:
             raise ValueError(
                 f"sensors must use at most {NOISE_ROWS - ENTRY_ROWS} rows of noise in a control "
@@ -289,7 +272,7 @@ REACH_REWARD = 1.0  # per metre of reach gained
 ON_THE_WAY = 0.2  # [-] what a metre towards the exit's start, or the line's end, counts of it
 REACH_ENOUGH = 0.6  # [m] reach beyond this earns nothing more
 TIME_REWARD = -0.2  # per second of each parcel on the line
-REACH = OWN_MEMORY  # place in a parcel's memory: [m] its reach at the last decision
+REACH = fs.OWN_MEMORY  # place in a parcel's memory: [m] its reach at the last decision
 
 ROUND_OFF = 1e-6  # [m]
 
@@ -297,7 +280,7 @@ ROUND_OFF = 1e-6  # [m]
 @inlined
 def _mirror(state: EnvState) -> float:
     """-1 where a parcel's row is mirrored, else 1."""
-    return -1.0 if state.goal[SIDE] < 0.0 else 1.0
+    return -1.0 if state.goal[fs.SIDE] < 0.0 else 1.0
 
 
 @inlined
@@ -311,7 +294,7 @@ def _exit_start(state: EnvState) -> float:
     zone's where that comes later or it goes straight on.
     """
     start = zone_start(state)
-    return start if state.goal[SIDE] == 0.0 else max(start, state.goal[FIRST])
+    return start if state.goal[fs.SIDE] == 0.0 else max(start, state.goal[fs.FIRST])
 
 
 @inlined
@@ -320,7 +303,7 @@ def _reach(state: EnvState) -> float:
     in lateral reach to the asked side; straight on, how near the middle it has stayed.
     """
     truth = state.truth
-    side = state.goal[SIDE]
+    side = state.goal[fs.SIDE]
     offset = truth[Y] - state.elements.line_y
     rear = truth[X] - reach_along(state, truth[THETA], -1.0, 0.0)
     if side == 0.0:
@@ -470,7 +453,7 @@ class Flow(StreamTask):
                 straight or params.exits[k, 1] <= truth[X] < params.exits[k, 2]
             ):
                 return k
-        return BETWEEN
+        return fs.BETWEEN
 
     @staticmethod
     @inlined
@@ -478,9 +461,9 @@ class Flow(StreamTask):
         """Pay for delivery, reach and haste, and charge for touches."""
         reach = _reach(state)
         terms = state.terms
-        terms[0] = RIGHT_REWARD if outcome == LEFT_RIGHT else 0.0
-        terms[1] = WRONG_REWARD if outcome == LEFT_WRONG else 0.0
-        terms[2] = TOUCH_REWARD * state.memory[TOUCHED]
+        terms[0] = RIGHT_REWARD if outcome == fs.LEFT_RIGHT else 0.0
+        terms[1] = WRONG_REWARD if outcome == fs.LEFT_WRONG else 0.0
+        terms[2] = TOUCH_REWARD * state.memory[fs.TOUCHED]
         terms[3] = REACH_REWARD * (reach - state.memory[REACH])
         terms[4] = TIME_REWARD * state.period
         state.memory[REACH] = reach
@@ -498,7 +481,7 @@ class Flow(StreamTask):
         half_line = 0.5 * state.elements.pitch_y * (state.zone[ROWS] - 1)
         half_width = reach_along(state, 0.0, 0.0, 1.0)
         rear = x - reach_along(state, theta, -1.0, 0.0)
-        side = state.goal[SIDE]
+        side = state.goal[fs.SIDE]
         see = state.observation
         see[0] = _within(offset / 0.3, 10.0)
         see[1] = mirror * math.sin(theta)
@@ -518,7 +501,7 @@ class Flow(StreamTask):
         see[14] = side
         see[PRESENT] = 1.0
         see[PRESENT + 1] = (half_width - 0.175) / 0.05
-        see[PRESENT + 2] = 20.0 if side == 0.0 else _within((state.goal[LAST] - x) / 0.5, 20.0)
+        see[PRESENT + 2] = 20.0 if side == 0.0 else _within((state.goal[fs.LAST] - x) / 0.5, 20.0)
         see[WAITS] = 1.0 if waits else 0.0
 
     @staticmethod
@@ -531,7 +514,7 @@ class Flow(StreamTask):
         see[first] = _within(gap / 0.5, 2.0 * FAR)
         see[first + 1] = _within((other.sensed[VX] - state.sensed[VX]) / 0.5, 20.0)
         see[first + 2] = _within(mirror * (other.sensed[Y] - state.sensed[Y]) / 0.3, 20.0)
-        see[first + 3] = mirror * other.goal[SIDE]
+        see[first + 3] = mirror * other.goal[fs.SIDE]
         see[first + 4] = (other.body[HALF_LENGTH] - 0.175) / 0.05
 
     @staticmethod

@@ -23,11 +23,11 @@ class Physics(NamedTuple):
 
 @dataclass(frozen=True)
 class Sensor:
-    """What a controller sees of the parcel: the base class of sensors.
+    """The base class of sensors, which report the motion of the parcel to a controller.
 
-    A sensor is one class. Its fields are its settings. Its static methods are `kernel_function`s, which
-    are compiled into every batch that uses it, and write `state.sensed`, which is all that a task
-    observes. They are handed the settings as the array that `numbers` makes of them:
+    A sensor is one class. Its fields are its parameters. Its static methods are `kernel_function`s,
+    compiled into every batch that uses it, and write `state.sensed`, which is all that a task
+    observes. They get the parameters as the array that `numbers` makes of them:
 
     - `begin(numbers, state)`, at a start: set `state.sensor_state`.
     - `update(numbers, state, physics)`, after every physics step, where the sensor `watches`.
@@ -43,7 +43,7 @@ class Sensor:
     watches: ClassVar[bool] = False  # it looks between decisions
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the settings as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the parameters as compiled code reads them, for physics steps of `dt` [s]."""
         del dt
         return ()
 
@@ -84,9 +84,6 @@ class Entry:
 
     The conveyor before the surface has a known speed and its guides align the parcel, so that the
     first estimate is the truth with Gaussian errors of these standard deviations.
-
-    Raises:
-        ValueError: a negative one, or one beyond `surface_gym.checks`.
     """
 
     position: float = 0.002  # [m] in x and in y
@@ -104,22 +101,22 @@ class Entry:
             checks.not_negative(name, getattr(self, name), most)
 
     @property
-    def settings(self) -> tuple[float, float, float, float]:
+    def params(self) -> tuple[float, float, float, float]:
         """Return the prior as compiled code reads it."""
         return (self.position, self.angle, self.speed, self.turning)
 
 
 @kernel_function
-def enter(settings: Array, first: int, state: EnvState) -> None:
+def enter(params: Array, first: int, state: EnvState) -> None:
     """Write the prior of pose and velocity at a start into the first 6 of `state.sensor_state`.
 
-    The Entry is in `settings` from `first` on.
+    The Entry is in `params` from `first` on.
     """
     row = state.noise_row[0]
     state.noise_row[0] = row + ENTRY_ROWS
     for k in range(3):
-        pose_error = settings[first] if k < 2 else settings[first + 1]
-        velocity_error = settings[first + 2] if k < 2 else settings[first + 3]
+        pose_error = params[first] if k < 2 else params[first + 1]
+        velocity_error = params[first + 2] if k < 2 else params[first + 3]
         state.sensor_state[k] = state.truth[k] + pose_error * state.noise[row, k]
         state.sensor_state[3 + k] = state.truth[3 + k] + velocity_error * state.noise[row + 1, k]
 

@@ -8,27 +8,13 @@ from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import Array
 from surface_gym.sensors import kalman
 from surface_gym.sensors.base import LEARNED, Entry, Physics
-from surface_gym.sensors.kalman import (
-    CONSTANT,
-    DOUBT,
-    GAIN,
-    LAST,
-    LEARNING_LAST,
-    MODEL_SIZE,
-    Observer,
-    begin_learning,
-    correct,
-    correct_constants,
-    measure,
-    measure_constants,
-    predict_learning,
-)
+from surface_gym.sensors.kalman import Observer
 from surface_gym.state import NOISE_ROWS, EnvState
 
 FRAMES = 16  # that can be under way at a time
 MOST_LATE = 8  # frames, however the periods are rounded
 
-# Columns of the settings; the Entry comes last.
+# Columns of the params; the Entry comes last.
 (
     EVERY,  # physics steps from frame to frame
     LAG,  # physics steps from a frame to its arrival
@@ -37,7 +23,7 @@ MOST_LATE = 8  # frames, however the periods are rounded
     DROP,
     MODEL,  # what the observer doubts
 ) = range(6)
-ENTRY = MODEL + MODEL_SIZE
+ENTRY = MODEL + kalman.MODEL_SIZE
 
 # A frame under way, of FRAMES that follow the observer's numbers: the physics step it was taken at,
 # 0 for none; then by how much its pose differs from what is estimated of that step.
@@ -60,11 +46,6 @@ class Camera(Observer):
 
     `friction_error` stands for friction that is not nominal, the densities for what else the
     physics leaves out: loads off centre, elements that bear unequally.
-
-    Raises:
-        ValueError: a rate or density that is not positive, a negative latency or one of more than
-            8 frames, negative noise or friction, a `drop` outside [0, 1), or a number
-            beyond `surface_gym.checks`.
     """
 
     frame_rate: float = 50.0  # [Hz]
@@ -80,7 +61,7 @@ class Camera(Observer):
     turn_density: float = 0.03  # [rad^2/s^3] of the physics' other error in turning
     entry: Entry = field(default_factory=Entry)  # what is known of a parcel as it enters
 
-    sensor_size = LAST + FRAMES * FRAME_SIZE
+    sensor_size = kalman.LAST + FRAMES * FRAME_SIZE
 
     def __post_init__(self) -> None:
         checks.positive("frame_rate", self.frame_rate, *checks.FRAME_RATE)
@@ -98,11 +79,7 @@ class Camera(Observer):
             raise ValueError(f"entry must be an Entry, got {self.entry!r}")
 
     def frame_steps(self, dt: float) -> int:
-        """Return the physics steps of `dt` [s] from frame to frame.
-
-        Raises:
-            ValueError: frames come faster than physics steps.
-        """
+        """Return the physics steps of `dt` [s] from frame to frame."""
         steps = round(1.0 / (self.frame_rate * dt))
         if steps == 0:
             raise ValueError(
@@ -112,7 +89,7 @@ class Camera(Observer):
         return steps
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the settings as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the parameters as compiled code reads them, for physics steps of `dt` [s]."""
         every = self.frame_steps(dt)
         lag = every if self.latency is None else math.ceil(self.latency / dt - 1e-9)
         return (
@@ -124,15 +101,11 @@ class Camera(Observer):
             self.acceleration_density,
             self.turn_density,
             self.friction_error,
-            *self.entry.settings,
+            *self.entry.params,
         )
 
     def draws(self, dt: float, steps: int) -> int:
-        """Return one row of noise a frame.
-
-        Raises:
-            ValueError: a control period has more frames than noise is drawn ahead for.
-        """
+        """Return one row of noise a frame."""
         frames = math.ceil(steps / self.frame_steps(dt))
         if frames > NOISE_ROWS:
             raise ValueError(
@@ -147,16 +120,14 @@ class Camera(Observer):
         """Reset the filter; frames from before never arrive."""
         kalman.begin(numbers, ENTRY, state)
         for k in range(FRAMES):
-            state.sensor_state[LAST + FRAME_SIZE * k + TAKEN] = 0.0
+            state.sensor_state[kalman.LAST + FRAME_SIZE * k + TAKEN] = 0.0
 
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict over a physics step, take a frame if one is due, and correct by the one that
-        arrives.
-        """
+        """Predict over a physics step, take a frame if due, and correct by the one that arrives."""
         kalman.predict(numbers, MODEL, state, physics)
-        place = watch(numbers, state, LAST)
+        place = watch(numbers, state, kalman.LAST)
         if place > 0:
             _use(numbers, state, place, physics.dt)
 
@@ -199,10 +170,8 @@ def _take(numbers: Array, state: EnvState, first: int) -> None:
 
 @kernel_function
 def shift_frames(state: EnvState, first: int, shift: float, dt: float) -> None:
-    """Bring the innovations of all frames, from `first` on, up to date with a correction of `shift`
-    times GAIN.
-    """
-    gain = state.sensor_state[GAIN:]
+    """Update the innovations of all frames, from `first` on, for a shift of `shift` x GAIN."""
+    gain = state.sensor_state[kalman.GAIN :]
     for number in range(FRAMES):
         place = _place(first, number)
         lead = age(state, place, dt)
@@ -216,8 +185,8 @@ def _use(numbers: Array, state: EnvState, place: int, dt: float) -> None:
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)
-        correct(state.sensor_state, shift, shrink)
-        shift_frames(state, LAST, shift, dt)
+        kalman.correct(state.sensor_state, shift, shrink)
+        shift_frames(state, kalman.LAST, shift, dt)
 
 
 @kernel_function
@@ -233,12 +202,12 @@ def weigh(numbers: Array, state: EnvState, place: int, k: int, lead: float) -> t
     """
     noise = max(SHARPEST, numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE])
     by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0
-    variance = measure(state.sensor_state, by_x, by_y, 1.0 if k == 2 else 0.0, lead)
+    variance = kalman.measure(state.sensor_state, by_x, by_y, 1.0 if k == 2 else 0.0, lead)
     per_surprise = 1.0 / (variance + noise * noise)
     return state.sensor_state[place + SURPRISE + k] * per_surprise, per_surprise
 
 
-SPREADS = ENTRY + 4  # columns of the settings, after those of a Camera
+SPREADS = ENTRY + 4  # columns of the params, after those of a Camera
 
 
 @dataclass(frozen=True)
@@ -247,11 +216,8 @@ class AdaptiveCamera(Camera):
     place of the centre of mass over the base.
 
     Both are constant while a parcel is on the surface, and known at a start to the spreads given.
-    A parcel that is braked harder than was reckoned, or that turns where it should not, tells of
+    A parcel that is braked harder than predicted, or that turns where it should not, shows
     them; see `surface_gym.sensors.kalman`. The argument `observe=("load",)` shows them.
-
-    Raises:
-        ValueError: as a Camera, or a spread that is not positive.
     """
 
     acceleration_density: float = 0.0001  # [m^2/s^3] less than a Camera's: the load is known of
@@ -259,7 +225,7 @@ class AdaptiveCamera(Camera):
     friction_spread: float = 0.1  # [-] standard deviation of the factor of mu_max from 1
     load_spread: float = 0.015  # [m] of the centre of mass from the base's centroid, in x and in y
 
-    sensor_size = LEARNING_LAST + FRAMES * FRAME_SIZE
+    sensor_size = kalman.LEARNING_LAST + FRAMES * FRAME_SIZE
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -267,7 +233,7 @@ class AdaptiveCamera(Camera):
         checks.positive("load_spread", self.load_spread, *checks.LEARNED_SPREAD)
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the settings as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the parameters as compiled code reads them, for physics steps of `dt` [s]."""
         return (*super().numbers(dt), self.friction_spread, self.load_spread)
 
     @staticmethod
@@ -275,16 +241,16 @@ class AdaptiveCamera(Camera):
     def begin(numbers: Array, state: EnvState) -> None:
         """Reset the filter; frames from before never arrive."""
         kalman.begin(numbers, ENTRY, state)
-        begin_learning(numbers, SPREADS, state)
+        kalman.begin_learning(numbers, SPREADS, state)
         for k in range(FRAMES):
-            state.sensor_state[LEARNING_LAST + FRAME_SIZE * k + TAKEN] = 0.0
+            state.sensor_state[kalman.LEARNING_LAST + FRAME_SIZE * k + TAKEN] = 0.0
 
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
         """Predict, take and correct as a Camera does, the constants included."""
-        predict_learning(numbers, MODEL, state, physics)
-        place = watch(numbers, state, LEARNING_LAST)
+        kalman.predict_learning(numbers, MODEL, state, physics)
+        place = watch(numbers, state, kalman.LEARNING_LAST)
         if place > 0:
             _use_adaptive(numbers, state, place, physics.dt)
 
@@ -295,9 +261,9 @@ class AdaptiveCamera(Camera):
         estimate, see = state.sensor_state, state.observation
         for j in range(LEARNED):
             spread = numbers[SPREADS + min(j, 1)]
-            apart = estimate[CONSTANT + j] - (1.0 if j == 0 else 0.0)
+            apart = estimate[kalman.CONSTANT + j] - (1.0 if j == 0 else 0.0)
             see[first + j] = (mirror if j == 2 else 1.0) * apart / spread
-            left = max(0.0, estimate[DOUBT + (LEARNED + 1) * j]) ** 0.5 / spread
+            left = max(0.0, estimate[kalman.DOUBT + (LEARNED + 1) * j]) ** 0.5 / spread
             see[first + LEARNED + j] = min(1.0, left)
 
 
@@ -307,7 +273,7 @@ def _use_adaptive(numbers: Array, state: EnvState, place: int, dt: float) -> Non
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)
-        measure_constants(state.sensor_state, k, lead)
-        correct(state.sensor_state, shift, shrink)
-        correct_constants(state, shift, shrink)
-        shift_frames(state, LEARNING_LAST, shift, dt)
+        kalman.measure_constants(state.sensor_state, k, lead)
+        kalman.correct(state.sensor_state, shift, shrink)
+        kalman.correct_constants(state, shift, shrink)
+        shift_frames(state, kalman.LEARNING_LAST, shift, dt)

@@ -1,6 +1,6 @@
 """Kalman filters on pose and velocity, and on friction and load: predicted by the physics.
 
-It lies in a lane's `estimate`: first the state as the physics has it, then the covariance.
+It lies in `state.sensor_state`: first the state as the physics has it, then the covariance.
 
 The observer's state goes on by three constants: the factor of mu_max, and the place of the centre
 of mass in the base's frame. How each changes a step's velocities follows from the step's own
@@ -27,7 +27,7 @@ GAIN = COVARIANCE + SIZE * SIZE  # first column of a correction's own memory
 DECAY = GAIN + SIZE  # first column of a prediction's own memory, 3 x 3
 LAST = DECAY + 9
 
-# What a prediction doubts, in a sensor's settings from some column on: the densities of the
+# What a prediction doubts, in a sensor's params from some column on: the densities of the
 # physics' error, and the share of an acceleration by friction that it may be off.
 DENSITY, TURN_DENSITY, FRICTION_ERROR, MODEL_SIZE = range(4)
 
@@ -58,11 +58,9 @@ class Observer(Sensor):
 
 
 @kernel_function
-def begin(settings: Array, first: int, state: EnvState) -> None:
-    """Set an estimate to its prior at a start, and its covariance to that of the Entry, which is in
-    `settings` from `first` on.
-    """
-    enter(settings, first, state)
+def begin(params: Array, first: int, state: EnvState) -> None:
+    """Set estimate and covariance to the Entry, which is in `params` from `first` on."""
+    enter(params, first, state)
     estimate = state.sensor_state
     estimate[ph.AX] = 0.0
     estimate[ph.AY] = 0.0
@@ -70,7 +68,7 @@ def begin(settings: Array, first: int, state: EnvState) -> None:
         estimate[COVARIANCE + k] = 0.0
     for k in range(SIZE):
         entry = (0 if k < 2 else 1) if k < 3 else (2 if k < 5 else 3)
-        estimate[COVARIANCE + (SIZE + 1) * k] = settings[first + entry] ** 2
+        estimate[COVARIANCE + (SIZE + 1) * k] = params[first + entry] ** 2
 
 
 @kernel_function
@@ -160,17 +158,17 @@ def _widen(estimate: Array, dt: float, density: float, turn_density: float) -> N
 
 
 @kernel_function
-def predict(settings: Array, first: int, state: EnvState, physics: Physics) -> None:
+def predict(params: Array, first: int, state: EnvState, physics: Physics) -> None:
     """Predict an estimate over one step by the physics: axes as they are, equal stiffness of all
     elements, nominal friction, a centred load.
 
-    What is doubted is in `settings` from `first` on. Off the surface the estimate moves on at its
+    What is doubted is in `params` from `first` on. Off the surface the estimate moves on at its
     velocity.
     """
     estimate = state.sensor_state
     vx, vy, omega = estimate[ph.VX], estimate[ph.VY], estimate[ph.OMEGA]
     move(state, physics, 1.0, assumed_body(state, 0.0, 0.0))
-    widen_by_doubt(settings, first, estimate, physics.dt, vx, vy, omega)
+    widen_by_doubt(params, first, estimate, physics.dt, vx, vy, omega)
 
 
 @inlined
@@ -192,7 +190,7 @@ def move(state: EnvState, physics: Physics, factor: float, body: Body) -> ph.Con
     damps errors; return the step's contacts.
 
     Args:
-        lane: whose axes stand as they are.
+        state: one whose axes stand as they are.
         physics: as the sensor assumes it.
         factor: [-] by which the rotors' friction along their axes is multiplied.
         body: the parcel as it is assumed to be.
@@ -225,18 +223,18 @@ def move(state: EnvState, physics: Physics, factor: float, body: Body) -> ph.Con
 
 @kernel_function
 def widen_by_doubt(
-    settings: Array, first: int, estimate: Array, dt: float, vx: float, vy: float, omega: float
+    params: Array, first: int, estimate: Array, dt: float, vx: float, vy: float, omega: float
 ) -> None:
     """Carry the covariance over a step that began at a velocity (vx, vy, omega), and add the
-    process noise, in `settings` from `first` on.
+    process noise, in `params` from `first` on.
     """
-    doubt = settings[first + FRICTION_ERROR] ** 2 * FRICTION_ERROR_TIME / (dt * dt)
+    doubt = params[first + FRICTION_ERROR] ** 2 * FRICTION_ERROR_TIME / (dt * dt)
     _widen(
         estimate,
         dt,
-        settings[first + DENSITY]
+        params[first + DENSITY]
         + doubt * ((estimate[ph.VX] - vx) ** 2 + (estimate[ph.VY] - vy) ** 2),
-        settings[first + TURN_DENSITY] + doubt * (estimate[ph.OMEGA] - omega) ** 2,
+        params[first + TURN_DENSITY] + doubt * (estimate[ph.OMEGA] - omega) ** 2,
     )
 
 
@@ -278,7 +276,7 @@ PULL = DOUBT + LEARNED * LEARNED  # of a correction's own memory
 EFFECT = PULL + LEARNED  # of a prediction's own memory, velocities by constants, 3 x 3
 LEARNING_LAST = EFFECT + 3 * LEARNED
 
-# What is known of the constants before, in a sensor's settings from some column on.
+# What is known of the constants before, in a sensor's params from some column on.
 FRICTION_SPREAD, LOAD_SPREAD = range(2)
 
 LEAST_FACTOR, MOST_FACTOR = 0.25, 4.0  # [-] no estimate goes beyond
@@ -287,19 +285,19 @@ THINNEST = 1e-6  # [m^2] squared extent of the contacts in any direction, at lea
 
 
 @kernel_function
-def begin_learning(settings: Array, first: int, state: EnvState) -> None:
-    """Begin with nominal friction, a centred load, and variances in `settings` from `first` on."""
+def begin_learning(params: Array, first: int, state: EnvState) -> None:
+    """Begin with nominal friction, a centred load, and variances in `params` from `first` on."""
     estimate = state.sensor_state
     estimate[CONSTANT] = 1.0
     for k in range(CONSTANT + 1, LEARNING_LAST):
         estimate[k] = 0.0
     for k in range(LEARNED):
-        spread = settings[first + (FRICTION_SPREAD if k == 0 else LOAD_SPREAD)]
+        spread = params[first + (FRICTION_SPREAD if k == 0 else LOAD_SPREAD)]
         estimate[DOUBT + (LEARNED + 1) * k] = spread * spread
 
 
 @kernel_function
-def predict_learning(settings: Array, first: int, state: EnvState, physics: Physics) -> None:
+def predict_learning(params: Array, first: int, state: EnvState, physics: Physics) -> None:
     """Predict as `kalman.predict` does, by the estimated constants, and carry on their effect."""
     estimate, scratch, dt = state.sensor_state, physics.scratch, physics.dt
     vx, vy, omega = estimate[ph.VX], estimate[ph.VY], estimate[ph.OMEGA]
@@ -309,15 +307,13 @@ def predict_learning(settings: Array, first: int, state: EnvState, physics: Phys
     weight = state.surface[GRAVITY_NORMAL]
     _effect(body, weight, estimate, scratch, contacts, estimate[ph.OMEGA] - omega)
     _to_load(estimate, -1.0)
-    widen_by_doubt(settings, first, estimate, dt, vx, vy, omega)
+    widen_by_doubt(params, first, estimate, dt, vx, vy, omega)
     _widen_by_constants(estimate, dt)
 
 
 @kernel_function
 def _to_load(estimate: Array, way: float) -> None:
-    """Turn the state of the base's centroid into that of the centre of mass; `way` -1 turns it
-    back.
-    """
+    """Turn the state of the base's centroid into the centre of mass's; `way` -1: back."""
     cosine, sine = math.cos(estimate[ph.THETA]), math.sin(estimate[ph.THETA])
     arm_x = way * (cosine * estimate[CONSTANT + 1] - sine * estimate[CONSTANT + 2])
     arm_y = way * (sine * estimate[CONSTANT + 1] + cosine * estimate[CONSTANT + 2])
@@ -452,9 +448,7 @@ def measure_constants(estimate: Array, k: int, lead: float) -> None:
 
 @kernel_function
 def correct_constants(state: EnvState, shift: float, shrink: float) -> None:
-    """Move the constants by `shift` and shrink their covariances by `shrink`, along the
-    measurement.
-    """
+    """Move the constants by `shift` and shrink their covariances by `shrink`."""
     estimate = state.sensor_state
     for j in range(LEARNED):
         estimate[CONSTANT + j] += shift * estimate[PULL + j]

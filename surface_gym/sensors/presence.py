@@ -26,8 +26,8 @@ MOST_TURN = 32.0 * math.pi  # [rad] of theta; whole turns beyond are not counted
 def most_energy(state: EnvState) -> float:
     """Return the most energy [m^2/s^2] of a parcel, vx^2 + vy^2 + (gyration radius x omega)^2.
 
-    Modules brake and do not push, so that it is what the entry, which `state.sensor_state` holds, and the
-    way down the whole surface give.
+    Modules brake and do not push, so that no energy comes on top of that of the entry, which
+    `state.sensor_state` holds, and of the way down the whole surface.
     """
     estimate = state.sensor_state
     energy = 2.0 * abs(state.surface[GRAVITY_ALONG]) * state.elements.pitch_x * state.rotor.shape[1]
@@ -39,9 +39,7 @@ def most_energy(state: EnvState) -> float:
 
 @kernel_function
 def keep_possible(state: EnvState, energy: float) -> None:
-    """Bring the estimate in `state.sensor_state` back over the surface, and slow it down to an
-    energy [m^2/s^2].
-    """
+    """Bring the estimate back over the surface, and slow it down to an energy [m^2/s^2]."""
     estimate = state.sensor_state
     rows, columns = state.rotor.shape
     elements, reach = state.elements, state.body[RADIUS]
@@ -68,7 +66,7 @@ def _keep_within(estimate: Array, k: int, low: float, high: float) -> None:
         estimate[k] = high
 
 
-# Columns of the settings; the Entry comes last.
+# Columns of the params; the Entry comes last.
 (
     EVERY,  # physics steps from sample to sample
     DROP,
@@ -105,10 +103,6 @@ class Presence(Observer):
     79 mm. With everything wrong at once, single errors of some 0.3 m remain: of parcels that leave
     a line, with a rotor or two pressed, or none, which say little. Headings may then err by any
     angle, and a square's slip by a quarter turn.
-
-    Raises:
-        ValueError: a rate, density or tolerance that is not positive, a negative friction
-            coefficient, or a `drop` outside [0, 1).
     """
 
     sample_rate: float = 200.0  # [Hz] of all sensors together; at most one sample a physics step
@@ -137,11 +131,7 @@ class Presence(Observer):
             raise ValueError(f"entry must be an Entry, got {self.entry!r}")
 
     def sample_steps(self, dt: float) -> int:
-        """Return the physics steps of `dt` [s] from sample to sample.
-
-        Raises:
-            ValueError: samples come faster than physics steps.
-        """
+        """Return the physics steps of `dt` [s] from sample to sample."""
         steps = round(1.0 / (self.sample_rate * dt))
         if steps == 0:
             raise ValueError(
@@ -151,7 +141,7 @@ class Presence(Observer):
         return steps
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the settings as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the parameters as compiled code reads them, for physics steps of `dt` [s]."""
         return (
             self.sample_steps(dt),
             self.drop,
@@ -159,15 +149,11 @@ class Presence(Observer):
             self.acceleration_density,
             self.turn_density,
             self.friction_error,
-            *self.entry.settings,
+            *self.entry.params,
         )
 
     def draws(self, dt: float, steps: int) -> int:
-        """Return one row of noise a sample.
-
-        Raises:
-            ValueError: a control period has more samples than noise is drawn ahead for.
-        """
+        """Return one row of noise a sample."""
         samples = math.ceil(steps / self.sample_steps(dt))
         if samples > NOISE_ROWS:
             raise ValueError(

@@ -122,7 +122,7 @@ def _take_switch(
     theta = estimate[THETA] - lead * estimate[OMEGA]
     dx = x - estimate[X] + lead * estimate[VX]
     dy = y - estimate[Y] + lead * estimate[VY]
-    # The module's velocity as the base sees it, turned to point outwards: it tells which edge
+    # The module's velocity as the base sees it, turned to point outwards: it shows which edge
     # passed.
     outwards = -1.0 if covered else 1.0
     ux = outwards * (-estimate[VX] + estimate[OMEGA] * dy)

@@ -26,9 +26,7 @@ class Feature:
 
 
 def failures(outcomes: tuple[str, ...]) -> range:
-    """Return the numbers of a task's failures, in the order of their names, for `outcome` to
-    return.
-    """
+    """Return the numbers of a task's failures, in order of their names, for `outcome`."""
     return range(FIRST_FAILURE, FIRST_FAILURE + len(outcomes))
 
 
@@ -118,7 +116,7 @@ class Task:
         return start._replace(pose=(x, y, theta))
 
     def benchmark(self) -> Benchmark:
-        """The starts that methods are compared on, and the columns of the task's table."""
+        """Describe the starts that methods are compared on, and the columns of the task's table."""
         return default_benchmark(self)
 
     def path_metrics(

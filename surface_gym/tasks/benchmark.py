@@ -122,14 +122,14 @@ class Benchmark:
 def median_column(
     metric: str, label: str, meaning: str, form: str = ".2f", scale: float = 1.0
 ) -> Column:
-    """The median size of a metric over starts."""
+    """Compute the median size of a metric over starts."""
     return Column(
         metric, label, meaning, lambda runs, _: float(np.median(runs.metric(metric))), form, scale
     )
 
 
 def high_column(metric: str, label: str, form: str = ".2f", scale: float = 1.0) -> Column:
-    """The size of a metric that nine in ten starts stay below."""
+    """Compute the size of a metric that nine in ten starts stay below."""
     return Column(
         f"{metric}_90", label, "nine in ten are better",
         lambda runs, _: float(np.quantile(runs.metric(metric), 0.9)), form, scale,

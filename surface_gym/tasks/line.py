@@ -1,4 +1,4 @@
-"""What tasks on a line share: entry, features of the parcel, the way out of the zone, failures."""
+"""Parts that tasks on a line share: entry, features, the way out of the zone, failures."""
 
 import math
 
@@ -40,21 +40,14 @@ PARCEL_FEATURES = (
 
 
 def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
-    """Return where [m] the zone of a parcel starts and ends; `zone` holds its columns, None: the
-    line's.
-
-    Raises:
-        ValueError: the parcel does not fit the line.
-    """
+    """Return where [m] the zone of a parcel starts and ends; `zone`: its columns, or None."""
     _, _, first, columns = line.site(parcel.base, zone).zone
     start = line.column_edge(first)
     return start, start + line.pitch_x * columns
 
 
 def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
-    """Return the pose [m, m, rad] at which parcels enter: the rear at the line's edge, x = 0 by
-    default, on the line's middle.
-    """
+    """Return the pose [m, m, rad] of parcels as they enter: the rear at the edge, in the middle."""
     return (draw.line.column_edge(0) + parcels.rear, draw.line.line_y, 0.0)
 
 

@@ -9,35 +9,18 @@ import numpy as np
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import THETA
 from surface_gym.state import SUCCESS, EnvState
+from surface_gym.tasks import line as on_line
+from surface_gym.tasks import planning
 from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import PARCELS, Benchmark, ErrorPlot, high_column, median_column
-from surface_gym.tasks.line import (
-    LINE_OUTCOMES,
-    PARCEL_FEATURES,
-    entry,
-    leaving,
-    over_zone_end,
-    see_parcel,
-)
-from surface_gym.tasks.planning import (
-    SETTLING,
-    Nodes,
-    Numbers,
-    Observed,
-    PlanCost,
-    decode_line,
-    error_cost,
-    line_start,
-    off_line,
-    way_to_leave,
-)
+from surface_gym.tasks.planning import Nodes, Numbers, Observed, PlanCost
 from surface_gym.tasks.start import Draw, Start, between
 
 ANGLE = 0  # place in the goal: [rad] asked theta
 LEFT_TO_TURN = 0  # place in the memory: [rad] at the last decision
 ANGLE_ERROR = 0  # index in the metrics: [rad] theta - the asked angle
 
-OUTCOMES = (*LINE_OUTCOMES, "missed")
+OUTCOMES = (*on_line.LINE_OUTCOMES, "missed")
 MISSED = failures(OUTCOMES)[-1]
 SUCCESS_ERROR = math.radians(2.0)  # [rad]
 EXIT_SPEED = 0.1  # [m/s] that a planner is to leave the zone with
@@ -53,7 +36,7 @@ SUCCESS_REWARD = 1.0
 FAILURE_REWARD = -1.0
 
 FEATURES = (
-    *PARCEL_FEATURES,
+    *on_line.PARCEL_FEATURES,
     Feature("asked angle", -4.0, 4.0, "/ 1 rad"),
     Feature("angle to turn", -1000.0, 1000.0, "asked angle - theta / 0.2 rad"),
     Feature("angle to turn, near", -1.0, 1.0, "hyperbolic tangent of asked angle - theta / 2 deg"),
@@ -143,16 +126,16 @@ class Orient(Task):
         speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
         parcel = draw.parcel(self.parcels, size)
         angle = draw.within("angle", between(*self.angles, turn), -math.pi, math.pi)
-        return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (angle,))
+        return Start(parcel, on_line.entry(draw, parcel), (speed, 0.0, 0.0), (angle,))
 
     def decode_start(self, seen: Observed) -> Start:
         """Decode the first observation into the start that it shows, the asked angle its goal."""
-        line = decode_line(seen)
-        return line_start(seen, line, self.parcels, (float(line.angle[0]),))
+        line = planning.decode_line(seen)
+        return planning.line_start(seen, line, self.parcels, (float(line.angle[0]),))
 
     def cost(self) -> PlanCost:
         """Minimise the error of the angle."""
-        return PlanCost(_angle_to_turn, error_cost, 1e-3, self.periods, self.periods)
+        return PlanCost(_angle_to_turn, planning.error_cost, 1e-3, self.periods, self.periods)
 
     def benchmark(self) -> Benchmark:
         """Every entry speed, some angles and both boxes, by the error of the angle."""
@@ -194,7 +177,7 @@ class Orient(Task):
         state.metrics[ANGLE_ERROR] = state.truth[THETA] - state.goal[ANGLE]
         state.memory[LEFT_TO_TURN] = abs(state.metrics[ANGLE_ERROR])
 
-    is_done = staticmethod(over_zone_end)
+    is_done = staticmethod(on_line.over_zone_end)
 
     @staticmethod
     @kernel_function
@@ -202,7 +185,7 @@ class Orient(Task):
         """Return the state of the episode, by the true motion."""
         error = state.truth[THETA] - state.goal[ANGLE]
         state.metrics[ANGLE_ERROR] = error
-        return leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
+        return on_line.leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
 
     @staticmethod
     @kernel_function
@@ -221,7 +204,7 @@ class Orient(Task):
     @kernel_function
     def observe(state: EnvState) -> None:
         """Write the observation from the sensor's pose and velocity."""
-        see_parcel(state)
+        on_line.see_parcel(state)
         left = state.goal[ANGLE] - state.sensed[THETA]
         see = state.observation
         see[13] = state.goal[ANGLE]
@@ -230,12 +213,10 @@ class Orient(Task):
 
 
 def _angle_to_turn(nodes: Nodes) -> Numbers:
-    """Compute the angle [rad] left to turn; with speed enough to turn it and to leave the zone, and
-    on the line.
-    """
+    """Compute the angle [rad] left to turn, with a lack of speed and the offset on top."""
     _, _, theta, _, vy, omega = nodes.parcels.truth.T
     vx = nodes.vx
-    left = np.abs(nodes.parcels.goal[:, ANGLE] - theta - SETTLING * omega)
-    spent = nodes.rolling_loss * way_to_leave(nodes) + TURN_LOSS * nodes.half_length * left
+    left = np.abs(nodes.parcels.goal[:, ANGLE] - theta - planning.SETTLING * omega)
+    spent = nodes.rolling_loss * planning.way_to_leave(nodes) + TURN_LOSS * nodes.half_length * left
     lack = np.maximum(0.0, np.sqrt(EXIT_SPEED**2 + 2.0 * spent) - vx)
-    return left + lack - 0.2 * vx + 0.2 * off_line(nodes) + 0.06 * np.abs(vy)
+    return left + lack - 0.2 * vx + 0.2 * planning.off_line(nodes) + 0.06 * np.abs(vy)

@@ -63,14 +63,14 @@ class Sine:
 
 @dataclass(frozen=True)
 class LaneChange:
-    """A change from one lane to another, with neither slope nor curvature at its two ends."""
+    """A lane change, with neither slope nor curvature at its two ends."""
 
-    offset: float = 0.4  # [m] of the second lane from the first
+    offset: float = 0.4  # [m] in y from its start to its end
     length: float = 1.5  # [m] of the change, along x
     change: float = 2.0  # [m] x where it begins
     start: float = START  # [m]
     end: float = END  # [m]
-    middle: float = LINE_Y  # [m] y halfway between the lanes
+    middle: float = LINE_Y  # [m] y halfway
 
     def __post_init__(self) -> None:
         _check_range(self.start, self.end)
@@ -165,13 +165,13 @@ def _random_polyline(numbers: Numbers) -> Polyline:
     x, y = START, LINE_Y
     points = [(x, y)]
     for level, place in numbers.reshape(-1, 2):
-        lane = LINE_Y - 0.3 + 0.6 * place
+        aside = LINE_Y - 0.3 + 0.6 * place
         ramp = x + 0.4 + 0.4 * level
-        if ramp + abs(lane - y) >= END:
+        if ramp + abs(aside - y) >= END:
             break
-        if lane == y:
+        if aside == y:
             continue
-        points += [(ramp, y), (ramp + abs(lane - y), lane)]
+        points += [(ramp, y), (ramp + abs(aside - y), aside)]
         x, y = points[-1]
     return Polyline((*points, (END, y)))
 
@@ -197,7 +197,7 @@ def random_path(kind: str, numbers: Numbers) -> Path:
 
     - "sine": amplitude 0.1 to 0.2 m, wavelength 1.8 to 3.2 m, upwards or downwards first.
     - "lane change": by 0.2 to 0.6 m, within 1 to 2 m from x = 1 to 2.5 m on, to either side.
-    - "polyline": 0.4 to 0.8 m along the line, then at 45 deg to a lane within 0.3 m of the
+    - "polyline": 0.4 to 0.8 m along the line, then at 45 deg to a y within 0.3 m of the
       middle, and so on.
     - "spline": through six points, evenly spaced in x, within 0.2 m of the middle.
     """
@@ -208,11 +208,7 @@ _CLASSES = (Sine, LaneChange, Polyline, Spline)
 
 
 def path_option(value: Any) -> Path:
-    """Return the path an option asks for: one of this module's, or points (n, 2) [m] of a polyline.
-
-    Raises:
-        ValueError: it is neither.
-    """
+    """Return the path an option asks for: one of this module's, or points (n, 2) [m] of a polyline."""
     if isinstance(value, _CLASSES):
         return value
     try:

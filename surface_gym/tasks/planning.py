@@ -1,4 +1,4 @@
-"""What planners ask of a task: its observation decoded, and a cost."""
+"""Decoded observations and costs of tasks, for rules and planners."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -98,9 +98,7 @@ class LineObservation:
 
     @property
     def wholly_in_zone(self) -> NDArray[np.bool_]:
-        """(num_envs,) no module of the lead-in bears the parcel: the last one is centred half a
-        pitch before the zone.
-        """
+        """Return whether no module of the lead-in bears the parcel, (num_envs,)."""
         inside: NDArray[np.bool_] = self.into_zone - self.reach > -self.pitch[0] / 2.0
         return inside
 
@@ -155,14 +153,7 @@ def nearest_parcel(parcels: tuple[Parcel, ...], half_length: float) -> Parcel:
 def line_start(
     seen: Observed, line: LineObservation, parcels: tuple[Parcel, ...], goal: tuple[float, ...]
 ) -> Start:
-    """Build the start that the first observation shows, its parcel one of some.
-
-    Args:
-        seen: the observations.
-        line: the same, decoded.
-        parcels: that the task draws.
-        goal: the task's own numbers.
-    """
+    """Build the start that the first observation shows, its parcel one of some."""
     base_line = seen.line
     parcel = nearest_parcel(parcels, float(line.half_length[0]))
     first_column = base_line.site(parcel.base, seen.zone).zone[2]
@@ -271,5 +262,5 @@ def time_cost(nodes: Nodes) -> Numbers:
 
 
 def error_cost(nodes: Nodes) -> Numbers:
-    """Compute the size of the task's first figure at a success; `FAILED` comes on top else."""
+    """Compute the size of the task's first metric at a success; `FAILED` comes on top else."""
     return failure_cost(nodes) + np.abs(nodes.parcels.metrics[:, 0])

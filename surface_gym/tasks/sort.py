@@ -14,19 +14,11 @@ from surface_gym.parcel import Parcel
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import EnvState, ParcelState
+from surface_gym.tasks import planning
 from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import PARCELS, Benchmark, Column, Numbers, SpeedGrid
 from surface_gym.tasks.line import STALL_SPEED, entry
-from surface_gym.tasks.planning import (
-    FAILED,
-    Nodes,
-    Observed,
-    PlanCost,
-    decode_line,
-    line_start,
-    off_line,
-    time_cost,
-)
+from surface_gym.tasks.planning import Nodes, Observed, PlanCost
 from surface_gym.tasks.start import Draw, Start, between
 
 SIDE = 0  # place in the goal: +1 for y > 0, -1 for y < 0, 0 for straight through
@@ -114,7 +106,7 @@ distance from the line's middle takes its place |
 
     ### Info
 
-    The task adds no figure of its own to what every environment reports.
+    The task adds no metric of its own to what every environment reports.
 
     ### Example
 
@@ -200,12 +192,19 @@ distance from the line's middle takes its place |
 
     def decode_start(self, seen: Observed) -> Start:
         """Decode the first observation into the start that it shows, the side its goal."""
-        line = decode_line(seen)
-        return line_start(seen, line, self.parcels, (float(line.side[0]),))
+        line = planning.decode_line(seen)
+        return planning.line_start(seen, line, self.parcels, (float(line.side[0]),))
 
     def cost(self) -> PlanCost:
         """Minimise the time until the parcel is off the line."""
-        return PlanCost(_time_to_leave, time_cost, FAILED, self.periods, self.periods, event=_event)
+        return PlanCost(
+            _time_to_leave,
+            planning.time_cost,
+            planning.FAILED,
+            self.periods,
+            self.periods,
+            event=_event,
+        )
 
     @staticmethod
     @kernel_function
@@ -310,7 +309,7 @@ def _time_to_leave(nodes: Nodes) -> Numbers:
     turning, loss = nodes.braking / math.sqrt(2.0), nodes.rolling_loss / math.sqrt(2.0)
     side = nodes.parcels.goal[:, SIDE]
     if side[0] == 0.0:
-        return off_line(nodes) - 0.1 * nodes.parcels.truth[:, 0]
+        return planning.off_line(nodes) - 0.1 * nodes.parcels.truth[:, 0]
     vy = side * vy
     half_line = 0.5 * nodes.line.pitch_y * (nodes.zone[1] - 1)
     left = nodes.reach(0.0, -side[0]) + half_line - side * (y - nodes.line.line_y)
@@ -322,7 +321,9 @@ def _time_to_leave(nodes: Nodes) -> Numbers:
     at_once = (np.sqrt(vy**2 + 2.0 * turning * left) - vy) / turning
     square = kept**2 - 2.0 * loss * np.maximum(0.0, left - while_turning)
     later = turned_after + (kept - np.sqrt(np.maximum(0.0, square))) / loss
-    return np.where(left < while_turning, at_once, later) + FAILED * np.maximum(0.0, -square)
+    return np.where(left < while_turning, at_once, later) + planning.FAILED * np.maximum(
+        0.0, -square
+    )
 
 
 def _event(parcels: ParcelState) -> tuple[float, float] | None:

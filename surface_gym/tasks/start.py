@@ -30,9 +30,7 @@ class Parcels:
 
     @property
     def rear(self) -> Numbers:
-        """Return the distance (starts,) [m] from the rearmost point of the base to its frame's
-        origin.
-        """
+        """Return the distance (starts,) [m] from the rearmost point to the frame's origin."""
         return self.of(lambda parcel: parcel.rear)
 
 
@@ -89,9 +87,7 @@ class Draw:
         return self.option(name, drawn, lambda value: float(checks.one_of(name, value, allowed)))
 
     def parcel(self, parcels: tuple[Parcel, ...], number: Numbers) -> Parcels:
-        """Draw each start's parcel with equal odds, by a number (starts,); or take the option
-        "parcel".
-        """
+        """Draw each start's parcel with equal odds, or take the option "parcel"."""
         which = (number * len(parcels)).astype(np.int64)
         kinds = list(parcels)
         for start, value in self.given("parcel"):

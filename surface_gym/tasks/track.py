@@ -14,18 +14,10 @@ from surface_gym.physics.contacts import bounded
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
 from surface_gym.state import GRAVITY_ALONG, PATH_POINTS, RUNNING, SUCCESS, EnvState, planar_speed
+from surface_gym.tasks import paths as shapes
 from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import DRAWN, Benchmark, ErrorPlot, median_column
-from surface_gym.tasks.paths import (
-    DRAWS,
-    KINDS,
-    START,
-    Laid,
-    Path,
-    path_option,
-    random_path,
-    sample,
-)
+from surface_gym.tasks.paths import Laid, Path
 from surface_gym.tasks.planning import FAILED, Nodes, Observed, PlanCost, nearest_parcel
 from surface_gym.tasks.start import Draw, Numbers, Start, between
 
@@ -156,7 +148,7 @@ asked one |
 
     speeds: tuple[float, float] = (0.6, 1.0)  # [m/s] asked
     tilts: tuple[float, float] = (0.0, math.radians(15.0))  # [rad]
-    kinds: tuple[str, ...] = KINDS  # of paths to draw
+    kinds: tuple[str, ...] = shapes.KINDS  # of paths to draw
 
     line = Field()
     features = FEATURES
@@ -164,7 +156,7 @@ asked one |
     outcomes = OUTCOMES
     metrics = ("rms_error", "speed_error", "cross_error")
     options = ("speed", "parcel", "path", "tilt")
-    draws = 4 + DRAWS
+    draws = 4 + shapes.DRAWS
     goals = 3
     memories = 3
     has_path = True
@@ -178,7 +170,7 @@ asked one |
         if not self.kinds:
             raise ValueError(f"kinds must be at least one, got {self.kinds!r}")
         for kind in self.kinds:
-            checks.one_of("kinds", kind, KINDS)
+            checks.one_of("kinds", kind, shapes.KINDS)
 
     def start(self, draw: Draw) -> Start:
         """Draw asked speed and tilt, uniform; parcel and kind of path with equal odds. The centre
@@ -191,7 +183,7 @@ asked one |
         paths = self._paths(draw, which)
         first = np.array([path.start for path in paths])
         step = np.array([path.end - path.start for path in paths]) / (PATH_POINTS - 1)
-        y = np.array([sample(path, PATH_POINTS) for path in paths])
+        y = np.array([shapes.sample(path, PATH_POINTS) for path in paths])
         _check_paths(first, step, y, draw.line)
         slope = (y[:, 1] - y[:, 0]) / step
         vx = speed / np.sqrt(1.0 + slope * slope)
@@ -203,11 +195,12 @@ asked one |
         """Return each start's path: an option, or one drawn and laid onto the line."""
         first, last, _, _ = draw.line.extent
         aside = draw.line.line_y - LINE_Y
-        given = {start: path_option(value) for start, value in draw.given("path")}
+        given = {start: shapes.path_option(value) for start, value in draw.given("path")}
         kinds = [self.kinds[k] for k in (which * len(self.kinds)).astype(int)]
         drawn = enumerate(zip(kinds, draw.numbers[4:].T, strict=True))
         return [
-            given.get(k) or Laid(random_path(kind, numbers), first, aside, last - START)
+            given.get(k)
+            or Laid(shapes.random_path(kind, numbers), first, aside, last - shapes.START)
             for k, (kind, numbers) in drawn
         ]
 

@@ -1,7 +1,6 @@
 """The shipped agents: each loads, acts and succeeds as its card says."""
 
 import sys
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -24,25 +23,25 @@ def test_a_ppo_and_a_dqn_for_each_task_and_one_each_for_modules_and_a_flow() -> 
 
 @pytest.mark.parametrize("name", agents.names())
 class TestEach:
-    def test_it_acts_in_its_environment(self, name: str) -> None:
+    def test_it_acts_in_its_environment(self, name) -> None:
         assert len(agents.seeds(name)) >= 3
         policy = agents.load(name)
         env = gym.make(policy.env_id, **policy.env_kwargs)
         observation, _ = env.reset(seed=0)
         action, _ = policy.predict(observation, deterministic=True)
         assert action in env.action_space
-        lanes = gym.make_vec(policy.env_id, num_envs=3, **policy.env_kwargs)
-        observations, _ = lanes.reset(seed=0)
-        assert policy.predict(observations)[0] in lanes.action_space
+        vector_env = gym.make_vec(policy.env_id, num_envs=3, **policy.env_kwargs)
+        observations, _ = vector_env.reset(seed=0)
+        assert policy.predict(observations)[0] in vector_env.action_space
 
-    def test_seeds_differ(self, name: str) -> None:
+    def test_seeds_differ(self, name) -> None:
         first, second, *_ = (agents.load(name, seed) for seed in agents.seeds(name))
         rng = np.random.default_rng(0)
         shape = (256, *gym.make(first.env_id, **first.env_kwargs).observation_space.shape)
         observations = rng.normal(size=shape).astype(np.float32)
         assert (first.predict(observations)[0] != second.predict(observations)[0]).any()
 
-    def test_its_card_says_how_it_came_about(self, name: str) -> None:
+    def test_its_card_says_how_it_came_about(self, name) -> None:
         card = yaml.safe_load((SHELF / name / "card.yaml").read_text())
         assert card["command"].startswith("python ")
         assert card["seeds"] == list(agents.seeds(name))
@@ -60,12 +59,12 @@ class TestEach:
                 results["success"], abs=1e-3
             )
 
-    def test_it_is_small(self, name: str) -> None:
+    def test_it_is_small(self, name) -> None:
         size = sum(file.stat().st_size for file in (SHELF / name).rglob("*"))
         assert size < 600_000
 
 
-def test_unknown_names_and_seeds_are_refused(tmp_path: Path) -> None:
+def test_unknown_names_and_seeds_are_refused(tmp_path) -> None:
     with pytest.raises(ValueError, match="name must be one of"):
         agents.load("juggle-ppo")
     with pytest.raises(ValueError, match="seed must be one of"):
@@ -78,7 +77,7 @@ def test_unknown_names_and_seeds_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["sort-ppo", "stop-ppo", "track-ppo"])
-def test_a_few_starts_go_as_the_card_says(name: str) -> None:
+def test_a_few_starts_go_as_the_card_says(name) -> None:
     """Under exact sensors the card promises nearly every start."""
     policy = agents.load(name)
     options = {"speed": 0.6, "parcel": "S"} if name == "sort-ppo" else {"parcel": "S"}
@@ -95,9 +94,7 @@ def test_a_few_starts_go_as_the_card_says(name: str) -> None:
         assert info["is_success"]
 
 
-def test_a_missing_library_is_reported_with_its_extra(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_missing_library_is_reported_with_its_extra(monkeypatch) -> None:
     monkeypatch.delitem(sys.modules, "surface_gym.agents.policy", raising=False)
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(ImportError, match=r"needs torch, .*'surface_gym\[agents\]'"):

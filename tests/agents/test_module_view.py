@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents.module_view import (
-    ModuleView,
-    Outline,
-    outline_from_clearance,
-    outline_from_features,
-    place_size,
-    shared_size,
-)
+from surface_gym.agents import module_view
 from surface_gym.config import EnvConfig
 from surface_gym.layouts import LEAD_IN, LINE_ROWS, LINE_Y, ROWS, lead_in_under, rows_under
 from surface_gym.lines import Pattern
@@ -30,7 +23,7 @@ def on_the_way(parcel: str, side: int, zone: tuple[int, int] | None = None, seed
     speed = rng.uniform(0.8, 2.5, NUM_ENVS)
     starts = [{"speed": float(v), "parcel": parcel, "side": side} for v in speed]
     observation, info = env.reset(seed=0, options=starts)
-    view = ModuleView(env.config)
+    view = module_view.ModuleView(env.config)
     mirror = np.arange(4) if side > 0 else np.array([0, 2, 1, 3])
     rows, columns = view._config.action_kind.shape
     for _ in range(6):
@@ -59,12 +52,10 @@ def under(pose: np.ndarray, parcel: str, zone: tuple[int, int]) -> list[set[tupl
     return found
 
 
-@pytest.mark.parametrize("zone", [None, (3, 29), (6, 12)])
+@pytest.mark.parametrize("zone", [None, (6, 12)])
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("parcel", ["S", "B"])
-def test_every_module_under_the_parcel_is_seen(
-    parcel: str, side: int, zone: tuple[int, int] | None
-) -> None:
+def test_every_module_under_the_parcel_is_seen(parcel, side, zone) -> None:
     view, observation, pose = on_the_way(parcel, side, zone)
     first, last = zone or (LEAD_IN[parcel], LEAD_IN[parcel] + 15)
     seen = view(observation)
@@ -96,13 +87,11 @@ BASES = (
 
 @pytest.mark.parametrize("observe", [(), ("parcel",)], ids=["guessed", "shown"])
 @pytest.mark.parametrize("side", [1, -1])
-def test_every_module_under_a_base_of_any_shape_is_seen(
-    side: int, observe: tuple[str, ...]
-) -> None:
+def test_every_module_under_a_base_of_any_shape_is_seen(side, observe) -> None:
     """Rectangles once were taken for squares, and of some no module was seen at all."""
     bases = [base for base in BASES for _ in range(8)]
     env = sg.SmartSurfaceVectorEnv(len(bases), observe=observe)
-    view = ModuleView(env.config)
+    view = module_view.ModuleView(env.config)
     starts = [{"speed": 2.5, "parcel": Parcel(base), "side": side} for base in bases]
     rng = np.random.default_rng(0)
     seen, info = env.reset(seed=0, options=starts)
@@ -138,21 +127,18 @@ def _under_base(base: Base, pose: np.ndarray, first: int) -> set[tuple[int, int]
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_a_module_sees_the_axes_of_its_quadrant(side: int) -> None:
+def test_a_module_sees_the_axes_of_its_quadrant(side) -> None:
     env = sg.SmartSurfaceVectorEnv(
-        1,
-        observe=("parcel", "rotors"),
-        info=("axes",),
-        actuators=Actuators(axis_speed=10.0),
+        1, observe=("parcel", "rotors"), info=("axes",), actuators=Actuators(axis_speed=10.0)
     )
-    view = ModuleView(env.config)
+    view = module_view.ModuleView(env.config)
     seen, info = env.reset(seed=0, options={"speed": 2.5, "parcel": "B", "side": side})
     rng = np.random.default_rng(1)
     for _ in range(6):
         seen, _, _, _, info = env.step(rng.integers(4, size=(1, 64)))
     modules = view(seen)
-    assert modules.shared.shape == (1, shared_size(("parcel", "rotors")))
-    assert modules.place.shape == (len(modules.index), place_size(("parcel", "rotors")))
+    assert modules.shared.shape == (1, module_view.shared_size(("parcel", "rotors")))
+    assert modules.place.shape == (len(modules.index), module_view.place_size(("parcel", "rotors")))
     np.testing.assert_array_equal(modules.shared[0, -15:], seen[0, -15:])
     axes = info["axes"][0]
     dx, dy = 0.3 * modules.place[:, 6], 0.3 * modules.place[:, 7]
@@ -180,7 +166,7 @@ def test_modules_that_will_be_under_the_parcel_are_seen() -> None:
     env = sg.SmartSurfaceVectorEnv(NUM_ENVS)
     starts = [{"speed": 2.7, "parcel": "S", "side": 1}] * NUM_ENVS
     observation, _ = env.reset(seed=0, options=starts)
-    view = ModuleView(env.config)
+    view = module_view.ModuleView(env.config)
     before = view(observation)
     for _ in range(6):
         observation, *_ = env.step(np.full((NUM_ENVS, 64), 3))
@@ -191,7 +177,7 @@ def test_modules_that_will_be_under_the_parcel_are_seen() -> None:
 
 
 @pytest.mark.parametrize("parcel", ["S", "B"])
-def test_the_other_side_is_the_mirror_image(parcel: str) -> None:
+def test_the_other_side_is_the_mirror_image(parcel) -> None:
     view, left, pose = on_the_way(parcel, 1)
     _, right, other = on_the_way(parcel, -1)
     np.testing.assert_allclose(other[:, 1] - LINE_Y, LINE_Y - pose[:, 1], atol=1e-9)
@@ -217,11 +203,11 @@ def test_modules_away_from_the_parcel_stay_at_90_deg() -> None:
     assert (actions == 3).sum() == actions.size - len(seen.index)
 
 
-def test_other_settings_are_refused() -> None:
+def test_other_configurations_are_refused() -> None:
     with pytest.raises(ValueError, match="task must be one of 'sort'"):
-        ModuleView(EnvConfig(task="slow", actions="modules"))
+        module_view.ModuleView(EnvConfig(task="slow", actions="modules"))
     with pytest.raises(ValueError, match="actions must be one of 'modules'"):
-        ModuleView(EnvConfig(actions="halves"))
+        module_view.ModuleView(EnvConfig(actions="halves"))
 
 
 SQUARES = tuple(Rectangle(side, side) for side in (0.15, 0.25, 0.4, 0.45, 0.55))
@@ -236,7 +222,7 @@ HEXAGON = Polygon(0.2 * np.array([(np.cos(k), np.sin(k)) for k in np.pi / 3.0 * 
 def seen_turned(
     bases: tuple[Base, ...], observe: tuple[str, ...] = ()
 ) -> tuple[EnvConfig, np.ndarray, list[Base]]:
-    """Settings, observations, and the base of each environment, turned at random."""
+    """The configuration, observations, and the base of each environment, turned at random."""
     each = [base for base in bases for _ in range(20)]
     env = sg.SmartSurfaceVectorEnv(
         len(each), observe=observe, randomisation=Randomisation(lateral=0.05, heading=0.5)
@@ -247,17 +233,17 @@ def seen_turned(
     return env.config, seen, each
 
 
-def by_clearance(settings: EnvConfig, seen: np.ndarray) -> Outline:
+def by_clearance(config: EnvConfig, seen: np.ndarray) -> module_view.Outline:
     clearance = 0.2 * seen[:, 7].astype(np.float64)
-    return outline_from_clearance(settings.decode(seen), clearance, settings.chosen_line)
+    return module_view.outline_from_clearance(config.decode(seen), clearance, config.chosen_line)
 
 
 @pytest.mark.parametrize(
     "bases", [SQUARES, RECTANGLES, DISCS], ids=["squares", "rectangles", "discs"]
 )
-def test_the_clearance_determines_width_and_rows(bases: tuple[Base, ...]) -> None:
-    settings, seen, each = seen_turned(bases)
-    outline = by_clearance(settings, seen)
+def test_the_clearance_determines_width_and_rows(bases) -> None:
+    config, seen, each = seen_turned(bases)
+    outline = by_clearance(config, seen)
     half = np.array([np.ptp(base.outline, axis=0) / 2.0 for base in each]).T
     np.testing.assert_allclose(outline.half, half, atol=2e-6)
     assert outline.rows.tolist() == [rows_under(2.0 * width, PITCH) for width in half[1]]
@@ -265,8 +251,8 @@ def test_the_clearance_determines_width_and_rows(bases: tuple[Base, ...]) -> Non
 
 
 def test_a_square_is_as_wide_as_long_to_the_last_bit() -> None:
-    settings, seen, _ = seen_turned(SQUARES)
-    see, outline = settings.decode(seen), by_clearance(settings, seen)
+    config, seen, _ = seen_turned(SQUARES)
+    see, outline = config.decode(seen), by_clearance(config, seen)
     np.testing.assert_array_equal(outline.half, [see.half_length, see.half_length])
     np.testing.assert_array_equal(outline.reach(see.theta), see.reach)
 
@@ -275,10 +261,10 @@ def test_a_square_is_as_wide_as_long_to_the_last_bit() -> None:
     ("bases", "roundness"),
     [(SQUARES + RECTANGLES, 0.0), (DISCS, 1.0), ((HEXAGON,), 0.25 / (1.0 - np.pi / 4.0))],
 )
-def test_an_observed_outline_is_exact(bases: tuple[Base, ...], roundness: float) -> None:
-    settings, seen, each = seen_turned(bases, ("parcel",))
+def test_an_observed_outline_is_exact(bases, roundness) -> None:
+    config, seen, each = seen_turned(bases, ("parcel",))
     length, width, fill = seen[:, -3:].astype(np.float64).T
-    outline = outline_from_features(length, width, fill, settings.chosen_line)
+    outline = module_view.outline_from_features(length, width, fill, config.chosen_line)
     half = np.array([np.ptp(base.outline, axis=0) / 2.0 for base in each]).T
     np.testing.assert_allclose(outline.half, half, atol=2e-6)
     np.testing.assert_allclose(outline.roundness, min(roundness, 1.0), atol=1e-5)
@@ -286,11 +272,11 @@ def test_an_observed_outline_is_exact(bases: tuple[Base, ...], roundness: float)
 
 
 @pytest.mark.parametrize(("base", "roundness"), [(Rectangle(0.4, 0.25), 0.0), (Disc(0.17), 1.0)])
-def test_reach_and_distance_are_the_bases(base: Base, roundness: float) -> None:
+def test_reach_and_distance_are_the_bases(base, roundness) -> None:
     rng = np.random.default_rng(0)
     theta = rng.uniform(-np.pi, np.pi, 200)
     half = np.ptp(base.outline, axis=0)[:, np.newaxis] / 2.0 + np.zeros(200)
-    outline = Outline(half, np.full(200, roundness), np.full(200, 2.0))
+    outline = module_view.Outline(half, np.full(200, roundness), np.full(200, 2.0))
     turned = np.stack([np.cos(theta), -np.sin(theta)])
     np.testing.assert_allclose(outline.reach(theta), (base.outline @ turned).max(axis=0), atol=2e-3)
     place = rng.uniform(-0.3, 0.3, (2, 200))
@@ -303,5 +289,5 @@ def test_rows_of_a_pattern_are_its_own() -> None:
     rotor = np.zeros((20, 30), dtype=bool)
     rotor[7:13] = True
     half = np.zeros(3)  # as long and as wide as is between the boxes
-    outline = outline_from_features(half, half, half + 1.0, Pattern(rotor, lead_in=4))
+    outline = module_view.outline_from_features(half, half, half + 1.0, Pattern(rotor, lead_in=4))
     assert outline.rows.tolist() == [6.0, 6.0, 6.0]

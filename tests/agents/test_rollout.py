@@ -1,14 +1,13 @@
 """Episodes: those of a single environment stepped by hand, to the bit."""
 
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from surface_gym.agents.rollout import Episodes, run_episodes, run_sequentially
-from surface_gym.agents.rules import RULES, Rule
+from surface_gym.agents.rollout import run_episodes, run_sequentially
+from surface_gym.agents.rules import RULES
 from surface_gym.config import EnvConfig
 from surface_gym.registration import env_id
 from surface_gym.sensors import Camera
@@ -17,15 +16,15 @@ ONE_A_TASK = {rule.task: rule for rule in RULES}
 
 
 @pytest.mark.parametrize("rule", ONE_A_TASK.values(), ids=ONE_A_TASK)
-def test_they_are_a_single_environments(rule: Rule) -> None:
-    settings = EnvConfig(task=rule.task, actions=rule.actions, sensors=Camera())
+def test_they_are_a_single_environments(rule) -> None:
+    config = EnvConfig(task=rule.task, actions=rule.actions, sensors=Camera())
     starts = [{"parcel": "S"}, {}, {"parcel": "B"}]
-    found = run_episodes(rule.make(settings), settings, starts, seed=30)
+    found = run_episodes(rule.make(config), config, starts, seed=30)
     for k, start in enumerate(starts):
-        env = gym.make(env_id(rule.task), **settings.arguments())
+        env = gym.make(env_id(rule.task), **config.arguments())
         observation, info = env.reset(seed=30 + k, options=start)
         poses, over, state = [info["pose"]], False, None
-        controller = rule.make(settings)
+        controller = rule.make(config)
         while not over:
             action, state = controller.predict(
                 observation[np.newaxis], state, np.array([len(poses) == 1])
@@ -43,11 +42,11 @@ def test_they_are_a_single_environments(rule: Rule) -> None:
 
 
 def test_one_after_the_other_they_are_the_same() -> None:
-    settings = EnvConfig(task="slow", actions="modules")
+    config = EnvConfig(task="slow", actions="modules")
     rule = ONE_A_TASK["slow"]
     starts = [{"parcel": "S"}, {"parcel": "B"}, {}]
-    together = run_episodes(rule.make(settings), settings, starts, seed=3)
-    apart = run_sequentially(rule.make(settings), settings, starts, seed=3)
+    together = run_episodes(rule.make(config), config, starts, seed=3)
+    apart = run_sequentially(rule.make(config), config, starts, seed=3)
     np.testing.assert_array_equal(together.pose, apart.pose)
     np.testing.assert_array_equal(together.success, apart.success)
     np.testing.assert_array_equal(together.metrics["ratio_error"], apart.metrics["ratio_error"])
@@ -55,12 +54,10 @@ def test_one_after_the_other_they_are_the_same() -> None:
 
 
 @pytest.mark.parametrize("run", [run_episodes, run_sequentially])
-def test_a_decisions_time_is_the_usual_one(
-    run: Callable[..., Episodes], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_decisions_time_is_the_usual_one(run, monkeypatch) -> None:
     """The first decision compiles; the median leaves it out."""
-    settings = EnvConfig(task="slow", actions="modules")
-    rule = ONE_A_TASK["slow"].make(settings)
+    config = EnvConfig(task="slow", actions="modules")
+    rule = ONE_A_TASK["slow"].make(config)
     clock = [0.0]
 
     class SlowAtFirst:
@@ -69,11 +66,6 @@ def test_a_decisions_time_is_the_usual_one(
             return rule.predict(*arguments, **options)
 
     monkeypatch.setattr("surface_gym.agents.rollout.time.perf_counter", lambda: clock[0])
-    found = run(SlowAtFirst(), settings, [{"parcel": "S"}] * 3, seed=3)
+    found = run(SlowAtFirst(), config, [{"parcel": "S"}] * 3, seed=3)
     num_envs = 3 if run is run_episodes else 1
     assert found.decision_time == 0.5 / num_envs
-
-
-@pytest.mark.parametrize("task", ONE_A_TASK)
-def test_a_settings_task_has_a_name(task: str) -> None:
-    assert EnvConfig(task=task).task_name == task

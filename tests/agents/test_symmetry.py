@@ -18,14 +18,13 @@ BOTH_SIDES = np.array([1.0, -1.0], dtype=np.float32)
 
 @pytest.mark.parametrize("actions", KINDS)
 @pytest.mark.parametrize("parcel", ["S", "B"])
-@pytest.mark.parametrize("seed", range(3))
-def test_trajectories_are_mirror_images(actions: str, parcel: str, seed: int) -> None:
-    settings = EnvConfig(actions=actions)
-    mirror = ActionMirror(settings.action_kind, settings.chosen_orientations)
+def test_trajectories_are_mirror_images(actions, parcel) -> None:
+    config = EnvConfig(actions=actions)
+    mirror = ActionMirror(config.action_kind, config.chosen_orientations)
     env = sg.SmartSurfaceVectorEnv(2, actions=actions, autoreset_mode="Disabled")
     start = {"speed": 1.6, "parcel": parcel}
     observations, info = env.reset(seed=0, options=[{**start, "side": 1}, {**start, "side": -1}])
-    env.single_action_space.seed(seed)
+    env.single_action_space.seed(0)
     terminated = np.zeros(2, dtype=bool)
     periods = 0
     while not terminated.any() and periods < 100:
@@ -45,10 +44,10 @@ def test_trajectories_are_mirror_images(actions: str, parcel: str, seed: int) ->
 
 
 @pytest.mark.parametrize("actions", KINDS)
-def test_a_mirror_image_of_a_mirror_image_is_the_action_itself(actions: str) -> None:
-    settings = EnvConfig(actions=actions)
-    mirror = ActionMirror(settings.action_kind, settings.chosen_orientations)
-    space = settings.action_space()
+def test_a_mirror_image_of_a_mirror_image_is_the_action_itself(actions) -> None:
+    config = EnvConfig(actions=actions)
+    mirror = ActionMirror(config.action_kind, config.chosen_orientations)
+    space = config.action_space()
     space.seed(0)
     given = np.array([space.sample() for _ in range(40)])
     to_the_right = np.full(40, -1.0, dtype=np.float32)

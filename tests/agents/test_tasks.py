@@ -8,7 +8,7 @@ import yaml
 from surface_gym import agents
 from surface_gym.agents.library import card_env_id, find_task, task_kind, task_label
 from surface_gym.tasks import TASKS
-from tests.agents.test_doors import ROOT, door, inside
+from tests.agents.test_programs import ROOT, run_in_process, run_program
 
 REACH = str(ROOT / "examples" / "reach.py") + ":Reach"
 HASTE = str(ROOT / "examples" / "haste.py") + ":Haste"
@@ -17,7 +17,7 @@ SHORT = "--steps 512 --num-envs 8 --n-steps 16 --batch-size 64 --n-epochs 1 --hi
 
 class TestNames:
     @pytest.mark.parametrize("name", TASKS)
-    def test_the_packages(self, name: str) -> None:
+    def test_the_packages(self, name) -> None:
         assert find_task(name) == TASKS[name]()
         assert (task_kind(name), task_label(name)) == (name, name)
         assert card_env_id(name) == f"SmartSurface/{name.capitalize()}-v0"
@@ -45,9 +45,7 @@ class TestNames:
             ("broken.py:Reach", "task must be in a file that runs, got broken.py: ZeroDivision"),
         ],
     )
-    def test_others_are_named(
-        self, name: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_others_are_named(self, name, named, tmp_path, monkeypatch) -> None:
         (tmp_path / "broken.py").write_text("1 / 0\n")
         monkeypatch.chdir(tmp_path)
         with pytest.raises(ValueError, match=named):
@@ -58,13 +56,13 @@ class TestNames:
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of a user's own task, too short to learn anything."""
     folder = tmp_path_factory.mktemp("own")
-    done = inside("train.py", "--task", REACH, *SHORT.split(), folder=folder)
+    done = run_in_process("train.py", "--task", REACH, *SHORT.split(), folder=folder)
     assert done.returncode == 0, done.stderr
     return folder / "runs" / "a"
 
 
 class TestARun:
-    def test_holds_everything(self, run: Path) -> None:
+    def test_holds_everything(self, run) -> None:
         card = yaml.safe_load((run / "policy.yaml").read_text())
         assert card["env_id"] == "Own/Reach"
         table = (run / "table.md").read_text()
@@ -72,7 +70,7 @@ class TestARun:
         assert "PPO" in table
         assert (run / "reach.mp4").stat().st_size > 0
 
-    def test_its_policy_plays_where_the_task_is_said(self, run: Path) -> None:
+    def test_its_policy_plays_where_the_task_is_said(self, run) -> None:
         policy = agents.read(run, find_task(REACH))
         assert policy.env_kwargs["task"] == find_task(REACH)
         with pytest.raises(ValueError, match="task must be Reach, a user's own"):
@@ -80,7 +78,7 @@ class TestARun:
         with pytest.raises(ValueError, match="task must be Reach, a user's own"):
             agents.read(run, find_task(HASTE))
 
-    def test_no_code_is_run_for_what_its_folder_says(self, run: Path) -> None:
+    def test_no_code_is_run_for_what_its_folder_says(self, run) -> None:
         """Whose code is to be run stands on the command line, not in the folder."""
         mark = run / "ran"
         trap = run / "trap.py"
@@ -92,23 +90,25 @@ class TestARun:
         whole = config.read_text()
         config.write_text(whole.replace(REACH, f"{trap}:Reach"))
         for arguments in (("train.py", "--resume"), ("evaluate.py", "--run")):
-            done = inside(*arguments, str(run), folder=run)
+            done = run_in_process(*arguments, str(run), folder=run)
             assert done.returncode != 0
             assert "task" in done.stderr
             assert "Traceback" not in done.stderr
         assert not mark.exists()
         config.write_text(whole)
 
-    def test_goes_on_where_the_task_is_said(self, run: Path) -> None:
+    def test_goes_on_where_the_task_is_said(self, run) -> None:
         before = (run / "policy.pt").read_bytes()
-        done = inside("train.py", "--resume", str(run), "--task", REACH, folder=run)
+        done = run_in_process("train.py", "--resume", str(run), "--task", REACH, folder=run)
         assert done.returncode == 0, done.stderr
         assert (run / "policy.pt").read_bytes() == before
 
-    def test_is_compared(self, run: Path) -> None:
+    def test_is_compared(self, run) -> None:
         """By processes of their own, which find the task's code again."""
         folder = run.parents[1]
-        done = door(str(ROOT / "evaluate.py"), "--task", REACH, "--out", "out", folder=folder)
+        done = run_program(
+            str(ROOT / "evaluate.py"), "--task", REACH, "--out", "out", folder=folder
+        )
         assert done.returncode == 0, done.stderr
         table = (folder / "out" / "comparison.md").read_text()
         assert "fixed layout" in table
@@ -116,11 +116,11 @@ class TestARun:
         assert (folder / "out" / "report.html").stat().st_size > 0
 
 
-def test_a_faulty_task_ends_without_a_traceback(tmp_path: Path) -> None:
+def test_a_faulty_task_ends_without_a_traceback(tmp_path) -> None:
     (tmp_path / "faulty.py").write_text(
         "from surface_gym.tasks import Sort\nclass Faulty(Sort):\n    outcome = None\n"
     )
-    done = inside("train.py", "--task", "faulty.py:Faulty", *SHORT.split(), folder=tmp_path)
+    done = run_in_process("train.py", "--task", "faulty.py:Faulty", *SHORT.split(), folder=tmp_path)
     assert done.returncode != 0
     assert "Faulty.outcome must be a static method and a kernel_function" in done.stderr
     assert "Traceback" not in done.stderr

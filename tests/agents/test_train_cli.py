@@ -7,28 +7,15 @@ import pytest
 import yaml
 
 from surface_gym.agents import train_cli
-from surface_gym.agents.learning.config import (
-    DQNConfig,
-    PPOConfig,
-    TrainConfig,
-    defaults,
-    write_hyperparams,
-)
+from surface_gym.agents.learning import config as configs
+from surface_gym.agents.learning import runs
 from surface_gym.agents.learning.cuda import gym as gym_of_device
-from surface_gym.agents.learning.runs import (
-    TrainResult,
-    make_folder,
-    read_config,
-    training_command,
-    write_card,
-    write_config,
-)
 from surface_gym.agents.train_cli import SWEEP, Request, parse_arguments
 
 NO_GPU = "cuda must be there, got none"
 
 
-def config_of(*arguments: str) -> TrainConfig:
+def config_of(*arguments: str) -> configs.TrainConfig:
     config = parse_arguments(arguments).config
     assert config is not None
     return config
@@ -40,25 +27,26 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path / "here")
 
 
-def test_defaults_are_those_of_task_and_algorithm(tmp_path: Path) -> None:
+def test_defaults_are_those_of_task_and_algorithm(tmp_path) -> None:
     config = config_of("--task", "track", "--algo", "dqn", "--seed", "3", "--out", str(tmp_path))
-    assert isinstance(config, DQNConfig)
-    assert config == replace(defaults("track", "dqn"), seed=3, out=tmp_path)
-    assert config_of("--algo", "modules") == defaults("sort", "modules")
-    assert config_of("--task", "flow") == defaults("flow", "parcels")
+    assert isinstance(config, configs.DQNConfig)
+    assert config == replace(configs.defaults("track", "dqn"), seed=3, out=tmp_path)
+    assert config_of("--algo", "modules") == configs.defaults("sort", "modules")
+    assert config_of("--task", "flow") == configs.defaults("flow", "parcels")
     lab = config_of("--task=slow", "--preset=lab", "--hidden", "8", "9")
-    assert lab == replace(defaults("slow", "ppo", preset="lab"), hidden=(8, 9))
+    assert lab == replace(configs.defaults("slow", "ppo", preset="lab"), hidden=(8, 9))
 
 
 def test_earlier_names_of_options_are_understood() -> None:
-    config = config_of("--lanes", "32", "--condition=lab")
-    assert config == replace(defaults("sort", "ppo", preset="lab"), num_envs=32)
+    earlier = {name: f"--{before}" for before, name in configs.RENAMED.items()}
+    config = config_of(earlier["num_envs"], "32", f"{earlier['preset']}=lab")
+    assert config == replace(configs.defaults("sort", "ppo", preset="lab"), num_envs=32)
 
 
-def test_a_new_run_has_a_new_folder_which_is_resumed_as_it_was_asked_for(tmp_path: Path) -> None:
+def test_a_new_run_has_a_new_folder_which_is_resumed_as_it_was_asked_for(tmp_path) -> None:
     arguments = ["--task", "slow", "--num-envs", "64", "--out", str(tmp_path)]
     config = config_of(*arguments)
-    folder = make_folder(config, arguments)
+    folder = runs.make_folder(config, arguments)
     assert folder.parent == tmp_path
     assert folder.name.startswith("slow-ppo-seed0-")
     assert (folder / "command.txt").read_text().startswith("python train.py --task slow")
@@ -66,9 +54,9 @@ def test_a_new_run_has_a_new_folder_which_is_resumed_as_it_was_asked_for(tmp_pat
         None, None, config=config, folder=folder
     )
     named = replace(config, name="a")
-    make_folder(named, arguments)
+    runs.make_folder(named, arguments)
     with pytest.raises(ValueError, match="--resume"):
-        make_folder(named, arguments)
+        runs.make_folder(named, arguments)
 
 
 @pytest.mark.parametrize(
@@ -97,10 +85,7 @@ def test_a_new_run_has_a_new_folder_which_is_resumed_as_it_was_asked_for(tmp_pat
     ],
 )
 def test_refusals_name_what_is_wrong_and_leave_no_folder(
-    arguments: str,
-    named: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    arguments, named, monkeypatch, capsys
 ) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise RuntimeError(NO_GPU)
@@ -115,9 +100,9 @@ def test_refusals_name_what_is_wrong_and_leave_no_folder(
     assert [file.name for file in Path().iterdir()] == ["there"]
 
 
-def test_a_users_file_gives_the_defaults(tmp_path: Path) -> None:
-    own = replace(defaults("slow", "ppo"), gamma=0.9)
-    write_hyperparams(own, tmp_path / "own.yml")
+def test_a_users_file_gives_the_defaults(tmp_path) -> None:
+    own = replace(configs.defaults("slow", "ppo"), gamma=0.9)
+    configs.write_hyperparams(own, tmp_path / "own.yml")
     flags = ["--task", "slow", "--hyperparams", str(tmp_path / "own.yml")]
     assert config_of(*flags, "--seed", "4") == replace(own, seed=4)
 
@@ -125,10 +110,10 @@ def test_a_users_file_gives_the_defaults(tmp_path: Path) -> None:
 def test_the_cluster_is_no_part_of_a_run() -> None:
     request = parse_arguments(["--cluster", "auto", "--seeds", "2"])
     assert request.cluster == "auto"
-    assert request.config == replace(defaults("sort", "ppo"), seeds=2)
+    assert request.config == replace(configs.defaults("sort", "ppo"), seeds=2)
 
 
-def test_a_search_is_new_or_resumed(tmp_path: Path) -> None:
+def test_a_search_is_new_or_resumed(tmp_path) -> None:
     file, folder = tmp_path / "wide.yml", tmp_path / "search-wide"
     request = parse_arguments(["--search", str(file), "--out", str(tmp_path)])
     assert request == Request(None, None, search=file, folder=folder)
@@ -138,24 +123,24 @@ def test_a_search_is_new_or_resumed(tmp_path: Path) -> None:
     assert found == Request(None, None, search=folder / SWEEP, folder=folder)
 
 
-def test_the_command_of_a_card_trains_the_same(tmp_path: Path) -> None:
+def test_the_command_of_a_card_trains_the_same(tmp_path) -> None:
     config = config_of("--device", "cuda", "--num-envs", "32768", "--out", str(tmp_path))
-    assert isinstance(config, PPOConfig)
-    command = training_command(config)
+    assert isinstance(config, configs.PPOConfig)
+    command = runs.training_command(config)
     assert command.endswith("--task sort --algo ppo --device cuda --num-envs 32768")
     assert config_of(*command.split()[2:]) == replace(config, out=Path("runs"))
-    trained = [TrainResult(steps=100, seconds=1.4, interrupted=False)]
-    write_card(config, trained, {"exact": {"success": 1.0}}, tmp_path)
+    trained = [runs.TrainResult(steps=100, seconds=1.4, interrupted=False)]
+    runs.write_card(config, trained, {"exact": {"success": 1.0}}, tmp_path)
     assert yaml.safe_load((tmp_path / "card.yaml").read_text()) == {
         "command": command, "seeds": [0], "steps": [100], "seconds": [1],
         "results": {"exact": {"success": 1.0}},
     }  # fmt: skip
 
 
-def test_a_users_task_must_be_named_when_its_run_is_resumed(tmp_path: Path) -> None:
+def test_a_users_task_must_be_named_when_its_run_is_resumed(tmp_path) -> None:
     task = f"{Path(__file__).parents[2]}/examples/haste.py:Haste"
-    write_config(PPOConfig(task=task), tmp_path / "config.yaml")
+    runs.write_config(configs.PPOConfig(task=task), tmp_path / "config.yaml")
     with pytest.raises(ValueError, match="name it by --task"):
-        read_config(tmp_path / "config.yaml")
+        runs.read_config(tmp_path / "config.yaml")
     resumed = parse_arguments(["--resume", str(tmp_path), "--task", task])
-    assert resumed.config == PPOConfig(task=task)
+    assert resumed.config == configs.PPOConfig(task=task)

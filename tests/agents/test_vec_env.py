@@ -15,14 +15,14 @@ NUM_ENVS = 4
 ROLL = 15  # halves, all axes at 90 deg
 
 
-def make(limit: int | None = 12, **settings: object) -> SurfaceVecEnv:
+def make(limit: int | None = 12, **config: object) -> SurfaceVecEnv:
     return SurfaceVecEnv(
         sg.SmartSurfaceVectorEnv(
             NUM_ENVS,
             actions="halves",
             max_episode_steps=limit,
             autoreset_mode="SameStep",
-            **settings,
+            **config,
         )
     )
 
@@ -118,7 +118,6 @@ def test_render_mode_is_read_and_pictures_come() -> None:
     assert env.render_mode == "rgb_array"
     env.reset()
     (picture,) = env.get_images()
-    assert picture is not None
     assert picture.dtype == np.uint8
 
 

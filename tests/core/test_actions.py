@@ -1,4 +1,4 @@
-"""Which module follows which part of an action, told again in plain Python."""
+"""Which module follows which part of an action, stated again in plain Python."""
 
 import math
 from collections.abc import Callable
@@ -15,8 +15,7 @@ from surface_gym.lines import ORIENTATIONS
 from surface_gym.randomisation import Actuators
 from surface_gym.tasks.sort import FEATURES
 from surface_gym.tasks.start import Start
-from tests.batches import batch_with, put
-from tests.environments import ACTIONS, ORIGIN, PARCELS, PITCH
+from tests.environments import ACTIONS, ORIGIN, PARCELS, PITCH, batch_with, put
 
 POSES = [
     (1.0, 1.0, 0.0),
@@ -32,7 +31,7 @@ PARCEL = PARCELS["S"]
 def batch_at(
     pose: tuple[float, float, float], parcel: sg.Parcel, side: float = 1.0, **settings: Any
 ) -> Batch:
-    """One lane on which a parcel has just been put."""
+    """One environment on which a parcel has just been put."""
     return batch_with(Start(parcel, pose, (0.5, 0.0, 0.0), (side,)), **settings)
 
 
@@ -81,9 +80,9 @@ def test_each_module_turns_to_the_angle_its_part_says(actions: str) -> None:
 
 def assert_follows(batch: Batch, command: np.ndarray) -> None:
     """Each module of the zone turns as its part of the command says, every other stays."""
-    lane, any_angle = batch.view(0), batch.config.action_kind.continuous
-    wanted = np.full(lane.rotor.shape, math.pi / 2)
-    for row, column in zip(*np.nonzero(lane.obeys), strict=True):
+    state, any_angle = batch.view(0), batch.config.action_kind.continuous
+    wanted = np.full(state.rotor.shape, math.pi / 2)
+    for row, column in zip(*np.nonzero(state.obeys), strict=True):
         part = part_of(batch.config.actions, batch, int(row), int(column))
         if part is not None:
             says = command[0, part]
@@ -94,10 +93,10 @@ def assert_follows(batch: Batch, command: np.ndarray) -> None:
 
 @pytest.mark.parametrize("actions", ["halves", "quadrants", "window"])
 def test_around_the_parcel_is_where_it_is_sensed(actions: str) -> None:
-    """The modules turn around what the controller was told, not around the truth."""
+    """The modules turn around what the sensor says, not around the truth."""
     batch = batch_at((1.0, 1.0, 0.0), PARCEL, actions=actions)
-    lanes = batch.parcels
-    lanes.sensed[0, :2] = 0.83, 1.07
+    parcels = batch.parcels
+    parcels.sensed[0, :2] = 0.83, 1.07
     assert_follows(batch, np.random.default_rng(2).integers(0, 3, batch.surfaces.command.shape))
 
 

@@ -1,4 +1,4 @@
-"""What a parcel brings to a lane, and how it is put there."""
+"""What a parcel brings to an environment, and how it is put there."""
 
 import math
 
@@ -12,8 +12,7 @@ from surface_gym.core.resets import NO_EDGE, place_parcel
 from surface_gym.lines import Field, Line
 from surface_gym.physics.types import COM_X, COM_Y, HALF_LENGTH, RADIUS
 from surface_gym.tasks.start import Start
-from tests.batches import batch_with, put
-from tests.environments import HEPTAGON, PARCELS, TRIANGLE
+from tests.environments import HEPTAGON, PARCELS, TRIANGLE, batch_with, put
 
 every_parcel = pytest.mark.parametrize("parcel", PARCELS.values(), ids=PARCELS)
 
@@ -45,10 +44,8 @@ def test_only_rotors_of_the_zone_obey(parcel: sg.Parcel) -> None:
 
 @every_parcel
 @pytest.mark.parametrize("velocity", [(1.0, 0.0, 0.0), (0.5, -0.3, 4.0)])
-def test_a_lane_tells_the_pose_it_was_given(
-    parcel: sg.Parcel, velocity: tuple[float, float, float]
-) -> None:
-    """The state is the centre of mass's; what is told is of the centroid, as a rigid body moves."""
+def test_a_start_gives_its_pose(parcel: sg.Parcel, velocity: tuple[float, float, float]) -> None:
+    """The state is the centre of mass's; the pose reported is the centroid's, as a body moves."""
     pose = (0.7, 1.05, 0.6)
     batch = batch_with(Start(parcel, pose, velocity, (1.0,)))
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
@@ -59,38 +56,38 @@ def test_a_lane_tells_the_pose_it_was_given(
     np.testing.assert_allclose(batch.parcels.truth[0], wanted, rtol=0, atol=1e-14)
 
 
-def test_a_lane_forgets_the_parcel_before() -> None:
+def test_a_start_forgets_the_parcel_before() -> None:
     start = Start(sg.layouts.box("S"), (0.125, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,))
     used, fresh = Batch(EnvConfig(), 1), batch_with(start)
     for parcel in (HEPTAGON, sg.layouts.box("B"), TRIANGLE):
         put(used, start._replace(parcel=parcel))
-        used.advance(np.full((1, 64), 1))
+        used.step(np.full((1, 64), 1))
     put(used, start)
-    lane = used.view(0)
-    for name, found, wanted in zip(lane._fields, lane, fresh.view(0), strict=True):
+    view = used.view(0)
+    for name, found, wanted in zip(view._fields, view, fresh.view(0), strict=True):
         if name in ("edges", "corners"):  # the heptagon's seven leave room behind the box's four
             np.testing.assert_array_equal(found[:4], wanted)
         elif name != "memory":
             np.testing.assert_array_equal(found, wanted, name)
-    np.testing.assert_array_equal(lane.edges[4:], [NO_EDGE] * 3)
-    assert (lane.corners[4:] == lane.corners[0]).all()
+    np.testing.assert_array_equal(view.edges[4:], [NO_EDGE] * 3)
+    assert (view.corners[4:] == view.corners[0]).all()
 
 
-def test_lanes_of_the_same_parcel_share_its_site() -> None:
+def test_equal_parcels_share_a_row_of_the_body_table() -> None:
     batch = Batch(EnvConfig(), 5)
     mine = sg.Parcel(sg.Disc(0.12))
     names = ("S", "B", "S", "B", mine)
-    for lane, parcel in enumerate(names):
+    for i, parcel in enumerate(names):
         parcel = sg.layouts.box(parcel) if isinstance(parcel, str) else parcel
-        put(batch, Start(parcel, (parcel.rear, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), lane)
-    assert batch.parcels.site[:4].tolist() == [0, 1, 0, 1]
-    assert [batch.view(lane).body[RADIUS] for lane in (0, 4)] == [
+        put(batch, Start(parcel, (parcel.rear, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), i)
+    assert batch.parcels.body[:4].tolist() == [0, 1, 0, 1]
+    assert [batch.view(i).body[RADIUS] for i in (0, 4)] == [
         sg.layouts.box("S").base.reach,
         0.12,
     ]
 
 
-def test_parcels_that_do_not_fit_are_told_beforehand() -> None:
+def test_parcels_that_do_not_fit_are_refused_beforehand() -> None:
     batch = Batch(EnvConfig(), 1)
     batch.check([{"parcel": "B"}])
     with pytest.raises(ValueError, match="parcel must be at most"):

@@ -108,7 +108,7 @@ def test_a_run_is_simulate_s_to_the_bit() -> None:
         np.testing.assert_array_equal(ends.velocity[0], trajectory.velocity[steps])
 
 
-def test_runs_do_not_depend_on_threads_or_company() -> None:
+def test_runs_do_not_depend_on_threads_or_other_bodies() -> None:
     parcel = layouts.box("S")
     line = line_for(parcel, 8)
     zones = np.stack([np.full((2, 8), EIGHTH), np.full((2, 8), 0.0)])

@@ -22,8 +22,7 @@ from surface_gym.physics.step import com_states
 from surface_gym.physics.types import THETA, Array, X, Y
 from surface_gym.registration import FLOW
 from surface_gym.sensors import Camera, Presence
-from tests.environments import assert_same
-from tests.vector_environments import EVERYTHING_VARIES
+from tests.environments import EVERYTHING_VARIES, assert_same
 
 BRAKE, PLUS_45, MINUS_45, ROLL = range(4)  # choices of the default orientations
 MIRRORED = np.array([BRAKE, MINUS_45, PLUS_45, ROLL])  # the choice that each is in a mirror
@@ -113,7 +112,7 @@ def set_down(batch: StreamBatch, poses: ArrayLike, velocities: ArrayLike | None 
     parcels.state[:count] = com_states(np.zeros((count, 2)), given, moving)
     parcels.sensed[:count, :3] = given
     parcels.sensed[:count, 3:] = moving
-    parcels.site[:count] = streams.site[0, :count]
+    parcels.body[:count] = streams.body[0, :count]
     asked = streams.exit[0, :count]
     parcels.goal[:count] = np.column_stack([asked, batch.stream_params.exits[asked]])
     for values in (parcels.memory, parcels.clock, parcels.steps):
@@ -126,9 +125,9 @@ def set_down(batch: StreamBatch, poses: ArrayLike, velocities: ArrayLike | None 
     streams.tally[0, ENTERED] = count
 
 
-def parcel_of(batch: StreamBatch, place: int, lane: int = 0) -> sg.Parcel:
+def parcel_of(batch: StreamBatch, place: int, i: int = 0) -> sg.Parcel:
     """The parcel that has a place."""
-    return batch._pool.parcel(int(batch.parcels.site[lane * batch.rows + place]))
+    return batch._pool.parcel(int(batch.parcels.body[i * batch.rows + place]))
 
 
 def surface_of(settings: EnvConfig, angle: float) -> sg.Surface:
@@ -142,14 +141,14 @@ def surface_of(settings: EnvConfig, angle: float) -> sg.Surface:
 
 def assert_alike(first: Any, second: Any) -> None:
     """Equal to the bit, where nan equals nan: figures of what has not happened are nan."""
-    assert_same(_told(first), _told(second))
+    assert_same(_comparable(first), _comparable(second))
 
 
-def _told(value: Any) -> Any:
+def _comparable(value: Any) -> Any:
     if isinstance(value, dict):
-        return {name: _told(each) for name, each in value.items()}
+        return {name: _comparable(each) for name, each in value.items()}
     if isinstance(value, tuple):
-        return tuple(_told(each) for each in value)
+        return tuple(_comparable(each) for each in value)
     return "nan" if isinstance(value, float) and math.isnan(value) else value
 
 
@@ -163,11 +162,11 @@ def box_of(parcel: sg.Parcel, pose: ArrayLike) -> tuple[float, float, float, flo
     return pose[X] + low[0], pose[X] + high[0], pose[Y] + low[1], pose[Y] + high[1]
 
 
-def truths(batch: StreamBatch, lane: int = 0) -> dict[int, Array]:
+def truths(batch: StreamBatch, i: int = 0) -> dict[int, Array]:
     """Pose and velocity of who is there, by the number of arrival."""
-    first = lane * batch.rows
+    first = i * batch.rows
     return {
         int(number): batch.parcels.truth[first + place].copy()
-        for place, number in enumerate(batch.streams.number[lane])
-        if batch.streams.present[lane, place]
+        for place, number in enumerate(batch.streams.number[i])
+        if batch.streams.present[i, place]
     }

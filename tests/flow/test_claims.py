@@ -104,7 +104,7 @@ class TestCommands:
         batch = batch_with(DENSE, actuators=Actuators(stuck=STUCK), duration=4.0, **settings)
         kind = batch.config.action_kind
         rng = np.random.default_rng(2)
-        told = np.full(batch.config.site.rotor.shape, math.pi / 2)
+        commanded = np.full(batch.config.site.rotor.shape, math.pi / 2)
         turns = 0
         claimed = np.zeros_like(batch.config.site.rotor)
         for period in range(75):
@@ -115,21 +115,21 @@ class TestCommands:
                     angles = drawn = rng.uniform(-1.5, 1.5, (24, 2))
             sensed = batch.parcels.sensed.copy()
             owner = slow_claims(batch, sensed, batch.streams.present[0], 0.1)
-            before = told.copy()
+            before = commanded.copy()
             for row, column in np.argwhere(owner != NOBODY):
                 place = owner[row, column]
                 if batch.config.site.rotor[row, column] and (row, column) not in STUCK:
                     behind = 0.05 + 0.1 * column < sensed[place, X]
-                    told[row, column] = angles[place, int(behind)]
+                    commanded[row, column] = angles[place, int(behind)]
             # An axis that was turned by pi is the same axis.
-            turns += int((np.abs(np.sin(told - before)) > 1e-9).sum())
+            turns += int((np.abs(np.sin(commanded - before)) > 1e-9).sum())
             batch.step(kind.commands(drawn.reshape(1, -1), 1))
-            np.testing.assert_array_equal(batch.streams.commanded[0], told)
+            np.testing.assert_array_equal(batch.streams.commanded[0], commanded)
             assert batch.streams.tally[0, TURNS] == turns
             claimed |= owner != NOBODY
         assert claimed[:, 5:19].sum() > 30
-        assert (told[:, :5] == math.pi / 2).all()
-        assert all(told[module] == math.pi / 2 for module in STUCK)
+        assert (commanded[:, :5] == math.pi / 2).all()
+        assert all(commanded[module] == math.pi / 2 for module in STUCK)
 
     def test_choices_of_free_places_do_nothing(self) -> None:
         batch, twin = (batch_with(DENSE, actions="parcels", duration=4.0) for _ in range(2))
@@ -141,7 +141,7 @@ class TestCommands:
             other[free] = rng.integers(0, 4, (int(free.sum()), 2))
             batch.step(commands.reshape(1, -1))
             twin.step(other.reshape(1, -1))
-            np.testing.assert_array_equal(batch.parcels.state, twin.lanes.state)
+            np.testing.assert_array_equal(batch.parcels.state, twin.parcels.state)
             np.testing.assert_array_equal(batch.streams.commanded, twin.streams.commanded)
 
     def test_boxes_are_those_of_turned_bases(self) -> None:

@@ -49,9 +49,9 @@ def next_clear(batch: StreamBatch, others: dict[int, Array], gap: float) -> bool
     """Whether the next to enter would find room."""
     streams = batch.streams
     arrival = int(streams.coming[0])
-    parcel = batch._pool.parcel(int(streams.site[0, arrival]))
+    parcel = batch._pool.parcel(int(streams.body[0, arrival]))
     place = int(np.nonzero(streams.number[0] == NOBODY)[0][0])
-    batch.parcels.site[place] = streams.site[0, arrival]
+    batch.parcels.body[place] = streams.body[0, arrival]
     start = np.array([*streams.start[0, arrival, : THETA + 1]])
     _, front, right, left = box_of(parcel, start)
     return all(
@@ -160,7 +160,7 @@ class TestGate:
         stream = trace(*[(time, "straight") for time in times])
         return batch_with(stream, gate=True, duration=4.0, **{"actions": "parcels", **settings})
 
-    def told(self, batch: StreamBatch, opens: int) -> Array:
+    def command(self, batch: StreamBatch, opens: int) -> Array:
         action = command(batch, ROLL)
         action[0, -1] = opens
         return batch.config.action_kind.commands(action, 1)
@@ -168,7 +168,7 @@ class TestGate:
     def test_shut_it_lets_nobody_in(self) -> None:
         batch = self.gated(0.0, 0.1)
         for _ in range(20):
-            batch.step(self.told(batch, 0))
+            batch.step(self.command(batch, 0))
             assert not batch.streams.present.any()
         assert batch.streams.due[0] == 2
         # They are counted as due in the physics step in which their time comes.
@@ -177,7 +177,7 @@ class TestGate:
     @pytest.mark.parametrize("opens", [1, 3, 8])
     def test_opened_it_lets_one_in_from_that_step_on(self, opens: int) -> None:
         batch = self.gated(0.0, 0.0)
-        batch.step(self.told(batch, opens))
+        batch.step(self.command(batch, opens))
         assert batch.streams.coming[0] == 1
         assert batch.streams.entered[0, 0] == pytest.approx(opens * DT)
 
@@ -186,9 +186,9 @@ class TestGate:
         waits = batch.observation[0, -1].copy()
         assert waits[PRESENT] == waits[WAITS] == 1.0
         assert waits[12] == 0.0
-        batch.step(self.told(batch, 0))
+        batch.step(self.command(batch, 0))
         assert batch.observation[0, -1, 12] == pytest.approx(-0.04 / 4.0)
-        batch.step(self.told(batch, 8))
+        batch.step(self.command(batch, 8))
         np.testing.assert_array_equal(batch.observation[0, 0, :12], waits[:12])
         assert batch.observation[0, 0, WAITS] == 0.0
         assert not batch.observation[0, -1].any()  # the second's time has yet to come
@@ -199,10 +199,10 @@ class TestGate:
             duration=4.0, actions="parcels",
         )  # fmt: skip
         free_action = command(free, ROLL)
-        batch.step(self.told(batch, 1))
+        batch.step(self.command(batch, 1))
         free.step(free_action)
         for _ in range(60):
-            batch.step(self.told(batch, 1))
+            batch.step(self.command(batch, 1))
             free.step(free_action)
         np.testing.assert_array_equal(batch.streams.entered[0, 1:3], free.streams.entered[0, 1:3])
 

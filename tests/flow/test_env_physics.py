@@ -105,8 +105,8 @@ class TestMirror:
                 action = env.action_space.sample()
             other = action if actions == "parcels" else kind.flip(action[np.newaxis])[0]
             observation, reward, *_, info = env.step(action)
-            observed, paid, *_, told = mirror.step(MIRRORED[other])
-            assert info["parcels"].tolist() == told["parcels"].tolist()
+            observed, paid, *_, reported = mirror.step(MIRRORED[other])
+            assert info["parcels"].tolist() == reported["parcels"].tolist()
             assert reward == pytest.approx(paid, abs=1e-6)
             seen = truths(mirror.batch)
             for number, truth in truths(env.batch).items():

@@ -165,9 +165,9 @@ class TestAgents:
         came = {"parcel_0": 0.0}
         while env.agents:
             observations, rewards, terminated, truncated, infos = env.step(all_say(env, ROLL))
-            told = set(observations)
-            assert told == set(rewards) == set(terminated) == set(truncated) == set(infos)
-            for agent in told:
+            reported = set(observations)
+            assert reported == set(rewards) == set(terminated) == set(truncated) == set(infos)
+            for agent in reported:
                 assert agent not in ends
                 came.setdefault(agent, infos[agent]["time"])
                 assert ("outcome" in infos[agent]) == (terminated[agent] or truncated[agent])

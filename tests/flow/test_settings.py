@@ -1,4 +1,4 @@
-"""The arguments of a flow, checked once for all its faces."""
+"""The arguments of a flow, checked once for both environments."""
 
 import math
 from typing import Any
@@ -79,13 +79,13 @@ def test_bad_arguments_are_named(name: str, value: Any, named: str) -> None:
         EnvConfig("flow", **{name: value})
 
 
-@pytest.mark.parametrize("face", [SmartSurfaceEnv, SmartSurfaceVectorEnv])
-def test_every_face_checks_them(face: Any) -> None:
+@pytest.mark.parametrize("env_type", [SmartSurfaceEnv, SmartSurfaceVectorEnv])
+def test_both_environments_check_them(env_type: Any) -> None:
     for name, value, named in BAD[::6]:
         with pytest.raises(ValueError, match=named):
-            face(task="flow", **{name: value})
+            env_type(task="flow", **{name: value})
     with pytest.raises(ValueError, match="render_mode"):
-        face(task="flow", render_mode="ansi")
+        env_type(task="flow", render_mode="ansi")
 
 
 class TestTogether:
@@ -116,7 +116,7 @@ class TestTogether:
         with pytest.raises(ValueError, match="sensors must use at most"):
             EnvConfig("flow", sensors=FASTEST_CAMERA, control_period=0.32)
 
-    def test_stuck_modules_are_modules_of_the_plant(self) -> None:
+    def test_stuck_modules_are_modules_of_the_line(self) -> None:
         EnvConfig("flow", line=SHORT, actuators=Actuators(stuck=((9, 10),)))
         with pytest.raises(ValueError, match="stuck"):
             EnvConfig("flow", line=SHORT, actuators=Actuators(stuck=((9, 26),)))

@@ -109,7 +109,7 @@ def test_played_episodes_come_to_what_their_steps_tell(seed: int, varies: bool) 
     left: dict[int, tuple[float, int]] = {}
     there = {0}
     turns = right = touches = 0
-    told = streams.commanded[0].copy()
+    commanded = streams.commanded[0].copy()
     over = False
     step = 0
     while not over:
@@ -126,8 +126,8 @@ def test_played_episodes_come_to_what_their_steps_tell(seed: int, varies: bool) 
             left[number] = (info["time"], taken)
             right += taken == asked[number]
         there = now
-        turns += int((np.abs(streams.commanded[0] - told) > 1e-9).sum())
-        told = streams.commanded[0].copy()
+        turns += int((np.abs(streams.commanded[0] - commanded) > 1e-9).sum())
+        commanded = streams.commanded[0].copy()
         touches = info["touches"]
         assert info["right"] == right
         assert info["wrong"] == len(left) - right

@@ -12,17 +12,16 @@ from surface_gym.flow.stream import Stream
 from surface_gym.randomisation import Randomisation
 from surface_gym.registration import FLOW
 from surface_gym.vector_env import SmartSurfaceVectorEnv
-from tests.environments import TWINS, assert_same
+from tests.environments import NUM_ENVS, TWINS, assert_same, every_mode, native, singles
 from tests.flow.flows import BRAKE, DENSE, KINDS, ROLL, SHORT, assert_alike, every_kind, trace
 from tests.test_vector_env import run_beside
-from tests.vector_environments import LANES, every_mode, native, singles
 
 LONG = 10_000  # control periods: a flow ends by itself before that
 EPISODE = {"stream": DENSE, "line": SHORT, "duration": 0.6}  # 15 control periods
 VARIED = KINDS["parcels, camera, all varies"]
 
 
-def streams(parcels: int = LANES, **settings: Any) -> VectorEnv:
+def streams(parcels: int = NUM_ENVS, **settings: Any) -> VectorEnv:
     return native(FLOW, parcels, **{**EPISODE, **settings})
 
 
@@ -33,22 +32,24 @@ def single_flows(mode: AutoresetMode, **settings: Any) -> SyncVectorEnv:
 class TestBesideSingles:
     @every_mode
     @every_kind
-    def test_each_lane_is_a_single_env(self, kind: dict[str, Any], mode: AutoresetMode) -> None:
+    def test_each_environment_is_a_single_env(
+        self, kind: dict[str, Any], mode: AutoresetMode
+    ) -> None:
         one, other = streams(autoreset_mode=mode, **kind), single_flows(mode, **kind)
-        assert run_beside(one, other, mode, 40) >= 2 * LANES
+        assert run_beside(one, other, mode, 40) >= 2 * NUM_ENVS
 
     @every_mode
     def test_also_with_a_gate(self, mode: AutoresetMode) -> None:
         settings = {"actions": "parcels", "gate": True}
         one, other = streams(autoreset_mode=mode, **settings), single_flows(mode, **settings)
-        assert run_beside(one, other, mode, 40) >= 2 * LANES
+        assert run_beside(one, other, mode, 40) >= 2 * NUM_ENVS
 
     @every_mode
     def test_also_where_jams_end_episodes(self, mode: AutoresetMode) -> None:
         settings = {"actions": "parcels", "orientations": (0.0, 0.1), "patience": 0.2}
         settings["duration"] = 3.0
         one, other = streams(autoreset_mode=mode, **settings), single_flows(mode, **settings)
-        assert run_beside(one, other, mode, 100) >= LANES
+        assert run_beside(one, other, mode, 100) >= NUM_ENVS
 
     @every_mode
     def test_a_start_pays_nothing(self, mode: AutoresetMode) -> None:
@@ -57,11 +58,11 @@ class TestBesideSingles:
         settings = {"stream": stream, "actions": "parcels", "duration": 0.12}
         settings["randomisation"] = Randomisation(lateral=0.05)
         one, other = streams(autoreset_mode=mode, **settings), single_flows(mode, **settings)
-        assert run_beside(one, other, mode, 12) >= 2 * LANES
+        assert run_beside(one, other, mode, 12) >= 2 * NUM_ENVS
 
 
 def rollout(env: VectorEnv, parcels: slice, periods: int = 40) -> Iterator[tuple[Any, ...]]:
-    """What some of the lanes give, each acting as it would in a smaller batch."""
+    """What some of the environments give, each acting as it would in a smaller batch."""
     observations, _ = env.reset(seed=3)
     yield (observations[parcels],)
     rng = np.random.default_rng(0)
@@ -87,13 +88,13 @@ class TestLanes:
     @pytest.mark.parametrize("threads", [2, 3])
     def test_nor_does_that_of_threads(self, threads: int) -> None:
         one, several = (streams(12, threads=count, **VARIED) for count in (1, threads))
-        assert several._batch._threads == threads
+        assert several.batch._threads == threads
         for first, second in zip(
             rollout(one, slice(None)), rollout(several, slice(None)), strict=True
         ):
             assert_same(first, second)
 
-    def test_every_lane_takes_its_own_stream(self) -> None:
+    def test_every_environment_takes_its_own_stream(self) -> None:
         env = streams(actions="parcels")
         mine = trace((0.0, "left 1"), (0.3, "right 1"), speed=1.1)
         _, infos = env.reset(seed=0, options=[None, {"stream": mine}, {}])
@@ -173,7 +174,7 @@ class TestContract:
         ends = [env.step(action)[3].all() for _ in range(5)]
         assert ends == [False, False, False, True, False]
 
-    def test_bad_options_leave_all_lanes(self) -> None:
+    def test_bad_options_change_no_environment(self) -> None:
         env, twin = streams(actions="parcels"), streams(actions="parcels")
         action = np.full(env.action_space.shape, BRAKE)
         for each in (env, twin):

@@ -17,14 +17,14 @@ PROGRESS = re.compile(r"^ *(\d+) periods: return (\S+), loss (\S+)$", re.MULTILI
 
 @dataclass(frozen=True)
 class Run:
-    """What an example told."""
+    """What an example printed."""
 
     returns: list[float]  # as it went on
     losses: list[float]
     kept: dict[str, Any]  # in its file
 
     @property
-    def figures(self) -> dict[str, Any]:
+    def results(self) -> dict[str, Any]:
         return self.kept["figures"]
 
 
@@ -37,20 +37,20 @@ def run(example: str, steps: int, folder: Path) -> Run:
     assert done.returncode == 0, done.stderr
     text = file.read_text()
     assert done.stdout.endswith(text)
-    told = PROGRESS.findall(done.stdout)
+    run = PROGRESS.findall(done.stdout)
     return Run(
-        [float(mean) for _, mean, _ in told],
-        [float(loss) for *_, loss in told],
+        [float(mean) for _, mean, _ in run],
+        [float(loss) for *_, loss in run],
         yaml.safe_load(text),
     )
 
 
-def check_sort(told: Run, *packages: str) -> None:
-    """It got better, by finite losses, and sorts more than chance does; versions are told."""
-    assert all(math.isfinite(loss) for loss in told.losses)
-    assert told.returns[-1] > told.returns[0] + 1.0
-    shares = told.figures["0.3 to 2.7 m/s evenly"]
+def check_sort(run: Run, *packages: str) -> None:
+    """It got better, by finite losses, and sorts more than chance does; versions are kept."""
+    assert all(math.isfinite(loss) for loss in run.losses)
+    assert run.returns[-1] > run.returns[0] + 1.0
+    shares = run.results["0.3 to 2.7 m/s evenly"]
     assert shares["both"] > 0.4
     assert min(shares["S"], shares["B"]) <= shares["both"] <= max(shares["S"], shares["B"])
-    assert set(packages) < set(told.kept["versions"])
-    assert told.kept["cores"] == os.cpu_count()
+    assert set(packages) < set(run.kept["versions"])
+    assert run.kept["cores"] == os.cpu_count()

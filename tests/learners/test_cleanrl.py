@@ -24,13 +24,13 @@ def test_it_learns(tmp_path: Path) -> None:
 
 def test_success_is_that_of_single_episodes(fresh_starts: Any) -> None:
     """Axes at -45 deg everywhere sort whoever is to leave to y > 0, if quick enough."""
-    lanes = 40
-    shares = fresh_starts.success(lambda seen: np.full(len(seen), 10), lanes)
+    num_envs = 40
+    shares = fresh_starts.success(lambda seen: np.full(len(seen), 10), num_envs)
     for name, task in fresh_starts.STARTS.items():
         env = sg.SmartSurfaceEnv(task, actions="halves")
         won: dict[str, list[bool]] = {"S": [], "B": []}
-        for lane in range(lanes):
-            seen, _ = env.reset(seed=1_000_000 + lane)
+        for i in range(num_envs):
+            seen, _ = env.reset(seed=1_000_000 + i)
             ended = False
             while not ended:
                 _, _, ended, _, info = env.step(10)

@@ -25,9 +25,9 @@ def test_success_is_what_was_kept(example: str) -> None:
 
 
 def test_the_flow_is_what_was_kept() -> None:
-    told = kept("rllib_flow")
-    assert f"{told['figures']['left by their exit']:.3f} of the parcels" in PAGE
-    assert f"{told['seconds']} s" in PAGE
+    run = kept("rllib_flow")
+    assert f"{run['figures']['left by their exit']:.3f} of the parcels" in PAGE
+    assert f"{run['seconds']} s" in PAGE
 
 
 @pytest.mark.parametrize("example", [*SORT, "rllib_flow"])

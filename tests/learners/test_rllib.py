@@ -22,12 +22,12 @@ def test_it_learns(tmp_path: Path) -> None:
 
 
 def test_it_learns_of_agents(tmp_path: Path) -> None:
-    told = run("rllib_flow", 6_000, tmp_path)
-    assert all(math.isfinite(loss) for loss in told.losses)
-    assert 0.0 <= told.figures["left by their exit"] <= 1.0
+    done = run("rllib_flow", 6_000, tmp_path)
+    assert all(math.isfinite(loss) for loss in done.losses)
+    assert 0.0 <= done.results["left by their exit"] <= 1.0
 
 
-def test_its_lanes_are_those_of_the_native_vector_env() -> None:
+def test_its_environments_are_those_of_the_native_vector_env() -> None:
     """Each episode that is learned from is one of a single environment."""
     from ray.rllib.algorithms.ppo import PPOConfig
     from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
@@ -72,13 +72,13 @@ def test_agents_of_a_flow_live_in_one_stretch_each() -> None:
             assert not set(seen) & gone
             actions = {a: random.integers(4, size=2) if seed % 2 else (2, 2) for a in flow.agents}
             expected, paid, *ends, _ = flow.step(actions)
-            seen, rewards, terminated, truncated, told = env.step(actions)
+            seen, rewards, terminated, truncated, done = env.step(actions)
             stretch_ends = not set(actions) & set(flow.agents)
             assert terminated.pop("__all__") == stretch_ends
             assert not truncated.pop("__all__")
             assert [terminated, truncated] == [{a: end[a] for a in seen} for end in ends]
             assert set(seen) == (set(actions) if stretch_ends else set(expected))
-            for agent, info in told.items():
+            for agent, info in done.items():
                 outcomes.add(info.get("outcome"))
                 jammed = info.get("outcome") == "jam"
                 assert rewards[agent] == pytest.approx(paid[agent] - jammed)

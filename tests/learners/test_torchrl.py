@@ -20,14 +20,14 @@ def test_a_rollout_is_that_of_single_environments() -> None:
     from torchrl.envs import GymWrapper
 
     mode = AutoresetMode.DISABLED
-    lanes = gym.make_vec("SmartSurface/Sort-v0", 4, actions="halves", autoreset_mode=mode)
-    env = GymWrapper(lanes, categorical_action_encoding=True)
+    envs = gym.make_vec("SmartSurface/Sort-v0", 4, actions="halves", autoreset_mode=mode)
+    env = GymWrapper(envs, categorical_action_encoding=True)
     env.set_seed(0)
     rollout = env.rollout(150, break_when_any_done=False)
     assert int(rollout["next", "done"].sum()) > 8
-    for lane, way in enumerate(rollout):
+    for i, way in enumerate(rollout):
         single = sg.SmartSurfaceEnv("sort", actions="halves")
-        single.reset(seed=lane)  # set_seed resets too
+        single.reset(seed=i)  # set_seed resets too
         seen, _ = single.reset()
         for step in way:
             assert step["observation"].tolist() == seen.tolist()

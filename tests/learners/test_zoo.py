@@ -18,9 +18,9 @@ HYPERPARAMS = EXAMPLES.parents[1] / "agents" / "hyperparams"
 
 def test_it_learns(tmp_path: Path) -> None:
     """Chance sorts next to none."""
-    told = run("zoo", 106_496, tmp_path)
-    assert told.figures["0.3 to 2.7 m/s evenly"]["both"] > 0.4
-    assert {"rl_zoo3", "stable_baselines3"} < set(told.kept["versions"])
+    done = run("zoo", 106_496, tmp_path)
+    assert done.results["0.3 to 2.7 m/s evenly"]["both"] > 0.4
+    assert {"rl_zoo3", "stable_baselines3"} < set(done.kept["versions"])
 
 
 @pytest.mark.parametrize("algo", ["ppo", "dqn"])

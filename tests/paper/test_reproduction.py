@@ -80,7 +80,7 @@ def test_as_many_cells_agree_as_the_pages_say(reproduction, table, cells, at_5_m
     assert compared.agreeing(1) == converged
 
 
-def test_what_is_off_in_table_2_is_told(reproduction):
+def test_what_is_off_in_table_2_is_reported(reproduction):
     """By how much, at 5 ms: a little more than what counts as agreement."""
     off = {
         (cell.row, cell.column): cell.ours[0].value - cell.paper
@@ -95,7 +95,7 @@ def test_what_is_off_in_table_2_is_told(reproduction):
     }
 
 
-def test_what_differs_converged_is_told(reproduction):
+def test_what_differs_converged_is_reported(reproduction):
     differing = [
         (cell.column, cell.row, cell.paper, cell.ours[1].value)
         for cell in reproduction.table("table3").cells

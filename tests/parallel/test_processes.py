@@ -45,7 +45,7 @@ def test_one_worker_or_one_job_needs_no_process() -> None:
     assert list(map_jobs([], 2)) == []
 
 
-def test_a_job_whose_process_dies_is_done_again_and_only_that(tmp_path: Path) -> None:
+def test_a_job_whose_process_dies_is_done_again_and_only_that(tmp_path) -> None:
     work = [
         partial(jobs.dies_at_first, tmp_path, "lost"),
         partial(jobs.counts_beginnings, tmp_path, "whole"),
@@ -53,7 +53,7 @@ def test_a_job_whose_process_dies_is_done_again_and_only_that(tmp_path: Path) ->
     assert dict(map_jobs(work, 2)) == {0: 2, 1: 1}
 
 
-def test_a_job_that_always_dies_ends_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_job_that_always_dies_ends_the_work(monkeypatch) -> None:
     monkeypatch.setattr("surface_gym.parallel.MAX_LOSSES", 3)
     with pytest.raises(WorkFailed, match=r"a job has cost 3 processes; the last: exit code -9"):
         dict(map_jobs([jobs.always_dies, partial(jobs.draws, 0)], 2))
@@ -71,9 +71,7 @@ def test_an_error_that_cannot_be_pickled_keeps_its_text() -> None:
 
 
 @pytest.mark.parametrize("by", [KeyboardInterrupt, OSError])
-def test_whatever_ends_the_work_interrupts_the_jobs_and_hears_them_out(
-    by: type[BaseException], tmp_path: Path
-) -> None:
+def test_whatever_ends_the_work_interrupts_the_jobs_and_hears_them_out(by, tmp_path) -> None:
     heard: list[tuple[int, Any]] = []
 
     def hear(index: int, value: Any) -> None:
@@ -87,7 +85,7 @@ def test_whatever_ends_the_work_interrupts_the_jobs_and_hears_them_out(
     assert sorted(file.name for file in tmp_path.iterdir()) == ["0", "1"]
 
 
-def test_closing_the_iteration_ends_the_jobs(tmp_path: Path) -> None:
+def test_closing_the_iteration_ends_the_jobs(tmp_path) -> None:
     work = [partial(jobs.draws, 0), partial(jobs.waits, tmp_path / "file")]
     some = map_jobs(work, 2)
     assert next(some)[0] == 0
@@ -96,7 +94,7 @@ def test_closing_the_iteration_ends_the_jobs(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("*")) or (tmp_path / "file").read_text() == "interrupted\n"
 
 
-def test_jobs_end_when_the_submitting_process_is_killed(tmp_path: Path) -> None:
+def test_jobs_end_when_the_submitting_process_is_killed(tmp_path) -> None:
     code = (
         "from functools import partial\nfrom pathlib import Path\n"
         "from surface_gym.parallel import map_jobs\nfrom tests.parallel import jobs\n"
@@ -136,7 +134,7 @@ def test_a_job_without_reports() -> None:
 
 
 @pytest.mark.parametrize("workers", [0, -1, 1.5, True])
-def test_workers_are_at_least_one(workers: Any) -> None:
+def test_workers_are_at_least_one(workers) -> None:
     with pytest.raises(ValueError, match="workers must be a whole number of at least 1"):
         check_workers(workers)
 

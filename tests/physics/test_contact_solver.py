@@ -12,8 +12,8 @@ from surface_gym.physics.rollout import distance_between
 from surface_gym.physics.signed_distance import CONTACT_DISTANCE
 from surface_gym.physics.step import BALANCED, OFF_SURFACE, UNSUPPORTED
 from surface_gym.physics.types import AX, AY, VX, Array, X
-from tests.companies import G, Meeting, ice, supports
 from tests.strategies import parcels
+from tests.worlds import G, Meeting, ice, supports
 
 BOX = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=2.0)
 DT = 0.005  # [s]
@@ -46,7 +46,7 @@ ROUGH = sg.Surface(
 def overlap(meeting: Meeting) -> float:
     """[m] the most of any two parcels."""
     rows = range(len(meeting.masses))
-    return max(-distance_between(meeting.company, i, j) for i in rows for j in range(i))
+    return max(-distance_between(meeting.world, i, j) for i in rows for j in range(i))
 
 
 @given(meeting=crowds(ROUGH))
@@ -152,8 +152,8 @@ def test_whoever_touches_nobody_moves_as_alone_to_the_bit() -> None:
         assert together.step(DT) == []
         for each in alone:
             each.step(DT)
-    single = np.concatenate([each.company.state for each in alone])
-    assert together.company.state.tobytes() == single.tobytes()
+    single = np.concatenate([each.world.state for each in alone])
+    assert together.world.state.tobytes() == single.tobytes()
 
 
 def test_two_that_meet_do_not_touch_a_third() -> None:
@@ -166,7 +166,7 @@ def test_two_that_meet_do_not_touch_a_third() -> None:
         pushed += three.step(DT)
         one.step(DT)
     assert {pair[:2] for pair in pushed} == {(0, 1)}
-    assert three.company.state[2].tobytes() == one.company.state[0].tobytes()
+    assert three.world.state[2].tobytes() == one.world.state[0].tobytes()
 
 
 def test_groups_that_touch_apart_from_each_other_do_not_mix() -> None:
@@ -178,8 +178,8 @@ def test_groups_that_touch_apart_from_each_other_do_not_mix() -> None:
         touches = four.step(DT)
         apart = [each.step(DT) for each in two]
         assert touches == apart[0] + [(i + 2, j + 2, p) for i, j, p in apart[1]]
-    states = np.concatenate([each.company.state for each in two])
-    assert four.company.state.tobytes() == states.tobytes()
+    states = np.concatenate([each.world.state for each in two])
+    assert four.world.state.tobytes() == states.tobytes()
 
 
 def test_a_mirrored_meeting_goes_the_mirrored_way() -> None:
@@ -239,7 +239,7 @@ def test_sides_do_not_count_into_the_acceleration_that_loads_the_elements() -> N
     )
     meeting.step(DT)
     np.testing.assert_allclose(np.abs(meeting.velocity[:, 0]), 0.0, atol=1e-7)
-    assert np.abs(meeting.company.state[:, [AX, AY]]).max() <= mu * G * 1.000001
+    assert np.abs(meeting.world.state[:, [AX, AY]]).max() <= mu * G * 1.000001
 
 
 def test_who_is_off_the_surface_or_on_nothing_keeps_still_and_touches_nobody() -> None:
@@ -250,22 +250,22 @@ def test_who_is_off_the_surface_or_on_nothing_keeps_still_and_touches_nobody() -
         [(-0.01, 1.0, 0.0), (0.2, 1.0, 0.0), (2.0, 1.0, 0.0), (2.15, 1.0, 0.0)],
         [(-1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)],
     )
-    before = meeting.company.state.copy()
+    before = meeting.world.state.copy()
     assert meeting.step(DT) == []
     assert meeting.scratch.report.tolist() == [OFF_SURFACE, BALANCED, UNSUPPORTED, BALANCED]
     assert meeting.scratch.rotors.tolist() == [0, 0, 0, 0]
-    np.testing.assert_array_equal(meeting.company.state[[0, 2]], before[[0, 2]])
-    assert (meeting.company.state[[1, 3], X] < before[[1, 3], X]).all()
+    np.testing.assert_array_equal(meeting.world.state[[0, 2]], before[[0, 2]])
+    assert (meeting.world.state[[1, 3], X] < before[[1, 3], X]).all()
 
 
 def test_rows_without_a_parcel_are_left_alone() -> None:
     poses = [(1.0, 1.0, 0.0), (1.1, 1.0, 0.0), (1.3, 1.0, 0.0)]
     meeting = Meeting(supports(0.1), [BOX] * 3, poses, [(1.0, 0, 0), (9.0, 9.0, 9.0), (0, 0, 0)])
-    meeting.company.present[1] = False
-    before = meeting.company.state[1].copy()
+    meeting.world.present[1] = False
+    before = meeting.world.state[1].copy()
     touches = [meeting.step(DT) for _ in range(30)]
     assert {pair[:2] for each in touches for pair in each} == {(0, 2)}
-    np.testing.assert_array_equal(meeting.company.state[1], before)
+    np.testing.assert_array_equal(meeting.world.state[1], before)
 
 
 def test_a_step_says_how_many_rotors_bore_each() -> None:
@@ -281,12 +281,12 @@ def test_axes_that_turn_count_once_the_scratch_forgets() -> None:
     surface = sg.Surface(np.zeros((30, 40)), np.ones((30, 40), dtype=bool), mu_max=0.5, mu_min=0.0)
     meeting = Meeting(surface, [BOX] * 2, [(1.0, 1.0, 0.0), (2.0, 1.0, 0.0)], [(1.0, 0, 0)] * 2)
     meeting.step(DT)
-    slowed = meeting.company.state[:, VX].copy()
+    slowed = meeting.world.state[:, VX].copy()
     assert (slowed < 0.98).all()
     meeting.grid.direction[:] = 0.0, 1.0  # they roll along x
     meeting.forget()
     meeting.step(DT)
-    np.testing.assert_allclose(meeting.company.state[:, VX], slowed, atol=1e-9)
+    np.testing.assert_allclose(meeting.world.state[:, VX], slowed, atol=1e-9)
 
 
 def test_who_overlaps_is_moved_apart_the_heavier_less_and_no_faster() -> None:

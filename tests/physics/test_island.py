@@ -1,4 +1,4 @@
-"""Impulses between sides, against other solvers and what can be told by hand."""
+"""Impulses between sides, against other solvers and what is known by hand."""
 
 import math
 
@@ -15,7 +15,7 @@ from surface_gym.physics.island import Island
 from surface_gym.physics.jit import compiled
 from surface_gym.physics.types import Array
 from surface_gym.simulation import make_bodies
-from tests.companies import G, Meeting, ice, supports
+from tests.worlds import G, Meeting, ice, supports
 
 
 @given(

@@ -98,14 +98,16 @@ def test_a_cache_cut_short_is_made_anew(ending: str, left: int, cache: Path) -> 
 
 
 @pytest.mark.usefixtures("cache")
-def test_a_full_disk_is_told_once_and_nothing_else_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_reported_once_and_nothing_else_fails(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(IndexDataCacheFile, "save", full)
-    with pytest.warns(RuntimeWarning, match=r"not kept.*No space left on device") as told:
+    with pytest.warns(RuntimeWarning, match=r"not kept.*No space left on device") as warned:
         assert [hits_of(1.5), hits_of(1.5)] == [0, 0]
-    assert len(told) == 1
+    assert len(warned) == 1
 
 
 def test_where_no_folder_can_be_written_it_is_compiled_all_the_same(

@@ -73,7 +73,7 @@ def measured(
         (RECTANGLE, (0, 0, 0), DISC, (0.19, 0.0, 0), -0.16, (1, 0)),  # its centre inside
     ],
 )
-def test_gaps_that_can_be_told_by_hand(
+def test_gaps_that_are_known_by_hand(
     first: object,
     one: tuple[float, ...],
     second: object,

@@ -107,7 +107,7 @@ def test_a_step_reports_how_it_went_and_on_how_many_contacts() -> None:
 
 
 @pytest.mark.parametrize("step", [step_implicit, step_explicit])
-def test_a_base_between_the_elements_is_told_from_one_off_the_surface(step: object) -> None:
+def test_a_base_between_the_elements_differs_from_one_off_the_surface(step: object) -> None:
     surface, coin = sg.layouts.sorting(), sg.Parcel(sg.Disc(0.04))
     state, scratch = state_of((1.0, 1.0, 0.0), (0.5, 0.0, 0.0)), make_scratch()
     assert step(surface.grid, coin.body, state, scratch, 0.005) == (UNSUPPORTED, (0, 0))

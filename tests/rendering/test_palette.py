@@ -1,4 +1,4 @@
-"""Colours are told apart by every eye, and texts on them are read."""
+"""Colours are distinct to every eye, and texts on them are read."""
 
 import numpy as np
 import pytest

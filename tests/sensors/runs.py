@@ -9,17 +9,23 @@ import surface_gym as sg
 ROLL, MINUS_45, PLUS_45, BRAKE = 3, 2, 1, 0
 
 
-def errors(sensors: Any, choice: int, lanes: int = 16, seed: int = 0, **start: Any) -> np.ndarray:
+def errors(
+    sensors: Any, choice: int, num_envs: int = 16, seed: int = 0, **start: Any
+) -> np.ndarray:
     """(decisions, 6) sensed pose and velocity minus the true ones, over episodes of one choice."""
     env = sg.SmartSurfaceVectorEnv(
-        lanes, actions="quadrants", sensors=sensors, max_episode_steps=60, autoreset_mode="SameStep"
+        num_envs,
+        actions="quadrants",
+        sensors=sensors,
+        max_episode_steps=60,
+        autoreset_mode="SameStep",
     )
     env.reset(seed=seed, options={"side": 1, **start})
     memory = env.batch.parcels
     found = []
-    running = np.ones(lanes, dtype=bool)
+    running = np.ones(num_envs, dtype=bool)
     while running.any():
-        _, _, terminated, truncated, _ = env.step(np.full((lanes, 4), choice))
+        _, _, terminated, truncated, _ = env.step(np.full((num_envs, 4), choice))
         running &= ~(terminated | truncated)
         found.append((memory.sensed - memory.truth)[running])
     return np.concatenate(found)
@@ -30,12 +36,12 @@ def rms(values: np.ndarray) -> np.ndarray:
 
 
 def contradicts(env: Any, parcel: str, tolerance: float) -> np.ndarray:
-    """(lanes,) whether the sensed pose of a box has other rotors covered than the true one has, by
+    """Whether the sensed pose of each box has other rotors covered than the true one has, by
     more than a tolerance [m]; by the base's own functions.
     """
-    elements, lanes, sites = env.batch.params.elements, env.batch.parcels, env.batch.bodies
+    elements, parcels, bodies = env.batch.params.elements, env.batch.parcels, env.batch.bodies
     base = sg.layouts.box(parcel).base
-    rows, columns = np.indices(sites.rotor.shape[1:])
+    rows, columns = np.indices(bodies.rotor.shape[1:])
     x, y = elements.x0 + elements.pitch_x * columns, elements.y0 + elements.pitch_y * rows
 
     def outside(motion: np.ndarray) -> np.ndarray:
@@ -44,9 +50,9 @@ def contradicts(env: Any, parcel: str, tolerance: float) -> np.ndarray:
         return base.functions(cosine * dx + sine * dy, cosine * dy - sine * dx).max(axis=0)
 
     found = []
-    for lane in range(env.num_envs):
-        covered = outside(lanes.truth[lane]) <= 0.0
-        beyond = outside(lanes.sensed[lane])
+    for i in range(env.num_envs):
+        covered = outside(parcels.truth[i]) <= 0.0
+        beyond = outside(parcels.sensed[i])
         wrong = np.where(covered, beyond, -beyond) > tolerance
-        found.append((wrong & sites.rotor[lanes.site[lane] if len(sites.rotor) > 1 else 0]).any())
+        found.append((wrong & bodies.rotor[parcels.body[i] if len(bodies.rotor) > 1 else 0]).any())
     return np.array(found)

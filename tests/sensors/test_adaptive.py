@@ -20,12 +20,12 @@ QUADRANTS = {"all brake": (0, 0, 0, 0), "ahead brakes": (0, 0, 3, 3), "one side"
 
 
 def in_the_zone(axes: tuple[int, ...]) -> Batch:
-    """A lane in the middle of its zone, its rotors set; a control period is a physics step, and no
+    """A parcel in the middle of its zone, its rotors set; a period is one physics step, and no
     frame comes.
     """
     unseen = AdaptiveCamera(frame_rate=0.1)
-    batch = Batch(EnvConfig("slow", "quadrants", unseen, control_period=0.005), 1)
-    batch.reserve.seed(0, np.random.default_rng(0))
+    batch = Batch(EnvConfig("slow", actions="quadrants", sensors=unseen, control_period=0.005), 1)
+    batch.reset_cache.seed(0, np.random.default_rng(0))
     batch.reset(np.zeros(1, dtype=np.int64), [{"speed": 2.0, "parcel": "B"}])
     for _ in range(104):
         batch.step(np.full((1, 4), ROLL))
@@ -63,17 +63,17 @@ def test_effects_are_the_derivatives_of_a_step(axes: tuple[int, ...]) -> None:
     np.testing.assert_allclose(effect, differences, atol=0.05 * float(np.abs(differences).max()))
 
 
-def after_braking(sensors: Camera, lanes: int = 128) -> tuple[Any, sg.SmartSurfaceVectorEnv]:
+def after_braking(sensors: Camera, num_envs: int = 128) -> tuple[Any, sg.SmartSurfaceVectorEnv]:
     """What a filter has in mind of parcels of the lab that were braked and led aside a little."""
     lab = replace(PRESETS["lab"], sensors=sensors, actuators=sg.Actuators())
     env = sg.SmartSurfaceVectorEnv(
-        lanes, Slow(speeds=(2.0, 2.4)), "quadrants", condition=lab, observe=("load",)
+        num_envs, Slow(speeds=(2.0, 2.4)), actions="quadrants", preset=lab, observe=("load",)
     )
     observation, _ = env.reset(seed=3)
     halves = ((BRAKE, BRAKE, ROLL, ROLL), (ROLL, ROLL, BRAKE, BRAKE), (BRAKE,) * 4)
     for k in range(16):
         pattern = (ROLL,) * 4 if k < 7 else halves[k % 3]
-        observation, _, terminated, truncated, _ = env.step(np.tile(pattern, (lanes, 1)))
+        observation, _, terminated, truncated, _ = env.step(np.tile(pattern, (num_envs, 1)))
         assert not (terminated | truncated).any()
     return observation, env
 
@@ -84,8 +84,8 @@ def test_friction_and_load_are_learned_as_well_as_it_says() -> None:
     assert isinstance(sensors, AdaptiveCamera)
     observation, env = after_braking(sensors)
     batch = env.batch
-    sites = batch.bodies.body[batch.parcels.site]
-    true = np.column_stack([batch.surfaces.conditions[:, 0], sites[:, 1], sites[:, 2]])
+    bodies = batch.bodies.body[batch.parcels.body]
+    true = np.column_stack([batch.surfaces.conditions[:, 0], bodies[:, 1], bodies[:, 2]])
     kept = batch.parcels.sensor_state
     errors = kept[:, CONSTANT : CONSTANT + LEARNED] - true
     doubts = np.sqrt(kept[:, DOUBT : DOUBT + 9 : LEARNED + 1])

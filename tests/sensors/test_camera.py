@@ -34,7 +34,7 @@ def test_a_jump_is_seen_after_the_latency_and_not_before(late: int) -> None:
         acceleration_density=10.0,
     )  # fmt: skip
     batch = Batch(EnvConfig(actions="halves", sensors=camera, control_period=period), 1)
-    batch.reserve.seed(0, np.random.default_rng(0))
+    batch.reset_cache.seed(0, np.random.default_rng(0))
     batch.reset(np.zeros(1, dtype=np.int64), [{"speed": 0.5, "parcel": "S", "side": 1}])
     roll = np.full((1, 2), ROLL)
     for _ in range(8):
@@ -53,7 +53,7 @@ def test_noise_has_its_law() -> None:
         frame_rate=25.0, latency=0.0, position_noise=0.004, angle_noise=0.02,
         acceleration_density=1e6, turn_density=1e6,
     )  # fmt: skip
-    found = errors(blunt, ROLL, lanes=64, speed=1.0, parcel="S")
+    found = errors(blunt, ROLL, num_envs=64, speed=1.0, parcel="S")
     assert len(found) > 1500
     for column, spread in ((0, 0.004), (1, 0.004), (2, 0.02)):
         assert found[:, column].std() == pytest.approx(spread, rel=0.08)

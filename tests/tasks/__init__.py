@@ -11,8 +11,7 @@ import surface_gym as sg
 from surface_gym.core.batch import Batch
 from surface_gym.tasks import Task
 from surface_gym.tasks.start import Draw, Start
-from tests.batches import batch_with
-from tests.environments import Step
+from tests.environments import Step, batch_with
 
 BRAKE = 0  # choice of the default orientations: the axis at 0 deg
 ROLLING_LOSS = 0.01 * 9.81  # [m/s^2] of a parcel that rolls, mu_min g of Table 1
@@ -55,12 +54,12 @@ def play(
 
 
 def placed(task: Task, start: Start) -> Batch:
-    """A batch of one lane on which a start was put."""
+    """A batch of one environment on which a start was put."""
     return batch_with(start, task=task)
 
 
 def features_of(batch: Batch) -> dict[str, float]:
-    """What the lane observes, by name."""
+    """What the environment observes, by name."""
     names = [feature.name for feature in batch.task.features]
     return dict(zip(names, batch.parcels.observation[0].tolist(), strict=True))
 

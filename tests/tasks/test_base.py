@@ -115,7 +115,7 @@ class TestStarts:
 
     @every_task
     def test_one_at_a_time_they_are_the_same(self, name: str) -> None:
-        """A lane's start does not depend on how many others start with it."""
+        """An environment's start does not depend on how many others start with it."""
         task = TASKS[name]()
         numbers = np.random.default_rng(1).random((5, task.draws))
         together = task.start(Draw(numbers, (), task.line))
@@ -136,7 +136,7 @@ class TestEpisodes:
                 assert observation in env.observation_space
                 assert reward == pytest.approx(math.fsum(info["reward_terms"].values()), abs=1e-12)
                 assert list(info["reward_terms"]) == list(TASKS[name].terms)
-                assert all(math.isfinite(info[figure]) for figure in TASKS[name].figures)
+                assert all(math.isfinite(info[metric]) for metric in TASKS[name].metrics)
                 assert info["outcome"] in outcomes
                 assert terminated == (info["outcome"] != "running")
                 assert info["is_success"] == (info["outcome"] == "success")
@@ -158,11 +158,11 @@ class TestEpisodes:
         assert episode.total("failure") == 0.0
 
     @every_task
-    def test_the_page_names_every_term_and_figure(self, name: str) -> None:
+    def test_the_page_names_every_term_and_metric(self, name: str) -> None:
         page = TASKS[name].__doc__
         for section in ("Start", "Goal and end", "Reward", "Info", "Version history"):
             assert f"### {section}\n" in page
         for term in TASKS[name].terms:
             assert f"| `{term}` |" in page
-        for figure in TASKS[name].figures:
-            assert f"- `{figure}` [" in page
+        for metric in TASKS[name].metrics:
+            assert f"- `{metric}` [" in page

@@ -4,29 +4,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from surface_gym.agents.evaluation import streams
 from surface_gym.agents.evaluation.benchmark import Result
 from surface_gym.agents.evaluation.capacity import Measurement
 from surface_gym.agents.evaluation.methods import FIXED
 from surface_gym.agents.evaluation.robustness import FACTORS, Factor, Level, SweepResult
-from surface_gym.agents.evaluation.streams import (
-    ARRANGED,
-    CURVE,
-    EVENT,
-    LOADS,
-    RESERVATION,
-    SEARCHED,
-    TURNED,
-    StreamResult,
-    StreamResults,
-    cases,
-    stream_methods,
-)
+from surface_gym.agents.evaluation.streams import CURVE, StreamResult, cases
 from surface_gym.tasks import Sort
 from surface_gym.tasks.benchmark import PARCELS, SpeedGrid
 
 STARTS = 24  # of the sweep
-SHARES = {FIXED: 0.0, ARRANGED: 0.0, TURNED: 0.2, EVENT: 0.4, RESERVATION: 0.6}  # of the ceiling
-RULES = [method for method in stream_methods() if method.name in SHARES]
+SHARES = {
+    FIXED: 0.0,
+    streams.ARRANGED: 0.0,
+    streams.TURNED: 0.2,
+    streams.EVENT: 0.4,
+    streams.RESERVATION: 0.6,
+}  # of the ceiling
+RULES = [method for method in streams.stream_methods() if method.name in SHARES]
 
 
 def sort_grid() -> SpeedGrid:
@@ -101,24 +96,24 @@ def stream_rows() -> list[StreamResult]:
     """The layout sustains nothing, one zone cannot sort, the others sustain a share."""
     made = []
     for name, share in SHARES.items():
-        can = name != ARRANGED
+        can = name != streams.ARRANGED
         for case in (*cases(), *(cases("camera") if name != FIXED else ())):
             rate = share * case.ceiling
             capacity = at(rate, touches=1.0) if share else None
             least = at(0.8 * rate) if share else at(case.ceiling / 16.0, right=1 / 3)
             made.append(
                 StreamResult(
-                    name, case.preset, case.mix, case.speed, SEARCHED, can, capacity,
+                    name, case.preset, case.mix, case.speed, streams.SEARCHED, can, capacity,
                     least if can else None,
                 )
             )  # fmt: skip
-        for load in LOADS:
+        for load in streams.LOADS:
             point = at(min(load, share) * CURVE.ceiling) if can else None
             made.append(StreamResult(name, "exact", CURVE.mix, CURVE.speed, load, can, None, point))
     return made
 
 
-def stream_results() -> StreamResults:
+def stream_results() -> streams.StreamResults:
     """With bounds at 0.8 of the ceiling."""
     bounds = {(case.mix, case.speed): 0.8 * case.ceiling for case in cases()}
-    return StreamResults(tuple(stream_rows()), bounds)
+    return streams.StreamResults(tuple(stream_rows()), bounds)

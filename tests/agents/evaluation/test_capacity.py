@@ -9,20 +9,12 @@ import pytest
 
 from surface_gym.agents.evaluation import capacity
 from surface_gym.agents.evaluation.benchmark import half_interval
-from surface_gym.agents.evaluation.capacity import (
-    LEAST,
-    Case,
-    Measurement,
-    StreamMethod,
-    counted_time,
-    find_capacity,
-    measure,
-)
+from surface_gym.agents.evaluation.capacity import Measurement
 from surface_gym.agents.evaluation.methods import FIXED
 from surface_gym.agents.evaluation.streams import EVENT, RESERVATION, stream_methods
 from surface_gym.config import EnvConfig
 
-SMALL = Case("S", 1.5)
+SMALL = capacity.Case("S", 1.5)
 NOBODY: Any = None  # decides where the measurement is replaced
 BY_NAME = {method.name: method for method in stream_methods()}
 
@@ -32,10 +24,12 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(capacity, "REPLICATIONS", 4)
 
 
-def offer(method: StreamMethod, case: Case, rate: float, whole: bool = True) -> Measurement | None:
+def offer(
+    method: capacity.StreamMethod, case: capacity.Case, rate: float, whole: bool = True
+) -> Measurement | None:
     controller = method.make(method.config(case, rate))
     assert controller is not None
-    return measure(method, controller, case, rate, whole)
+    return capacity.measure(method, controller, case, rate, whole)
 
 
 def delivery(
@@ -68,7 +62,7 @@ class TestMeasurement:
             ("camera", 995, 0, True), ("camera", 994, 0, False),
         ],
     )  # fmt: skip
-    def test_what_is_sustained(self, preset: str, right: int, jams: int, expected: bool) -> None:
+    def test_what_is_sustained(self, preset, right, jams, expected) -> None:
         case = replace(SMALL, preset=preset)
         assert delivery(3000.0, right, jams=jams).is_sustained(case) is expected
 
@@ -77,24 +71,23 @@ class TestMeasurement:
 
 
 @pytest.mark.parametrize("rate", [500.0, 1234.0, 3600.0, 20000.0])
-def test_what_counts_are_whole_gaps_after_the_warm_up(rate: float) -> None:
-    counted = counted_time(30.0, rate)
+def test_what_counts_are_whole_gaps_after_the_warm_up(rate) -> None:
+    counted = capacity.counted_time(30.0, rate)
     gaps = counted * rate / 3600.0
     assert gaps == pytest.approx(round(gaps))
     assert 22.0 - 3600.0 / rate < counted <= 22.0 + 1e-9
 
 
 def test_one_gap_counts_at_least() -> None:
-    assert counted_time(30.0, 150.0) == pytest.approx(24.0)
-    assert counted_time(30.0, 10.0) == 30.0
+    assert capacity.counted_time(30.0, 150.0) == pytest.approx(24.0)
+    assert capacity.counted_time(30.0, 10.0) == 30.0
 
 
 class TestMeasure:
     @pytest.mark.parametrize("name", [EVENT, RESERVATION])
-    def test_what_comes_leaves_in_the_long_run(self, name: str) -> None:
+    def test_what_comes_leaves_in_the_long_run(self, name) -> None:
         """To the parcel, as whole gaps count: every replication delivers what was offered."""
         found = offer(BY_NAME[name], SMALL, 3000.0)
-        assert found is not None
         assert found.share_right == 1.0
         assert found.rates == pytest.approx(3000.0, rel=0.12)
         assert found.rate == pytest.approx(3000.0, rel=0.03)
@@ -107,8 +100,6 @@ class TestMeasure:
         """A third of it is to go left: so many the layout has right, and the rule by all exits."""
         layout = offer(BY_NAME[FIXED], SMALL, 3000.0)
         rule = offer(BY_NAME[EVENT], SMALL, 3000.0)
-        assert layout is not None
-        assert rule is not None
         assert layout.delivered == pytest.approx(rule.delivered, abs=2)
         assert 0.15 < layout.share_right < 0.55
 
@@ -119,15 +110,14 @@ class TestMeasure:
         class Brake:
             """Every axis at 0 deg."""
 
-            def __init__(self, settings: EnvConfig) -> None:
-                self._size = settings.action_kind.size
+            def __init__(self, config: EnvConfig) -> None:
+                self._size = config.action_kind.size
 
             def predict(self, observation: Any, state: Any = None, *_: Any) -> tuple[Any, Any]:
                 return np.zeros((len(observation), self._size), dtype=int), state
 
-        brake = StreamMethod("brake", "modules", False, Brake)
+        brake = capacity.StreamMethod("brake", "modules", False, Brake)
         whole = offer(brake, SMALL, 9000.0)
-        assert whole is not None
         assert whole.jams == 4
         assert whole.rate == 0.0
         assert whole.waiting == pytest.approx([0.0] * 4)
@@ -148,16 +138,15 @@ class TestSearch:
             return delivery(rate) if rate <= most else delivery(rate, right=500)
 
         monkeypatch.setattr(capacity, "measure", known)
-        return find_capacity(BY_NAME[name], NOBODY, SMALL), tried
+        return capacity.find_capacity(BY_NAME[name], NOBODY, SMALL), tried
 
-    def test_the_ceiling_comes_first(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_the_ceiling_comes_first(self, monkeypatch) -> None:
         found, tried = self.search(monkeypatch, math.inf)
-        assert found is not None
         assert tried == [found.offered] == [SMALL.ceiling]
 
     @pytest.mark.parametrize("carried", [5000.0, 9000.0, 17000.0])
     def test_without_a_gate_more_may_be_delivered_where_fewer_come(
-        self, monkeypatch: pytest.MonkeyPatch, carried: float
+        self, monkeypatch, carried
     ) -> None:
         """Beyond what is carried parcels hinder each other: less is delivered the more come."""
 
@@ -168,23 +157,17 @@ class TestSearch:
             return Measurement(rate, [right], [right], [0.0], [0.0], 0, 3600.0 * 1000.0)
 
         monkeypatch.setattr(capacity, "measure", known)
-        found = find_capacity(BY_NAME[EVENT], NOBODY, SMALL)
-        assert found is not None
+        found = capacity.find_capacity(BY_NAME[EVENT], NOBODY, SMALL)
         assert carried / 1.03 <= found.rate <= carried
 
     @pytest.mark.parametrize("share", [0.99, 0.7, 0.3, 0.07])
-    def test_it_comes_within_two_in_a_hundred(
-        self, monkeypatch: pytest.MonkeyPatch, share: float
-    ) -> None:
+    def test_it_comes_within_two_in_a_hundred(self, monkeypatch, share) -> None:
         most = share * SMALL.ceiling
         found, tried = self.search(monkeypatch, most)
-        assert found is not None
         assert most / 1.02 <= found.offered <= most
         assert len(tried) <= 12
 
-    def test_below_the_least_rate_there_is_no_capacity(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        found, tried = self.search(monkeypatch, 0.9 * LEAST * SMALL.ceiling)
+    def test_below_the_least_rate_there_is_no_capacity(self, monkeypatch) -> None:
+        found, tried = self.search(monkeypatch, 0.9 * capacity.LEAST * SMALL.ceiling)
         assert found is None
-        assert min(tried) == pytest.approx(LEAST * SMALL.ceiling)
+        assert min(tried) == pytest.approx(capacity.LEAST * SMALL.ceiling)

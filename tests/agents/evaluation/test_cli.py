@@ -14,7 +14,7 @@ import pytest
 from rich.console import Console
 
 from surface_gym.agents.base import FLOW_TASK
-from surface_gym.agents.evaluation import capacity, report, runs, streams
+from surface_gym.agents.evaluation import capacity, report, streams
 from surface_gym.agents.evaluation.capacity import Case
 from surface_gym.agents.evaluation.cli import TASK_NAMES, EvaluateConfig, evaluate
 from surface_gym.agents.evaluation.methods import rules
@@ -47,12 +47,12 @@ class TestConfig:
             ),
         ],
     )
-    def test_errors(self, given: dict[str, Any], message: str) -> None:
+    def test_errors(self, given, message) -> None:
         with pytest.raises(ValueError, match=message):
             EvaluateConfig(**given)
 
 
-def test_results_of_streams_become_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_of_streams_become_a_page(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(streams, "stream_methods", lambda: RULES)
     monkeypatch.setattr(StreamResults, "of", lambda *_: stream_results())
     monkeypatch.setattr(report, "FILMED", 0.4)
@@ -81,7 +81,7 @@ def test_results_of_streams_become_a_page(tmp_path: Path, monkeypatch: pytest.Mo
         assert video.get_data(0).shape[0] > 2 * imageio.imread(tmp_path / "flow.png").shape[0]
 
 
-def test_a_sweep_becomes_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sweep_becomes_tables(tmp_path, monkeypatch) -> None:
     fixed = rules("slow")[:1]
     monkeypatch.setattr("surface_gym.agents.evaluation.methods.all_methods", lambda _: fixed)
     keep(sweep_results("slow", {"fixed layout": 0.5}), tmp_path / SWEPT)
@@ -98,42 +98,36 @@ def test_a_sweep_becomes_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 class TestARunOfStreams:
     @pytest.fixture(autouse=True)
     def small(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        def one(preset: str = "exact") -> list[Case]:
-            return [Case("S", 2.0, preset)]
-
-        for module in (streams, runs):
-            monkeypatch.setattr(module, "cases", one)
+        monkeypatch.setattr(streams, "cases", lambda preset="exact": [Case("S", 2.0, preset)])
         monkeypatch.setattr(streams, "CURVE", Case("S", 2.0))
         monkeypatch.setattr(capacity, "REPLICATIONS", 2)
         monkeypatch.setattr(capacity, "WARM_UP", 4.0)
         monkeypatch.setattr(capacity, "SECONDS", 12.0)
 
-    def test_every_seed_is_measured_beside_the_reservation(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_every_seed_is_measured_beside_the_reservation(self, tmp_path, monkeypatch) -> None:
         for seed in (0, 1):
             copytree(SHELF / "flow-ppo" / f"seed-{seed}", tmp_path / f"seed-{seed}")
         seen: list[StreamResults] = []
-        compare = runs.compare_streams
+        compare = report.compare_streams
 
         def watched(*given: Any) -> StreamResults:
             seen.append(compare(*given))
             return seen[0]
 
-        monkeypatch.setattr(runs, "compare_streams", watched)
+        monkeypatch.setattr(report, "compare_streams", watched)
         card = evaluate_run(tmp_path, None, 1, Console(quiet=True))
         (found,), case = seen, Case("S", 2.0)
         assert set(found.names) == {RESERVATION, "seed 0", "seed 1"}
         for name in found.names:
             assert found.rate(name, case) > 0.7 * found.rate(BOUND, case)
-        assert "seed 1" in (tmp_path / runs.TABLE).read_text()
+        assert "seed 1" in (tmp_path / report.TABLE).read_text()
         for preset in ("exact", "camera"):
             (stream,) = card[preset].values()
             assert len(stream["capacity_of_each_seed"]) == 2
             assert min(stream["right_at_80_percent"]) > 0.99
 
     @pytest.mark.parametrize("text", ["", "[1", "env_id: SmartSurface/Sort-v0", "- a"])
-    def test_other_runs(self, tmp_path: Path, text: str) -> None:
+    def test_other_runs(self, tmp_path, text) -> None:
         (tmp_path / "policy.yaml").write_text(text)
         assert not is_of_streams(tmp_path)
         empty = tmp_path / "empty"

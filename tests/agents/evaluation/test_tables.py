@@ -4,23 +4,15 @@ import csv
 import io
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
 
+from surface_gym.agents.evaluation import tables
 from surface_gym.agents.evaluation.benchmark import find_benchmark, summarise
 from surface_gym.agents.evaluation.report import Section, write_page
-from surface_gym.agents.evaluation.tables import (
-    Table,
-    decision_table,
-    speed_table,
-    task_numbers,
-    task_table,
-    write_markdown,
-    write_numbers,
-)
+from surface_gym.agents.evaluation.tables import task_table
 from tests.agents.evaluation.made import GRID, slow_result, sort_result
 
 SLOW = summarise(
@@ -48,7 +40,7 @@ def test_a_row_for_each_method() -> None:
 
 def test_a_wide_table_is_shown_in_parts_that_repeat_the_first_column() -> None:
     header = ("name", *(f"[{k}] long heading" for k in range(9)))
-    table = Table("wide", "a [b]", header, (("row one", *(f"{k}.000" for k in range(9))),))
+    table = tables.Table("wide", "a [b]", header, (("row one", *(f"{k}.000" for k in range(9))),))
     for width, parts in ((400, 1), (60, 2)):
         screen = io.StringIO()
         table.show(Console(file=screen, width=width))
@@ -60,10 +52,10 @@ def test_a_wide_table_is_shown_in_parts_that_repeat_the_first_column() -> None:
         assert max(map(len, text.splitlines())) <= width
 
 
-def test_files_agree(tmp_path: Path) -> None:
-    table, files = task_table("slow", SLOW), [tmp_path / f"a.{end}" for end in ("csv", "json")]
-    write_markdown([table], tmp_path / "a.md")
-    write_numbers(task_numbers("slow", SLOW), *files)
+def test_files_agree(tmp_path) -> None:
+    table, files = (task_table("slow", SLOW), [tmp_path / f"a.{end}" for end in ("csv", "json")])
+    tables.write_markdown([table], tmp_path / "a.md")
+    tables.write_numbers(tables.task_numbers("slow", SLOW), *files)
     numbers = json.loads(files[1].read_text())
     with files[0].open(newline="") as file:
         lines = list(csv.DictReader(file))
@@ -81,7 +73,7 @@ def test_files_agree(tmp_path: Path) -> None:
 
 def test_decision_times_stand_apart() -> None:
     assert not any("decision" in name for name in task_table("slow", SLOW).header)
-    table = decision_table(["slow"], SLOW)
+    table = tables.decision_table(["slow"], SLOW)
     assert table.header == ("controller", "slow")
     times = {row[0]: row[1] for row in table.rows}
     assert times["a <rule>"] == f"{1e6 * SLOW['slow', 'a <rule>', 'exact'].decision_time:.1f}"
@@ -90,14 +82,14 @@ def test_decision_times_stand_apart() -> None:
 def test_by_speed() -> None:
     fixed = sort_result("fixed layout", {"S": 0.72, "B": 1.0})
     summaries = summarise([fixed, sort_result("b", {"S": 0.36, "B": 0.52})])
-    table = speed_table(GRID, {name: summary for (_, name, _), summary in summaries.items()})
+    table = tables.speed_table(GRID, {name: summary for (_, name, _), summary in summaries.items()})
     rows = {row[0]: row[1:] for row in table.rows}
     assert rows["0.5"] == ("fails", "2.000", "fails", "fails")
     assert rows["2.7"][0] == f"{1 / 2.7:.3f}"
     assert rows["minimum [m/s]"] == ("0.72", "0.36", "1.00", "0.52")
 
 
-def test_the_page_needs_nothing_else(tmp_path: Path) -> None:
+def test_the_page_needs_nothing_else(tmp_path) -> None:
     picture = tmp_path / "a.png"
     Figure().savefig(picture)
     film = tmp_path / "a.mp4"

@@ -21,36 +21,39 @@ from surface_gym.env import SmartSurfaceEnv
 from tests.agents.evaluation.made import RULES
 from tests.flow.flows import DENSE, SHORT
 
-SETTINGS = EnvConfig(
-    "flow", stream=DENSE, exits="sides", actions="parcels", duration=2.0, line=SHORT
-)
+CONFIG = EnvConfig("flow", stream=DENSE, exits="sides", actions="parcels", duration=2.0, line=SHORT)
 
 
 def read(file: Path) -> tuple[float, list[np.ndarray]]:
     """[1/s] pictures of a film, and the pictures."""
     asked = [FFMPEG_BINARY, "-i", str(file), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     found = subprocess.run(asked, capture_output=True, check=True)
-    told = re.search(rb"Video: .* (\d+)x(\d+).* ([\d.]+) fps", found.stderr)
-    assert told is not None
-    width, height = int(told[1]), int(told[2])
+    described = re.search(rb"Video: .* (\d+)x(\d+).* ([\d.]+) fps", found.stderr)
+    width, height = int(described[1]), int(described[2])
     pictures = np.frombuffer(found.stdout, dtype=np.uint8).reshape(-1, height, width, 3)
-    return float(told[3]), list(pictures.astype(float))
+    return float(described[3]), list(pictures.astype(float))
 
 
 def film(file: Path, seconds: float, speed: float = 1.0) -> tuple[float, list[np.ndarray]]:
-    player = Player("event", StreamEventRule(SETTINGS), SETTINGS, np_random(3)[0])
+    player = Player("event", StreamEventRule(CONFIG), CONFIG, np_random(3)[0])
     write_episode(player, file, seconds, speed)
     return read(file)
 
 
-def test_it_shows_what_the_environment_draws(tmp_path: Path) -> None:
+def test_it_shows_what_the_environment_draws(tmp_path) -> None:
     rate, pictures = film(tmp_path / "flow.mp4", 0.4)
     assert rate == 25.0
     assert len(pictures) == 1 + 10 + 25  # the start, the control periods, and the last one stays
     env = SmartSurfaceEnv(
-        "flow", stream=DENSE, exits="sides", actions="parcels", duration=2.0, line=SHORT, render_mode="rgb_array"
+        "flow",
+        stream=DENSE,
+        exits="sides",
+        actions="parcels",
+        duration=2.0,
+        line=SHORT,
+        render_mode="rgb_array",
     )
-    rule = StreamEventRule(SETTINGS)
+    rule = StreamEventRule(CONFIG)
     observation, _ = env.reset(seed=3)
     for picture in pictures[:11]:
         drawn = env.render()
@@ -64,34 +67,34 @@ def test_it_shows_what_the_environment_draws(tmp_path: Path) -> None:
     ("speed", "rate", "count"),
     [(2.0, 25.0, 1 + 5 + 25), (1.5, 18.75, 1 + 5 + 19), (0.5, 12.5, 1 + 10 + 12)],
 )
-def test_it_is_as_fast_as_asked_for(tmp_path: Path, speed: float, rate: float, count: int) -> None:
+def test_it_is_as_fast_as_asked_for(tmp_path, speed, rate, count) -> None:
     found, pictures = film(tmp_path / "flow.mp4", 0.4, speed)
     assert found == pytest.approx(rate)
     assert len(pictures) == count
 
 
-def test_it_ends_with_the_episode(tmp_path: Path) -> None:
+def test_it_ends_with_the_episode(tmp_path) -> None:
     _, pictures = film(tmp_path / "flow.mp4", 2.0)
     assert len(pictures) == 1 + 50 + 25
 
 
 @pytest.mark.parametrize("seconds", [0.0, 2.1])
-def test_more_than_the_episode_cannot_be_shown(tmp_path: Path, seconds: float) -> None:
+def test_more_than_the_episode_cannot_be_shown(tmp_path, seconds) -> None:
     with pytest.raises(ValueError, match=f"seconds must be .*, got {seconds}"):
         film(tmp_path / "flow.mp4", seconds)
 
 
-def test_a_film_cannot_stand_still(tmp_path: Path) -> None:
+def test_a_film_cannot_stand_still(tmp_path) -> None:
     with pytest.raises(ValueError, match=r"speed must be greater than 0, got 0\.0"):
         film(tmp_path / "flow.mp4", 1.0, 0.0)
 
 
-def test_there_must_be_a_folder(tmp_path: Path) -> None:
+def test_there_must_be_a_folder(tmp_path) -> None:
     with pytest.raises(ValueError, match="file must be in a folder that there is"):
         film(tmp_path / "nowhere" / "flow.mp4", 1.0)
 
 
-def test_a_slower_decider_is_filmed_no_faster(tmp_path: Path) -> None:
+def test_a_slower_decider_is_filmed_no_faster(tmp_path) -> None:
     rule = next(method for method in RULES if method.name == EVENT)
     both = [rule, replace(rule, control_period=0.08)]
     players = [stream_player(method, CURVE, 3000.0) for method in both]
@@ -104,7 +107,7 @@ def test_a_slower_decider_is_filmed_no_faster(tmp_path: Path) -> None:
     assert np.abs(last[:half].astype(float) - last[-half:]).mean() < 8.0
 
 
-def test_a_method_that_cannot_sort_cannot_be_filmed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_method_that_cannot_sort_cannot_be_filmed(monkeypatch) -> None:
     monkeypatch.setattr("surface_gym.agents.evaluation.streams.find_best_zone", lambda *_: None)
     zone = next(method for method in RULES if method.name == ARRANGED)
     with pytest.raises(ValueError, match=r"method must be able to sort S, 1\.5 m/s"):
@@ -112,19 +115,17 @@ def test_a_method_that_cannot_sort_cannot_be_filmed(monkeypatch: pytest.MonkeyPa
 
 
 class TestCommand:
-    def test_it_films_a_stream(self, tmp_path: Path) -> None:
+    def test_it_films_a_stream(self, tmp_path) -> None:
         file = tmp_path / "flow.mp4"
         main([str(file), "--seconds", "0.2", "--exits", "chutes", "--rate", "3000"])
         rate, pictures = read(file)
         assert (rate, len(pictures)) == (25.0, 1 + 5 + 25)
 
-    def test_an_error_is_one_line(self, tmp_path: Path) -> None:
+    def test_an_error_is_one_line(self, tmp_path) -> None:
         with pytest.raises(SystemExit, match="error: file must be in a folder that there is"):
             main([str(tmp_path / "nowhere" / "flow.mp4"), "--seconds", "0.2"])
 
-    def test_an_unknown_controller_is_refused(
-        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_an_unknown_controller_is_refused(self, tmp_path, capsys) -> None:
         with pytest.raises(SystemExit):
             main([str(tmp_path / "flow.mp4"), "--controller", "nobody"])
         assert "controller must be one of" in " ".join(capsys.readouterr().err.split())

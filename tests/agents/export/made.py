@@ -22,16 +22,16 @@ CARDS = {
 def made(name: str) -> Source:
     """The policy of a card, its weights at random."""
     card = CARDS[name]
-    settings = card.env_config()
+    config = card.env_config()
     network = network_of(name)
     policy: Policy | ModulePolicy
     if isinstance(network, SharedNetwork):
         policy = ModulePolicy(network, card)
     else:
         assert isinstance(network, BasePolicy)
-        policy = Policy(network, card, settings)
+        policy = Policy(network, card, config)
     weights = network.state_dict()
-    return Source(name, 0, policy, settings, weights, "none", Training("nominal"))
+    return Source(name, 0, policy, config, weights, "none", Training("nominal"))
 
 
 def network_of(name: str) -> torch.nn.Module:

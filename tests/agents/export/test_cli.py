@@ -1,18 +1,16 @@
 """The command, what it writes, and what it refuses."""
 
 import json
-import runpy
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from surface_gym.agents.export.check import find_compiler
 from surface_gym.agents.export.cli import ExportConfig, export, main, make_metadata, make_model
-from surface_gym.agents.export.page import UNKNOWN, make_page, need_of
+from surface_gym.agents.export.page import UNKNOWN, find_need, make_page
 from surface_gym.agents.export.policy import TRAINED_IN, Training, network_decision, of_run, shipped
-from surface_gym.agents.learning.config import PPOConfig
+from surface_gym.agents.learning.config import RENAMED, PPOConfig
 from surface_gym.agents.learning.runs import write_config
 from surface_gym.agents.policy import save_policy
 from surface_gym.config import EnvConfig
@@ -22,9 +20,7 @@ from surface_gym.tasks.base import Feature
 from tests.agents.export.made import CARDS, made, network_of
 
 
-def test_it_writes_three_files_that_it_has_checked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_writes_three_files_that_it_has_checked(tmp_path, capsys) -> None:
     onnx = pytest.importorskip("onnx", reason="onnx, of the extra `export`, is missing")
     runtime = pytest.importorskip(
         "onnxruntime", reason="onnxruntime, of the extra `export`, is missing"
@@ -57,9 +53,7 @@ def test_it_writes_three_files_that_it_has_checked(
     ]
 
 
-def test_modules_that_share_weights_have_no_c_header(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_modules_that_share_weights_have_no_c_header(tmp_path, capsys) -> None:
     pytest.importorskip("onnx", reason="onnx, of the extra `export`, is missing")
     with pytest.raises(SystemExit, match=r"formats must be onnx for sort-modules, .* ONNX alone"):
         main(["sort-modules", "--formats", "c", "--out", str(tmp_path)])
@@ -73,7 +67,7 @@ def test_modules_that_share_weights_have_no_c_header(
     capsys.readouterr()
 
 
-def test_a_run_is_exported_under_its_own_name_or_another(tmp_path: Path) -> None:
+def test_a_run_is_exported_under_its_own_name_or_another(tmp_path) -> None:
     save_policy(network_of("window"), CARDS["window"], tmp_path / "window")
     source = of_run(tmp_path / "window", "mine")
     assert (source.name, source.seed, source.training.preset) == ("mine", 0, "nominal")
@@ -81,15 +75,17 @@ def test_a_run_is_exported_under_its_own_name_or_another(tmp_path: Path) -> None
     write_config(PPOConfig(preset="lab"), tmp_path / "window" / "config.yaml")
     lab = of_run(tmp_path / "window").training
     assert [each.name for each in lab.presets] == list(TRAINED_IN["lab"])
-    (tmp_path / "window" / "card.yaml").write_text("command: python train.py --condition lab\n")
-    told = of_run(tmp_path / "window").training
-    assert (told.preset, told.command) == ("lab", "python train.py --condition lab")
+    for flag in ("preset", next(old for old, name in RENAMED.items() if name == "preset")):
+        command = f"python train.py --{flag} lab"
+        (tmp_path / "window" / "card.yaml").write_text(f"command: {command}\n")
+        training = of_run(tmp_path / "window").training
+        assert (training.preset, training.command) == ("lab", command)
     with pytest.raises(ValueError, match="seed must be one of 0, got 3"):
         of_run(tmp_path / "window", seed=3)
 
 
 @pytest.mark.parametrize("name", CARDS)
-def test_the_page_lists_every_feature_and_angle(name: str) -> None:
+def test_the_page_lists_every_feature_and_angle(name) -> None:
     source = made(name)
     page = make_page(source, make_metadata(source), {"ONNX": None, "C": None})
     for each in source.config.features:
@@ -102,16 +98,14 @@ def test_the_page_lists_every_feature_and_angle(name: str) -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_every_feature_of_the_package_says_what_it_needs(task: str) -> None:
-    settings = EnvConfig(task=task, actions="window", observe_axes=True)
-    shown = (*settings.features, *group_features(tuple(GROUPS)))
-    assert [each.name for each in shown if need_of(each) == UNKNOWN] == []
-    assert need_of(Feature("mood", 0.0, 1.0, "of the parcel")) == UNKNOWN
+def test_every_feature_of_the_package_says_what_it_needs(task) -> None:
+    config = EnvConfig(task=task, actions="window", observe_axes=True)
+    shown = (*config.features, *group_features(tuple(GROUPS)))
+    assert [each.name for each in shown if find_need(each) == UNKNOWN] == []
+    assert find_need(Feature("mood", 0.0, 1.0, "of the parcel")) == UNKNOWN
 
 
-def test_what_cannot_be_exported_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_exported_is_refused(tmp_path, capsys) -> None:
     with pytest.raises(ValueError, match=r"name must be one of 'flow-ppo', .*, got 'juggle-ppo'"):
         ExportConfig("juggle-ppo")
     with pytest.raises(ValueError, match=r"name must be one of .*, got None"):
@@ -130,9 +124,7 @@ def test_what_cannot_be_exported_is_refused(
     capsys.readouterr()
 
 
-def test_a_missing_library_is_reported_with_the_extra_that_brings_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_library_is_reported_with_the_extra_that_brings_it(tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "onnx", None)
     wanted = r"needs onnx, .*'surface_gym\[agents,export\]'"
     source = shipped("sort-ppo")
@@ -143,13 +135,3 @@ def test_a_missing_library_is_reported_with_the_extra_that_brings_it(
     with pytest.raises(SystemExit, match=wanted):
         main(["sort-ppo", "--out", str(tmp_path)])
     assert list(tmp_path.iterdir()) == []
-
-
-def test_python_m_takes_its_arguments(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["export", "--help"])
-    with pytest.raises(SystemExit) as ended:
-        runpy.run_module("surface_gym.agents.export", run_name="__main__")
-    assert ended.value.code == 0
-    assert "surface-gym export" in capsys.readouterr().out

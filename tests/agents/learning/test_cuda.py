@@ -2,7 +2,6 @@
 
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -15,19 +14,8 @@ from stable_baselines3.common.logger import configure
 
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents.base import ActionMirror
+from surface_gym.agents.learning import cuda
 from surface_gym.agents.learning.config import PPOConfig, defaults
-from surface_gym.agents.learning.cuda import (
-    DeviceLearner,
-    DevicePolicy,
-    DeviceTrainingEnvs,
-    Samples,
-    TensorMirror,
-    TotalsCurve,
-    gradient_step,
-    make_device_envs,
-    policy_loss,
-    train_on_device,
-)
 from surface_gym.agents.learning.runs import read_curve
 from surface_gym.agents.learning.sb3 import make_mirrored_envs, make_model
 from surface_gym.agents.learning.train import train
@@ -55,12 +43,12 @@ def env(actions: str) -> SmartSurfaceVectorEnv:
     )
 
 
-def learner(actions: str) -> DeviceLearner:
-    return DeviceLearner(config(actions), DeviceTrainingEnvs(EnvsOnCpu(env(actions))))
+def learner(actions: str) -> cuda.DeviceLearner:
+    return cuda.DeviceLearner(config(actions), cuda.DeviceTrainingEnvs(EnvsOnCpu(env(actions))))
 
 
 @pytest.mark.parametrize("actions", ["halves", "quadrants"])
-def test_a_gradient_step_is_that_of_stable_baselines3(actions: str) -> None:
+def test_a_gradient_step_is_that_of_stable_baselines3(actions) -> None:
     run = config(actions)
     model = make_model(run, make_mirrored_envs(run))
     assert isinstance(model, PPO)
@@ -71,17 +59,17 @@ def test_a_gradient_step_is_that_of_stable_baselines3(actions: str) -> None:
     with torch.no_grad():  # so that likelihoods have changed, some of them beyond the clip
         for weight in model.policy.parameters():
             weight += 0.2 * torch.randn_like(weight)
-    policy = DevicePolicy(
+    policy = cuda.DevicePolicy(
         model.observation_space, model.action_space, lambda _: run.learning_rate, net_arch=[16]
     )
     policy.load_state_dict(model.policy.state_dict())
     found = next(model.rollout_buffer.get())
-    samples = Samples(
+    samples = cuda.Samples(
         found.observations, found.actions.long(), found.old_log_prob, found.advantages,
         found.returns,
     )  # fmt: skip
-    loss = policy_loss(policy, samples, run.ent_coef).item()
-    gradient_step(policy, samples, run.ent_coef)
+    loss = cuda.policy_loss(policy, samples, run.ent_coef).item()
+    cuda.gradient_step(policy, samples, run.ent_coef)
     model.train()
     assert model.logger.name_to_value["train/clip_fraction"] > 0.05
     assert loss == pytest.approx(model.logger.name_to_value["train/loss"], rel=1e-5)
@@ -91,16 +79,17 @@ def test_a_gradient_step_is_that_of_stable_baselines3(actions: str) -> None:
 
 @torch.no_grad()
 @pytest.mark.parametrize("actions", ["halves", "quadrants"])
-def test_a_rollout_has_the_returns_of_stable_baselines3(actions: str) -> None:
+def test_a_rollout_has_the_returns_of_stable_baselines3(actions) -> None:
     """Its buffer computes them from the same actions in other environments."""
     learning = learner(actions)
     learning.begin(7)
     samples = learning.roll_out()
     policy = learning.network
     vector_env = env(actions)
-    settings = vector_env.config
+    env_config = vector_env.config
     others = MirrorVecEnv(
-        SurfaceVecEnv(vector_env), ActionMirror(settings.action_kind, settings.chosen_orientations)
+        SurfaceVecEnv(vector_env),
+        ActionMirror(env_config.action_kind, env_config.chosen_orientations),
     )
     others.seed(7)
     seen = np.asarray(others.reset())
@@ -133,10 +122,9 @@ def test_a_rollout_has_the_returns_of_stable_baselines3(actions: str) -> None:
     np.testing.assert_array_equal(observations, buffer.observations)
 
 
-@pytest.mark.parametrize("actions", ["halves", "quadrants"])
-def test_a_seed_gives_the_first_weights_of_stable_baselines3(actions: str) -> None:
-    model = make_model(config(actions), make_mirrored_envs(config(actions)))
-    first = learner(actions).network.state_dict()
+def test_a_seed_gives_the_first_weights_of_stable_baselines3() -> None:
+    model = make_model(config("halves"), make_mirrored_envs(config("halves")))
+    first = learner("halves").network.state_dict()
     for name, weight in model.policy.state_dict().items():
         assert torch.equal(first[name], weight), name
 
@@ -144,7 +132,7 @@ def test_a_seed_gives_the_first_weights_of_stable_baselines3(actions: str) -> No
 def test_a_single_choice_is_drawn_as_often_as_it_is_likely() -> None:
     torch.manual_seed(0)
     seen = spaces.Box(-1.0, 1.0, (2,))
-    policy = DevicePolicy(seen, spaces.Discrete(3), lambda _: 0.0, net_arch=[4])
+    policy = cuda.DevicePolicy(seen, spaces.Discrete(3), lambda _: 0.0, net_arch=[4])
     with torch.no_grad():
         policy.action_net.weight.zero_()
         policy.action_net.bias[:] = torch.tensor([0.2, 0.5, 0.3]).log()
@@ -156,14 +144,14 @@ def test_a_single_choice_is_drawn_as_often_as_it_is_likely() -> None:
 
 
 @pytest.mark.parametrize("actions", ["halves", "quadrants", "window", "modules"])
-def test_actions_are_mirrored_as_on_the_cpu(actions: str) -> None:
-    settings = EnvConfig(actions=actions)
+def test_actions_are_mirrored_as_on_the_cpu(actions) -> None:
+    env_config = EnvConfig(actions=actions)
     rng = np.random.default_rng(0)
-    shape = (300, *settings.action_space().shape)
-    given = rng.integers(len(settings.chosen_orientations), size=shape)
+    shape = (300, *env_config.action_space().shape)
+    given = rng.integers(len(env_config.chosen_orientations), size=shape)
     side = rng.integers(-1, 2, size=300).astype(np.float32)
-    expected = ActionMirror(settings.action_kind, settings.chosen_orientations)(given, side)
-    mirror = TensorMirror(settings, torch.device("cpu"))
+    expected = ActionMirror(env_config.action_kind, env_config.chosen_orientations)(given, side)
+    mirror = cuda.TensorMirror(env_config, torch.device("cpu"))
     found = mirror(torch.from_numpy(given), torch.from_numpy(side))
     np.testing.assert_array_equal(found.numpy(), expected)
     assert (expected != given).any()
@@ -178,7 +166,7 @@ def test_episode_totals_are_the_sums_of_single_episodes() -> None:
             12, "stop", "halves", max_episode_steps=40, autoreset_mode=mode
         )
 
-    envs, others = DeviceTrainingEnvs(EnvsOnCpu(make())), SurfaceVecEnv(make())
+    envs, others = cuda.DeviceTrainingEnvs(EnvsOnCpu(make())), SurfaceVecEnv(make())
     envs.reset(3)
     others.seed(3)
     others.reset()
@@ -219,8 +207,8 @@ def totals(episodes: int, successes: int) -> dict[str, float]:
     }  # fmt: skip
 
 
-def test_a_row_holds_means_over_the_latest_rollouts_of_a_thousand_episodes(tmp_path: Path) -> None:
-    curve = TotalsCurve(tmp_path, ("reach",), 8, 0, [])
+def test_a_row_holds_means_over_the_latest_rollouts_of_a_thousand_episodes(tmp_path) -> None:
+    curve = cuda.TotalsCurve(tmp_path, ("reach",), 8, 0, [])
     curve.add_totals(totals(0, 0))  # a rollout in which none ended
     assert np.isnan(curve.success)
     curve.add_totals(totals(300, 0))
@@ -235,13 +223,13 @@ def test_a_row_holds_means_over_the_latest_rollouts_of_a_thousand_episodes(tmp_p
         "reward_reach": 3.0,
     }  # fmt: skip
     assert second["success"] == pytest.approx(800 / 1100)
-    again = TotalsCurve(tmp_path, ("reach",), 8, 200, list(curve.recent))
+    again = cuda.TotalsCurve(tmp_path, ("reach",), 8, 200, list(curve.recent))
     assert again.success == curve.success
     again.close()
 
 
-def test_a_row_holds_an_episode_of_every_environment(tmp_path: Path) -> None:
-    curve = TotalsCurve(tmp_path, ("reach",), 3000, 0, [])
+def test_a_row_holds_an_episode_of_every_environment(tmp_path) -> None:
+    curve = cuda.TotalsCurve(tmp_path, ("reach",), 3000, 0, [])
     for _ in range(3):
         curve.add_totals(totals(1500, 0))
     curve.add_totals(totals(1500, 1500))
@@ -249,21 +237,19 @@ def test_a_row_holds_an_episode_of_every_environment(tmp_path: Path) -> None:
     curve.close()
 
 
-def test_it_learns_to_sort(tmp_path: Path) -> None:
+def test_it_learns_to_sort(tmp_path) -> None:
     run = PPOConfig(
         device="cuda", camera_share=0.0, seed=3, steps=65_536, checkpoint_every=10**6,
         num_envs=128, n_steps=32, batch_size=1024, n_epochs=8, learning_rate=5e-3, hidden=(32, 32),
     )  # fmt: skip
-    train_on_device(run, tmp_path, make_envs=envs_on_cpu)
+    cuda.train_on_device(run, tmp_path, make_envs=envs_on_cpu)
     rows = read_curve(tmp_path)
     assert rows[-1]["success"] > 0.2
     assert rows[-1]["success"] > 5.0 * rows[3]["success"]
     assert rows[-1]["return"] > rows[3]["return"]
 
 
-def test_environments_are_made_as_the_run_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_environments_are_made_as_the_run_says(tmp_path, monkeypatch) -> None:
     run = defaults("slow", "ppo", device="cuda")
     assert isinstance(run, PPOConfig)
     small = replace(
@@ -286,9 +272,9 @@ def test_environments_are_made_as_the_run_says(
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-def test_on_a_gpu_a_rollout_never_waits_and_a_seed_fixes_the_weights(tmp_path: Path) -> None:
+def test_on_a_gpu_a_rollout_never_waits_and_a_seed_fixes_the_weights(tmp_path) -> None:
     run = replace(config("halves"), device="cuda", steps=2 * NUM_ENVS * PERIODS)
-    on_gpu = DeviceLearner(run, DeviceTrainingEnvs(make_device_envs(run, NUM_ENVS)))
+    on_gpu = cuda.DeviceLearner(run, cuda.DeviceTrainingEnvs(cuda.make_device_envs(run, NUM_ENVS)))
     on_gpu.begin(0)
     on_gpu.roll_out()  # the first may compile
     torch.cuda.set_sync_debug_mode("error")
@@ -298,6 +284,6 @@ def test_on_a_gpu_a_rollout_never_waits_and_a_seed_fixes_the_weights(tmp_path: P
         torch.cuda.set_sync_debug_mode("default")
     for name in ("one", "again"):
         (tmp_path / name).mkdir()
-        train_on_device(run, tmp_path / name)
+        cuda.train_on_device(run, tmp_path / name)
     first, second = (torch.load(tmp_path / name / WEIGHTS) for name in ("one", "again"))
     assert all(torch.equal(values, second[name]) for name, values in first.items())

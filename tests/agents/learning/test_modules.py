@@ -1,14 +1,15 @@
-"""Training of modules: samples with varying numbers of modules, and the lab preset."""
+"""Training of modules: samples with varying numbers of modules, the lab preset, and advantages."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from surface_gym import agents
 from surface_gym.agents.learning.config import ModulesConfig, defaults
 from surface_gym.agents.learning.modules import ModuleSamples
+from surface_gym.agents.learning.ppo import compute_advantages
 from surface_gym.agents.learning.sb3 import make_training_envs
 from surface_gym.agents.learning.train import train
 
@@ -29,7 +30,7 @@ def test_selected_samples_keep_their_modules() -> None:
     assert some.sample.tolist() == [0, 0, 0, 0, 2, 2, 2, 3, 3, 3, 3]
 
 
-def test_it_learns_for_the_lab_from_more_features(tmp_path: Path) -> None:
+def test_it_learns_for_the_lab_from_more_features(tmp_path) -> None:
     lab = defaults("sort", "modules", preset="lab")
     assert isinstance(lab, ModulesConfig)
     small = replace(lab, steps=128, num_envs=8, n_steps=16, batch_size=64)
@@ -40,3 +41,23 @@ def test_it_learns_for_the_lab_from_more_features(tmp_path: Path) -> None:
     envs.seed(0)
     actions, _ = policy.predict(np.asarray(envs.reset()))
     assert actions.shape == (8, 64)
+
+
+@pytest.mark.parametrize("gae_lambda", [0.0, 0.9, 1.0])
+def test_advantages_are_weighted_sums_of_temporal_differences(gae_lambda) -> None:
+    rng = np.random.default_rng(0)
+    shape = (6, 3)
+    rewards, value, next_value = rng.normal(size=(3, *shape))
+    ended = rng.random(shape) < 0.3
+    gamma = 0.9
+    given = map(torch.from_numpy, (rewards, ended, value, next_value))
+    found = compute_advantages(*given, gamma, gae_lambda).numpy()
+    delta = rewards + gamma * next_value - value
+    for i in range(shape[1]):
+        for period in range(shape[0]):
+            total = 0.0
+            for later in range(period, shape[0]):
+                total += (gamma * gae_lambda) ** (later - period) * delta[later, i]
+                if ended[later, i]:
+                    break
+            assert found[period, i] == pytest.approx(total, rel=1e-12, abs=1e-12)

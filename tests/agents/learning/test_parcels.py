@@ -4,7 +4,6 @@ left, and the order in which networks learn.
 
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,12 +22,12 @@ SMALL = ParcelsConfig(
     steps=4_000, num_envs=4, slots=8, n_steps=64, batch_size=512, n_epochs=1, hidden=(8,),
     imitation=0, critic_first=4_000, checkpoint_every=8_192,
 )  # fmt: skip
-SETTINGS = training_env_config(0.04)
+CONFIG = training_env_config(0.04)
 SLOTS = 14
 
 
 def make_slots(num_streams: int = 2, seed: int = 0) -> SlotVecEnv:
-    env = SlotVecEnv(SETTINGS, num_streams, SLOTS, lambda _: densest_stream(1.5, ("S", "B")))
+    env = SlotVecEnv(CONFIG, num_streams, SLOTS, lambda _: densest_stream(1.5, ("S", "B")))
     env.seed(seed)
     return env
 
@@ -51,7 +50,7 @@ def run() -> list[tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, objec
     return steps
 
 
-def test_a_parcel_keeps_its_slot_until_it_has_left(run: list[tuple]) -> None:
+def test_a_parcel_keeps_its_slot_until_it_has_left(run) -> None:
     for (seen, _, ends, _), (after, *_) in pairwise(run):
         sat, sits = seen[:, PRESENT] > 0.5, after[:, PRESENT] > 0.5
         # No parcel changes slots: one that stays has moved by no more than a period's way.
@@ -61,20 +60,20 @@ def test_a_parcel_keeps_its_slot_until_it_has_left(run: list[tuple]) -> None:
         assert not (sat & ~sits & ~ends).any()
 
 
-def test_every_parcel_that_leaves_by_its_exit_is_a_success(run: list[tuple]) -> None:
+def test_every_parcel_that_leaves_by_its_exit_is_a_success(run) -> None:
     ended = [info for *_, infos in run for info in infos if info]
     assert len(ended) > 20
     assert all(info["is_success"] for info in ended if not info["TimeLimit.truncated"])
 
 
-def test_a_free_slot_observes_and_earns_nothing(run: list[tuple]) -> None:
+def test_a_free_slot_observes_and_earns_nothing(run) -> None:
     for seen, rewards, _, _ in run:
         free = seen[:, PRESENT] < 0.5
         assert not seen[free].any()
         assert not rewards[free].any()
 
 
-def test_the_observed_side_is_mirrored(run: list[tuple]) -> None:
+def test_the_observed_side_is_mirrored(run) -> None:
     assert all((seen[:, SIDE] >= 0.0).all() for seen, *_ in run)
 
 
@@ -88,7 +87,7 @@ def test_the_same_seed_gives_the_same_parcels() -> None:
             assert np.array_equal(first, second)
 
 
-def test_the_actor_waits_for_the_critic(tmp_path: Path) -> None:
+def test_the_actor_waits_for_the_critic(tmp_path) -> None:
     made, untaught = tmp_path / "waiting", tmp_path / "untaught"
     config = replace(SMALL, critic_first=1_000_000)
     for folder in (made, untaught):

@@ -1,13 +1,26 @@
-"""Double Q: the target is the slow copy's value of the action that the network chooses."""
+"""Training environments: some with exact sensors, some with a camera, some with other zones; and
+double Q: the target is the slow copy's value of the action that the network chooses.
+"""
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 from stable_baselines3.common.utils import set_random_seed
 from torch.nn.functional import smooth_l1_loss
 
-from surface_gym.agents.learning.config import DQNConfig
-from surface_gym.agents.learning.sb3 import DoubleDQN, make_mirrored_envs, make_model, truncate_last
+from surface_gym.agents.learning.config import DQNConfig, PPOConfig
+from surface_gym.agents.learning.sb3 import (
+    DoubleDQN,
+    make_mirrored_envs,
+    make_model,
+    training_task,
+    truncate_last,
+)
+from surface_gym.randomisation import Randomisation
+from surface_gym.registration import env_id
+from surface_gym.sensors import Exact
+from surface_gym.tasks import TASKS
 
 NUM_ENVS = 4
 
@@ -33,7 +46,6 @@ def filled(n_steps: int, steps: int = 40) -> DoubleDQN:
 def test_a_gradient_step_is_the_double_estimates() -> None:
     model = filled(n_steps=1)
     buffer = model.replay_buffer
-    assert buffer is not None
     set_random_seed(0)
     batch = buffer.sample(32)
     set_random_seed(0)
@@ -57,7 +69,6 @@ def test_a_gradient_step_is_the_double_estimates() -> None:
 def test_no_return_reaches_into_another_episode() -> None:
     model = filled(n_steps=3)
     buffer = model.replay_buffer
-    assert buffer is not None
     last = buffer.pos - 1
     buffer.dones[last - 5 : last + 1] = 0.0
     buffer.timeouts[last - 5 : last + 1] = 0.0
@@ -66,6 +77,45 @@ def test_no_return_reaches_into_another_episode() -> None:
     buffer.pos += 3
     several = buffer._get_samples(np.array([last - 1] * 8))
     assert several.rewards.abs().max() < 1e3
-    assert several.discounts is not None
     np.testing.assert_allclose(several.discounts.numpy(), model.gamma**2, rtol=1e-6)
     assert not several.dones.any()  # cut off, not failed: the rest is asked of the network
+
+
+@pytest.mark.parametrize(
+    ("task", "share"), [("slow", 0.0), ("slow", 1.0), *((task, 0.5) for task in TASKS)]
+)
+def test_a_share_has_a_camera(task, share) -> None:
+    config = PPOConfig(task=task, num_envs=8, batch_size=64, camera_share=share)
+    envs = make_mirrored_envs(config)
+    assert envs.num_envs == 8
+    config_of_each = envs.get_attr("config")
+    exact = [env_config.sensors == Exact() for env_config in config_of_each]
+    assert exact == [True] * round(8 * (1 - share)) + [False] * round(8 * share)
+    for env_config, is_exact in zip(config_of_each, exact, strict=True):
+        assert env_config.randomisation == (Randomisation() if is_exact else Randomisation(0.2))
+        assert env_config.task == training_task(task)
+    assert envs.observation_space == gym.make(env_id(task), actions="halves").observation_space
+
+
+def test_half_of_the_environments_with_exact_sensors_have_zones_of_other_lengths() -> None:
+    config = PPOConfig(task="slow", num_envs=32, batch_size=64, camera_share=0.5, zones=(8, 24))
+    config_of_each = make_mirrored_envs(config).get_attr("config")
+    columns = [env_config.chosen_line.zone_columns for env_config in config_of_each]
+    assert columns == [16] * 8 + [8] * 4 + [24] * 4 + [16] * 16
+    behind = {each.chosen_line.columns - each.chosen_line.zone_columns for each in config_of_each}
+    assert len(behind) == 1
+
+
+def test_sort_is_trained_in_a_mirror() -> None:
+    """The same actions sort to either side."""
+    envs = make_mirrored_envs(DQNConfig(num_envs=64, camera_share=0.0))
+    envs.seed(0)
+    envs.reset()
+    sides = set()
+    for _ in range(60):
+        _, _, dones, infos = envs.step(np.full(64, 10))  # all axes at -45 deg
+        for i in np.nonzero(dones)[0]:
+            if infos[i]["is_success"]:
+                sides.add(float(infos[i]["terminal_observation"][-1]))
+            assert infos[i]["outcome"] != "wrong side"
+    assert sides == {-1.0, 1.0}

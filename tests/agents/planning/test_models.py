@@ -8,13 +8,8 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import Disc, Parcel, Rectangle
-from surface_gym.agents.planning.models import (
-    BrakingProfile,
-    SearchNodes,
-    TrueModel,
-    TurningAxes,
-    is_under,
-)
+from surface_gym.agents.planning import models
+from surface_gym.agents.planning.models import TrueModel
 from surface_gym.config import EnvConfig
 from surface_gym.layouts import ROLLING
 from surface_gym.randomisation import Actuators, Randomisation
@@ -27,20 +22,20 @@ EITHER_WAY = 6  # the action of 45 deg ahead and -45 deg behind
 def model_of(parcel: Parcel, quarter: float | None = None, friction: float = 0.0) -> TrueModel:
     """A parcel that enters at 1.5 m/s; a quarter turn of its axes takes so long [s]."""
     actuators = Actuators() if quarter is None else Actuators(axis_speed=0.5 * math.pi / quarter)
-    settings = EnvConfig(
+    config = EnvConfig(
         task=Stop(parcels=(parcel,)),
         actions="halves",
         actuators=actuators,
         randomisation=Randomisation(friction=friction),
     )
-    model = TrueModel(settings, 2)
+    model = TrueModel(config, 2)
     model.begin({"speed": 1.5}, seed=4)
     model.parcels.goal[0] = FAR
     model.spread()
     return model
 
 
-def rolled_in(model: TrueModel) -> SearchNodes:
+def rolled_in(model: TrueModel) -> models.SearchNodes:
     """Once the parcel is wholly in the zone."""
     for _ in range(10):
         nodes = model.step(model.uniform_action(ROLLING))
@@ -49,7 +44,7 @@ def rolled_in(model: TrueModel) -> SearchNodes:
 
 @pytest.mark.parametrize("side", [0.25, 0.5])
 @pytest.mark.parametrize("friction", [0.0, 0.3])
-def test_braking_ends_where_it_is_predicted(side: float, friction: float) -> None:
+def test_braking_ends_where_it_is_predicted(side, friction) -> None:
     """Of a parcel that lies over supports too, and with friction as it was drawn; to a hundredth of
     the way and the centimetre that whole columns make.
     """
@@ -69,13 +64,13 @@ def test_wide_parcels_are_braked_less() -> None:
 
 @pytest.mark.parametrize("quarter", [0.05, 0.1, 0.2])
 @pytest.mark.parametrize("speed", [0.05, 0.3, 1.5])
-def test_axes_that_turn_brake_later(quarter: float, speed: float) -> None:
+def test_axes_that_turn_brake_later(quarter, speed) -> None:
     """As far as steps of 10 us come: a third of the load on axes at 90 deg, the rest at -30 deg."""
     braking, turned = 4.0, 0.5 * math.pi / quarter
     places = np.linspace(0.0, 5.0, 1001)
-    profile = BrakingProfile(places, np.full(1001, braking), braking * places)
+    profile = models.BrakingProfile(places, np.full(1001, braking), braking * places)
     angle, zero = np.array([[0.5 * math.pi, -math.pi / 6.0]]), np.zeros((1, 2))
-    turning = TurningAxes(angle, zero, zero, np.array([[1.0, 2.0]]) / 3.0, turned, 0.01)
+    turning = models.TurningAxes(angle, zero, zero, np.array([[1.0, 2.0]]) / 3.0, turned, 0.01)
     way, left, step, clock = 0.0, speed, 1e-5, 0.0
     while left > 0.0:
         axes = np.maximum(0.0, np.abs(angle[0]) - turned * clock)
@@ -104,7 +99,6 @@ def test_axes_push_to_the_side_they_turn_to_and_turn_the_parcel_where_halves_dif
         model = model_of(Parcel(Rectangle(0.4, 0.4)), quarter=0.2)
         rolled_in(model)
         nodes = model.step(action)
-        assert nodes.turning is not None
         changes[action] = nodes.turning.velocity_changes(nodes.braking)[0]
         # What axes have done so far goes on.
         assert np.sign(changes[action][1]) == np.sign(nodes.parcels.truth[0, 4])
@@ -119,7 +113,7 @@ def test_axes_that_roll_take_nothing() -> None:
 
 
 @pytest.mark.parametrize(("x", "y"), [(-1.0, 0.0), (0.0, 1.0), (0.6, -0.8)])
-def test_bases_reach_as_far_as_their_outline(x: float, y: float) -> None:
+def test_bases_reach_as_far_as_their_outline(x, y) -> None:
     for base in (Rectangle(0.4, 0.22), Disc(0.15)):
         nodes = rolled_in(model_of(Parcel(base)))
         nodes.parcels.truth[:, 2] = 0.7
@@ -136,21 +130,21 @@ def test_points_are_under_a_base_where_its_functions_say_so() -> None:
         centre = np.array(base.centroid)
         inside = base.functions(x + centre[0], y + centre[1]).max(axis=0) <= 0.0
         bodies, body = model._batch.bodies, int(model.parcels.body[0])
-        np.testing.assert_array_equal(is_under(bodies, body, x, y), inside)
+        np.testing.assert_array_equal(models.is_under(bodies, body, x, y), inside)
 
 
 SEED = 31
 SLOW_AXES = Actuators(axis_speed=0.5 * math.pi / 0.1, stuck=((9, 8), (10, 11)))
 
 
-def begun(settings: EnvConfig, size: int = 4, options: dict[str, Any] | None = None) -> TrueModel:
-    model = TrueModel(settings, size)
+def begun(config: EnvConfig, size: int = 4, options: dict[str, Any] | None = None) -> TrueModel:
+    model = TrueModel(config, size)
     model.begin(options or {}, SEED)
     return model
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_in_a_lab_it_is_the_start_of_the_environment_with_all_its_noise(task: str) -> None:
+def test_in_a_lab_it_is_the_start_of_the_environment_with_all_its_noise(task) -> None:
     model = begun(EnvConfig(task=task, actions="halves", preset="lab"))
     env = sg.SmartSurfaceVectorEnv(3, task=task, actions="halves", preset="lab")
     for i in range(3):
@@ -161,12 +155,12 @@ def test_in_a_lab_it_is_the_start_of_the_environment_with_all_its_noise(task: st
 
 
 @pytest.mark.parametrize("task", ["slow", "track"])
-def test_whatever_the_sensors_say_it_moves_as_the_environment_does(task: str) -> None:
+def test_whatever_the_sensors_say_it_moves_as_the_environment_does(task) -> None:
     """Where both halves get the same command, their border does not matter: parcel,
     friction, stuck modules and axes are the environment's.
     """
-    settings = EnvConfig(task=task, actions="halves", preset="lab")
-    model = begun(settings)
+    config = EnvConfig(task=task, actions="halves", preset="lab")
+    model = begun(config)
     env = sg.SmartSurfaceEnv(task=task, actions="halves", preset="lab")
     env.reset(seed=SEED)
     for angle in (0.5, 0.25, -0.25, 0.5, 0.0, -0.25):
@@ -187,9 +181,9 @@ def test_what_an_option_fixes_is_fixed() -> None:
 
 def test_copies_take_their_parents_axes_with_them() -> None:
     """Each of three ends where an environment does that got the same commands."""
-    settings = EnvConfig(task="orient", actions="halves", actuators=SLOW_AXES)
+    config = EnvConfig(task="orient", actions="halves", actuators=SLOW_AXES)
     ways = np.array([[15, 6, 2, 15, 9, 9], [15, 6, 13, 1, 9, 4], [15, 3, 7, 8, 4, 2]])
-    model = begun(settings)
+    model = begun(config)
     place = np.zeros(3, dtype=np.int64)  # of the copy that goes each way
     orders = [[0, 1, 2], [2, 0, 1], [1, 2, 0], [2, 1, 0], [1, 0, 2], [0, 2, 1]]
     for period, order in enumerate(orders):
@@ -219,8 +213,8 @@ def test_rewound_it_goes_the_same_way_again() -> None:
 
 
 def test_another_start_forgets_what_was_stuck_before() -> None:
-    settings = EnvConfig(task="slow", actions="halves", actuators=Actuators(stuck_share=0.2))
-    used, fresh = TrueModel(settings, 3), TrueModel(settings, 3)
+    config = EnvConfig(task="slow", actions="halves", actuators=Actuators(stuck_share=0.2))
+    used, fresh = TrueModel(config, 3), TrueModel(config, 3)
     for seed in (1, 2):
         used.begin({}, seed)
         for action in (0, 5):

@@ -1,7 +1,6 @@
 """The oracle: what it finds is what an environment does by the same actions."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -72,24 +71,24 @@ def test_its_episodes_are_like_a_controllers() -> None:
 
 
 def test_each_start_is_found_as_if_it_were_alone() -> None:
-    settings = EnvConfig(task="stop", actions="halves", preset="stuck")
-    together = find_reachable(settings, [{}] * 7, SEED, budget=2)
+    env_config = EnvConfig(task="stop", actions="halves", preset="stuck")
+    together = find_reachable(env_config, [{}] * 7, SEED, budget=2)
     for place in (0, 6):
-        alone = Oracle(settings, budget=2).find({}, SEED + place)
+        alone = Oracle(env_config, budget=2).find({}, SEED + place)
         assert alone.actions == together[place].actions
 
 
 def test_processes_find_the_same() -> None:
-    settings = EnvConfig(task="stop", actions="halves")
-    alone, shared = (find_reachable(settings, [{}] * 6, SEED, 1, workers) for workers in (1, 2))
+    env_config = EnvConfig(task="stop", actions="halves")
+    alone, shared = (find_reachable(env_config, [{}] * 6, SEED, 1, workers) for workers in (1, 2))
     assert [each.actions for each in alone] == [each.actions for each in shared]
 
 
 def test_more_nodes_are_followed_only_where_fewer_find_no_success() -> None:
     """A parcel that enters at 2.7 m/s cannot be stopped where the zone begins."""
-    settings = EnvConfig(task="stop", actions="halves")
+    env_config = EnvConfig(task="stop", actions="halves")
     within, beyond = find_reachable(
-        settings, [{"speed": 1.0}, {"speed": 2.7, "position": 0.5}], SEED, 24
+        env_config, [{"speed": 1.0}, {"speed": 2.7, "position": 0.5}], SEED, 24
     )
     assert (within.success, within.width) == (True, 8)
     assert (beyond.success, beyond.width) == (False, 24)
@@ -97,23 +96,23 @@ def test_more_nodes_are_followed_only_where_fewer_find_no_success() -> None:
 
 
 def test_wide_parcels_are_stopped_though_supports_bear_some_of_them() -> None:
-    settings = EnvConfig(task=Stop(parcels=(WIDE,)), actions="halves")
-    found = find_reachable(settings, [{}] * 3, SEED, budget=8)
+    env_config = EnvConfig(task=Stop(parcels=(WIDE,)), actions="halves")
+    found = find_reachable(env_config, [{}] * 3, SEED, budget=8)
     assert max(abs(each.metrics[0]) for each in found) < 1e-3
 
 
 def test_a_path_in_a_lab_is_followed_to_its_end() -> None:
-    settings = EnvConfig(task="track", actions="halves", preset="lab")
+    env_config = EnvConfig(task="track", actions="halves", preset="lab")
     start = {"tilt": 0.22, "speed": 0.8, "path": [(0.5, 1.0), (1.5, 1.05)]}
-    (found,) = find_reachable(settings, [start], SEED, budget=4)
+    (found,) = find_reachable(env_config, [start], SEED, budget=4)
     assert found.success
     assert found.metrics[0] < 0.015
 
 
 def test_running_out_of_time_is_no_success() -> None:
     """The limit is the task's own, in decisions: here a second."""
-    settings = EnvConfig(task="slow", actions="halves", control_period=0.01)
-    (found,) = find_reachable(settings, [{"speed": 0.9, "ratio": 0.3}], SEED, budget=1)
+    env_config = EnvConfig(task="slow", actions="halves", control_period=0.01)
+    (found,) = find_reachable(env_config, [{"speed": 0.9, "ratio": 0.3}], SEED, budget=1)
     assert found.outcome == "out of time"
     assert found.time == pytest.approx(1.0)
     assert len(found.actions) == 100
@@ -132,7 +131,7 @@ def test_running_out_of_time_is_no_success() -> None:
         ),
     ],
 )
-def test_what_it_cannot_search_is_refused(config: EnvConfig, budget: Any, message: str) -> None:
+def test_what_it_cannot_search_is_refused(config, budget, message) -> None:
     with pytest.raises(ValueError, match=message):
         Oracle(config, budget)
 
@@ -144,19 +143,19 @@ def test_no_process_is_an_error() -> None:
 
 def test_full_braking_ends_where_the_law_of_motion_says() -> None:
     """Half a pitch around where the box, as it comes in, is borne by the zone at last."""
-    settings = EnvConfig(task="stop", actions="halves")
+    env_config = EnvConfig(task="stop", actions="halves")
     speeds = np.array([1.5, 2.0, 2.5])
     starts = [{"speed": speed, "position": 1.0, "parcel": "S"} for speed in speeds.tolist()]
     begins, _ = zone_span(Line(), box("S"), None)
-    ends = 1.0 + stops_past(settings, starts, SEED)
+    ends = 1.0 + stops_past(env_config, starts, SEED)
     np.testing.assert_allclose(ends, begins + speeds**2 / (2.0 * BRAKING), atol=0.1)
 
 
 def test_what_is_asked_counts() -> None:
-    settings = EnvConfig(task="stop", actions="halves", preset="lab")
+    env_config = EnvConfig(task="stop", actions="halves", preset="lab")
     near, far = (
-        stops_past(settings, [{"speed": 2.0, "position": 1.0}], SEED),
-        stops_past(settings, [{"speed": 2.0, "position": 1.5}], SEED),
+        stops_past(env_config, [{"speed": 2.0, "position": 1.0}], SEED),
+        stops_past(env_config, [{"speed": 2.0, "position": 1.5}], SEED),
     )
     np.testing.assert_allclose(near - far, 0.5)
 
@@ -165,6 +164,6 @@ def test_what_is_asked_counts() -> None:
     ("task", "actions", "message"),
     [("slow", "halves", "task must"), ("stop", "modules", "actions")],
 )
-def test_only_stops_by_halves_have_such_a_limit(task: str, actions: str, message: str) -> None:
+def test_only_stops_by_halves_have_such_a_limit(task, actions, message) -> None:
     with pytest.raises(ValueError, match=message):
         stops_past(EnvConfig(task=task, actions=actions), [{}], SEED)

@@ -31,8 +31,8 @@ SMALL = 8  # a budget that finds something soon
 
 
 def planned(task: str, starts: list[dict[str, Any]], budget: int = SMALL) -> Runs:
-    settings = EnvConfig(task=task, actions="halves")
-    return run(Planner(settings, budget), settings, starts)
+    env_config = EnvConfig(task=task, actions="halves")
+    return run(Planner(env_config, budget), env_config, starts)
 
 
 def begun(task: str, parcel: str) -> tuple[sg.SmartSurfaceEnv, np.ndarray, dict[str, Any]]:
@@ -47,7 +47,7 @@ def begun(task: str, parcel: str) -> tuple[sg.SmartSurfaceEnv, np.ndarray, dict[
 
 @pytest.mark.parametrize("parcel", ["S", "B"])
 @pytest.mark.parametrize("task", ["sort", "slow", "stop", "orient"])
-def test_what_is_seen_on_a_line_is_where_the_parcel_is(task: str, parcel: str) -> None:
+def test_what_is_seen_on_a_line_is_where_the_parcel_is(task, parcel) -> None:
     env, observation, info = begun(task, parcel)
     start = env.config.decode_start(observation)
     np.testing.assert_allclose(start.pose, info["pose"], atol=1e-6)
@@ -58,9 +58,7 @@ def test_what_is_seen_on_a_line_is_where_the_parcel_is(task: str, parcel: str) -
 
 
 @pytest.mark.parametrize("parcel", ["S", "B"])
-def test_what_is_seen_on_a_field_is_the_place_within_a_pitch_and_beside_the_path(
-    parcel: str,
-) -> None:
+def test_what_is_seen_on_a_field_is_the_place_within_a_pitch_and_beside_the_path(parcel) -> None:
     env, observation, info = begun("track", parcel)
     start = env.config.decode_start(observation)
     apart = (np.array(start.pose[:2]) - info["pose"][:2]) / PITCH
@@ -80,15 +78,13 @@ def test_what_is_seen_on_a_field_is_the_place_within_a_pitch_and_beside_the_path
 
 
 @pytest.mark.parametrize(("parcel", "speed"), [("S", 0.36), ("B", 0.52)])
-def test_even_the_least_budget_sorts_what_the_best_event_does(parcel: str, speed: float) -> None:
+def test_even_the_least_budget_sorts_what_the_best_event_does(parcel, speed) -> None:
     starts = [{"parcel": parcel, "speed": speed, "side": side} for side in (1, -1)]
     assert planned("sort", starts, budget=1).success.all()
 
 
 @pytest.mark.parametrize(("parcel", "speed"), [("S", 0.9), ("S", 2.7), ("B", 1.5)])
-def test_it_sorts_no_later_than_the_event_rule_and_the_fixed_layout(
-    parcel: str, speed: float
-) -> None:
+def test_it_sorts_no_later_than_the_event_rule_and_the_fixed_layout(parcel, speed) -> None:
     start = {"parcel": parcel, "speed": speed, "side": 1}
     halves, modules = EnvConfig(actions="halves"), EnvConfig(actions="modules")
     found = planned("sort", [start])
@@ -115,7 +111,7 @@ def test_straight_through_it_leaves_the_parcel_on_the_line() -> None:
         ("track", "rms_error", 0.004),
     ],
 )
-def test_it_is_exact(task: str, figure: str, most: float, parcel: str) -> None:
+def test_it_is_exact(task, figure, most, parcel) -> None:
     runs = planned(task, [{**STARTS[task], "parcel": parcel}], budget=24)
     assert runs.success.all()
     assert abs(runs.metrics[figure][0]) <= most
@@ -235,7 +231,7 @@ def test_what_was_not_planned_or_another_episode_is_planned_anew() -> None:
 
 
 @pytest.mark.parametrize("budget", [0, -3, 2.5, True])
-def test_a_budget_is_at_least_one_node(budget: Any) -> None:
+def test_a_budget_is_at_least_one_node(budget) -> None:
     with pytest.raises(ValueError, match="budget must be a whole number of at least 1"):
         Planner(EnvConfig(task="sort", actions="halves"), budget)
 

@@ -32,20 +32,20 @@ def rule(task: str, name: str) -> Rule:
     return found
 
 
-def run(controller: Controller, settings: EnvConfig, starts: list[dict[str, Any]]) -> Runs:
+def run(controller: Controller, config: EnvConfig, starts: list[dict[str, Any]]) -> Runs:
     """Run one environment per start, each to the end of its episode."""
     num_envs = len(starts)
     env = sg.SmartSurfaceVectorEnv(
         num_envs,
-        task=settings.task,
-        actions=settings.actions,
-        orientations=settings.orientations,
-        sensors=settings.sensors,
+        task=config.task,
+        actions=config.actions,
+        orientations=config.orientations,
+        sensors=config.sensors,
         max_episode_steps=LIMIT,
         autoreset_mode="SameStep",
     )
     observation, info = env.reset(seed=0, options=starts)
-    names = ("is_success", "outcome", "time", "pose", "velocity", *settings.task.metrics)
+    names = ("is_success", "outcome", "time", "pose", "velocity", *config.task.metrics)
     ends = {name: info[name].copy() for name in names}
     running, state, begun = np.ones(num_envs, dtype=bool), None, np.ones(num_envs, dtype=bool)
     while running.any():
@@ -57,15 +57,15 @@ def run(controller: Controller, settings: EnvConfig, starts: list[dict[str, Any]
             if ended.any():
                 ends[name][ended] = info["final_info"][name][ended]
         running &= ~begun
-    metrics = {name: ends[name] for name in settings.task.metrics}
+    metrics = {name: ends[name] for name in config.task.metrics}
     return Runs(*(ends[name] for name in names[:5]), metrics)
 
 
 def run_rule(task: str, name: str, starts: list[dict[str, Any]]) -> Runs:
     """Run a rule, found by task and name, over some starts."""
     chosen = rule(task, name)
-    settings = EnvConfig(task=task, actions=chosen.actions)
-    return run(chosen.make(settings), settings, starts)
+    config = EnvConfig(task=task, actions=chosen.actions)
+    return run(chosen.make(config), config, starts)
 
 
 def mirrored_starts(task: str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -42,33 +41,31 @@ def square(side: float) -> sg.Parcel:
     ],
     ids=["of the study", "partly on supports", "a rectangle and a disc", "loads off centre"],
 )
-def test_the_brake_model_agrees_with_the_simulator(
-    level: int, pair: tuple[sg.Parcel, sg.Parcel]
-) -> None:
+def test_the_brake_model_agrees_with_the_simulator(level, pair) -> None:
     """Every second column brakes, from before the zone to where the first is about to leave it.
 
     The place of the load is given, as a sensor that learns would.
     """
-    settings = EnvConfig(task=Slow(parcels=pair), observe=("parcel",))
+    config = EnvConfig(task=Slow(parcels=pair), observe=("parcel",))
     load_ahead = np.array([parcel.com_offset[0] for parcel in pair])
     env = sg.SmartSurfaceVectorEnv(
-        2, task=settings.task, observe=("parcel",), autoreset_mode="SameStep"
+        2, task=config.task, observe=("parcel",), autoreset_mode="SameStep"
     )
     starts = [{"parcel": parcel, "speed": 2.2, "ratio": 0.5} for parcel in pair]
     observations, _ = env.reset(seed=0, options=starts)
     levels = np.where(np.arange(COLUMNS) % 2, level, ROLL)[np.newaxis].repeat(2, axis=0)
-    model, actions = BrakeModel(settings, LEANS[ROLL]), ColumnAxes(settings)(levels)
+    model, actions = BrakeModel(config, LEANS[ROLL]), ColumnAxes(config)(levels)
     target = LEANS[levels]
     for _ in range(18):
-        see = replace(settings.decode(observations), load_ahead=load_ahead)
-        under = contact_span(settings, see)
+        see = replace(config.decode(observations), load_ahead=load_ahead)
+        under = contact_span(config, see)
         after = model.predict(under, see.vx, NOMINAL, target, target[:, np.newaxis])
         observations, *_ = env.step(actions)
-        now = settings.decode(observations)
+        now = config.decode(observations)
         # It does not know how the parcel leant just before: a physics step of braking at most.
-        most = BRAKING * settings.timing.dt
+        most = BRAKING * config.timing.dt
         np.testing.assert_allclose(after.speed[:, 0], now.vx, rtol=0, atol=most)
-        place = contact_span(settings, now).place
+        place = contact_span(config, now).place
         np.testing.assert_allclose(after.place[:, 0], place, rtol=0, atol=0.04 * most)
         taken = after.braking + after.rolling
         np.testing.assert_allclose(taken[:, 0], see.vx - after.speed[:, 0], rtol=0, atol=1e-9)
@@ -77,20 +74,20 @@ def test_the_brake_model_agrees_with_the_simulator(
 def test_the_brake_model_follows_axes_that_take_time() -> None:
     """Half braking is commanded for a period, then rolling: both are predicted, axes turning."""
     actuators = Actuators(axis_speed=0.5 * math.pi / 0.1)
-    settings = EnvConfig(task="slow", actuators=actuators)
+    config = EnvConfig(task="slow", actuators=actuators)
     env = sg.SmartSurfaceVectorEnv(2, task="slow", actuators=actuators, autoreset_mode="SameStep")
     starts = [{"parcel": parcel, "speed": 2.2, "ratio": 0.5} for parcel in "SB"]
     observations, _ = env.reset(seed=0, options=starts)
     levels = np.full((2, COLUMNS), ROLL)
     for _ in range(12):
-        observations, *_ = env.step(ColumnAxes(settings)(levels))
-    see = settings.decode(observations)
-    model, target = BrakeModel(settings, LEANS[ROLL]), LEANS[np.full((2, 1, COLUMNS), HALF)]
-    after = model.predict(contact_span(settings, see), see.vx, NOMINAL, LEANS[levels], target)
-    observations, *_ = env.step(ColumnAxes(settings)(np.full((2, COLUMNS), HALF)))
+        observations, *_ = env.step(ColumnAxes(config)(levels))
+    see = config.decode(observations)
+    model, target = BrakeModel(config, LEANS[ROLL]), LEANS[np.full((2, 1, COLUMNS), HALF)]
+    after = model.predict(contact_span(config, see), see.vx, NOMINAL, LEANS[levels], target)
+    observations, *_ = env.step(ColumnAxes(config)(np.full((2, COLUMNS), HALF)))
     for _ in range(2):  # 45 deg take 50 ms
-        observations, *_ = env.step(ColumnAxes(settings)(levels))
-    now = settings.decode(observations)
+        observations, *_ = env.step(ColumnAxes(config)(levels))
+    now = config.decode(observations)
     assert (see.vx - now.vx > 0.1).all()
     np.testing.assert_allclose(after.speed[:, 0], now.vx, rtol=0, atol=0.01)
     lean = model.lean_after(LEANS[levels], target[:, 0])
@@ -119,10 +116,10 @@ def test_friction_is_estimated_from_the_speed_it_takes() -> None:
     ],
     ids=["large", "on supports", "slow axes, stop", "slow axes, slow", "rolling hard"],
 )
-def test_braking_holds_where_it_is_not_as_in_the_study(task: Stop | Slow, others: Any) -> None:
-    settings = EnvConfig(task=task, **others)
-    controller = rule(task.name, "braking rule").make(settings)
-    assert run_episodes(controller, settings, [{}] * 40, seed=50).success.mean() >= 0.9
+def test_braking_holds_where_it_is_not_as_in_the_study(task, others) -> None:
+    config = EnvConfig(task=task, **others)
+    controller = rule(task.name, "braking rule").make(config)
+    assert run_episodes(controller, config, [{}] * 40, seed=50).success.mean() >= 0.9
 
 
 def test_slowing_hits_every_ratio() -> None:
@@ -139,55 +136,55 @@ def test_slowing_hits_every_ratio() -> None:
 
 
 def test_a_parcel_that_is_seen_at_rest_asks_for_no_layout_and_warns_of_nothing() -> None:
-    settings = EnvConfig(task="slow")
+    config = EnvConfig(task="slow")
     observation, _ = sg.SmartSurfaceEnv(task="slow").reset(seed=0)
-    at_rest = replace(settings.decode(observation[np.newaxis]), vx=np.zeros(1))
-    slowing = FixedSlowing(settings)
+    at_rest = replace(config.decode(observation[np.newaxis]), vx=np.zeros(1))
+    slowing = FixedSlowing(config)
     losses = np.ones((len(slowing._axes), 1000))
     assert np.isinf(slowing._regret(at_rest, losses)).all()
 
 
 def test_slowing_brakes_late_yet_rolls_on_for_a_second() -> None:
     """It brakes in the last period before gentle braking would leave less than 1.2 s to trim."""
-    settings = EnvConfig(task="slow")
+    config = EnvConfig(task="slow")
     starts = [{"parcel": p, "speed": 1.2, "ratio": ratio} for p in "SB" for ratio in (0.3, 0.5)]
-    runs = run_episodes(rule("slow", "braking rule").make(settings), settings, starts, seed=0)
+    runs = run_episodes(rule("slow", "braking rule").make(config), config, starts, seed=0)
     for start, x in zip(starts, runs.pose[:, :, 0].T, strict=True):
-        speed = np.diff(x) / settings.control_period
+        speed = np.diff(x) / config.control_period
         rolled = int((speed[:-1] - speed[1:] > 0.01).argmax()) + 1  # periods
         asked = start["speed"] * start["ratio"]
         # At 45 deg braking takes mu_max and rolling mu_min.
         held = SLOW_GENTLY * BRAKING * (1.0 + 0.01 / 0.5) * math.sqrt(0.5)
         way = (speed[rolled - 1] ** 2 - asked**2) / (2.0 * held)
         left = (np.nanmax(x) - x[rolled] - way) / asked
-        a_period = settings.control_period * start["speed"] / asked
+        a_period = config.control_period * start["speed"] / asked
         assert TRIM_TIME < left < TRIM_TIME + a_period
 
 
 def test_friction_and_load_that_the_sensors_learned_are_used() -> None:
-    settings = EnvConfig(task="stop", observe=("parcel", "load"), preset="lab")
-    observation = np.zeros((1, len(settings.features)), dtype=np.float32)
-    place = {feature.name: k for k, feature in enumerate(settings.features)}
+    config = EnvConfig(task="stop", observe=("parcel", "load"), preset="lab")
+    observation = np.zeros((1, len(config.features)), dtype=np.float32)
+    place = {feature.name: k for k, feature in enumerate(config.features)}
     observation[0, place["cosine of theta"]] = 1.0
     observation[0, place["friction learned"]] = 1.5
     observation[0, place["load learned, x"]] = -2.0
-    see = settings.decode(observation)
-    sensors = settings.sensors
+    see = config.decode(observation)
+    sensors = config.sensors
     assert isinstance(sensors, AdaptiveCamera)
     np.testing.assert_allclose(see.friction, 1.0 + 1.5 * sensors.friction_spread)
     np.testing.assert_allclose(see.load_ahead, -2.0 * sensors.load_spread)
-    np.testing.assert_allclose(contact_span(settings, see).load, see.load_ahead)
+    np.testing.assert_allclose(contact_span(config, see).load, see.load_ahead)
 
 
 def test_where_a_load_lies_along_the_line_is_the_same_in_sorts_mirror() -> None:
-    settings = EnvConfig(task="sort", observe=("parcel", "load"), preset="lab")
-    place = {feature.name: k for k, feature in enumerate(settings.features)}
-    seen = np.zeros((2, len(settings.features)), dtype=np.float32)
+    config = EnvConfig(task="sort", observe=("parcel", "load"), preset="lab")
+    place = {feature.name: k for k, feature in enumerate(config.features)}
+    seen = np.zeros((2, len(config.features)), dtype=np.float32)
     seen[:, place["side"]] = (1.0, -1.0)
     seen[:, place["cosine of theta"]], seen[:, place["sine of theta"]] = 0.8, 0.6
     seen[:, place["load learned, y"]] = 2.0
-    see = settings.decode(seen)
-    sensors = settings.sensors
+    see = config.decode(seen)
+    sensors = config.sensors
     assert isinstance(sensors, AdaptiveCamera)
     np.testing.assert_allclose(see.theta, math.atan2(0.6, 0.8) * np.array([1.0, -1.0]), rtol=1e-6)
     np.testing.assert_allclose(see.load_ahead, -0.6 * 2.0 * sensors.load_spread, rtol=1e-6)
@@ -195,16 +192,16 @@ def test_where_a_load_lies_along_the_line_is_the_same_in_sorts_mirror() -> None:
 
 def test_beyond_the_end_of_the_zone_the_asked_speed_itself_is_best() -> None:
     """Nothing is left to roll: faster is as bad as it is too fast, slower worse."""
-    settings = EnvConfig(task="slow")
+    config = EnvConfig(task="slow")
     env = sg.SmartSurfaceVectorEnv(1, task="slow")
     start = {"parcel": "S", "speed": 2.0, "ratio": 0.5}
     observations, _ = env.reset(seed=0, options=start)
-    slowing = SlowingRule(settings)
-    see = settings.decode(observations)
+    slowing = SlowingRule(config)
+    see = config.decode(observations)
     frictions = FrictionEstimate.frictions(FrictionEstimate.unknown(1))
     none = np.zeros((1, 3))
     after = Braked(np.full((1, 3), 9.0), np.array([[0.9, 1.0, 1.1]]), none, none)
-    regret = slowing._regret(see, contact_span(settings, see), frictions, after)
+    regret = slowing._regret(see, contact_span(config, see), frictions, after)
     assert regret[0, 0] > regret[0, 2]
     np.testing.assert_allclose(regret[0, 1:], [0.0, 0.1], atol=1e-5)
 
@@ -223,14 +220,14 @@ def test_stopping_hits_every_place() -> None:
 
 
 @pytest.mark.parametrize("parcel", ["S", "B"])
-def test_a_fixed_layout_is_the_best_of_its_kind(parcel: str) -> None:
+def test_a_fixed_layout_is_the_best_of_its_kind(parcel) -> None:
     """No other number of columns leaves nearer to the asked ratio, in the environment itself."""
     speed, ratio = 2.1, 0.55
-    settings = EnvConfig(task="slow")
+    config = EnvConfig(task="slow")
     start = {"parcel": parcel, "speed": speed, "ratio": ratio}
     chosen = run_rule("slow", "fixed layout", [start]).metrics["ratio_error"][0]
     first = np.arange(COLUMNS) < np.arange(COLUMNS + 1)[:, np.newaxis]
-    actions = ColumnAxes(settings)(np.concatenate([FULL * first, HALF * first]))
+    actions = ColumnAxes(config)(np.concatenate([FULL * first, HALF * first]))
     env = sg.SmartSurfaceVectorEnv(len(actions), task="slow", autoreset_mode="Disabled")
     env.reset(seed=0, options=start)
     terminated = np.zeros(len(actions), dtype=bool)

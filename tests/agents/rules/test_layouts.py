@@ -9,7 +9,6 @@ import surface_gym as sg
 from surface_gym.agents.evaluation.benchmark import find_benchmark
 from surface_gym.agents.evaluation.methods import BEST_FIXED, FIXED, rules
 from surface_gym.agents.planning.layouts import ShownPath
-from surface_gym.agents.rules.base import FixedRule
 from surface_gym.agents.rules.layouts import BestSlowing, BestStopping, BestTracking, BestTurning
 from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.layouts import LINE_Y, box
@@ -39,16 +38,16 @@ SINE: dict[str, Any] = {"path": WAVE, "speed": 0.8, "tilt": 0.22, "parcel": "S"}
 SHOWN = EnvConfig(task=ShownPath(), actions="modules")
 
 
-def observed(settings: EnvConfig, start: dict[str, Any], seed: int = 0) -> np.ndarray:
+def observed(config: EnvConfig, start: dict[str, Any], seed: int = 0) -> np.ndarray:
     """What is seen at a start, (1, features)."""
-    env = sg.SmartSurfaceVectorEnv(1, task=settings.task, actions=settings.actions)
+    env = sg.SmartSurfaceVectorEnv(1, task=config.task, actions=config.actions)
     observation, _ = env.reset(seed=seed, options=start)
     seen: np.ndarray = observation
     return seen
 
 
 @pytest.mark.parametrize("task", STARTS)
-def test_none_of_the_studys_kind_does_better(task: str) -> None:
+def test_none_of_the_studys_kind_does_better(task) -> None:
     best, fixed = (run_rule(task, name, STARTS[task]) for name in (BEST_FIXED, FIXED))
     assert (best.success >= fixed.success).all()
     assert best.success.sum() >= 2
@@ -61,24 +60,22 @@ def test_none_of_the_studys_kind_does_better(task: str) -> None:
 @pytest.mark.parametrize(
     ("task", "make"), [("slow", BestSlowing), ("stop", BestStopping), ("orient", BestTurning)]
 )
-def test_the_same_start_has_the_same_layout_whatever_was_before(
-    task: str, make: type[FixedRule]
-) -> None:
-    settings = EnvConfig(task=task)
-    seen = [observed(settings, start) for start in STARTS[task][:2]]
-    rule = make(settings)
+def test_the_same_start_has_the_same_layout_whatever_was_before(task, make) -> None:
+    config = EnvConfig(task=task)
+    seen = [observed(config, start) for start in STARTS[task][:2]]
+    rule = make(config)
     together, _ = rule.predict(np.concatenate(seen))
     for k in (1, 0):
         np.testing.assert_array_equal(rule.predict(seen[k])[0][0], together[k])
-        np.testing.assert_array_equal(make(settings).predict(seen[k][0])[0], together[k])
+        np.testing.assert_array_equal(make(config).predict(seen[k][0])[0], together[k])
 
 
 def test_a_turn_to_the_other_side_is_the_mirror_image() -> None:
-    settings = EnvConfig(task="orient")
+    config = EnvConfig(task="orient")
     start = {"parcel": "B", "speed": 1.6, "angle": 0.3}
-    rule, kind = BestTurning(settings), settings.action_kind
+    rule, kind = BestTurning(config), config.action_kind
     here, there = (
-        rule.predict(observed(settings, {**start, "angle": angle}))[0] for angle in (0.3, -0.3)
+        rule.predict(observed(config, {**start, "angle": angle}))[0] for angle in (0.3, -0.3)
     )
     image = np.array([0, 2, 1, 3])  # of 0, 45, -45 and 90 deg
     np.testing.assert_array_equal(kind.flip(image[here]), there)
@@ -118,17 +115,16 @@ def test_a_shown_path_is_the_path_and_the_rest_is_tracks() -> None:
 
 
 def test_in_the_benchmark_its_task_is_the_same_with_the_path_shown() -> None:
-    trial = find_benchmark("track")
-    settings = next(m for m in rules("track") if m.observed_task is not None).config(
-        trial, PRESETS["camera"]
-    )
-    assert isinstance(settings.task, ShownPath)
-    assert isinstance(trial.task, Track)
-    assert (settings.task.tilts, settings.task.kinds) == (trial.task.tilts, trial.task.kinds)
+    task = find_benchmark("track").task
+    method = next(each for each in rules("track") if each.observed_task is not None)
+    config = method.config(task, PRESETS["camera"])
+    assert isinstance(config.task, ShownPath)
+    assert isinstance(task, Track)
+    assert (config.task.tilts, config.task.kinds) == (task.tilts, task.kinds)
 
 
 @pytest.mark.parametrize(
-    ("settings", "named"),
+    ("config", "named"),
     [
         (EnvConfig(task="stop"), "task must be one of 'track'"),
         (EnvConfig(task="track"), "task must be a ShownPath"),
@@ -138,6 +134,6 @@ def test_in_the_benchmark_its_task_is_the_same_with_the_path_shown() -> None:
     ],
     ids=["task", "path", "actions", "zone", "orientations"],
 )
-def test_tracking_refuses_what_it_is_not_made_for(settings: EnvConfig, named: str) -> None:
+def test_tracking_refuses_what_it_is_not_made_for(config, named) -> None:
     with pytest.raises(ValueError, match=named):
-        BestTracking(settings)
+        BestTracking(config)

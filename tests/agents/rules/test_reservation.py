@@ -6,23 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surface_gym.agents.rules.reservation import (
-    FINE,
-    MARGIN,
-    SIGNATURE,
-    Book,
-    Booking,
-    ParcelTrajectory,
-    Reservation,
-    Trajectories,
-    clearance,
-    find_trajectories,
-    least_gap,
-    least_gaps,
-    list_asked,
-    packed_rate,
-    steady_rate,
-)
+from surface_gym.agents.rules import reservation
+from surface_gym.agents.rules.reservation import Reservation, least_gap
 from surface_gym.agents.rules.streams import StreamEventRule
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import Steady
@@ -53,30 +38,30 @@ from tests.flow.flows import BOX, trace
     ],
     ids=["parcels", "speeds", "trace"],
 )
-def test_every_parcel_speed_and_exit_is_asked_for_once(stream: Stream, asked: list[Any]) -> None:
-    assert list_asked(line(stream)) == asked
+def test_every_parcel_speed_and_exit_is_asked_for_once(stream, asked) -> None:
+    assert reservation.list_asked(line(stream)) == asked
 
 
 def test_without_destinations_every_exit_is_asked_for() -> None:
-    asked = list_asked(line(Stream(Steady(1000.0))))
+    asked = reservation.list_asked(line(Stream(Steady(1000.0))))
     assert {name for _, _, name in asked} == {"left", "right", "straight"}
 
 
-def found(settings: EnvConfig) -> Trajectories:
+def found(config: EnvConfig) -> reservation.Trajectories:
     """Find the trajectories of a stream that the event rule leads."""
-    return find_trajectories(StreamEventRule, settings, list_asked(settings))
+    return reservation.find_trajectories(StreamEventRule, config, reservation.list_asked(config))
 
 
 def test_trajectories_lead_to_the_exits_and_are_mirror_images() -> None:
-    settings = line(Stream(Steady(1000.0), speeds=1.5))
-    trajectories = found(settings)
+    config = line(Stream(Steady(1000.0), speeds=1.5))
+    trajectories = found(config)
     assert trajectories.right == (True, True, True)
     left, right, straight = trajectories.each
-    middle = settings.chosen_line.line_y
+    middle = config.chosen_line.line_y
     np.testing.assert_allclose(left.pose[:, 1] - middle, middle - right.pose[:, 1], atol=1e-9)
     np.testing.assert_allclose(left.time, right.time)
     np.testing.assert_allclose(straight.pose[:, 1], middle, atol=1e-9)
-    assert straight.pose[-1, 0] > settings.rotors_end
+    assert straight.pose[-1, 0] > config.rotors_end
     for each in trajectories.each:
         assert each.time[0] >= 0.0
         assert (np.diff(each.time) > 0.0).all()
@@ -91,15 +76,15 @@ def test_they_are_those_of_exact_sensors_whatever_varies() -> None:
 
 
 def test_signatures_tell_them_apart() -> None:
-    settings = line(Stream(Steady(1000.0), parcels=("S", "B"), speeds=(1.0, 1.2)))
-    signature = found(settings).signature
+    config = line(Stream(Steady(1000.0), parcels=("S", "B"), speeds=(1.0, 1.2)))
+    signature = found(config).signature
     apart = np.abs(signature[:, None] - signature[None]).max(axis=2)
     assert apart[~np.eye(len(apart), dtype=bool)].min() > 0.05
 
 
 def test_a_parcel_that_comes_to_rest_is_not_right() -> None:
-    settings = line(Stream(Steady(1000.0), speeds=0.05), duration=3.0)
-    assert found(settings).right == (False, False, False)
+    config = line(Stream(Steady(1000.0), speeds=0.05), duration=3.0)
+    assert found(config).right == (False, False, False)
 
 
 SQUARE = np.array([(-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1)])  # [m]
@@ -107,11 +92,11 @@ SQUARE = np.array([(-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1)])  # [m]
 
 def straight(
     speed: float, aside: float = 0.0, angle: float = 0.0, seconds: float = 4.0
-) -> ParcelTrajectory:
+) -> reservation.ParcelTrajectory:
     """At a constant speed [m/s] along x, off the middle by a distance [m]."""
     time = np.linspace(0.0, seconds, 41)
     pose = np.column_stack([speed * time, np.full(41, aside), np.full(41, angle)])
-    return ParcelTrajectory(SQUARE, time, pose)
+    return reservation.ParcelTrajectory(SQUARE, time, pose)
 
 
 def test_a_trajectory_interpolates_the_parcel_between_moments() -> None:
@@ -120,9 +105,9 @@ def test_a_trajectory_interpolates_the_parcel_between_moments() -> None:
 
 
 @pytest.mark.parametrize("apart", [0.05, -0.03])
-def test_the_clearance_of_sides_that_face_each_other_is_their_distance(apart: float) -> None:
+def test_the_clearance_of_sides_that_face_each_other_is_their_distance(apart) -> None:
     other = SQUARE + np.array([0.2 + apart, 0.05])
-    assert clearance(SQUARE[None], other[None])[0] == pytest.approx(apart)
+    assert reservation.clearance(SQUARE[None], other[None])[0] == pytest.approx(apart)
 
 
 def test_the_clearance_of_corners_is_never_too_large() -> None:
@@ -137,57 +122,59 @@ def test_the_clearance_of_corners_is_never_too_large() -> None:
             for base in (SQUARE, turned + shift)
         ]
         distance = np.hypot(*(sides[0][:, None] - sides[1][None]).transpose(2, 0, 1)).min()
-        assert clearance(SQUARE[None], turned[None] + shift)[0] <= distance + 1e-9
+        assert reservation.clearance(SQUARE[None], turned[None] + shift)[0] <= distance + 1e-9
 
 
 @pytest.mark.parametrize(("speed", "margin"), [(1.0, 0.0), (2.0, 0.0), (1.0, 0.05)])
-def test_equal_speeds_need_a_length_and_the_margin(speed: float, margin: float) -> None:
+def test_equal_speeds_need_a_length_and_the_margin(speed, margin) -> None:
     gap = least_gap(straight(speed), straight(speed), margin)
-    assert gap == pytest.approx((0.2 + margin) / speed, abs=2.0 * FINE)
+    assert gap == pytest.approx((0.2 + margin) / speed, abs=2.0 * reservation.FINE)
 
 
 def test_a_faster_one_must_not_catch_up() -> None:
     """It may only be a length behind as the slower one leaves, after 4 s at x = 4 m."""
     gap = least_gap(straight(1.0), straight(2.0, seconds=2.0))
-    assert gap == pytest.approx(4.0 - (4.0 - 0.2) / 2.0, abs=2.0 * FINE)
+    assert gap == pytest.approx(4.0 - (4.0 - 0.2) / 2.0, abs=2.0 * reservation.FINE)
 
 
 def test_trajectories_beside_each_other_need_no_gap() -> None:
-    assert least_gap(straight(1.0, aside=0.0), straight(1.0, aside=0.3)) <= FINE
+    assert least_gap(straight(1.0, aside=0.0), straight(1.0, aside=0.3)) <= reservation.FINE
 
 
 def test_a_parcel_that_never_leaves_lets_no_other_in() -> None:
-    stands = ParcelTrajectory(SQUARE, np.array([0.0, 60.0]), np.zeros((2, 3)))
+    stands = reservation.ParcelTrajectory(SQUARE, np.array([0.0, 60.0]), np.zeros((2, 3)))
     with pytest.raises(ValueError, match="trajectories must have a gap of at most 20 s, got none"):
         least_gap(stands, straight(1.0))
 
 
 def test_rates_are_those_of_the_gaps() -> None:
-    gaps = least_gaps([straight(1.0), straight(1.0, aside=0.3)])
+    gaps = reservation.least_gaps([straight(1.0), straight(1.0, aside=0.3)])
     assert gaps.shape == (2, 2)
     # Each behind itself 0.2 s, behind the other next to none.
-    both = packed_rate(gaps, np.array([1.0, 1.0]))
+    both = reservation.packed_rate(gaps, np.array([1.0, 1.0]))
     assert both == pytest.approx(3600.0 / 0.1, rel=0.05)
-    assert packed_rate(gaps, np.array([3.0, 0.0])) == pytest.approx(3600.0 / 0.2, rel=0.02)
-    assert steady_rate(gaps) == pytest.approx(3600.0 / 0.2, rel=0.02)
+    assert reservation.packed_rate(gaps, np.array([3.0, 0.0])) == pytest.approx(
+        3600.0 / 0.2, rel=0.02
+    )
+    assert reservation.steady_rate(gaps) == pytest.approx(3600.0 / 0.2, rel=0.02)
 
 
-SETTINGS = gated()
-PERIOD, DT = SETTINGS.control_period, SETTINGS.timing.dt
+CONFIG = gated()
+PERIOD, DT = CONFIG.control_period, CONFIG.timing.dt
 GAPS = np.array([[0.3, 0.05], [1.0, 0.5]])  # [s] of way 0 and 1 (column) behind each (row)
 FRESH, GOES_ON = np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
 
 
-def booking() -> Booking:
-    """Of two ways that are told apart by the parcel's size."""
-    signature = np.zeros((2, len(SIGNATURE)))
-    signature[1, SIGNATURE.index(6)] = 2.0
-    return Booking(SETTINGS, signature, GAPS)
+def booking() -> reservation.Booking:
+    """Of two ways that are kept apart by the parcel's size."""
+    signature = np.zeros((2, len(reservation.SIGNATURE)))
+    signature[1, reservation.SIGNATURE.index(6)] = 2.0
+    return reservation.Booking(CONFIG, signature, GAPS)
 
 
 def waiting(way: int | None, since: float = 0.0) -> np.ndarray:
     """A table with a parcel at the gate that is to go a way, its time come so long ago [s]."""
-    table = np.zeros((1, SETTINGS.stream_task.rows, len(FEATURES)), dtype=np.float32)
+    table = np.zeros((1, CONFIG.stream_task.rows, len(FEATURES)), dtype=np.float32)
     if way is not None:
         table[0, -1, [PRESENT, WAITS]] = 1.0
         table[0, -1, 6] = 2.0 * way
@@ -220,7 +207,7 @@ def test_the_first_enters_at_once_and_the_gate_stays_shut_where_none_waits() -> 
 
 
 @pytest.mark.parametrize("ways", [[0, 0], [0, 1], [1, 0], [1, 1]])
-def test_the_next_keeps_its_gap_to_a_physics_step(ways: list[int]) -> None:
+def test_the_next_keeps_its_gap_to_a_physics_step(ways) -> None:
     first, second = entries(ways, 40)
     gap = GAPS[ways[0], ways[1]]
     assert gap - 1e-6 <= second - first <= gap + PERIOD + DT
@@ -253,7 +240,7 @@ def test_a_new_episode_forgets_the_old() -> None:
     _, book = gate.open(waiting(1), None, FRESH)
     opens, again = gate.open(waiting(1), book, FRESH)
     assert opens.tolist() == [1]
-    assert isinstance(again, Book)
+    assert isinstance(again, reservation.Book)
     assert again.clock.tolist() == [PERIOD]
 
 
@@ -271,8 +258,8 @@ CROWD = Stream(Steady(15000.0), parcels=("S",), speeds=1.5)
 
 
 def test_more_than_a_line_takes_is_sorted_without_a_touch() -> None:
-    settings = gated(CROWD)
-    count = counts(Reservation(settings), settings)
+    config = gated(CROWD)
+    count = counts(Reservation(config), config)
     assert (count["wrong"], count["touches"]) == (0, 0)
     assert count["right"] > 4 * 12
     alone = counts(StreamEventRule(line(CROWD)), line(CROWD))
@@ -280,24 +267,24 @@ def test_more_than_a_line_takes_is_sorted_without_a_touch() -> None:
 
 
 def test_it_comes_near_the_packed_ways_and_not_above() -> None:
-    settings = gated(CROWD, duration=20.0)
-    gaps = least_gaps(found(settings).each, MARGIN)
-    bound = packed_rate(gaps, np.ones(len(gaps)))
-    count = counts(Reservation(settings), settings, num_envs=8)
-    rate = 3600.0 * count["right"] / (8 * settings.stream_task.duration)
+    config = gated(CROWD, duration=20.0)
+    gaps = reservation.least_gaps(found(config).each, reservation.MARGIN)
+    bound = reservation.packed_rate(gaps, np.ones(len(gaps)))
+    count = counts(Reservation(config), config, num_envs=8)
+    rate = 3600.0 * count["right"] / (8 * config.stream_task.duration)
     assert 0.8 * bound < rate < 1.02 * bound
 
 
 def test_a_wider_margin_lets_fewer_in() -> None:
-    settings = gated(CROWD)
-    near, wide = (counts(Reservation(settings, margin=m), settings)["right"] for m in (0.02, 0.2))
+    config = gated(CROWD)
+    near, wide = (counts(Reservation(config, margin=m), config)["right"] for m in (0.02, 0.2))
     assert wide < near
 
 
 def test_on_the_line_it_does_what_its_lead_does() -> None:
-    settings = gated(CROWD)
+    config = gated(CROWD)
     rows = np.random.default_rng(0).normal(size=(20, 29)).astype(np.float32)
-    rule, lead = Reservation(settings), StreamEventRule(settings)
+    rule, lead = Reservation(config), StreamEventRule(config)
     np.testing.assert_array_equal(rule.halves(rows), lead.halves(rows))
 
 

@@ -21,19 +21,19 @@ def starts(parcel: str, speed: float) -> list[dict]:
 @pytest.mark.parametrize(
     ("parcel", "speed"), [("S", 0.36), ("S", 0.4), ("S", 0.7), ("B", 0.52), ("B", 0.9)]
 )
-def test_they_sort_where_the_fixed_layout_stalls(name: str, parcel: str, speed: float) -> None:
+def test_they_sort_where_the_fixed_layout_stalls(name, parcel, speed) -> None:
     assert not run_rule("sort", "fixed layout", starts(parcel, speed)).success.any()
     assert run_rule("sort", name, starts(parcel, speed)).success.all()
 
 
 @pytest.mark.parametrize("name", ["fixed layout", "best fixed layout", *AFTER_THE_EVENT])
 @pytest.mark.parametrize("parcel", ["S", "B"])
-def test_all_sort_a_fast_parcel(name: str, parcel: str) -> None:
+def test_all_sort_a_fast_parcel(name, parcel) -> None:
     assert run_rule("sort", name, starts(parcel, 1.5)).success.all()
 
 
 @pytest.mark.parametrize("name", ["fixed layout", "best fixed layout", *AFTER_THE_EVENT])
-def test_straight_through_is_left_alone(name: str) -> None:
+def test_straight_through_is_left_alone(name) -> None:
     runs = run_rule("sort", name, [{"parcel": "S", "speed": 1.5, "side": 0}])
     assert runs.outcome.tolist() == ["success"]
     np.testing.assert_allclose(runs.pose[:, 1:], [[1.0, 0.0]], atol=1e-6)
@@ -41,11 +41,11 @@ def test_straight_through_is_left_alone(name: str) -> None:
 
 def arranged(parcel: str, side: int, **others) -> np.ndarray:
     """Axes (rows, columns) [rad] that the best fixed layout sets for a start."""
-    settings = EnvConfig(task="sort", actions="modules", **others)
+    config = EnvConfig(task="sort", actions="modules", **others)
     env = sg.SmartSurfaceEnv(task="sort", actions="modules", **others)
     observation, _ = env.reset(seed=0, options={"speed": 1.5, "parcel": parcel, "side": side})
-    action, _ = BestSorting(settings).predict(observation)
-    return np.array(settings.chosen_orientations)[np.reshape(action, settings.action_kind.shape)]
+    action, _ = BestSorting(config).predict(observation)
+    return np.array(config.chosen_orientations)[np.reshape(action, config.action_kind.shape)]
 
 
 def shipped(box: str, offer: str) -> SortingLayout:
@@ -55,7 +55,7 @@ def shipped(box: str, offer: str) -> SortingLayout:
 
 @pytest.mark.parametrize("box", ["S", "B"])
 @pytest.mark.parametrize("side", [1, -1])
-def test_the_best_fixed_layout_sorts_at_its_least_speed(box: str, side: int) -> None:
+def test_the_best_fixed_layout_sorts_at_its_least_speed(box, side) -> None:
     least = shipped(box, "four").least_speed
     speeds = np.arange(round(100 * least), 271, 10) / 100
     some = [{"parcel": box, "speed": float(speed), "side": side} for speed in speeds]
@@ -65,7 +65,7 @@ def test_the_best_fixed_layout_sorts_at_its_least_speed(box: str, side: int) -> 
 
 
 @pytest.mark.parametrize("box", ["S", "B"])
-def test_with_more_orientations_it_sorts_slower_boxes(box: str) -> None:
+def test_with_more_orientations_it_sorts_slower_boxes(box) -> None:
     eight = OFFERS["eight"]
     assert eight is not None
     least = shipped(box, "eight").least_speed
@@ -73,13 +73,13 @@ def test_with_more_orientations_it_sorts_slower_boxes(box: str) -> None:
     some = [
         {"speed": float(speed), "side": side, "parcel": box} for speed in speeds for side in (1, -1)
     ]
-    settings = EnvConfig("sort", actions="modules", orientations=eight)
-    assert run(BestSorting(settings), settings, some).success.all()
+    config = EnvConfig("sort", actions="modules", orientations=eight)
+    assert run(BestSorting(config), config, some).success.all()
     assert least < shipped(box, "four").least_speed
 
 
 @pytest.mark.parametrize("box", ["S", "B"])
-def test_the_best_fixed_layout_is_mirrored_for_the_other_side(box: str) -> None:
+def test_the_best_fixed_layout_is_mirrored_for_the_other_side(box) -> None:
     to_right, to_left = arranged(box, -1), arranged(box, 1)
     np.testing.assert_allclose(np.sin(to_left + to_right[::-1]), 0.0, atol=1e-12)
     through = arranged(box, 0)
@@ -102,14 +102,14 @@ def test_in_the_middle_of_a_wider_zone_lies_the_small_box_s_layout() -> None:
 
 
 @pytest.mark.parametrize("box", ["S", "B"])
-def test_at_any_angle_a_fixed_layout_sorts_as_slowly_as_rules_do(box: str) -> None:
+def test_at_any_angle_a_fixed_layout_sorts_as_slowly_as_rules_do(box) -> None:
     least = shipped(box, "any").least_speed
     speeds = np.arange(round(100 * least), 271, 10) / 100
-    settings = EnvConfig("sort", actions="modules", orientations="any")
+    config = EnvConfig("sort", actions="modules", orientations="any")
     starts_of_both = [start for speed in speeds for start in starts(box, float(speed))]
-    assert run(GradedLayout(settings), settings, starts_of_both).success.all()
+    assert run(GradedLayout(config), config, starts_of_both).success.all()
     assert least <= shipped(box, "four").least_speed / 1.8
-    through = run(GradedLayout(settings), settings, [{"parcel": box, "speed": 1.5, "side": 0}])
+    through = run(GradedLayout(config), config, [{"parcel": box, "speed": 1.5, "side": 0}])
     assert through.success.all()
 
 
@@ -123,11 +123,11 @@ def test_a_layout_at_any_angle_is_for_axes_at_any_angle() -> None:
 
 
 def test_one_observation_gives_one_action() -> None:
-    settings = EnvConfig("sort", actions="modules", orientations="any")
+    config = EnvConfig("sort", actions="modules", orientations="any")
     env = sg.SmartSurfaceEnv(task="sort", actions="modules", orientations="any")
     observation, _ = env.reset(seed=0)
-    one, state = GradedLayout(settings).predict(observation)
-    many, _ = GradedLayout(settings).predict(observation[np.newaxis])
+    one, state = GradedLayout(config).predict(observation)
+    many, _ = GradedLayout(config).predict(observation[np.newaxis])
     assert state is None
     assert env.action_space.contains(one.astype(np.float32))
     np.testing.assert_array_equal(many, one[np.newaxis])

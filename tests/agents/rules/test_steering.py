@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents.rules.brake_model import (
-    Motion,
-    SquareModel,
-    line_positions,
-    window_positions,
-)
+from surface_gym.agents.rules import brake_model
 from surface_gym.config import EnvConfig
 from surface_gym.tasks.paths import Sine
 from tests.agents.rules.runs import mirrored_starts, rule, run_rule
@@ -39,7 +34,7 @@ TURNS = [
         ("sliding mode", 0.006, 0.1),
     ],
 )
-def test_rules_follow_waves_that_rolling_leaves(name: str, farthest: float, slowest: float) -> None:
+def test_rules_follow_waves_that_rolling_leaves(name, farthest, slowest) -> None:
     runs = run_rule("track", name, WAVES)
     assert runs.success.mean() > 0.9
     assert runs.metrics["rms_error"].mean() < farthest
@@ -64,15 +59,15 @@ def test_the_turning_rule_turns_to_any_angle() -> None:
 
 
 def test_modules_that_turn_a_parcel_drag_its_front_one_way_and_its_rear_the_other() -> None:
-    settings = EnvConfig(task="orient")
+    config = EnvConfig(task="orient")
     env = sg.SmartSurfaceVectorEnv(2, task="orient")
     starts = [{"parcel": parcel, "speed": 1.5, "angle": 0.3} for parcel in "SB"]
     observations, _ = env.reset(seed=0, options=starts)
     for _ in range(15):
         observations, *_ = env.step(np.full((2, 64), ROLL))
-    line = settings.decode(observations)
-    modules = line_positions(line, settings.action_kind)
-    options = rule("orient", "turning rule").make(settings)._options(line, modules)
+    line = config.decode(observations)
+    modules = brake_model.line_positions(line, config.action_kind)
+    options = rule("orient", "turning rule").make(config)._options(line, modules)
     for x, ways in zip(modules.x, options, strict=True):
         turned = [(set(way[x > 0]) - {ROLL}, set(way[x < 0]) - {ROLL}) for way in ways]
         assert turned[0] == (set(), set())
@@ -82,27 +77,27 @@ def test_modules_that_turn_a_parcel_drag_its_front_one_way_and_its_rear_the_othe
 
 
 @pytest.mark.parametrize("name", ["threshold logic", "PID per module"])
-def test_modules_by_themselves_turn_the_small_box(name: str) -> None:
+def test_modules_by_themselves_turn_the_small_box(name) -> None:
     runs = run_rule("orient", name, [turn for turn in TURNS if turn["parcel"] == "S"])
     assert runs.success.mean() >= 0.75
 
 
 def test_positions_are_the_modules_that_the_environment_sees_under_the_parcel() -> None:
-    settings = EnvConfig(task="track", actions="window")
+    config = EnvConfig(task="track", actions="window")
     env = sg.SmartSurfaceVectorEnv(20, task="track", actions="window")
     observations, _ = env.reset(seed=5)
     rng = np.random.default_rng(0)
     for _ in range(10):
-        modules = window_positions(settings.decode(observations), settings.action_kind)
+        modules = brake_model.window_positions(config.decode(observations), config.action_kind)
         np.testing.assert_array_equal(modules.under, observations[:, -25:] > 0.5)
         observations, *_ = env.step(rng.integers(0, 4, (20, 25)))
 
 
 def test_line_positions_are_pitches_apart_and_centred_on_the_line() -> None:
-    settings = EnvConfig(task="orient")
+    config = EnvConfig(task="orient")
     env = sg.SmartSurfaceVectorEnv(2, task="orient")
     observations, info = env.reset(seed=0, options=[{"parcel": "S"}, {"parcel": "B"}])
-    modules = line_positions(settings.decode(observations), settings.action_kind)
+    modules = brake_model.line_positions(config.decode(observations), config.action_kind)
     # The S-box's lead-in is 3 columns and the B-box's 5; the first rotor after it is at 0.35 m.
     first = np.array([0.35, 0.55]) - info["pose"][:, 0]
     np.testing.assert_allclose(modules.x.reshape(2, 4, 16)[:, 2, 0], first, atol=1e-6)
@@ -112,7 +107,7 @@ def test_line_positions_are_pitches_apart_and_centred_on_the_line() -> None:
 
 
 @pytest.mark.parametrize("angle", [0.0, math.pi / 4, -math.pi / 4, math.pi / 2])
-def test_the_square_slides_as_in_the_simulator(angle: float) -> None:
+def test_the_square_slides_as_in_the_simulator(angle) -> None:
     """All axes alike under a box on a field, tilted by 0.1: 40 ms of it."""
     half_length, velocity, tilt = 0.125, (0.8, 0.3, 0.5), 0.1
     surface = sg.Surface(
@@ -120,13 +115,13 @@ def test_the_square_slides_as_in_the_simulator(angle: float) -> None:
     )
     box = sg.Parcel(sg.Rectangle(2.0 * half_length, 2.0 * half_length))
     truth = sg.simulate(surface, box, (1.0, 1.0, 0.0), velocity, duration=0.04).velocity[-1]
-    settings = EnvConfig(task="track", actions="window")
+    config = EnvConfig(task="track", actions="window")
     env = sg.SmartSurfaceVectorEnv(1, task="track", actions="window")
     start = {"parcel": "S", "path": [(1.0, 1.0), (5.0, 1.0)], "tilt": tilt, "speed": 0.8}
     observations, _ = env.reset(seed=0, options=start)
-    modules = window_positions(settings.decode(observations), settings.action_kind)
-    square = SquareModel(modules, np.array([half_length]), np.array([tilt]))
-    motion = Motion(*(np.array([part]) for part in velocity))
+    modules = brake_model.window_positions(config.decode(observations), config.action_kind)
+    square = brake_model.SquareModel(modules, np.array([half_length]), np.array([tilt]))
+    motion = brake_model.Motion(*(np.array([part]) for part in velocity))
     after = square.predict(motion, np.full((1, 25), angle), period=0.04, steps=4)
     assert after.vx[0, 0] == pytest.approx(truth[0], abs=0.03)
     assert after.vy[0, 0] == pytest.approx(truth[1], abs=0.03)

@@ -1,20 +1,13 @@
 """Rules that decide parcel by parcel, and the layout of a stream."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 
 from surface_gym.agents import library
-from surface_gym.agents.rules.streams import (
-    OPEN,
-    PAST_START,
-    SIDE,
-    SortEach,
-    StreamEventRule,
-    StreamFixedLayout,
-)
+from surface_gym.agents.rules import streams
+from surface_gym.agents.rules.streams import StreamEventRule, StreamFixedLayout
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.task import FEATURES, OWN, PRESENT, WAITS
 from tests.agents.rules.lines import counts, gated, line
@@ -27,7 +20,7 @@ def table(rows: int, *parcels: tuple[float, float]) -> np.ndarray:
     """Show parcels, by how far each is past its start and the side of its exit."""
     seen = np.zeros((rows, len(FEATURES)), dtype=np.float32)
     for row, (past, side) in zip(seen, parcels, strict=False):
-        row[[PRESENT, PAST_START, SIDE]] = 1.0, past, side
+        row[[PRESENT, streams.PAST_START, streams.SIDE]] = 1.0, past, side
     return seen
 
 
@@ -50,14 +43,14 @@ def test_many_environments_are_decided_as_each_alone() -> None:
 def test_a_gate_is_opened_at_once_and_a_parcel_that_waits_there_has_no_halves() -> None:
     config = gated(max_parcels=2)
     seen = table(3, (0.1, 1.0))
-    seen[-1, [PRESENT, WAITS, PAST_START, SIDE]] = 1.0, 1.0, 5.0, 1.0
+    seen[-1, [PRESENT, WAITS, streams.PAST_START, streams.SIDE]] = 1.0, 1.0, 5.0, 1.0
     action, _ = StreamEventRule(config).predict(seen)
-    assert action.tolist() == [LEFT, LEFT, ROLL, ROLL, OPEN]
+    assert action.tolist() == [LEFT, LEFT, ROLL, ROLL, streams.OPEN]
     assert config.action_space().contains(action)
 
 
-@pytest.mark.parametrize(("make", "touches"), [(StreamEventRule, 0), (SortEach, None)])
-def test_a_thin_stream_is_sorted(make: Any, touches: int | None) -> None:
+@pytest.mark.parametrize(("make", "touches"), [(StreamEventRule, 0), (streams.SortEach, None)])
+def test_a_thin_stream_is_sorted(make, touches) -> None:
     config = line(line().stream_task.stream.with_rate(900.0))
     found = counts(make(config), config)
     assert found["right"] >= 4
@@ -67,7 +60,7 @@ def test_a_thin_stream_is_sorted(make: Any, touches: int | None) -> None:
 
 def test_for_each_parcel_the_agent_of_sort_decides_by_its_row() -> None:
     config = line(trace((0.0, "right"), (0.4, "left"), (0.8, "straight")), max_parcels=4)
-    each, agent = SortEach(config), library.load("sort-ppo", 0)
+    each, agent = streams.SortEach(config), library.load("sort-ppo", 0)
     batch = StreamBatch(config, 1)
     batch.seed(0, np.random.default_rng(0))
     batch.reset(np.array([0]))
@@ -76,11 +69,11 @@ def test_for_each_parcel_the_agent_of_sort_decides_by_its_row() -> None:
         seen = batch.observation[0]
         action, _ = each.predict(seen)
         for row, halves in zip(seen, action.reshape(4, 2), strict=True):
-            if row[PRESENT] == 0.0 or row[SIDE] == 0.0:
+            if row[PRESENT] == 0.0 or row[streams.SIDE] == 0.0:
                 assert halves.tolist() == [ROLL, ROLL]
             else:
                 assert halves.tolist() == list(divmod(int(agent.predict(row[:OWN])[0]), 4))
-                met.add(row[SIDE])
+                met.add(row[streams.SIDE])
         batch.step(config.action_kind.commands(action[np.newaxis], 1))
     assert met == {1.0, -1.0}
 
@@ -116,13 +109,11 @@ def test_a_fixed_layout_sorts_to_the_left_alone() -> None:
         (StreamFixedLayout, {"actions": "modules", "orientations": (0.0, 1.0)}, "must hold"),
     ],
 )
-def test_what_they_cannot_act_in_is_refused(
-    make: Any, arguments: dict[str, Any], message: str
-) -> None:
+def test_what_they_cannot_act_in_is_refused(make, arguments, message) -> None:
     with pytest.raises(ValueError, match=message):
         make(line(**arguments))
 
 
 def test_an_unknown_agent_is_refused() -> None:
     with pytest.raises(ValueError, match="name must be one of"):
-        SortEach(line(), name="nobody")
+        streams.SortEach(line(), name="nobody")

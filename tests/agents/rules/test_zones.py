@@ -3,16 +3,9 @@
 import numpy as np
 import pytest
 
+from surface_gym.agents.rules import zones
 from surface_gym.agents.rules.reservation import Reservation, list_asked
 from surface_gym.agents.rules.streams import PAST_START, SIDE
-from surface_gym.agents.rules.zones import (
-    TRIES,
-    ArrangedZone,
-    WholeZone,
-    find_best_zone,
-    measure_crossings,
-    zone_span,
-)
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream
@@ -28,12 +21,12 @@ SIZE = 1.0  # of an S-box's half of 0.125 m in its row: (0.125 - 0.175) / 0.05, 
 
 
 def table(
-    settings: EnvConfig, *parcels: tuple[float, float], waits: float | None = None
+    config: EnvConfig, *parcels: tuple[float, float], waits: float | None = None
 ) -> np.ndarray:
     """S-boxes, by where the rear is past the zone's start [m] and the side of the exit; and the
     side of the one at the gate, if there is one.
     """
-    seen = np.zeros((settings.stream_task.rows, len(FEATURES)), dtype=np.float32)
+    seen = np.zeros((config.stream_task.rows, len(FEATURES)), dtype=np.float32)
     for row, (rear, side) in zip(seen, parcels, strict=False):
         row[[PRESENT, PAST_START, SIDE, 6]] = 1.0, rear / 0.5, side, -SIZE
     if waits is not None:
@@ -41,9 +34,9 @@ def table(
     return seen
 
 
-def arranged(action: np.ndarray, settings: EnvConfig) -> list[list[int]]:
+def arranged(action: np.ndarray, config: EnvConfig) -> list[list[int]]:
     """The choices of the zone's columns, each once, and of the others."""
-    _, rows, _, columns = settings.site.zone
+    _, rows, _, columns = config.site.zone
     grid = action[:-1].reshape(rows, columns)
     return [sorted(set(part.ravel().tolist())) for part in (grid[:, :COLUMNS], grid[:, COLUMNS:])]
 
@@ -61,19 +54,17 @@ class TestTurned:
             ([(0.51, 1.0), (0.2, -1.0)], RIGHT),
         ],
     )
-    def test_it_leads_the_parcel_that_is_wholly_in_it(
-        self, parcels: list[tuple[float, float]], choice: int
-    ) -> None:
-        settings = zoned(SMALL)
-        zone = WholeZone(settings, COLUMNS, alone=True)
-        action, _ = zone.predict(table(settings, *parcels))
-        assert arranged(action, settings) == [[choice], [ROLL]]
+    def test_it_leads_the_parcel_that_is_wholly_in_it(self, parcels, choice) -> None:
+        config = zoned(SMALL)
+        zone = zones.WholeZone(config, COLUMNS, alone=True)
+        action, _ = zone.predict(table(config, *parcels))
+        assert arranged(action, config) == [[choice], [ROLL]]
 
 
 class TestArranged:
     def test_it_is_arranged_while_it_is_free_and_stays_until_the_parcel_is_out(self) -> None:
-        settings = zoned(SMALL)
-        zone = ArrangedZone(settings, COLUMNS, alone=True)
+        config = zoned(SMALL)
+        zone = zones.ArrangedZone(config, COLUMNS, alone=True)
         state = None
         for parcels, waits, choice in (
             ([], None, ROLL),
@@ -84,58 +75,60 @@ class TestArranged:
             ([(0.51, 1.0), (-0.3, -1.0)], 0.0, RIGHT),  # out: the next one's
             ([(0.9, 1.0)], None, RIGHT),  # no other comes: as it was
         ):
-            action, state = zone.predict(table(settings, *parcels, waits=waits), state)
-            assert arranged(action, settings) == [[choice], [ROLL]]
+            action, state = zone.predict(table(config, *parcels, waits=waits), state)
+            assert arranged(action, config) == [[choice], [ROLL]]
 
     def test_each_environment_remembers_its_own_until_an_episode_begins(self) -> None:
-        settings = zoned(SMALL)
-        zone = ArrangedZone(settings, COLUMNS, alone=True)
-        inside = table(settings, (0.1, -1.0))
-        coming = np.stack([table(settings, (-0.4, side)) for side in (1.0, -1.0, 1.0)])
+        config = zoned(SMALL)
+        zone = zones.ArrangedZone(config, COLUMNS, alone=True)
+        inside = table(config, (0.1, -1.0))
+        coming = np.stack([table(config, (-0.4, side)) for side in (1.0, -1.0, 1.0)])
         _, state = zone.predict(coming)
         actions, _ = zone.predict(np.stack([inside] * 3), state, np.array([False, False, True]))
-        found = [arranged(action, settings)[0] for action in actions]
+        found = [arranged(action, config)[0] for action in actions]
         assert found == [[LEFT], [RIGHT], [ROLL]]
 
 
-@pytest.mark.parametrize("kind", [WholeZone, ArrangedZone])
+@pytest.mark.parametrize("kind", [zones.WholeZone, zones.ArrangedZone])
 class TestBoth:
-    def test_a_crowd_is_sorted_one_at_a_time(self, kind: type[WholeZone]) -> None:
-        settings = zoned(SMALL)
-        columns = find_best_zone(kind, settings)
+    def test_a_crowd_is_sorted_one_at_a_time(self, kind) -> None:
+        config = zoned(SMALL)
+        columns = zones.find_best_zone(kind, config)
         assert columns is not None
-        found = counts(kind(settings, columns), settings)
+        found = counts(kind(config, columns), config)
         assert (found["wrong"], found["touches"]) == (0, 0)
         each = gated(SMALL)
         many = counts(Reservation(each), each)["right"]
         assert 4 < found["right"] < many  # a rule that turns modules for each parcel lets in more
 
-    def test_one_column_less_than_the_shortest_does_not_sort(self, kind: type[WholeZone]) -> None:
-        settings = zoned(SMALL)
-        asked = list_asked(settings)
+    def test_one_column_less_than_the_shortest_does_not_sort(self, kind) -> None:
+        config = zoned(SMALL)
+        asked = list_asked(config)
 
         def sorts(columns: int) -> bool:
-            span = zone_span(settings, columns)
-            found = measure_crossings(lambda s: kind(s, columns, alone=True), settings, asked, span)
+            span = zones.zone_span(config, columns)
+            found = zones.measure_crossings(
+                lambda s: kind(s, columns, alone=True), config, asked, span
+            )
             return bool(found.right.all())
 
-        best = find_best_zone(kind, settings)
+        best = zones.find_best_zone(kind, config)
         assert best is not None
         shortest = next(columns for columns in range(1, 22) if sorts(columns))
         assert shortest <= best <= shortest + 2
         with pytest.raises(ValueError, match="columns must be enough for every parcel"):
-            kind(settings, shortest - 1)
+            kind(config, shortest - 1)
 
-    def test_what_a_camera_shows_is_sorted_too(self, kind: type[WholeZone]) -> None:
-        settings = zoned(SMALL, sensors=Camera(), randomisation=Randomisation(friction=0.2))
-        columns = find_best_zone(kind, settings)
+    def test_what_a_camera_shows_is_sorted_too(self, kind) -> None:
+        config = zoned(SMALL, sensors=Camera(), randomisation=Randomisation(friction=0.2))
+        columns = zones.find_best_zone(kind, config)
         assert columns is not None
-        found = counts(kind(settings, columns), settings)
+        found = counts(kind(config, columns), config)
         assert found["right"] > 4
         assert found["wrong"] == 0
 
     @pytest.mark.parametrize(
-        ("settings", "columns", "told"),
+        ("config", "columns", "named"),
         [
             (gated(), 5, "actions must be one of 'modules', got 'parcels'"),
             (line(actions="modules"), 5, "gate must be True for a zone .*, got False"),
@@ -144,28 +137,26 @@ class TestBoth:
             (zoned(exits="chutes"), 5, "exits must start at 0.5 m, where the zone does"),
         ],
     )
-    def test_what_it_cannot_act_in_is_refused(
-        self, kind: type[WholeZone], settings: EnvConfig, columns: int, told: str
-    ) -> None:
-        with pytest.raises(ValueError, match=told):
-            kind(settings, columns)
+    def test_what_it_cannot_act_in_is_refused(self, kind, config, columns, named) -> None:
+        with pytest.raises(ValueError, match=named):
+            kind(config, columns)
 
 
 def test_no_zone_sorts_parcels_that_come_to_rest_in_it() -> None:
     slow = zoned(Stream(Steady(1000.0), speeds=0.2), duration=20.0)
-    assert find_best_zone(ArrangedZone, slow) is None
+    assert zones.find_best_zone(zones.ArrangedZone, slow) is None
 
 
 def test_passing_is_that_of_the_motion() -> None:
     """Straight on at 1 m/s on a slope that makes up for rolling: geometry says when."""
-    settings = zoned(Stream(Steady(1000.0), destinations={"straight": 1.0}, speeds=1.0))
+    config = zoned(Stream(Steady(1000.0), destinations={"straight": 1.0}, speeds=1.0))
     span = 0.8, 1.2
-    found = measure_crossings(
-        lambda s: WholeZone(s, 5, alone=True), settings, list_asked(settings), span
+    found = zones.measure_crossings(
+        lambda s: zones.WholeZone(s, 5, alone=True), config, list_asked(config), span
     )
-    entry = settings.entry_x
+    entry = config.entry_x
     assert found.right.tolist() == [True]
     assert found.enters[0] == pytest.approx(span[0] - entry - 0.25, abs=0.02)
     assert found.leaves[0] == pytest.approx(span[1] - entry, abs=0.02)
     assert found.gaps(0.04)[0, 0] == pytest.approx(0.4 + 0.25 + 0.04, abs=0.03)
-    assert settings.timing.steps <= TRIES
+    assert config.timing.steps <= zones.TRIES

@@ -25,7 +25,7 @@ from surface_gym.agents.runtime.simulator import World
 from surface_gym.config import EnvConfig
 
 QUARTER_TURN = 0.05  # [s]
-SETTINGS = EnvConfig(
+CONFIG = EnvConfig(
     task="stop",
     actions="halves",
     sensors=sg.sensors.Camera(latency=0.04),
@@ -51,7 +51,7 @@ def frame(taken_at: float, number: int | None = 0, x: float | None = None) -> Fr
 @lru_cache(maxsize=1)
 def estimator() -> StateEstimator:
     """One for all tests, with no parcel."""
-    made = StateEstimator(SETTINGS)
+    made = StateEstimator(CONFIG)
     made.clear()
     return made
 
@@ -122,7 +122,7 @@ class Always:
 
 
 def loop_of(
-    device: ScriptedDevice, controller: Any, settings: EnvConfig = SETTINGS, **config: float
+    device: ScriptedDevice, controller: Any, env_config: EnvConfig = CONFIG, **config: float
 ) -> ControlLoop:
     """A loop on a device."""
     held = estimator()
@@ -131,10 +131,10 @@ def loop_of(
     return ControlLoop(
         device,
         held,
-        Decider(controller, settings),
+        Decider(controller, env_config),
         (LocalArranger(layouts), held.resolver(layouts.kind)),
-        AxisLimits(held.shape, allowed_angles(settings)),
-        observation_bounds(settings),
+        AxisLimits(held.shape, allowed_angles(env_config)),
+        observation_bounds(env_config),
         device.clock,
         LoopConfig(**config),
     )
@@ -153,7 +153,7 @@ class MuteWorld(World):
     """
 
     def __init__(self, mute: tuple[float, float], options: WorldOptions) -> None:
-        super().__init__(SETTINGS, 0, 0.0, options)
+        super().__init__(CONFIG, 0, 0.0, options)
         self._mute = mute
 
     def _take_frame(self) -> Frame | None:

@@ -8,38 +8,27 @@ import pytest
 
 from surface_gym.agents.runtime.controller import AxisLimits, LoopConfig, allowed_angles
 from surface_gym.agents.runtime.protocol import AxesAcknowledged, Departed
-from tests.agents.runtime.made import (
-    BRAKE,
-    ROLL,
-    SETTINGS,
-    Always,
-    ManualClock,
-    ScriptedDevice,
-    entered,
-    estimator,
-    frame,
-    loop_of,
-    nothing,
-)
+from tests.agents.runtime import made
+from tests.agents.runtime.made import Always, entered
 
 PERIOD = 0.04
 
 
 @pytest.fixture
-def device() -> ScriptedDevice:
-    return ScriptedDevice(ManualClock())
+def device() -> made.ScriptedDevice:
+    return made.ScriptedDevice(made.ManualClock())
 
 
 def frames(first: float, last: float, late: float = 0.02) -> list:
     times = np.arange(first, last, 0.02).tolist()
-    return [(taken + late, frame(taken)) for taken in times]
+    return [(taken + late, made.frame(taken)) for taken in times]
 
 
-def test_a_decision_a_period(device: ScriptedDevice) -> None:
+def test_a_decision_a_period(device) -> None:
     device.script = [(0.0, entered()), *frames(0.02, 0.8)]
-    controller = Always(BRAKE, device.clock)
-    loop = loop_of(device, controller)
-    loop.run(0.8, nothing)
+    controller = Always(made.BRAKE, device.clock)
+    loop = made.loop_of(device, controller)
+    loop.run(0.8, made.nothing)
     counts = loop.counts
     assert counts.periods == counts.kept == counts.decisions == counts.sent == 20
     assert counts.missed == counts.skipped == counts.by_fixed_layout == counts.out_of_range == 0
@@ -49,10 +38,10 @@ def test_a_decision_a_period(device: ScriptedDevice) -> None:
     assert max(loop.latencies.sensor) < 0.0601
 
 
-def test_a_deadline_that_is_missed_is_counted(device: ScriptedDevice) -> None:
+def test_a_deadline_that_is_missed_is_counted(device) -> None:
     device.script = [(0.0, entered()), *frames(0.02, 0.9)]
-    loop = loop_of(device, Always(BRAKE, device.clock, takes=0.05))
-    loop.run(0.8, nothing)
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock, takes=0.05))
+    loop.run(0.8, made.nothing)
     counts = loop.counts
     assert counts.kept == 0
     assert counts.missed == counts.periods
@@ -61,10 +50,10 @@ def test_a_deadline_that_is_missed_is_counted(device: ScriptedDevice) -> None:
     assert loop.latencies.policy == pytest.approx([0.05] * counts.decisions)
 
 
-def test_the_fixed_layout_replaces_the_policy_while_no_frames_come(device: ScriptedDevice) -> None:
+def test_the_fixed_layout_replaces_the_policy_while_no_frames_come(device) -> None:
     device.script = [(0.0, entered()), *frames(0.02, 0.2), *frames(0.6, 0.9)]
-    loop = loop_of(device, Always(BRAKE, device.clock), watchdog=0.15)
-    loop.run(0.88, nothing)
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock), watchdog=0.15)
+    loop.run(0.88, made.nothing)
     counts = loop.counts
     assert counts.watchdog == 1
     # The last frame comes at 0.2 s, the next at 0.62 s.
@@ -75,34 +64,34 @@ def test_the_fixed_layout_replaces_the_policy_while_no_frames_come(device: Scrip
     assert (np.array(layouts[0]) == np.array(layouts[-1])).all()
 
 
-def test_no_parcel_no_commands(device: ScriptedDevice) -> None:
-    device.script = [(taken, frame(taken, number=None)) for taken in np.arange(0.0, 0.4, 0.02)]
-    loop = loop_of(device, Always(BRAKE, device.clock))
-    loop.run(0.4, nothing)
+def test_no_parcel_no_commands(device) -> None:
+    device.script = [(taken, made.frame(taken, number=None)) for taken in np.arange(0.0, 0.4, 0.02)]
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock))
+    loop.run(0.4, made.nothing)
     assert loop.counts.sent == loop.counts.watchdog == 0
     assert loop.counts.frames == 20
     assert not loop.has_parcel
 
 
-def test_parcels_are_counted_by_how_they_left(device: ScriptedDevice) -> None:
+def test_parcels_are_counted_by_how_they_left(device) -> None:
     device.script = [
         (0.0, entered(0)),
         (0.2, Departed(0, "success")),
         (0.24, entered(1, at=0.24)),
         (0.4, Departed(1, "missed")),
     ]
-    controller = Always(ROLL, device.clock)
-    loop = loop_of(device, controller)
-    loop.run(0.48, nothing)
+    controller = Always(made.ROLL, device.clock)
+    loop = made.loop_of(device, controller)
+    loop.run(0.48, made.nothing)
     assert dict(loop.counts.parcels) == {"success": 1, "missed": 1}
     assert controller.begins.count(True) == 2
 
 
-def test_a_device_that_is_lost_is_found_again(device: ScriptedDevice) -> None:
+def test_a_device_that_is_lost_is_found_again(device) -> None:
     device.script = [(0.0, entered()), (3.0, entered(1, at=3.0))]
     device.away = [(0.2, 2.5)]
-    loop = loop_of(device, Always(BRAKE, device.clock), first_wait=0.1, longest_wait=0.8)
-    loop.run(4.0, nothing)
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock), first_wait=0.1, longest_wait=0.8)
+    loop.run(4.0, made.nothing)
     counts = loop.counts
     assert (counts.lost, counts.connected) == (1, 2)
     apart = np.diff(device.connects[1:])
@@ -113,23 +102,23 @@ def test_a_device_that_is_lost_is_found_again(device: ScriptedDevice) -> None:
     assert counts.sent == counts.decisions + counts.by_fixed_layout == 4 + 26
 
 
-def test_a_device_that_is_lost_while_axes_are_sent(device: ScriptedDevice) -> None:
+def test_a_device_that_is_lost_while_axes_are_sent(device) -> None:
     device.script = [(0.0, entered())]
-    loop = loop_of(device, Always(BRAKE, device.clock, takes=0.01))
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock, takes=0.01))
     device.away = [(0.0805, 0.5)]  # after it was read from
-    loop.run(0.4, nothing)
+    loop.run(0.4, made.nothing)
     assert loop.counts.lost == 1
     assert loop.counts.sent == 1
 
 
-def test_what_the_device_refuses_is_counted_and_forgotten(device: ScriptedDevice) -> None:
+def test_what_the_device_refuses_is_counted_and_forgotten(device) -> None:
     device.script = [
         (0.0, entered()),
         (0.06, AxesAcknowledged(1, 0.05, "no")),
         (0.1, AxesAcknowledged(2, 0.09)),
     ]
-    loop = loop_of(device, Always(BRAKE, device.clock))
-    loop.run(0.2, nothing)
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock))
+    loop.run(0.2, made.nothing)
     assert loop.counts.refused == 1
     assert loop.latencies.send == pytest.approx([0.01])
     # It has seen nothing since the entry: the whole way is that time and what the axes take.
@@ -137,50 +126,48 @@ def test_what_the_device_refuses_is_counted_and_forgotten(device: ScriptedDevice
 
 
 @pytest.mark.parametrize("action", [16, -1, 0.5])
-def test_an_action_that_does_not_exist_is_not_sent(device: ScriptedDevice, action: float) -> None:
+def test_an_action_that_does_not_exist_is_not_sent(device, action) -> None:
     device.script = [(0.0, entered())]
-    loop = loop_of(device, Always(action, device.clock))
-    loop.run(0.2, nothing)
+    loop = made.loop_of(device, Always(action, device.clock))
+    loop.run(0.2, made.nothing)
     assert device.sent == []
     assert loop.counts.out_of_range == loop.counts.held == 5
 
 
-def test_an_axis_that_is_not_on_offer_is_not_sent(device: ScriptedDevice) -> None:
+def test_an_axis_that_is_not_on_offer_is_not_sent(device) -> None:
     device.script = [(0.0, entered())]
-    others = replace(SETTINGS, orientations=(0.1, 0.2, 0.3, 0.4))
-    loop = loop_of(device, Always(BRAKE, device.clock))
-    loop._limits = AxisLimits(estimator().shape, allowed_angles(others))
-    loop.run(0.2, nothing)
+    others = replace(made.CONFIG, orientations=(0.1, 0.2, 0.3, 0.4))
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock))
+    loop._limits = AxisLimits(made.estimator().shape, allowed_angles(others))
+    loop.run(0.2, made.nothing)
     assert device.sent == []
     assert loop.counts.out_of_range == loop.counts.held == 5
 
 
-def test_a_parcel_with_no_place_here_is_left_alone(device: ScriptedDevice) -> None:
+def test_a_parcel_with_no_place_here_is_left_alone(device) -> None:
     device.script = [(0.0, entered(goal=())), (0.2, entered(1, at=0.2))]
-    loop = loop_of(device, Always(BRAKE, device.clock))
-    loop.run(0.4, nothing)
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock))
+    loop.run(0.4, made.nothing)
     assert loop.counts.unfit == 1
     assert loop.counts.decisions == 6
 
 
-def test_an_observation_out_of_bounds_is_not_for_the_policy(device: ScriptedDevice) -> None:
+def test_an_observation_out_of_bounds_is_not_for_the_policy(device) -> None:
     device.script = [(0.0, entered(velocity=(19.0, 0.0, 0.0)))]
-    loop = loop_of(device, Always(BRAKE, device.clock))
-    loop.run(0.04, nothing)
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock))
+    loop.run(0.04, made.nothing)
     assert loop.counts.strayed == loop.counts.by_fixed_layout == 1
 
 
-def test_a_frame_that_is_not_finite_ends_the_connection(
-    device: ScriptedDevice,
-) -> None:
-    device.script = [(0.0, entered()), (0.06, frame(0.02, x=math.nan))]
-    loop = loop_of(device, Always(BRAKE, device.clock))
-    loop.run(0.2, nothing)
+def test_a_frame_that_is_not_finite_ends_the_connection(device) -> None:
+    device.script = [(0.0, entered()), (0.06, made.frame(0.02, x=math.nan))]
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock))
+    loop.run(0.2, made.nothing)
     assert loop.counts.lost == 1
 
 
 @pytest.mark.parametrize("name", ["period", "watchdog", "first_wait", "longest_wait"])
-def test_times_are_positive(name: str) -> None:
+def test_times_are_positive(name) -> None:
     with pytest.raises(ValueError, match=name):
         LoopConfig(**{name: 0.0})
 
@@ -201,5 +188,5 @@ class TestLimits:
             ([[0.0, 0.1]], "on offer"),
         ],
     )
-    def test_what_may_not(self, angles: list, message: str) -> None:
+    def test_what_may_not(self, angles, message) -> None:
         assert message in self.limits.fault(np.array(angles))

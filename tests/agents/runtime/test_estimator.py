@@ -7,25 +7,10 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents.runtime.estimator import (
-    IDEAL,
-    MAX_AHEAD,
-    StateEstimator,
-    device_camera,
-    within_right_angles,
-)
+from surface_gym.agents.runtime import estimator as estimators
 from surface_gym.agents.runtime.protocol import Entered, Frame
 from surface_gym.core.batch import Batch
-from tests.agents.runtime.made import (
-    BRAKE,
-    POSE,
-    QUARTER_TURN,
-    ROLL,
-    SETTINGS,
-    entered,
-    estimator,
-    frame,
-)
+from tests.agents.runtime import made
 
 CAMERA = sg.sensors.Camera(latency=0.0)
 AT = 100.0  # [s] when the parcel enters
@@ -33,7 +18,7 @@ PERIOD = 0.02  # [s] that of the camera
 
 
 def commands(actions: list[int]) -> np.ndarray:
-    return SETTINGS.action_kind.commands(np.array(actions), len(actions))
+    return made.CONFIG.action_kind.commands(np.array(actions), len(actions))
 
 
 @pytest.fixture(scope="module")
@@ -41,31 +26,31 @@ def filtered() -> tuple[Entered, list[np.ndarray], list[Frame], list[np.ndarray]
     """What the environment's own filter makes of frames that are not late: the entry, and for each
     period the command, the frame at its end and the observation then.
     """
-    batch = Batch(replace(SETTINGS, sensors=CAMERA, control_period=PERIOD), 1)
+    batch = Batch(replace(made.CONFIG, sensors=CAMERA, control_period=PERIOD), 1)
     batch.seed(0, np.random.default_rng(3))
     batch.reset(np.array([0]))
-    lanes = batch.parcels
-    about = lanes.sensor_state[0, :6].copy()
+    parcels = batch.parcels
+    about = parcels.sensor_state[0, :6].copy()
     size = 2.0 * float(-batch.view(0).corners[:, 0].min())
     parcel = sg.Parcel(sg.Rectangle(size, size))
-    start = Entered(0, AT, parcel, about[:3], about[3:], tuple(lanes.goal[0]))
-    sent, frames, seen = [], [], [lanes.observation[0].copy()]
+    start = Entered(0, AT, parcel, about[:3], about[3:], tuple(parcels.goal[0]))
+    sent, frames, seen = [], [], [parcels.observation[0].copy()]
     rng = np.random.default_rng(0)
     spread = np.array([CAMERA.position_noise] * 2 + [CAMERA.angle_noise])
     for k in range(20):
         sent.append(commands([int(rng.integers(16))]))
         batch.step(sent[-1])
-        noise = lanes.noise[0, lanes.noise_row[0, 0] - 1, :3]
-        pose = lanes.truth[0, :3] + spread * noise
+        noise = parcels.noise[0, parcels.noise_row[0, 0] - 1, :3]
+        pose = parcels.truth[0, :3] + spread * noise
         frames.append(Frame(AT + PERIOD * (k + 1), 0, tuple(pose.tolist())))
-        seen.append(lanes.observation[0].copy())
+        seen.append(parcels.observation[0].copy())
     return start, sent, frames, seen
 
 
 def test_it_observes_what_the_environment_does(filtered) -> None:
     start, sent, frames, seen = filtered
-    held = estimator()
-    resolver = held.resolver(SETTINGS.action_kind)
+    held = made.estimator()
+    resolver = held.resolver(made.CONFIG.action_kind)
     held.reset(start)
     np.testing.assert_allclose(held.observe(AT), seen[0], rtol=0.0, atol=1e-6)
     for k, (command, taken) in enumerate(zip(sent, frames, strict=True)):
@@ -78,7 +63,7 @@ def test_it_observes_what_the_environment_does(filtered) -> None:
 def test_late_frames_lead_to_the_same_estimate(filtered) -> None:
     """Commands depend on places that were estimated otherwise, so that there are none here."""
     start, _, frames, _ = filtered
-    held = estimator()
+    held = made.estimator()
     estimates = []
     for late in (False, True):
         held.reset(start)
@@ -92,53 +77,53 @@ def test_late_frames_lead_to_the_same_estimate(filtered) -> None:
 
 
 def test_frames_out_of_order_or_of_another_parcel_are_of_no_use() -> None:
-    held = estimator()
-    held.reset(entered())
-    assert held.correct(frame(0.04))
+    held = made.estimator()
+    held.reset(made.entered())
+    assert held.correct(made.frame(0.04))
     before = held.observe(0.05)
-    assert not held.correct(frame(0.02))
-    assert not held.correct(frame(0.06, number=1))
+    assert not held.correct(made.frame(0.02))
+    assert not held.correct(made.frame(0.06, number=1))
     np.testing.assert_array_equal(held.observe(0.05), before)
     held.clear()
-    assert not held.correct(frame(0.08))
+    assert not held.correct(made.frame(0.08))
 
 
 def test_a_frame_draws_the_estimate_towards_it() -> None:
-    held = estimator()
-    held.reset(entered())
+    held = made.estimator()
+    held.reset(made.entered())
     free = held.observe(0.1) is not None and held.estimate[0]
-    held.correct(frame(0.1, x=POSE[0] + 0.11))
+    held.correct(made.frame(0.1, x=made.POSE[0] + 0.11))
     held.observe(0.1)
-    assert free < held.estimate[0] < POSE[0] + 0.11
+    assert free < held.estimate[0] < made.POSE[0] + 0.11
 
 
 def test_axes_turn_as_fast_as_the_machine_says() -> None:
-    held = estimator()
-    resolver = held.resolver(SETTINGS.action_kind)
-    held.reset(entered())
+    held = made.estimator()
+    resolver = held.resolver(made.CONFIG.action_kind)
+    held.reset(made.entered())
     held.observe(0.0)
-    angles = held.resolve(resolver, commands([BRAKE])[0])
+    angles = held.resolve(resolver, commands([made.BRAKE])[0])
     turned = angles != math.pi / 2.0
     assert (angles[turned] == 0.0).all()
     assert turned.sum() == 2 * 16  # a small parcel's line has two rows
-    assert held.longest_turn(angles) == pytest.approx(QUARTER_TURN)
+    assert held.longest_turn(angles) == pytest.approx(made.QUARTER_TURN)
     held.note_sent(1, 0.01)
-    held.observe(0.01 + 0.5 * QUARTER_TURN)
+    held.observe(0.01 + 0.5 * made.QUARTER_TURN)
     np.testing.assert_allclose(held.axes()[turned], math.pi / 4.0)
-    held.observe(0.01 + QUARTER_TURN)
+    held.observe(0.01 + made.QUARTER_TURN)
     np.testing.assert_allclose(held.axes()[turned], 0.0, atol=1e-12)
 
 
 def test_the_device_reports_when_axes_began_to_turn() -> None:
-    held = estimator()
-    resolver = held.resolver(SETTINGS.action_kind)
-    for at, expected in ((0.01, math.pi / 4.0), (0.01 + 0.5 * QUARTER_TURN, math.pi / 2.0)):
-        held.reset(entered())
+    held = made.estimator()
+    resolver = held.resolver(made.CONFIG.action_kind)
+    for at, expected in ((0.01, math.pi / 4.0), (0.01 + 0.5 * made.QUARTER_TURN, math.pi / 2.0)):
+        held.reset(made.entered())
         held.observe(0.0)
-        turned = held.resolve(resolver, commands([BRAKE])[0]) == 0.0
+        turned = held.resolve(resolver, commands([made.BRAKE])[0]) == 0.0
         held.note_sent(1, 0.0)
         held.acknowledge(1, at)
-        held.observe(0.01 + 0.5 * QUARTER_TURN)
+        held.observe(0.01 + 0.5 * made.QUARTER_TURN)
         np.testing.assert_allclose(held.axes()[turned], expected)
     held.drop_command(1)
     held.observe(1.0)
@@ -146,19 +131,19 @@ def test_the_device_reports_when_axes_began_to_turn() -> None:
 
 
 def test_encoders_are_believed() -> None:
-    held = estimator()
-    held.reset(entered())
+    held = made.estimator()
+    held.reset(made.entered())
     angles = np.full(held.shape, 0.3)
-    assert held.correct(Frame(0.02, 0, (POSE[0] + 0.02, 1.0, 0.0), angles))
+    assert held.correct(Frame(0.02, 0, (made.POSE[0] + 0.02, 1.0, 0.0), angles))
     held.observe(0.02)
     assert ((held.axes() == 0.3) | (held.axes() == math.pi / 2.0)).all()
     assert (held.axes() == 0.3).sum() == 2 * 16
 
 
 def test_without_frames_the_estimate_stands_still_in_the_end() -> None:
-    held = estimator()
-    held.reset(entered(velocity=(0.05, 0.0, 0.0)))
-    held.observe(MAX_AHEAD)
+    held = made.estimator()
+    held.reset(made.entered(velocity=(0.05, 0.0, 0.0)))
+    held.observe(estimators.MAX_AHEAD)
     stands = held.estimate
     held.observe(100.0)
     np.testing.assert_array_equal(held.estimate, stands)
@@ -172,45 +157,45 @@ def test_without_frames_the_estimate_stands_still_in_the_end() -> None:
         ({"velocity": (1e9, 0.0, 0.0)}, "velocity"),
     ],
 )
-def test_a_parcel_that_is_not_of_the_task_is_refused(changed, message: str) -> None:
+def test_a_parcel_that_is_not_of_the_task_is_refused(changed, message) -> None:
     with pytest.raises(ValueError, match=message):
-        estimator().reset(entered(**changed))
+        made.estimator().reset(made.entered(**changed))
 
 
 def test_a_parcel_that_does_not_fit_is_refused() -> None:
-    large = replace(entered(), parcel=sg.Parcel(sg.Rectangle(1.9, 0.3)))
+    large = replace(made.entered(), parcel=sg.Parcel(sg.Rectangle(1.9, 0.3)))
     with pytest.raises(ValueError, match="long"):
-        estimator().reset(large)
+        made.estimator().reset(large)
 
 
 def test_a_frame_with_numbers_that_are_not_allowed_is_refused() -> None:
-    held = estimator()
-    held.reset(entered())
+    held = made.estimator()
+    held.reset(made.entered())
     with pytest.raises(ValueError, match="pose"):
-        held.correct(frame(0.02, x=math.inf))
+        held.correct(made.frame(0.02, x=math.inf))
     with pytest.raises(ValueError, match="axes"):
-        held.correct(replace(frame(0.02), axes=np.zeros((2, 2))))
+        held.correct(replace(made.frame(0.02), axes=np.zeros((2, 2))))
 
 
 def test_the_camera_of_an_exact_sensor_is_ideal() -> None:
-    assert device_camera(sg.sensors.Exact()) is IDEAL
-    assert device_camera(SETTINGS.sensors) is SETTINGS.sensors
+    assert estimators.device_camera(sg.sensors.Exact()) is estimators.IDEAL
+    assert estimators.device_camera(made.CONFIG.sensors) is made.CONFIG.sensors
 
 
 def test_an_axis_turned_by_half_a_turn_is_the_same() -> None:
     angles = np.array([-0.5, 0.5, 0.75, -1.25]) * math.pi
     expected = np.array([-0.5, 0.5, -0.25, -0.25]) * math.pi
-    np.testing.assert_allclose(within_right_angles(angles), expected)
+    np.testing.assert_allclose(estimators.within_right_angles(angles), expected)
 
 
 def test_a_sensor_without_frames_is_refused() -> None:
     with pytest.raises(ValueError, match="sensors must be a Camera"):
-        StateEstimator(replace(SETTINGS, sensors=sg.sensors.Presence()))
+        estimators.StateEstimator(replace(made.CONFIG, sensors=sg.sensors.Presence()))
 
 
 def test_rolling_on_is_an_action_that_turns_nothing() -> None:
-    held = estimator()
-    held.reset(entered())
+    held = made.estimator()
+    held.reset(made.entered())
     held.observe(0.0)
-    angles = held.resolve(held.resolver(SETTINGS.action_kind), commands([ROLL])[0])
+    angles = held.resolve(held.resolver(made.CONFIG.action_kind), commands([made.ROLL])[0])
     assert held.longest_turn(angles) == 0.0

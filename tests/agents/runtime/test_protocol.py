@@ -10,25 +10,9 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.agents.runtime import protocol
 from surface_gym.agents.runtime.config import parse_address
-from surface_gym.agents.runtime.protocol import (
-    MAX_LINE,
-    AxesAcknowledged,
-    Connection,
-    ConnectionLost,
-    Departed,
-    DeviceLost,
-    Entered,
-    Frame,
-    SocketDevice,
-    axes_from_fields,
-    axes_to_fields,
-    from_fields,
-    from_line,
-    hello,
-    to_fields,
-    to_line,
-)
+from surface_gym.agents.runtime.protocol import to_line
 
 SHAPE = (2, 3)
 TRIANGLE = sg.Polygon([[0.0, 0.0], [0.3, 0.0], [0.0, 0.3]])
@@ -41,23 +25,23 @@ def again_and_again(call: Callable[[], Any]) -> None:
 
 
 def there_and_back(message: Any) -> Any:
-    line = to_line(to_fields(message))
+    line = to_line(protocol.to_fields(message))
     assert line.endswith(b"\n")
     assert line.count(b"\n") == 1
-    return from_fields(from_line(line), SHAPE)
+    return protocol.from_fields(protocol.from_line(line), SHAPE)
 
 
 @pytest.mark.parametrize(
     "message",
     [
-        Frame(1.25),
-        Frame(1.25, 3, (0.1, 1.0, 0.2)),
-        AxesAcknowledged(7, 2.5),
-        AxesAcknowledged(7, 2.5, "out of range"),
-        Departed(3, "success", {"stop_error": 0.001}),
+        protocol.Frame(1.25),
+        protocol.Frame(1.25, 3, (0.1, 1.0, 0.2)),
+        protocol.AxesAcknowledged(7, 2.5),
+        protocol.AxesAcknowledged(7, 2.5, "out of range"),
+        protocol.Departed(3, "success", {"stop_error": 0.001}),
     ],
 )
-def test_messages_come_out_as_they_went_in(message: Any) -> None:
+def test_messages_come_out_as_they_went_in(message) -> None:
     back = there_and_back(message)
     assert type(back) is type(message)
     assert vars(back) == vars(message)
@@ -65,13 +49,13 @@ def test_messages_come_out_as_they_went_in(message: Any) -> None:
 
 def test_encoders() -> None:
     axes = np.arange(6.0).reshape(SHAPE) / 10.0
-    np.testing.assert_array_equal(there_and_back(Frame(0.0, 0, axes=axes)).axes, axes)
+    np.testing.assert_array_equal(there_and_back(protocol.Frame(0.0, 0, axes=axes)).axes, axes)
 
 
 @pytest.mark.parametrize("base", [sg.Rectangle(0.3, 0.2), sg.Disc(0.15), TRIANGLE])
-def test_a_parcel_has_the_same_base_around_its_centroid(base: Any) -> None:
+def test_a_parcel_has_the_same_base_around_its_centroid(base) -> None:
     path = np.linspace(0.0, 1.0, 4)
-    sent = Entered(
+    sent = protocol.Entered(
         2, 1.5, sg.Parcel(base, mass=3.0), (0.1, 1.0, 0.0), (1.0, 0.0, 0.0), (0.5,), 0.1, path
     )
     back = there_and_back(sent)
@@ -85,7 +69,9 @@ def test_a_parcel_has_the_same_base_around_its_centroid(base: Any) -> None:
 
 def test_axis_commands() -> None:
     angles = np.arange(6.0).reshape(SHAPE)
-    number, back = axes_from_fields(from_line(to_line(axes_to_fields(4, angles))), SHAPE)
+    number, back = protocol.axes_from_fields(
+        protocol.from_line(to_line(protocol.axes_to_fields(4, angles))), SHAPE
+    )
     assert number == 4
     np.testing.assert_array_equal(back, angles)
 
@@ -104,15 +90,17 @@ def test_axis_commands() -> None:
         b"cos\nsystem\n(S'ls'\ntR.",  # what would be a pickle
     ],
 )
-def test_a_line_that_is_no_message_is_refused(line: bytes) -> None:
+def test_a_line_that_is_no_message_is_refused(line) -> None:
     with pytest.raises(ValueError, match=r"line must|numbers must"):
-        from_line(line)
+        protocol.from_line(line)
 
 
-FRAME = to_fields(Frame(0.0, 0, axes=np.zeros(SHAPE)))
-ENTERED = to_fields(Entered(0, 0.0, sg.Parcel(sg.Disc(0.1)), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ()))
-ACKNOWLEDGED = to_fields(AxesAcknowledged(0, 0.0))
-DEPARTED = to_fields(Departed(0, "missed"))
+FRAME = protocol.to_fields(protocol.Frame(0.0, 0, axes=np.zeros(SHAPE)))
+ENTERED = protocol.to_fields(
+    protocol.Entered(0, 0.0, sg.Parcel(sg.Disc(0.1)), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ())
+)
+ACKNOWLEDGED = protocol.to_fields(protocol.AxesAcknowledged(0, 0.0))
+DEPARTED = protocol.to_fields(protocol.Departed(0, "missed"))
 
 
 @pytest.mark.parametrize(
@@ -140,14 +128,14 @@ DEPARTED = to_fields(Departed(0, "missed"))
         (DEPARTED, {"figures": {"error": "large"}}, "error"),
     ],
 )
-def test_a_field_that_is_not_allowed_is_refused(fields: Any, changed: Any, message: str) -> None:
+def test_a_field_that_is_not_allowed_is_refused(fields, changed, message) -> None:
     with pytest.raises(ValueError, match=message):
-        from_fields({**fields, **changed}, SHAPE)
+        protocol.from_fields({**fields, **changed}, SHAPE)
 
 
 def test_a_field_that_is_missing_is_named() -> None:
     with pytest.raises(ValueError, match="frame must have 'taken'"):
-        from_fields({"kind": "frame", "number": None, "axes": None}, SHAPE)
+        protocol.from_fields({"kind": "frame", "number": None, "axes": None}, SHAPE)
 
 
 def test_other_messages_than_axis_commands_are_refused() -> None:
@@ -157,23 +145,23 @@ def test_other_messages_than_axis_commands_are_refused() -> None:
         ACKNOWLEDGED,
     ):
         with pytest.raises(ValueError, match=r"must"):
-            axes_from_fields(fields, SHAPE)
+            protocol.axes_from_fields(fields, SHAPE)
 
 
 def test_what_is_not_finite_is_not_sent() -> None:
     with pytest.raises(ValueError, match="JSON"):
-        to_line(axes_to_fields(0, np.array([[math.nan]])))
+        to_line(protocol.axes_to_fields(0, np.array([[math.nan]])))
 
 
 @pytest.fixture
-def ends() -> Iterator[tuple[Connection, Connection]]:
-    here, there = map(Connection, socket.socketpair())
+def ends() -> Iterator[tuple[protocol.Connection, protocol.Connection]]:
+    here, there = map(protocol.Connection, socket.socketpair())
     yield here, there
     here.close()
     there.close()
 
 
-def test_lines_arrive_whole(ends: tuple[Connection, Connection]) -> None:
+def test_lines_arrive_whole(ends) -> None:
     here, there = ends
     assert there.lines() == []
     here.send(b"one\ntw")
@@ -182,37 +170,35 @@ def test_lines_arrive_whole(ends: tuple[Connection, Connection]) -> None:
     assert there.lines() == [b"two"]
 
 
-def test_a_closed_one_is_noticed_once_all_is_read(
-    ends: tuple[Connection, Connection],
-) -> None:
+def test_a_closed_one_is_noticed_once_all_is_read(ends) -> None:
     here, there = ends
     here.send(b"last\n")
     here.close()
     assert there.lines() == [b"last"]
-    with pytest.raises(ConnectionLost, match="gone"):
+    with pytest.raises(protocol.ConnectionLost, match="gone"):
         there.lines()
-    with pytest.raises(ConnectionLost, match="gone"):
+    with pytest.raises(protocol.ConnectionLost, match="gone"):
         again_and_again(lambda: there.send(b"hello\n"))
 
 
-def test_a_side_that_does_not_read_is_given_up(ends: tuple[Connection, Connection]) -> None:
-    with pytest.raises(ConnectionLost, match="does not read"):
-        again_and_again(lambda: ends[0].send(b"x" * (MAX_LINE // 4)))
+def test_a_side_that_does_not_read_is_given_up(ends) -> None:
+    with pytest.raises(protocol.ConnectionLost, match="does not read"):
+        again_and_again(lambda: ends[0].send(b"x" * (protocol.MAX_LINE // 4)))
 
 
-def test_a_line_without_an_end_is_given_up(ends: tuple[Connection, Connection]) -> None:
+def test_a_line_without_an_end_is_given_up(ends) -> None:
     here, there = ends
 
     def send_and_read() -> None:
         here.send(b"x" * 10_000)
         there.lines()
 
-    with pytest.raises(ConnectionLost, match="line must have"):
+    with pytest.raises(protocol.ConnectionLost, match="line must have"):
         again_and_again(send_and_read)
 
 
 @pytest.mark.parametrize("text", ["", "host", "host:", ":80", "host:0", "host:x", "host:99999"])
-def test_an_address_without_host_or_port_is_refused(text: str) -> None:
+def test_an_address_without_host_or_port_is_refused(text) -> None:
     with pytest.raises(ValueError, match="host:port"):
         parse_address(text)
 
@@ -226,12 +212,14 @@ class TestDevice:
             yield listener
 
     @pytest.fixture
-    def device(self, listener: socket.socket) -> Iterator[SocketDevice]:
-        device = SocketDevice(listener.getsockname(), "stop", SHAPE)
+    def device(self, listener: socket.socket) -> Iterator[protocol.SocketDevice]:
+        device = protocol.SocketDevice(listener.getsockname(), "stop", SHAPE)
         yield device
         device.close()
 
-    def receive(self, listener: socket.socket, device: SocketDevice, *lines: bytes) -> list[Any]:
+    def receive(
+        self, listener: socket.socket, device: protocol.SocketDevice, *lines: bytes
+    ) -> list[Any]:
         """Messages that the device reads."""
         device.connect()
         connected, _ = listener.accept()
@@ -239,41 +227,39 @@ class TestDevice:
             connected.sendall(b"".join(lines))
         return device.read()
 
-    def test_it_reads_messages(self, listener: socket.socket, device: SocketDevice) -> None:
-        lines = to_line(hello("stop", SHAPE)), to_line(FRAME), to_line(ACKNOWLEDGED)
+    def test_it_reads_messages(self, listener, device) -> None:
+        lines = (to_line(protocol.hello("stop", SHAPE)), to_line(FRAME), to_line(ACKNOWLEDGED))
         assert [type(each) for each in self.receive(listener, device, *lines)] == [
-            Frame,
-            AxesAcknowledged,
+            protocol.Frame,
+            protocol.AxesAcknowledged,
         ]
 
     @pytest.mark.parametrize(
         "line",
         [
             to_line(FRAME),  # before the greeting
-            to_line({**hello("stop", SHAPE), "protocol": 99}),
-            to_line(hello("sort", SHAPE)),
-            to_line(hello("stop", (4, 16))),
+            to_line({**protocol.hello("stop", SHAPE), "protocol": 99}),
+            to_line(protocol.hello("sort", SHAPE)),
+            to_line(protocol.hello("stop", (4, 16))),
             to_line({"kind": "hello", "protocol": 1, "task": "stop"}),
             b"what\n",
         ],
     )
-    def test_another_device_is_refused(
-        self, listener: socket.socket, device: SocketDevice, line: bytes
-    ) -> None:
-        with pytest.raises(DeviceLost, match="must"):
+    def test_another_device_is_refused(self, listener, device, line) -> None:
+        with pytest.raises(protocol.DeviceLost, match="must"):
             self.receive(listener, device, line)
 
     def test_one_that_is_not_there(self) -> None:
         with socket.create_server(("127.0.0.1", 0)) as listener:
             address = listener.getsockname()
-        device = SocketDevice(address, "stop", SHAPE)
-        with pytest.raises(DeviceLost, match="not there"):
+        device = protocol.SocketDevice(address, "stop", SHAPE)
+        with pytest.raises(protocol.DeviceLost, match="not there"):
             device.connect()
         for call in (device.read, lambda: device.set_axes(np.zeros(SHAPE))):
-            with pytest.raises(DeviceLost, match="not connected"):
+            with pytest.raises(protocol.DeviceLost, match="not connected"):
                 call()
 
-    def test_it_sends_axes(self, listener: socket.socket, device: SocketDevice) -> None:
+    def test_it_sends_axes(self, listener, device) -> None:
         device.connect()
         connected, _ = listener.accept()
         with connected:
@@ -281,5 +267,5 @@ class TestDevice:
             assert device.set_axes(np.ones(SHAPE)) == 2
             first = json.loads(connected.recv(4096).splitlines()[0])
         assert first == {"kind": "axes", "command": 1, "angles": [[0.0] * 3] * 2}
-        with pytest.raises(DeviceLost):
+        with pytest.raises(protocol.DeviceLost):
             again_and_again(lambda: device.set_axes(np.zeros(SHAPE)))

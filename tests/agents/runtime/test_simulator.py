@@ -8,27 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surface_gym.agents.runtime import protocol
 from surface_gym.agents.runtime.config import WorldOptions
 from surface_gym.agents.runtime.controller import ControlLoop, LoopConfig
-from surface_gym.agents.runtime.protocol import (
-    AxesAcknowledged,
-    Departed,
-    Entered,
-    Frame,
-    SocketDevice,
-    from_line,
-    to_line,
-)
 from surface_gym.agents.runtime.simulator import MAX_BEHIND, Server, World, serve
-from tests.agents.runtime.made import (
-    SETTINGS,
-    Always,
-    ManualClock,
-    MuteWorld,
-    ScriptedDevice,
-    estimator,
-    loop_of,
-)
+from tests.agents.runtime import made
 from tests.agents.runtime.test_protocol import again_and_again
 
 PAUSE = 0.1
@@ -36,7 +20,7 @@ BRAKE = 0
 
 
 def world(seed: int = 0, **options: float) -> World:
-    return World(SETTINGS, seed, 0.0, WorldOptions(**{"pause": PAUSE, **options}))
+    return World(made.CONFIG, seed, 0.0, WorldOptions(**{"pause": PAUSE, **options}))
 
 
 def of_kind(kind: type, said: list) -> list:
@@ -45,7 +29,7 @@ def of_kind(kind: type, said: list) -> list:
 
 def test_parcel_after_parcel_enters_and_leaves() -> None:
     said = world().advance(12.0)
-    entered, left = of_kind(Entered, said), of_kind(Departed, said)
+    entered, left = of_kind(protocol.Entered, said), of_kind(protocol.Departed, said)
     assert len(left) >= 2
     assert [message.number for _, message in entered] == list(range(len(entered)))
     for (gone, _), (due, message) in zip(left, entered[1:], strict=False):
@@ -55,12 +39,12 @@ def test_parcel_after_parcel_enters_and_leaves() -> None:
 
 def test_the_same_seed_gives_the_same_messages() -> None:
     one, same, other = (world(seed).advance(0.5) for seed in (0, 0, 1))
-    poses = [[m.pose for _, m in of_kind(Frame, said)] for said in (one, same, other)]
+    poses = [[m.pose for _, m in of_kind(protocol.Frame, said)] for said in (one, same, other)]
     assert poses[0] == poses[1] != poses[2]
 
 
 def test_frames_come_at_the_cameras_rate_and_late() -> None:
-    frames = of_kind(Frame, world().advance(1.0))
+    frames = of_kind(protocol.Frame, world().advance(1.0))
     taken = np.array([message.taken_at for _, message in frames])
     np.testing.assert_allclose(np.diff(taken), 0.02)
     np.testing.assert_allclose([due for due, _ in frames] - taken, 0.04)
@@ -73,8 +57,8 @@ def test_frames_come_at_the_cameras_rate_and_late() -> None:
 
 
 def test_a_camera_that_drops_frames_drops_some() -> None:
-    camera = replace(SETTINGS.sensors, drop=0.5)
-    dropping = World(replace(SETTINGS, sensors=camera), 0, 0.0, WorldOptions())
+    camera = replace(made.CONFIG.sensors, drop=0.5)
+    dropping = World(replace(made.CONFIG, sensors=camera), 0, 0.0, WorldOptions())
     assert 15 < len(dropping.advance(1.0)) < 35
 
 
@@ -82,8 +66,8 @@ def test_axes_that_are_set_turn() -> None:
     machine = world(encoders=True)
     machine.advance(PAUSE + 0.02)
     angles = np.zeros(machine.shape)
-    assert machine.set_axes(5, angles) == AxesAcknowledged(5, machine.now)
-    frames = of_kind(Frame, machine.advance(PAUSE + 0.5))
+    assert machine.set_axes(5, angles) == protocol.AxesAcknowledged(5, machine.now)
+    frames = of_kind(protocol.Frame, machine.advance(PAUSE + 0.5))
     first, last = (frames[k][1].axes for k in (0, -1))
     assert set(np.sign(first[last == 0.0])) == {1.0}  # they are on their way
     assert first[last == 0.0].max() < math.pi / 2.0
@@ -93,10 +77,10 @@ def test_axes_that_are_set_turn() -> None:
 @pytest.mark.parametrize(
     "wrong", [np.zeros((1, 1)), np.full((4, 16), 1.6), np.full((4, 16), np.nan)]
 )
-def test_axes_out_of_range_are_refused(wrong: np.ndarray) -> None:
+def test_axes_out_of_range_are_refused(wrong) -> None:
     machine = world(encoders=True)
     assert machine.set_axes(0, wrong).refused
-    frames = of_kind(Frame, machine.advance(PAUSE + 0.3))
+    frames = of_kind(protocol.Frame, machine.advance(PAUSE + 0.3))
     assert (np.abs(frames[-1][1].axes - math.pi / 2.0) < 1e-9).all()
 
 
@@ -118,9 +102,9 @@ class TestOverASocket:
 
     def run(self, server: Server, steps: int) -> ControlLoop:
         """A loop in step with the server: all arrives within a period, whatever the load."""
-        clock = ManualClock()
-        loop = loop_of(ScriptedDevice(clock), Always(BRAKE, clock))
-        loop._device = SocketDevice(self.address(server), "stop", estimator().shape)
+        clock = made.ManualClock()
+        loop = made.loop_of(made.ScriptedDevice(clock), made.Always(BRAKE, clock))
+        loop._device = protocol.SocketDevice(self.address(server), "stop", made.estimator().shape)
         for k in range(1, steps):
             clock.time = 0.005 * k
             if k % 8 == 0:
@@ -129,7 +113,7 @@ class TestOverASocket:
         loop._device.close()
         return loop
 
-    def test_a_policy_controls_parcel_after_parcel(self, server: Server) -> None:
+    def test_a_policy_controls_parcel_after_parcel(self, server) -> None:
         loop = self.run(server, 1500)
         counts = loop.counts
         assert sum(counts.parcels.values()) >= 2
@@ -145,7 +129,7 @@ class TestOverASocket:
     def test_a_mute_camera_brings_the_fixed_layout(self) -> None:
         options = WorldOptions(pause=PAUSE)
         server = Server(
-            MuteWorld((0.2, 0.6), options), "stop", socket.create_server(("127.0.0.1", 0))
+            made.MuteWorld((0.2, 0.6), options), "stop", socket.create_server(("127.0.0.1", 0))
         )
         counts = self.run(server, 200).counts
         server.close()
@@ -154,8 +138,10 @@ class TestOverASocket:
         assert counts.by_fixed_layout == pytest.approx((0.4 - 0.2) / 0.04, abs=1)
         assert counts.decisions > 5
 
-    def test_a_later_loop_takes_the_place(self, server: Server) -> None:
-        first, second = (SocketDevice(self.address(server), "stop", (4, 16)) for _ in range(2))
+    def test_a_later_loop_takes_the_place(self, server) -> None:
+        first, second = (
+            protocol.SocketDevice(self.address(server), "stop", (4, 16)) for _ in range(2)
+        )
         first.connect()
         server.step(0.0)
         second.connect()
@@ -167,11 +153,11 @@ class TestOverASocket:
         first.close()
         second.close()
 
-    @pytest.mark.parametrize("line", [b"stop!\n", to_line({"kind": "axes", "command": 1})])
-    def test_a_loop_that_sends_another_line_is_cut_off(self, server: Server, line: bytes) -> None:
+    @pytest.mark.parametrize("line", [b"stop!\n", protocol.to_line({"kind": "axes", "command": 1})])
+    def test_a_loop_that_sends_another_line_is_cut_off(self, server, line) -> None:
         with socket.create_connection(self.address(server)) as connected:
             server.step(0.0)
-            assert from_line(connected.recv(4096).splitlines()[0])["task"] == "stop"
+            assert protocol.from_line(connected.recv(4096).splitlines()[0])["task"] == "stop"
             connected.sendall(line)
             connected.settimeout(5.0)
             for k in range(1, 4):
@@ -179,15 +165,15 @@ class TestOverASocket:
             while connected.recv(4096):
                 pass
 
-    def test_it_stands_still_where_the_clock_ran_away(self, server: Server) -> None:
+    def test_it_stands_still_where_the_clock_ran_away(self, server) -> None:
         server.step(0.2)
         before = server._world.now
         server.step(before + MAX_BEHIND + 100.0)
         assert server._world.now == pytest.approx(before + MAX_BEHIND + 100.0, abs=0.006)
         assert server._world._number == 0
 
-    def test_it_serves_as_long_as_it_is_asked_to(self, server: Server) -> None:
-        clock, turns = ManualClock(), iter([True, True, False])
+    def test_it_serves_as_long_as_it_is_asked_to(self, server) -> None:
+        clock, turns = made.ManualClock(), iter([True, True, False])
 
         def goes_on() -> bool:
             clock.time += 0.02

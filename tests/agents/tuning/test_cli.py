@@ -44,9 +44,7 @@ def file(tmp_path: Path) -> Path:
 
 
 class TestCommand:
-    def test_it_leaves_a_configuration_that_learns(
-        self, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_it_leaves_a_configuration_that_learns(self, file, tmp_path, monkeypatch) -> None:
         monkeypatch.setattr("surface_gym.agents.tuning.study.STARTS", 16)
         with open(os.devnull, "w") as nowhere:
             console = Console(record=True, width=200, file=nowhere)
@@ -56,7 +54,6 @@ class TestCommand:
         assert "report.md and best.yml" in printed
         with open_study(SMALL, tmp_path / "a") as kept:
             best = best_trial(finished_trials(kept))
-        assert best is not None
         config = defaults("slow", "ppo", tmp_path / "a" / "best.yml")
         usual = defaults("slow", "ppo")
         assert isinstance(usual, PPOConfig)
@@ -69,9 +66,7 @@ class TestCommand:
         main([str(file), "--out", str(tmp_path), "--name", "a"])  # which has nothing left to do
         assert {name: (tmp_path / "a" / name).read_bytes() for name in texts} == texts
 
-    def test_an_interrupt_is_reported(
-        self, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_an_interrupt_is_reported(self, file, tmp_path, monkeypatch) -> None:
         def stop(*_: object) -> Iterator[None]:
             raise KeyboardInterrupt
 
@@ -82,7 +77,7 @@ class TestCommand:
             printed = console.export_text()
         assert f"holds 0 trials; python train.py --resume {tmp_path / 'a'} resumes it" in printed
 
-    def test_a_folder_of_another_search_is_refused(self, file: Path, tmp_path: Path) -> None:
+    def test_a_folder_of_another_search_is_refused(self, file, tmp_path) -> None:
         first = open_folder(file, tmp_path / "a")
         assert open_folder(file, tmp_path / "a") == first
         assert (tmp_path / "a" / "sweep.yml").read_text() == SHORT
@@ -93,15 +88,13 @@ class TestCommand:
             with pytest.raises(ValueError, match="folder must be new, or a search's"):
                 search(file, folder, 1, QUIET)
 
-    def test_without_optuna_it_says_what_to_install(
-        self, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_without_optuna_it_says_what_to_install(self, file, tmp_path, monkeypatch) -> None:
         monkeypatch.setattr(cli, "find_spec", lambda _: None)
         with pytest.raises(ValueError, match=r"pip install 'surface_gym\[search\]'"):
             search(file, tmp_path / "a", 1, QUIET)
         assert not (tmp_path / "a").exists()
 
-    def test_it_takes_a_worker(self, file: Path, tmp_path: Path) -> None:
+    def test_it_takes_a_worker(self, file, tmp_path) -> None:
         with pytest.raises(ValueError, match="workers"):
             search(file, tmp_path / "a", 0, QUIET)
 
@@ -128,19 +121,16 @@ def table(page: str, head: str) -> list[list[str]]:
     for line in lines[first + 2 :]:
         if not line.startswith("|"):
             break
-        rows.append([cell.strip() for cell in line.strip("|").split("|")])
+        rows.append([value.strip() for value in line.strip("|").split("|")])
     return rows
 
 
 class TestReport:
-    def test_the_page_lists_every_trial_and_the_best(
-        self, trials: list[FrozenTrial], tmp_path: Path
-    ) -> None:
+    def test_the_page_lists_every_trial_and_the_best(self, trials, tmp_path) -> None:
         interrupted = create_trial(state=TrialState.FAIL)
         write_report(SWEEP, in_memory(*trials, interrupted), tmp_path)
         page = (tmp_path / "report.md").read_text()
         best = best_trial(trials)
-        assert best is not None
         assert f"## Best: trial {best.number}, success {best.value:.4g}" in page
         rows = table(page, "trial")
         assert [row[:2] for row in rows] == [[str(t.number), t.state.name.lower()] for t in trials]
@@ -155,9 +145,7 @@ class TestReport:
         found = SWEEP.config(plain_params(SWEEP, best))
         assert config == replace(found, steps=usual.steps, seed=usual.seed)
 
-    def test_without_a_complete_trial_there_is_no_best(
-        self, trials: list[FrozenTrial], tmp_path: Path
-    ) -> None:
+    def test_without_a_complete_trial_there_is_no_best(self, trials, tmp_path) -> None:
         given = {"params": trials[0].params, "distributions": trials[0].distributions}
         refused = create_trial(
             state=TrialState.FAIL, user_attrs={REASON: "refused: a | b"}, **given
@@ -185,10 +173,9 @@ class TestImportance:
         },
     )
 
-    def test_what_counts_has_the_largest_share(self, tmp_path: Path) -> None:
+    def test_what_counts_has_the_largest_share(self, tmp_path) -> None:
         trials = searched(self.sweep, tmp_path)
         shares = importance(self.sweep, in_memory(*trials))
-        assert shares is not None
         assert next(iter(shares)) == "learning_rate"
         assert shares["learning_rate"] > 0.5
         assert sum(shares.values()) == pytest.approx(1.0)

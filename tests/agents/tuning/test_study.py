@@ -22,24 +22,7 @@ from surface_gym.agents.learning.train import train
 from surface_gym.agents.policy import load_policy
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.agents.tuning import study
-from surface_gym.agents.tuning.study import (
-    COMPLETE,
-    FAILED,
-    FILE,
-    JUDGE_SEED,
-    PRUNED,
-    REFUSED,
-    STARTS,
-    Pruning,
-    TrialResult,
-    best_trial,
-    finished_trials,
-    judge,
-    open_study,
-    plain_params,
-    run_trial,
-    state_of,
-)  # fmt: skip
+from surface_gym.agents.tuning.study import TrialResult
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
 from surface_gym.parallel import Report
 from surface_gym.tasks.benchmark import DRAWN
@@ -56,12 +39,12 @@ def trial(values: dict[int, float], state: TrialState = TrialState.COMPLETE) -> 
 
 
 class TestTrials:
-    def test_values_lie_in_the_space_and_tpe_finds_better_ones(self, tmp_path: Path) -> None:
+    def test_values_lie_in_the_space_and_tpe_finds_better_ones(self, tmp_path) -> None:
         sweep = replace(SMALL, trials=40, seed=0, pruner="none")
         trials = searched(sweep, tmp_path)
         assert [each.number for each in trials] == list(range(40))
         for each in trials:
-            params = plain_params(sweep, each)
+            params = study.plain_params(sweep, each)
             assert 1e-4 <= params["learning_rate"] <= 1e-2
             assert params["n_epochs"] in range(1, 10)
             assert params["hidden"] in ([8], [8, 8])
@@ -69,26 +52,30 @@ class TestTrials:
         assert np.mean(values[-10:]) > 2.0 * np.mean(values[:10])
 
     @pytest.mark.parametrize("change", [{"seed": 1}, {"sampler": "random", "pruner": "none"}])
-    def test_the_seed_and_the_sampler_decide(self, change: dict[str, Any], tmp_path: Path) -> None:
+    def test_the_seed_and_the_sampler_decide(self, change, tmp_path) -> None:
         found = []
         for name, sweep in (("a", SMALL), ("b", replace(SMALL, **change)), ("c", SMALL)):
             (tmp_path / name).mkdir()
             found.append([each.params for each in searched(sweep, tmp_path / name)])
         assert found[0] == found[2] != found[1]
 
-    def test_refused_and_failed_trials_are_kept_with_their_reasons(self, tmp_path: Path) -> None:
+    def test_refused_and_failed_trials_are_kept_with_their_reasons(self, tmp_path) -> None:
         trials = searched(RANDOM, tmp_path, refused_or_failed)
-        assert {state_of(each) for each in trials} == {"refused: no", "failed: nan", "complete"}
-        with open_study(RANDOM, tmp_path) as kept:
-            assert len(finished_trials(kept)) == len(trials) == 12
+        assert {study.describe_state(each) for each in trials} == {
+            "refused: no",
+            "failed: nan",
+            "complete",
+        }
+        with study.open_study(RANDOM, tmp_path) as kept:
+            assert len(study.finished_trials(kept)) == len(trials) == 12
 
     def test_the_best_is_the_first_of_equals(self) -> None:
         trials = [trial({1: 0.2}), trial({1: 0.9}, TrialState.PRUNED), trial({1: 0.5})]
         trials.append(trial({1: 0.5}))
         for number, each in enumerate(trials):
             each.number = number
-        assert best_trial(trials) is trials[2]
-        assert best_trial(trials[1:2]) is None
+        assert study.best_trial(trials) is trials[2]
+        assert study.best_trial(trials[1:2]) is None
 
 
 def refused_or_failed(
@@ -96,20 +83,20 @@ def refused_or_failed(
 ) -> TrialResult:
     """Two trials of three end otherwise."""
     if params["n_epochs"] % 3 == 0:
-        return TrialResult(REFUSED, why="no")
+        return TrialResult(study.REFUSED, why="no")
     if params["n_epochs"] % 3 == 1:
-        return TrialResult(FAILED, why="nan")
+        return TrialResult(study.FAILED, why="nan")
     return cheap_trial(sweep, params, past, report)
 
 
 class TestPruning:
     past = tuple(trial({1: 0.1 * k, 2: 0.2 * k, 3: 0.3 * k}) for k in range(4))
 
-    def pruning(self, pruner: str, past: tuple[FrozenTrial, ...]) -> Pruning:
-        return Pruning(replace(SMALL, pruner=pruner), past, lambda _: None)
+    def pruning(self, pruner: str, past: tuple[FrozenTrial, ...]) -> study.Pruning:
+        return study.Pruning(replace(SMALL, pruner=pruner), past, lambda _: None)
 
     @pytest.mark.parametrize("pruner", ["median", "halving", "none"])
-    def test_nothing_is_pruned_without_others(self, pruner: str) -> None:
+    def test_nothing_is_pruned_without_others(self, pruner) -> None:
         prune = self.pruning(pruner, ())
         assert not any(prune(number, 0.0) for number in (1, 2, 3))
 
@@ -122,10 +109,10 @@ class TestPruning:
         assert not self.pruning("median", self.past[:3])(1, 0.0)  # too few
         assert not self.pruning("none", self.past)(1, 0.0)
 
-    def test_halving_lets_the_best_quarter_of_a_rung_on(self, tmp_path: Path) -> None:
+    def test_halving_lets_the_best_quarter_of_a_rung_on(self, tmp_path) -> None:
         searched(replace(SMALL, pruner="halving"), tmp_path)
-        with open_study(SMALL, tmp_path) as kept:
-            past = tuple(finished_trials(kept))
+        with study.open_study(SMALL, tmp_path) as kept:
+            past = tuple(study.finished_trials(kept))
         rungs = sorted(each.system_attrs["completed_rung_0"] for each in past)
         assert self.pruning("halving", past)(1, rungs[0])
         assert not self.pruning("halving", past)(1, rungs[-1] + 0.1)
@@ -133,16 +120,14 @@ class TestPruning:
 
 
 class TestResuming:
-    def test_several_workers_carry_out_all_trials(self, tmp_path: Path) -> None:
+    def test_several_workers_carry_out_all_trials(self, tmp_path) -> None:
         trials = searched(SMALL, tmp_path, workers=2)
         assert [each.number for each in trials] == list(range(14))
         assert {each.state for each in trials} == {TrialState.COMPLETE, TrialState.PRUNED}
         assert all(each.intermediate_values for each in trials)
 
     @pytest.mark.parametrize("at", [0, 5, 13])
-    def test_interrupted_trials_run_once_more_and_finished_ones_do_not(
-        self, at: int, tmp_path: Path
-    ) -> None:
+    def test_interrupted_trials_run_once_more_and_finished_ones_do_not(self, at, tmp_path) -> None:
         before = searched(SMALL, tmp_path, partial(stopping, at))
         assert len(before) == at + 1
         trials = searched(SMALL, tmp_path)
@@ -152,11 +137,11 @@ class TestResuming:
         ]
         assert trials[at].state == TrialState.FAIL
         assert trials[at + 1].params == trials[at].params == before[at].params
-        with open_study(SMALL, tmp_path) as kept:
-            assert len(finished_trials(kept)) == 14
+        with study.open_study(SMALL, tmp_path) as kept:
+            assert len(study.finished_trials(kept)) == 14
         assert searched(SMALL, tmp_path) == trials  # nothing is left to do
 
-    def test_a_killed_search_is_resumed(self, tmp_path: Path) -> None:
+    def test_a_killed_search_is_resumed(self, tmp_path) -> None:
         call = (
             "import sys; from pathlib import Path; from tests.agents.tuning.cheap import "
             "slow_search\nif __name__ == '__main__': slow_search(Path(sys.argv[1]))"
@@ -166,26 +151,26 @@ class TestResuming:
             [sys.executable, str(tmp_path / "go.py"), str(tmp_path)],
             env={**os.environ, "PYTHONPATH": str(ROOT)},
         )
-        url = f"sqlite:///{tmp_path / FILE}"
+        url = f"sqlite:///{tmp_path / study.FILE}"
         found: list[FrozenTrial] = []
         while process.poll() is None and len(found) < 2:
             time.sleep(0.2)
-            if (tmp_path / FILE).exists():
+            if (tmp_path / study.FILE).exists():
                 found = look(url)
         process.send_signal(signal.SIGKILL)
         assert process.wait() == -signal.SIGKILL  # before it was done
         trials = searched(SMALL, tmp_path)
         for each in found:
             assert trials[each.number].value == each.value
-        with open_study(SMALL, tmp_path) as kept:
-            assert len(finished_trials(kept)) == 14
+        with study.open_study(SMALL, tmp_path) as kept:
+            assert len(study.finished_trials(kept)) == 14
 
 
 def look(url: str) -> list[FrozenTrial]:
     """Trials that have ended, by another connection."""
     storage = optuna.storages.RDBStorage(url, skip_table_creation=True)
     try:
-        return finished_trials(optuna.load_study(study_name="search", storage=storage))
+        return study.finished_trials(optuna.load_study(study_name="search", storage=storage))
     except Exception:  # it is being made
         return []
     finally:
@@ -218,11 +203,11 @@ class TestTrial:
 
     def run(self, sweep: Sweep = SWEEP, past: Any = (), **changed: Any) -> tuple[TrialResult, Any]:
         reported: list[tuple[int, float]] = []
-        return run_trial(sweep, {**PARAMS, **changed}, past, reported.append), reported
+        return study.run_trial(sweep, {**PARAMS, **changed}, past, reported.append), reported
 
     def test_it_is_complete_and_the_same_again(self) -> None:
         result, reported = self.run()
-        assert (result.state, result.why) == (COMPLETE, "")
+        assert (result.state, result.why) == (study.COMPLETE, "")
         assert result.value is not None
         assert np.isfinite(result.value)
         assert [number for number, _ in reported] == [1, 2]
@@ -239,21 +224,21 @@ class TestTrial:
 
     def test_below_the_median_it_ends(self) -> None:
         result, reported = self.run(past=(trial({1: 100.0, 2: 100.0}),))
-        assert result == TrialResult(PRUNED)
+        assert result == TrialResult(study.PRUNED)
         assert [number for number, _ in reported] == [1]
 
     def test_a_configuration_that_is_not_allowed_is_refused(self) -> None:
         result, reported = self.run(n_steps=25)
-        assert (result.state, result.value, reported) == (REFUSED, None, [])
+        assert (result.state, result.value, reported) == (study.REFUSED, None, [])
         assert "batch_size must be a factor" in result.why
 
     @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numbers that grow too large
     def test_weights_that_are_not_finite_fail_the_trial_alone(self) -> None:
         result, _ = self.run(learning_rate=1e30)
-        assert (result.state, result.value) == (FAILED, None)
+        assert (result.state, result.value) == (study.FAILED, None)
         assert "invalid values" in result.why
 
-    def test_an_interrupt_is_passed_on(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_an_interrupt_is_passed_on(self, monkeypatch) -> None:
         monkeypatch.setattr(study, "train", lambda *_: TrainResult(0, 0.0, True))
         with pytest.raises(KeyboardInterrupt):
             self.run()
@@ -265,14 +250,14 @@ class TestTrial:
             ("modules", "sort", {"hidden": [8], "n_epochs": 1}),
         ],
     )
-    def test_other_algorithms(self, algo: str, task: str, fixed: dict[str, Any]) -> None:
+    def test_other_algorithms(self, algo, task, fixed) -> None:
         sweep = Sweep(
             algo=algo, task=task, steps=20_000, evaluations=1,
             space={"gamma": Choices([0.9, 0.99])}, fixed=fixed,
         )  # fmt: skip
         reported: list[tuple[int, float]] = []
-        result = run_trial(sweep, {"gamma": 0.9}, (), reported.append)
-        assert result.state == COMPLETE
+        result = study.run_trial(sweep, {"gamma": 0.9}, (), reported.append)
+        assert result.state == study.COMPLETE
         assert result.value is not None
         assert 0.0 <= result.value <= 1.0
         assert [number for number, _ in reported] == [1]
@@ -290,18 +275,18 @@ class TestJudgement:
         return folder
 
     def test_it_is_the_share_of_starts_that_succeed_whatever_was_learned_from(
-        self, folder: Path, monkeypatch: pytest.MonkeyPatch
+        self, folder, monkeypatch
     ) -> None:
         monkeypatch.setattr(study, "STARTS", 100)
-        settings = make_card(self.config).env_config()
-        alone = run_episodes(load_policy(folder), settings, [{}] * 100, JUDGE_SEED + 5)
-        judged = judge(self.config, self.sweep, folder)
+        env_config = make_card(self.config).env_config()
+        alone = run_episodes(load_policy(folder), env_config, [{}] * 100, study.JUDGE_SEED + 5)
+        judged = study.score_policy(self.config, self.sweep, folder)
         assert judged == alone.success.mean()
         assert 0.0 < judged < 1.0
         other = replace(self.config, camera_share=1.0, friction=0.9, num_envs=128, seed=9)
-        assert judge(other, self.sweep, folder) == judged
+        assert study.score_policy(other, self.sweep, folder) == judged
 
     def test_nothing_is_learned_or_compared_on_these_starts(self) -> None:
         with pytest.raises(ValueError, match="between 0 and 2"):
-            np.random.RandomState(JUDGE_SEED)  # what Stable-Baselines3 learns by
-        assert SEED + DRAWN + STARTS < JUDGE_SEED
+            np.random.RandomState(study.JUDGE_SEED)  # what Stable-Baselines3 learns by
+        assert SEED + DRAWN + study.STARTS < study.JUDGE_SEED

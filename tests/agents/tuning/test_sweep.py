@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -65,7 +64,7 @@ def test_the_configuration_of_drawn_values() -> None:
     ],
     ids=str,
 )
-def test_what_is_not_allowed_is_named(change: dict[str, Any], named: str) -> None:
+def test_what_is_not_allowed_is_named(change, named) -> None:
     with pytest.raises(ValueError, match=named):
         Sweep(**{"space": RATE, **change})
 
@@ -95,7 +94,7 @@ def test_a_batch_that_fits_no_default_may_fit_what_is_drawn() -> None:
     ],
     ids=str,
 )
-def test_ranges_that_are_none(values: Any, named: str, tmp_path: Path) -> None:
+def test_ranges_that_are_none(values, named, tmp_path) -> None:
     file = tmp_path / "sweep.yml"
     file.write_text(yaml.safe_dump({"space": {"gamma": values}}))
     with pytest.raises(ValueError, match=r"sweep\.yml.*space: gamma: .*" + named):
@@ -116,7 +115,7 @@ def test_ranges_that_are_none(values: Any, named: str, tmp_path: Path) -> None:
         ("!!python/object/apply:os.getcwd []", "could not determine a constructor"),
     ],
 )
-def test_a_foreign_file_is_refused(text: str, named: str, tmp_path: Path) -> None:
+def test_a_foreign_file_is_refused(text, named, tmp_path) -> None:
     (tmp_path / "sweep.yml").write_text(text)
     with pytest.raises(ValueError, match=r"sweep\.yml.*" + named):
         read_sweep(tmp_path / "sweep.yml")
@@ -127,7 +126,7 @@ def test_a_missing_file_is_named() -> None:
         read_sweep(Path("nowhere.yml"))
 
 
-def test_a_task_of_ones_own_is_named_twice(tmp_path: Path) -> None:
+def test_a_custom_task_is_named_twice(tmp_path) -> None:
     task = f"{ROOT}/examples/reach.py:Reach"
     file = tmp_path / "sweep.yml"
     file.write_text(f"task: {task}\nspace: {{gamma: {{low: 0.9, high: 0.99}}}}\n")
@@ -136,7 +135,7 @@ def test_a_task_of_ones_own_is_named_twice(tmp_path: Path) -> None:
         read_sweep(file)
 
 
-def test_differences_are_told() -> None:
+def test_differences_are_named() -> None:
     assert differences(Sweep(space=RATE), Sweep(space=RATE)) == []
-    (told,) = differences(Sweep(space=RATE), Sweep(space=RATE, trials=30))
-    assert told == "trials is 20 there, 30 here"
+    (found,) = differences(Sweep(space=RATE), Sweep(space=RATE, trials=30))
+    assert found == "trials is 20 there, 30 here"

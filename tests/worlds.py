@@ -44,7 +44,7 @@ class Meeting:
         self.grid = surface.grid
         self.masses = np.array([parcel.mass for parcel in parcels])
         self.inertias = np.array([parcel.moment_of_inertia for parcel in parcels])
-        self.company = World(
+        self.world = World(
             np.stack([start_state(*each) for each in zip(parcels, pose, velocity, strict=True)]),
             np.ones(count, dtype=np.bool_),
             np.arange(count),
@@ -55,7 +55,7 @@ class Meeting:
 
     def step(self, dt: float) -> list[tuple[int, int, float]]:
         """Who pushed whom with what impulse [N s]."""
-        arguments = (self.grid, self.company, self.touching, self.scratch, dt)
+        arguments = (self.grid, self.world, self.touching, self.scratch, dt)
         pushed = step_together(*arguments)
         pairs = self.scratch.pair[:pushed].tolist()
         return [(*pair, each) for pair, each in zip(pairs, self.scratch.impulse, strict=False)]
@@ -66,12 +66,12 @@ class Meeting:
     @property
     def place(self) -> Array:
         """(parcels, 3) [m, m, rad] of the centres of mass."""
-        return self.company.state[:, X : THETA + 1]
+        return self.world.state[:, X : THETA + 1]
 
     @property
     def velocity(self) -> Array:
         """(parcels, 3) [m/s, m/s, rad/s]."""
-        return self.company.state[:, VX : OMEGA + 1]
+        return self.world.state[:, VX : OMEGA + 1]
 
     @property
     def energy(self) -> float:
