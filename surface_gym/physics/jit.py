@@ -16,15 +16,10 @@ from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
 
-import numba._dynfunc as _dynfunc
 import numpy as np
 from numba import njit, typeof
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
-from numba.core.codegen import CPUCodeLibrary
-from numba.core.compiler import Compiler
-from numba.core.compiler_machinery import register_pass
 from numba.core.dispatcher import Dispatcher
-from numba.core.typed_passes import NativeLowering
 
 LENGTH = 16  # hexadecimal digits
 
@@ -204,47 +199,6 @@ def _fields(kind: Any) -> Any:
     return [names, [_fields(each) for each in getattr(kind, "types", ())]]
 
 
-class _LinkedCode(CPUCodeLibrary):
-    """Optimised code of a function for its compiled callers, never made into machine code."""
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
-
-@register_pass(mutates_CFG=True, analysis_only=False)
-class _LowerForCallers(NativeLowering):
-    """Numba's lowering without the machine code, which takes a third of the compiler's time."""
-
-    _name = "lower_for_callers"
-
-    def run_pass(self, state: Any) -> bool:
-        state.library = _LinkedCode(state.targetctx.codegen(), state.func_id.func_qualname)
-        state.flags.no_compile = True
-        super().run_pass(state)
-        lowered = state["cr"]
-        module, name = lowered.fndesc.lookup_module(), lowered.fndesc.qualname
-        entry = _dynfunc.make_function(module, name, "", 0, lowered.env, (state.library,))
-        state.targetctx.insert_user_function(entry, lowered.fndesc, [state.library])
-        state.reload_init.extend(state.library._reload_init)
-        state["cr"] = lowered._replace(cfunc=entry)
-        return True
-
-
-class _CompilerForCallers(Compiler):
-    """Compiler of functions that only compiled code calls."""
-
-    def define_pipelines(self) -> list[Any]:
-        managers = super().define_pipelines()
-        for manager in managers:
-            manager.passes = [
-                (_LowerForCallers, text) if each is NativeLowering else (each, text)
-                for each, text in manager.passes
-            ]
-            manager.finalize()
-        return managers
-
-
 # No fast-math flag is set: strict IEEE arithmetic makes a result independent of the caller a
 # function is inlined into, which is what keeps `simulate`, the single and the vector env equal
 # to the bit. Nothing here allocates, so Numba's reference counts (_nrt) are left out as well:
@@ -277,7 +231,7 @@ def inlined(function: Callable[..., Any]) -> Any:
     cost more to pass its tuples of arrays than most such functions take. Python calls them through
     `physics.references`.
     """
-    return njit(forceinline=True, pipeline_class=_CompilerForCallers, **_INTERNAL)(function)
+    return njit(forceinline=True, **_INTERNAL)(function)
 
 
 def kernel_function(function: Callable[..., Any]) -> Any:
@@ -286,8 +240,7 @@ def kernel_function(function: Callable[..., Any]) -> Any:
     What such a function may use are numbers, `math`, the arrays of its arguments, constants, and
     other functions compiled so. Reading or writing beyond the end of an array is an IndexError.
     """
-    options = {"forceinline": True, "boundscheck": True, **_INTERNAL}
-    return njit(pipeline_class=_CompilerForCallers, **options)(function)
+    return njit(forceinline=True, boundscheck=True, **_INTERNAL)(function)
 
 
 def _cached(dispatcher: Any, label: str = "") -> Any:
