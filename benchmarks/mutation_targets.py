@@ -114,7 +114,7 @@ TARGETS = (
     _agent("export/onnx", "export/test_export.py", wide=("export",)),
     _agent("runtime/controller", "runtime/test_controller.py", wide=("runtime",)),
     _agent("learning/runs", "learning/test_runs.py", wide=("learning",)),
-    _agent("evaluation/benchmark", "evaluation/test_statistics.py", wide=("evaluation",)),
+    _agent("evaluation/benchmark", "evaluation/test_benchmark.py", wide=("evaluation",)),
 )  # fmt: skip
 
 
@@ -140,8 +140,8 @@ EQUIVALENTS = (
     Equivalent(
         "surface_gym/physics/step.py",
         "axis_direction",
-        "sine = (place == 2.0) * 1.0 - (place == 6.0) * 1.0",
-        "sine = (place == 2.0) / 1.0 - (place == 6.0) * 1.0",
+        "sine = (octant == 2.0) * 1.0 - (octant == 6.0) * 1.0",
+        "sine = (octant == 2.0) / 1.0 - (octant == 6.0) * 1.0",
         "over 1 is times 1",
     ),
     Equivalent(

@@ -168,7 +168,7 @@ FAULTY: dict[type[Cross], str] = {
     OutOfTime: r"OutOfTime.outcome must return RUNNING, SUCCESS or a failure.* got 1",
     Priceless: r"Priceless.reward must write finite terms, got {'way': nan",
     Blind: r"Blind.observe.* must write finite features, got others for y",
-    Generous: r"Generous and Exact must keep within their arrays.* 2 terms",
+    Generous: r"Generous with Exact must keep within their arrays.* 2 terms",
     Aimless: r"Aimless.start must give a goal of 2 numbers, got 1",
     Crowded: r"Crowded.start must give a velocity of numbers or arrays",
     Nowhere: r"Nowhere.start must give a pose of finite numbers",

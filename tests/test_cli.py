@@ -11,12 +11,12 @@ from surface_gym import __version__
 from surface_gym.cli import COMMANDS, main
 
 MODULES = ("paper", "validation", "design")
-# The validation asks for matplotlib when it draws, after its runs.
+# The validation and the design ask for matplotlib when they draw, after their runs.
 MISSING = [
     (name, library)
     for name in MODULES
     for library in ("matplotlib", "rich", "tyro")
-    if (name, library) != ("validation", "matplotlib")
+    if (name, library) not in (("validation", "matplotlib"), ("design", "matplotlib"))
 ]
 
 

@@ -135,13 +135,13 @@ class TestFaults:
             run(task, num_envs)
 
     def test_a_sensor_without_an_estimate(self) -> None:
-        with pytest.raises(ValueError, match=r"Senseless\.estimate must be a static method"):
+        with pytest.raises(ValueError, match=r"Senseless\.read must be a static method"):
             sg.SmartSurfaceEnv(own.Cross(), sensors=own.Senseless())
 
     @pytest.mark.parametrize("actions", ["modules", "window"])
     def test_a_sensor_that_says_what_is_no_number(self, actions: str) -> None:
         env = sg.SmartSurfaceEnv(own.Cross(), actions=actions, sensors=own.Nonsense())
-        with pytest.raises(ValueError, match="of what Nonsense says, must write finite features"):
+        with pytest.raises(ValueError, match="with Nonsense, must write finite features"):
             env.reset(seed=0)
 
     def test_a_class_or_another_object_is_no_task(self) -> None:
@@ -168,14 +168,14 @@ OWN_FILE = """
 import sys, numba
 from pathlib import Path
 import surface_gym as sg
-from surface_gym.physics import compiled
+from surface_gym.physics import jit
 
 made = []
-save = compiled._DigestCache.save_overload
+save = jit._DigestCache.save_overload
 def watched(cache, sig, data):
     made.append(cache._label)
     save(cache, sig, data)
-compiled._DigestCache.save_overload = watched
+jit._DigestCache.save_overload = watched
 
 sys.path.insert(0, str(Path(__file__).parent))
 from mine import Mine

@@ -162,7 +162,7 @@ class TestParcelsOfAStream:
         np.testing.assert_allclose(np.hypot(*outline.T), 0.15)
 
     def test_names_whose_initials_are_the_same_are_written_in_full(self) -> None:
-        exits = Exits((Exit("chute", 1), Exit("left", -1)))
+        exits = Exits((Exit("loft", 1), Exit("left", -1)))
         renderer = opened(stream_of(trace((0.0, "left")), exits=exits))
         assert renderer.scene().parcels[0].label == "left"
 

@@ -16,7 +16,7 @@ RENAMED = r'"\w+": "(line|preset|max_parcels|num_envs|slots|split_probability)"'
 GONE = {
     r"\b[Ll]anes?\b|(?<![a-z])lanes?_|_lanes?\b|LANES?\b": (
         "environment",
-        r"changes? of lanes?|lane change",
+        r"changes? of lanes?|lane[ _]change|random_lane",
     ),
     r"\b[Pp]lants?\b|_plant\b": ("line", ""),
     r"\b(Shadow|SideBySide|LearningCamera|FlowEnv|FlowVectorEnv|FlowSettings)\b": ("", ""),
@@ -30,7 +30,10 @@ GONE = {
     r"\b[Rr]eckon": ("compute", ""),
     r"\bcondition=|--condition\b|\bCONDITIONS\b": ("preset", ""),
     r"\bplaces=": ("max_parcels", ""),
-    r"\b(def|functions\.|task\.|state\.)(?: ?)(over|judge|figures)\b": ("is_done, outcome", ""),
+    r"\b(def|functions\.|task\.|state\.)(?: ?)(over|judge|figures)\b": (
+        "is_done, outcome",
+        r".*list\[Figure\].*",
+    ),
     r"\b(bear_load|bear_lanes|forget_contacts|facing|settling)\b": ("contact solver's words", ""),
     r"\bone's own\b": ("custom, your own", ""),
     r"\baims\b|\bfooting\b|\bknowing\b(?! all)": ("cost, contact span, oracle", ""),

@@ -180,8 +180,7 @@ def _fits(method: Any, config: Any) -> bool:
     """Return whether a controller's actions are those of a zone of this size."""
     from surface_gym import SmartSurfaceVectorEnv
 
-    arguments = import_module("surface_gym.agents.rollout").env_arguments(config)
-    env = SmartSurfaceVectorEnv(num_envs=1, **arguments)
+    env = SmartSurfaceVectorEnv(num_envs=1, **config.arguments())
     seen, _ = env.reset(seed=0)
     action, _ = method.make(config, 0).predict(seen)
     env.close()

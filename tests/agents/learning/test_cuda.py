@@ -163,7 +163,7 @@ def test_episode_totals_are_the_sums_of_single_episodes() -> None:
     def make() -> SmartSurfaceVectorEnv:
         mode = gym.vector.AutoresetMode.SAME_STEP
         return SmartSurfaceVectorEnv(
-            12, "stop", "halves", max_episode_steps=40, autoreset_mode=mode
+            12, "stop", actions="halves", max_episode_steps=40, autoreset_mode=mode
         )
 
     envs, others = cuda.DeviceTrainingEnvs(EnvsOnCpu(make())), SurfaceVecEnv(make())
