@@ -15,10 +15,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from surface_gym.tasks import Sort
-from surface_gym.tasks.sort import FEATURES
+from surface_gym.tasks.sort import FEATURES, Sort
 
-# From observations (num_envs, features) to actions (num_envs,) of "halves".
+# From observations (num_envs, features) to actions of "halves".
 Act = Callable[[NDArray[np.float32]], NDArray[Any]]
 
 SIZE = [feature.name for feature in FEATURES].index("size")  # below 0 for the S-box
@@ -76,6 +75,6 @@ def success(act: Act, num_envs: int = 2000) -> dict[str, dict[str, float]]:
             seen, _, terminated, truncated, info = env.step(act(seen))
             won |= ~ended & info["is_success"]
             ended |= terminated | truncated
-        of_boxes = {"S": won[small], "B": won[~small], "both": won}
-        shares[name] = {box: round(float(each.mean()), 3) for box, each in of_boxes.items()}
+        by_box = {"S": won[small], "B": won[~small], "both": won}.items()
+        shares[name] = {box: round(float(each.mean()), 3) for box, each in by_box}
     return shares

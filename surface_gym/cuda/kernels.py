@@ -7,7 +7,7 @@ Nothing is written twice.
 
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from types import CellType, FunctionType
+from types import CellType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from surface_gym.flow.state import StreamParams, StreamState
 from surface_gym.parcel import Parcel
 from surface_gym.physics import types
 from surface_gym.physics.collision import WorldScratch, make_world_scratch, world_scratch
-from surface_gym.physics.jit import referenced_names
+from surface_gym.physics.jit import is_library, referenced_names
 from surface_gym.physics.types import Booleans, Integers, Scratch
 from surface_gym.state import STARTING, BodyTable, ParcelState, SurfaceState
 
@@ -45,6 +45,7 @@ class Translator:
         self._constants = constants
         self._wrap = wrap
         self._translated: dict[int, Any] = {}
+        self._modules: dict[str, ModuleType] = {}
         self._originals: list[Any] = []  # keeps the addresses in `_translated` valid
 
     def translate(self, function: Any) -> Any:
@@ -59,12 +60,25 @@ class Translator:
 
     def _fill(self, copy: FunctionType, plain: FunctionType) -> None:
         """Give a copy the translated values of the names that its original uses."""
-        for name in referenced_names(plain.__code__):
+        names = referenced_names(plain.__code__)
+        for name in names:
             if name in plain.__globals__:
-                copy.__globals__[name] = self._value(name, plain.__globals__[name])
+                value = plain.__globals__[name]
+                if isinstance(value, ModuleType) and not is_library(value):
+                    copy.__globals__[name] = self._module(value, names)
+                else:
+                    copy.__globals__[name] = self._value(name, value)
         cells = zip(copy.__closure__ or (), plain.__closure__ or (), strict=True)
         for name, (cell, original) in zip(plain.__code__.co_freevars, cells, strict=True):
             cell.cell_contents = self._value(name, original.cell_contents)
+
+    def _module(self, module: ModuleType, names: set[str]) -> ModuleType:
+        """Return a stand-in for a module, with the translated values of these names of it."""
+        translated = self._modules.setdefault(module.__name__, ModuleType(module.__name__))
+        for name in names:
+            if hasattr(module, name) and not hasattr(translated, name):
+                setattr(translated, name, self._value(name, getattr(module, name)))
+        return translated
 
     def _value(self, name: str, value: Any) -> Any:
         """Translate a function, replace a constant, and leave any other value as it is."""

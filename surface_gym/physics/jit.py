@@ -84,7 +84,7 @@ class _Walk:
                     modules.append(value)
         for module in modules:  # `module.name`: whatever of its names the function may mean
             for name in sorted(referenced_names(function.__code__)):
-                if hasattr(module, name) and not _is_library(module):
+                if hasattr(module, name) and not is_library(module):
                     self._write("of module", name)
                     self.take(getattr(module, name))
 
@@ -103,7 +103,7 @@ def referenced_names(code: types.CodeType) -> set[str]:
     return set(code.co_names).union(*map(referenced_names, inner))
 
 
-def _is_library(module: types.ModuleType) -> bool:
+def is_library(module: types.ModuleType) -> bool:
     """Return whether a module's names mean the same as long as Numba's version stays."""
     return module.__name__.partition(".")[0] in ("math", "numba", "numpy")
 
