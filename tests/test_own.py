@@ -179,7 +179,7 @@ jit._DigestCache.save_overload = watched
 
 sys.path.insert(0, str(Path(__file__).parent))
 from mine import Mine
-env = sg.SmartSurfaceEnv(Mine(), "halves")
+env = sg.SmartSurfaceEnv(Mine(), actions="halves")
 env.reset(seed=0)
 print(round(env.step(0)[1], 6), sum("Mine" in label for label in made))
 """

@@ -206,7 +206,7 @@ def _try(method: Any, case: Case, line: DesignLine, goal: EnvGoal) -> Gain:
     slower = np.arange(case.speed, SLOWEST, -WIDE_STEP if searches else -SPEED_STEP).round(9)
     fails = np.nonzero(~run(slower, Randomisation()).success)[0]
     reached = len(slower) if len(fails) == 0 else int(fails[0])
-    errors = [np.abs(values) for values in drawn.figures.values()]
+    errors = [np.abs(values) for values in drawn.metrics.values()]
     return Gain(
         controller=method.name,
         arranged_once=FIXED in method.name,
