@@ -359,10 +359,10 @@ def summary(sweep: Sweep, trials: Sequence[FrozenTrial]) -> str:
 
 def _save(plot: Any, file: Path, study: optuna.Study, **options: Any) -> None:
     plt.switch_backend("agg")
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), plt.rc_context():  # Optuna sets a style for all of Matplotlib
         warnings.simplefilter("ignore")  # plots are experimental, and warn where they are empty
         figure = plot(study, **options).figure
-    figure.savefig(file, dpi=150, bbox_inches="tight")
+        figure.savefig(file, dpi=150, bbox_inches="tight")
     plt.close(figure)
 
 

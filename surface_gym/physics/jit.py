@@ -21,6 +21,8 @@ from numba import njit, typeof
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.dispatcher import Dispatcher
 
+from surface_gym.physics.linking import KernelCompiler, LinkedCacheImpl, LinkedFunction
+
 LENGTH = 16  # hexadecimal digits
 
 
@@ -176,6 +178,12 @@ class _DigestCache(FunctionCache):
                     file.unlink(missing_ok=True)
 
 
+class _LinkedCache(_DigestCache):
+    """Cache of functions that only compiled code calls."""
+
+    _impl_class = LinkedCacheImpl
+
+
 class _NoCache(NullCache):
     """Cache for where no folder can be written: it keeps nothing."""
 
@@ -204,9 +212,6 @@ def _fields(kind: Any) -> Any:
 # to the bit. Nothing here allocates, so Numba's reference counts (_nrt) are left out as well:
 # they would cost more than the arithmetic.
 _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
-# A function that compiled code alone calls needs none of Python's wrapper, which can take longer to
-# compile than the function.
-_INTERNAL: Any = {"no_cpython_wrapper": True, **_OPTIONS}
 
 
 def compiled(function: Callable[..., Any], label: str = "") -> Any:
@@ -216,22 +221,22 @@ def compiled(function: Callable[..., Any], label: str = "") -> Any:
         function: to compile.
         label: of its files in the cache; by default its name.
     """
-    return _cached(njit(**_OPTIONS)(function), label)
+    return _cached(njit(pipeline_class=KernelCompiler, **_OPTIONS)(function), label)
 
 
 def linked(function: Callable[..., Any]) -> Any:
-    """Compile a function once for all of its compiled callers; its machine code is cached."""
-    return _cached(njit(**_INTERNAL)(function))
+    """Compile a function once for all of its compiled callers; its code is cached."""
+    return _cached(LinkedFunction(function, **_OPTIONS), kind=_LinkedCache)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a function into each of its compiled callers, arrays and all kept in registers.
 
-    It needs no cache of its own, since its machine code is part of theirs. Called instead, it would
-    cost more to pass its tuples of arrays than most such functions take. Python calls them through
-    `physics.references`.
+    It needs no cache of its own, since its code is part of theirs. Called instead, it would cost
+    more to pass its tuples of arrays than most such functions take. Python calls its compiled code
+    through `physics.references`.
     """
-    return njit(forceinline=True, **_INTERNAL)(function)
+    return LinkedFunction(function, forceinline=True, **_OPTIONS)
 
 
 def kernel_function(function: Callable[..., Any]) -> Any:
@@ -240,12 +245,12 @@ def kernel_function(function: Callable[..., Any]) -> Any:
     What such a function may use are numbers, `math`, the arrays of its arguments, constants, and
     other functions compiled so. Reading or writing beyond the end of an array is an IndexError.
     """
-    return njit(forceinline=True, boundscheck=True, **_INTERNAL)(function)
+    return LinkedFunction(function, forceinline=True, boundscheck=True, **_OPTIONS)
 
 
-def _cached(dispatcher: Any, label: str = "") -> Any:
+def _cached(dispatcher: Any, label: str = "", kind: type[FunctionCache] = _DigestCache) -> Any:
     try:
-        dispatcher._cache = _DigestCache(dispatcher, label)
+        dispatcher._cache = kind(dispatcher, label)
     except RuntimeError:  # neither beside the package nor in the home folder
         dispatcher._cache = _NoCache()
     return dispatcher

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import matplotlib
 import optuna
 import pytest
 from optuna.trial import FrozenTrial, TrialState, create_trial
@@ -128,7 +129,9 @@ def table(page: str, head: str) -> list[list[str]]:
 class TestReport:
     def test_the_page_lists_every_trial_and_the_best(self, trials, tmp_path) -> None:
         interrupted = create_trial(state=TrialState.FAIL)
+        style = matplotlib.rcParams.copy()
         write_report(SWEEP, in_memory(*trials, interrupted), tmp_path)
+        assert {**matplotlib.rcParams, "backend": style["backend"]} == style
         page = (tmp_path / "report.md").read_text()
         best = best_trial(trials)
         assert f"## Best: trial {best.number}, success {best.value:.4g}" in page
