@@ -81,10 +81,7 @@ def test_equal_parcels_share_a_row_of_the_body_table() -> None:
         parcel = sg.layouts.box(parcel) if isinstance(parcel, str) else parcel
         put(batch, Start(parcel, (parcel.rear, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), i)
     assert batch.parcels.body[:4].tolist() == [0, 1, 0, 1]
-    assert [batch.view(i).body[RADIUS] for i in (0, 4)] == [
-        sg.layouts.box("S").base.reach,
-        0.12,
-    ]
+    assert [batch.view(i).body[RADIUS] for i in (0, 4)] == [sg.layouts.box("S").base.reach, 0.12]
 
 
 def test_parcels_that_do_not_fit_are_refused_beforehand() -> None:

@@ -182,10 +182,7 @@ def test_a_bad_spread_is_refused(law: Any, spread: Any) -> None:
     [
         (-0.1, "least_gap must be at least 0, got -0.1"),
         (math.nan, "least_gap must be a finite number, got nan"),
-        (
-            3.1,
-            "least_gap must be at most the mean gap, 3 s at a rate of 1200 parcels/h, got 3.1",
-        ),
+        (3.1, "least_gap must be at most the mean gap, 3 s at a rate of 1200 parcels/h, got 3.1"),
     ],
 )
 def test_a_bad_least_gap_is_refused(least_gap: float, message: str) -> None:

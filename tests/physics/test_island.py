@@ -18,10 +18,7 @@ from surface_gym.simulation import make_bodies
 from tests.worlds import G, Meeting, ice, supports
 
 
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    count=st.integers(2, 6),
-)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 6))
 def test_discs_in_a_heap_get_the_velocities_of_least_change_that_part_them(
     seed: int, count: int
 ) -> None:
