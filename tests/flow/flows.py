@@ -63,6 +63,19 @@ def same_choice(env: SmartSurfaceEnv, choice: int) -> Any:
     return np.full(env.action_space.shape, choice)
 
 
+def pair(**settings: Any) -> tuple[SmartSurfaceEnv, SmartSurfaceEnv]:
+    """Two equal flows that have begun, for parcels."""
+    env, twin = (bare(**{"actions": "parcels", **settings}) for _ in range(2))
+    for each in (env, twin):
+        each.reset(seed=0)
+    return env, twin
+
+
+def command(batch: StreamBatch, choice: int) -> Array:
+    """What says one choice for every part of a batch of one."""
+    return np.full((1, batch.config.action_kind.size), choice)
+
+
 Step = tuple[np.ndarray, float, bool, bool, dict[str, Any]]
 
 
@@ -84,8 +97,8 @@ def steps(env: SmartSurfaceEnv, seed: int, hold: int = 5) -> Iterator[Step]:
 def play(env: SmartSurfaceEnv, choice: int, seed: int = 0) -> list[Step]:
     """Every step of an episode in which all modules are set to one choice."""
     env.reset(seed=seed)
-    played = [env.step(same_choice(env, choice))]
-    while not (played[-1][2] or played[-1][3]):
+    played: list[Step] = []
+    while not played or not (played[-1][2] or played[-1][3]):
         played.append(env.step(same_choice(env, choice)))
     return played
 

@@ -1,9 +1,10 @@
-"""The single environment of a flow: Gymnasium's contract, seeds, twins and memory."""
+"""The single environment of a flow: Gymnasium's contract, seeds, twins, memory and bodies."""
 
 import copy
 import math
 import tracemalloc
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 import gymnasium as gym
@@ -13,15 +14,20 @@ from gymnasium.utils.env_checker import check_env as check_by_gymnasium
 from stable_baselines3.common.env_checker import check_env as check_by_stable_baselines3
 
 import surface_gym as sg
+from surface_gym.config import EnvConfig
+from surface_gym.core.resets import place_parcel
 from surface_gym.flow.arrivals import Schedule
+from surface_gym.flow.batch import BodyPool
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.task import FEATURES
 from surface_gym.randomisation import Randomisation
-from tests.environments import TWINS
+from tests.environments import HEPTAGON, TRIANGLE, TWINS
 from tests.flow.flows import (
+    BOX,
     BRAKE,
     DENSE,
     KINDS,
+    LARGE_BOX,
     MINUS_45,
     PLUS_45,
     ROLL,
@@ -29,23 +35,21 @@ from tests.flow.flows import (
     assert_alike,
     bare,
     every_kind,
+    pair,
     play,
     same_choice,
     steps,
     trace,
-)
+)  # fmt: skip
 
 
 class TestCheckers:
-    @pytest.mark.parametrize("name", [name for name in KINDS if "any angle" not in name])
+    @pytest.mark.parametrize("name", KINDS)
     def test_gymnasiums_has_nothing_to_say(self, name: str) -> None:
-        check_by_gymnasium(bare(**KINDS[name]), skip_render_check=True)
-
-    def test_but_that_angles_are_no_numbers_between_0_and_1(self) -> None:
-        with pytest.warns(UserWarning, match="normalized space"):
-            check_by_gymnasium(
-                bare(**KINDS["modules, presence, any angle"]), skip_render_check=True
-            )
+        """But that angles are no numbers between 0 and 1."""
+        angles = pytest.warns(UserWarning, match="normalized space")
+        with angles if "any angle" in name else nullcontext():
+            check_by_gymnasium(bare(**KINDS[name]), skip_render_check=True)
 
     @pytest.mark.parametrize("actions", ["modules", "parcels"])
     def test_stable_baselines3s_has_nothing_to_say(self, actions: str) -> None:
@@ -77,9 +81,11 @@ class TestEpisodes:
         # 4 rows of rotors, and all columns after the lead-in; the run-out's obey nobody.
         assert modules.action_space == gym.spaces.MultiDiscrete([4] * 4 * (SHORT.columns - 5))
         assert parcels.action_space == gym.spaces.MultiDiscrete([4] * 6)
-        angles = bare(actions="parcels", max_parcels=3, orientations="any").action_space
-        assert angles == gym.spaces.Box(-np.float32(math.pi / 2), np.float32(math.pi / 2), (6,))
-        coarse = bare(actions="parcels", max_parcels=3, orientations=(0.0, 1.0)).action_space
+        three = {"actions": "parcels", "max_parcels": 3}
+        any_angle = EnvConfig("flow", orientations="any", **three).action_space()
+        right = np.float32(math.pi / 2)
+        assert any_angle == gym.spaces.Box(-right, right, (6,))
+        coarse = EnvConfig("flow", orientations=(0.0, 1.0), **three).action_space()
         assert coarse == gym.spaces.MultiDiscrete([2] * 6)
 
     @pytest.mark.parametrize(
@@ -97,18 +103,17 @@ class TestEpisodes:
             assert step[4]["time"] == pytest.approx(period * number, abs=1e-9)
 
     def test_what_it_returns_is_the_users_own(self) -> None:
-        env, twin = bare(actions="parcels"), bare(actions="parcels")
-        for each in (env, twin):
-            each.action_space.seed(0)
-            observation, info = each.reset(seed=0)
+        env, twin = pair()
+        env.action_space.seed(0)
+        observation, info = env.reset(seed=0)
         for _ in range(20):
             observation[:] = np.nan
             info["parcels"][:] = 77
             info["reward_terms"].clear()
-            observation, reward, *_, info = env.step(env.action_space.sample())
-            wanted = twin.step(twin.action_space.sample())
-            assert_alike(observation, wanted[0])
-            assert_alike((reward, info), (wanted[1], wanted[4]))
+            action = env.action_space.sample()
+            observation, reward, *_, info = env.step(action)
+            wanted = twin.step(action)
+            assert_alike((observation, reward, info), (*wanted[:2], wanted[4]))
 
     def test_a_gate_adds_a_row_and_a_number(self) -> None:
         env = bare(actions="parcels", gate=True, max_parcels=3)
@@ -119,13 +124,11 @@ class TestEpisodes:
             assert info["parcels"].shape == (3,)
         assert info["entered"] > 0
 
-    @pytest.mark.parametrize("varies", [False, True])
-    def test_nobody_may_come_at_all(self, varies: bool) -> None:
-        randomisation = Randomisation(size=0.05, lateral=0.01) if varies else Randomisation()
-        env = bare(
-            stream=trace((9.0, "left 1")), actions="parcels", duration=0.4,
-            randomisation=randomisation,
-        )  # fmt: skip
+    @pytest.mark.parametrize("varied", [{}, {"size": 0.05, "lateral": 0.01}])
+    def test_nobody_may_come_at_all(self, varied: dict[str, float]) -> None:
+        randomisation = Randomisation(**varied)
+        nobody = trace((9.0, "left 1"))
+        env = bare(stream=nobody, actions="parcels", duration=0.4, randomisation=randomisation)
         played = play(env, ROLL)
         assert len(played) == 10
         assert not any(step[0].any() or step[1] for step in played)
@@ -157,9 +160,7 @@ class TestEpisodes:
         "action", [3, [3] * 47, [3] * 47 + [4], [3.0] * 48, None, [[3] * 48]], ids=repr
     )
     def test_bad_actions_are_named_and_move_nobody(self, action: Any) -> None:
-        env, twin = bare(actions="parcels"), bare(actions="parcels")
-        for each in (env, twin):
-            each.reset(seed=0)
+        env, twin = pair()
         with pytest.raises(ValueError, match="action"):
             env.step(action)
         good = same_choice(env, ROLL)
@@ -178,10 +179,8 @@ class TestEpisodes:
         ],
     )
     def test_bad_options_are_named_and_leave_the_episode(self, options: Any, named: str) -> None:
-        settings = {"actions": "parcels", "randomisation": Randomisation(size=0.05)}
-        env, twin = bare(**settings), bare(**settings)
+        env, twin = pair(randomisation=Randomisation(size=0.05))
         for each in (env, twin):
-            each.reset(seed=0)
             each.step(same_choice(env, BRAKE))
         with pytest.raises(ValueError, match=named):
             env.reset(seed=1, options=options)
@@ -189,14 +188,14 @@ class TestEpisodes:
         assert_alike(env.reset(), twin.reset())
 
     def test_a_reset_may_bring_a_stream_of_its_own(self) -> None:
-        env = bare(actions="parcels", duration=1.0)
+        env, twin = pair(duration=1.0)
         env.reset(seed=0, options={"stream": trace((0.0, "left 1"), (0.5, "right 2"))})
         streams = env.batch.streams
         names = env.config.exits.names
         assert [names[place] for place in streams.exit[0, :2]] == ["left 1", "right 2"]
         assert streams.arrivals.tolist() == [2]
         env.reset(seed=0)
-        assert_alike(env.reset(seed=0), bare(actions="parcels", duration=1.0).reset(seed=0))
+        assert_alike(env.reset(seed=0), twin.reset(seed=0))
 
 
 class TestSeeds:
@@ -208,8 +207,7 @@ class TestSeeds:
         assert_alike(one.reset(), other.reset())
 
     def test_starts_differ_from_seed_to_seed_and_from_reset_to_reset(self) -> None:
-        env = bare(actions="parcels")
-        coming = []
+        env, coming = bare(actions="parcels"), []
         for seed in (0, 1, 2, None, None, None):
             env.reset(seed=seed)
             coming.append(env.batch.streams.time[0, 1:6].copy())
@@ -234,9 +232,7 @@ class TestTwins:
                 assert_alike(env.reset(), twin.reset())
 
     def test_go_their_own_ways(self) -> None:
-        env, reference = bare(actions="parcels"), bare(actions="parcels")
-        for each in (env, reference):
-            each.reset(seed=0)
+        env, reference = pair()
         twin = copy.deepcopy(env)
         twin.reset(options={"stream": trace((0.0, "left 1"), parcel=sg.Parcel(sg.Disc(0.2)))})
         for _ in range(20):
@@ -247,9 +243,9 @@ class TestTwins:
 
 
 class TestMemory:
-    @pytest.mark.parametrize("varies", [False, True])
-    def test_does_not_grow(self, varies: bool) -> None:
-        randomisation = Randomisation(size=0.05, friction=0.1) if varies else Randomisation()
+    @pytest.mark.parametrize("varied", [{}, {"size": 0.05, "friction": 0.1}])
+    def test_does_not_grow(self, varied: dict[str, float]) -> None:
+        randomisation = Randomisation(**varied)
         env = bare(actions="parcels", duration=0.4, randomisation=randomisation)
         action = same_choice(env, ROLL)
 
@@ -271,3 +267,66 @@ class TestMemory:
         assert grown < 60_000  # [bytes] 500 an episode: less than a parcel
         assert len(env.batch.bodies.body) == rooms
         assert len(env.batch._pool._users) <= len(DENSE.kinds) + int(env.batch.streams.arrivals[0])
+
+
+@pytest.fixture
+def pool() -> BodyPool:
+    return BodyPool(lambda parcel: place_parcel(parcel, SHORT, None), BOX)
+
+
+def sizes(count: int) -> list[sg.Parcel]:
+    return [sg.Parcel(sg.Rectangle(0.2 + 0.001 * k, 0.2)) for k in range(count)]
+
+
+class TestPool:
+    """Bodies are kept as long as an episode has use for them."""
+
+    def test_parcels_that_are_alike_share_a_row(self, pool: BodyPool) -> None:
+        row = pool.take(BOX)
+        assert pool.take(sg.layouts.box("S")) == row
+        assert pool.take(LARGE_BOX) != row
+        assert pool.parcel(row) == BOX
+
+    def test_a_row_is_free_after_its_last_user(self, pool: BodyPool) -> None:
+        rows = [pool.take(parcel) for parcel in (BOX, BOX, LARGE_BOX)]
+        pool.give_back(rows[:1])
+        assert pool.parcel(rows[1]) == BOX
+        pool.give_back(rows[1:])
+        with pytest.raises(KeyError):
+            pool.parcel(rows[1])
+        taken = {pool.take(parcel) for parcel in sizes(16)}
+        assert taken == set(range(16))
+
+    def test_more_parcels_take_more_rows_and_leave_the_others(self, pool: BodyPool) -> None:
+        parcels = sizes(40)
+        rows = [pool.take(parcel) for parcel in parcels]
+        assert len(set(rows)) == 40
+        assert len(pool.bodies.body) == 64
+        for row, parcel in zip(rows, parcels, strict=True):
+            placement = place_parcel(parcel, SHORT, None)
+            np.testing.assert_array_equal(pool.bodies.body[row], placement.body)
+            np.testing.assert_array_equal(pool.bodies.corners[row], placement.corners)
+            assert pool.parcel(row) == parcel
+
+    def test_more_edges_widen_the_rows_of_all(self, pool: BodyPool) -> None:
+        row = pool.take(BOX)
+        narrow = pool.bodies.corners[row].copy()
+        wide = pool.take(HEPTAGON)
+        assert pool.bodies.edges.shape[1] == pool.bodies.corners.shape[1] == 7
+        np.testing.assert_array_equal(pool.bodies.corners[row, :4], narrow)
+        np.testing.assert_array_equal(pool.bodies.corners[row, 4:], np.tile(narrow[:1], (3, 1)))
+        np.testing.assert_array_equal(
+            pool.bodies.corners[wide], place_parcel(HEPTAGON, SHORT, None).corners
+        )
+
+    def test_rows_do_not_run_out_where_all_are_given_back(self, pool: BodyPool) -> None:
+        for _ in range(30):
+            rows = [pool.take(parcel) for parcel in (*sizes(12), TRIANGLE, HEPTAGON)]
+            pool.give_back(rows)
+        assert len(pool.bodies.body) == 16
+
+    def test_a_parcel_that_does_not_fit_takes_nothing(self) -> None:
+        pool = BodyPool(lambda parcel: place_parcel(parcel, sg.lines.Line(), None), BOX)
+        with pytest.raises(ValueError, match="parcel"):
+            pool.take(sg.Parcel(sg.Rectangle(2.0, 0.3)))
+        assert {pool.take(parcel) for parcel in sizes(16)} == set(range(16))
