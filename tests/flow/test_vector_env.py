@@ -29,36 +29,32 @@ def single_flows(mode: AutoresetMode, **settings: Any) -> SyncVectorEnv:
     return singles(FLOW, mode, LONG, **{**EPISODE, **settings})
 
 
-class TestBesideSingles:
-    @every_mode
-    @every_kind
-    def test_each_environment_is_a_single_env(
-        self, kind: dict[str, Any], mode: AutoresetMode
-    ) -> None:
-        one, other = streams(autoreset_mode=mode, **kind), single_flows(mode, **kind)
-        assert run_beside(one, other, mode, 40) >= 2 * NUM_ENVS
+# What else may differ between the two, each with its control periods.
+BESIDE: dict[str, tuple[dict[str, Any], int]] = {
+    **{name: (kind, 40) for name, kind in KINDS.items()},
+    "a gate": ({"actions": "parcels", "gate": True}, 40),
+    "jams": (
+        {"actions": "parcels", "orientations": (0.0, 0.1), "patience": 0.2, "duration": 3.0}, 100
+    ),
+    # A start pays nothing, also where parcels enter aside of the middle as an episode begins.
+    "starts aside": (
+        {
+            "stream": Stream(DENSE.arrivals, destinations={"straight": 1.0}),
+            "actions": "parcels", "duration": 0.12, "randomisation": Randomisation(lateral=0.05),
+        },
+        12,
+    ),
+}  # fmt: skip
 
-    @every_mode
-    def test_also_with_a_gate(self, mode: AutoresetMode) -> None:
-        settings = {"actions": "parcels", "gate": True}
-        one, other = streams(autoreset_mode=mode, **settings), single_flows(mode, **settings)
-        assert run_beside(one, other, mode, 40) >= 2 * NUM_ENVS
 
-    @every_mode
-    def test_also_where_jams_end_episodes(self, mode: AutoresetMode) -> None:
-        settings = {"actions": "parcels", "orientations": (0.0, 0.1), "patience": 0.2}
-        settings["duration"] = 3.0
-        one, other = streams(autoreset_mode=mode, **settings), single_flows(mode, **settings)
-        assert run_beside(one, other, mode, 100) >= NUM_ENVS
-
-    @every_mode
-    def test_a_start_pays_nothing(self, mode: AutoresetMode) -> None:
-        """Also where parcels enter aside of the middle, in the step that begins an episode."""
-        stream = Stream(DENSE.arrivals, destinations={"straight": 1.0})
-        settings = {"stream": stream, "actions": "parcels", "duration": 0.12}
-        settings["randomisation"] = Randomisation(lateral=0.05)
-        one, other = streams(autoreset_mode=mode, **settings), single_flows(mode, **settings)
-        assert run_beside(one, other, mode, 12) >= 2 * NUM_ENVS
+@every_mode
+@pytest.mark.parametrize("beside", BESIDE.values(), ids=BESIDE)
+def test_each_environment_is_a_single_env(
+    beside: tuple[dict[str, Any], int], mode: AutoresetMode
+) -> None:
+    settings, periods = beside
+    one, other = streams(autoreset_mode=mode, **settings), single_flows(mode, **settings)
+    assert run_beside(one, other, mode, periods) >= (1 if "patience" in settings else 2) * NUM_ENVS
 
 
 def rollout(env: VectorEnv, parcels: slice, periods: int = 40) -> Iterator[tuple[Any, ...]]:
@@ -69,14 +65,8 @@ def rollout(env: VectorEnv, parcels: slice, periods: int = 40) -> Iterator[tuple
     for _ in range(periods):
         actions = rng.integers(0, 4, (64, *env.single_action_space.shape))[: env.num_envs]
         observations, rewards, terminated, truncated, infos = env.step(actions)
-        yield (
-            observations[parcels],
-            rewards[parcels],
-            terminated[parcels],
-            truncated[parcels],
-            infos["parcels"][parcels],
-            infos["touches"][parcels],
-        )
+        results = (observations, rewards, terminated, truncated)
+        yield tuple(each[parcels] for each in (*results, infos["parcels"], infos["touches"]))
 
 
 class TestLanes:
@@ -85,13 +75,11 @@ class TestLanes:
         for first, second in zip(rollout(few, slice(2)), rollout(many, slice(2)), strict=True):
             assert_same(first, second)
 
-    @pytest.mark.parametrize("threads", [2, 3])
-    def test_nor_does_that_of_threads(self, threads: int) -> None:
-        one, several = (streams(12, threads=count, **VARIED) for count in (1, threads))
-        assert several.batch._threads == threads
-        for first, second in zip(
-            rollout(one, slice(None)), rollout(several, slice(None)), strict=True
-        ):
+    def test_nor_does_that_of_threads(self) -> None:
+        one, several = (streams(12, threads=count, **VARIED) for count in (1, 3))
+        assert several.batch._threads == 3
+        runs = (rollout(each, slice(None)) for each in (one, several))
+        for first, second in zip(*runs, strict=True):
             assert_same(first, second)
 
     def test_every_environment_takes_its_own_stream(self) -> None:
@@ -105,8 +93,7 @@ class TestLanes:
         np.testing.assert_array_equal(batch.parcels.truth[batch.rows, 3], 1.1)
 
     def test_partial_resets_leave_the_others(self) -> None:
-        env = streams(autoreset_mode="Disabled", **VARIED)
-        twin = streams(autoreset_mode="Disabled", **VARIED)
+        env, twin = (streams(autoreset_mode="Disabled", **VARIED) for _ in range(2))
         action = np.full(env.action_space.shape, ROLL)
         for each in (env, twin):
             each.reset(seed=0)
@@ -123,16 +110,13 @@ class TestLanes:
 
 
 class TestContract:
-    def test_make_vec_gives_the_native_one(self) -> None:
-        env = streams()
-        assert type(env) is SmartSurfaceVectorEnv
-        assert env.spec is not None
-        assert env.spec.id == FLOW
-
     @every_kind
-    def test_spaces_are_those_of_single_ones(self, kind: dict[str, Any]) -> None:
-        env = streams(**kind)
-        sync = single_flows(AutoresetMode.NEXT_STEP, **kind)
+    def test_make_vec_gives_the_native_one_with_the_spaces_of_single_ones(
+        self, kind: dict[str, Any]
+    ) -> None:
+        env, sync = streams(**kind), single_flows(AutoresetMode.NEXT_STEP, **kind)
+        assert type(env) is SmartSurfaceVectorEnv
+        assert env.spec.id == FLOW
         for name in (
             "single_observation_space", "single_action_space", "observation_space", "action_space",
         ):  # fmt: skip
@@ -192,19 +176,15 @@ class TestContract:
         assert_same(env.reset()[0], twin.reset()[0])
 
     @pytest.mark.parametrize(
-        ("argument", "named"),
+        ("name", "value"),
         [
-            ({"num_envs": 0}, "num_envs"),
-            ({"max_episode_steps": 0}, "max_episode_steps"),
-            ({"autoreset_mode": "sometimes"}, "autoreset_mode"),
-            ({"render_mode": "human"}, "render_mode"),
-            ({"threads": 0}, "threads"),
-            ({"max_parcels": 0}, "max_parcels"),
+            ("num_envs", 0), ("max_episode_steps", 0), ("autoreset_mode", "sometimes"),
+            ("render_mode", "human"), ("threads", 0), ("max_parcels", 0),
         ],
-    )
-    def test_bad_arguments_are_named(self, argument: dict[str, Any], named: str) -> None:
-        with pytest.raises(ValueError, match=named):
-            SmartSurfaceVectorEnv(task="flow", **argument)
+    )  # fmt: skip
+    def test_bad_arguments_are_named(self, name: str, value: Any) -> None:
+        with pytest.raises(ValueError, match=name):
+            SmartSurfaceVectorEnv(task="flow", **{name: value})
 
     def test_steps_before_a_reset_are_refused(self) -> None:
         env = streams()
