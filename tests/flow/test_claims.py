@@ -10,8 +10,19 @@ from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import NOBODY, TURNS
 from surface_gym.physics.types import VX, VY, Array, X, Y
 from surface_gym.randomisation import Actuators
-from surface_gym.sensors import Presence
-from tests.flow.flows import BOX, DENSE, SHORT, batch_with, box_of, parcel_of, set_down, trace
+from surface_gym.sensors import Exact, Presence
+from tests.flow.flows import (
+    BOX,
+    BRAKE,
+    DENSE,
+    SHORT,
+    batch_with,
+    box_of,
+    command,
+    parcel_of,
+    set_down,
+    trace,
+)
 
 STUCK = ((8, 9), (10, 15))
 FULL = trace(*[(0.0, "left 1")] * 12)
@@ -71,7 +82,7 @@ class TestRule:
             batch.parcels.sensed[:12] = sensed
             batch.streams.present[0, 5] = False
             present = batch.streams.present[0].copy()
-            batch.step(np.zeros((1, 48), dtype=np.int64))
+            batch.step(command(batch, BRAKE))
             wanted = slow_claims(batch, sensed, present, ahead)
             np.testing.assert_array_equal(batch.streams.owner[0], wanted)
             claimed += int((wanted != NOBODY).sum())
@@ -79,29 +90,32 @@ class TestRule:
 
     @pytest.mark.parametrize("stray", [math.nan, math.inf, 1e12])
     def test_a_lost_estimate_claims_nothing(self, stray: float) -> None:
-        batch = batch_with(FULL, actions="parcels", duration=9.0)
-        set_down(batch, [(0.7, 1.0, 0.0), (1.5, 1.0, 0.0)])
-        batch.parcels.sensed[0, X] = stray
-        batch.step(np.zeros((1, 48), dtype=np.int64))
-        assert set(np.unique(batch.streams.owner[0])) == {NOBODY, 1}
+        owner = self.owners([(0.7, 1.0, 0.0), (1.5, 1.0, 0.0)], (stray, 1.5))
+        assert set(np.unique(owner)) == {NOBODY, 1}
 
     def test_of_two_that_it_bears_the_nearer_is_obeyed(self) -> None:
+        # Seen to overlap around x = 0.9.
+        owner = self.owners([(0.75, 1.0, 0.0), (1.0, 1.0, 0.0)], (0.80, 1.0))
+        assert (owner[9:11, 8] == 0).all()  # at x = 0.85
+        assert (owner[9:11, 9] == 1).all()  # at x = 0.95
+
+    def owners(self, poses: list[tuple[float, float, float]], sensed: tuple[float, float]) -> Array:
+        """Whom the modules obey where two parcels are sensed at an x [m] each."""
         batch = batch_with(FULL, actions="parcels", duration=9.0)
-        set_down(batch, [(0.75, 1.0, 0.0), (1.0, 1.0, 0.0)])
-        batch.parcels.sensed[:2, X] = 0.80, 1.0  # seen to overlap around x = 0.9
-        batch.step(np.zeros((1, 48), dtype=np.int64))
-        assert (batch.streams.owner[0, 9:11, 8] == 0).all()  # at x = 0.85
-        assert (batch.streams.owner[0, 9:11, 9] == 1).all()  # at x = 0.95
+        set_down(batch, poses)
+        batch.parcels.sensed[:2, X] = sensed
+        batch.step(command(batch, BRAKE))
+        return batch.streams.owner[0]
 
 
 class TestCommands:
     @pytest.mark.parametrize("orientations", [None, "any"])
     def test_modules_follow_the_half_of_their_owner(self, orientations: Any) -> None:
         """What no parcel claims stays, and so do stuck modules, the lead-in and supports."""
-        settings: dict[str, Any] = {"actions": "parcels", "orientations": orientations}
-        if orientations == "any":
-            settings["sensors"] = Presence()
-        batch = batch_with(DENSE, actuators=Actuators(stuck=STUCK), duration=4.0, **settings)
+        batch = batch_with(
+            DENSE, actuators=Actuators(stuck=STUCK), duration=4.0, actions="parcels",
+            orientations=orientations, sensors=Presence() if orientations else Exact(),
+        )  # fmt: skip
         kind = batch.config.action_kind
         rng = np.random.default_rng(2)
         commanded = np.full(batch.config.site.rotor.shape, math.pi / 2)
@@ -110,9 +124,10 @@ class TestCommands:
         for period in range(75):
             if period % 4 == 0:
                 drawn = rng.integers(0, 4, (24, 2))
-                angles = np.array(batch.config.chosen_orientations)[drawn]
                 if orientations == "any":
                     angles = drawn = rng.uniform(-1.5, 1.5, (24, 2))
+                else:
+                    angles = np.array(batch.config.chosen_orientations)[drawn]
             sensed = batch.parcels.sensed.copy()
             owner = slow_claims(batch, sensed, batch.streams.present[0], 0.1)
             before = commanded.copy()
@@ -146,8 +161,6 @@ class TestCommands:
 
     def test_boxes_are_those_of_turned_bases(self) -> None:
         """What the slow account rests on: a square turned by 45 deg is sqrt(2) as wide."""
-        rear, front, right, left = box_of(BOX, (1.0, 1.0, math.pi / 4))
-        assert front - rear == pytest.approx(0.25 * math.sqrt(2.0))
-        assert left - right == pytest.approx(0.25 * math.sqrt(2.0))
-        assert (rear + front) / 2 == pytest.approx(1.0)
-        assert Y == 1
+        half = 0.125 * math.sqrt(2.0)
+        box = box_of(BOX, (1.0, 2.0, math.pi / 4))
+        assert box == pytest.approx((1.0 - half, 1.0 + half, 2.0 - half, 2.0 + half))

@@ -80,13 +80,12 @@ def row_of(batch: StreamBatch, place: int) -> Array:
     [{}, {"sensors": Camera(), "actuators": Actuators(axis_speed=8.0)}],
     ids=["exact", "camera"],
 )
-@pytest.mark.parametrize("seed", [0, 1])
-def test_rows_say_what_is_sensed(seed: int, settings: dict[str, Any]) -> None:
+def test_rows_say_what_is_sensed(settings: dict[str, Any]) -> None:
     env = bare(actions="parcels", stream=CROWD, duration=3.0, **settings)
     batch = env.batch
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     seen = both = 0
-    env.reset(seed=seed)
+    env.reset(seed=0)
     for _ in range(74):
         # Most roll on, so that several are on the line.
         drawn = rng.integers(0, 4, env.action_space.shape)
@@ -106,12 +105,9 @@ def test_rows_say_what_is_sensed(seed: int, settings: dict[str, Any]) -> None:
 
 def test_the_first_are_those_of_sort() -> None:
     """What sorts one parcel can sort each of a flow."""
-    own = [feature.name for feature in SORT_FEATURES]
-    assert NAMES[:12] == own[:12]
-    assert NAMES[12] == own[12] == "time"
-    assert NAMES[PRESENT] == "present"
-    assert NAMES[AHEAD] == "gap ahead"
-    assert NAMES[BEHIND] == "gap behind"
+    assert NAMES[:13] == [feature.name for feature in SORT_FEATURES[:13]]
+    assert NAMES[12] == "time"
+    assert [NAMES[k] for k in (PRESENT, AHEAD, BEHIND)] == ["present", "gap ahead", "gap behind"]
 
 
 def test_with_a_gate_the_last_row_waits() -> None:
