@@ -102,19 +102,6 @@ class TestEpisodes:
         for number, step in enumerate(played, start=1):
             assert step[4]["time"] == pytest.approx(period * number, abs=1e-9)
 
-    def test_what_it_returns_is_the_users_own(self) -> None:
-        env, twin = pair()
-        env.action_space.seed(0)
-        observation, info = env.reset(seed=0)
-        for _ in range(20):
-            observation[:] = np.nan
-            info["parcels"][:] = 77
-            info["reward_terms"].clear()
-            action = env.action_space.sample()
-            observation, reward, *_, info = env.step(action)
-            wanted = twin.step(action)
-            assert_alike((observation, reward, info), (*wanted[:2], wanted[4]))
-
     def test_a_gate_adds_a_row_and_a_number(self) -> None:
         env = bare(actions="parcels", gate=True, max_parcels=3)
         assert env.observation_space.shape == (4, len(FEATURES))
@@ -143,18 +130,6 @@ class TestEpisodes:
         played = play(env, ROLL)
         assert [step[4]["entered"] for step in played] == [0] * 12 + [1] * 8
         assert all(step[1] == 0.0 for step in played[:12])
-
-    def test_steps_out_of_turn_are_refused(self) -> None:
-        env = bare(actions="parcels", duration=0.04)
-        action = same_choice(env, ROLL)
-        with pytest.raises(gym.error.ResetNeeded, match="reset"):
-            env.step(action)
-        env.reset(seed=0)
-        env.step(action)
-        with pytest.raises(gym.error.ResetNeeded, match="ended"):
-            env.step(action)
-        env.reset()
-        env.step(action)
 
     @pytest.mark.parametrize(
         "action", [3, [3] * 47, [3] * 47 + [4], [3.0] * 48, None, [[3] * 48]], ids=repr
@@ -266,7 +241,9 @@ class TestMemory:
             tracemalloc.stop()
         assert grown < 60_000  # [bytes] 500 an episode: less than a parcel
         assert len(env.batch.bodies.body) == rooms
-        assert len(env.batch._pool._users) <= len(DENSE.kinds) + int(env.batch.streams.arrivals[0])
+        # Of parcels drawn anew, each is kept as long as the episode has use for it.
+        used = int(env.batch.streams.arrivals[0]) if varied else len(DENSE.kinds)
+        assert len(env.batch._pool._users) == used
 
 
 @pytest.fixture
