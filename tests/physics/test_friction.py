@@ -1,6 +1,7 @@
 """The implicit step against another convex solver, its own optimality, and known answers."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from surface_gym.physics.references import implicit_velocity
 from surface_gym.physics.types import Grid
 from tests.physics.contact_sets import (
     PITCH,
+    SQUARE,
     TABLE_1,
     WEIGHT,
     Friction,
@@ -21,21 +23,21 @@ from tests.physics.contact_sets import (
     make_grid,
 )
 
-SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [-0.1, 0.1], [0.1, 0.1]])
+GYRATION, DT = 0.01, 0.005  # [m^2], [s]
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One step: its contacts, and where it starts."""
+    """One step: its contacts, by default a square's, and where it starts."""
 
-    grid: Grid
-    gyration: float  # [m^2] inertia / mass
-    dt: float  # [s]
     velocity: np.ndarray  # (3,) [m/s, m/s, rad/s]
-    arms: np.ndarray  # (contacts, 2) [m]
     axis: np.ndarray  # (contacts,) [rad]
     rotor: np.ndarray  # (contacts,) bool
     normal: np.ndarray  # (contacts,) [m/s^2]
+    arms: np.ndarray = field(default_factory=lambda: SQUARE)  # (contacts, 2) [m]
+    grid: Grid = field(default_factory=make_grid)
+    gyration: float = GYRATION  # [m^2] inertia / mass
+    dt: float = DT  # [s]
     friction: Friction = TABLE_1
 
     @property
@@ -65,6 +67,14 @@ class Problem:
             self.grid, self.gyration, scratch, contacts, self.dt, *self.velocity
         )
         return np.array(velocity)
+
+
+def over_square(
+    rotors: bool, velocity: tuple[float, float, float], axis: float = 0.0, **changes: Any
+) -> Problem:
+    """Four rotors or supports that bear equal loads."""
+    contacts = (np.full(4, axis), np.full(4, rotors), np.full(4, WEIGHT / 4))
+    return Problem(np.array(velocity), *contacts, **changes)
 
 
 def draw_problem(rng: np.random.Generator, rotors: float) -> Problem:
@@ -106,11 +116,9 @@ def gradient(problem: Problem, velocity: np.ndarray) -> np.ndarray:
     u, v = along @ velocity, across @ velocity
     speed = np.maximum(np.hypot(u, v), ROUNDING)
     mu = problem.friction
-    force_along = np.where(
-        problem.rotor, mu.along * np.clip(u / ROUNDING, -1, 1), mu.support * u / speed
-    )
-    force_across = np.where(
-        problem.rotor, mu.across * np.clip(v / ROUNDING, -1, 1), mu.support * v / speed
+    force_along, force_across = (
+        np.where(problem.rotor, most * np.clip(w / ROUNDING, -1, 1), mu.support * w / speed)
+        for most, w in ((mu.along, u), (mu.across, v))
     )
     load = problem.dt * problem.normal
     inertial = problem.inertia * (velocity - problem.free_velocity)
@@ -159,80 +167,39 @@ def test_friction_takes_energy(seed: int, rotors: float) -> None:
 def test_a_sliding_parcel_is_slowed_by_coulomb_friction(
     axis: float, velocity: tuple[float, float], deceleration: tuple[float, float]
 ) -> None:
-    dt = 0.005
-    problem = Problem(
-        grid=make_grid(),
-        gyration=0.01,
-        dt=dt,
-        velocity=np.array([*velocity, 0.0]),
-        arms=SQUARE,
-        axis=np.full(4, axis),
-        rotor=np.ones(4, dtype=bool),
-        normal=np.full(4, WEIGHT / 4),
-    )
-    expected = np.array(velocity) - dt * WEIGHT * np.array(deceleration)
-    np.testing.assert_allclose(problem.step(), [*expected, 0.0], rtol=0.0, atol=1e-12)
+    expected = np.array(velocity) - DT * WEIGHT * np.array(deceleration)
+    after = over_square(True, (*velocity, 0.0), axis).step()
+    np.testing.assert_allclose(after, [*expected, 0.0], rtol=0.0, atol=1e-12)
 
 
-def test_supports_slow_in_the_direction_of_motion() -> None:
-    problem = Problem(
-        grid=make_grid(),
-        friction=Friction(support=0.1),
-        gyration=0.01,
-        dt=0.01,
-        velocity=np.array([0.6, 0.8, 0.0]),
-        arms=SQUARE,
-        axis=np.zeros(4),
-        rotor=np.zeros(4, dtype=bool),
-        normal=np.full(4, WEIGHT / 4),
-    )
-    left = 1.0 - 0.01 * 0.1 * WEIGHT
-    np.testing.assert_allclose(problem.step(), [0.6 * left, 0.8 * left, 0.0], rtol=0.0, atol=1e-9)
+@pytest.mark.parametrize(
+    ("velocity", "left"),
+    [
+        ((0.6, 0.8, 0.0), 1.0 - DT * 0.1 * WEIGHT),
+        # About its centre, at a radius of sqrt(0.02) m.
+        ((0.0, 0.0, 3.0), 1.0 - DT * 0.1 * WEIGHT * 0.02**0.5 / GYRATION / 3.0),
+    ],
+)
+def test_supports_slow_in_the_direction_of_motion(
+    velocity: tuple[float, float, float], left: float
+) -> None:
+    after = over_square(False, velocity, friction=Friction(support=0.1)).step()
+    np.testing.assert_allclose(after, left * np.array(velocity), rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("along", [0.0, 0.4 * WEIGHT, -0.4 * WEIGHT])
 def test_friction_holds_a_parcel_on_a_slope(along: float) -> None:
-    problem = Problem(
-        grid=make_grid(along=along),
-        gyration=0.01,
-        dt=0.005,
-        velocity=np.zeros(3),
-        arms=SQUARE,
-        axis=np.zeros(4),
-        rotor=np.ones(4, dtype=bool),
-        normal=np.full(4, WEIGHT / 4),
-    )
-    after = problem.step()
+    after = over_square(True, (0.0, 0.0, 0.0), grid=make_grid(along=along)).step()
     # The rounded friction lets it creep: v + dt mu N v / ROUNDING = dt g sin(gamma).
-    creep = 0.005 * along / (1.0 + 0.005 * 0.5 * WEIGHT / ROUNDING)
+    creep = DT * along / (1.0 + DT * 0.5 * WEIGHT / ROUNDING)
     assert abs(creep) < ROUNDING
     np.testing.assert_allclose(after, [creep, 0.0, 0.0], rtol=0.0, atol=1e-12)
-
-
-def test_a_spinning_parcel_on_supports_slows_about_its_centre() -> None:
-    gyration, radius, dt, mu = 0.01, 0.1 * np.sqrt(2.0), 0.005, 0.2
-    problem = Problem(
-        grid=make_grid(),
-        friction=Friction(support=mu),
-        gyration=gyration,
-        dt=dt,
-        velocity=np.array([0.0, 0.0, 3.0]),
-        arms=SQUARE,
-        axis=np.zeros(4),
-        rotor=np.zeros(4, dtype=bool),
-        normal=np.full(4, WEIGHT / 4),
-    )
-    expected = 3.0 - dt * mu * WEIGHT * radius / gyration
-    np.testing.assert_allclose(problem.step(), [0.0, 0.0, expected], rtol=0.0, atol=1e-9)
 
 
 def test_without_friction_or_gravity_the_velocity_stays() -> None:
     rng = np.random.default_rng(0)
     problem = Problem(
-        grid=make_grid(),
         friction=Friction(0.0, 0.0, 0.0),
-        gyration=0.01,
-        dt=0.005,
         velocity=np.array([1.0, -0.5, 2.0]),
         arms=PITCH * rng.normal(size=(9, 2)),
         axis=rng.normal(size=9),

@@ -8,13 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surface_gym.physics.references import SOLVERS, Solver
-from tests.physics.contact_sets import PITCH, WEIGHT, draw_arms, dual
+from tests.physics.contact_sets import PITCH, SQUARE, WEIGHT, draw_arms, dual
 
 EVERY_SOLVER: dict[str, Solver] = {
     "dual": lambda arms, _weight, load, stiffness: dual(arms, load, stiffness),
     **SOLVERS,
 }
-SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [-0.1, 0.1], [0.1, 0.1]])
 GRID = PITCH * np.array([(x, y) for y in (-1.0, 0.0, 1.0) for x in (-1.0, 0.0, 1.0)])
 
 
@@ -38,31 +37,31 @@ def draw_contact_set(rng: np.random.Generator) -> ContactSet:
 @pytest.fixture(scope="module")
 def contact_sets() -> list[ContactSet]:
     rng = np.random.default_rng(1)
-    return [draw_contact_set(rng) for _ in range(10_000)]
+    return [draw_contact_set(rng) for _ in range(1_000)]
 
 
 @pytest.fixture(scope="module")
 def dual_forces(contact_sets: list[ContactSet]) -> list[np.ndarray]:
+    """Of these, a third to two thirds have active bounds."""
     answers = [dual(arms, load) for arms, load in contact_sets]
     assert not any(degenerate for _, degenerate in answers)
+    assert 1 / 3 < np.mean([(normal == 0.0).any() for normal, _ in answers]) < 2 / 3
     return [normal for normal, _ in answers]
 
 
-def test_a_third_of_the_sets_have_active_bounds(dual_forces: list[np.ndarray]) -> None:
-    active = np.mean([(normal == 0.0).any() for normal in dual_forces])
-    assert 1 / 3 < active < 2 / 3
-
-
 @pytest.mark.parametrize("reference", SOLVERS)
-def test_the_dual_agrees_with_the_references(
+def test_the_dual_agrees_with_the_references_also_where_stiffness_differs(
     contact_sets: list[ContactSet], dual_forces: list[np.ndarray], reference: str
 ) -> None:
-    worst = 0.0
-    for (arms, load), normal in zip(contact_sets, dual_forces, strict=True):
-        expected, degenerate = SOLVERS[reference](arms, WEIGHT, load, np.ones(len(arms)))
+    rng = np.random.default_rng(2)
+    for k, ((arms, load), normal) in enumerate(zip(contact_sets, dual_forces, strict=True)):
+        stiffness = np.ones(len(arms))
+        if k % 2:
+            stiffness = rng.uniform(0.5, 2.0, size=len(arms))
+            normal, _ = dual(arms, load, stiffness)
+        expected, degenerate = SOLVERS[reference](arms, WEIGHT, load, stiffness)
         assert not degenerate
-        worst = max(worst, float(np.abs(normal - expected).max()))
-    assert worst <= 1e-6 * WEIGHT
+        np.testing.assert_allclose(normal, expected, rtol=0.0, atol=1e-6 * WEIGHT)
 
 
 def test_the_dual_balances_the_load(
@@ -72,19 +71,6 @@ def test_the_dual_balances_the_load(
         assert normal.min() >= 0.0
         assert normal.sum() == pytest.approx(WEIGHT, rel=1e-9)
         np.testing.assert_allclose(normal @ arms / WEIGHT, load, rtol=0.0, atol=1e-6 * PITCH)
-
-
-@pytest.mark.parametrize("reference", SOLVERS)
-def test_they_agree_on_elements_of_unequal_stiffness(
-    contact_sets: list[ContactSet], reference: str
-) -> None:
-    rng = np.random.default_rng(2)
-    for arms, load in contact_sets[:1000]:
-        stiffness = rng.uniform(0.5, 2.0, size=len(arms))
-        normal, _ = dual(arms, load, stiffness)
-        expected, degenerate = SOLVERS[reference](arms, WEIGHT, load, stiffness)
-        assert not degenerate
-        np.testing.assert_allclose(normal, expected, rtol=0.0, atol=1e-6 * WEIGHT)
 
 
 @pytest.mark.parametrize("solver", EVERY_SOLVER)
