@@ -1,7 +1,6 @@
 """Which module follows which part of an action, stated again in plain Python."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,14 +16,11 @@ from surface_gym.tasks.sort import FEATURES
 from surface_gym.tasks.start import Start
 from tests.environments import ACTIONS, ORIGIN, PARCELS, PITCH, batch_with, put
 
+# [m, m, rad] before, in and behind the zone, left and right of the line's middle.
 POSES = [
-    (1.0, 1.0, 0.0),
-    (0.62, 1.03, 0.2),
-    (0.31, 0.96, -0.7),
-    (1.0, 1.12, 2.5),
-    (1.87, 0.91, 0.4),
+    (1.0, 1.0, 0.0), (0.62, 1.03, 0.2), (0.31, 0.96, -0.7), (1.0, 1.12, 2.5), (1.87, 0.91, 0.4),
     (2.2, 1.0, 0.0),
-]  # [m, m, rad] before, in and behind the zone, left and right of the line's middle
+]  # fmt: skip
 PARCEL = PARCELS["S"]
 
 
@@ -70,10 +66,9 @@ def test_each_module_follows_its_part(
 @pytest.mark.parametrize("actions", ACTIONS)
 def test_each_module_turns_to_the_angle_its_part_says(actions: str) -> None:
     batch = batch_at((1.0, 1.12, 2.5), sg.layouts.box("B"), actions=actions, orientations="any")
-    angles = np.random.default_rng(1).uniform(
-        -math.pi / 2, math.pi / 2, batch.surfaces.command.shape
-    )
-    assert_follows(batch, angles)
+    right = math.pi / 2
+    command = np.random.default_rng(1).uniform(-right, right, batch.surfaces.command.shape)
+    assert_follows(batch, command)
     put(batch, Start(PARCEL, (0.2, 1.0, 0.0), (0.5, 0.0, 0.0), (1.0,)))
     np.testing.assert_allclose(batch.axes(0), math.pi / 2, rtol=0.0, atol=1e-15)
 
@@ -95,8 +90,7 @@ def assert_follows(batch: Batch, command: np.ndarray) -> None:
 def test_around_the_parcel_is_where_it_is_sensed(actions: str) -> None:
     """The modules turn around what the sensor says, not around the truth."""
     batch = batch_at((1.0, 1.0, 0.0), PARCEL, actions=actions)
-    parcels = batch.parcels
-    parcels.sensed[0, :2] = 0.83, 1.07
+    batch.parcels.sensed[0, :2] = 0.83, 1.07
     assert_follows(batch, np.random.default_rng(2).integers(0, 3, batch.surfaces.command.shape))
 
 
@@ -116,22 +110,19 @@ class TestOccupancy:
         parcel = PARCELS[name]
         batch = batch_at(pose, parcel, actions="window", actuators=Actuators(stuck=((9, 9),)))
         x, y, theta = batch.parcels.sensed[0, :3]
-        first_row = whole_row(y) - 2
-        first_column = math.floor((x - ORIGIN) / PITCH + 0.5) - 2
         rows, columns = np.indices((5, 5))
-        dx = ORIGIN + PITCH * (columns + first_column) - x
-        dy = ORIGIN + PITCH * (rows + first_row) - y
+        rows += whole_row(y) - 2
+        columns += math.floor((x - ORIGIN) / PITCH + 0.5) - 2
+        dx, dy = ORIGIN + PITCH * columns - x, ORIGIN + PITCH * rows - y
         cosine, sine = math.cos(theta), math.sin(theta)
         centre_x, centre_y = parcel.base.centroid
         functions = parcel.base.functions(
             centre_x + cosine * dx + sine * dy, centre_y + cosine * dy - sine * dx
         )
         under = (functions <= 0.0).all(axis=0)
-        inside = (columns + first_column >= 0) & (columns + first_column < 30)
+        inside = (columns >= 0) & (columns < 30)
         obeys = np.zeros((5, 5), dtype=bool)
-        obeys[inside] = batch.view(0).obeys[
-            (rows + first_row)[inside], (columns + first_column)[inside]
-        ]
+        obeys[inside] = batch.view(0).obeys[rows[inside], columns[inside]]
         np.testing.assert_array_equal(self.occupied(batch), under & obeys)
 
     def test_counts_what_is_there(self) -> None:
@@ -151,13 +142,10 @@ class TestOccupancy:
         np.testing.assert_array_equal(views[0], views[1])
 
 
-@pytest.mark.parametrize(
-    "change", [lambda surfaces: surfaces.angle, lambda surfaces: surfaces.target]
-)
-def test_instant_axes_take_no_memory_to_turn(change: Callable[[Any], np.ndarray]) -> None:
-    assert change(Batch(EnvConfig(), 3).surfaces).shape == (3, 1, 1)
-    slow = Batch(EnvConfig(actuators=Actuators(axis_speed=1.0)), 3)
-    assert change(slow.surfaces).shape == (3, 20, 30)
+def test_instant_axes_take_no_memory_to_turn() -> None:
+    for actuators, shape in ((Actuators(), (3, 1, 1)), (Actuators(axis_speed=1.0), (3, 20, 30))):
+        surfaces = Batch(EnvConfig(actuators=actuators), 3).surfaces
+        assert surfaces.angle.shape == surfaces.target.shape == shape
 
 
 ROWS, COLUMNS = 4, 3
@@ -169,31 +157,22 @@ def kind_of(name: str, choices: int = 4) -> ActionKind:
 
 @pytest.mark.parametrize("name", ACTIONS)
 @pytest.mark.parametrize("choices", [2, 4, 8])
-class TestEveryKind:
-    def test_commands_and_actions_say_the_same(self, name: str, choices: int) -> None:
-        kind = kind_of(name, choices)
-        space = kind.space()
-        space.seed(0)
-        actions = np.array([space.sample() for _ in range(50)])
-        commands = kind.commands(actions, 50)
-        assert commands.shape == (50, kind.size)
-        assert commands.min() == 0
-        assert commands.max() == choices - 1
-        np.testing.assert_array_equal(kind.encode(commands), actions)
-
-    def test_flipping_twice_is_nothing(self, name: str, choices: int) -> None:
-        kind = kind_of(name, choices)
-        commands = np.random.default_rng(0).integers(0, choices, (20, kind.size))
-        flipped = kind.flip(commands)
-        assert flipped.shape == commands.shape
-        np.testing.assert_array_equal(kind.flip(flipped), commands)
-        np.testing.assert_array_equal(np.sort(flipped), np.sort(commands))
-
-    def test_flipping_leaves_the_callers_commands_alone(self, name: str, choices: int) -> None:
-        kind = kind_of(name, choices)
-        commands = np.arange(2 * kind.size).reshape(2, -1)
-        kind.flip(commands)
-        np.testing.assert_array_equal(commands, np.arange(2 * kind.size).reshape(2, -1))
+def test_commands_and_actions_say_the_same_and_flipping_twice_is_nothing(
+    name: str, choices: int
+) -> None:
+    kind = kind_of(name, choices)
+    space = kind.space()
+    space.seed(0)
+    actions = np.array([space.sample() for _ in range(50)])
+    commands = kind.commands(actions, 50)
+    assert commands.shape == (50, kind.size)
+    assert (commands.min(), commands.max()) == (0, choices - 1)
+    np.testing.assert_array_equal(kind.encode(commands), actions)
+    kept = commands.copy()
+    flipped = kind.flip(commands)
+    np.testing.assert_array_equal(commands, kept)  # they are the caller's
+    np.testing.assert_array_equal(kind.flip(flipped), commands)
+    np.testing.assert_array_equal(np.sort(flipped), np.sort(commands))
 
 
 def test_an_action_of_halves_is_front_and_rear() -> None:
@@ -201,17 +180,11 @@ def test_an_action_of_halves_is_front_and_rear() -> None:
     assert kind.commands([0, 1, 4, 14, 15], 5).tolist() == [[0, 0], [0, 1], [1, 0], [3, 2], [3, 3]]
 
 
-def test_flips_row_by_row() -> None:
-    modules = np.arange(ROWS * COLUMNS)[np.newaxis]
-    rows = kind_of("modules").flip(modules).reshape(ROWS, COLUMNS)
-    np.testing.assert_array_equal(rows, modules.reshape(ROWS, COLUMNS)[::-1])
-    window = np.arange(25)[np.newaxis]
-    np.testing.assert_array_equal(
-        kind_of("window").flip(window).reshape(5, 5), window.reshape(5, 5)[::-1]
-    )
-
-
-def test_flips_left_and_right_of_halves_and_quadrants() -> None:
+def test_flips_row_by_row_and_left_and_right_of_quadrants() -> None:
+    for name, shape in (("modules", (ROWS, COLUMNS)), ("window", (5, 5))):
+        given = np.arange(np.prod(shape))
+        flipped = kind_of(name).flip(given[np.newaxis]).reshape(shape)
+        np.testing.assert_array_equal(flipped, given.reshape(shape)[::-1])
     assert kind_of("halves").flip(np.array([[1, 2]])).tolist() == [[1, 2]]
     front_left, front_right, rear_left, rear_right = 0, 1, 2, 3
     given = np.array([[front_left, front_right, rear_left, rear_right]])

@@ -76,9 +76,8 @@ def test_a_start_forgets_the_parcel_before() -> None:
 def test_equal_parcels_share_a_row_of_the_body_table() -> None:
     batch = Batch(EnvConfig(), 5)
     mine = sg.Parcel(sg.Disc(0.12))
-    names = ("S", "B", "S", "B", mine)
-    for i, parcel in enumerate(names):
-        parcel = sg.layouts.box(parcel) if isinstance(parcel, str) else parcel
+    boxes = [sg.layouts.box(size) for size in "SBSB"]  # equal, not the same
+    for i, parcel in enumerate([*boxes, mine]):
         put(batch, Start(parcel, (parcel.rear, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), i)
     assert batch.parcels.body[:4].tolist() == [0, 1, 0, 1]
     assert [batch.view(i).body[RADIUS] for i in (0, 4)] == [sg.layouts.box("S").base.reach, 0.12]

@@ -14,9 +14,9 @@ from surface_gym.sensors.base import LEARNED
 from surface_gym.sensors.camera import SPREADS
 from surface_gym.sensors.kalman import CONSTANT, DECAY, DOUBT, EFFECT
 from surface_gym.tasks import Slow
+from tests.sensors.runs import BRAKE, ROLL, errors, rms
 
-BRAKE, ROLL = 0, 3
-QUADRANTS = {"all brake": (0, 0, 0, 0), "ahead brakes": (0, 0, 3, 3), "one side": (2, 3, 3, 0)}
+HALVES = {"all brake": (BRAKE, BRAKE), "ahead brakes": (BRAKE, ROLL), "aside and back": (2, 1)}
 
 
 def in_the_zone(axes: tuple[int, ...]) -> Batch:
@@ -24,16 +24,16 @@ def in_the_zone(axes: tuple[int, ...]) -> Batch:
     frame comes.
     """
     unseen = AdaptiveCamera(frame_rate=0.1)
-    batch = Batch(EnvConfig("slow", actions="quadrants", sensors=unseen, control_period=0.005), 1)
+    batch = Batch(EnvConfig("slow", actions="halves", sensors=unseen, control_period=0.005), 1)
     batch.reset_cache.seed(0, np.random.default_rng(0))
     batch.reset(np.zeros(1, dtype=np.int64), [{"speed": 2.0, "parcel": "B"}])
     for _ in range(104):
-        batch.step(np.full((1, 4), ROLL))
+        batch.step(np.full((1, 2), ROLL))
     batch.step(np.array([axes]))
     return batch
 
 
-@pytest.mark.parametrize("axes", QUADRANTS.values(), ids=QUADRANTS)
+@pytest.mark.parametrize("axes", HALVES.values(), ids=HALVES)
 def test_effects_are_the_derivatives_of_a_step(axes: tuple[int, ...]) -> None:
     """Against central differences of the physics' step over each of the constants."""
     batch = in_the_zone(axes)
@@ -67,13 +67,14 @@ def after_braking(sensors: Camera, num_envs: int = 128) -> tuple[Any, sg.SmartSu
     """What a filter has in mind of parcels of the lab that were braked and led aside a little."""
     lab = replace(PRESETS["lab"], sensors=sensors, actuators=sg.Actuators())
     env = sg.SmartSurfaceVectorEnv(
-        num_envs, Slow(speeds=(2.0, 2.4)), actions="quadrants", preset=lab, observe=("load",)
+        num_envs, Slow(speeds=(2.0, 2.4)), actions="halves", preset=lab, observe=("load",)
     )
     observation, _ = env.reset(seed=3)
-    halves = ((BRAKE, BRAKE, ROLL, ROLL), (ROLL, ROLL, BRAKE, BRAKE), (BRAKE,) * 4)
+    patterns = ((BRAKE, ROLL), (ROLL, BRAKE), (BRAKE, BRAKE))
     for k in range(16):
-        pattern = (ROLL,) * 4 if k < 7 else halves[k % 3]
-        observation, _, terminated, truncated, _ = env.step(np.tile(pattern, (num_envs, 1)))
+        pattern = (ROLL, ROLL) if k < 7 else patterns[k % 3]
+        action = env.config.action_kind.encode(np.tile(pattern, (num_envs, 1)))
+        observation, _, terminated, truncated, _ = env.step(action)
         assert not (terminated | truncated).any()
     return observation, env
 
@@ -87,13 +88,13 @@ def test_friction_and_load_are_learned_as_well_as_it_says() -> None:
     bodies = batch.bodies.body[batch.parcels.body]
     true = np.column_stack([batch.surfaces.conditions[:, 0], bodies[:, 1], bodies[:, 2]])
     kept = batch.parcels.sensor_state
-    errors = kept[:, CONSTANT : CONSTANT + LEARNED] - true
+    wrong = kept[:, CONSTANT : CONSTANT + LEARNED] - true
     doubts = np.sqrt(kept[:, DOUBT : DOUBT + 9 : LEARNED + 1])
     spreads = np.array([sensors.friction_spread, sensors.load_spread, sensors.load_spread])
     assert (doubts.mean(axis=0) < (0.6, 0.9, 0.7) * spreads).all()
     prior = true - (1.0, 0.0, 0.0)
-    assert (np.sqrt((errors**2).mean(axis=0)) < np.sqrt((prior**2).mean(axis=0))).all()
-    over = np.sqrt(((errors / doubts) ** 2).mean(axis=0))
+    assert (rms(wrong) < rms(prior)).all()
+    over = rms(wrong / doubts)
     assert ((over > 0.3) & (over < 2.0)).all(), over
     # The observation shows the same, over what was known before.
     shown = np.column_stack([(kept[:, CONSTANT : CONSTANT + LEARNED] - (1, 0, 0)), doubts])
@@ -110,33 +111,24 @@ def test_it_sees_better_in_the_lab_than_a_camera_that_does_not_learn() -> None:
     )
     found = []
     for sensors in (lab, plain):
-        _, env = after_braking(sensors)
+        observation, env = after_braking(sensors)
         memory = env.batch.parcels
-        found.append(np.sqrt(((memory.sensed - memory.truth)[:, 3:] ** 2).mean(axis=0)))
+        found.append(rms((memory.sensed - memory.truth)[:, 3:]))
     assert (found[0] < (0.85, 0.85, 0.6) * found[1]).all(), found
+    # A sensor that does not learn shows all doubt.
+    np.testing.assert_array_equal(observation[:, -6:], [[0, 0, 0, 1, 1, 1]] * len(observation))
 
 
 def test_where_all_is_as_assumed_it_sees_as_well_as_a_camera() -> None:
-    from tests.sensors.runs import errors, rms
-
     plain = rms(errors(Camera(), BRAKE, speed=1.5, parcel="B"))
     learning = AdaptiveCamera(acceleration_density=0.0003, turn_density=0.03)
     assert (rms(errors(learning, BRAKE, speed=1.5, parcel="B")) < 1.5 * plain).all()
 
 
-def test_a_sensor_that_does_not_learn_shows_all_doubt() -> None:
-    env = sg.SmartSurfaceVectorEnv(2, "stop", sensors=Camera(), observe=("load",))
-    observation, _ = env.reset(seed=0)
-    np.testing.assert_array_equal(observation[:, -6:], [[0, 0, 0, 1, 1, 1]] * 2)
-
-
 @pytest.mark.parametrize("name", ["friction_spread", "load_spread"])
-@pytest.mark.parametrize("value", [0.0, -0.1, float("nan"), 2.0, "wide"])
-def test_a_bad_spread_is_named(name: str, value: Any) -> None:
-    with pytest.raises(ValueError, match=rf"^{name} must be"):
-        AdaptiveCamera(**{name: value})
-
-
-def test_the_spreads_are_where_the_filter_reads_them() -> None:
+def test_the_spreads_are_checked_and_where_the_filter_reads_them(name: str) -> None:
+    for value in (0.0, -0.1, float("nan"), 2.0, "wide"):
+        with pytest.raises(ValueError, match=rf"^{name} must be"):
+            AdaptiveCamera(**{name: value})
     numbers = AdaptiveCamera(friction_spread=0.2, load_spread=0.03).numbers(0.005)
     assert numbers[SPREADS:] == (0.2, 0.03)
