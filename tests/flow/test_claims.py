@@ -11,21 +11,10 @@ from surface_gym.flow.state import NOBODY, TURNS
 from surface_gym.physics.types import VX, VY, Array, X, Y
 from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Exact, Presence
-from tests.flow.flows import (
-    BOX,
-    BRAKE,
-    DENSE,
-    SHORT,
-    batch_with,
-    box_of,
-    command,
-    parcel_of,
-    set_down,
-    trace,
-)
+from tests.flow import flows
 
 STUCK = ((8, 9), (10, 15))
-FULL = trace(*[(0.0, "left 1")] * 12)
+FULL = flows.trace(*[(0.0, "left 1")] * 12)
 
 
 def while_over(low: float, high: float, speed: float, place: float) -> tuple[float, float]:
@@ -46,7 +35,7 @@ def slow_claims(batch: StreamBatch, sensed: Array, present: Array, ahead: float)
             claims = []
             for place in np.nonzero(present)[0].tolist():
                 pose = sensed[place]
-                rear, front, right, left = box_of(parcel_of(batch, place), pose[:3])
+                rear, front, right, left = flows.box_of(flows.parcel_of(batch, place), pose[:3])
                 along = while_over(rear, front, pose[VX], x)
                 across = while_over(right, left, pose[VY], y)
                 since, until = max(0.0, along[0], across[0]), min(ahead, along[1], across[1])
@@ -60,7 +49,7 @@ def slow_claims(batch: StreamBatch, sensed: Array, present: Array, ahead: float)
 def scattered(rng: np.random.Generator, count: int) -> Array:
     """(count, 6) poses and velocities all over the rotors."""
     return np.column_stack([
-        rng.uniform(0.2, 2.2, count), SHORT.line_y + rng.uniform(-0.4, 0.4, count),
+        rng.uniform(0.2, 2.2, count), flows.SHORT.line_y + rng.uniform(-0.4, 0.4, count),
         rng.uniform(-3.0, 3.0, count), rng.uniform(-1.0, 3.0, count),
         rng.uniform(-2.0, 2.0, count), rng.uniform(-1.0, 1.0, count),
     ])  # fmt: skip
@@ -70,11 +59,11 @@ class TestRule:
     @pytest.mark.parametrize("ahead", [0.0, 0.03, 0.1, 0.5])
     def test_is_the_slow_one_on_random_poses(self, ahead: float) -> None:
         rng = np.random.default_rng(0)
-        batch = batch_with(FULL, actions="parcels", ahead=ahead, duration=9.0)
+        batch = flows.batch_with(FULL, actions="parcels", ahead=ahead, duration=9.0)
         claimed = 0
         for _ in range(12):
             batch.reset(np.array([0]))
-            set_down(batch, scattered(rng, 12)[:, :3])
+            flows.set_down(batch, scattered(rng, 12)[:, :3])
             # A sensor may see them anywhere; some stand still in x or in y.
             sensed = scattered(rng, 12)
             sensed[:3, VX] = 0.0
@@ -82,7 +71,7 @@ class TestRule:
             batch.parcels.sensed[:12] = sensed
             batch.streams.present[0, 5] = False
             present = batch.streams.present[0].copy()
-            batch.step(command(batch, BRAKE))
+            batch.step(flows.command(batch, flows.BRAKE))
             wanted = slow_claims(batch, sensed, present, ahead)
             np.testing.assert_array_equal(batch.streams.owner[0], wanted)
             claimed += int((wanted != NOBODY).sum())
@@ -101,10 +90,10 @@ class TestRule:
 
     def owners(self, poses: list[tuple[float, float, float]], sensed: tuple[float, float]) -> Array:
         """Whom the modules obey where two parcels are sensed at an x [m] each."""
-        batch = batch_with(FULL, actions="parcels", duration=9.0)
-        set_down(batch, poses)
+        batch = flows.batch_with(FULL, actions="parcels", duration=9.0)
+        flows.set_down(batch, poses)
         batch.parcels.sensed[:2, X] = sensed
-        batch.step(command(batch, BRAKE))
+        batch.step(flows.command(batch, flows.BRAKE))
         return batch.streams.owner[0]
 
 
@@ -112,8 +101,8 @@ class TestCommands:
     @pytest.mark.parametrize("orientations", [None, "any"])
     def test_modules_follow_the_half_of_their_owner(self, orientations: Any) -> None:
         """What no parcel claims stays, and so do stuck modules, the lead-in and supports."""
-        batch = batch_with(
-            DENSE, actuators=Actuators(stuck=STUCK), duration=4.0, actions="parcels",
+        batch = flows.batch_with(
+            flows.DENSE, actuators=Actuators(stuck=STUCK), duration=4.0, actions="parcels",
             orientations=orientations, sensors=Presence() if orientations else Exact(),
         )  # fmt: skip
         kind = batch.config.action_kind
@@ -147,7 +136,9 @@ class TestCommands:
         assert all(commanded[module] == math.pi / 2 for module in STUCK)
 
     def test_choices_of_free_places_do_nothing(self) -> None:
-        batch, twin = (batch_with(DENSE, actions="parcels", duration=4.0) for _ in range(2))
+        batch, twin = (
+            flows.batch_with(flows.DENSE, actions="parcels", duration=4.0) for _ in range(2)
+        )
         rng = np.random.default_rng(3)
         for _ in range(50):
             commands = rng.integers(0, 4, (24, 2))
@@ -162,5 +153,5 @@ class TestCommands:
     def test_boxes_are_those_of_turned_bases(self) -> None:
         """What the slow account rests on: a square turned by 45 deg is sqrt(2) as wide."""
         half = 0.125 * math.sqrt(2.0)
-        box = box_of(BOX, (1.0, 2.0, math.pi / 4))
+        box = flows.box_of(flows.BOX, (1.0, 2.0, math.pi / 4))
         assert box == pytest.approx((1.0 - half, 1.0 + half, 2.0 - half, 2.0 + half))

@@ -9,12 +9,12 @@ import pytest
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.task import AHEAD, BEHIND, FEATURES, PRESENT, WAITS
+from surface_gym.flow.task import AHEAD, BEHIND, FEATURES, PRESENT
 from surface_gym.physics.types import Array
 from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Camera
 from surface_gym.tasks.sort import FEATURES as SORT_FEATURES
-from tests.flow.flows import DENSE, ROLL, SHORT, bare, box_of, parcel_of, steps
+from tests.flow.flows import ROLL, SHORT, bare, box_of, parcel_of
 
 NAMES = [feature.name for feature in FEATURES]
 FIRST_OF_ZONE = 0.5  # [m] after a lead-in of 5 columns
@@ -108,20 +108,3 @@ def test_the_first_are_those_of_sort() -> None:
     assert NAMES[:13] == [feature.name for feature in SORT_FEATURES[:13]]
     assert NAMES[12] == "time"
     assert [NAMES[k] for k in (PRESENT, AHEAD, BEHIND)] == ["present", "gap ahead", "gap behind"]
-
-
-def test_with_a_gate_the_last_row_waits() -> None:
-    env = bare(stream=DENSE, actions="parcels", gate=True, duration=2.0)
-    batch = env.batch
-    waited = 0
-    for observation, *_ in steps(env, seed=0):
-        assert observation in env.observation_space
-        waits = batch.streams.due[0] > batch.streams.coming[0]
-        assert observation[-1].any() == waits
-        if waits:
-            waited += 1
-            assert observation[-1, PRESENT] == observation[-1, WAITS] == 1.0
-            number = int(batch.streams.coming[0])
-            late = batch.streams.clock[0] - batch.streams.time[0, number]
-            assert observation[-1, 12] == pytest.approx(-late / 4.0, abs=1e-6)
-    assert waited > 10

@@ -8,17 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surface_gym.flow.state import (
-    BETWEEN,
-    NAMES,
-    ON_ITS_WAY,
-    TURNS,
-    FlowStatistics,
-    StreamState,
-    compute_statistics,
-    make_streams,
-    with_room,
-)
+from surface_gym.flow import state as fs
 from surface_gym.randomisation import Randomisation
 from tests.flow.flows import MINUS_45, ROLL, bare, same_choice
 
@@ -27,18 +17,18 @@ NAN = math.nan
 
 def recorded(
     clock: float, *rows: tuple[float, float, float, int, int, int], turns: int = 0
-) -> StreamState:
+) -> fs.StreamState:
     """A surface on which parcels came [s], entered [s] and left [s], were to leave by an exit, took
     one, and touched others so often.
     """
     obeys = np.ones((1, 2, 2), dtype=bool)
-    streams = with_room(make_streams(1, 2, (2, 2), 7, obeys), len(rows))
+    streams = fs.with_room(fs.make_streams(1, 2, (2, 2), 7, obeys), len(rows))
     columns = ("time", "entered", "left", "exit", "taken", "touches")
     for name, values in zip(columns, zip(*rows, strict=True), strict=True):
         getattr(streams, name)[0, : len(rows)] = values
     streams.arrivals[0] = len(rows)
     streams.clock[0] = clock
-    streams.tally[0, TURNS] = turns
+    streams.tally[0, fs.TURNS] = turns
     return streams
 
 
@@ -47,18 +37,18 @@ BY_HAND = recorded(
     (0.0, 0.0, 4.0, 0, 0, 0),
     (1.0, 1.0, 6.0, 1, 0, 1),  # by another's exit
     (2.0, 4.0, 10.0, 0, 0, 1),
-    (3.0, 6.0, 9.0, 2, BETWEEN, 2),
+    (3.0, 6.0, 9.0, 2, fs.BETWEEN, 2),
     (20.0, 21.0, 30.0, 2, 2, 0),
-    (30.0, 33.0, NAN, 0, ON_ITS_WAY, 2),
-    (32.0, NAN, NAN, 1, ON_ITS_WAY, 0),  # waits still
-    (40.0, NAN, NAN, 1, ON_ITS_WAY, 0),  # has yet to come
+    (30.0, 33.0, NAN, 0, fs.ON_ITS_WAY, 2),
+    (32.0, NAN, NAN, 1, fs.ON_ITS_WAY, 0),  # waits still
+    (40.0, NAN, NAN, 1, fs.ON_ITS_WAY, 0),  # has yet to come
     turns=80,
 )
 
 
 class TestByHand:
     def test_of_a_whole_episode(self) -> None:
-        found = compute_statistics(BY_HAND, 0, jammed=True, obeying=4)
+        found = fs.compute_statistics(BY_HAND, 0, jammed=True, obeying=4)
         assert found.delivered == 5
         assert found.parcels_per_hour == pytest.approx(3 * 100.0)
         assert found.missort_rate == pytest.approx(2 / 5)
@@ -75,7 +65,7 @@ class TestByHand:
         assert found.turns_per_hour == pytest.approx(80 / 4 * 100.0)
 
     def test_after_a_warm_up(self) -> None:
-        found = compute_statistics(BY_HAND, 0, jammed=False, obeying=4, warm_up=6.0)
+        found = fs.compute_statistics(BY_HAND, 0, jammed=False, obeying=4, warm_up=6.0)
         assert found.delivered == 4
         assert found.parcels_per_hour == pytest.approx(2 * 120.0)
         assert found.missort_rate == pytest.approx(1 / 2)
@@ -85,14 +75,14 @@ class TestByHand:
         assert found.waiting_most == pytest.approx(4.0)
 
     def test_where_nothing_happened(self) -> None:
-        nothing = recorded(0.0, (1.0, NAN, NAN, 0, ON_ITS_WAY, 0))
-        found = compute_statistics(nothing, 0, jammed=False, obeying=0)
+        nothing = recorded(0.0, (1.0, NAN, NAN, 0, fs.ON_ITS_WAY, 0))
+        found = fs.compute_statistics(nothing, 0, jammed=False, obeying=0)
         assert found.delivered == 0
-        for name in NAMES[1:]:
+        for name in fs.NAMES[1:]:
             assert math.isnan(getattr(found, name)), name
 
     def test_names_are_the_fields(self) -> None:
-        assert tuple(field.name for field in dataclasses.fields(FlowStatistics)) == NAMES
+        assert tuple(field.name for field in dataclasses.fields(fs.FlowStatistics)) == fs.NAMES
 
 
 @pytest.mark.parametrize("varied", [{}, {"lateral": 0.02, "heading": 0.05}])

@@ -10,40 +10,15 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.env import SmartSurfaceEnv
+from surface_gym.flow import state as fs
 from surface_gym.flow.arrivals import Poisson, Steady
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.exits import Exit, Exits, chutes, flow_line, sides
-from surface_gym.flow.state import (
-    BETWEEN,
-    LEFT_RIGHT,
-    LEFT_WRONG,
-    NOBODY,
-    ON_ITS_WAY,
-    RIGHT,
-    WRONG,
-    compute_statistics,
-)
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.task import PRESENT, WAITS
 from surface_gym.physics.types import THETA, Array, X, Y
 from surface_gym.randomisation import Randomisation
-from tests.flow.flows import (
-    BOX,
-    BRAKE,
-    DENSE,
-    MINUS_45,
-    PLUS_45,
-    ROLL,
-    SHORT,
-    bare,
-    batch_with,
-    box_of,
-    command,
-    parcel_of,
-    play,
-    set_down,
-    trace,
-)
+from tests.flow import flows
 
 DT = 0.005  # [s] also the control period: every physics step is seen
 RUSH = Stream(Poisson(20000.0, 0.05), parcels=("S", "B"), speeds=(0.8, 1.6))
@@ -52,7 +27,7 @@ RUSH = Stream(Poisson(20000.0, 0.05), parcels=("S", "B"), speeds=(0.8, 1.6))
 def rush(**settings: Any) -> StreamBatch:
     """More parcels than can enter, a control period a physics step."""
     settings = {"stream": RUSH, "control_period": DT, "duration": 2.0, **settings}
-    return batch_with(**settings)
+    return flows.batch_with(**settings)
 
 
 def poses(batch: StreamBatch) -> dict[int, Array]:
@@ -65,8 +40,8 @@ def clear(
     batch: StreamBatch, parcel: sg.Parcel, pose: Array, others: dict[int, Array], gap: float
 ) -> bool:
     """Whether the box of a parcel at a pose, with a gap around and ahead, is free of others."""
-    _, front, right, left = box_of(parcel, pose)
-    boxes = (box_of(parcel_of(batch, other), its) for other, its in others.items())
+    _, front, right, left = flows.box_of(parcel, pose)
+    boxes = (flows.box_of(flows.parcel_of(batch, other), its) for other, its in others.items())
     return all(
         rear > front + gap or low >= left + gap or high <= right - gap
         for rear, _, low, high in boxes
@@ -90,18 +65,18 @@ class TestRoom:
             streams = batch.streams
             waiting = int((streams.time[0, : streams.arrivals[0]] <= streams.clock[0] + DT).sum())
             waiting -= int(streams.coming[0])
-            held = (streams.number[0] != NOBODY) & streams.present[0]
+            held = (streams.number[0] != fs.NOBODY) & streams.present[0]
             before = int(streams.coming[0])
-            batch.step(command(batch, ROLL if step < 1050 else BRAKE))
+            batch.step(flows.command(batch, flows.ROLL if step < 1050 else flows.BRAKE))
             streams, now = batch.streams, poses(batch)
             if streams.coming[0] > before:
                 assert streams.coming[0] == before + 1
                 (place,) = np.nonzero(streams.present[0] & (streams.number[0] == before))[0]
                 others = {at: pose for at, pose in now.items() if at != place}
-                assert clear(batch, parcel_of(batch, place), now[place], others, gap)
+                assert clear(batch, flows.parcel_of(batch, place), now[place], others, gap)
                 assert streams.entered[0, before] == streams.clock[0]
                 assert streams.entered[0, before] >= streams.time[0, before]
-                rear = box_of(parcel_of(batch, place), now[place])[0]
+                rear = flows.box_of(flows.parcel_of(batch, place), now[place])[0]
                 assert rear == pytest.approx(0.0, abs=1e-12)
                 entered += 1
             elif waiting > 0:
@@ -118,10 +93,10 @@ class TestRoom:
     def test_nobody_is_dropped_and_order_is_kept(self) -> None:
         batch = rush()
         streams = batch.streams
-        waited = 0.0
+        waited, place_of = 0.0, dict[int, int]()
         for _ in range(390):
             waited += DT * int(streams.due[0] - streams.coming[0])
-            batch.step(command(batch, ROLL))
+            batch.step(flows.command(batch, flows.ROLL))
             streams = batch.streams
             time = streams.time[0, : streams.arrivals[0]]
             due = int((time <= streams.clock[0]).sum())
@@ -131,10 +106,12 @@ class TestRoom:
             assert not np.isnan(streams.entered[0, :entered]).any()
             assert np.isnan(streams.entered[0, entered:]).all()
             assert streams.waited[0] == pytest.approx(waited)
+            for place in poses(batch):  # kept while its parcel is there
+                assert place_of.setdefault(int(streams.number[0, place]), place) == place
         assert (np.diff(streams.entered[0, :entered]) > 0.0).all()
         late = np.maximum(streams.clock[0], 0.0) - time[entered:due]
         most = max((streams.entered[0, :entered] - time[:entered]).max(), late.max())
-        found = compute_statistics(streams, 0, jammed=False, obeying=1)
+        found = fs.compute_statistics(streams, 0, jammed=False, obeying=1)
         assert found.waiting_most == pytest.approx(most)
         # Each that waits adds to the sum what it has waited, but for a step's round-off.
         each = np.concatenate([streams.entered[0, :entered] - time[:entered], late])
@@ -142,34 +119,24 @@ class TestRoom:
 
     def test_alone_nobody_waits(self) -> None:
         """At a gap of 3 s each enters in the first physics step after its time."""
-        batch = batch_with(Stream(Steady(1200.0)), duration=9.5)
+        batch = flows.batch_with(Stream(Steady(1200.0)), duration=9.5)
         while batch.streams.outcome[0] == 0:
-            batch.step(command(batch, ROLL))
+            batch.step(flows.command(batch, flows.ROLL))
         np.testing.assert_allclose(
             batch.streams.entered[0, :4], [0.0, 3.0, 6.0, 9.0], atol=DT + 1e-9
         )
         assert (batch.streams.entered[0, :4] >= batch.streams.time[0, :4]).all()
         assert batch.streams.waited[0] == 0.0
 
-    def test_a_place_is_kept_while_its_parcel_is_there(self) -> None:
-        batch = batch_with(DENSE, duration=3.0)
-        place_of: dict[int, int] = {}
-        for _ in range(74):
-            batch.step(command(batch, ROLL))
-            for place in np.nonzero(batch.streams.present[0])[0].tolist():
-                number = int(batch.streams.number[0, place])
-                assert place_of.setdefault(number, place) == place
-        assert len(place_of) > 4
-
 
 class TestGate:
     def gated(self, *times: float, **settings: Any) -> StreamBatch:
-        stream = trace(*[(time, "straight") for time in times])
+        stream = flows.trace(*[(time, "straight") for time in times])
         settings = {"gate": True, "actions": "parcels", "duration": 4.0, **settings}
-        return batch_with(stream, **settings)
+        return flows.batch_with(stream, **settings)
 
     def step(self, batch: StreamBatch, opens: int) -> None:
-        action = command(batch, ROLL)
+        action = flows.command(batch, flows.ROLL)
         action[0, -1] = opens
         batch.step(batch.config.action_kind.commands(action, 1))
 
@@ -205,7 +172,7 @@ class TestGate:
         batch, free = (self.gated(0.0, 0.41, 0.92, gate=gate) for gate in (True, False))
         for _ in range(61):
             self.step(batch, 1)
-            free.step(command(free, ROLL))
+            free.step(flows.command(free, flows.ROLL))
         np.testing.assert_array_equal(batch.streams.entered[0, 1:3], free.streams.entered[0, 1:3])
 
     @pytest.mark.parametrize(
@@ -229,54 +196,58 @@ class TestPlaces:
         rng = np.random.default_rng(1)
         seen = set()
         for _ in range(6):
-            batch = batch_with(trace(*[(0.0, exits.names[0])] * 20), exits=exits, duration=9.0)
+            batch = flows.batch_with(
+                flows.trace(*[(0.0, exits.names[0])] * 20), exits=exits, duration=9.0
+            )
             x = rng.uniform(0.2, 2.5, 20)
-            y = rng.choice([-1.0, 1.0], 20) * rng.uniform(0.35, 0.8, 20) + SHORT.line_y
-            set_down(batch, np.column_stack([x, y, rng.uniform(-3.0, 3.0, 20)]))
-            batch.step(command(batch, BRAKE))
+            y = rng.choice([-1.0, 1.0], 20) * rng.uniform(0.35, 0.8, 20) + flows.SHORT.line_y
+            flows.set_down(batch, np.column_stack([x, y, rng.uniform(-3.0, 3.0, 20)]))
+            batch.step(flows.command(batch, flows.BRAKE))
             streams, parcels = batch.streams, batch.parcels
             for place in range(20):
                 truth = parcels.truth[place]
                 assert not streams.present[0, place]
                 # No rotor bears it from x = 1.95 on, the last column: it is straight on.
-                rear = box_of(BOX, truth[:3])[0]
+                rear = flows.box_of(flows.BOX, truth[:3])[0]
                 straight = rear > 1.95 or truth[X] > 2.0
-                side = 0 if straight else int(math.copysign(1, truth[Y] - SHORT.line_y))
+                side = 0 if straight else int(math.copysign(1, truth[Y] - flows.SHORT.line_y))
                 wanted = exits.at(side, truth[X])
                 assert streams.taken[0, place] == wanted
-                assert parcels.outcome[place] == (LEFT_WRONG if wanted else LEFT_RIGHT)
+                assert parcels.outcome[place] == (fs.LEFT_WRONG if wanted else fs.LEFT_RIGHT)
                 assert 0.0 < streams.left[0, place] <= 0.04
                 seen.add(wanted)
             right = int((streams.taken[0, :20] == 0).sum())
-            assert streams.tally[0, [RIGHT, WRONG]].tolist() == [right, 20 - right]
-        assert seen == {*range(len(exits)), BETWEEN} or exits is not OWN
+            assert streams.tally[0, [fs.RIGHT, fs.WRONG]].tolist() == [right, 20 - right]
+        assert seen == {*range(len(exits)), fs.BETWEEN} or exits is not OWN
 
     def test_on_rotors_it_stays(self) -> None:
-        batch = batch_with(trace(*[(0.0, "left 1")] * 3), duration=9.0)
-        set_down(batch, [(0.5, 1.0, 0.2), (1.0, 1.27, 0.0), (1.9, 0.9, 0.0)])
-        batch.step(command(batch, BRAKE))
+        batch = flows.batch_with(flows.trace(*[(0.0, "left 1")] * 3), duration=9.0)
+        flows.set_down(batch, [(0.5, 1.0, 0.2), (1.0, 1.27, 0.0), (1.9, 0.9, 0.0)])
+        batch.step(flows.command(batch, flows.BRAKE))
         assert batch.streams.present[0, :3].all()
-        assert (batch.streams.taken[0, :3] == ON_ITS_WAY).all()
+        assert (batch.streams.taken[0, :3] == fs.ON_ITS_WAY).all()
         assert np.isnan(batch.streams.left[0, :3]).all()
 
 
 def sent(choice: int, asked: str, exits: Any = "chutes") -> tuple[SmartSurfaceEnv, dict[str, Any]]:
     """One parcel over modules that are all alike, and the info of its end."""
-    env = bare(stream=trace((0.0, asked)), exits=exits, duration=4.0, line=flow_line(3.0))
-    return env, play(env, choice)[-1][4]
+    env = flows.bare(
+        stream=flows.trace((0.0, asked)), exits=exits, duration=4.0, line=flow_line(3.0)
+    )
+    return env, flows.play(env, choice)[-1][4]
 
 
 class TestWays:
     @pytest.mark.parametrize(
         ("choice", "asked", "taken"),
         [
-            (MINUS_45, "left 1", "left 1"),
-            (PLUS_45, "right 1", "right 1"),
-            (MINUS_45, "left 2", "left 1"),
-            (MINUS_45, "right 1", "left 1"),
-            (ROLL, "straight", "straight"),
-            (ROLL, "left 1", "straight"),
-            (MINUS_45, "straight", "left 1"),
+            (flows.MINUS_45, "left 1", "left 1"),
+            (flows.PLUS_45, "right 1", "right 1"),
+            (flows.MINUS_45, "left 2", "left 1"),
+            (flows.MINUS_45, "right 1", "left 1"),
+            (flows.ROLL, "straight", "straight"),
+            (flows.ROLL, "left 1", "straight"),
+            (flows.MINUS_45, "straight", "left 1"),
         ],
     )
     def test_outcomes(self, choice: int, asked: str, taken: str) -> None:
@@ -291,27 +262,29 @@ class TestWays:
             assert 2.95 < rear < 2.95 + 1.6 * DT + 1e-6
 
     def test_between_exits_is_wrong(self) -> None:
-        x = sent(MINUS_45, "left 1")[0].batch.parcels.truth[0, X].item()
+        x = sent(flows.MINUS_45, "left 1")[0].batch.parcels.truth[0, X].item()
         around = Exits((Exit("here", 1, x - 1e-6, x + 1e-6), Exit("other", -1)))
         beside = Exits((Exit("here", 1, x + 1e-6, x + 1.0), Exit("before", 1, 0.0, x - 1e-6)))
-        env, info = sent(MINUS_45, "here", around)
+        env, info = sent(flows.MINUS_45, "here", around)
         assert env.batch.streams.taken[0, 0] == 0
         assert info["right"] == 1
         # Also straight on where that is no exit.
-        for choice, exits in ((MINUS_45, beside), (ROLL, Exits((Exit("here", 1),)))):
+        for choice, exits in ((flows.MINUS_45, beside), (flows.ROLL, Exits((Exit("here", 1),)))):
             env, info = sent(choice, "here", exits)
-            assert env.batch.streams.taken[0, 0] == BETWEEN
+            assert env.batch.streams.taken[0, 0] == fs.BETWEEN
             assert info["wrong"] == 1
 
     def test_its_place_is_free_from_the_next_decision_on(self) -> None:
-        stream = trace((0.0, "straight"), (0.0, "straight"))
-        batch = batch_with(stream, max_parcels=2, duration=9.0)
-        set_down(batch, [(2.07, 1.0, 0.0), (0.5, 1.0, 0.0)], [(1.0, 0.0, 0.0), (0.1, 0.0, 0.0)])
-        batch.step(command(batch, ROLL))
+        stream = flows.trace((0.0, "straight"), (0.0, "straight"))
+        batch = flows.batch_with(stream, max_parcels=2, duration=9.0)
+        flows.set_down(
+            batch, [(2.07, 1.0, 0.0), (0.5, 1.0, 0.0)], [(1.0, 0.0, 0.0), (0.1, 0.0, 0.0)]
+        )
+        batch.step(flows.command(batch, flows.ROLL))
         assert batch.streams.number[0].tolist() == [0, 1]
         assert batch.streams.present[0].tolist() == [False, True]
         assert not batch.observation[0, 0].any()
         assert batch.parcels.reward[0] > 0.9
-        batch.step(command(batch, ROLL))
+        batch.step(flows.command(batch, flows.ROLL))
         assert batch.streams.number[0].tolist() == [-1, 1]
         assert batch.parcels.reward[0] == 0.0

@@ -12,16 +12,7 @@ from scipy.optimize import lsq_linear
 from surface_gym.physics.friction import ROUNDING
 from surface_gym.physics.references import implicit_velocity
 from surface_gym.physics.types import Grid
-from tests.physics.contact_sets import (
-    PITCH,
-    SQUARE,
-    TABLE_1,
-    WEIGHT,
-    Friction,
-    draw_arms,
-    make_contacts,
-    make_grid,
-)
+from tests.physics import contact_sets as sets
 
 GYRATION, DT = 0.01, 0.005  # [m^2], [s]
 
@@ -34,11 +25,11 @@ class Problem:
     axis: np.ndarray  # (contacts,) [rad]
     rotor: np.ndarray  # (contacts,) bool
     normal: np.ndarray  # (contacts,) [m/s^2]
-    arms: np.ndarray = field(default_factory=lambda: SQUARE)  # (contacts, 2) [m]
-    grid: Grid = field(default_factory=make_grid)
+    arms: np.ndarray = field(default_factory=lambda: sets.SQUARE)  # (contacts, 2) [m]
+    grid: Grid = field(default_factory=sets.make_grid)
     gyration: float = GYRATION  # [m^2] inertia / mass
     dt: float = DT  # [s]
-    friction: Friction = TABLE_1
+    friction: sets.Friction = sets.TABLE_1
 
     @property
     def inertia(self) -> np.ndarray:
@@ -60,7 +51,7 @@ class Problem:
         )
 
     def step(self) -> np.ndarray:
-        scratch, contacts = make_contacts(
+        scratch, contacts = sets.make_contacts(
             self.arms, self.axis, self.rotor, self.normal, friction=self.friction
         )
         velocity = implicit_velocity(
@@ -73,7 +64,7 @@ def over_square(
     rotors: bool, velocity: tuple[float, float, float], axis: float = 0.0, **changes: Any
 ) -> Problem:
     """Four rotors or supports that bear equal loads."""
-    contacts = (np.full(4, axis), np.full(4, rotors), np.full(4, WEIGHT / 4))
+    contacts = (np.full(4, axis), np.full(4, rotors), np.full(4, sets.WEIGHT / 4))
     return Problem(np.array(velocity), *contacts, **changes)
 
 
@@ -81,14 +72,14 @@ def draw_problem(rng: np.random.Generator, rotors: float) -> Problem:
     """Contacts of a 5 x 5 grid, a share of them rotors; speeds from creeping to fast."""
     count = int(rng.integers(1, 26))
     return Problem(
-        grid=make_grid(along=float(rng.choice([0.0, 1.0, -2.0]))),
+        grid=sets.make_grid(along=float(rng.choice([0.0, 1.0, -2.0]))),
         gyration=float(rng.uniform(0.002, 0.05)),
         dt=float(rng.choice([1e-4, 1e-3, 5e-3, 1e-2, 0.1])),
         velocity=rng.normal(size=3) * rng.choice([0.0, 1e-5, 1e-2, 1.0, 3.0]),
-        arms=draw_arms(rng, count),
+        arms=sets.draw_arms(rng, count),
         axis=rng.choice([0.0, 0.5, 1.0, -0.5], size=count) * np.pi / 2.0,
         rotor=rng.random(count) < rotors,
-        normal=WEIGHT * rng.dirichlet(np.ones(count)) * (rng.random(count) < 0.9),
+        normal=sets.WEIGHT * rng.dirichlet(np.ones(count)) * (rng.random(count) < 0.9),
     )
 
 
@@ -167,7 +158,7 @@ def test_friction_takes_energy(seed: int, rotors: float) -> None:
 def test_a_sliding_parcel_is_slowed_by_coulomb_friction(
     axis: float, velocity: tuple[float, float], deceleration: tuple[float, float]
 ) -> None:
-    expected = np.array(velocity) - DT * WEIGHT * np.array(deceleration)
+    expected = np.array(velocity) - DT * sets.WEIGHT * np.array(deceleration)
     after = over_square(True, (*velocity, 0.0), axis).step()
     np.testing.assert_allclose(after, [*expected, 0.0], rtol=0.0, atol=1e-12)
 
@@ -175,23 +166,23 @@ def test_a_sliding_parcel_is_slowed_by_coulomb_friction(
 @pytest.mark.parametrize(
     ("velocity", "left"),
     [
-        ((0.6, 0.8, 0.0), 1.0 - DT * 0.1 * WEIGHT),
+        ((0.6, 0.8, 0.0), 1.0 - DT * 0.1 * sets.WEIGHT),
         # About its centre, at a radius of sqrt(0.02) m.
-        ((0.0, 0.0, 3.0), 1.0 - DT * 0.1 * WEIGHT * 0.02**0.5 / GYRATION / 3.0),
+        ((0.0, 0.0, 3.0), 1.0 - DT * 0.1 * sets.WEIGHT * 0.02**0.5 / GYRATION / 3.0),
     ],
 )
 def test_supports_slow_in_the_direction_of_motion(
     velocity: tuple[float, float, float], left: float
 ) -> None:
-    after = over_square(False, velocity, friction=Friction(support=0.1)).step()
+    after = over_square(False, velocity, friction=sets.Friction(support=0.1)).step()
     np.testing.assert_allclose(after, left * np.array(velocity), rtol=0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("along", [0.0, 0.4 * WEIGHT, -0.4 * WEIGHT])
+@pytest.mark.parametrize("along", [0.0, 0.4 * sets.WEIGHT, -0.4 * sets.WEIGHT])
 def test_friction_holds_a_parcel_on_a_slope(along: float) -> None:
-    after = over_square(True, (0.0, 0.0, 0.0), grid=make_grid(along=along)).step()
+    after = over_square(True, (0.0, 0.0, 0.0), grid=sets.make_grid(along=along)).step()
     # The rounded friction lets it creep: v + dt mu N v / ROUNDING = dt g sin(gamma).
-    creep = DT * along / (1.0 + DT * 0.5 * WEIGHT / ROUNDING)
+    creep = DT * along / (1.0 + DT * 0.5 * sets.WEIGHT / ROUNDING)
     assert abs(creep) < ROUNDING
     np.testing.assert_allclose(after, [creep, 0.0, 0.0], rtol=0.0, atol=1e-12)
 
@@ -199,11 +190,11 @@ def test_friction_holds_a_parcel_on_a_slope(along: float) -> None:
 def test_without_friction_or_gravity_the_velocity_stays() -> None:
     rng = np.random.default_rng(0)
     problem = Problem(
-        friction=Friction(0.0, 0.0, 0.0),
+        friction=sets.Friction(0.0, 0.0, 0.0),
         velocity=np.array([1.0, -0.5, 2.0]),
-        arms=PITCH * rng.normal(size=(9, 2)),
+        arms=sets.PITCH * rng.normal(size=(9, 2)),
         axis=rng.normal(size=9),
         rotor=rng.random(9) < 0.5,
-        normal=np.full(9, WEIGHT / 9),
+        normal=np.full(9, sets.WEIGHT / 9),
     )
     np.testing.assert_array_equal(problem.step(), problem.velocity)

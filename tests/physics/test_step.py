@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import surface_gym as sg
+from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.references import scipy_normal_forces, step_explicit, step_implicit
 from surface_gym.physics.step import (
@@ -19,33 +20,20 @@ from surface_gym.physics.step import (
     UNSUPPORTED,
     axis_directions,
 )
-from surface_gym.physics.types import (
-    AX,
-    OMEGA,
-    STATE_SIZE,
-    THETA,
-    VX,
-    VY,
-    Array,
-    Contacts,
-    X,
-    Y,
-    make_scratch,
-)
 from tests.strategies import Scene, scenes
 
 G = 9.81  # [m/s^2]
 DT = 0.005  # [s]
 
-Step = Callable[..., tuple[int, Contacts]]
+Step = Callable[..., tuple[int, ph.Contacts]]
 Triple = tuple[float, float, float]
 
 
-def state_of(pose: Triple, velocity: Triple) -> Array:
+def state_of(pose: Triple, velocity: Triple) -> ph.Array:
     """State vector of a parcel whose centre of mass is over its base frame's origin."""
-    state = np.zeros(STATE_SIZE)
-    state[[X, Y, THETA]] = pose
-    state[[VX, VY, OMEGA]] = velocity
+    state = np.zeros(ph.STATE_SIZE)
+    state[[ph.X, ph.Y, ph.THETA]] = pose
+    state[[ph.VX, ph.VY, ph.OMEGA]] = velocity
     return state
 
 
@@ -66,18 +54,18 @@ def test_a_loop_over_steps_equals_simulate_to_the_bit(
     pose, velocity, dt = (0.5, 1.01, 0.3), (1.2, 0.1, -0.5), 0.005
     run = sg.simulate(surface, parcel, pose, velocity, duration, dt, method=method)
     state = state_of(pose, velocity)
-    scratch = make_scratch()
+    scratch = ph.make_scratch()
     for k in range(1, len(run.time)):
         left = duration - run.time[k - 1]
         step(surface.grid, parcel.body, state, scratch, dt if left > dt else left)
-        assert run.pose[k].tobytes() == state[[X, Y, THETA]].tobytes()
-        assert run.velocity[k].tobytes() == state[[VX, VY, OMEGA]].tobytes()
+        assert run.pose[k].tobytes() == state[[ph.X, ph.Y, ph.THETA]].tobytes()
+        assert run.velocity[k].tobytes() == state[[ph.VX, ph.VY, ph.OMEGA]].tobytes()
 
 
 @given(scene=scenes())
 def test_steps_do_not_depend_on_what_the_scratch_held(scene: Scene) -> None:
     grid, body = scene.surface.grid, scene.parcel.body
-    used, fresh = make_scratch(), make_scratch()
+    used, fresh = ph.make_scratch(), ph.make_scratch()
     for field in used:
         field.fill(7)
     invalidate_contacts.py_func(used)
@@ -91,7 +79,7 @@ def test_steps_do_not_depend_on_what_the_scratch_held(scene: Scene) -> None:
 
 def test_a_step_reports_how_it_went_and_on_how_many_contacts() -> None:
     surface, box, coin = sg.layouts.sorting(), sg.layouts.box("S"), sg.Parcel(sg.Disc(0.04))
-    scratch = make_scratch()
+    scratch = ph.make_scratch()
 
     def report(
         step: Step, pose: Triple, velocity: Triple, parcel: sg.Parcel = box
@@ -122,7 +110,7 @@ def test_the_edge_itself_is_of_the_surface(x: float, y: float) -> None:
     surface = sg.Surface(
         np.zeros(shape), np.ones(shape, dtype=bool), pitch=0.25, origin=(0.125, 0.125)
     )
-    parcel, scratch = sg.Parcel(sg.Rectangle(0.6, 0.6)), make_scratch()
+    parcel, scratch = sg.Parcel(sg.Rectangle(0.6, 0.6)), ph.make_scratch()
     beyond = (3.0 + 1.0001 * (x - 3.0), 2.0 + 1.0001 * (y - 2.0))
     for place, expected in (((x, y), TIPPING), (beyond, OFF_SURFACE)):
         state = state_of((*place, 0.0), (0.1, 0.0, 0.0))
@@ -135,18 +123,18 @@ def test_sliding_over_supports_is_uniformly_accelerated(dt: float, degrees: floa
     mu, speed, steps = 0.1, 1.0, 4
     surface = supports_only(mu, math.radians(degrees))
     parcel = sg.Parcel(sg.Rectangle(0.4, 0.4))
-    scratch = make_scratch()
+    scratch = ph.make_scratch()
     state = state_of((1.5, 1.0, 0.0), (speed, 0.0, 0.0))
     acceleration = G * (math.sin(surface.tilt) - mu * math.cos(surface.tilt))
     for _ in range(steps):
         step_implicit(surface.grid, parcel.body, state, scratch, dt)
     time = steps * dt
     expected = (1.5 + speed * time + 0.5 * acceleration * time**2, 1.0, 0.0)
-    np.testing.assert_allclose(state[[X, Y, THETA]], expected, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(state[[ph.X, ph.Y, ph.THETA]], expected, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(
-        state[[VX, VY, OMEGA]], [speed + acceleration * time, 0, 0], atol=1e-9
+        state[[ph.VX, ph.VY, ph.OMEGA]], [speed + acceleration * time, 0, 0], atol=1e-9
     )
-    assert state[AX] == pytest.approx(acceleration, abs=1e-3)
+    assert state[ph.AX] == pytest.approx(acceleration, abs=1e-3)
 
 
 @given(mu=st.floats(0.15, 0.5), speed=st.floats(0.2, 1.5), direction=st.floats(-math.pi, math.pi))
@@ -169,7 +157,7 @@ def test_a_parcel_on_supports_stops_after_v_squared_over_two_mu_g(
 K = 5000.0  # [s/m] of Eq. (2)
 
 
-def under_the_base(surface: sg.Surface, parcel: sg.Parcel, pose: Array) -> Array:
+def under_the_base(surface: sg.Surface, parcel: sg.Parcel, pose: ph.Array) -> ph.Array:
     """(rows, columns) Section 3.2: F_lambda <= 0, an element on the perimeter included."""
     x, y = np.meshgrid(surface.x - pose[0], surface.y - pose[1])
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
@@ -178,8 +166,8 @@ def under_the_base(surface: sg.Surface, parcel: sg.Parcel, pose: Array) -> Array
 
 
 def contact_forces(
-    surface: sg.Surface, rotor: Array, axis: Array, slide: Array, normal: Array
-) -> tuple[Array, Array]:
+    surface: sg.Surface, rotor: ph.Array, axis: ph.Array, slide: ph.Array, normal: ph.Array
+) -> tuple[ph.Array, ph.Array]:
     """Eq. (2) and (3): (contacts, 2) forces along the axes, and the other forces.
 
     cos(alpha) and sin(alpha), of the angle from the motion to the axis, are taken from the vectors:
@@ -198,8 +186,12 @@ def contact_forces(
 
 
 def transcribed_step(
-    surface: sg.Surface, parcel: sg.Parcel, pose: Array, velocity: Array, acceleration: Array
-) -> tuple[Array, Array, Array] | None:
+    surface: sg.Surface,
+    parcel: sg.Parcel,
+    pose: ph.Array,
+    velocity: ph.Array,
+    acceleration: ph.Array,
+) -> tuple[ph.Array, ph.Array, ph.Array] | None:
     """One turn of Figure 5a's loop: pose, velocity and acceleration; None where it stops."""
     if velocity[0] <= 0.0 and surface.tilt == 0.0:
         return None
@@ -255,23 +247,17 @@ def test_each_step_is_the_papers(size: str, degrees: float, speed: Triple) -> No
 
 
 def test_the_loop_ends_where_the_paper_stops_the_parcel() -> None:
-    surface, parcel = sg.layouts.stopping(), sg.layouts.box("S")
-    run = sg.simulate(
-        surface, parcel, sg.layouts.start("S"), (0.8, 0.0, 0.0), 2.0, DT, method="explicit"
-    )
+    surface, parcel, start = sg.layouts.stopping(), sg.layouts.box("S"), sg.layouts.start("S")
+    run = sg.simulate(surface, parcel, start, (0.8, 0.0, 0.0), 2.0, DT, method="explicit")
     assert run.end == "stopped"
     assert run.time[-1] < 2.0
     assert (run.velocity[:-1, 0] > 0.0).all()
     assert run.velocity[-1, 0] <= 0.0
     assert transcribed_step(surface, parcel, run.pose[-1], run.velocity[-1], np.zeros(3)) is None
-
-
-def test_a_parcel_at_rest_on_a_flat_surface_stops_at_once() -> None:
-    run = sg.simulate(
-        sg.layouts.sorting(), sg.layouts.box("S"), sg.layouts.start("S"), method="explicit"
-    )
+    # At rest on the level, at once.
+    run = sg.simulate(sg.layouts.sorting(), parcel, start, method="explicit")
     assert run.end == "stopped"
-    np.testing.assert_array_equal(run.pose, [sg.layouts.start("S")])
+    np.testing.assert_array_equal(run.pose, [start])
 
 
 def test_rotors_along_the_slope_hold_a_parcel_by_the_reverse_motion_rule() -> None:
@@ -322,8 +308,5 @@ def test_every_other_angle_has_its_cosine_and_sine() -> None:
     expected = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     np.testing.assert_allclose(axis_directions(angles), expected, rtol=0.0, atol=3e-15)
     assert axis_directions(np.array([math.pi / 4 + 1e-12]))[0, 0] != ROOT
-
-
-def test_a_surface_has_the_same_directions() -> None:
-    surface = sg.layouts.sorting()
-    assert set(map(tuple, surface.grid.direction.tolist())) == {(0.0, 1.0), (ROOT, ROOT)}
+    of_surface = sg.layouts.sorting().grid.direction
+    assert set(map(tuple, of_surface.tolist())) == {(0.0, 1.0), (ROOT, ROOT)}

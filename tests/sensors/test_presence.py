@@ -107,15 +107,9 @@ def drive(env: sg.SmartSurfaceVectorEnv, parcel: str, periods: int = PERIODS) ->
 
 
 def env_of(world: str, **settings: Any) -> sg.SmartSurfaceVectorEnv:
-    sensors, randomisation = WORLDS[world]
-    return sg.SmartSurfaceVectorEnv(
-        NUM_ENVS,
-        "track",
-        actions="window",
-        sensors=sensors,
-        randomisation=randomisation,
-        **settings,
-    )
+    sensors, varied = WORLDS[world]
+    settings = {"actions": "window", "sensors": sensors, "randomisation": varied, **settings}
+    return sg.SmartSurfaceVectorEnv(NUM_ENVS, "track", **settings)
 
 
 @pytest.mark.parametrize("parcel", ["S", "B"])
