@@ -135,21 +135,6 @@ class TestCommands:
         assert (commanded[:, :5] == math.pi / 2).all()
         assert all(commanded[module] == math.pi / 2 for module in STUCK)
 
-    def test_choices_of_free_places_do_nothing(self) -> None:
-        batch, twin = (
-            flows.batch_with(flows.DENSE, actions="parcels", duration=4.0) for _ in range(2)
-        )
-        rng = np.random.default_rng(3)
-        for _ in range(50):
-            commands = rng.integers(0, 4, (24, 2))
-            other = commands.copy()
-            free = ~batch.streams.present[0]
-            other[free] = rng.integers(0, 4, (int(free.sum()), 2))
-            batch.step(commands.reshape(1, -1))
-            twin.step(other.reshape(1, -1))
-            np.testing.assert_array_equal(batch.parcels.state, twin.parcels.state)
-            np.testing.assert_array_equal(batch.streams.commanded, twin.streams.commanded)
-
     def test_boxes_are_those_of_turned_bases(self) -> None:
         """What the slow account rests on: a square turned by 45 deg is sqrt(2) as wide."""
         half = 0.125 * math.sqrt(2.0)

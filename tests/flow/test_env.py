@@ -59,14 +59,11 @@ class TestEpisodes:
             assert ("episode_figures" in info) == (terminated or truncated)
 
     def test_action_spaces(self) -> None:
-        modules, parcels = (
-            flows.bare(actions="modules"),
-            flows.bare(actions="parcels", max_parcels=3),
-        )
+        three = {"actions": "parcels", "max_parcels": 3}
+        modules, parcels = flows.bare(actions="modules"), flows.bare(**three)
         # 4 rows of rotors, and all columns after the lead-in; the run-out's obey nobody.
         assert modules.action_space == gym.spaces.MultiDiscrete([4] * 4 * (flows.SHORT.columns - 5))
         assert parcels.action_space == gym.spaces.MultiDiscrete([4] * 6)
-        three = {"actions": "parcels", "max_parcels": 3}
         any_angle = EnvConfig("flow", orientations="any", **three).action_space()
         right = np.float32(math.pi / 2)
         assert any_angle == gym.spaces.Box(-right, right, (6,))
@@ -98,11 +95,8 @@ class TestEpisodes:
 
     @pytest.mark.parametrize("varied", [{}, {"size": 0.05, "lateral": 0.01}])
     def test_nobody_may_come_at_all(self, varied: dict[str, float]) -> None:
-        randomisation = Randomisation(**varied)
-        nobody = flows.trace((9.0, "left 1"))
-        env = flows.bare(
-            stream=nobody, actions="parcels", duration=0.4, randomisation=randomisation
-        )
+        nobody = {"stream": flows.trace((9.0, "left 1")), "duration": 0.4}
+        env = flows.bare(actions="parcels", randomisation=Randomisation(**varied), **nobody)
         played = flows.play(env, flows.ROLL)
         assert len(played) == 10
         assert not any(step[0].any() or step[1] for step in played)
@@ -146,10 +140,8 @@ class TestEpisodes:
             each.step(flows.same_choice(env, flows.BRAKE))
         with pytest.raises(ValueError, match=named):
             env.reset(seed=1, options=options)
-        flows.assert_alike(
-            env.step(flows.same_choice(env, flows.ROLL)),
-            twin.step(flows.same_choice(env, flows.ROLL)),
-        )
+        good = flows.same_choice(env, flows.ROLL)
+        flows.assert_alike(env.step(good), twin.step(good))
         flows.assert_alike(env.reset(), twin.reset())
 
     def test_a_reset_may_bring_a_stream_of_its_own(self) -> None:
@@ -162,8 +154,6 @@ class TestEpisodes:
         env.reset(seed=0)
         flows.assert_alike(env.reset(seed=0), twin.reset(seed=0))
 
-
-class TestSeeds:
     def test_starts_differ_from_seed_to_seed_and_from_reset_to_reset(self) -> None:
         env, coming = flows.bare(actions="parcels"), []
         for seed in (0, 1, 2, None, None, None):

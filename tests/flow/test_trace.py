@@ -15,7 +15,6 @@ from surface_gym.flow.arrivals import (
     COLUMNS,
     Arrival,
     Arrivals,
-    Poisson,
     Schedule,
     Trace,
     read_trace,
@@ -96,17 +95,6 @@ def test_what_is_drawn_has_the_exits_of_the_line_and_does_not_change_the_trace()
     together = Trace([ARRIVAL, ARRIVAL]).within(9.0, sides())
     assert isinstance(together, Arrivals)
     assert together.time.tolist() == [2.0, 2.0]
-
-
-def test_a_stream_that_was_written_is_read_back_the_same(path: Path) -> None:
-    heavy = sg.Parcel(sg.Rectangle(0.3, 0.2), mass=25.0)
-    stream = Stream(Poisson(1200.0, 0.3), ("S", "B", heavy), speeds=(0.8, 2.2))
-    drawn = stream.draw(np.random.default_rng(0), 60.0, chutes())
-    write_trace(path, drawn, chutes())
-    back = Stream.from_csv(path, chutes()).draw(np.random.default_rng(9), 60.0, chutes())
-    for name in ("time", "speed", "exit"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(drawn, name))
-    assert [back.kinds[k] for k in back.parcel] == [drawn.kinds[k] for k in drawn.parcel]
 
 
 @given(st.lists(arrivals_of_a_trace, min_size=1, max_size=8))
