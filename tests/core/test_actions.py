@@ -22,11 +22,10 @@ POSES = [
     (2.2, 1.0, 0.0),
 ]  # fmt: skip
 PARCEL = PARCELS["S"]
+Pose = tuple[float, float, float]
 
 
-def batch_at(
-    pose: tuple[float, float, float], parcel: sg.Parcel, side: float = 1.0, **settings: Any
-) -> Batch:
+def batch_at(pose: Pose, parcel: sg.Parcel, side: float = 1.0, **settings: Any) -> Batch:
     """One environment on which a parcel has just been put."""
     return batch_with(Start(parcel, pose, (0.5, 0.0, 0.0), (side,)), **settings)
 
@@ -56,9 +55,7 @@ def part_of(actions: str, batch: Batch, row: int, column: int) -> int | None:
 @pytest.mark.parametrize("pose", POSES)
 @pytest.mark.parametrize("size", ["S", "B"])
 @pytest.mark.parametrize("actions", ACTIONS)
-def test_each_module_follows_its_part(
-    actions: str, size: str, pose: tuple[float, float, float]
-) -> None:
+def test_each_module_follows_its_part(actions: str, size: str, pose: Pose) -> None:
     batch = batch_at(pose, sg.layouts.box(size), actions=actions)
     assert_follows(batch, np.random.default_rng(1).integers(0, 4, batch.surfaces.command.shape))
 
@@ -104,9 +101,7 @@ class TestOccupancy:
 
     @pytest.mark.parametrize("pose", POSES)
     @pytest.mark.parametrize("name", PARCELS)
-    def test_is_of_modules_that_obey_under_the_parcel(
-        self, name: str, pose: tuple[float, float, float]
-    ) -> None:
+    def test_is_of_modules_that_obey_under_the_parcel(self, name: str, pose: Pose) -> None:
         parcel = PARCELS[name]
         batch = batch_at(pose, parcel, actions="window", actuators=Actuators(stuck=((9, 9),)))
         x, y, theta = batch.parcels.sensed[0, :3]
@@ -157,9 +152,7 @@ def kind_of(name: str, choices: int = 4) -> ActionKind:
 
 @pytest.mark.parametrize("name", ACTIONS)
 @pytest.mark.parametrize("choices", [2, 4, 8])
-def test_commands_and_actions_say_the_same_and_flipping_twice_is_nothing(
-    name: str, choices: int
-) -> None:
+def test_commands_say_the_same_and_flipping_twice_is_nothing(name: str, choices: int) -> None:
     kind = kind_of(name, choices)
     space = kind.space()
     space.seed(0)

@@ -51,9 +51,7 @@ def test_the_seed_fixes_the_times(law: Law) -> None:
 
 @every_law
 @given(duration=st.floats(1e-3, 500.0), seed=st.integers(0, 1000))
-def test_times_rise_from_nought_and_stay_below_the_duration(
-    law: Law, duration: float, seed: int
-) -> None:
+def test_times_rise_from_nought_to_below_the_duration(law: Law, duration: float, seed: int) -> None:
     time = times(law, duration, seed)
     assert time[0] == 0.0
     assert time[-1] < duration

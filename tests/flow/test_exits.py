@@ -123,8 +123,6 @@ def test_the_option_is_a_preset_or_exits_of_ones_own() -> None:
         ((LEFT, Exit("within", 1, 1.0, 1.5)), "exits must not overlap on one side"),
     ],
 )
-def test_bad_exits_and_those_that_do_not_go_together_are_refused(
-    changes: Any, message: str
-) -> None:
+def test_exits_that_are_bad_or_do_not_go_together_are_refused(changes: Any, message: str) -> None:
     with pytest.raises(ValueError, match=f"^{message}"):
         _ = replace(LEFT, **changes) if isinstance(changes, dict) else Exits(changes)

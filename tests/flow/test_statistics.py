@@ -15,9 +15,7 @@ from tests.flow.flows import MINUS_45, ROLL, bare, same_choice
 NAN = math.nan
 
 
-def recorded(
-    clock: float, *rows: tuple[float, float, float, int, int, int], turns: int = 0
-) -> fs.StreamState:
+def recorded(clock: float, *rows: tuple[float, ...], turns: int = 0) -> fs.StreamState:
     """A surface on which parcels came [s], entered [s] and left [s], were to leave by an exit, took
     one, and touched others so often.
     """

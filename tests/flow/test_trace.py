@@ -98,9 +98,7 @@ def test_what_is_drawn_has_the_exits_of_the_line_and_does_not_change_the_trace()
 
 
 @given(st.lists(arrivals_of_a_trace, min_size=1, max_size=8))
-def test_any_trace_is_read_back_the_same(
-    tmp_path_factory: pytest.TempPathFactory, arrivals: list[Arrival]
-) -> None:
+def test_any_trace_is_read_back_the_same(tmp_path_factory: Any, arrivals: list[Arrival]) -> None:
     trace = Trace(tuple(sorted(arrivals, key=lambda each: each.time)))
     exits = Exits(tuple(Exit(name, 1, k, k + 1) for k, name in enumerate(trace.names)))
     path = tmp_path_factory.mktemp("traces") / "trace.csv"
@@ -145,9 +143,7 @@ def test_a_damaged_file_is_refused_by_its_line(path: Path, text: str, message: s
         ("exit", "up", "be one of 'left', 'right', 'straight', got 'up'"),
     ],
 )
-def test_a_damaged_entry_is_refused_by_its_line(
-    path: Path, column: str, entry: str, message: str
-) -> None:
+def test_a_damaged_entry_is_refused(path: Path, column: str, entry: str, message: str) -> None:
     row = ["5", "0.25", "0.25", "10", "1.5", "left"]
     row[COLUMNS.index(column)] = entry
     text = HEADER + FIRST + "4,0.25,0.25,10,1.5,left\n" + ",".join(row) + "\n"

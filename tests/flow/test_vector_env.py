@@ -48,9 +48,7 @@ BESIDE: dict[str, tuple[dict[str, Any], int]] = {
 
 @every_mode
 @pytest.mark.parametrize("beside", BESIDE.values(), ids=BESIDE)
-def test_each_environment_is_a_single_env(
-    beside: tuple[dict[str, Any], int], mode: AutoresetMode
-) -> None:
+def test_each_environment_is_a_single_env(beside: tuple[Any, int], mode: AutoresetMode) -> None:
     settings, periods = beside
     one, other = streams(autoreset_mode=mode, **settings), single_flows(mode, **settings)
     assert run_beside(one, other, mode, periods) >= (1 if "patience" in settings else 2) * NUM_ENVS
@@ -104,9 +102,7 @@ class TestLanes:
 
 class TestContract:
     @every_kind
-    def test_make_vec_gives_the_native_one_with_the_spaces_of_single_ones(
-        self, kind: dict[str, Any]
-    ) -> None:
+    def test_make_vec_gives_the_native_one_with_their_spaces(self, kind: dict[str, Any]) -> None:
         env, sync = streams(**kind), single_flows(AutoresetMode.NEXT_STEP, **kind)
         assert type(env) is SmartSurfaceVectorEnv
         assert env.spec.id == FLOW

@@ -51,9 +51,7 @@ def overlap(meeting: Meeting) -> float:
 
 
 @given(meeting=crowds(ROUGH))
-def test_energy_never_grows_on_the_level_and_nobody_is_left_inside_another(
-    meeting: Meeting,
-) -> None:
+def test_energy_never_grows_on_the_level_and_nobody_is_left_inside(meeting: Meeting) -> None:
     before = start = meeting.energy
     for _ in range(60):
         meeting.step(DT)
@@ -95,9 +93,7 @@ def test_an_impact_keeps_angular_momentum(
 @pytest.mark.parametrize("restitution", [0.0, 1.0])
 @pytest.mark.parametrize("base", [sg.Disc(0.05), sg.Disc(0.4), sg.Rectangle(0.1, 0.1)])
 @pytest.mark.parametrize("other", [sg.Disc(0.05), sg.Rectangle(0.5, 0.3), sg.Rectangle(0.1, 0.1)])
-def test_none_passes_through_another_head_on(
-    base: object, other: object, restitution: float
-) -> None:
+def test_none_passes_through_another(base: object, other: object, restitution: float) -> None:
     surface = sg.Surface(
         np.zeros((100, 100)), np.zeros((100, 100), dtype=bool), pitch=0.04, mu_support=0.01
     )

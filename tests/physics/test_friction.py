@@ -15,6 +15,7 @@ from surface_gym.physics.types import Grid
 from tests.physics import contact_sets as sets
 
 GYRATION, DT = 0.01, 0.005  # [m^2], [s]
+Pair, Triple = tuple[float, float], tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -60,9 +61,7 @@ class Problem:
         return np.array(velocity)
 
 
-def over_square(
-    rotors: bool, velocity: tuple[float, float, float], axis: float = 0.0, **changes: Any
-) -> Problem:
+def over_square(rotors: bool, velocity: Triple, axis: float = 0.0, **changes: Any) -> Problem:
     """Four rotors or supports that bear equal loads."""
     contacts = (np.full(4, axis), np.full(4, rotors), np.full(4, sets.WEIGHT / 4))
     return Problem(np.array(velocity), *contacts, **changes)
@@ -155,8 +154,8 @@ def test_friction_takes_energy(seed: int, rotors: float) -> None:
         pytest.param(np.pi / 4, (1.0, 0.0), (0.51 / 2**0.5, 0.49 / 2**0.5), id="the axis turns it"),
     ],
 )
-def test_a_sliding_parcel_is_slowed_by_coulomb_friction(
-    axis: float, velocity: tuple[float, float], deceleration: tuple[float, float]
+def test_sliding_is_slowed_by_coulomb_friction(
+    axis: float, velocity: Pair, deceleration: Pair
 ) -> None:
     expected = np.array(velocity) - DT * sets.WEIGHT * np.array(deceleration)
     after = over_square(True, (*velocity, 0.0), axis).step()
@@ -171,9 +170,7 @@ def test_a_sliding_parcel_is_slowed_by_coulomb_friction(
         ((0.0, 0.0, 3.0), 1.0 - DT * 0.1 * sets.WEIGHT * 0.02**0.5 / GYRATION / 3.0),
     ],
 )
-def test_supports_slow_in_the_direction_of_motion(
-    velocity: tuple[float, float, float], left: float
-) -> None:
+def test_supports_slow_in_the_direction_of_motion(velocity: Triple, left: float) -> None:
     after = over_square(False, velocity, friction=sets.Friction(support=0.1)).step()
     np.testing.assert_allclose(after, left * np.array(velocity), rtol=0.0, atol=1e-9)
 

@@ -20,9 +20,7 @@ from tests.worlds import G, Meeting, ice, supports
 
 
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 6))
-def test_discs_in_a_heap_get_the_velocities_of_least_change_that_part_them(
-    seed: int, count: int
-) -> None:
+def test_discs_in_a_heap_get_the_least_change_that_parts_them(seed: int, count: int) -> None:
     """Gauss's principle, solved as least squares over the impulses."""
     rng = np.random.default_rng(seed)
     radius = 0.1
@@ -73,7 +71,7 @@ def oblique(friction: float, restitution: float, speed: Array) -> Array:
 
 @pytest.mark.parametrize("restitution", [0.0, 0.4, 1.0])
 @pytest.mark.parametrize(("friction", "slides"), [(0.1, True), (0.9, False)])
-def test_an_oblique_impact_of_discs_is_the_textbooks(
+def test_an_oblique_impact_is_the_textbooks(
     friction: float, slides: bool, restitution: float
 ) -> None:
     """Poisson's impulses: the normal one (1 + e) m u / 2; along the side mu times it, or what stops
@@ -161,9 +159,7 @@ def group_of(touching: list[tuple[int, int]], member: list[int]) -> Island:
     ],
 )
 @pytest.mark.parametrize("member", [[0, 1, 2, 3, 4], [6, 4, 3, 1, 0]])
-def test_it_solves_what_those_who_touch_share(
-    touching: list[tuple[int, int]], member: list[int]
-) -> None:
+def test_it_solves_what_they_share(touching: list[tuple[int, int]], member: list[int]) -> None:
     rng = np.random.default_rng(len(touching))
     size = 3 * len(member)
     # What each adds by itself, and what two who touch add: all of it positive definite.

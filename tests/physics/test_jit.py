@@ -93,9 +93,7 @@ def test_a_cache_cut_short_is_made_anew(ending: str, left: int, cache: Path) -> 
 
 
 @pytest.mark.usefixtures("cache")
-def test_a_full_disk_is_reported_once_and_nothing_else_fails(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_full_disk_is_reported_once_and_nothing_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -105,9 +103,7 @@ def test_a_full_disk_is_reported_once_and_nothing_else_fails(
     assert len(warned) == 1
 
 
-def test_where_no_folder_can_be_written_it_is_compiled_all_the_same(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_where_no_folder_can_be_written_it_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
     with pytest.warns(RuntimeWarning, match="not kept: no folder for it can be written"):
         assert hits_of(1.5) == 0

@@ -3,6 +3,7 @@ other; and when they meet, against looking at every moment.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ time_of_impact = compiled(signed_distance.time_of_impact.py_func)
 
 DIRECTIONS = np.linspace(0.0, 2.0 * math.pi, 3600, endpoint=False)
 NORMALS = np.column_stack([np.cos(DIRECTIONS), np.sin(DIRECTIONS)])
+Triple = tuple[float, float, float]
 RECTANGLE, DISC = sg.Rectangle(0.4, 0.2), sg.Disc(0.15)
 
 
@@ -74,12 +76,7 @@ def measured(
     ],
 )
 def test_gaps_that_are_known_by_hand(
-    first: object,
-    one: tuple[float, ...],
-    second: object,
-    other: tuple[float, ...],
-    width: float,
-    normal: tuple[float, float],
+    first: object, one: Triple, second: object, other: Triple, width: float, normal: Any
 ) -> None:
     found = measured(outline(first), at(*one), outline(second), at(*other), 0.0)
     np.testing.assert_allclose(found[:3], (width, *normal), atol=1e-12)
@@ -89,7 +86,7 @@ offsets = st.floats(-0.7, 0.7)
 
 
 @given(first=bases, second=bases, x=offsets, y=offsets, one=angles, other=angles)
-def test_a_gap_is_the_widest_strip_between_two_bases(
+def test_a_gap_is_the_widest_strip_between_two(
     first: object, second: object, x: float, y: float, one: float, other: float
 ) -> None:
     bodies = (outline(first), at(0, 0, one), outline(second), at(x, y, other), 0.0)
@@ -127,9 +124,7 @@ def test_edges_face_each_other_where_both_are_and_a_corner_or_a_disc_at_a_point(
 
 
 @pytest.mark.parametrize("parts", [0.0, 0.02])
-def test_edges_side_by_side_without_a_common_stretch_face_at_the_nearer_corner(
-    parts: float,
-) -> None:
+def test_edges_without_a_common_stretch_face_at_the_nearer_corner(parts: float) -> None:
     box = outline(RECTANGLE)
     places = (box, place_at(box, at(0, 0), 0.0), box, place_at(box, at(0.4 + parts, 0.3), 0.0))
     found = find_facing(*places, signed_distance.SignedDistance(0.1, 0.0, 1.0, 2))
@@ -145,13 +140,8 @@ def test_edges_side_by_side_without_a_common_stretch_face_at_the_nearer_corner(
     one=angles,
     away=angles,
 )
-def test_bases_are_apart_until_they_meet_and_touch_then(
-    first: object,
-    second: object,
-    motion: tuple[float, float, float],
-    other: tuple[float, float, float],
-    one: float,
-    away: float,
+def test_bases_are_apart_until_they_meet(
+    first: object, second: object, motion: Triple, other: Triple, one: float, away: float
 ) -> None:
     dt = 0.01
     distance = first.reach + second.reach + 1e-3

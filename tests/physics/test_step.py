@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from surface_gym.physics.step import (
     UNSUPPORTED,
     axis_directions,
 )
+from surface_gym.physics.types import Array
 from tests.strategies import Scene, scenes
 
 G = 9.81  # [m/s^2]
@@ -29,7 +31,7 @@ Step = Callable[..., tuple[int, ph.Contacts]]
 Triple = tuple[float, float, float]
 
 
-def state_of(pose: Triple, velocity: Triple) -> ph.Array:
+def state_of(pose: Triple, velocity: Triple) -> Array:
     """State vector of a parcel whose centre of mass is over its base frame's origin."""
     state = np.zeros(ph.STATE_SIZE)
     state[[ph.X, ph.Y, ph.THETA]] = pose
@@ -47,9 +49,7 @@ def supports_only(mu: float, tilt: float = 0.0) -> sg.Surface:
     ("method", "step"), [("implicit", step_implicit), ("explicit", step_explicit)]
 )
 @pytest.mark.parametrize("duration", [0.5, 0.5017, 0.003])
-def test_a_loop_over_steps_equals_simulate_to_the_bit(
-    method: str, step: Step, duration: float
-) -> None:
+def test_a_loop_over_steps_equals_simulate(method: str, step: Step, duration: float) -> None:
     surface, parcel = sg.layouts.sorting(tilt=math.radians(5.0)), sg.layouts.box("S")
     pose, velocity, dt = (0.5, 1.01, 0.3), (1.2, 0.1, -0.5), 0.005
     run = sg.simulate(surface, parcel, pose, velocity, duration, dt, method=method)
@@ -138,9 +138,7 @@ def test_sliding_over_supports_is_uniformly_accelerated(dt: float, degrees: floa
 
 
 @given(mu=st.floats(0.15, 0.5), speed=st.floats(0.2, 1.5), direction=st.floats(-math.pi, math.pi))
-def test_a_parcel_on_supports_stops_after_v_squared_over_two_mu_g(
-    mu: float, speed: float, direction: float
-) -> None:
+def test_it_stops_after_v_squared_over_two_mu_g(mu: float, speed: float, direction: float) -> None:
     parcel = sg.Parcel(sg.Rectangle(0.3, 0.3), com_height=0.0)
     way = np.array([math.cos(direction), math.sin(direction)])
     distance = speed**2 / (2.0 * mu * G)
@@ -157,7 +155,7 @@ def test_a_parcel_on_supports_stops_after_v_squared_over_two_mu_g(
 K = 5000.0  # [s/m] of Eq. (2)
 
 
-def under_the_base(surface: sg.Surface, parcel: sg.Parcel, pose: ph.Array) -> ph.Array:
+def under_the_base(surface: sg.Surface, parcel: sg.Parcel, pose: Array) -> Array:
     """(rows, columns) Section 3.2: F_lambda <= 0, an element on the perimeter included."""
     x, y = np.meshgrid(surface.x - pose[0], surface.y - pose[1])
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
@@ -166,8 +164,8 @@ def under_the_base(surface: sg.Surface, parcel: sg.Parcel, pose: ph.Array) -> ph
 
 
 def contact_forces(
-    surface: sg.Surface, rotor: ph.Array, axis: ph.Array, slide: ph.Array, normal: ph.Array
-) -> tuple[ph.Array, ph.Array]:
+    surface: sg.Surface, rotor: Array, axis: Array, slide: Array, normal: Array
+) -> tuple[Array, Array]:
     """Eq. (2) and (3): (contacts, 2) forces along the axes, and the other forces.
 
     cos(alpha) and sin(alpha), of the angle from the motion to the axis, are taken from the vectors:
@@ -186,12 +184,8 @@ def contact_forces(
 
 
 def transcribed_step(
-    surface: sg.Surface,
-    parcel: sg.Parcel,
-    pose: ph.Array,
-    velocity: ph.Array,
-    acceleration: ph.Array,
-) -> tuple[ph.Array, ph.Array, ph.Array] | None:
+    surface: sg.Surface, parcel: sg.Parcel, pose: Array, velocity: Array, acceleration: Array
+) -> tuple[Array, Array, Array] | None:
     """One turn of Figure 5a's loop: pose, velocity and acceleration; None where it stops."""
     if velocity[0] <= 0.0 and surface.tilt == 0.0:
         return None
@@ -271,8 +265,8 @@ def test_rotors_along_the_slope_hold_a_parcel_by_the_reverse_motion_rule() -> No
 @pytest.mark.parametrize("degrees", [*np.arange(0.05, 0.6, 0.05), 0.56, 0.7, 1.0, 3.0])
 @pytest.mark.parametrize("size", ["S", "B"])
 @pytest.mark.parametrize("layout", [sg.layouts.sorting, sg.layouts.stopping])
-def test_a_parcel_at_rest_on_a_slope_never_gets_faster_than_gravity_makes_it(
-    layout: Callable[..., sg.Surface], size: str, degrees: float
+def test_from_rest_it_never_gets_faster_than_gravity(
+    layout: Any, size: str, degrees: float
 ) -> None:
     """But for what friction does in one step, by which this method chatters."""
     surface = layout(size, tilt=math.radians(degrees))
