@@ -81,10 +81,3 @@ def test_equal_parcels_share_a_row_of_the_body_table() -> None:
         put(batch, Start(parcel, (parcel.rear, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), i)
     assert batch.parcels.body[:4].tolist() == [0, 1, 0, 1]
     assert [batch.view(i).body[RADIUS] for i in (0, 4)] == [sg.layouts.box("S").base.reach, 0.12]
-
-
-def test_parcels_that_do_not_fit_are_refused_beforehand() -> None:
-    batch = Batch(EnvConfig(), 1)
-    batch.check([{"parcel": "B"}])
-    with pytest.raises(ValueError, match="parcel must be at most"):
-        batch.check([{"parcel": "B"}, {"parcel": sg.Parcel(sg.Rectangle(3.0, 0.1))}])

@@ -38,17 +38,6 @@ def test_presets_scale_with_the_line_which_must_be_long(name: str) -> None:
             EXITS[name](length)
 
 
-@given(x=st.floats(-1.0, 7.0), side=st.sampled_from((-1, 1)))
-def test_the_spans_of_chutes_mirror_each_other(x: float, side: int) -> None:
-    exits = chutes()
-    place, mirrored = exits.at(side, x), exits.at(-side, x)
-    assert (place == NOWHERE) == (mirrored == NOWHERE)
-    if place != NOWHERE:
-        assert exits.table[place, 0] == side
-        assert exits.table[place, 1] <= x < exits.table[place, 2]
-        assert exits.names[place].split()[1] == exits.names[mirrored].split()[1]
-
-
 @given(x=st.floats(-1.0, 7.0), side=st.sampled_from((-1, 0, 1)))
 def test_the_table_says_the_same_as_the_rule(x: float, side: int) -> None:
     exits = chutes()

@@ -11,7 +11,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow import state as fs
-from surface_gym.flow.arrivals import Poisson, Steady
+from surface_gym.flow.arrivals import Poisson
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.exits import Exit, Exits, chutes, flow_line, sides
 from surface_gym.flow.stream import Stream
@@ -116,17 +116,6 @@ class TestRoom:
         # Each that waits adds to the sum what it has waited, but for a step's round-off.
         each = np.concatenate([streams.entered[0, :entered] - time[:entered], late])
         assert waited == pytest.approx(each.sum(), abs=DT * len(each))
-
-    def test_alone_nobody_waits(self) -> None:
-        """At a gap of 3 s each enters in the first physics step after its time."""
-        batch = flows.batch_with(Stream(Steady(1200.0)), duration=9.5)
-        while batch.streams.outcome[0] == 0:
-            batch.step(flows.command(batch, flows.ROLL))
-        np.testing.assert_allclose(
-            batch.streams.entered[0, :4], [0.0, 3.0, 6.0, 9.0], atol=DT + 1e-9
-        )
-        assert (batch.streams.entered[0, :4] >= batch.streams.time[0, :4]).all()
-        assert batch.streams.waited[0] == 0.0
 
 
 class TestGate:

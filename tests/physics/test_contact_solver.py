@@ -115,18 +115,6 @@ def test_a_box_hits_a_box_before_it_passes_half_the_step() -> None:
     assert impulse == pytest.approx(6.0)
 
 
-@pytest.mark.parametrize("degrees", [0.0, 8.0])
-def test_three_in_a_row_at_rest_stay_where_friction_holds_them(degrees: float) -> None:
-    surface = sg.Surface(
-        np.zeros((30, 40)), np.ones((30, 40), dtype=bool), mu_max=0.4, tilt=math.radians(degrees)
-    )
-    poses = np.array([(1.0 + 0.25 * k, 1.0, 0.0) for k in range(3)])
-    meeting = Meeting(surface, [BOX] * 3, poses)
-    for _ in range(200):
-        meeting.step(DT)
-    np.testing.assert_allclose(meeting.place, poses, atol=1e-5 * 200 * DT)
-
-
 def test_islands_do_not_mix_and_whoever_touches_nobody_moves_as_alone() -> None:
     disc = sg.Parcel(sg.Disc(0.2), com_offset=(0.02, 0.01))
     who = [BOX, BOX, BOX, BOX, disc]

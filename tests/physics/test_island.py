@@ -87,11 +87,6 @@ def test_an_oblique_impact_is_the_textbooks(
     )
 
 
-def test_at_a_restitution_of_one_equal_parcels_swap_velocities() -> None:
-    swapped = oblique(0.0, 1.0, np.array([1.3, 0.0]))
-    np.testing.assert_allclose(swapped, [[0.0, 0.0, 0.0], [1.3, 0.0, 0.0]], atol=1e-9)
-
-
 def test_a_parcel_that_nothing_holds_leans_with_all_its_weight_on_one_that_is_held() -> None:
     tilt, dt = math.radians(10.0), 0.005
     rotor = np.tile(np.arange(40) >= 20, (20, 1))  # with axes along the slope: they hold

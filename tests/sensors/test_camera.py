@@ -1,8 +1,6 @@
 """The camera: frames, noise, latency, drops, and what the filter makes of them."""
 
-import copy
 import math
-import pickle
 from typing import Any
 
 import numpy as np
@@ -137,9 +135,3 @@ def test_bad_fields_are_named(name: str) -> None:
 def test_frames_faster_than_physics_steps_are_refused_by_the_environment() -> None:
     with pytest.raises(ValueError, match="frame_rate"):
         sg.SmartSurfaceEnv(sensors=Camera(frame_rate=1000.0))
-
-
-def test_configs_compare_pickle_and_copy() -> None:
-    camera = Camera(drop=0.1)
-    assert camera == Camera(drop=0.1) != Camera()
-    assert pickle.loads(pickle.dumps(camera)) == camera == copy.deepcopy(camera)
