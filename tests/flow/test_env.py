@@ -125,15 +125,13 @@ class TestEpisodes:
     @pytest.mark.parametrize(
         ("options", "named"),
         [
-            ({"speed": 1.0}, "options"),
-            (3, "options"),
-            ({"stream": "dense"}, "stream"),
+            ({"speed": 1.0}, "options"), (3, "options"), ({"stream": "dense"}, "stream"),
             ({"stream": None}, "stream"),
             ({"stream": Stream(destinations={"north": 1.0})}, "destinations"),
             ({"stream": flows.trace((0.0, "north"))}, "exit"),
             ({"stream": Stream(parcels=(sg.Parcel(sg.Rectangle(0.05, 0.3)),))}, "parcels"),
         ],
-    )
+    )  # fmt: skip
     def test_bad_options_are_named_and_leave_the_episode(self, options: Any, named: str) -> None:
         env, twin = flows.pair(randomisation=Randomisation(size=0.05))
         for each in (env, twin):

@@ -45,15 +45,13 @@ class TestContract:
     @pytest.mark.parametrize(
         "settings",
         [
-            {},
-            {"duration": 20.0, "stream": Stream(Steady(3000.0)), "patience": 1.0},
+            {}, {"duration": 20.0, "stream": Stream(Steady(3000.0)), "patience": 1.0},
             {"duration": 10.0, "stream": SPARSE, "orientations": (math.pi / 2, math.pi / 2 - 1e-8)},
             {"stream": Stream(Schedule(((0.0, 0.0), (1.0, 3600.0))))},
-            {"orientations": "any", "sensors": Presence()},
-            VARIED,
+            {"orientations": "any", "sensors": Presence()}, VARIED,
         ],
         ids=repr,
-    )
+    )  # fmt: skip
     def test_pettingzoos_checks_pass(self, settings: Any, capsys: Any) -> None:
         parallel_api_test(agents_of(**settings), num_cycles=1000)
         parallel_seed_test(lambda: agents_of(**settings))
@@ -88,14 +86,12 @@ class TestBesideTheSingleEnv:
     @pytest.mark.parametrize(
         "settings",
         [
-            {},
-            {"stream": SPARSE, "duration": 5.0},
+            {}, {"stream": SPARSE, "duration": 5.0},
             {"orientations": "any", "sensors": Presence()},
-            {"duration": 6.0, "patience": 0.3, "orientations": (0.0, 1.5)},
-            VARIED,
+            {"duration": 6.0, "patience": 0.3, "orientations": (0.0, 1.5)}, VARIED,
         ],
         ids=repr,
-    )
+    )  # fmt: skip
     def test_the_same_run_to_the_bit(self, settings: Any) -> None:
         env, single = agents_of(**settings), bare(actions="parcels", **settings)
         rng = np.random.default_rng(4)

@@ -131,18 +131,16 @@ def test_a_damaged_file_is_refused_by_its_line(path: Path, text: str, message: s
     [
         ("mass", "-3", "be greater than 0, got -3.0"),
         ("mass", "heavy", "be a finite number, got 'heavy'"),
-        ("mass", "", "be a finite number, got ''"),
-        ("length", "0", "be greater than 0, got 0.0"),
+        ("mass", "", "be a finite number, got ''"), ("length", "0", "be greater than 0, got 0.0"),
         ("width", "-0.1", "be greater than 0, got -0.1"),
         ("width", "nan", "be a finite number, got nan"),
         ("speed", "inf", "be a finite number, got inf"),
-        ("speed", "6", "be between 0 and 5, got 6.0"),
-        ("time", "-1", "be at least 0, got -1.0"),
+        ("speed", "6", "be between 0 and 5, got 6.0"), ("time", "-1", "be at least 0, got -1.0"),
         ("time", "3", "not fall, got 3.0 after 4.0"),
         ("exit", " ", "be text without spaces at its ends, got ''"),
         ("exit", "up", "be one of 'left', 'right', 'straight', got 'up'"),
     ],
-)
+)  # fmt: skip
 def test_a_damaged_entry_is_refused(path: Path, column: str, entry: str, message: str) -> None:
     row = ["5", "0.25", "0.25", "10", "1.5", "left"]
     row[COLUMNS.index(column)] = entry

@@ -230,15 +230,12 @@ class TestWays:
     @pytest.mark.parametrize(
         ("choice", "asked", "taken"),
         [
-            (flows.MINUS_45, "left 1", "left 1"),
-            (flows.PLUS_45, "right 1", "right 1"),
-            (flows.MINUS_45, "left 2", "left 1"),
-            (flows.MINUS_45, "right 1", "left 1"),
-            (flows.ROLL, "straight", "straight"),
-            (flows.ROLL, "left 1", "straight"),
+            (flows.MINUS_45, "left 1", "left 1"), (flows.PLUS_45, "right 1", "right 1"),
+            (flows.MINUS_45, "left 2", "left 1"), (flows.MINUS_45, "right 1", "left 1"),
+            (flows.ROLL, "straight", "straight"), (flows.ROLL, "left 1", "straight"),
             (flows.MINUS_45, "straight", "left 1"),
         ],
-    )
+    )  # fmt: skip
     def test_outcomes(self, choice: int, asked: str, taken: str) -> None:
         env, info = sent(choice, asked)
         streams = env.batch.streams
