@@ -153,32 +153,22 @@ def test_a_bad_number_is_named(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("least_gap", "message"),
+    ("given", "message"),
     [
-        (-0.1, "at least 0, got -0.1"),
-        (math.nan, "a finite number, got nan"),
-        (3.1, "at most the mean gap, 3 s at a rate of 1200 parcels/h, got 3.1"),
+        (-0.1, "least_gap must be at least 0, got -0.1"),
+        (math.nan, "least_gap must be a finite number, got nan"),
+        (3.1, "least_gap must be at most the mean gap, 3 s at a rate of 1200 parcels/h, got 3.1"),
+        ((), r"rates must have the shape \(any, 2\), got \(0,\)"),
+        (np.zeros((0, 2)), r"rates must be at times that rise from 0, got \[\]"),
+        (None, "rates must be an array of numbers, got None"),
+        (((0, 600), (5,)), "rates must be an array of numbers"),
+        (((0, math.nan),), "rates must be finite, got nan in it"),
+        (((1, 600),), r"rates must be at times that rise from 0, got \[1.0\]"),
+        (((0, 600), (5, 700), (5, 0)), "rates must be at times that rise from 0"),
+        (((0, 600), (5, -1)), r"rates must be at least 0, and one of them greater, got \[600.0, "),
+        (((0, 0), (5, 0)), "rates must be at least 0, and one of them greater"),
     ],
 )
-def test_a_bad_least_gap_is_refused(least_gap: float, message: str) -> None:
-    with pytest.raises(ValueError, match=f"^least_gap must be {message}$"):
-        Poisson(1200.0, least_gap)
-
-
-@pytest.mark.parametrize(
-    ("rates", "message"),
-    [
-        ((), r"have the shape \(any, 2\), got \(0,\)"),
-        (np.zeros((0, 2)), r"be at times that rise from 0, got \[\]"),
-        (None, "be an array of numbers, got None"),
-        (((0, 600), (5,)), "be an array of numbers"),
-        (((0, math.nan),), "be finite, got nan in it"),
-        (((1, 600),), r"be at times that rise from 0, got \[1.0\]"),
-        (((0, 600), (5, 700), (5, 0)), "be at times that rise from 0"),
-        (((0, 600), (5, -1)), r"be at least 0, and one of them greater, got \[600.0, "),
-        (((0, 0), (5, 0)), "be at least 0, and one of them greater"),
-    ],
-)
-def test_a_bad_schedule_is_refused(rates: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=f"^rates must {message}"):
-        Schedule(rates)
+def test_a_bad_least_gap_or_schedule_is_refused(given: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
+        _ = Poisson(1200.0, given) if isinstance(given, float) else Schedule(given)

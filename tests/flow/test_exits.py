@@ -15,14 +15,11 @@ LEFT = Exit("left", 1, 0.5, 2.0)
 STRAIGHT = Exit("straight", 0)
 
 
-def test_chutes_are_two_to_either_side_and_straight_on() -> None:
+def test_chutes_are_two_to_either_side_and_sides_as_long_as_the_line() -> None:
     exits = chutes()
     assert exits.names == ("left 1", "left 2", "right 1", "right 2", "straight")
     expected = [[1, 0.6, 2.8], [1, 3.2, 5.8], [-1, 0.6, 2.8], [-1, 3.2, 5.8], [0, 0.0, math.inf]]
     np.testing.assert_allclose(exits.table, expected)
-
-
-def test_sides_are_as_long_as_the_line() -> None:
     exits = sides(4.5)
     assert exits.names == ("left", "right", "straight")
     np.testing.assert_array_equal(exits.table[:2], [[1, 0.0, 4.5], [-1, 0.0, 4.5]])
@@ -55,18 +52,14 @@ def test_a_parcel_at_the_end_of_a_span_is_past_it_and_straight_on_has_no_span() 
     assert Exits((LEFT,)).at(0, 6.0) == NOWHERE
 
 
-def test_an_exit_is_found_by_its_name() -> None:
-    exits = chutes()
-    assert [exits.place(name) for name in exits.names] == [0, 1, 2, 3, 4]
-    with pytest.raises(ValueError, match=r"exit must be one of 'left 1', .*, got 'left'"):
-        exits.place("left")
-
-
-def test_exits_are_counted_gone_through_and_hashed() -> None:
+def test_exits_are_counted_gone_through_hashed_and_found_by_name() -> None:
     exits = Exits([LEFT, STRAIGHT])
     assert (len(exits), list(exits)) == (2, [LEFT, STRAIGHT])
     assert exits == Exits((LEFT, STRAIGHT))
     assert len({exits, Exits((LEFT, STRAIGHT)), sides()}) == 2
+    assert [chutes().place(name) for name in chutes().names] == [0, 1, 2, 3, 4]
+    with pytest.raises(ValueError, match=r"exit must be one of 'left 1', .*, got 'left'"):
+        chutes().place("left")
     with pytest.raises(FrozenInstanceError):
         exits.exits = ()
     with pytest.raises(ValueError, match="read-only"):

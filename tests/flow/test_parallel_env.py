@@ -25,6 +25,14 @@ with warnings.catch_warnings():
 VARIED = dict(KINDS["parcels, camera, all varies"])
 del VARIED["actions"]  # they are an agent's own
 SPARSE = Stream(Steady(1800.0))  # one has left a short line before the next comes
+LATE = Stream(Schedule(((0.0, 0.0), (1.0, 3600.0))))  # nobody is there as an episode begins
+SETTINGS: tuple[dict[str, Any], ...] = (
+    {},
+    {"duration": 6.0, "patience": 0.3, "orientations": (0.0, 1.5)},
+    {"duration": 10.0, "stream": SPARSE, "orientations": (math.pi / 2, math.pi / 2 - 1e-8)},
+    {"orientations": "any", "sensors": Presence()},
+    VARIED,
+)
 NORTH = Stream(destinations={"north": 1.0})  # where no exit is
 
 
@@ -42,16 +50,7 @@ def number_of(agent: str) -> int:
 
 
 class TestContract:
-    @pytest.mark.parametrize(
-        "settings",
-        [
-            {}, {"duration": 20.0, "stream": Stream(Steady(3000.0)), "patience": 1.0},
-            {"duration": 10.0, "stream": SPARSE, "orientations": (math.pi / 2, math.pi / 2 - 1e-8)},
-            {"stream": Stream(Schedule(((0.0, 0.0), (1.0, 3600.0))))},
-            {"orientations": "any", "sensors": Presence()}, VARIED,
-        ],
-        ids=repr,
-    )  # fmt: skip
+    @pytest.mark.parametrize("settings", [*SETTINGS, {"stream": LATE}], ids=repr)
     def test_pettingzoos_checks_pass(self, settings: Any, capsys: Any) -> None:
         parallel_api_test(agents_of(**settings), num_cycles=1000)
         parallel_seed_test(lambda: agents_of(**settings))
@@ -83,15 +82,7 @@ class TestContract:
 
 
 class TestBesideTheSingleEnv:
-    @pytest.mark.parametrize(
-        "settings",
-        [
-            {}, {"stream": SPARSE, "duration": 5.0},
-            {"orientations": "any", "sensors": Presence()},
-            {"duration": 6.0, "patience": 0.3, "orientations": (0.0, 1.5)}, VARIED,
-        ],
-        ids=repr,
-    )  # fmt: skip
+    @pytest.mark.parametrize("settings", SETTINGS, ids=repr)
     def test_the_same_run_to_the_bit(self, settings: Any) -> None:
         env, single = agents_of(**settings), bare(actions="parcels", **settings)
         rng = np.random.default_rng(4)

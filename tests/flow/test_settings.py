@@ -18,8 +18,6 @@ from surface_gym.sensors import Camera
 from surface_gym.vector_env import SmartSurfaceVectorEnv
 from tests.flow.flows import SHORT, trace
 
-FASTEST_CAMERA = Camera(frame_rate=200.0)
-
 # Each under the name that its error tells, and the argument where that has another.
 BAD: dict[str, list[Any]] = {
     "stream": [None, 1200.0],
@@ -67,38 +65,36 @@ def test_both_environments_check_them(env_type: Any) -> None:
         env_type(task="flow", render_mode="ansi")
 
 
-class TestTogether:
-    """What is allowed by itself, but not with something else."""
+TINY = Stream(parcels=(sg.Parcel(sg.Rectangle(0.1, 0.1)),))  # a pitch long
+# What is allowed by itself, and not with something else.
+TOGETHER: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "gate": ({"gate": True}, {"orientations": "any"}),  # it counts choices
+    # A line as wide as its parcel has other rotors for another one.
+    "line must have the same rotors": (
+        {"line": lines.Line()}, {"stream": Stream(parcels=("S", "B"))},
+    ),
+    # None can fall between rotors.
+    "parcels must be at least a pitch long": (
+        {"stream": TINY}, {"randomisation": Randomisation(size=0.01)},
+    ),
+    # A sensor must find its noise in a control period.
+    "sensors must use at most": (
+        {"sensors": Camera(frame_rate=200.0), "control_period": 0.31}, {"control_period": 0.32},
+    ),
+    # Stuck modules are modules of the line.
+    "stuck": ({"actuators": Actuators(stuck=((9, 26),))}, {"line": SHORT}),
+}  # fmt: skip
 
-    def test_a_gate_counts_choices(self) -> None:
-        with pytest.raises(ValueError, match="gate"):
-            EnvConfig("flow", gate=True, orientations="any")
 
-    def test_all_parcels_share_the_rotors(self) -> None:
-        """A line as wide as its parcel has other rotors for another one."""
-        EnvConfig("flow", line=lines.Line())
-        EnvConfig("flow", line=lines.Field())
-        with pytest.raises(ValueError, match="line must have the same rotors"):
-            EnvConfig("flow", stream=Stream(parcels=("S", "B")), line=lines.Line())
-        settings = EnvConfig("flow", line=lines.Line())
-        with pytest.raises(ValueError, match="line must have the same rotors"):
+@pytest.mark.parametrize("message", TOGETHER)
+def test_what_is_allowed_by_itself_but_not_with_something_else(message: str) -> None:
+    alone, beside = TOGETHER[message]
+    settings = EnvConfig("flow", **alone)
+    with pytest.raises(ValueError, match=message):
+        EnvConfig("flow", **{**alone, **beside})
+    if "stream" in beside:
+        with pytest.raises(ValueError, match=message):
             settings.stream_task.check_stream(Stream(parcels=("B",)), settings)
-
-    def test_a_parcel_cannot_fall_between_rotors(self) -> None:
-        least = Stream(parcels=(sg.Parcel(sg.Rectangle(0.1, 0.1)),))
-        EnvConfig("flow", stream=least)
-        with pytest.raises(ValueError, match="parcels must be at least a pitch long"):
-            EnvConfig("flow", stream=least, randomisation=Randomisation(size=0.01))
-
-    def test_a_sensor_must_find_its_noise_in_a_control_period(self) -> None:
-        EnvConfig("flow", sensors=FASTEST_CAMERA, control_period=0.31)
-        with pytest.raises(ValueError, match="sensors must use at most"):
-            EnvConfig("flow", sensors=FASTEST_CAMERA, control_period=0.32)
-
-    def test_stuck_modules_are_modules_of_the_line(self) -> None:
-        EnvConfig("flow", line=SHORT, actuators=Actuators(stuck=((9, 10),)))
-        with pytest.raises(ValueError, match="stuck"):
-            EnvConfig("flow", line=SHORT, actuators=Actuators(stuck=((9, 26),)))
 
 
 class TestWhatFollows:

@@ -73,14 +73,12 @@ class TestByHand:
         assert found.waiting_most == pytest.approx(4.0)
 
     def test_where_nothing_happened(self) -> None:
+        assert tuple(field.name for field in dataclasses.fields(fs.FlowStatistics)) == fs.NAMES
         nothing = recorded(0.0, (1.0, NAN, NAN, 0, fs.ON_ITS_WAY, 0))
         found = fs.compute_statistics(nothing, 0, jammed=False, obeying=0)
         assert found.delivered == 0
         for name in fs.NAMES[1:]:
             assert math.isnan(getattr(found, name)), name
-
-    def test_names_are_the_fields(self) -> None:
-        assert tuple(field.name for field in dataclasses.fields(fs.FlowStatistics)) == fs.NAMES
 
 
 @pytest.mark.parametrize("varied", [{}, {"lateral": 0.02, "heading": 0.05}])

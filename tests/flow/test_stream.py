@@ -51,13 +51,7 @@ def test_the_seed_fixes_the_stream(law: Any) -> None:
     for name in NAMES:
         np.testing.assert_array_equal(getattr(one, name), getattr(same, name))
     assert one.speed.tobytes() != other.speed.tobytes()
-
-
-def test_the_times_are_those_of_the_law() -> None:
-    law = Poisson(900.0, 1.0)
-    np.testing.assert_array_equal(
-        drawn(Stream(law), seed=2).time, law.times(np.random.default_rng(2), LONG)
-    )
+    np.testing.assert_array_equal(one.time, law.times(np.random.default_rng(5), 60.0))
 
 
 @pytest.mark.parametrize(
@@ -79,18 +73,15 @@ def test_odds_are_equal_or_those_given(
     assert shares(arrivals.exit, 5) == pytest.approx(exits, abs=0.03)
 
 
-def test_speeds_are_uniform_or_all_the_same() -> None:
-    speed = drawn(Stream(speeds=(0.5, 2.5))).speed
+def test_speeds_are_uniform_and_do_not_depend_on_kind_and_exit_or_all_the_same() -> None:
+    arrivals = drawn(Stream(parcels=("S", "B"), speeds=(0.5, 2.5)))
+    together = np.corrcoef([arrivals.parcel, arrivals.exit, arrivals.speed])
+    assert np.abs(together - np.eye(3)).max() < 0.05
+    speed = arrivals.speed
     assert 0.5 <= speed.min() < 0.51
     assert 2.49 < speed.max() < 2.5
     assert speed.mean() == pytest.approx(1.5, abs=0.03)
     assert set(drawn(Stream(speeds=0.7)).speed) == {0.7}
-
-
-def test_kind_exit_and_speed_have_nothing_to_do_with_each_other() -> None:
-    arrivals = drawn(Stream(parcels=("S", "B"), speeds=(1.0, 2.0)))
-    together = np.corrcoef([arrivals.parcel, arrivals.exit, arrivals.speed])
-    assert np.abs(together - np.eye(3)).max() < 0.05
 
 
 def test_a_change_of_one_thing_leaves_the_others_as_they_were() -> None:

@@ -170,13 +170,10 @@ def test_only_what_can_be_read_back_is_written(path: Path, parcel: sg.Parcel) ->
     drawn = Stream(parcels=(parcel,)).draw(np.random.default_rng(0), 60.0, sides())
     with pytest.raises(ValueError, match=r"arrivals must be rectangles with a mass, .* got Parcel"):
         write_trace(path, drawn, sides())
-    assert not path.exists()
-
-
-def test_nobody_is_not_written(path: Path) -> None:
     nobody = Stream(Schedule(((0, 0), (70, 900))))
     with pytest.raises(ValueError, match="arrivals must be at least one parcel, got none"):
         write_trace(path, nobody.draw(np.random.default_rng(0), 60.0, sides()), sides())
+    assert not path.exists()
 
 
 @pytest.mark.parametrize(

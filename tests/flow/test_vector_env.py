@@ -83,22 +83,6 @@ class TestLanes:
         np.testing.assert_array_equal(infos["parcels"], drawn["parcels"])
         np.testing.assert_array_equal(batch.parcels.truth[batch.rows, 3], 1.1)
 
-    def test_partial_resets_leave_the_others(self) -> None:
-        env, twin = (streams(autoreset_mode="Disabled", **VARIED) for _ in range(2))
-        action = np.full(env.action_space.shape, ROLL)
-        for each in (env, twin):
-            each.reset(seed=0)
-            each.step(action)
-        before = env.step(action)[0]
-        twin.step(action)
-        mask = np.array([False, True, False])
-        after, infos = env.reset(options={"reset_mask": mask})
-        np.testing.assert_array_equal(after[~mask], before[~mask])
-        np.testing.assert_array_equal(infos["_time"], mask)
-        found, wanted = env.step(action), twin.step(action)
-        for one, other in zip(found[:4], wanted[:4], strict=True):
-            assert_same(one[~mask], other[~mask])
-
 
 class TestContract:
     @every_kind

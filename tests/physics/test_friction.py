@@ -173,16 +173,3 @@ def test_friction_holds_a_parcel_on_a_slope(along: float) -> None:
     creep = DT * along / (1.0 + DT * 0.5 * sets.WEIGHT / ROUNDING)
     assert abs(creep) < ROUNDING
     np.testing.assert_allclose(after, [creep, 0.0, 0.0], rtol=0.0, atol=1e-12)
-
-
-def test_without_friction_or_gravity_the_velocity_stays() -> None:
-    rng = np.random.default_rng(0)
-    problem = Problem(
-        friction=sets.Friction(0.0, 0.0, 0.0),
-        velocity=np.array([1.0, -0.5, 2.0]),
-        arms=sets.PITCH * rng.normal(size=(9, 2)),
-        axis=rng.normal(size=9),
-        rotor=rng.random(9) < 0.5,
-        normal=np.full(9, sets.WEIGHT / 9),
-    )
-    np.testing.assert_array_equal(problem.step(), problem.velocity)

@@ -9,7 +9,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch
-from surface_gym.sensors import Camera, Entry
+from surface_gym.sensors import Camera, Entry, Presence
 from surface_gym.sensors.camera import FRAME_SIZE, FRAMES, TAKEN
 from surface_gym.sensors.kalman import LAST
 from tests.sensors.runs import BRAKE, PLUS_45, ROLL, all_say, errors, rms
@@ -132,6 +132,7 @@ def test_bad_fields_are_named(name: str) -> None:
         Camera(**{name: BAD[name]})
 
 
-def test_frames_faster_than_physics_steps_are_refused_by_the_environment() -> None:
-    with pytest.raises(ValueError, match="frame_rate"):
-        sg.SmartSurfaceEnv(sensors=Camera(frame_rate=1000.0))
+@pytest.mark.parametrize(("kind", "name"), [(Camera, "frame_rate"), (Presence, "sample_rate")])
+def test_what_is_faster_than_physics_steps_is_refused(kind: Any, name: str) -> None:
+    with pytest.raises(ValueError, match=name):
+        sg.SmartSurfaceEnv(sensors=kind(**{name: 1000.0}))
