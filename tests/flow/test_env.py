@@ -229,14 +229,9 @@ def sizes(count: int) -> list[sg.Parcel]:
 class TestPool:
     """Bodies are kept as long as an episode has use for them."""
 
-    def test_parcels_that_are_alike_share_a_row(self, pool: BodyPool) -> None:
-        row = pool.take(flows.BOX)
-        assert pool.take(sg.layouts.box("S")) == row
-        assert pool.take(flows.LARGE_BOX) != row
-        assert pool.parcel(row) == flows.BOX
-
-    def test_a_row_is_free_after_its_last_user(self, pool: BodyPool) -> None:
-        rows = [pool.take(parcel) for parcel in (flows.BOX, flows.BOX, flows.LARGE_BOX)]
+    def test_parcels_that_are_alike_share_a_row_free_after_the_last(self, pool: BodyPool) -> None:
+        rows = [pool.take(sg.layouts.box(size)) for size in "SSB"]
+        assert rows[0] == rows[1] != rows[2]
         pool.give_back(rows[:1])
         assert pool.parcel(rows[1]) == flows.BOX
         pool.give_back(rows[1:])

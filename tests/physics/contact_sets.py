@@ -1,6 +1,6 @@
 """Sets of contacts made by hand or drawn, for the compiled functions that take them."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,7 +32,7 @@ def make_contacts(
     stiffness: np.ndarray | None = None,
     friction: Friction = TABLE_1,
 ) -> tuple[ph.Scratch, ph.Contacts]:
-    """ph.Scratch that holds contacts at arms (n, 2) [m], and how many it holds.
+    """Scratch that holds contacts at arms (n, 2) [m], and how many it holds.
 
     By default rotors, all at 0 rad, of the same stiffness and unloaded.
     """
@@ -62,6 +62,13 @@ def make_grid(along: float = 0.0) -> ph.Grid:
     return sg.Surface(np.zeros((1, 1)), np.ones((1, 1), dtype=bool)).grid._replace(
         gravity_along=along, gravity_normal=WEIGHT
     )
+
+
+def scan(surface: sg.Surface, parcel: sg.Parcel, pose: Any) -> np.ndarray:
+    """(rows, columns) the largest F_lambda of Section 3.2 at each element."""
+    x, y = np.meshgrid(surface.x - pose[0], surface.y - pose[1])
+    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+    return parcel.base.functions(cosine * x + sine * y, cosine * y - sine * x).max(axis=0)
 
 
 def draw_arms(rng: np.random.Generator, count: int) -> np.ndarray:

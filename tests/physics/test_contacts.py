@@ -16,6 +16,7 @@ from surface_gym.physics.contacts import EDGE_TOLERANCE
 from surface_gym.physics.jit import compiled
 from surface_gym.physics.references import find_contacts, step_implicit
 from surface_gym.physics.step import BALANCED, OFF_SURFACE, UNSUPPORTED
+from tests.physics.contact_sets import scan
 from tests.strategies import COLUMNS, ROWS, bases, polygon_vertices
 
 Pose = tuple[float, float, float]
@@ -44,13 +45,6 @@ def contacts_of(
     return scratch, count, np.column_stack([rows, columns])
 
 
-def scan(parcel: sg.Parcel, pose: Pose, surface: sg.Surface = SURFACE) -> np.ndarray:
-    """(ROWS, COLUMNS) the largest F_lambda at each element."""
-    x, y = np.meshgrid(surface.x - pose[0], surface.y - pose[1])
-    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
-    return parcel.base.functions(cosine * x + sine * y, cosine * y - sine * x).max(axis=0)
-
-
 @given(
     base=bases,
     x=st.floats(-0.3, 2.3),
@@ -66,7 +60,7 @@ def test_they_are_what_a_scan_finds(
     found = np.zeros((ROWS, COLUMNS), dtype=int)
     for row, column in np.rint(places).astype(int):
         found[row, column] += 1
-    largest = scan(parcel, (x, y, theta), surface)
+    largest = scan(surface, parcel, (x, y, theta))
     np.testing.assert_allclose(places, np.rint(places), atol=1e-9)
     assert found.max(initial=0) <= 1
     assert found[largest <= 0.0].all()

@@ -22,6 +22,7 @@ from surface_gym.physics.step import (
     axis_directions,
 )
 from surface_gym.physics.types import Array
+from tests.physics.contact_sets import scan
 from tests.strategies import Scene, scenes
 
 G = 9.81  # [m/s^2]
@@ -155,14 +156,6 @@ def test_it_stops_after_v_squared_over_two_mu_g(mu: float, speed: float, directi
 K = 5000.0  # [s/m] of Eq. (2)
 
 
-def under_the_base(surface: sg.Surface, parcel: sg.Parcel, pose: Array) -> Array:
-    """(rows, columns) Section 3.2: F_lambda <= 0, an element on the perimeter included."""
-    x, y = np.meshgrid(surface.x - pose[0], surface.y - pose[1])
-    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
-    functions = parcel.base.functions(cosine * x + sine * y, cosine * y - sine * x)
-    return functions.max(axis=0) <= 1e-9
-
-
 def contact_forces(
     surface: sg.Surface, rotor: Array, axis: Array, slide: Array, normal: Array
 ) -> tuple[Array, Array]:
@@ -189,7 +182,7 @@ def transcribed_step(
     """One turn of Figure 5a's loop: pose, velocity and acceleration; None where it stops."""
     if velocity[0] <= 0.0 and surface.tilt == 0.0:
         return None
-    under = under_the_base(surface, parcel, pose)
+    under = scan(surface, parcel, pose) <= 1e-9  # an element on the perimeter included
     x, y = np.meshgrid(surface.x, surface.y)
     arms = np.column_stack([x[under] - pose[0], y[under] - pose[1]])
     gravity_x, gravity_z = G * math.sin(surface.tilt), G * math.cos(surface.tilt)
