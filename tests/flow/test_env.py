@@ -1,9 +1,11 @@
-"""The single environment of a flow: Gymnasium's contract, seeds, twins, memory and bodies."""
+"""The environments of a flow: Gymnasium's contract, seeds, twins, memory and bodies of the single
+one, and the native vector environment beside single ones in Gymnasium's own vector.
+"""
 
 import copy
 import math
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from typing import Any
 
@@ -11,6 +13,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env as check_by_gymnasium
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from stable_baselines3.common.env_checker import check_env as check_by_stable_baselines3
 
 import surface_gym as sg
@@ -21,8 +24,20 @@ from surface_gym.flow.batch import BodyPool
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.task import FEATURES
 from surface_gym.randomisation import Randomisation
-from tests.environments import HEPTAGON, TRIANGLE, TWINS
+from surface_gym.registration import FLOW
+from surface_gym.vector_env import SmartSurfaceVectorEnv
+from tests.environments import (
+    HEPTAGON,
+    NUM_ENVS,
+    TRIANGLE,
+    TWINS,
+    assert_same,
+    every_mode,
+    native,
+    singles,
+)
 from tests.flow import flows
+from tests.test_vector_env import run_beside
 
 
 class TestCheckers:
@@ -273,3 +288,105 @@ class TestPool:
         with pytest.raises(ValueError, match="parcel"):
             pool.take(sg.Parcel(sg.Rectangle(2.0, 0.3)))
         assert {pool.take(parcel) for parcel in sizes(16)} == set(range(16))
+
+
+LONG = 10_000  # control periods: a flow ends by itself before that
+EPISODE = {"stream": flows.DENSE, "line": flows.SHORT, "duration": 0.6}  # 15 control periods
+VARIED = flows.KINDS["parcels, camera, all varies"]
+
+
+def vector_of(parcels: int = NUM_ENVS, **settings: Any) -> VectorEnv:
+    return native(FLOW, parcels, **{**EPISODE, **settings})
+
+
+def singles_of(mode: AutoresetMode, **settings: Any) -> SyncVectorEnv:
+    return singles(FLOW, mode, LONG, **{**EPISODE, **settings})
+
+
+# What else may differ between the two, each with its control periods.
+BESIDE: dict[str, tuple[dict[str, Any], int]] = {
+    **{name: (kind, 40) for name, kind in flows.KINDS.items()},
+    "a gate": ({"actions": "parcels", "gate": True}, 40),
+    "jams": (
+        {"actions": "parcels", "orientations": (0.0, 0.1), "patience": 0.2, "duration": 3.0}, 100
+    ),
+    # A start pays nothing, also where parcels enter aside of the middle as an episode begins.
+    "starts aside": (
+        {
+            "stream": Stream(flows.DENSE.arrivals, destinations={"straight": 1.0}),
+            "actions": "parcels", "duration": 0.12, "randomisation": Randomisation(lateral=0.05),
+        },
+        12,
+    ),
+}  # fmt: skip
+
+
+class TestBesideSingles:
+    @every_mode
+    @pytest.mark.parametrize("name", BESIDE)
+    def test_each_environment_is_a_single_env(self, name: str, mode: AutoresetMode) -> None:
+        settings, periods = BESIDE[name]
+        one, other = vector_of(autoreset_mode=mode, **settings), singles_of(mode, **settings)
+        least = NUM_ENVS if name == "jams" else 2 * NUM_ENVS
+        assert run_beside(one, other, mode, periods) >= least
+
+
+def rollout(env: VectorEnv) -> Iterator[tuple[Any, ...]]:
+    """What the first two environments give, each acting as it would in a smaller batch."""
+    observations, _ = env.reset(seed=3)
+    yield (observations[:2],)
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        actions = rng.integers(0, 4, (64, *env.single_action_space.shape))[: env.num_envs]
+        observations, rewards, terminated, truncated, infos = env.step(actions)
+        results = (observations, rewards, terminated, truncated)
+        yield tuple(each[:2] for each in (*results, infos["parcels"], infos["touches"]))
+
+
+class TestBatches:
+    def test_their_number_does_not_matter_nor_does_that_of_threads(self) -> None:
+        few, several = vector_of(2, threads=1, **VARIED), vector_of(12, threads=3, **VARIED)
+        assert several.batch._threads == 3
+        for first, second in zip(rollout(few), rollout(several), strict=True):
+            assert_same(first, second)
+
+    def test_every_environment_takes_its_own_stream(self) -> None:
+        env = vector_of(actions="parcels")
+        mine = flows.trace((0.0, "left 1"), (0.3, "right 1"), speed=1.1)
+        _, infos = env.reset(seed=0, options=[None, {"stream": mine}, {}])
+        batch = env.batch
+        assert batch.streams.arrivals[1] == 2
+        _, drawn = vector_of(actions="parcels").reset(seed=0)
+        np.testing.assert_array_equal(infos["parcels"], drawn["parcels"])
+        np.testing.assert_array_equal(batch.parcels.truth[batch.rows, 3], 1.1)
+
+
+class TestVector:
+    @flows.every_kind
+    def test_make_vec_gives_the_native_one_with_their_spaces(self, kind: dict[str, Any]) -> None:
+        env, sync = vector_of(**kind), singles_of(AutoresetMode.NEXT_STEP, **kind)
+        assert type(env) is SmartSurfaceVectorEnv
+        assert env.spec.id == FLOW
+        for name in (
+            "single_observation_space", "single_action_space", "observation_space", "action_space",
+        ):  # fmt: skip
+            assert getattr(env, name) == getattr(sync, name)
+        assert env.reset(seed=0)[0] in env.observation_space
+
+    def test_a_limit_of_ones_own_truncates(self) -> None:
+        env = vector_of(actions="parcels", max_episode_steps=4)
+        env.reset(seed=0)
+        action = np.full(env.action_space.shape, flows.ROLL)
+        ends = [env.step(action)[3].all() for _ in range(5)]
+        assert ends == [False, False, False, True, False]
+
+    def test_bad_options_of_one_change_no_environment(self) -> None:
+        env, twin = vector_of(actions="parcels"), vector_of(actions="parcels")
+        action = np.full(env.action_space.shape, flows.BRAKE)
+        for each in (env, twin):
+            each.reset(seed=0)
+            each.step(action)
+        with pytest.raises(ValueError, match="stream"):
+            env.reset(seed=1, options=[{}, {}, {"stream": 3}])
+        assert_same(env.step(action)[:4], twin.step(action)[:4])
+        assert_same(env.reset()[0], twin.reset()[0])
