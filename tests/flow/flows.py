@@ -138,11 +138,6 @@ def set_down(batch: StreamBatch, poses: ArrayLike, velocities: ArrayLike | None 
     streams.tally[0, ENTERED] = count
 
 
-def parcel_of(batch: StreamBatch, place: int, i: int = 0) -> sg.Parcel:
-    """The parcel that has a place."""
-    return batch._pool.parcel(int(batch.parcels.body[i * batch.rows + place]))
-
-
 def surface_of(settings: EnvConfig, angle: float) -> sg.Surface:
     """The surface with the axes of all that obeys at an angle [rad], for `simulate`."""
     first_row, rows, first, columns = settings.site.zone
@@ -175,11 +170,7 @@ def box_of(parcel: sg.Parcel, pose: ArrayLike) -> tuple[float, float, float, flo
     return pose[X] + low[0], pose[X] + high[0], pose[Y] + low[1], pose[Y] + high[1]
 
 
-def truths(batch: StreamBatch, i: int = 0) -> dict[int, Array]:
+def truths(batch: StreamBatch) -> dict[int, Array]:
     """Pose and velocity of who is there, by the number of arrival."""
-    first = i * batch.rows
-    return {
-        int(number): batch.parcels.truth[first + place].copy()
-        for place, number in enumerate(batch.streams.number[i])
-        if batch.streams.present[i, place]
-    }
+    places, numbers = np.flatnonzero(batch.streams.present[0]), batch.streams.number[0]
+    return {int(numbers[place]): batch.parcels.truth[place].copy() for place in places}

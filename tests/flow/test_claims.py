@@ -35,7 +35,7 @@ def slow_claims(batch: StreamBatch, sensed: Array, present: Array, ahead: float)
             claims = []
             for place in np.nonzero(present)[0].tolist():
                 pose = sensed[place]
-                rear, front, right, left = flows.box_of(flows.parcel_of(batch, place), pose[:3])
+                rear, front, right, left = flows.box_of(batch.parcel(0, place), pose[:3])
                 along = while_over(rear, front, pose[VX], x)
                 across = while_over(right, left, pose[VY], y)
                 since, until = max(0.0, along[0], across[0]), min(ahead, along[1], across[1])

@@ -14,7 +14,7 @@ from surface_gym.physics.types import Array
 from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Camera
 from surface_gym.tasks.sort import FEATURES as SORT_FEATURES
-from tests.flow.flows import ROLL, SHORT, bare, box_of, parcel_of
+from tests.flow.flows import ROLL, SHORT, bare, box_of
 
 NAMES = [feature.name for feature in FEATURES]
 FIRST_OF_ZONE = 0.5  # [m] after a lead-in of 5 columns
@@ -27,8 +27,8 @@ def neighbour(batch: StreamBatch, place: int, other: int | None, ahead: bool, fl
     if other is None:
         return [8.0, 0.0, 0.0, 0.0, 0.0]
     own, its = batch.parcels.sensed[place], batch.parcels.sensed[other]
-    rear, front, _, _ = box_of(parcel_of(batch, place), own[:3])
-    its_rear, its_front, _, _ = box_of(parcel_of(batch, other), its[:3])
+    rear, front, _, _ = box_of(batch.parcel(0, place), own[:3])
+    its_rear, its_front, _, _ = box_of(batch.parcel(0, other), its[:3])
     gap = its_rear - front if ahead else rear - its_front
     exits = batch.config.exits.exits
     side = exits[int(batch.streams.exit[0, batch.streams.number[0, other]])].side
@@ -37,7 +37,7 @@ def neighbour(batch: StreamBatch, place: int, other: int | None, ahead: bool, fl
         (its[3] - own[3]) / 0.5,
         flip * (its[1] - own[1]) / 0.3,
         flip * side,
-        (np.ptp(parcel_of(batch, other).base.outline[:, 0]) / 2 - 0.175) / 0.05,
+        (np.ptp(batch.parcel(0, other).base.outline[:, 0]) / 2 - 0.175) / 0.05,
     ]
 
 
@@ -47,7 +47,7 @@ def row_of(batch: StreamBatch, place: int) -> Array:
     number = int(streams.number[0, place])
     exit = batch.config.exits.exits[int(streams.exit[0, number])]
     flip = -1.0 if exit.side < 0 else 1.0
-    parcel = parcel_of(batch, place)
+    parcel = batch.parcel(0, place)
     x, y, theta, vx, vy, omega = batch.parcels.sensed[place]
     rear, _, right, left = box_of(parcel, (x, y, theta))
     length, width = np.ptp(parcel.base.outline, axis=0)

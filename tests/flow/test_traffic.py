@@ -41,7 +41,7 @@ def clear(
 ) -> bool:
     """Whether the box of a parcel at a pose, with a gap around and ahead, is free of others."""
     _, front, right, left = flows.box_of(parcel, pose)
-    boxes = (flows.box_of(flows.parcel_of(batch, other), its) for other, its in others.items())
+    boxes = (flows.box_of(batch.parcel(0, other), its) for other, its in others.items())
     return all(
         rear > front + gap or low >= left + gap or high <= right - gap
         for rear, _, low, high in boxes
@@ -73,10 +73,10 @@ class TestRoom:
                 assert streams.coming[0] == before + 1
                 (place,) = np.nonzero(streams.present[0] & (streams.number[0] == before))[0]
                 others = {at: pose for at, pose in now.items() if at != place}
-                assert clear(batch, flows.parcel_of(batch, place), now[place], others, gap)
+                assert clear(batch, batch.parcel(0, place), now[place], others, gap)
                 assert streams.entered[0, before] == streams.clock[0]
                 assert streams.entered[0, before] >= streams.time[0, before]
-                rear = flows.box_of(flows.parcel_of(batch, place), now[place])[0]
+                rear = flows.box_of(batch.parcel(0, place), now[place])[0]
                 assert rear == pytest.approx(0.0, abs=1e-12)
                 entered += 1
             elif waiting > 0:
