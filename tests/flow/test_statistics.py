@@ -109,10 +109,10 @@ def test_played_episodes_come_to_what_their_steps_tell(seed: int, varied: dict[s
         turns += int((np.abs(streams.commanded[0] - commanded) > 1e-9).sum())
         commanded = streams.commanded[0].copy()
         assert (info["right"], info["wrong"], info["turns"]) == (right, len(left) - right, turns)
-    for told, seen in ((streams.entered, entered), (streams.left, left)):
+    for kept, seen in ((streams.entered, entered), (streams.left, left)):
         assert len(seen) >= 3
-        numbers = np.nonzero(~np.isnan(told[0]))[0].tolist()
-        assert {number: told[0, number] for number in numbers} == pytest.approx(seen)
+        numbers = np.nonzero(~np.isnan(kept[0]))[0].tolist()
+        assert {number: kept[0, number] for number in numbers} == pytest.approx(seen)
     figures = info["episode_figures"]
     found = fs.compute_statistics(streams, 0, jammed=False, obeying=4 * 15)
     assert figures == pytest.approx(dataclasses.asdict(found), nan_ok=True)

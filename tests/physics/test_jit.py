@@ -43,8 +43,8 @@ def probe(package: Path) -> tuple[int, int]:
     environment = {**os.environ, "PYTHONPATH": str(package.parent)}
     environment.pop("NUMBA_CACHE_DIR", None)
     command = [sys.executable, "-W", "error", "-c", PROBE]
-    told = subprocess.check_output(command, cwd=package.parent, env=environment, text=True)
-    contacts, hits = map(int, told.split())
+    printed = subprocess.check_output(command, cwd=package.parent, env=environment, text=True)
+    contacts, hits = map(int, printed.split())
     return contacts, hits
 
 

@@ -75,11 +75,11 @@ def test_a_stiffer_contact_bears_more(solver: str) -> None:
 
 
 TRIANGLE = PITCH * np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (1.0, 1.0)])
-PLANE = (2 + 1.5 * GRID[:, 0] / PITCH) / 18
+TILTED = (2 + 1.5 * GRID[:, 0] / PITCH) / 18
 # Each with a load [m] and the share of the weight that every contact bears.
 KNOWN = {
     "centred: evenly": (GRID, (0.0, 0.0), np.full(9, 1 / 9)),
-    "off centre: a plane": (GRID, (0.05, 0.0), PLANE),
+    "off centre: a plane": (GRID, (0.05, 0.0), TILTED),
     "between rows: a lever": (SQUARE, (0.0, 0.05), (0.125, 0.125, 0.375, 0.375)),
     "over a corner: that corner alone": (SQUARE[:3], (-0.1, -0.1), (1, 0, 0)),
     "over a side: that side alone": (SQUARE, (0.1, 0.0), (0, 0.5, 0, 0.5)),
