@@ -63,6 +63,19 @@ def same_choice(env: SmartSurfaceEnv, choice: int) -> Any:
     return np.full(env.action_space.shape, choice)
 
 
+def pair(**settings: Any) -> tuple[SmartSurfaceEnv, SmartSurfaceEnv]:
+    """Two equal flows that have begun, for parcels."""
+    env, twin = (bare(**{"actions": "parcels", **settings}) for _ in range(2))
+    for each in (env, twin):
+        each.reset(seed=0)
+    return env, twin
+
+
+def command(batch: StreamBatch, choice: int) -> Array:
+    """What says one choice for every part of a batch of one."""
+    return np.full((1, batch.config.action_kind.size), choice)
+
+
 Step = tuple[np.ndarray, float, bool, bool, dict[str, Any]]
 
 
@@ -84,8 +97,8 @@ def steps(env: SmartSurfaceEnv, seed: int, hold: int = 5) -> Iterator[Step]:
 def play(env: SmartSurfaceEnv, choice: int, seed: int = 0) -> list[Step]:
     """Every step of an episode in which all modules are set to one choice."""
     env.reset(seed=seed)
-    played = [env.step(same_choice(env, choice))]
-    while not (played[-1][2] or played[-1][3]):
+    played: list[Step] = []
+    while not played or not (played[-1][2] or played[-1][3]):
         played.append(env.step(same_choice(env, choice)))
     return played
 
@@ -125,11 +138,6 @@ def set_down(batch: StreamBatch, poses: ArrayLike, velocities: ArrayLike | None 
     streams.tally[0, ENTERED] = count
 
 
-def parcel_of(batch: StreamBatch, place: int, i: int = 0) -> sg.Parcel:
-    """The parcel that has a place."""
-    return batch._pool.parcel(int(batch.parcels.body[i * batch.rows + place]))
-
-
 def surface_of(settings: EnvConfig, angle: float) -> sg.Surface:
     """The surface with the axes of all that obeys at an angle [rad], for `simulate`."""
     first_row, rows, first, columns = settings.site.zone
@@ -162,11 +170,7 @@ def box_of(parcel: sg.Parcel, pose: ArrayLike) -> tuple[float, float, float, flo
     return pose[X] + low[0], pose[X] + high[0], pose[Y] + low[1], pose[Y] + high[1]
 
 
-def truths(batch: StreamBatch, i: int = 0) -> dict[int, Array]:
+def truths(batch: StreamBatch) -> dict[int, Array]:
     """Pose and velocity of who is there, by the number of arrival."""
-    first = i * batch.rows
-    return {
-        int(number): batch.parcels.truth[first + place].copy()
-        for place, number in enumerate(batch.streams.number[i])
-        if batch.streams.present[i, place]
-    }
+    places, numbers = np.flatnonzero(batch.streams.present[0]), batch.streams.number[0]
+    return {int(numbers[place]): batch.parcels.truth[place].copy() for place in places}

@@ -10,7 +10,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.flow.arrivals import Arrival, Arrivals, Poisson, Schedule, Spread, Steady, Trace
-from surface_gym.flow.exits import Exits, chutes, sides
+from surface_gym.flow.exits import chutes, sides
 from surface_gym.flow.stream import Stream
 
 LONG = 3600.0 * 5  # [s] for statistics: some 6000 parcels
@@ -19,9 +19,7 @@ BAG = sg.Parcel(sg.Disc(0.2), mass=3.0)
 TRACE = Trace((Arrival(0.0, SMALL, 1.0, "left"), Arrival(2.5, BAG, 2.0, "straight")))
 
 
-def drawn(
-    stream: Stream, duration: float = LONG, exits: Exits | None = None, seed: int = 0
-) -> Arrivals:
+def drawn(stream: Stream, duration: float = LONG, exits: Any = None, seed: int = 0) -> Arrivals:
     return stream.draw(np.random.default_rng(seed), duration, exits or chutes())
 
 
@@ -29,23 +27,18 @@ def shares(places: Any, count: int) -> list[float]:
     return (np.bincount(places, minlength=count) / len(places)).tolist()
 
 
-def assert_alike(one: Arrivals, other: Arrivals) -> None:
-    assert one.kinds == other.kinds
-    for name in ("time", "parcel", "speed", "exit"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+NAMES = ("time", "parcel", "speed", "exit")
 
 
 def test_arrivals_are_arrays_of_one_length() -> None:
     arrivals = drawn(Stream(), 60.0)
     assert len(arrivals) == 20
-    for values, kind in (
-        (arrivals.time, np.float64),
-        (arrivals.parcel, np.int64),
-        (arrivals.speed, np.float64),
-        (arrivals.exit, np.int64),
-    ):
+    for name, kind in zip(NAMES, (np.float64, np.int64) * 2, strict=True):
+        values = getattr(arrivals, name)
         assert (values.shape, values.dtype) == ((20,), kind)
     assert arrivals.kinds == (SMALL,)
+    nobody = drawn(Stream(Schedule(((0, 0), (70, 900)))), 60.0)
+    assert [len(getattr(nobody, name)) for name in NAMES] == [len(nobody)] * 4 == [0] * 4
 
 
 @pytest.mark.parametrize(
@@ -53,46 +46,42 @@ def test_arrivals_are_arrays_of_one_length() -> None:
 )
 def test_the_seed_fixes_the_stream(law: Any) -> None:
     stream = Stream(law, ("S", "B"), speeds=(1.0, 2.0))
-    assert_alike(drawn(stream, 60.0, seed=5), drawn(stream, 60.0, seed=5))
-    other = drawn(stream, 60.0, seed=6)
-    assert drawn(stream, 60.0, seed=5).speed.tobytes() != other.speed.tobytes()
+    one, same, other = (drawn(stream, 60.0, seed=seed) for seed in (5, 5, 6))
+    assert one.kinds == same.kinds
+    for name in NAMES:
+        np.testing.assert_array_equal(getattr(one, name), getattr(same, name))
+    assert one.speed.tobytes() != other.speed.tobytes()
+    np.testing.assert_array_equal(one.time, law.times(np.random.default_rng(5), 60.0))
 
 
-def test_the_times_are_those_of_the_law() -> None:
-    law = Poisson(900.0, 1.0)
-    np.testing.assert_array_equal(
-        drawn(Stream(law), seed=2).time, law.times(np.random.default_rng(2), LONG)
-    )
+@pytest.mark.parametrize(
+    ("parcels", "destinations", "kinds", "exits"),
+    [
+        (("S", "B", BAG), None, [1 / 3] * 3, [0.2] * 5),
+        (
+            (("S", 3), "B", (BAG, 4.0)), {"right 2": 1.0, "left 1": 3.0},
+            [0.375, 0.125, 0.5], [0.75, 0.0, 0.0, 0.25, 0.0],
+        ),
+    ],
+)  # fmt: skip
+def test_odds_are_equal_or_those_given(
+    parcels: Any, destinations: Any, kinds: Any, exits: Any
+) -> None:
+    arrivals = drawn(Stream(parcels=parcels, destinations=destinations))
+    assert arrivals.kinds == (SMALL, LARGE, BAG)
+    assert shares(arrivals.parcel, 3) == pytest.approx(kinds, abs=0.03)
+    assert shares(arrivals.exit, 5) == pytest.approx(exits, abs=0.03)
 
 
-def test_parcels_and_exits_come_with_equal_odds() -> None:
-    arrivals = drawn(Stream(parcels=("S", BAG)))
-    assert arrivals.kinds == (SMALL, BAG)
-    assert shares(arrivals.parcel, 2) == pytest.approx([0.5, 0.5], abs=0.03)
-    assert shares(arrivals.exit, 5) == pytest.approx([0.2] * 5, abs=0.03)
-
-
-def test_odds_are_those_given() -> None:
-    stream = Stream(
-        parcels=(("S", 3), "B", (BAG, 4.0)), destinations={"right 2": 1.0, "left 1": 3.0}
-    )
-    arrivals = drawn(stream)
-    assert shares(arrivals.parcel, 3) == pytest.approx([0.375, 0.125, 0.5], abs=0.03)
-    assert shares(arrivals.exit, 5) == pytest.approx([0.75, 0.0, 0.0, 0.25, 0.0], abs=0.03)
-
-
-def test_speeds_are_uniform_or_all_the_same() -> None:
-    speed = drawn(Stream(speeds=(0.5, 2.5))).speed
+def test_speeds_are_uniform_and_do_not_depend_on_kind_and_exit_or_all_the_same() -> None:
+    arrivals = drawn(Stream(parcels=("S", "B"), speeds=(0.5, 2.5)))
+    together = np.corrcoef([arrivals.parcel, arrivals.exit, arrivals.speed])
+    assert np.abs(together - np.eye(3)).max() < 0.05
+    speed = arrivals.speed
     assert 0.5 <= speed.min() < 0.51
     assert 2.49 < speed.max() < 2.5
     assert speed.mean() == pytest.approx(1.5, abs=0.03)
     assert set(drawn(Stream(speeds=0.7)).speed) == {0.7}
-
-
-def test_kind_exit_and_speed_have_nothing_to_do_with_each_other() -> None:
-    arrivals = drawn(Stream(parcels=("S", "B"), speeds=(1.0, 2.0)))
-    together = np.corrcoef([arrivals.parcel, arrivals.exit, arrivals.speed])
-    assert np.abs(together - np.eye(3)).max() < 0.05
 
 
 def test_a_change_of_one_thing_leaves_the_others_as_they_were() -> None:
@@ -109,13 +98,8 @@ def test_a_change_of_one_thing_leaves_the_others_as_they_were() -> None:
 def test_a_steady_stream_goes_on_the_same_in_a_longer_episode() -> None:
     stream = Stream(parcels=("S", "B"), speeds=(1.0, 2.0))
     short, long = drawn(stream, 30.0), drawn(stream, 90.0)
-    for name in ("time", "parcel", "speed", "exit"):
+    for name in NAMES:
         np.testing.assert_array_equal(getattr(short, name), getattr(long, name)[: len(short)])
-
-
-def test_there_may_be_nobody() -> None:
-    arrivals = drawn(Stream(Schedule(((0, 0), (70, 900)))), 60.0)
-    assert len(arrivals) == len(arrivals.speed) == len(arrivals.exit) == len(arrivals.parcel) == 0
 
 
 @pytest.mark.parametrize("law", [Steady(900.0), Spread(900.0, 0.5), Poisson(900.0, 0.4)], ids=repr)
@@ -132,9 +116,6 @@ def test_not_every_stream_has_another_rate(law: Any) -> None:
     message = "arrivals must be Steady, Spread or Poisson to have another rate, got (Sch|Trace)"
     with pytest.raises(ValueError, match=message):
         Stream(law).with_rate(900.0)
-
-
-def test_a_bad_rate_is_refused_by_the_law() -> None:
     with pytest.raises(ValueError, match="rate must be greater than 0, got 0"):
         Stream().with_rate(0)
     with pytest.raises(ValueError, match="least_gap must be at most the mean gap"):
@@ -164,8 +145,7 @@ class TestWithATrace:
         assert arrivals.speed.tolist() == [1.0, 2.0]
         assert arrivals.exit.tolist() == [0, 2]
         assert Stream(TRACE).kinds == (SMALL, BAG)
-
-    def test_only_what_comes_in_time_is_there(self) -> None:
+        # Only what comes in time is there.
         assert len(Stream(TRACE).draw(np.random.default_rng(0), 2.5, sides())) == 1
 
     def test_it_may_be_read_from_a_file(self, tmp_path: Path) -> None:
@@ -206,37 +186,40 @@ def test_an_episode_must_last(stream: Stream, duration: Any) -> None:
         drawn(stream, duration, sides())
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"arrivals": 900.0}, "arrivals must be Steady, .* or a Trace, got 900.0"),
-        ({"arrivals": Steady}, "arrivals must be Steady, .* or a Trace, got <class"),
-        ({"parcels": ()}, r"parcels must be at least one of 'S', 'B' or a Parcel .*, got \(\)"),
-        ({"parcels": "SB"}, "parcels must be at least one of .* in a tuple, got 'SB'"),
-        ({"parcels": BAG}, "parcels must be at least one of .* in a tuple, got Parcel"),
-        ({"parcels": ("S", "C")}, "parcel must be 'S', 'B' or a Parcel, got 'C'"),
-        ({"parcels": ("S", 2.0)}, "parcel must be 'S', 'B' or a Parcel, got 2.0"),
-        ({"parcels": (("S", 1, 2),)}, r"parcels must be in pairs with their odds, got \('S', 1, 2"),
-        ({"parcels": (("S", 0),)}, "odds of parcels must be greater than 0, got 0"),
-        ({"parcels": (("S", math.nan),)}, "odds of parcels must be a finite number, got nan"),
-        ({"destinations": {}}, r"destinations must be None or the odds of .*, got \(\)"),
-        ({"destinations": "left"}, "destinations must be None or .*, got 'left'"),
-        ({"destinations": ("left",)}, "destinations must be in pairs with their odds, got 'left'"),
-        ({"destinations": {"left": -1}}, "odds of destinations must be greater than 0, got -1"),
-        ({"destinations": {1: 1.0}}, "destinations must be text without spaces .*, got 1"),
-        (
-            {"destinations": (("left", 1), ("left", 2))},
-            "destinations must name an exit once, got 'left' twice",
-        ),
-        ({"speeds": 0.0}, "speeds must be greater than 0, got 0.0"),
-        ({"speeds": 5.1}, "speeds must be between 0 and 5, got 5.1"),
-        ({"speeds": math.nan}, "speeds must be a finite number, got nan"),
-        ({"speeds": "fast"}, "speeds must be a finite number, got 'fast'"),
-        ({"speeds": (1.0, math.inf)}, "speeds must be a finite number, got inf"),
-        ({"speeds": (2.0, 1.0)}, "speeds must be the least and then the greatest, got"),
-        ({"speeds": (1.0, 2.0, 3.0)}, "speeds must be one number or two"),
+BAD: dict[str, list[tuple[Any, str]]] = {
+    "arrivals": [
+        (900.0, "arrivals must be Steady, .* or a Trace, got 900.0"),
+        (Steady, "arrivals must be Steady, .* or a Trace, got <class"),
     ],
-)
-def test_what_is_not_allowed_is_refused(given: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=f"^{message}"):
-        Stream(**given)
+    "parcels": [
+        ((), r"parcels must be at least one of 'S', 'B' or a Parcel .*, got \(\)"),
+        ("SB", "parcels must be at least one of .* in a tuple, got 'SB'"),
+        (BAG, "parcels must be at least one of .* in a tuple, got Parcel"),
+        (("S", "C"), "parcel must be 'S', 'B' or a Parcel, got 'C'"),
+        (("S", 2.0), "parcel must be 'S', 'B' or a Parcel, got 2.0"),
+        ((("S", 1, 2),), r"parcels must be in pairs with their odds, got \('S', 1, 2"),
+        ((("S", 0),), "odds of parcels must be greater than 0, got 0"),
+    ],
+    "destinations": [
+        ({}, r"destinations must be None or the odds of .*, got \(\)"),
+        ("left", "destinations must be None or .*, got 'left'"),
+        (("left",), "destinations must be in pairs with their odds, got 'left'"),
+        ({"left": -1}, "odds of destinations must be greater than 0, got -1"),
+        ({1: 1.0}, "destinations must be text without spaces .*, got 1"),
+        ((("left", 1), ("left", 2)), "destinations must name an exit once, got 'left' twice"),
+    ],
+    "speeds": [
+        (5.1, "speeds must be between 0 and 5, got 5.1"),
+        ("fast", "speeds must be a finite number, got 'fast'"),
+        ((1.0, math.inf), "speeds must be a finite number, got inf"),
+        ((2.0, 1.0), "speeds must be the least and then the greatest, got"),
+        ((1.0, 2.0, 3.0), "speeds must be one number or two"),
+    ],
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_is_not_allowed_is_refused(name: str) -> None:
+    for value, message in BAD[name]:
+        with pytest.raises(ValueError, match=f"^{message}"):
+            Stream(**{name: value})

@@ -1,31 +1,16 @@
 """Sets of contacts made by hand or drawn, for the compiled functions that take them."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import surface_gym as sg
+from surface_gym.physics import types as ph
 from surface_gym.physics.references import dual_normal_forces
-from surface_gym.physics.types import (
-    ARM_X,
-    ARM_Y,
-    AXIS_X,
-    AXIS_Y,
-    MU_ACROSS,
-    MU_ALONG,
-    NORMAL,
-    ROTOR,
-    STIFFNESS,
-    SUPPORT,
-    Contacts,
-    Grid,
-    Scratch,
-    make_scratch,
-    table_row,
-)
 
 WEIGHT = 9.81  # [m/s^2] normal load / mass
 PITCH = 0.1  # [m]
+SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [-0.1, 0.1], [0.1, 0.1]])
 
 
 class Friction(NamedTuple):
@@ -46,7 +31,7 @@ def make_contacts(
     normal: np.ndarray | None = None,
     stiffness: np.ndarray | None = None,
     friction: Friction = TABLE_1,
-) -> tuple[Scratch, Contacts]:
+) -> tuple[ph.Scratch, ph.Contacts]:
     """Scratch that holds contacts at arms (n, 2) [m], and how many it holds.
 
     By default rotors, all at 0 rad, of the same stiffness and unloaded.
@@ -54,29 +39,36 @@ def make_contacts(
     count = len(arms)
     rotor = np.ones(count, dtype=bool) if rotor is None else rotor
     angle = np.zeros(count) if axis is None else axis
-    scratch = make_scratch()
+    scratch = ph.make_scratch()
     for row, values in (
-        (ARM_X, arms[:, 0]),
-        (ARM_Y, arms[:, 1]),
-        (AXIS_X, np.where(rotor, np.cos(angle), 1.0)),
-        (AXIS_Y, np.where(rotor, np.sin(angle), 0.0)),
-        (STIFFNESS, np.ones(count) if stiffness is None else stiffness),
-        (MU_ALONG, np.where(rotor, friction.along, friction.support)),
-        (MU_ACROSS, np.where(rotor, friction.across, friction.support)),
-        (NORMAL, np.zeros(count) if normal is None else normal),
+        (ph.ARM_X, arms[:, 0]),
+        (ph.ARM_Y, arms[:, 1]),
+        (ph.AXIS_X, np.where(rotor, np.cos(angle), 1.0)),
+        (ph.AXIS_Y, np.where(rotor, np.sin(angle), 0.0)),
+        (ph.STIFFNESS, np.ones(count) if stiffness is None else stiffness),
+        (ph.MU_ALONG, np.where(rotor, friction.along, friction.support)),
+        (ph.MU_ACROSS, np.where(rotor, friction.across, friction.support)),
+        (ph.NORMAL, np.zeros(count) if normal is None else normal),
     ):
-        table_row(scratch, row, count)[:] = values
-    scratch.marks[ROTOR : ROTOR + count] = rotor
+        ph.table_row(scratch, row, count)[:] = values
+    scratch.marks[ph.ROTOR : ph.ROTOR + count] = rotor
     supports = np.flatnonzero(~rotor)
-    scratch.marks[SUPPORT : SUPPORT + len(supports)] = supports
-    return scratch, Contacts(count, len(supports))
+    scratch.marks[ph.SUPPORT : ph.SUPPORT + len(supports)] = supports
+    return scratch, ph.Contacts(count, len(supports))
 
 
-def make_grid(along: float = 0.0) -> Grid:
+def make_grid(along: float = 0.0) -> ph.Grid:
     """A grid of one element, for functions that read no more than gravity."""
     return sg.Surface(np.zeros((1, 1)), np.ones((1, 1), dtype=bool)).grid._replace(
         gravity_along=along, gravity_normal=WEIGHT
     )
+
+
+def scan(surface: sg.Surface, parcel: sg.Parcel, pose: Any) -> np.ndarray:
+    """(rows, columns) the largest F_lambda of Section 3.2 at each element."""
+    x, y = np.meshgrid(surface.x - pose[0], surface.y - pose[1])
+    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+    return parcel.base.functions(cosine * x + sine * y, cosine * y - sine * x).max(axis=0)
 
 
 def draw_arms(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -92,4 +84,4 @@ def dual(
     """The dual's answer in the form of the references'."""
     scratch, contacts = make_contacts(arms, stiffness=stiffness)
     degenerate = dual_normal_forces(scratch, contacts.total, WEIGHT, load[0], load[1], PITCH)
-    return table_row(scratch, NORMAL, contacts.total), degenerate
+    return ph.table_row(scratch, ph.NORMAL, contacts.total), degenerate

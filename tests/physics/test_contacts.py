@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,64 +11,38 @@ from hypothesis import strategies as st
 
 import surface_gym as sg
 from surface_gym.physics import contacts
-from surface_gym.physics.contacts import EDGE_TOLERANCE, invalidate_contacts
+from surface_gym.physics import types as ph
+from surface_gym.physics.contacts import EDGE_TOLERANCE
 from surface_gym.physics.jit import compiled
-from surface_gym.physics.references import find_contacts, find_support, step_implicit
+from surface_gym.physics.references import find_contacts, step_implicit
 from surface_gym.physics.step import BALANCED, OFF_SURFACE, UNSUPPORTED
-from surface_gym.physics.types import (
-    ARM_X,
-    ARM_Y,
-    AXIS_X,
-    AXIS_Y,
-    CAPACITY,
-    MU_ACROSS,
-    MU_ALONG,
-    ROTOR,
-    STATE_SIZE,
-    STIFFNESS,
-    THETA,
-    VX,
-    Scratch,
-    X,
-    Y,
-    check_capacity,
-    make_scratch,
-    table_row,
-)
+from tests.physics.contact_sets import scan
 from tests.strategies import COLUMNS, ROWS, bases, polygon_vertices
 
 Pose = tuple[float, float, float]
+BOX = sg.layouts.box("S")
 
+NUMBER = np.arange(ROWS * COLUMNS, dtype=float).reshape(ROWS, COLUMNS)
 SURFACE = sg.Surface(
-    axis=np.arange(ROWS * COLUMNS, dtype=float).reshape(ROWS, COLUMNS),
-    rotor=np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS) % 3 > 0,
-    mu_max=0.1 + 0.001 * np.arange(ROWS * COLUMNS, dtype=float).reshape(ROWS, COLUMNS),
-    stiffness=1.0 + np.arange(ROWS * COLUMNS, dtype=float).reshape(ROWS, COLUMNS),
+    axis=NUMBER, rotor=NUMBER % 3 > 0, mu_max=0.1 + 0.001 * NUMBER, stiffness=1.0 + NUMBER
 )
 OBLONG = replace(SURFACE, pitch=(0.13, 0.07), origin=(0.02, 0.3))
 
 
 def contacts_of(
     parcel: sg.Parcel, pose: Pose, surface: sg.Surface = SURFACE
-) -> tuple[Scratch, int, np.ndarray]:
+) -> tuple[ph.Scratch, int, Any]:
     """The contacts, their number, and their [row, column] in the grid."""
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     com_x, com_y = parcel.centre_of_mass
     x = pose[0] + cosine * com_x - sine * com_y
     y = pose[1] + sine * com_x + cosine * com_y
-    scratch = make_scratch()
+    scratch = ph.make_scratch()
     count, supports = find_contacts(surface.grid, parcel.body, x, y, pose[2], scratch)
-    columns = (table_row(scratch, ARM_X, count) + x - surface.origin[0]) / surface.pitch_x
-    rows = (table_row(scratch, ARM_Y, count) + y - surface.origin[1]) / surface.pitch_y
-    assert supports == count - scratch.marks[ROTOR : ROTOR + count].sum()
+    columns = (ph.table_row(scratch, ph.ARM_X, count) + x - surface.origin[0]) / surface.pitch_x
+    rows = (ph.table_row(scratch, ph.ARM_Y, count) + y - surface.origin[1]) / surface.pitch_y
+    assert supports == count - scratch.marks[ph.ROTOR : ph.ROTOR + count].sum()
     return scratch, count, np.column_stack([rows, columns])
-
-
-def scan(parcel: sg.Parcel, pose: Pose, surface: sg.Surface = SURFACE) -> np.ndarray:
-    """(ROWS, COLUMNS) the largest F_lambda at each element."""
-    x, y = np.meshgrid(surface.x - pose[0], surface.y - pose[1])
-    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
-    return parcel.base.functions(cosine * x + sine * y, cosine * y - sine * x).max(axis=0)
 
 
 @given(
@@ -77,7 +52,7 @@ def scan(parcel: sg.Parcel, pose: Pose, surface: sg.Surface = SURFACE) -> np.nda
     theta=st.one_of(st.floats(-10.0, 10.0), st.sampled_from([0.0, math.pi / 2, math.pi, 1e6])),
     surface=st.sampled_from([SURFACE, OBLONG]),
 )
-def test_contacts_are_the_elements_a_scan_finds(
+def test_they_are_what_a_scan_finds(
     base: sg.parcel.Base, x: float, y: float, theta: float, surface: sg.Surface
 ) -> None:
     parcel = sg.Parcel(base)
@@ -85,7 +60,7 @@ def test_contacts_are_the_elements_a_scan_finds(
     found = np.zeros((ROWS, COLUMNS), dtype=int)
     for row, column in np.rint(places).astype(int):
         found[row, column] += 1
-    largest = scan(parcel, (x, y, theta), surface)
+    largest = scan(surface, parcel, (x, y, theta))
     np.testing.assert_allclose(places, np.rint(places), atol=1e-9)
     assert found.max(initial=0) <= 1
     assert found[largest <= 0.0].all()
@@ -98,9 +73,7 @@ def test_contacts_are_the_elements_a_scan_finds(
     theta=st.floats(-4.0, 4.0),
     offset=st.floats(-0.05, 0.05),
 )
-def test_contacts_stay_where_they_are_when_the_mass_moves(
-    x: float, y: float, theta: float, offset: float
-) -> None:
+def test_contacts_stay_when_the_mass_moves(x: float, y: float, theta: float, offset: float) -> None:
     base = sg.Rectangle(0.31, 0.27)
     _, _, central = contacts_of(sg.Parcel(base), (x, y, theta))
     _, _, shifted = contacts_of(sg.Parcel(base, com_offset=(offset, -offset)), (x, y, theta))
@@ -113,36 +86,34 @@ def test_each_contact_has_its_elements_axis_kind_and_stiffness() -> None:
     assert count == len(places) > 20
     rotor, axis = SURFACE.rotor[rows, columns], SURFACE.axis[rows, columns]
     for row, expected in (
-        (AXIS_X, np.where(rotor, np.cos(axis), 1.0)),
-        (AXIS_Y, np.where(rotor, np.sin(axis), 0.0)),
-        (STIFFNESS, SURFACE.stiffness[rows, columns]),
-        (MU_ALONG, np.where(rotor, SURFACE.mu_max[rows, columns], SURFACE.mu_support)),
-        (MU_ACROSS, np.where(rotor, SURFACE.mu_min, SURFACE.mu_support)),
+        (ph.AXIS_X, np.where(rotor, np.cos(axis), 1.0)),
+        (ph.AXIS_Y, np.where(rotor, np.sin(axis), 0.0)),
+        (ph.STIFFNESS, SURFACE.stiffness[rows, columns]),
+        (ph.MU_ALONG, np.where(rotor, SURFACE.mu_max[rows, columns], SURFACE.mu_support)),
+        (ph.MU_ACROSS, np.where(rotor, SURFACE.mu_min, SURFACE.mu_support)),
     ):
-        np.testing.assert_array_equal(table_row(scratch, row, count), expected)
-    np.testing.assert_array_equal(scratch.marks[ROTOR : ROTOR + count], rotor)
+        np.testing.assert_array_equal(ph.table_row(scratch, row, count), expected)
+    np.testing.assert_array_equal(scratch.marks[ph.ROTOR : ph.ROTOR + count], rotor)
 
 
 def test_a_scratch_follows_a_parcel_whose_axes_turn_once_it_forgets_them() -> None:
-    parcel, grid = sg.layouts.box("S"), sg.layouts.sorting().grid
-    scratch = make_scratch()
-    pose = (1.0, 1.0, 0.0)
-    contacts = find_contacts(grid, parcel.body, *pose, scratch)
+    grid, pose = sg.layouts.sorting().grid, (1.0, 1.0, 0.0)
+    used, fresh = ph.make_scratch(), ph.make_scratch()
+    found = find_contacts(grid, BOX.body, *pose, used)
     turned = grid._replace(direction=grid.direction[:, ::-1])
-    assert find_contacts(turned, parcel.body, *pose, scratch) == contacts
-    invalidate_contacts.py_func(scratch)
-    find_contacts(turned, parcel.body, *pose, scratch)
-    fresh = make_scratch()
-    find_contacts(turned, parcel.body, *pose, fresh)
-    for row in (AXIS_X, AXIS_Y):
-        np.testing.assert_array_equal(table_row(scratch, row, 4), table_row(fresh, row, 4))
+    assert find_contacts(turned, BOX.body, *pose, used) == found
+    contacts.invalidate_contacts.py_func(used)
+    for scratch in (used, fresh):
+        find_contacts(turned, BOX.body, *pose, scratch)
+    for row in (ph.AXIS_X, ph.AXIS_Y):
+        np.testing.assert_array_equal(ph.table_row(used, row, 4), ph.table_row(fresh, row, 4))
 
 
 @pytest.mark.parametrize("quarter_turns", range(-4, 5))
 def test_an_element_on_the_perimeter_is_a_contact(quarter_turns: int) -> None:
     # The paper's start: the S-box covers 0 ... 0.25 m, whose right side runs through x = 0.25.
     pose = (0.125, 1.0, quarter_turns * math.pi / 2)
-    _, _, places = contacts_of(sg.layouts.box("S"), pose)
+    _, _, places = contacts_of(BOX, pose)
     np.testing.assert_allclose(places, [[9, 0], [9, 1], [9, 2], [10, 0], [10, 1], [10, 2]])
 
 
@@ -163,19 +134,17 @@ def test_both_senses_of_a_polygon_have_the_same_contacts() -> None:
     np.testing.assert_allclose(clockwise, anti_clockwise, atol=1e-9)
 
 
-@pytest.mark.parametrize("pose", [(-1.0, 0.8, 0.3), (1.0, 5.0, 0.0), (1e6, -1e6, 2.0)])
-def test_a_parcel_beside_the_surface_has_no_contacts(pose: Pose) -> None:
-    assert contacts_of(sg.layouts.box("B"), pose)[1] == 0
-
-
-def test_a_parcel_larger_than_the_surface_touches_all_of_it() -> None:
-    assert contacts_of(sg.Parcel(sg.Rectangle(9.0, 8.0)), (1.0, 0.8, 0.5))[1] == ROWS * COLUMNS
-
-
-def test_a_parcel_smaller_than_the_pitch_touches_one_element_or_none() -> None:
-    parcel = sg.Parcel(sg.Disc(0.01))
-    assert contacts_of(parcel, (0.95, 0.75, 0.0))[1] == 1
-    assert contacts_of(parcel, (1.0, 0.8, 0.0))[1] == 0
+@pytest.mark.parametrize(
+    ("base", "pose", "count"),
+    [
+        *((BOX.base, pose, 0) for pose in [(-1.0, 0.8, 0.3), (1.0, 5.0, 0.0), (1e6, -1e6, 2.0)]),
+        (sg.Rectangle(9.0, 8.0), (1.0, 0.8, 0.5), ROWS * COLUMNS),  # larger than the surface
+        (sg.Disc(0.01), (0.95, 0.75, 0.0), 1),  # smaller than the pitch
+        (sg.Disc(0.01), (1.0, 0.8, 0.0), 0),
+    ],
+)
+def test_they_are_as_many_as_the_base_covers(base: sg.parcel.Base, pose: Pose, count: int) -> None:
+    assert contacts_of(sg.Parcel(base), pose)[1] == count
 
 
 bounded = compiled(contacts.bounded.py_func)
@@ -186,18 +155,10 @@ WILD = [math.nan, math.inf, -math.inf, 1e308, -1e308, 1e19, -1e19, 2.0**63, -(2.
 @pytest.mark.parametrize(
     ("value", "expected"),
     [
-        (math.nan, -1.0),
-        (-math.inf, -1.0),
-        (-1e308, -1.0),
-        (-1.0, -1.0),
-        (-0.3, -0.3),
-        (7.9, 7.9),
-        (20.0, 20.0),
-        (20.1, 20.0),
-        (1e308, 20.0),
-        (math.inf, 20.0),
+        (math.nan, -1.0), (-math.inf, -1.0), (-1e308, -1.0), (-1.0, -1.0), (-0.3, -0.3),
+        (7.9, 7.9), (20.0, 20.0), (20.1, 20.0), (1e308, 20.0), (math.inf, 20.0),
     ],
-)
+)  # fmt: skip
 def test_it_lies_between_and_else_stays(value: float, expected: float) -> None:
     assert bounded(value, -1.0, 20.0) == expected
     assert contacts.bounded.py_func(value, -1.0, 20.0) == expected
@@ -206,63 +167,40 @@ def test_it_lies_between_and_else_stays(value: float, expected: float) -> None:
 @pytest.mark.parametrize("wild", WILD)
 @pytest.mark.parametrize("place", range(3), ids=["x", "y", "theta"])
 def test_contacts_of_a_wild_pose_are_on_the_surface(wild: float, place: int) -> None:
-    surface, parcel = sg.layouts.sorting(), sg.layouts.box("S")
-    pose = [1.0, 1.0, 0.2]
+    surface, pose = sg.layouts.sorting(), [1.0, 1.0, 0.2]
     pose[place] = wild
-    scratch = make_scratch()
-    contacts = find_contacts(surface.grid, parcel.body, *pose, scratch)
-    assert 0 <= contacts.supports <= contacts.total <= surface.axis.size
+    found = find_contacts(surface.grid, BOX.body, *pose, ph.make_scratch())
+    assert 0 <= found.supports <= found.total <= surface.axis.size
 
 
 @pytest.mark.parametrize("wild", WILD)
-@pytest.mark.parametrize("place", range(STATE_SIZE))
+@pytest.mark.parametrize("place", range(ph.STATE_SIZE))
 def test_a_step_from_a_wild_state_ends(wild: float, place: int) -> None:
-    surface, parcel = sg.layouts.sorting(), sg.layouts.box("S")
-    state = np.zeros(STATE_SIZE)
-    state[[X, Y, VX]] = (1.0, 1.0, 1.0)
+    state = np.zeros(ph.STATE_SIZE)
+    state[[ph.X, ph.Y, ph.VX]] = (1.0, 1.0, 1.0)
     state[place] = wild
     before = state.copy()
-    report, _ = step_implicit(surface.grid, parcel.body, state, make_scratch(), 0.005)
-    if place in (X, Y):
+    report, _ = step_implicit(sg.layouts.sorting().grid, BOX.body, state, ph.make_scratch(), 0.005)
+    if place in (ph.X, ph.Y):
         assert report == OFF_SURFACE
         np.testing.assert_array_equal(state, before)
-    elif place == THETA and math.isfinite(wild):
+    elif place == ph.THETA and math.isfinite(wild):
         assert report == BALANCED
     assert report in range(UNSUPPORTED + 1)
 
 
-def test_every_ordinary_pose_has_the_contacts_of_a_search_of_all_elements() -> None:
-    surface, parcel = sg.layouts.sorting(), sg.layouts.box("S")
-    rng = np.random.default_rng(0)
-    for _ in range(200):
-        x, y, theta = rng.uniform((-0.1, -0.1, -4.0), (4.1, 2.1, 4.0))
-        state = np.array([x, y, theta, 0.0, 0.0, 0.0, 0.0, 0.0])
-        found = find_support(surface.grid, parcel.body, state, make_scratch(), 0.0).total
-        dx, dy = np.meshgrid(surface.x - x, surface.y - y)
-        along = math.cos(theta) * dx + math.sin(theta) * dy
-        across = math.cos(theta) * dy - math.sin(theta) * dx
-        under = (parcel.base.functions(along, across).max(axis=0) <= 1e-9).sum()
-        on_surface = 0.0 <= x <= 4.0 and 0.0 <= y <= 2.0
-        assert found == (under if on_surface else 0)
+SIDE = math.isqrt(ph.CAPACITY)
 
 
-SIDE = math.isqrt(CAPACITY)
-
-
-def test_a_base_may_cover_as_many_elements_as_there_is_room_for() -> None:
+def test_a_base_may_cover_as_many_elements_and_have_as_many_edges_as_there_is_room_for() -> None:
     radius = 0.5 * 0.1 * (SIDE - 1)
-    check_capacity(4, radius, (0.1, 0.1), (1000, 1000))
-    with pytest.raises(ValueError, match=f"base must cover at most {CAPACITY} elements"):
-        check_capacity(4, radius + 0.1, (0.1, 0.1), (1000, 1000))
-
-
-def test_no_more_elements_are_counted_than_a_surface_has() -> None:
-    check_capacity(4, 1e6, (0.1, 0.1), (SIDE, SIDE))
+    ph.check_capacity(4, radius, (0.1, 0.1), (1000, 1000))
+    with pytest.raises(ValueError, match=f"base must cover at most {ph.CAPACITY} elements"):
+        ph.check_capacity(4, radius + 0.1, (0.1, 0.1), (1000, 1000))
+    # No more are counted than a surface has.
+    ph.check_capacity(4, 1e6, (0.1, 0.1), (SIDE, SIDE))
     run = sg.simulate(sg.layouts.sorting(), sg.Parcel(sg.Rectangle(9.0, 8.0)), (1.0, 1.0, 0.0))
     assert run.end == "duration"
-
-
-def test_a_base_of_too_many_edges_is_named() -> None:
-    check_capacity(CAPACITY, 0.1, (0.1, 0.1), (20, 30))
-    with pytest.raises(ValueError, match=f"base must have at most {CAPACITY} edges"):
-        check_capacity(CAPACITY + 1, 0.1, (0.1, 0.1), (20, 30))
+    ph.check_capacity(ph.CAPACITY, 0.1, (0.1, 0.1), (20, 30))
+    with pytest.raises(ValueError, match=f"base must have at most {ph.CAPACITY} edges"):
+        ph.check_capacity(ph.CAPACITY + 1, 0.1, (0.1, 0.1), (20, 30))

@@ -17,11 +17,15 @@ from surface_gym.physics.jit import compiled, compute_digest
 PACKAGE = Path(surface_gym.__file__).parent
 
 PROBE = """
+import numpy as np
 import surface_gym as sg
-from surface_gym.physics.rollout import run_implicit
+from surface_gym.physics.references import find_support
+from surface_gym.physics.types import make_scratch
+from surface_gym.simulation import start_state
 surface, parcel = sg.layouts.sorting(), sg.layouts.box("S")
-run = sg.simulate(surface, parcel, sg.layouts.start("S"), (1.5, 0.0, 0.0))
-print(run.pose[-1].tobytes().hex(), sum(run_implicit.stats.cache_hits.values()))
+state = start_state(parcel, np.array(sg.layouts.start("S")), np.zeros(3))
+found = find_support(surface.grid, parcel.body, state, make_scratch(), 0.0)
+print(found.total, sum(find_support.stats.cache_hits.values()))
 """
 
 
@@ -32,25 +36,16 @@ def copied(tmp_path: Path) -> Path:
     return tmp_path / "surface_gym"
 
 
-def probe(package: Path) -> tuple[str, int]:
-    """The end pose as bytes, and how often the loop came from the cache, in a new process."""
-    done = run(PROBE, package, "-W", "error")
-    pose, hits = done.stdout.split()
-    return pose, int(hits)
-
-
-def run(program: str, package: Path, *flags: str) -> subprocess.CompletedProcess[str]:
-    """Run a program with a copy of the package, whose compiled code is kept beside it."""
+def probe(package: Path) -> tuple[int, int]:
+    """How many contacts a box has, and how often the search for them came from the cache, in a new
+    process with a copy of the package, whose compiled code is kept beside it.
+    """
     environment = {**os.environ, "PYTHONPATH": str(package.parent)}
     environment.pop("NUMBA_CACHE_DIR", None)
-    return subprocess.run(
-        [sys.executable, *flags, "-c", program],
-        cwd=package.parent,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    command = [sys.executable, "-W", "error", "-c", PROBE]
+    printed = subprocess.check_output(command, cwd=package.parent, env=environment, text=True)
+    contacts, hits = map(int, printed.split())
+    return contacts, hits
 
 
 def edit(path: Path, old: str, new: str) -> None:
@@ -64,13 +59,13 @@ def test_compiled_code_is_reused_until_a_file_it_is_inlined_from_changes(copied:
     assert hits == 0
     assert probe(copied) == (first, 1)
 
-    # `run_implicit` lives in run.py; its friction comes from another file.
-    edit(copied / "physics" / "friction.py", "ROUNDING = 1e-5", "ROUNDING = 1e-2")
+    # `find_support` lives in step.py; the contacts come from another file.
+    edit(copied / "physics" / "contacts.py", "EDGE_TOLERANCE = 1e-9", "EDGE_TOLERANCE = 0.11")
     edited, hits = probe(copied)
     assert hits == 0
     assert edited != first
 
-    edit(copied / "physics" / "friction.py", "ROUNDING = 1e-2", "ROUNDING = 1e-5")
+    edit(copied / "physics" / "contacts.py", "EDGE_TOLERANCE = 0.11", "EDGE_TOLERANCE = 1e-9")
     assert probe(copied) == (first, 1)  # which is still in the cache
 
 
@@ -98,9 +93,7 @@ def test_a_cache_cut_short_is_made_anew(ending: str, left: int, cache: Path) -> 
 
 
 @pytest.mark.usefixtures("cache")
-def test_a_full_disk_is_reported_once_and_nothing_else_fails(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_full_disk_is_reported_once_and_nothing_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -110,9 +103,7 @@ def test_a_full_disk_is_reported_once_and_nothing_else_fails(
     assert len(warned) == 1
 
 
-def test_where_no_folder_can_be_written_it_is_compiled_all_the_same(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_where_no_folder_can_be_written_it_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
     with pytest.warns(RuntimeWarning, match="not kept: no folder for it can be written"):
         assert hits_of(1.5) == 0
@@ -142,45 +133,7 @@ def other(x):
 """
 
 
-def digest(source: str, name: str = "outer") -> str:
-    names: dict[str, object] = {"__name__": "made"}
-    exec(source, names)
-    return compute_digest(names[name])
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        pytest.param("FACTOR = 2.0", "FACTOR = 3.0", id="a constant of a callee"),
-        pytest.param("return FACTOR * x", "return FACTOR + x", id="a callee"),
-        pytest.param("@njit", "@njit(fastmath=True)", id="how a callee is compiled"),
-        pytest.param("share=0.5", "share=0.25", id="a default"),
-        pytest.param("math.sin", "math.cos", id="a function of a library"),
-        pytest.param("first: float", "zeroth: float", id="a field of a tuple"),
-    ],
-)
-def test_a_digest_notices_an_edit_of_what_is_compiled(old: str, new: str) -> None:
-    assert old in SOURCE
-    assert digest(SOURCE.replace(old, new)) != digest(SOURCE)
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        pytest.param("UNUSED = 1.0", "UNUSED = 3.0", id="a constant not used"),
-        pytest.param("    return x\n", "    return -x\n", id="a function not called"),
-        pytest.param("import math", "# why\nimport math", id="a comment"),
-    ],
-)
-def test_a_digest_stays_where_other_code_is_edited(old: str, new: str) -> None:
-    assert old in SOURCE
-    assert digest(SOURCE.replace(old, new)) == digest(SOURCE)
-
-
-def test_a_digest_tells_apart_functions_that_close_over_others() -> None:
-    source = (
-        SOURCE
-        + """
+CLOSURES = """
 def make(function):
     @njit
     def made(x):
@@ -189,6 +142,35 @@ def make(function):
 
 of_inner, of_other = make(inner), make(njit(other))
 """
-    )
+
+
+def digest(source: str, name: str = "outer") -> str:
+    names: dict[str, object] = {"__name__": "made"}
+    exec(source, names)
+    return compute_digest(names[name])
+
+
+# Each with an edit, and whether it is of what is compiled.
+EDITS = {
+    "a constant of a callee": ("FACTOR = 2.0", "FACTOR = 3.0", True),
+    "a callee": ("return FACTOR * x", "return FACTOR + x", True),
+    "how a callee is compiled": ("@njit", "@njit(fastmath=True)", True),
+    "a default": ("share=0.5", "share=0.25", True),
+    "a function of a library": ("math.sin", "math.cos", True),
+    "a field of a tuple": ("first: float", "zeroth: float", True),
+    "a constant not used": ("UNUSED = 1.0", "UNUSED = 3.0", False),
+    "a function not called": ("    return x\n", "    return -x\n", False),
+    "a comment": ("import math", "# why\nimport math", False),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "noticed"), EDITS.values(), ids=EDITS)
+def test_a_digest_notices_an_edit_of_what_is_compiled(old: str, new: str, noticed: bool) -> None:
+    assert old in SOURCE
+    assert (digest(SOURCE.replace(old, new)) != digest(SOURCE)) is noticed
+
+
+def test_a_digest_tells_apart_functions_that_close_over_others() -> None:
+    source = SOURCE + CLOSURES
     assert digest(source, "of_inner") != digest(source, "of_other")
     assert digest(source, "of_inner") == digest(source, "of_inner")

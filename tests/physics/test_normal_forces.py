@@ -8,19 +8,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surface_gym.physics.references import SOLVERS, Solver
-from tests.physics.contact_sets import PITCH, WEIGHT, draw_arms, dual
+from tests.physics.contact_sets import PITCH, SQUARE, WEIGHT, draw_arms, dual
 
 EVERY_SOLVER: dict[str, Solver] = {
     "dual": lambda arms, _weight, load, stiffness: dual(arms, load, stiffness),
     **SOLVERS,
 }
-SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [-0.1, 0.1], [0.1, 0.1]])
 GRID = PITCH * np.array([(x, y) for y in (-1.0, 0.0, 1.0) for x in (-1.0, 0.0, 1.0)])
 
 
 class ContactSet(NamedTuple):
     arms: np.ndarray  # (contacts, 2) [m]
     load: np.ndarray  # (2,) [m]
+
+
+Sets, Forces = list[ContactSet], list[np.ndarray]
 
 
 def draw_contact_set(rng: np.random.Generator) -> ContactSet:
@@ -38,50 +40,28 @@ def draw_contact_set(rng: np.random.Generator) -> ContactSet:
 @pytest.fixture(scope="module")
 def contact_sets() -> list[ContactSet]:
     rng = np.random.default_rng(1)
-    return [draw_contact_set(rng) for _ in range(10_000)]
+    return [draw_contact_set(rng) for _ in range(1_000)]
 
 
 @pytest.fixture(scope="module")
-def dual_forces(contact_sets: list[ContactSet]) -> list[np.ndarray]:
+def dual_forces(contact_sets: Sets) -> list[np.ndarray]:
+    """Of these, a third to two thirds have active bounds."""
     answers = [dual(arms, load) for arms, load in contact_sets]
     assert not any(degenerate for _, degenerate in answers)
+    assert 1 / 3 < np.mean([(normal == 0.0).any() for normal, _ in answers]) < 2 / 3
     return [normal for normal, _ in answers]
-
-
-def test_a_third_of_the_sets_have_active_bounds(dual_forces: list[np.ndarray]) -> None:
-    active = np.mean([(normal == 0.0).any() for normal in dual_forces])
-    assert 1 / 3 < active < 2 / 3
 
 
 @pytest.mark.parametrize("reference", SOLVERS)
 def test_the_dual_agrees_with_the_references(
-    contact_sets: list[ContactSet], dual_forces: list[np.ndarray], reference: str
-) -> None:
-    worst = 0.0
-    for (arms, load), normal in zip(contact_sets, dual_forces, strict=True):
-        expected, degenerate = SOLVERS[reference](arms, WEIGHT, load, np.ones(len(arms)))
-        assert not degenerate
-        worst = max(worst, float(np.abs(normal - expected).max()))
-    assert worst <= 1e-6 * WEIGHT
-
-
-def test_the_dual_balances_the_load(
-    contact_sets: list[ContactSet], dual_forces: list[np.ndarray]
-) -> None:
-    for (arms, load), normal in zip(contact_sets, dual_forces, strict=True):
-        assert normal.min() >= 0.0
-        assert normal.sum() == pytest.approx(WEIGHT, rel=1e-9)
-        np.testing.assert_allclose(normal @ arms / WEIGHT, load, rtol=0.0, atol=1e-6 * PITCH)
-
-
-@pytest.mark.parametrize("reference", SOLVERS)
-def test_they_agree_on_elements_of_unequal_stiffness(
-    contact_sets: list[ContactSet], reference: str
+    contact_sets: Sets, dual_forces: Forces, reference: str
 ) -> None:
     rng = np.random.default_rng(2)
-    for arms, load in contact_sets[:1000]:
-        stiffness = rng.uniform(0.5, 2.0, size=len(arms))
-        normal, _ = dual(arms, load, stiffness)
+    for k, ((arms, load), normal) in enumerate(zip(contact_sets, dual_forces, strict=True)):
+        stiffness = np.ones(len(arms))
+        if k % 2:
+            stiffness = rng.uniform(0.5, 2.0, size=len(arms))
+            normal, _ = dual(arms, load, stiffness)
         expected, degenerate = SOLVERS[reference](arms, WEIGHT, load, stiffness)
         assert not degenerate
         np.testing.assert_allclose(normal, expected, rtol=0.0, atol=1e-6 * WEIGHT)
@@ -94,52 +74,37 @@ def test_a_stiffer_contact_bears_more(solver: str) -> None:
     np.testing.assert_allclose(normal / WEIGHT, stiffness / 8.0, rtol=0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("solver", EVERY_SOLVER)
-@pytest.mark.parametrize(
-    ("arms", "load", "share"),
-    [
-        pytest.param(GRID, (0.0, 0.0), np.full(9, 1 / 9), id="centred: evenly"),
-        pytest.param(
-            GRID, (0.05, 0.0), (2 + 1.5 * GRID[:, 0] / PITCH) / 18, id="off centre: a plane"
-        ),
-        pytest.param(SQUARE, (0.0, 0.05), (0.125, 0.125, 0.375, 0.375), id="between rows: a lever"),
-        pytest.param(SQUARE[:3], (-0.1, -0.1), (1, 0, 0), id="over a corner: that corner alone"),
-        pytest.param(SQUARE, (0.1, 0.0), (0, 0.5, 0, 0.5), id="over a side: that side alone"),
-        pytest.param(
-            np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.0], [0.1, 0.1]]),
-            (0.0, 0.0),
-            (1, 0, 0, 0),
-            id="over the corner of a triangle",
-        ),
-    ],
-)
-def test_known_answers(
-    solver: str, arms: np.ndarray, load: tuple[float, float], share: np.ndarray
-) -> None:
-    normal, degenerate = EVERY_SOLVER[solver](arms, WEIGHT, np.array(load), np.ones(len(arms)))
-    assert not degenerate
-    np.testing.assert_allclose(normal / WEIGHT, share, rtol=0.0, atol=1e-6)
+TRIANGLE = PITCH * np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (1.0, 1.0)])
+TILTED = (2 + 1.5 * GRID[:, 0] / PITCH) / 18
+# Each with a load [m] and the share of the weight that every contact bears.
+KNOWN = {
+    "centred: evenly": (GRID, (0.0, 0.0), np.full(9, 1 / 9)),
+    "off centre: a plane": (GRID, (0.05, 0.0), TILTED),
+    "between rows: a lever": (SQUARE, (0.0, 0.05), (0.125, 0.125, 0.375, 0.375)),
+    "over a corner: that corner alone": (SQUARE[:3], (-0.1, -0.1), (1, 0, 0)),
+    "over a side: that side alone": (SQUARE, (0.1, 0.0), (0, 0.5, 0, 0.5)),
+    "over the corner of a triangle": (TRIANGLE, (0.0, 0.0), (1, 0, 0, 0)),
+}
+# Where the load is not within the contacts, the nearest bear it.
+DEGENERATE = {
+    "one contact": (SQUARE[:1], (0.0, 0.0), (1,)),
+    "two contacts": (SQUARE[:2], (0.05, 0.3), (0.25, 0.75)),
+    "collinear": (GRID[3:6], (0.05, 0.0), (1 / 12, 1 / 3, 7 / 12)),
+    "collinear, load beyond": (GRID[[0, 4, 8]], (-0.3, -0.4), (1, 0, 0)),
+    "load beyond a side": (SQUARE, (0.0, 0.15), (0, 0, 0.5, 0.5)),
+    "load beyond a corner": (SQUARE, (0.3, 0.25), (0, 0, 0, 1)),
+}
 
 
 @pytest.mark.parametrize("solver", EVERY_SOLVER)
-@pytest.mark.parametrize(
-    ("arms", "load", "share"),
-    [
-        pytest.param(SQUARE[:1], (0.0, 0.0), (1,), id="one contact"),
-        pytest.param(SQUARE[:2], (0.05, 0.3), (0.25, 0.75), id="two contacts"),
-        pytest.param(GRID[3:6], (0.05, 0.0), (1 / 12, 1 / 3, 7 / 12), id="collinear"),
-        pytest.param(GRID[[0, 4, 8]], (-0.3, -0.4), (1, 0, 0), id="collinear, load beyond"),
-        pytest.param(SQUARE, (0.0, 0.15), (0, 0, 0.5, 0.5), id="load beyond a side"),
-        pytest.param(SQUARE, (0.3, 0.25), (0, 0, 0, 1), id="load beyond a corner"),
-    ],
-)
-def test_a_degenerate_set_is_flagged_and_loads_the_nearest_contacts(
-    solver: str, arms: np.ndarray, load: tuple[float, float], share: tuple[float, ...]
-) -> None:
+@pytest.mark.parametrize("name", [*KNOWN, *DEGENERATE])
+def test_known_answers(solver: str, name: str) -> None:
+    arms, load, share = {**KNOWN, **DEGENERATE}[name]
     normal, degenerate = EVERY_SOLVER[solver](arms, WEIGHT, np.array(load), np.ones(len(arms)))
-    assert degenerate
-    assert normal.sum() == pytest.approx(WEIGHT, rel=1e-9)
-    np.testing.assert_allclose(normal / WEIGHT, share, rtol=0.0, atol=1e-3)
+    assert degenerate == (name in DEGENERATE)
+    assert normal.sum() == pytest.approx(WEIGHT, rel=1e-9 if degenerate else 1e-5)
+    tolerance = 1e-3 if degenerate else 1e-6
+    np.testing.assert_allclose(normal / WEIGHT, share, rtol=0.0, atol=tolerance)
 
 
 def distance_to_hull(arms: np.ndarray, load: np.ndarray) -> float:
@@ -162,31 +127,19 @@ def distance_to_hull(arms: np.ndarray, load: np.ndarray) -> float:
     count=st.integers(1, 25),
     reach=st.floats(0.0, 0.6),
     direction=st.floats(-np.pi, np.pi),
+    between=st.sampled_from([None, 0.0, 0.5, 0.3]),
 )
-def test_any_set_keeps_vertical_balance_and_comes_as_near_to_the_load_as_it_can(
-    seed: int, count: int, reach: float, direction: float
+def test_any_set_comes_as_near_to_the_load_as_it_can(
+    seed: int, count: int, reach: float, direction: float, between: float | None
 ) -> None:
     arms = draw_arms(np.random.default_rng(seed), count)
     load = reach * np.array([np.cos(direction), np.sin(direction)])
+    if between is not None:  # two contacts, or over one
+        first, second = arms[np.random.default_rng(seed + 1).integers(count, size=2)]
+        load = (1.0 - between) * first + between * second
     normal, degenerate = dual(arms, load)
     miss = float(np.linalg.norm(normal @ arms / WEIGHT - load))
     assert normal.min() >= 0.0
     assert normal.sum() == pytest.approx(WEIGHT, rel=1e-9)
     assert miss == pytest.approx(distance_to_hull(arms, load), abs=1e-3 * PITCH)
-    assert degenerate or miss < 1e-5 * PITCH
-
-
-@given(
-    seed=st.integers(0, 2**32 - 1), count=st.integers(1, 25), along=st.sampled_from([0.0, 0.5, 0.3])
-)
-def test_a_load_over_a_contact_or_between_two_is_carried(
-    seed: int, count: int, along: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    arms = draw_arms(rng, count)
-    first, second = arms[rng.integers(count, size=2)]
-    load = (1.0 - along) * first + along * second
-    normal, _ = dual(arms, load)
-    assert normal.min() >= 0.0
-    assert normal.sum() == pytest.approx(WEIGHT, rel=1e-9)
-    np.testing.assert_allclose(normal @ arms / WEIGHT, load, rtol=0.0, atol=1e-5 * PITCH)
+    assert miss < 1e-5 * PITCH or (degenerate and between is None)

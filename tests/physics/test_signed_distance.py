@@ -3,6 +3,7 @@ other; and when they meet, against looking at every moment.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ time_of_impact = compiled(signed_distance.time_of_impact.py_func)
 
 DIRECTIONS = np.linspace(0.0, 2.0 * math.pi, 3600, endpoint=False)
 NORMALS = np.column_stack([np.cos(DIRECTIONS), np.sin(DIRECTIONS)])
+Triple = tuple[float, float, float]
 RECTANGLE, DISC = sg.Rectangle(0.4, 0.2), sg.Disc(0.15)
 
 
@@ -60,7 +62,7 @@ def measured(
 
 
 @pytest.mark.parametrize(
-    ("first", "one", "second", "other", "width", "normal"),
+    "case",
     [
         (RECTANGLE, (0, 0, 0), RECTANGLE, (0.5, 0.05, 0), 0.1, (1, 0)),
         (RECTANGLE, (0, 0, 0), RECTANGLE, (0.1, 0.15, 0), -0.05, (0, 1)),
@@ -73,14 +75,8 @@ def measured(
         (RECTANGLE, (0, 0, 0), DISC, (0.19, 0.0, 0), -0.16, (1, 0)),  # its centre inside
     ],
 )
-def test_gaps_that_are_known_by_hand(
-    first: object,
-    one: tuple[float, ...],
-    second: object,
-    other: tuple[float, ...],
-    width: float,
-    normal: tuple[float, float],
-) -> None:
+def test_gaps_that_are_known_by_hand(case: Any) -> None:
+    first, one, second, other, width, normal = case
     found = measured(outline(first), at(*one), outline(second), at(*other), 0.0)
     np.testing.assert_allclose(found[:3], (width, *normal), atol=1e-12)
 
@@ -89,7 +85,7 @@ offsets = st.floats(-0.7, 0.7)
 
 
 @given(first=bases, second=bases, x=offsets, y=offsets, one=angles, other=angles)
-def test_a_gap_is_the_widest_strip_between_two_bases(
+def test_a_gap_is_the_widest_strip_between_two(
     first: object, second: object, x: float, y: float, one: float, other: float
 ) -> None:
     bodies = (outline(first), at(0, 0, one), outline(second), at(x, y, other), 0.0)
@@ -127,9 +123,7 @@ def test_edges_face_each_other_where_both_are_and_a_corner_or_a_disc_at_a_point(
 
 
 @pytest.mark.parametrize("parts", [0.0, 0.02])
-def test_edges_side_by_side_without_a_common_stretch_face_at_the_nearer_corner(
-    parts: float,
-) -> None:
+def test_edges_without_a_common_stretch_face_at_the_nearer_corner(parts: float) -> None:
     box = outline(RECTANGLE)
     places = (box, place_at(box, at(0, 0), 0.0), box, place_at(box, at(0.4 + parts, 0.3), 0.0))
     found = find_facing(*places, signed_distance.SignedDistance(0.1, 0.0, 1.0, 2))
@@ -137,23 +131,12 @@ def test_edges_side_by_side_without_a_common_stretch_face_at_the_nearer_corner(
     assert 0.2 - 1e-12 <= found.x <= 0.22 + 1e-12
 
 
-@given(
-    first=bases,
-    second=bases,
-    motion=st.tuples(speeds, speeds, spins),
-    other=st.tuples(speeds, speeds, spins),
-    one=angles,
-    away=angles,
-)
-def test_bases_are_apart_until_they_meet_and_touch_then(
-    first: object,
-    second: object,
-    motion: tuple[float, float, float],
-    other: tuple[float, float, float],
-    one: float,
-    away: float,
-) -> None:
-    dt = 0.01
+motions = st.tuples(speeds, speeds, spins)
+
+
+@given(pair=st.tuples(bases, bases), moving=st.tuples(motions, motions), one=angles, away=angles)
+def test_bases_are_apart_until_they_meet(pair: Any, moving: Any, one: float, away: float) -> None:
+    (first, second), (motion, other), dt = pair, moving, 0.01
     distance = first.reach + second.reach + 1e-3
     x, y = distance * math.cos(away), distance * math.sin(away)
     bodies = (outline(first), at(0, 0, one, *motion), outline(second), at(x, y, 0.7, *other))
@@ -162,12 +145,9 @@ def test_bases_are_apart_until_they_meet_and_touch_then(
         assert measured(*bodies, moment).width > 0.0
     if time < math.inf:
         assert 0.0 < measured(*bodies, time).width <= signed_distance.CONTACT_DISTANCE
-
-
-def test_who_touches_already_meets_at_once() -> None:
     box = outline(RECTANGLE)
-    assert time_of_impact(box, at(0, 0), box, at(0.4, 0), 0.01) == 0.0
-    assert time_of_impact(box, at(0, 0), box, at(0.3, 0), 0.01) == 0.0
+    for x in (0.3, 0.4):  # who touches already meets at once
+        assert time_of_impact(box, at(0, 0), box, at(x, 0), dt) == 0.0
 
 
 def test_a_centre_of_mass_off_the_centroid_carries_the_base_around_it() -> None:

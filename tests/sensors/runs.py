@@ -9,23 +9,23 @@ import surface_gym as sg
 ROLL, MINUS_45, PLUS_45, BRAKE = 3, 2, 1, 0
 
 
-def errors(
-    sensors: Any, choice: int, num_envs: int = 16, seed: int = 0, **start: Any
-) -> np.ndarray:
+def all_say(env: Any, choice: int) -> Any:
+    """The actions that set every module to one choice."""
+    kind = env.config.action_kind
+    return kind.encode(np.full((env.num_envs, kind.size), choice))
+
+
+def errors(sensors: Any, choice: int, num_envs: int = 16, **start: Any) -> np.ndarray:
     """(decisions, 6) sensed pose and velocity minus the true ones, over episodes of one choice."""
     env = sg.SmartSurfaceVectorEnv(
-        num_envs,
-        actions="quadrants",
-        sensors=sensors,
-        max_episode_steps=60,
-        autoreset_mode="SameStep",
+        num_envs, actions="halves", sensors=sensors, max_episode_steps=60, autoreset_mode="SameStep"
     )
-    env.reset(seed=seed, options={"side": 1, **start})
+    env.reset(seed=0, options={"side": 1, **start})
     memory = env.batch.parcels
     found = []
     running = np.ones(num_envs, dtype=bool)
     while running.any():
-        _, _, terminated, truncated, _ = env.step(np.full((num_envs, 4), choice))
+        _, _, terminated, truncated, _ = env.step(all_say(env, choice))
         running &= ~(terminated | truncated)
         found.append((memory.sensed - memory.truth)[running])
     return np.concatenate(found)

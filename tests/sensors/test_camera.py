@@ -1,20 +1,23 @@
-"""The camera: frames, noise, latency, drops, and what the filter makes of them."""
+"""The cameras: frames, noise, latency, drops, what the filter makes of them, and what an adaptive
+one learns of friction and load: by the physics' own derivatives, and for good.
+"""
 
-import copy
 import math
-import pickle
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.config import EnvConfig
+from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.core.batch import Batch
-from surface_gym.sensors import Camera, Entry
-from surface_gym.sensors.camera import FRAME_SIZE, FRAMES, TAKEN
-from surface_gym.sensors.kalman import LAST
-from tests.sensors.runs import BRAKE, PLUS_45, ROLL, errors, rms
+from surface_gym.sensors import AdaptiveCamera, Camera, Entry, Presence
+from surface_gym.sensors.base import LEARNED
+from surface_gym.sensors.camera import FRAME_SIZE, FRAMES, SPREADS, TAKEN
+from surface_gym.sensors.kalman import CONSTANT, DECAY, DOUBT, EFFECT, LAST
+from surface_gym.tasks import Slow
+from tests.sensors.runs import BRAKE, PLUS_45, ROLL, all_say, errors, rms
 
 SURE = Entry(position=0.0, angle=0.0, speed=0.0, turning=0.0)
 
@@ -66,13 +69,13 @@ def test_a_start_is_known_as_the_entry_says_and_no_noise_comes_twice() -> None:
         frame_rate=25.0, latency=0.0, acceleration_density=1e6, turn_density=1e6,
         entry=Entry(position=0.004, angle=0.03, speed=0.2, turning=0.7),
     )  # fmt: skip
-    env = sg.SmartSurfaceVectorEnv(512, actions="quadrants", sensors=blunt)
+    env = sg.SmartSurfaceVectorEnv(512, actions="halves", sensors=blunt)
     env.reset(seed=0, options={"side": 1, "speed": 1.0, "parcel": "S"})
     memory = env.batch.parcels
     found = [memory.sensed - memory.truth]
     np.testing.assert_allclose(found[0].std(axis=0), (0.004, 0.004, 0.03, 0.2, 0.2, 0.7), rtol=0.1)
     for _ in range(5):
-        env.step(np.full((512, 4), ROLL))
+        env.step(all_say(env, ROLL))
         found.append(memory.sensed - memory.truth)
     of_poses = np.concatenate(found[1:], axis=1)
     alike = np.corrcoef(np.hstack([found[0], of_poses[:, np.arange(30) % 6 < 3]]).T)
@@ -86,7 +89,7 @@ def test_frames_are_lost_with_the_probability_asked(drop: float) -> None:
     env.reset(seed=0, options={"speed": 0.5, "parcel": "S"})
     taken = []
     for _ in range(20):
-        env.step(np.full(64, 15))
+        env.step(all_say(env, ROLL))
         memory = env.batch.parcels
         frames = memory.sensor_state[:, LAST:].reshape(64, FRAMES, FRAME_SIZE)
         newest = (memory.steps // 4) % FRAMES
@@ -115,44 +118,142 @@ def test_friction_unlike_the_assumed_one_is_made_up_for_by_the_frames() -> None:
     slippery = rms(errors(Camera(mu_max=0.3), BRAKE, speed=2.0, parcel="S"))
     assert slippery[0] < 0.01
     assert slippery[3] < 0.2
+    # It beats the raw frames.
+    assert rms(errors(Camera(position_noise=0.005), ROLL, speed=1.0, parcel="S"))[0] < 0.0047
 
 
-def test_the_filter_beats_the_raw_frames() -> None:
-    found = rms(errors(Camera(position_noise=0.005), ROLL, speed=1.0, parcel="S"))
-    assert found[0] < 0.0047
+BAD: dict[str, Any] = {
+    "frame_rate": 0.0, "latency": 1.0, "position_noise": -1e-3, "angle_noise": -1e-3,
+    "mu_max": -0.5, "mu_min": -0.01, "mu_support": math.inf, "friction_error": -0.1, "drop": 1.0,
+    "acceleration_density": 0.0, "turn_density": -1.0, "entry": None,
+}  # fmt: skip
 
 
-BAD: tuple[tuple[dict[str, Any], str], ...] = (
-    ({"frame_rate": 0.0}, "frame_rate"),
-    ({"frame_rate": math.nan}, "frame_rate"),
-    ({"latency": -0.01}, "latency"),
-    ({"latency": 1.0}, "latency"),
-    ({"position_noise": -1e-3}, "position_noise"),
-    ({"angle_noise": -1e-3}, "angle_noise"),
-    ({"mu_max": -0.5}, "mu_max"),
-    ({"mu_min": -0.01}, "mu_min"),
-    ({"mu_support": math.inf}, "mu_support"),
-    ({"friction_error": -0.1}, "friction_error"),
-    ({"drop": 1.0}, "drop"),
-    ({"drop": -0.1}, "drop"),
-    ({"acceleration_density": 0.0}, "acceleration_density"),
-    ({"turn_density": -1.0}, "turn_density"),
-    ({"entry": None}, "entry"),
-)
+@pytest.mark.parametrize("name", BAD)
+def test_bad_fields_are_named(name: str) -> None:
+    with pytest.raises(ValueError, match=name):
+        Camera(**{name: BAD[name]})
 
 
-@pytest.mark.parametrize(("fields", "named"), BAD)
-def test_bad_fields_are_named(fields: dict[str, Any], named: str) -> None:
-    with pytest.raises(ValueError, match=named):
-        Camera(**fields)
+@pytest.mark.parametrize(("kind", "name"), [(Camera, "frame_rate"), (Presence, "sample_rate")])
+def test_what_is_faster_than_physics_steps_is_refused(kind: Any, name: str) -> None:
+    with pytest.raises(ValueError, match=name):
+        sg.SmartSurfaceEnv(sensors=kind(**{name: 1000.0}))
 
 
-def test_frames_faster_than_physics_steps_are_refused_by_the_environment() -> None:
-    with pytest.raises(ValueError, match="frame_rate"):
-        sg.SmartSurfaceEnv(sensors=Camera(frame_rate=1000.0))
+HALVES = {"all brake": (BRAKE, BRAKE), "ahead brakes": (BRAKE, ROLL), "aside and back": (2, 1)}
 
 
-def test_configs_compare_pickle_and_copy() -> None:
-    camera = Camera(drop=0.1)
-    assert camera == Camera(drop=0.1) != Camera()
-    assert pickle.loads(pickle.dumps(camera)) == camera == copy.deepcopy(camera)
+def in_the_zone(axes: tuple[int, ...]) -> Batch:
+    """A parcel in the middle of its zone, its rotors set; a period is one physics step, and no
+    frame comes.
+    """
+    unseen = AdaptiveCamera(frame_rate=0.1)
+    batch = Batch(EnvConfig("slow", actions="halves", sensors=unseen, control_period=0.005), 1)
+    batch.reset_cache.seed(0, np.random.default_rng(0))
+    batch.reset(np.zeros(1, dtype=np.int64), [{"speed": 2.0, "parcel": "B"}])
+    for _ in range(104):
+        batch.step(np.full((1, 2), ROLL))
+    batch.step(np.array([axes]))
+    return batch
+
+
+@pytest.mark.parametrize("axes", HALVES.values(), ids=HALVES)
+def test_effects_are_the_derivatives_of_a_step(axes: tuple[int, ...]) -> None:
+    """Against central differences of the physics' step over each of the constants."""
+    batch = in_the_zone(axes)
+    kept = batch.parcels.sensor_state[0]
+    kept[2] = 0.3  # rad: so that base and world differ
+    kept[5] = -0.8  # rad/s: so that arms count
+    kept[6:8] = 0.0
+    before = tuple(array.copy() for array in batch.parcels)
+
+    def velocities(constants: np.ndarray) -> np.ndarray:
+        for array, values in zip(batch.parcels, before, strict=True):
+            array[:] = values
+        kept[CONSTANT : CONSTANT + LEARNED] = constants
+        batch.step(np.array([axes]))
+        return kept[3:6].copy()
+
+    constants = np.array([1.1, 0.02, -0.015])
+    differences = np.empty((3, LEARNED))
+    for k, step in enumerate((1e-4, 1e-5, 1e-5)):
+        apart = step * np.eye(LEARNED)[k]
+        differences[:, k] = velocities(constants + apart) - velocities(constants - apart)
+        differences[:, k] /= 2.0 * step
+    velocities(constants)
+    effect = kept[EFFECT : EFFECT + 9].reshape(3, 3)
+    # What is held rather than sliding takes less of a change: `effect` is damped alike.
+    assert np.abs(np.linalg.eigvals(kept[DECAY : DECAY + 9].reshape(3, 3))).min() > 0.9
+    np.testing.assert_allclose(effect, differences, atol=0.05 * float(np.abs(differences).max()))
+
+
+def after_braking(sensors: Camera, num_envs: int = 128) -> tuple[Any, sg.SmartSurfaceVectorEnv]:
+    """What a filter has in mind of parcels of the lab that were braked and led aside a little."""
+    lab = replace(PRESETS["lab"], sensors=sensors, actuators=sg.Actuators())
+    env = sg.SmartSurfaceVectorEnv(
+        num_envs, Slow(speeds=(2.0, 2.4)), actions="halves", preset=lab, observe=("load",)
+    )
+    observation, _ = env.reset(seed=3)
+    patterns = ((BRAKE, ROLL), (ROLL, BRAKE), (BRAKE, BRAKE))
+    for k in range(16):
+        pattern = (ROLL, ROLL) if k < 7 else patterns[k % 3]
+        action = env.config.action_kind.encode(np.tile(pattern, (num_envs, 1)))
+        observation, _, terminated, truncated, _ = env.step(action)
+        assert not (terminated | truncated).any()
+    return observation, env
+
+
+def test_friction_and_load_are_learned_as_well_as_it_says() -> None:
+    """Errors over the filter's own doubts are of order one, and doubts have shrunk."""
+    sensors = PRESETS["lab"].sensors
+    assert isinstance(sensors, AdaptiveCamera)
+    observation, env = after_braking(sensors)
+    batch = env.batch
+    bodies = batch.bodies.body[batch.parcels.body]
+    true = np.column_stack([batch.surfaces.conditions[:, 0], bodies[:, 1], bodies[:, 2]])
+    kept = batch.parcels.sensor_state
+    wrong = kept[:, CONSTANT : CONSTANT + LEARNED] - true
+    doubts = np.sqrt(kept[:, DOUBT : DOUBT + 9 : LEARNED + 1])
+    spreads = np.array([sensors.friction_spread, sensors.load_spread, sensors.load_spread])
+    assert (doubts.mean(axis=0) < (0.6, 0.9, 0.7) * spreads).all()
+    prior = true - (1.0, 0.0, 0.0)
+    assert (rms(wrong) < rms(prior)).all()
+    over = rms(wrong / doubts)
+    assert ((over > 0.3) & (over < 2.0)).all(), over
+    # The observation shows the same, over what was known before.
+    shown = np.column_stack([(kept[:, CONSTANT : CONSTANT + LEARNED] - (1, 0, 0)), doubts])
+    np.testing.assert_allclose(
+        observation[:, -2 * LEARNED :], shown / np.tile(spreads, 2), rtol=1e-5, atol=1e-6
+    )
+
+
+def test_it_sees_better_in_the_lab_than_a_camera_that_does_not_learn() -> None:
+    lab = PRESETS["lab"].sensors
+    assert isinstance(lab, AdaptiveCamera)
+    plain = Camera(
+        latency=lab.latency, position_noise=lab.position_noise, entry=lab.entry, friction_error=0.1
+    )
+    found = []
+    for sensors in (lab, plain):
+        observation, env = after_braking(sensors)
+        memory = env.batch.parcels
+        found.append(rms((memory.sensed - memory.truth)[:, 3:]))
+    assert (found[0] < (0.85, 0.85, 0.6) * found[1]).all(), found
+    # A sensor that does not learn shows all doubt.
+    np.testing.assert_array_equal(observation[:, -6:], [[0, 0, 0, 1, 1, 1]] * len(observation))
+
+
+def test_where_all_is_as_assumed_it_sees_as_well_as_a_camera() -> None:
+    plain = rms(errors(Camera(), BRAKE, speed=1.5, parcel="B"))
+    learning = AdaptiveCamera(acceleration_density=0.0003, turn_density=0.03)
+    assert (rms(errors(learning, BRAKE, speed=1.5, parcel="B")) < 1.5 * plain).all()
+
+
+@pytest.mark.parametrize("name", ["friction_spread", "load_spread"])
+def test_the_spreads_are_checked_and_where_the_filter_reads_them(name: str) -> None:
+    for value in (0.0, -0.1, float("nan"), 2.0, "wide"):
+        with pytest.raises(ValueError, match=rf"^{name} must be"):
+            AdaptiveCamera(**{name: value})
+    numbers = AdaptiveCamera(friction_spread=0.2, load_spread=0.03).numbers(0.005)
+    assert numbers[SPREADS:] == (0.2, 0.03)
