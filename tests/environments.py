@@ -42,14 +42,6 @@ every_cell = pytest.mark.parametrize(
     ("env_id", "actions", "sensor"),
     [pytest.param(*cell, id=f"{cell[0]}-{cell[1]}-{cell[2].__name__}") for cell in CELLS],
 )
-# Of these, one of each id and kind of sensor.
-every_seen_id = pytest.mark.parametrize(
-    ("env_id", "actions", "sensor"),
-    [
-        pytest.param(*cell, id=f"{cell[0]}-{cell[2].__name__}")
-        for cell in {(cell[0], cell[2]): cell for cell in CELLS}.values()
-    ],
-)
 
 PITCH, ORIGIN = 0.1, 0.05  # [m] between elements of the tasks' lines, and of the first
 
@@ -89,6 +81,12 @@ def bare(env_id: str = SORT, **settings: Any) -> sg.SmartSurfaceEnv:
     return gym.make(env_id, disable_env_checker=True, **settings).unwrapped
 
 
+def cell(env_id: str, actions: str) -> dict[str, Any]:
+    """A kind of action and the sensor that an id has with it in CELLS."""
+    (sensor,) = (each[2] for each in CELLS if each[:2] == (env_id, actions))
+    return {"actions": actions, "sensors": sensor()}
+
+
 def same_choice(env: sg.SmartSurfaceEnv, choice: int) -> Any:
     """The action that sets every module it reaches to one orientation."""
     kind = env.config.action_kind
@@ -96,6 +94,15 @@ def same_choice(env: sg.SmartSurfaceEnv, choice: int) -> Any:
 
 
 Step = tuple[np.ndarray, float, bool, bool, dict[str, Any]]
+
+
+def played_out(env: gym.Env, action: Any, **options: Any) -> list[Step]:
+    """Every step of an episode of one action, begun with some options."""
+    env.reset(seed=0, options=options)
+    played = [env.step(action)]
+    while not played[-1][2]:
+        played.append(env.step(action))
+    return played
 
 
 def steps(env: gym.Env, seed: int, episodes: int = 1, longest: int = 200) -> Iterator[Step]:

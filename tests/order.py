@@ -38,7 +38,7 @@ SMOKE = (
     "tests/test_config.py",
     "tests/test_simulation.py",
     "tests/test_surface.py",
-    "tests/test_vector_env.py::TestBesideSingles::test_one_by_one",
+    "tests/test_vector_env.py::TestBesideSingles::test_also_over_whole_episodes",
 )
 
 # Long proofs of which the rest of the tests hold a short form: `pytest -m nightly`.

@@ -1,4 +1,4 @@
-"""The single environment moves a parcel as `simulate` does."""
+"""The single environment moves a parcel as `simulate` does, to the bit."""
 
 import math
 
@@ -14,15 +14,16 @@ from tests.environments import (
     PITCH,
     PLUS_45,
     ROLL,
+    SORT,
     assert_same,
     bare,
+    cell,
+    played_out,
     same_choice,
 )
 
 
 class TestPhysics:
-    """The environment moves a parcel as `simulate` does, to the bit."""
-
     @pytest.mark.parametrize("side", [1, -1])
     @pytest.mark.parametrize("speed", [0.6, 0.9, 1.5, 2.7])
     @pytest.mark.parametrize("size", ["S", "B"])
@@ -65,13 +66,11 @@ class TestPhysics:
 
     @pytest.mark.parametrize("actions", ACTIONS)
     def test_kinds_that_turn_all_modules_alike_move_it_alike(self, actions: str) -> None:
-        env, modules = bare(actions=actions), bare(actions="modules")
-        for each in (env, modules):
-            each.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
-        terminated = False
-        while not terminated:
-            terminated, _, info = env.step(same_choice(env, MINUS_45))[2:]
-            assert_same(info, modules.step(same_choice(modules, MINUS_45))[4])
+        found, wanted = (
+            played_out(env, same_choice(env, MINUS_45), speed=1.5, parcel="S", side=1)
+            for env in (bare(**cell(SORT, actions)), bare())
+        )
+        assert_same(tuple(step[4] for step in found), tuple(step[4] for step in wanted))
 
     def test_a_control_period_is_cut_into_equal_steps_of_at_most_5_ms(self) -> None:
         """12 ms make three steps of 4 ms."""
@@ -88,10 +87,8 @@ class TestPhysics:
         ends = []
         for period in (0.01, 0.04, 0.1):
             env = bare(control_period=period)
-            env.reset(seed=0, options={"speed": 1.5, "parcel": "B", "side": -1})
-            terminated = False
-            while not terminated:
-                _, _, terminated, _, info = env.step(same_choice(env, PLUS_45))
+            action = same_choice(env, PLUS_45)
+            *_, info = played_out(env, action, speed=1.5, parcel="B", side=-1)[-1]
             ends.append((info["time"], *info["pose"]))
         np.testing.assert_allclose(ends, [ends[0]] * 3, rtol=0, atol=1e-9)
 

@@ -1,7 +1,9 @@
 """The native vector environment, beside single ones and Gymnasium's own vector of them."""
 
-from collections.abc import Iterator
+import tracemalloc
+from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import cycle
 from typing import Any
 
 import gymnasium as gym
@@ -10,6 +12,7 @@ import pytest
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, VectorEnv
 
 import surface_gym as sg
+from surface_gym.randomisation import Actuators, Randomisation
 from tests.environments import (
     EVERYTHING_VARIES,
     LIMIT,
@@ -19,12 +22,16 @@ from tests.environments import (
     PARCELS,
     SENSORS,
     SORT,
+    TRIANGLE,
+    TWINS,
     assert_same,
+    bare,
     every_cell,
     every_id,
     every_mode,
     every_varying,
     native,
+    played_out,
     same_choice,
     single_of,
     singles,
@@ -110,44 +117,24 @@ class TestBesideSingles:
         one = native(actions="halves", autoreset_mode=mode)
         assert run_beside(one, singles(SORT, mode, 100, actions="halves"), mode, 300) >= NUM_ENVS
 
-    def test_one_by_one(self) -> None:
-        """What the above says, spelled out for the mode that needs no reset of its own."""
-        env = native(num_envs=4, actions="halves", autoreset_mode="SameStep")
-        env.action_space.seed(0)
-        actions = [env.action_space.sample() for _ in range(150)]
-        observations, _ = env.reset(seed=20)
-        seen = [observations]
-        for action in actions:
-            seen.append(env.step(action)[0])
-        for i in range(4):
-            one = gym.make(SORT, actions="halves")
-            observation, _ = one.reset(seed=20 + i)
-            np.testing.assert_array_equal(seen[0][i], observation)
-            for period, action in enumerate(actions, start=1):
-                observation, _, terminated, truncated, _ = one.step(action[i])
-                if terminated or truncated:
-                    observation, _ = one.reset()
-                np.testing.assert_array_equal(seen[period][i], observation)
-
     @every_mode
     def test_ending_at_the_limit_is_both(self, mode: AutoresetMode) -> None:
         """As with Gymnasium's TimeLimit: an end in the last period is truncated too."""
-        single = gym.make(SORT, actions="halves", max_episode_steps=1000)
-        action = same_choice(single.unwrapped, MINUS_45)
-        single.reset(seed=11, options={"speed": 2.0, "side": 1})
-        length = 1
-        while not single.step(action)[2]:
-            length += 1
+        single, start = bare(actions="halves"), {"speed": 2.0, "side": 1, "parcel": "S"}
+        action = same_choice(single, MINUS_45)
+        length = len(played_out(single, action, **start))
         results = []
         for env in (
             native(num_envs=1, actions="halves", max_episode_steps=length, autoreset_mode=mode),
             singles(SORT, mode, length, num_envs=1, actions="halves"),
         ):
-            env.reset(seed=11, options={"speed": 2.0, "side": 1})
+            env.reset(seed=11, options=start)
             for _ in range(length):
                 step = env.step(np.array([action]))
             results.append(step)
         assert_same(results[0][:4], results[1][:4])
+        if mode != AutoresetMode.SAME_STEP:
+            assert [flags.tolist() for flags in results[0][2:4]] == [[True], [True]]
 
     @pytest.mark.parametrize("context", ["spawn", "forkserver"])
     def test_singles_in_processes_of_their_own(self, context: str) -> None:
@@ -180,11 +167,19 @@ def rollout(env: VectorEnv, chosen: slice, periods: int = 60) -> Iterator[tuple[
 
 class TestBatchSize:
     @every_varying
-    def test_their_number_does_not_matter(self, env_id: str, sensor: Any) -> None:
+    def test_neither_it_nor_the_number_of_threads_matters(self, env_id: str, sensor: Any) -> None:
         settings = {"actions": "quadrants", "sensors": sensor(), **EVERYTHING_VARIES}
-        few, many = (native(env_id, num_envs, **settings) for num_envs in (4, 16))
-        for first, second in zip(rollout(few, slice(4)), rollout(many, slice(4)), strict=True):
-            assert_same(first, second)
+        found = [
+            tuple(rollout(native(env_id, num_envs, threads=threads, **settings), slice(4)))
+            for num_envs, threads in ((4, 1), (16, 1), (8, 2), (16, 3), (5, 8))
+        ]
+        for other in found[1:]:
+            assert_same(found[0], other)
+
+    @pytest.mark.parametrize("threads", [0, -1, 1.5, True, "all"])
+    def test_bad_numbers_of_threads_are_named(self, threads: Any) -> None:
+        with pytest.raises(ValueError, match="threads"):
+            sg.SmartSurfaceVectorEnv(2, threads=threads)
 
     def test_an_environment_is_not_touched_by_the_parcels_of_others(self) -> None:
         """A base of more edges and contacts than any before widens the memory of all."""
@@ -221,7 +216,6 @@ class TestBatchSize:
         observations, infos = native(env_id).reset(seed=0, options=OPTIONS[env_id])
         assert (observations == observations[0]).all()
         assert (infos["pose"] == infos["pose"][0]).all()
-        assert OPTIONS[env_id] == dict(OPTIONS[env_id])
 
     @every_id
     def test_the_time_limit_is_the_registered_one(self, env_id: str) -> None:
@@ -243,18 +237,136 @@ class TestBatchSize:
         assert not np.array(ends)[:, 1].any()
 
 
-class TestThreads:
-    @pytest.mark.parametrize("threads", [2, 3, 8])
-    @every_id
-    def test_their_number_does_not_matter(self, env_id: str, threads: int) -> None:
-        settings = {"actions": "quadrants", "sensors": SENSORS[-1](), **EVERYTHING_VARIES}
-        one, several = (native(env_id, 5, threads=count, **settings) for count in (1, threads))
-        for first, second in zip(
-            rollout(one, slice(None)), rollout(several, slice(None)), strict=True
-        ):
-            assert_same(first, second)
+class TestContract:
+    @every_cell
+    def test_spaces_are_those_of_single_ones(self, env_id: str, actions: str, sensor: Any) -> None:
+        settings = {"actions": actions, "sensors": sensor()}
+        env, sync = native(env_id, **settings), singles(env_id, AutoresetMode.NEXT_STEP, **settings)
+        assert type(env) is sg.SmartSurfaceVectorEnv
+        assert (env.num_envs, env.spec.id) == (NUM_ENVS, env_id)
+        for space in ("single_observation", "single_action", "observation", "action"):
+            assert getattr(env, f"{space}_space") == getattr(sync, f"{space}_space")
+        assert env.reset(seed=0)[0] in env.observation_space
 
-    @pytest.mark.parametrize("threads", [0, -1, 1.5, True, "all"])
-    def test_bad_numbers_are_named(self, threads: Any) -> None:
-        with pytest.raises(ValueError, match="threads"):
-            sg.SmartSurfaceVectorEnv(2, threads=threads)
+    @every_mode
+    def test_the_instance_says_its_mode(self, mode: AutoresetMode) -> None:
+        for given in (mode, mode.value):
+            env = native(autoreset_mode=given)
+            assert env.metadata["autoreset_mode"] is mode
+        assert "autoreset_mode" not in sg.SmartSurfaceVectorEnv.metadata
+        assert native().metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+
+    @every_mode
+    def test_what_it_returns_is_the_users_own(self, mode: AutoresetMode) -> None:
+        env, twin = (native(max_episode_steps=3, autoreset_mode=mode) for _ in range(2))
+        for each in (env, twin):
+            each.reset(seed=0)
+            each.action_space.seed(0)
+        for number in range(9):
+            results = env.step(env.action_space.sample())
+            assert_same(results, twin.step(twin.action_space.sample()))
+            for array in arrays_of(results):
+                assert array.flags.writeable
+                array[:] = 0
+            if mode == AutoresetMode.DISABLED and number % 3 == 2:
+                for each in (env, twin):
+                    each.reset(options={"reset_mask": np.ones(NUM_ENVS, dtype=bool)})
+
+    def test_gymnasiums_wrappers_work_on_it(self) -> None:
+        env = gym.wrappers.vector.RecordEpisodeStatistics(
+            native(actions="halves", max_episode_steps=5, autoreset_mode="SameStep")
+        )
+        env.reset(seed=0)
+        for _ in range(5):
+            *_, infos = env.step(np.array([1, 2, 3]))
+        assert infos["episode"]["l"].tolist() == [5, 5, 5]
+
+
+def arrays_of(value: Any) -> Iterator[np.ndarray]:
+    if isinstance(value, np.ndarray):
+        yield value
+        if value.dtype == object:
+            for element in value:
+                yield from arrays_of(element)
+    elif isinstance(value, (tuple, dict)):
+        for element in value.values() if isinstance(value, dict) else value:
+            yield from arrays_of(element)
+
+
+class TestTwins:
+    @pytest.mark.parametrize("twin_of", TWINS)
+    @every_varying
+    def test_go_on_alike(self, env_id: str, sensor: Any, twin_of: Callable[[Any], Any]) -> None:
+        settings = {"actions": "quadrants", "sensors": sensor(), **EVERYTHING_VARIES}
+        env = native(env_id, max_episode_steps=8, **settings)
+        env.action_space.seed(0)
+        env.reset(seed=0)
+        for _ in range(4):
+            env.step(env.action_space.sample())
+        twin = twin_of(env)
+        for _ in range(30):
+            assert_same(env.step(env.action_space.sample()), twin.step(twin.action_space.sample()))
+
+    @pytest.mark.parametrize("twin_of", TWINS)
+    def test_go_their_own_ways(self, twin_of: Callable[[Any], Any]) -> None:
+        env, reference = (native(actions="halves") for _ in range(2))
+        for each in (env, reference):
+            each.reset(seed=0, options={"parcel": TRIANGLE})
+        twin = twin_of(env)
+        twin.step(np.array([5, 5, 5]))
+        assert_same(env.step(np.array([1, 2, 3])), reference.step(np.array([1, 2, 3])))
+
+
+class TestMemory:
+    @pytest.mark.parametrize(
+        ("sensor", "mode"), list(zip(SENSORS, cycle(AutoresetMode), strict=False))
+    )
+    def test_does_not_grow(self, sensor: Any, mode: AutoresetMode) -> None:
+        env = native(
+            num_envs=8,
+            actions="quadrants",
+            sensors=sensor(),
+            autoreset_mode=mode,
+            randomisation=Randomisation(size=0.05, friction=0.1),
+            actuators=Actuators(axis_speed=8.0),
+        )
+        actions = np.zeros((8, 4), dtype=np.int64)
+
+        def go(periods: int) -> None:
+            for _ in range(periods):
+                _, _, terminated, truncated, _ = env.step(actions)
+                over = terminated | truncated
+                if mode == AutoresetMode.DISABLED and over.any():
+                    env.reset(options={"reset_mask": over})
+
+        env.reset(seed=0)
+        tracemalloc.start()
+        try:
+            go(1_000)
+            before = tracemalloc.get_traced_memory()[0]
+            go(1_500)
+            grown = tracemalloc.get_traced_memory()[0] - before
+        finally:
+            tracemalloc.stop()
+        assert grown < 200_000  # [bytes] 17 an environment and step
+
+
+class TestDrawing:
+    def test_all_environments_in_one_picture(self) -> None:
+        env = native(render_mode="rgb_array")
+        env.reset(seed=0)
+        (first,) = env.render()
+        env.step(env.action_space.sample())
+        (second,) = env.render()
+        assert first.dtype == np.uint8
+        assert first.shape == second.shape
+        assert (first != second).any()
+
+    def test_without_a_mode_there_is_none(self) -> None:
+        env = native()
+        env.reset(seed=0)
+        assert env.render() is None
+
+    def test_before_the_first_reset_it_is_refused(self) -> None:
+        with pytest.raises(gym.error.ResetNeeded):
+            native(render_mode="rgb_array").render()

@@ -9,7 +9,15 @@ import pytest
 from gymnasium.vector import VectorEnv
 
 import surface_gym as sg
-from tests.environments import NUM_ENVS, SENSORS, assert_same, every_kind_of_action, native
+from tests.environments import (
+    NUM_ENVS,
+    SENSORS,
+    SORT,
+    assert_same,
+    cell,
+    every_kind_of_action,
+    native,
+)
 
 
 class TestSeeds:
@@ -81,24 +89,17 @@ class TestPartialResets:
         self.disabled().reset(options=options)
         assert set(options) == {"reset_mask", "speed"}
 
-    @pytest.mark.parametrize(
-        "mask",
-        [
-            [True, False, False],
-            np.zeros(3, dtype=bool),
-            np.ones(2, dtype=bool),
-            np.ones((3, 1), dtype=bool),
-            np.ones(3, dtype=int),
-            True,
-            None,
-        ],
-        ids=repr,
-    )
-    def test_bad_masks_are_named(self, mask: Any) -> None:
+    BAD_MASKS = (
+        [True, False, False], np.zeros(3, dtype=bool), np.ones(2, dtype=bool),
+        np.ones((3, 1), dtype=bool), np.ones(3, dtype=int), True, None,
+    )  # fmt: skip
+
+    def test_bad_masks_are_named(self) -> None:
         env, twin = self.disabled(), self.disabled()
-        with pytest.raises(ValueError, match="reset_mask"):
-            env.reset(options={"reset_mask": mask})
-        assert_same(env.step(np.array([1, 2, 3])), twin.step(np.array([1, 2, 3])))
+        for mask in self.BAD_MASKS:
+            with pytest.raises(ValueError, match="reset_mask"):
+                env.reset(options={"reset_mask": mask})
+            assert_same(env.step(np.array([1, 2, 3])), twin.step(np.array([1, 2, 3])))
 
     def test_the_first_reset_is_whole(self) -> None:
         env = native(autoreset_mode="Disabled")
@@ -134,7 +135,7 @@ class TestBadInput:
 
     @every_kind_of_action
     def test_one_bad_environment_moves_none(self, actions: str) -> None:
-        env, twin = (native(actions=actions) for _ in range(2))
+        env, twin = (native(**cell(SORT, actions)) for _ in range(2))
         for each in (env, twin):
             each.reset(seed=0)
         good = env.action_space.sample()
@@ -144,51 +145,42 @@ class TestBadInput:
             env.step(bad)
         assert_same(env.step(good), twin.step(good))
 
-    BAD_OPTIONS: tuple[Any, ...] = (
-        ({"velocity": 1.0}, "options"),
-        ("speed", "options"),
-        (3, "options"),
-        ([{}, {}], "options"),
-        ([{}, {}, {}, {}], "options"),
-        ([{}, {}, {"velocity": 1.0}], "options"),
-        ([{}, {}, 3], "options"),
-        ({"speed": -1.0}, "speed"),
-        ([{}, {}, {"speed": "fast"}], "speed"),
-        ([{}, {}, {"parcel": "M"}], "parcel"),
-        ([{}, {}, {"parcel": sg.Parcel(sg.Rectangle(2.0, 0.3))}], "parcel"),
-        ([{}, {}, {"side": 2}], "side"),
-    )
+    TOO_LONG = sg.Parcel(sg.Rectangle(2.0, 0.3))
 
-    @pytest.mark.parametrize(("options", "named"), BAD_OPTIONS)
-    def test_bad_options_are_named(self, options: Any, named: str) -> None:
+    @pytest.mark.parametrize(
+        ("named", "bad"),
+        [
+            ("options", [{"velocity": 1.0}, "speed", 3, [{}, {}], [{}, {}, {}, {}]]),
+            ("options", [[{}, {}, {"velocity": 1.0}], [{}, {}, 3]]),
+            ("speed", [{"speed": -1.0}, [{}, {}, {"speed": "fast"}]]),
+            ("parcel", [[{}, {}, {"parcel": parcel}] for parcel in ("M", TOO_LONG)]),
+            ("side", [[{}, {}, {"side": 2}]]),
+        ],
+    )
+    def test_bad_options_are_named(self, named: str, bad: list[Any]) -> None:
         """The episodes go on as if nothing had been asked, also in those before the bad one."""
         env, twin = (native(actions="halves") for _ in range(2))
         for each in (env, twin):
             each.reset(seed=0)
-            each.step(np.array([1, 2, 3]))
-        with pytest.raises(ValueError, match=named):
-            env.reset(seed=1, options=options)
-        assert_same(env.step(np.array([1, 2, 3])), twin.step(np.array([1, 2, 3])))
+        for options in bad:
+            with pytest.raises(ValueError, match=named):
+                env.reset(seed=1, options=options)
+            assert_same(env.step(np.array([1, 2, 3])), twin.step(np.array([1, 2, 3])))
         assert_same(env.reset(seed=2), twin.reset(seed=2))
 
     @pytest.mark.parametrize(
-        ("argument", "named"),
+        ("name", "values"),
         [
-            ({"num_envs": 0}, "num_envs"),
-            ({"num_envs": -2}, "num_envs"),
-            ({"num_envs": 2.0}, "num_envs"),
-            ({"num_envs": True}, "num_envs"),
-            ({"max_episode_steps": 0}, "max_episode_steps"),
-            ({"max_episode_steps": 2.5}, "max_episode_steps"),
-            ({"autoreset_mode": "sometimes"}, "autoreset_mode"),
-            ({"autoreset_mode": 3}, "autoreset_mode"),
-            ({"autoreset_mode": None}, "autoreset_mode"),
-            ({"render_mode": "human"}, "render_mode"),
+            ("num_envs", (0, -2, 2.0, True)),
+            ("max_episode_steps", (0, 2.5)),
+            ("autoreset_mode", ("sometimes", 3, None)),
+            ("render_mode", ("human",)),
         ],
     )
-    def test_bad_arguments_are_named(self, argument: dict[str, Any], named: str) -> None:
-        with pytest.raises(ValueError, match=named):
-            sg.SmartSurfaceVectorEnv(**argument)
+    def test_bad_arguments_are_named(self, name: str, values: tuple[Any, ...]) -> None:
+        for value in values:
+            with pytest.raises(ValueError, match=name):
+                sg.SmartSurfaceVectorEnv(**{name: value})
 
     def test_steps_before_a_reset_are_refused(self) -> None:
         env = native()
