@@ -1,7 +1,9 @@
 """A task of your own, as small as a task can be, and the ways it may be wrong."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -128,27 +130,19 @@ class Generous(Cross):
             state.terms[k] = 1.0
 
 
-class Aimless(Cross):
-    goals = 2
+@dataclass(frozen=True)
+class Misled(Cross):
+    """Starts as it should not: with something else, or with what it says it does not have."""
 
+    goals: int = 1
+    has_path: bool = False
+    instead: tuple[str, Any] | None = ("goal", (1.0,))
 
-class Crowded(Cross):
-    def start(self, draw: own.Draw) -> own.Start:
-        return super().start(draw)._replace(velocity=([1.0] * 7, 0.0, 0.0))
-
-
-class Nowhere(Cross):
-    def start(self, draw: own.Draw) -> own.Start:
-        return super().start(draw)._replace(pose=(math.nan, 0.4, 0.0))
-
-
-class Pathless(Cross):
-    has_path = True
-
-
-class Startless(Cross):
     def start(self, draw: own.Draw) -> Any:
-        return None
+        if self.instead is None:
+            return None
+        name, value = self.instead
+        return super().start(draw)._replace(**{name: value})
 
 
 class Unstarted(Cross):
@@ -160,23 +154,29 @@ class Featureless(Cross):
 
 
 # Each with what its error must say.
-FAULTY: dict[type[Cross], str] = {
-    Unjudged: r"Unjudged.outcome must be a static method and a kernel_function.* got None",
-    Plain: r"Plain.outcome must be a static method and a kernel_function",
-    Uncompilable: r"Uncompilable with Exact does not compile(.|\n)*weight",
-    Undecided: r"Undecided.outcome must return RUNNING, SUCCESS or a failure.* got 4",
-    OutOfTime: r"OutOfTime.outcome must return RUNNING, SUCCESS or a failure.* got 1",
-    Priceless: r"Priceless.reward must write finite terms, got {'way': nan",
-    Blind: r"Blind.observe.* must write finite features, got others for y",
-    Generous: r"Generous with Exact must keep within their arrays.* 2 terms",
-    Aimless: r"Aimless.start must give a goal of 2 numbers, got 1",
-    Crowded: r"Crowded.start must give a velocity of numbers or arrays",
-    Nowhere: r"Nowhere.start must give a pose of finite numbers",
-    Pathless: r"Pathless.start must give a path of 256 points, got None",
-    Startless: r"Startless.start must give a Start, got None",
-    Unstarted: r"Unstarted.start must be a method, as Task says",
-    Featureless: r"Featureless.features must be a tuple",
-}
+FAULTY: tuple[tuple[Callable[[], Cross], str], ...] = (
+    (Unjudged, r"Unjudged.outcome must be a static method and a kernel_function.* got None"),
+    (Plain, r"Plain.outcome must be a static method and a kernel_function"),
+    (Uncompilable, r"Uncompilable with Exact does not compile(.|\n)*weight"),
+    (Undecided, r"Undecided.outcome must return RUNNING, SUCCESS or a failure.* got 4"),
+    (OutOfTime, r"OutOfTime.outcome must return RUNNING, SUCCESS or a failure.* got 1"),
+    (Priceless, r"Priceless.reward must write finite terms, got {'way': nan"),
+    (Blind, r"Blind.observe.* must write finite features, got others for y"),
+    (Generous, r"Generous with Exact must keep within their arrays.* 2 terms"),
+    (partial(Misled, goals=2), r"Misled.start must give a goal of 2 numbers, got 1"),
+    (
+        partial(Misled, instead=("velocity", ((1.0,) * 7, 0.0, 0.0))),
+        r"Misled.start must give a velocity of numbers or arrays",
+    ),
+    (
+        partial(Misled, instead=("pose", (math.nan, 0.4, 0.0))),
+        r"Misled.start must give a pose of finite numbers",
+    ),
+    (partial(Misled, has_path=True), r"Misled.start must give a path of 256 points, got None"),
+    (partial(Misled, instead=None), r"Misled.start must give a Start, got None"),
+    (Unstarted, r"Unstarted.start must be a method, as Task says"),
+    (Featureless, r"Featureless.features must be a tuple"),
+)
 
 
 @dataclass(frozen=True)

@@ -199,13 +199,13 @@ class TestMemory:
         env.reset(seed=0)
         tracemalloc.start()
         try:
-            go(6_000)
+            go(2_000)
             before = tracemalloc.get_traced_memory()[0]
-            go(10_000)
+            go(3_000)
             grown = tracemalloc.get_traced_memory()[0] - before
         finally:
             tracemalloc.stop()
-        assert grown < 200_000  # [bytes] 20 a step: less than any object kept of each
+        assert grown < 60_000  # [bytes] 20 a step: less than any object kept of each
 
 
 class TestDrawing:

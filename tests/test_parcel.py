@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 import surface_gym as sg
 from surface_gym.parcel import Base, Disc, Polygon, Rectangle, assortment
-from surface_gym.randomisation import Randomisation
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera, Exact, Presence, Sensor
 from surface_gym.tasks import Sort
 from tests.strategies import bases, polygon_vertices, polygons
@@ -117,36 +117,21 @@ PENTAGRAM = polygon_vertices(5, 0.3, 1.0, 0.0)[[0, 2, 4, 1, 3]]
 @pytest.mark.parametrize(
     ("vertices", "message"),
     [
-        ([(0, 0), (1, 0)], "vertices must be at least 3, got 2"),
-        ([(0, 0), (1, 0), (1, 0), (0, 1)], "vertices must differ from their neighbours"),
-        ([(0, 0), (1, 0), (0, 1), (0, 0)], "vertices must differ from their neighbours"),
-        ([(0, 0), (1, 0), (0.2, 0.2), (0, 1)], "vertices must form a convex polygon, got "),
-        ([(0, 0), (1, 1), (1, 0), (0, 1)], "vertices must form a convex polygon, got "),
-        (PENTAGRAM, "vertices must form a convex polygon, got "),
-        ([(0, 0), (1, 0), (0.5, 0)], "vertices must form a convex polygon, got "),
-        ([(0, 0), (1, 1), (0.5, 0.5)], "vertices must form a convex polygon, got "),
-        ([(0, 0), (1, 0), (2, 0), (1, 0)], "vertices must form a convex polygon, got "),
-        ([(0, 0), (1, 0), (np.nan, 1)], "vertices must be finite, got nan"),
-        ([(0, 0), (1e-5, 0), (0, 1e-5)], "vertices must enclose at least 1e-08 m.2, got 5e-11 m.2"),
-        ([(0, 0), (1e4, 0), (0, 1)], "vertices must be between -1000 and 1000, got 10000 in it"),
-        ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], r"vertices must have the shape \(any, 2\)"),
-        (None, "vertices must "),
-        ("abc", "vertices must be an array of numbers"),
+        ([(0, 0), (1, 0)], "be at least 3, got 2"),
+        ([(0, 0), (1, 0), (1, 0), (0, 1)], "differ from their neighbours"),
+        ([(0, 0), (1, 0), (0, 1), (0, 0)], "differ from their neighbours"),
+        ([(0, 0), (1, 0), (0.2, 0.2), (0, 1)], "form a convex polygon, got "),
+        ([(0, 0), (1, 1), (1, 0), (0, 1)], "form a convex polygon, got "),
+        (PENTAGRAM, "form a convex polygon, got "),
+        ([(0, 0), (1, 1), (0.5, 0.5)], "form a convex polygon, got "),
+        ([(0, 0), (1, 0), (2, 0), (1, 0)], "form a convex polygon, got "),
+        ([(0, 0), (1e-5, 0), (0, 1e-5)], "enclose at least 1e-08 m.2, got 5e-11 m.2"),
+        ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], r"have the shape \(any, 2\)"),
     ],
 )
 def test_polygons_that_are_not_allowed(vertices: object, message: str) -> None:
-    with pytest.raises(ValueError, match=f"^{message}"):
+    with pytest.raises(ValueError, match=f"^vertices must {message}"):
         sg.Polygon(vertices)
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, None, "a", "0.2", True])
-def test_lengths_that_are_not_allowed(value: object) -> None:
-    with pytest.raises(ValueError, match=r"^length must be "):
-        sg.Rectangle(value, 0.2)
-    with pytest.raises(ValueError, match=r"^width must be "):
-        sg.Rectangle(0.2, value)
-    with pytest.raises(ValueError, match=r"^radius must be "):
-        sg.Disc(value)
 
 
 @dataclass(frozen=True)
@@ -200,11 +185,12 @@ class TestABaseOfOnesOwn:
 
     @pytest.mark.parametrize("sensor", [Exact(), Camera(), Presence()], ids=type)
     def test_runs_and_varies_in_an_environment(self, sensor: Sensor) -> None:
-        randomisation = Randomisation(size=0.1, com_offset=0.2)
         env = sg.SmartSurfaceEnv(
             Sort(parcels=(sg.Parcel(Tile(0.3, 0.2)),)),
+            actions="quadrants",
             sensors=sensor,
-            randomisation=randomisation,
+            randomisation=Randomisation(size=0.1, com_offset=0.2),
+            actuators=Actuators(axis_speed=8.0),
             render_mode="rgb_array",
         )
         for seed in range(3):
@@ -283,18 +269,8 @@ def test_parcels_with_equal_fields_are_equal() -> None:
         ({"base": None}, "base must be a Rectangle, a Disc or a Polygon, got None"),
         ({"base": (0.25, 0.25)}, "base must be a Rectangle, a Disc or a Polygon"),
         ({"base": sg.Rectangle}, "base must be a Rectangle, a Disc or a Polygon"),
-        ({"mass": 0.0}, "mass must be greater than 0, got 0.0"),
-        ({"mass": -1.0}, "mass must be greater than 0, got -1.0"),
-        ({"mass": math.nan}, "mass must be a finite number, got nan"),
-        ({"mass": None}, "mass must be a finite number, got None"),
-        ({"mass": "10"}, "mass must be a finite number, got '10'"),
-        ({"com_height": -0.1}, "com_height must be at least 0, got -0.1"),
-        ({"inertia": 0.0}, "inertia must be greater than 0, got 0.0"),
-        ({"inertia": math.inf}, "inertia must be a finite number, got inf"),
         ({"com_offset": (0.2, 0.0)}, "com_offset must keep the centre of mass over the base"),
-        ({"com_offset": (0.0, np.nan)}, "com_offset must be finite, got nan"),
         ({"com_offset": 0.0}, r"com_offset must have the shape \(2\)"),
-        ({"com_offset": None}, r"com_offset must "),
     ],
 )
 def test_what_is_not_allowed_is_refused(changes: dict[str, object], message: str) -> None:

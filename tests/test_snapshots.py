@@ -5,23 +5,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import BaseBatch
 from surface_gym.env import make_batch
 from surface_gym.sensors import Camera
+from tests.environments import EVERYTHING_VARIES
 from tests.flow.flows import DENSE, SHORT
 
 ENVS, BEFORE, AFTER = 3, 10, 20  # control periods
-VARIED: dict[str, Any] = {
-    "sensors": Camera(),
-    "randomisation": sg.Randomisation(mass=0.2, size=0.05, stiffness=0.2, lateral=0.01),
-    "actuators": sg.Actuators(stuck_share=0.1),
-}
+VARIED: dict[str, Any] = {"sensors": Camera(), **EVERYTHING_VARIES}
 CONFIGS = {
     "one parcel": EnvConfig("sort", actions="halves"),
-    "one parcel, all varies": EnvConfig("sort", actions="halves", **VARIED),
-    "a stream, all varies": EnvConfig("flow", stream=DENSE, line=SHORT, duration=3.0, **VARIED),
+    "one parcel, all varies": EnvConfig("sort", actions="quadrants", **VARIED),
+    "a stream, all varies": EnvConfig(
+        "flow", actions="parcels", stream=DENSE, line=SHORT, duration=3.0, **VARIED
+    ),
 }
 every_config = pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
 

@@ -342,13 +342,13 @@ class TestMemory:
         env.reset(seed=0)
         tracemalloc.start()
         try:
-            go(1_000)
+            go(300)
             before = tracemalloc.get_traced_memory()[0]
-            go(1_500)
+            go(500)
             grown = tracemalloc.get_traced_memory()[0] - before
         finally:
             tracemalloc.stop()
-        assert grown < 200_000  # [bytes] 17 an environment and step
+        assert grown < 68_000  # [bytes] 17 an environment and step
 
 
 class TestDrawing:
