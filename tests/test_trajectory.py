@@ -2,7 +2,7 @@
 
 import csv
 import math
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +17,11 @@ from tests.strategies import Scene, scenes
 
 G = 9.81  # [m/s^2]
 BOX = sg.layouts.box("S")
-START = sg.layouts.start("S")
+SUPPORTS = sg.Surface(np.zeros((10, 10)), np.zeros((10, 10), dtype=bool))
 TRIANGLE = sg.Parcel(
     sg.Polygon([(0.0, 0.0), (0.4, 0.0), (0.0, 0.3)]), mass=3.0, com_offset=(0.02, -0.01)
 )
+every_method = pytest.mark.parametrize("method", ["implicit", "explicit"])
 
 
 def sorted_on_a_slope(**changes: object) -> Trajectory:
@@ -58,27 +59,33 @@ def assert_newton_holds(run: Trajectory, forces: float) -> None:
     np.testing.assert_allclose(run.acceleration[1:, 2], spin[1:], rtol=0.0, atol=forces / gyration)
 
 
+def assert_repeats(run: Trajectory) -> None:
+    """The run's steps, repeated, lead where it went, to the bit."""
+    _, observed = repeat(run.run, run.time)
+    assert observed.state.tobytes() == run.run.states.tobytes()
+
+
 class TestRepeatedSteps:
+    @every_method
     @pytest.mark.parametrize("solver", ["dual", "osqp", "scipy"])
-    @pytest.mark.parametrize("method", ["implicit", "explicit"])
-    def test_they_lead_where_the_run_went_to_the_bit(self, method: str, solver: str) -> None:
+    def test_they_lead_where_the_run_went_by_its_forces(self, method: str, solver: str) -> None:
         run = sorted_on_a_slope(method=method, normal_forces=solver)
         assert run.time[-1] == 0.503  # the last step is shorter
-        _, observed = repeat(run.run, run.time)
-        assert observed.state.tobytes() == run.run.states.tobytes()
+        assert_repeats(run)
+        assert_newton_holds(run, 1e-7 if method == "implicit" else 1e-12)
 
     @given(scene=scenes())
     def test_whatever_the_scene(self, scene: Scene) -> None:
+        """Newton's law holds to what the step's solver leaves of its optimality condition."""
         run = scene.run(duration=0.2)
-        _, observed = repeat(run.run, run.time)
-        assert observed.state.tobytes() == run.run.states.tobytes()
+        assert_repeats(run)
+        left = TOLERANCE * max(1.0, math.sqrt(run.run.parcel.body.gyration)) / 0.005
+        assert_newton_holds(run, left)
 
     def test_where_a_run_ends_early(self) -> None:
-        supports = sg.Surface(np.zeros((10, 10)), np.zeros((10, 10), dtype=bool))
-        run = sg.simulate(supports, BOX, (0.5, 0.5, 0.1), (2.0, 0.0, 0.0), duration=2.0013)
+        run = sg.simulate(SUPPORTS, BOX, (0.5, 0.5, 0.1), (2.0, 0.0, 0.0), duration=2.0013)
         assert run.end == "left the surface"
-        _, observed = repeat(run.run, run.time)
-        assert observed.state.tobytes() == run.run.states.tobytes()
+        assert_repeats(run)
 
     def test_nothing_is_found_out_before_it_is_asked_for(self) -> None:
         run = sorted_on_a_slope()
@@ -87,20 +94,7 @@ class TestRepeatedSteps:
 
 
 class TestForces:
-    @given(scene=scenes())
-    def test_they_are_mass_times_acceleration(self, scene: Scene) -> None:
-        """To what the step's solver leaves of its optimality condition."""
-        run = scene.run(duration=0.2)
-        left = TOLERANCE * max(1.0, math.sqrt(run.run.parcel.body.gyration)) / 0.005
-        assert_newton_holds(run, left)
-
-    @pytest.mark.parametrize("solver", ["dual", "osqp", "scipy"])
-    @pytest.mark.parametrize("method", ["implicit", "explicit"])
-    def test_with_every_method_and_solver(self, method: str, solver: str) -> None:
-        run = sorted_on_a_slope(method=method, normal_forces=solver, duration=0.5)
-        assert_newton_holds(run, 1e-7 if method == "implicit" else 1e-12)
-
-    @pytest.mark.parametrize("method", ["implicit", "explicit"])
+    @every_method
     def test_the_acceleration_is_that_of_the_motion(self, method: str) -> None:
         run = sorted_on_a_slope(method=method)
         np.testing.assert_array_equal(run.acceleration[0], 0.0)
@@ -108,7 +102,7 @@ class TestForces:
         np.testing.assert_allclose(run.acceleration[1:], motion, rtol=0.0, atol=1e-9)
 
     @given(scene=scenes())
-    def test_normal_forces_carry_the_weight(self, scene: Scene) -> None:
+    def test_normal_forces_carry_the_weight_and_bound_the_friction(self, scene: Scene) -> None:
         run = scene.run(duration=0.2)
         parcel = scene.parcel
         weight = parcel.mass * G * math.cos(scene.surface.tilt)
@@ -121,10 +115,7 @@ class TestForces:
         upright = ~run.tipping[1:]
         expected = parcel.mass * parcel.com_height * pull
         np.testing.assert_allclose(moment[upright], expected[upright], atol=1e-6 * weight)
-
-    @given(scene=scenes())
-    def test_friction_is_within_its_limits_and_against_the_slip(self, scene: Scene) -> None:
-        run = scene.run(duration=0.2)
+        # Friction is within its limits and against the slip, and no energy is lost.
         contacts, surface = run.contacts, scene.surface
         rotor, normal = contacts.rotor, contacts.normal * (1.0 + 1e-12) + 1e-12
         assert (np.abs(contacts.along[rotor]) <= surface.mu_max * normal[rotor]).all()
@@ -133,6 +124,7 @@ class TestForces:
         assert (support <= surface.mu_support * normal[~rotor]).all()
         assert (contacts.along * contacts.slip[:, 0] <= 1e-12).all()
         assert (contacts.across * contacts.slip[:, 1] <= 1e-12).all()
+        np.testing.assert_allclose(run.energy.balance, 0.0, atol=1e-7 * parcel.mass)
 
     def test_a_rotor_that_slips_along_its_axis_gives_all_it_can(self) -> None:
         run = sorted_on_a_slope()
@@ -201,7 +193,7 @@ class TestExplicitForces:
 
 
 class TestContacts:
-    @pytest.mark.parametrize("method", ["implicit", "explicit"])
+    @every_method
     def test_they_are_the_elements_under_the_base(self, method: str) -> None:
         run = sorted_on_a_slope(method=method)
         surface, lead = run.run.surface, 0.5 if method == "implicit" else 0.0
@@ -223,7 +215,7 @@ class TestContacts:
             np.testing.assert_array_equal(contacts.place, expected)
 
     def test_the_steps_together_are_the_record(self) -> None:
-        contacts = sorted_on_a_slope().contacts
+        contacts = sorted_on_a_slope(duration=0.05).contacts
         steps = [contacts.of_step(k) for k in range(1, int(contacts.step[-1]) + 1)]
         assert sum(map(len, steps)) == len(contacts)
         for field in fields(contacts):
@@ -239,18 +231,11 @@ class TestContacts:
         with pytest.raises(ValueError, match=r"^step must be in the record, got 1"):
             run.contacts.of_step(1)
 
-    @pytest.mark.parametrize(
-        ("step", "message"),
-        [
-            (0, "step must be a whole number of at least 1, got 0"),
-            (-1, "step must be a whole number of at least 1, got -1"),
-            (1.0, "step must be a whole number of at least 1, got 1.0"),
-            (102, "step must be between 1 and 101, got 102"),
-        ],
-    )
-    def test_a_step_that_is_none_is_refused(self, step: object, message: str) -> None:
-        with pytest.raises(ValueError, match=f"^{message}"):
-            sorted_on_a_slope().contacts.of_step(step)
+    def test_a_step_that_is_none_is_refused(self) -> None:
+        contacts = sorted_on_a_slope().contacts
+        for step, allowed in ((0, "a whole number of at least 1"), (102, "between 1 and 101")):
+            with pytest.raises(ValueError, match=f"^step must be {allowed}, got {step}"):
+                contacts.of_step(step)
 
     def test_a_file_has_them_all_to_the_bit(self, tmp_path: Path) -> None:
         contacts = sorted_on_a_slope(duration=0.02).contacts
@@ -286,12 +271,7 @@ class TestContacts:
 
 
 class TestEnergy:
-    @given(scene=scenes())
-    def test_the_implicit_step_loses_none_of_it(self, scene: Scene) -> None:
-        energy = scene.run(duration=0.2).energy
-        np.testing.assert_allclose(energy.balance, 0.0, atol=1e-7 * scene.parcel.mass)
-
-    def test_what_the_explicit_one_leaves_goes_to_zero_with_the_step(self) -> None:
+    def test_what_the_explicit_step_leaves_goes_to_zero_with_it(self) -> None:
         left = [
             np.abs(sorted_on_a_slope(method="explicit", dt=dt).energy.balance).max()
             for dt in (4e-3, 1e-3, 2.5e-4, 6.25e-5)
@@ -301,7 +281,7 @@ class TestEnergy:
         assert left[-1] < 1e-4
 
     @pytest.mark.parametrize(("axis", "mu"), [(0.0, 0.5), (math.pi / 2, 0.01), (None, 0.005)])
-    @pytest.mark.parametrize("method", ["implicit", "explicit"])
+    @every_method
     def test_it_is_friction_times_the_way(self, method: str, axis: float | None, mu: float) -> None:
         rotor = np.full((20, 30), axis is not None)
         surface = sg.Surface(np.full((20, 30), axis or 0.0), rotor)
@@ -338,28 +318,26 @@ class TestEnergy:
 
 
 class TestWithoutARun:
-    def test_the_motion_alone_makes_a_trajectory(self) -> None:
-        run = sorted_on_a_slope()
-        bare = Trajectory(run.time, run.pose, run.velocity, run.tipping, run.end)
-        assert bare.run is None
+    """Contacts, acceleration and energy take a run."""
 
-    @pytest.mark.parametrize("asked", ["contacts", "acceleration", "energy"])
-    def test_what_it_takes_a_run_for_is_refused(self, asked: str) -> None:
-        bare = replace(sorted_on_a_slope(), run=None)
-        with pytest.raises(ValueError, match=f"^{asked} must be asked of a trajectory with a run"):
-            getattr(bare, asked)
+    @staticmethod
+    def refused(trajectory: Trajectory) -> None:
+        for asked in ("contacts", "acceleration", "energy"):
+            message = f"^{asked} must be asked of a trajectory with a run"
+            with pytest.raises(ValueError, match=message):
+                getattr(trajectory, asked)
+
+    def test_the_motion_alone_has_none(self) -> None:
+        run = sorted_on_a_slope()
+        self.refused(Trajectory(run.time, run.pose, run.velocity, run.tipping, run.end))
 
     def test_parcels_that_push_each_other_have_none(self) -> None:
-        encounter = sg.simulate_together(
-            sg.layouts.sorting(), [BOX], [(1.0, 1.0, 0.0)], duration=0.02
-        )
-        with pytest.raises(ValueError, match=r"^contacts must be asked of a trajectory"):
-            _ = encounter.trajectories[0].contacts
+        at_rest = (sg.layouts.sorting(), [BOX], [(1.0, 1.0, 0.0)])
+        self.refused(sg.simulate_together(*at_rest, duration=0.02).trajectories[0])
 
     def test_nor_has_what_another_engine_moved(self) -> None:
         pytest.importorskip("mujoco")
         from surface_gym.validation import simulate
 
-        run = simulate(sg.layouts.sorting(), BOX, START, (1.0, 0.0, 0.0), duration=0.01)
-        with pytest.raises(ValueError, match=r"^energy must be asked of a trajectory"):
-            _ = run.energy
+        start = sg.layouts.start("S")
+        self.refused(simulate(sg.layouts.sorting(), BOX, start, (1.0, 0.0, 0.0), duration=0.01))

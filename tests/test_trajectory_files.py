@@ -30,22 +30,24 @@ PARCELS = {
     "disc": sg.Parcel(sg.Disc(0.2), com_height=0.05, com_offset=(0.01, 0.02)),
     "polygon": sg.Parcel(sg.Polygon([(0.0, 0.0), (0.0, 0.3), (0.4, 0.0)])),
 }
-
-
+AT_REST = (sg.layouts.sorting(), sg.layouts.box("S"), (1.0, 1.0, 0.0))
 # 6400 elements, all alike.
 LARGE = {
-    "axis": np.zeros((80, 80)),
-    "rotor": np.ones((80, 80), dtype=bool),
-    "mu_max": 0.5,
-    "stiffness": None,
-}
+    "axis": np.zeros((80, 80)), "rotor": np.ones((80, 80), dtype=bool),
+    "mu_max": 0.5, "stiffness": None,
+}  # fmt: skip
 
 
 def slide(parcel: sg.Parcel = PARCELS["polygon"], **changes: object) -> Trajectory:
     """A short run over an uneven slope, its last step shortened."""
-    return sg.simulate(
-        UNEVEN, parcel, (1.0, 0.2, 0.3), (0.5, 0.2, -1.0), **{"duration": 0.1013, **changes}
-    )
+    given = {"duration": 0.1013, **changes}
+    return sg.simulate(UNEVEN, parcel, (1.0, 0.2, 0.3), (0.5, 0.2, -1.0), **given)
+
+
+def saved(run: Trajectory, path: Path) -> Trajectory:
+    """What comes back from a file."""
+    run.save(path)
+    return Trajectory.load(path)
 
 
 def assert_same(one: object, other: object, names: tuple[str, ...]) -> None:
@@ -60,8 +62,7 @@ class TestAllOfOne:
     @pytest.mark.parametrize("kind", PARCELS)
     def test_it_comes_back_with_its_contacts(self, kind: str, method: str, tmp_path: Path) -> None:
         run = slide(PARCELS[kind], method=method)
-        run.save(tmp_path / "run.npz")
-        back = Trajectory.load(tmp_path / "run.npz")
+        back = saved(run, tmp_path / "run.npz")
         assert_same(run, back, MOTION)
         assert back.end == run.end
         assert_same(run.contacts, back.contacts, CONTACTS)
@@ -69,20 +70,15 @@ class TestAllOfOne:
         assert back.energy.balance.tobytes() == run.energy.balance.tobytes()
 
     def test_every_field_of_surface_and_parcel_does(self, tmp_path: Path) -> None:
-        run = slide(PARCELS["rectangle"])
-        run.save(str(tmp_path / "run.npz"))
+        slide(PARCELS["rectangle"]).save(str(tmp_path / "run.npz"))
         back = Trajectory.load(str(tmp_path / "run.npz")).run
-        for field in fields(UNEVEN):
-            np.testing.assert_array_equal(
-                getattr(back.surface, field.name), getattr(UNEVEN, field.name)
-            )
+        for name in (field.name for field in fields(UNEVEN)):
+            np.testing.assert_array_equal(getattr(back.surface, name), getattr(UNEVEN, name))
         assert back.parcel == PARCELS["rectangle"]
         assert (back.dt, back.method, back.normal_forces) == (0.005, "implicit", "dual")
 
     def test_and_what_is_none(self, tmp_path: Path) -> None:
-        run = sg.simulate(sg.layouts.sorting(), sg.layouts.box("S"), (1.0, 1.0, 0.0), duration=0.02)
-        run.save(tmp_path / "run.npz")
-        back = Trajectory.load(tmp_path / "run.npz").run
+        back = saved(sg.simulate(*AT_REST, duration=0.02), tmp_path / "run.npz").run
         assert back.surface.stiffness is None
         assert back.parcel.inertia is None
         assert (back.surface.pitch, back.surface.mu_max) == (0.1, 0.5)
@@ -90,13 +86,11 @@ class TestAllOfOne:
     @pytest.mark.parametrize("solver", ["osqp", "scipy"])
     def test_with_another_solver(self, solver: str, tmp_path: Path) -> None:
         run = slide(normal_forces=solver, duration=0.02)
-        run.save(tmp_path / "run.npz")
-        assert_same(run.contacts, Trajectory.load(tmp_path / "run.npz").contacts, CONTACTS)
+        assert_same(run.contacts, saved(run, tmp_path / "run.npz").contacts, CONTACTS)
 
     def test_a_trajectory_without_a_run_has_none_afterwards(self, tmp_path: Path) -> None:
         run = replace(slide(), run=None)
-        run.save(tmp_path / "run.npz")
-        back = Trajectory.load(tmp_path / "run.npz")
+        back = saved(run, tmp_path / "run.npz")
         assert_same(run, back, MOTION)
         assert back.run is None
 
@@ -119,36 +113,28 @@ class TestAllOfOne:
             pass
 
         floor = Floor(np.zeros((20, 20)), np.ones((20, 20), dtype=bool))
-        run = sg.simulate(floor, sg.layouts.box("S"), (1.0, 1.0, 0.0), duration=0.02)
-        with pytest.raises(
-            ValueError, match=r"^surface must be a Surface, not a user-defined class"
+        for run, kind in (
+            (sg.simulate(floor, *AT_REST[1:], duration=0.02), "surface must be a Surface"),
+            (slide(Box(sg.Disc(0.2))), "parcel must be a Parcel"),
         ):
-            run.save(tmp_path / "run.npz")
-        with pytest.raises(ValueError, match=r"^parcel must be a Parcel, not a user-defined class"):
-            slide(Box(sg.Disc(0.2))).save(tmp_path / "run.npz")
+            with pytest.raises(ValueError, match=f"^{kind}, not a user-defined class"):
+                run.save(tmp_path / "run.npz")
 
 
 class TestMotion:
-    @pytest.mark.parametrize("method", ["implicit", "explicit"])
-    def test_it_comes_back_to_the_bit(self, method: str, tmp_path: Path) -> None:
+    def test_it_comes_back_to_the_bit(self, tmp_path: Path) -> None:
         supports = sg.Surface(np.zeros((10, 10)), np.zeros((10, 10), dtype=bool))
-        run = sg.simulate(
-            supports, PARCELS["disc"], (0.5, 0.5, 0.1), (2.0, 0.1, 1.0), 2.0, method=method
-        )
+        run = sg.simulate(supports, PARCELS["disc"], (0.5, 0.5, 0.1), (2.0, 0.1, 1.0), 2.0)
         assert run.tipping.any()
-        run.save(tmp_path / "run.csv")
-        back = Trajectory.load(tmp_path / "run.csv")
+        back = saved(run, tmp_path / "run.csv")
         assert_same(run, back, MOTION)
         assert back.end == "left the surface"
         assert back.run is None
 
     def test_of_one_row_too(self, tmp_path: Path) -> None:
-        run = sg.simulate(
-            sg.layouts.sorting(), sg.layouts.box("S"), (1.0, 1.0, 0.0), method="explicit"
-        )
+        run = sg.simulate(*AT_REST, method="explicit")
         for name in ("run.csv", "run.npz"):
-            run.save(tmp_path / name)
-            back = Trajectory.load(tmp_path / name)
+            back = saved(run, tmp_path / name)
             assert_same(run, back, MOTION)
             assert back.end == "stopped"
 
@@ -178,16 +164,14 @@ def test_another_suffix_is_refused(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["npz", "csv"])
-def test_a_file_that_is_not_there_is_named(suffix: str, tmp_path: Path) -> None:
+def test_a_file_that_is_not_there_is_named_and_an_end_that_is_no_line_not_written(
+    suffix: str, tmp_path: Path
+) -> None:
     with pytest.raises(FileNotFoundError, match=f"lost.{suffix}"):
         Trajectory.load(tmp_path / f"lost.{suffix}")
-
-
-@pytest.mark.parametrize("suffix", ["npz", "csv"])
-@pytest.mark.parametrize("end", ["two\nlines", " ", ""])
-def test_an_end_that_is_no_line_is_not_written(end: str, suffix: str, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"^end must be one line of text, got "):
-        replace(slide(), end=end).save(tmp_path / f"run.{suffix}")
+    for end in ("two\nlines", " ", ""):
+        with pytest.raises(ValueError, match=r"^end must be one line of text, got "):
+            replace(slide(), end=end).save(tmp_path / f"run.{suffix}")
 
 
 class TestDamagedArrays:
@@ -215,10 +199,7 @@ class TestDamagedArrays:
             ({"time": np.arange(22)}, "time must be of float64, got int64"),
             ({"pose": np.zeros((3, 3))}, r"pose must have the shape \(22, 3\), got \(3, 3\)"),
             ({"velocity": np.full((22, 3), np.nan)}, "velocity must be finite, got nan"),
-            (
-                {"tipping": np.zeros(22)},
-                r"tipping must be booleans of the shape \(22,\), got float",
-            ),
+            ({"tipping": np.zeros(22)}, r"tipping must be booleans of the shape \(22,\), got f"),
             ({"end": np.zeros(3)}, "end must be one line of text"),
             ({"end": 3}, "end must be one line of text, got 3"),
             ({"states": np.zeros((21, 8))}, r"states must have the shape \(22, 8\)"),
@@ -246,9 +227,8 @@ class TestDamagedArrays:
         states = slide(PARCELS["disc"]).run.states.copy()
         states[4, 0] = 99.0
         back = Trajectory.load(self.changed(tmp_path, states=states, normal_forces=solver))
-        with pytest.raises(
-            ValueError, match=r"states must be over elements .*, got none in step 5"
-        ):
+        message = r"states must be over elements .*, got none in step 5"
+        with pytest.raises(ValueError, match=message):
             _ = back.contacts
 
     def test_an_object_is_never_made(self, tmp_path: Path) -> None:
@@ -273,12 +253,11 @@ class TestDamagedArrays:
                 Trajectory.load(tmp_path / "run.npz")
 
     def test_bytes_that_have_changed_are_noticed(self, tmp_path: Path) -> None:
-        run = slide()
+        run, refused = slide(), 0
         run.save(tmp_path / "run.npz")
         whole = (tmp_path / "run.npz").read_bytes()
         rng = np.random.default_rng(0)
-        refused = 0
-        for place in rng.integers(len(whole), size=300):
+        for place in rng.integers(len(whole), size=150):
             changed = bytearray(whole)
             changed[place] ^= 1 << int(rng.integers(8))
             (tmp_path / "run.npz").write_bytes(changed)
@@ -288,7 +267,7 @@ class TestDamagedArrays:
                 refused += 1
             else:  # dates and the like, which nobody reads
                 assert_same(run, back, MOTION)
-        assert refused > 200
+        assert refused > 100
 
     def test_members_that_are_no_arrays_are_refused(self, tmp_path: Path) -> None:
         packed = io.BytesIO()
