@@ -33,7 +33,6 @@ SMOKE = (
     "tests/flow/test_stream.py",
     "tests/rendering/test_scene.py",
     "tests/test_env.py::TestEpisodes::test_outcomes_of_sort",
-    "tests/test_layouts.py",
     "tests/test_parcel.py",
     "tests/test_config.py",
     "tests/test_simulation.py",

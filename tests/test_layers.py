@@ -1,4 +1,4 @@
-"""Layers of the code: imports go downwards, and no two folders import each other."""
+"""The house: imports go downwards, no two folders import each other, tests are in order."""
 
 import ast
 from collections import defaultdict
@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.order import FIRST, NIGHTLY, SMOKE, place_of
 
 ROOT = Path(__file__).parents[1]
 
@@ -141,3 +143,16 @@ def test_layers_import_downwards(room: str) -> None:
 def test_a_room_never_reaches_another(room: str, never: str) -> None:
     assert room in edges()
     assert never not in reached(edges(), room)
+
+
+@pytest.mark.parametrize("name", [*FIRST, *NIGHTLY, *SMOKE])
+def test_what_is_named_is_there(name: str) -> None:
+    file, *inside = name.split("::")
+    assert (ROOT / file).exists()
+    if inside:
+        assert f" {inside[-1].partition('[')[0]}" in (ROOT / file).read_text()
+
+
+def test_those_not_named_come_last() -> None:
+    assert place_of(f"{FIRST[1]}::TestSeeds") == 1
+    assert place_of("tests/test_surface.py::test_it") == len(FIRST)

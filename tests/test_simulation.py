@@ -5,13 +5,13 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import surface_gym as sg
 from surface_gym.surface import Surface
-from tests.strategies import COLUMNS, ROWS
 
 BOX = sg.layouts.box("S")
 START = sg.layouts.start("S")
@@ -78,10 +78,6 @@ class TestPaper:
 
 
 class TestSteps:
-    def test_the_last_step_is_shortened(self) -> None:
-        run = sg.simulate(sg.layouts.sorting(), BOX, START, (1.5, 0, 0), 0.0125, dt=0.005)
-        np.testing.assert_allclose(run.time, [0.0, 0.005, 0.01, 0.0125])
-
     def test_a_duration_below_the_step_is_one_step(self) -> None:
         run = sg.simulate(sg.layouts.sorting(), BOX, START, (1.5, 0, 0), 0.002, dt=0.005)
         one = sg.simulate(sg.layouts.sorting(), BOX, START, (1.5, 0, 0), 0.002, dt=0.002)
@@ -95,22 +91,15 @@ class TestSteps:
         assert run.time[0] == 0.0
         assert run.time[-1] == pytest.approx(duration, rel=1e-12)
         assert (np.diff(run.time) > 1e-6 * dt).all()
-        assert (np.diff(run.time) <= dt * (1.0 + 1e-9)).all()
+        np.testing.assert_allclose(np.diff(run.time)[:-1], dt, rtol=1e-9)
         assert len(run.time) == math.ceil(duration / dt - 1e-6) + 1
 
     @pytest.mark.parametrize("method", ["implicit", "explicit"])
     @pytest.mark.parametrize("duration", [0.1, 0.1013])
     def test_every_solver_of_eq_1_gives_the_same_motion(self, method: str, duration: float) -> None:
+        start = (sg.layouts.sorting(tilt=0.1), BOX, (0.6, 1.02, 0.3), (1.0, 0.1, -0.5))
         runs = [
-            sg.simulate(
-                sg.layouts.sorting(tilt=0.1),
-                BOX,
-                (0.6, 1.02, 0.3),
-                (1.0, 0.1, -0.5),
-                duration,
-                method=method,
-                normal_forces=solver,
-            )
+            sg.simulate(*start, duration, method=method, normal_forces=solver)
             for solver in ("dual", "osqp", "scipy")
         ]
         for run in runs[1:]:
@@ -119,12 +108,14 @@ class TestSteps:
             np.testing.assert_array_equal(run.tipping, runs[0].tipping)
 
 
+BRAKES = sg.Surface(np.zeros((20, 30)), np.ones((20, 30), dtype=bool))
+SUPPORTS = sg.Surface(np.zeros((10, 10)), np.zeros((10, 10), dtype=bool))
+
+
 class TestRest:
     @pytest.mark.parametrize("degrees", [-25.0, -5.0, 5.0, 25.0])
     def test_axes_along_the_slope_hold_a_parcel(self, degrees: float) -> None:
-        surface = sg.Surface(
-            np.zeros((20, 30)), np.ones((20, 30), dtype=bool), tilt=math.radians(degrees)
-        )
+        surface = replace(BRAKES, tilt=math.radians(degrees))
         run = sg.simulate(surface, BOX, (1.5, 1.0, 0.2), duration=2.0)
         assert run.end == "duration"
         # It creeps by less than the rounding of friction, 1e-5 m/s.
@@ -132,20 +123,16 @@ class TestRest:
 
     def test_a_steeper_slope_moves_it(self) -> None:
         degrees = 28.0  # tan(28 deg) = 0.53 > mu_max
-        surface = sg.Surface(
-            np.zeros((20, 30)), np.ones((20, 30), dtype=bool), tilt=math.radians(degrees)
-        )
+        surface = replace(BRAKES, tilt=math.radians(degrees))
         box = sg.Parcel(sg.Rectangle(0.5, 0.5), com_height=0.0)
         run = sg.simulate(surface, box, (0.8, 1.0, 0.0), duration=1.0)
         acceleration = 9.81 * (math.sin(surface.tilt) - 0.5 * math.cos(surface.tilt))
         assert run.pose[-1, 0] - 0.8 == pytest.approx(0.5 * acceleration, abs=1e-3)
 
     def test_downhill_is_towards_minus_x_where_the_tilt_is_negative(self) -> None:
-        axis, rotor = np.full((ROWS, COLUMNS), math.pi / 2), np.ones((ROWS, COLUMNS), dtype=bool)
+        rolling = replace(BRAKES, axis=np.full((20, 30), math.pi / 2))
         up, down = (
-            sg.simulate(
-                sg.Surface(axis, rotor, tilt=tilt), BOX, (1.0, 0.8, 0.0), duration=0.5
-            ).pose[-1]
+            sg.simulate(replace(rolling, tilt=tilt), BOX, (1.0, 1.0, 0.0), duration=0.5).pose[-1]
             for tilt in (-0.1, 0.1)
         )
         assert down[0] > 1.1
@@ -159,8 +146,7 @@ class TestEnds:
     def test_a_parcel_that_leaves_tips_first_and_the_run_says_so(
         self, velocity: tuple[float, float, float]
     ) -> None:
-        supports = sg.Surface(np.zeros((10, 10)), np.zeros((10, 10), dtype=bool))
-        run = sg.simulate(supports, BOX, (0.5, 0.5, 0.1), velocity, duration=2.0)
+        run = sg.simulate(SUPPORTS, BOX, (0.5, 0.5, 0.1), velocity, duration=2.0)
         assert run.end == "left the surface"
         assert run.time[-1] < 1.0
         assert run.tipping[-1]
@@ -173,16 +159,8 @@ class TestEnds:
     @pytest.mark.parametrize("solver", ["dual", "osqp", "scipy"])
     @pytest.mark.parametrize("method", ["implicit", "explicit"])
     def test_with_every_solver(self, method: str, solver: str) -> None:
-        supports = sg.Surface(np.zeros((10, 10)), np.zeros((10, 10), dtype=bool))
-        run = sg.simulate(
-            supports,
-            BOX,
-            (0.5, 0.5, 0.1),
-            (2.0, 0.0, 0.0),
-            2.0,
-            method=method,
-            normal_forces=solver,
-        )
+        start = (SUPPORTS, BOX, (0.5, 0.5, 0.1), (2.0, 0.0, 0.0), 2.0)
+        run = sg.simulate(*start, method=method, normal_forces=solver)
         assert run.end == "left the surface"
         assert run.tipping[-1]
 
@@ -211,15 +189,7 @@ def huge() -> Surface:
 
 
 class TestLargeSurfaces:
-    def test_a_corner_gives_the_same_bits(self, huge: Surface) -> None:
-        corner = replace(huge, axis=huge.axis[:30, :40], rotor=huge.rotor[:30, :40])
-        args = (BOX, (1.0, 1.5, 0.3), (2.0, 0.3, -1.0), 1.0)
-        run, window = sg.simulate(huge, *args), sg.simulate(corner, *args)
-        assert run.end == window.end == "duration"
-        assert run.pose.tobytes() == window.pose.tobytes()
-        assert run.velocity.tobytes() == window.velocity.tobytes()
-
-    @pytest.mark.parametrize("first", [(0, 1960), (1000, 1000), (1970, 0), (1970, 1960)])
+    @pytest.mark.parametrize("first", [(0, 0), (0, 1960), (1000, 1000), (1970, 0), (1970, 1960)])
     def test_a_window_gives_the_same_motion(self, huge: Surface, first: tuple[int, int]) -> None:
         row, column = first
         rows, columns = slice(row, row + 30), slice(column, column + 40)
@@ -232,29 +202,25 @@ class TestLargeSurfaces:
         run, small = sg.simulate(huge, *args), sg.simulate(window, *args)
         assert run.end == small.end == "duration"
         np.testing.assert_allclose(run.pose, small.pose, rtol=0.0, atol=1e-9)
+        assert any(first) or run.pose.tobytes() == small.pose.tobytes()
 
 
 def test_a_new_process_gives_the_same_bits() -> None:
     code = (
-        "import math, surface_gym as sg\n"
-        "surface = sg.layouts.sorting('B', tilt=math.radians(7.0))\n"
+        "import surface_gym as sg\n"
+        "surface = sg.layouts.sorting('B', tilt=0.12)\n"
         "run = sg.simulate(surface, sg.layouts.box('B'), (1.0, 1.05, 0.4), (1.2, 0.1, -1.0))\n"
-        "print(run.pose.tobytes().hex())\n"
     )
-    run = sg.simulate(
-        sg.layouts.sorting("B", tilt=math.radians(7.0)),
-        sg.layouts.box("B"),
-        (1.0, 1.05, 0.4),
-        (1.2, 0.1, -1.0),
-    )
+    names: dict[str, Any] = {}
+    exec(code, names)
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
+        [sys.executable, "-W", "error", "-c", code + "print(run.pose.tobytes().hex())"],
         env={**os.environ, "PYTHONHASHSEED": "17"},
         capture_output=True,
         text=True,
         check=True,
     )
-    assert done.stdout.strip() == run.pose.tobytes().hex()
+    assert done.stdout.strip() == names["run"].pose.tobytes().hex()
 
 
 def test_a_run_leaves_its_arguments_as_they_were() -> None:
@@ -306,14 +272,8 @@ GOOD: dict[str, object] = {"surface": sg.layouts.sorting(), "parcel": BOX, "pose
         ({"parcel": COIN}, r"pose must be over an element, got \(1.0, 1.0, 0.0\)"),
         ({"dt": 1.0, "velocity": (1.5, 0.0, 0.0)}, "dt must be so short that no step moves"),
         ({"dt": 0.05, "velocity": (0.1, 0.0, 12.0)}, "dt must be so short that no step moves"),
-        (
-            {"method": "explicit", "velocity": (0.0, 1.5, 0.0)},
-            r"velocity must be towards \+x for the explicit method",
-        ),
-        (
-            {"method": "explicit", "velocity": (-1.5, 0.0, 0.0)},
-            r"velocity must be towards \+x for the explicit method",
-        ),
+        ({"method": "explicit", "velocity": (0.0, 1.5, 0.0)}, r"velocity must be towards \+x for "),
+        ({"method": "explicit", "velocity": (-1.5, 0.0, 0.0)}, r"velocity must be towards \+x"),
         ({"velocity": (1.0, 0.0)}, r"velocity must have the shape \(3\), got \(2,\)"),
         ({"method": "euler"}, "method must be one of 'implicit', 'explicit', got 'euler'"),
         ({"normal_forces": "qp"}, "normal_forces must be one of 'dual', .*, got 'qp'"),
