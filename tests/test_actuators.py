@@ -13,17 +13,7 @@ from surface_gym.layouts import LINE_Y
 from surface_gym.randomisation import Actuators
 from surface_gym.state import RUNNING
 from surface_gym.tasks.start import Start
-from tests.environments import (
-    MINUS_45,
-    PLUS_45,
-    ROLL,
-    assert_same,
-    bare,
-    played_out,
-    put,
-    same_choice,
-    steps,
-)
+from tests.environments import MINUS_45, PLUS_45, ROLL, assert_same, bare, put, same_choice, steps
 
 ZERO = 0  # the choice of the axis along x
 FLAT_BOX = sg.Parcel(sg.Rectangle(0.25, 0.25), com_height=0.0)  # nothing shifts its load
@@ -79,6 +69,7 @@ class TestAxisSpeed:
             due = min(turn, speed * 0.02 * period)
             turned = sense * turned if sense else np.abs(turned)
             np.testing.assert_allclose(turned, due, rtol=0, atol=1e-9)
+            np.testing.assert_array_equal(bench.angle[~bench.obeying], np.pi / 2)
 
     def test_a_new_command_on_the_way_turns_it_from_where_it_is(self) -> None:
         bench = Bench(actuators=Actuators(axis_speed=math.radians(500.0)))
@@ -89,14 +80,6 @@ class TestAxisSpeed:
         for _ in range(3):
             bench.step(MINUS_45)
         np.testing.assert_allclose(np.degrees(bench.angle[bench.obeying]), 135.0)
-
-    def test_modules_outside_the_zone_stay(self) -> None:
-        bench = Bench(actuators=Actuators(axis_speed=3.0), zone=(6, 7))
-        for _ in range(20):
-            bench.step(ZERO)
-        assert bench.obeying.sum() == 4
-        np.testing.assert_allclose(bench.angle[bench.obeying] % np.pi, 0.0, atol=1e-12)
-        np.testing.assert_array_equal(bench.angle[~bench.obeying], np.pi / 2)
 
     def test_a_start_finds_the_conveyor_again(self) -> None:
         bench = Bench(actuators=Actuators(axis_speed=3.0))
@@ -124,19 +107,6 @@ class TestAxisSpeed:
                 bench.step(MINUS_45)
                 np.testing.assert_allclose(parcels.truth[0, :3], pose, rtol=0, atol=1e-10)
         assert pose[1] > LINE_Y + 0.01  # it did act
-
-    def test_the_faster_the_closer_to_instant(self) -> None:
-        def end(axis_speed: float) -> np.ndarray:
-            env = bare(actions="quadrants", actuators=Actuators(axis_speed=axis_speed))
-            env.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
-            for _ in range(12):
-                info = env.step(same_choice(env, MINUS_45))[4]
-            return info["pose"]
-
-        instant = end(math.inf)
-        apart = [np.abs(end(speed) - instant).max() for speed in (1.0, 3.0, 9.0, 1e6)]
-        assert apart[0] > apart[1] > apart[2] > apart[3]
-        assert apart[3] < 1e-12
 
 
 class TestStuck:
@@ -171,15 +141,13 @@ class TestStuck:
 
     @pytest.mark.parametrize("stuck", [((0, 0),), ((9, 0), (10, 29)), ((9, 5), (9, 5))])
     def test_a_support_or_the_conveyor_may_be_stuck_too(self, stuck: Any) -> None:
-        env, twin = bare(actuators=Actuators(stuck=stuck)), bare()
-        first, second = steps(env, seed=0), steps(twin, seed=0)
-        if stuck == ((9, 5), (9, 5)):
-            twin = bare(actuators=Actuators(stuck=((9, 5),)))
-            second = steps(twin, seed=0)
-        for one, other in zip(first, second, strict=True):
-            assert_same(one, other)
+        twin = Actuators(stuck=((9, 5),)) if (9, 5) in stuck else Actuators()
+        runs = [
+            tuple(steps(bare(actuators=each), seed=0)) for each in (Actuators(stuck=stuck), twin)
+        ]
+        assert_same(*runs)
 
-    @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+    @pytest.mark.parametrize("share", [0.1, 0.5, 1.0])
     def test_a_share_is_drawn_at_each_start(self, share: float) -> None:
         bench = Bench(actuators=Actuators(stuck_share=share))
         zone = Bench().obeying
@@ -194,18 +162,6 @@ class TestStuck:
         np.testing.assert_allclose(stuck.mean(axis=0), share, atol=5.0 * spread / math.sqrt(500))
         # Module by module on its own: the count in a start is binomial.
         assert stuck.sum(axis=1).var() == pytest.approx(zone.sum() * spread**2, rel=0.3)
-
-    def test_all_stuck_is_the_conveyor(self) -> None:
-        found, wanted = (
-            played_out(env, same_choice(env, choice), speed=1.0, parcel="S", side=1)
-            for env, choice in (
-                (bare(actuators=Actuators(stuck_share=1.0)), MINUS_45),
-                (bare(), ROLL),
-            )
-        )
-        for one, other in zip(found, wanted, strict=True):
-            assert_same(one[4]["pose"], other[4]["pose"])
-        assert found[-1][4]["outcome"] == "passed the zone"
 
     def test_a_share_adds_to_those_given(self) -> None:
         bench = Bench(actuators=Actuators(stuck=self.STUCK, stuck_share=0.3))

@@ -11,7 +11,7 @@ from gymnasium.utils.env_checker import check_env
 import surface_gym as sg
 from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Exact
-from tests.environments import CELLS, IDS, SORT, assert_same, bare, same_choice, steps
+from tests.environments import CELLS, SORT, assert_same, bare, every_id, same_choice, steps
 
 ANGLES = np.array([0.0, math.pi / 4, -math.pi / 4, math.pi / 2])  # of the default choices
 FLAT = sg.Parcel(sg.Rectangle(0.35, 0.25), mass=4.0, com_height=0.0, com_offset=(0.03, -0.02))
@@ -107,9 +107,10 @@ class TestSeenAxes:
 
 
 class TestOnRequest:
-    def test_nothing_is_there_unasked(self) -> None:
-        info = bare().reset(seed=0)[1]
-        assert not {"axes", "normal_forces"} & set(info)
+    @every_id
+    def test_nothing_is_there_unasked(self, env_id: str) -> None:
+        assert not {"axes", "normal_forces"} & set(bare(env_id).reset(seed=0)[1])
+        assert "axes" in bare(env_id, info=["axes"]).reset(seed=0)[1]
 
     @pytest.mark.parametrize("tilt", [0.0, 0.2])
     def test_normal_forces_bear_the_parcel_about_its_centre_of_mass(self, tilt: float) -> None:
@@ -140,7 +141,3 @@ class TestOnRequest:
     def test_others_are_named(self, wrong: Any) -> None:
         with pytest.raises(ValueError, match="info must be"):
             bare(info=wrong)
-
-    def test_every_id_knows_them(self) -> None:
-        for env_id in IDS:
-            assert "axes" in bare(env_id, info=["axes"]).reset(seed=0)[1]

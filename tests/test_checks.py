@@ -18,8 +18,8 @@ from surface_gym.sensors import Camera, Entry, Presence
 from surface_gym.tasks.paths import LaneChange, Polyline, Sine
 from surface_gym.tasks.start import Start
 from tests.environments import batch_with
-from tests.extremes import run_or_refusal
 from tests.flow.flows import SHORT
+from tests.test_any_input import run_or_refusal
 
 NOT_A_NUMBER = [None, "a", "1.0", b"1", True, np.True_, 1j, [1.0], np.array([1.0]), 10**400]
 NOT_FINITE = [math.nan, math.inf, -math.inf, np.float32("nan")]

@@ -41,8 +41,8 @@ class TestCheckers:
         check_by_stable_baselines3(env)
 
     @every_id
-    def test_nor_when_it_draws(self, env_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    @pytest.mark.usefixtures("screen")
+    def test_nor_when_it_draws(self, env_id: str) -> None:
         check_by_gymnasium(bare(env_id, render_mode="rgb_array"))
 
     def test_they_are_heard_here(self) -> None:

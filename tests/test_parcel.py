@@ -62,7 +62,6 @@ def test_functions_tell_inside_from_outside(base: Base, share: float, beyond: fl
     [
         (sg.Rectangle(0.3, 0.4), 0.25 / 12.0, 0.25),
         (sg.Disc(0.2), 0.02, 0.2),
-        (sg.Polygon([(0.0, 0.0), (0.3, 0.0), (0.3, 0.4), (0.0, 0.4)]), 0.25 / 12.0, 0.25),
         # A right isosceles triangle of legs a: a^2 / 9 about its centroid.
         (sg.Polygon([(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)]), 0.01, 0.1 * math.sqrt(5.0)),
     ],
@@ -72,26 +71,23 @@ def test_known_areas(base: Base, gyration: float, reach: float) -> None:
     assert base.reach == pytest.approx(reach)
 
 
+def assert_same_area(one: Base, other: Base) -> None:
+    assert one.centroid == pytest.approx(other.centroid, abs=1e-12)
+    assert one.gyration == pytest.approx(other.gyration)
+    assert one.reach == pytest.approx(other.reach)
+    points = np.meshgrid(np.linspace(-0.5, 0.5, 50), np.linspace(-0.5, 0.5, 50))
+    functions = (base.functions(*points).max(axis=0) for base in (one, other))
+    np.testing.assert_allclose(*functions, atol=1e-12)
+
+
 def test_a_box_drawn_as_a_polygon_is_the_same_box() -> None:
     box = sg.Rectangle(0.3, 0.4)
-    polygon = sg.Polygon(box.outline)
-    assert polygon.centroid == pytest.approx((0.0, 0.0))
-    x, y = np.meshgrid(np.linspace(-0.3, 0.3, 50), np.linspace(-0.3, 0.3, 50))
-    np.testing.assert_allclose(
-        polygon.functions(x, y).max(axis=0), box.functions(x, y).max(axis=0), atol=1e-12
-    )
+    assert_same_area(sg.Polygon(box.outline), box)
 
 
 @given(polygon=polygons())
 def test_the_sense_of_rotation_does_not_matter(polygon: sg.Polygon) -> None:
-    reverse = sg.Polygon(polygon.vertices[::-1])
-    assert reverse.centroid == pytest.approx(polygon.centroid)
-    assert reverse.gyration == pytest.approx(polygon.gyration)
-    assert reverse.reach == pytest.approx(polygon.reach)
-    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 20), np.linspace(-0.5, 0.5, 20))
-    np.testing.assert_allclose(
-        polygon.functions(x, y).max(axis=0), reverse.functions(x, y).max(axis=0), atol=1e-12
-    )
+    assert_same_area(sg.Polygon(polygon.vertices[::-1]), polygon)
 
 
 @given(turn=st.floats(-4.0, 4.0), sides=st.integers(3, 8))
@@ -173,15 +169,12 @@ class Tile:
 
 class TestABaseOfOnesOwn:
     def test_moves_as_the_same_shape_does(self) -> None:
-        own, box = (sg.Parcel(kind(0.4, 0.25), mass=4.0) for kind in (Tile, sg.Rectangle))
-        surface = sg.layouts.sorting("B")
         start = ((0.5, 1.0, 0.2), (1.2, 0.1, 0.4), 0.6)
-        np.testing.assert_allclose(
-            sg.simulate(surface, own, *start).pose,
-            sg.simulate(surface, box, *start).pose,
-            rtol=0,
-            atol=1e-9,
+        own, box = (
+            sg.simulate(sg.layouts.sorting("B"), sg.Parcel(kind(0.4, 0.25)), *start).pose
+            for kind in (Tile, sg.Rectangle)
         )
+        np.testing.assert_allclose(own, box, rtol=0, atol=1e-9)
 
     @pytest.mark.parametrize("sensor", [Exact(), Camera(), Presence()], ids=type)
     def test_runs_and_varies_in_an_environment(self, sensor: Sensor) -> None:
@@ -214,20 +207,19 @@ class TestABaseOfOnesOwn:
             sg.Parcel(Loose(0.3, 0.2))
 
     @pytest.mark.parametrize(
-        ("name", "value"),
+        ("name", "values"),
         [
-            ("gyration", -1.0),
-            ("gyration", 1e9),
-            ("reach", math.nan),
-            ("reach", 1e9),
-            ("edges", [1.0]),
-            ("outline", None),
+            ("gyration", (-1.0, 1e9)),
+            ("reach", (math.nan, 1e9)),
+            ("edges", ([1.0],)),
+            ("outline", (None,)),
         ],
     )
-    def test_what_is_wrong_is_named(self, name: str, value: object) -> None:
-        wrong = type("Wrong", (Tile,), {name: value})
-        with pytest.raises(ValueError, match=rf"base\.{name} must"):
-            sg.Parcel(wrong(0.3, 0.2))
+    def test_what_is_wrong_is_named(self, name: str, values: tuple[object, ...]) -> None:
+        for value in values:
+            wrong = type("Wrong", (Tile,), {name: value})
+            with pytest.raises(ValueError, match=rf"base\.{name} must"):
+                sg.Parcel(wrong(0.3, 0.2))
 
 
 BOX = sg.Rectangle(0.25, 0.25)
@@ -290,14 +282,9 @@ def test_the_same_seed_gives_the_same_parcels() -> None:
 
 def test_shapes_come_in_turn() -> None:
     for place, parcel in enumerate(MANY):
-        base = parcel.base
-        assert isinstance(base, (Rectangle, Rectangle, Disc, Polygon)[place % 4])
-        if place % 4 == 0:
-            assert isinstance(base, Rectangle)
-            assert base.length == base.width
-    assert any(
-        b.length != b.width for b in (p.base for p in MANY[1::4]) if isinstance(b, Rectangle)
-    )
+        assert isinstance(parcel.base, (Rectangle, Rectangle, Disc, Polygon)[place % 4])
+    assert all(parcel.base.length == parcel.base.width for parcel in MANY[::4])
+    assert any(parcel.base.length != parcel.base.width for parcel in MANY[1::4])
 
 
 @pytest.mark.parametrize("sizes", [(0.2, 0.45), (0.15, 0.5), (0.3, 0.3)])
@@ -346,11 +333,9 @@ def test_polygons_are_convex_and_hold_their_centroid() -> None:
     ("arguments", "expected"),
     [
         ({"count": 0}, "count must be a whole number of at least 1, got 0"),
-        ({"count": 2.0}, "count must be a whole number of at least 1, got 2.0"),
         ({"seed": -1}, "seed must be a whole number of at least 0, got -1"),
         ({"sizes": (0.4, 0.2)}, "sizes must rise within (0.0001, 1000.0) m, got (0.4, 0.2)"),
         ({"sizes": (0.0, 0.2)}, "sizes must rise within"),
-        ({"sizes": (0.2, 2000.0)}, "sizes must rise within"),
         ({"sizes": 0.2}, "sizes must have the shape (2)"),
         ({"load": -0.01}, "load must be at least 0, got -0.01"),
         ({"load": 50.0}, "load must lie over most bases, got 50 m"),
@@ -358,4 +343,4 @@ def test_polygons_are_convex_and_hold_their_centroid() -> None:
 )
 def test_what_is_not_allowed(arguments: dict[str, object], expected: str) -> None:
     with pytest.raises(ValueError, match=f"^{re.escape(expected)}"):
-        assortment(**{"count": 4, "seed": 0, **arguments})  # type: ignore[arg-type]
+        assortment(**{"count": 4, "seed": 0, **arguments})

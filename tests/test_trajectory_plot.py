@@ -2,7 +2,9 @@
 
 import math
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +18,13 @@ matplotlib = pytest.importorskip("matplotlib")
 BOX = sg.layouts.box("S")
 
 
+@cache
 def sort() -> Trajectory:
     return sg.simulate(sg.layouts.sorting(), BOX, sg.layouts.start("S"), (1.5, 0.0, 0.0))
+
+
+def supports(rows: int, columns: int) -> sg.Surface:
+    return sg.Surface(np.zeros((rows, columns)), np.zeros((rows, columns), dtype=bool))
 
 
 def lines_of(panel: object) -> list[np.ndarray]:
@@ -47,11 +54,9 @@ def test_the_first_and_last_outline_are_the_bases_and_the_darkest() -> None:
 
 
 def test_a_stroke_lies_along_each_rotors_axis() -> None:
-    run = sort()
-    way = run.plot().axes[0]
-    strokes = np.array(way.collections[0].get_segments())
+    surface = sort().run.surface
+    strokes = np.array(sort().plot().axes[0].collections[0].get_segments())
     middle, along = strokes.mean(axis=1), strokes[:, 1] - strokes[:, 0]
-    surface = run.run.surface
     column = ((middle[:, 0] - surface.x[0]) / 0.1).round().astype(int)
     row = ((middle[:, 1] - surface.y[0]) / 0.1).round().astype(int)
     assert surface.rotor[row, column].all()
@@ -81,26 +86,24 @@ def test_all_outlines_are_in_the_window_whatever_the_size(
 
 
 @pytest.mark.parametrize(
-    ("run", "title"),
+    ("make", "title"),
     [
-        (sort(), "after 1 s: the duration is over"),
+        (sort, "after 1 s: the duration is over"),
         (
-            sg.simulate(sg.layouts.sorting(), BOX, (1.0, 1.0, 0.3), method="explicit"),
+            partial(sg.simulate, sg.layouts.sorting(), BOX, (1.0, 1.0, 0.3), method="explicit"),
             "after 0 s: stopped",
         ),
         (
-            sg.simulate(
-                sg.Surface(np.zeros((10, 10)), np.zeros((10, 10), dtype=bool)),
-                BOX,
-                (0.5, 0.5, 0.1),
-                (2.0, 0.0, 0.0),
-            ),
+            partial(sg.simulate, supports(10, 10), BOX, (0.5, 0.5, 0.1), (2.0, 0.0, 0.0)),
             "after 0.25 s: left the surface",
         ),
     ],
     ids=["duration", "one row", "left"],
 )
-def test_the_title_says_how_it_ended(run: Trajectory, title: str, tmp_path: Path) -> None:
+def test_the_title_says_how_it_ended(
+    make: Callable[[], Trajectory], title: str, tmp_path: Path
+) -> None:
+    run = make()
     figure = run.plot(tmp_path / "run.pdf")
     assert figure.get_suptitle() == title
     legend = figure.axes[0].get_legend()
@@ -108,9 +111,8 @@ def test_the_title_says_how_it_ended(run: Trajectory, title: str, tmp_path: Path
 
 
 def test_a_strip_of_very_many_elements_shows_none() -> None:
-    surface = sg.Surface(np.zeros((12, 4000)), np.zeros((12, 4000), dtype=bool), pitch=0.1)
-    disc = sg.Parcel(sg.Disc(0.2))
-    run = sg.simulate(surface, disc, (1.0, 0.6, 0.0), (18.0, 0.0, 0.0), duration=10.0)
+    start = (sg.Parcel(sg.Disc(0.2)), (1.0, 0.6, 0.0), (18.0, 0.0, 0.0), 10.0)
+    run = sg.simulate(supports(12, 4000), *start)
     assert not run.plot().axes[0].collections
 
 
@@ -123,8 +125,7 @@ def test_without_a_run_the_way_alone_is_drawn(tmp_path: Path) -> None:
 
 
 def test_round_off_does_not_look_like_turning() -> None:
-    supports = sg.Surface(np.zeros((20, 30)), np.zeros((20, 30), dtype=bool))
-    run = sg.simulate(supports, BOX, (1.0, 1.0, 0.0), (1.0, 0.0, 0.0), duration=0.2)
+    run = sg.simulate(supports(20, 30), BOX, (1.0, 1.0, 0.0), (1.0, 0.0, 0.0), duration=0.2)
     assert run.plot().axes[2].get_ylim() == (-0.02, 0.02)
 
 
