@@ -32,7 +32,7 @@ SMOKE = (
     "tests/flow/test_exits.py",
     "tests/flow/test_stream.py",
     "tests/rendering/test_scene.py",
-    "tests/test_env.py::TestEpisodes::test_outcomes_of_sort",
+    "tests/tasks/test_sort.py::TestEnds::test_by_choice",
     "tests/test_parcel.py",
     "tests/test_config.py",
     "tests/test_simulation.py",

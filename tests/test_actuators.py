@@ -46,7 +46,7 @@ class Bench:
 
 
 class TestAxisSpeed:
-    def test_infinite_turns_at_once(self) -> None:
+    def test_infinite_turns_at_once(self):
         bench = Bench()
         for choice, degrees in ((MINUS_45, 135.0), (PLUS_45, 45.0), (ZERO, 0.0), (ROLL, 90.0)):
             bench.step(choice)
@@ -57,9 +57,7 @@ class TestAxisSpeed:
         ("choice", "sense", "turn"), [(PLUS_45, -1, 45.0), (MINUS_45, +1, 45.0), (ZERO, 0, 90.0)]
     )
     @pytest.mark.parametrize("speed", [60.0, 100.0, 450.0])  # [deg/s]
-    def test_finite_takes_the_time_it_takes(
-        self, speed: float, choice: int, sense: int, turn: float
-    ) -> None:
+    def test_finite_takes_the_time_it_takes(self, speed, choice, sense, turn):
         """From the conveyor's 90 deg by the shorter way; either way to 0 deg is as short."""
         bench = Bench(actuators=Actuators(axis_speed=math.radians(speed)), control_period=0.02)
         for period in range(1, math.ceil(turn / (speed * 0.02)) + 3):
@@ -71,7 +69,7 @@ class TestAxisSpeed:
             np.testing.assert_allclose(turned, due, rtol=0, atol=1e-9)
             np.testing.assert_array_equal(bench.angle[~bench.obeying], np.pi / 2)
 
-    def test_a_new_command_on_the_way_turns_it_from_where_it_is(self) -> None:
+    def test_a_new_command_on_the_way_turns_it_from_where_it_is(self):
         bench = Bench(actuators=Actuators(axis_speed=math.radians(500.0)))
         bench.step(PLUS_45)  # 40 ms: 20 deg down
         np.testing.assert_allclose(np.degrees(bench.angle[bench.obeying]), 70.0)
@@ -81,7 +79,7 @@ class TestAxisSpeed:
             bench.step(MINUS_45)
         np.testing.assert_allclose(np.degrees(bench.angle[bench.obeying]), 135.0)
 
-    def test_a_start_finds_the_conveyor_again(self) -> None:
+    def test_a_start_finds_the_conveyor_again(self):
         bench = Bench(actuators=Actuators(axis_speed=3.0))
         for _ in range(5):
             bench.step(ZERO)
@@ -90,7 +88,7 @@ class TestAxisSpeed:
         bench.step(ROLL)
         np.testing.assert_array_equal(bench.angle, np.pi / 2)
 
-    def test_a_turning_axis_acts_by_the_angle_it_has(self) -> None:
+    def test_a_turning_axis_acts_by_the_angle_it_has(self):
         """Beside `simulate` one step at a time, on surfaces turned a step's angle further each."""
         speed = math.radians(200.0)
         bench = Bench(actuators=Actuators(axis_speed=speed))
@@ -113,7 +111,7 @@ class TestStuck:
     STUCK = ((9, 5), (10, 8))
 
     @pytest.mark.parametrize("axis_speed", [math.inf, 20.0])
-    def test_given_modules_never_turn(self, axis_speed: float) -> None:
+    def test_given_modules_never_turn(self, axis_speed):
         bench = Bench(actuators=Actuators(axis_speed=axis_speed, stuck=self.STUCK))
         free = Bench(actuators=Actuators(axis_speed=axis_speed))
         for choice in (PLUS_45, ZERO, MINUS_45, PLUS_45):
@@ -126,7 +124,7 @@ class TestStuck:
             np.testing.assert_array_equal(bench.obeying, free.obeying & ~stuck)
             np.testing.assert_array_equal(bench.angle[~stuck], free.angle[~stuck])
 
-    def test_they_drag_the_parcel_as_the_conveyor_does(self) -> None:
+    def test_they_drag_the_parcel_as_the_conveyor_does(self):
         env = bare(actuators=Actuators(stuck=self.STUCK))
         _, info = env.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
         axis = np.array(sg.layouts.sorting("S", 1, task_columns=16, columns=30).axis)
@@ -140,7 +138,7 @@ class TestStuck:
             np.testing.assert_array_equal(info["pose"], run.pose[8 * period])
 
     @pytest.mark.parametrize("stuck", [((0, 0),), ((9, 0), (10, 29)), ((9, 5), (9, 5))])
-    def test_a_support_or_the_conveyor_may_be_stuck_too(self, stuck: Any) -> None:
+    def test_a_support_or_the_conveyor_may_be_stuck_too(self, stuck):
         twin = Actuators(stuck=((9, 5),)) if (9, 5) in stuck else Actuators()
         runs = [
             tuple(steps(bare(actuators=each), seed=0)) for each in (Actuators(stuck=stuck), twin)
@@ -148,7 +146,7 @@ class TestStuck:
         assert_same(*runs)
 
     @pytest.mark.parametrize("share", [0.1, 0.5, 1.0])
-    def test_a_share_is_drawn_at_each_start(self, share: float) -> None:
+    def test_a_share_is_drawn_at_each_start(self, share):
         bench = Bench(actuators=Actuators(stuck_share=share))
         zone = Bench().obeying
         drawn = []
@@ -163,7 +161,7 @@ class TestStuck:
         # Module by module on its own: the count in a start is binomial.
         assert stuck.sum(axis=1).var() == pytest.approx(zone.sum() * spread**2, rel=0.3)
 
-    def test_a_share_adds_to_those_given(self) -> None:
+    def test_a_share_adds_to_those_given(self):
         bench = Bench(actuators=Actuators(stuck=self.STUCK, stuck_share=0.3))
         assert not any(bench.obeying[module] for module in self.STUCK)
         assert 0 < bench.obeying.sum() < Bench().obeying.sum() - 2
@@ -178,13 +176,13 @@ class TestStuck:
         ("stuck", (((-1, 2),), ((1.0, 2),), ((True, 2),))),
     ],
 )
-def test_bad_arguments_are_named(name: str, values: tuple[Any, ...]) -> None:
+def test_bad_arguments_are_named(name, values):
     for value in values:
         with pytest.raises(ValueError, match=f"^{name} must"):
             Actuators(**{name: value})
 
 
-def test_a_stuck_module_must_lie_on_the_surface() -> None:
+def test_a_stuck_module_must_lie_on_the_surface():
     EnvConfig(actuators=Actuators(stuck=((19, 29),)))
     for module in ((20, 0), (0, 30)):
         with pytest.raises(ValueError, match=r"stuck must lie in 20 rows and 30 columns"):

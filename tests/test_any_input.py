@@ -285,7 +285,7 @@ def assert_finite(trajectory: sg.Trajectory) -> None:
     steps=st.integers(1, 12),
     method=st.sampled_from(["implicit", "explicit"]),
 )
-def test_simulate(scene: Scene, dt: float, steps: int, method: str) -> None:
+def test_simulate(scene, dt, steps, method):
     trajectory = run_or_refusal(lambda: scene.run(dt * steps, dt, method))
     if trajectory is not None:
         assert_finite(trajectory)
@@ -293,7 +293,7 @@ def test_simulate(scene: Scene, dt: float, steps: int, method: str) -> None:
 
 @any_input
 @given(crowd=crowds())
-def test_simulate_together(crowd: tuple[sg.Surface, dict[str, Any]]) -> None:
+def test_simulate_together(crowd):
     surface, arguments = crowd
     encounter = run_or_refusal(lambda: sg.simulate_together(surface, **arguments))
     if encounter is not None:
@@ -316,7 +316,7 @@ def play(env: gym.Env | gym.vector.VectorEnv, seed: int, periods: int = 4) -> No
 
 
 @pytest.mark.parametrize(("task", "kind", "actions"), ALL if NIGHTLY else FEW)
-def test_environments(task: str, kind: type[Sensor], actions: str) -> None:
+def test_environments(task, kind, actions):
     @any_input
     @given(
         settings=st.fixed_dictionaries({"sensors": SENSORS[kind], **COMMON}),
@@ -333,7 +333,7 @@ def test_environments(task: str, kind: type[Sensor], actions: str) -> None:
 
 
 @pytest.mark.parametrize("kind", SENSORS if NIGHTLY else [Exact])
-def test_flows(kind: type[Sensor]) -> None:
+def test_flows(kind):
     @any_input
     @given(
         settings=st.fixed_dictionaries({"sensors": SENSORS[kind], "stream": streams, **COMMON}),
@@ -351,7 +351,7 @@ def test_flows(kind: type[Sensor]) -> None:
     check()
 
 
-def test_a_pattern_may_lie_far_away() -> None:
+def test_a_pattern_may_lie_far_away():
     far = Pattern([[True] * 20] * 6, origin=(9_000.0, -9_000.0))
     play(sg.SmartSurfaceEnv(line=far), seed=0)
 
@@ -374,7 +374,7 @@ class Wild(Sensor):
 
 
 @pytest.mark.parametrize("says", [math.nan, math.inf, -math.inf, 1e308, -1e308, 1e19, 0.0])
-def test_whatever_a_sensor_says_reaches_no_other_memory(says: float) -> None:
+def test_whatever_a_sensor_says_reaches_no_other_memory(says):
     env = sg.SmartSurfaceEnv("sort", actions="window", sensors=Wild(says), observe_axes=True)
     if abs(says) < 1e30:  # an observation is float32
         play(env, seed=0)

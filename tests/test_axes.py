@@ -1,7 +1,6 @@
 """Axes at any angle, axes that are seen, and what `info` carries on request."""
 
 import math
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -27,9 +26,7 @@ CASES = {
 class TestAnyAngle:
     @pytest.mark.parametrize(("env_id", "settings"), CASES.values(), ids=CASES)
     @pytest.mark.filterwarnings("ignore:.*symmetric and normalized")  # angles are what they are
-    def test_the_angles_of_choices_move_it_as_the_choices_do(
-        self, env_id: str, settings: dict[str, Any]
-    ) -> None:
+    def test_the_angles_of_choices_move_it_as_the_choices_do(self, env_id, settings):
         any_angle, choices = bare(env_id, orientations="any", **settings), bare(env_id, **settings)
         kind = choices.config.action_kind
         assert isinstance(any_angle.action_space, gym.spaces.Box)
@@ -46,7 +43,7 @@ class TestAnyAngle:
             if one[2]:
                 break
 
-    def test_an_angle_between_acts_as_a_surface_so_turned(self) -> None:
+    def test_an_angle_between_acts_as_a_surface_so_turned(self):
         env = bare(actions="quadrants", orientations="any", zone=(0, 29))
         _, info = env.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
         layout = sg.layouts.sorting("S", 1, columns=30, task_columns=27)
@@ -56,7 +53,7 @@ class TestAnyAngle:
             info = env.step([-0.6] * 4)[4]
             np.testing.assert_allclose(info["pose"], run.pose[8 * period], rtol=0, atol=1e-9)
 
-    def test_others_are_refused(self) -> None:
+    def test_others_are_refused(self):
         env = bare(actions="quadrants", orientations="any")
         env.reset(seed=0)
         for wrong in ([2.0, 0.0, 0.0, 0.0], [math.nan, 0.0, 0.0, 0.0], [0.0], "up", [True] * 4):
@@ -74,7 +71,7 @@ class TestSeenAxes:
         ],
         ids=["modules", "window", "turning"],
     )
-    def test_the_rest_is_as_without(self, env_id: str, settings: dict[str, Any]) -> None:
+    def test_the_rest_is_as_without(self, env_id, settings):
         plain, seeing = bare(env_id, **settings), bare(env_id, observe_axes=True, **settings)
         features = plain.observation_space.shape[0]
         for one, other in zip(steps(plain, 3), steps(seeing, 3), strict=True):
@@ -83,7 +80,7 @@ class TestSeenAxes:
             assert other[0] in seeing.observation_space
 
     @pytest.mark.parametrize("side", [1, -1])
-    def test_they_are_those_of_info_mirrored_with_the_rest(self, side: int) -> None:
+    def test_they_are_those_of_info_mirrored_with_the_rest(self, side):
         env = bare(observe_axes=True, info=("axes",), **TURNING)
         env.reset(seed=0, options={"parcel": "B", "side": side})
         features = len(env.config.task.features)
@@ -95,7 +92,7 @@ class TestSeenAxes:
             shown = np.stack([np.cos(2.0 * zone), np.sin(2.0 * zone)], axis=-1)
             np.testing.assert_allclose(observation[features:], shown.ravel(), atol=1e-6)
 
-    def test_turning_axes_are_hidden_otherwise(self) -> None:
+    def test_turning_axes_are_hidden_otherwise(self):
         """Two environments that look alike, whose axes are under way to different places."""
         for seen in (False, True):
             env = bare(observe_axes=seen, **{**TURNING, "actuators": Actuators(axis_speed=0.5)})
@@ -108,12 +105,12 @@ class TestSeenAxes:
 
 class TestOnRequest:
     @every_id
-    def test_nothing_is_there_unasked(self, env_id: str) -> None:
+    def test_nothing_is_there_unasked(self, env_id):
         assert not {"axes", "normal_forces"} & set(bare(env_id).reset(seed=0)[1])
         assert "axes" in bare(env_id, info=["axes"]).reset(seed=0)[1]
 
     @pytest.mark.parametrize("tilt", [0.0, 0.2])
-    def test_normal_forces_bear_the_parcel_about_its_centre_of_mass(self, tilt: float) -> None:
+    def test_normal_forces_bear_the_parcel_about_its_centre_of_mass(self, tilt):
         env = bare("SmartSurface/Track-v0", info=("normal_forces", "axes"))
         env.reset(seed=0, options={"parcel": FLAT, "tilt": tilt, "speed": 1.0})
         for choice in (0, 1, 2, 1):
@@ -128,7 +125,7 @@ class TestOnRequest:
             centre = [0.05 + 0.1 * np.average(k, weights=loads) for k in (columns, rows)]
             assert centre == pytest.approx([com_x, com_y], abs=1e-6)
 
-    def test_a_vector_env_has_them_one_by_one(self) -> None:
+    def test_a_vector_env_has_them_one_by_one(self):
         envs = gym.make_vec(SORT, num_envs=3, info=("axes", "normal_forces"))
         _, info = envs.reset(seed=0)
         assert info["axes"].shape == info["normal_forces"].shape == (3, 20, 30)
@@ -138,6 +135,6 @@ class TestOnRequest:
             assert_same(info["normal_forces"][i], single["normal_forces"])
 
     @pytest.mark.parametrize("wrong", ["axes", ("torque",), 3, None])
-    def test_others_are_named(self, wrong: Any) -> None:
+    def test_others_are_named(self, wrong):
         with pytest.raises(ValueError, match="info must be"):
             bare(info=wrong)

@@ -29,13 +29,13 @@ NOT_FINITE = [math.nan, math.inf, -math.inf, np.float32("nan")]
 @pytest.mark.parametrize(
     "check", [checks.number, checks.positive, checks.not_negative], ids=lambda c: c.__name__
 )
-def test_what_is_no_finite_number_is_refused(check: object, value: object) -> None:
+def test_what_is_no_finite_number_is_refused(check, value):
     with pytest.raises(ValueError, match=r"^mass must be a finite number, got "):
         check("mass", value)
 
 
 @pytest.mark.parametrize("value", [2, 2.0, np.float32(2.0), np.int64(2), np.float64(2.0)])
-def test_numbers_of_any_kind_become_floats(value: object) -> None:
+def test_numbers_of_any_kind_become_floats(value):
     for check in (checks.number, checks.positive, checks.not_negative):
         assert check("mass", value) == 2.0
         assert type(check("mass", value)) is float
@@ -77,12 +77,12 @@ MESSAGES: list[tuple[Callable[..., Any], tuple[Any, ...], str]] = [
 
 
 @pytest.mark.parametrize(("check", "given", "message"), MESSAGES)
-def test_messages(check: Callable[..., Any], given: tuple[Any, ...], message: str) -> None:
+def test_messages(check, given, message):
     with pytest.raises(ValueError, match=f"^a must {re.escape(message)}$"):
         check("a", *given)
 
 
-def test_what_is_allowed_passes() -> None:
+def test_what_is_allowed_passes():
     assert checks.not_negative("mu", 0) == 0.0
     assert checks.within("a", 0, 0, 1) == 0.0
     assert checks.within("a", 1, 0, 1) == 1.0
@@ -99,24 +99,24 @@ NO_ARRAYS = [
 
 
 @pytest.mark.parametrize("value", NO_ARRAYS)
-def test_what_is_no_array_of_numbers_is_refused(value: object) -> None:
+def test_what_is_no_array_of_numbers_is_refused(value):
     with pytest.raises(ValueError, match=r"^pose must be an array of numbers, got "):
         checks.array("pose", value, (3,))
 
 
 @pytest.mark.parametrize("value", [1.0, (1.0, 2.0), np.zeros((3, 1)), np.zeros(0)])
-def test_arrays_of_another_shape_are_refused(value: object) -> None:
+def test_arrays_of_another_shape_are_refused(value):
     with pytest.raises(ValueError, match=r"^pose must have the shape \(3\), got \("):
         checks.array("pose", value, (3,))
 
 
 @pytest.mark.parametrize("value", NOT_FINITE)
-def test_arrays_with_a_number_that_is_not_finite_are_refused(value: float) -> None:
+def test_arrays_with_a_number_that_is_not_finite_are_refused(value):
     with pytest.raises(ValueError, match=r"^pose must be finite, got -?(nan|inf) in it$"):
         checks.array("pose", (0.0, value, 1.0), (3,))
 
 
-def test_an_array_is_a_read_only_copy() -> None:
+def test_an_array_is_a_read_only_copy():
     mine = np.array([1.0, 2.0, 3.0])
     theirs = checks.array("pose", mine, (None,))
     mine[0] = 9.0
@@ -248,7 +248,7 @@ ABSENT = {"Parcel.inertia", "Camera.latency", "Camera.mu_max"} | {
 
 
 @pytest.mark.parametrize("name", NUMBERS)
-def test_what_is_beyond_the_bounds_is_refused_by_name(name: str) -> None:
+def test_what_is_beyond_the_bounds_is_refused_by_name(name):
     call, least, most = NUMBERS[name]
     named = name.partition(".")[2].partition(" ")[0]
     far = [1.001, 2.0, 1e3, 1e300]
@@ -261,7 +261,7 @@ def test_what_is_beyond_the_bounds_is_refused_by_name(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in NUMBERS if "duration" not in name])
-def test_the_bounds_themselves_are_allowed(name: str) -> None:
+def test_the_bounds_themselves_are_allowed(name):
     call, least, most = NUMBERS[name]
     for value in (least, most):
         run_or_refusal(lambda value=value: call(value))
@@ -306,7 +306,7 @@ LARGE = "rows times columns must be at most 1_000_000"
         (lambda: sg.Actuators(axis_speed=1e-308), "axis_speed must be between 1e-06 and"),
     ],
 )
-def test_nonsense_is_refused(call: Callable[[], Any], message: str) -> None:
+def test_nonsense_is_refused(call, message):
     with pytest.raises(ValueError, match=f"^{message}"):
         call()
 
@@ -320,8 +320,6 @@ def test_nonsense_is_refused(call: Callable[[], Any], message: str) -> None:
         ((0.5, 1.0, 0.0), (0.0, 0.0, -1e4), "velocity"),
     ],
 )
-def test_a_task_may_start_nowhere_else(
-    pose: tuple[float, ...], velocity: tuple[float, ...], named: str
-) -> None:
+def test_a_task_may_start_nowhere_else(pose, velocity, named):
     with pytest.raises(ValueError, match=rf"Sort\.start must give a {named} of numbers up to"):
         batch_with(Start(ON_IT[1], pose, velocity, (1.0,)))

@@ -14,12 +14,12 @@ from tests.tasks import draws
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_a_task_goes_by_its_name_or_by_itself(name: str) -> None:
+def test_a_task_goes_by_its_name_or_by_itself(name):
     assert EnvConfig(task=name) == EnvConfig(task=TASKS[name]())
     assert EnvConfig(task=name).task == TASKS[name]()
 
 
-def test_a_task_may_have_parameters_of_its_own() -> None:
+def test_a_task_may_have_parameters_of_its_own():
     task = Sort(slow_share=0.0, speeds=(1.0, 1.2))
     speeds = [start.velocity[0] for start in draws(EnvConfig(task).task, 50)]
     assert 1.0 <= min(speeds) < max(speeds) <= 1.2
@@ -32,9 +32,7 @@ def test_a_task_may_have_parameters_of_its_own() -> None:
         (0.0051, 0.00255, 2), (1.0, 0.005, 200), (0.035, 0.005, 7),
     ],
 )  # fmt: skip
-def test_a_control_period_is_cut_into_equal_steps_of_at_most_5_ms(
-    period: float, dt: float, steps: int
-) -> None:
+def test_a_control_period_is_cut_into_equal_steps_of_at_most_5_ms(period, dt, steps):
     timing = EnvConfig(control_period=period).timing
     assert timing.steps == steps
     assert timing.dt == pytest.approx(dt, rel=1e-12)
@@ -43,7 +41,7 @@ def test_a_control_period_is_cut_into_equal_steps_of_at_most_5_ms(
 
 @pytest.mark.parametrize("actions", ACTIONS)
 @pytest.mark.parametrize("name", TASKS)
-def test_there_is_a_bound_for_each_feature(name: str, actions: str) -> None:
+def test_there_is_a_bound_for_each_feature(name, actions):
     features = EnvConfig(task=name, actions=actions).features
     space = EnvConfig(task=name, actions=actions).observation_space()
     np.testing.assert_array_equal(space.low, np.float32([feature.low for feature in features]))
@@ -55,7 +53,7 @@ def test_there_is_a_bound_for_each_feature(name: str, actions: str) -> None:
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_only_a_window_adds_its_occupancy(name: str) -> None:
+def test_only_a_window_adds_its_occupancy(name):
     sizes = {kind: EnvConfig(task=name, actions=kind).observation_space().shape for kind in ACTIONS}
     (plain,) = sizes["modules"]
     assert sizes == {**dict.fromkeys(ACTIONS, (plain,)), "window": (plain + 25,)}
@@ -70,11 +68,11 @@ def test_only_a_window_adds_its_occupancy(name: str) -> None:
         ("window", spaces.MultiDiscrete([4] * 25)),
     ],
 )
-def test_the_action_spaces_of_sort(actions: str, space: spaces.Space) -> None:
+def test_the_action_spaces_of_sort(actions, space):
     assert EnvConfig(actions=actions).action_space() == space
 
 
-def test_two_or_more_orientations_may_be_offered_and_the_papers_are() -> None:
+def test_two_or_more_orientations_may_be_offered_and_the_papers_are():
     np.testing.assert_allclose(np.degrees(ORIENTATIONS), [0, 45, -45, 90])
     for choices in (2, 8):
         angles = np.linspace(0.0, 3.0, choices)
@@ -84,7 +82,7 @@ def test_two_or_more_orientations_may_be_offered_and_the_papers_are() -> None:
         assert modules == spaces.MultiDiscrete([choices] * 64)
 
 
-def test_a_zone_sets_the_columns_of_modules() -> None:
+def test_a_zone_sets_the_columns_of_modules():
     assert EnvConfig(zone=(5, 5)).action_space() == spaces.MultiDiscrete([4] * 4)
     assert EnvConfig(zone=[0, 29]).action_space() == spaces.MultiDiscrete([4] * 4 * 30)
     assert EnvConfig(zone=[3, 9]) == EnvConfig(zone=(3, 9))

@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-from pathlib import Path
 
 import pytest
 
@@ -14,9 +13,7 @@ WITH_CODE = [page for page in PAGES if "python" in dict(code_blocks(page))]
 
 
 @pytest.mark.parametrize("page", WITH_CODE)
-def test_the_code_of_a_page_runs(
-    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch):
     """One block after the other; a text block shows what the code before it prints."""
     if page in NEEDS:
         package, extra = NEEDS[page]

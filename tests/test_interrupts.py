@@ -72,7 +72,7 @@ for run in (simulate, simulate_together, design, step):
 """
 
 
-def test_ctrl_c_ends_a_long_run() -> None:
+def test_ctrl_c_ends_a_long_run():
     with subprocess.Popen(
         [sys.executable, "-c", LONG], cwd=ROOT, stdout=subprocess.PIPE, text=True
     ) as child:
@@ -144,7 +144,7 @@ PIECES: dict[str, tuple[Callable[[], list[Any]], tuple[Any, str], tuple[int, ...
 
 
 @pytest.mark.parametrize("name", PIECES)
-def test_its_pieces_are_one_run_to_the_bit(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_its_pieces_are_one_run_to_the_bit(name, monkeypatch):
     run, length, pieces = PIECES[name]
     whole = run()
     assert "early" not in name or whole[-1] == "left the surface"

@@ -2,9 +2,7 @@
 
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -20,7 +18,7 @@ ROOT = Path(__file__).parent.parent
 
 
 class TestTask:
-    def test_it_is_an_environment(self) -> None:
+    def test_it_is_an_environment(self):
         env = sg.SmartSurfaceEnv(own.Cross(far=0.5), actions="quadrants")
         check_env(env, skip_render_check=True)
         _, info = env.reset(seed=0, options={"speed": 1.5, "parcel": "S"})
@@ -32,7 +30,7 @@ class TestTask:
         assert info["left"] < 0.0
         assert total == pytest.approx(info["pose"][0] - 0.3 + 1.0)
 
-    def test_it_may_have_a_name(self) -> None:
+    def test_it_may_have_a_name(self):
         sg.register(own.Cross, "Tests/Cross-v0")
         try:
             env = gym.make("Tests/Cross-v0", task=own.Cross(far=2.0))
@@ -50,7 +48,7 @@ class TestTask:
         ],
         ids=["sensor", "parcels"],
     )
-    def test_each_environment_is_a_single_env(self, settings: dict[str, Any]) -> None:
+    def test_each_environment_is_a_single_env(self, settings):
         envs = sg.SmartSurfaceVectorEnv(4, threads=1, **settings)
         threaded = sg.SmartSurfaceVectorEnv(16, threads=3, **settings)
         singles = [sg.SmartSurfaceEnv(**settings) for _ in range(4)]
@@ -77,13 +75,13 @@ class TestTask:
         reaches = {env.batch._plan.parcel(int(env.batch.parcels.body[0])).base for env in singles}
         assert len(reaches) == (4 if "sensors" not in settings else 1)
 
-    def test_it_goes_on_after_a_pickle(self) -> None:
+    def test_it_goes_on_after_a_pickle(self):
         env = sg.SmartSurfaceEnv(own.Cross(), actions="window", sensors=own.Guess())
         env.reset(seed=0)
         twin, action = by_pickle(env), env.action_space.sample()
         assert_same(env.step(action), twin.step(action))
 
-    def test_drawing_it_needs_no_goal(self) -> None:
+    def test_drawing_it_needs_no_goal(self):
         env = sg.SmartSurfaceEnv(own.Cross(), actions="quadrants", render_mode="rgb_array")
         env.reset(seed=0)
         assert env.render().ndim == 3
@@ -100,7 +98,7 @@ class Doubled(Sort):
         state.terms[0] = 2.0 * state.period
 
 
-def test_a_reward_of_ones_own_changes_nothing_else() -> None:
+def test_a_reward_of_ones_own_changes_nothing_else():
     env, sort = (sg.SmartSurfaceEnv(task, actions="halves") for task in (Doubled(), "sort"))
     for one, other in zip(steps(env, seed=1), steps(sort, seed=1), strict=True):
         assert_same(one[0], other[0])
@@ -113,24 +111,22 @@ def test_a_reward_of_ones_own_changes_nothing_else() -> None:
 class TestFaults:
     @pytest.mark.parametrize(("task", "message"), own.FAULTY)
     @pytest.mark.parametrize("num_envs", [1, 16])
-    def test_they_are_named(
-        self, task: Callable[[], own.Cross], message: str, num_envs: int
-    ) -> None:
+    def test_they_are_named(self, task, message, num_envs):
         with pytest.raises(ValueError, match=message):
             run(task(), num_envs)
         # It hinders no other task, and no later one.
         assert np.isfinite(sg.SmartSurfaceEnv(own.Cross(), actions="quadrants").reset()[0]).all()
 
-    def test_a_sensor_without_an_estimate(self) -> None:
+    def test_a_sensor_without_an_estimate(self):
         with pytest.raises(ValueError, match=r"Senseless\.read must be a static method"):
             sg.SmartSurfaceEnv(own.Cross(), sensors=own.Senseless())
 
-    def test_a_sensor_that_says_what_is_no_number(self) -> None:
+    def test_a_sensor_that_says_what_is_no_number(self):
         env = sg.SmartSurfaceEnv(own.Cross(), actions="window", sensors=own.Nonsense())
         with pytest.raises(ValueError, match="with Nonsense, must write finite features"):
             env.reset(seed=0)
 
-    def test_a_class_or_another_object_is_no_task(self) -> None:
+    def test_a_class_or_another_object_is_no_task(self):
         for task in (own.Cross, object(), None):
             with pytest.raises(ValueError, match="task must be one of sort"):
                 sg.SmartSurfaceEnv(task)
@@ -183,13 +179,13 @@ def fee() -> float:
 """
 
 
-def test_the_cache_holds_and_notices_an_edit_of_a_users_file(tmp_path: Path) -> None:
+def test_the_cache_holds_and_notices_an_edit_of_a_users_file(tmp_path):
     """Edits of the file itself, and of one that it takes a constant or a function from."""
     (tmp_path / "main.py").write_text(OWN_FILE)
-    (tmp_path / "mine.py").write_text(MINE)
-    (tmp_path / "prices.py").write_text(PRICES)
 
-    def reward_and_compilations() -> list[str]:
+    def reward_and_compilations(mine: str, prices: str) -> list[str]:
+        (tmp_path / "mine.py").write_text(mine)
+        (tmp_path / "prices.py").write_text(prices)
         done = subprocess.run(
             [sys.executable, "-B", str(tmp_path / "main.py")],
             env={"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)},
@@ -200,11 +196,8 @@ def test_the_cache_holds_and_notices_an_edit_of_a_users_file(tmp_path: Path) -> 
         assert done.returncode == 0, done.stderr
         return done.stdout.split()
 
-    assert reward_and_compilations() == ["2.5", "1"]
-    (tmp_path / "prices.py").write_text(PRICES.replace("2.0", "3.0").replace("0.5", "0.25"))
-    assert reward_and_compilations() == ["3.25", "1"]
-    (tmp_path / "mine.py").write_text(MINE.replace("+", "-"))
-    assert reward_and_compilations() == ["2.75", "1"]
-    (tmp_path / "prices.py").write_text(PRICES)
-    (tmp_path / "mine.py").write_text(MINE)
-    assert reward_and_compilations() == ["2.5", "0"]
+    dearer = PRICES.replace("2.0", "3.0").replace("0.5", "0.25")
+    assert reward_and_compilations(MINE, PRICES) == ["2.5", "1"]
+    assert reward_and_compilations(MINE, dearer) == ["3.25", "1"]
+    assert reward_and_compilations(MINE.replace("+", "-"), dearer) == ["2.75", "1"]
+    assert reward_and_compilations(MINE, PRICES) == ["2.5", "0"]

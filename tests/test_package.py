@@ -3,9 +3,7 @@
 import copy
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import fields
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -32,9 +30,7 @@ HELP = (
     [("import surface_gym", 50, set()), (SIMULATE, 65, set()), (HELP, 55, {"tyro", "rich"})],
     ids=["import", "simulate", "train --help"],
 )
-def test_few_modules_are_loaded_and_none_that_is_not_needed(
-    program: str, most: int, needed: set[str]
-) -> None:
+def test_few_modules_are_loaded_and_none_that_is_not_needed(program, most, needed):
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", f"{program}\nimport sys; print(*sys.modules)"],
         capture_output=True,
@@ -46,7 +42,7 @@ def test_few_modules_are_loaded_and_none_that_is_not_needed(
     assert sum(name.startswith("surface_gym") for name in loaded) <= most
 
 
-def test_every_public_name_is_there() -> None:
+def test_every_public_name_is_there():
     assert set(sg.__all__) <= set(dir(sg))
     assert all(hasattr(sg, name) for name in sg.__all__)
     assert callable(sg.simulate)
@@ -64,7 +60,7 @@ PARCELS = {
 
 @pytest.mark.parametrize("twin", [*TWINS, copy.copy])
 @pytest.mark.parametrize("kind", PARCELS)
-def test_twins_are_alike(kind: str, twin: Callable[[Any], Any]) -> None:
+def test_twins_are_alike(kind, twin):
     """They simulate the same, before and after a run, and are read-only too."""
     parcel, start = PARCELS[kind], ((1.0, 1.0, 0.3), (1.0, 0.2, -0.5), 0.3)
     run = sg.simulate(SURFACE, parcel, *start)
@@ -84,12 +80,12 @@ def test_twins_are_alike(kind: str, twin: Callable[[Any], Any]) -> None:
             array[0, 0] = True
 
 
-def test_every_task_has_its_id() -> None:
+def test_every_task_has_its_id():
     assert [f"SmartSurface/{name.capitalize()}-v0" for name in sorted(TASKS)] == IDS
 
 
 @every_id
-def test_an_id_makes_its_task_and_limits_episodes(env_id: str) -> None:
+def test_an_id_makes_its_task_and_limits_episodes(env_id):
     env, limit = gym.make(env_id), gym.spec(env_id).max_episode_steps
     assert type(env.unwrapped) is sg.SmartSurfaceEnv
     assert type(env.unwrapped.config.task) is TASKS[env_id[13:-3].lower()]
@@ -98,7 +94,7 @@ def test_an_id_makes_its_task_and_limits_episodes(env_id: str) -> None:
     assert gym.make_vec(env_id, num_envs=2).spec.max_episode_steps == limit
 
 
-def test_the_module_may_be_named_in_the_id() -> None:
+def test_the_module_may_be_named_in_the_id():
     code = (
         "import gymnasium as gym\n"
         "env = gym.make('surface_gym:SmartSurface/Sort-v0')\n"

@@ -12,12 +12,12 @@ ROOT = Path(__file__).parents[1]
 
 
 @pytest.mark.parametrize("name", pages.pages())
-def test_pages_are_those_the_docstrings_give(name: str) -> None:
+def test_pages_are_those_the_docstrings_give(name):
     """If not: `python -m surface_gym.pages docs/environments`."""
     assert (ROOT / "docs" / "environments" / name).read_text() == pages.pages()[name]
 
 
-def test_a_page_lists_every_feature_term_option_and_argument() -> None:
+def test_a_page_lists_every_feature_term_option_and_argument():
     flow = (*TERMS, *(field.name for field in fields(Flow) if field.init))
     tasks = [(pages.page(name), task()) for name, task in pages.TASKS.items()]
     for page, features, words in (
@@ -28,7 +28,7 @@ def test_a_page_lists_every_feature_term_option_and_argument() -> None:
         assert all(f"`{word}`" in page for word in words)
 
 
-def test_the_command_writes_them(tmp_path: Path) -> None:
+def test_the_command_writes_them(tmp_path):
     pages.main([str(tmp_path / "new")])
     written = {path.name: path.read_text() for path in (tmp_path / "new").iterdir()}
     assert written == pages.pages()

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 import surface_gym as sg
 from surface_gym.parcel import Base, Disc, Polygon, Rectangle, assortment
 from surface_gym.randomisation import Actuators, Randomisation
-from surface_gym.sensors import Camera, Exact, Presence, Sensor
+from surface_gym.sensors import Camera, Exact, Presence
 from surface_gym.tasks import Sort
 from tests.strategies import bases, polygon_vertices, polygons
 
@@ -28,7 +28,7 @@ def samples(base: Base, count: int = 400) -> np.ndarray:
 
 
 @given(base=bases)
-def test_centroid_and_gyration_are_those_of_the_area(base: Base) -> None:
+def test_centroid_and_gyration_are_those_of_the_area(base):
     points = samples(base)
     assert points.shape[1] > 10_000
     np.testing.assert_allclose(points.mean(axis=1), base.centroid, atol=0.005 * base.reach)
@@ -36,13 +36,13 @@ def test_centroid_and_gyration_are_those_of_the_area(base: Base) -> None:
 
 
 @given(base=bases)
-def test_reach_is_the_distance_to_the_farthest_point_of_the_outline(base: Base) -> None:
+def test_reach_is_the_distance_to_the_farthest_point_of_the_outline(base):
     offset = base.outline - base.centroid
     assert np.hypot(*offset.T).max() == pytest.approx(base.reach, rel=1e-9)
 
 
 @given(base=bases)
-def test_the_outline_runs_anti_clockwise_along_the_zero_of_the_functions(base: Base) -> None:
+def test_the_outline_runs_anti_clockwise_along_the_zero_of_the_functions(base):
     largest = base.functions(*base.outline.T).max(axis=0)
     np.testing.assert_allclose(largest, 0.0, atol=1e-12)
     x, y = base.outline.T
@@ -50,7 +50,7 @@ def test_the_outline_runs_anti_clockwise_along_the_zero_of_the_functions(base: B
 
 
 @given(base=bases, share=st.floats(0.0, 0.999), beyond=st.floats(1.001, 3.0))
-def test_functions_tell_inside_from_outside(base: Base, share: float, beyond: float) -> None:
+def test_functions_tell_inside_from_outside(base, share, beyond):
     offset = base.outline - base.centroid
     inside, outside = (np.array(base.centroid) + scale * offset for scale in (share, beyond))
     assert (base.functions(*inside.T).max(axis=0) <= 0.0).all()
@@ -66,7 +66,7 @@ def test_functions_tell_inside_from_outside(base: Base, share: float, beyond: fl
         (sg.Polygon([(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)]), 0.01, 0.1 * math.sqrt(5.0)),
     ],
 )
-def test_known_areas(base: Base, gyration: float, reach: float) -> None:
+def test_known_areas(base, gyration, reach):
     assert base.gyration == pytest.approx(gyration)
     assert base.reach == pytest.approx(reach)
 
@@ -80,25 +80,25 @@ def assert_same_area(one: Base, other: Base) -> None:
     np.testing.assert_allclose(*functions, atol=1e-12)
 
 
-def test_a_box_drawn_as_a_polygon_is_the_same_box() -> None:
+def test_a_box_drawn_as_a_polygon_is_the_same_box():
     box = sg.Rectangle(0.3, 0.4)
     assert_same_area(sg.Polygon(box.outline), box)
 
 
 @given(polygon=polygons())
-def test_the_sense_of_rotation_does_not_matter(polygon: sg.Polygon) -> None:
+def test_the_sense_of_rotation_does_not_matter(polygon):
     assert_same_area(sg.Polygon(polygon.vertices[::-1]), polygon)
 
 
 @given(turn=st.floats(-4.0, 4.0), sides=st.integers(3, 8))
-def test_a_vertex_within_a_side_is_allowed(turn: float, sides: int) -> None:
+def test_a_vertex_within_a_side_is_allowed(turn, sides):
     corners = polygon_vertices(sides, 0.3, 0.8, turn)
     middles = 0.5 * (corners + np.roll(corners, -1, axis=0))
     more = sg.Polygon(np.stack([corners, middles], axis=1).reshape(-1, 2))
     assert more.gyration == pytest.approx(sg.Polygon(corners).gyration)
 
 
-def test_a_polygon_keeps_a_read_only_copy() -> None:
+def test_a_polygon_keeps_a_read_only_copy():
     vertices = polygon_vertices(4, 0.2, 1.0, 0.0)
     polygon = sg.Polygon(vertices)
     vertices[:] = 0.0
@@ -125,7 +125,7 @@ PENTAGRAM = polygon_vertices(5, 0.3, 1.0, 0.0)[[0, 2, 4, 1, 3]]
         ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], r"have the shape \(any, 2\)"),
     ],
 )
-def test_polygons_that_are_not_allowed(vertices: object, message: str) -> None:
+def test_polygons_that_are_not_allowed(vertices, message):
     with pytest.raises(ValueError, match=f"^vertices must {message}"):
         sg.Polygon(vertices)
 
@@ -168,7 +168,7 @@ class Tile:
 
 
 class TestABaseOfOnesOwn:
-    def test_moves_as_the_same_shape_does(self) -> None:
+    def test_moves_as_the_same_shape_does(self):
         start = ((0.5, 1.0, 0.2), (1.2, 0.1, 0.4), 0.6)
         own, box = (
             sg.simulate(sg.layouts.sorting("B"), sg.Parcel(kind(0.4, 0.25)), *start).pose
@@ -177,7 +177,7 @@ class TestABaseOfOnesOwn:
         np.testing.assert_allclose(own, box, rtol=0, atol=1e-9)
 
     @pytest.mark.parametrize("sensor", [Exact(), Camera(), Presence()], ids=type)
-    def test_runs_and_varies_in_an_environment(self, sensor: Sensor) -> None:
+    def test_runs_and_varies_in_an_environment(self, sensor):
         env = sg.SmartSurfaceEnv(
             Sort(parcels=(sg.Parcel(Tile(0.3, 0.2)),)),
             actions="quadrants",
@@ -192,14 +192,14 @@ class TestABaseOfOnesOwn:
             env.step(env.action_space.sample())
         assert env.render() is not None
 
-    def test_what_it_lacks_is_named(self) -> None:
+    def test_what_it_lacks_is_named(self):
         class Bare:
             centroid = (0.0, 0.0)
 
         with pytest.raises(ValueError, match="must have gyration, reach, edges, outline"):
             sg.Parcel(Bare())
 
-    def test_it_must_be_hashable(self) -> None:
+    def test_it_must_be_hashable(self):
         class Loose(Tile):
             __hash__ = None
 
@@ -215,7 +215,7 @@ class TestABaseOfOnesOwn:
             ("outline", (None,)),
         ],
     )
-    def test_what_is_wrong_is_named(self, name: str, values: tuple[object, ...]) -> None:
+    def test_what_is_wrong_is_named(self, name, values):
         for value in values:
             wrong = type("Wrong", (Tile,), {name: value})
             with pytest.raises(ValueError, match=rf"base\.{name} must"):
@@ -226,30 +226,30 @@ BOX = sg.Rectangle(0.25, 0.25)
 TRIANGLE = sg.Polygon([(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)])
 
 
-def test_defaults_are_table_1() -> None:
+def test_defaults_are_table_1():
     parcel = sg.Parcel(BOX)
     assert (parcel.mass, parcel.com_height) == (10.0, 0.1)
     assert parcel.moment_of_inertia == pytest.approx(10.0 * (0.25**2 + 0.25**2) / 12.0)
 
 
-def test_a_given_inertia_is_kept() -> None:
+def test_a_given_inertia_is_kept():
     parcel = sg.Parcel(BOX, mass=5.48, inertia=0.057)
     assert parcel.moment_of_inertia == 0.057
     assert parcel.body.gyration == pytest.approx(0.057 / 5.48)
 
 
-def test_the_centre_of_mass_is_offset_from_the_centroid() -> None:
+def test_the_centre_of_mass_is_offset_from_the_centroid():
     assert sg.Parcel(TRIANGLE).centre_of_mass == pytest.approx((0.1, 0.1))
     shifted = sg.Parcel(TRIANGLE, com_offset=(0.02, -0.03))
     assert shifted.centre_of_mass == pytest.approx((0.12, 0.07))
 
 
-def test_a_parcel_is_frozen() -> None:
+def test_a_parcel_is_frozen():
     with pytest.raises(dataclasses.FrozenInstanceError):
         sg.Parcel(BOX).mass = 1.0
 
 
-def test_parcels_with_equal_fields_are_equal() -> None:
+def test_parcels_with_equal_fields_are_equal():
     assert sg.Parcel(BOX) == sg.Parcel(sg.Rectangle(0.25, 0.25))
     assert sg.Parcel(BOX) != sg.Parcel(BOX, mass=9.0)
     assert len({sg.Parcel(BOX), sg.Parcel(sg.Rectangle(0.25, 0.25))}) == 1
@@ -265,7 +265,7 @@ def test_parcels_with_equal_fields_are_equal() -> None:
         ({"com_offset": 0.0}, r"com_offset must have the shape \(2\)"),
     ],
 )
-def test_what_is_not_allowed_is_refused(changes: dict[str, object], message: str) -> None:
+def test_what_is_not_allowed_is_refused(changes, message):
     with pytest.raises(ValueError, match=f"^{message}"):
         sg.Parcel(**{"base": BOX, **changes})
 
@@ -273,14 +273,14 @@ def test_what_is_not_allowed_is_refused(changes: dict[str, object], message: str
 MANY = assortment(400, seed=3)
 
 
-def test_the_same_seed_gives_the_same_parcels() -> None:
+def test_the_same_seed_gives_the_same_parcels():
     for again, parcel in zip(assortment(12, seed=3), MANY[:12], strict=True):
         np.testing.assert_array_equal(again.base.outline, parcel.base.outline)
         assert again.com_offset == parcel.com_offset
     assert assortment(1, seed=4) != MANY[:1]
 
 
-def test_shapes_come_in_turn() -> None:
+def test_shapes_come_in_turn():
     for place, parcel in enumerate(MANY):
         assert isinstance(parcel.base, (Rectangle, Rectangle, Disc, Polygon)[place % 4])
     assert all(parcel.base.length == parcel.base.width for parcel in MANY[::4])
@@ -288,7 +288,7 @@ def test_shapes_come_in_turn() -> None:
 
 
 @pytest.mark.parametrize("sizes", [(0.2, 0.45), (0.15, 0.5), (0.3, 0.3)])
-def test_sizes_are_within_their_bounds(sizes: tuple[float, float]) -> None:
+def test_sizes_are_within_their_bounds(sizes):
     extents = np.array(
         [np.ptp(parcel.base.outline, axis=0) for parcel in assortment(200, 0, sizes, load=0.01)]
     )
@@ -297,7 +297,7 @@ def test_sizes_are_within_their_bounds(sizes: tuple[float, float]) -> None:
     assert extents.max() <= sizes[1] + 1e-9
 
 
-def test_lengths_are_uniform() -> None:
+def test_lengths_are_uniform():
     """A square's mean and spread are those of the uniform law, within four standard errors."""
     lengths = np.array([np.ptp(parcel.base.outline[:, 0]) for parcel in assortment(1600, 1)[::4]])
     spread = 0.25 / np.sqrt(12.0)
@@ -305,7 +305,7 @@ def test_lengths_are_uniform() -> None:
     assert lengths.std() == pytest.approx(spread, rel=0.1)
 
 
-def test_loads_are_uniform_in_a_disc_over_the_base() -> None:
+def test_loads_are_uniform_in_a_disc_over_the_base():
     offsets = np.array([parcel.com_offset for parcel in MANY])
     distance = np.hypot(*offsets.T)
     assert distance.max() <= 0.03
@@ -316,11 +316,11 @@ def test_loads_are_uniform_in_a_disc_over_the_base() -> None:
         assert parcel.base.functions(*parcel.centre_of_mass).max() <= 0.0
 
 
-def test_none_is_off_centre_where_no_load_is() -> None:
+def test_none_is_off_centre_where_no_load_is():
     assert {parcel.com_offset for parcel in assortment(8, 0, load=0.0)} == {(0.0, 0.0)}
 
 
-def test_polygons_are_convex_and_hold_their_centroid() -> None:
+def test_polygons_are_convex_and_hold_their_centroid():
     for parcel in MANY[3::4]:
         corners = parcel.base.outline
         edges = np.roll(corners, -1, axis=0) - corners
@@ -341,6 +341,6 @@ def test_polygons_are_convex_and_hold_their_centroid() -> None:
         ({"load": 50.0}, "load must lie over most bases, got 50 m"),
     ],
 )
-def test_what_is_not_allowed(arguments: dict[str, object], expected: str) -> None:
+def test_what_is_not_allowed(arguments, expected):
     with pytest.raises(ValueError, match=f"^{re.escape(expected)}"):
         assortment(**{"count": 4, "seed": 0, **arguments})

@@ -28,7 +28,7 @@ def drag(game: Game, down: tuple[int, int], up: tuple[int, int], button: int = 1
     game.take(pygame.event.Event(pygame.MOUSEBUTTONUP, pos=up, button=button))
 
 
-def test_letters_of_other_games_do_nothing() -> None:
+def test_letters_of_other_games_do_nothing():
     alone, stream = TaskGame("sort"), StreamGame()
     for game, key in ((alone, pygame.K_PLUS), (stream, pygame.K_TAB)):
         before = game.draw()
@@ -45,19 +45,19 @@ class TestOneParcel:
     def truth(game: TaskGame) -> np.ndarray:
         return game._batch.parcels.truth[0].copy()
 
-    def test_a_drag_sets_place_and_speed(self, game: TaskGame) -> None:
+    def test_a_drag_sets_place_and_speed(self, game):
         drag(game, MIDDLE, (MIDDLE[0] + 30, MIDDLE[1] - 30))  # an element is 30 px, y upwards
         x, y, _, vx, vy, omega = self.truth(game)
         assert (x, y) == pytest.approx((1.5, 1.0), abs=0.06)
         assert (vx, vy, omega) == pytest.approx((0.2, 0.2, 0.0))
 
-    def test_it_waits_while_the_mouse_is_pressed(self, game: TaskGame) -> None:
+    def test_it_waits_while_the_mouse_is_pressed(self, game):
         game.take(pygame.event.Event(pygame.MOUSEBUTTONDOWN, pos=MIDDLE, button=1))
         start = self.truth(game)
         game.advance()
         assert (self.truth(game) == start).all()
 
-    def test_keys_turn_the_axes_of_the_zone(self, game: TaskGame) -> None:
+    def test_keys_turn_the_axes_of_the_zone(self, game):
         drag(game, MIDDLE, (MIDDLE[0] + 30, MIDDLE[1]))
         zone = game._batch.view(0).obeys
         press(game, pygame.K_2)
@@ -71,7 +71,7 @@ class TestOneParcel:
         assert axes[zone & (x >= centre)] == pytest.approx(0.0)
         assert axes[zone & (x < centre)] == pytest.approx(np.pi / 4)
 
-    def test_space_pauses_and_r_starts_again(self, game: TaskGame) -> None:
+    def test_space_pauses_and_r_starts_again(self, game):
         start = self.truth(game)
         game.advance()
         moved = self.truth(game)
@@ -83,7 +83,7 @@ class TestOneParcel:
         assert (self.truth(game) == start).all()
         assert len(game._scene().parcels[0].trail) == 1
 
-    def test_tab_turns_the_start_and_letters_choose_the_parcel(self, game: TaskGame) -> None:
+    def test_tab_turns_the_start_and_letters_choose_the_parcel(self, game):
         press(game, pygame.K_b)
         press(game, pygame.K_TAB)
         assert self.truth(game)[2] == pytest.approx(np.radians(15.0))
@@ -109,7 +109,7 @@ class TestStream:
         rows, columns = np.nonzero(~np.isclose(game._scene().axis, np.pi / 2))
         return np.stack([0.05 + 0.1 * columns, 0.05 + 0.1 * rows], axis=-1)
 
-    def test_the_mouse_turns_the_modules_around_it(self, game: StreamGame) -> None:
+    def test_the_mouse_turns_the_modules_around_it(self, game):
         press(game, pygame.K_2)
         self.touch(game, 2.0)
         centres = self.turned(game)
@@ -119,19 +119,19 @@ class TestStream:
         game.advance()
         np.testing.assert_allclose(game._renderer.scene().axis, game._scene().axis)  # they turned
 
-    def test_drawn_over_the_line_it_turns_all_on_its_way(self, game: StreamGame) -> None:
+    def test_drawn_over_the_line_it_turns_all_on_its_way(self, game):
         drag(game, self.pixel(2.0, 1.0), self.pixel(3.0, 1.0))
         assert self.turned(game)[:, 0].max() == pytest.approx(3.15)
         move(game, self.pixel(4.0, 1.0), pressed=False)
         assert self.turned(game)[:, 0].max() == pytest.approx(3.15)
 
-    def test_other_buttons_and_places_off_the_line_do_nothing(self, game: StreamGame) -> None:
+    def test_other_buttons_and_places_off_the_line_do_nothing(self, game):
         self.touch(game, 2.0, button=3)
         self.touch(game, 2.0, 1.5)
         self.touch(game, 0.2)  # the lead-in
         assert len(self.turned(game)) == 0
 
-    def test_shift_turns_all(self, game: StreamGame) -> None:
+    def test_shift_turns_all(self, game):
         press(game, pygame.K_1)
         assert (game._choice == ROLL).all()
         press(game, pygame.K_2, pygame.KMOD_LSHIFT)
@@ -139,13 +139,13 @@ class TestStream:
         scene = game._scene()
         np.testing.assert_allclose(scene.axis[scene.obeys], np.pi / 4)
 
-    def test_a_parcel_is_led_to_a_chute(self, game: StreamGame) -> None:
+    def test_a_parcel_is_led_to_a_chute(self, game):
         press(game, pygame.K_3, pygame.KMOD_LSHIFT)  # all to the left
         while game._batch.streams.tally[0, 1:3].sum() == 0:
             game.advance()
         assert game._batch.streams.taken[0, 0] == game._config.exits.place("left 1")
 
-    def test_the_rate_follows_plus_and_minus(self, game: StreamGame) -> None:
+    def test_the_rate_follows_plus_and_minus(self, game):
         streams = game._batch.streams
         for _ in range(150):  # 6 s
             game.advance()
@@ -162,7 +162,7 @@ class TestStream:
             assert dict(game._scene().readings)["coming an hour"] == str(rate)
             np.testing.assert_allclose(np.diff(streams.time[0, due:]), 3600.0 / rate)
 
-    def test_space_pauses_and_one_may_draw_meanwhile(self, game: StreamGame) -> None:
+    def test_space_pauses_and_one_may_draw_meanwhile(self, game):
         press(game, pygame.K_SPACE)
         clock = game._batch.streams.clock[0]
         game.advance()
@@ -171,7 +171,7 @@ class TestStream:
         self.touch(game, 2.0)
         assert (game.draw() != before).any()
 
-    def test_r_starts_again_with_other_parcels_and_the_same_axes(self, game: StreamGame) -> None:
+    def test_r_starts_again_with_other_parcels_and_the_same_axes(self, game):
         game.advance()
         self.touch(game, 2.0)
         streams = game._batch.streams
@@ -182,7 +182,7 @@ class TestStream:
         assert (game._choice == choice).all()
         np.testing.assert_allclose(np.diff(streams.time[0, 1:]), 3600.0 / FIRST_RATE)
 
-    def test_a_jam_stays_until_r(self, game: StreamGame) -> None:
+    def test_a_jam_stays_until_r(self, game):
         game._batch.streams.outcome[0] = JAM
         game.advance()
         assert dict(game._scene().readings)["end"] == "jam"
@@ -194,7 +194,7 @@ class TestStream:
 
 @pytest.mark.usefixtures("screen")
 @pytest.mark.parametrize("arguments", [[], ["--task", "flow"]], ids=["one parcel", "stream"])
-def test_escape_ends(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_escape_ends(arguments, monkeypatch):
     escape = pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE, mod=0)
     monkeypatch.setattr(pygame.event, "get", lambda *_: [escape] if not _ else [])
     play.main(arguments)

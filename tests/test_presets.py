@@ -32,7 +32,7 @@ EVERY_TAKER = (EnvConfig, sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv)
 
 
 class TestNames:
-    def test_each_goes_by_its_name_and_sets_sensors_actuators_and_randomisation(self) -> None:
+    def test_each_goes_by_its_name_and_sets_sensors_actuators_and_randomisation(self):
         for name, preset in PRESETS.items():
             assert preset.name == name
             settings = EnvConfig(preset=preset)
@@ -43,15 +43,15 @@ class TestNames:
             assert preset.label
             assert preset.meaning.endswith(".")
 
-    def test_exact_is_the_default(self) -> None:
+    def test_exact_is_the_default(self):
         assert EnvConfig(preset="exact") == EnvConfig() == EnvConfig(preset=None)
 
-    def test_one_may_be_made(self) -> None:
+    def test_one_may_be_made(self):
         mine = Preset("mine", "mine", "Mine.", actuators=Actuators(stuck_share=0.5))
         assert EnvConfig(preset=mine).actuators.stuck_share == 0.5
 
     @pytest.mark.parametrize("bad", ["laboratory", "", 3, Exact()])
-    def test_an_unknown_one_is_named(self, bad: Any) -> None:
+    def test_an_unknown_one_is_named(self, bad):
         for make in EVERY_TAKER:
             with pytest.raises(ValueError, match=r"^preset must be one of 'exact', .*'lab', got"):
                 make(preset=bad)
@@ -64,7 +64,7 @@ class TestNames:
             ("randomisation", Randomisation(friction=0.1)),
         ],
     )
-    def test_nothing_that_it_sets_may_stand_beside_it(self, name: str, value: Any) -> None:
+    def test_nothing_that_it_sets_may_stand_beside_it(self, name, value):
         expected = f"^preset must not be given beside {name}, which it sets, got 'lab' and"
         for make in EVERY_TAKER:
             with pytest.raises(ValueError, match=expected):
@@ -72,7 +72,7 @@ class TestNames:
 
 
 class TestLab:
-    def test_it_is_what_its_meaning_says(self) -> None:
+    def test_it_is_what_its_meaning_says(self):
         assert 0.5 * math.pi / LAB.actuators.axis_speed == pytest.approx(0.05)
         assert LAB.actuators.stuck_share == 0.02
         assert LAB.randomisation.friction == LAB.randomisation.rolling == 0.15
@@ -89,19 +89,19 @@ class TestLab:
             assert math.hypot(*parcel.com_offset) <= 0.03
 
     @pytest.mark.parametrize("task", ["sort", "slow", "stop", "track", "orient"])
-    def test_tasks_draw_its_parcels(self, task: str) -> None:
+    def test_tasks_draw_its_parcels(self, task):
         assert EnvConfig(task=task, preset="lab").task.parcels == LAB.parcels
         assert EnvConfig(task=task, preset="camera") == EnvConfig(task=task, sensors=Camera())
 
-    def test_a_task_of_parcels_of_its_own_keeps_them(self) -> None:
+    def test_a_task_of_parcels_of_its_own_keeps_them(self):
         mine = Slow(parcels=(Parcel(Disc(0.2)),))
         assert EnvConfig(task=mine, preset="lab").task == mine
 
-    def test_other_parameters_of_a_task_are_kept(self) -> None:
+    def test_other_parameters_of_a_task_are_kept(self):
         found = EnvConfig(task=Slow(speeds=(1.0, 1.2)), preset="lab").task
         assert found == Slow(speeds=(1.0, 1.2), parcels=LAB.parcels)
 
-    def test_batches_equal_single_environments_to_the_bit(self) -> None:
+    def test_batches_equal_single_environments_to_the_bit(self):
         arguments: dict[str, Any] = {"preset": "lab", "observe": BOTH, "actions": "halves"}
         mode = AutoresetMode.NEXT_STEP
         envs = native(SORT, max_episode_steps=14, autoreset_mode=mode, **arguments)
@@ -117,7 +117,7 @@ class TestLab:
 
 
 class TestObserve:
-    def test_groups_stand_at_the_end_in_one_order(self) -> None:
+    def test_groups_stand_at_the_end_in_one_order(self):
         plain = EnvConfig().features
         assert EnvConfig(observe=("rotors", "parcel")) == EnvConfig(observe=BOTH)
         assert EnvConfig(observe=BOTH).features == (*plain, *PARCEL_FEATURES, *ROTOR_FEATURES)
@@ -126,19 +126,19 @@ class TestObserve:
         assert both == (*PARCEL_FEATURES, *ROTOR_FEATURES)
 
     @pytest.mark.parametrize("bad", [("parcels",), "parcel", 3, (1,)])
-    def test_an_unknown_group_is_named(self, bad: Any) -> None:
+    def test_an_unknown_group_is_named(self, bad):
         for make in EVERY_TAKER:
             with pytest.raises(ValueError, match=r"^observe must be"):
                 make(observe=bad)
 
-    def test_every_group_says_what_it_shows(self) -> None:
+    def test_every_group_says_what_it_shows(self):
         for group in GROUPS.values():
             for feature in group.features:
                 assert feature.low < feature.high
                 assert feature.meaning
 
     @pytest.mark.parametrize("task", ["slow", "track", "sort"])
-    def test_the_parcel_and_the_rotors_under_its_base_are_shown(self, task: str) -> None:
+    def test_the_parcel_and_the_rotors_under_its_base_are_shown(self, task):
         # All of the lab but its sensors, so that what is sensed is the truth.
         preset = replace(LAB, sensors=Exact(), parcels=tuple(map(Parcel, BASES)))
         env = sg.SmartSurfaceVectorEnv(
@@ -163,7 +163,7 @@ class TestObserve:
             running &= ~(terminated | truncated)
         assert running.any()
 
-    def test_sort_to_the_other_side_is_seen_in_a_mirror(self) -> None:
+    def test_sort_to_the_other_side_is_seen_in_a_mirror(self):
         """Left and right exchanged, and with them 45 and -45 deg; axes that take time turn by
         90 deg the same way round in the mirror, so that here they turn at once.
         """

@@ -36,7 +36,7 @@ def assert_normal(values: Any, mean: float, spread: float) -> None:
     assert stats.kstest(np.array(values), stats.norm(mean, spread).cdf).pvalue > LOOSE
 
 
-def test_nothing_varies_by_default() -> None:
+def test_nothing_varies_by_default():
     rng = np.random.default_rng(0)
     before = rng.bit_generator.state
     drawn = Randomisation().draw(rng, BOX, SHAPE)
@@ -44,14 +44,14 @@ def test_nothing_varies_by_default() -> None:
     assert rng.bit_generator.state == before
 
 
-def test_friction_of_the_rotors() -> None:
+def test_friction_of_the_rotors():
     drawn = draws(friction=0.2)
     assert_uniform([each.friction[0] for each in drawn], 0.8, 1.2)
     assert {each.friction[1:] for each in drawn} == {(1.0, 1.0)}
     assert all(each.parcel == BOX and each.stiffness is None for each in drawn)
 
 
-def test_rolling_of_rotors_and_supports_each_on_its_own() -> None:
+def test_rolling_of_rotors_and_supports_each_on_its_own():
     drawn = draws(rolling=0.5)
     assert {each.friction[0] for each in drawn} == {1.0}
     across, supports = np.array([each.friction[1:] for each in drawn]).T
@@ -60,7 +60,7 @@ def test_rolling_of_rotors_and_supports_each_on_its_own() -> None:
     assert abs(np.corrcoef(across, supports)[0, 1]) < 0.1
 
 
-def test_mass_varies_how_hard_the_parcel_is_to_turn() -> None:
+def test_mass_varies_how_hard_the_parcel_is_to_turn():
     parcels = [each.parcel for each in draws(mass=0.3)]
     assert_uniform([parcel.mass for parcel in parcels], 8.0 * 0.7, 8.0 * 1.3)
     for parcel in parcels:
@@ -69,7 +69,7 @@ def test_mass_varies_how_hard_the_parcel_is_to_turn() -> None:
         assert parcel.com_offset == (0.0, 0.0)
 
 
-def test_size_scales_the_base_and_what_lies_on_it() -> None:
+def test_size_scales_the_base_and_what_lies_on_it():
     heavy = sg.Parcel(BOX.base, mass=8.0, com_offset=(0.04, -0.02), inertia=0.5)
     parcels = [each.parcel for each in draws(heavy, size=0.25)]
     lengths = np.array([parcel.base.length for parcel in parcels])
@@ -82,7 +82,7 @@ def test_size_scales_the_base_and_what_lies_on_it() -> None:
 
 
 @pytest.mark.parametrize("name", PARCELS)
-def test_size_keeps_the_shape_of_any_base(name: str) -> None:
+def test_size_keeps_the_shape_of_any_base(name):
     parcel = PARCELS[name]
     for each in draws(parcel, count=20, size=0.2):
         base = each.parcel.base
@@ -92,7 +92,7 @@ def test_size_keeps_the_shape_of_any_base(name: str) -> None:
         assert base.gyration == pytest.approx(factor**2 * parcel.base.gyration)
 
 
-def test_centre_of_mass() -> None:
+def test_centre_of_mass():
     x, y = np.array([each.parcel.com_offset for each in draws(com_offset=0.3)]).T
     assert_uniform(x, -0.3 * 0.2, 0.3 * 0.2)
     assert_uniform(y, -0.3 * 0.1, 0.3 * 0.1)
@@ -101,26 +101,26 @@ def test_centre_of_mass() -> None:
 
 @pytest.mark.parametrize("name", PARCELS)
 @pytest.mark.parametrize("share", [0.3, 0.9])
-def test_centre_of_mass_stays_over_any_base(name: str, share: float) -> None:
+def test_centre_of_mass_stays_over_any_base(name, share):
     for each in draws(PARCELS[name], count=200, com_offset=share, size=0.1):
         parcel = each.parcel
         assert parcel.base.functions(*parcel.centre_of_mass).max() <= 0.0
 
 
-def test_stiffness_is_log_normal_element_by_element() -> None:
+def test_stiffness_is_log_normal_element_by_element():
     drawn = np.array([each.stiffness for each in draws(count=20, stiffness=0.4)])
     assert drawn.shape == (20, *SHAPE)
     assert_normal(np.log(drawn).ravel(), 0.0, 0.4)
     assert len(np.unique(drawn)) == drawn.size
 
 
-def test_where_and_how_the_parcel_enters() -> None:
+def test_where_and_how_the_parcel_enters():
     drawn = draws(lateral=0.02, heading=0.1)
     assert_normal([each.aside for each in drawn], 0.0, 0.02)
     assert_normal([each.turned for each in drawn], 0.0, 0.1)
 
 
-def test_what_is_drawn_is_added_to_the_start() -> None:
+def test_what_is_drawn_is_added_to_the_start():
     start = Start(BOX, (0.3, 1.0, 0.1), (1.0, 0.2, 0.3), (1.0,))
     batch = batch_with(start, randomisation=Randomisation(lateral=0.02, heading=0.1))
     drawn = Randomisation(lateral=0.02, heading=0.1).draw(np.random.default_rng(0), BOX, SHAPE)
@@ -129,7 +129,7 @@ def test_what_is_drawn_is_added_to_the_start() -> None:
     assert tuple(batch.view(0).truth[3:]) == pytest.approx((1.0, 0.2, 0.3))
 
 
-def test_all_of_it_at_once_follows_from_the_generator() -> None:
+def test_all_of_it_at_once_follows_from_the_generator():
     first, second = draws(count=20, **SPREADS), draws(count=20, **SPREADS)
     for one, other in zip(first, second, strict=True):
         assert (one.parcel, one.aside, one.turned) == (other.parcel, other.aside, other.turned)
@@ -145,7 +145,7 @@ SPREADS = {
 
 
 @pytest.mark.parametrize("name", SPREADS)
-def test_bad_spreads_are_named(name: str) -> None:
+def test_bad_spreads_are_named(name):
     most = {"mass": 0.999, "size": 0.999, "stiffness": 2.1, "lateral": 1e9, "heading": 3.2}
     for spread in (-0.1, most.get(name, 1.0), math.nan, math.inf, True, "0.1", None):
         with pytest.raises(ValueError, match=f"^{name} must"):
@@ -154,7 +154,7 @@ def test_bad_spreads_are_named(name: str) -> None:
 
 class TestInTheEnvironment:
     @pytest.mark.parametrize("name", SPREADS)
-    def test_each_changes_what_happens_and_the_seed_fixes_it(self, name: str) -> None:
+    def test_each_changes_what_happens_and_the_seed_fixes_it(self, name):
         varied = Randomisation(**{name: SPREADS[name]})
         runs = [
             list(steps(bare(actions="quadrants", **settings), seed=4))
@@ -165,7 +165,7 @@ class TestInTheEnvironment:
         last = min(len(plain), len(first)) - 1
         assert (plain[last][4]["pose"] != first[last][4]["pose"]).any()
 
-    def test_friction_scales_the_rolling_loss(self) -> None:
+    def test_friction_scales_the_rolling_loss(self):
         """On the conveyor a parcel slows by mu_min g, which `rolling` varies."""
         losses = []
         env = bare(actions="halves", randomisation=Randomisation(rolling=0.5))
@@ -178,7 +178,7 @@ class TestInTheEnvironment:
         assert max(losses) < 1.5 * 0.01 * 9.81
         assert np.std(losses) > 0.1 * np.mean(losses)
 
-    def test_any_parcel_may_be_varied(self) -> None:
+    def test_any_parcel_may_be_varied(self):
         env = bare(
             actions="halves",
             randomisation=Randomisation(com_offset=0.8, size=0.1, mass=0.5, heading=1.0),
@@ -190,7 +190,7 @@ class TestInTheEnvironment:
 
 
 class TestLateral:
-    def test_a_start_beside_the_surface_is_drawn_again(self) -> None:
+    def test_a_start_beside_the_surface_is_drawn_again(self):
         varies = Randomisation(lateral=0.3)
         rng = np.random.default_rng(0)
         aside = [varies.draw_entry(rng, BOX, (-0.1, 0.2))[1] for _ in range(200)]
@@ -198,19 +198,19 @@ class TestLateral:
         anywhere = [varies.draw_entry(rng, BOX)[1] for _ in range(2000)]
         assert aside == [each for each in anywhere if -0.1 <= each <= 0.2][:200]
 
-    def test_it_is_the_centre_of_mass_that_counts(self) -> None:
+    def test_it_is_the_centre_of_mass_that_counts(self):
         off_centre = sg.Parcel(sg.Rectangle(0.3, 0.3), com_offset=(0.0, 0.05))
         varies, rng = Randomisation(lateral=0.3), np.random.default_rng(0)
         aside = [varies.draw_entry(rng, off_centre, (-0.1, 0.2))[1] for _ in range(200)]
         assert -0.05 <= min(aside) < -0.04
         assert 0.14 < max(aside) <= 0.15
 
-    def test_too_little_room_is_told(self) -> None:
+    def test_too_little_room_is_told(self):
         rng = np.random.default_rng(0)
         with pytest.raises(ValueError, match=r"^lateral must leave a parcel over the surface"):
             Randomisation(lateral=0.3).draw_entry(rng, BOX, (0.1, 0.05))
 
-    def test_every_environment_starts_on_the_surface(self) -> None:
+    def test_every_environment_starts_on_the_surface(self):
         line = sg.lines.Line(rows=8, line_y=0.4)
         envs = sg.SmartSurfaceVectorEnv(
             300, randomisation=Randomisation(lateral=0.2, heading=1.0), line=line
@@ -218,13 +218,13 @@ class TestLateral:
         aside = envs.reset(seed=0)[1]["pose"][:, 1] - line.line_y
         assert 0.35 < np.abs(aside).max() <= 0.4
 
-    def test_a_spread_for_which_the_surface_is_too_narrow_is_refused(self) -> None:
+    def test_a_spread_for_which_the_surface_is_too_narrow_is_refused(self):
         line = sg.lines.Line(rows=8, line_y=0.4)
         with pytest.raises(ValueError, match=r"^lateral must be at most a quarter of .*, 0\.2 m"):
             sg.SmartSurfaceEnv(randomisation=Randomisation(lateral=0.21), line=line)
 
 
-def test_the_smallest_parcel_must_be_one() -> None:
+def test_the_smallest_parcel_must_be_one():
     small = sg.tasks.Sort(parcels=(sg.Parcel(sg.Rectangle(0.001, 0.2)),))
     with pytest.raises(ValueError, match=r"^size must leave room .*, got 0\.95: length"):
         sg.SmartSurfaceEnv(small, randomisation=Randomisation(size=0.95))

@@ -2,7 +2,6 @@
 
 import math
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -74,7 +73,7 @@ def reading(scene: Scene, label: str) -> str:
 
 class TestOneParcel:
     @pytest.mark.parametrize("task", TASKS)
-    def test_every_task_has_a_scene_with_its_goal(self, task: str) -> None:
+    def test_every_task_has_a_scene_with_its_goal(self, task):
         scene = shown(pair_of(PARCELS["S"], task))
         assert scene.title == task.capitalize()
         assert scene.goal is not None
@@ -84,7 +83,7 @@ class TestOneParcel:
         assert len(set(labels)) == len(labels)
 
     @pytest.mark.parametrize("parcel", PARCELS.values(), ids=PARCELS)
-    def test_the_outline_is_the_bases(self, parcel: sg.Parcel) -> None:
+    def test_the_outline_is_the_bases(self, parcel):
         batch = pair_of(parcel)
         put(batch, Start(HEPTAGON, (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), i=1)
         outline = only(shown(batch)).outline
@@ -95,7 +94,7 @@ class TestOneParcel:
                 outline + parcel.base.centroid, parcel.base.outline, atol=1e-15
             )
 
-    def test_axes_zone_and_pose_are_the_batch_s(self) -> None:
+    def test_axes_zone_and_pose_are_the_batch_s(self):
         batch = pair_of(PARCELS["S"])
         for _ in range(3):
             batch.step(np.full((2, 64), PLUS_45))
@@ -110,28 +109,28 @@ class TestOneParcel:
         assert dict(scene.readings)["time"] == "0.12 s"
 
     @pytest.mark.parametrize("flows", [False, True], ids=["one parcel", "stream"])
-    def test_a_sensed_pose_is_shown_where_it_is_another(self, flows: bool) -> None:
+    def test_a_sensed_pose_is_shown_where_it_is_another(self, flows):
         batch = stream_of((0.0, "left")) if flows else pair_of(PARCELS["S"])
         assert only(shown(batch)).sensed_pose is None
         batch.parcels.sensed[0, 1] += 0.02
         x, y, theta = only(shown(batch)).pose
         assert only(shown(batch)).sensed_pose == pytest.approx((x, y + 0.02, theta))
 
-    def test_an_end_is_shown(self) -> None:
+    def test_an_end_is_shown(self):
         batch = pair_of(PARCELS["S"])
         assert "end" not in dict(shown(batch).readings)
         while batch.parcels.outcome[0] == 0:
             batch.step(np.full((2, 64), 0))
         assert reading(shown(batch), "end") == "stalled"
 
-    def test_a_tilt_is_shown(self) -> None:
+    def test_a_tilt_is_shown(self):
         for tilt in (0.0, 0.26):
             start = Start(PARCELS["S"], (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,), tilt=tilt)
             assert shown(batch_at(start)).tilt == pytest.approx(tilt)
 
 
 class TestParcelsOfAStream:
-    def test_all_on_the_line_are_shown_where_they_are(self) -> None:
+    def test_all_on_the_line_are_shown_where_they_are(self):
         batch = stream_of((0.0, "left"), (0.4, "straight"), (0.8, "right"))
         renderer = opened(batch)
         go_on(batch, renderer, 25)
@@ -142,11 +141,11 @@ class TestParcelsOfAStream:
             assert parcel.pose == tuple(known[number][:3])
             np.testing.assert_allclose(parcel.outline, BOX.base.outline, atol=1e-15)
 
-    def test_names_whose_initials_are_the_same_are_written_in_full(self) -> None:
+    def test_names_whose_initials_are_the_same_are_written_in_full(self):
         exits = Exits((Exit("loft", 1), Exit("left", -1)))
         assert only(shown(stream_of((0.0, "left"), exits=exits))).label == "left"
 
-    def test_those_that_touch_are_paired_for_a_moment(self) -> None:
+    def test_those_that_touch_are_paired_for_a_moment(self):
         batch = stream_of((0.0, "left"), (0.0, "straight"))
         poses, velocities = [[0.8, 1.0, 0.0], [1.1, 1.0, 0.0]], [[1.0, 0.0, 0.0], [0.5, 0.0, 0.0]]
         flows.set_down(batch, poses, velocities)
@@ -162,7 +161,7 @@ class TestParcelsOfAStream:
 
 
 class TestTrails:
-    def test_they_end_at_the_centre_and_are_short(self) -> None:
+    def test_they_end_at_the_centre_and_are_short(self):
         batch = stream_of((0.0, "straight"))
         renderer = opened(batch)
         lengths = []
@@ -175,7 +174,7 @@ class TestTrails:
         assert max(lengths) <= TRAIL
         assert min(lengths[10:]) > TRAIL - 1.5 * PERIOD
 
-    def test_a_place_used_again_does_not_join_them(self) -> None:
+    def test_a_place_used_again_does_not_join_them(self):
         batch = stream_of((0.0, "straight"), (0.0, "straight"), max_parcels=1)
         renderer = opened(batch)
         while batch.streams.number[0, 0] != 1:
@@ -185,7 +184,7 @@ class TestTrails:
         assert len(trail) == 4
         assert trail[:, 0].max() < 0.5
 
-    def test_an_episode_begins_without_any(self) -> None:
+    def test_an_episode_begins_without_any(self):
         batch = stream_of((0.0, "straight"))
         renderer = opened(batch)
         go_on(batch, renderer, 42)  # it has left, and is shown yet
@@ -197,7 +196,7 @@ class TestTrails:
 
 
 class TestExits:
-    def test_who_has_left_goes_on_for_a_moment(self) -> None:
+    def test_who_has_left_goes_on_for_a_moment(self):
         batch = stream_of((0.0, "straight"))
         renderer = opened(batch)
         while batch.streams.present[0, 0]:
@@ -213,7 +212,7 @@ class TestExits:
             periods += 1
         assert GLIDE - PERIOD <= periods * PERIOD <= GLIDE + PERIOD
 
-    def test_pairs_are_counted_past_those_who_have_left(self) -> None:
+    def test_pairs_are_counted_past_those_who_have_left(self):
         batch = stream_of((0.0, "straight"), (0.2, "left"), (0.6, "right"))
         renderer = opened(batch)
         while batch.streams.present[0, 0]:
@@ -223,7 +222,7 @@ class TestExits:
         assert [parcel.exit for parcel in scene.parcels] == [2, 0, 1]
         assert scene.touching == ((1, 2),)
 
-    def test_counts_and_those_who_wait(self) -> None:
+    def test_counts_and_those_who_wait(self):
         names = ("straight", "left", "straight", "right", "straight")
         batch = stream_of(*[(0.5 * k, name) for k, name in enumerate(names)], (9.0, "left"))
         renderer = opened(batch)
@@ -234,7 +233,7 @@ class TestExits:
         crowd = shown(stream_of(*[(0.0, "left")] * 4))
         assert (len(crowd.parcels), crowd.traffic.waiting) == (1, 3)
 
-    def test_spans_end_with_the_surface(self) -> None:
+    def test_spans_end_with_the_surface(self):
         exits = Exits(
             (Exit("a", 1, -3.0, 0.5), Exit("b", 1, 0.5), Exit("c", -1, 0.5, 9.0), Exit("on", 0))
         )
@@ -245,21 +244,21 @@ class TestExits:
         assert spans["c"] == pytest.approx((-1, 0.5, 2.0))
         assert spans["on"] == pytest.approx((0, 2.0, 2.6))  # and the surface's
 
-    def test_where_rotors_end_with_the_surface_the_way_on_is_the_last_column(self) -> None:
+    def test_where_rotors_end_with_the_surface_the_way_on_is_the_last_column(self):
         rotor = np.zeros((20, 20), dtype=bool)
         rotor[8:12] = True
         settings = EnvConfig("flow", line=Pattern(rotor=rotor, lead_in=5), exits="sides")
         on = exit_marks(settings)[-1]
         assert (on.first, on.last) == pytest.approx((1.9, 2.0))
 
-    def test_a_chute_past_the_rotors_cannot_be_drawn(self) -> None:
+    def test_a_chute_past_the_rotors_cannot_be_drawn(self):
         exits = Exits((Exit("beyond", 1, 2.5, 3.0),))
         with pytest.raises(ValueError, match=r"last must be greater than first, 2\.5"):
             exit_marks(EnvConfig("flow", line=SHORT, exits=exits))
 
 
 class TestReadings:
-    def test_axes_zone_and_tilt_are_the_surfaces(self) -> None:
+    def test_axes_zone_and_tilt_are_the_surfaces(self):
         batch = stream_of((0.0, "left"), tilt=0.05)
         renderer = opened(batch)
         go_on(batch, renderer, 3, PLUS_45)
@@ -270,7 +269,7 @@ class TestReadings:
         np.testing.assert_allclose(scene.axis, expected)
         assert reading(scene, "time") == "0.1 s"
 
-    def test_the_rate_is_that_of_the_last_half_minute(self) -> None:
+    def test_the_rate_is_that_of_the_last_half_minute(self):
         batch = stream_of(*[(float(k), "straight") for k in range(60)])
         streams, renderer = batch.streams, opened(batch)
         assert reading(renderer.scene(), "parcels an hour") == "\N{EN DASH}"
@@ -291,7 +290,7 @@ class TestReadings:
             rate = expected if isinstance(expected, str) else f"{expected:.0f}"
             assert reading(renderer.scene(), "parcels an hour") == rate
 
-    def test_an_end_is_shown(self) -> None:
+    def test_an_end_is_shown(self):
         batch = stream_of((0.0, "left"))
         renderer = opened(batch)
         assert "end" not in dict(renderer.scene().readings)
@@ -301,7 +300,7 @@ class TestReadings:
 
 class TestEnvironments:
     @pytest.mark.parametrize("actions", ["modules", "parcels"])
-    def test_a_picture_a_step(self, actions: str) -> None:
+    def test_a_picture_a_step(self, actions):
         env = bare(actions=actions, render_mode="rgb_array")
         env.reset(seed=1)
         before = env.render()
@@ -311,7 +310,7 @@ class TestEnvironments:
         assert after.shape == before.shape
         assert (after != before).any()
 
-    def test_drawing_changes_nothing(self) -> None:
+    def test_drawing_changes_nothing(self):
         plain, drawn = bare(), bare(render_mode="rgb_array")
         drawn.reset(seed=0)
         for one in flows.play(plain, PLUS_45):
@@ -320,7 +319,7 @@ class TestEnvironments:
             np.testing.assert_array_equal(one[0], other[0])
             assert one[1] == other[1]
 
-    def test_a_gate_is_no_parcel(self) -> None:
+    def test_a_gate_is_no_parcel(self):
         stream = trace((0.0, "straight"), (0.0, "left 1"))
         env = bare(stream=stream, gate=True, render_mode="rgb_array")
         env.reset(seed=0)
@@ -329,7 +328,7 @@ class TestEnvironments:
         assert [parcel.label for parcel in renderer.scene().parcels] == ["S"]
         assert renderer.scene().traffic.waiting == 1
 
-    def test_films(self, tmp_path: Path) -> None:
+    def test_films(self, tmp_path):
         made = gym.make(FLOW, duration=0.4, line=SHORT, render_mode="rgb_array")
         env: Any = gym.wrappers.RecordVideo(made, str(tmp_path / "films"))
         env.reset(seed=0)
@@ -339,7 +338,7 @@ class TestEnvironments:
         env.close()
         assert [file.suffix for file in (tmp_path / "films").iterdir()] == [".mp4"]
 
-    def test_tiles(self) -> None:
+    def test_tiles(self):
         envs: Any = gym.make_vec(
             FLOW, 3, line=SHORT, duration=0.2, stream=trace((0.0, "straight")),
             render_mode="rgb_array",
@@ -353,7 +352,7 @@ class TestEnvironments:
         assert all((one != other).any() for one, other in pairwise(pictures))
 
     @pytest.mark.usefixtures("screen")
-    def test_a_window(self) -> None:
+    def test_a_window(self):
         env = bare(render_mode="human")
         env.reset(seed=0)
         env.step(same_choice(env, ROLL))

@@ -55,7 +55,7 @@ def assert_equal(first: list[Any], second: list[Any], one: int, other: int) -> N
 
 
 @every_config
-def test_a_restored_environment_goes_on_as_it_did(config: EnvConfig) -> None:
+def test_a_restored_environment_goes_on_as_it_did(config):
     batch, stranger = begun(config, 0), begun(config, 1)
     commands = drawn(config, BEFORE + AFTER)
     ran(batch, commands[:BEFORE])
@@ -70,7 +70,7 @@ def test_a_restored_environment_goes_on_as_it_did(config: EnvConfig) -> None:
 
 
 @every_config
-def test_a_fork_goes_on_as_its_parent_and_the_others_stop(config: EnvConfig) -> None:
+def test_a_fork_goes_on_as_its_parent_and_the_others_stop(config):
     batch = begun(config, 0)
     commands = drawn(config, BEFORE + AFTER)
     ran(batch, commands[:BEFORE])
@@ -88,7 +88,7 @@ def test_a_fork_goes_on_as_its_parent_and_the_others_stop(config: EnvConfig) -> 
     assert_equal(first, again, 0, 1)
 
 
-def test_a_snapshot_of_another_size_is_refused() -> None:
+def test_a_snapshot_of_another_size_is_refused():
     batch = begun(CONFIGS["one parcel"], 0)
     with pytest.raises(ValueError, match="snapshot must be of 1 or 3 environments, got 2"):
         batch.restore(batch.snapshot(np.array([0, 1])))

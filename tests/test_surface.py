@@ -16,26 +16,26 @@ LINE_Y = {"S": [0.95, 1.05], "B": [0.85, 0.95, 1.05, 1.15]}  # [m] of the rotors
 LEAD_IN = {"S": 3, "B": 5}
 
 
-def test_places_of_the_elements() -> None:
+def test_places_of_the_elements():
     surface = sg.Surface(AXIS, ROTOR, pitch=0.2, origin=(1.0, -1.0))
     assert (surface.rows, surface.columns) == (3, 4)
     np.testing.assert_allclose(surface.x, [1.0, 1.2, 1.4, 1.6])
     np.testing.assert_allclose(surface.y, [-1.0, -0.8, -0.6])
 
 
-def test_defaults_are_table_1() -> None:
+def test_defaults_are_table_1():
     surface = sg.Surface(AXIS, ROTOR)
     assert (surface.mu_max, surface.mu_min, surface.mu_support) == (0.5, 0.01, 0.005)
     assert (surface.pitch, surface.origin, surface.tilt) == (0.1, (0.05, 0.05), 0.0)
 
 
-def test_lists_and_integers_are_taken() -> None:
+def test_lists_and_integers_are_taken():
     surface = sg.Surface([[0, 1]], [[True, False]], pitch=1, tilt=0)
     assert surface.axis.dtype == np.float64
     assert surface.rotor.tolist() == [[True, False]]
 
 
-def test_the_arrays_are_read_only_copies() -> None:
+def test_the_arrays_are_read_only_copies():
     axis, rotor = AXIS.copy(), ROTOR.copy()
     surface = sg.Surface(axis, rotor)
     axis[:] = 1.0
@@ -50,7 +50,7 @@ def test_the_arrays_are_read_only_copies() -> None:
         surface.tilt = 0.1
 
 
-def test_replace_makes_another_surface_with_another_grid() -> None:
+def test_replace_makes_another_surface_with_another_grid():
     flat = sg.Surface(AXIS, ROTOR)
     assert flat.grid.gravity_along == 0.0
     tilted = dataclasses.replace(flat, tilt=0.1)
@@ -80,7 +80,7 @@ def test_replace_makes_another_surface_with_another_grid() -> None:
         ({"tilt": -1.0}, "tilt must be between -pi/4 and pi/4 .*, got -1.0"),
     ],
 )
-def test_what_is_not_allowed_is_refused(changes: dict[str, object], message: str) -> None:
+def test_what_is_not_allowed_is_refused(changes, message):
     fields: dict[str, object] = {"axis": AXIS, "rotor": ROTOR, **changes}
     with pytest.raises(ValueError, match=f"^{message}"):
         sg.Surface(**fields)
@@ -95,7 +95,7 @@ def line_of(surface: sg.Surface) -> np.ndarray:
 
 @pytest.mark.parametrize("size", ["S", "B"])
 @pytest.mark.parametrize("side", [-1, 1])
-def test_sorting(size: str, side: int) -> None:
+def test_sorting(size, side):
     surface = layouts.sorting(size, side, task_columns=7, columns=20)
     np.testing.assert_allclose(surface.y[surface.rotor.all(axis=1)], LINE_Y[size])
     axis = line_of(surface)
@@ -107,7 +107,7 @@ def test_sorting(size: str, side: int) -> None:
 
 
 @pytest.mark.parametrize("size", ["S", "B"])
-def test_the_box_starts_wholly_on_the_lead_in(size: str) -> None:
+def test_the_box_starts_wholly_on_the_lead_in(size):
     surface, box, pose = layouts.sorting(size), layouts.box(size), layouts.start(size)
     assert pose == pytest.approx((box.base.length / 2.0, 1.0, 0.0))
     right = pose[0] + box.base.length / 2.0
@@ -115,7 +115,7 @@ def test_the_box_starts_wholly_on_the_lead_in(size: str) -> None:
     assert surface.x[LEAD_IN[size] - 1] <= right + 1e-9 < first_of_task
 
 
-def test_slowing_alternates_from_row_to_row() -> None:
+def test_slowing_alternates_from_row_to_row():
     axis = line_of(layouts.slowing("B", angle=45.0 * DEG, task_columns=3))
     np.testing.assert_allclose(np.abs(axis[:, 5:8]), 45.0)
     np.testing.assert_allclose(axis[:-1, 5:8], -axis[1:, 5:8])
@@ -124,7 +124,7 @@ def test_slowing_alternates_from_row_to_row() -> None:
 
 @pytest.mark.parametrize("size", ["S", "B"])
 @pytest.mark.parametrize("angle", [0.0, 45.0])
-def test_stopping_is_slowing_with_one_more_column_at_0_deg(size: str, angle: float) -> None:
+def test_stopping_is_slowing_with_one_more_column_at_0_deg(size, angle):
     slowing = line_of(layouts.slowing(size, angle * DEG, task_columns=2))
     stopping = line_of(layouts.stopping(size, angle * DEG, task_columns=2))
     extra = LEAD_IN[size] + 2
@@ -134,14 +134,14 @@ def test_stopping_is_slowing_with_one_more_column_at_0_deg(size: str, angle: flo
     )
 
 
-def test_a_line_takes_one_row_for_all_or_each() -> None:
+def test_a_line_takes_one_row_for_all_or_each():
     one = line_of(layouts.line([[0.1, 0.2]], "B"))
     np.testing.assert_allclose(one[:, 5:7] * DEG, [[0.1, 0.2]] * 4)
     each = line_of(layouts.line([[0.1], [0.2], [0.3], [0.4]], "B"))
     np.testing.assert_allclose(each[:, 5] * DEG, [0.1, 0.2, 0.3, 0.4])
 
 
-def test_boxes_and_tilt() -> None:
+def test_boxes_and_tilt():
     for size, length in (("S", 0.25), ("B", 0.45)):
         assert layouts.box(size) == sg.Parcel(sg.Rectangle(length, length))
     for layout in (layouts.sorting, layouts.slowing, layouts.stopping):
@@ -167,6 +167,6 @@ def test_boxes_and_tilt() -> None:
         (lambda: layouts.line([[np.inf]]), "task_axis must be finite, got inf"),
     ],
 )
-def test_bad_arguments_of_layouts_are_refused(call: object, message: str) -> None:
+def test_bad_arguments_of_layouts_are_refused(call, message):
     with pytest.raises(ValueError, match=f"^{message}"):
         call()

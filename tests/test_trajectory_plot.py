@@ -2,10 +2,8 @@
 
 import math
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,7 +29,7 @@ def lines_of(panel: object) -> list[np.ndarray]:
     return [line.get_xydata() for line in panel.lines]
 
 
-def test_the_way_and_the_velocities_are_the_trajectorys() -> None:
+def test_the_way_and_the_velocities_are_the_trajectorys():
     run = sort()
     way, linear, turning = run.plot().axes
     assert any(np.array_equal(line, run.pose[:, :2]) for line in lines_of(way))
@@ -40,7 +38,7 @@ def test_the_way_and_the_velocities_are_the_trajectorys() -> None:
         assert any(np.array_equal(line, expected) for line in lines_of(panel))
 
 
-def test_the_first_and_last_outline_are_the_bases_and_the_darkest() -> None:
+def test_the_first_and_last_outline_are_the_bases_and_the_darkest():
     run = sort()
     outlines = run.plot().axes[0].patches
     assert len(outlines) == 7
@@ -53,7 +51,7 @@ def test_the_first_and_last_outline_are_the_bases_and_the_darkest() -> None:
     assert shade[0] == shade[-1] < min(shade[1:-1])
 
 
-def test_a_stroke_lies_along_each_rotors_axis() -> None:
+def test_a_stroke_lies_along_each_rotors_axis():
     surface = sort().run.surface
     strokes = np.array(sort().plot().axes[0].collections[0].get_segments())
     middle, along = strokes.mean(axis=1), strokes[:, 1] - strokes[:, 0]
@@ -68,9 +66,7 @@ def test_a_stroke_lies_along_each_rotors_axis() -> None:
     "parcel", [BOX, sg.Parcel(sg.Disc(0.2)), sg.Parcel(sg.Rectangle(2.4, 1.2))]
 )
 @pytest.mark.parametrize("pitch", [0.05, 0.1, (0.2, 0.3)])
-def test_all_outlines_are_in_the_window_whatever_the_size(
-    parcel: sg.Parcel, pitch: float | tuple[float, float], tmp_path: Path
-) -> None:
+def test_all_outlines_are_in_the_window_whatever_the_size(parcel, pitch, tmp_path):
     surface = sg.Surface(np.full((120, 160), 0.3), np.ones((120, 160), dtype=bool), pitch=pitch)
     run = sg.simulate(surface, parcel, (3.0, 3.0, 0.4), (1.0, 0.5, 1.0), duration=0.5)
     figure = run.plot(tmp_path / "run.png")
@@ -100,9 +96,7 @@ def test_all_outlines_are_in_the_window_whatever_the_size(
     ],
     ids=["duration", "one row", "left"],
 )
-def test_the_title_says_how_it_ended(
-    make: Callable[[], Trajectory], title: str, tmp_path: Path
-) -> None:
+def test_the_title_says_how_it_ended(make, title, tmp_path):
     run = make()
     figure = run.plot(tmp_path / "run.pdf")
     assert figure.get_suptitle() == title
@@ -110,13 +104,13 @@ def test_the_title_says_how_it_ended(
     assert (legend is not None) == run.tipping.any()
 
 
-def test_a_strip_of_very_many_elements_shows_none() -> None:
+def test_a_strip_of_very_many_elements_shows_none():
     start = (sg.Parcel(sg.Disc(0.2)), (1.0, 0.6, 0.0), (18.0, 0.0, 0.0), 10.0)
     run = sg.simulate(supports(12, 4000), *start)
     assert not run.plot().axes[0].collections
 
 
-def test_without_a_run_the_way_alone_is_drawn(tmp_path: Path) -> None:
+def test_without_a_run_the_way_alone_is_drawn(tmp_path):
     run = replace(sort(), run=None)
     way = run.plot(tmp_path / "run.svg").axes[0]
     assert not way.patches
@@ -124,17 +118,17 @@ def test_without_a_run_the_way_alone_is_drawn(tmp_path: Path) -> None:
     assert any(np.array_equal(line, run.pose[:, :2]) for line in lines_of(way))
 
 
-def test_round_off_does_not_look_like_turning() -> None:
+def test_round_off_does_not_look_like_turning():
     run = sg.simulate(supports(20, 30), BOX, (1.0, 1.0, 0.0), (1.0, 0.0, 0.0), duration=0.2)
     assert run.plot().axes[2].get_ylim() == (-0.02, 0.02)
 
 
-def test_a_suffix_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_a_suffix_that_is_none_is_refused(tmp_path):
     with pytest.raises(ValueError, match="Format 'txt' is not supported"):
         sort().plot(tmp_path / "run.txt")
 
 
-def test_without_matplotlib_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_matplotlib_the_error_says_what_to_install(monkeypatch):
     monkeypatch.delitem(sys.modules, "surface_gym.trajectory_plot", raising=False)
     for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
         monkeypatch.setitem(sys.modules, name, None)

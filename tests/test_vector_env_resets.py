@@ -21,12 +21,12 @@ from tests.environments import (
 
 
 class TestSeeds:
-    def test_a_number_is_for_the_first_environment(self) -> None:
+    def test_a_number_is_for_the_first_environment(self):
         one, listed = native(), native()
         assert_same(one.reset(seed=7), listed.reset(seed=[7, 8, 9]))
         assert_same(one.reset(seed=np.int64(7)), listed.reset(seed=(7, 8, 9)))
 
-    def test_none_goes_on_drawing(self) -> None:
+    def test_none_goes_on_drawing(self):
         env, twin = native(), native()
         env.reset(seed=7)
         twin.reset(seed=7)
@@ -35,14 +35,14 @@ class TestSeeds:
         np.testing.assert_array_equal(mixed[1], twins[1])
         np.testing.assert_array_equal(mixed[0], mixed[2])
 
-    def test_unseeded_envs_differ(self) -> None:
+    def test_unseeded_envs_differ(self):
         starts = [native().reset()[0] for _ in range(2)]
         assert len(np.unique(np.concatenate(starts), axis=0)) == 2 * NUM_ENVS
 
     @pytest.mark.parametrize(
         "seed", [[1, 2], [1, 2, 3, 4], [], 1.5, "seed", [1, 2, -3], -1, [0.5] * 3], ids=repr
     )
-    def test_bad_ones_are_refused(self, seed: Any) -> None:
+    def test_bad_ones_are_refused(self, seed):
         env = native()
         with pytest.raises((ValueError, gym.error.Error), match=r"[Ss]eed"):
             env.reset(seed=seed)
@@ -55,7 +55,7 @@ class TestPartialResets:
         env.reset(seed=0)
         return env
 
-    def test_draw_nothing_for_others(self) -> None:
+    def test_draw_nothing_for_others(self):
         env, twin = self.disabled(), self.disabled()
         action = np.array([6, 7, 8])
         for _ in range(4):
@@ -68,7 +68,7 @@ class TestPartialResets:
         )
         assert_same(env.step(action)[0][1:], twin.step(action)[0][1:])
 
-    def test_leave_the_others_where_they_are(self) -> None:
+    def test_leave_the_others_where_they_are(self):
         env = self.disabled()
         before = env.step(np.array([6, 7, 8]))[0]
         mask = np.array([False, True, False])
@@ -77,14 +77,14 @@ class TestPartialResets:
         np.testing.assert_array_equal(infos["_pose"], mask)
         np.testing.assert_array_equal(infos["velocity"][mask], [[1.25, 0.0, 0.0]])
 
-    def test_seed_the_environments_they_reset(self) -> None:
+    def test_seed_the_environments_they_reset(self):
         env = self.disabled()
         mask = np.array([False, True, True])
         observations, _ = env.reset(seed=40, options={"reset_mask": mask})
         fresh = self.disabled().reset(seed=40)[0]
         np.testing.assert_array_equal(observations[mask], fresh[mask])
 
-    def test_leave_the_callers_options_alone(self) -> None:
+    def test_leave_the_callers_options_alone(self):
         options = {"reset_mask": np.array([True, False, True]), "speed": 1.0}
         self.disabled().reset(options=options)
         assert set(options) == {"reset_mask", "speed"}
@@ -94,19 +94,19 @@ class TestPartialResets:
         np.ones((3, 1), dtype=bool), np.ones(3, dtype=int), True, None,
     )  # fmt: skip
 
-    def test_bad_masks_are_named(self) -> None:
+    def test_bad_masks_are_named(self):
         env, twin = self.disabled(), self.disabled()
         for mask in self.BAD_MASKS:
             with pytest.raises(ValueError, match="reset_mask"):
                 env.reset(options={"reset_mask": mask})
             assert_same(env.step(np.array([1, 2, 3])), twin.step(np.array([1, 2, 3])))
 
-    def test_the_first_reset_is_whole(self) -> None:
+    def test_the_first_reset_is_whole(self):
         env = native(autoreset_mode="Disabled")
         with pytest.raises(gym.error.ResetNeeded):
             env.reset(options={"reset_mask": np.array([True, False, False])})
 
-    def test_ended_environments_wait_for_theirs(self) -> None:
+    def test_ended_environments_wait_for_theirs(self):
         env = native(actions="halves", autoreset_mode="Disabled", max_episode_steps=1)
         env.reset(seed=0)
         env.step(np.array([0, 0, 0]))
@@ -124,7 +124,7 @@ class TestBadInput:
     )  # fmt: skip
 
     @pytest.mark.parametrize("actions", BAD_ACTIONS, ids=repr)
-    def test_bad_actions_are_named(self, actions: Any) -> None:
+    def test_bad_actions_are_named(self, actions):
         env, twin = (native(actions="halves", max_episode_steps=2) for _ in range(2))
         for each in (env, twin):
             each.reset(seed=0)
@@ -134,7 +134,7 @@ class TestBadInput:
             assert_same(env.step(np.array([1, 2, 3])), twin.step(np.array([1, 2, 3])))
 
     @every_kind_of_action
-    def test_one_bad_environment_moves_none(self, actions: str) -> None:
+    def test_one_bad_environment_moves_none(self, actions):
         env, twin = (native(**cell(SORT, actions)) for _ in range(2))
         for each in (env, twin):
             each.reset(seed=0)
@@ -157,7 +157,7 @@ class TestBadInput:
             ("side", [[{}, {}, {"side": 2}]]),
         ],
     )
-    def test_bad_options_are_named(self, named: str, bad: list[Any]) -> None:
+    def test_bad_options_are_named(self, named, bad):
         """The episodes go on as if nothing had been asked, also in those before the bad one."""
         env, twin = (native(actions="halves") for _ in range(2))
         for each in (env, twin):
@@ -177,12 +177,12 @@ class TestBadInput:
             ("render_mode", ("human",)),
         ],
     )
-    def test_bad_arguments_are_named(self, name: str, values: tuple[Any, ...]) -> None:
+    def test_bad_arguments_are_named(self, name, values):
         for value in values:
             with pytest.raises(ValueError, match=name):
                 sg.SmartSurfaceVectorEnv(**{name: value})
 
-    def test_steps_before_a_reset_are_refused(self) -> None:
+    def test_steps_before_a_reset_are_refused(self):
         env = native()
         with pytest.raises(gym.error.ResetNeeded, match="reset"):
             env.step(env.action_space.sample())
