@@ -92,42 +92,29 @@ class Uncompilable(Cross):
         return state.weight
 
 
-class Undecided(Cross):
+class Unruly(Cross):
+    """Does what a task may not: which of it, `far` says."""
+
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        return TOO_LATE + 1
+        if state.goal[0] < 1.0:
+            return TOO_LATE + 1
+        return own.RUNNING + 1 if state.goal[0] < 2.0 else own.RUNNING
 
-
-class OutOfTime(Cross):
-    @staticmethod
-    @kernel_function
-    def outcome(state: EnvState) -> int:
-        return own.RUNNING + 1
-
-
-class Priceless(Cross):
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        state.terms[0] = math.nan
+        state.terms[0] = math.nan if state.goal[0] < 3.0 else 1.0
         state.terms[1] = 0.0
+        if state.goal[0] > 4.0:
+            state.terms[2] = 1.0
 
-
-class Blind(Cross):
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
         state.observation[0] = 0.0
-        state.observation[1] = math.inf
-
-
-class Generous(Cross):
-    @staticmethod
-    @kernel_function
-    def reward(state: EnvState, outcome: int) -> None:
-        for k in range(3):
-            state.terms[k] = 1.0
+        state.observation[1] = math.inf if 3.0 < state.goal[0] < 4.0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -158,11 +145,11 @@ FAULTY: tuple[tuple[Callable[[], Cross], str], ...] = (
     (Unjudged, r"Unjudged.outcome must be a static method and a kernel_function.* got None"),
     (Plain, r"Plain.outcome must be a static method and a kernel_function"),
     (Uncompilable, r"Uncompilable with Exact does not compile(.|\n)*weight"),
-    (Undecided, r"Undecided.outcome must return RUNNING, SUCCESS or a failure.* got 4"),
-    (OutOfTime, r"OutOfTime.outcome must return RUNNING, SUCCESS or a failure.* got 1"),
-    (Priceless, r"Priceless.reward must write finite terms, got {'way': nan"),
-    (Blind, r"Blind.observe.* must write finite features, got others for y"),
-    (Generous, r"Generous with Exact must keep within their arrays.* 2 terms"),
+    (partial(Unruly, 0.2), r"Unruly.outcome must return RUNNING, SUCCESS or a failure.* got 4"),
+    (partial(Unruly, 1.2), r"Unruly.outcome must return RUNNING, SUCCESS or a failure.* got 1"),
+    (partial(Unruly, 2.2), r"Unruly.reward must write finite terms, got {'way': nan"),
+    (partial(Unruly, 3.2), r"Unruly.observe.* must write finite features, got others for y"),
+    (partial(Unruly, 4.2), r"Unruly with Exact must keep within their arrays.* 2 terms"),
     (partial(Misled, goals=2), r"Misled.start must give a goal of 2 numbers, got 1"),
     (
         partial(Misled, instead=("velocity", ((1.0,) * 7, 0.0, 0.0))),

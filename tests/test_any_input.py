@@ -40,9 +40,9 @@ PLACE = (
     "tilt must be at least 0 for the explicit method",
     "velocity must be towards +x for the explicit method",
 )
-# 200 examples; as many as the profile asks for, where those are more.
+# 100 examples; as many as the profile asks for, where those are more.
 any_input = settings(
-    max_examples=max(200, settings.default.max_examples),
+    max_examples=max(100, settings.default.max_examples),
     suppress_health_check=[HealthCheck.too_slow],  # where the machine is busy
 )
 
@@ -224,10 +224,7 @@ SENSORS: dict[type[Sensor], st.SearchStrategy[Sensor]] = {
         **observing,
     ),
     Presence: st.builds(
-        Presence,
-        sample_rate=rates,
-        tolerance=sizes(*checks.TOLERANCE),
-        **observing,
+        Presence, sample_rate=rates, tolerance=sizes(*checks.TOLERANCE), **observing
     ),
 }
 SHARES = st.one_of(st.just(0.0), st.floats(0.0, 0.99))

@@ -8,21 +8,13 @@ from surface_gym.config import EnvConfig
 from surface_gym.lines import ORIENTATIONS
 from surface_gym.randomisation import Actuators
 from surface_gym.tasks import TASKS
-from surface_gym.tasks.sort import Sort
 from tests.environments import ACTIONS
-from tests.tasks import draws
 
 
 @pytest.mark.parametrize("name", TASKS)
 def test_a_task_goes_by_its_name_or_by_itself(name):
     assert EnvConfig(task=name) == EnvConfig(task=TASKS[name]())
     assert EnvConfig(task=name).task == TASKS[name]()
-
-
-def test_a_task_may_have_parameters_of_its_own():
-    task = Sort(slow_share=0.0, speeds=(1.0, 1.2))
-    speeds = [start.velocity[0] for start in draws(EnvConfig(task).task, 50)]
-    assert 1.0 <= min(speeds) < max(speeds) <= 1.2
 
 
 @pytest.mark.parametrize(

@@ -69,15 +69,6 @@ class TestPhysics:
             info = env.step(te.same_choice(env, te.MINUS_45))[4]
             np.testing.assert_array_equal(info["pose"], run.pose[3 * period])
 
-    def test_the_decision_period_does_not_matter_to_a_fixed_layout(self):
-        ends = []
-        for period in (0.01, 0.04, 0.1):
-            env = te.bare(control_period=period)
-            action = te.same_choice(env, te.PLUS_45)
-            *_, info = te.played_out(env, action, speed=1.5, parcel="B", side=-1)[-1]
-            ends.append((info["time"], *info["pose"]))
-        np.testing.assert_allclose(ends, [ends[0]] * 3, rtol=0, atol=1e-9)
-
 
 def on_rotors(layout: sg.Surface, size: str, run: sg.Trajectory, step: int) -> bool:
     """Whether a rotor lies under the box half a step after a step's start."""

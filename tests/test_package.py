@@ -92,16 +92,3 @@ def test_an_id_makes_its_task_and_limits_episodes(env_id):
     assert limit is not None
     assert env.spec.max_episode_steps == limit
     assert gym.make_vec(env_id, num_envs=2).spec.max_episode_steps == limit
-
-
-def test_the_module_may_be_named_in_the_id():
-    code = (
-        "import gymnasium as gym\n"
-        "env = gym.make('surface_gym:SmartSurface/Sort-v0')\n"
-        "vector = gym.make_vec('surface_gym:SmartSurface/Sort-v0', num_envs=2)\n"
-        "print(type(env.unwrapped).__name__, type(vector).__name__)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.split() == ["SmartSurfaceEnv", "SmartSurfaceVectorEnv"]

@@ -44,20 +44,13 @@ def test_nothing_varies_by_default():
     assert rng.bit_generator.state == before
 
 
-def test_friction_of_the_rotors():
-    drawn = draws(friction=0.2)
-    assert_uniform([each.friction[0] for each in drawn], 0.8, 1.2)
-    assert {each.friction[1:] for each in drawn} == {(1.0, 1.0)}
+def test_friction_and_rolling_of_rotors_and_of_supports_each_on_its_own():
+    drawn = draws(friction=0.2, rolling=0.5)
+    factors = np.array([each.friction for each in drawn]).T
+    for values, spread in zip(factors, (0.2, 0.5, 0.5), strict=True):
+        assert_uniform(values, 1.0 - spread, 1.0 + spread)
+    assert np.abs(np.corrcoef(factors) - np.eye(3)).max() < 0.1
     assert all(each.parcel == BOX and each.stiffness is None for each in drawn)
-
-
-def test_rolling_of_rotors_and_supports_each_on_its_own():
-    drawn = draws(rolling=0.5)
-    assert {each.friction[0] for each in drawn} == {1.0}
-    across, supports = np.array([each.friction[1:] for each in drawn]).T
-    assert_uniform(across, 0.5, 1.5)
-    assert_uniform(supports, 0.5, 1.5)
-    assert abs(np.corrcoef(across, supports)[0, 1]) < 0.1
 
 
 def test_mass_varies_how_hard_the_parcel_is_to_turn():

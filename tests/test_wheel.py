@@ -91,16 +91,18 @@ def test_the_source_distribution_has_every_file_that_tests_need(checkout, sdist)
 def test_environment_and_shipped_agent_work(installed):
     program = (
         "import gymnasium as gym\n"
+        "name = 'surface_gym:SmartSurface/Sort-v0'\n"
+        "envs = [type(gym.make(name).unwrapped), type(gym.make_vec(name, num_envs=2))]\n"
         "from surface_gym import agents\n"
         "policy = agents.load('sort-ppo')\n"
-        "env = gym.make(f'surface_gym:{policy.env_id}', **policy.env_kwargs)\n"
+        "env = gym.make(policy.env_id, **policy.env_kwargs)\n"
         "seen, _ = env.reset(seed=0)\n"
         "action, _ = policy.predict(seen, deterministic=True)\n"
         "env.step(action)\n"
-        "print(agents.__name__, agents.__file__)\n"
+        "print(*(kind.__name__ for kind in envs), agents.__name__, agents.__file__)\n"
     )
-    name, file = run_installed(installed, "-c", program).split()
-    assert name == "surface_gym.agents"
+    *names, file = run_installed(installed, "-c", program).split()
+    assert names == ["SmartSurfaceEnv", "SmartSurfaceVectorEnv", "surface_gym.agents"]
     assert Path(file).is_relative_to(installed)
 
 
