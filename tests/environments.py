@@ -2,7 +2,8 @@
 
 import copy
 import pickle
-from collections.abc import Iterator
+import tracemalloc
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -138,6 +139,20 @@ def assert_same(first: Any, second: Any, place: str = "") -> None:
         assert first == second, place
 
 
+def growth(step: Callable[[], None], warm: int, steps: int) -> float:
+    """[bytes] by which memory grows a step, after some."""
+    tracemalloc.start()
+    try:
+        for _ in range(warm):
+            step()
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(steps):
+            step()
+        return (tracemalloc.get_traced_memory()[0] - before) / steps
+    finally:
+        tracemalloc.stop()
+
+
 def by_pickle(value: Any) -> Any:
     return pickle.loads(pickle.dumps(value))
 
@@ -170,6 +185,12 @@ EVERYTHING_VARIES: dict[str, Any] = {
         lateral=0.01, heading=0.05,
     ),
 }  # fmt: skip
+
+PARCELS_VARY: dict[str, Any] = {
+    "actions": "quadrants",
+    "actuators": Actuators(axis_speed=8.0),
+    "randomisation": Randomisation(size=0.05, friction=0.1),
+}
 
 # Each id and each kind of sensor, of which other code is compiled where axes turn: seconds each.
 every_varying = pytest.mark.parametrize(

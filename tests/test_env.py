@@ -1,7 +1,6 @@
 """The single environment: Gymnasium's contract, seeds, twins, memory and drawing."""
 
 import math
-import tracemalloc
 
 import gymnasium as gym
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env as check_by_gymnasium
 from stable_baselines3.common.env_checker import check_env as check_by_stable_baselines3
 
-from surface_gym.randomisation import Actuators, Randomisation
 from tests import environments as te
 
 
@@ -130,29 +128,15 @@ class TestTwins:
 class TestMemory:
     @te.every_sensor
     def test_does_not_grow(self, sensor):
-        env = te.bare(
-            actions="quadrants",
-            sensors=sensor(),
-            randomisation=Randomisation(size=0.05, friction=0.1),
-            actuators=Actuators(axis_speed=8.0),
-        )
+        env = te.bare(sensors=sensor(), **te.PARCELS_VARY)
         action = env.action_space.sample()
 
-        def go(count: int) -> None:
-            for _ in range(count):
-                if env.step(action)[2]:
-                    env.reset()
+        def step() -> None:
+            if env.step(action)[2]:
+                env.reset()
 
         env.reset(seed=0)
-        tracemalloc.start()
-        try:
-            go(2_000)
-            before = tracemalloc.get_traced_memory()[0]
-            go(3_000)
-            grown = tracemalloc.get_traced_memory()[0] - before
-        finally:
-            tracemalloc.stop()
-        assert grown < 60_000  # [bytes] 20 a step: less than any object kept of each
+        assert te.growth(step, 2_000, 3_000) < 20  # [bytes]: less than any object kept
 
 
 class TestDrawing:
@@ -173,14 +157,13 @@ class TestDrawing:
             drawn.render()
             te.assert_same(first, second)
 
-    def test_without_a_mode_there_is_none(self):
-        env = te.bare()
+    @pytest.mark.parametrize("make", [te.bare, te.native])
+    def test_there_is_none_without_a_mode_or_before_the_first_reset(self, make):
+        env = make()
         env.reset(seed=0)
         assert env.render() is None
-
-    def test_before_the_first_reset_it_is_refused(self):
         with pytest.raises(gym.error.ResetNeeded):
-            te.bare(render_mode="rgb_array").render()
+            make(render_mode="rgb_array").render()
 
     def test_closing_twice_is_fine(self):
         env = te.bare()

@@ -12,6 +12,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.agents.library import find_task
 from surface_gym.tasks import Sort
+from tests.environments import played_out
 
 ROOT = Path(__file__).parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
@@ -67,11 +68,8 @@ def test_haste_rewards_early_success():
     haste = run_example("haste")["Haste"]()
     assert isinstance(haste, Sort)
     env = sg.SmartSurfaceEnv(haste, actions="halves")
-    env.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
-    rewards, ended = [], False
-    while not ended:
-        _, reward, ended, _, info = env.step(2 * 4 + 2)
-        rewards.append(reward)
+    played = played_out(env, 2 * 4 + 2, speed=1.5, parcel="S", side=1)
+    rewards, info = [step[1] for step in played], played[-1][4]
     assert info["outcome"] == "success"
     assert rewards == [0.0] * (len(rewards) - 1) + [pytest.approx(1.0 + 0.5 / info["time"])]
 

@@ -18,6 +18,11 @@ from surface_gym.sensors import Camera, Exact, Presence
 from surface_gym.tasks import Sort
 from tests.strategies import bases, polygon_vertices, polygons
 
+BOX = sg.Rectangle(0.25, 0.25)
+TRIANGLE = sg.Polygon([(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)])
+MANY = assortment(400, seed=3)
+PENTAGRAM = polygon_vertices(5, 0.3, 1.0, 0.0)[[0, 2, 4, 1, 3]]
+
 
 def samples(base: Base, count: int = 400) -> np.ndarray:
     """(2, points) of a fine grid over the area."""
@@ -25,50 +30,6 @@ def samples(base: Base, count: int = 400) -> np.ndarray:
     side = np.linspace(-base.reach, base.reach, count)
     points = np.stack(np.meshgrid(x + side, y + side)).reshape(2, -1)
     return points[:, base.functions(*points).max(axis=0) <= 0.0]
-
-
-@given(base=bases)
-def test_centroid_and_gyration_are_those_of_the_area(base):
-    points = samples(base)
-    assert points.shape[1] > 10_000
-    np.testing.assert_allclose(points.mean(axis=1), base.centroid, atol=0.005 * base.reach)
-    assert points.var(axis=1).sum() == pytest.approx(base.gyration, rel=0.01)
-
-
-@given(base=bases)
-def test_reach_is_the_distance_to_the_farthest_point_of_the_outline(base):
-    offset = base.outline - base.centroid
-    assert np.hypot(*offset.T).max() == pytest.approx(base.reach, rel=1e-9)
-
-
-@given(base=bases)
-def test_the_outline_runs_anti_clockwise_along_the_zero_of_the_functions(base):
-    largest = base.functions(*base.outline.T).max(axis=0)
-    np.testing.assert_allclose(largest, 0.0, atol=1e-12)
-    x, y = base.outline.T
-    assert np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0.0
-
-
-@given(base=bases, share=st.floats(0.0, 0.999), beyond=st.floats(1.001, 3.0))
-def test_functions_tell_inside_from_outside(base, share, beyond):
-    offset = base.outline - base.centroid
-    inside, outside = (np.array(base.centroid) + scale * offset for scale in (share, beyond))
-    assert (base.functions(*inside.T).max(axis=0) <= 0.0).all()
-    assert (base.functions(*outside.T).max(axis=0) > 0.0).all()
-
-
-@pytest.mark.parametrize(
-    ("base", "gyration", "reach"),
-    [
-        (sg.Rectangle(0.3, 0.4), 0.25 / 12.0, 0.25),
-        (sg.Disc(0.2), 0.02, 0.2),
-        # A right isosceles triangle of legs a: a^2 / 9 about its centroid.
-        (sg.Polygon([(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)]), 0.01, 0.1 * math.sqrt(5.0)),
-    ],
-)
-def test_known_areas(base, gyration, reach):
-    assert base.gyration == pytest.approx(gyration)
-    assert base.reach == pytest.approx(reach)
 
 
 def assert_same_area(one: Base, other: Base) -> None:
@@ -80,54 +41,89 @@ def assert_same_area(one: Base, other: Base) -> None:
     np.testing.assert_allclose(*functions, atol=1e-12)
 
 
-def test_a_box_drawn_as_a_polygon_is_the_same_box():
-    box = sg.Rectangle(0.3, 0.4)
-    assert_same_area(sg.Polygon(box.outline), box)
+class TestAreas:
+    @given(base=bases)
+    def test_centroid_and_gyration_are_those_of_the_area(self, base):
+        points = samples(base)
+        assert points.shape[1] > 10_000
+        np.testing.assert_allclose(points.mean(axis=1), base.centroid, atol=0.005 * base.reach)
+        assert points.var(axis=1).sum() == pytest.approx(base.gyration, rel=0.01)
+
+    @given(base=bases)
+    def test_reach_is_the_distance_to_the_farthest_point_of_the_outline(self, base):
+        offset = base.outline - base.centroid
+        assert np.hypot(*offset.T).max() == pytest.approx(base.reach, rel=1e-9)
+
+    @given(base=bases)
+    def test_the_outline_runs_anti_clockwise_along_the_zero_of_the_functions(self, base):
+        largest = base.functions(*base.outline.T).max(axis=0)
+        np.testing.assert_allclose(largest, 0.0, atol=1e-12)
+        x, y = base.outline.T
+        assert np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0.0
+
+    @given(base=bases, share=st.floats(0.0, 0.999), beyond=st.floats(1.001, 3.0))
+    def test_functions_tell_inside_from_outside(self, base, share, beyond):
+        offset = base.outline - base.centroid
+        inside, outside = (np.array(base.centroid) + scale * offset for scale in (share, beyond))
+        assert (base.functions(*inside.T).max(axis=0) <= 0.0).all()
+        assert (base.functions(*outside.T).max(axis=0) > 0.0).all()
+
+    @pytest.mark.parametrize(
+        ("base", "gyration", "reach"),
+        [
+            (sg.Rectangle(0.3, 0.4), 0.25 / 12.0, 0.25),
+            (sg.Disc(0.2), 0.02, 0.2),
+            # A right isosceles triangle of legs a: a^2 / 9 about its centroid.
+            (sg.Polygon([(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)]), 0.01, 0.1 * math.sqrt(5.0)),
+        ],
+    )
+    def test_known_areas(self, base, gyration, reach):
+        assert base.gyration == pytest.approx(gyration)
+        assert base.reach == pytest.approx(reach)
 
 
-@given(polygon=polygons())
-def test_the_sense_of_rotation_does_not_matter(polygon):
-    assert_same_area(sg.Polygon(polygon.vertices[::-1]), polygon)
+class TestPolygons:
+    def test_a_box_drawn_as_a_polygon_is_the_same_box(self):
+        box = sg.Rectangle(0.3, 0.4)
+        assert_same_area(sg.Polygon(box.outline), box)
 
+    @given(polygon=polygons())
+    def test_the_sense_of_rotation_does_not_matter(self, polygon):
+        assert_same_area(sg.Polygon(polygon.vertices[::-1]), polygon)
 
-@given(turn=st.floats(-4.0, 4.0), sides=st.integers(3, 8))
-def test_a_vertex_within_a_side_is_allowed(turn, sides):
-    corners = polygon_vertices(sides, 0.3, 0.8, turn)
-    middles = 0.5 * (corners + np.roll(corners, -1, axis=0))
-    more = sg.Polygon(np.stack([corners, middles], axis=1).reshape(-1, 2))
-    assert more.gyration == pytest.approx(sg.Polygon(corners).gyration)
+    @given(turn=st.floats(-4.0, 4.0), sides=st.integers(3, 8))
+    def test_a_vertex_within_a_side_is_allowed(self, turn, sides):
+        corners = polygon_vertices(sides, 0.3, 0.8, turn)
+        middles = 0.5 * (corners + np.roll(corners, -1, axis=0))
+        more = sg.Polygon(np.stack([corners, middles], axis=1).reshape(-1, 2))
+        assert more.gyration == pytest.approx(sg.Polygon(corners).gyration)
 
+    def test_a_polygon_keeps_a_read_only_copy(self):
+        vertices = polygon_vertices(4, 0.2, 1.0, 0.0)
+        polygon = sg.Polygon(vertices)
+        vertices[:] = 0.0
+        assert polygon.reach == pytest.approx(0.2)
+        with pytest.raises(ValueError, match="read-only"):
+            polygon.vertices[0] = 0.0
 
-def test_a_polygon_keeps_a_read_only_copy():
-    vertices = polygon_vertices(4, 0.2, 1.0, 0.0)
-    polygon = sg.Polygon(vertices)
-    vertices[:] = 0.0
-    assert polygon.reach == pytest.approx(0.2)
-    with pytest.raises(ValueError, match="read-only"):
-        polygon.vertices[0] = 0.0
-
-
-PENTAGRAM = polygon_vertices(5, 0.3, 1.0, 0.0)[[0, 2, 4, 1, 3]]
-
-
-@pytest.mark.parametrize(
-    ("vertices", "message"),
-    [
-        ([(0, 0), (1, 0)], "be at least 3, got 2"),
-        ([(0, 0), (1, 0), (1, 0), (0, 1)], "differ from their neighbours"),
-        ([(0, 0), (1, 0), (0, 1), (0, 0)], "differ from their neighbours"),
-        ([(0, 0), (1, 0), (0.2, 0.2), (0, 1)], "form a convex polygon, got "),
-        ([(0, 0), (1, 1), (1, 0), (0, 1)], "form a convex polygon, got "),
-        (PENTAGRAM, "form a convex polygon, got "),
-        ([(0, 0), (1, 1), (0.5, 0.5)], "form a convex polygon, got "),
-        ([(0, 0), (1, 0), (2, 0), (1, 0)], "form a convex polygon, got "),
-        ([(0, 0), (1e-5, 0), (0, 1e-5)], "enclose at least 1e-08 m.2, got 5e-11 m.2"),
-        ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], r"have the shape \(any, 2\)"),
-    ],
-)
-def test_polygons_that_are_not_allowed(vertices, message):
-    with pytest.raises(ValueError, match=f"^vertices must {message}"):
-        sg.Polygon(vertices)
+    @pytest.mark.parametrize(
+        ("vertices", "message"),
+        [
+            ([(0, 0), (1, 0)], "be at least 3, got 2"),
+            ([(0, 0), (1, 0), (1, 0), (0, 1)], "differ from their neighbours"),
+            ([(0, 0), (1, 0), (0, 1), (0, 0)], "differ from their neighbours"),
+            ([(0, 0), (1, 0), (0.2, 0.2), (0, 1)], "form a convex polygon, got "),
+            ([(0, 0), (1, 1), (1, 0), (0, 1)], "form a convex polygon, got "),
+            (PENTAGRAM, "form a convex polygon, got "),
+            ([(0, 0), (1, 1), (0.5, 0.5)], "form a convex polygon, got "),
+            ([(0, 0), (1, 0), (2, 0), (1, 0)], "form a convex polygon, got "),
+            ([(0, 0), (1e-5, 0), (0, 1e-5)], "enclose at least 1e-08 m.2, got 5e-11 m.2"),
+            ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], r"have the shape \(any, 2\)"),
+        ],
+    )
+    def test_polygons_that_are_not_allowed(self, vertices, message):
+        with pytest.raises(ValueError, match=f"^vertices must {message}"):
+            sg.Polygon(vertices)
 
 
 @dataclass(frozen=True)
@@ -222,125 +218,110 @@ class TestABaseOfOnesOwn:
                 sg.Parcel(wrong(0.3, 0.2))
 
 
-BOX = sg.Rectangle(0.25, 0.25)
-TRIANGLE = sg.Polygon([(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)])
+class TestParcels:
+    def test_defaults_are_table_1(self):
+        parcel = sg.Parcel(BOX)
+        assert (parcel.mass, parcel.com_height) == (10.0, 0.1)
+        assert parcel.moment_of_inertia == pytest.approx(10.0 * (0.25**2 + 0.25**2) / 12.0)
 
+    def test_a_given_inertia_is_kept(self):
+        parcel = sg.Parcel(BOX, mass=5.48, inertia=0.057)
+        assert parcel.moment_of_inertia == 0.057
+        assert parcel.body.gyration == pytest.approx(0.057 / 5.48)
 
-def test_defaults_are_table_1():
-    parcel = sg.Parcel(BOX)
-    assert (parcel.mass, parcel.com_height) == (10.0, 0.1)
-    assert parcel.moment_of_inertia == pytest.approx(10.0 * (0.25**2 + 0.25**2) / 12.0)
+    def test_the_centre_of_mass_is_offset_from_the_centroid(self):
+        assert sg.Parcel(TRIANGLE).centre_of_mass == pytest.approx((0.1, 0.1))
+        shifted = sg.Parcel(TRIANGLE, com_offset=(0.02, -0.03))
+        assert shifted.centre_of_mass == pytest.approx((0.12, 0.07))
 
+    def test_a_parcel_is_frozen(self):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            sg.Parcel(BOX).mass = 1.0
 
-def test_a_given_inertia_is_kept():
-    parcel = sg.Parcel(BOX, mass=5.48, inertia=0.057)
-    assert parcel.moment_of_inertia == 0.057
-    assert parcel.body.gyration == pytest.approx(0.057 / 5.48)
+    def test_parcels_with_equal_fields_are_equal(self):
+        assert sg.Parcel(BOX) == sg.Parcel(sg.Rectangle(0.25, 0.25))
+        assert sg.Parcel(BOX) != sg.Parcel(BOX, mass=9.0)
+        assert len({sg.Parcel(BOX), sg.Parcel(sg.Rectangle(0.25, 0.25))}) == 1
 
-
-def test_the_centre_of_mass_is_offset_from_the_centroid():
-    assert sg.Parcel(TRIANGLE).centre_of_mass == pytest.approx((0.1, 0.1))
-    shifted = sg.Parcel(TRIANGLE, com_offset=(0.02, -0.03))
-    assert shifted.centre_of_mass == pytest.approx((0.12, 0.07))
-
-
-def test_a_parcel_is_frozen():
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        sg.Parcel(BOX).mass = 1.0
-
-
-def test_parcels_with_equal_fields_are_equal():
-    assert sg.Parcel(BOX) == sg.Parcel(sg.Rectangle(0.25, 0.25))
-    assert sg.Parcel(BOX) != sg.Parcel(BOX, mass=9.0)
-    assert len({sg.Parcel(BOX), sg.Parcel(sg.Rectangle(0.25, 0.25))}) == 1
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"base": None}, "base must be a Rectangle, a Disc or a Polygon, got None"),
-        ({"base": (0.25, 0.25)}, "base must be a Rectangle, a Disc or a Polygon"),
-        ({"base": sg.Rectangle}, "base must be a Rectangle, a Disc or a Polygon"),
-        ({"com_offset": (0.2, 0.0)}, "com_offset must keep the centre of mass over the base"),
-        ({"com_offset": 0.0}, r"com_offset must have the shape \(2\)"),
-    ],
-)
-def test_what_is_not_allowed_is_refused(changes, message):
-    with pytest.raises(ValueError, match=f"^{message}"):
-        sg.Parcel(**{"base": BOX, **changes})
-
-
-MANY = assortment(400, seed=3)
-
-
-def test_the_same_seed_gives_the_same_parcels():
-    for again, parcel in zip(assortment(12, seed=3), MANY[:12], strict=True):
-        np.testing.assert_array_equal(again.base.outline, parcel.base.outline)
-        assert again.com_offset == parcel.com_offset
-    assert assortment(1, seed=4) != MANY[:1]
-
-
-def test_shapes_come_in_turn():
-    for place, parcel in enumerate(MANY):
-        assert isinstance(parcel.base, (Rectangle, Rectangle, Disc, Polygon)[place % 4])
-    assert all(parcel.base.length == parcel.base.width for parcel in MANY[::4])
-    assert any(parcel.base.length != parcel.base.width for parcel in MANY[1::4])
-
-
-@pytest.mark.parametrize("sizes", [(0.2, 0.45), (0.15, 0.5), (0.3, 0.3)])
-def test_sizes_are_within_their_bounds(sizes):
-    extents = np.array(
-        [np.ptp(parcel.base.outline, axis=0) for parcel in assortment(200, 0, sizes, load=0.01)]
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"base": None}, "base must be a Rectangle, a Disc or a Polygon, got None"),
+            ({"base": (0.25, 0.25)}, "base must be a Rectangle, a Disc or a Polygon"),
+            ({"base": sg.Rectangle}, "base must be a Rectangle, a Disc or a Polygon"),
+            ({"com_offset": (0.2, 0.0)}, "com_offset must keep the centre of mass over the base"),
+            ({"com_offset": 0.0}, r"com_offset must have the shape \(2\)"),
+        ],
     )
-    least = min(sizes[0], 0.75 * sizes[0])  # a polygon's, of the least circle
-    assert extents.min() >= least - 1e-9
-    assert extents.max() <= sizes[1] + 1e-9
+    def test_what_is_not_allowed_is_refused(self, changes, message):
+        with pytest.raises(ValueError, match=f"^{message}"):
+            sg.Parcel(**{"base": BOX, **changes})
 
 
-def test_lengths_are_uniform():
-    """A square's mean and spread are those of the uniform law, within four standard errors."""
-    lengths = np.array([np.ptp(parcel.base.outline[:, 0]) for parcel in assortment(1600, 1)[::4]])
-    spread = 0.25 / np.sqrt(12.0)
-    assert lengths.mean() == pytest.approx(0.325, abs=4.0 * spread / np.sqrt(len(lengths)))
-    assert lengths.std() == pytest.approx(spread, rel=0.1)
+class TestAssortment:
+    def test_the_same_seed_gives_the_same_parcels(self):
+        for again, parcel in zip(assortment(12, seed=3), MANY[:12], strict=True):
+            np.testing.assert_array_equal(again.base.outline, parcel.base.outline)
+            assert again.com_offset == parcel.com_offset
+        assert assortment(1, seed=4) != MANY[:1]
 
+    def test_shapes_come_in_turn(self):
+        for place, parcel in enumerate(MANY):
+            assert isinstance(parcel.base, (Rectangle, Rectangle, Disc, Polygon)[place % 4])
+        assert all(parcel.base.length == parcel.base.width for parcel in MANY[::4])
+        assert any(parcel.base.length != parcel.base.width for parcel in MANY[1::4])
 
-def test_loads_are_uniform_in_a_disc_over_the_base():
-    offsets = np.array([parcel.com_offset for parcel in MANY])
-    distance = np.hypot(*offsets.T)
-    assert distance.max() <= 0.03
-    # In a disc, the square of the distance is uniform.
-    assert (distance**2).mean() == pytest.approx(0.5 * 0.03**2, rel=0.15)
-    assert np.abs(offsets.mean(axis=0)).max() < 4.0 * 0.015 / np.sqrt(len(MANY))
-    for parcel in MANY:
-        assert parcel.base.functions(*parcel.centre_of_mass).max() <= 0.0
+    @pytest.mark.parametrize("sizes", [(0.2, 0.45), (0.15, 0.5), (0.3, 0.3)])
+    def test_sizes_are_within_their_bounds(self, sizes):
+        extents = np.array(
+            [np.ptp(parcel.base.outline, axis=0) for parcel in assortment(200, 0, sizes, load=0.01)]
+        )
+        least = min(sizes[0], 0.75 * sizes[0])  # a polygon's, of the least circle
+        assert extents.min() >= least - 1e-9
+        assert extents.max() <= sizes[1] + 1e-9
 
+    def test_lengths_are_uniform(self):
+        """A square's mean and spread are those of the uniform law, within four standard errors."""
+        lengths = np.array(
+            [np.ptp(parcel.base.outline[:, 0]) for parcel in assortment(1600, 1)[::4]]
+        )
+        spread = 0.25 / np.sqrt(12.0)
+        assert lengths.mean() == pytest.approx(0.325, abs=4.0 * spread / np.sqrt(len(lengths)))
+        assert lengths.std() == pytest.approx(spread, rel=0.1)
 
-def test_none_is_off_centre_where_no_load_is():
-    assert {parcel.com_offset for parcel in assortment(8, 0, load=0.0)} == {(0.0, 0.0)}
+    def test_loads_are_uniform_in_a_disc_over_the_base(self):
+        offsets = np.array([parcel.com_offset for parcel in MANY])
+        distance = np.hypot(*offsets.T)
+        assert distance.max() <= 0.03
+        # In a disc, the square of the distance is uniform.
+        assert (distance**2).mean() == pytest.approx(0.5 * 0.03**2, rel=0.15)
+        assert np.abs(offsets.mean(axis=0)).max() < 4.0 * 0.015 / np.sqrt(len(MANY))
+        for parcel in MANY:
+            assert parcel.base.functions(*parcel.centre_of_mass).max() <= 0.0
 
+    def test_none_is_off_centre_where_no_load_is(self):
+        assert {parcel.com_offset for parcel in assortment(8, 0, load=0.0)} == {(0.0, 0.0)}
 
-def test_polygons_are_convex_and_hold_their_centroid():
-    for parcel in MANY[3::4]:
-        corners = parcel.base.outline
-        edges = np.roll(corners, -1, axis=0) - corners
-        after = np.roll(edges, -1, axis=0)
-        assert (edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0] > 0.0).all()
-        assert parcel.base.functions(*parcel.base.centroid).max() < 0.0
+    def test_polygons_are_convex_and_hold_their_centroid(self):
+        for parcel in MANY[3::4]:
+            corners = parcel.base.outline
+            edges = np.roll(corners, -1, axis=0) - corners
+            after = np.roll(edges, -1, axis=0)
+            assert (edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0] > 0.0).all()
+            assert parcel.base.functions(*parcel.base.centroid).max() < 0.0
 
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        ({"count": 0}, "count must be a whole number of at least 1, got 0"),
-        ({"seed": -1}, "seed must be a whole number of at least 0, got -1"),
-        ({"sizes": (0.4, 0.2)}, "sizes must rise within (0.0001, 1000.0) m, got (0.4, 0.2)"),
-        ({"sizes": (0.0, 0.2)}, "sizes must rise within"),
-        ({"sizes": 0.2}, "sizes must have the shape (2)"),
-        ({"load": -0.01}, "load must be at least 0, got -0.01"),
-        ({"load": 50.0}, "load must lie over most bases, got 50 m"),
-    ],
-)
-def test_what_is_not_allowed(arguments, expected):
-    with pytest.raises(ValueError, match=f"^{re.escape(expected)}"):
-        assortment(**{"count": 4, "seed": 0, **arguments})
+    @pytest.mark.parametrize(
+        ("arguments", "expected"),
+        [
+            ({"count": 0}, "count must be a whole number of at least 1, got 0"),
+            ({"seed": -1}, "seed must be a whole number of at least 0, got -1"),
+            ({"sizes": (0.4, 0.2)}, "sizes must rise within (0.0001, 1000.0) m, got (0.4, 0.2)"),
+            ({"sizes": (0.0, 0.2)}, "sizes must rise within"),
+            ({"sizes": 0.2}, "sizes must have the shape (2)"),
+            ({"load": -0.01}, "load must be at least 0, got -0.01"),
+            ({"load": 50.0}, "load must lie over most bases, got 50 m"),
+        ],
+    )
+    def test_what_is_not_allowed(self, arguments, expected):
+        with pytest.raises(ValueError, match=f"^{re.escape(expected)}"):
+            assortment(**{"count": 4, "seed": 0, **arguments})

@@ -1,6 +1,5 @@
 """The native vector environment, beside single ones and Gymnasium's own vector of them."""
 
-import tracemalloc
 from collections.abc import Iterator
 from functools import partial
 from itertools import cycle
@@ -12,7 +11,6 @@ import pytest
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, VectorEnv
 
 import surface_gym as sg
-from surface_gym.randomisation import Actuators, Randomisation
 from tests import environments as te
 
 
@@ -44,6 +42,8 @@ def assert_infos_same(found: dict[str, Any], wanted: dict[str, Any], late: np.nd
 
 def run_beside(one: VectorEnv, other: VectorEnv, mode: AutoresetMode, periods: int) -> int:
     """Step both alike, comparing all they return; how many episodes ended."""
+    for space in ("single_observation", "single_action", "observation", "action"):
+        assert getattr(one, f"{space}_space") == getattr(other, f"{space}_space")
     one.action_space.seed(0)
     observations, infos = one.reset(seed=11)
     same_observations, same_infos = other.reset(seed=11)
@@ -135,13 +135,8 @@ def rollout(env: VectorEnv, chosen: slice, periods: int = 60) -> Iterator[tuple[
     for _ in range(periods):
         actions = rng.integers(0, 4, (64, *env.single_action_space.shape))[: env.num_envs]
         observations, rewards, terminated, truncated, infos = env.step(actions)
-        yield (
-            observations[chosen],
-            rewards[chosen],
-            terminated[chosen],
-            truncated[chosen],
-            infos["pose"][chosen],
-        )
+        given = (observations, rewards, terminated, truncated, infos["pose"])
+        yield tuple(each[chosen] for each in given)
 
 
 class TestBatchSize:
@@ -155,17 +150,9 @@ class TestBatchSize:
         for other in found[1:]:
             te.assert_same(found[0], other)
 
-    @pytest.mark.parametrize("threads", [0, -1, 1.5, True, "all"])
-    def test_bad_numbers_of_threads_are_named(self, threads):
-        with pytest.raises(ValueError, match="threads"):
-            sg.SmartSurfaceVectorEnv(2, threads=threads)
-
     def test_an_environment_is_not_touched_by_the_parcels_of_others(self):
         """A base of more edges and contacts than any before widens the memory of all."""
-        alone, among = (
-            te.native(num_envs=1, actions="halves"),
-            te.native(num_envs=3, actions="halves"),
-        )
+        alone, among = (te.native(num_envs=count, actions="halves") for count in (1, 3))
         options = {"speed": 1.0, "side": 1, "parcel": "S"}
         alone.reset(seed=0, options=options)
         among.reset(seed=[0, 1, 2], options=[options, None, None])
@@ -220,23 +207,12 @@ class TestBatchSize:
 
 
 class TestContract:
-    @te.every_cell
-    def test_spaces_are_those_of_single_ones(self, env_id, actions, sensor):
-        settings = {"actions": actions, "sensors": sensor()}
-        env, sync = (
-            te.native(env_id, **settings),
-            te.singles(env_id, AutoresetMode.NEXT_STEP, **settings),
-        )
-        assert type(env) is sg.SmartSurfaceVectorEnv
-        assert (env.num_envs, env.spec.id) == (te.NUM_ENVS, env_id)
-        for space in ("single_observation", "single_action", "observation", "action"):
-            assert getattr(env, f"{space}_space") == getattr(sync, f"{space}_space")
-        assert env.reset(seed=0)[0] in env.observation_space
-
     @te.every_mode
     def test_the_instance_says_its_mode(self, mode):
         for given in (mode, mode.value):
             env = te.native(autoreset_mode=given)
+            assert type(env) is sg.SmartSurfaceVectorEnv
+            assert (env.num_envs, env.spec.id) == (te.NUM_ENVS, te.SORT)
             assert env.metadata["autoreset_mode"] is mode
         assert "autoreset_mode" not in sg.SmartSurfaceVectorEnv.metadata
         assert te.native().metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
@@ -290,9 +266,8 @@ class TestTwins:
             env.step(env.action_space.sample())
         twin = twin_of(env)
         for _ in range(30):
-            te.assert_same(
-                env.step(env.action_space.sample()), twin.step(twin.action_space.sample())
-            )
+            found = env.step(env.action_space.sample())
+            te.assert_same(found, twin.step(twin.action_space.sample()))
 
     @pytest.mark.parametrize("twin_of", te.TWINS)
     def test_go_their_own_ways(self, twin_of):
@@ -309,33 +284,17 @@ class TestMemory:
         ("sensor", "mode"), list(zip(te.SENSORS, cycle(AutoresetMode), strict=False))
     )
     def test_does_not_grow(self, sensor, mode):
-        env = te.native(
-            num_envs=8,
-            actions="quadrants",
-            sensors=sensor(),
-            autoreset_mode=mode,
-            randomisation=Randomisation(size=0.05, friction=0.1),
-            actuators=Actuators(axis_speed=8.0),
-        )
+        env = te.native(num_envs=8, sensors=sensor(), autoreset_mode=mode, **te.PARCELS_VARY)
         actions = np.zeros((8, 4), dtype=np.int64)
 
-        def go(periods: int) -> None:
-            for _ in range(periods):
-                _, _, terminated, truncated, _ = env.step(actions)
-                over = terminated | truncated
-                if mode == AutoresetMode.DISABLED and over.any():
-                    env.reset(options={"reset_mask": over})
+        def step() -> None:
+            _, _, terminated, truncated, _ = env.step(actions)
+            over = terminated | truncated
+            if mode == AutoresetMode.DISABLED and over.any():
+                env.reset(options={"reset_mask": over})
 
         env.reset(seed=0)
-        tracemalloc.start()
-        try:
-            go(300)
-            before = tracemalloc.get_traced_memory()[0]
-            go(500)
-            grown = tracemalloc.get_traced_memory()[0] - before
-        finally:
-            tracemalloc.stop()
-        assert grown < 68_000  # [bytes] 17 an environment and step
+        assert te.growth(step, 300, 500) < 17 * 8  # [bytes] an environment
 
 
 class TestDrawing:
@@ -348,12 +307,3 @@ class TestDrawing:
         assert first.dtype == np.uint8
         assert first.shape == second.shape
         assert (first != second).any()
-
-    def test_without_a_mode_there_is_none(self):
-        env = te.native()
-        env.reset(seed=0)
-        assert env.render() is None
-
-    def test_before_the_first_reset_it_is_refused(self):
-        with pytest.raises(gym.error.ResetNeeded):
-            te.native(render_mode="rgb_array").render()

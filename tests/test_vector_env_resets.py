@@ -172,6 +172,7 @@ class TestBadInput:
         ("name", "values"),
         [
             ("num_envs", (0, -2, 2.0, True)),
+            ("threads", (0, -1, 1.5, True, "all")),
             ("max_episode_steps", (0, 2.5)),
             ("autoreset_mode", ("sometimes", 3, None)),
             ("render_mode", ("human",)),
