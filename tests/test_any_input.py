@@ -8,6 +8,7 @@ import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -186,14 +187,7 @@ def crowds(draw: st.DrawFn) -> tuple[sg.Surface, dict[str, Any]]:
     }
 
 
-entries = st.builds(
-    Entry,
-    position=up_to(checks.POSITION_ERROR),
-    angle=up_to(checks.ANGLE_ERROR),
-    speed=up_to(checks.SPEED),
-    turning=up_to(checks.SPIN),
-)
-densities = sizes(*checks.DENSITY)
+positions, turns = up_to(checks.POSITION_ERROR), up_to(checks.ANGLE_ERROR)
 rates = sizes(checks.FRAME_RATE[0], 100.0)
 observing: dict[str, st.SearchStrategy[Any]] = {  # what any observer assumes
     "drop": st.floats(0.0, 0.999),
@@ -201,27 +195,17 @@ observing: dict[str, st.SearchStrategy[Any]] = {  # what any observer assumes
     "mu_min": st.none() | up_to(1.0),
     "mu_support": st.none() | up_to(checks.FRICTION),
     "friction_error": up_to(checks.FRICTION_ERROR),
-    "acceleration_density": densities,
-    "turn_density": densities,
-    "entry": entries,
+    "acceleration_density": sizes(*checks.DENSITY),
+    "turn_density": sizes(*checks.DENSITY),
+    "entry": st.builds(Entry, positions, turns, up_to(checks.SPEED), up_to(checks.SPIN)),
 }
+filming = {"frame_rate": rates, "position_noise": positions, "angle_noise": turns, **observing}
+learned = sizes(*checks.LEARNED_SPREAD)
 SENSORS: dict[type[Sensor], st.SearchStrategy[Sensor]] = {
     Exact: st.just(Exact()),
-    Camera: st.builds(
-        Camera,
-        frame_rate=rates,
-        position_noise=up_to(checks.POSITION_ERROR),
-        angle_noise=up_to(checks.ANGLE_ERROR),
-        **observing,
-    ),
+    Camera: st.builds(Camera, **filming),
     AdaptiveCamera: st.builds(
-        AdaptiveCamera,
-        frame_rate=rates,
-        position_noise=up_to(checks.POSITION_ERROR),
-        angle_noise=up_to(checks.ANGLE_ERROR),
-        friction_spread=sizes(*checks.LEARNED_SPREAD),
-        load_spread=sizes(*checks.LEARNED_SPREAD),
-        **observing,
+        AdaptiveCamera, friction_spread=learned, load_spread=learned, **filming
     ),
     Presence: st.builds(
         Presence, sample_rate=rates, tolerance=sizes(*checks.TOLERANCE), **observing
@@ -236,10 +220,7 @@ COMMON: dict[str, st.SearchStrategy[Any]] = {
     ).map(tuple),
     "randomisation": st.builds(
         sg.Randomisation,
-        friction=SHARES,
-        rolling=SHARES,
-        mass=SHARES,
-        com_offset=SHARES,
+        **dict.fromkeys(("friction", "rolling", "mass", "com_offset"), SHARES),
         stiffness=up_to(checks.STIFFNESS_SPREAD),
         lateral=up_to(0.5),
         heading=up_to(math.pi),
@@ -321,10 +302,9 @@ def test_environments(task, kind, actions):
         num_envs=st.integers(0, 3),
     )
     def check(settings: dict[str, Any], seed: int, num_envs: int) -> None:
-        if num_envs:
-            play(sg.SmartSurfaceVectorEnv(num_envs, task, actions=actions, **settings), seed)
-        else:
-            play(sg.SmartSurfaceEnv(task, actions=actions, **settings), seed)
+        many = partial(sg.SmartSurfaceVectorEnv, num_envs)
+        make = many if num_envs else sg.SmartSurfaceEnv
+        play(make(task, actions=actions, **settings), seed)
 
     check()
 
@@ -338,12 +318,8 @@ def test_flows(kind):
         seed=st.integers(0, 1000),
     )
     def check(settings: dict[str, Any], duration: float, seed: int) -> None:
-        play(
-            sg.SmartSurfaceEnv(
-                "flow", line=SHORT, max_parcels=4, duration=min(duration, 20.0), **settings
-            ),
-            seed,
-        )
+        settings = {"line": SHORT, "max_parcels": 4, "duration": min(duration, 20.0), **settings}
+        play(sg.SmartSurfaceEnv("flow", **settings), seed)
 
     check()
 

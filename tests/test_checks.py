@@ -149,20 +149,51 @@ def beside(**changes: Any) -> Any:
     return sg.simulate_together(ON_IT[0], **arguments)
 
 
+NUMBER, SHARE, COEFFICIENT = (-1e4, 1e4), (0.0, 0.9999), (0.0, 100.0)
+OBSERVER = {
+    "drop": SHARE, "mu_max": COEFFICIENT, "friction_error": (0.0, 10.0),
+    "acceleration_density": (1e-12, 1e9), "turn_density": (1e-12, 1e9),
+}  # fmt: skip
+# Fields of each kind, with the least and greatest that they may be.
+FIELDS: dict[Callable[..., Any], dict[str, tuple[float, float]]] = {
+    surface: {"pitch": (1e-4, 1e3), "mu_support": COEFFICIENT, "tilt": (-0.7853, 0.7853)},
+    beside: {"restitution": (0.0, 1.0), "side_friction": COEFFICIENT},
+    sg.Actuators: {"stuck_share": (0.0, 1.0)},
+    sg.Randomisation: {"friction": SHARE, "stiffness": (0.0, 2.0), "heading": (0.0, math.pi)},
+    sg.SmartSurfaceEnv: {"control_period": (1e-6, 10.0)},
+    Field: {"pitch": (1e-4, 1e3)},
+    Line: {"line_y": (0.2, 1.8)},
+    Camera: {
+        "frame_rate": (1e-3, 1e6), "latency": (0.0, 0.16), "position_noise": (0.0, 10.0),
+        "angle_noise": (0.0, 2.0 * math.pi), **OBSERVER,
+    },
+    Presence: {
+        "sample_rate": (1e-3, 1e6), "tolerance": (1e-6, 1.0), "mu_min": COEFFICIENT,
+        "mu_support": COEFFICIENT, **OBSERVER,
+    },
+    Entry: {
+        "position": (0.0, 10.0), "angle": (0.0, 2.0 * math.pi), "speed": (0.0, 100.0),
+        "turning": (0.0, 1e3),
+    },
+    flow: {
+        "duration": (0.04, 86_400.0), "control_period": (1e-6, 10.0), "patience": (1e-6, 86_400.0),
+        "tilt": (-0.2617, 0.2617), "entry_gap": (0.0, 1e3), "ahead": (0.0, 100.0),
+        "side_friction": COEFFICIENT,
+    },
+    Sine: {"amplitude": NUMBER, "wavelength": (1e-4, 1e3)},
+    LaneChange: {"length": (1e-4, 1e3)},
+}  # fmt: skip
 # By the name of each: what takes it, and the least and greatest that it may be.
 NUMBERS: dict[str, tuple[Callable[[Any], Any], float, float]] = {
     "Surface.axis": (lambda v: sg.Surface([[0.0, v]], [[True, True]]), -1e6, 1e6),
-    "Surface.pitch": (lambda v: surface(pitch=v), 1e-4, 1e3),
     "Surface.pitch in y": (lambda v: surface(pitch=(0.1, v)), 1e-4, 1e3),
     "Surface.origin": (lambda v: surface(origin=(0.0, v)), -1e4, 1e4),
     "Surface.mu_max": (lambda v: surface(mu_max=v, mu_min=0.0), 0.0, 100.0),
     "Surface.mu_min": (lambda v: surface(mu_max=100.0, mu_min=v), 0.0, 100.0),
-    "Surface.mu_support": (lambda v: surface(mu_support=v), 0.0, 100.0),
     "Surface.mu_support of one": (
         lambda v: surface(mu_support=[[0.0, 0.0, 0.0], [0.0, 0.0, v]]), 0.0, 100.0,
     ),
     "Surface.stiffness": (uneven, 1e-6, 1e6),
-    "Surface.tilt": (lambda v: surface(tilt=v), -0.7853, 0.7853),
     "Rectangle.length": (lambda v: sg.Rectangle(v, 0.2), 1e-4, 1e3),
     "Rectangle.width": (lambda v: sg.Rectangle(0.2, v), 1e-4, 1e3),
     "Disc.radius": (sg.Disc, 1e-4, 1e3),
@@ -183,42 +214,11 @@ NUMBERS: dict[str, tuple[Callable[[Any], Any], float, float]] = {
     ),
     "together.duration": (lambda v: beside(duration=v, dt=1.0), 1e-9, 1e6),
     "together.dt": (lambda v: beside(duration=1e-3, dt=v), 1e-6, 1.0),
-    "together.restitution": (lambda v: beside(restitution=v), 0.0, 1.0),
-    "together.side_friction": (lambda v: beside(side_friction=v), 0.0, 100.0),
-    "Actuators.stuck_share": (lambda v: sg.Actuators(stuck_share=v), 0.0, 1.0),
-    "Randomisation.friction": (lambda v: sg.Randomisation(friction=v), 0.0, 0.9999),
-    "Randomisation.stiffness": (lambda v: sg.Randomisation(stiffness=v), 0.0, 2.0),
-    "Randomisation.heading": (lambda v: sg.Randomisation(heading=v), 0.0, math.pi),
-    "Field.pitch": (lambda v: Field(pitch=v), 1e-4, 1e3),
     "Field.origin": (lambda v: Field(origin=(v, 0.0)), -1e4, 1e4),
     "Field.mu_max": (lambda v: Field(mu_max=v, mu_min=0.0), 0.0, 100.0),
-    "Line.line_y": (lambda v: Line(line_y=v), 0.2, 1.8),
-    "env.control_period": (lambda v: sg.SmartSurfaceEnv(control_period=v), 1e-6, 10.0),
     "env.lateral": (
         lambda v: sg.SmartSurfaceEnv(randomisation=sg.Randomisation(lateral=v)), 0.0, 0.5,
     ),
-    "Camera.frame_rate": (lambda v: Camera(frame_rate=v), 1e-3, 1e6),
-    "Camera.latency": (lambda v: Camera(latency=v), 0.0, 0.16),
-    "Camera.position_noise": (lambda v: Camera(position_noise=v), 0.0, 10.0),
-    "Camera.angle_noise": (lambda v: Camera(angle_noise=v), 0.0, 2.0 * math.pi),
-    "Camera.drop": (lambda v: Camera(drop=v), 0.0, 0.9999),
-    "Camera.mu_max": (lambda v: Camera(mu_max=v), 0.0, 100.0),
-    "Camera.friction_error": (lambda v: Camera(friction_error=v), 0.0, 10.0),
-    "Camera.acceleration_density": (lambda v: Camera(acceleration_density=v), 1e-12, 1e9),
-    "Camera.turn_density": (lambda v: Camera(turn_density=v), 1e-12, 1e9),
-    "Presence.sample_rate": (lambda v: Presence(sample_rate=v), 1e-3, 1e6),
-    "Presence.tolerance": (lambda v: Presence(tolerance=v), 1e-6, 1.0),
-    "Presence.drop": (lambda v: Presence(drop=v), 0.0, 0.9999),
-    "Presence.mu_max": (lambda v: Presence(mu_max=v), 0.0, 100.0),
-    "Presence.mu_min": (lambda v: Presence(mu_min=v), 0.0, 100.0),
-    "Presence.mu_support": (lambda v: Presence(mu_support=v), 0.0, 100.0),
-    "Presence.friction_error": (lambda v: Presence(friction_error=v), 0.0, 10.0),
-    "Presence.acceleration_density": (lambda v: Presence(acceleration_density=v), 1e-12, 1e9),
-    "Presence.turn_density": (lambda v: Presence(turn_density=v), 1e-12, 1e9),
-    "Entry.position": (lambda v: Entry(position=v), 0.0, 10.0),
-    "Entry.angle": (lambda v: Entry(angle=v), 0.0, 2.0 * math.pi),
-    "Entry.speed": (lambda v: Entry(speed=v), 0.0, 100.0),
-    "Entry.turning": (lambda v: Entry(turning=v), 0.0, 1e3),
     "Steady.rate": (Steady, 1e-6, 1e5),
     "Spread.rate": (lambda v: Spread(v, 0.1), 1e-6, 1e5),
     "Spread.spread": (lambda v: Spread(900.0, v), 0.0, 0.9999),
@@ -228,17 +228,12 @@ NUMBERS: dict[str, tuple[Callable[[Any], Any], float, float]] = {
     "Arrival.time": (lambda v: Arrival(v, ON_IT[1], 1.0, "left"), 0.0, 1e9),
     "Exit.first": (lambda v: Exit("left", 1, v), -1e4, 1e4),
     "flow_line.length": (flow_line, 0.5505, 1e3),
-    "flow.duration": (lambda v: flow(duration=v), 0.04, 86_400.0),
-    "flow.control_period": (lambda v: flow(control_period=v), 1e-6, 10.0),
-    "flow.patience": (lambda v: flow(patience=v), 1e-6, 86_400.0),
-    "flow.tilt": (lambda v: flow(tilt=v), -0.2617, 0.2617),
-    "flow.entry_gap": (lambda v: flow(entry_gap=v), 0.0, 1e3),
-    "flow.ahead": (lambda v: flow(ahead=v), 0.0, 100.0),
-    "flow.side_friction": (lambda v: flow(side_friction=v), 0.0, 100.0),
-    "Sine.amplitude": (lambda v: Sine(amplitude=v), -1e4, 1e4),
-    "Sine.wavelength": (lambda v: Sine(wavelength=v), 1e-4, 1e3),
-    "LaneChange.length": (lambda v: LaneChange(length=v), 1e-4, 1e3),
     "Polyline.points": (lambda v: Polyline(((0.0, v), (1.0, 1.0))), -1e4, 1e4),
+    **{
+        f"{kind.__name__}.{name}": (lambda v, kind=kind, name=name: kind(**{name: v}), *bounds)
+        for kind, fields in FIELDS.items()
+        for name, bounds in fields.items()
+    },
 }  # fmt: skip
 NO_NUMBERS = [None, "1", b"1", 1j, [[1.0]], {}, math.nan, math.inf, -math.inf, object()]
 # Where nothing given means something.
