@@ -61,6 +61,11 @@ def opened(batch: BaseBatch, i: int = 0) -> Renderer:
     return renderer
 
 
+def running(*arrivals: tuple[float, str], **settings: Any) -> tuple[StreamBatch, Renderer]:
+    batch = stream_of(*arrivals, **settings)
+    return batch, opened(batch)
+
+
 def go_on(batch: StreamBatch, renderer: Renderer, periods: int, choice: int = ROLL) -> None:
     for _ in range(periods):
         batch.step(np.full(batch.surfaces.command.shape, choice))
@@ -131,8 +136,7 @@ class TestOneParcel:
 
 class TestParcelsOfAStream:
     def test_all_on_the_line_are_shown_where_they_are(self):
-        batch = stream_of((0.0, "left"), (0.4, "straight"), (0.8, "right"))
-        renderer = opened(batch)
+        batch, renderer = running((0.0, "left"), (0.4, "straight"), (0.8, "right"))
         go_on(batch, renderer, 25)
         scene, known = renderer.scene(), truths(batch)
         assert [parcel.exit for parcel in scene.parcels] == [0, 2, 1]
@@ -162,8 +166,7 @@ class TestParcelsOfAStream:
 
 class TestTrails:
     def test_they_end_at_the_centre_and_are_short(self):
-        batch = stream_of((0.0, "straight"))
-        renderer = opened(batch)
+        batch, renderer = running((0.0, "straight"))
         lengths = []
         for _ in range(20):
             go_on(batch, renderer, 1)
@@ -175,8 +178,7 @@ class TestTrails:
         assert min(lengths[10:]) > TRAIL - 1.5 * PERIOD
 
     def test_a_place_used_again_does_not_join_them(self):
-        batch = stream_of((0.0, "straight"), (0.0, "straight"), max_parcels=1)
-        renderer = opened(batch)
+        batch, renderer = running((0.0, "straight"), (0.0, "straight"), max_parcels=1)
         while batch.streams.number[0, 0] != 1:
             go_on(batch, renderer, 1)
         go_on(batch, renderer, 3)
@@ -185,8 +187,7 @@ class TestTrails:
         assert trail[:, 0].max() < 0.5
 
     def test_an_episode_begins_without_any(self):
-        batch = stream_of((0.0, "straight"))
-        renderer = opened(batch)
+        batch, renderer = running((0.0, "straight"))
         go_on(batch, renderer, 42)  # it has left, and is shown yet
         assert len(renderer.scene().parcels) == 1
         batch.reset(np.array([0]))
@@ -197,8 +198,7 @@ class TestTrails:
 
 class TestExits:
     def test_who_has_left_goes_on_for_a_moment(self):
-        batch = stream_of((0.0, "straight"))
-        renderer = opened(batch)
+        batch, renderer = running((0.0, "straight"))
         while batch.streams.present[0, 0]:
             go_on(batch, renderer, 1)
         left, (x, y, _, vx, vy, _) = batch.streams.left[0, 0], batch.parcels.truth[0].copy()
@@ -213,8 +213,7 @@ class TestExits:
         assert GLIDE - PERIOD <= periods * PERIOD <= GLIDE + PERIOD
 
     def test_pairs_are_counted_past_those_who_have_left(self):
-        batch = stream_of((0.0, "straight"), (0.2, "left"), (0.6, "right"))
-        renderer = opened(batch)
+        batch, renderer = running((0.0, "straight"), (0.2, "left"), (0.6, "right"))
         while batch.streams.present[0, 0]:
             go_on(batch, renderer, 1)
         batch.streams.touched_at[0, [1, 2], [2, 1]] = batch.streams.steps[0]
@@ -224,8 +223,7 @@ class TestExits:
 
     def test_counts_and_those_who_wait(self):
         names = ("straight", "left", "straight", "right", "straight")
-        batch = stream_of(*[(0.5 * k, name) for k, name in enumerate(names)], (9.0, "left"))
-        renderer = opened(batch)
+        batch, renderer = running(*[(0.5 * k, name) for k, name in enumerate(names)], (9.0, "left"))
         go_on(batch, renderer, 120)  # all roll straight on
         scene = renderer.scene()
         assert scene.traffic.delivered == (0, 0, 3)
@@ -259,8 +257,7 @@ class TestExits:
 
 class TestReadings:
     def test_axes_zone_and_tilt_are_the_surfaces(self):
-        batch = stream_of((0.0, "left"), tilt=0.05)
-        renderer = opened(batch)
+        batch, renderer = running((0.0, "left"), tilt=0.05)
         go_on(batch, renderer, 3, PLUS_45)
         scene = renderer.scene(0, "env 0")
         assert (scene.title, scene.tilt) == ("env 0", 0.05)
@@ -291,8 +288,7 @@ class TestReadings:
             assert reading(renderer.scene(), "parcels an hour") == rate
 
     def test_an_end_is_shown(self):
-        batch = stream_of((0.0, "left"))
-        renderer = opened(batch)
+        batch, renderer = running((0.0, "left"))
         assert "end" not in dict(renderer.scene().readings)
         batch.streams.outcome[0] = JAM
         assert reading(renderer.scene(), "end") == "jam"
