@@ -3,6 +3,7 @@
 import doctest
 import math
 import runpy
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ ROOT = Path(__file__).parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
+@cache
 def run_example(example: str) -> dict[str, Any]:
     """Return the names that an example defines."""
     return runpy.run_path(str(ROOT / "examples" / f"{example}.py"))
@@ -83,12 +85,13 @@ class TestRuled:
 
     def test_it_sees_the_nearest_line_and_the_mean_velocity_since(self):
         ruled = run_example("ruled")["Ruled"](line=0.02, turn=0.05)
-        env = sg.SmartSurfaceEnv("sort", actions="quadrants", sensors=ruled)
+        env = sg.SmartSurfaceEnv("sort", sensors=ruled)
         env.reset(seed=0, options={"speed": 1.5, "parcel": "B", "side": 1})
+        env.action_space.seed(0)
         state = env.batch.view(0)
         seen = [state.sensed.copy()]
-        for action in np.random.default_rng(0).integers(4, size=(12, 4)):
-            if env.step(action)[2]:
+        for _ in range(12):
+            if env.step(env.action_space.sample())[2]:
                 break
             units = np.array([0.02, 0.02, 0.05])
             nearest = units * np.round(state.truth[:3] / units)

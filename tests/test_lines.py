@@ -13,23 +13,17 @@ from tests.environments import IDS, bare, cell, steps
 
 
 @pytest.mark.parametrize("size", ["S", "B"])
-class TestTheLineOfAPapersBox:
-    def test_has_the_rotors_of_the_papers_layout(self, size):
-        site = Line().site(sg.layouts.box(size).base, None)
-        layout = sg.layouts.sorting(size, task_columns=16, columns=30)
-        np.testing.assert_array_equal(site.rotor, layout.rotor)
-
-    def test_obeys_after_the_papers_lead_in(self, size):
-        first_row, rows, first_column, columns = Line().site(sg.layouts.box(size).base, None).zone
-        assert (rows, first_column, columns) == (LINE_ROWS[size], LEAD_IN[size], 16)
-        layout = sg.layouts.sorting(size, task_columns=16, columns=30)
-        obeying = np.zeros_like(layout.rotor)
-        obeying[first_row : first_row + rows, first_column : first_column + columns] = True
-        np.testing.assert_array_equal(obeying, layout.rotor & (layout.axis != np.pi / 2))
-
-    def test_obeys_where_asked(self, size):
-        assert Line().site(sg.layouts.box(size).base, (7, 7)).zone[2:] == (7, 1)
-        assert Line().site(sg.layouts.box(size).base, (0, 29)).zone[2:] == (0, 30)
+def test_a_papers_box_has_the_rotors_of_its_layout_and_a_zone_after_its_lead_in(size):
+    base, layout = sg.layouts.box(size).base, sg.layouts.sorting(size, task_columns=16, columns=30)
+    site = Line().site(base, None)
+    np.testing.assert_array_equal(site.rotor, layout.rotor)
+    first_row, rows, first_column, columns = site.zone
+    assert (rows, first_column, columns) == (LINE_ROWS[size], LEAD_IN[size], 16)
+    obeying = np.zeros_like(layout.rotor)
+    obeying[first_row : first_row + rows, first_column : first_column + columns] = True
+    np.testing.assert_array_equal(obeying, layout.rotor & (layout.axis != np.pi / 2))
+    assert Line().site(base, (7, 7)).zone[2:] == (7, 1)
+    assert Line().site(base, (0, 29)).zone[2:] == (0, 30)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
 
 import surface_gym as sg
 from surface_gym.config import LAB_PARCELS, PRESETS, EnvConfig, Preset
@@ -15,7 +14,6 @@ from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera, Exact
 from surface_gym.tasks import Slow
-from tests.environments import SORT, native, singles
 
 LAB = PRESETS["lab"]
 BOTH = ("parcel", "rotors")
@@ -93,27 +91,11 @@ class TestLab:
         assert EnvConfig(task=task, preset="lab").task.parcels == LAB.parcels
         assert EnvConfig(task=task, preset="camera") == EnvConfig(task=task, sensors=Camera())
 
-    def test_a_task_of_parcels_of_its_own_keeps_them(self):
+    def test_a_task_of_parcels_of_its_own_keeps_them_and_its_other_parameters(self):
         mine = Slow(parcels=(Parcel(Disc(0.2)),))
         assert EnvConfig(task=mine, preset="lab").task == mine
-
-    def test_other_parameters_of_a_task_are_kept(self):
         found = EnvConfig(task=Slow(speeds=(1.0, 1.2)), preset="lab").task
         assert found == Slow(speeds=(1.0, 1.2), parcels=LAB.parcels)
-
-    def test_batches_equal_single_environments_to_the_bit(self):
-        arguments: dict[str, Any] = {"preset": "lab", "observe": BOTH, "actions": "halves"}
-        mode = AutoresetMode.NEXT_STEP
-        envs = native(SORT, max_episode_steps=14, autoreset_mode=mode, **arguments)
-        others = singles(SORT, mode, **arguments)
-        (seen, _), (wanted, _) = envs.reset(seed=5), others.reset(seed=5)
-        np.testing.assert_array_equal(seen, wanted)
-        rng = np.random.default_rng(0)
-        for _ in range(20):
-            action = rng.integers(0, 16, envs.num_envs)
-            given, expected = envs.step(action), others.step(action)
-            for mine, theirs in zip(given[:4], expected[:4], strict=True):
-                np.testing.assert_array_equal(mine, theirs)
 
 
 class TestObserve:
@@ -146,17 +128,18 @@ class TestObserve:
         )
         bases = [BASES[k % 4] for k in range(12)]
         given: list[dict[str, Any]] = [{"parcel": Parcel(base)} for base in bases]
-        sides = [1 if k < 6 and task == "sort" else -1 for k in range(12)]
+        mirrored = [1] * 12
         if task == "sort":
-            given = [{**each, "side": side} for each, side in zip(given, sides, strict=True)]
+            mirrored[6:] = [-1] * 6
+            given = [{**each, "side": side} for each, side in zip(given, mirrored, strict=True)]
         observations, info = env.reset(seed=4, options=given)
         rng = np.random.default_rng(3)
         running = np.ones(12, dtype=bool)
         for _ in range(12):
             assert observations in env.observation_space
             for k in np.nonzero(running)[0].tolist():
-                mirror = sides[k] if task == "sort" else 1
-                rotors = _rotors(env.config, bases[k], info["pose"][k], info["axes"][k], mirror)
+                axes = info["axes"][k]
+                rotors = _rotors(env.config, bases[k], info["pose"][k], axes, mirrored[k])
                 shown = np.concatenate([_outline(bases[k]), rotors])
                 np.testing.assert_allclose(observations[k, -SHOWN:], shown, rtol=1e-5, atol=1e-5)
             observations, _, terminated, truncated, info = env.step(rng.integers(0, 16, 12))

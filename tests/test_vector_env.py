@@ -96,6 +96,12 @@ class TestBesideSingles:
             >= te.NUM_ENVS
         )
 
+    def test_also_in_the_lab_where_parcel_and_rotors_are_seen(self):
+        settings = {"preset": "lab", "observe": ("parcel", "rotors"), "actions": "halves"}
+        mode = AutoresetMode.NEXT_STEP
+        one = te.native(max_episode_steps=te.LIMIT, autoreset_mode=mode, **settings)
+        assert run_beside(one, te.singles(te.SORT, mode, **settings), mode, 20) >= te.NUM_ENVS
+
     @te.every_mode
     def test_ending_at_the_limit_is_both(self, mode):
         """As with Gymnasium's TimeLimit: an end in the last period is truncated too."""
@@ -115,11 +121,10 @@ class TestBesideSingles:
         if mode != AutoresetMode.SAME_STEP:
             assert [flags.tolist() for flags in results[0][2:4]] == [[True], [True]]
 
-    @pytest.mark.parametrize("context", ["spawn", "forkserver"])
-    def test_singles_in_processes_of_their_own(self, context):
+    def test_singles_in_processes_of_their_own(self):
         settings = {"actions": "halves", "sensors": te.SENSORS[-1]()}
         make = partial(te.single_of, te.SORT, te.LIMIT, settings)
-        apart = AsyncVectorEnv([make] * 2, context=context)
+        apart = AsyncVectorEnv([make] * 2, context="spawn")
         together = te.native(num_envs=2, max_episode_steps=te.LIMIT, **settings)
         try:
             assert run_beside(together, apart, AutoresetMode.NEXT_STEP, 20) >= 2
