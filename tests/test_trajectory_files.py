@@ -4,7 +4,7 @@ import io
 import math
 import pickle
 import zipfile
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -95,31 +95,22 @@ class TestAllOfOne:
         assert_same(run, back, MOTION)
         assert back.run is None
 
-    def test_a_base_of_ones_own_is_not_lost_silently(self, tmp_path):
-        @dataclass(frozen=True)
-        class Tile(sg.Rectangle):
-            pass
-
-        run = slide(sg.Parcel(Tile(0.3, 0.3)))
-        with pytest.raises(ValueError, match=r"^base must be a Rectangle, a Disc or a Polygon to "):
-            run.save(tmp_path / "run.npz")
-        assert not (tmp_path / "run.npz").exists()
-        run.save(tmp_path / "run.csv")
-
-    def test_nor_is_a_surface_or_a_parcel(self, tmp_path):
-        class Floor(sg.Surface):
-            pass
-
-        class Box(sg.Parcel):
-            pass
-
-        floor = Floor(np.zeros((20, 20)), np.ones((20, 20), dtype=bool))
-        for run, kind in (
-            (sg.simulate(floor, *AT_REST[1:], duration=0.02), "surface must be a Surface"),
-            (slide(Box(sg.Disc(0.2))), "parcel must be a Parcel"),
+    def test_classes_of_ones_own_are_not_lost_silently(self, tmp_path):
+        kinds = (sg.Rectangle, sg.Surface, sg.Parcel)
+        tile, floor, box = (type("Own", (kind,), {}) for kind in kinds)
+        ground = floor(np.zeros((20, 20)), np.ones((20, 20), dtype=bool))
+        for run, named in (
+            (slide(sg.Parcel(tile(0.3, 0.3))), "base must be a Rectangle, a Disc or a Polygon to "),
+            (
+                sg.simulate(ground, *AT_REST[1:], duration=0.02),
+                "surface must be a Surface, not ",
+            ),
+            (slide(box(sg.Disc(0.2))), "parcel must be a Parcel, not a user-defined class"),
         ):
-            with pytest.raises(ValueError, match=f"^{kind}, not a user-defined class"):
+            with pytest.raises(ValueError, match=f"^{named}"):
                 run.save(tmp_path / "run.npz")
+            assert not (tmp_path / "run.npz").exists()
+            run.save(tmp_path / "run.csv")
 
 
 class TestTables:

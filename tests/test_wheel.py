@@ -92,14 +92,15 @@ def test_environment_and_shipped_agent_work(installed):
     program = (
         "import gymnasium as gym\n"
         "name = 'surface_gym:SmartSurface/Sort-v0'\n"
-        "envs = [type(gym.make(name).unwrapped), type(gym.make_vec(name, num_envs=2))]\n"
+        "makes = (gym.make, gym.make_vec)\n"
+        "envs = [make(name, actions='halves').unwrapped for make in makes]\n"
         "from surface_gym import agents\n"
         "policy = agents.load('sort-ppo')\n"
         "env = gym.make(policy.env_id, **policy.env_kwargs)\n"
         "seen, _ = env.reset(seed=0)\n"
         "action, _ = policy.predict(seen, deterministic=True)\n"
         "env.step(action)\n"
-        "print(*(kind.__name__ for kind in envs), agents.__name__, agents.__file__)\n"
+        "print(*(type(each).__name__ for each in envs), agents.__name__, agents.__file__)\n"
     )
     *names, file = run_installed(installed, "-c", program).split()
     assert names == ["SmartSurfaceEnv", "SmartSurfaceVectorEnv", "surface_gym.agents"]
