@@ -85,7 +85,7 @@ TARGETS = (
     _env("state", ("tasks/test_base", "tasks/test_sort"), *_TASKS, *_ENVS),
     _env(
         "vector_env", ("test_vector_env_resets",),
-        "tests/test_vector_env.py", "tests/test_vector_env_contract.py", "tests/test_own.py",
+        "tests/test_vector_env.py", "tests/test_own.py",
     ),
     _env("core/resets", ("core/test_resets",), *_ENVS),
     _env("core/actions", ("core/test_actions",), "tests/test_actuators.py", "tests/test_axes.py"),

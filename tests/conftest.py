@@ -1,6 +1,8 @@
 """Configuration of every test."""
 
 import os
+import sys
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
@@ -12,6 +14,14 @@ settings.register_profile("surface_gym", deadline=None, derandomize=True, max_ex
 # Others every night, and many: HYPOTHESIS_PROFILE=nightly.
 settings.register_profile("nightly", deadline=None, max_examples=10_000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "surface_gym"))
+
+
+@pytest.fixture
+def screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A screen that nobody sees."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    yield
+    sys.modules["pygame"].display.quit()
 
 
 def pytest_configure(config: pytest.Config) -> None:

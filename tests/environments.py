@@ -2,7 +2,8 @@
 
 import copy
 import pickle
-from collections.abc import Iterator
+import tracemalloc
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -41,14 +42,6 @@ CELLS = [
 every_cell = pytest.mark.parametrize(
     ("env_id", "actions", "sensor"),
     [pytest.param(*cell, id=f"{cell[0]}-{cell[1]}-{cell[2].__name__}") for cell in CELLS],
-)
-# Of these, one of each id and kind of sensor.
-every_seen_id = pytest.mark.parametrize(
-    ("env_id", "actions", "sensor"),
-    [
-        pytest.param(*cell, id=f"{cell[0]}-{cell[2].__name__}")
-        for cell in {(cell[0], cell[2]): cell for cell in CELLS}.values()
-    ],
 )
 
 PITCH, ORIGIN = 0.1, 0.05  # [m] between elements of the tasks' lines, and of the first
@@ -89,6 +82,12 @@ def bare(env_id: str = SORT, **settings: Any) -> sg.SmartSurfaceEnv:
     return gym.make(env_id, disable_env_checker=True, **settings).unwrapped
 
 
+def cell(env_id: str, actions: str) -> dict[str, Any]:
+    """A kind of action and the sensor that an id has with it in CELLS."""
+    (sensor,) = (each[2] for each in CELLS if each[:2] == (env_id, actions))
+    return {"actions": actions, "sensors": sensor()}
+
+
 def same_choice(env: sg.SmartSurfaceEnv, choice: int) -> Any:
     """The action that sets every module it reaches to one orientation."""
     kind = env.config.action_kind
@@ -96,6 +95,15 @@ def same_choice(env: sg.SmartSurfaceEnv, choice: int) -> Any:
 
 
 Step = tuple[np.ndarray, float, bool, bool, dict[str, Any]]
+
+
+def played_out(env: gym.Env, action: Any, **options: Any) -> list[Step]:
+    """Every step of an episode of one action, begun with some options."""
+    env.reset(seed=0, options=options)
+    played = [env.step(action)]
+    while not played[-1][2]:
+        played.append(env.step(action))
+    return played
 
 
 def steps(env: gym.Env, seed: int, episodes: int = 1, longest: int = 200) -> Iterator[Step]:
@@ -131,6 +139,20 @@ def assert_same(first: Any, second: Any, place: str = "") -> None:
         assert first == second, place
 
 
+def growth(step: Callable[[], None], warm: int, steps: int) -> float:
+    """[bytes] by which memory grows a step, after some."""
+    tracemalloc.start()
+    try:
+        for _ in range(warm):
+            step()
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(steps):
+            step()
+        return (tracemalloc.get_traced_memory()[0] - before) / steps
+    finally:
+        tracemalloc.stop()
+
+
 def by_pickle(value: Any) -> Any:
     return pickle.loads(pickle.dumps(value))
 
@@ -163,6 +185,12 @@ EVERYTHING_VARIES: dict[str, Any] = {
         lateral=0.01, heading=0.05,
     ),
 }  # fmt: skip
+
+PARCELS_VARY: dict[str, Any] = {
+    "actions": "quadrants",
+    "actuators": Actuators(axis_speed=8.0),
+    "randomisation": Randomisation(size=0.05, friction=0.1),
+}
 
 # Each id and each kind of sensor, of which other code is compiled where axes turn: seconds each.
 every_varying = pytest.mark.parametrize(

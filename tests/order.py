@@ -32,13 +32,12 @@ SMOKE = (
     "tests/flow/test_exits.py",
     "tests/flow/test_stream.py",
     "tests/rendering/test_scene.py",
-    "tests/test_env.py::TestEpisodes::test_outcomes_of_sort",
-    "tests/test_layouts.py",
+    "tests/tasks/test_sort.py::TestEnds::test_by_choice",
     "tests/test_parcel.py",
     "tests/test_config.py",
     "tests/test_simulation.py",
     "tests/test_surface.py",
-    "tests/test_vector_env.py::TestBesideSingles::test_one_by_one",
+    "tests/test_vector_env.py::TestBesideSingles::test_also_over_whole_episodes",
 )
 
 # Long proofs of which the rest of the tests hold a short form: `pytest -m nightly`.

@@ -1,7 +1,9 @@
 """A task of your own, as small as a task can be, and the ways it may be wrong."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -90,65 +92,44 @@ class Uncompilable(Cross):
         return state.weight
 
 
-class Undecided(Cross):
+class Unruly(Cross):
+    """Does what a task may not: which of it, `far` says."""
+
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        return TOO_LATE + 1
+        if state.goal[0] < 1.0:
+            return TOO_LATE + 1
+        return own.RUNNING + 1 if state.goal[0] < 2.0 else own.RUNNING
 
-
-class OutOfTime(Cross):
-    @staticmethod
-    @kernel_function
-    def outcome(state: EnvState) -> int:
-        return own.RUNNING + 1
-
-
-class Priceless(Cross):
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        state.terms[0] = math.nan
+        state.terms[0] = math.nan if state.goal[0] < 3.0 else 1.0
         state.terms[1] = 0.0
+        if state.goal[0] > 4.0:
+            state.terms[2] = 1.0
 
-
-class Blind(Cross):
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
         state.observation[0] = 0.0
-        state.observation[1] = math.inf
+        state.observation[1] = math.inf if 3.0 < state.goal[0] < 4.0 else 0.0
 
 
-class Generous(Cross):
-    @staticmethod
-    @kernel_function
-    def reward(state: EnvState, outcome: int) -> None:
-        for k in range(3):
-            state.terms[k] = 1.0
+@dataclass(frozen=True)
+class Misled(Cross):
+    """Starts as it should not: with something else, or with what it says it does not have."""
 
+    goals: int = 1
+    has_path: bool = False
+    instead: tuple[str, Any] | None = ("goal", (1.0,))
 
-class Aimless(Cross):
-    goals = 2
-
-
-class Crowded(Cross):
-    def start(self, draw: own.Draw) -> own.Start:
-        return super().start(draw)._replace(velocity=([1.0] * 7, 0.0, 0.0))
-
-
-class Nowhere(Cross):
-    def start(self, draw: own.Draw) -> own.Start:
-        return super().start(draw)._replace(pose=(math.nan, 0.4, 0.0))
-
-
-class Pathless(Cross):
-    has_path = True
-
-
-class Startless(Cross):
     def start(self, draw: own.Draw) -> Any:
-        return None
+        if self.instead is None:
+            return None
+        name, value = self.instead
+        return super().start(draw)._replace(**{name: value})
 
 
 class Unstarted(Cross):
@@ -160,23 +141,29 @@ class Featureless(Cross):
 
 
 # Each with what its error must say.
-FAULTY: dict[type[Cross], str] = {
-    Unjudged: r"Unjudged.outcome must be a static method and a kernel_function.* got None",
-    Plain: r"Plain.outcome must be a static method and a kernel_function",
-    Uncompilable: r"Uncompilable with Exact does not compile(.|\n)*weight",
-    Undecided: r"Undecided.outcome must return RUNNING, SUCCESS or a failure.* got 4",
-    OutOfTime: r"OutOfTime.outcome must return RUNNING, SUCCESS or a failure.* got 1",
-    Priceless: r"Priceless.reward must write finite terms, got {'way': nan",
-    Blind: r"Blind.observe.* must write finite features, got others for y",
-    Generous: r"Generous with Exact must keep within their arrays.* 2 terms",
-    Aimless: r"Aimless.start must give a goal of 2 numbers, got 1",
-    Crowded: r"Crowded.start must give a velocity of numbers or arrays",
-    Nowhere: r"Nowhere.start must give a pose of finite numbers",
-    Pathless: r"Pathless.start must give a path of 256 points, got None",
-    Startless: r"Startless.start must give a Start, got None",
-    Unstarted: r"Unstarted.start must be a method, as Task says",
-    Featureless: r"Featureless.features must be a tuple",
-}
+FAULTY: tuple[tuple[Callable[[], Cross], str], ...] = (
+    (Unjudged, r"Unjudged.outcome must be a static method and a kernel_function.* got None"),
+    (Plain, r"Plain.outcome must be a static method and a kernel_function"),
+    (Uncompilable, r"Uncompilable with Exact does not compile(.|\n)*weight"),
+    (partial(Unruly, 0.2), r"Unruly.outcome must return RUNNING, SUCCESS or a failure.* got 4"),
+    (partial(Unruly, 1.2), r"Unruly.outcome must return RUNNING, SUCCESS or a failure.* got 1"),
+    (partial(Unruly, 2.2), r"Unruly.reward must write finite terms, got {'way': nan"),
+    (partial(Unruly, 3.2), r"Unruly.observe.* must write finite features, got others for y"),
+    (partial(Unruly, 4.2), r"Unruly with Exact must keep within their arrays.* 2 terms"),
+    (partial(Misled, goals=2), r"Misled.start must give a goal of 2 numbers, got 1"),
+    (
+        partial(Misled, instead=("velocity", ((1.0,) * 7, 0.0, 0.0))),
+        r"Misled.start must give a velocity of numbers or arrays",
+    ),
+    (
+        partial(Misled, instead=("pose", (math.nan, 0.4, 0.0))),
+        r"Misled.start must give a pose of finite numbers",
+    ),
+    (partial(Misled, has_path=True), r"Misled.start must give a path of 256 points, got None"),
+    (partial(Misled, instead=None), r"Misled.start must give a Start, got None"),
+    (Unstarted, r"Unstarted.start must be a method, as Task says"),
+    (Featureless, r"Featureless.features must be a tuple"),
+)
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,6 @@
 """Axes at any angle, axes that are seen, and what `info` carries on request."""
 
 import math
-from dataclasses import replace
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -10,35 +8,30 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import surface_gym as sg
-from surface_gym.config import EnvConfig
 from surface_gym.randomisation import Actuators
-from tests.environments import ACTIONS, IDS, SORT, assert_same, bare, steps
+from surface_gym.sensors import Exact
+from tests.environments import CELLS, SORT, assert_same, bare, every_id, same_choice, steps
 
 ANGLES = np.array([0.0, math.pi / 4, -math.pi / 4, math.pi / 2])  # of the default choices
 FLAT = sg.Parcel(sg.Rectangle(0.35, 0.25), mass=4.0, com_height=0.0, com_offset=(0.03, -0.02))
+TURNING = {"actions": "quadrants", "actuators": Actuators(axis_speed=5.0)}
+# Every id and every kind of action.
+CASES = {
+    f"{env_id}-{actions}": (env_id, {"actions": actions})
+    for env_id, actions, sensor in CELLS
+    if sensor is Exact
+} | {"turning": (SORT, TURNING)}
 
 
 class TestAnyAngle:
-    @pytest.mark.parametrize(
-        ("env_id", "actions"), list(zip(IDS, (*ACTIONS, "modules"), strict=True))
-    )
+    @pytest.mark.parametrize(("env_id", "settings"), CASES.values(), ids=CASES)
     @pytest.mark.filterwarnings("ignore:.*symmetric and normalized")  # angles are what they are
-    def test_it_is_an_environment(self, env_id: str, actions: str) -> None:
-        env = gym.make(env_id, actions=actions, orientations="any")
-        assert isinstance(env.action_space, gym.spaces.Box)
-        choices = replace(env.unwrapped.config, orientations=EnvConfig().orientations)
-        assert env.action_space.shape == (choices.action_kind.size,)
-        check_env(env.unwrapped, skip_render_check=True)
-
-    @pytest.mark.parametrize(
-        ("actions", "axis_speed"), list(zip(ACTIONS, [math.inf, 6.0] * 2, strict=True))
-    )
-    def test_the_angles_of_choices_move_it_as_the_choices_do(
-        self, actions: str, axis_speed: float
-    ) -> None:
-        settings = {"actions": actions, "actuators": Actuators(axis_speed=axis_speed)}
-        any_angle, choices = bare(orientations="any", **settings), bare(**settings)
+    def test_the_angles_of_choices_move_it_as_the_choices_do(self, env_id, settings):
+        any_angle, choices = bare(env_id, orientations="any", **settings), bare(env_id, **settings)
         kind = choices.config.action_kind
+        assert isinstance(any_angle.action_space, gym.spaces.Box)
+        assert any_angle.action_space.shape == (kind.size,)
+        check_env(any_angle, skip_render_check=True)
         for env in (any_angle, choices):
             env.reset(seed=2)
         rng = np.random.default_rng(0)
@@ -50,35 +43,35 @@ class TestAnyAngle:
             if one[2]:
                 break
 
-    def test_an_angle_between_acts_as_a_surface_so_turned(self) -> None:
-        env = bare(actions="halves", orientations="any", zone=(0, 29))
+    def test_an_angle_between_acts_as_a_surface_so_turned(self):
+        env = bare(actions="quadrants", orientations="any", zone=(0, 29))
         _, info = env.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
         layout = sg.layouts.sorting("S", 1, columns=30, task_columns=27)
         surface = sg.Surface(np.full(layout.rotor.shape, -0.6), layout.rotor)
         run = sg.simulate(surface, sg.layouts.box("S"), info["pose"], (1.5, 0.0, 0.0), duration=0.5)
         for period in range(1, 10):
-            info = env.step([-0.6, -0.6])[4]
+            info = env.step([-0.6] * 4)[4]
             np.testing.assert_allclose(info["pose"], run.pose[8 * period], rtol=0, atol=1e-9)
 
-    @pytest.mark.parametrize("wrong", [[2.0, 0.0], [math.nan, 0.0], [0.0], "up", [True, False]])
-    def test_others_are_refused(self, wrong: Any) -> None:
-        env = bare(actions="halves", orientations="any")
+    def test_others_are_refused(self):
+        env = bare(actions="quadrants", orientations="any")
         env.reset(seed=0)
-        with pytest.raises(ValueError, match="action must"):
-            env.step(wrong)
+        for wrong in ([2.0, 0.0, 0.0, 0.0], [math.nan, 0.0, 0.0, 0.0], [0.0], "up", [True] * 4):
+            with pytest.raises(ValueError, match="action must"):
+                env.step(wrong)
 
 
 class TestSeenAxes:
     @pytest.mark.parametrize(
-        ("env_id", "actions", "axis_speed"),
+        ("env_id", "settings"),
         [
-            ("SmartSurface/Orient-v0", "modules", math.inf),
-            ("SmartSurface/Slow-v0", "window", 4.0),
-            ("SmartSurface/Sort-v0", "modules", 4.0),
+            ("SmartSurface/Orient-v0", {"actions": "modules"}),
+            ("SmartSurface/Slow-v0", {"actions": "window"}),
+            (SORT, TURNING),
         ],
+        ids=["modules", "window", "turning"],
     )
-    def test_the_rest_is_as_without(self, env_id: str, actions: str, axis_speed: float) -> None:
-        settings = {"actions": actions, "actuators": Actuators(axis_speed=axis_speed)}
+    def test_the_rest_is_as_without(self, env_id, settings):
         plain, seeing = bare(env_id, **settings), bare(env_id, observe_axes=True, **settings)
         features = plain.observation_space.shape[0]
         for one, other in zip(steps(plain, 3), steps(seeing, 3), strict=True):
@@ -87,13 +80,8 @@ class TestSeenAxes:
             assert other[0] in seeing.observation_space
 
     @pytest.mark.parametrize("side", [1, -1])
-    def test_they_are_those_of_info_mirrored_with_the_rest(self, side: int) -> None:
-        env = bare(
-            actions="quadrants",
-            observe_axes=True,
-            info=("axes",),
-            actuators=Actuators(axis_speed=5.0),
-        )
+    def test_they_are_those_of_info_mirrored_with_the_rest(self, side):
+        env = bare(observe_axes=True, info=("axes",), **TURNING)
         env.reset(seed=0, options={"parcel": "B", "side": side})
         features = len(env.config.task.features)
         for action in ([0, 1, 2, 3], [2, 2, 1, 1], [1, 0, 3, 2]):
@@ -104,31 +92,29 @@ class TestSeenAxes:
             shown = np.stack([np.cos(2.0 * zone), np.sin(2.0 * zone)], axis=-1)
             np.testing.assert_allclose(observation[features:], shown.ravel(), atol=1e-6)
 
-    def test_turning_axes_are_hidden_otherwise(self) -> None:
+    def test_turning_axes_are_hidden_otherwise(self):
         """Two environments that look alike, whose axes are under way to different places."""
-        slow = {"actuators": Actuators(axis_speed=0.5), "actions": "halves"}
         for seen in (False, True):
-            one, other = (bare(observe_axes=seen, **slow) for _ in range(2))
-            start = {"parcel": "S", "side": 1, "speed": 0.5}
-            for env, choice in ((one, 5), (other, 10)):
-                env.reset(seed=0, options=start)
-                observation = env.step(choice)[0]
-                if env is one:
-                    first = observation
-            assert (first == observation).all() != seen
+            env = bare(observe_axes=seen, **{**TURNING, "actuators": Actuators(axis_speed=0.5)})
+            found = []
+            for choice in (1, 2):
+                env.reset(seed=0, options={"parcel": "S", "side": 1, "speed": 0.5})
+                found.append(env.step([choice] * 4)[0])
+            assert (found[0] == found[1]).all() != seen
 
 
 class TestOnRequest:
-    def test_nothing_is_there_unasked(self) -> None:
-        info = bare().reset(seed=0)[1]
-        assert not {"axes", "normal_forces"} & set(info)
+    @every_id
+    def test_nothing_is_there_unasked(self, env_id):
+        assert not {"axes", "normal_forces"} & set(bare(env_id).reset(seed=0)[1])
+        assert "axes" in bare(env_id, info=["axes"]).reset(seed=0)[1]
 
     @pytest.mark.parametrize("tilt", [0.0, 0.2])
-    def test_normal_forces_bear_the_parcel_about_its_centre_of_mass(self, tilt: float) -> None:
-        env = bare("SmartSurface/Track-v0", actions="halves", info=("normal_forces", "axes"))
+    def test_normal_forces_bear_the_parcel_about_its_centre_of_mass(self, tilt):
+        env = bare("SmartSurface/Track-v0", info=("normal_forces", "axes"))
         env.reset(seed=0, options={"parcel": FLAT, "tilt": tilt, "speed": 1.0})
-        for action in (0, 5, 10, 6):
-            info = env.step(action)[4]
+        for choice in (0, 1, 2, 1):
+            info = env.step(same_choice(env, choice))[4]
             loads = info["normal_forces"]
             assert loads.min() >= 0.0
             assert loads.sum() == pytest.approx(4.0 * 9.81 * math.cos(tilt))
@@ -139,7 +125,7 @@ class TestOnRequest:
             centre = [0.05 + 0.1 * np.average(k, weights=loads) for k in (columns, rows)]
             assert centre == pytest.approx([com_x, com_y], abs=1e-6)
 
-    def test_a_vector_env_has_them_one_by_one(self) -> None:
+    def test_a_vector_env_has_them_one_by_one(self):
         envs = gym.make_vec(SORT, num_envs=3, info=("axes", "normal_forces"))
         _, info = envs.reset(seed=0)
         assert info["axes"].shape == info["normal_forces"].shape == (3, 20, 30)
@@ -149,10 +135,6 @@ class TestOnRequest:
             assert_same(info["normal_forces"][i], single["normal_forces"])
 
     @pytest.mark.parametrize("wrong", ["axes", ("torque",), 3, None])
-    def test_others_are_named(self, wrong: Any) -> None:
+    def test_others_are_named(self, wrong):
         with pytest.raises(ValueError, match="info must be"):
             bare(info=wrong)
-
-    def test_every_id_knows_them(self) -> None:
-        for env_id in IDS:
-            assert "axes" in bare(env_id, info=["axes"]).reset(seed=0)[1]

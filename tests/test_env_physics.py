@@ -1,4 +1,4 @@
-"""The single environment moves a parcel as `simulate` does."""
+"""The single environment moves a parcel as `simulate` does, to the bit."""
 
 import math
 
@@ -6,33 +6,20 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from tests.environments import (
-    ACTIONS,
-    MINUS_45,
-    ORIGIN,
-    PARCELS,
-    PITCH,
-    PLUS_45,
-    ROLL,
-    assert_same,
-    bare,
-    same_choice,
-)
+from tests import environments as te
 
 
 class TestPhysics:
-    """The environment moves a parcel as `simulate` does, to the bit."""
-
     @pytest.mark.parametrize("side", [1, -1])
     @pytest.mark.parametrize("speed", [0.6, 0.9, 1.5, 2.7])
     @pytest.mark.parametrize("size", ["S", "B"])
-    def test_of_a_fixed_layout(self, size: str, speed: float, side: int) -> None:
-        env = bare()
+    def test_of_a_fixed_layout(self, size, speed, side):
+        env = te.bare()
         _, info = env.reset(seed=0, options={"speed": speed, "parcel": size, "side": side})
         layout = sg.layouts.sorting(size, side, task_columns=16, columns=30)
         box = sg.layouts.box(size)
         run = sg.simulate(layout, box, info["pose"], (speed, 0.0, 0.0), duration=4.0)
-        action = same_choice(env, MINUS_45 if side > 0 else PLUS_45)
+        action = te.same_choice(env, te.MINUS_45 if side > 0 else te.PLUS_45)
         terminated = False
         number = 0
         while not terminated and number < 800:
@@ -45,17 +32,17 @@ class TestPhysics:
         assert bool(info["is_success"]) == (not on_rotors(layout, size, run, number - 1))
         assert all(on_rotors(layout, size, run, step) for step in range(number - 1))
 
-    @pytest.mark.parametrize("parcel", PARCELS.values(), ids=PARCELS)
-    def test_of_any_parcel_and_turning(self, parcel: sg.Parcel) -> None:
+    @pytest.mark.parametrize("parcel", te.PARCELS.values(), ids=te.PARCELS)
+    def test_of_any_parcel_and_turning(self, parcel):
         """A conveyor all the way: the frame's pose agrees, the centroid's is what `info` has."""
-        env = bare(zone=(29, 29))
+        env = te.bare(zone=(29, 29))
         _, info = env.reset(seed=0, options={"parcel": parcel, "speed": 1.2, "side": 1})
         rotor = env.config.task.line.site(parcel.base, None).rotor
         conveyor = sg.Surface(np.full(rotor.shape, math.pi / 2), rotor)
         start = np.array(info["pose"]) - (*parcel.base.centroid, 0.0)
         run = sg.simulate(conveyor, parcel, start, (1.2, 0.0, 0.0), duration=1.0)
         for period in range(1, 25):
-            _, _, terminated, _, info = env.step(same_choice(env, ROLL))
+            _, _, terminated, _, info = env.step(te.same_choice(env, te.ROLL))
             assert not terminated
             x, y, theta = run.pose[8 * period]
             cosine, sine = math.cos(theta), math.sin(theta)
@@ -63,44 +50,31 @@ class TestPhysics:
             centroid = (x + cosine * com_x - sine * com_y, y + sine * com_x + cosine * com_y)
             np.testing.assert_allclose(info["pose"], [*centroid, theta], rtol=0, atol=1e-12)
 
-    @pytest.mark.parametrize("actions", ACTIONS)
-    def test_kinds_that_turn_all_modules_alike_move_it_alike(self, actions: str) -> None:
-        env, modules = bare(actions=actions), bare(actions="modules")
-        for each in (env, modules):
-            each.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
-        terminated = False
-        while not terminated:
-            terminated, _, info = env.step(same_choice(env, MINUS_45))[2:]
-            assert_same(info, modules.step(same_choice(modules, MINUS_45))[4])
+    @pytest.mark.parametrize("actions", te.ACTIONS)
+    def test_kinds_that_turn_all_modules_alike_move_it_alike(self, actions):
+        found, wanted = (
+            te.played_out(env, te.same_choice(env, te.MINUS_45), speed=1.5, parcel="S", side=1)
+            for env in (te.bare(**te.cell(te.SORT, actions)), te.bare())
+        )
+        te.assert_same(tuple(step[4] for step in found), tuple(step[4] for step in wanted))
 
-    def test_a_control_period_is_cut_into_equal_steps_of_at_most_5_ms(self) -> None:
+    def test_a_control_period_is_cut_into_equal_steps_of_at_most_5_ms(self):
         """12 ms make three steps of 4 ms."""
-        env = bare(control_period=0.012)
+        env = te.bare(control_period=0.012)
         env.reset(seed=0, options={"speed": 1.0, "parcel": "S", "side": 1})
         layout = sg.layouts.sorting("S", 1, task_columns=16, columns=30)
         box = sg.layouts.box("S")
         run = sg.simulate(layout, box, sg.layouts.start("S"), (1.0, 0.0, 0.0), 0.6, dt=0.012 / 3)
         for period in range(1, 50):
-            info = env.step(same_choice(env, MINUS_45))[4]
+            info = env.step(te.same_choice(env, te.MINUS_45))[4]
             np.testing.assert_array_equal(info["pose"], run.pose[3 * period])
-
-    def test_the_decision_period_does_not_matter_to_a_fixed_layout(self) -> None:
-        ends = []
-        for period in (0.01, 0.04, 0.1):
-            env = bare(control_period=period)
-            env.reset(seed=0, options={"speed": 1.5, "parcel": "B", "side": -1})
-            terminated = False
-            while not terminated:
-                _, _, terminated, _, info = env.step(same_choice(env, PLUS_45))
-            ends.append((info["time"], *info["pose"]))
-        np.testing.assert_allclose(ends, [ends[0]] * 3, rtol=0, atol=1e-9)
 
 
 def on_rotors(layout: sg.Surface, size: str, run: sg.Trajectory, step: int) -> bool:
     """Whether a rotor lies under the box half a step after a step's start."""
     x, y, theta = run.pose[step] + 0.0025 * run.velocity[step]
     rows, columns = np.nonzero(layout.rotor)
-    dx, dy = ORIGIN + PITCH * columns - x, ORIGIN + PITCH * rows - y
+    dx, dy = te.ORIGIN + te.PITCH * columns - x, te.ORIGIN + te.PITCH * rows - y
     cosine, sine = math.cos(theta), math.sin(theta)
     functions = sg.layouts.box(size).base.functions(
         cosine * dx + sine * dy, cosine * dy - sine * dx

@@ -1,7 +1,6 @@
 """The single environment: what a reset may fix, and how bad input is met."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
@@ -10,107 +9,79 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.randomisation import Actuators, Randomisation
-from tests.environments import (
-    ACTIONS,
-    IDS,
-    MINUS_45,
-    OPTIONS,
-    PARCELS,
-    ROLL,
-    SENSORS,
-    SORT,
-    TRIANGLE,
-    assert_same,
-    bare,
-    every_id,
-    same_choice,
-)
+from tests import environments as te
 
-BAD_OPTIONS: tuple[tuple[Any, str], ...] = (
-    ({"velocity": 1.0}, "options"),
-    ({3: 1.0}, "options"),
-    ([("speed", 1.0)], "options"),
-    ("speed", "options"),
-    ({"speed": "fast"}, "speed"),
-    ({"speed": None}, "speed"),
-    ({"speed": True}, "speed"),
-    ({"speed": math.nan}, "speed"),
-    ({"speed": math.inf}, "speed"),
-    ({"speed": -0.1}, "speed"),
-    ({"speed": 1000.0}, "speed"),
-    ({"speed": [1.0, 1.0]}, "speed"),
-    ({"parcel": "M"}, "parcel"),
-    ({"parcel": None}, "parcel"),
-    ({"parcel": 3}, "parcel"),
-    ({"parcel": sg.Rectangle(0.2, 0.2)}, "parcel"),
-    ({"parcel": np.zeros(3)}, "parcel"),
-)
-BAD_SORT_OPTIONS: tuple[tuple[Any, str], ...] = (
-    ({"side": 0.5}, "side"),
-    ({"side": 2}, "side"),
-    ({"side": "left"}, "side"),
-    ({"side": True}, "side"),
-    ({"side": None}, "side"),
-    ({"parcel": sg.Parcel(sg.Rectangle(2.0, 0.3))}, "parcel"),
-    ({"parcel": sg.Parcel(sg.Disc(0.31))}, "parcel"),
-    ({"ratio": 0.5}, "options"),
-)
+# By the name that the error says.
+BAD_OPTIONS: dict[str, tuple[Any, ...]] = {
+    "options": ({"velocity": 1.0}, {3: 1.0}, [("speed", 1.0)], "speed"),
+    "speed": tuple(
+        {"speed": value}
+        for value in ("fast", None, True, math.nan, math.inf, -0.1, 1000.0, [1.0, 1.0])
+    ),
+    "parcel": tuple(
+        {"parcel": value} for value in ("M", None, 3, sg.Rectangle(0.2, 0.2), np.zeros(3))
+    ),
+}
+BAD_SORT_OPTIONS: dict[str, tuple[Any, ...]] = {
+    "side": tuple({"side": value} for value in (0.5, 2, "left", True, None)),
+    "parcel": tuple(
+        {"parcel": sg.Parcel(base)} for base in (sg.Rectangle(2.0, 0.3), sg.Disc(0.31))
+    ),
+    "options": ({"ratio": 0.5},),
+}
 EVERY_BAD_OPTION = [
-    *((env_id, *bad) for env_id in IDS for bad in BAD_OPTIONS),
-    *((SORT, *bad) for bad in BAD_SORT_OPTIONS),
+    *((env_id, name, bad) for env_id in te.IDS for name, bad in BAD_OPTIONS.items()),
+    *((te.SORT, name, bad) for name, bad in BAD_SORT_OPTIONS.items()),
 ]
 
 
 class TestOptions:
-    def test_the_table_below_covers_every_task_and_option(self) -> None:
-        for env_id in IDS:
-            assert set(OPTIONS[env_id]) == set(bare(env_id).config.task.options)
-
-    @every_id
-    def test_they_fix_every_start_exactly(self, env_id: str) -> None:
+    @te.every_id
+    def test_they_fix_every_start_exactly(self, env_id):
+        assert set(te.OPTIONS[env_id]) == set(te.bare(env_id).config.task.options)
         runs = []
         for seed in (0, 1):
-            env = bare(env_id)
+            env = te.bare(env_id)
             env.action_space.seed(0)
-            run = [env.reset(seed=seed, options=OPTIONS[env_id])]
+            run = [env.reset(seed=seed, options=te.OPTIONS[env_id])]
             run += [env.step(env.action_space.sample()) for _ in range(5)]
             runs.append(tuple(run))
-        assert_same(*runs)
+        te.assert_same(*runs)
 
-    @every_id
-    def test_the_last_start_is_forgotten(self, env_id: str) -> None:
-        env, fresh = bare(env_id), bare(env_id)
-        env.reset(seed=0, options={"parcel": TRIANGLE, "speed": 2.0})
+    @te.every_id
+    def test_the_last_start_is_forgotten(self, env_id):
+        env, fresh = te.bare(env_id), te.bare(env_id)
+        env.reset(seed=0, options={"parcel": te.TRIANGLE, "speed": 2.0})
         env.step(env.action_space.sample())
-        assert_same(env.reset(seed=7), fresh.reset(seed=7))
+        te.assert_same(env.reset(seed=7), fresh.reset(seed=7))
 
-    @every_id
-    @pytest.mark.parametrize("speed", [0.35, 1, np.float32(1.5), 2.7])
-    def test_speed(self, env_id: str, speed: Any) -> None:
-        _, info = bare(env_id).reset(seed=0, options={"speed": speed})
-        vx, vy, omega = info["velocity"]
-        assert np.hypot(vx, vy) == pytest.approx(float(speed), rel=1e-15)  # along a path, if any
-        assert omega == 0.0
+    @te.every_id
+    def test_speed(self, env_id):
+        env = te.bare(env_id)
+        for speed in (0.35, 1, np.float32(1.5), 2.7):
+            vx, vy, omega = env.reset(seed=0, options={"speed": speed})[1]["velocity"]
+            assert np.hypot(vx, vy) == pytest.approx(float(speed), rel=1e-15)  # along a path, too
+            assert omega == 0.0
 
-    @pytest.mark.parametrize("side", [1, -1, np.int64(1), np.int8(-1)])
-    def test_side(self, side: int) -> None:
-        for seed in range(4):
-            observation, _ = bare().reset(seed=seed, options={"side": side})
-            assert observation[-1] == side
+    def test_side(self):
+        env = te.bare()
+        for side in (1, -1, np.int64(1), np.int8(-1)):
+            for seed in range(4):
+                assert env.reset(seed=seed, options={"side": side})[0][-1] == side
 
     @pytest.mark.parametrize("size", ["S", "B", np.str_("B")])
-    def test_the_papers_boxes_enter_as_in_the_paper(self, size: str) -> None:
-        env = bare()
+    def test_the_papers_boxes_enter_as_in_the_paper(self, size):
+        env = te.bare()
         _, info = env.reset(seed=0, options={"parcel": size})
         np.testing.assert_allclose(info["pose"], sg.layouts.start(size), rtol=1e-15)
         named = env.reset(seed=0, options={"parcel": sg.layouts.box(size)})
-        assert_same(env.reset(seed=0, options={"parcel": size}), named)
+        te.assert_same(env.reset(seed=0, options={"parcel": size}), named)
 
-    @every_id
-    @pytest.mark.parametrize("parcel", PARCELS.values(), ids=PARCELS)
-    def test_a_parcel_of_ones_own(self, env_id: str, parcel: sg.Parcel) -> None:
-        env = bare(env_id)
-        _, info = env.reset(seed=0, options={"parcel": parcel, "speed": 1.0})
+    @te.every_id
+    @pytest.mark.parametrize("parcel", te.PARCELS.values(), ids=te.PARCELS)
+    def test_a_parcel_of_ones_own(self, env_id, parcel):
+        env = te.bare(env_id)
+        env.reset(seed=0, options={"parcel": parcel, "speed": 1.0})
         for _ in range(10):
             observation, _, terminated, _, info = env.step(env.action_space.sample())
             assert observation in env.observation_space
@@ -118,59 +89,55 @@ class TestOptions:
             if terminated:
                 break
 
-    @pytest.mark.parametrize(("env_id", "options", "named"), EVERY_BAD_OPTION)
-    def test_bad_ones_are_named(self, env_id: str, options: Any, named: str) -> None:
-        env, twin = bare(env_id), bare(env_id)
+    @pytest.mark.parametrize(("env_id", "named", "bad"), EVERY_BAD_OPTION)
+    def test_bad_ones_are_named(self, env_id, named, bad):
+        """The episode goes on as if nothing had been asked, and the next starts as ever."""
+        env, twin = te.bare(env_id), te.bare(env_id)
         for each in (env, twin):
             each.reset(seed=0)
-            each.action_space.seed(0)
-        with pytest.raises(ValueError, match=named):
-            env.reset(seed=1, options=options)
-        # The episode goes on as if nothing had been asked, and the next starts as ever.
-        for _ in range(2):
-            assert_same(env.step(env.action_space.sample()), twin.step(twin.action_space.sample()))
-        assert_same(env.reset(seed=2), twin.reset(seed=2))
+        for options in bad:
+            with pytest.raises(ValueError, match=named):
+                env.reset(seed=1, options=options)
+            for _ in range(2):
+                action = env.action_space.sample()
+                te.assert_same(env.step(action), twin.step(action))
+            te.assert_same(env.reset(seed=2), twin.reset(seed=2))
 
 
 class TestBadActions:
-    BAD = {
-        "halves": [
-            -1, 16, 2**40, 3.0, math.nan, True, None, "roll", [3], [3, 3], {}, np.array(3.0),
-        ],
-        "others": [
-            3, [], [[3]], "roll", None, {}, math.nan,
-        ],
-    }  # fmt: skip
+    OF_HALVES = (
+        -1, 16, 2**40, 3.0, math.nan, True, None, "roll", [3], [3, 3], {}, np.array(3.0),
+    )  # fmt: skip
+    OF_OTHERS = (3, [], [[3]], "roll", None, {}, math.nan)
 
     @staticmethod
     def refused(env: sg.SmartSurfaceEnv, twin: sg.SmartSurfaceEnv, action: Any) -> None:
         """It is named, and leaves the environment as its twin, which has not seen it."""
         with pytest.raises(ValueError, match="action"):
             env.step(action)
-        good = same_choice(env, MINUS_45)
-        after, wanted = env.step(good), twin.step(good)
-        assert_same(after, wanted)
+        good = te.same_choice(env, te.MINUS_45)
+        after = env.step(good)
+        te.assert_same(after, twin.step(good))
         if after[2]:
-            assert_same(env.reset(), twin.reset())
+            te.assert_same(env.reset(), twin.reset())
 
-    def pair(self, env_id: str, actions: str) -> list[sg.SmartSurfaceEnv]:
-        envs = [bare(env_id, actions=actions) for _ in range(2)]
+    def pair(self, **settings: Any) -> list[sg.SmartSurfaceEnv]:
+        envs = [te.bare(**settings) for _ in range(2)]
         for env in envs:
             env.reset(seed=0)
-            env.step(same_choice(env, ROLL))
+            env.step(te.same_choice(env, te.ROLL))
         return envs
 
-    @pytest.mark.parametrize("action", BAD["halves"], ids=repr)
-    def test_of_halves(self, action: Any) -> None:
-        self.refused(*self.pair(SORT, "halves"), action)
-
-    @pytest.mark.parametrize("actions", [kind for kind in ACTIONS if kind != "halves"])
-    @every_id
-    def test_of_every_other_kind(self, env_id: str, actions: str) -> None:
-        env, twin = self.pair(env_id, actions)
-        good = same_choice(env, ROLL)
+    @te.every_cell
+    def test_they_are_named(self, env_id, actions, sensor):
+        env, twin = self.pair(env_id=env_id, actions=actions, sensors=sensor())
+        if actions == "halves":
+            for action in self.OF_HALVES:
+                self.refused(env, twin, action)
+            return
+        good = te.same_choice(env, te.ROLL)
         ragged = [[3], *[3] * (len(good) - 1)]
-        for action in (*self.BAD["others"], ragged, good[:-1], [*good, 3], good[np.newaxis]):
+        for action in (*self.OF_OTHERS, ragged, good[:-1], [*good, 3], good[np.newaxis]):
             self.refused(env, twin, action)
         for value in (-1, 4, 2**40):
             for place in (0, -1):
@@ -181,62 +148,41 @@ class TestBadActions:
             self.refused(env, twin, good.astype(kind))
         self.refused(env, twin, np.full(len(good), np.nan))
 
-    @pytest.mark.parametrize("kind", [np.int8, np.uint8, np.int32, np.uint64, list])
-    def test_any_whole_numbers_will_do(self, kind: Any) -> None:
-        env, twin = self.pair(SORT, "quadrants")
+    def test_any_whole_numbers_will_do(self):
+        env, twin = self.pair(**te.cell(te.SORT, "quadrants"))
         action = np.array([0, 1, 2, 3])
-        other = action.tolist() if kind is list else action.astype(kind)
-        assert_same(env.step(other), twin.step(action))
+        wanted = action.tolist()
+        for kind in (np.int8, np.uint8, np.int32, np.uint64):
+            te.assert_same(env.step(action.astype(kind)), twin.step(wanted))
 
 
-class TestBadArguments:
-    BAD: tuple[tuple[dict[str, Any], str], ...] = (
-        ({"task": "fly"}, "task"),
-        ({"task": 3}, "task"),
-        ({"actions": "fingers"}, "actions"),
-        ({"actions": None}, "actions"),
-        ({"actions": ["modules"]}, "actions"),
-        ({"sensors": "exact"}, "sensors"),
-        ({"sensors": None}, "sensors"),
-        ({"sensors": SENSORS[0]}, "sensors"),
-        ({"control_period": 0.0}, "control_period"),
-        ({"control_period": -0.04}, "control_period"),
-        ({"control_period": math.inf}, "control_period"),
-        ({"control_period": math.nan}, "control_period"),
-        ({"control_period": "fast"}, "control_period"),
-        ({"zone": (0, 100_000)}, "zone"),
-        ({"zone": (-1, 5)}, "zone"),
-        ({"zone": (6, 5)}, "zone"),
-        ({"zone": (3,)}, "zone"),
-        ({"zone": (3, 4, 5)}, "zone"),
-        ({"zone": (3.0, 5.0)}, "zone"),
-        ({"zone": 5}, "zone"),
-        ({"zone": "all"}, "zone"),
-        ({"orientations": ()}, "orientations"),
-        ({"orientations": (0.0,)}, "orientations"),
-        ({"orientations": (0.0, math.nan)}, "orientations"),
-        ({"orientations": (0.0, "up")}, "orientations"),
-        ({"orientations": ((0.0, 1.0), (1.0,))}, "orientations"),
-        ({"orientations": 1.0}, "orientations"),
-        ({"orientations": "some"}, "orientations"),
-        ({"orientations": ("any",)}, "orientations"),
-        ({"actuators": Actuators(stuck=((20, 3),))}, "stuck"),
-        ({"actuators": Actuators(stuck=((3, 1000),))}, "stuck"),
-        ({"actuators": 0.5}, "actuators"),
-        ({"actuators": Actuators}, "actuators"),
-        ({"randomisation": 0.2}, "randomisation"),
-        ({"randomisation": Randomisation(size=0.4)}, "size"),
-        ({"randomisation": {"friction": 0.2}}, "randomisation"),
-        ({"render_mode": "ansi"}, "render_mode"),
-        ({"render_mode": True}, "render_mode"),
-    )
+# By the name of the argument.
+BAD_ARGUMENTS: dict[str, tuple[Any, ...]] = {
+    "task": ("fly", 3),
+    "actions": ("fingers", None, ["modules"]),
+    "sensors": ("exact", None, te.SENSORS[0]),
+    "control_period": (0.0, -0.04, math.inf, math.nan, "fast"),
+    "zone": ((0, 100_000), (-1, 5), (6, 5), (3,), (3, 4, 5), (3.0, 5.0), 5, "all"),
+    "orientations": (
+        (), (0.0,), (0.0, math.nan), (0.0, "up"), ((0.0, 1.0), (1.0,)), 1.0, "some", ("any",),
+    ),
+    "actuators": (
+        Actuators(stuck=((20, 3),)), Actuators(stuck=((3, 1000),)), 0.5, Actuators,
+    ),
+    "randomisation": (0.2, Randomisation(size=0.4), {"friction": 0.2}),
+    "render_mode": ("ansi", True),
+}  # fmt: skip
 
-    @pytest.mark.parametrize(("argument", "named"), BAD)
-    @pytest.mark.parametrize("env_type", [sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv])
-    def test_they_are_named(self, env_type: Callable[..., Any], argument: Any, named: str) -> None:
-        with pytest.raises(ValueError, match=named):
-            env_type(**argument)
 
-    def test_an_unknown_argument_is_a_type_error(self) -> None:
-        with pytest.raises(TypeError, match="friction"):
-            gym.make(SORT, friction=0.2)
+@pytest.mark.parametrize("argument", BAD_ARGUMENTS)
+@pytest.mark.parametrize("env_type", [sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv])
+def test_bad_arguments_are_named(env_type, argument):
+    named = {"actuators": "stuck|actuators", "randomisation": "size|randomisation"}
+    for value in BAD_ARGUMENTS[argument]:
+        with pytest.raises(ValueError, match=f"^({named.get(argument, argument)}) must"):
+            env_type(**{argument: value})
+
+
+def test_an_unknown_argument_is_a_type_error():
+    with pytest.raises(TypeError, match="friction"):
+        gym.make(te.SORT, friction=0.2)

@@ -3,6 +3,7 @@
 import doctest
 import math
 import runpy
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,29 +13,35 @@ import pytest
 import surface_gym as sg
 from surface_gym.agents.library import find_task
 from surface_gym.tasks import Sort
+from tests.environments import played_out
 
 ROOT = Path(__file__).parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
+@cache
 def run_example(example: str) -> dict[str, Any]:
     """Return the names that an example defines."""
     return runpy.run_path(str(ROOT / "examples" / f"{example}.py"))
 
 
 @pytest.mark.parametrize("file", EXAMPLES, ids=lambda file: file.stem)
-def test_the_page_shows_it_as_it_is(file: Path) -> None:
+def test_the_page_shows_it_as_it_is(file):
     assert f"```python\n{file.read_text()}```" in (ROOT / "docs" / "extending.md").read_text()
 
 
 @pytest.mark.parametrize(("example", "lines"), [("reach", 120), ("haste", 20)])
-def test_it_is_short(example: str, lines: int) -> None:
+def test_it_is_short(example, lines):
     assert len((ROOT / "examples" / f"{example}.py").read_text().splitlines()) <= lines
 
 
 class TestReach:
-    def test_the_goal_is_where_and_how_it_says(self) -> None:
-        env = sg.SmartSurfaceEnv(find_task(f"{ROOT}/examples/reach.py:Reach"), actions="quadrants")
+    @pytest.fixture
+    def env(self) -> sg.SmartSurfaceEnv:
+        reach = find_task(f"{ROOT}/examples/reach.py:Reach")
+        return sg.SmartSurfaceEnv(reach, actions="quadrants", control_period=0.02)
+
+    def test_the_goal_is_where_and_how_it_says(self, env):
         observation, info = env.reset(seed=3, options={"heading": 0.3, "parcel": "S"})
         x, y, theta = info["pose"]
         ahead, aside = observation[0], 0.2 * observation[1]
@@ -47,49 +54,44 @@ class TestReach:
         assert info["miss"] == pytest.approx(miss, abs=1e-6)
         assert info["outcome"] == "passed the point"
 
-    def test_a_parcel_sent_straight_at_it_succeeds(self) -> None:
+    def test_a_parcel_sent_straight_at_it_succeeds(self, env):
         """The point lies straight ahead and the heading is that of the parcel."""
-        env = sg.SmartSurfaceEnv(
-            find_task(f"{ROOT}/examples/reach.py:Reach"), actions="halves", control_period=0.02
-        )
         for seed in range(400):
             observation, _ = env.reset(seed=seed, options={"heading": 0.0, "parcel": "S"})
             if abs(0.2 * observation[1]) < 0.01:
                 break
         ended = False
         while not ended:
-            _, _, ended, _, info = env.step(15)
+            _, _, ended, _, info = env.step([3, 3, 3, 3])
         assert info["outcome"] == "success"
 
 
-def test_haste_rewards_early_success() -> None:
+def test_haste_rewards_early_success():
     haste = run_example("haste")["Haste"]()
     assert isinstance(haste, Sort)
     env = sg.SmartSurfaceEnv(haste, actions="halves")
-    env.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
-    rewards, ended = [], False
-    while not ended:
-        _, reward, ended, _, info = env.step(2 * 4 + 2)
-        rewards.append(reward)
+    played = played_out(env, 2 * 4 + 2, speed=1.5, parcel="S", side=1)
+    rewards, info = [step[1] for step in played], played[-1][4]
     assert info["outcome"] == "success"
     assert rewards == [0.0] * (len(rewards) - 1) + [pytest.approx(1.0 + 0.5 / info["time"])]
 
 
 class TestRuled:
-    def test_its_docstring_runs(self) -> None:
+    def test_its_docstring_runs(self):
         names = run_example("ruled")
         text = doctest.DocTestParser().get_doctest(names["__doc__"], names, "ruled", None, 0)
         assert len(text.examples) > 2
         assert doctest.DocTestRunner().run(text).failed == 0
 
-    def test_it_sees_the_nearest_line_and_the_mean_velocity_since(self) -> None:
+    def test_it_sees_the_nearest_line_and_the_mean_velocity_since(self):
         ruled = run_example("ruled")["Ruled"](line=0.02, turn=0.05)
-        env = sg.SmartSurfaceEnv("sort", actions="quadrants", sensors=ruled)
+        env = sg.SmartSurfaceEnv("sort", sensors=ruled)
         env.reset(seed=0, options={"speed": 1.5, "parcel": "B", "side": 1})
+        env.action_space.seed(0)
         state = env.batch.view(0)
         seen = [state.sensed.copy()]
-        for action in np.random.default_rng(0).integers(4, size=(12, 4)):
-            if env.step(action)[2]:
+        for _ in range(12):
+            if env.step(env.action_space.sample())[2]:
                 break
             units = np.array([0.02, 0.02, 0.05])
             nearest = units * np.round(state.truth[:3] / units)
@@ -100,9 +102,7 @@ class TestRuled:
         assert len(seen) > 8
 
 
-def test_the_checkered_line_sorts_and_is_drawn(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_checkered_line_sorts_and_is_drawn(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     run_example("checkered")["main"]()
     printed = capsys.readouterr().out.splitlines()

@@ -4,7 +4,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -69,7 +72,7 @@ for run in (simulate, simulate_together, design, step):
 """
 
 
-def test_ctrl_c_ends_a_long_run() -> None:
+def test_ctrl_c_ends_a_long_run():
     with subprocess.Popen(
         [sys.executable, "-c", LONG], cwd=ROOT, stdout=subprocess.PIPE, text=True
     ) as child:
@@ -85,93 +88,67 @@ def test_ctrl_c_ends_a_long_run() -> None:
         assert child.wait(10.0) == 0
 
 
-def test_the_pieces_of_a_simulation_are_one_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    def run() -> sg.Trajectory:
-        return sg.simulate(
-            sg.layouts.sorting(), BOX, REST, (1.5, 0.0, 0.3), duration=0.3012, dt=0.001
-        )
-
-    whole = run()
-    for piece in (1, 7, 100, 301):
-        monkeypatch.setattr(simulation, "PIECE", piece)
-        pieces = run()
-        assert pieces.pose.tobytes() == whole.pose.tobytes()
-        assert pieces.velocity.tobytes() == whole.velocity.tobytes()
-        assert pieces.tipping.tobytes() == whole.tipping.tobytes()
-        assert (pieces.end, len(pieces.time)) == (whole.end, len(whole.time))
+def simulated(*start: Any, **settings: Any) -> list[Any]:
+    run = sg.simulate(sg.layouts.sorting(), BOX, *start, **settings)
+    return [run.time, run.pose, run.velocity, run.tipping, run.end]
 
 
-def test_a_run_that_ends_early_ends_in_any_piece(monkeypatch: pytest.MonkeyPatch) -> None:
-    def run() -> sg.Trajectory:
-        return sg.simulate(sg.layouts.sorting(), BOX, (3.8, 1.0, 0.0), (1.5, 0.0, 0.0), dt=0.01)
-
-    whole = run()
-    assert whole.end == "left the surface"
-    last = len(whole.time) - 1
-    for piece in (1, last - 1, last, last + 1):
-        monkeypatch.setattr(simulation, "PIECE", piece)
-        pieces = run()
-        assert pieces.end == whole.end
-        assert pieces.pose.tobytes() == whole.pose.tobytes()
+def simulated_together() -> list[Any]:
+    poses, velocities = [REST, (0.9, 1.0, 0.0)], [(1.5, 0.0, 0.0), (0.2, 0.0, 0.0)]
+    line = sg.layouts.line([[sg.layouts.ROLLING]])
+    run = sg.simulate_together(line, [BOX, BOX], poses, velocities, duration=0.303)
+    assert len(run.touches.time) > 0
+    return [*(each.pose for each in run.trajectories), run.touches.time, run.touches.impulse]
 
 
-def test_the_pieces_of_a_run_together_are_one_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    def run() -> simulation.Encounter:
-        return sg.simulate_together(
-            sg.layouts.line([[sg.layouts.ROLLING]]),
-            [BOX, BOX],
-            [REST, (0.9, 1.0, 0.0)],
-            [(1.5, 0.0, 0.0), (0.2, 0.0, 0.0)],
-            duration=0.303,
-        )
-
-    whole = run()
-    assert len(whole.touches.time) > 0
-    for piece in (1, 6, 50):
-        monkeypatch.setattr(simulation, "PIECE", piece)
-        pieces = run()
-        for one, other in zip(whole.trajectories, pieces.trajectories, strict=True):
-            assert one.pose.tobytes() == other.pose.tobytes()
-        assert pieces.touches.time.tobytes() == whole.touches.time.tobytes()
-        assert pieces.touches.impulse.tobytes() == whole.touches.impulse.tobytes()
+def stepped(*task: Any, **settings: Any) -> list[Any]:
+    envs = SmartSurfaceVectorEnv(9, *task, **settings)
+    envs.action_space.seed(0)
+    seen = [envs.reset(seed=3)[0]]
+    for _ in range(5):
+        seen += envs.step(envs.action_space.sample())[:2]
+    return seen
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("flows", [False, True], ids=["parcels", "streams"])
-def test_the_pieces_of_a_control_period_are_one(
-    flows: bool, threads: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def run() -> bytes:
-        if flows:
-            stream = Stream(Steady(5000.0))
-            envs = SmartSurfaceVectorEnv(
-                9, "flow", stream=stream, actions="parcels", max_parcels=4, threads=threads
-            )
-        else:
-            envs = sg.SmartSurfaceVectorEnv(9, threads=threads)
-        envs.action_space.seed(0)
-        seen = [envs.reset(seed=3)[0].tobytes()]
-        for _ in range(5):
-            observation, reward, *_ = envs.step(envs.action_space.sample())
-            seen += [observation.tobytes(), reward.tobytes()]
-        return b"".join(seen)
-
-    whole = run()
-    monkeypatch.setattr(assembly, "LOOK", 1)  # an environment at a time
-    assert run() == whole
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-def test_the_pieces_of_a_design_are_one(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def designed(workers: int) -> list[Any]:
     line = Case(BOX).line(4)
     axes = np.full((1, line.rows, line.columns), 0.25 * np.pi)
-    speeds = np.linspace(0.5, 2.0, 40)
+    given = runs.make_runs(np.linspace(0.5, 2.0, 40))
+    ends = runs.run_all(line, axes, [BOX], given, workers=workers)
+    return [ends.pose, ends.steps]
 
-    def run() -> runs.Ends:
-        return runs.run_all(line, axes, [BOX], runs.make_runs(speeds), workers=threads)
 
+FLOW = {"stream": Stream(Steady(5000.0)), "actions": "parcels", "max_parcels": 4}
+THREE_RUNS = 3 * int(runs.LONGEST / runs.STEP)
+# Each with what says how long a piece is, and how long they are to be.
+PIECES: dict[str, tuple[Callable[[], list[Any]], tuple[Any, str], tuple[int, ...]]] = {
+    "simulate": (
+        partial(simulated, REST, (1.5, 0.0, 0.3), duration=0.3012, dt=0.001),
+        (simulation, "PIECE"), (1, 7, 100, 301),
+    ),
+    "a run that ends early": (  # after 20 steps
+        partial(simulated, (3.8, 1.0, 0.0), (1.5, 0.0, 0.0), dt=0.01),
+        (simulation, "PIECE"), (1, 12, 13, 14, 15),
+    ),
+    "simulate_together": (simulated_together, (simulation, "PIECE"), (1, 6, 50)),
+    **{
+        f"{name}, {threads} threads": (each, (module, attribute), (length,))
+        for threads in (1, 2)
+        for name, each, module, attribute, length in (
+            ("parcels", partial(stepped, threads=threads), assembly, "LOOK", 1),
+            ("streams", partial(stepped, "flow", threads=threads, **FLOW), assembly, "LOOK", 1),
+            ("design", partial(designed, threads), runs, "MOST_STEPS", THREE_RUNS),
+        )
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PIECES)
+def test_its_pieces_are_one_run_to_the_bit(name, monkeypatch):
+    run, length, pieces = PIECES[name]
     whole = run()
-    monkeypatch.setattr(runs, "MOST_STEPS", 3 * int(runs.LONGEST / runs.STEP))  # 3 runs
-    pieces = run()
-    assert pieces.pose.tobytes() == whole.pose.tobytes()
-    assert pieces.steps.tolist() == whole.steps.tolist()
+    assert "early" not in name or whole[-1] == "left the surface"
+    for piece in pieces:
+        monkeypatch.setattr(*length, piece)
+        for found, wanted in zip(run(), whole, strict=True):
+            np.testing.assert_array_equal(found, wanted)

@@ -1,4 +1,4 @@
-"""Layers of the code: imports go downwards, and no two folders import each other."""
+"""The house: imports go downwards, no two folders import each other, tests are in order."""
 
 import ast
 from collections import defaultdict
@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.order import FIRST, NIGHTLY, SMOKE, place_of
 
 ROOT = Path(__file__).parents[1]
 
@@ -104,12 +106,12 @@ def reached(graph: dict[str, set[str]], start: str) -> set[str]:
     return found
 
 
-def test_no_file_needs_itself_to_be_loaded() -> None:
+def test_no_file_needs_itself_to_be_loaded():
     graph = {module: imported(module, loading=True) for module in FILES}
     assert [module for module in FILES if module in reached(graph, module)] == []
 
 
-def test_no_two_folders_import_each_other() -> None:
+def test_no_two_folders_import_each_other():
     graph = {room: others for room, others in edges().items() if FILES[room].name == "__init__.py"}
     mutual = {
         tuple(sorted((room, other)))
@@ -121,7 +123,7 @@ def test_no_two_folders_import_each_other() -> None:
 
 
 @pytest.mark.parametrize("room", [room for line in LAYERS for room in line])
-def test_layers_import_downwards(room: str) -> None:
+def test_layers_import_downwards(room):
     (level,) = (k for k, line in enumerate(LAYERS) if room in line)
     above = {f"surface_gym.{each}" for line in LAYERS[level + 1 :] for each in line}
     assert not edges().get(f"surface_gym.{room}", set()) & above
@@ -138,6 +140,19 @@ def test_layers_import_downwards(room: str) -> None:
         ("surface_gym.agents.learning", "surface_gym.agents.evaluation"),
     ],
 )
-def test_a_room_never_reaches_another(room: str, never: str) -> None:
+def test_a_room_never_reaches_another(room, never):
     assert room in edges()
     assert never not in reached(edges(), room)
+
+
+@pytest.mark.parametrize("name", [*FIRST, *NIGHTLY, *SMOKE])
+def test_what_is_named_is_there(name):
+    file, *inside = name.split("::")
+    assert (ROOT / file).exists()
+    if inside:
+        assert f" {inside[-1].partition('[')[0]}" in (ROOT / file).read_text()
+
+
+def test_those_not_named_come_last():
+    assert place_of(f"{FIRST[1]}::TestSeeds") == 1
+    assert place_of("tests/test_surface.py::test_it") == len(FIRST)

@@ -1,6 +1,5 @@
 """Tasks, rewards and sensors of your own: they run, and an error names what is wrong."""
 
-import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -11,28 +10,24 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import surface_gym as sg
-from surface_gym.core.actions import KINDS
 from surface_gym.tasks import Sort
 from tests import own
-from tests.environments import assert_same, steps
+from tests.environments import assert_same, by_pickle, played_out, steps
 
 ROOT = Path(__file__).parent.parent
 
 
 class TestTask:
-    def test_it_is_an_environment(self) -> None:
+    def test_it_is_an_environment(self):
         env = sg.SmartSurfaceEnv(own.Cross(far=0.5), actions="quadrants")
         check_env(env, skip_render_check=True)
-        _, info = env.reset(seed=0, options={"speed": 1.5, "parcel": "S"})
-        total, ended = 0.0, False
-        while not ended:
-            _, reward, ended, _, info = env.step([3, 3, 3, 3])
-            total += reward
+        played = played_out(env, [3, 3, 3, 3], speed=1.5, parcel="S")
+        info, total = played[-1][4], sum(step[1] for step in played)
         assert (info["outcome"], info["is_success"]) == ("success", True)
         assert info["left"] < 0.0
         assert total == pytest.approx(info["pose"][0] - 0.3 + 1.0)
 
-    def test_it_may_have_a_name(self) -> None:
+    def test_it_may_have_a_name(self):
         sg.register(own.Cross, "Tests/Cross-v0")
         try:
             env = gym.make("Tests/Cross-v0", task=own.Cross(far=2.0))
@@ -42,68 +37,51 @@ class TestTask:
         finally:
             del gym.registry["Tests/Cross-v0"]
 
-    @pytest.mark.parametrize("actions", KINDS)
-    def test_each_environment_is_a_single_env(self, actions: str) -> None:
-        envs = sg.SmartSurfaceVectorEnv(3, own.Cross(), actions=actions, sensors=own.Guess())
-        singles = [
-            sg.SmartSurfaceEnv(own.Cross(), actions=actions, sensors=own.Guess()) for _ in range(3)
-        ]
-        observations, _ = envs.reset(seed=5)
-        envs.action_space.seed(0)
-        for state, env in enumerate(singles):
-            assert_same(observations[state], env.reset(seed=5 + state)[0])
-        for _ in range(5):
-            chosen = envs.action_space.sample()
-            observations, rewards, terminated, _, info = envs.step(chosen)
-            for state, env in enumerate(singles):
-                one = env.step(chosen[state])
-                assert_same(observations[state], one[0])
-                assert (rewards[state], terminated[state]) == one[1:3]
-                assert_same(info["pose"][state], one[4]["pose"])
-
-    def test_its_starts_may_come_with_parcels_of_their_own(self) -> None:
-        envs = sg.SmartSurfaceVectorEnv(4, own.Assorted(far=0.1), actions="halves")
-        singles = [sg.SmartSurfaceEnv(own.Assorted(far=0.1), actions="halves") for _ in range(4)]
-        envs.reset(seed=5)
-        for state, env in enumerate(singles):
-            env.reset(seed=5 + state)
+    @pytest.mark.parametrize(
+        "settings",
+        [
+            {"task": own.Cross(), "actions": "window", "sensors": own.Guess()},
+            {"task": own.Assorted(far=0.1), "actions": "quadrants"},  # each with another parcel
+        ],
+        ids=["sensor", "parcels"],
+    )
+    def test_each_environment_is_a_single_env(self, settings):
+        envs = sg.SmartSurfaceVectorEnv(4, threads=1, **settings)
+        threaded = sg.SmartSurfaceVectorEnv(16, threads=3, **settings)
+        singles = [sg.SmartSurfaceEnv(**settings) for _ in range(4)]
+        observations = envs.reset(seed=5)[0]
+        assert_same(observations, threaded.reset(seed=5)[0][:4])
+        for i, env in enumerate(singles):
+            assert_same(observations[i], env.reset(seed=5 + i)[0])
         ended = np.zeros(4, dtype=bool)
+        threaded.action_space.seed(0)
         for _ in range(40):
-            _, _, terminated, _, info = envs.step(np.full(4, 15))
-            for state, env in enumerate(singles):
-                one = env.reset()[1] if ended[state] else env.step(15)[4]
-                assert_same(info["pose"][state], one["pose"])
-            ended = terminated
-        assert len({float(state.reach) for state in map(base_of, singles)}) == 4
+            actions = threaded.action_space.sample()
+            found = envs.step(actions[:4])
+            for one, other in zip(found[:4], threaded.step(actions)[:4], strict=True):
+                assert_same(one, other[:4])
+            for i, env in enumerate(singles):
+                if ended[i]:
+                    observation, info = env.reset()
+                else:
+                    observation, reward, terminated, _, info = env.step(actions[i])
+                    assert (found[1][i], found[2][i]) == (reward, terminated)
+                assert_same(found[0][i], observation)
+                assert_same(found[4]["pose"][i], info["pose"])
+            ended = found[2]
+        reaches = {env.batch._plan.parcel(int(env.batch.parcels.body[0])).base for env in singles}
+        assert len(reaches) == (4 if "sensors" not in settings else 1)
 
-    def test_threads_do_not_matter(self) -> None:
-        runs = []
-        for threads in (1, 2, 3):
-            env = sg.SmartSurfaceVectorEnv(32, own.Cross(), actions="halves", threads=threads)
-            env.reset(seed=0)
-            env.action_space.seed(0)
-            runs.append(tuple(env.step(env.action_space.sample())[:4] for _ in range(30)))
-        assert_same(runs[0], runs[1])
-        assert_same(runs[0], runs[2])
-
-    def test_it_goes_on_after_a_pickle(self) -> None:
-        env = sg.SmartSurfaceEnv(own.Cross(), sensors=own.Guess())
+    def test_it_goes_on_after_a_pickle(self):
+        env = sg.SmartSurfaceEnv(own.Cross(), actions="window", sensors=own.Guess())
         env.reset(seed=0)
-        twin = pickle.loads(pickle.dumps(env))
-        action = env.action_space.sample()
+        twin, action = by_pickle(env), env.action_space.sample()
         assert_same(env.step(action), twin.step(action))
 
-    def test_drawing_it_needs_no_goal(self) -> None:
-        env = sg.SmartSurfaceEnv(own.Cross(), render_mode="rgb_array")
+    def test_drawing_it_needs_no_goal(self):
+        env = sg.SmartSurfaceEnv(own.Cross(), actions="quadrants", render_mode="rgb_array")
         env.reset(seed=0)
-        picture = env.render()
-        assert picture is not None
-        assert picture.ndim == 3
-
-
-def base_of(env: sg.SmartSurfaceEnv) -> sg.Rectangle:
-    batch = env.batch
-    return batch._plan.parcel(int(batch.parcels.body[0])).base
+        assert env.render().ndim == 3
 
 
 class Doubled(Sort):
@@ -117,7 +95,7 @@ class Doubled(Sort):
         state.terms[0] = 2.0 * state.period
 
 
-def test_a_reward_of_ones_own_changes_nothing_else() -> None:
+def test_a_reward_of_ones_own_changes_nothing_else():
     env, sort = (sg.SmartSurfaceEnv(task, actions="halves") for task in (Doubled(), "sort"))
     for one, other in zip(steps(env, seed=1), steps(sort, seed=1), strict=True):
         assert_same(one[0], other[0])
@@ -128,38 +106,31 @@ def test_a_reward_of_ones_own_changes_nothing_else() -> None:
 
 
 class TestFaults:
-    @pytest.mark.parametrize("task", own.FAULTY, ids=lambda task: task.__name__)
+    @pytest.mark.parametrize(("task", "message"), own.FAULTY)
     @pytest.mark.parametrize("num_envs", [1, 16])
-    def test_they_are_named(self, task: type[own.Cross], num_envs: int) -> None:
-        with pytest.raises(ValueError, match=own.FAULTY[task]):
-            run(task, num_envs)
+    def test_they_are_named(self, task, message, num_envs):
+        with pytest.raises(ValueError, match=message):
+            run(task(), num_envs)
+        # It hinders no other task, and no later one.
+        assert np.isfinite(sg.SmartSurfaceEnv(own.Cross(), actions="quadrants").reset()[0]).all()
 
-    def test_a_sensor_without_an_estimate(self) -> None:
+    def test_a_sensor_without_an_estimate(self):
         with pytest.raises(ValueError, match=r"Senseless\.read must be a static method"):
             sg.SmartSurfaceEnv(own.Cross(), sensors=own.Senseless())
 
-    @pytest.mark.parametrize("actions", ["modules", "window"])
-    def test_a_sensor_that_says_what_is_no_number(self, actions: str) -> None:
-        env = sg.SmartSurfaceEnv(own.Cross(), actions=actions, sensors=own.Nonsense())
+    def test_a_sensor_that_says_what_is_no_number(self):
+        env = sg.SmartSurfaceEnv(own.Cross(), actions="window", sensors=own.Nonsense())
         with pytest.raises(ValueError, match="with Nonsense, must write finite features"):
             env.reset(seed=0)
 
-    def test_a_class_or_another_object_is_no_task(self) -> None:
+    def test_a_class_or_another_object_is_no_task(self):
         for task in (own.Cross, object(), None):
             with pytest.raises(ValueError, match="task must be one of sort"):
                 sg.SmartSurfaceEnv(task)
 
-    def test_others_are_as_they_were(self) -> None:
-        """A fault on one environment is raised; what the batch holds of others can go on."""
-        env = sg.SmartSurfaceEnv(own.Cross(), actions="halves")
-        env.reset(seed=0)
-        with pytest.raises(ValueError, match="speed"):
-            env.reset(options={"speed": -1.0})
-        assert env.step(0)[4]["time"] == pytest.approx(0.04)
 
-
-def run(task: type[own.Cross], num_envs: int) -> None:
-    env = sg.SmartSurfaceVectorEnv(num_envs, task(), actions="halves", threads=2)
+def run(task: own.Cross, num_envs: int) -> None:
+    env = sg.SmartSurfaceVectorEnv(num_envs, task, actions="quadrants", threads=2)
     env.reset(seed=0)
     env.step(env.action_space.sample())
 
@@ -205,13 +176,13 @@ def fee() -> float:
 """
 
 
-def test_the_cache_holds_and_notices_an_edit_of_a_users_file(tmp_path: Path) -> None:
-    """Edits of the file itself, and of one that it takes a constant or a function from."""
+def test_the_cache_holds_and_notices_an_edit_of_a_users_file(tmp_path):
+    """Of one that the task's takes a constant and a function from."""
     (tmp_path / "main.py").write_text(OWN_FILE)
     (tmp_path / "mine.py").write_text(MINE)
-    (tmp_path / "prices.py").write_text(PRICES)
 
-    def reward_and_compilations() -> list[str]:
+    def reward_and_compilations(prices: str) -> list[str]:
+        (tmp_path / "prices.py").write_text(prices)
         done = subprocess.run(
             [sys.executable, "-B", str(tmp_path / "main.py")],
             env={"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)},
@@ -222,18 +193,7 @@ def test_the_cache_holds_and_notices_an_edit_of_a_users_file(tmp_path: Path) -> 
         assert done.returncode == 0, done.stderr
         return done.stdout.split()
 
-    assert reward_and_compilations() == ["2.5", "1"]
-    assert reward_and_compilations() == ["2.5", "0"]
-    (tmp_path / "prices.py").write_text(PRICES.replace("2.0", "3.0").replace("0.5", "0.25"))
-    assert reward_and_compilations() == ["3.25", "1"]
-    (tmp_path / "mine.py").write_text(MINE.replace("+", "-"))
-    assert reward_and_compilations() == ["2.75", "1"]
-    (tmp_path / "prices.py").write_text(PRICES)
-    (tmp_path / "mine.py").write_text(MINE)
-    assert reward_and_compilations() == ["2.5", "0"]
-
-
-def test_a_task_that_does_not_compile_hinders_no_other() -> None:
-    with pytest.raises(ValueError, match="does not compile"):
-        sg.SmartSurfaceEnv(own.Uncompilable())
-    assert np.isfinite(sg.SmartSurfaceEnv(own.Cross()).reset(seed=0)[0]).all()
+    dearer = PRICES.replace("2.0", "3.0").replace("0.5", "0.25")
+    assert reward_and_compilations(PRICES) == ["2.5", "1"]
+    assert reward_and_compilations(dearer) == ["3.25", "1"]
+    assert reward_and_compilations(PRICES) == ["2.5", "0"]

@@ -1,9 +1,9 @@
 """The package as a whole: what importing it brings, its names, pickles and copies."""
 
 import copy
-import pickle
 import subprocess
 import sys
+from dataclasses import fields
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.tasks import TASKS
-from tests.environments import IDS, every_id
+from tests.environments import IDS, TWINS, every_id
 
 HEAVY = {
     "torch", "pygame", "matplotlib", "stable_baselines3", "mujoco", "rich", "tyro", "pandas", "ray",
@@ -27,16 +27,10 @@ HELP = (
 
 @pytest.mark.parametrize(
     ("program", "most", "needed"),
-    [
-        ("import surface_gym", 50, set()),
-        (SIMULATE, 65, set()),
-        (HELP, 55, {"tyro", "rich"}),
-    ],
+    [("import surface_gym", 50, set()), (SIMULATE, 65, set()), (HELP, 55, {"tyro", "rich"})],
     ids=["import", "simulate", "train --help"],
 )
-def test_few_modules_are_loaded_and_none_that_is_not_needed(
-    program: str, most: int, needed: set[str]
-) -> None:
+def test_few_modules_are_loaded_and_none_that_is_not_needed(program, most, needed):
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", f"{program}\nimport sys; print(*sys.modules)"],
         capture_output=True,
@@ -48,7 +42,7 @@ def test_few_modules_are_loaded_and_none_that_is_not_needed(
     assert sum(name.startswith("surface_gym") for name in loaded) <= most
 
 
-def test_every_public_name_is_there() -> None:
+def test_every_public_name_is_there():
     assert set(sg.__all__) <= set(dir(sg))
     assert all(hasattr(sg, name) for name in sg.__all__)
     assert callable(sg.simulate)
@@ -57,76 +51,44 @@ def test_every_public_name_is_there() -> None:
 
 
 SURFACE = sg.layouts.sorting("B", tilt=0.1)
-PARCELS = [
-    sg.layouts.box("S"),
-    sg.Parcel(sg.Disc(0.2), mass=3.0, com_offset=(0.01, 0.02)),
-    sg.Parcel(sg.Polygon([(0.0, 0.0), (0.4, 0.0), (0.0, 0.3)]), inertia=0.2),
-]
+PARCELS = {
+    "rectangle": sg.layouts.box("S"),
+    "disc": sg.Parcel(sg.Disc(0.2), mass=3.0, com_offset=(0.01, 0.02)),
+    "polygon": sg.Parcel(sg.Polygon([(0.0, 0.0), (0.4, 0.0), (0.0, 0.3)]), inertia=0.2),
+}
 
 
-def by_pickle(value: object) -> object:
-    return pickle.loads(pickle.dumps(value))
-
-
-@pytest.mark.parametrize("twin", [by_pickle, copy.deepcopy, copy.copy])
-@pytest.mark.parametrize("used", [False, True], ids=["new", "after a run"])
-@pytest.mark.parametrize("parcel", PARCELS, ids=["rectangle", "disc", "polygon"])
-def test_twins_simulate_the_same(twin: object, used: bool, parcel: sg.Parcel) -> None:
-    surface = twin(SURFACE) if used else SURFACE
-    first = sg.simulate(surface, parcel, (1.0, 1.0, 0.3), (1.0, 0.2, -0.5), 0.3)
-    second = sg.simulate(twin(surface), twin(parcel), (1.0, 1.0, 0.3), (1.0, 0.2, -0.5), 0.3)
-    assert first.pose.tobytes() == second.pose.tobytes()
-    assert first.velocity.tobytes() == second.velocity.tobytes()
-
-
-@pytest.mark.parametrize("twin", [by_pickle, copy.deepcopy])
-def test_twins_have_the_same_fields(twin: object) -> None:
-    surface = twin(SURFACE)
-    np.testing.assert_array_equal(surface.axis, SURFACE.axis)
-    np.testing.assert_array_equal(surface.rotor, SURFACE.rotor)
-    assert (surface.tilt, surface.pitch, surface.origin) == (0.1, SURFACE.pitch, SURFACE.origin)
-    run = sg.simulate(SURFACE, PARCELS[0], (1.0, 1.0, 0.0), duration=0.1)
-    same = twin(run)
-    assert same.end == run.end
-    for field in ("time", "pose", "velocity", "tipping"):
-        np.testing.assert_array_equal(getattr(same, field), getattr(run, field))
-
-
-@pytest.mark.parametrize("twin", [by_pickle, copy.deepcopy, copy.copy])
-def test_twins_are_read_only_too(twin: object) -> None:
-    surface, polygon = twin(SURFACE), twin(PARCELS[2].base)
-    for array in (surface.axis, surface.rotor, polygon.vertices):
+@pytest.mark.parametrize("twin", [*TWINS, copy.copy])
+@pytest.mark.parametrize("kind", PARCELS)
+def test_twins_are_alike(kind, twin):
+    """They simulate the same, before and after a run, and are read-only too."""
+    parcel, start = PARCELS[kind], ((1.0, 1.0, 0.3), (1.0, 0.2, -0.5), 0.3)
+    run = sg.simulate(SURFACE, parcel, *start)
+    surface, other = twin(SURFACE), twin(parcel)
+    for same in (
+        sg.simulate(surface, other, *start),
+        sg.simulate(twin(surface), twin(other), *start),
+        twin(run),
+    ):
+        assert same.end == run.end
+        for name in ("time", "pose", "velocity", "tipping"):
+            assert getattr(same, name).tobytes() == getattr(run, name).tobytes()
+    for field in fields(SURFACE):
+        np.testing.assert_array_equal(getattr(surface, field.name), getattr(SURFACE, field.name))
+    for array in (surface.axis, surface.rotor, twin(PARCELS["polygon"].base).vertices):
         with pytest.raises(ValueError, match="read-only"):
             array[0, 0] = True
 
 
-def test_every_task_has_its_id() -> None:
+def test_every_task_has_its_id():
     assert [f"SmartSurface/{name.capitalize()}-v0" for name in sorted(TASKS)] == IDS
 
 
 @every_id
-def test_an_id_makes_its_task(env_id: str) -> None:
-    env = gym.make(env_id)
+def test_an_id_makes_its_task_and_limits_episodes(env_id):
+    env, limit = gym.make(env_id), gym.spec(env_id).max_episode_steps
     assert type(env.unwrapped) is sg.SmartSurfaceEnv
     assert type(env.unwrapped.config.task) is TASKS[env_id[13:-3].lower()]
-
-
-@every_id
-def test_an_id_limits_episodes_of_both_environments(env_id: str) -> None:
-    limit = gym.spec(env_id).max_episode_steps
     assert limit is not None
-    assert gym.make(env_id).spec.max_episode_steps == limit
+    assert env.spec.max_episode_steps == limit
     assert gym.make_vec(env_id, num_envs=2).spec.max_episode_steps == limit
-
-
-def test_the_module_may_be_named_in_the_id() -> None:
-    code = (
-        "import gymnasium as gym\n"
-        "env = gym.make('surface_gym:SmartSurface/Sort-v0')\n"
-        "vector = gym.make_vec('surface_gym:SmartSurface/Sort-v0', num_envs=2)\n"
-        "print(type(env.unwrapped).__name__, type(vector).__name__)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.split() == ["SmartSurfaceEnv", "SmartSurfaceVectorEnv"]

@@ -1,31 +1,34 @@
 """The pages in docs/ are those the docstrings give."""
 
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from surface_gym import pages
+from surface_gym.flow.task import FEATURES, TERMS, Flow
 
-DOCS = Path(__file__).parent.parent / "docs" / "environments"
+ROOT = Path(__file__).parents[1]
 
 
 @pytest.mark.parametrize("name", pages.pages())
-def test_docs_are_up_to_date(name: str) -> None:
+def test_pages_are_those_the_docstrings_give(name):
     """If not: `python -m surface_gym.pages docs/environments`."""
-    assert (DOCS / name).read_text() == pages.pages()[name]
+    assert (ROOT / "docs" / "environments" / name).read_text() == pages.pages()[name]
 
 
-def test_a_page_lists_every_feature_term_and_option() -> None:
-    for name, task_class in pages.TASKS.items():
-        page = pages.page(name)
-        task = task_class()
-        for feature in task.features:
-            assert f"| {feature.name} |" in page
-        for word in (*task.terms, *task.options):
-            assert f"`{word}`" in page
+def test_a_page_lists_every_feature_term_option_and_argument():
+    flow = (*TERMS, *(field.name for field in fields(Flow) if field.init))
+    tasks = [(pages.page(name), task()) for name, task in pages.TASKS.items()]
+    for page, features, words in (
+        *((page, task.features, (*task.terms, *task.options)) for page, task in tasks),
+        (pages.flow_page(), FEATURES, flow),
+    ):
+        assert all(f"| {feature.name} |" in page for feature in features)
+        assert all(f"`{word}`" in page for word in words)
 
 
-def test_the_command_writes_them(tmp_path: Path) -> None:
+def test_the_command_writes_them(tmp_path):
     pages.main([str(tmp_path / "new")])
     written = {path.name: path.read_text() for path in (tmp_path / "new").iterdir()}
     assert written == pages.pages()

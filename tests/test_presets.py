@@ -2,13 +2,10 @@
 
 import math
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
 import surface_gym as sg
 from surface_gym.config import LAB_PARCELS, PRESETS, EnvConfig, Preset
@@ -17,9 +14,7 @@ from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera, Exact
 from surface_gym.tasks import Slow
-from tests.environments import native, singles
 
-SLOW, SORT = "SmartSurface/Slow-v0", "SmartSurface/Sort-v0"
 LAB = PRESETS["lab"]
 BOTH = ("parcel", "rotors")
 SHOWN = len(PARCEL_FEATURES) + len(ROTOR_FEATURES)
@@ -31,53 +26,51 @@ BASES: tuple[Base, ...] = (
 )
 
 
+EVERY_TAKER = (EnvConfig, sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv)
+
+
 class TestNames:
-    def test_each_goes_by_its_name(self) -> None:
-        assert {name: each.name for name, each in PRESETS.items()} == {n: n for n in PRESETS}
+    def test_each_goes_by_its_name_and_sets_sensors_actuators_and_randomisation(self):
         for name, preset in PRESETS.items():
-            assert EnvConfig(preset=name) == EnvConfig(preset=preset)
-            assert preset.label
-            assert preset.meaning.endswith(".")
-
-    def test_exact_is_the_default(self) -> None:
-        assert EnvConfig(preset="exact") == EnvConfig() == EnvConfig(preset=None)
-
-    def test_a_condition_sets_sensors_actuators_and_randomisation(self) -> None:
-        for preset in PRESETS.values():
+            assert preset.name == name
             settings = EnvConfig(preset=preset)
+            assert EnvConfig(preset=name) == settings
             assert settings.sensors == preset.sensors
             assert settings.actuators == preset.actuators
             assert settings.randomisation == preset.randomisation
+            assert preset.label
+            assert preset.meaning.endswith(".")
 
-    def test_one_may_be_made(self) -> None:
+    def test_exact_is_the_default(self):
+        assert EnvConfig(preset="exact") == EnvConfig() == EnvConfig(preset=None)
+
+    def test_one_may_be_made(self):
         mine = Preset("mine", "mine", "Mine.", actuators=Actuators(stuck_share=0.5))
         assert EnvConfig(preset=mine).actuators.stuck_share == 0.5
 
     @pytest.mark.parametrize("bad", ["laboratory", "", 3, Exact()])
-    def test_an_unknown_one_is_named(self, bad: Any) -> None:
-        for make in (EnvConfig, sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv):
+    def test_an_unknown_one_is_named(self, bad):
+        for make in EVERY_TAKER:
             with pytest.raises(ValueError, match=r"^preset must be one of 'exact', .*'lab', got"):
                 make(preset=bad)
 
     @pytest.mark.parametrize(
-        "beside",
+        ("name", "value"),
         [
-            {"sensors": Camera()},
-            {"actuators": Actuators(axis_speed=3.0)},
-            {"randomisation": Randomisation(friction=0.1)},
+            ("sensors", Camera()),
+            ("actuators", Actuators(axis_speed=3.0)),
+            ("randomisation", Randomisation(friction=0.1)),
         ],
-        ids=lambda beside: next(iter(beside)),
     )
-    def test_nothing_that_it_sets_may_stand_beside_it(self, beside: dict[str, Any]) -> None:
-        (name,) = beside
+    def test_nothing_that_it_sets_may_stand_beside_it(self, name, value):
         expected = f"^preset must not be given beside {name}, which it sets, got 'lab' and"
-        for make in (EnvConfig, sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv):
+        for make in EVERY_TAKER:
             with pytest.raises(ValueError, match=expected):
-                make(preset="lab", **beside)
+                make(preset="lab", **{name: value})
 
 
 class TestLab:
-    def test_it_is_what_its_meaning_says(self) -> None:
+    def test_it_is_what_its_meaning_says(self):
         assert 0.5 * math.pi / LAB.actuators.axis_speed == pytest.approx(0.05)
         assert LAB.actuators.stuck_share == 0.02
         assert LAB.randomisation.friction == LAB.randomisation.rolling == 0.15
@@ -94,107 +87,66 @@ class TestLab:
             assert math.hypot(*parcel.com_offset) <= 0.03
 
     @pytest.mark.parametrize("task", ["sort", "slow", "stop", "track", "orient"])
-    def test_tasks_draw_its_parcels(self, task: str) -> None:
+    def test_tasks_draw_its_parcels(self, task):
         assert EnvConfig(task=task, preset="lab").task.parcels == LAB.parcels
         assert EnvConfig(task=task, preset="camera") == EnvConfig(task=task, sensors=Camera())
 
-    def test_a_task_of_parcels_of_its_own_keeps_them(self) -> None:
+    def test_a_task_of_parcels_of_its_own_keeps_them_and_its_other_parameters(self):
         mine = Slow(parcels=(Parcel(Disc(0.2)),))
         assert EnvConfig(task=mine, preset="lab").task == mine
-
-    def test_other_parameters_of_a_task_are_kept(self) -> None:
         found = EnvConfig(task=Slow(speeds=(1.0, 1.2)), preset="lab").task
         assert found == Slow(speeds=(1.0, 1.2), parcels=LAB.parcels)
 
-    @pytest.mark.parametrize("env_id", [SLOW, SORT])
-    def test_batches_equal_single_environments_to_the_bit(self, env_id: str) -> None:
-        arguments: dict[str, Any] = {"preset": "lab", "observe": BOTH, "actions": "halves"}
-        mode = AutoresetMode.NEXT_STEP
-        envs = native(env_id, max_episode_steps=14, autoreset_mode=mode, **arguments)
-        others = singles(env_id, mode, **arguments)
-        (seen, _), (wanted, _) = envs.reset(seed=5), others.reset(seed=5)
-        np.testing.assert_array_equal(seen, wanted)
-        rng = np.random.default_rng(0)
-        for _ in range(20):
-            action = rng.integers(0, 16, envs.num_envs)
-            given, expected = envs.step(action), others.step(action)
-            for mine, theirs in zip(given[:4], expected[:4], strict=True):
-                np.testing.assert_array_equal(mine, theirs)
-
-
-@lru_cache
-def _env(task: str, num_envs: int) -> sg.SmartSurfaceVectorEnv:
-    # All of the lab but its sensors, so that what is sensed is the truth.
-    preset = replace(LAB, sensors=Exact(), parcels=tuple(map(Parcel, BASES)))
-    return sg.SmartSurfaceVectorEnv(
-        num_envs, task, actions="halves", observe=BOTH, preset=preset, info=("axes",)
-    )
-
 
 class TestObserve:
-    def test_groups_stand_at_the_end_in_one_order(self) -> None:
+    def test_groups_stand_at_the_end_in_one_order(self):
         plain = EnvConfig().features
         assert EnvConfig(observe=("rotors", "parcel")) == EnvConfig(observe=BOTH)
         assert EnvConfig(observe=BOTH).features == (*plain, *PARCEL_FEATURES, *ROTOR_FEATURES)
         assert EnvConfig(observe=("rotors",)).features == (*plain, *ROTOR_FEATURES)
-        assert EnvConfig(observe=BOTH, observe_axes=True).features[-SHOWN:] == (
-            *PARCEL_FEATURES,
-            *ROTOR_FEATURES,
-        )
+        both = EnvConfig(observe=BOTH, observe_axes=True).features[-SHOWN:]
+        assert both == (*PARCEL_FEATURES, *ROTOR_FEATURES)
 
     @pytest.mark.parametrize("bad", [("parcels",), "parcel", 3, (1,)])
-    def test_an_unknown_group_is_named(self, bad: Any) -> None:
-        for make in (EnvConfig, sg.SmartSurfaceEnv, sg.SmartSurfaceVectorEnv):
+    def test_an_unknown_group_is_named(self, bad):
+        for make in EVERY_TAKER:
             with pytest.raises(ValueError, match=r"^observe must be"):
                 make(observe=bad)
 
-    def test_every_group_says_what_it_shows(self) -> None:
+    def test_every_group_says_what_it_shows(self):
         for group in GROUPS.values():
             for feature in group.features:
                 assert feature.low < feature.high
                 assert feature.meaning
 
     @pytest.mark.parametrize("task", ["slow", "track", "sort"])
-    def test_all_stays_within_the_space(self, task: str) -> None:
-        env = _env(task, 8)
-        observations, _ = env.reset(seed=2)
-        rng = np.random.default_rng(1)
-        for _ in range(25):
-            assert observations in env.observation_space
-            observations = env.step(rng.integers(0, 16, 8))[0]
-
-    @pytest.mark.parametrize("task", ["slow", "track"])
-    def test_the_parcel_is_shown_by_length_width_and_fill(self, task: str) -> None:
-        env = _env(task, 12)
-        options = [{"parcel": Parcel(BASES[k % 4])} for k in range(12)]
-        seen = env.reset(seed=0, options=options)[0][:, -SHOWN : -len(ROTOR_FEATURES)]
-        for k in range(12):
-            np.testing.assert_allclose(seen[k], _outline(BASES[k % 4]), rtol=1e-5, atol=1e-5)
-
-    @pytest.mark.parametrize("task", ["slow", "track", "sort"])
-    def test_rotors_are_those_under_the_base(self, task: str) -> None:
-        env = _env(task, 12)
+    def test_the_parcel_and_the_rotors_under_its_base_are_shown(self, task):
+        # All of the lab but its sensors, so that what is sensed is the truth.
+        preset = replace(LAB, sensors=Exact(), parcels=tuple(map(Parcel, BASES)))
+        env = sg.SmartSurfaceVectorEnv(
+            12, task, actions="halves", observe=BOTH, preset=preset, info=("axes",)
+        )
         bases = [BASES[k % 4] for k in range(12)]
         given: list[dict[str, Any]] = [{"parcel": Parcel(base)} for base in bases]
-        sides = [1 if k < 6 else -1 for k in range(12)]
+        mirrored = [1] * 12
         if task == "sort":
-            given = [{**each, "side": side} for each, side in zip(given, sides, strict=True)]
+            mirrored[6:] = [-1] * 6
+            given = [{**each, "side": side} for each, side in zip(given, mirrored, strict=True)]
         observations, info = env.reset(seed=4, options=given)
         rng = np.random.default_rng(3)
-        settings = env.config
         running = np.ones(12, dtype=bool)
         for _ in range(12):
+            assert observations in env.observation_space
             for k in np.nonzero(running)[0].tolist():
-                mirror = sides[k] if task == "sort" else 1
-                wanted = _rotors(settings, bases[k], info["pose"][k], info["axes"][k], mirror)
-                np.testing.assert_allclose(
-                    observations[k, -len(ROTOR_FEATURES) :], wanted, rtol=1e-5, atol=1e-5
-                )
+                axes = info["axes"][k]
+                rotors = _rotors(env.config, bases[k], info["pose"][k], axes, mirrored[k])
+                shown = np.concatenate([_outline(bases[k]), rotors])
+                np.testing.assert_allclose(observations[k, -SHOWN:], shown, rtol=1e-5, atol=1e-5)
             observations, _, terminated, truncated, info = env.step(rng.integers(0, 16, 12))
             running &= ~(terminated | truncated)
         assert running.any()
 
-    def test_sort_to_the_other_side_is_seen_in_a_mirror(self) -> None:
+    def test_sort_to_the_other_side_is_seen_in_a_mirror(self):
         """Left and right exchanged, and with them 45 and -45 deg; axes that take time turn by
         90 deg the same way round in the mirror, so that here they turn at once.
         """
@@ -214,7 +166,7 @@ class TestObserve:
         assert len({tuple(each.round(3)) for each in shown}) > 5
 
 
-def _outline(base: Base) -> NDArray[np.float64]:
+def _outline(base: Base) -> np.ndarray:
     """What `observe=("parcel",)` shows of a base."""
     points = base.outline
     length, width = np.ptp(points, axis=0)
@@ -228,12 +180,8 @@ def _outline(base: Base) -> NDArray[np.float64]:
 
 
 def _rotors(
-    settings: EnvConfig,
-    base: Base,
-    pose: NDArray[np.float64],
-    axes: NDArray[np.float64],
-    mirror: int,
-) -> NDArray[np.float64]:
+    settings: EnvConfig, base: Base, pose: np.ndarray, axes: np.ndarray, mirror: int
+) -> np.ndarray:
     """What `observe=("rotors",)` shows: elements under the base, by `Base.functions`."""
     line = settings.chosen_line
     x, y, theta = pose

@@ -1,9 +1,7 @@
 """From a batch's environments to scenes, and the environments' pictures."""
 
 import math
-from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -17,7 +15,6 @@ from surface_gym.core.batch import BaseBatch, Batch
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.exits import Exit, Exits
 from surface_gym.flow.state import BETWEEN, JAM, ON_ITS_WAY, TOUCHES
-from surface_gym.flow.stream import Stream
 from surface_gym.lines import Pattern
 from surface_gym.registration import FLOW
 from surface_gym.rendering import Scene, SceneParcel
@@ -26,20 +23,8 @@ from surface_gym.tasks import TASKS
 from surface_gym.tasks.start import Start
 from tests.environments import HEPTAGON, PARCELS, put
 from tests.environments import batch_with as batch_at
-from tests.flow.flows import (
-    BOX,
-    LARGE_BOX,
-    PLUS_45,
-    ROLL,
-    SHORT,
-    bare,
-    batch_with,
-    play,
-    same_choice,
-    set_down,
-    trace,
-    truths,
-)
+from tests.flow import flows
+from tests.flow.flows import BOX, PLUS_45, ROLL, SHORT, bare, same_choice, trace, truths
 
 PERIOD = 0.04  # [s]
 THREE = (Exit("left", 1, 0.5, 2.0), Exit("right", -1), Exit("straight", 0))
@@ -64,8 +49,9 @@ def only(scene: Scene) -> SceneParcel:
     return parcel
 
 
-def stream_of(stream: Stream, **settings: Any) -> StreamBatch:
-    return batch_with(stream, **{"exits": Exits(THREE), "duration": 120.0, **settings})
+def stream_of(*arrivals: tuple[float, str], **settings: Any) -> StreamBatch:
+    given = {"exits": Exits(THREE), "duration": 120.0, **settings}
+    return flows.batch_with(trace(*arrivals), **given)
 
 
 def opened(batch: BaseBatch, i: int = 0) -> Renderer:
@@ -73,6 +59,11 @@ def opened(batch: BaseBatch, i: int = 0) -> Renderer:
     renderer = Renderer(batch)
     renderer.record(i, begins=True)
     return renderer
+
+
+def running(*arrivals: tuple[float, str], **settings: Any) -> tuple[StreamBatch, Renderer]:
+    batch = stream_of(*arrivals, **settings)
+    return batch, opened(batch)
 
 
 def go_on(batch: StreamBatch, renderer: Renderer, periods: int, choice: int = ROLL) -> None:
@@ -87,7 +78,7 @@ def reading(scene: Scene, label: str) -> str:
 
 class TestOneParcel:
     @pytest.mark.parametrize("task", TASKS)
-    def test_every_task_has_a_scene_with_its_goal(self, task: str) -> None:
+    def test_every_task_has_a_scene_with_its_goal(self, task):
         scene = shown(pair_of(PARCELS["S"], task))
         assert scene.title == task.capitalize()
         assert scene.goal is not None
@@ -97,7 +88,7 @@ class TestOneParcel:
         assert len(set(labels)) == len(labels)
 
     @pytest.mark.parametrize("parcel", PARCELS.values(), ids=PARCELS)
-    def test_the_outline_is_the_bases(self, parcel: sg.Parcel) -> None:
+    def test_the_outline_is_the_bases(self, parcel):
         batch = pair_of(parcel)
         put(batch, Start(HEPTAGON, (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,)), i=1)
         outline = only(shown(batch)).outline
@@ -108,7 +99,7 @@ class TestOneParcel:
                 outline + parcel.base.centroid, parcel.base.outline, atol=1e-15
             )
 
-    def test_axes_zone_and_pose_are_the_batch_s(self) -> None:
+    def test_axes_zone_and_pose_are_the_batch_s(self):
         batch = pair_of(PARCELS["S"])
         for _ in range(3):
             batch.step(np.full((2, 64), PLUS_45))
@@ -122,31 +113,30 @@ class TestOneParcel:
             np.testing.assert_array_equal(scene.rotor, batch.view(i).rotor)
         assert dict(scene.readings)["time"] == "0.12 s"
 
-    def test_a_sensed_pose_is_shown_where_it_is_another(self) -> None:
-        batch = pair_of(PARCELS["S"])
+    @pytest.mark.parametrize("flows", [False, True], ids=["one parcel", "stream"])
+    def test_a_sensed_pose_is_shown_where_it_is_another(self, flows):
+        batch = stream_of((0.0, "left")) if flows else pair_of(PARCELS["S"])
         assert only(shown(batch)).sensed_pose is None
         batch.parcels.sensed[0, 1] += 0.02
-        sensed = only(shown(batch)).sensed_pose
-        assert sensed is not None
-        assert sensed[1] == pytest.approx(1.02)
+        x, y, theta = only(shown(batch)).pose
+        assert only(shown(batch)).sensed_pose == pytest.approx((x, y + 0.02, theta))
 
-    def test_an_end_is_shown(self) -> None:
+    def test_an_end_is_shown(self):
         batch = pair_of(PARCELS["S"])
         assert "end" not in dict(shown(batch).readings)
         while batch.parcels.outcome[0] == 0:
             batch.step(np.full((2, 64), 0))
-        assert dict(shown(batch).readings)["end"] == "stalled"
+        assert reading(shown(batch), "end") == "stalled"
 
-    @pytest.mark.parametrize("tilt", [0.0, 0.1, 0.26])
-    def test_a_tilt_is_shown(self, tilt: float) -> None:
-        start = Start(PARCELS["S"], (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,), tilt=tilt)
-        assert shown(batch_at(start)).tilt == pytest.approx(tilt)
+    def test_a_tilt_is_shown(self):
+        for tilt in (0.0, 0.26):
+            start = Start(PARCELS["S"], (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,), tilt=tilt)
+            assert shown(batch_at(start)).tilt == pytest.approx(tilt)
 
 
 class TestParcelsOfAStream:
-    def test_all_on_the_line_are_shown_where_they_are(self) -> None:
-        batch = stream_of(trace((0.0, "left"), (0.4, "straight"), (0.8, "right")))
-        renderer = opened(batch)
+    def test_all_on_the_line_are_shown_where_they_are(self):
+        batch, renderer = running((0.0, "left"), (0.4, "straight"), (0.8, "right"))
         go_on(batch, renderer, 25)
         scene, known = renderer.scene(), truths(batch)
         assert [parcel.exit for parcel in scene.parcels] == [0, 2, 1]
@@ -155,28 +145,14 @@ class TestParcelsOfAStream:
             assert parcel.pose == tuple(known[number][:3])
             np.testing.assert_allclose(parcel.outline, BOX.base.outline, atol=1e-15)
 
-    def test_a_round_base_is_a_circle(self) -> None:
-        disc = sg.Parcel(sg.Disc(0.15), 1.0)
-        batch = stream_of(trace((0.0, "left"), parcel=disc))
-        outline = opened(batch).scene().parcels[0].outline
-        np.testing.assert_allclose(np.hypot(*outline.T), 0.15)
-
-    def test_names_whose_initials_are_the_same_are_written_in_full(self) -> None:
+    def test_names_whose_initials_are_the_same_are_written_in_full(self):
         exits = Exits((Exit("loft", 1), Exit("left", -1)))
-        renderer = opened(stream_of(trace((0.0, "left")), exits=exits))
-        assert renderer.scene().parcels[0].label == "left"
+        assert only(shown(stream_of((0.0, "left"), exits=exits))).label == "left"
 
-    def test_a_sensed_pose_is_shown_where_it_is_another(self) -> None:
-        batch = stream_of(trace((0.0, "left")))
-        renderer = opened(batch)
-        assert renderer.scene().parcels[0].sensed_pose is None
-        batch.parcels.sensed[0, 1] += 0.02
-        x, y, theta = renderer.scene().parcels[0].pose
-        assert renderer.scene().parcels[0].sensed_pose == pytest.approx((x, y + 0.02, theta))
-
-    def test_those_that_touch_are_paired_for_a_moment(self) -> None:
-        batch = stream_of(trace((0.0, "left"), (0.0, "straight")))
-        set_down(batch, [[0.8, 1.0, 0.0], [1.1, 1.0, 0.0]], [[1.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    def test_those_that_touch_are_paired_for_a_moment(self):
+        batch = stream_of((0.0, "left"), (0.0, "straight"))
+        poses, velocities = [[0.8, 1.0, 0.0], [1.1, 1.0, 0.0]], [[1.0, 0.0, 0.0], [0.5, 0.0, 0.0]]
+        flows.set_down(batch, poses, velocities)
         renderer = opened(batch)
         assert renderer.scene().touching == ()
         while batch.streams.tally[0, TOUCHES] == 0:  # the one behind catches up
@@ -189,9 +165,8 @@ class TestParcelsOfAStream:
 
 
 class TestTrails:
-    def test_they_end_at_the_centre_and_are_short(self) -> None:
-        batch = stream_of(trace((0.0, "straight")))
-        renderer = opened(batch)
+    def test_they_end_at_the_centre_and_are_short(self):
+        batch, renderer = running((0.0, "straight"))
         lengths = []
         for _ in range(20):
             go_on(batch, renderer, 1)
@@ -202,9 +177,8 @@ class TestTrails:
         assert max(lengths) <= TRAIL
         assert min(lengths[10:]) > TRAIL - 1.5 * PERIOD
 
-    def test_a_place_used_again_does_not_join_them(self) -> None:
-        batch = stream_of(trace((0.0, "straight"), (0.0, "straight")), max_parcels=1)
-        renderer = opened(batch)
+    def test_a_place_used_again_does_not_join_them(self):
+        batch, renderer = running((0.0, "straight"), (0.0, "straight"), max_parcels=1)
         while batch.streams.number[0, 0] != 1:
             go_on(batch, renderer, 1)
         go_on(batch, renderer, 3)
@@ -212,27 +186,25 @@ class TestTrails:
         assert len(trail) == 4
         assert trail[:, 0].max() < 0.5
 
-    def test_an_episode_begins_without_any(self) -> None:
-        batch = stream_of(trace((0.0, "straight")))
-        renderer = opened(batch)
+    def test_an_episode_begins_without_any(self):
+        batch, renderer = running((0.0, "straight"))
         go_on(batch, renderer, 42)  # it has left, and is shown yet
         assert len(renderer.scene().parcels) == 1
         batch.reset(np.array([0]))
         renderer.record(0, begins=True)
-        (parcel,) = renderer.scene().parcels
+        parcel = only(renderer.scene())
         np.testing.assert_array_equal(parcel.trail, [parcel.pose[:2]])
 
 
 class TestExits:
-    def test_who_has_left_goes_on_for_a_moment(self) -> None:
-        batch = stream_of(trace((0.0, "straight")))
-        renderer = opened(batch)
+    def test_who_has_left_goes_on_for_a_moment(self):
+        batch, renderer = running((0.0, "straight"))
         while batch.streams.present[0, 0]:
             go_on(batch, renderer, 1)
         left, (x, y, _, vx, vy, _) = batch.streams.left[0, 0], batch.parcels.truth[0].copy()
         periods = 0
         while renderer.scene().parcels:
-            (parcel,) = renderer.scene().parcels
+            parcel = only(renderer.scene())
             since = batch.streams.clock[0] - left
             assert parcel.pose[:2] == pytest.approx((x + since * vx, y + since * vy))
             assert tuple(parcel.trail[-1]) == parcel.pose[:2]
@@ -240,9 +212,8 @@ class TestExits:
             periods += 1
         assert GLIDE - PERIOD <= periods * PERIOD <= GLIDE + PERIOD
 
-    def test_pairs_are_counted_past_those_who_have_left(self) -> None:
-        batch = stream_of(trace((0.0, "straight"), (0.2, "left"), (0.6, "right")))
-        renderer = opened(batch)
+    def test_pairs_are_counted_past_those_who_have_left(self):
+        batch, renderer = running((0.0, "straight"), (0.2, "left"), (0.6, "right"))
         while batch.streams.present[0, 0]:
             go_on(batch, renderer, 1)
         batch.streams.touched_at[0, [1, 2], [2, 1]] = batch.streams.steps[0]
@@ -250,18 +221,17 @@ class TestExits:
         assert [parcel.exit for parcel in scene.parcels] == [2, 0, 1]
         assert scene.touching == ((1, 2),)
 
-    def test_counts_and_those_who_wait(self) -> None:
+    def test_counts_and_those_who_wait(self):
         names = ("straight", "left", "straight", "right", "straight")
-        batch = stream_of(trace(*[(0.5 * k, name) for k, name in enumerate(names)], (9.0, "left")))
-        renderer = opened(batch)
+        batch, renderer = running(*[(0.5 * k, name) for k, name in enumerate(names)], (9.0, "left"))
         go_on(batch, renderer, 120)  # all roll straight on
         scene = renderer.scene()
         assert scene.traffic.delivered == (0, 0, 3)
         assert scene.traffic.missorted == 2
-        crowd = opened(stream_of(trace(*[(0.0, "left")] * 4))).scene()
+        crowd = shown(stream_of(*[(0.0, "left")] * 4))
         assert (len(crowd.parcels), crowd.traffic.waiting) == (1, 3)
 
-    def test_spans_end_with_the_surface(self) -> None:
+    def test_spans_end_with_the_surface(self):
         exits = Exits(
             (Exit("a", 1, -3.0, 0.5), Exit("b", 1, 0.5), Exit("c", -1, 0.5, 9.0), Exit("on", 0))
         )
@@ -272,23 +242,22 @@ class TestExits:
         assert spans["c"] == pytest.approx((-1, 0.5, 2.0))
         assert spans["on"] == pytest.approx((0, 2.0, 2.6))  # and the surface's
 
-    def test_where_rotors_end_with_the_surface_the_way_on_is_the_last_column(self) -> None:
+    def test_where_rotors_end_with_the_surface_the_way_on_is_the_last_column(self):
         rotor = np.zeros((20, 20), dtype=bool)
         rotor[8:12] = True
         settings = EnvConfig("flow", line=Pattern(rotor=rotor, lead_in=5), exits="sides")
         on = exit_marks(settings)[-1]
         assert (on.first, on.last) == pytest.approx((1.9, 2.0))
 
-    def test_a_chute_past_the_rotors_cannot_be_drawn(self) -> None:
+    def test_a_chute_past_the_rotors_cannot_be_drawn(self):
         exits = Exits((Exit("beyond", 1, 2.5, 3.0),))
         with pytest.raises(ValueError, match=r"last must be greater than first, 2\.5"):
             exit_marks(EnvConfig("flow", line=SHORT, exits=exits))
 
 
 class TestReadings:
-    def test_axes_zone_and_tilt_are_the_surfaces(self) -> None:
-        batch = stream_of(trace((0.0, "left")), tilt=0.05)
-        renderer = opened(batch)
+    def test_axes_zone_and_tilt_are_the_surfaces(self):
+        batch, renderer = running((0.0, "left"), tilt=0.05)
         go_on(batch, renderer, 3, PLUS_45)
         scene = renderer.scene(0, "env 0")
         assert (scene.title, scene.tilt) == ("env 0", 0.05)
@@ -297,9 +266,9 @@ class TestReadings:
         np.testing.assert_allclose(scene.axis, expected)
         assert reading(scene, "time") == "0.1 s"
 
-    def test_the_rate_is_that_of_the_last_half_minute(self) -> None:
-        batch = stream_of(trace(*[(float(k), "straight") for k in range(60)]))
-        flows, renderer = batch.streams, opened(batch)
+    def test_the_rate_is_that_of_the_last_half_minute(self):
+        batch = stream_of(*[(float(k), "straight") for k in range(60)])
+        streams, renderer = batch.streams, opened(batch)
         assert reading(renderer.scene(), "parcels an hour") == "\N{EN DASH}"
         # One leaves a second from 1 s on: every third by another exit, and all do from 40 s on.
         left = np.arange(1.0, 61.0)
@@ -312,15 +281,14 @@ class TestReadings:
             (60.0, 3600.0 * 6 / 30),
         ):
             gone = left <= clock
-            flows.clock[0] = clock
-            flows.left[0, :60] = np.where(gone, left, np.nan)
-            flows.taken[0, :60] = np.where(gone, np.where(right, 2, BETWEEN), ON_ITS_WAY)
+            streams.clock[0] = clock
+            streams.left[0, :60] = np.where(gone, left, np.nan)
+            streams.taken[0, :60] = np.where(gone, np.where(right, 2, BETWEEN), ON_ITS_WAY)
             rate = expected if isinstance(expected, str) else f"{expected:.0f}"
             assert reading(renderer.scene(), "parcels an hour") == rate
 
-    def test_an_end_is_shown(self) -> None:
-        batch = stream_of(trace((0.0, "left")))
-        renderer = opened(batch)
+    def test_an_end_is_shown(self):
+        batch, renderer = running((0.0, "left"))
         assert "end" not in dict(renderer.scene().readings)
         batch.streams.outcome[0] = JAM
         assert reading(renderer.scene(), "end") == "jam"
@@ -328,7 +296,7 @@ class TestReadings:
 
 class TestEnvironments:
     @pytest.mark.parametrize("actions", ["modules", "parcels"])
-    def test_a_picture_a_step(self, actions: str) -> None:
+    def test_a_picture_a_step(self, actions):
         env = bare(actions=actions, render_mode="rgb_array")
         env.reset(seed=1)
         before = env.render()
@@ -338,14 +306,16 @@ class TestEnvironments:
         assert after.shape == before.shape
         assert (after != before).any()
 
-    def test_drawing_changes_nothing(self) -> None:
+    def test_drawing_changes_nothing(self):
         plain, drawn = bare(), bare(render_mode="rgb_array")
-        for one, other in zip(play(plain, PLUS_45), play(drawn, PLUS_45), strict=True):
+        drawn.reset(seed=0)
+        for one in flows.play(plain, PLUS_45):
             drawn.render()
+            other = drawn.step(same_choice(drawn, PLUS_45))
             np.testing.assert_array_equal(one[0], other[0])
             assert one[1] == other[1]
 
-    def test_a_gate_is_no_parcel(self) -> None:
+    def test_a_gate_is_no_parcel(self):
         stream = trace((0.0, "straight"), (0.0, "left 1"))
         env = bare(stream=stream, gate=True, render_mode="rgb_array")
         env.reset(seed=0)
@@ -354,7 +324,7 @@ class TestEnvironments:
         assert [parcel.label for parcel in renderer.scene().parcels] == ["S"]
         assert renderer.scene().traffic.waiting == 1
 
-    def test_films(self, tmp_path: Path) -> None:
+    def test_films(self, tmp_path):
         made = gym.make(FLOW, duration=0.4, line=SHORT, render_mode="rgb_array")
         env: Any = gym.wrappers.RecordVideo(made, str(tmp_path / "films"))
         env.reset(seed=0)
@@ -364,9 +334,9 @@ class TestEnvironments:
         env.close()
         assert [file.suffix for file in (tmp_path / "films").iterdir()] == [".mp4"]
 
-    def test_tiles(self) -> None:
+    def test_tiles(self):
         envs: Any = gym.make_vec(
-            FLOW, 3, line=SHORT, duration=0.2, stream=trace((0.0, "straight"), parcel=LARGE_BOX),
+            FLOW, 3, line=SHORT, duration=0.2, stream=trace((0.0, "straight")),
             render_mode="rgb_array",
         )  # fmt: skip
         envs.reset(seed=0)
@@ -378,17 +348,10 @@ class TestEnvironments:
         assert all((one != other).any() for one, other in pairwise(pictures))
 
     @pytest.mark.usefixtures("screen")
-    def test_a_window(self) -> None:
+    def test_a_window(self):
         env = bare(render_mode="human")
         env.reset(seed=0)
         env.step(same_choice(env, ROLL))
         shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
         np.testing.assert_array_equal(shown, env._renderer.draw())
         env.close()
-
-
-@pytest.fixture
-def screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    yield
-    pygame.display.quit()

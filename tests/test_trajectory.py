@@ -1,9 +1,7 @@
 """What a run tells: its contacts against Newton's laws and geometry, and where the energy goes."""
 
-import csv
 import math
-from dataclasses import fields, replace
-from pathlib import Path
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -13,14 +11,15 @@ import surface_gym as sg
 from surface_gym.physics.friction import TOLERANCE
 from surface_gym.physics.step import RESTART_SPEED
 from surface_gym.trajectory import Trajectory, repeat
-from tests.strategies import Scene, scenes
+from tests.strategies import scenes
 
 G = 9.81  # [m/s^2]
 BOX = sg.layouts.box("S")
-START = sg.layouts.start("S")
+SUPPORTS = sg.Surface(np.zeros((10, 10)), np.zeros((10, 10), dtype=bool))
 TRIANGLE = sg.Parcel(
     sg.Polygon([(0.0, 0.0), (0.4, 0.0), (0.0, 0.3)]), mass=3.0, com_offset=(0.02, -0.01)
 )
+every_method = pytest.mark.parametrize("method", ["implicit", "explicit"])
 
 
 def sorted_on_a_slope(**changes: object) -> Trajectory:
@@ -58,57 +57,50 @@ def assert_newton_holds(run: Trajectory, forces: float) -> None:
     np.testing.assert_allclose(run.acceleration[1:, 2], spin[1:], rtol=0.0, atol=forces / gyration)
 
 
+def assert_repeats(run: Trajectory) -> None:
+    """The run's steps, repeated, lead where it went, to the bit."""
+    _, observed = repeat(run.run, run.time)
+    assert observed.state.tobytes() == run.run.states.tobytes()
+
+
 class TestRepeatedSteps:
+    @every_method
     @pytest.mark.parametrize("solver", ["dual", "osqp", "scipy"])
-    @pytest.mark.parametrize("method", ["implicit", "explicit"])
-    def test_they_lead_where_the_run_went_to_the_bit(self, method: str, solver: str) -> None:
+    def test_they_lead_where_the_run_went_by_its_forces(self, method, solver):
         run = sorted_on_a_slope(method=method, normal_forces=solver)
         assert run.time[-1] == 0.503  # the last step is shorter
-        _, observed = repeat(run.run, run.time)
-        assert observed.state.tobytes() == run.run.states.tobytes()
+        assert_repeats(run)
+        assert_newton_holds(run, 1e-7 if method == "implicit" else 1e-12)
 
     @given(scene=scenes())
-    def test_whatever_the_scene(self, scene: Scene) -> None:
+    def test_whatever_the_scene(self, scene):
+        """Newton's law holds to what the step's solver leaves of its optimality condition."""
         run = scene.run(duration=0.2)
-        _, observed = repeat(run.run, run.time)
-        assert observed.state.tobytes() == run.run.states.tobytes()
+        assert_repeats(run)
+        left = TOLERANCE * max(1.0, math.sqrt(run.run.parcel.body.gyration)) / 0.005
+        assert_newton_holds(run, left)
 
-    def test_where_a_run_ends_early(self) -> None:
-        supports = sg.Surface(np.zeros((10, 10)), np.zeros((10, 10), dtype=bool))
-        run = sg.simulate(supports, BOX, (0.5, 0.5, 0.1), (2.0, 0.0, 0.0), duration=2.0013)
+    def test_where_a_run_ends_early(self):
+        run = sg.simulate(SUPPORTS, BOX, (0.5, 0.5, 0.1), (2.0, 0.0, 0.0), duration=2.0013)
         assert run.end == "left the surface"
-        _, observed = repeat(run.run, run.time)
-        assert observed.state.tobytes() == run.run.states.tobytes()
+        assert_repeats(run)
 
-    def test_nothing_is_found_out_before_it_is_asked_for(self) -> None:
+    def test_nothing_is_found_out_before_it_is_asked_for(self):
         run = sorted_on_a_slope()
         assert not {"contacts", "acceleration", "energy"} & set(vars(run))
         assert run.contacts is run.contacts
 
 
 class TestForces:
-    @given(scene=scenes())
-    def test_they_are_mass_times_acceleration(self, scene: Scene) -> None:
-        """To what the step's solver leaves of its optimality condition."""
-        run = scene.run(duration=0.2)
-        left = TOLERANCE * max(1.0, math.sqrt(run.run.parcel.body.gyration)) / 0.005
-        assert_newton_holds(run, left)
-
-    @pytest.mark.parametrize("solver", ["dual", "osqp", "scipy"])
-    @pytest.mark.parametrize("method", ["implicit", "explicit"])
-    def test_with_every_method_and_solver(self, method: str, solver: str) -> None:
-        run = sorted_on_a_slope(method=method, normal_forces=solver, duration=0.5)
-        assert_newton_holds(run, 1e-7 if method == "implicit" else 1e-12)
-
-    @pytest.mark.parametrize("method", ["implicit", "explicit"])
-    def test_the_acceleration_is_that_of_the_motion(self, method: str) -> None:
+    @every_method
+    def test_the_acceleration_is_that_of_the_motion(self, method):
         run = sorted_on_a_slope(method=method)
         np.testing.assert_array_equal(run.acceleration[0], 0.0)
         motion = np.diff(run.run.states[:, 3:6], axis=0) / np.diff(run.time)[:, None]
         np.testing.assert_allclose(run.acceleration[1:], motion, rtol=0.0, atol=1e-9)
 
     @given(scene=scenes())
-    def test_normal_forces_carry_the_weight(self, scene: Scene) -> None:
+    def test_normal_forces_carry_the_weight_and_bound_the_friction(self, scene):
         run = scene.run(duration=0.2)
         parcel = scene.parcel
         weight = parcel.mass * G * math.cos(scene.surface.tilt)
@@ -121,10 +113,7 @@ class TestForces:
         upright = ~run.tipping[1:]
         expected = parcel.mass * parcel.com_height * pull
         np.testing.assert_allclose(moment[upright], expected[upright], atol=1e-6 * weight)
-
-    @given(scene=scenes())
-    def test_friction_is_within_its_limits_and_against_the_slip(self, scene: Scene) -> None:
-        run = scene.run(duration=0.2)
+        # Friction is within its limits and against the slip, and no energy is lost.
         contacts, surface = run.contacts, scene.surface
         rotor, normal = contacts.rotor, contacts.normal * (1.0 + 1e-12) + 1e-12
         assert (np.abs(contacts.along[rotor]) <= surface.mu_max * normal[rotor]).all()
@@ -133,8 +122,9 @@ class TestForces:
         assert (support <= surface.mu_support * normal[~rotor]).all()
         assert (contacts.along * contacts.slip[:, 0] <= 1e-12).all()
         assert (contacts.across * contacts.slip[:, 1] <= 1e-12).all()
+        np.testing.assert_allclose(run.energy.balance, 0.0, atol=1e-7 * parcel.mass)
 
-    def test_a_rotor_that_slips_along_its_axis_gives_all_it_can(self) -> None:
+    def test_a_rotor_that_slips_along_its_axis_gives_all_it_can(self):
         run = sorted_on_a_slope()
         contacts = run.contacts
         slips = contacts.rotor & (np.abs(contacts.slip[:, 0]) > 1e-4)
@@ -142,7 +132,7 @@ class TestForces:
         expected = -0.5 * contacts.normal[slips] * np.sign(contacts.slip[slips, 0])
         np.testing.assert_allclose(contacts.along[slips], expected, rtol=1e-12)
 
-    def test_along_and_across_are_the_axiss_and_a_supports_x_and_y(self) -> None:
+    def test_along_and_across_are_the_axiss_and_a_supports_x_and_y(self):
         run = sorted_on_a_slope()
         contacts, surface = run.contacts, run.run.surface
         assert contacts.rotor.any()
@@ -161,7 +151,7 @@ class TestForces:
 
 
 class TestExplicitForces:
-    def test_they_are_those_of_eq_2_at_the_velocity_before_the_step(self) -> None:
+    def test_they_are_those_of_eq_2_at_the_velocity_before_the_step(self):
         run = sorted_on_a_slope(method="explicit")
         assert (run.velocity[:, 0] > 0.0).all()
         contacts, surface = run.contacts, run.run.surface
@@ -176,7 +166,7 @@ class TestExplicitForces:
         np.testing.assert_allclose(contacts.along, -load * along, rtol=0.0, atol=1e-9)
         np.testing.assert_allclose(contacts.across, -load * across, rtol=0.0, atol=1e-9)
 
-    def test_where_the_papers_rule_holds_the_parcel_friction_bears_gravity_alone(self) -> None:
+    def test_where_the_papers_rule_holds_the_parcel_friction_bears_gravity_alone(self):
         surface = sg.layouts.slowing(angle=0.0, task_columns=30, tilt=math.radians(5.0))
         run = sg.simulate(surface, BOX, (1.0, 1.0, 0.0), method="explicit")
         held = np.flatnonzero((run.velocity[:-1, 0] <= 0.0) & (run.velocity[1:, 0] == 0.0)) + 1
@@ -191,7 +181,7 @@ class TestExplicitForces:
         slipping = 0.5 * BOX.mass * G * math.tanh(5000.0 * RESTART_SPEED)
         assert slipping > 2.0 * gravity
 
-    def test_where_supports_alone_would_hold_it_nothing_along_the_axes_acts(self) -> None:
+    def test_where_supports_alone_would_hold_it_nothing_along_the_axes_acts(self):
         supports = sg.Surface(np.zeros((20, 30)), np.zeros((20, 30), dtype=bool), tilt=1e-3)
         run = sg.simulate(supports, BOX, (1.0, 1.0, 0.0), duration=0.1, method="explicit")
         np.testing.assert_allclose(run.acceleration, 0.0, atol=1e-15)
@@ -201,8 +191,8 @@ class TestExplicitForces:
 
 
 class TestContacts:
-    @pytest.mark.parametrize("method", ["implicit", "explicit"])
-    def test_they_are_the_elements_under_the_base(self, method: str) -> None:
+    @every_method
+    def test_they_are_the_elements_under_the_base(self, method):
         run = sorted_on_a_slope(method=method)
         surface, lead = run.run.surface, 0.5 if method == "implicit" else 0.0
         x, y = np.meshgrid(surface.x, surface.y)
@@ -222,15 +212,15 @@ class TestContacts:
             expected = np.column_stack([x[inside <= 1e-9], y[inside <= 1e-9]])
             np.testing.assert_array_equal(contacts.place, expected)
 
-    def test_the_steps_together_are_the_record(self) -> None:
-        contacts = sorted_on_a_slope().contacts
+    def test_the_steps_together_are_the_record(self):
+        contacts = sorted_on_a_slope(duration=0.05).contacts
         steps = [contacts.of_step(k) for k in range(1, int(contacts.step[-1]) + 1)]
         assert sum(map(len, steps)) == len(contacts)
         for field in fields(contacts):
             joined = np.concatenate([getattr(step, field.name) for step in steps])
             np.testing.assert_array_equal(joined, getattr(contacts, field.name))
 
-    def test_a_trajectory_of_one_row_has_none(self) -> None:
+    def test_a_trajectory_of_one_row_has_none(self):
         run = sg.simulate(sg.layouts.sorting(), BOX, (1.0, 1.0, 0.0), method="explicit")
         assert len(run.time) == 1
         assert len(run.contacts) == 0
@@ -239,45 +229,25 @@ class TestContacts:
         with pytest.raises(ValueError, match=r"^step must be in the record, got 1"):
             run.contacts.of_step(1)
 
-    @pytest.mark.parametrize(
-        ("step", "message"),
-        [
-            (0, "step must be a whole number of at least 1, got 0"),
-            (-1, "step must be a whole number of at least 1, got -1"),
-            (1.0, "step must be a whole number of at least 1, got 1.0"),
-            (102, "step must be between 1 and 101, got 102"),
-        ],
-    )
-    def test_a_step_that_is_none_is_refused(self, step: object, message: str) -> None:
-        with pytest.raises(ValueError, match=f"^{message}"):
-            sorted_on_a_slope().contacts.of_step(step)
+    def test_a_step_that_is_none_is_refused(self):
+        contacts = sorted_on_a_slope().contacts
+        for step, allowed in ((0, "a whole number of at least 1"), (102, "between 1 and 101")):
+            with pytest.raises(ValueError, match=f"^step must be {allowed}, got {step}"):
+                contacts.of_step(step)
 
-    def test_a_file_has_them_all_to_the_bit(self, tmp_path: Path) -> None:
+    def test_a_file_has_them_all_to_the_bit(self, tmp_path):
         contacts = sorted_on_a_slope(duration=0.02).contacts
         contacts.save(tmp_path / "contacts.csv")
-        with (tmp_path / "contacts.csv").open(newline="") as file:
-            rows = list(csv.DictReader(file))
-        assert len(rows) == len(contacts)
-        for name, expected in {
-            "step": contacts.step,
-            "time [s]": contacts.time,
-            "row": contacts.element[:, 0],
-            "column": contacts.element[:, 1],
-            "x [m]": contacts.place[:, 0],
-            "y [m]": contacts.place[:, 1],
-            "rotor": contacts.rotor,
-            "normal [N]": contacts.normal,
-            "along [N]": contacts.along,
-            "across [N]": contacts.across,
-            "force x [N]": contacts.force[:, 0],
-            "force y [N]": contacts.force[:, 1],
-            "slip along [m/s]": contacts.slip[:, 0],
-            "slip across [m/s]": contacts.slip[:, 1],
-        }.items():
-            np.testing.assert_array_equal([float(row[name]) for row in rows], expected)
-        assert len(rows[0]) == 14
+        head, *rows = (tmp_path / "contacts.csv").read_text().splitlines()
+        assert head == (
+            "step,time [s],row,column,x [m],y [m],rotor,normal [N],along [N],across [N],"
+            "force x [N],force y [N],slip along [m/s],slip across [m/s]"
+        )
+        expected = np.column_stack([getattr(contacts, field.name) for field in fields(contacts)])
+        found = np.array([row.split(",") for row in rows], dtype=float)
+        np.testing.assert_array_equal(found, expected)
 
-    def test_no_other_file_is_written(self, tmp_path: Path) -> None:
+    def test_no_other_file_is_written(self, tmp_path):
         contacts = sorted_on_a_slope(duration=0.02).contacts
         with pytest.raises(ValueError, match=r"^path must end in \.csv, got '.*contacts\.txt'"):
             contacts.save(tmp_path / "contacts.txt")
@@ -286,12 +256,7 @@ class TestContacts:
 
 
 class TestEnergy:
-    @given(scene=scenes())
-    def test_the_implicit_step_loses_none_of_it(self, scene: Scene) -> None:
-        energy = scene.run(duration=0.2).energy
-        np.testing.assert_allclose(energy.balance, 0.0, atol=1e-7 * scene.parcel.mass)
-
-    def test_what_the_explicit_one_leaves_goes_to_zero_with_the_step(self) -> None:
+    def test_what_the_explicit_step_leaves_goes_to_zero_with_it(self):
         left = [
             np.abs(sorted_on_a_slope(method="explicit", dt=dt).energy.balance).max()
             for dt in (4e-3, 1e-3, 2.5e-4, 6.25e-5)
@@ -301,8 +266,8 @@ class TestEnergy:
         assert left[-1] < 1e-4
 
     @pytest.mark.parametrize(("axis", "mu"), [(0.0, 0.5), (math.pi / 2, 0.01), (None, 0.005)])
-    @pytest.mark.parametrize("method", ["implicit", "explicit"])
-    def test_it_is_friction_times_the_way(self, method: str, axis: float | None, mu: float) -> None:
+    @every_method
+    def test_it_is_friction_times_the_way(self, method, axis, mu):
         rotor = np.full((20, 30), axis is not None)
         surface = sg.Surface(np.full((20, 30), axis or 0.0), rotor)
         run = sg.simulate(surface, BOX, (1.0, 1.0, 0.0), (1.0, 0.0, 0.0), 0.15, 1e-4, method)
@@ -315,7 +280,7 @@ class TestEnergy:
         np.testing.assert_allclose(energy.kinetic[0], 5.0)
         np.testing.assert_allclose(energy.kinetic, 5.0 - energy.dissipated, atol=1e-6)
 
-    def test_turning_counts_and_so_does_the_way_downhill(self) -> None:
+    def test_turning_counts_and_so_does_the_way_downhill(self):
         run = sorted_on_a_slope()
         energy, parcel = run.energy, run.run.parcel
         # The centre of mass from the base's frame.
@@ -329,37 +294,22 @@ class TestEnergy:
         height = -(centre - centre[0]) * math.sin(run.run.surface.tilt)
         np.testing.assert_allclose(energy.potential, parcel.mass * G * height, atol=1e-12)
 
-    def test_the_methods_agree_on_where_it_goes(self) -> None:
-        coarse = sorted_on_a_slope(dt=1e-3).energy
-        fine = sorted_on_a_slope(dt=1e-5, method="explicit").energy
-        for name in ("kinetic", "potential", "along", "across", "supports"):
-            ends = getattr(coarse, name)[-1], getattr(fine, name)[-1]
-            assert ends[0] == pytest.approx(ends[1], rel=0.02), name
+
+def test_contacts_acceleration_and_energy_take_a_run():
+    run, at_rest = sorted_on_a_slope(), (sg.layouts.sorting(), [BOX], [(1.0, 1.0, 0.0)])
+    for trajectory in (
+        Trajectory(run.time, run.pose, run.velocity, run.tipping, run.end),
+        sg.simulate_together(*at_rest, duration=0.02).trajectories[0],
+    ):
+        for asked in ("contacts", "acceleration", "energy"):
+            message = f"^{asked} must be asked of a trajectory with a run"
+            with pytest.raises(ValueError, match=message):
+                getattr(trajectory, asked)
 
 
-class TestWithoutARun:
-    def test_the_motion_alone_makes_a_trajectory(self) -> None:
-        run = sorted_on_a_slope()
-        bare = Trajectory(run.time, run.pose, run.velocity, run.tipping, run.end)
-        assert bare.run is None
+def test_what_another_engine_moved_has_no_run():
+    pytest.importorskip("mujoco")
+    from surface_gym.validation import simulate
 
-    @pytest.mark.parametrize("asked", ["contacts", "acceleration", "energy"])
-    def test_what_it_takes_a_run_for_is_refused(self, asked: str) -> None:
-        bare = replace(sorted_on_a_slope(), run=None)
-        with pytest.raises(ValueError, match=f"^{asked} must be asked of a trajectory with a run"):
-            getattr(bare, asked)
-
-    def test_parcels_that_push_each_other_have_none(self) -> None:
-        encounter = sg.simulate_together(
-            sg.layouts.sorting(), [BOX], [(1.0, 1.0, 0.0)], duration=0.02
-        )
-        with pytest.raises(ValueError, match=r"^contacts must be asked of a trajectory"):
-            _ = encounter.trajectories[0].contacts
-
-    def test_nor_has_what_another_engine_moved(self) -> None:
-        pytest.importorskip("mujoco")
-        from surface_gym.validation import simulate
-
-        run = simulate(sg.layouts.sorting(), BOX, START, (1.0, 0.0, 0.0), duration=0.01)
-        with pytest.raises(ValueError, match=r"^energy must be asked of a trajectory"):
-            _ = run.energy
+    start = (BOX, sg.layouts.start("S"), (1.0, 0.0, 0.0))
+    assert simulate(sg.layouts.sorting(), *start, duration=0.01).run is None

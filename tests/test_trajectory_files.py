@@ -4,7 +4,7 @@ import io
 import math
 import pickle
 import zipfile
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,22 +30,25 @@ PARCELS = {
     "disc": sg.Parcel(sg.Disc(0.2), com_height=0.05, com_offset=(0.01, 0.02)),
     "polygon": sg.Parcel(sg.Polygon([(0.0, 0.0), (0.0, 0.3), (0.4, 0.0)])),
 }
-
-
+HEAD = "# end: duration\ntime [s],x [m],y [m],theta [rad],vx [m/s],vy [m/s],omega [rad/s],tipping\n"
+AT_REST = (sg.layouts.sorting(), sg.layouts.box("S"), (1.0, 1.0, 0.0))
 # 6400 elements, all alike.
 LARGE = {
-    "axis": np.zeros((80, 80)),
-    "rotor": np.ones((80, 80), dtype=bool),
-    "mu_max": 0.5,
-    "stiffness": None,
-}
+    "axis": np.zeros((80, 80)), "rotor": np.ones((80, 80), dtype=bool),
+    "mu_max": 0.5, "stiffness": None,
+}  # fmt: skip
 
 
 def slide(parcel: sg.Parcel = PARCELS["polygon"], **changes: object) -> Trajectory:
     """A short run over an uneven slope, its last step shortened."""
-    return sg.simulate(
-        UNEVEN, parcel, (1.0, 0.2, 0.3), (0.5, 0.2, -1.0), **{"duration": 0.1013, **changes}
-    )
+    given = {"duration": 0.1013, **changes}
+    return sg.simulate(UNEVEN, parcel, (1.0, 0.2, 0.3), (0.5, 0.2, -1.0), **given)
+
+
+def saved(run: Trajectory, path: Path) -> Trajectory:
+    """What comes back from a file."""
+    run.save(path)
+    return Trajectory.load(path)
 
 
 def assert_same(one: object, other: object, names: tuple[str, ...]) -> None:
@@ -58,119 +61,85 @@ def assert_same(one: object, other: object, names: tuple[str, ...]) -> None:
 class TestAllOfOne:
     @pytest.mark.parametrize("method", ["implicit", "explicit"])
     @pytest.mark.parametrize("kind", PARCELS)
-    def test_it_comes_back_with_its_contacts(self, kind: str, method: str, tmp_path: Path) -> None:
+    def test_it_comes_back_with_its_contacts(self, kind, method, tmp_path):
         run = slide(PARCELS[kind], method=method)
-        run.save(tmp_path / "run.npz")
-        back = Trajectory.load(tmp_path / "run.npz")
+        back = saved(run, tmp_path / "run.npz")
         assert_same(run, back, MOTION)
         assert back.end == run.end
         assert_same(run.contacts, back.contacts, CONTACTS)
         assert back.acceleration.tobytes() == run.acceleration.tobytes()
         assert back.energy.balance.tobytes() == run.energy.balance.tobytes()
 
-    def test_every_field_of_surface_and_parcel_does(self, tmp_path: Path) -> None:
-        run = slide(PARCELS["rectangle"])
-        run.save(str(tmp_path / "run.npz"))
+    def test_every_field_of_surface_and_parcel_does(self, tmp_path):
+        slide(PARCELS["rectangle"]).save(str(tmp_path / "run.npz"))
         back = Trajectory.load(str(tmp_path / "run.npz")).run
-        for field in fields(UNEVEN):
-            np.testing.assert_array_equal(
-                getattr(back.surface, field.name), getattr(UNEVEN, field.name)
-            )
+        for name in (field.name for field in fields(UNEVEN)):
+            np.testing.assert_array_equal(getattr(back.surface, name), getattr(UNEVEN, name))
         assert back.parcel == PARCELS["rectangle"]
         assert (back.dt, back.method, back.normal_forces) == (0.005, "implicit", "dual")
 
-    def test_and_what_is_none(self, tmp_path: Path) -> None:
-        run = sg.simulate(sg.layouts.sorting(), sg.layouts.box("S"), (1.0, 1.0, 0.0), duration=0.02)
-        run.save(tmp_path / "run.npz")
-        back = Trajectory.load(tmp_path / "run.npz").run
+    def test_and_what_is_none(self, tmp_path):
+        back = saved(sg.simulate(*AT_REST, duration=0.02), tmp_path / "run.npz").run
         assert back.surface.stiffness is None
         assert back.parcel.inertia is None
         assert (back.surface.pitch, back.surface.mu_max) == (0.1, 0.5)
 
     @pytest.mark.parametrize("solver", ["osqp", "scipy"])
-    def test_with_another_solver(self, solver: str, tmp_path: Path) -> None:
+    def test_with_another_solver(self, solver, tmp_path):
         run = slide(normal_forces=solver, duration=0.02)
-        run.save(tmp_path / "run.npz")
-        assert_same(run.contacts, Trajectory.load(tmp_path / "run.npz").contacts, CONTACTS)
+        assert_same(run.contacts, saved(run, tmp_path / "run.npz").contacts, CONTACTS)
 
-    def test_a_trajectory_without_a_run_has_none_afterwards(self, tmp_path: Path) -> None:
+    def test_a_trajectory_without_a_run_has_none_afterwards(self, tmp_path):
         run = replace(slide(), run=None)
-        run.save(tmp_path / "run.npz")
-        back = Trajectory.load(tmp_path / "run.npz")
+        back = saved(run, tmp_path / "run.npz")
         assert_same(run, back, MOTION)
         assert back.run is None
 
-    def test_a_base_of_ones_own_is_not_lost_silently(self, tmp_path: Path) -> None:
-        @dataclass(frozen=True)
-        class Tile(sg.Rectangle):
-            pass
-
-        run = slide(sg.Parcel(Tile(0.3, 0.3)))
-        with pytest.raises(ValueError, match=r"^base must be a Rectangle, a Disc or a Polygon to "):
-            run.save(tmp_path / "run.npz")
-        assert not (tmp_path / "run.npz").exists()
-        run.save(tmp_path / "run.csv")
-
-    def test_nor_is_a_surface_or_a_parcel(self, tmp_path: Path) -> None:
-        class Floor(sg.Surface):
-            pass
-
-        class Box(sg.Parcel):
-            pass
-
-        floor = Floor(np.zeros((20, 20)), np.ones((20, 20), dtype=bool))
-        run = sg.simulate(floor, sg.layouts.box("S"), (1.0, 1.0, 0.0), duration=0.02)
-        with pytest.raises(
-            ValueError, match=r"^surface must be a Surface, not a user-defined class"
+    def test_classes_of_ones_own_are_not_lost_silently(self, tmp_path):
+        kinds = (sg.Rectangle, sg.Surface, sg.Parcel)
+        tile, floor, box = (type("Own", (kind,), {}) for kind in kinds)
+        ground = floor(np.zeros((20, 20)), np.ones((20, 20), dtype=bool))
+        for run, named in (
+            (slide(sg.Parcel(tile(0.3, 0.3))), "base must be a Rectangle, a Disc or a Polygon to "),
+            (
+                sg.simulate(ground, *AT_REST[1:], duration=0.02),
+                "surface must be a Surface, not ",
+            ),
+            (slide(box(sg.Disc(0.2))), "parcel must be a Parcel, not a user-defined class"),
         ):
-            run.save(tmp_path / "run.npz")
-        with pytest.raises(ValueError, match=r"^parcel must be a Parcel, not a user-defined class"):
-            slide(Box(sg.Disc(0.2))).save(tmp_path / "run.npz")
+            with pytest.raises(ValueError, match=f"^{named}"):
+                run.save(tmp_path / "run.npz")
+            assert not (tmp_path / "run.npz").exists()
+            run.save(tmp_path / "run.csv")
 
 
-class TestMotion:
-    @pytest.mark.parametrize("method", ["implicit", "explicit"])
-    def test_it_comes_back_to_the_bit(self, method: str, tmp_path: Path) -> None:
+class TestTables:
+    def test_it_comes_back_to_the_bit(self, tmp_path):
         supports = sg.Surface(np.zeros((10, 10)), np.zeros((10, 10), dtype=bool))
-        run = sg.simulate(
-            supports, PARCELS["disc"], (0.5, 0.5, 0.1), (2.0, 0.1, 1.0), 2.0, method=method
-        )
+        run = sg.simulate(supports, PARCELS["disc"], (0.5, 0.5, 0.1), (2.0, 0.1, 1.0), 2.0)
         assert run.tipping.any()
-        run.save(tmp_path / "run.csv")
-        back = Trajectory.load(tmp_path / "run.csv")
+        back = saved(run, tmp_path / "run.csv")
         assert_same(run, back, MOTION)
         assert back.end == "left the surface"
         assert back.run is None
 
-    def test_of_one_row_too(self, tmp_path: Path) -> None:
-        run = sg.simulate(
-            sg.layouts.sorting(), sg.layouts.box("S"), (1.0, 1.0, 0.0), method="explicit"
-        )
+    def test_of_one_row_too(self, tmp_path):
+        run = sg.simulate(*AT_REST, method="explicit")
         for name in ("run.csv", "run.npz"):
-            run.save(tmp_path / name)
-            back = Trajectory.load(tmp_path / name)
+            back = saved(run, tmp_path / name)
             assert_same(run, back, MOTION)
             assert back.end == "stopped"
 
-    def test_the_columns_say_what_they_are(self, tmp_path: Path) -> None:
-        slide().save(tmp_path / "run.csv")
-        lines = (tmp_path / "run.csv").read_text(encoding="utf-8").splitlines()
-        assert lines[:3] == [
-            "# end: duration",
-            "time [s],x [m],y [m],theta [rad],vx [m/s],vy [m/s],omega [rad/s],tipping",
-            "0.0,1.0,0.2,0.3,0.5,0.2,-1.0,0",
-        ]
-
-    def test_a_spreadsheets_line_ends_are_read(self, tmp_path: Path) -> None:
-        run = slide()
-        run.save(tmp_path / "run.csv")
-        text = (tmp_path / "run.csv").read_bytes().replace(b"\n", b"\r\n")
-        (tmp_path / "run.csv").write_bytes(b"\xef\xbb\xbf" + text)
-        assert_same(run, Trajectory.load(tmp_path / "run.csv"), MOTION)
+    def test_the_columns_say_what_they_are_and_a_spreadsheets_line_ends_are_read(self, tmp_path):
+        run, path = slide(), tmp_path / "run.csv"
+        run.save(path)
+        assert path.read_text(encoding="utf-8").startswith(f"{HEAD}0.0,1.0,0.2,0.3,0.5,0.2,-1.0,0")
+        path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
+        assert_same(run, Trajectory.load(path), MOTION)
 
 
 @pytest.mark.parametrize("name", ["run.txt", "run", "run.npz.gz", "run.NPZ"])
-def test_another_suffix_is_refused(name: str, tmp_path: Path) -> None:
+def test_another_suffix_is_refused(name, tmp_path):
     run = slide()
     for act in (run.save, Trajectory.load):
         with pytest.raises(ValueError, match=rf"^path must end in \.npz or \.csv, got '.*{name}'"):
@@ -178,16 +147,12 @@ def test_another_suffix_is_refused(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["npz", "csv"])
-def test_a_file_that_is_not_there_is_named(suffix: str, tmp_path: Path) -> None:
+def test_a_file_that_is_not_there_is_named_and_an_end_that_is_no_line_not_written(suffix, tmp_path):
     with pytest.raises(FileNotFoundError, match=f"lost.{suffix}"):
         Trajectory.load(tmp_path / f"lost.{suffix}")
-
-
-@pytest.mark.parametrize("suffix", ["npz", "csv"])
-@pytest.mark.parametrize("end", ["two\nlines", " ", ""])
-def test_an_end_that_is_no_line_is_not_written(end: str, suffix: str, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"^end must be one line of text, got "):
-        replace(slide(), end=end).save(tmp_path / f"run.{suffix}")
+    for end in ("two\nlines", " ", ""):
+        with pytest.raises(ValueError, match=r"^end must be one line of text, got "):
+            replace(slide(), end=end).save(tmp_path / f"run.{suffix}")
 
 
 class TestDamagedArrays:
@@ -215,10 +180,7 @@ class TestDamagedArrays:
             ({"time": np.arange(22)}, "time must be of float64, got int64"),
             ({"pose": np.zeros((3, 3))}, r"pose must have the shape \(22, 3\), got \(3, 3\)"),
             ({"velocity": np.full((22, 3), np.nan)}, "velocity must be finite, got nan"),
-            (
-                {"tipping": np.zeros(22)},
-                r"tipping must be booleans of the shape \(22,\), got float",
-            ),
+            ({"tipping": np.zeros(22)}, r"tipping must be booleans of the shape \(22,\), got f"),
             ({"end": np.zeros(3)}, "end must be one line of text"),
             ({"end": 3}, "end must be one line of text, got 3"),
             ({"states": np.zeros((21, 8))}, r"states must have the shape \(22, 8\)"),
@@ -234,24 +196,21 @@ class TestDamagedArrays:
             ({"normal_forces": [1.0]}, "normal_forces must be one of 'dual'"),
         ],
     )
-    def test_the_error_says_what_is_wrong(
-        self, changes: dict[str, object], message: str, tmp_path: Path
-    ) -> None:
+    def test_the_error_says_what_is_wrong(self, changes, message, tmp_path):
         path = self.changed(tmp_path, **changes)
         with pytest.raises(ValueError, match=rf"run\.npz': {message}"):
             Trajectory.load(path)
 
     @pytest.mark.parametrize("solver", ["dual", "scipy"])
-    def test_states_of_no_run_bear_no_contacts(self, solver: str, tmp_path: Path) -> None:
+    def test_states_of_no_run_bear_no_contacts(self, solver, tmp_path):
         states = slide(PARCELS["disc"]).run.states.copy()
         states[4, 0] = 99.0
         back = Trajectory.load(self.changed(tmp_path, states=states, normal_forces=solver))
-        with pytest.raises(
-            ValueError, match=r"states must be over elements .*, got none in step 5"
-        ):
+        message = r"states must be over elements .*, got none in step 5"
+        with pytest.raises(ValueError, match=message):
             _ = back.contacts
 
-    def test_an_object_is_never_made(self, tmp_path: Path) -> None:
+    def test_an_object_is_never_made(self, tmp_path):
         class Trap:
             def __reduce__(self) -> tuple[object, ...]:
                 return (Path.touch, (tmp_path / "sprung",))
@@ -264,7 +223,7 @@ class TestDamagedArrays:
             Trajectory.load(path)
         assert not (tmp_path / "sprung").exists()
 
-    def test_the_beginning_of_a_file_is_refused(self, tmp_path: Path) -> None:
+    def test_the_beginning_of_a_file_is_refused(self, tmp_path):
         slide().save(tmp_path / "run.npz")
         whole = (tmp_path / "run.npz").read_bytes()
         for length in np.linspace(0, len(whole) - 1, 25).astype(int):
@@ -272,13 +231,12 @@ class TestDamagedArrays:
             with pytest.raises(ValueError, match=r"^path must lead to a trajectory that was saved"):
                 Trajectory.load(tmp_path / "run.npz")
 
-    def test_bytes_that_have_changed_are_noticed(self, tmp_path: Path) -> None:
-        run = slide()
+    def test_bytes_that_have_changed_are_noticed(self, tmp_path):
+        run, refused = slide(), 0
         run.save(tmp_path / "run.npz")
         whole = (tmp_path / "run.npz").read_bytes()
         rng = np.random.default_rng(0)
-        refused = 0
-        for place in rng.integers(len(whole), size=300):
+        for place in rng.integers(len(whole), size=150):
             changed = bytearray(whole)
             changed[place] ^= 1 << int(rng.integers(8))
             (tmp_path / "run.npz").write_bytes(changed)
@@ -288,18 +246,15 @@ class TestDamagedArrays:
                 refused += 1
             else:  # dates and the like, which nobody reads
                 assert_same(run, back, MOTION)
-        assert refused > 200
+        assert refused > 100
 
-    def test_members_that_are_no_arrays_are_refused(self, tmp_path: Path) -> None:
+    def test_members_that_are_no_arrays_are_refused(self, tmp_path):
         packed = io.BytesIO()
         with zipfile.ZipFile(packed, "w") as archive:
             archive.writestr("time", "soon")
         (tmp_path / "run.npz").write_bytes(packed.getvalue())
         with pytest.raises(ValueError, match="it lacks pose, velocity, tipping, end"):
             Trajectory.load(tmp_path / "run.npz")
-
-
-HEAD = "# end: duration\ntime [s],x [m],y [m],theta [rad],vx [m/s],vy [m/s],omega [rad/s],tipping\n"
 
 
 @pytest.mark.parametrize(
@@ -321,13 +276,13 @@ HEAD = "# end: duration\ntime [s],x [m],y [m],theta [rad],vx [m/s],vy [m/s],omeg
         (HEAD + '0,"0,0,0,0,0,0,0\n', "it is not comma-separated values"),
     ],
 )
-def test_a_table_that_is_none_is_refused_by_line(text: str, message: str, tmp_path: Path) -> None:
+def test_a_table_that_is_none_is_refused_by_line(text, message, tmp_path):
     (tmp_path / "run.csv").write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=rf"run\.csv': {message}"):
         Trajectory.load(tmp_path / "run.csv")
 
 
-def test_a_table_that_is_no_text_is_refused(tmp_path: Path) -> None:
+def test_a_table_that_is_no_text_is_refused(tmp_path):
     (tmp_path / "run.csv").write_bytes(b"# end: \xff\xfe\n")
     with pytest.raises(ValueError, match=r"run\.csv': it is not UTF-8 text"):
         Trajectory.load(tmp_path / "run.csv")

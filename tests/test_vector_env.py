@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from functools import partial
+from itertools import cycle
 from typing import Any
 
 import gymnasium as gym
@@ -10,25 +11,7 @@ import pytest
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, VectorEnv
 
 import surface_gym as sg
-from tests.environments import (
-    EVERYTHING_VARIES,
-    LIMIT,
-    MINUS_45,
-    NUM_ENVS,
-    OPTIONS,
-    PARCELS,
-    SENSORS,
-    SORT,
-    assert_same,
-    every_cell,
-    every_id,
-    every_mode,
-    every_varying,
-    native,
-    same_choice,
-    single_of,
-    singles,
-)
+from tests import environments as te
 
 
 def assert_infos_same(found: dict[str, Any], wanted: dict[str, Any], late: np.ndarray) -> None:
@@ -46,7 +29,7 @@ def assert_infos_same(found: dict[str, Any], wanted: dict[str, Any], late: np.nd
         mask = wanted[f"_{name}"]
         if name == "final_obs":
             for i in range(len(mask)):
-                assert_same(found[name][i], value[i])
+                te.assert_same(found[name][i], value[i])
         elif isinstance(value, dict):
             assert_infos_same(found[name], value, late)
         else:
@@ -59,10 +42,12 @@ def assert_infos_same(found: dict[str, Any], wanted: dict[str, Any], late: np.nd
 
 def run_beside(one: VectorEnv, other: VectorEnv, mode: AutoresetMode, periods: int) -> int:
     """Step both alike, comparing all they return; how many episodes ended."""
+    for space in ("single_observation", "single_action", "observation", "action"):
+        assert getattr(one, f"{space}_space") == getattr(other, f"{space}_space")
     one.action_space.seed(0)
     observations, infos = one.reset(seed=11)
     same_observations, same_infos = other.reset(seed=11)
-    assert_same(observations, same_observations)
+    te.assert_same(observations, same_observations)
     nobody = np.zeros(one.num_envs, dtype=np.bool_)
     assert_infos_same(infos, same_infos, nobody)
     ended = 0
@@ -70,7 +55,7 @@ def run_beside(one: VectorEnv, other: VectorEnv, mode: AutoresetMode, periods: i
         actions = one.action_space.sample()
         *results, infos = one.step(actions)
         *same_results, same_infos = other.step(actions)
-        assert_same(tuple(results), tuple(same_results))
+        te.assert_same(tuple(results), tuple(same_results))
         _, _, terminated, truncated = results
         over = terminated | truncated
         late = truncated & ~terminated
@@ -82,79 +67,65 @@ def run_beside(one: VectorEnv, other: VectorEnv, mode: AutoresetMode, periods: i
         if mode == AutoresetMode.DISABLED and over.any():
             observations, infos = one.reset(options={"reset_mask": over})
             same_observations, same_infos = other.reset(options={"reset_mask": over.copy()})
-            assert_same(observations, same_observations)
+            te.assert_same(observations, same_observations)
             assert_infos_same(infos, same_infos, nobody)
     return ended
 
 
 class TestBesideSingles:
-    @every_mode
-    @every_cell
-    def test_each_environment_is_a_single_env(
-        self, env_id: str, actions: str, sensor: Any, mode: AutoresetMode
-    ) -> None:
+    @te.every_mode
+    @te.every_cell
+    def test_each_environment_is_a_single_env(self, env_id, actions, sensor, mode):
         settings = {"actions": actions, "sensors": sensor()}
-        one = native(env_id, max_episode_steps=LIMIT, autoreset_mode=mode, **settings)
-        other = singles(env_id, mode, **settings)
-        assert run_beside(one, other, mode, 40) >= 2 * NUM_ENVS
+        one = te.native(env_id, max_episode_steps=te.LIMIT, autoreset_mode=mode, **settings)
+        other = te.singles(env_id, mode, **settings)
+        assert run_beside(one, other, mode, 40) >= 2 * te.NUM_ENVS
 
-    @every_mode
-    @every_id
-    def test_also_where_everything_varies(self, env_id: str, mode: AutoresetMode) -> None:
-        settings = {"actions": "quadrants", "sensors": SENSORS[-1](), **EVERYTHING_VARIES}
-        one = native(env_id, max_episode_steps=LIMIT, autoreset_mode=mode, **settings)
-        assert run_beside(one, singles(env_id, mode, **settings), mode, 40) >= 2 * NUM_ENVS
+    @te.every_mode
+    @te.every_id
+    def test_also_where_everything_varies(self, env_id, mode):
+        settings = {"actions": "quadrants", "sensors": te.SENSORS[-1](), **te.EVERYTHING_VARIES}
+        one = te.native(env_id, max_episode_steps=te.LIMIT, autoreset_mode=mode, **settings)
+        assert run_beside(one, te.singles(env_id, mode, **settings), mode, 40) >= 2 * te.NUM_ENVS
 
-    @every_mode
-    def test_also_over_whole_episodes(self, mode: AutoresetMode) -> None:
-        one = native(actions="halves", autoreset_mode=mode)
-        assert run_beside(one, singles(SORT, mode, 100, actions="halves"), mode, 300) >= NUM_ENVS
+    @te.every_mode
+    def test_also_over_whole_episodes(self, mode):
+        one = te.native(actions="halves", autoreset_mode=mode)
+        assert (
+            run_beside(one, te.singles(te.SORT, mode, 100, actions="halves"), mode, 300)
+            >= te.NUM_ENVS
+        )
 
-    def test_one_by_one(self) -> None:
-        """What the above says, spelled out for the mode that needs no reset of its own."""
-        env = native(num_envs=4, actions="halves", autoreset_mode="SameStep")
-        env.action_space.seed(0)
-        actions = [env.action_space.sample() for _ in range(150)]
-        observations, _ = env.reset(seed=20)
-        seen = [observations]
-        for action in actions:
-            seen.append(env.step(action)[0])
-        for i in range(4):
-            one = gym.make(SORT, actions="halves")
-            observation, _ = one.reset(seed=20 + i)
-            np.testing.assert_array_equal(seen[0][i], observation)
-            for period, action in enumerate(actions, start=1):
-                observation, _, terminated, truncated, _ = one.step(action[i])
-                if terminated or truncated:
-                    observation, _ = one.reset()
-                np.testing.assert_array_equal(seen[period][i], observation)
+    def test_also_in_the_lab_where_parcel_and_rotors_are_seen(self):
+        settings = {"preset": "lab", "observe": ("parcel", "rotors"), "actions": "halves"}
+        mode = AutoresetMode.NEXT_STEP
+        one = te.native(max_episode_steps=te.LIMIT, autoreset_mode=mode, **settings)
+        assert run_beside(one, te.singles(te.SORT, mode, **settings), mode, 20) >= te.NUM_ENVS
 
-    @every_mode
-    def test_ending_at_the_limit_is_both(self, mode: AutoresetMode) -> None:
+    @te.every_mode
+    def test_ending_at_the_limit_is_both(self, mode):
         """As with Gymnasium's TimeLimit: an end in the last period is truncated too."""
-        single = gym.make(SORT, actions="halves", max_episode_steps=1000)
-        action = same_choice(single.unwrapped, MINUS_45)
-        single.reset(seed=11, options={"speed": 2.0, "side": 1})
-        length = 1
-        while not single.step(action)[2]:
-            length += 1
+        single, start = te.bare(actions="halves"), {"speed": 2.0, "side": 1, "parcel": "S"}
+        action = te.same_choice(single, te.MINUS_45)
+        length = len(te.played_out(single, action, **start))
         results = []
         for env in (
-            native(num_envs=1, actions="halves", max_episode_steps=length, autoreset_mode=mode),
-            singles(SORT, mode, length, num_envs=1, actions="halves"),
+            te.native(num_envs=1, actions="halves", max_episode_steps=length, autoreset_mode=mode),
+            te.singles(te.SORT, mode, length, num_envs=1, actions="halves"),
         ):
-            env.reset(seed=11, options={"speed": 2.0, "side": 1})
+            env.reset(seed=11, options=start)
             for _ in range(length):
                 step = env.step(np.array([action]))
             results.append(step)
-        assert_same(results[0][:4], results[1][:4])
+        te.assert_same(results[0][:4], results[1][:4])
+        if mode != AutoresetMode.SAME_STEP:
+            assert [flags.tolist() for flags in results[0][2:4]] == [[True], [True]]
 
-    @pytest.mark.parametrize("context", ["spawn", "forkserver"])
-    def test_singles_in_processes_of_their_own(self, context: str) -> None:
-        settings = {"actions": "halves", "sensors": SENSORS[-1]()}
-        make = partial(single_of, SORT, LIMIT, settings)
-        apart = AsyncVectorEnv([make] * 2, context=context)
-        together = native(num_envs=2, max_episode_steps=LIMIT, **settings)
+    def test_singles_in_processes_of_their_own(self):
+        settings = {"actions": "halves", "sensors": te.SENSORS[-1]()}
+        make = partial(te.single_of, te.SORT, te.LIMIT, settings)
+        apart = AsyncVectorEnv([make] * 2, context="spawn")
+        together = te.native(num_envs=2, max_episode_steps=te.LIMIT, **settings)
         try:
             assert run_beside(together, apart, AutoresetMode.NEXT_STEP, 20) >= 2
         finally:
@@ -169,63 +140,60 @@ def rollout(env: VectorEnv, chosen: slice, periods: int = 60) -> Iterator[tuple[
     for _ in range(periods):
         actions = rng.integers(0, 4, (64, *env.single_action_space.shape))[: env.num_envs]
         observations, rewards, terminated, truncated, infos = env.step(actions)
-        yield (
-            observations[chosen],
-            rewards[chosen],
-            terminated[chosen],
-            truncated[chosen],
-            infos["pose"][chosen],
-        )
+        given = (observations, rewards, terminated, truncated, infos["pose"])
+        yield tuple(each[chosen] for each in given)
 
 
 class TestBatchSize:
-    @every_varying
-    def test_their_number_does_not_matter(self, env_id: str, sensor: Any) -> None:
-        settings = {"actions": "quadrants", "sensors": sensor(), **EVERYTHING_VARIES}
-        few, many = (native(env_id, num_envs, **settings) for num_envs in (4, 16))
-        for first, second in zip(rollout(few, slice(4)), rollout(many, slice(4)), strict=True):
-            assert_same(first, second)
+    @te.every_varying
+    def test_neither_it_nor_the_number_of_threads_matters(self, env_id, sensor):
+        settings = {"actions": "quadrants", "sensors": sensor(), **te.EVERYTHING_VARIES}
+        found = [
+            tuple(rollout(te.native(env_id, num_envs, threads=threads, **settings), slice(4)))
+            for num_envs, threads in ((4, 1), (16, 1), (8, 2), (16, 3), (5, 8))
+        ]
+        for other in found[1:]:
+            te.assert_same(found[0], other)
 
-    def test_an_environment_is_not_touched_by_the_parcels_of_others(self) -> None:
+    def test_an_environment_is_not_touched_by_the_parcels_of_others(self):
         """A base of more edges and contacts than any before widens the memory of all."""
-        alone, among = native(num_envs=1, actions="halves"), native(num_envs=3, actions="halves")
+        alone, among = (te.native(num_envs=count, actions="halves") for count in (1, 3))
         options = {"speed": 1.0, "side": 1, "parcel": "S"}
         alone.reset(seed=0, options=options)
         among.reset(seed=[0, 1, 2], options=[options, None, None])
         for period in range(20):
             if period == 5:
                 mask = np.array([False, True, False])
-                among.reset(options={"reset_mask": mask, "parcel": PARCELS["heptagon"]})
+                among.reset(options={"reset_mask": mask, "parcel": te.PARCELS["heptagon"]})
             if period == 10:
                 mask = np.array([False, False, True])
-                among.reset(options={"reset_mask": mask, "parcel": PARCELS["long"]})
+                among.reset(options={"reset_mask": mask, "parcel": te.PARCELS["long"]})
             found = among.step(np.array([9, 9, 9]))
             wanted = alone.step(np.array([9]))
-            assert_same(found[0][:1], wanted[0])
-            assert_same(found[4]["pose"][:1], wanted[4]["pose"])
+            te.assert_same(found[0][:1], wanted[0])
+            te.assert_same(found[4]["pose"][:1], wanted[4]["pose"])
 
-    def test_every_environment_takes_its_own_options(self) -> None:
-        env = native(num_envs=4)
+    def test_every_environment_takes_its_own_options(self):
+        env = te.native(num_envs=4)
         speeds = [0.5, 1.0, 1.5, 2.0]
         starts = [{"speed": speed, "side": -1} for speed in speeds]
         observations, infos = env.reset(seed=0, options=starts)
         np.testing.assert_array_equal(infos["velocity"][:, 0], speeds)
         np.testing.assert_array_equal(observations[:, -1], -1.0)
         _, infos = env.reset(seed=0, options=[None, {"speed": 0.7}, None, {}])
-        drawn = native(num_envs=4).reset(seed=0)[1]["velocity"][:, 0]
+        drawn = te.native(num_envs=4).reset(seed=0)[1]["velocity"][:, 0]
         drawn[1] = 0.7
         np.testing.assert_array_equal(infos["velocity"][:, 0], drawn)
 
-    @every_id
-    def test_one_set_of_options_is_for_all(self, env_id: str) -> None:
-        observations, infos = native(env_id).reset(seed=0, options=OPTIONS[env_id])
+    @te.every_id
+    def test_one_set_of_options_is_for_all(self, env_id):
+        observations, infos = te.native(env_id).reset(seed=0, options=te.OPTIONS[env_id])
         assert (observations == observations[0]).all()
         assert (infos["pose"] == infos["pose"][0]).all()
-        assert OPTIONS[env_id] == dict(OPTIONS[env_id])
 
-    @every_id
-    def test_the_time_limit_is_the_registered_one(self, env_id: str) -> None:
-        env = native(env_id, num_envs=1, zone=(26, 26), autoreset_mode="Disabled")
+    @te.every_id
+    def test_the_time_limit_is_the_registered_one(self, env_id):
+        env = te.native(env_id, num_envs=1, zone=(26, 26), autoreset_mode="Disabled")
         limit = gym.spec(env_id).max_episode_steps
         env.reset(seed=0)
         for period in range(1, limit + 1):
@@ -236,25 +204,111 @@ class TestBatchSize:
         else:
             assert infos["outcome"].tolist() == ["out of time"]
 
-    def test_there_may_be_no_time_limit(self) -> None:
+    def test_there_may_be_no_time_limit(self):
         env = sg.SmartSurfaceVectorEnv(2, actions="halves", autoreset_mode="SameStep")
         env.reset(seed=0, options={"speed": 0.0})
         ends = [env.step(np.array([15, 15]))[2:4] for _ in range(300)]
         assert not np.array(ends)[:, 1].any()
 
 
-class TestThreads:
-    @pytest.mark.parametrize("threads", [2, 3, 8])
-    @every_id
-    def test_their_number_does_not_matter(self, env_id: str, threads: int) -> None:
-        settings = {"actions": "quadrants", "sensors": SENSORS[-1](), **EVERYTHING_VARIES}
-        one, several = (native(env_id, 5, threads=count, **settings) for count in (1, threads))
-        for first, second in zip(
-            rollout(one, slice(None)), rollout(several, slice(None)), strict=True
-        ):
-            assert_same(first, second)
+class TestContract:
+    @te.every_mode
+    def test_the_instance_says_its_mode(self, mode):
+        for given in (mode, mode.value):
+            env = te.native(autoreset_mode=given)
+            assert type(env) is sg.SmartSurfaceVectorEnv
+            assert (env.num_envs, env.spec.id) == (te.NUM_ENVS, te.SORT)
+            assert env.metadata["autoreset_mode"] is mode
+        assert "autoreset_mode" not in sg.SmartSurfaceVectorEnv.metadata
+        assert te.native().metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
 
-    @pytest.mark.parametrize("threads", [0, -1, 1.5, True, "all"])
-    def test_bad_numbers_are_named(self, threads: Any) -> None:
-        with pytest.raises(ValueError, match="threads"):
-            sg.SmartSurfaceVectorEnv(2, threads=threads)
+    @te.every_mode
+    def test_what_it_returns_is_the_users_own(self, mode):
+        env, twin = (te.native(max_episode_steps=3, autoreset_mode=mode) for _ in range(2))
+        for each in (env, twin):
+            each.reset(seed=0)
+            each.action_space.seed(0)
+        for number in range(9):
+            results = env.step(env.action_space.sample())
+            te.assert_same(results, twin.step(twin.action_space.sample()))
+            for array in arrays_of(results):
+                assert array.flags.writeable
+                array[:] = 0
+            if mode == AutoresetMode.DISABLED and number % 3 == 2:
+                for each in (env, twin):
+                    each.reset(options={"reset_mask": np.ones(te.NUM_ENVS, dtype=bool)})
+
+    def test_gymnasiums_wrappers_work_on_it(self):
+        env = gym.wrappers.vector.RecordEpisodeStatistics(
+            te.native(actions="halves", max_episode_steps=5, autoreset_mode="SameStep")
+        )
+        env.reset(seed=0)
+        for _ in range(5):
+            *_, infos = env.step(np.array([1, 2, 3]))
+        assert infos["episode"]["l"].tolist() == [5, 5, 5]
+
+
+def arrays_of(value: Any) -> Iterator[np.ndarray]:
+    if isinstance(value, np.ndarray):
+        yield value
+        if value.dtype == object:
+            for element in value:
+                yield from arrays_of(element)
+    elif isinstance(value, (tuple, dict)):
+        for element in value.values() if isinstance(value, dict) else value:
+            yield from arrays_of(element)
+
+
+class TestTwins:
+    @pytest.mark.parametrize("twin_of", te.TWINS)
+    @te.every_varying
+    def test_go_on_alike(self, env_id, sensor, twin_of):
+        settings = {"actions": "quadrants", "sensors": sensor(), **te.EVERYTHING_VARIES}
+        env = te.native(env_id, max_episode_steps=8, **settings)
+        env.action_space.seed(0)
+        env.reset(seed=0)
+        for _ in range(4):
+            env.step(env.action_space.sample())
+        twin = twin_of(env)
+        for _ in range(30):
+            found = env.step(env.action_space.sample())
+            te.assert_same(found, twin.step(twin.action_space.sample()))
+
+    @pytest.mark.parametrize("twin_of", te.TWINS)
+    def test_go_their_own_ways(self, twin_of):
+        env, reference = (te.native(actions="halves") for _ in range(2))
+        for each in (env, reference):
+            each.reset(seed=0, options={"parcel": te.TRIANGLE})
+        twin = twin_of(env)
+        twin.step(np.array([5, 5, 5]))
+        te.assert_same(env.step(np.array([1, 2, 3])), reference.step(np.array([1, 2, 3])))
+
+
+class TestMemory:
+    @pytest.mark.parametrize(
+        ("sensor", "mode"), list(zip(te.SENSORS, cycle(AutoresetMode), strict=False))
+    )
+    def test_does_not_grow(self, sensor, mode):
+        env = te.native(num_envs=8, sensors=sensor(), autoreset_mode=mode, **te.PARCELS_VARY)
+        actions = np.zeros((8, 4), dtype=np.int64)
+
+        def step() -> None:
+            _, _, terminated, truncated, _ = env.step(actions)
+            over = terminated | truncated
+            if mode == AutoresetMode.DISABLED and over.any():
+                env.reset(options={"reset_mask": over})
+
+        env.reset(seed=0)
+        assert te.growth(step, 300, 500) < 17 * 8  # [bytes] an environment
+
+
+class TestDrawing:
+    def test_all_environments_in_one_picture(self):
+        env = te.native(render_mode="rgb_array")
+        env.reset(seed=0)
+        (first,) = env.render()
+        env.step(env.action_space.sample())
+        (second,) = env.render()
+        assert first.dtype == np.uint8
+        assert first.shape == second.shape
+        assert (first != second).any()

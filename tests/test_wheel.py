@@ -70,9 +70,7 @@ def run_installed(installed: Path, *arguments: str) -> str:
     return run(installed.parent, "-W", "error", *arguments, PYTHONPATH=str(installed))
 
 
-def test_it_brings_every_file_of_the_packages_and_nothing_else(
-    checkout: Path, installed: Path
-) -> None:
+def test_it_brings_every_file_of_the_packages_and_nothing_else(checkout, installed):
     """So `packages` and `package-data` in pyproject.toml are complete."""
     expected = {
         ("" if folder == "surface_gym" else "surface_gym/") + str(file.relative_to(checkout))
@@ -84,31 +82,32 @@ def test_it_brings_every_file_of_the_packages_and_nothing_else(
     assert {name for name in found if ".dist-info/" not in name} == expected
 
 
-def test_the_source_distribution_has_every_file_that_tests_need(
-    checkout: Path, sdist: Path
-) -> None:
+def test_the_source_distribution_has_every_file_that_tests_need(checkout, sdist):
     files = [file.relative_to(checkout) for file in checkout.rglob("*") if file.is_file()]
     missing = [str(name) for name in files if not (sdist / name).exists()]
     assert [name for name in missing if not name.startswith(".")] == []
 
 
-def test_environment_and_shipped_agent_work(installed: Path) -> None:
+def test_environment_and_shipped_agent_work(installed):
     program = (
         "import gymnasium as gym\n"
+        "name = 'surface_gym:SmartSurface/Sort-v0'\n"
+        "makes = (gym.make, gym.make_vec)\n"
+        "envs = [make(name, actions='halves').unwrapped for make in makes]\n"
         "from surface_gym import agents\n"
         "policy = agents.load('sort-ppo')\n"
-        "env = gym.make(f'surface_gym:{policy.env_id}', **policy.env_kwargs)\n"
+        "env = gym.make(policy.env_id, **policy.env_kwargs)\n"
         "seen, _ = env.reset(seed=0)\n"
         "action, _ = policy.predict(seen, deterministic=True)\n"
         "env.step(action)\n"
-        "print(agents.__name__, agents.__file__)\n"
+        "print(*(type(each).__name__ for each in envs), agents.__name__, agents.__file__)\n"
     )
-    name, file = run_installed(installed, "-c", program).split()
-    assert name == "surface_gym.agents"
+    *names, file = run_installed(installed, "-c", program).split()
+    assert names == ["SmartSurfaceEnv", "SmartSurfaceVectorEnv", "surface_gym.agents"]
     assert Path(file).is_relative_to(installed)
 
 
-def test_no_module_of_it_takes_the_name_of_another_package(installed: Path) -> None:
+def test_no_module_of_it_takes_the_name_of_another_package(installed):
     program = (
         "import importlib, pkgutil, sys\n"
         "sys.modules['agents'] = None  # another package's\n"
@@ -120,7 +119,7 @@ def test_no_module_of_it_takes_the_name_of_another_package(installed: Path) -> N
 
 
 @pytest.mark.parametrize("name", ["train", "evaluate"])
-def test_a_command_has_help(name: str, installed: Path) -> None:
+def test_a_command_has_help(name, installed):
     program = "from surface_gym.cli import main; main()"
     printed = run_installed(installed, "-c", program, name, "--help")
     assert f"usage: surface-gym {name}" in printed
