@@ -18,11 +18,7 @@ ROLL = 15  # halves, all axes at 90 deg
 def make(limit: int | None = 12, **config: object) -> SurfaceVecEnv:
     return SurfaceVecEnv(
         sg.SmartSurfaceVectorEnv(
-            NUM_ENVS,
-            actions="halves",
-            max_episode_steps=limit,
-            autoreset_mode="SameStep",
-            **config,
+            NUM_ENVS, actions="halves", max_episode_steps=limit, autoreset_mode="SameStep", **config
         )
     )
 

@@ -39,9 +39,7 @@ def run(example: str, steps: int, folder: Path) -> Run:
     assert done.stdout.endswith(text)
     run = PROGRESS.findall(done.stdout)
     return Run(
-        [float(mean) for _, mean, _ in run],
-        [float(loss) for *_, loss in run],
-        yaml.safe_load(text),
+        [float(mean) for _, mean, _ in run], [float(loss) for *_, loss in run], yaml.safe_load(text)
     )
 
 
