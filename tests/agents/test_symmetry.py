@@ -7,7 +7,8 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.base import SIDE, ActionMirror, mirrored_orientations
-from surface_gym.agents.vec_env import MirrorVecEnv, SurfaceVecEnv
+from surface_gym.agents.learning.config import DQNConfig
+from surface_gym.agents.learning.sb3 import make_mirrored_envs
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import KINDS
 from surface_gym.layouts import LINE_Y
@@ -58,28 +59,17 @@ def test_a_mirror_image_of_a_mirror_image_is_the_action_itself(actions) -> None:
 
 
 def test_a_vec_env_in_the_mirror_knows_the_side_of_each_start() -> None:
-    """Rolled into the zone and then turned to -45 deg, every parcel leaves on its own side."""
-    env = MirrorVecEnv(
-        SurfaceVecEnv(
-            sg.SmartSurfaceVectorEnv(
-                6, actions="halves", max_episode_steps=100, autoreset_mode="SameStep"
-            )
-        ),
-        ActionMirror(EnvConfig(actions="halves").action_kind, ORIENTATIONS),
-    )
-    env.seed(0)
-    env.set_options({"speed": 2.0})
-    observations = env.reset()
-    ends: dict[float, int] = {1.0: 0, -1.0: 0}
-    minus_45, roll = 2 * 4 + 2, 3 * 4 + 3
-    for _ in range(200):
-        sides = observations[:, SIDE].copy()
-        in_the_zone = observations[:, 13] > 0.0
-        observations, _, dones, infos = env.step(np.where(in_the_zone, minus_45, roll))
+    """Axes at -45 deg everywhere sort to either side."""
+    envs = make_mirrored_envs(DQNConfig(num_envs=64, camera_share=0.0))
+    envs.seed(0)
+    envs.reset()
+    ends: dict[float, int] = {1.0: 0, -1.0: 0, 0.0: 0}
+    for _ in range(60):
+        _, _, dones, infos = envs.step(np.full(64, 10))
         for i in np.nonzero(dones)[0]:
             assert infos[i]["outcome"] != "wrong side"
-            ends[float(sides[i])] += infos[i]["is_success"]
-    assert min(ends.values()) > 5
+            ends[float(infos[i]["terminal_observation"][SIDE])] += infos[i]["is_success"]
+    assert min(ends[1.0], ends[-1.0]) > 5
 
 
 def test_mirror_images_of_orientations() -> None:
