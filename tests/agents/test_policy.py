@@ -135,7 +135,9 @@ def test_weights_that_lack_a_layer_are_refused(folder) -> None:
         load_policy(folder)
 
 
-class _Trap:
+class Trap:
+    """Code that a pickle would run: it leaves a mark."""
+
     def __init__(self, mark: Path) -> None:
         self.mark = mark
 
@@ -145,7 +147,7 @@ class _Trap:
 
 def test_a_pickle_is_refused_and_not_run(folder) -> None:
     mark = folder / "ran"
-    (folder / WEIGHTS).write_bytes(pickle.dumps(_Trap(mark), protocol=2))
+    (folder / WEIGHTS).write_bytes(pickle.dumps(Trap(mark), protocol=2))
     sign(folder)
     with pytest.raises(ValueError, match=r"it holds more than tensors and plain values$"):
         load_policy(folder)

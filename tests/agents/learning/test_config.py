@@ -25,6 +25,8 @@ from surface_gym.agents.learning.runs import read_config, write_config
 from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
 
+ROOT = Path(__file__).parents[3]
+TRAP = "!!python/object/apply:os.getcwd []"
 BAD: tuple[dict[str, Any], ...] = (
     {"task": "juggle"}, {"actions": "thirds"}, {"seed": -1}, {"seeds": 0}, {"steps": 0},
     {"num_envs": 0}, {"preset": "field"}, {"observe": ("moon",)}, {"checkpoint_every": 0},
@@ -68,33 +70,24 @@ def test_bad_fields_are_named(kind, wrong) -> None:
     ("task", "algo"),
     [(task, algo) for algo in ("ppo", "dqn") for task in TASKS] + [("sort", "modules")],
 )
-class TestYaml:
-    def test_it_is_understood_in_the_zoos_schema(self, task, algo) -> None:
-        entry = yaml.safe_load((FOLDER / f"{algo}.yml").read_text())[env_id(task)]
-        config = defaults(task, algo)
-        assert (config.task, config.algo) == (task, algo)
-        assert config.num_envs == entry["n_envs"]
-        assert config.steps == int(entry["n_timesteps"])
-        assert config.hidden == tuple(entry["policy_kwargs"]["net_arch"])
-        assert f"lin_{config.learning_rate:g}" == f"lin_{float(entry['learning_rate'][4:]):g}"
-        for field in fields(config):
-            if field.name in entry and field.name != "learning_rate":
-                assert getattr(config, field.name) == entry[field.name]
-
-    def test_a_file_comes_back_as_it_was(self, task, algo, tmp_path) -> None:
-        config = replace(defaults(task, algo), seed=7, name="a", out=tmp_path)
-        write_config(config, tmp_path / "config.yaml")
-        assert read_config(tmp_path / "config.yaml") == config
+def test_defaults_are_understood_in_the_zoos_schema(task, algo) -> None:
+    entry = yaml.safe_load((FOLDER / f"{algo}.yml").read_text())[env_id(task)]
+    config = defaults(task, algo)
+    assert (config.task, config.algo) == (task, algo)
+    assert config.num_envs == entry["n_envs"]
+    assert config.steps == int(entry["n_timesteps"])
+    assert config.hidden == tuple(entry["policy_kwargs"]["net_arch"])
+    assert f"lin_{config.learning_rate:g}" == f"lin_{float(entry['learning_rate'][4:]):g}"
+    for field in fields(config):
+        if field.name in entry and field.name != "learning_rate":
+            assert getattr(config, field.name) == entry[field.name]
 
 
 def test_the_configuration_of_one_seed() -> None:
-    several = PPOConfig(seeds=3, steps=5)
-    assert config_of_seed(several, 2) == PPOConfig(seed=2, seeds=1, steps=5)
+    assert config_of_seed(PPOConfig(seeds=3, steps=5), 2) == PPOConfig(seed=2, seeds=1, steps=5)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "[1", "algo: sac\nhidden: [1]\nout: a", "!!python/object/apply:os.getcwd []"]
-)
+@pytest.mark.parametrize("text", ["", "[1", "algo: sac\nhidden: [1]\nout: a", TRAP])
 def test_a_foreign_file_is_refused_and_a_missing_one_named(tmp_path, text) -> None:
     with pytest.raises(ValueError, match="holds no run"):
         read_config(tmp_path / "config.yaml")
@@ -103,7 +96,6 @@ def test_a_foreign_file_is_refused_and_a_missing_one_named(tmp_path, text) -> No
         read_config(tmp_path / "config.yaml")
 
 
-ROOT = Path(__file__).parents[3]
 LEARNED = [
     *((task, algo) for algo in ("ppo", "dqn") for task in TASKS),
     ("sort", "modules"),
@@ -115,18 +107,16 @@ LEARNED = [
 
 @pytest.mark.parametrize(("task", "algo"), LEARNED)
 def test_what_is_written_is_read_again(task, algo, tmp_path) -> None:
+    """Whole as a run's, and as hyper-parameters without seeds, folder and name."""
     config = replace(
         defaults(task, algo), steps=123_456, learning_rate=1 / 3e4, gamma=0.1 + 0.2, friction=0.35,
         control_period=0.02, hidden=(7, 9, 11), checkpoint_every=777,
     )  # fmt: skip
-    write_hyperparams(config, tmp_path / "own.yml")
+    whole = replace(config, seed=7, seeds=3, name="a", out=tmp_path)
+    write_hyperparams(whole, tmp_path / "own.yml")
     assert defaults(task, algo, tmp_path / "own.yml") == config
-
-
-def test_seeds_folder_and_name_are_no_hyperparameters(tmp_path) -> None:
-    config = PPOConfig(seed=5, seeds=3, name="a", out=tmp_path)
-    write_hyperparams(config, tmp_path / "own.yml")
-    assert defaults("sort", "ppo", tmp_path / "own.yml") == PPOConfig()
+    write_config(whole, tmp_path / "config.yaml")
+    assert read_config(tmp_path / "config.yaml", task) == whole
 
 
 def test_it_is_the_zoos_schema(tmp_path) -> None:
@@ -171,7 +161,7 @@ def test_an_unknown_field_is_named(entry, named, tmp_path) -> None:
         ("", "an entry a task"),
         ("[1", "flow sequence"),
         ("SmartSurface/Slow-v0: {}", "task must be one of 'slow' for ppo, got 'sort'"),
-        ("!!python/object/apply:os.getcwd []", "could not determine a constructor"),
+        (TRAP, "could not determine a constructor"),
     ],
 )
 def test_a_foreign_file_of_hyperparameters_is_refused(text, named, tmp_path) -> None:
@@ -197,18 +187,15 @@ def test_every_task_has_defaults_for_a_device(task, tmp_path) -> None:
     assert isinstance(config, PPOConfig)
     assert (config.task, config.device, config.camera_share) == (task, "cuda", 0.0)
     assert config.num_envs >= 16_384
-    assert (
-        config.checkpoint_every >= 10 * config.num_envs * config.n_steps
-    )  # checkpoints are many rollouts apart
+    # Checkpoints are many rollouts apart.
+    assert config.checkpoint_every >= 10 * config.num_envs * config.n_steps
     write_hyperparams(config, tmp_path / "own.yml")
     assert defaults(task, "ppo", tmp_path / "own.yml", device="cuda") == config
-
-
-def test_the_file_is_in_the_zoos_schema() -> None:
-    entries = yaml.safe_load((FOLDER / "ppo-cuda.yml").read_text())
-    of_cpu = yaml.safe_load((FOLDER / "ppo.yml").read_text())
-    assert set(entries) == {*of_cpu, "beside the zoo"}
-    assert set(entries[env_id("sort")]) == set(of_cpu[env_id("sort")])
+    of_gpu, of_cpu = (
+        yaml.safe_load((FOLDER / f"{name}.yml").read_text()) for name in ("ppo-cuda", "ppo")
+    )
+    assert set(of_gpu) == {*of_cpu, "beside the zoo"}
+    assert set(of_gpu[env_id("sort")]) == set(of_cpu[env_id("sort")])
 
 
 def test_an_unknown_device_is_refused() -> None:

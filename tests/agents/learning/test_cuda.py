@@ -36,10 +36,11 @@ def config(actions: str) -> PPOConfig:
     )  # fmt: skip
 
 
-def env(actions: str) -> SmartSurfaceVectorEnv:
-    mode = gym.vector.AutoresetMode.SAME_STEP
+def env(
+    actions: str, task: str = "sort", num_envs: int = NUM_ENVS, longest: int = LONGEST
+) -> SmartSurfaceVectorEnv:
     return SmartSurfaceVectorEnv(
-        NUM_ENVS, actions=actions, max_episode_steps=LONGEST, autoreset_mode=mode
+        num_envs, task, actions=actions, max_episode_steps=longest, autoreset_mode="SameStep"
     )
 
 
@@ -159,14 +160,8 @@ def test_actions_are_mirrored_as_on_the_cpu(actions) -> None:
 
 def test_episode_totals_are_the_sums_of_single_episodes() -> None:
     """Stop's actions are not mirrored, so that both kinds of environments take the same."""
-
-    def make() -> SmartSurfaceVectorEnv:
-        mode = gym.vector.AutoresetMode.SAME_STEP
-        return SmartSurfaceVectorEnv(
-            12, "stop", actions="halves", max_episode_steps=40, autoreset_mode=mode
-        )
-
-    envs, others = cuda.DeviceTrainingEnvs(EnvsOnCpu(make())), SurfaceVecEnv(make())
+    made = [env("halves", "stop", 12, 40) for _ in range(2)]
+    envs, others = cuda.DeviceTrainingEnvs(EnvsOnCpu(made[0])), SurfaceVecEnv(made[1])
     envs.reset(3)
     others.seed(3)
     others.reset()
@@ -199,14 +194,6 @@ def test_episode_totals_are_the_sums_of_single_episodes() -> None:
     assert not any(envs.totals.fetch().values())
 
 
-def totals(episodes: int, successes: int) -> dict[str, float]:
-    """Of episodes that each return 2 and last 10 periods."""
-    return {
-        "episodes": episodes, "success": successes, "return": 2.0 * episodes,
-        "length": 10.0 * episodes, "reward_reach": 3.0 * episodes,
-    }  # fmt: skip
-
-
 def test_a_row_holds_means_over_the_latest_rollouts_of_a_thousand_episodes(tmp_path) -> None:
     curve = cuda.TotalsCurve(tmp_path, ("reach",), 8, 0, [])
     curve.add_totals(totals(0, 0))  # a rollout in which none ended
@@ -218,21 +205,25 @@ def test_a_row_holds_means_over_the_latest_rollouts_of_a_thousand_episodes(tmp_p
     curve.write(200)
     curve.close()
     first, second = read_curve(tmp_path)
-    assert first == {
-        "steps": 100, "success": pytest.approx(1 / 3), "return": 2.0, "length": 10.0,
-        "reward_reach": 3.0,
-    }  # fmt: skip
+    each = {"return": 2.0, "length": 10.0, "reward_reach": 3.0}
+    assert first == {"steps": 100, "success": pytest.approx(1 / 3), **each}
     assert second["success"] == pytest.approx(800 / 1100)
     again = cuda.TotalsCurve(tmp_path, ("reach",), 8, 200, list(curve.recent))
     assert again.success == curve.success
     again.close()
 
 
+def totals(episodes: int, successes: int) -> dict[str, float]:
+    """Of episodes that each return 2 and last 10 periods."""
+    each = {"return": 2.0, "length": 10.0, "reward_reach": 3.0}
+    rest = {name: value * episodes for name, value in each.items()}
+    return {"episodes": episodes, "success": successes, **rest}
+
+
 def test_a_row_holds_an_episode_of_every_environment(tmp_path) -> None:
     curve = cuda.TotalsCurve(tmp_path, ("reach",), 3000, 0, [])
-    for _ in range(3):
-        curve.add_totals(totals(1500, 0))
-    curve.add_totals(totals(1500, 1500))
+    for successes in (0, 0, 0, 1500):
+        curve.add_totals(totals(1500, successes))
     assert curve.success == 0.5
     curve.close()
 
