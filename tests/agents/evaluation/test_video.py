@@ -4,6 +4,7 @@ import re
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import imageio.v2 as imageio
 import numpy as np
@@ -21,7 +22,10 @@ from surface_gym.env import SmartSurfaceEnv
 from tests.agents.evaluation.made import RULES
 from tests.flow.flows import DENSE, SHORT
 
-CONFIG = EnvConfig("flow", stream=DENSE, exits="sides", actions="parcels", duration=2.0, line=SHORT)
+GIVEN: dict[str, Any] = {
+    "stream": DENSE, "exits": "sides", "actions": "parcels", "duration": 2.0, "line": SHORT,
+}  # fmt: skip
+CONFIG = EnvConfig("flow", **GIVEN)
 
 
 def read(file: Path) -> tuple[float, list[np.ndarray]]:
@@ -44,15 +48,7 @@ def test_it_shows_what_the_environment_draws(tmp_path) -> None:
     rate, pictures = film(tmp_path / "flow.mp4", 0.4)
     assert rate == 25.0
     assert len(pictures) == 1 + 10 + 25  # the start, the control periods, and the last one stays
-    env = SmartSurfaceEnv(
-        "flow",
-        stream=DENSE,
-        exits="sides",
-        actions="parcels",
-        duration=2.0,
-        line=SHORT,
-        render_mode="rgb_array",
-    )
+    env = SmartSurfaceEnv("flow", render_mode="rgb_array", **GIVEN)
     rule = StreamEventRule(CONFIG)
     observation, _ = env.reset(seed=3)
     for picture in pictures[:11]:
@@ -64,34 +60,38 @@ def test_it_shows_what_the_environment_draws(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("speed", "rate", "count"),
-    [(2.0, 25.0, 1 + 5 + 25), (1.5, 18.75, 1 + 5 + 19), (0.5, 12.5, 1 + 10 + 12)],
+    ("seconds", "speed", "rate", "count"),
+    [
+        (0.4, 2.0, 25.0, 1 + 5 + 25),
+        (0.4, 1.5, 18.75, 1 + 5 + 19),
+        (0.4, 0.5, 12.5, 1 + 10 + 12),
+        (2.0, 1.0, 25.0, 1 + 50 + 25),  # to the end of the episode
+    ],
 )
-def test_it_is_as_fast_as_asked_for(tmp_path, speed, rate, count) -> None:
-    found, pictures = film(tmp_path / "flow.mp4", 0.4, speed)
+def test_it_is_as_fast_as_asked_for(tmp_path, seconds, speed, rate, count) -> None:
+    found, pictures = film(tmp_path / "flow.mp4", seconds, speed)
     assert found == pytest.approx(rate)
     assert len(pictures) == count
 
 
-def test_it_ends_with_the_episode(tmp_path) -> None:
-    _, pictures = film(tmp_path / "flow.mp4", 2.0)
-    assert len(pictures) == 1 + 50 + 25
 
 
-@pytest.mark.parametrize("seconds", [0.0, 2.1])
-def test_more_than_the_episode_cannot_be_shown(tmp_path, seconds) -> None:
-    with pytest.raises(ValueError, match=f"seconds must be .*, got {seconds}"):
-        film(tmp_path / "flow.mp4", seconds)
+@pytest.mark.parametrize(
+    ("file", "seconds", "speed", "named"),
+    [
+        ("flow.mp4", 0.0, 1.0, "seconds must be .*, got 0.0"),
+        ("flow.mp4", 2.1, 1.0, "seconds must be .*, got 2.1"),
+        ("flow.mp4", 1.0, 0.0, "speed must be greater than 0, got 0.0"),
+        ("nowhere/flow.mp4", 1.0, 1.0, "file must be in a folder that there is"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused(tmp_path, file, seconds, speed, named) -> None:
+    with pytest.raises(ValueError, match=named):
+        film(tmp_path / file, seconds, speed)
 
 
-def test_a_film_cannot_stand_still(tmp_path) -> None:
-    with pytest.raises(ValueError, match=r"speed must be greater than 0, got 0\.0"):
-        film(tmp_path / "flow.mp4", 1.0, 0.0)
 
 
-def test_there_must_be_a_folder(tmp_path) -> None:
-    with pytest.raises(ValueError, match="file must be in a folder that there is"):
-        film(tmp_path / "nowhere" / "flow.mp4", 1.0)
 
 
 def test_a_slower_decider_is_filmed_no_faster(tmp_path) -> None:
@@ -114,18 +114,14 @@ def test_a_method_that_cannot_sort_cannot_be_filmed(monkeypatch) -> None:
         stream_player(zone, Case("S", 1.5), 3000.0)
 
 
-class TestCommand:
-    def test_it_films_a_stream(self, tmp_path) -> None:
-        file = tmp_path / "flow.mp4"
-        main([str(file), "--seconds", "0.2", "--exits", "chutes", "--rate", "3000"])
-        rate, pictures = read(file)
-        assert (rate, len(pictures)) == (25.0, 1 + 5 + 25)
-
-    def test_an_error_is_one_line(self, tmp_path) -> None:
-        with pytest.raises(SystemExit, match="error: file must be in a folder that there is"):
-            main([str(tmp_path / "nowhere" / "flow.mp4"), "--seconds", "0.2"])
-
-    def test_an_unknown_controller_is_refused(self, tmp_path, capsys) -> None:
-        with pytest.raises(SystemExit):
-            main([str(tmp_path / "flow.mp4"), "--controller", "nobody"])
-        assert "controller must be one of" in " ".join(capsys.readouterr().err.split())
+def test_the_command_films_a_stream(tmp_path, capsys) -> None:
+    """An error is one line, and an unknown controller is refused."""
+    file = str(tmp_path / "flow.mp4")
+    main([file, "--seconds", "0.2", "--exits", "chutes", "--rate", "3000"])
+    rate, pictures = read(Path(file))
+    assert (rate, len(pictures)) == (25.0, 1 + 5 + 25)
+    with pytest.raises(SystemExit, match="error: file must be in a folder that there is"):
+        main([str(tmp_path / "nowhere" / "flow.mp4"), "--seconds", "0.2"])
+    with pytest.raises(SystemExit):
+        main([file, "--controller", "nobody"])
+    assert "controller must be one of" in " ".join(capsys.readouterr().err.split())

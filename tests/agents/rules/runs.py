@@ -9,6 +9,7 @@ import surface_gym as sg
 from surface_gym.agents.base import Controller
 from surface_gym.agents.rules import RULES, Rule
 from surface_gym.config import EnvConfig
+from surface_gym.layouts import LINE_Y
 from surface_gym.tasks.paths import Sine
 
 LIMIT = 300  # control periods, as many as the longest task has
@@ -66,6 +67,19 @@ def run_rule(task: str, name: str, starts: list[dict[str, Any]]) -> Runs:
     chosen = rule(task, name)
     config = EnvConfig(task=task, actions=chosen.actions)
     return run(chosen.make(config), config, starts)
+
+
+def assert_mirrored(
+    controller: Controller,
+    config: EnvConfig,
+    starts: tuple[list[dict[str, Any]], list[dict[str, Any]]],
+    most: float,
+) -> None:
+    """Starts and their mirror images end as mirror images do, to `most` [m]."""
+    here, there = (run(controller, config, some) for some in starts)
+    assert here.outcome.tolist() == there.outcome.tolist()
+    image = np.stack([there.pose[:, 0], 2.0 * LINE_Y - there.pose[:, 1], -there.pose[:, 2]], -1)
+    np.testing.assert_allclose(here.pose, image, rtol=0, atol=most)
 
 
 def mirrored_starts(task: str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:

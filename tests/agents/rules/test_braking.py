@@ -2,6 +2,8 @@
 
 import math
 from dataclasses import replace
+from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +29,12 @@ NOMINAL = FrictionEstimate.frictions(FrictionEstimate.unknown(2))
 
 def square(side: float) -> sg.Parcel:
     return sg.Parcel(sg.Rectangle(side, side))
+
+
+def seen_first(task: str, start: dict[str, Any] | None = None) -> tuple[EnvConfig, np.ndarray]:
+    """The configuration of a task, and what one of its environments shows at a start."""
+    env = sg.SmartSurfaceVectorEnv(1, task=task)
+    return env.config, env.reset(seed=0, options=start)[0]
 
 
 @pytest.mark.parametrize("level", [ROLL, HALF, FULL])
@@ -122,26 +130,30 @@ def test_braking_holds_where_it_is_not_as_in_the_study(task, others) -> None:
     assert run_episodes(controller, config, [{}] * 40, seed=50).success.mean() >= 0.9
 
 
-def test_slowing_hits_every_ratio() -> None:
-    starts = [
-        {"parcel": parcel, "speed": speed, "ratio": ratio}
-        for parcel in "SB"
-        for speed in (1.0, 1.7, 2.6)
-        for ratio in (0.2, 0.4, 0.6, 0.75)
-    ]
-    by_rule, fixed = (run_rule("slow", name, starts) for name in ("braking rule", "fixed layout"))
+@pytest.mark.parametrize(
+    ("task", "goal", "speeds", "goals"),
+    [
+        ("slow", "ratio", (1.0, 1.7, 2.6), (0.2, 0.4, 0.6, 0.75)),
+        ("stop", "position", (0.8, 1.5, 2.2), (1.37, 1.54, 1.71)),
+    ],
+)
+def test_every_ratio_and_place_is_hit(task, goal, speeds, goals) -> None:
+    every = product("SB", speeds, goals)
+    starts = [{"parcel": parcel, "speed": speed, goal: asked} for parcel, speed, asked in every]
+    by_rule, fixed = (run_rule(task, name, starts) for name in ("braking rule", "fixed layout"))
     assert by_rule.success.all()
     assert fixed.success.mean() < 0.5
-    np.testing.assert_allclose(by_rule.pose[:, 1:], [[1.0, 0.0]] * len(starts), atol=1e-4)
+    if task == "slow":
+        np.testing.assert_allclose(by_rule.pose[:, 1:], [[1.0, 0.0]] * len(starts), atol=1e-4)
+    else:
+        assert np.median(np.abs(by_rule.metrics["stop_error"])) < 5e-4
 
 
 def test_a_parcel_that_is_seen_at_rest_asks_for_no_layout_and_warns_of_nothing() -> None:
-    config = EnvConfig(task="slow")
-    observation, _ = sg.SmartSurfaceEnv(task="slow").reset(seed=0)
-    at_rest = replace(config.decode(observation[np.newaxis]), vx=np.zeros(1))
+    config, observation = seen_first("slow")
+    at_rest = replace(config.decode(observation), vx=np.zeros(1))
     slowing = FixedSlowing(config)
-    losses = np.ones((len(slowing._axes), 1000))
-    assert np.isinf(slowing._regret(at_rest, losses)).all()
+    assert np.isinf(slowing._regret(at_rest, np.ones((len(slowing._axes), 1000)))).all()
 
 
 def test_slowing_brakes_late_yet_rolls_on_for_a_second() -> None:
@@ -161,62 +173,40 @@ def test_slowing_brakes_late_yet_rolls_on_for_a_second() -> None:
         assert TRIM_TIME < left < TRIM_TIME + a_period
 
 
+def see_learned(task: str, **features: list[float]) -> tuple[AdaptiveCamera, EnvConfig, Any]:
+    """What is decoded of features that a lab's sensors learned, the others 0."""
+    config = EnvConfig(task=task, observe=("parcel", "load"), preset="lab")
+    names = [feature.name for feature in config.features]
+    seen = np.zeros((len(next(iter(features.values()))), len(names)), dtype=np.float32)
+    for name, values in features.items():
+        seen[:, names.index(name)] = values
+    assert isinstance(config.sensors, AdaptiveCamera)
+    return config.sensors, config, config.decode(seen)
+
+
 def test_friction_and_load_that_the_sensors_learned_are_used() -> None:
-    config = EnvConfig(task="stop", observe=("parcel", "load"), preset="lab")
-    observation = np.zeros((1, len(config.features)), dtype=np.float32)
-    place = {feature.name: k for k, feature in enumerate(config.features)}
-    observation[0, place["cosine of theta"]] = 1.0
-    observation[0, place["friction learned"]] = 1.5
-    observation[0, place["load learned, x"]] = -2.0
-    see = config.decode(observation)
-    sensors = config.sensors
-    assert isinstance(sensors, AdaptiveCamera)
+    learned = {"cosine of theta": [1.0], "friction learned": [1.5], "load learned, x": [-2.0]}
+    sensors, config, see = see_learned("stop", **learned)
     np.testing.assert_allclose(see.friction, 1.0 + 1.5 * sensors.friction_spread)
     np.testing.assert_allclose(see.load_ahead, -2.0 * sensors.load_spread)
     np.testing.assert_allclose(contact_span(config, see).load, see.load_ahead)
-
-
-def test_where_a_load_lies_along_the_line_is_the_same_in_sorts_mirror() -> None:
-    config = EnvConfig(task="sort", observe=("parcel", "load"), preset="lab")
-    place = {feature.name: k for k, feature in enumerate(config.features)}
-    seen = np.zeros((2, len(config.features)), dtype=np.float32)
-    seen[:, place["side"]] = (1.0, -1.0)
-    seen[:, place["cosine of theta"]], seen[:, place["sine of theta"]] = 0.8, 0.6
-    seen[:, place["load learned, y"]] = 2.0
-    see = config.decode(seen)
-    sensors = config.sensors
-    assert isinstance(sensors, AdaptiveCamera)
+    # Where a load lies along the line is the same in Sort's mirror.
+    turned = {"cosine of theta": [0.8, 0.8], "sine of theta": [0.6, 0.6]}
+    learned = {"side": [1.0, -1.0], **turned, "load learned, y": [2.0, 2.0]}
+    sensors, _, see = see_learned("sort", **learned)
     np.testing.assert_allclose(see.theta, math.atan2(0.6, 0.8) * np.array([1.0, -1.0]), rtol=1e-6)
     np.testing.assert_allclose(see.load_ahead, -0.6 * 2.0 * sensors.load_spread, rtol=1e-6)
 
 
 def test_beyond_the_end_of_the_zone_the_asked_speed_itself_is_best() -> None:
     """Nothing is left to roll: faster is as bad as it is too fast, slower worse."""
-    config = EnvConfig(task="slow")
-    env = sg.SmartSurfaceVectorEnv(1, task="slow")
-    start = {"parcel": "S", "speed": 2.0, "ratio": 0.5}
-    observations, _ = env.reset(seed=0, options=start)
-    slowing = SlowingRule(config)
-    see = config.decode(observations)
+    config, observations = seen_first("slow", {"parcel": "S", "speed": 2.0, "ratio": 0.5})
+    see, none = config.decode(observations), np.zeros((1, 3))
     frictions = FrictionEstimate.frictions(FrictionEstimate.unknown(1))
-    none = np.zeros((1, 3))
     after = Braked(np.full((1, 3), 9.0), np.array([[0.9, 1.0, 1.1]]), none, none)
-    regret = slowing._regret(see, contact_span(config, see), frictions, after)
+    regret = SlowingRule(config)._regret(see, contact_span(config, see), frictions, after)
     assert regret[0, 0] > regret[0, 2]
     np.testing.assert_allclose(regret[0, 1:], [0.0, 0.1], atol=1e-5)
-
-
-def test_stopping_hits_every_place() -> None:
-    starts = [
-        {"parcel": parcel, "speed": speed, "position": position}
-        for parcel in "SB"
-        for speed in (0.8, 1.5, 2.2)
-        for position in (1.37, 1.54, 1.71)
-    ]
-    by_rule, fixed = (run_rule("stop", name, starts) for name in ("braking rule", "fixed layout"))
-    assert by_rule.success.all()
-    assert np.median(np.abs(by_rule.metrics["stop_error"])) < 5e-4
-    assert fixed.success.mean() < 0.5
 
 
 @pytest.mark.parametrize("parcel", ["S", "B"])

@@ -104,24 +104,21 @@ def test_a_trajectory_interpolates_the_parcel_between_moments() -> None:
     np.testing.assert_allclose(corners[0], [(0.43, -0.1), (0.43, 0.1), (0.23, 0.1), (0.23, -0.1)])
 
 
-@pytest.mark.parametrize("apart", [0.05, -0.03])
-def test_the_clearance_of_sides_that_face_each_other_is_their_distance(apart) -> None:
-    other = SQUARE + np.array([0.2 + apart, 0.05])
-    assert reservation.clearance(SQUARE[None], other[None])[0] == pytest.approx(apart)
-
-
-def test_the_clearance_of_corners_is_never_too_large() -> None:
+def test_a_clearance_is_the_distance_of_facing_sides_and_never_too_large_of_corners() -> None:
     """Held against the least distance between points of both perimeters."""
+    for apart in (0.05, -0.03):
+        other = SQUARE + np.array([0.2 + apart, 0.05])
+        assert reservation.clearance(SQUARE[None], other[None])[0] == pytest.approx(apart)
     turned = SQUARE @ np.array([[1.0, 1.0], [-1.0, 1.0]]) * math.sqrt(0.5)
     share = np.linspace(0.0, 1.0, 40)[:, np.newaxis]
+
+    def perimeter(base: np.ndarray) -> np.ndarray:
+        sides = zip(base, np.roll(base, -1, 0), strict=True)
+        return np.concatenate([a + share * (b - a) for a, b in sides])
+
     for shift in np.random.default_rng(0).uniform(-0.6, 0.6, (50, 2)):
-        sides = [
-            np.concatenate(
-                [a + share * (b - a) for a, b in zip(base, np.roll(base, -1, 0), strict=True)]
-            )
-            for base in (SQUARE, turned + shift)
-        ]
-        distance = np.hypot(*(sides[0][:, None] - sides[1][None]).transpose(2, 0, 1)).min()
+        one, other = perimeter(SQUARE), perimeter(turned + shift)
+        distance = np.hypot(*(one[:, None] - other[None]).transpose(2, 0, 1)).min()
         assert reservation.clearance(SQUARE[None], turned[None] + shift)[0] <= distance + 1e-9
 
 
@@ -131,17 +128,12 @@ def test_equal_speeds_need_a_length_and_the_margin(speed, margin) -> None:
     assert gap == pytest.approx((0.2 + margin) / speed, abs=2.0 * reservation.FINE)
 
 
-def test_a_faster_one_must_not_catch_up() -> None:
-    """It may only be a length behind as the slower one leaves, after 4 s at x = 4 m."""
+def test_a_gap_is_for_all_the_way() -> None:
+    """A faster one may only be a length behind as the slower one leaves, after 4 s at x = 4 m."""
     gap = least_gap(straight(1.0), straight(2.0, seconds=2.0))
     assert gap == pytest.approx(4.0 - (4.0 - 0.2) / 2.0, abs=2.0 * reservation.FINE)
-
-
-def test_trajectories_beside_each_other_need_no_gap() -> None:
+    # Beside each other they need none, and behind one that never leaves there is none.
     assert least_gap(straight(1.0, aside=0.0), straight(1.0, aside=0.3)) <= reservation.FINE
-
-
-def test_a_parcel_that_never_leaves_lets_no_other_in() -> None:
     stands = reservation.ParcelTrajectory(SQUARE, np.array([0.0, 60.0]), np.zeros((2, 3)))
     with pytest.raises(ValueError, match="trajectories must have a gap of at most 20 s, got none"):
         least_gap(stands, straight(1.0))
@@ -199,11 +191,22 @@ def entries(ways: list[int], periods: int) -> list[float]:
     return times
 
 
+def opened(gate: reservation.Booking, table: np.ndarray, book: Any, begins: Any) -> list[Any]:
+    """When the gate opens, and what is booked then."""
+    opens, book = gate.open(table, book, begins)
+    return [opens.tolist(), book]
+
+
 def test_the_first_enters_at_once_and_the_gate_stays_shut_where_none_waits() -> None:
-    opens, book = booking().open(waiting(None), None, FRESH)
-    assert opens.tolist() == [0]
-    opens, _ = booking().open(waiting(0), book, GOES_ON)
-    assert opens.tolist() == [1]
+    shut, book = opened(booking(), waiting(None), None, FRESH)
+    assert shut == [0]
+    assert opened(booking(), waiting(0), book, GOES_ON)[0] == [1]
+    # One that found no room is let in again, and need not keep a gap to itself.
+    first, book = opened(booking(), waiting(0), None, FRESH)
+    again, book = opened(booking(), waiting(0, since=PERIOD), book, GOES_ON)
+    # Now it has entered, and another has come.
+    later, _ = opened(booking(), waiting(0, since=0.0), book, GOES_ON)
+    assert (first, again, later) == ([1], [1], [0])
 
 
 @pytest.mark.parametrize("ways", [[0, 0], [0, 1], [1, 0], [1, 1]])
@@ -223,35 +226,16 @@ def test_gaps_hold_to_all_before_not_only_to_the_last() -> None:
     assert third - first >= 0.3
 
 
-def test_a_parcel_that_found_no_room_is_let_in_again() -> None:
-    gate = booking()
-    opens, book = gate.open(waiting(0), None, FRESH)
-    assert opens.tolist() == [1]
-    # It waits there still: what was booked is taken back, and it need not keep a gap to itself.
-    opens, book = gate.open(waiting(0, since=PERIOD), book, GOES_ON)
-    assert opens.tolist() == [1]
-    # Now it has entered, and another has come.
-    opens, _ = gate.open(waiting(0, since=0.0), book, GOES_ON)
-    assert opens.tolist() == [0]
-
-
-def test_a_new_episode_forgets_the_old() -> None:
-    gate = booking()
-    _, book = gate.open(waiting(1), None, FRESH)
-    opens, again = gate.open(waiting(1), book, FRESH)
-    assert opens.tolist() == [1]
-    assert isinstance(again, reservation.Book)
-    assert again.clock.tolist() == [PERIOD]
-
-
-def test_environments_are_booked_apart() -> None:
-    gate = booking()
+def test_environments_and_episodes_are_booked_apart() -> None:
+    gate, all_begin = booking(), np.ones(3, dtype=bool)
+    _, book = opened(gate, waiting(1), None, FRESH)
+    opens, again = opened(gate, waiting(1), book, FRESH)
+    assert (opens, again.clock.tolist()) == ([1], [PERIOD])
     tables = np.concatenate([waiting(0), waiting(None), waiting(1)])
-    opens, book = gate.open(tables, None, np.ones(3, dtype=bool))
-    assert opens.tolist() == [1, 0, 1]
+    opens, book = opened(gate, tables, None, all_begin)
+    assert opens == [1, 0, 1]
     later = np.concatenate([waiting(0), waiting(0), waiting(1)])
-    opens, _ = gate.open(later, book, np.zeros(3, dtype=bool))
-    assert opens.tolist() == [0, 1, 0]
+    assert opened(gate, later, book, ~all_begin)[0] == [0, 1, 0]
 
 
 CROWD = Stream(Steady(15000.0), parcels=("S",), speeds=1.5)

@@ -24,22 +24,6 @@ def table(rows: int, *parcels: tuple[float, float]) -> np.ndarray:
     return seen
 
 
-def test_each_rolls_until_it_is_past_its_exits_start() -> None:
-    seen = table(5, (-0.1, 1.0), (0.1, 1.0), (0.1, -1.0), (0.1, 0.0))
-    action, state = StreamEventRule(line(max_parcels=5)).predict(seen)
-    assert action.reshape(5, 2).tolist() == [
-        [ROLL, ROLL], [LEFT, LEFT], [RIGHT, RIGHT], [ROLL, ROLL], [ROLL, ROLL],
-    ]  # fmt: skip
-    assert state is None
-
-
-def test_many_environments_are_decided_as_each_alone() -> None:
-    rule = StreamEventRule(line(max_parcels=2))
-    tables = np.stack([table(2, (0.1, 1.0)), table(2, (0.1, -1.0), (0.1, 1.0)), table(2)])
-    actions, _ = rule.predict(tables)
-    assert actions.tolist() == [rule.predict(each)[0].tolist() for each in tables]
-
-
 def test_a_gate_is_opened_at_once_and_a_parcel_that_waits_there_has_no_halves() -> None:
     config = gated(max_parcels=2)
     seen = table(3, (0.1, 1.0))
@@ -117,3 +101,16 @@ def test_what_they_cannot_act_in_is_refused(make, arguments, message) -> None:
 def test_an_unknown_agent_is_refused() -> None:
     with pytest.raises(ValueError, match="name must be one of"):
         streams.SortEach(line(), name="nobody")
+
+
+def test_each_rolls_until_it_is_past_its_exits_start() -> None:
+    """Many environments are decided as each alone."""
+    seen = table(5, (-0.1, 1.0), (0.1, 1.0), (0.1, -1.0), (0.1, 0.0))
+    rule = StreamEventRule(line(max_parcels=5))
+    action, state = rule.predict(seen)
+    assert action.reshape(5, 2).tolist() == [
+        [ROLL, ROLL], [LEFT, LEFT], [RIGHT, RIGHT], [ROLL, ROLL], [ROLL, ROLL],
+    ]  # fmt: skip
+    assert state is None
+    tables = np.stack([seen, table(5, (0.1, -1.0), (0.1, 1.0)), table(5)])
+    assert rule.predict(tables)[0].tolist() == [rule.predict(each)[0].tolist() for each in tables]

@@ -41,52 +41,43 @@ def arranged(action: np.ndarray, config: EnvConfig) -> list[list[int]]:
     return [sorted(set(part.ravel().tolist())) for part in (grid[:, :COLUMNS], grid[:, COLUMNS:])]
 
 
-class TestTurned:
-    @pytest.mark.parametrize(
-        ("parcels", "choice"),
-        [
-            ([], ROLL),
-            ([(-0.01, 1.0)], ROLL),  # not yet wholly in it
-            ([(0.01, 1.0)], LEFT),
-            ([(0.01, -1.0)], RIGHT),
-            ([(0.01, 0.0)], ROLL),
-            ([(0.51, 1.0)], ROLL),  # out of it
-            ([(0.51, 1.0), (0.2, -1.0)], RIGHT),
-        ],
-    )
-    def test_it_leads_the_parcel_that_is_wholly_in_it(self, parcels, choice) -> None:
-        config = zoned(SMALL)
-        zone = zones.WholeZone(config, COLUMNS, alone=True)
-        action, _ = zone.predict(table(config, *parcels))
+@pytest.mark.parametrize(
+    ("parcels", "choice"),
+    [
+        ([], ROLL),
+        ([(-0.01, 1.0)], ROLL),  # not yet wholly in it
+        ([(0.01, 1.0)], LEFT),
+        ([(0.01, -1.0)], RIGHT),
+        ([(0.01, 0.0)], ROLL),
+        ([(0.51, 1.0)], ROLL),  # out of it
+        ([(0.51, 1.0), (0.2, -1.0)], RIGHT),
+    ],
+)
+def test_a_zone_that_turns_leads_the_parcel_that_is_wholly_in_it(parcels, choice) -> None:
+    config = zoned(SMALL)
+    action, _ = zones.WholeZone(config, COLUMNS, alone=True).predict(table(config, *parcels))
+    assert arranged(action, config) == [[choice], [ROLL]]
+
+
+def test_a_zone_is_arranged_while_it_is_free_and_stays_until_the_parcel_is_out() -> None:
+    """Each environment remembers its own until an episode begins."""
+    config, state = zoned(SMALL), None
+    zone = zones.ArrangedZone(config, COLUMNS, alone=True)
+    for parcels, waits, choice in (
+        ([], None, ROLL),
+        ([], 1.0, LEFT),  # for the one at the gate
+        ([(-0.4, 1.0)], -1.0, LEFT),  # which is nearer than the next
+        ([(-0.2, 1.0), (-0.5, -1.0)], 0.0, LEFT),  # it has come into the zone
+        ([(0.49, 1.0), (-0.3, -1.0)], 0.0, LEFT),
+        ([(0.51, 1.0), (-0.3, -1.0)], 0.0, RIGHT),  # out: the next one's
+        ([(0.9, 1.0)], None, RIGHT),  # no other comes: as it was
+    ):
+        action, state = zone.predict(table(config, *parcels, waits=waits), state)
         assert arranged(action, config) == [[choice], [ROLL]]
-
-
-class TestArranged:
-    def test_it_is_arranged_while_it_is_free_and_stays_until_the_parcel_is_out(self) -> None:
-        config = zoned(SMALL)
-        zone = zones.ArrangedZone(config, COLUMNS, alone=True)
-        state = None
-        for parcels, waits, choice in (
-            ([], None, ROLL),
-            ([], 1.0, LEFT),  # for the one at the gate
-            ([(-0.4, 1.0)], -1.0, LEFT),  # which is nearer than the next
-            ([(-0.2, 1.0), (-0.5, -1.0)], 0.0, LEFT),  # it has come into the zone
-            ([(0.49, 1.0), (-0.3, -1.0)], 0.0, LEFT),
-            ([(0.51, 1.0), (-0.3, -1.0)], 0.0, RIGHT),  # out: the next one's
-            ([(0.9, 1.0)], None, RIGHT),  # no other comes: as it was
-        ):
-            action, state = zone.predict(table(config, *parcels, waits=waits), state)
-            assert arranged(action, config) == [[choice], [ROLL]]
-
-    def test_each_environment_remembers_its_own_until_an_episode_begins(self) -> None:
-        config = zoned(SMALL)
-        zone = zones.ArrangedZone(config, COLUMNS, alone=True)
-        inside = table(config, (0.1, -1.0))
-        coming = np.stack([table(config, (-0.4, side)) for side in (1.0, -1.0, 1.0)])
-        _, state = zone.predict(coming)
-        actions, _ = zone.predict(np.stack([inside] * 3), state, np.array([False, False, True]))
-        found = [arranged(action, config)[0] for action in actions]
-        assert found == [[LEFT], [RIGHT], [ROLL]]
+    _, state = zone.predict(np.stack([table(config, (-0.4, side)) for side in (1.0, -1.0, 1.0)]))
+    inside = np.stack([table(config, (0.1, -1.0))] * 3)
+    actions, _ = zone.predict(inside, state, np.array([False, False, True]))
+    assert [arranged(each, config)[0] for each in actions] == [[LEFT], [RIGHT], [ROLL]]
 
 
 @pytest.mark.parametrize("kind", [zones.WholeZone, zones.ArrangedZone])
@@ -103,13 +94,12 @@ class TestBoth:
 
     def test_one_column_less_than_the_shortest_does_not_sort(self, kind) -> None:
         config = zoned(SMALL)
-        asked = list_asked(config)
 
         def sorts(columns: int) -> bool:
-            span = zones.zone_span(config, columns)
             found = zones.measure_crossings(
-                lambda s: kind(s, columns, alone=True), config, asked, span
-            )
+                lambda s: kind(s, columns, alone=True), config, list_asked(config),
+                zones.zone_span(config, columns),
+            )  # fmt: skip
             return bool(found.right.all())
 
         best = zones.find_best_zone(kind, config)
