@@ -23,12 +23,16 @@ CONFIG = training_env_config(0.04)
 FLOW_CARD = PolicyCard("SmartSurface/Flow-v0", "parcels", "parcels", 0.04, (8,))
 
 
+def begun(config: EnvConfig, num_envs: int, seed: int) -> StreamBatch:
+    batch = StreamBatch(config, num_envs)
+    for i in range(num_envs):
+        batch.seed(i, np.random.default_rng(seed + i))
+    batch.reset(np.arange(num_envs))
+    return batch
+
+
 def test_mirrored_choices_come_back_as_they_were() -> None:
-    batch = StreamBatch(CONFIG, 2)
-    for i in range(2):
-        batch.seed(i, np.random.default_rng(i))
-    batch.reset(np.arange(2))
-    tables = batch.observation.copy()
+    tables = begun(CONFIG, 2, 0).observation.copy()
     tables[..., SIDE] = np.random.default_rng(0).integers(-1, 2, tables.shape[:2])
     actions = parcel_policy.ParcelActions(CONFIG)
     choices = np.random.default_rng(1).integers(0, [4, 4, 9], (*tables.shape[:2], 3))
@@ -39,13 +43,9 @@ def test_mirrored_choices_come_back_as_they_were() -> None:
 
 def test_choices_and_actions_are_inverse() -> None:
     """An event rule delivers the same by either."""
-    plain = EnvConfig(
-        "flow", stream=CONFIG.stream_task.stream, exits="sides", actions="parcels", gate=True
-    )
-    batch = StreamBatch(plain, 1)
-    batch.seed(0, np.random.default_rng(3))
-    batch.reset(np.arange(1))
-    rule, state = StreamEventRule(plain), None
+    stream = CONFIG.stream_task.stream
+    plain = EnvConfig("flow", stream=stream, exits="sides", actions="parcels", gate=True)
+    batch, rule, state = begun(plain, 1, 3), StreamEventRule(plain), None
     mirror = parcel_policy.ParcelActions(plain)
     for _ in range(120):
         tables = batch.observation.copy()

@@ -100,7 +100,6 @@ class TestStarts:
         assert [parcel.rear for parcel in named] == [0.125] * 3
 
 
-
 def test_sort_in_the_lab() -> None:
     event = next(rule for rule in rules("sort") if rule.name == "event rule")
     result, _ = runs.play(event, 0, "lab")
@@ -159,7 +158,6 @@ class TestSummaries:
         never = runs.Summary((replace(result, success=success.ravel().tolist()),))
         assert math.isnan(GRID.minimum_speed(never, "S"))
 
-
     def test_time_is_divided_by_the_fixed_layouts_where_that_one_sorts(self) -> None:
         faster = runs.Summary((sort_result("a", {"S": 0.36, "B": 0.52}, time=0.9),))
         assert GRID.worst_time(faster, FIXED, "S") == pytest.approx(0.9)
@@ -201,16 +199,12 @@ def test_one_seed_has_wilsons_interval(successes, count) -> None:
         assert 0.0 <= low <= high <= 1.0
 
 
-
-
 def test_seeds_alike_are_no_surer_than_one_and_a_seed_that_fails_widens_it() -> None:
     one = np.random.default_rng(0).random((1, 400)) < 0.9
     assert runs.interval(np.repeat(one, 3, axis=0)) == pytest.approx(runs.interval(one), abs=1e-12)
     low, high = runs.interval(np.repeat([[True], [True], [False]], 500, axis=1))
     assert low < 0.2
     assert high > 0.9
-
-
 
 
 def test_it_holds_the_truth_about_as_often_as_it_says() -> None:

@@ -32,8 +32,6 @@ def true_of(change: Change, method: Method = FIXED) -> EnvConfig:
     return situation(method, find_benchmark(method.task), change).true
 
 
-
-
 @pytest.mark.parametrize("task", TASKS)
 def test_no_change_is_as_trained(task) -> None:
     method = next(each for each in all_methods(task) if each.starts is None)
@@ -74,10 +72,6 @@ def test_an_episode_may_last_as_long_whatever_the_period(period) -> None:
     assert config.control_period == period
     lasts = config.control_period * config.task.periods
     assert lasts == pytest.approx(0.04 * 100, abs=0.5 * period)
-
-
-
-
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -135,10 +129,6 @@ def test_each_level_makes_an_environment_and_the_trained_one_changes_nothing(fac
         assert replace(trained, task=task) == replace(true_of(Change()), task=task)
 
 
-
-
-
-
 @pytest.fixture
 def two_factors(monkeypatch: pytest.MonkeyPatch) -> None:
     few = {
@@ -160,7 +150,6 @@ class TestComputing:
         assert len((tmp_path / robustness.FILE).read_text().splitlines()) == 2
         # Other starts make other results.
         assert not sweep_jobs([FIXED], 6).keys() & sweep_jobs([FIXED], 7).keys()
-
 
     def test_processes_make_no_difference(self, tmp_path) -> None:
         few, factors, file = rules("stop")[0], ("trained", "aside"), tmp_path / robustness.FILE
@@ -225,7 +214,6 @@ class TestReport:
         assert SWEEP.rate("slow", "nobody", TRAINED, TRAINED) is None
         assert SWEEP.rate("track", "PPO", "zone", 8) is None
 
-
     def test_a_row_for_each_method_and_a_column_for_each_factor(self) -> None:
         table = report.factor_table(SWEEP, "slow")
         assert [row[0] for row in table.rows] == ["fixed layout", "PPO", "PPO, lab", PLANNER]
@@ -263,7 +251,6 @@ class TestReport:
         bases = (Rectangle(0.2, 0.2), Rectangle(0.2, 0.3), Disc(0.2))
         assert [*map(robustness.name_shape, bases)] == ["square", "rectangle", "disc"]
         assert set(robustness.lab_shapes("sort", 64)) == set(robustness.SHAPES)
-
 
     def test_files_agree(self, tmp_path) -> None:
         report.write_sweep(ROWS, tmp_path, Console(file=io.StringIO(), width=160))

@@ -74,8 +74,6 @@ def test_it_is_as_fast_as_asked_for(tmp_path, seconds, speed, rate, count) -> No
     assert len(pictures) == count
 
 
-
-
 @pytest.mark.parametrize(
     ("file", "seconds", "speed", "named"),
     [
@@ -88,10 +86,6 @@ def test_it_is_as_fast_as_asked_for(tmp_path, seconds, speed, rate, count) -> No
 def test_what_cannot_be_shown_is_refused(tmp_path, file, seconds, speed, named) -> None:
     with pytest.raises(ValueError, match=named):
         film(tmp_path / file, seconds, speed)
-
-
-
-
 
 
 def test_a_slower_decider_is_filmed_no_faster(tmp_path) -> None:

@@ -44,47 +44,35 @@ def test_the_same_seed_gives_the_same_messages() -> None:
 
 
 def test_frames_come_at_the_cameras_rate_and_late() -> None:
+    """And a camera that drops frames drops some."""
     frames = of_kind(protocol.Frame, world().advance(1.0))
     taken = np.array([message.taken_at for _, message in frames])
     np.testing.assert_allclose(np.diff(taken), 0.02)
     np.testing.assert_allclose([due for due, _ in frames] - taken, 0.04)
-    assert [message.number for _, message in frames if message.taken_at < PAUSE - 0.01] == [
-        None
-    ] * 4
+    before = [message.number for _, message in frames if message.taken_at < PAUSE - 0.01]
+    assert before == [None] * 4
     x = np.array([message.pose[0] for _, message in frames if message.number == 0])
     noise = np.diff(x, n=3) / math.sqrt(20.0)  # of what is smooth
     assert 0.0003 < noise.std() < 0.003
-
-
-def test_a_camera_that_drops_frames_drops_some() -> None:
     camera = replace(made.CONFIG.sensors, drop=0.5)
     dropping = World(replace(made.CONFIG, sensors=camera), 0, 0.0, WorldOptions())
     assert 15 < len(dropping.advance(1.0)) < 35
 
 
-def test_axes_that_are_set_turn() -> None:
+def test_axes_that_are_set_turn_and_others_are_refused() -> None:
     machine = world(encoders=True)
     machine.advance(PAUSE + 0.02)
-    angles = np.zeros(machine.shape)
-    assert machine.set_axes(5, angles) == protocol.AxesAcknowledged(5, machine.now)
-    frames = of_kind(protocol.Frame, machine.advance(PAUSE + 0.5))
+    for wrong in (np.zeros((1, 1)), np.full((4, 16), 1.6), np.full((4, 16), np.nan)):
+        assert machine.set_axes(0, wrong).refused
+    frames = of_kind(protocol.Frame, machine.advance(PAUSE + 0.1))
+    assert (np.abs(frames[-1][1].axes - math.pi / 2.0) < 1e-9).all()
+    answer = machine.set_axes(5, np.zeros(machine.shape))
+    assert answer == protocol.AxesAcknowledged(5, machine.now)
+    frames = of_kind(protocol.Frame, machine.advance(machine.now + PAUSE + 0.4))
     first, last = (frames[k][1].axes for k in (0, -1))
     assert set(np.sign(first[last == 0.0])) == {1.0}  # they are on their way
     assert first[last == 0.0].max() < math.pi / 2.0
     assert (last == 0.0).sum() in (2 * 16, 4 * 16)  # by the line's width
-
-
-@pytest.mark.parametrize(
-    "wrong", [np.zeros((1, 1)), np.full((4, 16), 1.6), np.full((4, 16), np.nan)]
-)
-def test_axes_out_of_range_are_refused(wrong) -> None:
-    machine = world(encoders=True)
-    assert machine.set_axes(0, wrong).refused
-    frames = of_kind(protocol.Frame, machine.advance(PAUSE + 0.3))
-    assert (np.abs(frames[-1][1].axes - math.pi / 2.0) < 1e-9).all()
-
-
-def test_the_pause_is_not_negative() -> None:
     with pytest.raises(ValueError, match="pause"):
         WorldOptions(pause=-1.0)
 
@@ -127,10 +115,8 @@ class TestOverASocket:
         assert LoopConfig().period == pytest.approx(0.04)
 
     def test_a_mute_camera_brings_the_fixed_layout(self) -> None:
-        options = WorldOptions(pause=PAUSE)
-        server = Server(
-            made.MuteWorld((0.2, 0.6), options), "stop", socket.create_server(("127.0.0.1", 0))
-        )
+        listener = socket.create_server(("127.0.0.1", 0))
+        server = Server(made.MuteWorld((0.2, 0.6), WorldOptions(pause=PAUSE)), "stop", listener)
         counts = self.run(server, 200).counts
         server.close()
         assert counts.watchdog == 1
@@ -139,14 +125,12 @@ class TestOverASocket:
         assert counts.decisions > 5
 
     def test_a_later_loop_takes_the_place(self, server) -> None:
-        first, second = (
-            protocol.SocketDevice(self.address(server), "stop", (4, 16)) for _ in range(2)
-        )
-        first.connect()
-        server.step(0.0)
-        second.connect()
-        server.step(0.01)
-        server.step(0.1)
+        address = self.address(server)
+        first, second = (protocol.SocketDevice(address, "stop", (4, 16)) for _ in range(2))
+        for device, times in ((first, (0.0,)), (second, (0.01, 0.1))):
+            device.connect()
+            for now in times:
+                server.step(now)
         with pytest.raises(ConnectionError):
             again_and_again(first.read)
         assert second.read() is not None
