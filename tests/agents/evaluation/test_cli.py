@@ -32,24 +32,21 @@ def keep(rows: Sequence[Any], file: Path) -> list[str]:
     return lines
 
 
-class TestConfig:
-    def test_streams_are_compared_first_unless_asked_otherwise(self) -> None:
-        assert EvaluateConfig().tasks == TASK_NAMES == (FLOW_TASK, *TASKS)
-
-    @pytest.mark.parametrize(
-        ("given", "message"),
-        [
-            ({"tasks": ("juggle",)}, "tasks must be one of 'flow', .*, got 'juggle'"),
-            ({"starts": 0}, "^starts must be .* at least 1, got 0"),
-            (
-                {"robustness": True, "run": Path("runs/a")},
-                "^run must be None where robustness is swept, got runs",
-            ),
-        ],
-    )
-    def test_errors(self, given, message) -> None:
-        with pytest.raises(ValueError, match=message):
-            EvaluateConfig(**given)
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"tasks": ("juggle",)}, "tasks must be one of 'flow', .*, got 'juggle'"),
+        ({"starts": 0}, "^starts must be .* at least 1, got 0"),
+        (
+            {"robustness": True, "run": Path("runs/a")},
+            "^run must be None where robustness is swept, got runs",
+        ),
+    ],
+)
+def test_streams_are_compared_first_unless_asked_otherwise(given, message) -> None:
+    assert EvaluateConfig().tasks == TASK_NAMES == (FLOW_TASK, *TASKS)
+    with pytest.raises(ValueError, match=message):
+        EvaluateConfig(**given)
 
 
 def test_results_of_streams_become_a_page(tmp_path, monkeypatch) -> None:
@@ -95,41 +92,36 @@ def test_a_sweep_becomes_tables(tmp_path, monkeypatch) -> None:
     assert not (tmp_path / "comparison.md").exists()
 
 
-class TestARunOfStreams:
-    @pytest.fixture(autouse=True)
-    def small(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(streams, "cases", lambda preset="exact": [Case("S", 2.0, preset)])
-        monkeypatch.setattr(streams, "CURVE", Case("S", 2.0))
-        monkeypatch.setattr(capacity, "REPLICATIONS", 2)
-        monkeypatch.setattr(capacity, "WARM_UP", 4.0)
-        monkeypatch.setattr(capacity, "SECONDS", 12.0)
+def test_every_seed_of_a_run_is_measured_beside_the_reservation(tmp_path, monkeypatch) -> None:
+    case = Case("S", 2.0)
+    monkeypatch.setattr(streams, "cases", lambda preset="exact": [Case("S", 2.0, preset)])
+    monkeypatch.setattr(streams, "CURVE", case)
+    for name, value in (("REPLICATIONS", 2), ("WARM_UP", 4.0), ("SECONDS", 12.0)):
+        monkeypatch.setattr(capacity, name, value)
+    for seed in (0, 1):
+        copytree(SHELF / "flow-ppo" / f"seed-{seed}", tmp_path / f"seed-{seed}")
+    seen: list[StreamResults] = []
+    compare = report.compare_streams
 
-    def test_every_seed_is_measured_beside_the_reservation(self, tmp_path, monkeypatch) -> None:
-        for seed in (0, 1):
-            copytree(SHELF / "flow-ppo" / f"seed-{seed}", tmp_path / f"seed-{seed}")
-        seen: list[StreamResults] = []
-        compare = report.compare_streams
+    def watched(*given: Any) -> StreamResults:
+        seen.append(compare(*given))
+        return seen[0]
 
-        def watched(*given: Any) -> StreamResults:
-            seen.append(compare(*given))
-            return seen[0]
+    monkeypatch.setattr(report, "compare_streams", watched)
+    card = evaluate_run(tmp_path, None, 1, Console(quiet=True))
+    (found,) = seen
+    assert set(found.names) == {RESERVATION, "seed 0", "seed 1"}
+    for name in found.names:
+        assert found.rate(name, case) > 0.7 * found.rate(BOUND, case)
+    assert "seed 1" in (tmp_path / report.TABLE).read_text()
+    for preset in ("exact", "camera"):
+        (stream,) = card[preset].values()
+        assert len(stream["capacity_of_each_seed"]) == 2
+        assert min(stream["right_at_80_percent"]) > 0.99
 
-        monkeypatch.setattr(report, "compare_streams", watched)
-        card = evaluate_run(tmp_path, None, 1, Console(quiet=True))
-        (found,), case = seen, Case("S", 2.0)
-        assert set(found.names) == {RESERVATION, "seed 0", "seed 1"}
-        for name in found.names:
-            assert found.rate(name, case) > 0.7 * found.rate(BOUND, case)
-        assert "seed 1" in (tmp_path / report.TABLE).read_text()
-        for preset in ("exact", "camera"):
-            (stream,) = card[preset].values()
-            assert len(stream["capacity_of_each_seed"]) == 2
-            assert min(stream["right_at_80_percent"]) > 0.99
 
-    @pytest.mark.parametrize("text", ["", "[1", "env_id: SmartSurface/Sort-v0", "- a"])
-    def test_other_runs(self, tmp_path, text) -> None:
+@pytest.mark.parametrize("text", [None, "", "[1", "env_id: SmartSurface/Sort-v0", "- a"])
+def test_other_runs_are_of_no_streams(tmp_path, text) -> None:
+    if text is not None:
         (tmp_path / "policy.yaml").write_text(text)
-        assert not is_of_streams(tmp_path)
-        empty = tmp_path / "empty"
-        empty.mkdir()
-        assert not is_of_streams(empty)
+    assert not is_of_streams(tmp_path)

@@ -1,39 +1,50 @@
-"""An export decides as the policy does, whatever its task, actions and networks."""
+"""An export decides as the policy does, whatever its task, actions and networks; mistakes are
+found, and kept apart from ties.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from torch import nn
 
 from surface_gym import agents
-from surface_gym.agents.export import check
+from surface_gym.agents.export import check, policy
 from surface_gym.agents.export import onnx as graphs
 from surface_gym.agents.export.c_header import make_header
+from surface_gym.agents.export.check import compare, random_observations
 from surface_gym.agents.export.cli import make_model
-from surface_gym.agents.export.policy import NetworkDecision, Source, network_decision, shipped
+from surface_gym.agents.export.policy import NetworkDecision, network_decision, shipped
 from tests.agents.export.made import CARDS, count_of_each, made, wanted
 
-COUNT = 1000
 SHIPPED = [name for name in agents.names() if name != "flow-ppo"]
 
 
-def source_of(name: str) -> Source:
-    return made(name) if name in CARDS else shipped(name)
+COUNT = 1000
+ONNX_NEEDED = ("onnx", "onnxruntime")
 
 
 @pytest.mark.parametrize("name", [*SHIPPED, *CARDS])
 def test_it_decides_as_the_policy(name) -> None:
-    source = source_of(name)
+    source = made(name) if name in CARDS else shipped(name)
     is_modules = source.policy.card.algo == "modules"
     decision = graphs.modules_decision(source) if is_modules else network_decision(source)
-    seen = check.random_observations(source, COUNT, seed=1)
+    seen = random_observations(source, COUNT, seed=1)
+    if name in CARDS:  # they ask for every choice: else the comparison would say little
+        assert min(count_of_each(wanted(source, seen))) > 10
+        names = [each.name for each in source.config.features]
+        if "side" in names:
+            assert {-1.0, 0.0, 1.0} <= set(seen[:, names.index("side")].tolist())
     compiler = check.find_compiler()
     if isinstance(decision, NetworkDecision) and compiler is not None:
         header = make_header(decision, name, source.config.control_period, {"of": "a */ test"})
         decide = check.run_c(compiler, header, name, decision.parts)
-        assert check.compare("C", decision, source, seen, decide).observations == COUNT
-    pytest.importorskip("onnx", reason="onnx, of the extra `export`, is missing")
-    pytest.importorskip("onnxruntime", reason="onnxruntime, of the extra `export`, is missing")
+        assert compare("C", decision, source, seen, decide).observations == COUNT
+    for library in ONNX_NEEDED:
+        pytest.importorskip(library, reason=f"{library}, of the extra `export`, is missing")
     decide = check.run_onnx(make_model(decision, {}))
-    agreement = check.compare("ONNX", decision, source, seen, decide)
+    agreement = compare("ONNX", decision, source, seen, decide)
     assert agreement.observations == COUNT
     assert agreement.close < 0.01 * COUNT * agreement.parts
     choices, angles = decide(seen)
@@ -42,28 +53,14 @@ def test_it_decides_as_the_policy(name) -> None:
     np.testing.assert_array_equal(decide(seen[7:8])[0], choices[7:8])
 
 
-@pytest.mark.parametrize("name", CARDS)
-def test_random_observations_ask_for_every_choice(name) -> None:
-    """Else a comparison would say little."""
-    source = made(name)
-    seen = check.random_observations(source, COUNT, seed=0)
-    assert min(count_of_each(wanted(source, seen))) > 10
-    names = [each.name for each in source.config.features]
-    if "side" in names:
-        assert {-1.0, 0.0, 1.0} <= set(seen[:, names.index("side")].tolist())
-
-
+@pytest.mark.skipif(check.find_compiler() is None, reason="there is no C compiler")
 def test_a_header_that_does_not_compile_is_refused() -> None:
-    compiler = check.find_compiler()
-    if compiler is None:
-        pytest.skip("there is no C compiler")
-    source = made("quadrants")
+    source, compiler = made("quadrants"), check.find_compiler()
     decision = network_decision(source)
     header = make_header(decision, "quadrants", 0.05, {}).replace("#include <math.h>", "")
+    seen = random_observations(source, 4, seed=0)
     with pytest.raises(ValueError, match="header must compile without a warning"):
-        check.run_c(compiler, header, "quadrants", decision.parts)(
-            check.random_observations(source, 4, seed=0)
-        )
+        check.run_c(compiler, header, "quadrants", decision.parts)(seen)
 
 
 TURNS = np.linspace(-np.pi, np.pi, 721)
@@ -80,21 +77,16 @@ def test_an_angle_is_that_of_its_sine_and_cosine() -> None:
 
 def test_a_graph_computes_in_double_precision_what_numpy_does() -> None:
     """Though its arc tangent is of single precision."""
-    onnx = pytest.importorskip("onnx", reason="onnx, of the extra `export`, is missing")
-    pytest.importorskip("onnxruntime", reason="onnxruntime, of the extra `export`, is missing")
-    graph = graphs.Graph()
+    for library in ONNX_NEEDED:
+        pytest.importorskip(library, reason=f"{library}, of the extra `export`, is missing")
+    import onnx
+
+    graph, kinds, helper = graphs.Graph(), onnx.TensorProto, onnx.helper
     traced: graphs.Traced = graphs._angle(*graph.features(2)) + np.zeros((1, 3))
-    kinds = onnx.TensorProto
-    made = onnx.helper.make_graph(
-        graph._nodes,
-        "angle",
-        [onnx.helper.make_tensor_value_info(graphs.OBSERVATION, kinds.FLOAT, ["num_envs", 2])],
-        [onnx.helper.make_tensor_value_info(traced.name, kinds.DOUBLE, ["num_envs", 3])],
-        graph._constants,
-    )
-    model = onnx.helper.make_model(
-        made, opset_imports=[onnx.helper.make_opsetid("", 17)], ir_version=8
-    )
+    given = helper.make_tensor_value_info(graphs.OBSERVATION, kinds.FLOAT, ["num_envs", 2])
+    result = helper.make_tensor_value_info(traced.name, kinds.DOUBLE, ["num_envs", 3])
+    whole = helper.make_graph(graph._nodes, "angle", [given], [result], graph._constants)
+    model = helper.make_model(whole, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     session = graphs.need("onnxruntime").InferenceSession(
         model.SerializeToString(), providers=["CPUExecutionProvider"]
     )
@@ -116,3 +108,54 @@ def test_doubt_is_where_a_comparison_or_a_jump_hangs_on_round_off() -> None:
     assert doubts.pop().tolist() == [True, True, False]
     np.rint(numbers)
     assert doubts.pop().tolist() == [False, True, False]
+
+
+@pytest.fixture
+def stop() -> policy.Source:
+    return made("stop")
+
+
+def deciding(
+    choices: policy.Integers, source: policy.Source
+) -> Callable[[policy.Singles], tuple[policy.Integers, policy.Numbers]]:
+    angles: policy.Numbers = np.array(source.config.chosen_orientations)
+    return lambda _: (choices, angles[choices])
+
+
+def test_another_choice_and_another_angle_are_errors_that_name_it(stop) -> None:
+    seen, decision = random_observations(stop, 200, seed=0), policy.network_decision(stop)
+    choices = wanted(stop, seen)
+    angles = choices.astype(np.float64)
+    with pytest.raises(ValueError, match="must give the angles of what it chooses"):
+        compare("it", decision, stop, seen, lambda _: (choices, angles))
+    choices[13, 1] = (choices[13, 1] + 1) % 4
+    with pytest.raises(ValueError, match="must decide as the policy of stop does, got 1 of 200"):
+        compare("it", decision, stop, seen, deciding(choices, stop))
+
+
+def test_ties_are_counted_apart_but_not_without_limit(stop) -> None:
+    """With all scores the same, so that any decision is right."""
+    decision = policy.network_decision(stop)
+    *first, last = decision.network.layers
+    flat = replace(last, weights=np.zeros_like(last.weights), bias=np.zeros_like(last.bias))
+    decision = replace(decision, network=replace(decision.network, layers=(*first, flat)))
+    seen = random_observations(stop, 200, seed=0)
+    choices = wanted(stop, seen)
+    agreement = compare("it", decision, stop, seen, deciding(choices, stop))
+    assert (agreement.ties, agreement.close) == (0, 400)
+    choices[13, 1] = (choices[13, 1] + 1) % 4
+    agreement = compare("it", decision, stop, seen, deciding(choices, stop))
+    assert agreement.ties == 1
+    assert "1 of them otherwise, all ties" in agreement.summary()
+    with pytest.raises(ValueError, match="though all where scores are close"):
+        compare("it", decision, stop, seen, deciding((choices + 1) % 4, stop))
+
+
+def test_a_network_of_another_kind_is_refused() -> None:
+    for modules in (
+        nn.Sequential(nn.Linear(2, 2), nn.Sigmoid(), nn.Linear(2, 2)),
+        nn.Sequential(nn.Linear(2, 2), nn.Tanh()),
+        nn.Sequential(nn.Linear(2, 2), nn.Tanh(), nn.Linear(2, 2), nn.ReLU(), nn.Linear(2, 2)),
+    ):
+        with pytest.raises(ValueError, match="network must be linear layers"):
+            policy.read_network(modules)
