@@ -79,18 +79,18 @@ def test_the_folder_holds_everything(run) -> None:
         assert film.count_frames() > 5
 
 
-def test_evaluate_gives_the_same_table_twice(run) -> None:
-    first = (run / "table.md").read_bytes()
-    done = run_in_process("evaluate.py", "--run", str(run), "--workers", "1", folder=run)
+@pytest.mark.parametrize(
+    ("file", "command"),
+    [
+        ("table.md", "evaluate.py --workers 1 --run"),
+        ("seed-1/policy.pt", "train.py --resume"),  # which is done
+    ],
+)
+def test_a_run_that_is_compared_or_gone_on_with_again_is_the_same(run, file, command) -> None:
+    before = (run / file).read_bytes()
+    done = run_in_process(*command.split(), str(run), folder=run)
     assert done.returncode == 0, done.stderr
-    assert (run / "table.md").read_bytes() == first
-
-
-def test_a_run_that_is_done_is_gone_on_with_to_the_same(run) -> None:
-    before = (run / "seed-1" / "policy.pt").read_bytes()
-    done = run_in_process("train.py", "--resume", str(run), folder=run)
-    assert done.returncode == 0, done.stderr
-    assert (run / "seed-1" / "policy.pt").read_bytes() == before
+    assert (run / file).read_bytes() == before
 
 
 def test_the_comparison_of_a_task(tmp_path) -> None:
@@ -100,19 +100,12 @@ def test_the_comparison_of_a_task(tmp_path) -> None:
 
     out = tmp_path / "out"
     out.mkdir()
-    few = [replace(each, starts=1) for each in all_methods("stop")]
-    compute_results(few, 1, out)
+    compute_results([replace(each, starts=1) for each in all_methods("stop")], 1, out)
     flags = ("--tasks", "stop", "--out", str(out), "--resume", "--workers", "1")
     done = run_in_process("evaluate.py", *flags, folder=tmp_path)
     assert done.returncode == 0, done.stderr
-    for name in (
-        "comparison.md",
-        "comparison.csv",
-        "comparison.json",
-        "decisions.md",
-        "report.html",
-        "stop.mp4",
-    ):
+    tables = [f"comparison.{end}" for end in ("md", "csv", "json")]
+    for name in (*tables, "decisions.md", "report.html", "stop.mp4"):
         assert (out / name).stat().st_size > 0
     text = (out / "report.html").read_text()
     assert "braking rule" in text
@@ -121,15 +114,10 @@ def test_the_comparison_of_a_task(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (("evaluate.py", "--run", "nowhere"), "nowhere"),
-        (("evaluate.py", "--tasks", "juggle"), "juggle"),
-        (("train.py", "--steps", "0"), "steps"),
-    ],
+    "command", ["evaluate.py --run nowhere", "evaluate.py --tasks juggle", "train.py --steps 0"]
 )
-def test_bad_input_ends_without_a_traceback(arguments, named, tmp_path) -> None:
-    done = run_in_process(*arguments, folder=tmp_path)
+def test_bad_input_ends_without_a_traceback(command, tmp_path) -> None:
+    done = run_in_process(*command.split(), folder=tmp_path)
     assert done.returncode != 0
-    assert named in done.stderr
+    assert command.split()[-1] in done.stderr
     assert "Traceback" not in done.stderr

@@ -15,41 +15,38 @@ HASTE = str(ROOT / "examples" / "haste.py") + ":Haste"
 SHORT = "--steps 512 --num-envs 8 --n-steps 16 --batch-size 64 --n-epochs 1 --hidden 8 --name a"
 
 
-class TestNames:
-    @pytest.mark.parametrize("name", TASKS)
-    def test_the_packages(self, name) -> None:
-        assert find_task(name) == TASKS[name]()
-        assert (task_kind(name), task_label(name)) == (name, name)
-        assert card_env_id(name) == f"SmartSurface/{name.capitalize()}-v0"
+@pytest.mark.parametrize("name", TASKS)
+def test_the_packages_are_found(name) -> None:
+    assert find_task(name) == TASKS[name]()
+    assert (task_kind(name), task_label(name)) == (name, name)
+    assert card_env_id(name) == f"SmartSurface/{name.capitalize()}-v0"
 
-    def test_a_users_own(self) -> None:
-        assert type(find_task(REACH)).__name__ == "Reach"
-        assert find_task(REACH) == find_task(REACH)  # the file is run once
-        assert (task_kind(REACH), task_label(REACH), card_env_id(REACH)) == (
-            "reach",
-            "reach",
-            "Own/Reach",
-        )
 
-    def test_one_that_inherits_from_the_packages_is_of_its_kind(self) -> None:
-        assert (task_kind(HASTE), card_env_id(HASTE)) == ("sort", "Own/Haste")
+def test_a_users_own_is_found() -> None:
+    """One that inherits from the package's is of its kind."""
+    assert type(find_task(REACH)).__name__ == "Reach"
+    assert find_task(REACH) == find_task(REACH)  # the file is run once
+    names = task_kind(REACH), task_label(REACH), card_env_id(REACH)
+    assert names == ("reach", "reach", "Own/Reach")
+    assert (task_kind(HASTE), card_env_id(HASTE)) == ("sort", "Own/Haste")
 
-    @pytest.mark.parametrize(
-        ("name", "named"),
-        [
-            ("juggle", "task must be one of sort, slow, stop, track, orient, or your own"),
-            ("nowhere.py:Reach", "task must be in a file that exists"),
-            (REACH[:-6], "task must be one of"),
-            (REACH + "er", "task must be a class of .* that inherits from Task, got 'Reacher'"),
-            (REACH.replace(":Reach", ":math"), "task must be a class of"),
-            ("broken.py:Reach", "task must be in a file that runs, got broken.py: ZeroDivision"),
-        ],
-    )
-    def test_others_are_named(self, name, named, tmp_path, monkeypatch) -> None:
-        (tmp_path / "broken.py").write_text("1 / 0\n")
-        monkeypatch.chdir(tmp_path)
-        with pytest.raises(ValueError, match=named):
-            find_task(name)
+
+@pytest.mark.parametrize(
+    ("name", "named"),
+    [
+        ("juggle", "task must be one of sort, slow, stop, track, orient, or your own"),
+        ("nowhere.py:Reach", "task must be in a file that exists"),
+        (REACH[:-6], "task must be one of"),
+        (REACH + "er", "task must be a class of .* that inherits from Task, got 'Reacher'"),
+        (REACH.replace(":Reach", ":math"), "task must be a class of"),
+        ("broken.py:Reach", "task must be in a file that runs, got broken.py: ZeroDivision"),
+    ],
+)
+def test_others_are_named(name, named, tmp_path, monkeypatch) -> None:
+    (tmp_path / "broken.py").write_text("1 / 0\n")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=named):
+        find_task(name)
 
 
 @pytest.fixture(scope="module")
@@ -62,21 +59,17 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class TestARun:
-    def test_holds_everything(self, run) -> None:
-        card = yaml.safe_load((run / "policy.yaml").read_text())
-        assert card["env_id"] == "Own/Reach"
+    def test_holds_everything_and_plays_where_the_task_is_said(self, run) -> None:
+        assert yaml.safe_load((run / "policy.yaml").read_text())["env_id"] == "Own/Reach"
         table = (run / "table.md").read_text()
         assert "fixed layout" in table
         assert "PPO" in table
         assert (run / "reach.mp4").stat().st_size > 0
-
-    def test_its_policy_plays_where_the_task_is_said(self, run) -> None:
         policy = agents.read(run, find_task(REACH))
         assert policy.env_kwargs["task"] == find_task(REACH)
-        with pytest.raises(ValueError, match="task must be Reach, a user's own"):
-            agents.read(run)
-        with pytest.raises(ValueError, match="task must be Reach, a user's own"):
-            agents.read(run, find_task(HASTE))
+        for other in (None, find_task(HASTE)):
+            with pytest.raises(ValueError, match="task must be Reach, a user's own"):
+                agents.read(run, other)
 
     def test_no_code_is_run_for_what_its_folder_says(self, run) -> None:
         """Whose code is to be run stands on the command line, not in the folder."""
@@ -105,10 +98,8 @@ class TestARun:
 
     def test_is_compared(self, run) -> None:
         """By processes of their own, which find the task's code again."""
-        folder = run.parents[1]
-        done = run_program(
-            str(ROOT / "evaluate.py"), "--task", REACH, "--out", "out", folder=folder
-        )
+        folder, program = run.parents[1], str(ROOT / "evaluate.py")
+        done = run_program(program, "--task", REACH, "--out", "out", folder=folder)
         assert done.returncode == 0, done.stderr
         table = (folder / "out" / "comparison.md").read_text()
         assert "fixed layout" in table
