@@ -23,7 +23,7 @@ from surface_gym.agents.tuning.study import (
     plain_params,
     write_report,
 )
-from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
+from surface_gym.agents.tuning.sweep import Span, Sweep
 from tests.agents.tuning.cheap import QUIET, SMALL, searched
 
 SHORT = """
@@ -43,60 +43,60 @@ def file(tmp_path: Path) -> Path:
     return file
 
 
-class TestCommand:
-    def test_it_leaves_a_configuration_that_learns(self, file, tmp_path, monkeypatch) -> None:
-        monkeypatch.setattr("surface_gym.agents.tuning.study.STARTS", 16)
-        with open(os.devnull, "w") as nowhere:
-            console = Console(record=True, width=200, file=nowhere)
-            search(file, tmp_path / "a", 1, console)
-            printed = console.export_text()
-        assert "the best is trial" in printed
-        assert "report.md and best.yml" in printed
-        with open_study(SMALL, tmp_path / "a") as kept:
-            best = best_trial(finished_trials(kept))
-        config = defaults("slow", "ppo", tmp_path / "a" / "best.yml")
-        usual = defaults("slow", "ppo")
-        assert isinstance(usual, PPOConfig)
-        rate = best.params["learning_rate"]
-        assert config == replace(usual, hidden=(8,), n_epochs=1, learning_rate=rate)
-        texts = {name: (tmp_path / "a" / name).read_bytes() for name in ("report.md", "best.yml")}
-        assert {each.name for each in (tmp_path / "a").iterdir()} == {
-            "sweep.yml", "study.db", "report.md", "best.yml", "history.png", "curves.png",
-        }  # fmt: skip
-        main([str(file), "--out", str(tmp_path), "--name", "a"])  # which has nothing left to do
-        assert {name: (tmp_path / "a" / name).read_bytes() for name in texts} == texts
+def printed(file: Path, folder: Path) -> str:
+    """What a search prints."""
+    with open(os.devnull, "w") as nowhere:
+        console = Console(record=True, width=200, file=nowhere)
+        search(file, folder, 1, console)
+        return console.export_text()
 
-    def test_an_interrupt_is_reported(self, file, tmp_path, monkeypatch) -> None:
-        def stop(*_: object) -> Iterator[None]:
-            raise KeyboardInterrupt
 
-        monkeypatch.setattr("surface_gym.agents.tuning.study.run_trial", stop)
-        with open(os.devnull, "w") as nowhere:
-            console = Console(record=True, width=200, file=nowhere)
-            search(file, tmp_path / "a", 1, console)
-            printed = console.export_text()
-        assert f"holds 0 trials; python train.py --resume {tmp_path / 'a'} resumes it" in printed
+def test_it_leaves_a_configuration_that_learns(file, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("surface_gym.agents.tuning.study.STARTS", 16)
+    folder = tmp_path / "a"
+    text = printed(file, folder)
+    assert "the best is trial" in text
+    assert "report.md and best.yml" in text
+    with open_study(SMALL, folder) as kept:
+        best = best_trial(finished_trials(kept))
+    config, usual = defaults("slow", "ppo", folder / "best.yml"), defaults("slow", "ppo")
+    assert isinstance(usual, PPOConfig)
+    rate = best.params["learning_rate"]
+    assert config == replace(usual, hidden=(8,), n_epochs=1, learning_rate=rate)
+    texts = {name: (folder / name).read_bytes() for name in ("report.md", "best.yml")}
+    names = {each.name for each in folder.iterdir()}
+    assert names == {*texts, "sweep.yml", "study.db", "history.png", "curves.png"}
+    main([str(file), "--out", str(tmp_path), "--name", "a"])  # which has nothing left to do
+    assert {name: (folder / name).read_bytes() for name in texts} == texts
 
-    def test_a_folder_of_another_search_is_refused(self, file, tmp_path) -> None:
-        first = open_folder(file, tmp_path / "a")
-        assert open_folder(file, tmp_path / "a") == first
-        assert (tmp_path / "a" / "sweep.yml").read_text() == SHORT
-        file.write_text(SHORT + "seed: 5\n")
-        with pytest.raises(SystemExit, match=r"folder must be of this search.*seed is 0 there, 5"):
-            main([str(file), "--out", str(tmp_path), "--name", "a"])
-        for folder in (tmp_path, file):
-            with pytest.raises(ValueError, match="folder must be new, or a search's"):
-                search(file, folder, 1, QUIET)
 
-    def test_without_optuna_it_says_what_to_install(self, file, tmp_path, monkeypatch) -> None:
-        monkeypatch.setattr(cli, "find_spec", lambda _: None)
+def test_an_interrupt_is_reported(file, tmp_path, monkeypatch) -> None:
+    def stop(*_: object) -> Iterator[None]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("surface_gym.agents.tuning.study.run_trial", stop)
+    expected = f"holds 0 trials; python train.py --resume {tmp_path / 'a'} resumes it"
+    assert expected in printed(file, tmp_path / "a")
+
+
+def test_what_cannot_be_searched_is_refused(file, tmp_path, monkeypatch) -> None:
+    """Nothing is written, or another search's folder left as it is."""
+    with pytest.raises(ValueError, match="workers"):
+        search(file, tmp_path / "a", 0, QUIET)
+    with monkeypatch.context() as patch:
+        patch.setattr(cli, "find_spec", lambda _: None)
         with pytest.raises(ValueError, match=r"pip install 'surface_gym\[search\]'"):
-            search(file, tmp_path / "a", 1, QUIET)
-        assert not (tmp_path / "a").exists()
-
-    def test_it_takes_a_worker(self, file, tmp_path) -> None:
-        with pytest.raises(ValueError, match="workers"):
-            search(file, tmp_path / "a", 0, QUIET)
+            search(file, tmp_path / "b", 1, QUIET)
+    assert not (tmp_path / "b").exists()
+    first = open_folder(file, tmp_path / "a")
+    assert open_folder(file, tmp_path / "a") == first
+    assert (tmp_path / "a" / "sweep.yml").read_text() == SHORT
+    file.write_text(SHORT + "seed: 5\n")
+    with pytest.raises(SystemExit, match=r"folder must be of this search.*seed is 0 there, 5"):
+        main([str(file), "--out", str(tmp_path), "--name", "a"])
+    for folder in (tmp_path, file):
+        with pytest.raises(ValueError, match="folder must be new, or a search's"):
+            search(file, folder, 1, QUIET)
 
 
 SWEEP = replace(SMALL, trials=24, seeds=2)
@@ -115,14 +115,11 @@ def trials(tmp_path_factory: pytest.TempPathFactory) -> list[FrozenTrial]:
 
 def table(page: str, head: str) -> list[list[str]]:
     """The rows of the table of a page that begins with a column's name."""
-    lines = page.splitlines()
-    first = next(k for k, line in enumerate(lines) if line.startswith(f"| {head} |"))
-    rows = []
-    for line in lines[first + 2 :]:
-        if not line.startswith("|"):
-            break
-        rows.append([value.strip() for value in line.strip("|").split("|")])
-    return rows
+    text = page[page.index(f"\n| {head} |") + 1 :].partition("\n\n")[0]
+    return [
+        [value.strip() for value in line.strip().strip("|").split("|")]
+        for line in text.splitlines()[2:]
+    ]
 
 
 class TestReport:
@@ -160,31 +157,20 @@ class TestReport:
         assert names == {"report.md", "history.png", "curves.png"}
 
 
-class TestImportance:
-    sweep = Sweep(
-        trials=60,
-        pruner="none",
-        sampler="random",
-        space={
-            "learning_rate": Span(1e-4, 1e-2),
-            "gae_lambda": Span(0.0, 1.0),
-            "n_epochs": Span(1, 9),
-            "hidden": Choices([[8], [8, 8]]),
-        },
-    )
-
-    def test_what_counts_has_the_largest_share(self, tmp_path) -> None:
-        trials = searched(self.sweep, tmp_path)
-        shares = importance(self.sweep, in_memory(*trials))
-        assert next(iter(shares)) == "learning_rate"
-        assert shares["learning_rate"] > 0.5
-        assert sum(shares.values()) == pytest.approx(1.0)
-        assert set(shares) == set(self.sweep.space)
-        assert list(shares.values()) == sorted(shares.values(), reverse=True)
-        assert importance(self.sweep, in_memory(*trials[:MIN_COMPLETE])) is not None
-        assert importance(self.sweep, in_memory(*trials[: MIN_COMPLETE - 1])) is None
-        for each in trials:
-            each.value = 0.0
-        assert importance(self.sweep, in_memory(*trials)) is None
-        trials[0].value = 1.0
-        assert importance(self.sweep, in_memory(*trials)) is None
+def test_what_counts_has_the_largest_share(tmp_path) -> None:
+    space = {**SMALL.space, "learning_rate": Span(1e-4, 1e-2), "gae_lambda": Span(0.0, 1.0)}
+    sweep = Sweep(trials=60, pruner="none", sampler="random", space=space)
+    trials = searched(sweep, tmp_path)
+    shares = importance(sweep, in_memory(*trials))
+    assert next(iter(shares)) == "learning_rate"
+    assert shares["learning_rate"] > 0.5
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert set(shares) == set(sweep.space)
+    assert list(shares.values()) == sorted(shares.values(), reverse=True)
+    assert importance(sweep, in_memory(*trials[:MIN_COMPLETE])) is not None
+    assert importance(sweep, in_memory(*trials[: MIN_COMPLETE - 1])) is None
+    for each in trials:
+        each.value = 0.0
+    assert importance(sweep, in_memory(*trials)) is None
+    trials[0].value = 1.0
+    assert importance(sweep, in_memory(*trials)) is None

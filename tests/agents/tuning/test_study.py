@@ -38,6 +38,12 @@ def trial(values: dict[int, float], state: TrialState = TrialState.COMPLETE) -> 
     return create_trial(state=state, value=value, intermediate_values=values)
 
 
+def finished(folder: Path, sweep: Sweep = SMALL) -> tuple[FrozenTrial, ...]:
+    """The trials that a folder holds."""
+    with study.open_study(sweep, folder) as kept:
+        return tuple(study.finished_trials(kept))
+
+
 class TestTrials:
     def test_values_lie_in_the_space_and_tpe_finds_better_ones(self, tmp_path) -> None:
         sweep = replace(SMALL, trials=40, seed=0, pruner="none")
@@ -61,21 +67,17 @@ class TestTrials:
 
     def test_refused_and_failed_trials_are_kept_with_their_reasons(self, tmp_path) -> None:
         trials = searched(RANDOM, tmp_path, refused_or_failed)
-        assert {study.describe_state(each) for each in trials} == {
-            "refused: no",
-            "failed: nan",
-            "complete",
-        }
-        with study.open_study(RANDOM, tmp_path) as kept:
-            assert len(study.finished_trials(kept)) == len(trials) == 12
+        states = {study.describe_state(each) for each in trials}
+        assert states == {"refused: no", "failed: nan", "complete"}
+        assert len(finished(tmp_path, RANDOM)) == len(trials) == 12
 
     def test_the_best_is_the_first_of_equals(self) -> None:
-        trials = [trial({1: 0.2}), trial({1: 0.9}, TrialState.PRUNED), trial({1: 0.5})]
-        trials.append(trial({1: 0.5}))
+        pruned = trial({1: 0.9}, TrialState.PRUNED)
+        trials = [trial({1: 0.2}), pruned, trial({1: 0.5}), trial({1: 0.5})]
         for number, each in enumerate(trials):
             each.number = number
         assert study.best_trial(trials) is trials[2]
-        assert study.best_trial(trials[1:2]) is None
+        assert study.best_trial([pruned]) is None
 
 
 def refused_or_failed(
@@ -95,12 +97,10 @@ class TestPruning:
     def pruning(self, pruner: str, past: tuple[FrozenTrial, ...]) -> study.Pruning:
         return study.Pruning(replace(SMALL, pruner=pruner), past, lambda _: None)
 
-    @pytest.mark.parametrize("pruner", ["median", "halving", "none"])
-    def test_nothing_is_pruned_without_others(self, pruner) -> None:
-        prune = self.pruning(pruner, ())
-        assert not any(prune(number, 0.0) for number in (1, 2, 3))
-
     def test_below_the_median_of_complete_trials_it_ends(self) -> None:
+        for pruner in ("median", "halving", "none"):  # nothing is pruned without others
+            prune = self.pruning(pruner, ())
+            assert not any(prune(number, 0.0) for number in (1, 2, 3))
         assert self.pruning("median", self.past)(1, 0.14)
         pruned = tuple(trial({1: 9.0}, TrialState.PRUNED) for _ in range(4))
         prune = self.pruning("median", self.past + pruned)
@@ -111,8 +111,7 @@ class TestPruning:
 
     def test_halving_lets_the_best_quarter_of_a_rung_on(self, tmp_path) -> None:
         searched(replace(SMALL, pruner="halving"), tmp_path)
-        with study.open_study(SMALL, tmp_path) as kept:
-            past = tuple(study.finished_trials(kept))
+        past = finished(tmp_path)
         rungs = sorted(each.system_attrs["completed_rung_0"] for each in past)
         assert self.pruning("halving", past)(1, rungs[0])
         assert not self.pruning("halving", past)(1, rungs[-1] + 0.1)
@@ -131,14 +130,12 @@ class TestResuming:
         before = searched(SMALL, tmp_path, partial(stopping, at))
         assert len(before) == at + 1
         trials = searched(SMALL, tmp_path)
-        assert [each.params for each in trials[:at]] == [each.params for each in before[:at]]
-        assert [each.datetime_complete for each in trials[:at]] == [
-            each.datetime_complete for each in before[:at]
-        ]
+        for one, other in zip(before[:at], trials, strict=False):
+            assert one.params == other.params
+            assert one.datetime_complete == other.datetime_complete
         assert trials[at].state == TrialState.FAIL
         assert trials[at + 1].params == trials[at].params == before[at].params
-        with study.open_study(SMALL, tmp_path) as kept:
-            assert len(study.finished_trials(kept)) == 14
+        assert len(finished(tmp_path)) == 14
         assert searched(SMALL, tmp_path) == trials  # nothing is left to do
 
     def test_a_killed_search_is_resumed(self, tmp_path) -> None:
@@ -147,23 +144,18 @@ class TestResuming:
             "slow_search\nif __name__ == '__main__': slow_search(Path(sys.argv[1]))"
         )
         (tmp_path / "go.py").write_text(call)
-        process = subprocess.Popen(
-            [sys.executable, str(tmp_path / "go.py"), str(tmp_path)],
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-        )
-        url = f"sqlite:///{tmp_path / study.FILE}"
+        command = [sys.executable, str(tmp_path / "go.py"), str(tmp_path)]
+        process = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(ROOT)})
         found: list[FrozenTrial] = []
         while process.poll() is None and len(found) < 2:
             time.sleep(0.2)
             if (tmp_path / study.FILE).exists():
-                found = look(url)
+                found = look(f"sqlite:///{tmp_path / study.FILE}")
         process.send_signal(signal.SIGKILL)
         assert process.wait() == -signal.SIGKILL  # before it was done
         trials = searched(SMALL, tmp_path)
-        for each in found:
-            assert trials[each.number].value == each.value
-        with study.open_study(SMALL, tmp_path) as kept:
-            assert len(study.finished_trials(kept)) == 14
+        assert [trials[each.number].value for each in found] == [each.value for each in found]
+        assert len(finished(tmp_path)) == 14
 
 
 def look(url: str) -> list[FrozenTrial]:
@@ -201,17 +193,22 @@ class TestTrial:
     def few_starts(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(study, "STARTS", 32)
 
-    def run(self, sweep: Sweep = SWEEP, past: Any = (), **changed: Any) -> tuple[TrialResult, Any]:
+    def run(
+        self, sweep: Sweep = SWEEP, past: Any = (), params: Any = PARAMS, **changed: Any
+    ) -> tuple[TrialResult, Any]:
         reported: list[tuple[int, float]] = []
-        return study.run_trial(sweep, {**PARAMS, **changed}, past, reported.append), reported
+        return study.run_trial(sweep, {**params, **changed}, past, reported.append), reported
 
-    def test_it_is_complete_and_the_same_again(self) -> None:
+    def test_it_is_complete_and_the_same_again_but_ends_below_the_median(self) -> None:
         result, reported = self.run()
         assert (result.state, result.why) == (study.COMPLETE, "")
         assert result.value is not None
         assert np.isfinite(result.value)
         assert [number for number, _ in reported] == [1, 2]
         assert self.run() == (result, reported)
+        result, reported = self.run(past=(trial({1: 100.0, 2: 100.0}),))
+        assert result == TrialResult(study.PRUNED)
+        assert [number for number, _ in reported] == [1]
 
     def test_every_seed_is_evaluated_and_their_mean_counts(self) -> None:
         short = replace(SWEEP, steps=20_000, evaluations=1, seeds=2)
@@ -221,11 +218,6 @@ class TestTrial:
         _, of_second = self.run(replace(short, seeds=1, seed=1))
         assert reported == [of_first[0], (2, of_second[0][1])]
         assert both.value != first.value
-
-    def test_below_the_median_it_ends(self) -> None:
-        result, reported = self.run(past=(trial({1: 100.0, 2: 100.0}),))
-        assert result == TrialResult(study.PRUNED)
-        assert [number for number, _ in reported] == [1]
 
     def test_a_configuration_that_is_not_allowed_is_refused(self) -> None:
         result, reported = self.run(n_steps=25)
@@ -251,42 +243,29 @@ class TestTrial:
         ],
     )
     def test_other_algorithms(self, algo, task, fixed) -> None:
-        sweep = Sweep(
-            algo=algo, task=task, steps=20_000, evaluations=1,
-            space={"gamma": Choices([0.9, 0.99])}, fixed=fixed,
-        )  # fmt: skip
-        reported: list[tuple[int, float]] = []
-        result = study.run_trial(sweep, {"gamma": 0.9}, (), reported.append)
+        space = {"gamma": Choices([0.9, 0.99])}
+        sweep = Sweep(algo=algo, task=task, steps=20_000, evaluations=1, space=space, fixed=fixed)
+        result, reported = self.run(sweep, params={"gamma": 0.9})
         assert result.state == study.COMPLETE
         assert result.value is not None
         assert 0.0 <= result.value <= 1.0
         assert [number for number, _ in reported] == [1]
 
 
-class TestJudgement:
+def test_a_policy_is_judged_by_starts_of_their_own(tmp_path, monkeypatch) -> None:
+    """By the share that succeed, whatever was learned from; nothing is compared on them."""
     sweep = replace(SWEEP, task="sort", metric="success", seed=5, fixed={"camera_share": 0.0})
     config = PPOConfig(steps=60_000, camera_share=0.0, hidden=(16,))
-
-    @pytest.fixture(scope="class")
-    @classmethod
-    def folder(cls, tmp_path_factory: pytest.TempPathFactory) -> Path:
-        folder = tmp_path_factory.mktemp("run")
-        train(cls.config, folder)
-        return folder
-
-    def test_it_is_the_share_of_starts_that_succeed_whatever_was_learned_from(
-        self, folder, monkeypatch
-    ) -> None:
-        monkeypatch.setattr(study, "STARTS", 100)
-        env_config = make_card(self.config).env_config()
-        alone = run_episodes(load_policy(folder), env_config, [{}] * 100, study.JUDGE_SEED + 5)
-        judged = study.score_policy(self.config, self.sweep, folder)
-        assert judged == alone.success.mean()
-        assert 0.0 < judged < 1.0
-        other = replace(self.config, camera_share=1.0, friction=0.9, num_envs=128, seed=9)
-        assert study.score_policy(other, self.sweep, folder) == judged
-
-    def test_nothing_is_learned_or_compared_on_these_starts(self) -> None:
-        with pytest.raises(ValueError, match="between 0 and 2"):
-            np.random.RandomState(study.JUDGE_SEED)  # what Stable-Baselines3 learns by
-        assert SEED + DRAWN + study.STARTS < study.JUDGE_SEED
+    train(config, tmp_path)
+    monkeypatch.setattr(study, "STARTS", 100)
+    policy, seed = load_policy(tmp_path), study.JUDGE_SEED + 5
+    alone = run_episodes(policy, make_card(config).env_config(), [{}] * 100, seed)
+    judged = study.score_policy(config, sweep, tmp_path)
+    assert judged == alone.success.mean()
+    assert 0.0 < judged < 1.0
+    other = replace(config, camera_share=1.0, friction=0.9, num_envs=128, seed=9)
+    assert study.score_policy(other, sweep, tmp_path) == judged
+    with pytest.raises(ValueError, match="between 0 and 2"):
+        np.random.RandomState(study.JUDGE_SEED)  # what Stable-Baselines3 learns by
+    monkeypatch.undo()
+    assert SEED + DRAWN + study.STARTS < study.JUDGE_SEED
