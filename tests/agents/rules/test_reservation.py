@@ -16,7 +16,7 @@ from surface_gym.flow.task import FEATURES, PRESENT, WAITS
 from surface_gym.layouts import box
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Camera
-from tests.agents.rules.lines import counts, gated, line
+from tests.agents.rules.runs import counts, gated, line
 from tests.flow.flows import BOX, trace
 
 

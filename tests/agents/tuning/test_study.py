@@ -1,10 +1,11 @@
-"""A study: what is sampled, pruned and kept, however it is interrupted; and one real trial."""
+"""A search: what is sampled, pruned and kept, however interrupted; its command and its report."""
 
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,19 +15,31 @@ import numpy as np
 import optuna
 import pytest
 from optuna.trial import FrozenTrial, TrialState, create_trial
+from rich.console import Console
 
 from surface_gym.agents.evaluation.benchmark import SEED
-from surface_gym.agents.learning.config import PPOConfig, make_card
+from surface_gym.agents.learning.config import PPOConfig, defaults, make_card
 from surface_gym.agents.learning.runs import TrainResult
 from surface_gym.agents.learning.train import train
 from surface_gym.agents.policy import load_policy
 from surface_gym.agents.rollout import run_episodes
-from surface_gym.agents.tuning import study
-from surface_gym.agents.tuning.study import TrialResult
+from surface_gym.agents.tuning import cli, study
+from surface_gym.agents.tuning.cli import main, open_folder, search
+from surface_gym.agents.tuning.study import (
+    MIN_COMPLETE,
+    REASON,
+    TrialResult,
+    best_trial,
+    finished_trials,
+    importance,
+    open_study,
+    plain_params,
+    write_report,
+)
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
 from surface_gym.parallel import Report
 from surface_gym.tasks.benchmark import DRAWN
-from tests.agents.tuning.cheap import SMALL, cheap_trial, searched
+from tests.agents.tuning.cheap import QUIET, SMALL, cheap_trial, searched
 
 ROOT = Path(__file__).parents[3]
 RANDOM = replace(SMALL, sampler="random", pruner="none", trials=12)
@@ -269,3 +282,153 @@ def test_a_policy_is_judged_by_starts_of_their_own(tmp_path, monkeypatch) -> Non
         np.random.RandomState(study.JUDGE_SEED)  # what Stable-Baselines3 learns by
     monkeypatch.undo()
     assert SEED + DRAWN + study.STARTS < study.JUDGE_SEED
+
+
+SHORT = """
+task: slow
+trials: 2
+steps: 20000
+evaluations: 1
+space: {learning_rate: {low: 0.0001, high: 0.003}}
+fixed: {hidden: [8], n_epochs: 1}
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    file = tmp_path / "short.yml"
+    file.write_text(SHORT)
+    return file
+
+
+def printed(file: Path, folder: Path) -> str:
+    """What a search prints."""
+    with open(os.devnull, "w") as nowhere:
+        console = Console(record=True, width=200, file=nowhere)
+        search(file, folder, 1, console)
+        return console.export_text()
+
+
+def test_it_leaves_a_configuration_that_learns(file, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("surface_gym.agents.tuning.study.STARTS", 16)
+    folder = tmp_path / "a"
+    text = printed(file, folder)
+    assert "the best is trial" in text
+    assert "report.md and best.yml" in text
+    with open_study(SMALL, folder) as kept:
+        best = best_trial(finished_trials(kept))
+    config, usual = defaults("slow", "ppo", folder / "best.yml"), defaults("slow", "ppo")
+    assert isinstance(usual, PPOConfig)
+    rate = best.params["learning_rate"]
+    assert config == replace(usual, hidden=(8,), n_epochs=1, learning_rate=rate)
+    texts = {name: (folder / name).read_bytes() for name in ("report.md", "best.yml")}
+    names = {each.name for each in folder.iterdir()}
+    assert names == {*texts, "sweep.yml", "study.db", "history.png", "curves.png"}
+    main([str(file), "--out", str(tmp_path), "--name", "a"])  # which has nothing left to do
+    assert {name: (folder / name).read_bytes() for name in texts} == texts
+
+
+def test_an_interrupt_is_reported(file, tmp_path, monkeypatch) -> None:
+    def stop(*_: object) -> Iterator[None]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("surface_gym.agents.tuning.study.run_trial", stop)
+    expected = f"holds 0 trials; python train.py --resume {tmp_path / 'a'} resumes it"
+    assert expected in printed(file, tmp_path / "a")
+
+
+def test_what_cannot_be_searched_is_refused(file, tmp_path, monkeypatch) -> None:
+    """Nothing is written, or another search's folder left as it is."""
+    with pytest.raises(ValueError, match="workers"):
+        search(file, tmp_path / "a", 0, QUIET)
+    with monkeypatch.context() as patch:
+        patch.setattr(cli, "find_spec", lambda _: None)
+        with pytest.raises(ValueError, match=r"pip install 'surface_gym\[search\]'"):
+            search(file, tmp_path / "b", 1, QUIET)
+    assert not (tmp_path / "b").exists()
+    first = open_folder(file, tmp_path / "a")
+    assert open_folder(file, tmp_path / "a") == first
+    assert (tmp_path / "a" / "sweep.yml").read_text() == SHORT
+    file.write_text(SHORT + "seed: 5\n")
+    with pytest.raises(SystemExit, match=r"folder must be of this search.*seed is 0 there, 5"):
+        main([str(file), "--out", str(tmp_path), "--name", "a"])
+    for folder in (tmp_path, file):
+        with pytest.raises(ValueError, match="folder must be new, or a search's"):
+            search(file, folder, 1, QUIET)
+
+
+REPORTED = replace(SMALL, trials=24, seeds=2)
+
+
+def in_memory(*trials: FrozenTrial) -> optuna.Study:
+    study = optuna.create_study(direction="maximize")
+    study.add_trials(trials)
+    return study
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory: pytest.TempPathFactory) -> list[FrozenTrial]:
+    return searched(REPORTED, tmp_path_factory.mktemp("report"))
+
+
+def table(page: str, head: str) -> list[list[str]]:
+    """The rows of the table of a page that begins with a column's name."""
+    text = page[page.index(f"\n| {head} |") + 1 :].partition("\n\n")[0]
+    return [
+        [value.strip() for value in line.strip().strip("|").split("|")]
+        for line in text.splitlines()[2:]
+    ]
+
+
+class TestReport:
+    def test_the_page_lists_every_trial_and_the_best(self, trials, tmp_path) -> None:
+        interrupted = create_trial(state=TrialState.FAIL)
+        write_report(REPORTED, in_memory(*trials, interrupted), tmp_path)
+        page = (tmp_path / "report.md").read_text()
+        best = best_trial(trials)
+        assert f"## Best: trial {best.number}, success {best.value:.4g}" in page
+        rows = table(page, "trial")
+        assert [row[:2] for row in rows] == [[str(t.number), t.state.name.lower()] for t in trials]
+        assert float(rows[best.number][2]) == pytest.approx(best.value, rel=1e-3)
+        names = [row[0] for row in table(page[page.index("## Importance") :], "hyper-parameter")]
+        assert sorted(names) == sorted(REPORTED.space)
+        for picture in ("history.png", "curves.png", "importance.png"):
+            assert f"![]({picture})" in page
+            assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
+        config = defaults(REPORTED.task, REPORTED.algo, tmp_path / "best.yml")
+        usual = defaults(REPORTED.task, REPORTED.algo)
+        found = REPORTED.config(plain_params(REPORTED, best))
+        assert config == replace(found, steps=usual.steps, seed=usual.seed)
+
+    def test_without_a_complete_trial_there_is_no_best(self, trials, tmp_path) -> None:
+        given = {"params": trials[0].params, "distributions": trials[0].distributions}
+        refused = create_trial(
+            state=TrialState.FAIL, user_attrs={REASON: "refused: a | b"}, **given
+        )
+        pruned = create_trial(state=TrialState.PRUNED, intermediate_values={1: 0.5}, **given)
+        write_report(REPORTED, in_memory(refused, pruned), tmp_path)
+        page = (tmp_path / "report.md").read_text()
+        assert "1 pruned, 1 refused; none is complete, so none is best" in page
+        assert f"It takes {MIN_COMPLETE} complete trials" in page
+        assert table(page, "trial")[0][1] == "refused: a / b"
+        names = {each.name for each in tmp_path.iterdir()}
+        assert names == {"report.md", "history.png", "curves.png"}
+
+
+def test_what_counts_has_the_largest_share(tmp_path) -> None:
+    space = {**SMALL.space, "learning_rate": Span(1e-4, 1e-2), "gae_lambda": Span(0.0, 1.0)}
+    sweep = Sweep(trials=60, pruner="none", sampler="random", space=space)
+    trials = searched(sweep, tmp_path)
+    shares = importance(sweep, in_memory(*trials))
+    assert next(iter(shares)) == "learning_rate"
+    assert shares["learning_rate"] > 0.5
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert set(shares) == set(sweep.space)
+    assert list(shares.values()) == sorted(shares.values(), reverse=True)
+    assert importance(sweep, in_memory(*trials[:MIN_COMPLETE])) is not None
+    assert importance(sweep, in_memory(*trials[: MIN_COMPLETE - 1])) is None
+    for each in trials:
+        each.value = 0.0
+    assert importance(sweep, in_memory(*trials)) is None
+    trials[0].value = 1.0
+    assert importance(sweep, in_memory(*trials)) is None
