@@ -9,6 +9,7 @@ import yaml
 
 from surface_gym import agents
 from surface_gym.agents.library import SHELF, read
+from surface_gym.agents.rollout import run_episodes
 from surface_gym.tasks import TASKS
 
 FLOW = "flow-ppo"
@@ -66,22 +67,15 @@ def test_unknown_names_and_seeds_are_refused(tmp_path) -> None:
         read(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["sort-ppo", "stop-ppo", "track-ppo"])
-def test_a_few_starts_go_as_the_card_says(name) -> None:
+@pytest.mark.parametrize(
+    ("name", "start"),
+    [("sort-ppo", {"speed": 0.6}), ("stop-ppo", {}), ("track-ppo", {"tilt": 0.21})],
+)
+def test_a_few_starts_go_as_the_card_says(name, start) -> None:
     """Under exact sensors the card promises nearly every start."""
     policy = agents.load(name)
-    options = {"speed": 0.6, "parcel": "S"} if name == "sort-ppo" else {"parcel": "S"}
-    if name == "track-ppo":
-        options["tilt"] = 0.21
-    for seed in range(3):
-        env = gym.make(policy.env_id, **policy.env_kwargs)
-        observation, info = env.reset(seed=seed, options=options)
-        over = False
-        while not over:
-            action, _ = policy.predict(observation)
-            observation, _, terminated, truncated, info = env.step(action)
-            over = terminated or truncated
-        assert info["is_success"]
+    config, starts = policy.card.env_config(), [{"parcel": "S", **start}] * 3
+    assert run_episodes(policy, config, starts, seed=0).success.all()
 
 
 def test_a_missing_library_is_reported_with_its_extra(monkeypatch) -> None:

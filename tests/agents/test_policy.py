@@ -12,7 +12,6 @@ import pytest
 import torch
 import yaml
 from gymnasium import spaces
-from stable_baselines3.common.distributions import MultiCategoricalDistribution
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from surface_gym import agents
@@ -207,35 +206,13 @@ def test_damage_and_absence_are_named(folder) -> None:
 CHOICES, OPTIONS, NUM_ENVS = 25, 4, 7
 
 
-@pytest.fixture
-def logits() -> torch.Tensor:
-    generator = torch.Generator().manual_seed(0)
-    return 2.0 * torch.randn((NUM_ENVS, CHOICES * OPTIONS), generator=generator)
-
-
-def both(logits: torch.Tensor) -> tuple[EqualCategoricals, MultiCategoricalDistribution]:
-    ours = EqualCategoricals(CHOICES, OPTIONS).proba_distribution(logits)
-    return ours, MultiCategoricalDistribution([OPTIONS] * CHOICES).proba_distribution(logits)
-
-
-def test_gradients_are_theirs(logits) -> None:
-    actions = both(logits)[1].sample()
-    gradients = []
-    for of in (0, 1):
-        leaf = logits.clone().requires_grad_()
-        distribution = both(leaf)[of]
-        (distribution.log_prob(actions).sum() + 0.1 * distribution.entropy().sum()).backward()
-        gradients.append(leaf.grad)
-    torch.testing.assert_close(gradients[0], gradients[1])
-
-
 def test_samples_fall_as_often_as_they_should() -> None:
     """Each option's share lies within 5 standard errors of its probability."""
     torch.manual_seed(0)
     draws = 20_000
     row = torch.randn((1, CHOICES * OPTIONS), generator=torch.Generator().manual_seed(1))
-    ours, theirs = both(row.expand(draws, -1))
-    wanted = torch.stack([each.probs[0] for each in theirs.distribution])
+    wanted = row.reshape(CHOICES, OPTIONS).softmax(dim=1)
+    ours = EqualCategoricals(CHOICES, OPTIONS).proba_distribution(row.expand(draws, -1))
     samples = ours.sample()
     assert samples.shape == (draws, CHOICES)
     share = torch.nn.functional.one_hot(samples, OPTIONS).double().mean(dim=0)
@@ -243,22 +220,28 @@ def test_samples_fall_as_often_as_they_should() -> None:
     assert bool(((share - wanted).abs() < 5.0 * error).all())
 
 
-def test_a_policy_is_theirs_to_the_weights() -> None:
+def test_a_policy_is_theirs_to_the_weights_and_gradients() -> None:
     observations, actions = spaces.Box(-1.0, 1.0, (3,)), spaces.MultiDiscrete([OPTIONS] * CHOICES)
     ours = EqualChoicesPolicy(observations, actions, lambda _: 1e-3, net_arch=[8])
     theirs = ActorCriticPolicy(observations, actions, lambda _: 1e-3, net_arch=[8])
     theirs.load_state_dict(ours.state_dict())
     assert isinstance(ours.action_dist, EqualCategoricals)
-    seen = np.random.default_rng(0).normal(size=(NUM_ENVS, 3)).astype(np.float32)
+    seen = np.random.default_rng(0).normal(size=(7, 3)).astype(np.float32)
     chosen, _ = ours.predict(seen, deterministic=True)
     np.testing.assert_array_equal(chosen, theirs.predict(seen, deterministic=True)[0])
-    given = torch.from_numpy(seen), torch.from_numpy(chosen)
-    for mine, other in zip(
-        ours.evaluate_actions(*given), theirs.evaluate_actions(*given), strict=True
-    ):
-        torch.testing.assert_close(mine, other)
-    single, _ = ours.predict(seen[0], deterministic=True)
-    np.testing.assert_array_equal(single, chosen[0])
+    np.testing.assert_array_equal(ours.predict(seen[0], deterministic=True)[0], chosen[0])
+    random = actions.sample()[None].repeat(7, axis=0)
+    for some in (chosen, random):
+        results: list[tuple[torch.Tensor, ...]] = []
+        for policy in (ours, theirs):
+            policy.zero_grad()
+            found = policy.evaluate_actions(torch.from_numpy(seen), torch.from_numpy(some))
+            sum(part.sum() * (k + 1) for k, part in enumerate(found)).backward()
+            results.append(found)
+        for mine, other in zip(*results, strict=True):
+            torch.testing.assert_close(mine, other)
+        for mine, other in zip(ours.parameters(), theirs.parameters(), strict=True):
+            torch.testing.assert_close(mine.grad, other.grad)
 
 
 @pytest.mark.parametrize("space", [spaces.Discrete(4), spaces.MultiDiscrete([2, 3])])

@@ -45,12 +45,8 @@ def test_a_new_run_has_a_new_folder_which_is_resumed_as_it_was_asked_for(tmp_pat
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        ("--steps 0", "steps"),
-        ("--gamma 2", "gamma"),
-        ("--task juggle", "juggle"),
-        ("--algo sac", "sac"),
-        ("--hidden x", "hidden"),
-        ("--algo dqn --actions window", "actions"),
+        ("--steps 0", "steps"), ("--gamma 2", "gamma"), ("--task juggle", "juggle"),
+        ("--algo sac", "sac"), ("--hidden x", "hidden"), ("--algo dqn --actions window", "actions"),
         ("--algo modules --task slow", "task must be one of 'sort'"),
         ("--resume nowhere", "nowhere"),
         ("--resume nowhere --steps 5", "--resume must stand alone"),
@@ -63,10 +59,9 @@ def test_a_new_run_has_a_new_folder_which_is_resumed_as_it_was_asked_for(tmp_pat
         ("--device cuda --camera-share 0.5", "camera_share must be 0.0 for device 'cuda', got 0.5"),
         ("--device cuda --zones 8", "zones must be () for device 'cuda', got (8,)"),
         ("--device cuda --preset lab", "preset must be 'nominal' for device 'cuda', got 'lab'"),
-        ("--device tpu", "tpu"),
-        ("--device cuda", NO_GPU),
+        ("--device tpu", "tpu"), ("--device cuda", NO_GPU),
     ],
-)
+)  # fmt: skip
 def test_refusals_name_what_is_wrong_and_leave_no_folder(
     arguments, named, monkeypatch, capsys
 ) -> None:
@@ -128,12 +123,3 @@ def test_the_command_of_a_card_trains_the_same(tmp_path) -> None:
         "command": command, "seeds": [0], "steps": [100], "seconds": [1],
         "results": {"exact": {"success": 1.0}},
     }  # fmt: skip
-
-
-def test_a_users_task_must_be_named_when_its_run_is_resumed(tmp_path) -> None:
-    task = f"{Path(__file__).parents[2]}/examples/haste.py:Haste"
-    runs.write_config(configs.PPOConfig(task=task), tmp_path / "config.yaml")
-    with pytest.raises(ValueError, match="name it by --task"):
-        runs.read_config(tmp_path / "config.yaml")
-    resumed = parse_arguments(["--resume", str(tmp_path), "--task", task])
-    assert resumed.config == configs.PPOConfig(task=task)

@@ -1,4 +1,4 @@
-"""An export decides as its policy does, mistakes are found, and the command writes what it tried."""
+"""An export decides as its policy does, mistakes are found; the command writes what it tried."""
 
 import json
 import sys

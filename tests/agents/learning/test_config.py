@@ -12,6 +12,7 @@ import yaml
 from surface_gym.agents.learning.config import (
     CONFIGS,
     FOLDER,
+    RENAMED,
     DQNConfig,
     ModulesConfig,
     ParcelsConfig,
@@ -81,10 +82,6 @@ def test_defaults_are_understood_in_the_zoos_schema(task, algo) -> None:
     for field in fields(config):
         if field.name in entry and field.name != "learning_rate":
             assert getattr(config, field.name) == entry[field.name]
-
-
-def test_the_configuration_of_one_seed() -> None:
-    assert config_of_seed(PPOConfig(seeds=3, steps=5), 2) == PPOConfig(seed=2, seeds=1, steps=5)
 
 
 @pytest.mark.parametrize("text", ["", "[1", "algo: sac\nhidden: [1]\nout: a", TRAP])
@@ -172,15 +169,6 @@ def test_a_foreign_file_of_hyperparameters_is_refused(text, named, tmp_path) -> 
         defaults("sort", "ppo", tmp_path / "own.yml")
 
 
-def test_earlier_names_of_fields_are_read(tmp_path) -> None:
-    config = defaults("sort", "modules")
-    write_hyperparams(config, tmp_path / "own.yml")
-    text = (tmp_path / "own.yml").read_text()
-    assert "split_probability" in text
-    (tmp_path / "own.yml").write_text(text.replace("split_probability", "parted"))
-    assert defaults("sort", "modules", tmp_path / "own.yml") == config
-
-
 @pytest.mark.parametrize("task", [*TASKS, f"{ROOT}/examples/reach.py:Reach"])
 def test_every_task_has_defaults_for_a_device(task, tmp_path) -> None:
     config = defaults(task, "ppo", device="cuda")
@@ -200,14 +188,26 @@ def test_every_task_has_defaults_for_a_device(task, tmp_path) -> None:
 
 def test_an_unknown_device_is_refused() -> None:
     with pytest.raises(ValueError, match="device must be one of 'cpu', 'cuda', got 'tpu'"):
-        replace(PPOConfig(), device="tpu")
+        PPOConfig(device="tpu")
     with pytest.raises(ValueError, match="algo must be 'ppo' for device 'cuda', got 'modules'"):
         ModulesConfig(device="cuda", camera_share=0.0)
 
 
-def test_a_run_from_before_there_were_devices_learns_on_the_cpu(tmp_path) -> None:
-    write_config(PPOConfig(), tmp_path / "config.yaml")
-    plain = yaml.safe_load((tmp_path / "config.yaml").read_text())
+def test_what_was_written_before_is_read_too(tmp_path) -> None:
+    """With earlier names of fields, and of a run from before there were devices."""
+    hyperparams, run = tmp_path / "own.yml", tmp_path / "config.yaml"
+    config = defaults("sort", "modules")
+    write_hyperparams(config, hyperparams)
+    assert "split_probability" in hyperparams.read_text()
+    hyperparams.write_text(hyperparams.read_text().replace("split_probability", "parted"))
+    assert defaults("sort", "modules", hyperparams) == config
+    config = ParcelsConfig(slots=8, batch_size=512)
+    write_config(config, run)
+    earlier = {name: before for before, name in RENAMED.items()}
+    plain = yaml.safe_load(run.read_text())
     del plain["device"]
-    (tmp_path / "config.yaml").write_text(yaml.safe_dump(plain))
-    assert read_config(tmp_path / "config.yaml") == PPOConfig()
+    plain = {earlier.get(name, name): value for name, value in plain.items()}
+    assert len(set(plain) & set(RENAMED)) == 3
+    run.write_text(yaml.safe_dump(plain))
+    assert read_config(run) == config
+    assert config_of_seed(PPOConfig(seeds=3, steps=5), 2) == PPOConfig(seed=2, seeds=1, steps=5)

@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 import torch
-import yaml
 from rich.console import Console
 
 from surface_gym import agents
@@ -181,17 +180,6 @@ def test_code_in_a_checkpoint_is_not_run(tmp_path) -> None:
     with pytest.raises(ValueError, match="damaged"):
         run(RUNS["ppo"][0], tmp_path)
     assert not mark.exists()
-
-
-def test_a_configuration_with_earlier_names_is_resumed(tmp_path) -> None:
-    config = configs.ParcelsConfig(slots=8, batch_size=512)
-    runs.write_config(config, tmp_path / "config.yaml")
-    text = (tmp_path / "config.yaml").read_text()
-    for earlier, name in configs.RENAMED.items():
-        text = text.replace(f"{name}:", f"{earlier}:")
-    assert len(set(yaml.safe_load(text)) & set(configs.RENAMED)) == 3
-    (tmp_path / "config.yaml").write_text(text)
-    assert runs.read_config(tmp_path / "config.yaml") == config
 
 
 def test_seeds_in_parallel_give_the_result_of_each_alone(tmp_path) -> None:

@@ -48,16 +48,12 @@ def test_braking_ends_where_it_is_predicted(side, friction) -> None:
     """
     model = model_of(Parcel(Rectangle(side, side)), friction=friction)
     nodes = rolled_in(model)
-    way, x = float(nodes.braking_distance[0]), float(nodes.parcels.truth[0, 0])
+    stops = float(nodes.parcels.truth[0, 0] + nodes.braking_distance[0])
+    way = float(nodes.braking_distance[0])
     for _ in range(30):
         nodes = model.step(model.uniform_action(0.0))
     assert abs(nodes.parcels.truth[0, 3]) < 1e-3
-    assert way == pytest.approx(nodes.parcels.truth[0, 0] - x, rel=0.01, abs=0.015)
-
-
-def test_wide_parcels_are_braked_less() -> None:
-    wide, narrow = (rolled_in(model_of(Parcel(Rectangle(0.5, width)))) for width in (0.5, 0.2))
-    assert wide.braking_distance[0] > 1.1 * narrow.braking_distance[0]
+    assert nodes.parcels.truth[0, 0] == pytest.approx(stops, rel=0.0, abs=max(0.01 * way, 0.015))
 
 
 @pytest.mark.parametrize("quarter", [0.05, 0.1, 0.2])
@@ -125,9 +121,9 @@ SEED = 31
 SLOW_AXES = Actuators(axis_speed=0.5 * math.pi / 0.1, stuck=((9, 8), (10, 11)))
 
 
-def begun(config: EnvConfig, size: int = 4, options: dict[str, Any] | None = None) -> TrueModel:
+def begun(config: EnvConfig, size: int = 4) -> TrueModel:
     model = TrueModel(config, size)
-    model.begin(options or {}, SEED)
+    model.begin({}, SEED)
     return model
 
 
@@ -156,14 +152,6 @@ def test_whatever_the_sensors_say_it_moves_as_the_environment_does(task) -> None
         *_, info = env.step(action)
         np.testing.assert_array_equal(model.parcels.truth[0, :3], info["pose"])
         np.testing.assert_array_equal(model.parcels.truth[0, 3:], info["velocity"])
-
-
-def test_what_an_option_fixes_is_fixed() -> None:
-    model = begun(
-        EnvConfig(task="stop", actions="halves"), options={"speed": 1.25, "position": 1.5}
-    )
-    np.testing.assert_allclose(model.parcels.truth[:, 3], 1.25)
-    np.testing.assert_allclose(model.parcels.goal[:, 0], 1.5)
 
 
 def test_copies_take_their_parents_axes_with_them() -> None:

@@ -19,16 +19,18 @@ from surface_gym.sensors import Camera
 from tests.agents.rules.runs import counts, gated, line
 from tests.flow.flows import BOX, trace
 
+ALL_LEFT = {"left": 1.0}
+
 
 @pytest.mark.parametrize(
     ("stream", "asked"),
     [
         (
-            Stream(Steady(1000.0), parcels=("S", "B"), destinations={"left": 1.0}),
+            Stream(Steady(1000.0), parcels=("S", "B"), destinations=ALL_LEFT),
             [(box("S"), 1.5, "left"), (box("B"), 1.5, "left")],
         ),
         (
-            Stream(Steady(1000.0), destinations={"left": 1.0}, parcels=("S",), speeds=(1.0, 1.15)),
+            Stream(Steady(1000.0), destinations=ALL_LEFT, parcels=("S",), speeds=(1.0, 1.15)),
             [(box("S"), speed, "left") for speed in (1.0, 1.075, 1.15)],
         ),
         (
@@ -40,11 +42,8 @@ from tests.flow.flows import BOX, trace
 )
 def test_every_parcel_speed_and_exit_is_asked_for_once(stream, asked) -> None:
     assert reservation.list_asked(line(stream)) == asked
-
-
-def test_without_destinations_every_exit_is_asked_for() -> None:
-    asked = reservation.list_asked(line(Stream(Steady(1000.0))))
-    assert {name for _, _, name in asked} == {"left", "right", "straight"}
+    without_destinations = reservation.list_asked(line(Stream(Steady(1000.0))))
+    assert {name for _, _, name in without_destinations} == {"left", "right", "straight"}
 
 
 def found(config: EnvConfig) -> reservation.Trajectories:
@@ -53,7 +52,9 @@ def found(config: EnvConfig) -> reservation.Trajectories:
 
 
 def test_trajectories_lead_to_the_exits_and_are_mirror_images() -> None:
-    config = line(Stream(Steady(1000.0), speeds=1.5))
+    """They are those of exact sensors, whatever varies."""
+    stream = Stream(Steady(1000.0), speeds=1.5)
+    config = line(stream)
     trajectories = found(config)
     assert trajectories.right == (True, True, True)
     left, right, straight = trajectories.each
@@ -62,17 +63,15 @@ def test_trajectories_lead_to_the_exits_and_are_mirror_images() -> None:
     np.testing.assert_allclose(left.time, right.time)
     np.testing.assert_allclose(straight.pose[:, 1], middle, atol=1e-9)
     assert straight.pose[-1, 0] > config.rotors_end
-    for each in trajectories.each:
+    varied = line(stream, sensors=Camera(), randomisation=Randomisation(friction=0.2), gate=True)
+    for each, other in zip(trajectories.each, found(varied).each, strict=True):
         assert each.time[0] >= 0.0
         assert (np.diff(each.time) > 0.0).all()
         assert each.outline.shape == (len(BOX.base.outline), 2)
-
-
-def test_they_are_those_of_exact_sensors_whatever_varies() -> None:
-    stream = Stream(Steady(1000.0), speeds=1.5)
-    varied = line(stream, sensors=Camera(), randomisation=Randomisation(friction=0.2), gate=True)
-    for one, other in zip(found(line(stream)).each, found(varied).each, strict=True):
-        np.testing.assert_array_equal(one.pose, other.pose)
+        np.testing.assert_array_equal(each.pose, other.pose)
+    # A parcel that comes to rest is not right.
+    slow = line(Stream(Steady(1000.0), speeds=0.05), duration=3.0)
+    assert found(slow).right == (False, False, False)
 
 
 def test_signatures_tell_them_apart() -> None:
@@ -80,11 +79,6 @@ def test_signatures_tell_them_apart() -> None:
     signature = found(config).signature
     apart = np.abs(signature[:, None] - signature[None]).max(axis=2)
     assert apart[~np.eye(len(apart), dtype=bool)].min() > 0.05
-
-
-def test_a_parcel_that_comes_to_rest_is_not_right() -> None:
-    config = line(Stream(Steady(1000.0), speeds=0.05), duration=3.0)
-    assert found(config).right == (False, False, False)
 
 
 SQUARE = np.array([(-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1)])  # [m]
@@ -176,16 +170,13 @@ def waiting(way: int | None, since: float = 0.0) -> np.ndarray:
 
 def entries(ways: list[int], periods: int) -> list[float]:
     """[s] when each of a queue of parcels is let in, all of which have waited from the start."""
-    book: Any = None
-    times: list[float] = []
-    gate = booking()
+    book, times, gate = None, [], booking()
     for period in range(periods):
         clock = period * PERIOD
         head = ways[len(times)] if len(times) < len(ways) else None
         # Each in turn comes to the gate a moment after the one before.
-        opens, book = gate.open(
-            waiting(head, clock - 1e-2 * len(times)), book, FRESH if period == 0 else GOES_ON
-        )
+        table = waiting(head, clock - 1e-2 * len(times))
+        opens, book = gate.open(table, book, GOES_ON if period else FRESH)
         if opens[0]:
             times.append(clock + opens[0] * DT)
     return times
@@ -242,12 +233,18 @@ CROWD = Stream(Steady(15000.0), parcels=("S",), speeds=1.5)
 
 
 def test_more_than_a_line_takes_is_sorted_without_a_touch() -> None:
+    """On the line it does what its lead does, which alone is not enough."""
     config = gated(CROWD)
     count = counts(Reservation(config), config)
     assert (count["wrong"], count["touches"]) == (0, 0)
     assert count["right"] > 4 * 12
-    alone = counts(StreamEventRule(line(CROWD)), line(CROWD))
-    assert alone["touches"] > 0
+    assert counts(Reservation(config, margin=0.2), config)["right"] < count["right"]
+    rows = np.random.default_rng(0).normal(size=(20, 29)).astype(np.float32)
+    rule, lead = Reservation(config), StreamEventRule(config)
+    np.testing.assert_array_equal(rule.halves(rows), lead.halves(rows))
+    assert counts(StreamEventRule(line(CROWD)), line(CROWD))["touches"] > 0
+    with pytest.raises(ValueError, match="gate must be True for a reservation, got False"):
+        Reservation(line())
 
 
 def test_it_comes_near_the_packed_ways_and_not_above() -> None:
@@ -257,21 +254,3 @@ def test_it_comes_near_the_packed_ways_and_not_above() -> None:
     count = counts(Reservation(config), config, num_envs=8)
     rate = 3600.0 * count["right"] / (8 * config.stream_task.duration)
     assert 0.8 * bound < rate < 1.02 * bound
-
-
-def test_a_wider_margin_lets_fewer_in() -> None:
-    config = gated(CROWD)
-    near, wide = (counts(Reservation(config, margin=m), config)["right"] for m in (0.02, 0.2))
-    assert wide < near
-
-
-def test_on_the_line_it_does_what_its_lead_does() -> None:
-    config = gated(CROWD)
-    rows = np.random.default_rng(0).normal(size=(20, 29)).astype(np.float32)
-    rule, lead = Reservation(config), StreamEventRule(config)
-    np.testing.assert_array_equal(rule.halves(rows), lead.halves(rows))
-
-
-def test_a_gate_is_needed() -> None:
-    with pytest.raises(ValueError, match="gate must be True for a reservation, got False"):
-        Reservation(line())

@@ -94,28 +94,19 @@ DEPARTED = protocol.to_fields(protocol.Departed(0, "missed"))
 @pytest.mark.parametrize(
     ("fields", "changed", "message"),
     [
-        (FRAME, {"kind": "system"}, "kind must be one of"),
-        (FRAME, {"taken": "now"}, "taken"),
-        (FRAME, {"taken": None}, "taken"),
-        (FRAME, {"number": -1}, "number"),
-        (FRAME, {"pose": [0.0, 1.0]}, "pose"),
-        (FRAME, {"pose": ["0", 1.0, 2.0]}, "pose"),
-        (FRAME, {"axes": [[0.0]]}, "axes"),
-        (ENTERED, {"base": {"radius": -1.0}}, "radius"),
-        (ENTERED, {"base": {"shape": "disc"}}, "base"),
-        (ENTERED, {"base": "disc"}, "base"),
+        (FRAME, {"kind": "system"}, "kind must be one of"), (FRAME, {"taken": "now"}, "taken"),
+        (FRAME, {"taken": None}, "taken"), (FRAME, {"number": -1}, "number"),
+        (FRAME, {"pose": [0.0, 1.0]}, "pose"), (FRAME, {"pose": ["0", 1.0, 2.0]}, "pose"),
+        (FRAME, {"axes": [[0.0]]}, "axes"), (ENTERED, {"base": {"radius": -1.0}}, "radius"),
+        (ENTERED, {"base": {"shape": "disc"}}, "base"), (ENTERED, {"base": "disc"}, "base"),
         (ENTERED, {"base": {"corners": [[0, 0], [1, 1]]}}, "vertices"),
-        (ENTERED, {"mass": 0.0}, "mass"),
-        (ENTERED, {"goal": ["left"]}, "goal|could not convert"),
-        (ENTERED, {"tilt": 3.0}, "tilt"),
-        (ENTERED, {"path": [None]}, "path"),
-        (ACKNOWLEDGED, {"command": 0.5}, "command"),
-        (ACKNOWLEDGED, {"refused": 3}, "refused"),
-        (DEPARTED, {"outcome": 0}, "outcome"),
-        (DEPARTED, {"figures": []}, "figures"),
+        (ENTERED, {"mass": 0.0}, "mass"), (ENTERED, {"goal": ["left"]}, "goal|could not convert"),
+        (ENTERED, {"tilt": 3.0}, "tilt"), (ENTERED, {"path": [None]}, "path"),
+        (ACKNOWLEDGED, {"command": 0.5}, "command"), (ACKNOWLEDGED, {"refused": 3}, "refused"),
+        (DEPARTED, {"outcome": 0}, "outcome"), (DEPARTED, {"figures": []}, "figures"),
         (DEPARTED, {"figures": {"error": "large"}}, "error"),
     ],
-)
+)  # fmt: skip
 def test_a_field_that_is_not_allowed_is_refused(fields, changed, message) -> None:
     with pytest.raises(ValueError, match=message):
         protocol.from_fields({**fields, **changed}, SHAPE)

@@ -45,13 +45,9 @@ def test_the_configuration_of_drawn_values() -> None:
     ("change", "named"),
     [
         ({"algo": "parcels"}, "algo must be one of 'ppo', 'dqn', 'modules'"),
-        ({"metric": "time"}, "metric"),
-        ({"sampler": "grid"}, "sampler"),
-        ({"pruner": "hyperband"}, "pruner"),
-        ({"trials": 0}, "trials"),
-        ({"evaluations": 0}, "evaluations"),
-        ({"seeds": 0}, "seeds"),
-        ({"seed": -1}, "seed"),
+        ({"metric": "time"}, "metric"), ({"sampler": "grid"}, "sampler"),
+        ({"pruner": "hyperband"}, "pruner"), ({"trials": 0}, "trials"),
+        ({"evaluations": 0}, "evaluations"), ({"seeds": 0}, "seeds"), ({"seed": -1}, "seed"),
         ({"startup_trials": -1}, "startup_trials"),
         ({"steps": 59_999}, "steps, with 5 evaluations, must be a whole number of at least 60000"),
         ({"space": {}}, "space must name"),
@@ -68,7 +64,7 @@ def test_the_configuration_of_drawn_values() -> None:
         ({"task": "slow", "algo": "modules"}, "task must be one of 'sort' for modules"),
     ],
     ids=str,
-)
+)  # fmt: skip
 def test_what_is_not_allowed_is_named(change, named) -> None:
     with pytest.raises(ValueError, match=named):
         Sweep(**{"space": RATE, **change})
@@ -77,21 +73,18 @@ def test_what_is_not_allowed_is_named(change, named) -> None:
 @pytest.mark.parametrize(
     ("values", "named"),
     [
-        (3, "low, high, log"),
-        ({"low": 1}, "low, high, log"),
+        (3, "low, high, log"), ({"low": 1}, "low, high, log"),
         ({"low": 1, "high": 2, "step": 1}, "low, high, log"),
         ({"low": 2, "high": 1}, "low must be less than high, 1, got 2"),
         ({"low": 1, "high": 1}, "low must be less than high"),
         ({"low": "1e-4", "high": 1}, "low must be a finite number, got '1e-4'"),
         ({"low": 0, "high": 1, "log": True}, "low where log is true must be greater than 0"),
         ({"low": 1, "high": 2, "log": "yes"}, "log must be one of"),
-        ({"choices": [1]}, "two or more"),
-        ({"choices": 5}, "two or more"),
-        ({"choices": [1, 1]}, "choices must differ"),
-        ({"choices": [1, {2}]}, "plain values"),
+        ({"choices": [1]}, "two or more"), ({"choices": 5}, "two or more"),
+        ({"choices": [1, 1]}, "choices must differ"), ({"choices": [1, {2}]}, "plain values"),
     ],
     ids=str,
-)
+)  # fmt: skip
 def test_ranges_that_are_none(values, named, tmp_path) -> None:
     file = tmp_path / "sweep.yml"
     file.write_text(yaml.safe_dump({"space": {"gamma": values}}))
