@@ -1,7 +1,6 @@
 """The oracle: what it finds is what an environment does by the same actions."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from surface_gym.lines import Line
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.tasks import Slow, Stop
 from surface_gym.tasks.line import BRAKING, zone_span
+from tests.agents.rules.runs import Scripted
 
 SEED = 11
 PATH = {"tilt": 0.22, "speed": 0.8, "path": [(0.5, 1.0), (1.5, 1.05)]}
@@ -29,21 +29,9 @@ HARD = EnvConfig(
 )
 
 
-class Given:
-    """A controller that gives each environment a list of actions, one after the other."""
-
-    def __init__(self, actions: list[tuple[int, ...]]) -> None:
-        self._actions = actions
-
-    def predict(self, _: Any, state: int | None = None, *__: Any) -> tuple[np.ndarray, int]:
-        period = 0 if state is None else state
-        chosen = [actions[min(period, len(actions) - 1)] for actions in self._actions]
-        return np.array(chosen), period + 1
-
-
 def test_what_is_found_happens_in_the_environment() -> None:
     found = find_reachable(HARD, [{}] * 3, SEED, budget=8)
-    episodes = run_episodes(Given([each.actions for each in found]), HARD, [{}] * 3, SEED)
+    episodes = run_episodes(Scripted([each.actions for each in found]), HARD, [{}] * 3, SEED)
     assert [each.success for each in found] == episodes.success.tolist()
     assert [each.outcome for each in found] == list(episodes.outcome)
     assert episodes.success.any()

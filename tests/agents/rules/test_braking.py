@@ -19,7 +19,7 @@ from surface_gym.randomisation import Actuators
 from surface_gym.sensors import AdaptiveCamera
 from surface_gym.tasks import Slow, Stop
 from surface_gym.tasks.line import BRAKING
-from tests.agents.rules.runs import rule, run_rule
+from tests.agents.rules.runs import Scripted, begun, ends, rule, run, run_rule
 
 COLUMNS = 16
 
@@ -29,12 +29,6 @@ NOMINAL = FrictionEstimate.frictions(FrictionEstimate.unknown(2))
 
 def square(side: float) -> sg.Parcel:
     return sg.Parcel(sg.Rectangle(side, side))
-
-
-def seen_first(task: str, start: dict[str, Any] | None = None) -> tuple[EnvConfig, np.ndarray]:
-    """The configuration of a task, and what one of its environments shows at a start."""
-    env = sg.SmartSurfaceVectorEnv(1, task=task)
-    return env.config, env.reset(seed=0, options=start)[0]
 
 
 @pytest.mark.parametrize("level", [ROLL, HALF, FULL])
@@ -54,13 +48,10 @@ def test_the_brake_model_agrees_with_the_simulator(level, pair) -> None:
 
     The place of the load is given, as a sensor that learns would.
     """
-    config = EnvConfig(task=Slow(parcels=pair), observe=("parcel",))
     load_ahead = np.array([parcel.com_offset[0] for parcel in pair])
-    env = sg.SmartSurfaceVectorEnv(
-        2, task=config.task, observe=("parcel",), autoreset_mode="SameStep"
-    )
     starts = [{"parcel": parcel, "speed": 2.2, "ratio": 0.5} for parcel in pair]
-    observations, _ = env.reset(seed=0, options=starts)
+    env, observations = begun(Slow(parcels=pair), starts, observe=("parcel",))
+    config = env.config
     levels = np.where(np.arange(COLUMNS) % 2, level, ROLL)[np.newaxis].repeat(2, axis=0)
     model, actions = BrakeModel(config, LEANS[ROLL]), ColumnAxes(config)(levels)
     target = LEANS[levels]
@@ -81,20 +72,17 @@ def test_the_brake_model_agrees_with_the_simulator(level, pair) -> None:
 
 def test_the_brake_model_follows_axes_that_take_time() -> None:
     """Half braking is commanded for a period, then rolling: both are predicted, axes turning."""
-    actuators = Actuators(axis_speed=0.5 * math.pi / 0.1)
-    config = EnvConfig(task="slow", actuators=actuators)
-    env = sg.SmartSurfaceVectorEnv(2, task="slow", actuators=actuators, autoreset_mode="SameStep")
     starts = [{"parcel": parcel, "speed": 2.2, "ratio": 0.5} for parcel in "SB"]
-    observations, _ = env.reset(seed=0, options=starts)
-    levels = np.full((2, COLUMNS), ROLL)
+    env, _ = begun("slow", starts, actuators=Actuators(axis_speed=0.5 * math.pi / 0.1))
+    config, levels = env.config, np.full((2, COLUMNS), ROLL)
+    rolling, half = (ColumnAxes(config)(np.full((2, COLUMNS), level)) for level in (ROLL, HALF))
     for _ in range(12):
-        observations, *_ = env.step(ColumnAxes(config)(levels))
+        observations, *_ = env.step(rolling)
     see = config.decode(observations)
     model, target = BrakeModel(config, LEANS[ROLL]), LEANS[np.full((2, 1, COLUMNS), HALF)]
     after = model.predict(contact_span(config, see), see.vx, NOMINAL, LEANS[levels], target)
-    observations, *_ = env.step(ColumnAxes(config)(np.full((2, COLUMNS), HALF)))
-    for _ in range(2):  # 45 deg take 50 ms
-        observations, *_ = env.step(ColumnAxes(config)(levels))
+    for actions in (half, rolling, rolling):  # 45 deg take 50 ms
+        observations, *_ = env.step(actions)
     now = config.decode(observations)
     assert (see.vx - now.vx > 0.1).all()
     np.testing.assert_allclose(after.speed[:, 0], now.vx, rtol=0, atol=0.01)
@@ -144,15 +132,15 @@ def test_every_ratio_and_place_is_hit(task, goal, speeds, goals) -> None:
     assert by_rule.success.all()
     assert fixed.success.mean() < 0.5
     if task == "slow":
-        np.testing.assert_allclose(by_rule.pose[:, 1:], [[1.0, 0.0]] * len(starts), atol=1e-4)
+        np.testing.assert_allclose(ends(by_rule)[:, 1:], [[1.0, 0.0]] * len(starts), atol=1e-4)
     else:
         assert np.median(np.abs(by_rule.metrics["stop_error"])) < 5e-4
 
 
 def test_a_parcel_that_is_seen_at_rest_asks_for_no_layout_and_warns_of_nothing() -> None:
-    config, observation = seen_first("slow")
-    at_rest = replace(config.decode(observation), vx=np.zeros(1))
-    slowing = FixedSlowing(config)
+    env, observations = begun("slow", [{}])
+    at_rest = replace(env.config.decode(observations), vx=np.zeros(1))
+    slowing = FixedSlowing(env.config)
     assert np.isinf(slowing._regret(at_rest, np.ones((len(slowing._axes), 1000)))).all()
 
 
@@ -200,8 +188,8 @@ def test_friction_and_load_that_the_sensors_learned_are_used() -> None:
 
 def test_beyond_the_end_of_the_zone_the_asked_speed_itself_is_best() -> None:
     """Nothing is left to roll: faster is as bad as it is too fast, slower worse."""
-    config, observations = seen_first("slow", {"parcel": "S", "speed": 2.0, "ratio": 0.5})
-    see, none = config.decode(observations), np.zeros((1, 3))
+    env, observations = begun("slow", [{"parcel": "S", "speed": 2.0, "ratio": 0.5}])
+    config, see, none = env.config, env.config.decode(observations), np.zeros((1, 3))
     frictions = FrictionEstimate.frictions(FrictionEstimate.unknown(1))
     after = Braked(np.full((1, 3), 9.0), np.array([[0.9, 1.0, 1.1]]), none, none)
     regret = SlowingRule(config)._regret(see, contact_span(config, see), frictions, after)
@@ -212,21 +200,10 @@ def test_beyond_the_end_of_the_zone_the_asked_speed_itself_is_best() -> None:
 @pytest.mark.parametrize("parcel", ["S", "B"])
 def test_a_fixed_layout_is_the_best_of_its_kind(parcel) -> None:
     """No other number of columns leaves nearer to the asked ratio, in the environment itself."""
-    speed, ratio = 2.1, 0.55
-    config = EnvConfig(task="slow")
-    start = {"parcel": parcel, "speed": speed, "ratio": ratio}
+    start, config = {"parcel": parcel, "speed": 2.1, "ratio": 0.55}, EnvConfig(task="slow")
     chosen = run_rule("slow", "fixed layout", [start]).metrics["ratio_error"][0]
     first = np.arange(COLUMNS) < np.arange(COLUMNS + 1)[:, np.newaxis]
     actions = ColumnAxes(config)(np.concatenate([FULL * first, HALF * first]))
-    env = sg.SmartSurfaceVectorEnv(len(actions), task="slow", autoreset_mode="Disabled")
-    env.reset(seed=0, options=start)
-    terminated = np.zeros(len(actions), dtype=bool)
-    errors = np.full(len(actions), np.inf)
-    for _ in range(120):
-        _, _, ended, _, info = env.step(actions)
-        left = ended & (info["outcome"] != "stalled")
-        errors = np.where(left, info["ratio_error"], errors)
-        terminated |= ended
-        if ended.any():
-            env.reset(seed=0, options={**start, "reset_mask": ended})
-    assert abs(chosen) == pytest.approx(np.abs(errors).min(), abs=0.01)
+    others = run(Scripted(actions[:, np.newaxis]), config, [start] * len(actions))
+    left = np.isin(others.outcome, ("stalled", "out of time"), invert=True)
+    assert abs(chosen) == pytest.approx(np.abs(others.metrics["ratio_error"][left]).min(), abs=0.01)
