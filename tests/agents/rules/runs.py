@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+import surface_gym as sg
 from surface_gym.agents.base import Controller
 from surface_gym.agents.rollout import Episodes, run_episodes
 from surface_gym.agents.rules import RULES, Rule
