@@ -74,7 +74,6 @@ def test_every_module_under_a_base_of_any_shape_is_seen(side, observe) -> None:
     """Rectangles once were taken for squares, and of some no module was seen at all."""
     bases = [base for base in BASES for _ in range(8)]
     env = sg.SmartSurfaceVectorEnv(len(bases), observe=observe)
-    view = module_view.ModuleView(env.config)
     starts = [{"speed": 2.5, "parcel": Parcel(base), "side": side} for base in bases]
     rng = np.random.default_rng(0)
     seen, info = env.reset(seed=0, options=starts)
@@ -83,12 +82,10 @@ def test_every_module_under_a_base_of_any_shape_is_seen(side, observe) -> None:
         rows = rng.choice(4, p=[0.1, 0.2, 0.2, 0.5], size=(len(bases), 4, 1))
         seen, _, _, _, info = env.step(np.tile(rows, 16).reshape(len(bases), -1))
     assert np.ptp(info["pose"][:, 2]) > 0.1
-    modules = view(seen)
+    modules, total = module_view.ModuleView(env.config)(seen), 0
     row, column = np.divmod(modules.index, 16)
-    covered = modules.place[:, 4] == 1.0
-    total = 0
     for i, base in enumerate(bases):
-        of_env = (modules.env == i) & covered
+        of_env = (modules.env == i) & (modules.place[:, 4] == 1.0)
         first = lead_in_under(np.ptp(base.outline[:, 0]), PITCH)
         places = set(zip(row[of_env] + 8, column[of_env] + first, strict=True))
         bearing = under_base(base, info["pose"][i], first)

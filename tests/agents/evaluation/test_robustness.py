@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from rich.console import Console
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents.evaluation import robustness
 from surface_gym.agents.evaluation import robustness_report as report
-from surface_gym.agents.evaluation.benchmark import compute_kept, find_benchmark, interval
+from surface_gym.agents.evaluation.benchmark import find_benchmark, interval
 from surface_gym.agents.evaluation.methods import PLANNER, Method, all_methods, rules, shipped
 from surface_gym.agents.evaluation.robustness import TRAINED, Change, situation, sweep_jobs
 from surface_gym.agents.rollout import run_episodes
@@ -46,11 +47,20 @@ def test_no_change_is_as_trained(task) -> None:
     assert true.task_name == task
 
 
-def test_friction_is_unknown() -> None:
+def test_friction_is_unknown_and_axes_turn_by_90_deg_in_the_time_said() -> None:
     assumed, true = situation(FIXED, BENCHMARK, Change(drag=1.2, rolling=0.5))
     line = true.chosen_line
     assert (line.mu_max, line.mu_min, line.mu_support) == pytest.approx((0.6, 0.005, 0.0025))
     assert (assumed.chosen_line.mu_max, assumed.chosen_line.mu_min) == (0.5, 0.01)
+    change = robustness.FACTORS["axis"].change
+    for asked in (25, 200):
+        speed = true_of(change(asked)).actuators.axis_speed
+        assert 0.5 * math.pi / speed == pytest.approx(1e-3 * asked)
+    assert true_of(change(0)) == true_of(Change())
+    for period in (0.02, 0.06, 0.12):  # an episode may last as long whatever the period
+        config = true_of(Change(control_period=period))
+        assert config.control_period == period
+        assert period * config.task.periods == pytest.approx(0.04 * 100, abs=0.5 * period)
 
 
 @pytest.mark.parametrize(("columns", "longer"), [(8, 1.0), (16, 1.0), (24, 1.5)])
@@ -64,14 +74,6 @@ def test_a_zone_has_as_many_columns_behind_it_and_an_episode_may_last_longer(
     assert true.action_kind.columns == line.zone_columns == columns
     assert line.columns - line.zone_columns == Line().columns - Line().zone_columns
     assert true.task.periods == longer * Slow.periods
-
-
-@pytest.mark.parametrize("period", [0.02, 0.06, 0.12])
-def test_an_episode_may_last_as_long_whatever_the_period(period) -> None:
-    config = true_of(Change(control_period=period))
-    assert config.control_period == period
-    lasts = config.control_period * config.task.periods
-    assert lasts == pytest.approx(0.04 * 100, abs=0.5 * period)
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -104,13 +106,6 @@ def test_loads_lie_off_centre_in_every_direction_and_boxes_are_drawn_as_ever() -
     half = len(parcels) // 2
     assert {parcel.rear for parcel in parcels[:half]} == {0.125}
     assert {parcel.rear for parcel in parcels[half:]} == {0.225}
-
-
-def test_axes_turn_by_90_deg_in_the_time_said() -> None:
-    for asked in (25, 200):
-        speed = true_of(robustness.FACTORS["axis"].change(asked)).actuators.axis_speed
-        assert 0.5 * math.pi / speed == pytest.approx(1e-3 * asked)
-    assert true_of(robustness.FACTORS["axis"].change(0)) == true_of(Change())
 
 
 @pytest.mark.parametrize("factor", robustness.FACTORS.values(), ids=robustness.FACTORS)
@@ -148,18 +143,15 @@ class TestComputing:
         monkeypatch.setattr(robustness, "run_episodes", None)  # nothing is left to compute
         assert robustness.compute_sweep([FIXED], 6, 1, tmp_path) == rows
         assert len((tmp_path / robustness.FILE).read_text().splitlines()) == 2
-        # Other starts make other results.
-        assert not sweep_jobs([FIXED], 6).keys() & sweep_jobs([FIXED], 7).keys()
 
-    def test_processes_make_no_difference(self, tmp_path) -> None:
-        few, factors, file = rules("stop")[0], ("trained", "aside"), tmp_path / robustness.FILE
-        alone = [
-            robustness.compute_factor(few, 0, name, robustness.FACTORS[name].swept, 4)
-            for name in factors
-        ]
-        jobs = {key: job for key, job in sweep_jobs([few], 4).items() if key[2] in factors}
-        shared = compute_kept(jobs, robustness.SweepResult, 2, file, lambda *_: None)
-        assert list(shared.values()) == alone
+    def test_other_starts_make_other_results_and_slow_methods_run_on_fewer(self) -> None:
+        jobs = sweep_jobs([FIXED], 6)
+        assert not jobs.keys() & sweep_jobs([FIXED], 7).keys()
+        assert pickle.loads(pickle.dumps(jobs)).keys() == jobs.keys()  # sent to other processes
+        planner = all_methods("slow")[-1]
+        given = ((planner, 240), (planner, 5), (FIXED, 240))
+        assert [robustness.starts_for(*each) for each in given] == [40, 1, 240]
+        assert next(iter(sweep_jobs([FIXED, planner], 240)))[1] == PLANNER
 
     def test_the_planner_sees_the_truth(self) -> None:
         """By observation it takes squares of 0.5 m, partly on supports, to brake as boxes do."""
@@ -180,14 +172,6 @@ class TestComputing:
         for method in chosen:
             tried = {name for name in factors if robustness.levels_for(method, factors[name])}
             assert tried == (set(robustness.PLANNED) if method.name == PLANNER else wanted)
-
-    def test_slow_methods_run_on_fewer_starts(self) -> None:
-        planner = all_methods("slow")[-1]
-        assert robustness.starts_for(planner, 240) == 40
-        assert robustness.starts_for(planner, 5) == 1
-        assert robustness.starts_for(FIXED, 240) == 240
-        first = next(iter(sweep_jobs([FIXED, planner], 240)))
-        assert first[1] == PLANNER
 
 
 SQUARE = robustness.FACTORS["square"]

@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
-from stable_baselines3.common.policies import BasePolicy
 from torch import nn
 
 from surface_gym import agents
@@ -32,12 +30,12 @@ from surface_gym.agents.export.policy import (
 from surface_gym.agents.learning.config import RENAMED, PPOConfig
 from surface_gym.agents.learning.runs import write_config
 from surface_gym.agents.library import PolicyCard
-from surface_gym.agents.module_policy import ModulePolicy, SharedNetwork
-from surface_gym.agents.policy import Policy, make_network, save_policy
+from surface_gym.agents.policy import save_policy
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS, group_features
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.base import Feature
+from tests.agents.test_policy import policy_of
 
 OBSERVED = ("parcel", "rotors")
 CARDS = {
@@ -53,32 +51,10 @@ CARDS = {
 
 def made(name: str) -> Source:
     """The policy of a card, its weights at random."""
-    card = CARDS[name]
-    config = card.env_config()
-    network = network_of(name)
-    policy: Policy | ModulePolicy
-    if isinstance(network, SharedNetwork):
-        policy = ModulePolicy(network, card)
-    else:
-        assert isinstance(network, BasePolicy)
-        policy = Policy(network, card, config)
-    weights = network.state_dict()
+    policy = policy_of(CARDS[name])
+    weights = policy._network.state_dict()
+    config = CARDS[name].env_config()
     return Source(name, 0, policy, config, weights, "none", Training("nominal"))
-
-
-def network_of(name: str) -> torch.nn.Module:
-    """The network of a card, its weights at random."""
-    card = CARDS[name]
-    torch.manual_seed(0)
-    network: torch.nn.Module = (
-        SharedNetwork(4, card.hidden, card.observe)
-        if card.algo == "modules"
-        else make_network(card, card.env_config())
-    )
-    with torch.no_grad():
-        for weights in network.parameters():
-            weights.normal_(std=0.5)
-    return network
 
 
 def wanted(source: Source, observations: Singles) -> Integers:
@@ -86,12 +62,6 @@ def wanted(source: Source, observations: Singles) -> Integers:
     actions, _ = source.policy.predict(observations)
     chosen: Integers = source.config.action_kind.commands(actions, len(observations))
     return chosen
-
-
-def count_of_each(choices: Integers) -> list[int]:
-    """(choices,) how often each is chosen."""
-    counts: list[int] = np.bincount(choices.ravel(), minlength=4).tolist()
-    return counts
 
 
 SHIPPED = [name for name in agents.names() if name != "flow-ppo"]
@@ -108,7 +78,7 @@ def test_it_decides_as_the_policy(name) -> None:
     decision = graphs.modules_decision(source) if is_modules else network_decision(source)
     seen = random_observations(source, COUNT, seed=1)
     if name in CARDS:  # they ask for every choice: else the comparison would say little
-        assert min(count_of_each(wanted(source, seen))) > 10
+        assert np.bincount(wanted(source, seen).ravel(), minlength=4).min() > 10
         names = [each.name for each in source.config.features]
         if "side" in names:
             assert {-1.0, 0.0, 1.0} <= set(seen[:, names.index("side")].tolist())
@@ -285,7 +255,7 @@ def test_modules_that_share_weights_have_no_c_header(tmp_path, capsys) -> None:
 
 
 def test_a_run_is_exported_under_its_own_name_or_another(tmp_path) -> None:
-    save_policy(network_of("window"), CARDS["window"], tmp_path / "window")
+    save_policy(made("window").policy._network, CARDS["window"], tmp_path / "window")
     source = of_run(tmp_path / "window", "mine")
     assert (source.name, source.seed, source.training.preset) == ("mine", 0, "nominal")
     assert of_run(tmp_path / "window").name == "window"

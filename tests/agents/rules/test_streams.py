@@ -133,9 +133,8 @@ def zone_table(
     """S-boxes, by where the rear is past the zone's start [m] and the side of the exit; and the
     side of the one at the gate, if there is one.
     """
-    seen = np.zeros((config.stream_task.rows, len(FEATURES)), dtype=np.float32)
-    for row, (rear, side) in zip(seen, parcels, strict=False):
-        row[[PRESENT, PAST_START, SIDE, 6]] = 1.0, rear / 0.5, side, -SIZE
+    seen = table(config.stream_task.rows, *((rear / 0.5, side) for rear, side in parcels))
+    seen[: len(parcels), 6] = -SIZE
     if waits is not None:
         seen[-1, [PRESENT, WAITS, PAST_START, SIDE, 6]] = 1.0, 1.0, -1.0, waits, -SIZE
     return seen

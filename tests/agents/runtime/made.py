@@ -113,9 +113,8 @@ class Always:
         self.begins: list[bool] = []
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, **_: Any
+        self, _: Any, state: Any = None, episode_start: Any = None, **__: Any
     ) -> tuple[Any, Any]:
-        del observation
         self.begins.append(bool(episode_start[0]))
         self.clock.time += self.takes
         return np.array([self.action]), state
@@ -128,16 +127,12 @@ def loop_of(
     held = estimator()
     held.clear()
     layouts = FixedLayouts(held.config)
+    arranger = LocalArranger(layouts), held.resolver(layouts.kind)
+    limits = AxisLimits(held.shape, allowed_angles(env_config))
     return ControlLoop(
-        device,
-        held,
-        Decider(controller, env_config),
-        (LocalArranger(layouts), held.resolver(layouts.kind)),
-        AxisLimits(held.shape, allowed_angles(env_config)),
-        observation_bounds(env_config),
-        device.clock,
-        LoopConfig(**config),
-    )
+        device, held, Decider(controller, env_config), arranger, limits,
+        observation_bounds(env_config), device.clock, LoopConfig(**config),
+    )  # fmt: skip
 
 
 def nothing(now: float) -> None:
