@@ -1,18 +1,35 @@
-"""The simulated machine: parcels, frames and axes; and whole runs over a socket."""
+"""The simulated machine, whole runs over a socket, and the command that starts both."""
 
+import json
 import math
+import os
+import signal
 import socket
-from collections.abc import Iterator
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import tyro
+from rich.console import Console
 
-from surface_gym.agents.runtime import protocol
-from surface_gym.agents.runtime.config import WorldOptions
+from surface_gym import agents
+from surface_gym.agents.runtime import controller, protocol, simulator
+from surface_gym.agents.runtime import report as reports
+from surface_gym.agents.runtime.cli import load_policy, main, make_env_config, simulator_arguments
+from surface_gym.agents.runtime.config import RuntimeConfig, SimulatorConfig, WorldOptions
 from surface_gym.agents.runtime.controller import ControlLoop, LoopConfig
-from surface_gym.agents.runtime.simulator import MAX_BEHIND, Server, World, serve
+from surface_gym.agents.runtime.protocol import DeviceLost, Frame, Message, SocketDevice
+from surface_gym.agents.runtime.simulator import MAX_BEHIND, Server, SimulatorProcess, World, serve
+from surface_gym.config import EnvConfig
 from tests.agents.runtime import made
+from tests.agents.runtime.made import CONFIG, entered, estimator
 from tests.agents.runtime.test_protocol import again_and_again
 
 PAUSE = 0.1
@@ -165,3 +182,164 @@ class TestOverASocket:
 
         serve(server, clock, goes_on)
         assert server._world.now > 0.03
+
+
+PATIENCE = 120.0  # [s] for another process, on a computer that does other work
+
+RUN = reports.Run("stop-ppo", 0, "stop", "lab", "simulator", 0.04, 0.2, 600.0, (1.0, 2.0, 3.0), 2)
+
+
+def report_of(counts: controller.Counts, latencies: controller.Latencies) -> Any:
+    return reports.make_report(RUN, counts, latencies)
+
+
+def test_a_report_is_written_whole_and_shown(tmp_path, capsys) -> None:
+    counts = controller.Counts(periods=15_000, kept=14_990, missed=10, lost=5)
+    counts.parcels.update(["success", "success", "missed"])
+    made = report_of(counts, controller.Latencies(policy=[0.001 * k for k in range(101)]))
+    report = json.loads(reports.write_report(made, tmp_path / "out").read_text())
+    assert report["counts"]["missed"] == 10
+    assert report["counts"]["parcels"] == {"success": 2, "missed": 1}
+    assert report["success"] == pytest.approx(2.0 / 3.0)
+    assert report["budget"]["policy"] == pytest.approx([0.05, 0.09, 0.099, 0.1])
+    assert report["budget"]["sensor"] is None
+    reports.show_report(made, Console(width=200))
+    printed = capsys.readouterr().out
+    for part in ("period of 40 ms", "50.00", "10 missed", "lost 5 times", "success 0.667"):
+        assert part in printed
+    nothing = report_of(controller.Counts(unfit=1), controller.Latencies())
+    reports.show_report(nothing, Console(width=200))
+    assert "0 parcels; 1 that do not fit" in capsys.readouterr().out
+    assert reports.percentiles([]) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "message"),
+    [
+        ("stop-ppo", {"minutes": 0.0}, "minutes"),
+        ("stop-ppo", {"watchdog": -1.0}, "watchdog"),
+        ("stop-ppo", {"address": "nowhere"}, "address"),
+        ("nobody", {}, "name must be a folder or one of"),
+        ("flow-ppo", {}, "parcel"),
+    ],
+)
+def test_what_is_not_allowed_is_refused(name, given, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_policy(RuntimeConfig(name, **given))
+
+
+def test_an_error_ends_the_command_with_one_line() -> None:
+    with pytest.raises(SystemExit, match="error: name must be"):
+        main(["nobody"])
+    with pytest.raises(SystemExit, match="error: task must be"):
+        simulator.main(["--task", "nobody"])
+
+
+def test_the_environment_is_the_policys_and_the_simulators() -> None:
+    """A run's folder holds a policy, too."""
+    folder = Path(agents.__file__).parent / "shipped/stop-ppo/seed-0"
+    assert load_policy(RuntimeConfig(str(folder))).card.task == "stop"
+    policy = load_policy(RuntimeConfig("slow-dqn", seed=1))
+    lab = EnvConfig(task="slow", preset="lab", **policy.env_kwargs)
+    assert make_env_config(policy, "lab") == lab
+    config = RuntimeConfig("stop-ppo", preset="camera", start=3)
+    env_config = make_env_config(load_policy(config), config.preset)
+    given = tyro.cli(SimulatorConfig, args=simulator_arguments(config, env_config))
+    assert given == SimulatorConfig(task="stop", preset="camera", control_period=0.04, seed=3)
+    assert simulator.make_env_config(given).actuators == env_config.actuators
+
+
+@pytest.mark.parametrize("task", ["sort", "track"])
+def test_the_fixed_layout_of_a_task(task) -> None:
+    env_config = EnvConfig(task=task, actions="halves", observe=("parcel",))
+    layouts = controller.FixedLayouts(env_config)
+    bounds = controller.observation_bounds(env_config)
+    command = layouts.arrange(np.clip(0.0, bounds.low, bounds.high))
+    assert command.shape == (layouts.kind.size,)
+    assert len(np.unique(command)) == 1
+
+
+def test_a_layout_of_another_process_is_the_same() -> None:
+    held = estimator()
+    held.reset(entered())
+    observation = held.observe(0.0)
+    with controller.ProcessArranger(held.config) as arranger:
+        assert arranger.wait_until_ready(PATIENCE)
+        arranger.ask(np.zeros_like(observation))  # one that is asked for too late
+        arranger.ask(observation)
+        layout = until(arranger.layout)
+    expected = controller.FixedLayouts(held.config).arrange(observation)
+    np.testing.assert_array_equal(layout, expected)
+    # Axes on offer are the task's and the conveyors'.
+    assert controller.allowed_angles(CONFIG) == (*CONFIG.chosen_orientations, np.pi / 2.0)
+    assert controller.allowed_angles(replace(CONFIG, orientations="any")) is None
+
+
+def until(call: Callable[[], Message | None]) -> Message:
+    """The first result of a call that is not None."""
+    ends = time.monotonic() + PATIENCE
+    while time.monotonic() < ends:
+        found = call()
+        if found is not None:
+            return found
+        time.sleep(0.01)
+    raise TimeoutError
+
+
+def first_frame(device: SocketDevice) -> Frame:
+    """The first frame of a simulator that may have yet to start."""
+
+    def find() -> Frame | None:
+        try:
+            messages = device.read()
+        except DeviceLost:
+            with suppress(DeviceLost):
+                device.connect()
+            return None
+        return next((each for each in messages if isinstance(each, Frame)), None)
+
+    return until(find)
+
+
+def test_a_simulator_that_was_killed_is_there_again_at_the_same_address(tmp_path) -> None:
+    arguments = ["--task", "stop", "--preset", "camera"]
+    with SimulatorProcess(arguments, tmp_path / "log") as process:
+        device = SocketDevice(process.address, "stop", (4, 16))
+        first = first_frame(device)
+        assert first.taken_at <= time.monotonic()
+        process._process.kill()
+        process._process.wait()
+        with pytest.raises(DeviceLost):
+            until(lambda: device.read() and None)
+        arguments += ["--port", str(process.address[1])]
+        with SimulatorProcess(arguments, tmp_path / "log") as again:
+            assert again.address == process.address
+            assert first_frame(device).taken_at > first.taken_at
+        device.close()
+    assert (tmp_path / "log").read_text() == ""
+    # One that does not start says why.
+    with pytest.raises(ValueError, match="task must be one of"):
+        SimulatorProcess(["--task", "nobody"], tmp_path / "log")
+
+
+def test_ctrl_c_ends_a_run_with_its_report(tmp_path) -> None:
+    program = [sys.executable, "-c", "from surface_gym.cli import main; main()"]
+    with subprocess.Popen(
+        [*program, "runtime", "stop-ppo", "--preset", "camera", "--out", str(tmp_path)],
+        cwd=Path(__file__).parents[3],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        env={**os.environ, "PYTHONUNBUFFERED": "1", "TERM": "dumb"},
+        text=True,
+    ) as process:
+        for line in process.stdout:
+            if line.startswith("ready"):
+                break
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        printed = process.stdout.read()
+        assert process.wait(PATIENCE) == 0, printed
+    assert "stopped" in printed
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["counts"]["missed"] <= report["counts"]["periods"]
+    assert report["counts"]["out_of_range"] == report["counts"]["refused"] == 0
