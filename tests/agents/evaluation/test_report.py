@@ -25,22 +25,7 @@ from surface_gym.agents.evaluation.benchmark import find_benchmark, summarise
 from surface_gym.agents.evaluation.capacity import Case
 from surface_gym.agents.evaluation.cli import TASK_NAMES, EvaluateConfig, evaluate
 from surface_gym.agents.evaluation.methods import rules
-from surface_gym.agents.evaluation.report import (
-    Section,
-    evaluate_run,
-    is_of_streams,
-    stream_player,
-    write_page,
-)
 from surface_gym.agents.evaluation.robustness import FILE as SWEPT
-from surface_gym.agents.evaluation.streams import (
-    ARRANGED,
-    BOUND,
-    CURVE,
-    EVENT,
-    RESERVATION,
-    StreamResults,
-)
 from surface_gym.agents.evaluation.tables import task_table
 from surface_gym.agents.evaluation.video import Player, main, write_comparison, write_episode
 from surface_gym.agents.library import SHELF
@@ -48,25 +33,16 @@ from surface_gym.agents.rules.streams import StreamEventRule
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.tasks import TASKS
-from tests.agents.evaluation.made import (
-    GRID,
-    RULES,
-    STARTS,
-    slow_result,
-    sort_result,
-    stream_results,
-    stream_rows,
-    sweep_results,
-)
+from tests.agents.evaluation import made
 from tests.flow.flows import DENSE, SHORT
 
 SLOW = summarise(
     [
-        slow_result("fixed layout", [0.1, 0.004, 0.02, 0.2]),
-        slow_result("fixed layout", [0.1, 0.1, 0.02, 0.2], preset="camera"),
-        slow_result("a <rule>", [0.001, 0.004, 0.002, 0.02]),
-        slow_result("a <rule>", [0.001, 0.04, 0.002, 0.02], preset="camera"),
-        slow_result("planner", [0.0, 0.001]),
+        made.slow_result("fixed layout", [0.1, 0.004, 0.02, 0.2]),
+        made.slow_result("fixed layout", [0.1, 0.1, 0.02, 0.2], preset="camera"),
+        made.slow_result("a <rule>", [0.001, 0.004, 0.002, 0.02]),
+        made.slow_result("a <rule>", [0.001, 0.04, 0.002, 0.02], preset="camera"),
+        made.slow_result("planner", [0.0, 0.001]),
     ]
 )
 
@@ -117,9 +93,11 @@ def test_files_agree(tmp_path) -> None:
 
 
 def test_by_speed() -> None:
-    fixed = sort_result("fixed layout", {"S": 0.72, "B": 1.0})
-    summaries = summarise([fixed, sort_result("b", {"S": 0.36, "B": 0.52})])
-    table = tables.speed_table(GRID, {name: summary for (_, name, _), summary in summaries.items()})
+    fixed = made.sort_result("fixed layout", {"S": 0.72, "B": 1.0})
+    summaries = summarise([fixed, made.sort_result("b", {"S": 0.36, "B": 0.52})])
+    table = tables.speed_table(
+        made.GRID, {name: summary for (_, name, _), summary in summaries.items()}
+    )
     rows = {row[0]: row[1:] for row in table.rows}
     assert rows["0.5"] == ("fails", "2.000", "fails", "fails")
     assert rows["2.7"][0] == f"{1 / 2.7:.3f}"
@@ -131,8 +109,10 @@ def test_the_page_needs_nothing_else(tmp_path) -> None:
     Figure().savefig(picture)
     film.write_bytes(b"film")
     table = task_table("slow", SLOW)
-    section = Section(table, [(picture, "a > b"), (film, "both")], find_benchmark("slow").columns)
-    write_page([section], tmp_path / "report.html")
+    section = report.Section(
+        table, [(picture, "a > b"), (film, "both")], find_benchmark("slow").columns
+    )
+    report.write_page([section], tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text()
     sources = re.findall(r'(?:src|href)="([^"]*)"', text)
     assert all(source.startswith(("data:", "#")) for source in sources)
@@ -168,11 +148,11 @@ def test_streams_are_compared_first_unless_asked_otherwise(given, message) -> No
 
 
 def test_results_of_streams_become_a_page(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(streams, "stream_methods", lambda: RULES)
-    monkeypatch.setattr(StreamResults, "of", lambda *_: stream_results())
+    monkeypatch.setattr(streams, "stream_methods", lambda: made.RULES)
+    monkeypatch.setattr(streams.StreamResults, "of", lambda *_: made.stream_results())
     monkeypatch.setattr(report, "FILMED", 0.4)
     monkeypatch.setattr(report, "SHOWN_AT", 0.2)
-    lines = keep(stream_rows(), tmp_path / streams.FILE)
+    lines = keep(made.stream_rows(), tmp_path / streams.FILE)
     screen = io.StringIO()
     config = EvaluateConfig(out=tmp_path, tasks=(FLOW_TASK,), workers=1, resume=True)
     evaluate(config, Console(file=screen, width=160))
@@ -186,8 +166,10 @@ def test_results_of_streams_become_a_page(tmp_path, monkeypatch) -> None:
     kept = (tmp_path / streams.FILE).read_text().splitlines()
     assert list(map(json.loads, kept)) == list(map(json.loads, lines))
     text = (tmp_path / "flow.md").read_text()
-    assert all(f"## {each.heading}" in text for each in streams.stream_tables(stream_results()))
-    count = len(streams.stream_numbers(stream_results()))
+    assert all(
+        f"## {each.heading}" in text for each in streams.stream_tables(made.stream_results())
+    )
+    count = len(streams.stream_numbers(made.stream_results()))
     assert len((tmp_path / "flow.csv").read_text().splitlines()) == count + 1
     for name in ("flow-capacity.png", "flow-rate.png", "flow.png"):
         assert imageio.imread(tmp_path / name).std() > 10.0  # there is something on it
@@ -199,10 +181,10 @@ def test_results_of_streams_become_a_page(tmp_path, monkeypatch) -> None:
 def test_a_sweep_becomes_tables(tmp_path, monkeypatch) -> None:
     fixed = rules("slow")[:1]
     monkeypatch.setattr("surface_gym.agents.evaluation.methods.all_methods", lambda _: fixed)
-    keep(sweep_results("slow", {"fixed layout": 0.5}), tmp_path / SWEPT)
+    keep(made.sweep_results("slow", {"fixed layout": 0.5}), tmp_path / SWEPT)
     screen = io.StringIO()
     config = EvaluateConfig(
-        out=tmp_path, tasks=("slow",), workers=1, resume=True, robustness=True, starts=STARTS
+        out=tmp_path, tasks=("slow",), workers=1, resume=True, robustness=True, starts=made.STARTS
     )
     evaluate(config, Console(file=screen, width=160))
     assert "fixed layout" in screen.getvalue()
@@ -218,19 +200,19 @@ def test_every_seed_of_a_run_is_measured_beside_the_reservation(tmp_path, monkey
         monkeypatch.setattr(capacity, name, value)
     for seed in (0, 1):
         copytree(SHELF / "flow-ppo" / f"seed-{seed}", tmp_path / f"seed-{seed}")
-    seen: list[StreamResults] = []
+    seen: list[streams.StreamResults] = []
     compare = report.compare_streams
 
-    def watched(*given: Any) -> StreamResults:
+    def watched(*given: Any) -> streams.StreamResults:
         seen.append(compare(*given))
         return seen[0]
 
     monkeypatch.setattr(report, "compare_streams", watched)
-    card = evaluate_run(tmp_path, None, 1, Console(quiet=True))
+    card = report.evaluate_run(tmp_path, None, 1, Console(quiet=True))
     (found,) = seen
-    assert set(found.names) == {RESERVATION, "seed 0", "seed 1"}
+    assert set(found.names) == {streams.RESERVATION, "seed 0", "seed 1"}
     for name in found.names:
-        assert found.rate(name, case) > 0.7 * found.rate(BOUND, case)
+        assert found.rate(name, case) > 0.7 * found.rate(streams.BOUND, case)
     assert "seed 1" in (tmp_path / report.TABLE).read_text()
     for preset in ("exact", "camera"):
         (stream,) = card[preset].values()
@@ -242,7 +224,7 @@ def test_every_seed_of_a_run_is_measured_beside_the_reservation(tmp_path, monkey
 def test_other_runs_are_of_no_streams(tmp_path, text) -> None:
     if text is not None:
         (tmp_path / "policy.yaml").write_text(text)
-    assert not is_of_streams(tmp_path)
+    assert not report.is_of_streams(tmp_path)
 
 
 GIVEN: dict[str, Any] = {
@@ -312,9 +294,9 @@ def test_what_cannot_be_shown_is_refused(tmp_path, file, seconds, speed, named) 
 
 
 def test_a_slower_decider_is_filmed_no_faster(tmp_path) -> None:
-    rule = next(method for method in RULES if method.name == EVENT)
+    rule = next(method for method in made.RULES if method.name == streams.EVENT)
     both = [rule, replace(rule, control_period=0.08)]
-    players = [stream_player(method, CURVE, 3000.0) for method in both]
+    players = [report.stream_player(method, streams.CURVE, 3000.0) for method in both]
     write_comparison(players, tmp_path / "both.mp4", 0.4)
     with imageio.get_reader(tmp_path / "both.mp4") as video:
         assert video.count_frames() == 10 + 25
@@ -326,9 +308,9 @@ def test_a_slower_decider_is_filmed_no_faster(tmp_path) -> None:
 
 def test_a_method_that_cannot_sort_cannot_be_filmed(monkeypatch) -> None:
     monkeypatch.setattr("surface_gym.agents.evaluation.streams.find_best_zone", lambda *_: None)
-    zone = next(method for method in RULES if method.name == ARRANGED)
+    zone = next(method for method in made.RULES if method.name == streams.ARRANGED)
     with pytest.raises(ValueError, match=r"method must be able to sort S, 1\.5 m/s"):
-        stream_player(zone, Case("S", 1.5), 3000.0)
+        report.stream_player(zone, Case("S", 1.5), 3000.0)
 
 
 def test_the_command_films_a_stream(tmp_path, capsys) -> None:

@@ -16,17 +16,6 @@ from surface_gym.agents.export.c_header import make_header
 from surface_gym.agents.export.check import compare, find_compiler, random_observations
 from surface_gym.agents.export.cli import ExportConfig, export, main, make_metadata, make_model
 from surface_gym.agents.export.page import UNKNOWN, find_need, make_page
-from surface_gym.agents.export.policy import (
-    TRAINED_IN,
-    Integers,
-    NetworkDecision,
-    Singles,
-    Source,
-    Training,
-    network_decision,
-    of_run,
-    shipped,
-)
 from surface_gym.agents.learning.config import RENAMED, PPOConfig
 from surface_gym.agents.learning.runs import write_config
 from surface_gym.agents.library import PolicyCard
@@ -49,18 +38,18 @@ CARDS = {
 }
 
 
-def made(name: str) -> Source:
+def made(name: str) -> policy.Source:
     """The policy of a card, its weights at random."""
     policy = policy_of(CARDS[name])
     weights = policy._network.state_dict()
     config = CARDS[name].env_config()
-    return Source(name, 0, policy, config, weights, "none", Training("nominal"))
+    return policy.Source(name, 0, policy, config, weights, "none", policy.Training("nominal"))
 
 
-def wanted(source: Source, observations: Singles) -> Integers:
+def wanted(source: policy.Source, observations: policy.Singles) -> policy.Integers:
     """What the policy chooses."""
     actions, _ = source.policy.predict(observations)
-    chosen: Integers = source.config.action_kind.commands(actions, len(observations))
+    chosen: policy.Integers = source.config.action_kind.commands(actions, len(observations))
     return chosen
 
 
@@ -73,9 +62,9 @@ ONNX_NEEDED = ("onnx", "onnxruntime")
 
 @pytest.mark.parametrize("name", [*SHIPPED, *CARDS])
 def test_it_decides_as_the_policy(name) -> None:
-    source = made(name) if name in CARDS else shipped(name)
+    source = made(name) if name in CARDS else policy.shipped(name)
     is_modules = source.policy.card.algo == "modules"
-    decision = graphs.modules_decision(source) if is_modules else network_decision(source)
+    decision = graphs.modules_decision(source) if is_modules else policy.network_decision(source)
     seen = random_observations(source, COUNT, seed=1)
     if name in CARDS:  # they ask for every choice: else the comparison would say little
         assert np.bincount(wanted(source, seen).ravel(), minlength=4).min() > 10
@@ -83,7 +72,7 @@ def test_it_decides_as_the_policy(name) -> None:
         if "side" in names:
             assert {-1.0, 0.0, 1.0} <= set(seen[:, names.index("side")].tolist())
     compiler = check.find_compiler()
-    if isinstance(decision, NetworkDecision) and compiler is not None:
+    if isinstance(decision, policy.NetworkDecision) and compiler is not None:
         header = make_header(decision, name, source.config.control_period, {"of": "a */ test"})
         decide = check.run_c(compiler, header, name, decision.parts)
         assert compare("C", decision, source, seen, decide).observations == COUNT
@@ -102,7 +91,7 @@ def test_it_decides_as_the_policy(name) -> None:
 @pytest.mark.skipif(check.find_compiler() is None, reason="there is no C compiler")
 def test_a_header_that_does_not_compile_is_refused() -> None:
     source, compiler = made("quadrants"), check.find_compiler()
-    decision = network_decision(source)
+    decision = policy.network_decision(source)
     header = make_header(decision, "quadrants", 0.05, {}).replace("#include <math.h>", "")
     seen = random_observations(source, 4, seed=0)
     with pytest.raises(ValueError, match="header must compile without a warning"):
@@ -220,7 +209,7 @@ def test_it_writes_three_files_that_it_has_checked(tmp_path, capsys) -> None:
     assert names == {"sort-ppo.onnx", "sort-ppo.h", "sort-ppo.md"}
     model = onnx.load(tmp_path / "sort-ppo.onnx")
     says = {each.key: each.value for each in model.metadata_props}
-    source = shipped("sort-ppo", 1)
+    source = policy.shipped("sort-ppo", 1)
     assert says == make_metadata(source)
     assert (says["agent"], says["seed"], says["control_period"]) == ("sort-ppo", "1", "0.04")
     assert json.loads(says["orientations"]) == list(source.config.chosen_orientations)
@@ -256,19 +245,19 @@ def test_modules_that_share_weights_have_no_c_header(tmp_path, capsys) -> None:
 
 def test_a_run_is_exported_under_its_own_name_or_another(tmp_path) -> None:
     save_policy(made("window").policy._network, CARDS["window"], tmp_path / "window")
-    source = of_run(tmp_path / "window", "mine")
+    source = policy.of_run(tmp_path / "window", "mine")
     assert (source.name, source.seed, source.training.preset) == ("mine", 0, "nominal")
-    assert of_run(tmp_path / "window").name == "window"
+    assert policy.of_run(tmp_path / "window").name == "window"
     write_config(PPOConfig(preset="lab"), tmp_path / "window" / "config.yaml")
-    lab = of_run(tmp_path / "window").training
-    assert [each.name for each in lab.presets] == list(TRAINED_IN["lab"])
+    lab = policy.of_run(tmp_path / "window").training
+    assert [each.name for each in lab.presets] == list(policy.TRAINED_IN["lab"])
     for flag in ("preset", next(old for old, name in RENAMED.items() if name == "preset")):
         command = f"python train.py --{flag} lab"
         (tmp_path / "window" / "card.yaml").write_text(f"command: {command}\n")
-        training = of_run(tmp_path / "window").training
+        training = policy.of_run(tmp_path / "window").training
         assert (training.preset, training.command) == ("lab", command)
     with pytest.raises(ValueError, match="seed must be one of 0, got 3"):
-        of_run(tmp_path / "window", seed=3)
+        policy.of_run(tmp_path / "window", seed=3)
 
 
 @pytest.mark.parametrize("name", CARDS)
@@ -308,7 +297,7 @@ def test_what_is_no_export_is_refused(given, named) -> None:
 
 def test_what_cannot_be_exported_is_refused(tmp_path) -> None:
     with pytest.raises(ValueError, match="preset must be one of"):
-        _ = Training("weather").presets
+        _ = policy.Training("weather").presets
     with pytest.raises(SystemExit, match="error: name must be that of an agent of single parcels"):
         main(["flow-ppo", "--out", str(tmp_path / "out")])
     with pytest.raises(SystemExit, match="holds no policy"):
@@ -319,9 +308,9 @@ def test_what_cannot_be_exported_is_refused(tmp_path) -> None:
 def test_a_missing_library_is_reported_with_the_extra_that_brings_it(tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "onnx", None)
     wanted = r"needs onnx, .*'surface_gym\[agents,export\]'"
-    source = shipped("sort-ppo")
+    source = policy.shipped("sort-ppo")
     with pytest.raises(ImportError, match=wanted):
-        make_model(network_decision(source), {})
+        make_model(policy.network_decision(source), {})
     with pytest.raises(ImportError, match=wanted):
         export(source, tmp_path)
     with pytest.raises(SystemExit, match=wanted):

@@ -25,17 +25,6 @@ from surface_gym.agents.policy import load_policy
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.agents.tuning import cli, study
 from surface_gym.agents.tuning.cli import main, open_folder, search
-from surface_gym.agents.tuning.study import (
-    MIN_COMPLETE,
-    REASON,
-    TrialResult,
-    best_trial,
-    finished_trials,
-    importance,
-    open_study,
-    plain_params,
-    write_report,
-)
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
 from surface_gym.parallel import Report
 from surface_gym.tasks.benchmark import DRAWN
@@ -95,12 +84,12 @@ class TestTrials:
 
 def refused_or_failed(
     sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
-) -> TrialResult:
+) -> study.TrialResult:
     """Two trials of three end otherwise."""
     if params["n_epochs"] % 3 == 0:
-        return TrialResult(study.REFUSED, why="no")
+        return study.TrialResult(study.REFUSED, why="no")
     if params["n_epochs"] % 3 == 1:
-        return TrialResult(study.FAILED, why="nan")
+        return study.TrialResult(study.FAILED, why="nan")
     return cheap_trial(sweep, params, past, report)
 
 
@@ -185,7 +174,7 @@ def look(url: str) -> list[FrozenTrial]:
 
 def stopping(
     at: int, sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
-) -> TrialResult:
+) -> study.TrialResult:
     if len(past) == at:
         raise KeyboardInterrupt
     return cheap_trial(sweep, params, past, report)
@@ -208,7 +197,7 @@ class TestTrial:
 
     def run(
         self, sweep: Sweep = SWEEP, past: Any = (), params: Any = PARAMS, **changed: Any
-    ) -> tuple[TrialResult, Any]:
+    ) -> tuple[study.TrialResult, Any]:
         reported: list[tuple[int, float]] = []
         return study.run_trial(sweep, {**params, **changed}, past, reported.append), reported
 
@@ -220,7 +209,7 @@ class TestTrial:
         assert [number for number, _ in reported] == [1, 2]
         assert self.run() == (result, reported)
         result, reported = self.run(past=(trial({1: 100.0, 2: 100.0}),))
-        assert result == TrialResult(study.PRUNED)
+        assert result == study.TrialResult(study.PRUNED)
         assert [number for number, _ in reported] == [1]
 
     def test_every_seed_is_evaluated_and_their_mean_counts(self) -> None:
@@ -315,8 +304,8 @@ def test_it_leaves_a_configuration_that_learns(file, tmp_path, monkeypatch) -> N
     text = printed(file, folder)
     assert "the best is trial" in text
     assert "report.md and best.yml" in text
-    with open_study(SMALL, folder) as kept:
-        best = best_trial(finished_trials(kept))
+    with study.open_study(SMALL, folder) as kept:
+        best = study.best_trial(study.finished_trials(kept))
     config, usual = defaults("slow", "ppo", folder / "best.yml"), defaults("slow", "ppo")
     assert isinstance(usual, PPOConfig)
     rate = best.params["learning_rate"]
@@ -383,9 +372,9 @@ def table(page: str, head: str) -> list[list[str]]:
 class TestReport:
     def test_the_page_lists_every_trial_and_the_best(self, trials, tmp_path) -> None:
         interrupted = create_trial(state=TrialState.FAIL)
-        write_report(REPORTED, in_memory(*trials, interrupted), tmp_path)
+        study.write_report(REPORTED, in_memory(*trials, interrupted), tmp_path)
         page = (tmp_path / "report.md").read_text()
-        best = best_trial(trials)
+        best = study.best_trial(trials)
         assert f"## Best: trial {best.number}, success {best.value:.4g}" in page
         rows = table(page, "trial")
         assert [row[:2] for row in rows] == [[str(t.number), t.state.name.lower()] for t in trials]
@@ -397,19 +386,19 @@ class TestReport:
             assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
         config = defaults(REPORTED.task, REPORTED.algo, tmp_path / "best.yml")
         usual = defaults(REPORTED.task, REPORTED.algo)
-        found = REPORTED.config(plain_params(REPORTED, best))
+        found = REPORTED.config(study.plain_params(REPORTED, best))
         assert config == replace(found, steps=usual.steps, seed=usual.seed)
 
     def test_without_a_complete_trial_there_is_no_best(self, trials, tmp_path) -> None:
         given = {"params": trials[0].params, "distributions": trials[0].distributions}
         refused = create_trial(
-            state=TrialState.FAIL, user_attrs={REASON: "refused: a | b"}, **given
+            state=TrialState.FAIL, user_attrs={study.REASON: "refused: a | b"}, **given
         )
         pruned = create_trial(state=TrialState.PRUNED, intermediate_values={1: 0.5}, **given)
-        write_report(REPORTED, in_memory(refused, pruned), tmp_path)
+        study.write_report(REPORTED, in_memory(refused, pruned), tmp_path)
         page = (tmp_path / "report.md").read_text()
         assert "1 pruned, 1 refused; none is complete, so none is best" in page
-        assert f"It takes {MIN_COMPLETE} complete trials" in page
+        assert f"It takes {study.MIN_COMPLETE} complete trials" in page
         assert table(page, "trial")[0][1] == "refused: a / b"
         names = {each.name for each in tmp_path.iterdir()}
         assert names == {"report.md", "history.png", "curves.png"}
@@ -419,16 +408,16 @@ def test_what_counts_has_the_largest_share(tmp_path) -> None:
     space = {**SMALL.space, "learning_rate": Span(1e-4, 1e-2), "gae_lambda": Span(0.0, 1.0)}
     sweep = Sweep(trials=60, pruner="none", sampler="random", space=space)
     trials = searched(sweep, tmp_path)
-    shares = importance(sweep, in_memory(*trials))
+    shares = study.importance(sweep, in_memory(*trials))
     assert next(iter(shares)) == "learning_rate"
     assert shares["learning_rate"] > 0.5
     assert sum(shares.values()) == pytest.approx(1.0)
     assert set(shares) == set(sweep.space)
     assert list(shares.values()) == sorted(shares.values(), reverse=True)
-    assert importance(sweep, in_memory(*trials[:MIN_COMPLETE])) is not None
-    assert importance(sweep, in_memory(*trials[: MIN_COMPLETE - 1])) is None
+    assert study.importance(sweep, in_memory(*trials[: study.MIN_COMPLETE])) is not None
+    assert study.importance(sweep, in_memory(*trials[: study.MIN_COMPLETE - 1])) is None
     for each in trials:
         each.value = 0.0
-    assert importance(sweep, in_memory(*trials)) is None
+    assert study.importance(sweep, in_memory(*trials)) is None
     trials[0].value = 1.0
-    assert importance(sweep, in_memory(*trials)) is None
+    assert study.importance(sweep, in_memory(*trials)) is None
