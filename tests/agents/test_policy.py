@@ -17,18 +17,11 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 
 from surface_gym import agents
 from surface_gym.agents import parcel_policy
+from surface_gym.agents import policy as policies
 from surface_gym.agents.base import SIDE
 from surface_gym.agents.learning.parcels import training_env_config
 from surface_gym.agents.library import CARD, WEIGHTS, PolicyCard
 from surface_gym.agents.module_policy import ModulePolicy, SharedNetwork
-from surface_gym.agents.policy import (
-    EqualCategoricals,
-    EqualChoicesPolicy,
-    Policy,
-    load_policy,
-    make_network,
-    save_policy,
-)
 from surface_gym.agents.rules.streams import StreamEventRule
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import KINDS
@@ -57,31 +50,33 @@ CARDS = {
 }
 
 
-def policy_of(card: PolicyCard) -> Policy | ModulePolicy:
+def policy_of(card: PolicyCard) -> policies.Policy | ModulePolicy:
     """With random weights."""
     torch.manual_seed(0)
     config, is_modules = card.env_config(), card.algo == "modules"
     network: Any = (
-        SharedNetwork(4, card.hidden, card.observe) if is_modules else make_network(card, config)
+        SharedNetwork(4, card.hidden, card.observe)
+        if is_modules
+        else policies.make_network(card, config)
     )
     with torch.no_grad():
         for weights in network.parameters():
             weights.normal_(std=0.5)
-    return ModulePolicy(network, card) if is_modules else Policy(network, card, config)
+    return ModulePolicy(network, card) if is_modules else policies.Policy(network, card, config)
 
 
 @pytest.fixture(params=["ppo", "dqn", "modules"])
 def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     card = CARDS[request.param]
-    save_policy(policy_of(card)._network, card, tmp_path)
+    policies.save_policy(policy_of(card)._network, card, tmp_path)
     return tmp_path
 
 
 @pytest.mark.parametrize("name", CARDS)
 def test_a_round_trip_predicts_what_an_environment_takes(name, tmp_path) -> None:
     before = policy_of(CARDS[name])
-    save_policy(before._network, CARDS[name], tmp_path)
-    after = load_policy(tmp_path)
+    policies.save_policy(before._network, CARDS[name], tmp_path)
+    after = policies.load_policy(tmp_path)
     assert after.card == CARDS[name]
     assert (after.env_id, after.env_kwargs) == (before.env_id, before.env_kwargs)
     envs = gym.make_vec(after.env_id, num_envs=50, **after.env_kwargs)
@@ -109,7 +104,7 @@ def test_no_byte_can_change_unnoticed(folder, name) -> None:
         if name == CARD and yaml_of(bytes(changed)) == yaml_of(whole):
             continue  # white space
         with pytest.raises(ValueError, match="damaged or foreign"):
-            load_policy(folder)
+            policies.load_policy(folder)
 
 
 def yaml_of(content: bytes) -> object:
@@ -138,7 +133,7 @@ def test_weights_of_another_kind_are_refused(folder, change, message) -> None:
     torch.save(weights if change is None else {**weights, name: change(first)}, folder / WEIGHTS)
     sign(folder)
     with pytest.raises(ValueError, match=re.escape(message)):
-        load_policy(folder)
+        policies.load_policy(folder)
 
 
 class Trap:
@@ -156,7 +151,7 @@ def test_a_pickle_is_refused_and_not_run(folder) -> None:
     (folder / WEIGHTS).write_bytes(pickle.dumps(Trap(mark), protocol=2))
     sign(folder)
     with pytest.raises(ValueError, match=r"it holds more than tensors and plain values$"):
-        load_policy(folder)
+        policies.load_policy(folder)
     assert not mark.exists()
 
 
@@ -166,7 +161,7 @@ def test_a_pickle_is_refused_and_not_run(folder) -> None:
 def test_a_foreign_card_is_refused(folder, text) -> None:
     (folder / CARD).write_text(text)
     with pytest.raises(ValueError, match="damaged or foreign"):
-        load_policy(folder)
+        policies.load_policy(folder)
 
 
 @pytest.mark.parametrize(
@@ -184,24 +179,24 @@ def test_a_card_of_other_weights_or_that_lacks_a_field_is_refused(folder, wrong)
     (folder / CARD).write_text("\n".join([*kept, wrong] if given else kept))
     sign(folder)
     with pytest.raises(ValueError, match="damaged or foreign"):
-        load_policy(folder)
+        policies.load_policy(folder)
 
 
 def test_damage_and_absence_are_named(folder) -> None:
     whole, lines = (folder / WEIGHTS).read_bytes(), (folder / CARD).read_text().splitlines()
     (folder / CARD).write_text("\n".join(line for line in lines if not line.startswith("digest")))
     with pytest.raises(ValueError, match="'digest' is missing"):
-        load_policy(folder)
+        policies.load_policy(folder)
     sign(folder)
     (folder / WEIGHTS).write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match="its digest differs"):
-        load_policy(folder)
+        policies.load_policy(folder)
     sign(folder)
     with pytest.raises(ValueError, match="failed reading zip archive"):
-        load_policy(folder)
+        policies.load_policy(folder)
     (folder / WEIGHTS).unlink()
     with pytest.raises(ValueError, match=f"{WEIGHTS} is missing"):
-        load_policy(folder)
+        policies.load_policy(folder)
 
 
 CHOICES, OPTIONS = 25, 4
@@ -213,7 +208,7 @@ def test_samples_fall_as_often_as_they_should() -> None:
     draws = 20_000
     row = torch.randn((1, CHOICES * OPTIONS), generator=torch.Generator().manual_seed(1))
     wanted = row.reshape(CHOICES, OPTIONS).softmax(dim=1)
-    ours = EqualCategoricals(CHOICES, OPTIONS).proba_distribution(row.expand(draws, -1))
+    ours = policies.EqualCategoricals(CHOICES, OPTIONS).proba_distribution(row.expand(draws, -1))
     samples = ours.sample()
     assert samples.shape == (draws, CHOICES)
     share = torch.nn.functional.one_hot(samples, OPTIONS).double().mean(dim=0)
@@ -223,10 +218,10 @@ def test_samples_fall_as_often_as_they_should() -> None:
 
 def test_a_policy_is_theirs_to_the_weights_and_gradients() -> None:
     observations, actions = spaces.Box(-1.0, 1.0, (3,)), spaces.MultiDiscrete([OPTIONS] * CHOICES)
-    ours = EqualChoicesPolicy(observations, actions, lambda _: 1e-3, net_arch=[8])
+    ours = policies.EqualChoicesPolicy(observations, actions, lambda _: 1e-3, net_arch=[8])
     theirs = ActorCriticPolicy(observations, actions, lambda _: 1e-3, net_arch=[8])
     theirs.load_state_dict(ours.state_dict())
-    assert isinstance(ours.action_dist, EqualCategoricals)
+    assert isinstance(ours.action_dist, policies.EqualCategoricals)
     seen = np.random.default_rng(0).normal(size=(7, 3)).astype(np.float32)
     chosen, _ = ours.predict(seen, deterministic=True)
     np.testing.assert_array_equal(chosen, theirs.predict(seen, deterministic=True)[0])
@@ -247,8 +242,10 @@ def test_a_policy_is_theirs_to_the_weights_and_gradients() -> None:
 
 @pytest.mark.parametrize("space", [spaces.Discrete(4), spaces.MultiDiscrete([2, 3])])
 def test_other_spaces_keep_their_distribution(space) -> None:
-    policy = EqualChoicesPolicy(spaces.Box(-1.0, 1.0, (3,)), space, lambda _: 1e-3, net_arch=[8])
-    assert not isinstance(policy.action_dist, EqualCategoricals)
+    policy = policies.EqualChoicesPolicy(
+        spaces.Box(-1.0, 1.0, (3,)), space, lambda _: 1e-3, net_arch=[8]
+    )
+    assert not isinstance(policy.action_dist, policies.EqualCategoricals)
 
 
 CONFIG = training_env_config(0.04)
@@ -329,7 +326,7 @@ class TestPolicy:
 @pytest.fixture
 def flow_folder(tmp_path: Path) -> Path:
     torch.manual_seed(0)
-    save_policy(parcel_policy.make_parcel_network(FLOW_CARD), FLOW_CARD, tmp_path)
+    policies.save_policy(parcel_policy.make_parcel_network(FLOW_CARD), FLOW_CARD, tmp_path)
     return tmp_path
 
 

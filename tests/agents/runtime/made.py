@@ -8,17 +8,8 @@ from typing import Any
 import numpy as np
 
 import surface_gym as sg
+from surface_gym.agents.runtime import controller as runtime
 from surface_gym.agents.runtime.config import WorldOptions
-from surface_gym.agents.runtime.controller import (
-    AxisLimits,
-    ControlLoop,
-    Decider,
-    FixedLayouts,
-    LocalArranger,
-    LoopConfig,
-    allowed_angles,
-    observation_bounds,
-)
 from surface_gym.agents.runtime.estimator import StateEstimator
 from surface_gym.agents.runtime.protocol import Angles, DeviceLost, Entered, Frame, Message
 from surface_gym.agents.runtime.simulator import World
@@ -122,16 +113,16 @@ class Always:
 
 def loop_of(
     device: ScriptedDevice, controller: Any, env_config: EnvConfig = CONFIG, **config: float
-) -> ControlLoop:
+) -> runtime.ControlLoop:
     """A loop on a device."""
     held = estimator()
     held.clear()
-    layouts = FixedLayouts(held.config)
-    arranger = LocalArranger(layouts), held.resolver(layouts.kind)
-    limits = AxisLimits(held.shape, allowed_angles(env_config))
-    return ControlLoop(
-        device, held, Decider(controller, env_config), arranger, limits,
-        observation_bounds(env_config), device.clock, LoopConfig(**config),
+    layouts = runtime.FixedLayouts(held.config)
+    arranger = runtime.LocalArranger(layouts), held.resolver(layouts.kind)
+    limits = runtime.AxisLimits(held.shape, runtime.allowed_angles(env_config))
+    return runtime.ControlLoop(
+        device, held, runtime.Decider(controller, env_config), arranger, limits,
+        runtime.observation_bounds(env_config), device.clock, runtime.LoopConfig(**config),
     )  # fmt: skip
 
 

@@ -7,12 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surface_gym.agents.runtime.controller import (
-    AxisLimits,
-    ControlLoop,
-    LoopConfig,
-    allowed_angles,
-)
+from surface_gym.agents.runtime import controller as runtime
 from surface_gym.agents.runtime.protocol import AxesAcknowledged, Departed
 from tests.agents.runtime import made
 from tests.agents.runtime.made import Always, entered
@@ -31,7 +26,7 @@ def frames(first: float, last: float, late: float = 0.02) -> list:
 def run(
     device: made.ScriptedDevice, seconds: float, action: Any = made.BRAKE, takes: float = 0.0,
     **config: float,
-) -> ControlLoop:  # fmt: skip
+) -> runtime.ControlLoop:  # fmt: skip
     """A loop that has run on a device for a while."""
     loop = made.loop_of(device, Always(action, device.clock, takes), **config)
     loop.run(seconds, made.nothing)
@@ -132,7 +127,7 @@ def test_an_action_or_an_axis_that_is_not_on_offer_is_not_sent(device, action) -
     others = replace(made.CONFIG, orientations=(0.1, 0.2, 0.3, 0.4))
     loop = made.loop_of(device, Always(made.BRAKE if action is None else action, device.clock))
     if action is None:
-        loop._limits = AxisLimits(made.estimator().shape, allowed_angles(others))
+        loop._limits = runtime.AxisLimits(made.estimator().shape, runtime.allowed_angles(others))
     loop.run(0.2, made.nothing)
     assert device.sent == []
     assert loop.counts.out_of_range == loop.counts.held == 5
@@ -158,7 +153,7 @@ def test_an_observation_out_of_bounds_is_not_for_the_policy(device) -> None:
 @pytest.mark.parametrize("name", ["period", "watchdog", "first_wait", "longest_wait"])
 def test_times_are_positive(name) -> None:
     with pytest.raises(ValueError, match=name):
-        LoopConfig(**{name: 0.0})
+        runtime.LoopConfig(**{name: 0.0})
 
 
 @pytest.mark.parametrize(
@@ -172,7 +167,7 @@ def test_times_are_positive(name) -> None:
     ],
 )
 def test_what_may_be_sent(angles, message) -> None:
-    fault = AxisLimits((1, 2), (0.0, math.pi / 2.0)).fault(np.array(angles))
+    fault = runtime.AxisLimits((1, 2), (0.0, math.pi / 2.0)).fault(np.array(angles))
     assert message in fault
     assert bool(message) == bool(fault)
-    assert AxisLimits((1, 2), None).fault(np.array([[0.3, -1.5]])) == ""
+    assert runtime.AxisLimits((1, 2), None).fault(np.array([[0.3, -1.5]])) == ""
