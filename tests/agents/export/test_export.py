@@ -54,8 +54,6 @@ def wanted(source: policy.Source, observations: policy.Singles) -> policy.Intege
 
 
 SHIPPED = [name for name in agents.names() if name != "flow-ppo"]
-
-
 COUNT = 1000
 ONNX_NEEDED = ("onnx", "onnxruntime")
 

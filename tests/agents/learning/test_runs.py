@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,13 @@ _STOP: dict[str, Any] = {
     "task": "stop", "num_envs": 16, "steps": 20_000, "checkpoint_every": 6_000, "hidden": (8,),
 }  # fmt: skip
 _SORT: dict[str, Any] = {"n_steps": 16, "batch_size": 64, "n_epochs": 2, "hidden": (8, 8)}
+_DQN: dict[str, Any] = {
+    "buffer_size": 10_000, "learning_starts": 1_000, "gradient_steps": 1, "batch_size": 32,
+}  # fmt: skip
+_FLOW: dict[str, Any] = {
+    "steps": 30_000, "num_envs": 4, "slots": 8, "n_steps": 64, "batch_size": 512, "n_epochs": 1,
+    "hidden": (8,), "imitation": 0, "critic_first": 4_000, "checkpoint_every": 8_192,
+}  # fmt: skip
 _CUDA: dict[str, Any] = {
     "device": "cuda", "camera_share": 0.0, "steps": 2048, "checkpoint_every": 1024,
     "num_envs": 16, **_SORT,
@@ -41,24 +49,11 @@ _CUDA: dict[str, Any] = {
 # Each with the control periods after which it is interrupted, and its reward terms.
 RUNS: dict[str, tuple[configs.TrainConfig, int, tuple[str, ...]]] = {
     "ppo": (configs.PPOConfig(**_STOP, n_steps=32, batch_size=256, n_epochs=1), 9_000, STOP_TERMS),
-    "dqn": (
-        configs.DQNConfig(
-            **_STOP, buffer_size=10_000, learning_starts=1_000, gradient_steps=1, batch_size=32
-        ),
-        9_000,
-        STOP_TERMS,
-    ),
+    "dqn": (configs.DQNConfig(**_STOP, **_DQN), 9_000, STOP_TERMS),
     "modules": (
         configs.ModulesConfig(steps=512, num_envs=8, checkpoint_every=256, **_SORT), 300, TERMS,
     ),
-    "parcels": (
-        configs.ParcelsConfig(
-            steps=30_000, num_envs=4, slots=8, n_steps=64, batch_size=512, n_epochs=1, hidden=(8,),
-            imitation=0, critic_first=4_000, checkpoint_every=8_192,
-        ),
-        12_000,
-        PARCEL_TERMS,
-    ),
+    "parcels": (configs.ParcelsConfig(**_FLOW), 12_000, PARCEL_TERMS),
     "cuda": (configs.PPOConfig(**_CUDA, actions="quadrants"), 1_500, TERMS),
 }  # fmt: skip
 TRAIN = """
@@ -92,13 +87,17 @@ def assert_same(one: Path, other: Path) -> None:
     assert same(one, other)
 
 
-@pytest.fixture(scope="module", params=RUNS)
-def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+@lru_cache
+def whole_run(name: str, factory: pytest.TempPathFactory) -> Path:
     """An unbroken run, in a folder by the name of its entry."""
-    folder = tmp_path_factory.mktemp("whole") / request.param
-    result = run(RUNS[request.param][0], folder)
-    assert not result.interrupted
+    folder = factory.mktemp("whole") / name
+    assert not run(RUNS[name][0], folder).interrupted
     return folder
+
+
+@pytest.fixture(params=RUNS)
+def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return whole_run(request.param, tmp_path_factory)
 
 
 def test_an_interrupted_run_is_resumed_to_the_same_result(whole, tmp_path) -> None:
@@ -144,7 +143,7 @@ def test_a_seed_fixes_the_weights(name, tmp_path) -> None:
     assert not same(tmp_path / "one", tmp_path / "other")
 
 
-def test_a_killed_run_is_resumed_to_the_same_result(tmp_path) -> None:
+def test_a_killed_run_is_resumed_to_the_same_result(tmp_path, tmp_path_factory) -> None:
     config, broken = RUNS["dqn"][0], tmp_path / "broken"
     broken.mkdir()
     runs.write_config(config, broken / "config.yaml")
@@ -158,8 +157,7 @@ def test_a_killed_run_is_resumed_to_the_same_result(tmp_path) -> None:
     assert process.wait() == -signal.SIGKILL  # before it was done
     assert not (broken / WEIGHTS).exists()
     run(config, broken)
-    run(config, tmp_path / "whole")
-    assert_same(tmp_path / "whole", broken)
+    assert_same(whole_run("dqn", tmp_path_factory), broken)
 
 
 @pytest.mark.parametrize("name", RUNS)

@@ -22,8 +22,6 @@ from surface_gym.tasks.line import BRAKING
 from tests.agents.rules.runs import Scripted, begun, ends, rule, run, run_rule
 
 COLUMNS = 16
-
-
 NOMINAL = FrictionEstimate.frictions(FrictionEstimate.unknown(2))
 
 

@@ -185,7 +185,6 @@ class TestOverASocket:
 
 
 PATIENCE = 120.0  # [s] for another process, on a computer that does other work
-
 RUN = reports.Run("stop-ppo", 0, "stop", "lab", "simulator", 0.04, 0.2, 600.0, (1.0, 2.0, 3.0), 2)
 
 
