@@ -68,8 +68,7 @@ def test_environments_are_single_ones_and_their_ends_are_reported() -> None:
         lasted += 1
         for i, single in enumerate(singles):
             seen, reward, terminated, truncated, info = single.step(actions[i])
-            assert rewards[i] == np.float32(reward)
-            assert dones[i] == (terminated or truncated)
+            assert (rewards[i], dones[i]) == (np.float32(reward), terminated or truncated)
             if dones[i]:
                 assert infos[i]["episode"]["l"] == lasted[i]
                 lasted[i] = 0

@@ -169,8 +169,7 @@ def test_rllibs_environments_are_those_of_the_native_vector_env() -> None:
         steps = zip(episode.get_actions(), episode.get_rewards(), seen[1:], strict=True)
         for action, reward, after in steps:
             expected, paid, terminated, *_ = single.step(action)
-            assert after.tolist() == expected.tolist()
-            assert reward == pytest.approx(paid)
+            assert (after.tolist(), reward) == (expected.tolist(), pytest.approx(paid))
         assert episode.is_terminated == terminated
     runner.stop()
 

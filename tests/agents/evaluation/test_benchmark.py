@@ -50,8 +50,7 @@ class TestComputing:
         assert runs.read_kept(tmp_path / runs.FILE, runs.Result) == first
         seen: list[tuple[int, int]] = []
         again = runs.compute_results(few(), 1, tmp_path, lambda *given: seen.append(given[:2]))
-        assert again[:2] == first
-        assert seen == [(3, 6), (4, 6), (5, 6), (6, 6)]
+        assert (again[:2], seen) == (first, [(3, 6), (4, 6), (5, 6), (6, 6)])
         monkeypatch.setattr(runs, "run_episodes", None)  # nothing is left to compute
         assert runs.compute_results(few(), 1, tmp_path) == again
 
@@ -61,8 +60,7 @@ class TestComputing:
         names = [method.name for method in methods]
         assert (names[:2], names[-1]) == (["fixed layout", "best fixed layout"], "planner")
         assert {"PPO", "DQN"} < set(names)
-        assert ("fixed layout, any angle" in names) == (task == "sort")
-        assert len(set(names)) == len(names)
+        assert ("fixed layout, any angle" in names, len(set(names))) == (task == "sort", len(names))
         assert all(len(each.seeds) >= 3 for each in methods if each.name in ("PPO", "DQN"))
         jobs = runs.list_jobs(methods)
         assert [preset for each, _, preset in jobs if each.name == "planner"] == ["exact"]

@@ -275,8 +275,7 @@ def test_it_shows_what_the_environment_draws(tmp_path) -> None:
 )
 def test_it_is_as_fast_as_asked_for(tmp_path, seconds, speed, rate, count) -> None:
     found, pictures = film(tmp_path / "flow.mp4", seconds, speed)
-    assert found == pytest.approx(rate)
-    assert len(pictures) == count
+    assert (found, len(pictures)) == (pytest.approx(rate), count)
 
 
 @pytest.mark.parametrize(

@@ -42,8 +42,7 @@ def test_no_change_is_as_trained(task) -> None:
     config = method.config(benchmark.task, EVERYTHING_EXACT)
     for name in ("sensors", "control_period", "zone", "actuators", "randomisation", "actions"):
         assert getattr(true, name) == getattr(config, name)
-    assert true.chosen_line == config.chosen_line
-    assert true.task.periods == config.task.periods
+    assert (true.chosen_line, true.task.periods) == (config.chosen_line, config.task.periods)
     assert true.task_name == task
 
 
@@ -204,16 +203,14 @@ class TestReport:
         squares = "square: 0.15 / 0.2 / 0.3 / 0.35 / 0.4 / 0.5 m"
         assert table.header[1:3] == ("as trained", squares)
         fixed = dict(zip(table.header, table.rows[0], strict=True))
-        assert fixed["as trained"] == "0.25"
-        assert fixed["stuck modules: 2 / 10 %"] == "0.25 / 0.12"
+        assert (fixed["as trained"], fixed["stuck modules: 2 / 10 %"]) == ("0.25", "0.25 / 0.12")
         assert table.rows[-1][-1] == "-"
         assert "24 starts (planner: 6)" in table.caption
         assert not any("zone" in name for name in report.factor_table(SWEEP, "track").header)
 
     def test_squares_beside_the_planners(self) -> None:
         rows = {row[0]: row[1:] for row in report.square_table(SWEEP, "slow").rows}
-        assert rows["PPO, lab"][0] == "0.50 at 0.49"
-        assert rows[PLANNER][2] == "1.00"
+        assert (rows["PPO, lab"][0], rows[PLANNER][2]) == ("0.50 at 0.49", "1.00")
         shares = []
         for level in SQUARE.shown:
             own, best = (SWEEP.success("slow", name, "square", level) for name in ("PPO", PLANNER))

@@ -96,8 +96,7 @@ class TestComputing:
             file.write('{"method": "zone')  # a line broken off
         seen: list[tuple[int, int]] = []
         both = streams.compute_streams(some, 1, tmp_path, lambda *given: seen.append(given[:2]))
-        assert both[:2] == first
-        assert seen == [(done, 5) for done in (3, 4, 5)]
+        assert (both[:2], seen) == (first, [(done, 5) for done in (3, 4, 5)])
         loads = [(result.method, result.preset, result.load) for result in both[2:]]
         expected = (("exact", SEARCHED), ("exact", 0.25), ("camera", SEARCHED))
         assert loads == [(streams.TURNED, *each) for each in expected]
@@ -173,8 +172,7 @@ def test_every_stream_has_a_bound(monkeypatch) -> None:
 
     monkeypatch.setattr(streams, "packing_bound", known)
     results = streams.StreamResults.of(RULES, stream_rows())
-    assert seen == streams.cases()
-    assert results.rate(streams.BOUND, CURVE) == 100.0
+    assert (seen, results.rate(streams.BOUND, CURVE)) == (streams.cases(), 100.0)
 
 
 SMALL = capacity.Case("S", 1.5)
@@ -202,11 +200,9 @@ def delivery(
 
 def test_figures_are_those_of_all_replications() -> None:
     found = Measurement(3000.0, [10, 12], [10, 15], [1.0, 0.0], [0.2, 0.4], 0, 20.0)
-    assert found.rates.tolist() == [1800.0, 2160.0]
-    assert found.rate == pytest.approx(1980.0)
+    assert (found.rates.tolist(), found.rate) == ([1800.0, 2160.0], pytest.approx(1980.0))
     assert found.share_right == pytest.approx(22 / 25)
-    assert found.touches_per_1000 == pytest.approx(40.0)
-    assert found.waited == pytest.approx(0.3)
+    assert (found.touches_per_1000, found.waited) == (pytest.approx(40.0), pytest.approx(0.3))
     # Two values: half the interval is 12.706 of the mean's standard error.
     assert found.margin == pytest.approx(12.706 * 180.0, rel=1e-4)
     samples = np.random.default_rng(0).normal(size=(2000, 30))
@@ -243,10 +239,8 @@ class TestMeasure:
         """To the parcel, as whole gaps count: every replication delivers what was offered."""
         found = offer(BY_NAME[name], SMALL, 3000.0)
         assert found == offer(BY_NAME[name], SMALL, 3000.0)
-        assert found.share_right == 1.0
-        assert found.rates == pytest.approx(3000.0, rel=0.12)
-        assert found.rate == pytest.approx(3000.0, rel=0.03)
-        assert found.jams == 0
+        assert (found.share_right, found.rates) == (1.0, pytest.approx(3000.0, rel=0.12))
+        assert (found.rate, found.jams) == (pytest.approx(3000.0, rel=0.03), 0)
 
     def test_every_method_meets_the_same_stream(self) -> None:
         """A third of it is to go left: so many the layout has right, and the rule by all exits."""
@@ -269,9 +263,7 @@ class TestMeasure:
 
         brake = capacity.StreamMethod("brake", "modules", False, Brake)
         whole = offer(brake, SMALL, 9000.0)
-        assert whole.jams == 4
-        assert whole.rate == 0.0
-        assert whole.waiting == pytest.approx([0.0] * 4)
+        assert (whole.jams, whole.rate, whole.waiting) == (4, 0.0, pytest.approx([0.0] * 4))
         assert not whole.is_sustained(SMALL)
 
 

@@ -62,8 +62,7 @@ def test_bad_fields_are_named(kind, wrong) -> None:
 def test_defaults_are_understood_in_the_zoos_schema(task, algo) -> None:
     entry = yaml.safe_load((configs.FOLDER / f"{algo}.yml").read_text())[env_id(task)]
     config = configs.defaults(task, algo)
-    assert (config.task, config.algo) == (task, algo)
-    assert config.num_envs == entry["n_envs"]
+    assert (config.task, config.algo, config.num_envs) == (task, algo, entry["n_envs"])
     assert config.steps == int(entry["n_timesteps"])
     assert config.hidden == tuple(entry["policy_kwargs"]["net_arch"])
     assert f"lin_{config.learning_rate:g}" == f"lin_{float(entry['learning_rate'][4:]):g}"
@@ -108,10 +107,8 @@ def test_it_is_the_zoos_schema(tmp_path) -> None:
     config: configs.TrainConfig = configs.DQNConfig(task="slow", num_envs=32, learning_rate=2e-5)
     configs.write_hyperparams(config, tmp_path / "own.yml")
     entry = yaml.safe_load((tmp_path / "own.yml").read_text())["SmartSurface/Slow-v0"]
-    assert entry["n_envs"] == 32
-    assert entry["n_timesteps"] == 1_000_000
-    assert entry["learning_rate"] == "lin_2e-05"
-    assert entry["policy_kwargs"] == {"net_arch": [64, 64]}
+    assert (entry["n_envs"], entry["n_timesteps"]) == (32, 1_000_000)
+    assert (entry["learning_rate"], entry["policy_kwargs"]) == ("lin_2e-05", {"net_arch": [64, 64]})
     assert entry["env_kwargs"] == {"actions": "halves", "control_period": 0.04}
     assert not {"task", "algo", "seed", "seeds", "out", "name"} & entry.keys()
 

@@ -114,8 +114,7 @@ def samples(counts: list[int], first: int) -> ModuleSamples:
 def test_selected_samples_keep_their_modules() -> None:
     whole = ModuleSamples.concatenate([samples([2, 0, 3], 0), samples([1, 4, 0], 3)])
     some = whole.select(np.array([4, 1, 2, 4]))
-    assert some.observations.tolist() == [4, 1, 2, 4]
-    assert some.count.tolist() == [4, 0, 3, 4]
+    assert (some.observations.tolist(), some.count.tolist()) == ([4, 1, 2, 4], [4, 0, 3, 4])
     assert some.place.tolist() == [4, 4, 4, 4, 2, 2, 2, 4, 4, 4, 4]
     assert some.sample.tolist() == [0, 0, 0, 0, 2, 2, 2, 3, 3, 3, 3]
 

@@ -74,8 +74,7 @@ def test_more_nodes_are_followed_only_where_fewer_find_no_success() -> None:
     """A parcel that enters at 2.7 m/s cannot be stopped where the zone begins."""
     starts = [{"speed": 1.0}, {"speed": 2.7, "position": 0.5}]
     within, beyond = find_reachable(HALVES, starts, SEED, 24)
-    assert (within.success, within.width) == (True, 8)
-    assert (beyond.success, beyond.width) == (False, 24)
+    assert (within.success, within.width, beyond.success, beyond.width) == (True, 8, False, 24)
     assert beyond.outcome == "passed the asked x"
 
 
@@ -97,8 +96,7 @@ def test_it_stops_wide_parcels_and_follows_paths_but_not_beyond_its_time(
     assert (found.outcome, found.success) == (outcome, outcome == "success")
     assert abs(found.metrics[0]) < most
     if outcome == "out of time":
-        assert found.time == pytest.approx(1.0)
-        assert len(found.actions) == 100
+        assert (found.time, len(found.actions)) == (pytest.approx(1.0), 100)
 
 
 @pytest.mark.parametrize(

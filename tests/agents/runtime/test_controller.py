@@ -51,9 +51,7 @@ def test_a_deadline_that_is_missed_is_counted(device) -> None:
     device.script = [(0.0, entered()), *frames(0.02, 0.9)]
     loop = run(device, 0.8, takes=0.05)
     counts = loop.counts
-    assert counts.kept == 0
-    assert counts.missed == counts.periods
-    assert counts.periods + counts.skipped == 20
+    assert (counts.kept, counts.missed, counts.periods + counts.skipped) == (0, counts.periods, 20)
     assert counts.skipped > 0
     assert loop.latencies.policy == pytest.approx([0.05] * counts.decisions)
 
@@ -115,8 +113,7 @@ def test_what_the_device_refuses_is_counted_and_forgotten(device) -> None:
     refused, taken = AxesAcknowledged(1, 0.05, "no"), AxesAcknowledged(2, 0.09)
     device.script = [(0.0, entered()), (0.06, refused), (0.1, taken)]
     loop = run(device, 0.2)
-    assert loop.counts.refused == 1
-    assert loop.latencies.send == pytest.approx([0.01])
+    assert (loop.counts.refused, loop.latencies.send) == (1, pytest.approx([0.01]))
     # It has seen nothing since the entry: the whole way is that time and what the axes take.
     assert loop.latencies.whole == pytest.approx([0.08 + 0.01 + 0.05])
 

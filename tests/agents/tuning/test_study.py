@@ -133,8 +133,7 @@ class TestResuming:
         assert len(before) == at + 1
         trials = searched(SMALL, tmp_path)
         for one, other in zip(before[:at], trials, strict=False):
-            assert one.params == other.params
-            assert one.datetime_complete == other.datetime_complete
+            assert (one.params, one.datetime_complete) == (other.params, other.datetime_complete)
         assert trials[at].state == TrialState.FAIL
         assert trials[at + 1].params == trials[at].params == before[at].params
         assert len(finished(tmp_path)) == 14
@@ -411,8 +410,7 @@ def test_what_counts_has_the_largest_share(tmp_path) -> None:
     shares = study.importance(sweep, in_memory(*trials))
     assert next(iter(shares)) == "learning_rate"
     assert shares["learning_rate"] > 0.5
-    assert sum(shares.values()) == pytest.approx(1.0)
-    assert set(shares) == set(sweep.space)
+    assert (sum(shares.values()), set(shares)) == (pytest.approx(1.0), set(sweep.space))
     assert list(shares.values()) == sorted(shares.values(), reverse=True)
     assert study.importance(sweep, in_memory(*trials[: study.MIN_COMPLETE])) is not None
     assert study.importance(sweep, in_memory(*trials[: study.MIN_COMPLETE - 1])) is None
