@@ -40,10 +40,9 @@ CARDS = {
 
 def made(name: str) -> policy.Source:
     """The policy of a card, its weights at random."""
-    policy = policy_of(CARDS[name])
-    weights = policy._network.state_dict()
-    config = CARDS[name].env_config()
-    return policy.Source(name, 0, policy, config, weights, "none", policy.Training("nominal"))
+    made, config = policy_of(CARDS[name]), CARDS[name].env_config()
+    training = policy.Training("nominal")
+    return policy.Source(name, 0, made, config, made._network.state_dict(), "none", training)
 
 
 def wanted(source: policy.Source, observations: policy.Singles) -> policy.Integers:

@@ -28,7 +28,7 @@ def rule(task: str, name: str) -> Rule:
 
 def run(controller: Controller, config: EnvConfig, starts: list[dict[str, Any]]) -> Episodes:
     """Run one environment per start, each to the end of its episode, however slow."""
-    patient = replace(config, task=replace(config.task, limit=300))
+    patient = replace(config, task=replace(config.task, time_limit=300))
     return run_episodes(controller, patient, starts, seed=0)
 
 
