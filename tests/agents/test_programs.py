@@ -225,9 +225,8 @@ class TestARun:
 
 
 def test_a_faulty_task_ends_without_a_traceback(tmp_path) -> None:
-    (tmp_path / "faulty.py").write_text(
-        "from surface_gym.tasks import Sort\nclass Faulty(Sort):\n    outcome = None\n"
-    )
+    code = "from surface_gym.tasks import Sort\nclass Faulty(Sort):\n    outcome = None\n"
+    (tmp_path / "faulty.py").write_text(code)
     done = run_in_process("train.py", "--task", "faulty.py:Faulty", *SHORT.split(), folder=tmp_path)
     assert done.returncode != 0
     assert "Faulty.outcome must be a static method and a kernel_function" in done.stderr

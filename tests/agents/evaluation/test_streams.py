@@ -1,10 +1,9 @@
 """The comparison on streams: rates that are sustained, results that are kept, and their tables."""
 
-import json
 import math
 import pickle
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,10 +14,15 @@ from surface_gym.agents.evaluation.benchmark import half_interval
 from surface_gym.agents.evaluation.capacity import Case, Measurement
 from surface_gym.agents.evaluation.methods import FIXED
 from surface_gym.agents.evaluation.streams import ARRANGED, CURVE, EVENT, RESERVATION, SEARCHED
-from surface_gym.config import EnvConfig
 from tests.agents.evaluation.made import RULES, SHARES, stream_results, stream_rows
+from tests.agents.rules.runs import Scripted
 
 BY_NAME = {method.name: method for method in streams.stream_methods()}
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capacity, "REPLICATIONS", 4)
 
 
 @pytest.fixture
@@ -66,15 +70,6 @@ def test_every_result_is_computed_once() -> None:
     assert len(jobs) - len(searched) == len(streams.LOADS) * len(streams.stream_methods())
     assert {key[3:5] for key in jobs if key[-1] != SEARCHED} == {(CURVE.mix, CURVE.speed)}
     assert {key[3:5] for key in searched} == {(case.mix, case.speed) for case in streams.cases()}
-
-
-def test_a_result_comes_back_from_a_file() -> None:
-    measured = Measurement(900.0, [1, 2], [1, 3], [0.0, 0.5], [0.1, 0.0], 0, 22.0)
-    for result in (
-        streams.StreamResult("one", "exact", "S", 1.5, SEARCHED, True, measured, measured),
-        streams.StreamResult("one", "camera", "S", 1.0, 0.5, False, None, None),
-    ):
-        assert streams.stream_result(**json.loads(json.dumps(asdict(result)))) == result
 
 
 @pytest.mark.usefixtures("small")
@@ -150,9 +145,8 @@ class TestTables:
     def test_every_number_has_a_row(self) -> None:
         rows = streams.stream_numbers(stream_results())
         assert {row["metric"] for row in rows} > {"capacity", "share_right", "waiting", "bound"}
-        key, wanted = ("controller", "preset", "parcels", "speed", "metric"), (
-            streams.EVENT, "exact", "S", 1.0, "capacity",
-        )  # fmt: skip
+        key = ("controller", "preset", "parcels", "speed", "metric")
+        wanted = (EVENT, "exact", "S", 1.0, "capacity")
         found = [row["value"] for row in rows if tuple(row[name] for name in key) == wanted]
         assert found == [pytest.approx(0.4 * Case("S", 1.0).ceiling, rel=0.05)]
 
@@ -176,20 +170,11 @@ def test_every_stream_has_a_bound(monkeypatch) -> None:
 
 
 SMALL = capacity.Case("S", 1.5)
-NOBODY: Any = None  # decides where the measurement is replaced
 
 
-@pytest.fixture(autouse=True)
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(capacity, "REPLICATIONS", 4)
-
-
-def offer(
-    method: capacity.StreamMethod, case: capacity.Case, rate: float, whole: bool = True
-) -> Measurement | None:
-    controller = method.make(method.config(case, rate))
-    assert controller is not None
-    return capacity.measure(method, controller, case, rate, whole)
+def offer(method: Any, rate: float, whole: bool = True) -> Measurement | None:
+    controller = method.make(method.config(SMALL, rate))
+    return capacity.measure(method, controller, SMALL, rate, whole)
 
 
 def delivery(
@@ -233,38 +218,32 @@ def test_what_counts_are_whole_gaps_after_the_warm_up(rate) -> None:
     assert capacity.counted_time(30.0, 10.0) == 30.0
 
 
-class TestMeasure:
-    @pytest.mark.parametrize("name", [EVENT, RESERVATION])
-    def test_what_comes_leaves_in_the_long_run(self, name) -> None:
-        """To the parcel, as whole gaps count: every replication delivers what was offered."""
-        found = offer(BY_NAME[name], SMALL, 3000.0)
-        assert found == offer(BY_NAME[name], SMALL, 3000.0)
-        assert (found.share_right, found.rates) == (1.0, pytest.approx(3000.0, rel=0.12))
-        assert (found.rate, found.jams) == (pytest.approx(3000.0, rel=0.03), 0)
+@pytest.mark.parametrize("name", [EVENT, RESERVATION])
+def test_what_comes_leaves_in_the_long_run(name) -> None:
+    """To the parcel, as whole gaps count: every replication delivers what was offered."""
+    found = offer(BY_NAME[name], 3000.0)
+    assert found == offer(BY_NAME[name], 3000.0)
+    assert (found.share_right, found.rates) == (1.0, pytest.approx(3000.0, rel=0.12))
+    assert (found.rate, found.jams) == (pytest.approx(3000.0, rel=0.03), 0)
 
-    def test_every_method_meets_the_same_stream(self) -> None:
-        """A third of it is to go left: so many the layout has right, and the rule by all exits."""
-        layout = offer(BY_NAME[FIXED], SMALL, 3000.0)
-        rule = offer(BY_NAME[EVENT], SMALL, 3000.0)
-        assert layout.delivered == pytest.approx(rule.delivered, abs=2)
-        assert 0.15 < layout.share_right < 0.55
-        # A lost rate is broken off.
-        assert offer(BY_NAME[FIXED], SMALL, 3000.0, whole=False) is None
 
-    def test_a_jam_is_told(self) -> None:
-        class Brake:
-            """Every axis at 0 deg."""
+def test_every_method_meets_the_same_stream() -> None:
+    """A third of it is to go left: so many the layout has right, and the rule by all exits."""
+    layout, rule = offer(BY_NAME[FIXED], 3000.0), offer(BY_NAME[EVENT], 3000.0)
+    assert layout.delivered == pytest.approx(rule.delivered, abs=2)
+    assert 0.15 < layout.share_right < 0.55
+    # A lost rate is broken off.
+    assert offer(BY_NAME[FIXED], 3000.0, whole=False) is None
 
-            def __init__(self, config: EnvConfig) -> None:
-                self._size = config.action_kind.size
 
-            def predict(self, observation: Any, state: Any = None, *_: Any) -> tuple[Any, Any]:
-                return np.zeros((len(observation), self._size), dtype=int), state
-
-        brake = capacity.StreamMethod("brake", "modules", False, Brake)
-        whole = offer(brake, SMALL, 9000.0)
-        assert (whole.jams, whole.rate, whole.waiting) == (4, 0.0, pytest.approx([0.0] * 4))
-        assert not whole.is_sustained(SMALL)
+def test_a_jam_is_told() -> None:
+    """Of a machine that always gets one action: every axis at 0 deg."""
+    brake = capacity.StreamMethod(
+        "brake", "modules", False, lambda config: Scripted([[[0] * config.action_kind.size]] * 4)
+    )
+    whole = offer(brake, 9000.0)
+    assert (whole.jams, whole.rate, whole.waiting) == (4, 0.0, pytest.approx([0.0] * 4))
+    assert not whole.is_sustained(SMALL)
 
 
 def search(
@@ -273,13 +252,12 @@ def search(
     """The greatest rate, and all that were tried, where a measurement is known by its rate."""
     tried: list[float] = []
 
-    def measure(_: Any, __: Any, ___: Any, rate: float, whole: bool = True) -> Measurement:
-        assert name == EVENT or not whole
-        tried.append(rate)
-        return known(rate)
+    def measure(*given: Any) -> Measurement:
+        tried.append(given[3])
+        return known(given[3])
 
-    monkeypatch.setattr(capacity, "measure", measure)
-    return capacity.find_capacity(BY_NAME[name], NOBODY, SMALL), tried
+    monkeypatch.setattr(capacity, "measure", lambda *given, **_: measure(*given))
+    return capacity.find_capacity(BY_NAME[name], None, SMALL), tried
 
 
 @pytest.mark.parametrize("carried", [5000.0, 9000.0, 17000.0])
