@@ -2,8 +2,8 @@
 
 import json
 import sys
-from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from surface_gym import agents
 from surface_gym.agents.export import check, policy
 from surface_gym.agents.export import onnx as graphs
 from surface_gym.agents.export.c_header import make_header
-from surface_gym.agents.export.check import compare, find_compiler, random_observations
+from surface_gym.agents.export.check import compare, random_observations
 from surface_gym.agents.export.cli import ExportConfig, export, main, make_metadata, make_model
 from surface_gym.agents.export.page import UNKNOWN, find_need, make_page
 from surface_gym.agents.learning.config import RENAMED, PPOConfig
@@ -54,7 +54,14 @@ def wanted(source: policy.Source, observations: policy.Singles) -> policy.Intege
 
 SHIPPED = [name for name in agents.names() if name != "flow-ppo"]
 COUNT = 1000
-ONNX_NEEDED = ("onnx", "onnxruntime")
+
+
+def needed(*libraries: str) -> list[Any]:
+    """Libraries of the extra `export`; without them a test is skipped."""
+    return [
+        pytest.importorskip(name, reason=f"{name}, of the extra `export`, is missing")
+        for name in libraries
+    ]
 
 
 @pytest.mark.parametrize("name", [*SHIPPED, *CARDS])
@@ -69,12 +76,11 @@ def test_it_decides_as_the_policy(name) -> None:
         if "side" in names:
             assert {-1.0, 0.0, 1.0} <= set(seen[:, names.index("side")].tolist())
     compiler = check.find_compiler()
-    if isinstance(decision, policy.NetworkDecision) and compiler is not None:
+    if not is_modules and compiler is not None:
         header = make_header(decision, name, source.config.control_period, {"of": "a */ test"})
         decide = check.run_c(compiler, header, name, decision.parts)
         assert compare("C", decision, source, seen, decide).observations == COUNT
-    for library in ONNX_NEEDED:
-        pytest.importorskip(library, reason=f"{library}, of the extra `export`, is missing")
+    needed("onnx", "onnxruntime")
     decide = check.run_onnx(make_model(decision, {}))
     agreement = compare("ONNX", decision, source, seen, decide)
     assert agreement.observations == COUNT
@@ -95,6 +101,7 @@ def test_a_header_that_does_not_compile_is_refused() -> None:
         check.run_c(compiler, header, "quadrants", decision.parts)(seen)
 
 
+CPU = ["CPUExecutionProvider"]
 TURNS = np.linspace(-np.pi, np.pi, 721)
 SEEN = np.stack([np.sin(TURNS), np.cos(TURNS)], axis=1).astype(np.float32)
 
@@ -109,19 +116,14 @@ def test_an_angle_is_that_of_its_sine_and_cosine() -> None:
 
 def test_a_graph_computes_in_double_precision_what_numpy_does() -> None:
     """Though its arc tangent is of single precision."""
-    for library in ONNX_NEEDED:
-        pytest.importorskip(library, reason=f"{library}, of the extra `export`, is missing")
-    import onnx
-
+    onnx, runtime = needed("onnx", "onnxruntime")
     graph, kinds, helper = graphs.Graph(), onnx.TensorProto, onnx.helper
     traced: graphs.Traced = graphs._angle(*graph.features(2)) + np.zeros((1, 3))
     given = helper.make_tensor_value_info(graphs.OBSERVATION, kinds.FLOAT, ["num_envs", 2])
     result = helper.make_tensor_value_info(traced.name, kinds.DOUBLE, ["num_envs", 3])
     whole = helper.make_graph(graph._nodes, "angle", [given], [result], graph._constants)
     model = helper.make_model(whole, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    session = graphs.need("onnxruntime").InferenceSession(
-        model.SerializeToString(), providers=["CPUExecutionProvider"]
-    )
+    session = runtime.InferenceSession(model.SerializeToString(), providers=CPU)
     (angle,) = session.run(None, {graphs.OBSERVATION: SEEN})
     sine, cosine = SEEN.astype(np.float64).T
     wanted = np.repeat(np.arctan2(sine, cosine)[:, np.newaxis], 3, axis=1)
@@ -147,11 +149,9 @@ def stop() -> policy.Source:
     return made("stop")
 
 
-def deciding(
-    choices: policy.Integers, source: policy.Source
-) -> Callable[[policy.Singles], tuple[policy.Integers, policy.Numbers]]:
-    angles: policy.Numbers = np.array(source.config.chosen_orientations)
-    return lambda _: (choices, angles[choices])
+def deciding(choices: policy.Integers, source: policy.Source) -> Any:
+    angles = np.array(source.config.chosen_orientations)[choices]
+    return lambda _: (choices, angles)
 
 
 def test_another_choice_and_another_angle_are_errors_that_name_it(stop) -> None:
@@ -183,25 +183,21 @@ def test_ties_are_counted_apart_but_not_without_limit(stop) -> None:
         compare("it", decision, stop, seen, deciding((choices + 1) % 4, stop))
 
 
-def test_a_network_of_another_kind_is_refused() -> None:
-    for modules in (
-        nn.Sequential(nn.Linear(2, 2), nn.Sigmoid(), nn.Linear(2, 2)),
-        nn.Sequential(nn.Linear(2, 2), nn.Tanh()),
-        nn.Sequential(nn.Linear(2, 2), nn.Tanh(), nn.Linear(2, 2), nn.ReLU(), nn.Linear(2, 2)),
-    ):
-        with pytest.raises(ValueError, match="network must be linear layers"):
-            policy.read_network(modules)
+@pytest.mark.parametrize(
+    "between",
+    [(nn.Sigmoid(), nn.Linear(2, 2)), (nn.Tanh(),), (nn.Tanh(), nn.Linear(2, 2), nn.ReLU())],
+)
+def test_a_network_of_another_kind_is_refused(between) -> None:
+    with pytest.raises(ValueError, match="network must be linear layers"):
+        policy.read_network(nn.Sequential(nn.Linear(2, 2), *between))
 
 
 def test_it_writes_three_files_that_it_has_checked(tmp_path, capsys) -> None:
-    onnx = pytest.importorskip("onnx", reason="onnx, of the extra `export`, is missing")
-    runtime = pytest.importorskip(
-        "onnxruntime", reason="onnxruntime, of the extra `export`, is missing"
-    )
+    onnx, runtime = needed("onnx", "onnxruntime")
     main(["sort-ppo", "--seed", "1", "--out", str(tmp_path), "--observations", "400"])
     printed = "".join(capsys.readouterr().out.split())
     assert "ONNX:400observations,800choices:thesame" in printed
-    assert ("C:nottried" in printed) == (find_compiler() is None)
+    assert ("C:nottried" in printed) == (check.find_compiler() is None)
     names = {file.name for file in tmp_path.iterdir()}
     assert names == {"sort-ppo.onnx", "sort-ppo.h", "sort-ppo.md"}
     model = onnx.load(tmp_path / "sort-ppo.onnx")
@@ -213,21 +209,16 @@ def test_it_writes_three_files_that_it_has_checked(tmp_path, capsys) -> None:
     assert json.loads(says["features"])[14] == "side"
     assert source.digest in (tmp_path / "sort-ppo.h").read_text()
     assert [each.version for each in model.opset_import] == [17]
-    session = runtime.InferenceSession(
-        tmp_path / "sort-ppo.onnx", providers=["CPUExecutionProvider"]
-    )
+    session = runtime.InferenceSession(tmp_path / "sort-ppo.onnx", providers=CPU)
     (value,) = session.get_inputs()
-    assert (value.name, value.shape, value.type) == (
-        "observation", ["num_envs", 15], "tensor(float)",
-    )  # fmt: skip
-    assert [(each.name, each.type) for each in session.get_outputs()] == [
-        ("choices", "tensor(int64)"),
-        ("angles", "tensor(double)"),
-    ]
+    found = (value.name, value.shape, value.type)
+    assert found == ("observation", ["num_envs", 15], "tensor(float)")
+    outputs = {each.name: each.type for each in session.get_outputs()}
+    assert outputs == {"choices": "tensor(int64)", "angles": "tensor(double)"}
 
 
-def test_modules_that_share_weights_have_no_c_header(tmp_path, capsys) -> None:
-    pytest.importorskip("onnx", reason="onnx, of the extra `export`, is missing")
+def test_modules_that_share_weights_have_no_c_header(tmp_path) -> None:
+    needed("onnx")
     with pytest.raises(SystemExit, match=r"formats must be onnx for sort-modules, .* ONNX alone"):
         main(["sort-modules", "--formats", "c", "--out", str(tmp_path)])
     assert list(tmp_path.iterdir()) == []
@@ -237,24 +228,24 @@ def test_modules_that_share_weights_have_no_c_header(tmp_path, capsys) -> None:
     assert "sort-modules.h" not in (tmp_path / "sort-modules.md").read_text()
     main(["slow-dqn", "--formats", "c", "--out", str(tmp_path / "c"), "--observations", "200"])
     assert {file.name for file in (tmp_path / "c").iterdir()} == {"slow-dqn.h", "slow-dqn.md"}
-    capsys.readouterr()
 
 
 def test_a_run_is_exported_under_its_own_name_or_another(tmp_path) -> None:
     save_policy(made("window").policy._network, CARDS["window"], tmp_path / "window")
-    source = policy.of_run(tmp_path / "window", "mine")
+    folder = tmp_path / "window"
+    source = policy.of_run(folder, "mine")
     assert (source.name, source.seed, source.training.preset) == ("mine", 0, "nominal")
-    assert policy.of_run(tmp_path / "window").name == "window"
-    write_config(PPOConfig(preset="lab"), tmp_path / "window" / "config.yaml")
-    lab = policy.of_run(tmp_path / "window").training
-    assert [each.name for each in lab.presets] == list(policy.TRAINED_IN["lab"])
+    assert policy.of_run(folder).name == "window"
+    write_config(PPOConfig(preset="lab"), folder / "config.yaml")
+    presets = [each.name for each in policy.of_run(folder).training.presets]
+    assert presets == list(policy.TRAINED_IN["lab"])
     for flag in ("preset", next(old for old, name in RENAMED.items() if name == "preset")):
         command = f"python train.py --{flag} lab"
-        (tmp_path / "window" / "card.yaml").write_text(f"command: {command}\n")
-        training = policy.of_run(tmp_path / "window").training
+        (folder / "card.yaml").write_text(f"command: {command}\n")
+        training = policy.of_run(folder).training
         assert (training.preset, training.command) == ("lab", command)
     with pytest.raises(ValueError, match="seed must be one of 0, got 3"):
-        policy.of_run(tmp_path / "window", seed=3)
+        policy.of_run(folder, seed=3)
 
 
 @pytest.mark.parametrize("name", CARDS)

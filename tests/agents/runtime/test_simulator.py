@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -141,6 +140,23 @@ class TestOverASocket:
         assert counts.by_fixed_layout == pytest.approx((0.4 - 0.2) / 0.04, abs=1)
         assert counts.decisions > 5
 
+    def test_it_serves_as_long_as_asked_and_stands_still_where_the_clock_ran_away(
+        self, server
+    ) -> None:
+        clock, turns = made.ManualClock(), iter([True, True, False])
+
+        def goes_on() -> bool:
+            clock.time += 0.02
+            return next(turns)
+
+        serve(server, clock, goes_on)
+        assert server._world.now > 0.03
+        server.step(0.2)
+        later = server._world.now + MAX_BEHIND + 100.0
+        server.step(later)
+        assert server._world.now == pytest.approx(later, abs=0.006)
+        assert server._world._number == 0
+
     def test_a_later_loop_takes_the_place(self, server) -> None:
         address = self.address(server)
         first, second = (protocol.SocketDevice(address, "stop", (4, 16)) for _ in range(2))
@@ -166,47 +182,27 @@ class TestOverASocket:
             while connected.recv(4096):
                 pass
 
-    def test_it_stands_still_where_the_clock_ran_away(self, server) -> None:
-        server.step(0.2)
-        before = server._world.now
-        server.step(before + MAX_BEHIND + 100.0)
-        assert server._world.now == pytest.approx(before + MAX_BEHIND + 100.0, abs=0.006)
-        assert server._world._number == 0
-
-    def test_it_serves_as_long_as_it_is_asked_to(self, server) -> None:
-        clock, turns = made.ManualClock(), iter([True, True, False])
-
-        def goes_on() -> bool:
-            clock.time += 0.02
-            return next(turns)
-
-        serve(server, clock, goes_on)
-        assert server._world.now > 0.03
-
 
 PATIENCE = 120.0  # [s] for another process, on a computer that does other work
 RUN = reports.Run("stop-ppo", 0, "stop", "lab", "simulator", 0.04, 0.2, 600.0, (1.0, 2.0, 3.0), 2)
 
 
-def report_of(counts: controller.Counts, latencies: controller.Latencies) -> Any:
-    return reports.make_report(RUN, counts, latencies)
-
-
 def test_a_report_is_written_whole_and_shown(tmp_path, capsys) -> None:
     counts = controller.Counts(periods=15_000, kept=14_990, missed=10, lost=5)
     counts.parcels.update(["success", "success", "missed"])
-    made = report_of(counts, controller.Latencies(policy=[0.001 * k for k in range(101)]))
-    report = json.loads(reports.write_report(made, tmp_path / "out").read_text())
+    latencies = controller.Latencies(policy=[0.001 * k for k in range(101)])
+    whole = reports.make_report(RUN, counts, latencies)
+    report = json.loads(reports.write_report(whole, tmp_path / "out").read_text())
     assert report["counts"]["missed"] == 10
     assert report["counts"]["parcels"] == {"success": 2, "missed": 1}
     assert report["success"] == pytest.approx(2.0 / 3.0)
     assert report["budget"]["policy"] == pytest.approx([0.05, 0.09, 0.099, 0.1])
     assert report["budget"]["sensor"] is None
-    reports.show_report(made, Console(width=200))
+    reports.show_report(whole, Console(width=200))
     printed = capsys.readouterr().out
     for part in ("period of 40 ms", "50.00", "10 missed", "lost 5 times", "success 0.667"):
         assert part in printed
-    nothing = report_of(controller.Counts(unfit=1), controller.Latencies())
+    nothing = reports.make_report(RUN, controller.Counts(unfit=1), controller.Latencies())
     reports.show_report(nothing, Console(width=200))
     assert "0 parcels; 1 that do not fit" in capsys.readouterr().out
     assert reports.percentiles([]) is None
@@ -325,12 +321,9 @@ def test_ctrl_c_ends_a_run_with_its_report(tmp_path) -> None:
     program = [sys.executable, "-c", "from surface_gym.cli import main; main()"]
     with subprocess.Popen(
         [*program, "runtime", "stop-ppo", "--preset", "camera", "--out", str(tmp_path)],
-        cwd=Path(__file__).parents[3],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        env={**os.environ, "PYTHONUNBUFFERED": "1", "TERM": "dumb"},
-        text=True,
-    ) as process:
+        cwd=Path(__file__).parents[3], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        env={**os.environ, "PYTHONUNBUFFERED": "1", "TERM": "dumb"}, text=True,
+    ) as process:  # fmt: skip
         for line in process.stdout:
             if line.startswith("ready"):
                 break
@@ -339,6 +332,6 @@ def test_ctrl_c_ends_a_run_with_its_report(tmp_path) -> None:
         printed = process.stdout.read()
         assert process.wait(PATIENCE) == 0, printed
     assert "stopped" in printed
-    report = json.loads((tmp_path / "report.json").read_text())
-    assert report["counts"]["missed"] <= report["counts"]["periods"]
-    assert report["counts"]["out_of_range"] == report["counts"]["refused"] == 0
+    counts = json.loads((tmp_path / "report.json").read_text())["counts"]
+    assert counts["missed"] <= counts["periods"]
+    assert counts["out_of_range"] == counts["refused"] == 0
