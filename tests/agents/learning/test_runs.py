@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -87,12 +86,16 @@ def assert_same(one: Path, other: Path) -> None:
     assert same(one, other)
 
 
-@lru_cache
+WHOLE: dict[str, Path] = {}
+
+
 def whole_run(name: str, factory: pytest.TempPathFactory) -> Path:
-    """An unbroken run, in a folder by the name of its entry."""
-    folder = factory.mktemp("whole") / name
-    assert not run(RUNS[name][0], folder).interrupted
-    return folder
+    """An unbroken run, in a folder by the name of its entry: trained once."""
+    if name not in WHOLE:
+        folder = factory.mktemp("whole") / name
+        assert not run(RUNS[name][0], folder).interrupted
+        WHOLE[name] = folder
+    return WHOLE[name]
 
 
 @pytest.fixture(params=RUNS)
