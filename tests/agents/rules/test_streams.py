@@ -1,5 +1,6 @@
 """Rules that decide parcel by parcel, the layout of a stream, and zones that turn as a whole."""
 
+import math
 from functools import partial
 
 import numpy as np
@@ -85,7 +86,7 @@ def test_a_fixed_layout_sorts_to_the_left_alone() -> None:
     [
         (StreamEventRule, {"actions": "modules"}, "actions must be one of 'parcels', got"),
         (StreamEventRule, {"orientations": "any"}, "orientations must be some on offer, got 'any'"),
-        (StreamEventRule, {"orientations": (0.0, 1.57)}, "orientations must hold 45 deg|-45"),
+        (StreamEventRule, {"orientations": (0.0, math.pi / 2)}, "must hold 45 deg|-45 deg"),
         (StreamFixedLayout, {}, "actions must be one of 'modules', got 'parcels'"),
         (StreamFixedLayout, {"actions": "modules", "gate": True}, "gate must be False for a layo"),
         (StreamFixedLayout, {"actions": "modules", "orientations": (0.0, 1.0)}, "must hold"),
