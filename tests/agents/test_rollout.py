@@ -10,14 +10,15 @@ from surface_gym.agents.rollout import run_episodes, run_sequentially
 from surface_gym.agents.rules import RULES
 from surface_gym.config import EnvConfig
 from surface_gym.registration import env_id
-from surface_gym.sensors import Camera
+from tests.agents.rules.runs import SENSORS
 
 ONE_A_TASK = {rule.task: rule for rule in RULES}
 
 
 @pytest.mark.parametrize("rule", ONE_A_TASK.values(), ids=ONE_A_TASK)
 def test_they_are_a_single_environments(rule) -> None:
-    config = EnvConfig(task=rule.task, actions=rule.actions, sensors=Camera())
+    sensors = SENSORS[rule.task, rule.actions]()
+    config = EnvConfig(task=rule.task, actions=rule.actions, sensors=sensors)
     starts = [{"parcel": "S"}, {}, {"parcel": "B"}]
     found = run_episodes(rule.make(config), config, starts, seed=30)
     for k, start in enumerate(starts):

@@ -17,7 +17,11 @@ from surface_gym.flow.stream import Stream
 from surface_gym.layouts import LINE_Y
 from surface_gym.state import RUNNING
 from surface_gym.tasks.paths import Sine
+from tests.environments import CELLS
 from tests.flow.flows import SHORT
+
+# A kind of sensor for each task and kind of action, of which others compile the code too.
+SENSORS = {(name.split("/")[1][:-3].lower(), actions): kind for name, actions, kind in CELLS}
 
 
 def rule(task: str, name: str) -> Rule:

@@ -11,9 +11,8 @@ from surface_gym.agents.rules import ROLLING, RULES, Rule, find_rules
 from surface_gym.agents.rules.sorting import EventRule, FixedLayout
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import KINDS
-from surface_gym.sensors import Camera
 from surface_gym.tasks import TASKS
-from tests.agents.rules.runs import assert_mirrored, mirrored_starts
+from tests.agents.rules.runs import SENSORS, assert_mirrored, mirrored_starts
 
 
 def id_of(rule: Rule) -> str:
@@ -36,9 +35,10 @@ def test_no_two_rules_of_a_task_share_a_name() -> None:
 
 @every_rule
 def test_it_acts_inside_the_action_space(rule) -> None:
-    """With a camera, in a shorter zone, less often, and with other axes on offer."""
+    """By sensors of many kinds, in a shorter zone, less often, and with other axes on offer."""
+    sensors = SENSORS[rule.task, rule.actions]()
     eight = tuple(math.pi / 2 - np.arange(8) * math.pi / 8)
-    others = {"sensors": Camera(), "zone": (6, 15), "control_period": 0.1, "orientations": eight}
+    others = {"sensors": sensors, "zone": (6, 15), "control_period": 0.1, "orientations": eight}
     controller, state = rule.make(config_for(rule, **others)), None
     env = sg.SmartSurfaceVectorEnv(2, task=rule.task, actions=rule.actions, **others)
     observations, _ = env.reset(seed=4)
