@@ -151,11 +151,10 @@ def test_stable_baselines3_learns_on_it_and_evaluates_on_it() -> None:
 
 def test_a_reset_starts_returns_anew() -> None:
     env = make(limit=3)
-    env.reset()
-    env.step(np.full(NUM_ENVS, ROLL))
-    env.reset()
-    for _ in range(3):
-        _, _, dones, infos = env.step(np.full(NUM_ENVS, ROLL))
+    for periods in (1, 3):
+        env.reset()
+        for _ in range(periods):
+            _, _, dones, infos = env.step(np.full(NUM_ENVS, ROLL))
     assert dones.all()
     assert [info["episode"]["l"] for info in infos] == [3] * NUM_ENVS
 
