@@ -10,7 +10,6 @@ FIRST = (
     "tests/agents/rules/",
     "tests/test_own.py",
     "tests/agents/test_programs.py",
-    "tests/agents/test_tasks.py",
     "tests/parallel/",
     "tests/agents/learning/",
     "tests/design/test_control.py",
@@ -23,7 +22,7 @@ FIRST = (
 SMOKE = (
     "tests/agents/learning/test_config.py",
     "tests/agents/test_policy.py",
-    "tests/agents/rules/test_sorting.py",
+    "tests/agents/rules/test_layouts.py::test_they_sort",
     "tests/design/test_search.py",
     "tests/physics/test_friction.py",
     "tests/physics/test_signed_distance.py",

@@ -9,6 +9,7 @@ import yaml
 
 from surface_gym import agents
 from surface_gym.agents.library import SHELF, read
+from surface_gym.agents.rollout import run_episodes
 from surface_gym.tasks import TASKS
 
 FLOW = "flow-ppo"
@@ -23,45 +24,35 @@ def test_a_ppo_and_a_dqn_for_each_task_and_one_each_for_modules_and_a_flow() -> 
 
 @pytest.mark.parametrize("name", agents.names())
 class TestEach:
-    def test_it_acts_in_its_environment(self, name) -> None:
-        assert len(agents.seeds(name)) >= 3
-        policy = agents.load(name)
+    def test_it_acts_in_its_environment_and_seeds_differ(self, name) -> None:
+        policy, other, *_ = (agents.load(name, seed) for seed in agents.seeds(name))
         env = gym.make(policy.env_id, **policy.env_kwargs)
         observation, _ = env.reset(seed=0)
         action, _ = policy.predict(observation, deterministic=True)
         assert action in env.action_space
-        vector_env = gym.make_vec(policy.env_id, num_envs=3, **policy.env_kwargs)
-        observations, _ = vector_env.reset(seed=0)
-        assert policy.predict(observations)[0] in vector_env.action_space
-
-    def test_seeds_differ(self, name) -> None:
-        first, second, *_ = (agents.load(name, seed) for seed in agents.seeds(name))
-        rng = np.random.default_rng(0)
-        shape = (256, *gym.make(first.env_id, **first.env_kwargs).observation_space.shape)
-        observations = rng.normal(size=shape).astype(np.float32)
-        assert (first.predict(observations)[0] != second.predict(observations)[0]).any()
+        envs = gym.make_vec(policy.env_id, num_envs=3, **policy.env_kwargs)
+        observations, _ = envs.reset(seed=0)
+        assert policy.predict(observations)[0] in envs.action_space
+        shape = (256, *observation.shape)
+        random = np.random.default_rng(0).normal(size=shape).astype(np.float32)
+        assert (policy.predict(random)[0] != other.predict(random)[0]).any()
 
     def test_its_card_says_how_it_came_about(self, name) -> None:
         card = yaml.safe_load((SHELF / name / "card.yaml").read_text())
         assert card["command"].startswith("python ")
         assert card["seeds"] == list(agents.seeds(name))
-        assert len(card["steps"]) == len(card["seconds"]) == len(card["seeds"])
-        presets = ("exact", "camera", "lab") if name in FOR_THE_LAB else ("exact", "camera")
-        for condition in presets:
-            results = card["results"][condition]
+        assert len(card["steps"]) == len(card["seconds"]) == len(card["seeds"]) >= 3
+        for preset in ("exact", "camera", "lab") if name in FOR_THE_LAB else ("exact", "camera"):
+            results = card["results"][preset]
             if name == FLOW:
                 for stream in results.values():
                     assert len(stream["capacity_of_each_seed"]) == len(card["seeds"])
                     assert min(stream["capacity_of_each_seed"]) > 0
                 continue
             assert results["interval"][0] <= results["success"] <= results["interval"][1]
-            assert np.mean(results["success_of_each_seed"]) == pytest.approx(
-                results["success"], abs=1e-3
-            )
-
-    def test_it_is_small(self, name) -> None:
-        size = sum(file.stat().st_size for file in (SHELF / name).rglob("*"))
-        assert size < 600_000
+            mean = np.mean(results["success_of_each_seed"])
+            assert mean == pytest.approx(results["success"], abs=1e-3)
+        assert sum(file.stat().st_size for file in (SHELF / name).rglob("*")) < 600_000
 
 
 def test_unknown_names_and_seeds_are_refused(tmp_path) -> None:
@@ -76,22 +67,15 @@ def test_unknown_names_and_seeds_are_refused(tmp_path) -> None:
         read(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["sort-ppo", "stop-ppo", "track-ppo"])
-def test_a_few_starts_go_as_the_card_says(name) -> None:
+@pytest.mark.parametrize(
+    ("name", "start"),
+    [("sort-ppo", {"speed": 0.6}), ("stop-ppo", {}), ("track-ppo", {"tilt": 0.21})],
+)
+def test_a_few_starts_go_as_the_card_says(name, start) -> None:
     """Under exact sensors the card promises nearly every start."""
     policy = agents.load(name)
-    options = {"speed": 0.6, "parcel": "S"} if name == "sort-ppo" else {"parcel": "S"}
-    if name == "track-ppo":
-        options["tilt"] = 0.21
-    for seed in range(3):
-        env = gym.make(policy.env_id, **policy.env_kwargs)
-        observation, info = env.reset(seed=seed, options=options)
-        over = False
-        while not over:
-            action, _ = policy.predict(observation)
-            observation, _, terminated, truncated, info = env.step(action)
-            over = terminated or truncated
-        assert info["is_success"]
+    config, starts = policy.card.env_config(), [{"parcel": "S", **start}] * 3
+    assert run_episodes(policy, config, starts, seed=0).success.all()
 
 
 def test_a_missing_library_is_reported_with_its_extra(monkeypatch) -> None:

@@ -1,12 +1,11 @@
-"""Policies on disk: they come back as they were, and no code in their files is run; and the
-categorical distribution of Stable-Baselines3's networks, against Stable-Baselines3's own.
-"""
+"""Policies on disk come back as they were, and no code in files is run; their distributions."""
 
 import json
 import pickle
 import re
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -14,21 +13,21 @@ import pytest
 import torch
 import yaml
 from gymnasium import spaces
-from stable_baselines3.common.distributions import MultiCategoricalDistribution
 from stable_baselines3.common.policies import ActorCriticPolicy
 
+from surface_gym import agents
+from surface_gym.agents import parcel_policy
+from surface_gym.agents import policy as policies
+from surface_gym.agents.base import SIDE
+from surface_gym.agents.learning.parcels import training_env_config
 from surface_gym.agents.library import CARD, WEIGHTS, PolicyCard
 from surface_gym.agents.module_policy import ModulePolicy, SharedNetwork
-from surface_gym.agents.policy import (
-    EqualCategoricals,
-    EqualChoicesPolicy,
-    Policy,
-    load_policy,
-    make_network,
-    save_policy,
-)
+from surface_gym.agents.rules.streams import StreamEventRule
+from surface_gym.config import EnvConfig
 from surface_gym.core.actions import KINDS
-from surface_gym.registration import env_id
+from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.state import RIGHT
+from surface_gym.flow.task import PRESENT, WAITS
 
 
 def sign(folder: Path) -> None:
@@ -44,44 +43,54 @@ CARDS = {
     "ppo": PolicyCard("SmartSurface/Sort-v0", "ppo", "halves", 0.04, (8,)),
     "dqn": PolicyCard("SmartSurface/Stop-v0", "dqn", "halves", 0.04, (8, 9)),
     "modules": PolicyCard("SmartSurface/Sort-v0", "modules", "modules", 0.04, (8, 9)),
+    **{
+        f"ppo of {kind}": PolicyCard("SmartSurface/Sort-v0", "ppo", kind, 0.04, (8,))
+        for kind in KINDS
+    },
 }
 
 
-def policy_of(card: PolicyCard) -> Policy | ModulePolicy:
+def policy_of(card: PolicyCard) -> policies.Policy | ModulePolicy:
     """With random weights."""
     torch.manual_seed(0)
-    if card.algo == "modules":
-        network = SharedNetwork(4, card.hidden)
-        with torch.no_grad():
-            for weights in network.parameters():
-                weights.normal_()
-        return ModulePolicy(network, card)
-    config = card.env_config()
-    return Policy(make_network(card, config), card, config)
+    config, is_modules = card.env_config(), card.algo == "modules"
+    network: Any = (
+        SharedNetwork(4, card.hidden, card.observe)
+        if is_modules
+        else policies.make_network(card, config)
+    )
+    with torch.no_grad():
+        for weights in network.parameters():
+            weights.normal_(std=0.5)
+    return ModulePolicy(network, card) if is_modules else policies.Policy(network, card, config)
 
 
-@pytest.fixture(params=CARDS)
-def card(request: pytest.FixtureRequest) -> PolicyCard:
-    return CARDS[request.param]
-
-
-@pytest.fixture
-def folder(tmp_path: Path, card: PolicyCard) -> Path:
-    save_policy(policy_of(card)._network, card, tmp_path)
+@pytest.fixture(params=["ppo", "dqn", "modules"])
+def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    card = CARDS[request.param]
+    policies.save_policy(policy_of(card)._network, card, tmp_path)
     return tmp_path
 
 
-def test_a_round_trip_predicts_the_same(folder, card) -> None:
-    before, after = policy_of(card), load_policy(folder)
-    features = card.env_config().observation_space().shape[0]
-    observations = np.random.default_rng(0).normal(size=(50, features)).astype(np.float32)
-    actions, state = after.predict(observations)
-    np.testing.assert_array_equal(actions, before.predict(observations)[0])
-    assert state is None
-    assert len(np.unique(actions)) > 1
-    np.testing.assert_array_equal(after.predict(observations[0])[0], actions[0])
-    assert after.card == card
+@pytest.mark.parametrize("name", CARDS)
+def test_a_round_trip_predicts_what_an_environment_takes(name, tmp_path) -> None:
+    before = policy_of(CARDS[name])
+    policies.save_policy(before._network, CARDS[name], tmp_path)
+    after = policies.load_policy(tmp_path)
+    assert after.card == CARDS[name]
     assert (after.env_id, after.env_kwargs) == (before.env_id, before.env_kwargs)
+    envs = gym.make_vec(after.env_id, num_envs=50, **after.env_kwargs)
+    seen, _ = envs.reset(seed=0)
+    actions, state = after.predict(seen)
+    assert state is None
+    assert actions in envs.action_space
+    assert after.predict(seen[0])[0] in envs.single_action_space
+    random = np.random.default_rng(0).normal(size=seen.shape).astype(np.float32)
+    actions, _ = after.predict(random)
+    np.testing.assert_array_equal(actions, before.predict(random)[0])
+    assert len(np.unique(actions)) > 1
+    for one, action in zip(random[:5], actions, strict=False):
+        np.testing.assert_array_equal(after.predict(one)[0], action)
 
 
 @pytest.mark.parametrize("name", [WEIGHTS, CARD])
@@ -95,7 +104,7 @@ def test_no_byte_can_change_unnoticed(folder, name) -> None:
         if name == CARD and yaml_of(bytes(changed)) == yaml_of(whole):
             continue  # white space
         with pytest.raises(ValueError, match="damaged or foreign"):
-            load_policy(folder)
+            policies.load_policy(folder)
 
 
 def yaml_of(content: bytes) -> object:
@@ -113,29 +122,23 @@ def yaml_of(content: bytes) -> object:
         (lambda weights: weights * torch.nan, "must be finite"),
         (lambda weights: weights[:-1], "size mismatch"),
         (lambda weights: weights.tolist(), "has no attribute 'dtype'"),
+        (None, "is missing"),
     ],
-    ids=["complex", "double", "nan", "short", "a list"],
+    ids=["complex", "double", "nan", "short", "a list", "none"],
 )
 def test_weights_of_another_kind_are_refused(folder, change, message) -> None:
     weights = torch.load(folder / WEIGHTS, weights_only=True)
     name = next(iter(weights))
-    torch.save({**weights, name: change(weights[name])}, folder / WEIGHTS)
+    first = weights.pop(name)
+    torch.save(weights if change is None else {**weights, name: change(first)}, folder / WEIGHTS)
     sign(folder)
     with pytest.raises(ValueError, match=re.escape(message)):
-        load_policy(folder)
+        policies.load_policy(folder)
 
 
-def test_weights_that_lack_a_layer_are_refused(folder) -> None:
-    weights = torch.load(folder / WEIGHTS, weights_only=True)
-    name = next(iter(weights))
-    del weights[name]
-    torch.save(weights, folder / WEIGHTS)
-    sign(folder)
-    with pytest.raises(ValueError, match=f"'{re.escape(name)}' is missing"):
-        load_policy(folder)
+class Trap:
+    """Code that a pickle would run: it leaves a mark."""
 
-
-class _Trap:
     def __init__(self, mark: Path) -> None:
         self.mark = mark
 
@@ -145,10 +148,10 @@ class _Trap:
 
 def test_a_pickle_is_refused_and_not_run(folder) -> None:
     mark = folder / "ran"
-    (folder / WEIGHTS).write_bytes(pickle.dumps(_Trap(mark), protocol=2))
+    (folder / WEIGHTS).write_bytes(pickle.dumps(Trap(mark), protocol=2))
     sign(folder)
     with pytest.raises(ValueError, match=r"it holds more than tensors and plain values$"):
-        load_policy(folder)
+        policies.load_policy(folder)
     assert not mark.exists()
 
 
@@ -158,7 +161,7 @@ def test_a_pickle_is_refused_and_not_run(folder) -> None:
 def test_a_foreign_card_is_refused(folder, text) -> None:
     (folder / CARD).write_text(text)
     with pytest.raises(ValueError, match="damaged or foreign"):
-        load_policy(folder)
+        policies.load_policy(folder)
 
 
 @pytest.mark.parametrize(
@@ -176,84 +179,27 @@ def test_a_card_of_other_weights_or_that_lacks_a_field_is_refused(folder, wrong)
     (folder / CARD).write_text("\n".join([*kept, wrong] if given else kept))
     sign(folder)
     with pytest.raises(ValueError, match="damaged or foreign"):
-        load_policy(folder)
-
-
-def test_a_card_without_a_digest_is_refused(folder) -> None:
-    lines = (folder / CARD).read_text().splitlines()
-    (folder / CARD).write_text("\n".join(line for line in lines if not line.startswith("digest")))
-    with pytest.raises(ValueError, match="'digest' is missing"):
-        load_policy(folder)
+        policies.load_policy(folder)
 
 
 def test_damage_and_absence_are_named(folder) -> None:
-    whole = (folder / WEIGHTS).read_bytes()
+    whole, lines = (folder / WEIGHTS).read_bytes(), (folder / CARD).read_text().splitlines()
+    (folder / CARD).write_text("\n".join(line for line in lines if not line.startswith("digest")))
+    with pytest.raises(ValueError, match="'digest' is missing"):
+        policies.load_policy(folder)
+    sign(folder)
     (folder / WEIGHTS).write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match="its digest differs"):
-        load_policy(folder)
+        policies.load_policy(folder)
     sign(folder)
     with pytest.raises(ValueError, match="failed reading zip archive"):
-        load_policy(folder)
+        policies.load_policy(folder)
     (folder / WEIGHTS).unlink()
     with pytest.raises(ValueError, match=f"{WEIGHTS} is missing"):
-        load_policy(folder)
+        policies.load_policy(folder)
 
 
-OF_TASKS = [
-    PolicyCard(env_id("sort"), "dqn", "halves", 0.04, (8,)),
-    *(PolicyCard(env_id("sort"), "ppo", actions, 0.04, (8,)) for actions in KINDS),
-]
-
-
-@pytest.mark.parametrize(
-    "card", OF_TASKS, ids=lambda card: f"{card.task} {card.algo} {card.actions}"
-)
-def test_it_takes_and_gives_what_its_environment_does(tmp_path, card) -> None:
-    save_policy(make_network(card, card.env_config()), card, tmp_path)
-    policy = load_policy(tmp_path)
-    assert policy.card == card
-    env = gym.make(policy.env_id, **policy.env_kwargs)
-    observation, _ = env.reset(seed=0)
-    assert policy.predict(observation)[0] in env.action_space
-    vector = gym.make_vec(policy.env_id, num_envs=5, **policy.env_kwargs)
-    observations, _ = vector.reset(seed=0)
-    chosen, _ = policy.predict(observations)
-    assert chosen in vector.action_space
-    for i, one in enumerate(observations):
-        np.testing.assert_array_equal(policy.predict(one)[0], chosen[i])
-
-
-CHOICES, OPTIONS, NUM_ENVS = 25, 4, 7
-
-
-@pytest.fixture
-def logits() -> torch.Tensor:
-    generator = torch.Generator().manual_seed(0)
-    return 2.0 * torch.randn((NUM_ENVS, CHOICES * OPTIONS), generator=generator)
-
-
-def both(logits: torch.Tensor) -> tuple[EqualCategoricals, MultiCategoricalDistribution]:
-    ours = EqualCategoricals(CHOICES, OPTIONS).proba_distribution(logits)
-    return ours, MultiCategoricalDistribution([OPTIONS] * CHOICES).proba_distribution(logits)
-
-
-def test_log_prob_entropy_and_mode_are_theirs(logits) -> None:
-    ours, theirs = both(logits)
-    actions = theirs.sample()
-    torch.testing.assert_close(ours.log_prob(actions), theirs.log_prob(actions))
-    torch.testing.assert_close(ours.entropy(), theirs.entropy())
-    assert torch.equal(ours.mode(), theirs.mode())
-
-
-def test_gradients_are_theirs(logits) -> None:
-    actions = both(logits)[1].sample()
-    gradients = []
-    for of in (0, 1):
-        leaf = logits.clone().requires_grad_()
-        distribution = both(leaf)[of]
-        (distribution.log_prob(actions).sum() + 0.1 * distribution.entropy().sum()).backward()
-        gradients.append(leaf.grad)
-    torch.testing.assert_close(gradients[0], gradients[1])
+CHOICES, OPTIONS = 25, 4
 
 
 def test_samples_fall_as_often_as_they_should() -> None:
@@ -261,8 +207,8 @@ def test_samples_fall_as_often_as_they_should() -> None:
     torch.manual_seed(0)
     draws = 20_000
     row = torch.randn((1, CHOICES * OPTIONS), generator=torch.Generator().manual_seed(1))
-    ours, theirs = both(row.expand(draws, -1))
-    wanted = torch.stack([each.probs[0] for each in theirs.distribution])
+    wanted = row.reshape(CHOICES, OPTIONS).softmax(dim=1)
+    ours = policies.EqualCategoricals(CHOICES, OPTIONS).proba_distribution(row.expand(draws, -1))
     samples = ours.sample()
     assert samples.shape == (draws, CHOICES)
     share = torch.nn.functional.one_hot(samples, OPTIONS).double().mean(dim=0)
@@ -270,25 +216,135 @@ def test_samples_fall_as_often_as_they_should() -> None:
     assert bool(((share - wanted).abs() < 5.0 * error).all())
 
 
-def test_a_policy_is_theirs_to_the_weights() -> None:
+def test_a_policy_is_theirs_to_the_weights_and_gradients() -> None:
     observations, actions = spaces.Box(-1.0, 1.0, (3,)), spaces.MultiDiscrete([OPTIONS] * CHOICES)
-    ours = EqualChoicesPolicy(observations, actions, lambda _: 1e-3, net_arch=[8])
+    ours = policies.EqualChoicesPolicy(observations, actions, lambda _: 1e-3, net_arch=[8])
     theirs = ActorCriticPolicy(observations, actions, lambda _: 1e-3, net_arch=[8])
     theirs.load_state_dict(ours.state_dict())
-    assert isinstance(ours.action_dist, EqualCategoricals)
-    seen = np.random.default_rng(0).normal(size=(NUM_ENVS, 3)).astype(np.float32)
+    assert isinstance(ours.action_dist, policies.EqualCategoricals)
+    seen = np.random.default_rng(0).normal(size=(7, 3)).astype(np.float32)
     chosen, _ = ours.predict(seen, deterministic=True)
     np.testing.assert_array_equal(chosen, theirs.predict(seen, deterministic=True)[0])
-    given = torch.from_numpy(seen), torch.from_numpy(chosen)
-    for mine, other in zip(
-        ours.evaluate_actions(*given), theirs.evaluate_actions(*given), strict=True
-    ):
-        torch.testing.assert_close(mine, other)
-    single, _ = ours.predict(seen[0], deterministic=True)
-    np.testing.assert_array_equal(single, chosen[0])
+    np.testing.assert_array_equal(ours.predict(seen[0], deterministic=True)[0], chosen[0])
+    random = actions.sample()[None].repeat(7, axis=0)
+    for some in (chosen, random):
+        results: list[tuple[torch.Tensor, ...]] = []
+        for policy in (ours, theirs):
+            policy.zero_grad()
+            found = policy.evaluate_actions(torch.from_numpy(seen), torch.from_numpy(some))
+            sum(part.sum() * (k + 1) for k, part in enumerate(found)).backward()
+            results.append(found)
+        for mine, other in zip(*results, strict=True):
+            torch.testing.assert_close(mine, other)
+        for mine, other in zip(ours.parameters(), theirs.parameters(), strict=True):
+            torch.testing.assert_close(mine.grad, other.grad)
 
 
 @pytest.mark.parametrize("space", [spaces.Discrete(4), spaces.MultiDiscrete([2, 3])])
 def test_other_spaces_keep_their_distribution(space) -> None:
-    policy = EqualChoicesPolicy(spaces.Box(-1.0, 1.0, (3,)), space, lambda _: 1e-3, net_arch=[8])
-    assert not isinstance(policy.action_dist, EqualCategoricals)
+    policy = policies.EqualChoicesPolicy(
+        spaces.Box(-1.0, 1.0, (3,)), space, lambda _: 1e-3, net_arch=[8]
+    )
+    assert not isinstance(policy.action_dist, policies.EqualCategoricals)
+
+
+CONFIG = training_env_config(0.04)
+FLOW_CARD = PolicyCard("SmartSurface/Flow-v0", "parcels", "parcels", 0.04, (8,))
+
+
+def begun(config: EnvConfig, num_envs: int, seed: int) -> StreamBatch:
+    batch = StreamBatch(config, num_envs)
+    for i in range(num_envs):
+        batch.seed(i, np.random.default_rng(seed + i))
+    batch.reset(np.arange(num_envs))
+    return batch
+
+
+def test_mirrored_choices_come_back_as_they_were() -> None:
+    tables = begun(CONFIG, 2, 0).observation.copy()
+    tables[..., SIDE] = np.random.default_rng(0).integers(-1, 2, tables.shape[:2])
+    actions = parcel_policy.ParcelActions(CONFIG)
+    choices = np.random.default_rng(1).integers(0, [4, 4, 9], (*tables.shape[:2], 3))
+    back = actions.to_parcels(tables, actions.to_env(tables, choices))
+    assert np.array_equal(back[:, :-1, :2], choices[:, :-1, :2])
+    assert np.array_equal(back[:, -1, 2], choices[:, -1, 2])
+
+
+def test_choices_and_actions_are_inverse() -> None:
+    """An event rule delivers the same by either."""
+    stream = CONFIG.stream_task.stream
+    plain = EnvConfig("flow", stream=stream, exits="sides", actions="parcels", gate=True)
+    batch, rule, state = begun(plain, 1, 3), StreamEventRule(plain), None
+    mirror = parcel_policy.ParcelActions(plain)
+    for _ in range(120):
+        tables = batch.observation.copy()
+        action, state = rule.predict(tables, state)
+        choices = mirror.to_parcels(tables, action)
+        assert np.array_equal(mirror.to_env(tables, choices), action)
+        batch.step(plain.action_kind.commands(action, 1))
+    assert batch.streams.tally[0, RIGHT] > 0
+
+
+@pytest.fixture
+def policy() -> parcel_policy.ParcelNetwork:
+    torch.manual_seed(0)
+    return parcel_policy.ParcelNetwork(
+        *parcel_policy.parcel_spaces(CONFIG), lambda _: 0.0, net_arch=[8]
+    )
+
+
+class TestPolicy:
+    @staticmethod
+    def rows(present: float, waits: float) -> torch.Tensor:
+        seen = torch.rand((5, parcel_policy.parcel_spaces(CONFIG)[0].shape[0]))
+        seen[:, PRESENT], seen[:, WAITS] = present, waits
+        return seen
+
+    @pytest.mark.parametrize(
+        ("present", "waits", "counts"), [(1.0, 0.0, [0, 1]), (1.0, 1.0, [2]), (0.0, 0.0, [])]
+    )
+    def test_only_the_choices_of_a_parcel_count(self, policy, present, waits, counts) -> None:
+        seen = self.rows(present, waits)
+        for place, part in enumerate(policy.distributions(seen)):
+            even = part.probs.allclose(torch.full_like(part.probs, 1.0 / part.probs.shape[1]))
+            assert even == (place not in counts)
+        actions = torch.zeros((5, 3))
+        policy.zero_grad()
+        _, likelihood, _ = policy.evaluate_actions(seen, actions)
+        likelihood.sum().backward()
+        assert bool(policy.action_net.weight.grad.any()) == bool(counts)
+
+    def test_a_deterministic_choice_is_the_likeliest(self, policy) -> None:
+        seen = self.rows(1.0, 0.0)
+        chosen, _, likelihood = policy(seen, deterministic=True)
+        _, again, _ = policy.evaluate_actions(seen, chosen)
+        assert torch.allclose(likelihood, again)
+        for place, part in enumerate(policy.distributions(seen)):
+            assert torch.equal(part.probs.argmax(dim=1), chosen[:, place])
+
+
+@pytest.fixture
+def flow_folder(tmp_path: Path) -> Path:
+    torch.manual_seed(0)
+    policies.save_policy(parcel_policy.make_parcel_network(FLOW_CARD), FLOW_CARD, tmp_path)
+    return tmp_path
+
+
+def test_a_policy_file_of_another_kind_is_refused(flow_folder) -> None:
+    card = (flow_folder / CARD).read_text()
+    (flow_folder / CARD).write_text(card.replace("algo: parcels", "algo: ppo"))
+    sign(flow_folder)
+    with pytest.raises(ValueError, match="algo must be 'parcels'"):
+        agents.read(flow_folder)
+
+
+def test_an_observation_of_one_stream_or_of_many(flow_folder) -> None:
+    policy = agents.read(flow_folder)
+    assert isinstance(policy, parcel_policy.ParcelPolicy)
+    assert policy.env_kwargs == {"actions": "parcels", "gate": True, "control_period": 0.04}
+    tables = np.random.default_rng(0).random((3, 25, 29), dtype=np.float32)
+    tables[..., PRESENT] = 1.0
+    tables[..., SIDE] = -1.0
+    many, _ = policy.predict(tables)
+    assert many.shape == (3, 49)
+    assert np.array_equal(policy.predict(tables[1])[0], many[1])

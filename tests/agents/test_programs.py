@@ -1,4 +1,4 @@
-"""train.py and evaluate.py, from the command line to the folders they leave."""
+"""train.py and evaluate.py, from the command line to the folders they leave; users' tasks too."""
 
 import io
 import os
@@ -13,6 +13,10 @@ from pathlib import Path
 import imageio.v2 as imageio
 import pytest
 import yaml
+
+from surface_gym import agents
+from surface_gym.agents.library import card_env_id, find_task, task_kind, task_label
+from surface_gym.tasks import TASKS
 
 ROOT = Path(__file__).parents[2]
 
@@ -79,18 +83,18 @@ def test_the_folder_holds_everything(run) -> None:
         assert film.count_frames() > 5
 
 
-def test_evaluate_gives_the_same_table_twice(run) -> None:
-    first = (run / "table.md").read_bytes()
-    done = run_in_process("evaluate.py", "--run", str(run), "--workers", "1", folder=run)
+@pytest.mark.parametrize(
+    ("file", "command"),
+    [
+        ("table.md", "evaluate.py --workers 1 --run"),
+        ("seed-1/policy.pt", "train.py --resume"),  # which is done
+    ],
+)
+def test_a_run_that_is_compared_or_gone_on_with_again_is_the_same(run, file, command) -> None:
+    before = (run / file).read_bytes()
+    done = run_in_process(*command.split(), str(run), folder=run)
     assert done.returncode == 0, done.stderr
-    assert (run / "table.md").read_bytes() == first
-
-
-def test_a_run_that_is_done_is_gone_on_with_to_the_same(run) -> None:
-    before = (run / "seed-1" / "policy.pt").read_bytes()
-    done = run_in_process("train.py", "--resume", str(run), folder=run)
-    assert done.returncode == 0, done.stderr
-    assert (run / "seed-1" / "policy.pt").read_bytes() == before
+    assert (run / file).read_bytes() == before
 
 
 def test_the_comparison_of_a_task(tmp_path) -> None:
@@ -100,19 +104,12 @@ def test_the_comparison_of_a_task(tmp_path) -> None:
 
     out = tmp_path / "out"
     out.mkdir()
-    few = [replace(each, starts=1) for each in all_methods("stop")]
-    compute_results(few, 1, out)
+    compute_results([replace(each, starts=1) for each in all_methods("stop")], 1, out)
     flags = ("--tasks", "stop", "--out", str(out), "--resume", "--workers", "1")
     done = run_in_process("evaluate.py", *flags, folder=tmp_path)
     assert done.returncode == 0, done.stderr
-    for name in (
-        "comparison.md",
-        "comparison.csv",
-        "comparison.json",
-        "decisions.md",
-        "report.html",
-        "stop.mp4",
-    ):
+    tables = [f"comparison.{end}" for end in ("md", "csv", "json")]
+    for name in (*tables, "decisions.md", "report.html", "stop.mp4"):
         assert (out / name).stat().st_size > 0
     text = (out / "report.html").read_text()
     assert "braking rule" in text
@@ -121,15 +118,117 @@ def test_the_comparison_of_a_task(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "named"),
+    "command", ["evaluate.py --run nowhere", "evaluate.py --tasks juggle", "train.py --steps 0"]
+)
+def test_bad_input_ends_without_a_traceback(command, tmp_path) -> None:
+    done = run_in_process(*command.split(), folder=tmp_path)
+    assert done.returncode != 0
+    assert command.split()[-1] in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+REACH = str(ROOT / "examples" / "reach.py") + ":Reach"
+HASTE = str(ROOT / "examples" / "haste.py") + ":Haste"
+SHORT = "--steps 512 --num-envs 8 --n-steps 16 --batch-size 64 --n-epochs 1 --hidden 8 --name a"
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_the_packages_are_found(name) -> None:
+    assert find_task(name) == TASKS[name]()
+    assert (task_kind(name), task_label(name)) == (name, name)
+    assert card_env_id(name) == f"SmartSurface/{name.capitalize()}-v0"
+
+
+def test_a_users_own_is_found() -> None:
+    """One that inherits from the package's is of its kind."""
+    assert type(find_task(REACH)).__name__ == "Reach"
+    assert find_task(REACH) == find_task(REACH)  # the file is run once
+    names = task_kind(REACH), task_label(REACH), card_env_id(REACH)
+    assert names == ("reach", "reach", "Own/Reach")
+    assert (task_kind(HASTE), card_env_id(HASTE)) == ("sort", "Own/Haste")
+
+
+@pytest.mark.parametrize(
+    ("name", "named"),
     [
-        (("evaluate.py", "--run", "nowhere"), "nowhere"),
-        (("evaluate.py", "--tasks", "juggle"), "juggle"),
-        (("train.py", "--steps", "0"), "steps"),
+        ("juggle", "task must be one of sort, slow, stop, track, orient, or your own"),
+        ("nowhere.py:Reach", "task must be in a file that exists"),
+        (REACH[:-6], "task must be one of"),
+        (REACH + "er", "task must be a class of .* that inherits from Task, got 'Reacher'"),
+        (REACH.replace(":Reach", ":math"), "task must be a class of"),
+        ("broken.py:Reach", "task must be in a file that runs, got broken.py: ZeroDivision"),
     ],
 )
-def test_bad_input_ends_without_a_traceback(arguments, named, tmp_path) -> None:
-    done = run_in_process(*arguments, folder=tmp_path)
+def test_others_are_named(name, named, tmp_path, monkeypatch) -> None:
+    (tmp_path / "broken.py").write_text("1 / 0\n")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=named):
+        find_task(name)
+
+
+@pytest.fixture(scope="module")
+def own_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of a user's own task, too short to learn anything."""
+    folder = tmp_path_factory.mktemp("own")
+    done = run_in_process("train.py", "--task", REACH, *SHORT.split(), folder=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / "runs" / "a"
+
+
+class TestARun:
+    def test_holds_everything_and_plays_where_the_task_is_said(self, own_run) -> None:
+        assert yaml.safe_load((own_run / "policy.yaml").read_text())["env_id"] == "Own/Reach"
+        table = (own_run / "table.md").read_text()
+        assert "fixed layout" in table
+        assert "PPO" in table
+        assert (own_run / "reach.mp4").stat().st_size > 0
+        policy = agents.read(own_run, find_task(REACH))
+        assert policy.env_kwargs["task"] == find_task(REACH)
+        for other in (None, find_task(HASTE)):
+            with pytest.raises(ValueError, match="task must be Reach, a user's own"):
+                agents.read(own_run, other)
+
+    def test_no_code_is_run_for_what_its_folder_says(self, own_run) -> None:
+        """Whose code is to be run stands on the command line, not in the folder."""
+        mark = own_run / "ran"
+        trap = own_run / "trap.py"
+        trap.write_text(
+            f"from pathlib import Path\nPath({str(mark)!r}).touch()\n"
+            "from surface_gym.tasks import Sort\nclass Reach(Sort):\n    pass\n"
+        )
+        config = own_run / "config.yaml"
+        whole = config.read_text()
+        config.write_text(whole.replace(REACH, f"{trap}:Reach"))
+        for arguments in (("train.py", "--resume"), ("evaluate.py", "--run")):
+            done = run_in_process(*arguments, str(own_run), folder=own_run)
+            assert done.returncode != 0
+            assert "task" in done.stderr
+            assert "Traceback" not in done.stderr
+        assert not mark.exists()
+        config.write_text(whole)
+
+    def test_goes_on_where_the_task_is_said(self, own_run) -> None:
+        before = (own_run / "policy.pt").read_bytes()
+        done = run_in_process("train.py", "--resume", str(own_run), "--task", REACH, folder=own_run)
+        assert done.returncode == 0, done.stderr
+        assert (own_run / "policy.pt").read_bytes() == before
+
+    def test_is_compared(self, own_run) -> None:
+        """By processes of their own, which find the task's code again."""
+        folder, program = own_run.parents[1], str(ROOT / "evaluate.py")
+        done = run_program(program, "--task", REACH, "--out", "out", folder=folder)
+        assert done.returncode == 0, done.stderr
+        table = (folder / "out" / "comparison.md").read_text()
+        assert "fixed layout" in table
+        assert "PPO" in table
+        assert (folder / "out" / "report.html").stat().st_size > 0
+
+
+def test_a_faulty_task_ends_without_a_traceback(tmp_path) -> None:
+    code = "from surface_gym.tasks import Sort\nclass Faulty(Sort):\n    outcome = None\n"
+    (tmp_path / "faulty.py").write_text(code)
+    done = run_in_process("train.py", "--task", "faulty.py:Faulty", *SHORT.split(), folder=tmp_path)
     assert done.returncode != 0
-    assert named in done.stderr
+    assert "Faulty.outcome must be a static method and a kernel_function" in done.stderr
     assert "Traceback" not in done.stderr
+    assert not (tmp_path / "runs" / "a" / "policy.pt").exists()

@@ -7,13 +7,12 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.base import SIDE, ActionMirror, mirrored_orientations
-from surface_gym.agents.vec_env import MirrorVecEnv, SurfaceVecEnv
+from surface_gym.agents.learning.config import DQNConfig
+from surface_gym.agents.learning.sb3 import make_mirrored_envs
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import KINDS
 from surface_gym.layouts import LINE_Y
 from surface_gym.lines import ORIENTATIONS
-
-BOTH_SIDES = np.array([1.0, -1.0], dtype=np.float32)
 
 
 @pytest.mark.parametrize("actions", KINDS)
@@ -22,23 +21,21 @@ def test_trajectories_are_mirror_images(actions, parcel) -> None:
     config = EnvConfig(actions=actions)
     mirror = ActionMirror(config.action_kind, config.chosen_orientations)
     env = sg.SmartSurfaceVectorEnv(2, actions=actions, autoreset_mode="Disabled")
-    start = {"speed": 1.6, "parcel": parcel}
-    observations, info = env.reset(seed=0, options=[{**start, "side": 1}, {**start, "side": -1}])
+    sides = np.array([1.0, -1.0], dtype=np.float32)
+    starts = [{"speed": 1.6, "parcel": parcel, "side": side} for side in (1, -1)]
+    env.reset(seed=0, options=starts)
     env.single_action_space.seed(0)
-    terminated = np.zeros(2, dtype=bool)
-    periods = 0
-    while not terminated.any() and periods < 100:
+    for _ in range(100):
         one = env.single_action_space.sample()
-        actions_of_both = mirror(np.array([one, one]), BOTH_SIDES)
-        observations, rewards, terminated, _, info = env.step(actions_of_both)
-        periods += 1
+        observations, rewards, terminated, _, info = env.step(mirror(np.array([one, one]), sides))
         seen = np.delete(observations, SIDE, axis=1)
         np.testing.assert_allclose(seen[0], seen[1], rtol=0, atol=2e-6)
-        (x, y, theta), (mirrored_x, mirrored_y, mirrored_theta) = info["pose"]
-        image = (mirrored_x, 2.0 * LINE_Y - mirrored_y, -mirrored_theta)
-        np.testing.assert_allclose((x, y, theta), image, rtol=0, atol=1e-9)
+        image = info["pose"][1] * [1.0, -1.0, -1.0] + [0.0, 2.0 * LINE_Y, 0.0]
+        np.testing.assert_allclose(info["pose"][0], image, rtol=0, atol=1e-9)
         assert rewards[0] == pytest.approx(rewards[1], abs=1e-9)
-    assert periods > 10
+        if terminated.any():
+            break
+    assert info["time"].min() > 0.4
     assert terminated.all()
     assert info["outcome"][0] == info["outcome"][1]
 
@@ -46,40 +43,16 @@ def test_trajectories_are_mirror_images(actions, parcel) -> None:
 @pytest.mark.parametrize("actions", KINDS)
 def test_a_mirror_image_of_a_mirror_image_is_the_action_itself(actions) -> None:
     config = EnvConfig(actions=actions)
-    mirror = ActionMirror(config.action_kind, config.chosen_orientations)
-    space = config.action_space()
-    space.seed(0)
-    given = np.array([space.sample() for _ in range(40)])
-    to_the_right = np.full(40, -1.0, dtype=np.float32)
-    image = mirror(given, to_the_right)
-    assert (image != given).any()
-    np.testing.assert_array_equal(mirror(image, to_the_right), given)
-    np.testing.assert_array_equal(mirror(given, -to_the_right), given)
-
-
-def test_a_vec_env_in_the_mirror_knows_the_side_of_each_start() -> None:
-    """Rolled into the zone and then turned to -45 deg, every parcel leaves on its own side."""
-    env = MirrorVecEnv(
-        SurfaceVecEnv(
-            sg.SmartSurfaceVectorEnv(
-                6, actions="halves", max_episode_steps=100, autoreset_mode="SameStep"
-            )
-        ),
-        ActionMirror(EnvConfig(actions="halves").action_kind, ORIENTATIONS),
+    mirror, space = (
+        ActionMirror(config.action_kind, config.chosen_orientations),
+        config.action_space(),
     )
-    env.seed(0)
-    env.set_options({"speed": 2.0})
-    observations = env.reset()
-    ends: dict[float, int] = {1.0: 0, -1.0: 0}
-    minus_45, roll = 2 * 4 + 2, 3 * 4 + 3
-    for _ in range(200):
-        sides = observations[:, SIDE].copy()
-        in_the_zone = observations[:, 13] > 0.0
-        observations, _, dones, infos = env.step(np.where(in_the_zone, minus_45, roll))
-        for i in np.nonzero(dones)[0]:
-            assert infos[i]["outcome"] != "wrong side"
-            ends[float(sides[i])] += infos[i]["is_success"]
-    assert min(ends.values()) > 5
+    space.seed(0)
+    given, right = np.array([space.sample() for _ in range(40)]), np.full(40, -1.0, np.float32)
+    image = mirror(given, right)
+    assert (image != given).any()
+    np.testing.assert_array_equal(mirror(image, right), given)
+    np.testing.assert_array_equal(mirror(given, -right), given)
 
 
 def test_mirror_images_of_orientations() -> None:
@@ -88,3 +61,17 @@ def test_mirror_images_of_orientations() -> None:
     np.testing.assert_array_equal(mirrored_orientations(eight), [0, 7, 6, 5, 4, 3, 2, 1])
     with pytest.raises(ValueError, match="orientations"):
         mirrored_orientations((0.0, math.pi / 4))
+
+
+def test_a_vec_env_in_the_mirror_knows_the_side_of_each_start() -> None:
+    """Axes at -45 deg everywhere sort to either side."""
+    envs = make_mirrored_envs(DQNConfig(num_envs=64, camera_share=0.0))
+    envs.seed(0)
+    envs.reset()
+    ends: dict[float, int] = {1.0: 0, -1.0: 0, 0.0: 0}
+    for _ in range(60):
+        _, _, dones, infos = envs.step(np.full(64, 10))
+        for i in np.nonzero(dones)[0]:
+            assert infos[i]["outcome"] != "wrong side"
+            ends[float(infos[i]["terminal_observation"][SIDE])] += infos[i]["is_success"]
+    assert min(ends[1.0], ends[-1.0]) > 5

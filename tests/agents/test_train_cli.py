@@ -27,22 +27,6 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path / "here")
 
 
-def test_defaults_are_those_of_task_and_algorithm(tmp_path) -> None:
-    config = config_of("--task", "track", "--algo", "dqn", "--seed", "3", "--out", str(tmp_path))
-    assert isinstance(config, configs.DQNConfig)
-    assert config == replace(configs.defaults("track", "dqn"), seed=3, out=tmp_path)
-    assert config_of("--algo", "modules") == configs.defaults("sort", "modules")
-    assert config_of("--task", "flow") == configs.defaults("flow", "parcels")
-    lab = config_of("--task=slow", "--preset=lab", "--hidden", "8", "9")
-    assert lab == replace(configs.defaults("slow", "ppo", preset="lab"), hidden=(8, 9))
-
-
-def test_earlier_names_of_options_are_understood() -> None:
-    earlier = {name: f"--{before}" for before, name in configs.RENAMED.items()}
-    config = config_of(earlier["num_envs"], "32", f"{earlier['preset']}=lab")
-    assert config == replace(configs.defaults("sort", "ppo", preset="lab"), num_envs=32)
-
-
 def test_a_new_run_has_a_new_folder_which_is_resumed_as_it_was_asked_for(tmp_path) -> None:
     arguments = ["--task", "slow", "--num-envs", "64", "--out", str(tmp_path)]
     config = config_of(*arguments)
@@ -50,9 +34,8 @@ def test_a_new_run_has_a_new_folder_which_is_resumed_as_it_was_asked_for(tmp_pat
     assert folder.parent == tmp_path
     assert folder.name.startswith("slow-ppo-seed0-")
     assert (folder / "command.txt").read_text().startswith("python train.py --task slow")
-    assert parse_arguments(["--resume", str(folder)]) == Request(
-        None, None, config=config, folder=folder
-    )
+    resumed = parse_arguments(["--resume", str(folder)])
+    assert resumed == Request(None, None, config=config, folder=folder)
     named = replace(config, name="a")
     runs.make_folder(named, arguments)
     with pytest.raises(ValueError, match="--resume"):
@@ -62,12 +45,8 @@ def test_a_new_run_has_a_new_folder_which_is_resumed_as_it_was_asked_for(tmp_pat
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        ("--steps 0", "steps"),
-        ("--gamma 2", "gamma"),
-        ("--task juggle", "juggle"),
-        ("--algo sac", "sac"),
-        ("--hidden x", "hidden"),
-        ("--algo dqn --actions window", "actions"),
+        ("--steps 0", "steps"), ("--gamma 2", "gamma"), ("--task juggle", "juggle"),
+        ("--algo sac", "sac"), ("--hidden x", "hidden"), ("--algo dqn --actions window", "actions"),
         ("--algo modules --task slow", "task must be one of 'sort'"),
         ("--resume nowhere", "nowhere"),
         ("--resume nowhere --steps 5", "--resume must stand alone"),
@@ -80,10 +59,9 @@ def test_a_new_run_has_a_new_folder_which_is_resumed_as_it_was_asked_for(tmp_pat
         ("--device cuda --camera-share 0.5", "camera_share must be 0.0 for device 'cuda', got 0.5"),
         ("--device cuda --zones 8", "zones must be () for device 'cuda', got (8,)"),
         ("--device cuda --preset lab", "preset must be 'nominal' for device 'cuda', got 'lab'"),
-        ("--device tpu", "tpu"),
-        ("--device cuda", NO_GPU),
+        ("--device tpu", "tpu"), ("--device cuda", NO_GPU),
     ],
-)
+)  # fmt: skip
 def test_refusals_name_what_is_wrong_and_leave_no_folder(
     arguments, named, monkeypatch, capsys
 ) -> None:
@@ -100,14 +78,24 @@ def test_refusals_name_what_is_wrong_and_leave_no_folder(
     assert [file.name for file in Path().iterdir()] == ["there"]
 
 
-def test_a_users_file_gives_the_defaults(tmp_path) -> None:
+def test_defaults_are_those_of_task_and_algorithm(tmp_path) -> None:
+    config = config_of("--task", "track", "--algo", "dqn", "--seed", "3", "--out", str(tmp_path))
+    assert isinstance(config, configs.DQNConfig)
+    assert config == replace(configs.defaults("track", "dqn"), seed=3, out=tmp_path)
+    assert config_of("--algo", "modules") == configs.defaults("sort", "modules")
+    assert config_of("--task", "flow") == configs.defaults("flow", "parcels")
+    lab = config_of("--task=slow", "--preset=lab", "--hidden", "8", "9")
+    assert lab == replace(configs.defaults("slow", "ppo", preset="lab"), hidden=(8, 9))
+    # Earlier names of options are understood.
+    earlier = {name: f"--{before}" for before, name in configs.RENAMED.items()}
+    config = config_of(earlier["num_envs"], "32", f"{earlier['preset']}=lab")
+    assert config == replace(configs.defaults("sort", "ppo", preset="lab"), num_envs=32)
+    # A user's file gives other defaults.
     own = replace(configs.defaults("slow", "ppo"), gamma=0.9)
     configs.write_hyperparams(own, tmp_path / "own.yml")
     flags = ["--task", "slow", "--hyperparams", str(tmp_path / "own.yml")]
     assert config_of(*flags, "--seed", "4") == replace(own, seed=4)
-
-
-def test_the_cluster_is_no_part_of_a_run() -> None:
+    # The cluster is no part of a run.
     request = parse_arguments(["--cluster", "auto", "--seeds", "2"])
     assert request.cluster == "auto"
     assert request.config == replace(configs.defaults("sort", "ppo"), seeds=2)
@@ -135,12 +123,3 @@ def test_the_command_of_a_card_trains_the_same(tmp_path) -> None:
         "command": command, "seeds": [0], "steps": [100], "seconds": [1],
         "results": {"exact": {"success": 1.0}},
     }  # fmt: skip
-
-
-def test_a_users_task_must_be_named_when_its_run_is_resumed(tmp_path) -> None:
-    task = f"{Path(__file__).parents[2]}/examples/haste.py:Haste"
-    runs.write_config(configs.PPOConfig(task=task), tmp_path / "config.yaml")
-    with pytest.raises(ValueError, match="name it by --task"):
-        runs.read_config(tmp_path / "config.yaml")
-    resumed = parse_arguments(["--resume", str(tmp_path), "--task", task])
-    assert resumed.config == configs.PPOConfig(task=task)

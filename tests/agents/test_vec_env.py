@@ -18,18 +18,37 @@ ROLL = 15  # halves, all axes at 90 deg
 def make(limit: int | None = 12, **config: object) -> SurfaceVecEnv:
     return SurfaceVecEnv(
         sg.SmartSurfaceVectorEnv(
-            NUM_ENVS,
-            actions="halves",
-            max_episode_steps=limit,
-            autoreset_mode="SameStep",
-            **config,
+            NUM_ENVS, actions="halves", max_episode_steps=limit, autoreset_mode="SameStep", **config
         )
     )
 
 
-def test_only_same_step_is_taken() -> None:
+def test_only_same_step_is_taken_and_pictures_come() -> None:
     with pytest.raises(ValueError, match="SAME_STEP"):
         SurfaceVecEnv(sg.SmartSurfaceVectorEnv(NUM_ENVS))
+    assert make().render_mode is None
+    env = make(render_mode="rgb_array")
+    assert env.render_mode == "rgb_array"
+    env.reset()
+    (picture,) = env.get_images()
+    assert picture.dtype == np.uint8
+
+
+def test_attributes_and_methods_are_the_vector_envs() -> None:
+    env = make()
+    assert env.get_attr("num_envs") == [NUM_ENVS] * NUM_ENVS
+    assert env.get_attr("num_envs", indices=[0, 2]) == [NUM_ENVS] * 2
+    assert env.get_attr("num_envs", indices=1) == [NUM_ENVS]
+    assert env.env_is_wrapped(gym.Wrapper, indices=[1, 2]) == [False, False]
+    with pytest.raises(ValueError, match="indices"):
+        env.set_attr("render_mode", None, indices=[0])
+    with pytest.raises(AttributeError):
+        env.get_attr("no_such_thing")
+    env.set_attr("note", "shared")
+    assert env.get_attr("note") == ["shared"] * NUM_ENVS
+    assert env.has_attr("config")
+    assert not env.has_attr("no_such_thing")
+    assert env.env_method("__str__", indices=[0, 1]) == [str(env.env)] * 2
 
 
 def test_environments_are_single_ones_and_their_ends_are_reported() -> None:
@@ -37,23 +56,19 @@ def test_environments_are_single_ones_and_their_ends_are_reported() -> None:
     env = make()
     env.seed(3)
     observations = env.reset()
-    singles = [
-        gym.make("SmartSurface/Sort-v0", actions="halves", max_episode_steps=12)
-        for _ in range(NUM_ENVS)
-    ]
+    given = {"actions": "halves", "max_episode_steps": 12}
+    singles = [gym.make("SmartSurface/Sort-v0", **given) for _ in range(NUM_ENVS)]
     for i, single in enumerate(singles):
         np.testing.assert_array_equal(single.reset(seed=3 + i)[0], observations[i])
     rng = np.random.default_rng(0)
-    ends = []
-    lasted = np.zeros(NUM_ENVS, dtype=np.int64)
+    ends, lasted = [], np.zeros(NUM_ENVS, dtype=np.int64)
     for _ in range(60):
         actions = rng.integers(0, 16, NUM_ENVS)
         observations, rewards, dones, infos = env.step(actions)
         lasted += 1
         for i, single in enumerate(singles):
             seen, reward, terminated, truncated, info = single.step(actions[i])
-            assert rewards[i] == np.float32(reward)
-            assert dones[i] == (terminated or truncated)
+            assert (rewards[i], dones[i]) == (np.float32(reward), terminated or truncated)
             if dones[i]:
                 assert infos[i]["episode"]["l"] == lasted[i]
                 lasted[i] = 0
@@ -100,27 +115,6 @@ def test_seed_and_options_act_at_the_next_reset_alone() -> None:
     assert (env.env.batch.parcels.truth[:, 3] != [0.5, 1.5, 2.5, 3.5]).any()
 
 
-def test_indices_are_honoured() -> None:
-    env = make()
-    assert env.get_attr("num_envs") == [NUM_ENVS] * NUM_ENVS
-    assert env.get_attr("num_envs", indices=[0, 2]) == [NUM_ENVS] * 2
-    assert env.get_attr("num_envs", indices=1) == [NUM_ENVS]
-    assert env.env_is_wrapped(gym.Wrapper, indices=[1, 2]) == [False, False]
-    with pytest.raises(ValueError, match="indices"):
-        env.set_attr("render_mode", None, indices=[0])
-    with pytest.raises(AttributeError):
-        env.get_attr("no_such_thing")
-
-
-def test_render_mode_is_read_and_pictures_come() -> None:
-    assert make().render_mode is None
-    env = make(render_mode="rgb_array")
-    assert env.render_mode == "rgb_array"
-    env.reset()
-    (picture,) = env.get_images()
-    assert picture.dtype == np.uint8
-
-
 def test_episode_returns_are_the_monitors() -> None:
     env = VecMonitor(make())
     env.seed(0)
@@ -145,64 +139,42 @@ def test_episode_returns_are_the_monitors() -> None:
 def test_stable_baselines3_learns_on_it_and_evaluates_on_it() -> None:
     model = PPO("MlpPolicy", make(), n_steps=8, batch_size=16, n_epochs=1, seed=0, device="cpu")
     model.learn(64)
-    env = VecMonitor(make())
-    env.seed(0)
-    first = evaluate_policy(model, env, n_eval_episodes=6, return_episode_rewards=True)
-    env.seed(0)
-    assert evaluate_policy(model, env, 6, return_episode_rewards=True) == first
-    returns, lengths = first
+    env, found = VecMonitor(make()), []
+    for _ in range(2):
+        env.seed(0)
+        found.append(evaluate_policy(model, env, 6, return_episode_rewards=True))
+    assert found[0] == found[1]
+    returns, lengths = found[0]
     assert len(returns) == 6
     assert max(lengths) <= 12
 
 
-def test_attributes_and_methods_are_the_vector_envs() -> None:
-    env = make()
-    env.set_attr("note", "shared")
-    assert env.get_attr("note") == ["shared"] * NUM_ENVS
-    assert env.has_attr("config")
-    assert not env.has_attr("no_such_thing")
-    assert env.env_method("__str__", indices=[0, 1]) == [str(env.env)] * 2
-
-
 def test_a_reset_starts_returns_anew() -> None:
     env = make(limit=3)
-    env.reset()
-    env.step(np.full(NUM_ENVS, ROLL))
-    env.reset()
-    for _ in range(3):
-        _, _, dones, infos = env.step(np.full(NUM_ENVS, ROLL))
+    for periods in (1, 3):
+        env.reset()
+        for _ in range(periods):
+            _, _, dones, infos = env.step(np.full(NUM_ENVS, ROLL))
     assert dones.all()
     assert [info["episode"]["l"] for info in infos] == [3] * NUM_ENVS
 
 
-def slow(count: int, **kwargs: object) -> SurfaceVecEnv:
-    return SurfaceVecEnv(
-        gym.make_vec(
-            "SmartSurface/Slow-v0",
-            num_envs=count,
-            actions="halves",
-            autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
-            **kwargs,
-        )
-    )
-
-
 def test_concatenated_environments_are_those_apart() -> None:
-    together = ConcatVecEnv([slow(3), slow(2, sensors=Camera())])
-    apart = [slow(3), slow(2, sensors=Camera())]
-    together.seed(10)
-    apart[0].seed(10)
-    apart[1].seed(13)
+    def halves() -> list[SurfaceVecEnv]:
+        return [make(), make(sensors=Camera())]
+
+    together, apart = ConcatVecEnv(halves()), halves()
+    for env, seed in ((together, 10), (apart[0], 10), (apart[1], 10 + NUM_ENVS)):
+        env.seed(seed)
     first = together.reset()
     np.testing.assert_array_equal(first, np.concatenate([each.reset() for each in apart]))
     rng = np.random.default_rng(0)
     for _ in range(60):
-        actions = rng.integers(0, 16, 5)
-        observations, rewards, dones, infos = together.step(actions)
-        parts = [each.step(some) for each, some in zip(apart, np.split(actions, [3]), strict=True)]
-        np.testing.assert_array_equal(observations, np.concatenate([part[0] for part in parts]))
-        np.testing.assert_array_equal(rewards, np.concatenate([part[1] for part in parts]))
-        np.testing.assert_array_equal(dones, np.concatenate([part[2] for part in parts]))
-        assert [bool(info) for info in infos] == dones.tolist()
-    assert together.get_attr("num_envs", [0, 4]) == [3, 2]
+        actions = rng.integers(0, 16, (2, NUM_ENVS))
+        *found, infos = together.step(actions.ravel())
+        parts = [each.step(some) for each, some in zip(apart, actions, strict=True)]
+        for k, whole in enumerate(found):  # observations, rewards and ends
+            np.testing.assert_array_equal(whole, np.concatenate([part[k] for part in parts]))
+        assert [bool(info) for info in infos] == found[2].tolist()
+    assert together.get_attr("num_envs", [0, NUM_ENVS]) == [NUM_ENVS] * 2
     assert together.env_is_wrapped(gym.Wrapper, [1]) == [False]

@@ -14,13 +14,11 @@ from surface_gym.tasks import Sort
 from surface_gym.tasks.benchmark import PARCELS, SpeedGrid
 
 STARTS = 24  # of the sweep
+# Of the ceiling.
 SHARES = {
-    FIXED: 0.0,
-    streams.ARRANGED: 0.0,
-    streams.TURNED: 0.2,
-    streams.EVENT: 0.4,
+    FIXED: 0.0, streams.ARRANGED: 0.0, streams.TURNED: 0.2, streams.EVENT: 0.4,
     streams.RESERVATION: 0.6,
-}  # of the ceiling
+}  # fmt: skip
 RULES = [method for method in streams.stream_methods() if method.name in SHARES]
 
 
@@ -57,14 +55,9 @@ def slow_result(name: str, errors: Sequence[float], seed: int = 0, preset: str =
 
 
 def sweep_result(
-    task: str,
-    name: str,
-    factor: Factor,
-    share: float,
-    seed: int = 0,
-    levels: Sequence[Level] | None = None,
-    starts: int = STARTS,
-) -> SweepResult:
+    task: str, name: str, factor: Factor, share: float, seed: int = 0,
+    levels: Sequence[Level] | None = None, starts: int = STARTS,
+) -> SweepResult:  # fmt: skip
     """One whose first starts succeed, a share at the first level and less at each that follows."""
     chosen = list(factor.swept if levels is None else levels)
     counts = np.linspace(share * starts, 0.5 * share * starts, len(chosen)).round().astype(int)
@@ -98,15 +91,10 @@ def stream_rows() -> list[StreamResult]:
     for name, share in SHARES.items():
         can = name != streams.ARRANGED
         for case in (*cases(), *(cases("camera") if name != FIXED else ())):
-            rate = share * case.ceiling
+            rate, key = share * case.ceiling, (case.preset, case.mix, case.speed, streams.SEARCHED)
             capacity = at(rate, touches=1.0) if share else None
             least = at(0.8 * rate) if share else at(case.ceiling / 16.0, right=1 / 3)
-            made.append(
-                StreamResult(
-                    name, case.preset, case.mix, case.speed, streams.SEARCHED, can, capacity,
-                    least if can else None,
-                )
-            )  # fmt: skip
+            made.append(StreamResult(name, *key, can, capacity, least if can else None))
         for load in streams.LOADS:
             point = at(min(load, share) * CURVE.ceiling) if can else None
             made.append(StreamResult(name, "exact", CURVE.mix, CURVE.speed, load, can, None, point))

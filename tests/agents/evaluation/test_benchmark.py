@@ -49,11 +49,8 @@ class TestComputing:
             file.write('{"task": "slow", "method"')  # a line broken off
         assert runs.read_kept(tmp_path / runs.FILE, runs.Result) == first
         seen: list[tuple[int, int]] = []
-        again = runs.compute_results(
-            few(), 1, tmp_path, lambda done, all_, _: seen.append((done, all_))
-        )
-        assert again[:2] == first
-        assert seen == [(3, 6), (4, 6), (5, 6), (6, 6)]
+        again = runs.compute_results(few(), 1, tmp_path, lambda *given: seen.append(given[:2]))
+        assert (again[:2], seen) == (first, [(3, 6), (4, 6), (5, 6), (6, 6)])
         monkeypatch.setattr(runs, "run_episodes", None)  # nothing is left to compute
         assert runs.compute_results(few(), 1, tmp_path) == again
 
@@ -61,16 +58,13 @@ class TestComputing:
     def test_methods_of_a_task(self, task) -> None:
         methods = all_methods(task)
         names = [method.name for method in methods]
-        assert names[:2] == ["fixed layout", "best fixed layout"]
-        assert names[-1] == "planner"
+        assert (names[:2], names[-1]) == (["fixed layout", "best fixed layout"], "planner")
         assert {"PPO", "DQN"} < set(names)
-        assert ("fixed layout, any angle" in names) == (task == "sort")
-        assert len(set(names)) == len(names)
+        assert ("fixed layout, any angle" in names, len(set(names))) == (task == "sort", len(names))
         assert all(len(each.seeds) >= 3 for each in methods if each.name in ("PPO", "DQN"))
-        assert [p for method, _, p in runs.list_jobs(methods) if method.name == "planner"] == [
-            "exact"
-        ]
-        searching = [method.starts is not None for method, _, _ in runs.list_jobs(methods)]
+        jobs = runs.list_jobs(methods)
+        assert [preset for each, _, preset in jobs if each.name == "planner"] == ["exact"]
+        searching = [method.starts is not None for method, _, _ in jobs]
         assert searching == sorted(searching, reverse=True)  # the slowest first
 
 
@@ -92,7 +86,7 @@ class TestStarts:
         assert (some[0], some[-1]) == (benchmark.starts[0], benchmark.starts[-1])
 
     def test_parcels_are_those_that_the_environment_draws(self) -> None:
-        """A parcel enters with its rear at x = 0."""
+        """A parcel enters with its rear at x = 0; a start that names its parcel has it."""
         starts = runs.choose_starts(runs.find_benchmark("sort"), None, LAB)[::7]
         drawn = runs.drawn_parcels(EnvConfig(preset=PARCELS_ALONE), starts, runs.SEED)
         env = SmartSurfaceVectorEnv(len(starts), preset=PARCELS_ALONE)
@@ -100,14 +94,8 @@ class TestStarts:
         from_rear = [parcel.base.centroid[0] - parcel.base.outline[:, 0].min() for parcel in drawn]
         np.testing.assert_allclose(info["pose"][:, 0], from_rear, atol=1e-12)
         assert len(set(drawn)) > 0.3 * len(starts)
-
-    def test_a_start_that_names_its_parcel_has_it(self) -> None:
-        env_config = EnvConfig(task="sort", preset=LAB)
-        sizes = [
-            parcel.rear
-            for parcel in runs.drawn_parcels(env_config, [{"parcel": "S"}] * 3, runs.SEED)
-        ]
-        assert sizes == [0.125] * 3
+        named = runs.drawn_parcels(EnvConfig("sort", preset=LAB), [{"parcel": "S"}] * 3, runs.SEED)
+        assert [parcel.rear for parcel in named] == [0.125] * 3
 
 
 def test_sort_in_the_lab() -> None:
@@ -119,9 +107,8 @@ def test_sort_in_the_lab() -> None:
     summary = runs.Summary((result,))
     columns = runs.find_benchmark("sort").columns
     values = {column.name: summary.value(column, summary) for column in columns}
-    of_boxes = {name: value for name, value in values.items() if name[-2:] in ("_S", "_B")}
-    assert len(of_boxes) == 6
-    assert all(math.isnan(value) for value in of_boxes.values())
+    of_boxes = [value for name, value in values.items() if name[-2:] in ("_S", "_B")]
+    assert [math.isnan(value) for value in of_boxes] == [True] * 6
     assert 3.0 < values["columns"] < 16.0
     assert values["parcels_an_hour"] > 1000.0
 
@@ -133,46 +120,37 @@ def _leave(folder: Path, task: str, observe: tuple[str, ...] = ()) -> None:
     save_policy(make_network(card, card.env_config()), card, folder)
 
 
-class TestAgents:
-    def test_agents_of_a_preset_are_found_among_the_shipped(self, tmp_path, monkeypatch) -> None:
-        for name, observe in (("slow-ppo-lab", ("parcel", "rotors")), ("slow-ppo", ())):
-            for seed in (0, 1):
-                _leave(tmp_path / name / f"seed-{seed}", "slow", observe)
-            (tmp_path / name / "card.yaml").touch()
-        monkeypatch.setattr(library, "SHELF", tmp_path)
-        nominal, lab = shipped("slow")
-        assert (nominal.name, lab.name) == ("PPO", "PPO, lab")
-        assert (nominal.observe, lab.observe) == ((), ("parcel", "rotors"))
-        assert lab.seeds == (0, 1)
-        env_config = lab.config(TASKS["slow"](), LAB)
-        env = SmartSurfaceVectorEnv(
-            2, task="slow", actions="halves", observe=env_config.observe, preset=LAB
-        )
-        observation, _ = env.reset(seed=0)
-        assert lab.make(env_config, 1).predict(observation)[0] in env.action_space
+def test_agents_of_a_preset_are_found_among_the_shipped(tmp_path, monkeypatch) -> None:
+    """And a run is named by its preset."""
+    for name, observe in (("slow-ppo-lab", ("parcel", "rotors")), ("slow-ppo", ())):
+        for seed in (0, 1):
+            _leave(tmp_path / name / f"seed-{seed}", "slow", observe)
+        (tmp_path / name / "card.yaml").touch()
+    monkeypatch.setattr(library, "SHELF", tmp_path)
+    nominal, lab = shipped("slow")
+    assert (nominal.name, nominal.observe) == ("PPO", ())
+    assert (lab.name, lab.observe, lab.seeds) == ("PPO, lab", ("parcel", "rotors"), (0, 1))
+    config = lab.config(TASKS["slow"](), LAB)
+    env = SmartSurfaceVectorEnv(2, "slow", actions="halves", observe=config.observe, preset=LAB)
+    observation, _ = env.reset(seed=0)
+    assert lab.make(config, 1).predict(observation)[0] in env.action_space
 
-    def test_a_run_is_named_by_its_preset(self, tmp_path) -> None:
-        _leave(tmp_path / "run", "slow", ("parcel",))
-        assert of_run(tmp_path / "run").name == "PPO"
-        config = PPOConfig(task="slow", preset="lab", observe=("parcel",))
-        write_config(config, tmp_path / "run" / CONFIG)
-        found = of_run(tmp_path / "run")
-        assert (found.name, found.observe) == ("PPO, lab", ("parcel",))
+    run = tmp_path / "slow-ppo-lab" / "seed-0"
+    assert of_run(run).name == "PPO"
+    write_config(PPOConfig(task="slow", preset="lab", observe=("parcel", "rotors")), run / CONFIG)
+    assert (of_run(run).name, of_run(run).observe) == ("PPO, lab", ("parcel", "rotors"))
 
 
 class TestSummaries:
     def test_the_minimum_is_that_of_the_worst_seed(self) -> None:
-        faster = sort_result("a", {"S": 0.36, "B": 0.52})
-        two = runs.Summary((faster, sort_result("a", {"S": 0.4, "B": 0.52}, seed=1)))
-        assert (GRID.minimum_speed(two, "S"), GRID.minimum_speed(two, "B")) == (0.4, 0.52)
-
-    def test_one_failure_above_moves_the_minimum_beyond_it(self) -> None:
+        """One failure above moves it beyond that."""
         result = sort_result("a", {"S": 0.36, "B": 0.52})
+        two = runs.Summary((result, sort_result("a", {"S": 0.4, "B": 0.52}, seed=1)))
+        assert (GRID.minimum_speed(two, "S"), GRID.minimum_speed(two, "B")) == (0.4, 0.52)
         success = np.array(result.success).reshape(GRID.shape)
         success[0, 60, 1] = False  # the S-box at 1.5 m/s, to y < 0
         holed = runs.Summary((replace(result, success=success.ravel().tolist()),))
-        assert GRID.minimum_speed(holed, "S") == 1.52
-        assert GRID.minimum_speed(holed, "B") == 0.52
+        assert (GRID.minimum_speed(holed, "S"), GRID.minimum_speed(holed, "B")) == (1.52, 0.52)
         assert np.isinf(GRID.slower_time(holed, "S")[0, 60])
         success[0, -1] = False
         never = runs.Summary((replace(result, success=success.ravel().tolist()),))
@@ -208,30 +186,21 @@ class TestSummaries:
 @pytest.mark.parametrize(("successes", "count"), [(0, 20), (7, 20), (20, 20), (480, 500)])
 def test_one_seed_has_wilsons_interval(successes, count) -> None:
     known = binomtest(successes, count).proportion_ci(method="wilson")
-    assert runs.wilson(successes / count, count) == pytest.approx(
-        (known.low, known.high), abs=1e-12
-    )
+    wilson = runs.wilson(successes / count, count)
+    assert wilson == pytest.approx((known.low, known.high), abs=1e-12)
     found = runs.interval(np.arange(count)[np.newaxis] < successes)
     # A sample's spread counts one start less.
     assert found == pytest.approx((known.low, known.high), abs=0.01)
+    # Round-off takes it not beyond what a share can be.
+    for size in range(1, 100):
+        low, high = runs.wilson(successes / count, size)
+        assert 0.0 <= low <= high <= 1.0
 
 
-def test_round_off_takes_no_interval_beyond_what_a_share_can_be() -> None:
-    for count in range(1, 100):
-        for share in (0.0, 1.0):
-            low, high = runs.wilson(share, count)
-            assert 0.0 <= low <= high <= 1.0
-
-
-def test_seeds_alike_are_no_surer_than_one() -> None:
-    """The same starts again say nothing new."""
+def test_seeds_alike_are_no_surer_than_one_and_a_seed_that_fails_widens_it() -> None:
     one = np.random.default_rng(0).random((1, 400)) < 0.9
     assert runs.interval(np.repeat(one, 3, axis=0)) == pytest.approx(runs.interval(one), abs=1e-12)
-
-
-def test_a_seed_that_fails_widens_it() -> None:
-    good, bad = np.ones((1, 500), bool), np.zeros((1, 500), bool)
-    low, high = runs.interval(np.concatenate([good, good, bad]))
+    low, high = runs.interval(np.repeat([[True], [True], [False]], 500, axis=1))
     assert low < 0.2
     assert high > 0.9
 

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from rich.console import Console
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents.evaluation import robustness
 from surface_gym.agents.evaluation import robustness_report as report
-from surface_gym.agents.evaluation.benchmark import compute_kept, find_benchmark, interval
+from surface_gym.agents.evaluation.benchmark import find_benchmark, interval
 from surface_gym.agents.evaluation.methods import PLANNER, Method, all_methods, rules, shipped
 from surface_gym.agents.evaluation.robustness import TRAINED, Change, situation, sweep_jobs
 from surface_gym.agents.rollout import run_episodes
@@ -23,19 +24,13 @@ from surface_gym.parcel import Disc, Rectangle
 from surface_gym.tasks import TASKS, Slow
 from tests.agents.evaluation.made import STARTS, sweep_result, sweep_results
 
-SLOW = rules("slow")[0]
+FIXED = rules("slow")[0]
 BENCHMARK = find_benchmark("slow")
 EVERYTHING_EXACT = Change().preset
 
 
-def true_of(change: Change, method: Method = SLOW) -> EnvConfig:
+def true_of(change: Change, method: Method = FIXED) -> EnvConfig:
     return situation(method, find_benchmark(method.task), change).true
-
-
-def starts_of(config: EnvConfig, count: int = 64) -> np.ndarray:
-    """(count, 3) poses that an environment begins at."""
-    env = SmartSurfaceVectorEnv(count, task=config.task, actions=config.actions, line=config.line)
-    return env.reset(seed=1)[1]["pose"]
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -47,48 +42,47 @@ def test_no_change_is_as_trained(task) -> None:
     config = method.config(benchmark.task, EVERYTHING_EXACT)
     for name in ("sensors", "control_period", "zone", "actuators", "randomisation", "actions"):
         assert getattr(true, name) == getattr(config, name)
-    assert true.chosen_line == config.chosen_line
-    assert true.task.periods == config.task.periods
+    assert (true.chosen_line, true.task.periods) == (config.chosen_line, config.task.periods)
     assert true.task_name == task
 
 
-def test_friction_is_unknown() -> None:
-    assumed, true = situation(SLOW, BENCHMARK, Change(drag=1.2, rolling=0.5))
+def test_friction_is_unknown_and_axes_turn_by_90_deg_in_the_time_said() -> None:
+    assumed, true = situation(FIXED, BENCHMARK, Change(drag=1.2, rolling=0.5))
     line = true.chosen_line
     assert (line.mu_max, line.mu_min, line.mu_support) == pytest.approx((0.6, 0.005, 0.0025))
     assert (assumed.chosen_line.mu_max, assumed.chosen_line.mu_min) == (0.5, 0.01)
-
-
-def test_a_zone_has_as_many_columns_behind_it_as_ever() -> None:
-    for columns in (8, 24):
-        assumed, true = situation(SLOW, BENCHMARK, Change(zone_columns=columns))
-        assert assumed == true
-        line = true.chosen_line
-        assert isinstance(line, Line)
-        assert true.action_kind.columns == line.zone_columns == columns
-        assert line.columns - line.zone_columns == Line().columns - Line().zone_columns
-
-
-def test_an_episode_may_last_the_longer_where_the_zone_is() -> None:
-    periods = [true_of(Change(zone_columns=n)).task.periods for n in (8, 16, 24)]
-    assert periods == [Slow.periods, Slow.periods, 1.5 * Slow.periods]
-
-
-def test_an_episode_may_last_as_long_whatever_the_period() -> None:
-    for period in (0.02, 0.06, 0.12):
+    change = robustness.FACTORS["axis"].change
+    for asked in (25, 200):
+        speed = true_of(change(asked)).actuators.axis_speed
+        assert 0.5 * math.pi / speed == pytest.approx(1e-3 * asked)
+    assert true_of(change(0)) == true_of(Change())
+    for period in (0.02, 0.06, 0.12):  # an episode may last as long whatever the period
         config = true_of(Change(control_period=period))
         assert config.control_period == period
-        lasts = config.control_period * config.task.periods
-        assert lasts == pytest.approx(0.04 * Slow.periods, abs=0.5 * period)
-    assert Slow.periods == 100
+        assert period * config.task.periods == pytest.approx(0.04 * 100, abs=0.5 * period)
+
+
+@pytest.mark.parametrize(("columns", "longer"), [(8, 1.0), (16, 1.0), (24, 1.5)])
+def test_a_zone_has_as_many_columns_behind_it_and_an_episode_may_last_longer(
+    columns, longer
+) -> None:
+    assumed, true = situation(FIXED, BENCHMARK, Change(zone_columns=columns))
+    assert assumed == true
+    line = true.chosen_line
+    assert isinstance(line, Line)
+    assert true.action_kind.columns == line.zone_columns == columns
+    assert line.columns - line.zone_columns == Line().columns - Line().zone_columns
+    assert true.task.periods == longer * Slow.periods
 
 
 @pytest.mark.parametrize("task", TASKS)
 def test_entries_are_aside_and_turned_by_just_so_much(task) -> None:
-    method = rules(task)[0]
-    straight = starts_of(true_of(Change(), method))
-    moved = starts_of(true_of(Change(offset=0.03, turn=0.1), method))
-    off = moved - straight
+    poses = []
+    for change in (Change(), Change(offset=0.03, turn=0.1)):
+        true = true_of(change, rules(task)[0])
+        env = SmartSurfaceVectorEnv(64, task=true.task, actions=true.actions, line=true.line)
+        poses.append(env.reset(seed=1)[1]["pose"])
+    off = poses[1] - poses[0]
     np.testing.assert_allclose(np.abs(off[:, 1]), 0.03, atol=1e-12)
     np.testing.assert_allclose(off[:, 2], off[:, 1] / 0.3, atol=1e-12)
     np.testing.assert_allclose(off[:, 0], 0.0, atol=1e-12)
@@ -113,37 +107,20 @@ def test_loads_lie_off_centre_in_every_direction_and_boxes_are_drawn_as_ever() -
     assert {parcel.rear for parcel in parcels[half:]} == {0.225}
 
 
-def test_axes_turn_by_90_deg_in_the_time_said() -> None:
-    for asked in (25, 200):
-        speed = true_of(robustness.FACTORS["axis"].change(asked)).actuators.axis_speed
-        assert 0.5 * math.pi / speed == pytest.approx(1e-3 * asked)
-    assert true_of(robustness.FACTORS["axis"].change(0)) == true_of(Change())
-
-
-@pytest.mark.parametrize("name", robustness.FACTORS)
-def test_each_level_makes_an_environment(name) -> None:
-    factor = robustness.FACTORS[name]
+@pytest.mark.parametrize("factor", robustness.FACTORS.values(), ids=robustness.FACTORS)
+def test_each_level_makes_an_environment_and_the_trained_one_changes_nothing(factor) -> None:
     assert set(factor.shown) <= set(factor.swept)
-    assert factor.trained is None or factor.trained in factor.levels
     for task in TASKS:
         if factor.of_lines and task == "track":
             continue
         for level in (factor.levels[0], factor.levels[-1]):
             config = true_of(factor.change(level), rules(task)[0])
             assert config.observation_space().shape
-
-
-@pytest.mark.parametrize(
-    "name", [name for name, each in robustness.FACTORS.items() if each.trained is not None]
-)
-def test_the_trained_level_changes_nothing(name) -> None:
-    factor = robustness.FACTORS[name]
-    trained, task = true_of(factor.change(factor.trained)), Slow()
-    assert set(trained.task.parcels) == set(task.parcels)  # some more often than once
-    assert replace(trained, task=task) == replace(true_of(Change()), task=task)
-
-
-FIXED = rules("slow")[0]
+    if factor.trained is not None:
+        assert factor.trained in factor.levels
+        trained, task = true_of(factor.change(factor.trained)), Slow()
+        assert set(trained.task.parcels) == set(task.parcels)  # some more often than once
+        assert replace(trained, task=task) == replace(true_of(Change()), task=task)
 
 
 @pytest.fixture
@@ -159,31 +136,21 @@ class TestComputing:
     @pytest.mark.usefixtures("two_factors")
     def test_finished_results_are_kept(self, tmp_path, monkeypatch) -> None:
         rows = robustness.compute_sweep([FIXED], 6, 1, tmp_path)
-        assert [(row.factor, row.levels) for row in rows] == [
-            (TRAINED, [TRAINED]),
-            ("square", [0.2, 0.4]),
-        ]
+        levels = [(row.factor, row.levels) for row in rows]
+        assert levels == [(TRAINED, [TRAINED]), ("square", [0.2, 0.4])]
         assert all(len(line) == row.starts == 6 for row in rows for line in row.success)
         monkeypatch.setattr(robustness, "run_episodes", None)  # nothing is left to compute
         assert robustness.compute_sweep([FIXED], 6, 1, tmp_path) == rows
         assert len((tmp_path / robustness.FILE).read_text().splitlines()) == 2
 
-    @pytest.mark.usefixtures("two_factors")
-    def test_other_starts_make_other_results(self) -> None:
-        assert not sweep_jobs([FIXED], 6).keys() & sweep_jobs([FIXED], 7).keys()
-
-    def test_processes_make_no_difference(self, tmp_path) -> None:
-        (few,) = (each for each in rules("stop") if each.name == "fixed layout")
-        factors = ("trained", "aside")
-        alone = [
-            robustness.compute_factor(few, 0, name, robustness.FACTORS[name].swept, 4)
-            for name in factors
-        ]
-        jobs = {key: job for key, job in sweep_jobs([few], 4).items() if key[2] in factors}
-        shared = compute_kept(
-            jobs, robustness.SweepResult, 2, tmp_path / robustness.FILE, lambda *_: None
-        )
-        assert list(shared.values()) == alone
+    def test_other_starts_make_other_results_and_slow_methods_run_on_fewer(self) -> None:
+        jobs = sweep_jobs([FIXED], 6)
+        assert not jobs.keys() & sweep_jobs([FIXED], 7).keys()
+        assert pickle.loads(pickle.dumps(jobs)).keys() == jobs.keys()  # sent to other processes
+        planner = all_methods("slow")[-1]
+        given = ((planner, 240), (planner, 5), (FIXED, 240))
+        assert [robustness.starts_for(*each) for each in given] == [40, 1, 240]
+        assert next(iter(sweep_jobs([FIXED, planner], 240)))[1] == PLANNER
 
     def test_the_planner_sees_the_truth(self) -> None:
         """By observation it takes squares of 0.5 m, partly on supports, to brake as boxes do."""
@@ -199,22 +166,11 @@ class TestComputing:
         names = {each.name for each in chosen}
         assert not names & set(robustness.LEFT_OUT)
         assert {"fixed layout", "PPO", "DQN", PLANNER} <= names
+        factors = robustness.FACTORS
+        wanted = set(factors) - ({"zone"} if task == "track" else set())
         for method in chosen:
-            tried = {
-                name
-                for name, factor in robustness.FACTORS.items()
-                if robustness.levels_for(method, factor)
-            }
-            wanted = set(robustness.FACTORS) - ({"zone"} if task == "track" else set())
+            tried = {name for name in factors if robustness.levels_for(method, factors[name])}
             assert tried == (set(robustness.PLANNED) if method.name == PLANNER else wanted)
-
-    def test_slow_methods_run_on_fewer_starts(self) -> None:
-        planner = all_methods("slow")[-1]
-        assert robustness.starts_for(planner, 240) == 40
-        assert robustness.starts_for(planner, 5) == 1
-        assert robustness.starts_for(FIXED, 240) == 240
-        first = next(iter(sweep_jobs([FIXED, planner], 240)))
-        assert first[1] == PLANNER
 
 
 SQUARE = robustness.FACTORS["square"]
@@ -233,8 +189,7 @@ class TestReport:
         assert success.shape == (2, STARTS)
         rate = SWEEP.rate("slow", "PPO", "load", 1)
         assert (rate.value, rate.low, rate.high) == (success.mean(), *interval(success))
-
-    def test_the_level_that_is_as_trained_is_the_same_for_every_factor(self) -> None:
+        # The level that is as trained is the same for every factor.
         trained = SWEEP.rate("slow", "PPO", TRAINED, TRAINED)
         for factor in robustness.FACTORS.values():
             if factor.trained is not None:
@@ -248,16 +203,14 @@ class TestReport:
         squares = "square: 0.15 / 0.2 / 0.3 / 0.35 / 0.4 / 0.5 m"
         assert table.header[1:3] == ("as trained", squares)
         fixed = dict(zip(table.header, table.rows[0], strict=True))
-        assert fixed["as trained"] == "0.25"
-        assert fixed["stuck modules: 2 / 10 %"] == "0.25 / 0.12"
+        assert (fixed["as trained"], fixed["stuck modules: 2 / 10 %"]) == ("0.25", "0.25 / 0.12")
         assert table.rows[-1][-1] == "-"
         assert "24 starts (planner: 6)" in table.caption
         assert not any("zone" in name for name in report.factor_table(SWEEP, "track").header)
 
     def test_squares_beside_the_planners(self) -> None:
         rows = {row[0]: row[1:] for row in report.square_table(SWEEP, "slow").rows}
-        assert rows["PPO, lab"][0] == "0.50 at 0.49"
-        assert rows[PLANNER][2] == "1.00"
+        assert (rows["PPO, lab"][0], rows[PLANNER][2]) == ("0.50 at 0.49", "1.00")
         shares = []
         for level in SQUARE.shown:
             own, best = (SWEEP.success("slow", name, "square", level) for name in ("PPO", PLANNER))
@@ -276,11 +229,8 @@ class TestReport:
         table = report.shape_table(SWEEP, "slow")
         assert table.header[2:] == robustness.SHAPES
         assert PLANNER not in [row[0] for row in table.rows]
-
-    def test_shapes_have_names(self) -> None:
-        assert robustness.name_shape(Rectangle(0.2, 0.2)) == "square"
-        assert robustness.name_shape(Rectangle(0.2, 0.3)) == "rectangle"
-        assert robustness.name_shape(Disc(0.2)) == "disc"
+        bases = (Rectangle(0.2, 0.2), Rectangle(0.2, 0.3), Disc(0.2))
+        assert [*map(robustness.name_shape, bases)] == ["square", "rectangle", "disc"]
         assert set(robustness.lab_shapes("sort", 64)) == set(robustness.SHAPES)
 
     def test_files_agree(self, tmp_path) -> None:
@@ -289,11 +239,8 @@ class TestReport:
         with (tmp_path / "robustness.csv").open(newline="") as file:
             lines = list(csv.DictReader(file))
         assert [line["success"] for line in lines] == [str(each["success"]) for each in numbers]
-        squares = [
-            number["level"]
-            for number in numbers
-            if (number["task"], number["controller"], number["factor"]) == ("slow", "PPO", "square")
-        ]
+        key, wanted = ("task", "controller", "factor"), ["slow", "PPO", "square"]
+        squares = [each["level"] for each in numbers if [each[name] for name in key] == wanted]
         assert squares == list(SQUARE.levels)
         text = (tmp_path / "robustness.md").read_text()
         assert "## Slow: lab" in text

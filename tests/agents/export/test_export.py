@@ -1,39 +1,88 @@
-"""An export decides as the policy does, whatever its task, actions and networks."""
+"""An export decides as its policy does, mistakes are found; the command writes what it tried."""
+
+import json
+import sys
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from torch import nn
 
 from surface_gym import agents
-from surface_gym.agents.export import check
+from surface_gym.agents.export import check, policy
 from surface_gym.agents.export import onnx as graphs
 from surface_gym.agents.export.c_header import make_header
-from surface_gym.agents.export.cli import make_model
-from surface_gym.agents.export.policy import NetworkDecision, Source, network_decision, shipped
-from tests.agents.export.made import CARDS, count_of_each, made, wanted
+from surface_gym.agents.export.check import compare, random_observations
+from surface_gym.agents.export.cli import ExportConfig, export, main, make_metadata, make_model
+from surface_gym.agents.export.page import UNKNOWN, find_need, make_page
+from surface_gym.agents.learning.config import RENAMED, PPOConfig
+from surface_gym.agents.learning.runs import write_config
+from surface_gym.agents.library import PolicyCard
+from surface_gym.agents.policy import save_policy
+from surface_gym.config import EnvConfig
+from surface_gym.core.actions import GROUPS, group_features
+from surface_gym.tasks import TASKS
+from surface_gym.tasks.base import Feature
+from tests.agents.test_policy import policy_of
 
-COUNT = 1000
+OBSERVED = ("parcel", "rotors")
+CARDS = {
+    "quadrants": PolicyCard(
+        "SmartSurface/Sort-v0", "ppo", "quadrants", 0.08, (24, 16, 8), OBSERVED
+    ),
+    "window": PolicyCard("SmartSurface/Sort-v0", "ppo", "window", 0.04, (12,)),
+    "stop": PolicyCard("SmartSurface/Stop-v0", "dqn", "halves", 0.05, (32, 8), ("parcel",)),
+    "modules": PolicyCard("SmartSurface/Sort-v0", "modules", "modules", 0.04, (16, 8), OBSERVED),
+    "by-clearance": PolicyCard("SmartSurface/Sort-v0", "modules", "modules", 0.04, (8, 8)),
+}
+
+
+def made(name: str) -> policy.Source:
+    """The policy of a card, its weights at random."""
+    made, config = policy_of(CARDS[name]), CARDS[name].env_config()
+    training = policy.Training("nominal")
+    return policy.Source(name, 0, made, config, made._network.state_dict(), "none", training)
+
+
+def wanted(source: policy.Source, observations: policy.Singles) -> policy.Integers:
+    """What the policy chooses."""
+    actions, _ = source.policy.predict(observations)
+    chosen: policy.Integers = source.config.action_kind.commands(actions, len(observations))
+    return chosen
+
+
 SHIPPED = [name for name in agents.names() if name != "flow-ppo"]
+COUNT = 1000
 
 
-def source_of(name: str) -> Source:
-    return made(name) if name in CARDS else shipped(name)
+def needed(*libraries: str) -> list[Any]:
+    """Libraries of the extra `export`; without them a test is skipped."""
+    return [
+        pytest.importorskip(name, reason=f"{name}, of the extra `export`, is missing")
+        for name in libraries
+    ]
 
 
 @pytest.mark.parametrize("name", [*SHIPPED, *CARDS])
 def test_it_decides_as_the_policy(name) -> None:
-    source = source_of(name)
+    source = made(name) if name in CARDS else policy.shipped(name)
     is_modules = source.policy.card.algo == "modules"
-    decision = graphs.modules_decision(source) if is_modules else network_decision(source)
-    seen = check.random_observations(source, COUNT, seed=1)
+    decision = graphs.modules_decision(source) if is_modules else policy.network_decision(source)
+    seen = random_observations(source, COUNT, seed=1)
+    if name in CARDS:  # they ask for every choice: else the comparison would say little
+        assert np.bincount(wanted(source, seen).ravel(), minlength=4).min() > 10
+        names = [each.name for each in source.config.features]
+        if "side" in names:
+            assert {-1.0, 0.0, 1.0} <= set(seen[:, names.index("side")].tolist())
     compiler = check.find_compiler()
-    if isinstance(decision, NetworkDecision) and compiler is not None:
+    if not is_modules and compiler is not None:
         header = make_header(decision, name, source.config.control_period, {"of": "a */ test"})
         decide = check.run_c(compiler, header, name, decision.parts)
-        assert check.compare("C", decision, source, seen, decide).observations == COUNT
-    pytest.importorskip("onnx", reason="onnx, of the extra `export`, is missing")
-    pytest.importorskip("onnxruntime", reason="onnxruntime, of the extra `export`, is missing")
+        assert compare("C", decision, source, seen, decide).observations == COUNT
+    needed("onnx", "onnxruntime")
     decide = check.run_onnx(make_model(decision, {}))
-    agreement = check.compare("ONNX", decision, source, seen, decide)
+    agreement = compare("ONNX", decision, source, seen, decide)
     assert agreement.observations == COUNT
     assert agreement.close < 0.01 * COUNT * agreement.parts
     choices, angles = decide(seen)
@@ -42,30 +91,17 @@ def test_it_decides_as_the_policy(name) -> None:
     np.testing.assert_array_equal(decide(seen[7:8])[0], choices[7:8])
 
 
-@pytest.mark.parametrize("name", CARDS)
-def test_random_observations_ask_for_every_choice(name) -> None:
-    """Else a comparison would say little."""
-    source = made(name)
-    seen = check.random_observations(source, COUNT, seed=0)
-    assert min(count_of_each(wanted(source, seen))) > 10
-    names = [each.name for each in source.config.features]
-    if "side" in names:
-        assert {-1.0, 0.0, 1.0} <= set(seen[:, names.index("side")].tolist())
-
-
+@pytest.mark.skipif(check.find_compiler() is None, reason="there is no C compiler")
 def test_a_header_that_does_not_compile_is_refused() -> None:
-    compiler = check.find_compiler()
-    if compiler is None:
-        pytest.skip("there is no C compiler")
-    source = made("quadrants")
-    decision = network_decision(source)
+    source, compiler = made("quadrants"), check.find_compiler()
+    decision = policy.network_decision(source)
     header = make_header(decision, "quadrants", 0.05, {}).replace("#include <math.h>", "")
+    seen = random_observations(source, 4, seed=0)
     with pytest.raises(ValueError, match="header must compile without a warning"):
-        check.run_c(compiler, header, "quadrants", decision.parts)(
-            check.random_observations(source, 4, seed=0)
-        )
+        check.run_c(compiler, header, "quadrants", decision.parts)(seen)
 
 
+CPU = ["CPUExecutionProvider"]
 TURNS = np.linspace(-np.pi, np.pi, 721)
 SEEN = np.stack([np.sin(TURNS), np.cos(TURNS)], axis=1).astype(np.float32)
 
@@ -80,24 +116,14 @@ def test_an_angle_is_that_of_its_sine_and_cosine() -> None:
 
 def test_a_graph_computes_in_double_precision_what_numpy_does() -> None:
     """Though its arc tangent is of single precision."""
-    onnx = pytest.importorskip("onnx", reason="onnx, of the extra `export`, is missing")
-    pytest.importorskip("onnxruntime", reason="onnxruntime, of the extra `export`, is missing")
-    graph = graphs.Graph()
+    onnx, runtime = needed("onnx", "onnxruntime")
+    graph, kinds, helper = graphs.Graph(), onnx.TensorProto, onnx.helper
     traced: graphs.Traced = graphs._angle(*graph.features(2)) + np.zeros((1, 3))
-    kinds = onnx.TensorProto
-    made = onnx.helper.make_graph(
-        graph._nodes,
-        "angle",
-        [onnx.helper.make_tensor_value_info(graphs.OBSERVATION, kinds.FLOAT, ["num_envs", 2])],
-        [onnx.helper.make_tensor_value_info(traced.name, kinds.DOUBLE, ["num_envs", 3])],
-        graph._constants,
-    )
-    model = onnx.helper.make_model(
-        made, opset_imports=[onnx.helper.make_opsetid("", 17)], ir_version=8
-    )
-    session = graphs.need("onnxruntime").InferenceSession(
-        model.SerializeToString(), providers=["CPUExecutionProvider"]
-    )
+    given = helper.make_tensor_value_info(graphs.OBSERVATION, kinds.FLOAT, ["num_envs", 2])
+    result = helper.make_tensor_value_info(traced.name, kinds.DOUBLE, ["num_envs", 3])
+    whole = helper.make_graph(graph._nodes, "angle", [given], [result], graph._constants)
+    model = helper.make_model(whole, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    session = runtime.InferenceSession(model.SerializeToString(), providers=CPU)
     (angle,) = session.run(None, {graphs.OBSERVATION: SEEN})
     sine, cosine = SEEN.astype(np.float64).T
     wanted = np.repeat(np.arctan2(sine, cosine)[:, np.newaxis], 3, axis=1)
@@ -116,3 +142,165 @@ def test_doubt_is_where_a_comparison_or_a_jump_hangs_on_round_off() -> None:
     assert doubts.pop().tolist() == [True, True, False]
     np.rint(numbers)
     assert doubts.pop().tolist() == [False, True, False]
+
+
+@pytest.fixture
+def stop() -> policy.Source:
+    return made("stop")
+
+
+def deciding(choices: policy.Integers, source: policy.Source) -> Any:
+    angles = np.array(source.config.chosen_orientations)[choices]
+    return lambda _: (choices, angles)
+
+
+def test_another_choice_and_another_angle_are_errors_that_name_it(stop) -> None:
+    seen, decision = random_observations(stop, 200, seed=0), policy.network_decision(stop)
+    choices = wanted(stop, seen)
+    angles = choices.astype(np.float64)
+    with pytest.raises(ValueError, match="must give the angles of what it chooses"):
+        compare("it", decision, stop, seen, lambda _: (choices, angles))
+    choices[13, 1] = (choices[13, 1] + 1) % 4
+    with pytest.raises(ValueError, match="must decide as the policy of stop does, got 1 of 200"):
+        compare("it", decision, stop, seen, deciding(choices, stop))
+
+
+def test_ties_are_counted_apart_but_not_without_limit(stop) -> None:
+    """With all scores the same, so that any decision is right."""
+    decision = policy.network_decision(stop)
+    *first, last = decision.network.layers
+    flat = replace(last, weights=np.zeros_like(last.weights), bias=np.zeros_like(last.bias))
+    decision = replace(decision, network=replace(decision.network, layers=(*first, flat)))
+    seen = random_observations(stop, 200, seed=0)
+    choices = wanted(stop, seen)
+    agreement = compare("it", decision, stop, seen, deciding(choices, stop))
+    assert (agreement.ties, agreement.close) == (0, 400)
+    choices[13, 1] = (choices[13, 1] + 1) % 4
+    agreement = compare("it", decision, stop, seen, deciding(choices, stop))
+    assert agreement.ties == 1
+    assert "1 of them otherwise, all ties" in agreement.summary()
+    with pytest.raises(ValueError, match="though all where scores are close"):
+        compare("it", decision, stop, seen, deciding((choices + 1) % 4, stop))
+
+
+@pytest.mark.parametrize(
+    "between",
+    [(nn.Sigmoid(), nn.Linear(2, 2)), (nn.Tanh(),), (nn.Tanh(), nn.Linear(2, 2), nn.ReLU())],
+)
+def test_a_network_of_another_kind_is_refused(between) -> None:
+    with pytest.raises(ValueError, match="network must be linear layers"):
+        policy.read_network(nn.Sequential(nn.Linear(2, 2), *between))
+
+
+def test_it_writes_three_files_that_it_has_checked(tmp_path, capsys) -> None:
+    onnx, runtime = needed("onnx", "onnxruntime")
+    main(["sort-ppo", "--seed", "1", "--out", str(tmp_path), "--observations", "400"])
+    printed = "".join(capsys.readouterr().out.split())
+    assert "ONNX:400observations,800choices:thesame" in printed
+    assert ("C:nottried" in printed) == (check.find_compiler() is None)
+    names = {file.name for file in tmp_path.iterdir()}
+    assert names == {"sort-ppo.onnx", "sort-ppo.h", "sort-ppo.md"}
+    model = onnx.load(tmp_path / "sort-ppo.onnx")
+    says = {each.key: each.value for each in model.metadata_props}
+    source = policy.shipped("sort-ppo", 1)
+    assert says == make_metadata(source)
+    assert (says["agent"], says["seed"], says["control_period"]) == ("sort-ppo", "1", "0.04")
+    assert json.loads(says["orientations"]) == list(source.config.chosen_orientations)
+    assert json.loads(says["features"])[14] == "side"
+    assert source.digest in (tmp_path / "sort-ppo.h").read_text()
+    assert [each.version for each in model.opset_import] == [17]
+    session = runtime.InferenceSession(tmp_path / "sort-ppo.onnx", providers=CPU)
+    (value,) = session.get_inputs()
+    found = (value.name, value.shape, value.type)
+    assert found == ("observation", ["num_envs", 15], "tensor(float)")
+    outputs = {each.name: each.type for each in session.get_outputs()}
+    assert outputs == {"choices": "tensor(int64)", "angles": "tensor(double)"}
+
+
+def test_modules_that_share_weights_have_no_c_header(tmp_path) -> None:
+    needed("onnx")
+    with pytest.raises(SystemExit, match=r"formats must be onnx for sort-modules, .* ONNX alone"):
+        main(["sort-modules", "--formats", "c", "--out", str(tmp_path)])
+    assert list(tmp_path.iterdir()) == []
+    main(["sort-modules", "--out", str(tmp_path), "--observations", "200"])
+    names = {file.name for file in tmp_path.iterdir()}
+    assert names == {"sort-modules.onnx", "sort-modules.md"}
+    assert "sort-modules.h" not in (tmp_path / "sort-modules.md").read_text()
+    main(["slow-dqn", "--formats", "c", "--out", str(tmp_path / "c"), "--observations", "200"])
+    assert {file.name for file in (tmp_path / "c").iterdir()} == {"slow-dqn.h", "slow-dqn.md"}
+
+
+def test_a_run_is_exported_under_its_own_name_or_another(tmp_path) -> None:
+    save_policy(made("window").policy._network, CARDS["window"], tmp_path / "window")
+    folder = tmp_path / "window"
+    source = policy.of_run(folder, "mine")
+    assert (source.name, source.seed, source.training.preset) == ("mine", 0, "nominal")
+    assert policy.of_run(folder).name == "window"
+    write_config(PPOConfig(preset="lab"), folder / "config.yaml")
+    presets = [each.name for each in policy.of_run(folder).training.presets]
+    assert presets == list(policy.TRAINED_IN["lab"])
+    for flag in ("preset", next(old for old, name in RENAMED.items() if name == "preset")):
+        command = f"python train.py --{flag} lab"
+        (folder / "card.yaml").write_text(f"command: {command}\n")
+        training = policy.of_run(folder).training
+        assert (training.preset, training.command) == ("lab", command)
+    with pytest.raises(ValueError, match="seed must be one of 0, got 3"):
+        policy.of_run(folder, seed=3)
+
+
+@pytest.mark.parametrize("name", CARDS)
+def test_the_page_lists_every_feature_and_angle(name) -> None:
+    source = made(name)
+    page = make_page(source, make_metadata(source), {"ONNX": None, "C": None})
+    for each in source.config.features:
+        assert f"| {each.name} | {each.low:g} | {each.high:g} | {each.meaning} |" in page
+    for angle in source.config.chosen_orientations:
+        assert f"| {angle:.9g} | {np.degrees(angle):g} |" in page
+    assert f"every {source.config.control_period * 1e3:g} ms" in page
+    assert "not tried" in page
+    assert ("shown in a mirror" in page) == (source.config.task_name == "sort")
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_feature_of_the_package_says_what_it_needs(task) -> None:
+    config = EnvConfig(task=task, actions="window", observe_axes=True)
+    shown = (*config.features, *group_features(tuple(GROUPS)))
+    assert [each.name for each in shown if find_need(each) == UNKNOWN] == []
+    assert find_need(Feature("mood", 0.0, 1.0, "of the parcel")) == UNKNOWN
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({"name": "juggle-ppo"}, r"name must be one of 'flow-ppo', .*, got 'juggle-ppo'"),
+        ({}, "name must be one of .*, got None"),
+        ({"name": "sort-ppo", "task": "mine.py:Mine"}, "task must stand beside --run"),
+        ({"name": "sort-ppo", "observations": 3}, "observations must be .* at least 100"),
+    ],
+)
+def test_what_is_no_export_is_refused(given, named) -> None:
+    with pytest.raises(ValueError, match=named):
+        ExportConfig(**given)
+
+
+def test_what_cannot_be_exported_is_refused(tmp_path) -> None:
+    with pytest.raises(ValueError, match="preset must be one of"):
+        _ = policy.Training("weather").presets
+    with pytest.raises(SystemExit, match="error: name must be that of an agent of single parcels"):
+        main(["flow-ppo", "--out", str(tmp_path / "out")])
+    with pytest.raises(SystemExit, match="holds no policy"):
+        main(["--run", str(tmp_path), "--out", str(tmp_path / "out")])
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_missing_library_is_reported_with_the_extra_that_brings_it(tmp_path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    wanted = r"needs onnx, .*'surface_gym\[agents,export\]'"
+    source = policy.shipped("sort-ppo")
+    with pytest.raises(ImportError, match=wanted):
+        make_model(policy.network_decision(source), {})
+    with pytest.raises(ImportError, match=wanted):
+        export(source, tmp_path)
+    with pytest.raises(SystemExit, match=wanted):
+        main(["sort-ppo", "--out", str(tmp_path)])
+    assert list(tmp_path.iterdir()) == []

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import gymnasium as gym
 import torch
 
 from surface_gym import SmartSurfaceVectorEnv
@@ -16,28 +15,28 @@ class EnvsOnCpu:
     Each step spoils the results of the one before: a device may use their memory again.
     """
 
+    device = "cpu"
+
     def __init__(self, env: SmartSurfaceVectorEnv) -> None:
         self._env = env
-        self.num_envs = env.num_envs
+        self.num_envs, self.config = env.num_envs, env.config
         self.single_observation_space = env.single_observation_space
         self.single_action_space = env.single_action_space
-        self.config = env.config
-        self.device = "cpu"
         self._given: list[torch.Tensor] = []
 
     def reset(self, *, seed: int) -> tuple[torch.Tensor, dict[str, Any]]:
         observations, infos = self._env.reset(seed=seed)
-        seen = torch.from_numpy(observations)
-        self._given = [seen]
-        return seen, self._tensors(infos)
+        self._given = [torch.from_numpy(observations)]
+        return self._given[0], self._tensors(infos)
 
     def step(
         self, actions: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        observations, rewards, terminated, truncated, infos = self._env.step(actions.numpy())
+        *arrays, infos = self._env.step(actions.numpy())
         for before in self._given:
             before.fill_(torch.nan)
-        seen, over = torch.from_numpy(observations), torch.from_numpy(terminated | truncated)
+        seen, values, ends, cut = map(torch.from_numpy, arrays)
+        over = ends | cut
         # Rows of environments that go on are invalid: learning must not read them.
         final_obs = torch.full_like(seen, torch.nan)
         for i in torch.nonzero(over).flatten().tolist():
@@ -46,32 +45,25 @@ class EnvsOnCpu:
         final = self._tensors(infos["final_info"]) if over.any() else given
         given |= {"final_obs": final_obs, "_final_obs": over, "final_info": final}
         given["_final_info"] = over
-        values, ends = torch.from_numpy(rewards), torch.from_numpy(terminated)
         self._given = [seen, values, final_obs]
-        return seen, values, ends, torch.from_numpy(truncated), given
+        return seen, values, ends, cut, given
 
     def close(self) -> None:
         self._env.close()
 
     def _tensors(self, infos: dict[str, Any]) -> dict[str, Any]:
-        terms = self.config.task.terms
-        return {
-            "is_success": torch.from_numpy(infos["is_success"]),
-            "time": torch.from_numpy(infos["time"]),
-            "reward_terms": {name: torch.from_numpy(infos["reward_terms"][name]) for name in terms},
+        terms = {
+            name: torch.from_numpy(infos["reward_terms"][name]) for name in self.config.task.terms
         }
+        found = {name: torch.from_numpy(infos[name]) for name in ("is_success", "time")}
+        return {**found, "reward_terms": terms}
 
 
 def envs_on_cpu(config: PPOConfig, num_envs: int) -> EnvsOnCpu:
     """Make environments of a run."""
     task = find_task(config.task)
     env = SmartSurfaceVectorEnv(
-        num_envs=num_envs,
-        task=task,
-        actions=config.actions,
-        control_period=config.control_period,
-        observe=config.observe,
-        max_episode_steps=task.periods,
-        autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
-    )
+        num_envs, task, actions=config.actions, control_period=config.control_period,
+        observe=config.observe, max_episode_steps=task.periods, autoreset_mode="SameStep",
+    )  # fmt: skip
     return EnvsOnCpu(env)

@@ -9,22 +9,13 @@ from typing import Any
 import pytest
 import yaml
 
-from surface_gym.agents.learning.config import (
-    CONFIGS,
-    FOLDER,
-    DQNConfig,
-    ModulesConfig,
-    ParcelsConfig,
-    PPOConfig,
-    TrainConfig,
-    config_of_seed,
-    defaults,
-    write_hyperparams,
-)
+from surface_gym.agents.learning import config as configs
 from surface_gym.agents.learning.runs import read_config, write_config
 from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
 
+ROOT = Path(__file__).parents[3]
+TRAP = "!!python/object/apply:os.getcwd []"
 BAD: tuple[dict[str, Any], ...] = (
     {"task": "juggle"}, {"actions": "thirds"}, {"seed": -1}, {"seeds": 0}, {"steps": 0},
     {"num_envs": 0}, {"preset": "field"}, {"observe": ("moon",)}, {"checkpoint_every": 0},
@@ -52,11 +43,11 @@ BAD_DQN: tuple[dict[str, Any], ...] = (
 
 @pytest.mark.parametrize(
     ("kind", "wrong"),
-    [(kind, wrong) for kind in CONFIGS.values() for wrong in BAD]
-    + [(PPOConfig, wrong) for wrong in BAD_PPO]
-    + [(DQNConfig, wrong) for wrong in BAD_DQN]
-    + [(ModulesConfig, wrong) for wrong in BAD_MODULES]
-    + [(ParcelsConfig, wrong) for wrong in BAD_PARCELS],
+    [(kind, wrong) for kind in configs.CONFIGS.values() for wrong in BAD]
+    + [(configs.PPOConfig, wrong) for wrong in BAD_PPO]
+    + [(configs.DQNConfig, wrong) for wrong in BAD_DQN]
+    + [(configs.ModulesConfig, wrong) for wrong in BAD_MODULES]
+    + [(configs.ParcelsConfig, wrong) for wrong in BAD_PARCELS],
     ids=lambda value: value.__name__ if isinstance(value, type) else str(value),
 )
 def test_bad_fields_are_named(kind, wrong) -> None:
@@ -68,33 +59,19 @@ def test_bad_fields_are_named(kind, wrong) -> None:
     ("task", "algo"),
     [(task, algo) for algo in ("ppo", "dqn") for task in TASKS] + [("sort", "modules")],
 )
-class TestYaml:
-    def test_it_is_understood_in_the_zoos_schema(self, task, algo) -> None:
-        entry = yaml.safe_load((FOLDER / f"{algo}.yml").read_text())[env_id(task)]
-        config = defaults(task, algo)
-        assert (config.task, config.algo) == (task, algo)
-        assert config.num_envs == entry["n_envs"]
-        assert config.steps == int(entry["n_timesteps"])
-        assert config.hidden == tuple(entry["policy_kwargs"]["net_arch"])
-        assert f"lin_{config.learning_rate:g}" == f"lin_{float(entry['learning_rate'][4:]):g}"
-        for field in fields(config):
-            if field.name in entry and field.name != "learning_rate":
-                assert getattr(config, field.name) == entry[field.name]
-
-    def test_a_file_comes_back_as_it_was(self, task, algo, tmp_path) -> None:
-        config = replace(defaults(task, algo), seed=7, name="a", out=tmp_path)
-        write_config(config, tmp_path / "config.yaml")
-        assert read_config(tmp_path / "config.yaml") == config
+def test_defaults_are_understood_in_the_zoos_schema(task, algo) -> None:
+    entry = yaml.safe_load((configs.FOLDER / f"{algo}.yml").read_text())[env_id(task)]
+    config = configs.defaults(task, algo)
+    assert (config.task, config.algo, config.num_envs) == (task, algo, entry["n_envs"])
+    assert config.steps == int(entry["n_timesteps"])
+    assert config.hidden == tuple(entry["policy_kwargs"]["net_arch"])
+    assert f"lin_{config.learning_rate:g}" == f"lin_{float(entry['learning_rate'][4:]):g}"
+    for field in fields(config):
+        if field.name in entry and field.name != "learning_rate":
+            assert getattr(config, field.name) == entry[field.name]
 
 
-def test_the_configuration_of_one_seed() -> None:
-    several = PPOConfig(seeds=3, steps=5)
-    assert config_of_seed(several, 2) == PPOConfig(seed=2, seeds=1, steps=5)
-
-
-@pytest.mark.parametrize(
-    "text", ["", "[1", "algo: sac\nhidden: [1]\nout: a", "!!python/object/apply:os.getcwd []"]
-)
+@pytest.mark.parametrize("text", ["", "[1", "algo: sac\nhidden: [1]\nout: a", TRAP])
 def test_a_foreign_file_is_refused_and_a_missing_one_named(tmp_path, text) -> None:
     with pytest.raises(ValueError, match="holds no run"):
         read_config(tmp_path / "config.yaml")
@@ -103,7 +80,6 @@ def test_a_foreign_file_is_refused_and_a_missing_one_named(tmp_path, text) -> No
         read_config(tmp_path / "config.yaml")
 
 
-ROOT = Path(__file__).parents[3]
 LEARNED = [
     *((task, algo) for algo in ("ppo", "dqn") for task in TASKS),
     ("sort", "modules"),
@@ -115,28 +91,24 @@ LEARNED = [
 
 @pytest.mark.parametrize(("task", "algo"), LEARNED)
 def test_what_is_written_is_read_again(task, algo, tmp_path) -> None:
+    """Whole as a run's, and as hyper-parameters without seeds, folder and name."""
     config = replace(
-        defaults(task, algo), steps=123_456, learning_rate=1 / 3e4, gamma=0.1 + 0.2, friction=0.35,
-        control_period=0.02, hidden=(7, 9, 11), checkpoint_every=777,
+        configs.defaults(task, algo), steps=123_456, learning_rate=1 / 3e4, gamma=0.1 + 0.2,
+        friction=0.35, control_period=0.02, hidden=(7, 9, 11), checkpoint_every=777,
     )  # fmt: skip
-    write_hyperparams(config, tmp_path / "own.yml")
-    assert defaults(task, algo, tmp_path / "own.yml") == config
-
-
-def test_seeds_folder_and_name_are_no_hyperparameters(tmp_path) -> None:
-    config = PPOConfig(seed=5, seeds=3, name="a", out=tmp_path)
-    write_hyperparams(config, tmp_path / "own.yml")
-    assert defaults("sort", "ppo", tmp_path / "own.yml") == PPOConfig()
+    whole = replace(config, seed=7, seeds=3, name="a", out=tmp_path)
+    configs.write_hyperparams(whole, tmp_path / "own.yml")
+    assert configs.defaults(task, algo, tmp_path / "own.yml") == config
+    write_config(whole, tmp_path / "config.yaml")
+    assert read_config(tmp_path / "config.yaml", task) == whole
 
 
 def test_it_is_the_zoos_schema(tmp_path) -> None:
-    config: TrainConfig = DQNConfig(task="slow", num_envs=32, learning_rate=2e-5)
-    write_hyperparams(config, tmp_path / "own.yml")
+    config: configs.TrainConfig = configs.DQNConfig(task="slow", num_envs=32, learning_rate=2e-5)
+    configs.write_hyperparams(config, tmp_path / "own.yml")
     entry = yaml.safe_load((tmp_path / "own.yml").read_text())["SmartSurface/Slow-v0"]
-    assert entry["n_envs"] == 32
-    assert entry["n_timesteps"] == 1_000_000
-    assert entry["learning_rate"] == "lin_2e-05"
-    assert entry["policy_kwargs"] == {"net_arch": [64, 64]}
+    assert (entry["n_envs"], entry["n_timesteps"]) == (32, 1_000_000)
+    assert (entry["learning_rate"], entry["policy_kwargs"]) == ("lin_2e-05", {"net_arch": [64, 64]})
     assert entry["env_kwargs"] == {"actions": "halves", "control_period": 0.04}
     assert not {"task", "algo", "seed", "seeds", "out", "name"} & entry.keys()
 
@@ -162,7 +134,7 @@ def test_it_is_the_zoos_schema(tmp_path) -> None:
 def test_an_unknown_field_is_named(entry, named, tmp_path) -> None:
     (tmp_path / "own.yml").write_text(yaml.safe_dump({"SmartSurface/Sort-v0": entry}))
     with pytest.raises(ValueError, match=r"own\.yml does not hold hyper-parameters: " + named):
-        defaults("sort", "ppo", tmp_path / "own.yml")
+        configs.defaults("sort", "ppo", tmp_path / "own.yml")
 
 
 @pytest.mark.parametrize(
@@ -171,56 +143,58 @@ def test_an_unknown_field_is_named(entry, named, tmp_path) -> None:
         ("", "an entry a task"),
         ("[1", "flow sequence"),
         ("SmartSurface/Slow-v0: {}", "task must be one of 'slow' for ppo, got 'sort'"),
-        ("!!python/object/apply:os.getcwd []", "could not determine a constructor"),
+        (TRAP, "could not determine a constructor"),
     ],
 )
 def test_a_foreign_file_of_hyperparameters_is_refused(text, named, tmp_path) -> None:
     with pytest.raises(ValueError, match=r"own\.yml"):  # there is none
-        defaults("sort", "ppo", tmp_path / "own.yml")
+        configs.defaults("sort", "ppo", tmp_path / "own.yml")
     (tmp_path / "own.yml").write_text(text)
     with pytest.raises(ValueError, match=r"own\.yml.*" + named):
-        defaults("sort", "ppo", tmp_path / "own.yml")
-
-
-def test_earlier_names_of_fields_are_read(tmp_path) -> None:
-    config = defaults("sort", "modules")
-    write_hyperparams(config, tmp_path / "own.yml")
-    text = (tmp_path / "own.yml").read_text()
-    assert "split_probability" in text
-    (tmp_path / "own.yml").write_text(text.replace("split_probability", "parted"))
-    assert defaults("sort", "modules", tmp_path / "own.yml") == config
+        configs.defaults("sort", "ppo", tmp_path / "own.yml")
 
 
 @pytest.mark.parametrize("task", [*TASKS, f"{ROOT}/examples/reach.py:Reach"])
 def test_every_task_has_defaults_for_a_device(task, tmp_path) -> None:
-    config = defaults(task, "ppo", device="cuda")
-    assert isinstance(config, PPOConfig)
+    config = configs.defaults(task, "ppo", device="cuda")
+    assert isinstance(config, configs.PPOConfig)
     assert (config.task, config.device, config.camera_share) == (task, "cuda", 0.0)
     assert config.num_envs >= 16_384
-    assert (
-        config.checkpoint_every >= 10 * config.num_envs * config.n_steps
-    )  # checkpoints are many rollouts apart
-    write_hyperparams(config, tmp_path / "own.yml")
-    assert defaults(task, "ppo", tmp_path / "own.yml", device="cuda") == config
-
-
-def test_the_file_is_in_the_zoos_schema() -> None:
-    entries = yaml.safe_load((FOLDER / "ppo-cuda.yml").read_text())
-    of_cpu = yaml.safe_load((FOLDER / "ppo.yml").read_text())
-    assert set(entries) == {*of_cpu, "beside the zoo"}
-    assert set(entries[env_id("sort")]) == set(of_cpu[env_id("sort")])
+    # Checkpoints are many rollouts apart.
+    assert config.checkpoint_every >= 10 * config.num_envs * config.n_steps
+    configs.write_hyperparams(config, tmp_path / "own.yml")
+    assert configs.defaults(task, "ppo", tmp_path / "own.yml", device="cuda") == config
+    of_gpu, of_cpu = (
+        yaml.safe_load((configs.FOLDER / f"{name}.yml").read_text()) for name in ("ppo-cuda", "ppo")
+    )
+    assert set(of_gpu) == {*of_cpu, "beside the zoo"}
+    assert set(of_gpu[env_id("sort")]) == set(of_cpu[env_id("sort")])
 
 
 def test_an_unknown_device_is_refused() -> None:
     with pytest.raises(ValueError, match="device must be one of 'cpu', 'cuda', got 'tpu'"):
-        replace(PPOConfig(), device="tpu")
+        configs.PPOConfig(device="tpu")
     with pytest.raises(ValueError, match="algo must be 'ppo' for device 'cuda', got 'modules'"):
-        ModulesConfig(device="cuda", camera_share=0.0)
+        configs.ModulesConfig(device="cuda", camera_share=0.0)
 
 
-def test_a_run_from_before_there_were_devices_learns_on_the_cpu(tmp_path) -> None:
-    write_config(PPOConfig(), tmp_path / "config.yaml")
-    plain = yaml.safe_load((tmp_path / "config.yaml").read_text())
+def test_what_was_written_before_is_read_too(tmp_path) -> None:
+    """With earlier names of fields, and of a run from before there were devices."""
+    hyperparams, run = tmp_path / "own.yml", tmp_path / "config.yaml"
+    config = configs.defaults("sort", "modules")
+    configs.write_hyperparams(config, hyperparams)
+    assert "split_probability" in hyperparams.read_text()
+    hyperparams.write_text(hyperparams.read_text().replace("split_probability", "parted"))
+    assert configs.defaults("sort", "modules", hyperparams) == config
+    config = configs.ParcelsConfig(slots=8, batch_size=512)
+    write_config(config, run)
+    earlier = {name: before for before, name in configs.RENAMED.items()}
+    plain = yaml.safe_load(run.read_text())
     del plain["device"]
-    (tmp_path / "config.yaml").write_text(yaml.safe_dump(plain))
-    assert read_config(tmp_path / "config.yaml") == PPOConfig()
+    plain = {earlier.get(name, name): value for name, value in plain.items()}
+    assert len(set(plain) & set(configs.RENAMED)) == 3
+    run.write_text(yaml.safe_dump(plain))
+    assert read_config(run) == config
+    assert configs.config_of_seed(configs.PPOConfig(seeds=3, steps=5), 2) == configs.PPOConfig(
+        seed=2, seeds=1, steps=5
+    )

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -36,15 +37,21 @@ def config(actions: str) -> PPOConfig:
     )  # fmt: skip
 
 
-def env(actions: str) -> SmartSurfaceVectorEnv:
-    mode = gym.vector.AutoresetMode.SAME_STEP
+def env(
+    actions: str, task: str = "sort", num_envs: int = NUM_ENVS, longest: int = LONGEST
+) -> SmartSurfaceVectorEnv:
     return SmartSurfaceVectorEnv(
-        NUM_ENVS, actions=actions, max_episode_steps=LONGEST, autoreset_mode=mode
+        num_envs, task, actions=actions, max_episode_steps=longest, autoreset_mode="SameStep"
     )
 
 
 def learner(actions: str) -> cuda.DeviceLearner:
     return cuda.DeviceLearner(config(actions), cuda.DeviceTrainingEnvs(EnvsOnCpu(env(actions))))
+
+
+def assert_weights(policy: Any, other: Any, **most: float) -> None:
+    for name, weight in other.state_dict().items():
+        torch.testing.assert_close(policy.state_dict()[name], weight, **most)
 
 
 @pytest.mark.parametrize("actions", ["halves", "quadrants"])
@@ -73,8 +80,7 @@ def test_a_gradient_step_is_that_of_stable_baselines3(actions) -> None:
     model.train()
     assert model.logger.name_to_value["train/clip_fraction"] > 0.05
     assert loss == pytest.approx(model.logger.name_to_value["train/loss"], rel=1e-5)
-    for name, weight in model.policy.state_dict().items():
-        torch.testing.assert_close(policy.state_dict()[name], weight, rtol=1e-4, atol=1e-6)
+    assert_weights(policy, model.policy, rtol=1e-4, atol=1e-6)
 
 
 @torch.no_grad()
@@ -124,23 +130,21 @@ def test_a_rollout_has_the_returns_of_stable_baselines3(actions) -> None:
 
 def test_a_seed_gives_the_first_weights_of_stable_baselines3() -> None:
     model = make_model(config("halves"), make_mirrored_envs(config("halves")))
-    first = learner("halves").network.state_dict()
-    for name, weight in model.policy.state_dict().items():
-        assert torch.equal(first[name], weight), name
+    assert_weights(learner("halves").network, model.policy, rtol=0.0, atol=0.0)
 
 
 def test_a_single_choice_is_drawn_as_often_as_it_is_likely() -> None:
     torch.manual_seed(0)
-    seen = spaces.Box(-1.0, 1.0, (2,))
+    seen, wanted = spaces.Box(-1.0, 1.0, (2,)), torch.tensor([0.2, 0.5, 0.3])
     policy = cuda.DevicePolicy(seen, spaces.Discrete(3), lambda _: 0.0, net_arch=[4])
     with torch.no_grad():
         policy.action_net.weight.zero_()
-        policy.action_net.bias[:] = torch.tensor([0.2, 0.5, 0.3]).log()
+        policy.action_net.bias[:] = wanted.log()
         actions, _, likelihood = policy(torch.zeros(20_000, 2))
     assert actions.shape == likelihood.shape == (20_000,)
     shares = torch.bincount(actions) / len(actions)
-    torch.testing.assert_close(shares, torch.tensor([0.2, 0.5, 0.3]), rtol=0.0, atol=0.02)
-    torch.testing.assert_close(likelihood.exp(), torch.tensor([0.2, 0.5, 0.3])[actions])
+    torch.testing.assert_close(shares, wanted, rtol=0.0, atol=0.02)
+    torch.testing.assert_close(likelihood.exp(), wanted[actions])
 
 
 @pytest.mark.parametrize("actions", ["halves", "quadrants", "window", "modules"])
@@ -159,14 +163,8 @@ def test_actions_are_mirrored_as_on_the_cpu(actions) -> None:
 
 def test_episode_totals_are_the_sums_of_single_episodes() -> None:
     """Stop's actions are not mirrored, so that both kinds of environments take the same."""
-
-    def make() -> SmartSurfaceVectorEnv:
-        mode = gym.vector.AutoresetMode.SAME_STEP
-        return SmartSurfaceVectorEnv(
-            12, "stop", actions="halves", max_episode_steps=40, autoreset_mode=mode
-        )
-
-    envs, others = cuda.DeviceTrainingEnvs(EnvsOnCpu(make())), SurfaceVecEnv(make())
+    made = [env("halves", "stop", 12, 40) for _ in range(2)]
+    envs, others = cuda.DeviceTrainingEnvs(EnvsOnCpu(made[0])), SurfaceVecEnv(made[1])
     envs.reset(3)
     others.seed(3)
     others.reset()
@@ -199,14 +197,6 @@ def test_episode_totals_are_the_sums_of_single_episodes() -> None:
     assert not any(envs.totals.fetch().values())
 
 
-def totals(episodes: int, successes: int) -> dict[str, float]:
-    """Of episodes that each return 2 and last 10 periods."""
-    return {
-        "episodes": episodes, "success": successes, "return": 2.0 * episodes,
-        "length": 10.0 * episodes, "reward_reach": 3.0 * episodes,
-    }  # fmt: skip
-
-
 def test_a_row_holds_means_over_the_latest_rollouts_of_a_thousand_episodes(tmp_path) -> None:
     curve = cuda.TotalsCurve(tmp_path, ("reach",), 8, 0, [])
     curve.add_totals(totals(0, 0))  # a rollout in which none ended
@@ -218,21 +208,25 @@ def test_a_row_holds_means_over_the_latest_rollouts_of_a_thousand_episodes(tmp_p
     curve.write(200)
     curve.close()
     first, second = read_curve(tmp_path)
-    assert first == {
-        "steps": 100, "success": pytest.approx(1 / 3), "return": 2.0, "length": 10.0,
-        "reward_reach": 3.0,
-    }  # fmt: skip
+    each = {"return": 2.0, "length": 10.0, "reward_reach": 3.0}
+    assert first == {"steps": 100, "success": pytest.approx(1 / 3), **each}
     assert second["success"] == pytest.approx(800 / 1100)
     again = cuda.TotalsCurve(tmp_path, ("reach",), 8, 200, list(curve.recent))
     assert again.success == curve.success
     again.close()
 
 
+def totals(episodes: int, successes: int) -> dict[str, float]:
+    """Of episodes that each return 2 and last 10 periods."""
+    each = {"return": 2.0, "length": 10.0, "reward_reach": 3.0}
+    rest = {name: value * episodes for name, value in each.items()}
+    return {"episodes": episodes, "success": successes, **rest}
+
+
 def test_a_row_holds_an_episode_of_every_environment(tmp_path) -> None:
     curve = cuda.TotalsCurve(tmp_path, ("reach",), 3000, 0, [])
-    for _ in range(3):
-        curve.add_totals(totals(1500, 0))
-    curve.add_totals(totals(1500, 1500))
+    for successes in (0, 0, 0, 1500):
+        curve.add_totals(totals(1500, successes))
     assert curve.success == 0.5
     curve.close()
 
@@ -243,18 +237,16 @@ def test_it_learns_to_sort(tmp_path) -> None:
         num_envs=128, n_steps=32, batch_size=1024, n_epochs=8, learning_rate=5e-3, hidden=(32, 32),
     )  # fmt: skip
     cuda.train_on_device(run, tmp_path, make_envs=envs_on_cpu)
-    rows = read_curve(tmp_path)
-    assert rows[-1]["success"] > 0.2
-    assert rows[-1]["success"] > 5.0 * rows[3]["success"]
-    assert rows[-1]["return"] > rows[3]["return"]
+    _, _, _, early, *_, late = read_curve(tmp_path)
+    assert late["success"] > max(0.2, 5.0 * early["success"])
+    assert late["return"] > early["return"]
 
 
 def test_environments_are_made_as_the_run_says(tmp_path, monkeypatch) -> None:
+    given = {"control_period": 0.02, "observe": ("load",)}
     run = defaults("slow", "ppo", device="cuda")
-    assert isinstance(run, PPOConfig)
-    small = replace(
-        run, control_period=0.02, observe=("load",), num_envs=7, n_steps=2, batch_size=14, steps=14
-    )
+    small = replace(run, **given, num_envs=7, n_steps=2, batch_size=14, steps=14)
+    assert isinstance(small, PPOConfig)
     asked: dict[str, object] = {}
 
     def make_vec(name: str, **arguments: object) -> EnvsOnCpu:
@@ -266,8 +258,8 @@ def test_environments_are_made_as_the_run_says(tmp_path, monkeypatch) -> None:
     task = TASKS["slow"]()
     assert asked == {
         "name": "SmartSurface/Slow-v0", "num_envs": 7, "device": "cuda", "task": task,
-        "max_episode_steps": task.periods, "actions": "halves", "control_period": 0.02,
-        "observe": ("load",), "autoreset_mode": "SameStep",
+        "max_episode_steps": task.periods, "actions": "halves", "autoreset_mode": "SameStep",
+        **given,
     }  # fmt: skip
 
 

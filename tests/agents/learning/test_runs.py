@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 import torch
-import yaml
 from rich.console import Console
 
 from surface_gym import agents
@@ -27,6 +26,7 @@ from surface_gym.agents.library import WEIGHTS
 from surface_gym.flow.task import PARCEL_TERMS
 from surface_gym.tasks.sort import TERMS
 from surface_gym.tasks.stop import TERMS as STOP_TERMS
+from tests.agents.test_policy import Trap
 
 from .envs_on_cpu import envs_on_cpu
 
@@ -34,6 +34,13 @@ _STOP: dict[str, Any] = {
     "task": "stop", "num_envs": 16, "steps": 20_000, "checkpoint_every": 6_000, "hidden": (8,),
 }  # fmt: skip
 _SORT: dict[str, Any] = {"n_steps": 16, "batch_size": 64, "n_epochs": 2, "hidden": (8, 8)}
+_DQN: dict[str, Any] = {
+    "buffer_size": 10_000, "learning_starts": 1_000, "gradient_steps": 1, "batch_size": 32,
+}  # fmt: skip
+_FLOW: dict[str, Any] = {
+    "steps": 30_000, "num_envs": 4, "slots": 8, "n_steps": 64, "batch_size": 512, "n_epochs": 1,
+    "hidden": (8,), "imitation": 0, "critic_first": 4_000, "checkpoint_every": 8_192,
+}  # fmt: skip
 _CUDA: dict[str, Any] = {
     "device": "cuda", "camera_share": 0.0, "steps": 2048, "checkpoint_every": 1024,
     "num_envs": 16, **_SORT,
@@ -41,24 +48,11 @@ _CUDA: dict[str, Any] = {
 # Each with the control periods after which it is interrupted, and its reward terms.
 RUNS: dict[str, tuple[configs.TrainConfig, int, tuple[str, ...]]] = {
     "ppo": (configs.PPOConfig(**_STOP, n_steps=32, batch_size=256, n_epochs=1), 9_000, STOP_TERMS),
-    "dqn": (
-        configs.DQNConfig(
-            **_STOP, buffer_size=10_000, learning_starts=1_000, gradient_steps=1, batch_size=32
-        ),
-        9_000,
-        STOP_TERMS,
-    ),
+    "dqn": (configs.DQNConfig(**_STOP, **_DQN), 9_000, STOP_TERMS),
     "modules": (
         configs.ModulesConfig(steps=512, num_envs=8, checkpoint_every=256, **_SORT), 300, TERMS,
     ),
-    "parcels": (
-        configs.ParcelsConfig(
-            steps=30_000, num_envs=4, slots=8, n_steps=64, batch_size=512, n_epochs=1, hidden=(8,),
-            imitation=0, critic_first=4_000, checkpoint_every=8_192,
-        ),
-        12_000,
-        PARCEL_TERMS,
-    ),
+    "parcels": (configs.ParcelsConfig(**_FLOW), 12_000, PARCEL_TERMS),
     "cuda": (configs.PPOConfig(**_CUDA, actions="quadrants"), 1_500, TERMS),
 }  # fmt: skip
 TRAIN = """
@@ -81,13 +75,8 @@ def run(
     return train(config, folder, on_progress)
 
 
-def weights(folder: Path) -> dict[str, torch.Tensor]:
-    state: dict[str, torch.Tensor] = torch.load(folder / WEIGHTS, weights_only=True)
-    return state
-
-
 def same(one: Path, other: Path) -> bool:
-    first, second = weights(one), weights(other)
+    first, second = (torch.load(each / WEIGHTS, weights_only=True) for each in (one, other))
     assert first.keys() == second.keys()
     return all(torch.equal(values, second[name]) for name, values in first.items())
 
@@ -97,13 +86,21 @@ def assert_same(one: Path, other: Path) -> None:
     assert same(one, other)
 
 
-@pytest.fixture(scope="module", params=RUNS)
+WHOLE: dict[str, Path] = {}
+
+
+def whole_run(name: str, factory: pytest.TempPathFactory) -> Path:
+    """An unbroken run, in a folder by the name of its entry: trained once."""
+    if name not in WHOLE:
+        folder = factory.mktemp("whole") / name
+        assert not run(RUNS[name][0], folder).interrupted
+        WHOLE[name] = folder
+    return WHOLE[name]
+
+
+@pytest.fixture(params=RUNS)
 def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An unbroken run, in a folder by the name of its entry."""
-    folder = tmp_path_factory.mktemp("whole") / request.param
-    result = run(RUNS[request.param][0], folder)
-    assert not result.interrupted
-    return folder
+    return whole_run(request.param, tmp_path_factory)
 
 
 def test_an_interrupted_run_is_resumed_to_the_same_result(whole, tmp_path) -> None:
@@ -126,20 +123,16 @@ def test_an_interrupted_run_is_resumed_to_the_same_result(whole, tmp_path) -> No
     assert_same(whole, tmp_path)
 
 
-def test_the_curve_has_success_and_every_reward_term(whole) -> None:
-    terms = RUNS[whole.name][2]
+def test_its_curve_and_its_policy_are_read(whole) -> None:
+    config, _, terms = RUNS[whole.name]
     rows = read_curve(whole)
-    columns = {"steps", "success", "return", "length", *(f"reward_{term}" for term in terms)}
-    assert set(rows[0]) == columns
-    last = rows[-1]
-    total = sum(last[f"reward_{term}"] for term in terms)
+    rewards = [f"reward_{term}" for term in terms]
+    assert set(rows[0]) == {"steps", "success", "return", "length", *rewards}
+    total = sum(rows[-1][name] for name in rewards)
     if whole.name != "parcels":  # a jam's penalty is no term
-        assert last["return"] == pytest.approx(total, abs=1e-4) or math.isnan(total)
+        assert rows[-1]["return"] == pytest.approx(total, abs=1e-4) or math.isnan(total)
     assert list((whole / "tensorboard").glob("events*"))
-
-
-def test_its_policy_is_read(whole) -> None:
-    assert agents.read(whole).card == configs.make_card(RUNS[whole.name][0])
+    assert agents.read(whole).card == configs.make_card(config)
 
 
 @pytest.mark.parametrize("name", RUNS)
@@ -153,7 +146,7 @@ def test_a_seed_fixes_the_weights(name, tmp_path) -> None:
     assert not same(tmp_path / "one", tmp_path / "other")
 
 
-def test_a_killed_run_is_resumed_to_the_same_result(tmp_path) -> None:
+def test_a_killed_run_is_resumed_to_the_same_result(tmp_path, tmp_path_factory) -> None:
     config, broken = RUNS["dqn"][0], tmp_path / "broken"
     broken.mkdir()
     runs.write_config(config, broken / "config.yaml")
@@ -167,8 +160,7 @@ def test_a_killed_run_is_resumed_to_the_same_result(tmp_path) -> None:
     assert process.wait() == -signal.SIGKILL  # before it was done
     assert not (broken / WEIGHTS).exists()
     run(config, broken)
-    run(config, tmp_path / "whole")
-    assert_same(tmp_path / "whole", broken)
+    assert_same(whole_run("dqn", tmp_path_factory), broken)
 
 
 @pytest.mark.parametrize("name", RUNS)
@@ -185,38 +177,18 @@ def test_a_damaged_checkpoint_and_a_foreign_one_are_refused(name, tmp_path) -> N
 
 def test_code_in_a_checkpoint_is_not_run(tmp_path) -> None:
     mark = tmp_path / "ran"
-
-    class Trap:
-        def __reduce__(self) -> tuple[object, ...]:
-            return (Path.touch, (mark,))
-
-    (tmp_path / runs.CHECKPOINT).write_bytes(pickle.dumps(Trap(), protocol=2))
+    (tmp_path / runs.CHECKPOINT).write_bytes(pickle.dumps(Trap(mark), protocol=2))
     with pytest.raises(ValueError, match="damaged"):
         run(RUNS["ppo"][0], tmp_path)
     assert not mark.exists()
 
 
-def test_a_configuration_with_earlier_names_is_resumed(tmp_path) -> None:
-    config = configs.ParcelsConfig(slots=8, batch_size=512)
-    runs.write_config(config, tmp_path / "config.yaml")
-    text = (tmp_path / "config.yaml").read_text()
-    for earlier, name in configs.RENAMED.items():
-        text = text.replace(f"{name}:", f"{earlier}:")
-    assert len(set(yaml.safe_load(text)) & set(configs.RENAMED)) == 3
-    (tmp_path / "config.yaml").write_text(text)
-    assert runs.read_config(tmp_path / "config.yaml") == config
-
-
 def test_seeds_in_parallel_give_the_result_of_each_alone(tmp_path) -> None:
     config = replace(RUNS["ppo"][0], seed=3, seeds=2, steps=512)
     trained = train_seeds(config, tmp_path, Console(quiet=True), 2)
-    assert [each.steps >= config.steps for each in trained] == [True, True]
-    assert [folder.name for _, folder in runs.seed_folders(config, tmp_path)] == [
-        "seed-3",
-        "seed-4",
-    ]
-    one = replace(config, seed=4, seeds=1)
-    alone = tmp_path / "alone"
+    assert all(each.steps >= config.steps for each in trained)
+    assert [each.name for _, each in runs.seed_folders(config, tmp_path)] == ["seed-3", "seed-4"]
+    one, alone = replace(config, seed=4, seeds=1), tmp_path / "alone"
     alone.mkdir()
     assert runs.seed_folders(one, alone) == [(one, alone)]
     train_seeds(one, alone, Console(quiet=True), 2)
@@ -225,14 +197,13 @@ def test_seeds_in_parallel_give_the_result_of_each_alone(tmp_path) -> None:
 
 
 def episode(success: bool, total: float) -> dict[str, Any]:
-    return {
-        "is_success": success,
-        "episode": {"r": total, "l": 10, "t": 0.4},
-        "reward_terms": {"success": 2.0 * success, "reach": total + 1.0},
-    }
+    terms = {"success": 2.0 * success, "reach": total + 1.0}
+    figures = {"r": total, "l": 10, "t": 0.4}
+    return {"is_success": success, "episode": figures, "reward_terms": terms}
 
 
-def test_a_row_holds_means_of_the_latest_episodes(tmp_path) -> None:
+def test_a_curve_holds_means_of_the_latest_episodes(tmp_path) -> None:
+    """A row each; when it goes on from a checkpoint, rows after that are dropped."""
     assert read_curve(tmp_path) == []
     curve = runs.Curve(tmp_path, ("success", "reach"), 0, [])
     assert math.isnan(curve.success)
@@ -240,25 +211,18 @@ def test_a_row_holds_means_of_the_latest_episodes(tmp_path) -> None:
     curve.write(64)
     curve.add_episodes([episode(True, 1.0)] * runs.RECENT_EPISODES)  # more than are averaged
     curve.write(128)
+    curve.write(192)
     curve.close()
-    first, second = read_curve(tmp_path)
+    first, second, _ = read_curve(tmp_path)
     assert first == {
         "steps": 64, "success": 0.5, "return": 3.0, "length": 10, "reward_success": 1.0,
         "reward_reach": 4.0,
     }  # fmt: skip
     assert second["success"] == second["return"] == 1.0
-
-
-def test_rows_after_the_checkpoint_are_dropped(tmp_path) -> None:
-    curve = runs.Curve(tmp_path, ("success", "reach"), 0, [])
-    curve.add_episodes([episode(True, 1.0)])
-    for steps in (10, 20, 30):
-        curve.write(steps)
-    curve.close()
     with (tmp_path / runs.CURVE).open("a") as file:
-        file.write("40,1")  # a line broken off
-    assert [row["steps"] for row in read_curve(tmp_path)] == [10, 20, 30]
-    again = runs.Curve(tmp_path, ("success", "reach"), 20, list(curve.recent))
-    assert [row["steps"] for row in read_curve(tmp_path)] == [10, 20]
+        file.write("256,1")  # a line broken off
+    assert [row["steps"] for row in read_curve(tmp_path)] == [64, 128, 192]
+    again = runs.Curve(tmp_path, ("success", "reach"), 128, list(curve.recent))
+    assert [row["steps"] for row in read_curve(tmp_path)] == [64, 128]
     assert again.success == 1.0
     again.close()

@@ -21,13 +21,11 @@ EITHER_WAY = 6  # the action of 45 deg ahead and -45 deg behind
 
 def model_of(parcel: Parcel, quarter: float | None = None, friction: float = 0.0) -> TrueModel:
     """A parcel that enters at 1.5 m/s; a quarter turn of its axes takes so long [s]."""
-    actuators = Actuators() if quarter is None else Actuators(axis_speed=0.5 * math.pi / quarter)
     config = EnvConfig(
-        task=Stop(parcels=(parcel,)),
-        actions="halves",
-        actuators=actuators,
+        task=Stop(parcels=(parcel,)), actions="halves",
+        actuators=Actuators() if quarter is None else Actuators(axis_speed=0.5 * math.pi / quarter),
         randomisation=Randomisation(friction=friction),
-    )
+    )  # fmt: skip
     model = TrueModel(config, 2)
     model.begin({"speed": 1.5}, seed=4)
     model.parcels.goal[0] = FAR
@@ -50,16 +48,12 @@ def test_braking_ends_where_it_is_predicted(side, friction) -> None:
     """
     model = model_of(Parcel(Rectangle(side, side)), friction=friction)
     nodes = rolled_in(model)
-    way, x = float(nodes.braking_distance[0]), float(nodes.parcels.truth[0, 0])
+    stops = float(nodes.parcels.truth[0, 0] + nodes.braking_distance[0])
+    way = float(nodes.braking_distance[0])
     for _ in range(30):
         nodes = model.step(model.uniform_action(0.0))
     assert abs(nodes.parcels.truth[0, 3]) < 1e-3
-    assert way == pytest.approx(nodes.parcels.truth[0, 0] - x, rel=0.01, abs=0.015)
-
-
-def test_wide_parcels_are_braked_less() -> None:
-    wide, narrow = (rolled_in(model_of(Parcel(Rectangle(0.5, width)))) for width in (0.5, 0.2))
-    assert wide.braking_distance[0] > 1.1 * narrow.braking_distance[0]
+    assert nodes.parcels.truth[0, 0] == pytest.approx(stops, rel=0.0, abs=max(0.01 * way, 0.015))
 
 
 @pytest.mark.parametrize("quarter", [0.05, 0.1, 0.2])
@@ -107,39 +101,29 @@ def test_axes_push_to_the_side_they_turn_to_and_turn_the_parcel_where_halves_dif
     assert abs(changes[6][2] - changes[9][2]) > 2.0 * abs(changes[5][2])
 
 
-def test_axes_that_roll_take_nothing() -> None:
-    nodes = rolled_in(model_of(Parcel(Rectangle(0.3, 0.3)), quarter=0.2))
-    np.testing.assert_allclose(nodes.vx, nodes.parcels.truth[:, 3], atol=1e-12)
-
-
-@pytest.mark.parametrize(("x", "y"), [(-1.0, 0.0), (0.0, 1.0), (0.6, -0.8)])
-def test_bases_reach_as_far_as_their_outline(x, y) -> None:
-    for base in (Rectangle(0.4, 0.22), Disc(0.15)):
-        nodes = rolled_in(model_of(Parcel(base)))
-        nodes.parcels.truth[:, 2] = 0.7
-        outline = base.outline - np.array(base.centroid)
-        cosine, sine = math.cos(0.7), math.sin(0.7)
-        turned = outline @ np.array([[cosine, sine], [-sine, cosine]])
-        assert nodes.reach(x, y)[0] == pytest.approx((turned @ [x, y]).max(), abs=5e-4)
-
-
-def test_points_are_under_a_base_where_its_functions_say_so() -> None:
-    for base in (Rectangle(0.4, 0.22), Disc(0.15)):
-        model = model_of(Parcel(base))
-        x, y = np.meshgrid(np.linspace(-0.29, 0.3, 41), np.linspace(-0.29, 0.3, 41))
-        centre = np.array(base.centroid)
-        inside = base.functions(x + centre[0], y + centre[1]).max(axis=0) <= 0.0
-        bodies, body = model._batch.bodies, int(model.parcels.body[0])
-        np.testing.assert_array_equal(models.is_under(bodies, body, x, y), inside)
+@pytest.mark.parametrize("base", [Rectangle(0.4, 0.22), Disc(0.15)], ids=["rectangle", "disc"])
+def test_a_base_is_where_its_outline_and_its_functions_say(base) -> None:
+    model = model_of(Parcel(base), quarter=0.2)
+    nodes = rolled_in(model)
+    np.testing.assert_allclose(nodes.vx, nodes.parcels.truth[:, 3], atol=1e-12)  # axes roll
+    centre, body = np.array(base.centroid), int(model.parcels.body[0])
+    x, y = np.meshgrid(np.linspace(-0.29, 0.3, 41), np.linspace(-0.29, 0.3, 41))
+    inside = base.functions(x + centre[0], y + centre[1]).max(axis=0) <= 0.0
+    np.testing.assert_array_equal(models.is_under(model._batch.bodies, body, x, y), inside)
+    nodes.parcels.truth[:, 2] = 0.7
+    cosine, sine = math.cos(0.7), math.sin(0.7)
+    turned = (base.outline - centre) @ np.array([[cosine, sine], [-sine, cosine]])
+    for way in ((-1.0, 0.0), (0.0, 1.0), (0.6, -0.8)):
+        assert nodes.reach(*way)[0] == pytest.approx((turned @ way).max(), abs=5e-4)
 
 
 SEED = 31
 SLOW_AXES = Actuators(axis_speed=0.5 * math.pi / 0.1, stuck=((9, 8), (10, 11)))
 
 
-def begun(config: EnvConfig, size: int = 4, options: dict[str, Any] | None = None) -> TrueModel:
+def begun(config: EnvConfig, size: int = 4) -> TrueModel:
     model = TrueModel(config, size)
-    model.begin(options or {}, SEED)
+    model.begin({}, SEED)
     return model
 
 
@@ -156,12 +140,11 @@ def test_in_a_lab_it_is_the_start_of_the_environment_with_all_its_noise(task) ->
 
 @pytest.mark.parametrize("task", ["slow", "track"])
 def test_whatever_the_sensors_say_it_moves_as_the_environment_does(task) -> None:
-    """Where both halves get the same command, their border does not matter: parcel,
-    friction, stuck modules and axes are the environment's.
+    """Where both halves get the same command, their border does not matter: parcel, friction,
+    stuck modules and axes are the environment's.
     """
-    config = EnvConfig(task=task, actions="halves", preset="lab")
-    model = begun(config)
-    env = sg.SmartSurfaceEnv(task=task, actions="halves", preset="lab")
+    settings: dict[str, Any] = {"task": task, "actions": "halves", "preset": "lab"}
+    model, env = begun(EnvConfig(**settings)), sg.SmartSurfaceEnv(**settings)
     env.reset(seed=SEED)
     for angle in (0.5, 0.25, -0.25, 0.5, 0.0, -0.25):
         action = model.uniform_action(math.pi * angle)
@@ -169,14 +152,6 @@ def test_whatever_the_sensors_say_it_moves_as_the_environment_does(task) -> None
         *_, info = env.step(action)
         np.testing.assert_array_equal(model.parcels.truth[0, :3], info["pose"])
         np.testing.assert_array_equal(model.parcels.truth[0, 3:], info["velocity"])
-
-
-def test_what_an_option_fixes_is_fixed() -> None:
-    model = begun(
-        EnvConfig(task="stop", actions="halves"), options={"speed": 1.25, "position": 1.5}
-    )
-    np.testing.assert_allclose(model.parcels.truth[:, 3], 1.25)
-    np.testing.assert_allclose(model.parcels.goal[:, 0], 1.5)
 
 
 def test_copies_take_their_parents_axes_with_them() -> None:
@@ -202,12 +177,11 @@ def test_copies_take_their_parents_axes_with_them() -> None:
 def test_rewound_it_goes_the_same_way_again() -> None:
     model = begun(EnvConfig(task="slow", actions="halves", preset="lab"))
     model.step(6)
-    ends = []
+    ends, first = [], np.zeros(1, dtype=np.int64)
     for _ in range(2):
         model.rewind()
-        first = np.zeros(1, dtype=np.int64)
-        nodes = model.advance(first, np.array([9]))
-        nodes = model.advance(first, np.array([2]))
+        for action in (9, 2):
+            nodes = model.advance(first, np.array([action]))
         ends.append(nodes.parcels.truth[0].copy())
     np.testing.assert_array_equal(*ends)
 

@@ -14,9 +14,13 @@ from surface_gym.lines import Line
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.tasks import Slow, Stop
 from surface_gym.tasks.line import BRAKING, zone_span
+from tests.agents.rules.runs import Scripted
 
 SEED = 11
+PATH = {"tilt": 0.22, "speed": 0.8, "path": [(0.5, 1.0), (1.5, 1.05)]}
+BRAKED = {"speed": 0.9, "ratio": 0.3}
 WIDE = Parcel(Rectangle(0.5, 0.5))
+HALVES = EnvConfig(task="stop", actions="halves")
 HARD = EnvConfig(
     task=Slow(parcels=(Parcel(Rectangle(0.3, 0.22), com_offset=(0.03, -0.02)), WIDE)),
     actions="halves",
@@ -25,28 +29,9 @@ HARD = EnvConfig(
 )
 
 
-class Given:
-    """A controller that gives each environment a list of actions, one after the other."""
-
-    def __init__(self, actions: list[tuple[int, ...]]) -> None:
-        self._actions = actions
-
-    def predict(
-        self,
-        observation: np.ndarray,
-        state: int | None = None,
-        episode_start: np.ndarray | None = None,
-        deterministic: bool = True,
-    ) -> tuple[np.ndarray, int]:
-        del observation, episode_start, deterministic
-        period = 0 if state is None else state
-        chosen = [actions[min(period, len(actions) - 1)] for actions in self._actions]
-        return np.array(chosen), period + 1
-
-
 def test_what_is_found_happens_in_the_environment() -> None:
     found = find_reachable(HARD, [{}] * 3, SEED, budget=8)
-    episodes = run_episodes(Given([each.actions for each in found]), HARD, [{}] * 3, SEED)
+    episodes = run_episodes(Scripted([each.actions for each in found]), HARD, [{}] * 3, SEED)
     assert [each.success for each in found] == episodes.success.tolist()
     assert [each.outcome for each in found] == list(episodes.outcome)
     assert episodes.success.any()
@@ -64,9 +49,9 @@ def test_its_episodes_are_like_a_controllers() -> None:
     assert episodes.success.tolist() == [each.success for each in found]
     assert episodes.outcome == ("success", "success")
     assert set(episodes.metrics) == {"ratio_error"}
+    assert episodes.time.tolist() == [each.time for each in found]
     for i, each in enumerate(found):
         np.testing.assert_array_equal(episodes.path(i), each.poses)
-        assert episodes.time[i] == each.time
     assert episodes.decision_time > 0.0
 
 
@@ -79,91 +64,69 @@ def test_each_start_is_found_as_if_it_were_alone() -> None:
 
 
 def test_processes_find_the_same() -> None:
-    env_config = EnvConfig(task="stop", actions="halves")
-    alone, shared = (find_reachable(env_config, [{}] * 6, SEED, 1, workers) for workers in (1, 2))
+    alone, shared = (find_reachable(HALVES, [{}] * 6, SEED, 1, workers) for workers in (1, 2))
     assert [each.actions for each in alone] == [each.actions for each in shared]
-
-
-def test_more_nodes_are_followed_only_where_fewer_find_no_success() -> None:
-    """A parcel that enters at 2.7 m/s cannot be stopped where the zone begins."""
-    env_config = EnvConfig(task="stop", actions="halves")
-    within, beyond = find_reachable(
-        env_config, [{"speed": 1.0}, {"speed": 2.7, "position": 0.5}], SEED, 24
-    )
-    assert (within.success, within.width) == (True, 8)
-    assert (beyond.success, beyond.width) == (False, 24)
-    assert beyond.outcome == "passed the asked x"
-
-
-def test_wide_parcels_are_stopped_though_supports_bear_some_of_them() -> None:
-    env_config = EnvConfig(task=Stop(parcels=(WIDE,)), actions="halves")
-    found = find_reachable(env_config, [{}] * 3, SEED, budget=8)
-    assert max(abs(each.metrics[0]) for each in found) < 1e-3
-
-
-def test_a_path_in_a_lab_is_followed_to_its_end() -> None:
-    env_config = EnvConfig(task="track", actions="halves", preset="lab")
-    start = {"tilt": 0.22, "speed": 0.8, "path": [(0.5, 1.0), (1.5, 1.05)]}
-    (found,) = find_reachable(env_config, [start], SEED, budget=4)
-    assert found.success
-    assert found.metrics[0] < 0.015
-
-
-def test_running_out_of_time_is_no_success() -> None:
-    """The limit is the task's own, in decisions: here a second."""
-    env_config = EnvConfig(task="slow", actions="halves", control_period=0.01)
-    (found,) = find_reachable(env_config, [{"speed": 0.9, "ratio": 0.3}], SEED, budget=1)
-    assert found.outcome == "out of time"
-    assert found.time == pytest.approx(1.0)
-    assert len(found.actions) == 100
-
-
-@pytest.mark.parametrize(
-    ("config", "budget", "message"),
-    [
-        (HARD, 0, "budget must be a whole number of at least 1"),
-        (HARD, 1.5, "budget must be a whole number of at least 1"),
-        (EnvConfig(task="slow", actions="modules"), 1, "actions must be one of 'halves'"),
-        (
-            EnvConfig(task="slow", actions="halves", orientations="any"),
-            1,
-            "orientations must be some to choose from, got 'any'",
-        ),
-    ],
-)
-def test_what_it_cannot_search_is_refused(config, budget, message) -> None:
-    with pytest.raises(ValueError, match=message):
-        Oracle(config, budget)
-
-
-def test_no_process_is_an_error() -> None:
     with pytest.raises(ValueError, match="workers must be a whole number of at least 1"):
         find_reachable(HARD, [{}], SEED, workers=0)
 
 
-def test_full_braking_ends_where_the_law_of_motion_says() -> None:
-    """Half a pitch around where the box, as it comes in, is borne by the zone at last."""
-    env_config = EnvConfig(task="stop", actions="halves")
-    speeds = np.array([1.5, 2.0, 2.5])
-    starts = [{"speed": speed, "position": 1.0, "parcel": "S"} for speed in speeds.tolist()]
-    begins, _ = zone_span(Line(), box("S"), None)
-    ends = 1.0 + stops_past(env_config, starts, SEED)
-    np.testing.assert_allclose(ends, begins + speeds**2 / (2.0 * BRAKING), atol=0.1)
-
-
-def test_what_is_asked_counts() -> None:
-    env_config = EnvConfig(task="stop", actions="halves", preset="lab")
-    near, far = (
-        stops_past(env_config, [{"speed": 2.0, "position": 1.0}], SEED),
-        stops_past(env_config, [{"speed": 2.0, "position": 1.5}], SEED),
-    )
-    np.testing.assert_allclose(near - far, 0.5)
+def test_more_nodes_are_followed_only_where_fewer_find_no_success() -> None:
+    """A parcel that enters at 2.7 m/s cannot be stopped where the zone begins."""
+    starts = [{"speed": 1.0}, {"speed": 2.7, "position": 0.5}]
+    within, beyond = find_reachable(HALVES, starts, SEED, 24)
+    assert (within.success, within.width, beyond.success, beyond.width) == (True, 8, False, 24)
+    assert beyond.outcome == "passed the asked x"
 
 
 @pytest.mark.parametrize(
-    ("task", "actions", "message"),
-    [("slow", "halves", "task must"), ("stop", "modules", "actions")],
+    ("settings", "start", "budget", "outcome", "most"),
+    [
+        ({"task": Stop(parcels=(WIDE,))}, {}, 8, "success", 1e-3),  # though partly on supports
+        ({"task": "track", "preset": "lab"}, PATH, 4, "success", 0.015),
+        # The limit is the task's own, in decisions: here a second.
+        ({"task": "slow", "control_period": 0.01}, BRAKED, 1, "out of time", 1.0),
+    ],
+    ids=["wide", "path", "time"],
 )
-def test_only_stops_by_halves_have_such_a_limit(task, actions, message) -> None:
+def test_it_stops_wide_parcels_and_follows_paths_but_not_beyond_its_time(
+    settings, start, budget, outcome, most
+) -> None:
+    config = EnvConfig(actions="halves", **settings)
+    (found,) = find_reachable(config, [start], SEED, budget)
+    assert (found.outcome, found.success) == (outcome, outcome == "success")
+    assert abs(found.metrics[0]) < most
+    if outcome == "out of time":
+        assert (found.time, len(found.actions)) == (pytest.approx(1.0), 100)
+
+
+@pytest.mark.parametrize(
+    ("settings", "budget", "message"),
+    [
+        ({}, 0, "budget must be a whole number of at least 1"),
+        ({}, 1.5, "budget must be a whole number of at least 1"),
+        ({"actions": "modules"}, 1, "actions must be one of 'halves'"),
+        ({"orientations": "any"}, 1, "orientations must be some to choose from, got 'any'"),
+    ],
+)
+def test_what_it_cannot_search_is_refused(settings, budget, message) -> None:
     with pytest.raises(ValueError, match=message):
+        Oracle(EnvConfig(**{"task": "slow", "actions": "halves", **settings}), budget)
+
+
+def test_full_braking_ends_where_the_law_of_motion_says() -> None:
+    """Half a pitch around where the box, as it comes in, is borne by the zone at last."""
+    speeds = np.array([1.5, 2.0, 2.5])
+    starts = [{"speed": speed, "position": 1.0, "parcel": "S"} for speed in speeds.tolist()]
+    begins, _ = zone_span(Line(), box("S"), None)
+    ends = 1.0 + stops_past(HALVES, starts, SEED)
+    np.testing.assert_allclose(ends, begins + speeds**2 / (2.0 * BRAKING), atol=0.1)
+    # What is asked counts.
+    lab = EnvConfig(task="stop", actions="halves", preset="lab")
+    near, far = (stops_past(lab, [{"speed": 2.0, "position": x}], SEED) for x in (1.0, 1.5))
+    np.testing.assert_allclose(near - far, 0.5)
+
+
+@pytest.mark.parametrize(("task", "actions"), [("slow", "halves"), ("stop", "modules")])
+def test_only_stops_by_halves_have_such_a_limit(task, actions) -> None:
+    with pytest.raises(ValueError, match="task must" if task == "slow" else "actions"):
         stops_past(EnvConfig(task=task, actions=actions), [{}], SEED)

@@ -2,6 +2,8 @@
 
 import math
 from dataclasses import replace
+from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,11 +19,9 @@ from surface_gym.randomisation import Actuators
 from surface_gym.sensors import AdaptiveCamera
 from surface_gym.tasks import Slow, Stop
 from surface_gym.tasks.line import BRAKING
-from tests.agents.rules.runs import rule, run_rule
+from tests.agents.rules.runs import Scripted, begun, ends, rule, run, run_rule
 
 COLUMNS = 16
-
-
 NOMINAL = FrictionEstimate.frictions(FrictionEstimate.unknown(2))
 
 
@@ -46,13 +46,10 @@ def test_the_brake_model_agrees_with_the_simulator(level, pair) -> None:
 
     The place of the load is given, as a sensor that learns would.
     """
-    config = EnvConfig(task=Slow(parcels=pair), observe=("parcel",))
     load_ahead = np.array([parcel.com_offset[0] for parcel in pair])
-    env = sg.SmartSurfaceVectorEnv(
-        2, task=config.task, observe=("parcel",), autoreset_mode="SameStep"
-    )
     starts = [{"parcel": parcel, "speed": 2.2, "ratio": 0.5} for parcel in pair]
-    observations, _ = env.reset(seed=0, options=starts)
+    env, observations = begun(Slow(parcels=pair), starts, observe=("parcel",))
+    config = env.config
     levels = np.where(np.arange(COLUMNS) % 2, level, ROLL)[np.newaxis].repeat(2, axis=0)
     model, actions = BrakeModel(config, LEANS[ROLL]), ColumnAxes(config)(levels)
     target = LEANS[levels]
@@ -73,20 +70,17 @@ def test_the_brake_model_agrees_with_the_simulator(level, pair) -> None:
 
 def test_the_brake_model_follows_axes_that_take_time() -> None:
     """Half braking is commanded for a period, then rolling: both are predicted, axes turning."""
-    actuators = Actuators(axis_speed=0.5 * math.pi / 0.1)
-    config = EnvConfig(task="slow", actuators=actuators)
-    env = sg.SmartSurfaceVectorEnv(2, task="slow", actuators=actuators, autoreset_mode="SameStep")
     starts = [{"parcel": parcel, "speed": 2.2, "ratio": 0.5} for parcel in "SB"]
-    observations, _ = env.reset(seed=0, options=starts)
-    levels = np.full((2, COLUMNS), ROLL)
+    env, _ = begun("slow", starts, actuators=Actuators(axis_speed=0.5 * math.pi / 0.1))
+    config, levels = env.config, np.full((2, COLUMNS), ROLL)
+    rolling, half = (ColumnAxes(config)(np.full((2, COLUMNS), level)) for level in (ROLL, HALF))
     for _ in range(12):
-        observations, *_ = env.step(ColumnAxes(config)(levels))
+        observations, *_ = env.step(rolling)
     see = config.decode(observations)
     model, target = BrakeModel(config, LEANS[ROLL]), LEANS[np.full((2, 1, COLUMNS), HALF)]
     after = model.predict(contact_span(config, see), see.vx, NOMINAL, LEANS[levels], target)
-    observations, *_ = env.step(ColumnAxes(config)(np.full((2, COLUMNS), HALF)))
-    for _ in range(2):  # 45 deg take 50 ms
-        observations, *_ = env.step(ColumnAxes(config)(levels))
+    for actions in (half, rolling, rolling):  # 45 deg take 50 ms
+        observations, *_ = env.step(actions)
     now = config.decode(observations)
     assert (see.vx - now.vx > 0.1).all()
     np.testing.assert_allclose(after.speed[:, 0], now.vx, rtol=0, atol=0.01)
@@ -122,26 +116,30 @@ def test_braking_holds_where_it_is_not_as_in_the_study(task, others) -> None:
     assert run_episodes(controller, config, [{}] * 40, seed=50).success.mean() >= 0.9
 
 
-def test_slowing_hits_every_ratio() -> None:
-    starts = [
-        {"parcel": parcel, "speed": speed, "ratio": ratio}
-        for parcel in "SB"
-        for speed in (1.0, 1.7, 2.6)
-        for ratio in (0.2, 0.4, 0.6, 0.75)
-    ]
-    by_rule, fixed = (run_rule("slow", name, starts) for name in ("braking rule", "fixed layout"))
+@pytest.mark.parametrize(
+    ("task", "goal", "speeds", "goals"),
+    [
+        ("slow", "ratio", (1.0, 1.7, 2.6), (0.2, 0.4, 0.6, 0.75)),
+        ("stop", "position", (0.8, 1.5, 2.2), (1.37, 1.54, 1.71)),
+    ],
+)
+def test_every_ratio_and_place_is_hit(task, goal, speeds, goals) -> None:
+    every = product("SB", speeds, goals)
+    starts = [{"parcel": parcel, "speed": speed, goal: asked} for parcel, speed, asked in every]
+    by_rule, fixed = (run_rule(task, name, starts) for name in ("braking rule", "fixed layout"))
     assert by_rule.success.all()
     assert fixed.success.mean() < 0.5
-    np.testing.assert_allclose(by_rule.pose[:, 1:], [[1.0, 0.0]] * len(starts), atol=1e-4)
+    if task == "slow":
+        np.testing.assert_allclose(ends(by_rule)[:, 1:], [[1.0, 0.0]] * len(starts), atol=1e-4)
+    else:
+        assert np.median(np.abs(by_rule.metrics["stop_error"])) < 5e-4
 
 
 def test_a_parcel_that_is_seen_at_rest_asks_for_no_layout_and_warns_of_nothing() -> None:
-    config = EnvConfig(task="slow")
-    observation, _ = sg.SmartSurfaceEnv(task="slow").reset(seed=0)
-    at_rest = replace(config.decode(observation[np.newaxis]), vx=np.zeros(1))
-    slowing = FixedSlowing(config)
-    losses = np.ones((len(slowing._axes), 1000))
-    assert np.isinf(slowing._regret(at_rest, losses)).all()
+    env, observations = begun("slow", [{}])
+    at_rest = replace(env.config.decode(observations), vx=np.zeros(1))
+    slowing = FixedSlowing(env.config)
+    assert np.isinf(slowing._regret(at_rest, np.ones((len(slowing._axes), 1000)))).all()
 
 
 def test_slowing_brakes_late_yet_rolls_on_for_a_second() -> None:
@@ -161,82 +159,49 @@ def test_slowing_brakes_late_yet_rolls_on_for_a_second() -> None:
         assert TRIM_TIME < left < TRIM_TIME + a_period
 
 
+def see_learned(task: str, **features: list[float]) -> tuple[AdaptiveCamera, EnvConfig, Any]:
+    """What is decoded of features that a lab's sensors learned, the others 0."""
+    config = EnvConfig(task=task, observe=("parcel", "load"), preset="lab")
+    names = [feature.name for feature in config.features]
+    seen = np.zeros((len(next(iter(features.values()))), len(names)), dtype=np.float32)
+    for name, values in features.items():
+        seen[:, names.index(name)] = values
+    assert isinstance(config.sensors, AdaptiveCamera)
+    return config.sensors, config, config.decode(seen)
+
+
 def test_friction_and_load_that_the_sensors_learned_are_used() -> None:
-    config = EnvConfig(task="stop", observe=("parcel", "load"), preset="lab")
-    observation = np.zeros((1, len(config.features)), dtype=np.float32)
-    place = {feature.name: k for k, feature in enumerate(config.features)}
-    observation[0, place["cosine of theta"]] = 1.0
-    observation[0, place["friction learned"]] = 1.5
-    observation[0, place["load learned, x"]] = -2.0
-    see = config.decode(observation)
-    sensors = config.sensors
-    assert isinstance(sensors, AdaptiveCamera)
+    learned = {"cosine of theta": [1.0], "friction learned": [1.5], "load learned, x": [-2.0]}
+    sensors, config, see = see_learned("stop", **learned)
     np.testing.assert_allclose(see.friction, 1.0 + 1.5 * sensors.friction_spread)
     np.testing.assert_allclose(see.load_ahead, -2.0 * sensors.load_spread)
     np.testing.assert_allclose(contact_span(config, see).load, see.load_ahead)
-
-
-def test_where_a_load_lies_along_the_line_is_the_same_in_sorts_mirror() -> None:
-    config = EnvConfig(task="sort", observe=("parcel", "load"), preset="lab")
-    place = {feature.name: k for k, feature in enumerate(config.features)}
-    seen = np.zeros((2, len(config.features)), dtype=np.float32)
-    seen[:, place["side"]] = (1.0, -1.0)
-    seen[:, place["cosine of theta"]], seen[:, place["sine of theta"]] = 0.8, 0.6
-    seen[:, place["load learned, y"]] = 2.0
-    see = config.decode(seen)
-    sensors = config.sensors
-    assert isinstance(sensors, AdaptiveCamera)
+    # Where a load lies along the line is the same in Sort's mirror.
+    turned = {"cosine of theta": [0.8, 0.8], "sine of theta": [0.6, 0.6]}
+    learned = {"side": [1.0, -1.0], **turned, "load learned, y": [2.0, 2.0]}
+    sensors, _, see = see_learned("sort", **learned)
     np.testing.assert_allclose(see.theta, math.atan2(0.6, 0.8) * np.array([1.0, -1.0]), rtol=1e-6)
     np.testing.assert_allclose(see.load_ahead, -0.6 * 2.0 * sensors.load_spread, rtol=1e-6)
 
 
 def test_beyond_the_end_of_the_zone_the_asked_speed_itself_is_best() -> None:
     """Nothing is left to roll: faster is as bad as it is too fast, slower worse."""
-    config = EnvConfig(task="slow")
-    env = sg.SmartSurfaceVectorEnv(1, task="slow")
-    start = {"parcel": "S", "speed": 2.0, "ratio": 0.5}
-    observations, _ = env.reset(seed=0, options=start)
-    slowing = SlowingRule(config)
-    see = config.decode(observations)
+    env, observations = begun("slow", [{"parcel": "S", "speed": 2.0, "ratio": 0.5}])
+    config, see, none = env.config, env.config.decode(observations), np.zeros((1, 3))
     frictions = FrictionEstimate.frictions(FrictionEstimate.unknown(1))
-    none = np.zeros((1, 3))
     after = Braked(np.full((1, 3), 9.0), np.array([[0.9, 1.0, 1.1]]), none, none)
-    regret = slowing._regret(see, contact_span(config, see), frictions, after)
+    regret = SlowingRule(config)._regret(see, contact_span(config, see), frictions, after)
     assert regret[0, 0] > regret[0, 2]
     np.testing.assert_allclose(regret[0, 1:], [0.0, 0.1], atol=1e-5)
-
-
-def test_stopping_hits_every_place() -> None:
-    starts = [
-        {"parcel": parcel, "speed": speed, "position": position}
-        for parcel in "SB"
-        for speed in (0.8, 1.5, 2.2)
-        for position in (1.37, 1.54, 1.71)
-    ]
-    by_rule, fixed = (run_rule("stop", name, starts) for name in ("braking rule", "fixed layout"))
-    assert by_rule.success.all()
-    assert np.median(np.abs(by_rule.metrics["stop_error"])) < 5e-4
-    assert fixed.success.mean() < 0.5
 
 
 @pytest.mark.parametrize("parcel", ["S", "B"])
 def test_a_fixed_layout_is_the_best_of_its_kind(parcel) -> None:
     """No other number of columns leaves nearer to the asked ratio, in the environment itself."""
-    speed, ratio = 2.1, 0.55
-    config = EnvConfig(task="slow")
-    start = {"parcel": parcel, "speed": speed, "ratio": ratio}
+    start, config = {"parcel": parcel, "speed": 2.1, "ratio": 0.55}, EnvConfig(task="slow")
     chosen = run_rule("slow", "fixed layout", [start]).metrics["ratio_error"][0]
     first = np.arange(COLUMNS) < np.arange(COLUMNS + 1)[:, np.newaxis]
     actions = ColumnAxes(config)(np.concatenate([FULL * first, HALF * first]))
-    env = sg.SmartSurfaceVectorEnv(len(actions), task="slow", autoreset_mode="Disabled")
-    env.reset(seed=0, options=start)
-    terminated = np.zeros(len(actions), dtype=bool)
-    errors = np.full(len(actions), np.inf)
-    for _ in range(120):
-        _, _, ended, _, info = env.step(actions)
-        left = ended & (info["outcome"] != "stalled")
-        errors = np.where(left, info["ratio_error"], errors)
-        terminated |= ended
-        if ended.any():
-            env.reset(seed=0, options={**start, "reset_mask": ended})
-    assert abs(chosen) == pytest.approx(np.abs(errors).min(), abs=0.01)
+    others = run(Scripted(actions[:, np.newaxis]), config, [start] * len(actions))
+    left = np.isin(others.outcome, ("stalled", "out of time"), invert=True)
+    assert abs(chosen) == pytest.approx(np.abs(others.metrics["ratio_error"][left]).min(), abs=0.01)

@@ -16,19 +16,21 @@ from surface_gym.flow.task import FEATURES, PRESENT, WAITS
 from surface_gym.layouts import box
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Camera
-from tests.agents.rules.lines import counts, gated, line
+from tests.agents.rules.runs import counts, gated, line
 from tests.flow.flows import BOX, trace
+
+ALL_LEFT = {"left": 1.0}
 
 
 @pytest.mark.parametrize(
     ("stream", "asked"),
     [
         (
-            Stream(Steady(1000.0), parcels=("S", "B"), destinations={"left": 1.0}),
+            Stream(Steady(1000.0), parcels=("S", "B"), destinations=ALL_LEFT),
             [(box("S"), 1.5, "left"), (box("B"), 1.5, "left")],
         ),
         (
-            Stream(Steady(1000.0), destinations={"left": 1.0}, parcels=("S",), speeds=(1.0, 1.15)),
+            Stream(Steady(1000.0), destinations=ALL_LEFT, parcels=("S",), speeds=(1.0, 1.15)),
             [(box("S"), speed, "left") for speed in (1.0, 1.075, 1.15)],
         ),
         (
@@ -40,11 +42,8 @@ from tests.flow.flows import BOX, trace
 )
 def test_every_parcel_speed_and_exit_is_asked_for_once(stream, asked) -> None:
     assert reservation.list_asked(line(stream)) == asked
-
-
-def test_without_destinations_every_exit_is_asked_for() -> None:
-    asked = reservation.list_asked(line(Stream(Steady(1000.0))))
-    assert {name for _, _, name in asked} == {"left", "right", "straight"}
+    without_destinations = reservation.list_asked(line(Stream(Steady(1000.0))))
+    assert {name for _, _, name in without_destinations} == {"left", "right", "straight"}
 
 
 def found(config: EnvConfig) -> reservation.Trajectories:
@@ -53,7 +52,9 @@ def found(config: EnvConfig) -> reservation.Trajectories:
 
 
 def test_trajectories_lead_to_the_exits_and_are_mirror_images() -> None:
-    config = line(Stream(Steady(1000.0), speeds=1.5))
+    """They are those of exact sensors, whatever varies."""
+    stream = Stream(Steady(1000.0), speeds=1.5)
+    config = line(stream)
     trajectories = found(config)
     assert trajectories.right == (True, True, True)
     left, right, straight = trajectories.each
@@ -62,17 +63,15 @@ def test_trajectories_lead_to_the_exits_and_are_mirror_images() -> None:
     np.testing.assert_allclose(left.time, right.time)
     np.testing.assert_allclose(straight.pose[:, 1], middle, atol=1e-9)
     assert straight.pose[-1, 0] > config.rotors_end
-    for each in trajectories.each:
+    varied = line(stream, sensors=Camera(), randomisation=Randomisation(friction=0.2), gate=True)
+    for each, other in zip(trajectories.each, found(varied).each, strict=True):
         assert each.time[0] >= 0.0
         assert (np.diff(each.time) > 0.0).all()
         assert each.outline.shape == (len(BOX.base.outline), 2)
-
-
-def test_they_are_those_of_exact_sensors_whatever_varies() -> None:
-    stream = Stream(Steady(1000.0), speeds=1.5)
-    varied = line(stream, sensors=Camera(), randomisation=Randomisation(friction=0.2), gate=True)
-    for one, other in zip(found(line(stream)).each, found(varied).each, strict=True):
-        np.testing.assert_array_equal(one.pose, other.pose)
+        np.testing.assert_array_equal(each.pose, other.pose)
+    # A parcel that comes to rest is not right.
+    slow = line(Stream(Steady(1000.0), speeds=0.05), duration=3.0)
+    assert found(slow).right == (False, False, False)
 
 
 def test_signatures_tell_them_apart() -> None:
@@ -80,11 +79,6 @@ def test_signatures_tell_them_apart() -> None:
     signature = found(config).signature
     apart = np.abs(signature[:, None] - signature[None]).max(axis=2)
     assert apart[~np.eye(len(apart), dtype=bool)].min() > 0.05
-
-
-def test_a_parcel_that_comes_to_rest_is_not_right() -> None:
-    config = line(Stream(Steady(1000.0), speeds=0.05), duration=3.0)
-    assert found(config).right == (False, False, False)
 
 
 SQUARE = np.array([(-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1)])  # [m]
@@ -104,24 +98,21 @@ def test_a_trajectory_interpolates_the_parcel_between_moments() -> None:
     np.testing.assert_allclose(corners[0], [(0.43, -0.1), (0.43, 0.1), (0.23, 0.1), (0.23, -0.1)])
 
 
-@pytest.mark.parametrize("apart", [0.05, -0.03])
-def test_the_clearance_of_sides_that_face_each_other_is_their_distance(apart) -> None:
-    other = SQUARE + np.array([0.2 + apart, 0.05])
-    assert reservation.clearance(SQUARE[None], other[None])[0] == pytest.approx(apart)
-
-
-def test_the_clearance_of_corners_is_never_too_large() -> None:
+def test_a_clearance_is_the_distance_of_facing_sides_and_never_too_large_of_corners() -> None:
     """Held against the least distance between points of both perimeters."""
+    for apart in (0.05, -0.03):
+        other = SQUARE + np.array([0.2 + apart, 0.05])
+        assert reservation.clearance(SQUARE[None], other[None])[0] == pytest.approx(apart)
     turned = SQUARE @ np.array([[1.0, 1.0], [-1.0, 1.0]]) * math.sqrt(0.5)
     share = np.linspace(0.0, 1.0, 40)[:, np.newaxis]
+
+    def perimeter(base: np.ndarray) -> np.ndarray:
+        sides = zip(base, np.roll(base, -1, 0), strict=True)
+        return np.concatenate([a + share * (b - a) for a, b in sides])
+
     for shift in np.random.default_rng(0).uniform(-0.6, 0.6, (50, 2)):
-        sides = [
-            np.concatenate(
-                [a + share * (b - a) for a, b in zip(base, np.roll(base, -1, 0), strict=True)]
-            )
-            for base in (SQUARE, turned + shift)
-        ]
-        distance = np.hypot(*(sides[0][:, None] - sides[1][None]).transpose(2, 0, 1)).min()
+        one, other = perimeter(SQUARE), perimeter(turned + shift)
+        distance = np.hypot(*(one[:, None] - other[None]).transpose(2, 0, 1)).min()
         assert reservation.clearance(SQUARE[None], turned[None] + shift)[0] <= distance + 1e-9
 
 
@@ -131,17 +122,12 @@ def test_equal_speeds_need_a_length_and_the_margin(speed, margin) -> None:
     assert gap == pytest.approx((0.2 + margin) / speed, abs=2.0 * reservation.FINE)
 
 
-def test_a_faster_one_must_not_catch_up() -> None:
-    """It may only be a length behind as the slower one leaves, after 4 s at x = 4 m."""
+def test_a_gap_is_for_all_the_way() -> None:
+    """A faster one may only be a length behind as the slower one leaves, after 4 s at x = 4 m."""
     gap = least_gap(straight(1.0), straight(2.0, seconds=2.0))
     assert gap == pytest.approx(4.0 - (4.0 - 0.2) / 2.0, abs=2.0 * reservation.FINE)
-
-
-def test_trajectories_beside_each_other_need_no_gap() -> None:
+    # Beside each other they need none, and behind one that never leaves there is none.
     assert least_gap(straight(1.0, aside=0.0), straight(1.0, aside=0.3)) <= reservation.FINE
-
-
-def test_a_parcel_that_never_leaves_lets_no_other_in() -> None:
     stands = reservation.ParcelTrajectory(SQUARE, np.array([0.0, 60.0]), np.zeros((2, 3)))
     with pytest.raises(ValueError, match="trajectories must have a gap of at most 20 s, got none"):
         least_gap(stands, straight(1.0))
@@ -184,26 +170,34 @@ def waiting(way: int | None, since: float = 0.0) -> np.ndarray:
 
 def entries(ways: list[int], periods: int) -> list[float]:
     """[s] when each of a queue of parcels is let in, all of which have waited from the start."""
-    book: Any = None
-    times: list[float] = []
-    gate = booking()
+    book, times, gate = None, [], booking()
     for period in range(periods):
         clock = period * PERIOD
         head = ways[len(times)] if len(times) < len(ways) else None
         # Each in turn comes to the gate a moment after the one before.
-        opens, book = gate.open(
-            waiting(head, clock - 1e-2 * len(times)), book, FRESH if period == 0 else GOES_ON
-        )
+        table = waiting(head, clock - 1e-2 * len(times))
+        opens, book = gate.open(table, book, GOES_ON if period else FRESH)
         if opens[0]:
             times.append(clock + opens[0] * DT)
     return times
 
 
+def opened(gate: reservation.Booking, table: np.ndarray, book: Any, begins: Any) -> list[Any]:
+    """When the gate opens, and what is booked then."""
+    opens, book = gate.open(table, book, begins)
+    return [opens.tolist(), book]
+
+
 def test_the_first_enters_at_once_and_the_gate_stays_shut_where_none_waits() -> None:
-    opens, book = booking().open(waiting(None), None, FRESH)
-    assert opens.tolist() == [0]
-    opens, _ = booking().open(waiting(0), book, GOES_ON)
-    assert opens.tolist() == [1]
+    shut, book = opened(booking(), waiting(None), None, FRESH)
+    assert shut == [0]
+    assert opened(booking(), waiting(0), book, GOES_ON)[0] == [1]
+    # One that found no room is let in again, and need not keep a gap to itself.
+    first, book = opened(booking(), waiting(0), None, FRESH)
+    again, book = opened(booking(), waiting(0, since=PERIOD), book, GOES_ON)
+    # Now it has entered, and another has come.
+    later, _ = opened(booking(), waiting(0, since=0.0), book, GOES_ON)
+    assert (first, again, later) == ([1], [1], [0])
 
 
 @pytest.mark.parametrize("ways", [[0, 0], [0, 1], [1, 0], [1, 1]])
@@ -223,47 +217,34 @@ def test_gaps_hold_to_all_before_not_only_to_the_last() -> None:
     assert third - first >= 0.3
 
 
-def test_a_parcel_that_found_no_room_is_let_in_again() -> None:
-    gate = booking()
-    opens, book = gate.open(waiting(0), None, FRESH)
-    assert opens.tolist() == [1]
-    # It waits there still: what was booked is taken back, and it need not keep a gap to itself.
-    opens, book = gate.open(waiting(0, since=PERIOD), book, GOES_ON)
-    assert opens.tolist() == [1]
-    # Now it has entered, and another has come.
-    opens, _ = gate.open(waiting(0, since=0.0), book, GOES_ON)
-    assert opens.tolist() == [0]
-
-
-def test_a_new_episode_forgets_the_old() -> None:
-    gate = booking()
-    _, book = gate.open(waiting(1), None, FRESH)
-    opens, again = gate.open(waiting(1), book, FRESH)
-    assert opens.tolist() == [1]
-    assert isinstance(again, reservation.Book)
-    assert again.clock.tolist() == [PERIOD]
-
-
-def test_environments_are_booked_apart() -> None:
-    gate = booking()
+def test_environments_and_episodes_are_booked_apart() -> None:
+    gate, all_begin = booking(), np.ones(3, dtype=bool)
+    _, book = opened(gate, waiting(1), None, FRESH)
+    opens, again = opened(gate, waiting(1), book, FRESH)
+    assert (opens, again.clock.tolist()) == ([1], [PERIOD])
     tables = np.concatenate([waiting(0), waiting(None), waiting(1)])
-    opens, book = gate.open(tables, None, np.ones(3, dtype=bool))
-    assert opens.tolist() == [1, 0, 1]
+    opens, book = opened(gate, tables, None, all_begin)
+    assert opens == [1, 0, 1]
     later = np.concatenate([waiting(0), waiting(0), waiting(1)])
-    opens, _ = gate.open(later, book, np.zeros(3, dtype=bool))
-    assert opens.tolist() == [0, 1, 0]
+    assert opened(gate, later, book, ~all_begin)[0] == [0, 1, 0]
 
 
 CROWD = Stream(Steady(15000.0), parcels=("S",), speeds=1.5)
 
 
 def test_more_than_a_line_takes_is_sorted_without_a_touch() -> None:
+    """On the line it does what its lead does, which alone is not enough."""
     config = gated(CROWD)
     count = counts(Reservation(config), config)
     assert (count["wrong"], count["touches"]) == (0, 0)
     assert count["right"] > 4 * 12
-    alone = counts(StreamEventRule(line(CROWD)), line(CROWD))
-    assert alone["touches"] > 0
+    assert counts(Reservation(config, margin=0.2), config)["right"] < count["right"]
+    rows = np.random.default_rng(0).normal(size=(20, 29)).astype(np.float32)
+    rule, lead = Reservation(config), StreamEventRule(config)
+    np.testing.assert_array_equal(rule.halves(rows), lead.halves(rows))
+    assert counts(StreamEventRule(line(CROWD)), line(CROWD))["touches"] > 0
+    with pytest.raises(ValueError, match="gate must be True for a reservation, got False"):
+        Reservation(line())
 
 
 def test_it_comes_near_the_packed_ways_and_not_above() -> None:
@@ -273,21 +254,3 @@ def test_it_comes_near_the_packed_ways_and_not_above() -> None:
     count = counts(Reservation(config), config, num_envs=8)
     rate = 3600.0 * count["right"] / (8 * config.stream_task.duration)
     assert 0.8 * bound < rate < 1.02 * bound
-
-
-def test_a_wider_margin_lets_fewer_in() -> None:
-    config = gated(CROWD)
-    near, wide = (counts(Reservation(config, margin=m), config)["right"] for m in (0.02, 0.2))
-    assert wide < near
-
-
-def test_on_the_line_it_does_what_its_lead_does() -> None:
-    config = gated(CROWD)
-    rows = np.random.default_rng(0).normal(size=(20, 29)).astype(np.float32)
-    rule, lead = Reservation(config), StreamEventRule(config)
-    np.testing.assert_array_equal(rule.halves(rows), lead.halves(rows))
-
-
-def test_a_gate_is_needed() -> None:
-    with pytest.raises(ValueError, match="gate must be True for a reservation, got False"):
-        Reservation(line())

@@ -11,12 +11,15 @@ from surface_gym.agents.rules import ROLLING, RULES, Rule, find_rules
 from surface_gym.agents.rules.sorting import EventRule, FixedLayout
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import KINDS
-from surface_gym.layouts import LINE_Y
-from surface_gym.sensors import Camera
 from surface_gym.tasks import TASKS
-from tests.agents.rules.runs import mirrored_starts, run
+from tests.agents.rules.runs import SENSORS, assert_mirrored, mirrored_starts
 
-every_rule = pytest.mark.parametrize("rule", RULES, ids=lambda rule: f"{rule.task}: {rule.name}")
+
+def id_of(rule: Rule) -> str:
+    return f"{rule.task}: {rule.name}"
+
+
+every_rule = pytest.mark.parametrize("rule", RULES, ids=id_of)
 
 
 def config_for(rule: Rule, **others: Any) -> EnvConfig:
@@ -32,9 +35,10 @@ def test_no_two_rules_of_a_task_share_a_name() -> None:
 
 @every_rule
 def test_it_acts_inside_the_action_space(rule) -> None:
-    """With a camera, in a shorter zone, less often, and with other axes on offer."""
+    """By sensors of many kinds, in a shorter zone, less often, and with other axes on offer."""
+    sensors = SENSORS[rule.task, rule.actions]()
     eight = tuple(math.pi / 2 - np.arange(8) * math.pi / 8)
-    others = {"sensors": Camera(), "zone": (6, 15), "control_period": 0.1, "orientations": eight}
+    others = {"sensors": sensors, "zone": (6, 15), "control_period": 0.1, "orientations": eight}
     controller, state = rule.make(config_for(rule, **others)), None
     env = sg.SmartSurfaceVectorEnv(2, task=rule.task, actions=rule.actions, **others)
     observations, _ = env.reset(seed=4)
@@ -67,14 +71,10 @@ def test_what_sets_all_modules_alike_does_so_with_any_kind(task, make, actions) 
 
 @every_rule
 def test_an_environment_alone_is_as_among_many(rule) -> None:
-    config = config_for(rule)
-    num_envs = 2
+    """What is remembered of others, and of the episode before, makes no difference."""
+    config, num_envs = config_for(rule), 2
     env = sg.SmartSurfaceVectorEnv(
-        num_envs,
-        task=rule.task,
-        actions=rule.actions,
-        max_episode_steps=60,
-        autoreset_mode="SameStep",
+        num_envs, rule.task, actions=rule.actions, max_episode_steps=60, autoreset_mode="SameStep"
     )
     many, alone = rule.make(config), rule.make(config)
     observations, _ = env.reset(seed=20)
@@ -91,23 +91,6 @@ def test_an_environment_alone_is_as_among_many(rule) -> None:
         begun = terminated | truncated
 
 
-@every_rule
-def test_what_it_remembers_ends_with_the_episode(rule) -> None:
-    """Where an episode begins, it decides as it does with nothing to remember."""
-    controller = rule.make(config_for(rule))
-    env = sg.SmartSurfaceVectorEnv(2, task=rule.task, actions=rule.actions)
-    observations, _ = env.reset(seed=1)
-    state = None
-    for _ in range(15):
-        actions, state = controller.predict(observations, state=state)
-        observations, *_ = env.step(actions)
-    others, _ = env.reset(seed=2)
-    without, _ = controller.predict(others)
-    begun = np.array([True, False])
-    with_old, _ = controller.predict(others, state=state, episode_start=begun)
-    np.testing.assert_array_equal(with_old[begun], without[begun])
-
-
 @pytest.mark.parametrize("task", ["slow", "stop", "orient"])
 def test_a_fixed_layout_stays_as_it_was_arranged(task) -> None:
     (rule,) = (rule for rule in RULES if (rule.task, rule.name) == (task, "fixed layout"))
@@ -122,38 +105,26 @@ def test_a_fixed_layout_stays_as_it_was_arranged(task) -> None:
         np.testing.assert_array_equal(actions, arranged)
 
 
-@pytest.mark.parametrize(
-    "rule",
-    [
-        rule
-        for rule in RULES
-        if rule.task in ("sort", "orient", "track") and rule.name != "sliding mode"
-    ],
-    ids=lambda rule: f"{rule.task}: {rule.name}",
-)
+MIRRORED = [
+    rule for rule in RULES
+    if rule.task in ("sort", "orient", "track") and rule.name != "sliding mode"
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("rule", MIRRORED, ids=id_of)
 def test_mirrored_starts_end_in_mirror_images(rule) -> None:
     config = config_for(rule)
-    starts, images = mirrored_starts(rule.task)
-    here, there = (run(rule.make(config), config, some) for some in (starts, images))
-    assert here.outcome.tolist() == there.outcome.tolist()
-    image = np.stack([there.pose[:, 0], 2.0 * LINE_Y - there.pose[:, 1], -there.pose[:, 2]], -1)
-    np.testing.assert_allclose(here.pose, image, rtol=0, atol=1e-3)
+    assert_mirrored(rule.make(config), config, mirrored_starts(rule.task), 1e-3)
 
 
 @every_rule
 def test_it_refuses_a_configuration_it_is_not_made_for(rule) -> None:
+    """Other kinds of action too, where it commands single modules."""
     other = "stop" if rule.task != "stop" else "slow"
     with pytest.raises(ValueError, match="task"):
         rule.make(EnvConfig(task=other, actions=rule.actions))
     with pytest.raises(ValueError, match="orientations"):
         rule.make(config_for(rule, orientations=(0.0, math.pi / 3)))
-
-
-@pytest.mark.parametrize(
-    "rule",
-    [rule for rule in RULES if rule.make not in (FixedLayout, EventRule, ROLLING)],
-    ids=lambda rule: f"{rule.task}: {rule.name}",
-)
-def test_a_rule_of_single_modules_refuses_other_kinds_of_action(rule) -> None:
-    with pytest.raises(ValueError, match="actions"):
-        rule.make(EnvConfig(task=rule.task, actions="quadrants"))
+    if rule.make not in (FixedLayout, EventRule, ROLLING):
+        with pytest.raises(ValueError, match="actions"):
+            rule.make(EnvConfig(task=rule.task, actions="quadrants"))

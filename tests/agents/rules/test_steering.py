@@ -7,9 +7,8 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.rules import brake_model
-from surface_gym.config import EnvConfig
 from surface_gym.tasks.paths import Sine
-from tests.agents.rules.runs import mirrored_starts, rule, run_rule
+from tests.agents.rules.runs import begun, mirrored_starts, rule, run_rule
 from tests.environments import ROLL
 
 WAVES = [
@@ -44,30 +43,21 @@ def test_rules_follow_waves_that_rolling_leaves(name, farthest, slowest) -> None
 
 def test_sliding_mode_does_as_well_on_mirrored_paths() -> None:
     """Not to the bit: it takes the first of mixes that differ only beside the parcel."""
-    starts, images = mirrored_starts("track")
-    here, there = (run_rule("track", "sliding mode", some) for some in (starts, images))
-    assert here.success.all()
-    assert there.success.all()
+    both = [run_rule("track", "sliding mode", some) for some in mirrored_starts("track")]
+    assert all(each.success.all() for each in both)
     for figure in ("rms_error", "speed_error"):
-        error, image = here.metrics[figure].mean(), there.metrics[figure].mean()
+        error, image = (each.metrics[figure].mean() for each in both)
         assert error == pytest.approx(image, rel=0.25)
 
 
-def test_the_turning_rule_turns_to_any_angle() -> None:
-    assert run_rule("orient", "turning rule", TURNS).success.all()
-    assert not run_rule("orient", "fixed layout", TURNS).success.all()
-
-
 def test_modules_that_turn_a_parcel_drag_its_front_one_way_and_its_rear_the_other() -> None:
-    config = EnvConfig(task="orient")
-    env = sg.SmartSurfaceVectorEnv(2, task="orient")
     starts = [{"parcel": parcel, "speed": 1.5, "angle": 0.3} for parcel in "SB"]
-    observations, _ = env.reset(seed=0, options=starts)
+    env, observations = begun("orient", starts)
     for _ in range(15):
         observations, *_ = env.step(np.full((2, 64), ROLL))
-    line = config.decode(observations)
-    modules = brake_model.line_positions(line, config.action_kind)
-    options = rule("orient", "turning rule").make(config)._options(line, modules)
+    line = env.config.decode(observations)
+    modules = brake_model.line_positions(line, env.config.action_kind)
+    options = rule("orient", "turning rule").make(env.config)._options(line, modules)
     for x, ways in zip(modules.x, options, strict=True):
         turned = [(set(way[x > 0]) - {ROLL}, set(way[x < 0]) - {ROLL}) for way in ways]
         assert turned[0] == (set(), set())
@@ -76,53 +66,44 @@ def test_modules_that_turn_a_parcel_drag_its_front_one_way_and_its_rear_the_othe
         assert any(front and rear for front, rear in turned)
 
 
-@pytest.mark.parametrize("name", ["threshold logic", "PID per module"])
-def test_modules_by_themselves_turn_the_small_box(name) -> None:
-    runs = run_rule("orient", name, [turn for turn in TURNS if turn["parcel"] == "S"])
-    assert runs.success.mean() >= 0.75
+def test_the_turning_rule_turns_to_any_angle() -> None:
+    assert run_rule("orient", "turning rule", TURNS).success.all()
+    assert not run_rule("orient", "fixed layout", TURNS).success.all()
+    small = [turn for turn in TURNS if turn["parcel"] == "S"]
+    for name in ("threshold logic", "PID per module"):
+        assert run_rule("orient", name, small).success.mean() >= 0.75
 
 
 def test_positions_are_the_modules_that_the_environment_sees_under_the_parcel() -> None:
-    config = EnvConfig(task="track", actions="window")
-    env = sg.SmartSurfaceVectorEnv(20, task="track", actions="window")
-    observations, _ = env.reset(seed=5)
+    """On a line they are pitches apart, and centred on it."""
+    env, seen = begun("track", [{}] * 20, seed=5, actions="window")
     rng = np.random.default_rng(0)
     for _ in range(10):
-        modules = brake_model.window_positions(config.decode(observations), config.action_kind)
-        np.testing.assert_array_equal(modules.under, observations[:, -25:] > 0.5)
-        observations, *_ = env.step(rng.integers(0, 4, (20, 25)))
-
-
-def test_line_positions_are_pitches_apart_and_centred_on_the_line() -> None:
-    config = EnvConfig(task="orient")
-    env = sg.SmartSurfaceVectorEnv(2, task="orient")
-    observations, info = env.reset(seed=0, options=[{"parcel": "S"}, {"parcel": "B"}])
-    modules = brake_model.line_positions(config.decode(observations), config.action_kind)
-    # The S-box's lead-in is 3 columns and the B-box's 5; the first rotor after it is at 0.35 m.
-    first = np.array([0.35, 0.55]) - info["pose"][:, 0]
+        modules = brake_model.window_positions(env.config.decode(seen), env.config.action_kind)
+        np.testing.assert_array_equal(modules.under, seen[:, -25:] > 0.5)
+        seen, *_ = env.step(rng.integers(0, 4, (20, 25)))
+    env, seen = begun("orient", [{"parcel": "S"}, {"parcel": "B"}])
+    modules = brake_model.line_positions(env.config.decode(seen), env.config.action_kind)
+    # The S-box's lead-in is 3 columns and the B-box's 5; the first rotor after it is at 0.35 m, a
+    # box's rear at x = 0.
+    first = np.array([0.35, 0.55]) - [0.125, 0.225]
     np.testing.assert_allclose(modules.x.reshape(2, 4, 16)[:, 2, 0], first, atol=1e-6)
-    np.testing.assert_allclose(
-        modules.y.reshape(2, 4, 16)[:, :, 3], [[-0.15, -0.05, 0.05, 0.15]] * 2, atol=1e-6
-    )
+    across = modules.y.reshape(2, 4, 16)[:, :, 3]
+    np.testing.assert_allclose(across, [[-0.15, -0.05, 0.05, 0.15]] * 2, atol=1e-6)
 
 
 @pytest.mark.parametrize("angle", [0.0, math.pi / 4, -math.pi / 4, math.pi / 2])
 def test_the_square_slides_as_in_the_simulator(angle) -> None:
     """All axes alike under a box on a field, tilted by 0.1: 40 ms of it."""
-    half_length, velocity, tilt = 0.125, (0.8, 0.3, 0.5), 0.1
-    surface = sg.Surface(
-        axis=np.full((20, 20), angle), rotor=np.ones((20, 20), dtype=bool), tilt=tilt
-    )
-    box = sg.Parcel(sg.Rectangle(2.0 * half_length, 2.0 * half_length))
+    velocity, tilt = (0.8, 0.3, 0.5), 0.1
+    surface = sg.Surface(np.full((20, 20), angle), np.ones((20, 20), dtype=bool), tilt=tilt)
+    box = sg.layouts.box("S")
     truth = sg.simulate(surface, box, (1.0, 1.0, 0.0), velocity, duration=0.04).velocity[-1]
-    config = EnvConfig(task="track", actions="window")
-    env = sg.SmartSurfaceVectorEnv(1, task="track", actions="window")
     start = {"parcel": "S", "path": [(1.0, 1.0), (5.0, 1.0)], "tilt": tilt, "speed": 0.8}
-    observations, _ = env.reset(seed=0, options=start)
-    modules = brake_model.window_positions(config.decode(observations), config.action_kind)
-    square = brake_model.SquareModel(modules, np.array([half_length]), np.array([tilt]))
+    env, seen = begun("track", [start], actions="window")
+    modules = brake_model.window_positions(env.config.decode(seen), env.config.action_kind)
+    square = brake_model.SquareModel(modules, np.array([0.125]), np.array([tilt]))
     motion = brake_model.Motion(*(np.array([part]) for part in velocity))
     after = square.predict(motion, np.full((1, 25), angle), period=0.04, steps=4)
-    assert after.vx[0, 0] == pytest.approx(truth[0], abs=0.03)
-    assert after.vy[0, 0] == pytest.approx(truth[1], abs=0.03)
-    assert after.omega[0, 0] == pytest.approx(truth[2], abs=0.5)
+    found = after.vx[0, 0], after.vy[0, 0], after.omega[0, 0]
+    assert (np.abs(found - truth) <= [0.03, 0.03, 0.5]).all()

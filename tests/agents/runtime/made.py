@@ -8,17 +8,8 @@ from typing import Any
 import numpy as np
 
 import surface_gym as sg
+from surface_gym.agents.runtime import controller as runtime
 from surface_gym.agents.runtime.config import WorldOptions
-from surface_gym.agents.runtime.controller import (
-    AxisLimits,
-    ControlLoop,
-    Decider,
-    FixedLayouts,
-    LocalArranger,
-    LoopConfig,
-    allowed_angles,
-    observation_bounds,
-)
 from surface_gym.agents.runtime.estimator import StateEstimator
 from surface_gym.agents.runtime.protocol import Angles, DeviceLost, Entered, Frame, Message
 from surface_gym.agents.runtime.simulator import World
@@ -113,9 +104,8 @@ class Always:
         self.begins: list[bool] = []
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, **_: Any
+        self, _: Any, state: Any = None, episode_start: Any = None, **__: Any
     ) -> tuple[Any, Any]:
-        del observation
         self.begins.append(bool(episode_start[0]))
         self.clock.time += self.takes
         return np.array([self.action]), state
@@ -123,21 +113,17 @@ class Always:
 
 def loop_of(
     device: ScriptedDevice, controller: Any, env_config: EnvConfig = CONFIG, **config: float
-) -> ControlLoop:
+) -> runtime.ControlLoop:
     """A loop on a device."""
     held = estimator()
     held.clear()
-    layouts = FixedLayouts(held.config)
-    return ControlLoop(
-        device,
-        held,
-        Decider(controller, env_config),
-        (LocalArranger(layouts), held.resolver(layouts.kind)),
-        AxisLimits(held.shape, allowed_angles(env_config)),
-        observation_bounds(env_config),
-        device.clock,
-        LoopConfig(**config),
-    )
+    layouts = runtime.FixedLayouts(held.config)
+    arranger = runtime.LocalArranger(layouts), held.resolver(layouts.kind)
+    limits = runtime.AxisLimits(held.shape, runtime.allowed_angles(env_config))
+    return runtime.ControlLoop(
+        device, held, runtime.Decider(controller, env_config), arranger, limits,
+        runtime.observation_bounds(env_config), device.clock, runtime.LoopConfig(**config),
+    )  # fmt: skip
 
 
 def nothing(now: float) -> None:

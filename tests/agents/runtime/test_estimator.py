@@ -21,6 +21,11 @@ def commands(actions: list[int]) -> np.ndarray:
     return made.CONFIG.action_kind.commands(np.array(actions), len(actions))
 
 
+@pytest.fixture
+def held() -> estimators.StateEstimator:
+    return made.estimator()
+
+
 @pytest.fixture(scope="module")
 def filtered() -> tuple[Entered, list[np.ndarray], list[Frame], list[np.ndarray]]:
     """What the environment's own filter makes of frames that are not late: the entry, and for each
@@ -47,9 +52,8 @@ def filtered() -> tuple[Entered, list[np.ndarray], list[Frame], list[np.ndarray]
     return start, sent, frames, seen
 
 
-def test_it_observes_what_the_environment_does(filtered) -> None:
+def test_it_observes_what_the_environment_does(held, filtered) -> None:
     start, sent, frames, seen = filtered
-    held = made.estimator()
     resolver = held.resolver(made.CONFIG.action_kind)
     held.reset(start)
     np.testing.assert_allclose(held.observe(AT), seen[0], rtol=0.0, atol=1e-6)
@@ -60,10 +64,9 @@ def test_it_observes_what_the_environment_does(filtered) -> None:
         np.testing.assert_allclose(held.observe(taken.taken_at), seen[k + 1], rtol=0.0, atol=1e-5)
 
 
-def test_late_frames_lead_to_the_same_estimate(filtered) -> None:
+def test_late_frames_lead_to_the_same_estimate(held, filtered) -> None:
     """Commands depend on places that were estimated otherwise, so that there are none here."""
     start, _, frames, _ = filtered
-    held = made.estimator()
     estimates = []
     for late in (False, True):
         held.reset(start)
@@ -76,8 +79,7 @@ def test_late_frames_lead_to_the_same_estimate(filtered) -> None:
     np.testing.assert_array_equal(*estimates)
 
 
-def test_frames_out_of_order_or_of_another_parcel_are_of_no_use() -> None:
-    held = made.estimator()
+def test_frames_out_of_order_or_of_another_parcel_are_of_no_use(held) -> None:
     held.reset(made.entered())
     assert held.correct(made.frame(0.04))
     before = held.observe(0.05)
@@ -88,34 +90,33 @@ def test_frames_out_of_order_or_of_another_parcel_are_of_no_use() -> None:
     assert not held.correct(made.frame(0.08))
 
 
-def test_a_frame_draws_the_estimate_towards_it() -> None:
-    held = made.estimator()
+def test_a_frame_draws_the_estimate_towards_it(held) -> None:
     held.reset(made.entered())
-    free = held.observe(0.1) is not None and held.estimate[0]
+    held.observe(0.1)
+    free = held.estimate[0]
     held.correct(made.frame(0.1, x=made.POSE[0] + 0.11))
     held.observe(0.1)
     assert free < held.estimate[0] < made.POSE[0] + 0.11
 
 
-def test_axes_turn_as_fast_as_the_machine_says() -> None:
-    held = made.estimator()
+def test_axes_turn_as_fast_as_the_machine_says(held) -> None:
     resolver = held.resolver(made.CONFIG.action_kind)
     held.reset(made.entered())
     held.observe(0.0)
+    rolling = held.resolve(resolver, commands([made.ROLL])[0])
+    assert held.longest_turn(rolling) == 0.0
     angles = held.resolve(resolver, commands([made.BRAKE])[0])
     turned = angles != math.pi / 2.0
     assert (angles[turned] == 0.0).all()
     assert turned.sum() == 2 * 16  # a small parcel's line has two rows
     assert held.longest_turn(angles) == pytest.approx(made.QUARTER_TURN)
     held.note_sent(1, 0.01)
-    held.observe(0.01 + 0.5 * made.QUARTER_TURN)
-    np.testing.assert_allclose(held.axes()[turned], math.pi / 4.0)
-    held.observe(0.01 + made.QUARTER_TURN)
-    np.testing.assert_allclose(held.axes()[turned], 0.0, atol=1e-12)
+    for part, angle in ((0.5, math.pi / 4.0), (1.0, 0.0)):
+        held.observe(0.01 + part * made.QUARTER_TURN)
+        np.testing.assert_allclose(held.axes()[turned], angle, atol=1e-12)
 
 
-def test_the_device_reports_when_axes_began_to_turn() -> None:
-    held = made.estimator()
+def test_the_device_reports_when_axes_began_to_turn(held) -> None:
     resolver = held.resolver(made.CONFIG.action_kind)
     for at, expected in ((0.01, math.pi / 4.0), (0.01 + 0.5 * made.QUARTER_TURN, math.pi / 2.0)):
         held.reset(made.entered())
@@ -130,8 +131,7 @@ def test_the_device_reports_when_axes_began_to_turn() -> None:
     assert (held.axes() == math.pi / 2.0).all()
 
 
-def test_encoders_are_believed() -> None:
-    held = made.estimator()
+def test_encoders_are_believed(held) -> None:
     held.reset(made.entered())
     angles = np.full(held.shape, 0.3)
     assert held.correct(Frame(0.02, 0, (made.POSE[0] + 0.02, 1.0, 0.0), angles))
@@ -140,8 +140,7 @@ def test_encoders_are_believed() -> None:
     assert (held.axes() == 0.3).sum() == 2 * 16
 
 
-def test_without_frames_the_estimate_stands_still_in_the_end() -> None:
-    held = made.estimator()
+def test_without_frames_the_estimate_stands_still_in_the_end(held) -> None:
     held.reset(made.entered(velocity=(0.05, 0.0, 0.0)))
     held.observe(estimators.MAX_AHEAD)
     stands = held.estimate
@@ -155,21 +154,15 @@ def test_without_frames_the_estimate_stands_still_in_the_end() -> None:
         ({"goal": (1.0, 2.0)}, "goal"),
         ({"pose": (0.0, math.nan, 0.0)}, "pose"),
         ({"velocity": (1e9, 0.0, 0.0)}, "velocity"),
+        ({"parcel": sg.Parcel(sg.Rectangle(1.9, 0.3))}, "long"),
     ],
 )
-def test_a_parcel_that_is_not_of_the_task_is_refused(changed, message) -> None:
+def test_a_parcel_that_is_not_of_the_task_is_refused(held, changed, message) -> None:
     with pytest.raises(ValueError, match=message):
-        made.estimator().reset(made.entered(**changed))
+        held.reset(replace(made.entered(), **changed))
 
 
-def test_a_parcel_that_does_not_fit_is_refused() -> None:
-    large = replace(made.entered(), parcel=sg.Parcel(sg.Rectangle(1.9, 0.3)))
-    with pytest.raises(ValueError, match="long"):
-        made.estimator().reset(large)
-
-
-def test_a_frame_with_numbers_that_are_not_allowed_is_refused() -> None:
-    held = made.estimator()
+def test_a_frame_with_numbers_that_are_not_allowed_is_refused(held) -> None:
     held.reset(made.entered())
     with pytest.raises(ValueError, match="pose"):
         held.correct(made.frame(0.02, x=math.inf))
@@ -177,25 +170,14 @@ def test_a_frame_with_numbers_that_are_not_allowed_is_refused() -> None:
         held.correct(replace(made.frame(0.02), axes=np.zeros((2, 2))))
 
 
-def test_the_camera_of_an_exact_sensor_is_ideal() -> None:
+def test_the_camera_of_an_exact_sensor_is_ideal_and_one_without_frames_is_refused() -> None:
     assert estimators.device_camera(sg.sensors.Exact()) is estimators.IDEAL
     assert estimators.device_camera(made.CONFIG.sensors) is made.CONFIG.sensors
+    with pytest.raises(ValueError, match="sensors must be a Camera"):
+        estimators.StateEstimator(replace(made.CONFIG, sensors=sg.sensors.Presence()))
 
 
 def test_an_axis_turned_by_half_a_turn_is_the_same() -> None:
     angles = np.array([-0.5, 0.5, 0.75, -1.25]) * math.pi
     expected = np.array([-0.5, 0.5, -0.25, -0.25]) * math.pi
     np.testing.assert_allclose(estimators.within_right_angles(angles), expected)
-
-
-def test_a_sensor_without_frames_is_refused() -> None:
-    with pytest.raises(ValueError, match="sensors must be a Camera"):
-        estimators.StateEstimator(replace(made.CONFIG, sensors=sg.sensors.Presence()))
-
-
-def test_rolling_on_is_an_action_that_turns_nothing() -> None:
-    held = made.estimator()
-    held.reset(made.entered())
-    held.observe(0.0)
-    angles = held.resolve(held.resolver(made.CONFIG.action_kind), commands([made.ROLL])[0])
-    assert held.longest_turn(angles) == 0.0

@@ -1,18 +1,34 @@
-"""The simulated machine: parcels, frames and axes; and whole runs over a socket."""
+"""The simulated machine, whole runs over a socket, and the command that starts both."""
 
+import json
 import math
+import os
+import signal
 import socket
-from collections.abc import Iterator
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import tyro
+from rich.console import Console
 
-from surface_gym.agents.runtime import protocol
-from surface_gym.agents.runtime.config import WorldOptions
+from surface_gym import agents
+from surface_gym.agents.runtime import controller, protocol, simulator
+from surface_gym.agents.runtime import report as reports
+from surface_gym.agents.runtime.cli import load_policy, main, make_env_config, simulator_arguments
+from surface_gym.agents.runtime.config import RuntimeConfig, SimulatorConfig, WorldOptions
 from surface_gym.agents.runtime.controller import ControlLoop, LoopConfig
-from surface_gym.agents.runtime.simulator import MAX_BEHIND, Server, World, serve
+from surface_gym.agents.runtime.protocol import DeviceLost, Frame, Message, SocketDevice
+from surface_gym.agents.runtime.simulator import MAX_BEHIND, Server, SimulatorProcess, World, serve
+from surface_gym.config import EnvConfig
 from tests.agents.runtime import made
+from tests.agents.runtime.made import CONFIG, entered, estimator
 from tests.agents.runtime.test_protocol import again_and_again
 
 PAUSE = 0.1
@@ -44,47 +60,35 @@ def test_the_same_seed_gives_the_same_messages() -> None:
 
 
 def test_frames_come_at_the_cameras_rate_and_late() -> None:
+    """And a camera that drops frames drops some."""
     frames = of_kind(protocol.Frame, world().advance(1.0))
     taken = np.array([message.taken_at for _, message in frames])
     np.testing.assert_allclose(np.diff(taken), 0.02)
     np.testing.assert_allclose([due for due, _ in frames] - taken, 0.04)
-    assert [message.number for _, message in frames if message.taken_at < PAUSE - 0.01] == [
-        None
-    ] * 4
+    before = [message.number for _, message in frames if message.taken_at < PAUSE - 0.01]
+    assert before == [None] * 4
     x = np.array([message.pose[0] for _, message in frames if message.number == 0])
     noise = np.diff(x, n=3) / math.sqrt(20.0)  # of what is smooth
     assert 0.0003 < noise.std() < 0.003
-
-
-def test_a_camera_that_drops_frames_drops_some() -> None:
     camera = replace(made.CONFIG.sensors, drop=0.5)
     dropping = World(replace(made.CONFIG, sensors=camera), 0, 0.0, WorldOptions())
     assert 15 < len(dropping.advance(1.0)) < 35
 
 
-def test_axes_that_are_set_turn() -> None:
+def test_axes_that_are_set_turn_and_others_are_refused() -> None:
     machine = world(encoders=True)
     machine.advance(PAUSE + 0.02)
-    angles = np.zeros(machine.shape)
-    assert machine.set_axes(5, angles) == protocol.AxesAcknowledged(5, machine.now)
-    frames = of_kind(protocol.Frame, machine.advance(PAUSE + 0.5))
+    for wrong in (np.zeros((1, 1)), np.full((4, 16), 1.6), np.full((4, 16), np.nan)):
+        assert machine.set_axes(0, wrong).refused
+    frames = of_kind(protocol.Frame, machine.advance(PAUSE + 0.1))
+    assert (np.abs(frames[-1][1].axes - math.pi / 2.0) < 1e-9).all()
+    answer = machine.set_axes(5, np.zeros(machine.shape))
+    assert answer == protocol.AxesAcknowledged(5, machine.now)
+    frames = of_kind(protocol.Frame, machine.advance(machine.now + PAUSE + 0.4))
     first, last = (frames[k][1].axes for k in (0, -1))
     assert set(np.sign(first[last == 0.0])) == {1.0}  # they are on their way
     assert first[last == 0.0].max() < math.pi / 2.0
     assert (last == 0.0).sum() in (2 * 16, 4 * 16)  # by the line's width
-
-
-@pytest.mark.parametrize(
-    "wrong", [np.zeros((1, 1)), np.full((4, 16), 1.6), np.full((4, 16), np.nan)]
-)
-def test_axes_out_of_range_are_refused(wrong) -> None:
-    machine = world(encoders=True)
-    assert machine.set_axes(0, wrong).refused
-    frames = of_kind(protocol.Frame, machine.advance(PAUSE + 0.3))
-    assert (np.abs(frames[-1][1].axes - math.pi / 2.0) < 1e-9).all()
-
-
-def test_the_pause_is_not_negative() -> None:
     with pytest.raises(ValueError, match="pause"):
         WorldOptions(pause=-1.0)
 
@@ -127,10 +131,8 @@ class TestOverASocket:
         assert LoopConfig().period == pytest.approx(0.04)
 
     def test_a_mute_camera_brings_the_fixed_layout(self) -> None:
-        options = WorldOptions(pause=PAUSE)
-        server = Server(
-            made.MuteWorld((0.2, 0.6), options), "stop", socket.create_server(("127.0.0.1", 0))
-        )
+        listener = socket.create_server(("127.0.0.1", 0))
+        server = Server(made.MuteWorld((0.2, 0.6), WorldOptions(pause=PAUSE)), "stop", listener)
         counts = self.run(server, 200).counts
         server.close()
         assert counts.watchdog == 1
@@ -138,15 +140,30 @@ class TestOverASocket:
         assert counts.by_fixed_layout == pytest.approx((0.4 - 0.2) / 0.04, abs=1)
         assert counts.decisions > 5
 
+    def test_it_serves_as_long_as_asked_and_stands_still_where_the_clock_ran_away(
+        self, server
+    ) -> None:
+        clock, turns = made.ManualClock(), iter([True, True, False])
+
+        def goes_on() -> bool:
+            clock.time += 0.02
+            return next(turns)
+
+        serve(server, clock, goes_on)
+        assert server._world.now > 0.03
+        server.step(0.2)
+        later = server._world.now + MAX_BEHIND + 100.0
+        server.step(later)
+        assert server._world.now == pytest.approx(later, abs=0.006)
+        assert server._world._number == 0
+
     def test_a_later_loop_takes_the_place(self, server) -> None:
-        first, second = (
-            protocol.SocketDevice(self.address(server), "stop", (4, 16)) for _ in range(2)
-        )
-        first.connect()
-        server.step(0.0)
-        second.connect()
-        server.step(0.01)
-        server.step(0.1)
+        address = self.address(server)
+        first, second = (protocol.SocketDevice(address, "stop", (4, 16)) for _ in range(2))
+        for device, times in ((first, (0.0,)), (second, (0.01, 0.1))):
+            device.connect()
+            for now in times:
+                server.step(now)
         with pytest.raises(ConnectionError):
             again_and_again(first.read)
         assert second.read() is not None
@@ -165,19 +182,156 @@ class TestOverASocket:
             while connected.recv(4096):
                 pass
 
-    def test_it_stands_still_where_the_clock_ran_away(self, server) -> None:
-        server.step(0.2)
-        before = server._world.now
-        server.step(before + MAX_BEHIND + 100.0)
-        assert server._world.now == pytest.approx(before + MAX_BEHIND + 100.0, abs=0.006)
-        assert server._world._number == 0
 
-    def test_it_serves_as_long_as_it_is_asked_to(self, server) -> None:
-        clock, turns = made.ManualClock(), iter([True, True, False])
+PATIENCE = 120.0  # [s] for another process, on a computer that does other work
+RUN = reports.Run("stop-ppo", 0, "stop", "lab", "simulator", 0.04, 0.2, 600.0, (1.0, 2.0, 3.0), 2)
 
-        def goes_on() -> bool:
-            clock.time += 0.02
-            return next(turns)
 
-        serve(server, clock, goes_on)
-        assert server._world.now > 0.03
+def test_a_report_is_written_whole_and_shown(tmp_path, capsys) -> None:
+    counts = controller.Counts(periods=15_000, kept=14_990, missed=10, lost=5)
+    counts.parcels.update(["success", "success", "missed"])
+    latencies = controller.Latencies(policy=[0.001 * k for k in range(101)])
+    whole = reports.make_report(RUN, counts, latencies)
+    report = json.loads(reports.write_report(whole, tmp_path / "out").read_text())
+    assert report["counts"]["missed"] == 10
+    assert report["counts"]["parcels"] == {"success": 2, "missed": 1}
+    assert report["success"] == pytest.approx(2.0 / 3.0)
+    assert report["budget"]["policy"] == pytest.approx([0.05, 0.09, 0.099, 0.1])
+    assert report["budget"]["sensor"] is None
+    reports.show_report(whole, Console(width=200))
+    printed = capsys.readouterr().out
+    for part in ("period of 40 ms", "50.00", "10 missed", "lost 5 times", "success 0.667"):
+        assert part in printed
+    nothing = reports.make_report(RUN, controller.Counts(unfit=1), controller.Latencies())
+    reports.show_report(nothing, Console(width=200))
+    assert "0 parcels; 1 that do not fit" in capsys.readouterr().out
+    assert reports.percentiles([]) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "message"),
+    [
+        ("stop-ppo", {"minutes": 0.0}, "minutes"),
+        ("stop-ppo", {"watchdog": -1.0}, "watchdog"),
+        ("stop-ppo", {"address": "nowhere"}, "address"),
+        ("nobody", {}, "name must be a folder or one of"),
+        ("flow-ppo", {}, "parcel"),
+    ],
+)
+def test_what_is_not_allowed_is_refused(name, given, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_policy(RuntimeConfig(name, **given))
+
+
+def test_an_error_ends_the_command_with_one_line() -> None:
+    with pytest.raises(SystemExit, match="error: name must be"):
+        main(["nobody"])
+    with pytest.raises(SystemExit, match="error: task must be"):
+        simulator.main(["--task", "nobody"])
+
+
+def test_the_environment_is_the_policys_and_the_simulators() -> None:
+    """A run's folder holds a policy, too."""
+    folder = Path(agents.__file__).parent / "shipped/stop-ppo/seed-0"
+    assert load_policy(RuntimeConfig(str(folder))).card.task == "stop"
+    policy = load_policy(RuntimeConfig("slow-dqn", seed=1))
+    lab = EnvConfig(task="slow", preset="lab", **policy.env_kwargs)
+    assert make_env_config(policy, "lab") == lab
+    config = RuntimeConfig("stop-ppo", preset="camera", start=3)
+    env_config = make_env_config(load_policy(config), config.preset)
+    given = tyro.cli(SimulatorConfig, args=simulator_arguments(config, env_config))
+    assert given == SimulatorConfig(task="stop", preset="camera", control_period=0.04, seed=3)
+    assert simulator.make_env_config(given).actuators == env_config.actuators
+
+
+@pytest.mark.parametrize("task", ["sort", "track"])
+def test_the_fixed_layout_of_a_task(task) -> None:
+    env_config = EnvConfig(task=task, actions="halves", observe=("parcel",))
+    layouts = controller.FixedLayouts(env_config)
+    bounds = controller.observation_bounds(env_config)
+    command = layouts.arrange(np.clip(0.0, bounds.low, bounds.high))
+    assert command.shape == (layouts.kind.size,)
+    assert len(np.unique(command)) == 1
+
+
+def test_a_layout_of_another_process_is_the_same() -> None:
+    held = estimator()
+    held.reset(entered())
+    observation = held.observe(0.0)
+    with controller.ProcessArranger(held.config) as arranger:
+        assert arranger.wait_until_ready(PATIENCE)
+        arranger.ask(np.zeros_like(observation))  # one that is asked for too late
+        arranger.ask(observation)
+        layout = until(arranger.layout)
+    expected = controller.FixedLayouts(held.config).arrange(observation)
+    np.testing.assert_array_equal(layout, expected)
+    # Axes on offer are the task's and the conveyors'.
+    assert controller.allowed_angles(CONFIG) == (*CONFIG.chosen_orientations, np.pi / 2.0)
+    assert controller.allowed_angles(replace(CONFIG, orientations="any")) is None
+
+
+def until(call: Callable[[], Message | None]) -> Message:
+    """The first result of a call that is not None."""
+    ends = time.monotonic() + PATIENCE
+    while time.monotonic() < ends:
+        found = call()
+        if found is not None:
+            return found
+        time.sleep(0.01)
+    raise TimeoutError
+
+
+def first_frame(device: SocketDevice) -> Frame:
+    """The first frame of a simulator that may have yet to start."""
+
+    def find() -> Frame | None:
+        try:
+            messages = device.read()
+        except DeviceLost:
+            with suppress(DeviceLost):
+                device.connect()
+            return None
+        return next((each for each in messages if isinstance(each, Frame)), None)
+
+    return until(find)
+
+
+def test_a_simulator_that_was_killed_is_there_again_at_the_same_address(tmp_path) -> None:
+    arguments = ["--task", "stop", "--preset", "camera"]
+    with SimulatorProcess(arguments, tmp_path / "log") as process:
+        device = SocketDevice(process.address, "stop", (4, 16))
+        first = first_frame(device)
+        assert first.taken_at <= time.monotonic()
+        process._process.kill()
+        process._process.wait()
+        with pytest.raises(DeviceLost):
+            until(lambda: device.read() and None)
+        arguments += ["--port", str(process.address[1])]
+        with SimulatorProcess(arguments, tmp_path / "log") as again:
+            assert again.address == process.address
+            assert first_frame(device).taken_at > first.taken_at
+        device.close()
+    assert (tmp_path / "log").read_text() == ""
+    # One that does not start says why.
+    with pytest.raises(ValueError, match="task must be one of"):
+        SimulatorProcess(["--task", "nobody"], tmp_path / "log")
+
+
+def test_ctrl_c_ends_a_run_with_its_report(tmp_path) -> None:
+    program = [sys.executable, "-c", "from surface_gym.cli import main; main()"]
+    with subprocess.Popen(
+        [*program, "runtime", "stop-ppo", "--preset", "camera", "--out", str(tmp_path)],
+        cwd=Path(__file__).parents[3], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        env={**os.environ, "PYTHONUNBUFFERED": "1", "TERM": "dumb"}, text=True,
+    ) as process:  # fmt: skip
+        for line in process.stdout:
+            if line.startswith("ready"):
+                break
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        printed = process.stdout.read()
+        assert process.wait(PATIENCE) == 0, printed
+    assert "stopped" in printed
+    counts = json.loads((tmp_path / "report.json").read_text())["counts"]
+    assert counts["missed"] <= counts["periods"]
+    assert counts["out_of_range"] == counts["refused"] == 0

@@ -9,58 +9,43 @@ from typing import Any
 from optuna.trial import FrozenTrial
 from rich.console import Console
 
-from surface_gym.agents.tuning.study import (
-    COMPLETE,
-    PRUNED,
-    Pruning,
-    TrialResult,
-    open_study,
-    optimize,
-)
+from surface_gym.agents.tuning import study
+from surface_gym.agents.tuning.study import TrialResult
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
 from surface_gym.parallel import Report, Workers
 
 QUIET = Console(quiet=True)
 SMALL = Sweep(
-    task="slow",
-    trials=14,
-    steps=40_000,
-    evaluations=3,
-    seed=2,
-    startup_trials=4,
+    task="slow", trials=14, steps=40_000, evaluations=3, seed=2, startup_trials=4,
     space={
-        "learning_rate": Span(1e-4, 1e-2, log=True),
-        "n_epochs": Span(1, 9),
+        "learning_rate": Span(1e-4, 1e-2, log=True), "n_epochs": Span(1, 9),
         "hidden": Choices([[8], [8, 8]]),
     },
-)
+)  # fmt: skip
 
 
 def cheap_trial(
-    sweep: Sweep,
-    params: dict[str, Any],
-    past: tuple[FrozenTrial, ...],
-    report: Report,
+    sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report,
     seconds: float = 0.0,
-) -> TrialResult:
+) -> TrialResult:  # fmt: skip
     """The nearer to 1e-2 the learning rate is, the better; the rest matters little."""
     value = params["learning_rate"] * 100.0 + 0.001 * params["n_epochs"]
-    prune = Pruning(sweep, past, report)
+    prune = study.Pruning(sweep, past, report)
     for number in range(1, sweep.max_reports + 1):
         time.sleep(seconds)
         if prune(number, value * number / sweep.max_reports):
-            return TrialResult(PRUNED)
-    return TrialResult(COMPLETE, value)
+            return TrialResult(study.PRUNED)
+    return TrialResult(study.COMPLETE, value)
 
 
 def searched(
     sweep: Sweep, folder: Path, run: Any = cheap_trial, workers: Workers = 1
 ) -> list[FrozenTrial]:
     """All trials of a search that is carried out in a folder, the interrupted ones included."""
-    with open_study(sweep, folder) as study:
+    with study.open_study(sweep, folder) as kept:
         with suppress(KeyboardInterrupt):
-            optimize(sweep, study, workers, QUIET, run)
-        return list(study.get_trials())
+            study.optimize(sweep, kept, workers, QUIET, run)
+        return list(kept.get_trials())
 
 
 def slow_search(folder: Path) -> None:

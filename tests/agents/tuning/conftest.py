@@ -2,4 +2,4 @@
 
 from importlib.util import find_spec
 
-collect_ignore = [] if find_spec("optuna") else ["test_cli.py", "test_study.py"]
+collect_ignore = [] if find_spec("optuna") else ["test_study.py"]

@@ -1,10 +1,11 @@
-"""A study: what is sampled, pruned and kept, however it is interrupted; and one real trial."""
+"""A search: what is sampled, pruned and kept, however interrupted; its command and its report."""
 
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,19 +15,20 @@ import numpy as np
 import optuna
 import pytest
 from optuna.trial import FrozenTrial, TrialState, create_trial
+from rich.console import Console
 
 from surface_gym.agents.evaluation.benchmark import SEED
-from surface_gym.agents.learning.config import PPOConfig, make_card
+from surface_gym.agents.learning.config import PPOConfig, defaults, make_card
 from surface_gym.agents.learning.runs import TrainResult
 from surface_gym.agents.learning.train import train
 from surface_gym.agents.policy import load_policy
 from surface_gym.agents.rollout import run_episodes
-from surface_gym.agents.tuning import study
-from surface_gym.agents.tuning.study import TrialResult
+from surface_gym.agents.tuning import cli, study
+from surface_gym.agents.tuning.cli import main, open_folder, search
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
 from surface_gym.parallel import Report
 from surface_gym.tasks.benchmark import DRAWN
-from tests.agents.tuning.cheap import SMALL, cheap_trial, searched
+from tests.agents.tuning.cheap import QUIET, SMALL, cheap_trial, searched
 
 ROOT = Path(__file__).parents[3]
 RANDOM = replace(SMALL, sampler="random", pruner="none", trials=12)
@@ -36,6 +38,12 @@ def trial(values: dict[int, float], state: TrialState = TrialState.COMPLETE) -> 
     """A trial with values on the way, the last of which is its value."""
     value = values[max(values)] if state == TrialState.COMPLETE else None
     return create_trial(state=state, value=value, intermediate_values=values)
+
+
+def finished(folder: Path, sweep: Sweep = SMALL) -> tuple[FrozenTrial, ...]:
+    """The trials that a folder holds."""
+    with study.open_study(sweep, folder) as kept:
+        return tuple(study.finished_trials(kept))
 
 
 class TestTrials:
@@ -51,41 +59,39 @@ class TestTrials:
         values = [each.value for each in trials]
         assert np.mean(values[-10:]) > 2.0 * np.mean(values[:10])
 
-    @pytest.mark.parametrize("change", [{"seed": 1}, {"sampler": "random", "pruner": "none"}])
-    def test_the_seed_and_the_sampler_decide(self, change, tmp_path) -> None:
+    def test_the_seed_and_the_sampler_decide(self, tmp_path) -> None:
+        few = replace(SMALL, trials=7)
+        changed = replace(few, seed=1), replace(few, sampler="random", pruner="none")
         found = []
-        for name, sweep in (("a", SMALL), ("b", replace(SMALL, **change)), ("c", SMALL)):
-            (tmp_path / name).mkdir()
-            found.append([each.params for each in searched(sweep, tmp_path / name)])
-        assert found[0] == found[2] != found[1]
+        for number, sweep in enumerate((few, few, *changed)):
+            (tmp_path / str(number)).mkdir()
+            found.append([each.params for each in searched(sweep, tmp_path / str(number))])
+        assert found[0] == found[1]
+        assert found[0] not in found[2:]
 
     def test_refused_and_failed_trials_are_kept_with_their_reasons(self, tmp_path) -> None:
         trials = searched(RANDOM, tmp_path, refused_or_failed)
-        assert {study.describe_state(each) for each in trials} == {
-            "refused: no",
-            "failed: nan",
-            "complete",
-        }
-        with study.open_study(RANDOM, tmp_path) as kept:
-            assert len(study.finished_trials(kept)) == len(trials) == 12
+        states = {study.describe_state(each) for each in trials}
+        assert states == {"refused: no", "failed: nan", "complete"}
+        assert len(finished(tmp_path, RANDOM)) == len(trials) == 12
 
     def test_the_best_is_the_first_of_equals(self) -> None:
-        trials = [trial({1: 0.2}), trial({1: 0.9}, TrialState.PRUNED), trial({1: 0.5})]
-        trials.append(trial({1: 0.5}))
+        pruned = trial({1: 0.9}, TrialState.PRUNED)
+        trials = [trial({1: 0.2}), pruned, trial({1: 0.5}), trial({1: 0.5})]
         for number, each in enumerate(trials):
             each.number = number
         assert study.best_trial(trials) is trials[2]
-        assert study.best_trial(trials[1:2]) is None
+        assert study.best_trial([pruned]) is None
 
 
 def refused_or_failed(
     sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
-) -> TrialResult:
+) -> study.TrialResult:
     """Two trials of three end otherwise."""
     if params["n_epochs"] % 3 == 0:
-        return TrialResult(study.REFUSED, why="no")
+        return study.TrialResult(study.REFUSED, why="no")
     if params["n_epochs"] % 3 == 1:
-        return TrialResult(study.FAILED, why="nan")
+        return study.TrialResult(study.FAILED, why="nan")
     return cheap_trial(sweep, params, past, report)
 
 
@@ -95,12 +101,10 @@ class TestPruning:
     def pruning(self, pruner: str, past: tuple[FrozenTrial, ...]) -> study.Pruning:
         return study.Pruning(replace(SMALL, pruner=pruner), past, lambda _: None)
 
-    @pytest.mark.parametrize("pruner", ["median", "halving", "none"])
-    def test_nothing_is_pruned_without_others(self, pruner) -> None:
-        prune = self.pruning(pruner, ())
-        assert not any(prune(number, 0.0) for number in (1, 2, 3))
-
     def test_below_the_median_of_complete_trials_it_ends(self) -> None:
+        for pruner in ("median", "halving", "none"):  # nothing is pruned without others
+            prune = self.pruning(pruner, ())
+            assert not any(prune(number, 0.0) for number in (1, 2, 3))
         assert self.pruning("median", self.past)(1, 0.14)
         pruned = tuple(trial({1: 9.0}, TrialState.PRUNED) for _ in range(4))
         prune = self.pruning("median", self.past + pruned)
@@ -111,8 +115,7 @@ class TestPruning:
 
     def test_halving_lets_the_best_quarter_of_a_rung_on(self, tmp_path) -> None:
         searched(replace(SMALL, pruner="halving"), tmp_path)
-        with study.open_study(SMALL, tmp_path) as kept:
-            past = tuple(study.finished_trials(kept))
+        past = finished(tmp_path)
         rungs = sorted(each.system_attrs["completed_rung_0"] for each in past)
         assert self.pruning("halving", past)(1, rungs[0])
         assert not self.pruning("halving", past)(1, rungs[-1] + 0.1)
@@ -120,50 +123,40 @@ class TestPruning:
 
 
 class TestResuming:
-    def test_several_workers_carry_out_all_trials(self, tmp_path) -> None:
-        trials = searched(SMALL, tmp_path, workers=2)
-        assert [each.number for each in trials] == list(range(14))
-        assert {each.state for each in trials} == {TrialState.COMPLETE, TrialState.PRUNED}
-        assert all(each.intermediate_values for each in trials)
-
     @pytest.mark.parametrize("at", [0, 5, 13])
     def test_interrupted_trials_run_once_more_and_finished_ones_do_not(self, at, tmp_path) -> None:
         before = searched(SMALL, tmp_path, partial(stopping, at))
         assert len(before) == at + 1
         trials = searched(SMALL, tmp_path)
-        assert [each.params for each in trials[:at]] == [each.params for each in before[:at]]
-        assert [each.datetime_complete for each in trials[:at]] == [
-            each.datetime_complete for each in before[:at]
-        ]
+        for one, other in zip(before[:at], trials, strict=False):
+            assert (one.params, one.datetime_complete) == (other.params, other.datetime_complete)
         assert trials[at].state == TrialState.FAIL
         assert trials[at + 1].params == trials[at].params == before[at].params
-        with study.open_study(SMALL, tmp_path) as kept:
-            assert len(study.finished_trials(kept)) == 14
+        assert len(finished(tmp_path)) == 14
         assert searched(SMALL, tmp_path) == trials  # nothing is left to do
 
-    def test_a_killed_search_is_resumed(self, tmp_path) -> None:
+    def test_a_killed_search_is_resumed_and_several_workers_carry_it_out(self, tmp_path) -> None:
         call = (
             "import sys; from pathlib import Path; from tests.agents.tuning.cheap import "
             "slow_search\nif __name__ == '__main__': slow_search(Path(sys.argv[1]))"
         )
         (tmp_path / "go.py").write_text(call)
-        process = subprocess.Popen(
-            [sys.executable, str(tmp_path / "go.py"), str(tmp_path)],
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-        )
-        url = f"sqlite:///{tmp_path / study.FILE}"
+        command = [sys.executable, str(tmp_path / "go.py"), str(tmp_path)]
+        process = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(ROOT)})
         found: list[FrozenTrial] = []
         while process.poll() is None and len(found) < 2:
             time.sleep(0.2)
             if (tmp_path / study.FILE).exists():
-                found = look(url)
+                found = look(f"sqlite:///{tmp_path / study.FILE}")
         process.send_signal(signal.SIGKILL)
         assert process.wait() == -signal.SIGKILL  # before it was done
-        trials = searched(SMALL, tmp_path)
-        for each in found:
-            assert trials[each.number].value == each.value
-        with study.open_study(SMALL, tmp_path) as kept:
-            assert len(study.finished_trials(kept)) == 14
+        trials = searched(SMALL, tmp_path, workers=2)
+        assert [each.number for each in trials] == list(range(len(trials)))
+        assert [trials[each.number].value for each in found] == [each.value for each in found]
+        kept = finished(tmp_path)
+        assert len(kept) == 14
+        assert {each.state for each in kept} == {TrialState.COMPLETE, TrialState.PRUNED}
+        assert all(each.intermediate_values for each in kept)
 
 
 def look(url: str) -> list[FrozenTrial]:
@@ -180,7 +173,7 @@ def look(url: str) -> list[FrozenTrial]:
 
 def stopping(
     at: int, sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
-) -> TrialResult:
+) -> study.TrialResult:
     if len(past) == at:
         raise KeyboardInterrupt
     return cheap_trial(sweep, params, past, report)
@@ -201,17 +194,22 @@ class TestTrial:
     def few_starts(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(study, "STARTS", 32)
 
-    def run(self, sweep: Sweep = SWEEP, past: Any = (), **changed: Any) -> tuple[TrialResult, Any]:
+    def run(
+        self, sweep: Sweep = SWEEP, past: Any = (), params: Any = PARAMS, **changed: Any
+    ) -> tuple[study.TrialResult, Any]:
         reported: list[tuple[int, float]] = []
-        return study.run_trial(sweep, {**PARAMS, **changed}, past, reported.append), reported
+        return study.run_trial(sweep, {**params, **changed}, past, reported.append), reported
 
-    def test_it_is_complete_and_the_same_again(self) -> None:
+    def test_it_is_complete_and_the_same_again_but_ends_below_the_median(self) -> None:
         result, reported = self.run()
         assert (result.state, result.why) == (study.COMPLETE, "")
         assert result.value is not None
         assert np.isfinite(result.value)
         assert [number for number, _ in reported] == [1, 2]
         assert self.run() == (result, reported)
+        result, reported = self.run(past=(trial({1: 100.0, 2: 100.0}),))
+        assert result == study.TrialResult(study.PRUNED)
+        assert [number for number, _ in reported] == [1]
 
     def test_every_seed_is_evaluated_and_their_mean_counts(self) -> None:
         short = replace(SWEEP, steps=20_000, evaluations=1, seeds=2)
@@ -221,11 +219,6 @@ class TestTrial:
         _, of_second = self.run(replace(short, seeds=1, seed=1))
         assert reported == [of_first[0], (2, of_second[0][1])]
         assert both.value != first.value
-
-    def test_below_the_median_it_ends(self) -> None:
-        result, reported = self.run(past=(trial({1: 100.0, 2: 100.0}),))
-        assert result == TrialResult(study.PRUNED)
-        assert [number for number, _ in reported] == [1]
 
     def test_a_configuration_that_is_not_allowed_is_refused(self) -> None:
         result, reported = self.run(n_steps=25)
@@ -251,42 +244,178 @@ class TestTrial:
         ],
     )
     def test_other_algorithms(self, algo, task, fixed) -> None:
-        sweep = Sweep(
-            algo=algo, task=task, steps=20_000, evaluations=1,
-            space={"gamma": Choices([0.9, 0.99])}, fixed=fixed,
-        )  # fmt: skip
-        reported: list[tuple[int, float]] = []
-        result = study.run_trial(sweep, {"gamma": 0.9}, (), reported.append)
+        space = {"gamma": Choices([0.9, 0.99])}
+        sweep = Sweep(algo=algo, task=task, steps=20_000, evaluations=1, space=space, fixed=fixed)
+        result, reported = self.run(sweep, params={"gamma": 0.9})
         assert result.state == study.COMPLETE
         assert result.value is not None
         assert 0.0 <= result.value <= 1.0
         assert [number for number, _ in reported] == [1]
 
 
-class TestJudgement:
+def test_a_policy_is_judged_by_starts_of_their_own(tmp_path, monkeypatch) -> None:
+    """By the share that succeed, whatever was learned from; nothing is compared on them."""
     sweep = replace(SWEEP, task="sort", metric="success", seed=5, fixed={"camera_share": 0.0})
     config = PPOConfig(steps=60_000, camera_share=0.0, hidden=(16,))
+    train(config, tmp_path)
+    monkeypatch.setattr(study, "STARTS", 100)
+    policy, seed = load_policy(tmp_path), study.JUDGE_SEED + 5
+    alone = run_episodes(policy, make_card(config).env_config(), [{}] * 100, seed)
+    judged = study.score_policy(config, sweep, tmp_path)
+    assert judged == alone.success.mean()
+    assert 0.0 < judged < 1.0
+    other = replace(config, camera_share=1.0, friction=0.9, num_envs=128, seed=9)
+    assert study.score_policy(other, sweep, tmp_path) == judged
+    with pytest.raises(ValueError, match="between 0 and 2"):
+        np.random.RandomState(study.JUDGE_SEED)  # what Stable-Baselines3 learns by
+    monkeypatch.undo()
+    assert SEED + DRAWN + study.STARTS < study.JUDGE_SEED
 
-    @pytest.fixture(scope="class")
-    @classmethod
-    def folder(cls, tmp_path_factory: pytest.TempPathFactory) -> Path:
-        folder = tmp_path_factory.mktemp("run")
-        train(cls.config, folder)
-        return folder
 
-    def test_it_is_the_share_of_starts_that_succeed_whatever_was_learned_from(
-        self, folder, monkeypatch
-    ) -> None:
-        monkeypatch.setattr(study, "STARTS", 100)
-        env_config = make_card(self.config).env_config()
-        alone = run_episodes(load_policy(folder), env_config, [{}] * 100, study.JUDGE_SEED + 5)
-        judged = study.score_policy(self.config, self.sweep, folder)
-        assert judged == alone.success.mean()
-        assert 0.0 < judged < 1.0
-        other = replace(self.config, camera_share=1.0, friction=0.9, num_envs=128, seed=9)
-        assert study.score_policy(other, self.sweep, folder) == judged
+SHORT = """
+task: slow
+trials: 2
+steps: 20000
+evaluations: 1
+space: {learning_rate: {low: 0.0001, high: 0.003}}
+fixed: {hidden: [8], n_epochs: 1}
+"""
 
-    def test_nothing_is_learned_or_compared_on_these_starts(self) -> None:
-        with pytest.raises(ValueError, match="between 0 and 2"):
-            np.random.RandomState(study.JUDGE_SEED)  # what Stable-Baselines3 learns by
-        assert SEED + DRAWN + study.STARTS < study.JUDGE_SEED
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    file = tmp_path / "short.yml"
+    file.write_text(SHORT)
+    return file
+
+
+def printed(file: Path, folder: Path) -> str:
+    """What a search prints."""
+    with open(os.devnull, "w") as nowhere:
+        console = Console(record=True, width=200, file=nowhere)
+        search(file, folder, 1, console)
+        return console.export_text()
+
+
+def test_it_leaves_a_configuration_that_learns(file, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("surface_gym.agents.tuning.study.STARTS", 16)
+    folder = tmp_path / "a"
+    text = printed(file, folder)
+    assert "the best is trial" in text
+    assert "report.md and best.yml" in text
+    with study.open_study(SMALL, folder) as kept:
+        best = study.best_trial(study.finished_trials(kept))
+    config, usual = defaults("slow", "ppo", folder / "best.yml"), defaults("slow", "ppo")
+    assert isinstance(usual, PPOConfig)
+    rate = best.params["learning_rate"]
+    assert config == replace(usual, hidden=(8,), n_epochs=1, learning_rate=rate)
+    texts = {name: (folder / name).read_bytes() for name in ("report.md", "best.yml")}
+    names = {each.name for each in folder.iterdir()}
+    assert names == {*texts, "sweep.yml", "study.db", "history.png", "curves.png"}
+    main([str(file), "--out", str(tmp_path), "--name", "a"])  # which has nothing left to do
+    assert {name: (folder / name).read_bytes() for name in texts} == texts
+
+
+def test_an_interrupt_is_reported(file, tmp_path, monkeypatch) -> None:
+    def stop(*_: object) -> Iterator[None]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("surface_gym.agents.tuning.study.run_trial", stop)
+    expected = f"holds 0 trials; python train.py --resume {tmp_path / 'a'} resumes it"
+    assert expected in printed(file, tmp_path / "a")
+
+
+def test_what_cannot_be_searched_is_refused(file, tmp_path, monkeypatch) -> None:
+    """Nothing is written, or another search's folder left as it is."""
+    with pytest.raises(ValueError, match="workers"):
+        search(file, tmp_path / "a", 0, QUIET)
+    with monkeypatch.context() as patch:
+        patch.setattr(cli, "find_spec", lambda _: None)
+        with pytest.raises(ValueError, match=r"pip install 'surface_gym\[search\]'"):
+            search(file, tmp_path / "b", 1, QUIET)
+    assert not (tmp_path / "b").exists()
+    first = open_folder(file, tmp_path / "a")
+    assert open_folder(file, tmp_path / "a") == first
+    assert (tmp_path / "a" / "sweep.yml").read_text() == SHORT
+    file.write_text(SHORT + "seed: 5\n")
+    with pytest.raises(SystemExit, match=r"folder must be of this search.*seed is 0 there, 5"):
+        main([str(file), "--out", str(tmp_path), "--name", "a"])
+    for folder in (tmp_path, file):
+        with pytest.raises(ValueError, match="folder must be new, or a search's"):
+            search(file, folder, 1, QUIET)
+
+
+REPORTED = replace(SMALL, trials=24, seeds=2)
+
+
+def in_memory(*trials: FrozenTrial) -> optuna.Study:
+    study = optuna.create_study(direction="maximize")
+    study.add_trials(trials)
+    return study
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory: pytest.TempPathFactory) -> list[FrozenTrial]:
+    return searched(REPORTED, tmp_path_factory.mktemp("report"))
+
+
+def table(page: str, head: str) -> list[list[str]]:
+    """The rows of the table of a page that begins with a column's name."""
+    text = page[page.index(f"\n| {head} |") + 1 :].partition("\n\n")[0]
+    return [
+        [value.strip() for value in line.strip().strip("|").split("|")]
+        for line in text.splitlines()[2:]
+    ]
+
+
+class TestReport:
+    def test_the_page_lists_every_trial_and_the_best(self, trials, tmp_path) -> None:
+        interrupted = create_trial(state=TrialState.FAIL)
+        study.write_report(REPORTED, in_memory(*trials, interrupted), tmp_path)
+        page = (tmp_path / "report.md").read_text()
+        best = study.best_trial(trials)
+        assert f"## Best: trial {best.number}, success {best.value:.4g}" in page
+        rows = table(page, "trial")
+        assert [row[:2] for row in rows] == [[str(t.number), t.state.name.lower()] for t in trials]
+        assert float(rows[best.number][2]) == pytest.approx(best.value, rel=1e-3)
+        names = [row[0] for row in table(page[page.index("## Importance") :], "hyper-parameter")]
+        assert sorted(names) == sorted(REPORTED.space)
+        for picture in ("history.png", "curves.png", "importance.png"):
+            assert f"![]({picture})" in page
+            assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
+        config = defaults(REPORTED.task, REPORTED.algo, tmp_path / "best.yml")
+        usual = defaults(REPORTED.task, REPORTED.algo)
+        found = REPORTED.config(study.plain_params(REPORTED, best))
+        assert config == replace(found, steps=usual.steps, seed=usual.seed)
+
+    def test_without_a_complete_trial_there_is_no_best(self, trials, tmp_path) -> None:
+        given = {"params": trials[0].params, "distributions": trials[0].distributions}
+        refused = create_trial(
+            state=TrialState.FAIL, user_attrs={study.REASON: "refused: a | b"}, **given
+        )
+        pruned = create_trial(state=TrialState.PRUNED, intermediate_values={1: 0.5}, **given)
+        study.write_report(REPORTED, in_memory(refused, pruned), tmp_path)
+        page = (tmp_path / "report.md").read_text()
+        assert "1 pruned, 1 refused; none is complete, so none is best" in page
+        assert f"It takes {study.MIN_COMPLETE} complete trials" in page
+        assert table(page, "trial")[0][1] == "refused: a / b"
+        names = {each.name for each in tmp_path.iterdir()}
+        assert names == {"report.md", "history.png", "curves.png"}
+
+
+def test_what_counts_has_the_largest_share(tmp_path) -> None:
+    space = {**SMALL.space, "learning_rate": Span(1e-4, 1e-2), "gae_lambda": Span(0.0, 1.0)}
+    sweep = Sweep(trials=30, pruner="none", sampler="random", space=space)
+    trials = searched(sweep, tmp_path)
+    shares = study.importance(sweep, in_memory(*trials))
+    assert next(iter(shares)) == "learning_rate"
+    assert shares["learning_rate"] > 0.5
+    assert (sum(shares.values()), set(shares)) == (pytest.approx(1.0), set(sweep.space))
+    assert list(shares.values()) == sorted(shares.values(), reverse=True)
+    assert study.importance(sweep, in_memory(*trials[: study.MIN_COMPLETE])) is not None
+    assert study.importance(sweep, in_memory(*trials[: study.MIN_COMPLETE - 1])) is None
+    for each in trials:
+        each.value = 0.0
+    assert study.importance(sweep, in_memory(*trials)) is None
+    trials[0].value = 1.0
+    assert study.importance(sweep, in_memory(*trials)) is None
