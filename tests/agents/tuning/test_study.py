@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 import optuna
 import pytest
@@ -371,7 +372,9 @@ def table(page: str, head: str) -> list[list[str]]:
 class TestReport:
     def test_the_page_lists_every_trial_and_the_best(self, trials, tmp_path) -> None:
         interrupted = create_trial(state=TrialState.FAIL)
+        style = matplotlib.rcParams.copy()
         study.write_report(REPORTED, in_memory(*trials, interrupted), tmp_path)
+        assert {**matplotlib.rcParams, "backend": style["backend"]} == style
         page = (tmp_path / "report.md").read_text()
         best = study.best_trial(trials)
         assert f"## Best: trial {best.number}, success {best.value:.4g}" in page
