@@ -270,15 +270,7 @@ class Trajectory:
 
 
 def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
-    """Repeat each step of a run from the state recorded before it.
-
-    Args:
-        run: whose steps to repeat.
-        time: (T,) [s] their ends, the start first.
-
-    Raises:
-        ValueError: no element is under the parcel in a step, so the states are not those of a run.
-    """
+    """Repeat each step of a run from the state recorded before it."""
     grid, body = run.surface.grid, run.parcel.body
     scratch = ph.make_scratch()
     count = np.zeros(len(time), dtype=np.int64)
@@ -356,15 +348,7 @@ def _along_and_across(surface: Surface, element: Integers, vector: Array) -> tup
 
 
 def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity: Array) -> Array:
-    """Compute the velocity (rows, 2) [m/s] of the base over elements, in x and y.
-
-    Args:
-        run: whose steps to repeat.
-        time: (T,) [s] their ends, the start first.
-        step: (rows,) that of each contact.
-        place: (rows, 2) [m] of the elements.
-        velocity: (T, 3) [m/s, m/s, rad/s] of the centre of mass, to be taken for each step.
-    """
+    """Compute the velocity (rows, 2) [m/s] of the base over elements, in x and y."""
     before = run.states[step - 1]
     lead = run.leads(time)[step, np.newaxis]
     arm = place - (before[:, ph.X : ph.THETA] + lead * before[:, ph.VX : ph.OMEGA])
@@ -440,12 +424,7 @@ def save_trajectory(trajectory: Trajectory, path: str | PathLike[str]) -> None:
 
 
 def load_fields(path: str | PathLike[str]) -> tuple[Fields, Fields | None]:
-    """Read the fields of a trajectory without its run, and those of its run if there is one.
-
-    Raises:
-        ValueError: the path ends otherwise, or the file does not hold a trajectory.
-        OSError: there is no such file, or it cannot be read.
-    """
+    """Read the fields of a trajectory without its run, and those of its run if there is one."""
     file = _checked_file(path)
     try:
         return (_read_table(file), None) if file.suffix == ".csv" else _read_arrays(file)
@@ -517,11 +496,7 @@ def _check_missing(missing: list[str]) -> None:
 
 
 def _run_parts(run: Run) -> Parts:
-    """Convert a run to arrays by name.
-
-    Raises:
-        ValueError: base, parcel or surface is of a user-defined class, which arrays do not hold.
-    """
+    """Convert a run to arrays by name."""
     surface, parcel = run.surface, run.parcel
     for name, part, kind in (("surface", surface, Surface), ("parcel", parcel, Parcel)):
         if type(part) is not kind:

@@ -118,11 +118,7 @@ def choose_actuation(any_angle: bool, turning: bool) -> Actuation:
 
 
 def compiled_functions(owner: Any, kind: type[Any], names: str, ending: str = "") -> dict[str, Any]:
-    """Collect compiled functions of a task or a sensor by their names, with an ending.
-
-    Raises:
-        ValueError: one is none; the message names it.
-    """
+    """Collect compiled functions of a task or a sensor by their names, with an ending."""
     found = {name + ending: getattr(owner, name, None) for name in names.split()}
     for name, function in found.items():
         if not isinstance(function, Dispatcher):

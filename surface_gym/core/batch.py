@@ -48,9 +48,6 @@ class BaseBatch(ABC):
         threads: that share them; results do not depend on their number.
         max_episode_steps: control periods after which an episode is truncated; None: no limit.
         compiles: whether to make the kernel; a batch without one only holds memory.
-
-    Raises:
-        ValueError: the task or the sensor lacks a compiled function, or one does not compile.
     """
 
     parcels: ParcelState  # state of every parcel

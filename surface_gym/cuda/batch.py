@@ -151,9 +151,6 @@ class CudaBatch(BaseCudaBatch):
         config: of each environment, which `env.check_config` accepts.
         num_envs: number of environments.
         device: where they are.
-
-    Raises:
-        ValueError: the task or the sensor lacks a compiled function.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int, device: torch.device) -> None:
@@ -242,9 +239,6 @@ class CudaBatch(BaseCudaBatch):
     ) -> tuple[StartRows, Array]:
         """Return rows and paths (starts, PATH_POINTS or 0) of the starts from numbers (starts,
         draws).
-
-        Raises:
-            ValueError: an option is not allowed, or a parcel is none that the task draws.
         """
         config, count = self._config, len(numbers)
         start = draw_starts(config, numbers, options)
@@ -282,9 +276,6 @@ class CudaStreamBatch(BaseCudaBatch):
         config: of each environment, whose sensor has no noise.
         num_envs: number of surfaces.
         device: where they are.
-
-    Raises:
-        ValueError: the sensor lacks a compiled function.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int, device: torch.device) -> None:

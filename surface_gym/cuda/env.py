@@ -20,11 +20,7 @@ from surface_gym.vector_env import BaseVectorEnv
 
 
 def make_device_batch(config: EnvConfig, num_envs: int, device: torch.device) -> BaseCudaBatch:
-    """Make the batch of a device: of one parcel for each environment, or of streams.
-
-    Raises:
-        ValueError: the configuration is not supported on a device.
-    """
+    """Make the batch of a device: of one parcel for each environment, or of streams."""
     check_config(config)
     kind = CudaStreamBatch if isinstance(config.task, StreamTask) else CudaBatch
     return kind(config, num_envs, device)
@@ -80,11 +76,7 @@ class TensorActions:
         self.allowed = f"0 and {int(counts.max()) - 1}"
 
     def commands(self, actions: Any) -> torch.Tensor:
-        """Return the commands (num_envs, size): choices, or angles [rad].
-
-        Raises:
-            ValueError: not a tensor, on another device, of a wrong shape or type.
-        """
+        """Return the commands (num_envs, size): choices, or angles [rad]."""
         device = self.wrong.device
         if not isinstance(actions, torch.Tensor):
             raise ValueError(f"action must be a torch tensor on {device}, got {type(actions)}")
@@ -146,9 +138,6 @@ class CudaVectorEnv(BaseVectorEnv):
         autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED, which makes the host
             wait for the device in every step.
         config: the other arguments, those of `SmartSurfaceEnv`.
-
-    Raises:
-        ValueError: an argument is not allowed.
     """
 
     def __init__(

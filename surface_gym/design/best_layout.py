@@ -341,9 +341,6 @@ def every_layout(
         workers: threads that share the runs, or a cluster.
         on_progress: called with the runs done, and `most`.
 
-    Raises:
-        ValueError: an argument that is not allowed.
-
     >>> from surface_gym import layouts
     >>> every_layout(Case(layouts.box("S"), speed=0.6)).axis is None  # no layout sorts it
     True

@@ -106,11 +106,7 @@ class Purpose(ABC):
         return []
 
     def env_goal(self, line: DesignLine) -> EnvGoal:
-        """Return the goal that an environment on the line has for this purpose.
-
-        Raises:
-            ValueError: no environment has such a task.
-        """
+        """Return the goal that an environment on the line has for this purpose."""
         del line
         raise ValueError(f"purpose must be one that an environment's task has, got {self.name!r}")
 
@@ -402,11 +398,7 @@ NOTHING = Unknown(friction=0.0, rolling=0.0, com_offset=0.0, stiffness=0.0)
 
 @dataclass(frozen=True)
 class Case:
-    """A parcel, its entry, its purpose and the unknown quantities of a design.
-
-    Raises:
-        ValueError: a field that is not allowed, or a parcel that nothing moves.
-    """
+    """A parcel, its entry, its purpose and the unknown quantities of a design."""
 
     parcel: Parcel
     purpose: Purpose = field(default_factory=Sort)
@@ -559,13 +551,7 @@ def is_reliable(share: ArrayLike) -> Booleans:
 
 
 def save_checkpoint(file: Path, identity: Mapping[str, str], values: Mapping[str, Any]) -> None:
-    """Save the progress of a computation; an interrupted write leaves the file as it was.
-
-    Args:
-        file: to write.
-        identity: of the computation, see `Case.identity`.
-        values: arrays and numbers by their names.
-    """
+    """Save the progress of a computation; an interrupted write leaves the file as it was."""
     with replacing(file) as part, part.open("wb") as stream:
         np.savez(stream, _names=list(identity), _identity=list(identity.values()), **values)
 
@@ -573,17 +559,7 @@ def save_checkpoint(file: Path, identity: Mapping[str, str], values: Mapping[str
 def load_checkpoint(
     file: Path, kind: str, identity: Mapping[str, str], names: tuple[str, ...]
 ) -> dict[str, NDArray[Any]]:
-    """Load the values that `save_checkpoint` has saved.
-
-    Args:
-        file: to read.
-        kind: of computation, for messages: "search".
-        identity: that the file must have.
-        names: of the values that it must have.
-
-    Raises:
-        ValueError: the file is no such checkpoint, or one of another computation.
-    """
+    """Load the values that `save_checkpoint` has saved."""
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
             found = dict(zip(kept["_names"].tolist(), kept["_identity"].tolist(), strict=True))

@@ -139,30 +139,15 @@ class Question:
 
     @abstractmethod
     def answer(self, on_progress: OnProgress) -> Answer:
-        """Find the answer.
-
-        Args:
-            on_progress: called with the runs done and their total.
-
-        Raises:
-            ValueError: a flag that is not allowed.
-        """
+        """Find the answer."""
 
     @property
     def shared_by(self) -> Workers:
-        """Threads or cluster that share the runs.
-
-        Raises:
-            ValueError: an address that cannot be used.
-        """
+        """Threads or cluster that share the runs."""
         return choose_workers(self.cluster, self.workers)
 
     def case(self) -> design.Case:
-        """Build the case from the flags.
-
-        Raises:
-            ValueError: a flag that is not allowed, or that does not go with another.
-        """
+        """Build the case from the flags."""
         checks.integer("workers", self.workers, least=1)
         return design.Case(
             parcel=self._parcel(),
@@ -440,12 +425,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def ask(question: Question) -> None:
-    """Answer a question: a sentence and tables on screen, CSV files and a figure in its folder.
-
-    Raises:
-        ValueError: a flag that is not allowed.
-        OSError: a file that cannot be written.
-    """
+    """Answer a question: a sentence and tables on screen, CSV files and a figure in its folder."""
     question.case()  # errors come before the folder is made
     question.out.mkdir(parents=True, exist_ok=True)
     started = perf_counter()

@@ -63,11 +63,7 @@ class Limits(report.Answer):
         return self.quantity.name
 
     def of(self, group: str) -> Span:
-        """Return the span of a group.
-
-        Raises:
-            ValueError: there is no such group, or nothing varies in it.
-        """
+        """Return the span of a group."""
         checks.one_of("group", group, [each.group for each in self.spans])
         return next(each for each in self.spans if each.group == group)
 
@@ -338,9 +334,6 @@ def friction_range(
 
     Returns:
         Factors [-] from 1/16 to 16, 48 to a doubling; 8 with draws.
-
-    Raises:
-        ValueError: no number of columns is enough, or `columns` is below 1.
     """
     arrangement = arrange(case, columns, rows, workers)
     unknown = replace(case.unknown, friction=0.0, rolling=0.0)

@@ -51,10 +51,6 @@ class DesignLine(Pitched):
 
     Lead-in and run-out roll along x. The supports on either side carry a parcel that has left the
     line. The first column and the first row lie half a pitch from 0.
-
-    Raises:
-        ValueError: a count below 1, a pitch that is not positive, negative friction, `mu_min`
-            greater than `mu_max`, or a number beyond `surface_gym.checks`.
     """
 
     rows: int  # of rotors
@@ -118,11 +114,7 @@ class DesignLine(Pitched):
         return axis
 
     def surface(self, zone_axis: Array, tilt: float = 0.0) -> Surface:
-        """Build the surface for `simulate` from zone axes (rows, columns) [rad].
-
-        Raises:
-            ValueError: axes of another shape, or a tilt that is not allowed.
-        """
+        """Build the surface for `simulate` from zone axes (rows, columns) [rad]."""
         axis = checks.array("zone_axis", zone_axis, (self.rows, self.columns))
         origin = (0.5 * self.pitch_x, 0.5 * self.pitch_y)
         return Surface(

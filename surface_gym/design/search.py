@@ -97,11 +97,7 @@ class LayoutSpace:
 
 @dataclass(frozen=True)
 class Effort:
-    """Length of a search.
-
-    Raises:
-        ValueError: a number that is too small.
-    """
+    """Length of a search."""
 
     members: int = 40  # of the population
     generations: int = 10  # of an epoch, after which the search is saved
@@ -153,9 +149,6 @@ def search(
 
     Returns:
         Axes (rows, columns) [rad], and the number of layouts compared.
-
-    Raises:
-        ValueError: the checkpoint is none, or of another search.
     """
     own = {"space": space, "effort": effort, "search_seed": seed}
     identity = {**(identity or {}), **{name: repr(value) for name, value in own.items()}}

@@ -87,9 +87,6 @@ def find_sorting_layouts(
 
     Returns:
         The layouts by box and offer.
-
-    Raises:
-        ValueError: an argument that is not allowed, or a checkpoint of another search.
     """
     wanted = [
         (checks.one_of("sizes", size, SIZES), checks.one_of("offers", offer, OFFERS))
@@ -114,12 +111,7 @@ def find_sorting_layouts(
 
 
 def write_sorting_layouts(file: Path | str, found: dict[tuple[str, str], BestLayout]) -> None:
-    """Write layouts in the form of the file that ships; an interrupted write changes nothing.
-
-    Args:
-        file: to write.
-        found: by `find_sorting_layouts`.
-    """
+    """Write layouts in the form of the file that ships; an interrupted write changes nothing."""
     rows = [
         {
             "box": size,

@@ -96,19 +96,9 @@ def arrange(
 ) -> Arrangement:
     """Choose the surface on which a case is swept.
 
-    Args:
-        case: the parcel, its entry and its purpose.
-        columns: of the zone; None: the fewest for all but `WORST` of the draws of all unknown
-            quantities; if no number is enough, the fewest with nothing unknown.
-        rows: of rotors; None: as many as lie under the parcel.
-        workers: threads that share the runs, or a cluster.
-
     Returns:
         The surface with the purpose's layout that succeeds with nothing unknown; if several do,
         with the one that succeeds in the most draws.
-
-    Raises:
-        ValueError: `columns` is None and no number of them is enough, or is below 1.
     """
     check_workers(workers)
     chosen = "as asked"
@@ -319,9 +309,6 @@ def sensitivity(
         rows: of rotors; None: as many as lie under the parcel.
         workers: threads that share the runs, or a cluster.
         on_progress: called with the runs done and their total.
-
-    Raises:
-        ValueError: no number of columns is enough, or `columns` is below 1.
     """
     arrangement = arrange(case, columns, rows, workers)
     progress = split_progress(on_progress, [1] + [case.draws] * len(FIELDS))

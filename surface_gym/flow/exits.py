@@ -167,9 +167,6 @@ def flow_line(length: float = 6.0, rotor_rows: int = 4, lead_in: int = 5) -> Pat
         rotor_rows: rows of them, in the middle of 20.
         lead_in: columns that stay at 90 deg, as the conveyor's before them: as many as the longest
             parcel is long, 5 for the B-box.
-
-    Raises:
-        ValueError: a line shorter than its lead-in, or an odd number of rows or more than 12.
     """
     checks.integer("lead_in", lead_in, least=0, most=checks.ELEMENTS)
     columns = round(checks.positive("length", length, *checks.LENGTH) / PITCH)

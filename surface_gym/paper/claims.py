@@ -108,13 +108,7 @@ def align(zone: Zone) -> Aligned:
 
 
 def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
-    """Move a box until its base has left the zone's columns, or the line, or it has stopped.
-
-    Args:
-        zone: the zone.
-        offset: [m] from the middle of the line at the start.
-        turn: [deg] at the start.
-    """
+    """Move a box until its base has left the zone's columns, or the line, or it has stopped."""
     surface = zone.surface
     x, y, _ = layouts.start(zone.size)
     run = simulate(

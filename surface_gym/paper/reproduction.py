@@ -90,11 +90,7 @@ class Reproduction:
 
 
 def reproduce(track: claims.Track = untracked) -> Reproduction:
-    """Compute every table.
-
-    Args:
-        track: wraps a sequence of cases and its description, to show progress.
-    """
+    """Compute every table."""
     targets = runs.load_targets()
     by_speed, by_tilt = (
         tuple(

@@ -253,11 +253,6 @@ def rotor_columns(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Find the first and the last column with a rotor under the "S" or "B" box.
 
-    Args:
-        surface: the surface.
-        size: of the box.
-        pose: (T, 3) [m, m, rad] of its base.
-
     Returns:
         Two arrays (T,) of column indices, NONE where only supports carry the box.
     """
@@ -364,14 +359,7 @@ class Exit(NamedTuple):
 
 
 def leave(surface: Surface, size: str, speed: float, integration: Integration) -> Exit:
-    """Send a box over the task's columns.
-
-    Args:
-        surface: of `slowing_surface` or `stopping_surface`.
-        size: of the box.
-        speed: [m/s] at which it starts.
-        integration: method and step.
-    """
+    """Send a box over the task's columns."""
     trajectory = integration.run(surface, size, speed, LONGEST)
     first, _ = rotor_columns(surface, size, trajectory.pose)
     past = first >= surface.columns - layouts.LEAD_IN[size]

@@ -197,9 +197,6 @@ class Painter:
 
     Args:
         width: [px] of the pictures, even, as video codecs want it; None: 960, 1280 with traffic.
-
-    Raises:
-        ValueError: the width is odd or too small.
     """
 
     def __init__(self, width: int | None = None) -> None:
@@ -213,9 +210,6 @@ class Painter:
 
         The height is even and follows from the shape of the surface, with traffic also from its
         rotor rows.
-
-        Raises:
-            ValueError: the surface has too many columns for the width.
         """
         field, strips = self._prepare(scene)
         layout, area = field.layout, field.layout.area
@@ -264,9 +258,6 @@ class TilePainter:
 
     Args:
         width: [px] of the pictures; even, as video codecs want it.
-
-    Raises:
-        ValueError: the width is odd or too small.
     """
 
     def __init__(self, width: int = WIDE) -> None:
@@ -278,10 +269,6 @@ class TilePainter:
         """Draw scenes as one picture (height, width, 3), the first at the upper left.
 
         The height is even and follows from the number of scenes and the shape of the surface.
-
-        Raises:
-            ValueError: there is no scene, some have traffic and some not, the surfaces differ in
-                size, or have too many columns for the width.
         """
         plan = self._plan(scenes)
         self._prepare(scenes, plan)
@@ -342,11 +329,7 @@ class TilePainter:
 
 
 def draw(scene: Scene, width: int | None = None) -> Picture:
-    """Draw a scene as a picture (height, width, 3); for many of them keep a `Painter`.
-
-    Raises:
-        ValueError: the width is odd, or too small for the surface.
-    """
+    """Draw a scene as a picture (height, width, 3); for many of them keep a `Painter`."""
     return Painter(width).draw(scene)
 
 
@@ -450,9 +433,6 @@ class Window:
     Args:
         title: of the window.
         frame_rate: [1/s] at most; `show` waits for it.
-
-    Raises:
-        ValueError: the frame rate is not positive.
     """
 
     def __init__(self, title: str = "Smart surface", frame_rate: float = 25.0) -> None:
@@ -463,12 +443,7 @@ class Window:
         self.closed = False  # by the user or by `close`; it does not open again
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3) and wait until the next is due; nothing if closed.
-
-        Raises:
-            ValueError: the array is not a picture.
-            RuntimeError: there is no display.
-        """
+        """Show a picture (height, width, 3) and wait until the next is due; nothing if closed."""
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
             raise ValueError(
                 "picture must be an array of uint8 of the shape (height, width, 3), "

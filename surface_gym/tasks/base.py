@@ -55,9 +55,6 @@ class Task:
 
     Three ordinary methods serve rules and planners: `decode` and `decode_start` turn observations
     back into SI units and starts, `cost` says what a planner minimises.
-
-    Raises:
-        ValueError: no features, terms or outcomes, or parcels that are none.
     """
 
     parcels: Any = field(default=("S", "B"), kw_only=True)  # to draw from

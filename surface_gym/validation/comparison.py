@@ -157,12 +157,7 @@ class Target:
 
 
 def check_targets(sweep: Errors, pushed: Errors) -> tuple[Target, ...]:
-    """Check bounds on MuJoCo against the implicit method at 1 ms.
-
-    Args:
-        sweep: of the tilts.
-        pushed: of the one run with a speed.
-    """
+    """Check bounds on MuJoCo against the implicit method at 1 ms."""
     absolute = np.abs(np.vstack([sweep.absolute, pushed.absolute])).max(axis=0)
     percent = np.abs(np.vstack([sweep.percent, pushed.percent])).max(axis=0)
     mean = np.abs(sweep.percent.mean(axis=0))

@@ -89,9 +89,6 @@ def end_pose(
 
     Returns:
         (3,) [m, m, rad] pose of the base's frame.
-
-    Raises:
-        ValueError: `heights` has another shape, or the parcel leaves the surface.
     """
     tops = checks.array("heights", heights, (surface.rows, surface.columns))
     grid, body = surface.grid, parcel.body

@@ -35,9 +35,6 @@ class Recipe:
     MuJoCo's contact is a spring and damper behind an impedance d: with d near 0 the penetration
     sets the force, so that every contact has the same stiffness, as Eq. (1) assumes. With the
     defaults, d near 1, the friction cone lifts sliding contacts.
-
-    Raises:
-        ValueError: a value is not positive, or an impedance not one that MuJoCo can have.
     """
 
     step: float = 1e-4  # [s]
@@ -91,9 +88,6 @@ class Sides:
     Springs behind the recipe's low impedance, as under the base, but damped so much that what has
     hit stays: the damper stops a closing speed v within 1 / damping, the sides then v / damping
     deep in each other, and the spring pushes them out at v stiffness / damping^2.
-
-    Raises:
-        ValueError: a value is not positive, or the friction negative.
     """
 
     stiffness: float = 1e5  # [1/s^2] of a contact / effective mass
@@ -132,11 +126,7 @@ class Scene:
 
 
 def load_mujoco() -> ModuleType:
-    """Import the mujoco package.
-
-    Raises:
-        ImportError: it is not installed; the message says what to install.
-    """
+    """Import the mujoco package."""
     try:
         import mujoco
     except ImportError as error:
@@ -559,16 +549,7 @@ def _run(
 def _make_trajectory(
     surface: Surface, parcel: Parcel, theta: float, time: Array, place: Array, speed: Array
 ) -> Trajectory:
-    """Make the trajectory in the plane, up to where the centre of mass leaves the surface.
-
-    Args:
-        surface: the surface.
-        parcel: the parcel.
-        theta: [rad] at the start.
-        time: (T,) [s].
-        place: (T, 7) the base frame's place [m] and quaternion.
-        speed: (T, 6) its velocity [m/s, rad/s].
-    """
+    """Make the trajectory in the plane, up to where the centre of mass leaves the surface."""
     w, i, j, k = place[:, 3:].T
     turned = np.unwrap(np.arctan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k)))
     turned += theta - turned[0]

@@ -111,11 +111,7 @@ METHODS = (
 
 
 def measure(method: Method) -> Speed:
-    """Time a method at the largest step up to which every step tried is accurate.
-
-    Raises:
-        ValueError: not even the smallest step is.
-    """
+    """Time a method at the largest step up to which every step tried is accurate."""
     fine = _ends(method, method.fine)
     step, error = 0.0, np.inf
     for trial in method.steps:
@@ -203,16 +199,7 @@ def run_study(
     seed: int,
     console: Console,
 ) -> Study:
-    """Run the comparison in parallel, then the timing alone.
-
-    Args:
-        tilts: [deg] of the sweep.
-        with_unevenness: whether uneven supports are studied as well.
-        with_touching: whether parcels that push each other are.
-        workers: processes to share the runs among, or a cluster.
-        seed: of the uneven supports and of those parcels.
-        console: where the progress is drawn.
-    """
+    """Run the comparison in parallel, then the timing alone."""
     cases = (*(Case(tilt) for tilt in tilts), comparison.PUSHED, comparison.LONG)
     draws = drawn.draw_surfaces(DRAWS, seed) if with_unevenness else ()
     meetings = [drawn.Meeting(seed + k) for k in range(MEETINGS if with_touching else 0)]
