@@ -270,7 +270,7 @@ class Trajectory:
 
 
 def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
-    """Repeat each step of a run from the state recorded before it."""
+    """Repeat each step of a run, whose ends are `time` (T,) [s], from the state before it."""
     grid, body = run.surface.grid, run.parcel.body
     scratch = ph.make_scratch()
     count = np.zeros(len(time), dtype=np.int64)
@@ -348,7 +348,10 @@ def _along_and_across(surface: Surface, element: Integers, vector: Array) -> tup
 
 
 def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity: Array) -> Array:
-    """Compute the velocity (rows, 2) [m/s] of the base over elements, in x and y."""
+    """Compute the velocity (rows, 2) [m/s] of the base over the places (rows, 2) [m] of elements.
+
+    `step` (rows,) is that of each contact, `velocity` (T, 3) that of the centre of mass.
+    """
     before = run.states[step - 1]
     lead = run.leads(time)[step, np.newaxis]
     arm = place - (before[:, ph.X : ph.THETA] + lead * before[:, ph.VX : ph.OMEGA])

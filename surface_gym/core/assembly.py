@@ -26,13 +26,7 @@ PARTS = 16  # of a thread's share of environments; a thread done early takes som
 
 
 class Workers:
-    """One thread or more; results do not depend on their number.
-
-    Args:
-        threads: their number.
-        steps: of parcels, that an environment takes in a call.
-        make: makes the physics' scratch of one.
-    """
+    """One thread or more; results do not depend on their number."""
 
     def __init__(self, threads: int, steps: int, make: Callable[[], Any] = make_scratch) -> None:
         self._most = max(1, LOOK // steps)  # environments in a row

@@ -321,12 +321,6 @@ MOST_KEPT = 65536  # starts of all environments
 class ResetCache:
     """Numbers drawn ahead for the starts of every environment, each in the order of its own
     generator, and the starts they give.
-
-    Args:
-        num_envs: number of environments.
-        draws: numbers of a start.
-        shared: whether the generators are shared with other draws, which come between two starts.
-        most_kept: starts of all environments.
     """
 
     def __init__(self, num_envs: int, draws: int, shared: bool, most_kept: int = MOST_KEPT) -> None:

@@ -38,12 +38,7 @@ Tensors = dict[str, torch.Tensor]
 
 
 class BaseCudaBatch(ABC):
-    """Environments on a device: placed, stepped and observed; all arrays are tensors on it.
-
-    Args:
-        num_envs: number of environments.
-        device: where they are.
-    """
+    """Environments on a device: placed, stepped and observed; all arrays are tensors on it."""
 
     outcomes: tuple[str, ...]  # by the numbers of `outcome`
     options: tuple[str, ...]  # what `reset(options=...)` may fix
@@ -120,10 +115,7 @@ class BaseCudaBatch(ABC):
     ) -> None:
         """Put the next start into some environments; `step` begins it.
 
-        Args:
-            generators: new ones, by the index of their environment.
-            chosen: (count,) the environments, all of which have a generator.
-            options: of each of these, or empty.
+        There are new generators by environment, and options of each chosen one, or none at all.
         """
 
     @abstractmethod
@@ -146,11 +138,6 @@ class CudaBatch(BaseCudaBatch):
     """The environments of `core.batch.Batch` on a device.
 
     Kernels are compiled when they are first called, which takes tens of seconds.
-
-    Args:
-        config: of each environment, which `env.check_config` accepts.
-        num_envs: number of environments.
-        device: where they are.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int, device: torch.device) -> None:
@@ -271,11 +258,6 @@ class CudaStreamBatch(BaseCudaBatch):
 
     Episodes are long, so the host draws the arrivals when an environment begins, and waits to know
     which environments have ended.
-
-    Args:
-        config: of each environment, whose sensor has no noise.
-        num_envs: number of surfaces.
-        device: where they are.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int, device: torch.device) -> None:

@@ -52,11 +52,6 @@ class TensorActions:
 
     To look at values, the host would have to wait for the device. So a value out of range is
     recorded in `wrong` and not raised at once: the environment gets the first choice, or 0 rad.
-
-    Args:
-        space: of one environment's action, as an action kind gives it.
-        num_envs: number of environments.
-        device: where the actions are.
     """
 
     def __init__(self, space: spaces.Space[Any], num_envs: int, device: torch.device) -> None:

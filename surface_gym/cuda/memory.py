@@ -140,10 +140,6 @@ def max_contacts(base: Base, pitches: tuple[float, float]) -> int:
     A convex figure of area A and perimeter P covers at most A + P / 2 + 1 points of the unit
     lattice (Nosarzewska, Evaluation de la difference entre l'aire d'une region plane convexe et le
     nombre des points aux coordonnees entieres couverts par elle, 1948).
-
-    Args:
-        base: of a parcel.
-        pitches: [m] between elements, in x and in y.
     """
     corners = OUTLINE_MARGIN * base.outline  # a round base's outline is a polygon within it
     following = np.roll(corners, -1, axis=0)

@@ -46,12 +46,6 @@ class PreparedStarts(NamedTuple):
 class Prefetch:
     """Rings of starts, kept full by a thread of the host. A start costs the host a microsecond, one
     of Track 0.3 ms.
-
-    Args:
-        task: whose starts they are.
-        make_rows: makes rows and paths of numbers (starts, draws) and the options of each.
-        num_envs: number of environments.
-        device: where the rings are.
     """
 
     def __init__(
@@ -93,13 +87,7 @@ class Prefetch:
         chosen: Integers,
         options: Sequence[dict[str, Any]],
     ) -> None:
-        """Fill the rings before a reset.
-
-        Args:
-            generators: new ones, by the index of their environment, which discards its starts.
-            chosen: (count,) environments about to begin, all of which have a generator.
-            options: of each of these, or empty.
-        """
+        """Fill the rings before a reset; a new generator discards the starts of its environment."""
         self._send_pending()  # drawn by the generators before these
         self._checked = None
         taken = DelayedCopy(self.starts_taken).read()

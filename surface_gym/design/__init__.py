@@ -1,4 +1,9 @@
-"""Answers to the question which surface a parcel needs."""
+"""Answers to the question which surface a parcel needs.
+
+Functions take a `Case`, and may be given `columns` of the zone (None: the fewest that all but 5 %
+of the draws need), `rows` of rotors (None: as many as lie under the parcel), `workers`, threads
+that share the runs, or a cluster, and `on_progress`, called with the runs done and their total.
+"""
 
 from surface_gym.design.best_layout import BestLayout, EveryLayout, best_layout, every_layout
 from surface_gym.design.case import Case, Purpose, Slow, Sort, Stop, Turn, Unknown

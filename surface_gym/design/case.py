@@ -551,7 +551,7 @@ def is_reliable(share: ArrayLike) -> Booleans:
 
 
 def save_checkpoint(file: Path, identity: Mapping[str, str], values: Mapping[str, Any]) -> None:
-    """Save the progress of a computation; an interrupted write leaves the file as it was."""
+    """Save arrays and numbers of a computation; an interrupted write leaves the file as it was."""
     with replacing(file) as part, part.open("wb") as stream:
         np.savez(stream, _names=list(identity), _identity=list(identity.values()), **values)
 
@@ -559,7 +559,7 @@ def save_checkpoint(file: Path, identity: Mapping[str, str], values: Mapping[str
 def load_checkpoint(
     file: Path, kind: str, identity: Mapping[str, str], names: tuple[str, ...]
 ) -> dict[str, NDArray[Any]]:
-    """Load the values that `save_checkpoint` has saved."""
+    """Load the values that `save_checkpoint` has saved, of a kind of computation as "search"."""
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
             found = dict(zip(kept["_names"].tolist(), kept["_identity"].tolist(), strict=True))

@@ -57,12 +57,6 @@ def least_columns(
 ) -> Columns:
     """Find the fewest columns that serve a case, by the study's kinds of layout.
 
-    Args:
-        case: the parcel, its entry and its purpose.
-        rows: of rotors; None: as many as lie under the parcel.
-        most: columns to try.
-        workers: threads that share the runs, or a cluster.
-
     >>> from surface_gym import layouts
     >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # Table 3: 4, by a coarser step
     5

@@ -128,16 +128,6 @@ def control_gain(
 
     Success is the environment's: Slow within 0.01 of the ratio, Stop within 5 mm of the place, Turn
     within 2 deg of the angle.
-
-    Args:
-        case: the parcel, its entry and its purpose, on a level surface.
-        columns: of the zone; None: the fewest by the study's kinds of layout.
-        on_progress: called with the controllers tried and their total.
-
-    Raises:
-        ValueError: a tilted case, a case that no number of columns serves where none is given, or a
-            parcel that the environment's line has no room for.
-        ImportError: the package `agents` is not installed.
     """
     try:
         methods = import_module("surface_gym.agents.evaluation.methods")

@@ -141,15 +141,6 @@ def line_for(
     The rows of rotors are the greatest even number that lies under the parcel. The lead-in is as
     long as the parcel, which therefore starts wholly on it.
 
-    Args:
-        parcel: the largest that runs on the line.
-        columns: number of columns in the zone.
-        rows: number of rows of rotors; None: by the rule.
-        pitch: [m] between neighbours: one, or in x and in y.
-        mu_max: [-] friction along a rotor's axis.
-        mu_min: [-] friction across it.
-        mu_support: [-] friction of a support.
-
     >>> from surface_gym import layouts
     >>> [(line.rows, line.lead_in) for line in (line_for(layouts.box(size), 8) for size in "SB")]
     [(2, 3), (4, 5)]
@@ -292,17 +283,10 @@ def run_all(
     workers: Workers = 1,
     on_progress: OnProgress = lambda *_: None,
 ) -> Ends:
-    """Simulate parcels over a line, each with its rear at x = 0 at the start.
+    """Simulate parcels over layouts (layouts, rows, columns) [rad] of the zone of a line.
 
-    Args:
-        line: the line.
-        layouts: (layouts, rows, columns) [rad] axes of the zone.
-        parcels: the parcels that the runs refer to.
-        runs: the parcel, the layout and the start of each run.
-        stiffness: (maps, rows, columns) [-] of the whole surface's elements; None: all alike.
-        dt: [s] time step.
-        workers: threads that share the runs, or a cluster.
-        on_progress: called with the runs done and their total.
+    Each has its rear at x = 0 at the start. Stiffness (maps, rows, columns) [-] is the whole
+    surface's elements; None: all alike.
     """
     for parcel in parcels:
         ph.check_capacity(

@@ -133,22 +133,11 @@ def search(
     identity: Mapping[str, str] | None = None,
     on_progress: OnProgress = lambda *_: None,
 ) -> tuple[Array, int]:
-    """Search the layout of least cost.
+    """Search the axes (rows, columns) [rad] of least cost, by so many comparisons of layouts.
 
-    The result does not depend on whether the search was interrupted and resumed.
-
-    Args:
-        space: of the layouts.
-        score: their costs; called with whole populations.
-        known: (layouts, rows, columns) [rad] to begin with: the result is no worse.
-        effort: length of the search.
-        seed: of all random numbers.
-        checkpoint: file that keeps the state; a search whose file exists is resumed.
-        identity: text for each part of the problem that differs where the part differs.
-        on_progress: called with the steps done and their total.
-
-    Returns:
-        Axes (rows, columns) [rad], and the number of layouts compared.
+    It begins with `known` axes (layouts, rows, columns) [rad]: the result is no worse. A search
+    whose checkpoint exists is resumed, and the result does not depend on that; `identity` has a
+    text for each part of the problem that differs where the part differs.
     """
     own = {"space": space, "effort": effort, "search_seed": seed}
     identity = {**(identity or {}), **{name: repr(value) for name, value in own.items()}}

@@ -74,20 +74,7 @@ def find_sorting_layouts(
     checkpoints: Path | str | None = None,
     on_progress: OnProgress = lambda *_: None,
 ) -> dict[tuple[str, str], BestLayout]:
-    """Search the layouts that ship anew.
-
-    Args:
-        offers: keys of `OFFERS`.
-        sizes: some of `SIZES`.
-        effort: length of each search.
-        workers: threads that share the runs, or a cluster; the result does not depend on it.
-        seed: of the searches and of the draws of unknown quantities.
-        checkpoints: folder that keeps their states; searches whose files exist are resumed.
-        on_progress: called with the steps done and their total.
-
-    Returns:
-        The layouts by box and offer.
-    """
+    """Search the layouts that ship anew, by box and offer; a folder of checkpoints resumes them."""
     wanted = [
         (checks.one_of("sizes", size, SIZES), checks.one_of("offers", offer, OFFERS))
         for offer in offers

@@ -94,11 +94,10 @@ def repeat_case(case: Case, count: int = 1) -> SweepPoints:
 def arrange(
     case: Case, columns: int | None = None, rows: int | None = None, workers: Workers = 1
 ) -> Arrangement:
-    """Choose the surface on which a case is swept.
+    """Choose the surface on which a case is swept, with the layout that succeeds in most draws.
 
-    Returns:
-        The surface with the purpose's layout that succeeds with nothing unknown; if several do,
-        with the one that succeeds in the most draws.
+    Without `columns` it has the fewest for all but `WORST` of the draws of all unknown quantities;
+    if no number is enough, the fewest with nothing unknown.
     """
     check_workers(workers)
     chosen = "as asked"
@@ -302,13 +301,6 @@ def sensitivity(
     """Find the effect of each field of `Unknown` alone, on the purpose's measure and on success.
 
     A field whose spread is 0 in the case is drawn with a usual one, `USUAL`, and marked so.
-
-    Args:
-        case: the parcel, its entry and its purpose.
-        columns: of the zone; None: the fewest that all but 5 % of the draws need.
-        rows: of rotors; None: as many as lie under the parcel.
-        workers: threads that share the runs, or a cluster.
-        on_progress: called with the runs done and their total.
     """
     arrangement = arrange(case, columns, rows, workers)
     progress = split_progress(on_progress, [1] + [case.draws] * len(FIELDS))

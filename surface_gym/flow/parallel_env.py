@@ -109,18 +109,9 @@ class FlowParallelEnv(ParallelEnv):
         return returned[0], returned[4]
 
     def step(self, actions: dict[str, Any]) -> Returned:
-        """Move all parcels over a control period.
+        """Move all parcels over a control period, by an action of every agent.
 
-        Args:
-            actions: of every agent, by its id.
-
-        Returns:
-            Observations, rewards, terminated, truncated and infos of the agents that were there and
-            of those that have entered since.
-
-        Raises:
-            ValueError: an action is missing, is of an agent that is not there, or is not allowed.
-            ResetNeeded: the episode has ended, or none has begun.
+        Returns are of the agents that were there and of those that have entered since.
         """
         returned: Returned = ({}, {}, {}, {}, {})
         observation, *_ = self._env.step(self._action(actions))

@@ -158,14 +158,7 @@ class StreamTask(Task):
         return ContactMaterial(self.restitution, self.side_friction)
 
     def action_kind(self, actions: str, choices: int, zone: Any, steps: int) -> StreamActions:
-        """Return the kind of action: a choice for each module of a zone, or two for each parcel.
-
-        Args:
-            actions: "modules" or "parcels".
-            choices: orientations on offer; 0: any angle.
-            zone: first row, rows, first column and columns that obey.
-            steps: physics steps of a control period.
-        """
+        """Return the kind of action: a choice for each module of a zone, or two for each parcel."""
         parcels = actions == "parcels"
         rows, columns = (self.max_parcels, HALVES) if parcels else (zone[1], zone[3])
         return StreamActions("modules", choices, rows, columns, 1 + steps if self.gate else 0)

@@ -108,7 +108,7 @@ def align(zone: Zone) -> Aligned:
 
 
 def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
-    """Move a box until its base has left the zone's columns, or the line, or it has stopped."""
+    """Move a box, off the middle [m] and turned [deg], until it has left the zone or stopped."""
     surface = zone.surface
     x, y, _ = layouts.start(zone.size)
     run = simulate(

@@ -251,10 +251,9 @@ def _find_columns(
 def rotor_columns(
     surface: Surface, size: str, pose: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Find the first and the last column with a rotor under the "S" or "B" box.
+    """Find the first and last column (T,) with a rotor under the "S" or "B" box at poses (T, 3).
 
-    Returns:
-        Two arrays (T,) of column indices, NONE where only supports carry the box.
+    They are NONE where only supports carry the box.
     """
     columns = np.empty((len(pose), 2), dtype=np.int64)
     _find_columns(surface.grid, layouts.box(size).body, pose, make_scratch(), columns)
@@ -359,7 +358,7 @@ class Exit(NamedTuple):
 
 
 def leave(surface: Surface, size: str, speed: float, integration: Integration) -> Exit:
-    """Send a box over the task's columns."""
+    """Send a box over the task's columns of a `slowing_surface` or `stopping_surface`."""
     trajectory = integration.run(surface, size, speed, LONGEST)
     first, _ = rotor_columns(surface, size, trajectory.pose)
     past = first >= surface.columns - layouts.LEAD_IN[size]

@@ -344,18 +344,9 @@ def write(
     room: int | None = None,
     **place: tuple[int, int],
 ) -> pygame.Rect:
-    """Write a text.
+    """Write a text at one of a pygame Rect's points, such as `midleft=(10, 20)`; return its area.
 
-    Args:
-        canvas: what to write on.
-        text: what to write.
-        size: [px] of the font.
-        colour: of the text.
-        room: [px] it may take; a longer text is cut and ends with an ellipsis.
-        place: where, as one of a pygame Rect's points, such as `midleft=(10, 20)`.
-
-    Returns:
-        The area taken.
+    A text longer than its room [px] is cut and ends with an ellipsis.
     """
     letters = _letters(text, size, colour, room)
     area = letters.get_rect(**place)

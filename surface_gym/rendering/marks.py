@@ -184,11 +184,7 @@ _PALEST, _DARKEST = 0.86, 0.45  # shares of the plate in an exit, inside and out
 
 
 class ModuleSprites:
-    """Pictures of a module, a disc with a bar along its axis, by axis angle; made when asked for.
-
-    Args:
-        cell: [px] width and height.
-    """
+    """Pictures of a module, a disc with a bar along its axis, by angle; made when asked for."""
 
     def __init__(self, cell: int) -> None:
         self.cell = cell

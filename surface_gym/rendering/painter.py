@@ -25,11 +25,7 @@ _GAP = 1.4  # [font sizes] between the readings of a stream
 
 
 class Strips:
-    """Writes above and below a surface, in sizes proportional to the picture's width.
-
-    Args:
-        width: [px] of the picture.
-    """
+    """Writes above and below a surface, in sizes proportional to the picture's width."""
 
     def __init__(self, width: int) -> None:
         unit = width / 960.0
@@ -83,13 +79,8 @@ class Strips:
     def write_legend(
         self, canvas: pygame.Surface, area: pygame.Rect, scenes: Sequence[Scene], end: int
     ) -> None:
-        """Write the meaning of the colours in some scenes, below an area.
-
-        Args:
-            canvas: to write on.
-            area: below which to write.
-            scenes: whose marks to explain.
-            end: [px] x where the room ends; exits beyond are left out.
+        """Write the meaning of the colours in some scenes, below an area; exits beyond x `end` [px]
+        are left out.
         """
         x = self._write_axes(canvas, area, any(scene.zone is not None for scene in scenes))
         if any(scene.goal is not None for scene in scenes):
@@ -254,11 +245,7 @@ class Painter:
 
 
 class TilePainter:
-    """Draws scenes side by side, under their titles.
-
-    Args:
-        width: [px] of the pictures; even, as video codecs want it.
-    """
+    """Draws scenes side by side, under their titles."""
 
     def __init__(self, width: int = WIDE) -> None:
         self.width = _even_width(width)

@@ -364,11 +364,7 @@ asked one |
 def _check_paths(first: Numbers, step: Numbers, y: Numbers, line: BaseLine) -> None:
     """Raise a ValueError for a path that leaves the line's surface or is too steep.
 
-    Args:
-        first: (paths,) [m] x of the first point.
-        step: (paths,) [m] from point to point.
-        y: (paths, PATH_POINTS) [m].
-        line: where they lie.
+    Paths have a first x (paths,) [m], steps (paths,) [m] in x, and y (paths, PATH_POINTS) [m].
     """
     last = first + (PATH_POINTS - 1) * step
     low, high = y.min(axis=1), y.max(axis=1)
@@ -438,13 +434,9 @@ class PathObservation:
         grid: tuple[float, float],
         path: Numbers,
     ) -> Start:
-        """Build the start of the first parcel, one of some in size.
+        """Build the start of the first parcel, one of some in size, at a place (x, y) [m].
 
-        Args:
-            parcels: that the task draws.
-            place: [m] x and y of its centre.
-            grid: [m] first x of the path and the step from point to point.
-            path: (PATH_POINTS,) [m] its y.
+        The grid is the path's first x and its step in x [m], the path its y (PATH_POINTS,) [m].
         """
         vx, vy = self.velocity
         return Start(

@@ -39,18 +39,11 @@ CASES = (Case(10.0), PUSHED)
 def uneven_normal_forces(
     arms: Array, heights: Array, stiffness: Array, weight: float, load: ArrayLike
 ) -> Array:
-    """Compute the normal forces on contacts of unequal height and stiffness.
+    """Compute the normal forces (n,) [m/s^2] over mass of contacts of unequal height and stiffness.
 
-    Args:
-        arms: (n, 2) [m] from the centre of mass to the contacts.
-        heights: (n,) [m] of the contacts above the plane.
-        stiffness: (n,) [1/s^2] of the contacts / mass.
-        weight: [m/s^2] normal load / mass.
-        load: (2,) [m] where it acts, from the centre of mass.
-
-    Returns:
-        (n,) [m/s^2] normal forces / mass. Where the contacts cannot carry the load (the parcel
-        tips), the moments come as near to balance as they can.
+    The weight [m/s^2] acts at the load (2,) [m]; arms (n, 2) [m] are those of the contacts, both
+    from the centre of mass; heights (n,) [m] are above the plane, stiffness (n,) [1/s^2] is over
+    mass. Where the parcel tips, the moments come as near to balance as they can.
     """
     scale = float(np.abs(arms).max()) or 1.0
     target = np.array([1.0, *(np.asarray(load) / scale)])
@@ -75,20 +68,10 @@ def end_pose(
     stiffness: float,
     dt: float = 1e-3,
 ) -> Array:
-    """Run the implicit model with the normal forces of uneven supports to its end pose.
+    """Run the implicit model with the normal forces of uneven supports to its end pose (3,).
 
-    Args:
-        surface: the surface; its `stiffness` multiplies that of a contact.
-        parcel: the parcel.
-        pose: (x, y, theta) [m, m, rad] of the base's frame at the start.
-        velocity: (vx, vy, omega) [m/s, m/s, rad/s] of that frame at the start.
-        duration: [s] simulated, in whole steps.
-        heights: (rows, columns) [m] of the tops of the elements above the plane.
-        stiffness: [1/s^2] of a contact / parcel mass.
-        dt: [s] step.
-
-    Returns:
-        (3,) [m, m, rad] pose of the base's frame.
+    The arguments are those of `simulate`, heights (rows, columns) [m] of the elements' tops, and
+    the stiffness [1/s^2] of a contact over the parcel's mass, which the surface's own multiplies.
     """
     tops = checks.array("heights", heights, (surface.rows, surface.columns))
     grid, body = surface.grid, parcel.body

@@ -158,11 +158,6 @@ def build(
         within: (rows, columns) the elements to build; None: all. `reachable` gives those that a
             run can touch.
         sides: contact parameters between parcels.
-
-    Raises:
-        ValueError: the tilt is beyond the recipe, there are more elements than MuJoCo can hold in
-            memory, or an array has another shape.
-        ImportError: MuJoCo is not installed.
     """
     if abs(surface.tilt) > MAX_TILT + 1e-12:
         raise ValueError(
@@ -343,23 +338,11 @@ def simulate(
     recipe: Recipe = RECIPE,
     heights: ArrayLike | None = None,
 ) -> Trajectory:
-    """Move a parcel over a surface whose axes stay as they are, as `surface_gym.simulate` does.
+    """Move a parcel over a surface as `surface_gym.simulate` does, whose arguments these are.
 
-    Only the elements that the parcel can reach are built.
-
-    Args:
-        surface: the surface, tilted by at most 15 deg.
-        parcel: the parcel.
-        pose: (x, y, theta) [m, m, rad] of the base's frame at the start.
-        velocity: (vx, vy, omega) [m/s, m/s, rad/s] of that frame at the start.
-        duration: [s] simulated; the last step is shortened to end there.
-        recipe: step, contact parameters and rotors.
-        heights: (rows, columns) [m] of the tops of the elements above the plane; None: flat.
-
-    Returns:
-        The trajectory, a row for each step of the recipe. `tipping` says where the base is more
-        than 1 mrad out of level. It ends early where the centre of mass passes the edge of the
-        surface.
+    The tops of the elements lie at `heights` (rows, columns) [m] above the plane; None: in it. Only
+    the elements that the parcel can reach are built. There is a row for each step of the recipe.
+    `tipping` says where the base is more than 1 mrad out of level.
 
     Raises:
         ValueError: an argument is not allowed, the start is off the surface, the step is too
@@ -399,25 +382,9 @@ def simulate_together(
     recipe: Recipe = TOGETHER_RECIPE,
     sides: Sides = SIDES,
 ) -> tuple[Trajectory, ...]:
-    """Move parcels that push each other over a surface whose axes stay as they are.
+    """Move parcels that push each other, as `surface_gym.simulate_together` does.
 
-    Args:
-        surface: the surface, tilted by at most 15 deg.
-        parcels: the parcels.
-        poses: (parcels, 3) [m, m, rad] x, y, theta of the bases' frames at the start.
-        velocities: (parcels, 3) [m/s, m/s, rad/s] of those frames at the start.
-        duration: [s] simulated; the last step is shortened to end there.
-        within: (rows, columns) the elements to build.
-        recipe: step, contact parameters and rotors.
-        sides: contact parameters between parcels.
-
-    Returns:
-        The trajectories, a row for each step of the recipe.
-
-    Raises:
-        ValueError: an argument is not allowed, or MuJoCo cannot build the scene.
-        RuntimeError: MuJoCo diverged; a smaller step helps.
-        ImportError: MuJoCo is not installed.
+    `within` (rows, columns) are the elements to build.
     """
     start = checks.array("poses", poses, (len(parcels), 3))
     motion = checks.array("velocities", velocities, start.shape)
@@ -450,15 +417,7 @@ def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> Boolean
 def reachable(
     surface: Surface, parcel: Parcel, pose: ArrayLike, velocity: ArrayLike, duration: float
 ) -> Booleans:
-    """Find the elements, (rows, columns), that a parcel's energy can take it to, without friction.
-
-    Args:
-        surface: the surface.
-        parcel: the parcel.
-        pose: (x, y, theta) [m, m, rad] of the base's frame at the start.
-        velocity: (vx, vy, omega) [m/s, m/s, rad/s] of that frame at the start.
-        duration: [s].
-    """
+    """Find the elements (rows, columns) that a parcel's energy can take it to, without friction."""
     x, y, _ = np.asarray(pose, dtype=np.float64)
     vx, vy, omega = np.asarray(velocity, dtype=np.float64)
     arm = math.hypot(*parcel.centre_of_mass)
@@ -477,10 +436,7 @@ def reachable(
 def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
     """Return the depth [m] below the plane at which the springs under a level base carry it.
 
-    Args:
-        tops: (contacts,) [m] above the plane.
-        stiffness: (contacts,) [1/s^2] of a spring / parcel mass.
-        weight: [m/s^2] normal load / mass.
+    The tops (contacts,) are in [m] above the plane, stiffness and weight over the parcel's mass.
     """
     highest_first = np.argsort(tops)[::-1]
     k = stiffness[highest_first]
