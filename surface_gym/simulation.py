@@ -160,16 +160,9 @@ def base_motion(parcel: Parcel, states: Array) -> tuple[Array, Array]:
 
 
 def _run(
-    grid: Grid,
-    body: Body,
-    states: Array,
-    reports: NDArray[np.int64],
-    scratch: Scratch,
-    time: Array,
-    dt: float,
-    method: str,
-    normal_forces: str,
-) -> int:
+    grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch,
+    time: Array, dt: float, method: str, normal_forces: str,
+) -> int:  # fmt: skip
     """Fill states and reports, and return the number of steps done."""
     whole = len(time) if time[-1] == dt * (len(time) - 1) else len(time) - 1
     if normal_forces == "dual":
@@ -195,14 +188,9 @@ def _run(
 
 
 def _reference_step(
-    grid: Grid,
-    body: Body,
-    state: Array,
-    scratch: Scratch,
-    dt: float,
-    method: str,
+    grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float, method: str,
     normal_forces: str,
-) -> int:
+) -> int:  # fmt: skip
     """Do the compiled step with Eq. (1) solved by a reference in the dual's place."""
     from surface_gym.physics.references import support_load_by
 
@@ -431,13 +419,9 @@ def _stretches(time: Array, dt: float) -> list[tuple[int, int, float]]:
 
 
 def _trajectory(
-    surface: Surface,
-    parcel: Parcel,
-    time: Array,
-    dt: float,
-    states: Array,
+    surface: Surface, parcel: Parcel, time: Array, dt: float, states: Array,
     reports: NDArray[np.int64],
-) -> Trajectory:
+) -> Trajectory:  # fmt: skip
     """Return a parcel's trajectory, up to where it left the surface."""
     left = np.flatnonzero(reports >= stepping.OFF_SURFACE)
     done = slice(0, int(left[0]) if len(left) else len(time))

@@ -56,13 +56,9 @@ class BaseBatch(ABC):
     rows: int = 1  # of each environment in `parcels`
 
     def __init__(
-        self,
-        config: EnvConfig,
-        num_envs: int,
-        threads: int = 1,
-        max_episode_steps: int | None = None,
-        compiles: bool = True,
-    ) -> None:
+        self, config: EnvConfig, num_envs: int, threads: int = 1,
+        max_episode_steps: int | None = None, compiles: bool = True,
+    ) -> None:  # fmt: skip
         self.config = config
         self.task = config.task
         self.num_envs = num_envs

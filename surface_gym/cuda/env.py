@@ -136,13 +136,9 @@ class CudaVectorEnv(BaseVectorEnv):
     """
 
     def __init__(
-        self,
-        num_envs: int,
-        device: torch.device,
-        max_episode_steps: int | None = None,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        **config: Any,
-    ) -> None:
+        self, num_envs: int, device: torch.device, max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP, **config: Any,
+    ) -> None:  # fmt: skip
         super().__init__(num_envs, autoreset_mode, max_episode_steps, None)
         self.config = EnvConfig(**config)
         self.device = device

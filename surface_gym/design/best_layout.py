@@ -184,16 +184,11 @@ def _draw_axes(axes: "report.Axes", line: DesignLine, layout: LayoutResult, colo
 
 
 def best_layout(
-    case: Case,
-    speeds: Sequence[float] | Array,
-    columns: int = 16,
-    rows: int | None = None,
-    orientations: Sequence[float] | None = ORIENTATIONS,
-    effort: Effort = Effort(),
-    workers: Workers = 1,
-    checkpoint: Path | str | None = None,
+    case: Case, speeds: Sequence[float] | Array, columns: int = 16, rows: int | None = None,
+    orientations: Sequence[float] | None = ORIENTATIONS, effort: Effort = Effort(),
+    workers: Workers = 1, checkpoint: Path | str | None = None,
     on_progress: OnProgress = lambda *_: None,
-) -> BestLayout:
+) -> BestLayout:  # fmt: skip
     """Search the axes of a zone for those that do best over all the speeds.
 
     First, a better layout succeeds at more speeds; then its runs come nearer to success, by
@@ -308,14 +303,10 @@ class EveryLayout:
 
 
 def every_layout(
-    case: Case,
-    columns: int = 16,
-    rows: int | None = None,
-    orientations: Sequence[float] = ORIENTATIONS,
-    most: int = 1_000_000,
-    workers: Workers = 1,
+    case: Case, columns: int = 16, rows: int | None = None,
+    orientations: Sequence[float] = ORIENTATIONS, most: int = 1_000_000, workers: Workers = 1,
     on_progress: OnProgress = lambda *_: None,
-) -> EveryLayout:
+) -> EveryLayout:  # fmt: skip
     """Try every layout of a zone at the case's speed, with nothing unknown, until one succeeds.
 
     A zone of two rows and 16 columns has 4^32 layouts, but those that agree in the columns that the

@@ -456,14 +456,9 @@ class Case:
         return draw(unknown, self.parcel, line, count, self.seed)
 
     def run(
-        self,
-        line: DesignLine,
-        axes: Array,
-        runs: Runs,
-        drawn: "Draws | None" = None,
-        workers: Workers = 1,
-        on_progress: OnProgress = lambda *_: None,
-    ) -> Ends:
+        self, line: DesignLine, axes: Array, runs: Runs, drawn: "Draws | None" = None,
+        workers: Workers = 1, on_progress: OnProgress = lambda *_: None,
+    ) -> Ends:  # fmt: skip
         """Simulate runs of the parcel, or of draws, over layouts (layouts, rows, columns) [rad]."""
         parcels = (self.parcel,) if drawn is None else drawn.parcels
         stiffness = None if drawn is None else drawn.stiffness

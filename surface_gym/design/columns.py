@@ -74,13 +74,9 @@ def columns_by_rows(case: Case, most: int = MOST, workers: Workers = 1) -> tuple
 
 
 def columns_by_speed(
-    case: Case,
-    speeds: Sequence[float],
-    rows: int | None = None,
-    most: int = MOST,
-    workers: Workers = 1,
-    on_progress: OnProgress = lambda *_: None,
-) -> tuple[Columns, ...]:
+    case: Case, speeds: Sequence[float], rows: int | None = None, most: int = MOST,
+    workers: Workers = 1, on_progress: OnProgress = lambda *_: None,
+) -> tuple[Columns, ...]:  # fmt: skip
     """Find `least_columns` at each entry speed [m/s]."""
     found = []
     for done, speed in enumerate(speeds):

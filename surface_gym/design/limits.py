@@ -245,13 +245,9 @@ class FrictionRange(report.Answer):
 
 
 def least_speed(
-    case: Case,
-    columns: int | None = None,
-    rows: int | None = None,
-    highest: float | None = None,
-    workers: Workers = 1,
-    on_progress: OnProgress = lambda *_: None,
-) -> Limits:
+    case: Case, columns: int | None = None, rows: int | None = None, highest: float | None = None,
+    workers: Workers = 1, on_progress: OnProgress = lambda *_: None,
+) -> Limits:  # fmt: skip
     """Find the least and the greatest entry speed, at the case's tilt.
 
     Tried are speeds up to `highest` [m/s], every 0.01 with nothing unknown, every 0.02 with draws,
@@ -270,13 +266,9 @@ def least_speed(
 
 
 def least_tilt(
-    case: Case,
-    columns: int | None = None,
-    rows: int | None = None,
-    highest: float | None = None,
-    workers: Workers = 1,
-    on_progress: OnProgress = lambda *_: None,
-) -> Limits:
+    case: Case, columns: int | None = None, rows: int | None = None, highest: float | None = None,
+    workers: Workers = 1, on_progress: OnProgress = lambda *_: None,
+) -> Limits:  # fmt: skip
     """Find the least and the greatest tilt of the surface, at the case's entry speed or from rest.
 
     Tried are tilts up to `highest` [rad], every 0.1 deg with nothing unknown, every 0.2 deg with
@@ -362,15 +354,9 @@ def _sweep(
 
 
 def _limits(
-    arrangement: Arrangement,
-    quantity: Quantity,
-    own: float,
-    grids: list[Array],
-    unknown: Unknown,
-    at: Callable[[Array], SweepPoints],
-    workers: Workers,
-    on_progress: OnProgress,
-) -> Limits:
+    arrangement: Arrangement, quantity: Quantity, own: float, grids: list[Array], unknown: Unknown,
+    at: Callable[[Array], SweepPoints], workers: Workers, on_progress: OnProgress,
+) -> Limits:  # fmt: skip
     """Find the span of each group, on the first grid with nothing unknown, else on the second."""
     groups = {
         name: arrangement.case.draw(arrangement.line, each)

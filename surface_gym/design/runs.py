@@ -128,14 +128,9 @@ class DesignLine(Pitched):
 
 
 def line_for(
-    parcel: Parcel,
-    columns: int,
-    rows: int | None = None,
-    pitch: float | tuple[float, float] = 0.1,
-    mu_max: float = 0.5,
-    mu_min: float = 0.01,
-    mu_support: float = 0.005,
-) -> DesignLine:
+    parcel: Parcel, columns: int, rows: int | None = None, pitch: float | tuple[float, float] = 0.1,
+    mu_max: float = 0.5, mu_min: float = 0.01, mu_support: float = 0.005,
+) -> DesignLine:  # fmt: skip
     """Size a line for a parcel by the rule that the study's two boxes follow.
 
     The rows of rotors are the greatest even number that lies under the parcel. The lead-in is as
@@ -209,16 +204,10 @@ class Runs:
 
 
 def make_runs(
-    speed: ArrayLike,
-    tilt: ArrayLike = 0.0,
-    layout: ArrayLike = 0,
-    stiffness: ArrayLike = 0,
-    parcel: ArrayLike = 0,
-    friction: ArrayLike = 1.0,
-    lateral: ArrayLike = 0.0,
-    heading: ArrayLike = 0.0,
-    columns: ArrayLike = -1,
-) -> Runs:
+    speed: ArrayLike, tilt: ArrayLike = 0.0, layout: ArrayLike = 0, stiffness: ArrayLike = 0,
+    parcel: ArrayLike = 0, friction: ArrayLike = 1.0, lateral: ArrayLike = 0.0,
+    heading: ArrayLike = 0.0, columns: ArrayLike = -1,
+) -> Runs:  # fmt: skip
     """Build runs from one value for all, or arrays (runs,) of each; `friction` is (runs, 3)."""
     given = np.broadcast_arrays(speed, tilt, lateral, heading, layout, stiffness, parcel, columns)
     numbers = [np.array(values, dtype=np.float64).reshape(-1) for values in given[:4]]
@@ -274,15 +263,10 @@ def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnPro
 
 
 def run_all(
-    line: DesignLine,
-    layouts: Array,
-    parcels: Sequence[Parcel],
-    runs: Runs,
-    stiffness: Array | None = None,
-    dt: float = STEP,
-    workers: Workers = 1,
+    line: DesignLine, layouts: Array, parcels: Sequence[Parcel], runs: Runs,
+    stiffness: Array | None = None, dt: float = STEP, workers: Workers = 1,
     on_progress: OnProgress = lambda *_: None,
-) -> Ends:
+) -> Ends:  # fmt: skip
     """Simulate parcels over layouts (layouts, rows, columns) [rad] of the zone of a line.
 
     Each has its rear at x = 0 at the start. Stiffness (maps, rows, columns) [-] is the whole

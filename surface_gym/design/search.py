@@ -124,15 +124,10 @@ class SearchState:
 
 
 def search(
-    space: LayoutSpace,
-    score: Score,
-    known: Array,
-    effort: Effort,
-    seed: int,
-    checkpoint: Path | str | None = None,
-    identity: Mapping[str, str] | None = None,
+    space: LayoutSpace, score: Score, known: Array, effort: Effort, seed: int,
+    checkpoint: Path | str | None = None, identity: Mapping[str, str] | None = None,
     on_progress: OnProgress = lambda *_: None,
-) -> tuple[Array, int]:
+) -> tuple[Array, int]:  # fmt: skip
     """Search the axes (rows, columns) [rad] of least cost, by so many comparisons of layouts.
 
     It begins with `known` axes (layouts, rows, columns) [rad]: the result is no worse. A search

@@ -66,14 +66,10 @@ def sorting_layouts() -> tuple[SortingLayout, ...]:
 
 
 def find_sorting_layouts(
-    offers: tuple[str, ...] = tuple(OFFERS),
-    sizes: tuple[str, ...] = SIZES,
-    effort: Effort = Effort(),
-    workers: Workers = 1,
-    seed: int = 0,
-    checkpoints: Path | str | None = None,
-    on_progress: OnProgress = lambda *_: None,
-) -> dict[tuple[str, str], BestLayout]:
+    offers: tuple[str, ...] = tuple(OFFERS), sizes: tuple[str, ...] = SIZES,
+    effort: Effort = Effort(), workers: Workers = 1, seed: int = 0,
+    checkpoints: Path | str | None = None, on_progress: OnProgress = lambda *_: None,
+) -> dict[tuple[str, str], BestLayout]:  # fmt: skip
     """Search the layouts that ship anew, by box and offer; a folder of checkpoints resumes them."""
     wanted = [
         (checks.one_of("sizes", size, SIZES), checks.one_of("offers", offer, OFFERS))

@@ -417,15 +417,10 @@ class SuccessMap(report.Answer):
 
 
 def success_map(
-    case: Case,
-    columns: int | None = None,
-    speeds: Sequence[float] | None = None,
-    sizes: Sequence[float] | None = None,
-    rows: int | None = None,
-    workers: Workers = 1,
-    checkpoint: Path | str | None = None,
-    on_progress: OnProgress = lambda *_: None,
-) -> SuccessMap:
+    case: Case, columns: int | None = None, speeds: Sequence[float] | None = None,
+    sizes: Sequence[float] | None = None, rows: int | None = None, workers: Workers = 1,
+    checkpoint: Path | str | None = None, on_progress: OnProgress = lambda *_: None,
+) -> SuccessMap:  # fmt: skip
     """Find the share of draws that succeed, over entry speeds and sizes, on one surface.
 
     The zone is the one for the case's parcel. Each size starts wholly on a lead-in of its own

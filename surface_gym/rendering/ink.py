@@ -237,13 +237,9 @@ def arrow(canvas: pygame.Surface, tail: Points, tip: Points, width: float, colou
 
 
 def hatching(
-    canvas: pygame.Surface,
-    area: pygame.Rect,
-    spacing: float,
-    width: float,
-    colour: Colour,
+    canvas: pygame.Surface, area: pygame.Rect, spacing: float, width: float, colour: Colour,
     opacity: float,
-) -> None:
+) -> None:  # fmt: skip
     """Fill a rectangle with lines at 45 degrees."""
     layer = _Layer(
         canvas, np.array([area.topleft, area.bottomright], dtype=np.float64), 0.0, colour
@@ -337,13 +333,9 @@ def text_width(text: str, size: int) -> int:
 
 
 def write(
-    canvas: pygame.Surface,
-    text: str,
-    size: int,
-    colour: Colour = INK,
-    room: int | None = None,
+    canvas: pygame.Surface, text: str, size: int, colour: Colour = INK, room: int | None = None,
     **place: tuple[int, int],
-) -> pygame.Rect:
+) -> pygame.Rect:  # fmt: skip
     """Write a text at one of a pygame Rect's points, such as `midleft=(10, 20)`; return its area.
 
     A text longer than its room [px] is cut and ends with an ellipsis.
@@ -355,13 +347,9 @@ def write(
 
 
 def write_on_plate(
-    canvas: pygame.Surface,
-    text: str,
-    size: int,
-    colour: Colour,
-    within: pygame.Rect,
+    canvas: pygame.Surface, text: str, size: int, colour: Colour, within: pygame.Rect,
     **place: tuple[int, int],
-) -> None:
+) -> None:  # fmt: skip
     """Write a text on a plate of paper, moved so that it stays within an area."""
     plate = _letters(text, size, colour, None).get_rect(**place).inflate(8, 4).clamp(within)
     sheet = pygame.Surface(plate.size, pygame.SRCALPHA)

@@ -59,15 +59,9 @@ def uneven_normal_forces(
 
 
 def end_pose(
-    surface: Surface,
-    parcel: Parcel,
-    pose: ArrayLike,
-    velocity: ArrayLike,
-    duration: float,
-    heights: ArrayLike,
-    stiffness: float,
-    dt: float = 1e-3,
-) -> Array:
+    surface: Surface, parcel: Parcel, pose: ArrayLike, velocity: ArrayLike, duration: float,
+    heights: ArrayLike, stiffness: float, dt: float = 1e-3,
+) -> Array:  # fmt: skip
     """Run the implicit model with the normal forces of uneven supports to its end pose (3,).
 
     The arguments are those of `simulate`, heights (rows, columns) [m] of the elements' tops, and

@@ -137,13 +137,9 @@ def load_mujoco() -> ModuleType:
 
 
 def build(
-    surface: Surface,
-    parcels: Parcel | Sequence[Parcel],
-    recipe: Recipe = RECIPE,
-    heights: ArrayLike | None = None,
-    within: ArrayLike | None = None,
-    sides: Sides = SIDES,
-) -> Scene:
+    surface: Surface, parcels: Parcel | Sequence[Parcel], recipe: Recipe = RECIPE,
+    heights: ArrayLike | None = None, within: ArrayLike | None = None, sides: Sides = SIDES,
+) -> Scene:  # fmt: skip
     """Build a parcel, a hinged sphere for each rotor and a fixed sphere for each support.
 
     The tops of the spheres lie in the plane z = 0 and the surface's tilt is in the direction of
@@ -275,15 +271,9 @@ def _add_belt(mujoco: Any, spec: Any, body: Any, parcel: Parcel, name: str) -> N
 
 
 def _add_element(
-    mujoco: Any,
-    spec: Any,
-    surface: Surface,
-    recipe: Recipe,
-    row: int,
-    column: int,
-    top: float,
+    mujoco: Any, spec: Any, surface: Surface, recipe: Recipe, row: int, column: int, top: float,
     bases: Sequence[str],
-) -> None:
+) -> None:  # fmt: skip
     """Add a sphere, on a hinge along the rotor's axis or fixed, that touches only the bases."""
     name = f"{row},{column}"
     place = [surface.x[column], surface.y[row], top - recipe.rotor_radius]
@@ -454,15 +444,9 @@ def normal_forces(data: Any) -> tuple[Integers, Array]:
 
 
 def _run(
-    scene: Scene,
-    surface: Surface,
-    parcels: Sequence[Parcel],
-    start: Array,
-    motion: Array,
-    sags: Sequence[float],
-    duration: float,
-    recipe: Recipe,
-) -> tuple[Trajectory, ...]:
+    scene: Scene, surface: Surface, parcels: Sequence[Parcel], start: Array, motion: Array,
+    sags: Sequence[float], duration: float, recipe: Recipe,
+) -> tuple[Trajectory, ...]:  # fmt: skip
     """Step the scene from poses (parcels, 3) and velocities (parcels, 3) to its end."""
     mujoco = load_mujoco()
     model, count = scene.model, len(parcels)

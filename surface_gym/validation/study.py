@@ -192,13 +192,9 @@ class Study:
 
 
 def run_study(
-    tilts: tuple[float, ...],
-    with_unevenness: bool,
-    with_touching: bool,
-    workers: Workers,
-    seed: int,
-    console: Console,
-) -> Study:
+    tilts: tuple[float, ...], with_unevenness: bool, with_touching: bool, workers: Workers,
+    seed: int, console: Console,
+) -> Study:  # fmt: skip
     """Run the comparison in parallel, then the timing alone."""
     cases = (*(Case(tilt) for tilt in tilts), comparison.PUSHED, comparison.LONG)
     draws = drawn.draw_surfaces(DRAWS, seed) if with_unevenness else ()
