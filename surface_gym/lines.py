@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from surface_gym import checks
 from surface_gym.layouts import LINE_Y, lead_in_under, rows_under
 from surface_gym.parcel import Base
-from surface_gym.physics.types import Array, check_capacity
+from surface_gym.physics.types import Array
 from surface_gym.state import Geometry
 from surface_gym.surface import Elements, Surface
 
@@ -95,10 +95,6 @@ class BaseLine(Elements):
         """Return the positions of the elements as compiled code reads them."""
         return Geometry(*self.origin, self.pitch_x, self.pitch_y, self.line_y)
 
-    def _check_capacity(self, base: Base) -> None:
-        pitch, size = (self.pitch_x, self.pitch_y), (self.columns, self.rows)
-        check_capacity(len(base.edges), base.reach, pitch, size)
-
     def surface(self, axis: Array, rotor: NDArray[np.bool_]) -> Surface:
         """Return the line with its rotors' axes (rows, columns) [rad], for `simulate`."""
         mu_max, mu_min, mu_support = np.moveaxis(self.friction, -1, 0)
@@ -152,7 +148,7 @@ class Line(BaseLine):
                 f"parcel must be at most {self.pitch_x * longest:g} m long and less than "
                 f"{self.pitch_y * (self.zone_rows + 2):g} m wide, got {length:g} m x {width:g} m"
             )
-        self._check_capacity(base)
+        self.check_capacity(base, (self.columns, self.rows))
         first_row = round((self.line_y - self.origin[1]) / self.pitch_y - 0.5 * (rows - 1))
         rotor = np.zeros((self.rows, self.columns), dtype=bool)
         rotor[first_row : first_row + rows] = True
@@ -182,7 +178,7 @@ class Field(BaseLine):
 
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
         """Return the field, whatever the base."""
-        self._check_capacity(base)
+        self.check_capacity(base, (self.columns, self.rows))
         first, last = (0, self.columns - 1) if zone is None else zone
         rotor = np.ones((self.rows, self.columns), dtype=bool)
         return Site(rotor, (0, self.rows, first, last - first + 1))
@@ -241,6 +237,6 @@ class Pattern(BaseLine):
 
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
         """Return the pattern, whatever the base."""
-        self._check_capacity(base)
+        self.check_capacity(base, (self.columns, self.rows))
         first, last = (self.lead_in, self.columns - 1) if zone is None else zone
         return Site(self._pattern, (self._rotor_rows[0], self.zone_rows, first, last - first + 1))

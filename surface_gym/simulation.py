@@ -2,15 +2,14 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
-from surface_gym.core.resets import NO_EDGE
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Parcel, filled_up
 from surface_gym.physics import references, rollout
 from surface_gym.physics import step as stepping
 from surface_gym.physics import types as ph
@@ -86,13 +85,9 @@ def simulate(
     if method == "explicit" and surface.tilt < 0.0:
         raise ValueError(f"tilt must be at least 0 for the explicit method, got {surface.tilt!r}")
     grid, body = surface.grid, parcel.body
-    ph.check_capacity(
-        len(body.edges), body.radius, (grid.pitch_x, grid.pitch_y), (surface.columns, surface.rows)
-    )
     scratch = ph.make_scratch()
-    if references.find_support(grid, body, start, scratch, 0.0).total == 0:
-        over = references.explain_unsupported(grid, start, 0.0) == stepping.UNSUPPORTED
-        wanted = "over an element" if over else "on the surface"
+    wanted = _missing_support(surface, parcel, start, scratch)
+    if wanted:
         raise ValueError(f"pose must be {wanted}, got {tuple(np.asarray(pose).tolist())}")
     if (
         method == "explicit"
@@ -109,15 +104,19 @@ def simulate(
     states = np.zeros((len(time), ph.STATE_SIZE))
     states[0] = start
     reports = np.zeros(len(time), dtype=np.int64)
-    steps = _run(grid, body, states, reports, scratch, time, dt, method, normal_forces)
-    done = slice(0, steps + 1)
-    check_steps(parcel, min(grid.pitch_x, grid.pitch_y), states[done], dt)
-    end = "duration" if steps == len(time) - 1 else ENDS[int(reports[steps + 1])]
-    pose_done, velocity_done = base_motion(parcel, states[done])
-    how = Run(surface, parcel, dt, method, normal_forces, states[done])
-    return Trajectory(
-        time[done], pose_done, velocity_done, reports[done] == stepping.TIPPING, end, how
-    )
+    _run(grid, body, states, reports, scratch, time, dt, method, normal_forces)
+    done = _trajectory(surface, parcel, time, dt, states, reports)
+    run = Run(surface, parcel, dt, method, normal_forces, states[: len(done.time)])
+    return replace(done, run=run)
+
+
+def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Scratch) -> str:
+    """Say where a parcel must be to start; "" where an element bears it."""
+    surface.check_capacity(parcel.base, (surface.columns, surface.rows))
+    if references.find_support(surface.grid, parcel.body, start, scratch, 0.0).total > 0:
+        return ""
+    over = references.explain_unsupported(surface.grid, start, 0.0) == stepping.UNSUPPORTED
+    return "over an element" if over else "on the surface"
 
 
 def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
@@ -162,8 +161,8 @@ def base_motion(parcel: Parcel, states: Array) -> tuple[Array, Array]:
 def _run(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch,
     time: Array, dt: float, method: str, normal_forces: str,
-) -> int:  # fmt: skip
-    """Fill states and reports, and return the number of steps done."""
+) -> None:  # fmt: skip
+    """Fill states and reports, up to a report that ends the run."""
     whole = len(time) if time[-1] == dt * (len(time) - 1) else len(time) - 1
     if normal_forces == "dual":
         run = rollout.run_implicit if method == "implicit" else rollout.run_explicit
@@ -175,16 +174,14 @@ def _run(
             if done < piece.stop - first - 1:
                 break
         if steps == whole - 1 and whole < len(time):
-            last = time[-1] - time[-2]
-            steps += int(run(grid, body, states[steps:], reports[steps:], scratch, last))
-        return steps
+            run(grid, body, states[steps:], reports[steps:], scratch, time[-1] - time[-2])
+        return
     for k in range(1, len(time)):
         states[k] = states[k - 1]
         step = dt if k < whole else time[-1] - time[-2]
         reports[k] = _reference_step(grid, body, states[k], scratch, step, method, normal_forces)
         if reports[k] >= stepping.OFF_SURFACE:
-            return k - 1
-    return len(time) - 1
+            return
 
 
 def _reference_step(
@@ -297,34 +294,10 @@ def simulate_together(
 
 def make_bodies(parcels: Sequence[Parcel]) -> Bodies:
     """Return parcels as the compiled physics reads them, a row each."""
-    corners = [_corners(parcel) for parcel in parcels]
-    sides = max(map(len, corners))
-    edges = np.empty((len(parcels), sides, 3))
-    edges[:] = NO_EDGE
-    filled = np.empty((len(parcels), sides, 2))
-    rows = np.empty((len(parcels), 7))
-    for k, parcel in enumerate(parcels):
-        body = parcel.body
-        edges[k, : len(body.edges)] = body.edges
-        filled[k] = corners[k][0]
-        filled[k, : len(corners[k])] = corners[k]
-        rows[k] = (
-            body.radius,
-            body.com_x,
-            body.com_y,
-            body.com_height,
-            body.gyration,
-            -float((parcel.base.outline - np.array(parcel.base.centroid))[:, 0].min()),
-            parcel.mass,
-        )
-    return Bodies(rows, edges, filled)
-
-
-def _corners(parcel: Parcel) -> Array:
-    """Return the corners (corners, 2) [m] from the centroid; a disc's lie at the centroid."""
-    if len(parcel.body.edges) == 0:
-        return np.zeros((3, 2))
-    return np.asarray(parcel.base.outline - np.array(parcel.base.centroid))
+    sides = max(3, *(len(parcel.corners) for parcel in parcels))
+    bases = [filled_up(parcel.body.edges, parcel.corners, sides) for parcel in parcels]
+    edges, corners = map(np.stack, zip(*bases, strict=True))
+    return Bodies(np.stack([parcel.row for parcel in parcels]), edges, corners)
 
 
 def _make_world(
@@ -351,19 +324,10 @@ def _check_starts(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, world: World
 ) -> None:
     """Raise a ValueError where a parcel has no place to start from."""
-    grid = surface.grid
     scratch = ph.make_scratch()
     for k, parcel in enumerate(parcels):
-        body, start = parcel.body, world.state[k]
-        ph.check_capacity(
-            world.bodies.edges.shape[1],
-            body.radius,
-            (grid.pitch_x, grid.pitch_y),
-            (surface.columns, surface.rows),
-        )
-        if references.find_support(grid, body, start, scratch, 0.0).total == 0:
-            over = references.explain_unsupported(grid, start, 0.0) == stepping.UNSUPPORTED
-            wanted = "over an element" if over else "on the surface"
+        wanted = _missing_support(surface, parcel, world.state[k], scratch)
+        if wanted:
             pose = tuple(np.asarray(poses)[k].tolist())
             raise ValueError(f"poses must be {wanted}, got {pose} of parcel {k}")
         for other in range(k):

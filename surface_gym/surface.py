@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.physics.step import axis_directions
-from surface_gym.physics.types import GRAVITY, Grid
+from surface_gym.physics.types import GRAVITY, Grid, check_capacity
 
 
 class Pitched:
@@ -28,6 +28,10 @@ class Pitched:
     def pitch_y(self) -> float:
         """Return the distance [m] from row to row."""
         return self.pitch if isinstance(self.pitch, float) else self.pitch[1]
+
+    def check_capacity(self, base: Any, size: tuple[int, int]) -> None:
+        """Raise a ValueError where a base may have too many contacts on (columns, rows)."""
+        check_capacity(len(base.edges), base.reach, (self.pitch_x, self.pitch_y), size)
 
 
 class Elements(Pitched, ABC):

@@ -553,12 +553,7 @@ def _run_fields(parts: Parts, rows: int) -> Fields | None:
             f"base_lengths must be those of a {plain['base']}, got {lengths}"
         ) from None
     parcel = Parcel(base, **{name: plain[name] for name in PARCEL}, inertia=plain.get("inertia"))
-    ph.check_capacity(
-        len(parcel.body.edges),
-        parcel.body.radius,
-        (surface.pitch_x, surface.pitch_y),
-        (surface.columns, surface.rows),
-    )
+    surface.check_capacity(base, (surface.columns, surface.rows))
     return {
         "surface": surface,
         "parcel": parcel,

@@ -13,7 +13,7 @@ from surface_gym import checks
 from surface_gym import state as st
 from surface_gym.config import EnvConfig
 from surface_gym.lines import BaseLine
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import NO_EDGE, Parcel, filled_up
 from surface_gym.physics.step import com_states, map_floats
 from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
 from surface_gym.state import BodyTable, ParcelState
@@ -27,9 +27,6 @@ def draw_noise(parcels: ParcelState, row: int, generator: np.random.Generator) -
     noise[:, :3] = generator.standard_normal((st.NOISE_ROWS, 3))
     noise[:, 3] = generator.random(st.NOISE_ROWS)
     parcels.noise_row[row] = 0
-
-
-NO_EDGE = (0.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges up
 
 
 class Placement(NamedTuple):
@@ -47,16 +44,6 @@ class Placement(NamedTuple):
         """Return the rows that edges and corners take."""
         return max(len(self.edges), len(self.corners))
 
-    def fill(self, sides: int) -> tuple[Array, Array]:
-        """Return edges (sides, 3) and corners (sides, 2), filled up to a number of sides."""
-        edges = np.empty((sides, 3))
-        edges[:] = NO_EDGE
-        edges[: len(self.edges)] = self.edges
-        corners = np.empty((sides, 2))
-        corners[:] = self.corners[0]
-        corners[: len(self.corners)] = self.corners
-        return edges, corners
-
 
 @lru_cache(maxsize=64)
 def place_parcel(
@@ -72,27 +59,9 @@ def place_parcel(
     obeys[first_row : first_row + rows, first_column : first_column + columns] = True
     for row, column in stuck:
         obeys[row, column] = False
-    body = parcel.body
-    outline = parcel.base.outline - np.array(parcel.base.centroid)
-    half_length = -float(outline[:, 0].min())
-    return Placement(
-        rotor=placed.rotor,
-        obeys=obeys & placed.rotor,
-        zone=np.array(placed.zone),
-        body=np.array(
-            [
-                body.radius,
-                body.com_x,
-                body.com_y,
-                body.com_height,
-                body.gyration,
-                half_length,
-                parcel.mass,
-            ]
-        ),
-        edges=body.edges,
-        corners=outline if len(body.edges) else np.zeros((1, 2)),
-    )
+    zone_numbers = np.array(placed.zone)
+    edges, corners = parcel.body.edges, parcel.corners
+    return Placement(placed.rotor, obeys & placed.rotor, zone_numbers, parcel.row, edges, corners)
 
 
 def place_in(config: EnvConfig, parcel: Parcel) -> Placement:
@@ -221,7 +190,8 @@ def with_body(bodies: BodyTable, body: int, placement: Placement) -> BodyTable:
             corners=np.concatenate([bodies.corners, repeats], axis=1),
         )
     bodies.body[body] = placement.body
-    bodies.edges[body], bodies.corners[body] = placement.fill(wide + max(0, more))
+    edges, corners = filled_up(placement.edges, placement.corners, wide + max(0, more))
+    bodies.edges[body], bodies.corners[body] = edges, corners
     return bodies
 
 
@@ -312,9 +282,8 @@ def each_parcel(parcel: Parcel | Parcels, count: int) -> Parcels:
     return Parcels((parcel,), np.zeros(count, dtype=np.int64))
 
 
-MOST_AHEAD = (
-    64  # starts of an environment drawn at a time, where nothing else is drawn from its generator
-)
+# Starts of an environment drawn at a time, where nothing else is drawn from its generator.
+MOST_AHEAD = 64
 MOST_KEPT = 65536  # starts of all environments
 
 

@@ -273,10 +273,7 @@ def run_all(
     surface's elements; None: all alike.
     """
     for parcel in parcels:
-        ph.check_capacity(
-            len(parcel.body.edges), parcel.body.radius, (line.pitch_x, line.pitch_y),
-            line.shape[::-1],
-        )  # fmt: skip
+        line.check_capacity(parcel.base, line.shape[::-1])
     surfaces = _make_surfaces(line, layouts, stiffness)
     bodies = make_bodies(parcels)
     arrays = _make_arrays(line, parcels, runs, dt)

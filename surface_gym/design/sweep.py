@@ -33,7 +33,7 @@ from surface_gym.design.runs import (
 )
 from surface_gym.parallel import Workers, check_workers
 from surface_gym.parcel import Parcel
-from surface_gym.physics.types import Array, Booleans, check_capacity
+from surface_gym.physics.types import Array, Booleans
 
 
 @dataclass(frozen=True, eq=False)
@@ -463,8 +463,7 @@ def success_map(
         found = np.array(load_checkpoint(file, "map", identity, ("found",))["found"])
     largest = _scaled(case.parcel, float(factors.max()))
     whole = _line_for_size(arrangement.line, case, largest)
-    body, pitch = largest.body, (whole.pitch_x, whole.pitch_y)
-    check_capacity(len(body.edges), body.radius, pitch, whole.shape[::-1])
+    whole.check_capacity(largest.base, whole.shape[::-1])
     groups = list(case.unknown.by_group().values())
     drawn = [case.draw(whole, unknown) for unknown in (groups[0], groups[-1])]
     counts = [len(over) * len(each) for each in drawn]
