@@ -189,8 +189,6 @@ def _reference_step(
     normal_forces: str,
 ) -> int:  # fmt: skip
     """Do the compiled step with Eq. (1) solved by a reference in the dual's place."""
-    from surface_gym.physics.references import support_load_by
-
     explicit = method == "explicit"
     if explicit and state[ph.VX] <= 0.0 and grid.gravity_along == 0.0:
         return stepping.STOPPED
@@ -199,7 +197,7 @@ def _reference_step(
     count = contacts.total
     if count == 0:
         return int(references.explain_unsupported(grid, state, lead))
-    degenerate = support_load_by(normal_forces, grid, body, state, scratch, count)
+    degenerate = references.support_load_by(normal_forces, grid, body, state, scratch, count)
     advance = references.advance_explicit if explicit else references.advance_implicit
     advance(grid, body, state, scratch, contacts, dt)
     return stepping.TIPPING if degenerate else stepping.BALANCED

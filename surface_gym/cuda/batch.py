@@ -9,24 +9,9 @@ import numpy as np
 import torch
 
 from surface_gym.config import EnvConfig
+from surface_gym.core import resets
 from surface_gym.core.assembly import make_env_params
-from surface_gym.core.resets import (
-    BodyPlan,
-    StartRows,
-    draw_starts,
-    each_parcel,
-    place_in,
-    start_paths,
-    start_rows,
-)
-from surface_gym.cuda.kernels import (
-    Launch,
-    make_stream_scratch,
-    place_starts,
-    step_kernel,
-    stream_capacity,
-    stream_step_kernel,
-)
+from surface_gym.cuda import kernels
 from surface_gym.cuda.memory import interleave, make_device_state, send, to_device
 from surface_gym.cuda.prefetch import Prefetch
 from surface_gym.flow.batch import StreamBatch
@@ -45,7 +30,7 @@ class BaseCudaBatch(ABC):
     author: str  # the class named where a compiled function makes an error
     _surfaces: Any  # as `SurfaceState`, of tensors
     _episodes: Any  # has outcome, reward and fault of each environment, as tensors
-    _step: Launch  # of the environments in `_mask`, in the order of `_order`
+    _step: kernels.Launch  # of the environments in `_mask`, in the order of `_order`
 
     def __init__(self, num_envs: int, device: torch.device) -> None:
         self._device = device
@@ -148,8 +133,8 @@ class CudaBatch(BaseCudaBatch):
         self.options = self._task.options
         self.author = type(self._task).__name__
         line = config.chosen_line
-        self._plan = BodyPlan(
-            self._task.parcels, partial(place_in, config), 1, (line.rows, line.columns)
+        self._plan = resets.BodyPlan(
+            self._task.parcels, partial(resets.place_in, config), 1, (line.rows, line.columns)
         )
         self._sizes = torch.from_numpy(self._plan.sizes).to(device)  # (bodies, 4) of the parcels
         params = to_device(make_env_params(config), device)
@@ -161,10 +146,12 @@ class CudaBatch(BaseCudaBatch):
         self._periods = 0
         # Kernels are always called with the same arrays; only their content changes.
         state = (params, self._surfaces, self._parcels, self._bodies)
-        self._step = Launch(step_kernel(config), (*state, self._order, self._mask), num_envs)
+        self._step = kernels.Launch(
+            kernels.step_kernel(config), (*state, self._order, self._mask), num_envs
+        )
         rings = self.prefetch.rings, self.prefetch.starts_taken
         placed = (self._surfaces, self._parcels, *rings, self._mask)
-        self._place = Launch(place_starts, placed, num_envs)
+        self._place = kernels.Launch(kernels.place_starts, placed, num_envs)
 
     @property
     def observation(self) -> torch.Tensor:
@@ -223,13 +210,13 @@ class CudaBatch(BaseCudaBatch):
 
     def _make_rows(
         self, numbers: Array, options: Sequence[dict[str, Any]]
-    ) -> tuple[StartRows, Array]:
+    ) -> tuple[resets.StartRows, Array]:
         """Return rows and paths (starts, PATH_POINTS or 0) of the starts from numbers (starts,
         draws).
         """
         config, count = self._config, len(numbers)
-        start = draw_starts(config, numbers, options)
-        parcels = each_parcel(start.parcel, count)
+        start = resets.draw_starts(config, numbers, options)
+        parcels = resets.each_parcel(start.parcel, count)
         bodies: Integers = self._plan.shared_bodies_of(parcels)
         if (bodies < 0).any():
             first = int(np.nonzero(bodies < 0)[0][0])
@@ -239,8 +226,10 @@ class CudaBatch(BaseCudaBatch):
             )
         path = np.zeros((count, 0))
         if self._task.has_path:
-            path = np.broadcast_to(start_paths(self._task, start, count), (count, PATH_POINTS))
-        return start_rows(self._task, start, parcels, bodies), path
+            path = np.broadcast_to(
+                resets.start_paths(self._task, start, count), (count, PATH_POINTS)
+            )
+        return resets.start_rows(self._task, start, parcels, bodies), path
 
 
 # The arrays that drawing an episode writes; the kernel begins the others.
@@ -267,15 +256,15 @@ class CudaStreamBatch(BaseCudaBatch):
         self._host = StreamBatch(config, num_envs, compiles=False)
         self.outcomes, self.options = self._host.outcomes, self._host.options
         self.author = type(task).__name__
-        self._capacity = stream_capacity(config, task.stream.kinds)
+        self._capacity = kernels.stream_capacity(config, task.stream.kinds)
         self._params = to_device(self._host.params, device)
         self._stream_params = to_device(self._host.stream_params, device)
         self._surfaces = to_device(self._host.surfaces, device)
         self._parcels = to_device(self._host.parcels, device)
         self._episodes = to_device(self._host.streams, device)
-        scratch = to_device(make_stream_scratch(self._capacity, task.rows), device)
+        scratch = to_device(kernels.make_stream_scratch(self._capacity, task.rows), device)
         self._scratches = type(scratch)._make(interleave(values, num_envs) for values in scratch)
-        self._step = Launch(stream_step_kernel(config), self._arguments(), num_envs)
+        self._step = kernels.Launch(kernels.stream_step_kernel(config), self._arguments(), num_envs)
 
     def _arguments(self) -> tuple[Any, ...]:
         bodies = to_device(self._host.bodies, self._device)
@@ -307,7 +296,7 @@ class CudaStreamBatch(BaseCudaBatch):
         self._host.check(options)
         for each in options:
             stream = each.get("stream", self._task.stream)
-            if stream_capacity(self._config, stream.kinds) > self._capacity:
+            if kernels.stream_capacity(self._config, stream.kinds) > self._capacity:
                 raise ValueError(
                     f"stream must have parcels no larger than those of the environment's where "
                     f"device is {str(self._device)!r}, got {stream.kinds}"

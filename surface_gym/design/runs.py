@@ -16,30 +16,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surface_gym import checks
+from surface_gym import state as st
 from surface_gym.layouts import ROLLING, lead_in_under, rows_under
 from surface_gym.parallel import Cluster, Workers, map_jobs, without_report
 from surface_gym.parcel import Parcel
+from surface_gym.physics import step as stepping
 from surface_gym.physics import types as ph
 from surface_gym.physics.collision import read_body
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.jit import compiled, inlined
-from surface_gym.physics.step import (
-    OFF_SURFACE,
-    TIPPING,
-    axis_directions,
-    com_states,
-    map_floats,
-    step_implicit,
-)
 from surface_gym.physics.types import Array, Bodies, Booleans, Grid, Integers, Places, Scratch
 from surface_gym.simulation import base_motion, make_bodies
-from surface_gym.state import (
-    ACROSS_FACTOR,
-    ALONG_FACTOR,
-    GRAVITY_ALONG,
-    GRAVITY_NORMAL,
-    SUPPORT_FACTOR,
-)
 from surface_gym.surface import Pitched, Surface
 
 RUN_OUT = 1.0  # [m] of rolling columns behind the zone, beyond the base's length
@@ -338,11 +325,11 @@ def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Gri
         surfaces.y0,
         surfaces.pitch_x,
         surfaces.pitch_y,
-        conditions[ALONG_FACTOR],
-        conditions[ACROSS_FACTOR],
-        conditions[SUPPORT_FACTOR],
-        conditions[GRAVITY_ALONG],
-        conditions[GRAVITY_NORMAL],
+        conditions[st.ALONG_FACTOR],
+        conditions[st.ACROSS_FACTOR],
+        conditions[st.SUPPORT_FACTOR],
+        conditions[st.GRAVITY_ALONG],
+        conditions[st.GRAVITY_NORMAL],
     )
 
 
@@ -393,12 +380,12 @@ def _run_range(
         steps = 0
         while steps < number[STEPS]:
             omega = state[ph.OMEGA]
-            report, _ = step_implicit(grid, body, state, scratch, dt)
-            if report >= OFF_SURFACE:
+            report, _ = stepping.step_implicit(grid, body, state, scratch, dt)
+            if report >= stepping.OFF_SURFACE:
                 reason = OFF
                 break
             steps += 1
-            tipped += report == TIPPING
+            tipped += report == stepping.TIPPING
             lowest, highest = _rotor_span(surfaces.rotor, scratch)
             if highest < 0:
                 reason = OUT
@@ -426,7 +413,7 @@ def _make_surfaces(line: DesignLine, layouts: Array, stiffness: Array | None) ->
     mu = np.array((line.mu_max, line.mu_min, line.mu_support))
     return SurfaceSet(
         axis=places.reshape(axes.shape).astype(np.int32),
-        direction=axis_directions(angles),
+        direction=stepping.axis_directions(angles),
         rotor=line.rotor.copy(),
         stiffness=np.ones((1, *line.shape)) if stiffness is None else stiffness.astype(float),
         friction=np.broadcast_to(mu, (*line.shape, 3)).copy(),
@@ -445,7 +432,9 @@ def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: fl
     number[:, PARCEL] = runs.parcel
     number[:, EXIT] = np.where(runs.columns < 0, line.shape[1], line.lead_in + runs.columns)
     number[:, STEPS] = round(LONGEST / dt)
-    gravity = [ph.GRAVITY * map_floats(function, runs.tilt) for function in (math.sin, math.cos)]
+    gravity = [
+        ph.GRAVITY * stepping.map_floats(function, runs.tilt) for function in (math.sin, math.cos)
+    ]
     starts = np.array([line.start(parcel) for parcel in parcels])[runs.parcel]
     starts[:, 1] += runs.lateral
     starts[:, 2] += runs.heading
@@ -455,7 +444,7 @@ def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: fl
     return RunArrays(
         number=number,
         conditions=np.column_stack([runs.friction, *gravity]),
-        state=com_states(centres, starts, velocity),
+        state=stepping.com_states(centres, starts, velocity),
         end=np.zeros((count, 4), dtype=np.int64),
     )
 

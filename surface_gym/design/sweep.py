@@ -9,6 +9,7 @@ import numpy as np
 
 from surface_gym import checks
 from surface_gym.design import report
+from surface_gym.design import runs as running
 from surface_gym.design.case import (
     NOTHING,
     SURE,
@@ -22,15 +23,7 @@ from surface_gym.design.case import (
     save_checkpoint,
 )
 from surface_gym.design.columns import MOST, Columns, least_columns
-from surface_gym.design.runs import (
-    DesignLine,
-    Ends,
-    OnProgress,
-    Runs,
-    join_runs,
-    line_for,
-    split_progress,
-)
+from surface_gym.design.runs import DesignLine, OnProgress
 from surface_gym.parallel import Workers, check_workers
 from surface_gym.parcel import Parcel
 from surface_gym.physics.types import Array, Booleans
@@ -61,10 +54,10 @@ class Arrangement:
     def run(
         self,
         drawn: Draws,
-        runs: Runs,
+        runs: running.Runs,
         workers: Workers = 1,
         on_progress: OnProgress = lambda *_: None,
-    ) -> Ends:
+    ) -> running.Ends:
         """Simulate runs of draws over the layout."""
         axes = self.layout.axis[np.newaxis]
         return self.case.run(self.line, axes, runs, drawn, workers, on_progress)
@@ -134,7 +127,7 @@ def success_shares(
     for k in range(len(points)):
         runs = drawn.runs(float(points.speed[k]), float(points.tilt[k]), arrangement.passed)
         each_point.append(replace(runs, friction=runs.friction * points.friction[k]))
-    runs = join_runs(each_point)
+    runs = running.join_runs(each_point)
     ends = arrangement.run(drawn, runs, workers, on_progress)
     done = arrangement.case.purpose.succeeds(ends)
     share: Array = done.reshape(len(points), len(drawn)).mean(axis=1)
@@ -303,7 +296,7 @@ def sensitivity(
     A field whose spread is 0 in the case is drawn with a usual one, `USUAL`, and marked so.
     """
     arrangement = arrange(case, columns, rows, workers)
-    progress = split_progress(on_progress, [1] + [case.draws] * len(FIELDS))
+    progress = running.split_progress(on_progress, [1] + [case.draws] * len(FIELDS))
 
     def results(unknown: Unknown, part: OnProgress) -> tuple[Array, Booleans]:
         """Return the purpose's measure (draws,) of each draw, and its success."""
@@ -467,7 +460,7 @@ def success_map(
     groups = list(case.unknown.by_group().values())
     drawn = [case.draw(whole, unknown) for unknown in (groups[0], groups[-1])]
     counts = [len(over) * len(each) for each in drawn]
-    progress = split_progress(on_progress, counts * len(factors))
+    progress = running.split_progress(on_progress, counts * len(factors))
     points = replace(repeat_case(case, len(over)), speed=over)
     for row, size in enumerate(factors.tolist()):
         if not np.isnan(found[0, row, 0]):
@@ -507,5 +500,5 @@ def _scaled(parcel: Parcel, size: float) -> Parcel:
 
 def _line_for_size(line: DesignLine, case: Case, parcel: Parcel) -> DesignLine:
     """Return the case's line with a lead-in, a run-out and supports for another parcel."""
-    own = line_for(parcel, line.columns, line.rows, case.pitch)
+    own = running.line_for(parcel, line.columns, line.rows, case.pitch)
     return replace(line, lead_in=own.lead_in, run_out=own.run_out, beside=own.beside)

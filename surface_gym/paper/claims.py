@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from surface_gym import layouts
 from surface_gym.paper.runs import NONE, SIZES, Integration, rotor_columns, tipping_share
-from surface_gym.physics.friction import ROUNDING
 from surface_gym.simulation import simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
@@ -201,16 +200,3 @@ def _stops(surface: Surface, integration: Integration) -> bool:
     )
     speed = np.hypot(run.velocity[:, 0], run.velocity[:, 1])
     return run.end != "left the surface" and bool(speed[-len(speed) // 4 :].mean() < STANDING)
-
-
-def creep_speed(tilt: float, friction: float) -> float:
-    """Return the speed [m/s] of a parcel that friction holds on a slope.
-
-    Friction is rounded below a contact speed of 1e-5 m/s, in proportion to the speed; a held parcel
-    creeps at the speed at which it balances gravity.
-
-    Args:
-        tilt: [rad].
-        friction: [-] coefficient down the slope, above tan(tilt).
-    """
-    return ROUNDING * math.tan(tilt) / friction
