@@ -74,7 +74,7 @@ TARGETS = (
     _task("track"),
     Target(
         "tasks",
-        "surface_gym/tasks/line.py",
+        "surface_gym/tasks/base.py",
         ("surface_gym/tasks/slow.py", "tests/tasks/test_slow.py", "tests/tasks/test_stop.py",
          _PAGES),
         _TASKS,

@@ -9,8 +9,7 @@ import numpy as np
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import THETA
 from surface_gym.state import SUCCESS, EnvState
-from surface_gym.tasks import line as on_line
-from surface_gym.tasks import planning
+from surface_gym.tasks import base, planning
 from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import PARCELS, Benchmark, ErrorPlot, high_column, median_column
 from surface_gym.tasks.planning import Nodes, Numbers, Observed, PlanCost
@@ -20,7 +19,7 @@ ANGLE = 0  # place in the goal: [rad] asked theta
 LEFT_TO_TURN = 0  # place in the memory: [rad] at the last decision
 ANGLE_ERROR = 0  # index in the metrics: [rad] theta - the asked angle
 
-OUTCOMES = (*on_line.LINE_OUTCOMES, "missed")
+OUTCOMES = (*base.LINE_OUTCOMES, "missed")
 MISSED = failures(OUTCOMES)[-1]
 SUCCESS_ERROR = math.radians(2.0)  # [rad]
 EXIT_SPEED = 0.1  # [m/s] that a planner is to leave the zone with
@@ -36,7 +35,7 @@ SUCCESS_REWARD = 1.0
 FAILURE_REWARD = -1.0
 
 FEATURES = (
-    *on_line.PARCEL_FEATURES,
+    *base.PARCEL_FEATURES,
     Feature("asked angle", -4.0, 4.0, "/ 1 rad"),
     Feature("angle to turn", -1000.0, 1000.0, "asked angle - theta / 0.2 rad"),
     Feature("angle to turn, near", -1.0, 1.0, "hyperbolic tangent of asked angle - theta / 2 deg"),
@@ -126,7 +125,7 @@ class Orient(Task):
         speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
         parcel = draw.parcel(self.parcels, size)
         angle = draw.within("angle", between(*self.angles, turn), -math.pi, math.pi)
-        return Start(parcel, on_line.entry(draw, parcel), (speed, 0.0, 0.0), (angle,))
+        return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (angle,))
 
     def decode_start(self, seen: Observed) -> Start:
         """Decode the first observation into the start that it shows, the asked angle its goal."""
@@ -177,7 +176,7 @@ class Orient(Task):
         state.metrics[ANGLE_ERROR] = state.truth[THETA] - state.goal[ANGLE]
         state.memory[LEFT_TO_TURN] = abs(state.metrics[ANGLE_ERROR])
 
-    is_done = staticmethod(on_line.over_zone_end)
+    is_done = staticmethod(base.over_zone_end)
 
     @staticmethod
     @kernel_function
@@ -185,7 +184,7 @@ class Orient(Task):
         """Return the state of the episode, by the true motion."""
         error = state.truth[THETA] - state.goal[ANGLE]
         state.metrics[ANGLE_ERROR] = error
-        return on_line.leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
+        return base.leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
 
     @staticmethod
     @kernel_function
@@ -204,7 +203,7 @@ class Orient(Task):
     @kernel_function
     def observe(state: EnvState) -> None:
         """Write the observation from the sensor's pose and velocity."""
-        on_line.see_parcel(state)
+        base.see_parcel(state)
         left = state.goal[ANGLE] - state.sensed[THETA]
         see = state.observation
         see[13] = state.goal[ANGLE]

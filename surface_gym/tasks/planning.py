@@ -104,7 +104,7 @@ class LineObservation:
 
 
 def decode_line(seen: Observed) -> LineObservation:
-    """Decode observations that show the features of `tasks.line` or of Sort."""
+    """Decode observations that show the features of `tasks.base` or of Sort."""
     side = seen["side"]
     # A parcel that is to go to y < 0 is shown in a mirror.
     mirror = np.where(side < 0.0, -1.0, 1.0)

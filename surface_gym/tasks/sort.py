@@ -15,9 +15,8 @@ from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import EnvState, ParcelState
 from surface_gym.tasks import planning
-from surface_gym.tasks.base import Feature, Task, failures, rising
+from surface_gym.tasks.base import STALL_SPEED, Feature, Task, entry, failures, rising
 from surface_gym.tasks.benchmark import PARCELS, Benchmark, Column, Numbers, SpeedGrid
-from surface_gym.tasks.line import STALL_SPEED, entry
 from surface_gym.tasks.planning import Nodes, Observed, PlanCost
 from surface_gym.tasks.start import Draw, Start, between
 

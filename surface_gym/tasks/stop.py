@@ -9,8 +9,7 @@ import numpy as np
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import VX, X
 from surface_gym.state import RUNNING, SUCCESS, EnvState
-from surface_gym.tasks import line as on_line
-from surface_gym.tasks import planning
+from surface_gym.tasks import base, planning
 from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, median_column
 from surface_gym.tasks.planning import Nodes, Numbers, Observed, PlanCost
@@ -20,7 +19,7 @@ POSITION = 0  # place in the goal: [m] asked x of the centre
 SHORTFALL = 0  # place in the memory: [m] at the last decision
 STOP_ERROR = 0  # index in the metrics: [m] x of the centre - the asked one
 
-OUTCOMES = (*on_line.LINE_OUTCOMES, "missed", "passed the asked x")
+OUTCOMES = (*base.LINE_OUTCOMES, "missed", "passed the asked x")
 MISSED, OVERSHOT = failures(OUTCOMES)[-2:]
 SUCCESS_ERROR = 0.005  # [m]
 CAUTION = 0.5  # [-] of the time of a quarter turn, that a planner keeps to be on the safe side
@@ -34,7 +33,7 @@ SUCCESS_REWARD = 1.0
 FAILURE_REWARD = -1.0
 
 FEATURES = (
-    *on_line.PARCEL_FEATURES,
+    *base.PARCEL_FEATURES,
     Feature("to go", -20.0, 20.0, "to the asked x / 0.5 m"),
     Feature("to go, near", -1.0, 1.0, "hyperbolic tangent of the way to the asked x / 0.05 m"),
     Feature("to go, nearest", -1.0, 1.0, "hyperbolic tangent of the way to the asked x / 0.01 m"),
@@ -127,14 +126,12 @@ class Stop(Task):
         speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
         parcel = draw.parcel(self.parcels, size)
         half_length = parcel.rear
-        zone_start, zone_end = parcel.of(
-            lambda each: on_line.zone_span(draw.line, each, draw.zone)
-        ).T
-        rolled = half_length + 0.8 * speed**2 / (2.0 * on_line.ROLLING_LOSS)
+        zone_start, zone_end = parcel.of(lambda each: base.zone_span(draw.line, each, draw.zone)).T
+        rolled = half_length + 0.8 * speed**2 / (2.0 * base.ROLLING_LOSS)
         last = np.minimum(zone_end - half_length, rolled)
-        first = np.minimum(zone_start + half_length + speed**2 / (2.0 * on_line.BRAKING), last)
+        first = np.minimum(zone_start + half_length + speed**2 / (2.0 * base.BRAKING), last)
         position = draw.within("position", between(first, last, share), 0.0, draw.line.length)
-        return Start(parcel, on_line.entry(draw, parcel), (speed, 0.0, 0.0), (position,))
+        return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (position,))
 
     def decode_start(self, seen: Observed) -> Start:
         """Decode the first observation into the start that it shows, the asked x its goal."""
@@ -182,8 +179,8 @@ class Stop(Task):
         """Return the state of the episode, by the true motion."""
         error = state.truth[X] - state.goal[POSITION]
         state.metrics[STOP_ERROR] = error
-        outcome = on_line.failure(state)
-        if outcome == on_line.STALLED:
+        outcome = base.failure(state)
+        if outcome == base.STALLED:
             outcome = SUCCESS if abs(error) <= SUCCESS_ERROR else MISSED
         elif outcome == RUNNING and error > SUCCESS_ERROR:
             outcome = OVERSHOT
@@ -206,9 +203,9 @@ class Stop(Task):
     @kernel_function
     def observe(state: EnvState) -> None:
         """Write the observation from the sensor's pose and velocity."""
-        on_line.see_parcel(state)
+        base.see_parcel(state)
         to_go = state.goal[POSITION] - state.sensed[X]
-        excess = state.sensed[VX] - math.sqrt(2.0 * on_line.BRAKING * max(0.0, to_go))
+        excess = state.sensed[VX] - math.sqrt(2.0 * base.BRAKING * max(0.0, to_go))
         see = state.observation
         see[13] = to_go / 0.5
         see[14] = math.tanh(to_go / 0.05)
