@@ -152,7 +152,7 @@ EQUIVALENTS = (
         "further sweeps find every pair apart and move nothing",
     ),
     Equivalent(
-        "surface_gym/core/resets.py",
+        "surface_gym/parcel.py",
         "",
         "NO_EDGE = (0.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges up",
         "NO_EDGE = ( 1.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges up",
