@@ -174,8 +174,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
             return None
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before render.")
-        picture: NDArray[np.uint8] = self._renderer.draw()
-        return picture
+        return self._renderer.draw()
 
     def close(self) -> None:
         """Close the window, if any."""

@@ -268,8 +268,7 @@ def _outline(view: EnvState) -> Array:
         keep = np.ones(len(corners), dtype=bool)
         keep[1:] = (corners[1:] != corners[0]).any(axis=1)
         return corners[keep]
-    circle: Array = view.body[RADIUS] * np.stack([np.cos(_DISC), np.sin(_DISC)], axis=-1)
-    return circle
+    return view.body[RADIUS] * np.stack([np.cos(_DISC), np.sin(_DISC)], axis=-1)
 
 
 def _labels(names: tuple[str, ...]) -> tuple[str, ...]:

@@ -140,8 +140,7 @@ def sample_times(duration: float, dt: float) -> NDArray[np.float64]:
 def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
     """Return the state vector of the centre of mass."""
     centre = np.array([parcel.centre_of_mass])
-    state: Array = stepping.com_states(centre, pose[np.newaxis], velocity[np.newaxis])[0]
-    return state
+    return stepping.com_states(centre, pose[np.newaxis], velocity[np.newaxis])[0]
 
 
 def base_motion(parcel: Parcel, states: Array) -> tuple[Array, Array]:
@@ -345,12 +344,9 @@ def _run_together(
     scratch = make_world_scratch(count)
     room = 1024 + 2 * len(scratch.pair)
     records = Records(
-        np.zeros((len(time), count, ph.STATE_SIZE)),
-        np.zeros((len(time), count), dtype=np.int64),
-        np.zeros(room, dtype=np.int64),
-        np.zeros((room, 2), dtype=np.int64),
-        np.zeros(room),
-    )
+        np.zeros((len(time), count, ph.STATE_SIZE)), np.zeros((len(time), count), dtype=np.int64),
+        np.zeros(room, dtype=np.int64), np.zeros((room, 2), dtype=np.int64), np.zeros(room),
+    )  # fmt: skip
     records.state[0] = world.state
     touches = 0
     most = max(1, PIECE // count)

@@ -503,8 +503,7 @@ class ActionKind:
     def encode(self, commands: NDArray[Any]) -> NDArray[Any]:
         """Return commands (num_envs, size) as actions, the inverse of `commands`."""
         if self._single:
-            encoded: NDArray[Any] = commands[:, 0] * self.choices + commands[:, 1]
-            return encoded
+            return commands[:, 0] * self.choices + commands[:, 1]
         return commands
 
     def flip(self, commands: NDArray[Any]) -> NDArray[Any]:

@@ -102,20 +102,17 @@ class BaseBatch(ABC):
     @property
     def outcome(self) -> Integers:
         """(num_envs,) how each episode stands, a place in `outcomes`."""
-        outcome: Integers = self.episodes.outcome
-        return outcome
+        return self.episodes.outcome
 
     @property
     def reward(self) -> Array:
         """(num_envs,) rewards of the last control period."""
-        reward: Array = self.episodes.reward
-        return reward
+        return self.episodes.reward
 
     @property
     def terms(self) -> Array:
         """(num_envs, terms) of these rewards, as the task names them."""
-        terms: Array = self.episodes.terms
-        return terms
+        return self.episodes.terms
 
     @property
     def observation(self) -> NDArray[np.float32]:
@@ -290,8 +287,7 @@ class BaseBatch(ABC):
 
     def axes(self, env_index: int) -> Array:
         """(rows, columns) [rad] axis angles of an environment."""
-        angles: Array = st.axis_angles(self.surfaces, slice(env_index, env_index + 1))[0]
-        return angles
+        return st.axis_angles(self.surfaces, slice(env_index, env_index + 1))[0]
 
     def view(self, env_index: int, row: int = 0) -> EnvState:
         """View a parcel as compiled functions see it, between two control periods."""

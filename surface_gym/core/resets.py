@@ -113,8 +113,7 @@ class BodyPlan:
     def shared_bodies_of(self, parcels: Parcels) -> Integers:
         """Return the rows (count,) of parcels that the task draws; -1 for any other."""
         found = np.array([self._row_of.get(parcel, -1) for parcel in parcels.kinds])
-        bodies: Integers = found[parcels.which]
-        return bodies
+        return found[parcels.which]
 
     def bodies_of(self, chosen: Integers, parcels: Parcels) -> Integers:
         """Return the rows (count,) for the parcels of the chosen environments (count,)."""

@@ -43,20 +43,17 @@ class BaseCudaBatch(ABC):
     @property
     def command(self) -> torch.Tensor:
         """Return the commands (num_envs, command size), to write before a step."""
-        command: torch.Tensor = self._surfaces.command
-        return command
+        return self._surfaces.command
 
     @property
     def outcome(self) -> torch.Tensor:
         """Return the state (num_envs,) of each episode, an index into `outcomes`."""
-        outcome: torch.Tensor = self._episodes.outcome
-        return outcome
+        return self._episodes.outcome
 
     @property
     def reward(self) -> torch.Tensor:
         """Return the rewards (num_envs,) of the last control period."""
-        reward: torch.Tensor = self._episodes.reward
-        return reward
+        return self._episodes.reward
 
     def step(self, mask: torch.Tensor) -> None:
         """Step the environments in the mask (num_envs,) by one control period, or begin those
@@ -155,8 +152,7 @@ class CudaBatch(BaseCudaBatch):
 
     @property
     def observation(self) -> torch.Tensor:
-        observation: torch.Tensor = self._parcels.observation
-        return observation
+        return self._parcels.observation
 
     def infos(self) -> tuple[Tensors, Tensors]:
         parcels, task = self._parcels, self._task

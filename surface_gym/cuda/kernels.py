@@ -271,5 +271,4 @@ def make_stream_step_kernel(functions: StreamFunctions, capacity: int) -> Any:
 def make_stream_scratch(capacity: int, parcels: int) -> WorldScratch:
     """Make a surface's scratch for some parcels, with room for so many contacts of each."""
     translator = Translator(scratch_layout(capacity), lambda function: function)
-    scratch: WorldScratch = translator.translate(make_world_scratch)(parcels)
-    return scratch
+    return translator.translate(make_world_scratch)(parcels)

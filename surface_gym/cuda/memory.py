@@ -165,8 +165,7 @@ class DelayedCopy:
         """Return the values as a new array."""
         if self._event is not None:
             self._event.synchronize()
-        values: NDArray[Any] = self._values.numpy().copy()
-        return values
+        return self._values.numpy().copy()
 
 
 def send(values: NDArray[Any], device: torch.device) -> torch.Tensor:

@@ -308,15 +308,10 @@ class AskMap(Question):
         if not self.resume:
             self.checkpoint.unlink(missing_ok=True)
         return design.success_map(
-            case,
-            self.columns,
-            np.linspace(*ends, self.cells).tolist(),
-            np.linspace(*self.sizes, self.cells).tolist(),
-            self.rows,
-            self.shared_by,
-            self.checkpoint,
-            on_progress,
-        )
+            case, self.columns, np.linspace(*ends, self.cells).tolist(),
+            np.linspace(*self.sizes, self.cells).tolist(), self.rows, self.shared_by,
+            self.checkpoint, on_progress,
+        )  # fmt: skip
 
     @property
     def checkpoint(self) -> Path:
@@ -359,16 +354,11 @@ class AskLayout(Question):
         if not self.resume:
             self.checkpoint.unlink(missing_ok=True)
         return design.best_layout(
-            case,
-            speeds.round(9).tolist(),
-            ZONE if self.columns is None else self.columns,
-            self.rows,
-            None if self.any_angle else ORIENTATIONS,
-            Effort(members=self.members, epochs=self.epochs),
-            self.shared_by,
-            self.checkpoint,
+            case, speeds.round(9).tolist(), ZONE if self.columns is None else self.columns,
+            self.rows, None if self.any_angle else ORIENTATIONS,
+            Effort(members=self.members, epochs=self.epochs), self.shared_by, self.checkpoint,
             on_progress,
-        )
+        )  # fmt: skip
 
     @property
     def checkpoint(self) -> Path:

@@ -130,8 +130,7 @@ def success_shares(
     runs = running.join_runs(each_point)
     ends = arrangement.run(drawn, runs, workers, on_progress)
     done = arrangement.case.purpose.succeeds(ends)
-    share: Array = done.reshape(len(points), len(drawn)).mean(axis=1)
-    return share
+    return done.reshape(len(points), len(drawn)).mean(axis=1)
 
 
 def _fewest(case: Case, found: Columns) -> tuple[int, str]:

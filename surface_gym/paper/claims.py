@@ -97,13 +97,9 @@ def align(zone: Zone) -> Aligned:
         for (offset, turn), came in zip(ends[-len(mixed) :], mixed, strict=True)
     )
     return Aligned(
-        zone,
-        tuple(ends[: len(OFFSETS)]),
-        tuple(ends[len(OFFSETS) : -len(mixed)]),
-        both,
-        len(mixed),
-        float(np.mean([tipping_share(run) or 0.0 for run in runs])),
-    )
+        zone, tuple(ends[: len(OFFSETS)]), tuple(ends[len(OFFSETS) : -len(mixed)]), both,
+        len(mixed), float(np.mean([tipping_share(run) or 0.0 for run in runs])),
+    )  # fmt: skip
 
 
 def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
@@ -111,13 +107,9 @@ def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
     surface = zone.surface
     x, y, _ = layouts.start(zone.size)
     run = simulate(
-        surface,
-        layouts.box(zone.size),
-        (x, y + offset, math.radians(turn)),
-        (zone.speed, 0.0, 0.0),
-        LONGEST_CROSSING,
-        STEP,
-    )
+        surface, layouts.box(zone.size), (x, y + offset, math.radians(turn)),
+        (zone.speed, 0.0, 0.0), LONGEST_CROSSING, STEP,
+    )  # fmt: skip
     first, _ = rotor_columns(surface, zone.size, run.pose)
     past = (first >= surface.columns - layouts.LEAD_IN[zone.size]) | (first == NONE)
     rows = int(np.argmax(past)) + 1 if past.any() else len(past)
@@ -190,13 +182,8 @@ def steepest_stop(field: Callable[[float], Surface], integration: Integration) -
 def _stops(surface: Surface, integration: Integration) -> bool:
     """Push the S-box, and return whether it stands in the last quarter of the time."""
     run = simulate(
-        surface,
-        layouts.box("S"),
-        START,
-        (PUSH, 0.0, 0.0),
-        LONGEST_PUSH,
-        integration.dt,
+        surface, layouts.box("S"), START, (PUSH, 0.0, 0.0), LONGEST_PUSH, integration.dt,
         integration.method,
-    )
+    )  # fmt: skip
     speed = np.hypot(run.velocity[:, 0], run.velocity[:, 1])
     return run.end != "left the surface" and bool(speed[-len(speed) // 4 :].mean() < STANDING)

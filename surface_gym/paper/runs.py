@@ -84,8 +84,7 @@ class Targets:
 def load_data() -> dict[str, Any]:
     """Read the file of the paper's numbers; those of Section 6 are under "validation"."""
     text = resources.files("surface_gym.paper").joinpath("data/targets.json").read_text("utf-8")
-    data: dict[str, Any] = json.loads(text)
-    return data
+    return json.loads(text)
 
 
 @cache
@@ -194,14 +193,9 @@ class Integration:
     def run(self, surface: Surface, size: str, speed: float, duration: float) -> Trajectory:
         """Start the "S" or "B" box where the paper does, at `speed` [m/s] along x."""
         return simulate(
-            surface,
-            layouts.box(size),
-            layouts.start(size),
-            (speed, 0.0, 0.0),
-            duration,
-            self.dt,
+            surface, layouts.box(size), layouts.start(size), (speed, 0.0, 0.0), duration, self.dt,
             self.method,
-        )
+        )  # fmt: skip
 
 
 # The paper prints no step. That it was about 5 ms is our inference, from what its tables agree

@@ -31,14 +31,9 @@ SENSED: Colour = (94, 60, 170)
 
 # Far from the four orientations' colours and from each other, for dichromats too.
 EXITS: tuple[Colour, ...] = (
-    (172, 112, 252),
-    (252, 216, 24),
-    (84, 252, 180),
-    (168, 12, 132),
-    (12, 36, 132),
-    (252, 180, 252),
+    (172, 112, 252), (252, 216, 24), (84, 252, 180), (168, 12, 132), (12, 36, 132), (252, 180, 252),
     (180, 204, 108),
-)
+)  # fmt: skip
 
 # The axis colours lie on an ellipse in Oklab (https://bottosson.github.io/posts/oklab). Its plane
 # holds lightness and the way from blue to orange, which dichromats see too: 0 deg is dark, 90 deg

@@ -93,16 +93,9 @@ class Camera(Observer):
         every = self.frame_steps(dt)
         lag = every if self.latency is None else math.ceil(self.latency / dt - 1e-9)
         return (
-            every,
-            lag,
-            self.position_noise,
-            self.angle_noise,
-            self.drop,
-            self.acceleration_density,
-            self.turn_density,
-            self.friction_error,
-            *self.entry.params,
-        )
+            every, lag, self.position_noise, self.angle_noise, self.drop, self.acceleration_density,
+            self.turn_density, self.friction_error, *self.entry.params,
+        )  # fmt: skip
 
     def draws(self, dt: float, steps: int) -> int:
         """Return one row of noise a frame."""

@@ -124,8 +124,7 @@ class Spline(_Through):
         from scipy.interpolate import CubicSpline  # half of the package's import time
 
         along, across = np.array(self.points).T
-        curve: Numbers = CubicSpline(along, across, bc_type="natural")(x)
-        return curve
+        return CubicSpline(along, across, bc_type="natural")(x)
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ Numbers = NDArray[np.float64]
 
 def square_reach(half_length: Numbers | float, theta: Numbers) -> Numbers:
     """Compute the reach [m] along x, and along y, of a square base turned by theta [rad]."""
-    reach: Numbers = half_length * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
-    return reach
+    return half_length * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +98,7 @@ class LineObservation:
     @property
     def wholly_in_zone(self) -> NDArray[np.bool_]:
         """Return whether no module of the lead-in bears the parcel, (num_envs,)."""
-        inside: NDArray[np.bool_] = self.into_zone - self.reach > -self.pitch[0] / 2.0
-        return inside
+        return self.into_zone - self.reach > -self.pitch[0] / 2.0
 
 
 def decode_line(seen: Observed) -> LineObservation:

@@ -440,13 +440,10 @@ class PathObservation:
         """
         vx, vy = self.velocity
         return Start(
-            nearest_parcel(parcels, float(self.half_length[0])),
-            (*place, float(self.theta[0])),
-            (float(vx[0]), float(vy[0]), float(self.omega[0])),
-            (float(self.asked_speed[0]), *grid),
-            float(self.tilt[0]),
-            path,
-        )
+            nearest_parcel(parcels, float(self.half_length[0])), (*place, float(self.theta[0])),
+            (float(vx[0]), float(vy[0]), float(self.omega[0])), (float(self.asked_speed[0]), *grid),
+            float(self.tilt[0]), path,
+        )  # fmt: skip
 
 
 def _mean_squares(nodes: Nodes) -> Numbers:

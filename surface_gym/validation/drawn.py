@@ -81,12 +81,9 @@ def end_pose(
         column, row = np.rint(place / (surface.pitch_x, surface.pitch_y)).astype(np.int64).T
         load = load_point(grid, body, state)
         table_row(scratch, NORMAL, contacts.total)[:] = uneven_normal_forces(
-            arms,
-            tops[row, column],
-            stiffness * grid.stiffness[row, column],
-            grid.gravity_normal,
+            arms, tops[row, column], stiffness * grid.stiffness[row, column], grid.gravity_normal,
             load,
-        )
+        )  # fmt: skip
         advance_implicit(grid, body, state, scratch, contacts, dt)
     arm = start_state(parcel, np.array([0.0, 0.0, state[2]]), np.zeros(3))[:2]
     return np.array([state[0] - arm[0], state[1] - arm[1], state[2]])
@@ -109,13 +106,9 @@ class Unevenness:
 
 EVEN = Unevenness()
 UNEVEN = (
-    Unevenness(height=1e-6),
-    Unevenness(height=5e-6),
-    Unevenness(height=20e-6),
-    Unevenness(stiffness=0.3),
-    Unevenness(stiffness=0.6),
-    Unevenness(stiffness=1.2),
-)
+    Unevenness(height=1e-6), Unevenness(height=5e-6), Unevenness(height=20e-6),
+    Unevenness(stiffness=0.3), Unevenness(stiffness=0.6), Unevenness(stiffness=1.2),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -238,15 +231,9 @@ class Meeting:
                 away = np.hypot(*np.meshgrid(surface.x - x, surface.y - y))
                 within |= away < parcel.base.reach + MARGIN
         return simulation.simulate_together(
-            surface,
-            parcels,
-            poses,
-            velocities,
-            DURATION,
-            within,
-            TOGETHER_RECIPE.finer(harder),
+            surface, parcels, poses, velocities, DURATION, within, TOGETHER_RECIPE.finer(harder),
             SIDES.harder(harder),
-        )
+        )  # fmt: skip
 
 
 def _draw(rng: np.random.Generator) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
