@@ -139,7 +139,6 @@ class Line(BaseLine):
             )
 
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """Return the line for a base."""
         length, width = np.ptp(base.outline, axis=0)
         rows, lead_in = rows_under(width, self.pitch_y), lead_in_under(length, self.pitch_x)
         longest = self.columns - self.zone_columns
@@ -177,7 +176,6 @@ class Field(BaseLine):
         return self.columns
 
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """Return the field, whatever the base."""
         self.check_capacity(base, (self.columns, self.rows))
         first, last = (0, self.columns - 1) if zone is None else zone
         rotor = np.ones((self.rows, self.columns), dtype=bool)
@@ -236,7 +234,6 @@ class Pattern(BaseLine):
         return self.origin[1] + 0.5 * self.pitch_y * sum(self._rotor_rows)
 
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """Return the pattern, whatever the base."""
         self.check_capacity(base, (self.columns, self.rows))
         first, last = (self.lead_in, self.columns - 1) if zone is None else zone
         return Site(self._pattern, (self._rotor_rows[0], self.zone_rows, first, last - first + 1))

@@ -454,7 +454,6 @@ class ActionKind:
 
     @property
     def size(self) -> int:
-        """Return how many numbers a command has."""
         return self.shape[0] * self.shape[1]
 
     @property
@@ -468,7 +467,6 @@ class ActionKind:
         return self.name == "halves" and not self.continuous
 
     def space(self) -> spaces.Space[Any]:
-        """Return the action space of one environment."""
         if self.continuous:
             return spaces.Box(-RIGHT_ANGLE, RIGHT_ANGLE, (self.size,))
         if self._single:

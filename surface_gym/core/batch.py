@@ -168,7 +168,6 @@ class BaseBatch(ABC):
         """Get the parcel, of a stream the one in a row, after the randomisation."""
 
     def is_seeded(self, env_index: int) -> bool:
-        """Return whether an environment has a generator."""
         return self.generator(env_index) is not None
 
     def reset(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
@@ -316,7 +315,6 @@ class BaseBatch(ABC):
 
     @property
     def _authors(self) -> str:
-        """The classes whose functions are compiled."""
         return f"{type(self.task).__name__} with {type(self.config.sensors).__name__}"
 
     def _run(self, chosen: Integers, threads: int = 1) -> None:

@@ -41,7 +41,6 @@ class Placement(NamedTuple):
 
     @property
     def sides(self) -> int:
-        """Return the rows that edges and corners take."""
         return max(len(self.edges), len(self.corners))
 
 

@@ -234,7 +234,6 @@ class CudaVectorEnv(BaseVectorEnv):
         return final
 
     def _observation(self) -> torch.Tensor:
-        """Copy the observations."""
         return self.batch.observation.clone(memory_format=torch.contiguous_format)
 
     def _infos(self, mask: torch.Tensor) -> dict[str, Any]:
@@ -255,7 +254,6 @@ class CudaVectorEnv(BaseVectorEnv):
             self._raise(*last.read().tolist())
 
     def _raise_errors(self) -> None:
-        """Raise all errors so far."""
         self._last_errors = None
         self._raise(*self._errors().read().tolist())
 

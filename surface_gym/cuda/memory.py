@@ -162,7 +162,6 @@ class DelayedCopy:
             self._event.record()
 
     def read(self) -> NDArray[Any]:
-        """Return the values as a new array."""
         if self._event is not None:
             self._event.synchronize()
         return self._values.numpy().copy()

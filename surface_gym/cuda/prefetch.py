@@ -78,7 +78,6 @@ class Prefetch:
         self.starts_taken = torch.zeros(num_envs, dtype=torch.int64, device=device)
 
     def is_seeded(self, env_index: int) -> bool:
-        """Return whether an environment has a generator."""
         return self._cache.generators[env_index] is not None
 
     def refill(
@@ -116,7 +115,6 @@ class Prefetch:
         self._checked = DelayedCopy(self.starts_taken)
 
     def close(self) -> None:
-        """End the thread."""
         self._pool.shutdown()
 
     def _prepare(self, wanted: Integers) -> PreparedStarts:
@@ -136,7 +134,6 @@ class Prefetch:
         return PreparedStarts(np.concatenate(env_indices), np.concatenate(slots), rows, path)
 
     def _send_pending(self) -> None:
-        """Send what the thread has prepared."""
         if self._pending is not None:
             self._send(self._pending.result())
             self._pending = None

@@ -143,11 +143,9 @@ class Question:
 
     @property
     def shared_by(self) -> Workers:
-        """Threads or cluster that share the runs."""
         return choose_workers(self.cluster, self.workers)
 
     def case(self) -> design.Case:
-        """Build the case from the flags."""
         checks.integer("workers", self.workers, least=1)
         return design.Case(
             parcel=self._parcel(),
@@ -315,7 +313,6 @@ class AskMap(Question):
 
     @property
     def checkpoint(self) -> Path:
-        """File of the finished sizes."""
         return self.out / "map.npz"
 
 
@@ -362,7 +359,6 @@ class AskLayout(Question):
 
     @property
     def checkpoint(self) -> Path:
-        """File of the search's state."""
         return self.out / "layout.npz"
 
 

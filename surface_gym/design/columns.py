@@ -43,7 +43,6 @@ class Columns:
 
     @property
     def modules(self) -> int | None:
-        """Modules whose axes are turned."""
         return None if self.columns is None else self.rows * self.columns
 
     @property
@@ -188,7 +187,6 @@ class ColumnsReport(report.Answer):
 
     @property
     def own(self) -> Columns:
-        """The columns of the case itself."""
         return self.by_rows[-1]
 
     @property

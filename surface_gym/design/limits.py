@@ -59,11 +59,9 @@ class Limits(report.Answer):
 
     @property
     def name(self) -> str:
-        """Name of the files."""
         return self.quantity.name
 
     def of(self, group: str) -> Span:
-        """Return the span of a group."""
         checks.one_of("group", group, [each.group for each in self.spans])
         return next(each for each in self.spans if each.group == group)
 
@@ -146,7 +144,6 @@ class Limits(report.Answer):
         return figure
 
     def draw_curves(self, axes: "report.Axes") -> None:
-        """Draw the success of each span."""
         from matplotlib.ticker import PercentFormatter
 
         for span in self.spans:

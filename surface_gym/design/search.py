@@ -44,7 +44,6 @@ class LayoutSpace:
 
     @property
     def modules(self) -> int:
-        """Number of modules."""
         return self.rows * self.columns
 
     @property

@@ -87,12 +87,10 @@ class FlowParallelEnv(ParallelEnv):
         return [_name(number) for number in range(self._possible)]
 
     def observation_space(self, agent: str) -> spaces.Box:
-        """Return the space, the same for every agent."""
         del agent
         return self._observation_space
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """Return the space, the same for every agent."""
         del agent
         return self._action_space
 
@@ -120,7 +118,6 @@ class FlowParallelEnv(ParallelEnv):
         return returned
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw as `SmartSurfaceEnv` does."""
         return self._env.render()
 
     def close(self) -> None:

@@ -42,11 +42,9 @@ class StreamActions(ActionKind):
 
     @property
     def size(self) -> int:
-        """Numbers in a command."""
         return self.parts.size + (1 if self.gates else 0)
 
     def space(self) -> spaces.Space[Any]:
-        """Make the space of a surface's actions."""
         if not self.gates:
             return self.parts.space()
         return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])

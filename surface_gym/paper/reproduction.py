@@ -76,7 +76,6 @@ class Reproduction:
     alignment: tuple[claims.Aligned, ...]
 
     def table(self, key: str) -> Table:
-        """Get the table of that key."""
         return next(table for table in self.tables if table.key == key)
 
 

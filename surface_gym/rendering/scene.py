@@ -193,12 +193,10 @@ class Scene:
 
     @property
     def rows(self) -> int:
-        """Number of elements across the line, in y."""
         return int(self.axis.shape[0])
 
     @property
     def columns(self) -> int:
-        """Number of elements along the line, in x."""
         return int(self.axis.shape[1])
 
     @property
@@ -216,7 +214,6 @@ class Scene:
 
     @property
     def exits(self) -> tuple[ExitMark, ...]:
-        """The exits; none without traffic."""
         return self.traffic.exits if self.traffic is not None else ()
 
     def _check_exits(self) -> None:
@@ -353,22 +350,18 @@ class Layout:
 
     @property
     def area(self) -> pygame.Rect:
-        """The area of all that is drawn."""
         return pygame.Rect(self.box)
 
     @property
     def surface(self) -> pygame.Rect:
-        """The area of the whole surface."""
         return self.cells(0, self.rows, 0, self.columns)
 
     @property
     def plate(self) -> pygame.Rect:
-        """The area of the rows shown."""
         return self.cells(*self.band, 0, self.columns)
 
     @property
     def rotors(self) -> pygame.Rect:
-        """The area of the rotor rows."""
         return self.cells(*self.line, 0, self.columns)
 
     @property

@@ -133,7 +133,6 @@ class Orient(Task):
         return planning.line_start(seen, line, self.parcels, (float(line.angle[0]),))
 
     def cost(self) -> PlanCost:
-        """Minimise the error of the angle."""
         return PlanCost(_angle_to_turn, planning.error_cost, 1e-3, self.periods, self.periods)
 
     def benchmark(self) -> Benchmark:
@@ -160,11 +159,9 @@ class Orient(Task):
         )
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """Return the asked angle."""
         return [("asked", f"{math.degrees(state.goal[ANGLE]):+.1f}\N{DEGREE SIGN}")]
 
     def goal(self, state: EnvState) -> Any:
-        """Return the asked heading."""
         from surface_gym.rendering import Heading
 
         return Heading(float(state.goal[ANGLE]))

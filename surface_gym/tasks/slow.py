@@ -145,7 +145,6 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         return planning.line_start(seen, line, self.parcels, goal)
 
     def cost(self) -> PlanCost:
-        """Minimise the error of the ratio."""
         return PlanCost(_excess_of_speed, planning.error_cost, 2e-4, self.periods, self.periods)
 
     def benchmark(self) -> Benchmark:
@@ -164,12 +163,10 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         )
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """Return the present ratio and the asked one."""
         asked, error = state.goal[RATIO], state.metrics[RATIO_ERROR]
         return [("of entry", f"{asked + error:.3f}"), ("asked", f"{asked:.3f}")]
 
     def goal(self, state: EnvState) -> Any:
-        """Return the asked exit speed."""
         from surface_gym.rendering import ExitSpeed
 
         ratio, speed = state.goal[RATIO], state.goal[ENTRY_SPEED]

@@ -179,12 +179,10 @@ distance from the line's middle takes its place |
         return {"columns": math.floor((x + reach).max() / line.pitch_x + 0.5) - first}
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """Return the asked side."""
         sides = {1: "y > 0", -1: "y < 0", 0: "straight on"}
         return [("sort to", sides[int(state.goal[SIDE])])]
 
     def goal(self, state: EnvState) -> Any:
-        """Return the exit side."""
         from surface_gym.rendering import ExitSide
 
         return ExitSide(int(state.goal[SIDE]))
@@ -195,7 +193,6 @@ distance from the line's middle takes its place |
         return planning.line_start(seen, line, self.parcels, (float(line.side[0]),))
 
     def cost(self) -> PlanCost:
-        """Minimise the time until the parcel is off the line."""
         return PlanCost(
             _time_to_leave,
             planning.time_cost,

@@ -140,7 +140,6 @@ class Stop(Task):
         return start._replace(goal=(np.add(start.pose[0], line.to_go[0]),))
 
     def cost(self) -> PlanCost:
-        """Minimise the distance from the asked x."""
         return PlanCost(_short_of_goal, planning.error_cost, 2e-5, self.periods, self.periods)
 
     def benchmark(self) -> Benchmark:
@@ -157,11 +156,9 @@ class Stop(Task):
         )
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """Return the distance to go."""
         return [("to go", f"{-1e3 * state.metrics[STOP_ERROR]:.1f} mm")]
 
     def goal(self, state: EnvState) -> Any:
-        """Return the line to stop at."""
         from surface_gym.rendering import StopLine
 
         return StopLine(float(state.goal[POSITION]))

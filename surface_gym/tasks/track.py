@@ -205,7 +205,6 @@ asked one |
         ]
 
     def decode(self, seen: Observed) -> "PathObservation":
-        """Decode observations into SI units."""
         pitch = seen.pitch
         return PathObservation(
             cross_error=0.05 * seen["cross error"],
@@ -238,7 +237,6 @@ asked one |
         return shown.start(self.parcels, (x, y), (x + float(from_centre[0]), PIECE), path)
 
     def cost(self) -> PlanCost:
-        """Minimise the mean squares of the errors."""
         return PlanCost(
             _mean_squares, _mean_squares, 0.0, horizon=8, follow=2, share=4, zone=PLAN_ZONE
         )
@@ -267,7 +265,6 @@ asked one |
         )
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """Return the error across the path, its root mean square so far, and the asked speed."""
         return [
             ("off path", f"{1e3 * state.metrics[CROSS_ERROR]:+.1f} mm"),
             ("rms", f"{1e3 * state.metrics[RMS_ERROR]:.1f} mm"),
@@ -275,7 +272,6 @@ asked one |
         ]
 
     def goal(self, state: EnvState) -> Any:
-        """Return the path."""
         from surface_gym.rendering import Path
 
         x = state.goal[FIRST_X] + state.goal[STEP_X] * np.arange(PATH_POINTS)

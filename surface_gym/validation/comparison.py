@@ -34,7 +34,6 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Name for tables."""
         return f"{self.tilt:g} deg" if self.speed == 0.0 else f"v0 = {self.speed:g} m/s"
 
     @cached_property
@@ -53,7 +52,6 @@ class Case:
         return (self.speed, 0.0, 0.0)
 
     def mujoco(self, recipe: Recipe = RECIPE) -> Trajectory:
-        """Run the case in MuJoCo."""
         return simulation.simulate(
             self.surface, PARCEL, self.pose, self.velocity, self.duration, recipe
         )
@@ -152,7 +150,6 @@ class Target:
 
     @property
     def is_reached(self) -> bool:
-        """Whether the value is within the bound."""
         return self.measured <= self.bound
 
 

@@ -98,7 +98,6 @@ class Unevenness:
 
     @property
     def name(self) -> str:
-        """Name for tables."""
         if self.height:
             return f"height {1e6 * self.height:g} um"
         return f"log stiffness {self.stiffness:g}"
@@ -218,7 +217,6 @@ class Meeting:
                 return drawn
 
     def analytic(self, dt: float) -> Encounter:
-        """Run the meeting by the analytic model."""
         return simulate_together(*self.drawn, DURATION, dt)
 
     def mujoco(self, harder: float = 1.0) -> tuple[Trajectory, ...]:

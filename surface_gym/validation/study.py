@@ -158,12 +158,10 @@ class Study:
 
     @property
     def implicit(self) -> Errors:
-        """Errors over the tilts."""
         return comparison.compute_errors(self.sweep, lambda run: run.implicit)
 
     @property
     def explicit(self) -> Errors:
-        """Errors over the tilts."""
         return comparison.compute_errors(self.sweep, lambda run: run.explicit)
 
     @property
