@@ -142,14 +142,10 @@ def _leaving(case: Case, line: DesignLine, workers: Workers) -> Columns:
         drawn = case.draw(line, case.unknown.only(group))
         worst.append(_worst_leaving(case, line, axes, used, first, group, drawn, workers))
     return Columns(
-        rows=line.rows,
-        columns=int(used[first]),
-        layout=layouts[first].name,
-        fewest=int(used[first]),
-        measure=float(case.purpose.measure(ends)[first]),
-        tipping=float(ends.tipping[first]),
-        worst=tuple(worst),
-    )
+        rows=line.rows, columns=int(used[first]), layout=layouts[first].name,
+        fewest=int(used[first]), measure=float(case.purpose.measure(ends)[first]),
+        tipping=float(ends.tipping[first]), worst=tuple(worst),
+    )  # fmt: skip
 
 
 def _worst_leaving(

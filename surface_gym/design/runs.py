@@ -133,16 +133,10 @@ def line_for(
     lead_in = lead_in_under(length, pitch_x)
     reach = 2.0 * parcel.base.reach
     return DesignLine(
-        rows=rows_under(width, pitch_y) if rows is None else rows,
-        columns=columns,
-        lead_in=lead_in,
-        run_out=lead_in + math.ceil(RUN_OUT / pitch_x),
-        beside=math.ceil(reach / pitch_y) + 2,
-        pitch=pitch,
-        mu_max=mu_max,
-        mu_min=mu_min,
-        mu_support=mu_support,
-    )
+        rows=rows_under(width, pitch_y) if rows is None else rows, columns=columns, lead_in=lead_in,
+        run_out=lead_in + math.ceil(RUN_OUT / pitch_x), beside=math.ceil(reach / pitch_y) + 2,
+        pitch=pitch, mu_max=mu_max, mu_min=mu_min, mu_support=mu_support,
+    )  # fmt: skip
 
 
 OnProgress = Callable[[int, int], None]  # called with the work done and the total
@@ -202,16 +196,10 @@ def make_runs(
         np.array(values, dtype=np.float64).reshape(-1).astype(np.int64) for values in given[4:]
     ]
     return Runs(
-        speed=numbers[0],
-        tilt=numbers[1],
-        lateral=numbers[2],
-        heading=numbers[3],
-        layout=whole[0],
-        stiffness=whole[1],
-        parcel=whole[2],
-        columns=whole[3],
+        speed=numbers[0], tilt=numbers[1], lateral=numbers[2], heading=numbers[3], layout=whole[0],
+        stiffness=whole[1], parcel=whole[2], columns=whole[3],
         friction=np.broadcast_to(np.asarray(friction, dtype=np.float64), (len(numbers[0]), 3)),
-    )
+    )  # fmt: skip
 
 
 def join_runs(runs: Sequence[Runs]) -> Runs:
@@ -275,16 +263,10 @@ def run_all(
             pose[own], velocity[own] = base_motion(parcel, arrays.state[own])
     reason, touched, steps, tipped = arrays.end.T
     return Ends(
-        line=line,
-        runs=runs,
-        reason=reason,
-        touched=np.maximum(0, touched - line.lead_in + 1),
-        time=dt * steps,
-        pose=pose,
-        velocity=velocity,
-        tipping=tipped / np.maximum(1, steps),
+        line=line, runs=runs, reason=reason, touched=np.maximum(0, touched - line.lead_in + 1),
+        time=dt * steps, pose=pose, velocity=velocity, tipping=tipped / np.maximum(1, steps),
         steps=steps,
-    )
+    )  # fmt: skip
 
 
 class SurfaceSet(NamedTuple):
@@ -413,15 +395,11 @@ def _make_surfaces(line: DesignLine, layouts: Array, stiffness: Array | None) ->
     mu = np.array((line.mu_max, line.mu_min, line.mu_support))
     return SurfaceSet(
         axis=places.reshape(axes.shape).astype(np.int32),
-        direction=stepping.axis_directions(angles),
-        rotor=line.rotor.copy(),
+        direction=stepping.axis_directions(angles), rotor=line.rotor.copy(),
         stiffness=np.ones((1, *line.shape)) if stiffness is None else stiffness.astype(float),
-        friction=np.broadcast_to(mu, (*line.shape, 3)).copy(),
-        x0=0.5 * line.pitch_x,
-        y0=0.5 * line.pitch_y,
-        pitch_x=line.pitch_x,
-        pitch_y=line.pitch_y,
-    )
+        friction=np.broadcast_to(mu, (*line.shape, 3)).copy(), x0=0.5 * line.pitch_x,
+        y0=0.5 * line.pitch_y, pitch_x=line.pitch_x, pitch_y=line.pitch_y,
+    )  # fmt: skip
 
 
 def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: float) -> RunArrays:

@@ -188,18 +188,11 @@ def _evolve(
     from scipy.optimize import differential_evolution
 
     result = differential_evolution(
-        lambda members: cost(members.T),
-        [space.bounds] * space.modules,
-        init=state.population,
+        lambda members: cost(members.T), [space.bounds] * space.modules, init=state.population,
         integrality=np.full(space.modules, space.orientations is not None),
-        maxiter=effort.generations,
-        recombination=RECOMBINATION,
-        tol=0.0,
-        polish=False,
-        vectorized=True,
-        updating="deferred",
-        seed=np.random.default_rng((seed, state.epoch)),
-    )
+        maxiter=effort.generations, recombination=RECOMBINATION, tol=0.0, polish=False,
+        vectorized=True, updating="deferred", seed=np.random.default_rng((seed, state.epoch)),
+    )  # fmt: skip
     population = np.array(result.population)
     if space.orientations is not None:
         population = np.rint(population)

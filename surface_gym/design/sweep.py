@@ -149,16 +149,9 @@ def _fewest(case: Case, found: Columns) -> tuple[int, str]:
 
 # Spreads that a field is drawn with where the case's own is 0.
 USUAL = Unknown(
-    friction=0.2,
-    rolling=0.2,
-    mass=0.1,
-    com_offset=0.1,
-    stiffness=0.35,
-    lateral=0.01,
-    heading=math.radians(2.0),
-    speed=0.05,
-    tilt=math.radians(0.2),
-)
+    friction=0.2, rolling=0.2, mass=0.1, com_offset=0.1, stiffness=0.35, lateral=0.01,
+    heading=math.radians(2.0), speed=0.05, tilt=math.radians(0.2),
+)  # fmt: skip
 # Fields of `Unknown`: label, scale and unit of the spread.
 FIELDS = {
     "friction": ("friction along axes", 100.0, " %"),

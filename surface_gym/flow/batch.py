@@ -106,17 +106,10 @@ def make_stream_params(config: EnvConfig) -> StreamParams:
     """Collect the numbers that all streams of a batch have in common."""
     task = config.stream_task
     return StreamParams(
-        exits=np.array(config.exits.table),
-        entry_gap=task.entry_gap,
-        rotors_end=config.rotors_end,
-        ahead=task.ahead,
-        duration=task.duration,
-        patience=task.patience,
-        gated=task.gate,
-        touching=task.touching,
-        waiting_reward=task.waiting_reward,
-        jam_reward=task.jam_reward,
-    )
+        exits=np.array(config.exits.table), entry_gap=task.entry_gap, rotors_end=config.rotors_end,
+        ahead=task.ahead, duration=task.duration, patience=task.patience, gated=task.gate,
+        touching=task.touching, waiting_reward=task.waiting_reward, jam_reward=task.jam_reward,
+    )  # fmt: skip
 
 
 def _rear(parcel: Parcel, theta: float) -> float:

@@ -384,14 +384,9 @@ def _paint_exit(canvas: pygame.Surface, layout: Layout, mark: ExitMark, colour: 
     rounded = round(0.4 * cell)
     top, bottom = (rounded, 0) if mark.side > 0 else (0, rounded)
     pygame.draw.rect(
-        canvas,
-        colour,
-        label,
-        border_top_left_radius=top,
-        border_top_right_radius=top,
-        border_bottom_left_radius=bottom,
-        border_bottom_right_radius=bottom,
-    )
+        canvas, colour, label, border_top_left_radius=top, border_top_right_radius=top,
+        border_bottom_left_radius=bottom, border_bottom_right_radius=bottom,
+    )  # fmt: skip
 
 
 def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: Colour) -> None:

@@ -258,13 +258,9 @@ def _add_belt(mujoco: Any, spec: Any, body: Any, parcel: Parcel, name: str) -> N
     """
     if isinstance(parcel.base, Disc):
         body.add_geom(
-            name=name,
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[parcel.base.radius, 0.0, 0.0],
-            pos=[0.0, 0.0, parcel.com_height],
-            contype=0,
-            conaffinity=0,
-        )
+            name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[parcel.base.radius, 0.0, 0.0],
+            pos=[0.0, 0.0, parcel.com_height], contype=0, conaffinity=0,
+        )  # fmt: skip
     else:
         low = parcel.com_height - 0.5 * BELT
         _add_prism(mujoco, spec, body, parcel.base, name, low, BELT)

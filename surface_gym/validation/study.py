@@ -209,24 +209,16 @@ def run_study(
         for each in group
     ]
     done = track(
-        map_jobs(jobs, workers),
-        "MuJoCo and the analytic model",
-        total=len(jobs),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
+        map_jobs(jobs, workers), "MuJoCo and the analytic model", total=len(jobs), console=console,
+        transient=True, disable=not console.is_terminal,
+    )  # fmt: skip
     found: dict[int, Any] = dict(done)
     results = iter(found[place] for place in range(len(jobs)))
     runs, variants, ends, meeting_runs = [[next(results) for _ in group] for _, group in parts]
     with console.status("timing, one core"):
         speeds = tuple(measure(method) for method in METHODS)
     return Study(
-        sweep=tuple(runs[:-2]),
-        pushed=runs[-2],
-        long=runs[-1],
-        convergence=compare_variants(variants),
-        speeds=speeds,
-        spreads=drawn.compare_draws(draws, ends) if draws else (),
-        meetings=tuple(meeting_runs),
-    )
+        sweep=tuple(runs[:-2]), pushed=runs[-2], long=runs[-1],
+        convergence=compare_variants(variants), speeds=speeds,
+        spreads=drawn.compare_draws(draws, ends) if draws else (), meetings=tuple(meeting_runs),
+    )  # fmt: skip
