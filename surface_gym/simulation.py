@@ -14,7 +14,6 @@ from surface_gym.physics import references, rollout
 from surface_gym.physics import step as stepping
 from surface_gym.physics import types as ph
 from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
-from surface_gym.physics.rollout import Records
 from surface_gym.physics.signed_distance import CONTACT_DISTANCE
 from surface_gym.physics.types import Array, Bodies, Body, Grid, Scratch
 from surface_gym.surface import Surface
@@ -338,12 +337,12 @@ def _check_starts(
 
 def _run_together(
     grid: Grid, world: World, touching: ContactMaterial, time: Array, dt: float
-) -> Records:
+) -> rollout.Records:
     """Do all steps, and cut the rows of touches to those there are."""
     count = len(world.present)
     scratch = make_world_scratch(count)
     room = 1024 + 2 * len(scratch.pair)
-    records = Records(
+    records = rollout.Records(
         np.zeros((len(time), count, ph.STATE_SIZE)), np.zeros((len(time), count), dtype=np.int64),
         np.zeros(room, dtype=np.int64), np.zeros((room, 2), dtype=np.int64), np.zeros(room),
     )  # fmt: skip

@@ -21,7 +21,6 @@ from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.physics import rollout
 from surface_gym.physics import types as ph
 from surface_gym.physics.references import find_support, support_load_by
-from surface_gym.physics.rollout import ContactForces, RecordedSteps
 from surface_gym.physics.types import Array, Integers, Scratch
 from surface_gym.surface import Surface
 
@@ -256,20 +255,20 @@ class Trajectory:
         return self.run
 
 
-def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
+def repeat(run: Run, time: Array) -> tuple[rollout.RecordedSteps, rollout.ContactForces]:
     """Repeat each step of a run, whose ends are `time` (T,) [s], from the state before it."""
     grid, body = run.surface.grid, run.parcel.body
     scratch = ph.make_scratch()
     count = np.zeros(len(time), dtype=np.int64)
     first = np.zeros(len(time) + 1, dtype=np.int64)
-    steps = RecordedSteps(run.states, run.lengths(time), run.leads(time), first)
+    steps = rollout.RecordedSteps(run.states, run.lengths(time), run.leads(time), first)
     rollout.count_contacts(grid, body, steps, scratch, count)
     if not count[1:].all():
         step = 1 + int(np.argmin(count[1:]))
         raise ValueError(f"states must be over elements in every step, got none in step {step}")
     first[1:] = np.cumsum(count)
     total = int(first[-1])
-    observed = ContactForces(
+    observed = rollout.ContactForces(
         run.states.copy(),
         np.zeros((total, 2), dtype=np.int64),
         np.zeros(total),
@@ -288,7 +287,7 @@ def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
 
 
 def _load_by_reference(
-    run: Run, steps: RecordedSteps, scratch: Scratch, observed: ContactForces
+    run: Run, steps: rollout.RecordedSteps, scratch: Scratch, observed: rollout.ContactForces
 ) -> None:
     """Write the normal forces of all steps as computed by OSQP or SciPy."""
     grid, body = run.surface.grid, run.parcel.body

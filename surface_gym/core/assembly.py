@@ -12,12 +12,10 @@ from numba.core.dispatcher import Dispatcher
 from surface_gym import state as st
 from surface_gym.config import EnvConfig
 from surface_gym.core import actions
-from surface_gym.core.actions import Acting
 from surface_gym.core.kernel import Actuation, EnvParams, KernelFunctions
 from surface_gym.physics.step import axis_directions
 from surface_gym.physics.types import Integers, Scratch, make_scratch
 from surface_gym.sensors.base import Sensor
-from surface_gym.state import ParcelState, SurfaceState
 from surface_gym.tasks.base import Task
 
 FEWEST = 4  # environments that a thread is worth its while for
@@ -130,7 +128,7 @@ def make_env_params(config: EnvConfig) -> EnvParams:
     return EnvParams(
         elements=line.geometry,
         timing=timing,
-        acting=Acting(
+        acting=actions.Acting(
             kind.rows,
             np.array(config.chosen_orientations),
             config.actuators.axis_speed * timing.dt,
@@ -145,7 +143,7 @@ def make_env_params(config: EnvConfig) -> EnvParams:
     )
 
 
-def make_state(config: EnvConfig, num_envs: int) -> tuple[SurfaceState, ParcelState]:
+def make_state(config: EnvConfig, num_envs: int) -> tuple[st.SurfaceState, st.ParcelState]:
     """Make the memory of surfaces and parcels, every axis the conveyor's."""
     task, line, kind = config.task, config.chosen_line, config.action_kind
     sizes = st.Sizes(

@@ -14,7 +14,6 @@ from surface_gym.config import EnvConfig
 from surface_gym.core import resets
 from surface_gym.core.assembly import FEWEST, Workers, make_env_params, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, make_kernel
-from surface_gym.core.resets import BodyPlan, ResetCache, StartRows
 from surface_gym.parcel import Parcel
 from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import bounded, invalidate_contacts
@@ -341,11 +340,11 @@ class Batch(BaseBatch):
         self._randomisation = config.randomisation
         self._varies = config.randomisation.varies
         shared = self._varies or self._draws > 0 or config.actuators.stuck_share > 0.0
-        self.reset_cache = ResetCache(self.num_envs, self.task.draws, shared)
+        self.reset_cache = resets.ResetCache(self.num_envs, self.task.draws, shared)
         # A path takes too much memory to lay it out ahead.
         self._lays_out = not (shared or self.task.has_path)
         place, shape = partial(resets.place_in, config), (line.rows, line.columns)
-        self._plan = BodyPlan(self.task.parcels, place, self.num_envs, shape)
+        self._plan = resets.BodyPlan(self.task.parcels, place, self.num_envs, shape)
 
     def _make_scratch(self) -> Any:
         return ph.make_scratch()
@@ -414,7 +413,7 @@ class Batch(BaseBatch):
         else:
             self._put(chosen, rows)
 
-    def _lay_out(self, numbers: Array) -> StartRows:
+    def _lay_out(self, numbers: Array) -> resets.StartRows:
         """Lay out starts of the task's own parcels, by numbers (starts, draws)."""
         start = resets.draw_starts(self.config, numbers, ())
         parcels = resets.each_parcel(start.parcel, len(numbers))
@@ -443,7 +442,7 @@ class Batch(BaseBatch):
             for i in chosen.tolist():
                 resets.draw_noise(self.parcels, i, self._generator(i))
 
-    def _put(self, chosen: Integers, rows: StartRows) -> None:
+    def _put(self, chosen: Integers, rows: resets.StartRows) -> None:
         """Write starts into the memory of the chosen environments (count,)."""
         state = self.parcels
         state.body[chosen] = rows.body

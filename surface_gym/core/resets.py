@@ -16,12 +16,11 @@ from surface_gym.lines import BaseLine
 from surface_gym.parcel import NO_EDGE, Parcel, filled_up
 from surface_gym.physics.step import com_states, map_floats
 from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
-from surface_gym.state import BodyTable, ParcelState
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.start import Draw, Parcels, Start
 
 
-def draw_noise(parcels: ParcelState, row: int, generator: np.random.Generator) -> None:
+def draw_noise(parcels: st.ParcelState, row: int, generator: np.random.Generator) -> None:
     """Draw noise, three standard normals and a uniform a row, for a row of `parcels`."""
     noise = parcels.noise[row]
     noise[:, :3] = generator.standard_normal((st.NOISE_ROWS, 3))
@@ -159,7 +158,9 @@ class BodyPlan:
             more = _make_bodies(
                 self._num_envs, self.bodies.rotor.shape[1:], self.bodies.edges.shape[1]
             )
-            self.bodies = BodyTable._make(map(np.concatenate, zip(self.bodies, more, strict=True)))
+            self.bodies = st.BodyTable._make(
+                map(np.concatenate, zip(self.bodies, more, strict=True))
+            )
         if self._parcels[body] is not parcel:
             self._write(body, parcel)
         return body
@@ -176,7 +177,7 @@ class BodyPlan:
         self._content[body] = next(_NEW)
 
 
-def with_body(bodies: BodyTable, body: int, placement: Placement) -> BodyTable:
+def with_body(bodies: st.BodyTable, body: int, placement: Placement) -> st.BodyTable:
     """Return a body table with a placement in one of its rows, wider if its edges need room."""
     wide = bodies.edges.shape[1]
     more = placement.sides - wide
@@ -193,8 +194,8 @@ def with_body(bodies: BodyTable, body: int, placement: Placement) -> BodyTable:
     return bodies
 
 
-def _make_bodies(count: int, shape: tuple[int, ...], edges: int) -> BodyTable:
-    return BodyTable(
+def _make_bodies(count: int, shape: tuple[int, ...], edges: int) -> st.BodyTable:
+    return st.BodyTable(
         rotor=np.zeros((count, *shape), dtype=np.bool_),
         obeys=np.zeros((count, *shape), dtype=np.bool_),
         body=np.zeros((count, 7)),

@@ -12,7 +12,6 @@ from surface_gym import checks
 from surface_gym.core.actions import ANY, ActionKind
 from surface_gym.flow import state as fs
 from surface_gym.flow.exits import flow_line
-from surface_gym.flow.state import StreamParams
 from surface_gym.flow.stream import Stream
 from surface_gym.lines import BaseLine
 from surface_gym.physics.collision import ContactMaterial
@@ -427,7 +426,7 @@ class Flow(StreamTask):
 
     @staticmethod
     @inlined
-    def exit_taken(params: StreamParams, state: EnvState) -> int:
+    def exit_taken(params: fs.StreamParams, state: EnvState) -> int:
         """Find the exit by which a parcel has left, or BETWEEN them.
 
         Straight on it has left where its rear is past the last column of rotors, or its centre past

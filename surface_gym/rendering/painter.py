@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.rendering import ink, marks
-from surface_gym.rendering.ink import Colour
-from surface_gym.rendering.marks import ModuleSprites
 from surface_gym.rendering.scene import Heading, Layout, Scene
 
 _LEGEND = (
@@ -37,7 +35,7 @@ class Strips:
         self.middle = round(22 * unit)
         self.large = round(27 * unit)
         self._slot = round(104 * unit)  # [px] of a reading, at most
-        self._icons = ModuleSprites(round(20 * unit))
+        self._icons = marks.ModuleSprites(round(20 * unit))
         self._gap = self._icons.cell // 2  # [px] between a legend's signs and words
 
     def write_head(self, canvas: pygame.Surface, area: pygame.Rect, scene: Scene) -> None:
@@ -99,7 +97,7 @@ class Strips:
             x = ink.draw_badge(canvas, mark.name, self.small, colour, midleft=after).right
 
     def _fitted_slots(
-        self, area: pygame.Rect, numbers: Sequence[tuple[str, str, Colour]], title: int
+        self, area: pygame.Rect, numbers: Sequence[tuple[str, str, ink.Colour]], title: int
     ) -> tuple[list[int], list[int]]:
         """Compute the x of each reading of a stream, and its room [px], at the right of an area."""
         widths = [
@@ -137,7 +135,7 @@ class Strips:
         return x
 
     def _write_stroke(
-        self, canvas: pygame.Surface, area: pygame.Rect, name: str, colour: Colour, x: int
+        self, canvas: pygame.Surface, area: pygame.Rect, name: str, colour: ink.Colour, x: int
     ) -> int:
         """Write the meaning of a dashed stroke after an x; the x at its end."""
         middle, gap = self._middle_below(area), self._gap
@@ -231,7 +229,7 @@ class Painter:
         left = (width - Layout.extent(scene, cell)[0]) // 2
         layout = Layout.of(scene, cell, left, self._strips.head)
         if self._field is None or self._field.layout != layout:
-            self._field = _Field(layout, ModuleSprites(layout.cell))
+            self._field = _Field(layout, marks.ModuleSprites(layout.cell))
         return self._field, self._strips
 
     def _clean_canvas(self, width: int, height: int) -> pygame.Surface:
@@ -311,7 +309,7 @@ class TilePainter:
             for scene, (x, y) in zip(scenes, corners, strict=True)
         ]
         if [field.layout for field in self._fields] != layouts:
-            sprites = ModuleSprites(layouts[0].cell)
+            sprites = marks.ModuleSprites(layouts[0].cell)
             self._fields = [_Field(layout, sprites) for layout in layouts]
 
 
@@ -333,7 +331,7 @@ def with_caption(picture: Picture, text: str) -> Picture:
 class _Field:
     """Draws a scene at one layout, and keeps what stays from scene to scene."""
 
-    def __init__(self, layout: Layout, sprites: ModuleSprites) -> None:
+    def __init__(self, layout: Layout, sprites: marks.ModuleSprites) -> None:
         self.layout = layout
         self._sprites = sprites
         self._ground: pygame.Surface | None = None

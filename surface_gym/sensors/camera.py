@@ -8,7 +8,6 @@ from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import Array
 from surface_gym.sensors import kalman
 from surface_gym.sensors.base import LEARNED, Entry, Physics
-from surface_gym.sensors.kalman import Observer
 from surface_gym.state import NOISE_ROWS, EnvState
 
 FRAMES = 16  # that can be under way at a time
@@ -32,7 +31,7 @@ SHARPEST = 1e-9  # [m] and [rad] no frame is trusted further
 
 
 @dataclass(frozen=True)
-class Camera(Observer):
+class Camera(kalman.Observer):
     """A sensor of the pose in frames, each with noise and latency, with a Kalman filter behind.
 
     Frames fall on physics steps: a frame period is rounded to whole ones, and a frame can be used

@@ -10,9 +10,7 @@ from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import THETA, VX, VY, X
 from surface_gym.state import SUCCESS, EnvState, planar_speed
 from surface_gym.tasks import base, planning
-from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, median_column
-from surface_gym.tasks.planning import Nodes, Numbers, Observed, PlanCost
 from surface_gym.tasks.start import Draw, Start, between
 
 RATIO, ENTRY_SPEED = range(2)  # places in the goal: [-] asked, [m/s]
@@ -21,7 +19,7 @@ EXCESS = 0  # place in the memory: [-] the excess of speed at the last decision
 RATIO_ERROR = 0  # index in the metrics: [-] speed / entry speed - asked ratio
 
 OUTCOMES = (*base.LINE_OUTCOMES, "missed")
-MISSED = failures(OUTCOMES)[-1]
+MISSED = base.failures(OUTCOMES)[-1]
 SUCCESS_ERROR = 0.01  # [-] of the ratio
 
 # The reward, term by term.
@@ -34,17 +32,17 @@ FAILURE_REWARD = -1.0
 
 FEATURES = (
     *base.PARCEL_FEATURES,
-    Feature("entry speed", -2.0, 5.0, "/ 1 m/s - 1.5"),
-    Feature("asked ratio", 0.0, 1.0, ""),
-    Feature(
+    base.Feature("entry speed", -2.0, 5.0, "/ 1 m/s - 1.5"),
+    base.Feature("asked ratio", 0.0, 1.0, ""),
+    base.Feature(
         "excess of speed", -50.0, 50.0, "over what would roll out at the asked ratio / 0.2 m/s"
     ),
-    Feature("fine excess", -1.0, 1.0, "hyperbolic tangent of the excess / 0.02 m/s"),
+    base.Feature("fine excess", -1.0, 1.0, "hyperbolic tangent of the excess / 0.02 m/s"),
 )
 
 
 @dataclass(frozen=True)
-class Slow(Task):
+class Slow(base.Task):
     """Slow the parcel down to a ratio of its entry speed by the time its rear leaves the zone.
 
     A parcel enters a line of rotors amid supports; the zone's modules are to take just so much of
@@ -118,8 +116,8 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
     def __post_init__(self) -> None:
         super().__post_init__()
         set_field = object.__setattr__
-        set_field(self, "speeds", rising("speeds", self.speeds, 0.0, 5.0))
-        set_field(self, "ratios", rising("ratios", self.ratios, 0.0, 1.0))
+        set_field(self, "speeds", base.rising("speeds", self.speeds, 0.0, 5.0))
+        set_field(self, "ratios", base.rising("ratios", self.ratios, 0.0, 1.0))
 
     def start(self, draw: Draw) -> Start:
         """Draw entry speed and parcel, uniform, and the asked ratio, uniform up to what rolling
@@ -138,14 +136,16 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         ratio = draw.within("ratio", between(low, highest, share), 0.0, 1.0)
         return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (ratio, speed))
 
-    def decode_start(self, seen: Observed) -> Start:
+    def decode_start(self, seen: planning.Observed) -> Start:
         """Decode the first observation into the start that it shows, ratio and speed its goal."""
         line = planning.decode_line(seen)
         goal = float(line.ratio[0]), float(line.entry_speed[0])
         return planning.line_start(seen, line, self.parcels, goal)
 
-    def cost(self) -> PlanCost:
-        return PlanCost(_excess_of_speed, planning.error_cost, 2e-4, self.periods, self.periods)
+    def cost(self) -> planning.PlanCost:
+        return planning.PlanCost(
+            _excess_of_speed, planning.error_cost, 2e-4, self.periods, self.periods
+        )
 
     def benchmark(self) -> Benchmark:
         """Drawn starts, by the error of the speed ratio."""
@@ -238,7 +238,7 @@ def _ratio_error(state: EnvState) -> float:
     return planar_speed(state.truth) / state.goal[ENTRY_SPEED] - state.goal[RATIO]
 
 
-def _excess_of_speed(nodes: Nodes) -> Numbers:
+def _excess_of_speed(nodes: planning.Nodes) -> planning.Numbers:
     """Compute the speed [m/s] off what would roll out at the asked ratio, straight and in time."""
     parcels, to_go = nodes.parcels, planning.way_to_leave(nodes)
     speed = np.hypot(nodes.vx, parcels.truth[:, 4])

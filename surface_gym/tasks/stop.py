@@ -10,9 +10,7 @@ from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import VX, X
 from surface_gym.state import RUNNING, SUCCESS, EnvState
 from surface_gym.tasks import base, planning
-from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, median_column
-from surface_gym.tasks.planning import Nodes, Numbers, Observed, PlanCost
 from surface_gym.tasks.start import Draw, Start, between
 
 POSITION = 0  # place in the goal: [m] asked x of the centre
@@ -20,7 +18,7 @@ SHORTFALL = 0  # place in the memory: [m] at the last decision
 STOP_ERROR = 0  # index in the metrics: [m] x of the centre - the asked one
 
 OUTCOMES = (*base.LINE_OUTCOMES, "missed", "passed the asked x")
-MISSED, OVERSHOT = failures(OUTCOMES)[-2:]
+MISSED, OVERSHOT = base.failures(OUTCOMES)[-2:]
 SUCCESS_ERROR = 0.005  # [m]
 CAUTION = 0.5  # [-] of the time of a quarter turn, that a planner keeps to be on the safe side
 
@@ -34,15 +32,19 @@ FAILURE_REWARD = -1.0
 
 FEATURES = (
     *base.PARCEL_FEATURES,
-    Feature("to go", -20.0, 20.0, "to the asked x / 0.5 m"),
-    Feature("to go, near", -1.0, 1.0, "hyperbolic tangent of the way to the asked x / 0.05 m"),
-    Feature("to go, nearest", -1.0, 1.0, "hyperbolic tangent of the way to the asked x / 0.01 m"),
-    Feature("excess of speed", -50.0, 50.0, "over what full braking ends at the asked x / 0.2 m/s"),
+    base.Feature("to go", -20.0, 20.0, "to the asked x / 0.5 m"),
+    base.Feature("to go, near", -1.0, 1.0, "hyperbolic tangent of the way to the asked x / 0.05 m"),
+    base.Feature(
+        "to go, nearest", -1.0, 1.0, "hyperbolic tangent of the way to the asked x / 0.01 m"
+    ),
+    base.Feature(
+        "excess of speed", -50.0, 50.0, "over what full braking ends at the asked x / 0.2 m/s"
+    ),
 )
 
 
 @dataclass(frozen=True)
-class Stop(Task):
+class Stop(base.Task):
     """Bring the parcel to rest with its centre at an asked x.
 
     A parcel enters a line of rotors amid supports and is to come to rest at a place, to 5 mm.
@@ -112,7 +114,7 @@ class Stop(Task):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "speeds", rising("speeds", self.speeds, 0.0, 5.0))
+        object.__setattr__(self, "speeds", base.rising("speeds", self.speeds, 0.0, 5.0))
 
     def start(self, draw: Draw) -> Start:
         """Draw entry speed and parcel, uniform, and asked x, uniform over what can be reached for
@@ -133,14 +135,16 @@ class Stop(Task):
         position = draw.within("position", between(first, last, share), 0.0, draw.line.length)
         return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (position,))
 
-    def decode_start(self, seen: Observed) -> Start:
+    def decode_start(self, seen: planning.Observed) -> Start:
         """Decode the first observation into the start that it shows, the asked x its goal."""
         line = planning.decode_line(seen)
         start = planning.line_start(seen, line, self.parcels, ())
         return start._replace(goal=(np.add(start.pose[0], line.to_go[0]),))
 
-    def cost(self) -> PlanCost:
-        return PlanCost(_short_of_goal, planning.error_cost, 2e-5, self.periods, self.periods)
+    def cost(self) -> planning.PlanCost:
+        return planning.PlanCost(
+            _short_of_goal, planning.error_cost, 2e-5, self.periods, self.periods
+        )
 
     def benchmark(self) -> Benchmark:
         """Drawn starts, by the error of the place of rest."""
@@ -210,7 +214,7 @@ class Stop(Task):
         see[16] = excess / 0.2
 
 
-def _short_of_goal(nodes: Nodes) -> Numbers:
+def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
     """Compute by how much [m] full braking ends short of the asked x; beyond it there is no way
     back.
     """
@@ -226,6 +230,6 @@ def _short_of_goal(nodes: Nodes) -> Numbers:
     return _weigh(short) + 10.0 * lack + 0.3 * planning.askew(nodes)
 
 
-def _weigh(short: Numbers) -> Numbers:
+def _weigh(short: planning.Numbers) -> planning.Numbers:
     """Weigh a metre past the asked x as ten short of it."""
     return np.where(short < 0.0, -10.0 * short, short)

@@ -17,7 +17,6 @@ from surface_gym.state import GRAVITY_ALONG, PATH_POINTS, RUNNING, SUCCESS, EnvS
 from surface_gym.tasks import paths as shapes
 from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import DRAWN, Benchmark, ErrorPlot, median_column
-from surface_gym.tasks.paths import Laid, Path
 from surface_gym.tasks.planning import FAILED, Nodes, Observed, PlanCost, nearest_parcel
 from surface_gym.tasks.start import Draw, Numbers, Start, between
 
@@ -191,7 +190,7 @@ asked one |
         pose = (first - x0, y[:, 0] - y0, 0.0)
         return Start(parcel, pose, (vx, slope * vx, 0.0), (speed, first, step), tilt, y)
 
-    def _paths(self, draw: Draw, which: Numbers) -> list[Path]:
+    def _paths(self, draw: Draw, which: Numbers) -> list[shapes.Path]:
         """Return each start's path: an option, or one drawn and laid onto the line."""
         first, last, _, _ = draw.line.extent
         aside = draw.line.line_y - LINE_Y
@@ -200,7 +199,7 @@ asked one |
         drawn = enumerate(zip(kinds, draw.numbers[4:].T, strict=True))
         return [
             given.get(k)
-            or Laid(shapes.random_path(kind, numbers), first, aside, last - shapes.START)
+            or shapes.Laid(shapes.random_path(kind, numbers), first, aside, last - shapes.START)
             for k, (kind, numbers) in drawn
         ]
 
@@ -272,10 +271,9 @@ asked one |
         ]
 
     def goal(self, state: EnvState) -> Any:
-        from surface_gym.rendering import Path
 
         x = state.goal[FIRST_X] + state.goal[STEP_X] * np.arange(PATH_POINTS)
-        return Path(np.stack([x, state.path], axis=-1))
+        return shapes.Path(np.stack([x, state.path], axis=-1))
 
     @staticmethod
     @kernel_function

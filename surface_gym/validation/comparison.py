@@ -16,7 +16,6 @@ from surface_gym.simulation import simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import simulation
-from surface_gym.validation.simulation import RECIPE, Recipe
 
 PARCEL = Parcel(Rectangle(0.25, 0.25), mass=5.48, com_height=0.1, inertia=5.70e-2)  # Table 5
 IMPLICIT = Integration("implicit", 1e-3)
@@ -51,7 +50,7 @@ class Case:
         """(vx, vy, omega) [m/s, m/s, rad/s] at the start."""
         return (self.speed, 0.0, 0.0)
 
-    def mujoco(self, recipe: Recipe = RECIPE) -> Trajectory:
+    def mujoco(self, recipe: simulation.Recipe = simulation.RECIPE) -> Trajectory:
         return simulation.simulate(
             self.surface, PARCEL, self.pose, self.velocity, self.duration, recipe
         )
