@@ -271,9 +271,10 @@ asked one |
         ]
 
     def goal(self, state: EnvState) -> Any:
+        from surface_gym.rendering import Path
 
         x = state.goal[FIRST_X] + state.goal[STEP_X] * np.arange(PATH_POINTS)
-        return shapes.Path(np.stack([x, state.path], axis=-1))
+        return Path(np.stack([x, state.path], axis=-1))
 
     @staticmethod
     @kernel_function
