@@ -7,12 +7,12 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from surface_gym import checks
 from surface_gym.layouts import LINE_Y, lead_in_under, rows_under
 from surface_gym.parcel import Base
-from surface_gym.physics.types import Array
+from surface_gym.physics.types import Array, Booleans
 from surface_gym.state import Geometry
 from surface_gym.surface import Elements, Surface
 
@@ -22,7 +22,7 @@ ORIENTATIONS = (0.0, math.pi / 4, -math.pi / 4, math.pi / 2)  # [rad] the paper'
 class Site(NamedTuple):
     """Rotors and zone for a parcel of some size."""
 
-    rotor: NDArray[np.bool_]  # (rows, columns) a rotor, else a support
+    rotor: Booleans  # (rows, columns) a rotor, else a support
     zone: tuple[int, int, int, int]  # first row, rows, first column, columns that obey
 
 
@@ -95,7 +95,7 @@ class BaseLine(Elements):
         """Return the positions of the elements as compiled code reads them."""
         return Geometry(*self.origin, self.pitch_x, self.pitch_y, self.line_y)
 
-    def surface(self, axis: Array, rotor: NDArray[np.bool_]) -> Surface:
+    def surface(self, axis: Array, rotor: Booleans) -> Surface:
         """Return the line with its rotors' axes (rows, columns) [rad], for `simulate`."""
         mu_max, mu_min, mu_support = np.moveaxis(self.friction, -1, 0)
         return Surface(axis, rotor, self.pitch, self.origin, mu_max, mu_min, mu_support)
@@ -123,9 +123,8 @@ class Line(BaseLine):
         for name in ("rows", "columns", "zone_rows", "zone_columns"):
             checks.integer(name, getattr(self, name), least=1)
         super().__post_init__()
-        line_y = checks.within("line_y", self.line_y, -checks.FARTHEST, checks.FARTHEST)
-        object.__setattr__(self, "line_y", line_y)
-        between = (line_y - self.origin[1]) / self.pitch_y - 0.5
+        object.__setattr__(self, "line_y", checks.coordinate("line_y", self.line_y))
+        between = (self.line_y - self.origin[1]) / self.pitch_y - 0.5
         half = self.zone_rows // 2
         if self.zone_rows % 2 or self.zone_columns >= self.columns:
             raise ValueError(
@@ -210,7 +209,7 @@ class Pattern(BaseLine):
         return len(self._pattern[0])
 
     @cached_property
-    def _pattern(self) -> NDArray[np.bool_]:
+    def _pattern(self) -> Booleans:
         return np.array(self.rotor)
 
     @cached_property

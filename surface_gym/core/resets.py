@@ -7,7 +7,6 @@ from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym import state as st
@@ -76,7 +75,7 @@ class HeldParcels(NamedTuple):
     """Parcels of some environments, copied from their rows."""
 
     body: Integers  # (count,)
-    parcel: NDArray[Any]  # (count,) of `Parcel`
+    parcel: np.ndarray  # (count,) of `Parcel`
     obeys: Booleans  # (count, rows, columns), or none where all share their rows
     content: Integers  # (count,) number of what the row held
 
@@ -99,7 +98,7 @@ class BodyPlan:
         self._place = place
         self._num_envs = num_envs
         self._shared = len(parcels)
-        self._parcels: NDArray[Any] = np.full(self._shared + num_envs, None, dtype=object)
+        self._parcels: np.ndarray = np.full(self._shared + num_envs, None, dtype=object)
         self._row_of = {parcel: body for body, parcel in enumerate(parcels)}
         self._content = np.zeros(self._shared + num_envs, dtype=np.int64)
         # (rows, 4) length, width [m], mass [kg] and height of the centre of mass [m]

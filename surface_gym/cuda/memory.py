@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 import torch
 from numba import cuda
-from numpy.typing import NDArray
 
 from surface_gym.config import EnvConfig
 from surface_gym.core.assembly import make_state
@@ -161,13 +160,13 @@ class DelayedCopy:
         if self._event is not None:
             self._event.record()
 
-    def read(self) -> NDArray[Any]:
+    def read(self) -> np.ndarray:
         if self._event is not None:
             self._event.synchronize()
         return self._values.numpy().copy()
 
 
-def send(values: NDArray[Any], device: torch.device) -> torch.Tensor:
+def send(values: np.ndarray, device: torch.device) -> torch.Tensor:
     """Send an array to a device without waiting for it."""
     copy = torch.from_numpy(np.array(values))
     return (copy.pin_memory() if device.type == "cuda" else copy).to(device, non_blocking=True)

@@ -231,7 +231,7 @@ class Stop(_Braking):
 
     def __post_init__(self) -> None:
         if self.place is not None:
-            checks.within("place", self.place, -checks.FARTHEST, checks.FARTHEST)
+            checks.coordinate("place", self.place)
         checks.positive("tolerance", self.tolerance, most=checks.LENGTH[1])
 
     @property

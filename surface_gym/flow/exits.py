@@ -34,9 +34,9 @@ class Exit:
         set_field = object.__setattr__
         check_name("name", self.name)
         set_field(self, "side", checks.one_of("side", self.side, SIDES))
-        set_field(self, "first", _along("first", self.first))
+        set_field(self, "first", checks.coordinate("first", self.first))
         endless = isinstance(self.last, float) and self.last == math.inf
-        set_field(self, "last", math.inf if endless else _along("last", self.last))
+        set_field(self, "last", math.inf if endless else checks.coordinate("last", self.last))
         if self.last <= self.first:
             raise ValueError(
                 f"last must be greater than first, {self.first:g}, got {self.last!r} "
@@ -136,10 +136,6 @@ def check_name(name: str, value: Any) -> str:
     if not isinstance(value, str) or not value or value != value.strip():
         raise ValueError(f"{name} must be text without spaces at its ends, got {value!r}")
     return value
-
-
-def _along(name: str, value: Any) -> float:
-    return checks.within(name, value, -checks.FARTHEST, checks.FARTHEST)
 
 
 def _check_apart(one: Exit, other: Exit) -> None:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from surface_gym import layouts
+from surface_gym.paper import runs
 from surface_gym.paper.runs import COARSE, Integration, load_data
 from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.physics.types import Array
@@ -85,8 +86,7 @@ def run_case(case: Case) -> Run:
 
 def displacement(trajectory: Trajectory) -> Array:
     """Return the displacement (3,) [m, m, deg] from start to end."""
-    x, y, theta = trajectory.pose[-1] - trajectory.pose[0]
-    return np.array([x, y, math.degrees(theta)])
+    return np.array(runs.displacement(trajectory))
 
 
 def is_sorted(case: Case, trajectory: Trajectory) -> bool:
