@@ -32,9 +32,7 @@ class Base(Protocol):
 
     @property
     def edges(self) -> NDArray[np.float64]:
-        """Return outward normals and distances [m] from the centroid (edges, 3); no rows for a
-        disc.
-        """
+        """Return outward normals and distances [m] from the centroid (edges, 3), none of a disc."""
 
     @property
     def outline(self) -> NDArray[np.float64]:

@@ -84,9 +84,7 @@ class HeldParcels(NamedTuple):
 
 
 class BodyPlan:
-    """The body table of a batch. The task's own parcels have a row each; any other parcel takes
-    the row of its environment.
-    """
+    """The body table of a batch: a row a parcel of the task, and one an environment for others."""
 
     def __init__(
         self,
@@ -286,9 +284,7 @@ MOST_KEPT = 65536  # starts of all environments
 
 
 class ResetCache:
-    """Numbers drawn ahead for the starts of every environment, each in the order of its own
-    generator, and the starts they give.
-    """
+    """Numbers drawn ahead for each environment's starts, in its generator's order, and these."""
 
     def __init__(self, num_envs: int, draws: int, shared: bool, most_kept: int = MOST_KEPT) -> None:
         ahead = 1 if shared else min(MOST_AHEAD, max(1, most_kept // num_envs))
@@ -314,9 +310,7 @@ class ResetCache:
         return self._numbers[chosen, self._used[chosen] - 1]
 
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:
-        """Return the rows of the next starts of the chosen environments (count,), which are
-        seeded.
-        """
+        """Return the rows of the next starts of the chosen, seeded environments (count,)."""
         used = self._next(chosen)
         stale = chosen[~self._laid[chosen]]
         if len(stale) > 0:

@@ -56,9 +56,7 @@ class BaseCudaBatch(ABC):
         return self._episodes.reward
 
     def step(self, mask: torch.Tensor) -> None:
-        """Step the environments in the mask (num_envs,) by one control period, or begin those
-        placed.
-        """
+        """Step the environments in the mask (num_envs,) by one period, or begin those placed."""
         self._mask.copy_(mask)
         self._step()
         fault = torch.where(mask, self._episodes.fault, NO_FAULT)
@@ -76,9 +74,7 @@ class BaseCudaBatch(ABC):
 
     @abstractmethod
     def infos(self) -> tuple[Tensors, Tensors]:
-        """Return copies of the infos (num_envs, ...) and of the reward's terms (num_envs,), by
-        name.
-        """
+        """Return copies of the infos (num_envs, ...) and of the reward's terms, by name."""
 
     @abstractmethod
     def is_seeded(self, env_index: int) -> bool:
@@ -198,18 +194,14 @@ class CudaBatch(BaseCudaBatch):
         self.prefetch.close()
 
     def _sort(self) -> None:
-        """Sort environments by parcel, so that the loops of neighbouring threads are equally
-        long.
-        """
+        """Sort environments by parcel, so that loops of neighbouring threads are as long."""
         if len(self._bodies.zone) > 1:
             self._order.copy_(torch.argsort(self._parcels.body, stable=True))
 
     def _make_rows(
         self, numbers: Array, options: Sequence[dict[str, Any]]
     ) -> tuple[resets.StartRows, Array]:
-        """Return rows and paths (starts, PATH_POINTS or 0) of the starts from numbers (starts,
-        draws).
-        """
+        """Return rows and paths (starts, PATH_POINTS or 0) from numbers (starts, draws)."""
         config, count = self._config, len(numbers)
         start = resets.draw_starts(config, numbers, options)
         parcels = resets.each_parcel(start.parcel, count)

@@ -219,9 +219,7 @@ class CudaVectorEnv(BaseVectorEnv):
         self._raise_errors()
 
     def _reset_ended(self, ended: torch.Tensor) -> dict[str, Any]:
-        """Reset the environments whose episodes have ended, and return the infos of these
-        episodes.
-        """
+        """Reset the environments whose episodes have ended, and return the infos of these."""
         final = {
             "final_obs": self._observation(),
             "_final_obs": ended,

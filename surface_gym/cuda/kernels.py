@@ -138,9 +138,7 @@ def device_function(function: Any) -> Any:
 
 @lru_cache(maxsize=16)
 def device_translator(capacity: int) -> Translator:
-    """Return the translator for scratch with room for so many contacts; functions that several
-    tasks call are compiled once.
-    """
+    """Return the translator for scratch with room for so many contacts; tasks share it."""
     return Translator(scratch_layout(capacity), device_function)
 
 

@@ -73,9 +73,7 @@ def to_device(values: Any, device: torch.device) -> Any:
 
 
 def kernel_view(values: Any) -> Any:
-    """Return tensors, or a tuple of them and of numbers, as kernels take them: a view of the same
-    memory.
-    """
+    """Return tensors, or a tuple of them and of numbers, as views that kernels take."""
     if isinstance(values, torch.Tensor):
         return cuda.as_cuda_array(values) if values.is_cuda else values.numpy()
     return _map(kernel_view, values)
@@ -101,9 +99,7 @@ OUTLINE_MARGIN = 1.01  # factor by which an outline is enlarged, for safety
 
 
 def scratch_layout(capacity: int) -> MappingProxyType[str, int]:
-    """Return the constants of `physics.types`, by name, for a scratch with room for so many
-    contacts.
-    """
+    """Return constants of `physics.types`, by name, for scratch of a number of contacts."""
     table = {name: getattr(types, name) // types.STRIDE * capacity for name in TABLE_ROWS}
     marks = {name: getattr(types, name) // types.STRIDE * capacity for name in MARK_ROWS}
     counts = marks["COUNTS"]

@@ -44,9 +44,7 @@ class PreparedStarts(NamedTuple):
 
 
 class Prefetch:
-    """Rings of starts, kept full by a thread of the host. A start costs the host a microsecond, one
-    of Track 0.3 ms.
-    """
+    """Rings of starts, kept full by a thread of the host: 1 us a start, 0.3 ms one of Track."""
 
     def __init__(
         self,
@@ -102,9 +100,7 @@ class Prefetch:
             self._send(PreparedStarts(chosen, slots, rows, path))
 
     def update(self) -> None:
-        """Keep the rings full; call it after every control period, in which an environment takes
-        one start at most.
-        """
+        """Keep the rings full, after every control period; an environment takes one start in it."""
         self._steps += 1
         if self._steps % CHECK_EVERY > 0:
             return

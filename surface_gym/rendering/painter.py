@@ -77,9 +77,7 @@ class Strips:
     def write_legend(
         self, canvas: pygame.Surface, area: pygame.Rect, scenes: Sequence[Scene], end: int
     ) -> None:
-        """Write the meaning of the colours in some scenes, below an area; exits beyond x `end` [px]
-        are left out.
-        """
+        """Write the meaning of the scenes' colours below an area, of exits up to `end` [px]."""
         x = self._write_axes(canvas, area, any(scene.zone is not None for scene in scenes))
         if any(scene.goal is not None for scene in scenes):
             x = self._write_stroke(canvas, area, "goal", ink.GOAL, x)

@@ -140,9 +140,7 @@ class Task:
         return decode_line(seen)
 
     def decode_start(self, seen: Observed) -> Start:
-        """Decode the first observation into the start that it shows, for planners; by default that
-        of a parcel on a line, of a task without a goal.
-        """
+        """Decode the first observation into its start; by default on a line, without a goal."""
         if self.goals > 0:
             raise ValueError(
                 f"{type(self).__name__}.decode_start must be a method, as Task says, got none"

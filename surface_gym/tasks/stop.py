@@ -215,9 +215,7 @@ class Stop(base.Task):
 
 
 def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute by how much [m] full braking ends short of the asked x; beyond it there is no way
-    back.
-    """
+    """Compute by how much [m] full braking ends short of the asked x; past it, no way back."""
     to_go = nodes.parcels.goal[:, POSITION] - nodes.parcels.truth[:, 0]
     short = to_go - nodes.braking_distance
     if nodes.quarter_turn == 0.0:

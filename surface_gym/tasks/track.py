@@ -221,9 +221,7 @@ asked one |
         )
 
     def decode_start(self, seen: Observed) -> Start:
-        """Decode the first observation into a start somewhere on the field; beyond what is shown
-        of it, the path goes on straight.
-        """
+        """Decode the first observation into a start; beyond what is shown the path is straight."""
         shown, line = self.decode(seen), seen.line
         x = line.origin[0] + line.pitch_x * PLAN_COLUMN + float(shown.x_in_pitch[0])
         y = line.origin[1] + line.pitch_y * PLAN_ROW + float(shown.y_in_pitch[0])
