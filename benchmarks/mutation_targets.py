@@ -74,7 +74,7 @@ TARGETS = (
     _task("track"),
     Target(
         "tasks",
-        "surface_gym/tasks/line.py",
+        "surface_gym/tasks/base.py",
         ("surface_gym/tasks/slow.py", "tests/tasks/test_slow.py", "tests/tasks/test_stop.py",
          _PAGES),
         _TASKS,
@@ -152,7 +152,7 @@ EQUIVALENTS = (
         "further sweeps find every pair apart and move nothing",
     ),
     Equivalent(
-        "surface_gym/core/resets.py",
+        "surface_gym/parcel.py",
         "",
         "NO_EDGE = (0.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges up",
         "NO_EDGE = ( 1.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges up",

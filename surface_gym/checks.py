@@ -88,6 +88,11 @@ def within(name: str, value: Any, low: float, high: float) -> float:
     return _limited(name, value, number(name, value), low, high)
 
 
+def coordinate(name: str, value: Any) -> float:
+    """Return an x or y [m] within what is physical, or raise an error."""
+    return within(name, value, -checks.FARTHEST, checks.FARTHEST)
+
+
 def _limited(name: str, value: Any, result: float, low: float, high: float) -> float:
     if not low <= result <= high:
         raise ValueError(f"{name} must be between {low:g} and {high:g}, got {value!r}")

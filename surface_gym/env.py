@@ -151,12 +151,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         return batch.observation[0].copy(), self._info()
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Step by one control period.
-
-        Raises:
-            ValueError: an action that is not allowed.
-            ResetNeeded: no episode has begun, or it has ended.
-        """
+        """Step by one control period."""
         batch = self.batch
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before step.")
@@ -179,8 +174,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
             return None
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before render.")
-        picture: NDArray[np.uint8] = self._renderer.draw()
-        return picture
+        return self._renderer.draw()
 
     def close(self) -> None:
         """Close the window, if any."""

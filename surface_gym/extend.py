@@ -59,8 +59,7 @@ from surface_gym.state import (
     zone_start,
 )
 from surface_gym.tasks import Task
-from surface_gym.tasks.base import Feature, failures
-from surface_gym.tasks.line import entry
+from surface_gym.tasks.base import Feature, entry, failures
 from surface_gym.tasks.start import Draw, Parcels, Start, between
 
 __all__ = [

@@ -7,12 +7,12 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from surface_gym import checks
 from surface_gym.layouts import LINE_Y, lead_in_under, rows_under
 from surface_gym.parcel import Base
-from surface_gym.physics.types import Array, check_capacity
+from surface_gym.physics.types import Array, Booleans
 from surface_gym.state import Geometry
 from surface_gym.surface import Elements, Surface
 
@@ -22,7 +22,7 @@ ORIENTATIONS = (0.0, math.pi / 4, -math.pi / 4, math.pi / 2)  # [rad] the paper'
 class Site(NamedTuple):
     """Rotors and zone for a parcel of some size."""
 
-    rotor: NDArray[np.bool_]  # (rows, columns) a rotor, else a support
+    rotor: Booleans  # (rows, columns) a rotor, else a support
     zone: tuple[int, int, int, int]  # first row, rows, first column, columns that obey
 
 
@@ -95,11 +95,7 @@ class BaseLine(Elements):
         """Return the positions of the elements as compiled code reads them."""
         return Geometry(*self.origin, self.pitch_x, self.pitch_y, self.line_y)
 
-    def _check_capacity(self, base: Base) -> None:
-        pitch, size = (self.pitch_x, self.pitch_y), (self.columns, self.rows)
-        check_capacity(len(base.edges), base.reach, pitch, size)
-
-    def surface(self, axis: Array, rotor: NDArray[np.bool_]) -> Surface:
+    def surface(self, axis: Array, rotor: Booleans) -> Surface:
         """Return the line with its rotors' axes (rows, columns) [rad], for `simulate`."""
         mu_max, mu_min, mu_support = np.moveaxis(self.friction, -1, 0)
         return Surface(axis, rotor, self.pitch, self.origin, mu_max, mu_min, mu_support)
@@ -127,9 +123,8 @@ class Line(BaseLine):
         for name in ("rows", "columns", "zone_rows", "zone_columns"):
             checks.integer(name, getattr(self, name), least=1)
         super().__post_init__()
-        line_y = checks.within("line_y", self.line_y, -checks.FARTHEST, checks.FARTHEST)
-        object.__setattr__(self, "line_y", line_y)
-        between = (line_y - self.origin[1]) / self.pitch_y - 0.5
+        object.__setattr__(self, "line_y", checks.coordinate("line_y", self.line_y))
+        between = (self.line_y - self.origin[1]) / self.pitch_y - 0.5
         half = self.zone_rows // 2
         if self.zone_rows % 2 or self.zone_columns >= self.columns:
             raise ValueError(
@@ -143,7 +138,6 @@ class Line(BaseLine):
             )
 
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """Return the line for a base."""
         length, width = np.ptp(base.outline, axis=0)
         rows, lead_in = rows_under(width, self.pitch_y), lead_in_under(length, self.pitch_x)
         longest = self.columns - self.zone_columns
@@ -152,7 +146,7 @@ class Line(BaseLine):
                 f"parcel must be at most {self.pitch_x * longest:g} m long and less than "
                 f"{self.pitch_y * (self.zone_rows + 2):g} m wide, got {length:g} m x {width:g} m"
             )
-        self._check_capacity(base)
+        self.check_capacity(base, (self.columns, self.rows))
         first_row = round((self.line_y - self.origin[1]) / self.pitch_y - 0.5 * (rows - 1))
         rotor = np.zeros((self.rows, self.columns), dtype=bool)
         rotor[first_row : first_row + rows] = True
@@ -181,8 +175,7 @@ class Field(BaseLine):
         return self.columns
 
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """Return the field, whatever the base."""
-        self._check_capacity(base)
+        self.check_capacity(base, (self.columns, self.rows))
         first, last = (0, self.columns - 1) if zone is None else zone
         rotor = np.ones((self.rows, self.columns), dtype=bool)
         return Site(rotor, (0, self.rows, first, last - first + 1))
@@ -216,7 +209,7 @@ class Pattern(BaseLine):
         return len(self._pattern[0])
 
     @cached_property
-    def _pattern(self) -> NDArray[np.bool_]:
+    def _pattern(self) -> Booleans:
         return np.array(self.rotor)
 
     @cached_property
@@ -240,7 +233,6 @@ class Pattern(BaseLine):
         return self.origin[1] + 0.5 * self.pitch_y * sum(self._rotor_rows)
 
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """Return the pattern, whatever the base."""
-        self._check_capacity(base)
+        self.check_capacity(base, (self.columns, self.rows))
         first, last = (self.lead_in, self.columns - 1) if zone is None else zone
         return Site(self._pattern, (self._rotor_rows[0], self.zone_rows, first, last - first + 1))

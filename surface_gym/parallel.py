@@ -65,30 +65,6 @@ class Job(Protocol[Result_co]):
         """Do the work; call `report` with its progress now and then."""
 
 
-class Executor(Protocol):
-    """Processes that carry jobs out."""
-
-    @property
-    def free(self) -> int:
-        """Number of jobs that can be submitted now."""
-
-    @property
-    def running(self) -> int:
-        """Number of jobs that were submitted and are not over."""
-
-    def submit(self, index: int, job: Job[Any]) -> None:
-        """Start a job."""
-
-    def events(self) -> Iterator[Event]:
-        """Yield what has happened to the jobs; wait for it for `POLL` at most."""
-
-    def interrupt(self) -> None:
-        """Interrupt all running jobs, as Ctrl-C would."""
-
-    def close(self) -> None:
-        """End all running jobs, and the processes."""
-
-
 def map_jobs(
     jobs: Iterable[Job[Result]], workers: Workers, on_report: OnReport = lambda *_: None
 ) -> Iterator[tuple[int, Result]]:
@@ -115,7 +91,13 @@ def map_jobs(
             for index, job in enumerate(jobs):
                 yield index, job(partial(on_report, index))
             return
-    executor = _make_executor(workers)
+    executor: Any  # a `ProcessExecutor`, or one that does the same on other machines
+    if isinstance(workers, Cluster):
+        from surface_gym.ray_executor import RayExecutor
+
+        executor = RayExecutor(workers)
+    else:
+        executor = ProcessExecutor(workers)
     try:
         yield from _map(enumerate(jobs), executor, on_report)
     except BaseException:
@@ -129,16 +111,8 @@ def map_jobs(
         executor.close()
 
 
-def _make_executor(workers: Workers) -> Executor:
-    if isinstance(workers, Cluster):
-        from surface_gym.ray_executor import RayExecutor
-
-        return RayExecutor(workers)
-    return ProcessExecutor(workers)
-
-
 def _map(
-    jobs: Iterator[tuple[int, Job[Result]]], executor: Executor, on_report: OnReport
+    jobs: Iterator[tuple[int, Job[Result]]], executor: Any, on_report: OnReport
 ) -> Iterator[tuple[int, Result]]:
     running: dict[int, Job[Result]] = {}
     lost: deque[int] = deque()
@@ -251,10 +225,12 @@ class ProcessExecutor:
 
     @property
     def free(self) -> int:
+        """Number of jobs that can be submitted now."""
         return self._count - len(self._busy)
 
     @property
     def running(self) -> int:
+        """Number of jobs that were submitted and are not over."""
         return len(self._busy)
 
     def submit(self, index: int, job: Job[Any]) -> None:
@@ -264,6 +240,7 @@ class ProcessExecutor:
             worker.pipe.send_bytes(pickle.dumps(job))
 
     def events(self) -> Iterator[Event]:
+        """Yield what has happened to the jobs; wait for it for `POLL` at most."""
         for pipe in wait(list(self._busy), POLL):
             worker, index = self._busy[pipe]
             try:
@@ -281,6 +258,7 @@ class ProcessExecutor:
                 yield index, *received(message)
 
     def interrupt(self) -> None:
+        """Interrupt all running jobs, as Ctrl-C would."""
         if os.name == "posix":  # elsewhere Ctrl-C has reached them already
             for worker, _ in self._busy.values():
                 if worker.is_ready and worker.process.pid is not None:
@@ -289,6 +267,7 @@ class ProcessExecutor:
                     worker.process.terminate()
 
     def close(self) -> None:
+        """End all running jobs, and the processes."""
         for worker, _ in self._busy.values():
             worker.process.terminate()
         for worker in [*self._idle, *(worker for worker, _ in self._busy.values())]:

@@ -32,9 +32,7 @@ class Base(Protocol):
 
     @property
     def edges(self) -> NDArray[np.float64]:
-        """Return outward normals and distances [m] from the centroid (edges, 3); no rows for a
-        disc.
-        """
+        """Return outward normals and distances [m] from the centroid (edges, 3), none of a disc."""
 
     @property
     def outline(self) -> NDArray[np.float64]:
@@ -308,6 +306,30 @@ class Parcel:
             com_height=self.com_height,
             gyration=self.base.gyration if self.inertia is None else self.inertia / self.mass,
         )
+
+    @cached_property
+    def row(self) -> NDArray[np.float64]:
+        """Return the parcel's numbers (7,), as `Bodies.body` holds them."""
+        half_length = -float((self.base.outline - np.array(self.base.centroid))[:, 0].min())
+        return _kept(np.array([*self.body[1:], half_length, self.mass]))
+
+    @cached_property
+    def corners(self) -> NDArray[np.float64]:
+        """Return the base's corners (corners, 2) [m] from the centroid; a disc's lies there."""
+        outline = self.base.outline - np.array(self.base.centroid)
+        return _kept(outline if len(self.body.edges) else np.zeros((1, 2)))
+
+
+NO_EDGE = (0.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges up
+
+
+def filled_up(
+    edges: NDArray[np.float64], corners: NDArray[np.float64], sides: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return edges (sides, 3) and corners (sides, 2), filled up to a number of sides."""
+    more = (NO_EDGE,) * (sides - len(edges))
+    repeats = np.repeat(corners[:1], sides - len(corners), axis=0)
+    return np.concatenate([edges, np.reshape(more, (-1, 3))]), np.concatenate([corners, repeats])
 
 
 CORNERS = (5, 8)  # of a polygon at least, and fewer than

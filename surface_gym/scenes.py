@@ -76,13 +76,11 @@ class _ParcelHistory:
         return float(self._batch.parcels.clock[self._index])
 
     def record(self, begins: bool) -> None:
-        """Append the position of the parcel."""
         if begins:
             self._trail.clear()
         self._trail.append(self._batch.parcels.truth[self._index, :2].copy())
 
     def scene(self, title: str | None = None) -> Scene:
-        """Describe what a picture of now shows."""
         batch, i = self._batch, self._index
         view, line, task = batch.view(i), batch.config.chosen_line, batch.task
         truth, outcome = view.truth, int(batch.parcels.outcome[i])
@@ -146,7 +144,6 @@ class _StreamHistory:
         return float(self._batch.streams.clock[self._index])
 
     def record(self, begins: bool) -> None:
-        """Append the positions of the parcels."""
         streams, i, clock = self._batch.streams, self._index, self.clock
         if begins:
             self._trails.clear()
@@ -165,7 +162,6 @@ class _StreamHistory:
                 self._departed.append(_Departed(gone, truth[VX:].copy(), left))
 
     def scene(self, title: str | None = None) -> Scene:
-        """Describe what a picture of now shows."""
         batch, i, streams = self._batch, self._index, self._batch.streams
         config, line = batch.config, batch.config.chosen_line
         slots = np.nonzero(streams.present[i])[0]
@@ -268,8 +264,7 @@ def _outline(view: EnvState) -> Array:
         keep = np.ones(len(corners), dtype=bool)
         keep[1:] = (corners[1:] != corners[0]).any(axis=1)
         return corners[keep]
-    circle: Array = view.body[RADIUS] * np.stack([np.cos(_DISC), np.sin(_DISC)], axis=-1)
-    return circle
+    return view.body[RADIUS] * np.stack([np.cos(_DISC), np.sin(_DISC)], axis=-1)
 
 
 def _labels(names: tuple[str, ...]) -> tuple[str, ...]:

@@ -2,20 +2,18 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
-from surface_gym.core.resets import NO_EDGE
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Parcel, filled_up
 from surface_gym.physics import references, rollout
 from surface_gym.physics import step as stepping
 from surface_gym.physics import types as ph
 from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
-from surface_gym.physics.rollout import Records
 from surface_gym.physics.signed_distance import CONTACT_DISTANCE
 from surface_gym.physics.types import Array, Bodies, Body, Grid, Scratch
 from surface_gym.surface import Surface
@@ -86,13 +84,9 @@ def simulate(
     if method == "explicit" and surface.tilt < 0.0:
         raise ValueError(f"tilt must be at least 0 for the explicit method, got {surface.tilt!r}")
     grid, body = surface.grid, parcel.body
-    ph.check_capacity(
-        len(body.edges), body.radius, (grid.pitch_x, grid.pitch_y), (surface.columns, surface.rows)
-    )
     scratch = ph.make_scratch()
-    if references.find_support(grid, body, start, scratch, 0.0).total == 0:
-        over = references.explain_unsupported(grid, start, 0.0) == stepping.UNSUPPORTED
-        wanted = "over an element" if over else "on the surface"
+    wanted = _missing_support(surface, parcel, start, scratch)
+    if wanted:
         raise ValueError(f"pose must be {wanted}, got {tuple(np.asarray(pose).tolist())}")
     if (
         method == "explicit"
@@ -109,15 +103,19 @@ def simulate(
     states = np.zeros((len(time), ph.STATE_SIZE))
     states[0] = start
     reports = np.zeros(len(time), dtype=np.int64)
-    steps = _run(grid, body, states, reports, scratch, time, dt, method, normal_forces)
-    done = slice(0, steps + 1)
-    check_steps(parcel, min(grid.pitch_x, grid.pitch_y), states[done], dt)
-    end = "duration" if steps == len(time) - 1 else ENDS[int(reports[steps + 1])]
-    pose_done, velocity_done = base_motion(parcel, states[done])
-    how = Run(surface, parcel, dt, method, normal_forces, states[done])
-    return Trajectory(
-        time[done], pose_done, velocity_done, reports[done] == stepping.TIPPING, end, how
-    )
+    _run(grid, body, states, reports, scratch, time, dt, method, normal_forces)
+    done = _trajectory(surface, parcel, time, dt, states, reports)
+    run = Run(surface, parcel, dt, method, normal_forces, states[: len(done.time)])
+    return replace(done, run=run)
+
+
+def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Scratch) -> str:
+    """Say where a parcel must be to start; "" where an element bears it."""
+    surface.check_capacity(parcel.base, (surface.columns, surface.rows))
+    if references.find_support(surface.grid, parcel.body, start, scratch, 0.0).total > 0:
+        return ""
+    over = references.explain_unsupported(surface.grid, start, 0.0) == stepping.UNSUPPORTED
+    return "over an element" if over else "on the surface"
 
 
 def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
@@ -141,8 +139,7 @@ def sample_times(duration: float, dt: float) -> NDArray[np.float64]:
 def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
     """Return the state vector of the centre of mass."""
     centre = np.array([parcel.centre_of_mass])
-    state: Array = stepping.com_states(centre, pose[np.newaxis], velocity[np.newaxis])[0]
-    return state
+    return stepping.com_states(centre, pose[np.newaxis], velocity[np.newaxis])[0]
 
 
 def base_motion(parcel: Parcel, states: Array) -> tuple[Array, Array]:
@@ -160,17 +157,10 @@ def base_motion(parcel: Parcel, states: Array) -> tuple[Array, Array]:
 
 
 def _run(
-    grid: Grid,
-    body: Body,
-    states: Array,
-    reports: NDArray[np.int64],
-    scratch: Scratch,
-    time: Array,
-    dt: float,
-    method: str,
-    normal_forces: str,
-) -> int:
-    """Fill states and reports, and return the number of steps done."""
+    grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch,
+    time: Array, dt: float, method: str, normal_forces: str,
+) -> None:  # fmt: skip
+    """Fill states and reports, up to a report that ends the run."""
     whole = len(time) if time[-1] == dt * (len(time) - 1) else len(time) - 1
     if normal_forces == "dual":
         run = rollout.run_implicit if method == "implicit" else rollout.run_explicit
@@ -182,30 +172,21 @@ def _run(
             if done < piece.stop - first - 1:
                 break
         if steps == whole - 1 and whole < len(time):
-            last = time[-1] - time[-2]
-            steps += int(run(grid, body, states[steps:], reports[steps:], scratch, last))
-        return steps
+            run(grid, body, states[steps:], reports[steps:], scratch, time[-1] - time[-2])
+        return
     for k in range(1, len(time)):
         states[k] = states[k - 1]
         step = dt if k < whole else time[-1] - time[-2]
         reports[k] = _reference_step(grid, body, states[k], scratch, step, method, normal_forces)
         if reports[k] >= stepping.OFF_SURFACE:
-            return k - 1
-    return len(time) - 1
+            return
 
 
 def _reference_step(
-    grid: Grid,
-    body: Body,
-    state: Array,
-    scratch: Scratch,
-    dt: float,
-    method: str,
+    grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float, method: str,
     normal_forces: str,
-) -> int:
+) -> int:  # fmt: skip
     """Do the compiled step with Eq. (1) solved by a reference in the dual's place."""
-    from surface_gym.physics.references import support_load_by
-
     explicit = method == "explicit"
     if explicit and state[ph.VX] <= 0.0 and grid.gravity_along == 0.0:
         return stepping.STOPPED
@@ -214,7 +195,7 @@ def _reference_step(
     count = contacts.total
     if count == 0:
         return int(references.explain_unsupported(grid, state, lead))
-    degenerate = support_load_by(normal_forces, grid, body, state, scratch, count)
+    degenerate = references.support_load_by(normal_forces, grid, body, state, scratch, count)
     advance = references.advance_explicit if explicit else references.advance_implicit
     advance(grid, body, state, scratch, contacts, dt)
     return stepping.TIPPING if degenerate else stepping.BALANCED
@@ -309,34 +290,10 @@ def simulate_together(
 
 def make_bodies(parcels: Sequence[Parcel]) -> Bodies:
     """Return parcels as the compiled physics reads them, a row each."""
-    corners = [_corners(parcel) for parcel in parcels]
-    sides = max(map(len, corners))
-    edges = np.empty((len(parcels), sides, 3))
-    edges[:] = NO_EDGE
-    filled = np.empty((len(parcels), sides, 2))
-    rows = np.empty((len(parcels), 7))
-    for k, parcel in enumerate(parcels):
-        body = parcel.body
-        edges[k, : len(body.edges)] = body.edges
-        filled[k] = corners[k][0]
-        filled[k, : len(corners[k])] = corners[k]
-        rows[k] = (
-            body.radius,
-            body.com_x,
-            body.com_y,
-            body.com_height,
-            body.gyration,
-            -float((parcel.base.outline - np.array(parcel.base.centroid))[:, 0].min()),
-            parcel.mass,
-        )
-    return Bodies(rows, edges, filled)
-
-
-def _corners(parcel: Parcel) -> Array:
-    """Return the corners (corners, 2) [m] from the centroid; a disc's lie at the centroid."""
-    if len(parcel.body.edges) == 0:
-        return np.zeros((3, 2))
-    return np.asarray(parcel.base.outline - np.array(parcel.base.centroid))
+    sides = max(3, *(len(parcel.corners) for parcel in parcels))
+    bases = [filled_up(parcel.body.edges, parcel.corners, sides) for parcel in parcels]
+    edges, corners = map(np.stack, zip(*bases, strict=True))
+    return Bodies(np.stack([parcel.row for parcel in parcels]), edges, corners)
 
 
 def _make_world(
@@ -363,19 +320,10 @@ def _check_starts(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, world: World
 ) -> None:
     """Raise a ValueError where a parcel has no place to start from."""
-    grid = surface.grid
     scratch = ph.make_scratch()
     for k, parcel in enumerate(parcels):
-        body, start = parcel.body, world.state[k]
-        ph.check_capacity(
-            world.bodies.edges.shape[1],
-            body.radius,
-            (grid.pitch_x, grid.pitch_y),
-            (surface.columns, surface.rows),
-        )
-        if references.find_support(grid, body, start, scratch, 0.0).total == 0:
-            over = references.explain_unsupported(grid, start, 0.0) == stepping.UNSUPPORTED
-            wanted = "over an element" if over else "on the surface"
+        wanted = _missing_support(surface, parcel, world.state[k], scratch)
+        if wanted:
             pose = tuple(np.asarray(poses)[k].tolist())
             raise ValueError(f"poses must be {wanted}, got {pose} of parcel {k}")
         for other in range(k):
@@ -389,18 +337,15 @@ def _check_starts(
 
 def _run_together(
     grid: Grid, world: World, touching: ContactMaterial, time: Array, dt: float
-) -> Records:
+) -> rollout.Records:
     """Do all steps, and cut the rows of touches to those there are."""
     count = len(world.present)
     scratch = make_world_scratch(count)
     room = 1024 + 2 * len(scratch.pair)
-    records = Records(
-        np.zeros((len(time), count, ph.STATE_SIZE)),
-        np.zeros((len(time), count), dtype=np.int64),
-        np.zeros(room, dtype=np.int64),
-        np.zeros((room, 2), dtype=np.int64),
-        np.zeros(room),
-    )
+    records = rollout.Records(
+        np.zeros((len(time), count, ph.STATE_SIZE)), np.zeros((len(time), count), dtype=np.int64),
+        np.zeros(room, dtype=np.int64), np.zeros((room, 2), dtype=np.int64), np.zeros(room),
+    )  # fmt: skip
     records.state[0] = world.state
     touches = 0
     most = max(1, PIECE // count)
@@ -431,13 +376,9 @@ def _stretches(time: Array, dt: float) -> list[tuple[int, int, float]]:
 
 
 def _trajectory(
-    surface: Surface,
-    parcel: Parcel,
-    time: Array,
-    dt: float,
-    states: Array,
+    surface: Surface, parcel: Parcel, time: Array, dt: float, states: Array,
     reports: NDArray[np.int64],
-) -> Trajectory:
+) -> Trajectory:  # fmt: skip
     """Return a parcel's trajectory, up to where it left the surface."""
     left = np.flatnonzero(reports >= stepping.OFF_SURFACE)
     done = slice(0, int(left[0]) if len(left) else len(time))

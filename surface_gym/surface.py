@@ -7,11 +7,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.physics.step import axis_directions
-from surface_gym.physics.types import GRAVITY, Grid
+from surface_gym.physics.types import GRAVITY, Array, Booleans, Grid, check_capacity
 
 
 class Pitched:
@@ -28,6 +27,10 @@ class Pitched:
     def pitch_y(self) -> float:
         """Return the distance [m] from row to row."""
         return self.pitch if isinstance(self.pitch, float) else self.pitch[1]
+
+    def check_capacity(self, base: Any, size: tuple[int, int]) -> None:
+        """Raise a ValueError where a base may have too many contacts on (columns, rows)."""
+        check_capacity(len(base.edges), base.reach, (self.pitch_x, self.pitch_y), size)
 
 
 class Elements(Pitched, ABC):
@@ -49,7 +52,7 @@ class Elements(Pitched, ABC):
         """Return how many elements there are along, in x."""
 
     @cached_property
-    def friction(self) -> NDArray[np.float64]:
+    def friction(self) -> Array:
         """Return (rows, columns, 3) [-] along a rotor's axis, across it, and of a support."""
         each = (self.mu_max, self.mu_min, self.mu_support)
         grid = [np.broadcast_to(np.asarray(mu), (self.rows, self.columns)) for mu in each]
@@ -75,16 +78,16 @@ class Surface(Elements):
     (20, 30)
     """
 
-    axis: NDArray[np.float64]  # (rows, columns) [rad] rotor axis from x, anti-clockwise
-    rotor: NDArray[np.bool_]  # (rows, columns) an orientable rotor, else a support
+    axis: Array  # (rows, columns) [rad] rotor axis from x, anti-clockwise
+    rotor: Booleans  # (rows, columns) an orientable rotor, else a support
     pitch: float | tuple[float, float] = 0.1  # [m] between neighbours: one, or in x and in y
     origin: tuple[float, float] = (0.05, 0.05)  # [m] centre of element [0, 0]
-    mu_max: float | NDArray[np.float64] = 0.5  # [-] friction along a rotor's axis
-    mu_min: float | NDArray[np.float64] = 0.01  # [-] friction across it
-    mu_support: float | NDArray[np.float64] = 0.005  # [-] friction of a support, against the motion
+    mu_max: float | Array = 0.5  # [-] friction along a rotor's axis
+    mu_min: float | Array = 0.01  # [-] friction across it
+    mu_support: float | Array = 0.005  # [-] friction of a support, against the motion
     tilt: float = 0.0  # [rad] gamma, downhill towards +x
     # (rows, columns) [-] how stiff an element is against the others; None: all the same, as Eq. (1)
-    stiffness: NDArray[np.float64] | None = None
+    stiffness: Array | None = None
 
     def __post_init__(self) -> None:
         axis = checks.array("axis", self.axis, (None, None))
@@ -129,12 +132,12 @@ class Surface(Elements):
         return int(self.axis.shape[1])
 
     @property
-    def x(self) -> NDArray[np.float64]:
+    def x(self) -> Array:
         """Return x [m] of each column's centre (columns,)."""
         return self.origin[0] + self.pitch_x * np.arange(self.columns, dtype=np.float64)
 
     @property
-    def y(self) -> NDArray[np.float64]:
+    def y(self) -> Array:
         """Return y [m] of each row's centre (rows,)."""
         return self.origin[1] + self.pitch_y * np.arange(self.rows, dtype=np.float64)
 
@@ -159,7 +162,7 @@ class Surface(Elements):
         )
 
 
-def _check_stiffness(stiffness: NDArray[np.float64]) -> None:
+def _check_stiffness(stiffness: Array) -> None:
     """Raise a ValueError for elements softer, stiffer or more unequal than any are."""
     least, most = float(stiffness.min()), float(stiffness.max())
     checks.within("stiffness", least, *checks.STIFFNESS)

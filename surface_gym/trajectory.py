@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.physics import rollout
 from surface_gym.physics import types as ph
 from surface_gym.physics.references import find_support, support_load_by
-from surface_gym.physics.rollout import ContactForces, RecordedSteps
 from surface_gym.physics.types import Array, Integers, Scratch
 from surface_gym.surface import Surface
 
@@ -100,12 +99,7 @@ class ContactRecord:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the record as comma-separated values (UTF-8), a row a contact, units in the header.
 
-        Args:
-            path: of the file, which must end in .csv; one that is there is replaced.
-
-        Raises:
-            ValueError: the path ends otherwise.
-            OSError: the file cannot be written.
+        The path must end in .csv; a file that is there is replaced.
         """
         file = Path(path)
         if file.suffix != ".csv":
@@ -205,18 +199,8 @@ class Trajectory:
 
         On the left the surface is seen from above, with rotors as strokes along their axes,
         supports as dots, the path of the base's origin and the base's outline at some instants. A
-        trajectory without a `run` shows the path alone.
-
-        Args:
-            path: of the file to write the figure to, if any.
-
-        Returns:
-            The figure, by matplotlib.
-
-        Raises:
-            ValueError: the path ends in a suffix that matplotlib does not write.
-            OSError: the file cannot be written.
-            ImportError: matplotlib is not installed; the message says how to.
+        trajectory without a `run` shows the path alone. The figure, by matplotlib, is written to
+        the path, if there is one.
         """
         try:
             from surface_gym.trajectory_plot import draw_trajectory
@@ -232,33 +216,35 @@ class Trajectory:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the trajectory to a file, replacing any file that exists.
 
-        Args:
-            path: of the file. An .npz holds all, including the `run`; a .csv holds the motion,
-                `tipping` and `end`, one row per step, with units in the header, and no `run`.
-
-        Raises:
-            ValueError: the path ends otherwise, or the file cannot hold all of the trajectory: an
-                .npz has no room for a user-defined base.
-            OSError: the file cannot be written.
+        An .npz holds all, including the `run`, but has no room for a user-defined base; a .csv
+        holds the motion, `tipping` and `end`, one row per step, with units in the header.
         """
-        save_trajectory(self, path)
+        file = _checked_file(path)
+        _check_end(self.end)
+        if file.suffix == ".csv":
+            _write_table(file, self)
+            return
+        parts: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in MOTION}
+        if self.run is not None:
+            parts |= _run_parts(self.run)
+        with file.open("wb") as packed:
+            np.savez_compressed(packed, **parts)
 
     @staticmethod
     def load(path: str | PathLike[str]) -> "Trajectory":
         """Read a trajectory that `save` wrote, the same to the bit.
 
-        Only numbers and text are read; nothing in a file is executed.
-
-        Args:
-            path: of the file, an .npz or a .csv.
-
-        Raises:
-            ValueError: the path ends otherwise, or the file does not hold a trajectory; the error
-                names what is wrong.
-            OSError: there is no such file, or it cannot be read.
+        Only numbers and text are read; nothing in a file is executed. A file that holds no
+        trajectory is a ValueError that names what is wrong.
         """
-        motion, run = load_fields(path)
-        return Trajectory(**motion, run=None if run is None else Run(**run))
+        file = _checked_file(path)
+        try:
+            found = _read_table(file) if file.suffix == ".csv" else _read_arrays(file)
+        except ValueError as error:
+            raise ValueError(
+                f"path must lead to a trajectory that was saved, got {str(path)!r}: {error}"
+            ) from None
+        return Trajectory(**found)
 
     def _known_run(self, asked: str) -> Run:
         if self.run is None:
@@ -269,28 +255,20 @@ class Trajectory:
         return self.run
 
 
-def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
-    """Repeat each step of a run from the state recorded before it.
-
-    Args:
-        run: whose steps to repeat.
-        time: (T,) [s] their ends, the start first.
-
-    Raises:
-        ValueError: no element is under the parcel in a step, so the states are not those of a run.
-    """
+def repeat(run: Run, time: Array) -> tuple[rollout.RecordedSteps, rollout.ContactForces]:
+    """Repeat each step of a run, whose ends are `time` (T,) [s], from the state before it."""
     grid, body = run.surface.grid, run.parcel.body
     scratch = ph.make_scratch()
     count = np.zeros(len(time), dtype=np.int64)
     first = np.zeros(len(time) + 1, dtype=np.int64)
-    steps = RecordedSteps(run.states, run.lengths(time), run.leads(time), first)
+    steps = rollout.RecordedSteps(run.states, run.lengths(time), run.leads(time), first)
     rollout.count_contacts(grid, body, steps, scratch, count)
     if not count[1:].all():
         step = 1 + int(np.argmin(count[1:]))
         raise ValueError(f"states must be over elements in every step, got none in step {step}")
     first[1:] = np.cumsum(count)
     total = int(first[-1])
-    observed = ContactForces(
+    observed = rollout.ContactForces(
         run.states.copy(),
         np.zeros((total, 2), dtype=np.int64),
         np.zeros(total),
@@ -309,7 +287,7 @@ def repeat(run: Run, time: Array) -> tuple[RecordedSteps, ContactForces]:
 
 
 def _load_by_reference(
-    run: Run, steps: RecordedSteps, scratch: Scratch, observed: ContactForces
+    run: Run, steps: rollout.RecordedSteps, scratch: Scratch, observed: rollout.ContactForces
 ) -> None:
     """Write the normal forces of all steps as computed by OSQP or SciPy."""
     grid, body = run.surface.grid, run.parcel.body
@@ -356,14 +334,9 @@ def _along_and_across(surface: Surface, element: Integers, vector: Array) -> tup
 
 
 def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity: Array) -> Array:
-    """Compute the velocity (rows, 2) [m/s] of the base over elements, in x and y.
+    """Compute the velocity (rows, 2) [m/s] of the base over the places (rows, 2) [m] of elements.
 
-    Args:
-        run: whose steps to repeat.
-        time: (T,) [s] their ends, the start first.
-        step: (rows,) that of each contact.
-        place: (rows, 2) [m] of the elements.
-        velocity: (T, 3) [m/s, m/s, rad/s] of the centre of mass, to be taken for each step.
+    `step` (rows,) is that of each contact, `velocity` (T, 3) that of the centre of mass.
     """
     before = run.states[step - 1]
     lead = run.leads(time)[step, np.newaxis]
@@ -424,37 +397,6 @@ BASES: dict[str, Callable[[Array], Base]] = {
 }
 
 
-def save_trajectory(trajectory: Trajectory, path: str | PathLike[str]) -> None:
-    """Write a trajectory to a file, as `Trajectory.save` describes."""
-    file = _checked_file(path)
-    _check_end(trajectory.end)
-    if file.suffix == ".csv":
-        with file.open("w", encoding="utf-8", newline="") as stream:
-            _write_table(stream, trajectory)
-        return
-    parts: dict[str, Any] = {name: np.asarray(getattr(trajectory, name)) for name in MOTION}
-    if trajectory.run is not None:
-        parts |= _run_parts(trajectory.run)
-    with file.open("wb") as packed:
-        np.savez_compressed(packed, **parts)
-
-
-def load_fields(path: str | PathLike[str]) -> tuple[Fields, Fields | None]:
-    """Read the fields of a trajectory without its run, and those of its run if there is one.
-
-    Raises:
-        ValueError: the path ends otherwise, or the file does not hold a trajectory.
-        OSError: there is no such file, or it cannot be read.
-    """
-    file = _checked_file(path)
-    try:
-        return (_read_table(file), None) if file.suffix == ".csv" else _read_arrays(file)
-    except ValueError as error:
-        raise ValueError(
-            f"path must lead to a trajectory that was saved, got {str(path)!r}: {error}"
-        ) from None
-
-
 def _checked_file(path: str | PathLike[str]) -> Path:
     file = Path(path)
     if file.suffix not in SUFFIXES:
@@ -481,8 +423,8 @@ def _checked_rows(name: str, value: NDArray[Any], shape: tuple[int | None, ...])
     return checks.array(name, value, shape).copy()
 
 
-def _read_arrays(file: Path) -> tuple[Fields, Fields | None]:
-    """Read an .npz; each array is checked where it is used."""
+def _read_arrays(file: Path) -> Fields:
+    """Read the fields of a trajectory from an .npz; each array is checked where it is used."""
     parts = _unpack(file)
     _check_missing([name for name in MOTION if name not in parts])
     time = _check_time(parts["time"])
@@ -495,7 +437,8 @@ def _read_arrays(file: Path) -> tuple[Fields, Fields | None]:
             f"got {tipping.dtype} of {tipping.shape}"
         )
     _check_end(end)
-    return {"time": time, **motion, "tipping": tipping, "end": end}, _run_fields(parts, rows)
+    run = _read_run(parts, rows)
+    return {"time": time, **motion, "tipping": tipping, "end": end, "run": run}
 
 
 def _unpack(file: Path) -> Parts:
@@ -517,11 +460,7 @@ def _check_missing(missing: list[str]) -> None:
 
 
 def _run_parts(run: Run) -> Parts:
-    """Convert a run to arrays by name.
-
-    Raises:
-        ValueError: base, parcel or surface is of a user-defined class, which arrays do not hold.
-    """
+    """Convert a run to arrays by name."""
     surface, parcel = run.surface, run.parcel
     for name, part, kind in (("surface", surface, Surface), ("parcel", parcel, Parcel)):
         if type(part) is not kind:
@@ -554,8 +493,8 @@ def _base_parts(base: Base) -> tuple[str, Array]:
     )
 
 
-def _run_fields(parts: Parts, rows: int) -> Fields | None:
-    """Convert arrays by name back to the fields of a run; None if they hold nothing of one."""
+def _read_run(parts: Parts, rows: int) -> Run | None:
+    """Convert arrays by name back to a run; None if they hold nothing of one."""
     missing = [name for name in ALL if name not in parts]
     if len(missing) == len(ALL):
         return None
@@ -575,31 +514,22 @@ def _run_fields(parts: Parts, rows: int) -> Fields | None:
             f"base_lengths must be those of a {plain['base']}, got {lengths}"
         ) from None
     parcel = Parcel(base, **{name: plain[name] for name in PARCEL}, inertia=plain.get("inertia"))
-    ph.check_capacity(
-        len(parcel.body.edges),
-        parcel.body.radius,
-        (surface.pitch_x, surface.pitch_y),
-        (surface.columns, surface.rows),
-    )
-    return {
-        "surface": surface,
-        "parcel": parcel,
-        "dt": checks.positive("dt", plain["dt"]),
-        "method": checks.one_of("method", plain["method"], ("implicit", "explicit")),
-        "normal_forces": checks.one_of(
-            "normal_forces", plain["normal_forces"], ("dual", "osqp", "scipy")
-        ),
-        "states": _checked_rows("states", parts["states"], (rows, ph.STATE_SIZE)),
-    }
+    surface.check_capacity(base, (surface.columns, surface.rows))
+    dt = checks.positive("dt", plain["dt"])
+    method = checks.one_of("method", plain["method"], ("implicit", "explicit"))
+    solver = checks.one_of("normal_forces", plain["normal_forces"], ("dual", "osqp", "scipy"))
+    states = _checked_rows("states", parts["states"], (rows, ph.STATE_SIZE))
+    return Run(surface, parcel, dt, method, solver, states)
 
 
-def _write_table(stream: TextIO, trajectory: Trajectory) -> None:
-    stream.write(f"{END}{trajectory.end}\n")
-    rows = csv.writer(stream, lineterminator="\n")
-    rows.writerow(COLUMNS)
+def _write_table(file: Path, trajectory: Trajectory) -> None:
     motion = np.column_stack([trajectory.time, trajectory.pose, trajectory.velocity])
-    for row, tipping in zip(motion.tolist(), trajectory.tipping.tolist(), strict=True):
-        rows.writerow([*row, int(tipping)])
+    with file.open("w", encoding="utf-8", newline="") as stream:
+        stream.write(f"{END}{trajectory.end}\n")
+        rows = csv.writer(stream, lineterminator="\n")
+        rows.writerow(COLUMNS)
+        for row, tipping in zip(motion.tolist(), trajectory.tipping.tolist(), strict=True):
+            rows.writerow([*row, int(tipping)])
 
 
 def _read_table(file: Path) -> Fields:

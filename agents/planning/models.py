@@ -15,7 +15,7 @@ from surface_gym.physics.types import GYRATION, HALF_LENGTH, RADIUS
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Exact
 from surface_gym.state import ACROSS_FACTOR, ALONG_FACTOR, OUT_OF_TIME, BodyTable, ParcelState
-from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
+from surface_gym.tasks.base import BRAKING, ROLLING_LOSS
 from surface_gym.tasks.planning import square_reach
 from surface_gym.tasks.start import Start
 

@@ -9,7 +9,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.core.actions import ActionKind
 from surface_gym.lines import Line
 from surface_gym.physics.types import GRAVITY
-from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
+from surface_gym.tasks.base import BRAKING, ROLLING_LOSS
 from surface_gym.tasks.planning import LineObservation
 from surface_gym.tasks.track import PathObservation
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from surface_gym.config import EnvConfig
 from surface_gym.sensors import Exact
-from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
+from surface_gym.tasks.base import BRAKING, ROLLING_LOSS
 from surface_gym.tasks.planning import LineObservation
 
 from .base import (

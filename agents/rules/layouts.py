@@ -16,7 +16,7 @@ from surface_gym.layouts import ROLLING
 from surface_gym.lines import BaseLine
 from surface_gym.physics.types import VX, VY
 from surface_gym.tasks import orient, slow, stop
-from surface_gym.tasks.line import BRAKING
+from surface_gym.tasks.base import BRAKING
 from surface_gym.tasks.planning import LineObservation, Nodes, square_reach
 from surface_gym.tasks.start import Start
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
-from surface_gym.tasks.line import BRAKING
+from surface_gym.tasks.base import BRAKING
 from surface_gym.tasks.planning import LineObservation
 from surface_gym.tasks.track import PathObservation
 

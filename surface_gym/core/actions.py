@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym import state as st
@@ -454,7 +453,6 @@ class ActionKind:
 
     @property
     def size(self) -> int:
-        """Return how many numbers a command has."""
         return self.shape[0] * self.shape[1]
 
     @property
@@ -468,14 +466,13 @@ class ActionKind:
         return self.name == "halves" and not self.continuous
 
     def space(self) -> spaces.Space[Any]:
-        """Return the action space of one environment."""
         if self.continuous:
             return spaces.Box(-RIGHT_ANGLE, RIGHT_ANGLE, (self.size,))
         if self._single:
             return spaces.Discrete(self.choices**2)
         return spaces.MultiDiscrete(np.full(self.size, self.choices))
 
-    def commands(self, actions: Any, num_envs: int) -> NDArray[Any]:
+    def commands(self, actions: Any, num_envs: int) -> np.ndarray:
         """Turn the actions of all environments into commands (num_envs, size)."""
         try:
             given = np.asarray(actions)
@@ -500,21 +497,20 @@ class ActionKind:
             return halves
         return chosen
 
-    def encode(self, commands: NDArray[Any]) -> NDArray[Any]:
+    def encode(self, commands: np.ndarray) -> np.ndarray:
         """Return commands (num_envs, size) as actions, the inverse of `commands`."""
         if self._single:
-            encoded: NDArray[Any] = commands[:, 0] * self.choices + commands[:, 1]
-            return encoded
+            return commands[:, 0] * self.choices + commands[:, 1]
         return commands
 
-    def flip(self, commands: NDArray[Any]) -> NDArray[Any]:
+    def flip(self, commands: np.ndarray) -> np.ndarray:
         """Return commands (num_envs, size) with their parts mirrored in y, choices unchanged."""
         if self.name == "quadrants":
             return commands[:, [1, 0, 3, 2]]
         return commands.reshape(-1, *self.shape)[:, ::-1].reshape(commands.shape)
 
 
-def _angles(given: NDArray[Any], actions: Any) -> NDArray[np.float64]:
+def _angles(given: np.ndarray, actions: Any) -> Array:
     if given.dtype.kind not in "iuf":
         raise ValueError(f"action must be angles, got {given.dtype}: {actions!r}")
     angles = given.astype(np.float64)

@@ -12,12 +12,10 @@ from numba.core.dispatcher import Dispatcher
 from surface_gym import state as st
 from surface_gym.config import EnvConfig
 from surface_gym.core import actions
-from surface_gym.core.actions import Acting
 from surface_gym.core.kernel import Actuation, EnvParams, KernelFunctions
 from surface_gym.physics.step import axis_directions
 from surface_gym.physics.types import Integers, Scratch, make_scratch
 from surface_gym.sensors.base import Sensor
-from surface_gym.state import ParcelState, SurfaceState
 from surface_gym.tasks.base import Task
 
 FEWEST = 4  # environments that a thread is worth its while for
@@ -26,13 +24,7 @@ PARTS = 16  # of a thread's share of environments; a thread done early takes som
 
 
 class Workers:
-    """One thread or more; results do not depend on their number.
-
-    Args:
-        threads: their number.
-        steps: of parcels, that an environment takes in a call.
-        make: makes the physics' scratch of one.
-    """
+    """One thread or more; results do not depend on their number."""
 
     def __init__(self, threads: int, steps: int, make: Callable[[], Any] = make_scratch) -> None:
         self._most = max(1, LOOK // steps)  # environments in a row
@@ -118,11 +110,7 @@ def choose_actuation(any_angle: bool, turning: bool) -> Actuation:
 
 
 def compiled_functions(owner: Any, kind: type[Any], names: str, ending: str = "") -> dict[str, Any]:
-    """Collect compiled functions of a task or a sensor by their names, with an ending.
-
-    Raises:
-        ValueError: one is none; the message names it.
-    """
+    """Collect compiled functions of a task or a sensor by their names, with an ending."""
     found = {name + ending: getattr(owner, name, None) for name in names.split()}
     for name, function in found.items():
         if not isinstance(function, Dispatcher):
@@ -140,7 +128,7 @@ def make_env_params(config: EnvConfig) -> EnvParams:
     return EnvParams(
         elements=line.geometry,
         timing=timing,
-        acting=Acting(
+        acting=actions.Acting(
             kind.rows,
             np.array(config.chosen_orientations),
             config.actuators.axis_speed * timing.dt,
@@ -155,7 +143,7 @@ def make_env_params(config: EnvConfig) -> EnvParams:
     )
 
 
-def make_state(config: EnvConfig, num_envs: int) -> tuple[SurfaceState, ParcelState]:
+def make_state(config: EnvConfig, num_envs: int) -> tuple[st.SurfaceState, st.ParcelState]:
     """Make the memory of surfaces and parcels, every axis the conveyor's."""
     task, line, kind = config.task, config.chosen_line, config.action_kind
     sizes = st.Sizes(

@@ -14,7 +14,6 @@ from surface_gym.config import EnvConfig
 from surface_gym.core import resets
 from surface_gym.core.assembly import FEWEST, Workers, make_env_params, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, make_kernel
-from surface_gym.core.resets import BodyPlan, ResetCache, StartRows
 from surface_gym.parcel import Parcel
 from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import bounded, invalidate_contacts
@@ -48,9 +47,6 @@ class BaseBatch(ABC):
         threads: that share them; results do not depend on their number.
         max_episode_steps: control periods after which an episode is truncated; None: no limit.
         compiles: whether to make the kernel; a batch without one only holds memory.
-
-    Raises:
-        ValueError: the task or the sensor lacks a compiled function, or one does not compile.
     """
 
     parcels: ParcelState  # state of every parcel
@@ -59,13 +55,9 @@ class BaseBatch(ABC):
     rows: int = 1  # of each environment in `parcels`
 
     def __init__(
-        self,
-        config: EnvConfig,
-        num_envs: int,
-        threads: int = 1,
-        max_episode_steps: int | None = None,
-        compiles: bool = True,
-    ) -> None:
+        self, config: EnvConfig, num_envs: int, threads: int = 1,
+        max_episode_steps: int | None = None, compiles: bool = True,
+    ) -> None:  # fmt: skip
         self.config = config
         self.task = config.task
         self.num_envs = num_envs
@@ -109,20 +101,17 @@ class BaseBatch(ABC):
     @property
     def outcome(self) -> Integers:
         """(num_envs,) how each episode stands, a place in `outcomes`."""
-        outcome: Integers = self.episodes.outcome
-        return outcome
+        return self.episodes.outcome
 
     @property
     def reward(self) -> Array:
         """(num_envs,) rewards of the last control period."""
-        reward: Array = self.episodes.reward
-        return reward
+        return self.episodes.reward
 
     @property
     def terms(self) -> Array:
         """(num_envs, terms) of these rewards, as the task names them."""
-        terms: Array = self.episodes.terms
-        return terms
+        return self.episodes.terms
 
     @property
     def observation(self) -> NDArray[np.float32]:
@@ -178,7 +167,6 @@ class BaseBatch(ABC):
         """Get the parcel, of a stream the one in a row, after the randomisation."""
 
     def is_seeded(self, env_index: int) -> bool:
-        """Return whether an environment has a generator."""
         return self.generator(env_index) is not None
 
     def reset(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
@@ -297,8 +285,7 @@ class BaseBatch(ABC):
 
     def axes(self, env_index: int) -> Array:
         """(rows, columns) [rad] axis angles of an environment."""
-        angles: Array = st.axis_angles(self.surfaces, slice(env_index, env_index + 1))[0]
-        return angles
+        return st.axis_angles(self.surfaces, slice(env_index, env_index + 1))[0]
 
     def view(self, env_index: int, row: int = 0) -> EnvState:
         """View a parcel as compiled functions see it, between two control periods."""
@@ -327,7 +314,6 @@ class BaseBatch(ABC):
 
     @property
     def _authors(self) -> str:
-        """The classes whose functions are compiled."""
         return f"{type(self.task).__name__} with {type(self.config.sensors).__name__}"
 
     def _run(self, chosen: Integers, threads: int = 1) -> None:
@@ -354,11 +340,11 @@ class Batch(BaseBatch):
         self._randomisation = config.randomisation
         self._varies = config.randomisation.varies
         shared = self._varies or self._draws > 0 or config.actuators.stuck_share > 0.0
-        self.reset_cache = ResetCache(self.num_envs, self.task.draws, shared)
+        self.reset_cache = resets.ResetCache(self.num_envs, self.task.draws, shared)
         # A path takes too much memory to lay it out ahead.
         self._lays_out = not (shared or self.task.has_path)
         place, shape = partial(resets.place_in, config), (line.rows, line.columns)
-        self._plan = BodyPlan(self.task.parcels, place, self.num_envs, shape)
+        self._plan = resets.BodyPlan(self.task.parcels, place, self.num_envs, shape)
 
     def _make_scratch(self) -> Any:
         return ph.make_scratch()
@@ -427,7 +413,7 @@ class Batch(BaseBatch):
         else:
             self._put(chosen, rows)
 
-    def _lay_out(self, numbers: Array) -> StartRows:
+    def _lay_out(self, numbers: Array) -> resets.StartRows:
         """Lay out starts of the task's own parcels, by numbers (starts, draws)."""
         start = resets.draw_starts(self.config, numbers, ())
         parcels = resets.each_parcel(start.parcel, len(numbers))
@@ -456,7 +442,7 @@ class Batch(BaseBatch):
             for i in chosen.tolist():
                 resets.draw_noise(self.parcels, i, self._generator(i))
 
-    def _put(self, chosen: Integers, rows: StartRows) -> None:
+    def _put(self, chosen: Integers, rows: resets.StartRows) -> None:
         """Write starts into the memory of the chosen environments (count,)."""
         state = self.parcels
         state.body[chosen] = rows.body

@@ -7,29 +7,24 @@ from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym import state as st
 from surface_gym.config import EnvConfig
 from surface_gym.lines import BaseLine
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import NO_EDGE, Parcel, filled_up
 from surface_gym.physics.step import com_states, map_floats
 from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
-from surface_gym.state import BodyTable, ParcelState
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.start import Draw, Parcels, Start
 
 
-def draw_noise(parcels: ParcelState, row: int, generator: np.random.Generator) -> None:
+def draw_noise(parcels: st.ParcelState, row: int, generator: np.random.Generator) -> None:
     """Draw noise, three standard normals and a uniform a row, for a row of `parcels`."""
     noise = parcels.noise[row]
     noise[:, :3] = generator.standard_normal((st.NOISE_ROWS, 3))
     noise[:, 3] = generator.random(st.NOISE_ROWS)
     parcels.noise_row[row] = 0
-
-
-NO_EDGE = (0.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges up
 
 
 class Placement(NamedTuple):
@@ -44,18 +39,7 @@ class Placement(NamedTuple):
 
     @property
     def sides(self) -> int:
-        """Return the rows that edges and corners take."""
         return max(len(self.edges), len(self.corners))
-
-    def fill(self, sides: int) -> tuple[Array, Array]:
-        """Return edges (sides, 3) and corners (sides, 2), filled up to a number of sides."""
-        edges = np.empty((sides, 3))
-        edges[:] = NO_EDGE
-        edges[: len(self.edges)] = self.edges
-        corners = np.empty((sides, 2))
-        corners[:] = self.corners[0]
-        corners[: len(self.corners)] = self.corners
-        return edges, corners
 
 
 @lru_cache(maxsize=64)
@@ -72,27 +56,9 @@ def place_parcel(
     obeys[first_row : first_row + rows, first_column : first_column + columns] = True
     for row, column in stuck:
         obeys[row, column] = False
-    body = parcel.body
-    outline = parcel.base.outline - np.array(parcel.base.centroid)
-    half_length = -float(outline[:, 0].min())
-    return Placement(
-        rotor=placed.rotor,
-        obeys=obeys & placed.rotor,
-        zone=np.array(placed.zone),
-        body=np.array(
-            [
-                body.radius,
-                body.com_x,
-                body.com_y,
-                body.com_height,
-                body.gyration,
-                half_length,
-                parcel.mass,
-            ]
-        ),
-        edges=body.edges,
-        corners=outline if len(body.edges) else np.zeros((1, 2)),
-    )
+    zone_numbers = np.array(placed.zone)
+    edges, corners = parcel.body.edges, parcel.corners
+    return Placement(placed.rotor, obeys & placed.rotor, zone_numbers, parcel.row, edges, corners)
 
 
 def place_in(config: EnvConfig, parcel: Parcel) -> Placement:
@@ -109,7 +75,7 @@ class HeldParcels(NamedTuple):
     """Parcels of some environments, copied from their rows."""
 
     body: Integers  # (count,)
-    parcel: NDArray[Any]  # (count,) of `Parcel`
+    parcel: np.ndarray  # (count,) of `Parcel`
     obeys: Booleans  # (count, rows, columns), or none where all share their rows
     content: Integers  # (count,) number of what the row held
 
@@ -118,9 +84,7 @@ class HeldParcels(NamedTuple):
 
 
 class BodyPlan:
-    """The body table of a batch. The task's own parcels have a row each; any other parcel takes
-    the row of its environment.
-    """
+    """The body table of a batch: a row a parcel of the task, and one an environment for others."""
 
     def __init__(
         self,
@@ -132,7 +96,7 @@ class BodyPlan:
         self._place = place
         self._num_envs = num_envs
         self._shared = len(parcels)
-        self._parcels: NDArray[Any] = np.full(self._shared + num_envs, None, dtype=object)
+        self._parcels: np.ndarray = np.full(self._shared + num_envs, None, dtype=object)
         self._row_of = {parcel: body for body, parcel in enumerate(parcels)}
         self._content = np.zeros(self._shared + num_envs, dtype=np.int64)
         # (rows, 4) length, width [m], mass [kg] and height of the centre of mass [m]
@@ -144,8 +108,7 @@ class BodyPlan:
     def shared_bodies_of(self, parcels: Parcels) -> Integers:
         """Return the rows (count,) of parcels that the task draws; -1 for any other."""
         found = np.array([self._row_of.get(parcel, -1) for parcel in parcels.kinds])
-        bodies: Integers = found[parcels.which]
-        return bodies
+        return found[parcels.which]
 
     def bodies_of(self, chosen: Integers, parcels: Parcels) -> Integers:
         """Return the rows (count,) for the parcels of the chosen environments (count,)."""
@@ -192,7 +155,9 @@ class BodyPlan:
             more = _make_bodies(
                 self._num_envs, self.bodies.rotor.shape[1:], self.bodies.edges.shape[1]
             )
-            self.bodies = BodyTable._make(map(np.concatenate, zip(self.bodies, more, strict=True)))
+            self.bodies = st.BodyTable._make(
+                map(np.concatenate, zip(self.bodies, more, strict=True))
+            )
         if self._parcels[body] is not parcel:
             self._write(body, parcel)
         return body
@@ -209,7 +174,7 @@ class BodyPlan:
         self._content[body] = next(_NEW)
 
 
-def with_body(bodies: BodyTable, body: int, placement: Placement) -> BodyTable:
+def with_body(bodies: st.BodyTable, body: int, placement: Placement) -> st.BodyTable:
     """Return a body table with a placement in one of its rows, wider if its edges need room."""
     wide = bodies.edges.shape[1]
     more = placement.sides - wide
@@ -221,12 +186,13 @@ def with_body(bodies: BodyTable, body: int, placement: Placement) -> BodyTable:
             corners=np.concatenate([bodies.corners, repeats], axis=1),
         )
     bodies.body[body] = placement.body
-    bodies.edges[body], bodies.corners[body] = placement.fill(wide + max(0, more))
+    edges, corners = filled_up(placement.edges, placement.corners, wide + max(0, more))
+    bodies.edges[body], bodies.corners[body] = edges, corners
     return bodies
 
 
-def _make_bodies(count: int, shape: tuple[int, ...], edges: int) -> BodyTable:
-    return BodyTable(
+def _make_bodies(count: int, shape: tuple[int, ...], edges: int) -> st.BodyTable:
+    return st.BodyTable(
         rotor=np.zeros((count, *shape), dtype=np.bool_),
         obeys=np.zeros((count, *shape), dtype=np.bool_),
         body=np.zeros((count, 7)),
@@ -312,22 +278,13 @@ def each_parcel(parcel: Parcel | Parcels, count: int) -> Parcels:
     return Parcels((parcel,), np.zeros(count, dtype=np.int64))
 
 
-MOST_AHEAD = (
-    64  # starts of an environment drawn at a time, where nothing else is drawn from its generator
-)
+# Starts of an environment drawn at a time, where nothing else is drawn from its generator.
+MOST_AHEAD = 64
 MOST_KEPT = 65536  # starts of all environments
 
 
 class ResetCache:
-    """Numbers drawn ahead for the starts of every environment, each in the order of its own
-    generator, and the starts they give.
-
-    Args:
-        num_envs: number of environments.
-        draws: numbers of a start.
-        shared: whether the generators are shared with other draws, which come between two starts.
-        most_kept: starts of all environments.
-    """
+    """Numbers drawn ahead for each environment's starts, in its generator's order, and these."""
 
     def __init__(self, num_envs: int, draws: int, shared: bool, most_kept: int = MOST_KEPT) -> None:
         ahead = 1 if shared else min(MOST_AHEAD, max(1, most_kept // num_envs))
@@ -353,9 +310,7 @@ class ResetCache:
         return self._numbers[chosen, self._used[chosen] - 1]
 
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:
-        """Return the rows of the next starts of the chosen environments (count,), which are
-        seeded.
-        """
+        """Return the rows of the next starts of the chosen, seeded environments (count,)."""
         used = self._next(chosen)
         stale = chosen[~self._laid[chosen]]
         if len(stale) > 0:

@@ -9,24 +9,9 @@ import numpy as np
 import torch
 
 from surface_gym.config import EnvConfig
+from surface_gym.core import resets
 from surface_gym.core.assembly import make_env_params
-from surface_gym.core.resets import (
-    BodyPlan,
-    StartRows,
-    draw_starts,
-    each_parcel,
-    place_in,
-    start_paths,
-    start_rows,
-)
-from surface_gym.cuda.kernels import (
-    Launch,
-    make_stream_scratch,
-    place_starts,
-    step_kernel,
-    stream_capacity,
-    stream_step_kernel,
-)
+from surface_gym.cuda import kernels
 from surface_gym.cuda.memory import interleave, make_device_state, send, to_device
 from surface_gym.cuda.prefetch import Prefetch
 from surface_gym.flow.batch import StreamBatch
@@ -38,19 +23,14 @@ Tensors = dict[str, torch.Tensor]
 
 
 class BaseCudaBatch(ABC):
-    """Environments on a device: placed, stepped and observed; all arrays are tensors on it.
-
-    Args:
-        num_envs: number of environments.
-        device: where they are.
-    """
+    """Environments on a device: placed, stepped and observed; all arrays are tensors on it."""
 
     outcomes: tuple[str, ...]  # by the numbers of `outcome`
     options: tuple[str, ...]  # what `reset(options=...)` may fix
     author: str  # the class named where a compiled function makes an error
     _surfaces: Any  # as `SurfaceState`, of tensors
     _episodes: Any  # has outcome, reward and fault of each environment, as tensors
-    _step: Launch  # of the environments in `_mask`, in the order of `_order`
+    _step: kernels.Launch  # of the environments in `_mask`, in the order of `_order`
 
     def __init__(self, num_envs: int, device: torch.device) -> None:
         self._device = device
@@ -63,25 +43,20 @@ class BaseCudaBatch(ABC):
     @property
     def command(self) -> torch.Tensor:
         """Return the commands (num_envs, command size), to write before a step."""
-        command: torch.Tensor = self._surfaces.command
-        return command
+        return self._surfaces.command
 
     @property
     def outcome(self) -> torch.Tensor:
         """Return the state (num_envs,) of each episode, an index into `outcomes`."""
-        outcome: torch.Tensor = self._episodes.outcome
-        return outcome
+        return self._episodes.outcome
 
     @property
     def reward(self) -> torch.Tensor:
         """Return the rewards (num_envs,) of the last control period."""
-        reward: torch.Tensor = self._episodes.reward
-        return reward
+        return self._episodes.reward
 
     def step(self, mask: torch.Tensor) -> None:
-        """Step the environments in the mask (num_envs,) by one control period, or begin those
-        placed.
-        """
+        """Step the environments in the mask (num_envs,) by one period, or begin those placed."""
         self._mask.copy_(mask)
         self._step()
         fault = torch.where(mask, self._episodes.fault, NO_FAULT)
@@ -99,9 +74,7 @@ class BaseCudaBatch(ABC):
 
     @abstractmethod
     def infos(self) -> tuple[Tensors, Tensors]:
-        """Return copies of the infos (num_envs, ...) and of the reward's terms (num_envs,), by
-        name.
-        """
+        """Return copies of the infos (num_envs, ...) and of the reward's terms, by name."""
 
     @abstractmethod
     def is_seeded(self, env_index: int) -> bool:
@@ -120,10 +93,7 @@ class BaseCudaBatch(ABC):
     ) -> None:
         """Put the next start into some environments; `step` begins it.
 
-        Args:
-            generators: new ones, by the index of their environment.
-            chosen: (count,) the environments, all of which have a generator.
-            options: of each of these, or empty.
+        There are new generators by environment, and options of each chosen one, or none at all.
         """
 
     @abstractmethod
@@ -146,14 +116,6 @@ class CudaBatch(BaseCudaBatch):
     """The environments of `core.batch.Batch` on a device.
 
     Kernels are compiled when they are first called, which takes tens of seconds.
-
-    Args:
-        config: of each environment, which `env.check_config` accepts.
-        num_envs: number of environments.
-        device: where they are.
-
-    Raises:
-        ValueError: the task or the sensor lacks a compiled function.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int, device: torch.device) -> None:
@@ -164,8 +126,8 @@ class CudaBatch(BaseCudaBatch):
         self.options = self._task.options
         self.author = type(self._task).__name__
         line = config.chosen_line
-        self._plan = BodyPlan(
-            self._task.parcels, partial(place_in, config), 1, (line.rows, line.columns)
+        self._plan = resets.BodyPlan(
+            self._task.parcels, partial(resets.place_in, config), 1, (line.rows, line.columns)
         )
         self._sizes = torch.from_numpy(self._plan.sizes).to(device)  # (bodies, 4) of the parcels
         params = to_device(make_env_params(config), device)
@@ -177,15 +139,16 @@ class CudaBatch(BaseCudaBatch):
         self._periods = 0
         # Kernels are always called with the same arrays; only their content changes.
         state = (params, self._surfaces, self._parcels, self._bodies)
-        self._step = Launch(step_kernel(config), (*state, self._order, self._mask), num_envs)
+        self._step = kernels.Launch(
+            kernels.step_kernel(config), (*state, self._order, self._mask), num_envs
+        )
         rings = self.prefetch.rings, self.prefetch.starts_taken
         placed = (self._surfaces, self._parcels, *rings, self._mask)
-        self._place = Launch(place_starts, placed, num_envs)
+        self._place = kernels.Launch(kernels.place_starts, placed, num_envs)
 
     @property
     def observation(self) -> torch.Tensor:
-        observation: torch.Tensor = self._parcels.observation
-        return observation
+        return self._parcels.observation
 
     def infos(self) -> tuple[Tensors, Tensors]:
         parcels, task = self._parcels, self._task
@@ -231,24 +194,17 @@ class CudaBatch(BaseCudaBatch):
         self.prefetch.close()
 
     def _sort(self) -> None:
-        """Sort environments by parcel, so that the loops of neighbouring threads are equally
-        long.
-        """
+        """Sort environments by parcel, so that loops of neighbouring threads are as long."""
         if len(self._bodies.zone) > 1:
             self._order.copy_(torch.argsort(self._parcels.body, stable=True))
 
     def _make_rows(
         self, numbers: Array, options: Sequence[dict[str, Any]]
-    ) -> tuple[StartRows, Array]:
-        """Return rows and paths (starts, PATH_POINTS or 0) of the starts from numbers (starts,
-        draws).
-
-        Raises:
-            ValueError: an option is not allowed, or a parcel is none that the task draws.
-        """
+    ) -> tuple[resets.StartRows, Array]:
+        """Return rows and paths (starts, PATH_POINTS or 0) from numbers (starts, draws)."""
         config, count = self._config, len(numbers)
-        start = draw_starts(config, numbers, options)
-        parcels = each_parcel(start.parcel, count)
+        start = resets.draw_starts(config, numbers, options)
+        parcels = resets.each_parcel(start.parcel, count)
         bodies: Integers = self._plan.shared_bodies_of(parcels)
         if (bodies < 0).any():
             first = int(np.nonzero(bodies < 0)[0][0])
@@ -258,8 +214,10 @@ class CudaBatch(BaseCudaBatch):
             )
         path = np.zeros((count, 0))
         if self._task.has_path:
-            path = np.broadcast_to(start_paths(self._task, start, count), (count, PATH_POINTS))
-        return start_rows(self._task, start, parcels, bodies), path
+            path = np.broadcast_to(
+                resets.start_paths(self._task, start, count), (count, PATH_POINTS)
+            )
+        return resets.start_rows(self._task, start, parcels, bodies), path
 
 
 # The arrays that drawing an episode writes; the kernel begins the others.
@@ -277,14 +235,6 @@ class CudaStreamBatch(BaseCudaBatch):
 
     Episodes are long, so the host draws the arrivals when an environment begins, and waits to know
     which environments have ended.
-
-    Args:
-        config: of each environment, whose sensor has no noise.
-        num_envs: number of surfaces.
-        device: where they are.
-
-    Raises:
-        ValueError: the sensor lacks a compiled function.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int, device: torch.device) -> None:
@@ -294,15 +244,15 @@ class CudaStreamBatch(BaseCudaBatch):
         self._host = StreamBatch(config, num_envs, compiles=False)
         self.outcomes, self.options = self._host.outcomes, self._host.options
         self.author = type(task).__name__
-        self._capacity = stream_capacity(config, task.stream.kinds)
+        self._capacity = kernels.stream_capacity(config, task.stream.kinds)
         self._params = to_device(self._host.params, device)
         self._stream_params = to_device(self._host.stream_params, device)
         self._surfaces = to_device(self._host.surfaces, device)
         self._parcels = to_device(self._host.parcels, device)
         self._episodes = to_device(self._host.streams, device)
-        scratch = to_device(make_stream_scratch(self._capacity, task.rows), device)
+        scratch = to_device(kernels.make_stream_scratch(self._capacity, task.rows), device)
         self._scratches = type(scratch)._make(interleave(values, num_envs) for values in scratch)
-        self._step = Launch(stream_step_kernel(config), self._arguments(), num_envs)
+        self._step = kernels.Launch(kernels.stream_step_kernel(config), self._arguments(), num_envs)
 
     def _arguments(self) -> tuple[Any, ...]:
         bodies = to_device(self._host.bodies, self._device)
@@ -334,7 +284,7 @@ class CudaStreamBatch(BaseCudaBatch):
         self._host.check(options)
         for each in options:
             stream = each.get("stream", self._task.stream)
-            if stream_capacity(self._config, stream.kinds) > self._capacity:
+            if kernels.stream_capacity(self._config, stream.kinds) > self._capacity:
                 raise ValueError(
                     f"stream must have parcels no larger than those of the environment's where "
                     f"device is {str(self._device)!r}, got {stream.kinds}"

@@ -20,11 +20,7 @@ from surface_gym.vector_env import BaseVectorEnv
 
 
 def make_device_batch(config: EnvConfig, num_envs: int, device: torch.device) -> BaseCudaBatch:
-    """Make the batch of a device: of one parcel for each environment, or of streams.
-
-    Raises:
-        ValueError: the configuration is not supported on a device.
-    """
+    """Make the batch of a device: of one parcel for each environment, or of streams."""
     check_config(config)
     kind = CudaStreamBatch if isinstance(config.task, StreamTask) else CudaBatch
     return kind(config, num_envs, device)
@@ -56,11 +52,6 @@ class TensorActions:
 
     To look at values, the host would have to wait for the device. So a value out of range is
     recorded in `wrong` and not raised at once: the environment gets the first choice, or 0 rad.
-
-    Args:
-        space: of one environment's action, as an action kind gives it.
-        num_envs: number of environments.
-        device: where the actions are.
     """
 
     def __init__(self, space: spaces.Space[Any], num_envs: int, device: torch.device) -> None:
@@ -80,11 +71,7 @@ class TensorActions:
         self.allowed = f"0 and {int(counts.max()) - 1}"
 
     def commands(self, actions: Any) -> torch.Tensor:
-        """Return the commands (num_envs, size): choices, or angles [rad].
-
-        Raises:
-            ValueError: not a tensor, on another device, of a wrong shape or type.
-        """
+        """Return the commands (num_envs, size): choices, or angles [rad]."""
         device = self.wrong.device
         if not isinstance(actions, torch.Tensor):
             raise ValueError(f"action must be a torch tensor on {device}, got {type(actions)}")
@@ -146,19 +133,12 @@ class CudaVectorEnv(BaseVectorEnv):
         autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED, which makes the host
             wait for the device in every step.
         config: the other arguments, those of `SmartSurfaceEnv`.
-
-    Raises:
-        ValueError: an argument is not allowed.
     """
 
     def __init__(
-        self,
-        num_envs: int,
-        device: torch.device,
-        max_episode_steps: int | None = None,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        **config: Any,
-    ) -> None:
+        self, num_envs: int, device: torch.device, max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP, **config: Any,
+    ) -> None:  # fmt: skip
         super().__init__(num_envs, autoreset_mode, max_episode_steps, None)
         self.config = EnvConfig(**config)
         self.device = device
@@ -239,9 +219,7 @@ class CudaVectorEnv(BaseVectorEnv):
         self._raise_errors()
 
     def _reset_ended(self, ended: torch.Tensor) -> dict[str, Any]:
-        """Reset the environments whose episodes have ended, and return the infos of these
-        episodes.
-        """
+        """Reset the environments whose episodes have ended, and return the infos of these."""
         final = {
             "final_obs": self._observation(),
             "_final_obs": ended,
@@ -254,7 +232,6 @@ class CudaVectorEnv(BaseVectorEnv):
         return final
 
     def _observation(self) -> torch.Tensor:
-        """Copy the observations."""
         return self.batch.observation.clone(memory_format=torch.contiguous_format)
 
     def _infos(self, mask: torch.Tensor) -> dict[str, Any]:
@@ -275,7 +252,6 @@ class CudaVectorEnv(BaseVectorEnv):
             self._raise(*last.read().tolist())
 
     def _raise_errors(self) -> None:
-        """Raise all errors so far."""
         self._last_errors = None
         self._raise(*self._errors().read().tolist())
 

@@ -34,11 +34,9 @@ Wrap = Callable[[Callable[..., Any]], Any]
 
 
 class Translator:
-    """Functions of the CPU translated for another compiler, each once.
+    """Functions of the CPU translated for another compiler, which `wrap`s each, once.
 
-    Args:
-        constants: by name, replacing those of `physics.types`.
-        wrap: compiles a function for the callers among the translated functions.
+    Constants, by name, take the place of those of `physics.types`.
     """
 
     def __init__(self, constants: Mapping[str, int], wrap: Wrap) -> None:
@@ -106,11 +104,6 @@ class Launch:
 
     Analysing dozens of arrays takes longer than a control period of many environments, so it is
     done once. The kernel is compiled at the first call, which takes tens of seconds.
-
-    Args:
-        kernel: made by `cuda.jit`, one thread for each environment.
-        arguments: tensors, numbers, and tuples of them.
-        num_envs: number of environments.
     """
 
     def __init__(self, kernel: Any, arguments: tuple[Any, ...], num_envs: int) -> None:
@@ -145,9 +138,7 @@ def device_function(function: Any) -> Any:
 
 @lru_cache(maxsize=16)
 def device_translator(capacity: int) -> Translator:
-    """Return the translator for scratch with room for so many contacts; functions that several
-    tasks call are compiled once.
-    """
+    """Return the translator for scratch with room for so many contacts; tasks share it."""
     return Translator(scratch_layout(capacity), device_function)
 
 
@@ -162,10 +153,6 @@ def make_step_kernel(functions: KernelFunctions, capacity: int) -> Any:
 
     Thread t steps environment order[t], if it is in the mask (num_envs,), as
     `core.kernel.make_kernel` says.
-
-    Args:
-        functions: of the environment.
-        capacity: contacts that a scratch has room for.
     """
     layout = scratch_layout(capacity)
     step_envs = device_translator(capacity).translate(make_kernel(functions))
@@ -244,10 +231,6 @@ def make_stream_step_kernel(functions: StreamFunctions, capacity: int) -> Any:
 
     Thread t steps surface order[t], if it is in the mask (num_envs,), as
     `flow.kernel.make_stream_kernel` says.
-
-    Args:
-        functions: of the environment.
-        capacity: contacts that a parcel's scratch has room for.
     """
     layout = scratch_layout(capacity)
     translator = device_translator(capacity)
@@ -286,5 +269,4 @@ def make_stream_step_kernel(functions: StreamFunctions, capacity: int) -> Any:
 def make_stream_scratch(capacity: int, parcels: int) -> WorldScratch:
     """Make a surface's scratch for some parcels, with room for so many contacts of each."""
     translator = Translator(scratch_layout(capacity), lambda function: function)
-    scratch: WorldScratch = translator.translate(make_world_scratch)(parcels)
-    return scratch
+    return translator.translate(make_world_scratch)(parcels)

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 import torch
 from numba import cuda
-from numpy.typing import NDArray
 
 from surface_gym.config import EnvConfig
 from surface_gym.core.assembly import make_state
@@ -74,9 +73,7 @@ def to_device(values: Any, device: torch.device) -> Any:
 
 
 def kernel_view(values: Any) -> Any:
-    """Return tensors, or a tuple of them and of numbers, as kernels take them: a view of the same
-    memory.
-    """
+    """Return tensors, or a tuple of them and of numbers, as views that kernels take."""
     if isinstance(values, torch.Tensor):
         return cuda.as_cuda_array(values) if values.is_cuda else values.numpy()
     return _map(kernel_view, values)
@@ -102,9 +99,7 @@ OUTLINE_MARGIN = 1.01  # factor by which an outline is enlarged, for safety
 
 
 def scratch_layout(capacity: int) -> MappingProxyType[str, int]:
-    """Return the constants of `physics.types`, by name, for a scratch with room for so many
-    contacts.
-    """
+    """Return constants of `physics.types`, by name, for scratch of a number of contacts."""
     table = {name: getattr(types, name) // types.STRIDE * capacity for name in TABLE_ROWS}
     marks = {name: getattr(types, name) // types.STRIDE * capacity for name in MARK_ROWS}
     counts = marks["COUNTS"]
@@ -140,10 +135,6 @@ def max_contacts(base: Base, pitches: tuple[float, float]) -> int:
     A convex figure of area A and perimeter P covers at most A + P / 2 + 1 points of the unit
     lattice (Nosarzewska, Evaluation de la difference entre l'aire d'une region plane convexe et le
     nombre des points aux coordonnees entieres couverts par elle, 1948).
-
-    Args:
-        base: of a parcel.
-        pitches: [m] between elements, in x and in y.
     """
     corners = OUTLINE_MARGIN * base.outline  # a round base's outline is a polygon within it
     following = np.roll(corners, -1, axis=0)
@@ -165,15 +156,13 @@ class DelayedCopy:
         if self._event is not None:
             self._event.record()
 
-    def read(self) -> NDArray[Any]:
-        """Return the values as a new array."""
+    def read(self) -> np.ndarray:
         if self._event is not None:
             self._event.synchronize()
-        values: NDArray[Any] = self._values.numpy().copy()
-        return values
+        return self._values.numpy().copy()
 
 
-def send(values: NDArray[Any], device: torch.device) -> torch.Tensor:
+def send(values: np.ndarray, device: torch.device) -> torch.Tensor:
     """Send an array to a device without waiting for it."""
     copy = torch.from_numpy(np.array(values))
     return (copy.pin_memory() if device.type == "cuda" else copy).to(device, non_blocking=True)

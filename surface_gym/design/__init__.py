@@ -1,4 +1,9 @@
-"""Answers to the question which surface a parcel needs."""
+"""Answers to the question which surface a parcel needs.
+
+Functions take a `Case`, and may be given `columns` of the zone (None: the fewest that all but 5 %
+of the draws need), `rows` of rotors (None: as many as lie under the parcel), `workers`, threads
+that share the runs, or a cluster, and `on_progress`, called with the runs done and their total.
+"""
 
 from surface_gym.design.best_layout import BestLayout, EveryLayout, best_layout, every_layout
 from surface_gym.design.case import Case, Purpose, Slow, Sort, Stop, Turn, Unknown
@@ -16,33 +21,9 @@ from surface_gym.design.runs import DesignLine, line_for
 from surface_gym.design.sweep import Sensitivity, SuccessMap, sensitivity, success_map
 
 __all__ = [
-    "BestLayout",
-    "Case",
-    "Columns",
-    "ControlGain",
-    "DesignLine",
-    "EveryLayout",
-    "FrictionRange",
-    "Limits",
-    "Purpose",
-    "Sensitivity",
-    "Slow",
-    "Sort",
-    "Span",
-    "Stop",
-    "SuccessMap",
-    "Turn",
-    "Unknown",
-    "best_layout",
-    "columns_by_rows",
-    "columns_by_speed",
-    "control_gain",
-    "every_layout",
-    "friction_range",
-    "least_columns",
-    "least_speed",
-    "least_tilt",
-    "line_for",
-    "sensitivity",
+    "BestLayout", "Case", "Columns", "ControlGain", "DesignLine", "EveryLayout", "FrictionRange",
+    "Limits", "Purpose", "Sensitivity", "Slow", "Sort", "Span", "Stop", "SuccessMap", "Turn",
+    "Unknown", "best_layout", "columns_by_rows", "columns_by_speed", "control_gain", "every_layout",
+    "friction_range", "least_columns", "least_speed", "least_tilt", "line_for", "sensitivity",
     "success_map",
-]
+]  # fmt: skip

@@ -184,35 +184,20 @@ def _draw_axes(axes: "report.Axes", line: DesignLine, layout: LayoutResult, colo
 
 
 def best_layout(
-    case: Case,
-    speeds: Sequence[float] | Array,
-    columns: int = 16,
-    rows: int | None = None,
-    orientations: Sequence[float] | None = ORIENTATIONS,
-    effort: Effort = Effort(),
-    workers: Workers = 1,
-    checkpoint: Path | str | None = None,
+    case: Case, speeds: Sequence[float] | Array, columns: int = 16, rows: int | None = None,
+    orientations: Sequence[float] | None = ORIENTATIONS, effort: Effort = Effort(),
+    workers: Workers = 1, checkpoint: Path | str | None = None,
     on_progress: OnProgress = lambda *_: None,
-) -> BestLayout:
+) -> BestLayout:  # fmt: skip
     """Search the axes of a zone for those that do best over all the speeds.
 
     First, a better layout succeeds at more speeds; then its runs come nearer to success, by
     `Purpose.shortfall`; then they take less time. Modules that change nothing are as in the study's
     layout. `search` describes the method.
 
-    Args:
-        case: the parcel and its purpose; its entry speed does not count.
-        speeds: [m/s] at entry.
-        columns: of the zone; a parcel past them has failed to be sorted.
-        rows: of rotors; None: as many as lie under the parcel.
-        orientations: [rad] axes on offer; None: any.
-        effort: length of the search.
-        workers: threads that share the runs, or a cluster; the result does not depend on it.
-        checkpoint: file that keeps the state; a search whose file exists is resumed.
-        on_progress: called with the steps of the search done and their total.
-
-    Raises:
-        ValueError: an argument that is not allowed, or a checkpoint of another search.
+    The case's own entry speed does not count. A parcel past the columns has failed to be sorted.
+    Orientations are the axes on offer [rad]; None: any. A search whose checkpoint exists is
+    resumed. The result does not depend on the workers.
     """
     begun = time.perf_counter()
     checks.integer("columns", columns, least=1)
@@ -318,31 +303,16 @@ class EveryLayout:
 
 
 def every_layout(
-    case: Case,
-    columns: int = 16,
-    rows: int | None = None,
-    orientations: Sequence[float] = ORIENTATIONS,
-    most: int = 1_000_000,
-    workers: Workers = 1,
+    case: Case, columns: int = 16, rows: int | None = None,
+    orientations: Sequence[float] = ORIENTATIONS, most: int = 1_000_000, workers: Workers = 1,
     on_progress: OnProgress = lambda *_: None,
-) -> EveryLayout:
+) -> EveryLayout:  # fmt: skip
     """Try every layout of a zone at the case's speed, with nothing unknown, until one succeeds.
 
     A zone of two rows and 16 columns has 4^32 layouts, but those that agree in the columns that the
     parcel has touched are one. So columns are arranged one after another, and the next one only
-    where the parcel came farther. Slow parcels soon come to rest.
-
-    Args:
-        case: the parcel, its entry and its purpose.
-        columns: of the zone; a parcel past them has failed to be sorted.
-        rows: of rotors; None: as many as lie under the parcel.
-        orientations: [rad] axes on offer.
-        most: runs to simulate, about; beyond them the answer is not known.
-        workers: threads that share the runs, or a cluster.
-        on_progress: called with the runs done, and `most`.
-
-    Raises:
-        ValueError: an argument that is not allowed.
+    where the parcel came farther. Slow parcels soon come to rest. Beyond `most` runs, about, the
+    answer is not known.
 
     >>> from surface_gym import layouts
     >>> every_layout(Case(layouts.box("S"), speed=0.6)).axis is None  # no layout sorts it

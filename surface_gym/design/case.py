@@ -12,19 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
-from surface_gym.design.runs import (
-    AT_REST,
-    OUT,
-    PAST,
-    STEP,
-    DesignLine,
-    Ends,
-    OnProgress,
-    Runs,
-    line_for,
-    make_runs,
-    run_all,
-)
+from surface_gym.design import runs as running
+from surface_gym.design.runs import DesignLine, Ends, OnProgress, Runs
 from surface_gym.files import replacing
 from surface_gym.layouts import ROLLING
 from surface_gym.parallel import Workers
@@ -106,11 +95,7 @@ class Purpose(ABC):
         return []
 
     def env_goal(self, line: DesignLine) -> EnvGoal:
-        """Return the goal that an environment on the line has for this purpose.
-
-        Raises:
-            ValueError: no environment has such a task.
-        """
+        """Return the goal that an environment on the line has for this purpose."""
         del line
         raise ValueError(f"purpose must be one that an environment's task has, got {self.name!r}")
 
@@ -137,7 +122,8 @@ class Sort(Purpose):
         return (Layout(f"{-45 * self.side:+d} deg", axis),)
 
     def succeeds(self, ends: Ends) -> Booleans:
-        return (ends.reason == OUT) & (self.side * (ends.pose[:, 1] - ends.line.line_y) > 0.0)
+        across = self.side * (ends.pose[:, 1] - ends.line.line_y)
+        return (ends.reason == running.OUT) & (across > 0.0)
 
     def measure(self, ends: Ends) -> Array:
         return np.where(self.succeeds(ends), ends.time, math.nan)
@@ -216,7 +202,7 @@ class Slow(_Braking):
     def measure(self, ends: Ends) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = ends.velocity[:, 0] / ends.runs.speed
-        return np.where((ends.reason == PAST) & (ends.runs.speed > 0.0), ratio, math.nan)
+        return np.where((ends.reason == running.PAST) & (ends.runs.speed > 0.0), ratio, math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
         """Return the error of the ratio; at rest on the zone, half plus half the way to go."""
@@ -245,7 +231,7 @@ class Stop(_Braking):
 
     def __post_init__(self) -> None:
         if self.place is not None:
-            checks.within("place", self.place, -checks.FARTHEST, checks.FARTHEST)
+            checks.coordinate("place", self.place)
         checks.positive("tolerance", self.tolerance, most=checks.LENGTH[1])
 
     @property
@@ -261,7 +247,7 @@ class Stop(_Braking):
         return np.abs(rest - self.place) <= self.tolerance
 
     def measure(self, ends: Ends) -> Array:
-        on_zone = (ends.reason == AT_REST) & (ends.touched > 0)
+        on_zone = (ends.reason == running.AT_REST) & (ends.touched > 0)
         return np.where(on_zone, ends.pose[:, 0] - ends.line.zone_x[0], math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
@@ -274,7 +260,7 @@ class Stop(_Braking):
         first, last = ends.line.zone_x
         off = np.where(np.isnan(rest), np.nan, off / (last - first))
         faster = ends.velocity[:, 0] / np.maximum(ends.runs.speed, 1e-9)
-        passed = np.where(ends.reason == PAST, 0.5 + 0.5 * np.clip(faster, 0.0, 1.0), 1.0)
+        passed = np.where(ends.reason == running.PAST, 0.5 + 0.5 * np.clip(faster, 0.0, 1.0), 1.0)
         return np.where(np.isnan(off), passed, np.minimum(0.5, off))
 
     def env_goal(self, line: DesignLine) -> EnvGoal:
@@ -322,7 +308,7 @@ class Turn(Purpose):
         return np.abs(self.measure(ends) - self.angle) <= self.tolerance
 
     def measure(self, ends: Ends) -> Array:
-        return np.where(ends.reason == PAST, ends.pose[:, 2], math.nan)
+        return np.where(ends.reason == running.PAST, ends.pose[:, 2], math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
         """Return the error of the angle over 180 deg; at rest, half plus half the way to go."""
@@ -339,7 +325,7 @@ def _way_to_go(ends: Ends) -> Array:
     """Return half plus half the share of the zone left to a parcel at rest; 1 for all others."""
     first, last = ends.line.zone_x
     to_go = (last - ends.pose[:, 0]) / (last - first)
-    return np.where(ends.reason == AT_REST, 0.5 + 0.5 * np.clip(to_go, 0.0, 1.0), 1.0)
+    return np.where(ends.reason == running.AT_REST, 0.5 + 0.5 * np.clip(to_go, 0.0, 1.0), 1.0)
 
 
 WORST = 0.05  # share of the draws that may fail in a figure for the worst draws
@@ -402,11 +388,7 @@ NOTHING = Unknown(friction=0.0, rolling=0.0, com_offset=0.0, stiffness=0.0)
 
 @dataclass(frozen=True)
 class Case:
-    """A parcel, its entry, its purpose and the unknown quantities of a design.
-
-    Raises:
-        ValueError: a field that is not allowed, or a parcel that nothing moves.
-    """
+    """A parcel, its entry, its purpose and the unknown quantities of a design."""
 
     parcel: Parcel
     purpose: Purpose = field(default_factory=Sort)
@@ -419,7 +401,7 @@ class Case:
     mu_max: float = 0.5  # [-] friction along a rotor's axis
     mu_min: float = 0.01  # [-] friction across it
     mu_support: float = 0.005  # [-] friction of a support
-    step: float = STEP  # [s] of the simulation
+    step: float = running.STEP  # [s] of the simulation
 
     def __post_init__(self) -> None:
         if not isinstance(self.parcel, Parcel):
@@ -439,7 +421,7 @@ class Case:
 
     def line(self, columns: int, rows: int | None = None) -> DesignLine:
         """Return a line with so many columns in its zone; `rows` None: by the parcel's width."""
-        return line_for(
+        return running.line_for(
             self.parcel, columns, rows, self.pitch, self.mu_max, self.mu_min, self.mu_support
         )
 
@@ -464,18 +446,15 @@ class Case:
         return draw(unknown, self.parcel, line, count, self.seed)
 
     def run(
-        self,
-        line: DesignLine,
-        axes: Array,
-        runs: Runs,
-        drawn: "Draws | None" = None,
-        workers: Workers = 1,
-        on_progress: OnProgress = lambda *_: None,
-    ) -> Ends:
+        self, line: DesignLine, axes: Array, runs: Runs, drawn: "Draws | None" = None,
+        workers: Workers = 1, on_progress: OnProgress = lambda *_: None,
+    ) -> Ends:  # fmt: skip
         """Simulate runs of the parcel, or of draws, over layouts (layouts, rows, columns) [rad]."""
         parcels = (self.parcel,) if drawn is None else drawn.parcels
         stiffness = None if drawn is None else drawn.stiffness
-        return run_all(line, axes, parcels, runs, stiffness, self.step, workers, on_progress)
+        return running.run_all(
+            line, axes, parcels, runs, stiffness, self.step, workers, on_progress
+        )
 
     def identity(self, **others: object) -> dict[str, str]:
         """Return text for each field, and for others, that differs where the field differs."""
@@ -505,7 +484,7 @@ class Draws:
     def runs(self, speed: float, tilt: float, columns: int, layout: int = 0) -> Runs:
         """Build one run for each draw, over a layout; `columns` -1: the zone has no end."""
         every = np.arange(len(self))
-        return make_runs(
+        return running.make_runs(
             speed=np.maximum(0.0, speed + self.speed),
             tilt=tilt + self.tilt,
             layout=layout,
@@ -559,13 +538,7 @@ def is_reliable(share: ArrayLike) -> Booleans:
 
 
 def save_checkpoint(file: Path, identity: Mapping[str, str], values: Mapping[str, Any]) -> None:
-    """Save the progress of a computation; an interrupted write leaves the file as it was.
-
-    Args:
-        file: to write.
-        identity: of the computation, see `Case.identity`.
-        values: arrays and numbers by their names.
-    """
+    """Save arrays and numbers of a computation; an interrupted write leaves the file as it was."""
     with replacing(file) as part, part.open("wb") as stream:
         np.savez(stream, _names=list(identity), _identity=list(identity.values()), **values)
 
@@ -573,17 +546,7 @@ def save_checkpoint(file: Path, identity: Mapping[str, str], values: Mapping[str
 def load_checkpoint(
     file: Path, kind: str, identity: Mapping[str, str], names: tuple[str, ...]
 ) -> dict[str, NDArray[Any]]:
-    """Load the values that `save_checkpoint` has saved.
-
-    Args:
-        file: to read.
-        kind: of computation, for messages: "search".
-        identity: that the file must have.
-        names: of the values that it must have.
-
-    Raises:
-        ValueError: the file is no such checkpoint, or one of another computation.
-    """
+    """Load the values that `save_checkpoint` has saved, of a kind of computation as "search"."""
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
             found = dict(zip(kept["_names"].tolist(), kept["_identity"].tolist(), strict=True))

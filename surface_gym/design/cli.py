@@ -139,30 +139,13 @@ class Question:
 
     @abstractmethod
     def answer(self, on_progress: OnProgress) -> Answer:
-        """Find the answer.
-
-        Args:
-            on_progress: called with the runs done and their total.
-
-        Raises:
-            ValueError: a flag that is not allowed.
-        """
+        """Find the answer."""
 
     @property
     def shared_by(self) -> Workers:
-        """Threads or cluster that share the runs.
-
-        Raises:
-            ValueError: an address that cannot be used.
-        """
         return choose_workers(self.cluster, self.workers)
 
     def case(self) -> design.Case:
-        """Build the case from the flags.
-
-        Raises:
-            ValueError: a flag that is not allowed, or that does not go with another.
-        """
         checks.integer("workers", self.workers, least=1)
         return design.Case(
             parcel=self._parcel(),
@@ -323,19 +306,13 @@ class AskMap(Question):
         if not self.resume:
             self.checkpoint.unlink(missing_ok=True)
         return design.success_map(
-            case,
-            self.columns,
-            np.linspace(*ends, self.cells).tolist(),
-            np.linspace(*self.sizes, self.cells).tolist(),
-            self.rows,
-            self.shared_by,
-            self.checkpoint,
-            on_progress,
-        )
+            case, self.columns, np.linspace(*ends, self.cells).tolist(),
+            np.linspace(*self.sizes, self.cells).tolist(), self.rows, self.shared_by,
+            self.checkpoint, on_progress,
+        )  # fmt: skip
 
     @property
     def checkpoint(self) -> Path:
-        """File of the finished sizes."""
         return self.out / "map.npz"
 
 
@@ -374,20 +351,14 @@ class AskLayout(Question):
         if not self.resume:
             self.checkpoint.unlink(missing_ok=True)
         return design.best_layout(
-            case,
-            speeds.round(9).tolist(),
-            ZONE if self.columns is None else self.columns,
-            self.rows,
-            None if self.any_angle else ORIENTATIONS,
-            Effort(members=self.members, epochs=self.epochs),
-            self.shared_by,
-            self.checkpoint,
+            case, speeds.round(9).tolist(), ZONE if self.columns is None else self.columns,
+            self.rows, None if self.any_angle else ORIENTATIONS,
+            Effort(members=self.members, epochs=self.epochs), self.shared_by, self.checkpoint,
             on_progress,
-        )
+        )  # fmt: skip
 
     @property
     def checkpoint(self) -> Path:
-        """File of the search's state."""
         return self.out / "layout.npz"
 
 
@@ -440,12 +411,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def ask(question: Question) -> None:
-    """Answer a question: a sentence and tables on screen, CSV files and a figure in its folder.
-
-    Raises:
-        ValueError: a flag that is not allowed.
-        OSError: a file that cannot be written.
-    """
+    """Answer a question: a sentence and tables on screen, CSV files and a figure in its folder."""
     question.case()  # errors come before the folder is made
     question.out.mkdir(parents=True, exist_ok=True)
     started = perf_counter()

@@ -43,7 +43,6 @@ class Columns:
 
     @property
     def modules(self) -> int | None:
-        """Modules whose axes are turned."""
         return None if self.columns is None else self.rows * self.columns
 
     @property
@@ -56,12 +55,6 @@ def least_columns(
     case: Case, rows: int | None = None, most: int = MOST, workers: Workers = 1
 ) -> Columns:
     """Find the fewest columns that serve a case, by the study's kinds of layout.
-
-    Args:
-        case: the parcel, its entry and its purpose.
-        rows: of rotors; None: as many as lie under the parcel.
-        most: columns to try.
-        workers: threads that share the runs, or a cluster.
 
     >>> from surface_gym import layouts
     >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # Table 3: 4, by a coarser step
@@ -80,13 +73,9 @@ def columns_by_rows(case: Case, most: int = MOST, workers: Workers = 1) -> tuple
 
 
 def columns_by_speed(
-    case: Case,
-    speeds: Sequence[float],
-    rows: int | None = None,
-    most: int = MOST,
-    workers: Workers = 1,
-    on_progress: OnProgress = lambda *_: None,
-) -> tuple[Columns, ...]:
+    case: Case, speeds: Sequence[float], rows: int | None = None, most: int = MOST,
+    workers: Workers = 1, on_progress: OnProgress = lambda *_: None,
+) -> tuple[Columns, ...]:  # fmt: skip
     """Find `least_columns` at each entry speed [m/s]."""
     found = []
     for done, speed in enumerate(speeds):
@@ -153,14 +142,10 @@ def _leaving(case: Case, line: DesignLine, workers: Workers) -> Columns:
         drawn = case.draw(line, case.unknown.only(group))
         worst.append(_worst_leaving(case, line, axes, used, first, group, drawn, workers))
     return Columns(
-        rows=line.rows,
-        columns=int(used[first]),
-        layout=layouts[first].name,
-        fewest=int(used[first]),
-        measure=float(case.purpose.measure(ends)[first]),
-        tipping=float(ends.tipping[first]),
-        worst=tuple(worst),
-    )
+        rows=line.rows, columns=int(used[first]), layout=layouts[first].name,
+        fewest=int(used[first]), measure=float(case.purpose.measure(ends)[first]),
+        tipping=float(ends.tipping[first]), worst=tuple(worst),
+    )  # fmt: skip
 
 
 def _worst_leaving(
@@ -198,7 +183,6 @@ class ColumnsReport(report.Answer):
 
     @property
     def own(self) -> Columns:
-        """The columns of the case itself."""
         return self.by_rows[-1]
 
     @property

@@ -128,16 +128,6 @@ def control_gain(
 
     Success is the environment's: Slow within 0.01 of the ratio, Stop within 5 mm of the place, Turn
     within 2 deg of the angle.
-
-    Args:
-        case: the parcel, its entry and its purpose, on a level surface.
-        columns: of the zone; None: the fewest by the study's kinds of layout.
-        on_progress: called with the controllers tried and their total.
-
-    Raises:
-        ValueError: a tilted case, a case that no number of columns serves where none is given, or a
-            parcel that the environment's line has no room for.
-        ImportError: the package `agents` is not installed.
     """
     try:
         methods = import_module("surface_gym.agents.evaluation.methods")
@@ -166,14 +156,9 @@ def control_gain(
         on_progress(done, len(able))
         gains.append(_try(method, case, line, goal))
     return ControlGain(
-        case=case,
-        task=goal.task,
-        asked=goal.description,
-        columns=columns,
-        rows=line.rows,
-        gains=tuple(gains),
-        left_out=tuple(method.name for method in left_out),
-    )
+        case=case, task=goal.task, asked=goal.description, columns=columns, rows=line.rows,
+        gains=tuple(gains), left_out=tuple(method.name for method in left_out),
+    )  # fmt: skip
 
 
 def _fits(method: Any, config: Any) -> bool:
@@ -225,23 +210,12 @@ def _make_config(
     from surface_gym.tasks import TASKS
 
     base_line = Line(
-        rows=line.shape[0],
-        columns=line.shape[1],
-        zone_rows=line.rows,
-        zone_columns=line.columns,
-        line_y=line.line_y,
-        pitch=line.pitch,
-        origin=(0.5 * line.pitch_x, 0.5 * line.pitch_y),
-        mu_max=line.mu_max,
-        mu_min=line.mu_min,
-        mu_support=line.mu_support,
-    )
+        rows=line.shape[0], columns=line.shape[1], zone_rows=line.rows, zone_columns=line.columns,
+        line_y=line.line_y, pitch=line.pitch, origin=(0.5 * line.pitch_x, 0.5 * line.pitch_y),
+        mu_max=line.mu_max, mu_min=line.mu_min, mu_support=line.mu_support,
+    )  # fmt: skip
     return EnvConfig(
-        task=TASKS[goal.task](parcels=(case.parcel,)),
-        actions=method.actions,
-        control_period=method.control_period,
-        orientations=method.orientations,
-        observe=method.observe,
-        randomisation=randomisation,
-        line=base_line,
-    )
+        task=TASKS[goal.task](parcels=(case.parcel,)), actions=method.actions,
+        control_period=method.control_period, orientations=method.orientations,
+        observe=method.observe, randomisation=randomisation, line=base_line,
+    )  # fmt: skip

@@ -59,15 +59,9 @@ class Limits(report.Answer):
 
     @property
     def name(self) -> str:
-        """Name of the files."""
         return self.quantity.name
 
     def of(self, group: str) -> Span:
-        """Return the span of a group.
-
-        Raises:
-            ValueError: there is no such group, or nothing varies in it.
-        """
         checks.one_of("group", group, [each.group for each in self.spans])
         return next(each for each in self.spans if each.group == group)
 
@@ -150,7 +144,6 @@ class Limits(report.Answer):
         return figure
 
     def draw_curves(self, axes: "report.Axes") -> None:
-        """Draw the success of each span."""
         from matplotlib.ticker import PercentFormatter
 
         for span in self.spans:
@@ -249,28 +242,13 @@ class FrictionRange(report.Answer):
 
 
 def least_speed(
-    case: Case,
-    columns: int | None = None,
-    rows: int | None = None,
-    highest: float | None = None,
-    workers: Workers = 1,
-    on_progress: OnProgress = lambda *_: None,
-) -> Limits:
+    case: Case, columns: int | None = None, rows: int | None = None, highest: float | None = None,
+    workers: Workers = 1, on_progress: OnProgress = lambda *_: None,
+) -> Limits:  # fmt: skip
     """Find the least and the greatest entry speed, at the case's tilt.
 
-    Args:
-        case: the parcel, its entry and its purpose; its own speed is among those tried.
-        columns: of the zone; None: the fewest that all but 5 % of the draws need.
-        rows: of rotors; None: as many as lie under the parcel.
-        highest: [m/s] entry speed to try; None: 3, or half as much again as the case's.
-        workers: threads that share the runs, or a cluster.
-        on_progress: called with the runs done and their total.
-
-    Returns:
-        Speeds [m/s], every 0.01 with nothing unknown, every 0.02 with draws.
-
-    Raises:
-        ValueError: `highest` is below the case's speed or above 20, or no columns are enough.
+    Tried are speeds up to `highest` [m/s], every 0.01 with nothing unknown, every 0.02 with draws,
+    and the case's own. None: up to 3, or to half as much again as the case's.
 
     >>> from surface_gym import layouts
     >>> from surface_gym.design.case import NOTHING
@@ -285,29 +263,13 @@ def least_speed(
 
 
 def least_tilt(
-    case: Case,
-    columns: int | None = None,
-    rows: int | None = None,
-    highest: float | None = None,
-    workers: Workers = 1,
-    on_progress: OnProgress = lambda *_: None,
-) -> Limits:
+    case: Case, columns: int | None = None, rows: int | None = None, highest: float | None = None,
+    workers: Workers = 1, on_progress: OnProgress = lambda *_: None,
+) -> Limits:  # fmt: skip
     """Find the least and the greatest tilt of the surface, at the case's entry speed or from rest.
 
-    Args:
-        case: the parcel, its entry and its purpose; its own tilt is among those tried.
-        columns: of the zone; None: the fewest that all but 5 % of the draws need.
-        rows: of rotors; None: as many as lie under the parcel.
-        highest: [rad] tilt to try; None: 15 deg, or half as much again as the case's.
-        workers: threads that share the runs, or a cluster.
-        on_progress: called with the runs done and their total.
-
-    Returns:
-        Tilts [rad], every 0.1 deg with nothing unknown, every 0.2 deg with draws.
-
-    Raises:
-        ValueError: `highest` is below the case's tilt or not below 45 deg, or no columns
-            are enough.
+    Tried are tilts up to `highest` [rad], every 0.1 deg with nothing unknown, every 0.2 deg with
+    draws, and the case's own. None: up to 15 deg, or to half as much again as the case's.
     """
     usual = max(math.radians(15.0), 1.5 * case.tilt)
     top = max(case.tilt, min(math.radians(44.0), usual)) if highest is None else highest
@@ -329,18 +291,7 @@ def friction_range(
 ) -> FrictionRange:
     """Find the limits of friction, alike everywhere: of mu_max along the axes, of mu_min across.
 
-    Args:
-        case: the parcel, its entry and its purpose; friction is not among the unknown quantities.
-        columns: of the zone; None: the fewest that all but 5 % of the draws need.
-        rows: of rotors; None: as many as lie under the parcel.
-        workers: threads that share the runs, or a cluster.
-        on_progress: called with the runs done and their total.
-
-    Returns:
-        Factors [-] from 1/16 to 16, 48 to a doubling; 8 with draws.
-
-    Raises:
-        ValueError: no number of columns is enough, or `columns` is below 1.
+    Factors are tried from 1/16 to 16, 48 to a doubling; 8 with draws.
     """
     arrangement = arrange(case, columns, rows, workers)
     unknown = replace(case.unknown, friction=0.0, rolling=0.0)
@@ -400,15 +351,9 @@ def _sweep(
 
 
 def _limits(
-    arrangement: Arrangement,
-    quantity: Quantity,
-    own: float,
-    grids: list[Array],
-    unknown: Unknown,
-    at: Callable[[Array], SweepPoints],
-    workers: Workers,
-    on_progress: OnProgress,
-) -> Limits:
+    arrangement: Arrangement, quantity: Quantity, own: float, grids: list[Array], unknown: Unknown,
+    at: Callable[[Array], SweepPoints], workers: Workers, on_progress: OnProgress,
+) -> Limits:  # fmt: skip
     """Find the span of each group, on the first grid with nothing unknown, else on the second."""
     groups = {
         name: arrangement.case.draw(arrangement.line, each)

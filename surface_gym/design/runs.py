@@ -16,30 +16,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surface_gym import checks
+from surface_gym import state as st
 from surface_gym.layouts import ROLLING, lead_in_under, rows_under
 from surface_gym.parallel import Cluster, Workers, map_jobs, without_report
 from surface_gym.parcel import Parcel
+from surface_gym.physics import step as stepping
 from surface_gym.physics import types as ph
 from surface_gym.physics.collision import read_body
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.jit import compiled, inlined
-from surface_gym.physics.step import (
-    OFF_SURFACE,
-    TIPPING,
-    axis_directions,
-    com_states,
-    map_floats,
-    step_implicit,
-)
 from surface_gym.physics.types import Array, Bodies, Booleans, Grid, Integers, Places, Scratch
 from surface_gym.simulation import base_motion, make_bodies
-from surface_gym.state import (
-    ACROSS_FACTOR,
-    ALONG_FACTOR,
-    GRAVITY_ALONG,
-    GRAVITY_NORMAL,
-    SUPPORT_FACTOR,
-)
 from surface_gym.surface import Pitched, Surface
 
 RUN_OUT = 1.0  # [m] of rolling columns behind the zone, beyond the base's length
@@ -51,10 +38,6 @@ class DesignLine(Pitched):
 
     Lead-in and run-out roll along x. The supports on either side carry a parcel that has left the
     line. The first column and the first row lie half a pitch from 0.
-
-    Raises:
-        ValueError: a count below 1, a pitch that is not positive, negative friction, `mu_min`
-            greater than `mu_max`, or a number beyond `surface_gym.checks`.
     """
 
     rows: int  # of rotors
@@ -118,11 +101,7 @@ class DesignLine(Pitched):
         return axis
 
     def surface(self, zone_axis: Array, tilt: float = 0.0) -> Surface:
-        """Build the surface for `simulate` from zone axes (rows, columns) [rad].
-
-        Raises:
-            ValueError: axes of another shape, or a tilt that is not allowed.
-        """
+        """Build the surface for `simulate` from zone axes (rows, columns) [rad]."""
         axis = checks.array("zone_axis", zone_axis, (self.rows, self.columns))
         origin = (0.5 * self.pitch_x, 0.5 * self.pitch_y)
         return Surface(
@@ -136,27 +115,13 @@ class DesignLine(Pitched):
 
 
 def line_for(
-    parcel: Parcel,
-    columns: int,
-    rows: int | None = None,
-    pitch: float | tuple[float, float] = 0.1,
-    mu_max: float = 0.5,
-    mu_min: float = 0.01,
-    mu_support: float = 0.005,
-) -> DesignLine:
+    parcel: Parcel, columns: int, rows: int | None = None, pitch: float | tuple[float, float] = 0.1,
+    mu_max: float = 0.5, mu_min: float = 0.01, mu_support: float = 0.005,
+) -> DesignLine:  # fmt: skip
     """Size a line for a parcel by the rule that the study's two boxes follow.
 
     The rows of rotors are the greatest even number that lies under the parcel. The lead-in is as
     long as the parcel, which therefore starts wholly on it.
-
-    Args:
-        parcel: the largest that runs on the line.
-        columns: number of columns in the zone.
-        rows: number of rows of rotors; None: by the rule.
-        pitch: [m] between neighbours: one, or in x and in y.
-        mu_max: [-] friction along a rotor's axis.
-        mu_min: [-] friction across it.
-        mu_support: [-] friction of a support.
 
     >>> from surface_gym import layouts
     >>> [(line.rows, line.lead_in) for line in (line_for(layouts.box(size), 8) for size in "SB")]
@@ -168,16 +133,10 @@ def line_for(
     lead_in = lead_in_under(length, pitch_x)
     reach = 2.0 * parcel.base.reach
     return DesignLine(
-        rows=rows_under(width, pitch_y) if rows is None else rows,
-        columns=columns,
-        lead_in=lead_in,
-        run_out=lead_in + math.ceil(RUN_OUT / pitch_x),
-        beside=math.ceil(reach / pitch_y) + 2,
-        pitch=pitch,
-        mu_max=mu_max,
-        mu_min=mu_min,
-        mu_support=mu_support,
-    )
+        rows=rows_under(width, pitch_y) if rows is None else rows, columns=columns, lead_in=lead_in,
+        run_out=lead_in + math.ceil(RUN_OUT / pitch_x), beside=math.ceil(reach / pitch_y) + 2,
+        pitch=pitch, mu_max=mu_max, mu_min=mu_min, mu_support=mu_support,
+    )  # fmt: skip
 
 
 OnProgress = Callable[[int, int], None]  # called with the work done and the total
@@ -226,16 +185,10 @@ class Runs:
 
 
 def make_runs(
-    speed: ArrayLike,
-    tilt: ArrayLike = 0.0,
-    layout: ArrayLike = 0,
-    stiffness: ArrayLike = 0,
-    parcel: ArrayLike = 0,
-    friction: ArrayLike = 1.0,
-    lateral: ArrayLike = 0.0,
-    heading: ArrayLike = 0.0,
-    columns: ArrayLike = -1,
-) -> Runs:
+    speed: ArrayLike, tilt: ArrayLike = 0.0, layout: ArrayLike = 0, stiffness: ArrayLike = 0,
+    parcel: ArrayLike = 0, friction: ArrayLike = 1.0, lateral: ArrayLike = 0.0,
+    heading: ArrayLike = 0.0, columns: ArrayLike = -1,
+) -> Runs:  # fmt: skip
     """Build runs from one value for all, or arrays (runs,) of each; `friction` is (runs, 3)."""
     given = np.broadcast_arrays(speed, tilt, lateral, heading, layout, stiffness, parcel, columns)
     numbers = [np.array(values, dtype=np.float64).reshape(-1) for values in given[:4]]
@@ -243,16 +196,10 @@ def make_runs(
         np.array(values, dtype=np.float64).reshape(-1).astype(np.int64) for values in given[4:]
     ]
     return Runs(
-        speed=numbers[0],
-        tilt=numbers[1],
-        lateral=numbers[2],
-        heading=numbers[3],
-        layout=whole[0],
-        stiffness=whole[1],
-        parcel=whole[2],
-        columns=whole[3],
+        speed=numbers[0], tilt=numbers[1], lateral=numbers[2], heading=numbers[3], layout=whole[0],
+        stiffness=whole[1], parcel=whole[2], columns=whole[3],
         friction=np.broadcast_to(np.asarray(friction, dtype=np.float64), (len(numbers[0]), 3)),
-    )
+    )  # fmt: skip
 
 
 def join_runs(runs: Sequence[Runs]) -> Runs:
@@ -291,32 +238,17 @@ def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnPro
 
 
 def run_all(
-    line: DesignLine,
-    layouts: Array,
-    parcels: Sequence[Parcel],
-    runs: Runs,
-    stiffness: Array | None = None,
-    dt: float = STEP,
-    workers: Workers = 1,
+    line: DesignLine, layouts: Array, parcels: Sequence[Parcel], runs: Runs,
+    stiffness: Array | None = None, dt: float = STEP, workers: Workers = 1,
     on_progress: OnProgress = lambda *_: None,
-) -> Ends:
-    """Simulate parcels over a line, each with its rear at x = 0 at the start.
+) -> Ends:  # fmt: skip
+    """Simulate parcels over layouts (layouts, rows, columns) [rad] of the zone of a line.
 
-    Args:
-        line: the line.
-        layouts: (layouts, rows, columns) [rad] axes of the zone.
-        parcels: the parcels that the runs refer to.
-        runs: the parcel, the layout and the start of each run.
-        stiffness: (maps, rows, columns) [-] of the whole surface's elements; None: all alike.
-        dt: [s] time step.
-        workers: threads that share the runs, or a cluster.
-        on_progress: called with the runs done and their total.
+    Each has its rear at x = 0 at the start. Stiffness (maps, rows, columns) [-] is the whole
+    surface's elements; None: all alike.
     """
     for parcel in parcels:
-        ph.check_capacity(
-            len(parcel.body.edges), parcel.body.radius, (line.pitch_x, line.pitch_y),
-            line.shape[::-1],
-        )  # fmt: skip
+        line.check_capacity(parcel.base, line.shape[::-1])
     surfaces = _make_surfaces(line, layouts, stiffness)
     bodies = make_bodies(parcels)
     arrays = _make_arrays(line, parcels, runs, dt)
@@ -331,16 +263,10 @@ def run_all(
             pose[own], velocity[own] = base_motion(parcel, arrays.state[own])
     reason, touched, steps, tipped = arrays.end.T
     return Ends(
-        line=line,
-        runs=runs,
-        reason=reason,
-        touched=np.maximum(0, touched - line.lead_in + 1),
-        time=dt * steps,
-        pose=pose,
-        velocity=velocity,
-        tipping=tipped / np.maximum(1, steps),
+        line=line, runs=runs, reason=reason, touched=np.maximum(0, touched - line.lead_in + 1),
+        time=dt * steps, pose=pose, velocity=velocity, tipping=tipped / np.maximum(1, steps),
         steps=steps,
-    )
+    )  # fmt: skip
 
 
 class SurfaceSet(NamedTuple):
@@ -381,11 +307,11 @@ def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Gri
         surfaces.y0,
         surfaces.pitch_x,
         surfaces.pitch_y,
-        conditions[ALONG_FACTOR],
-        conditions[ACROSS_FACTOR],
-        conditions[SUPPORT_FACTOR],
-        conditions[GRAVITY_ALONG],
-        conditions[GRAVITY_NORMAL],
+        conditions[st.ALONG_FACTOR],
+        conditions[st.ACROSS_FACTOR],
+        conditions[st.SUPPORT_FACTOR],
+        conditions[st.GRAVITY_ALONG],
+        conditions[st.GRAVITY_NORMAL],
     )
 
 
@@ -436,12 +362,12 @@ def _run_range(
         steps = 0
         while steps < number[STEPS]:
             omega = state[ph.OMEGA]
-            report, _ = step_implicit(grid, body, state, scratch, dt)
-            if report >= OFF_SURFACE:
+            report, _ = stepping.step_implicit(grid, body, state, scratch, dt)
+            if report >= stepping.OFF_SURFACE:
                 reason = OFF
                 break
             steps += 1
-            tipped += report == TIPPING
+            tipped += report == stepping.TIPPING
             lowest, highest = _rotor_span(surfaces.rotor, scratch)
             if highest < 0:
                 reason = OUT
@@ -469,15 +395,11 @@ def _make_surfaces(line: DesignLine, layouts: Array, stiffness: Array | None) ->
     mu = np.array((line.mu_max, line.mu_min, line.mu_support))
     return SurfaceSet(
         axis=places.reshape(axes.shape).astype(np.int32),
-        direction=axis_directions(angles),
-        rotor=line.rotor.copy(),
+        direction=stepping.axis_directions(angles), rotor=line.rotor.copy(),
         stiffness=np.ones((1, *line.shape)) if stiffness is None else stiffness.astype(float),
-        friction=np.broadcast_to(mu, (*line.shape, 3)).copy(),
-        x0=0.5 * line.pitch_x,
-        y0=0.5 * line.pitch_y,
-        pitch_x=line.pitch_x,
-        pitch_y=line.pitch_y,
-    )
+        friction=np.broadcast_to(mu, (*line.shape, 3)).copy(), x0=0.5 * line.pitch_x,
+        y0=0.5 * line.pitch_y, pitch_x=line.pitch_x, pitch_y=line.pitch_y,
+    )  # fmt: skip
 
 
 def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: float) -> RunArrays:
@@ -488,7 +410,9 @@ def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: fl
     number[:, PARCEL] = runs.parcel
     number[:, EXIT] = np.where(runs.columns < 0, line.shape[1], line.lead_in + runs.columns)
     number[:, STEPS] = round(LONGEST / dt)
-    gravity = [ph.GRAVITY * map_floats(function, runs.tilt) for function in (math.sin, math.cos)]
+    gravity = [
+        ph.GRAVITY * stepping.map_floats(function, runs.tilt) for function in (math.sin, math.cos)
+    ]
     starts = np.array([line.start(parcel) for parcel in parcels])[runs.parcel]
     starts[:, 1] += runs.lateral
     starts[:, 2] += runs.heading
@@ -498,7 +422,7 @@ def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: fl
     return RunArrays(
         number=number,
         conditions=np.column_stack([runs.friction, *gravity]),
-        state=com_states(centres, starts, velocity),
+        state=stepping.com_states(centres, starts, velocity),
         end=np.zeros((count, 4), dtype=np.int64),
     )
 

@@ -44,7 +44,6 @@ class LayoutSpace:
 
     @property
     def modules(self) -> int:
-        """Number of modules."""
         return self.rows * self.columns
 
     @property
@@ -97,11 +96,7 @@ class LayoutSpace:
 
 @dataclass(frozen=True)
 class Effort:
-    """Length of a search.
-
-    Raises:
-        ValueError: a number that is too small.
-    """
+    """Length of a search."""
 
     members: int = 40  # of the population
     generations: int = 10  # of an epoch, after which the search is saved
@@ -128,34 +123,15 @@ class SearchState:
 
 
 def search(
-    space: LayoutSpace,
-    score: Score,
-    known: Array,
-    effort: Effort,
-    seed: int,
-    checkpoint: Path | str | None = None,
-    identity: Mapping[str, str] | None = None,
+    space: LayoutSpace, score: Score, known: Array, effort: Effort, seed: int,
+    checkpoint: Path | str | None = None, identity: Mapping[str, str] | None = None,
     on_progress: OnProgress = lambda *_: None,
-) -> tuple[Array, int]:
-    """Search the layout of least cost.
+) -> tuple[Array, int]:  # fmt: skip
+    """Search the axes (rows, columns) [rad] of least cost, by so many comparisons of layouts.
 
-    The result does not depend on whether the search was interrupted and resumed.
-
-    Args:
-        space: of the layouts.
-        score: their costs; called with whole populations.
-        known: (layouts, rows, columns) [rad] to begin with: the result is no worse.
-        effort: length of the search.
-        seed: of all random numbers.
-        checkpoint: file that keeps the state; a search whose file exists is resumed.
-        identity: text for each part of the problem that differs where the part differs.
-        on_progress: called with the steps done and their total.
-
-    Returns:
-        Axes (rows, columns) [rad], and the number of layouts compared.
-
-    Raises:
-        ValueError: the checkpoint is none, or of another search.
+    It begins with `known` axes (layouts, rows, columns) [rad]: the result is no worse. A search
+    whose checkpoint exists is resumed, and the result does not depend on that; `identity` has a
+    text for each part of the problem that differs where the part differs.
     """
     own = {"space": space, "effort": effort, "search_seed": seed}
     identity = {**(identity or {}), **{name: repr(value) for name, value in own.items()}}
@@ -212,18 +188,11 @@ def _evolve(
     from scipy.optimize import differential_evolution
 
     result = differential_evolution(
-        lambda members: cost(members.T),
-        [space.bounds] * space.modules,
-        init=state.population,
+        lambda members: cost(members.T), [space.bounds] * space.modules, init=state.population,
         integrality=np.full(space.modules, space.orientations is not None),
-        maxiter=effort.generations,
-        recombination=RECOMBINATION,
-        tol=0.0,
-        polish=False,
-        vectorized=True,
-        updating="deferred",
-        seed=np.random.default_rng((seed, state.epoch)),
-    )
+        maxiter=effort.generations, recombination=RECOMBINATION, tol=0.0, polish=False,
+        vectorized=True, updating="deferred", seed=np.random.default_rng((seed, state.epoch)),
+    )  # fmt: skip
     population = np.array(result.population)
     if space.orientations is not None:
         population = np.rint(population)

@@ -66,31 +66,11 @@ def sorting_layouts() -> tuple[SortingLayout, ...]:
 
 
 def find_sorting_layouts(
-    offers: tuple[str, ...] = tuple(OFFERS),
-    sizes: tuple[str, ...] = SIZES,
-    effort: Effort = Effort(),
-    workers: Workers = 1,
-    seed: int = 0,
-    checkpoints: Path | str | None = None,
-    on_progress: OnProgress = lambda *_: None,
-) -> dict[tuple[str, str], BestLayout]:
-    """Search the layouts that ship anew.
-
-    Args:
-        offers: keys of `OFFERS`.
-        sizes: some of `SIZES`.
-        effort: length of each search.
-        workers: threads that share the runs, or a cluster; the result does not depend on it.
-        seed: of the searches and of the draws of unknown quantities.
-        checkpoints: folder that keeps their states; searches whose files exist are resumed.
-        on_progress: called with the steps done and their total.
-
-    Returns:
-        The layouts by box and offer.
-
-    Raises:
-        ValueError: an argument that is not allowed, or a checkpoint of another search.
-    """
+    offers: tuple[str, ...] = tuple(OFFERS), sizes: tuple[str, ...] = SIZES,
+    effort: Effort = Effort(), workers: Workers = 1, seed: int = 0,
+    checkpoints: Path | str | None = None, on_progress: OnProgress = lambda *_: None,
+) -> dict[tuple[str, str], BestLayout]:  # fmt: skip
+    """Search the layouts that ship anew, by box and offer; a folder of checkpoints resumes them."""
     wanted = [
         (checks.one_of("sizes", size, SIZES), checks.one_of("offers", offer, OFFERS))
         for offer in offers
@@ -114,12 +94,7 @@ def find_sorting_layouts(
 
 
 def write_sorting_layouts(file: Path | str, found: dict[tuple[str, str], BestLayout]) -> None:
-    """Write layouts in the form of the file that ships; an interrupted write changes nothing.
-
-    Args:
-        file: to write.
-        found: by `find_sorting_layouts`.
-    """
+    """Write layouts in the form of the file that ships; an interrupted write changes nothing."""
     rows = [
         {
             "box": size,

@@ -9,6 +9,7 @@ import numpy as np
 
 from surface_gym import checks
 from surface_gym.design import report
+from surface_gym.design import runs as running
 from surface_gym.design.case import (
     NOTHING,
     SURE,
@@ -22,18 +23,10 @@ from surface_gym.design.case import (
     save_checkpoint,
 )
 from surface_gym.design.columns import MOST, Columns, least_columns
-from surface_gym.design.runs import (
-    DesignLine,
-    Ends,
-    OnProgress,
-    Runs,
-    join_runs,
-    line_for,
-    split_progress,
-)
+from surface_gym.design.runs import DesignLine, OnProgress
 from surface_gym.parallel import Workers, check_workers
 from surface_gym.parcel import Parcel
-from surface_gym.physics.types import Array, Booleans, check_capacity
+from surface_gym.physics.types import Array, Booleans
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +54,10 @@ class Arrangement:
     def run(
         self,
         drawn: Draws,
-        runs: Runs,
+        runs: running.Runs,
         workers: Workers = 1,
         on_progress: OnProgress = lambda *_: None,
-    ) -> Ends:
+    ) -> running.Ends:
         """Simulate runs of draws over the layout."""
         axes = self.layout.axis[np.newaxis]
         return self.case.run(self.line, axes, runs, drawn, workers, on_progress)
@@ -94,21 +87,10 @@ def repeat_case(case: Case, count: int = 1) -> SweepPoints:
 def arrange(
     case: Case, columns: int | None = None, rows: int | None = None, workers: Workers = 1
 ) -> Arrangement:
-    """Choose the surface on which a case is swept.
+    """Choose the surface on which a case is swept, with the layout that succeeds in most draws.
 
-    Args:
-        case: the parcel, its entry and its purpose.
-        columns: of the zone; None: the fewest for all but `WORST` of the draws of all unknown
-            quantities; if no number is enough, the fewest with nothing unknown.
-        rows: of rotors; None: as many as lie under the parcel.
-        workers: threads that share the runs, or a cluster.
-
-    Returns:
-        The surface with the purpose's layout that succeeds with nothing unknown; if several do,
-        with the one that succeeds in the most draws.
-
-    Raises:
-        ValueError: `columns` is None and no number of them is enough, or is below 1.
+    Without `columns` it has the fewest for all but `WORST` of the draws of all unknown quantities;
+    if no number is enough, the fewest with nothing unknown.
     """
     check_workers(workers)
     chosen = "as asked"
@@ -145,11 +127,10 @@ def success_shares(
     for k in range(len(points)):
         runs = drawn.runs(float(points.speed[k]), float(points.tilt[k]), arrangement.passed)
         each_point.append(replace(runs, friction=runs.friction * points.friction[k]))
-    runs = join_runs(each_point)
+    runs = running.join_runs(each_point)
     ends = arrangement.run(drawn, runs, workers, on_progress)
     done = arrangement.case.purpose.succeeds(ends)
-    share: Array = done.reshape(len(points), len(drawn)).mean(axis=1)
-    return share
+    return done.reshape(len(points), len(drawn)).mean(axis=1)
 
 
 def _fewest(case: Case, found: Columns) -> tuple[int, str]:
@@ -168,16 +149,9 @@ def _fewest(case: Case, found: Columns) -> tuple[int, str]:
 
 # Spreads that a field is drawn with where the case's own is 0.
 USUAL = Unknown(
-    friction=0.2,
-    rolling=0.2,
-    mass=0.1,
-    com_offset=0.1,
-    stiffness=0.35,
-    lateral=0.01,
-    heading=math.radians(2.0),
-    speed=0.05,
-    tilt=math.radians(0.2),
-)
+    friction=0.2, rolling=0.2, mass=0.1, com_offset=0.1, stiffness=0.35, lateral=0.01,
+    heading=math.radians(2.0), speed=0.05, tilt=math.radians(0.2),
+)  # fmt: skip
 # Fields of `Unknown`: label, scale and unit of the spread.
 FIELDS = {
     "friction": ("friction along axes", 100.0, " %"),
@@ -312,19 +286,9 @@ def sensitivity(
     """Find the effect of each field of `Unknown` alone, on the purpose's measure and on success.
 
     A field whose spread is 0 in the case is drawn with a usual one, `USUAL`, and marked so.
-
-    Args:
-        case: the parcel, its entry and its purpose.
-        columns: of the zone; None: the fewest that all but 5 % of the draws need.
-        rows: of rotors; None: as many as lie under the parcel.
-        workers: threads that share the runs, or a cluster.
-        on_progress: called with the runs done and their total.
-
-    Raises:
-        ValueError: no number of columns is enough, or `columns` is below 1.
     """
     arrangement = arrange(case, columns, rows, workers)
-    progress = split_progress(on_progress, [1] + [case.draws] * len(FIELDS))
+    progress = running.split_progress(on_progress, [1] + [case.draws] * len(FIELDS))
 
     def results(unknown: Unknown, part: OnProgress) -> tuple[Array, Booleans]:
         """Return the purpose's measure (draws,) of each draw, and its success."""
@@ -438,15 +402,10 @@ class SuccessMap(report.Answer):
 
 
 def success_map(
-    case: Case,
-    columns: int | None = None,
-    speeds: Sequence[float] | None = None,
-    sizes: Sequence[float] | None = None,
-    rows: int | None = None,
-    workers: Workers = 1,
-    checkpoint: Path | str | None = None,
-    on_progress: OnProgress = lambda *_: None,
-) -> SuccessMap:
+    case: Case, columns: int | None = None, speeds: Sequence[float] | None = None,
+    sizes: Sequence[float] | None = None, rows: int | None = None, workers: Workers = 1,
+    checkpoint: Path | str | None = None, on_progress: OnProgress = lambda *_: None,
+) -> SuccessMap:  # fmt: skip
     """Find the share of draws that succeed, over entry speeds and sizes, on one surface.
 
     The zone is the one for the case's parcel. Each size starts wholly on a lead-in of its own
@@ -489,12 +448,11 @@ def success_map(
         found = np.array(load_checkpoint(file, "map", identity, ("found",))["found"])
     largest = _scaled(case.parcel, float(factors.max()))
     whole = _line_for_size(arrangement.line, case, largest)
-    body, pitch = largest.body, (whole.pitch_x, whole.pitch_y)
-    check_capacity(len(body.edges), body.radius, pitch, whole.shape[::-1])
+    whole.check_capacity(largest.base, whole.shape[::-1])
     groups = list(case.unknown.by_group().values())
     drawn = [case.draw(whole, unknown) for unknown in (groups[0], groups[-1])]
     counts = [len(over) * len(each) for each in drawn]
-    progress = split_progress(on_progress, counts * len(factors))
+    progress = running.split_progress(on_progress, counts * len(factors))
     points = replace(repeat_case(case, len(over)), speed=over)
     for row, size in enumerate(factors.tolist()):
         if not np.isnan(found[0, row, 0]):
@@ -534,5 +492,5 @@ def _scaled(parcel: Parcel, size: float) -> Parcel:
 
 def _line_for_size(line: DesignLine, case: Case, parcel: Parcel) -> DesignLine:
     """Return the case's line with a lead-in, a run-out and supports for another parcel."""
-    own = line_for(parcel, line.columns, line.rows, case.pitch)
+    own = running.line_for(parcel, line.columns, line.rows, case.pitch)
     return replace(line, lead_in=own.lead_in, run_out=own.run_out, beside=own.beside)

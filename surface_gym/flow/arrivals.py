@@ -46,15 +46,7 @@ class Law(ABC):
 
     @abstractmethod
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:
-        """Draw the arrival times of an episode.
-
-        Args:
-            rng: the source of all random numbers.
-            duration: [s] of the episode, greater than 0.
-
-        Returns:
-            (parcels,) [s] in ascending order, at least 0 and less than the duration.
-        """
+        """Draw the times (parcels,) [s], ascending, of an episode of a duration [s]."""
 
 
 @dataclass(frozen=True)

@@ -17,15 +17,12 @@ from surface_gym.core.resets import FEWEST_EDGES, Placement, draw_noise, place_i
 from surface_gym.flow import kernel
 from surface_gym.flow import state as fs
 from surface_gym.flow.arrivals import Arrivals
-from surface_gym.flow.kernel import StreamFunctions
-from surface_gym.flow.state import StreamParams, StreamState
 from surface_gym.flow.task import StreamTask
 from surface_gym.parcel import Parcel
 from surface_gym.physics.collision import make_world_scratch
 from surface_gym.physics.step import com_states
 from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
 from surface_gym.sensors.base import Sensor
-from surface_gym.state import BodyTable, ParcelState, SurfaceState
 
 _FIRST_ROOM = 16
 
@@ -36,7 +33,7 @@ class BodyPool:
     def __init__(self, place: Callable[[Parcel], Placement], any_parcel: Parcel) -> None:
         self._place = place
         common = place(any_parcel)
-        self.bodies = BodyTable(
+        self.bodies = st.BodyTable(
             rotor=common.rotor[np.newaxis].copy(),
             obeys=common.obeys[np.newaxis].copy(),
             body=np.zeros((_FIRST_ROOM, common.body.size)),
@@ -87,11 +84,11 @@ class BodyPool:
         self._free = list(range(room, 2 * room))[::-1]
 
 
-def stream_functions(config: EnvConfig) -> StreamFunctions:
+def stream_functions(config: EnvConfig) -> kernel.StreamFunctions:
     """Collect the functions that the kernel of streams is built from."""
     task, kind = config.task, config.action_kind
     names = "begin exit_taken reward observe observe_neighbour observe_no_neighbour"
-    return StreamFunctions(
+    return kernel.StreamFunctions(
         f"{type(task).__name__}-{type(config.sensors).__name__}-{config.actions}",
         **compiled_functions(task, StreamTask, names),
         **compiled_functions(config.sensors, Sensor, "begin update read", "_sensor"),
@@ -102,21 +99,14 @@ def stream_functions(config: EnvConfig) -> StreamFunctions:
     )
 
 
-def make_stream_params(config: EnvConfig) -> StreamParams:
+def make_stream_params(config: EnvConfig) -> fs.StreamParams:
     """Collect the numbers that all streams of a batch have in common."""
     task = config.stream_task
-    return StreamParams(
-        exits=np.array(config.exits.table),
-        entry_gap=task.entry_gap,
-        rotors_end=config.rotors_end,
-        ahead=task.ahead,
-        duration=task.duration,
-        patience=task.patience,
-        gated=task.gate,
-        touching=task.touching,
-        waiting_reward=task.waiting_reward,
-        jam_reward=task.jam_reward,
-    )
+    return fs.StreamParams(
+        exits=np.array(config.exits.table), entry_gap=task.entry_gap, rotors_end=config.rotors_end,
+        ahead=task.ahead, duration=task.duration, patience=task.patience, gated=task.gate,
+        touching=task.touching, waiting_reward=task.waiting_reward, jam_reward=task.jam_reward,
+    )  # fmt: skip
 
 
 def _rear(parcel: Parcel, theta: float) -> float:
@@ -145,7 +135,7 @@ class StreamBatch(BaseBatch):
         if config.actuators.stuck_share > 0.0:
             obeys = np.repeat(obeys, num_envs, axis=0)
         shape = self.surfaces.axis.shape[1:]
-        self.streams: StreamState = fs.make_streams(
+        self.streams: fs.StreamState = fs.make_streams(
             num_envs, self.rows, shape, len(task.terms), obeys
         )
         self._used: list[list[int]] = [[] for _ in range(num_envs)]  # rows of the pool, by surface
@@ -155,11 +145,11 @@ class StreamBatch(BaseBatch):
         return make_world_scratch(self.rows)
 
     @property
-    def bodies(self) -> BodyTable:
+    def bodies(self) -> st.BodyTable:
         return self._pool.bodies
 
     @property
-    def episodes(self) -> StreamState:
+    def episodes(self) -> fs.StreamState:
         return self.streams
 
     @property
@@ -169,7 +159,9 @@ class StreamBatch(BaseBatch):
     @property
     def _arrays(
         self,
-    ) -> tuple[EnvParams, StreamParams, SurfaceState, ParcelState, BodyTable, StreamState]:
+    ) -> tuple[
+        EnvParams, fs.StreamParams, st.SurfaceState, st.ParcelState, st.BodyTable, fs.StreamState
+    ]:
         return (
             self.params,
             self.stream_params,

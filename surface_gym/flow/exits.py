@@ -34,9 +34,9 @@ class Exit:
         set_field = object.__setattr__
         check_name("name", self.name)
         set_field(self, "side", checks.one_of("side", self.side, SIDES))
-        set_field(self, "first", _along("first", self.first))
+        set_field(self, "first", checks.coordinate("first", self.first))
         endless = isinstance(self.last, float) and self.last == math.inf
-        set_field(self, "last", math.inf if endless else _along("last", self.last))
+        set_field(self, "last", math.inf if endless else checks.coordinate("last", self.last))
         if self.last <= self.first:
             raise ValueError(
                 f"last must be greater than first, {self.first:g}, got {self.last!r} "
@@ -138,10 +138,6 @@ def check_name(name: str, value: Any) -> str:
     return value
 
 
-def _along(name: str, value: Any) -> float:
-    return checks.within(name, value, -checks.FARTHEST, checks.FARTHEST)
-
-
 def _check_apart(one: Exit, other: Exit) -> None:
     if one.name == other.name:
         raise ValueError(f"exits must have names of their own, got {one.name!r} twice")
@@ -167,9 +163,6 @@ def flow_line(length: float = 6.0, rotor_rows: int = 4, lead_in: int = 5) -> Pat
         rotor_rows: rows of them, in the middle of 20.
         lead_in: columns that stay at 90 deg, as the conveyor's before them: as many as the longest
             parcel is long, 5 for the B-box.
-
-    Raises:
-        ValueError: a line shorter than its lead-in, or an odd number of rows or more than 12.
     """
     checks.integer("lead_in", lead_in, least=0, most=checks.ELEMENTS)
     columns = round(checks.positive("length", length, *checks.LENGTH) / PITCH)

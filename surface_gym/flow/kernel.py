@@ -26,7 +26,7 @@ from surface_gym.physics.step import OFF_SURFACE
 from surface_gym.physics.types import Array, Bodies, Integers, Places, Scratch
 from surface_gym.sensors.base import Physics
 from surface_gym.state import BodyTable, EnvState, ParcelState, SurfaceState
-from surface_gym.tasks.line import STALL_SPEED
+from surface_gym.tasks.base import STALL_SPEED
 
 NEARER = 1e-6  # [s/m^2] of two that a module bears at once, the one with the nearer centre wins
 

@@ -87,12 +87,10 @@ class FlowParallelEnv(ParallelEnv):
         return [_name(number) for number in range(self._possible)]
 
     def observation_space(self, agent: str) -> spaces.Box:
-        """Return the space, the same for every agent."""
         del agent
         return self._observation_space
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """Return the space, the same for every agent."""
         del agent
         return self._action_space
 
@@ -109,18 +107,9 @@ class FlowParallelEnv(ParallelEnv):
         return returned[0], returned[4]
 
     def step(self, actions: dict[str, Any]) -> Returned:
-        """Move all parcels over a control period.
+        """Move all parcels over a control period, by an action of every agent.
 
-        Args:
-            actions: of every agent, by its id.
-
-        Returns:
-            Observations, rewards, terminated, truncated and infos of the agents that were there and
-            of those that have entered since.
-
-        Raises:
-            ValueError: an action is missing, is of an agent that is not there, or is not allowed.
-            ResetNeeded: the episode has ended, or none has begun.
+        Returns are of the agents that were there and of those that have entered since.
         """
         returned: Returned = ({}, {}, {}, {}, {})
         observation, *_ = self._env.step(self._action(actions))
@@ -129,7 +118,6 @@ class FlowParallelEnv(ParallelEnv):
         return returned
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw as `SmartSurfaceEnv` does."""
         return self._env.render()
 
     def close(self) -> None:

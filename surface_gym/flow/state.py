@@ -155,16 +155,10 @@ NAMES = tuple(field.name for field in fields(FlowStatistics))
 def compute_statistics(
     streams: StreamState, surface: int, jammed: bool, obeying: int, warm_up: float = 0.0
 ) -> FlowStatistics:
-    """Compute the statistics of a surface's episode so far.
+    """Compute the statistics of a surface's episode so far, of which `obeying` modules obey.
 
     A touch counts half for each of the two, as it leaves; jams and turns are of the whole episode.
-
-    Args:
-        streams: their state.
-        surface: which.
-        jammed: whether the episode ended in a jam.
-        obeying: modules that obey.
-        warm_up: [s] of the start in which nothing counts: parcels that came or left then.
+    Parcels that came or left within a warm-up [s] do not count.
     """
     count = int(streams.arrivals[surface])
     time, entered, left = (

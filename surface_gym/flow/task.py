@@ -12,7 +12,6 @@ from surface_gym import checks
 from surface_gym.core.actions import ANY, ActionKind
 from surface_gym.flow import state as fs
 from surface_gym.flow.exits import flow_line
-from surface_gym.flow.state import StreamParams
 from surface_gym.flow.stream import Stream
 from surface_gym.lines import BaseLine
 from surface_gym.physics.collision import ContactMaterial
@@ -42,11 +41,9 @@ class StreamActions(ActionKind):
 
     @property
     def size(self) -> int:
-        """Numbers in a command."""
         return self.parts.size + (1 if self.gates else 0)
 
     def space(self) -> spaces.Space[Any]:
-        """Make the space of a surface's actions."""
         if not self.gates:
             return self.parts.space()
         return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])
@@ -158,14 +155,7 @@ class StreamTask(Task):
         return ContactMaterial(self.restitution, self.side_friction)
 
     def action_kind(self, actions: str, choices: int, zone: Any, steps: int) -> StreamActions:
-        """Return the kind of action: a choice for each module of a zone, or two for each parcel.
-
-        Args:
-            actions: "modules" or "parcels".
-            choices: orientations on offer; 0: any angle.
-            zone: first row, rows, first column and columns that obey.
-            steps: physics steps of a control period.
-        """
+        """Return the kind of action: a choice for each module of a zone, or two for each parcel."""
         parcels = actions == "parcels"
         rows, columns = (self.max_parcels, HALVES) if parcels else (zone[1], zone[3])
         return StreamActions("modules", choices, rows, columns, 1 + steps if self.gate else 0)
@@ -436,7 +426,7 @@ class Flow(StreamTask):
 
     @staticmethod
     @inlined
-    def exit_taken(params: StreamParams, state: EnvState) -> int:
+    def exit_taken(params: fs.StreamParams, state: EnvState) -> int:
         """Find the exit by which a parcel has left, or BETWEEN them.
 
         Straight on it has left where its rear is past the last column of rotors, or its centre past

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from surface_gym import layouts
 from surface_gym.paper.runs import NONE, SIZES, Integration, rotor_columns, tipping_share
-from surface_gym.physics.friction import ROUNDING
 from surface_gym.simulation import simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
@@ -98,33 +97,19 @@ def align(zone: Zone) -> Aligned:
         for (offset, turn), came in zip(ends[-len(mixed) :], mixed, strict=True)
     )
     return Aligned(
-        zone,
-        tuple(ends[: len(OFFSETS)]),
-        tuple(ends[len(OFFSETS) : -len(mixed)]),
-        both,
-        len(mixed),
-        float(np.mean([tipping_share(run) or 0.0 for run in runs])),
-    )
+        zone, tuple(ends[: len(OFFSETS)]), tuple(ends[len(OFFSETS) : -len(mixed)]), both,
+        len(mixed), float(np.mean([tipping_share(run) or 0.0 for run in runs])),
+    )  # fmt: skip
 
 
 def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
-    """Move a box until its base has left the zone's columns, or the line, or it has stopped.
-
-    Args:
-        zone: the zone.
-        offset: [m] from the middle of the line at the start.
-        turn: [deg] at the start.
-    """
+    """Move a box, off the middle [m] and turned [deg], until it has left the zone or stopped."""
     surface = zone.surface
     x, y, _ = layouts.start(zone.size)
     run = simulate(
-        surface,
-        layouts.box(zone.size),
-        (x, y + offset, math.radians(turn)),
-        (zone.speed, 0.0, 0.0),
-        LONGEST_CROSSING,
-        STEP,
-    )
+        surface, layouts.box(zone.size), (x, y + offset, math.radians(turn)),
+        (zone.speed, 0.0, 0.0), LONGEST_CROSSING, STEP,
+    )  # fmt: skip
     first, _ = rotor_columns(surface, zone.size, run.pose)
     past = (first >= surface.columns - layouts.LEAD_IN[zone.size]) | (first == NONE)
     rows = int(np.argmax(past)) + 1 if past.any() else len(past)
@@ -197,26 +182,8 @@ def steepest_stop(field: Callable[[float], Surface], integration: Integration) -
 def _stops(surface: Surface, integration: Integration) -> bool:
     """Push the S-box, and return whether it stands in the last quarter of the time."""
     run = simulate(
-        surface,
-        layouts.box("S"),
-        START,
-        (PUSH, 0.0, 0.0),
-        LONGEST_PUSH,
-        integration.dt,
+        surface, layouts.box("S"), START, (PUSH, 0.0, 0.0), LONGEST_PUSH, integration.dt,
         integration.method,
-    )
+    )  # fmt: skip
     speed = np.hypot(run.velocity[:, 0], run.velocity[:, 1])
     return run.end != "left the surface" and bool(speed[-len(speed) // 4 :].mean() < STANDING)
-
-
-def creep_speed(tilt: float, friction: float) -> float:
-    """Return the speed [m/s] of a parcel that friction holds on a slope.
-
-    Friction is rounded below a contact speed of 1e-5 m/s, in proportion to the speed; a held parcel
-    creeps at the speed at which it balances gravity.
-
-    Args:
-        tilt: [rad].
-        friction: [-] coefficient down the slope, above tan(tilt).
-    """
-    return ROUNDING * math.tan(tilt) / friction

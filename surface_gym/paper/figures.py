@@ -11,18 +11,9 @@ from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
 from surface_gym import layouts
+from surface_gym.paper import runs
 from surface_gym.paper.claims import INWARDS, OFFSETS, OUTWARDS, TURNS, Zone, cross
 from surface_gym.paper.reproduction import NAMES, TILTS, Reproduction
-from surface_gym.paper.runs import (
-    COARSE,
-    CONVERGED,
-    SIZES,
-    SortingCase,
-    SortingRun,
-    load_targets,
-    rotor_columns,
-    run_table2,
-)
 from surface_gym.parcel import Base
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
@@ -32,13 +23,10 @@ SUFFIXES = (".png", ".pdf")
 ROTOR = "red"
 SUPPORT = "tab:blue"
 BOX = "limegreen"
-# Figure 10
-SLOWING_TIME = 1.5  # [s]
-# Figures 6 and 9
-EIGHTH = 0.25 * math.pi  # [rad]
-SHOWN = 14  # columns
-# The alignment
-ALIGNING_COLUMNS = 6
+SLOWING_TIME = 1.5  # [s] of Figure 10
+EIGHTH = 0.25 * math.pi  # [rad] of Figures 6 and 9
+SHOWN = 14  # columns of Figures 6 and 9
+ALIGNING_COLUMNS = 6  # of the alignment
 ALIGNING_SPEED = 2.5  # [m/s]
 SHOWN_TURN = 10.0  # [deg] by which the box drawn from above comes turned
 COLOURS = ("#1b6ca8", "#e07a1f", "#7a3b8f")
@@ -103,13 +91,15 @@ def draw_trajectories() -> Figure:
     figure = Figure(figsize=(13.0, 6.0), layout="constrained")
     panels = figure.subplots(1, 3, sharey=True)
     for letter, panel in zip("abc", panels, strict=True):
-        runs = [run for run in load_targets().sorting_runs if run.figure.startswith(f"7{letter}")]
-        title = f"({letter}) axes at {-45 * runs[0].side:+}°, after {runs[0].time:g} s"
-        draw_surface(panel, layouts.sorting("S", runs[0].side))
-        for run in runs:
+        rows = [
+            run for run in runs.load_targets().sorting_runs if run.figure.startswith(f"7{letter}")
+        ]
+        title = f"({letter}) axes at {-45 * rows[0].side:+}°, after {rows[0].time:g} s"
+        draw_surface(panel, layouts.sorting("S", rows[0].side))
+        for run in rows:
             _draw_sorting_run(panel, run)
         panel.set(xlim=(0.0, 1.4), ylim=(0.2, 1.8), aspect="equal", xlabel="x [m]", title=title)
-        panel.legend(loc="lower left" if runs[0].side > 0 else "upper left", framealpha=1.0)
+        panel.legend(loc="lower left" if rows[0].side > 0 else "upper left", framealpha=1.0)
     panels[0].set_ylabel("y [m]")
     marks = [
         *_element_marks(),
@@ -120,9 +110,9 @@ def draw_trajectories() -> Figure:
     return figure
 
 
-def _draw_sorting_run(panel: Axes, run: SortingRun) -> None:
+def _draw_sorting_run(panel: Axes, run: runs.SortingRun) -> None:
     colour = {"7c black": "black", "7c magenta": "magenta"}.get(run.figure, BOX)
-    coarse, fine = run_table2(run, COARSE), run_table2(run, CONVERGED)
+    coarse, fine = runs.run_table2(run, runs.COARSE), runs.run_table2(run, runs.CONVERGED)
     label = f"{run.speed:g} m/s" if run.speed > 0.0 else f"tilted by {run.tilt:g}°"
     panel.plot(coarse.pose[:, 0], coarse.pose[:, 1], color=colour, linewidth=2.0, label=label)
     panel.plot(fine.pose[:, 0], fine.pose[:, 1], "--", color=colour, linewidth=1.0)
@@ -135,8 +125,8 @@ def draw_rates(reproduction: Reproduction) -> Figure:
     """Draw Figure 8: sorting rates over v0 (red) and over tilt (blue), one panel a box."""
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
-    for letter, size, panel in zip("ab", SIZES, panels, strict=True):
-        panel.axhspan(*load_targets().medium_rates, color="0.9", label="torsional discs [45]")
+    for letter, size, panel in zip("ab", runs.SIZES, panels, strict=True):
+        panel.axhspan(*runs.load_targets().medium_rates, color="0.9", label="torsional discs [45]")
         _draw_cases(panel, reproduction.sorted_by_speed, size, "speed", "red")
         over_tilt = panel.twiny()
         _draw_cases(over_tilt, reproduction.sorted_by_tilt, size, "tilt", "blue")
@@ -157,7 +147,7 @@ def draw_rates(reproduction: Reproduction) -> Figure:
 
 
 def _draw_cases(
-    panel: Axes, cases: tuple[SortingCase, ...], size: str, over: str, colour: str
+    panel: Axes, cases: tuple[runs.SortingCase, ...], size: str, over: str, colour: str
 ) -> None:
     """Draw dots at the coarse step, crosses converged, and none for boxes not sorted."""
     mine = [case for case in cases if case.size == size]
@@ -172,8 +162,8 @@ def draw_slowing() -> Figure:
     panels = figure.subplots(2, 2, sharex=True, sharey=True)
     tasks = (("slowing", layouts.slowing, 0), ("stopping", layouts.stopping, 1))
     letters = iter("abcd")
-    columns = load_targets().ratio_columns
-    for row, size in zip(panels, SIZES, strict=True):
+    columns = runs.load_targets().ratio_columns
+    for row, size in zip(panels, runs.SIZES, strict=True):
         for panel, (name, layout, extra) in zip(row, tasks, strict=True):
             for angle, colour in ((0, "red"), (45, "blue")):
                 surface = layout(size, math.radians(angle), columns)
@@ -198,12 +188,12 @@ def _draw_velocity(
     panel: Axes, surface: Surface, size: str, task_columns: int, colour: str
 ) -> None:
     """Draw the velocity at both steps, and the times of the task's columns."""
-    speed = load_targets().ratio_speed
-    coarse = COARSE.run(surface, size, speed, SLOWING_TIME)
-    fine = CONVERGED.run(surface, size, speed, SLOWING_TIME)
+    speed = runs.load_targets().ratio_speed
+    coarse = runs.COARSE.run(surface, size, speed, SLOWING_TIME)
+    fine = runs.CONVERGED.run(surface, size, speed, SLOWING_TIME)
     panel.plot(*_velocity(coarse), color=colour, linewidth=2.0)
     panel.plot(*_velocity(fine), "--", color=colour, linewidth=1.0)
-    first, last = rotor_columns(surface, size, coarse.pose)
+    first, last = runs.rotor_columns(surface, size, coarse.pose)
     begin = layouts.LEAD_IN[size]
     for there in (last >= begin, first >= begin + task_columns):
         if there.any():
@@ -236,8 +226,8 @@ def draw_kinds() -> Figure:
 def draw_slowing_layouts() -> Figure:
     """Draw Figure 9: slowing layouts of both boxes."""
     figure = Figure(figsize=(11.0, 8.0), layout="constrained")
-    columns = load_targets().ratio_columns
-    cases = [(size, angle) for size in SIZES for angle in (0.0, EIGHTH)]
+    columns = runs.load_targets().ratio_columns
+    cases = [(size, angle) for size in runs.SIZES for angle in (0.0, EIGHTH)]
     panels = figure.subplots(2, 2, sharex=True, sharey=True)
     for letter, panel, (size, angle) in zip("abcd", panels.flat, cases, strict=True):
         title = f"({letter}) {size}-box, {'±45' if angle else '0'}°"
@@ -250,14 +240,8 @@ def _draw_layout(panel: Axes, size: str, surface: Surface, title: str) -> None:
     draw_surface(panel, surface)
     _draw_box(panel, size, layouts.start(size), BOX)
     panel.plot(*layouts.start(size)[:2], "o", color=BOX, markersize=4)
-    panel.set(
-        xlim=(-0.05, 1.4),
-        ylim=(0.5, 1.5),
-        aspect="equal",
-        xlabel="x [m]",
-        ylabel="y [m]",
-        title=title,
-    )
+    panel.set(xlim=(-0.05, 1.4), ylim=(0.5, 1.5), aspect="equal", title=title)
+    panel.set(xlabel="x [m]", ylabel="y [m]")
     panel.label_outer()
 
 

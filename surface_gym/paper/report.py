@@ -127,14 +127,10 @@ def _by_cell(table: Table) -> TextTable:
             result.add_section()
         coarse, converged = _ours(cell)
         result.add_row(
-            Text("" if cell.row == row else cell.row),
-            Text(cell.column),
-            _text(cell.paper, cell.decimals),
-            coarse,
-            _difference(cell.ours[0], cell),
-            converged,
+            Text("" if cell.row == row else cell.row), Text(cell.column),
+            _text(cell.paper, cell.decimals), coarse, _difference(cell.ours[0], cell), converged,
             _difference(cell.ours[1], cell),
-        )
+        )  # fmt: skip
         row = cell.row
     return result
 

@@ -9,16 +9,7 @@ from typing import Any
 
 from surface_gym import layouts
 from surface_gym.paper import claims, runs
-from surface_gym.paper.runs import (
-    Cell,
-    Found,
-    Integration,
-    Integrations,
-    SlowingLayout,
-    SortingRun,
-    Table,
-    Targets,
-)
+from surface_gym.paper.runs import Cell, Found, Integration, Table, Targets
 
 NAMES = (f"{1000 * runs.COARSE.dt:g} ms", "converged", "implicit")  # of INTEGRATIONS
 TILTS = tuple(range(5, 16))  # [deg] of Figure 8; Table 5's range
@@ -85,16 +76,11 @@ class Reproduction:
     alignment: tuple[claims.Aligned, ...]
 
     def table(self, key: str) -> Table:
-        """Get the table of that key."""
         return next(table for table in self.tables if table.key == key)
 
 
 def reproduce(track: claims.Track = untracked) -> Reproduction:
-    """Compute every table.
-
-    Args:
-        track: wraps a sequence of cases and its description, to show progress.
-    """
+    """Compute every table."""
     targets = runs.load_targets()
     by_speed, by_tilt = (
         tuple(
@@ -136,7 +122,7 @@ def reproduce(track: claims.Track = untracked) -> Reproduction:
 
 
 def build_table2(
-    targets: Targets, integrations: Integrations, track: claims.Track = untracked
+    targets: Targets, integrations: runs.Integrations, track: claims.Track = untracked
 ) -> Table:
     """Build Table 2: end poses of the sorting runs."""
     cells = []
@@ -215,7 +201,7 @@ def build_slowest_sorted(targets: Targets, track: claims.Track) -> Table:
 
 
 def build_table4(
-    targets: Targets, integrations: Integrations, track: claims.Track = untracked
+    targets: Targets, integrations: runs.Integrations, track: claims.Track = untracked
 ) -> Table:
     """Build Table 4: columns to slow."""
     return Table(
@@ -240,7 +226,7 @@ def build_slowing_ratios(targets: Targets) -> Table:
     cells = []
     speed = targets.ratio_speed
     for angle, size in product(runs.ANGLES, runs.SIZES):
-        layout = SlowingLayout(targets.ratio_columns, angle)
+        layout = runs.SlowingLayout(targets.ratio_columns, angle)
         surface = runs.slowing_surface(size, layout)
         exits = [runs.leave(surface, size, speed, each) for each in runs.INTEGRATIONS]
         ours = tuple(Found(done.speed / speed, done.tipping) for done in exits)
@@ -278,7 +264,7 @@ def _cell(
     return Cell(f"{speed:.1f}", f"{size}-box", size, paper, found, decimals)
 
 
-def _slowing_cases(targets: Targets) -> tuple[tuple[str, float, SlowingLayout], ...]:
+def _slowing_cases(targets: Targets) -> tuple[tuple[str, float, runs.SlowingLayout], ...]:
     return tuple(
         (size, speed, layout)
         for size in runs.SIZES
@@ -301,7 +287,9 @@ def count_agreements(targets: Targets, track: claims.Track) -> tuple[Agreement, 
     return tuple(found)
 
 
-def compare_steps(rows: Sequence[SortingRun], integrations: tuple[Integration, ...]) -> StepSpread:
+def compare_steps(
+    rows: Sequence[runs.SortingRun], integrations: tuple[Integration, ...]
+) -> StepSpread:
     """Integrate the rows of Table 2 in several ways and compare where they end."""
     ends = (
         [runs.displacement(runs.run_table2(row, each)) for each in integrations] for row in rows
@@ -310,7 +298,7 @@ def compare_steps(rows: Sequence[SortingRun], integrations: tuple[Integration, .
 
 
 def run_turned(
-    row: SortingRun, turn: float, integration: Integration
+    row: runs.SortingRun, turn: float, integration: Integration
 ) -> tuple[float, float, float]:
     """Run a row of Table 2 with all axes turned by `turn` [rad]; return its end [m, m, deg].
 

@@ -84,8 +84,7 @@ class Targets:
 def load_data() -> dict[str, Any]:
     """Read the file of the paper's numbers; those of Section 6 are under "validation"."""
     text = resources.files("surface_gym.paper").joinpath("data/targets.json").read_text("utf-8")
-    data: dict[str, Any] = json.loads(text)
-    return data
+    return json.loads(text)
 
 
 @cache
@@ -194,14 +193,9 @@ class Integration:
     def run(self, surface: Surface, size: str, speed: float, duration: float) -> Trajectory:
         """Start the "S" or "B" box where the paper does, at `speed` [m/s] along x."""
         return simulate(
-            surface,
-            layouts.box(size),
-            layouts.start(size),
-            (speed, 0.0, 0.0),
-            duration,
-            self.dt,
+            surface, layouts.box(size), layouts.start(size), (speed, 0.0, 0.0), duration, self.dt,
             self.method,
-        )
+        )  # fmt: skip
 
 
 # The paper prints no step. That it was about 5 ms is our inference, from what its tables agree
@@ -251,15 +245,9 @@ def _find_columns(
 def rotor_columns(
     surface: Surface, size: str, pose: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Find the first and the last column with a rotor under the "S" or "B" box.
+    """Find the first and last column (T,) with a rotor under the "S" or "B" box at poses (T, 3).
 
-    Args:
-        surface: the surface.
-        size: of the box.
-        pose: (T, 3) [m, m, rad] of its base.
-
-    Returns:
-        Two arrays (T,) of column indices, NONE where only supports carry the box.
+    They are NONE where only supports carry the box.
     """
     columns = np.empty((len(pose), 2), dtype=np.int64)
     _find_columns(surface.grid, layouts.box(size).body, pose, make_scratch(), columns)
@@ -364,14 +352,7 @@ class Exit(NamedTuple):
 
 
 def leave(surface: Surface, size: str, speed: float, integration: Integration) -> Exit:
-    """Send a box over the task's columns.
-
-    Args:
-        surface: of `slowing_surface` or `stopping_surface`.
-        size: of the box.
-        speed: [m/s] at which it starts.
-        integration: method and step.
-    """
+    """Send a box over the task's columns of a `slowing_surface` or `stopping_surface`."""
     trajectory = integration.run(surface, size, speed, LONGEST)
     first, _ = rotor_columns(surface, size, trajectory.pose)
     past = first >= surface.columns - layouts.LEAD_IN[size]

@@ -117,14 +117,7 @@ SOLVERS: dict[str, Solver] = {"osqp": osqp_normal_forces, "scipy": scipy_normal_
 def support_load_by(
     solver: str, grid: Grid, body: Body, state: Array, scratch: Scratch, count: int
 ) -> bool:
-    """Solve the normal forces of the contacts in `scratch`; return whether they are degenerate.
-
-    Args:
-        solver: a key of `SOLVERS`.
-        state: (STATE_SIZE,) at the start of the step.
-        scratch: that holds the contacts.
-        count: of the contacts, at least one.
-    """
+    """Solve the normal forces of the contacts in `scratch`; return whether they are degenerate."""
     arms = np.column_stack(
         [table_row(scratch, ph.ARM_X, count), table_row(scratch, ph.ARM_Y, count)]
     )

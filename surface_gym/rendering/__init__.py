@@ -18,18 +18,6 @@ from surface_gym.rendering.scene import (
 )
 
 __all__ = [
-    "ExitMark",
-    "ExitSide",
-    "ExitSpeed",
-    "Heading",
-    "Painter",
-    "Path",
-    "Scene",
-    "SceneParcel",
-    "StopLine",
-    "TilePainter",
-    "Traffic",
-    "Window",
-    "draw",
-    "with_caption",
-]
+    "ExitMark", "ExitSide", "ExitSpeed", "Heading", "Painter", "Path", "Scene", "SceneParcel",
+    "StopLine", "TilePainter", "Traffic", "Window", "draw", "with_caption",
+]  # fmt: skip

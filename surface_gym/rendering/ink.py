@@ -31,14 +31,9 @@ SENSED: Colour = (94, 60, 170)
 
 # Far from the four orientations' colours and from each other, for dichromats too.
 EXITS: tuple[Colour, ...] = (
-    (172, 112, 252),
-    (252, 216, 24),
-    (84, 252, 180),
-    (168, 12, 132),
-    (12, 36, 132),
-    (252, 180, 252),
+    (172, 112, 252), (252, 216, 24), (84, 252, 180), (168, 12, 132), (12, 36, 132), (252, 180, 252),
     (180, 204, 108),
-)
+)  # fmt: skip
 
 # The axis colours lie on an ellipse in Oklab (https://bottosson.github.io/posts/oklab). Its plane
 # holds lightness and the way from blue to orange, which dichromats see too: 0 deg is dark, 90 deg
@@ -237,13 +232,9 @@ def arrow(canvas: pygame.Surface, tail: Points, tip: Points, width: float, colou
 
 
 def hatching(
-    canvas: pygame.Surface,
-    area: pygame.Rect,
-    spacing: float,
-    width: float,
-    colour: Colour,
+    canvas: pygame.Surface, area: pygame.Rect, spacing: float, width: float, colour: Colour,
     opacity: float,
-) -> None:
+) -> None:  # fmt: skip
     """Fill a rectangle with lines at 45 degrees."""
     layer = _Layer(
         canvas, np.array([area.topleft, area.bottomright], dtype=np.float64), 0.0, colour
@@ -337,25 +328,12 @@ def text_width(text: str, size: int) -> int:
 
 
 def write(
-    canvas: pygame.Surface,
-    text: str,
-    size: int,
-    colour: Colour = INK,
-    room: int | None = None,
+    canvas: pygame.Surface, text: str, size: int, colour: Colour = INK, room: int | None = None,
     **place: tuple[int, int],
-) -> pygame.Rect:
-    """Write a text.
+) -> pygame.Rect:  # fmt: skip
+    """Write a text at one of a pygame Rect's points, such as `midleft=(10, 20)`; return its area.
 
-    Args:
-        canvas: what to write on.
-        text: what to write.
-        size: [px] of the font.
-        colour: of the text.
-        room: [px] it may take; a longer text is cut and ends with an ellipsis.
-        place: where, as one of a pygame Rect's points, such as `midleft=(10, 20)`.
-
-    Returns:
-        The area taken.
+    A text longer than its room [px] is cut and ends with an ellipsis.
     """
     letters = _letters(text, size, colour, room)
     area = letters.get_rect(**place)
@@ -364,13 +342,9 @@ def write(
 
 
 def write_on_plate(
-    canvas: pygame.Surface,
-    text: str,
-    size: int,
-    colour: Colour,
-    within: pygame.Rect,
+    canvas: pygame.Surface, text: str, size: int, colour: Colour, within: pygame.Rect,
     **place: tuple[int, int],
-) -> None:
+) -> None:  # fmt: skip
     """Write a text on a plate of paper, moved so that it stays within an area."""
     plate = _letters(text, size, colour, None).get_rect(**place).inflate(8, 4).clamp(within)
     sheet = pygame.Surface(plate.size, pygame.SRCALPHA)

@@ -13,7 +13,6 @@ import pygame
 
 from surface_gym.physics.types import Array
 from surface_gym.rendering import ink
-from surface_gym.rendering.ink import Colour
 from surface_gym.rendering.scene import (
     ExitMark,
     ExitSide,
@@ -92,7 +91,7 @@ def draw_parcel(canvas: pygame.Surface, layout: Layout, scene: Scene, parcel: Sc
 
 
 def draw_heading(
-    canvas: pygame.Surface, layout: Layout, outline: Array, pose: Pose, colour: Colour
+    canvas: pygame.Surface, layout: Layout, outline: Array, pose: Pose, colour: ink.Colour
 ) -> None:
     """Draw an arrow from the base's centre along its frame's x."""
     centre = centroid(outline)
@@ -140,7 +139,7 @@ def contact_point(first: SceneParcel, second: SceneParcel) -> Array:
 
 
 def _draw_front(
-    canvas: pygame.Surface, layout: Layout, parcel: SceneParcel, colour: Colour
+    canvas: pygame.Surface, layout: Layout, parcel: SceneParcel, colour: ink.Colour
 ) -> None:
     """Draw a triangle that points along the base's own x, at its front."""
     centre, front = centroid(parcel.outline), parcel.outline[:, 0].max()
@@ -151,7 +150,7 @@ def _draw_front(
 
 
 def _draw_label(
-    canvas: pygame.Surface, layout: Layout, parcel: SceneParcel, text: str, colour: Colour
+    canvas: pygame.Surface, layout: Layout, parcel: SceneParcel, text: str, colour: ink.Colour
 ) -> None:
     """Draw a label in the middle of a base that has room for it."""
     size, centre = layout.label_size, centroid(parcel.outline)
@@ -184,11 +183,7 @@ _PALEST, _DARKEST = 0.86, 0.45  # shares of the plate in an exit, inside and out
 
 
 class ModuleSprites:
-    """Pictures of a module, a disc with a bar along its axis, by axis angle; made when asked for.
-
-    Args:
-        cell: [px] width and height.
-    """
+    """Pictures of a module, a disc with a bar along its axis, by angle; made when asked for."""
 
     def __init__(self, cell: int) -> None:
         self.cell = cell
@@ -372,7 +367,7 @@ def _stop_line(layout: Layout, scene: Scene, goal: StopLine) -> Array:
     return np.array([[x, line.bottom], [x, line.top]])
 
 
-def _paint_exit(canvas: pygame.Surface, layout: Layout, mark: ExitMark, colour: Colour) -> None:
+def _paint_exit(canvas: pygame.Surface, layout: Layout, mark: ExitMark, colour: ink.Colour) -> None:
     """Paint what never changes of an exit: its area, and the ground of its label."""
     mouth, label, cell = layout.mouth(mark), layout.label(mark), layout.cell
     _paint_fading(canvas, mouth, mark.side, colour)
@@ -388,17 +383,12 @@ def _paint_exit(canvas: pygame.Surface, layout: Layout, mark: ExitMark, colour: 
     rounded = round(0.4 * cell)
     top, bottom = (rounded, 0) if mark.side > 0 else (0, rounded)
     pygame.draw.rect(
-        canvas,
-        colour,
-        label,
-        border_top_left_radius=top,
-        border_top_right_radius=top,
-        border_bottom_left_radius=bottom,
-        border_bottom_right_radius=bottom,
-    )
+        canvas, colour, label, border_top_left_radius=top, border_top_right_radius=top,
+        border_bottom_left_radius=bottom, border_bottom_right_radius=bottom,
+    )  # fmt: skip
 
 
-def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: Colour) -> None:
+def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: ink.Colour) -> None:
     """Fill an exit with a colour that grows outwards."""
     length = area.height if side else area.width
     for k in range(length):
@@ -411,7 +401,7 @@ def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: 
 
 
 def _paint_chevron(
-    canvas: pygame.Surface, mouth: pygame.Rect, side: int, cell: int, colour: Colour
+    canvas: pygame.Surface, mouth: pygame.Rect, side: int, cell: int, colour: ink.Colour
 ) -> None:
     """Paint an outward angle in a chute that has room for it."""
     if mouth.height < 2 * cell:
@@ -425,7 +415,7 @@ def _paint_chevron(
         ink.line(canvas, points, 0.3 * cell, colour, 0.8)
 
 
-def _paint_pointed(canvas: pygame.Surface, area: pygame.Rect, colour: Colour) -> None:
+def _paint_pointed(canvas: pygame.Surface, area: pygame.Rect, colour: ink.Colour) -> None:
     """Paint a block that points along x."""
     neck = area.right - 0.25 * area.width
     upper, lower = (neck, area.top), (neck, area.bottom)
@@ -434,7 +424,7 @@ def _paint_pointed(canvas: pygame.Surface, area: pygame.Rect, colour: Colour) ->
 
 
 def _write_label(
-    canvas: pygame.Surface, layout: Layout, mark: ExitMark, colour: Colour, count: int
+    canvas: pygame.Surface, layout: Layout, mark: ExitMark, colour: ink.Colour, count: int
 ) -> None:
     """Write an exit's name and its count of parcels; what has no room is cut."""
     label, size, text = layout.label(mark), layout.label_size, ink.text_on(colour)

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.rendering import ink, marks
-from surface_gym.rendering.ink import Colour
-from surface_gym.rendering.marks import ModuleSprites
 from surface_gym.rendering.scene import Heading, Layout, Scene
 
 _LEGEND = (
@@ -25,11 +23,7 @@ _GAP = 1.4  # [font sizes] between the readings of a stream
 
 
 class Strips:
-    """Writes above and below a surface, in sizes proportional to the picture's width.
-
-    Args:
-        width: [px] of the picture.
-    """
+    """Writes above and below a surface, in sizes proportional to the picture's width."""
 
     def __init__(self, width: int) -> None:
         unit = width / 960.0
@@ -41,7 +35,7 @@ class Strips:
         self.middle = round(22 * unit)
         self.large = round(27 * unit)
         self._slot = round(104 * unit)  # [px] of a reading, at most
-        self._icons = ModuleSprites(round(20 * unit))
+        self._icons = marks.ModuleSprites(round(20 * unit))
         self._gap = self._icons.cell // 2  # [px] between a legend's signs and words
 
     def write_head(self, canvas: pygame.Surface, area: pygame.Rect, scene: Scene) -> None:
@@ -83,14 +77,7 @@ class Strips:
     def write_legend(
         self, canvas: pygame.Surface, area: pygame.Rect, scenes: Sequence[Scene], end: int
     ) -> None:
-        """Write the meaning of the colours in some scenes, below an area.
-
-        Args:
-            canvas: to write on.
-            area: below which to write.
-            scenes: whose marks to explain.
-            end: [px] x where the room ends; exits beyond are left out.
-        """
+        """Write the meaning of the scenes' colours below an area, of exits up to `end` [px]."""
         x = self._write_axes(canvas, area, any(scene.zone is not None for scene in scenes))
         if any(scene.goal is not None for scene in scenes):
             x = self._write_stroke(canvas, area, "goal", ink.GOAL, x)
@@ -108,7 +95,7 @@ class Strips:
             x = ink.draw_badge(canvas, mark.name, self.small, colour, midleft=after).right
 
     def _fitted_slots(
-        self, area: pygame.Rect, numbers: Sequence[tuple[str, str, Colour]], title: int
+        self, area: pygame.Rect, numbers: Sequence[tuple[str, str, ink.Colour]], title: int
     ) -> tuple[list[int], list[int]]:
         """Compute the x of each reading of a stream, and its room [px], at the right of an area."""
         widths = [
@@ -146,7 +133,7 @@ class Strips:
         return x
 
     def _write_stroke(
-        self, canvas: pygame.Surface, area: pygame.Rect, name: str, colour: Colour, x: int
+        self, canvas: pygame.Surface, area: pygame.Rect, name: str, colour: ink.Colour, x: int
     ) -> int:
         """Write the meaning of a dashed stroke after an x; the x at its end."""
         middle, gap = self._middle_below(area), self._gap
@@ -197,9 +184,6 @@ class Painter:
 
     Args:
         width: [px] of the pictures, even, as video codecs want it; None: 960, 1280 with traffic.
-
-    Raises:
-        ValueError: the width is odd or too small.
     """
 
     def __init__(self, width: int | None = None) -> None:
@@ -213,9 +197,6 @@ class Painter:
 
         The height is even and follows from the shape of the surface, with traffic also from its
         rotor rows.
-
-        Raises:
-            ValueError: the surface has too many columns for the width.
         """
         field, strips = self._prepare(scene)
         layout, area = field.layout, field.layout.area
@@ -246,7 +227,7 @@ class Painter:
         left = (width - Layout.extent(scene, cell)[0]) // 2
         layout = Layout.of(scene, cell, left, self._strips.head)
         if self._field is None or self._field.layout != layout:
-            self._field = _Field(layout, ModuleSprites(layout.cell))
+            self._field = _Field(layout, marks.ModuleSprites(layout.cell))
         return self._field, self._strips
 
     def _clean_canvas(self, width: int, height: int) -> pygame.Surface:
@@ -260,14 +241,7 @@ class Painter:
 
 
 class TilePainter:
-    """Draws scenes side by side, under their titles.
-
-    Args:
-        width: [px] of the pictures; even, as video codecs want it.
-
-    Raises:
-        ValueError: the width is odd or too small.
-    """
+    """Draws scenes side by side, under their titles."""
 
     def __init__(self, width: int = WIDE) -> None:
         self.width = _even_width(width)
@@ -278,10 +252,6 @@ class TilePainter:
         """Draw scenes as one picture (height, width, 3), the first at the upper left.
 
         The height is even and follows from the number of scenes and the shape of the surface.
-
-        Raises:
-            ValueError: there is no scene, some have traffic and some not, the surfaces differ in
-                size, or have too many columns for the width.
         """
         plan = self._plan(scenes)
         self._prepare(scenes, plan)
@@ -337,16 +307,12 @@ class TilePainter:
             for scene, (x, y) in zip(scenes, corners, strict=True)
         ]
         if [field.layout for field in self._fields] != layouts:
-            sprites = ModuleSprites(layouts[0].cell)
+            sprites = marks.ModuleSprites(layouts[0].cell)
             self._fields = [_Field(layout, sprites) for layout in layouts]
 
 
 def draw(scene: Scene, width: int | None = None) -> Picture:
-    """Draw a scene as a picture (height, width, 3); for many of them keep a `Painter`.
-
-    Raises:
-        ValueError: the width is odd, or too small for the surface.
-    """
+    """Draw a scene as a picture (height, width, 3); for many of them keep a `Painter`."""
     return Painter(width).draw(scene)
 
 
@@ -363,7 +329,7 @@ def with_caption(picture: Picture, text: str) -> Picture:
 class _Field:
     """Draws a scene at one layout, and keeps what stays from scene to scene."""
 
-    def __init__(self, layout: Layout, sprites: ModuleSprites) -> None:
+    def __init__(self, layout: Layout, sprites: marks.ModuleSprites) -> None:
         self.layout = layout
         self._sprites = sprites
         self._ground: pygame.Surface | None = None
@@ -450,9 +416,6 @@ class Window:
     Args:
         title: of the window.
         frame_rate: [1/s] at most; `show` waits for it.
-
-    Raises:
-        ValueError: the frame rate is not positive.
     """
 
     def __init__(self, title: str = "Smart surface", frame_rate: float = 25.0) -> None:
@@ -463,12 +426,7 @@ class Window:
         self.closed = False  # by the user or by `close`; it does not open again
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3) and wait until the next is due; nothing if closed.
-
-        Raises:
-            ValueError: the array is not a picture.
-            RuntimeError: there is no display.
-        """
+        """Show a picture (height, width, 3) and wait until the next is due; nothing if closed."""
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
             raise ValueError(
                 "picture must be an array of uint8 of the shape (height, width, 3), "

@@ -75,12 +75,7 @@ Goal: TypeAlias = ExitSide | StopLine | ExitSpeed | Path | Heading
 
 @dataclass(frozen=True, eq=False)
 class SceneParcel:
-    """A parcel in a picture.
-
-    Raises:
-        ValueError: arrays of another shape or not finite, an outline that encloses no area, an
-            exit that is no index, or a label that is no text.
-    """
+    """A parcel in a picture."""
 
     outline: NDArray[np.float64]  # (points, 2) [m] of the base, in its own frame
     pose: Pose  # of that frame
@@ -109,11 +104,7 @@ class SceneParcel:
 
 @dataclass(frozen=True)
 class ExitMark:
-    """A chute beside the line, or the way straight on.
-
-    Raises:
-        ValueError: a name that is no text, another side, or a span that does not go forwards.
-    """
+    """A chute beside the line, or the way straight on."""
 
     name: str  # short: it is written on the chute and on the parcels that are to leave there
     side: int  # +1 to the left, y > 0; -1 to the right, y < 0; 0 straight on
@@ -132,12 +123,7 @@ class ExitMark:
 
 @dataclass(frozen=True)
 class Traffic:
-    """The exits of a line, the queue at its entry, and the counts of a stream of parcels.
-
-    Raises:
-        ValueError: exits of one side that overlap, or counts that are not whole or not one for
-            each exit.
-    """
+    """The exits of a line, the queue at its entry, and the counts of a stream of parcels."""
 
     exits: tuple[ExitMark, ...]
     delivered: tuple[int, ...]  # for each exit, the parcels that rightly left there
@@ -169,11 +155,6 @@ class Scene:
 
     With `traffic`, exits and queue are drawn beside the rotor rows, and parcels in the colours of
     their exits; without, the whole surface is drawn, and parcels in grey.
-
-    Raises:
-        ValueError: arrays whose shapes do not fit each other or are not finite, a zone or an exit
-            outside the surface, a goal of another kind, parcels whose exit is none of the
-            scene's, touching pairs that are no parcels, or readings that are not pairs of texts.
     """
 
     axis: NDArray[np.float64]  # (rows, columns) [rad] rotor axis from x, anti-clockwise
@@ -212,12 +193,10 @@ class Scene:
 
     @property
     def rows(self) -> int:
-        """Number of elements across the line, in y."""
         return int(self.axis.shape[0])
 
     @property
     def columns(self) -> int:
-        """Number of elements along the line, in x."""
         return int(self.axis.shape[1])
 
     @property
@@ -235,7 +214,6 @@ class Scene:
 
     @property
     def exits(self) -> tuple[ExitMark, ...]:
-        """The exits; none without traffic."""
         return self.traffic.exits if self.traffic is not None else ()
 
     def _check_exits(self) -> None:
@@ -372,22 +350,18 @@ class Layout:
 
     @property
     def area(self) -> pygame.Rect:
-        """The area of all that is drawn."""
         return pygame.Rect(self.box)
 
     @property
     def surface(self) -> pygame.Rect:
-        """The area of the whole surface."""
         return self.cells(0, self.rows, 0, self.columns)
 
     @property
     def plate(self) -> pygame.Rect:
-        """The area of the rows shown."""
         return self.cells(*self.band, 0, self.columns)
 
     @property
     def rotors(self) -> pygame.Rect:
-        """The area of the rotor rows."""
         return self.cells(*self.line, 0, self.columns)
 
     @property

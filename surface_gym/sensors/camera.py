@@ -8,7 +8,6 @@ from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import Array
 from surface_gym.sensors import kalman
 from surface_gym.sensors.base import LEARNED, Entry, Physics
-from surface_gym.sensors.kalman import Observer
 from surface_gym.state import NOISE_ROWS, EnvState
 
 FRAMES = 16  # that can be under way at a time
@@ -32,7 +31,7 @@ SHARPEST = 1e-9  # [m] and [rad] no frame is trusted further
 
 
 @dataclass(frozen=True)
-class Camera(Observer):
+class Camera(kalman.Observer):
     """A sensor of the pose in frames, each with noise and latency, with a Kalman filter behind.
 
     Frames fall on physics steps: a frame period is rounded to whole ones, and a frame can be used
@@ -93,16 +92,9 @@ class Camera(Observer):
         every = self.frame_steps(dt)
         lag = every if self.latency is None else math.ceil(self.latency / dt - 1e-9)
         return (
-            every,
-            lag,
-            self.position_noise,
-            self.angle_noise,
-            self.drop,
-            self.acceleration_density,
-            self.turn_density,
-            self.friction_error,
-            *self.entry.params,
-        )
+            every, lag, self.position_noise, self.angle_noise, self.drop, self.acceleration_density,
+            self.turn_density, self.friction_error, *self.entry.params,
+        )  # fmt: skip
 
     def draws(self, dt: float, steps: int) -> int:
         """Return one row of noise a frame."""

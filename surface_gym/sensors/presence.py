@@ -143,14 +143,9 @@ class Presence(Observer):
     def numbers(self, dt: float) -> tuple[float, ...]:
         """Return the parameters as compiled code reads them, for physics steps of `dt` [s]."""
         return (
-            self.sample_steps(dt),
-            self.drop,
-            self.tolerance,
-            self.acceleration_density,
-            self.turn_density,
-            self.friction_error,
-            *self.entry.params,
-        )
+            self.sample_steps(dt), self.drop, self.tolerance, self.acceleration_density,
+            self.turn_density, self.friction_error, *self.entry.params,
+        )  # fmt: skip
 
     def draws(self, dt: float, steps: int) -> int:
         """Return one row of noise a sample."""

@@ -9,19 +9,16 @@ import numpy as np
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import THETA
 from surface_gym.state import SUCCESS, EnvState
-from surface_gym.tasks import line as on_line
-from surface_gym.tasks import planning
-from surface_gym.tasks.base import Feature, Task, failures, rising
+from surface_gym.tasks import base, planning
 from surface_gym.tasks.benchmark import PARCELS, Benchmark, ErrorPlot, high_column, median_column
-from surface_gym.tasks.planning import Nodes, Numbers, Observed, PlanCost
 from surface_gym.tasks.start import Draw, Start, between
 
 ANGLE = 0  # place in the goal: [rad] asked theta
 LEFT_TO_TURN = 0  # place in the memory: [rad] at the last decision
 ANGLE_ERROR = 0  # index in the metrics: [rad] theta - the asked angle
 
-OUTCOMES = (*on_line.LINE_OUTCOMES, "missed")
-MISSED = failures(OUTCOMES)[-1]
+OUTCOMES = (*base.LINE_OUTCOMES, "missed")
+MISSED = base.failures(OUTCOMES)[-1]
 SUCCESS_ERROR = math.radians(2.0)  # [rad]
 EXIT_SPEED = 0.1  # [m/s] that a planner is to leave the zone with
 # [m/s^2] of a turn, times the half length: what a radian takes of v^2 / 2
@@ -36,15 +33,17 @@ SUCCESS_REWARD = 1.0
 FAILURE_REWARD = -1.0
 
 FEATURES = (
-    *on_line.PARCEL_FEATURES,
-    Feature("asked angle", -4.0, 4.0, "/ 1 rad"),
-    Feature("angle to turn", -1000.0, 1000.0, "asked angle - theta / 0.2 rad"),
-    Feature("angle to turn, near", -1.0, 1.0, "hyperbolic tangent of asked angle - theta / 2 deg"),
+    *base.PARCEL_FEATURES,
+    base.Feature("asked angle", -4.0, 4.0, "/ 1 rad"),
+    base.Feature("angle to turn", -1000.0, 1000.0, "asked angle - theta / 0.2 rad"),
+    base.Feature(
+        "angle to turn, near", -1.0, 1.0, "hyperbolic tangent of asked angle - theta / 2 deg"
+    ),
 )
 
 
 @dataclass(frozen=True)
-class Orient(Task):
+class Orient(base.Task):
     """Turn the parcel by an asked angle by the time its rear leaves the zone.
 
     A parcel enters a line of rotors amid supports at theta = 0 and is to leave the zone at an asked
@@ -117,8 +116,8 @@ class Orient(Task):
     def __post_init__(self) -> None:
         super().__post_init__()
         set_field = object.__setattr__
-        set_field(self, "speeds", rising("speeds", self.speeds, 0.0, 5.0))
-        set_field(self, "angles", rising("angles", self.angles, -math.pi, math.pi))
+        set_field(self, "speeds", base.rising("speeds", self.speeds, 0.0, 5.0))
+        set_field(self, "angles", base.rising("angles", self.angles, -math.pi, math.pi))
 
     def start(self, draw: Draw) -> Start:
         """Draw entry speed, parcel and asked angle, each uniform."""
@@ -126,16 +125,17 @@ class Orient(Task):
         speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
         parcel = draw.parcel(self.parcels, size)
         angle = draw.within("angle", between(*self.angles, turn), -math.pi, math.pi)
-        return Start(parcel, on_line.entry(draw, parcel), (speed, 0.0, 0.0), (angle,))
+        return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (angle,))
 
-    def decode_start(self, seen: Observed) -> Start:
+    def decode_start(self, seen: planning.Observed) -> Start:
         """Decode the first observation into the start that it shows, the asked angle its goal."""
         line = planning.decode_line(seen)
         return planning.line_start(seen, line, self.parcels, (float(line.angle[0]),))
 
-    def cost(self) -> PlanCost:
-        """Minimise the error of the angle."""
-        return PlanCost(_angle_to_turn, planning.error_cost, 1e-3, self.periods, self.periods)
+    def cost(self) -> planning.PlanCost:
+        return planning.PlanCost(
+            _angle_to_turn, planning.error_cost, 1e-3, self.periods, self.periods
+        )
 
     def benchmark(self) -> Benchmark:
         """Every entry speed, some angles and both boxes, by the error of the angle."""
@@ -161,11 +161,9 @@ class Orient(Task):
         )
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """Return the asked angle."""
         return [("asked", f"{math.degrees(state.goal[ANGLE]):+.1f}\N{DEGREE SIGN}")]
 
     def goal(self, state: EnvState) -> Any:
-        """Return the asked heading."""
         from surface_gym.rendering import Heading
 
         return Heading(float(state.goal[ANGLE]))
@@ -177,7 +175,7 @@ class Orient(Task):
         state.metrics[ANGLE_ERROR] = state.truth[THETA] - state.goal[ANGLE]
         state.memory[LEFT_TO_TURN] = abs(state.metrics[ANGLE_ERROR])
 
-    is_done = staticmethod(on_line.over_zone_end)
+    is_done = staticmethod(base.over_zone_end)
 
     @staticmethod
     @kernel_function
@@ -185,7 +183,7 @@ class Orient(Task):
         """Return the state of the episode, by the true motion."""
         error = state.truth[THETA] - state.goal[ANGLE]
         state.metrics[ANGLE_ERROR] = error
-        return on_line.leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
+        return base.leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
 
     @staticmethod
     @kernel_function
@@ -204,7 +202,7 @@ class Orient(Task):
     @kernel_function
     def observe(state: EnvState) -> None:
         """Write the observation from the sensor's pose and velocity."""
-        on_line.see_parcel(state)
+        base.see_parcel(state)
         left = state.goal[ANGLE] - state.sensed[THETA]
         see = state.observation
         see[13] = state.goal[ANGLE]
@@ -212,7 +210,7 @@ class Orient(Task):
         see[15] = math.tanh(left / SUCCESS_ERROR)
 
 
-def _angle_to_turn(nodes: Nodes) -> Numbers:
+def _angle_to_turn(nodes: planning.Nodes) -> planning.Numbers:
     """Compute the angle [rad] left to turn, with a lack of speed and the offset on top."""
     _, _, theta, _, vy, omega = nodes.parcels.truth.T
     vx = nodes.vx

@@ -31,12 +31,8 @@ class Path(Protocol):
         """Return y [m] at each x."""
 
 
-def _along(name: str, value: Any) -> float:
-    return checks.within(name, value, -checks.FARTHEST, checks.FARTHEST)
-
-
 def _check_range(start: float, end: float) -> None:
-    if not _along("start", start) < _along("end", end):
+    if not checks.coordinate("start", start) < checks.coordinate("end", end):
         raise ValueError(f"start must lie before end, got {start!r} and {end!r}")
 
 
@@ -52,9 +48,9 @@ class Sine:
 
     def __post_init__(self) -> None:
         _check_range(self.start, self.end)
-        _along("amplitude", self.amplitude)
+        checks.coordinate("amplitude", self.amplitude)
         checks.positive("wavelength", self.wavelength, *checks.LENGTH)
-        _along("middle", self.middle)
+        checks.coordinate("middle", self.middle)
 
     def y(self, x: Numbers) -> Numbers:
         phase = 2.0 * math.pi * (x - self.start) / self.wavelength
@@ -74,10 +70,10 @@ class LaneChange:
 
     def __post_init__(self) -> None:
         _check_range(self.start, self.end)
-        _along("offset", self.offset)
+        checks.coordinate("offset", self.offset)
         checks.positive("length", self.length, *checks.LENGTH)
-        _along("change", self.change)
-        _along("middle", self.middle)
+        checks.coordinate("change", self.change)
+        checks.coordinate("middle", self.middle)
 
     def y(self, x: Numbers) -> Numbers:
         u = np.clip((x - self.change) / self.length, 0.0, 1.0)
@@ -124,8 +120,7 @@ class Spline(_Through):
         from scipy.interpolate import CubicSpline  # half of the package's import time
 
         along, across = np.array(self.points).T
-        curve: Numbers = CubicSpline(along, across, bc_type="natural")(x)
-        return curve
+        return CubicSpline(along, across, bc_type="natural")(x)
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ Numbers = NDArray[np.float64]
 
 def square_reach(half_length: Numbers | float, theta: Numbers) -> Numbers:
     """Compute the reach [m] along x, and along y, of a square base turned by theta [rad]."""
-    reach: Numbers = half_length * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
-    return reach
+    return half_length * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +98,11 @@ class LineObservation:
     @property
     def wholly_in_zone(self) -> NDArray[np.bool_]:
         """Return whether no module of the lead-in bears the parcel, (num_envs,)."""
-        inside: NDArray[np.bool_] = self.into_zone - self.reach > -self.pitch[0] / 2.0
-        return inside
+        return self.into_zone - self.reach > -self.pitch[0] / 2.0
 
 
 def decode_line(seen: Observed) -> LineObservation:
-    """Decode observations that show the features of `tasks.line` or of Sort."""
+    """Decode observations that show the features of `tasks.base` or of Sort."""
     side = seen["side"]
     # A parcel that is to go to y < 0 is shown in a mirror.
     mirror = np.where(side < 0.0, -1.0, 1.0)

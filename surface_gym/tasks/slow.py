@@ -9,11 +9,8 @@ import numpy as np
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import THETA, VX, VY, X
 from surface_gym.state import SUCCESS, EnvState, planar_speed
-from surface_gym.tasks import line as on_line
-from surface_gym.tasks import planning
-from surface_gym.tasks.base import Feature, Task, failures, rising
+from surface_gym.tasks import base, planning
 from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, median_column
-from surface_gym.tasks.planning import Nodes, Numbers, Observed, PlanCost
 from surface_gym.tasks.start import Draw, Start, between
 
 RATIO, ENTRY_SPEED = range(2)  # places in the goal: [-] asked, [m/s]
@@ -21,8 +18,8 @@ ARRIVAL = 3.2  # [s] in which a planner is to be done, of the 4 there are
 EXCESS = 0  # place in the memory: [-] the excess of speed at the last decision
 RATIO_ERROR = 0  # index in the metrics: [-] speed / entry speed - asked ratio
 
-OUTCOMES = (*on_line.LINE_OUTCOMES, "missed")
-MISSED = failures(OUTCOMES)[-1]
+OUTCOMES = (*base.LINE_OUTCOMES, "missed")
+MISSED = base.failures(OUTCOMES)[-1]
 SUCCESS_ERROR = 0.01  # [-] of the ratio
 
 # The reward, term by term.
@@ -34,18 +31,18 @@ SUCCESS_REWARD = 1.0
 FAILURE_REWARD = -1.0
 
 FEATURES = (
-    *on_line.PARCEL_FEATURES,
-    Feature("entry speed", -2.0, 5.0, "/ 1 m/s - 1.5"),
-    Feature("asked ratio", 0.0, 1.0, ""),
-    Feature(
+    *base.PARCEL_FEATURES,
+    base.Feature("entry speed", -2.0, 5.0, "/ 1 m/s - 1.5"),
+    base.Feature("asked ratio", 0.0, 1.0, ""),
+    base.Feature(
         "excess of speed", -50.0, 50.0, "over what would roll out at the asked ratio / 0.2 m/s"
     ),
-    Feature("fine excess", -1.0, 1.0, "hyperbolic tangent of the excess / 0.02 m/s"),
+    base.Feature("fine excess", -1.0, 1.0, "hyperbolic tangent of the excess / 0.02 m/s"),
 )
 
 
 @dataclass(frozen=True)
-class Slow(Task):
+class Slow(base.Task):
     """Slow the parcel down to a ratio of its entry speed by the time its rear leaves the zone.
 
     A parcel enters a line of rotors amid supports; the zone's modules are to take just so much of
@@ -119,8 +116,8 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
     def __post_init__(self) -> None:
         super().__post_init__()
         set_field = object.__setattr__
-        set_field(self, "speeds", rising("speeds", self.speeds, 0.0, 5.0))
-        set_field(self, "ratios", rising("ratios", self.ratios, 0.0, 1.0))
+        set_field(self, "speeds", base.rising("speeds", self.speeds, 0.0, 5.0))
+        set_field(self, "ratios", base.rising("ratios", self.ratios, 0.0, 1.0))
 
     def start(self, draw: Draw) -> Start:
         """Draw entry speed and parcel, uniform, and the asked ratio, uniform up to what rolling
@@ -132,22 +129,23 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         pace, size, share = draw.numbers
         speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)
         parcel = draw.parcel(self.parcels, size)
-        way = parcel.of(lambda each: on_line.zone_span(draw.line, each, draw.zone)[1])
-        rolling = np.sqrt(np.maximum(0.0, 1.0 - 2.0 * on_line.ROLLING_LOSS * way / speed**2))
+        way = parcel.of(lambda each: base.zone_span(draw.line, each, draw.zone)[1])
+        rolling = np.sqrt(np.maximum(0.0, 1.0 - 2.0 * base.ROLLING_LOSS * way / speed**2))
         low, high = self.ratios
         highest = np.maximum(low, np.minimum(high, 0.98 * rolling))
         ratio = draw.within("ratio", between(low, highest, share), 0.0, 1.0)
-        return Start(parcel, on_line.entry(draw, parcel), (speed, 0.0, 0.0), (ratio, speed))
+        return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (ratio, speed))
 
-    def decode_start(self, seen: Observed) -> Start:
+    def decode_start(self, seen: planning.Observed) -> Start:
         """Decode the first observation into the start that it shows, ratio and speed its goal."""
         line = planning.decode_line(seen)
         goal = float(line.ratio[0]), float(line.entry_speed[0])
         return planning.line_start(seen, line, self.parcels, goal)
 
-    def cost(self) -> PlanCost:
-        """Minimise the error of the ratio."""
-        return PlanCost(_excess_of_speed, planning.error_cost, 2e-4, self.periods, self.periods)
+    def cost(self) -> planning.PlanCost:
+        return planning.PlanCost(
+            _excess_of_speed, planning.error_cost, 2e-4, self.periods, self.periods
+        )
 
     def benchmark(self) -> Benchmark:
         """Drawn starts, by the error of the speed ratio."""
@@ -165,12 +163,10 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         )
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """Return the present ratio and the asked one."""
         asked, error = state.goal[RATIO], state.metrics[RATIO_ERROR]
         return [("of entry", f"{asked + error:.3f}"), ("asked", f"{asked:.3f}")]
 
     def goal(self, state: EnvState) -> Any:
-        """Return the asked exit speed."""
         from surface_gym.rendering import ExitSpeed
 
         ratio, speed = state.goal[RATIO], state.goal[ENTRY_SPEED]
@@ -183,7 +179,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         state.memory[EXCESS] = _score(state)
         state.metrics[RATIO_ERROR] = _ratio_error(state)
 
-    is_done = staticmethod(on_line.over_zone_end)
+    is_done = staticmethod(base.over_zone_end)
 
     @staticmethod
     @kernel_function
@@ -191,7 +187,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         """Return the state of the episode, by the true motion."""
         error = _ratio_error(state)
         state.metrics[RATIO_ERROR] = error
-        return on_line.leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
+        return base.leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
 
     @staticmethod
     @kernel_function
@@ -211,9 +207,9 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
     @kernel_function
     def observe(state: EnvState) -> None:
         """Write the observation from the sensor's pose and velocity."""
-        on_line.see_parcel(state)
+        base.see_parcel(state)
         sensed = state.sensed
-        to_go = on_line.rear_to_go(state, sensed[X], sensed[THETA])
+        to_go = base.rear_to_go(state, sensed[X], sensed[THETA])
         excess = _excess(state, to_go, sensed[VX], sensed[VY])
         see = state.observation
         see[13] = state.goal[ENTRY_SPEED] - 1.5
@@ -226,14 +222,14 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
 def _excess(state: EnvState, to_go: float, vx: float, vy: float) -> float:
     """Return the speed [m/s] above that which, rolling `to_go` metres more, becomes the asked one."""
     asked = state.goal[RATIO] * state.goal[ENTRY_SPEED]
-    needed = math.sqrt(asked * asked + 2.0 * on_line.ROLLING_LOSS * max(0.0, to_go))
+    needed = math.sqrt(asked * asked + 2.0 * base.ROLLING_LOSS * max(0.0, to_go))
     return math.sqrt(vx * vx + vy * vy) - needed
 
 
 @kernel_function
 def _score(state: EnvState) -> float:
     truth = state.truth
-    to_go = on_line.rear_to_go(state, truth[X], truth[THETA])
+    to_go = base.rear_to_go(state, truth[X], truth[THETA])
     return abs(_excess(state, to_go, truth[VX], truth[VY])) / state.goal[ENTRY_SPEED]
 
 
@@ -242,7 +238,7 @@ def _ratio_error(state: EnvState) -> float:
     return planar_speed(state.truth) / state.goal[ENTRY_SPEED] - state.goal[RATIO]
 
 
-def _excess_of_speed(nodes: Nodes) -> Numbers:
+def _excess_of_speed(nodes: planning.Nodes) -> planning.Numbers:
     """Compute the speed [m/s] off what would roll out at the asked ratio, straight and in time."""
     parcels, to_go = nodes.parcels, planning.way_to_leave(nodes)
     speed = np.hypot(nodes.vx, parcels.truth[:, 4])

@@ -15,10 +15,8 @@ from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import EnvState, ParcelState
 from surface_gym.tasks import planning
-from surface_gym.tasks.base import Feature, Task, failures, rising
+from surface_gym.tasks.base import STALL_SPEED, Feature, Task, entry, failures, rising
 from surface_gym.tasks.benchmark import PARCELS, Benchmark, Column, Numbers, SpeedGrid
-from surface_gym.tasks.line import STALL_SPEED, entry
-from surface_gym.tasks.planning import Nodes, Observed, PlanCost
 from surface_gym.tasks.start import Draw, Start, between
 
 SIDE = 0  # place in the goal: +1 for y > 0, -1 for y < 0, 0 for straight through
@@ -180,24 +178,21 @@ distance from the line's middle takes its place |
         return {"columns": math.floor((x + reach).max() / line.pitch_x + 0.5) - first}
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """Return the asked side."""
         sides = {1: "y > 0", -1: "y < 0", 0: "straight on"}
         return [("sort to", sides[int(state.goal[SIDE])])]
 
     def goal(self, state: EnvState) -> Any:
-        """Return the exit side."""
         from surface_gym.rendering import ExitSide
 
         return ExitSide(int(state.goal[SIDE]))
 
-    def decode_start(self, seen: Observed) -> Start:
+    def decode_start(self, seen: planning.Observed) -> Start:
         """Decode the first observation into the start that it shows, the side its goal."""
         line = planning.decode_line(seen)
         return planning.line_start(seen, line, self.parcels, (float(line.side[0]),))
 
-    def cost(self) -> PlanCost:
-        """Minimise the time until the parcel is off the line."""
-        return PlanCost(
+    def cost(self) -> planning.PlanCost:
+        return planning.PlanCost(
             _time_to_leave,
             planning.time_cost,
             planning.FAILED,
@@ -301,7 +296,7 @@ def _score(state: EnvState) -> float:
     return min(REACH_ENOUGH, lateral_reach(side * offset, truth[VX], side * truth[VY]))
 
 
-def _time_to_leave(nodes: Nodes) -> Numbers:
+def _time_to_leave(nodes: planning.Nodes) -> Numbers:
     """Compute the time [s] until the parcel is off the line if all axes were at 45 deg from now on;
     a parcel that would come to rest before costs what it lacks.
     """

@@ -25,8 +25,7 @@ class Parcels:
     def of(self, function: Callable[[Parcel], ArrayLike]) -> Numbers:
         """Return a function's value for each parcel, (starts, ...)."""
         asked, places = np.unique(self.which, return_inverse=True)
-        values: Numbers = np.array([function(self.kinds[kind]) for kind in asked])[places]
-        return values
+        return np.array([function(self.kinds[kind]) for kind in asked])[places]
 
     @property
     def rear(self) -> Numbers:

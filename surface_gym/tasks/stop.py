@@ -9,19 +9,16 @@ import numpy as np
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import VX, X
 from surface_gym.state import RUNNING, SUCCESS, EnvState
-from surface_gym.tasks import line as on_line
-from surface_gym.tasks import planning
-from surface_gym.tasks.base import Feature, Task, failures, rising
+from surface_gym.tasks import base, planning
 from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, median_column
-from surface_gym.tasks.planning import Nodes, Numbers, Observed, PlanCost
 from surface_gym.tasks.start import Draw, Start, between
 
 POSITION = 0  # place in the goal: [m] asked x of the centre
 SHORTFALL = 0  # place in the memory: [m] at the last decision
 STOP_ERROR = 0  # index in the metrics: [m] x of the centre - the asked one
 
-OUTCOMES = (*on_line.LINE_OUTCOMES, "missed", "passed the asked x")
-MISSED, OVERSHOT = failures(OUTCOMES)[-2:]
+OUTCOMES = (*base.LINE_OUTCOMES, "missed", "passed the asked x")
+MISSED, OVERSHOT = base.failures(OUTCOMES)[-2:]
 SUCCESS_ERROR = 0.005  # [m]
 CAUTION = 0.5  # [-] of the time of a quarter turn, that a planner keeps to be on the safe side
 
@@ -34,16 +31,20 @@ SUCCESS_REWARD = 1.0
 FAILURE_REWARD = -1.0
 
 FEATURES = (
-    *on_line.PARCEL_FEATURES,
-    Feature("to go", -20.0, 20.0, "to the asked x / 0.5 m"),
-    Feature("to go, near", -1.0, 1.0, "hyperbolic tangent of the way to the asked x / 0.05 m"),
-    Feature("to go, nearest", -1.0, 1.0, "hyperbolic tangent of the way to the asked x / 0.01 m"),
-    Feature("excess of speed", -50.0, 50.0, "over what full braking ends at the asked x / 0.2 m/s"),
+    *base.PARCEL_FEATURES,
+    base.Feature("to go", -20.0, 20.0, "to the asked x / 0.5 m"),
+    base.Feature("to go, near", -1.0, 1.0, "hyperbolic tangent of the way to the asked x / 0.05 m"),
+    base.Feature(
+        "to go, nearest", -1.0, 1.0, "hyperbolic tangent of the way to the asked x / 0.01 m"
+    ),
+    base.Feature(
+        "excess of speed", -50.0, 50.0, "over what full braking ends at the asked x / 0.2 m/s"
+    ),
 )
 
 
 @dataclass(frozen=True)
-class Stop(Task):
+class Stop(base.Task):
     """Bring the parcel to rest with its centre at an asked x.
 
     A parcel enters a line of rotors amid supports and is to come to rest at a place, to 5 mm.
@@ -113,7 +114,7 @@ class Stop(Task):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "speeds", rising("speeds", self.speeds, 0.0, 5.0))
+        object.__setattr__(self, "speeds", base.rising("speeds", self.speeds, 0.0, 5.0))
 
     def start(self, draw: Draw) -> Start:
         """Draw entry speed and parcel, uniform, and asked x, uniform over what can be reached for
@@ -127,24 +128,23 @@ class Stop(Task):
         speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
         parcel = draw.parcel(self.parcels, size)
         half_length = parcel.rear
-        zone_start, zone_end = parcel.of(
-            lambda each: on_line.zone_span(draw.line, each, draw.zone)
-        ).T
-        rolled = half_length + 0.8 * speed**2 / (2.0 * on_line.ROLLING_LOSS)
+        zone_start, zone_end = parcel.of(lambda each: base.zone_span(draw.line, each, draw.zone)).T
+        rolled = half_length + 0.8 * speed**2 / (2.0 * base.ROLLING_LOSS)
         last = np.minimum(zone_end - half_length, rolled)
-        first = np.minimum(zone_start + half_length + speed**2 / (2.0 * on_line.BRAKING), last)
+        first = np.minimum(zone_start + half_length + speed**2 / (2.0 * base.BRAKING), last)
         position = draw.within("position", between(first, last, share), 0.0, draw.line.length)
-        return Start(parcel, on_line.entry(draw, parcel), (speed, 0.0, 0.0), (position,))
+        return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (position,))
 
-    def decode_start(self, seen: Observed) -> Start:
+    def decode_start(self, seen: planning.Observed) -> Start:
         """Decode the first observation into the start that it shows, the asked x its goal."""
         line = planning.decode_line(seen)
         start = planning.line_start(seen, line, self.parcels, ())
         return start._replace(goal=(np.add(start.pose[0], line.to_go[0]),))
 
-    def cost(self) -> PlanCost:
-        """Minimise the distance from the asked x."""
-        return PlanCost(_short_of_goal, planning.error_cost, 2e-5, self.periods, self.periods)
+    def cost(self) -> planning.PlanCost:
+        return planning.PlanCost(
+            _short_of_goal, planning.error_cost, 2e-5, self.periods, self.periods
+        )
 
     def benchmark(self) -> Benchmark:
         """Drawn starts, by the error of the place of rest."""
@@ -160,11 +160,9 @@ class Stop(Task):
         )
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """Return the distance to go."""
         return [("to go", f"{-1e3 * state.metrics[STOP_ERROR]:.1f} mm")]
 
     def goal(self, state: EnvState) -> Any:
-        """Return the line to stop at."""
         from surface_gym.rendering import StopLine
 
         return StopLine(float(state.goal[POSITION]))
@@ -182,8 +180,8 @@ class Stop(Task):
         """Return the state of the episode, by the true motion."""
         error = state.truth[X] - state.goal[POSITION]
         state.metrics[STOP_ERROR] = error
-        outcome = on_line.failure(state)
-        if outcome == on_line.STALLED:
+        outcome = base.failure(state)
+        if outcome == base.STALLED:
             outcome = SUCCESS if abs(error) <= SUCCESS_ERROR else MISSED
         elif outcome == RUNNING and error > SUCCESS_ERROR:
             outcome = OVERSHOT
@@ -206,9 +204,9 @@ class Stop(Task):
     @kernel_function
     def observe(state: EnvState) -> None:
         """Write the observation from the sensor's pose and velocity."""
-        on_line.see_parcel(state)
+        base.see_parcel(state)
         to_go = state.goal[POSITION] - state.sensed[X]
-        excess = state.sensed[VX] - math.sqrt(2.0 * on_line.BRAKING * max(0.0, to_go))
+        excess = state.sensed[VX] - math.sqrt(2.0 * base.BRAKING * max(0.0, to_go))
         see = state.observation
         see[13] = to_go / 0.5
         see[14] = math.tanh(to_go / 0.05)
@@ -216,10 +214,8 @@ class Stop(Task):
         see[16] = excess / 0.2
 
 
-def _short_of_goal(nodes: Nodes) -> Numbers:
-    """Compute by how much [m] full braking ends short of the asked x; beyond it there is no way
-    back.
-    """
+def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
+    """Compute by how much [m] full braking ends short of the asked x; past it, no way back."""
     to_go = nodes.parcels.goal[:, POSITION] - nodes.parcels.truth[:, 0]
     short = to_go - nodes.braking_distance
     if nodes.quarter_turn == 0.0:
@@ -232,6 +228,6 @@ def _short_of_goal(nodes: Nodes) -> Numbers:
     return _weigh(short) + 10.0 * lack + 0.3 * planning.askew(nodes)
 
 
-def _weigh(short: Numbers) -> Numbers:
+def _weigh(short: planning.Numbers) -> planning.Numbers:
     """Weigh a metre past the asked x as ten short of it."""
     return np.where(short < 0.0, -10.0 * short, short)

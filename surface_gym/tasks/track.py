@@ -17,7 +17,6 @@ from surface_gym.state import GRAVITY_ALONG, PATH_POINTS, RUNNING, SUCCESS, EnvS
 from surface_gym.tasks import paths as shapes
 from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import DRAWN, Benchmark, ErrorPlot, median_column
-from surface_gym.tasks.paths import Laid, Path
 from surface_gym.tasks.planning import FAILED, Nodes, Observed, PlanCost, nearest_parcel
 from surface_gym.tasks.start import Draw, Numbers, Start, between
 
@@ -191,7 +190,7 @@ asked one |
         pose = (first - x0, y[:, 0] - y0, 0.0)
         return Start(parcel, pose, (vx, slope * vx, 0.0), (speed, first, step), tilt, y)
 
-    def _paths(self, draw: Draw, which: Numbers) -> list[Path]:
+    def _paths(self, draw: Draw, which: Numbers) -> list[shapes.Path]:
         """Return each start's path: an option, or one drawn and laid onto the line."""
         first, last, _, _ = draw.line.extent
         aside = draw.line.line_y - LINE_Y
@@ -200,12 +199,11 @@ asked one |
         drawn = enumerate(zip(kinds, draw.numbers[4:].T, strict=True))
         return [
             given.get(k)
-            or Laid(shapes.random_path(kind, numbers), first, aside, last - shapes.START)
+            or shapes.Laid(shapes.random_path(kind, numbers), first, aside, last - shapes.START)
             for k, (kind, numbers) in drawn
         ]
 
     def decode(self, seen: Observed) -> "PathObservation":
-        """Decode observations into SI units."""
         pitch = seen.pitch
         return PathObservation(
             cross_error=0.05 * seen["cross error"],
@@ -223,9 +221,7 @@ asked one |
         )
 
     def decode_start(self, seen: Observed) -> Start:
-        """Decode the first observation into a start somewhere on the field; beyond what is shown
-        of it, the path goes on straight.
-        """
+        """Decode the first observation into a start; beyond what is shown the path is straight."""
         shown, line = self.decode(seen), seen.line
         x = line.origin[0] + line.pitch_x * PLAN_COLUMN + float(shown.x_in_pitch[0])
         y = line.origin[1] + line.pitch_y * PLAN_ROW + float(shown.y_in_pitch[0])
@@ -238,7 +234,6 @@ asked one |
         return shown.start(self.parcels, (x, y), (x + float(from_centre[0]), PIECE), path)
 
     def cost(self) -> PlanCost:
-        """Minimise the mean squares of the errors."""
         return PlanCost(
             _mean_squares, _mean_squares, 0.0, horizon=8, follow=2, share=4, zone=PLAN_ZONE
         )
@@ -267,7 +262,6 @@ asked one |
         )
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """Return the error across the path, its root mean square so far, and the asked speed."""
         return [
             ("off path", f"{1e3 * state.metrics[CROSS_ERROR]:+.1f} mm"),
             ("rms", f"{1e3 * state.metrics[RMS_ERROR]:.1f} mm"),
@@ -275,7 +269,6 @@ asked one |
         ]
 
     def goal(self, state: EnvState) -> Any:
-        """Return the path."""
         from surface_gym.rendering import Path
 
         x = state.goal[FIRST_X] + state.goal[STEP_X] * np.arange(PATH_POINTS)
@@ -364,11 +357,7 @@ asked one |
 def _check_paths(first: Numbers, step: Numbers, y: Numbers, line: BaseLine) -> None:
     """Raise a ValueError for a path that leaves the line's surface or is too steep.
 
-    Args:
-        first: (paths,) [m] x of the first point.
-        step: (paths,) [m] from point to point.
-        y: (paths, PATH_POINTS) [m].
-        line: where they lie.
+    Paths have a first x (paths,) [m], steps (paths,) [m] in x, and y (paths, PATH_POINTS) [m].
     """
     last = first + (PATH_POINTS - 1) * step
     low, high = y.min(axis=1), y.max(axis=1)
@@ -438,23 +427,16 @@ class PathObservation:
         grid: tuple[float, float],
         path: Numbers,
     ) -> Start:
-        """Build the start of the first parcel, one of some in size.
+        """Build the start of the first parcel, one of some in size, at a place (x, y) [m].
 
-        Args:
-            parcels: that the task draws.
-            place: [m] x and y of its centre.
-            grid: [m] first x of the path and the step from point to point.
-            path: (PATH_POINTS,) [m] its y.
+        The grid is the path's first x and its step in x [m], the path its y (PATH_POINTS,) [m].
         """
         vx, vy = self.velocity
         return Start(
-            nearest_parcel(parcels, float(self.half_length[0])),
-            (*place, float(self.theta[0])),
-            (float(vx[0]), float(vy[0]), float(self.omega[0])),
-            (float(self.asked_speed[0]), *grid),
-            float(self.tilt[0]),
-            path,
-        )
+            nearest_parcel(parcels, float(self.half_length[0])), (*place, float(self.theta[0])),
+            (float(vx[0]), float(vy[0]), float(self.omega[0])), (float(self.asked_speed[0]), *grid),
+            float(self.tilt[0]), path,
+        )  # fmt: skip
 
 
 def _mean_squares(nodes: Nodes) -> Numbers:

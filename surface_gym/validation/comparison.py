@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from surface_gym import layouts
+from surface_gym.paper import runs
 from surface_gym.paper.runs import COARSE, Integration, load_data
 from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.physics.types import Array
@@ -16,7 +17,6 @@ from surface_gym.simulation import simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import simulation
-from surface_gym.validation.simulation import RECIPE, Recipe
 
 PARCEL = Parcel(Rectangle(0.25, 0.25), mass=5.48, com_height=0.1, inertia=5.70e-2)  # Table 5
 IMPLICIT = Integration("implicit", 1e-3)
@@ -34,7 +34,6 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Name for tables."""
         return f"{self.tilt:g} deg" if self.speed == 0.0 else f"v0 = {self.speed:g} m/s"
 
     @cached_property
@@ -52,8 +51,7 @@ class Case:
         """(vx, vy, omega) [m/s, m/s, rad/s] at the start."""
         return (self.speed, 0.0, 0.0)
 
-    def mujoco(self, recipe: Recipe = RECIPE) -> Trajectory:
-        """Run the case in MuJoCo."""
+    def mujoco(self, recipe: simulation.Recipe = simulation.RECIPE) -> Trajectory:
         return simulation.simulate(
             self.surface, PARCEL, self.pose, self.velocity, self.duration, recipe
         )
@@ -88,8 +86,7 @@ def run_case(case: Case) -> Run:
 
 def displacement(trajectory: Trajectory) -> Array:
     """Return the displacement (3,) [m, m, deg] from start to end."""
-    x, y, theta = trajectory.pose[-1] - trajectory.pose[0]
-    return np.array([x, y, math.degrees(theta)])
+    return np.array(runs.displacement(trajectory))
 
 
 def is_sorted(case: Case, trajectory: Trajectory) -> bool:
@@ -152,17 +149,11 @@ class Target:
 
     @property
     def is_reached(self) -> bool:
-        """Whether the value is within the bound."""
         return self.measured <= self.bound
 
 
 def check_targets(sweep: Errors, pushed: Errors) -> tuple[Target, ...]:
-    """Check bounds on MuJoCo against the implicit method at 1 ms.
-
-    Args:
-        sweep: of the tilts.
-        pushed: of the one run with a speed.
-    """
+    """Check bounds on MuJoCo against the implicit method at 1 ms."""
     absolute = np.abs(np.vstack([sweep.absolute, pushed.absolute])).max(axis=0)
     percent = np.abs(np.vstack([sweep.percent, pushed.percent])).max(axis=0)
     mean = np.abs(sweep.percent.mean(axis=0))

@@ -39,18 +39,11 @@ CASES = (Case(10.0), PUSHED)
 def uneven_normal_forces(
     arms: Array, heights: Array, stiffness: Array, weight: float, load: ArrayLike
 ) -> Array:
-    """Compute the normal forces on contacts of unequal height and stiffness.
+    """Compute the normal forces (n,) [m/s^2] over mass of contacts of unequal height and stiffness.
 
-    Args:
-        arms: (n, 2) [m] from the centre of mass to the contacts.
-        heights: (n,) [m] of the contacts above the plane.
-        stiffness: (n,) [1/s^2] of the contacts / mass.
-        weight: [m/s^2] normal load / mass.
-        load: (2,) [m] where it acts, from the centre of mass.
-
-    Returns:
-        (n,) [m/s^2] normal forces / mass. Where the contacts cannot carry the load (the parcel
-        tips), the moments come as near to balance as they can.
+    The weight [m/s^2] acts at the load (2,) [m]; arms (n, 2) [m] are those of the contacts, both
+    from the centre of mass; heights (n,) [m] are above the plane, stiffness (n,) [1/s^2] is over
+    mass. Where the parcel tips, the moments come as near to balance as they can.
     """
     scale = float(np.abs(arms).max()) or 1.0
     target = np.array([1.0, *(np.asarray(load) / scale)])
@@ -66,32 +59,13 @@ def uneven_normal_forces(
 
 
 def end_pose(
-    surface: Surface,
-    parcel: Parcel,
-    pose: ArrayLike,
-    velocity: ArrayLike,
-    duration: float,
-    heights: ArrayLike,
-    stiffness: float,
-    dt: float = 1e-3,
-) -> Array:
-    """Run the implicit model with the normal forces of uneven supports to its end pose.
+    surface: Surface, parcel: Parcel, pose: ArrayLike, velocity: ArrayLike, duration: float,
+    heights: ArrayLike, stiffness: float, dt: float = 1e-3,
+) -> Array:  # fmt: skip
+    """Run the implicit model with the normal forces of uneven supports to its end pose (3,).
 
-    Args:
-        surface: the surface; its `stiffness` multiplies that of a contact.
-        parcel: the parcel.
-        pose: (x, y, theta) [m, m, rad] of the base's frame at the start.
-        velocity: (vx, vy, omega) [m/s, m/s, rad/s] of that frame at the start.
-        duration: [s] simulated, in whole steps.
-        heights: (rows, columns) [m] of the tops of the elements above the plane.
-        stiffness: [1/s^2] of a contact / parcel mass.
-        dt: [s] step.
-
-    Returns:
-        (3,) [m, m, rad] pose of the base's frame.
-
-    Raises:
-        ValueError: `heights` has another shape, or the parcel leaves the surface.
+    The arguments are those of `simulate`, heights (rows, columns) [m] of the elements' tops, and
+    the stiffness [1/s^2] of a contact over the parcel's mass, which the surface's own multiplies.
     """
     tops = checks.array("heights", heights, (surface.rows, surface.columns))
     grid, body = surface.grid, parcel.body
@@ -107,12 +81,9 @@ def end_pose(
         column, row = np.rint(place / (surface.pitch_x, surface.pitch_y)).astype(np.int64).T
         load = load_point(grid, body, state)
         table_row(scratch, NORMAL, contacts.total)[:] = uneven_normal_forces(
-            arms,
-            tops[row, column],
-            stiffness * grid.stiffness[row, column],
-            grid.gravity_normal,
+            arms, tops[row, column], stiffness * grid.stiffness[row, column], grid.gravity_normal,
             load,
-        )
+        )  # fmt: skip
         advance_implicit(grid, body, state, scratch, contacts, dt)
     arm = start_state(parcel, np.array([0.0, 0.0, state[2]]), np.zeros(3))[:2]
     return np.array([state[0] - arm[0], state[1] - arm[1], state[2]])
@@ -127,7 +98,6 @@ class Unevenness:
 
     @property
     def name(self) -> str:
-        """Name for tables."""
         if self.height:
             return f"height {1e6 * self.height:g} um"
         return f"log stiffness {self.stiffness:g}"
@@ -135,13 +105,9 @@ class Unevenness:
 
 EVEN = Unevenness()
 UNEVEN = (
-    Unevenness(height=1e-6),
-    Unevenness(height=5e-6),
-    Unevenness(height=20e-6),
-    Unevenness(stiffness=0.3),
-    Unevenness(stiffness=0.6),
-    Unevenness(stiffness=1.2),
-)
+    Unevenness(height=1e-6), Unevenness(height=5e-6), Unevenness(height=20e-6),
+    Unevenness(stiffness=0.3), Unevenness(stiffness=0.6), Unevenness(stiffness=1.2),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -251,7 +217,6 @@ class Meeting:
                 return drawn
 
     def analytic(self, dt: float) -> Encounter:
-        """Run the meeting by the analytic model."""
         return simulate_together(*self.drawn, DURATION, dt)
 
     def mujoco(self, harder: float = 1.0) -> tuple[Trajectory, ...]:
@@ -264,15 +229,9 @@ class Meeting:
                 away = np.hypot(*np.meshgrid(surface.x - x, surface.y - y))
                 within |= away < parcel.base.reach + MARGIN
         return simulation.simulate_together(
-            surface,
-            parcels,
-            poses,
-            velocities,
-            DURATION,
-            within,
-            TOGETHER_RECIPE.finer(harder),
+            surface, parcels, poses, velocities, DURATION, within, TOGETHER_RECIPE.finer(harder),
             SIDES.harder(harder),
-        )
+        )  # fmt: skip
 
 
 def _draw(rng: np.random.Generator) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:

@@ -20,7 +20,6 @@ from surface_gym.physics.types import Array
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import comparison
-from surface_gym.validation.comparison import Errors, Model, Run, Summary
 from surface_gym.validation.drawn import STEPS, MeetingRun, Spread, apart, root_mean_square
 from surface_gym.validation.study import Study
 
@@ -153,7 +152,7 @@ def _meetings(runs: Sequence[MeetingRun]) -> Table:
     return table
 
 
-def _table7(summaries: Iterable[Summary], runs: int) -> Table:
+def _table7(summaries: Iterable[comparison.Summary], runs: int) -> Table:
     """Tabulate mean and standard deviation over the tilts."""
     table = make_table(
         f"Table 7: errors over {runs} tilts, Eq. (5)", "", "", *PERCENT, *ABSOLUTE, labels=2
@@ -178,7 +177,7 @@ def _single_runs(study: Study) -> Table:
     paper = comparison.load_paper_errors()
     for run in _printed_runs(study):
         name = run.case.name
-        rows: list[tuple[str, Errors]] = [
+        rows: list[tuple[str, comparison.Errors]] = [
             (
                 "Adams / MATLAB, printed",
                 paper.pushed if run.case == comparison.PUSHED else paper.tilted,
@@ -228,7 +227,7 @@ def _beside_adams(study: Study) -> Table:
     return table
 
 
-def _printed_runs(study: Study) -> list[Run]:
+def _printed_runs(study: Study) -> list[comparison.Run]:
     """Select the runs of Figure 12a, if the sweep holds it, and 12b."""
     return [*(run for run in study.sweep if run.case.tilt == 10.0), study.pushed]
 
@@ -300,7 +299,7 @@ def as_data(study: Study) -> dict[str, Any]:
     }
 
 
-def _summary_data(summary: Summary) -> dict[str, Any]:
+def _summary_data(summary: comparison.Summary) -> dict[str, Any]:
     def rows(values: Array) -> dict[str, list[float]]:
         return {"mean": values[0].tolist(), "sd": values[1].tolist()}
 
@@ -352,7 +351,7 @@ def trajectories(study: Study) -> Figure:
 def final_positions(study: Study) -> Figure:
     """Draw Figure 13: where the box ends in each run that completes the sort."""
     figure = Figure(figsize=(10.0, 4.3), layout="constrained")
-    sides: tuple[tuple[str, str, Model], ...] = (
+    sides: tuple[tuple[str, str, comparison.Model], ...] = (
         ("MuJoCo", MUJOCO, lambda run: run.mujoco),
         ("implicit", MODEL, lambda run: run.implicit),
     )
@@ -435,7 +434,7 @@ def end_places(spreads: Sequence[Spread]) -> Figure:
     return figure
 
 
-def _at_ten_degrees(study: Study) -> list[Run]:
+def _at_ten_degrees(study: Study) -> list[comparison.Run]:
     """Find the run of Figure 12a, if the sweep holds it."""
     return [run for run in study.sweep if run.case.tilt == 10.0]
 

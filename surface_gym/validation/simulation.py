@@ -35,9 +35,6 @@ class Recipe:
     MuJoCo's contact is a spring and damper behind an impedance d: with d near 0 the penetration
     sets the force, so that every contact has the same stiffness, as Eq. (1) assumes. With the
     defaults, d near 1, the friction cone lifts sliding contacts.
-
-    Raises:
-        ValueError: a value is not positive, or an impedance not one that MuJoCo can have.
     """
 
     step: float = 1e-4  # [s]
@@ -91,9 +88,6 @@ class Sides:
     Springs behind the recipe's low impedance, as under the base, but damped so much that what has
     hit stays: the damper stops a closing speed v within 1 / damping, the sides then v / damping
     deep in each other, and the spring pushes them out at v stiffness / damping^2.
-
-    Raises:
-        ValueError: a value is not positive, or the friction negative.
     """
 
     stiffness: float = 1e5  # [1/s^2] of a contact / effective mass
@@ -132,11 +126,7 @@ class Scene:
 
 
 def load_mujoco() -> ModuleType:
-    """Import the mujoco package.
-
-    Raises:
-        ImportError: it is not installed; the message says what to install.
-    """
+    """Import the mujoco package."""
     try:
         import mujoco
     except ImportError as error:
@@ -147,13 +137,9 @@ def load_mujoco() -> ModuleType:
 
 
 def build(
-    surface: Surface,
-    parcels: Parcel | Sequence[Parcel],
-    recipe: Recipe = RECIPE,
-    heights: ArrayLike | None = None,
-    within: ArrayLike | None = None,
-    sides: Sides = SIDES,
-) -> Scene:
+    surface: Surface, parcels: Parcel | Sequence[Parcel], recipe: Recipe = RECIPE,
+    heights: ArrayLike | None = None, within: ArrayLike | None = None, sides: Sides = SIDES,
+) -> Scene:  # fmt: skip
     """Build a parcel, a hinged sphere for each rotor and a fixed sphere for each support.
 
     The tops of the spheres lie in the plane z = 0 and the surface's tilt is in the direction of
@@ -168,11 +154,6 @@ def build(
         within: (rows, columns) the elements to build; None: all. `reachable` gives those that a
             run can touch.
         sides: contact parameters between parcels.
-
-    Raises:
-        ValueError: the tilt is beyond the recipe, there are more elements than MuJoCo can hold in
-            memory, or an array has another shape.
-        ImportError: MuJoCo is not installed.
     """
     if abs(surface.tilt) > MAX_TILT + 1e-12:
         raise ValueError(
@@ -277,28 +258,18 @@ def _add_belt(mujoco: Any, spec: Any, body: Any, parcel: Parcel, name: str) -> N
     """
     if isinstance(parcel.base, Disc):
         body.add_geom(
-            name=name,
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[parcel.base.radius, 0.0, 0.0],
-            pos=[0.0, 0.0, parcel.com_height],
-            contype=0,
-            conaffinity=0,
-        )
+            name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[parcel.base.radius, 0.0, 0.0],
+            pos=[0.0, 0.0, parcel.com_height], contype=0, conaffinity=0,
+        )  # fmt: skip
     else:
         low = parcel.com_height - 0.5 * BELT
         _add_prism(mujoco, spec, body, parcel.base, name, low, BELT)
 
 
 def _add_element(
-    mujoco: Any,
-    spec: Any,
-    surface: Surface,
-    recipe: Recipe,
-    row: int,
-    column: int,
-    top: float,
+    mujoco: Any, spec: Any, surface: Surface, recipe: Recipe, row: int, column: int, top: float,
     bases: Sequence[str],
-) -> None:
+) -> None:  # fmt: skip
     """Add a sphere, on a hinge along the rotor's axis or fixed, that touches only the bases."""
     name = f"{row},{column}"
     place = [surface.x[column], surface.y[row], top - recipe.rotor_radius]
@@ -353,23 +324,11 @@ def simulate(
     recipe: Recipe = RECIPE,
     heights: ArrayLike | None = None,
 ) -> Trajectory:
-    """Move a parcel over a surface whose axes stay as they are, as `surface_gym.simulate` does.
+    """Move a parcel over a surface as `surface_gym.simulate` does, whose arguments these are.
 
-    Only the elements that the parcel can reach are built.
-
-    Args:
-        surface: the surface, tilted by at most 15 deg.
-        parcel: the parcel.
-        pose: (x, y, theta) [m, m, rad] of the base's frame at the start.
-        velocity: (vx, vy, omega) [m/s, m/s, rad/s] of that frame at the start.
-        duration: [s] simulated; the last step is shortened to end there.
-        recipe: step, contact parameters and rotors.
-        heights: (rows, columns) [m] of the tops of the elements above the plane; None: flat.
-
-    Returns:
-        The trajectory, a row for each step of the recipe. `tipping` says where the base is more
-        than 1 mrad out of level. It ends early where the centre of mass passes the edge of the
-        surface.
+    The tops of the elements lie at `heights` (rows, columns) [m] above the plane; None: in it. Only
+    the elements that the parcel can reach are built. There is a row for each step of the recipe.
+    `tipping` says where the base is more than 1 mrad out of level.
 
     Raises:
         ValueError: an argument is not allowed, the start is off the surface, the step is too
@@ -409,25 +368,9 @@ def simulate_together(
     recipe: Recipe = TOGETHER_RECIPE,
     sides: Sides = SIDES,
 ) -> tuple[Trajectory, ...]:
-    """Move parcels that push each other over a surface whose axes stay as they are.
+    """Move parcels that push each other, as `surface_gym.simulate_together` does.
 
-    Args:
-        surface: the surface, tilted by at most 15 deg.
-        parcels: the parcels.
-        poses: (parcels, 3) [m, m, rad] x, y, theta of the bases' frames at the start.
-        velocities: (parcels, 3) [m/s, m/s, rad/s] of those frames at the start.
-        duration: [s] simulated; the last step is shortened to end there.
-        within: (rows, columns) the elements to build.
-        recipe: step, contact parameters and rotors.
-        sides: contact parameters between parcels.
-
-    Returns:
-        The trajectories, a row for each step of the recipe.
-
-    Raises:
-        ValueError: an argument is not allowed, or MuJoCo cannot build the scene.
-        RuntimeError: MuJoCo diverged; a smaller step helps.
-        ImportError: MuJoCo is not installed.
+    `within` (rows, columns) are the elements to build.
     """
     start = checks.array("poses", poses, (len(parcels), 3))
     motion = checks.array("velocities", velocities, start.shape)
@@ -460,15 +403,7 @@ def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> Boolean
 def reachable(
     surface: Surface, parcel: Parcel, pose: ArrayLike, velocity: ArrayLike, duration: float
 ) -> Booleans:
-    """Find the elements, (rows, columns), that a parcel's energy can take it to, without friction.
-
-    Args:
-        surface: the surface.
-        parcel: the parcel.
-        pose: (x, y, theta) [m, m, rad] of the base's frame at the start.
-        velocity: (vx, vy, omega) [m/s, m/s, rad/s] of that frame at the start.
-        duration: [s].
-    """
+    """Find the elements (rows, columns) that a parcel's energy can take it to, without friction."""
     x, y, _ = np.asarray(pose, dtype=np.float64)
     vx, vy, omega = np.asarray(velocity, dtype=np.float64)
     arm = math.hypot(*parcel.centre_of_mass)
@@ -487,10 +422,7 @@ def reachable(
 def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
     """Return the depth [m] below the plane at which the springs under a level base carry it.
 
-    Args:
-        tops: (contacts,) [m] above the plane.
-        stiffness: (contacts,) [1/s^2] of a spring / parcel mass.
-        weight: [m/s^2] normal load / mass.
+    The tops (contacts,) are in [m] above the plane, stiffness and weight over the parcel's mass.
     """
     highest_first = np.argsort(tops)[::-1]
     k = stiffness[highest_first]
@@ -508,15 +440,9 @@ def normal_forces(data: Any) -> tuple[Integers, Array]:
 
 
 def _run(
-    scene: Scene,
-    surface: Surface,
-    parcels: Sequence[Parcel],
-    start: Array,
-    motion: Array,
-    sags: Sequence[float],
-    duration: float,
-    recipe: Recipe,
-) -> tuple[Trajectory, ...]:
+    scene: Scene, surface: Surface, parcels: Sequence[Parcel], start: Array, motion: Array,
+    sags: Sequence[float], duration: float, recipe: Recipe,
+) -> tuple[Trajectory, ...]:  # fmt: skip
     """Step the scene from poses (parcels, 3) and velocities (parcels, 3) to its end."""
     mujoco = load_mujoco()
     model, count = scene.model, len(parcels)
@@ -559,16 +485,7 @@ def _run(
 def _make_trajectory(
     surface: Surface, parcel: Parcel, theta: float, time: Array, place: Array, speed: Array
 ) -> Trajectory:
-    """Make the trajectory in the plane, up to where the centre of mass leaves the surface.
-
-    Args:
-        surface: the surface.
-        parcel: the parcel.
-        theta: [rad] at the start.
-        time: (T,) [s].
-        place: (T, 7) the base frame's place [m] and quaternion.
-        speed: (T, 6) its velocity [m/s, rad/s].
-    """
+    """Make the trajectory in the plane, up to where the centre of mass leaves the surface."""
     w, i, j, k = place[:, 3:].T
     turned = np.unwrap(np.arctan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k)))
     turned += theta - turned[0]

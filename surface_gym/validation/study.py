@@ -111,11 +111,7 @@ METHODS = (
 
 
 def measure(method: Method) -> Speed:
-    """Time a method at the largest step up to which every step tried is accurate.
-
-    Raises:
-        ValueError: not even the smallest step is.
-    """
+    """Time a method at the largest step up to which every step tried is accurate."""
     fine = _ends(method, method.fine)
     step, error = 0.0, np.inf
     for trial in method.steps:
@@ -162,12 +158,10 @@ class Study:
 
     @property
     def implicit(self) -> Errors:
-        """Errors over the tilts."""
         return comparison.compute_errors(self.sweep, lambda run: run.implicit)
 
     @property
     def explicit(self) -> Errors:
-        """Errors over the tilts."""
         return comparison.compute_errors(self.sweep, lambda run: run.explicit)
 
     @property
@@ -196,23 +190,10 @@ class Study:
 
 
 def run_study(
-    tilts: tuple[float, ...],
-    with_unevenness: bool,
-    with_touching: bool,
-    workers: Workers,
-    seed: int,
-    console: Console,
-) -> Study:
-    """Run the comparison in parallel, then the timing alone.
-
-    Args:
-        tilts: [deg] of the sweep.
-        with_unevenness: whether uneven supports are studied as well.
-        with_touching: whether parcels that push each other are.
-        workers: processes to share the runs among, or a cluster.
-        seed: of the uneven supports and of those parcels.
-        console: where the progress is drawn.
-    """
+    tilts: tuple[float, ...], with_unevenness: bool, with_touching: bool, workers: Workers,
+    seed: int, console: Console,
+) -> Study:  # fmt: skip
+    """Run the comparison in parallel, then the timing alone."""
     cases = (*(Case(tilt) for tilt in tilts), comparison.PUSHED, comparison.LONG)
     draws = drawn.draw_surfaces(DRAWS, seed) if with_unevenness else ()
     meetings = [drawn.Meeting(seed + k) for k in range(MEETINGS if with_touching else 0)]
@@ -228,24 +209,16 @@ def run_study(
         for each in group
     ]
     done = track(
-        map_jobs(jobs, workers),
-        "MuJoCo and the analytic model",
-        total=len(jobs),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
+        map_jobs(jobs, workers), "MuJoCo and the analytic model", total=len(jobs), console=console,
+        transient=True, disable=not console.is_terminal,
+    )  # fmt: skip
     found: dict[int, Any] = dict(done)
     results = iter(found[place] for place in range(len(jobs)))
     runs, variants, ends, meeting_runs = [[next(results) for _ in group] for _, group in parts]
     with console.status("timing, one core"):
         speeds = tuple(measure(method) for method in METHODS)
     return Study(
-        sweep=tuple(runs[:-2]),
-        pushed=runs[-2],
-        long=runs[-1],
-        convergence=compare_variants(variants),
-        speeds=speeds,
-        spreads=drawn.compare_draws(draws, ends) if draws else (),
-        meetings=tuple(meeting_runs),
-    )
+        sweep=tuple(runs[:-2]), pushed=runs[-2], long=runs[-1],
+        convergence=compare_variants(variants), speeds=speeds,
+        spreads=drawn.compare_draws(draws, ends) if draws else (), meetings=tuple(meeting_runs),
+    )  # fmt: skip

@@ -13,7 +13,7 @@ from surface_gym.layouts import box
 from surface_gym.lines import Line
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.tasks import Slow, Stop
-from surface_gym.tasks.line import BRAKING, zone_span
+from surface_gym.tasks.base import BRAKING, zone_span
 from tests.agents.rules.runs import Scripted
 
 SEED = 11

@@ -18,7 +18,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.randomisation import Actuators
 from surface_gym.sensors import AdaptiveCamera
 from surface_gym.tasks import Slow, Stop
-from surface_gym.tasks.line import BRAKING
+from surface_gym.tasks.base import BRAKING
 from tests.agents.rules.runs import Scripted, begun, ends, rule, run, run_rule
 
 COLUMNS = 16

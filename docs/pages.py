@@ -1,4 +1,4 @@
-"""Each environment's page, from its docstring and its tables: `python -m surface_gym.pages DIR`."""
+"""Each environment's page, from its docstring and its tables: `python docs/pages.py DIR`."""
 
 import argparse
 import inspect
@@ -141,7 +141,7 @@ def pages() -> dict[str, str]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Write the pages into a folder."""
-    parser = argparse.ArgumentParser(prog="python -m surface_gym.pages", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python docs/pages.py", description=__doc__)
     parser.add_argument("folder", type=Path, help="folder to write the pages to")
     folder: Path = parser.parse_args(arguments).folder
     folder.mkdir(parents=True, exist_ok=True)
