@@ -6,13 +6,15 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numba
+import numpy as np
 import pytest
 from numba.core.caching import CompileResultCacheImpl, IndexDataCacheFile
 
 import surface_gym
-from surface_gym.physics.jit import compiled, compute_digest
+from surface_gym.physics.jit import compiled, compute_digest, inlined, kernel_function, linked
 
 PACKAGE = Path(surface_gym.__file__).parent
 
@@ -107,6 +109,67 @@ def test_where_no_folder_can_be_written_it_is_compiled(monkeypatch: pytest.Monke
     monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
     with pytest.warns(RuntimeWarning, match="not kept: no folder for it can be written"):
         assert hits_of(1.5) == 0
+
+
+def make_chain() -> tuple[Any, Any]:
+    """A function that Python calls, and the one it calls, by way of others that are linked."""
+
+    @linked
+    def halve(x):
+        return 0.5 * x
+
+    @inlined
+    def halve_sum(x, y):
+        return halve(x + y)
+
+    @linked
+    def quarter(values, k):
+        return halve(halve_sum(values[k], values[k + 1]))
+
+    @kernel_function
+    def pick(values, k):
+        return values[k]
+
+    @inlined
+    def add(values, k):
+        return halve_sum(pick(values, k), 0.0) + quarter(values, k)
+
+    def kernel(values, k):
+        return add(values, k)
+
+    return compiled(kernel, "kernel"), quarter
+
+
+@pytest.mark.usefixtures("cache")
+def test_linked_functions_are_read_from_the_cache() -> None:
+    values = np.array([1.0, 2.0, 8.0])
+    for read in (0, 1):
+        # Another kernel than the first finds those it calls by name.
+        kernel, quarter = make_chain()
+        other = compiled(lambda values, k: -quarter(values, k), f"other{read}")
+        assert other(values, 1) == -2.5
+        assert sum(quarter.stats.cache_hits.values()) == read
+        assert kernel(values, 1) == 2.5 + 1.0
+        assert kernel(values, 0) == 0.75 + 0.5
+
+
+@pytest.mark.usefixtures("cache")
+def test_reading_beyond_an_array_in_a_linked_chain_is_an_error() -> None:
+    for _ in range(2):
+        kernel = make_chain()[0]
+        with pytest.raises(IndexError):
+            kernel(np.array([1.0, 2.0]), 2)
+
+
+@pytest.mark.parametrize("decorate", [linked, inlined, kernel_function])
+def test_from_python_a_linked_function_is_the_python_it_is(decorate: Any) -> None:
+    @decorate
+    def triple(x, times=3):
+        return times * x
+
+    assert triple("ab") == "ababab"
+    assert triple(2.0, times=2) == 4.0
+    assert compiled(lambda x: triple(x), "triple")(2.0) == 6.0
 
 
 SOURCE = """
