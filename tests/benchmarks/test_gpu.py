@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -114,19 +113,19 @@ class Scripted:
 
 
 class TestTiming:
-    def test_the_median_window_counts_after_warm_up(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_the_median_window_counts_after_warm_up(self, monkeypatch):
         program = Scripted(ManualTime(monkeypatch), 100.0, 1.0, 8.0, 2.0)
         effort = Effort(windows=3, steps=64, seconds=0.5, chunk=64, warm_up=128)
         rate = measure_rate(program, effort)
         assert rate == Rate("scripted", 10, 64 * 10 / 2.0, 4 / 2.0, 3.0)
         assert program.chunks == [128, 64, 64, 64]
 
-    def test_a_window_lasts_as_long_as_required(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_a_window_lasts_as_long_as_required(self, monkeypatch):
         program = Scripted(ManualTime(monkeypatch), 0.1)
         measure_rate(program, Effort(windows=1, steps=8, seconds=0.95, chunk=8, warm_up=8))
         assert program.chunks == [8] * 11
 
-    def test_a_device_is_reset_twice_alike_and_its_starts_are_counted(self) -> None:
+    def test_a_device_is_reset_twice_alike_and_its_starts_are_counted(self):
         env = StandIn()
         program = DeviceProgram("stand-in", env)
         assert env.seeds == [0, 0]
@@ -135,15 +134,13 @@ class TestTiming:
         assert program.episodes() - before >= NUM_ENVS  # all have ended, at the limit or before
         assert program.num_envs == NUM_ENVS
 
-    def test_the_host_counts_the_episodes_that_end(self) -> None:
+    def test_the_host_counts_the_episodes_that_end(self):
         program = HostProgram("host", make_sort(Sort(), NUM_ENVS, max_episode_steps=LIMIT))
         assert program.episodes() == 0
         program.step(2 * LIMIT)
         assert program.episodes() >= 2 * NUM_ENVS
 
-    def test_the_share_of_resets_is_of_the_parts_that_serve_them(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_the_share_of_resets_is_of_the_parts_that_serve_them(self, monkeypatch):
         env = StandIn(clock=ManualTime(monkeypatch))
         cost = measure_resets(DeviceProgram("stand-in", env), HostClock(), steps=5)
         # A period takes 2 s to step, 1.5 s to reset and 0.5 s to prepare three starts.
@@ -155,7 +152,7 @@ class TestTiming:
 class TestAgreement:
     ACTIONS = np.random.default_rng(0).integers(0, 16, (LIMIT, NUM_ENVS))
 
-    def test_the_same_environments_end_alike_as_arrays_and_as_tensors(self) -> None:
+    def test_the_same_environments_end_alike_as_arrays_and_as_tensors(self):
         host = SmartSurfaceVectorEnv(NUM_ENVS, actions="halves", max_episode_steps=LIMIT)
         ends = run_episodes(host, self.ACTIONS, seed=3)
         assert ends.position.any(axis=1).all()
@@ -163,7 +160,7 @@ class TestAgreement:
         assert (found.apart, found.other_outcomes, found.other_lengths) == (0, 0, 0)
         assert found.largest == 0.0
 
-    def test_distances_and_other_outcomes_are_counted(self) -> None:
+    def test_distances_and_other_outcomes_are_counted(self):
         ends = Ends(np.zeros((4, 2)), np.array(["success"] * 4), np.full(4, 9))
         position = np.array([[0.0, 5e-9], [0.0, 3e-8], [4.0, 3.0], [0.0, 0.0]])
         outcome = np.array(["success", "success", "stalled", "success"])
@@ -172,13 +169,13 @@ class TestAgreement:
         assert found.largest == 3e-8
         assert found.median == pytest.approx(1.75e-8)
 
-    def test_an_episode_that_does_not_end_is_an_error(self) -> None:
+    def test_an_episode_that_does_not_end_is_an_error(self):
         with pytest.raises(ValueError, match="got 1: 4 environments have not ended"):
             run_episodes(StandIn("NextStep"), self.ACTIONS[:1], seed=3)
 
 
 @pytest.fixture
-def results() -> Results:
+def results():
     return Results(
         "a machine",
         rates=[
@@ -193,18 +190,16 @@ def results() -> Results:
 
 
 class TestResults:
-    def test_each_task_is_compared_to_one_core(self, results: Results) -> None:
+    def test_each_task_is_compared_to_one_core(self, results):
         assert [results.over_core(rate) for rate in results.rates] == [1.0, 1.0, 200.0, 300.0, None]
 
-    def test_the_best_number_of_environments_counts(self, results: Results) -> None:
+    def test_the_best_number_of_environments_counts(self, results):
         best, ratio = results.figures()
         assert (best.value, best.least) == (3e4, 40e6)
         assert (ratio.value, ratio.least) == (300.0, 150.0)
         assert "4,096 environments" in best.name
 
-    def test_results_are_written_printed_and_plotted(
-        self, results: Results, tmp_path: Path
-    ) -> None:
+    def test_results_are_written_printed_and_plotted(self, results, tmp_path):
         results.write(tmp_path / "gpu.json")
         data = json.loads((tmp_path / "gpu.json").read_text(encoding="utf-8"))
         assert data["rates"][3]["decisions"] == 3e4
@@ -219,11 +214,11 @@ class TestResults:
 
 class TestCommand:
     @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-    def test_a_missing_gpu_is_an_error(self) -> None:
+    def test_a_missing_gpu_is_an_error(self):
         with pytest.raises(SystemExit, match=r"^error: device='cuda' needs .*$"):
             main(["--device", "cuda"])
 
-    def test_nothing_is_measured_without_a_device(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_nothing_is_measured_without_a_device(self, monkeypatch):
         def check() -> None:
             raise DeviceMissing("no GPU")
 
@@ -233,13 +228,11 @@ class TestCommand:
             cli.measure_device((4,), True, None, None, QUIET)
 
     @pytest.mark.parametrize("num_envs", [(), (4, 0)])
-    def test_numbers_of_environments_must_be_positive(self, num_envs: tuple[int, ...]) -> None:
+    def test_numbers_of_environments_must_be_positive(self, num_envs):
         with pytest.raises(ValueError, match="num_envs must be positive numbers, one at least"):
             cli.measure_device(num_envs, True, None, None, QUIET)
 
-    def test_a_package_that_is_not_installed_is_left_out_by_name(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_package_that_is_not_installed_is_left_out_by_name(self, monkeypatch):
         monkeypatch.setattr(cli, "GYMNAX", False)
         monkeypatch.setattr(cli, "MUJOCO_WARP", False)
         results = Results("a machine")
@@ -249,9 +242,7 @@ class TestCommand:
         assert results.left_out == ["not installed: gymnax", "not installed: mujoco-warp"]
         assert all(job.ours for job in cli.list_jobs((4,), beside=False))
 
-    def test_a_failure_is_reported_and_the_rest_is_written(
-        self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-    ) -> None:
+    def test_a_failure_is_reported_and_the_rest_is_written(self, monkeypatch, tmp_path):
         def fail(_: Results) -> None:
             raise MemoryError("too many environments")
 

@@ -5,7 +5,6 @@ import json
 import math
 import sys
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,7 +34,7 @@ def left_at(axis: np.ndarray, speed: float) -> float:
     return float(run.pose[-1, 1]) - line.line_y
 
 
-def test_any_angle_sorts_slower_boxes_than_the_study_s_four() -> None:
+def test_any_angle_sorts_slower_boxes_than_the_study_s_four():
     """Held against `simulate`, which knows nothing of a design."""
     found = best_layout(case(), SPEEDS, orientations=None, effort=QUICK)
     assert found.study.success.tolist() == [False, False, True, True]
@@ -47,7 +46,7 @@ def test_any_angle_sorts_slower_boxes_than_the_study_s_four() -> None:
         assert left_at(found.study.axis, speed) > -half_line - 0.125
 
 
-def test_no_layout_of_the_four_orientations_sorts_below_the_study_s_least_speed() -> None:
+def test_no_layout_of_the_four_orientations_sorts_below_the_study_s_least_speed():
     """All 4^32 of them, the S-box; one that sorts from 0.72 m/s on is the study's."""
     tried = [every_layout(case(speed=speed / 100)) for speed in (30, 40, 50, 60, 66, 68, 70)]
     assert all(each.complete and each.axis is None for each in tried)
@@ -60,7 +59,7 @@ def test_no_layout_of_the_four_orientations_sorts_below_the_study_s_least_speed(
     assert over.least_speed == 0.72
 
 
-def test_every_layout_is_really_every_one() -> None:
+def test_every_layout_is_really_every_one():
     """Beside trying them blindly, on a zone so short that it can be done."""
     own = case(speed=0.9)
     columns = 3
@@ -80,7 +79,7 @@ def test_every_layout_is_really_every_one() -> None:
             assert over.success.tolist() == [True]
 
 
-def test_what_is_not_known_is_not_claimed() -> None:
+def test_what_is_not_known_is_not_claimed():
     tried = every_layout(case(speed=0.7), most=100)
     assert tried.axis is None
     assert not tried.complete
@@ -92,7 +91,7 @@ def test_what_is_not_known_is_not_claimed() -> None:
     [Slow(0.5, tolerance=0.01), Stop(0.4, tolerance=0.01), Turn(math.radians(20.0), 0.03)],
     ids=lambda purpose: purpose.name,
 )
-def test_other_purposes_are_met_more_nearly_than_by_the_study_s_layouts(purpose) -> None:
+def test_other_purposes_are_met_more_nearly_than_by_the_study_s_layouts(purpose):
     found = best_layout(case(purpose=purpose), [1.0], 6, orientations=None, effort=QUICK)
     assert found.best.successes >= found.study.successes
 
@@ -108,7 +107,7 @@ def test_other_purposes_are_met_more_nearly_than_by_the_study_s_layouts(purpose)
 @pytest.mark.parametrize(
     "purpose", [Sort(), Sort(1), Slow(), Slow(0.5, 0.1), Stop(), Stop(0.3), Turn()], ids=repr
 )
-def test_a_shortfall_is_0_where_all_is_as_asked_and_more_where_it_fails(purpose) -> None:
+def test_a_shortfall_is_0_where_all_is_as_asked_and_more_where_it_fails(purpose):
     line = case().line(8)
     rng = np.random.default_rng(4)
     axes = np.array(ORIENTATIONS)[rng.integers(0, 4, (300, 2, 8))]
@@ -126,7 +125,7 @@ def test_a_shortfall_is_0_where_all_is_as_asked_and_more_where_it_fails(purpose)
         assert (short[done] == 0.0).all()
 
 
-def test_for_other_purposes_success_alone_counts() -> None:
+def test_for_other_purposes_success_alone_counts():
     line = case().line(4)
     runs = make_runs([0.3, 2.0], columns=4)
     ends = run_all(line, Sort().layouts(line, 4)[0].axis[np.newaxis], [S], runs)
@@ -135,7 +134,7 @@ def test_for_other_purposes_success_alone_counts() -> None:
         Purpose.env_goal(Stop(), line)
 
 
-def test_threads_change_nothing_and_a_search_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_threads_change_nothing_and_a_search_goes_on_where_it_was(tmp_path):
     class Broken(Exception):
         pass
 
@@ -157,7 +156,7 @@ def test_threads_change_nothing_and_a_search_goes_on_where_it_was(tmp_path: Path
     assert found.evaluations == whole.evaluations
 
 
-def test_what_is_not_known_costs_speed() -> None:
+def test_what_is_not_known_costs_speed():
     """Of the draws, fewer are sorted near the least speed than with nothing unknown."""
     line = case().line(16)
     axis = Sort().layouts(line, 16)[0].axis
@@ -188,7 +187,7 @@ def test_what_is_not_known_costs_speed() -> None:
         (every_layout, "orientations", (0.0,)),
     ],
 )
-def test_an_argument_that_is_not_allowed_is_named(find, name: str, value: object) -> None:
+def test_an_argument_that_is_not_allowed_is_named(find, name, value):
     given = {"speeds": SPEEDS, "effort": QUICK} if find is best_layout else {}
     with pytest.raises(ValueError, match=name):
         find(case(), **{**given, name: value})
@@ -199,14 +198,14 @@ SHIPPED = shipped.sorting_layouts()
 each = pytest.mark.parametrize("layout", SHIPPED, ids=lambda own: f"{own.box}-{own.offer}")
 
 
-def test_there_is_one_for_every_box_and_offer() -> None:
+def test_there_is_one_for_every_box_and_offer():
     assert sorted((own.box, own.offer) for own in SHIPPED) == sorted(
         (box, offer) for box in shipped.SIZES for offer in shipped.OFFERS
     )
 
 
 @each
-def test_it_does_what_its_file_says(layout: shipped.SortingLayout) -> None:
+def test_it_does_what_its_file_says(layout):
     case = Case(layouts.box(layout.box), unknown=NOTHING)
     line = case.line(shipped.COLUMNS)
     found = evaluate_layout("it", layout.axis, case, line, shipped.SPEEDS, workers=2)
@@ -220,7 +219,7 @@ def test_it_does_what_its_file_says(layout: shipped.SortingLayout) -> None:
 
 
 @each
-def test_its_axes_are_on_offer(layout: shipped.SortingLayout) -> None:
+def test_its_axes_are_on_offer(layout):
     offered = shipped.OFFERS[layout.offer]
     if offered is not None:
         apart = np.abs(np.sin(layout.axis[..., np.newaxis] - np.array(offered)))
@@ -228,12 +227,12 @@ def test_its_axes_are_on_offer(layout: shipped.SortingLayout) -> None:
 
 
 @pytest.mark.parametrize("box", shipped.SIZES)
-def test_the_more_axes_there_are_the_slower_a_box_may_come(box: str) -> None:
+def test_the_more_axes_there_are_the_slower_a_box_may_come(box):
     least = {own.offer: own.least_speed for own in SHIPPED if own.box == box}
     assert least["any"] < least["eight"] < least["four"]
 
 
-def test_layouts_found_anew_are_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_layouts_found_anew_are_read_back(tmp_path, monkeypatch):
     effort = Effort(members=6, generations=1, epochs=1, rounds=0)
     monkeypatch.setattr(shipped, "SPEEDS", FEW)
     calls: list[tuple[int, int]] = []
@@ -258,14 +257,12 @@ def test_layouts_found_anew_are_read_back(tmp_path: Path, monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("name", "arguments"), [("offers", {"offers": ("two",)}), ("sizes", {"sizes": ("M",)})]
 )
-def test_what_there_is_not_is_refused(name: str, arguments: dict) -> None:
+def test_what_there_is_not_is_refused(name, arguments):
     with pytest.raises(ValueError, match=name):
         shipped.find_sorting_layouts(**arguments)
 
 
-def test_the_command_writes_what_it_finds(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_what_it_finds(tmp_path, monkeypatch, capsys):
     small = Effort(members=5, generations=1, epochs=1, rounds=0)
     monkeypatch.setattr(shipped, "SPEEDS", FEW)
     quick = partial(shipped.find_sorting_layouts, sizes=("S",), effort=small)

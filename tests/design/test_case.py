@@ -1,7 +1,6 @@
 """The case of a design: its purposes and its unknown quantities."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from surface_gym.design.case import (
     NOTHING,
     TOGETHER,
     Case,
-    Purpose,
     Slow,
     Sort,
     Stop,
@@ -26,7 +24,7 @@ from surface_gym.design.runs import line_for, make_runs, run_all
 BOX = layouts.box("S")
 
 
-def test_a_group_varies_alone() -> None:
+def test_a_group_varies_alone():
     unknown = Unknown(lateral=0.01)
     assert unknown.groups == (*GROUPS, TOGETHER)
     friction = unknown.only("friction")
@@ -36,7 +34,7 @@ def test_a_group_varies_alone() -> None:
     assert NOTHING.groups == ()
 
 
-def test_draws_follow_their_laws() -> None:
+def test_draws_follow_their_laws():
     line = Case(BOX).line(4)
     unknown = Unknown(speed=0.1, tilt=0.02, lateral=0.03)
     drawn = draw(unknown, BOX, line, 2000, 0)
@@ -51,7 +49,7 @@ def test_draws_follow_their_laws() -> None:
     assert np.abs(offsets).max() <= 0.1 * 0.125
 
 
-def test_a_draw_does_not_depend_on_how_many_there_are() -> None:
+def test_a_draw_does_not_depend_on_how_many_there_are():
     line = Case(BOX).line(4)
     few, many = (draw(Unknown(), BOX, line, count, 3) for count in (2, 5))
     np.testing.assert_array_equal(few.friction, many.friction[:2])
@@ -59,7 +57,7 @@ def test_a_draw_does_not_depend_on_how_many_there_are() -> None:
     assert few.parcels == many.parcels[:2]
 
 
-def test_draws_become_runs() -> None:
+def test_draws_become_runs():
     drawn = draw(Unknown(speed=0.5), BOX, Case(BOX).line(4), 50, 0)
     runs = drawn.runs(0.6, 0.0, columns=4, layout=2)
     assert runs.speed.min() >= 0.0
@@ -73,7 +71,7 @@ BOX = layouts.box("S")
 LINE = line_for(BOX, 8)
 
 
-def test_layouts_are_the_study_s() -> None:
+def test_layouts_are_the_study_s():
     sorting = layouts.sorting("S", side=1, task_columns=3)
     found = Sort(side=1).layouts(LINE, 3)[0].axis
     np.testing.assert_array_equal(found[:, :3], sorting.axis[9:11, 3:6])
@@ -85,7 +83,7 @@ def test_layouts_are_the_study_s() -> None:
 
 
 @pytest.mark.parametrize("purpose", [Sort(), Turn(math.radians(20.0))])
-def test_the_other_side_is_the_mirror_image(purpose: Purpose) -> None:
+def test_the_other_side_is_the_mirror_image(purpose):
     other = Sort(1) if isinstance(purpose, Sort) else Turn(math.radians(-20.0))
     ends = []
     for each in (purpose, other):
@@ -99,7 +97,7 @@ def test_the_other_side_is_the_mirror_image(purpose: Purpose) -> None:
     assert one.pose[0, 2] == pytest.approx(-two.pose[0, 2], abs=1e-3)
 
 
-def test_slow_down_to_a_share_or_to_just_that() -> None:
+def test_slow_down_to_a_share_or_to_just_that():
     axes = np.stack([layout.axis for layout in Slow().layouts(LINE, 1)])
     runs = make_runs(1.5, layout=[0, 1], columns=1)
     ends = run_all(LINE, axes, [BOX], runs)
@@ -112,7 +110,7 @@ def test_slow_down_to_a_share_or_to_just_that() -> None:
         assert Slow(ratio[k] + 0.02, tolerance=0.03).succeeds(ends)[k]
 
 
-def test_a_parcel_that_stops_has_no_exit_speed_and_one_that_leaves_no_place() -> None:
+def test_a_parcel_that_stops_has_no_exit_speed_and_one_that_leaves_no_place():
     axes = np.stack([np.zeros((2, 8)), np.full((2, 8), layouts.ROLLING)])
     runs = make_runs(1.0, layout=[0, 1], columns=8)
     ends = run_all(LINE, axes, [BOX], runs)
@@ -145,6 +143,6 @@ def test_a_parcel_that_stops_has_no_exit_speed_and_one_that_leaves_no_place() ->
         (lambda: Turn(tolerance=0.0), "tolerance must be greater than 0"),
     ],
 )
-def test_what_is_not_allowed_is_named(make: Callable[[], object], message: str) -> None:
+def test_what_is_not_allowed_is_named(make, message):
     with pytest.raises(ValueError, match=message):
         make()

@@ -14,7 +14,7 @@ import tyro
 
 import surface_gym as sg
 from surface_gym.design import cli
-from surface_gym.design.case import Purpose, Slow, Sort, Stop, Turn
+from surface_gym.design.case import Slow, Sort, Stop, Turn
 from surface_gym.design.cli import AskFriction
 from surface_gym.parallel import usable_cores
 
@@ -36,11 +36,11 @@ def asked(*flags: str) -> AskFriction:
         (("--purpose", "turn", "--angle-deg", "-20"), Turn(math.radians(-20.0))),
     ],
 )
-def test_purposes(flags: tuple[str, ...], purpose: Purpose) -> None:
+def test_purposes(flags, purpose):
     assert asked("--parcel", "S", *flags).case().purpose == purpose
 
 
-def test_parcels() -> None:
+def test_parcels():
     assert asked("--parcel", "0.3x0.4").case().parcel.base == sg.Rectangle(0.3, 0.4)
     assert asked("--parcel", "B").case().parcel == sg.layouts.box("B")
     assert asked("--disc", "0.2", "--mass", "12").case().parcel == sg.Parcel(sg.Disc(0.2), 12.0)
@@ -51,7 +51,7 @@ def test_parcels() -> None:
     assert loaded.parcel.inertia == 0.3
 
 
-def test_the_surface_and_what_is_unknown() -> None:
+def test_the_surface_and_what_is_unknown():
     case = asked(
         "--parcel", "S", "--pitch", "0.1x0.12", "--tilt-deg", "5", "--friction", "0.1",
         "--unevenness", "0", "--com-spread", "0.2", "--heading-deg", "3", "--mu-max", "0.6",
@@ -86,7 +86,7 @@ def test_the_surface_and_what_is_unknown() -> None:
         (("--parcel", "S", "--workers", "0"), "workers must be a whole number of at least 1"),
     ],
 )
-def test_an_error_names_the_flag(flags: tuple[str, ...], said: str) -> None:
+def test_an_error_names_the_flag(flags, said):
     with pytest.raises(ValueError, match=re.escape(said)):
         asked(*flags).case()
 
@@ -116,9 +116,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 
 
 @pytest.mark.parametrize("question", QUICK)
-def test_a_question_is_answered_first_in_a_sentence_then_in_files(
-    question: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_question_is_answered_first_in_a_sentence_then_in_files(question, tmp_path, capsys):
     cli.main([question, *OWN, *QUICK[question], "--out", str(tmp_path)])
     first, *rest = capsys.readouterr().out.splitlines()
     assert first.endswith(".")
@@ -134,11 +132,11 @@ def test_a_question_is_answered_first_in_a_sentence_then_in_files(
         assert all(len(row) == len(header) for row in rows)
 
 
-def test_every_question_is_tried_above() -> None:
+def test_every_question_is_tried_above():
     assert set(QUICK) == set(cli.QUESTIONS) - {"control"}
 
 
-def test_the_columns_of_the_issue(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_columns_of_the_issue(tmp_path, capsys):
     """How many columns for a 0.3 x 0.4 m parcel of 12 kg at 1.2 m/s."""
     cli.main(["columns", *OWN, "--mass", "12", "--rows", "4", "--out", str(tmp_path)])
     first, second = capsys.readouterr().out.splitlines()[:2]
@@ -146,14 +144,12 @@ def test_the_columns_of_the_issue(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert second.startswith("Mass cancels out of the motion")
 
 
-def test_mass_is_not_said_to_cancel_where_it_counts(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_mass_is_not_said_to_cancel_where_it_counts(tmp_path, capsys):
     cli.main(["sensitivity", *OWN, "--mass", "12", "--inertia", "0.3", "--out", str(tmp_path)])
     assert "cancels" not in capsys.readouterr().out
 
 
-def test_answers_do_not_depend_on_the_workers(tmp_path: Path) -> None:
+def test_answers_do_not_depend_on_the_workers(tmp_path):
     for workers in ("1", "2"):
         cli.main(
             ["sensitivity", *OWN[:-1], workers, "--columns", "6", "--out", str(tmp_path / workers)]
@@ -162,9 +158,7 @@ def test_answers_do_not_depend_on_the_workers(tmp_path: Path) -> None:
     assert one == two
 
 
-def test_a_map_that_is_stopped_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_map_that_is_stopped_goes_on(tmp_path, monkeypatch, capsys):
     flags = ["map", *OWN, "--cells", "3", "--out", str(tmp_path)]
     monkeypatch.setattr(cli, "Progress", stopping_after(20))
     with pytest.raises(SystemExit) as ended:
@@ -193,18 +187,14 @@ def stopping_after(runs: int) -> Callable[..., object]:
     return Stopping
 
 
-def test_a_question_that_keeps_nothing_just_stops(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_question_that_keeps_nothing_just_stops(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(cli, "Progress", stopping_after(0))
     with pytest.raises(SystemExit):
         cli.main(["sensitivity", *OWN, "--out", str(tmp_path)])
     assert capsys.readouterr().err == "stopped\n"
 
 
-def test_resuming_another_map_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_resuming_another_map_is_refused(tmp_path, capsys):
     flags = ["map", *OWN, "--cells", "2", "--columns", "6", "--out", str(tmp_path)]
     cli.main(flags)
     capsys.readouterr()
@@ -213,9 +203,7 @@ def test_resuming_another_map_is_refused(
     assert line.endswith("another seed: 0, not 1")
 
 
-def test_a_flag_that_is_not_allowed_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_flag_that_is_not_allowed_is_one_line(tmp_path, capsys):
     out = ("--out", str(tmp_path / "none"))
     line = refused(capsys, "friction", "--parcel", "S", "--ratio", "0.5", *out)
     assert line == "error: ratio must not be given to sort"
@@ -238,15 +226,11 @@ def test_a_flag_that_is_not_allowed_is_one_line(
         (("map", *OWN, "--cells", "0"), "cells must be a whole number of at least 1, got 0"),
     ],
 )
-def test_a_flag_that_a_question_does_not_take_is_one_line(
-    arguments: tuple[str, ...], error: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_flag_that_a_question_does_not_take_is_one_line(arguments, error, tmp_path, capsys):
     assert refused(capsys, *arguments, "--out", str(tmp_path)) == f"error: {error}"
 
 
-def test_a_folder_that_cannot_be_made_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_that_cannot_be_made_is_one_line(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     line = refused(capsys, "columns", *OWN, "--out", str(tmp_path / "file"))
     assert line.startswith("error: ")
@@ -256,7 +240,7 @@ def test_a_folder_that_cannot_be_made_is_one_line(
 HEAVY = ("matplotlib", "rich", "torch", "tyro", "agents")
 
 
-def test_the_package_imports_none_of_them() -> None:
+def test_the_package_imports_none_of_them():
     code = (
         "import sys, surface_gym.design\n"
         f"print([name for name in {HEAVY!r} if name in sys.modules])"
@@ -265,7 +249,7 @@ def test_the_package_imports_none_of_them() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_a_missing_matplotlib_is_reported_before_anything_is_computed(tmp_path: Path) -> None:
+def test_a_missing_matplotlib_is_reported_before_anything_is_computed(tmp_path):
     code = (
         "import runpy, sys; sys.modules['matplotlib'] = None; "
         f"sys.argv = ['it', 'columns', '--parcel', 'S', '--out', {str(tmp_path / 'none')!r}]; "
@@ -276,7 +260,7 @@ def test_a_missing_matplotlib_is_reported_before_anything_is_computed(tmp_path: 
     assert not (tmp_path / "none").exists()
 
 
-def test_help_does_not_import_matplotlib() -> None:
+def test_help_does_not_import_matplotlib():
     code = (
         "import sys; from surface_gym.design import cli\n"
         "try: cli.main(['map', '--help'])\n"

@@ -16,7 +16,7 @@ FINE = 0.0005  # [s]
 
 
 @pytest.mark.parametrize(("size", "agree"), [("S", 19), ("B", 19)])
-def test_table_3(size: str, agree: int) -> None:
+def test_table_3(size, agree):
     """The S-box at 1.5 m/s takes 5 (the study 4); the B-box is sorted at 1.0 m/s (there not)."""
     case = Case(layouts.box(size), Sort(), unknown=NOTHING, step=FINE)
     found = [each.columns for each in columns_by_speed(case, TARGETS.sorting_speeds)]
@@ -25,7 +25,7 @@ def test_table_3(size: str, agree: int) -> None:
 
 
 @pytest.mark.parametrize(("size", "agree"), [("S", 18), ("B", 17)])
-def test_table_4(size: str, agree: int) -> None:
+def test_table_4(size, agree):
     case = Case(layouts.box(size), Slow(0.5), unknown=NOTHING, step=FINE)
     found = columns_by_speed(case, TARGETS.slowing_speeds, most=8)
     angle = {"0 deg": 0, "+-45 deg": 45}
@@ -36,7 +36,7 @@ def test_table_4(size: str, agree: int) -> None:
     assert sum(same) == agree
 
 
-def test_the_columns_found_are_enough_and_one_less_is_not() -> None:
+def test_the_columns_found_are_enough_and_one_less_is_not():
     """Held against `simulate`, which knows nothing of a design."""
     parcel = sg.Parcel(sg.Rectangle(0.3, 0.4), mass=12.0)
     case = Case(parcel, Sort(), speed=1.2, unknown=NOTHING)
@@ -58,13 +58,13 @@ def test_the_columns_found_are_enough_and_one_less_is_not() -> None:
     assert found.modules == 4 * found.columns
 
 
-def test_mass_alone_changes_nothing() -> None:
+def test_mass_alone_changes_nothing():
     base = sg.Rectangle(0.3, 0.4)
     light, heavy = (least_columns(Case(sg.Parcel(base, mass=mass), speed=1.2)) for mass in (1, 50))
     assert light == heavy
 
 
-def test_worse_draws_take_more_columns() -> None:
+def test_worse_draws_take_more_columns():
     case = Case(layouts.box("S"), speed=1.45, unknown=Unknown(friction=0.6), draws=60)
     found = least_columns(case)
     friction = next(worst for worst in found.worst if worst.group == "friction")
@@ -74,14 +74,14 @@ def test_worse_draws_take_more_columns() -> None:
     assert friction.success < 0.95
 
 
-def test_too_slow_a_parcel_is_never_sorted() -> None:
+def test_too_slow_a_parcel_is_never_sorted():
     found = least_columns(Case(layouts.box("B"), speed=0.5, draws=5))
     assert found.columns is found.fewest is found.modules is None
     assert math.isnan(found.measure)
     assert all(worst.columns is None and worst.success == 0.0 for worst in found.worst)
 
 
-def test_rows_from_one_to_the_parcel_s_width() -> None:
+def test_rows_from_one_to_the_parcel_s_width():
     found = columns_by_rows(Case(layouts.box("B"), speed=1.5, unknown=NOTHING))
     assert [each.rows for each in found] == [1, 2, 3, 4]
     assert all(each.columns for each in found)
@@ -90,19 +90,19 @@ def test_rows_from_one_to_the_parcel_s_width() -> None:
 @pytest.mark.parametrize(
     ("purpose", "low", "high"), [(Stop(), 0.0, math.inf), (Turn(tolerance=0.2), 0.3, 0.8)]
 )
-def test_other_purposes(purpose: Stop | Turn, low: float, high: float) -> None:
+def test_other_purposes(purpose, low, high):
     found = least_columns(Case(layouts.box("S"), purpose, speed=1.5, draws=10))
     assert found.columns is not None
     assert low < found.measure < high
 
 
-def test_a_place_to_stop_at() -> None:
+def test_a_place_to_stop_at():
     case = Case(layouts.box("S"), Stop(place=0.2, tolerance=0.05), speed=1.2, unknown=NOTHING)
     found = least_columns(case)
     assert found.columns is not None
     assert found.measure == pytest.approx(0.2, abs=0.05)
 
 
-def test_columns_to_try_must_be_some() -> None:
+def test_columns_to_try_must_be_some():
     with pytest.raises(ValueError, match="most must be a whole number of at least 1, got 0"):
         least_columns(Case(layouts.box("S")), most=0)

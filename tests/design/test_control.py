@@ -2,13 +2,12 @@
 
 import csv
 import math
-from pathlib import Path
 
 import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.case import NOTHING, Case, Purpose, Slow, Sort, Stop, Turn
+from surface_gym.design.case import NOTHING, Case, Slow, Sort, Stop, Turn
 from surface_gym.design.cli import main
 from surface_gym.design.columns import least_columns
 from surface_gym.design.control import ControlGain, Gain, control_gain
@@ -17,7 +16,7 @@ from surface_gym.design.runs import make_runs
 BOX = layouts.box("S")
 
 
-def test_the_fixed_layout_does_in_the_environment_what_it_does_in_a_design() -> None:
+def test_the_fixed_layout_does_in_the_environment_what_it_does_in_a_design():
     """The environment runs on the design's own surface, and gets the same least speed."""
     case = Case(BOX, Sort(), speed=1.2, draws=4)
     gain = control_gain(case)
@@ -35,7 +34,7 @@ def test_the_fixed_layout_does_in_the_environment_what_it_does_in_a_design() -> 
     assert not sorts(fixed.least_speed - 0.04)
 
 
-def test_control_sorts_slower_parcels_than_axes_arranged_once_at_the_same_angles() -> None:
+def test_control_sorts_slower_parcels_than_axes_arranged_once_at_the_same_angles():
     """Axes that may stand at any angle do as well arranged once."""
     gain = control_gain(Case(BOX, Sort(), speed=1.2, draws=4))
     least = {each.controller: each.least_speed for each in gain.gains}
@@ -49,7 +48,7 @@ def test_control_sorts_slower_parcels_than_axes_arranged_once_at_the_same_angles
     ("purpose", "speed", "task"),
     [(Slow(), 1.5, "slow"), (Stop(), 1.0, "stop"), (Turn(math.radians(20.0)), 1.5, "orient")],
 )
-def test_every_purpose_has_its_task(purpose: Purpose, speed: float, task: str) -> None:
+def test_every_purpose_has_its_task(purpose, speed, task):
     parcel = sg.Parcel(sg.Rectangle(0.28, 0.24), mass=12.0)
     gain = control_gain(Case(parcel, purpose, speed=speed, unknown=NOTHING, draws=1), columns=16)
     assert gain.task == task
@@ -58,12 +57,12 @@ def test_every_purpose_has_its_task(purpose: Purpose, speed: float, task: str) -
     assert best == 1.0
 
 
-def test_a_tilted_case_is_refused() -> None:
+def test_a_tilted_case_is_refused():
     with pytest.raises(ValueError, match=r"tilt must be 0 for controllers on a line, got 0\.1"):
         control_gain(Case(BOX, tilt=0.1))
 
 
-def test_columns_must_be_given_where_no_fixed_layout_does_it() -> None:
+def test_columns_must_be_given_where_no_fixed_layout_does_it():
     with pytest.raises(ValueError, match=r"columns must be given .* at 0.4 m/s, got None"):
         control_gain(Case(BOX, speed=0.4, unknown=NOTHING))
 
@@ -82,14 +81,14 @@ FOUND = ControlGain(
 )
 
 
-def test_the_sentence_has_the_best_of_either_kind() -> None:
+def test_the_sentence_has_the_best_of_either_kind():
     sentence = FOUND.sentence
     assert "90% of the draws and from 0.46 m/s on by axes that follow it" in sentence
     assert "50% of the draws and at no speed by axes arranged once" in sentence
     assert sentence.endswith("PPO per module")
 
 
-def test_each_controller_has_a_row_and_a_bar() -> None:
+def test_each_controller_has_a_row_and_a_bar():
     (table,) = FOUND.tables()
     assert [row[:2] for row in table.rows] == [
         ("fixed layout", "arranged once"),
@@ -100,7 +99,7 @@ def test_each_controller_has_a_row_and_a_bar() -> None:
     assert [each.get_text() for each in right.texts] == ["at no speed"]
 
 
-def test_the_command_answers_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_answers_it(tmp_path, capsys):
     main(["control", "--parcel", "S", "--speed", "1.2", "--draws", "3", "--out", str(tmp_path)])
     assert "by axes that follow it" in capsys.readouterr().out
     with (tmp_path / "control.csv").open() as file:
@@ -116,9 +115,7 @@ def test_the_command_answers_it(tmp_path: Path, capsys: pytest.CaptureFixture[st
         (("--cluster", "auto"), "cluster must not be given for control"),
     ],
 )
-def test_flags_that_do_not_go_with_controllers_are_refused(
-    flags: tuple[str, ...], error: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_flags_that_do_not_go_with_controllers_are_refused(flags, error, tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["control", "--parcel", "S", *flags, "--out", str(tmp_path)])
     assert error in capsys.readouterr().err

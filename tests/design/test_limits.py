@@ -37,13 +37,13 @@ def is_sorted(arrangement: Arrangement, speed: float, mu_factor: float = 1.0) ->
 
 
 @pytest.mark.parametrize(("size", "studied"), [("S", 0.72), ("B", 1.00)])
-def test_the_study_s_boxes_may_come_as_slow_as_the_study_says(size: str, studied: float) -> None:
+def test_the_study_s_boxes_may_come_as_slow_as_the_study_says(size, studied):
     case = Case(layouts.box(size), Sort(), speed=1.5, unknown=NOTHING)
     found = least_speed(case, columns=16).of(NOMINAL)
     assert found.least == pytest.approx(studied, abs=0.011)
 
 
-def test_simulate_agrees_on_both_sides_of_the_limits() -> None:
+def test_simulate_agrees_on_both_sides_of_the_limits():
     case = Case(OWN, Sort(), speed=1.2, unknown=NOTHING)
     limits = least_speed(case)
     found = limits.of(NOMINAL)
@@ -55,7 +55,7 @@ def test_simulate_agrees_on_both_sides_of_the_limits() -> None:
     assert not is_sorted(limits.arrangement, found.most + 0.01)
 
 
-def test_simulate_agrees_on_the_limits_of_friction() -> None:
+def test_simulate_agrees_on_the_limits_of_friction():
     case = Case(OWN, Sort(), speed=1.2, unknown=NOTHING)
     limits = friction_range(case).along
     found = limits.of(NOMINAL)
@@ -77,7 +77,7 @@ def stops_at_the_latest(tilt: float, speed: float, mu: float) -> float:
     return free / (2.0 * braking) if braking > 0.0 else math.inf
 
 
-def test_a_parcel_stops_on_slopes_up_to_the_angle_of_friction() -> None:
+def test_a_parcel_stops_on_slopes_up_to_the_angle_of_friction():
     """tan(tilt) = mu_max, less what a zone of 3 m takes off it."""
     case = Case(layouts.box("S"), Stop(), speed=0.2, unknown=NOTHING)
     found = least_tilt(case, columns=30, highest=math.radians(30.0)).of(NOMINAL)
@@ -88,7 +88,7 @@ def test_a_parcel_stops_on_slopes_up_to_the_angle_of_friction() -> None:
     assert found.most >= sure[-1] > math.radians(20.0)
 
 
-def test_friction_that_holds_a_parcel_on_a_slope_may_be_off_by_its_reserve() -> None:
+def test_friction_that_holds_a_parcel_on_a_slope_may_be_off_by_its_reserve():
     tilt = math.radians(15.0)
     case = Case(layouts.box("S"), Stop(), speed=0.2, tilt=tilt, unknown=NOTHING)
     limits = friction_range(case, columns=30)
@@ -104,7 +104,7 @@ def test_friction_that_holds_a_parcel_on_a_slope_may_be_off_by_its_reserve() -> 
     assert across.most == 16.0
 
 
-def test_draws_narrow_the_limits_and_share_the_draws_of_least_columns() -> None:
+def test_draws_narrow_the_limits_and_share_the_draws_of_least_columns():
     case = Case(layouts.box("S"), Slow(0.7), speed=2.5, draws=40)
     limits = least_speed(case, columns=4)
     known, together = limits.of(NOMINAL), limits.of(TOGETHER)
@@ -119,7 +119,7 @@ def test_draws_narrow_the_limits_and_share_the_draws_of_least_columns() -> None:
     assert set(np.unique(known.share)) <= {0.0, 1.0}
 
 
-def test_what_is_unknown_of_friction_is_left_out_where_friction_is_varied() -> None:
+def test_what_is_unknown_of_friction_is_left_out_where_friction_is_varied():
     unknown = Unknown(com_offset=0.0, lateral=0.01)
     case = Case(layouts.box("S"), Sort(), speed=1.2, unknown=unknown, draws=5)
     found = friction_range(case, columns=5)
@@ -127,7 +127,7 @@ def test_what_is_unknown_of_friction_is_left_out_where_friction_is_varied() -> N
     assert groups == [NOMINAL, "unevenness", "entry", TOGETHER]
 
 
-def test_a_case_that_fails_has_no_limits() -> None:
+def test_a_case_that_fails_has_no_limits():
     case = Case(layouts.box("S"), Sort(), speed=0.3, unknown=NOTHING)
     found = least_speed(case, columns=4, highest=1.0).of(NOMINAL)
     assert found.least is None
@@ -135,7 +135,7 @@ def test_a_case_that_fails_has_no_limits() -> None:
     assert found.share.max() == 1.0  # though others succeed
 
 
-def test_progress_adds_up() -> None:
+def test_progress_adds_up():
     calls: list[tuple[int, int]] = []
     case = Case(layouts.box("S"), Sort(), speed=1.2, draws=8)
     friction_range(case, columns=5, on_progress=lambda *done: calls.append(done))
@@ -144,7 +144,7 @@ def test_progress_adds_up() -> None:
     assert set(totals) == {done[-1]}
 
 
-def test_from_rest_and_level_is_not_tried() -> None:
+def test_from_rest_and_level_is_not_tried():
     case = Case(layouts.box("S"), Sort(), speed=0.0, tilt=math.radians(10.0), unknown=NOTHING)
     assert least_tilt(case, columns=5).of(NOMINAL).values[0] > 0.0
     assert least_speed(case, columns=5, highest=0.5).of(NOMINAL).values[0] == 0.0
@@ -159,13 +159,11 @@ def test_from_rest_and_level_is_not_tried() -> None:
         ([True, False, True], 1, None),
     ],
 )
-def test_a_span_ends_at_the_first_failure(
-    done: list[bool], own: int, expected: tuple[int, int] | None
-) -> None:
+def test_a_span_ends_at_the_first_failure(done, own, expected):
     assert span_around(np.array(done), own) == expected
 
 
-def test_columns_are_those_that_the_draws_take() -> None:
+def test_columns_are_those_that_the_draws_take():
     case = Case(layouts.box("B"), Slow(0.7), speed=2.0, draws=40)
     found = least_columns(case)
     together = found.worst[-1].columns
@@ -176,19 +174,19 @@ def test_columns_are_those_that_the_draws_take() -> None:
     assert "nothing unknown" in arrange(replace(case, unknown=NOTHING)).chosen
 
 
-def test_columns_are_those_of_nothing_unknown_where_no_draws_are_enough() -> None:
+def test_columns_are_those_of_nothing_unknown_where_no_draws_are_enough():
     arrangement = arrange(Case(layouts.box("S"), Slow(0.5), speed=1.0, draws=20))
     assert arrangement.columns == 1
     assert "none do" in arrangement.chosen
 
 
-def test_of_two_layouts_the_one_that_does_it_is_taken() -> None:
+def test_of_two_layouts_the_one_that_does_it_is_taken():
     """At 1.5 m/s one column at 0 deg slows the S-box too little, five at 45 deg stop it late."""
     case = Case(layouts.box("S"), Stop(place=0.3, tolerance=0.1), speed=1.5, draws=20)
     assert arrange(case, columns=5).layout.name == "+-45 deg"
 
 
-def test_errors_name_what_came() -> None:
+def test_errors_name_what_came():
     case = Case(layouts.box("S"), Sort(), speed=1.2, unknown=NOTHING)
     with pytest.raises(ValueError, match=r"columns must be given: .* up to 30 does it at 0\.3 m/s"):
         least_speed(case.at(0.3))

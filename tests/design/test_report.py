@@ -3,7 +3,6 @@
 import csv
 import math
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ import pytest
 import surface_gym as sg
 from surface_gym import layouts
 from surface_gym.design.best_layout import best_layout
-from surface_gym.design.case import NOTHING, Case, Purpose, Slow, Sort, Stop, Turn, describe_base
+from surface_gym.design.case import NOTHING, Case, Slow, Sort, Stop, Turn, describe_base
 from surface_gym.design.columns import ColumnsReport, columns_by_rows, columns_by_speed
 from surface_gym.design.limits import friction_range, least_speed, least_tilt
 from surface_gym.design.report import DPI, LINES, Answer, Table, format_cell, write_csv
@@ -48,9 +47,7 @@ ANSWERS: dict[str, Callable[[Case, int], Answer]] = {
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("name", ANSWERS)
-def test_an_answer_is_a_sentence_tables_and_a_figure_with_its_question(
-    name: str, case: str, tmp_path: Path
-) -> None:
+def test_an_answer_is_a_sentence_tables_and_a_figure_with_its_question(name, case, tmp_path):
     answer = ANSWERS[name](*CASES[case])
     assert answer.name == name
     assert answer.sentence
@@ -66,11 +63,11 @@ def test_an_answer_is_a_sentence_tables_and_a_figure_with_its_question(
     assert figure.axes[0].get_ylabel() or name == "sensitivity"
 
 
-def test_a_map_of_one_cell_has_no_contours(tmp_path: Path) -> None:
+def test_a_map_of_one_cell_has_no_contours(tmp_path):
     success_map(CASE, 4, [1.0], [1.0]).draw().savefig(tmp_path / "map.png")
 
 
-def test_lines_differ_in_colour_and_in_style() -> None:
+def test_lines_differ_in_colour_and_in_style():
     assert len({colour for colour, _ in LINES.values()}) == len(LINES)
     alone = [style for group, (_, style) in LINES.items() if group not in ("nominal", "together")]
     assert len({str(style) for style in alone}) == len(alone)
@@ -83,11 +80,11 @@ def test_lines_differ_in_colour_and_in_style() -> None:
         ("+45 deg", "+45 deg"),
     ],
 )  # fmt: skip
-def test_a_cell_on_screen(cell: str | float | None, text: str) -> None:
+def test_a_cell_on_screen(cell, text):
     assert format_cell(cell) == text
 
 
-def test_csv_keeps_numbers_in_full_and_missing_cells_empty(tmp_path: Path) -> None:
+def test_csv_keeps_numbers_in_full_and_missing_cells_empty(tmp_path):
     table = Table("some", "Some", ("a", "b", "c"), ((0.1 + 0.2, None, math.nan), (1, True, "x")))
     with write_csv(table, tmp_path).open(newline="") as file:
         rows = list(csv.reader(file))
@@ -112,17 +109,17 @@ def test_csv_keeps_numbers_in_full_and_missing_cells_empty(tmp_path: Path) -> No
         (Turn(), "turn it by 30 +- 5 deg", "be turned by 30 +- 5 deg"),
     ],
 )  # fmt: skip
-def test_a_purpose_in_words(purpose: Purpose, action: str, passive: str) -> None:
+def test_a_purpose_in_words(purpose, action, passive):
     assert (purpose.action, purpose.passive) == (action, passive)
 
 
-def test_a_base_in_words() -> None:
+def test_a_base_in_words():
     assert describe_base(sg.Rectangle(0.3, 0.4)) == "0.3 x 0.4 m parcel"
     assert describe_base(sg.Disc(0.2)) == "round parcel of 0.2 m radius"
     assert describe_base(TRIANGLE) == "parcel of 3 corners"
 
 
-def test_columns_by_group_by_rows_and_by_speed() -> None:
+def test_columns_by_group_by_rows_and_by_speed():
     report = columns_of(CASE)
     own, rows, by_speed = report.tables()
     assert [row[0] for row in own.rows] == [
@@ -142,7 +139,7 @@ def test_columns_by_group_by_rows_and_by_speed() -> None:
     assert "no number does it in 95% of the draws" in columns_of(turn, ()).sentence
 
 
-def test_limits_and_their_curves() -> None:
+def test_limits_and_their_curves():
     found = least_speed(CASE, columns=4, highest=1.5)
     table, curve = found.tables()
     assert table.rows[0] == ("nothing", found.spans[0].least, found.spans[0].most, 1.0)
@@ -159,11 +156,11 @@ def test_limits_and_their_curves() -> None:
         (Case(BOX, Sort(), 1.0, 0.25, NOTHING), 3, 3.0, "m/s or less for"),
     ],
 )
-def test_spans_in_words(case: Case, columns: int, highest: float, text: str) -> None:
+def test_spans_in_words(case, columns, highest, text):
     assert text in least_speed(case, columns, highest=highest).sentence
 
 
-def test_a_tilt_is_reported_in_degrees() -> None:
+def test_a_tilt_is_reported_in_degrees():
     found = least_tilt(Case(BOX, Sort(), 0.0, math.radians(10.0), NOTHING), columns=4)
     table, curve = found.tables()
     assert table.header[1] == "least [deg]"
@@ -172,7 +169,7 @@ def test_a_tilt_is_reported_in_degrees() -> None:
     assert "3.6 deg or more for" in found.sentence
 
 
-def test_friction_for_both_coefficients() -> None:
+def test_friction_for_both_coefficients():
     found = friction_range(CASE, columns=4)
     table, curve = found.tables()
     assert [row[0] for row in table.rows] == ["factor on mu_max"] * 4 + ["factor on mu_min"] * 4
@@ -182,7 +179,7 @@ def test_friction_for_both_coefficients() -> None:
     assert "for 95% of the draws of what else is unknown, mu_max" in found.sentence
 
 
-def test_a_map_by_size_and_by_cell() -> None:
+def test_a_map_by_size_and_by_cell():
     found = success_map(CASE, 4, [0.3, 1.0, 1.5], [0.8, 1.0])
     sizes, cells = found.tables()
     assert sizes.rows[1][:3] == (1.0, 1.0, 1.5)
@@ -193,7 +190,7 @@ def test_a_map_by_size_and_by_cell() -> None:
     assert "no speed and size here" in success_map(CASE, 4, [0.3], [1.0]).sentence
 
 
-def test_sensitivity_field_by_field() -> None:
+def test_sensitivity_field_by_field():
     found = sensitivity(Case(BOX, Turn(), speed=1.5, draws=5), columns=6)
     (table,) = found.tables()
     assert table.title == "Angle on leaving the zone [deg]"
@@ -204,7 +201,7 @@ def test_sensitivity_field_by_field() -> None:
     assert "all succeed" in sensitivity(CASE, columns=4).sentence
 
 
-def test_a_layout_beside_the_study_s() -> None:
+def test_a_layout_beside_the_study_s():
     found = best_layout(CASE, SPEEDS, 6, effort=EFFORT)
     both, speeds, axes = found.tables()
     assert [row[0] for row in both.rows] == ["best fixed layout", "+45 deg"]

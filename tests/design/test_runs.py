@@ -11,14 +11,14 @@ from surface_gym.design.runs import REST_SPEED, DesignLine, line_for, make_runs,
 
 
 @pytest.mark.parametrize(("size", "rows", "lead_in"), [("S", 2, 3), ("B", 4, 5)])
-def test_the_study_s_boxes_get_the_study_s_lines(size: str, rows: int, lead_in: int) -> None:
+def test_the_study_s_boxes_get_the_study_s_lines(size, rows, lead_in):
     line = line_for(layouts.box(size), 30)
     assert (line.rows, line.lead_in, line.columns) == (rows, lead_in, 30)
     assert layouts.LINE_ROWS[size] == rows
     assert layouts.LEAD_IN[size] == lead_in
 
 
-def test_the_zone_s_axes_are_those_given_and_all_others_roll() -> None:
+def test_the_zone_s_axes_are_those_given_and_all_others_roll():
     line = line_for(layouts.box("S"), 4)
     zone = np.radians([[0.0, 45.0, -45.0, 90.0], [10.0, 20.0, 30.0, 40.0]])
     surface = line.surface(zone, tilt=0.1)
@@ -30,7 +30,7 @@ def test_the_zone_s_axes_are_those_given_and_all_others_roll() -> None:
     assert surface.tilt == 0.1
 
 
-def test_a_parcel_starts_wholly_on_the_lead_in() -> None:
+def test_a_parcel_starts_wholly_on_the_lead_in():
     parcel = sg.Parcel(sg.Polygon(np.array([[0.0, 0.0], [0.4, 0.0], [0.1, 0.3]])))
     line = line_for(parcel, 8, pitch=(0.08, 0.12))
     x, y, theta = line.start(parcel)
@@ -42,7 +42,7 @@ def test_a_parcel_starts_wholly_on_the_lead_in() -> None:
     assert line.zone_x[1] - line.zone_x[0] == pytest.approx(8 * 0.08)
 
 
-def test_supports_bear_a_parcel_that_has_just_left_the_line() -> None:
+def test_supports_bear_a_parcel_that_has_just_left_the_line():
     parcel = layouts.box("B")
     line = line_for(parcel, 8)
     aside = line.line_y - 0.5 * line.rows * line.pitch_y  # [m] of supports on one side
@@ -50,7 +50,7 @@ def test_supports_bear_a_parcel_that_has_just_left_the_line() -> None:
 
 
 @pytest.mark.parametrize(("width", "rows"), [(0.05, 2), (0.25, 2), (0.4, 4), (0.45, 4), (0.6, 6)])
-def test_rows_are_an_even_number_under_the_parcel(width: float, rows: int) -> None:
+def test_rows_are_an_even_number_under_the_parcel(width, rows):
     assert line_for(sg.Parcel(sg.Rectangle(0.3, width)), 8).rows == rows
 
 
@@ -63,13 +63,13 @@ def test_rows_are_an_even_number_under_the_parcel(width: float, rows: int) -> No
         ("mu_min", -1.0, "mu_min must be at least 0"),
     ],
 )
-def test_what_is_not_allowed_is_named(field: str, value: float, message: str) -> None:
+def test_what_is_not_allowed_is_named(field, value, message):
     given = {"rows": 2, "columns": 8, "lead_in": 3, "run_out": 10, "beside": 5, field: value}
     with pytest.raises(ValueError, match=message):
         DesignLine(**given)
 
 
-def test_axes_of_another_shape_are_refused() -> None:
+def test_axes_of_another_shape_are_refused():
     with pytest.raises(ValueError, match=r"zone_axis must have the shape \(2, 8\)"):
         line_for(layouts.box("S"), 8).surface(np.full((8, 2), math.pi / 4))
 
@@ -77,7 +77,7 @@ def test_axes_of_another_shape_are_refused() -> None:
 EIGHTH = math.pi / 4
 
 
-def test_a_run_is_simulate_s_to_the_bit() -> None:
+def test_a_run_is_simulate_s_to_the_bit():
     """Where it ends is a state that `simulate` records, on the same surface."""
     rng = np.random.default_rng(0)
     for k in range(12):
@@ -108,7 +108,7 @@ def test_a_run_is_simulate_s_to_the_bit() -> None:
         np.testing.assert_array_equal(ends.velocity[0], trajectory.velocity[steps])
 
 
-def test_runs_do_not_depend_on_threads_or_other_bodies() -> None:
+def test_runs_do_not_depend_on_threads_or_other_bodies():
     parcel = layouts.box("S")
     line = line_for(parcel, 8)
     zones = np.stack([np.full((2, 8), EIGHTH), np.full((2, 8), 0.0)])
@@ -127,7 +127,7 @@ def test_runs_do_not_depend_on_threads_or_other_bodies() -> None:
         )
 
 
-def test_how_runs_end() -> None:
+def test_how_runs_end():
     parcel = layouts.box("S")
     line = line_for(parcel, 8)
     rolls, sorts, brakes = 2.0 * EIGHTH, EIGHTH, 0.0
@@ -143,7 +143,7 @@ def test_how_runs_end() -> None:
     assert np.abs(ends.velocity[2]).max() < REST_SPEED
 
 
-def test_braking_by_a_wide_zone_at_0_deg_takes_mu_max_g() -> None:
+def test_braking_by_a_wide_zone_at_0_deg_takes_mu_max_g():
     """A box on rotors that all lie along its way brakes at mu_max g, once it is on them wholly."""
     parcel = layouts.box("S")
     line = line_for(parcel, 16)
@@ -153,7 +153,7 @@ def test_braking_by_a_wide_zone_at_0_deg_takes_mu_max_g() -> None:
     assert rest[1] - rest[0] == pytest.approx((2.5**2 - 2.0**2) / (2.0 * 0.5 * 9.81), abs=1e-3)
 
 
-def test_a_parcel_held_on_a_slope_is_at_rest_and_one_that_slides_is_not() -> None:
+def test_a_parcel_held_on_a_slope_is_at_rest_and_one_that_slides_is_not():
     parcel = layouts.box("S")
     line = line_for(parcel, 4)
     zone = np.full((1, 2, 4), 0.0)
@@ -163,7 +163,7 @@ def test_a_parcel_held_on_a_slope_is_at_rest_and_one_that_slides_is_not() -> Non
     assert ends.pose[1, 0] > 0.2
 
 
-def test_progress_is_reported() -> None:
+def test_progress_is_reported():
     calls: list[tuple[int, int]] = []
     parcel = layouts.box("S")
     line = line_for(parcel, 4)
@@ -178,7 +178,7 @@ def test_progress_is_reported() -> None:
         assert sorted(calls) == calls
 
 
-def test_a_base_with_too_many_elements_is_refused() -> None:
+def test_a_base_with_too_many_elements_is_refused():
     parcel = sg.Parcel(sg.Rectangle(9.0, 9.0))
     line = line_for(parcel, 2)
     with pytest.raises(ValueError, match="base must cover at most"):

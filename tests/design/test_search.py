@@ -1,7 +1,6 @@
 """The search, held against costs whose least is known."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,14 +26,14 @@ def apart(wanted: np.ndarray):
     return score
 
 
-def test_it_finds_the_least_of_a_sum_over_modules() -> None:
+def test_it_finds_the_least_of_a_sum_over_modules():
     space = LayoutSpace(2, 5, ORIENTATIONS)
     wanted = target(space)
     found, _ = search(space, apart(wanted), ROLLING, SMALL, seed=0)
     np.testing.assert_array_equal(found, wanted)
 
 
-def test_it_finds_what_no_single_module_tells_by_all_of_a_column() -> None:
+def test_it_finds_what_no_single_module_tells_by_all_of_a_column():
     """Only a column that is right as a whole counts: the descent tries all its arrangements."""
     space = LayoutSpace(2, 5, ORIENTATIONS)
     wanted = target(space)
@@ -47,7 +46,7 @@ def test_it_finds_what_no_single_module_tells_by_all_of_a_column() -> None:
     np.testing.assert_array_equal(found, wanted)
 
 
-def test_any_angle_may_be_found() -> None:
+def test_any_angle_may_be_found():
     space = LayoutSpace(2, 3, None)
     wanted = np.radians([[10.0, -20.0, 33.0], [5.0, 80.0, -61.0]])
     effort = Effort(members=30, generations=40, epochs=5, rounds=10)
@@ -55,7 +54,7 @@ def test_any_angle_may_be_found() -> None:
     assert np.abs(np.sin(found - wanted)).max() < math.radians(2.0)
 
 
-def test_it_is_no_worse_than_what_it_begins_with() -> None:
+def test_it_is_no_worse_than_what_it_begins_with():
     space = LayoutSpace(2, 5, ORIENTATIONS)
     wanted = target(space)
     found, _ = search(space, apart(wanted), wanted[np.newaxis], Effort(5, 1, 1, 0), seed=3)
@@ -68,9 +67,7 @@ class Broken(Exception):
 
 @pytest.mark.parametrize("orientations", [ORIENTATIONS, None], ids=["some", "any"])
 @pytest.mark.parametrize("after", [1, 3, 5, 8])
-def test_interrupted_and_resumed_it_finds_the_same_to_the_bit(
-    orientations: tuple[float, ...] | None, after: int, tmp_path: Path
-) -> None:
+def test_interrupted_and_resumed_it_finds_the_same_to_the_bit(orientations, after, tmp_path):
     space = LayoutSpace(2, 5, orientations)
     rough = np.random.default_rng(1).normal(size=(2, 5))
 
@@ -95,7 +92,7 @@ def test_interrupted_and_resumed_it_finds_the_same_to_the_bit(
     assert [path.name for path in tmp_path.iterdir()] == ["search.npz"]
 
 
-def test_the_seed_alone_is_left_to_chance() -> None:
+def test_the_seed_alone_is_left_to_chance():
     space = LayoutSpace(2, 5, None)
     wanted = target(space)
     one, same, other = (
@@ -105,7 +102,7 @@ def test_the_seed_alone_is_left_to_chance() -> None:
     assert (one != other).any()
 
 
-def test_progress_is_reported() -> None:
+def test_progress_is_reported():
     space = LayoutSpace(2, 5, ORIENTATIONS)
     calls: list[tuple[int, int]] = []
     search(space, apart(target(space)), ROLLING, SMALL, 0, on_progress=lambda *at: calls.append(at))
@@ -115,7 +112,7 @@ def test_progress_is_reported() -> None:
     assert (done[0], done[-1]) == (0, 14)
 
 
-def test_the_checkpoint_of_another_search_is_refused(tmp_path: Path) -> None:
+def test_the_checkpoint_of_another_search_is_refused(tmp_path):
     space = LayoutSpace(2, 5, ORIENTATIONS)
     file = tmp_path / "search.npz"
     search(space, apart(target(space)), ROLLING, SMALL, 0, file, {"name": "one"})
@@ -126,7 +123,7 @@ def test_the_checkpoint_of_another_search_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 cut off"])
-def test_a_file_that_is_no_checkpoint_is_refused(content: bytes, tmp_path: Path) -> None:
+def test_a_file_that_is_no_checkpoint_is_refused(content, tmp_path):
     file = tmp_path / "search.npz"
     file.write_bytes(content)
     space = LayoutSpace(2, 5, ORIENTATIONS)
@@ -134,14 +131,14 @@ def test_a_file_that_is_no_checkpoint_is_refused(content: bytes, tmp_path: Path)
         search(space, apart(target(space)), ROLLING, SMALL, 0, file)
 
 
-def test_members_and_axes_are_each_other_s_inverse() -> None:
+def test_members_and_axes_are_each_other_s_inverse():
     for orientations in (ORIENTATIONS, None):
         space = LayoutSpace(3, 4, orientations)
         axes = space.axes(space.sample(np.random.default_rng(0), 20))
         np.testing.assert_array_equal(space.axes(space.members(axes)), axes)
 
 
-def test_an_axis_turned_by_pi_is_the_same_member() -> None:
+def test_an_axis_turned_by_pi_is_the_same_member():
     axes = np.radians([[[135.0, -90.0, 180.0]]])
     places = LayoutSpace(1, 3, ORIENTATIONS).members(axes)
     np.testing.assert_array_equal(places, [[0.0, 3.0, 1.0]])
@@ -150,7 +147,7 @@ def test_an_axis_turned_by_pi_is_the_same_member() -> None:
 
 
 @pytest.mark.parametrize(("rows", "count"), [(2, 16), (4, 256), (5, 20)])
-def test_neighbours_differ_in_one_column(rows: int, count: int) -> None:
+def test_neighbours_differ_in_one_column(rows, count):
     """All arrangements of it, or single modules where these are too many."""
     space = LayoutSpace(rows, 3, ORIENTATIONS)
     member = space.sample(np.random.default_rng(2), 1)[0]
@@ -167,6 +164,6 @@ def test_neighbours_differ_in_one_column(rows: int, count: int) -> None:
 @pytest.mark.parametrize(
     ("name", "value"), [("members", 4), ("generations", 0), ("epochs", -1), ("rounds", 1.5)]
 )
-def test_an_effort_that_is_none_is_refused(name: str, value: float) -> None:
+def test_an_effort_that_is_none_is_refused(name, value):
     with pytest.raises(ValueError, match=name):
         Effort(**{name: value})

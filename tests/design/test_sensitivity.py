@@ -25,7 +25,7 @@ def rest(factor: float) -> float:
     return float(run.pose[-1, 0] - line.zone_x[0])
 
 
-def test_a_bar_is_what_simulate_finds_draw_by_draw() -> None:
+def test_a_bar_is_what_simulate_finds_draw_by_draw():
     found = sensitivity(CASE, columns=8)
     bar = found.bars[list(FIELDS).index("friction")]
     only = Unknown(friction=0.2, rolling=0.0, com_offset=0.0, stiffness=0.0)
@@ -37,7 +37,7 @@ def test_a_bar_is_what_simulate_finds_draw_by_draw() -> None:
     assert bar.success == 1.0
 
 
-def test_every_field_has_a_bar_and_usual_spreads_are_marked() -> None:
+def test_every_field_has_a_bar_and_usual_spreads_are_marked():
     found = sensitivity(CASE, columns=8)
     assert [bar.field for bar in found.bars] == list(FIELDS)
     usual = {bar.field for bar in found.bars if bar.usual}
@@ -47,7 +47,7 @@ def test_every_field_has_a_bar_and_usual_spreads_are_marked() -> None:
     assert by_field["speed"].spread == USUAL.speed
 
 
-def test_with_no_draw_that_comes_so_far_a_bar_is_empty() -> None:
+def test_with_no_draw_that_comes_so_far_a_bar_is_empty():
     """A slow box never gets off the line."""
     found = sensitivity(Case(layouts.box("S"), Sort(), speed=0.3, draws=5), columns=5)
     assert not found.success
@@ -55,13 +55,13 @@ def test_with_no_draw_that_comes_so_far_a_bar_is_empty() -> None:
     assert all(math.isnan(bar.low) and bar.success == 0.0 for bar in found.bars)
 
 
-def test_more_friction_stops_sooner_and_threads_do_not_matter() -> None:
+def test_more_friction_stops_sooner_and_threads_do_not_matter():
     one, two = (sensitivity(CASE, columns=8, workers=workers) for workers in (1, 2))
     assert one.bars == two.bars
     friction = one.bars[list(FIELDS).index("friction")]
     assert friction.low < one.measure < friction.high
 
 
-def test_columns_must_be_enough_or_given() -> None:
+def test_columns_must_be_enough_or_given():
     with pytest.raises(ValueError, match="columns must be given"):
         sensitivity(Case(layouts.box("S"), Sort(), speed=0.3, unknown=NOTHING))

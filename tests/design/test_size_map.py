@@ -24,9 +24,7 @@ def mapped(case: Case = CASE, checkpoint: Path | None = None, **more: object) ->
 
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("speed", SPEEDS)
-def test_a_parcel_of_another_size_on_the_same_zone_ends_where_simulate_has_it(
-    size: float, speed: float
-) -> None:
+def test_a_parcel_of_another_size_on_the_same_zone_ends_where_simulate_has_it(size, speed):
     """A disc, whose sorting is seen from its middle alone."""
     disc = sg.Parcel(sg.Disc(0.15))
     found = success_map(Case(disc, Sort(), speed=1.2, unknown=NOTHING), 5, [speed], [size])
@@ -42,7 +40,7 @@ def test_a_parcel_of_another_size_on_the_same_zone_ends_where_simulate_has_it(
     assert found.nominal[0, 0] == off.any()
 
 
-def test_the_parcel_as_it_is_does_as_by_the_limits_of_speed() -> None:
+def test_the_parcel_as_it_is_does_as_by_the_limits_of_speed():
     speeds = np.arange(0.5, 2.51, 0.1).round(9)
     found = success_map(CASE, 5, speeds.tolist(), [1.0])
     limits = least_speed(CASE, 5).of(NOMINAL)
@@ -50,12 +48,12 @@ def test_the_parcel_as_it_is_does_as_by_the_limits_of_speed() -> None:
     np.testing.assert_array_equal(found.nominal[0], limits.share[places] == 1.0)
 
 
-def test_with_nothing_unknown_share_and_success_are_the_same() -> None:
+def test_with_nothing_unknown_share_and_success_are_the_same():
     found = mapped(replace(CASE, unknown=NOTHING))
     np.testing.assert_array_equal(found.share, found.nominal)
 
 
-def test_cells_do_not_depend_on_the_others_nor_on_threads() -> None:
+def test_cells_do_not_depend_on_the_others_nor_on_threads():
     """Elements are drawn for the largest size, so one more small size changes nothing."""
     every = mapped(workers=2)
     one = success_map(CASE, 5, SPEEDS[1:], SIZES[1:])
@@ -63,7 +61,7 @@ def test_cells_do_not_depend_on_the_others_nor_on_threads() -> None:
     assert every.share.shape == (3, 3)
 
 
-def test_without_sizes_and_speeds_there_are_forty_of_each() -> None:
+def test_without_sizes_and_speeds_there_are_forty_of_each():
     quick = Case(layouts.box("S"), Stop(), speed=0.5, unknown=NOTHING)
     found = success_map(quick)
     assert found.share.shape == (40, 40)
@@ -71,7 +69,7 @@ def test_without_sizes_and_speeds_there_are_forty_of_each() -> None:
     assert (found.speeds[0], found.speeds[-1]) == (0.1, 3.0)
 
 
-def test_a_map_that_was_stopped_goes_on(tmp_path: Path) -> None:
+def test_a_map_that_was_stopped_goes_on(tmp_path):
     file = tmp_path / "map.npz"
     rows: list[int] = []
 
@@ -101,7 +99,7 @@ def test_a_map_that_was_stopped_goes_on(tmp_path: Path) -> None:
         (replace(CASE, seed=1), "another seed: 0, not 1"),
     ],
 )
-def test_a_map_of_another_case_is_refused_by_name(tmp_path: Path, other: Case, named: str) -> None:
+def test_a_map_of_another_case_is_refused_by_name(tmp_path, other, named):
     file = tmp_path / "map.npz"
     mapped(checkpoint=file)
     with pytest.raises(ValueError, match=f"checkpoint must be of this map, got .*{named}"):
@@ -110,7 +108,7 @@ def test_a_map_of_another_case_is_refused_by_name(tmp_path: Path, other: Case, n
         success_map(CASE, 5, SPEEDS, [1.0], checkpoint=file)
 
 
-def test_what_is_no_checkpoint_is_said(tmp_path: Path) -> None:
+def test_what_is_no_checkpoint_is_said(tmp_path):
     file = tmp_path / "map.npz"
     file.write_bytes(b"PK nothing of the kind")
     with pytest.raises(ValueError, match="checkpoint must be one of a map, got"):
@@ -120,7 +118,7 @@ def test_what_is_no_checkpoint_is_said(tmp_path: Path) -> None:
         mapped(checkpoint=file)
 
 
-def test_errors_name_what_came() -> None:
+def test_errors_name_what_came():
     with pytest.raises(ValueError, match=r"speeds must be between 0 and 20, got -1\.0"):
         success_map(CASE, 5, [-1.0], [1.0])
     with pytest.raises(ValueError, match=r"sizes must be greater than 0, got 0\.0"):

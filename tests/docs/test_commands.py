@@ -58,7 +58,7 @@ def then_stop(parse: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @pytest.fixture
-def stopping(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+def stopping(monkeypatch):
     """Make programs stop when they have parsed their arguments."""
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(tyro, "cli", then_stop(tyro.cli))
@@ -76,9 +76,7 @@ def split_program(words: list[str]) -> tuple[str, bool, list[str]]:
 
 
 @pytest.mark.parametrize(("page", "command"), COMMANDS)
-def test_a_program_accepts_the_command(
-    page: str, command: str, stopping: pytest.MonkeyPatch
-) -> None:
+def test_a_program_accepts_the_command(page, command, stopping):
     words = [STAND_INS.get(word, word) for word in shlex.split(command)]
     if words[0] in OTHERS or "QUESTION" in words:
         return
@@ -121,15 +119,13 @@ def test_a_program_accepts_the_command(
         begin()
 
 
-def test_the_commands_are_found() -> None:
+def test_the_commands_are_found():
     commands = [command for _, command in COMMANDS]
     for program in ("train.py", "evaluate.py", "surface-gym design", "surface-gym paper"):
         assert any(program in command for command in commands)
 
 
-def test_an_unknown_flag_is_refused(
-    stopping: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unknown_flag_is_refused(stopping, capsys):
     stopping.setattr(sys, "argv", ["train.py", "--no-such-flag", "3"])
     with pytest.raises(SystemExit):
         runpy.run_path(str(ROOT / "train.py"), run_name="__main__")

@@ -1,7 +1,6 @@
 """The reference shows examples as code, and fields with the comments beside them."""
 
 import textwrap
-from pathlib import Path
 
 import pytest
 
@@ -34,7 +33,7 @@ SOURCE = '''
 
 
 @pytest.fixture
-def parcel(tmp_path: Path):
+def parcel(tmp_path):
     """The class above, as the reference reads it."""
     (tmp_path / "goods.py").write_text(textwrap.dedent(SOURCE))
     extensions = griffe.load_extensions(str(DOCS / "docstrings.py"))
@@ -42,12 +41,12 @@ def parcel(tmp_path: Path):
     return module["Parcel"]
 
 
-def test_an_example_is_fenced_and_the_text_after_it_is_not(parcel) -> None:
+def test_an_example_is_fenced_and_the_text_after_it_is_not(parcel):
     text = parcel.docstring.value
     assert "```pycon\n>>> Parcel(1.0)\nParcel(mass=1.0)\n```\n\nIt has a mass." in text
 
 
-def test_fields_are_listed_with_their_comments(parcel) -> None:
+def test_fields_are_listed_with_their_comments(parcel):
     *_, listed = parcel.docstring.parse("google")
     assert {field.name: field.description for field in listed.value} == {
         "mass": "[kg] of all of it",

@@ -1,7 +1,5 @@
 """Films of the documentation are written as they are drawn."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from tests.docs.reading import DOCS  # noqa: E402
 
 
 @pytest.fixture
-def encoding(monkeypatch: pytest.MonkeyPatch):
+def encoding(monkeypatch):
     monkeypatch.syspath_prepend(DOCS)
     import encoding
 
@@ -26,7 +24,7 @@ def moving_square(pictures: int = 5) -> list[np.ndarray]:
     return list(shown)
 
 
-def test_a_film_shows_each_picture_in_its_colours(encoding, tmp_path: Path) -> None:
+def test_a_film_shows_each_picture_in_its_colours(encoding, tmp_path):
     pictures = moving_square()
     encoding.write_film(pictures, 0.04, 80, tmp_path / "film.webp")
     film = Image.open(tmp_path / "film.webp")
@@ -36,7 +34,7 @@ def test_a_film_shows_each_picture_in_its_colours(encoding, tmp_path: Path) -> N
         np.testing.assert_array_equal(np.asarray(film.convert("RGB")), picture)
 
 
-def test_the_last_picture_stays(encoding, tmp_path: Path) -> None:
+def test_the_last_picture_stays(encoding, tmp_path):
     encoding.write_film(moving_square(), 0.04, 80, tmp_path / "film.webp")
     film = Image.open(tmp_path / "film.webp")
     shown = []
@@ -47,7 +45,7 @@ def test_the_last_picture_stays(encoding, tmp_path: Path) -> None:
     assert shown == [40, 40, 40, 40, 1040]
 
 
-def test_a_film_is_the_same_to_the_byte(encoding, tmp_path: Path) -> None:
+def test_a_film_is_the_same_to_the_byte(encoding, tmp_path):
     for name in ("one.webp", "other.webp"):
         encoding.write_film(moving_square(), 0.04, 60, tmp_path / name)
     assert (tmp_path / "one.webp").read_bytes() == (tmp_path / "other.webp").read_bytes()

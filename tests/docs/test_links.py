@@ -2,7 +2,6 @@
 
 import re
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from pkgutil import resolve_name
 
@@ -19,7 +18,7 @@ NAMED = re.compile(r"images/([\w-]+\.\w+)")
 
 
 @pytest.fixture
-def pictures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Callable[[Path], None]]:
+def pictures(monkeypatch):
     """Functions of `docs/pictures.py` that make a picture, by its name."""
     monkeypatch.syspath_prepend(DOCS)
     monkeypatch.delitem(sys.modules, "pictures", raising=False)
@@ -36,7 +35,7 @@ def find_anchors(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_each_link_leads_somewhere(page: str) -> None:
+def test_each_link_leads_somewhere(page):
     for link in LINK.findall(prose(page)):
         if link.startswith(ELSEWHERE):
             continue
@@ -48,30 +47,28 @@ def test_each_link_leads_somewhere(page: str) -> None:
 
 
 @pytest.mark.parametrize("page", [*PAGES, "CONTRIBUTING.md"])
-def test_each_file_that_is_named_exists(page: str) -> None:
+def test_each_file_that_is_named_exists(page):
     for path in FILE.findall((ROOT / page).read_text()):
         assert "NAME" in path or any(ROOT.glob(path)), path
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_each_name_of_the_package_exists(page: str) -> None:
+def test_each_name_of_the_package_exists(page):
     for name in DOTTED.findall((ROOT / page).read_text()):
         assert resolve_name(name) is not None
 
 
-def test_every_picture_is_made_by_the_command(
-    pictures: dict[str, Callable[[Path], None]],
-) -> None:
+def test_every_picture_is_made_by_the_command(pictures):
     """`python docs/pictures.py` makes what there is, and nothing else."""
     assert {file.name for file in (DOCS / "images").iterdir()} == set(pictures)
 
 
-def test_every_picture_is_shown(pictures: dict[str, Callable[[Path], None]]) -> None:
+def test_every_picture_is_shown(pictures):
     shown = {name for page in PAGES for name in NAMED.findall((ROOT / page).read_text())}
     assert shown >= set(pictures)
 
 
-def test_videos_are_small() -> None:
+def test_videos_are_small():
     videos = list((DOCS / "images").glob("*.webp"))
     assert len(videos) == 7
     for video in videos:
@@ -79,16 +76,12 @@ def test_videos_are_small() -> None:
 
 
 @pytest.mark.parametrize("name", ["sort.png", "checkered.png", "alignment.png"])
-def test_a_picture_is_made_the_same_again(
-    name: str, pictures: dict[str, Callable[[Path], None]], tmp_path: Path
-) -> None:
+def test_a_picture_is_made_the_same_again(name, pictures, tmp_path):
     pictures[name](tmp_path / name)
     assert (tmp_path / name).read_bytes() == (DOCS / "images" / name).read_bytes()
 
 
-def test_the_help_lists_every_picture(
-    pictures: dict[str, Callable[[Path], None]], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_help_lists_every_picture(pictures, capsys):
     from pictures import main
 
     with pytest.raises(SystemExit):

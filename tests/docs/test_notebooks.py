@@ -10,14 +10,14 @@ NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 
 
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
-def test_it_is_stored_without_results(file) -> None:
+def test_it_is_stored_without_results(file):
     cells = json.loads(file.read_text())["cells"]
     assert all(not cell.get("outputs") for cell in cells)
     assert all(cell.get("execution_count") is None for cell in cells)
 
 
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
-def test_it_runs(file, tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_runs(file, tmp_path, monkeypatch):
     nbclient = pytest.importorskip("nbclient", reason="nbclient, of the extra `docs`, is missing")
     nbformat = pytest.importorskip("nbformat")
     pytest.importorskip("ipykernel")

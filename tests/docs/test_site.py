@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 from importlib.util import find_spec
-from pathlib import Path
 
 import pytest
 
@@ -23,7 +22,7 @@ LOADED = re.compile(
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory):
     """The built site; the checkout is left as it is."""
     copy = tmp_path_factory.mktemp("checkout")
     for folder in ("docs", "surface_gym", "agents"):
@@ -42,20 +41,20 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return copy / "build" / "site"
 
 
-def test_every_page_is_built(site: Path) -> None:
+def test_every_page_is_built(site):
     for page in DOCS.glob("**/*.md"):
         name = page.relative_to(DOCS).with_suffix("")
         folder = name.parent if name.name == "index" else name
         assert (site / folder / "index.html").is_file(), page
 
 
-def test_no_other_host_is_asked(site: Path) -> None:
+def test_no_other_host_is_asked(site):
     for page in site.glob("**/*.html"):
         for loaded in LOADED.findall(page.read_text()):
             assert not loaded.startswith(("http:", "https:", "//")), (page, loaded)
 
 
-def test_public_names_stand_in_the_reference(site: Path) -> None:
+def test_public_names_stand_in_the_reference(site):
     import surface_gym
     from surface_gym import agents, design
 

@@ -57,7 +57,7 @@ class Nodes:
 
 
 @pytest.fixture(scope="module")
-def nodes() -> Iterator[Nodes]:
+def nodes():
     logging.getLogger("ray").setLevel(logging.ERROR)
     nodes = Nodes()
     yield nodes
@@ -66,11 +66,11 @@ def nodes() -> Iterator[Nodes]:
 
 
 @pytest.fixture
-def cluster(nodes: Nodes) -> Cluster:
+def cluster(nodes):
     return Cluster(nodes.cluster.address)
 
 
-def test_results_and_reports_are_those_of_processes(cluster) -> None:
+def test_results_and_reports_are_those_of_processes(cluster):
     work = [partial(jobs.draws, seed) for seed in range(5)]
     heard: list[tuple[int, Any]] = []
     found = dict(map_jobs(work, cluster, lambda *each: heard.append(each)))
@@ -79,11 +79,11 @@ def test_results_and_reports_are_those_of_processes(cluster) -> None:
         assert [value[0] for where, value in heard if where == index] == list(range(5))
 
 
-def test_both_nodes_work(cluster) -> None:
+def test_both_nodes_work(cluster):
     assert len({pid for _, pid in map_jobs([jobs.own_process] * 6, cluster)}) >= 2
 
 
-def test_a_job_whose_process_dies_is_done_again(cluster, tmp_path) -> None:
+def test_a_job_whose_process_dies_is_done_again(cluster, tmp_path):
     work = [
         partial(jobs.dies_at_first, tmp_path, "lost"),
         partial(jobs.counts_beginnings, tmp_path, "whole"),
@@ -91,7 +91,7 @@ def test_a_job_whose_process_dies_is_done_again(cluster, tmp_path) -> None:
     assert dict(map_jobs(work, cluster)) == {0: 2, 1: 1}
 
 
-def test_a_job_whose_node_dies_is_done_again_and_only_that(nodes, cluster, tmp_path) -> None:
+def test_a_job_whose_node_dies_is_done_again_and_only_that(nodes, cluster, tmp_path):
     begun: list[int] = []
 
     def heard(index: int, _: Any) -> None:
@@ -106,19 +106,19 @@ def test_a_job_whose_node_dies_is_done_again_and_only_that(nodes, cluster, tmp_p
     assert sorted(found.values()) == [1, 1, 1, 2]
 
 
-def test_errors_are_raised_here_and_tell_where_they_came_from(cluster) -> None:
+def test_errors_are_raised_here_and_tell_where_they_came_from(cluster):
     with pytest.raises(ValueError, match="seven") as raised:
         dict(map_jobs([partial(jobs.fails, "seven")], cluster))
     assert "in fails" in str(raised.value.__cause__)
 
 
-def test_a_job_that_always_dies_ends_the_work(cluster, monkeypatch) -> None:
+def test_a_job_that_always_dies_ends_the_work(cluster, monkeypatch):
     monkeypatch.setattr("surface_gym.parallel.MAX_LOSSES", 3)
     with pytest.raises(WorkFailed, match="a job has cost 3 processes; the last: WorkerCrashed"):
         dict(map_jobs([jobs.always_dies], cluster))
 
 
-def test_ctrl_c_interrupts_the_jobs_on_the_nodes_too(cluster, tmp_path) -> None:
+def test_ctrl_c_interrupts_the_jobs_on_the_nodes_too(cluster, tmp_path):
     heard: list[tuple[int, Any]] = []
 
     def hear(index: int, value: Any) -> None:
@@ -131,7 +131,7 @@ def test_ctrl_c_interrupts_the_jobs_on_the_nodes_too(cluster, tmp_path) -> None:
     assert sorted(heard[2:]) == [(0, "interrupted"), (1, "interrupted")]
 
 
-def test_a_node_with_another_version_is_refused_and_both_are_named(cluster, monkeypatch) -> None:
+def test_a_node_with_another_version_is_refused_and_both_are_named(cluster, monkeypatch):
     monkeypatch.setattr(ray_executor, "own_build", lambda: Build("0.0.1", "c0de", "9a9e"))
     named = r"has surface_gym version .* \(code .*version 0\.0\.1 \(code c0de, policies 9a9e\)"
     with pytest.raises(WorkFailed, match=named):
@@ -139,20 +139,18 @@ def test_a_node_with_another_version_is_refused_and_both_are_named(cluster, monk
 
 
 @pytest.mark.parametrize("address", ["", "ray://head:10001"])
-def test_addresses_that_cannot_be_used_are_refused(address) -> None:
+def test_addresses_that_cannot_be_used_are_refused(address):
     with pytest.raises(ValueError, match="cluster must be host:port, or auto, of a cluster that"):
         Cluster(address)
 
 
-def test_without_ray_it_says_what_to_install(monkeypatch) -> None:
+def test_without_ray_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ValueError, match=r"pip install 'surface_gym\[cluster\]'"):
         dict(map_jobs([partial(jobs.draws, 0)], Cluster("auto")))
 
 
-def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(
-    nodes, cluster, tmp_path
-) -> None:
+def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(nodes, cluster, tmp_path):
     folders = [tmp_path / "local", tmp_path / "cluster"]
     for folder in folders:
         folder.mkdir()
@@ -181,7 +179,7 @@ def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(
     assert not list(folders[1].rglob(CARD_FILE))
 
 
-def test_results_are_the_same_those_of_a_runs_policies_too(cluster, tmp_path) -> None:
+def test_results_are_the_same_those_of_a_runs_policies_too(cluster, tmp_path):
     one = PPOConfig(
         task="slow", steps=512, num_envs=8, n_steps=16, batch_size=64, n_epochs=1, hidden=(8,)
     )
@@ -195,7 +193,7 @@ def test_results_are_the_same_those_of_a_runs_policies_too(cluster, tmp_path) ->
     assert elsewhere == local
 
 
-def test_a_design_map_is_the_same(cluster) -> None:
+def test_a_design_map_is_the_same(cluster):
     case = Case(Parcel(Rectangle(0.3, 0.3)), Sort(), speed=1.5, draws=20)
     asked = {"columns": 6, "speeds": [0.8, 1.2, 1.5, 2.0], "sizes": [0.9, 1.0]}
     local, elsewhere = (success_map(case, workers=workers, **asked) for workers in (2, cluster))
@@ -203,9 +201,7 @@ def test_a_design_map_is_the_same(cluster) -> None:
     np.testing.assert_array_equal(elsewhere.nominal, local.nominal)
 
 
-def test_a_command_that_was_killed_goes_on_with_a_custom_task(
-    cluster, tmp_path, monkeypatch
-) -> None:
+def test_a_command_that_was_killed_goes_on_with_a_custom_task(cluster, tmp_path, monkeypatch):
     monkeypatch.chdir(ROOT)
     task = "examples/reach.py:Reach"
     config = PPOConfig(
@@ -242,7 +238,7 @@ def test_a_command_that_was_killed_goes_on_with_a_custom_task(
     ray.shutdown()
 
 
-def test_a_search_has_trials_of_the_nodes(cluster, tmp_path) -> None:
+def test_a_search_has_trials_of_the_nodes(cluster, tmp_path):
     sweep = replace(SWEEP, trials=2, startup_trials=2, sampler="random", pruner="none")
     found = []
     for name, workers in (("local", 1), ("cluster", cluster)):

@@ -11,11 +11,7 @@ from surface_gym.rendering import ExitMark, ExitSide, Scene, SceneParcel, Traffi
 
 SMALL = sg.Rectangle(0.25, 0.25).outline
 LONG = sg.Rectangle(0.45, 0.25).outline
-EXITS = (
-    ExitMark("A", 1, 1.0, 2.0),
-    ExitMark("B", -1, 3.0, 4.0),
-    ExitMark("on", 0, 6.0, 6.6),
-)
+EXITS = (ExitMark("A", 1, 1.0, 2.0), ExitMark("B", -1, 3.0, 4.0), ExitMark("on", 0, 6.0, 6.6))
 
 
 @dataclass(frozen=True)
@@ -41,21 +37,21 @@ class Sorting:
 
 
 @pytest.fixture(scope="session")
-def sorting() -> Sorting:
+def sorting():
     surface, parcel = sg.layouts.sorting("S"), sg.layouts.box("S")
     trajectory = sg.simulate(surface, parcel, sg.layouts.start("S"), (1.5, 0.0, 0.0))
     return Sorting(trajectory, surface, parcel.base.outline)
 
 
 @pytest.fixture
-def bare(sorting) -> Scene:
+def bare(sorting):
     """A parcel on supports, and nothing else."""
     rotor = np.zeros((20, 40), bool)
     return Scene(np.zeros((20, 40)), rotor, (SceneParcel(sorting.outline, (2.0, 1.0, 0.0)),))
 
 
 @pytest.fixture
-def empty() -> Scene:
+def empty():
     """A line of 60 columns and 6 of supports with exits, on which nothing moves."""
     rotor = np.zeros((20, 66), bool)
     rotor[8:12, :60] = True
@@ -63,7 +59,7 @@ def empty() -> Scene:
 
 
 @pytest.fixture
-def busy(empty) -> Scene:
+def busy(empty):
     """Four parcels, of which two touch, and all that a scene with traffic may have."""
     trail = np.stack([np.linspace(2.4, 3.0, 30), np.full(30, 1.05)], axis=-1)
     parcels = (

@@ -72,11 +72,7 @@ def advanced(batch: Batch, choice: int) -> tuple[str, dict[str, float]]:
 
 
 def draws(
-    task: Task,
-    count: int = 400,
-    seed: int = 0,
-    zone: tuple[int, int] | None = None,
-    **options: Any,
+    task: Task, count: int = 400, seed: int = 0, zone: tuple[int, int] | None = None, **options: Any
 ) -> list[Start]:
     """Starts of a task, one by one."""
     numbers = np.random.default_rng(seed).random((count, task.draws))

@@ -49,7 +49,7 @@ every_task = pytest.mark.parametrize("name", TASKS)
 
 class TestOptions:
     @every_task
-    def test_fix_a_start_exactly(self, name: str) -> None:
+    def test_fix_a_start_exactly(self, name):
         task, (options, goal) = TASKS[name](), FIXED[name]
         assert set(options) == set(task.options)
         for start in draws(task, 3, **options):
@@ -61,30 +61,30 @@ class TestOptions:
             assert len(start.goal) == task.goals
 
     @every_task
-    def test_one_leaves_the_other_draws_as_they_are(self, name: str) -> None:
+    def test_one_leaves_the_other_draws_as_they_are(self, name):
         task, (options, _) = TASKS[name](), FIXED[name]
         free, held = draws(task, 9), draws(task, 9, parcel=options["parcel"])
         assert [start.velocity[0] for start in held] == [start.velocity[0] for start in free]
         assert [start.tilt for start in held] == [start.tilt for start in free]
 
     @every_task
-    def test_unknown_ones_are_named(self, name: str) -> None:
+    def test_unknown_ones_are_named(self, name):
         with pytest.raises(ValueError, match=r"options must be one of .*'colour'"):
             bare(env_id(name)).reset(options={"colour": 1})
 
     @every_task
     @pytest.mark.parametrize("speed", [-0.1, 5.1, math.nan, "fast", None, True])
-    def test_bad_speeds(self, name: str, speed: object) -> None:
+    def test_bad_speeds(self, name, speed):
         with pytest.raises(ValueError, match="speed"):
             bare(env_id(name)).reset(options={"speed": speed})
 
     @every_task
     @pytest.mark.parametrize("parcel", ["M", None, 3, sg.Rectangle(0.2, 0.2)])
-    def test_bad_parcels(self, name: str, parcel: object) -> None:
+    def test_bad_parcels(self, name, parcel):
         with pytest.raises(ValueError, match="parcel"):
             bare(env_id(name)).reset(options={"parcel": parcel})
 
-    def test_helpers(self) -> None:
+    def test_helpers(self):
         assert parcel_option(TRIANGLE) is TRIANGLE
         assert parcel_option("S") is sg.layouts.box("S")
         assert check_options(None, ("speed",)) == {}
@@ -95,26 +95,26 @@ class TestOptions:
 
 class TestArguments:
     @pytest.mark.parametrize(("task", "arguments", "named"), BAD_ARGUMENTS)
-    def test_bad_ones_are_named(self, task: type, arguments: dict, named: str) -> None:
+    def test_bad_ones_are_named(self, task, arguments, named):
         with pytest.raises(ValueError, match=named):
             task(**arguments)
 
     @every_task
-    def test_parcels_of_ones_own_are_drawn(self, name: str) -> None:
+    def test_parcels_of_ones_own_are_drawn(self, name):
         task = TASKS[name](parcels=(TRIANGLE,))
         assert all(start.parcel is TRIANGLE for start in draws(task, 5))
 
 
 class TestStarts:
     @every_task
-    def test_a_seed_fixes_them(self, name: str) -> None:
+    def test_a_seed_fixes_them(self, name):
         task = TASKS[name]()
         assert_same(tuple(draws(task, 3, seed=5)), tuple(draws(task, 3, seed=5)))
         first, second = draws(task, 1, seed=5), draws(task, 1, seed=6)
         assert first[0].velocity != second[0].velocity
 
     @every_task
-    def test_one_at_a_time_they_are_the_same(self, name: str) -> None:
+    def test_one_at_a_time_they_are_the_same(self, name):
         """An environment's start does not depend on how many others start with it."""
         task = TASKS[name]()
         numbers = np.random.default_rng(1).random((5, task.draws))
@@ -126,7 +126,7 @@ class TestStarts:
 
 class TestEpisodes:
     @every_task
-    def test_outcomes_ends_sums_and_bounds(self, name: str) -> None:
+    def test_outcomes_ends_sums_and_bounds(self, name):
         env = bare(env_id(name), actions="halves")
         seen, outcomes = set(), (*COMMON_OUTCOMES, *TASKS[name].outcomes)
         for seed in range(12):
@@ -150,7 +150,7 @@ class TestEpisodes:
         assert len(seen) >= 2
 
     @every_task
-    def test_time_running_out_truncates(self, name: str) -> None:
+    def test_time_running_out_truncates(self, name):
         env = gym.make(env_id(name), max_episode_steps=2)
         episode = play(env, FIXED[name][0], np.full(env.action_space.shape, 3))
         assert [step[2:4] for step in episode.steps] == [(False, False), (False, True)]
@@ -158,7 +158,7 @@ class TestEpisodes:
         assert episode.total("failure") == 0.0
 
     @every_task
-    def test_the_page_names_every_term_and_metric(self, name: str) -> None:
+    def test_the_page_names_every_term_and_metric(self, name):
         page = TASKS[name].__doc__
         for section in ("Start", "Goal and end", "Reward", "Info", "Version history"):
             assert f"### {section}\n" in page

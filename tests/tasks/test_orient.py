@@ -40,7 +40,7 @@ def yielded() -> float:
 
 
 class TestStarts:
-    def test_obey_their_laws(self) -> None:
+    def test_obey_their_laws(self):
         starts = draws(Orient())
         assert_uniform([start.velocity[0] for start in starts], 1.3, 1.7)
         assert_uniform([start.goal[0] for start in starts], -math.pi / 4, math.pi / 4)
@@ -49,7 +49,7 @@ class TestStarts:
         assert all(start.velocity[1:] == (0.0, 0.0) for start in starts)
 
     @pytest.mark.parametrize("angle", [-3.2, 3.2, math.nan, "left", None])
-    def test_bad_angles(self, angle: object) -> None:
+    def test_bad_angles(self, angle):
         with pytest.raises(ValueError, match="angle"):
             bare(ORIENT).reset(options={"angle": angle})
 
@@ -66,7 +66,7 @@ class TestEnds:
             (0.3, "missed"),
         ],
     )
-    def test_of_a_layout_that_turns(self, off: float, outcome: str) -> None:
+    def test_of_a_layout_that_turns(self, off, outcome):
         angle = yielded()
         assert angle > 0.2
         options = {"speed": 1.5, "parcel": "S", "angle": angle + off}
@@ -79,14 +79,14 @@ class TestEnds:
         assert episode.total("precision") == pytest.approx(precision, abs=1e-6)
 
     @pytest.mark.parametrize(("choice", "outcome"), [(BRAKE, "stalled"), (PLUS_45, "off the line")])
-    def test_failures_before_it_leaves(self, choice: int, outcome: str) -> None:
+    def test_failures_before_it_leaves(self, choice, outcome):
         env = bare(ORIENT)
         options = {"speed": 1.5, "parcel": "S", "angle": 0.1}
         episode = play(env, options, same_choice(env, choice))
         assert episode.end["outcome"] == outcome
         assert episode.total("precision") == 0.0
 
-    def test_off_the_surface(self) -> None:
+    def test_off_the_surface(self):
         env = bare(ORIENT, zone=(20, 26))
         front_heavy = sg.Parcel(sg.Rectangle(0.5, 0.25), com_offset=(0.1, 0.0))
         options = {"speed": 1.5, "parcel": front_heavy, "angle": 0.1}
@@ -96,19 +96,19 @@ class TestEnds:
 
 class TestReward:
     @pytest.mark.parametrize("seed", range(4))
-    def test_turn_telescopes(self, seed: int) -> None:
+    def test_turn_telescopes(self, seed):
         episode = play(bare(ORIENT, actions="quadrants"), {"angle": 0.05}, seed=seed)
         nearer = 0.05 - abs(episode.end["pose"][2] - 0.05)
         assert episode.total("turn") == pytest.approx(nearer, abs=1e-9)
 
-    def test_angle_error_is_reported_all_along(self) -> None:
+    def test_angle_error_is_reported_all_along(self):
         episode = play(bare(ORIENT), {"angle": -0.4, "speed": 1.5}, TURNING.ravel())
         for info in (episode.start, *episode.infos):
             assert info["angle_error"] == pytest.approx(info["pose"][2] + 0.4, abs=1e-12)
 
 
 class TestSeen:
-    def test_features_of_a_state(self) -> None:
+    def test_features_of_a_state(self):
         x, theta = 0.83, -0.2
         start = Start(BOX, (x, 1.03, theta), (1.4, 0.1, 0.3), (-0.23,))
         half_extent = 0.125 * (math.cos(0.2) + math.sin(0.2))

@@ -32,29 +32,29 @@ def drawn(kind: str, count: int = 300) -> list[Path]:
     return [random_path(kind, rng.random(DRAWS)) for _ in range(count)]
 
 
-def test_a_random_lane_may_be_the_one_before() -> None:
+def test_a_random_lane_may_be_the_one_before():
     straight = random_path("polyline", np.full(DRAWS, 0.5))
     np.testing.assert_allclose(straight.y(np.linspace(0.4, 5.6, 50)), 1.0)
 
 
 class TestValues:
-    def test_of_a_sine(self) -> None:
+    def test_of_a_sine(self):
         path = Sine(amplitude=0.2, wavelength=2.0, start=0.5, end=4.5, middle=1.1)
         y = path.y(np.array([0.5, 1.0, 1.5, 2.0, 2.5]))
         np.testing.assert_allclose(y, [1.1, 1.3, 1.1, 0.9, 1.1], rtol=0, atol=1e-12)
 
-    def test_of_a_lane_change(self) -> None:
+    def test_of_a_lane_change(self):
         path = LaneChange(offset=0.4, length=1.5, change=2.0)
         y = path.y(np.array([0.4, 2.0, 2.75, 3.5, 5.6]))
         np.testing.assert_allclose(y, [0.8, 0.8, 1.0, 1.2, 1.2], rtol=0, atol=1e-12)
 
-    def test_of_a_polyline(self) -> None:
+    def test_of_a_polyline(self):
         path = Polyline(POINTS)
         assert (path.start, path.end) == (0.5, 4.0)
         y = path.y(np.array([0.5, 1.0, 1.5, 1.75, 3.0]))
         np.testing.assert_allclose(y, [1.0, 1.1, 1.2, 1.05, 1.0], rtol=0, atol=1e-12)
 
-    def test_of_a_spline(self) -> None:
+    def test_of_a_spline(self):
         """Through its points, with no curvature at its ends: scipy's natural spline."""
         path = Spline(POINTS)
         along, across = np.array(POINTS).T
@@ -63,23 +63,23 @@ class TestValues:
         x = np.linspace(0.5, 4.0, 101)
         np.testing.assert_allclose(path.y(x), reference(x), rtol=0, atol=1e-12)
 
-    def test_of_a_spline_through_a_straight_line(self) -> None:
+    def test_of_a_spline_through_a_straight_line(self):
         x = np.linspace(0.0, 2.0, 11)
         line = Spline(((0.0, 1.0), (0.7, 1.35), (2.0, 2.0)))
         np.testing.assert_allclose(line.y(x), 1.0 + 0.5 * x, rtol=0, atol=1e-12)
 
-    def test_sampled(self) -> None:
+    def test_sampled(self):
         x = np.linspace(0.4, 5.6, 9)
         np.testing.assert_allclose(sample(Sine(), 9), Sine().y(x), rtol=0, atol=1e-15)
 
 
 class TestSmoothness:
     @pytest.mark.parametrize("path", [LaneChange(), LaneChange(-0.6, 1.0), Sine(), Spline(POINTS)])
-    def test_the_slope_has_no_jumps(self, path: Path) -> None:
+    def test_the_slope_has_no_jumps(self, path):
         x = np.linspace(path.start + 0.01, path.end - 0.01, 4001)
         assert np.abs(np.diff(slopes(path, x))).max() < 0.01
 
-    def test_a_lane_change_has_neither_slope_nor_curvature_at_its_ends(self) -> None:
+    def test_a_lane_change_has_neither_slope_nor_curvature_at_its_ends(self):
         path = LaneChange(offset=0.4, length=1.5, change=2.0)
         ends = np.array([2.0, 3.5])
         np.testing.assert_allclose(slopes(path, ends), 0.0, rtol=0, atol=1e-6)
@@ -88,7 +88,7 @@ class TestSmoothness:
         assert np.abs(curvature).max() < 60.0 * 0.4 / 1.5**3 * h
         assert path.y(np.array([2.4]))[0] > 0.8
 
-    def test_a_polyline_does_jump(self) -> None:
+    def test_a_polyline_does_jump(self):
         path = Polyline(POINTS)
         before, after = slopes(path, np.array([1.499, 1.501]))
         assert after - before == pytest.approx(-0.6 - 0.2, abs=1e-6)
@@ -96,14 +96,14 @@ class TestSmoothness:
 
 class TestRandom:
     @pytest.mark.parametrize("kind", KINDS)
-    def test_lie_in_the_field_and_start_and_end_alike(self, kind: str) -> None:
+    def test_lie_in_the_field_and_start_and_end_alike(self, kind):
         for path in drawn(kind):
             assert (path.start, path.end) == (0.4, 5.6)
             y = sample(path, 200)
             assert np.abs(y - 1.0).max() < 0.45
             assert np.ptp(y) > 0.01
 
-    def test_sines(self) -> None:
+    def test_sines(self):
         paths = drawn("sine")
         amplitude = np.array([path.amplitude for path in paths])
         wavelength = np.array([path.wavelength for path in paths])
@@ -111,14 +111,14 @@ class TestRandom:
         assert 1.8 <= wavelength.min() < 1.85 < 3.15 < wavelength.max() <= 3.2
         assert 0.4 < np.mean(amplitude > 0.0) < 0.6
 
-    def test_lane_changes(self) -> None:
+    def test_lane_changes(self):
         paths = drawn("lane change")
         offset = np.array([path.offset for path in paths])
         assert 0.2 <= np.abs(offset).min() < 0.22 < 0.58 < np.abs(offset).max() <= 0.6
         assert 0.4 < np.mean(offset > 0.0) < 0.6
         assert all(1.0 <= path.length <= 2.0 and 1.0 <= path.change <= 2.5 for path in paths)
 
-    def test_polylines_run_level_or_at_45_deg(self) -> None:
+    def test_polylines_run_level_or_at_45_deg(self):
         for path in drawn("polyline"):
             rise = np.diff(np.array(path.points), axis=0)
             slope = rise[:, 1] / rise[:, 0]
@@ -127,7 +127,7 @@ class TestRandom:
             assert (rise[:-1:2, 0] >= 0.4 - 1e-12).all()
             assert np.abs(np.array(path.points)[:, 1] - 1.0).max() <= 0.3 + 1e-12
 
-    def test_splines(self) -> None:
+    def test_splines(self):
         for path in drawn("spline", 50):
             points = np.array(path.points)
             np.testing.assert_allclose(points[:, 0], np.linspace(0.4, 5.6, 6))
@@ -137,7 +137,7 @@ class TestRandom:
 
 class TestRefused:
     @pytest.mark.parametrize("kind", [Sine, LaneChange])
-    def test_ends_the_wrong_way_round(self, kind: type) -> None:
+    def test_ends_the_wrong_way_round(self, kind):
         for start, end in ((2.0, 1.0), (1.0, 1.0)):
             with pytest.raises(ValueError, match="start"):
                 kind(start=start, end=end)
@@ -154,7 +154,7 @@ class TestRefused:
             (LaneChange, "change", math.inf),
         ],
     )
-    def test_values(self, kind: type, name: str, value: object) -> None:
+    def test_values(self, kind, name, value):
         with pytest.raises(ValueError, match=name):
             kind(**{name: value})
 
@@ -170,15 +170,15 @@ class TestRefused:
             3,
         ],
     )
-    def test_points(self, kind: type, points: object) -> None:
+    def test_points(self, kind, points):
         with pytest.raises(ValueError, match="points"):
             kind(points)
 
     @pytest.mark.parametrize("value", ["sine", None, 3.0, [(1.0, 1.0)], Sine])
-    def test_options_name_what_may_come(self, value: object) -> None:
+    def test_options_name_what_may_come(self, value):
         with pytest.raises(ValueError, match="path must be a Sine, LaneChange, Polyline, Spline"):
             path_option(value)
 
-    def test_options_taken(self) -> None:
+    def test_options_taken(self):
         assert path_option(Sine()) == Sine()
         assert path_option(np.array(POINTS)) == Polyline(POINTS)

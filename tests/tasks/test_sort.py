@@ -33,7 +33,7 @@ def lateral_reach(info: dict, side: int) -> float:
 
 
 class TestStarts:
-    def test_obey_their_laws(self) -> None:
+    def test_obey_their_laws(self):
         starts = draws(Sort(), 600)
         speed = np.array([start.velocity[0] for start in starts])
         assert speed.min() >= 0.3
@@ -45,12 +45,12 @@ class TestStarts:
         assert_equal_odds_of_the_boxes(starts)
 
     @pytest.mark.parametrize(("share", "low", "high"), [(1.0, 0.4, 0.5), (0.0, 1.0, 2.0)])
-    def test_bands(self, share: float, low: float, high: float) -> None:
+    def test_bands(self, share, low, high):
         task = Sort(slow_share=share, speeds=(1.0, 2.0), slow_speeds=(0.4, 0.5))
         assert_uniform([start.velocity[0] for start in draws(task)], low, high)
 
     @pytest.mark.parametrize("side", [2, 0.0, 1.0, "left", None, True])
-    def test_bad_sides(self, side: object) -> None:
+    def test_bad_sides(self, side):
         with pytest.raises(ValueError, match="side"):
             bare().reset(options={"side": side})
 
@@ -71,7 +71,7 @@ class TestEnds:
             (0, BRAKE, "stalled"),
         ],
     )
-    def test_by_choice(self, side: int, choice: int, outcome: str) -> None:
+    def test_by_choice(self, side, choice, outcome):
         env = bare()
         options = {"speed": 1.5, "side": side, "parcel": "S"}
         episode = play(env, options, same_choice(env, choice))
@@ -79,7 +79,7 @@ class TestEnds:
         assert episode.total("success") == (outcome == "success")
         assert episode.total("failure") == -1.0 * (outcome != "success")
 
-    def test_off_the_surface(self) -> None:
+    def test_off_the_surface(self):
         """A zone that reaches the edge: the centre is past it before the rear leaves the zone."""
         env = bare(zone=(20, 29))
         episode = play(env, {"speed": 2.0, "side": 1, "parcel": "S"}, same_choice(env, ROLL))
@@ -91,13 +91,13 @@ class TestEnds:
 class TestReward:
     @pytest.mark.parametrize("side", [1, -1])
     @pytest.mark.parametrize("seed", range(3))
-    def test_reach_telescopes(self, side: int, seed: int) -> None:
+    def test_reach_telescopes(self, side, seed):
         episode = play(bare(actions="quadrants"), {"side": side}, seed=seed)
         gained = lateral_reach(episode.end, side) - lateral_reach(episode.start, side)
         assert episode.total("reach") == pytest.approx(2.0 * gained, abs=1e-9)
 
     @pytest.mark.parametrize("seed", range(3))
-    def test_passing_telescopes(self, seed: int) -> None:
+    def test_passing_telescopes(self, seed):
         episode = play(bare(actions="quadrants"), {"side": 0}, seed=seed)
 
         def score(info: dict) -> float:
@@ -106,13 +106,13 @@ class TestReward:
         gained = score(episode.end) - score(episode.start)
         assert episode.total("reach") == pytest.approx(2.0 * gained, abs=1e-9)
 
-    def test_time_costs(self) -> None:
+    def test_time_costs(self):
         env = bare(actions="halves")
         episode = play(env, {"side": 1, "speed": 1.5}, same_choice(env, MINUS_45))
         assert episode.total("time") == pytest.approx(-0.3 * episode.end["time"], abs=1e-12)
 
     @pytest.mark.parametrize("side", [1, 0])
-    def test_haste_pays_at_success(self, side: int) -> None:
+    def test_haste_pays_at_success(self, side):
         env = bare(actions="halves")
         episode = play(
             env, {"side": side, "speed": 1.5}, same_choice(env, MINUS_45 if side else ROLL)
@@ -122,13 +122,13 @@ class TestReward:
             assert info["reward_terms"]["haste"] == 0.0
         assert episode.total("haste") == pytest.approx(4.0 / episode.end["time"], abs=1e-12)
 
-    def test_haste_pays_nothing_at_failure(self) -> None:
+    def test_haste_pays_nothing_at_failure(self):
         env = bare(actions="halves")
         episode = play(env, {"side": 1, "speed": 0.4}, same_choice(env, MINUS_45))
         assert episode.end["outcome"] == "stalled"
         assert episode.total("haste") == 0.0
 
-    def test_a_longer_reach_than_enough_earns_no_more(self) -> None:
+    def test_a_longer_reach_than_enough_earns_no_more(self):
         fast = Start(BOX, (0.5, 1.0, 0.0), (2.5, 0.0, 0.0), (1.0,))
         _, terms = advanced(placed(Sort(), fast), ROLL)
         assert terms["reach"] == 0.0
@@ -136,7 +136,7 @@ class TestReward:
 
 class TestSeen:
     @pytest.mark.parametrize("side", [1, -1])
-    def test_features_of_a_state(self, side: int) -> None:
+    def test_features_of_a_state(self, side):
         """All but x are given as seen from the asked side."""
         x, y, theta, vx, vy, omega = 0.83, 0.04, 0.3, 1.4, 0.25, -0.6
         start = Start(
@@ -164,7 +164,7 @@ class TestSeen:
         assert features_of(placed(Sort(), start)) == pytest.approx(wanted, abs=1e-6)
 
     @pytest.mark.parametrize("side", [1, -1])
-    def test_the_clearance_is_that_of_the_corner_nearest_to_the_line(self, side: int) -> None:
+    def test_the_clearance_is_that_of_the_corner_nearest_to_the_line(self, side):
         """Of a triangle, which does not reach as far one way as the other."""
         start = Start(TRIANGLE, (1.0, 1.0 + side * 0.3, 0.7), (1.0, 0.0, 0.0), (float(side),))
         batch = placed(Sort(), start)
@@ -176,12 +176,12 @@ class TestSeen:
         clearance = (side * (corners[1] - 1.0)).min() - outermost
         assert features_of(batch)["clearance"] == pytest.approx(clearance / 0.2, abs=1e-6)
 
-    def test_time_is_seen(self) -> None:
+    def test_time_is_seen(self):
         env = bare()
         for observation, *_, info in steps(env, seed=0):
             assert observation[12] == pytest.approx(info["time"] / 4.0)
 
-    def test_mirrored_episodes_look_alike(self) -> None:
+    def test_mirrored_episodes_look_alike(self):
         """Sorts to either side, +45 and -45 deg and the rows exchanged, differ in the side only."""
         episodes: list[Episode] = []
         kind = bare(actions="quadrants").config.action_kind

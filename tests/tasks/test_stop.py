@@ -34,7 +34,7 @@ def rest(size: str, speed: float) -> float:
 
 
 class TestStarts:
-    def test_obey_their_laws(self) -> None:
+    def test_obey_their_laws(self):
         starts = draws(Stop())
         assert_uniform([start.velocity[0] for start in starts], 0.5, 2.7)
         assert_equal_odds_of_the_boxes(starts)
@@ -47,24 +47,24 @@ class TestStarts:
 
     @pytest.mark.parametrize("size", ["S", "B"])
     @pytest.mark.parametrize("speed", [0.5, 1.2, 2.7])
-    def test_every_asked_x_can_be_reached(self, size: str, speed: float) -> None:
+    def test_every_asked_x_can_be_reached(self, size, speed):
         """Braking all the way it rests before it; rolling all the way it would get past it."""
         asked = [start.goal[0] for start in draws(Stop(), speed=speed, parcel=size)]
         assert rest(size, speed) <= min(asked)
         assert max(asked) < sg.layouts.start(size)[0] + speed**2 / (2.0 * ROLLING_LOSS)
         assert max(asked) > min(asked)
 
-    def test_asked_x_is_uniform(self) -> None:
+    def test_asked_x_is_uniform(self):
         asked = [start.goal[0] for start in draws(Stop(), speed=1.0, parcel="S")]
         braking = 0.3 + 0.125 + 1.0 / 9.81  # brakes at 0.5 g, wholly in the zone
         assert_uniform(asked, braking, 1.9 - 0.125)
 
-    def test_in_a_zone_too_short_to_brake_in_it_is_asked_to_stop_at_its_end(self) -> None:
+    def test_in_a_zone_too_short_to_brake_in_it_is_asked_to_stop_at_its_end(self):
         for start in draws(Stop(), zone=(5, 8), speed=2.0, parcel="S"):
             assert start.goal == pytest.approx((0.9 - 0.125,))
 
     @pytest.mark.parametrize("position", [-0.1, 3.1, math.inf, "there", None])
-    def test_bad_positions(self, position: object) -> None:
+    def test_bad_positions(self, position):
         with pytest.raises(ValueError, match="position"):
             bare(STOP).reset(options={"position": position})
 
@@ -82,7 +82,7 @@ class TestEnds:
         ],
     )
     @pytest.mark.parametrize("size", ["S", "B"])
-    def test_braking(self, size: str, off: float, outcome: str) -> None:
+    def test_braking(self, size, off, outcome):
         env = bare(STOP)
         options = {"speed": 1.5, "parcel": size, "position": rest(size, 1.5) + off}
         episode = play(env, options, same_choice(env, BRAKE))
@@ -95,14 +95,14 @@ class TestEnds:
                 math.exp(-abs(episode.end["stop_error"]) / 0.002)
             )
 
-    def test_rolling_goes_past(self) -> None:
+    def test_rolling_goes_past(self):
         env = bare(STOP)
         options = {"speed": 1.5, "parcel": "S", "position": 1.0}
         episode = play(env, options, same_choice(env, ROLL))
         assert episode.end["outcome"] == "passed the asked x"
         assert episode.total("precision") == 0.0
 
-    def test_rolling_out_at_last_misses(self) -> None:
+    def test_rolling_out_at_last_misses(self):
         """A slow parcel rolls to rest within the zone: v^2 / (2 mu_min g) on."""
         env = bare(STOP)
         options = {"speed": 0.4, "parcel": "S", "position": 1.5}
@@ -110,12 +110,12 @@ class TestEnds:
         assert end["outcome"] == "missed"
         assert end["pose"][0] == pytest.approx(0.125 + 0.16 / (2.0 * ROLLING_LOSS), abs=0.005)
 
-    def test_off_the_line(self) -> None:
+    def test_off_the_line(self):
         env = bare(STOP)
         options = {"speed": 2.0, "parcel": "S", "position": 2.5}
         assert play(env, options, same_choice(env, PLUS_45)).end["outcome"] == "off the line"
 
-    def test_off_the_surface(self) -> None:
+    def test_off_the_surface(self):
         env = bare(STOP)
         options = {"speed": 2.0, "parcel": "S", "position": 3.0}
         end = play(env, options, same_choice(env, ROLL)).end
@@ -124,13 +124,13 @@ class TestEnds:
 
 class TestReward:
     @pytest.mark.parametrize("seed", range(4))
-    def test_approach_telescopes(self, seed: int) -> None:
+    def test_approach_telescopes(self, seed):
         options = {"speed": 1.2, "position": 1.1}
         episode = play(bare(STOP, actions="quadrants"), options, seed=seed)
         nearer = abs(1.1 - episode.start["pose"][0]) - abs(1.1 - episode.end["pose"][0])
         assert episode.total("approach") == pytest.approx(nearer, abs=1e-9)
 
-    def test_stop_error_is_reported_all_along(self) -> None:
+    def test_stop_error_is_reported_all_along(self):
         options = {"speed": 1.2, "position": 1.1}
         episode = play(bare(STOP, actions="quadrants"), options, seed=1)
         for info in (episode.start, *episode.infos):
@@ -139,7 +139,7 @@ class TestReward:
 
 class TestSeen:
     @pytest.mark.parametrize("position", [1.2, 0.82])
-    def test_features_of_a_state(self, position: float) -> None:
+    def test_features_of_a_state(self, position):
         x, vx = 0.83, 1.4
         start = Start(BOX, (x, 1.0, -0.2), (vx, 0.1, 0.3), (position,))
         half_extent = 0.125 * (math.cos(0.2) + math.sin(0.2))

@@ -31,7 +31,7 @@ LEVEL = {"path": AHEAD, "speed": 1.0, "tilt": 0.0, "parcel": "S"}
 
 
 class TestStarts:
-    def test_obey_their_laws(self) -> None:
+    def test_obey_their_laws(self):
         starts = draws(Track())
         assert_uniform([start.goal[0] for start in starts], 0.6, 1.0)
         assert_uniform([start.tilt for start in starts], 0.0, math.radians(15.0))
@@ -43,7 +43,7 @@ class TestStarts:
             assert np.abs(start.path - 1.0).max() < 0.5
 
     @pytest.mark.parametrize("kind", Track().kinds)
-    def test_kinds_may_be_chosen(self, kind: str) -> None:
+    def test_kinds_may_be_chosen(self, kind):
         """Each by itself: the paths of two kinds are never the same."""
         alone = draws(Track(kinds=(kind,)), 10)
         twice = draws(Track(kinds=(kind, kind)), 10)
@@ -54,7 +54,7 @@ class TestStarts:
             np.testing.assert_array_equal(first.path, second.path)
             assert (first.path != third.path).any()
 
-    def test_the_centre_starts_along_the_path(self) -> None:
+    def test_the_centre_starts_along_the_path(self):
         _, info = bare(TRACK).reset(options=LEVEL | {"path": RISING, "parcel": TRIANGLE})
         np.testing.assert_allclose(info["pose"], [0.5, 1.0, 0.0], rtol=0, atol=1e-12)
         along = np.array([1.0, SLOPE]) / math.hypot(1.0, SLOPE)
@@ -77,13 +77,13 @@ class TestStarts:
             ({"speed": 0.05}, "speed"),
         ],
     )
-    def test_bad_options(self, options: dict, named: str) -> None:
+    def test_bad_options(self, options, named):
         with pytest.raises(ValueError, match=named):
             bare(TRACK).reset(options=options)
 
 
 class TestEnds:
-    def test_rolling_along_a_straight_path_succeeds(self) -> None:
+    def test_rolling_along_a_straight_path_succeeds(self):
         env = bare(TRACK)
         episode = play(env, LEVEL, same_choice(env, ROLL))
         assert episode.end["outcome"] == "success"
@@ -94,14 +94,14 @@ class TestEnds:
         assert (episode.total("success"), episode.total("failure")) == (2.0, 0.0)
 
     @pytest.mark.parametrize("tilt", [0.0, 0.1, 0.25])
-    def test_it_runs_downhill(self, tilt: float) -> None:
+    def test_it_runs_downhill(self, tilt):
         """Rolling, it gains what gravity does and loses what friction takes, a second."""
         env = bare(TRACK)
         episode = play(env, LEVEL | {"tilt": tilt}, same_choice(env, ROLL), longest=10)
         gain = 9.81 * (math.sin(tilt) - 0.01 * math.cos(tilt))
         assert episode.end["velocity"][0] == pytest.approx(1.0 + 0.4 * gain, abs=1e-9)
 
-    def test_straight_on_where_the_path_bends_is_off_the_path(self) -> None:
+    def test_straight_on_where_the_path_bends_is_off_the_path(self):
         env = bare(TRACK)
         path = [(0.5, 1.0), (1.0, 1.0), (2.0, 1.5), (3.0, 1.5)]
         episode = play(env, LEVEL | {"path": path}, same_choice(env, ROLL))
@@ -110,13 +110,13 @@ class TestEnds:
         assert episode.infos[-2]["cross_error"] > -0.15
         assert (episode.total("success"), episode.total("failure")) == (0.0, -2.0)
 
-    def test_braking_is_no_way_to_follow(self) -> None:
+    def test_braking_is_no_way_to_follow(self):
         env = bare(TRACK)
         episode = play(env, LEVEL, same_choice(env, BRAKE))
         assert episode.end["outcome"] == "stalled"
         assert abs(episode.end["velocity"][0]) < 0.05
 
-    def test_off_the_surface(self) -> None:
+    def test_off_the_surface(self):
         """A push towards the edge from beside it."""
         goal = (1.0, 0.5, 2.0 / 255)
         start = Start(BOX, (1.0, 0.1, 0.0), (0.0, -5.0, 0.0), goal, 0.0, np.full(256, 0.1))
@@ -129,7 +129,7 @@ class TestFigures:
     @pytest.mark.parametrize(
         "path", [AHEAD, RISING, Sine(0.1, 3.0), LaneChange(0.2, 2.0)], ids=lambda path: str(path)
     )
-    def test_of_a_random_walk_about_a_path(self, path: object) -> None:
+    def test_of_a_random_walk_about_a_path(self, path):
         env = bare(TRACK, actions="quadrants")
         options = LEVEL | {"path": path, "tilt": 0.1}
         episode = play(env, options, seed=1, longest=25)
@@ -162,7 +162,7 @@ class TestFigures:
 
 
 class TestReward:
-    def test_every_term_is_paid_a_metre(self) -> None:
+    def test_every_term_is_paid_a_metre(self):
         env = bare(TRACK)
         episode = play(env, LEVEL | {"path": RISING, "tilt": 0.1}, same_choice(env, MINUS_45))
         x = episode.start["pose"][0]
@@ -180,7 +180,7 @@ class TestReward:
             off = -2.0 * gained * abs(speed - 1.0)
             assert terms["speed_error"] == pytest.approx(off, abs=1e-12)
 
-    def test_distance_adds_up_to_the_way(self) -> None:
+    def test_distance_adds_up_to_the_way(self):
         env = bare(TRACK)
         episode = play(env, LEVEL, same_choice(env, ROLL))
         way = episode.end["pose"][0] - 0.5
@@ -189,7 +189,7 @@ class TestReward:
 
 
 class TestSeen:
-    def test_features_of_a_state(self) -> None:
+    def test_features_of_a_state(self):
         """Over a polyline: x at 0.95 m, 5 cm before it bends from level to a slope of 0.5."""
         step = 2.55 / 255
         x = 0.5 + step * np.arange(256)
@@ -219,7 +219,7 @@ class TestSeen:
         }
         assert features_of(placed(Track(), start)) == pytest.approx(wanted, abs=1e-6)
 
-    def test_errors_are_square_to_a_slope(self) -> None:
+    def test_errors_are_square_to_a_slope(self):
         """On a path at 45 deg: 1 cm above it in y is 1 cm / sqrt(2) off it, to its left."""
         step = 1.0 / 255
         path = 0.8 + step * np.arange(256)

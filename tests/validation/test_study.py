@@ -16,7 +16,7 @@ from .test_comparison import trajectory
 
 
 @pytest.fixture(scope="module")
-def found(tilted, pushed) -> study.Study:
+def found(tilted, pushed):
     """Two real runs; the other parts are numbers to print."""
     draws = drawn.draw_surfaces(draws=2, seed=0)
     rng = np.random.default_rng(0)
