@@ -7,68 +7,49 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.case import (
-    GROUPS,
-    NOTHING,
-    TOGETHER,
-    Case,
-    Slow,
-    Sort,
-    Stop,
-    Turn,
-    Unknown,
-    draw,
-)
+from surface_gym.design import case
+from surface_gym.design.case import NOTHING, Case, Slow, Sort, Stop, Turn, Unknown, draw
 from surface_gym.design.runs import line_for, make_runs, run_all
 
 BOX = layouts.box("S")
+LINE = line_for(BOX, 8)
 
 
 def test_a_group_varies_alone():
     unknown = Unknown(lateral=0.01)
-    assert unknown.groups == (*GROUPS, TOGETHER)
+    assert unknown.groups == (*case.GROUPS, case.TOGETHER)
     friction = unknown.only("friction")
     assert (friction.friction, friction.rolling) == (0.2, 0.2)
     assert friction.stiffness == friction.com_offset == friction.lateral == 0.0
-    assert unknown.only(TOGETHER) == unknown
+    assert unknown.only(case.TOGETHER) == unknown
     assert NOTHING.groups == ()
 
 
 def test_draws_follow_their_laws():
-    line = Case(BOX).line(4)
-    unknown = Unknown(speed=0.1, tilt=0.02, lateral=0.03)
-    drawn = draw(unknown, BOX, line, 2000, 0)
+    drawn = draw(Unknown(speed=0.1, tilt=0.02, lateral=0.03), BOX, LINE, 2000, 0)
     assert np.abs(drawn.friction - 1.0).max() <= 0.2
     assert drawn.friction.std(axis=0) == pytest.approx(0.4 / np.sqrt(12.0), rel=0.05)
-    assert drawn.speed.std() == pytest.approx(0.1, rel=0.05)
-    assert drawn.tilt.std() == pytest.approx(0.02, rel=0.05)
-    assert drawn.lateral.std() == pytest.approx(0.03, rel=0.05)
-    assert drawn.stiffness is not None
+    spreads = [drawn.speed.std(), drawn.tilt.std(), drawn.lateral.std()]
+    assert spreads == pytest.approx([0.1, 0.02, 0.03], rel=0.05)
     assert np.log(drawn.stiffness).std() == pytest.approx(0.35, rel=0.01)
-    offsets = np.array([parcel.com_offset for parcel in drawn.parcels])
-    assert np.abs(offsets).max() <= 0.1 * 0.125
+    assert max(abs(each) for parcel in drawn.parcels for each in parcel.com_offset) <= 0.0125
 
 
 def test_a_draw_does_not_depend_on_how_many_there_are():
-    line = Case(BOX).line(4)
-    few, many = (draw(Unknown(), BOX, line, count, 3) for count in (2, 5))
+    few, many = (draw(Unknown(), BOX, LINE, count, 3) for count in (2, 5))
     np.testing.assert_array_equal(few.friction, many.friction[:2])
     np.testing.assert_array_equal(few.stiffness, many.stiffness[:2])
     assert few.parcels == many.parcels[:2]
 
 
 def test_draws_become_runs():
-    drawn = draw(Unknown(speed=0.5), BOX, Case(BOX).line(4), 50, 0)
+    drawn = draw(Unknown(speed=0.5), BOX, LINE, 50, 0)
     runs = drawn.runs(0.6, 0.0, columns=4, layout=2)
     assert runs.speed.min() >= 0.0
     np.testing.assert_allclose(runs.speed, np.maximum(0.0, 0.6 + drawn.speed))
     np.testing.assert_array_equal(runs.stiffness, np.arange(50))
     assert (runs.layout == 2).all()
     assert (runs.columns == 4).all()
-
-
-BOX = layouts.box("S")
-LINE = line_for(BOX, 8)
 
 
 def test_layouts_are_the_study_s():
@@ -99,21 +80,19 @@ def test_the_other_side_is_the_mirror_image(purpose):
 
 def test_slow_down_to_a_share_or_to_just_that():
     axes = np.stack([layout.axis for layout in Slow().layouts(LINE, 1)])
-    runs = make_runs(1.5, layout=[0, 1], columns=1)
-    ends = run_all(LINE, axes, [BOX], runs)
+    ends = run_all(LINE, axes, [BOX], make_runs(1.5, layout=[0, 1], columns=1))
     ratio = Slow().measure(ends)
     np.testing.assert_allclose(ratio, ends.velocity[:, 0] / 1.5)
     for k in (0, 1):
-        assert Slow(ratio[k] + 0.01).succeeds(ends)[k]
-        assert not Slow(ratio[k] - 0.01).succeeds(ends)[k]
-        assert not Slow(ratio[k] + 0.02, tolerance=0.01).succeeds(ends)[k]
-        assert Slow(ratio[k] + 0.02, tolerance=0.03).succeeds(ends)[k]
+        for off, tolerance, does in (
+            (0.01, None, True), (-0.01, None, False), (0.02, 0.01, False), (0.02, 0.03, True),
+        ):  # fmt: skip
+            assert Slow(ratio[k] + off, tolerance).succeeds(ends)[k] == does
 
 
 def test_a_parcel_that_stops_has_no_exit_speed_and_one_that_leaves_no_place():
     axes = np.stack([np.zeros((2, 8)), np.full((2, 8), layouts.ROLLING)])
-    runs = make_runs(1.0, layout=[0, 1], columns=8)
-    ends = run_all(LINE, axes, [BOX], runs)
+    ends = run_all(LINE, axes, [BOX], make_runs(1.0, layout=[0, 1], columns=8))
     assert np.isnan(Slow().measure(ends)).tolist() == [True, False]
     assert np.isnan(Stop().measure(ends)).tolist() == [False, True]
     assert Stop().succeeds(ends).tolist() == [True, False]

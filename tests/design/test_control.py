@@ -3,6 +3,7 @@
 import csv
 import math
 
+import numpy as np
 import pytest
 
 import surface_gym as sg
@@ -16,27 +17,27 @@ from surface_gym.design.runs import make_runs
 BOX = layouts.box("S")
 
 
-def test_the_fixed_layout_does_in_the_environment_what_it_does_in_a_design():
+CASE = Case(BOX, Sort(), speed=1.2, draws=4)
+
+
+@pytest.fixture(scope="module")
+def gain():
+    return control_gain(CASE)
+
+
+def test_the_fixed_layout_does_in_the_environment_what_it_does_in_a_design(gain):
     """The environment runs on the design's own surface, and gets the same least speed."""
-    case = Case(BOX, Sort(), speed=1.2, draws=4)
-    gain = control_gain(case)
-    columns = least_columns(case).columns
-    assert (gain.columns, gain.rows) == (columns, 2)
+    assert (gain.columns, gain.rows) == (least_columns(CASE).columns, 2)
     fixed = next(each for each in gain.gains if each.controller == "fixed layout")
     assert fixed.arranged_once
-    line = case.line(gain.columns)
-    axes = case.purpose.layouts(line, gain.columns)[0].axis[None]
-
-    def sorts(speed: float) -> bool:
-        return bool(case.purpose.succeeds(case.run(line, axes, make_runs(speed)))[0])
-
-    assert sorts(fixed.least_speed)
-    assert not sorts(fixed.least_speed - 0.04)
+    line = CASE.line(gain.columns)
+    axes = CASE.purpose.layouts(line, gain.columns)[0].axis[None]
+    runs = make_runs(fixed.least_speed - np.array([0.0, 0.04]))
+    assert CASE.purpose.succeeds(CASE.run(line, axes, runs)).tolist() == [True, False]
 
 
-def test_control_sorts_slower_parcels_than_axes_arranged_once_at_the_same_angles():
+def test_control_sorts_slower_parcels_than_axes_arranged_once_at_the_same_angles(gain):
     """Axes that may stand at any angle do as well arranged once."""
-    gain = control_gain(Case(BOX, Sort(), speed=1.2, draws=4))
     least = {each.controller: each.least_speed for each in gain.gains}
     ruled = min(each.least_speed for each in gain.gains if not each.arranged_once)
     assert ruled < 0.6 * least["best fixed layout"]
@@ -57,12 +58,9 @@ def test_every_purpose_has_its_task(purpose, speed, task):
     assert best == 1.0
 
 
-def test_a_tilted_case_is_refused():
+def test_a_tilt_is_refused_and_no_columns_where_no_fixed_layout_does_it():
     with pytest.raises(ValueError, match=r"tilt must be 0 for controllers on a line, got 0\.1"):
         control_gain(Case(BOX, tilt=0.1))
-
-
-def test_columns_must_be_given_where_no_fixed_layout_does_it():
     with pytest.raises(ValueError, match=r"columns must be given .* at 0.4 m/s, got None"):
         control_gain(Case(BOX, speed=0.4, unknown=NOTHING))
 
@@ -108,14 +106,11 @@ def test_the_command_answers_it(tmp_path, capsys):
     assert (tmp_path / "control.png").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize(
-    ("flags", "error"),
-    [
+def test_flags_that_do_not_go_with_controllers_are_refused(tmp_path, capsys):
+    for flags, error in (
         (("--rows", "3"), "rows must be those under the parcel for control, got 3"),
         (("--cluster", "auto"), "cluster must not be given for control"),
-    ],
-)
-def test_flags_that_do_not_go_with_controllers_are_refused(flags, error, tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        main(["control", "--parcel", "S", *flags, "--out", str(tmp_path)])
-    assert error in capsys.readouterr().err
+    ):
+        with pytest.raises(SystemExit):
+            main(["control", "--parcel", "S", *flags, "--out", str(tmp_path)])
+        assert error in capsys.readouterr().err

@@ -15,6 +15,7 @@ from surface_gym.design.sweep import Arrangement, arrange
 from surface_gym.physics.types import GRAVITY
 
 OWN = sg.Parcel(sg.Rectangle(0.3, 0.4), mass=12.0)
+CASE = Case(layouts.box("S"), Sort(), speed=1.2, unknown=NOTHING)
 
 
 def is_sorted(arrangement: Arrangement, speed: float, mu_factor: float = 1.0) -> bool:
@@ -43,29 +44,19 @@ def test_the_study_s_boxes_may_come_as_slow_as_the_study_says(size, studied):
     assert found.least == pytest.approx(studied, abs=0.011)
 
 
-def test_simulate_agrees_on_both_sides_of_the_limits():
+def test_simulate_agrees_on_both_sides_of_the_limits_of_speed_and_friction():
     case = Case(OWN, Sort(), speed=1.2, unknown=NOTHING)
-    limits = least_speed(case)
-    found = limits.of(NOMINAL)
-    assert found.least is not None
-    assert found.most is not None
-    assert is_sorted(limits.arrangement, found.least)
-    assert not is_sorted(limits.arrangement, found.least - 0.01)
-    assert is_sorted(limits.arrangement, found.most)
-    assert not is_sorted(limits.arrangement, found.most + 0.01)
-
-
-def test_simulate_agrees_on_the_limits_of_friction():
-    case = Case(OWN, Sort(), speed=1.2, unknown=NOTHING)
-    limits = friction_range(case).along
-    found = limits.of(NOMINAL)
-    assert found.least is not None
-    assert found.most is not None
-    next_factor = 2.0 ** (1.0 / 48.0)
-    assert is_sorted(limits.arrangement, 1.2, found.least)
-    assert not is_sorted(limits.arrangement, 1.2, found.least / next_factor)
-    assert is_sorted(limits.arrangement, 1.2, found.most)
-    assert not is_sorted(limits.arrangement, 1.2, found.most * next_factor)
+    speeds, factors = least_speed(case), friction_range(case).along
+    found, step = speeds.of(NOMINAL), 0.01
+    for speed, sorts in ((found.least, True), (found.least - step, False)):
+        assert is_sorted(speeds.arrangement, speed) == sorts
+    for speed, sorts in ((found.most, True), (found.most + step, False)):
+        assert is_sorted(speeds.arrangement, speed) == sorts
+    found, step = factors.of(NOMINAL), 2.0 ** (1.0 / 48.0)
+    for factor, sorts in ((found.least, True), (found.least / step, False)):
+        assert is_sorted(factors.arrangement, 1.2, factor) == sorts
+    for factor, sorts in ((found.most, True), (found.most * step, False)):
+        assert is_sorted(factors.arrangement, 1.2, factor) == sorts
 
 
 def stops_at_the_latest(tilt: float, speed: float, mu: float) -> float:
@@ -82,7 +73,6 @@ def test_a_parcel_stops_on_slopes_up_to_the_angle_of_friction():
     case = Case(layouts.box("S"), Stop(), speed=0.2, unknown=NOTHING)
     found = least_tilt(case, columns=30, highest=math.radians(30.0)).of(NOMINAL)
     assert found.least == 0.0
-    assert found.most is not None
     assert found.most < math.atan(0.5)
     sure = [tilt for tilt in found.values if stops_at_the_latest(tilt, 0.2, 0.5) < 2.6]
     assert found.most >= sure[-1] > math.radians(20.0)
@@ -93,13 +83,11 @@ def test_friction_that_holds_a_parcel_on_a_slope_may_be_off_by_its_reserve():
     case = Case(layouts.box("S"), Stop(), speed=0.2, tilt=tilt, unknown=NOTHING)
     limits = friction_range(case, columns=30)
     found = limits.along.of(NOMINAL)
-    assert found.least is not None
     assert found.least > math.tan(tilt) / 0.5
     sure = [factor for factor in found.values if stops_at_the_latest(tilt, 0.2, 0.5 * factor) < 2.6]
     assert found.least <= sure[0]
     assert found.most == 16.0  # all that was tried
     across = limits.across.of(NOMINAL)  # friction across only helps to stop
-    assert across.least is not None
     assert across.least <= 1.0
     assert across.most == 16.0
 
@@ -111,8 +99,6 @@ def test_draws_narrow_the_limits_and_share_the_draws_of_least_columns():
     assert [each.group for each in limits.spans] == [
         NOMINAL, "friction", "load", "unevenness", TOGETHER,
     ]  # fmt: skip
-    assert known.least is not None
-    assert together.least is not None
     assert known.least <= together.least
     own = together.share[np.abs(together.values - 2.5).argmin()]
     assert own == least_columns(case).worst[-1].success
@@ -130,13 +116,12 @@ def test_what_is_unknown_of_friction_is_left_out_where_friction_is_varied():
 def test_a_case_that_fails_has_no_limits():
     case = Case(layouts.box("S"), Sort(), speed=0.3, unknown=NOTHING)
     found = least_speed(case, columns=4, highest=1.0).of(NOMINAL)
-    assert found.least is None
-    assert found.most is None
+    assert (found.least, found.most) == (None, None)
     assert found.share.max() == 1.0  # though others succeed
 
 
 def test_progress_adds_up():
-    calls: list[tuple[int, int]] = []
+    calls = []
     case = Case(layouts.box("S"), Sort(), speed=1.2, draws=8)
     friction_range(case, columns=5, on_progress=lambda *done: calls.append(done))
     done, totals = zip(*calls, strict=True)
@@ -163,18 +148,12 @@ def test_a_span_ends_at_the_first_failure(done, own, expected):
     assert span_around(np.array(done), own) == expected
 
 
-def test_columns_are_those_that_the_draws_take():
+def test_columns_are_those_that_the_draws_take_or_those_of_nothing_unknown():
     case = Case(layouts.box("B"), Slow(0.7), speed=2.0, draws=40)
-    found = least_columns(case)
-    together = found.worst[-1].columns
-    assert together is not None
-    assert arrange(case).columns == together
+    assert arrange(case).columns == least_columns(case).worst[-1].columns
     assert "95%" in arrange(case).chosen
     assert arrange(case, columns=2).chosen == "as asked"
     assert "nothing unknown" in arrange(replace(case, unknown=NOTHING)).chosen
-
-
-def test_columns_are_those_of_nothing_unknown_where_no_draws_are_enough():
     arrangement = arrange(Case(layouts.box("S"), Slow(0.5), speed=1.0, draws=20))
     assert arrangement.columns == 1
     assert "none do" in arrangement.chosen
@@ -186,17 +165,20 @@ def test_of_two_layouts_the_one_that_does_it_is_taken():
     assert arrange(case, columns=5).layout.name == "+-45 deg"
 
 
-def test_errors_name_what_came():
-    case = Case(layouts.box("S"), Sort(), speed=1.2, unknown=NOTHING)
-    with pytest.raises(ValueError, match=r"columns must be given: .* up to 30 does it at 0\.3 m/s"):
-        least_speed(case.at(0.3))
-    with pytest.raises(ValueError, match="columns must be a whole number of at least 1, got 0"):
-        least_speed(case, columns=0)
-    with pytest.raises(ValueError, match=r"highest must be between 1\.2 and 20, got 1\.0"):
-        least_speed(case, highest=1.0)
-    with pytest.raises(ValueError, match=r"highest must be from the case's tilt, 0, .* got 0.8"):
-        least_tilt(case, highest=0.8)
-    with pytest.raises(ValueError, match="workers must be a whole number of at least 1, got 0"):
-        friction_range(case, workers=0)
-    with pytest.raises(ValueError, match="group must be one of 'nominal', got 'friction'"):
-        least_speed(case, columns=5).of("friction")
+@pytest.mark.parametrize(
+    ("ask", "error"),
+    [
+        (lambda: least_speed(CASE.at(0.3)), r"columns must be given: .* does it at 0\.3 m/s"),
+        (lambda: least_speed(CASE, columns=0), "columns must be a whole number of at least 1"),
+        (lambda: least_speed(CASE, highest=1.0), r"highest must be between 1\.2 and 20, got 1\.0"),
+        (lambda: least_tilt(CASE, highest=0.8), "highest must be from the case's tilt, 0, .* 0.8"),
+        (lambda: friction_range(CASE, workers=0), "workers must be a whole number of at least 1"),
+        (
+            lambda: least_speed(CASE, columns=5).of("friction"),
+            "group must be one of 'nominal', got 'friction'",
+        ),
+    ],
+)
+def test_errors_name_what_came(ask, error):
+    with pytest.raises(ValueError, match=error):
+        ask()

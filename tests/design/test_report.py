@@ -3,8 +3,8 @@
 import csv
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
-import numpy as np
 import pytest
 
 import surface_gym as sg
@@ -20,21 +20,22 @@ from surface_gym.design.sweep import sensitivity, success_map
 BOX = layouts.box("S")
 CASE = Case(BOX, Sort(), speed=1.2, draws=5)
 LOST = Case(BOX, Sort(), speed=0.3, draws=5)
-TRIANGLE = sg.Polygon(np.array([(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)]))
 SPEEDS = (0.3, 1.2)
 EFFORT = Effort(members=5, generations=1, epochs=1, rounds=0)
+
+
+CASES = {
+    "sort": (CASE, 4),
+    "sort, nothing unknown": (replace(CASE, unknown=NOTHING), 4),
+    "sort, never": (Case(BOX, Sort(), speed=0.2, draws=5), 2),
+    "turn": (Case(BOX, Turn(), speed=1.5, draws=5), 6),
+}
 
 
 def columns_of(case: Case, speeds: tuple[float, ...] = SPEEDS) -> ColumnsReport:
     return ColumnsReport(case, columns_by_rows(case), speeds, columns_by_speed(case, speeds))
 
 
-CASES = {
-    "sort": (CASE, 4),
-    "sort, nothing unknown": (Case(BOX, Sort(), speed=1.2, unknown=NOTHING), 4),
-    "sort, never": (Case(BOX, Sort(), speed=0.2, draws=5), 2),
-    "turn": (Case(BOX, Turn(), speed=1.5, draws=5), 6),
-}
 ANSWERS: dict[str, Callable[[Case, int], Answer]] = {
     "columns": lambda case, _: columns_of(case),
     "speed": lambda case, columns: least_speed(case, columns, highest=2.0),
@@ -73,15 +74,13 @@ def test_lines_differ_in_colour_and_in_style():
     assert len({str(style) for style in alone}) == len(alone)
 
 
-@pytest.mark.parametrize(
-    ("cell", "text"),
-    [
-        (None, "-"), (math.nan, "-"), (True, "yes"), (False, "no"), (3, "3"), (0.12345, "0.123"),
-        ("+45 deg", "+45 deg"),
-    ],
-)  # fmt: skip
-def test_a_cell_on_screen(cell, text):
-    assert format_cell(cell) == text
+def test_a_cell_on_screen():
+    cells = {
+        "-": (None, math.nan), "yes": (True,), "no": (False,), "3": (3,), "0.123": (0.12345,),
+        "+45 deg": ("+45 deg",),
+    }  # fmt: skip
+    for text, same in cells.items():
+        assert [format_cell(cell) for cell in same] == [text] * len(same)
 
 
 def test_csv_keeps_numbers_in_full_and_missing_cells_empty(tmp_path):
@@ -93,44 +92,39 @@ def test_csv_keeps_numbers_in_full_and_missing_cells_empty(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("purpose", "action", "passive"),
+    ("purpose", "done", "how"),
     [
-        (Sort(), "sort it", "be sorted"),
-        (Slow(0.7), "slow it to 0.7 or less of its speed", "be slowed to 0.7 or less of its speed"),
-        (
-            Slow(0.7, 0.1), "slow it to 0.7 +- 0.1 of its speed",
-            "be slowed to 0.7 +- 0.1 of its speed",
-        ),
-        (Stop(), "stop it", "be stopped"),
-        (
-            Stop(0.3), "stop it within 0.05 m of 0.3 m into the zone",
-            "be stopped within 0.05 m of 0.3 m into the zone",
-        ),
-        (Turn(), "turn it by 30 +- 5 deg", "be turned by 30 +- 5 deg"),
+        (Sort(), "sorted", ""),
+        (Slow(0.7), "slowed", " to 0.7 or less of its speed"),
+        (Slow(0.7, 0.1), "slowed", " to 0.7 +- 0.1 of its speed"),
+        (Stop(), "stopped", ""),
+        (Stop(0.3), "stopped", " within 0.05 m of 0.3 m into the zone"),
+        (Turn(), "turned", " by 30 +- 5 deg"),
     ],
-)  # fmt: skip
-def test_a_purpose_in_words(purpose, action, passive):
-    assert (purpose.action, purpose.passive) == (action, passive)
+)
+def test_a_purpose_in_words(purpose, done, how):
+    act = {"slowed": "slow", "stopped": "stop"}.get(done, done.removesuffix("ed"))
+    assert (purpose.action, purpose.passive) == (f"{act} it{how}", f"be {done}{how}")
 
 
 def test_a_base_in_words():
+    triangle = sg.Polygon([(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)])
     assert describe_base(sg.Rectangle(0.3, 0.4)) == "0.3 x 0.4 m parcel"
     assert describe_base(sg.Disc(0.2)) == "round parcel of 0.2 m radius"
-    assert describe_base(TRIANGLE) == "parcel of 3 corners"
+    assert describe_base(triangle) == "parcel of 3 corners"
 
 
 def test_columns_by_group_by_rows_and_by_speed():
     report = columns_of(CASE)
     own, rows, by_speed = report.tables()
-    assert [row[0] for row in own.rows] == [
-        "nothing", "friction", "load", "unevenness", "all together",
-    ]  # fmt: skip
+    groups = ["nothing", "friction", "load", "unevenness", "all together"]
+    assert [row[0] for row in own.rows] == groups
     assert [row[0] for row in rows.rows] == [1, 2]
     assert rows.rows[1][1:4] == (4, 8, "+45 deg")
     assert by_speed.rows[0][:3] == (0.3, 2, None)  # at this speed no number is enough
     assert not by_speed.shown
     assert report.sentence.endswith("; for 95% of the draws, 4")
-    assert columns_of(Case(BOX, Sort(), speed=1.2, unknown=NOTHING), ()).sentence == (
+    assert columns_of(replace(CASE, unknown=NOTHING), ()).sentence == (
         "4 columns of 2 rows (8 modules at +45 deg) are what it takes to sort it, a 0.25 x 0.25 m "
         "parcel that comes at 1.2 m/s"
     )

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.rendering import ExitMark, ExitSide, Scene, SceneParcel, Traffic
+from surface_gym.rendering import ExitMark, ExitSide, Scene, SceneParcel, Traffic, draw
+from surface_gym.rendering.ink import PLATE_EDGE
 
 SMALL = sg.Rectangle(0.25, 0.25).outline
 LONG = sg.Rectangle(0.45, 0.25).outline
+HIGHEST, LOWEST = 1.7, 0.3  # [m] shown of a line's surface: 0.5 m beside the rotor rows
 EXITS = (ExitMark("A", 1, 1.0, 2.0), ExitMark("B", -1, 3.0, 4.0), ExitMark("on", 0, 6.0, 6.6))
 
 
@@ -76,3 +78,38 @@ def busy(empty):
         title="Sort a stream",
         readings=(("time", "12.3 s"), ("parcels an hour", "3 600")),
     )
+
+
+class Plate:
+    """Where a scene's surface lies in its pictures, by the border around what is shown of it."""
+
+    def __init__(self, scene: Scene, width: int | None = None) -> None:
+        self.stream = scene.traffic is not None
+        ground = replace(scene, parcels=(), touching=(), goal=None)
+        if self.stream:
+            ground = replace(ground, traffic=Traffic((), ()))
+        border = (draw(ground, width) == PLATE_EDGE).all(axis=2)
+        rows = np.flatnonzero(border.mean(axis=1) > 0.7)
+        columns = np.flatnonzero(border.mean(axis=0) > 0.4)
+        self.top, self.bottom = rows[0], rows[-1] + 1  # [px]
+        self.left, self.right = columns[0], columns[-1] + 1
+        self.low, self.high = (LOWEST, HIGHEST) if self.stream else (0.0, 0.1 * scene.rows)  # [m]
+        self.length = 0.1 * scene.columns
+        self.cell = 0.1 * (self.right - self.left) / self.length  # [px] of an element
+
+    def pixel(self, x: float, y: float) -> tuple[float, float]:
+        """Fractions of a pixel (column, row) of a point [m] of the surface."""
+        column = self.left + (self.right - self.left) * x / self.length
+        height = self.bottom - self.top
+        return column, self.top + height * (self.high - y) / (self.high - self.low)
+
+
+def differing(picture: np.ndarray, other: np.ndarray) -> tuple[int, int, int, int]:
+    """(left, right, top, bottom) [px] of where two pictures differ."""
+    rows, columns = np.nonzero((picture != other).any(axis=2))
+    return columns.min(), columns.max() + 1, rows.min(), rows.max() + 1
+
+
+def middle(box: tuple[int, int, int, int]) -> tuple[float, float]:
+    left, right, top, bottom = box
+    return 0.5 * (left + right), 0.5 * (top + bottom)

@@ -48,26 +48,15 @@ class TestStarts:
         assert all(start.pose == (start.parcel.rear, 1.0, 0.0) for start in starts)
         assert all(start.velocity[1:] == (0.0, 0.0) for start in starts)
 
-    @pytest.mark.parametrize("angle", [-3.2, 3.2, math.nan, "left", None])
-    def test_bad_angles(self, angle):
-        with pytest.raises(ValueError, match="angle"):
-            bare(ORIENT).reset(options={"angle": angle})
-
 
 class TestEnds:
     @pytest.mark.parametrize(
         ("off", "outcome"),
-        [
-            (0.0, "success"),
-            (0.99 * TWO_DEGREES, "success"),
-            (-0.99 * TWO_DEGREES, "success"),
-            (1.01 * TWO_DEGREES, "missed"),
-            (-1.01 * TWO_DEGREES, "missed"),
-            (0.3, "missed"),
-        ],
-    )
+        [(0.0, "success"), (0.99, "success"), (-0.99, "success"), (1.01, "missed"),
+         (-1.01, "missed"), (9.0, "missed")],
+    )  # fmt: skip
     def test_of_a_layout_that_turns(self, off, outcome):
-        angle = yielded()
+        angle, off = yielded(), off * TWO_DEGREES
         assert angle > 0.2
         options = {"speed": 1.5, "parcel": "S", "angle": angle + off}
         episode = play(bare(ORIENT), options, TURNING.ravel())
@@ -80,8 +69,7 @@ class TestEnds:
 
     @pytest.mark.parametrize(("choice", "outcome"), [(BRAKE, "stalled"), (PLUS_45, "off the line")])
     def test_failures_before_it_leaves(self, choice, outcome):
-        env = bare(ORIENT)
-        options = {"speed": 1.5, "parcel": "S", "angle": 0.1}
+        env, options = bare(ORIENT), {"speed": 1.5, "parcel": "S", "angle": 0.1}
         episode = play(env, options, same_choice(env, choice))
         assert episode.end["outcome"] == outcome
         assert episode.total("precision") == 0.0
@@ -90,21 +78,17 @@ class TestEnds:
         env = bare(ORIENT, zone=(20, 26))
         front_heavy = sg.Parcel(sg.Rectangle(0.5, 0.25), com_offset=(0.1, 0.0))
         options = {"speed": 1.5, "parcel": front_heavy, "angle": 0.1}
-        episode = play(env, options, same_choice(env, ROLL))
-        assert episode.end["outcome"] == "off the surface"
+        assert play(env, options, same_choice(env, ROLL)).end["outcome"] == "off the surface"
 
 
 class TestReward:
-    @pytest.mark.parametrize("seed", range(4))
-    def test_turn_telescopes(self, seed):
+    @pytest.mark.parametrize("seed", range(3))
+    def test_turn_telescopes_and_the_error_is_reported_all_along(self, seed):
         episode = play(bare(ORIENT, actions="quadrants"), {"angle": 0.05}, seed=seed)
         nearer = 0.05 - abs(episode.end["pose"][2] - 0.05)
         assert episode.total("turn") == pytest.approx(nearer, abs=1e-9)
-
-    def test_angle_error_is_reported_all_along(self):
-        episode = play(bare(ORIENT), {"angle": -0.4, "speed": 1.5}, TURNING.ravel())
         for info in (episode.start, *episode.infos):
-            assert info["angle_error"] == pytest.approx(info["pose"][2] + 0.4, abs=1e-12)
+            assert info["angle_error"] == pytest.approx(info["pose"][2] - 0.05, abs=1e-12)
 
 
 class TestSeen:

@@ -112,34 +112,33 @@ def test_a_parcel_stays_within_what_it_can_reach():
     assert all(within[elements_under(surface, parcel, pose)].all() for pose in run.pose)
 
 
-def test_a_tilt_beyond_the_recipe_is_refused():
-    surface = sg.layouts.sorting(tilt=math.radians(16.0))
-    with pytest.raises(ValueError, match=r"tilt must be between -15 and 15 deg.*got 16 deg"):
-        validation.build(surface, sg.Parcel(sg.Disc(0.1)))
+def test_what_cannot_be_built_is_refused():
+    large, wide = (
+        sg.Surface(np.zeros((side, side)), np.full((side, side), rotor))
+        for side, rotor in ((70, True), (210, False))
+    )
+    for surface, more, message in (
+        (
+            sg.layouts.sorting(tilt=math.radians(16.0)),
+            {},
+            "tilt must be between -15 and 15 deg.*16",
+        ),
+        (large, {}, "at most 4000 rotors .*got 4900 and"),
+        (wide, {}, "at most 4000 rotors .*got 0 and"),
+        (SURFACE, {"heights": np.zeros(3)}, r"heights must have the shape \(20, 20\), got \(3,\)"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            validation.build(surface, sg.Parcel(sg.Disc(0.1)), **more)
 
 
-@pytest.mark.parametrize(("side", "rotor"), [(70, True), (210, False)])
-def test_a_surface_too_large_for_memory_is_refused(side, rotor):
-    shape = (side, side)
-    surface = sg.Surface(axis=np.zeros(shape), rotor=np.full(shape, rotor))
-    with pytest.raises(ValueError, match=rf"at most 4000 rotors .*got {side**2 * rotor} and"):
-        validation.build(surface, sg.Parcel(sg.Disc(0.1)))
-
-
-def test_heights_of_another_shape_are_refused():
-    with pytest.raises(ValueError, match=r"heights must have the shape \(20, 20\), got \(3,\)"):
-        validation.build(SURFACE, sg.Parcel(sg.Disc(0.1)), heights=np.zeros(3))
-
-
-@pytest.mark.parametrize("change", [{"step": 0.0}, {"impedance": 1.0}, {"rotor_mass": math.nan}])
-def test_a_recipe_checks_its_numbers(change):
-    (name,) = change
-    with pytest.raises(ValueError, match=f"{name} must be"):
-        validation.Recipe(**change)
-
-
-@pytest.mark.parametrize("change", [{"stiffness": 0.0}, {"friction": -0.1}, {"damping": math.nan}])
-def test_sides_check_their_numbers(change):
-    (name,) = change
-    with pytest.raises(ValueError, match=f"{name} must be"):
-        Sides(**change)
+@pytest.mark.parametrize(
+    ("kind", "wrong"),
+    [
+        (validation.Recipe, {"step": 0.0, "impedance": 1.0, "rotor_mass": math.nan}),
+        (Sides, {"stiffness": 0.0, "friction": -0.1, "damping": math.nan}),
+    ],
+)
+def test_numbers_are_checked(kind, wrong):
+    for name, value in wrong.items():
+        with pytest.raises(ValueError, match=f"{name} must be"):
+            kind(**{name: value})

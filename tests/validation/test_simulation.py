@@ -14,6 +14,7 @@ from surface_gym.validation.simulation import static_sag
 pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
 
 START = (0.125, 1.0, 0.0)
+BOX = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=5.48)
 
 
 @pytest.mark.parametrize("name", ["tilted", "pushed"])
@@ -40,11 +41,10 @@ def test_the_trajectory_is_that_of_simulate(pushed):
 
 
 def test_a_mirrored_layout_mirrors_the_path():
-    parcel = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=5.48)
     down, up = (
-        validation.simulate(
-            sg.layouts.sorting(side=side), parcel, START, (1.2, 0.0, 0.0), 0.4
-        ).pose[-1]
+        validation.simulate(sg.layouts.sorting(side=side), BOX, START, (1.2, 0.0, 0.0), 0.4).pose[
+            -1
+        ]
         - START
         for side in (-1, 1)
     )
@@ -61,13 +61,11 @@ def test_a_mirrored_layout_mirrors_the_path():
     ids=["box", "disc"],
 )
 def test_a_mesh_moves_as_the_shape_it_stands_for(one, other, tolerance):
-    ends = [
-        validation.simulate(
-            sg.layouts.sorting(), sg.Parcel(base, inertia=0.1), START, (1.0, 0.0, 0.0), 0.3
-        ).pose[-1]
-        for base in (one, other)
+    parcels, velocity = [sg.Parcel(base, inertia=0.1) for base in (one, other)], (1.0, 0.0, 0.0)
+    runs = [
+        validation.simulate(sg.layouts.sorting(), each, START, velocity, 0.3) for each in parcels
     ]
-    np.testing.assert_allclose(ends[0], ends[1], atol=tolerance)
+    np.testing.assert_allclose(runs[0].pose[-1], runs[1].pose[-1], atol=tolerance)
 
 
 def test_any_layout_and_parcel_agree_with_simulate():
@@ -87,18 +85,13 @@ def test_any_layout_and_parcel_agree_with_simulate():
     np.testing.assert_allclose(ours.pose[-1] - ours.pose[0], moved, rtol=0.01)
 
 
-def test_the_run_ends_where_the_surface_does():
+def test_the_run_ends_where_the_surface_does_or_at_its_duration():
     surface = sg.layouts.sorting(columns=34)
-    parcel = sg.Parcel(sg.Rectangle(0.25, 0.25))
-    run = validation.simulate(surface, parcel, (3.2, 1.0, 0.0), (1.5, 0.0, 0.0), 0.5)
+    run = validation.simulate(surface, BOX, (3.2, 1.0, 0.0), (1.5, 0.0, 0.0), 0.5)
     assert run.end == "left the surface"
     assert run.tipping[-1]
     assert run.pose[-1, 0] == pytest.approx(3.4, abs=1e-3)
-
-
-def test_the_last_step_is_shortened_to_the_duration():
-    parcel = sg.Parcel(sg.Disc(0.2))
-    run = validation.simulate(sg.layouts.sorting(), parcel, START, duration=0.00125)
+    run = validation.simulate(surface, BOX, START, duration=0.00125)  # the last step is shorter
     assert len(run.time) == 14
     assert run.time[-1] == pytest.approx(0.00125)
 
@@ -129,6 +122,5 @@ def test_the_base_sinks_until_the_springs_carry_it(tops, stiffness, sag):
     ],
 )
 def test_what_is_not_allowed_is_refused(change, message):
-    arguments = {"pose": START, **change}
     with pytest.raises(ValueError, match=message):
-        validation.simulate(sg.layouts.sorting(), sg.Parcel(sg.Rectangle(0.25, 0.25)), **arguments)
+        validation.simulate(sg.layouts.sorting(), BOX, **({"pose": START} | change))

@@ -10,6 +10,7 @@ from surface_gym.validation.simulation import simulate_together
 pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
 
 SURFACE = sg.Surface(np.zeros((12, 14)), np.zeros((12, 14), dtype=bool))
+POSES = [(0.3, 0.6, 0.0), (0.6, 0.6, 0.0)]
 EVERYWHERE = np.ones((12, 14), dtype=bool)
 PARCEL = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=2.0, com_height=0.05)
 
@@ -42,8 +43,8 @@ def test_the_parcels_of_a_meeting_touch_on_the_surface():
 @pytest.mark.parametrize("base", [sg.Rectangle(0.25, 0.25), sg.Disc(0.125)], ids=["box", "disc"])
 def test_what_has_hit_in_mujoco_stays_together(base):
     parcel = sg.Parcel(base, mass=2.0, com_height=0.05)
-    poses, velocities = [(0.3, 0.6, 0.0), (0.6, 0.6, 0.0)], [(1.0, 0.0, 0.0), (0.0, 0.0, 0.0)]
-    runs = simulate_together(SURFACE, [parcel] * 2, poses, velocities, 0.2, EVERYWHERE)
+    velocities = [(1.0, 0.0, 0.0), (0.0, 0.0, 0.0)]
+    runs = simulate_together(SURFACE, [parcel] * 2, POSES, velocities, 0.2, EVERYWHERE)
     pushed = [run.velocity[-1, 0] for run in runs]
     np.testing.assert_allclose(pushed, 0.49, atol=0.01)
     assert runs[1].pose[-1, 0] - runs[0].pose[-1, 0] == pytest.approx(0.25, abs=5e-4)
@@ -53,16 +54,16 @@ def test_what_has_hit_in_mujoco_stays_together(base):
 def test_a_run_that_diverges_is_named(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes a log where it is
     motion = [(1e11, 0.0, 0.0), (0.0, 0.0, 0.0)]  # beyond what MuJoCo takes for a number
-    poses = [(0.3, 0.6, 0.0), (0.6, 0.6, 0.0)]
     with pytest.raises(RuntimeError, match=r"diverged at a step of 2e-05 s .* a smaller step"):
-        simulate_together(SURFACE, [PARCEL] * 2, poses, motion, 0.001, EVERYWHERE)
+        simulate_together(SURFACE, [PARCEL] * 2, POSES, motion, 0.001, EVERYWHERE)
 
 
 def test_what_is_not_allowed_is_refused():
-    arguments = [(0.3, 0.6, 0.0)], [(0.0, 0.0, 0.0)], 0.1, EVERYWHERE
-    with pytest.raises(ValueError, match=r"poses must have the shape \(2, 3\), got \(1, 3\)"):
-        simulate_together(SURFACE, [PARCEL] * 2, *arguments)
-    with pytest.raises(ValueError, match=r"velocities must have the shape \(1, 3\), got \(1,\)"):
-        simulate_together(SURFACE, [PARCEL], arguments[0], [0.0], 0.1, EVERYWHERE)
-    with pytest.raises(ValueError, match=r"duration must be greater than 0, got 0"):
-        simulate_together(SURFACE, [PARCEL], *arguments[:2], 0, EVERYWHERE)
+    poses, still = [(0.3, 0.6, 0.0)], [(0.0, 0.0, 0.0)]
+    for count, velocities, duration, message in (
+        (2, still, 0.1, r"poses must have the shape \(2, 3\), got \(1, 3\)"),
+        (1, [0.0], 0.1, r"velocities must have the shape \(1, 3\), got \(1,\)"),
+        (1, still, 0, "duration must be greater than 0, got 0"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            simulate_together(SURFACE, [PARCEL] * count, poses, velocities, duration, EVERYWHERE)
