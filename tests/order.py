@@ -15,7 +15,7 @@ FIRST = (
     "tests/agents/learning/",
     "tests/design/test_control.py",
     "tests/agents/evaluation/",
-    "tests/docs/test_notebooks.py",
+    "tests/docs/test_site.py",
     "tests/cuda/test_ptx.py",
 )
 
@@ -48,8 +48,8 @@ NIGHTLY = (
         f"tests/cuda/test_ptx.py::test_every_task_compiles[{task}"
         for task in ("stop", "track", "slow", "orient")
     ),
-    "tests/docs/test_notebooks.py::test_it_runs",
-    "tests/docs/test_site.py",
+    "tests/docs/test_site.py::TestNotebook::test_it_runs",
+    "tests/docs/test_site.py::TestSite",
     "tests/parallel/test_cluster.py::test_a_command_that_was_killed_goes_on_with_a_custom_task",
     "tests/parallel/test_cluster.py::test_a_design_map_is_the_same",
     "tests/parallel/test_cluster.py::test_a_job_whose_node_dies_is_done_again_and_only_that",

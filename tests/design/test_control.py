@@ -8,6 +8,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
+from surface_gym.design import control
 from surface_gym.design.case import NOTHING, Case, Slow, Sort, Stop, Turn
 from surface_gym.design.cli import main
 from surface_gym.design.columns import least_columns
@@ -49,7 +50,9 @@ def test_control_sorts_slower_parcels_than_axes_arranged_once_at_the_same_angles
     ("purpose", "speed", "task"),
     [(Slow(), 1.5, "slow"), (Stop(), 1.0, "stop"), (Turn(math.radians(20.0)), 1.5, "orient")],
 )
-def test_every_purpose_has_its_task(purpose, speed, task):
+def test_every_purpose_has_its_task(purpose, speed, task, monkeypatch):
+    for step in ("SPEED_STEP", "WIDE_STEP"):  # one speed alone is tried
+        monkeypatch.setattr(control, step, 2.0)
     parcel = sg.Parcel(sg.Rectangle(0.28, 0.24), mass=12.0)
     gain = control_gain(Case(parcel, purpose, speed=speed, unknown=NOTHING, draws=1), columns=16)
     assert gain.task == task
@@ -97,7 +100,8 @@ def test_each_controller_has_a_row_and_a_bar():
     assert [each.get_text() for each in right.texts] == ["at no speed"]
 
 
-def test_the_command_answers_it(tmp_path, capsys):
+def test_the_command_answers_it(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(control, "WIDE_STEP", 2.0)
     main(["control", "--parcel", "S", "--speed", "1.2", "--draws", "3", "--out", str(tmp_path)])
     assert "by axes that follow it" in capsys.readouterr().out
     with (tmp_path / "control.csv").open() as file:

@@ -1,10 +1,11 @@
-"""Links of pages lead somewhere, and pictures are made by the command that makes them."""
+"""Links of pages lead somewhere; pictures and films are made by the commands that make them."""
 
 import re
 import sys
 from pathlib import Path
 from pkgutil import resolve_name
 
+import numpy as np
 import pytest
 
 from tests.docs.reading import DOCS, PAGES, ROOT, prose
@@ -58,12 +59,9 @@ def test_each_name_of_the_package_exists(page):
         assert resolve_name(name) is not None
 
 
-def test_every_picture_is_made_by_the_command(pictures):
+def test_every_picture_is_made_by_the_command_and_shown(pictures):
     """`python docs/pictures.py` makes what there is, and nothing else."""
     assert {file.name for file in (DOCS / "images").iterdir()} == set(pictures)
-
-
-def test_every_picture_is_shown(pictures):
     shown = {name for page in PAGES for name in NAMED.findall((ROOT / page).read_text())}
     assert shown >= set(pictures)
 
@@ -92,3 +90,22 @@ def test_the_help_lists_every_picture(pictures, capsys):
     help_text = "".join(capsys.readouterr().out.split())  # lines may break at a hyphen
     for name in pictures:
         assert name in help_text
+
+
+def test_a_film_shows_each_picture_in_its_colours_and_the_last_stays(tmp_path, monkeypatch):
+    image = pytest.importorskip("PIL.Image", reason="pillow, of the extra `agents`, is missing")
+    monkeypatch.syspath_prepend(DOCS)
+    from encoding import write_film
+
+    pictures = np.full((5, 40, 80, 3), 255, dtype=np.uint8)
+    for place, picture in enumerate(pictures):  # a red square that moves to the right
+        picture[10:30, 10 * place : 10 * place + 20] = (190, 15, 70)
+    for name, width in (("film", 80), ("narrow", 60), ("same", 60)):
+        write_film(list(pictures), 0.04, width, tmp_path / f"{name}.webp")
+    assert (tmp_path / "narrow.webp").read_bytes() == (tmp_path / "same.webp").read_bytes()
+    film = image.open(tmp_path / "film.webp")
+    assert (film.n_frames, film.size, film.info["loop"]) == (5, (80, 40), 0)
+    for place, picture in enumerate(pictures):
+        film.seek(place)
+        np.testing.assert_array_equal(np.asarray(film.convert("RGB")), picture)
+        assert film.info["duration"] == (40 if place < 4 else 1040)

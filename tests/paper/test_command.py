@@ -23,9 +23,7 @@ def forbidden(monkeypatch):
 @pytest.mark.usefixtures("computed")
 def test_the_report_the_data_and_the_figures_hold_everything(reproduction, tmp_path, capsys):
     file, folder = tmp_path / "report.json", tmp_path / "new" / "figures"
-
     command.main(["--json", str(file), "--figures", str(folder)])
-
     out = capsys.readouterr().out
     printed, paths = out[: out.index(str(folder))], out[out.index(str(folder)) :]
     for table in reproduction.tables:
@@ -42,7 +40,6 @@ def test_the_report_the_data_and_the_figures_hold_everything(reproduction, tmp_p
         assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
         assert (folder / f"{name}.pdf").read_bytes().startswith(b"%PDF")
         assert str(folder / f"{name}.png") in paths
-
     report = json.loads(file.read_text("utf-8"))
     assert list(report["tables"]) == [table.key for table in reproduction.tables]
     for table in reproduction.tables:
@@ -66,7 +63,6 @@ def test_the_report_the_data_and_the_figures_hold_everything(reproduction, tmp_p
 )
 def test_a_path_that_cannot_be_written_ends_it_before_the_work(option, path, tmp_path):
     (tmp_path / "file").touch()
-
     with pytest.raises(SystemExit, match=f"^error: cannot write {tmp_path}"):
         command.main([option, str(tmp_path / path)])
 
@@ -75,7 +71,6 @@ def test_a_path_that_cannot_be_written_ends_it_before_the_work(option, path, tmp
 def test_an_unknown_option_is_refused(capsys):
     with pytest.raises(SystemExit) as stop:
         command.main(["--tables"])
-
     assert stop.value.code == 2
     assert "--tables" in capsys.readouterr().err
 
@@ -83,7 +78,6 @@ def test_an_unknown_option_is_refused(capsys):
 def test_help_names_the_options(capsys):
     with pytest.raises(SystemExit) as stop:
         command.main(["--help"])
-
     assert stop.value.code == 0
     out = capsys.readouterr().out
     assert "--figures DIR" in out
