@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,17 +15,7 @@ from benchmarks.cli import main
 from benchmarks.gpu import NotMeasured, cli, timing
 from benchmarks.gpu.agreement import Ends, compare, run_episodes
 from benchmarks.gpu.results import SMALL, Results, cpu_name, gpu_name, plot_rates
-from benchmarks.gpu.timing import (
-    DeviceProgram,
-    Effort,
-    HostClock,
-    HostProgram,
-    Rate,
-    ResetCost,
-    make_sort,
-    measure_rate,
-    measure_resets,
-)
+from benchmarks.gpu.timing import DeviceProgram, Effort, Rate, ResetCost, measure_rate
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.cuda import DeviceMissing
 from surface_gym.tasks.sort import Sort
@@ -66,12 +57,11 @@ class StandIn:
         self._env = SmartSurfaceVectorEnv(
             NUM_ENVS, actions="halves", max_episode_steps=LIMIT, autoreset_mode=mode
         )
-        self.num_envs = NUM_ENVS
+        self.num_envs, self.seeds = NUM_ENVS, []
         self.single_action_space = self._env.single_action_space
         self.outcomes = self._env.batch.outcomes
         self._clock = clock or SimpleNamespace(now=0.0)
         self.batch = SimpleNamespace(prefetch=Prefetch(self._clock))
-        self.seeds: list[int] = []
 
     def reset(self, seed: int) -> None:
         self.seeds.append(seed)
@@ -79,15 +69,14 @@ class StandIn:
         self.batch.prefetch.starts_taken += 1
 
     def step(self, actions: torch.Tensor) -> tuple[Any, ...]:
-        observation, reward, terminated, truncated, infos = self._env.step(actions.numpy())
+        *arrays, infos = self._env.step(actions.numpy())
         self._clock.now += 2.0
-        self._reset_ended(terminated | truncated)
+        self._reset_ended(arrays[2] | arrays[3])
         self.batch.prefetch.update()
         names = list(self.outcomes)
         infos["outcome"] = torch.tensor([names.index(name) for name in infos["outcome"]])
         infos["pose"] = torch.from_numpy(infos["pose"])
-        flags = (torch.from_numpy(each) for each in (terminated, truncated))
-        return torch.from_numpy(observation), torch.from_numpy(reward), *flags, infos
+        return *map(torch.from_numpy, arrays), infos
 
     def _reset_ended(self, ended: Any) -> None:
         self.batch.prefetch.starts_taken += torch.from_numpy(ended)
@@ -113,14 +102,12 @@ class Scripted:
 
 
 class TestTiming:
-    def test_the_median_window_counts_after_warm_up(self, monkeypatch):
+    def test_the_median_window_counts_after_warm_up_and_lasts_as_required(self, monkeypatch):
         program = Scripted(ManualTime(monkeypatch), 100.0, 1.0, 8.0, 2.0)
         effort = Effort(windows=3, steps=64, seconds=0.5, chunk=64, warm_up=128)
         rate = measure_rate(program, effort)
         assert rate == Rate("scripted", 10, 64 * 10 / 2.0, 4 / 2.0, 3.0)
         assert program.chunks == [128, 64, 64, 64]
-
-    def test_a_window_lasts_as_long_as_required(self, monkeypatch):
         program = Scripted(ManualTime(monkeypatch), 0.1)
         measure_rate(program, Effort(windows=1, steps=8, seconds=0.95, chunk=8, warm_up=8))
         assert program.chunks == [8] * 11
@@ -135,14 +122,16 @@ class TestTiming:
         assert program.num_envs == NUM_ENVS
 
     def test_the_host_counts_the_episodes_that_end(self):
-        program = HostProgram("host", make_sort(Sort(), NUM_ENVS, max_episode_steps=LIMIT))
+        program = timing.HostProgram(
+            "host", timing.make_sort(Sort(), NUM_ENVS, max_episode_steps=LIMIT)
+        )
         assert program.episodes() == 0
         program.step(2 * LIMIT)
         assert program.episodes() >= 2 * NUM_ENVS
 
     def test_the_share_of_resets_is_of_the_parts_that_serve_them(self, monkeypatch):
         env = StandIn(clock=ManualTime(monkeypatch))
-        cost = measure_resets(DeviceProgram("stand-in", env), HostClock(), steps=5)
+        cost = timing.measure_resets(DeviceProgram("stand-in", env), timing.HostClock(), steps=5)
         # A period takes 2 s to step, 1.5 s to reset and 0.5 s to prepare three starts.
         assert cost.share == pytest.approx((1.5 + 0.5) / 4.0)
         assert cost.starts == pytest.approx(3 / 0.5)
@@ -219,10 +208,7 @@ class TestCommand:
             main(["--device", "cuda"])
 
     def test_nothing_is_measured_without_a_device(self, monkeypatch):
-        def check() -> None:
-            raise DeviceMissing("no GPU")
-
-        monkeypatch.setattr(cli, "check_device", check)
+        monkeypatch.setattr(cli, "check_device", Mock(side_effect=DeviceMissing("no GPU")))
         monkeypatch.setattr(cli, "list_jobs", lambda *_: pytest.fail("measures"))
         with pytest.raises(DeviceMissing):
             cli.measure_device((4,), True, None, None, QUIET)
@@ -243,12 +229,10 @@ class TestCommand:
         assert all(job.ours for job in cli.list_jobs((4,), beside=False))
 
     def test_a_failure_is_reported_and_the_rest_is_written(self, monkeypatch, tmp_path):
-        def fail(_: Results) -> None:
-            raise MemoryError("too many environments")
-
         def measure(results: Results) -> None:
             results.rates.append(Rate("measured", 4, 1.0, 0.0, 0.0))
 
+        fail = Mock(side_effect=MemoryError("too many environments"))
         jobs = [cli.Job("theirs", fail, ours=False), cli.Job("ours", fail), cli.Job("ok", measure)]
         monkeypatch.setattr(cli, "check_device", lambda: None)
         monkeypatch.setattr(cli, "describe_machine", lambda: "a machine")

@@ -53,12 +53,11 @@ class TestSample:
         for mutant in sample_mutants(SOURCE, 100, "0"):
             ast.parse(mutant.text)
             changed = mutant.text.splitlines()
-            differ = [k for k, line in enumerate(lines) if line != changed[k]]
-            assert differ == [mutant.line - 1]
-            assert (mutant.was, mutant.becomes) == (
-                lines[mutant.line - 1].strip(),
-                changed[mutant.line - 1].strip(),
-            )
+            ((line, was, becomes),) = [
+                (k, *pair) for k, pair in enumerate(zip(lines, changed, strict=True), 1)
+                if pair[0] != pair[1]
+            ]  # fmt: skip
+            assert (line, was.strip(), becomes.strip()) == (mutant.line, mutant.was, mutant.becomes)
 
     def test_types_decorators_and_errors_are_never_changed(self):
         changed = {mutant.was for mutant in sample_mutants(SOURCE, 100, "0")}
@@ -75,13 +74,10 @@ class TestSample:
         assert len({tuple(sample_mutants(SOURCE, 2, str(seed))) for seed in range(9)}) > 1
 
 
-def test_a_missing_cosmic_ray_is_named(monkeypatch):
+def test_a_missing_cosmic_ray_and_a_module_that_is_not_in_the_table_are_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "cosmic_ray.plugins", None)
     with pytest.raises(ImportError, match="pip install cosmic-ray"):
         sample_mutants(SOURCE, 1, "0")
-
-
-def test_a_module_that_is_not_in_the_table_is_named():
     with pytest.raises(SystemExit, match=r"modules must be in .*, got 'nowhere'"):
         mutation.main(["--modules", "tasks/sort", "nowhere"])
 
@@ -105,12 +101,9 @@ class TestWorkspace:
 
     def run(self, repository: Path, becomes: str) -> dict[str, Any]:
         """Test a mutant in a new workspace."""
-        return Workspace(repository.parent, limit=60).test(self.TARGET, self.mutant(becomes))
-
-    @staticmethod
-    def mutant(becomes: str) -> Mutant:
         text = f"def twice(x):\n    {becomes}\n"
-        return Mutant(becomes, 0, 2, "twice", "return x * 2", becomes, text)
+        mutant = Mutant(becomes, 0, 2, "twice", "return x * 2", becomes, text)
+        return Workspace(repository.parent, limit=60).test(self.TARGET, mutant)
 
     def test_a_survivor_is_tested_again_when_tests_change(self, repository):
         killed = self.run(repository, "return x / 2")

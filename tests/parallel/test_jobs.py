@@ -1,11 +1,12 @@
-"""Work on a Ray cluster of two nodes: as in local processes to the bit, whatever dies."""
+"""Jobs in processes and on a Ray cluster of two nodes: the same to the bit, whatever dies."""
 
 import logging
+import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +18,7 @@ import ray
 from ray.cluster_utils import Cluster as TwoNodes
 from rich.console import Console
 
-from surface_gym import ray_executor
+from surface_gym import parallel, ray_executor
 from surface_gym.agents.evaluation.benchmark import compute_results
 from surface_gym.agents.evaluation.methods import policy_folders, rules, trained
 from surface_gym.agents.learning.config import ModulesConfig, PPOConfig
@@ -70,25 +71,65 @@ def cluster(nodes):
     return Cluster(nodes.cluster.address)
 
 
-def test_results_and_reports_are_those_of_processes(cluster):
+@pytest.fixture(params=["processes", "a cluster"])
+def workers(request):
+    return 2 if request.param == "processes" else request.getfixturevalue("cluster")
+
+
+def test_results_and_reports_do_not_depend_on_who_works(workers):
+    heard = {1: [], workers: []}
     work = [partial(jobs.draws, seed) for seed in range(5)]
-    heard: list[tuple[int, Any]] = []
-    found = dict(map_jobs(work, cluster, lambda *each: heard.append(each)))
-    assert found == dict(map_jobs(work, 1))
+    found = [
+        dict(map_jobs(work, each, lambda *said, heard=heard[each]: heard.append(said)))
+        for each in heard
+    ]
+    assert found[0] == found[1]
+    assert sorted(heard[1]) == sorted(heard[workers])
     for index in range(5):
-        assert [value[0] for where, value in heard if where == index] == list(range(5))
+        assert [value[0] for where, value in heard[workers] if where == index] == list(range(5))
 
 
-def test_both_nodes_work(cluster):
-    assert len({pid for _, pid in map_jobs([jobs.own_process] * 6, cluster)}) >= 2
+def test_two_share_what_there_is_and_are_used_again(workers):
+    found = [pid for _, pid in map_jobs([jobs.own_process] * 6, workers)]
+    assert len(found) == 6
+    assert len(set(found)) == 2 if workers == 2 else len(set(found)) >= 2
+    assert os.getpid() not in found
 
 
-def test_a_job_whose_process_dies_is_done_again(cluster, tmp_path):
+def test_a_job_whose_process_dies_is_done_again_and_only_that(workers, tmp_path):
     work = [
         partial(jobs.dies_at_first, tmp_path, "lost"),
         partial(jobs.counts_beginnings, tmp_path, "whole"),
     ]
-    assert dict(map_jobs(work, cluster)) == {0: 2, 1: 1}
+    assert dict(map_jobs(work, workers)) == {0: 2, 1: 1}
+
+
+def test_a_job_that_always_dies_ends_the_work(workers, monkeypatch):
+    monkeypatch.setattr("surface_gym.parallel.MAX_LOSSES", 3)
+    last = "exit code -9" if workers == 2 else "WorkerCrashed"
+    with pytest.raises(WorkFailed, match=f"a job has cost 3 processes; the last: {last}"):
+        dict(map_jobs([jobs.always_dies, partial(jobs.draws, 0)], workers))
+
+
+def test_an_error_is_raised_here_and_says_where_it_came_from(workers):
+    with pytest.raises(ValueError, match="seven") as raised:
+        dict(map_jobs([partial(jobs.fails, "seven"), jobs.own_process], workers))
+    assert "in fails" in str(raised.value.__cause__)
+
+
+@pytest.mark.parametrize("by", [KeyboardInterrupt, OSError])
+def test_whatever_ends_the_work_interrupts_the_jobs_and_hears_them_out(workers, by, tmp_path):
+    heard = []
+
+    def hear(*said: Any) -> None:
+        heard.append(said)
+        if len(heard) == 2:
+            raise by
+
+    with pytest.raises(by):
+        dict(map_jobs([partial(jobs.waits, tmp_path / f"{k}") for k in range(2)], workers, hear))
+    assert sorted(heard[2:]) == [(0, "interrupted"), (1, "interrupted")]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["0", "1"]
 
 
 def test_a_job_whose_node_dies_is_done_again_and_only_that(nodes, cluster, tmp_path):
@@ -104,31 +145,6 @@ def test_a_job_whose_node_dies_is_done_again_and_only_that(nodes, cluster, tmp_p
     found = dict(map_jobs(work, cluster, heard))
     assert sorted(found) == [0, 1, 2, 3]
     assert sorted(found.values()) == [1, 1, 1, 2]
-
-
-def test_errors_are_raised_here_and_tell_where_they_came_from(cluster):
-    with pytest.raises(ValueError, match="seven") as raised:
-        dict(map_jobs([partial(jobs.fails, "seven")], cluster))
-    assert "in fails" in str(raised.value.__cause__)
-
-
-def test_a_job_that_always_dies_ends_the_work(cluster, monkeypatch):
-    monkeypatch.setattr("surface_gym.parallel.MAX_LOSSES", 3)
-    with pytest.raises(WorkFailed, match="a job has cost 3 processes; the last: WorkerCrashed"):
-        dict(map_jobs([jobs.always_dies], cluster))
-
-
-def test_ctrl_c_interrupts_the_jobs_on_the_nodes_too(cluster, tmp_path):
-    heard: list[tuple[int, Any]] = []
-
-    def hear(index: int, value: Any) -> None:
-        heard.append((index, value))
-        if len(heard) == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        dict(map_jobs([partial(jobs.waits, tmp_path / f"{k}") for k in range(2)], cluster, hear))
-    assert sorted(heard[2:]) == [(0, "interrupted"), (1, "interrupted")]
 
 
 def test_a_node_with_another_version_is_refused_and_both_are_named(cluster, monkeypatch):
@@ -148,6 +164,12 @@ def test_without_ray_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ValueError, match=r"pip install 'surface_gym\[cluster\]'"):
         dict(map_jobs([partial(jobs.draws, 0)], Cluster("auto")))
+
+
+def assert_same_files(local: Path, elsewhere: Path) -> None:
+    """Two seeds were trained alike."""
+    for name in (f"seed-{seed}/{file}" for seed in range(2) for file in (WEIGHTS, CURVE)):
+        assert (elsewhere / name).read_bytes() == (local / name).read_bytes(), name
 
 
 def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(nodes, cluster, tmp_path):
@@ -171,10 +193,7 @@ def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(nodes, cl
         learned = train_seeds(SMALL, folders[1], Console(quiet=True), cluster)
     assert words > 20
     assert [each.interrupted for each in learned] == [False] * 2
-    for seed in range(2):
-        for name in (WEIGHTS, CURVE):
-            local, elsewhere = (folder / f"seed-{seed}" / name for folder in folders)
-            assert elsewhere.read_bytes() == local.read_bytes(), (seed, name)
+    assert_same_files(*folders)
     assert not list(folders[1].rglob("*.part"))
     assert not list(folders[1].rglob(CARD_FILE))
 
@@ -225,16 +244,9 @@ def test_a_command_that_was_killed_goes_on_with_a_custom_task(cluster, tmp_path,
     assert any(folders[1].rglob(CURVE))
     assert not any(folders[1].rglob(WEIGHTS))
     ray.shutdown()  # a custom task is sent when the cluster is joined
-    train_seeds(
-        config,
-        folders[1],
-        Console(quiet=True),
-        choose_workers(cluster.address, 1, task_files(task)),
-    )
-    for name in ("seed-0", "seed-1"):
-        for file in (WEIGHTS, CURVE):
-            local, elsewhere = (folder / name / file for folder in folders)
-            assert elsewhere.read_bytes() == local.read_bytes(), (name, file)
+    workers = choose_workers(cluster.address, 1, task_files(task))
+    train_seeds(config, folders[1], Console(quiet=True), workers)
+    assert_same_files(*folders)
     ray.shutdown()
 
 
@@ -246,3 +258,77 @@ def test_a_search_has_trials_of_the_nodes(cluster, tmp_path):
         trials = searched(sweep, tmp_path / name, run_trial, workers)
         found.append([(each.params, each.values, each.intermediate_values) for each in trials])
     assert found[0] == found[1]
+
+
+def until(condition: Any) -> None:
+    for _ in range(600):
+        if condition():
+            return
+        time.sleep(0.1)
+    raise AssertionError("it did not happen within a minute")
+
+
+def is_there(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    # A process that has ended but was not asked for its end is none.
+    return "State:\tZ" not in Path(f"/proc/{process}/status").read_text()
+
+
+class TestProcesses:
+    def test_one_worker_or_one_job_needs_no_process(self):
+        assert dict(map_jobs([jobs.own_process], 8)) == {0: os.getpid()}
+        assert dict(map_jobs([jobs.own_process] * 2, 1)) == {0: os.getpid(), 1: os.getpid()}
+        assert list(map_jobs([], 2)) == []
+
+    def test_an_error_that_cannot_be_pickled_keeps_its_text(self):
+        with pytest.raises(RuntimeError, match="Stubborn: 1 and 2"):
+            dict(map_jobs([jobs.fails_stubbornly, jobs.own_process], 2))
+
+    def test_closing_the_iteration_ends_the_jobs(self, tmp_path):
+        work = [partial(jobs.draws, 0), partial(jobs.waits, tmp_path / "file")]
+        some = map_jobs(work, 2)
+        assert next(some)[0] == 0
+        assert isinstance(some, Generator)
+        some.close()
+        assert not list(tmp_path.glob("*")) or (tmp_path / "file").read_text() == "interrupted\n"
+
+    def test_jobs_end_when_the_submitting_process_is_killed(self, tmp_path):
+        code = (
+            "from functools import partial\nfrom pathlib import Path\n"
+            "from surface_gym.parallel import map_jobs\nfrom tests.parallel import jobs\n"
+            "if __name__ == '__main__':\n"
+            f"    job = partial(jobs.reports_for_ever, Path({str(tmp_path)!r}))\n"
+            "    dict(map_jobs([job] * 2, 2))\n"
+        )
+        file = tmp_path / "driver.py"
+        file.write_text(code)
+        own = {**os.environ, "PYTHONPATH": str(ROOT)}
+        driver = subprocess.Popen([sys.executable, str(file)], env=own)
+        until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
+        driver.kill()
+        driver.wait()
+        until(lambda: not any(is_there(int(file.stem)) for file in tmp_path.glob("*.pid")))
+
+    def test_a_job_without_reports_and_less_than_one_worker(self):
+        assert parallel.without_report(lambda: 5, pytest.fail) == 5
+        for workers in (0, -1, 1.5, True):
+            with pytest.raises(ValueError, match="workers must be a whole number of at least 1"):
+                parallel.check_workers(workers)
+
+    def test_the_next_job_is_taken_when_a_worker_is_free(self):
+        """So that a job may be made by results of those before."""
+        done, seen = [], []
+
+        def work() -> Any:
+            for seed in range(4):
+                seen.append(len(done))
+                yield partial(jobs.draws, seed)
+
+        for index, _ in map_jobs(work(), 2):
+            done.append(index)
+        assert sorted(done) == [0, 1, 2, 3]
+        assert seen[:2] == [0, 0]
+        assert seen[2] >= 1
