@@ -11,7 +11,7 @@ import surface_gym as sg
 from surface_gym.core.batch import Batch
 from surface_gym.tasks import Task
 from surface_gym.tasks.start import Draw, Start
-from tests.environments import Step, batch_with
+from tests.environments import Step, bare, batch_with, same_choice
 
 BRAKE = 0  # choice of the default orientations: the axis at 0 deg
 ROLLING_LOSS = 0.01 * 9.81  # [m/s^2] of a parcel that rolls, mu_min g of Table 1
@@ -53,6 +53,12 @@ def play(
     return Episode(info, done)
 
 
+def hold(env_id: str, choice: int, options: dict[str, Any], **settings: Any) -> Episode:
+    """One episode with every axis at the same choice throughout."""
+    env = bare(env_id, **settings)
+    return play(env, options, same_choice(env, choice))
+
+
 def placed(task: Task, start: Start) -> Batch:
     """A batch of one environment on which a start was put."""
     return batch_with(start, task=task)
@@ -62,6 +68,26 @@ def features_of(batch: Batch) -> dict[str, float]:
     """What the environment observes, by name."""
     names = [feature.name for feature in batch.task.features]
     return dict(zip(names, batch.parcels.observation[0].tolist(), strict=True))
+
+
+def line_features(
+    x: float, y: float, theta: float, vx: float, vy: float, omega: float
+) -> dict[str, float]:
+    """What all tasks but Track observe of an S-box whose centre is y [m] beside the line."""
+    turn = 2.0 * math.pi / 0.1
+    return {
+        "lateral offset": y / 0.3,
+        "sine of theta": math.sin(theta),
+        "cosine of theta": math.cos(theta),
+        "forward speed": vx - 1.0,
+        "lateral speed": vy / 0.5,
+        "turning speed": omega / 3.0,
+        "size": -1.0,
+        "sine of phase x": math.sin(turn * (x - 0.05)),
+        "cosine of phase x": math.cos(turn * (x - 0.05)),
+        "sine of phase y": math.sin(turn * y),
+        "cosine of phase y": math.cos(turn * y),
+    }
 
 
 def advanced(batch: Batch, choice: int) -> tuple[str, dict[str, float]]:

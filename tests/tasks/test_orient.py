@@ -8,13 +8,15 @@ import pytest
 import surface_gym as sg
 from surface_gym.tasks import Orient
 from surface_gym.tasks.start import Start
-from tests.environments import PLUS_45, ROLL, bare, same_choice
+from tests.environments import PLUS_45, ROLL, bare
 from tests.tasks import (
     BRAKE,
     assert_equal_odds_of_the_boxes,
     assert_uniform,
     draws,
     features_of,
+    hold,
+    line_features,
     placed,
     play,
 )
@@ -69,16 +71,15 @@ class TestEnds:
 
     @pytest.mark.parametrize(("choice", "outcome"), [(BRAKE, "stalled"), (PLUS_45, "off the line")])
     def test_failures_before_it_leaves(self, choice, outcome):
-        env, options = bare(ORIENT), {"speed": 1.5, "parcel": "S", "angle": 0.1}
-        episode = play(env, options, same_choice(env, choice))
+        episode = hold(ORIENT, choice, {"speed": 1.5, "parcel": "S", "angle": 0.1})
         assert episode.end["outcome"] == outcome
         assert episode.total("precision") == 0.0
 
     def test_off_the_surface(self):
-        env = bare(ORIENT, zone=(20, 26))
         front_heavy = sg.Parcel(sg.Rectangle(0.5, 0.25), com_offset=(0.1, 0.0))
         options = {"speed": 1.5, "parcel": front_heavy, "angle": 0.1}
-        assert play(env, options, same_choice(env, ROLL)).end["outcome"] == "off the surface"
+        end = hold(ORIENT, ROLL, options, zone=(20, 26)).end
+        assert end["outcome"] == "off the surface"
 
 
 class TestReward:
@@ -97,17 +98,11 @@ class TestSeen:
         start = Start(BOX, (x, 1.03, theta), (1.4, 0.1, 0.3), (-0.23,))
         half_extent = 0.125 * (math.cos(0.2) + math.sin(0.2))
         seen = features_of(placed(Orient(), start))
-        assert list(seen)[13:] == ["asked angle", "angle to turn", "angle to turn, near"]
-        wanted = {
-            "lateral offset": 0.1,
-            "sine of theta": math.sin(theta),
-            "cosine of theta": math.cos(theta),
-            "lateral speed": 0.2,
-            "turning speed": 0.1,
+        wanted = line_features(x, 0.03, theta, 1.4, 0.1, 0.3) | {
             "front in zone": (x + half_extent - 0.3) / 0.5,
             "rear to go": (1.9 - x + half_extent) / 0.5,
             "asked angle": -0.23,
             "angle to turn": -0.03 / 0.2,
             "angle to turn, near": math.tanh(-0.03 / TWO_DEGREES),
         }
-        assert {name: seen[name] for name in wanted} == pytest.approx(wanted, abs=1e-6)
+        assert seen == pytest.approx(wanted, abs=1e-6)

@@ -8,7 +8,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.tasks import Slow
 from surface_gym.tasks.start import Start
-from tests.environments import PLUS_45, ROLL, bare, same_choice
+from tests.environments import PLUS_45, ROLL, bare
 from tests.tasks import (
     BRAKE,
     ROLLING_LOSS,
@@ -16,6 +16,8 @@ from tests.tasks import (
     assert_uniform,
     draws,
     features_of,
+    hold,
+    line_features,
     placed,
     play,
 )
@@ -64,9 +66,8 @@ class TestEnds:
         [(0.0, "success"), (0.008, "success"), (-0.012, "missed"), (0.012, "missed")],
     )
     def test_rolling_leaves_what_friction_lets_it(self, off, outcome):
-        env = bare(SLOW)
-        options = {"speed": 2.0, "parcel": "S", "ratio": rolled(2.0, ZONE_END) / 2.0 + off}
-        episode = play(env, options, same_choice(env, ROLL))
+        ratio = rolled(2.0, ZONE_END) / 2.0 + off
+        episode = hold(SLOW, ROLL, {"speed": 2.0, "parcel": "S", "ratio": ratio})
         assert episode.end["outcome"] == outcome
         assert episode.end["ratio_error"] == pytest.approx(-off, abs=1e-3)
         assert episode.total("success") == (outcome == "success")
@@ -76,17 +77,15 @@ class TestEnds:
 
     @pytest.mark.parametrize(("choice", "outcome"), [(BRAKE, "stalled"), (PLUS_45, "off the line")])
     def test_failures_before_it_leaves(self, choice, outcome):
-        env, options = bare(SLOW), {"speed": 1.8, "parcel": "S", "ratio": 0.5}
-        episode = play(env, options, same_choice(env, choice))
+        episode = hold(SLOW, choice, {"speed": 1.8, "parcel": "S", "ratio": 0.5})
         assert episode.end["outcome"] == outcome
         assert episode.total("precision") == 0.0
         assert episode.total("failure") == -1.0
 
     def test_off_the_surface(self):
-        env = bare(SLOW, zone=(20, 26))
         front_heavy = sg.Parcel(sg.Rectangle(0.5, 0.25), com_offset=(0.1, 0.0))
         options = {"speed": 2.0, "parcel": front_heavy, "ratio": 0.5}
-        end = play(env, options, same_choice(env, ROLL)).end
+        end = hold(SLOW, ROLL, options, zone=(20, 26)).end
         assert end["outcome"] == "off the surface"
         # It is where half a step more would take the centre of mass past the edge.
         assert 2.89 < end["pose"][0] <= 2.9
@@ -110,8 +109,7 @@ class TestReward:
 
     def test_rolling_keeps_the_excess_and_precision_falls_with_the_error(self):
         """What it would roll out with does not change while it rolls, but for the step's error."""
-        env = bare(SLOW)
-        episode = play(env, {"speed": 2.0, "parcel": "S", "ratio": 0.93}, same_choice(env, ROLL))
+        episode = hold(SLOW, ROLL, {"speed": 2.0, "parcel": "S", "ratio": 0.93})
         assert episode.total("excess") == pytest.approx(0.0, abs=0.01)
         error = np.hypot(*episode.end["velocity"][:2]) / 2.0 - 0.93
         assert episode.total("precision") == pytest.approx(math.exp(-abs(error) / 0.01))
@@ -126,19 +124,7 @@ class TestSeen:
         half_extent = 0.125 * (math.cos(theta) + math.sin(theta)) if square else 0.125
         to_go = ZONE_END - x + half_extent
         over = math.hypot(vx, vy) - math.sqrt((0.4 * 2.2) ** 2 + 2.0 * ROLLING_LOSS * to_go)
-        turn = 2.0 * math.pi / 0.1
-        wanted = {
-            "lateral offset": -0.04 / 0.3,
-            "sine of theta": math.sin(theta),
-            "cosine of theta": math.cos(theta),
-            "forward speed": 0.4,
-            "lateral speed": -0.5,
-            "turning speed": 0.2,
-            "size": -1.0,
-            "sine of phase x": math.sin(turn * (x - 0.05)),
-            "cosine of phase x": math.cos(turn * (x - 0.05)),
-            "sine of phase y": math.sin(turn * (y - 1.0)),
-            "cosine of phase y": math.cos(turn * (y - 1.0)),
+        wanted = line_features(x, y - 1.0, theta, vx, vy, omega) | {
             "front in zone": (x + half_extent - ZONE_START) / 0.5,
             "rear to go": to_go / 0.5,
             "entry speed": 0.7,

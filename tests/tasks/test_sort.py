@@ -8,7 +8,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.tasks import Sort
 from surface_gym.tasks.start import Start
-from tests.environments import MINUS_45, PLUS_45, ROLL, TRIANGLE, bare, same_choice, steps
+from tests.environments import MINUS_45, PLUS_45, ROLL, TRIANGLE, bare, steps
 from tests.tasks import (
     BRAKE,
     Episode,
@@ -17,10 +17,13 @@ from tests.tasks import (
     assert_uniform,
     draws,
     features_of,
+    hold,
+    line_features,
     placed,
     play,
 )
 
+SORT = "SmartSurface/Sort-v0"
 BOX = sg.layouts.box("S")
 COASTING_LOSS = 0.01 * 9.81 / math.sqrt(2.0)  # [m/s^2] along x and y on 45 deg axes
 
@@ -59,17 +62,14 @@ class TestEnds:
          (0, BRAKE, "stalled")],
     )  # fmt: skip
     def test_by_choice(self, side, choice, outcome):
-        env = bare()
-        options = {"speed": 1.5, "side": side, "parcel": "S"}
-        episode = play(env, options, same_choice(env, choice))
+        episode = hold(SORT, choice, {"speed": 1.5, "side": side, "parcel": "S"})
         assert episode.end["outcome"] == outcome
         assert episode.total("success") == (outcome == "success")
         assert episode.total("failure") == -1.0 * (outcome != "success")
 
     def test_off_the_surface(self):
         """A zone that reaches the edge: the centre is past it before the rear leaves the zone."""
-        env = bare(zone=(20, 29))
-        end = play(env, {"speed": 2.0, "side": 1, "parcel": "S"}, same_choice(env, ROLL)).end
+        end = hold(SORT, ROLL, {"speed": 2.0, "side": 1, "parcel": "S"}, zone=(20, 29)).end
         assert end["outcome"] == "off the surface"
         # It is where half a step more would take the centre past the edge.
         assert 2.99 < end["pose"][0] <= 3.0
@@ -94,8 +94,7 @@ class TestReward:
         [(1, 1.5, MINUS_45, "success"), (0, 1.5, ROLL, "success"), (1, 0.4, MINUS_45, "stalled")],
     )
     def test_time_costs_and_haste_pays_at_success(self, side, speed, choice, outcome):
-        env = bare(actions="quadrants")
-        episode = play(env, {"side": side, "speed": speed}, same_choice(env, choice))
+        episode = hold(SORT, choice, {"side": side, "speed": speed}, actions="quadrants")
         assert episode.end["outcome"] == outcome
         paid = 4.0 / episode.end["time"] if outcome == "success" else 0.0
         assert all(info["reward_terms"]["haste"] == 0.0 for info in episode.infos[:-1])
@@ -117,20 +116,8 @@ class TestSeen:
             BOX, (x, 1.0 + side * y, side * theta), (vx, side * vy, side * omega), (float(side),)
         )
         half_extent = 0.125 * (math.cos(theta) + math.sin(theta))  # of a turned square
-        turn = 2.0 * math.pi / 0.1
-        wanted = {
-            "lateral offset": y / 0.3,
-            "sine of theta": math.sin(theta),
-            "cosine of theta": math.cos(theta),
-            "forward speed": vx - 1.0,
-            "lateral speed": vy / 0.5,
-            "turning speed": omega / 3.0,
-            "size": -1.0,
+        wanted = line_features(x, y, theta, vx, vy, omega) | {
             "clearance": (y - half_extent - 0.05) / 0.2,
-            "sine of phase x": math.sin(turn * (x - 0.05)),
-            "cosine of phase x": math.cos(turn * (x - 0.05)),
-            "sine of phase y": math.sin(turn * y),
-            "cosine of phase y": math.cos(turn * y),
             "time": 0.0,
             "distance into zone": (x - half_extent - 0.3) / 0.5,
             "side": side,

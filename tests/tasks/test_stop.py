@@ -8,7 +8,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.tasks import Stop
 from surface_gym.tasks.start import Start
-from tests.environments import PLUS_45, ROLL, bare, same_choice
+from tests.environments import PLUS_45, ROLL, bare
 from tests.tasks import (
     BRAKE,
     ROLLING_LOSS,
@@ -16,6 +16,8 @@ from tests.tasks import (
     assert_uniform,
     draws,
     features_of,
+    hold,
+    line_features,
     placed,
     play,
 )
@@ -72,9 +74,8 @@ class TestEnds:
     )  # fmt: skip
     @pytest.mark.parametrize("size", ["S", "B"])
     def test_braking(self, size, off, outcome):
-        env = bare(STOP)
-        options = {"speed": 1.5, "parcel": size, "position": rest(size, 1.5) + off}
-        episode = play(env, options, same_choice(env, BRAKE))
+        position = rest(size, 1.5) + off
+        episode = hold(STOP, BRAKE, {"speed": 1.5, "parcel": size, "position": position})
         assert episode.end["outcome"] == outcome
         assert episode.total("success") == (outcome == "success")
         assert episode.total("failure") == -1.0 * (outcome != "success")
@@ -93,16 +94,13 @@ class TestEnds:
         ],
     )
     def test_failures_before_it_rests(self, speed, position, choice, outcome):
-        env, options = bare(STOP), {"speed": speed, "parcel": "S", "position": position}
-        episode = play(env, options, same_choice(env, choice))
+        episode = hold(STOP, choice, {"speed": speed, "parcel": "S", "position": position})
         assert episode.end["outcome"] == outcome
         assert episode.total("precision") == 0.0
 
     def test_rolling_out_at_last_misses(self):
         """A slow parcel rolls to rest within the zone: v^2 / (2 mu_min g) on."""
-        env = bare(STOP)
-        options = {"speed": 0.4, "parcel": "S", "position": 1.5}
-        end = play(env, options, same_choice(env, ROLL)).end
+        end = hold(STOP, ROLL, {"speed": 0.4, "parcel": "S", "position": 1.5}).end
         assert end["outcome"] == "missed"
         assert end["pose"][0] == pytest.approx(0.125 + 0.16 / (2.0 * ROLLING_LOSS), abs=0.005)
 
@@ -127,10 +125,7 @@ class TestSeen:
         to_go = position - x
         over = vx - math.sqrt(2.0 * 0.5 * 9.81 * max(0.0, to_go))
         seen = features_of(placed(Stop(), start))
-        assert list(seen)[13:] == ["to go", "to go, near", "to go, nearest", "excess of speed"]
-        wanted = {
-            "sine of theta": math.sin(-0.2),
-            "forward speed": 0.4,
+        wanted = line_features(x, 0.0, -0.2, vx, 0.1, 0.3) | {
             "front in zone": (x + half_extent - 0.3) / 0.5,
             "rear to go": (1.9 - x + half_extent) / 0.5,
             "to go": to_go / 0.5,
@@ -138,4 +133,4 @@ class TestSeen:
             "to go, nearest": math.tanh(to_go / 0.01),
             "excess of speed": over / 0.2,
         }
-        assert {name: seen[name] for name in wanted} == pytest.approx(wanted, abs=1e-6)
+        assert seen == pytest.approx(wanted, abs=1e-6)
