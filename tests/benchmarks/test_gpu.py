@@ -179,10 +179,10 @@ def results():
 
 
 class TestResults:
-    def test_each_task_is_compared_to_one_core(self, results):
+    def test_each_task_is_compared_to_one_core_and_the_best_number_of_environments_counts(
+        self, results
+    ):
         assert [results.over_core(rate) for rate in results.rates] == [1.0, 1.0, 200.0, 300.0, None]
-
-    def test_the_best_number_of_environments_counts(self, results):
         best, ratio = results.figures()
         assert (best.value, best.least) == (3e4, 40e6)
         assert (ratio.value, ratio.least) == (300.0, 150.0)

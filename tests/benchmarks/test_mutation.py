@@ -30,13 +30,10 @@ def twice(value: int | float = 3) -> int | float:
 '''
 
 
-def test_every_module_and_test_of_the_table_exists():
+def test_every_module_test_and_equivalent_of_the_tables_exists():
     for target in TARGETS:
         for path in (target.module, *target.near, *target.wide):
             assert (REPOSITORY / path.split("::")[0]).exists(), path
-
-
-def test_every_equivalent_is_still_a_line_of_its_module():
     for each in EQUIVALENTS:
         lines = (REPOSITORY / each.module).read_text(encoding="utf-8").splitlines()
         assert each.was in [line.strip() for line in lines], each

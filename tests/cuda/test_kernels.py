@@ -69,13 +69,10 @@ def test_a_function_is_translated_once_with_those_it_calls():
     assert twice.py_func.__globals__["once"] is once  # the original is as before
 
 
-def test_only_constants_of_the_scratch_are_replaced():
+def test_only_constants_of_the_scratch_are_replaced_and_functions_may_call_themselves():
     translator = make_translator()
     assert translator.translate(other_constant)() == "mine"
     assert translator.translate(make_closure(ARM_Y))() == 8
-
-
-def test_functions_may_call_themselves():
     assert make_translator().translate(factorial)(5) == 120
 
 

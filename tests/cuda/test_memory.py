@@ -49,13 +49,10 @@ def test_device_state_equals_the_cpus_with_environments_adjacent_except_in_grids
                 assert tensor.stride(0) == (tensor[0].numel() if field in GRIDS else 1), field
 
 
-def test_a_kernel_sees_the_same_memory():
+def test_a_kernel_sees_the_same_memory_and_an_empty_array_as_a_zero():
     tensor = torch.zeros(3, 4)
     kernel_view(tensor)[1, 2] = 5.0
     assert tensor[1, 2] == 5.0
-
-
-def test_numbers_stay_as_they_are_and_an_empty_array_becomes_a_zero():
     params = make_env_params(make_config("sort"))
     assert to_device(params, CPU).timing == params.timing
     assert to_device(params, CPU).outcomes == params.outcomes

@@ -138,14 +138,6 @@ def test_columns_are_answered_and_mass_is_said_to_cancel_where_it_does(tmp_path,
     assert "cancels" not in capsys.readouterr().out
 
 
-def test_answers_do_not_depend_on_the_workers(tmp_path):
-    for workers in ("1", "2"):
-        flags = [*OWN[:-1], workers, "--columns", "6", "--out", str(tmp_path / workers)]
-        cli.main(["sensitivity", *flags])
-    one, two = ((tmp_path / workers / "sensitivity.csv").read_text() for workers in ("1", "2"))
-    assert one == two
-
-
 def stopping_after(runs: int) -> type[cli.Progress]:
     """A bar at which somebody presses Ctrl-C when so many runs are done."""
 
@@ -188,14 +180,8 @@ def test_a_map_that_is_stopped_goes_on_and_other_questions_just_stop(tmp_path, m
     [
         (("friction", "--parcel", "S", "--ratio", "0.5"), "ratio must not be given to sort"),
         (("friction", "--parcel", "S", "--speed", "0.3"), "columns must be given"),
-        (
-            ("columns", *OWN, "--columns", "3"),
-            "columns must not be given: they are what is asked for",
-        ),
-        (
-            ("layout", *OWN, "--speeds", "2", "1"),
-            "speeds must be the least and the most, got (2.0, 1.0)",
-        ),
+        (("columns", *OWN, "--columns", "3"), "columns must not be given: they are what is asked"),
+        (("layout", *OWN, "--speeds", "2", "1"), "speeds must be the least and the most, got (2.0"),
         (("map", *OWN, "--cells", "0"), "cells must be a whole number of at least 1, got 0"),
     ],
 )
@@ -203,9 +189,7 @@ def test_a_flag_that_a_question_does_not_take_is_one_line(arguments, error, tmp_
     assert refused(capsys, *arguments, "--out", str(tmp_path / "none")).startswith(error)
 
 
-def test_a_refused_question_makes_no_folder_and_one_that_cannot_be_made_is_one_line(
-    tmp_path, capsys
-):
+def test_a_refused_question_makes_no_folder_and_one_that_cannot_be_made_is_named(tmp_path, capsys):
     refused(capsys, "friction", "--parcel", "S", "--ratio", "0.5", "--out", str(tmp_path / "none"))
     assert not (tmp_path / "none").exists()
     (tmp_path / "file").write_text("")

@@ -56,13 +56,10 @@ def test_the_columns_found_are_enough_and_one_less_is_not():
     assert found.modules == 4 * found.columns
 
 
-def test_mass_alone_changes_nothing():
+def test_mass_alone_changes_nothing_and_worse_draws_take_more_columns():
     base = sg.Rectangle(0.3, 0.4)
     light, heavy = (least_columns(Case(sg.Parcel(base, mass=mass), speed=1.2)) for mass in (1, 50))
     assert light == heavy
-
-
-def test_worse_draws_take_more_columns():
     case = Case(layouts.box("S"), speed=1.45, unknown=Unknown(friction=0.6), draws=60)
     found = least_columns(case)
     friction = next(worst for worst in found.worst if worst.group == "friction")
@@ -70,11 +67,13 @@ def test_worse_draws_take_more_columns():
     assert friction.success < 0.95
 
 
-def test_too_slow_a_parcel_is_never_sorted():
+def test_too_slow_a_parcel_is_never_sorted_and_no_columns_are_refused():
     found = least_columns(Case(layouts.box("B"), speed=0.5, draws=5))
     assert found.columns is found.fewest is found.modules is None
     assert math.isnan(found.measure)
     assert all(worst.columns is None and worst.success == 0.0 for worst in found.worst)
+    with pytest.raises(ValueError, match="most must be a whole number of at least 1, got 0"):
+        least_columns(Case(layouts.box("S")), most=0)
 
 
 def test_rows_from_one_to_the_parcel_s_width():
@@ -84,20 +83,14 @@ def test_rows_from_one_to_the_parcel_s_width():
 
 
 @pytest.mark.parametrize(
-    ("purpose", "low", "high"), [(Stop(), 0.0, math.inf), (Turn(tolerance=0.2), 0.3, 0.8)]
+    ("purpose", "speed", "low", "high"),
+    [
+        (Stop(), 1.5, 0.0, math.inf),
+        (Turn(tolerance=0.2), 1.5, 0.3, 0.8),
+        (Stop(place=0.2, tolerance=0.05), 1.2, 0.15, 0.25),
+    ],
 )
-def test_other_purposes(purpose, low, high):
-    found = least_columns(Case(layouts.box("S"), purpose, speed=1.5, draws=10))
+def test_other_purposes(purpose, speed, low, high):
+    found = least_columns(Case(layouts.box("S"), purpose, speed, unknown=Unknown(), draws=10))
     assert found.columns
     assert low < found.measure < high
-
-
-def test_a_place_to_stop_at():
-    case = Case(layouts.box("S"), Stop(place=0.2, tolerance=0.05), speed=1.2, unknown=NOTHING)
-    found = least_columns(case)
-    assert found.measure == pytest.approx(0.2, abs=0.05)
-
-
-def test_columns_to_try_must_be_some():
-    with pytest.raises(ValueError, match="most must be a whole number of at least 1, got 0"):
-        least_columns(Case(layouts.box("S")), most=0)

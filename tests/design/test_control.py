@@ -69,32 +69,23 @@ def test_a_tilt_is_refused_and_no_columns_where_no_fixed_layout_does_it():
 
 
 FOUND = ControlGain(
-    case=Case(BOX),
-    task="sort",
-    asked="off the line to y < 0",
-    columns=6,
-    rows=2,
+    case=Case(BOX), task="sort", asked="off the line to y < 0", columns=6, rows=2,
     gains=(
         Gain("fixed layout", True, 100, 0.5, math.nan, math.nan),
         Gain("event rule", False, 100, 0.9, 0.46, math.nan),
     ),
     left_out=("PPO per module",),
-)
+)  # fmt: skip
 
 
-def test_the_sentence_has_the_best_of_either_kind():
+def test_an_answer_has_the_best_of_either_kind_and_a_row_and_a_bar_of_each():
     sentence = FOUND.sentence
     assert "90% of the draws and from 0.46 m/s on by axes that follow it" in sentence
     assert "50% of the draws and at no speed by axes arranged once" in sentence
     assert sentence.endswith("PPO per module")
-
-
-def test_each_controller_has_a_row_and_a_bar():
     (table,) = FOUND.tables()
-    assert [row[:2] for row in table.rows] == [
-        ("fixed layout", "arranged once"),
-        ("event rule", "follow"),
-    ]
+    kinds = {"fixed layout": "arranged once", "event rule": "follow"}
+    assert dict(row[:2] for row in table.rows) == kinds
     left, right = FOUND.draw().axes
     assert [each.get_text() for each in left.get_yticklabels()] == ["event rule", "fixed layout"]
     assert [each.get_text() for each in right.texts] == ["at no speed"]

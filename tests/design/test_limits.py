@@ -105,22 +105,12 @@ def test_draws_narrow_the_limits_and_share_the_draws_of_least_columns():
     assert set(np.unique(known.share)) <= {0.0, 1.0}
 
 
-def test_what_is_unknown_of_friction_is_left_out_where_friction_is_varied():
+def test_what_is_varied_is_left_out_of_what_is_unknown_and_progress_adds_up():
     unknown = Unknown(com_offset=0.0, lateral=0.01)
     case = Case(layouts.box("S"), Sort(), speed=1.2, unknown=unknown, draws=5)
     found = friction_range(case, columns=5)
     groups = [each.group for each in found.across.spans]
     assert groups == [NOMINAL, "unevenness", "entry", TOGETHER]
-
-
-def test_a_case_that_fails_has_no_limits():
-    case = Case(layouts.box("S"), Sort(), speed=0.3, unknown=NOTHING)
-    found = least_speed(case, columns=4, highest=1.0).of(NOMINAL)
-    assert (found.least, found.most) == (None, None)
-    assert found.share.max() == 1.0  # though others succeed
-
-
-def test_progress_adds_up():
     calls = []
     case = Case(layouts.box("S"), Sort(), speed=1.2, draws=8)
     friction_range(case, columns=5, on_progress=lambda *done: calls.append(done))
@@ -129,7 +119,11 @@ def test_progress_adds_up():
     assert set(totals) == {done[-1]}
 
 
-def test_from_rest_and_level_is_not_tried():
+def test_a_case_that_fails_has_no_limits_and_one_at_rest_and_level_is_not_tried():
+    case = Case(layouts.box("S"), Sort(), speed=0.3, unknown=NOTHING)
+    found = least_speed(case, columns=4, highest=1.0).of(NOMINAL)
+    assert (found.least, found.most) == (None, None)
+    assert found.share.max() == 1.0  # though others succeed
     case = Case(layouts.box("S"), Sort(), speed=0.0, tilt=math.radians(10.0), unknown=NOTHING)
     assert least_tilt(case, columns=5).of(NOMINAL).values[0] > 0.0
     assert least_speed(case, columns=5, highest=0.5).of(NOMINAL).values[0] == 0.0

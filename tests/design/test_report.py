@@ -64,26 +64,19 @@ def test_an_answer_is_a_sentence_tables_and_a_figure_with_its_question(name, cas
     assert figure.axes[0].get_ylabel() or name == "sensitivity"
 
 
-def test_a_map_of_one_cell_has_no_contours(tmp_path):
-    success_map(CASE, 4, [1.0], [1.0]).draw().savefig(tmp_path / "map.png")
-
-
 def test_lines_differ_in_colour_and_in_style():
     assert len({colour for colour, _ in LINES.values()}) == len(LINES)
     alone = [style for group, (_, style) in LINES.items() if group not in ("nominal", "together")]
     assert len({str(style) for style in alone}) == len(alone)
 
 
-def test_a_cell_on_screen():
+def test_cells_on_screen_and_in_a_file(tmp_path):
     cells = {
         "-": (None, math.nan), "yes": (True,), "no": (False,), "3": (3,), "0.123": (0.12345,),
         "+45 deg": ("+45 deg",),
     }  # fmt: skip
     for text, same in cells.items():
         assert [format_cell(cell) for cell in same] == [text] * len(same)
-
-
-def test_csv_keeps_numbers_in_full_and_missing_cells_empty(tmp_path):
     table = Table("some", "Some", ("a", "b", "c"), ((0.1 + 0.2, None, math.nan), (1, True, "x")))
     with write_csv(table, tmp_path).open(newline="") as file:
         rows = list(csv.reader(file))
@@ -133,12 +126,18 @@ def test_columns_by_group_by_rows_and_by_speed():
     assert "no number does it in 95% of the draws" in columns_of(turn, ()).sentence
 
 
-def test_limits_and_their_curves():
+def test_limits_and_their_curves_and_a_tilt_in_degrees():
     found = least_speed(CASE, columns=4, highest=1.5)
     table, curve = found.tables()
     assert table.rows[0] == ("nothing", found.spans[0].least, found.spans[0].most, 1.0)
     assert len(curve.rows) == sum(len(span.values) for span in found.spans)
     assert {row[0] for row in curve.rows} == {row[0] for row in table.rows}
+    found = least_tilt(Case(BOX, Sort(), 0.0, math.radians(10.0), NOTHING), columns=4)
+    table, curve = found.tables()
+    assert table.header[1] == "least [deg]"
+    assert table.rows[0][1] == pytest.approx(3.6)
+    assert curve.rows[-1][1] == pytest.approx(15.0)
+    assert "3.6 deg or more for" in found.sentence
 
 
 @pytest.mark.parametrize(
@@ -154,15 +153,6 @@ def test_spans_in_words(case, columns, highest, text):
     assert text in least_speed(case, columns, highest=highest).sentence
 
 
-def test_a_tilt_is_reported_in_degrees():
-    found = least_tilt(Case(BOX, Sort(), 0.0, math.radians(10.0), NOTHING), columns=4)
-    table, curve = found.tables()
-    assert table.header[1] == "least [deg]"
-    assert table.rows[0][1] == pytest.approx(3.6)
-    assert curve.rows[-1][1] == pytest.approx(15.0)
-    assert "3.6 deg or more for" in found.sentence
-
-
 def test_friction_for_both_coefficients():
     found = friction_range(CASE, columns=4)
     table, curve = found.tables()
@@ -173,7 +163,7 @@ def test_friction_for_both_coefficients():
     assert "for 95% of the draws of what else is unknown, mu_max" in found.sentence
 
 
-def test_a_map_by_size_and_by_cell():
+def test_a_map_by_size_and_by_cell_and_one_cell_without_contours(tmp_path):
     found = success_map(CASE, 4, [0.3, 1.0, 1.5], [0.8, 1.0])
     sizes, cells = found.tables()
     assert sizes.rows[1][:3] == (1.0, 1.0, 1.5)
@@ -182,6 +172,7 @@ def test_a_map_by_size_and_by_cell():
     assert cells.rows[3] == (1.0, 0.3, False, 0.0)
     assert "67% of these speeds and sizes" in found.sentence
     assert "no speed and size here" in success_map(CASE, 4, [0.3], [1.0]).sentence
+    success_map(CASE, 4, [1.0], [1.0]).draw().savefig(tmp_path / "map.png")
 
 
 def test_sensitivity_field_by_field():

@@ -23,18 +23,6 @@ def test_the_study_s_boxes_get_the_study_s_lines(size, rows, lead_in):
     assert layouts.LEAD_IN[size] == lead_in
 
 
-def test_the_zone_s_axes_are_those_given_and_all_others_roll():
-    line = line_for(layouts.box("S"), 4)
-    zone = np.radians([[0.0, 45.0, -45.0, 90.0], [10.0, 20.0, 30.0, 40.0]])
-    surface = line.surface(zone, tilt=0.1)
-    np.testing.assert_array_equal(surface.axis[line.zone], zone)
-    rest = np.ones(line.shape, bool)
-    rest[line.zone] = False
-    assert (surface.axis[rest] == layouts.ROLLING).all()
-    assert surface.rotor.sum() == 2 * line.shape[1]
-    assert surface.tilt == 0.1
-
-
 def test_a_parcel_starts_wholly_on_the_lead_in():
     parcel = sg.Parcel(sg.Polygon([(0.0, 0.0), (0.4, 0.0), (0.1, 0.3)]))
     line = line_for(parcel, 8, pitch=(0.08, 0.12))
@@ -47,10 +35,19 @@ def test_a_parcel_starts_wholly_on_the_lead_in():
     assert line.zone_x[1] - line.zone_x[0] == pytest.approx(8 * 0.08)
 
 
-def test_supports_bear_a_parcel_that_has_just_left_the_line():
+def test_supports_bear_a_parcel_beside_the_line_and_all_axes_but_the_zone_s_roll():
     line = line_for(layouts.box("B"), 8)
     aside = line.line_y - 0.5 * line.rows * line.pitch_y  # [m] of supports on one side
     assert aside > 2.0 * layouts.box("B").base.reach
+    line = line_for(layouts.box("S"), 4)
+    zone = np.radians([[0.0, 45.0, -45.0, 90.0], [10.0, 20.0, 30.0, 40.0]])
+    surface = line.surface(zone, tilt=0.1)
+    np.testing.assert_array_equal(surface.axis[line.zone], zone)
+    rest = np.ones(line.shape, bool)
+    rest[line.zone] = False
+    assert (surface.axis[rest] == layouts.ROLLING).all()
+    assert surface.rotor.sum() == 2 * line.shape[1]
+    assert surface.tilt == 0.1
 
 
 @pytest.mark.parametrize(("width", "rows"), [(0.05, 2), (0.25, 2), (0.4, 4), (0.45, 4), (0.6, 6)])

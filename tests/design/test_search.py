@@ -87,15 +87,12 @@ def test_interrupted_and_resumed_it_finds_the_same_to_the_bit(orientations, afte
     assert [path.name for path in tmp_path.iterdir()] == ["search.npz"]
 
 
-def test_the_seed_alone_is_left_to_chance():
+def test_the_seed_alone_is_left_to_chance_and_progress_is_reported():
     space = LayoutSpace(2, 5, None)
     score, effort = apart(target(space)), Effort(8, 2, 2, 0)
     one, same, other = (search(space, score, ROLLING, effort, seed)[0] for seed in (0, 0, 1))
     np.testing.assert_array_equal(one, same)
     assert (one != other).any()
-
-
-def test_progress_is_reported():
     calls = []
     search(SPACE, apart(target()), ROLLING, SMALL, 0, on_progress=lambda *at: calls.append(at))
     done = [at for at, _ in calls]
@@ -116,14 +113,11 @@ def test_the_checkpoint_of_another_search_or_none_is_refused(tmp_path):
             search(SPACE, apart(target()), ROLLING, SMALL, 0, file)
 
 
-def test_members_and_axes_are_each_other_s_inverse():
+def test_members_and_axes_are_each_other_s_inverse_but_for_a_turn_by_pi():
     for orientations in (ORIENTATIONS, None):
         space = LayoutSpace(3, 4, orientations)
         axes = space.axes(space.sample(np.random.default_rng(0), 20))
         np.testing.assert_array_equal(space.axes(space.members(axes)), axes)
-
-
-def test_an_axis_turned_by_pi_is_the_same_member():
     axes = np.radians([[[135.0, -90.0, 180.0]]])
     places = LayoutSpace(1, 3, ORIENTATIONS).members(axes)
     np.testing.assert_array_equal(places, [[0.0, 3.0, 1.0]])

@@ -50,17 +50,14 @@ def test_the_parcel_as_it_is_does_as_by_the_limits_of_speed():
     np.testing.assert_array_equal(found.nominal[0], limits.share[places] == 1.0)
 
 
-def test_with_nothing_unknown_share_and_success_are_the_same():
-    found = mapped(replace(CASE, unknown=NOTHING))
-    np.testing.assert_array_equal(found.share, found.nominal)
-
-
-def test_cells_do_not_depend_on_the_others_nor_on_threads():
+def test_cells_do_not_depend_on_the_others_nor_on_threads_and_nothing_unknown_is_sure():
     """Elements are drawn for the largest size, so one more small size changes nothing."""
     every = mapped(workers=2)
     one = success_map(CASE, 5, SPEEDS[1:], SIZES[1:])
     np.testing.assert_array_equal(every.share[1:, 1:], one.share)
     assert every.share.shape == (3, 3)
+    found = mapped(replace(CASE, unknown=NOTHING))
+    np.testing.assert_array_equal(found.share, found.nominal)
 
 
 def test_without_sizes_and_speeds_there_are_forty_of_each():
@@ -153,7 +150,7 @@ def test_a_bar_is_what_simulate_finds_draw_by_draw():
     assert bar.success == 1.0
 
 
-def test_every_field_has_a_bar_and_usual_spreads_are_marked():
+def test_every_field_has_a_bar_and_threads_do_not_matter():
     found = sensitivity(STOPPED, columns=8)
     assert [bar.field for bar in found.bars] == list(FIELDS)
     usual = {bar.field for bar in found.bars if bar.usual}
@@ -161,23 +158,15 @@ def test_every_field_has_a_bar_and_usual_spreads_are_marked():
     by_field = {bar.field: bar for bar in found.bars}
     assert by_field["friction"].spread == STOPPED.unknown.friction
     assert by_field["speed"].spread == USUAL.speed
+    assert by_field["friction"].low < found.measure < by_field["friction"].high
+    assert sensitivity(STOPPED, columns=8, workers=2).bars == found.bars
 
 
-def test_with_no_draw_that_comes_so_far_a_bar_is_empty():
+def test_with_no_draw_that_comes_so_far_a_bar_is_empty_and_columns_must_be_given():
     """A slow box never gets off the line."""
     found = sensitivity(Case(layouts.box("S"), Sort(), speed=0.3, draws=5), columns=5)
     assert not found.success
     assert math.isnan(found.measure)
     assert all(math.isnan(bar.low) and bar.success == 0.0 for bar in found.bars)
-
-
-def test_more_friction_stops_sooner_and_threads_do_not_matter():
-    one, two = (sensitivity(STOPPED, columns=8, workers=workers) for workers in (1, 2))
-    assert one.bars == two.bars
-    friction = one.bars[list(FIELDS).index("friction")]
-    assert friction.low < one.measure < friction.high
-
-
-def test_columns_must_be_enough_or_given():
     with pytest.raises(ValueError, match="columns must be given"):
         sensitivity(Case(layouts.box("S"), Sort(), speed=0.3, unknown=NOTHING))

@@ -119,13 +119,10 @@ def test_a_program_accepts_the_command(page, command, stopping):
         begin()
 
 
-def test_the_commands_are_found():
+def test_the_commands_are_found_and_an_unknown_flag_is_refused(stopping, capsys):
     commands = [command for _, command in COMMANDS]
     for program in ("train.py", "evaluate.py", "surface-gym design", "surface-gym paper"):
         assert any(program in command for command in commands)
-
-
-def test_an_unknown_flag_is_refused(stopping, capsys):
     stopping.setattr(sys, "argv", ["train.py", "--no-such-flag", "3"])
     with pytest.raises(SystemExit):
         runpy.run_path(str(ROOT / "train.py"), run_name="__main__")

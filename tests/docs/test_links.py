@@ -36,7 +36,7 @@ def find_anchors(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_each_link_leads_somewhere(page):
+def test_each_link_leads_somewhere_and_each_name_of_the_package_exists(page):
     for link in LINK.findall(prose(page)):
         if link.startswith(ELSEWHERE):
             continue
@@ -45,6 +45,8 @@ def test_each_link_leads_somewhere(page):
         assert target.exists(), link
         if anchor and target.suffix == ".md":
             assert anchor in find_anchors(target), link
+    for name in DOTTED.findall((ROOT / page).read_text()):
+        assert resolve_name(name) is not None
 
 
 @pytest.mark.parametrize("page", [*PAGES, "CONTRIBUTING.md"])
@@ -53,20 +55,11 @@ def test_each_file_that_is_named_exists(page):
         assert "NAME" in path or any(ROOT.glob(path)), path
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_each_name_of_the_package_exists(page):
-    for name in DOTTED.findall((ROOT / page).read_text()):
-        assert resolve_name(name) is not None
-
-
-def test_every_picture_is_made_by_the_command_and_shown(pictures):
+def test_every_picture_is_made_by_the_command_and_shown_and_videos_are_small(pictures):
     """`python docs/pictures.py` makes what there is, and nothing else."""
     assert {file.name for file in (DOCS / "images").iterdir()} == set(pictures)
     shown = {name for page in PAGES for name in NAMED.findall((ROOT / page).read_text())}
     assert shown >= set(pictures)
-
-
-def test_videos_are_small():
     videos = list((DOCS / "images").glob("*.webp"))
     assert len(videos) == 7
     for video in videos:

@@ -47,15 +47,12 @@ def by_name(reproduction, size, towards, columns):
     ]
 
 
-def test_two_columns_that_push_inwards_centre_a_box_and_turn_it_further(reproduction):
+def test_columns_push_a_box_as_their_axes_point(reproduction):
     for case in by_name(reproduction, "S", INWARDS, 2):
         share = [abs(end[0]) / came for end, came in zip(case.straight, OFFSETS, strict=True)]
         assert max(share[:2]) < 0.65
         assert share[2] > 1.0  # a row of supports lies under it
         assert all(abs(end[1]) > came for end, came in zip(case.centred, TURNS, strict=True))
-
-
-def test_columns_that_push_outwards_straighten_a_box_and_push_it_off(reproduction):
     for columns in (2, 6):
         for case in by_name(reproduction, "S", OUTWARDS, columns):
             assert abs(case.straight[0][0]) > 1.2 * OFFSETS[0]

@@ -68,14 +68,11 @@ def test_a_path_that_cannot_be_written_ends_it_before_the_work(option, path, tmp
 
 
 @pytest.mark.usefixtures("forbidden")
-def test_an_unknown_option_is_refused(capsys):
+def test_an_unknown_option_is_refused_and_help_names_the_options(capsys):
     with pytest.raises(SystemExit) as stop:
         command.main(["--tables"])
     assert stop.value.code == 2
     assert "--tables" in capsys.readouterr().err
-
-
-def test_help_names_the_options(capsys):
     with pytest.raises(SystemExit) as stop:
         command.main(["--help"])
     assert stop.value.code == 0

@@ -95,37 +95,32 @@ def values_of(reproduction, table, step):
     return {(c.column, c.row): c.ours[step].value for c in reproduction.table(table).cells}
 
 
-def test_boxes_too_slow_to_sort_stay_in_the_line(reproduction):
+def test_boxes_too_slow_stay_in_the_line_and_one_more_column_stops_all_up_to_2_2_metres_a_second(
+    reproduction,
+):
     columns = values_of(reproduction, "table3", 1)
     assert columns["B-box", "0.8"] is columns["B-box", "0.9"] is None
-
-
-def test_one_more_column_stops_every_box_up_to_2_2_metres_a_second(reproduction):
     left = values_of(reproduction, "stopping", 0)
     assert len(left) == 38
     assert all(speed == 0.0 for (_, row), speed in left.items() if float(row) <= 2.2)
 
 
-def test_the_step_is_fine_enough_to_be_called_converged(reproduction):
+def test_the_step_is_fine_enough_and_7a_and_7b_mirror_each_other(reproduction):
     for spread in reproduction.near_the_limit:
         assert spread.position < 0.5  # mm
         assert spread.angle < 0.2  # deg
-
-
-def test_7a_and_7b_mirror_each_other(reproduction):
     up, down = np.reshape([c.ours[1].value for c in reproduction.table("table2").cells], (-1, 3))[
         :2
     ]
     assert (abs(up - down * (1.0, -1.0, -1.0)) < (2e-4, 2e-4, 0.05)).all()
 
 
-def test_a_slower_box_is_sorted_at_a_lower_rate(reproduction):
+def test_slower_boxes_sort_at_a_lower_rate_and_layouts_take_as_few_columns_as_the_paper(
+    reproduction,
+):
     for size in ("S", "B"):
         rates = [c.ours[1].rate for c in reproduction.sorted_by_tilt if c.size == size]
         assert rates == sorted(rates)
-
-
-def test_the_layouts_halve_the_speed_in_as_few_columns_as_the_paper(reproduction):
     chosen = values_of(reproduction, "table4", 0)
     assert chosen["S-box", "0.9"] == SlowingLayout(1, 45)  # at 0 deg, one column stops the box
     assert chosen["S-box", "2.0"] == SlowingLayout(3, 0)

@@ -124,7 +124,7 @@ def test_exits_may_end_where_the_next_and_the_surface_begin(empty):
     assert replace(empty, traffic=Traffic(exits, (0, 0, 0))).exits == exits
 
 
-def test_a_scene_keeps_copies_and_takes_lists(busy):
+def test_a_scene_keeps_copies_and_takes_lists_and_its_zone_obeys(busy, bare):
     axis, counts = np.zeros((20, 66)), [1, 0, 2]
     traffic = Traffic(list(EXITS), counts)
     kept = replace(busy, axis=axis, traffic=traffic, parcels=list(busy.parcels))
@@ -133,9 +133,6 @@ def test_a_scene_keeps_copies_and_takes_lists(busy):
     assert kept.traffic.delivered == (1, 0, 2)
     assert kept.parcels == busy.parcels
     assert kept.exits == EXITS
-
-
-def test_the_zone_obeys(bare):
     zoned = replace(bare, zone=(9, 2, 3, 16))
     assert zoned.obeys.sum() == 2 * 16
     assert zoned.obeys[9:11, 3:19].all()

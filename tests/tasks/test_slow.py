@@ -82,16 +82,14 @@ class TestEnds:
         assert episode.total("precision") == 0.0
         assert episode.total("failure") == -1.0
 
-    def test_off_the_surface(self):
+    def test_off_the_surface_and_a_zone_that_no_parcel_can_leave_is_refused(self):
         front_heavy = sg.Parcel(sg.Rectangle(0.5, 0.25), com_offset=(0.1, 0.0))
         options = {"speed": 2.0, "parcel": front_heavy, "ratio": 0.5}
         end = hold(SLOW, ROLL, options, zone=(20, 26)).end
         assert end["outcome"] == "off the surface"
         # It is where half a step more would take the centre of mass past the edge.
         assert 2.89 < end["pose"][0] <= 2.9
-
-    def test_a_zone_that_no_parcel_can_leave_is_refused(self):
-        """With its rear at 2.9 m, where this ends, the B-box's centre is off the surface."""
+        # With its rear at 2.9 m, where this ends, the B-box's centre is off the surface.
         with pytest.raises(ValueError, match=r"^zone must end at column 26 or before"):
             bare(SLOW, zone=(3, 28))
 

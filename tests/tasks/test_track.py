@@ -89,13 +89,11 @@ class TestEnds:
         assert episode.infos[-2]["cross_error"] > -0.15
         assert (episode.total("success"), episode.total("failure")) == (0.0, -2.0)
 
-    def test_braking_is_no_way_to_follow(self):
+    def test_ends_of_braking_and_of_a_push_towards_the_edge(self):
         episode = hold(TRACK, BRAKE, LEVEL)
         assert episode.end["outcome"] == "stalled"
         assert abs(episode.end["velocity"][0]) < 0.05
-
-    def test_off_the_surface(self):
-        """A push towards the edge from beside it."""
+        # A push towards the edge from beside it.
         goal = (1.0, 0.5, 2.0 / 255)
         start = Start(BOX, (1.0, 0.1, 0.0), (0.0, -5.0, 0.0), goal, 0.0, np.full(256, 0.1))
         assert advanced(placed(Track(), start), ROLL)[0] == "off the surface"

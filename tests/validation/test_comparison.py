@@ -14,15 +14,12 @@ def trajectory(*displacement: float) -> Trajectory:
     return Trajectory(np.array([0.0, 1.0]), pose, np.zeros((2, 3)), np.zeros(2, bool), "duration")
 
 
-def test_errors_are_those_of_eq_5():
+def test_errors_are_those_of_eq_5_and_a_summary_is_mean_and_sample_deviation():
     mujoco, implicit = trajectory(0.5, -0.2, -20.0), trajectory(0.49, -0.21, -21.0)
     run = comparison.Run(comparison.PUSHED, mujoco, implicit, explicit=mujoco)
     error = comparison.compute_errors([run], lambda run: run.implicit)
     np.testing.assert_allclose(error.absolute, [[10.0, 10.0, 1.0]])
     np.testing.assert_allclose(error.percent, [[2.0, -5.0, -5.0]])
-
-
-def test_a_summary_is_mean_and_sample_deviation():
     rows = np.array([[1.0, 0.0, -1.0], [3.0, 0.0, -3.0]])
     summary = Errors(10.0 * rows, rows).summary("")
     np.testing.assert_allclose(summary.percent, [[2.0, 0.0, -2.0], [2**0.5, 0.0, 2**0.5]])

@@ -93,16 +93,13 @@ def test_the_contact_stiffness_is_the_recipes():
     assert newton_per_metre == pytest.approx(3e6, rel=0.01)
 
 
-def test_only_what_is_within_is_built():
+def test_only_what_is_within_reach_is_built_and_a_parcel_stays_within():
     parcel = sg.Parcel(sg.Rectangle(0.25, 0.25))
     within = reachable(SURFACE, parcel, (0.5, 0.5, 0.0), (0.3, 0.0, 0.0), 0.1)
     model = validation.build(SURFACE, parcel, within=within).model
     names = {model.geom(k).name for k in range(model.ngeom)} - {BASE}
     assert names == {f"{row},{column}" for row, column in np.argwhere(within)}
     assert model.nv == 6 + (within & ROTORS).sum()  # the parcel, and a hinge a rotor
-
-
-def test_a_parcel_stays_within_what_it_can_reach():
     surface = sg.layouts.sorting(tilt=math.radians(14.0))
     parcel = sg.Parcel(sg.Rectangle(0.25, 0.25), com_offset=(0.1, 0.1))
     start, velocity = (0.5, 1.0, 0.0), (0.5, -0.5, 6.0)

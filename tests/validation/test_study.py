@@ -45,9 +45,6 @@ def test_speed_is_taken_at_the_largest_step_up_to_which_all_are_accurate():
     assert measured.step == 0.009
     assert measured.error == pytest.approx(0.9)
     assert measured.rate > 0.0
-
-
-def test_no_accurate_step_is_an_error():
     method = study.Method("bad", lambda _, step: trajectory(*np.full(3, 1 + step)), 0.0, (0.5,))
     with pytest.raises(ValueError, match=r"steps of bad must hold one .* got 50.00 % at 0.5 s"):
         study.measure(method)
@@ -66,16 +63,13 @@ def test_the_report_holds_every_part(found, tmp_path):
     assert "…" not in text  # nothing is cut off at 80 columns
 
 
-def test_the_data_is_json(found):
+def test_the_data_is_json_and_every_figure_is_drawn(found, tmp_path):
     data = json.loads(json.dumps(as_data(found)))
     assert data["runs"][0]["mujoco"] == pytest.approx([0.451, -0.214, -26.4], rel=0.01)
     assert [target["reached"] for target in data["targets"]] == [True] * 9
     assert len(data["uneven_supports"]) == len(drawn.CASES) * len(drawn.UNEVEN)
     assert [each["tips_in_mujoco"] for each in data["meetings"]] == [False, True, False]
     np.testing.assert_allclose(data["meetings"][2]["error_mm_mm_deg"], found.meetings[2].analytic)
-
-
-def test_every_figure_is_drawn(found, tmp_path):
     paths = draw_all(found, tmp_path)
     figures = [f"figure{k}" for k in range(12, 17)]
     assert [path.stem for path in paths] == [*figures, "uneven_supports"]

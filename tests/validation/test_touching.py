@@ -51,14 +51,11 @@ def test_what_has_hit_in_mujoco_stays_together(base):
     assert not any(run.tipping.any() for run in runs)
 
 
-def test_a_run_that_diverges_is_named(monkeypatch, tmp_path):
+def test_a_run_that_diverges_is_named_and_what_is_not_allowed_refused(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes a log where it is
     motion = [(1e11, 0.0, 0.0), (0.0, 0.0, 0.0)]  # beyond what MuJoCo takes for a number
     with pytest.raises(RuntimeError, match=r"diverged at a step of 2e-05 s .* a smaller step"):
         simulate_together(SURFACE, [PARCEL] * 2, POSES, motion, 0.001, EVERYWHERE)
-
-
-def test_what_is_not_allowed_is_refused():
     poses, still = [(0.3, 0.6, 0.0)], [(0.0, 0.0, 0.0)]
     for count, velocities, duration, message in (
         (2, still, 0.1, r"poses must have the shape \(2, 3\), got \(1, 3\)"),

@@ -15,15 +15,12 @@ SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 EQUAL = np.ones(4)
 
 
-def test_equal_heights_give_eq_1():
+def test_equal_heights_give_eq_1_and_three_contacts_are_determinate():
     arms = np.random.default_rng(1).uniform(-0.2, 0.2, (9, 2))
     load = arms.mean(axis=0) + np.array([0.02, -0.01])
     flat, _ = scipy_normal_forces(arms, 9.81, load)
     uneven = uneven_normal_forces(arms, np.full(9, 3.0), np.ones(9), 9.81, load)
     np.testing.assert_allclose(uneven, flat, atol=1e-6)
-
-
-def test_three_contacts_are_statically_determinate():
     arms = np.array([[1.0, 0.0], [-1.0, 1.0], [-1.0, -1.0]])
     heights, stiffness = np.array([5.0, 0.0, -5.0]), np.array([1.0, 2.0, 0.5])
     forces = uneven_normal_forces(arms, heights, stiffness, 8.0, np.zeros(2))
