@@ -11,18 +11,8 @@ from hypothesis import strategies as st
 import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.core.assembly import make_env_params, make_state
+from surface_gym.cuda import memory
 from surface_gym.cuda.batch import CudaBatch
-from surface_gym.cuda.memory import (
-    GRIDS,
-    MARK_ROWS,
-    TABLE_ROWS,
-    kernel_view,
-    make_device_state,
-    max_contacts,
-    scratch_layout,
-    task_capacity,
-    to_device,
-)
 from surface_gym.cuda.prefetch import STARTS_AHEAD
 from surface_gym.physics import types
 from surface_gym.tasks import TASKS
@@ -38,7 +28,9 @@ NUM_ENVS = 64
 @every_case
 def test_device_state_equals_the_cpus_with_environments_adjacent_except_in_grids(name):
     config = make_config(name)
-    pairs = zip(make_device_state(config, NUM_ENVS, CPU), make_state(config, NUM_ENVS), strict=True)
+    pairs = zip(
+        memory.make_device_state(config, NUM_ENVS, CPU), make_state(config, NUM_ENVS), strict=True
+    )
     for tensors, arrays in pairs:
         for field, tensor, array in zip(tensors._fields, tensors, arrays, strict=True):
             assert tensor.numel() > 0  # a kernel takes no empty array
@@ -46,26 +38,28 @@ def test_device_state_equals_the_cpus_with_environments_adjacent_except_in_grids
                 np.testing.assert_array_equal(tensor, array, field)
                 assert tensor.numpy().dtype == array.dtype
             if len(tensor) > 1:  # not shared by all
-                assert tensor.stride(0) == (tensor[0].numel() if field in GRIDS else 1), field
+                assert tensor.stride(0) == (tensor[0].numel() if field in memory.GRIDS else 1), (
+                    field
+                )
 
 
 def test_a_kernel_sees_the_same_memory_and_an_empty_array_as_a_zero():
     tensor = torch.zeros(3, 4)
-    kernel_view(tensor)[1, 2] = 5.0
+    memory.kernel_view(tensor)[1, 2] = 5.0
     assert tensor[1, 2] == 5.0
     params = make_env_params(make_config("sort"))
-    assert to_device(params, CPU).timing == params.timing
-    assert to_device(params, CPU).outcomes == params.outcomes
+    assert memory.to_device(params, CPU).timing == params.timing
+    assert memory.to_device(params, CPU).outcomes == params.outcomes
     for shape in ((0,), (2, 0), (2, 0, 4)):
-        tensor = to_device(np.zeros(shape), CPU)
+        tensor = memory.to_device(np.zeros(shape), CPU)
         assert tensor.numel() > 0
         assert not tensor.any()
 
 
 @pytest.mark.parametrize("capacity", [4, 31, 4096])
 def test_rows_follow_one_another(capacity):
-    layout = scratch_layout(capacity)
-    for names, size in ((TABLE_ROWS, "TABLE_SIZE"), (MARK_ROWS, "MARKS_SIZE")):
+    layout = memory.scratch_layout(capacity)
+    for names, size in ((memory.TABLE_ROWS, "TABLE_SIZE"), (memory.MARK_ROWS, "MARKS_SIZE")):
         rows = [layout[name] for name in names]
         assert rows == list(range(0, capacity * len(rows), capacity))
         assert layout[size] > rows[-1]
@@ -76,8 +70,8 @@ def test_rows_follow_one_another(capacity):
 
 def test_every_constant_that_depends_on_the_capacity_is_among_them():
     larger = {name for name, value in vars(types).items() if isinstance(value, int) and value > 50}
-    assert larger <= set(scratch_layout(4))
-    assert {"ARM_X", "ROTOR"} <= set(scratch_layout(4))  # the first rows, at 0
+    assert larger <= set(memory.scratch_layout(4))
+    assert {"ARM_X", "ROTOR"} <= set(memory.scratch_layout(4))  # the first rows, at 0
 
 
 @given(
@@ -98,15 +92,15 @@ def test_no_base_covers_more_elements_than_its_capacity(name, theta, x, y, pitch
     c, s = math.cos(theta), math.sin(theta)
     turned = points @ np.array([[c, -s], [s, c]])
     covered = (base.functions(*(turned + np.array(base.centroid)).T) <= 1e-9).all(axis=0)
-    assert covered.sum() <= max_contacts(base, pitches)
+    assert covered.sum() <= memory.max_contacts(base, pitches)
 
 
 def test_the_boxes_of_the_tasks_need_little_and_a_base_of_many_edges_has_room_for_them():
     for task in TASKS:
-        assert 20 <= task_capacity(EnvConfig(task)) <= 40
+        assert 20 <= memory.task_capacity(EnvConfig(task)) <= 40
     angles = np.arange(60) * 2.0 * math.pi / 60
     parcel = sg.Parcel(sg.Polygon(0.1 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)))
-    assert task_capacity(EnvConfig(task=sg.tasks.Sort(parcels=(parcel,)))) == 60
+    assert memory.task_capacity(EnvConfig(task=sg.tasks.Sort(parcels=(parcel,)))) == 60
 
 
 PAIRED = 3  # environments of a batch and a prefetch

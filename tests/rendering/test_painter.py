@@ -10,22 +10,9 @@ import numpy as np
 import pygame
 import pytest
 
-from surface_gym.rendering import (
-    ExitMark,
-    ExitSide,
-    ExitSpeed,
-    Heading,
-    Painter,
-    Path,
-    Scene,
-    SceneParcel,
-    StopLine,
-    TilePainter,
-    Traffic,
-    Window,
-    draw,
-)
+from surface_gym.rendering import Painter, Scene, SceneParcel, TilePainter, Traffic, Window, draw
 from surface_gym.rendering.ink import GOAL, INK, axis_colour
+from surface_gym.rendering.scene import ExitMark, ExitSide, ExitSpeed, Heading, Path, StopLine
 from tests.rendering.conftest import EXITS, LONG, SMALL, Plate, differing, middle
 
 GOALS = (

@@ -5,16 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surface_gym.rendering import (
-    ExitMark,
-    ExitSide,
-    ExitSpeed,
-    Heading,
-    Path,
-    SceneParcel,
-    StopLine,
-    Traffic,
-)
+from surface_gym.rendering import SceneParcel, Traffic
+from surface_gym.rendering.scene import ExitMark, ExitSide, ExitSpeed, Heading, Path, StopLine
 from tests.rendering.conftest import EXITS, SMALL
 
 WRONG = {

@@ -14,7 +14,7 @@ from surface_gym.tasks import TASKS, Orient, Slow, Sort, Stop, Track
 from surface_gym.tasks.base import rising
 from surface_gym.tasks.paths import Sine
 from surface_gym.tasks.start import Draw, check_options, parcel_option
-from tests.environments import TRIANGLE, assert_same, bare
+from tests.environments import ROLL, TRIANGLE, assert_same, bare
 from tests.tasks import draws, nth, play
 
 # For each task: options that fix a start, and the goal that they make.
@@ -141,7 +141,7 @@ class TestEpisodes:
         seen, outcomes = set(), (*COMMON_OUTCOMES, *TASKS[name].outcomes)
         for seed in range(12):
             # By turns at random, where most stall, and rolling, where most get through.
-            episode = play(env, {}, 15 if seed % 2 else None, seed=seed)
+            episode = play(env, {}, ROLL if seed % 2 else None, seed=seed)
             for observation, reward, terminated, truncated, info in episode.steps:
                 assert observation in env.observation_space
                 assert reward == pytest.approx(math.fsum(info["reward_terms"].values()), abs=1e-12)
@@ -162,7 +162,7 @@ class TestEpisodes:
     @every_task
     def test_time_running_out_truncates(self, name):
         env = gym.make(env_id(name), max_episode_steps=2)
-        episode = play(env, FIXED[name][0], np.full(env.action_space.shape, 3))
+        episode = play(env, FIXED[name][0], ROLL)
         assert [step[2:4] for step in episode.steps] == [(False, False), (False, True)]
         assert episode.end["outcome"] == "running"
         assert episode.total("failure") == 0.0

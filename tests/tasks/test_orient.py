@@ -9,17 +9,7 @@ import surface_gym as sg
 from surface_gym.tasks import Orient
 from surface_gym.tasks.start import Start
 from tests.environments import PLUS_45, ROLL, bare
-from tests.tasks import (
-    BRAKE,
-    assert_equal_odds_of_the_boxes,
-    assert_uniform,
-    draws,
-    features_of,
-    hold,
-    line_features,
-    placed,
-    play,
-)
+from tests.tasks import BRAKE, assert_laws, assert_observed, assert_uniform, draws, play
 
 ORIENT = "SmartSurface/Orient-v0"
 BOX = sg.layouts.box("S")
@@ -44,11 +34,8 @@ def yielded() -> float:
 class TestStarts:
     def test_obey_their_laws(self):
         starts = draws(Orient())
-        assert_uniform([start.velocity[0] for start in starts], 1.3, 1.7)
+        assert_laws(starts, 1.3, 1.7)
         assert_uniform([start.goal[0] for start in starts], -math.pi / 4, math.pi / 4)
-        assert_equal_odds_of_the_boxes(starts)
-        assert all(start.pose == (start.parcel.rear, 1.0, 0.0) for start in starts)
-        assert all(start.velocity[1:] == (0.0, 0.0) for start in starts)
 
 
 class TestEnds:
@@ -71,14 +58,14 @@ class TestEnds:
 
     @pytest.mark.parametrize(("choice", "outcome"), [(BRAKE, "stalled"), (PLUS_45, "off the line")])
     def test_failures_before_it_leaves(self, choice, outcome):
-        episode = hold(ORIENT, choice, {"speed": 1.5, "parcel": "S", "angle": 0.1})
+        episode = play(bare(ORIENT), {"speed": 1.5, "parcel": "S", "angle": 0.1}, choice)
         assert episode.end["outcome"] == outcome
         assert episode.total("precision") == 0.0
 
     def test_off_the_surface(self):
         front_heavy = sg.Parcel(sg.Rectangle(0.5, 0.25), com_offset=(0.1, 0.0))
         options = {"speed": 1.5, "parcel": front_heavy, "angle": 0.1}
-        end = hold(ORIENT, ROLL, options, zone=(20, 26)).end
+        end = play(bare(ORIENT, zone=(20, 26)), options, ROLL).end
         assert end["outcome"] == "off the surface"
 
 
@@ -97,12 +84,11 @@ class TestSeen:
         x, theta = 0.83, -0.2
         start = Start(BOX, (x, 1.03, theta), (1.4, 0.1, 0.3), (-0.23,))
         half_extent = 0.125 * (math.cos(0.2) + math.sin(0.2))
-        seen = features_of(placed(Orient(), start))
-        wanted = line_features(x, 0.03, theta, 1.4, 0.1, 0.3) | {
+        wanted = {
             "front in zone": (x + half_extent - 0.3) / 0.5,
             "rear to go": (1.9 - x + half_extent) / 0.5,
             "asked angle": -0.23,
             "angle to turn": -0.03 / 0.2,
             "angle to turn, near": math.tanh(-0.03 / TWO_DEGREES),
         }
-        assert seen == pytest.approx(wanted, abs=1e-6)
+        assert_observed(Orient(), start, wanted)

@@ -6,18 +6,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from surface_gym.tasks.paths import (
-    DRAWS,
-    KINDS,
-    LaneChange,
-    Path,
-    Polyline,
-    Sine,
-    Spline,
-    path_option,
-    random_path,
-    sample,
-)
+from surface_gym.tasks import paths
+from surface_gym.tasks.paths import LaneChange, Path, Polyline, Sine, Spline, sample
 
 POINTS = ((0.5, 1.0), (1.5, 1.2), (2.0, 0.9), (4.0, 1.1))
 
@@ -29,7 +19,7 @@ def slopes(path: Path, x: np.ndarray) -> np.ndarray:
 
 def drawn(kind: str, count: int = 300) -> list[Path]:
     rng = np.random.default_rng(0)
-    return [random_path(kind, rng.random(DRAWS)) for _ in range(count)]
+    return [paths.random_path(kind, rng.random(paths.DRAWS)) for _ in range(count)]
 
 
 class TestValues:
@@ -91,7 +81,7 @@ class TestSmoothness:
 
 
 class TestRandom:
-    @pytest.mark.parametrize("kind", KINDS)
+    @pytest.mark.parametrize("kind", paths.KINDS)
     def test_lie_in_the_field_and_start_and_end_alike(self, kind):
         for path in drawn(kind):
             assert (path.start, path.end) == (0.4, 5.6)
@@ -100,7 +90,7 @@ class TestRandom:
             assert np.ptp(y) > 0.01
 
     def test_a_lane_may_be_the_one_before(self):
-        straight = random_path("polyline", np.full(DRAWS, 0.5))
+        straight = paths.random_path("polyline", np.full(paths.DRAWS, 0.5))
         np.testing.assert_allclose(straight.y(np.linspace(0.4, 5.6, 50)), 1.0)
 
     def test_sines(self):
@@ -169,6 +159,6 @@ class TestRefused:
         for value in ("sine", None, 3.0, [(1.0, 1.0)], Sine):
             named = "path must be a Sine, LaneChange, Polyline, Spline"
             with pytest.raises(ValueError, match=named):
-                path_option(value)
-        assert path_option(Sine()) == Sine()
-        assert path_option(np.array(POINTS)) == Polyline(POINTS)
+                paths.path_option(value)
+        assert paths.path_option(Sine()) == Sine()
+        assert paths.path_option(np.array(POINTS)) == Polyline(POINTS)

@@ -8,18 +8,15 @@ import pytest
 import surface_gym as sg
 from surface_gym.tasks import Sort
 from surface_gym.tasks.start import Start
-from tests.environments import MINUS_45, PLUS_45, ROLL, TRIANGLE, bare, steps
+from tests.environments import MINUS_45, PLUS_45, ROLL, TRIANGLE, bare, batch_with, steps
 from tests.tasks import (
     BRAKE,
-    Episode,
     advanced,
-    assert_equal_odds_of_the_boxes,
+    assert_laws,
+    assert_observed,
     assert_uniform,
     draws,
     features_of,
-    hold,
-    line_features,
-    placed,
     play,
 )
 
@@ -45,7 +42,7 @@ class TestStarts:
         assert np.mean(speed <= 1.1) == pytest.approx(2.0 / 3.0, abs=0.06)
         assert np.mean([start.goal == (1.0,) for start in starts]) == pytest.approx(0.5, abs=0.06)
         assert {start.goal for start in starts} == {(1.0,), (-1.0,)}
-        assert_equal_odds_of_the_boxes(starts)
+        assert_laws(starts)
 
     @pytest.mark.parametrize(("share", "low", "high"), [(1.0, 0.4, 0.5), (0.0, 1.0, 2.0)])
     def test_bands(self, share, low, high):
@@ -62,14 +59,14 @@ class TestEnds:
          (0, BRAKE, "stalled")],
     )  # fmt: skip
     def test_by_choice(self, side, choice, outcome):
-        episode = hold(SORT, choice, {"speed": 1.5, "side": side, "parcel": "S"})
+        episode = play(bare(), {"speed": 1.5, "side": side, "parcel": "S"}, choice)
         assert episode.end["outcome"] == outcome
         assert episode.total("success") == (outcome == "success")
         assert episode.total("failure") == -1.0 * (outcome != "success")
 
     def test_off_the_surface(self):
         """A zone that reaches the edge: the centre is past it before the rear leaves the zone."""
-        end = hold(SORT, ROLL, {"speed": 2.0, "side": 1, "parcel": "S"}, zone=(20, 29)).end
+        end = play(bare(zone=(20, 29)), {"speed": 2.0, "side": 1, "parcel": "S"}, ROLL).end
         assert end["outcome"] == "off the surface"
         # It is where half a step more would take the centre past the edge.
         assert 2.99 < end["pose"][0] <= 3.0
@@ -94,7 +91,7 @@ class TestReward:
         [(1, 1.5, MINUS_45, "success"), (0, 1.5, ROLL, "success"), (1, 0.4, MINUS_45, "stalled")],
     )
     def test_time_costs_and_haste_pays_at_success(self, side, speed, choice, outcome):
-        episode = hold(SORT, choice, {"side": side, "speed": speed}, actions="quadrants")
+        episode = play(bare(actions="quadrants"), {"side": side, "speed": speed}, choice)
         assert episode.end["outcome"] == outcome
         paid = 4.0 / episode.end["time"] if outcome == "success" else 0.0
         assert all(info["reward_terms"]["haste"] == 0.0 for info in episode.infos[:-1])
@@ -103,7 +100,7 @@ class TestReward:
 
     def test_a_longer_reach_than_enough_earns_no_more(self):
         fast = Start(BOX, (0.5, 1.0, 0.0), (2.5, 0.0, 0.0), (1.0,))
-        _, terms = advanced(placed(Sort(), fast), ROLL)
+        _, terms = advanced(Sort(), fast, ROLL)
         assert terms["reach"] == 0.0
 
 
@@ -116,26 +113,26 @@ class TestSeen:
             BOX, (x, 1.0 + side * y, side * theta), (vx, side * vy, side * omega), (float(side),)
         )
         half_extent = 0.125 * (math.cos(theta) + math.sin(theta))  # of a turned square
-        wanted = line_features(x, y, theta, vx, vy, omega) | {
+        wanted = {
             "clearance": (y - half_extent - 0.05) / 0.2,
             "time": 0.0,
             "distance into zone": (x - half_extent - 0.3) / 0.5,
             "side": side,
         }
-        assert features_of(placed(Sort(), start)) == pytest.approx(wanted, abs=1e-6)
+        assert_observed(Sort(), start, wanted, side)
 
     @pytest.mark.parametrize("side", [1, -1])
     def test_the_clearance_is_that_of_the_corner_nearest_to_the_line(self, side):
         """Of a triangle, which does not reach as far one way as the other."""
         start = Start(TRIANGLE, (1.0, 1.0 + side * 0.3, 0.7), (1.0, 0.0, 0.0), (float(side),))
-        batch = placed(Sort(), start)
+        batch = batch_with(start, task=Sort())
         x, y, theta = batch.parcels.truth[0, :3]
         turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
         corners = turn @ (TRIANGLE.base.outline - TRIANGLE.base.centroid).T + [[x], [y]]
         rows = np.nonzero(batch.bodies.rotor[0].any(axis=1))[0]
         outermost = 0.05 + 0.1 * rows.max() - 1.0  # of the line's rotors, from its middle
         clearance = (side * (corners[1] - 1.0)).min() - outermost
-        assert features_of(batch)["clearance"] == pytest.approx(clearance / 0.2, abs=1e-6)
+        assert features_of(Sort(), start)["clearance"] == pytest.approx(clearance / 0.2, abs=1e-6)
 
     def test_time_is_seen(self):
         env = bare()
@@ -144,7 +141,7 @@ class TestSeen:
 
     def test_mirrored_episodes_look_alike(self):
         """Sorts to either side, +45 and -45 deg and the rows exchanged, differ in the side only."""
-        episodes: list[Episode] = []
+        episodes = []
         mirrored = np.array([0, 2, 1, 3])
         for side in (1, -1):
             env = bare(actions="quadrants")

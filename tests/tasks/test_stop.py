@@ -9,18 +9,7 @@ import surface_gym as sg
 from surface_gym.tasks import Stop
 from surface_gym.tasks.start import Start
 from tests.environments import PLUS_45, ROLL, bare
-from tests.tasks import (
-    BRAKE,
-    ROLLING_LOSS,
-    assert_equal_odds_of_the_boxes,
-    assert_uniform,
-    draws,
-    features_of,
-    hold,
-    line_features,
-    placed,
-    play,
-)
+from tests.tasks import BRAKE, ROLL_LOSS, assert_laws, assert_observed, assert_uniform, draws, play
 
 STOP = "SmartSurface/Stop-v0"
 BOX = sg.layouts.box("S")
@@ -38,14 +27,10 @@ def rest(size: str, speed: float) -> float:
 class TestStarts:
     def test_obey_their_laws(self):
         starts = draws(Stop())
-        assert_uniform([start.velocity[0] for start in starts], 0.5, 2.7)
-        assert_equal_odds_of_the_boxes(starts)
+        assert_laws(starts, 0.5, 2.7)
         for start in starts:
-            assert start.pose == (start.parcel.rear, 1.0, 0.0)
-            size = "S" if start.parcel is BOX else "B"
-            (position,) = start.goal
-            zone_end = {"S": 1.9, "B": 2.1}[size]
-            assert position + start.parcel.rear <= zone_end + 1e-12
+            zone_end = 1.9 if start.parcel is BOX else 2.1
+            assert start.goal[0] + start.parcel.rear <= zone_end + 1e-12
 
     @pytest.mark.parametrize("size", ["S", "B"])
     @pytest.mark.parametrize("speed", [0.5, 1.2, 2.7])
@@ -53,7 +38,7 @@ class TestStarts:
         """Braking all the way it rests before it; rolling all the way it would get past it."""
         asked = [start.goal[0] for start in draws(Stop(), speed=speed, parcel=size)]
         assert rest(size, speed) <= min(asked)
-        assert max(asked) < sg.layouts.start(size)[0] + speed**2 / (2.0 * ROLLING_LOSS)
+        assert max(asked) < sg.layouts.start(size)[0] + speed**2 / (2.0 * ROLL_LOSS)
         assert max(asked) > min(asked)
 
     def test_asked_x_is_uniform(self):
@@ -75,7 +60,7 @@ class TestEnds:
     @pytest.mark.parametrize("size", ["S", "B"])
     def test_braking(self, size, off, outcome):
         position = rest(size, 1.5) + off
-        episode = hold(STOP, BRAKE, {"speed": 1.5, "parcel": size, "position": position})
+        episode = play(bare(STOP), {"speed": 1.5, "parcel": size, "position": position}, BRAKE)
         assert episode.end["outcome"] == outcome
         assert episode.total("success") == (outcome == "success")
         assert episode.total("failure") == -1.0 * (outcome != "success")
@@ -94,15 +79,15 @@ class TestEnds:
         ],
     )
     def test_failures_before_it_rests(self, speed, position, choice, outcome):
-        episode = hold(STOP, choice, {"speed": speed, "parcel": "S", "position": position})
+        episode = play(bare(STOP), {"speed": speed, "parcel": "S", "position": position}, choice)
         assert episode.end["outcome"] == outcome
         assert episode.total("precision") == 0.0
 
     def test_rolling_out_at_last_misses(self):
         """A slow parcel rolls to rest within the zone: v^2 / (2 mu_min g) on."""
-        end = hold(STOP, ROLL, {"speed": 0.4, "parcel": "S", "position": 1.5}).end
+        end = play(bare(STOP), {"speed": 0.4, "parcel": "S", "position": 1.5}, ROLL).end
         assert end["outcome"] == "missed"
-        assert end["pose"][0] == pytest.approx(0.125 + 0.16 / (2.0 * ROLLING_LOSS), abs=0.005)
+        assert end["pose"][0] == pytest.approx(0.125 + 0.16 / (2.0 * ROLL_LOSS), abs=0.005)
 
 
 class TestReward:
@@ -124,8 +109,7 @@ class TestSeen:
         half_extent = 0.125 * (math.cos(0.2) + math.sin(0.2))
         to_go = position - x
         over = vx - math.sqrt(2.0 * 0.5 * 9.81 * max(0.0, to_go))
-        seen = features_of(placed(Stop(), start))
-        wanted = line_features(x, 0.0, -0.2, vx, 0.1, 0.3) | {
+        wanted = {
             "front in zone": (x + half_extent - 0.3) / 0.5,
             "rear to go": (1.9 - x + half_extent) / 0.5,
             "to go": to_go / 0.5,
@@ -133,4 +117,4 @@ class TestSeen:
             "to go, nearest": math.tanh(to_go / 0.01),
             "excess of speed": over / 0.2,
         }
-        assert seen == pytest.approx(wanted, abs=1e-6)
+        assert_observed(Stop(), start, wanted)

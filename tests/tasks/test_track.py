@@ -9,18 +9,15 @@ import surface_gym as sg
 from surface_gym.tasks import Track
 from surface_gym.tasks.paths import LaneChange, Polyline, Sine
 from surface_gym.tasks.start import Start
-from tests.environments import MINUS_45, ROLL, TRIANGLE, bare, same_choice
+from tests.environments import MINUS_45, ROLL, TRIANGLE, bare
 from tests.tasks import (
     BRAKE,
-    ROLLING_LOSS,
+    ROLL_LOSS,
     advanced,
-    assert_equal_odds_of_the_boxes,
+    assert_laws,
     assert_uniform,
     draws,
     features_of,
-    hold,
-    line_features,
-    placed,
     play,
 )
 
@@ -35,9 +32,8 @@ LEVEL = {"path": AHEAD, "speed": 1.0, "tilt": 0.0, "parcel": "S"}
 class TestStarts:
     def test_obey_their_laws(self):
         starts = draws(Track())
-        assert_uniform([start.goal[0] for start in starts], 0.6, 1.0)
+        assert_laws(starts, 0.6, 1.0)
         assert_uniform([start.tilt for start in starts], 0.0, math.radians(15.0))
-        assert_equal_odds_of_the_boxes(starts)
         for start in starts:
             assert math.hypot(*start.velocity[:2]) == pytest.approx(start.goal[0])
             assert start.pose == (0.4, start.path[0], 0.0)
@@ -62,11 +58,11 @@ class TestStarts:
 
 class TestEnds:
     def test_rolling_along_a_straight_path_succeeds(self):
-        episode = hold(TRACK, ROLL, LEVEL)
+        episode = play(bare(TRACK), LEVEL, ROLL)
         assert episode.end["outcome"] == "success"
         assert 2.5 < episode.end["pose"][0] < 2.5 + 0.04
         assert episode.end["rms_error"] < 1e-9
-        left = math.sqrt(1.0 - 2.0 * ROLLING_LOSS * (episode.end["pose"][0] - 0.5))
+        left = math.sqrt(1.0 - 2.0 * ROLL_LOSS * (episode.end["pose"][0] - 0.5))
         assert episode.end["velocity"][0] == pytest.approx(left, abs=1e-3)
         assert (episode.total("success"), episode.total("failure")) == (2.0, 0.0)
         way = episode.end["pose"][0] - 0.5
@@ -76,27 +72,26 @@ class TestEnds:
     @pytest.mark.parametrize("tilt", [0.0, 0.1, 0.25])
     def test_it_runs_downhill(self, tilt):
         """Rolling, it gains what gravity does and loses what friction takes, a second."""
-        env = bare(TRACK)
-        episode = play(env, LEVEL | {"tilt": tilt}, same_choice(env, ROLL), longest=10)
+        episode = play(bare(TRACK), LEVEL | {"tilt": tilt}, ROLL, longest=10)
         gain = 9.81 * (math.sin(tilt) - 0.01 * math.cos(tilt))
         assert episode.end["velocity"][0] == pytest.approx(1.0 + 0.4 * gain, abs=1e-9)
 
     def test_straight_on_where_the_path_bends_is_off_the_path(self):
         path = [(0.5, 1.0), (1.0, 1.0), (2.0, 1.5), (3.0, 1.5)]
-        episode = hold(TRACK, ROLL, LEVEL | {"path": path})
+        episode = play(bare(TRACK), LEVEL | {"path": path}, ROLL)
         assert episode.end["outcome"] == "off the path"
         assert episode.end["cross_error"] <= -0.15  # to the right of a path that goes left
         assert episode.infos[-2]["cross_error"] > -0.15
         assert (episode.total("success"), episode.total("failure")) == (0.0, -2.0)
 
     def test_ends_of_braking_and_of_a_push_towards_the_edge(self):
-        episode = hold(TRACK, BRAKE, LEVEL)
+        episode = play(bare(TRACK), LEVEL, BRAKE)
         assert episode.end["outcome"] == "stalled"
         assert abs(episode.end["velocity"][0]) < 0.05
         # A push towards the edge from beside it.
         goal = (1.0, 0.5, 2.0 / 255)
         start = Start(BOX, (1.0, 0.1, 0.0), (0.0, -5.0, 0.0), goal, 0.0, np.full(256, 0.1))
-        assert advanced(placed(Track(), start), ROLL)[0] == "off the surface"
+        assert advanced(Track(), start, ROLL)[0] == "off the surface"
 
 
 class TestFigures:
@@ -106,9 +101,8 @@ class TestFigures:
         "path", [AHEAD, RISING, Sine(0.1, 3.0), LaneChange(0.2, 2.0)], ids=lambda path: str(path)
     )
     def test_of_a_random_walk_about_a_path(self, path):
-        env = bare(TRACK, actions="quadrants")
         options = LEVEL | {"path": path, "tilt": 0.1}
-        episode = play(env, options, seed=1, longest=25)
+        episode = play(bare(TRACK, actions="quadrants"), options, seed=1, longest=25)
         if isinstance(path, tuple):
             path = Polyline(path)
 
@@ -132,7 +126,7 @@ class TestFigures:
 
 class TestReward:
     def test_every_term_is_paid_a_metre(self):
-        episode = hold(TRACK, MINUS_45, LEVEL | {"path": RISING, "tilt": 0.1})
+        episode = play(bare(TRACK), LEVEL | {"path": RISING, "tilt": 0.1}, MINUS_45)
         x = episode.start["pose"][0]
         length = math.hypot(1.0, SLOPE)
         for info in episode.infos:
@@ -157,10 +151,8 @@ class TestSeen:
         path = 1.0 + 0.5 * np.maximum(0.0, x - 1.0)
         pose, velocity = (0.95, 1.02, 0.3), (0.7, -0.1, 0.6)
         start = Start(BOX, pose, velocity, (0.9, 0.5, step), 0.2, path)
-        common = line_features(0.95, 0.97, 0.3, 0.7, -0.1, 0.6)  # the phase from the first row
-        for name in ("lateral offset", "forward speed"):
-            del common[name]
-        wanted = common | {
+        turn = 2.0 * math.pi / 0.1
+        wanted = {
             "cross error": 0.4,
             "fine cross error": math.tanh(4.0),
             "speed error": -1.0,
@@ -171,15 +163,23 @@ class TestSeen:
             "slope 0.2 m ahead": 0.5,
             "slope 0.35 m ahead": 0.5,
             "tilt": math.sin(0.2) / 0.2,
+            "sine of theta": math.sin(0.3),
+            "cosine of theta": math.cos(0.3),
+            "turning speed": 0.2,
+            "size": -1.0,
+            "sine of phase x": math.sin(turn * 0.90),
+            "cosine of phase x": math.cos(turn * 0.90),
+            "sine of phase y": math.sin(turn * 0.97),
+            "cosine of phase y": math.cos(turn * 0.97),
         }
-        assert features_of(placed(Track(), start)) == pytest.approx(wanted, abs=1e-6)
+        assert features_of(Track(), start) == pytest.approx(wanted, abs=1e-6)
 
     def test_errors_are_square_to_a_slope(self):
         """On a path at 45 deg: 1 cm above it in y is 1 cm / sqrt(2) off it, to its left."""
         step = 1.0 / 255
         path = 0.8 + step * np.arange(256)
         start = Start(BOX, (1.0, 1.31, 0.0), (0.6, 0.4, 0.0), (0.8, 0.5, step), 0.0, path)
-        seen = features_of(placed(Track(), start))
+        seen = features_of(Track(), start)
         assert seen["cross error"] == pytest.approx(0.01 / math.sqrt(2.0) / 0.05, abs=1e-6)
         assert seen["speed error"] == pytest.approx((1.0 / math.sqrt(2.0) - 0.8) / 0.2, abs=1e-6)
         assert seen["lateral speed"] == pytest.approx(-0.2 / math.sqrt(2.0) / 0.1, abs=1e-6)
