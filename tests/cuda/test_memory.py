@@ -165,7 +165,7 @@ def test_rings_stay_full_where_every_environment_ends_in_every_period(make_pair)
         pair.prefetch.update()
 
 
-def test_a_new_generator_begins_anew_and_other_environments_go_on(make_pair):
+def test_a_new_generator_begins_anew_and_an_option_changes_no_later_starts(make_pair):
     pair = make_pair("sort")
     for _ in range(STARTS_AHEAD // 2 + 3):  # starts are being prepared at the reset
         pair.place()
@@ -173,10 +173,6 @@ def test_a_new_generator_begins_anew_and_other_environments_go_on(make_pair):
     pair.batch.seed(1, np.random.default_rng(9))
     pair.prefetch.refill({1: np.random.default_rng(9)}, ALL, ())
     pair.place()
-
-
-def test_an_option_changes_what_was_drawn_and_not_later_starts(make_pair):
-    pair = make_pair("sort")
     options = [{"speed": 1.1}, {}, {"side": -1, "parcel": "B"}]
     pair.prefetch.refill({}, ALL, options)
     pair.place(options=options)

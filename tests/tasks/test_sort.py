@@ -20,7 +20,6 @@ from tests.tasks import (
     play,
 )
 
-SORT = "SmartSurface/Sort-v0"
 BOX = sg.layouts.box("S")
 COASTING_LOSS = 0.01 * 9.81 / math.sqrt(2.0)  # [m/s^2] along x and y on 45 deg axes
 
