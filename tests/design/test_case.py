@@ -57,15 +57,15 @@ def test_layouts_are_the_study_s():
         np.testing.assert_array_equal(found[:, :3], slowing.axis[9:11, 3:6])
 
 
-@pytest.mark.parametrize("purpose", [Sort(), Turn(math.radians(20.0))])
-def test_the_other_side_is_the_mirror_image(purpose):
-    other = Sort(1) if isinstance(purpose, Sort) else Turn(math.radians(-20.0))
-    ends = []
-    for each in (purpose, other):
-        axes = each.layouts(LINE, 4)[0].axis[np.newaxis]
-        runs = make_runs(1.5, columns=4 if each.leaves_zone else -1)
-        ends.append(run_all(LINE, axes, [BOX], runs, dt=0.001))
-    one, two = ends
+@pytest.mark.parametrize("purposes", [(Sort(), Sort(1)), (Turn(0.35), Turn(-0.35))])
+def test_the_other_side_is_the_mirror_image(purposes):
+    one, two = (
+        run_all(
+            LINE, each.layouts(LINE, 4)[0].axis[None], [BOX],
+            make_runs(1.5, columns=4 if each.leaves_zone else -1), dt=0.001,
+        )
+        for each in purposes
+    )  # fmt: skip
     assert one.reason[0] == two.reason[0]
     assert one.pose[0, 0] == pytest.approx(two.pose[0, 0], abs=1e-4)
     assert one.pose[0, 1] - LINE.line_y == pytest.approx(LINE.line_y - two.pose[0, 1], abs=1e-4)

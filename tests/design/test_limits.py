@@ -37,13 +37,6 @@ def is_sorted(arrangement: Arrangement, speed: float, mu_factor: float = 1.0) ->
     return False
 
 
-@pytest.mark.parametrize(("size", "studied"), [("S", 0.72), ("B", 1.00)])
-def test_the_study_s_boxes_may_come_as_slow_as_the_study_says(size, studied):
-    case = Case(layouts.box(size), Sort(), speed=1.5, unknown=NOTHING)
-    found = least_speed(case, columns=16).of(NOMINAL)
-    assert found.least == pytest.approx(studied, abs=0.011)
-
-
 def test_simulate_agrees_on_both_sides_of_the_limits_of_speed_and_friction():
     case = Case(OWN, Sort(), speed=1.2, unknown=NOTHING)
     speeds, factors = least_speed(case), friction_range(case).along

@@ -127,15 +127,6 @@ def test_how_runs_end():
     assert np.abs(ends.velocity[2]).max() < REST_SPEED
 
 
-def test_braking_by_a_wide_zone_at_0_deg_takes_mu_max_g():
-    """A box on rotors that all lie along its way brakes at mu_max g, once it is on them wholly."""
-    line = line_for(BOX, 16)
-    ends = run_all(line, np.zeros((1, 2, 16)), [BOX], make_runs([2.0, 2.5], columns=16))
-    # Beyond the zone's start both lose speed by the same law, so their squares differ as before.
-    rest = ends.pose[:, 0]
-    assert rest[1] - rest[0] == pytest.approx((2.5**2 - 2.0**2) / (2.0 * 0.5 * 9.81), abs=1e-3)
-
-
 def test_a_parcel_held_on_a_slope_is_at_rest_and_one_that_slides_is_not():
     runs = make_runs(0.0, tilt=np.radians([0.4, 1.0]), columns=4)
     ends = run_all(line_for(BOX, 4), np.zeros((1, 2, 4)), [BOX], runs)

@@ -9,8 +9,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.case import NOMINAL, NOTHING, Case, Sort, Stop, Unknown, draw
-from surface_gym.design.limits import least_speed
+from surface_gym.design.case import NOTHING, Case, Sort, Stop, Unknown, draw
 from surface_gym.design.runs import line_for
 from surface_gym.design.sweep import FIELDS, USUAL, SuccessMap, sensitivity, success_map
 
@@ -40,14 +39,6 @@ def test_a_parcel_of_another_size_on_the_same_zone_ends_where_simulate_has_it(si
     outermost = line.line_y - 0.5 * (line.rows - 1) * line.pitch_y
     off = run.pose[:, 1] + 0.15 * size < outermost
     assert found.nominal[0, 0] == off.any()
-
-
-def test_the_parcel_as_it_is_does_as_by_the_limits_of_speed():
-    speeds = np.arange(0.5, 2.51, 0.1).round(9)
-    found = success_map(CASE, 5, speeds.tolist(), [1.0])
-    limits = least_speed(CASE, 5).of(NOMINAL)
-    places = [np.abs(limits.values - speed).argmin() for speed in speeds]
-    np.testing.assert_array_equal(found.nominal[0], limits.share[places] == 1.0)
 
 
 def test_cells_do_not_depend_on_the_others_nor_on_threads_and_nothing_unknown_is_sure():

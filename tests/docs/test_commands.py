@@ -68,13 +68,6 @@ def stopping(monkeypatch):
     return monkeypatch
 
 
-def split_program(words: list[str]) -> tuple[str, bool, list[str]]:
-    """Return of `python ...` the file or module, whether it is a module, and the arguments."""
-    if words[1] == "-m":
-        return words[2], True, words[3:]
-    return words[1], False, words[2:]
-
-
 @pytest.mark.parametrize(("page", "command"), COMMANDS)
 def test_a_program_accepts_the_command(page, command, stopping):
     words = [STAND_INS.get(word, word) for word in shlex.split(command)]
@@ -91,18 +84,16 @@ def test_a_program_accepts_the_command(page, command, stopping):
             begin = partial(import_module("surface_gym.play").main, arguments)
     else:
         assert words[0] == "python", page
-        program, is_module, arguments = split_program(words)
+        is_module = words[1] == "-m"
+        program, *arguments = words[1 + is_module :]
         if program.startswith(APART):
             assert is_module or (ROOT / program).is_file()
             return
         stopping.setattr(sys, "argv", [program, *arguments])
         stopping.delitem(sys.modules, program, raising=False)  # runpy begins with a fresh one
 
-        def begin() -> Any:
-            if is_module:
-                return runpy.run_module(program, run_name="__main__")
-            return runpy.run_path(str(ROOT / program), run_name="__main__")
-
+        run = runpy.run_module if is_module else runpy.run_path
+        begin = partial(run, program, run_name="__main__")
     if program in ("train.py", "train") and "--resume" in arguments:
         assert arguments in [["--resume", folder] for folder in RESUMED]
         return

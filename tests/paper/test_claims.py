@@ -74,11 +74,6 @@ def test_a_long_zone_lets_boxes_swing_and_spin(reproduction):
     assert all(max(abs(end[1]) for end in case.straight) > 40.0 for case in level)
 
 
-def test_a_box_in_the_middle_and_straight_stays_so():
-    run = cross(Zone("S", OUTWARDS, columns=6, speed=2.5, tilt=0.0), 0.0, 0.0)
-    assert end_of_run(run) == pytest.approx((0.0, 0.0), abs=1e-6)
-
-
 def test_short_zones_do_not_hang_on_the_step():
     zone = Zone("S", INWARDS, columns=2, speed=1.5, tilt=0.0)
     start = (0.125, sg.layouts.LINE_Y + 0.01, 0.0)
