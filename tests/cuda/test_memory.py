@@ -28,19 +28,16 @@ NUM_ENVS = 64
 @every_case
 def test_device_state_equals_the_cpus_with_environments_adjacent_except_in_grids(name):
     config = make_config(name)
-    pairs = zip(
-        memory.make_device_state(config, NUM_ENVS, CPU), make_state(config, NUM_ENVS), strict=True
-    )
-    for tensors, arrays in pairs:
+    device = memory.make_device_state(config, NUM_ENVS, CPU)
+    for tensors, arrays in zip(device, make_state(config, NUM_ENVS), strict=True):
         for field, tensor, array in zip(tensors._fields, tensors, arrays, strict=True):
             assert tensor.numel() > 0  # a kernel takes no empty array
             if array.size:
                 np.testing.assert_array_equal(tensor, array, field)
                 assert tensor.numpy().dtype == array.dtype
             if len(tensor) > 1:  # not shared by all
-                assert tensor.stride(0) == (tensor[0].numel() if field in memory.GRIDS else 1), (
-                    field
-                )
+                stride = tensor[0].numel() if field in memory.GRIDS else 1
+                assert tensor.stride(0) == stride, field
 
 
 def test_a_kernel_sees_the_same_memory_and_an_empty_array_as_a_zero():
@@ -70,8 +67,7 @@ def test_rows_follow_one_another(capacity):
 
 def test_every_constant_that_depends_on_the_capacity_is_among_them():
     larger = {name for name, value in vars(types).items() if isinstance(value, int) and value > 50}
-    assert larger <= set(memory.scratch_layout(4))
-    assert {"ARM_X", "ROTOR"} <= set(memory.scratch_layout(4))  # the first rows, at 0
+    assert larger | {"ARM_X", "ROTOR"} <= set(memory.scratch_layout(4))  # the first rows, at 0
 
 
 @given(

@@ -22,21 +22,18 @@ def asked(*flags: str) -> AskFriction:
     return tyro.cli(AskFriction, args=flags)
 
 
-@pytest.mark.parametrize(
-    ("flags", "purpose"),
-    [
-        ((), Sort(-1)),
-        (("--side", "left"), Sort(1)),
-        (("--purpose", "slow"), Slow(0.5)),
-        (("--purpose", "slow", "--ratio", "0.7", "--tolerance", "0.1"), Slow(0.7, 0.1)),
-        (("--purpose", "stop"), Stop()),
-        (("--purpose", "stop", "--place", "0.4", "--tolerance", "0.1"), Stop(0.4, 0.1)),
-        (("--purpose", "turn"), Turn()),
-        (("--purpose", "turn", "--angle-deg", "-20"), Turn(math.radians(-20.0))),
-    ],
-)
-def test_purposes(flags, purpose):
-    assert asked("--parcel", "S", *flags).case().purpose == purpose
+def test_purposes():
+    for flags, purpose in {
+        "": Sort(-1),
+        "--side left": Sort(1),
+        "--purpose slow": Slow(0.5),
+        "--purpose slow --ratio 0.7 --tolerance 0.1": Slow(0.7, 0.1),
+        "--purpose stop": Stop(),
+        "--purpose stop --place 0.4 --tolerance 0.1": Stop(0.4, 0.1),
+        "--purpose turn": Turn(),
+        "--purpose turn --angle-deg -20": Turn(math.radians(-20.0)),
+    }.items():
+        assert asked("--parcel", "S", *flags.split()).case().purpose == purpose
 
 
 def test_parcels():

@@ -27,11 +27,9 @@ def is_sorted(arrangement: Arrangement, speed: float, mu_factor: float = 1.0) ->
     at_x, at_y = np.meshgrid(surface.x, surface.y)
     rotors = np.column_stack([at_x[surface.rotor], at_y[surface.rotor]])
     for x, y, theta in run.pose:
-        cosine, sine = np.cos(theta), np.sin(theta)
+        c, s = np.cos(theta), np.sin(theta)
         along, across = (rotors - (x, y)).T
-        within = parcel.base.functions(
-            cosine * along + sine * across, cosine * across - sine * along
-        )
+        within = parcel.base.functions(c * along + s * across, c * across - s * along)
         if within.max(axis=0).min() > 0.0:
             return True
     return False
@@ -41,15 +39,13 @@ def test_simulate_agrees_on_both_sides_of_the_limits_of_speed_and_friction():
     case = Case(OWN, Sort(), speed=1.2, unknown=NOTHING)
     speeds, factors = least_speed(case), friction_range(case).along
     found, step = speeds.of(NOMINAL), 0.01
-    for speed, sorts in ((found.least, True), (found.least - step, False)):
-        assert is_sorted(speeds.arrangement, speed) == sorts
-    for speed, sorts in ((found.most, True), (found.most + step, False)):
-        assert is_sorted(speeds.arrangement, speed) == sorts
+    tried = (found.least - step, found.least, found.most, found.most + step)
+    sorts = [is_sorted(speeds.arrangement, speed) for speed in tried]
+    assert sorts == [False, True, True, False]
     found, step = factors.of(NOMINAL), 2.0 ** (1.0 / 48.0)
-    for factor, sorts in ((found.least, True), (found.least / step, False)):
-        assert is_sorted(factors.arrangement, 1.2, factor) == sorts
-    for factor, sorts in ((found.most, True), (found.most * step, False)):
-        assert is_sorted(factors.arrangement, 1.2, factor) == sorts
+    tried = (found.least / step, found.least, found.most, found.most * step)
+    sorts = [is_sorted(factors.arrangement, 1.2, factor) for factor in tried]
+    assert sorts == [False, True, True, False]
 
 
 def stops_at_the_latest(tilt: float, speed: float, mu: float) -> float:
@@ -122,17 +118,11 @@ def test_a_case_that_fails_has_no_limits_and_one_at_rest_and_level_is_not_tried(
     assert least_speed(case, columns=5, highest=0.5).of(NOMINAL).values[0] == 0.0
 
 
-@pytest.mark.parametrize(
-    ("done", "own", "expected"),
-    [
-        ([False, True, True, False], 1, (1, 2)),
-        ([True, True, True], 1, (0, 2)),
-        ([True, False, True], 2, (2, 2)),
-        ([True, False, True], 1, None),
-    ],
-)
-def test_a_span_ends_at_the_first_failure(done, own, expected):
-    assert span_around(np.array(done), own) == expected
+def test_a_span_ends_at_the_first_failure():
+    for done, own, expected in (
+        ("0110", 1, (1, 2)), ("111", 1, (0, 2)), ("101", 2, (2, 2)), ("101", 1, None),
+    ):  # fmt: skip
+        assert span_around(np.array([each == "1" for each in done]), own) == expected
 
 
 def test_columns_are_those_that_the_draws_take_or_those_of_nothing_unknown():

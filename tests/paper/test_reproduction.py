@@ -55,14 +55,10 @@ def test_the_paper_s_tables_are_whole_and_entries_stand_where_it_prints_them():
     ("table", "cells", "at_5_ms", "converged"),
     [
         ("table2", 15, 12, 8),  # within 10 mm and 3.5 deg
-        ("passing", 3, 2, 3),
-        ("table3", 40, 39, 38),
-        ("slowest_sorted", 2, 0, 1),
-        ("table4", 38, 37, 34),
-        ("slowing_ratios", 4, 0, 0),
-        ("stopping", 38, 31, 31),
+        ("passing", 3, 2, 3), ("table3", 40, 39, 38), ("slowest_sorted", 2, 0, 1),
+        ("table4", 38, 37, 34), ("slowing_ratios", 4, 0, 0), ("stopping", 38, 31, 31),
     ],
-)
+)  # fmt: skip
 def test_as_many_cells_agree_as_the_pages_say(reproduction, table, cells, at_5_ms, converged):
     compared = reproduction.table(table)
     assert len(compared.cells) == cells
@@ -95,9 +91,7 @@ def values_of(reproduction, table, step):
     return {(c.column, c.row): c.ours[step].value for c in reproduction.table(table).cells}
 
 
-def test_boxes_too_slow_stay_in_the_line_and_one_more_column_stops_all_up_to_2_2_metres_a_second(
-    reproduction,
-):
+def test_boxes_too_slow_stay_in_the_line_and_one_more_column_stops_most(reproduction):
     columns = values_of(reproduction, "table3", 1)
     assert columns["B-box", "0.8"] is columns["B-box", "0.9"] is None
     left = values_of(reproduction, "stopping", 0)
@@ -115,9 +109,7 @@ def test_the_step_is_fine_enough_and_7a_and_7b_mirror_each_other(reproduction):
     assert (abs(up - down * (1.0, -1.0, -1.0)) < (2e-4, 2e-4, 0.05)).all()
 
 
-def test_slower_boxes_sort_at_a_lower_rate_and_layouts_take_as_few_columns_as_the_paper(
-    reproduction,
-):
+def test_slower_boxes_sort_at_a_lower_rate_and_slowing_takes_the_paper_s_columns(reproduction):
     for size in ("S", "B"):
         rates = [c.ours[1].rate for c in reproduction.sorted_by_tilt if c.size == size]
         assert rates == sorted(rates)
