@@ -4,14 +4,20 @@ from surface_gym.validation.comparison import PUSHED, Case, run_case
 
 
 @pytest.fixture(scope="session")
-def tilted():
+def mujoco():
+    reason = "MuJoCo, of the extra `validation`, is not installed"
+    return pytest.importorskip("mujoco", reason=reason)
+
+
+@pytest.fixture(scope="session")
+def tilted(mujoco):
     """Figure 12a."""
-    pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
+    del mujoco  # which it needs
     return run_case(Case(10.0))
 
 
 @pytest.fixture(scope="session")
-def pushed():
+def pushed(mujoco):
     """Figure 12b."""
-    pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
+    del mujoco  # which it needs
     return run_case(PUSHED)

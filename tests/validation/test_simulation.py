@@ -10,7 +10,7 @@ from surface_gym import validation
 from surface_gym.validation.comparison import compute_errors
 from surface_gym.validation.simulation import static_sag
 
-pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
+pytestmark = pytest.mark.usefixtures("mujoco")
 
 START = (0.125, 1.0, 0.0)
 BOX = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=5.48)
