@@ -121,9 +121,8 @@ def rest(factor: float) -> float:
     """[m] past the zone's start where `simulate` has the S-box rest, friction times a factor."""
     found = sensitivity(STOPPED, columns=8).arrangement
     line, parcel = STOPPED.line(30), STOPPED.parcel
-    surface = sg.Surface(
-        line.axes(found.layout.axis), line.rotor, line.pitch, (0.05, 0.05), 0.5 * factor
-    )
+    axes = line.axes(found.layout.axis)
+    surface = sg.Surface(axes, line.rotor, line.pitch, (0.05, 0.05), 0.5 * factor)
     run = sg.simulate(surface, parcel, line.start(parcel), (1.5, 0.0, 0.0), duration=2.0)
     assert np.abs(run.velocity[-1]).max() < 1e-3
     return float(run.pose[-1, 0] - line.zone_x[0])

@@ -76,10 +76,8 @@ class TestNotebook:
         notebook = nbformat.read(file, as_version=4)
         for cell in notebook.cells:  # as much as shows that it works
             cell.source = cell.source.replace("STEPS = 300_000", "STEPS = 20_000")
-        resources = {"metadata": {"path": tmp_path}}
-        nbclient.NotebookClient(
-            notebook, timeout=300, kernel_name="python3", resources=resources
-        ).execute()
+        options = {"timeout": 300, "resources": {"metadata": {"path": tmp_path}}}
+        nbclient.NotebookClient(notebook, kernel_name="python3", **options).execute()
 
 
 @pytest.fixture(scope="module")

@@ -31,11 +31,9 @@ def test_the_first_value_agrees_and_the_second_does_not(compared):
 
 def test_a_table_counts_its_cells_and_gives_the_range_of_the_runs_that_tip():
     found = [("S", 0.3, 3), ("S", 0.1, 4), ("S", None, 4), ("B", 0.0, 4)]
-    cells = [
-        Cell("r", "c", size, 3, (Found(3, share), Found(value, 0.5)))
-        for size, share, value in found
-    ]
-    table = Table("key", "title", "rule", tuple(cells))
+    pairs = [(size, (Found(3, share), Found(value, 0.5))) for size, share, value in found]
+    cells = tuple(Cell("r", "c", size, 3, ours) for size, ours in pairs)
+    table = Table("key", "title", "rule", cells)
     assert (table.agreeing(0), table.agreeing(1)) == (4, 1)
     assert table.tipping(0) == {"S": (0.1, 0.3), "B": (0.0, 0.0)}
 
@@ -106,9 +104,8 @@ def test_the_step_is_fine_enough_and_7a_and_7b_mirror_each_other(reproduction):
     for spread in reproduction.near_the_limit:
         assert spread.position < 0.5  # mm
         assert spread.angle < 0.2  # deg
-    up, down = np.reshape([c.ours[1].value for c in reproduction.table("table2").cells], (-1, 3))[
-        :2
-    ]
+    ends = [cell.ours[1].value for cell in reproduction.table("table2").cells]
+    up, down = np.reshape(ends, (-1, 3))[:2]
     assert (abs(up - down * (1.0, -1.0, -1.0)) < (2e-4, 2e-4, 0.05)).all()
 
 
@@ -137,10 +134,8 @@ def test_no_step_stands_out(reproduction):
     at_5_ms = next(each for each in reproduction.by_step if each.integration == COARSE)
     for key, agreeing in at_5_ms.agreeing.items():
         assert agreeing == reproduction.table(key).agreeing(0)
-    total = {
-        round(1e3 * each.integration.dt, 1): sum(each.agreeing.values())
-        for each in reproduction.by_step
-    }
+    counts = ((each.integration.dt, each.agreeing) for each in reproduction.by_step)
+    total = {round(1e3 * dt, 1): sum(agreeing.values()) for dt, agreeing in counts}
     assert sum(len(reproduction.table(k).cells) for k in ("table2", "table3", "table4")) == 93
     assert total[4.0] == total[5.0] == total[6.0] == max(total.values()) == 88
     assert total[3.0] == total[7.0] == 86

@@ -37,19 +37,16 @@ from tests.agents.tuning.test_study import SWEEP
 from tests.parallel import jobs
 
 ROOT = Path(__file__).parents[2]
-SMALL = ModulesConfig(
-    seeds=2, num_envs=8, steps=2_560, n_steps=16, batch_size=64, n_epochs=1, hidden=(8,),
-    checkpoint_every=1_024,
-)  # fmt: skip
+TINY = {"num_envs": 8, "n_steps": 16, "batch_size": 64, "n_epochs": 1, "hidden": (8,)}
+SMALL = ModulesConfig(seeds=2, steps=2_560, checkpoint_every=1_024, **TINY)
 
 
 class Nodes:
     """A head without a processor, and two nodes with one each."""
 
     def __init__(self) -> None:
-        self.cluster = TwoNodes(
-            initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False}
-        )
+        head = {"num_cpus": 0, "include_dashboard": False}
+        self.cluster = TwoNodes(initialize_head=True, head_node_args=head)
         self.nodes = [self.cluster.add_node(num_cpus=1) for _ in range(2)]
 
     def replace_one(self) -> None:
@@ -78,16 +75,17 @@ def workers(request):
 
 
 def test_results_and_reports_do_not_depend_on_who_works(workers):
-    heard = {1: [], workers: []}
     work = [partial(jobs.draws, seed) for seed in range(5)]
-    found = [
-        dict(map_jobs(work, each, lambda *said, heard=heard[each]: heard.append(said)))
-        for each in heard
-    ]
-    assert found[0] == found[1]
-    assert sorted(heard[1]) == sorted(heard[workers])
+
+    def carried_out(workers: Any) -> tuple[dict[int, float], list[Any]]:
+        heard = []
+        return dict(map_jobs(work, workers, lambda *said: heard.append(said))), heard
+
+    (alone, said), (found, heard) = carried_out(1), carried_out(workers)
+    assert found == alone
+    assert sorted(heard) == sorted(said)
     for index in range(5):
-        assert [value[0] for where, value in heard[workers] if where == index] == list(range(5))
+        assert [value[0] for where, value in heard if where == index] == list(range(5))
 
 
 def test_two_share_what_there_is_and_are_used_again(workers):
@@ -98,11 +96,9 @@ def test_two_share_what_there_is_and_are_used_again(workers):
 
 
 def test_a_job_whose_process_dies_is_done_again_and_only_that(workers, tmp_path):
-    work = [
-        partial(jobs.dies_at_first, tmp_path, "lost"),
-        partial(jobs.counts_beginnings, tmp_path, "whole"),
-    ]
-    assert dict(map_jobs(work, workers)) == {0: 2, 1: 1}
+    lost = partial(jobs.dies_at_first, tmp_path, "lost")
+    whole = partial(jobs.counts_beginnings, tmp_path, "whole")
+    assert dict(map_jobs([lost, whole], workers)) == {0: 2, 1: 1}
 
 
 def test_a_job_that_always_dies_ends_the_work(workers, monkeypatch):
@@ -194,9 +190,7 @@ def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(nodes, cl
 
 
 def test_results_are_the_same_those_of_a_runs_policies_too(cluster, tmp_path):
-    one = PPOConfig(
-        task="slow", steps=512, num_envs=8, n_steps=16, batch_size=64, n_epochs=1, hidden=(8,)
-    )
+    one = PPOConfig(task="slow", steps=512, **TINY)
     train_seeds(one, tmp_path, Console(quiet=True), 1)
     run = replace(trained(policy_folders(tmp_path)), presets=("exact",), starts=6)
     methods = [replace(rules("slow")[0], presets=("exact", "stuck"), starts=6), run]
@@ -218,17 +212,13 @@ def test_a_design_map_is_the_same(cluster):
 def test_a_command_that_was_killed_goes_on_with_a_custom_task(cluster, tmp_path, monkeypatch):
     monkeypatch.chdir(ROOT)
     task = "examples/reach.py:Reach"
-    config = PPOConfig(
-        task=task, seeds=2, num_envs=8, steps=12_288, n_steps=32, batch_size=64, n_epochs=1,
-        hidden=(8,), checkpoint_every=4_096, out=tmp_path, name="run",
-    )  # fmt: skip
+    learner = TINY | {"n_steps": 32, "checkpoint_every": 4_096}
+    config = PPOConfig(task=task, seeds=2, steps=12_288, out=tmp_path, name="run", **learner)
     folders = [tmp_path / "local", make_folder(config)]
     folders[0].mkdir()
     train_seeds(config, folders[0], Console(quiet=True), 1)
-    command = [
-        sys.executable, "train.py", "--resume", str(folders[1]), "--task", task,
-        "--cluster", cluster.address,
-    ]  # fmt: skip
+    own = ["--resume", str(folders[1]), "--task", task, "--cluster", cluster.address]
+    command = [sys.executable, "train.py", *own]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as broken:
         for _ in range(3_000):
             if broken.poll() is not None or any(folders[1].rglob(CURVE)):

@@ -67,9 +67,7 @@ class TestLine:
         np.testing.assert_array_equal(picture[rotor_rows], without[rotor_rows])
 
     @pytest.mark.parametrize("index", [0, 1, 2])
-    def test_a_delivery_changes_its_exit_s_label_and_the_head_alone(
-        self, empty, plate, head, index
-    ):
+    def test_a_delivery_changes_its_exit_s_label_and_the_head(self, empty, plate, head, index):
         counts = tuple(7 * (k == index) for k in range(3))
         before, after = draw(empty), draw(with_traffic(empty, delivered=counts))
         assert (after[:head] != before[:head]).any()
@@ -101,9 +99,7 @@ class TestLine:
         assert (picture[-40:, -24:] == 255).all()
 
     def test_a_surface_without_rotors_and_one_full_of_them_are_drawn(self, empty):
-        bare, full = (
-            draw(replace(empty, rotor=make((20, 66), bool))) for make in (np.zeros, np.ones)
-        )
+        bare, full = (draw(replace(empty, rotor=np.full((20, 66), each))) for each in (False, True))
         assert bare.shape == full.shape
         assert (bare == PLATE).all(axis=2).mean() > 0.2
 

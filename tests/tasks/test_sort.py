@@ -108,9 +108,8 @@ class TestSeen:
     def test_features_of_a_state(self, side):
         """All but x are given as seen from the asked side."""
         x, y, theta, vx, vy, omega = 0.83, 0.04, 0.3, 1.4, 0.25, -0.6
-        start = Start(
-            BOX, (x, 1.0 + side * y, side * theta), (vx, side * vy, side * omega), (float(side),)
-        )
+        pose, velocity = (x, 1.0 + side * y, side * theta), (vx, side * vy, side * omega)
+        start = Start(BOX, pose, velocity, (float(side),))
         half_extent = 0.125 * (math.cos(theta) + math.sin(theta))  # of a turned square
         wanted = {
             "clearance": (y - half_extent - 0.05) / 0.2,
@@ -149,10 +148,8 @@ class TestSeen:
                 action = mirrored[env.config.action_kind.flip(action[None])[0]]
             options = {"side": side, "speed": 1.5, "parcel": "B"}
             episodes.append(play(env, options, action, longest=12))
-        for (seen, reward, *_), (other, other_reward, *_) in zip(
-            episodes[0].steps, episodes[1].steps, strict=True
-        ):
-            np.testing.assert_allclose(seen[:-1], other[:-1], rtol=0, atol=1e-5)
-            assert (seen[-1], other[-1]) == (1.0, -1.0)
-            assert reward == pytest.approx(other_reward, abs=1e-9)
+        for one, other in zip(episodes[0].steps, episodes[1].steps, strict=True):
+            np.testing.assert_allclose(one[0][:-1], other[0][:-1], rtol=0, atol=1e-5)
+            assert (one[0][-1], other[0][-1]) == (1.0, -1.0)
+            assert one[1] == pytest.approx(other[1], abs=1e-9)
         assert abs(episodes[0].end["pose"][2]) > 0.01  # it did turn

@@ -66,9 +66,8 @@ class TestEnds:
         assert episode.total("failure") == -1.0 * (outcome != "success")
         if outcome != "passed the asked x":
             assert episode.end["stop_error"] == pytest.approx(-off, abs=1e-4)
-            assert episode.total("precision") == pytest.approx(
-                math.exp(-abs(episode.end["stop_error"]) / 0.002)
-            )
+            precision = math.exp(-abs(episode.end["stop_error"]) / 0.002)
+            assert episode.total("precision") == pytest.approx(precision)
 
     @pytest.mark.parametrize(
         ("speed", "position", "choice", "outcome"),

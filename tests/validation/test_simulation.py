@@ -55,9 +55,8 @@ def test_a_mirrored_layout_mirrors_the_path():
 )
 def test_a_mesh_moves_as_the_shape_it_stands_for(one, other, tolerance):
     parcels, velocity = [sg.Parcel(base, inertia=0.1) for base in (one, other)], (1.0, 0.0, 0.0)
-    runs = [
-        validation.simulate(sg.layouts.sorting(), each, START, velocity, 0.3) for each in parcels
-    ]
+    layout = sg.layouts.sorting()
+    runs = [validation.simulate(layout, each, START, velocity, 0.3) for each in parcels]
     np.testing.assert_allclose(runs[0].pose[-1], runs[1].pose[-1], atol=tolerance)
 
 
