@@ -141,8 +141,7 @@ def test_what_is_not_allowed_is_named(make, message):
 def test_the_study_s_boxes_get_the_study_s_lines(size, rows, lead_in):
     line = line_for(layouts.box(size), 30)
     assert (line.rows, line.lead_in, line.columns) == (rows, lead_in, 30)
-    assert layouts.LINE_ROWS[size] == rows
-    assert layouts.LEAD_IN[size] == lead_in
+    assert (layouts.LINE_ROWS[size], layouts.LEAD_IN[size]) == (rows, lead_in)
 
 
 def test_a_parcel_starts_wholly_on_the_lead_in():
@@ -208,10 +207,8 @@ def test_runs_do_not_depend_on_threads_or_other_bodies():
     speeds = np.linspace(0.3, 2.7, 150)
     runs = make_runs(speeds, layout=np.arange(150) % 2, columns=8)
     one, two = (run_all(LINE, zones, [BOX], runs, workers=workers) for workers in (1, 2))
-    alone = [
-        run_all(LINE, zones, [BOX], make_runs(v, layout=k % 2, columns=8))
-        for k, v in enumerate(speeds[:5].tolist())
-    ]
+    each_alone = [make_runs(speeds[k], layout=k % 2, columns=8) for k in range(5)]
+    alone = [run_all(LINE, zones, [BOX], each) for each in each_alone]
     for name in ("reason", "touched", "time", "pose", "velocity", "tipping", "steps"):
         each, few = getattr(one, name), [getattr(run, name) for run in alone]
         np.testing.assert_array_equal(each, getattr(two, name))

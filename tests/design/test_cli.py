@@ -148,15 +148,12 @@ def stopping_after(runs: int) -> type[cli.Progress]:
 
 def test_a_map_that_is_stopped_goes_on_and_other_questions_just_stop(tmp_path, monkeypatch, capsys):
     flags = ["map", *OWN, "--cells", "3", "--out", str(tmp_path)]
-    for asked, runs, said in (
-        (flags, 20, "stopped; --resume goes on\n"),
-        (["sensitivity", *OWN, "--out", str(tmp_path)], 0, "stopped\n"),
-    ):
+    other = ["sensitivity", *OWN, "--out", str(tmp_path)]
+    for asked, runs, said in ((flags, 20, "stopped; --resume goes on\n"), (other, 0, "stopped\n")):
         monkeypatch.setattr(cli, "Progress", stopping_after(runs))
         with pytest.raises(SystemExit) as ended:
             cli.main(asked)
-        assert ended.value.code == cli.STOPPED
-        assert capsys.readouterr().err == said
+        assert (ended.value.code, capsys.readouterr().err) == (cli.STOPPED, said)
     monkeypatch.undo()
 
     unknown = np.isnan(np.load(tmp_path / "map.npz")["found"])

@@ -91,7 +91,6 @@ def test_a_program_accepts_the_command(page, command, stopping):
             return
         stopping.setattr(sys, "argv", [program, *arguments])
         stopping.delitem(sys.modules, program, raising=False)  # runpy begins with a fresh one
-
         run = runpy.run_module if is_module else runpy.run_path
         begin = partial(run, program, run_name="__main__")
     if program in ("train.py", "train") and "--resume" in arguments:

@@ -40,11 +40,9 @@ def test_the_row_that_bears_more_wins(towards):
 
 
 def by_name(reproduction, size, towards, columns):
-    return [
-        case
-        for case in reproduction.alignment
-        if (case.zone.size, case.zone.towards, case.zone.columns) == (size, towards, columns)
-    ]
+    cases = ((case, case.zone) for case in reproduction.alignment)
+    wanted = (size, towards, columns)
+    return [case for case, zone in cases if (zone.size, zone.towards, zone.columns) == wanted]
 
 
 def test_columns_push_a_box_as_their_axes_point(reproduction):

@@ -178,11 +178,9 @@ class TestParcel:
 
     def test_a_trail_follows_it(self, sorting):
         step = 100
-        with_trail, without = (
-            draw(sorting.scene(step, goal=None, **trail))
-            for trail in ({}, {"trail": np.zeros((0, 2))})
-        )
-        plate = Plate(sorting.scene(step))
+        scene = sorting.scene(step, goal=None)
+        bare = sorting.scene(step, goal=None, trail=np.zeros((0, 2)))
+        plate, with_trail, without = Plate(scene), draw(scene), draw(bare)
         rows, columns = np.nonzero((with_trail != without).any(axis=2))
         column, row = plate.pixel(0.0, 0.0)
         x, y = 0.1 * (columns + 0.5 - column) / plate.cell, 0.1 * (row - rows - 0.5) / plate.cell

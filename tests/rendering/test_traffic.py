@@ -171,10 +171,8 @@ class TestParcels:
     def test_a_trail_has_the_exit_s_colour(self, empty, plate):
         trail = np.stack([np.linspace(4.0, 5.0, 40), np.full(40, 0.95)], axis=-1)
         parcel = SceneParcel(SMALL, (5.0, 0.95, 0.0), 1)
-        without, one, whole = (
-            draw(with_parcels(empty, replace(parcel, trail=trail[:length])))
-            for length in (0, 1, 40)
-        )
+        parcels = (replace(parcel, trail=trail[:length]) for length in (0, 1, 40))
+        without, one, whole = (draw(with_parcels(empty, each)) for each in parcels)
         assert at(whole, plate.pixel(4.8, 0.95)) == exit_colour(1)
         np.testing.assert_array_equal(one, without)
 

@@ -73,13 +73,8 @@ def test_uneven_supports_share_it_as_the_extended_law_does():
     heights, stiffness = 1e-6 * height, np.exp(0.5 * log_stiffness)
     force, _ = settled_forces(parcel, replace(SURFACE, stiffness=stiffness), heights)
     bearing, arms = arms_from_centre_of_mass(parcel)
-    share = uneven_normal_forces(
-        arms,
-        heights[bearing],
-        simulation.RECIPE.stiffness * stiffness[bearing],
-        GRAVITY,
-        np.zeros(2),
-    )
+    springs = simulation.RECIPE.stiffness * stiffness[bearing]
+    share = uneven_normal_forces(arms, heights[bearing], springs, GRAVITY, np.zeros(2))
     assert (share == 0.0).any()  # some hang free
     np.testing.assert_allclose(force[bearing], parcel.mass * share, rtol=0.01, atol=0.01)
 
@@ -109,10 +104,8 @@ def test_only_what_is_within_reach_is_built_and_a_parcel_stays_within():
 
 def test_what_cannot_be_built_is_refused():
     steep = sg.layouts.sorting(tilt=math.radians(16.0))
-    large, wide = (
-        sg.Surface(np.zeros((side, side)), np.full((side, side), rotor))
-        for side, rotor in ((70, True), (210, False))
-    )
+    masks = np.ones((70, 70), dtype=bool), np.zeros((210, 210), dtype=bool)
+    large, wide = (sg.Surface(np.zeros(rotor.shape), rotor) for rotor in masks)
     for surface, more, message in (
         (steep, {}, "tilt must be between -15 and 15 deg.*got 16 deg"),
         (large, {}, "at most 4000 rotors .*got 4900 and"),

@@ -34,13 +34,9 @@ def test_the_trajectory_is_that_of_simulate(pushed):
 
 
 def test_a_mirrored_layout_mirrors_the_path():
-    down, up = (
-        validation.simulate(sg.layouts.sorting(side=side), BOX, START, (1.2, 0.0, 0.0), 0.4).pose[
-            -1
-        ]
-        - START
-        for side in (-1, 1)
-    )
+    zones = (sg.layouts.sorting(side=side) for side in (-1, 1))
+    runs = (validation.simulate(zone, BOX, START, (1.2, 0.0, 0.0), 0.4) for zone in zones)
+    down, up = (run.pose[-1] - START for run in runs)
     np.testing.assert_allclose(up, down * [1.0, -1.0, -1.0], atol=1e-6)
     assert down[1] < -0.05
 
@@ -62,11 +58,8 @@ def test_a_mesh_moves_as_the_shape_it_stands_for(one, other, tolerance):
 
 def test_any_layout_and_parcel_agree_with_simulate():
     rng = np.random.default_rng(3)
-    surface = sg.Surface(
-        axis=rng.uniform(-math.pi, math.pi, (20, 40)),
-        rotor=rng.random((20, 40)) < 0.7,
-        tilt=math.radians(6.0),
-    )
+    axis, rotor = rng.uniform(-math.pi, math.pi, (20, 40)), rng.random((20, 40)) < 0.7
+    surface = sg.Surface(axis, rotor, tilt=math.radians(6.0))
     parcel = sg.Parcel(sg.Disc(0.22), mass=3.0, com_offset=(0.03, 0.01), com_height=0.05)
     start, velocity = (0.6, 1.0, 7.0), (1.0, 0.2, 2.0)
     light = validation.Recipe().lighter_rotors(1000.0)
