@@ -136,12 +136,14 @@ class TestTiming:
 class TestAgreement:
     ACTIONS = np.random.default_rng(0).integers(0, 16, (LIMIT, NUM_ENVS))
 
-    def test_the_same_environments_end_alike_as_arrays_and_as_tensors(self):
+    def test_the_same_environments_end_alike_as_arrays_and_as_tensors_or_are_an_error(self):
         ends = run_episodes(SmartSurfaceVectorEnv(**SIZE), self.ACTIONS, seed=3)
         assert ends.position.any(axis=1).all()
         found = compare(run_episodes(StandIn("NextStep"), self.ACTIONS, seed=3), ends)
         assert (found.apart, found.other_outcomes, found.other_lengths) == (0, 0, 0)
         assert found.largest == 0.0
+        with pytest.raises(ValueError, match="got 1: 4 environments have not ended"):
+            run_episodes(StandIn("NextStep"), self.ACTIONS[:1], seed=3)
 
     def test_distances_and_other_outcomes_are_counted(self):
         ends = Ends(np.zeros((4, 2)), np.array(["success"] * 4), np.full(4, 9))
@@ -151,10 +153,6 @@ class TestAgreement:
         assert (found.num_envs, found.apart, found.other_outcomes) == (4, 2, 1)
         assert found.largest == 3e-8
         assert found.median == pytest.approx(1.75e-8)
-
-    def test_an_episode_that_does_not_end_is_an_error(self):
-        with pytest.raises(ValueError, match="got 1: 4 environments have not ended"):
-            run_episodes(StandIn("NextStep"), self.ACTIONS[:1], seed=3)
 
 
 @pytest.fixture

@@ -45,9 +45,8 @@ class TestDevice:
 
 @needs_numba_cuda
 class TestArguments:
-    @pytest.mark.parametrize(
-        ("arguments", "message"),
-        [
+    def test_an_argument_that_is_not_supported_is_named(self):
+        for arguments, message in (
             ({"sensors": Camera()}, "sensors must be one without noise.* got Camera"),
             ({"task": "flow", "sensors": Camera()}, "sensors must be one without noise"),
             ({"preset": "lab"}, "sensors must be one without noise"),
@@ -61,12 +60,10 @@ class TestArguments:
             ({"autoreset_mode": "Never"}, "autoreset_mode must be one of"),
             ({"max_episode_steps": 0}, "max_episode_steps must be"),
             ({"actions": "thirds"}, "actions must be one of"),
-        ],
-    )
-    def test_an_argument_that_is_not_supported_is_named(self, arguments, message):
-        given = {"num_envs": 2, "device": "cpu", "task": "sort", **arguments}
-        with pytest.raises(ValueError, match=message):
-            make_device_env(**given)
+        ):
+            given = {"num_envs": 2, "device": "cpu", "task": "sort", **arguments}
+            with pytest.raises(ValueError, match=message):
+                make_device_env(**given)
 
     def test_a_parcel_that_the_task_does_not_draw_is_refused_and_nothing_begins(self):
         env = make_device_env(2, "cpu", task="sort")
@@ -108,18 +105,15 @@ class TestActions:
             assert (converter.commands(torch.full((NUM_ENVS, 2), bad)) == 0.0).all()
             assert converter.wrong
 
-    @pytest.mark.parametrize(
-        ("orientations", "actions", "message"),
-        [
+    def test_a_wrong_type_or_shape_is_an_error_at_once(self):
+        for orientations, actions, message in (
             (None, np.zeros(NUM_ENVS, dtype=np.int64), "must be a torch tensor on cpu, got"),
             (None, torch.zeros(NUM_ENVS, device="meta"), "on cpu, got one on meta"),
             (None, torch.zeros(NUM_ENVS + 1), r"shape \(\) for each environment, got \(6,\)"),
             (None, torch.zeros(NUM_ENVS), "whole numbers, got torch.float32"),
             (None, torch.zeros(NUM_ENVS, dtype=torch.bool), "whole numbers, got torch.bool"),
             ("any", torch.zeros((NUM_ENVS, 2), dtype=torch.int64), "angles, got torch.int64"),
-        ],
-    )
-    def test_a_wrong_type_or_shape_is_an_error_at_once(self, orientations, actions, message):
-        converter = TensorActions(action_kind("halves", orientations).space(), NUM_ENVS, CPU)
-        with pytest.raises(ValueError, match=message):
-            converter.commands(actions)
+        ):
+            converter = TensorActions(action_kind("halves", orientations).space(), NUM_ENVS, CPU)
+            with pytest.raises(ValueError, match=message):
+                converter.commands(actions)

@@ -65,9 +65,14 @@ def test_rows_follow_one_another(capacity):
     assert layout["MARKS_SIZE"] == layout["COUNTS"] + 2
 
 
-def test_every_constant_that_depends_on_the_capacity_is_among_them():
+def test_every_size_is_among_the_layout_s_and_the_tasks_boxes_need_little():
     larger = {name for name, value in vars(types).items() if isinstance(value, int) and value > 50}
     assert larger | {"ARM_X", "ROTOR"} <= set(memory.scratch_layout(4))  # the first rows, at 0
+    for task in TASKS:
+        assert 20 <= memory.task_capacity(EnvConfig(task)) <= 40
+    angles = np.arange(60) * 2.0 * math.pi / 60
+    parcel = sg.Parcel(sg.Polygon(0.1 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)))
+    assert memory.task_capacity(EnvConfig(task=sg.tasks.Sort(parcels=(parcel,)))) == 60
 
 
 @given(
@@ -89,14 +94,6 @@ def test_no_base_covers_more_elements_than_its_capacity(name, theta, x, y, pitch
     turned = points @ np.array([[c, -s], [s, c]])
     covered = (base.functions(*(turned + np.array(base.centroid)).T) <= 1e-9).all(axis=0)
     assert covered.sum() <= memory.max_contacts(base, pitches)
-
-
-def test_the_boxes_of_the_tasks_need_little_and_a_base_of_many_edges_has_room_for_them():
-    for task in TASKS:
-        assert 20 <= memory.task_capacity(EnvConfig(task)) <= 40
-    angles = np.arange(60) * 2.0 * math.pi / 60
-    parcel = sg.Parcel(sg.Polygon(0.1 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)))
-    assert memory.task_capacity(EnvConfig(task=sg.tasks.Sort(parcels=(parcel,)))) == 60
 
 
 PAIRED = 3  # environments of a batch and a prefetch

@@ -105,9 +105,8 @@ def test_a_parcel_that_stops_has_no_exit_speed_and_one_that_leaves_no_place():
     assert not Stop(rest + 0.02, tolerance=0.01).succeeds(ends).any()
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
+def test_what_is_not_allowed_is_named():
+    for make, message in (
         (lambda: line_with(rows=0), "rows must be a whole number of at least 1, got 0"),
         (lambda: line_with(columns=1.5), "columns must be a whole number of at least 1, got 1.5"),
         (lambda: line_with(pitch=-0.1), "pitch must be greater than 0"),
@@ -130,11 +129,9 @@ def test_a_parcel_that_stops_has_no_exit_speed_and_one_that_leaves_no_place():
         (lambda: Stop(tolerance=-1.0), "tolerance must be greater than 0"),
         (lambda: Turn(0.0), "angle must not be 0"),
         (lambda: Turn(tolerance=0.0), "tolerance must be greater than 0"),
-    ],
-)
-def test_what_is_not_allowed_is_named(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
+    ):
+        with pytest.raises(ValueError, match=message):
+            make()
 
 
 @pytest.mark.parametrize(("size", "rows", "lead_in"), [("S", 2, 3), ("B", 4, 5)])
@@ -169,11 +166,8 @@ def test_supports_bear_a_parcel_beside_the_line_and_all_axes_but_the_zone_s_roll
     assert (surface.axis[rest] == layouts.ROLLING).all()
     assert surface.rotor.sum() == 2 * line.shape[1]
     assert surface.tilt == 0.1
-
-
-@pytest.mark.parametrize(("width", "rows"), [(0.05, 2), (0.25, 2), (0.4, 4), (0.45, 4), (0.6, 6)])
-def test_rows_are_an_even_number_under_the_parcel(width, rows):
-    assert line_for(sg.Parcel(sg.Rectangle(0.3, width)), 8).rows == rows
+    for width, rows in ((0.05, 2), (0.25, 2), (0.4, 4), (0.45, 4), (0.6, 6)):  # even numbers
+        assert line_for(sg.Parcel(sg.Rectangle(0.3, width)), 8).rows == rows
 
 
 def test_a_run_is_simulate_s_to_the_bit():

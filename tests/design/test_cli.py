@@ -62,9 +62,8 @@ def test_the_surface_and_what_is_unknown():
     assert asked().workers == usable_cores() >= 1
 
 
-@pytest.mark.parametrize(
-    ("flags", "said"),
-    [
+def test_an_error_names_the_flag():
+    for flags, said in (
         ((), "parcel must be one of --parcel, --disc and --polygon, got none"),
         (("--parcel", "S", "--disc", "0.2"), "got --parcel and --disc"),
         (("--parcel", "0.3"), "parcel must be LxW as 0.3x0.4, S or B, got '0.3'"),
@@ -78,11 +77,9 @@ def test_the_surface_and_what_is_unknown():
         (("--parcel", "S", "--tolerance", "1"), "tolerance must not be given to sort"),
         (("--parcel", "S", "--purpose", "stop", "--tolerance", "1"), "with --place only"),
         (("--parcel", "S", "--workers", "0"), "workers must be a whole number of at least 1"),
-    ],
-)
-def test_an_error_names_the_flag(flags, said):
-    with pytest.raises(ValueError, match=re.escape(said)):
-        asked(*flags).case()
+    ):
+        with pytest.raises(ValueError, match=re.escape(said)):
+            asked(*flags).case()
 
 
 OWN = ("--parcel", "0.3x0.4", "--speed", "1.2", "--draws", "4", "--workers", "1")
@@ -169,18 +166,15 @@ def test_a_map_that_is_stopped_goes_on_and_other_questions_just_stop(tmp_path, m
     assert line.endswith("another seed: 0, not 1")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error"),
-    [
+def test_a_flag_that_a_question_does_not_take_is_one_line(tmp_path, capsys):
+    for arguments, error in (
         (("friction", "--parcel", "S", "--ratio", "0.5"), "ratio must not be given to sort"),
         (("friction", "--parcel", "S", "--speed", "0.3"), "columns must be given"),
         (("columns", *OWN, "--columns", "3"), "columns must not be given: they are what is asked"),
         (("layout", *OWN, "--speeds", "2", "1"), "speeds must be the least and the most, got (2.0"),
         (("map", *OWN, "--cells", "0"), "cells must be a whole number of at least 1, got 0"),
-    ],
-)
-def test_a_flag_that_a_question_does_not_take_is_one_line(arguments, error, tmp_path, capsys):
-    assert refused(capsys, *arguments, "--out", str(tmp_path / "none")).startswith(error)
+    ):
+        assert refused(capsys, *arguments, "--out", str(tmp_path / "none")).startswith(error)
 
 
 def test_a_refused_question_makes_no_folder_and_one_that_cannot_be_made_is_named(tmp_path, capsys):

@@ -91,7 +91,7 @@ def test_an_answer_has_the_best_of_either_kind_and_a_row_and_a_bar_of_each():
     assert [each.get_text() for each in right.texts] == ["at no speed"]
 
 
-def test_the_command_answers_it(tmp_path, capsys, monkeypatch):
+def test_the_command_answers_it_and_refuses_some_flags(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(control, "WIDE_STEP", 2.0)
     main(["control", "--parcel", "S", "--speed", "1.2", "--draws", "3", "--out", str(tmp_path)])
     assert "by axes that follow it" in capsys.readouterr().out
@@ -99,9 +99,6 @@ def test_the_command_answers_it(tmp_path, capsys, monkeypatch):
         rows = list(csv.DictReader(file))
     assert {row["axes"] for row in rows} == {"arranged once", "follow"}
     assert (tmp_path / "control.png").stat().st_size > 10_000
-
-
-def test_flags_that_do_not_go_with_controllers_are_refused(tmp_path, capsys):
     for flags, error in (
         (("--rows", "3"), "rows must be those under the parcel for control, got 3"),
         (("--cluster", "auto"), "cluster must not be given for control"),

@@ -227,9 +227,8 @@ def test_of_two_layouts_the_one_that_does_it_is_taken():
     assert arrange(case, columns=5).layout.name == "+-45 deg"
 
 
-@pytest.mark.parametrize(
-    ("ask", "error"),
-    [
+def test_errors_name_what_came():
+    for ask, error in (
         (lambda: least_speed(CASE.at(0.3)), r"columns must be given: .* does it at 0\.3 m/s"),
         (lambda: least_speed(CASE, columns=0), "columns must be a whole number of at least 1"),
         (lambda: least_speed(CASE, highest=1.0), r"highest must be between 1\.2 and 20, got 1\.0"),
@@ -239,8 +238,6 @@ def test_of_two_layouts_the_one_that_does_it_is_taken():
             lambda: least_speed(CASE, columns=5).of("friction"),
             "group must be one of 'nominal', got 'friction'",
         ),
-    ],
-)
-def test_errors_name_what_came(ask, error):
-    with pytest.raises(ValueError, match=error):
-        ask()
+    ):
+        with pytest.raises(ValueError, match=error):
+            ask()

@@ -22,8 +22,6 @@ CASE = Case(BOX, Sort(), speed=1.2, draws=5)
 LOST = Case(BOX, Sort(), speed=0.3, draws=5)
 SPEEDS = (0.3, 1.2)
 EFFORT = Effort(members=5, generations=1, epochs=1, rounds=0)
-
-
 CASES = {
     "sort": (CASE, 4),
     "sort, nothing unknown": (replace(CASE, unknown=NOTHING), 4),
@@ -126,7 +124,7 @@ def test_columns_by_group_by_rows_and_by_speed():
     assert "no number does it in 95% of the draws" in columns_of(turn, ()).sentence
 
 
-def test_limits_and_their_curves_and_a_tilt_in_degrees():
+def test_limits_and_their_curves_a_tilt_in_degrees_and_both_coefficients_of_friction():
     found = least_speed(CASE, columns=4, highest=1.5)
     table, curve = found.tables()
     assert table.rows[0] == ("nothing", found.spans[0].least, found.spans[0].most, 1.0)
@@ -138,6 +136,13 @@ def test_limits_and_their_curves_and_a_tilt_in_degrees():
     assert table.rows[0][1] == pytest.approx(3.6)
     assert curve.rows[-1][1] == pytest.approx(15.0)
     assert "3.6 deg or more for" in found.sentence
+    found = friction_range(CASE, columns=4)
+    table, curve = found.tables()
+    assert [row[0] for row in table.rows] == ["factor on mu_max"] * 4 + ["factor on mu_min"] * 4
+    assert {row[0] for row in curve.rows} == {"factor on mu_max", "factor on mu_min"}
+    assert "mu_max may be 0.3" in found.sentence
+    assert "times 0.5 and mu_min may be" in found.sentence
+    assert "for 95% of the draws of what else is unknown, mu_max" in found.sentence
 
 
 @pytest.mark.parametrize(
@@ -151,16 +156,6 @@ def test_limits_and_their_curves_and_a_tilt_in_degrees():
 )
 def test_spans_in_words(case, columns, highest, text):
     assert text in least_speed(case, columns, highest=highest).sentence
-
-
-def test_friction_for_both_coefficients():
-    found = friction_range(CASE, columns=4)
-    table, curve = found.tables()
-    assert [row[0] for row in table.rows] == ["factor on mu_max"] * 4 + ["factor on mu_min"] * 4
-    assert {row[0] for row in curve.rows} == {"factor on mu_max", "factor on mu_min"}
-    assert "mu_max may be 0.3" in found.sentence
-    assert "times 0.5 and mu_min may be" in found.sentence
-    assert "for 95% of the draws of what else is unknown, mu_max" in found.sentence
 
 
 def test_a_map_by_size_and_by_cell_and_one_cell_without_contours(tmp_path):

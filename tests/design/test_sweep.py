@@ -79,7 +79,7 @@ def test_a_map_that_was_stopped_goes_on(tmp_path):
     np.testing.assert_array_equal(resumed.nominal, unbroken.nominal)
 
 
-def test_a_map_of_another_case_is_refused_by_name(tmp_path):
+def test_a_map_of_another_case_or_none_is_refused_by_name(tmp_path):
     file = tmp_path / "map.npz"
     mapped(checkpoint=file)
     for other, named in (
@@ -92,9 +92,6 @@ def test_a_map_of_another_case_is_refused_by_name(tmp_path):
             mapped(replace(CASE, **other), checkpoint=file)
     with pytest.raises(ValueError, match=r"another sizes: \[0.7, 1.0, 1.3\], not \[1.0\]"):
         success_map(CASE, 5, SPEEDS, [1.0], checkpoint=file)
-
-
-def test_what_is_no_checkpoint_is_said(tmp_path):
     files = tmp_path / "broken.npz", tmp_path / "other.npz"
     files[0].write_bytes(b"PK nothing of the kind")
     np.savez(files[1], found=np.zeros(3))
@@ -103,18 +100,15 @@ def test_what_is_no_checkpoint_is_said(tmp_path):
             mapped(checkpoint=file)
 
 
-@pytest.mark.parametrize(
-    ("speeds", "sizes", "error"),
-    [
+def test_errors_name_what_came():
+    for speeds, sizes, error in (
         ([-1.0], [1.0], r"speeds must be between 0 and 20, got -1\.0"),
         ([1.0], [0.0], r"sizes must be greater than 0, got 0\.0"),
         ([], [1.0], "speeds must be at least one, got none"),
         ([1.0], [1.0, 40.0], "base must cover at most 4096 elements"),
-    ],
-)
-def test_errors_name_what_came(speeds, sizes, error):
-    with pytest.raises(ValueError, match=error):
-        success_map(CASE, 5, speeds, sizes)
+    ):
+        with pytest.raises(ValueError, match=error):
+            success_map(CASE, 5, speeds, sizes)
 
 
 def rest(factor: float) -> float:

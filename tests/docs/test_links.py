@@ -55,7 +55,7 @@ def test_each_file_that_is_named_exists(page):
         assert "NAME" in path or any(ROOT.glob(path)), path
 
 
-def test_every_picture_is_made_by_the_command_and_shown_and_videos_are_small(pictures):
+def test_every_picture_is_made_by_the_command_shown_small_and_in_its_help(pictures, capsys):
     """`python docs/pictures.py` makes what there is, and nothing else."""
     assert {file.name for file in (DOCS / "images").iterdir()} == set(pictures)
     shown = {name for page in PAGES for name in NAMED.findall((ROOT / page).read_text())}
@@ -64,15 +64,6 @@ def test_every_picture_is_made_by_the_command_and_shown_and_videos_are_small(pic
     assert len(videos) == 7
     for video in videos:
         assert video.stat().st_size <= VIDEO, video.name
-
-
-@pytest.mark.parametrize("name", ["sort.png", "checkered.png", "alignment.png"])
-def test_a_picture_is_made_the_same_again(name, pictures, tmp_path):
-    pictures[name](tmp_path / name)
-    assert (tmp_path / name).read_bytes() == (DOCS / "images" / name).read_bytes()
-
-
-def test_the_help_lists_every_picture(pictures, capsys):
     from pictures import main
 
     with pytest.raises(SystemExit):
@@ -83,6 +74,12 @@ def test_the_help_lists_every_picture(pictures, capsys):
     help_text = "".join(capsys.readouterr().out.split())  # lines may break at a hyphen
     for name in pictures:
         assert name in help_text
+
+
+@pytest.mark.parametrize("name", ["sort.png", "checkered.png", "alignment.png"])
+def test_a_picture_is_made_the_same_again(name, pictures, tmp_path):
+    pictures[name](tmp_path / name)
+    assert (tmp_path / name).read_bytes() == (DOCS / "images" / name).read_bytes()
 
 
 def test_a_film_shows_each_picture_in_its_colours_and_the_last_stays(tmp_path, monkeypatch):

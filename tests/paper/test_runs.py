@@ -78,7 +78,7 @@ def columns_by_base_functions(surface, size, pose):
     return (columns.min(), columns.max()) if len(columns) else (NONE, NONE)
 
 
-def test_columns_are_those_of_the_rotors_inside_the_base():
+def test_columns_are_those_of_the_rotors_inside_the_base_and_none_at_the_start():
     rng = np.random.default_rng(7)
     pose = rng.uniform([0.2, 0.5, -np.pi], [1.5, 1.5, np.pi], size=(300, 3))
     for size in ("S", "B"):
@@ -88,9 +88,6 @@ def test_columns_are_those_of_the_rotors_inside_the_base():
         assert np.stack([first, last], axis=-1).tolist() == [list(map(int, e)) for e in expected]
         assert (last == NONE).any()
         assert (last != NONE).any()
-
-
-def test_the_start_lies_wholly_on_the_lead_in():
     for size, lead_in in layouts.LEAD_IN.items():
         _, last = rotor_columns(layouts.sorting(size), size, np.array([layouts.start(size)]))
         assert last[0] < lead_in

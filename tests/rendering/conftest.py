@@ -24,17 +24,12 @@ class Sorting:
     surface: sg.Surface
     outline: np.ndarray
 
-    def scene(self, step: int, **fields: object) -> Scene:
+    def scene(self, step: int, trail=None, sensed_pose=None, **fields: object) -> Scene:
         pose = self.trajectory.pose
-        of_parcel = {"trail": pose[: step + 1, :2]}
-        of_parcel |= {name: fields.pop(name) for name in ("trail", "sensed_pose") if name in fields}
-        given = {
-            "zone": (9, 2, 3, 16),
-            "goal": ExitSide(-1),
-            "title": "Sort",
-            "readings": (("time", f"{self.trajectory.time[step]:.2f} s"),),
-        }
-        parcel = SceneParcel(self.outline, tuple(pose[step]), **of_parcel)
+        trail = pose[: step + 1, :2] if trail is None else trail
+        parcel = SceneParcel(self.outline, tuple(pose[step]), trail=trail, sensed_pose=sensed_pose)
+        time = (("time", f"{self.trajectory.time[step]:.2f} s"),)
+        given = {"zone": (9, 2, 3, 16), "goal": ExitSide(-1), "title": "Sort", "readings": time}
         return Scene(self.surface.axis, self.surface.rotor, (parcel,), **(given | fields))
 
 

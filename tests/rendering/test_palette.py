@@ -32,11 +32,12 @@ def cielab(srgb, cones):
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
 
 
-def test_half_a_turn_is_the_same_orientation_and_colours_change_gradually():
+def test_half_a_turn_is_the_same_colour_they_change_gradually_and_exits_take_them_again():
     angles = np.linspace(-np.pi, np.pi, 50)
     np.testing.assert_array_equal(axis_colours(angles), axis_colours(angles + np.pi))
     colours = axis_colours(np.radians(np.arange(0, 181))).astype(int)
     assert np.abs(np.diff(colours, axis=0)).max() <= 5
+    assert [exit_colour(k) for k in range(len(EXITS), 2 * len(EXITS))] == list(EXITS)
 
 
 @pytest.mark.parametrize("eye", SEEN)
@@ -60,7 +61,3 @@ def test_a_text_on_an_exit_s_colour_has_contrast(place):
     low, high = sorted([luminance(ground), luminance(text_on(ground))])
     assert text_on(ground) in (INK, PAPER)
     assert (high + 0.05) / (low + 0.05) >= 4.5
-
-
-def test_exits_beyond_the_colours_take_them_again():
-    assert [exit_colour(k) for k in range(len(EXITS), 2 * len(EXITS))] == list(EXITS)

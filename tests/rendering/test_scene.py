@@ -16,9 +16,8 @@ LOST = SceneParcel(SMALL, (0.5, 1.0, 0.0), 3)
 OVERLAPPING = (EXITS[0], ExitMark("C", 1, 1.9, 2.5), EXITS[2])
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
+def test_a_wrong_field_is_named(busy):
+    for wrong, message in (
         ({"rotor": ROTOR[:, 1:]}, "rotor must have the shape"),
         ({"rotor": 1.0 * ROTOR}, "rotor must be an array of booleans"),
         ({"axis": np.zeros((0, 0)), "rotor": ROTOR[:0, :0]}, "axis must have"),
@@ -40,16 +39,18 @@ OVERLAPPING = (EXITS[0], ExitMark("C", 1, 1.9, 2.5), EXITS[2])
         ({"touching": ((1, 1),)}, "touching must be pairs of two parcels"),
         ({"touching": ((0, 4),)}, "touching must be indices among"),
         ({"touching": ((-1, 0),)}, "touching must be a whole number"),
-    ],
-)
-def test_a_wrong_field_is_named(busy, wrong, message):
-    with pytest.raises(ValueError, match=message):
-        replace(busy, **wrong)
+    ):
+        with pytest.raises(ValueError, match=message):
+            replace(busy, **wrong)
 
 
-@pytest.mark.parametrize(
-    ("kind", "wrong", "message"),
-    [
+def test_a_part_that_cannot_be_is_refused():
+    right = {
+        Traffic: {"exits": EXITS, "delivered": (0, 0, 0)},
+        SceneParcel: {"outline": SMALL, "pose": (0.0, 0.0, 0.0)},
+        ExitMark: {"name": "A", "side": 1, "first": 0.0, "last": 1.0},
+    }
+    for kind, wrong, message in (
         (Traffic, {"exits": ("A", *EXITS[1:])}, "exits must be ExitMark, got 'A'"),
         (Traffic, {"exits": OVERLAPPING}, "exits of one side must not overlap"),
         (Traffic, {"delivered": (1, 2)}, "delivered must be one count for each of the 3"),
@@ -74,24 +75,12 @@ def test_a_wrong_field_is_named(busy, wrong, message):
         (ExitSpeed, {"ratio": 0.5, "speed": -1.0}, "speed must be at least 0"),
         (Path, {"points": [[0.0, 1.0]]}, "points must be at least 2"),
         (Heading, {"angle": "left"}, "angle must be a finite number"),
-    ],
-)
-def test_a_part_that_cannot_be_is_refused(kind, wrong, message):
-    right = {
-        Traffic: {"exits": EXITS, "delivered": (0, 0, 0)},
-        SceneParcel: {"outline": SMALL, "pose": (0.0, 0.0, 0.0)},
-        ExitMark: {"name": "A", "side": 1, "first": 0.0, "last": 1.0},
-    }
-    with pytest.raises(ValueError, match=message):
-        kind(**right.get(kind, {}) | wrong)
+    ):
+        with pytest.raises(ValueError, match=message):
+            kind(**right.get(kind, {}) | wrong)
 
 
-def test_exits_may_end_where_the_next_and_the_surface_begin(empty):
-    exits = (ExitMark("A", 1, 0.0, 1.1), ExitMark("B", 1, 1.1, 3.0), ExitMark("on", 0, 3.0, 6.6))
-    assert replace(empty, traffic=Traffic(exits, (0, 0, 0))).exits == exits
-
-
-def test_a_scene_keeps_copies_and_takes_lists_and_its_zone_obeys(busy, bare):
+def test_a_scene_keeps_copies_its_zone_obeys_and_exits_may_touch(busy, bare, empty):
     axis, counts = np.zeros((20, 66)), [1, 0, 2]
     traffic = Traffic(list(EXITS), counts)
     kept = replace(busy, axis=axis, traffic=traffic, parcels=list(busy.parcels))
@@ -104,3 +93,5 @@ def test_a_scene_keeps_copies_and_takes_lists_and_its_zone_obeys(busy, bare):
     assert zoned.obeys.sum() == 2 * 16
     assert zoned.obeys[9:11, 3:19].all()
     assert bare.obeys.all()
+    exits = (ExitMark("A", 1, 0.0, 1.1), ExitMark("B", 1, 1.1, 3.0), ExitMark("on", 0, 3.0, 6.6))
+    assert replace(empty, traffic=Traffic(exits, (0, 0, 0))).exits == exits

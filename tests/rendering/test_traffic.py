@@ -76,13 +76,11 @@ class TestLine:
         first, last = (6.6, 8.0) if mark.side == 0 else (mark.first, mark.last)
         assert plate.pixel(first, 0.0)[0] <= left < right <= plate.pixel(last, 0.0)[0]
 
-    def test_the_queue_is_counted_at_the_entry(self, empty, plate):
+    def test_the_queue_and_missorted_parcels_are_counted(self, empty, plate, head):
         none = draw(empty)
         pictures = [draw(with_traffic(empty, waiting=count)) for count in (1, 3, 120)]
         assert all(differing(picture, none)[1] <= plate.left for picture in pictures)
         assert (pictures[1] != pictures[2]).any()
-
-    def test_missorted_parcels_are_counted_in_red(self, empty, head):
         for count, least, most in ((0, 0, 0), (3, 11, 1000)):
             picture = draw(with_traffic(empty, missorted=count))[:head]
             assert least <= (picture == GOAL).all(axis=2).sum() <= most

@@ -37,7 +37,7 @@ class TestValues:
         if isinstance(path, Polyline):
             assert (path.start, path.end) == (0.5, 4.0)
 
-    def test_of_a_spline(self):
+    def test_of_a_spline_and_sampled(self):
         """Through its points, with no curvature at its ends: scipy's natural spline."""
         path = Spline(POINTS)
         along, across = np.array(POINTS).T
@@ -45,8 +45,6 @@ class TestValues:
         reference = CubicSpline(along, across, bc_type=((2, 0.0), (2, 0.0)))
         x = np.linspace(0.5, 4.0, 101)
         np.testing.assert_allclose(path.y(x), reference(x), rtol=0, atol=1e-12)
-
-    def test_sampled(self):
         x = np.linspace(0.4, 5.6, 9)
         np.testing.assert_allclose(sample(Sine(), 9), Sine().y(x), rtol=0, atol=1e-15)
 
@@ -57,7 +55,7 @@ class TestSmoothness:
         x = np.linspace(path.start + 0.01, path.end - 0.01, 4001)
         assert np.abs(np.diff(slopes(path, x))).max() < 0.01
 
-    def test_a_lane_change_has_neither_slope_nor_curvature_at_its_ends(self):
+    def test_a_lane_change_has_neither_slope_nor_curvature_at_its_ends_and_a_polyline_jumps(self):
         path = LaneChange(offset=0.4, length=1.5, change=2.0)
         ends = np.array([2.0, 3.5])
         np.testing.assert_allclose(slopes(path, ends), 0.0, rtol=0, atol=1e-6)
@@ -65,8 +63,6 @@ class TestSmoothness:
         curvature = (path.y(ends + h) - 2.0 * path.y(ends) + path.y(ends - h)) / h**2
         assert np.abs(curvature).max() < 60.0 * 0.4 / 1.5**3 * h
         assert path.y(np.array([2.4]))[0] > 0.8
-
-    def test_a_polyline_does_jump(self):
         path = Polyline(POINTS)
         before, after = slopes(path, np.array([1.499, 1.501]))
         assert after - before == pytest.approx(-0.6 - 0.2, abs=1e-6)
@@ -85,15 +81,13 @@ class TestRandom:
         straight = paths.random_path("polyline", np.full(paths.DRAWS, 0.5))
         np.testing.assert_allclose(straight.y(np.linspace(0.4, 5.6, 50)), 1.0)
 
-    def test_sines(self):
+    def test_sines_and_lane_changes(self):
         paths = drawn("sine")
         amplitude = np.array([path.amplitude for path in paths])
         wavelength = np.array([path.wavelength for path in paths])
         assert 0.1 <= np.abs(amplitude).min() < 0.11 < 0.19 < np.abs(amplitude).max() <= 0.2
         assert 1.8 <= wavelength.min() < 1.85 < 3.15 < wavelength.max() <= 3.2
         assert 0.4 < np.mean(amplitude > 0.0) < 0.6
-
-    def test_lane_changes(self):
         paths = drawn("lane change")
         offset = np.array([path.offset for path in paths])
         assert 0.2 <= np.abs(offset).min() < 0.22 < 0.58 < np.abs(offset).max() <= 0.6

@@ -113,7 +113,14 @@ def test_level_supports_end_where_simulate_does():
     np.testing.assert_allclose(level, expected, atol=1e-5)
 
 
-def test_spreads_are_from_the_even_surface():
+def test_draws_repeat_with_their_seed_and_spreads_are_from_the_even_surface():
+    first, again = draw_surfaces(draws=3, seed=7), draw_surfaces(draws=3, seed=7)
+    assert first == again
+    np.testing.assert_array_equal(first[2].heights, again[2].heights)
+    assert (first[1].heights != first[2].heights).all()
+    uneven = {draw.unevenness: draw for draw in first}
+    assert uneven[UNEVEN[2]].heights.std() == pytest.approx(20e-6, rel=0.1)
+    assert np.log(uneven[UNEVEN[5]].surface.stiffness).std() == pytest.approx(1.2, rel=0.1)
     draws = draw_surfaces(draws=2, seed=5)
 
     def shifted(by) -> float:
@@ -127,16 +134,6 @@ def test_spreads_are_from_the_even_surface():
         distance, angle = drawn.root_mean_square(spread.analytic)
         assert distance == pytest.approx(math.hypot(*expected[:2]))
         assert angle == pytest.approx(expected[2])
-
-
-def test_draws_repeat_with_their_seed():
-    first, again = draw_surfaces(draws=3, seed=7), draw_surfaces(draws=3, seed=7)
-    assert first == again
-    np.testing.assert_array_equal(first[2].heights, again[2].heights)
-    assert (first[1].heights != first[2].heights).all()
-    uneven = {draw.unevenness: draw for draw in first}
-    assert uneven[UNEVEN[2]].heights.std() == pytest.approx(20e-6, rel=0.1)
-    assert np.log(uneven[UNEVEN[5]].surface.stiffness).std() == pytest.approx(1.2, rel=0.1)
 
 
 @needs_mujoco

@@ -33,7 +33,7 @@ def test_errors_are_those_of_eq_5_and_a_summary_is_mean_and_sample_deviation():
     np.testing.assert_allclose(summary.absolute, 10.0 * summary.percent)
 
 
-def test_targets_take_the_worst_run_and_the_mean_of_the_sweep():
+def test_the_papers_numbers_are_read_and_targets_take_the_worst_run_and_the_mean():
     absolute = np.array([[1.0, -2.0, 0.5], [-3.0, 1.0, 0.5]])
     sweep = Errors(absolute, np.array([[0.5] * 3, [-0.7] * 3]))
     pushed = Errors(np.array([[0.0, 6.0, 0.0]]), np.zeros((1, 3)))
@@ -41,9 +41,6 @@ def test_targets_take_the_worst_run_and_the_mean_of_the_sweep():
     measured = [target.measured for target in found]
     np.testing.assert_allclose(measured, [3.0, 6.0, 0.5, 0.7, 0.7, 0.7, 0.1, 0.1, 0.1])
     assert [target.what for target in found if not target.is_reached] == ["worst run in y"]
-
-
-def test_the_papers_numbers_are_read_from_its_tables():
     paper = comparison.load_paper_errors()
     np.testing.assert_array_equal(paper.table7.percent, [[0.02, 1.41, -4.47], [0.44, 3.48, 4.36]])
     np.testing.assert_array_equal(paper.table7.absolute, [[0.12, 0.25, 0.96], [1.5, 5.2, 1.02]])
@@ -159,11 +156,17 @@ def test_bad_options_end_in_one_line(arguments, message, capsys):
     check_error(arguments, message, capsys)
 
 
-def test_without_mujoco_the_error_says_what_to_install(monkeypatch, capsys):
+def test_without_mujoco_it_says_what_to_install_and_help_names_every_option(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ImportError, match=r"pip install 'surface_gym\[validation\]'"):
         validation.simulate(sg.layouts.sorting(), sg.Parcel(sg.Disc(0.1)), (0.125, 1.0, 0.0))
     check_error([], "error: the validation needs MuJoCo", capsys)
+    with pytest.raises(SystemExit) as stop:
+        command.main(["--help"])
+    assert stop.value.code == 0
+    shown = capsys.readouterr().out
+    for option in ("figures", "json", "heights", "touching", "workers", "tilts", "seed"):
+        assert f"--{option}" in shown
 
 
 def check_error(arguments, message, capsys):
@@ -174,12 +177,3 @@ def check_error(arguments, message, capsys):
     assert captured.err.startswith(message)
     assert captured.err.count("\n") == 1
     assert captured.out == ""
-
-
-def test_help_names_every_option(capsys):
-    with pytest.raises(SystemExit) as stop:
-        command.main(["--help"])
-    assert stop.value.code == 0
-    shown = capsys.readouterr().out
-    for option in ("figures", "json", "heights", "touching", "workers", "tilts", "seed"):
-        assert f"--{option}" in shown
