@@ -126,7 +126,7 @@ class TestStarts:
 class TestEpisodes:
     @every_task
     def test_outcomes_ends_sums_and_bounds(self, name):
-        env = bare(env_id(name), actions="halves")
+        env = bare(env_id(name))
         seen, outcomes = set(), (*COMMON_OUTCOMES, *TASKS[name].outcomes)
         for seed in range(12):
             # By turns at random, where most stall, and rolling, where most get through.

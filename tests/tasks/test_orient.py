@@ -72,7 +72,7 @@ class TestEnds:
 class TestReward:
     @pytest.mark.parametrize("seed", range(3))
     def test_turn_telescopes_and_the_error_is_reported_all_along(self, seed):
-        episode = play(bare(ORIENT, actions="quadrants"), {"angle": 0.05}, seed=seed)
+        episode = play(bare(ORIENT), {"angle": 0.05}, seed=seed)
         nearer = 0.05 - abs(episode.end["pose"][2] - 0.05)
         assert episode.total("turn") == pytest.approx(nearer, abs=1e-9)
         for info in (episode.start, *episode.infos):

@@ -85,7 +85,7 @@ class TestReward:
     @pytest.mark.parametrize("seed", range(3))
     def test_excess_telescopes_and_the_error_is_reported_all_along(self, seed):
         options = {"speed": 1.7, "parcel": "S", "ratio": 0.4}
-        episode = play(bare(SLOW, actions="quadrants"), options, seed=seed)
+        episode = play(bare(SLOW), options, seed=seed)
         shrunk = excess(episode.start, 1.7, 0.4) - excess(episode.end, 1.7, 0.4)
         assert episode.total("excess") == pytest.approx(shrunk, abs=1e-9)
         for info in (episode.start, *episode.infos):

@@ -75,7 +75,7 @@ class TestReward:
     @pytest.mark.parametrize("side", [1, 0, -1])
     @pytest.mark.parametrize("seed", range(2))
     def test_reach_telescopes(self, side, seed):
-        episode = play(bare(actions="quadrants"), {"side": side}, seed=seed)
+        episode = play(bare(), {"side": side}, seed=seed)
 
         def score(info: dict) -> float:
             if side:
@@ -90,7 +90,7 @@ class TestReward:
         [(1, 1.5, MINUS_45, "success"), (0, 1.5, ROLL, "success"), (1, 0.4, MINUS_45, "stalled")],
     )
     def test_time_costs_and_haste_pays_at_success(self, side, speed, choice, outcome):
-        episode = play(bare(actions="quadrants"), {"side": side, "speed": speed}, choice)
+        episode = play(bare(), {"side": side, "speed": speed}, choice)
         assert episode.end["outcome"] == outcome
         paid = 4.0 / episode.end["time"] if outcome == "success" else 0.0
         assert all(info["reward_terms"]["haste"] == 0.0 for info in episode.infos[:-1])

@@ -91,7 +91,7 @@ class TestReward:
     @pytest.mark.parametrize("seed", range(3))
     def test_approach_telescopes_and_the_error_is_reported_all_along(self, seed):
         options = {"speed": 1.2, "position": 1.1}
-        episode = play(bare(STOP, actions="quadrants"), options, seed=seed)
+        episode = play(bare(STOP), options, seed=seed)
         nearer = abs(1.1 - episode.start["pose"][0]) - abs(1.1 - episode.end["pose"][0])
         assert episode.total("approach") == pytest.approx(nearer, abs=1e-9)
         for info in (episode.start, *episode.infos):

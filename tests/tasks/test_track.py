@@ -102,7 +102,7 @@ class TestFigures:
     )
     def test_of_a_random_walk_about_a_path(self, path):
         options = LEVEL | {"path": path, "tilt": 0.1}
-        episode = play(bare(TRACK, actions="quadrants"), options, seed=1, longest=25)
+        episode = play(bare(TRACK), options, seed=1, longest=25)
         if isinstance(path, tuple):
             path = Polyline(path)
 
