@@ -214,7 +214,7 @@ def test_a_command_that_was_killed_goes_on_with_a_custom_task(cluster, tmp_path,
     task = "examples/reach.py:Reach"
     learner = TINY | {"n_steps": 32, "checkpoint_every": 4_096}
     config = PPOConfig(task=task, seeds=2, steps=12_288, out=tmp_path, name="run", **learner)
-    folders = [tmp_path / "local", make_folder(config)]
+    folders = [tmp_path / "local", make_folder(config, ["--task", task])]
     folders[0].mkdir()
     train_seeds(config, folders[0], Console(quiet=True), 1)
     own = ["--resume", str(folders[1]), "--task", task, "--cluster", cluster.address]
