@@ -14,8 +14,8 @@ FIRST = (
     "tests/agents/learning/",
     "tests/design/test_control.py",
     "tests/agents/evaluation/",
-    "tests/docs/test_notebooks.py",
-    "tests/cuda/test_ptx.py",
+    "tests/docs/test_site.py",
+    "tests/cuda/test_kernels.py",
 )
 
 # Of each part those that fail first when it breaks, and one environment of each class.
@@ -41,19 +41,19 @@ SMOKE = (
 
 # Long proofs of which the rest of the tests hold a short form: `pytest -m nightly`.
 NIGHTLY = (
-    "tests/cuda/test_ptx.py::test_streams_compile",
+    "tests/cuda/test_kernels.py::TestPtx::test_streams_compile",
     *(
-        f"tests/cuda/test_ptx.py::test_every_task_compiles[{task}"
+        f"tests/cuda/test_kernels.py::TestPtx::test_every_task_compiles[{task}"
         for task in ("stop", "track", "slow", "orient")
     ),
-    "tests/docs/test_notebooks.py::test_it_runs",
-    "tests/docs/test_site.py",
-    "tests/parallel/test_cluster.py::test_a_command_that_was_killed_goes_on_with_a_custom_task",
-    "tests/parallel/test_cluster.py::test_a_design_map_is_the_same",
-    "tests/parallel/test_cluster.py::test_a_job_whose_node_dies_is_done_again_and_only_that",
-    "tests/parallel/test_cluster.py::test_a_search_has_trials_of_the_nodes",
-    "tests/parallel/test_cluster.py::test_results_are_the_same_those_of_a_runs_policies_too",
-    "tests/parallel/test_cluster.py::test_seeds_with_nodes_dying_come_to_the_same_files_as_in_"
+    "tests/docs/test_site.py::TestNotebook::test_it_runs",
+    "tests/docs/test_site.py::TestSite",
+    "tests/parallel/test_jobs.py::test_a_command_that_was_killed_goes_on_with_a_custom_task",
+    "tests/parallel/test_jobs.py::test_a_design_map_is_the_same",
+    "tests/parallel/test_jobs.py::test_a_job_whose_node_dies_is_done_again_and_only_that",
+    "tests/parallel/test_jobs.py::test_a_search_has_trials_of_the_nodes",
+    "tests/parallel/test_jobs.py::test_results_are_the_same_those_of_a_runs_policies_too",
+    "tests/parallel/test_jobs.py::test_seeds_with_nodes_dying_come_to_the_same_files_as_in_"
     "processes",
 )
 

@@ -30,13 +30,10 @@ def twice(value: int | float = 3) -> int | float:
 '''
 
 
-def test_every_module_and_test_of_the_table_exists() -> None:
+def test_every_module_test_and_equivalent_of_the_tables_exists():
     for target in TARGETS:
         for path in (target.module, *target.near, *target.wide):
             assert (REPOSITORY / path.split("::")[0]).exists(), path
-
-
-def test_every_equivalent_is_still_a_line_of_its_module() -> None:
     for each in EQUIVALENTS:
         lines = (REPOSITORY / each.module).read_text(encoding="utf-8").splitlines()
         assert each.was in [line.strip() for line in lines], each
@@ -45,43 +42,36 @@ def test_every_equivalent_is_still_a_line_of_its_module() -> None:
 
 class TestSample:
     @pytest.fixture(autouse=True)
-    def _needs(self) -> None:
+    def _needs(self):
         pytest.importorskip("cosmic_ray")
 
-    def test_each_mutant_is_the_module_with_one_line_changed(self) -> None:
+    def test_each_mutant_is_the_module_with_one_line_changed(self):
         lines = SOURCE.splitlines()
         for mutant in sample_mutants(SOURCE, 100, "0"):
             ast.parse(mutant.text)
             changed = mutant.text.splitlines()
-            differ = [k for k, line in enumerate(lines) if line != changed[k]]
-            assert differ == [mutant.line - 1]
-            assert (mutant.was, mutant.becomes) == (
-                lines[mutant.line - 1].strip(),
-                changed[mutant.line - 1].strip(),
-            )
+            ((line, was, becomes),) = [
+                (k, *pair) for k, pair in enumerate(zip(lines, changed, strict=True), 1)
+                if pair[0] != pair[1]
+            ]  # fmt: skip
+            assert (line, was.strip(), becomes.strip()) == (mutant.line, mutant.was, mutant.becomes)
 
-    def test_types_decorators_and_errors_are_never_changed(self) -> None:
+    def test_types_decorators_and_errors_are_never_changed(self):
         changed = {mutant.was for mutant in sample_mutants(SOURCE, 100, "0")}
-        assert changed == {
-            "def twice(value: int | float = 3) -> int | float:",
-            "if value < 0:",
-            "return value * 2",
-        }
+        head = "def twice(value: int | float = 3) -> int | float:"
+        assert changed == {head, "if value < 0:", "return value * 2"}
         defaults = [m.becomes for m in sample_mutants(SOURCE, 100, "0") if m.was.startswith("def")]
         assert all("int | float =" in line for line in defaults)
 
-    def test_it_follows_from_the_seed_and_grows_at_its_end(self) -> None:
+    def test_it_follows_from_the_seed_and_grows_at_its_end(self):
         assert sample_mutants(SOURCE, 2, "1") == sample_mutants(SOURCE, 4, "1")[:2]
         assert len({tuple(sample_mutants(SOURCE, 2, str(seed))) for seed in range(9)}) > 1
 
 
-def test_a_missing_cosmic_ray_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_cosmic_ray_and_a_module_that_is_not_in_the_table_are_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "cosmic_ray.plugins", None)
     with pytest.raises(ImportError, match="pip install cosmic-ray"):
         sample_mutants(SOURCE, 1, "0")
-
-
-def test_a_module_that_is_not_in_the_table_is_named() -> None:
     with pytest.raises(SystemExit, match=r"modules must be in .*, got 'nowhere'"):
         mutation.main(["--modules", "tasks/sort", "nowhere"])
 
@@ -93,7 +83,7 @@ class TestWorkspace:
     TEST = "from package.twice import twice\n\n\ndef test_twice():\n    assert twice({}) == {}\n"
 
     @pytest.fixture
-    def repository(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    def repository(self, tmp_path, monkeypatch):
         repository = tmp_path / "repository"
         for name in ("package", "tests"):
             (repository / name).mkdir(parents=True)
@@ -105,14 +95,11 @@ class TestWorkspace:
 
     def run(self, repository: Path, becomes: str) -> dict[str, Any]:
         """Test a mutant in a new workspace."""
-        return Workspace(repository.parent, limit=60).test(self.TARGET, self.mutant(becomes))
-
-    @staticmethod
-    def mutant(becomes: str) -> Mutant:
         text = f"def twice(x):\n    {becomes}\n"
-        return Mutant(becomes, 0, 2, "twice", "return x * 2", becomes, text)
+        mutant = Mutant(becomes, 0, 2, "twice", "return x * 2", becomes, text)
+        return Workspace(repository.parent, limit=60).test(self.TARGET, mutant)
 
-    def test_a_survivor_is_tested_again_when_tests_change(self, repository: Path) -> None:
+    def test_a_survivor_is_tested_again_when_tests_change(self, repository):
         killed = self.run(repository, "return x / 2")
         assert killed["outcome"] == "killed"
         assert killed["by"] == "tests/test_twice.py::test_twice"
@@ -124,7 +111,7 @@ class TestWorkspace:
         assert self.run(repository, "return x + 2")["outcome"] == "killed"
         assert (repository / "package" / "twice.py").read_text().endswith("x * 2\n")
 
-    def test_tests_that_fail_without_a_mutant_are_an_error(self, repository: Path) -> None:
+    def test_tests_that_fail_without_a_mutant_are_an_error(self, repository):
         (repository / "tests" / "test_twice.py").write_text(self.TEST.format(2, 5))
         with pytest.raises(RuntimeError, match="fail without a mutant"):
             self.run(repository, "return x / 2")

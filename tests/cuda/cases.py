@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from surface_gym.config import EnvConfig
+from surface_gym.core.batch import Batch
 from surface_gym.randomisation import Actuators
 from surface_gym.tasks import TASKS
 from tests.flow.flows import DENSE, SHORT
@@ -38,6 +39,13 @@ every_case = pytest.mark.parametrize("name", CASES)
 needs_numba_cuda = pytest.mark.skipif(
     find_spec("numba_cuda") is None, reason="numba-cuda is not installed (extra 'gpu')"
 )
+
+
+class UncompiledBatch(Batch):
+    """Draws starts and steps nothing, so that nothing is compiled."""
+
+    def _compile(self) -> None:
+        return None
 
 
 def make_config(name: str) -> EnvConfig:

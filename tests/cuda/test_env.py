@@ -1,7 +1,6 @@
 """The vector environment of tensors: its arguments, its actions, and errors that name the cause."""
 
 import math
-from importlib.util import find_spec
 
 import gymnasium as gym
 import numpy as np
@@ -20,20 +19,14 @@ from tests.cuda.cases import needs_numba_cuda
 SORT = "SmartSurface/Sort-v0"
 NUM_ENVS = 5
 CPU = torch.device("cpu")
-EVERY_KIND = [
-    (kind, orientations)
-    for kind in ("modules", "halves", "quadrants", "window")
-    for orientations in (None, "any")
-]
 
 
 class TestDevice:
-    def test_the_default_is_the_cpu(self):
-        assert isinstance(gym.make_vec(SORT, num_envs=2), sg.SmartSurfaceVectorEnv)
-        assert isinstance(gym.make_vec(SORT, num_envs=2, device="cpu"), sg.SmartSurfaceVectorEnv)
+    def test_the_default_is_the_cpu_and_an_unknown_one_an_error(self):
+        for device in ({}, {"device": "cpu"}):
+            env = gym.make_vec(SORT, num_envs=2, **device)
+            assert isinstance(env, sg.SmartSurfaceVectorEnv)
         assert DEVICES == ("cpu", "cuda")
-
-    def test_an_unknown_device_is_an_error(self):
         with pytest.raises(ValueError, match="device must be one of 'cpu', 'cuda', got 'tpu'"):
             make_vector_env(2, "tpu")
 
@@ -45,19 +38,15 @@ class TestDevice:
 
     @pytest.mark.parametrize("module", ["torch", "numba_cuda"])
     def test_a_missing_library_is_named(self, monkeypatch, module):
-        def found(name):
-            return None if name == module else find_spec(name)
-
-        monkeypatch.setattr(cuda, "find_spec", found)
+        monkeypatch.setattr(cuda, "find_spec", lambda name: name != module or None)
         with pytest.raises(DeviceMissing, match=rf"{module}, which is not installed: .*\[gpu\]"):
             check_device()
 
 
 @needs_numba_cuda
 class TestArguments:
-    @pytest.mark.parametrize(
-        ("arguments", "message"),
-        [
+    def test_an_argument_that_is_not_supported_is_named(self):
+        for arguments, message in (
             ({"sensors": Camera()}, "sensors must be one without noise.* got Camera"),
             ({"task": "flow", "sensors": Camera()}, "sensors must be one without noise"),
             ({"preset": "lab"}, "sensors must be one without noise"),
@@ -71,12 +60,10 @@ class TestArguments:
             ({"autoreset_mode": "Never"}, "autoreset_mode must be one of"),
             ({"max_episode_steps": 0}, "max_episode_steps must be"),
             ({"actions": "thirds"}, "actions must be one of"),
-        ],
-    )
-    def test_an_argument_that_is_not_supported_is_named(self, arguments, message):
-        given = {"num_envs": 2, "device": "cpu", "task": "sort", **arguments}
-        with pytest.raises(ValueError, match=message):
-            make_device_env(**given)
+        ):
+            given = {"num_envs": 2, "device": "cpu", "task": "sort", **arguments}
+            with pytest.raises(ValueError, match=message):
+                make_device_env(**given)
 
     def test_a_parcel_that_the_task_does_not_draw_is_refused_and_nothing_begins(self):
         env = make_device_env(2, "cpu", task="sort")
@@ -92,7 +79,8 @@ def action_kind(actions, orientations=None):
 
 
 class TestActions:
-    @pytest.mark.parametrize(("actions", "orientations"), EVERY_KIND)
+    @pytest.mark.parametrize("orientations", [None, "any"])
+    @pytest.mark.parametrize("actions", ["modules", "halves", "quadrants", "window"])
     def test_commands_are_those_of_the_cpu(self, actions, orientations):
         kind = action_kind(actions, orientations)
         space = kind.space()
@@ -104,35 +92,28 @@ class TestActions:
         assert commands.dtype == (torch.float64 if orientations == "any" else torch.int64)
         assert not converter.wrong
 
-    @pytest.mark.parametrize("bad", [-1, 16, 2**40])
-    def test_a_choice_out_of_range_is_recorded_and_replaced(self, bad):
-        converter = TensorActions(action_kind("halves").space(), NUM_ENVS, CPU)
-        actions = torch.full((NUM_ENVS,), 5)
-        actions[3] = bad
-        commands = converter.commands(actions)
-        assert converter.wrong
-        assert commands.tolist() == [[1, 1]] * 3 + [[0, 0], [1, 1]]
-        assert converter.allowed == "0 and 15"
+    def test_an_action_out_of_range_is_recorded_and_replaced(self):
+        for bad in (-1, 16, 2**40):
+            converter = TensorActions(action_kind("halves").space(), NUM_ENVS, CPU)
+            actions = torch.full((NUM_ENVS,), 5)
+            actions[3] = bad
+            assert converter.commands(actions).tolist() == [[1, 1]] * 3 + [[0, 0], [1, 1]]
+            assert converter.wrong
+            assert converter.allowed == "0 and 15"
+        for bad in (math.nan, math.inf, 1.6, -1.6):
+            converter = TensorActions(action_kind("halves", "any").space(), NUM_ENVS, CPU)
+            assert (converter.commands(torch.full((NUM_ENVS, 2), bad)) == 0.0).all()
+            assert converter.wrong
 
-    @pytest.mark.parametrize("bad", [math.nan, math.inf, 1.6, -1.6])
-    def test_an_angle_out_of_range_is_recorded_and_replaced(self, bad):
-        converter = TensorActions(action_kind("halves", "any").space(), NUM_ENVS, CPU)
-        commands = converter.commands(torch.full((NUM_ENVS, 2), bad))
-        assert converter.wrong
-        assert (commands == 0.0).all()
-
-    @pytest.mark.parametrize(
-        ("orientations", "actions", "message"),
-        [
+    def test_a_wrong_type_or_shape_is_an_error_at_once(self):
+        for orientations, actions, message in (
             (None, np.zeros(NUM_ENVS, dtype=np.int64), "must be a torch tensor on cpu, got"),
             (None, torch.zeros(NUM_ENVS, device="meta"), "on cpu, got one on meta"),
             (None, torch.zeros(NUM_ENVS + 1), r"shape \(\) for each environment, got \(6,\)"),
             (None, torch.zeros(NUM_ENVS), "whole numbers, got torch.float32"),
             (None, torch.zeros(NUM_ENVS, dtype=torch.bool), "whole numbers, got torch.bool"),
             ("any", torch.zeros((NUM_ENVS, 2), dtype=torch.int64), "angles, got torch.int64"),
-        ],
-    )
-    def test_a_wrong_type_or_shape_is_an_error_at_once(self, orientations, actions, message):
-        converter = TensorActions(action_kind("halves", orientations).space(), NUM_ENVS, CPU)
-        with pytest.raises(ValueError, match=message):
-            converter.commands(actions)
+        ):
+            converter = TensorActions(action_kind("halves", orientations).space(), NUM_ENVS, CPU)
+            with pytest.raises(ValueError, match=message):
+                converter.commands(actions)

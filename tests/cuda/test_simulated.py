@@ -27,7 +27,7 @@ HOST_ONLY = ("episode_figures", "_episode_figures")
 
 
 @pytest.fixture(scope="module")
-def differences() -> dict[str, list[str]]:
+def differences():
     done = subprocess.run(
         [sys.executable, "-W", "error", "-m", "tests.cuda.test_simulated"],
         capture_output=True,

@@ -5,7 +5,6 @@ import json
 import math
 import sys
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,7 +34,14 @@ def left_at(axis: np.ndarray, speed: float) -> float:
     return float(run.pose[-1, 1]) - line.line_y
 
 
-def test_any_angle_sorts_slower_boxes_than_the_study_s_four() -> None:
+def evaluate_study(speeds: np.ndarray, own: Case | None = None, workers: int = 1):
+    """How the study's layout does over a zone of 16 columns."""
+    line = case().line(16)
+    axis = Sort().layouts(line, 16)[0].axis
+    return evaluate_layout("study", axis, own or case(), line, speeds, workers=workers)
+
+
+def test_any_angle_sorts_slower_boxes_than_the_study_s_four():
     """Held against `simulate`, which knows nothing of a design."""
     found = best_layout(case(), SPEEDS, orientations=None, effort=QUICK)
     assert found.study.success.tolist() == [False, False, True, True]
@@ -47,43 +53,31 @@ def test_any_angle_sorts_slower_boxes_than_the_study_s_four() -> None:
         assert left_at(found.study.axis, speed) > -half_line - 0.125
 
 
-def test_no_layout_of_the_four_orientations_sorts_below_the_study_s_least_speed() -> None:
+def test_no_layout_of_the_four_orientations_sorts_below_the_study_s_least_speed():
     """All 4^32 of them, the S-box; one that sorts from 0.72 m/s on is the study's."""
     tried = [every_layout(case(speed=speed / 100)) for speed in (30, 40, 50, 60, 66, 68, 70)]
     assert all(each.complete and each.axis is None for each in tried)
-    found = every_layout(case(speed=0.72))
-    assert found.axis is not None
-    study = Sort().layouts(case().line(16), 16)[0]
-    over = evaluate_layout(
-        "study", study.axis, case(), case().line(16), np.arange(30, 271, 2) / 100
-    )
-    assert over.least_speed == 0.72
+    assert every_layout(case(speed=0.72)).axis is not None
+    assert evaluate_study(np.arange(30, 271, 2) / 100).least_speed == 0.72
 
 
-def test_every_layout_is_really_every_one() -> None:
+def test_every_layout_is_really_every_one_unless_there_is_no_time_to_try_them():
     """Beside trying them blindly, on a zone so short that it can be done."""
-    own = case(speed=0.9)
     columns = 3
-    line = own.line(columns)
-    every = np.array(list(itertools.product(ORIENTATIONS, repeat=2 * columns)))
-    axes = every.reshape(-1, 2, columns)
+    line = case().line(columns)
+    axes = np.array(list(itertools.product(ORIENTATIONS, repeat=6))).reshape(-1, 2, columns)
     for purpose in (Sort(), Turn(math.radians(40.0)), Turn(math.radians(80.0))):
         asked = case(speed=0.9, purpose=purpose)
         runs = make_runs(0.9, layout=np.arange(len(axes)), columns=columns)
         ends = run_all(line, axes, [S], runs)
-        any_does = bool(purpose.succeeds(ends).any())
         found = every_layout(asked, columns)
         assert found.complete
-        assert (found.axis is not None) == any_does
+        assert (found.axis is not None) == purpose.succeeds(ends).any()
         if found.axis is not None:
             over = evaluate_layout("it", found.axis, asked, line, np.array([0.9]))
             assert over.success.tolist() == [True]
-
-
-def test_what_is_not_known_is_not_claimed() -> None:
     tried = every_layout(case(speed=0.7), most=100)
-    assert tried.axis is None
-    assert not tried.complete
+    assert (tried.axis, tried.complete) == (None, False)
     assert tried.runs <= 100
 
 
@@ -92,14 +86,12 @@ def test_what_is_not_known_is_not_claimed() -> None:
     [Slow(0.5, tolerance=0.01), Stop(0.4, tolerance=0.01), Turn(math.radians(20.0), 0.03)],
     ids=lambda purpose: purpose.name,
 )
-def test_other_purposes_are_met_more_nearly_than_by_the_study_s_layouts(purpose) -> None:
+def test_other_purposes_are_met_more_nearly_than_by_the_study_s_layouts(purpose):
     found = best_layout(case(purpose=purpose), [1.0], 6, orientations=None, effort=QUICK)
     assert found.best.successes >= found.study.successes
 
     def error(over) -> float:
-        line = found.line
-        runs = make_runs(over.speeds, columns=6)
-        ends = run_all(line, over.axis[np.newaxis], [S], runs)
+        ends = run_all(found.line, over.axis[None], [S], make_runs(over.speeds, columns=6))
         return float(purpose.shortfall(ends).mean())
 
     assert error(found.best) < error(found.study)
@@ -108,7 +100,7 @@ def test_other_purposes_are_met_more_nearly_than_by_the_study_s_layouts(purpose)
 @pytest.mark.parametrize(
     "purpose", [Sort(), Sort(1), Slow(), Slow(0.5, 0.1), Stop(), Stop(0.3), Turn()], ids=repr
 )
-def test_a_shortfall_is_0_where_all_is_as_asked_and_more_where_it_fails(purpose) -> None:
+def test_a_shortfall_is_0_where_all_is_as_asked_and_more_where_it_fails(purpose):
     line = case().line(8)
     rng = np.random.default_rng(4)
     axes = np.array(ORIENTATIONS)[rng.integers(0, 4, (300, 2, 8))]
@@ -126,16 +118,16 @@ def test_a_shortfall_is_0_where_all_is_as_asked_and_more_where_it_fails(purpose)
         assert (short[done] == 0.0).all()
 
 
-def test_for_other_purposes_success_alone_counts() -> None:
+def test_for_other_purposes_success_alone_counts():
     line = case().line(4)
-    runs = make_runs([0.3, 2.0], columns=4)
-    ends = run_all(line, Sort().layouts(line, 4)[0].axis[np.newaxis], [S], runs)
+    axes = Sort().layouts(line, 4)[0].axis[None]
+    ends = run_all(line, axes, [S], make_runs([0.3, 2.0], columns=4))
     np.testing.assert_array_equal(Purpose.shortfall(Stop(), ends), [0.0, 1.0])
     with pytest.raises(ValueError, match="purpose must be one that an environment's task has"):
         Purpose.env_goal(Stop(), line)
 
 
-def test_threads_change_nothing_and_a_search_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_threads_change_nothing_and_a_search_goes_on_where_it_was(tmp_path):
     class Broken(Exception):
         pass
 
@@ -143,55 +135,46 @@ def test_threads_change_nothing_and_a_search_goes_on_where_it_was(tmp_path: Path
         if done == 2:
             raise Broken
 
-    file = tmp_path / "S.npz"
-    whole = best_layout(case(), SPEEDS, 6, orientations=None, effort=QUICK)
+    find = partial(best_layout, case(), SPEEDS, 6, orientations=None, effort=QUICK)
+    whole, file = find(), tmp_path / "S.npz"
     with pytest.raises(Broken):
-        best_layout(
-            case(), SPEEDS, 6, orientations=None, effort=QUICK, checkpoint=file, on_progress=stop
-        )
-    found = best_layout(
-        case(), SPEEDS, 6, orientations=None, effort=QUICK, checkpoint=file, workers=2
-    )
+        find(checkpoint=file, on_progress=stop)
+    found = find(checkpoint=file, workers=2)
     np.testing.assert_array_equal(found.best.axis, whole.best.axis)
     np.testing.assert_array_equal(found.best.time, whole.best.time)
     assert found.evaluations == whole.evaluations
 
 
-def test_what_is_not_known_costs_speed() -> None:
+def test_what_is_not_known_costs_speed():
     """Of the draws, fewer are sorted near the least speed than with nothing unknown."""
-    line = case().line(16)
-    axis = Sort().layouts(line, 16)[0].axis
     speeds = np.arange(60, 101, 4) / 100
-    own = case(unknown=Unknown(), draws=40)
-    over = evaluate_layout("study", axis, own, line, speeds, workers=2)
+    over = evaluate_study(speeds, case(unknown=Unknown(), draws=40), workers=2)
     assert over.least_sure_speed >= over.least_speed
     assert 0.0 < over.share[over.success][0] < 1.0
-    nothing = evaluate_layout("study", axis, case(), line, speeds)
+    nothing = evaluate_study(speeds)
     np.testing.assert_array_equal(nothing.share, nothing.success)
-    assert math.isnan(evaluate_layout("study", axis, case(), line, np.array([0.3])).least_speed)
-    assert math.isnan(evaluate_layout("study", axis, case(), line, np.array([0.3])).mean_time)
+    slow = evaluate_study(np.array([0.3]))
+    assert math.isnan(slow.least_speed)
+    assert math.isnan(slow.mean_time)
 
 
 @pytest.mark.parametrize(
-    ("find", "name", "value"),
+    ("find", "wrong"),
     [
-        (best_layout, "speeds", []),
-        (best_layout, "speeds", [0.0, 1.0]),
-        (best_layout, "speeds", [math.nan]),
-        (best_layout, "columns", 0),
-        (best_layout, "workers", 0),
-        (best_layout, "orientations", (0.0,)),
-        (every_layout, "columns", 0),
-        (every_layout, "workers", 0),
-        (every_layout, "most", 0),
-        (every_layout, "most", 15),
-        (every_layout, "orientations", (0.0,)),
+        (best_layout, {"speeds": ([], [0.0, 1.0], [math.nan])}),
+        (best_layout, {"columns": (0,), "workers": (0,), "orientations": ((0.0,),)}),
+        (every_layout, {"columns": (0,), "workers": (0,), "orientations": ((0.0,),)}),
+        (every_layout, {"most": (0, 15)}),
+        (shipped.find_sorting_layouts, {"offers": (("two",),), "sizes": (("M",),)}),
     ],
 )
-def test_an_argument_that_is_not_allowed_is_named(find, name: str, value: object) -> None:
-    given = {"speeds": SPEEDS, "effort": QUICK} if find is best_layout else {}
-    with pytest.raises(ValueError, match=name):
-        find(case(), **{**given, name: value})
+def test_an_argument_that_is_not_allowed_is_named(find, wrong):
+    given = {best_layout: {"speeds": SPEEDS, "effort": QUICK}}.get(find, {})
+    own = () if find is shipped.find_sorting_layouts else (case(),)
+    for name, values in wrong.items():
+        for value in values:
+            with pytest.raises(ValueError, match=name):
+                find(*own, **{**given, name: value})
 
 
 FEW = np.array([0.5, 0.7, 0.72, 1.5])  # [m/s]; the study's layout sorts at the last two
@@ -199,44 +182,35 @@ SHIPPED = shipped.sorting_layouts()
 each = pytest.mark.parametrize("layout", SHIPPED, ids=lambda own: f"{own.box}-{own.offer}")
 
 
-def test_there_is_one_for_every_box_and_offer() -> None:
-    assert sorted((own.box, own.offer) for own in SHIPPED) == sorted(
-        (box, offer) for box in shipped.SIZES for offer in shipped.OFFERS
-    )
-
-
 @each
-def test_it_does_what_its_file_says(layout: shipped.SortingLayout) -> None:
+def test_it_does_what_its_file_says(layout):
     case = Case(layouts.box(layout.box), unknown=NOTHING)
     line = case.line(shipped.COLUMNS)
     found = evaluate_layout("it", layout.axis, case, line, shipped.SPEEDS, workers=2)
-    study = evaluate_layout(
-        "study", np.full_like(layout.axis, math.pi / 4), case, line, shipped.SPEEDS
-    )
+    axis = np.full_like(layout.axis, math.pi / 4)
+    study = evaluate_layout("study", axis, case, line, shipped.SPEEDS)
     assert (found.least_speed, study.least_speed) == (layout.least_speed, layout.study_least_speed)
     assert found.mean_time == pytest.approx(layout.mean_time, abs=1e-6)
     assert layout.least_speed <= layout.least_sure_speed
     assert layout.half_length == {"S": 0.125, "B": 0.225}[layout.box]
-
-
-@each
-def test_its_axes_are_on_offer(layout: shipped.SortingLayout) -> None:
     offered = shipped.OFFERS[layout.offer]
     if offered is not None:
         apart = np.abs(np.sin(layout.axis[..., np.newaxis] - np.array(offered)))
         assert apart.min(axis=-1).max() < 1e-9
 
 
-@pytest.mark.parametrize("box", shipped.SIZES)
-def test_the_more_axes_there_are_the_slower_a_box_may_come(box: str) -> None:
-    least = {own.offer: own.least_speed for own in SHIPPED if own.box == box}
-    assert least["any"] < least["eight"] < least["four"]
+def test_there_is_one_for_every_box_and_offer_the_more_axes_the_slower_may_it_come():
+    least = {(own.box, own.offer): own.least_speed for own in SHIPPED}
+    assert set(least) == set(itertools.product(shipped.SIZES, shipped.OFFERS))
+    assert len(least) == len(SHIPPED)
+    for box in shipped.SIZES:
+        assert least[box, "any"] < least[box, "eight"] < least[box, "four"]
 
 
-def test_layouts_found_anew_are_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_layouts_found_anew_are_read_back(tmp_path, monkeypatch):
     effort = Effort(members=6, generations=1, epochs=1, rounds=0)
     monkeypatch.setattr(shipped, "SPEEDS", FEW)
-    calls: list[tuple[int, int]] = []
+    calls = []
     found = shipped.find_sorting_layouts(
         ("eight", "any"), ("S",), effort, checkpoints=tmp_path / "kept",
         on_progress=lambda *at: calls.append(at),
@@ -255,17 +229,7 @@ def test_layouts_found_anew_are_read_back(tmp_path: Path, monkeypatch: pytest.Mo
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["sorting.json"]
 
 
-@pytest.mark.parametrize(
-    ("name", "arguments"), [("offers", {"offers": ("two",)}), ("sizes", {"sizes": ("M",)})]
-)
-def test_what_there_is_not_is_refused(name: str, arguments: dict) -> None:
-    with pytest.raises(ValueError, match=name):
-        shipped.find_sorting_layouts(**arguments)
-
-
-def test_the_command_writes_what_it_finds(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_what_it_finds(tmp_path, monkeypatch, capsys):
     small = Effort(members=5, generations=1, epochs=1, rounds=0)
     monkeypatch.setattr(shipped, "SPEEDS", FEW)
     quick = partial(shipped.find_sorting_layouts, sizes=("S",), effort=small)

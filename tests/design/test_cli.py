@@ -5,7 +5,6 @@ import math
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ import tyro
 
 import surface_gym as sg
 from surface_gym.design import cli
-from surface_gym.design.case import Purpose, Slow, Sort, Stop, Turn
+from surface_gym.design.case import Slow, Sort, Stop, Turn
 from surface_gym.design.cli import AskFriction
 from surface_gym.parallel import usable_cores
 
@@ -23,24 +22,21 @@ def asked(*flags: str) -> AskFriction:
     return tyro.cli(AskFriction, args=flags)
 
 
-@pytest.mark.parametrize(
-    ("flags", "purpose"),
-    [
-        ((), Sort(-1)),
-        (("--side", "left"), Sort(1)),
-        (("--purpose", "slow"), Slow(0.5)),
-        (("--purpose", "slow", "--ratio", "0.7", "--tolerance", "0.1"), Slow(0.7, 0.1)),
-        (("--purpose", "stop"), Stop()),
-        (("--purpose", "stop", "--place", "0.4", "--tolerance", "0.1"), Stop(0.4, 0.1)),
-        (("--purpose", "turn"), Turn()),
-        (("--purpose", "turn", "--angle-deg", "-20"), Turn(math.radians(-20.0))),
-    ],
-)
-def test_purposes(flags: tuple[str, ...], purpose: Purpose) -> None:
-    assert asked("--parcel", "S", *flags).case().purpose == purpose
+def test_purposes():
+    for flags, purpose in {
+        "": Sort(-1),
+        "--side left": Sort(1),
+        "--purpose slow": Slow(0.5),
+        "--purpose slow --ratio 0.7 --tolerance 0.1": Slow(0.7, 0.1),
+        "--purpose stop": Stop(),
+        "--purpose stop --place 0.4 --tolerance 0.1": Stop(0.4, 0.1),
+        "--purpose turn": Turn(),
+        "--purpose turn --angle-deg -20": Turn(math.radians(-20.0)),
+    }.items():
+        assert asked("--parcel", "S", *flags.split()).case().purpose == purpose
 
 
-def test_parcels() -> None:
+def test_parcels():
     assert asked("--parcel", "0.3x0.4").case().parcel.base == sg.Rectangle(0.3, 0.4)
     assert asked("--parcel", "B").case().parcel == sg.layouts.box("B")
     assert asked("--disc", "0.2", "--mass", "12").case().parcel == sg.Parcel(sg.Disc(0.2), 12.0)
@@ -51,26 +47,23 @@ def test_parcels() -> None:
     assert loaded.parcel.inertia == 0.3
 
 
-def test_the_surface_and_what_is_unknown() -> None:
+def test_the_surface_and_what_is_unknown():
     case = asked(
         "--parcel", "S", "--pitch", "0.1x0.12", "--tilt-deg", "5", "--friction", "0.1",
         "--unevenness", "0", "--com-spread", "0.2", "--heading-deg", "3", "--mu-max", "0.6",
     ).case()  # fmt: skip
-    assert case.pitch == (0.1, 0.12)
-    assert case.mu_max == 0.6
-    assert case.tilt == pytest.approx(math.radians(5.0))
-    assert case.unknown.friction == 0.1
-    assert case.unknown.com_offset == 0.2
-    assert case.unknown.heading == pytest.approx(math.radians(3.0))
-    assert case.unknown.groups == ("friction", "load", "entry", "together")
+    unknown = case.unknown
+    assert (case.pitch, case.mu_max) == ((0.1, 0.12), 0.6)
+    assert (case.tilt, unknown.heading) == pytest.approx((math.radians(5.0), math.radians(3.0)))
+    assert (unknown.friction, unknown.com_offset) == (0.1, 0.2)
+    assert unknown.groups == ("friction", "load", "entry", "together")
     assert asked("--parcel", "S", "--pitch", "0.12").case().pitch == 0.12
     assert asked("--parcel", "S").case().draws == 100
     assert asked().workers == usable_cores() >= 1
 
 
-@pytest.mark.parametrize(
-    ("flags", "said"),
-    [
+def test_an_error_names_the_flag():
+    for flags, said in (
         ((), "parcel must be one of --parcel, --disc and --polygon, got none"),
         (("--parcel", "S", "--disc", "0.2"), "got --parcel and --disc"),
         (("--parcel", "0.3"), "parcel must be LxW as 0.3x0.4, S or B, got '0.3'"),
@@ -84,21 +77,16 @@ def test_the_surface_and_what_is_unknown() -> None:
         (("--parcel", "S", "--tolerance", "1"), "tolerance must not be given to sort"),
         (("--parcel", "S", "--purpose", "stop", "--tolerance", "1"), "with --place only"),
         (("--parcel", "S", "--workers", "0"), "workers must be a whole number of at least 1"),
-    ],
-)
-def test_an_error_names_the_flag(flags: tuple[str, ...], said: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(said)):
-        asked(*flags).case()
+    ):
+        with pytest.raises(ValueError, match=re.escape(said)):
+            asked(*flags).case()
 
 
 OWN = ("--parcel", "0.3x0.4", "--speed", "1.2", "--draws", "4", "--workers", "1")
 QUICK = {
-    "columns": (),
     "speed": ("--highest", "1.5"),
     "tilt": ("--highest-deg", "3"),
-    "friction": (),
     "map": ("--cells", "3"),
-    "sensitivity": (),
     "layout": (
         "--columns", "6", "--speeds", "1.0", "1.2", "--speed-step", "0.1", "--members", "5",
         "--epochs", "1",
@@ -107,19 +95,18 @@ QUICK = {
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """The one line that a command ends with."""
+    """The error of a command that ends with it, in one line."""
     with pytest.raises(SystemExit) as ended:
         cli.main(arguments)
     assert ended.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
-    return line
+    assert line.startswith("error: ")
+    return line[7:]
 
 
-@pytest.mark.parametrize("question", QUICK)
-def test_a_question_is_answered_first_in_a_sentence_then_in_files(
-    question: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    cli.main([question, *OWN, *QUICK[question], "--out", str(tmp_path)])
+@pytest.mark.parametrize("question", sorted(set(cli.QUESTIONS) - {"control"}))
+def test_a_question_is_answered_first_in_a_sentence_then_in_files(question, tmp_path, capsys):
+    cli.main([question, *OWN, *QUICK.get(question, ()), "--out", str(tmp_path)])
     first, *rest = capsys.readouterr().out.splitlines()
     assert first.endswith(".")
     assert "columns of 4 rows" in first
@@ -134,55 +121,18 @@ def test_a_question_is_answered_first_in_a_sentence_then_in_files(
         assert all(len(row) == len(header) for row in rows)
 
 
-def test_every_question_is_tried_above() -> None:
-    assert set(QUICK) == set(cli.QUESTIONS) - {"control"}
-
-
-def test_the_columns_of_the_issue(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_columns_are_answered_and_mass_is_said_to_cancel_where_it_does(tmp_path, capsys):
     """How many columns for a 0.3 x 0.4 m parcel of 12 kg at 1.2 m/s."""
-    cli.main(["columns", *OWN, "--mass", "12", "--rows", "4", "--out", str(tmp_path)])
+    flags = [*OWN, "--mass", "12", "--out", str(tmp_path)]
+    cli.main(["columns", *flags, "--rows", "4"])
     first, second = capsys.readouterr().out.splitlines()[:2]
     assert first.startswith("6 columns of 4 rows (24 modules at +45 deg)")
     assert second.startswith("Mass cancels out of the motion")
-
-
-def test_mass_is_not_said_to_cancel_where_it_counts(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    cli.main(["sensitivity", *OWN, "--mass", "12", "--inertia", "0.3", "--out", str(tmp_path)])
+    cli.main(["sensitivity", *flags, "--inertia", "0.3"])
     assert "cancels" not in capsys.readouterr().out
 
 
-def test_answers_do_not_depend_on_the_workers(tmp_path: Path) -> None:
-    for workers in ("1", "2"):
-        cli.main(
-            ["sensitivity", *OWN[:-1], workers, "--columns", "6", "--out", str(tmp_path / workers)]
-        )
-    one, two = ((tmp_path / workers / "sensitivity.csv").read_text() for workers in ("1", "2"))
-    assert one == two
-
-
-def test_a_map_that_is_stopped_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    flags = ["map", *OWN, "--cells", "3", "--out", str(tmp_path)]
-    monkeypatch.setattr(cli, "Progress", stopping_after(20))
-    with pytest.raises(SystemExit) as ended:
-        cli.main(flags)
-    assert ended.value.code == cli.STOPPED
-    assert capsys.readouterr().err == "stopped; --resume goes on\n"
-    monkeypatch.undo()
-
-    before = np.load(tmp_path / "map.npz")["found"]
-    assert np.isnan(before).any()
-    assert not np.isnan(before).all()
-    cli.main([*flags, "--resume"])
-    resumed = (tmp_path / "map.csv").read_text()
-    cli.main(flags)
-    assert resumed == (tmp_path / "map.csv").read_text()
-
-
-def stopping_after(runs: int) -> Callable[..., object]:
+def stopping_after(runs: int) -> type[cli.Progress]:
     """A bar at which somebody presses Ctrl-C when so many runs are done."""
 
     class Stopping(cli.Progress):
@@ -193,94 +143,69 @@ def stopping_after(runs: int) -> Callable[..., object]:
     return Stopping
 
 
-def test_a_question_that_keeps_nothing_just_stops(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(cli, "Progress", stopping_after(0))
-    with pytest.raises(SystemExit):
-        cli.main(["sensitivity", *OWN, "--out", str(tmp_path)])
-    assert capsys.readouterr().err == "stopped\n"
+def test_a_map_that_is_stopped_goes_on_and_other_questions_just_stop(tmp_path, monkeypatch, capsys):
+    flags = ["map", *OWN, "--cells", "3", "--out", str(tmp_path)]
+    other = ["sensitivity", *OWN, "--out", str(tmp_path)]
+    for asked, runs, said in ((flags, 20, "stopped; --resume goes on\n"), (other, 0, "stopped\n")):
+        monkeypatch.setattr(cli, "Progress", stopping_after(runs))
+        with pytest.raises(SystemExit) as ended:
+            cli.main(asked)
+        assert (ended.value.code, capsys.readouterr().err) == (cli.STOPPED, said)
+    monkeypatch.undo()
 
-
-def test_resuming_another_map_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    flags = ["map", *OWN, "--cells", "2", "--columns", "6", "--out", str(tmp_path)]
+    unknown = np.isnan(np.load(tmp_path / "map.npz")["found"])
+    assert unknown.any()
+    assert not unknown.all()
+    cli.main([*flags, "--resume"])
+    resumed = (tmp_path / "map.csv").read_text()
     cli.main(flags)
+    assert resumed == (tmp_path / "map.csv").read_text()
     capsys.readouterr()
     line = refused(capsys, *flags, "--resume", "--seed", "1")
-    assert line.startswith("error: checkpoint must be of this map")
+    assert line.startswith("checkpoint must be of this map")
     assert line.endswith("another seed: 0, not 1")
 
 
-def test_a_flag_that_is_not_allowed_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = ("--out", str(tmp_path / "none"))
-    line = refused(capsys, "friction", "--parcel", "S", "--ratio", "0.5", *out)
-    assert line == "error: ratio must not be given to sort"
-    assert not (tmp_path / "none").exists()
-    line = refused(capsys, "friction", "--parcel", "S", "--speed", "0.3", *out)
-    assert line.startswith("error: columns must be given")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "error"),
-    [
-        (
-            ("columns", *OWN, "--columns", "3"),
-            "columns must not be given: they are what is asked for",
-        ),
-        (
-            ("layout", *OWN, "--speeds", "2", "1"),
-            "speeds must be the least and the most, got (2.0, 1.0)",
-        ),
+def test_a_flag_that_a_question_does_not_take_is_one_line(tmp_path, capsys):
+    for arguments, error in (
+        (("friction", "--parcel", "S", "--ratio", "0.5"), "ratio must not be given to sort"),
+        (("friction", "--parcel", "S", "--speed", "0.3"), "columns must be given"),
+        (("columns", *OWN, "--columns", "3"), "columns must not be given: they are what is asked"),
+        (("layout", *OWN, "--speeds", "2", "1"), "speeds must be the least and the most, got (2.0"),
         (("map", *OWN, "--cells", "0"), "cells must be a whole number of at least 1, got 0"),
-    ],
-)
-def test_a_flag_that_a_question_does_not_take_is_one_line(
-    arguments: tuple[str, ...], error: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert refused(capsys, *arguments, "--out", str(tmp_path)) == f"error: {error}"
+    ):
+        assert refused(capsys, *arguments, "--out", str(tmp_path / "none")).startswith(error)
 
 
-def test_a_folder_that_cannot_be_made_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_refused_question_makes_no_folder_and_one_that_cannot_be_made_is_named(tmp_path, capsys):
+    refused(capsys, "friction", "--parcel", "S", "--ratio", "0.5", "--out", str(tmp_path / "none"))
+    assert not (tmp_path / "none").exists()
     (tmp_path / "file").write_text("")
-    line = refused(capsys, "columns", *OWN, "--out", str(tmp_path / "file"))
-    assert line.startswith("error: ")
-    assert "file" in line
+    assert "file" in refused(capsys, "columns", *OWN, "--out", str(tmp_path / "file"))
 
 
-HEAVY = ("matplotlib", "rich", "torch", "tyro", "agents")
+def run(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
 
 
-def test_the_package_imports_none_of_them() -> None:
-    code = (
+def test_neither_the_package_nor_its_help_imports_what_is_heavy():
+    heavy = ("matplotlib", "rich", "torch", "tyro", "agents")
+    done = run(
         "import sys, surface_gym.design\n"
-        f"print([name for name in {HEAVY!r} if name in sys.modules])"
+        f"print([name for name in {heavy!r} if name in sys.modules])\n"
+        "from surface_gym.design import cli\n"
+        "try: cli.main(['map', '--help'])\n"
+        "except SystemExit: print('matplotlib' in sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert done.stdout.startswith("[]\n"), done.stderr
+    assert done.stdout.endswith("False\n")
 
 
-def test_a_missing_matplotlib_is_reported_before_anything_is_computed(tmp_path: Path) -> None:
-    code = (
+def test_a_missing_matplotlib_is_reported_before_anything_is_computed(tmp_path):
+    done = run(
         "import runpy, sys; sys.modules['matplotlib'] = None; "
         f"sys.argv = ['it', 'columns', '--parcel', 'S', '--out', {str(tmp_path / 'none')!r}]; "
         "runpy.run_module('surface_gym.design', run_name='__main__')"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert "needs matplotlib, which is not installed: pip install" in done.stderr
     assert not (tmp_path / "none").exists()
-
-
-def test_help_does_not_import_matplotlib() -> None:
-    code = (
-        "import sys; from surface_gym.design import cli\n"
-        "try: cli.main(['map', '--help'])\n"
-        "except SystemExit: print('matplotlib' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.endswith("False\n")

@@ -3,15 +3,14 @@
 import csv
 import math
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import replace
 
-import numpy as np
 import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
 from surface_gym.design.best_layout import best_layout
-from surface_gym.design.case import NOTHING, Case, Purpose, Slow, Sort, Stop, Turn, describe_base
+from surface_gym.design.case import NOTHING, Case, Slow, Sort, Stop, Turn, describe_base
 from surface_gym.design.columns import ColumnsReport, columns_by_rows, columns_by_speed
 from surface_gym.design.limits import friction_range, least_speed, least_tilt
 from surface_gym.design.report import DPI, LINES, Answer, Table, format_cell, write_csv
@@ -21,21 +20,20 @@ from surface_gym.design.sweep import sensitivity, success_map
 BOX = layouts.box("S")
 CASE = Case(BOX, Sort(), speed=1.2, draws=5)
 LOST = Case(BOX, Sort(), speed=0.3, draws=5)
-TRIANGLE = sg.Polygon(np.array([(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)]))
 SPEEDS = (0.3, 1.2)
 EFFORT = Effort(members=5, generations=1, epochs=1, rounds=0)
+CASES = {
+    "sort": (CASE, 4),
+    "sort, nothing unknown": (replace(CASE, unknown=NOTHING), 4),
+    "sort, never": (Case(BOX, Sort(), speed=0.2, draws=5), 2),
+    "turn": (Case(BOX, Turn(), speed=1.5, draws=5), 6),
+}
 
 
 def columns_of(case: Case, speeds: tuple[float, ...] = SPEEDS) -> ColumnsReport:
     return ColumnsReport(case, columns_by_rows(case), speeds, columns_by_speed(case, speeds))
 
 
-CASES = {
-    "sort": (CASE, 4),
-    "sort, nothing unknown": (Case(BOX, Sort(), speed=1.2, unknown=NOTHING), 4),
-    "sort, never": (Case(BOX, Sort(), speed=0.2, draws=5), 2),
-    "turn": (Case(BOX, Turn(), speed=1.5, draws=5), 6),
-}
 ANSWERS: dict[str, Callable[[Case, int], Answer]] = {
     "columns": lambda case, _: columns_of(case),
     "speed": lambda case, columns: least_speed(case, columns, highest=2.0),
@@ -48,9 +46,7 @@ ANSWERS: dict[str, Callable[[Case, int], Answer]] = {
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("name", ANSWERS)
-def test_an_answer_is_a_sentence_tables_and_a_figure_with_its_question(
-    name: str, case: str, tmp_path: Path
-) -> None:
+def test_an_answer_is_a_sentence_tables_and_a_figure_with_its_question(name, case, tmp_path):
     answer = ANSWERS[name](*CASES[case])
     assert answer.name == name
     assert answer.sentence
@@ -66,28 +62,19 @@ def test_an_answer_is_a_sentence_tables_and_a_figure_with_its_question(
     assert figure.axes[0].get_ylabel() or name == "sensitivity"
 
 
-def test_a_map_of_one_cell_has_no_contours(tmp_path: Path) -> None:
-    success_map(CASE, 4, [1.0], [1.0]).draw().savefig(tmp_path / "map.png")
-
-
-def test_lines_differ_in_colour_and_in_style() -> None:
+def test_lines_differ_in_colour_and_in_style():
     assert len({colour for colour, _ in LINES.values()}) == len(LINES)
     alone = [style for group, (_, style) in LINES.items() if group not in ("nominal", "together")]
     assert len({str(style) for style in alone}) == len(alone)
 
 
-@pytest.mark.parametrize(
-    ("cell", "text"),
-    [
-        (None, "-"), (math.nan, "-"), (True, "yes"), (False, "no"), (3, "3"), (0.12345, "0.123"),
-        ("+45 deg", "+45 deg"),
-    ],
-)  # fmt: skip
-def test_a_cell_on_screen(cell: str | float | None, text: str) -> None:
-    assert format_cell(cell) == text
-
-
-def test_csv_keeps_numbers_in_full_and_missing_cells_empty(tmp_path: Path) -> None:
+def test_cells_on_screen_and_in_a_file(tmp_path):
+    cells = {
+        "-": (None, math.nan), "yes": (True,), "no": (False,), "3": (3,), "0.123": (0.12345,),
+        "+45 deg": ("+45 deg",),
+    }  # fmt: skip
+    for text, same in cells.items():
+        assert [format_cell(cell) for cell in same] == [text] * len(same)
     table = Table("some", "Some", ("a", "b", "c"), ((0.1 + 0.2, None, math.nan), (1, True, "x")))
     with write_csv(table, tmp_path).open(newline="") as file:
         rows = list(csv.reader(file))
@@ -96,44 +83,39 @@ def test_csv_keeps_numbers_in_full_and_missing_cells_empty(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("purpose", "action", "passive"),
+    ("purpose", "done", "how"),
     [
-        (Sort(), "sort it", "be sorted"),
-        (Slow(0.7), "slow it to 0.7 or less of its speed", "be slowed to 0.7 or less of its speed"),
-        (
-            Slow(0.7, 0.1), "slow it to 0.7 +- 0.1 of its speed",
-            "be slowed to 0.7 +- 0.1 of its speed",
-        ),
-        (Stop(), "stop it", "be stopped"),
-        (
-            Stop(0.3), "stop it within 0.05 m of 0.3 m into the zone",
-            "be stopped within 0.05 m of 0.3 m into the zone",
-        ),
-        (Turn(), "turn it by 30 +- 5 deg", "be turned by 30 +- 5 deg"),
+        (Sort(), "sorted", ""),
+        (Slow(0.7), "slowed", " to 0.7 or less of its speed"),
+        (Slow(0.7, 0.1), "slowed", " to 0.7 +- 0.1 of its speed"),
+        (Stop(), "stopped", ""),
+        (Stop(0.3), "stopped", " within 0.05 m of 0.3 m into the zone"),
+        (Turn(), "turned", " by 30 +- 5 deg"),
     ],
-)  # fmt: skip
-def test_a_purpose_in_words(purpose: Purpose, action: str, passive: str) -> None:
-    assert (purpose.action, purpose.passive) == (action, passive)
+)
+def test_a_purpose_in_words(purpose, done, how):
+    act = {"slowed": "slow", "stopped": "stop"}.get(done, done.removesuffix("ed"))
+    assert (purpose.action, purpose.passive) == (f"{act} it{how}", f"be {done}{how}")
 
 
-def test_a_base_in_words() -> None:
+def test_a_base_in_words():
+    triangle = sg.Polygon([(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)])
     assert describe_base(sg.Rectangle(0.3, 0.4)) == "0.3 x 0.4 m parcel"
     assert describe_base(sg.Disc(0.2)) == "round parcel of 0.2 m radius"
-    assert describe_base(TRIANGLE) == "parcel of 3 corners"
+    assert describe_base(triangle) == "parcel of 3 corners"
 
 
-def test_columns_by_group_by_rows_and_by_speed() -> None:
+def test_columns_by_group_by_rows_and_by_speed():
     report = columns_of(CASE)
     own, rows, by_speed = report.tables()
-    assert [row[0] for row in own.rows] == [
-        "nothing", "friction", "load", "unevenness", "all together",
-    ]  # fmt: skip
+    groups = ["nothing", "friction", "load", "unevenness", "all together"]
+    assert [row[0] for row in own.rows] == groups
     assert [row[0] for row in rows.rows] == [1, 2]
     assert rows.rows[1][1:4] == (4, 8, "+45 deg")
     assert by_speed.rows[0][:3] == (0.3, 2, None)  # at this speed no number is enough
     assert not by_speed.shown
     assert report.sentence.endswith("; for 95% of the draws, 4")
-    assert columns_of(Case(BOX, Sort(), speed=1.2, unknown=NOTHING), ()).sentence == (
+    assert columns_of(replace(CASE, unknown=NOTHING), ()).sentence == (
         "4 columns of 2 rows (8 modules at +45 deg) are what it takes to sort it, a 0.25 x 0.25 m "
         "parcel that comes at 1.2 m/s"
     )
@@ -142,12 +124,25 @@ def test_columns_by_group_by_rows_and_by_speed() -> None:
     assert "no number does it in 95% of the draws" in columns_of(turn, ()).sentence
 
 
-def test_limits_and_their_curves() -> None:
+def test_limits_and_their_curves_a_tilt_in_degrees_and_both_coefficients_of_friction():
     found = least_speed(CASE, columns=4, highest=1.5)
     table, curve = found.tables()
     assert table.rows[0] == ("nothing", found.spans[0].least, found.spans[0].most, 1.0)
     assert len(curve.rows) == sum(len(span.values) for span in found.spans)
     assert {row[0] for row in curve.rows} == {row[0] for row in table.rows}
+    found = least_tilt(Case(BOX, Sort(), 0.0, math.radians(10.0), NOTHING), columns=4)
+    table, curve = found.tables()
+    assert table.header[1] == "least [deg]"
+    assert table.rows[0][1] == pytest.approx(3.6)
+    assert curve.rows[-1][1] == pytest.approx(15.0)
+    assert "3.6 deg or more for" in found.sentence
+    found = friction_range(CASE, columns=4)
+    table, curve = found.tables()
+    assert [row[0] for row in table.rows] == ["factor on mu_max"] * 4 + ["factor on mu_min"] * 4
+    assert {row[0] for row in curve.rows} == {"factor on mu_max", "factor on mu_min"}
+    assert "mu_max may be 0.3" in found.sentence
+    assert "times 0.5 and mu_min may be" in found.sentence
+    assert "for 95% of the draws of what else is unknown, mu_max" in found.sentence
 
 
 @pytest.mark.parametrize(
@@ -159,30 +154,11 @@ def test_limits_and_their_curves() -> None:
         (Case(BOX, Sort(), 1.0, 0.25, NOTHING), 3, 3.0, "m/s or less for"),
     ],
 )
-def test_spans_in_words(case: Case, columns: int, highest: float, text: str) -> None:
+def test_spans_in_words(case, columns, highest, text):
     assert text in least_speed(case, columns, highest=highest).sentence
 
 
-def test_a_tilt_is_reported_in_degrees() -> None:
-    found = least_tilt(Case(BOX, Sort(), 0.0, math.radians(10.0), NOTHING), columns=4)
-    table, curve = found.tables()
-    assert table.header[1] == "least [deg]"
-    assert table.rows[0][1] == pytest.approx(3.6)
-    assert curve.rows[-1][1] == pytest.approx(15.0)
-    assert "3.6 deg or more for" in found.sentence
-
-
-def test_friction_for_both_coefficients() -> None:
-    found = friction_range(CASE, columns=4)
-    table, curve = found.tables()
-    assert [row[0] for row in table.rows] == ["factor on mu_max"] * 4 + ["factor on mu_min"] * 4
-    assert {row[0] for row in curve.rows} == {"factor on mu_max", "factor on mu_min"}
-    assert "mu_max may be 0.3" in found.sentence
-    assert "times 0.5 and mu_min may be" in found.sentence
-    assert "for 95% of the draws of what else is unknown, mu_max" in found.sentence
-
-
-def test_a_map_by_size_and_by_cell() -> None:
+def test_a_map_by_size_and_by_cell_and_one_cell_without_contours(tmp_path):
     found = success_map(CASE, 4, [0.3, 1.0, 1.5], [0.8, 1.0])
     sizes, cells = found.tables()
     assert sizes.rows[1][:3] == (1.0, 1.0, 1.5)
@@ -191,9 +167,10 @@ def test_a_map_by_size_and_by_cell() -> None:
     assert cells.rows[3] == (1.0, 0.3, False, 0.0)
     assert "67% of these speeds and sizes" in found.sentence
     assert "no speed and size here" in success_map(CASE, 4, [0.3], [1.0]).sentence
+    success_map(CASE, 4, [1.0], [1.0]).draw().savefig(tmp_path / "map.png")
 
 
-def test_sensitivity_field_by_field() -> None:
+def test_sensitivity_field_by_field():
     found = sensitivity(Case(BOX, Turn(), speed=1.5, draws=5), columns=6)
     (table,) = found.tables()
     assert table.title == "Angle on leaving the zone [deg]"
@@ -204,7 +181,7 @@ def test_sensitivity_field_by_field() -> None:
     assert "all succeed" in sensitivity(CASE, columns=4).sentence
 
 
-def test_a_layout_beside_the_study_s() -> None:
+def test_a_layout_beside_the_study_s():
     found = best_layout(CASE, SPEEDS, 6, effort=EFFORT)
     both, speeds, axes = found.tables()
     assert [row[0] for row in both.rows] == ["best fixed layout", "+45 deg"]

@@ -58,7 +58,7 @@ def then_stop(parse: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @pytest.fixture
-def stopping(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+def stopping(monkeypatch):
     """Make programs stop when they have parsed their arguments."""
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(tyro, "cli", then_stop(tyro.cli))
@@ -68,17 +68,8 @@ def stopping(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     return monkeypatch
 
 
-def split_program(words: list[str]) -> tuple[str, bool, list[str]]:
-    """Return of `python ...` the file or module, whether it is a module, and the arguments."""
-    if words[1] == "-m":
-        return words[2], True, words[3:]
-    return words[1], False, words[2:]
-
-
 @pytest.mark.parametrize(("page", "command"), COMMANDS)
-def test_a_program_accepts_the_command(
-    page: str, command: str, stopping: pytest.MonkeyPatch
-) -> None:
+def test_a_program_accepts_the_command(page, command, stopping):
     words = [STAND_INS.get(word, word) for word in shlex.split(command)]
     if words[0] in OTHERS or "QUESTION" in words:
         return
@@ -93,18 +84,15 @@ def test_a_program_accepts_the_command(
             begin = partial(import_module("surface_gym.play").main, arguments)
     else:
         assert words[0] == "python", page
-        program, is_module, arguments = split_program(words)
+        is_module = words[1] == "-m"
+        program, *arguments = words[1 + is_module :]
         if program.startswith(APART):
             assert is_module or (ROOT / program).is_file()
             return
         stopping.setattr(sys, "argv", [program, *arguments])
         stopping.delitem(sys.modules, program, raising=False)  # runpy begins with a fresh one
-
-        def begin() -> Any:
-            if is_module:
-                return runpy.run_module(program, run_name="__main__")
-            return runpy.run_path(str(ROOT / program), run_name="__main__")
-
+        run = runpy.run_module if is_module else runpy.run_path
+        begin = partial(run, program, run_name="__main__")
     if program in ("train.py", "train") and "--resume" in arguments:
         assert arguments in [["--resume", folder] for folder in RESUMED]
         return
@@ -121,15 +109,10 @@ def test_a_program_accepts_the_command(
         begin()
 
 
-def test_the_commands_are_found() -> None:
+def test_the_commands_are_found_and_an_unknown_flag_is_refused(stopping, capsys):
     commands = [command for _, command in COMMANDS]
     for program in ("train.py", "evaluate.py", "surface-gym design", "surface-gym paper"):
         assert any(program in command for command in commands)
-
-
-def test_an_unknown_flag_is_refused(
-    stopping: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
     stopping.setattr(sys, "argv", ["train.py", "--no-such-flag", "3"])
     with pytest.raises(SystemExit):
         runpy.run_path(str(ROOT / "train.py"), run_name="__main__")

@@ -1,11 +1,11 @@
-"""Links of pages lead somewhere, and pictures are made by the command that makes them."""
+"""Links of pages lead somewhere; pictures and films are made by the commands that make them."""
 
 import re
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from pkgutil import resolve_name
 
+import numpy as np
 import pytest
 
 from tests.docs.reading import DOCS, PAGES, ROOT, prose
@@ -19,7 +19,7 @@ NAMED = re.compile(r"images/([\w-]+\.\w+)")
 
 
 @pytest.fixture
-def pictures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Callable[[Path], None]]:
+def pictures(monkeypatch):
     """Functions of `docs/pictures.py` that make a picture, by its name."""
     monkeypatch.syspath_prepend(DOCS)
     monkeypatch.delitem(sys.modules, "pictures", raising=False)
@@ -36,7 +36,7 @@ def find_anchors(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_each_link_leads_somewhere(page: str) -> None:
+def test_each_link_leads_somewhere_and_each_name_of_the_package_exists(page):
     for link in LINK.findall(prose(page)):
         if link.startswith(ELSEWHERE):
             continue
@@ -45,51 +45,25 @@ def test_each_link_leads_somewhere(page: str) -> None:
         assert target.exists(), link
         if anchor and target.suffix == ".md":
             assert anchor in find_anchors(target), link
-
-
-@pytest.mark.parametrize("page", [*PAGES, "CONTRIBUTING.md"])
-def test_each_file_that_is_named_exists(page: str) -> None:
-    for path in FILE.findall((ROOT / page).read_text()):
-        assert "NAME" in path or any(ROOT.glob(path)), path
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_each_name_of_the_package_exists(page: str) -> None:
     for name in DOTTED.findall((ROOT / page).read_text()):
         assert resolve_name(name) is not None
 
 
-def test_every_picture_is_made_by_the_command(
-    pictures: dict[str, Callable[[Path], None]],
-) -> None:
+@pytest.mark.parametrize("page", [*PAGES, "CONTRIBUTING.md"])
+def test_each_file_that_is_named_exists(page):
+    for path in FILE.findall((ROOT / page).read_text()):
+        assert "NAME" in path or any(ROOT.glob(path)), path
+
+
+def test_every_picture_is_made_by_the_command_shown_small_and_in_its_help(pictures, capsys):
     """`python docs/pictures.py` makes what there is, and nothing else."""
     assert {file.name for file in (DOCS / "images").iterdir()} == set(pictures)
-
-
-def test_every_picture_is_shown(pictures: dict[str, Callable[[Path], None]]) -> None:
     shown = {name for page in PAGES for name in NAMED.findall((ROOT / page).read_text())}
     assert shown >= set(pictures)
-
-
-def test_videos_are_small() -> None:
     videos = list((DOCS / "images").glob("*.webp"))
     assert len(videos) == 7
     for video in videos:
         assert video.stat().st_size <= VIDEO, video.name
-
-
-@pytest.mark.parametrize("name", ["sort.png", "checkered.png", "alignment.png"])
-def test_a_picture_is_made_the_same_again(
-    name: str, pictures: dict[str, Callable[[Path], None]], tmp_path: Path
-) -> None:
-    pictures[name](tmp_path / name)
-    same = (tmp_path / name).read_bytes() == (DOCS / "images" / name).read_bytes()
-    assert same, f"python docs/pictures.py --only {name}"  # pytest would compare the bytes for long
-
-
-def test_the_help_lists_every_picture(
-    pictures: dict[str, Callable[[Path], None]], capsys: pytest.CaptureFixture[str]
-) -> None:
     from pictures import main
 
     with pytest.raises(SystemExit):
@@ -100,3 +74,29 @@ def test_the_help_lists_every_picture(
     help_text = "".join(capsys.readouterr().out.split())  # lines may break at a hyphen
     for name in pictures:
         assert name in help_text
+
+
+@pytest.mark.parametrize("name", ["sort.png", "checkered.png", "alignment.png"])
+def test_a_picture_is_made_the_same_again(name, pictures, tmp_path):
+    pictures[name](tmp_path / name)
+    same = (tmp_path / name).read_bytes() == (DOCS / "images" / name).read_bytes()
+    assert same, f"python docs/pictures.py --only {name}"  # pytest would compare the bytes for long
+
+
+def test_a_film_shows_each_picture_in_its_colours_and_the_last_stays(tmp_path, monkeypatch):
+    image = pytest.importorskip("PIL.Image", reason="pillow, of the extra `agents`, is missing")
+    monkeypatch.syspath_prepend(DOCS)
+    from encoding import write_film
+
+    pictures = np.full((5, 40, 80, 3), 255, dtype=np.uint8)
+    for place, picture in enumerate(pictures):  # a red square that moves to the right
+        picture[10:30, 10 * place : 10 * place + 20] = (190, 15, 70)
+    for name, width in (("film", 80), ("narrow", 60), ("same", 60)):
+        write_film(list(pictures), 0.04, width, tmp_path / f"{name}.webp")
+    assert (tmp_path / "narrow.webp").read_bytes() == (tmp_path / "same.webp").read_bytes()
+    film = image.open(tmp_path / "film.webp")
+    assert (film.n_frames, film.size, film.info["loop"]) == (5, (80, 40), 0)
+    for place, picture in enumerate(pictures):
+        film.seek(place)
+        np.testing.assert_array_equal(np.asarray(film.convert("RGB")), picture)
+        assert film.info["duration"] == (40 if place < 4 else 1040)

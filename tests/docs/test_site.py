@@ -1,70 +1,120 @@
-"""The site builds without a warning, and asks no other host for anything."""
+"""The site: its notebooks run, its reference shows examples and fields, it builds without a warning
+and asks no other host for anything.
+"""
 
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
-from importlib.util import find_spec
-from pathlib import Path
+import textwrap
 
 import pytest
 
+import surface_gym
+from surface_gym import agents, design
 from tests.docs.reading import DOCS, ROOT
 
-pytestmark = pytest.mark.skipif(
-    find_spec("zensical") is None, reason="zensical, of the extra `docs`, is missing"
-)
-
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 # What a page of the site loads by itself; a link that a reader may follow is none.
 LOADED = re.compile(
     r'<(?:script|img|link rel="(?:stylesheet|preconnect)")[^>]*(?:src|href)="([^"]+)'
 )
+SOURCE = '''
+    """A parcel on its way."""
+
+    from dataclasses import dataclass
+
+
+    @dataclass(frozen=True)
+    class Parcel:
+        """A parcel.
+
+        >>> Parcel(1.0)
+        Parcel(mass=1.0)
+
+        It has a mass.
+        """
+
+        mass: float  # [kg] of all of it
+        # [m] from the middle,
+        # in x and in y
+        offset: tuple[float, float] = (0.0, 0.0)
+        name: str = ""
+'''
+
+
+def needed(module: str):
+    return pytest.importorskip(module, reason=f"{module}, of the extra `docs`, is missing")
+
+
+def test_an_example_is_fenced_and_fields_are_listed_with_their_comments(tmp_path):
+    griffe = needed("griffe")
+    (tmp_path / "goods.py").write_text(textwrap.dedent(SOURCE))
+    extensions = griffe.load_extensions(str(DOCS / "docstrings.py"))
+    parcel = griffe.load("goods", search_paths=[tmp_path], extensions=extensions)["Parcel"]
+    text = parcel.docstring.value
+    assert "```pycon\n>>> Parcel(1.0)\nParcel(mass=1.0)\n```\n\nIt has a mass." in text
+    *_, listed = parcel.docstring.parse("google")
+    assert {field.name: field.description for field in listed.value} == {
+        "mass": "[kg] of all of it",
+        "offset": "[m] from the middle, in x and in y",
+    }
+
+
+@pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
+class TestNotebook:
+    def test_it_is_stored_without_results(self, file):
+        cells = json.loads(file.read_text())["cells"]
+        assert all(not cell.get("outputs") for cell in cells)
+        assert all(cell.get("execution_count") is None for cell in cells)
+
+    def test_it_runs(self, file, tmp_path, monkeypatch):
+        nbclient, nbformat, _ = map(needed, ("nbclient", "nbformat", "ipykernel"))
+        monkeypatch.setenv("PYTHONPATH", str(ROOT))
+        notebook = nbformat.read(file, as_version=4)
+        for cell in notebook.cells:  # as much as shows that it works
+            cell.source = cell.source.replace("STEPS = 300_000", "STEPS = 20_000")
+        options = {"timeout": 300, "resources": {"metadata": {"path": tmp_path}}}
+        nbclient.NotebookClient(notebook, kernel_name="python3", **options).execute()
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory):
     """The built site; the checkout is left as it is."""
+    needed("zensical")
     copy = tmp_path_factory.mktemp("checkout")
+    ignored = shutil.ignore_patterns("__pycache__", "shipped")
     for folder in ("docs", "surface_gym", "agents"):
-        shutil.copytree(
-            ROOT / folder, copy / folder, ignore=shutil.ignore_patterns("__pycache__", "shipped")
-        )
+        shutil.copytree(ROOT / folder, copy / folder, ignore=ignored)
     shutil.copy(ROOT / "mkdocs.yml", copy)
-    done = subprocess.run(
-        [sys.executable, "-m", "zensical", "build", "--strict"],
-        cwd=copy,
-        capture_output=True,
-        text=True,
-        env={**os.environ, "NO_COLOR": "1"},
-    )
+    build = [sys.executable, "-m", "zensical", "build", "--strict"]
+    quiet = {**os.environ, "NO_COLOR": "1"}
+    done = subprocess.run(build, cwd=copy, capture_output=True, text=True, env=quiet)
     assert done.returncode == 0, done.stdout + done.stderr
     return copy / "build" / "site"
 
 
-def test_every_page_is_built(site: Path) -> None:
-    for page in DOCS.glob("**/*.md"):
-        name = page.relative_to(DOCS).with_suffix("")
-        folder = name.parent if name.name == "index" else name
-        assert (site / folder / "index.html").is_file(), page
+class TestSite:
+    def test_every_page_is_built(self, site):
+        for page in DOCS.glob("**/*.md"):
+            name = page.relative_to(DOCS).with_suffix("")
+            folder = name.parent if name.name == "index" else name
+            assert (site / folder / "index.html").is_file(), page
 
+    def test_no_other_host_is_asked(self, site):
+        for page in site.glob("**/*.html"):
+            for loaded in LOADED.findall(page.read_text()):
+                assert not loaded.startswith(("http:", "https:", "//")), (page, loaded)
 
-def test_no_other_host_is_asked(site: Path) -> None:
-    for page in site.glob("**/*.html"):
-        for loaded in LOADED.findall(page.read_text()):
-            assert not loaded.startswith(("http:", "https:", "//")), (page, loaded)
-
-
-def test_public_names_stand_in_the_reference(site: Path) -> None:
-    import surface_gym
-    from surface_gym import agents, design
-
-    reference = "".join(page.read_text() for page in (site / "api").glob("*/index.html"))
-    names = {
-        "surface_gym": set(surface_gym.__all__) - {"lines", "sensors", "tasks"},
-        "surface_gym.design": design.__all__,
-        "agents": agents.__all__,
-    }
-    for module, public in names.items():
-        for name in public:
-            assert f'id="{module}.{name}"' in reference, name
+    def test_public_names_stand_in_the_reference(self, site):
+        reference = "".join(page.read_text() for page in (site / "api").glob("*/index.html"))
+        names = {
+            "surface_gym": set(surface_gym.__all__) - {"lines", "sensors", "tasks"},
+            "surface_gym.design": design.__all__,
+            "agents": agents.__all__,
+        }
+        for module, public in names.items():
+            for name in public:
+                assert f'id="{module}.{name}"' in reference, name

@@ -7,16 +7,8 @@ import pytest
 from scipy.optimize import linprog
 
 from surface_gym import layouts
-from surface_gym.paper.runs import (
-    COARSE,
-    NONE,
-    SMOOTH,
-    Integration,
-    SlowingLayout,
-    rotor_columns,
-    slowing_surface,
-    tipping_share,
-)
+from surface_gym.paper import runs
+from surface_gym.paper.runs import COARSE, NONE, SlowingLayout, rotor_columns, tipping_share
 from surface_gym.trajectory import Trajectory
 
 GRAVITY = 9.81
@@ -35,20 +27,13 @@ def missed_moments(surface, pose, acceleration):
     count = arms.shape[1]
     # Shares of the weight, and the largest miss, which is made small.
     bounds = np.block([[arms, -np.ones((2, 1))], [-arms, -np.ones((2, 1))]])
-    done = linprog(
-        np.append(np.zeros(count), 1.0),
-        bounds,
-        np.concatenate([load, -load]),
-        np.append(np.ones(count), 0.0)[np.newaxis],
-        [1.0],
-    )
-    return done.fun
+    loads, sums = np.concatenate([load, -load]), np.append(np.ones(count), 0.0)[np.newaxis]
+    return linprog(np.append(np.zeros(count), 1.0), bounds, loads, sums, [1.0]).fun
 
 
-@pytest.mark.parametrize("integration", [COARSE, Integration("implicit", 5e-3)], ids=str)
+@pytest.mark.parametrize("integration", [COARSE, runs.Integration("implicit", 5e-3)], ids=str)
 def test_a_box_tips_where_no_forces_carry_it(integration):
-    layout = SlowingLayout(2, 0)
-    surface = slowing_surface("S", layout)
+    surface = runs.slowing_surface("S", SlowingLayout(2, 0))
     run = integration.run(surface, "S", 1.5, 0.4)
     lead = 0.5 * integration.dt if integration.method == "implicit" else 0.0
     compared = tips = 0
@@ -67,7 +52,6 @@ def test_a_box_tips_where_no_forces_carry_it(integration):
 def test_the_share_counts_the_steps_up_to_a_row():
     tipping = np.array([False, True, True, False, False])
     run = Trajectory(np.arange(5.0), np.zeros((5, 3)), np.zeros((5, 3)), tipping, "duration")
-
     assert tipping_share(run) == 0.5
     assert tipping_share(run, 3) == pytest.approx(2.0 / 3.0)
     assert tipping_share(run, 0) is None
@@ -77,11 +61,10 @@ def test_much_of_the_tipping_is_chatter(reproduction):
     """A rotor across the motion that chatters throws the load to the rim of the two rows."""
     table = reproduction.table("table4")
     coarse, _, smooth = (table.tipping(k)["S"] for k in range(3))
-
     assert coarse[0] > 0.08
     assert smooth[0] < 0.03
     assert 0.1 < smooth[1] < coarse[1] < 0.2
-    assert SMOOTH.method == "implicit"
+    assert runs.SMOOTH.method == "implicit"
     assert table.tipping(0)["B"] == (0.0, 0.0)
 
 
@@ -95,22 +78,16 @@ def columns_by_base_functions(surface, size, pose):
     return (columns.min(), columns.max()) if len(columns) else (NONE, NONE)
 
 
-def test_columns_are_those_of_the_rotors_inside_the_base():
+def test_columns_are_those_of_the_rotors_inside_the_base_and_none_at_the_start():
     rng = np.random.default_rng(7)
     pose = rng.uniform([0.2, 0.5, -np.pi], [1.5, 1.5, np.pi], size=(300, 3))
     for size in ("S", "B"):
         surface = layouts.sorting(size)
-
         first, last = rotor_columns(surface, size, pose)
-
         expected = [columns_by_base_functions(surface, size, row) for row in pose]
         assert np.stack([first, last], axis=-1).tolist() == [list(map(int, e)) for e in expected]
         assert (last == NONE).any()
         assert (last != NONE).any()
-
-
-def test_the_start_lies_wholly_on_the_lead_in():
     for size, lead_in in layouts.LEAD_IN.items():
         _, last = rotor_columns(layouts.sorting(size), size, np.array([layouts.start(size)]))
-
         assert last[0] < lead_in

@@ -26,14 +26,28 @@ def own_process(report: Report) -> int:
     return os.getpid()
 
 
-def dies_at_first(folder: Path, name: str, report: Report) -> int:
-    """Counts its beginnings in a file, and dies in the middle of the first."""
+def counts_beginnings(folder: Path, name: str, report: Report, lasts: float = 1.0) -> int:
+    """Counts its beginnings in a file, and goes on long enough to see another die."""
     with (folder / name).open("a") as file:
         file.write("begun\n")
     report("begun")
-    begun = len((folder / name).read_text().splitlines())
+    time.sleep(lasts)
+    return len((folder / name).read_text().splitlines())
+
+
+def dies_at_first(folder: Path, name: str, report: Report) -> int:
+    """As `counts_beginnings`, but dies in the middle of the first."""
+    begun = counts_beginnings(folder, name, report, lasts=0.0)
     if begun == 1:
         os.kill(os.getpid(), signal.SIGKILL)
+    return begun
+
+
+def waits_for(folder: Path, name: str, sign: str, report: Report) -> int:
+    """As `counts_beginnings`, but goes on until a file appears in the folder."""
+    begun = counts_beginnings(folder, name, report, lasts=0.0)
+    while not (folder / sign).exists():
+        time.sleep(0.05)
     return begun
 
 
@@ -72,28 +86,9 @@ def waits(file: Path, report: Report) -> str:
         raise
 
 
-def counts_beginnings(folder: Path, name: str, report: Report) -> int:
-    """As `dies_at_first`, without dying, and long enough to see another die."""
-    with (folder / name).open("a") as file:
-        file.write("begun\n")
-    report("begun")
-    time.sleep(1.0)
-    return len((folder / name).read_text().splitlines())
-
-
 def reports_for_ever(folder: Path, report: Report) -> None:
     """Goes on for ever, reporting; a file is named after its process."""
     (folder / f"{os.getpid()}.pid").touch()
     while True:
         report("here")
         time.sleep(0.05)
-
-
-def waits_for(folder: Path, name: str, sign: str, report: Report) -> int:
-    """Counts its beginnings in a file, and goes on until a file appears in the folder."""
-    with (folder / name).open("a") as file:
-        file.write("begun\n")
-    report("begun")
-    while not (folder / sign).exists():
-        time.sleep(0.05)
-    return len((folder / name).read_text().splitlines())

@@ -1,17 +1,23 @@
 import pytest
 
-from surface_gym.validation.comparison import PUSHED, Case, Run, run_case
+from surface_gym.validation.comparison import PUSHED, Case, run_case
 
 
 @pytest.fixture(scope="session")
-def tilted() -> Run:
+def mujoco():
+    reason = "MuJoCo, of the extra `validation`, is not installed"
+    return pytest.importorskip("mujoco", reason=reason)
+
+
+@pytest.fixture(scope="session")
+def tilted(mujoco):
     """Figure 12a."""
-    pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
+    del mujoco  # which it needs
     return run_case(Case(10.0))
 
 
 @pytest.fixture(scope="session")
-def pushed() -> Run:
+def pushed(mujoco):
     """Figure 12b."""
-    pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
+    del mujoco  # which it needs
     return run_case(PUSHED)

@@ -10,18 +10,11 @@ import surface_gym as sg
 from surface_gym import validation
 from surface_gym.physics.references import scipy_normal_forces
 from surface_gym.physics.types import GRAVITY
+from surface_gym.validation import simulation
 from surface_gym.validation.drawn import uneven_normal_forces
-from surface_gym.validation.simulation import (
-    BASE,
-    RECIPE,
-    Sides,
-    elements_under,
-    normal_forces,
-    reachable,
-)
+from surface_gym.validation.simulation import BASE, elements_under, reachable
 
-mujoco = pytest.importorskip("mujoco", reason="MuJoCo, of the extra `validation`, is not installed")
-
+pytestmark = pytest.mark.usefixtures("mujoco")
 CENTRE = np.array([1.0, 1.0, 0.3])
 ROTORS = np.arange(400).reshape(20, 20) % 3 == 0
 SURFACE = sg.Surface(axis=np.full((20, 20), math.pi / 2), rotor=ROTORS)
@@ -29,6 +22,8 @@ SURFACE = sg.Surface(axis=np.full((20, 20), math.pi / 2), rotor=ROTORS)
 
 def settled_forces(parcel, surface=SURFACE, heights=None):
     """(rows, columns) [N] under a parcel that stands still, and the depth [m] of its base."""
+    import mujoco
+
     scene = validation.build(surface, parcel, heights=heights)
     data = mujoco.MjData(scene.model)
     turn = CENTRE[2] / 2.0
@@ -36,7 +31,7 @@ def settled_forces(parcel, surface=SURFACE, heights=None):
     for _ in range(2000):
         mujoco.mj_step(scene.model, data)
     force = np.zeros(ROTORS.shape)
-    for geoms, newton in zip(*normal_forces(data), strict=True):
+    for geoms, newton in zip(*simulation.normal_forces(data), strict=True):
         names = {scene.model.geom(geom).name for geom in geoms} - {BASE}
         row, column = map(int, names.pop().split(","))
         force[row, column] += newton
@@ -78,9 +73,8 @@ def test_uneven_supports_share_it_as_the_extended_law_does():
     heights, stiffness = 1e-6 * height, np.exp(0.5 * log_stiffness)
     force, _ = settled_forces(parcel, replace(SURFACE, stiffness=stiffness), heights)
     bearing, arms = arms_from_centre_of_mass(parcel)
-    share = uneven_normal_forces(
-        arms, heights[bearing], RECIPE.stiffness * stiffness[bearing], GRAVITY, np.zeros(2)
-    )
+    springs = simulation.RECIPE.stiffness * stiffness[bearing]
+    share = uneven_normal_forces(arms, heights[bearing], springs, GRAVITY, np.zeros(2))
     assert (share == 0.0).any()  # some hang free
     np.testing.assert_allclose(force[bearing], parcel.mass * share, rtol=0.01, atol=0.01)
 
@@ -88,21 +82,17 @@ def test_uneven_supports_share_it_as_the_extended_law_does():
 def test_the_contact_stiffness_is_the_recipes():
     parcel = sg.Parcel(sg.Disc(0.15), mass=5.48)
     force, sag = settled_forces(parcel)
-    contacts = (force > 0.0).sum()
-    newton_per_metre = parcel.mass * GRAVITY / (contacts * sag)
-    assert newton_per_metre == pytest.approx(3e6, rel=0.01)
+    stiffness = parcel.mass * GRAVITY / ((force > 0.0).sum() * sag)
+    assert stiffness == pytest.approx(3e6, rel=0.01)
 
 
-def test_only_what_is_within_is_built():
+def test_only_what_is_within_reach_is_built_and_a_parcel_stays_within():
     parcel = sg.Parcel(sg.Rectangle(0.25, 0.25))
     within = reachable(SURFACE, parcel, (0.5, 0.5, 0.0), (0.3, 0.0, 0.0), 0.1)
     model = validation.build(SURFACE, parcel, within=within).model
     names = {model.geom(k).name for k in range(model.ngeom)} - {BASE}
     assert names == {f"{row},{column}" for row, column in np.argwhere(within)}
     assert model.nv == 6 + (within & ROTORS).sum()  # the parcel, and a hinge a rotor
-
-
-def test_a_parcel_stays_within_what_it_can_reach():
     surface = sg.layouts.sorting(tilt=math.radians(14.0))
     parcel = sg.Parcel(sg.Rectangle(0.25, 0.25), com_offset=(0.1, 0.1))
     start, velocity = (0.5, 1.0, 0.0), (0.5, -0.5, 6.0)
@@ -112,34 +102,28 @@ def test_a_parcel_stays_within_what_it_can_reach():
     assert all(within[elements_under(surface, parcel, pose)].all() for pose in run.pose)
 
 
-def test_a_tilt_beyond_the_recipe_is_refused():
-    surface = sg.layouts.sorting(tilt=math.radians(16.0))
-    with pytest.raises(ValueError, match=r"tilt must be between -15 and 15 deg.*got 16 deg"):
-        validation.build(surface, sg.Parcel(sg.Disc(0.1)))
+def test_what_cannot_be_built_is_refused():
+    steep = sg.layouts.sorting(tilt=math.radians(16.0))
+    masks = np.ones((70, 70), dtype=bool), np.zeros((210, 210), dtype=bool)
+    large, wide = (sg.Surface(np.zeros(rotor.shape), rotor) for rotor in masks)
+    for surface, more, message in (
+        (steep, {}, "tilt must be between -15 and 15 deg.*got 16 deg"),
+        (large, {}, "at most 4000 rotors .*got 4900 and"),
+        (wide, {}, "at most 4000 rotors .*got 0 and"),
+        (SURFACE, {"heights": np.zeros(3)}, r"heights must have the shape \(20, 20\), got \(3,\)"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            validation.build(surface, sg.Parcel(sg.Disc(0.1)), **more)
 
 
-@pytest.mark.parametrize(("side", "rotor"), [(70, True), (210, False)])
-def test_a_surface_too_large_for_memory_is_refused(side, rotor):
-    shape = (side, side)
-    surface = sg.Surface(axis=np.zeros(shape), rotor=np.full(shape, rotor))
-    with pytest.raises(ValueError, match=rf"at most 4000 rotors .*got {side**2 * rotor} and"):
-        validation.build(surface, sg.Parcel(sg.Disc(0.1)))
-
-
-def test_heights_of_another_shape_are_refused():
-    with pytest.raises(ValueError, match=r"heights must have the shape \(20, 20\), got \(3,\)"):
-        validation.build(SURFACE, sg.Parcel(sg.Disc(0.1)), heights=np.zeros(3))
-
-
-@pytest.mark.parametrize("change", [{"step": 0.0}, {"impedance": 1.0}, {"rotor_mass": math.nan}])
-def test_a_recipe_checks_its_numbers(change):
-    (name,) = change
-    with pytest.raises(ValueError, match=f"{name} must be"):
-        validation.Recipe(**change)
-
-
-@pytest.mark.parametrize("change", [{"stiffness": 0.0}, {"friction": -0.1}, {"damping": math.nan}])
-def test_sides_check_their_numbers(change):
-    (name,) = change
-    with pytest.raises(ValueError, match=f"{name} must be"):
-        Sides(**change)
+@pytest.mark.parametrize(
+    ("kind", "wrong"),
+    [
+        (validation.Recipe, {"step": 0.0, "impedance": 1.0, "rotor_mass": math.nan}),
+        (simulation.Sides, {"stiffness": 0.0, "friction": -0.1, "damping": math.nan}),
+    ],
+)
+def test_numbers_are_checked(kind, wrong):
+    for name, value in wrong.items():
+        with pytest.raises(ValueError, match=f"{name} must be"):
+            kind(**{name: value})
