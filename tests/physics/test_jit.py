@@ -111,8 +111,8 @@ def test_where_no_folder_can_be_written_it_is_compiled(monkeypatch: pytest.Monke
         assert hits_of(1.5) == 0
 
 
-def make_chain() -> tuple[Any, Any]:
-    """A function that Python calls, and the one it calls, by way of others that are linked."""
+def make_chain() -> tuple[Any, Any, Any]:
+    """Two functions that Python calls, and a linked one which both call."""
 
     @linked
     def halve(x):
@@ -137,20 +137,25 @@ def make_chain() -> tuple[Any, Any]:
     def kernel(values, k):
         return add(values, k)
 
-    return compiled(kernel, "kernel"), quarter
+    def other(values, k):
+        return -quarter(values, k)
+
+    return compiled(kernel, "kernel"), compiled(other, "other"), quarter
 
 
-@pytest.mark.usefixtures("cache")
-def test_linked_functions_are_read_from_the_cache() -> None:
+def test_linked_functions_are_read_from_the_cache(cache: Path) -> None:
     values = np.array([1.0, 2.0, 8.0])
     for read in (0, 1):
-        # Another kernel than the first finds those it calls by name.
-        kernel, quarter = make_chain()
-        other = compiled(lambda values, k: -quarter(values, k), f"other{read}")
+        kernel, other, quarter = make_chain()
+        assert quarter(values, 1) == 2.5
         assert other(values, 1) == -2.5
-        assert sum(quarter.stats.cache_hits.values()) == read
         assert kernel(values, 1) == 2.5 + 1.0
         assert kernel(values, 0) == 0.75 + 0.5
+        assert sum(other.stats.cache_hits.values()) == read
+        assert sum(quarter.stats.cache_hits.values()) == read
+        if not read:  # `kernel` again, with `quarter` from the cache
+            for file in cache.rglob("kernel-*"):
+                file.unlink()
 
 
 @pytest.mark.usefixtures("cache")
