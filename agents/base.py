@@ -5,10 +5,7 @@ features is the asked side. Here actions are mirrored back into the world.
 """
 
 import math
-import shlex
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -21,13 +18,6 @@ from surface_gym.tasks.sort import FEATURES
 
 if TYPE_CHECKING:
     from surface_gym.lines import Line
-
-FLOW_TASK = "flow"  # the task of streams of parcels
-
-# A file of the checkout, or the command of the installed package.
-_IN_CHECKOUT = (Path(__file__).resolve().parents[1] / "train.py").is_file()
-TRAIN = ("python", "train.py") if _IN_CHECKOUT else ("surface-gym", "train")
-EVALUATE = ("python", "evaluate.py") if _IN_CHECKOUT else ("surface-gym", "evaluate")
 
 SAME = 1e-6  # [rad] axes closer than this are one
 
@@ -52,11 +42,6 @@ class Controller(Protocol):
         Returns:
             The actions, and the state for the next call.
         """
-
-
-def command_line(program: Sequence[str], *arguments: str) -> str:
-    """Join a program, such as `TRAIN`, and its arguments into a line for a shell."""
-    return shlex.join([*program, *arguments])
 
 
 def axes_apart(one: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:

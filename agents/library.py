@@ -17,10 +17,8 @@ import yaml
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS
-from surface_gym.registration import FLOW, env_id
+from surface_gym.registration import FLOW, FLOW_TASK, env_id
 from surface_gym.tasks import TASKS, Task
-
-from .base import FLOW_TASK
 
 if TYPE_CHECKING:
     from .module_policy import ModulePolicy

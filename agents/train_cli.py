@@ -8,9 +8,10 @@ from typing import Any, get_args
 
 import tyro
 
+from surface_gym.cli import TRAIN, command_line
 from surface_gym.parallel import usable_cores
+from surface_gym.registration import FLOW_TASK
 
-from .base import FLOW_TASK, TRAIN, command_line
 from .learning.config import (
     CONFIGS,
     CPU,

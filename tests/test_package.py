@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.config import ENV_TASKS
+from surface_gym.registration import PERIODS
 from surface_gym.tasks import TASKS
 from tests.environments import IDS, every_id
 
@@ -28,9 +30,9 @@ HELP = (
 @pytest.mark.parametrize(
     ("program", "most", "needed"),
     [
-        ("import surface_gym", 50, set()),
+        ("import surface_gym", 3, set()),
         (SIMULATE, 65, set()),
-        (HELP, 55, {"tyro", "rich"}),
+        (HELP, 20, {"tyro", "rich"}),
     ],
     ids=["import", "simulate", "train --help"],
 )
@@ -102,6 +104,8 @@ def test_twins_are_read_only_too(twin: object) -> None:
 
 def test_every_task_has_its_id() -> None:
     assert [f"SmartSurface/{name.capitalize()}-v0" for name in sorted(TASKS)] == IDS
+    limits = {name: None if name == "flow" else kind.periods for name, kind in ENV_TASKS.items()}
+    assert list(limits.items()) == list(PERIODS.items())
 
 
 @every_id

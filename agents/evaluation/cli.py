@@ -11,10 +11,11 @@ import tyro
 from rich.console import Console
 
 from surface_gym import checks
+from surface_gym.cli import EVALUATE, command_line
 from surface_gym.parallel import Workers, WorkFailed, choose_workers, usable_cores
+from surface_gym.registration import FLOW_TASK
 from surface_gym.tasks import TASKS
 
-from ..base import EVALUATE, FLOW_TASK, command_line
 from ..library import find_task, task_files
 
 if TYPE_CHECKING:

@@ -4,13 +4,10 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeGuard, get_args
 
-import gymnasium as gym
 import yaml
 
 from surface_gym import checks
-from surface_gym.registration import FLOW, env_id
-
-from ..base import FLOW_TASK
+from surface_gym.registration import FLOW, FLOW_TASK, PERIODS, env_id
 
 if TYPE_CHECKING:
     from ..library import PolicyCard
@@ -301,7 +298,7 @@ CONFIGS: dict[str, type[TrainConfig]] = {
 
 def is_registered(task: str) -> bool:
     """Return whether a name is that of a single-parcel task of the package."""
-    return task.islower() and task != FLOW_TASK and env_id(task) in gym.registry
+    return task in PERIODS and task != FLOW_TASK
 
 
 def on_device(config: TrainConfig) -> TypeGuard[PPOConfig]:

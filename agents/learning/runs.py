@@ -16,9 +16,10 @@ from typing import Any, TypeVar
 import numpy as np
 import yaml
 
+from surface_gym.cli import TRAIN, command_line
 from surface_gym.files import replacing
+from surface_gym.registration import FLOW_TASK
 
-from ..base import FLOW_TASK, TRAIN, command_line
 from ..library import DAMAGE, describe_damage, task_label
 from . import config as configs
 from .config import TrainConfig

@@ -7,10 +7,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from surface_gym.cli import TRAIN, command_line
 from surface_gym.files import replacing
 from surface_gym.parallel import Workers, WorkFailed, check_workers, choose_workers, usable_cores
-
-from ..base import TRAIN, command_line
 
 if TYPE_CHECKING:
     from rich.console import Console

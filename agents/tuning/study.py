@@ -29,9 +29,9 @@ from optuna.visualization import matplotlib as plots
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from surface_gym.cli import TRAIN, command_line
 from surface_gym.parallel import Report, Workers, map_jobs
 
-from ..base import TRAIN, command_line
 from ..evaluation.tables import markdown
 from ..learning.config import TrainConfig, config_of_seed, write_hyperparams
 from ..learning.runs import StopTraining, read_curve

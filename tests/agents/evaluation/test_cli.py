@@ -13,7 +13,6 @@ import imageio.v2 as imageio
 import pytest
 from rich.console import Console
 
-from surface_gym.agents.base import FLOW_TASK
 from surface_gym.agents.evaluation import capacity, report, streams
 from surface_gym.agents.evaluation.capacity import Case
 from surface_gym.agents.evaluation.cli import TASK_NAMES, EvaluateConfig, evaluate
@@ -22,6 +21,7 @@ from surface_gym.agents.evaluation.report import evaluate_run, is_of_streams
 from surface_gym.agents.evaluation.robustness import FILE as SWEPT
 from surface_gym.agents.evaluation.streams import BOUND, RESERVATION, StreamResults
 from surface_gym.agents.library import SHELF
+from surface_gym.registration import FLOW_TASK
 from surface_gym.tasks import TASKS
 from tests.agents.evaluation.made import RULES, STARTS, stream_results, stream_rows, sweep_results
 
