@@ -38,9 +38,6 @@ class Controller(Protocol):
             observation: of one environment or of several.
             state: returned by the last call; None at first, and always without memory.
             episode_start: (num_envs,) whether an episode has just begun; None only if `state` is.
-
-        Returns:
-            The actions, and the state for the next call.
         """
 
 
@@ -74,11 +71,7 @@ class Offer(Protocol):
 
 
 def find_orientation(config: Offer, angle: float) -> int:
-    """Find the index of an axis angle [rad] on offer; an axis turned by pi is the same.
-
-    Raises:
-        ValueError: it is not on offer.
-    """
+    """Find the index of an axis angle [rad] on offer; an axis turned by pi is the same."""
     angles = np.array(config.chosen_orientations)
     apart = axes_apart(angles, angle)
     if apart.min() > SAME:
@@ -111,11 +104,7 @@ class Axes:
 
 
 def find_axes(config: Offer) -> Axes:
-    """Find the four orientations of the paper's Figure 2b.
-
-    Raises:
-        ValueError: one of them is not on offer.
-    """
+    """Find the four orientations of the paper's Figure 2b."""
     quarter = math.pi / 4.0
     return Axes(
         roll=find_orientation(config, 2.0 * quarter),
@@ -129,11 +118,7 @@ SIDE = len(FEATURES) - 1  # index of the asked side in the observation
 
 
 def mirrored_orientations(orientations: tuple[float, ...]) -> NDArray[np.int64]:
-    """(choices,) index of each axis angle's mirror image, -angle, among the orientations [rad].
-
-    Raises:
-        ValueError: the mirror image of an angle is not among them.
-    """
+    """(choices,) index of each axis angle's mirror image, -angle, among the orientations [rad]."""
     angles = np.array(orientations)
     apart = axes_apart(-angles[:, np.newaxis], angles)
     nearest = apart.argmin(axis=1)

@@ -110,11 +110,7 @@ def describe_damage(error: Exception) -> str:
 
 @dataclass(frozen=True)
 class PolicyCard:
-    """The environment and the network that a policy's weights are for.
-
-    Raises:
-        ValueError: a field is out of its range; the message names it.
-    """
+    """The environment and the network that a policy's weights are for."""
 
     env_id: str  # of the package, or "Own/Class" for a user's task
     algo: str  # "ppo", "dqn"; shared-policy PPO per module, "modules", or per parcel, "parcels"
@@ -155,11 +151,7 @@ class PolicyCard:
         return _NAMES.get(self.env_id, self.env_id.removeprefix(OWN))
 
     def env_config(self, task: Task | None = None) -> EnvConfig:
-        """Build the configuration of the environment that the policy is for.
-
-        Raises:
-            ValueError: the policy was trained on another task, or on streams of parcels.
-        """
+        """Build the configuration of the environment that the policy is for."""
         if self.task == FLOW_TASK:
             raise ValueError(f"env_id must be that of single parcels, got {self.env_id!r}")
         own = self.env_id.startswith(OWN)
@@ -181,11 +173,7 @@ class PolicyFiles:
 
 
 def read_files(folder: Path) -> PolicyFiles:
-    """Read the files of a policy without decoding them.
-
-    Raises:
-        ValueError: one is missing.
-    """
+    """Read the files of a policy without decoding them."""
     for name in (WEIGHTS, CARD):
         if not (folder / name).is_file():
             raise ValueError(f"{folder} holds no policy: {name} is missing")
@@ -198,11 +186,7 @@ def names() -> tuple[str, ...]:
 
 
 def seeds(name: str) -> tuple[int, ...]:
-    """List the seeds a shipped agent was trained with, one policy each.
-
-    Raises:
-        ValueError: no agent of that name.
-    """
+    """List the seeds a shipped agent was trained with, one policy each."""
     folder = SHELF / checks.one_of("name", name, names())
     return tuple(sorted(int(each.name.removeprefix("seed-")) for each in folder.glob("seed-*")))
 

@@ -36,7 +36,6 @@ def draw_groups(
         env: (modules,) each module's environment index.
         place: (modules, ...) first along and across the parcel, in half lengths.
         probability: that a random line through the parcel splits its modules into two groups.
-        rng: draws three numbers for each environment.
     """
     splits = rng.random(num_envs) < probability
     angle = 2.0 * np.pi * rng.random(num_envs)
@@ -48,13 +47,7 @@ def draw_groups(
 def draw_choices(
     log_probability: torch.Tensor, group: torch.Tensor, uniform: torch.Tensor
 ) -> torch.Tensor:
-    """Choose for each module (modules,) by its group's uniform number.
-
-    Args:
-        log_probability: (modules, choices).
-        group: (modules,) each module's.
-        uniform: (groups,) in [0, 1).
-    """
+    """Choose for each module (modules,) by its group's uniform number."""
     edges = log_probability.exp().cumsum(dim=1)[:, :-1]
     return (uniform[group].unsqueeze(1) > edges).sum(dim=1)
 
@@ -91,9 +84,6 @@ class SharedNetwork(nn.Module):
 
     Weights of the place start at zero: modules learn to act together before they learn to differ.
     Otherwise they settle for the fixed layout.
-
-    Args:
-        choices: number of orientations to choose from.
     """
 
     def __init__(
@@ -108,13 +98,7 @@ class SharedNetwork(nn.Module):
         self._logits = _linear(hidden[-1], choices, 0.01)
 
     def forward(self, shared: torch.Tensor, env: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
-        """Compute log probabilities (modules, choices).
-
-        Args:
-            shared: (num_envs, shared features).
-            env: (modules,) each module's environment index.
-            place: (modules, place features).
-        """
+        """Compute log probabilities (modules, choices)."""
         first = torch.tanh(self._alike(shared)[env] + self._apart(place))
         logits: torch.Tensor = self._logits(self._between(first))
         return logits.log_softmax(dim=1)
@@ -138,16 +122,9 @@ class ValueNetwork(nn.Module):
 class ModulePolicy:
     """A policy of modules with shared weights.
 
-    Attributes:
-        env_id: id of the environment it was trained on.
-        env_kwargs: that environment's arguments.
-
     Args:
         zone: first and last column of controlled modules; None: those after the lead-in, as in
             training.
-
-    Raises:
-        ValueError: the zone is not on the surface.
     """
 
     def __init__(

@@ -90,9 +90,6 @@ def outline_from_clearance(see: LineObservation, clearance: Numbers, line: BaseL
 
     The clearance lacks the half line and the half extent of the base across it. A wider base has a
     wider line, so that both follow.
-
-    Args:
-        clearance: (num_envs,) [m] between the base and the line's rotors.
     """
     length, pitch = see.half_length, line.pitch_y
     cosine, sine = np.abs([np.cos(see.theta), np.sin(see.theta)])
@@ -130,9 +127,6 @@ class ModuleView:
     Where the observation has the group "parcel", it gives the outline of the base; else the base is
     taken for a rectangle as wide as the clearance implies. Where it has "rotors", a module sees the
     axes of its own quadrant of the parcel.
-
-    Raises:
-        ValueError: another task or kind of action, or an orientation without its mirror image.
     """
 
     def __init__(self, config: EnvConfig) -> None:

@@ -139,12 +139,7 @@ def make_parcel_network(card: PolicyCard) -> ParcelNetwork:
 
 
 class ParcelPolicy:
-    """A policy of parcels with shared weights.
-
-    Attributes:
-        env_id: id of the environment it was trained on.
-        env_kwargs: that environment's arguments.
-    """
+    """A policy of parcels with shared weights."""
 
     def __init__(self, network: ParcelNetwork, card: PolicyCard) -> None:
         torch.set_num_threads(1)  # the network is small: more threads only wait for each other

@@ -93,12 +93,7 @@ def make_network(card: PolicyCard, config: EnvConfig) -> BasePolicy:
 
 
 class Policy:
-    """A trained PPO or DQN policy.
-
-    Attributes:
-        env_id: id of the environment it was trained on.
-        env_kwargs: that environment's arguments.
-    """
+    """A trained PPO or DQN policy."""
 
     def __init__(self, network: BasePolicy, card: PolicyCard, config: EnvConfig) -> None:
         torch.set_num_threads(1)  # the network is small: more threads only wait for each other

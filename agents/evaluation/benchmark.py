@@ -256,11 +256,7 @@ def compute_results(
     folder: Path | None = None,
     advance: Advance = lambda *_: None,
 ) -> list[Result]:
-    """Compute the results of all methods, in an order that does not depend on the processes.
-
-    Args:
-        folder: results are kept in its results.jsonl; those found there are not computed again.
-    """
+    """Compute the results of all methods, in an order that does not depend on the processes."""
     jobs = {
         (method.task, method.name, preset, seed): partial(compute, method, seed, preset)
         for method, seed, preset in list_jobs(methods)
@@ -285,11 +281,7 @@ def compute_kept(
 
     Args:
         jobs: to do, by the key of the dataclass that each gives; they do not depend on each other.
-        make: such a dataclass from its fields as JSON has them.
         file: where results are kept, one in a line; those found there are not computed again.
-
-    Returns:
-        All results by key, in the order of the jobs.
     """
     found: dict[Key, AnyRow] = {}
     if file is not None:

@@ -161,12 +161,7 @@ def measure(
     """Offer parcels at a rate [parcels/h].
 
     Args:
-        case: which parcels, at what speed, and under what preset.
-        rate: [parcels/h] of the parcels that come, evenly.
         whole: whether to go on to the end even where the rate is plainly not sustained.
-
-    Returns:
-        The deliveries; None where it was broken off.
     """
     config = method.config(case, rate)
     batch = StreamBatch(config, REPLICATIONS)
@@ -244,11 +239,7 @@ def find_capacity(method: StreamMethod, controller: Controller, case: Case) -> M
 def _most_carried(
     sustained: Callable[[float], Measurement | None], most: Measurement
 ) -> Measurement:
-    """Find the most delivered: at the ceiling, or at the greatest rate that is nearly all carried.
-
-    Args:
-        sustained: measures a rate [parcels/h]; None where it is not sustained.
-    """
+    """Find the most delivered, at the ceiling or at the greatest rate that is nearly all carried."""
     low, high = most.rate, most.offered
     while high > PRECISION * low:
         middle = math.sqrt(low * high)

@@ -64,11 +64,7 @@ def write_report(
     advance: Callable[[str], None] = lambda _: None,
     first: Sequence[Section] = (),
 ) -> None:
-    """Write everything of a comparison into a folder, and show its tables.
-
-    Args:
-        first: sections that come first on the page.
-    """
+    """Write everything of a comparison into a folder, and show its tables."""
     summaries = summarise(results)
     tasks = list(dict.fromkeys(method.task for method in methods))
     sections = []
@@ -307,9 +303,6 @@ def evaluate_run(
 
     table.md, the trajectories of Sort and a video go into the run's folder, the same byte for byte
     each time.
-
-    Returns:
-        The results that stand on an agent's card, by preset.
     """
     if is_of_streams(run):
         results = _stream_run(run, workers, console)

@@ -269,12 +269,7 @@ def compute_sweep(
     folder: Path | None = None,
     advance: Advance = lambda *_: None,
 ) -> list[SweepResult]:
-    """Compute all results, in an order that does not depend on the processes.
-
-    Args:
-        starts: at each level.
-        folder: results are kept in its robustness.jsonl; those found there are not computed again.
-    """
+    """Compute all results, in an order that does not depend on the processes."""
     file = None if folder is None else folder / FILE
     found = compute_kept(sweep_jobs(methods, starts), SweepResult, workers, file, advance)
     order = {(each.task, each.name): place for place, each in enumerate(methods)}

@@ -150,12 +150,7 @@ def compute_streams(
     advance: Advance = lambda *_: None,
     loads: Sequence[float] | None = None,
 ) -> list[StreamResult]:
-    """Compute all results, in an order that does not depend on the processes.
-
-    Args:
-        folder: results are kept in its flow.jsonl; those found there are not computed again.
-        loads: [-] of the ceiling, at which rates are measured; None: LOADS.
-    """
+    """Compute all results, in an order that does not depend on the processes."""
     file = None if folder is None else folder / FILE
     found = compute_kept(stream_jobs(methods, loads), stream_result, workers, file, advance)
     names, presets = [method.name for method in methods], list(limits.STREAM_PRESETS)

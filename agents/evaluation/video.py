@@ -51,12 +51,6 @@ def write_comparison(
     """Write an mp4 of one episode of each controller, side by side, in real time.
 
     One that ends first waits for the others in its last picture.
-
-    Args:
-        players: control periods are multiples of the shortest.
-
-    Returns:
-        Whether each succeeded, as far as it was shown.
     """
     period = min(player.config.control_period for player in players)
     episodes = [

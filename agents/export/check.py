@@ -77,11 +77,7 @@ def compare(
     observations: Singles,
     decide: Decide,
 ) -> Agreement:
-    """Compare decisions with the policy's.
-
-    Args:
-        decide: computes choices and axis angles [rad], (count, parts) each.
-    """
+    """Compare decisions with the policy's."""
     actions, _ = source.policy.predict(observations, deterministic=True)
     wanted = source.config.action_kind.commands(actions, len(observations))
     choices, angles = decide(observations)

@@ -73,11 +73,7 @@ class Exported:
 def export(
     source: "Source", folder: Path, observations: int = OBSERVATIONS, formats: Sequence[Format] = ()
 ) -> Exported:
-    """Write NAME.onnx, NAME.h and NAME.md, if they decide as the policy does.
-
-    Args:
-        observations: number of them to compare decisions on.
-    """
+    """Write NAME.onnx, NAME.h and NAME.md, if they decide as the policy does."""
     from . import c_header, check, onnx, page, policy
 
     checks.integer("observations", observations, least=100)

@@ -98,12 +98,7 @@ class Graph:
         choices: str,
         metadata: Mapping[str, str],
     ) -> bytes:
-        """Return the checked model as it is written to a file.
-
-        Args:
-            shape: (features, parts), sizes of an observation and of a decision.
-            choices: name of the choices (parcels, parts).
-        """
+        """Return the checked model as it is written to a file."""
         onnx = self._onnx
         self.add("Identity", choices, output=CHOICES)
         self.add("Gather", self.array(np.array(orientations)), choices, output=ANGLES)
@@ -189,11 +184,7 @@ class SeenByModules:
 
 
 def seen_by_modules(config: EnvConfig, features: Sequence[Any]) -> SeenByModules:
-    """Compute what each module sees, in the action's order.
-
-    Args:
-        features: of the observation, each (parcels, 1).
-    """
+    """Compute what each module sees, in the action's order."""
     see = {each.name: feature for each, feature in zip(config.features, features, strict=True)}
     kind, line, period = config.action_kind, config.chosen_line, config.control_period
     mirrored = features[SIDE] < 0.0
@@ -332,13 +323,7 @@ def _angle(sine: Any, cosine: Any) -> Any:
 
 
 class Watched(NDArrayOperatorsMixin):
-    """An array that notes where round-off may change the outcome of a comparison or a jump.
-
-    Args:
-        value: of each element.
-        doubts: list that takes an array of booleans for each comparison and jump.
-        exact: whether the value is given, and has no round-off.
-    """
+    """An array that notes where round-off may change the outcome of a comparison or a jump."""
 
     def __init__(self, value: Any, doubts: list[Any], exact: bool = False) -> None:
         self.value, self.doubts, self.exact = value, doubts, exact

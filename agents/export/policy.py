@@ -74,12 +74,7 @@ def shipped(name: str, seed: int | None = None) -> Source:
 def of_run(
     run: Path, name: str | None = None, seed: int | None = None, task: str | None = None
 ) -> Source:
-    """Return a policy of a training run.
-
-    Args:
-        name: that the export is to have; None: the folder's.
-        seed: of several; None: the first.
-    """
+    """Return a policy of a training run."""
     folders = policy_folders(run)
     chosen = next(iter(folders)) if seed is None else int(checks.one_of("seed", seed, folders))
     custom = None if task is None else find_task(task)

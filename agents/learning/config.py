@@ -39,11 +39,7 @@ def current_option(argument: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """Options of all algorithms.
-
-    Raises:
-        ValueError: a field is out of its range; the message names it.
-    """
+    """Options of all algorithms."""
 
     task: str = "sort"
     """Task to learn: sort, slow, stop, track, orient, or a user's as path/to/file.py:Class."""
@@ -344,11 +340,7 @@ _LINEAR = "lin_"  # the zoo's mark of a learning rate that falls to 0
 def defaults(
     task: str, algo: str, file: Path | None = None, preset: str = NOMINAL, device: str = CPU
 ) -> TrainConfig:
-    """Read the default configuration of a task and an algorithm.
-
-    Args:
-        file: of a user, in the same schema; None: the package's.
-    """
+    """Read the default configuration of a task and an algorithm."""
     given = {"task": task, "algo": algo, "preset": preset}
     if device != CPU:
         checks.one_of(f"algo, on device {device!r},", algo, ("ppo",))

@@ -84,11 +84,7 @@ def check_device(config: PPOConfig) -> None:
 
 
 class TensorMirror:
-    """`ActionMirror` on tensors.
-
-    Args:
-        env_config: of the environment; its actions are choices.
-    """
+    """`ActionMirror` on tensors."""
 
     def __init__(self, env_config: EnvConfig, device: torch.device) -> None:
         kind, orientations = env_config.action_kind, env_config.chosen_orientations
@@ -149,10 +145,6 @@ class TotalsCurve(Curve):
 
     They are as few as hold `RECENT_EPISODES` and one for each environment: where all environments
     have just started, only the shortest episodes have ended.
-
-    Args:
-        steps: control periods done before; later rows in the files are dropped.
-        recent: totals of the latest rollouts before.
     """
 
     def __init__(

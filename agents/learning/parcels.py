@@ -279,12 +279,7 @@ def demonstrate(control_period: float, seed: int) -> tuple[Rows, Choices]:
 
 
 def imitate(policy: ParcelNetwork, seen: Rows, chosen: Choices, epochs: int, seed: int) -> None:
-    """Maximise the likelihood of demonstrated choices.
-
-    Args:
-        seen: (samples, features).
-        chosen: (samples, 3).
-    """
+    """Maximise the likelihood of demonstrated choices."""
     generator = torch.Generator().manual_seed(seed)
     observations, choices = torch.from_numpy(seen), torch.from_numpy(chosen)
     waits = observations[:, WAITS] > 0.5

@@ -33,11 +33,8 @@ def compute_advantages(
     ICLR 2016, Eq. (16).
 
     Args:
-        rewards: of each period.
-        ended: whether the period was the last of an episode.
         value: of the observation before each period.
         next_value: of the observation after it, in the same episode; 0 after success or failure.
-        gae_lambda: weight of the next period's temporal difference.
     """
     delta = rewards + gamma * next_value - value
     advantage = torch.zeros_like(rewards)
@@ -63,7 +60,6 @@ def ppo_loss(
     Args:
         log_prob: (samples,) of the actions, by the policy that learns.
         old_log_prob: (samples,) of the actions when they were chosen.
-        advantage: (samples,) normalised.
         value: (samples,) of the observations, by the value function that learns.
         returns: (samples,) targets of the value.
     """
@@ -111,9 +107,6 @@ def train_learner(
     """Train as the configuration says and leave a policy in `folder`.
 
     A run with a checkpoint is resumed. An interrupt saves the policy as it is.
-
-    Args:
-        make_curve: makes its curve, from the control periods done and the latest episodes.
     """
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     started = time.perf_counter()

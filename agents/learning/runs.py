@@ -204,7 +204,6 @@ class Curve:
 
     Args:
         steps: control periods done before; later rows in the files are dropped.
-        recent: the latest episodes before.
     """
 
     def __init__(

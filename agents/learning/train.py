@@ -46,9 +46,6 @@ def train_seeds(
     """Train every seed of a configuration, each in its folder; return their results in order.
 
     An interrupt ends all of them, each with what it has learned so far; then there are fewer.
-
-    Args:
-        folder: of the run; nodes of a cluster need not see it.
     """
     runs = seed_folders(config, folder)
     for _, own in runs:

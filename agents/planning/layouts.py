@@ -97,9 +97,6 @@ class LayoutCost:
 def graded_cost(nodes: Nodes, missed: int) -> Numbers:
     """Compute the size of the task's first metric; a failure's grows with what it lacks, to lead to
     a success.
-
-    Args:
-        missed: outcome of an end at another ratio, place or angle.
     """
     parcels = nodes.parcels
     error = np.abs(parcels.metrics[:, 0])
@@ -119,9 +116,6 @@ def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Int
     Args:
         known: (layouts, rows, columns) to begin with, choices of the widest zone; the best found is
             as good as the best of these at least.
-
-    Returns:
-        Its choices (rows, columns).
     """
     change = _Change(model, search, axes)
     layouts = np.concatenate([known, change(change.pick(known, model.size))])[: model.size]
@@ -249,12 +243,6 @@ def search_path_layout(model: LayoutModel, axes: Axes, start: Start, limit: floa
 
     It is one with two axes a column: one left of the path, one right of it. Where none is found
     that leads to the path's end, it is one with one axis a column, of which more can be tried.
-
-    Args:
-        limit: [s] an episode may take.
-
-    Returns:
-        Its choices (rows, columns) of the whole field.
     """
     four = (axes.roll, axes.right, axes.brake, axes.left)
     found = []

@@ -107,9 +107,6 @@ class TurningAxes:
         """Compute the changes (nodes, 3) [m/s, m/s, rad/s] of velocity, along the line, across it
         and of turning, until all axes have turned on to 90 deg; of parcels that run straight along
         the line meanwhile.
-
-        Args:
-            braking: [m/s^2] of axes at 0 deg.
         """
         most = self.share * (braking / self.speed)
         side = np.sign(np.sin(2.0 * self.angle))
@@ -119,13 +116,7 @@ class TurningAxes:
         return np.stack([along.sum(axis=1), across.sum(axis=1), turn], axis=-1)
 
     def braking_distance(self, x: Numbers, speed: Numbers, profile: BrakingProfile) -> Numbers:
-        """Compute the way (nodes,) [m] that parcels go on for if all axes turn to 0 deg now.
-
-        Args:
-            x: (nodes,) [m] of their centres.
-            speed: (nodes,) [m/s] along the line.
-            profile: of axes at 0 deg.
-        """
+        """Compute the way (nodes,) [m] that parcels go on for if all axes turn to 0 deg now."""
         apart = np.abs(self.angle - math.pi * np.round(self.angle / math.pi))
         shared = self.share / np.maximum(1e-9, self.share.sum(axis=1, keepdims=True))
         step = self.quarter_turn / PARTS
@@ -255,12 +246,7 @@ class SearchModel:
         self._batch.restore(self._begun)
 
     def advance(self, parents: Integers, actions: Integers) -> SearchNodes:
-        """Branch, and move over a control period.
-
-        Args:
-            parents: (count,) copies to go on from, at most as many as there are.
-            actions: (count,) of each.
-        """
+        """Branch, and move over a control period."""
         count = len(parents)
         self._batch.fork(parents)
         commands = self._batch.surfaces.command.copy()

@@ -59,9 +59,6 @@ class Oracle:
     Args:
         config: of the environment, with "halves" for actions, of orientations to choose from.
         budget: nodes followed at a time at most, each with every action.
-
-    Raises:
-        ValueError: other actions, any angle, or a budget below 1.
     """
 
     def __init__(self, config: EnvConfig, budget: int = BUDGET) -> None:
@@ -140,13 +137,8 @@ def find_reachable(
     """Find what can be reached from starts, with halves for actions, by an oracle.
 
     Args:
-        starts: options of each start; what they leave open is drawn.
         seed: start i draws from `seed` + i, as in `agents.rollout.run_episodes`.
-        budget: nodes followed at a time at most.
         workers: processes to share the starts among, or a cluster; results do not depend on it.
-
-    Raises:
-        ValueError: config, a start or a number that is not allowed.
     """
     Oracle(config, budget)
     check_workers(workers)
@@ -194,15 +186,8 @@ def stops_past(config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int) -
     Nothing takes more speed from a parcel that runs straight. Where this is more than the task
     allows, only a parcel that could turn onto more rotors might be stopped.
 
-    Args:
-        starts: options of each start; what they leave open is drawn.
-        seed: start i draws from `seed` + i.
-
     Returns:
         (starts,) [m], negative short of it.
-
-    Raises:
-        ValueError: another task, or other actions.
     """
     checks.one_of("task", config.task_name, ("stop",))
     checks.one_of("actions", config.actions, ("halves",))

@@ -47,9 +47,6 @@ class Planner:
             the one, of those its task draws, that is nearest in size.
         budget: nodes followed at a time, each with every action; the time of a search is in
             proportion.
-
-    Raises:
-        ValueError: other actions, or a budget below 1.
     """
 
     def __init__(self, config: EnvConfig, budget: int = BUDGET) -> None:
@@ -129,12 +126,7 @@ def nodes_needed(cost: PlanCost, width: int, choices: int) -> int:
 
 
 def make_plan(model: SearchModel, cost: PlanCost, width: int) -> Plan:
-    """Search for the best plan from where the model stands.
-
-    Args:
-        model: begun, of `nodes_needed` copies.
-        width: nodes that go on from a period.
-    """
+    """Search for the best plan from where the model stands."""
     first_seen = model.parcels.observation[0].copy()
     angles = cost.event(model.parcels)
     event = [] if angles is None else [model.uniform_action(angle) for angle in angles]

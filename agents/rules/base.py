@@ -56,9 +56,6 @@ class BaseRule(ABC):
     Args:
         tasks: names of the tasks it is made for.
         actions: kinds of action it is made for; none: any.
-
-    Raises:
-        ValueError: another task or kind of action, or an offer of any angle.
     """
 
     def __init__(
@@ -119,12 +116,7 @@ class UniformRule(BaseRule):
 
 
 class UniformLayout(UniformRule):
-    """Any task with every axis at one angle, whatever the parcel does.
-
-    Args:
-        angle: [rad] of every axis, one of those on offer.
-        tasks: names of the tasks it is for; none: any.
-    """
+    """Any task with every axis at one angle, whatever the parcel does."""
 
     def __init__(self, config: EnvConfig, angle: float, tasks: tuple[str, ...] = ()) -> None:
         super().__init__(config, tasks or (config.task_name,))
@@ -153,11 +145,7 @@ class FixedRule(BaseRule):
 
 
 class ColumnAxes:
-    """Turns the levels at which a zone's columns brake into commands of "modules".
-
-    Raises:
-        ValueError: an orientation that a level needs is not on offer.
-    """
+    """Turns the levels at which a zone's columns brake into commands of "modules"."""
 
     def __init__(self, config: EnvConfig) -> None:
         axes = find_axes(config)

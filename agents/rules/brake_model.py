@@ -86,12 +86,7 @@ class Motion:
 
 
 class SquareModel:
-    """Evenly loaded squares on modules.
-
-    Args:
-        modules: taken to stay where they are under the parcel.
-        half_length: (num_envs,) [m] of the base.
-    """
+    """Evenly loaded squares on modules."""
 
     def __init__(self, modules: ModulePositions, half_length: Numbers, tilt: Numbers) -> None:
         self._x, self._y = modules.x[:, np.newaxis], modules.y[:, np.newaxis]
@@ -290,11 +285,7 @@ class BrakeModel:
 
 
 def _count_under(span: ContactSpan, arm: Numbers) -> tuple[Numbers, Numbers]:
-    """Count (num_envs, options, columns) the elements and the rotors of each column that bear.
-
-    Args:
-        arm: (num_envs, options, columns) [m] of each column from the middle of the base's length.
-    """
+    """Count (num_envs, options, columns) the elements and the rotors of each column that bear."""
     far = np.abs(arm)
     elements, rotors = np.zeros_like(arm), np.zeros_like(arm)
     reach, rotor = span.row_reach, span.rotor

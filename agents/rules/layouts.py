@@ -102,12 +102,7 @@ class FixedBraking(FixedRule):
 
     @abstractmethod
     def _regret(self, seen: LineObservation, losses: Numbers) -> Numbers:
-        """Compute (num_envs, layouts) how far from the goal each leads parcels of one size.
-
-        Args:
-            seen: the parcels at their starts, their rears at x = 0.
-            losses: (layouts, places) by `loss_of_layout`.
-        """
+        """Compute (num_envs, layouts) how far from the goal each leads parcels of one size."""
 
     def _layout(self, observations: Observations) -> Commands:
         seen = self._config.decode(observations)
@@ -323,9 +318,6 @@ def _stop_cost(nodes: Nodes) -> Numbers:
 class BestTracking(FixedRule):
     """Two axes a column of the field, one left and one right of the path, so that the parcel should
     follow it at the asked speed.
-
-    Raises:
-        ValueError: the task does not show its path, besides what `FixedRule` raises.
     """
 
     def __init__(self, config: EnvConfig) -> None:

@@ -82,9 +82,6 @@ def clearance(one: Numbers, other: Numbers) -> Numbers:
 def least_gap(first: ParcelTrajectory, second: ParcelTrajectory, margin: float = 0.0) -> float:
     """Find the least gap [s] between two entries from which on the second never comes closer to the
     first than a margin [m] while both are on the line.
-
-    Raises:
-        ValueError: there is none of at most 20 s.
     """
     low, high = 0.0, LONGEST
     if not _is_clear(first, second, high, margin):
@@ -216,11 +213,7 @@ class Trajectories:
 def find_trajectories(
     make: Callable[[EnvConfig], Controller], config: EnvConfig, asked: Sequence[Asked]
 ) -> Trajectories:
-    """Find the trajectories of parcels, each alone on the line, seen as they are.
-
-    Args:
-        config: of the environment; its stream, its sensors and what varies do not matter.
-    """
+    """Find the trajectories of parcels, each alone on the line, seen as they are."""
     exact = replace(config, sensors=Exact(), randomisation=Randomisation())
     runs = run_alone(make, exact, asked, range(len(asked)))
     return Trajectories(
@@ -314,11 +307,7 @@ class Reservation(ParcelRule):
     leads it as if it were alone.
 
     Args:
-        config: of the environment, with "parcels" for actions and a gate.
         margin: [m] that trajectories are kept apart.
-
-    Raises:
-        ValueError: there is no gate.
     """
 
     def __init__(

@@ -55,7 +55,6 @@ class BoxLayouts:
         """Choose axes (num_envs, modules) [rad] by the box nearest in size, for the asked side.
 
         Args:
-            half_length: (num_envs,) [m] of the parcels.
             side: (num_envs,) +1 for y > 0, -1 for y < 0, 0 for straight through.
         """
         box = np.abs(half_length[:, np.newaxis] - self._half_lengths).argmin(axis=1)
@@ -92,13 +91,6 @@ class GradedLayout:
     one that `surface_gym.design` found for the study's box that is nearer in size.
 
     Straight through, the axes stay at 90 deg.
-
-    Args:
-        config: of the environment it acts in, with "modules" for actions and "any" for
-            orientations.
-
-    Raises:
-        ValueError: another task, kind of action or orientations.
     """
 
     def __init__(self, config: EnvConfig) -> None:

@@ -24,14 +24,7 @@ OPEN = 1  # the gate opens with the first physics step
 
 
 class ParcelRule(ABC):
-    """A rule that decides for each parcel by its row alone: the same for all, wherever they are.
-
-    Args:
-        config: of the environment it acts in, with "parcels" for actions.
-
-    Raises:
-        ValueError: another kind of action, or 0, 45, -45 and 90 deg are not all on offer.
-    """
+    """A rule that decides for each parcel by its row alone: the same for all, wherever they are."""
 
     def __init__(self, config: EnvConfig) -> None:
         checks.one_of("actions", config.actions, ("parcels",))
@@ -43,20 +36,11 @@ class ParcelRule(ABC):
 
     @abstractmethod
     def halves(self, rows: Rows) -> Halves:
-        """Choose (parcels, 2) for the modules ahead of each parcel's centre, and behind it.
-
-        Args:
-            rows: (parcels, features) of those on the line.
-        """
+        """Choose (parcels, 2) for the modules ahead of each parcel's centre, and behind it."""
 
     def _open(self, tables: Rows, memory: Any, fresh: Booleans) -> tuple[Halves, Any]:
         """Choose when the gate opens (num_envs,), and what to remember: by default as soon as there
         is room.
-
-        Args:
-            tables: (num_envs, rows, features).
-            memory: what was remembered; None where nothing was.
-            fresh: (num_envs,) an episode has just begun.
         """
         del fresh
         return np.full(len(tables), OPEN), memory
@@ -101,10 +85,6 @@ class StreamEventRule(ParcelRule):
 class SortEach(ParcelRule):
     """A shipped agent of Sort, as it is: a parcel's row begins with what Sort shows of one. Parcels
     that go straight on, which it never met, roll.
-
-    Args:
-        config: of the environment, with "parcels" for actions.
-        name: of the agent, one whose actions are halves.
     """
 
     def __init__(self, config: EnvConfig, name: str = "sort-ppo", seed: int = 0) -> None:
@@ -123,14 +103,7 @@ class SortEach(ParcelRule):
 
 
 class StreamFixedLayout:
-    """A layout that is arranged once: all modules that obey at 45 deg to the left.
-
-    Args:
-        config: of the environment, with "modules" for actions and no gate.
-
-    Raises:
-        ValueError: another kind of action, a gate, or the orientation is not on offer.
-    """
+    """A layout that is arranged once: all modules that obey at 45 deg to the left."""
 
     def __init__(self, config: EnvConfig) -> None:
         checks.one_of("actions", config.actions, ("modules",))

@@ -38,10 +38,6 @@ class WholeZone:
     Args:
         config: of the environment, with "modules" for actions and a gate.
         alone: whether parcels come one by one, so that none needs to be held at the gate.
-
-    Raises:
-        ValueError: another kind of action, no gate, more columns than obey, too few for every
-            parcel to leave by its exit, or an exit that starts after the zone.
     """
 
     def __init__(self, config: EnvConfig, columns: int, alone: bool = False) -> None:
@@ -138,9 +134,6 @@ def find_best_zone(kind: type[WholeZone], config: EnvConfig) -> int | None:
     of a stream leaves by its exit and the two next; None where no zone sorts them all.
 
     The parcels are tried alone on the line, whenever they come and whatever varies.
-
-    Args:
-        config: of the environment, with "modules" for actions and a gate.
     """
     _, _, _, obeying = config.site.zone
     rates: dict[int, float] = {}

@@ -294,11 +294,7 @@ class _Sent:
 
 @dataclass(frozen=True)
 class LoopConfig:
-    """Times of the loop.
-
-    Raises:
-        ValueError: a number that is not positive.
-    """
+    """Times of the loop."""
 
     period: float = 0.04  # [s] between decisions
     watchdog: float = 0.2  # [s] without a frame after which the fixed layout replaces the policy

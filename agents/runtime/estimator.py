@@ -124,9 +124,6 @@ class StateEstimator:
 
     Args:
         config: of the environment that the policy is for, its sensors a `Camera` or `Exact`.
-
-    Raises:
-        ValueError: the sensors are others, or a task lacks one of its compiled functions.
     """
 
     def __init__(self, config: EnvConfig) -> None:

@@ -88,21 +88,13 @@ class Device(Protocol):
     """
 
     def connect(self) -> None:
-        """Find the device and start anew.
-
-        Raises:
-            DeviceLost: it is not there.
-        """
+        """Find the device and start anew."""
 
     def close(self) -> None:
         """Disconnect, if it is connected."""
 
     def read(self) -> list[Message]:
-        """Return the messages since the last call, in their order.
-
-        Raises:
-            DeviceLost: it is gone.
-        """
+        """Return the messages since the last call, in their order."""
 
     def set_axes(self, angles: Angles) -> int:
         """Turn the zone's modules to angles (rows, columns) [rad] in -pi/2 to pi/2.
@@ -111,9 +103,6 @@ class Device(Protocol):
 
         Returns:
             A number for the command, to which an `AxesAcknowledged` may refer later.
-
-        Raises:
-            DeviceLost: it is gone.
         """
 
 
@@ -296,11 +285,7 @@ class ConnectionLost(ConnectionError):
 
 
 class Connection:
-    """One side of a connection; its calls return at once.
-
-    Args:
-        connected: a socket, which it closes.
-    """
+    """One side of a connection; its calls return at once."""
 
     def __init__(self, connected: socket.socket) -> None:
         self._socket = connected
@@ -353,11 +338,7 @@ class Connection:
 
 
 class SocketDevice:
-    """The `Device` behind a socket: the simulator, or a machine that speaks the protocol.
-
-    Args:
-        shape: (rows, columns) of the widest zone that it must have.
-    """
+    """The `Device` behind a socket: the simulator, or a machine that speaks the protocol."""
 
     def __init__(self, address: tuple[str, int], task: str, shape: tuple[int, int]) -> None:
         self._address = address

@@ -48,9 +48,6 @@ class World:
     Args:
         env_config: of the environment that it simulates, but for its actions: axes are set one by
             one.
-
-    Raises:
-        ValueError: sensors without frames.
     """
 
     def __init__(
@@ -193,10 +190,6 @@ class Server:
     """Sends a world's messages over a socket, and passes axis commands on to it.
 
     One loop may be connected at a time; a later one takes its place.
-
-    Args:
-        task: its name.
-        listener: a socket that listens, which becomes its own.
     """
 
     def __init__(self, world: World, task: str, listener: socket.socket) -> None:
@@ -305,11 +298,7 @@ def run_simulator(config: SimulatorConfig) -> None:
 
 
 class SimulatorProcess:
-    """A simulator in a process of its own, which ends with this context.
-
-    Raises:
-        ValueError: it does not start.
-    """
+    """A simulator in a process of its own, which ends with this context."""
 
     def __init__(self, arguments: list[str], log: Path) -> None:
         module = f"{__name__.rpartition('.')[0]}.simulator"

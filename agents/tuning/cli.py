@@ -43,11 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def search(
     file: Path, folder: Path, workers: Workers, console: "Console", task: str | None = None
 ) -> None:
-    """Search hyper-parameters and leave a report in a folder, or resume a search there.
-
-    Args:
-        file: what to search, as `Sweep` has it.
-    """
+    """Search hyper-parameters and leave a report in a folder, or resume a search there."""
     check_workers(workers)
     if find_spec("optuna") is None:
         raise ValueError(

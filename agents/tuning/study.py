@@ -170,8 +170,6 @@ def run_trial(
     """Carry a trial out, in a folder of its own.
 
     Args:
-        params: values that were drawn.
-        past: finished trials, by which it may be pruned.
         report: called with the number of each evaluation, from 1, and its value.
     """
     try:
@@ -189,11 +187,7 @@ def run_trial(
 
 
 class Pruning:
-    """The pruner of a search, asked about one trial.
-
-    Args:
-        report: called with the number of each evaluation, from 1, and its value.
-    """
+    """The pruner of a search, asked about one trial."""
 
     def __init__(self, sweep: Sweep, past: tuple[FrozenTrial, ...], report: Report) -> None:
         optuna.logging.set_verbosity(optuna.logging.WARNING)

@@ -24,11 +24,7 @@ ROLLOUT = ("num_envs", "n_steps", "batch_size")  # which must go together
 
 @dataclass(frozen=True)
 class Span:
-    """Numbers from `low` to `high`, integers if both are.
-
-    Raises:
-        ValueError: it holds less than two numbers, or logarithms of numbers that have none.
-    """
+    """Numbers from `low` to `high`, integers if both are."""
 
     low: float
     high: float
@@ -50,11 +46,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Choices:
-    """Some values.
-
-    Raises:
-        ValueError: they are less than two, not all different, or not plain JSON values.
-    """
+    """Some values."""
 
     choices: list[Any]
 
@@ -78,10 +70,6 @@ class Choices:
 class Sweep:
     """The request of a search; names in `space` and `fixed` are those of the algorithm's
     configuration.
-
-    Raises:
-        ValueError: a field is out of its range, or a value that the configuration refuses whatever
-            it is drawn with; the message names it.
     """
 
     task: str = "sort"
@@ -156,11 +144,7 @@ class Sweep:
 
 
 def read_sweep(file: Path, task: str | None = None) -> Sweep:
-    """Read the request of a search. No code is run but that of `task`.
-
-    Args:
-        file: YAML, the fields of `Sweep`.
-    """
+    """Read the request of a search. No code is run but that of `task`."""
     try:
         return _read(yaml.safe_load(file.read_text()), task)
     except (OSError, yaml.YAMLError, ValueError) as error:
