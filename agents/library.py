@@ -151,7 +151,6 @@ class PolicyCard:
         return _NAMES.get(self.env_id, self.env_id.removeprefix(OWN))
 
     def env_config(self, task: Task | None = None) -> EnvConfig:
-        """Build the configuration of the environment that the policy is for."""
         if self.task == FLOW_TASK:
             raise ValueError(f"env_id must be that of single parcels, got {self.env_id!r}")
         own = self.env_id.startswith(OWN)

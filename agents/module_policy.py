@@ -138,7 +138,6 @@ class ModulePolicy:
         self.env_kwargs = card.env_kwargs if zone is None else {**card.env_kwargs, "zone": zone}
 
     def for_zone(self, zone: tuple[int, int] | None) -> "ModulePolicy":
-        """Return a policy with the same weights for another zone."""
         return ModulePolicy(self._network, self.card, zone)
 
     @torch.no_grad()

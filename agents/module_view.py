@@ -52,7 +52,6 @@ class Outline:
     rows: Numbers  # (num_envs,) of the line that the parcel runs on
 
     def select(self, env: Integers) -> "Outline":
-        """Return the outlines of environments (count,) by index."""
         return Outline(self.half[:, env], self.roundness[env], self.rows[env])
 
     def reach(self, theta: Numbers) -> Numbers:

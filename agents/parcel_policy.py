@@ -55,7 +55,6 @@ class ParcelActions:
     def to_parcels(
         self, rows: NDArray[np.float32], actions: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """Convert actions back to choices; the inverse of `to_env`."""
         num_envs, count, _ = rows.shape
         choices = np.zeros((num_envs, count, 3), dtype=np.int64)
         axes = actions[:, :-1].reshape(num_envs, count - 1, 2)
@@ -100,7 +99,6 @@ class ParcelNetwork(ActorCriticPolicy):
     def forward(
         self, obs: torch.Tensor, deterministic: bool = False
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Choose actions; return them, values and log probabilities."""
         policy, value = self._latents(obs)
         parts = self._masked(obs, self.action_net(policy))
         actions = _choose(parts, deterministic)
@@ -109,7 +107,6 @@ class ParcelNetwork(ActorCriticPolicy):
     def evaluate_actions(
         self, obs: PyTorchObs, actions: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
-        """Compute values, log probabilities and entropies."""
         assert isinstance(obs, torch.Tensor)
         policy, value = self._latents(obs)
         parts = self._masked(obs, self.action_net(policy))
@@ -157,7 +154,6 @@ class ParcelPolicy:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[Any, None]:
-        """Choose an action for an observation (rows, features), or actions for several."""
         del state, episode_start
         tables = observation.reshape(-1, *observation.shape[-2:])
         present = tables[..., PRESENT] > 0.5

@@ -50,12 +50,10 @@ class EqualCategoricals(MultiCategoricalDistribution):
         return self
 
     def log_prob(self, actions: torch.Tensor) -> torch.Tensor:
-        """Compute log probabilities (num_envs,) of actions (num_envs, choices)."""
         each: torch.Tensor = self._each.log_prob(actions)
         return each.sum(dim=1)
 
     def entropy(self) -> torch.Tensor:
-        """Compute the entropy (num_envs,) of all choices together."""
         each: torch.Tensor = self._each.entropy()
         return each.sum(dim=1)
 
@@ -66,7 +64,6 @@ class EqualCategoricals(MultiCategoricalDistribution):
         return (uniform > edges).sum(dim=2)
 
     def mode(self) -> torch.Tensor:
-        """Return the likeliest actions (num_envs, choices)."""
         return self._each.logits.argmax(dim=2)
 
 
@@ -112,7 +109,6 @@ class Policy:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[Any, None]:
-        """Choose an action for an observation (features,), or actions for (num_envs, features)."""
         del state, episode_start
         single = observation.ndim == 1
         observations = observation[np.newaxis] if single else observation

@@ -149,7 +149,6 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
 
 
 def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
-    """Parse the configuration of a new run, with its defaults from a YAML file."""
     task = selection.task or "sort"
     usual = "parcels" if task == FLOW_TASK else "ppo"
     algo = selection.algo if selection.algo in CONFIGS else usual

@@ -27,7 +27,6 @@ class EpisodeRecorder:
         self._terms = np.zeros((num_envs, len(terms)))
 
     def reset(self) -> None:
-        """Start all episodes anew."""
         for sums in (self._returns, self._lengths, self._terms):
             sums[:] = 0
 
@@ -90,7 +89,6 @@ class BatchVecEnv(VecEnv):
         return self._each(lambda batch: getattr(batch, attr_name), indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of all environments."""
         if set(self._get_indices(indices)) != set(range(self.num_envs)):
             raise ValueError(
                 f"indices must be all environments, which share {attr_name}, got {indices}"

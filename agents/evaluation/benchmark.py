@@ -100,7 +100,6 @@ class Result:
 
     @property
     def key(self) -> tuple[str, str, str, int]:
-        """Task, method, preset and seed."""
         return (self.task, self.method, self.preset, self.seed)
 
 
@@ -117,7 +116,6 @@ class Summary:
 
     @property
     def rate(self) -> float:
-        """[-] over seeds and starts."""
         return float(self.success.mean())
 
     @property

@@ -59,7 +59,6 @@ class Case:
 
     @property
     def label(self) -> str:
-        """For tables."""
         return f"{self.mix}, {self.speed:g} m/s"
 
     @property
@@ -117,7 +116,6 @@ class Measurement:
 
     @property
     def rate(self) -> float:
-        """[parcels/h] delivered right, mean."""
         return float(self.rates.mean())
 
     @property
@@ -141,7 +139,6 @@ class Measurement:
         return float(np.mean(self.waiting))
 
     def is_sustained(self, case: Case) -> bool:
-        """Check whether nearly all deliveries were right."""
         return self.jams == 0 and self.share_right >= LEAST_RIGHT[case.preset]
 
 
@@ -239,7 +236,7 @@ def find_capacity(method: StreamMethod, controller: Controller, case: Case) -> M
 def _most_carried(
     sustained: Callable[[float], Measurement | None], most: Measurement
 ) -> Measurement:
-    """Find the most delivered, at the ceiling or at the greatest rate that is nearly all carried."""
+    """Find the most delivered: at the ceiling, or at the greatest rate that is carried."""
     low, high = most.rate, most.offered
     while high > PRECISION * low:
         middle = math.sqrt(low * high)

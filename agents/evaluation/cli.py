@@ -135,7 +135,6 @@ def chosen_methods(config: EvaluateConfig) -> "list[Method]":
 
 
 def _forget(config: EvaluateConfig, *files: str) -> None:
-    """Remove the results of an earlier comparison, unless it is to go on."""
     if not config.resume:
         for file in files:
             (config.out / file).unlink(missing_ok=True)

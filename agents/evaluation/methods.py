@@ -42,7 +42,6 @@ class Method:
     observe: tuple[str, ...] = ()  # groups of features it sees beside the task's
 
     def config(self, task: Task, preset: Preset) -> EnvConfig:
-        """Configure the environment it acts in."""
         return EnvConfig(
             task=task if self.observed_task is None else self.observed_task(task),
             actions=self.actions,
@@ -53,7 +52,6 @@ class Method:
         )
 
     def under(self, *presets: str) -> "Method":
-        """Restrict it to some presets."""
         return replace(self, presets=presets)
 
 

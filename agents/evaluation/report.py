@@ -103,7 +103,6 @@ def speed_tables(task: str, summaries: Summaries) -> list[Table]:
 
 
 def _draw_task(methods: Sequence[Method], summaries: Summaries, folder: Path) -> Pictures:
-    """Draw a task's plots and its video."""
     task = methods[0].task
     benchmark, label = find_benchmark(task), task_label(task)
     success = folder / f"{label}-success.png"

@@ -108,12 +108,10 @@ class Factor:
 
     @property
     def swept(self) -> tuple[Level, ...]:
-        """The levels that are not as trained."""
         return tuple(level for level in self.levels if level != self.trained)
 
     @property
     def is_named(self) -> bool:
-        """Whether its levels are names."""
         return any(isinstance(level, str) for level in self.levels)
 
 
@@ -292,7 +290,6 @@ class Rate:
 
     @classmethod
     def of(cls, success: Booleans) -> "Rate":
-        """Compute the rate of successes (seeds, starts)."""
         return cls(float(success.mean()), *interval(success), *success.shape)
 
 
@@ -311,7 +308,6 @@ class Sweep:
 
     @property
     def tasks(self) -> list[str]:
-        """Names, in their order."""
         return list(dict.fromkeys(row.task for row in self.rows))
 
     def methods(self, task: str | None = None) -> list[str]:

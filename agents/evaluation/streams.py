@@ -93,7 +93,6 @@ class StreamResult:
 
     @property
     def key(self) -> StreamKey:
-        """The task, then method, preset, mix, speed and load."""
         return ("flow", self.method, self.preset, self.mix, self.speed, self.load)
 
 
@@ -177,7 +176,6 @@ class StreamResults:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the methods, in their order."""
         return tuple(dict.fromkeys(row.method for row in self.rows))
 
     @cached_property

@@ -146,7 +146,6 @@ def _make_env(config: EnvConfig) -> gym.Env[Any, Any]:
 
 
 def _repeated(items: Iterator[Any], times: int) -> Iterator[Any]:
-    """Repeat each item so many times."""
     return (item for each in items for item in repeat(each, times))
 
 
@@ -195,7 +194,6 @@ class VideoConfig:
 
     @property
     def config(self) -> EnvConfig:
-        """The environment."""
         return EnvConfig(
             "flow",
             stream=Stream(Steady(self.rate), self.parcels, speeds=self.entry_speed),

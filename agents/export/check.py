@@ -62,7 +62,6 @@ class Agreement:
     close: int  # decisions where they are, whether they differ or not
 
     def summary(self) -> str:
-        """Describe it in a sentence."""
         same = "the same" if not self.ties else f"{self.ties} of them otherwise, all ties"
         return (
             f"{self.observations} observations, {self.observations * self.parts} choices: {same} "

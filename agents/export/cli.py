@@ -53,7 +53,6 @@ class ExportConfig:
         checks.integer("observations", self.observations, least=100)
 
     def source(self) -> "Source":
-        """Return the policy to export."""
         from . import policy
 
         if self.run is None:

@@ -63,17 +63,14 @@ class Graph:
         return output
 
     def array(self, values: NDArray[Any]) -> str:
-        """Add a constant of its own type."""
         name = f"constant {len(self._constants)}"
         self._constants.append(self._onnx.numpy_helper.from_array(np.asarray(values), name))
         return name
 
     def integers(self, *values: int) -> str:
-        """Add a constant of integers, for shapes and indices."""
         return self.array(np.array(values, dtype=np.int64))
 
     def cast(self, value: str, kind: str) -> str:
-        """Convert numbers to another kind, "FLOAT" or "DOUBLE"."""
         return self.add("Cast", value, to=getattr(self._onnx.TensorProto, kind))
 
     def network(self, network: Network, values: str) -> str:
@@ -360,12 +357,10 @@ class ModulesDecision:
 
     @property
     def features(self) -> int:
-        """Size of an observation."""
         return len(self.config.features)
 
     @property
     def parts(self) -> int:
-        """Size of an action."""
         return self.config.action_kind.size
 
     def in_doubt(self, observations: Singles, tie: float) -> NDArray[np.bool_]:

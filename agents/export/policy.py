@@ -139,12 +139,10 @@ class Network:
 
     @property
     def inputs(self) -> int:
-        """Number of inputs."""
         return int(self.layers[0].weights.shape[1])
 
     @property
     def outputs(self) -> int:
-        """Number of scores."""
         return len(self.layers[-1].bias)
 
     def scores(self, inputs: Numbers) -> Numbers:
@@ -219,12 +217,10 @@ class NetworkDecision:
 
     @property
     def features(self) -> int:
-        """Size of an observation."""
         return self.network.inputs
 
     @property
     def parts(self) -> int:
-        """Size of an action."""
         return self.groups * self.options.shape[1]
 
     def in_doubt(self, observations: Singles, tie: float) -> NDArray[np.bool_]:

@@ -120,7 +120,6 @@ class TrainConfig:
             self._check_no_zones()
 
     def _check_no_zones(self) -> None:
-        """Raise a ValueError if there are zones, for a task without any."""
         if self.zones:
             raise ValueError(f"zones must be none for {self.task}, got {self.zones}")
 
@@ -173,7 +172,6 @@ class PPOConfig(TrainConfig):
 
     @property
     def _samples(self) -> int:
-        """Samples of a rollout."""
         return self.num_envs * self.n_steps
 
 

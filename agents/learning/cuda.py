@@ -120,7 +120,6 @@ class EpisodeTotals:
         self._ended = torch.zeros(len(self._names), dtype=torch.float64, device=device)
 
     def reset(self) -> None:
-        """Forget the running episodes."""
         self._running.zero_()
 
     def add(self, rewards: torch.Tensor, ended: torch.Tensor, infos: dict[str, Any]) -> None:
@@ -159,7 +158,6 @@ class TotalsCurve(Curve):
         self._least = max(RECENT_EPISODES, num_envs)
 
     def add_totals(self, totals: dict[str, float]) -> None:
-        """Add the result of `EpisodeTotals.fetch`."""
         if totals[EPISODES] == 0.0:
             return
         self.recent.append(totals)
@@ -197,7 +195,6 @@ class DeviceTrainingEnvs:
         self._side = torch.ones(envs.num_envs, device=self.device)
 
     def reset(self, seed: int) -> torch.Tensor:
-        """Start environment i from `seed` + i; return observations (num_envs, features)."""
         observations, _ = self.envs.reset(seed=seed)
         self.totals.reset()
         return self._keep(observations)
@@ -215,7 +212,6 @@ class DeviceTrainingEnvs:
         )
 
     def _keep(self, observations: torch.Tensor) -> torch.Tensor:
-        """Copy observations, and remember the asked side of each."""
         kept = observations.clone()
         if self._mirror is not None:
             self._side = kept[:, SIDE]
@@ -247,7 +243,6 @@ class Samples:
     returns: torch.Tensor  # (samples,)
 
     def select(self, chosen: torch.Tensor) -> "Samples":
-        """Return samples by index (count,)."""
         return Samples(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
 
@@ -300,7 +295,6 @@ class DeviceLearner:
         self._seen = self._envs.reset(seed)
 
     def learn(self, curve: TotalsCurve) -> None:
-        """Learn from one rollout and add the totals of its episodes to the curve."""
         config = self._config
         self._policy.optimizer.param_groups[0]["lr"] = learning_rate(config, self.steps)
         samples = self.roll_out()

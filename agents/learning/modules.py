@@ -72,7 +72,6 @@ class ModuleSamples:
         return torch.arange(len(self.count)).repeat_interleave(self.count)
 
     def select(self, samples: Integers) -> "ModuleSamples":
-        """Return samples by index, with their modules."""
         chosen = torch.from_numpy(samples)
         counts = self.count[chosen]
         first = (self.count.cumsum(0) - self.count)[chosen]
@@ -86,7 +85,6 @@ class ModuleSamples:
 
     @staticmethod
     def concatenate(parts: "list[ModuleSamples]") -> "ModuleSamples":
-        """Join samples in a row."""
         tensors = zip(*(part._tensors() for part in parts), strict=True)
         return ModuleSamples(*map(torch.cat, tensors))
 
@@ -117,13 +115,11 @@ class ModuleLearner:
         self._seen: Singles = np.empty((0, 0), dtype=np.float32)
 
     def begin(self, seed: int) -> None:
-        """Start all environments, environment i from `seed` + i, and random numbers anew."""
         self._rng = np.random.default_rng(seed)
         self._envs.seed(seed)
         self._seen = np.asarray(self._envs.reset())
 
     def learn(self, curve: Curve) -> None:
-        """Learn from one rollout and add the episodes that ended in it to the curve."""
         for optimiser in self._optimisers:
             optimiser.param_groups[0]["lr"] = learning_rate(self._config, self.steps)
         samples, advantage, returns, infos = self._roll_out()
@@ -203,7 +199,6 @@ class ModuleLearner:
         return samples, torch.from_numpy(advantage.ravel().astype(np.float32)), returns, infos
 
     def _step(self, samples: ModuleSamples, advantage: torch.Tensor, returns: torch.Tensor) -> None:
-        """Take one gradient step of each network."""
         sample = samples.sample
         log_probability = self.network(samples.shared, sample, samples.place)
         group = GROUPS * sample + samples.group

@@ -174,7 +174,6 @@ class SlotVecEnv(BatchVecEnv):
         return self._observe(), rewards.ravel().astype(np.float32), ends.ravel(), infos
 
     def _start(self, streams: NDArray[np.int64]) -> None:
-        """Start episodes on lines."""
         options = [{"stream": self._draw(self._rng)} for _ in streams]
         self._batch.reset(streams, options)
         self._arrival[streams] = NOBODY

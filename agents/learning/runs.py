@@ -222,7 +222,6 @@ class Curve:
             self._append(row)
 
     def add_episodes(self, infos: list[dict[str, Any]]) -> None:
-        """Add the episodes that ended in a step."""
         for info in filter(None, infos):
             self.recent.append(
                 {
@@ -239,7 +238,6 @@ class Curve:
         return self._mean("success")
 
     def write(self, steps: int) -> None:
-        """Write a row."""
         row = {name: self._mean(name) for name in self._columns[1:]}
         self._append({"steps": steps, **row})
         for name, value in row.items():
@@ -248,7 +246,6 @@ class Curve:
             self._writer.add_scalar(f"{group}/{term}", value, steps)
 
     def close(self) -> None:
-        """Flush the file of TensorBoard."""
         self._writer.close()
 
     def _append(self, row: dict[str, float]) -> None:

@@ -143,7 +143,6 @@ class DoubleDQN(DQN):
 
     @property
     def memory(self) -> ReplayBuffer:
-        """The replay buffer, which is always there."""
         assert self.replay_buffer is not None
         return self.replay_buffer
 

@@ -133,7 +133,6 @@ def _train_remotely(config: TrainConfig, files: dict[str, bytes], report: Report
 
 
 def _stamps(folder: Path) -> dict[str, tuple[int, int]]:
-    """Return each file's time of writing and its size."""
     return {
         file.relative_to(folder).as_posix(): (file.stat().st_mtime_ns, file.stat().st_size)
         for file in sorted(folder.rglob("*"))

@@ -56,7 +56,6 @@ class LayoutModel(NominalModel):
 
     @property
     def commands(self) -> Integers:
-        """(copies, command size) of the zone's modules, to read and write."""
         return self._batch.surfaces.command
 
     def fork(self, parents: Integers) -> None:
@@ -146,7 +145,6 @@ class _Change:
         self._rows = np.arange(rows)[(rows - line_rows) // 2 :][:line_rows]
 
     def pick(self, layouts: Integers, count: int) -> Integers:
-        """Draw some layouts."""
         picked: Integers = layouts[self._random.integers(len(layouts), size=count)]
         return picked
 
@@ -210,7 +208,6 @@ class ShownPath(Track):
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
-        """Show what Track does, and the path."""
         _observe_track(state)
         see = state.observation
         see[OWN] = state.sensed[X]
@@ -284,7 +281,6 @@ class _Beam:
         self._best = _Found(math.inf, model.axis[0].astype(np.int64))
 
     def search(self) -> _Found:
-        """Search for the best layout."""
         columns = self._line.columns - 1
         front = self._front(1)[0]
         # Columns that the parcel stands on are laid alike.

@@ -210,12 +210,10 @@ class SearchModel:
 
     @property
     def size(self) -> int:
-        """Copies there are."""
         return len(self._batch.outcome)
 
     @property
     def parcels(self) -> ParcelState:
-        """Their state arrays."""
         return self._batch.parcels
 
     @property
@@ -235,7 +233,6 @@ class SearchModel:
         return int(self._kind.encode(both)[0])
 
     def begin_at(self, start: Start) -> None:
-        """Put every copy at a start."""
         self._batch.place(FIRST, start)
         self._batch.begin(FIRST)
         self.spread()
@@ -313,7 +310,6 @@ class TrueModel(SearchModel):
         return nodes
 
     def nodes(self, count: int) -> SearchNodes:
-        """View the first copies as nodes."""
         nodes = super().nodes(count)
         return replace(
             nodes,
@@ -323,7 +319,6 @@ class TrueModel(SearchModel):
         )
 
     def _turning(self, parcels: ParcelState) -> TurningAxes:
-        """Collect the axes beside some parcels."""
         index, bodies, line = parcels.body[0], self._batch.bodies, self.config.chosen_line
         body = bodies.body[index]
         x, y, theta = parcels.truth[:, :3].T[..., np.newaxis]

@@ -45,7 +45,6 @@ class Reached:
 
     @property
     def success(self) -> bool:
-        """Whether the goal was reached."""
         return self.outcome == "success"
 
 
@@ -78,7 +77,6 @@ class Oracle:
         self._models: dict[int, TrueModel] = {}
 
     def find(self, options: dict[str, Any], seed: int) -> Reached:
-        """Find the best episode for a start, that of `reset` with these arguments."""
         began = time.perf_counter()
         for cost, width in product(self._costs, self._widths):
             found = self._play(cost, width, options, seed)

@@ -178,7 +178,6 @@ def keep_best(cost: PlanCost, moved: SearchNodes, runs: Booleans, width: int) ->
 
 
 def _trace(periods: list[_Period], end: _End, first_seen: Observations) -> Plan:
-    """Trace the plan that comes to an end."""
     node, actions, seen = end.node, [], []
     for period in reversed(periods[: end.period + 1]):
         actions.append(int(period.actions[node]))

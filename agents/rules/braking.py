@@ -51,7 +51,6 @@ class FrictionEstimate:
 
     @classmethod
     def for_sensors(cls, config: EnvConfig) -> "FrictionEstimate":
-        """Make an estimator for the sensors of an environment."""
         return cls(SEEN_EXACTLY if isinstance(config.sensors, Exact) else SEEN)
 
     @staticmethod
@@ -61,7 +60,6 @@ class FrictionEstimate:
 
     @staticmethod
     def frictions(estimate: Memory) -> Frictions:
-        """Read the frictions off an estimate."""
         braking, rolling = np.clip(estimate[:, :2], LEAST, MOST).T
         return Frictions(braking, rolling, np.sqrt(np.maximum(0.0, estimate[:, 3])))
 

@@ -241,12 +241,10 @@ class _LineSearch:
         self._model = search.LayoutModel(config, max(search.LAYOUTS, len(known)))
 
     def __call__(self, observations: Observations) -> Commands:
-        """Choose commands (num_envs, modules) for episodes that have just begun."""
         layouts = [self._one(self._config.decode_start(seen)) for seen in observations]
         return np.stack(layouts).reshape(len(observations), -1)
 
     def _one(self, start: Start) -> Commands:
-        """Choose (rows, columns)."""
         self._model.begin_at(start)
         return search.search_layout(self._model, self._cost, self._axes, self._known)
 

@@ -324,7 +324,6 @@ class Reservation(ParcelRule):
         self._booking = Booking(config, found.signature, least_gaps(found.each, margin))
 
     def halves(self, rows: Rows) -> Halves:
-        """Choose as the rule that leads."""
         return self._lead.halves(rows)
 
     def _open(self, tables: Rows, memory: Any, fresh: Booleans) -> tuple[Halves, Any]:

@@ -126,7 +126,6 @@ class TurningRule(BaseRule):
         return options[np.arange(len(best)), best], None
 
     def _options(self, seen: LineObservation, modules: ModulePositions) -> Commands:
-        """List (num_envs, options, modules) choices; rolling is the first."""
         axes = self._axes
         x = modules.x[:, np.newaxis]
         inside = seen.wholly_in_zone[:, np.newaxis, np.newaxis]

@@ -76,7 +76,6 @@ class StreamEventRule(ParcelRule):
     """90 deg until the parcel's rear is past its exit's start, then 45 deg under it."""
 
     def halves(self, rows: Rows) -> Halves:
-        """Choose by the rear and the side of the exit."""
         side = np.where(rows[:, PAST_START] > 0.0, rows[:, SIDE].astype(np.float64), 0.0)
         choice = self._axes.towards(side)
         return np.stack([choice, choice], axis=-1)
@@ -93,7 +92,6 @@ class SortEach(ParcelRule):
         self._choices = config.action_kind.choices
 
     def halves(self, rows: Rows) -> Halves:
-        """Choose by the agent."""
         choices = np.full((len(rows), 2), self._axes.roll)
         aside = rows[:, SIDE] != 0.0
         if aside.any():

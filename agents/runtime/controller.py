@@ -39,11 +39,9 @@ class Decider:
         self._is_first = True
 
     def reset(self) -> None:
-        """Start with a parcel that has just entered."""
         self._state, self._is_first = None, True
 
     def decide(self, observation: Observation) -> Command:
-        """Return the command for an observation."""
         action, self._state = self._controller.predict(
             observation[np.newaxis],
             self._state,
@@ -93,7 +91,6 @@ class Bounds:
     high: Observation
 
     def contain(self, observation: Observation) -> bool:
-        """Tell whether an observation lies within."""
         return bool(((self.low <= observation) & (observation <= self.high)).all())
 
 
@@ -121,11 +118,9 @@ class LocalArranger:
         self._layout: Command | None = None
 
     def ask(self, observation: Observation) -> None:
-        """Arrange the layout."""
         self._layout = self._layouts.arrange(observation)
 
     def layout(self) -> Command | None:
-        """Return the command."""
         return self._layout
 
 
@@ -157,7 +152,6 @@ class ProcessArranger:
         return self._here.poll(timeout) and self._here.recv() == 0
 
     def ask(self, observation: Observation) -> None:
-        """Send the observation to the process."""
         self._asked += 1
         self._layout = None
         self._here.send((self._asked, observation))
@@ -172,7 +166,6 @@ class ProcessArranger:
 
 
 def _arrange(config: EnvConfig, connection: Connection) -> None:
-    """Arrange layouts until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop ends this process
     layouts = FixedLayouts(config)
     connection.send(0)
@@ -204,11 +197,9 @@ class WallClock:
     """The machine's clock, `time.monotonic()`."""
 
     def now(self) -> float:
-        """Return the time [s] since some moment."""
         return time.monotonic()
 
     def sleep_until(self, moment: float) -> None:
-        """Wait until a time [s]."""
         left = moment - time.monotonic()
         if left > 0.0:
             time.sleep(left)
@@ -381,7 +372,6 @@ class ControlLoop:
 
     @property
     def has_parcel(self) -> bool:
-        """Whether a parcel is on the surface."""
         return self._estimator.entered is not None
 
     def _connect(self, now: float) -> bool:
@@ -454,7 +444,6 @@ class ControlLoop:
         self._arranger.ask(self._estimator.observe(entered.at))
 
     def _acknowledge(self, answer: protocol.AxesAcknowledged) -> None:
-        """Handle the device's answer to a command."""
         if answer.refused:
             self.counts.refused += 1
             self._estimator.drop_command(answer.command)

@@ -174,7 +174,6 @@ class StateEstimator:
         self._parcels.body[:] = self._plan.bodies_of(BOTH, parcels)
 
     def reset(self, entered: Entered) -> None:
-        """Start with a parcel."""
         task = self.config.task
         goal = checks.array("goal", entered.goal, (task.goals,))
         path = checks.array("path", entered.path, (PATH_POINTS,)) if task.has_path else None
@@ -198,7 +197,6 @@ class StateEstimator:
         self.entered = entered
 
     def clear(self) -> None:
-        """Forget the parcel, which has left."""
         self.entered = None
 
     def correct(self, frame: Frame) -> bool:
@@ -278,7 +276,6 @@ class StateEstimator:
             earliest = command.at = max(earliest, command.at)
 
     def drop_command(self, number: int) -> None:
-        """Forget a command that the device did not accept."""
         self._commands = deque(each for each in self._commands if each.number != number)
 
     def _advance(self, i: int, begun: float, until: float, looks: bool) -> None:
@@ -300,7 +297,6 @@ class StateEstimator:
             self._move(*self._arrays, self._scratch, i, *given)
 
     def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:
-        """Cut the widest zone's axes out of the whole surface's (rows, columns)."""
         return zone_angles(whole, self._plan.bodies.zone[self._parcels.body[NOW]], self.shape)
 
 

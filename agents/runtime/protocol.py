@@ -257,7 +257,6 @@ def _triple(name: str, value: Any) -> tuple[float, float, float]:
 
 
 def _base_fields(base: Base) -> dict[str, Any]:
-    """Describe a base around its centroid."""
     if isinstance(base, Disc):
         return {"radius": base.radius}
     if isinstance(base, Rectangle):
@@ -296,7 +295,6 @@ class Connection:
         self._waiting = b""
 
     def fileno(self) -> int:
-        """Return the file descriptor, for `select`."""
         return self._socket.fileno()
 
     def lines(self) -> list[bytes]:
@@ -333,7 +331,6 @@ class Connection:
             raise ConnectionLost(f"the other side is gone: {error}") from None
 
     def close(self) -> None:
-        """Disconnect."""
         self._socket.close()
 
 
@@ -349,7 +346,6 @@ class SocketDevice:
         self._command = 0
 
     def connect(self) -> None:
-        """Connect to the device."""
         self.close()
         try:
             connected = socket.create_connection(self._address, timeout=TIMEOUT)
@@ -359,13 +355,11 @@ class SocketDevice:
         self._greeted = False
 
     def close(self) -> None:
-        """Disconnect."""
         if self._connection is not None:
             self._connection.close()
             self._connection = None
 
     def read(self) -> list[Message]:
-        """Return the messages since the last call."""
         if self._connection is None:
             raise DeviceLost("not connected")
         messages = []
@@ -387,7 +381,6 @@ class SocketDevice:
         return messages
 
     def set_axes(self, angles: Angles) -> int:
-        """Turn the zone's modules to angles (rows, columns) [rad]."""
         if self._connection is None:
             raise DeviceLost("not connected")
         self._command += 1

@@ -101,7 +101,6 @@ def show_report(report: dict[str, Any], console: Console) -> None:
 
 
 def _sentences(run: dict[str, Any], counts: dict[str, Any], success: float | None) -> list[str]:
-    """Describe the counts."""
     parcels = ", ".join(f"{count} {outcome}" for outcome, count in counts["parcels"].items())
     load = ", ".join(f"{each:.2f}" for each in run["load"])
     return [

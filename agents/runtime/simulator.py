@@ -97,7 +97,6 @@ class World:
         self._enters += seconds
 
     def set_axes(self, command: int, angles: wire.Angles) -> wire.AxesAcknowledged:
-        """Turn the zone's modules to angles (rows, columns) [rad]; refused where out of range."""
         fault = self._limits.fault(angles)
         if not fault:
             self._command[0] = angles.ravel()
@@ -203,7 +202,6 @@ class Server:
         self.refused = 0  # commands that were not allowed
 
     def step(self, now: float) -> None:
-        """Do all that is to be done at a time [s], and return at once."""
         behind = now - self._world.now
         if behind > MAX_BEHIND:
             self._world.stand_still(behind)
@@ -223,7 +221,6 @@ class Server:
         select.select(ready, [], [], max(0.0, min(due, self._world.now) - now))
 
     def close(self) -> None:
-        """Close all sockets."""
         self._drop()
         self._listener.close()
 
@@ -325,7 +322,6 @@ class SimulatorProcess:
         self.close()
 
     def close(self) -> None:
-        """End the process."""
         self._process.terminate()
         try:
             self._process.wait(STOP_TIMEOUT)

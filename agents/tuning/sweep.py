@@ -40,7 +40,6 @@ class Span:
 
     @property
     def ends(self) -> tuple[Any, ...]:
-        """Values that must be allowed if all are to be."""
         return self.low, self.high
 
 
@@ -62,7 +61,6 @@ class Choices:
 
     @property
     def ends(self) -> tuple[Any, ...]:
-        """Values that must be allowed if all are to be."""
         return tuple(self.choices)
 
 
