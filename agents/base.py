@@ -5,6 +5,7 @@ features is the asked side. Here actions are mirrored back into the world.
 """
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -39,6 +40,40 @@ class Controller(Protocol):
             state: returned by the last call; None at first, and always without memory.
             episode_start: (num_envs,) whether an episode has just begun; None only if `state` is.
         """
+
+
+class BatchController(ABC):
+    """A `Controller` that decides for a batch; a single observation is a batch of one."""
+
+    _dims = 1  # of an observation
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, Any]:
+        """Choose the action for an observation, or actions for several; see `Controller`."""
+        seen = np.asarray(observation)
+        batch = seen.reshape(-1, *seen.shape[-self._dims :])
+        actions, state = self._predict(batch, state, episode_start, deterministic=deterministic)
+        return (actions[0] if seen.ndim == self._dims else actions), state
+
+    @abstractmethod
+    def _predict(
+        self, batch: Any, state: Any, episode_start: Any, *, deterministic: bool
+    ) -> tuple[Any, Any]:
+        """Choose actions (num_envs, ...) for observations (num_envs, ...)."""
+
+
+def is_fresh(num_envs: int, state: Any, episode_start: Any) -> NDArray[np.bool_]:
+    """Tell (num_envs,) whose episode has just begun, by the arguments of `Controller.predict`."""
+    if state is None:
+        return np.ones(num_envs, dtype=np.bool_)
+    if episode_start is None:
+        return np.zeros(num_envs, dtype=np.bool_)
+    return np.atleast_1d(np.asarray(episode_start, dtype=np.bool_))
 
 
 def axes_apart(one: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:

@@ -10,15 +10,15 @@ to just these choices make an interval, and its length is the likelihood.
 import math
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
 
 from surface_gym.core.actions import group_features
 
-from .base import SIDE
+from .base import SIDE, BatchController
 from .library import PolicyCard
 from .module_view import Integers, ModuleView, Singles, place_size, shared_size
 
@@ -119,7 +119,7 @@ class ValueNetwork(nn.Module):
         return value
 
 
-class ModulePolicy:
+class ModulePolicy(BatchController):
     """A policy of modules with shared weights.
 
     Args:
@@ -141,26 +141,14 @@ class ModulePolicy:
         return ModulePolicy(self._network, self.card, zone)
 
     @torch.no_grad()
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.int64], None]:
-        """Choose an action for an observation (features,), or actions for (num_envs, features).
-
-        If not deterministic, all modules of an environment share a draw, as in training.
-        """
-        del state, episode_start
-        observations = np.atleast_2d(observation)
-        seen = self._view(observations)
+    def _predict(self, batch: Any, *_: Any, deterministic: bool) -> tuple[Any, None]:
+        """Choose; where it is random, the modules of an environment share a draw, as in training."""
+        seen = self._view(batch)
         shared, env, place = map(torch.from_numpy, (seen.shared, seen.env, seen.place))
         log_probability = self._network(shared, env, place)
         if deterministic:
             choices = log_probability.argmax(dim=1)
         else:
-            uniform = torch.rand(GROUPS * len(observations))
+            uniform = torch.rand(GROUPS * len(batch))
             choices = draw_choices(log_probability, GROUPS * env, uniform)
-        actions = self._view.actions(observations, seen, choices.numpy())
-        return (actions[0] if np.ndim(observation) == 1 else actions), None
+        return self._view.actions(batch, seen, choices.numpy()), None

@@ -16,7 +16,7 @@ from torch.distributions import Categorical
 from surface_gym.config import EnvConfig
 from surface_gym.flow.task import PRESENT, WAITS, StreamActions
 
-from .base import SIDE, mirrored_orientations
+from .base import SIDE, BatchController, mirrored_orientations
 from .library import PolicyCard
 
 
@@ -135,8 +135,10 @@ def make_parcel_network(card: PolicyCard) -> ParcelNetwork:
     return ParcelNetwork(*space, lambda _: 0.0, net_arch=list(card.hidden))
 
 
-class ParcelPolicy:
+class ParcelPolicy(BatchController):
     """A policy of parcels with shared weights."""
+
+    _dims = 2
 
     def __init__(self, network: ParcelNetwork, card: PolicyCard) -> None:
         torch.set_num_threads(1)  # the network is small: more threads only wait for each other
@@ -147,20 +149,11 @@ class ParcelPolicy:
         self.env_id = card.env_id
         self.env_kwargs = card.env_kwargs
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, None]:
-        del state, episode_start
-        tables = observation.reshape(-1, *observation.shape[-2:])
-        present = tables[..., PRESENT] > 0.5
+    def _predict(self, batch: Any, *_: Any, deterministic: bool) -> tuple[Any, None]:
+        present = batch[..., PRESENT] > 0.5
         choices = np.zeros((*present.shape, 3), dtype=np.int64)
         if present.any():
             choices[present], _ = self._network.predict(
-                mirrored_rows(tables[present]), deterministic=deterministic
+                mirrored_rows(batch[present]), deterministic=deterministic
             )
-        actions = self._actions.to_env(tables, choices)
-        return (actions[0] if observation.ndim == 2 else actions), None
+        return self._actions.to_env(batch, choices), None

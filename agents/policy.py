@@ -10,11 +10,9 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 import yaml
 from gymnasium import spaces
-from numpy.typing import NDArray
 from stable_baselines3.common.distributions import MultiCategoricalDistribution
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.dqn.policies import DQNPolicy
@@ -24,7 +22,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.files import replacing
 from surface_gym.tasks import TASKS, Task
 
-from .base import SIDE, action_mirror
+from .base import SIDE, BatchController, action_mirror
 from .library import CARD, DAMAGE, WEIGHTS, PolicyCard, PolicyFiles, describe_damage, read_files
 from .module_policy import ModulePolicy, SharedNetwork
 from .parcel_policy import ParcelPolicy, make_parcel_network
@@ -89,7 +87,7 @@ def make_network(card: PolicyCard, config: EnvConfig) -> BasePolicy:
     )
 
 
-class Policy:
+class Policy(BatchController):
     """A trained PPO or DQN policy."""
 
     def __init__(self, network: BasePolicy, card: PolicyCard, config: EnvConfig) -> None:
@@ -102,20 +100,9 @@ class Policy:
         own = {} if card.task in TASKS else {"task": config.task}
         self.env_kwargs = {**own, **card.env_kwargs}
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, None]:
-        del state, episode_start
-        single = observation.ndim == 1
-        observations = observation[np.newaxis] if single else observation
-        actions, _ = self._network.predict(observations, deterministic=deterministic)
-        if self._mirror is not None:
-            actions = self._mirror(actions, observations[:, SIDE])
-        return (actions[0] if single else actions), None
+    def _predict(self, batch: Any, *_: Any, deterministic: bool) -> tuple[Any, None]:
+        actions, _ = self._network.predict(batch, deterministic=deterministic)
+        return (actions if self._mirror is None else self._mirror(actions, batch[:, SIDE])), None
 
 
 def save_policy(network: torch.nn.Module, card: PolicyCard, folder: Path) -> None:

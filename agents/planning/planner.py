@@ -11,6 +11,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.state import RUNNING
 from surface_gym.tasks.planning import PlanCost
 
+from ..base import BatchController, is_fresh
 from .models import FIRST, NominalModel, SearchModel, SearchNodes
 
 Booleans = NDArray[np.bool_]
@@ -31,7 +32,7 @@ class Plan:
     seen: Observations  # (periods, features)
 
 
-class Planner:
+class Planner(BatchController):
     """A controller that searches for the best actions of a front and a rear half, and follows them.
 
     It sees what the sensors say, as agents do, and takes it for true: it puts the parcel it sees
@@ -58,32 +59,14 @@ class Planner:
         size = nodes_needed(cost, self._width, config.action_kind.choices**2)
         self._model = NominalModel(replace(config, zone=zone), size)
 
-    def predict(
-        self,
-        observation: Observations,
-        state: list[tuple[Plan, int]] | None = None,
-        episode_start: Booleans | None = None,
-        deterministic: bool = True,
+    def _predict(
+        self, batch: Observations, state: Any, episode_start: Any, **_: bool
     ) -> tuple[Any, list[tuple[Plan, int]]]:
-        """Choose the action for an observation (features,), or actions for (num_envs, features).
-
-        See `agents.base.Controller`. The state holds each environment's plan, and how many of
-        its actions were given.
-        """
-        del deterministic
-        observations = np.atleast_2d(observation)
-        last: list[tuple[Plan, int] | None] = [None] * len(observations)
-        if state is not None:
-            begun = np.zeros(len(state), dtype=np.bool_) if episode_start is None else episode_start
-            last = [
-                None if new else following
-                for new, following in zip(np.atleast_1d(begun), state, strict=True)
-            ]
-        following = [
-            self._follow(seen, before) for seen, before in zip(observations, last, strict=True)
-        ]
-        actions = np.array([plan.actions[given - 1] for plan, given in following])
-        return (actions[0] if np.ndim(observation) == 1 else actions), following
+        """Choose; the state holds each environment's plan and how many actions of it were given."""
+        fresh = is_fresh(len(batch), state, episode_start)
+        followed = zip(batch, fresh, state or [None] * len(batch), strict=True)
+        following = [self._follow(seen, None if new else last) for seen, new, last in followed]
+        return np.array([plan.actions[given - 1] for plan, given in following]), following
 
     def _follow(self, seen: Observations, last: tuple[Plan, int] | None) -> tuple[Plan, int]:
         """Choose the plan to go by, and count its next action as given."""

@@ -1,7 +1,7 @@
 """Base classes of rules, which decide for many environments at once, by the sensors alone."""
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +13,7 @@ from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.tasks import Task
 
-from ..base import Controller, find_axes, find_orientation
+from ..base import BatchController, Controller, find_axes, find_orientation, is_fresh
 
 Booleans = NDArray[np.bool_]
 Commands = NDArray[np.int64]
@@ -41,16 +41,7 @@ class Rule:
     observed_task: Callable[[Task], Task] | None = None
 
 
-def is_fresh(num_envs: int, state: Any, episode_start: Booleans | None) -> Booleans:
-    """Tell (num_envs,) whose episode has just begun, by the arguments of `Controller.predict`."""
-    if state is None:
-        return np.ones(num_envs, dtype=np.bool_)
-    if episode_start is None:
-        return np.zeros(num_envs, dtype=np.bool_)
-    return np.atleast_1d(np.asarray(episode_start, dtype=np.bool_))
-
-
-class BaseRule(ABC):
+class BaseRule(BatchController):
     """A rule of one parcel per environment.
 
     Args:
@@ -81,23 +72,12 @@ class BaseRule(ABC):
             fresh: (num_envs,) an episode has just begun: the memory is of another.
         """
 
-    def predict(
-        self,
-        observation: Observations,
-        state: Memory | None = None,
-        episode_start: Booleans | None = None,
-        deterministic: bool = True,
+    def _predict(
+        self, batch: Observations, state: Any, episode_start: Any, **_: bool
     ) -> tuple[Any, Memory | None]:
-        """Choose the action for an observation (features,), or actions for (num_envs, features).
-
-        See `agents.base.Controller`; a rule draws nothing, whatever `deterministic`.
-        """
-        del deterministic
-        observations = np.atleast_2d(observation)
-        fresh = is_fresh(len(observations), state, episode_start)
-        commands, memory = self._decide(observations, state, fresh)
-        actions = self._kind.encode(commands)
-        return (actions[0] if np.ndim(observation) == 1 else actions), memory
+        fresh = is_fresh(len(batch), state, episode_start)
+        commands, memory = self._decide(batch, state, fresh)
+        return self._kind.encode(commands), memory
 
 
 class UniformRule(BaseRule):

@@ -11,8 +11,8 @@ from surface_gym.core.actions import ANY
 from surface_gym.design.sorting_layouts import SIDE, SortingLayout, sorting_layouts
 from surface_gym.layouts import ROLLING
 
-from ..base import SAME, axes_apart, find_axes
-from .base import Booleans, Commands, FixedRule, Numbers, Observations, UniformRule
+from ..base import SAME, BatchController, axes_apart, find_axes
+from .base import Commands, FixedRule, Numbers, Observations, UniformRule
 
 
 class FixedLayout(UniformRule):
@@ -86,7 +86,7 @@ class BestSorting(FixedRule):
         return nearest
 
 
-class GradedLayout:
+class GradedLayout(BatchController):
     """One layout for all entry speeds, whose axes turn little by little from column to column: the
     one that `surface_gym.design` found for the study's box that is nearer in size.
 
@@ -101,21 +101,10 @@ class GradedLayout:
         chosen = [layout for layout in sorting_layouts() if layout.offer == "any"]
         self._layouts = BoxLayouts(chosen, config.action_kind.shape)
 
-    def predict(
-        self,
-        observation: Observations,
-        state: None = None,
-        episode_start: Booleans | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, None]:
-        """Choose angles [rad] for an observation (features,), or for (num_envs, features).
-
-        See `agents.base.Controller`; a layout draws nothing, whatever `deterministic`.
-        """
-        del state, episode_start, deterministic
-        seen = self._config.decode(np.atleast_2d(observation))
-        angles = self._layouts.arrange(seen.half_length, seen.side)
-        return (angles[0] if np.ndim(observation) == 1 else angles), None
+    def _predict(self, batch: Observations, *_: Any, **__: bool) -> tuple[Any, None]:
+        """Choose angles [rad]."""
+        seen = self._config.decode(batch)
+        return self._layouts.arrange(seen.half_length, seen.side), None
 
 
 def _on_offer(angles: Numbers) -> list[SortingLayout]:

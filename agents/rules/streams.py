@@ -1,6 +1,6 @@
 """Rules for streams of parcels that decide parcel by parcel, and the layout of a stream."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,8 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow.task import OWN, PRESENT, WAITS
 
 from .. import library
-from ..base import find_axes
-from .base import Booleans, is_fresh
+from ..base import BatchController, find_axes, is_fresh
+from .base import Booleans
 
 Rows = NDArray[np.float32]
 Halves = NDArray[np.int64]
@@ -23,8 +23,10 @@ SIDE = 14  # column of the side of its exit
 OPEN = 1  # the gate opens with the first physics step
 
 
-class ParcelRule(ABC):
+class ParcelRule(BatchController):
     """A rule that decides for each parcel by its row alone: the same for all, wherever they are."""
+
+    _dims = 2
 
     def __init__(self, config: EnvConfig) -> None:
         checks.one_of("actions", config.actions, ("parcels",))
@@ -45,21 +47,11 @@ class ParcelRule(ABC):
         del fresh
         return np.full(len(tables), OPEN), memory
 
-    def predict(
-        self,
-        observation: Rows,
-        state: Any = None,
-        episode_start: Booleans | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.int64], Any]:
-        """Choose the action for an observation (rows, features), or for (num_envs, rows, features).
-
-        See `agents.base.Controller`.
-        """
-        del deterministic
-        tables = observation.reshape(-1, *observation.shape[-2:])
-        num_envs = len(tables)
-        rows = tables[:, : self._places].reshape(-1, tables.shape[-1])
+    def _predict(
+        self, batch: Rows, state: Any, episode_start: Any, **_: bool
+    ) -> tuple[Halves, Any]:
+        num_envs = len(batch)
+        rows = batch[:, : self._places].reshape(-1, batch.shape[-1])
         present = (rows[:, PRESENT] > 0.5) & (rows[:, WAITS] < 0.5)
         choices = np.full((len(rows), 2), self._axes.roll)
         if present.any():
@@ -67,9 +59,9 @@ class ParcelRule(ABC):
         actions = choices.reshape(num_envs, -1)
         if self._gated:
             fresh = is_fresh(num_envs, state, episode_start)
-            opens, state = self._open(tables, state, fresh)
+            opens, state = self._open(batch, state, fresh)
             actions = np.concatenate([actions, opens[:, np.newaxis]], axis=1)
-        return (actions[0] if observation.ndim == 2 else actions), state
+        return actions, state
 
 
 class StreamEventRule(ParcelRule):
@@ -100,8 +92,10 @@ class SortEach(ParcelRule):
         return choices
 
 
-class StreamFixedLayout:
+class StreamFixedLayout(BatchController):
     """A layout that is arranged once: all modules that obey at 45 deg to the left."""
+
+    _dims = 2
 
     def __init__(self, config: EnvConfig) -> None:
         checks.one_of("actions", config.actions, ("modules",))
@@ -109,18 +103,5 @@ class StreamFixedLayout:
             raise ValueError("gate must be False for a layout, which decides nothing, got True")
         self._action = np.full(config.action_kind.size, find_axes(config).left)
 
-    def predict(
-        self,
-        observation: Rows,
-        state: Any = None,
-        episode_start: Booleans | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Halves, Any]:
-        """Give the action for an observation (rows, features), or for (num_envs, rows, features).
-
-        See `agents.base.Controller`.
-        """
-        del episode_start, deterministic
-        if observation.ndim == 2:
-            return self._action.copy(), state
-        return np.tile(self._action, (len(observation), 1)), state
+    def _predict(self, batch: Rows, state: Any, *_: Any, **__: bool) -> tuple[Halves, Any]:
+        return np.tile(self._action, (len(batch), 1)), state
