@@ -22,8 +22,7 @@ from surface_gym.tasks import TASKS, Task
 
 if TYPE_CHECKING:
     from .module_policy import ModulePolicy
-    from .parcel_policy import ParcelPolicy
-    from .policy import Policy
+    from .policy import ParcelPolicy, Policy
 
 SHELF = Path(__file__).parent / "shipped"
 WEIGHTS = "policy.pt"

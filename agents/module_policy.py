@@ -142,7 +142,7 @@ class ModulePolicy(BatchController):
 
     @torch.no_grad()
     def _predict(self, batch: Any, *_: Any, deterministic: bool) -> tuple[Any, None]:
-        """Choose; where it is random, the modules of an environment share a draw, as in training."""
+        """Choose; random choices of an environment's modules share a draw, as in training."""
         seen = self._view(batch)
         shared, env, place = map(torch.from_numpy, (seen.shared, seen.env, seen.place))
         log_probability = self._network(shared, env, place)

@@ -119,7 +119,7 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
 
     workers = choose_workers(request.cluster, usable_cores(), task_files(request.task))
     if request.search is not None:
-        from .tuning.cli import search
+        from .tuning.sweep import search
 
         assert request.folder is not None
         search(request.search, request.folder, workers, console, request.task)

@@ -95,7 +95,7 @@ TARGETS = (
     ),
     *(
         _agent(f"rules/{name}", "rules/test_braking.py", wide=("rules/test_rules.py",))
-        for name in ("braking", "brake_model", "base")
+        for name in ("braking", "base")
     ),
     _agent(
         "rules/steering",

@@ -29,7 +29,7 @@ class Command:
 
 COMMANDS = {
     "train": Command("train an agent, or search hyper-parameters", AGENTS + "train_cli"),
-    "tune": Command("search hyper-parameters, as a file says", AGENTS + "tuning.cli"),
+    "tune": Command("search hyper-parameters, as a file says", AGENTS + "tuning.sweep"),
     "evaluate": Command("compare controllers and agents on every task", AGENTS + "evaluation.cli"),
     "design": Command("choose a surface for your own parcel", "surface_gym.design.cli"),
     "export": Command("write an agent as ONNX and as C, checked", AGENTS + "export.cli"),

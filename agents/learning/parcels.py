@@ -26,7 +26,7 @@ from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Camera, Exact
 from surface_gym.state import OUT_OF_TIME, RUNNING
 
-from ..parcel_policy import ParcelActions, ParcelNetwork, mirrored_rows, parcel_spaces
+from ..policy import ParcelActions, ParcelNetwork, mirrored_rows, parcel_spaces
 from ..rules.reservation import Reservation
 from ..vec_env import BatchVecEnv, ConcatVecEnv, EpisodeRecorder
 from .config import ParcelsConfig

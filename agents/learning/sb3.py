@@ -30,8 +30,7 @@ from surface_gym.tasks import Task, Track
 
 from ..base import action_mirror, time_for, with_zone
 from ..library import find_task
-from ..parcel_policy import ParcelNetwork
-from ..policy import EqualChoicesPolicy, save_policy
+from ..policy import EqualChoicesPolicy, ParcelNetwork, save_policy
 from ..vec_env import ConcatVecEnv, MirrorVecEnv, SurfaceVecEnv
 from . import runs
 from .config import DQNConfig, ParcelsConfig, PPOConfig, TrainConfig, make_card

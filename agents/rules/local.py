@@ -15,7 +15,7 @@ from surface_gym.tasks.track import PathObservation
 
 from ..base import find_axes
 from .base import BaseRule, Booleans, Commands, Memory, Numbers, Observations
-from .brake_model import ModulePositions, Motion, line_positions, window_positions
+from .steering import ModulePositions, Motion, line_positions, window_positions
 
 # Found by trying, on other starts than any reported.
 ASIDE = 5.0  # [m/s] to the side where Sort wants the parcel off: more than there ever is

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from surface_gym import agents
-from surface_gym.agents import parcel_policy
+from surface_gym.agents import policy as parcel_policy
 from surface_gym.agents.base import SIDE
 from surface_gym.agents.learning.parcels import training_env_config
 from surface_gym.agents.library import CARD, PolicyCard

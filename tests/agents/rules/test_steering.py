@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents.rules import brake_model
+from surface_gym.agents.rules import steering
 from surface_gym.config import EnvConfig
 from surface_gym.tasks.paths import Sine
 from tests.agents.rules.runs import mirrored_starts, rule, run_rule
@@ -66,7 +66,7 @@ def test_modules_that_turn_a_parcel_drag_its_front_one_way_and_its_rear_the_othe
     for _ in range(15):
         observations, *_ = env.step(np.full((2, 64), ROLL))
     line = config.decode(observations)
-    modules = brake_model.line_positions(line, config.action_kind)
+    modules = steering.line_positions(line, config.action_kind)
     options = rule("orient", "turning rule").make(config)._options(line, modules)
     for x, ways in zip(modules.x, options, strict=True):
         turned = [(set(way[x > 0]) - {ROLL}, set(way[x < 0]) - {ROLL}) for way in ways]
@@ -88,7 +88,7 @@ def test_positions_are_the_modules_that_the_environment_sees_under_the_parcel() 
     observations, _ = env.reset(seed=5)
     rng = np.random.default_rng(0)
     for _ in range(10):
-        modules = brake_model.window_positions(config.decode(observations), config.action_kind)
+        modules = steering.window_positions(config.decode(observations), config.action_kind)
         np.testing.assert_array_equal(modules.under, observations[:, -25:] > 0.5)
         observations, *_ = env.step(rng.integers(0, 4, (20, 25)))
 
@@ -97,7 +97,7 @@ def test_line_positions_are_pitches_apart_and_centred_on_the_line() -> None:
     config = EnvConfig(task="orient")
     env = sg.SmartSurfaceVectorEnv(2, task="orient")
     observations, info = env.reset(seed=0, options=[{"parcel": "S"}, {"parcel": "B"}])
-    modules = brake_model.line_positions(config.decode(observations), config.action_kind)
+    modules = steering.line_positions(config.decode(observations), config.action_kind)
     # The S-box's lead-in is 3 columns and the B-box's 5; the first rotor after it is at 0.35 m.
     first = np.array([0.35, 0.55]) - info["pose"][:, 0]
     np.testing.assert_allclose(modules.x.reshape(2, 4, 16)[:, 2, 0], first, atol=1e-6)
@@ -119,9 +119,9 @@ def test_the_square_slides_as_in_the_simulator(angle) -> None:
     env = sg.SmartSurfaceVectorEnv(1, task="track", actions="window")
     start = {"parcel": "S", "path": [(1.0, 1.0), (5.0, 1.0)], "tilt": tilt, "speed": 0.8}
     observations, _ = env.reset(seed=0, options=start)
-    modules = brake_model.window_positions(config.decode(observations), config.action_kind)
-    square = brake_model.SquareModel(modules, np.array([half_length]), np.array([tilt]))
-    motion = brake_model.Motion(*(np.array([part]) for part in velocity))
+    modules = steering.window_positions(config.decode(observations), config.action_kind)
+    square = steering.SquareModel(modules, np.array([half_length]), np.array([tilt]))
+    motion = steering.Motion(*(np.array([part]) for part in velocity))
     after = square.predict(motion, np.full((1, 25), angle), period=0.04, steps=4)
     assert after.vx[0, 0] == pytest.approx(truth[0], abs=0.03)
     assert after.vy[0, 0] == pytest.approx(truth[1], abs=0.03)

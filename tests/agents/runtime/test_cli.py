@@ -15,8 +15,8 @@ import pytest
 import tyro
 from rich.console import Console
 
+from surface_gym.agents.runtime import cli as reports
 from surface_gym.agents.runtime import controller, simulator
-from surface_gym.agents.runtime import report as reports
 from surface_gym.agents.runtime.cli import load_policy, main, make_env_config, simulator_arguments
 from surface_gym.agents.runtime.config import RuntimeConfig, SimulatorConfig
 from surface_gym.agents.runtime.protocol import DeviceLost, Frame, Message, SocketDevice

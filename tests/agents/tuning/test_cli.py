@@ -11,8 +11,7 @@ from optuna.trial import FrozenTrial, TrialState, create_trial
 from rich.console import Console
 
 from surface_gym.agents.learning.config import PPOConfig, defaults
-from surface_gym.agents.tuning import cli
-from surface_gym.agents.tuning.cli import main, open_folder, search
+from surface_gym.agents.tuning import sweep as cli
 from surface_gym.agents.tuning.study import (
     MIN_COMPLETE,
     REASON,
@@ -23,7 +22,7 @@ from surface_gym.agents.tuning.study import (
     plain_params,
     write_report,
 )
-from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
+from surface_gym.agents.tuning.sweep import Choices, Span, Sweep, main, open_folder, search
 from tests.agents.tuning.cheap import QUIET, SMALL, searched
 
 SHORT = """
