@@ -82,8 +82,7 @@ def axes_apart(one: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:
     The angles broadcast.
     """
     turned = np.exp(2j * (np.asarray(one) - np.asarray(other)))
-    apart: NDArray[np.float64] = np.abs(np.angle(turned)) / 2.0
-    return apart
+    return np.abs(np.angle(turned)) / 2.0
 
 
 def with_zone(line: "Line", columns: int) -> "Line":

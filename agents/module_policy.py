@@ -115,8 +115,7 @@ class ValueNetwork(nn.Module):
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Compute values (num_envs,) of observations (num_envs, features)."""
         without_side = torch.cat([observations[:, :SIDE], observations[:, SIDE + 1 :]], dim=1)
-        value: torch.Tensor = self._layers(without_side)[:, 0]
-        return value
+        return self._layers(without_side)[:, 0]
 
 
 class ModulePolicy(BatchController):

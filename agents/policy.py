@@ -104,7 +104,7 @@ class Policy(BatchController):
         self.env_kwargs = {**own, **card.env_kwargs}
 
     def _predict(self, batch: Any, *_: Any, deterministic: bool) -> tuple[Any, None]:
-        actions, _ = self._network.predict(batch, deterministic=deterministic)
+        actions = self._network.predict(batch, deterministic=deterministic)[0]
         return (actions if self._mirror is None else self._mirror(actions, batch[:, SIDE])), None
 
 
@@ -241,9 +241,8 @@ class ParcelPolicy(BatchController):
         present = batch[..., PRESENT] > 0.5
         choices = np.zeros((*present.shape, 3), dtype=np.int64)
         if present.any():
-            choices[present], _ = self._network.predict(
-                mirrored_rows(batch[present]), deterministic=deterministic
-            )
+            rows = mirrored_rows(batch[present])
+            choices[present] = self._network.predict(rows, deterministic=deterministic)[0]
         return self._actions.to_env(batch, choices), None
 
 

@@ -125,8 +125,7 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
         search(request.search, request.folder, workers, console, request.task)
         return
     from .learning.config import on_device
-    from .learning.runs import make_folder, write_card
-    from .learning.train import train_seeds
+    from .learning.runs import make_folder, train_seeds, write_card
 
     config, folder = request.config, request.folder
     assert config is not None
@@ -165,8 +164,7 @@ def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
         prog=command_line(TRAIN),
         description="Train an agent, resume a run, or search hyper-parameters.",
     )
-    config: TrainConfig = parsed.training
-    return config
+    return parsed.training
 
 
 def _check_alone(

@@ -150,15 +150,13 @@ def _of_rule(rule: Rule, task: str) -> Method:
     )  # fmt: skip
 
 
-def _ruled(make: Callable[[EnvConfig], Controller], config: EnvConfig, seed: int) -> Controller:
-    del seed  # a rule has none
+def _ruled(make: Callable[[EnvConfig], Controller], config: EnvConfig, _seed: int) -> Controller:
     return make(config)
 
 
-def _planned(config: EnvConfig, seed: int) -> Controller:
+def _planned(config: EnvConfig, _seed: int) -> Controller:
     from ..planning.planner import Planner
 
-    del seed
     return Planner(config)
 
 

@@ -373,8 +373,7 @@ def _of_seeds(folders: dict[int, Path]) -> list[StreamMethod]:
     ]
 
 
-def _read(files: PolicyFiles, config: EnvConfig) -> Controller:
-    del config
+def _read(files: PolicyFiles, _config: EnvConfig) -> Controller:
     return library.from_files(files)
 
 

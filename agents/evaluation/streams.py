@@ -72,8 +72,7 @@ def _zone(kind: type[WholeZone], config: EnvConfig) -> WholeZone | None:
     return None if columns is None else kind(config, columns)
 
 
-def _learned(config: EnvConfig) -> Controller:
-    del config
+def _learned(_config: EnvConfig) -> Controller:
     return library.load(LEARNED)
 
 

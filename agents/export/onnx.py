@@ -118,8 +118,7 @@ class Graph:
         )
         onnx.helper.set_model_props(model, dict(metadata))
         onnx.checker.check_model(model, full_check=True)
-        written: bytes = model.SerializeToString()
-        return written
+        return model.SerializeToString()
 
 
 class Traced(NDArrayOperatorsMixin):

@@ -180,8 +180,7 @@ def read_network(modules: nn.Module) -> Network:
 
 def to_array(weights: torch.Tensor) -> Singles:
     """Copy weights to an array."""
-    copied: Singles = weights.detach().numpy().astype(np.float32, copy=True)
-    return copied
+    return weights.detach().numpy().astype(np.float32, copy=True)
 
 
 def are_close(scores: Numbers, tie: float) -> NDArray[np.bool_]:
@@ -192,8 +191,7 @@ def are_close(scores: Numbers, tie: float) -> NDArray[np.bool_]:
     """
     best = np.sort(scores, axis=-1)
     scale = np.maximum(1.0, np.abs(scores).max(axis=-1))
-    close: NDArray[np.bool_] = best[..., -1] - best[..., -2] <= tie * scale
-    return close
+    return best[..., -1] - best[..., -2] <= tie * scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,8 +229,7 @@ class NetworkDecision:
         if self.symmetry is None:
             return parts
         mirrored = observations[:, self.symmetry.side : self.symmetry.side + 1] < 0.0
-        turned: NDArray[np.bool_] = np.where(mirrored, parts[:, self.symmetry.parts], parts)
-        return turned
+        return np.where(mirrored, parts[:, self.symmetry.parts], parts)
 
 
 def network_decision(source: Source) -> NetworkDecision:

@@ -114,8 +114,7 @@ def train_learner(
 
     def restore(state: dict[str, Any]) -> list[dict[str, float]]:
         learner.restore(state)
-        recent: list[dict[str, float]] = state["recent"]
-        return recent
+        return state["recent"]
 
     def save() -> None:
         runs.write_state({**learner.state(), "recent": list(curve.recent)}, folder)

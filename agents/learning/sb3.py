@@ -231,8 +231,7 @@ def load_checkpoint(model: PPO | DoubleDQN, folder: Path) -> list[dict[str, floa
             for name in _REPLAYED:
                 values = memory["arrays"][name].numpy()
                 getattr(buffer, name)[: len(values)] = values
-        recent: list[dict[str, float]] = state["recent"]
-        return recent
+        return state["recent"]
 
     return runs.read_state(folder, restore)
 

@@ -51,8 +51,7 @@ class LayoutModel(NominalModel):
         """(copies, rows, columns) index of each axis among the orientations, to read and write;
         actions set those of the zone.
         """
-        axis: NDArray[np.int32] = self._batch.surfaces.axis
-        return axis
+        return self._batch.surfaces.axis
 
     @property
     def commands(self) -> Integers:
@@ -101,12 +100,11 @@ def graded_cost(nodes: Nodes, missed: int) -> Numbers:
     error = np.abs(parcels.metrics[:, 0])
     _, _, first, columns = nodes.zone
     to_go = np.maximum(0.0, nodes.line.column_edge(first + columns) - parcels.truth[:, X])
-    cost: Numbers = np.select(
+    return np.select(
         [parcels.outcome == SUCCESS, parcels.outcome == missed],
         [error, MISSED + error],
         FAILED + error + LEFT * to_go,
     )
-    return cost
 
 
 def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Integers) -> Integers:
@@ -128,8 +126,7 @@ def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Int
         tried = change(change.pick(layouts, model.size))
         layouts = np.concatenate([layouts, tried])
         cost = np.concatenate([cost, search.cost(model.run(tried))])
-    best: Integers = layouts[cost.argmin()]
-    return best
+    return layouts[cost.argmin()]
 
 
 class _Change:
@@ -145,8 +142,7 @@ class _Change:
         self._rows = np.arange(rows)[(rows - line_rows) // 2 :][:line_rows]
 
     def pick(self, layouts: Integers, count: int) -> Integers:
-        picked: Integers = layouts[self._random.integers(len(layouts), size=count)]
-        return picked
+        return layouts[self._random.integers(len(layouts), size=count)]
 
     def __call__(self, layouts: Integers) -> Integers:
         """Change each of some layouts (count, rows, columns) in a place or more."""
@@ -314,8 +310,7 @@ class _Beam:
         reach = square_reach(self._half_length, motion[:, THETA])
         speed = np.hypot(motion[:, VX], motion[:, VY])
         speed += math.sqrt(2.0) * self._half_length * np.abs(motion[:, OMEGA])
-        front: Numbers = motion[:, X] + reach + LATER * self._model.config.control_period * speed
-        return front
+        return motion[:, X] + reach + LATER * self._model.config.control_period * speed
 
     def _approach(self, count: int, centre: float) -> None:
         """Move the copies until each is about to touch a column, or has ended."""
@@ -356,5 +351,4 @@ class _Beam:
         """List (copies, 2 x columns) the outermost axes of the columns under the parcel."""
         reach = math.ceil(2.0 * math.sqrt(2.0) * self._half_length / self._line.pitch_x)
         columns = self._model.axis[order][:, [0, -1], max(0, laid - reach) : laid]
-        under: Integers = columns.reshape(len(order), 2 * columns.shape[2]).astype(np.int64)
-        return under
+        return columns.reshape(len(order), 2 * columns.shape[2]).astype(np.int64)

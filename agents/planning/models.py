@@ -176,8 +176,7 @@ class SearchNodes:
         """(nodes,) [m] along x that parcels go on for if all axes turn to 0 deg from now on."""
         x, vx = self.parcels.truth[:, 0], self.parcels.truth[:, 3]
         if self.profile is None:
-            way: Numbers = vx**2 / (2.0 * self.braking)
-            return way
+            return vx**2 / (2.0 * self.braking)
         if self.turning is None:
             return self.profile.braking_distance(x, vx)
         return self.turning.braking_distance(x, vx, self.profile)

@@ -138,5 +138,4 @@ class ColumnAxes:
 
     def __call__(self, levels: Levels) -> Commands:
         """Compute commands (num_envs, rows x columns) for the levels (num_envs, columns)."""
-        commands: Commands = self._choice[levels].swapaxes(1, 2).reshape(len(levels), -1)
-        return commands
+        return self._choice[levels].swapaxes(1, 2).reshape(len(levels), -1)

@@ -222,8 +222,7 @@ def _share_load(arm: Numbers, elements: Numbers, before: Numbers) -> Numbers:
     load = np.maximum(0.0, 1.0 / count[..., np.newaxis] + apart * slope[..., np.newaxis])
     load = np.where(elements > 0.0, load, 0.0)
     weight = np.maximum((load * elements).sum(axis=-1), 1e-9)
-    shared: Numbers = load / weight[..., np.newaxis]
-    return shared
+    return load / weight[..., np.newaxis]
 
 
 # Found by trying, on other starts than any reported. What is not as predicted (friction, loads, a

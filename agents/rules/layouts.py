@@ -36,8 +36,7 @@ Row = tuple[float, ...]
 
 def round_sizes(half_length: Numbers) -> Numbers:
     """Round half lengths (num_envs,) [m], so that a run serves all parcels of about a size."""
-    sizes: Numbers = SAME_SIZE * np.round(half_length / SAME_SIZE)
-    return sizes
+    return SAME_SIZE * np.round(half_length / SAME_SIZE)
 
 
 def _run(
@@ -83,8 +82,7 @@ def loss_of_layout(
     """
     run = _run(np.array(axes), half_length, FAST, line, zone, FAST_STEP)
     way = np.arange(0.0, line.length - half_length, FINE)
-    loss: Numbers = np.interp(way, run.pose[:, 0] - half_length, FAST**2 - run.velocity[:, 0] ** 2)
-    return loss
+    return np.interp(way, run.pose[:, 0] - half_length, FAST**2 - run.velocity[:, 0] ** 2)
 
 
 class FixedBraking(FixedRule):

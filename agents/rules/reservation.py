@@ -298,8 +298,7 @@ class Booking:
         """Recognise (num_envs,) the trajectory of each parcel that waits, by what is seen of it."""
         seen = rows[:, SIGNATURE].astype(np.float64)
         apart = np.abs(seen[:, np.newaxis] - self._signature).max(axis=2)
-        nearest: Halves = apart.argmin(axis=1)
-        return nearest
+        return apart.argmin(axis=1)
 
 
 class Reservation(ParcelRule):

@@ -62,8 +62,7 @@ class BoxLayouts:
         to_left, to_right = (found, mirrored) if SIDE == 1 else (mirrored, found)
         side = side[:, np.newaxis, np.newaxis]
         axes = np.select([side > 0.0, side < 0.0], [to_left[box], to_right[box]], ROLLING)
-        arranged: Numbers = axes.reshape(len(box), -1)
-        return arranged
+        return axes.reshape(len(box), -1)
 
 
 class BestSorting(FixedRule):
@@ -82,8 +81,7 @@ class BestSorting(FixedRule):
     def _layout(self, observations: Observations) -> Commands:
         seen = self._config.decode(observations)
         axes = self._layouts.arrange(seen.half_length, seen.side)
-        nearest: Commands = axes_apart(axes[..., np.newaxis], self._angles).argmin(axis=-1)
-        return nearest
+        return axes_apart(axes[..., np.newaxis], self._angles).argmin(axis=-1)
 
 
 class GradedLayout(BatchController):
@@ -123,5 +121,4 @@ def _fit(axis: Numbers, rows: int, columns: int) -> Numbers:
     row = np.arange(rows) + (len(axis) - rows) // 2
     column = np.arange(columns)
     own = np.ix_(row.clip(0, len(axis) - 1), column.clip(0, axis.shape[1] - 1))
-    fitted: Numbers = axis[own]
-    return fitted
+    return axis[own]

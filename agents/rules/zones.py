@@ -237,5 +237,4 @@ def _side_of_best(tables: Rows, among: Booleans, rank: Numbers, otherwise: Numbe
     else another.
     """
     chosen = np.arange(len(tables)), np.where(among, rank, -np.inf).argmax(axis=1)
-    side: Numbers = np.where(among.any(axis=1), tables[..., SIDE][chosen], otherwise)
-    return side
+    return np.where(among.any(axis=1), tables[..., SIDE][chosen], otherwise)

@@ -72,8 +72,7 @@ def percentiles(seconds: Sequence[float]) -> list[float] | None:
     """Compute `PERCENTILES` [s] of some times; None: there are none."""
     if not seconds:
         return None
-    found: list[float] = np.percentile(np.array(seconds), PERCENTILES).tolist()
-    return found
+    return np.percentile(np.array(seconds), PERCENTILES).tolist()
 
 
 def make_report(run: Run, counts: "Counts", latencies: "Latencies") -> dict[str, Any]:
@@ -208,7 +207,7 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
         arranger = stack.enter_context(controller.ProcessArranger(estimator.config))
         kind = controller.FixedLayouts(estimator.config).kind
         decider = controller.Decider(policy, env_config)
-        bounds = controller.observation_bounds(env_config)
+        bounds = env_config.observation_space()
         loop = controller.ControlLoop(
             SocketDevice(address, env_config.task.name, estimator.shape),
             estimator,

@@ -13,6 +13,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surface_gym import checks
@@ -49,8 +50,7 @@ class Decider:
             deterministic=True,
         )
         self._is_first = False
-        command: Command = self.kind.commands(action, 1)[0]
-        return command
+        return self.kind.commands(action, 1)[0]
 
 
 class FixedLayouts:
@@ -83,23 +83,6 @@ def allowed_angles(config: EnvConfig) -> tuple[float, ...] | None:
     return (*offered.tolist(), ROLLING)
 
 
-@dataclass(frozen=True, eq=False)
-class Bounds:
-    """Least and greatest values of the features."""
-
-    low: Observation
-    high: Observation
-
-    def contain(self, observation: Observation) -> bool:
-        return bool(((self.low <= observation) & (observation <= self.high)).all())
-
-
-def observation_bounds(config: EnvConfig) -> Bounds:
-    """Return the bounds of an environment's observation."""
-    low, high = np.array([(each.low, each.high) for each in config.features], np.float32).T
-    return Bounds(low, high)
-
-
 class Arranger(Protocol):
     """Arranges a layout for each parcel."""
 
@@ -108,20 +91,6 @@ class Arranger(Protocol):
 
     def layout(self) -> Command | None:
         """Return the command for the latest parcel; None: it is not ready yet."""
-
-
-class LocalArranger:
-    """Arranges layouts at once, in this process."""
-
-    def __init__(self, layouts: FixedLayouts) -> None:
-        self._layouts = layouts
-        self._layout: Command | None = None
-
-    def ask(self, observation: Observation) -> None:
-        self._layout = self._layouts.arrange(observation)
-
-    def layout(self) -> Command | None:
-        return self._layout
 
 
 class ProcessArranger:
@@ -311,7 +280,7 @@ class ControlLoop:
         policy: Decider,
         fixed: tuple[Arranger, Resolver],
         limits: AxisLimits,
-        bounds: Bounds,
+        bounds: spaces.Box,
         clock: Clock,
         config: LoopConfig,
     ) -> None:
@@ -464,7 +433,7 @@ class ControlLoop:
         stopped = observed - self._latest_arrival > self._config.watchdog
         counts.watchdog += stopped and not self._stopped
         self._stopped = stopped
-        within = self._bounds.contain(observation)
+        within = self._bounds.contains(observation)
         counts.strayed += not within
         command, resolver = self._command(observation, within and not stopped)
         if command is None:

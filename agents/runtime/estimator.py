@@ -81,8 +81,7 @@ def device_camera(sensor: Sensor) -> Camera:
 def within_right_angles(angles: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the same axes by angles [rad] from -pi/2 to pi/2: one turned by pi is the same."""
     turned = angles - math.pi * np.floor(angles / math.pi + 0.5)
-    same: NDArray[np.float64] = np.where(np.abs(angles) <= 0.5 * math.pi, angles, turned)
-    return same
+    return np.where(np.abs(angles) <= 0.5 * math.pi, angles, turned)
 
 
 def zone_angles(whole: NDArray[np.float64], zone: Integers, shape: tuple[int, int]) -> Angles:
@@ -228,14 +227,12 @@ class StateEstimator:
             array[NOW] = array[SEEN]
         self._advance(NOW, self._at, min(now, self._at + MAX_AHEAD), looks=False)
         self._show(*self._arrays, NOW)
-        observation: NDArray[np.float32] = parcels.observation[NOW].copy()
-        return observation
+        return parcels.observation[NOW].copy()
 
     @property
     def estimate(self) -> NDArray[np.float64]:
         """Pose and velocity (6,) [m, m, rad, m/s, m/s, rad/s] at the time last observed."""
-        sensed: NDArray[np.float64] = self._parcels.sensed[NOW].copy()
-        return sensed
+        return self._parcels.sensed[NOW].copy()
 
     def axes(self) -> Angles:
         """Return the zone's axes (rows, columns) [rad] at the time last observed."""

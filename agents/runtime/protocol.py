@@ -189,8 +189,7 @@ def _frame(fields: dict[str, Any], shape: tuple[int, int]) -> Frame:
     )
 
 
-def _entered(fields: dict[str, Any], shape: tuple[int, int]) -> Entered:
-    del shape
+def _entered(fields: dict[str, Any], _shape: tuple[int, int]) -> Entered:
     path = fields["path"]
     return Entered(
         number=checks.integer("number", fields["number"], least=0),
@@ -204,8 +203,7 @@ def _entered(fields: dict[str, Any], shape: tuple[int, int]) -> Entered:
     )
 
 
-def _acknowledged(fields: dict[str, Any], shape: tuple[int, int]) -> AxesAcknowledged:
-    del shape
+def _acknowledged(fields: dict[str, Any], _shape: tuple[int, int]) -> AxesAcknowledged:
     return AxesAcknowledged(
         command=checks.integer("command", fields["command"], least=0),
         at=checks.number("at", fields["at"]),
@@ -213,8 +211,7 @@ def _acknowledged(fields: dict[str, Any], shape: tuple[int, int]) -> AxesAcknowl
     )
 
 
-def _departed(fields: dict[str, Any], shape: tuple[int, int]) -> Departed:
-    del shape
+def _departed(fields: dict[str, Any], _shape: tuple[int, int]) -> Departed:
     metrics = fields["figures"]
     if not isinstance(metrics, dict):
         raise ValueError(f"figures must be an object, got {metrics!r}")

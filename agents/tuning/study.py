@@ -34,9 +34,8 @@ from surface_gym.parallel import Report, Workers, map_jobs
 
 from ..evaluation.tables import markdown
 from ..learning.config import TrainConfig, config_of_seed, write_hyperparams
-from ..learning.runs import StopTraining, read_curve
+from ..learning.runs import StopTraining, read_curve, train
 from ..learning.sb3 import make_training_envs
-from ..learning.train import train
 from ..library import find_task
 from ..policy import load_policy
 from .sweep import Choices, Span, Sweep
@@ -213,9 +212,8 @@ def _train_and_score(sweep: Sweep, config: TrainConfig, place: int, prune: Pruni
     with TemporaryDirectory() as name:
         folder = Path(name)
 
-        def on_progress(steps: int, success: float) -> None:
+        def on_progress(steps: int, _success: float) -> None:
             nonlocal pruned
-            del success  # the curve has it, and the return as well
             while left and steps >= left[0] * spacing:
                 number = place * sweep.evaluations + left.pop(0)
                 value = read_curve(folder)[-1][sweep.metric]

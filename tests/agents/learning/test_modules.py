@@ -10,8 +10,8 @@ from surface_gym import agents
 from surface_gym.agents.learning.config import ModulesConfig, defaults
 from surface_gym.agents.learning.modules import ModuleSamples
 from surface_gym.agents.learning.ppo import compute_advantages
+from surface_gym.agents.learning.runs import train
 from surface_gym.agents.learning.sb3 import make_training_envs
-from surface_gym.agents.learning.train import train
 
 
 def samples(counts: list[int], first: int) -> ModuleSamples:

@@ -12,7 +12,7 @@ import torch
 from surface_gym.agents.base import SIDE
 from surface_gym.agents.learning.config import ParcelsConfig
 from surface_gym.agents.learning.parcels import SlotVecEnv, densest_stream, training_env_config
-from surface_gym.agents.learning.train import train
+from surface_gym.agents.learning.runs import train
 from surface_gym.agents.library import WEIGHTS
 from surface_gym.agents.rules.streams import StreamEventRule
 from surface_gym.config import EnvConfig

@@ -14,10 +14,8 @@ from surface_gym.agents.runtime.controller import (
     ControlLoop,
     Decider,
     FixedLayouts,
-    LocalArranger,
     LoopConfig,
     allowed_angles,
-    observation_bounds,
 )
 from surface_gym.agents.runtime.estimator import StateEstimator
 from surface_gym.agents.runtime.protocol import Angles, DeviceLost, Entered, Frame, Message
@@ -134,10 +132,24 @@ def loop_of(
         Decider(controller, env_config),
         (LocalArranger(layouts), held.resolver(layouts.kind)),
         AxisLimits(held.shape, allowed_angles(env_config)),
-        observation_bounds(env_config),
+        env_config.observation_space(),
         device.clock,
         LoopConfig(**config),
     )
+
+
+class LocalArranger:
+    """Arranges layouts at once, in this process."""
+
+    def __init__(self, layouts: FixedLayouts) -> None:
+        self._layouts = layouts
+        self._layout: Any = None
+
+    def ask(self, observation: Any) -> None:
+        self._layout = self._layouts.arrange(observation)
+
+    def layout(self) -> Any:
+        return self._layout
 
 
 def nothing(now: float) -> None:

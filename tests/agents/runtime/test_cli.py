@@ -114,7 +114,7 @@ class TestDecisions:
     def test_the_fixed_layout_of_a_task(self, task) -> None:
         env_config = EnvConfig(task=task, actions="halves", observe=("parcel",))
         layouts = controller.FixedLayouts(env_config)
-        bounds = controller.observation_bounds(env_config)
+        bounds = env_config.observation_space()
         command = layouts.arrange(np.clip(0.0, bounds.low, bounds.high))
         assert command.shape == (layouts.kind.size,)
         assert len(np.unique(command)) == 1

@@ -17,8 +17,7 @@ from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from surface_gym.agents.evaluation.benchmark import SEED
 from surface_gym.agents.learning.config import PPOConfig, make_card
-from surface_gym.agents.learning.runs import TrainResult
-from surface_gym.agents.learning.train import train
+from surface_gym.agents.learning.runs import TrainResult, train
 from surface_gym.agents.policy import load_policy
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.agents.tuning import study
