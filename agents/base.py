@@ -7,20 +7,24 @@ features is the asked side. Here actions are mirrored back into the world.
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import ActionKind
+from surface_gym.lines import Line
 from surface_gym.tasks import Sort
 from surface_gym.tasks.sort import FEATURES
 
-if TYPE_CHECKING:
-    from surface_gym.lines import Line
-
 SAME = 1e-6  # [rad] axes closer than this are one
+
+
+Booleans = NDArray[np.bool_]
+Integers = NDArray[np.int64]
+Numbers = NDArray[np.float64]
+Singles = NDArray[np.float32]
 
 
 class Controller(Protocol):
@@ -28,9 +32,9 @@ class Controller(Protocol):
 
     def predict(
         self,
-        observation: NDArray[np.float32],
+        observation: Singles,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Booleans | None = None,
         deterministic: bool = True,
     ) -> tuple[Any, Any]:
         """Choose an action for an observation (features,), or actions for (num_envs, features).
@@ -49,9 +53,9 @@ class BatchController(ABC):
 
     def predict(
         self,
-        observation: NDArray[np.float32],
+        observation: Singles,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Booleans | None = None,
         deterministic: bool = True,
     ) -> tuple[Any, Any]:
         """Choose the action for an observation, or actions for several; see `Controller`."""
@@ -67,7 +71,7 @@ class BatchController(ABC):
         """Choose actions (num_envs, ...) for observations (num_envs, ...)."""
 
 
-def is_fresh(num_envs: int, state: Any, episode_start: Any) -> NDArray[np.bool_]:
+def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
     """Tell (num_envs,) whose episode has just begun, by the arguments of `Controller.predict`."""
     if state is None:
         return np.ones(num_envs, dtype=np.bool_)
@@ -76,7 +80,7 @@ def is_fresh(num_envs: int, state: Any, episode_start: Any) -> NDArray[np.bool_]
     return np.atleast_1d(np.asarray(episode_start, dtype=np.bool_))
 
 
-def axes_apart(one: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:
+def axes_apart(one: ArrayLike, other: ArrayLike) -> Numbers:
     """Compute the difference, 0 to pi / 2, of axis angles [rad]; an axis turned by pi is the same.
 
     The angles broadcast.
@@ -85,26 +89,18 @@ def axes_apart(one: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:
     return np.abs(np.angle(turned)) / 2.0
 
 
-def with_zone(line: "Line", columns: int) -> "Line":
+def with_zone(line: Line, columns: int) -> Line:
     """Return a line with a zone of so many columns and the same lengths before and behind it."""
     longer = columns - line.zone_columns
     return replace(line, columns=line.columns + longer, zone_columns=columns)
 
 
-def time_for(line: "Line", columns: int) -> float:
+def time_for(line: Line, columns: int) -> float:
     """Compute the factor [-] on an episode's time limit for a zone of so many columns."""
     return max(1.0, columns / line.zone_columns)
 
 
-class Offer(Protocol):
-    """A configuration that offers orientations."""
-
-    @property
-    def chosen_orientations(self) -> tuple[float, ...]:
-        """[rad] axis angles on offer."""
-
-
-def find_orientation(config: Offer, angle: float) -> int:
+def find_orientation(config: EnvConfig, angle: float) -> int:
     """Find the index of an axis angle [rad] on offer; an axis turned by pi is the same."""
     angles = np.array(config.chosen_orientations)
     apart = axes_apart(angles, angle)
@@ -125,11 +121,11 @@ class Axes:
     left: int  # -45 deg: it is led towards y > 0
     right: int  # 45 deg: it is led towards y < 0
 
-    def towards(self, side: NDArray[np.float64]) -> NDArray[np.int64]:
+    def towards(self, side: Numbers) -> Integers:
         """Choose what leads to each side (...): left where positive, right where negative."""
         return np.select([side > 0.0, side < 0.0], [self.left, self.right], self.roll)
 
-    def mirrored(self, layout: NDArray[np.int64]) -> NDArray[np.int64]:
+    def mirrored(self, layout: Integers) -> Integers:
         """Mirror choices (rows, columns) in the middle row."""
         flipped = layout[::-1]
         return np.select(
@@ -137,7 +133,7 @@ class Axes:
         )
 
 
-def find_axes(config: Offer) -> Axes:
+def find_axes(config: EnvConfig) -> Axes:
     """Find the four orientations of the paper's Figure 2b."""
     quarter = math.pi / 4.0
     return Axes(
@@ -151,7 +147,7 @@ def find_axes(config: Offer) -> Axes:
 SIDE = len(FEATURES) - 1  # index of the asked side in the observation
 
 
-def mirrored_orientations(orientations: tuple[float, ...]) -> NDArray[np.int64]:
+def mirrored_orientations(orientations: tuple[float, ...]) -> Integers:
     """(choices,) index of each axis angle's mirror image, -angle, among the orientations [rad]."""
     angles = np.array(orientations)
     apart = axes_apart(-angles[:, np.newaxis], angles)
@@ -172,7 +168,7 @@ class ActionMirror:
         self._kind = kind
         self._image = None if kind.continuous else mirrored_orientations(orientations)
 
-    def __call__(self, actions: NDArray[Any], side: NDArray[np.float32]) -> NDArray[Any]:
+    def __call__(self, actions: NDArray[Any], side: Singles) -> NDArray[Any]:
         """Return actions (num_envs, ...) in the world for the asked side (num_envs,) of each."""
         commands = self._kind.commands(actions, len(side))
         flipped = self._kind.flip(commands)

@@ -18,9 +18,9 @@ from torch import nn
 
 from surface_gym.core.actions import group_features
 
-from .base import SIDE, BatchController
+from .base import SIDE, BatchController, Integers, Singles
 from .library import PolicyCard
-from .module_view import Integers, ModuleView, Singles, place_size, shared_size
+from .module_view import ModuleView, place_size, shared_size
 
 GROUPS = 2  # of modules in an environment
 _SMALLEST = 1e-6  # length below which an interval counts as empty: single precision ends there

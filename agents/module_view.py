@@ -6,7 +6,6 @@ The parcel's outline, and the rows of its line, are inferred from the environmen
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
@@ -15,11 +14,7 @@ from surface_gym.lines import BaseLine, Line
 from surface_gym.tasks.planning import LineObservation
 from surface_gym.tasks.sort import FEATURES
 
-from .base import SIDE, mirrored_orientations
-
-Numbers = NDArray[np.float64]
-Singles = NDArray[np.float32]
-Integers = NDArray[np.int64]
+from .base import SIDE, Integers, Numbers, Singles, mirrored_orientations
 
 EXACT = 1e-6  # [m] lengths that differ by less are equal: observations are single precision
 ELLIPSE = np.pi / 4.0  # share of a rectangle that the ellipse in it fills

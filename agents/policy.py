@@ -14,7 +14,6 @@ import numpy as np
 import torch
 import yaml
 from gymnasium import spaces
-from numpy.typing import NDArray
 from stable_baselines3.common.distributions import MultiCategoricalDistribution
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs
@@ -26,7 +25,7 @@ from surface_gym.files import replacing
 from surface_gym.flow.task import PRESENT, WAITS, StreamActions
 from surface_gym.tasks import TASKS, Task
 
-from .base import SIDE, BatchController, action_mirror, mirrored_orientations
+from .base import SIDE, BatchController, Integers, Singles, action_mirror, mirrored_orientations
 from .library import CARD, DAMAGE, WEIGHTS, PolicyCard, PolicyFiles, describe_damage, read_files
 from .module_policy import ModulePolicy, SharedNetwork
 
@@ -108,7 +107,7 @@ class Policy(BatchController):
         return (actions if self._mirror is None else self._mirror(actions, batch[:, SIDE])), None
 
 
-def mirrored_rows(rows: NDArray[np.float32]) -> NDArray[np.float32]:
+def mirrored_rows(rows: Singles) -> Singles:
     """Return rows of parcels (..., features) with the asked side mirrored to y > 0."""
     seen = rows.copy()
     seen[..., SIDE] = np.abs(rows[..., SIDE])
@@ -131,7 +130,7 @@ class ParcelActions:
     def __init__(self, config: EnvConfig) -> None:
         self._image = mirrored_orientations(config.chosen_orientations)
 
-    def to_env(self, rows: NDArray[np.float32], choices: NDArray[np.int64]) -> NDArray[np.int64]:
+    def to_env(self, rows: Singles, choices: Integers) -> Integers:
         """Convert choices (num_envs, rows, 3) to actions (num_envs, 2 max_parcels + 1).
 
         Args:
@@ -140,9 +139,7 @@ class ParcelActions:
         axes = self._mirror(rows, choices[:, :-1, :2])
         return np.concatenate([axes.reshape(len(choices), -1), choices[:, -1:, 2]], axis=1)
 
-    def to_parcels(
-        self, rows: NDArray[np.float32], actions: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
+    def to_parcels(self, rows: Singles, actions: Integers) -> Integers:
         num_envs, count, _ = rows.shape
         choices = np.zeros((num_envs, count, 3), dtype=np.int64)
         axes = actions[:, :-1].reshape(num_envs, count - 1, 2)
@@ -150,7 +147,7 @@ class ParcelActions:
         choices[:, -1, 2] = actions[:, -1]
         return choices
 
-    def _mirror(self, rows: NDArray[np.float32], axes: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _mirror(self, rows: Singles, axes: Integers) -> Integers:
         mirrored = (rows[:, :-1, SIDE] < 0.0)[..., np.newaxis]
         return np.where(mirrored, self._image[axes], axes)
 

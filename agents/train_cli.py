@@ -12,16 +12,8 @@ from surface_gym.cli import TRAIN, command_line
 from surface_gym.parallel import usable_cores
 from surface_gym.registration import FLOW_TASK
 
-from .learning.config import (
-    CONFIGS,
-    CPU,
-    NOMINAL,
-    DeviceName,
-    PresetName,
-    TrainConfig,
-    current_option,
-    defaults,
-)
+from .learning import config as configs
+from .learning.config import TrainConfig
 
 SWEEP = "sweep.yml"  # in the folder of a search
 
@@ -83,7 +75,7 @@ def parse_arguments(arguments: Sequence[str]) -> Request:
     Task, algorithm, preset, device and file of hyper-parameters are read first: they determine the
     defaults of all other options.
     """
-    given = [current_option(argument) for argument in arguments]
+    given = [configs.current_option(argument) for argument in arguments]
     selection, others = tyro.cli(_Selection, args=given, return_unknown_args=True, add_help=False)
     task = selection.task
     if selection.search is not None:
@@ -124,13 +116,12 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
         assert request.folder is not None
         search(request.search, request.folder, workers, console, request.task)
         return
-    from .learning.config import on_device
     from .learning.runs import make_folder, train_seeds, write_card
 
     config, folder = request.config, request.folder
     assert config is not None
     if folder is None:
-        if on_device(config):
+        if configs.on_device(config):
             from .learning.cuda import check_device
 
             check_device(config)
@@ -150,10 +141,10 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
 def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
     task = selection.task or "sort"
     usual = "parcels" if task == FLOW_TASK else "ppo"
-    algo = selection.algo if selection.algo in CONFIGS else usual
-    preset = selection.preset if selection.preset in get_args(PresetName) else NOMINAL
-    device = selection.device if selection.device in get_args(DeviceName) else CPU
-    default = defaults(task, algo or usual, selection.hyperparams, preset or NOMINAL, device or CPU)
+    names = {"algo": tuple(configs.CONFIGS), "preset": get_args(configs.PresetName)}
+    names["device"] = get_args(configs.DeviceName)
+    given = {key: value for key in names if (value := getattr(selection, key)) in names[key]}
+    default = configs.defaults(task, file=selection.hyperparams, **{"algo": usual, **given})
     # The names of the fields are the headings of the help.
     command: Any = make_dataclass("Command", [("training", type(default)), ("command", Options)])
     parsed: Any = tyro.cli(

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 from scipy.stats import t as student
 
@@ -20,6 +19,7 @@ from surface_gym.parcel import Parcel
 from surface_gym.tasks import Task
 from surface_gym.tasks.benchmark import Benchmark, Column
 
+from ..base import Booleans, Numbers
 from ..library import find_task
 from ..rollout import Episodes, run_episodes, run_sequentially
 from .methods import Method
@@ -27,7 +27,7 @@ from .methods import Method
 CONFIDENCE = 0.95
 
 
-def interval(success: NDArray[np.bool_]) -> tuple[float, float]:
+def interval(success: Booleans) -> tuple[float, float]:
     """Compute the 95 % interval of a success rate over seeds and starts.
 
     Wilson's interval, at the number of independent starts that would spread the mean as the seeds
@@ -54,21 +54,20 @@ def wilson(share: float, count: float) -> tuple[float, float]:
     return max(0.0, float(centre - half)), min(1.0, float(centre + half))
 
 
-def half_interval(values: NDArray[np.float64]) -> float:
+def half_interval(values: Numbers) -> float:
     """Compute half of Student's 95 % interval of a mean of independent values, at least two."""
     count = len(values)
     spread = float(values.std(ddof=1)) / math.sqrt(count)
     return float(student.ppf(0.5 + CONFIDENCE / 2.0, count - 1)) * spread
 
 
-def _variance_of_mean(values: NDArray[np.float64]) -> float:
+def _variance_of_mean(values: Numbers) -> float:
     return float(values.var(ddof=1)) / len(values) if len(values) > 1 else 0.0
 
 
 FILE = "results.jsonl"
 SEED = 20_261_121  # of every start's draws
 
-Numbers = NDArray[np.float64]
 Key = tuple[Any, ...]
 Advance = Callable[[int, int, str], None]  # how many are done, how many there are, the latest
 
@@ -110,7 +109,7 @@ class Summary:
     results: tuple[Result, ...]
 
     @property
-    def success(self) -> NDArray[np.bool_]:
+    def success(self) -> Booleans:
         """(seeds, starts)."""
         return np.array([result.success for result in self.results])
 

@@ -19,8 +19,8 @@ from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Camera
 from surface_gym.state import RUNNING
 
-from ..base import Controller
-from .benchmark import SEED, Numbers, half_interval
+from ..base import Controller, Numbers
+from .benchmark import SEED, half_interval
 
 SPEEDS = (1.0, 1.5, 2.0)  # [m/s]
 MIXES = {"S": ("S",), "S and B": ("S", "B")}  # parcels by name, of equal odds

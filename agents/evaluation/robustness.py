@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.layouts import box
@@ -19,7 +18,7 @@ from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Camera, Exact, Presence
 from surface_gym.tasks.benchmark import Benchmark
 
-from ..base import time_for, with_zone
+from ..base import Booleans, time_for, with_zone
 from ..planning.oracle import run_oracle
 from ..rollout import Episodes, run_episodes, run_sequentially
 from .benchmark import SEED, Advance, compute_kept, drawn_parcels, find_benchmark, interval
@@ -40,7 +39,6 @@ DIRECTIONS = 16  # evenly around, that a load lies in off centre
 SENSORS = {"exact": Exact(), "camera": Camera(), "presence": Presence()}
 SHAPES = ("square", "rectangle", "disc", "polygon")
 
-Booleans = NDArray[np.bool_]
 Level = float | int | str
 SweepKey = tuple[Any, ...]
 

@@ -19,9 +19,10 @@ import numpy as np
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.config import Preset
 
+from ..base import Integers, Numbers, Singles
 from .c_header import make_prefix
 from .onnx import ANGLES, CHOICES, OBSERVATION, ModulesDecision, need
-from .policy import Integers, NetworkDecision, Numbers, Singles, Source
+from .policy import NetworkDecision, Source
 
 Decide = Callable[[Singles], tuple[Integers, Numbers]]  # choices, and angles [rad]
 

@@ -19,9 +19,9 @@ from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS, QUADRANT_SIZE
 from surface_gym.lines import Line
 
-from ..base import SIDE, mirrored_orientations
+from ..base import SIDE, Integers, Singles, mirrored_orientations
 from ..module_view import ELLIPSE, EXACT, MARGIN, ROUND
-from .policy import Integers, Layer, Network, NetworkDecision, Singles, Source, are_close, to_array
+from .policy import Layer, Network, NetworkDecision, Source, are_close, to_array
 
 OPSET = 17  # version of ONNX's operators
 IR_VERSION = 8  # of the file format, which goes with it

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import torch
 import yaml
-from numpy.typing import NDArray
 from torch import nn
 
 from surface_gym import checks
@@ -17,7 +16,7 @@ from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.tasks import Sort, Task
 
 from .. import library
-from ..base import SIDE, mirrored_orientations
+from ..base import SIDE, Booleans, Integers, Numbers, Singles, mirrored_orientations
 from ..evaluation.methods import policy_folders
 from ..learning.config import NOMINAL, current_option
 from ..learning.runs import CARD as CARD_FILE
@@ -25,10 +24,6 @@ from ..learning.runs import CONFIG, read_config
 from ..library import find_task, read_files
 from ..module_policy import ModulePolicy
 from ..policy import DIGEST, Policy, make_network
-
-Singles = NDArray[np.float32]
-Numbers = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Presets of the environments that agents were trained in, by `train.py --preset`.
 TRAINED_IN: dict[str, tuple[str, ...]] = {NOMINAL: ("exact", "camera"), "lab": ("exact", "lab")}
@@ -183,7 +178,7 @@ def to_array(weights: torch.Tensor) -> Singles:
     return weights.detach().numpy().astype(np.float32, copy=True)
 
 
-def are_close(scores: Numbers, tie: float) -> NDArray[np.bool_]:
+def are_close(scores: Numbers, tie: float) -> Booleans:
     """Tell whether the best two of scores (..., options) are too close to tell apart.
 
     Args:
@@ -221,7 +216,7 @@ class NetworkDecision:
     def parts(self) -> int:
         return self.groups * self.options.shape[1]
 
-    def in_doubt(self, observations: Singles, tie: float) -> NDArray[np.bool_]:
+    def in_doubt(self, observations: Singles, tie: float) -> Booleans:
         """Tell for each part whether single precision may decide either way."""
         scores = self.network.scores(observations.astype(np.float64))
         close = are_close(scores.reshape(len(observations), self.groups, -1), tie)

@@ -7,20 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch.nn.utils import clip_grad_norm_
 
 from surface_gym.tasks.sort import TERMS
 
-from ..module_policy import (
-    GROUPS,
-    SharedNetwork,
-    ValueNetwork,
-    draw_choices,
-    draw_groups,
-    log_likelihood,
-)  # fmt: skip
-from ..module_view import Integers, ModuleView, Numbers, Singles
+from .. import module_policy
+from ..base import Booleans, Integers, Numbers, Singles
+from ..module_policy import GROUPS
+from ..module_view import ModuleView
 from ..vec_env import ConcatVecEnv
 from .config import ModulesConfig, make_card
 from .ppo import MAX_GRAD_NORM, compute_advantages, learning_rate, ppo_loss, train_learner
@@ -28,8 +22,6 @@ from .runs import Curve, OnProgress, TrainResult
 from .sb3 import make_training_envs
 
 ADAM_EPS = 1e-5  # as in Stable-Baselines3's PPO
-
-Booleans = NDArray[np.bool_]
 
 
 class Transition(NamedTuple):
@@ -101,10 +93,10 @@ class ModuleLearner:
         env_config = make_card(config).env_config()
         self._view = ModuleView(env_config)
         torch.manual_seed(config.seed)
-        self.network = SharedNetwork(
+        self.network = module_policy.SharedNetwork(
             len(env_config.chosen_orientations), config.hidden, env_config.observe
         )
-        self.value = ValueNetwork(config.hidden, env_config.observe)
+        self.value = module_policy.ValueNetwork(config.hidden, env_config.observe)
         self._networks = (self.network, self.value)
         self._optimisers = [
             torch.optim.Adam(network.parameters(), config.learning_rate, eps=ADAM_EPS)
@@ -155,14 +147,14 @@ class ModuleLearner:
         shared, env, place = map(torch.from_numpy, (seen.shared, seen.env, seen.place))
         log_probability = self.network(shared, env, place)
         probability = self._config.split_probability
-        groups = draw_groups(seen.env, seen.place, num_envs, probability, self._rng)
+        groups = module_policy.draw_groups(seen.env, seen.place, num_envs, probability, self._rng)
         group = torch.from_numpy(groups)
         uniform = torch.from_numpy(self._rng.random(GROUPS * num_envs, dtype=np.float32))
-        choice = draw_choices(log_probability, group, uniform)
+        choice = module_policy.draw_choices(log_probability, group, uniform)
         samples = ModuleSamples(
             torch.from_numpy(self._seen),
             shared,
-            log_likelihood(log_probability, choice, group, GROUPS * num_envs),
+            module_policy.log_likelihood(log_probability, choice, group, GROUPS * num_envs),
             torch.bincount(env, minlength=num_envs),
             place,
             group - GROUPS * env,
@@ -203,7 +195,9 @@ class ModuleLearner:
         log_probability = self.network(samples.shared, sample, samples.place)
         group = GROUPS * sample + samples.group
         loss = ppo_loss(
-            log_likelihood(log_probability, samples.choice, group, GROUPS * len(samples.count)),
+            module_policy.log_likelihood(
+                log_probability, samples.choice, group, GROUPS * len(samples.count)
+            ),
             samples.log_prob,
             advantage,
             self.value(samples.observations),

@@ -109,6 +109,13 @@ def _make_envs(
     )
 
 
+# Fields of a configuration that are arguments of Stable-Baselines3's algorithms.
+_OF_BOTH = ("gamma", "batch_size", "n_steps", "seed")
+_OF_PPO = ("n_epochs", "gae_lambda", "ent_coef")
+_OF_DQN = (
+    "buffer_size", "learning_starts", "gradient_steps", "tau", "exploration_fraction",
+    "exploration_final_eps", "max_grad_norm",
+)  # fmt: skip
 _COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")
 _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -163,40 +170,20 @@ def _initial_share(initial: float, left: float) -> float:
 
 def make_model(config: PPOConfig | DQNConfig, env: VecEnv) -> PPO | DoubleDQN:
     """Build PPO or DQN, with weights drawn from the seed."""
-    common: dict[str, Any] = {
+    names = _OF_PPO if isinstance(config, PPOConfig) else _OF_DQN
+    given: dict[str, Any] = {
+        **{name: getattr(config, name) for name in (*_OF_BOTH, *names)},
         "learning_rate": partial(_initial_share, config.learning_rate),
-        "gamma": config.gamma,
-        "batch_size": config.batch_size,
-        "n_steps": config.n_steps,
         "policy_kwargs": {"net_arch": list(config.hidden)},
-        "seed": config.seed,
         "device": "cpu",
     }
+    if isinstance(config, ParcelsConfig):
+        return PPO(ParcelNetwork, env, clip_range=config.clip_range, **given)
     if isinstance(config, PPOConfig):
-        of_parcels = isinstance(config, ParcelsConfig)
-        return PPO(
-            ParcelNetwork if of_parcels else EqualChoicesPolicy,
-            env,
-            clip_range=config.clip_range if isinstance(config, ParcelsConfig) else CLIP_RANGE,
-            n_epochs=config.n_epochs,
-            gae_lambda=config.gae_lambda,
-            ent_coef=config.ent_coef,
-            **common,
-        )
-    return DoubleDQN(
-        "MlpPolicy",
-        env,
-        buffer_size=config.buffer_size,
-        learning_starts=config.learning_starts,
-        gradient_steps=config.gradient_steps,
-        train_freq=1,
-        tau=config.tau,
-        target_update_interval=config.num_envs,  # at every control period of all environments
-        exploration_fraction=config.exploration_fraction,
-        exploration_final_eps=config.exploration_final_eps,
-        max_grad_norm=config.max_grad_norm,
-        **common,
-    )
+        return PPO(EqualChoicesPolicy, env, clip_range=CLIP_RANGE, **given)
+    # The target follows at every control period of all environments.
+    every = config.num_envs
+    return DoubleDQN("MlpPolicy", env, train_freq=1, target_update_interval=every, **given)
 
 
 def save_checkpoint(model: PPO | DoubleDQN, recent: list[dict[str, float]], folder: Path) -> None:

@@ -24,12 +24,9 @@ from surface_gym.tasks.planning import Nodes, Observed, square_reach
 from surface_gym.tasks.start import Start
 from surface_gym.tasks.track import Track
 
-from ..base import Axes
+from ..base import Axes, Integers, Numbers
 from .models import NominalModel, SearchNodes
 from .planner import ALIKE
-
-Integers = NDArray[np.int64]
-Numbers = NDArray[np.float64]
 
 LAYOUTS = 128  # tried at a time
 GENERATIONS = 20

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from gymnasium.utils.seeding import np_random
-from numpy.typing import NDArray
 
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch, Snapshot
@@ -19,10 +18,7 @@ from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
 from surface_gym.tasks.planning import square_reach
 from surface_gym.tasks.start import Start
 
-from ..base import axes_apart
-
-Booleans = NDArray[np.bool_]
-Numbers = NDArray[np.float64]
+from ..base import Booleans, Integers, Numbers, axes_apart
 
 PIECE = 0.005  # [m] along the line, of a braking profile
 ON_EDGE = 1e-9  # [m] round-off, by which a point on an edge may lie beyond it
@@ -193,8 +189,6 @@ class SearchNodes:
         return np.where(farthest > 0.0, farthest, self.half_length)
 
 
-Integers = NDArray[np.int64]
-
 FIRST = np.zeros(1, dtype=np.int64)
 
 
@@ -205,25 +199,10 @@ class SearchModel:
         self.config = config
         self._kind = config.action_kind
         self._batch = Batch(config, num_envs)
+        self.size, self.parcels = num_envs, self._batch.parcels
+        self.choices = 0 if self._kind.continuous else self._kind.choices**2  # of "halves"
+        self.outcomes = self._batch.outcomes  # names, by the numbers of `parcels.outcome`
         self._begun: Snapshot  # where a search begins
-
-    @property
-    def size(self) -> int:
-        return len(self._batch.outcome)
-
-    @property
-    def parcels(self) -> ParcelState:
-        return self._batch.parcels
-
-    @property
-    def choices(self) -> int:
-        """Actions there are, for a model with "halves"."""
-        return self._kind.choices**2
-
-    @property
-    def outcomes(self) -> tuple[str, ...]:
-        """Names of outcomes, by the numbers of `parcels.outcome`."""
-        return self._batch.outcomes
 
     def uniform_action(self, angle: float) -> int:
         """Encode the action that turns all axes to the orientation on offer nearest to an angle."""

@@ -8,7 +8,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
@@ -17,11 +16,10 @@ from surface_gym.state import OUT_OF_TIME, RUNNING
 from surface_gym.tasks import stop
 from surface_gym.tasks.planning import PlanCost
 
+from ..base import Numbers
 from ..rollout import Episodes, stack_poses
 from .models import TrueModel
 from .planner import make_plan, nodes_needed
-
-Numbers = NDArray[np.float64]
 
 BUDGET = 256  # nodes followed at a time at most
 LEAST = 8  # nodes followed at first: most starts need no more

@@ -4,19 +4,14 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.state import RUNNING
 from surface_gym.tasks.planning import PlanCost
 
-from ..base import BatchController, is_fresh
+from ..base import BatchController, Booleans, Integers, Singles, is_fresh
 from .models import FIRST, NominalModel, SearchModel, SearchNodes
-
-Booleans = NDArray[np.bool_]
-Integers = NDArray[np.int64]
-Observations = NDArray[np.float32]
 
 BUDGET = 64
 AGREES = 0.05  # largest difference, in the observation's units, between what was planned and is
@@ -29,7 +24,7 @@ class Plan:
     """Actions, and what will be seen before each if the model is right."""
 
     actions: Integers  # (periods,)
-    seen: Observations  # (periods, features)
+    seen: Singles  # (periods, features)
 
 
 class Planner(BatchController):
@@ -60,7 +55,7 @@ class Planner(BatchController):
         self._model = NominalModel(replace(config, zone=zone), size)
 
     def _predict(
-        self, batch: Observations, state: Any, episode_start: Any, **_: bool
+        self, batch: Singles, state: Any, episode_start: Any, **_: bool
     ) -> tuple[Any, list[tuple[Plan, int]]]:
         """Choose; the state holds each environment's plan and how many actions of it were given."""
         fresh = is_fresh(len(batch), state, episode_start)
@@ -68,7 +63,7 @@ class Planner(BatchController):
         following = [self._follow(seen, None if new else last) for seen, new, last in followed]
         return np.array([plan.actions[given - 1] for plan, given in following]), following
 
-    def _follow(self, seen: Observations, last: tuple[Plan, int] | None) -> tuple[Plan, int]:
+    def _follow(self, seen: Singles, last: tuple[Plan, int] | None) -> tuple[Plan, int]:
         """Choose the plan to go by, and count its next action as given."""
         if last is not None:
             plan, given = last
@@ -85,7 +80,7 @@ class _Period(NamedTuple):
 
     parents: Integers  # (nodes,)
     actions: Integers  # (nodes,)
-    seen: Observations  # (nodes, features) at its end
+    seen: Singles  # (nodes, features) at its end
 
 
 class _End(NamedTuple):
@@ -160,7 +155,7 @@ def keep_best(cost: PlanCost, moved: SearchNodes, runs: Booleans, width: int) ->
     return order[np.sort(best_of_kind)[:width]]
 
 
-def _trace(periods: list[_Period], end: _End, first_seen: Observations) -> Plan:
+def _trace(periods: list[_Period], end: _End, first_seen: Singles) -> Plan:
     node, actions, seen = end.node, [], []
     for period in reversed(periods[: end.period + 1]):
         actions.append(int(period.actions[node]))

@@ -13,13 +13,12 @@ from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.tasks import Task
 
-from ..base import BatchController, Controller, find_axes, find_orientation, is_fresh
+from .. import base as shared
+from ..base import BatchController, Booleans, Controller, find_axes, is_fresh
 
-Booleans = NDArray[np.bool_]
 Commands = NDArray[np.int64]
 Levels = NDArray[np.int64]
 Memory = NDArray[Any]
-Numbers = NDArray[np.float64]
 Observations = NDArray[np.float32]
 
 ROLL, HALF, FULL = range(3)  # level of a column: 90 deg; 45 and -45 deg in turn; 0 deg
@@ -100,7 +99,7 @@ class UniformLayout(UniformRule):
 
     def __init__(self, config: EnvConfig, angle: float, tasks: tuple[str, ...] = ()) -> None:
         super().__init__(config, tasks or (config.task_name,))
-        self._choice = find_orientation(config, angle)
+        self._choice = shared.find_orientation(config, angle)
 
     def _choose(self, observations: Observations) -> Commands:
         return np.full(len(observations), self._choice)

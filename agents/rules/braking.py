@@ -13,20 +13,9 @@ from surface_gym.sensors import Exact
 from surface_gym.tasks.line import BRAKING, ROLLING_LOSS
 from surface_gym.tasks.planning import LineObservation
 
-from .base import (
-    FULL,
-    HALF,
-    LEANS,
-    ROLL,
-    BaseRule,
-    Booleans,
-    ColumnAxes,
-    Commands,
-    Levels,
-    Memory,
-    Numbers,
-    Observations,
-)
+from ..base import Booleans, Numbers
+from . import base
+from .base import BaseRule, ColumnAxes, Commands, Levels, Memory, Observations
 
 MOST_AFTER = 24  # steps that axes are followed for after a period
 COM_HEIGHT = 0.1  # [m] of the centre of mass: Table 1
@@ -297,7 +286,7 @@ def braking_options(columns: int) -> Levels:
     first = np.arange(columns)[:, np.newaxis]
     place = np.arange(columns)
     parts = np.concatenate([place >= first, place <= first[:-1]])
-    levels = np.concatenate([HALF * parts, FULL * parts])
+    levels = np.concatenate([base.HALF * parts, base.FULL * parts])
     return np.concatenate([np.zeros((1, columns), dtype=np.int64), levels])
 
 
@@ -310,11 +299,11 @@ class BrakingRule(BaseRule):
 
     def __init__(self, config: EnvConfig, task: str, then: int) -> None:
         super().__init__(config, (task,), ("modules",))
-        self._model = BrakeModel(config, LEANS[then])
+        self._model = BrakeModel(config, base.LEANS[then])
         self._estimate = FrictionEstimate.for_sensors(config)
         self._commands = ColumnAxes(config)
         self._columns = self._kind.columns
-        self._gently = then == ROLL  # after full braking, axes would take too long to roll
+        self._gently = then == base.ROLL  # after full braking, axes would take too long to roll
         self._at_once = config.actuators.axis_speed == math.inf
 
     @abstractmethod
@@ -332,12 +321,14 @@ class BrakingRule(BaseRule):
         frictions = replace(estimated, braking=estimated.braking * seen.friction)
         span = contact_span(self._config, seen)
         levels = self._levels(seen, span, lean)
-        after = self._model.predict(span, seen.vx, frictions, lean, LEANS[levels])
+        after = self._model.predict(span, seen.vx, frictions, lean, base.LEANS[levels])
         best = self._regret(seen, span, frictions, after).argmin(axis=1)
         each = np.arange(len(best))
         chosen = levels[each, best]
         parts = (seen.vx, seen.friction * after.braking[each, best], after.rolling[each, best])
-        memory = np.column_stack([self._model.lean_after(lean, LEANS[chosen]), estimate, *parts])
+        memory = np.column_stack(
+            [self._model.lean_after(lean, base.LEANS[chosen]), estimate, *parts]
+        )
         return self._commands(chosen), memory
 
     def _recall(
@@ -367,15 +358,15 @@ class BrakingRule(BaseRule):
         place = np.arange(self._columns) - np.floor(rear / pitch).astype(np.int64)[:, np.newaxis]
         near = (place >= 0) & (place < reached[:, np.newaxis])
         levels = options[:, np.where(near, place, 0)].swapaxes(0, 1)
-        levels = np.where(near[:, np.newaxis, :], levels, ROLL)
+        levels = np.where(near[:, np.newaxis, :], levels, base.ROLL)
         if self._at_once:
             return levels
         # On its way from 90 to 0 deg an axis pushes to one side, all of them to the same: a column
         # brakes half before it brakes fully, and so does it before it rolls again.
-        between = ((lean < LEANS[HALF] - 1e-6) | self._gently)[:, np.newaxis]
-        levels = np.where(between & (levels == FULL), HALF, levels)
-        steep = (lean > LEANS[HALF] + 1e-6)[:, np.newaxis]
-        return np.where(steep & (levels == ROLL), HALF, levels)
+        between = ((lean < base.LEANS[base.HALF] - 1e-6) | self._gently)[:, np.newaxis]
+        levels = np.where(between & (levels == base.FULL), base.HALF, levels)
+        steep = (lean > base.LEANS[base.HALF] + 1e-6)[:, np.newaxis]
+        return np.where(steep & (levels == base.ROLL), base.HALF, levels)
 
 
 class SlowingRule(BrakingRule):
@@ -386,7 +377,7 @@ class SlowingRule(BrakingRule):
     """
 
     def __init__(self, config: EnvConfig) -> None:
-        super().__init__(config, "slow", ROLL)
+        super().__init__(config, "slow", base.ROLL)
 
     def _regret(
         self, seen: LineObservation, span: ContactSpan, frictions: Frictions, after: Braked
@@ -412,7 +403,7 @@ class StoppingRule(BrakingRule):
     """
 
     def __init__(self, config: EnvConfig) -> None:
-        super().__init__(config, "stop", HALF)
+        super().__init__(config, "stop", base.HALF)
 
     def _regret(
         self, seen: LineObservation, span: ContactSpan, frictions: Frictions, after: Braked
@@ -430,7 +421,7 @@ def decelerations(share: Numbers, frictions: Frictions) -> tuple[Numbers, Number
         share: (num_envs,) [-] of the elements under the parcel that are rotors.
     """
     supports = SUPPORT_LOSS * (1.0 - share)
-    lean = LEANS[HALF]
+    lean = base.LEANS[base.HALF]
     rolling = frictions.rolling * (ROLLING_LOSS * share + supports)
     slope = ROLLING_LOSS * math.cos(lean) * share + supports
     held = frictions.braking * BRAKING * math.sin(lean) * share + frictions.rolling * slope

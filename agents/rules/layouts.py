@@ -20,9 +20,9 @@ from surface_gym.tasks.line import BRAKING
 from surface_gym.tasks.planning import LineObservation, Nodes, square_reach
 from surface_gym.tasks.start import Start
 
-from ..base import find_axes
+from ..base import Numbers, find_axes
 from ..planning import layouts as search
-from .base import FULL, HALF, ColumnAxes, Commands, FixedRule, Levels, Numbers, Observations
+from .base import FULL, HALF, ColumnAxes, Commands, FixedRule, Levels, Observations
 
 SAME_SIZE = 0.005  # [m] half lengths are rounded to it; those of the study's boxes are multiples
 SAME_SPEED = 0.02  # [m/s] entry speeds are rounded down to it, so that none stalls for it

@@ -13,8 +13,8 @@ from surface_gym.tasks.line import BRAKING
 from surface_gym.tasks.planning import LineObservation
 from surface_gym.tasks.track import PathObservation
 
-from ..base import find_axes
-from .base import BaseRule, Booleans, Commands, Memory, Numbers, Observations
+from ..base import Booleans, Numbers, find_axes
+from .base import BaseRule, Commands, Memory, Observations
 from .steering import ModulePositions, Motion, line_positions, window_positions
 
 # Found by trying, on other starts than any reported.

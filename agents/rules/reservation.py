@@ -26,8 +26,7 @@ from surface_gym.sensors import Exact
 from surface_gym.state import RUNNING
 from surface_gym.tasks.sort import HORIZON
 
-from ..base import Controller
-from .base import Booleans, Numbers
+from ..base import Booleans, Controller, Numbers
 from .streams import TIME, Halves, ParcelRule, Rows, StreamEventRule
 
 MARGIN = 0.02  # [m] kept clear between two parcels

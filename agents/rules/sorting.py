@@ -11,8 +11,8 @@ from surface_gym.core.actions import ANY
 from surface_gym.design.sorting_layouts import SIDE, SortingLayout, sorting_layouts
 from surface_gym.layouts import ROLLING
 
-from ..base import SAME, BatchController, axes_apart, find_axes
-from .base import Commands, FixedRule, Numbers, Observations, UniformRule
+from ..base import SAME, BatchController, Numbers, axes_apart, find_axes
+from .base import Commands, FixedRule, Observations, UniformRule
 
 
 class FixedLayout(UniformRule):

@@ -14,8 +14,8 @@ from surface_gym.tasks.line import BRAKING
 from surface_gym.tasks.planning import LineObservation
 from surface_gym.tasks.track import AHEAD, PathObservation
 
-from ..base import find_axes
-from .base import BaseRule, Booleans, Commands, Memory, Numbers, Observations
+from ..base import Booleans, Numbers, find_axes
+from .base import BaseRule, Commands, Memory, Observations
 
 MIDWAY = 1e-9  # [m] nearer than this to midway between two rows or columns is midway
 

@@ -11,8 +11,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow.task import OWN, PRESENT, WAITS
 
 from .. import library
-from ..base import BatchController, find_axes, is_fresh
-from .base import Booleans
+from ..base import BatchController, Booleans, find_axes, is_fresh
 
 Rows = NDArray[np.float32]
 Halves = NDArray[np.int64]

@@ -11,9 +11,8 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow.task import PRESENT, WAITS
 from surface_gym.parcel import Parcel
 
-from ..base import BatchController, Controller, find_axes, is_fresh
+from ..base import BatchController, Booleans, Controller, Numbers, find_axes, is_fresh
 from . import reservation
-from .base import Booleans, Numbers
 from .streams import PAST_START, SIDE, Rows
 
 LENGTH, HALF, FIFTH = 6, 0.175, 0.05  # of a parcel in its row: (half of it - 0.175 m) / 0.05 m

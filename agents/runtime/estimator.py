@@ -28,7 +28,7 @@ from surface_gym.core.actions import (
     aim_at_choice,
     straighten_targets,
     turn_axes,
-)
+)  # fmt: skip
 from surface_gym.core.assembly import make_env_params, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, Function, KernelFunctions, obeying, showing
 from surface_gym.core.resets import BodyPlan, Placement, place_parcel
@@ -55,7 +55,7 @@ from surface_gym.state import (
     SurfaceState,
     env_state,
     read_truth,
-)
+)  # fmt: skip
 from surface_gym.tasks.start import Parcels
 
 from .protocol import Angles, Entered, Frame

@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 
-from . import protocol
-
 VERSION = 1  # of the protocol, which both sides must have
 MAX_LINE = 1_000_000  # [bytes]
 
@@ -362,12 +360,12 @@ class SocketDevice:
         messages = []
         try:
             for line in self._connection.lines():
-                fields = protocol.from_line(line)
+                fields = from_line(line)
                 if self._greeted:
-                    messages.append(protocol.from_fields(fields, self._shape))
+                    messages.append(from_fields(fields, self._shape))
                 else:
                     checks.one_of("kind", fields["kind"], ("hello",))
-                    checks.one_of("protocol", fields.get("protocol"), (protocol.VERSION,))
+                    checks.one_of("protocol", fields.get("protocol"), (VERSION,))
                     checks.one_of("task", fields.get("task"), (self._task,))
                     checks.array("zone", fields.get("zone"), (2,))
                     if tuple(fields["zone"]) != self._shape:
@@ -382,7 +380,7 @@ class SocketDevice:
             raise DeviceLost("not connected")
         self._command += 1
         try:
-            self._connection.send(protocol.to_line(protocol.axes_to_fields(self._command, angles)))
+            self._connection.send(to_line(axes_to_fields(self._command, angles)))
         except (ConnectionLost, ValueError) as error:
             raise DeviceLost(str(error)) from None
         return self._command
