@@ -81,7 +81,6 @@ class Row(Protocol):
 
 
 AnyRow = TypeVar("AnyRow", bound=Row)
-AnyKey = TypeVar("AnyKey", bound=Key)
 
 
 @dataclass(frozen=True)
@@ -268,12 +267,12 @@ def compute_results(
 
 
 def compute_kept(
-    jobs: Mapping[AnyKey, Callable[[], AnyRow]],
+    jobs: Mapping[Any, Callable[[], AnyRow]],
     make: Callable[..., AnyRow],
     workers: Workers,
     file: Path | None,
     advance: Advance,
-) -> dict[AnyKey, AnyRow]:
+) -> dict[Any, AnyRow]:
     """Compute the results that are not kept yet.
 
     Args:

@@ -398,8 +398,7 @@ def _read(given: dict[str, str], file: Path) -> TrainConfig:
         raise ValueError(f"it must hold an entry a task, got {of_tasks!r}")
     key = _entry_name(task)
     if key not in of_tasks:
-        ids = [name for name in of_tasks if str(name).startswith("SmartSurface/")]
-        known = ", ".join(repr(_task_name(name)) for name in ids)
+        known = ", ".join(repr(name) for name in PERIODS if env_id(name) in of_tasks)
         raise ValueError(f"task must be one of {known} for {algo}, got {task!r}")
     beside = of_tasks.get(BESIDE) or {}
     if not isinstance(beside, dict):
@@ -415,8 +414,8 @@ def _read(given: dict[str, str], file: Path) -> TrainConfig:
             continue
         if name == "learning_rate":
             chosen[name] = _initial_rate(value)
-        elif name == "policy_kwargs" and _is_net_arch(value):
-            chosen["hidden"] = tuple(value["net_arch"])
+        elif name == "policy_kwargs" and _hidden(value) is not None:
+            chosen["hidden"] = _hidden(value)
         elif name == "env_kwargs" and isinstance(value, dict) and set(value) <= _OF_THE_ENV:
             chosen.update({**value, "observe": tuple(value.get("observe", ()))})
         elif name == "zones" and isinstance(value, list):
@@ -428,11 +427,6 @@ def _read(given: dict[str, str], file: Path) -> TrainConfig:
         else:
             raise ValueError(f"{name} must be a known setting, got {value!r}")
     return CONFIGS[algo](**chosen)
-
-
-def _task_name(env: str) -> str:
-    """Return the task's name in an id such as "SmartSurface/Sort-v0"."""
-    return env.removeprefix("SmartSurface/").rpartition("-")[0].lower()
 
 
 def _initial_rate(value: Any) -> float:
@@ -447,10 +441,7 @@ def _initial_rate(value: Any) -> float:
     )
 
 
-def _is_net_arch(value: Any) -> bool:
-    """Return whether a value is the zoo's notation of hidden layers, and nothing else."""
-    return (
-        isinstance(value, dict)
-        and set(value) == {"net_arch"}
-        and isinstance(value["net_arch"], list)
-    )
+def _hidden(value: Any) -> tuple[int, ...] | None:
+    """Parse the zoo's notation of hidden layers; None where there is more or anything else."""
+    layers = value.get("net_arch") if isinstance(value, dict) and len(value) == 1 else None
+    return tuple(layers) if isinstance(layers, list) else None

@@ -4,10 +4,9 @@ Loss, network and optimiser are those of Stable-Baselines3's PPO.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import gymnasium as gym
 import numpy as np
@@ -22,8 +21,9 @@ from surface_gym.tasks import Sort
 from ..base import SIDE, ActionMirror, mirrored_orientations
 from ..library import find_task
 from ..policy import EqualCategoricals, EqualChoicesPolicy, make_network
+from . import ppo
 from .config import PPOConfig, is_registered, make_card
-from .ppo import MAX_GRAD_NORM, compute_advantages, learning_rate, ppo_loss, train_learner
+from .ppo import Transition, compute_advantages, ppo_loss
 from .runs import RECENT_EPISODES, REWARD, Curve, OnProgress, TrainResult
 from .sb3 import training_task
 
@@ -171,17 +171,6 @@ class TotalsCurve(Curve):
         return sum(rollout[name] for rollout in self.recent)
 
 
-@dataclass(frozen=True, eq=False)
-class DeviceTransition:
-    """Result of a control period; tensors on the environments' device."""
-
-    observations: torch.Tensor  # (num_envs, features) of the next start where an episode ended
-    rewards: torch.Tensor  # (num_envs,) float64
-    terminated: torch.Tensor  # (num_envs,) ended by success or failure
-    ended: torch.Tensor  # (num_envs,) or by the time limit
-    last: torch.Tensor  # (num_envs, features) at the period's end, of an episode that ended too
-
-
 class DeviceTrainingEnvs:
     """Environments with totals of their episodes, and with actions for y > 0 in Sort."""
 
@@ -199,7 +188,7 @@ class DeviceTrainingEnvs:
         self.totals.reset()
         return self._keep(observations)
 
-    def step(self, actions: torch.Tensor) -> DeviceTransition:
+    def step(self, actions: torch.Tensor) -> Transition:
         """Step all environments by one control period; nothing is copied from the device."""
         if self._mirror is not None:
             actions = self._mirror(actions, self._side)
@@ -207,7 +196,7 @@ class DeviceTrainingEnvs:
         ended = terminated | truncated
         self.totals.add(rewards, ended, infos)
         last = torch.where(ended.unsqueeze(1), infos["final_obs"], observations)
-        return DeviceTransition(
+        return Transition(
             self._keep(observations), rewards.clone(), terminated.clone(), ended, last
         )
 
@@ -232,8 +221,7 @@ class DevicePolicy(EqualChoicesPolicy):
         super()._build(lr_schedule)
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
+class Samples(NamedTuple):
     """Control periods of all environments, in a row."""
 
     observations: torch.Tensor  # (samples, features)
@@ -243,7 +231,7 @@ class Samples:
     returns: torch.Tensor  # (samples,)
 
     def select(self, chosen: torch.Tensor) -> "Samples":
-        return Samples(*(getattr(self, field.name)[chosen] for field in fields(self)))
+        return Samples(*(each[chosen] for each in self))
 
 
 def policy_loss(policy: DevicePolicy, samples: Samples, ent_coef: float) -> torch.Tensor:
@@ -263,7 +251,7 @@ def gradient_step(policy: DevicePolicy, samples: Samples, ent_coef: float) -> No
     """Take one step of a policy's optimiser."""
     policy.optimizer.zero_grad()
     torch.autograd.backward(policy_loss(policy, samples, ent_coef))
-    clip_grad_norm_(policy.parameters(), MAX_GRAD_NORM)
+    clip_grad_norm_(policy.parameters(), ppo.MAX_GRAD_NORM)
     policy.optimizer.step()
 
 
@@ -296,7 +284,7 @@ class DeviceLearner:
 
     def learn(self, curve: TotalsCurve) -> None:
         config = self._config
-        self._policy.optimizer.param_groups[0]["lr"] = learning_rate(config, self.steps)
+        self._policy.optimizer.param_groups[0]["lr"] = ppo.learning_rate(config, self.steps)
         samples = self.roll_out()
         count = len(samples.returns)
         for _ in range(config.n_epochs):
@@ -321,33 +309,21 @@ class DeviceLearner:
     @torch.no_grad()
     def roll_out(self) -> Samples:
         """Collect `n_steps` control periods; nothing is copied from the device."""
-        config = self._config
-        seen, actions, log_probs = [], [], []
-        values, rewards, ended, next_values = [], [], [], []
-        for _ in range(config.n_steps):
+        periods = []
+        for _ in range(self._config.n_steps):
             chosen, value, log_prob = self._policy(self._seen)
             moved = self._envs.step(chosen)
             next_value = self._policy.predict_values(moved.last).flatten() * ~moved.terminated
-            seen.append(self._seen)
-            actions.append(chosen.reshape(len(chosen), -1))
-            log_probs.append(log_prob)
-            values.append(value.flatten())
-            rewards.append(moved.rewards)
-            ended.append(moved.ended)
-            next_values.append(next_value)
+            decided = (self._seen, chosen.reshape(len(chosen), -1), log_prob, value.flatten())
+            periods.append((*decided, moved.rewards, moved.ended, next_value))
             self._seen = moved.observations
-        value = torch.stack(values)
-        advantage = compute_advantages(
-            torch.stack(rewards), torch.stack(ended), value, torch.stack(next_values),
-            config.gamma, config.gae_lambda,
-        )  # fmt: skip
-        return Samples(
-            torch.cat(seen),
-            torch.cat(actions),
-            torch.cat(log_probs),
-            advantage.flatten().float(),
-            (advantage + value).flatten().float(),
-        )
+        seen, actions, log_prob, value, *rest = map(torch.stack, zip(*periods, strict=True))
+        rewards, ended, next_value = rest
+        gamma, gae_lambda = self._config.gamma, self._config.gae_lambda
+        advantage = compute_advantages(rewards, ended, value, next_value, gamma, gae_lambda)
+        returns = (advantage + value).float()
+        each = (seen, actions, log_prob, advantage.float(), returns)
+        return Samples(*(values.flatten(0, 1) for values in each))
 
 
 def train_on_device(
@@ -362,4 +338,4 @@ def train_on_device(
         return DeviceLearner(config, DeviceTrainingEnvs(make_envs(config, config.num_envs)))
 
     make_curve = partial(TotalsCurve, folder, find_task(config.task).terms, config.num_envs)
-    return train_learner(config, folder, on_progress, make_learner, make_curve)
+    return ppo.train_learner(config, folder, on_progress, make_learner, make_curve)

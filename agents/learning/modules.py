@@ -3,7 +3,7 @@
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,27 +12,17 @@ from torch.nn.utils import clip_grad_norm_
 from surface_gym.tasks.sort import TERMS
 
 from .. import module_policy
-from ..base import Booleans, Integers, Numbers, Singles
+from ..base import Integers, Singles
 from ..module_policy import GROUPS
 from ..module_view import ModuleView
 from ..vec_env import ConcatVecEnv
+from . import ppo
 from .config import ModulesConfig, make_card
-from .ppo import MAX_GRAD_NORM, compute_advantages, learning_rate, ppo_loss, train_learner
+from .ppo import Transition, compute_advantages, ppo_loss
 from .runs import Curve, OnProgress, TrainResult
 from .sb3 import make_training_envs
 
 ADAM_EPS = 1e-5  # as in Stable-Baselines3's PPO
-
-
-class Transition(NamedTuple):
-    """Result of a control period."""
-
-    observations: Singles  # (num_envs, features) of the next start where an episode ended
-    rewards: Numbers  # (num_envs,)
-    terminated: Booleans  # (num_envs,) ended by success or failure
-    ended: Booleans  # (num_envs,) or by the time limit
-    last: Singles  # (num_envs, features) at the period's end, of an episode that ended too
-    infos: list[dict[str, Any]]  # of SurfaceVecEnv
 
 
 def step_envs(envs: ConcatVecEnv, actions: Integers) -> Transition:
@@ -113,7 +103,7 @@ class ModuleLearner:
 
     def learn(self, curve: Curve) -> None:
         for optimiser in self._optimisers:
-            optimiser.param_groups[0]["lr"] = learning_rate(self._config, self.steps)
+            optimiser.param_groups[0]["lr"] = ppo.learning_rate(self._config, self.steps)
         samples, advantage, returns, infos = self._roll_out()
         count = len(returns)
         for _ in range(self._config.n_epochs):
@@ -210,7 +200,7 @@ class ModuleLearner:
             optimiser.zero_grad()
         torch.autograd.backward(loss)
         for network, optimiser in zip(self._networks, self._optimisers, strict=True):
-            clip_grad_norm_(network.parameters(), MAX_GRAD_NORM)
+            clip_grad_norm_(network.parameters(), ppo.MAX_GRAD_NORM)
             optimiser.step()
 
 
@@ -219,4 +209,4 @@ def train_modules(
 ) -> TrainResult:
     """Train one policy shared by all modules; see `train_learner`."""
     curve = partial(Curve, folder, TERMS)
-    return train_learner(config, folder, on_progress, partial(ModuleLearner, config), curve)
+    return ppo.train_learner(config, folder, on_progress, partial(ModuleLearner, config), curve)

@@ -6,7 +6,7 @@ Schulman et al., Proximal policy optimization algorithms, 2017.
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 
@@ -73,6 +73,17 @@ def ppo_loss(
 def learning_rate(config: TrainConfig, steps: int) -> float:
     """Compute the learning rate after some control periods; it falls linearly to 0."""
     return max(0.0, 1.0 - steps / config.steps) * config.learning_rate
+
+
+class Transition(NamedTuple):
+    """Result of a control period: arrays, or tensors on the environments' device."""
+
+    observations: Any  # (num_envs, features) of the next start where an episode ended
+    rewards: Any  # (num_envs,) float64
+    terminated: Any  # (num_envs,) ended by success or failure
+    ended: Any  # (num_envs,) or by the time limit
+    last: Any  # (num_envs, features) at the period's end, of an episode that ended too
+    infos: list[dict[str, Any]] = []  # of SurfaceVecEnv
 
 
 class Learner(Protocol):

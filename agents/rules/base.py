@@ -18,8 +18,9 @@ from ..base import BatchController, Booleans, Controller, find_axes, is_fresh
 
 Commands = NDArray[np.int64]
 Levels = NDArray[np.int64]
-Memory = NDArray[Any]
+Memory = NDArray[Any] | None  # what a rule remembers, by environment; None: nothing
 Observations = NDArray[np.float32]
+Decision = tuple[Commands, Memory]
 
 ROLL, HALF, FULL = range(3)  # level of a column: 90 deg; 45 and -45 deg in turn; 0 deg
 LEANS = np.array([0.0, math.pi / 4.0, math.pi / 2.0])  # [rad] of axes off 90 deg, by level
@@ -60,9 +61,7 @@ class BaseRule(BatchController):
         self._kind = config.action_kind
 
     @abstractmethod
-    def _decide(
-        self, observations: Observations, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
+    def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
         """Choose commands (num_envs, size), and what to remember (num_envs, ...).
 
         Args:
@@ -73,7 +72,7 @@ class BaseRule(BatchController):
 
     def _predict(
         self, batch: Observations, state: Any, episode_start: Any, **_: bool
-    ) -> tuple[Any, Memory | None]:
+    ) -> tuple[Any, Memory]:
         fresh = is_fresh(len(batch), state, episode_start)
         commands, memory = self._decide(batch, state, fresh)
         return self._kind.encode(commands), memory
@@ -86,10 +85,7 @@ class UniformRule(BaseRule):
     def _choose(self, observations: Observations) -> Commands:
         """Choose (num_envs,) for every module."""
 
-    def _decide(
-        self, observations: Observations, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
-        del memory, fresh
+    def _decide(self, observations: Observations, *_: Any) -> Decision:
         choice = self._choose(observations)
         return np.repeat(choice[:, np.newaxis], self._kind.size, axis=1), None
 
@@ -112,9 +108,7 @@ class FixedRule(BaseRule):
     def _layout(self, observations: Observations) -> Commands:
         """Choose commands (num_envs, size) for episodes that have just begun."""
 
-    def _decide(
-        self, observations: Observations, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
+    def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
         layout = np.empty((len(observations), self._kind.size), dtype=np.int64)
         if memory is not None:
             layout[~fresh] = memory[~fresh]

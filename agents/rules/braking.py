@@ -15,7 +15,7 @@ from surface_gym.tasks.planning import LineObservation
 
 from ..base import Booleans, Numbers
 from . import base
-from .base import BaseRule, ColumnAxes, Commands, Levels, Memory, Observations
+from .base import BaseRule, ColumnAxes, Decision, Levels, Memory, Observations
 
 MOST_AFTER = 24  # steps that axes are followed for after a period
 COM_HEIGHT = 0.1  # [m] of the centre of mass: Table 1
@@ -241,16 +241,18 @@ class FrictionEstimate:
         return cls(SEEN_EXACTLY if isinstance(config.sensors, Exact) else SEEN)
 
     @staticmethod
-    def unknown(num_envs: int) -> Memory:
+    def unknown(num_envs: int) -> Numbers:
         """(num_envs, ESTIMATE_SIZE) nominal frictions, of which nothing is known yet."""
         return np.tile([1.0, 1.0, *UNSURE**2, 0.0], (num_envs, 1))
 
     @staticmethod
-    def frictions(estimate: Memory) -> Frictions:
+    def frictions(estimate: Numbers) -> Frictions:
         braking, rolling = np.clip(estimate[:, :2], LEAST, MOST).T
         return Frictions(braking, rolling, np.sqrt(np.maximum(0.0, estimate[:, 3])))
 
-    def update(self, estimate: Memory, lost: Numbers, braking: Numbers, rolling: Numbers) -> Memory:
+    def update(
+        self, estimate: Numbers, lost: Numbers, braking: Numbers, rolling: Numbers
+    ) -> Numbers:
         """Update (num_envs, ESTIMATE_SIZE) by what a period took.
 
         Args:
@@ -312,9 +314,7 @@ class BrakingRule(BaseRule):
     ) -> Numbers:
         """Compute (num_envs, options) how far from the goal each option leads."""
 
-    def _decide(
-        self, observations: Observations, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
+    def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
         seen = self._config.decode(observations)
         lean, estimate = self._recall(seen, memory, fresh)
         estimated = self._estimate.frictions(estimate)
@@ -332,8 +332,8 @@ class BrakingRule(BaseRule):
         return self._commands(chosen), memory
 
     def _recall(
-        self, seen: LineObservation, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Numbers, Memory]:
+        self, seen: LineObservation, memory: Memory, fresh: Booleans
+    ) -> tuple[Numbers, Numbers]:
         """Recall (num_envs, columns) [rad] each column's axes off 90 deg, and the estimate of
         friction, updated.
         """

@@ -4,6 +4,7 @@ The prediction is that of a square that slides on single modules, with Coulomb f
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from surface_gym.tasks.planning import LineObservation
 from surface_gym.tasks.track import AHEAD, PathObservation
 
 from ..base import Booleans, Numbers, find_axes
-from .base import BaseRule, Commands, Memory, Observations
+from .base import BaseRule, Commands, Decision, Observations
 
 MIDWAY = 1e-9  # [m] nearer than this to midway between two rows or columns is midway
 
@@ -182,10 +183,7 @@ class SlidingMode(BaseRule):
         self._angles = np.array(config.chosen_orientations)[self._options]
         self._period = config.control_period
 
-    def _decide(
-        self, observations: Observations, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
-        del memory, fresh
+    def _decide(self, observations: Observations, *_: Any) -> Decision:
         path: PathObservation = self._config.decode(observations)
         vx, vy = path.velocity
         model = SquareModel(window_positions(path, self._kind), path.half_length, path.tilt)
@@ -224,10 +222,7 @@ class TurningRule(BaseRule):
         self._angles = np.array(config.chosen_orientations)
         self._period = config.control_period
 
-    def _decide(
-        self, observations: Observations, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
-        del memory, fresh
+    def _decide(self, observations: Observations, *_: Any) -> Decision:
         seen: LineObservation = self._config.decode(observations)
         modules = line_positions(seen, self._kind)
         options = self._options(seen, modules)
