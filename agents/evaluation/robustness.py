@@ -11,7 +11,7 @@ import numpy as np
 
 from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.layouts import box
-from surface_gym.lines import BaseLine, Line
+from surface_gym.lines import Line
 from surface_gym.parallel import Workers
 from surface_gym.parcel import Base, Disc, Parcel, Rectangle
 from surface_gym.randomisation import Actuators
@@ -78,16 +78,9 @@ def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation
     task = replace(task, entry_offset=change.offset, entry_turn=change.turn, time_limit=limit)
     config = method.config(task, change.preset)
     assumed = replace(config, control_period=period, line=line)
-    return Situation(assumed, replace(assumed, line=_with_friction(line, change)))
-
-
-def _with_friction(line: BaseLine, change: Change) -> BaseLine:
-    return replace(
-        line,
-        mu_max=np.multiply(line.mu_max, change.drag),
-        mu_min=np.multiply(line.mu_min, change.rolling),
-        mu_support=np.multiply(line.mu_support, change.rolling),
-    )
+    factors = {"mu_max": change.drag, "mu_min": change.rolling, "mu_support": change.rolling}
+    changed = {name: np.multiply(getattr(line, name), each) for name, each in factors.items()}
+    return Situation(assumed, replace(assumed, line=replace(line, **changed)))
 
 
 @dataclass(frozen=True)

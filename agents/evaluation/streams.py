@@ -274,32 +274,31 @@ def headline(results: StreamResults) -> Table:
 
 def capacity_table(results: StreamResults, preset: str) -> Table:
     """Show right deliveries an hour at the capacity, all streams."""
-
-    def text(name: str, case: Case) -> str:
-        capacity = results.capacity(name, case)
-        if capacity is None:
-            return _rate(results, name, case)
-        return f"{capacity.rate:.0f} ±{capacity.margin:.0f}"
-
     names = [*_tried(results, preset), BOUND, CEILING]
     caption = f"{_meaning(preset)} {limits.STREAM_PRESETS[preset].meaning}"
-    return _grid(
-        f"flow: capacity, {limits.STREAM_PRESETS[preset].label}", caption, names, preset, text
-    )
+    text = _at_capacity(results, lambda found: f"{found.rate:.0f} ±{found.margin:.0f}")
+    title = f"flow: capacity, {limits.STREAM_PRESETS[preset].label}"
+    return _grid(title, caption, names, preset, text)
 
 
 def touch_table(results: StreamResults, preset: str) -> Table:
     """Show touches at the capacity, all streams."""
-
-    def text(name: str, case: Case) -> str:
-        capacity = results.capacity(name, case)
-        if capacity is None:
-            return _rate(results, name, case)
-        return f"{capacity.touches_per_1000:.0f}"
-
     title = f"flow: touches at the capacity, {limits.STREAM_PRESETS[preset].label}"
     caption = "times that two begin to touch, per 1000 deliveries, at the capacity"
+    text = _at_capacity(results, lambda found: f"{found.touches_per_1000:.0f}")
     return _grid(title, caption, _tried(results, preset), preset, text)
+
+
+def _at_capacity(
+    results: StreamResults, show: Callable[[Measurement], str]
+) -> Callable[[str, Case], str]:
+    """Make texts of what was measured at the capacity, if there is any."""
+
+    def text(name: str, case: Case) -> str:
+        found = results.capacity(name, case)
+        return _rate(results, name, case) if found is None else show(found)
+
+    return text
 
 
 def ratio_table(results: StreamResults, over: str) -> Table:

@@ -1,6 +1,6 @@
 """Policies as ONNX graphs.
 
-`agents.module_view` computes what a module sees with arrays whose size depends on the observation.
+`agents.module_policy` computes what a module sees with arrays sized by the observation.
 A graph needs it for all modules at once, so that it is written here once more, for NumPy and for a
 graph alike. An export is refused where the two differ.
 """
@@ -20,7 +20,7 @@ from surface_gym.core.actions import GROUPS, QUADRANT_SIZE
 from surface_gym.lines import Line
 
 from ..base import SIDE, Integers, Singles, mirrored_orientations
-from ..module_view import ELLIPSE, EXACT, MARGIN, ROUND
+from ..module_policy import ELLIPSE, EXACT, MARGIN, ROUND
 from .policy import Layer, Network, NetworkDecision, Source, are_close, to_array
 
 OPSET = 17  # version of ONNX's operators

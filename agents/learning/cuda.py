@@ -6,7 +6,7 @@ Loss, network and optimiser are those of Stable-Baselines3's PPO.
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -27,38 +27,17 @@ from .ppo import Transition, compute_advantages, ppo_loss
 from .runs import RECENT_EPISODES, REWARD, Curve, OnProgress, TrainResult
 from .sb3 import training_task
 
+if TYPE_CHECKING:
+    from surface_gym.cuda.env import CudaVectorEnv
+
 VALUE_COEF = 0.5  # as in Stable-Baselines3's PPO
 EPISODES = "episodes"  # their number, beside the sums over them
 
 
-class DeviceEnvs(Protocol):
-    """A vector env in SAME_STEP mode whose arrays are tensors on one device.
-
-    The next step may write over them.
-    """
-
-    num_envs: int
-    single_observation_space: spaces.Space[Any]
-    single_action_space: spaces.Space[Any]
-    config: EnvConfig
-    device: Any  # an argument of `torch.device`
-
-    def reset(self, *, seed: int) -> tuple[torch.Tensor, dict[str, Any]]:
-        """Start environment i from `seed` + i; return observations (num_envs, features)."""
-
-    def step(
-        self, actions: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """Step all environments by one control period."""
-
-    def close(self) -> None:
-        """Free all resources."""
+MakeDeviceEnvs = Callable[[PPOConfig, int], "CudaVectorEnv"]  # for a configuration, so many
 
 
-MakeDeviceEnvs = Callable[[PPOConfig, int], DeviceEnvs]  # for a configuration, so many
-
-
-def make_device_envs(config: PPOConfig, num_envs: int) -> DeviceEnvs:
+def make_device_envs(config: PPOConfig, num_envs: int) -> "CudaVectorEnv":
     """Make environments of a run on its device."""
     task = training_task(config.task)
     try:
@@ -174,7 +153,7 @@ class TotalsCurve(Curve):
 class DeviceTrainingEnvs:
     """Environments with totals of their episodes, and with actions for y > 0 in Sort."""
 
-    def __init__(self, envs: DeviceEnvs) -> None:
+    def __init__(self, envs: "CudaVectorEnv") -> None:
         self.device = torch.device(envs.device)
         self.envs = envs
         env_config = envs.config

@@ -13,8 +13,7 @@ from surface_gym.tasks.sort import TERMS
 
 from .. import module_policy
 from ..base import Integers, Singles
-from ..module_policy import GROUPS
-from ..module_view import ModuleView
+from ..module_policy import GROUPS, ModuleView
 from ..vec_env import ConcatVecEnv
 from . import ppo
 from .config import ModulesConfig, make_card

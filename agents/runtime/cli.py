@@ -63,11 +63,6 @@ class Run:
     cores: int  # of the machine
 
 
-def latency_percentiles(latencies: "Latencies") -> dict[str, list[float] | None]:
-    """Return the percentiles [s] of each stage; None: it was never measured."""
-    return {name: percentiles(getattr(latencies, name)) for name in STAGES}
-
-
 def percentiles(seconds: Sequence[float]) -> list[float] | None:
     """Compute `PERCENTILES` [s] of some times; None: there are none."""
     if not seconds:
@@ -83,7 +78,7 @@ def make_report(run: Run, counts: "Counts", latencies: "Latencies") -> dict[str,
         "counts": {**asdict(counts), "parcels": dict(counts.parcels.most_common())},
         "success": counts.parcels["success"] / parcels if parcels else None,
         "percentiles": list(NAMES),
-        "budget": latency_percentiles(latencies),
+        "budget": {name: percentiles(getattr(latencies, name)) for name in STAGES},
     }
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents import module_view
+from surface_gym.agents import module_policy as module_view
 from surface_gym.config import EnvConfig
 from surface_gym.layouts import LEAD_IN, LINE_ROWS, LINE_Y, ROWS, lead_in_under, rows_under
 from surface_gym.lines import Pattern
