@@ -275,7 +275,6 @@ def draw_groups(
     """Draw the group of each module (modules,): 2 i or 2 i + 1 in environment i.
 
     Args:
-        env: (modules,) each module's environment index.
         place: (modules, ...) first along and across the parcel, in half lengths.
         probability: that a random line through the parcel splits its modules into two groups.
     """

@@ -100,11 +100,7 @@ def parse_arguments(arguments: Sequence[str]) -> Request:
 
 
 def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
-    """Carry out the work that a command line asks for.
-
-    Args:
-        arguments: of the command line, kept in the run's folder.
-    """
+    """Carry out the work that a command line asks for."""
     from surface_gym.parallel import choose_workers
 
     from .library import task_files

@@ -55,14 +55,7 @@ def ppo_loss(
     ent_coef: float,
     value_coef: float,
 ) -> torch.Tensor:
-    """Compute PPO's loss, with the clipped objective of Eq. (7).
-
-    Args:
-        log_prob: (samples,) of the actions, by the policy that learns.
-        old_log_prob: (samples,) of the actions when they were chosen.
-        value: (samples,) of the observations, by the value function that learns.
-        returns: (samples,) targets of the value.
-    """
+    """Compute PPO's loss of samples (samples,) each, with the clipped objective of Eq. (7)."""
     ratio = (log_prob - old_log_prob).exp()
     clipped = ratio.clamp(1.0 - CLIP_RANGE, 1.0 + CLIP_RANGE)
     objective = torch.min(ratio * advantage, clipped * advantage).mean()

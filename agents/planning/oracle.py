@@ -54,7 +54,6 @@ class Oracle:
     made again with more nodes, as long as the budget allows.
 
     Args:
-        config: of the environment, with "halves" for actions, of orientations to choose from.
         budget: nodes followed at a time at most, each with every action.
     """
 
@@ -130,12 +129,7 @@ def find_reachable(
     budget: int = BUDGET,
     workers: Workers = 1,
 ) -> list[Reached]:
-    """Find what can be reached from starts, with halves for actions, by an oracle.
-
-    Args:
-        seed: start i draws from `seed` + i, as in `agents.rollout.run_episodes`.
-        workers: processes to share the starts among, or a cluster; results do not depend on it.
-    """
+    """Find what can be reached from starts, with halves for actions, by an oracle."""
     Oracle(config, budget)
     check_workers(workers)
     firsts = range(0, len(starts), AT_ONCE)

@@ -42,12 +42,7 @@ class Rule:
 
 
 class BaseRule(BatchController):
-    """A rule of one parcel per environment.
-
-    Args:
-        tasks: names of the tasks it is made for.
-        actions: kinds of action it is made for; none: any.
-    """
+    """A rule of one parcel per environment."""
 
     def __init__(
         self, config: EnvConfig, tasks: tuple[str, ...], actions: tuple[str, ...] = ()
@@ -65,7 +60,6 @@ class BaseRule(BatchController):
         """Choose commands (num_envs, size), and what to remember (num_envs, ...).
 
         Args:
-            observations: (num_envs, features).
             memory: (num_envs, ...) what was remembered; None where nothing was.
             fresh: (num_envs,) an episode has just begun: the memory is of another.
         """

@@ -127,7 +127,6 @@ class BrakeModel:
         """Predict the state a control period on.
 
         Args:
-            speed: (num_envs,) [m/s] now.
             lean: (num_envs, columns) [rad] of each column's axes off 90 deg now.
             target: (num_envs, options, columns) [rad] to which they turn.
         """
@@ -256,7 +255,6 @@ class FrictionEstimate:
         """Update (num_envs, ESTIMATE_SIZE) by what a period took.
 
         Args:
-            estimate: (num_envs, ESTIMATE_SIZE) before.
             lost: (num_envs,) [m/s] of speed in the period, as seen.
             braking: (num_envs,) [m/s] of it by nominal friction along axes.
             rolling: (num_envs,) [m/s] of it by nominal friction across them.

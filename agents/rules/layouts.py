@@ -47,11 +47,7 @@ def _run(
     zone: tuple[int, int] | None,
     dt: float,
 ) -> sg.Trajectory:
-    """Run a square box along a line, long enough to cross it by rolling.
-
-    Args:
-        zone_axis: (rows, columns) [rad] axes of the widest zone; all others roll along x.
-    """
+    """Run a square box along a line, long enough to cross it by rolling."""
     base = sg.Rectangle(2.0 * half_length, 2.0 * half_length)
     rotor, (first_row, rows, first, columns) = line.site(base, zone)
     margin = (len(zone_axis) - rows) // 2
@@ -344,11 +340,7 @@ class BestTracking(FixedRule):
 
 
 def _mirror(start: Start, across: float) -> Start:
-    """Mirror a start in the line's middle, all but its goal.
-
-    Args:
-        across: [m] twice the y of the line's middle.
-    """
+    """Mirror a start in the line's middle, all but its goal."""
     x, y, theta = start.pose
     vx, vy, omega = start.velocity
     return start._replace(

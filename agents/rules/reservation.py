@@ -148,7 +148,6 @@ def run_alone(
     """Run parcels, each alone on a line with a gate.
 
     Args:
-        seeds: of each run, for what varies.
         opens: (runs,) physics step at which each gate opens; None: as the controller says.
     """
     streams = [Stream(Trace((Arrival(0.0, *one),))) for one in asked]
@@ -249,7 +248,6 @@ class Booking:
     """Opens a gate for each parcel as soon as gaps to all before it allow.
 
     Args:
-        config: of the environment, with a gate.
         signature: (trajectories, features) by which parcels are known as they wait.
         gaps: (trajectories, trajectories) [s] of each (column) behind each other (row).
     """

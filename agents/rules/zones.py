@@ -35,7 +35,6 @@ class WholeZone(BatchController):
     once it is free. All other columns stay at 90 deg.
 
     Args:
-        config: of the environment, with "modules" for actions and a gate.
         alone: whether parcels come one by one, so that none needs to be held at the gate.
     """
 
@@ -178,7 +177,6 @@ def measure_crossings(
     """Try parcels, each alone on the line, as the sensors see it and with all that varies.
 
     Args:
-        config: of the environment, with a gate; its stream does not matter.
         span: [m] of x over which the zone lies.
     """
     each = [one for one in asked for _ in range(TRIES)]

@@ -267,11 +267,7 @@ class LoopConfig:
 
 
 class ControlLoop:
-    """Runs a policy on a device.
-
-    Args:
-        fixed: arranges fixed layouts; and the resolver of their commands.
-    """
+    """Runs a policy on a device."""
 
     def __init__(
         self,

@@ -88,7 +88,6 @@ def zone_angles(whole: NDArray[np.float64], zone: Integers, shape: tuple[int, in
     """Cut the axes [rad] of the zone's modules out of those of the whole surface.
 
     Args:
-        whole: (rows, columns) [rad] of the surface.
         zone: (4,) that a parcel has, as `BodyTable.zone`.
         shape: (rows, columns) of the widest zone. A narrower one is its middle rows; the places
             beside it are at 90 deg.
@@ -119,11 +118,7 @@ class Resolver:
 
 
 class StateEstimator:
-    """Estimates the state of the parcel on the surface.
-
-    Args:
-        config: of the environment that the policy is for, its sensors a `Camera` or `Exact`.
-    """
+    """Estimates the state of the parcel on the surface."""
 
     def __init__(self, config: EnvConfig) -> None:
         self._axis_speed = min(config.actuators.axis_speed, checks.AXIS_SPEED[1])

@@ -44,10 +44,6 @@ class World:
 
     The physics runs ahead of the caller's clock by a step at most, so that axes that are set now
     turn no earlier than now. A frame is due as much later as the camera is late.
-
-    Args:
-        env_config: of the environment that it simulates, but for its actions: axes are set one by
-            one.
     """
 
     def __init__(

@@ -134,11 +134,7 @@ class Sweep:
         return self.seeds * self.evaluations
 
     def config(self, params: Mapping[str, Any]) -> TrainConfig:
-        """Return the configuration of drawn values, with the first seed.
-
-        Args:
-            params: value of each name in `space`, lists for tuples.
-        """
+        """Return the configuration of drawn values, with the first seed."""
         chosen: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value
             for name, value in {**self.fixed, **params}.items()
