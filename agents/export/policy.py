@@ -21,7 +21,6 @@ from ..evaluation.methods import policy_folders
 from ..learning.config import NOMINAL, current_option
 from ..learning.runs import CARD as CARD_FILE
 from ..learning.runs import CONFIG, read_config
-from ..library import find_task, read_files
 from ..module_policy import ModulePolicy
 from ..policy import DIGEST, Policy, make_network
 
@@ -72,7 +71,7 @@ def of_run(
     """Return a policy of a training run."""
     folders = policy_folders(run)
     chosen = next(iter(folders)) if seed is None else int(checks.one_of("seed", seed, folders))
-    custom = None if task is None else find_task(task)
+    custom = None if task is None else library.find_task(task)
     training = _read_training(run)
     if training is None and (run / CONFIG).is_file():
         training = Training(read_config(run / CONFIG, task).preset)
@@ -82,7 +81,7 @@ def of_run(
 def _read(
     name: str, seed: int, folder: Path, task: Task | None, training: Training | None
 ) -> Source:
-    files = read_files(folder)
+    files = library.read_files(folder)
     policy = library.from_files(files, task)
     if not isinstance(policy, (Policy, ModulePolicy)):
         raise ValueError(

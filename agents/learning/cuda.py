@@ -12,7 +12,6 @@ import gymnasium as gym
 import numpy as np
 import torch
 from gymnasium import spaces
-from torch.nn.utils import clip_grad_norm_
 
 from surface_gym.config import EnvConfig
 from surface_gym.registration import env_id
@@ -230,7 +229,7 @@ def gradient_step(policy: DevicePolicy, samples: Samples, ent_coef: float) -> No
     """Take one step of a policy's optimiser."""
     policy.optimizer.zero_grad()
     torch.autograd.backward(policy_loss(policy, samples, ent_coef))
-    clip_grad_norm_(policy.parameters(), ppo.MAX_GRAD_NORM)
+    torch.nn.utils.clip_grad_norm_(policy.parameters(), ppo.MAX_GRAD_NORM)
     policy.optimizer.step()
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch.nn.utils import clip_grad_norm_
 
 from surface_gym.tasks.sort import TERMS
 
@@ -199,7 +198,7 @@ class ModuleLearner:
             optimiser.zero_grad()
         torch.autograd.backward(loss)
         for network, optimiser in zip(self._networks, self._optimisers, strict=True):
-            clip_grad_norm_(network.parameters(), ppo.MAX_GRAD_NORM)
+            torch.nn.utils.clip_grad_norm_(network.parameters(), ppo.MAX_GRAD_NORM)
             optimiser.step()
 
 

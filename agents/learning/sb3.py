@@ -16,8 +16,6 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
-from torch.nn.functional import smooth_l1_loss
-from torch.nn.utils import clip_grad_norm_
 
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.config import PRESETS, Preset
@@ -137,11 +135,11 @@ class DoubleDQN(DQN):
                 next_value = self.q_net_target(batch.next_observations).gather(1, chosen)
                 target = batch.rewards + (1.0 - batch.dones) * discount * next_value
             value = self.q_net(batch.observations).gather(1, batch.actions.long())
-            loss = smooth_l1_loss(value, target)
+            loss = torch.nn.functional.smooth_l1_loss(value, target)
             losses.append(loss.detach())
             self.policy.optimizer.zero_grad()
             torch.autograd.backward(loss)
-            clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
+            torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
             self.policy.optimizer.step()
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")

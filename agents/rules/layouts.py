@@ -253,9 +253,7 @@ class _Searched(FixedRule):
 
 
 class BestSlowing(_Searched, FixedSlowing):
-    """Each module of the zone at 0, 45, -45 or 90 deg, so that the parcel should leave at the asked
-    ratio; at least as near to it as with any layout of `FixedSlowing`.
-    """
+    """Layouts from those of `FixedSlowing` on, searched module by module for the asked ratio."""
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
@@ -263,9 +261,7 @@ class BestSlowing(_Searched, FixedSlowing):
 
 
 class BestStopping(_Searched, FixedStopping):
-    """Each module of the zone at 0, 45, -45 or 90 deg, so that the parcel should rest at the asked
-    x; at least as near to it as with any layout of `FixedStopping`.
-    """
+    """Layouts from those of `FixedStopping` on, searched module by module for the asked x."""
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
@@ -274,9 +270,7 @@ class BestStopping(_Searched, FixedStopping):
 
 
 class BestTurning(_Searched, FixedTurning):
-    """Each module of the zone at 0, 45, -45 or 90 deg, so that the parcel should leave at the asked
-    angle; at least as near to it as with any layout of `FixedTurning`.
-    """
+    """Layouts from those of `FixedTurning` on, searched module by module for the asked angle."""
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)

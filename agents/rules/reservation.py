@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import HOUR, Arrival, Trace
@@ -143,7 +142,7 @@ def run_alone(
     config: EnvConfig,
     asked: Sequence[Asked],
     seeds: Sequence[int],
-    opens: NDArray[np.int64] | None = None,
+    opens: Halves | None = None,
 ) -> LoneRuns:
     """Run parcels, each alone on a line with a gate.
 
