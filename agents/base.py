@@ -5,31 +5,26 @@ features is the asked side. Here actions are mirrored back into the world.
 """
 
 import math
-import shlex
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import ActionKind
+from surface_gym.lines import Line
 from surface_gym.tasks import Sort
 from surface_gym.tasks.sort import FEATURES
 
-if TYPE_CHECKING:
-    from surface_gym.lines import Line
-
-FLOW_TASK = "flow"  # the task of streams of parcels
-
-# A file of the checkout, or the command of the installed package.
-_IN_CHECKOUT = (Path(__file__).resolve().parents[1] / "train.py").is_file()
-TRAIN = ("python", "train.py") if _IN_CHECKOUT else ("surface-gym", "train")
-EVALUATE = ("python", "evaluate.py") if _IN_CHECKOUT else ("surface-gym", "evaluate")
-
 SAME = 1e-6  # [rad] axes closer than this are one
+
+
+Booleans = NDArray[np.bool_]
+Integers = NDArray[np.int64]
+Numbers = NDArray[np.float64]
+Singles = NDArray[np.float32]
 
 
 class Controller(Protocol):
@@ -37,9 +32,9 @@ class Controller(Protocol):
 
     def predict(
         self,
-        observation: NDArray[np.float32],
+        observation: Singles,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Booleans | None = None,
         deterministic: bool = True,
     ) -> tuple[Any, Any]:
         """Choose an action for an observation (features,), or actions for (num_envs, features).
@@ -48,52 +43,65 @@ class Controller(Protocol):
             observation: of one environment or of several.
             state: returned by the last call; None at first, and always without memory.
             episode_start: (num_envs,) whether an episode has just begun; None only if `state` is.
-
-        Returns:
-            The actions, and the state for the next call.
         """
 
 
-def command_line(program: Sequence[str], *arguments: str) -> str:
-    """Join a program, such as `TRAIN`, and its arguments into a line for a shell."""
-    return shlex.join([*program, *arguments])
+class BatchController(ABC):
+    """A `Controller` that decides for a batch; a single observation is a batch of one."""
+
+    _dims = 1  # of an observation
+
+    def predict(
+        self,
+        observation: Singles,
+        state: Any = None,
+        episode_start: Booleans | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, Any]:
+        """Choose the action for an observation, or actions for several; see `Controller`."""
+        seen = np.asarray(observation)
+        batch = seen.reshape(-1, *seen.shape[-self._dims :])
+        actions, state = self._predict(batch, state, episode_start, deterministic=deterministic)
+        return (actions[0] if seen.ndim == self._dims else actions), state
+
+    @abstractmethod
+    def _predict(
+        self, batch: Any, state: Any, episode_start: Any, *, deterministic: bool
+    ) -> tuple[Any, Any]:
+        """Choose actions (num_envs, ...) for observations (num_envs, ...)."""
 
 
-def axes_apart(one: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:
+def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
+    """Tell (num_envs,) whose episode has just begun, by the arguments of `Controller.predict`."""
+    if state is None:
+        return np.ones(num_envs, dtype=np.bool_)
+    if episode_start is None:
+        return np.zeros(num_envs, dtype=np.bool_)
+    return np.atleast_1d(np.asarray(episode_start, dtype=np.bool_))
+
+
+def axes_apart(one: ArrayLike, other: ArrayLike) -> Numbers:
     """Compute the difference, 0 to pi / 2, of axis angles [rad]; an axis turned by pi is the same.
 
     The angles broadcast.
     """
     turned = np.exp(2j * (np.asarray(one) - np.asarray(other)))
-    apart: NDArray[np.float64] = np.abs(np.angle(turned)) / 2.0
-    return apart
+    return np.abs(np.angle(turned)) / 2.0
 
 
-def with_zone(line: "Line", columns: int) -> "Line":
+def with_zone(line: Line, columns: int) -> Line:
     """Return a line with a zone of so many columns and the same lengths before and behind it."""
     longer = columns - line.zone_columns
     return replace(line, columns=line.columns + longer, zone_columns=columns)
 
 
-def time_for(line: "Line", columns: int) -> float:
+def time_for(line: Line, columns: int) -> float:
     """Compute the factor [-] on an episode's time limit for a zone of so many columns."""
     return max(1.0, columns / line.zone_columns)
 
 
-class Offer(Protocol):
-    """A configuration that offers orientations."""
-
-    @property
-    def chosen_orientations(self) -> tuple[float, ...]:
-        """[rad] axis angles on offer."""
-
-
-def find_orientation(config: Offer, angle: float) -> int:
-    """Find the index of an axis angle [rad] on offer; an axis turned by pi is the same.
-
-    Raises:
-        ValueError: it is not on offer.
-    """
+def find_orientation(config: EnvConfig, angle: float) -> int:
+    """Find the index of an axis angle [rad] on offer; an axis turned by pi is the same."""
     angles = np.array(config.chosen_orientations)
     apart = axes_apart(angles, angle)
     if apart.min() > SAME:
@@ -113,11 +121,11 @@ class Axes:
     left: int  # -45 deg: it is led towards y > 0
     right: int  # 45 deg: it is led towards y < 0
 
-    def towards(self, side: NDArray[np.float64]) -> NDArray[np.int64]:
+    def towards(self, side: Numbers) -> Integers:
         """Choose what leads to each side (...): left where positive, right where negative."""
         return np.select([side > 0.0, side < 0.0], [self.left, self.right], self.roll)
 
-    def mirrored(self, layout: NDArray[np.int64]) -> NDArray[np.int64]:
+    def mirrored(self, layout: Integers) -> Integers:
         """Mirror choices (rows, columns) in the middle row."""
         flipped = layout[::-1]
         return np.select(
@@ -125,12 +133,8 @@ class Axes:
         )
 
 
-def find_axes(config: Offer) -> Axes:
-    """Find the four orientations of the paper's Figure 2b.
-
-    Raises:
-        ValueError: one of them is not on offer.
-    """
+def find_axes(config: EnvConfig) -> Axes:
+    """Find the four orientations of the paper's Figure 2b."""
     quarter = math.pi / 4.0
     return Axes(
         roll=find_orientation(config, 2.0 * quarter),
@@ -143,12 +147,8 @@ def find_axes(config: Offer) -> Axes:
 SIDE = len(FEATURES) - 1  # index of the asked side in the observation
 
 
-def mirrored_orientations(orientations: tuple[float, ...]) -> NDArray[np.int64]:
-    """(choices,) index of each axis angle's mirror image, -angle, among the orientations [rad].
-
-    Raises:
-        ValueError: the mirror image of an angle is not among them.
-    """
+def mirrored_orientations(orientations: tuple[float, ...]) -> Integers:
+    """(choices,) index of each axis angle's mirror image, -angle, among the orientations [rad]."""
     angles = np.array(orientations)
     apart = axes_apart(-angles[:, np.newaxis], angles)
     nearest = apart.argmin(axis=1)
@@ -168,7 +168,7 @@ class ActionMirror:
         self._kind = kind
         self._image = None if kind.continuous else mirrored_orientations(orientations)
 
-    def __call__(self, actions: NDArray[Any], side: NDArray[np.float32]) -> NDArray[Any]:
+    def __call__(self, actions: NDArray[Any], side: Singles) -> NDArray[Any]:
         """Return actions (num_envs, ...) in the world for the asked side (num_envs,) of each."""
         commands = self._kind.commands(actions, len(side))
         flipped = self._kind.flip(commands)

@@ -17,15 +17,12 @@ import yaml
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS
-from surface_gym.registration import FLOW, env_id
+from surface_gym.registration import FLOW, FLOW_TASK, env_id
 from surface_gym.tasks import TASKS, Task
-
-from .base import FLOW_TASK
 
 if TYPE_CHECKING:
     from .module_policy import ModulePolicy
-    from .parcel_policy import ParcelPolicy
-    from .policy import Policy
+    from .policy import ParcelPolicy, Policy
 
 SHELF = Path(__file__).parent / "shipped"
 WEIGHTS = "policy.pt"
@@ -112,11 +109,7 @@ def describe_damage(error: Exception) -> str:
 
 @dataclass(frozen=True)
 class PolicyCard:
-    """The environment and the network that a policy's weights are for.
-
-    Raises:
-        ValueError: a field is out of its range; the message names it.
-    """
+    """The environment and the network that a policy's weights are for."""
 
     env_id: str  # of the package, or "Own/Class" for a user's task
     algo: str  # "ppo", "dqn"; shared-policy PPO per module, "modules", or per parcel, "parcels"
@@ -157,11 +150,6 @@ class PolicyCard:
         return _NAMES.get(self.env_id, self.env_id.removeprefix(OWN))
 
     def env_config(self, task: Task | None = None) -> EnvConfig:
-        """Build the configuration of the environment that the policy is for.
-
-        Raises:
-            ValueError: the policy was trained on another task, or on streams of parcels.
-        """
         if self.task == FLOW_TASK:
             raise ValueError(f"env_id must be that of single parcels, got {self.env_id!r}")
         own = self.env_id.startswith(OWN)
@@ -183,11 +171,7 @@ class PolicyFiles:
 
 
 def read_files(folder: Path) -> PolicyFiles:
-    """Read the files of a policy without decoding them.
-
-    Raises:
-        ValueError: one is missing.
-    """
+    """Read the files of a policy without decoding them."""
     for name in (WEIGHTS, CARD):
         if not (folder / name).is_file():
             raise ValueError(f"{folder} holds no policy: {name} is missing")
@@ -200,11 +184,7 @@ def names() -> tuple[str, ...]:
 
 
 def seeds(name: str) -> tuple[int, ...]:
-    """List the seeds a shipped agent was trained with, one policy each.
-
-    Raises:
-        ValueError: no agent of that name.
-    """
+    """List the seeds a shipped agent was trained with, one policy each."""
     folder = SHELF / checks.one_of("name", name, names())
     return tuple(sorted(int(each.name.removeprefix("seed-")) for each in folder.glob("seed-*")))
 

@@ -1,4 +1,8 @@
-"""One policy shared by all modules: its networks, shared draws, and the policy for any zone.
+"""One policy shared by all modules: what each sees, its networks, shared draws, and the policy for
+any zone.
+
+Each module sees its own place under the parcel and features that all share. The parcel's outline,
+and the rows of its line, are inferred from the environment's observation.
 
 Under a parcel lie 6 to 25 modules. If each drew its axis by itself, their deviations would cancel
 and none would ever be seen to pay. Instead the modules of a group look up one uniform number in
@@ -8,19 +12,257 @@ to just these choices make an interval, and its length is the likelihood.
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
 
-from surface_gym.core.actions import group_features
+from surface_gym import checks
+from surface_gym.config import EnvConfig
+from surface_gym.core.actions import GROUPS as FEATURE_GROUPS
+from surface_gym.core.actions import QUADRANT_SIZE, QUADRANTS, group_features
+from surface_gym.lines import BaseLine, Line
+from surface_gym.tasks.planning import LineObservation
+from surface_gym.tasks.sort import FEATURES
 
-from .base import SIDE
+from .base import SIDE, BatchController, Integers, Numbers, Singles, mirrored_orientations
 from .library import PolicyCard
-from .module_view import Integers, ModuleView, Singles, place_size, shared_size
+
+EXACT = 1e-6  # [m] lengths that differ by less are equal: observations are single precision
+ELLIPSE = np.pi / 4.0  # share of a rectangle that the ellipse in it fills
+ROUND = 0.08  # pitches that a disc, turned, may look narrower than a square; half a gap in rows
+MARGIN = 0.01  # [m] a module this near to the base may bear it
+
+_NAMES = tuple(feature.name for feature in FEATURES)
+# The side is mirrored away. The time would tie the policy to one length of lead-in.
+_SHARED = tuple(k for k, name in enumerate(_NAMES) if name not in ("side", "time"))
+_ROTORS = {feature.name for feature in FEATURE_GROUPS["rotors"].features}
+_PLACE_SIZE = 9  # features of a module's place
+
+
+def shared_size(observe: tuple[str, ...]) -> int:
+    """Count the features that all modules of an environment share."""
+    return len(_SHARED) + len(group_features(observe))
+
+
+def place_size(observe: tuple[str, ...]) -> int:
+    """Count the features of a single module."""
+    return _PLACE_SIZE + (QUADRANT_SIZE if "rotors" in observe else 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """Outlines of bases between a rectangle and the ellipse in it."""
+
+    half: Numbers  # (2, num_envs) [m] of length and width
+    roundness: Numbers  # (num_envs,) [-] 0: a rectangle, 1: an ellipse
+    rows: Numbers  # (num_envs,) of the line that the parcel runs on
+
+    def select(self, env: Integers) -> "Outline":
+        return Outline(self.half[:, env], self.roundness[env], self.rows[env])
+
+    def reach(self, theta: Numbers) -> Numbers:
+        """Compute the half extent [m] along x of bases turned by theta (num_envs,) [rad]."""
+        cosine, sine = np.abs([np.cos(theta), np.sin(theta)])
+        length, width = self.half
+        straight = length * (cosine + sine) + (width - length) * sine
+        bent = np.hypot(length * cosine, width * sine)
+        return (1.0 - self.roundness) * straight + self.roundness * bent
+
+    def distance(self, place: Numbers) -> Numbers:
+        """Compute signed distances (num_envs,) [m] of places (2, num_envs) in the base's frame.
+
+        Negative under the base. Beyond an ellipse that is no disc it is an upper bound.
+        """
+        straight = (np.abs(place) - self.half).max(axis=0)
+        bent = (np.hypot(*(place / self.half)) - 1.0) * self.half.min(axis=0)
+        return (1.0 - self.roundness) * straight + self.roundness * bent
+
+
+def outline_from_features(
+    length: Numbers, width: Numbers, fill: Numbers, line: BaseLine
+) -> Outline:
+    """Compute the outlines of bases from the features (num_envs,) of the group "parcel"."""
+    half = 0.175 + 0.05 * np.stack([length, width])
+    return Outline(
+        half,
+        np.clip((1.0 - fill) / (1.0 - ELLIPSE), 0.0, 1.0),
+        _count_rows(line, half[1] / line.pitch_y + EXACT),
+    )
+
+
+def outline_from_clearance(see: LineObservation, clearance: Numbers, line: BaseLine) -> Outline:
+    """Infer the outlines of bases from their half length alone, as rectangles or discs.
+
+    The clearance lacks the half line and the half extent of the base across it. A wider base has a
+    wider line, so that both follow.
+    """
+    length, pitch = see.half_length, line.pitch_y
+    cosine, sine = np.abs([np.cos(see.theta), np.sin(see.theta)])
+    total = see.offset - clearance  # half line and half extent
+    across = total - length * sine  # half line and the half width's part
+    rows = _count_rows(line, (across / pitch + 1.5 - ROUND) / (1.0 + cosine))
+    half_line = 0.5 * pitch * (rows - 1.0)
+    extent = across - half_line
+    as_wide = np.abs(extent - length * cosine) < EXACT
+    is_disc = np.abs(total - half_line - length) < EXACT
+    width = np.divide(extent, cosine, out=length.copy(), where=cosine > 0.0)
+    width = np.where(as_wide | is_disc, length, np.clip(width, 0.5 * length, 2.0 * length))
+    return Outline(np.stack([length, width]), np.zeros_like(length), rows)
+
+
+def _count_rows(line: BaseLine, pairs: Numbers) -> Numbers:
+    """Count the rows (num_envs,) of a line under which `pairs` of rows fit; else the layout's."""
+    least = 2.0 if isinstance(line, Line) else line.zone_rows
+    return np.clip(2.0 * np.floor(pairs), least, line.zone_rows)
+
+
+@dataclass(frozen=True, eq=False)
+class ModuleObservations:
+    """Observations of modules, the goal at y > 0; modules in the order of their environments."""
+
+    shared: Singles  # (num_envs, shared) features of all modules of an environment
+    env: Integers  # (modules,) environment whose parcel the module bears, now or a period later
+    place: Singles  # (modules, place) under the parcel and beside it; then the axes around it
+    index: Integers  # (modules,) in the action
+
+
+class ModuleView:
+    """Conversion of Sort's observations to those of modules, and of their choices to actions.
+
+    Where the observation has the group "parcel", it gives the outline of the base; else the base is
+    taken for a rectangle as wide as the clearance implies. Where it has "rotors", a module sees the
+    axes of its own quadrant of the parcel.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        checks.one_of("task", config.task_name, ("sort",))
+        checks.one_of("actions", config.actions, ("modules",))
+        self._config = config
+        kind = config.action_kind
+        self._size = kind.size
+        self._line = config.chosen_line
+        # [m] from the zone's first edge, and from the line's middle.
+        self._column = self._line.pitch_x * (np.arange(kind.columns) + 0.5)
+        self._row = self._line.pitch_y * (np.arange(kind.rows) - (kind.rows - 1) / 2.0)
+        self._image = mirrored_orientations(config.chosen_orientations)
+        angles = np.array(config.chosen_orientations)
+        self._rest = int(np.abs(np.sin(angles)).argmax())  # the choice nearest to 90 deg
+        columns = {feature.name: k for k, feature in enumerate(config.features)}
+        of_groups = [columns[feature.name] for feature in group_features(config.observe)]
+        self._shared = np.array([*_SHARED, *of_groups])
+        self._columns = columns
+        exact = "parcel" in config.observe
+        self._locate = self._locate_exactly if exact else self._locate_by_clearance
+        # (QUADRANTS, QUADRANT_SIZE) feature columns of each; (QUADRANTS, 0) if not observed.
+        rotors = [name for name in columns if name in _ROTORS]
+        self._rotors = np.array([columns[name] for name in rotors], dtype=np.int64)
+        self._rotors = self._rotors.reshape(len(QUADRANTS), -1)
+
+    def __call__(self, observations: Singles) -> ModuleObservations:
+        """Compute the modules' observations from those of environments (num_envs, features)."""
+        see = _mirrored_to_left(self._config.decode(observations))
+        outlines, into_zone = self._locate(see, observations)
+        env, index, x, y = self._find_near(see, outlines, into_zone)
+        outline = outlines.select(env)
+        period = self._config.control_period
+        now = _in_parcel_frame(x, y, see.theta[env])
+        later = _in_parcel_frame(
+            x - period * see.vx[env],
+            y - period * see.vy[env],
+            (see.theta + period * see.omega)[env],
+        )
+        distance = np.stack([outline.distance(now), outline.distance(later)])
+        beside = np.stack([x / 0.3, y / 0.3, (y + see.offset[env]) / 0.15])
+        parts = (now / outline.half, later / outline.half, distance <= 0.0, beside)
+        place = np.concatenate([*parts, self._axes(observations, env, x, y)]).T
+        bears = distance.min(axis=0) <= MARGIN
+        return ModuleObservations(
+            observations[:, self._shared], env[bears], place[bears].astype(np.float32), index[bears]
+        )
+
+    def _locate_by_clearance(
+        self, see: LineObservation, observations: Singles
+    ) -> tuple[Outline, Numbers]:
+        """Infer outlines, and x [m] of the bases' centres (num_envs,) past the zone's edge."""
+        clearance = 0.2 * observations[:, self._columns["clearance"]].astype(np.float64)
+        outline = outline_from_clearance(see, clearance, self._line)
+        return outline, see.into_zone + (outline.reach(see.theta) - see.reach)
+
+    def _locate_exactly(
+        self, see: LineObservation, observations: Singles
+    ) -> tuple[Outline, Numbers]:
+        """Compute the same from an observed outline: the phase in a pitch makes x exact."""
+        names = ("length", "width", "fill", "sine of phase x", "cosine of phase x")
+        length, width, fill, sine, cosine = (
+            observations[:, self._columns[name]].astype(np.float64) for name in names
+        )
+        outline = outline_from_features(length, width, fill, self._line)
+        pitch = self._line.pitch_x
+        into_zone = see.into_zone + (outline.reach(see.theta) - see.reach)
+        in_pitch = 0.5 + np.arctan2(sine, cosine) / (2.0 * np.pi)  # from a column's first edge
+        return outline, pitch * (np.round(into_zone / pitch - in_pitch) + in_pitch)
+
+    def _axes(self, observations: Singles, env: Integers, x: Numbers, y: Numbers) -> Singles:
+        """Select features (features, modules) of the axes in each module's quadrant.
+
+        A module is at x and y [m] from the parcel's centre.
+        """
+        quadrant = 2 * (x < 0.0) + (y < 0.0)
+        return observations[env[:, np.newaxis], self._rotors[quadrant]].T
+
+    def _find_near(
+        self, see: LineObservation, outline: Outline, into_zone: Numbers
+    ) -> tuple[Integers, Integers, Numbers, Numbers]:
+        """Find modules that the parcel may reach in a period.
+
+        Returns:
+            Environment, index in the action, and x and y [m] from the parcel's centre (modules,).
+        """
+        mirror = np.where(see.side < 0.0, -1.0, 1.0)[:, np.newaxis]
+        row = mirror * self._row
+        x = self._column - into_zone[:, np.newaxis]
+        y = row - see.offset[:, np.newaxis]
+        moved = self._config.control_period * (np.abs(see.vx) + np.abs(see.vy))
+        close = (np.hypot(*outline.half) + moved + 2.0 * MARGIN)[:, np.newaxis]
+        # Only the line's rotors bear.
+        line = np.abs(row) < 0.5 * self._line.pitch_y * outline.rows[:, np.newaxis]
+        rows = line & (np.abs(y) < close)
+        columns = np.abs(x) < close
+        env, place, column = np.nonzero(rows[:, :, np.newaxis] & columns[:, np.newaxis, :])
+        index = place * len(self._column) + column
+        return env, index, x[env, column], y[env, place]
+
+    def actions(
+        self, observations: Singles, seen: ModuleObservations, choices: Integers
+    ) -> Integers:
+        """Build actions (num_envs, size) from choices (modules,); other modules stay at 90 deg."""
+        actions = np.full((len(observations), self._size), self._rest)
+        mirrored = observations[seen.env, SIDE] < 0.0
+        actions[seen.env, seen.index] = np.where(mirrored, self._image[choices], choices)
+        return actions
+
+
+def _mirrored_to_left(see: LineObservation) -> LineObservation:
+    """Mirror the parcels that are to go to y < 0."""
+    mirror = np.where(see.side < 0.0, -1.0, 1.0)
+    return replace(
+        see,
+        offset=mirror * see.offset,
+        theta=mirror * see.theta,
+        vy=mirror * see.vy,
+        omega=mirror * see.omega,
+    )
+
+
+def _in_parcel_frame(x: Numbers, y: Numbers, theta: Numbers) -> Numbers:
+    """Rotate x and y [m] to (2, modules) [m] along and across the parcel."""
+    cosine, sine = np.cos(theta), np.sin(theta)
+    return np.stack([cosine * x + sine * y, cosine * y - sine * x])
+
 
 GROUPS = 2  # of modules in an environment
 _SMALLEST = 1e-6  # length below which an interval counts as empty: single precision ends there
@@ -33,10 +275,8 @@ def draw_groups(
     """Draw the group of each module (modules,): 2 i or 2 i + 1 in environment i.
 
     Args:
-        env: (modules,) each module's environment index.
         place: (modules, ...) first along and across the parcel, in half lengths.
         probability: that a random line through the parcel splits its modules into two groups.
-        rng: draws three numbers for each environment.
     """
     splits = rng.random(num_envs) < probability
     angle = 2.0 * np.pi * rng.random(num_envs)
@@ -48,13 +288,7 @@ def draw_groups(
 def draw_choices(
     log_probability: torch.Tensor, group: torch.Tensor, uniform: torch.Tensor
 ) -> torch.Tensor:
-    """Choose for each module (modules,) by its group's uniform number.
-
-    Args:
-        log_probability: (modules, choices).
-        group: (modules,) each module's.
-        uniform: (groups,) in [0, 1).
-    """
+    """Choose for each module (modules,) by its group's uniform number."""
     edges = log_probability.exp().cumsum(dim=1)[:, :-1]
     return (uniform[group].unsqueeze(1) > edges).sum(dim=1)
 
@@ -91,9 +325,6 @@ class SharedNetwork(nn.Module):
 
     Weights of the place start at zero: modules learn to act together before they learn to differ.
     Otherwise they settle for the fixed layout.
-
-    Args:
-        choices: number of orientations to choose from.
     """
 
     def __init__(
@@ -108,13 +339,7 @@ class SharedNetwork(nn.Module):
         self._logits = _linear(hidden[-1], choices, 0.01)
 
     def forward(self, shared: torch.Tensor, env: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
-        """Compute log probabilities (modules, choices).
-
-        Args:
-            shared: (num_envs, shared features).
-            env: (modules,) each module's environment index.
-            place: (modules, place features).
-        """
+        """Compute log probabilities (modules, choices)."""
         first = torch.tanh(self._alike(shared)[env] + self._apart(place))
         logits: torch.Tensor = self._logits(self._between(first))
         return logits.log_softmax(dim=1)
@@ -131,23 +356,15 @@ class ValueNetwork(nn.Module):
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Compute values (num_envs,) of observations (num_envs, features)."""
         without_side = torch.cat([observations[:, :SIDE], observations[:, SIDE + 1 :]], dim=1)
-        value: torch.Tensor = self._layers(without_side)[:, 0]
-        return value
+        return self._layers(without_side)[:, 0]
 
 
-class ModulePolicy:
+class ModulePolicy(BatchController):
     """A policy of modules with shared weights.
-
-    Attributes:
-        env_id: id of the environment it was trained on.
-        env_kwargs: that environment's arguments.
 
     Args:
         zone: first and last column of controlled modules; None: those after the lead-in, as in
             training.
-
-    Raises:
-        ValueError: the zone is not on the surface.
     """
 
     def __init__(
@@ -161,30 +378,17 @@ class ModulePolicy:
         self.env_kwargs = card.env_kwargs if zone is None else {**card.env_kwargs, "zone": zone}
 
     def for_zone(self, zone: tuple[int, int] | None) -> "ModulePolicy":
-        """Return a policy with the same weights for another zone."""
         return ModulePolicy(self._network, self.card, zone)
 
     @torch.no_grad()
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.int64], None]:
-        """Choose an action for an observation (features,), or actions for (num_envs, features).
-
-        If not deterministic, all modules of an environment share a draw, as in training.
-        """
-        del state, episode_start
-        observations = np.atleast_2d(observation)
-        seen = self._view(observations)
+    def _predict(self, batch: Any, *_: Any, deterministic: bool) -> tuple[Any, None]:
+        """Choose; random choices of an environment's modules share a draw, as in training."""
+        seen = self._view(batch)
         shared, env, place = map(torch.from_numpy, (seen.shared, seen.env, seen.place))
         log_probability = self._network(shared, env, place)
         if deterministic:
             choices = log_probability.argmax(dim=1)
         else:
-            uniform = torch.rand(GROUPS * len(observations))
+            uniform = torch.rand(GROUPS * len(batch))
             choices = draw_choices(log_probability, GROUPS * env, uniform)
-        actions = self._view.actions(observations, seen, choices.numpy())
-        return (actions[0] if np.ndim(observation) == 1 else actions), None
+        return self._view.actions(batch, seen, choices.numpy()), None

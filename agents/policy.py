@@ -14,20 +14,20 @@ import numpy as np
 import torch
 import yaml
 from gymnasium import spaces
-from numpy.typing import NDArray
 from stable_baselines3.common.distributions import MultiCategoricalDistribution
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
+from stable_baselines3.common.type_aliases import PyTorchObs
 from stable_baselines3.dqn.policies import DQNPolicy
 from torch.distributions import Categorical
 
 from surface_gym.config import EnvConfig
 from surface_gym.files import replacing
+from surface_gym.flow.task import PRESENT, WAITS, StreamActions
 from surface_gym.tasks import TASKS, Task
 
-from .base import SIDE, action_mirror
+from .base import SIDE, BatchController, Integers, Singles, action_mirror, mirrored_orientations
 from .library import CARD, DAMAGE, WEIGHTS, PolicyCard, PolicyFiles, describe_damage, read_files
 from .module_policy import ModulePolicy, SharedNetwork
-from .parcel_policy import ParcelPolicy, make_parcel_network
 
 DIGEST = "digest"  # field of the card: of its other fields and the weights
 
@@ -50,12 +50,10 @@ class EqualCategoricals(MultiCategoricalDistribution):
         return self
 
     def log_prob(self, actions: torch.Tensor) -> torch.Tensor:
-        """Compute log probabilities (num_envs,) of actions (num_envs, choices)."""
         each: torch.Tensor = self._each.log_prob(actions)
         return each.sum(dim=1)
 
     def entropy(self) -> torch.Tensor:
-        """Compute the entropy (num_envs,) of all choices together."""
         each: torch.Tensor = self._each.entropy()
         return each.sum(dim=1)
 
@@ -66,7 +64,6 @@ class EqualCategoricals(MultiCategoricalDistribution):
         return (uniform > edges).sum(dim=2)
 
     def mode(self) -> torch.Tensor:
-        """Return the likeliest actions (num_envs, choices)."""
         return self._each.logits.argmax(dim=2)
 
 
@@ -92,13 +89,8 @@ def make_network(card: PolicyCard, config: EnvConfig) -> BasePolicy:
     )
 
 
-class Policy:
-    """A trained PPO or DQN policy.
-
-    Attributes:
-        env_id: id of the environment it was trained on.
-        env_kwargs: that environment's arguments.
-    """
+class Policy(BatchController):
+    """A trained PPO or DQN policy."""
 
     def __init__(self, network: BasePolicy, card: PolicyCard, config: EnvConfig) -> None:
         torch.set_num_threads(1)  # the network is small: more threads only wait for each other
@@ -110,21 +102,145 @@ class Policy:
         own = {} if card.task in TASKS else {"task": config.task}
         self.env_kwargs = {**own, **card.env_kwargs}
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, None]:
-        """Choose an action for an observation (features,), or actions for (num_envs, features)."""
-        del state, episode_start
-        single = observation.ndim == 1
-        observations = observation[np.newaxis] if single else observation
-        actions, _ = self._network.predict(observations, deterministic=deterministic)
-        if self._mirror is not None:
-            actions = self._mirror(actions, observations[:, SIDE])
-        return (actions[0] if single else actions), None
+    def _predict(self, batch: Any, *_: Any, deterministic: bool) -> tuple[Any, None]:
+        actions = self._network.predict(batch, deterministic=deterministic)[0]
+        return (actions if self._mirror is None else self._mirror(actions, batch[:, SIDE])), None
+
+
+def mirrored_rows(rows: Singles) -> Singles:
+    """Return rows of parcels (..., features) with the asked side mirrored to y > 0."""
+    seen = rows.copy()
+    seen[..., SIDE] = np.abs(rows[..., SIDE])
+    return seen
+
+
+def parcel_spaces(config: EnvConfig) -> tuple[spaces.Box, spaces.MultiDiscrete]:
+    """Build a parcel's observation space and its action space.
+
+    An action has three choices: the axes ahead, the axes behind, and the opening of the gate.
+    """
+    kind = config.action_kind
+    assert isinstance(kind, StreamActions)
+    return config.row_space(), spaces.MultiDiscrete([kind.choices, kind.choices, kind.gates])
+
+
+class ParcelActions:
+    """Conversion between the parcels' mirrored choices and actions of the stream's environment."""
+
+    def __init__(self, config: EnvConfig) -> None:
+        self._image = mirrored_orientations(config.chosen_orientations)
+
+    def to_env(self, rows: Singles, choices: Integers) -> Integers:
+        """Convert choices (num_envs, rows, 3) to actions (num_envs, 2 max_parcels + 1).
+
+        Args:
+            rows: observations (num_envs, rows, features), not mirrored.
+        """
+        axes = self._mirror(rows, choices[:, :-1, :2])
+        return np.concatenate([axes.reshape(len(choices), -1), choices[:, -1:, 2]], axis=1)
+
+    def to_parcels(self, rows: Singles, actions: Integers) -> Integers:
+        num_envs, count, _ = rows.shape
+        choices = np.zeros((num_envs, count, 3), dtype=np.int64)
+        axes = actions[:, :-1].reshape(num_envs, count - 1, 2)
+        choices[:, :-1, :2] = self._mirror(rows, axes)
+        choices[:, -1, 2] = actions[:, -1]
+        return choices
+
+    def _mirror(self, rows: Singles, axes: Integers) -> Integers:
+        mirrored = (rows[:, :-1, SIDE] < 0.0)[..., np.newaxis]
+        return np.where(mirrored, self._image[axes], axes)
+
+
+class ParcelNetwork(ActorCriticPolicy):
+    """Stable-Baselines3's actor and critic of a parcel, with a mask on its three choices.
+
+    A parcel on the line chooses its axes, one at the gate the opening of the gate. The other
+    choices are drawn evenly and teach nothing.
+    """
+
+    def distributions(self, obs: torch.Tensor) -> list[Categorical]:
+        """Compute each choice's distribution for observations (parcels, features)."""
+        policy, _ = self._latents(obs)
+        return self._masked(obs, self.action_net(policy))
+
+    def _masked(self, obs: torch.Tensor, logits: torch.Tensor) -> list[Any]:
+        present = obs[:, PRESENT : PRESENT + 1]
+        waits = obs[:, WAITS : WAITS + 1]
+        space: Any = self.action_space
+        masks = [present - waits, present - waits, present * waits]
+        return [
+            Categorical(logits=part * mask, validate_args=False)
+            for part, mask in zip(
+                torch.split(logits, space.nvec.tolist(), dim=1), masks, strict=True
+            )
+        ]
+
+    def _latents(self, obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        features = self.extract_features(obs, self.features_extractor)
+        policy, value = self.mlp_extractor(features)
+        return policy, value
+
+    def forward(
+        self, obs: torch.Tensor, deterministic: bool = False
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        policy, value = self._latents(obs)
+        parts = self._masked(obs, self.action_net(policy))
+        actions = _choose(parts, deterministic)
+        return actions, self.value_net(value), _log_prob(parts, actions)
+
+    def evaluate_actions(
+        self, obs: PyTorchObs, actions: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+        assert isinstance(obs, torch.Tensor)
+        policy, value = self._latents(obs)
+        parts = self._masked(obs, self.action_net(policy))
+        entropy = torch.stack([part.entropy() for part in parts], dim=1).sum(dim=1)
+        return self.value_net(value), _log_prob(parts, actions), entropy
+
+    def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> torch.Tensor:
+        assert isinstance(observation, torch.Tensor)
+        return _choose(self.distributions(observation), deterministic)
+
+
+def _choose(parts: list[Any], deterministic: bool) -> torch.Tensor:
+    """Return the likeliest choices (parcels, choices), or draw them."""
+    chosen = [part.probs.argmax(dim=1) if deterministic else part.sample() for part in parts]
+    return torch.stack(chosen, dim=1)
+
+
+def _log_prob(parts: list[Any], actions: torch.Tensor) -> torch.Tensor:
+    each = [part.log_prob(actions[:, k].long()) for k, part in enumerate(parts)]
+    return torch.stack(each, dim=1).sum(dim=1)
+
+
+def make_parcel_network(card: PolicyCard) -> ParcelNetwork:
+    """Build the network of a card, its weights not set."""
+    space = parcel_spaces(EnvConfig("flow", **card.env_kwargs))
+    return ParcelNetwork(*space, lambda _: 0.0, net_arch=list(card.hidden))
+
+
+class ParcelPolicy(BatchController):
+    """A policy of parcels with shared weights."""
+
+    _dims = 2
+
+    def __init__(self, network: ParcelNetwork, card: PolicyCard) -> None:
+        torch.set_num_threads(1)  # the network is small: more threads only wait for each other
+        self._network = network
+        self._network.set_training_mode(False)
+        self._actions = ParcelActions(EnvConfig("flow", **card.env_kwargs))
+        self.card = card
+        self.env_id = card.env_id
+        self.env_kwargs = card.env_kwargs
+
+    def _predict(self, batch: Any, *_: Any, deterministic: bool) -> tuple[Any, None]:
+        present = batch[..., PRESENT] > 0.5
+        choices = np.zeros((*present.shape, 3), dtype=np.int64)
+        if present.any():
+            rows = mirrored_rows(batch[present])
+            choices[present] = self._network.predict(rows, deterministic=deterministic)[0]
+        return self._actions.to_env(batch, choices), None
 
 
 def save_policy(network: torch.nn.Module, card: PolicyCard, folder: Path) -> None:

@@ -7,21 +7,18 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.config import EnvConfig
 
-from .base import Controller
-
-Numbers = NDArray[np.float64]
+from .base import Booleans, Controller, Numbers
 
 
 @dataclass(frozen=True, eq=False)
 class Episodes:
     """Results of one episode from each start."""
 
-    success: NDArray[np.bool_]  # (starts,)
+    success: Booleans  # (starts,)
     outcome: tuple[str, ...]  # (starts,) why it ended
     time: Numbers  # (starts,) [s] until then
     metrics: dict[str, Numbers]  # metrics of the task, each (starts,)

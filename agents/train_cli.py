@@ -8,19 +8,12 @@ from typing import Any, get_args
 
 import tyro
 
+from surface_gym.cli import TRAIN, command_line
 from surface_gym.parallel import usable_cores
+from surface_gym.registration import FLOW_TASK
 
-from .base import FLOW_TASK, TRAIN, command_line
-from .learning.config import (
-    CONFIGS,
-    CPU,
-    NOMINAL,
-    DeviceName,
-    PresetName,
-    TrainConfig,
-    current_option,
-    defaults,
-)
+from .learning import config as configs
+from .learning.config import TrainConfig
 
 SWEEP = "sweep.yml"  # in the folder of a search
 
@@ -82,7 +75,7 @@ def parse_arguments(arguments: Sequence[str]) -> Request:
     Task, algorithm, preset, device and file of hyper-parameters are read first: they determine the
     defaults of all other options.
     """
-    given = [current_option(argument) for argument in arguments]
+    given = [configs.current_option(argument) for argument in arguments]
     selection, others = tyro.cli(_Selection, args=given, return_unknown_args=True, add_help=False)
     task = selection.task
     if selection.search is not None:
@@ -107,30 +100,24 @@ def parse_arguments(arguments: Sequence[str]) -> Request:
 
 
 def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
-    """Carry out the work that a command line asks for.
-
-    Args:
-        arguments: of the command line, kept in the run's folder.
-    """
+    """Carry out the work that a command line asks for."""
     from surface_gym.parallel import choose_workers
 
     from .library import task_files
 
     workers = choose_workers(request.cluster, usable_cores(), task_files(request.task))
     if request.search is not None:
-        from .tuning.cli import search
+        from .tuning.sweep import search
 
         assert request.folder is not None
         search(request.search, request.folder, workers, console, request.task)
         return
-    from .learning.config import on_device
-    from .learning.runs import make_folder, write_card
-    from .learning.train import train_seeds
+    from .learning.runs import make_folder, train_seeds, write_card
 
     config, folder = request.config, request.folder
     assert config is not None
     if folder is None:
-        if on_device(config):
+        if configs.on_device(config):
             from .learning.cuda import check_device
 
             check_device(config)
@@ -148,13 +135,12 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
 
 
 def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
-    """Parse the configuration of a new run, with its defaults from a YAML file."""
     task = selection.task or "sort"
     usual = "parcels" if task == FLOW_TASK else "ppo"
-    algo = selection.algo if selection.algo in CONFIGS else usual
-    preset = selection.preset if selection.preset in get_args(PresetName) else NOMINAL
-    device = selection.device if selection.device in get_args(DeviceName) else CPU
-    default = defaults(task, algo or usual, selection.hyperparams, preset or NOMINAL, device or CPU)
+    names = {"algo": tuple(configs.CONFIGS), "preset": get_args(configs.PresetName)}
+    names["device"] = get_args(configs.DeviceName)
+    given = {key: value for key in names if (value := getattr(selection, key)) in names[key]}
+    default = configs.defaults(task, file=selection.hyperparams, **{"algo": usual, **given})
     # The names of the fields are the headings of the help.
     command: Any = make_dataclass("Command", [("training", type(default)), ("command", Options)])
     parsed: Any = tyro.cli(
@@ -165,8 +151,7 @@ def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
         prog=command_line(TRAIN),
         description="Train an agent, resume a run, or search hyper-parameters.",
     )
-    config: TrainConfig = parsed.training
-    return config
+    return parsed.training
 
 
 def _check_alone(

@@ -27,7 +27,6 @@ class EpisodeRecorder:
         self._terms = np.zeros((num_envs, len(terms)))
 
     def reset(self) -> None:
-        """Start all episodes anew."""
         for sums in (self._returns, self._lengths, self._terms):
             sums[:] = 0
 
@@ -49,14 +48,6 @@ class EpisodeRecorder:
         time: Any,
     ) -> Infos:
         """Build the infos of a step and forget the episodes that ended in it.
-
-        Args:
-            ended: (num_envs,) whether an episode ended.
-            observations: (num_envs, features) last of the ended episodes.
-            truncated: (num_envs,) whether the time limit ended it, and nothing else.
-            success: (num_envs,) whether it succeeded.
-            outcome: (num_envs,) why it ended.
-            time: (num_envs,) [s] since it began.
 
         Returns:
             For each environment an empty dictionary, or for an ended episode
@@ -98,11 +89,6 @@ class BatchVecEnv(VecEnv):
         return self._each(lambda batch: getattr(batch, attr_name), indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of all environments.
-
-        Raises:
-            ValueError: `indices` leaves out an environment.
-        """
         if set(self._get_indices(indices)) != set(range(self.num_envs)):
             raise ValueError(
                 f"indices must be all environments, which share {attr_name}, got {indices}"
@@ -127,9 +113,6 @@ class SurfaceVecEnv(BatchVecEnv):
     """A `SmartSurfaceVectorEnv` in SAME_STEP mode behind Stable-Baselines3's interface.
 
     Infos are those of `EpisodeRecorder.finish`. `seed` and `set_options` act at the next `reset`.
-
-    Raises:
-        ValueError: the vector env is not in SAME_STEP mode.
     """
 
     def __init__(self, env: SmartSurfaceVectorEnv) -> None:

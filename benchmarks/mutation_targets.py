@@ -95,7 +95,7 @@ TARGETS = (
     ),
     *(
         _agent(f"rules/{name}", "rules/test_braking.py", wide=("rules/test_rules.py",))
-        for name in ("braking", "brake_model", "base")
+        for name in ("braking", "base")
     ),
     _agent(
         "rules/steering",
@@ -110,7 +110,7 @@ TARGETS = (
     _agent("vec_env", "test_vec_env.py", wide=("test_symmetry.py",)),
     _agent("base", "test_symmetry.py", wide=("test_vec_env.py",)),
     _agent("rollout", "test_rollout.py", wide=("evaluation",)),
-    _agent("module_view", "test_module_view.py", wide=("test_module_policy.py",)),
+    _agent("module_policy", "test_module_view.py", wide=("test_module_policy.py",)),
     _agent("export/onnx", "export/test_export.py", wide=("export",)),
     _agent("runtime/controller", "runtime/test_controller.py", wide=("runtime",)),
     _agent("learning/runs", "learning/test_runs.py", wide=("learning",)),

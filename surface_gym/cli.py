@@ -1,12 +1,18 @@
 """`surface-gym`: every command of the package. A command's libraries are imported when it runs."""
 
 import argparse
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 
 NAME = "surface-gym"
+# A file of the checkout, or the command of the installed package.
+_IN_CHECKOUT = (Path(__file__).parents[1] / "train.py").is_file()
+TRAIN = ("python", "train.py") if _IN_CHECKOUT else (NAME, "train")
+EVALUATE = ("python", "evaluate.py") if _IN_CHECKOUT else (NAME, "evaluate")
 AGENTS = "surface_gym.agents."
 # Libraries that come with an extra.
 OPTIONAL = ("matplotlib", "moviepy", "mujoco", "rich", "stable_baselines3", "torch", "tyro", "yaml")
@@ -23,7 +29,7 @@ class Command:
 
 COMMANDS = {
     "train": Command("train an agent, or search hyper-parameters", AGENTS + "train_cli"),
-    "tune": Command("search hyper-parameters, as a file says", AGENTS + "tuning.cli"),
+    "tune": Command("search hyper-parameters, as a file says", AGENTS + "tuning.sweep"),
     "evaluate": Command("compare controllers and agents on every task", AGENTS + "evaluation.cli"),
     "design": Command("choose a surface for your own parcel", "surface_gym.design.cli"),
     "export": Command("write an agent as ONNX and as C, checked", AGENTS + "export.cli"),
@@ -34,6 +40,11 @@ COMMANDS = {
         "compare the model with MuJoCo", "surface_gym.validation.command", "validation"
     ),
 }  # fmt: skip
+
+
+def command_line(program: Sequence[str], *arguments: str) -> str:
+    """Join a program, such as `TRAIN`, and its arguments into a line for a shell."""
+    return shlex.join([*program, *arguments])
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -1,13 +1,20 @@
 """The ids that `gymnasium.make` and `gymnasium.make_vec` know."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
 from surface_gym import checks
-from surface_gym.config import ENV_TASKS
-from surface_gym.flow.task import StreamTask
-from surface_gym.tasks.base import Task
+
+if TYPE_CHECKING:
+    from surface_gym.tasks.base import Task
+
+FLOW_TASK = "flow"  # the task of streams of parcels
+# Control periods after which Gymnasium truncates an episode, by task: `Task.periods`, written down
+# here too so that no task is imported before it is used. None: a stream ends by itself.
+PERIODS = {
+    "sort": 100, "slow": 100, "stop": 150, "track": 300, "orient": 200, FLOW_TASK: None,
+}  # fmt: skip
 
 
 def env_id(task: str) -> str:
@@ -15,28 +22,29 @@ def env_id(task: str) -> str:
     return f"SmartSurface/{task.capitalize()}-v0"
 
 
-FLOW = env_id("flow")
+FLOW = env_id(FLOW_TASK)
 DEVICES = ("cpu", "cuda")
 
 
-def register(task: type[Task], name: str) -> None:
+def register(task: "type[Task]", name: str) -> None:
     """Register a user's task in Gymnasium by a name such as "Mine/Reach-v0"."""
-    _register(name, task(), task)
+    from surface_gym.flow.task import StreamTask
+
+    _register(name, task(), None if issubclass(task, StreamTask) else task.periods)
 
 
 def register_all() -> None:
     """Register `SmartSurface/<Task>-v0` for every task of the package."""
-    for name, task in ENV_TASKS.items():
-        _register(env_id(name), name, task)
+    for name, periods in PERIODS.items():
+        _register(env_id(name), name, periods)
 
 
-def _register(name: str, given: Any, task: type[Task]) -> None:
+def _register(name: str, given: Any, periods: int | None) -> None:
     gym.register(
         id=name,
         entry_point="surface_gym.env:SmartSurfaceEnv",
         vector_entry_point="surface_gym.registration:make_vector_env",
-        # A stream ends by itself, after its duration.
-        max_episode_steps=None if issubclass(task, StreamTask) else task.periods,
+        max_episode_steps=periods,
         kwargs={"task": given},
     )
 

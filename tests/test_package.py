@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.config import ENV_TASKS
+from surface_gym.registration import PERIODS
 from surface_gym.tasks import TASKS
 from tests.environments import IDS, TWINS, every_id
 
@@ -27,7 +29,11 @@ HELP = (
 
 @pytest.mark.parametrize(
     ("program", "most", "needed"),
-    [("import surface_gym", 50, set()), (SIMULATE, 65, set()), (HELP, 55, {"tyro", "rich"})],
+    [
+        ("import surface_gym", 3, set()),
+        (SIMULATE, 65, set()),
+        (HELP, 20, {"tyro", "rich"}),
+    ],
     ids=["import", "simulate", "train --help"],
 )
 def test_few_modules_are_loaded_and_none_that_is_not_needed(program, most, needed):
@@ -82,6 +88,8 @@ def test_twins_are_alike(kind, twin):
 
 def test_every_task_has_its_id():
     assert [f"SmartSurface/{name.capitalize()}-v0" for name in sorted(TASKS)] == IDS
+    limits = {name: None if name == "flow" else kind.periods for name, kind in ENV_TASKS.items()}
+    assert list(limits.items()) == list(PERIODS.items())
 
 
 @every_id

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 from scipy.stats import t as student
 
@@ -20,6 +19,7 @@ from surface_gym.parcel import Parcel
 from surface_gym.tasks import Task
 from surface_gym.tasks.benchmark import Benchmark, Column
 
+from ..base import Booleans, Numbers
 from ..library import find_task
 from ..rollout import Episodes, run_episodes, run_sequentially
 from .methods import Method
@@ -27,7 +27,7 @@ from .methods import Method
 CONFIDENCE = 0.95
 
 
-def interval(success: NDArray[np.bool_]) -> tuple[float, float]:
+def interval(success: Booleans) -> tuple[float, float]:
     """Compute the 95 % interval of a success rate over seeds and starts.
 
     Wilson's interval, at the number of independent starts that would spread the mean as the seeds
@@ -54,21 +54,20 @@ def wilson(share: float, count: float) -> tuple[float, float]:
     return max(0.0, float(centre - half)), min(1.0, float(centre + half))
 
 
-def half_interval(values: NDArray[np.float64]) -> float:
+def half_interval(values: Numbers) -> float:
     """Compute half of Student's 95 % interval of a mean of independent values, at least two."""
     count = len(values)
     spread = float(values.std(ddof=1)) / math.sqrt(count)
     return float(student.ppf(0.5 + CONFIDENCE / 2.0, count - 1)) * spread
 
 
-def _variance_of_mean(values: NDArray[np.float64]) -> float:
+def _variance_of_mean(values: Numbers) -> float:
     return float(values.var(ddof=1)) / len(values) if len(values) > 1 else 0.0
 
 
 FILE = "results.jsonl"
 SEED = 20_261_121  # of every start's draws
 
-Numbers = NDArray[np.float64]
 Key = tuple[Any, ...]
 Advance = Callable[[int, int, str], None]  # how many are done, how many there are, the latest
 
@@ -82,7 +81,6 @@ class Row(Protocol):
 
 
 AnyRow = TypeVar("AnyRow", bound=Row)
-AnyKey = TypeVar("AnyKey", bound=Key)
 
 
 @dataclass(frozen=True)
@@ -100,7 +98,6 @@ class Result:
 
     @property
     def key(self) -> tuple[str, str, str, int]:
-        """Task, method, preset and seed."""
         return (self.task, self.method, self.preset, self.seed)
 
 
@@ -111,13 +108,12 @@ class Summary:
     results: tuple[Result, ...]
 
     @property
-    def success(self) -> NDArray[np.bool_]:
+    def success(self) -> Booleans:
         """(seeds, starts)."""
         return np.array([result.success for result in self.results])
 
     @property
     def rate(self) -> float:
-        """[-] over seeds and starts."""
         return float(self.success.mean())
 
     @property
@@ -256,11 +252,7 @@ def compute_results(
     folder: Path | None = None,
     advance: Advance = lambda *_: None,
 ) -> list[Result]:
-    """Compute the results of all methods, in an order that does not depend on the processes.
-
-    Args:
-        folder: results are kept in its results.jsonl; those found there are not computed again.
-    """
+    """Compute the results of all methods, in an order that does not depend on the processes."""
     jobs = {
         (method.task, method.name, preset, seed): partial(compute, method, seed, preset)
         for method, seed, preset in list_jobs(methods)
@@ -275,21 +267,17 @@ def compute_results(
 
 
 def compute_kept(
-    jobs: Mapping[AnyKey, Callable[[], AnyRow]],
+    jobs: Mapping[Any, Callable[[], AnyRow]],
     make: Callable[..., AnyRow],
     workers: Workers,
     file: Path | None,
     advance: Advance,
-) -> dict[AnyKey, AnyRow]:
+) -> dict[Any, AnyRow]:
     """Compute the results that are not kept yet.
 
     Args:
         jobs: to do, by the key of the dataclass that each gives; they do not depend on each other.
-        make: such a dataclass from its fields as JSON has them.
         file: where results are kept, one in a line; those found there are not computed again.
-
-    Returns:
-        All results by key, in the order of the jobs.
     """
     found: dict[Key, AnyRow] = {}
     if file is not None:

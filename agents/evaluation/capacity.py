@@ -19,8 +19,8 @@ from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Camera
 from surface_gym.state import RUNNING
 
-from ..base import Controller
-from .benchmark import SEED, Numbers, half_interval
+from ..base import Controller, Numbers
+from .benchmark import SEED, half_interval
 
 SPEEDS = (1.0, 1.5, 2.0)  # [m/s]
 MIXES = {"S": ("S",), "S and B": ("S", "B")}  # parcels by name, of equal odds
@@ -59,7 +59,6 @@ class Case:
 
     @property
     def label(self) -> str:
-        """For tables."""
         return f"{self.mix}, {self.speed:g} m/s"
 
     @property
@@ -117,7 +116,6 @@ class Measurement:
 
     @property
     def rate(self) -> float:
-        """[parcels/h] delivered right, mean."""
         return float(self.rates.mean())
 
     @property
@@ -141,7 +139,6 @@ class Measurement:
         return float(np.mean(self.waiting))
 
     def is_sustained(self, case: Case) -> bool:
-        """Check whether nearly all deliveries were right."""
         return self.jams == 0 and self.share_right >= LEAST_RIGHT[case.preset]
 
 
@@ -161,12 +158,7 @@ def measure(
     """Offer parcels at a rate [parcels/h].
 
     Args:
-        case: which parcels, at what speed, and under what preset.
-        rate: [parcels/h] of the parcels that come, evenly.
         whole: whether to go on to the end even where the rate is plainly not sustained.
-
-    Returns:
-        The deliveries; None where it was broken off.
     """
     config = method.config(case, rate)
     batch = StreamBatch(config, REPLICATIONS)
@@ -244,11 +236,7 @@ def find_capacity(method: StreamMethod, controller: Controller, case: Case) -> M
 def _most_carried(
     sustained: Callable[[float], Measurement | None], most: Measurement
 ) -> Measurement:
-    """Find the most delivered: at the ceiling, or at the greatest rate that is nearly all carried.
-
-    Args:
-        sustained: measures a rate [parcels/h]; None where it is not sustained.
-    """
+    """Find the most delivered: at the ceiling, or at the greatest rate that is carried."""
     low, high = most.rate, most.offered
     while high > PRECISION * low:
         middle = math.sqrt(low * high)

@@ -11,10 +11,11 @@ import tyro
 from rich.console import Console
 
 from surface_gym import checks
+from surface_gym.cli import EVALUATE, command_line
 from surface_gym.parallel import Workers, WorkFailed, choose_workers, usable_cores
+from surface_gym.registration import FLOW_TASK
 from surface_gym.tasks import TASKS
 
-from ..base import EVALUATE, FLOW_TASK, command_line
 from ..library import find_task, task_files
 
 if TYPE_CHECKING:
@@ -134,7 +135,6 @@ def chosen_methods(config: EvaluateConfig) -> "list[Method]":
 
 
 def _forget(config: EvaluateConfig, *files: str) -> None:
-    """Remove the results of an earlier comparison, unless it is to go on."""
     if not config.resume:
         for file in files:
             (config.out / file).unlink(missing_ok=True)

@@ -13,7 +13,6 @@ from .. import library
 from ..base import Controller
 from ..learning.config import NOMINAL
 from ..learning.runs import CONFIG, read_config, task_name
-from ..library import CARD, PolicyFiles, find_task, read_files, task_kind
 from ..rules import MORE_RULES, Rule, find_rules
 
 FIXED = "fixed layout"
@@ -42,7 +41,6 @@ class Method:
     observe: tuple[str, ...] = ()  # groups of features it sees beside the task's
 
     def config(self, task: Task, preset: Preset) -> EnvConfig:
-        """Configure the environment it acts in."""
         return EnvConfig(
             task=task if self.observed_task is None else self.observed_task(task),
             actions=self.actions,
@@ -53,19 +51,18 @@ class Method:
         )
 
     def under(self, *presets: str) -> "Method":
-        """Restrict it to some presets."""
         return replace(self, presets=presets)
 
 
 def all_methods(task: str) -> list[Method]:
     """List every method of a task, those that know most last."""
-    planned = [planner(task)] if task_kind(task) in TASKS else []
+    planned = [planner(task)] if library.task_kind(task) in TASKS else []
     return [*rules(task), *shipped(task), *planned]
 
 
 def rules(task: str) -> list[Method]:
     """List methods that neither learn nor plan; the fixed layout first, then the best of such."""
-    kind = task_kind(task)
+    kind = library.task_kind(task)
     more = [r for r in MORE_RULES if r.task == (kind if r.observed_task is None else task)]
     order = {FIXED: 0, BEST_FIXED: 1, ANY_ANGLE: 2}
     found = [_of_rule(rule, task) for rule in (*find_rules(kind), *more)]
@@ -104,7 +101,7 @@ def of_runs(task: str, folder: Path) -> list[Method]:
     latest: dict[str, Method] = {}
     for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
         run = config.parent
-        whole = all((each / CARD).is_file() for each in policy_folders(run).values())
+        whole = all((each / library.CARD).is_file() for each in policy_folders(run).values())
         if task_name(config) == task and whole:
             found = of_run(run, task)
             latest[found.name] = found
@@ -127,7 +124,7 @@ def policy_folders(run: Path) -> dict[int, Path]:
 
 def trained(folders: dict[int, Path], task: str | None = None) -> Method:
     """Read the policies that a run left, a folder for each seed."""
-    files = {seed: read_files(folder) for seed, folder in folders.items()}
+    files = {seed: library.read_files(folder) for seed, folder in folders.items()}
     card = library.from_files(next(iter(files.values())), _own(task)).card
     return Method(
         LABELS[card.algo], task or card.task, card.actions, card.control_period,
@@ -152,15 +149,13 @@ def _of_rule(rule: Rule, task: str) -> Method:
     )  # fmt: skip
 
 
-def _ruled(make: Callable[[EnvConfig], Controller], config: EnvConfig, seed: int) -> Controller:
-    del seed  # a rule has none
+def _ruled(make: Callable[[EnvConfig], Controller], config: EnvConfig, _seed: int) -> Controller:
     return make(config)
 
 
-def _planned(config: EnvConfig, seed: int) -> Controller:
+def _planned(config: EnvConfig, _seed: int) -> Controller:
     from ..planning.planner import Planner
 
-    del seed
     return Planner(config)
 
 
@@ -169,7 +164,7 @@ def _loaded(name: str, config: EnvConfig, seed: int) -> Controller:
 
 
 def _read(
-    files: dict[int, PolicyFiles], task: str | None, config: EnvConfig, seed: int
+    files: dict[int, library.PolicyFiles], task: str | None, config: EnvConfig, seed: int
 ) -> Controller:
     return _for_zone(library.from_files(files[seed], _own(task)), config)
 
@@ -184,4 +179,4 @@ def _for_zone(policy: Any, config: EnvConfig) -> Controller:
 
 
 def _own(task: str | None) -> Task | None:
-    return None if task is None or task in TASKS else find_task(task)
+    return None if task is None or task in TASKS else library.find_task(task)

@@ -96,7 +96,8 @@ def draw_times(task: str, grid: SpeedGrid, summaries: Summaries, file: Path) -> 
     A line has gaps where the method fails; methods that did not run on all starts have none.
     """
     runs = {name: summaries[task, name, "exact"] for name in list_methods(task, summaries)}
-    whole = {name: each for name, each in runs.items() if _is_whole(grid, each.success)}
+    count = math.prod(grid.shape)
+    whole = {name: each for name, each in runs.items() if each.success.shape[1] == count}
     colours = _colours(whole)
     figure = Figure(figsize=(12.0, 4.0), layout="constrained")
     panels = figure.subplots(1, len(PARCELS), sharey=True)
@@ -109,10 +110,6 @@ def draw_times(task: str, grid: SpeedGrid, summaries: Summaries, file: Path) -> 
         panel.grid(color=PALE)
     panels[0].set(ylabel="time to sort [s]", ylim=(0.0, 3.0))
     _save(figure, file, *panels, legend=panels[0])
-
-
-def _is_whole(grid: SpeedGrid, success: np.ndarray) -> bool:
-    return bool(success.shape[1] == math.prod(grid.shape))
 
 
 def draw_trajectories(grid: SpeedGrid, runs: dict[str, Episodes], file: Path) -> None:

@@ -26,7 +26,6 @@ from surface_gym.tasks.benchmark import Column
 
 from .. import library
 from ..base import Controller
-from ..library import CARD, PolicyFiles, read_files, task_label
 from . import plots, streams
 from . import tables as texts
 from .benchmark import SEED, Result, Summaries, compute_results, find_benchmark, summarise
@@ -34,7 +33,6 @@ from .benchmark import play as play_benchmark
 from .capacity import STREAM_PRESETS, Case, StreamMethod
 from .methods import FIXED, PLANNER, Method, of_run, policy_folders, rivals, rules
 from .streams import CURVE, EVENT, LEARNED, RESERVATION, StreamResult, StreamResults
-from .tables import Table
 from .video import Player, play, write_comparison
 
 PRINTED = 4  # tables of streams that are shown on screen
@@ -51,7 +49,7 @@ Pictures = list[tuple[Path, str]]  # files, and what each shows
 class Section:
     """A part of the page: a table, pictures and videos, and columns whose meaning is explained."""
 
-    table: Table
+    table: texts.Table
     pictures: Pictures
     columns: tuple[Column, ...] = ()
 
@@ -64,11 +62,7 @@ def write_report(
     advance: Callable[[str], None] = lambda _: None,
     first: Sequence[Section] = (),
 ) -> None:
-    """Write everything of a comparison into a folder, and show its tables.
-
-    Args:
-        first: sections that come first on the page.
-    """
+    """Write everything of a comparison into a folder, and show its tables."""
     summaries = summarise(results)
     tasks = list(dict.fromkeys(method.task for method in methods))
     sections = []
@@ -93,7 +87,7 @@ def write_report(
     write_page([*first, *sections], folder / "report.html")
 
 
-def speed_tables(task: str, summaries: Summaries) -> list[Table]:
+def speed_tables(task: str, summaries: Summaries) -> list[texts.Table]:
     """Make the table by entry speed of a task whose starts are a grid of speeds; else none."""
     grid = find_benchmark(task).grid
     if grid is None:
@@ -107,9 +101,8 @@ def speed_tables(task: str, summaries: Summaries) -> list[Table]:
 
 
 def _draw_task(methods: Sequence[Method], summaries: Summaries, folder: Path) -> Pictures:
-    """Draw a task's plots and its video."""
     task = methods[0].task
-    benchmark, label = find_benchmark(task), task_label(task)
+    benchmark, label = find_benchmark(task), library.task_label(task)
     success = folder / f"{label}-success.png"
     plots.draw_success(task, summaries, success)
     pictures = [(success, "Success by preset, with 95 % intervals.")]
@@ -149,7 +142,7 @@ def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
         controller = method.make(config, method.seeds[0])
         rng = np_random(SEED)[0]
         players.append(Player(method.name, controller, config, rng, benchmark.example))
-    file = folder / f"{task_label(task)}.mp4"
+    file = folder / f"{library.task_label(task)}.mp4"
     outcomes = ", ".join(
         f"{player.name} {'succeeds' if success else 'fails'}"
         for player, success in zip(players, write_comparison(players, file), strict=True)
@@ -307,9 +300,6 @@ def evaluate_run(
 
     table.md, the trajectories of Sort and a video go into the run's folder, the same byte for byte
     each time.
-
-    Returns:
-        The results that stand on an agent's card, by preset.
     """
     if is_of_streams(run):
         results = _stream_run(run, workers, console)
@@ -351,7 +341,7 @@ def is_of_streams(run: Path) -> bool:
     """Check whether the first policy of a run is for streams; a damaged one is not."""
     folder = next(iter(policy_folders(run).values()))
     try:
-        return bool(yaml.safe_load((folder / CARD).read_text())["env_id"] == FLOW)
+        return bool(yaml.safe_load((folder / library.CARD).read_text())["env_id"] == FLOW)
     except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
         return False
 
@@ -373,7 +363,7 @@ def compare_streams(run: Path, workers: Workers, console: Console) -> StreamResu
 
 
 def _of_seeds(folders: dict[int, Path]) -> list[StreamMethod]:
-    files = {seed: read_files(folder) for seed, folder in folders.items()}
+    files = {seed: library.read_files(folder) for seed, folder in folders.items()}
     period = library.from_files(next(iter(files.values()))).card.control_period
     return [
         StreamMethod(f"seed {seed}", "parcels", True, partial(_read, each), control_period=period)
@@ -381,8 +371,7 @@ def _of_seeds(folders: dict[int, Path]) -> list[StreamMethod]:
     ]
 
 
-def _read(files: PolicyFiles, config: EnvConfig) -> Controller:
-    del config
+def _read(files: library.PolicyFiles, _config: EnvConfig) -> Controller:
     return library.from_files(files)
 
 

@@ -8,18 +8,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.layouts import box
-from surface_gym.lines import BaseLine, Line
+from surface_gym.lines import Line
 from surface_gym.parallel import Workers
 from surface_gym.parcel import Base, Disc, Parcel, Rectangle
 from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Camera, Exact, Presence
 from surface_gym.tasks.benchmark import Benchmark
 
-from ..base import time_for, with_zone
+from ..base import Booleans, time_for, with_zone
 from ..planning.oracle import run_oracle
 from ..rollout import Episodes, run_episodes, run_sequentially
 from .benchmark import SEED, Advance, compute_kept, drawn_parcels, find_benchmark, interval
@@ -40,7 +39,6 @@ DIRECTIONS = 16  # evenly around, that a load lies in off centre
 SENSORS = {"exact": Exact(), "camera": Camera(), "presence": Presence()}
 SHAPES = ("square", "rectangle", "disc", "polygon")
 
-Booleans = NDArray[np.bool_]
 Level = float | int | str
 SweepKey = tuple[Any, ...]
 
@@ -80,16 +78,9 @@ def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation
     task = replace(task, entry_offset=change.offset, entry_turn=change.turn, time_limit=limit)
     config = method.config(task, change.preset)
     assumed = replace(config, control_period=period, line=line)
-    return Situation(assumed, replace(assumed, line=_with_friction(line, change)))
-
-
-def _with_friction(line: BaseLine, change: Change) -> BaseLine:
-    return replace(
-        line,
-        mu_max=np.multiply(line.mu_max, change.drag),
-        mu_min=np.multiply(line.mu_min, change.rolling),
-        mu_support=np.multiply(line.mu_support, change.rolling),
-    )
+    factors = {"mu_max": change.drag, "mu_min": change.rolling, "mu_support": change.rolling}
+    changed = {name: np.multiply(getattr(line, name), each) for name, each in factors.items()}
+    return Situation(assumed, replace(assumed, line=replace(line, **changed)))
 
 
 @dataclass(frozen=True)
@@ -108,12 +99,10 @@ class Factor:
 
     @property
     def swept(self) -> tuple[Level, ...]:
-        """The levels that are not as trained."""
         return tuple(level for level in self.levels if level != self.trained)
 
     @property
     def is_named(self) -> bool:
-        """Whether its levels are names."""
         return any(isinstance(level, str) for level in self.levels)
 
 
@@ -269,12 +258,7 @@ def compute_sweep(
     folder: Path | None = None,
     advance: Advance = lambda *_: None,
 ) -> list[SweepResult]:
-    """Compute all results, in an order that does not depend on the processes.
-
-    Args:
-        starts: at each level.
-        folder: results are kept in its robustness.jsonl; those found there are not computed again.
-    """
+    """Compute all results, in an order that does not depend on the processes."""
     file = None if folder is None else folder / FILE
     found = compute_kept(sweep_jobs(methods, starts), SweepResult, workers, file, advance)
     order = {(each.task, each.name): place for place, each in enumerate(methods)}
@@ -297,7 +281,6 @@ class Rate:
 
     @classmethod
     def of(cls, success: Booleans) -> "Rate":
-        """Compute the rate of successes (seeds, starts)."""
         return cls(float(success.mean()), *interval(success), *success.shape)
 
 
@@ -316,7 +299,6 @@ class Sweep:
 
     @property
     def tasks(self) -> list[str]:
-        """Names, in their order."""
         return list(dict.fromkeys(row.task for row in self.rows))
 
     def methods(self, task: str | None = None) -> list[str]:

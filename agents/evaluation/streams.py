@@ -72,8 +72,7 @@ def _zone(kind: type[WholeZone], config: EnvConfig) -> WholeZone | None:
     return None if columns is None else kind(config, columns)
 
 
-def _learned(config: EnvConfig) -> Controller:
-    del config
+def _learned(_config: EnvConfig) -> Controller:
     return library.load(LEARNED)
 
 
@@ -93,7 +92,6 @@ class StreamResult:
 
     @property
     def key(self) -> StreamKey:
-        """The task, then method, preset, mix, speed and load."""
         return ("flow", self.method, self.preset, self.mix, self.speed, self.load)
 
 
@@ -150,12 +148,7 @@ def compute_streams(
     advance: Advance = lambda *_: None,
     loads: Sequence[float] | None = None,
 ) -> list[StreamResult]:
-    """Compute all results, in an order that does not depend on the processes.
-
-    Args:
-        folder: results are kept in its flow.jsonl; those found there are not computed again.
-        loads: [-] of the ceiling, at which rates are measured; None: LOADS.
-    """
+    """Compute all results, in an order that does not depend on the processes."""
     file = None if folder is None else folder / FILE
     found = compute_kept(stream_jobs(methods, loads), stream_result, workers, file, advance)
     names, presets = [method.name for method in methods], list(limits.STREAM_PRESETS)
@@ -182,7 +175,6 @@ class StreamResults:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the methods, in their order."""
         return tuple(dict.fromkeys(row.method for row in self.rows))
 
     @cached_property
@@ -282,32 +274,31 @@ def headline(results: StreamResults) -> Table:
 
 def capacity_table(results: StreamResults, preset: str) -> Table:
     """Show right deliveries an hour at the capacity, all streams."""
-
-    def text(name: str, case: Case) -> str:
-        capacity = results.capacity(name, case)
-        if capacity is None:
-            return _rate(results, name, case)
-        return f"{capacity.rate:.0f} ±{capacity.margin:.0f}"
-
     names = [*_tried(results, preset), BOUND, CEILING]
     caption = f"{_meaning(preset)} {limits.STREAM_PRESETS[preset].meaning}"
-    return _grid(
-        f"flow: capacity, {limits.STREAM_PRESETS[preset].label}", caption, names, preset, text
-    )
+    text = _at_capacity(results, lambda found: f"{found.rate:.0f} ±{found.margin:.0f}")
+    title = f"flow: capacity, {limits.STREAM_PRESETS[preset].label}"
+    return _grid(title, caption, names, preset, text)
 
 
 def touch_table(results: StreamResults, preset: str) -> Table:
     """Show touches at the capacity, all streams."""
-
-    def text(name: str, case: Case) -> str:
-        capacity = results.capacity(name, case)
-        if capacity is None:
-            return _rate(results, name, case)
-        return f"{capacity.touches_per_1000:.0f}"
-
     title = f"flow: touches at the capacity, {limits.STREAM_PRESETS[preset].label}"
     caption = "times that two begin to touch, per 1000 deliveries, at the capacity"
+    text = _at_capacity(results, lambda found: f"{found.touches_per_1000:.0f}")
     return _grid(title, caption, _tried(results, preset), preset, text)
+
+
+def _at_capacity(
+    results: StreamResults, show: Callable[[Measurement], str]
+) -> Callable[[str, Case], str]:
+    """Make texts of what was measured at the capacity, if there is any."""
+
+    def text(name: str, case: Case) -> str:
+        found = results.capacity(name, case)
+        return _rate(results, name, case) if found is None else show(found)
+
+    return text
 
 
 def ratio_table(results: StreamResults, over: str) -> Table:

@@ -44,17 +44,13 @@ class Table:
 
     @property
     def heading(self) -> str:
-        """The title with a capital letter."""
         return self.title.capitalize()
 
     def markdown(self) -> str:
-        """Write the table as Markdown."""
         text = markdown(self.header, self.rows, "---:")
         return f"## {self.heading}\n\n{self.caption}\n\n{text}\n"
 
     def html(self) -> str:
-        """Write the table as HTML."""
-
         def line(tag: str, texts: Sequence[str]) -> str:
             return "<tr>" + "".join(f"<{tag}>{escape(each)}</{tag}>" for each in texts) + "</tr>"
 

@@ -51,12 +51,6 @@ def write_comparison(
     """Write an mp4 of one episode of each controller, side by side, in real time.
 
     One that ends first waits for the others in its last picture.
-
-    Args:
-        players: control periods are multiples of the shortest.
-
-    Returns:
-        Whether each succeeded, as far as it was shown.
     """
     period = min(player.config.control_period for player in players)
     episodes = [
@@ -152,7 +146,6 @@ def _make_env(config: EnvConfig) -> gym.Env[Any, Any]:
 
 
 def _repeated(items: Iterator[Any], times: int) -> Iterator[Any]:
-    """Repeat each item so many times."""
     return (item for each in items for item in repeat(each, times))
 
 
@@ -201,7 +194,6 @@ class VideoConfig:
 
     @property
     def config(self) -> EnvConfig:
-        """The environment."""
         return EnvConfig(
             "flow",
             stream=Stream(Steady(self.rate), self.parcels, speeds=self.entry_speed),

@@ -129,7 +129,6 @@ def _choices(decision: NetworkDecision, prefix: str) -> tuple[str, str]:
 
 
 def _weights(network: Network, prefix: str) -> str:
-    """Weights and bias of each layer, a row an output."""
     return "\n".join(
         _table(f"{prefix}_weights_{k}", layer.weights) + _table(f"{prefix}_bias_{k}", layer.bias)
         for k, layer in enumerate(network.layers)
@@ -137,7 +136,6 @@ def _weights(network: Network, prefix: str) -> str:
 
 
 def _scores(network: Network, prefix: str) -> str:
-    """A function from inputs to scores."""
     lines, source = [], "inputs"
     last = len(network.layers) - 1
     for k, layer in enumerate(network.layers):

@@ -19,9 +19,10 @@ import numpy as np
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.config import Preset
 
+from ..base import Integers, Numbers, Singles
 from .c_header import make_prefix
 from .onnx import ANGLES, CHOICES, OBSERVATION, ModulesDecision, need
-from .policy import Integers, NetworkDecision, Numbers, Singles, Source
+from .policy import NetworkDecision, Source
 
 Decide = Callable[[Singles], tuple[Integers, Numbers]]  # choices, and angles [rad]
 
@@ -62,7 +63,6 @@ class Agreement:
     close: int  # decisions where they are, whether they differ or not
 
     def summary(self) -> str:
-        """Describe it in a sentence."""
         same = "the same" if not self.ties else f"{self.ties} of them otherwise, all ties"
         return (
             f"{self.observations} observations, {self.observations * self.parts} choices: {same} "
@@ -77,11 +77,7 @@ def compare(
     observations: Singles,
     decide: Decide,
 ) -> Agreement:
-    """Compare decisions with the policy's.
-
-    Args:
-        decide: computes choices and axis angles [rad], (count, parts) each.
-    """
+    """Compare decisions with the policy's."""
     actions, _ = source.policy.predict(observations, deterministic=True)
     wanted = source.config.action_kind.commands(actions, len(observations))
     choices, angles = decide(observations)

@@ -53,7 +53,6 @@ class ExportConfig:
         checks.integer("observations", self.observations, least=100)
 
     def source(self) -> "Source":
-        """Return the policy to export."""
         from . import policy
 
         if self.run is None:
@@ -73,11 +72,7 @@ class Exported:
 def export(
     source: "Source", folder: Path, observations: int = OBSERVATIONS, formats: Sequence[Format] = ()
 ) -> Exported:
-    """Write NAME.onnx, NAME.h and NAME.md, if they decide as the policy does.
-
-    Args:
-        observations: number of them to compare decisions on.
-    """
+    """Write NAME.onnx, NAME.h and NAME.md, if they decide as the policy does."""
     from . import c_header, check, onnx, page, policy
 
     checks.integer("observations", observations, least=100)

@@ -1,6 +1,6 @@
 """Policies as ONNX graphs.
 
-`agents.module_view` computes what a module sees with arrays whose size depends on the observation.
+`agents.module_policy` computes what a module sees with arrays sized by the observation.
 A graph needs it for all modules at once, so that it is written here once more, for NumPy and for a
 graph alike. An export is refused where the two differ.
 """
@@ -19,9 +19,9 @@ from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS, QUADRANT_SIZE
 from surface_gym.lines import Line
 
-from ..base import SIDE, mirrored_orientations
-from ..module_view import ELLIPSE, EXACT, MARGIN, ROUND
-from .policy import Integers, Layer, Network, NetworkDecision, Singles, Source, are_close, to_array
+from ..base import SIDE, Integers, Singles, mirrored_orientations
+from ..module_policy import ELLIPSE, EXACT, MARGIN, ROUND
+from .policy import Layer, Network, NetworkDecision, Source, are_close, to_array
 
 OPSET = 17  # version of ONNX's operators
 IR_VERSION = 8  # of the file format, which goes with it
@@ -63,17 +63,14 @@ class Graph:
         return output
 
     def array(self, values: NDArray[Any]) -> str:
-        """Add a constant of its own type."""
         name = f"constant {len(self._constants)}"
         self._constants.append(self._onnx.numpy_helper.from_array(np.asarray(values), name))
         return name
 
     def integers(self, *values: int) -> str:
-        """Add a constant of integers, for shapes and indices."""
         return self.array(np.array(values, dtype=np.int64))
 
     def cast(self, value: str, kind: str) -> str:
-        """Convert numbers to another kind, "FLOAT" or "DOUBLE"."""
         return self.add("Cast", value, to=getattr(self._onnx.TensorProto, kind))
 
     def network(self, network: Network, values: str) -> str:
@@ -98,12 +95,7 @@ class Graph:
         choices: str,
         metadata: Mapping[str, str],
     ) -> bytes:
-        """Return the checked model as it is written to a file.
-
-        Args:
-            shape: (features, parts), sizes of an observation and of a decision.
-            choices: name of the choices (parcels, parts).
-        """
+        """Return the checked model as it is written to a file."""
         onnx = self._onnx
         self.add("Identity", choices, output=CHOICES)
         self.add("Gather", self.array(np.array(orientations)), choices, output=ANGLES)
@@ -126,8 +118,7 @@ class Graph:
         )
         onnx.helper.set_model_props(model, dict(metadata))
         onnx.checker.check_model(model, full_check=True)
-        written: bytes = model.SerializeToString()
-        return written
+        return model.SerializeToString()
 
 
 class Traced(NDArrayOperatorsMixin):
@@ -189,11 +180,7 @@ class SeenByModules:
 
 
 def seen_by_modules(config: EnvConfig, features: Sequence[Any]) -> SeenByModules:
-    """Compute what each module sees, in the action's order.
-
-    Args:
-        features: of the observation, each (parcels, 1).
-    """
+    """Compute what each module sees, in the action's order."""
     see = {each.name: feature for each, feature in zip(config.features, features, strict=True)}
     kind, line, period = config.action_kind, config.chosen_line, config.control_period
     mirrored = features[SIDE] < 0.0
@@ -332,13 +319,7 @@ def _angle(sine: Any, cosine: Any) -> Any:
 
 
 class Watched(NDArrayOperatorsMixin):
-    """An array that notes where round-off may change the outcome of a comparison or a jump.
-
-    Args:
-        value: of each element.
-        doubts: list that takes an array of booleans for each comparison and jump.
-        exact: whether the value is given, and has no round-off.
-    """
+    """An array that notes where round-off may change the outcome of a comparison or a jump."""
 
     def __init__(self, value: Any, doubts: list[Any], exact: bool = False) -> None:
         self.value, self.doubts, self.exact = value, doubts, exact
@@ -375,12 +356,10 @@ class ModulesDecision:
 
     @property
     def features(self) -> int:
-        """Size of an observation."""
         return len(self.config.features)
 
     @property
     def parts(self) -> int:
-        """Size of an action."""
         return self.config.action_kind.size
 
     def in_doubt(self, observations: Singles, tie: float) -> NDArray[np.bool_]:

@@ -78,12 +78,7 @@ def find_need(feature: Feature) -> str:
 def make_page(
     source: Source, metadata: dict[str, str], checked: dict[str, Agreement | None]
 ) -> str:
-    """Return the page, in Markdown.
-
-    Args:
-        checked: by "ONNX" and "C", as far as they are written: the agreement with the policy; None:
-            it was not tried.
-    """
+    """Return the page, in Markdown."""
     name, config = source.name, source.config
     files = {
         "ONNX": (f"`{name}.onnx`", f"a graph for any ONNX runtime, opset {OPSET}"),

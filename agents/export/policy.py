@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import torch
 import yaml
-from numpy.typing import NDArray
 from torch import nn
 
 from surface_gym import checks
@@ -17,18 +16,13 @@ from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.tasks import Sort, Task
 
 from .. import library
-from ..base import SIDE, mirrored_orientations
+from ..base import SIDE, Booleans, Integers, Numbers, Singles, mirrored_orientations
 from ..evaluation.methods import policy_folders
 from ..learning.config import NOMINAL, current_option
 from ..learning.runs import CARD as CARD_FILE
 from ..learning.runs import CONFIG, read_config
-from ..library import find_task, read_files
 from ..module_policy import ModulePolicy
 from ..policy import DIGEST, Policy, make_network
-
-Singles = NDArray[np.float32]
-Numbers = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Presets of the environments that agents were trained in, by `train.py --preset`.
 TRAINED_IN: dict[str, tuple[str, ...]] = {NOMINAL: ("exact", "camera"), "lab": ("exact", "lab")}
@@ -74,15 +68,10 @@ def shipped(name: str, seed: int | None = None) -> Source:
 def of_run(
     run: Path, name: str | None = None, seed: int | None = None, task: str | None = None
 ) -> Source:
-    """Return a policy of a training run.
-
-    Args:
-        name: that the export is to have; None: the folder's.
-        seed: of several; None: the first.
-    """
+    """Return a policy of a training run."""
     folders = policy_folders(run)
     chosen = next(iter(folders)) if seed is None else int(checks.one_of("seed", seed, folders))
-    custom = None if task is None else find_task(task)
+    custom = None if task is None else library.find_task(task)
     training = _read_training(run)
     if training is None and (run / CONFIG).is_file():
         training = Training(read_config(run / CONFIG, task).preset)
@@ -92,7 +81,7 @@ def of_run(
 def _read(
     name: str, seed: int, folder: Path, task: Task | None, training: Training | None
 ) -> Source:
-    files = read_files(folder)
+    files = library.read_files(folder)
     policy = library.from_files(files, task)
     if not isinstance(policy, (Policy, ModulePolicy)):
         raise ValueError(
@@ -144,12 +133,10 @@ class Network:
 
     @property
     def inputs(self) -> int:
-        """Number of inputs."""
         return int(self.layers[0].weights.shape[1])
 
     @property
     def outputs(self) -> int:
-        """Number of scores."""
         return len(self.layers[-1].bias)
 
     def scores(self, inputs: Numbers) -> Numbers:
@@ -187,11 +174,10 @@ def read_network(modules: nn.Module) -> Network:
 
 def to_array(weights: torch.Tensor) -> Singles:
     """Copy weights to an array."""
-    copied: Singles = weights.detach().numpy().astype(np.float32, copy=True)
-    return copied
+    return weights.detach().numpy().astype(np.float32, copy=True)
 
 
-def are_close(scores: Numbers, tie: float) -> NDArray[np.bool_]:
+def are_close(scores: Numbers, tie: float) -> Booleans:
     """Tell whether the best two of scores (..., options) are too close to tell apart.
 
     Args:
@@ -199,8 +185,7 @@ def are_close(scores: Numbers, tie: float) -> NDArray[np.bool_]:
     """
     best = np.sort(scores, axis=-1)
     scale = np.maximum(1.0, np.abs(scores).max(axis=-1))
-    close: NDArray[np.bool_] = best[..., -1] - best[..., -2] <= tie * scale
-    return close
+    return best[..., -1] - best[..., -2] <= tie * scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,15 +209,13 @@ class NetworkDecision:
 
     @property
     def features(self) -> int:
-        """Size of an observation."""
         return self.network.inputs
 
     @property
     def parts(self) -> int:
-        """Size of an action."""
         return self.groups * self.options.shape[1]
 
-    def in_doubt(self, observations: Singles, tie: float) -> NDArray[np.bool_]:
+    def in_doubt(self, observations: Singles, tie: float) -> Booleans:
         """Tell for each part whether single precision may decide either way."""
         scores = self.network.scores(observations.astype(np.float64))
         close = are_close(scores.reshape(len(observations), self.groups, -1), tie)
@@ -240,8 +223,7 @@ class NetworkDecision:
         if self.symmetry is None:
             return parts
         mirrored = observations[:, self.symmetry.side : self.symmetry.side + 1] < 0.0
-        turned: NDArray[np.bool_] = np.where(mirrored, parts[:, self.symmetry.parts], parts)
-        return turned
+        return np.where(mirrored, parts[:, self.symmetry.parts], parts)
 
 
 def network_decision(source: Source) -> NetworkDecision:

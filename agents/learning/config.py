@@ -4,13 +4,10 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeGuard, get_args
 
-import gymnasium as gym
 import yaml
 
 from surface_gym import checks
-from surface_gym.registration import FLOW, env_id
-
-from ..base import FLOW_TASK
+from surface_gym.registration import FLOW, FLOW_TASK, PERIODS, env_id
 
 if TYPE_CHECKING:
     from ..library import PolicyCard
@@ -42,11 +39,7 @@ def current_option(argument: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """Options of all algorithms.
-
-    Raises:
-        ValueError: a field is out of its range; the message names it.
-    """
+    """Options of all algorithms."""
 
     task: str = "sort"
     """Task to learn: sort, slow, stop, track, orient, or a user's as path/to/file.py:Class."""
@@ -127,7 +120,6 @@ class TrainConfig:
             self._check_no_zones()
 
     def _check_no_zones(self) -> None:
-        """Raise a ValueError if there are zones, for a task without any."""
         if self.zones:
             raise ValueError(f"zones must be none for {self.task}, got {self.zones}")
 
@@ -180,7 +172,6 @@ class PPOConfig(TrainConfig):
 
     @property
     def _samples(self) -> int:
-        """Samples of a rollout."""
         return self.num_envs * self.n_steps
 
 
@@ -301,7 +292,7 @@ CONFIGS: dict[str, type[TrainConfig]] = {
 
 def is_registered(task: str) -> bool:
     """Return whether a name is that of a single-parcel task of the package."""
-    return task.islower() and task != FLOW_TASK and env_id(task) in gym.registry
+    return task in PERIODS and task != FLOW_TASK
 
 
 def on_device(config: TrainConfig) -> TypeGuard[PPOConfig]:
@@ -347,11 +338,7 @@ _LINEAR = "lin_"  # the zoo's mark of a learning rate that falls to 0
 def defaults(
     task: str, algo: str, file: Path | None = None, preset: str = NOMINAL, device: str = CPU
 ) -> TrainConfig:
-    """Read the default configuration of a task and an algorithm.
-
-    Args:
-        file: of a user, in the same schema; None: the package's.
-    """
+    """Read the default configuration of a task and an algorithm."""
     given = {"task": task, "algo": algo, "preset": preset}
     if device != CPU:
         checks.one_of(f"algo, on device {device!r},", algo, ("ppo",))
@@ -411,8 +398,7 @@ def _read(given: dict[str, str], file: Path) -> TrainConfig:
         raise ValueError(f"it must hold an entry a task, got {of_tasks!r}")
     key = _entry_name(task)
     if key not in of_tasks:
-        ids = [name for name in of_tasks if str(name).startswith("SmartSurface/")]
-        known = ", ".join(repr(_task_name(name)) for name in ids)
+        known = ", ".join(repr(name) for name in PERIODS if env_id(name) in of_tasks)
         raise ValueError(f"task must be one of {known} for {algo}, got {task!r}")
     beside = of_tasks.get(BESIDE) or {}
     if not isinstance(beside, dict):
@@ -428,8 +414,8 @@ def _read(given: dict[str, str], file: Path) -> TrainConfig:
             continue
         if name == "learning_rate":
             chosen[name] = _initial_rate(value)
-        elif name == "policy_kwargs" and _is_net_arch(value):
-            chosen["hidden"] = tuple(value["net_arch"])
+        elif name == "policy_kwargs" and _hidden(value) is not None:
+            chosen["hidden"] = _hidden(value)
         elif name == "env_kwargs" and isinstance(value, dict) and set(value) <= _OF_THE_ENV:
             chosen.update({**value, "observe": tuple(value.get("observe", ()))})
         elif name == "zones" and isinstance(value, list):
@@ -441,11 +427,6 @@ def _read(given: dict[str, str], file: Path) -> TrainConfig:
         else:
             raise ValueError(f"{name} must be a known setting, got {value!r}")
     return CONFIGS[algo](**chosen)
-
-
-def _task_name(env: str) -> str:
-    """Return the task's name in an id such as "SmartSurface/Sort-v0"."""
-    return env.removeprefix("SmartSurface/").rpartition("-")[0].lower()
 
 
 def _initial_rate(value: Any) -> float:
@@ -460,10 +441,7 @@ def _initial_rate(value: Any) -> float:
     )
 
 
-def _is_net_arch(value: Any) -> bool:
-    """Return whether a value is the zoo's notation of hidden layers, and nothing else."""
-    return (
-        isinstance(value, dict)
-        and set(value) == {"net_arch"}
-        and isinstance(value["net_arch"], list)
-    )
+def _hidden(value: Any) -> tuple[int, ...] | None:
+    """Parse the zoo's notation of hidden layers; None where there is more or anything else."""
+    layers = value.get("net_arch") if isinstance(value, dict) and len(value) == 1 else None
+    return tuple(layers) if isinstance(layers, list) else None

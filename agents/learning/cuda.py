@@ -4,16 +4,14 @@ Loss, network and optimiser are those of Stable-Baselines3's PPO.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 import torch
 from gymnasium import spaces
-from torch.nn.utils import clip_grad_norm_
 
 from surface_gym.config import EnvConfig
 from surface_gym.registration import env_id
@@ -22,43 +20,23 @@ from surface_gym.tasks import Sort
 from ..base import SIDE, ActionMirror, mirrored_orientations
 from ..library import find_task
 from ..policy import EqualCategoricals, EqualChoicesPolicy, make_network
+from . import ppo
 from .config import PPOConfig, is_registered, make_card
-from .ppo import MAX_GRAD_NORM, compute_advantages, learning_rate, ppo_loss, train_learner
+from .ppo import Transition, compute_advantages, ppo_loss
 from .runs import RECENT_EPISODES, REWARD, Curve, OnProgress, TrainResult
 from .sb3 import training_task
+
+if TYPE_CHECKING:
+    from surface_gym.cuda.env import CudaVectorEnv
 
 VALUE_COEF = 0.5  # as in Stable-Baselines3's PPO
 EPISODES = "episodes"  # their number, beside the sums over them
 
 
-class DeviceEnvs(Protocol):
-    """A vector env in SAME_STEP mode whose arrays are tensors on one device.
-
-    The next step may write over them.
-    """
-
-    num_envs: int
-    single_observation_space: spaces.Space[Any]
-    single_action_space: spaces.Space[Any]
-    config: EnvConfig
-    device: Any  # an argument of `torch.device`
-
-    def reset(self, *, seed: int) -> tuple[torch.Tensor, dict[str, Any]]:
-        """Start environment i from `seed` + i; return observations (num_envs, features)."""
-
-    def step(
-        self, actions: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """Step all environments by one control period."""
-
-    def close(self) -> None:
-        """Free all resources."""
+MakeDeviceEnvs = Callable[[PPOConfig, int], "CudaVectorEnv"]  # for a configuration, so many
 
 
-MakeDeviceEnvs = Callable[[PPOConfig, int], DeviceEnvs]  # for a configuration, so many
-
-
-def make_device_envs(config: PPOConfig, num_envs: int) -> DeviceEnvs:
+def make_device_envs(config: PPOConfig, num_envs: int) -> "CudaVectorEnv":
     """Make environments of a run on its device."""
     task = training_task(config.task)
     try:
@@ -84,11 +62,7 @@ def check_device(config: PPOConfig) -> None:
 
 
 class TensorMirror:
-    """`ActionMirror` on tensors.
-
-    Args:
-        env_config: of the environment; its actions are choices.
-    """
+    """`ActionMirror` on tensors."""
 
     def __init__(self, env_config: EnvConfig, device: torch.device) -> None:
         kind, orientations = env_config.action_kind, env_config.chosen_orientations
@@ -124,7 +98,6 @@ class EpisodeTotals:
         self._ended = torch.zeros(len(self._names), dtype=torch.float64, device=device)
 
     def reset(self) -> None:
-        """Forget the running episodes."""
         self._running.zero_()
 
     def add(self, rewards: torch.Tensor, ended: torch.Tensor, infos: dict[str, Any]) -> None:
@@ -149,10 +122,6 @@ class TotalsCurve(Curve):
 
     They are as few as hold `RECENT_EPISODES` and one for each environment: where all environments
     have just started, only the shortest episodes have ended.
-
-    Args:
-        steps: control periods done before; later rows in the files are dropped.
-        recent: totals of the latest rollouts before.
     """
 
     def __init__(
@@ -167,7 +136,6 @@ class TotalsCurve(Curve):
         self._least = max(RECENT_EPISODES, num_envs)
 
     def add_totals(self, totals: dict[str, float]) -> None:
-        """Add the result of `EpisodeTotals.fetch`."""
         if totals[EPISODES] == 0.0:
             return
         self.recent.append(totals)
@@ -181,21 +149,10 @@ class TotalsCurve(Curve):
         return sum(rollout[name] for rollout in self.recent)
 
 
-@dataclass(frozen=True, eq=False)
-class DeviceTransition:
-    """Result of a control period; tensors on the environments' device."""
-
-    observations: torch.Tensor  # (num_envs, features) of the next start where an episode ended
-    rewards: torch.Tensor  # (num_envs,) float64
-    terminated: torch.Tensor  # (num_envs,) ended by success or failure
-    ended: torch.Tensor  # (num_envs,) or by the time limit
-    last: torch.Tensor  # (num_envs, features) at the period's end, of an episode that ended too
-
-
 class DeviceTrainingEnvs:
     """Environments with totals of their episodes, and with actions for y > 0 in Sort."""
 
-    def __init__(self, envs: DeviceEnvs) -> None:
+    def __init__(self, envs: "CudaVectorEnv") -> None:
         self.device = torch.device(envs.device)
         self.envs = envs
         env_config = envs.config
@@ -205,12 +162,11 @@ class DeviceTrainingEnvs:
         self._side = torch.ones(envs.num_envs, device=self.device)
 
     def reset(self, seed: int) -> torch.Tensor:
-        """Start environment i from `seed` + i; return observations (num_envs, features)."""
         observations, _ = self.envs.reset(seed=seed)
         self.totals.reset()
         return self._keep(observations)
 
-    def step(self, actions: torch.Tensor) -> DeviceTransition:
+    def step(self, actions: torch.Tensor) -> Transition:
         """Step all environments by one control period; nothing is copied from the device."""
         if self._mirror is not None:
             actions = self._mirror(actions, self._side)
@@ -218,12 +174,11 @@ class DeviceTrainingEnvs:
         ended = terminated | truncated
         self.totals.add(rewards, ended, infos)
         last = torch.where(ended.unsqueeze(1), infos["final_obs"], observations)
-        return DeviceTransition(
+        return Transition(
             self._keep(observations), rewards.clone(), terminated.clone(), ended, last
         )
 
     def _keep(self, observations: torch.Tensor) -> torch.Tensor:
-        """Copy observations, and remember the asked side of each."""
         kept = observations.clone()
         if self._mirror is not None:
             self._side = kept[:, SIDE]
@@ -244,8 +199,7 @@ class DevicePolicy(EqualChoicesPolicy):
         super()._build(lr_schedule)
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
+class Samples(NamedTuple):
     """Control periods of all environments, in a row."""
 
     observations: torch.Tensor  # (samples, features)
@@ -255,8 +209,7 @@ class Samples:
     returns: torch.Tensor  # (samples,)
 
     def select(self, chosen: torch.Tensor) -> "Samples":
-        """Return samples by index (count,)."""
-        return Samples(*(getattr(self, field.name)[chosen] for field in fields(self)))
+        return Samples(*(each[chosen] for each in self))
 
 
 def policy_loss(policy: DevicePolicy, samples: Samples, ent_coef: float) -> torch.Tensor:
@@ -276,7 +229,7 @@ def gradient_step(policy: DevicePolicy, samples: Samples, ent_coef: float) -> No
     """Take one step of a policy's optimiser."""
     policy.optimizer.zero_grad()
     torch.autograd.backward(policy_loss(policy, samples, ent_coef))
-    clip_grad_norm_(policy.parameters(), MAX_GRAD_NORM)
+    torch.nn.utils.clip_grad_norm_(policy.parameters(), ppo.MAX_GRAD_NORM)
     policy.optimizer.step()
 
 
@@ -308,9 +261,8 @@ class DeviceLearner:
         self._seen = self._envs.reset(seed)
 
     def learn(self, curve: TotalsCurve) -> None:
-        """Learn from one rollout and add the totals of its episodes to the curve."""
         config = self._config
-        self._policy.optimizer.param_groups[0]["lr"] = learning_rate(config, self.steps)
+        self._policy.optimizer.param_groups[0]["lr"] = ppo.learning_rate(config, self.steps)
         samples = self.roll_out()
         count = len(samples.returns)
         for _ in range(config.n_epochs):
@@ -335,33 +287,21 @@ class DeviceLearner:
     @torch.no_grad()
     def roll_out(self) -> Samples:
         """Collect `n_steps` control periods; nothing is copied from the device."""
-        config = self._config
-        seen, actions, log_probs = [], [], []
-        values, rewards, ended, next_values = [], [], [], []
-        for _ in range(config.n_steps):
+        periods = []
+        for _ in range(self._config.n_steps):
             chosen, value, log_prob = self._policy(self._seen)
             moved = self._envs.step(chosen)
             next_value = self._policy.predict_values(moved.last).flatten() * ~moved.terminated
-            seen.append(self._seen)
-            actions.append(chosen.reshape(len(chosen), -1))
-            log_probs.append(log_prob)
-            values.append(value.flatten())
-            rewards.append(moved.rewards)
-            ended.append(moved.ended)
-            next_values.append(next_value)
+            decided = (self._seen, chosen.reshape(len(chosen), -1), log_prob, value.flatten())
+            periods.append((*decided, moved.rewards, moved.ended, next_value))
             self._seen = moved.observations
-        value = torch.stack(values)
-        advantage = compute_advantages(
-            torch.stack(rewards), torch.stack(ended), value, torch.stack(next_values),
-            config.gamma, config.gae_lambda,
-        )  # fmt: skip
-        return Samples(
-            torch.cat(seen),
-            torch.cat(actions),
-            torch.cat(log_probs),
-            advantage.flatten().float(),
-            (advantage + value).flatten().float(),
-        )
+        seen, actions, log_prob, value, *rest = map(torch.stack, zip(*periods, strict=True))
+        rewards, ended, next_value = rest
+        gamma, gae_lambda = self._config.gamma, self._config.gae_lambda
+        advantage = compute_advantages(rewards, ended, value, next_value, gamma, gae_lambda)
+        returns = (advantage + value).float()
+        each = (seen, actions, log_prob, advantage.float(), returns)
+        return Samples(*(values.flatten(0, 1) for values in each))
 
 
 def train_on_device(
@@ -376,4 +316,4 @@ def train_on_device(
         return DeviceLearner(config, DeviceTrainingEnvs(make_envs(config, config.num_envs)))
 
     make_curve = partial(TotalsCurve, folder, find_task(config.task).terms, config.num_envs)
-    return train_learner(config, folder, on_progress, make_learner, make_curve)
+    return ppo.train_learner(config, folder, on_progress, make_learner, make_curve)

@@ -3,44 +3,24 @@
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch.nn.utils import clip_grad_norm_
 
 from surface_gym.tasks.sort import TERMS
 
-from ..module_policy import (
-    GROUPS,
-    SharedNetwork,
-    ValueNetwork,
-    draw_choices,
-    draw_groups,
-    log_likelihood,
-)  # fmt: skip
-from ..module_view import Integers, ModuleView, Numbers, Singles
+from .. import module_policy
+from ..base import Integers, Singles
+from ..module_policy import GROUPS, ModuleView
 from ..vec_env import ConcatVecEnv
+from . import ppo
 from .config import ModulesConfig, make_card
-from .ppo import MAX_GRAD_NORM, compute_advantages, learning_rate, ppo_loss, train_learner
+from .ppo import Transition, compute_advantages, ppo_loss
 from .runs import Curve, OnProgress, TrainResult
 from .sb3 import make_training_envs
 
 ADAM_EPS = 1e-5  # as in Stable-Baselines3's PPO
-
-Booleans = NDArray[np.bool_]
-
-
-class Transition(NamedTuple):
-    """Result of a control period."""
-
-    observations: Singles  # (num_envs, features) of the next start where an episode ended
-    rewards: Numbers  # (num_envs,)
-    terminated: Booleans  # (num_envs,) ended by success or failure
-    ended: Booleans  # (num_envs,) or by the time limit
-    last: Singles  # (num_envs, features) at the period's end, of an episode that ended too
-    infos: list[dict[str, Any]]  # of SurfaceVecEnv
 
 
 def step_envs(envs: ConcatVecEnv, actions: Integers) -> Transition:
@@ -72,7 +52,6 @@ class ModuleSamples:
         return torch.arange(len(self.count)).repeat_interleave(self.count)
 
     def select(self, samples: Integers) -> "ModuleSamples":
-        """Return samples by index, with their modules."""
         chosen = torch.from_numpy(samples)
         counts = self.count[chosen]
         first = (self.count.cumsum(0) - self.count)[chosen]
@@ -86,7 +65,6 @@ class ModuleSamples:
 
     @staticmethod
     def concatenate(parts: "list[ModuleSamples]") -> "ModuleSamples":
-        """Join samples in a row."""
         tensors = zip(*(part._tensors() for part in parts), strict=True)
         return ModuleSamples(*map(torch.cat, tensors))
 
@@ -103,10 +81,10 @@ class ModuleLearner:
         env_config = make_card(config).env_config()
         self._view = ModuleView(env_config)
         torch.manual_seed(config.seed)
-        self.network = SharedNetwork(
+        self.network = module_policy.SharedNetwork(
             len(env_config.chosen_orientations), config.hidden, env_config.observe
         )
-        self.value = ValueNetwork(config.hidden, env_config.observe)
+        self.value = module_policy.ValueNetwork(config.hidden, env_config.observe)
         self._networks = (self.network, self.value)
         self._optimisers = [
             torch.optim.Adam(network.parameters(), config.learning_rate, eps=ADAM_EPS)
@@ -117,15 +95,13 @@ class ModuleLearner:
         self._seen: Singles = np.empty((0, 0), dtype=np.float32)
 
     def begin(self, seed: int) -> None:
-        """Start all environments, environment i from `seed` + i, and random numbers anew."""
         self._rng = np.random.default_rng(seed)
         self._envs.seed(seed)
         self._seen = np.asarray(self._envs.reset())
 
     def learn(self, curve: Curve) -> None:
-        """Learn from one rollout and add the episodes that ended in it to the curve."""
         for optimiser in self._optimisers:
-            optimiser.param_groups[0]["lr"] = learning_rate(self._config, self.steps)
+            optimiser.param_groups[0]["lr"] = ppo.learning_rate(self._config, self.steps)
         samples, advantage, returns, infos = self._roll_out()
         count = len(returns)
         for _ in range(self._config.n_epochs):
@@ -159,14 +135,14 @@ class ModuleLearner:
         shared, env, place = map(torch.from_numpy, (seen.shared, seen.env, seen.place))
         log_probability = self.network(shared, env, place)
         probability = self._config.split_probability
-        groups = draw_groups(seen.env, seen.place, num_envs, probability, self._rng)
+        groups = module_policy.draw_groups(seen.env, seen.place, num_envs, probability, self._rng)
         group = torch.from_numpy(groups)
         uniform = torch.from_numpy(self._rng.random(GROUPS * num_envs, dtype=np.float32))
-        choice = draw_choices(log_probability, group, uniform)
+        choice = module_policy.draw_choices(log_probability, group, uniform)
         samples = ModuleSamples(
             torch.from_numpy(self._seen),
             shared,
-            log_likelihood(log_probability, choice, group, GROUPS * num_envs),
+            module_policy.log_likelihood(log_probability, choice, group, GROUPS * num_envs),
             torch.bincount(env, minlength=num_envs),
             place,
             group - GROUPS * env,
@@ -203,12 +179,13 @@ class ModuleLearner:
         return samples, torch.from_numpy(advantage.ravel().astype(np.float32)), returns, infos
 
     def _step(self, samples: ModuleSamples, advantage: torch.Tensor, returns: torch.Tensor) -> None:
-        """Take one gradient step of each network."""
         sample = samples.sample
         log_probability = self.network(samples.shared, sample, samples.place)
         group = GROUPS * sample + samples.group
         loss = ppo_loss(
-            log_likelihood(log_probability, samples.choice, group, GROUPS * len(samples.count)),
+            module_policy.log_likelihood(
+                log_probability, samples.choice, group, GROUPS * len(samples.count)
+            ),
             samples.log_prob,
             advantage,
             self.value(samples.observations),
@@ -221,7 +198,7 @@ class ModuleLearner:
             optimiser.zero_grad()
         torch.autograd.backward(loss)
         for network, optimiser in zip(self._networks, self._optimisers, strict=True):
-            clip_grad_norm_(network.parameters(), MAX_GRAD_NORM)
+            torch.nn.utils.clip_grad_norm_(network.parameters(), ppo.MAX_GRAD_NORM)
             optimiser.step()
 
 
@@ -230,4 +207,4 @@ def train_modules(
 ) -> TrainResult:
     """Train one policy shared by all modules; see `train_learner`."""
     curve = partial(Curve, folder, TERMS)
-    return train_learner(config, folder, on_progress, partial(ModuleLearner, config), curve)
+    return ppo.train_learner(config, folder, on_progress, partial(ModuleLearner, config), curve)

@@ -26,7 +26,7 @@ from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Camera, Exact
 from surface_gym.state import OUT_OF_TIME, RUNNING
 
-from ..parcel_policy import ParcelActions, ParcelNetwork, mirrored_rows, parcel_spaces
+from ..policy import ParcelActions, ParcelNetwork, mirrored_rows, parcel_spaces
 from ..rules.reservation import Reservation
 from ..vec_env import BatchVecEnv, ConcatVecEnv, EpisodeRecorder
 from .config import ParcelsConfig
@@ -174,7 +174,6 @@ class SlotVecEnv(BatchVecEnv):
         return self._observe(), rewards.ravel().astype(np.float32), ends.ravel(), infos
 
     def _start(self, streams: NDArray[np.int64]) -> None:
-        """Start episodes on lines."""
         options = [{"stream": self._draw(self._rng)} for _ in streams]
         self._batch.reset(streams, options)
         self._arrival[streams] = NOBODY
@@ -279,12 +278,7 @@ def demonstrate(control_period: float, seed: int) -> tuple[Rows, Choices]:
 
 
 def imitate(policy: ParcelNetwork, seen: Rows, chosen: Choices, epochs: int, seed: int) -> None:
-    """Maximise the likelihood of demonstrated choices.
-
-    Args:
-        seen: (samples, features).
-        chosen: (samples, 3).
-    """
+    """Maximise the likelihood of demonstrated choices."""
     generator = torch.Generator().manual_seed(seed)
     observations, choices = torch.from_numpy(seen), torch.from_numpy(chosen)
     waits = observations[:, WAITS] > 0.5

@@ -6,7 +6,7 @@ Schulman et al., Proximal policy optimization algorithms, 2017.
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 
@@ -33,11 +33,8 @@ def compute_advantages(
     ICLR 2016, Eq. (16).
 
     Args:
-        rewards: of each period.
-        ended: whether the period was the last of an episode.
         value: of the observation before each period.
         next_value: of the observation after it, in the same episode; 0 after success or failure.
-        gae_lambda: weight of the next period's temporal difference.
     """
     delta = rewards + gamma * next_value - value
     advantage = torch.zeros_like(rewards)
@@ -58,15 +55,7 @@ def ppo_loss(
     ent_coef: float,
     value_coef: float,
 ) -> torch.Tensor:
-    """Compute PPO's loss, with the clipped objective of Eq. (7).
-
-    Args:
-        log_prob: (samples,) of the actions, by the policy that learns.
-        old_log_prob: (samples,) of the actions when they were chosen.
-        advantage: (samples,) normalised.
-        value: (samples,) of the observations, by the value function that learns.
-        returns: (samples,) targets of the value.
-    """
+    """Compute PPO's loss of samples (samples,) each, with the clipped objective of Eq. (7)."""
     ratio = (log_prob - old_log_prob).exp()
     clipped = ratio.clamp(1.0 - CLIP_RANGE, 1.0 + CLIP_RANGE)
     objective = torch.min(ratio * advantage, clipped * advantage).mean()
@@ -77,6 +66,17 @@ def ppo_loss(
 def learning_rate(config: TrainConfig, steps: int) -> float:
     """Compute the learning rate after some control periods; it falls linearly to 0."""
     return max(0.0, 1.0 - steps / config.steps) * config.learning_rate
+
+
+class Transition(NamedTuple):
+    """Result of a control period: arrays, or tensors on the environments' device."""
+
+    observations: Any  # (num_envs, features) of the next start where an episode ended
+    rewards: Any  # (num_envs,) float64
+    terminated: Any  # (num_envs,) ended by success or failure
+    ended: Any  # (num_envs,) or by the time limit
+    last: Any  # (num_envs, features) at the period's end, of an episode that ended too
+    infos: list[dict[str, Any]] = []  # of SurfaceVecEnv
 
 
 class Learner(Protocol):
@@ -111,9 +111,6 @@ def train_learner(
     """Train as the configuration says and leave a policy in `folder`.
 
     A run with a checkpoint is resumed. An interrupt saves the policy as it is.
-
-    Args:
-        make_curve: makes its curve, from the control periods done and the latest episodes.
     """
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     started = time.perf_counter()
@@ -121,8 +118,7 @@ def train_learner(
 
     def restore(state: dict[str, Any]) -> list[dict[str, float]]:
         learner.restore(state)
-        recent: list[dict[str, float]] = state["recent"]
-        return recent
+        return state["recent"]
 
     def save() -> None:
         runs.write_state({**learner.state(), "recent": list(curve.recent)}, folder)

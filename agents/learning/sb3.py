@@ -16,8 +16,6 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
-from torch.nn.functional import smooth_l1_loss
-from torch.nn.utils import clip_grad_norm_
 
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.config import PRESETS, Preset
@@ -30,8 +28,7 @@ from surface_gym.tasks import Task, Track
 
 from ..base import action_mirror, time_for, with_zone
 from ..library import find_task
-from ..parcel_policy import ParcelNetwork
-from ..policy import EqualChoicesPolicy, save_policy
+from ..policy import EqualChoicesPolicy, ParcelNetwork, save_policy
 from ..vec_env import ConcatVecEnv, MirrorVecEnv, SurfaceVecEnv
 from . import runs
 from .config import DQNConfig, ParcelsConfig, PPOConfig, TrainConfig, make_card
@@ -110,6 +107,13 @@ def _make_envs(
     )
 
 
+# Fields of a configuration that are arguments of Stable-Baselines3's algorithms.
+_OF_BOTH = ("gamma", "batch_size", "n_steps", "seed")
+_OF_PPO = ("n_epochs", "gae_lambda", "ent_coef")
+_OF_DQN = (
+    "buffer_size", "learning_starts", "gradient_steps", "tau", "exploration_fraction",
+    "exploration_final_eps", "max_grad_norm",
+)  # fmt: skip
 _COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")
 _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -131,11 +135,11 @@ class DoubleDQN(DQN):
                 next_value = self.q_net_target(batch.next_observations).gather(1, chosen)
                 target = batch.rewards + (1.0 - batch.dones) * discount * next_value
             value = self.q_net(batch.observations).gather(1, batch.actions.long())
-            loss = smooth_l1_loss(value, target)
+            loss = torch.nn.functional.smooth_l1_loss(value, target)
             losses.append(loss.detach())
             self.policy.optimizer.zero_grad()
             torch.autograd.backward(loss)
-            clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
+            torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
             self.policy.optimizer.step()
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
@@ -143,7 +147,6 @@ class DoubleDQN(DQN):
 
     @property
     def memory(self) -> ReplayBuffer:
-        """The replay buffer, which is always there."""
         assert self.replay_buffer is not None
         return self.replay_buffer
 
@@ -165,40 +168,20 @@ def _initial_share(initial: float, left: float) -> float:
 
 def make_model(config: PPOConfig | DQNConfig, env: VecEnv) -> PPO | DoubleDQN:
     """Build PPO or DQN, with weights drawn from the seed."""
-    common: dict[str, Any] = {
+    names = _OF_PPO if isinstance(config, PPOConfig) else _OF_DQN
+    given: dict[str, Any] = {
+        **{name: getattr(config, name) for name in (*_OF_BOTH, *names)},
         "learning_rate": partial(_initial_share, config.learning_rate),
-        "gamma": config.gamma,
-        "batch_size": config.batch_size,
-        "n_steps": config.n_steps,
         "policy_kwargs": {"net_arch": list(config.hidden)},
-        "seed": config.seed,
         "device": "cpu",
     }
+    if isinstance(config, ParcelsConfig):
+        return PPO(ParcelNetwork, env, clip_range=config.clip_range, **given)
     if isinstance(config, PPOConfig):
-        of_parcels = isinstance(config, ParcelsConfig)
-        return PPO(
-            ParcelNetwork if of_parcels else EqualChoicesPolicy,
-            env,
-            clip_range=config.clip_range if isinstance(config, ParcelsConfig) else CLIP_RANGE,
-            n_epochs=config.n_epochs,
-            gae_lambda=config.gae_lambda,
-            ent_coef=config.ent_coef,
-            **common,
-        )
-    return DoubleDQN(
-        "MlpPolicy",
-        env,
-        buffer_size=config.buffer_size,
-        learning_starts=config.learning_starts,
-        gradient_steps=config.gradient_steps,
-        train_freq=1,
-        tau=config.tau,
-        target_update_interval=config.num_envs,  # at every control period of all environments
-        exploration_fraction=config.exploration_fraction,
-        exploration_final_eps=config.exploration_final_eps,
-        max_grad_norm=config.max_grad_norm,
-        **common,
-    )
+        return PPO(EqualChoicesPolicy, env, clip_range=CLIP_RANGE, **given)
+    # The target follows at every control period of all environments.
+    every = config.num_envs
+    return DoubleDQN("MlpPolicy", env, train_freq=1, target_update_interval=every, **given)
 
 
 def save_checkpoint(model: PPO | DoubleDQN, recent: list[dict[str, float]], folder: Path) -> None:
@@ -233,8 +216,7 @@ def load_checkpoint(model: PPO | DoubleDQN, folder: Path) -> list[dict[str, floa
             for name in _REPLAYED:
                 values = memory["arrays"][name].numpy()
                 getattr(buffer, name)[: len(values)] = values
-        recent: list[dict[str, float]] = state["recent"]
-        return recent
+        return state["recent"]
 
     return runs.read_state(folder, restore)
 

@@ -24,12 +24,9 @@ from surface_gym.tasks.planning import Nodes, Observed, square_reach
 from surface_gym.tasks.start import Start
 from surface_gym.tasks.track import Track
 
-from ..base import Axes
+from ..base import Axes, Integers, Numbers
 from .models import NominalModel, SearchNodes
 from .planner import ALIKE
-
-Integers = NDArray[np.int64]
-Numbers = NDArray[np.float64]
 
 LAYOUTS = 128  # tried at a time
 GENERATIONS = 20
@@ -51,12 +48,10 @@ class LayoutModel(NominalModel):
         """(copies, rows, columns) index of each axis among the orientations, to read and write;
         actions set those of the zone.
         """
-        axis: NDArray[np.int32] = self._batch.surfaces.axis
-        return axis
+        return self._batch.surfaces.axis
 
     @property
     def commands(self) -> Integers:
-        """(copies, command size) of the zone's modules, to read and write."""
         return self._batch.surfaces.command
 
     def fork(self, parents: Integers) -> None:
@@ -97,20 +92,16 @@ class LayoutCost:
 def graded_cost(nodes: Nodes, missed: int) -> Numbers:
     """Compute the size of the task's first metric; a failure's grows with what it lacks, to lead to
     a success.
-
-    Args:
-        missed: outcome of an end at another ratio, place or angle.
     """
     parcels = nodes.parcels
     error = np.abs(parcels.metrics[:, 0])
     _, _, first, columns = nodes.zone
     to_go = np.maximum(0.0, nodes.line.column_edge(first + columns) - parcels.truth[:, X])
-    cost: Numbers = np.select(
+    return np.select(
         [parcels.outcome == SUCCESS, parcels.outcome == missed],
         [error, MISSED + error],
         FAILED + error + LEFT * to_go,
     )
-    return cost
 
 
 def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Integers) -> Integers:
@@ -119,9 +110,6 @@ def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Int
     Args:
         known: (layouts, rows, columns) to begin with, choices of the widest zone; the best found is
             as good as the best of these at least.
-
-    Returns:
-        Its choices (rows, columns).
     """
     change = _Change(model, search, axes)
     layouts = np.concatenate([known, change(change.pick(known, model.size))])[: model.size]
@@ -135,8 +123,7 @@ def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Int
         tried = change(change.pick(layouts, model.size))
         layouts = np.concatenate([layouts, tried])
         cost = np.concatenate([cost, search.cost(model.run(tried))])
-    best: Integers = layouts[cost.argmin()]
-    return best
+    return layouts[cost.argmin()]
 
 
 class _Change:
@@ -152,9 +139,7 @@ class _Change:
         self._rows = np.arange(rows)[(rows - line_rows) // 2 :][:line_rows]
 
     def pick(self, layouts: Integers, count: int) -> Integers:
-        """Draw some layouts."""
-        picked: Integers = layouts[self._random.integers(len(layouts), size=count)]
-        return picked
+        return layouts[self._random.integers(len(layouts), size=count)]
 
     def __call__(self, layouts: Integers) -> Integers:
         """Change each of some layouts (count, rows, columns) in a place or more."""
@@ -216,7 +201,6 @@ class ShownPath(Track):
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
-        """Show what Track does, and the path."""
         _observe_track(state)
         see = state.observation
         see[OWN] = state.sensed[X]
@@ -249,12 +233,6 @@ def search_path_layout(model: LayoutModel, axes: Axes, start: Start, limit: floa
 
     It is one with two axes a column: one left of the path, one right of it. Where none is found
     that leads to the path's end, it is one with one axis a column, of which more can be tried.
-
-    Args:
-        limit: [s] an episode may take.
-
-    Returns:
-        Its choices (rows, columns) of the whole field.
     """
     four = (axes.roll, axes.right, axes.brake, axes.left)
     found = []
@@ -296,7 +274,6 @@ class _Beam:
         self._best = _Found(math.inf, model.axis[0].astype(np.int64))
 
     def search(self) -> _Found:
-        """Search for the best layout."""
         columns = self._line.columns - 1
         front = self._front(1)[0]
         # Columns that the parcel stands on are laid alike.
@@ -330,8 +307,7 @@ class _Beam:
         reach = square_reach(self._half_length, motion[:, THETA])
         speed = np.hypot(motion[:, VX], motion[:, VY])
         speed += math.sqrt(2.0) * self._half_length * np.abs(motion[:, OMEGA])
-        front: Numbers = motion[:, X] + reach + LATER * self._model.config.control_period * speed
-        return front
+        return motion[:, X] + reach + LATER * self._model.config.control_period * speed
 
     def _approach(self, count: int, centre: float) -> None:
         """Move the copies until each is about to touch a column, or has ended."""
@@ -372,5 +348,4 @@ class _Beam:
         """List (copies, 2 x columns) the outermost axes of the columns under the parcel."""
         reach = math.ceil(2.0 * math.sqrt(2.0) * self._half_length / self._line.pitch_x)
         columns = self._model.axis[order][:, [0, -1], max(0, laid - reach) : laid]
-        under: Integers = columns.reshape(len(order), 2 * columns.shape[2]).astype(np.int64)
-        return under
+        return columns.reshape(len(order), 2 * columns.shape[2]).astype(np.int64)

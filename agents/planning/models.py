@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from gymnasium.utils.seeding import np_random
-from numpy.typing import NDArray
 
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch, Snapshot
@@ -19,10 +18,7 @@ from surface_gym.tasks.base import BRAKING, ROLLING_LOSS
 from surface_gym.tasks.planning import square_reach
 from surface_gym.tasks.start import Start
 
-from ..base import axes_apart
-
-Booleans = NDArray[np.bool_]
-Numbers = NDArray[np.float64]
+from ..base import Booleans, Integers, Numbers, axes_apart
 
 PIECE = 0.005  # [m] along the line, of a braking profile
 ON_EDGE = 1e-9  # [m] round-off, by which a point on an edge may lie beyond it
@@ -107,9 +103,6 @@ class TurningAxes:
         """Compute the changes (nodes, 3) [m/s, m/s, rad/s] of velocity, along the line, across it
         and of turning, until all axes have turned on to 90 deg; of parcels that run straight along
         the line meanwhile.
-
-        Args:
-            braking: [m/s^2] of axes at 0 deg.
         """
         most = self.share * (braking / self.speed)
         side = np.sign(np.sin(2.0 * self.angle))
@@ -119,13 +112,7 @@ class TurningAxes:
         return np.stack([along.sum(axis=1), across.sum(axis=1), turn], axis=-1)
 
     def braking_distance(self, x: Numbers, speed: Numbers, profile: BrakingProfile) -> Numbers:
-        """Compute the way (nodes,) [m] that parcels go on for if all axes turn to 0 deg now.
-
-        Args:
-            x: (nodes,) [m] of their centres.
-            speed: (nodes,) [m/s] along the line.
-            profile: of axes at 0 deg.
-        """
+        """Compute the way (nodes,) [m] that parcels go on for if all axes turn to 0 deg now."""
         apart = np.abs(self.angle - math.pi * np.round(self.angle / math.pi))
         shared = self.share / np.maximum(1e-9, self.share.sum(axis=1, keepdims=True))
         step = self.quarter_turn / PARTS
@@ -185,8 +172,7 @@ class SearchNodes:
         """(nodes,) [m] along x that parcels go on for if all axes turn to 0 deg from now on."""
         x, vx = self.parcels.truth[:, 0], self.parcels.truth[:, 3]
         if self.profile is None:
-            way: Numbers = vx**2 / (2.0 * self.braking)
-            return way
+            return vx**2 / (2.0 * self.braking)
         if self.turning is None:
             return self.profile.braking_distance(x, vx)
         return self.turning.braking_distance(x, vx, self.profile)
@@ -203,8 +189,6 @@ class SearchNodes:
         return np.where(farthest > 0.0, farthest, self.half_length)
 
 
-Integers = NDArray[np.int64]
-
 FIRST = np.zeros(1, dtype=np.int64)
 
 
@@ -215,27 +199,10 @@ class SearchModel:
         self.config = config
         self._kind = config.action_kind
         self._batch = Batch(config, num_envs)
+        self.size, self.parcels = num_envs, self._batch.parcels
+        self.choices = 0 if self._kind.continuous else self._kind.choices**2  # of "halves"
+        self.outcomes = self._batch.outcomes  # names, by the numbers of `parcels.outcome`
         self._begun: Snapshot  # where a search begins
-
-    @property
-    def size(self) -> int:
-        """Copies there are."""
-        return len(self._batch.outcome)
-
-    @property
-    def parcels(self) -> ParcelState:
-        """Their state arrays."""
-        return self._batch.parcels
-
-    @property
-    def choices(self) -> int:
-        """Actions there are, for a model with "halves"."""
-        return self._kind.choices**2
-
-    @property
-    def outcomes(self) -> tuple[str, ...]:
-        """Names of outcomes, by the numbers of `parcels.outcome`."""
-        return self._batch.outcomes
 
     def uniform_action(self, angle: float) -> int:
         """Encode the action that turns all axes to the orientation on offer nearest to an angle."""
@@ -244,7 +211,6 @@ class SearchModel:
         return int(self._kind.encode(both)[0])
 
     def begin_at(self, start: Start) -> None:
-        """Put every copy at a start."""
         self._batch.place(FIRST, start)
         self._batch.begin(FIRST)
         self.spread()
@@ -255,12 +221,7 @@ class SearchModel:
         self._batch.restore(self._begun)
 
     def advance(self, parents: Integers, actions: Integers) -> SearchNodes:
-        """Branch, and move over a control period.
-
-        Args:
-            parents: (count,) copies to go on from, at most as many as there are.
-            actions: (count,) of each.
-        """
+        """Branch, and move over a control period."""
         count = len(parents)
         self._batch.fork(parents)
         commands = self._batch.surfaces.command.copy()
@@ -327,7 +288,6 @@ class TrueModel(SearchModel):
         return nodes
 
     def nodes(self, count: int) -> SearchNodes:
-        """View the first copies as nodes."""
         nodes = super().nodes(count)
         return replace(
             nodes,
@@ -337,7 +297,6 @@ class TrueModel(SearchModel):
         )
 
     def _turning(self, parcels: ParcelState) -> TurningAxes:
-        """Collect the axes beside some parcels."""
         index, bodies, line = parcels.body[0], self._batch.bodies, self.config.chosen_line
         body = bodies.body[index]
         x, y, theta = parcels.truth[:, :3].T[..., np.newaxis]

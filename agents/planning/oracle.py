@@ -8,7 +8,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
@@ -17,11 +16,10 @@ from surface_gym.state import OUT_OF_TIME, RUNNING
 from surface_gym.tasks import stop
 from surface_gym.tasks.planning import PlanCost
 
+from ..base import Numbers
 from ..rollout import Episodes, stack_poses
 from .models import TrueModel
 from .planner import make_plan, nodes_needed
-
-Numbers = NDArray[np.float64]
 
 BUDGET = 256  # nodes followed at a time at most
 LEAST = 8  # nodes followed at first: most starts need no more
@@ -45,7 +43,6 @@ class Reached:
 
     @property
     def success(self) -> bool:
-        """Whether the goal was reached."""
         return self.outcome == "success"
 
 
@@ -57,11 +54,7 @@ class Oracle:
     made again with more nodes, as long as the budget allows.
 
     Args:
-        config: of the environment, with "halves" for actions, of orientations to choose from.
         budget: nodes followed at a time at most, each with every action.
-
-    Raises:
-        ValueError: other actions, any angle, or a budget below 1.
     """
 
     def __init__(self, config: EnvConfig, budget: int = BUDGET) -> None:
@@ -81,7 +74,6 @@ class Oracle:
         self._models: dict[int, TrueModel] = {}
 
     def find(self, options: dict[str, Any], seed: int) -> Reached:
-        """Find the best episode for a start, that of `reset` with these arguments."""
         began = time.perf_counter()
         for cost, width in product(self._costs, self._widths):
             found = self._play(cost, width, options, seed)
@@ -137,17 +129,7 @@ def find_reachable(
     budget: int = BUDGET,
     workers: Workers = 1,
 ) -> list[Reached]:
-    """Find what can be reached from starts, with halves for actions, by an oracle.
-
-    Args:
-        starts: options of each start; what they leave open is drawn.
-        seed: start i draws from `seed` + i, as in `agents.rollout.run_episodes`.
-        budget: nodes followed at a time at most.
-        workers: processes to share the starts among, or a cluster; results do not depend on it.
-
-    Raises:
-        ValueError: config, a start or a number that is not allowed.
-    """
+    """Find what can be reached from starts, with halves for actions, by an oracle."""
     Oracle(config, budget)
     check_workers(workers)
     firsts = range(0, len(starts), AT_ONCE)
@@ -194,15 +176,8 @@ def stops_past(config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int) -
     Nothing takes more speed from a parcel that runs straight. Where this is more than the task
     allows, only a parcel that could turn onto more rotors might be stopped.
 
-    Args:
-        starts: options of each start; what they leave open is drawn.
-        seed: start i draws from `seed` + i.
-
     Returns:
         (starts,) [m], negative short of it.
-
-    Raises:
-        ValueError: another task, or other actions.
     """
     checks.one_of("task", config.task_name, ("stop",))
     checks.one_of("actions", config.actions, ("halves",))

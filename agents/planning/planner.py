@@ -4,18 +4,14 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.state import RUNNING
 from surface_gym.tasks.planning import PlanCost
 
+from ..base import BatchController, Booleans, Integers, Singles, is_fresh
 from .models import FIRST, NominalModel, SearchModel, SearchNodes
-
-Booleans = NDArray[np.bool_]
-Integers = NDArray[np.int64]
-Observations = NDArray[np.float32]
 
 BUDGET = 64
 AGREES = 0.05  # largest difference, in the observation's units, between what was planned and is
@@ -28,10 +24,10 @@ class Plan:
     """Actions, and what will be seen before each if the model is right."""
 
     actions: Integers  # (periods,)
-    seen: Observations  # (periods, features)
+    seen: Singles  # (periods, features)
 
 
-class Planner:
+class Planner(BatchController):
     """A controller that searches for the best actions of a front and a rear half, and follows them.
 
     It sees what the sensors say, as agents do, and takes it for true: it puts the parcel it sees
@@ -47,9 +43,6 @@ class Planner:
             the one, of those its task draws, that is nearest in size.
         budget: nodes followed at a time, each with every action; the time of a search is in
             proportion.
-
-    Raises:
-        ValueError: other actions, or a budget below 1.
     """
 
     def __init__(self, config: EnvConfig, budget: int = BUDGET) -> None:
@@ -61,34 +54,16 @@ class Planner:
         size = nodes_needed(cost, self._width, config.action_kind.choices**2)
         self._model = NominalModel(replace(config, zone=zone), size)
 
-    def predict(
-        self,
-        observation: Observations,
-        state: list[tuple[Plan, int]] | None = None,
-        episode_start: Booleans | None = None,
-        deterministic: bool = True,
+    def _predict(
+        self, batch: Singles, state: Any, episode_start: Any, **_: bool
     ) -> tuple[Any, list[tuple[Plan, int]]]:
-        """Choose the action for an observation (features,), or actions for (num_envs, features).
+        """Choose; the state holds each environment's plan and how many actions of it were given."""
+        fresh = is_fresh(len(batch), state, episode_start)
+        followed = zip(batch, fresh, state or [None] * len(batch), strict=True)
+        following = [self._follow(seen, None if new else last) for seen, new, last in followed]
+        return np.array([plan.actions[given - 1] for plan, given in following]), following
 
-        See `agents.base.Controller`. The state holds each environment's plan, and how many of
-        its actions were given.
-        """
-        del deterministic
-        observations = np.atleast_2d(observation)
-        last: list[tuple[Plan, int] | None] = [None] * len(observations)
-        if state is not None:
-            begun = np.zeros(len(state), dtype=np.bool_) if episode_start is None else episode_start
-            last = [
-                None if new else following
-                for new, following in zip(np.atleast_1d(begun), state, strict=True)
-            ]
-        following = [
-            self._follow(seen, before) for seen, before in zip(observations, last, strict=True)
-        ]
-        actions = np.array([plan.actions[given - 1] for plan, given in following])
-        return (actions[0] if np.ndim(observation) == 1 else actions), following
-
-    def _follow(self, seen: Observations, last: tuple[Plan, int] | None) -> tuple[Plan, int]:
+    def _follow(self, seen: Singles, last: tuple[Plan, int] | None) -> tuple[Plan, int]:
         """Choose the plan to go by, and count its next action as given."""
         if last is not None:
             plan, given = last
@@ -105,7 +80,7 @@ class _Period(NamedTuple):
 
     parents: Integers  # (nodes,)
     actions: Integers  # (nodes,)
-    seen: Observations  # (nodes, features) at its end
+    seen: Singles  # (nodes, features) at its end
 
 
 class _End(NamedTuple):
@@ -129,12 +104,7 @@ def nodes_needed(cost: PlanCost, width: int, choices: int) -> int:
 
 
 def make_plan(model: SearchModel, cost: PlanCost, width: int) -> Plan:
-    """Search for the best plan from where the model stands.
-
-    Args:
-        model: begun, of `nodes_needed` copies.
-        width: nodes that go on from a period.
-    """
+    """Search for the best plan from where the model stands."""
     first_seen = model.parcels.observation[0].copy()
     angles = cost.event(model.parcels)
     event = [] if angles is None else [model.uniform_action(angle) for angle in angles]
@@ -185,8 +155,7 @@ def keep_best(cost: PlanCost, moved: SearchNodes, runs: Booleans, width: int) ->
     return order[np.sort(best_of_kind)[:width]]
 
 
-def _trace(periods: list[_Period], end: _End, first_seen: Observations) -> Plan:
-    """Trace the plan that comes to an end."""
+def _trace(periods: list[_Period], end: _End, first_seen: Singles) -> Plan:
     node, actions, seen = end.node, [], []
     for period in reversed(periods[: end.period + 1]):
         actions.append(int(period.actions[node]))

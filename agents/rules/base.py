@@ -1,7 +1,7 @@
 """Base classes of rules, which decide for many environments at once, by the sensors alone."""
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -13,14 +13,14 @@ from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.tasks import Task
 
-from ..base import Controller, find_axes, find_orientation
+from .. import base as shared
+from ..base import BatchController, Booleans, Controller, find_axes, is_fresh
 
-Booleans = NDArray[np.bool_]
 Commands = NDArray[np.int64]
 Levels = NDArray[np.int64]
-Memory = NDArray[Any]
-Numbers = NDArray[np.float64]
+Memory = NDArray[Any] | None  # what a rule remembers, by environment; None: nothing
 Observations = NDArray[np.float32]
+Decision = tuple[Commands, Memory]
 
 ROLL, HALF, FULL = range(3)  # level of a column: 90 deg; 45 and -45 deg in turn; 0 deg
 LEANS = np.array([0.0, math.pi / 4.0, math.pi / 2.0])  # [rad] of axes off 90 deg, by level
@@ -41,25 +41,8 @@ class Rule:
     observed_task: Callable[[Task], Task] | None = None
 
 
-def is_fresh(num_envs: int, state: Any, episode_start: Booleans | None) -> Booleans:
-    """Tell (num_envs,) whose episode has just begun, by the arguments of `Controller.predict`."""
-    if state is None:
-        return np.ones(num_envs, dtype=np.bool_)
-    if episode_start is None:
-        return np.zeros(num_envs, dtype=np.bool_)
-    return np.atleast_1d(np.asarray(episode_start, dtype=np.bool_))
-
-
-class BaseRule(ABC):
-    """A rule of one parcel per environment.
-
-    Args:
-        tasks: names of the tasks it is made for.
-        actions: kinds of action it is made for; none: any.
-
-    Raises:
-        ValueError: another task or kind of action, or an offer of any angle.
-    """
+class BaseRule(BatchController):
+    """A rule of one parcel per environment."""
 
     def __init__(
         self, config: EnvConfig, tasks: tuple[str, ...], actions: tuple[str, ...] = ()
@@ -73,34 +56,20 @@ class BaseRule(ABC):
         self._kind = config.action_kind
 
     @abstractmethod
-    def _decide(
-        self, observations: Observations, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
+    def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
         """Choose commands (num_envs, size), and what to remember (num_envs, ...).
 
         Args:
-            observations: (num_envs, features).
             memory: (num_envs, ...) what was remembered; None where nothing was.
             fresh: (num_envs,) an episode has just begun: the memory is of another.
         """
 
-    def predict(
-        self,
-        observation: Observations,
-        state: Memory | None = None,
-        episode_start: Booleans | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, Memory | None]:
-        """Choose the action for an observation (features,), or actions for (num_envs, features).
-
-        See `agents.base.Controller`; a rule draws nothing, whatever `deterministic`.
-        """
-        del deterministic
-        observations = np.atleast_2d(observation)
-        fresh = is_fresh(len(observations), state, episode_start)
-        commands, memory = self._decide(observations, state, fresh)
-        actions = self._kind.encode(commands)
-        return (actions[0] if np.ndim(observation) == 1 else actions), memory
+    def _predict(
+        self, batch: Observations, state: Any, episode_start: Any, **_: bool
+    ) -> tuple[Any, Memory]:
+        fresh = is_fresh(len(batch), state, episode_start)
+        commands, memory = self._decide(batch, state, fresh)
+        return self._kind.encode(commands), memory
 
 
 class UniformRule(BaseRule):
@@ -110,25 +79,17 @@ class UniformRule(BaseRule):
     def _choose(self, observations: Observations) -> Commands:
         """Choose (num_envs,) for every module."""
 
-    def _decide(
-        self, observations: Observations, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
-        del memory, fresh
+    def _decide(self, observations: Observations, *_: Any) -> Decision:
         choice = self._choose(observations)
         return np.repeat(choice[:, np.newaxis], self._kind.size, axis=1), None
 
 
 class UniformLayout(UniformRule):
-    """Any task with every axis at one angle, whatever the parcel does.
-
-    Args:
-        angle: [rad] of every axis, one of those on offer.
-        tasks: names of the tasks it is for; none: any.
-    """
+    """Any task with every axis at one angle, whatever the parcel does."""
 
     def __init__(self, config: EnvConfig, angle: float, tasks: tuple[str, ...] = ()) -> None:
         super().__init__(config, tasks or (config.task_name,))
-        self._choice = find_orientation(config, angle)
+        self._choice = shared.find_orientation(config, angle)
 
     def _choose(self, observations: Observations) -> Commands:
         return np.full(len(observations), self._choice)
@@ -141,9 +102,7 @@ class FixedRule(BaseRule):
     def _layout(self, observations: Observations) -> Commands:
         """Choose commands (num_envs, size) for episodes that have just begun."""
 
-    def _decide(
-        self, observations: Observations, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
+    def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
         layout = np.empty((len(observations), self._kind.size), dtype=np.int64)
         if memory is not None:
             layout[~fresh] = memory[~fresh]
@@ -153,11 +112,7 @@ class FixedRule(BaseRule):
 
 
 class ColumnAxes:
-    """Turns the levels at which a zone's columns brake into commands of "modules".
-
-    Raises:
-        ValueError: an orientation that a level needs is not on offer.
-    """
+    """Turns the levels at which a zone's columns brake into commands of "modules"."""
 
     def __init__(self, config: EnvConfig) -> None:
         axes = find_axes(config)
@@ -170,5 +125,4 @@ class ColumnAxes:
 
     def __call__(self, levels: Levels) -> Commands:
         """Compute commands (num_envs, rows x columns) for the levels (num_envs, columns)."""
-        commands: Commands = self._choice[levels].swapaxes(1, 2).reshape(len(levels), -1)
-        return commands
+        return self._choice[levels].swapaxes(1, 2).reshape(len(levels), -1)

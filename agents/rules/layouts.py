@@ -20,9 +20,9 @@ from surface_gym.tasks.base import BRAKING
 from surface_gym.tasks.planning import LineObservation, Nodes, square_reach
 from surface_gym.tasks.start import Start
 
-from ..base import find_axes
+from ..base import Numbers, find_axes
 from ..planning import layouts as search
-from .base import FULL, HALF, ColumnAxes, Commands, FixedRule, Levels, Numbers, Observations
+from .base import FULL, HALF, ColumnAxes, Commands, FixedRule, Levels, Observations
 
 SAME_SIZE = 0.005  # [m] half lengths are rounded to it; those of the study's boxes are multiples
 SAME_SPEED = 0.02  # [m/s] entry speeds are rounded down to it, so that none stalls for it
@@ -36,8 +36,7 @@ Row = tuple[float, ...]
 
 def round_sizes(half_length: Numbers) -> Numbers:
     """Round half lengths (num_envs,) [m], so that a run serves all parcels of about a size."""
-    sizes: Numbers = SAME_SIZE * np.round(half_length / SAME_SIZE)
-    return sizes
+    return SAME_SIZE * np.round(half_length / SAME_SIZE)
 
 
 def _run(
@@ -48,11 +47,7 @@ def _run(
     zone: tuple[int, int] | None,
     dt: float,
 ) -> sg.Trajectory:
-    """Run a square box along a line, long enough to cross it by rolling.
-
-    Args:
-        zone_axis: (rows, columns) [rad] axes of the widest zone; all others roll along x.
-    """
+    """Run a square box along a line, long enough to cross it by rolling."""
     base = sg.Rectangle(2.0 * half_length, 2.0 * half_length)
     rotor, (first_row, rows, first, columns) = line.site(base, zone)
     margin = (len(zone_axis) - rows) // 2
@@ -83,8 +78,7 @@ def loss_of_layout(
     """
     run = _run(np.array(axes), half_length, FAST, line, zone, FAST_STEP)
     way = np.arange(0.0, line.length - half_length, FINE)
-    loss: Numbers = np.interp(way, run.pose[:, 0] - half_length, FAST**2 - run.velocity[:, 0] ** 2)
-    return loss
+    return np.interp(way, run.pose[:, 0] - half_length, FAST**2 - run.velocity[:, 0] ** 2)
 
 
 class FixedBraking(FixedRule):
@@ -102,12 +96,7 @@ class FixedBraking(FixedRule):
 
     @abstractmethod
     def _regret(self, seen: LineObservation, losses: Numbers) -> Numbers:
-        """Compute (num_envs, layouts) how far from the goal each leads parcels of one size.
-
-        Args:
-            seen: the parcels at their starts, their rears at x = 0.
-            losses: (layouts, places) by `loss_of_layout`.
-        """
+        """Compute (num_envs, layouts) how far from the goal each leads parcels of one size."""
 
     def _layout(self, observations: Observations) -> Commands:
         seen = self._config.decode(observations)
@@ -246,12 +235,10 @@ class _LineSearch:
         self._model = search.LayoutModel(config, max(search.LAYOUTS, len(known)))
 
     def __call__(self, observations: Observations) -> Commands:
-        """Choose commands (num_envs, modules) for episodes that have just begun."""
         layouts = [self._one(self._config.decode_start(seen)) for seen in observations]
         return np.stack(layouts).reshape(len(observations), -1)
 
     def _one(self, start: Start) -> Commands:
-        """Choose (rows, columns)."""
         self._model.begin_at(start)
         return search.search_layout(self._model, self._cost, self._axes, self._known)
 
@@ -266,9 +253,7 @@ class _Searched(FixedRule):
 
 
 class BestSlowing(_Searched, FixedSlowing):
-    """Each module of the zone at 0, 45, -45 or 90 deg, so that the parcel should leave at the asked
-    ratio; at least as near to it as with any layout of `FixedSlowing`.
-    """
+    """Layouts from those of `FixedSlowing` on, searched module by module for the asked ratio."""
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
@@ -276,9 +261,7 @@ class BestSlowing(_Searched, FixedSlowing):
 
 
 class BestStopping(_Searched, FixedStopping):
-    """Each module of the zone at 0, 45, -45 or 90 deg, so that the parcel should rest at the asked
-    x; at least as near to it as with any layout of `FixedStopping`.
-    """
+    """Layouts from those of `FixedStopping` on, searched module by module for the asked x."""
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
@@ -287,9 +270,7 @@ class BestStopping(_Searched, FixedStopping):
 
 
 class BestTurning(_Searched, FixedTurning):
-    """Each module of the zone at 0, 45, -45 or 90 deg, so that the parcel should leave at the asked
-    angle; at least as near to it as with any layout of `FixedTurning`.
-    """
+    """Layouts from those of `FixedTurning` on, searched module by module for the asked angle."""
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
@@ -323,9 +304,6 @@ def _stop_cost(nodes: Nodes) -> Numbers:
 class BestTracking(FixedRule):
     """Two axes a column of the field, one left and one right of the path, so that the parcel should
     follow it at the asked speed.
-
-    Raises:
-        ValueError: the task does not show its path, besides what `FixedRule` raises.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -356,11 +334,7 @@ class BestTracking(FixedRule):
 
 
 def _mirror(start: Start, across: float) -> Start:
-    """Mirror a start in the line's middle, all but its goal.
-
-    Args:
-        across: [m] twice the y of the line's middle.
-    """
+    """Mirror a start in the line's middle, all but its goal."""
     x, y, theta = start.pose
     vx, vy, omega = start.velocity
     return start._replace(

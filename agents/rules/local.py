@@ -13,9 +13,9 @@ from surface_gym.tasks.base import BRAKING
 from surface_gym.tasks.planning import LineObservation
 from surface_gym.tasks.track import PathObservation
 
-from ..base import find_axes
-from .base import BaseRule, Booleans, Commands, Memory, Numbers, Observations
-from .brake_model import ModulePositions, Motion, line_positions, window_positions
+from ..base import Booleans, Numbers, find_axes
+from .base import BaseRule, Commands, Decision, Memory, Observations
+from .steering import ModulePositions, Motion, line_positions, window_positions
 
 # Found by trying, on other starts than any reported.
 ASIDE = 5.0  # [m/s] to the side where Sort wants the parcel off: more than there ever is
@@ -137,14 +137,10 @@ class LocalRule(BaseRule):
         self._axes = find_axes(config)
 
     @abstractmethod
-    def _turn(
-        self, above: Above, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
+    def _turn(self, above: Above, memory: Memory, fresh: Booleans) -> Decision:
         """Choose for each module (num_envs, modules), and what to remember (num_envs, ...)."""
 
-    def _decide(
-        self, observations: Observations, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
+    def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
         seen, task = self._config.decode(observations), self._task
         modules = task.positions(seen, self._kind)
         velocity = task.motion(seen).above(modules)
@@ -157,10 +153,7 @@ class ThresholdRule(LocalRule):
     it is too fast, else 90 deg.
     """
 
-    def _turn(
-        self, above: Above, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
-        del memory, fresh
+    def _turn(self, above: Above, *_: Any) -> Decision:
         along, across = above.error[..., 0], above.error[..., 1]
         least, axes = self._task.thresholds, self._axes
         return np.select(
@@ -184,9 +177,7 @@ class PidRule(LocalRule):
         self._direction = np.stack([np.cos(angles), np.sin(angles)], axis=-1)  # (choices, 2)
         self._period = config.control_period
 
-    def _turn(
-        self, above: Above, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
+    def _turn(self, above: Above, memory: Memory, fresh: Booleans) -> Decision:
         error = above.error
         if memory is None:
             memory = np.zeros((len(error), 2, *error.shape[1:]))

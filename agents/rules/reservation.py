@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import HOUR, Arrival, Trace
@@ -26,8 +25,7 @@ from surface_gym.sensors import Exact
 from surface_gym.state import RUNNING
 from surface_gym.tasks.sort import HORIZON
 
-from ..base import Controller
-from .base import Booleans, Numbers
+from ..base import Booleans, Controller, Numbers
 from .streams import TIME, Halves, ParcelRule, Rows, StreamEventRule
 
 MARGIN = 0.02  # [m] kept clear between two parcels
@@ -82,9 +80,6 @@ def clearance(one: Numbers, other: Numbers) -> Numbers:
 def least_gap(first: ParcelTrajectory, second: ParcelTrajectory, margin: float = 0.0) -> float:
     """Find the least gap [s] between two entries from which on the second never comes closer to the
     first than a margin [m] while both are on the line.
-
-    Raises:
-        ValueError: there is none of at most 20 s.
     """
     low, high = 0.0, LONGEST
     if not _is_clear(first, second, high, margin):
@@ -147,12 +142,11 @@ def run_alone(
     config: EnvConfig,
     asked: Sequence[Asked],
     seeds: Sequence[int],
-    opens: NDArray[np.int64] | None = None,
+    opens: Halves | None = None,
 ) -> LoneRuns:
     """Run parcels, each alone on a line with a gate.
 
     Args:
-        seeds: of each run, for what varies.
         opens: (runs,) physics step at which each gate opens; None: as the controller says.
     """
     streams = [Stream(Trace((Arrival(0.0, *one),))) for one in asked]
@@ -216,11 +210,7 @@ class Trajectories:
 def find_trajectories(
     make: Callable[[EnvConfig], Controller], config: EnvConfig, asked: Sequence[Asked]
 ) -> Trajectories:
-    """Find the trajectories of parcels, each alone on the line, seen as they are.
-
-    Args:
-        config: of the environment; its stream, its sensors and what varies do not matter.
-    """
+    """Find the trajectories of parcels, each alone on the line, seen as they are."""
     exact = replace(config, sensors=Exact(), randomisation=Randomisation())
     runs = run_alone(make, exact, asked, range(len(asked)))
     return Trajectories(
@@ -257,7 +247,6 @@ class Booking:
     """Opens a gate for each parcel as soon as gaps to all before it allow.
 
     Args:
-        config: of the environment, with a gate.
         signature: (trajectories, features) by which parcels are known as they wait.
         gaps: (trajectories, trajectories) [s] of each (column) behind each other (row).
     """
@@ -305,8 +294,7 @@ class Booking:
         """Recognise (num_envs,) the trajectory of each parcel that waits, by what is seen of it."""
         seen = rows[:, SIGNATURE].astype(np.float64)
         apart = np.abs(seen[:, np.newaxis] - self._signature).max(axis=2)
-        nearest: Halves = apart.argmin(axis=1)
-        return nearest
+        return apart.argmin(axis=1)
 
 
 class Reservation(ParcelRule):
@@ -314,11 +302,7 @@ class Reservation(ParcelRule):
     leads it as if it were alone.
 
     Args:
-        config: of the environment, with "parcels" for actions and a gate.
         margin: [m] that trajectories are kept apart.
-
-    Raises:
-        ValueError: there is no gate.
     """
 
     def __init__(
@@ -335,7 +319,6 @@ class Reservation(ParcelRule):
         self._booking = Booking(config, found.signature, least_gaps(found.each, margin))
 
     def halves(self, rows: Rows) -> Halves:
-        """Choose as the rule that leads."""
         return self._lead.halves(rows)
 
     def _open(self, tables: Rows, memory: Any, fresh: Booleans) -> tuple[Halves, Any]:

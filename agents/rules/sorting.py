@@ -11,8 +11,8 @@ from surface_gym.core.actions import ANY
 from surface_gym.design.sorting_layouts import SIDE, SortingLayout, sorting_layouts
 from surface_gym.layouts import ROLLING
 
-from ..base import SAME, axes_apart, find_axes
-from .base import Booleans, Commands, FixedRule, Numbers, Observations, UniformRule
+from ..base import SAME, BatchController, Numbers, axes_apart, find_axes
+from .base import Commands, FixedRule, Observations, UniformRule
 
 
 class FixedLayout(UniformRule):
@@ -55,7 +55,6 @@ class BoxLayouts:
         """Choose axes (num_envs, modules) [rad] by the box nearest in size, for the asked side.
 
         Args:
-            half_length: (num_envs,) [m] of the parcels.
             side: (num_envs,) +1 for y > 0, -1 for y < 0, 0 for straight through.
         """
         box = np.abs(half_length[:, np.newaxis] - self._half_lengths).argmin(axis=1)
@@ -63,8 +62,7 @@ class BoxLayouts:
         to_left, to_right = (found, mirrored) if SIDE == 1 else (mirrored, found)
         side = side[:, np.newaxis, np.newaxis]
         axes = np.select([side > 0.0, side < 0.0], [to_left[box], to_right[box]], ROLLING)
-        arranged: Numbers = axes.reshape(len(box), -1)
-        return arranged
+        return axes.reshape(len(box), -1)
 
 
 class BestSorting(FixedRule):
@@ -83,22 +81,14 @@ class BestSorting(FixedRule):
     def _layout(self, observations: Observations) -> Commands:
         seen = self._config.decode(observations)
         axes = self._layouts.arrange(seen.half_length, seen.side)
-        nearest: Commands = axes_apart(axes[..., np.newaxis], self._angles).argmin(axis=-1)
-        return nearest
+        return axes_apart(axes[..., np.newaxis], self._angles).argmin(axis=-1)
 
 
-class GradedLayout:
+class GradedLayout(BatchController):
     """One layout for all entry speeds, whose axes turn little by little from column to column: the
     one that `surface_gym.design` found for the study's box that is nearer in size.
 
     Straight through, the axes stay at 90 deg.
-
-    Args:
-        config: of the environment it acts in, with "modules" for actions and "any" for
-            orientations.
-
-    Raises:
-        ValueError: another task, kind of action or orientations.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -109,21 +99,10 @@ class GradedLayout:
         chosen = [layout for layout in sorting_layouts() if layout.offer == "any"]
         self._layouts = BoxLayouts(chosen, config.action_kind.shape)
 
-    def predict(
-        self,
-        observation: Observations,
-        state: None = None,
-        episode_start: Booleans | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, None]:
-        """Choose angles [rad] for an observation (features,), or for (num_envs, features).
-
-        See `agents.base.Controller`; a layout draws nothing, whatever `deterministic`.
-        """
-        del state, episode_start, deterministic
-        seen = self._config.decode(np.atleast_2d(observation))
-        angles = self._layouts.arrange(seen.half_length, seen.side)
-        return (angles[0] if np.ndim(observation) == 1 else angles), None
+    def _predict(self, batch: Observations, *_: Any, **__: bool) -> tuple[Any, None]:
+        """Choose angles [rad]."""
+        seen = self._config.decode(batch)
+        return self._layouts.arrange(seen.half_length, seen.side), None
 
 
 def _on_offer(angles: Numbers) -> list[SortingLayout]:
@@ -142,5 +121,4 @@ def _fit(axis: Numbers, rows: int, columns: int) -> Numbers:
     row = np.arange(rows) + (len(axis) - rows) // 2
     column = np.arange(columns)
     own = np.ix_(row.clip(0, len(axis) - 1), column.clip(0, axis.shape[1] - 1))
-    fitted: Numbers = axis[own]
-    return fitted
+    return axis[own]

@@ -1,14 +1,127 @@
-"""Rules that predict the motion of a period: sliding mode along a path, and turning."""
+"""Rules that predict the motion of a period: sliding mode along a path, and turning.
+
+The prediction is that of a square that slides on single modules, with Coulomb friction along axes.
+"""
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from surface_gym.config import EnvConfig
+from surface_gym.core.actions import ActionKind
+from surface_gym.physics.types import GRAVITY
+from surface_gym.tasks.base import BRAKING
 from surface_gym.tasks.planning import LineObservation
 from surface_gym.tasks.track import AHEAD, PathObservation
 
-from ..base import find_axes
-from .base import BaseRule, Booleans, Commands, Memory, Numbers, Observations
-from .brake_model import ModulePositions, Motion, SquareModel, line_positions, window_positions
+from ..base import Booleans, Numbers, find_axes
+from .base import BaseRule, Commands, Decision, Observations
+
+MIDWAY = 1e-9  # [m] nearer than this to midway between two rows or columns is midway
+
+
+@dataclass(frozen=True, eq=False)
+class ModulePositions:
+    """Modules of an action, seen from the parcel's centre; all (num_envs, modules)."""
+
+    x: Numbers  # [m]
+    y: Numbers  # [m]
+    under: Booleans  # a module lies under the parcel, taken as a square
+
+
+def _positions(x: Numbers, y: Numbers, theta: Numbers, half_length: Numbers) -> ModulePositions:
+    """Combine the positions of columns (num_envs, columns) and of rows (num_envs, rows)."""
+    num_envs, shape = len(x), (len(x), y.shape[1], x.shape[1])
+    x = np.broadcast_to(x[:, np.newaxis, :], shape).reshape(num_envs, -1)
+    y = np.broadcast_to(y[:, :, np.newaxis], shape).reshape(num_envs, -1)
+    cosine, sine = np.cos(theta)[:, np.newaxis], np.sin(theta)[:, np.newaxis]
+    along, across = cosine * x + sine * y, cosine * y - sine * x
+    under = np.maximum(np.abs(along), np.abs(across)) <= half_length[:, np.newaxis]
+    return ModulePositions(x, y, under)
+
+
+def line_positions(seen: LineObservation, kind: ActionKind) -> ModulePositions:
+    """Locate the zone's modules, in the order of "modules"."""
+    pitch_x, pitch_y = seen.pitch
+    column = pitch_x * (np.arange(kind.columns) + 0.5)
+    row = pitch_y * (np.arange(kind.rows) - (kind.rows - 1) / 2.0)
+    return _positions(
+        column - seen.into_zone[:, np.newaxis],
+        row - seen.offset[:, np.newaxis],
+        seen.theta,
+        seen.half_length,
+    )
+
+
+def window_positions(path: PathObservation, kind: ActionKind) -> ModulePositions:
+    """Locate the modules around the parcel, in the order of "window"."""
+    rows, columns = kind.shape
+    pitch_x, pitch_y = path.pitch
+    return _positions(
+        pitch_x * (np.arange(columns) - columns // 2) - _past(path.x_in_pitch, pitch_x),
+        pitch_y * (np.arange(rows) - rows // 2) - _past(path.y_in_pitch, pitch_y),
+        path.theta,
+        path.half_length,
+    )
+
+
+def _past(in_pitch: Numbers, pitch: float) -> Numbers:
+    """(num_envs, 1) [m] past the window's middle: midway, that is the module ahead or left."""
+    midway = in_pitch > pitch / 2.0 - MIDWAY
+    return np.where(midway, in_pitch - pitch, in_pitch)[:, np.newaxis]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A plane motion of the parcel; all (num_envs,)."""
+
+    vx: Numbers  # [m/s]
+    vy: Numbers  # [m/s]
+    omega: Numbers  # [rad/s]
+
+    def above(self, modules: ModulePositions) -> Numbers:
+        """Compute (num_envs, modules, 2) [m/s] of the parcel's point above each module."""
+        omega = self.omega[:, np.newaxis]
+        vx = self.vx[:, np.newaxis] - omega * modules.y
+        vy = self.vy[:, np.newaxis] + omega * modules.x
+        return np.stack([vx, vy], axis=-1)
+
+
+class SquareModel:
+    """Evenly loaded squares on modules."""
+
+    def __init__(self, modules: ModulePositions, half_length: Numbers, tilt: Numbers) -> None:
+        self._x, self._y = modules.x[:, np.newaxis], modules.y[:, np.newaxis]
+        self._gyration = (2.0 / 3.0 * half_length**2)[:, np.newaxis]  # [m^2] of a square
+        share = modules.under / np.maximum(1, modules.under.sum(axis=1))[:, np.newaxis]
+        self._braking = BRAKING * share[:, np.newaxis]  # [m/s^2] of each module
+        self._pull = (GRAVITY * np.sin(tilt))[:, np.newaxis]
+
+    def predict(self, motion: Motion, angles: Numbers, period: float, steps: int) -> Motion:
+        """Predict the motion a period on, in (num_envs, options).
+
+        Args:
+            angles: (options, modules) or (num_envs, options, modules) [rad] axes to predict for.
+        """
+        dt = period / steps
+        cosine, sine = np.cos(angles), np.sin(angles)
+        arm = self._x * sine - self._y * cosine  # [m] of each axis about the centre
+        # Friction grows to its most over the speed that a step of it takes: it overshoots none.
+        soft = BRAKING * dt * (1.0 + arm**2 / self._gyration[..., np.newaxis])
+        vx, vy, omega = (v[:, np.newaxis] for v in (motion.vx, motion.vy, motion.omega))
+        for _ in range(steps):
+            slip = (
+                vx[..., np.newaxis] * cosine
+                + vy[..., np.newaxis] * sine
+                + omega[..., np.newaxis] * arm
+            )
+            taken = dt * self._braking * np.clip(slip / soft, -1.0, 1.0)
+            vx = vx + dt * self._pull - (taken * cosine).sum(axis=-1)
+            vy = vy - (taken * sine).sum(axis=-1)
+            omega = omega - (taken * arm).sum(axis=-1) / self._gyration
+        return Motion(vx, vy, omega)
+
 
 STEPS = 4  # that a period is predicted in
 PARTS = 6  # that the modules are shared in
@@ -70,10 +183,7 @@ class SlidingMode(BaseRule):
         self._angles = np.array(config.chosen_orientations)[self._options]
         self._period = config.control_period
 
-    def _decide(
-        self, observations: Observations, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
-        del memory, fresh
+    def _decide(self, observations: Observations, *_: Any) -> Decision:
         path: PathObservation = self._config.decode(observations)
         vx, vy = path.velocity
         model = SquareModel(window_positions(path, self._kind), path.half_length, path.tilt)
@@ -112,10 +222,7 @@ class TurningRule(BaseRule):
         self._angles = np.array(config.chosen_orientations)
         self._period = config.control_period
 
-    def _decide(
-        self, observations: Observations, memory: Memory | None, fresh: Booleans
-    ) -> tuple[Commands, Memory | None]:
-        del memory, fresh
+    def _decide(self, observations: Observations, *_: Any) -> Decision:
         seen: LineObservation = self._config.decode(observations)
         modules = line_positions(seen, self._kind)
         options = self._options(seen, modules)
@@ -126,7 +233,6 @@ class TurningRule(BaseRule):
         return options[np.arange(len(best)), best], None
 
     def _options(self, seen: LineObservation, modules: ModulePositions) -> Commands:
-        """List (num_envs, options, modules) choices; rolling is the first."""
         axes = self._axes
         x = modules.x[:, np.newaxis]
         inside = seen.wholly_in_zone[:, np.newaxis, np.newaxis]

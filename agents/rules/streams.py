@@ -1,6 +1,6 @@
 """Rules for streams of parcels that decide parcel by parcel, and the layout of a stream."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow.task import OWN, PRESENT, WAITS
 
 from .. import library
-from ..base import find_axes
-from .base import Booleans, is_fresh
+from ..base import BatchController, Booleans, find_axes, is_fresh
 
 Rows = NDArray[np.float32]
 Halves = NDArray[np.int64]
@@ -23,15 +22,10 @@ SIDE = 14  # column of the side of its exit
 OPEN = 1  # the gate opens with the first physics step
 
 
-class ParcelRule(ABC):
-    """A rule that decides for each parcel by its row alone: the same for all, wherever they are.
+class ParcelRule(BatchController):
+    """A rule that decides for each parcel by its row alone: the same for all, wherever they are."""
 
-    Args:
-        config: of the environment it acts in, with "parcels" for actions.
-
-    Raises:
-        ValueError: another kind of action, or 0, 45, -45 and 90 deg are not all on offer.
-    """
+    _dims = 2
 
     def __init__(self, config: EnvConfig) -> None:
         checks.one_of("actions", config.actions, ("parcels",))
@@ -43,39 +37,20 @@ class ParcelRule(ABC):
 
     @abstractmethod
     def halves(self, rows: Rows) -> Halves:
-        """Choose (parcels, 2) for the modules ahead of each parcel's centre, and behind it.
-
-        Args:
-            rows: (parcels, features) of those on the line.
-        """
+        """Choose (parcels, 2) for the modules ahead of each parcel's centre, and behind it."""
 
     def _open(self, tables: Rows, memory: Any, fresh: Booleans) -> tuple[Halves, Any]:
         """Choose when the gate opens (num_envs,), and what to remember: by default as soon as there
         is room.
-
-        Args:
-            tables: (num_envs, rows, features).
-            memory: what was remembered; None where nothing was.
-            fresh: (num_envs,) an episode has just begun.
         """
         del fresh
         return np.full(len(tables), OPEN), memory
 
-    def predict(
-        self,
-        observation: Rows,
-        state: Any = None,
-        episode_start: Booleans | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.int64], Any]:
-        """Choose the action for an observation (rows, features), or for (num_envs, rows, features).
-
-        See `agents.base.Controller`.
-        """
-        del deterministic
-        tables = observation.reshape(-1, *observation.shape[-2:])
-        num_envs = len(tables)
-        rows = tables[:, : self._places].reshape(-1, tables.shape[-1])
+    def _predict(
+        self, batch: Rows, state: Any, episode_start: Any, **_: bool
+    ) -> tuple[Halves, Any]:
+        num_envs = len(batch)
+        rows = batch[:, : self._places].reshape(-1, batch.shape[-1])
         present = (rows[:, PRESENT] > 0.5) & (rows[:, WAITS] < 0.5)
         choices = np.full((len(rows), 2), self._axes.roll)
         if present.any():
@@ -83,16 +58,15 @@ class ParcelRule(ABC):
         actions = choices.reshape(num_envs, -1)
         if self._gated:
             fresh = is_fresh(num_envs, state, episode_start)
-            opens, state = self._open(tables, state, fresh)
+            opens, state = self._open(batch, state, fresh)
             actions = np.concatenate([actions, opens[:, np.newaxis]], axis=1)
-        return (actions[0] if observation.ndim == 2 else actions), state
+        return actions, state
 
 
 class StreamEventRule(ParcelRule):
     """90 deg until the parcel's rear is past its exit's start, then 45 deg under it."""
 
     def halves(self, rows: Rows) -> Halves:
-        """Choose by the rear and the side of the exit."""
         side = np.where(rows[:, PAST_START] > 0.0, rows[:, SIDE].astype(np.float64), 0.0)
         choice = self._axes.towards(side)
         return np.stack([choice, choice], axis=-1)
@@ -101,10 +75,6 @@ class StreamEventRule(ParcelRule):
 class SortEach(ParcelRule):
     """A shipped agent of Sort, as it is: a parcel's row begins with what Sort shows of one. Parcels
     that go straight on, which it never met, roll.
-
-    Args:
-        config: of the environment, with "parcels" for actions.
-        name: of the agent, one whose actions are halves.
     """
 
     def __init__(self, config: EnvConfig, name: str = "sort-ppo", seed: int = 0) -> None:
@@ -113,7 +83,6 @@ class SortEach(ParcelRule):
         self._choices = config.action_kind.choices
 
     def halves(self, rows: Rows) -> Halves:
-        """Choose by the agent."""
         choices = np.full((len(rows), 2), self._axes.roll)
         aside = rows[:, SIDE] != 0.0
         if aside.any():
@@ -122,15 +91,10 @@ class SortEach(ParcelRule):
         return choices
 
 
-class StreamFixedLayout:
-    """A layout that is arranged once: all modules that obey at 45 deg to the left.
+class StreamFixedLayout(BatchController):
+    """A layout that is arranged once: all modules that obey at 45 deg to the left."""
 
-    Args:
-        config: of the environment, with "modules" for actions and no gate.
-
-    Raises:
-        ValueError: another kind of action, a gate, or the orientation is not on offer.
-    """
+    _dims = 2
 
     def __init__(self, config: EnvConfig) -> None:
         checks.one_of("actions", config.actions, ("modules",))
@@ -138,18 +102,5 @@ class StreamFixedLayout:
             raise ValueError("gate must be False for a layout, which decides nothing, got True")
         self._action = np.full(config.action_kind.size, find_axes(config).left)
 
-    def predict(
-        self,
-        observation: Rows,
-        state: Any = None,
-        episode_start: Booleans | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Halves, Any]:
-        """Give the action for an observation (rows, features), or for (num_envs, rows, features).
-
-        See `agents.base.Controller`.
-        """
-        del episode_start, deterministic
-        if observation.ndim == 2:
-            return self._action.copy(), state
-        return np.tile(self._action, (len(observation), 1)), state
+    def _predict(self, batch: Rows, state: Any, *_: Any, **__: bool) -> tuple[Halves, Any]:
+        return np.tile(self._action, (len(batch), 1)), state

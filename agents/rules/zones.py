@@ -11,9 +11,8 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow.task import PRESENT, WAITS
 from surface_gym.parcel import Parcel
 
-from ..base import Controller, find_axes
+from ..base import BatchController, Booleans, Controller, Numbers, find_axes, is_fresh
 from . import reservation
-from .base import Booleans, Numbers, is_fresh
 from .streams import PAST_START, SIDE, Rows
 
 LENGTH, HALF, FIFTH = 6, 0.175, 0.05  # of a parcel in its row: (half of it - 0.175 m) / 0.05 m
@@ -30,19 +29,16 @@ class ZoneMemory(NamedTuple):
     side: Numbers  # (num_envs,) that the zone leads to: 1 left, -1 right, 0 straight on
 
 
-class WholeZone:
+class WholeZone(BatchController):
     """Columns behind the lead-in turn together, under the one parcel that is over them: at 90 deg
     until it is wholly past the zone's start, then at 45 deg to its side. The next enters the zone
     once it is free. All other columns stay at 90 deg.
 
     Args:
-        config: of the environment, with "modules" for actions and a gate.
         alone: whether parcels come one by one, so that none needs to be held at the gate.
-
-    Raises:
-        ValueError: another kind of action, no gate, more columns than obey, too few for every
-            parcel to leave by its exit, or an exit that starts after the zone.
     """
+
+    _dims = 2
 
     def __init__(self, config: EnvConfig, columns: int, alone: bool = False) -> None:
         checks.one_of("actions", config.actions, ("modules",))
@@ -72,31 +68,21 @@ class WholeZone:
                 )
             self._booking = reservation.Booking(config, *booking)
 
-    def predict(
-        self,
-        observation: Rows,
-        state: ZoneMemory | None = None,
-        episode_start: Booleans | None = None,
-        deterministic: bool = True,
+    def _predict(
+        self, batch: Rows, state: ZoneMemory | None, episode_start: Any, **_: bool
     ) -> tuple[Any, ZoneMemory]:
-        """Choose the action for an observation (rows, features), or for (num_envs, rows, features).
-
-        See `agents.base.Controller`.
-        """
-        del deterministic
-        tables = observation.reshape(-1, *observation.shape[-2:])
-        num_envs = len(tables)
+        num_envs = len(batch)
         fresh = is_fresh(num_envs, state, episode_start)
         before = np.zeros(num_envs) if state is None else np.where(fresh, 0.0, state.side)
-        side = self._side(tables, before)
+        side = self._side(batch, before)
         choice = self._axes.towards(side)
         grid = np.full((num_envs, self._rows, self._obeying), self._axes.roll)
         grid[:, :, : self._columns] = choice[:, np.newaxis, np.newaxis]
         opens, book = np.ones(num_envs, dtype=np.int64), None
         if self._booking is not None:
-            opens, book = self._booking.open(tables, None if state is None else state.book, fresh)
+            opens, book = self._booking.open(batch, None if state is None else state.book, fresh)
         actions = np.concatenate([grid.reshape(num_envs, -1), opens[:, np.newaxis]], axis=1)
-        return (actions[0] if observation.ndim == 2 else actions), ZoneMemory(book, side)
+        return actions, ZoneMemory(book, side)
 
     def _side(self, tables: Rows, before: Numbers) -> Numbers:
         """Choose (num_envs,) the side that the zone leads to, by the one before: that of the parcel
@@ -138,9 +124,6 @@ def find_best_zone(kind: type[WholeZone], config: EnvConfig) -> int | None:
     of a stream leaves by its exit and the two next; None where no zone sorts them all.
 
     The parcels are tried alone on the line, whenever they come and whatever varies.
-
-    Args:
-        config: of the environment, with "modules" for actions and a gate.
     """
     _, _, _, obeying = config.site.zone
     rates: dict[int, float] = {}
@@ -194,7 +177,6 @@ def measure_crossings(
     """Try parcels, each alone on the line, as the sensors see it and with all that varies.
 
     Args:
-        config: of the environment, with a gate; its stream does not matter.
         span: [m] of x over which the zone lies.
     """
     each = [one for one in asked for _ in range(TRIES)]
@@ -252,5 +234,4 @@ def _side_of_best(tables: Rows, among: Booleans, rank: Numbers, otherwise: Numbe
     else another.
     """
     chosen = np.arange(len(tables)), np.where(among, rank, -np.inf).argmax(axis=1)
-    side: Numbers = np.where(among.any(axis=1), tables[..., SIDE][chosen], otherwise)
-    return side
+    return np.where(among.any(axis=1), tables[..., SIDE][chosen], otherwise)

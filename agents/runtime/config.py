@@ -10,11 +10,7 @@ from surface_gym import checks
 
 @dataclass(frozen=True)
 class WorldOptions:
-    """Options of a simulated machine.
-
-    Raises:
-        ValueError: a number that is not allowed.
-    """
+    """Options of a simulated machine."""
 
     pause: float = 0.3  # [s] from a parcel's leaving to the next one's entering
     encoders: bool = False  # frames have the angles of the axes, too

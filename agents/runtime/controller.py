@@ -13,6 +13,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surface_gym import checks
@@ -39,11 +40,9 @@ class Decider:
         self._is_first = True
 
     def reset(self) -> None:
-        """Start with a parcel that has just entered."""
         self._state, self._is_first = None, True
 
     def decide(self, observation: Observation) -> Command:
-        """Return the command for an observation."""
         action, self._state = self._controller.predict(
             observation[np.newaxis],
             self._state,
@@ -51,8 +50,7 @@ class Decider:
             deterministic=True,
         )
         self._is_first = False
-        command: Command = self.kind.commands(action, 1)[0]
-        return command
+        return self.kind.commands(action, 1)[0]
 
 
 class FixedLayouts:
@@ -85,24 +83,6 @@ def allowed_angles(config: EnvConfig) -> tuple[float, ...] | None:
     return (*offered.tolist(), ROLLING)
 
 
-@dataclass(frozen=True, eq=False)
-class Bounds:
-    """Least and greatest values of the features."""
-
-    low: Observation
-    high: Observation
-
-    def contain(self, observation: Observation) -> bool:
-        """Tell whether an observation lies within."""
-        return bool(((self.low <= observation) & (observation <= self.high)).all())
-
-
-def observation_bounds(config: EnvConfig) -> Bounds:
-    """Return the bounds of an environment's observation."""
-    low, high = np.array([(each.low, each.high) for each in config.features], np.float32).T
-    return Bounds(low, high)
-
-
 class Arranger(Protocol):
     """Arranges a layout for each parcel."""
 
@@ -111,22 +91,6 @@ class Arranger(Protocol):
 
     def layout(self) -> Command | None:
         """Return the command for the latest parcel; None: it is not ready yet."""
-
-
-class LocalArranger:
-    """Arranges layouts at once, in this process."""
-
-    def __init__(self, layouts: FixedLayouts) -> None:
-        self._layouts = layouts
-        self._layout: Command | None = None
-
-    def ask(self, observation: Observation) -> None:
-        """Arrange the layout."""
-        self._layout = self._layouts.arrange(observation)
-
-    def layout(self) -> Command | None:
-        """Return the command."""
-        return self._layout
 
 
 class ProcessArranger:
@@ -157,7 +121,6 @@ class ProcessArranger:
         return self._here.poll(timeout) and self._here.recv() == 0
 
     def ask(self, observation: Observation) -> None:
-        """Send the observation to the process."""
         self._asked += 1
         self._layout = None
         self._here.send((self._asked, observation))
@@ -172,7 +135,6 @@ class ProcessArranger:
 
 
 def _arrange(config: EnvConfig, connection: Connection) -> None:
-    """Arrange layouts until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop ends this process
     layouts = FixedLayouts(config)
     connection.send(0)
@@ -204,11 +166,9 @@ class WallClock:
     """The machine's clock, `time.monotonic()`."""
 
     def now(self) -> float:
-        """Return the time [s] since some moment."""
         return time.monotonic()
 
     def sleep_until(self, moment: float) -> None:
-        """Wait until a time [s]."""
         left = moment - time.monotonic()
         if left > 0.0:
             time.sleep(left)
@@ -294,11 +254,7 @@ class _Sent:
 
 @dataclass(frozen=True)
 class LoopConfig:
-    """Times of the loop.
-
-    Raises:
-        ValueError: a number that is not positive.
-    """
+    """Times of the loop."""
 
     period: float = 0.04  # [s] between decisions
     watchdog: float = 0.2  # [s] without a frame after which the fixed layout replaces the policy
@@ -311,11 +267,7 @@ class LoopConfig:
 
 
 class ControlLoop:
-    """Runs a policy on a device.
-
-    Args:
-        fixed: arranges fixed layouts; and the resolver of their commands.
-    """
+    """Runs a policy on a device."""
 
     def __init__(
         self,
@@ -324,7 +276,7 @@ class ControlLoop:
         policy: Decider,
         fixed: tuple[Arranger, Resolver],
         limits: AxisLimits,
-        bounds: Bounds,
+        bounds: spaces.Box,
         clock: Clock,
         config: LoopConfig,
     ) -> None:
@@ -385,7 +337,6 @@ class ControlLoop:
 
     @property
     def has_parcel(self) -> bool:
-        """Whether a parcel is on the surface."""
         return self._estimator.entered is not None
 
     def _connect(self, now: float) -> bool:
@@ -458,7 +409,6 @@ class ControlLoop:
         self._arranger.ask(self._estimator.observe(entered.at))
 
     def _acknowledge(self, answer: protocol.AxesAcknowledged) -> None:
-        """Handle the device's answer to a command."""
         if answer.refused:
             self.counts.refused += 1
             self._estimator.drop_command(answer.command)
@@ -479,7 +429,7 @@ class ControlLoop:
         stopped = observed - self._latest_arrival > self._config.watchdog
         counts.watchdog += stopped and not self._stopped
         self._stopped = stopped
-        within = self._bounds.contain(observation)
+        within = self._bounds.contains(observation)
         counts.strayed += not within
         command, resolver = self._command(observation, within and not stopped)
         if command is None:

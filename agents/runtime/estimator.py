@@ -28,7 +28,7 @@ from surface_gym.core.actions import (
     aim_at_choice,
     straighten_targets,
     turn_axes,
-)
+)  # fmt: skip
 from surface_gym.core.assembly import make_env_params, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, Function, KernelFunctions, obeying, showing
 from surface_gym.core.resets import BodyPlan, Placement, place_parcel
@@ -55,7 +55,7 @@ from surface_gym.state import (
     SurfaceState,
     env_state,
     read_truth,
-)
+)  # fmt: skip
 from surface_gym.tasks.start import Parcels
 
 from .protocol import Angles, Entered, Frame
@@ -81,15 +81,13 @@ def device_camera(sensor: Sensor) -> Camera:
 def within_right_angles(angles: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the same axes by angles [rad] from -pi/2 to pi/2: one turned by pi is the same."""
     turned = angles - math.pi * np.floor(angles / math.pi + 0.5)
-    same: NDArray[np.float64] = np.where(np.abs(angles) <= 0.5 * math.pi, angles, turned)
-    return same
+    return np.where(np.abs(angles) <= 0.5 * math.pi, angles, turned)
 
 
 def zone_angles(whole: NDArray[np.float64], zone: Integers, shape: tuple[int, int]) -> Angles:
     """Cut the axes [rad] of the zone's modules out of those of the whole surface.
 
     Args:
-        whole: (rows, columns) [rad] of the surface.
         zone: (4,) that a parcel has, as `BodyTable.zone`.
         shape: (rows, columns) of the widest zone. A narrower one is its middle rows; the places
             beside it are at 90 deg.
@@ -120,14 +118,7 @@ class Resolver:
 
 
 class StateEstimator:
-    """Estimates the state of the parcel on the surface.
-
-    Args:
-        config: of the environment that the policy is for, its sensors a `Camera` or `Exact`.
-
-    Raises:
-        ValueError: the sensors are others, or a task lacks one of its compiled functions.
-    """
+    """Estimates the state of the parcel on the surface."""
 
     def __init__(self, config: EnvConfig) -> None:
         self._axis_speed = min(config.actuators.axis_speed, checks.AXIS_SPEED[1])
@@ -177,7 +168,6 @@ class StateEstimator:
         self._parcels.body[:] = self._plan.bodies_of(BOTH, parcels)
 
     def reset(self, entered: Entered) -> None:
-        """Start with a parcel."""
         task = self.config.task
         goal = checks.array("goal", entered.goal, (task.goals,))
         path = checks.array("path", entered.path, (PATH_POINTS,)) if task.has_path else None
@@ -201,7 +191,6 @@ class StateEstimator:
         self.entered = entered
 
     def clear(self) -> None:
-        """Forget the parcel, which has left."""
         self.entered = None
 
     def correct(self, frame: Frame) -> bool:
@@ -233,14 +222,12 @@ class StateEstimator:
             array[NOW] = array[SEEN]
         self._advance(NOW, self._at, min(now, self._at + MAX_AHEAD), looks=False)
         self._show(*self._arrays, NOW)
-        observation: NDArray[np.float32] = parcels.observation[NOW].copy()
-        return observation
+        return parcels.observation[NOW].copy()
 
     @property
     def estimate(self) -> NDArray[np.float64]:
         """Pose and velocity (6,) [m, m, rad, m/s, m/s, rad/s] at the time last observed."""
-        sensed: NDArray[np.float64] = self._parcels.sensed[NOW].copy()
-        return sensed
+        return self._parcels.sensed[NOW].copy()
 
     def axes(self) -> Angles:
         """Return the zone's axes (rows, columns) [rad] at the time last observed."""
@@ -281,7 +268,6 @@ class StateEstimator:
             earliest = command.at = max(earliest, command.at)
 
     def drop_command(self, number: int) -> None:
-        """Forget a command that the device did not accept."""
         self._commands = deque(each for each in self._commands if each.number != number)
 
     def _advance(self, i: int, begun: float, until: float, looks: bool) -> None:
@@ -303,7 +289,6 @@ class StateEstimator:
             self._move(*self._arrays, self._scratch, i, *given)
 
     def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:
-        """Cut the widest zone's axes out of the whole surface's (rows, columns)."""
         return zone_angles(whole, self._plan.bodies.zone[self._parcels.body[NOW]], self.shape)
 
 

@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 
-from . import protocol
-
 VERSION = 1  # of the protocol, which both sides must have
 MAX_LINE = 1_000_000  # [bytes]
 
@@ -88,21 +86,13 @@ class Device(Protocol):
     """
 
     def connect(self) -> None:
-        """Find the device and start anew.
-
-        Raises:
-            DeviceLost: it is not there.
-        """
+        """Find the device and start anew."""
 
     def close(self) -> None:
         """Disconnect, if it is connected."""
 
     def read(self) -> list[Message]:
-        """Return the messages since the last call, in their order.
-
-        Raises:
-            DeviceLost: it is gone.
-        """
+        """Return the messages since the last call, in their order."""
 
     def set_axes(self, angles: Angles) -> int:
         """Turn the zone's modules to angles (rows, columns) [rad] in -pi/2 to pi/2.
@@ -111,9 +101,6 @@ class Device(Protocol):
 
         Returns:
             A number for the command, to which an `AxesAcknowledged` may refer later.
-
-        Raises:
-            DeviceLost: it is gone.
         """
 
 
@@ -200,8 +187,7 @@ def _frame(fields: dict[str, Any], shape: tuple[int, int]) -> Frame:
     )
 
 
-def _entered(fields: dict[str, Any], shape: tuple[int, int]) -> Entered:
-    del shape
+def _entered(fields: dict[str, Any], _shape: tuple[int, int]) -> Entered:
     path = fields["path"]
     return Entered(
         number=checks.integer("number", fields["number"], least=0),
@@ -215,8 +201,7 @@ def _entered(fields: dict[str, Any], shape: tuple[int, int]) -> Entered:
     )
 
 
-def _acknowledged(fields: dict[str, Any], shape: tuple[int, int]) -> AxesAcknowledged:
-    del shape
+def _acknowledged(fields: dict[str, Any], _shape: tuple[int, int]) -> AxesAcknowledged:
     return AxesAcknowledged(
         command=checks.integer("command", fields["command"], least=0),
         at=checks.number("at", fields["at"]),
@@ -224,8 +209,7 @@ def _acknowledged(fields: dict[str, Any], shape: tuple[int, int]) -> AxesAcknowl
     )
 
 
-def _departed(fields: dict[str, Any], shape: tuple[int, int]) -> Departed:
-    del shape
+def _departed(fields: dict[str, Any], _shape: tuple[int, int]) -> Departed:
     metrics = fields["figures"]
     if not isinstance(metrics, dict):
         raise ValueError(f"figures must be an object, got {metrics!r}")
@@ -268,7 +252,6 @@ def _triple(name: str, value: Any) -> tuple[float, float, float]:
 
 
 def _base_fields(base: Base) -> dict[str, Any]:
-    """Describe a base around its centroid."""
     if isinstance(base, Disc):
         return {"radius": base.radius}
     if isinstance(base, Rectangle):
@@ -296,11 +279,7 @@ class ConnectionLost(ConnectionError):
 
 
 class Connection:
-    """One side of a connection; its calls return at once.
-
-    Args:
-        connected: a socket, which it closes.
-    """
+    """One side of a connection; its calls return at once."""
 
     def __init__(self, connected: socket.socket) -> None:
         self._socket = connected
@@ -311,7 +290,6 @@ class Connection:
         self._waiting = b""
 
     def fileno(self) -> int:
-        """Return the file descriptor, for `select`."""
         return self._socket.fileno()
 
     def lines(self) -> list[bytes]:
@@ -348,16 +326,11 @@ class Connection:
             raise ConnectionLost(f"the other side is gone: {error}") from None
 
     def close(self) -> None:
-        """Disconnect."""
         self._socket.close()
 
 
 class SocketDevice:
-    """The `Device` behind a socket: the simulator, or a machine that speaks the protocol.
-
-    Args:
-        shape: (rows, columns) of the widest zone that it must have.
-    """
+    """The `Device` behind a socket: the simulator, or a machine that speaks the protocol."""
 
     def __init__(self, address: tuple[str, int], task: str, shape: tuple[int, int]) -> None:
         self._address = address
@@ -368,7 +341,6 @@ class SocketDevice:
         self._command = 0
 
     def connect(self) -> None:
-        """Connect to the device."""
         self.close()
         try:
             connected = socket.create_connection(self._address, timeout=TIMEOUT)
@@ -378,24 +350,22 @@ class SocketDevice:
         self._greeted = False
 
     def close(self) -> None:
-        """Disconnect."""
         if self._connection is not None:
             self._connection.close()
             self._connection = None
 
     def read(self) -> list[Message]:
-        """Return the messages since the last call."""
         if self._connection is None:
             raise DeviceLost("not connected")
         messages = []
         try:
             for line in self._connection.lines():
-                fields = protocol.from_line(line)
+                fields = from_line(line)
                 if self._greeted:
-                    messages.append(protocol.from_fields(fields, self._shape))
+                    messages.append(from_fields(fields, self._shape))
                 else:
                     checks.one_of("kind", fields["kind"], ("hello",))
-                    checks.one_of("protocol", fields.get("protocol"), (protocol.VERSION,))
+                    checks.one_of("protocol", fields.get("protocol"), (VERSION,))
                     checks.one_of("task", fields.get("task"), (self._task,))
                     checks.array("zone", fields.get("zone"), (2,))
                     if tuple(fields["zone"]) != self._shape:
@@ -406,12 +376,11 @@ class SocketDevice:
         return messages
 
     def set_axes(self, angles: Angles) -> int:
-        """Turn the zone's modules to angles (rows, columns) [rad]."""
         if self._connection is None:
             raise DeviceLost("not connected")
         self._command += 1
         try:
-            self._connection.send(protocol.to_line(protocol.axes_to_fields(self._command, angles)))
+            self._connection.send(to_line(axes_to_fields(self._command, angles)))
         except (ConnectionLost, ValueError) as error:
             raise DeviceLost(str(error)) from None
         return self._command

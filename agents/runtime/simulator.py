@@ -44,13 +44,6 @@ class World:
 
     The physics runs ahead of the caller's clock by a step at most, so that axes that are set now
     turn no earlier than now. A frame is due as much later as the camera is late.
-
-    Args:
-        env_config: of the environment that it simulates, but for its actions: axes are set one by
-            one.
-
-    Raises:
-        ValueError: sensors without frames.
     """
 
     def __init__(
@@ -100,7 +93,6 @@ class World:
         self._enters += seconds
 
     def set_axes(self, command: int, angles: wire.Angles) -> wire.AxesAcknowledged:
-        """Turn the zone's modules to angles (rows, columns) [rad]; refused where out of range."""
         fault = self._limits.fault(angles)
         if not fault:
             self._command[0] = angles.ravel()
@@ -193,10 +185,6 @@ class Server:
     """Sends a world's messages over a socket, and passes axis commands on to it.
 
     One loop may be connected at a time; a later one takes its place.
-
-    Args:
-        task: its name.
-        listener: a socket that listens, which becomes its own.
     """
 
     def __init__(self, world: World, task: str, listener: socket.socket) -> None:
@@ -210,7 +198,6 @@ class Server:
         self.refused = 0  # commands that were not allowed
 
     def step(self, now: float) -> None:
-        """Do all that is to be done at a time [s], and return at once."""
         behind = now - self._world.now
         if behind > MAX_BEHIND:
             self._world.stand_still(behind)
@@ -230,7 +217,6 @@ class Server:
         select.select(ready, [], [], max(0.0, min(due, self._world.now) - now))
 
     def close(self) -> None:
-        """Close all sockets."""
         self._drop()
         self._listener.close()
 
@@ -305,11 +291,7 @@ def run_simulator(config: SimulatorConfig) -> None:
 
 
 class SimulatorProcess:
-    """A simulator in a process of its own, which ends with this context.
-
-    Raises:
-        ValueError: it does not start.
-    """
+    """A simulator in a process of its own, which ends with this context."""
 
     def __init__(self, arguments: list[str], log: Path) -> None:
         module = f"{__name__.rpartition('.')[0]}.simulator"
@@ -336,7 +318,6 @@ class SimulatorProcess:
         self.close()
 
     def close(self) -> None:
-        """End the process."""
         self._process.terminate()
         try:
             self._process.wait(STOP_TIMEOUT)

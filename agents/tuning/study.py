@@ -29,14 +29,13 @@ from optuna.visualization import matplotlib as plots
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from surface_gym.cli import TRAIN, command_line
 from surface_gym.parallel import Report, Workers, map_jobs
 
-from ..base import TRAIN, command_line
 from ..evaluation.tables import markdown
 from ..learning.config import TrainConfig, config_of_seed, write_hyperparams
-from ..learning.runs import StopTraining, read_curve
+from ..learning.runs import StopTraining, read_curve, train
 from ..learning.sb3 import make_training_envs
-from ..learning.train import train
 from ..library import find_task
 from ..policy import load_policy
 from .sweep import Choices, Span, Sweep
@@ -170,8 +169,6 @@ def run_trial(
     """Carry a trial out, in a folder of its own.
 
     Args:
-        params: values that were drawn.
-        past: finished trials, by which it may be pruned.
         report: called with the number of each evaluation, from 1, and its value.
     """
     try:
@@ -189,11 +186,7 @@ def run_trial(
 
 
 class Pruning:
-    """The pruner of a search, asked about one trial.
-
-    Args:
-        report: called with the number of each evaluation, from 1, and its value.
-    """
+    """The pruner of a search, asked about one trial."""
 
     def __init__(self, sweep: Sweep, past: tuple[FrozenTrial, ...], report: Report) -> None:
         optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -219,9 +212,8 @@ def _train_and_score(sweep: Sweep, config: TrainConfig, place: int, prune: Pruni
     with TemporaryDirectory() as name:
         folder = Path(name)
 
-        def on_progress(steps: int, success: float) -> None:
+        def on_progress(steps: int, _success: float) -> None:
             nonlocal pruned
-            del success  # the curve has it, and the return as well
             while left and steps >= left[0] * spacing:
                 number = place * sweep.evaluations + left.pop(0)
                 value = read_curve(folder)[-1][sweep.metric]

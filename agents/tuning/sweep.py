@@ -1,18 +1,29 @@
-"""The request of a search, as its YAML file has it."""
+"""The request of a search, as its YAML file has it, and the command that starts or resumes one:
+`surface-gym tune sweep.yml`, or `train.py --search sweep.yml`.
+"""
 
+import argparse
 import json
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from surface_gym import checks
+from surface_gym.cli import TRAIN, command_line
+from surface_gym.files import replacing
+from surface_gym.parallel import Workers, WorkFailed, check_workers, choose_workers, usable_cores
 from surface_gym.tasks import TASKS
 
 from ..learning.config import RENAMED, TrainConfig, defaults
 from ..learning.runs import CURVE_EVERY
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 ALGOS = ("ppo", "dqn", "modules")
 METRICS = ("success", "return")
@@ -24,11 +35,7 @@ ROLLOUT = ("num_envs", "n_steps", "batch_size")  # which must go together
 
 @dataclass(frozen=True)
 class Span:
-    """Numbers from `low` to `high`, integers if both are.
-
-    Raises:
-        ValueError: it holds less than two numbers, or logarithms of numbers that have none.
-    """
+    """Numbers from `low` to `high`, integers if both are."""
 
     low: float
     high: float
@@ -44,17 +51,12 @@ class Span:
 
     @property
     def ends(self) -> tuple[Any, ...]:
-        """Values that must be allowed if all are to be."""
         return self.low, self.high
 
 
 @dataclass(frozen=True)
 class Choices:
-    """Some values.
-
-    Raises:
-        ValueError: they are less than two, not all different, or not plain JSON values.
-    """
+    """Some values."""
 
     choices: list[Any]
 
@@ -70,7 +72,6 @@ class Choices:
 
     @property
     def ends(self) -> tuple[Any, ...]:
-        """Values that must be allowed if all are to be."""
         return tuple(self.choices)
 
 
@@ -78,10 +79,6 @@ class Choices:
 class Sweep:
     """The request of a search; names in `space` and `fixed` are those of the algorithm's
     configuration.
-
-    Raises:
-        ValueError: a field is out of its range, or a value that the configuration refuses whatever
-            it is drawn with; the message names it.
     """
 
     task: str = "sort"
@@ -137,11 +134,7 @@ class Sweep:
         return self.seeds * self.evaluations
 
     def config(self, params: Mapping[str, Any]) -> TrainConfig:
-        """Return the configuration of drawn values, with the first seed.
-
-        Args:
-            params: value of each name in `space`, lists for tuples.
-        """
+        """Return the configuration of drawn values, with the first seed."""
         chosen: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value
             for name, value in {**self.fixed, **params}.items()
@@ -156,11 +149,7 @@ class Sweep:
 
 
 def read_sweep(file: Path, task: str | None = None) -> Sweep:
-    """Read the request of a search. No code is run but that of `task`.
-
-    Args:
-        file: YAML, the fields of `Sweep`.
-    """
+    """Read the request of a search. No code is run but that of `task`."""
     try:
         return _read(yaml.safe_load(file.read_text()), task)
     except (OSError, yaml.YAMLError, ValueError) as error:
@@ -209,3 +198,74 @@ def _values(name: str, values: Any) -> Span | Choices:
         raise ValueError(f"must be {{low, high, log}} or {{choices}}, got {values!r}")
     except ValueError as error:
         raise ValueError(f"space: {name}: {error}") from None
+
+
+FILE = "sweep.yml"  # in a search's folder
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Search hyper-parameters; an error ends it with one line."""
+    parser = argparse.ArgumentParser(prog="surface-gym tune", description=main.__doc__)
+    parser.add_argument("file", type=Path, help="what to search, as docs/search.md says")
+    parser.add_argument("--task", help="custom task of the search, as path/to/file.py:Class")
+    parser.add_argument("--out", type=Path, default=Path("runs"), help="folder for searches")
+    parser.add_argument("--name", help="folder in there, which is resumed if it holds the search")
+    parser.add_argument("--cluster", help="address of a Ray cluster to share the trials among")
+    given = parser.parse_args(arguments)
+    from rich.console import Console
+
+    from ..library import task_files
+
+    folder = given.out / (given.name or f"search-{given.file.stem}")
+    try:
+        workers = choose_workers(given.cluster, usable_cores(), task_files(given.task))
+        search(given.file, folder, workers, Console(), given.task)
+    except (ValueError, WorkFailed) as error:
+        sys.exit(f"error: {error}")
+
+
+def search(
+    file: Path, folder: Path, workers: Workers, console: "Console", task: str | None = None
+) -> None:
+    """Search hyper-parameters and leave a report in a folder, or resume a search there."""
+    check_workers(workers)
+    if find_spec("optuna") is None:
+        raise ValueError(
+            "search needs optuna, which is not installed: pip install 'surface_gym[search]'"
+        )
+    from . import study
+
+    sweep = open_folder(file, folder, task)
+    with study.open_study(sweep, folder) as opened:
+        try:
+            study.optimize(sweep, opened, workers, console, study.run_trial)
+        except KeyboardInterrupt:
+            kept = len(study.finished_trials(opened))
+            console.print(
+                f"interrupted: {folder} holds {kept} trials; "
+                f"{command_line(TRAIN, '--resume', str(folder))} resumes it",
+                soft_wrap=True,
+            )
+            return
+        study.write_report(sweep, opened, folder)
+        trials = study.finished_trials(opened)
+    console.print(study.summary(sweep, trials))
+    best = "" if study.best_trial(trials) is None else f" and {study.BEST}"
+    console.print(f"{folder} holds {study.PAGE}{best}", soft_wrap=True)
+
+
+def open_folder(file: Path, folder: Path, task: str | None = None) -> Sweep:
+    """Read the request of a search and keep it in the search's folder, which is made if need be."""
+    sweep = read_sweep(file, task)
+    kept = folder / FILE
+    if kept.is_file():
+        before = read_sweep(kept, task)
+        if found := differences(before, sweep):
+            raise ValueError(f"folder must be of this search, got {folder}: {'; '.join(found)}")
+        return before
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ValueError(f"folder must be new, or a search's, got {folder}")
+    folder.mkdir(parents=True, exist_ok=True)
+    with replacing(kept) as part:
+        part.write_text(file.read_text())
+    return sweep

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents import module_view
+from surface_gym.agents import module_policy
 from surface_gym.config import EnvConfig
 from surface_gym.layouts import LEAD_IN, LINE_Y, ROWS, lead_in_under, rows_under
 from surface_gym.lines import Pattern
@@ -22,7 +22,7 @@ def on_the_way(parcel: str, side: int, zone: tuple[int, int] | None = None):
     speed = rng.uniform(0.8, 2.5, NUM_ENVS)
     starts = [{"speed": float(v), "parcel": parcel, "side": side} for v in speed]
     observation, info = env.reset(seed=0, options=starts)
-    view = module_view.ModuleView(env.config)
+    view = module_policy.ModuleView(env.config)
     mirror = np.arange(4) if side > 0 else np.array([0, 2, 1, 3])
     rows, columns = view._config.action_kind.shape
     for _ in range(6):
@@ -82,7 +82,7 @@ def test_every_module_under_a_base_of_any_shape_is_seen(side, observe) -> None:
         rows = rng.choice(4, p=[0.1, 0.2, 0.2, 0.5], size=(len(bases), 4, 1))
         seen, _, _, _, info = env.step(np.tile(rows, 16).reshape(len(bases), -1))
     assert np.ptp(info["pose"][:, 2]) > 0.1
-    modules, total = module_view.ModuleView(env.config)(seen), 0
+    modules, total = module_policy.ModuleView(env.config)(seen), 0
     row, column = np.divmod(modules.index, 16)
     for i, base in enumerate(bases):
         of_env = (modules.env == i) & (modules.place[:, 4] == 1.0)
@@ -115,14 +115,14 @@ def test_a_module_sees_the_axes_of_its_quadrant(side) -> None:
     env = sg.SmartSurfaceVectorEnv(
         1, observe=groups, info=("axes",), actuators=Actuators(axis_speed=10.0)
     )
-    view = module_view.ModuleView(env.config)
+    view = module_policy.ModuleView(env.config)
     seen, info = env.reset(seed=0, options={"speed": 2.5, "parcel": "B", "side": side})
     rng = np.random.default_rng(1)
     for _ in range(6):
         seen, _, _, _, info = env.step(rng.integers(4, size=(1, 64)))
     modules = view(seen)
-    assert modules.shared.shape == (1, module_view.shared_size(groups))
-    assert modules.place.shape == (len(modules.index), module_view.place_size(groups))
+    assert modules.shared.shape == (1, module_policy.shared_size(groups))
+    assert modules.place.shape == (len(modules.index), module_policy.place_size(groups))
     np.testing.assert_array_equal(modules.shared[0, -15:], seen[0, -15:])
     x, y = info["pose"][0, :2]
     under = np.array(list(under_base(Rectangle(0.45, 0.45), info["pose"][0], 0)))
@@ -144,7 +144,7 @@ def test_modules_that_will_be_under_the_parcel_are_seen_and_others_stay_at_90_de
     env = sg.SmartSurfaceVectorEnv(NUM_ENVS)
     starts = [{"speed": 2.7, "parcel": "S", "side": 1}] * NUM_ENVS
     observation, _ = env.reset(seed=0, options=starts)
-    view = module_view.ModuleView(env.config)
+    view = module_policy.ModuleView(env.config)
     before = view(observation)
     for _ in range(6):
         observation, *_ = env.step(np.full((NUM_ENVS, 64), 3))
@@ -178,9 +178,9 @@ def test_the_other_side_is_the_mirror_image(parcel) -> None:
 
 def test_other_configurations_are_refused() -> None:
     with pytest.raises(ValueError, match="task must be one of 'sort'"):
-        module_view.ModuleView(EnvConfig(task="slow", actions="modules"))
+        module_policy.ModuleView(EnvConfig(task="slow", actions="modules"))
     with pytest.raises(ValueError, match="actions must be one of 'modules'"):
-        module_view.ModuleView(EnvConfig(actions="halves"))
+        module_policy.ModuleView(EnvConfig(actions="halves"))
 
 
 SQUARES = tuple(Rectangle(side, side) for side in (0.15, 0.25, 0.4, 0.45, 0.55))
@@ -202,7 +202,7 @@ def seen_turned(
     return env.config, seen, each
 
 
-def assert_outline(outline: module_view.Outline, bases: list[Base]) -> None:
+def assert_outline(outline: module_policy.Outline, bases: list[Base]) -> None:
     half = np.array([np.ptp(base.outline, axis=0) / 2.0 for base in bases]).T
     np.testing.assert_allclose(outline.half, half, atol=2e-6)
     assert outline.rows.tolist() == [rows_under(2.0 * width, PITCH) for width in half[1]]
@@ -214,7 +214,7 @@ def assert_outline(outline: module_view.Outline, bases: list[Base]) -> None:
 def test_the_clearance_determines_width_and_rows(bases) -> None:
     config, seen, each = seen_turned(bases)
     see, clearance = config.decode(seen), 0.2 * seen[:, 7].astype(np.float64)
-    outline = module_view.outline_from_clearance(see, clearance, config.chosen_line)
+    outline = module_policy.outline_from_clearance(see, clearance, config.chosen_line)
     assert_outline(outline, each)
     assert not outline.roundness.any()
     if bases is SQUARES:  # as wide as long, to the last bit
@@ -229,7 +229,7 @@ def test_the_clearance_determines_width_and_rows(bases) -> None:
 def test_an_observed_outline_is_exact(bases, roundness) -> None:
     config, seen, each = seen_turned(bases, ("parcel",))
     length, width, fill = seen[:, -3:].astype(np.float64).T
-    outline = module_view.outline_from_features(length, width, fill, config.chosen_line)
+    outline = module_policy.outline_from_features(length, width, fill, config.chosen_line)
     assert_outline(outline, each)
     np.testing.assert_allclose(outline.roundness, min(roundness, 1.0), atol=1e-5)
 
@@ -239,7 +239,7 @@ def test_reach_and_distance_are_the_bases(base, roundness) -> None:
     rng = np.random.default_rng(0)
     theta = rng.uniform(-np.pi, np.pi, 200)
     half = np.ptp(base.outline, axis=0)[:, np.newaxis] / 2.0 + np.zeros(200)
-    outline = module_view.Outline(half, np.full(200, roundness), np.full(200, 2.0))
+    outline = module_policy.Outline(half, np.full(200, roundness), np.full(200, 2.0))
     turned = np.stack([np.cos(theta), -np.sin(theta)])
     np.testing.assert_allclose(outline.reach(theta), (base.outline @ turned).max(axis=0), atol=2e-3)
     place = rng.uniform(-0.3, 0.3, (2, 200))
@@ -252,5 +252,5 @@ def test_rows_of_a_pattern_are_its_own() -> None:
     rotor = np.zeros((20, 30), dtype=bool)
     rotor[7:13] = True
     half = np.zeros(3)  # as long and as wide as is between the boxes
-    outline = module_view.outline_from_features(half, half, half + 1.0, Pattern(rotor, lead_in=4))
+    outline = module_policy.outline_from_features(half, half, half + 1.0, Pattern(rotor, lead_in=4))
     assert outline.rows.tolist() == [6.0, 6.0, 6.0]

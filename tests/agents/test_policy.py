@@ -16,7 +16,6 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from surface_gym import agents
-from surface_gym.agents import parcel_policy
 from surface_gym.agents import policy as policies
 from surface_gym.agents.base import SIDE
 from surface_gym.agents.learning.parcels import training_env_config
@@ -263,7 +262,7 @@ def begun(config: EnvConfig, num_envs: int, seed: int) -> StreamBatch:
 def test_mirrored_choices_come_back_as_they_were() -> None:
     tables = begun(CONFIG, 2, 0).observation.copy()
     tables[..., SIDE] = np.random.default_rng(0).integers(-1, 2, tables.shape[:2])
-    actions = parcel_policy.ParcelActions(CONFIG)
+    actions = policies.ParcelActions(CONFIG)
     choices = np.random.default_rng(1).integers(0, [4, 4, 9], (*tables.shape[:2], 3))
     back = actions.to_parcels(tables, actions.to_env(tables, choices))
     assert np.array_equal(back[:, :-1, :2], choices[:, :-1, :2])
@@ -275,7 +274,7 @@ def test_choices_and_actions_are_inverse() -> None:
     stream = CONFIG.stream_task.stream
     plain = EnvConfig("flow", stream=stream, exits="sides", actions="parcels", gate=True)
     batch, rule, state = begun(plain, 1, 3), StreamEventRule(plain), None
-    mirror = parcel_policy.ParcelActions(plain)
+    mirror = policies.ParcelActions(plain)
     for _ in range(120):
         tables = batch.observation.copy()
         action, state = rule.predict(tables, state)
@@ -286,17 +285,15 @@ def test_choices_and_actions_are_inverse() -> None:
 
 
 @pytest.fixture
-def policy() -> parcel_policy.ParcelNetwork:
+def policy() -> policies.ParcelNetwork:
     torch.manual_seed(0)
-    return parcel_policy.ParcelNetwork(
-        *parcel_policy.parcel_spaces(CONFIG), lambda _: 0.0, net_arch=[8]
-    )
+    return policies.ParcelNetwork(*policies.parcel_spaces(CONFIG), lambda _: 0.0, net_arch=[8])
 
 
 class TestPolicy:
     @staticmethod
     def rows(present: float, waits: float) -> torch.Tensor:
-        seen = torch.rand((5, parcel_policy.parcel_spaces(CONFIG)[0].shape[0]))
+        seen = torch.rand((5, policies.parcel_spaces(CONFIG)[0].shape[0]))
         seen[:, PRESENT], seen[:, WAITS] = present, waits
         return seen
 
@@ -326,7 +323,7 @@ class TestPolicy:
 @pytest.fixture
 def flow_folder(tmp_path: Path) -> Path:
     torch.manual_seed(0)
-    policies.save_policy(parcel_policy.make_parcel_network(FLOW_CARD), FLOW_CARD, tmp_path)
+    policies.save_policy(policies.make_parcel_network(FLOW_CARD), FLOW_CARD, tmp_path)
     return tmp_path
 
 
@@ -340,7 +337,7 @@ def test_a_policy_file_of_another_kind_is_refused(flow_folder) -> None:
 
 def test_an_observation_of_one_stream_or_of_many(flow_folder) -> None:
     policy = agents.read(flow_folder)
-    assert isinstance(policy, parcel_policy.ParcelPolicy)
+    assert isinstance(policy, policies.ParcelPolicy)
     assert policy.env_kwargs == {"actions": "parcels", "gate": True, "control_period": 0.04}
     tables = np.random.default_rng(0).random((3, 25, 29), dtype=np.float32)
     tables[..., PRESENT] = 1.0

@@ -17,9 +17,8 @@ from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents.base import ActionMirror
 from surface_gym.agents.learning import cuda
 from surface_gym.agents.learning.config import PPOConfig, defaults
-from surface_gym.agents.learning.runs import read_curve
+from surface_gym.agents.learning.runs import read_curve, train
 from surface_gym.agents.learning.sb3 import make_mirrored_envs, make_model
-from surface_gym.agents.learning.train import train
 from surface_gym.agents.library import WEIGHTS
 from surface_gym.agents.vec_env import MirrorVecEnv, SurfaceVecEnv
 from surface_gym.config import EnvConfig

@@ -20,8 +20,7 @@ from surface_gym import agents
 from surface_gym.agents.learning import config as configs
 from surface_gym.agents.learning import runs
 from surface_gym.agents.learning.cuda import train_on_device
-from surface_gym.agents.learning.runs import read_curve
-from surface_gym.agents.learning.train import train, train_seeds
+from surface_gym.agents.learning.runs import read_curve, train, train_seeds
 from surface_gym.agents.library import WEIGHTS
 from surface_gym.flow.task import PARCEL_TERMS
 from surface_gym.tasks.sort import TERMS
@@ -59,7 +58,7 @@ TRAIN = """
 import sys
 from pathlib import Path
 from surface_gym.agents.learning.runs import read_config
-from surface_gym.agents.learning.train import train
+from surface_gym.agents.learning.runs import train
 folder = Path(sys.argv[1])
 train(read_config(folder / "config.yaml"), folder)
 """

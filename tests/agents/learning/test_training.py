@@ -18,7 +18,7 @@ from surface_gym.agents.learning.config import DQNConfig, ModulesConfig, PPOConf
 from surface_gym.agents.learning.modules import ModuleSamples
 from surface_gym.agents.learning.parcels import SlotVecEnv, densest_stream, training_env_config
 from surface_gym.agents.learning.ppo import compute_advantages
-from surface_gym.agents.learning.train import train
+from surface_gym.agents.learning.runs import train
 from surface_gym.agents.library import WEIGHTS
 from surface_gym.agents.rules.streams import StreamEventRule
 from surface_gym.config import EnvConfig

@@ -11,8 +11,15 @@ import pytest
 import surface_gym as sg
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.agents.rules.base import FULL, HALF, LEANS, ROLL, ColumnAxes
-from surface_gym.agents.rules.brake_model import Braked, BrakeModel, contact_span
-from surface_gym.agents.rules.braking import SLOW_GENTLY, TRIM_TIME, FrictionEstimate, SlowingRule
+from surface_gym.agents.rules.braking import (
+    SLOW_GENTLY,
+    TRIM_TIME,
+    Braked,
+    BrakeModel,
+    FrictionEstimate,
+    SlowingRule,
+    contact_span,
+)
 from surface_gym.agents.rules.layouts import FixedSlowing
 from surface_gym.config import EnvConfig
 from surface_gym.randomisation import Actuators

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents.rules import brake_model
+from surface_gym.agents.rules import steering
 from surface_gym.tasks.paths import Sine
 from tests.agents.rules.runs import begun, mirrored_starts, rule, run_rule
 from tests.environments import ROLL
@@ -56,7 +56,7 @@ def test_modules_that_turn_a_parcel_drag_its_front_one_way_and_its_rear_the_othe
     for _ in range(15):
         observations, *_ = env.step(np.full((2, 64), ROLL))
     line = env.config.decode(observations)
-    modules = brake_model.line_positions(line, env.config.action_kind)
+    modules = steering.line_positions(line, env.config.action_kind)
     options = rule("orient", "turning rule").make(env.config)._options(line, modules)
     for x, ways in zip(modules.x, options, strict=True):
         turned = [(set(way[x > 0]) - {ROLL}, set(way[x < 0]) - {ROLL}) for way in ways]
@@ -79,11 +79,11 @@ def test_positions_are_the_modules_that_the_environment_sees_under_the_parcel() 
     env, seen = begun("track", [{}] * 20, seed=5, actions="window")
     rng = np.random.default_rng(0)
     for _ in range(10):
-        modules = brake_model.window_positions(env.config.decode(seen), env.config.action_kind)
+        modules = steering.window_positions(env.config.decode(seen), env.config.action_kind)
         np.testing.assert_array_equal(modules.under, seen[:, -25:] > 0.5)
         seen, *_ = env.step(rng.integers(0, 4, (20, 25)))
     env, seen = begun("orient", [{"parcel": "S"}, {"parcel": "B"}])
-    modules = brake_model.line_positions(env.config.decode(seen), env.config.action_kind)
+    modules = steering.line_positions(env.config.decode(seen), env.config.action_kind)
     # The S-box's lead-in is 3 columns and the B-box's 5; the first rotor after it is at 0.35 m, a
     # box's rear at x = 0.
     first = np.array([0.35, 0.55]) - [0.125, 0.225]
@@ -101,9 +101,9 @@ def test_the_square_slides_as_in_the_simulator(angle) -> None:
     truth = sg.simulate(surface, box, (1.0, 1.0, 0.0), velocity, duration=0.04).velocity[-1]
     start = {"parcel": "S", "path": [(1.0, 1.0), (5.0, 1.0)], "tilt": tilt, "speed": 0.8}
     env, seen = begun("track", [start], actions="window")
-    modules = brake_model.window_positions(env.config.decode(seen), env.config.action_kind)
-    square = brake_model.SquareModel(modules, np.array([0.125]), np.array([tilt]))
-    motion = brake_model.Motion(*(np.array([part]) for part in velocity))
+    modules = steering.window_positions(env.config.decode(seen), env.config.action_kind)
+    square = steering.SquareModel(modules, np.array([0.125]), np.array([tilt]))
+    motion = steering.Motion(*(np.array([part]) for part in velocity))
     after = square.predict(motion, np.full((1, 25), angle), period=0.04, steps=4)
     found = after.vx[0, 0], after.vy[0, 0], after.omega[0, 0]
     assert (np.abs(found - truth) <= [0.03, 0.03, 0.5]).all()

@@ -118,12 +118,26 @@ def loop_of(
     held = estimator()
     held.clear()
     layouts = runtime.FixedLayouts(held.config)
-    arranger = runtime.LocalArranger(layouts), held.resolver(layouts.kind)
+    arranger = LocalArranger(layouts), held.resolver(layouts.kind)
     limits = runtime.AxisLimits(held.shape, runtime.allowed_angles(env_config))
     return runtime.ControlLoop(
         device, held, runtime.Decider(controller, env_config), arranger, limits,
-        runtime.observation_bounds(env_config), device.clock, runtime.LoopConfig(**config),
+        env_config.observation_space(), device.clock, runtime.LoopConfig(**config),
     )  # fmt: skip
+
+
+class LocalArranger:
+    """Arranges layouts at once, in this process."""
+
+    def __init__(self, layouts: runtime.FixedLayouts) -> None:
+        self._layouts = layouts
+        self._layout: Any = None
+
+    def ask(self, observation: Any) -> None:
+        self._layout = self._layouts.arrange(observation)
+
+    def layout(self) -> Any:
+        return self._layout
 
 
 def nothing(now: float) -> None:

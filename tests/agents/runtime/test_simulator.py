@@ -19,8 +19,7 @@ import tyro
 from rich.console import Console
 
 from surface_gym import agents
-from surface_gym.agents.runtime import controller, protocol, simulator
-from surface_gym.agents.runtime import report as reports
+from surface_gym.agents.runtime import cli, controller, protocol, simulator
 from surface_gym.agents.runtime.cli import load_policy, main, make_env_config, simulator_arguments
 from surface_gym.agents.runtime.config import RuntimeConfig, SimulatorConfig, WorldOptions
 from surface_gym.agents.runtime.controller import ControlLoop, LoopConfig
@@ -184,28 +183,28 @@ class TestOverASocket:
 
 
 PATIENCE = 120.0  # [s] for another process, on a computer that does other work
-RUN = reports.Run("stop-ppo", 0, "stop", "lab", "simulator", 0.04, 0.2, 600.0, (1.0, 2.0, 3.0), 2)
+RUN = cli.Run("stop-ppo", 0, "stop", "lab", "simulator", 0.04, 0.2, 600.0, (1.0, 2.0, 3.0), 2)
 
 
 def test_a_report_is_written_whole_and_shown(tmp_path, capsys) -> None:
     counts = controller.Counts(periods=15_000, kept=14_990, missed=10, lost=5)
     counts.parcels.update(["success", "success", "missed"])
     latencies = controller.Latencies(policy=[0.001 * k for k in range(101)])
-    whole = reports.make_report(RUN, counts, latencies)
-    report = json.loads(reports.write_report(whole, tmp_path / "out").read_text())
+    whole = cli.make_report(RUN, counts, latencies)
+    report = json.loads(cli.write_report(whole, tmp_path / "out").read_text())
     assert report["counts"]["missed"] == 10
     assert report["counts"]["parcels"] == {"success": 2, "missed": 1}
     assert report["success"] == pytest.approx(2.0 / 3.0)
     assert report["budget"]["policy"] == pytest.approx([0.05, 0.09, 0.099, 0.1])
     assert report["budget"]["sensor"] is None
-    reports.show_report(whole, Console(width=200))
+    cli.show_report(whole, Console(width=200))
     printed = capsys.readouterr().out
     for part in ("period of 40 ms", "50.00", "10 missed", "lost 5 times", "success 0.667"):
         assert part in printed
-    nothing = reports.make_report(RUN, controller.Counts(unfit=1), controller.Latencies())
-    reports.show_report(nothing, Console(width=200))
+    nothing = cli.make_report(RUN, controller.Counts(unfit=1), controller.Latencies())
+    cli.show_report(nothing, Console(width=200))
     assert "0 parcels; 1 that do not fit" in capsys.readouterr().out
-    assert reports.percentiles([]) is None
+    assert cli.percentiles([]) is None
 
 
 @pytest.mark.parametrize(
@@ -248,7 +247,7 @@ def test_the_environment_is_the_policys_and_the_simulators() -> None:
 def test_the_fixed_layout_of_a_task(task) -> None:
     env_config = EnvConfig(task=task, actions="halves", observe=("parcel",))
     layouts = controller.FixedLayouts(env_config)
-    bounds = controller.observation_bounds(env_config)
+    bounds = env_config.observation_space()
     command = layouts.arrange(np.clip(0.0, bounds.low, bounds.high))
     assert command.shape == (layouts.kind.size,)
     assert len(np.unique(command)) == 1

@@ -20,13 +20,12 @@ from rich.console import Console
 
 from surface_gym.agents.evaluation.benchmark import SEED
 from surface_gym.agents.learning.config import PPOConfig, defaults, make_card
-from surface_gym.agents.learning.runs import TrainResult
-from surface_gym.agents.learning.train import train
+from surface_gym.agents.learning.runs import TrainResult, train
 from surface_gym.agents.policy import load_policy
 from surface_gym.agents.rollout import run_episodes
-from surface_gym.agents.tuning import cli, study
-from surface_gym.agents.tuning.cli import main, open_folder, search
-from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
+from surface_gym.agents.tuning import study
+from surface_gym.agents.tuning import sweep as sweeps
+from surface_gym.agents.tuning.sweep import Choices, Span, Sweep, main, open_folder, search
 from surface_gym.parallel import Report
 from surface_gym.tasks.benchmark import DRAWN
 from tests.agents.tuning.cheap import QUIET, SMALL, cheap_trial, searched
@@ -331,7 +330,7 @@ def test_what_cannot_be_searched_is_refused(file, tmp_path, monkeypatch) -> None
     with pytest.raises(ValueError, match="workers"):
         search(file, tmp_path / "a", 0, QUIET)
     with monkeypatch.context() as patch:
-        patch.setattr(cli, "find_spec", lambda _: None)
+        patch.setattr(sweeps, "find_spec", lambda _: None)
         with pytest.raises(ValueError, match=r"pip install 'surface_gym\[search\]'"):
             search(file, tmp_path / "b", 1, QUIET)
     assert not (tmp_path / "b").exists()
