@@ -20,15 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym import state as st
 from surface_gym.config import SURE, EnvConfig
-from surface_gym.core.actions import (
-    Acting,
-    ActionKind,
-    aim_at_angle,
-    aim_at_choice,
-    straighten_targets,
-    turn_axes,
-)  # fmt: skip
+from surface_gym.core import actions
 from surface_gym.core.assembly import make_env_params, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, Function, KernelFunctions, obeying, showing
 from surface_gym.core.resets import BodyPlan, Placement, place_parcel
@@ -42,20 +36,6 @@ from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera, Exact, Sensor
 from surface_gym.sensors.base import Physics
 from surface_gym.sensors.camera import EVERY, LAG
-from surface_gym.state import (
-    COLUMNS,
-    FIRST_COLUMN,
-    FIRST_ROW,
-    GRAVITY_ALONG,
-    GRAVITY_NORMAL,
-    PATH_POINTS,
-    ROWS,
-    BodyTable,
-    ParcelState,
-    SurfaceState,
-    env_state,
-    read_truth,
-)  # fmt: skip
 from surface_gym.tasks.start import Parcels
 
 from .protocol import Angles, Entered, Frame
@@ -93,9 +73,9 @@ def zone_angles(whole: NDArray[np.float64], zone: Integers, shape: tuple[int, in
             beside it are at 90 deg.
     """
     angles = np.full(shape, ROLLING)
-    rows, first_row, first = int(zone[ROWS]), int(zone[FIRST_ROW]), int(zone[FIRST_COLUMN])
+    rows, first_row, first = int(zone[st.ROWS]), int(zone[st.FIRST_ROW]), int(zone[st.FIRST_COLUMN])
     margin = (shape[0] - rows) // 2
-    part = whole[first_row : first_row + rows, first : first + int(zone[COLUMNS])]
+    part = whole[first_row : first_row + rows, first : first + int(zone[st.COLUMNS])]
     angles[margin : margin + rows] = part
     return angles
 
@@ -114,7 +94,7 @@ class Resolver:
     """Turns commands of one kind of action into axes; see `StateEstimator.resolve`."""
 
     obey: Callable[..., None]  # compiled
-    surfaces: SurfaceState  # the estimator's, with room for such commands
+    surfaces: st.SurfaceState  # the estimator's, with room for such commands
 
 
 class StateEstimator:
@@ -170,7 +150,7 @@ class StateEstimator:
     def reset(self, entered: Entered) -> None:
         task = self.config.task
         goal = checks.array("goal", entered.goal, (task.goals,))
-        path = checks.array("path", entered.path, (PATH_POINTS,)) if task.has_path else None
+        path = checks.array("path", entered.path, (st.PATH_POINTS,)) if task.has_path else None
         pose = checks.pose("pose", entered.pose, (3,))
         velocity = checks.velocity("velocity", entered.velocity, (3,))
         # Its load may lie anywhere: it is taken as evenly spread.
@@ -182,8 +162,8 @@ class StateEstimator:
         if path is not None:
             parcels.path[:] = path
         conditions[:] = 1.0
-        conditions[:, GRAVITY_ALONG] = GRAVITY * math.sin(entered.tilt)
-        conditions[:, GRAVITY_NORMAL] = GRAVITY * math.cos(entered.tilt)
+        conditions[:, st.GRAVITY_ALONG] = GRAVITY * math.sin(entered.tilt)
+        conditions[:, st.GRAVITY_NORMAL] = GRAVITY * math.cos(entered.tilt)
         for i in (SEEN, NOW):
             self._begin(*self._arrays, i)
         self._commands.clear()
@@ -239,7 +219,7 @@ class StateEstimator:
         apart -= math.pi * np.floor(apart / math.pi + 0.5)
         return float(np.abs(apart).max()) / self._axis_speed
 
-    def resolver(self, kind: ActionKind) -> Resolver:
+    def resolver(self, kind: actions.ActionKind) -> Resolver:
         """Compile the resolver of commands of a kind of action."""
         dtype = np.float64 if kind.continuous else np.int64
         surfaces = self._surfaces._replace(command=np.zeros((len(BOTH), kind.size), dtype=dtype))
@@ -302,14 +282,14 @@ def make_looks(numbers: Array) -> tuple[Array, Array]:
 
 @compiled
 def use_encoders(
-    surfaces: SurfaceState, bodies: BodyTable, body: int, i: int, angles: Array
+    surfaces: st.SurfaceState, bodies: st.BodyTable, body: int, i: int, angles: Array
 ) -> None:
     """Put the axes of an environment's zone to angles (rows, columns) [rad] of the widest zone."""
     zone = bodies.zone[body]
-    margin = (angles.shape[0] - zone[ROWS]) // 2
-    for down in range(zone[ROWS]):
-        for along in range(zone[COLUMNS]):
-            row, column = zone[FIRST_ROW] + down, zone[FIRST_COLUMN] + along
+    margin = (angles.shape[0] - zone[st.ROWS]) // 2
+    for down in range(zone[st.ROWS]):
+        for along in range(zone[st.COLUMNS]):
+            row, column = zone[st.FIRST_ROW] + down, zone[st.FIRST_COLUMN] + along
             angle = angles[margin + down, along]
             axis = surfaces.axis[i, row, column]
             surfaces.angle[i, row, column] = angle
@@ -326,15 +306,19 @@ def make_begin(functions: KernelFunctions) -> Any:
     task_begin, sensor_begin = functions.begin, functions.begin_sensor
 
     def begin(
-        params: EnvParams, surfaces: SurfaceState, parcels: ParcelState, bodies: BodyTable, i: int
+        params: EnvParams,
+        surfaces: st.SurfaceState,
+        parcels: st.ParcelState,
+        bodies: st.BodyTable,
+        i: int,
     ) -> None:
-        straighten_targets(params.acting, surfaces, i)
+        actions.straighten_targets(params.acting, surfaces, i)
         parcels.clock[i] = 0.0
         parcels.steps[i] = 0
         parcels.period[i] = 0.0
         parcels.noise_row[i, 0] = 0
-        state = env_state(surfaces, parcels, bodies, i, i, params.elements)
-        read_truth(state)
+        state = st.env_state(surfaces, parcels, bodies, i, i, params.elements)
+        st.read_truth(state)
         sensor_begin(params.sensor, state)
         task_begin(state)
 
@@ -349,9 +333,9 @@ def make_move(update: Function, label: str) -> Any:
 
     def move(
         params: EnvParams,
-        surfaces: SurfaceState,
-        parcels: ParcelState,
-        bodies: BodyTable,
+        surfaces: st.SurfaceState,
+        parcels: st.ParcelState,
+        bodies: st.BodyTable,
         scratch: Scratch,
         i: int,
         length: float,
@@ -362,14 +346,16 @@ def make_move(update: Function, label: str) -> Any:
         looking: Array,
     ) -> None:
         physics = Physics(params.assumed, params.stiffness, scratch, length)
-        acting = Acting(params.acting.zone_rows, params.acting.orientations, axis_speed * length)
+        acting = actions.Acting(
+            params.acting.zone_rows, params.acting.orientations, axis_speed * length
+        )
         invalidate_contacts(scratch)
         parcels.noise_row[i, 0] = 0
         for k in range(steps):
             parcels.clock[i] += length
             parcels.steps[i] += 1
-            state = env_state(surfaces, parcels, bodies, i, i, params.elements)
-            if turn_axes(acting, surfaces, i, state.zone):
+            state = st.env_state(surfaces, parcels, bodies, i, i, params.elements)
+            if actions.turn_axes(acting, surfaces, i, state.zone):
                 invalidate_contacts(scratch)
             update(looking if looks and k == steps - 1 else coasting, state, physics)
 
@@ -383,9 +369,13 @@ def make_show(functions: KernelFunctions) -> Any:
     read_sensor, show_more = functions.read_sensor, showing(functions)
 
     def show(
-        params: EnvParams, surfaces: SurfaceState, parcels: ParcelState, bodies: BodyTable, i: int
+        params: EnvParams,
+        surfaces: st.SurfaceState,
+        parcels: st.ParcelState,
+        bodies: st.BodyTable,
+        i: int,
     ) -> None:
-        state = env_state(surfaces, parcels, bodies, i, i, params.elements)
+        state = st.env_state(surfaces, parcels, bodies, i, i, params.elements)
         read_sensor(params.sensor, state)
         mirror = task_mirror(state)
         task_observe(state)
@@ -395,14 +385,20 @@ def make_show(functions: KernelFunctions) -> Any:
 
 
 @lru_cache(maxsize=16)
-def make_obey(kind: ActionKind, mirror_of: Function) -> Any:
+def make_obey(kind: actions.ActionKind, mirror_of: Function) -> Any:
     """Compile `obey`: set target axes by the command."""
-    obey_command = obeying(kind.part_of, aim_at_angle if kind.continuous else aim_at_choice)
+    obey_command = obeying(
+        kind.part_of, actions.aim_at_angle if kind.continuous else actions.aim_at_choice
+    )
 
     def obey(
-        params: EnvParams, surfaces: SurfaceState, parcels: ParcelState, bodies: BodyTable, i: int
+        params: EnvParams,
+        surfaces: st.SurfaceState,
+        parcels: st.ParcelState,
+        bodies: st.BodyTable,
+        i: int,
     ) -> None:
-        state = env_state(surfaces, parcels, bodies, i, i, params.elements)
+        state = st.env_state(surfaces, parcels, bodies, i, i, params.elements)
         obey_command(params, surfaces, state, i, mirror_of(state))
 
     return compiled(obey, f"estimator-{kind.name}-{'angles' if kind.continuous else 'choices'}")
