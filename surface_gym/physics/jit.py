@@ -7,10 +7,11 @@ stand in. An edit anywhere among them, and nowhere else, changes the digest.
 
 import gc
 import hashlib
+import sys
 import types
 import warnings
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from pickle import UnpicklingError
@@ -22,6 +23,9 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.dispatcher import Dispatcher
 
 from surface_gym.physics.linking import KernelCompiler, LinkedCacheImpl, LinkedFunction
+
+if sys.platform != "win32":
+    import fcntl
 
 LENGTH = 16  # hexadecimal digits
 
@@ -141,7 +145,8 @@ class _DigestCache(FunctionCache):
     def _index_key(self, sig: Any, codegen: Any) -> str:
         # The types of the arguments count by their fields, which Numba leaves out.
         kinds = [_fields(kind) for kind in sig]
-        return compute_digest(self._dispatcher, str(sig), str(codegen.magic_tuple()), kinds)
+        form = self._impl_class.__qualname__
+        return compute_digest(self._dispatcher, str(sig), str(codegen.magic_tuple()), kinds, form)
 
     def _open(self, sig: Any) -> None:
         """Open the cache file of a version."""
@@ -149,6 +154,22 @@ class _DigestCache(FunctionCache):
             name = f"{self._label}-{self._index_key(sig, self._dispatcher.targetctx.codegen())}"
             self._files[sig] = IndexDataCacheFile(self._cache_path, name, source_stamp=None)
         self._cache_file = self._files[sig]
+
+    @contextmanager
+    def locked(self, sig: Any) -> Iterator[None]:
+        """Let one process at a time compile a version; those that wait find it in the cache."""
+        self._open(sig)
+        path = Path(self._cache_file._index_path).with_suffix(".lock")
+        try:
+            file = path.open("w")
+        except OSError:  # nothing can be written, and nothing is shared
+            yield
+            return
+        with file:
+            if sys.platform != "win32":
+                fcntl.flock(file, fcntl.LOCK_EX)
+            yield
+            path.unlink(missing_ok=True)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         self._open(sig)
@@ -186,6 +207,11 @@ class _LinkedCache(_DigestCache):
 
 class _NoCache(NullCache):
     """Cache for where no folder can be written: it keeps nothing."""
+
+    @contextmanager
+    def locked(self, _: Any) -> Iterator[None]:
+        """Lock nothing, as nothing is shared."""
+        yield
 
     def save_overload(self, *_: Any) -> None:
         _warn("no folder for it can be written")
@@ -262,10 +288,12 @@ def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
     Called so it takes the arguments as they are: finding out what kinds dozens of arrays are, as
     the dispatcher does, takes longer than a control period of one environment.
     """
+    kinds = tuple(map(typeof, arguments))
     collects = gc.isenabled()
     gc.disable()  # the compiler makes millions of objects, and leaves none of them behind
     try:
-        entry: Callable[..., Any] = dispatcher.compile(tuple(map(typeof, arguments)))
+        with dispatcher._cache.locked(kinds):
+            entry: Callable[..., Any] = dispatcher.compile(kinds)
     finally:
         if collects:
             gc.enable()

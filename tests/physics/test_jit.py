@@ -94,6 +94,38 @@ def test_a_cache_cut_short_is_made_anew(ending: str, left: int, cache: Path) -> 
     assert hits_of(1.5) == 1
 
 
+RACE = """
+import sys, time
+from surface_gym.physics.jit import compile_for, compiled
+slow = compiled(lambda x: 3.0 * x, "slow")
+compile = slow.compile
+def compile_slowly(kinds):
+    entry = compile(kinds)
+    time.sleep(0.5)
+    return entry
+slow.compile = compile_slowly
+print("ready", flush=True)
+sys.stdin.readline()
+assert compile_for(slow, 2.0)(2.0) == 6.0
+print(sum(slow.stats.cache_hits.values()))
+"""
+
+
+def test_of_processes_that_begin_together_one_compiles(tmp_path: Path) -> None:
+    (tmp_path / "race.py").write_text(RACE)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, str(tmp_path / "race.py")]
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    processes = [subprocess.Popen(command, env=environment, **pipes) for _ in range(3)]
+    for each in processes:
+        assert each.stdout.readline() == "ready\n"
+    for each in processes:
+        each.stdin.write("\n")
+        each.stdin.flush()
+    assert sorted(each.communicate()[0] for each in processes) == ["0\n", "1\n", "1\n"]
+    assert not list(tmp_path.rglob("*.lock"))
+
+
 @pytest.mark.usefixtures("cache")
 def test_a_full_disk_is_reported_once_and_nothing_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:

@@ -77,7 +77,7 @@ class TestRandom:
             assert np.abs(y - 1.0).max() < 0.45
             assert np.ptp(y) > 0.01
 
-    def test_a_lane_may_be_the_one_before(self):
+    def test_a_polyline_may_go_straight_on(self):
         straight = paths.random_path("polyline", np.full(paths.DRAWS, 0.5))
         np.testing.assert_allclose(straight.y(np.linspace(0.4, 5.6, 50)), 1.0)
 

@@ -19,7 +19,6 @@ from matplotlib.figure import Figure
 from moviepy.config import FFMPEG_BINARY
 from rich.console import Console
 
-from surface_gym.agents.base import FLOW_TASK
 from surface_gym.agents.evaluation import capacity, report, streams, tables
 from surface_gym.agents.evaluation.benchmark import find_benchmark, summarise
 from surface_gym.agents.evaluation.capacity import Case
@@ -32,6 +31,7 @@ from surface_gym.agents.library import SHELF
 from surface_gym.agents.rules.streams import StreamEventRule
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
+from surface_gym.registration import FLOW_TASK
 from surface_gym.tasks import TASKS
 from tests.agents.evaluation import made
 from tests.flow.flows import DENSE, SHORT

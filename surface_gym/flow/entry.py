@@ -1,0 +1,156 @@
+"""Entry and exit of the parcels of a stream, compiled: who comes when there is room, and who left.
+
+A surface has a fixed number of slots, each a row of the batch's arrays that one parcel at a time
+has. With a gate one row more shows the parcel that waits.
+"""
+
+from surface_gym import state as st
+from surface_gym.core.kernel import EnvParams
+from surface_gym.flow import state as fs
+from surface_gym.flow.state import StreamParams, StreamState
+from surface_gym.physics import types as ph
+from surface_gym.physics.jit import inlined
+from surface_gym.state import BodyTable, EnvState, ParcelState, SurfaceState
+
+
+@inlined
+def count_due(streams: StreamState, i: int) -> None:
+    """Count the parcels whose time has come."""
+    while (
+        streams.due[i] < streams.arrivals[i] and streams.time[i, streams.due[i]] <= streams.clock[i]
+    ):
+        streams.due[i] += 1
+
+
+@inlined
+def count_slots(stream_params: StreamParams, streams: StreamState) -> int:
+    """Count the rows of a surface that parcels on it may have."""
+    return streams.number.shape[1] - (1 if stream_params.gated else 0)
+
+
+@inlined
+def _free_slot(streams: StreamState, i: int, slots: int) -> int:
+    """Find the first slot that is free, or NOBODY."""
+    for slot in range(slots):
+        if streams.number[i, slot] == fs.NOBODY:
+            return slot
+    return fs.NOBODY
+
+
+@inlined
+def _bars(other: EnvState, state: EnvState, gap: float) -> bool:
+    """Whether a parcel on the line is in the way of one about to enter, with a gap [m] ahead."""
+    front = state.truth[ph.X] + st.reach_along(state, state.truth[ph.THETA], 1.0, 0.0) + gap
+    if other.truth[ph.X] - st.reach_along(other, other.truth[ph.THETA], -1.0, 0.0) > front:
+        return False
+    left = state.truth[ph.Y] + st.reach_along(state, state.truth[ph.THETA], 0.0, 1.0)
+    right = state.truth[ph.Y] - st.reach_along(state, state.truth[ph.THETA], 0.0, -1.0)
+    other_left = other.truth[ph.Y] + st.reach_along(other, other.truth[ph.THETA], 0.0, 1.0)
+    other_right = other.truth[ph.Y] - st.reach_along(other, other.truth[ph.THETA], 0.0, -1.0)
+    return other_right < left + gap and right - gap < other_left
+
+
+@inlined
+def _put(
+    stream_params: StreamParams,
+    streams: StreamState,
+    parcels: ParcelState,
+    i: int,
+    slot: int,
+    arrival: int,
+) -> None:
+    """Write an arrival into the row of a slot that is free."""
+    row = i * streams.number.shape[1] + slot
+    for k in range(ph.STATE_SIZE):
+        parcels.state[row, k] = streams.start[i, arrival, k]
+    asked = streams.exit[i, arrival]
+    parcels.body[row] = streams.body[i, arrival]
+    parcels.goal[row, fs.EXIT] = asked
+    parcels.goal[row, fs.SIDE] = stream_params.exits[asked, 0]
+    parcels.goal[row, fs.FIRST] = stream_params.exits[asked, 1]
+    parcels.goal[row, fs.LAST] = stream_params.exits[asked, 2]
+    parcels.clock[row] = 0.0
+    parcels.period[row] = 0.0
+    parcels.steps[row] = 0
+    parcels.on_rotors[row] = True
+    parcels.on_surface[row] = True
+    parcels.outcome[row] = st.RUNNING
+
+
+@inlined
+def show_next(
+    params: EnvParams,
+    stream_params: StreamParams,
+    surfaces: SurfaceState,
+    parcels: ParcelState,
+    bodies: BodyTable,
+    streams: StreamState,
+    i: int,
+) -> None:
+    """Write the parcel that waits to enter, if any, into the last row, as it will enter."""
+    last = streams.number.shape[1] - 1
+    arrival = streams.coming[i]
+    if arrival == streams.due[i]:
+        streams.number[i, last] = fs.NOBODY
+        return
+    _put(stream_params, streams, parcels, i, last, arrival)
+    row = i * streams.number.shape[1] + last
+    streams.number[i, last] = arrival
+    parcels.clock[row] = streams.time[i, arrival] - streams.clock[i]
+    state = st.env_state(surfaces, parcels, bodies, i, row, params.elements)
+    st.read_truth(state)
+    for k in range(state.truth.shape[0]):
+        state.sensed[k] = state.truth[k]
+
+
+@inlined
+def let_in(
+    params: EnvParams,
+    stream_params: StreamParams,
+    surfaces: SurfaceState,
+    parcels: ParcelState,
+    bodies: BodyTable,
+    streams: StreamState,
+    i: int,
+) -> int:
+    """Let the next parcel that is due enter if there is room, and give its slot, or NOBODY.
+
+    Its task and its sensor have yet to begin.
+    """
+    arrival = streams.coming[i]
+    if arrival == streams.due[i]:
+        return fs.NOBODY
+    slot = _free_slot(streams, i, count_slots(stream_params, streams))
+    if slot == fs.NOBODY:
+        return fs.NOBODY
+    first = i * streams.number.shape[1]
+    _put(stream_params, streams, parcels, i, slot, arrival)
+    state = st.env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
+    st.read_truth(state)
+    for k in range(streams.number.shape[1]):
+        if streams.present[i, k]:
+            other = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
+            st.read_truth(other)
+            if _bars(other, state, stream_params.entry_gap):
+                return fs.NOBODY
+    streams.number[i, slot] = arrival
+    streams.present[i, slot] = True
+    streams.entered[i, arrival] = streams.clock[i]
+    streams.coming[i] = arrival + 1
+    streams.tally[i, fs.ENTERED] += 1
+    for k in range(streams.number.shape[1]):
+        streams.touched_at[i, slot, k] = fs.NEVER
+        streams.touched_at[i, k, slot] = fs.NEVER
+    return slot
+
+
+@inlined
+def leave(streams: StreamState, parcels: ParcelState, i: int, slot: int, taken: int) -> None:
+    """Take a parcel off the line by an exit; its row is kept until the next decision."""
+    arrival = streams.number[i, slot]
+    right = taken == streams.exit[i, arrival]
+    streams.present[i, slot] = False
+    streams.left[i, arrival] = streams.clock[i]
+    streams.taken[i, arrival] = taken
+    streams.tally[i, fs.RIGHT if right else fs.WRONG] += 1
+    parcels.outcome[i * streams.number.shape[1] + slot] = fs.LEFT_RIGHT if right else fs.LEFT_WRONG
