@@ -147,25 +147,27 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         batch.seed(0, self.np_random)
         batch.reset(self._only, [options] if options else ())
         self._started = True
-        self._record(begins=True)
-        return batch.observation[0].copy(), self._info()
+        if self.render_mode is not None:
+            self._record(begins=True)
+        return batch.observation[0].copy(), self._info(batch.outcome.item(0))
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Step by one control period."""
         batch = self.batch
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before step.")
-        if batch.outcome[0] != RUNNING:
+        if batch.outcome.item(0) != RUNNING:
             raise gym.error.ResetNeeded("The episode has ended: call reset before the next step.")
         batch.step(self._action_kind.commands([action], 1))
-        self._record(begins=False)
-        outcome = batch.outcome[0]
+        if self.render_mode is not None:
+            self._record(begins=False)
+        outcome = batch.outcome.item(0)
         return (
             batch.observation[0].copy(),
-            float(batch.reward[0]),
-            bool(outcome > OUT_OF_TIME),
-            bool(outcome == OUT_OF_TIME),
-            self._info(),
+            batch.reward.item(0),
+            outcome > OUT_OF_TIME,
+            outcome == OUT_OF_TIME,
+            self._info(outcome),
         )
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -182,25 +184,18 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
             self._window.close()
             self._window = None
 
-    def _info(self) -> dict[str, Any]:
+    def _info(self, outcome: int) -> dict[str, Any]:
         batch = self.batch
-        outcome = int(batch.outcome[0])
-        info: dict[str, Any] = {
-            name: values[0].copy() if values.ndim > 1 else values[0].item()
-            for name, values in batch.infos().items()
-        }
+        info = batch.info(0)
         info["outcome"] = batch.outcomes[outcome]
         info["reward_terms"] = dict(zip(batch.task.terms, batch.terms[0].tolist(), strict=True))
-        if outcome != RUNNING:
+        if batch.has_metrics and outcome != RUNNING:
             metrics = batch.metrics(np.ones(1, dtype=np.bool_))
-            if metrics:
-                info["episode_figures"] = {name: each[0].item() for name, each in metrics.items()}
+            info["episode_figures"] = {name: each[0].item() for name, each in metrics.items()}
         return info
 
     def _record(self, begins: bool) -> None:
         """Keep the past that a picture shows, as an episode begins or goes on."""
-        if self.render_mode is None:
-            return
         if self._renderer is None:
             from surface_gym.scenes import Renderer
 

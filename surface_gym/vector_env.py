@@ -194,8 +194,9 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
             )
         anew = np.nonzero(ended)[0]  # NEXT_STEP: this step is their reset
         batch.step(self._action_kind.commands(actions, self.num_envs), anew)
-        self._record(np.nonzero(~ended)[0], begins=False)
-        self._record(anew, begins=True)
+        if self.render_mode is not None:
+            self._record(np.nonzero(~ended)[0], begins=False)
+            self._record(anew, begins=True)
         truncated = batch.truncated
         terminated = batch.outcome > OUT_OF_TIME
         rewards = batch.reward.copy()
@@ -230,17 +231,17 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
     def _infos(self, mask: Booleans) -> dict[str, Any]:
         """Collect the infos of the environments in the mask: arrays with their masks."""
         batch = self.batch
-        terms = {name: batch.terms[:, k].copy() for k, name in enumerate(batch.task.terms)}
+        outcome = batch.outcome
+        terms = dict(zip(batch.task.terms, batch.terms.T.copy(), strict=True))
         infos: dict[str, Any] = {
-            **{name: values.copy() for name, values in batch.infos().items()},
-            "outcome": self._outcomes[batch.outcome],
+            **batch.infos(),
+            "outcome": self._outcomes[outcome],
             "reward_terms": with_masks(terms, mask),
         }
-        ended = mask & (batch.outcome != RUNNING)
-        metrics = batch.metrics(ended) if ended.any() else {}
         infos = with_masks(infos, mask)
-        if metrics:
-            infos.update(with_masks({"episode_figures": with_masks(metrics, ended)}, ended))
+        if batch.has_metrics and (ended := mask & (outcome != RUNNING)).any():
+            metrics = with_masks(batch.metrics(ended), ended)
+            infos.update(with_masks({"episode_figures": metrics}, ended))
         return infos
 
     def _record(self, chosen: Integers, begins: bool) -> None:

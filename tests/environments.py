@@ -1,6 +1,7 @@
 """The environments the tests loop over: every id, kind of action and kind of sensor."""
 
 import copy
+import gc
 import pickle
 import tracemalloc
 from collections.abc import Callable, Iterator
@@ -145,9 +146,11 @@ def growth(step: Callable[[], None], warm: int, steps: int) -> float:
     try:
         for _ in range(warm):
             step()
+        gc.collect()
         before = tracemalloc.get_traced_memory()[0]
         for _ in range(steps):
             step()
+        gc.collect()
         return (tracemalloc.get_traced_memory()[0] - before) / steps
     finally:
         tracemalloc.stop()

@@ -10,6 +10,7 @@ Each group says what a real controller needs to know of it; see `GROUPS`.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -436,12 +437,12 @@ class ActionKind:
         """Return the compiled function that gives the part of an action that a module follows."""
         return KINDS[self.name]
 
-    @property
+    @cached_property
     def continuous(self) -> bool:
         """Return whether each part is an angle instead of a choice."""
         return self.choices == 0
 
-    @property
+    @cached_property
     def shape(self) -> tuple[int, int]:
         """Return the rows, from y < 0 to y > 0, and columns of the parts of a command."""
         return {
@@ -451,7 +452,7 @@ class ActionKind:
             "window": (WINDOW_SIDE, WINDOW_SIDE),
         }[self.name]
 
-    @property
+    @cached_property
     def size(self) -> int:
         return self.shape[0] * self.shape[1]
 
@@ -460,7 +461,7 @@ class ActionKind:
         """Return how many numbers the kind adds to the observation: the window's occupancy."""
         return self.size if self.name == "window" else 0
 
-    @property
+    @cached_property
     def _single(self) -> bool:
         """Return whether an action is one number: the choices of both halves."""
         return self.name == "halves" and not self.continuous
@@ -489,7 +490,9 @@ class ActionKind:
         if given.dtype.kind not in "iu":
             raise ValueError(f"action must be whole numbers, got {given.dtype}: {actions!r}")
         chosen = given.astype(np.int64)
-        if chosen.view(np.uint64).max() >= most:  # as which negative ones are the largest
+        if (
+            np.maximum.reduce(chosen.view(np.uint64), axis=None) >= most
+        ):  # as which negative ones are the largest
             raise ValueError(f"action must be between 0 and {most - 1}, got {actions!r}")
         if self._single:
             halves = np.empty((num_envs, 2), dtype=np.int64)

@@ -155,10 +155,19 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def infos(self) -> Infos:
-        """Collect the infos of all environments by name, each (num_envs, ...), partly views."""
+        """Collect the infos of all environments by name, arrays (num_envs, ...) of their own."""
+
+    def info(self, env_index: int) -> dict[str, Any]:
+        """Collect the same of one environment: numbers, and arrays of their own."""
+        return {
+            name: values[env_index].copy() if values.ndim > 1 else values[env_index].item()
+            for name, values in self.infos().items()
+        }
+
+    has_metrics = False  # whether ended episodes have any
 
     def metrics(self, ended: Booleans) -> Infos:
-        """Collect metrics of the episodes that have ended (num_envs,), by name, if any."""
+        """Collect metrics of the episodes that have ended (num_envs,), by name."""
         del ended
         return {}
 
@@ -380,12 +389,26 @@ class Batch(BaseBatch):
         state = self.parcels
         return {
             "is_success": state.outcome == st.SUCCESS,
-            "time": state.clock,
-            "pose": state.truth[:, :3],
-            "velocity": state.truth[:, 3:],
+            "time": state.clock.copy(),
+            "pose": state.truth[:, :3].copy(),
+            "velocity": state.truth[:, 3:].copy(),
             "parcel": self._plan.sizes[state.body],
-            **{name: state.metrics[:, k] for k, name in enumerate(self.task.metrics)},
+            **dict(zip(self.task.metrics, state.metrics.T.copy(), strict=True)),
             **(self._on_request() if self.config.info else {}),
+        }
+
+    def info(self, env_index: int) -> dict[str, Any]:
+        if self.config.info:
+            return super().info(env_index)
+        state = self.parcels  # the same without arrays of all: a single environment is fast by it
+        truth = state.truth[env_index].copy()
+        return {
+            "is_success": state.outcome.item(env_index) == st.SUCCESS,
+            "time": state.clock.item(env_index),
+            "pose": truth[:3],
+            "velocity": truth[3:],
+            "parcel": self._plan.sizes[state.body.item(env_index)].copy(),
+            **dict(zip(self.task.metrics, state.metrics[env_index].tolist(), strict=True)),
         }
 
     def parcel(self, env_index: int, row: int = 0) -> Parcel:

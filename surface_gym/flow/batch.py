@@ -115,6 +115,9 @@ def _rear(parcel: Parcel, theta: float) -> float:
     return -float((math.cos(theta) * outline[:, 0] - math.sin(theta) * outline[:, 1]).min())
 
 
+COUNTS = ("entered", "right", "wrong", "touches", "turns")  # as the columns of the tally
+
+
 class StreamBatch(BaseBatch):
     """Environments of a task on streams of parcels, each a surface with a stream.
 
@@ -182,19 +185,28 @@ class StreamBatch(BaseBatch):
 
     def infos(self) -> Infos:
         streams = self.streams
-        tally = streams.tally
         slots = self.task.max_parcels
         return {
-            "time": streams.clock,
+            "time": streams.clock.copy(),
             "parcels": np.where(streams.present, streams.number, fs.NOBODY)[:, :slots],
-            "entered": tally[:, fs.ENTERED],
-            "right": tally[:, fs.RIGHT],
-            "wrong": tally[:, fs.WRONG],
-            "touches": tally[:, fs.TOUCHES],
-            "turns": tally[:, fs.TURNS],
+            **dict(zip(COUNTS, streams.tally.T.copy(), strict=True)),
             "waiting": streams.due - streams.coming,
             **({"axes": st.axis_angles(self.surfaces)} if "axes" in self.config.info else {}),
         }
+
+    def info(self, env_index: int) -> dict[str, Any]:
+        if self.config.info:
+            return super().info(env_index)
+        streams = self.streams  # the same without arrays of all: a single environment is fast by it
+        present, number = streams.present[env_index], streams.number[env_index]
+        return {
+            "time": streams.clock[env_index].item(),
+            "parcels": np.where(present, number, fs.NOBODY)[: self.task.max_parcels],
+            **dict(zip(COUNTS, streams.tally[env_index].tolist(), strict=True)),
+            "waiting": int(streams.due[env_index] - streams.coming[env_index]),
+        }
+
+    has_metrics = True
 
     def metrics(self, ended: Booleans) -> Infos:
         found: dict[str, Array] = {}

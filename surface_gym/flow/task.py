@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -34,12 +35,12 @@ class StreamActions(ActionKind):
     # the k-th physics step on; no ways: there is no gate
     gates: int = 0
 
-    @property
+    @cached_property
     def parts(self) -> ActionKind:
         """The actions without the gate."""
         return ActionKind(self.name, self.choices, self.rows, self.columns)
 
-    @property
+    @cached_property
     def size(self) -> int:
         return self.parts.size + (1 if self.gates else 0)
 
