@@ -97,11 +97,14 @@ class TestSeeds:
 
 
 class TestTwins:
+    """Of the single environment and of the native vector one."""
+
     @pytest.mark.parametrize("twin_of", te.TWINS)
+    @pytest.mark.parametrize("make", [gym.make, te.native])
     @te.every_varying
-    def test_go_on_alike(self, env_id, sensor, twin_of):
+    def test_go_on_alike(self, env_id, sensor, make, twin_of):
         settings = {"actions": "quadrants", "sensors": sensor(), **te.EVERYTHING_VARIES}
-        env = gym.make(env_id, max_episode_steps=8, **settings)
+        env = make(env_id, max_episode_steps=8, **settings)
         env.action_space.seed(0)
         env.reset(seed=0)
         for _ in range(4):
@@ -110,17 +113,18 @@ class TestTwins:
         for _ in range(40):
             first = env.step(env.action_space.sample())
             te.assert_same(first, twin.step(twin.action_space.sample()))
-            if first[2] or first[3]:
+            if make is gym.make and (first[2] or first[3]):
                 te.assert_same(env.reset(), twin.reset())
 
     @pytest.mark.parametrize("twin_of", te.TWINS)
-    def test_go_their_own_ways(self, twin_of):
-        env, reference = te.bare(), te.bare()
+    @pytest.mark.parametrize("make", [te.bare, te.native])
+    def test_go_their_own_ways(self, make, twin_of):
+        env, reference = (make(actions="halves") for _ in range(2))
         for each in (env, reference):
             each.reset(seed=0, options={"parcel": te.TRIANGLE})
-        twin, action = twin_of(env), te.same_choice(env, te.MINUS_45)
+        twin, action = twin_of(env), env.action_space.sample()
         for _ in range(5):
-            twin.step(te.same_choice(twin, te.PLUS_45))
+            twin.step((action + 5) % 16)
         for _ in range(5):
             te.assert_same(env.step(action), reference.step(action))
 

@@ -259,31 +259,6 @@ def arrays_of(value: Any) -> Iterator[np.ndarray]:
             yield from arrays_of(element)
 
 
-class TestTwins:
-    @pytest.mark.parametrize("twin_of", te.TWINS)
-    @te.every_varying
-    def test_go_on_alike(self, env_id, sensor, twin_of):
-        settings = {"actions": "quadrants", "sensors": sensor(), **te.EVERYTHING_VARIES}
-        env = te.native(env_id, max_episode_steps=8, **settings)
-        env.action_space.seed(0)
-        env.reset(seed=0)
-        for _ in range(4):
-            env.step(env.action_space.sample())
-        twin = twin_of(env)
-        for _ in range(30):
-            found = env.step(env.action_space.sample())
-            te.assert_same(found, twin.step(twin.action_space.sample()))
-
-    @pytest.mark.parametrize("twin_of", te.TWINS)
-    def test_go_their_own_ways(self, twin_of):
-        env, reference = (te.native(actions="halves") for _ in range(2))
-        for each in (env, reference):
-            each.reset(seed=0, options={"parcel": te.TRIANGLE})
-        twin = twin_of(env)
-        twin.step(np.array([5, 5, 5]))
-        te.assert_same(env.step(np.array([1, 2, 3])), reference.step(np.array([1, 2, 3])))
-
-
 class TestMemory:
     @pytest.mark.parametrize(
         ("sensor", "mode"), list(zip(te.SENSORS, cycle(AutoresetMode), strict=False))

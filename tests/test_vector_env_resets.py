@@ -9,49 +9,41 @@ import pytest
 from gymnasium.vector import VectorEnv
 
 import surface_gym as sg
-from tests.environments import (
-    NUM_ENVS,
-    SENSORS,
-    SORT,
-    assert_same,
-    cell,
-    every_kind_of_action,
-    native,
-)
+from tests import environments as te
 
 
 class TestSeeds:
     def test_a_number_is_for_the_first_environment(self):
-        one, listed = native(), native()
-        assert_same(one.reset(seed=7), listed.reset(seed=[7, 8, 9]))
-        assert_same(one.reset(seed=np.int64(7)), listed.reset(seed=(7, 8, 9)))
+        one, listed = te.native(), te.native()
+        te.assert_same(one.reset(seed=7), listed.reset(seed=[7, 8, 9]))
+        te.assert_same(one.reset(seed=np.int64(7)), listed.reset(seed=(7, 8, 9)))
 
     def test_none_goes_on_drawing(self):
-        env, twin = native(), native()
+        env, twin = te.native(), te.native()
         env.reset(seed=7)
         twin.reset(seed=7)
-        assert_same(env.reset(), twin.reset(seed=[None, None, None]))
+        te.assert_same(env.reset(), twin.reset(seed=[None, None, None]))
         mixed, twins = env.reset(seed=[1, None, 1])[0], twin.reset()[0]
         np.testing.assert_array_equal(mixed[1], twins[1])
         np.testing.assert_array_equal(mixed[0], mixed[2])
 
     def test_unseeded_envs_differ(self):
-        starts = [native().reset()[0] for _ in range(2)]
-        assert len(np.unique(np.concatenate(starts), axis=0)) == 2 * NUM_ENVS
+        starts = [te.native().reset()[0] for _ in range(2)]
+        assert len(np.unique(np.concatenate(starts), axis=0)) == 2 * te.NUM_ENVS
 
     @pytest.mark.parametrize(
         "seed", [[1, 2], [1, 2, 3, 4], [], 1.5, "seed", [1, 2, -3], -1, [0.5] * 3], ids=repr
     )
     def test_bad_ones_are_refused(self, seed):
-        env = native()
+        env = te.native()
         with pytest.raises((ValueError, gym.error.Error), match=r"[Ss]eed"):
             env.reset(seed=seed)
-        assert_same(env.reset(seed=0), native().reset(seed=0))
+        te.assert_same(env.reset(seed=0), te.native().reset(seed=0))
 
 
 class TestPartialResets:
     def disabled(self) -> VectorEnv:
-        env = native(actions="halves", autoreset_mode="Disabled", sensors=SENSORS[-1]())
+        env = te.native(actions="halves", autoreset_mode="Disabled", sensors=te.SENSORS[-1]())
         env.reset(seed=0)
         return env
 
@@ -59,14 +51,14 @@ class TestPartialResets:
         env, twin = self.disabled(), self.disabled()
         action = np.array([6, 7, 8])
         for _ in range(4):
-            assert_same(env.step(action)[0][1:], twin.step(action)[0][1:])
+            te.assert_same(env.step(action)[0][1:], twin.step(action)[0][1:])
             env.reset(options={"reset_mask": np.array([True, False, False])})
         mask = np.array([False, True, True])
-        assert_same(
+        te.assert_same(
             env.reset(options={"reset_mask": mask})[0][1:],
             twin.reset(options={"reset_mask": mask})[0][1:],
         )
-        assert_same(env.step(action)[0][1:], twin.step(action)[0][1:])
+        te.assert_same(env.step(action)[0][1:], twin.step(action)[0][1:])
 
     def test_leave_the_others_where_they_are(self):
         env = self.disabled()
@@ -99,15 +91,15 @@ class TestPartialResets:
         for mask in self.BAD_MASKS:
             with pytest.raises(ValueError, match="reset_mask"):
                 env.reset(options={"reset_mask": mask})
-            assert_same(env.step(np.array([1, 2, 3])), twin.step(np.array([1, 2, 3])))
+            te.assert_same(env.step(np.array([1, 2, 3])), twin.step(np.array([1, 2, 3])))
 
     def test_the_first_reset_is_whole(self):
-        env = native(autoreset_mode="Disabled")
+        env = te.native(autoreset_mode="Disabled")
         with pytest.raises(gym.error.ResetNeeded):
             env.reset(options={"reset_mask": np.array([True, False, False])})
 
     def test_ended_environments_wait_for_theirs(self):
-        env = native(actions="halves", autoreset_mode="Disabled", max_episode_steps=1)
+        env = te.native(actions="halves", autoreset_mode="Disabled", max_episode_steps=1)
         env.reset(seed=0)
         env.step(np.array([0, 0, 0]))
         with pytest.raises(gym.error.ResetNeeded, match=r"\[0, 1, 2\]"):
@@ -125,17 +117,17 @@ class TestBadInput:
 
     @pytest.mark.parametrize("actions", BAD_ACTIONS, ids=repr)
     def test_bad_actions_are_named(self, actions):
-        env, twin = (native(actions="halves", max_episode_steps=2) for _ in range(2))
+        env, twin = (te.native(actions="halves", max_episode_steps=2) for _ in range(2))
         for each in (env, twin):
             each.reset(seed=0)
         for _ in range(4):
             with pytest.raises(ValueError, match="action"):
                 env.step(actions)
-            assert_same(env.step(np.array([1, 2, 3])), twin.step(np.array([1, 2, 3])))
+            te.assert_same(env.step(np.array([1, 2, 3])), twin.step(np.array([1, 2, 3])))
 
-    @every_kind_of_action
+    @te.every_kind_of_action
     def test_one_bad_environment_moves_none(self, actions):
-        env, twin = (native(**cell(SORT, actions)) for _ in range(2))
+        env, twin = (te.native(**te.cell(te.SORT, actions)) for _ in range(2))
         for each in (env, twin):
             each.reset(seed=0)
         good = env.action_space.sample()
@@ -143,7 +135,7 @@ class TestBadInput:
         bad[-1] = 99
         with pytest.raises(ValueError, match="action"):
             env.step(bad)
-        assert_same(env.step(good), twin.step(good))
+        te.assert_same(env.step(good), twin.step(good))
 
     TOO_LONG = sg.Parcel(sg.Rectangle(2.0, 0.3))
 
@@ -159,14 +151,14 @@ class TestBadInput:
     )
     def test_bad_options_are_named(self, named, bad):
         """The episodes go on as if nothing had been asked, also in those before the bad one."""
-        env, twin = (native(actions="halves") for _ in range(2))
+        env, twin = (te.native(actions="halves") for _ in range(2))
         for each in (env, twin):
             each.reset(seed=0)
         for options in bad:
             with pytest.raises(ValueError, match=named):
                 env.reset(seed=1, options=options)
-            assert_same(env.step(np.array([1, 2, 3])), twin.step(np.array([1, 2, 3])))
-        assert_same(env.reset(seed=2), twin.reset(seed=2))
+            te.assert_same(env.step(np.array([1, 2, 3])), twin.step(np.array([1, 2, 3])))
+        te.assert_same(env.reset(seed=2), twin.reset(seed=2))
 
     @pytest.mark.parametrize(
         ("name", "values"),
@@ -184,6 +176,6 @@ class TestBadInput:
                 sg.SmartSurfaceVectorEnv(**{name: value})
 
     def test_steps_before_a_reset_are_refused(self):
-        env = native()
+        env = te.native()
         with pytest.raises(gym.error.ResetNeeded, match="reset"):
             env.step(env.action_space.sample())

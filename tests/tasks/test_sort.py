@@ -8,17 +8,8 @@ import pytest
 import surface_gym as sg
 from surface_gym.tasks import Sort
 from surface_gym.tasks.start import Start
+from tests import tasks
 from tests.environments import MINUS_45, PLUS_45, ROLL, TRIANGLE, bare, batch_with, steps
-from tests.tasks import (
-    BRAKE,
-    advanced,
-    assert_laws,
-    assert_observed,
-    assert_uniform,
-    draws,
-    features_of,
-    play,
-)
 
 BOX = sg.layouts.box("S")
 COASTING_LOSS = 0.01 * 9.81 / math.sqrt(2.0)  # [m/s^2] along x and y on 45 deg axes
@@ -33,7 +24,7 @@ def lateral_reach(info: dict, side: int) -> float:
 
 class TestStarts:
     def test_obey_their_laws(self):
-        starts = draws(Sort(), 600)
+        starts = tasks.draws(Sort(), 600)
         speed = np.array([start.velocity[0] for start in starts])
         assert speed.min() >= 0.3
         assert speed.max() <= 2.7
@@ -41,12 +32,12 @@ class TestStarts:
         assert np.mean(speed <= 1.1) == pytest.approx(2.0 / 3.0, abs=0.06)
         assert np.mean([start.goal == (1.0,) for start in starts]) == pytest.approx(0.5, abs=0.06)
         assert {start.goal for start in starts} == {(1.0,), (-1.0,)}
-        assert_laws(starts)
+        tasks.assert_laws(starts)
 
     @pytest.mark.parametrize(("share", "low", "high"), [(1.0, 0.4, 0.5), (0.0, 1.0, 2.0)])
     def test_bands(self, share, low, high):
         task = Sort(slow_share=share, speeds=(1.0, 2.0), slow_speeds=(0.4, 0.5))
-        assert_uniform([start.velocity[0] for start in draws(task)], low, high)
+        tasks.assert_uniform([start.velocity[0] for start in tasks.draws(task)], low, high)
 
 
 class TestEnds:
@@ -54,18 +45,18 @@ class TestEnds:
         ("side", "choice", "outcome"),
         [(1, MINUS_45, "success"), (-1, PLUS_45, "success"), (1, PLUS_45, "wrong side"),
          (-1, MINUS_45, "wrong side"), (0, MINUS_45, "wrong side"), (1, ROLL, "passed the zone"),
-         (-1, ROLL, "passed the zone"), (0, ROLL, "success"), (1, BRAKE, "stalled"),
-         (0, BRAKE, "stalled")],
+         (-1, ROLL, "passed the zone"), (0, ROLL, "success"), (1, tasks.BRAKE, "stalled"),
+         (0, tasks.BRAKE, "stalled")],
     )  # fmt: skip
     def test_by_choice(self, side, choice, outcome):
-        episode = play(bare(), {"speed": 1.5, "side": side, "parcel": "S"}, choice)
+        episode = tasks.play(bare(), {"speed": 1.5, "side": side, "parcel": "S"}, choice)
         assert episode.end["outcome"] == outcome
         assert episode.total("success") == (outcome == "success")
         assert episode.total("failure") == -1.0 * (outcome != "success")
 
     def test_off_the_surface(self):
         """A zone that reaches the edge: the centre is past it before the rear leaves the zone."""
-        end = play(bare(zone=(20, 29)), {"speed": 2.0, "side": 1, "parcel": "S"}, ROLL).end
+        end = tasks.play(bare(zone=(20, 29)), {"speed": 2.0, "side": 1, "parcel": "S"}, ROLL).end
         assert end["outcome"] == "off the surface"
         # It is where half a step more would take the centre past the edge.
         assert 2.99 < end["pose"][0] <= 3.0
@@ -75,7 +66,7 @@ class TestReward:
     @pytest.mark.parametrize("side", [1, 0, -1])
     @pytest.mark.parametrize("seed", range(2))
     def test_reach_telescopes(self, side, seed):
-        episode = play(bare(), {"side": side}, seed=seed)
+        episode = tasks.play(bare(), {"side": side}, seed=seed)
 
         def score(info: dict) -> float:
             if side:
@@ -90,7 +81,7 @@ class TestReward:
         [(1, 1.5, MINUS_45, "success"), (0, 1.5, ROLL, "success"), (1, 0.4, MINUS_45, "stalled")],
     )
     def test_time_costs_and_haste_pays_at_success(self, side, speed, choice, outcome):
-        episode = play(bare(), {"side": side, "speed": speed}, choice)
+        episode = tasks.play(bare(), {"side": side, "speed": speed}, choice)
         assert episode.end["outcome"] == outcome
         paid = 4.0 / episode.end["time"] if outcome == "success" else 0.0
         assert all(info["reward_terms"]["haste"] == 0.0 for info in episode.infos[:-1])
@@ -99,7 +90,7 @@ class TestReward:
 
     def test_a_longer_reach_than_enough_earns_no_more(self):
         fast = Start(BOX, (0.5, 1.0, 0.0), (2.5, 0.0, 0.0), (1.0,))
-        _, terms = advanced(Sort(), fast, ROLL)
+        _, terms = tasks.advanced(Sort(), fast, ROLL)
         assert terms["reach"] == 0.0
 
 
@@ -117,7 +108,7 @@ class TestSeen:
             "distance into zone": (x - half_extent - 0.3) / 0.5,
             "side": side,
         }
-        assert_observed(Sort(), start, wanted, side)
+        tasks.assert_observed(Sort(), start, wanted, side)
 
     @pytest.mark.parametrize("side", [1, -1])
     def test_the_clearance_is_that_of_the_corner_nearest_to_the_line(self, side):
@@ -129,8 +120,9 @@ class TestSeen:
         corners = turn @ (TRIANGLE.base.outline - TRIANGLE.base.centroid).T + [[x], [y]]
         rows = np.nonzero(batch.bodies.rotor[0].any(axis=1))[0]
         outermost = 0.05 + 0.1 * rows.max() - 1.0  # of the line's rotors, from its middle
-        clearance = (side * (corners[1] - 1.0)).min() - outermost
-        assert features_of(Sort(), start)["clearance"] == pytest.approx(clearance / 0.2, abs=1e-6)
+        clearance = ((side * (corners[1] - 1.0)).min() - outermost) / 0.2
+        seen = tasks.features_of(Sort(), start)["clearance"]
+        assert seen == pytest.approx(clearance, abs=1e-6)
 
     def test_time_is_seen(self):
         env = bare()
@@ -143,11 +135,11 @@ class TestSeen:
         mirrored = np.array([0, 2, 1, 3])
         for side in (1, -1):
             env = bare(actions="quadrants")
-            action = np.array([MINUS_45, ROLL, MINUS_45, BRAKE])
+            action = np.array([MINUS_45, ROLL, MINUS_45, tasks.BRAKE])
             if side < 0:
                 action = mirrored[env.config.action_kind.flip(action[None])[0]]
             options = {"side": side, "speed": 1.5, "parcel": "B"}
-            episodes.append(play(env, options, action, longest=12))
+            episodes.append(tasks.play(env, options, action, longest=12))
         for one, other in zip(episodes[0].steps, episodes[1].steps, strict=True):
             np.testing.assert_allclose(one[0][:-1], other[0][:-1], rtol=0, atol=1e-5)
             assert (one[0][-1], other[0][-1]) == (1.0, -1.0)

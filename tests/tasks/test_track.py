@@ -9,17 +9,8 @@ import surface_gym as sg
 from surface_gym.tasks import Track
 from surface_gym.tasks.paths import LaneChange, Polyline, Sine
 from surface_gym.tasks.start import Start
+from tests import tasks
 from tests.environments import MINUS_45, ROLL, TRIANGLE, bare
-from tests.tasks import (
-    BRAKE,
-    ROLL_LOSS,
-    advanced,
-    assert_laws,
-    assert_uniform,
-    draws,
-    features_of,
-    play,
-)
 
 TRACK = "SmartSurface/Track-v0"
 BOX = sg.layouts.box("S")
@@ -31,9 +22,9 @@ LEVEL = {"path": AHEAD, "speed": 1.0, "tilt": 0.0, "parcel": "S"}
 
 class TestStarts:
     def test_obey_their_laws(self):
-        starts = draws(Track())
-        assert_laws(starts, 0.6, 1.0)
-        assert_uniform([start.tilt for start in starts], 0.0, math.radians(15.0))
+        starts = tasks.draws(Track())
+        tasks.assert_laws(starts, 0.6, 1.0)
+        tasks.assert_uniform([start.tilt for start in starts], 0.0, math.radians(15.0))
         for start in starts:
             assert math.hypot(*start.velocity[:2]) == pytest.approx(start.goal[0])
             assert start.pose == (0.4, start.path[0], 0.0)
@@ -44,7 +35,7 @@ class TestStarts:
     def test_kinds_may_be_chosen(self, kind):
         """Each by itself: the paths of two kinds are never the same."""
         other = next(name for name in Track().kinds if name != kind)
-        drawn = [draws(Track(kinds=kinds), 10) for kinds in ((kind,), (kind, kind), (other,))]
+        drawn = [tasks.draws(Track(kinds=kinds), 10) for kinds in ((kind,), (kind, kind), (other,))]
         for first, second, third in zip(*drawn, strict=True):
             np.testing.assert_array_equal(first.path, second.path)
             assert (first.path != third.path).any()
@@ -58,11 +49,11 @@ class TestStarts:
 
 class TestEnds:
     def test_rolling_along_a_straight_path_succeeds(self):
-        episode = play(bare(TRACK), LEVEL, ROLL)
+        episode = tasks.play(bare(TRACK), LEVEL, ROLL)
         assert episode.end["outcome"] == "success"
         assert 2.5 < episode.end["pose"][0] < 2.5 + 0.04
         assert episode.end["rms_error"] < 1e-9
-        left = math.sqrt(1.0 - 2.0 * ROLL_LOSS * (episode.end["pose"][0] - 0.5))
+        left = math.sqrt(1.0 - 2.0 * tasks.ROLL_LOSS * (episode.end["pose"][0] - 0.5))
         assert episode.end["velocity"][0] == pytest.approx(left, abs=1e-3)
         assert (episode.total("success"), episode.total("failure")) == (2.0, 0.0)
         way = episode.end["pose"][0] - 0.5
@@ -72,26 +63,26 @@ class TestEnds:
     @pytest.mark.parametrize("tilt", [0.0, 0.1, 0.25])
     def test_it_runs_downhill(self, tilt):
         """Rolling, it gains what gravity does and loses what friction takes, a second."""
-        episode = play(bare(TRACK), LEVEL | {"tilt": tilt}, ROLL, longest=10)
+        episode = tasks.play(bare(TRACK), LEVEL | {"tilt": tilt}, ROLL, longest=10)
         gain = 9.81 * (math.sin(tilt) - 0.01 * math.cos(tilt))
         assert episode.end["velocity"][0] == pytest.approx(1.0 + 0.4 * gain, abs=1e-9)
 
     def test_straight_on_where_the_path_bends_is_off_the_path(self):
         path = [(0.5, 1.0), (1.0, 1.0), (2.0, 1.5), (3.0, 1.5)]
-        episode = play(bare(TRACK), LEVEL | {"path": path}, ROLL)
+        episode = tasks.play(bare(TRACK), LEVEL | {"path": path}, ROLL)
         assert episode.end["outcome"] == "off the path"
         assert episode.end["cross_error"] <= -0.15  # to the right of a path that goes left
         assert episode.infos[-2]["cross_error"] > -0.15
         assert (episode.total("success"), episode.total("failure")) == (0.0, -2.0)
 
     def test_ends_of_braking_and_of_a_push_towards_the_edge(self):
-        episode = play(bare(TRACK), LEVEL, BRAKE)
+        episode = tasks.play(bare(TRACK), LEVEL, tasks.BRAKE)
         assert episode.end["outcome"] == "stalled"
         assert abs(episode.end["velocity"][0]) < 0.05
         # A push towards the edge from beside it.
         goal = (1.0, 0.5, 2.0 / 255)
         start = Start(BOX, (1.0, 0.1, 0.0), (0.0, -5.0, 0.0), goal, 0.0, np.full(256, 0.1))
-        assert advanced(Track(), start, ROLL)[0] == "off the surface"
+        assert tasks.advanced(Track(), start, ROLL)[0] == "off the surface"
 
 
 class TestFigures:
@@ -102,7 +93,7 @@ class TestFigures:
     )
     def test_of_a_random_walk_about_a_path(self, path):
         options = LEVEL | {"path": path, "tilt": 0.1}
-        episode = play(bare(TRACK), options, seed=1, longest=25)
+        episode = tasks.play(bare(TRACK), options, seed=1, longest=25)
         if isinstance(path, tuple):
             path = Polyline(path)
 
@@ -126,7 +117,7 @@ class TestFigures:
 
 class TestReward:
     def test_every_term_is_paid_a_metre(self):
-        episode = play(bare(TRACK), LEVEL | {"path": RISING, "tilt": 0.1}, MINUS_45)
+        episode = tasks.play(bare(TRACK), LEVEL | {"path": RISING, "tilt": 0.1}, MINUS_45)
         x = episode.start["pose"][0]
         length = math.hypot(1.0, SLOPE)
         for info in episode.infos:
@@ -172,14 +163,14 @@ class TestSeen:
             "sine of phase y": math.sin(turn * 0.97),
             "cosine of phase y": math.cos(turn * 0.97),
         }
-        assert features_of(Track(), start) == pytest.approx(wanted, abs=1e-6)
+        assert tasks.features_of(Track(), start) == pytest.approx(wanted, abs=1e-6)
 
     def test_errors_are_square_to_a_slope(self):
         """On a path at 45 deg: 1 cm above it in y is 1 cm / sqrt(2) off it, to its left."""
         step = 1.0 / 255
         path = 0.8 + step * np.arange(256)
         start = Start(BOX, (1.0, 1.31, 0.0), (0.6, 0.4, 0.0), (0.8, 0.5, step), 0.0, path)
-        seen = features_of(Track(), start)
+        seen = tasks.features_of(Track(), start)
         assert seen["cross error"] == pytest.approx(0.01 / math.sqrt(2.0) / 0.05, abs=1e-6)
         assert seen["speed error"] == pytest.approx((1.0 / math.sqrt(2.0) - 0.8) / 0.2, abs=1e-6)
         assert seen["lateral speed"] == pytest.approx(-0.2 / math.sqrt(2.0) / 0.1, abs=1e-6)

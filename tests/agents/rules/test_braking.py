@@ -10,16 +10,8 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.rollout import run_episodes
+from surface_gym.agents.rules import braking
 from surface_gym.agents.rules.base import FULL, HALF, LEANS, ROLL, ColumnAxes
-from surface_gym.agents.rules.braking import (
-    SLOW_GENTLY,
-    TRIM_TIME,
-    Braked,
-    BrakeModel,
-    FrictionEstimate,
-    SlowingRule,
-    contact_span,
-)
 from surface_gym.agents.rules.layouts import FixedSlowing
 from surface_gym.config import EnvConfig
 from surface_gym.randomisation import Actuators
@@ -29,7 +21,7 @@ from surface_gym.tasks.base import BRAKING
 from tests.agents.rules.runs import Scripted, begun, ends, rule, run, run_rule
 
 COLUMNS = 16
-NOMINAL = FrictionEstimate.frictions(FrictionEstimate.unknown(2))
+NOMINAL = braking.FrictionEstimate.frictions(braking.FrictionEstimate.unknown(2))
 
 
 def square(side: float) -> sg.Parcel:
@@ -58,18 +50,18 @@ def test_the_brake_model_agrees_with_the_simulator(level, pair) -> None:
     env, observations = begun(Slow(parcels=pair), starts, observe=("parcel",))
     config = env.config
     levels = np.where(np.arange(COLUMNS) % 2, level, ROLL)[np.newaxis].repeat(2, axis=0)
-    model, actions = BrakeModel(config, LEANS[ROLL]), ColumnAxes(config)(levels)
+    model, actions = braking.BrakeModel(config, LEANS[ROLL]), ColumnAxes(config)(levels)
     target = LEANS[levels]
     for _ in range(18):
         see = replace(config.decode(observations), load_ahead=load_ahead)
-        under = contact_span(config, see)
+        under = braking.contact_span(config, see)
         after = model.predict(under, see.vx, NOMINAL, target, target[:, np.newaxis])
         observations, *_ = env.step(actions)
         now = config.decode(observations)
         # It does not know how the parcel leant just before: a physics step of braking at most.
         most = BRAKING * config.timing.dt
         np.testing.assert_allclose(after.speed[:, 0], now.vx, rtol=0, atol=most)
-        place = contact_span(config, now).place
+        place = braking.contact_span(config, now).place
         np.testing.assert_allclose(after.place[:, 0], place, rtol=0, atol=0.04 * most)
         taken = after.braking + after.rolling
         np.testing.assert_allclose(taken[:, 0], see.vx - after.speed[:, 0], rtol=0, atol=1e-9)
@@ -84,8 +76,8 @@ def test_the_brake_model_follows_axes_that_take_time() -> None:
     for _ in range(12):
         observations, *_ = env.step(rolling)
     see = config.decode(observations)
-    model, target = BrakeModel(config, LEANS[ROLL]), LEANS[np.full((2, 1, COLUMNS), HALF)]
-    after = model.predict(contact_span(config, see), see.vx, NOMINAL, LEANS[levels], target)
+    model, target = braking.BrakeModel(config, LEANS[ROLL]), LEANS[np.full((2, 1, COLUMNS), HALF)]
+    after = model.predict(braking.contact_span(config, see), see.vx, NOMINAL, LEANS[levels], target)
     for actions in (half, rolling, rolling):  # 45 deg take 50 ms
         observations, *_ = env.step(actions)
     now = config.decode(observations)
@@ -96,10 +88,10 @@ def test_the_brake_model_follows_axes_that_take_time() -> None:
 
 
 def test_friction_is_estimated_from_the_speed_it_takes() -> None:
-    estimate = FrictionEstimate.for_sensors(EnvConfig(task="stop"))
+    estimate = braking.FrictionEstimate.for_sensors(EnvConfig(task="stop"))
     known = estimate.unknown(1)
-    for braking, rolling in [(0.0, 0.004)] * 5 + [(0.14, 0.002)] * 30:
-        parts = np.array([braking]), np.array([rolling])
+    for drag, rolling in [(0.0, 0.004)] * 5 + [(0.14, 0.002)] * 30:
+        parts = np.array([drag]), np.array([rolling])
         known = estimate.update(known, 0.85 * parts[0] + 1.3 * parts[1], *parts)
     estimated = estimate.frictions(known)
     assert estimated.braking[0] == pytest.approx(0.85, abs=0.02)
@@ -159,11 +151,11 @@ def test_slowing_brakes_late_yet_rolls_on_for_a_second() -> None:
         rolled = int((speed[:-1] - speed[1:] > 0.01).argmax()) + 1  # periods
         asked = start["speed"] * start["ratio"]
         # At 45 deg braking takes mu_max and rolling mu_min.
-        held = SLOW_GENTLY * BRAKING * (1.0 + 0.01 / 0.5) * math.sqrt(0.5)
+        held = braking.SLOW_GENTLY * BRAKING * (1.0 + 0.01 / 0.5) * math.sqrt(0.5)
         way = (speed[rolled - 1] ** 2 - asked**2) / (2.0 * held)
         left = (np.nanmax(x) - x[rolled] - way) / asked
         a_period = config.control_period * start["speed"] / asked
-        assert TRIM_TIME < left < TRIM_TIME + a_period
+        assert braking.TRIM_TIME < left < braking.TRIM_TIME + a_period
 
 
 def see_learned(task: str, **features: list[float]) -> tuple[AdaptiveCamera, EnvConfig, Any]:
@@ -182,7 +174,7 @@ def test_friction_and_load_that_the_sensors_learned_are_used() -> None:
     sensors, config, see = see_learned("stop", **learned)
     np.testing.assert_allclose(see.friction, 1.0 + 1.5 * sensors.friction_spread)
     np.testing.assert_allclose(see.load_ahead, -2.0 * sensors.load_spread)
-    np.testing.assert_allclose(contact_span(config, see).load, see.load_ahead)
+    np.testing.assert_allclose(braking.contact_span(config, see).load, see.load_ahead)
     # Where a load lies along the line is the same in Sort's mirror.
     turned = {"cosine of theta": [0.8, 0.8], "sine of theta": [0.6, 0.6]}
     learned = {"side": [1.0, -1.0], **turned, "load learned, y": [2.0, 2.0]}
@@ -195,9 +187,10 @@ def test_beyond_the_end_of_the_zone_the_asked_speed_itself_is_best() -> None:
     """Nothing is left to roll: faster is as bad as it is too fast, slower worse."""
     env, observations = begun("slow", [{"parcel": "S", "speed": 2.0, "ratio": 0.5}])
     config, see, none = env.config, env.config.decode(observations), np.zeros((1, 3))
-    frictions = FrictionEstimate.frictions(FrictionEstimate.unknown(1))
-    after = Braked(np.full((1, 3), 9.0), np.array([[0.9, 1.0, 1.1]]), none, none)
-    regret = SlowingRule(config)._regret(see, contact_span(config, see), frictions, after)
+    frictions = braking.FrictionEstimate.frictions(braking.FrictionEstimate.unknown(1))
+    after = braking.Braked(np.full((1, 3), 9.0), np.array([[0.9, 1.0, 1.1]]), none, none)
+    span = braking.contact_span(config, see)
+    regret = braking.SlowingRule(config)._regret(see, span, frictions, after)
     assert regret[0, 0] > regret[0, 2]
     np.testing.assert_allclose(regret[0, 1:], [0.0, 0.1], atol=1e-5)
 

@@ -135,7 +135,7 @@ class TestResuming:
         assert len(finished(tmp_path)) == 14
         assert searched(SMALL, tmp_path) == trials  # nothing is left to do
 
-    def test_a_killed_search_is_resumed_and_several_workers_carry_it_out(self, tmp_path) -> None:
+    def test_a_killed_search_of_several_workers_is_resumed(self, tmp_path) -> None:
         call = (
             "import sys; from pathlib import Path; from tests.agents.tuning.cheap import "
             "slow_search\nif __name__ == '__main__': slow_search(Path(sys.argv[1]))"
@@ -150,7 +150,7 @@ class TestResuming:
                 found = look(f"sqlite:///{tmp_path / study.FILE}")
         process.send_signal(signal.SIGKILL)
         assert process.wait() == -signal.SIGKILL  # before it was done
-        trials = searched(SMALL, tmp_path, workers=2)
+        trials = searched(SMALL, tmp_path)
         assert [each.number for each in trials] == list(range(len(trials)))
         assert [trials[each.number].value for each in found] == [each.value for each in found]
         kept = finished(tmp_path)
