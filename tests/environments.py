@@ -56,13 +56,10 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "SmartSurface/Slow-v0": {"speed": 1.3, "parcel": "B", "ratio": 0.4},
     "SmartSurface/Stop-v0": {"speed": 1.3, "parcel": "B", "position": 1.2},
     "SmartSurface/Track-v0": {
-        "speed": 0.7,
-        "parcel": "B",
-        "path": ((0.5, 1.0), (2.0, 1.3), (4.0, 1.0)),
-        "tilt": 0.2,
+        "speed": 0.7, "parcel": "B", "path": ((0.5, 1.0), (2.0, 1.3), (4.0, 1.0)), "tilt": 0.2,
     },
     "SmartSurface/Orient-v0": {"speed": 1.3, "parcel": "B", "angle": 0.5},
-}
+}  # fmt: skip
 
 # Parcels of every kind of base.
 TRIANGLE = sg.Parcel(sg.Polygon([(0.0, 0.0), (0.4, 0.0), (0.1, 0.3)]), com_offset=(0.01, -0.01))
@@ -176,6 +173,15 @@ def batch_with(start: Start, seed: int = 0, **settings: Any) -> Batch:
     batch.reset_cache.seed(0, np.random.default_rng(seed))
     put(batch, start)
     return batch
+
+
+def pair(make: Callable[..., Any] = bare, **settings: Any) -> tuple[Any, Any]:
+    """Two equal environments that have begun and sample the same actions."""
+    both = make(**settings), make(**settings)
+    for env in both:
+        env.reset(seed=0)
+        env.action_space.seed(0)
+    return both
 
 
 NUM_ENVS = 3

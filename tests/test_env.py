@@ -48,11 +48,8 @@ class TestEpisodes:
 
     @te.every_id
     def test_what_it_returns_is_the_users_own(self, env_id):
-        env, twin = te.bare(env_id), te.bare(env_id)
-        for each in (env, twin):
-            each.action_space.seed(0)
+        env, twin = te.pair(env_id=env_id)
         observation, info = env.reset(seed=0)
-        twin.reset(seed=0)
         for _ in range(3):
             observation[:] = np.nan
             info["pose"][:] = np.nan

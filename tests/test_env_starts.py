@@ -92,9 +92,7 @@ class TestOptions:
     @pytest.mark.parametrize(("env_id", "named", "bad"), EVERY_BAD_OPTION)
     def test_bad_ones_are_named(self, env_id, named, bad):
         """The episode goes on as if nothing had been asked, and the next starts as ever."""
-        env, twin = te.bare(env_id), te.bare(env_id)
-        for each in (env, twin):
-            each.reset(seed=0)
+        env, twin = te.pair(env_id=env_id)
         for options in bad:
             with pytest.raises(ValueError, match=named):
                 env.reset(seed=1, options=options)
@@ -121,10 +119,9 @@ class TestBadActions:
         if after[2]:
             te.assert_same(env.reset(), twin.reset())
 
-    def pair(self, **settings: Any) -> list[sg.SmartSurfaceEnv]:
-        envs = [te.bare(**settings) for _ in range(2)]
+    def pair(self, **settings: Any) -> tuple[Any, Any]:
+        envs = te.pair(**settings)
         for env in envs:
-            env.reset(seed=0)
             env.step(te.same_choice(env, te.ROLL))
         return envs
 

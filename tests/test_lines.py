@@ -29,13 +29,10 @@ def test_a_papers_box_has_the_rotors_of_its_layout_and_a_zone_after_its_lead_in(
 @pytest.mark.parametrize(
     ("base", "rows", "lead_in"),
     [
-        (sg.Rectangle(0.3, 0.15), 2, 3),
-        (sg.Rectangle(0.31, 0.39), 2, 4),
-        (sg.Rectangle(0.2, 0.4), 4, 2),
-        (sg.Rectangle(1.4, 0.59), 4, 14),
-        (sg.Disc(0.2), 4, 4),
+        (sg.Rectangle(0.3, 0.15), 2, 3), (sg.Rectangle(0.31, 0.39), 2, 4),
+        (sg.Rectangle(0.2, 0.4), 4, 2), (sg.Rectangle(1.4, 0.59), 4, 14), (sg.Disc(0.2), 4, 4),
     ],
-)
+)  # fmt: skip
 def test_other_bases_get_rows_within_their_width_and_a_lead_in_of_their_length(base, rows, lead_in):
     zone = Line().site(base, None).zone
     assert (zone[1], zone[2]) == (rows, lead_in)

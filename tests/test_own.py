@@ -114,11 +114,9 @@ class TestFaults:
         # It hinders no other task, and no later one.
         assert np.isfinite(sg.SmartSurfaceEnv(own.Cross(), actions="quadrants").reset()[0]).all()
 
-    def test_a_sensor_without_an_estimate(self):
+    def test_a_sensor_without_an_estimate_or_that_says_what_is_no_number(self):
         with pytest.raises(ValueError, match=r"Senseless\.read must be a static method"):
             sg.SmartSurfaceEnv(own.Cross(), sensors=own.Senseless())
-
-    def test_a_sensor_that_says_what_is_no_number(self):
         env = sg.SmartSurfaceEnv(own.Cross(), actions="window", sensors=own.Nonsense())
         with pytest.raises(ValueError, match="with Nonsense, must write finite features"):
             env.reset(seed=0)

@@ -189,28 +189,20 @@ class TestABaseOfOnesOwn:
         assert env.render() is not None
 
     def test_what_it_lacks_is_named(self):
-        class Bare:
-            centroid = (0.0, 0.0)
-
+        bare = type("Bare", (), {"centroid": (0.0, 0.0)})
         with pytest.raises(ValueError, match="must have gyration, reach, edges, outline"):
-            sg.Parcel(Bare())
-
-    def test_it_must_be_hashable(self):
-        class Loose(Tile):
-            __hash__ = None
-
+            sg.Parcel(bare())
+        loose = type("Loose", (Tile,), {"__hash__": None})
         with pytest.raises(ValueError, match="base must be hashable"):
-            sg.Parcel(Loose(0.3, 0.2))
+            sg.Parcel(loose(0.3, 0.2))
 
     @pytest.mark.parametrize(
         ("name", "values"),
         [
-            ("gyration", (-1.0, 1e9)),
-            ("reach", (math.nan, 1e9)),
-            ("edges", ([1.0],)),
+            ("gyration", (-1.0, 1e9)), ("reach", (math.nan, 1e9)), ("edges", ([1.0],)),
             ("outline", (None,)),
         ],
-    )
+    )  # fmt: skip
     def test_what_is_wrong_is_named(self, name, values):
         for value in values:
             wrong = type("Wrong", (Tile,), {name: value})
@@ -219,12 +211,10 @@ class TestABaseOfOnesOwn:
 
 
 class TestParcels:
-    def test_defaults_are_table_1(self):
+    def test_defaults_are_table_1_and_a_given_inertia_is_kept(self):
         parcel = sg.Parcel(BOX)
         assert (parcel.mass, parcel.com_height) == (10.0, 0.1)
         assert parcel.moment_of_inertia == pytest.approx(10.0 * (0.25**2 + 0.25**2) / 12.0)
-
-    def test_a_given_inertia_is_kept(self):
         parcel = sg.Parcel(BOX, mass=5.48, inertia=0.057)
         assert parcel.moment_of_inertia == 0.057
         assert parcel.body.gyration == pytest.approx(0.057 / 5.48)
@@ -234,11 +224,9 @@ class TestParcels:
         shifted = sg.Parcel(TRIANGLE, com_offset=(0.02, -0.03))
         assert shifted.centre_of_mass == pytest.approx((0.12, 0.07))
 
-    def test_a_parcel_is_frozen(self):
+    def test_parcels_are_frozen_and_equal_where_their_fields_are(self):
         with pytest.raises(dataclasses.FrozenInstanceError):
             sg.Parcel(BOX).mass = 1.0
-
-    def test_parcels_with_equal_fields_are_equal(self):
         assert sg.Parcel(BOX) == sg.Parcel(sg.Rectangle(0.25, 0.25))
         assert sg.Parcel(BOX) != sg.Parcel(BOX, mass=9.0)
         assert len({sg.Parcel(BOX), sg.Parcel(sg.Rectangle(0.25, 0.25))}) == 1

@@ -41,10 +41,8 @@ class TestNames:
             assert preset.label
             assert preset.meaning.endswith(".")
 
-    def test_exact_is_the_default(self):
+    def test_exact_is_the_default_and_one_may_be_made(self):
         assert EnvConfig(preset="exact") == EnvConfig() == EnvConfig(preset=None)
-
-    def test_one_may_be_made(self):
         mine = Preset("mine", "mine", "Mine.", actuators=Actuators(stuck_share=0.5))
         assert EnvConfig(preset=mine).actuators.stuck_share == 0.5
 

@@ -121,14 +121,13 @@ class TestOneParcel:
         x, y, theta = only(shown(batch)).pose
         assert only(shown(batch)).sensed_pose == pytest.approx((x, y + 0.02, theta))
 
-    def test_an_end_is_shown(self):
+    def test_an_end_and_a_tilt_are_shown(self):
         batch = pair_of(PARCELS["S"])
         assert "end" not in dict(shown(batch).readings)
         while batch.parcels.outcome[0] == 0:
             batch.step(np.full((2, 64), 0))
         assert reading(shown(batch), "end") == "stalled"
 
-    def test_a_tilt_is_shown(self):
         for tilt in (0.0, 0.26):
             start = Start(PARCELS["S"], (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,), tilt=tilt)
             assert shown(batch_at(start)).tilt == pytest.approx(tilt)

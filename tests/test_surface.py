@@ -23,12 +23,10 @@ class TestSurface:
         np.testing.assert_allclose(surface.x, [1.0, 1.2, 1.4, 1.6])
         np.testing.assert_allclose(surface.y, [-1.0, -0.8, -0.6])
 
-    def test_defaults_are_table_1(self):
+    def test_defaults_are_table_1_and_lists_and_integers_are_taken(self):
         surface = sg.Surface(AXIS, ROTOR)
         assert (surface.mu_max, surface.mu_min, surface.mu_support) == (0.5, 0.01, 0.005)
         assert (surface.pitch, surface.origin, surface.tilt) == (0.1, (0.05, 0.05), 0.0)
-
-    def test_lists_and_integers_are_taken(self):
         surface = sg.Surface([[0, 1]], [[True, False]], pitch=1, tilt=0)
         assert surface.axis.dtype == np.float64
         assert surface.rotor.tolist() == [[True, False]]

@@ -224,10 +224,7 @@ class TestContract:
 
     @te.every_mode
     def test_what_it_returns_is_the_users_own(self, mode):
-        env, twin = (te.native(max_episode_steps=3, autoreset_mode=mode) for _ in range(2))
-        for each in (env, twin):
-            each.reset(seed=0)
-            each.action_space.seed(0)
+        env, twin = te.pair(te.native, max_episode_steps=3, autoreset_mode=mode)
         for number in range(9):
             results = env.step(env.action_space.sample())
             te.assert_same(results, twin.step(twin.action_space.sample()))

@@ -47,17 +47,16 @@ class TestPartialResets:
         env.reset(seed=0)
         return env
 
-    def test_draw_nothing_for_others(self):
+    def test_draw_nothing_for_others_and_leave_the_callers_options_alone(self):
         env, twin = self.disabled(), self.disabled()
         action = np.array([6, 7, 8])
         for _ in range(4):
             te.assert_same(env.step(action)[0][1:], twin.step(action)[0][1:])
             env.reset(options={"reset_mask": np.array([True, False, False])})
         mask = np.array([False, True, True])
-        te.assert_same(
-            env.reset(options={"reset_mask": mask})[0][1:],
-            twin.reset(options={"reset_mask": mask})[0][1:],
-        )
+        options = {"reset_mask": mask, "speed": 1.0}
+        te.assert_same(env.reset(options=options)[0][1:], twin.reset(options=options)[0][1:])
+        assert set(options) == {"reset_mask", "speed"}
         te.assert_same(env.step(action)[0][1:], twin.step(action)[0][1:])
 
     def test_leave_the_others_where_they_are(self):
@@ -76,11 +75,6 @@ class TestPartialResets:
         fresh = self.disabled().reset(seed=40)[0]
         np.testing.assert_array_equal(observations[mask], fresh[mask])
 
-    def test_leave_the_callers_options_alone(self):
-        options = {"reset_mask": np.array([True, False, True]), "speed": 1.0}
-        self.disabled().reset(options=options)
-        assert set(options) == {"reset_mask", "speed"}
-
     BAD_MASKS = (
         [True, False, False], np.zeros(3, dtype=bool), np.ones(2, dtype=bool),
         np.ones((3, 1), dtype=bool), np.ones(3, dtype=int), True, None,
@@ -93,8 +87,10 @@ class TestPartialResets:
                 env.reset(options={"reset_mask": mask})
             te.assert_same(env.step(np.array([1, 2, 3])), twin.step(np.array([1, 2, 3])))
 
-    def test_the_first_reset_is_whole(self):
+    def test_the_first_reset_is_whole_and_comes_before_a_step(self):
         env = te.native(autoreset_mode="Disabled")
+        with pytest.raises(gym.error.ResetNeeded, match="reset"):
+            env.step(env.action_space.sample())
         with pytest.raises(gym.error.ResetNeeded):
             env.reset(options={"reset_mask": np.array([True, False, False])})
 
@@ -117,9 +113,7 @@ class TestBadInput:
 
     @pytest.mark.parametrize("actions", BAD_ACTIONS, ids=repr)
     def test_bad_actions_are_named(self, actions):
-        env, twin = (te.native(actions="halves", max_episode_steps=2) for _ in range(2))
-        for each in (env, twin):
-            each.reset(seed=0)
+        env, twin = te.pair(te.native, actions="halves", max_episode_steps=2)
         for _ in range(4):
             with pytest.raises(ValueError, match="action"):
                 env.step(actions)
@@ -127,9 +121,7 @@ class TestBadInput:
 
     @te.every_kind_of_action
     def test_one_bad_environment_moves_none(self, actions):
-        env, twin = (te.native(**te.cell(te.SORT, actions)) for _ in range(2))
-        for each in (env, twin):
-            each.reset(seed=0)
+        env, twin = te.pair(te.native, **te.cell(te.SORT, actions))
         good = env.action_space.sample()
         bad = good.copy()
         bad[-1] = 99
@@ -151,9 +143,7 @@ class TestBadInput:
     )
     def test_bad_options_are_named(self, named, bad):
         """The episodes go on as if nothing had been asked, also in those before the bad one."""
-        env, twin = (te.native(actions="halves") for _ in range(2))
-        for each in (env, twin):
-            each.reset(seed=0)
+        env, twin = te.pair(te.native, actions="halves")
         for options in bad:
             with pytest.raises(ValueError, match=named):
                 env.reset(seed=1, options=options)
@@ -163,19 +153,12 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("name", "values"),
         [
-            ("num_envs", (0, -2, 2.0, True)),
-            ("threads", (0, -1, 1.5, True, "all")),
-            ("max_episode_steps", (0, 2.5)),
-            ("autoreset_mode", ("sometimes", 3, None)),
+            ("num_envs", (0, -2, 2.0, True)), ("threads", (0, -1, 1.5, True, "all")),
+            ("max_episode_steps", (0, 2.5)), ("autoreset_mode", ("sometimes", 3, None)),
             ("render_mode", ("human",)),
         ],
-    )
+    )  # fmt: skip
     def test_bad_arguments_are_named(self, name, values):
         for value in values:
             with pytest.raises(ValueError, match=name):
                 sg.SmartSurfaceVectorEnv(**{name: value})
-
-    def test_steps_before_a_reset_are_refused(self):
-        env = te.native()
-        with pytest.raises(gym.error.ResetNeeded, match="reset"):
-            env.step(env.action_space.sample())

@@ -22,7 +22,7 @@ from surface_gym.physics.step import com_states
 from surface_gym.physics.types import THETA, Array, X, Y
 from surface_gym.registration import FLOW
 from surface_gym.sensors import Camera, Presence
-from tests.environments import EVERYTHING_VARIES, assert_same
+from tests import environments as te
 
 BRAKE, PLUS_45, MINUS_45, ROLL = range(4)  # choices of the default orientations
 MIRRORED = np.array([BRAKE, MINUS_45, PLUS_45, ROLL])  # the choice that each is in a mirror
@@ -41,7 +41,7 @@ KINDS: dict[str, dict[str, Any]] = {
         "actions": "modules", "sensors": Presence(), "orientations": "any",
     },
     "parcels, camera, all varies": {
-        "actions": "parcels", "sensors": Camera(), **EVERYTHING_VARIES,
+        "actions": "parcels", "sensors": Camera(), **te.EVERYTHING_VARIES,
     },
 }  # fmt: skip
 every_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
@@ -65,10 +65,7 @@ def same_choice(env: SmartSurfaceEnv, choice: int) -> Any:
 
 def pair(**settings: Any) -> tuple[SmartSurfaceEnv, SmartSurfaceEnv]:
     """Two equal flows that have begun, for parcels."""
-    env, twin = (bare(**{"actions": "parcels", **settings}) for _ in range(2))
-    for each in (env, twin):
-        each.reset(seed=0)
-    return env, twin
+    return te.pair(bare, **{"actions": "parcels", **settings})
 
 
 def command(batch: StreamBatch, choice: int) -> Array:
@@ -149,7 +146,7 @@ def surface_of(settings: EnvConfig, angle: float) -> sg.Surface:
 
 def assert_alike(first: Any, second: Any) -> None:
     """Equal to the bit, where nan equals nan: figures of what has not happened are nan."""
-    assert_same(_comparable(first), _comparable(second))
+    te.assert_same(_comparable(first), _comparable(second))
 
 
 def _comparable(value: Any) -> Any:

@@ -367,11 +367,9 @@ class TestVector:
         assert ends == [False, False, False, True, False]
 
     def test_bad_options_of_one_change_no_environment(self) -> None:
-        env, twin = vector_of(actions="parcels"), vector_of(actions="parcels")
+        env, twin = te.pair(vector_of, actions="parcels")
         action = np.full(env.action_space.shape, flows.BRAKE)
-        for each in (env, twin):
-            each.reset(seed=0)
-            each.step(action)
+        te.assert_same(env.step(action)[:4], twin.step(action)[:4])
         with pytest.raises(ValueError, match="stream"):
             env.reset(seed=1, options=[{}, {}, {"stream": 3}])
         te.assert_same(env.step(action)[:4], twin.step(action)[:4])

@@ -114,12 +114,10 @@ def test_a_rolling_box_is_slowed_as_the_balance_says(degrees):
 @pytest.mark.parametrize(
     ("angle", "degrees", "friction", "millimetres"),
     [
-        (0.0, 5.0, 0.5, 1.05),
-        (0.0, 15.0, 0.5, 3.22),
-        (math.pi / 2, 0.5, 0.01, 5.24),
+        (0.0, 5.0, 0.5, 1.05), (0.0, 15.0, 0.5, 3.22), (math.pi / 2, 0.5, 0.01, 5.24),
         (None, 0.25, 0.005, 5.24),
     ],
-)
+)  # fmt: skip
 def test_a_held_parcel_creeps_as_rounded_friction_says(angle, degrees, friction, millimetres):
     run = sg.simulate(field(angle, degrees), BOX, (1.5, 1.5, 0.0), duration=HELD)
     x, y, theta = run.pose[-1] - run.pose[0]

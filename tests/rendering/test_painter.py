@@ -16,15 +16,9 @@ from surface_gym.rendering.scene import ExitMark, ExitSide, ExitSpeed, Heading, 
 from tests.rendering.conftest import EXITS, LONG, SMALL, Plate, differing, middle
 
 GOALS = (
-    None,
-    ExitSide(1),
-    ExitSide(0),
-    StopLine(1.5),
-    ExitSpeed(0.5, 0.75),
-    Path([[0.5, 1.0], [1.5, 1.2], [3.0, 0.8]]),
-    Path([[0.5, 1.0], [0.5, 1.0]]),
-    Heading(1.2),
-)
+    None, ExitSide(1), ExitSide(0), StopLine(1.5), ExitSpeed(0.5, 0.75),
+    Path([[0.5, 1.0], [1.5, 1.2], [3.0, 0.8]]), Path([[0.5, 1.0], [0.5, 1.0]]), Heading(1.2),
+)  # fmt: skip
 
 
 @pytest.fixture(params=["alone", "a stream"])

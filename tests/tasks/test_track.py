@@ -144,25 +144,14 @@ class TestSeen:
         start = Start(BOX, pose, velocity, (0.9, 0.5, step), 0.2, path)
         turn = 2.0 * math.pi / 0.1
         wanted = {
-            "cross error": 0.4,
-            "fine cross error": math.tanh(4.0),
-            "speed error": -1.0,
-            "lateral speed": -1.0,
-            "asked speed": 0.1,
-            "slope 0 m ahead": 0.0,
-            "slope 0.1 m ahead": 0.5,
-            "slope 0.2 m ahead": 0.5,
-            "slope 0.35 m ahead": 0.5,
-            "tilt": math.sin(0.2) / 0.2,
-            "sine of theta": math.sin(0.3),
-            "cosine of theta": math.cos(0.3),
-            "turning speed": 0.2,
-            "size": -1.0,
-            "sine of phase x": math.sin(turn * 0.90),
-            "cosine of phase x": math.cos(turn * 0.90),
-            "sine of phase y": math.sin(turn * 0.97),
-            "cosine of phase y": math.cos(turn * 0.97),
-        }
+            "cross error": 0.4, "fine cross error": math.tanh(4.0), "speed error": -1.0,
+            "lateral speed": -1.0, "asked speed": 0.1, "slope 0 m ahead": 0.0,
+            "slope 0.1 m ahead": 0.5, "slope 0.2 m ahead": 0.5, "slope 0.35 m ahead": 0.5,
+            "tilt": math.sin(0.2) / 0.2, "sine of theta": math.sin(0.3),
+            "cosine of theta": math.cos(0.3), "turning speed": 0.2, "size": -1.0,
+            "sine of phase x": math.sin(turn * 0.90), "cosine of phase x": math.cos(turn * 0.90),
+            "sine of phase y": math.sin(turn * 0.97), "cosine of phase y": math.cos(turn * 0.97),
+        }  # fmt: skip
         assert tasks.features_of(Track(), start) == pytest.approx(wanted, abs=1e-6)
 
     def test_errors_are_square_to_a_slope(self):

@@ -21,12 +21,9 @@ from tests.environments import PITCH
 
 WAVE = {"path": Sine(0.15, 2.2, start=0.5, end=2.0), "tilt": 0.22, "speed": 0.8}
 STARTS: dict[str, dict[str, Any]] = {
-    "sort": {"speed": 1.2, "side": -1},
-    "slow": {"speed": 1.5, "ratio": 0.45},
-    "stop": {"speed": 1.1, "position": 1.4},
-    "orient": {"speed": 1.5, "angle": -0.6},
-    "track": WAVE,
-}
+    "sort": {"speed": 1.2, "side": -1}, "slow": {"speed": 1.5, "ratio": 0.45},
+    "stop": {"speed": 1.1, "position": 1.4}, "orient": {"speed": 1.5, "angle": -0.6}, "track": WAVE,
+}  # fmt: skip
 SMALL = 8  # a budget that finds something soon
 
 
@@ -95,12 +92,10 @@ def test_it_sorts_no_later_than_the_event_rule_and_the_fixed_layout() -> None:
 @pytest.mark.parametrize(
     ("task", "figure", "most"),
     [
-        ("slow", "ratio_error", 0.005),
-        ("stop", "stop_error", 0.0005),
-        ("orient", "angle_error", math.radians(1.0)),
-        ("track", "rms_error", 0.004),
+        ("slow", "ratio_error", 0.005), ("stop", "stop_error", 0.0005),
+        ("orient", "angle_error", math.radians(1.0)), ("track", "rms_error", 0.004),
     ],
-)
+)  # fmt: skip
 def test_it_is_exact(task, figure, most) -> None:
     runs = planned(task, [{**STARTS[task], "parcel": parcel} for parcel in "SB"], budget=24)
     assert runs.success.all()

@@ -156,13 +156,10 @@ def test_times_are_positive(name) -> None:
 @pytest.mark.parametrize(
     ("angles", "message"),
     [
-        ([[0.0, math.pi / 2.0]], ""),
-        ([[0.0]], "shape"),
-        ([[0.0, math.nan]], "finite"),
-        ([[0.0, 1.6]], "between"),
-        ([[0.0, 0.1]], "on offer"),
+        ([[0.0, math.pi / 2.0]], ""), ([[0.0]], "shape"), ([[0.0, math.nan]], "finite"),
+        ([[0.0, 1.6]], "between"), ([[0.0, 0.1]], "on offer"),
     ],
-)
+)  # fmt: skip
 def test_what_may_be_sent(angles, message) -> None:
     fault = runtime.AxisLimits((1, 2), (0.0, math.pi / 2.0)).fault(np.array(angles))
     assert message in fault

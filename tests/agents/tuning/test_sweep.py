@@ -18,13 +18,10 @@ def test_the_example_is_the_defaults_with_a_space() -> None:
     sweep = read_sweep(EXAMPLE)
     assert sweep == Sweep(space=sweep.space)
     assert sweep.space == {
-        "learning_rate": Span(1e-4, 3e-3, log=True),
-        "gamma": Choices([0.97, 0.98, 0.99, 0.995]),
-        "n_steps": Choices([32, 64, 128]),
-        "ent_coef": Span(1e-4, 0.03, log=True),
-        "n_epochs": Span(3, 10),
-        "hidden": Choices([[64, 64], [128, 128]]),
-    }
+        "learning_rate": Span(1e-4, 3e-3, log=True), "gamma": Choices([0.97, 0.98, 0.99, 0.995]),
+        "n_steps": Choices([32, 64, 128]), "ent_coef": Span(1e-4, 0.03, log=True),
+        "n_epochs": Span(3, 10), "hidden": Choices([[64, 64], [128, 128]]),
+    }  # fmt: skip
     assert f"```yaml\n{EXAMPLE.read_text()}```" in (ROOT / "docs" / "search.md").read_text()
 
 
