@@ -151,8 +151,9 @@ def beside(**changes: Any) -> Any:
 
 NUMBER, SHARE, COEFFICIENT = (-1e4, 1e4), (0.0, 0.9999), (0.0, 100.0)
 OBSERVER = {
-    "drop": SHARE, "mu_max": COEFFICIENT, "friction_error": (0.0, 10.0),
-    "acceleration_density": (1e-12, 1e9), "turn_density": (1e-12, 1e9),
+    "drop": SHARE, "mu_max": COEFFICIENT, "mu_min": COEFFICIENT, "mu_support": COEFFICIENT,
+    "friction_error": (0.0, 10.0), "acceleration_density": (1e-12, 1e9),
+    "turn_density": (1e-12, 1e9),
 }  # fmt: skip
 # Fields of each kind, with the least and greatest that they may be.
 FIELDS: dict[Callable[..., Any], dict[str, tuple[float, float]]] = {
@@ -167,10 +168,7 @@ FIELDS: dict[Callable[..., Any], dict[str, tuple[float, float]]] = {
         "frame_rate": (1e-3, 1e6), "latency": (0.0, 0.16), "position_noise": (0.0, 10.0),
         "angle_noise": (0.0, 2.0 * math.pi), **OBSERVER,
     },
-    Presence: {
-        "sample_rate": (1e-3, 1e6), "tolerance": (1e-6, 1.0), "mu_min": COEFFICIENT,
-        "mu_support": COEFFICIENT, **OBSERVER,
-    },
+    Presence: {"sample_rate": (1e-3, 1e6), "tolerance": (1e-6, 1.0), **OBSERVER},
     Entry: {
         "position": (0.0, 10.0), "angle": (0.0, 2.0 * math.pi), "speed": (0.0, 100.0),
         "turning": (0.0, 1e3),
@@ -222,6 +220,8 @@ NUMBERS: dict[str, tuple[Callable[[Any], Any], float, float]] = {
     "Steady.rate": (Steady, 1e-6, 1e5),
     "Spread.rate": (lambda v: Spread(v, 0.1), 1e-6, 1e5),
     "Spread.spread": (lambda v: Spread(900.0, v), 0.0, 0.9999),
+    "Poisson.rate": (Poisson, 1e-6, 1e5),
+    "Schedule.spread": (lambda v: Schedule(((0.0, 900.0),), v), 0.0, 0.9999),
     "Poisson.least_gap": (lambda v: Poisson(900.0, v), 0.0, 4.0),
     "Schedule.rate": (lambda v: Schedule(((0.0, 900.0), (1.0, v))), 0.0, 1e5),
     "Stream.odds": (lambda v: Stream(parcels=(("S", v),)), 1e-9, 1e9),
@@ -237,8 +237,8 @@ NUMBERS: dict[str, tuple[Callable[[Any], Any], float, float]] = {
 }  # fmt: skip
 NO_NUMBERS = [None, "1", b"1", 1j, [[1.0]], {}, math.nan, math.inf, -math.inf, object()]
 # Where nothing given means something.
-ABSENT = {"Parcel.inertia", "Camera.latency", "Camera.mu_max"} | {
-    f"Presence.{name}" for name in ("mu_max", "mu_min", "mu_support")
+ABSENT = {"Parcel.inertia", "Camera.latency"} | {
+    f"{kind}.mu_{name}" for kind in ("Camera", "Presence") for name in ("max", "min", "support")
 }
 
 
@@ -271,6 +271,10 @@ LARGE = "rows times columns must be at most 1_000_000"
 @pytest.mark.parametrize(
     ("call", "message"),
     [
+        (lambda: Spread(900.0, 1.0), "spread must"),
+        (lambda: Camera(drop=1.0), "drop must"),
+        (lambda: Camera(entry=None), "entry must"),
+        (lambda: Presence(entry=3), "entry must"),
         (lambda: Presence(mu_max=0.1, mu_min=0.2), CROSSED),
         (lambda: Camera(mu_max=0.1, mu_min=0.2), CROSSED),
         (lambda: surface(mu_max=0.1, mu_min=0.2), CROSSED),

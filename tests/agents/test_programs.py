@@ -6,6 +6,7 @@ import re
 import runpy
 import subprocess
 import sys
+from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ import pytest
 import yaml
 
 from surface_gym import agents
+from surface_gym.agents.evaluation import cli, report
 from surface_gym.agents.library import card_env_id, find_task, task_kind, task_label
 from surface_gym.tasks import TASKS
 
@@ -166,13 +168,18 @@ def test_others_are_named(name, named, tmp_path, monkeypatch) -> None:
         find_task(name)
 
 
-@pytest.fixture(scope="module")
-def own_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of a user's own task, too short to learn anything."""
-    folder = tmp_path_factory.mktemp("own")
-    done = run_in_process("train.py", "--task", REACH, *SHORT.split(), folder=folder)
-    assert done.returncode == 0, done.stderr
-    return folder / "runs" / "a"
+@pytest.fixture(scope="class")
+def own_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A run of a user's own task, too short to learn anything, and compared in two presets."""
+    folder, chosen = tmp_path_factory.mktemp("own"), cli.chosen_methods
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report, "COMPARED", ("exact", "lab"))
+        patch.setattr(
+            cli, "chosen_methods", lambda given: [each.under("exact") for each in chosen(given)]
+        )
+        done = run_in_process("train.py", "--task", REACH, *SHORT.split(), folder=folder)
+        assert done.returncode == 0, done.stderr
+        yield folder / "runs" / "a"
 
 
 class TestARun:
@@ -207,7 +214,8 @@ class TestARun:
         assert not mark.exists()
         config.write_text(whole)
 
-    def test_goes_on_where_the_task_is_said(self, own_run) -> None:
+    def test_goes_on_where_the_task_is_said(self, own_run, monkeypatch) -> None:
+        monkeypatch.setattr(report, "evaluate_run", lambda *_: {})  # it was compared once
         before = (own_run / "policy.pt").read_bytes()
         done = run_in_process("train.py", "--resume", str(own_run), "--task", REACH, folder=own_run)
         assert done.returncode == 0, done.stderr
@@ -215,8 +223,9 @@ class TestARun:
 
     def test_is_compared(self, own_run) -> None:
         """By processes of their own, which find the task's code again."""
-        folder, program = own_run.parents[1], str(ROOT / "evaluate.py")
-        done = run_program(program, "--task", REACH, "--out", "out", folder=folder)
+        folder = own_run.parents[1]
+        flags = ("--task", REACH, "--out", "out", "--workers", "2")
+        done = run_in_process("evaluate.py", *flags, folder=folder)
         assert done.returncode == 0, done.stderr
         table = (folder / "out" / "comparison.md").read_text()
         assert "fixed layout" in table

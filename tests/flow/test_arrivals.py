@@ -1,6 +1,5 @@
 """Laws of arrival: their gaps, their rates, and what is refused."""
 
-import itertools
 import math
 from typing import Any
 
@@ -131,32 +130,16 @@ def test_laws_are_hashable_and_equal_by_their_fields() -> None:
     assert Steady(600) == Steady(600.0)
 
 
-BAD: dict[str, tuple[list[Any], list[Any]]] = {
-    "rate": (
-        [Steady, lambda rate: Spread(rate, 0.1), Poisson],
-        [0.0, -1.0, math.nan, math.inf, True, "1200", None],
-    ),
-    "spread": (
-        [lambda spread: Spread(600.0, spread), lambda spread: Schedule(((0, 600),), spread)],
-        [-0.1, 1.0, 1.5, math.nan, None, "0.1"],
-    ),
-    "speed": ([lambda speed: check_speed("speed", speed)], [0.0, -1.0, 5.1, math.nan, None]),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_a_bad_number_is_named(name: str) -> None:
-    for call, value in itertools.product(*BAD[name]):
-        with pytest.raises(ValueError, match=rf"^{name} must be .*, got"):
-            call(value)
+@pytest.mark.parametrize("speed", [0.0, -1.0, 5.1, math.nan, None])
+def test_a_bad_speed_is_named(speed: Any) -> None:
+    with pytest.raises(ValueError, match=r"^speed must be .*, got"):
+        check_speed("speed", speed)
     assert check_speed("speed", FASTEST) == 5.0
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (-0.1, "least_gap must be at least 0, got -0.1"),
-        (math.nan, "least_gap must be a finite number, got nan"),
         (3.1, "least_gap must be at most the mean gap, 3 s at a rate of 1200 parcels/h, got 3.1"),
         ((), r"rates must have the shape \(any, 2\), got \(0,\)"),
         (np.zeros((0, 2)), r"rates must be at times that rise from 0, got \[\]"),

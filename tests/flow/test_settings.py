@@ -30,7 +30,6 @@ BAD: dict[str, list[Any]] = {
     "exits": ["doors", (), ("left",), None],
     "actions": ["halves", None],
     "sensors": ["camera", Camera],
-    "control_period": [0.0],
     "duration": [0.0, 0.03],
     "max_parcels": [0, 257, 2.0, True],
     "line": ["line", SHORT.rotor],
@@ -40,11 +39,8 @@ BAD: dict[str, list[Any]] = {
     "stuck of actuators": [Actuators(stuck=((99, 0),))],
     "randomisation": [0.1],
     "restitution": [-0.1, 1.1, None],
-    "side_friction": [-0.1],
     "gate": [1, None],
-    "entry_gap": [-0.01],
     "ahead": [-0.1, True],
-    "patience": [0.0],
 }
 
 

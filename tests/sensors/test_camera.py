@@ -122,19 +122,6 @@ def test_friction_unlike_the_assumed_one_is_made_up_for_by_the_frames() -> None:
     assert rms(errors(Camera(position_noise=0.005), ROLL, speed=1.0, parcel="S"))[0] < 0.0047
 
 
-BAD: dict[str, Any] = {
-    "frame_rate": 0.0, "latency": 1.0, "position_noise": -1e-3, "angle_noise": -1e-3,
-    "mu_max": -0.5, "mu_min": -0.01, "mu_support": math.inf, "friction_error": -0.1, "drop": 1.0,
-    "acceleration_density": 0.0, "turn_density": -1.0, "entry": None,
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_fields_are_named(name: str) -> None:
-    with pytest.raises(ValueError, match=name):
-        Camera(**{name: BAD[name]})
-
-
 @pytest.mark.parametrize(("kind", "name"), [(Camera, "frame_rate"), (Presence, "sample_rate")])
 def test_what_is_faster_than_physics_steps_is_refused(kind: Any, name: str) -> None:
     with pytest.raises(ValueError, match=name):

@@ -61,18 +61,6 @@ def test_wrong_friction_is_borne() -> None:
     assert found[0] < 0.02
 
 
-BAD: dict[str, Any] = {
-    "sample_rate": 0.0, "drop": 1.0, "mu_max": -0.1, "mu_min": math.nan, "mu_support": -1.0,
-    "acceleration_density": 0.0, "turn_density": 0.0, "tolerance": 0.0, "entry": 3,
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", [*BAD, "position", "angle", "speed", "turning"])
-def test_bad_fields_are_named(name: str) -> None:
-    with pytest.raises(ValueError, match=name):
-        _ = Presence(**{name: BAD[name]}) if name in BAD else Entry(**{name: -0.1})
-
-
 NUM_ENVS, PERIODS, HELD = 48, 75, 5
 PITCH = 0.1  # [m]
 NOMINAL = 0.5  # [-] mu_max of every line
